@@ -1,0 +1,74 @@
+"""Arcs: from centre and target to chords that stray no further than the tolerance."""
+
+import math
+
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from array import array
+    from collections.abc import Callable
+
+# Below this a sweep counts as none, which means a full circle.
+_NO_SWEEP = 5e-7
+
+
+class Arc:
+    """Geometry of one arc. plane: its two axes and the one across, in that order.
+
+    centre: offset of the centre from the start, in the plane; the radius is the
+    parser's, so that a helix's end does not bend it.
+    """
+
+    def __init__(self) -> None:
+        self.plane = (0, 1, 2)
+        self.clockwise = False
+        self.radius = 0.0
+        self.centre_0 = 0.0
+        self.centre_1 = 0.0
+
+    def sweep(self, start: "array[float]", target: "array[float]") -> float:
+        """The angle travelled, in radians; negative is clockwise."""
+        a, b, _ = self.plane
+        from_0, from_1 = -self.centre_0, -self.centre_1
+        to_0 = target[a] - start[a] - self.centre_0
+        to_1 = target[b] - start[b] - self.centre_1
+        angle = math.atan2(from_0 * to_1 - from_1 * to_0, from_0 * to_0 + from_1 * to_1)
+        if self.clockwise:
+            if angle >= -_NO_SWEEP:
+                angle -= 2 * math.pi
+        elif angle <= _NO_SWEEP:
+            angle += 2 * math.pi
+        return angle
+
+    def chords(self, angle: float, tolerance: float) -> int:
+        """How many chords it takes; 0 and 1 mean a straight line."""
+        squared = tolerance * (2 * self.radius - tolerance)
+        if squared <= 0:
+            return 0
+        return int(abs(0.5 * angle * self.radius) / math.sqrt(squared))
+
+    def follow(
+        self,
+        start: "array[float]",
+        target: "array[float]",
+        point: "array[float]",
+        chords: int,
+        angle: float,
+        line: "Callable[[array[float]], None]",
+    ) -> None:
+        """Call line(point) for every chord but the last, which ends at the target."""
+        a, b, across = self.plane
+        centre_0 = start[a] + self.centre_0
+        centre_1 = start[b] + self.centre_1
+        from_0, from_1 = -self.centre_0, -self.centre_1
+        base = start[across]
+        rise = (target[across] - base) / chords if chords else 0.0
+        step = angle / chords if chords else 0.0
+        for i in range(1, chords):
+            cosine = math.cos(i * step)
+            sine = math.sin(i * step)
+            point[a] = centre_0 + from_0 * cosine - from_1 * sine
+            point[b] = centre_1 + from_0 * sine + from_1 * cosine
+            point[across] = base + i * rise
+            line(point)

@@ -1,0 +1,10 @@
+"""Axes: their letters and the order in which they stand everywhere."""
+
+from micropython import const
+
+LETTERS = "XYZA"
+X = const(0)
+Y = const(1)
+Z = const(2)
+# The axis that a tool length offset (G43.1) acts on.
+TOOL_LENGTH = const(2)

@@ -1,0 +1,260 @@
+"""The $ commands: one method each, found by a table."""
+
+import errors
+import state as st
+from errors import GrblError
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from coords import Coords
+    from cycles import Cycles
+    from gcode import Gcode
+    from inputs import Inputs
+    from interfaces import Store
+    from motion import Motion
+    from realtime import Realtime
+    from report import Report
+    from settings import Settings
+    from state import State
+    from words import Words
+
+_STARTUP = "startup"
+_BUILD_INFO = "build"
+STARTUP_LINES = const(2)
+_HIGHEST_SETTING = const(255)
+_AXES = b"XYZ"
+_BUSY = const(0x18)  # RUN | HOLD
+
+
+class Commands:
+    """What lines beginning with $ do. options: the letters and numbers of [OPT:…]."""
+
+    def __init__(
+        self,
+        state: "State",
+        settings: "Settings",
+        coords: "Coords",
+        store: "Store",
+        report: "Report",
+        gcode: "Gcode",
+        cycles: "Cycles",
+        inputs: "Inputs",
+        words: "Words",
+        options: str,
+        single_axis_homing: bool,
+    ) -> None:
+        self._state = state
+        self._settings = settings
+        self._coords = coords
+        self._store = store
+        self._report = report
+        self._gcode = gcode
+        self._cycles = cycles
+        self._inputs = inputs
+        self._words = words
+        self._options = options
+        self._single_axis_homing = single_axis_homing
+        self._startup = [""] * STARTUP_LINES
+
+    def connect(
+        self, realtime: "Realtime", motion: "Motion", configure: "Callable[[], None]", answer: "Callable[[bytearray, int], None]"
+    ) -> None:
+        """Say whom to call. answer executes a line of G-code and prints what becomes of it."""
+        self._realtime = realtime
+        self._motion = motion
+        self._configure = configure
+        self._answer = answer
+
+    # Kept lines
+
+    def load(self) -> bool:
+        """Read the startup lines; False, and none, where nothing valid is kept."""
+        lines = self._store.load(_STARTUP)
+        self._startup = [""] * STARTUP_LINES
+        for i in range(min(len(lines or ()), STARTUP_LINES)):
+            self._startup[i] = lines[i]
+        if lines is None:
+            self._keep_startup()
+        return lines is not None
+
+    def _keep_startup(self) -> None:
+        self._store.save(_STARTUP, self._startup)
+
+    def run_startup(self) -> None:
+        """Execute the startup lines, each with its answer."""
+        for text in self._startup:
+            if text:
+                self._report.startup_run(text)
+                line = bytearray(text.encode() + b"\0")
+                self._answer(line, len(line) - 1)
+
+    # Dispatch
+
+    def execute(self, line: bytearray, length: int) -> None:
+        """Do what a line beginning with $ asks. Raises GrblError where it is refused."""
+        key = line[1]
+        if key == 0:
+            self._report.help()
+        elif key == 74:  # J
+            self._jog(line, length)
+        elif key in _PLAIN:
+            if length != 2:
+                raise GrblError(errors.INVALID_STATEMENT)
+            _PLAIN[key](self)
+        elif self._state.run not in (st.IDLE, st.ALARM):
+            raise GrblError(errors.IDLE_ERROR)
+        elif key in _AT_REST:
+            _AT_REST[key](self, line, length)
+        else:
+            self._set(line, 1)
+
+    def _jog(self, line: bytearray, length: int) -> None:
+        if self._state.run not in (st.IDLE, st.JOG):
+            raise GrblError(errors.IDLE_ERROR)
+        if line[2] != 61:
+            raise GrblError(errors.INVALID_STATEMENT)
+        self._gcode.jog(line, length)
+
+    # Commands of one letter
+
+    def _show_settings(self) -> None:
+        if self._state.run & _BUSY:
+            raise GrblError(errors.IDLE_ERROR)
+        self.show_settings()
+
+    def show_settings(self) -> None:
+        """Print every setting."""
+        for number, value, decimals in self._settings.each():
+            self._report.setting(number, value, decimals)
+
+    def _show_modes(self) -> None:
+        self._report.modes(self._gcode.modes())
+
+    def _check_mode(self) -> None:
+        state = self._state
+        if state.run == st.CHECK:
+            self._realtime.reset()
+            self._report.message(errors.MSG_DISABLED)
+        else:
+            if state.run != st.IDLE:
+                raise GrblError(errors.IDLE_ERROR)
+            state.run = st.CHECK
+            self._report.message(errors.MSG_ENABLED)
+
+    def _unlock(self) -> None:
+        if self._state.run == st.ALARM:
+            if self._inputs.door_open():
+                raise GrblError(errors.CHECK_DOOR)
+            self._report.message(errors.MSG_ALARM_UNLOCK)
+            self._state.run = st.IDLE
+
+    # Commands that want the machine at rest
+
+    def _show_offsets(self, line: bytearray, length: int) -> None:
+        if length != 2:
+            raise GrblError(errors.INVALID_STATEMENT)
+        self._report.offsets(self._cycles.probe_position())
+
+    def _home(self, line: bytearray, length: int) -> None:
+        if not self._settings.homing:
+            raise GrblError(errors.SETTING_DISABLED)
+        if self._inputs.door_open():
+            raise GrblError(errors.CHECK_DOOR)
+        axes = 0
+        if length > 2:
+            at = _AXES.find(line[2:3]) if length == 3 and self._single_axis_homing else -1
+            if at < 0:
+                raise GrblError(errors.INVALID_STATEMENT)
+            axes = 1 << at
+        self._state.run = st.HOMING
+        self._cycles.home(axes)
+        self._state.run = st.IDLE
+        self._motion.settle()
+        if axes == 0:
+            self.run_startup()
+
+    def _sleep(self, line: bytearray, length: int) -> None:
+        if bytes(line[2:length]) != b"LP":
+            raise GrblError(errors.INVALID_STATEMENT)
+        self._state.post(st.SLEEP_REQUEST)
+
+    def _build_info(self, line: bytearray, length: int) -> None:
+        if length == 2:
+            kept = self._store.load(_BUILD_INFO)
+            self._report.build_info(kept[0] if kept else "", self._options)
+        elif line[2] != 61:
+            raise GrblError(errors.INVALID_STATEMENT)
+        else:
+            self._store.save(_BUILD_INFO, [line[3:length].decode()])
+
+    def _restore(self, line: bytearray, length: int) -> None:
+        what = line[5] if length == 6 else 0
+        if bytes(line[2:5]) != b"ST=" or what not in b"$#*":
+            raise GrblError(errors.INVALID_STATEMENT)
+        if what != 35:  # $ or *
+            self._settings.restore()
+        if what != 36:  # # or *
+            self._coords.restore()
+        if what == 42:  # *
+            self.forget()
+        self._report.message(errors.MSG_RESTORE_DEFAULTS)
+        self._realtime.reset()
+
+    def forget(self) -> None:
+        """Startup lines and build info away."""
+        self._startup = [""] * STARTUP_LINES
+        self._keep_startup()
+        self._store.save(_BUILD_INFO, [""])
+
+    def _startup_lines(self, line: bytearray, length: int) -> None:
+        if length == 2:
+            for i in range(STARTUP_LINES):
+                self._report.startup_line(i, self._startup[i])
+            return
+        if self._state.run != st.IDLE:
+            raise GrblError(errors.IDLE_ERROR)
+        at, number = self._words.number(line, 2)
+        if at < 0:
+            raise GrblError(errors.BAD_NUMBER_FORMAT)
+        if line[at] != 61:
+            raise GrblError(errors.INVALID_STATEMENT)
+        block = line[at + 1 : length + 1]
+        self._gcode.execute(block, length - at - 1)
+        index = int(number)
+        if 0 <= index < STARTUP_LINES:
+            self._startup[index] = bytes(block[: length - at - 1]).decode()
+            self._keep_startup()
+
+    def _set(self, line: bytearray, start: int) -> None:
+        at, number = self._words.number(line, start)
+        if at < 0:
+            raise GrblError(errors.BAD_NUMBER_FORMAT)
+        if line[at] != 61:
+            raise GrblError(errors.INVALID_STATEMENT)
+        at, value = self._words.number(line, at + 1)
+        if at < 0:
+            raise GrblError(errors.BAD_NUMBER_FORMAT)
+        if line[at] != 0 or number > _HIGHEST_SETTING:
+            raise GrblError(errors.INVALID_STATEMENT)
+        self._settings.set(int(number) & 255, value)
+        self._configure(int(number))
+
+
+_PLAIN = {
+    36: Commands._show_settings,  # $$
+    71: Commands._show_modes,  # $G
+    67: Commands._check_mode,  # $C
+    88: Commands._unlock,  # $X
+}
+
+_AT_REST = {
+    35: Commands._show_offsets,  # $#
+    72: Commands._home,  # $H
+    83: Commands._sleep,  # $SLP
+    73: Commands._build_info,  # $I
+    82: Commands._restore,  # $RST=
+    78: Commands._startup_lines,  # $N
+}

@@ -1,0 +1,131 @@
+"""Numbers that senders know: errors, alarms and messages of Grbl 1.1h.
+
+Each row's comment is its documentation; tools/docs.py makes the README table of it.
+"""
+
+from micropython import const
+
+# Errors: the request was refused and nothing has changed.
+
+# A word consists of a letter and a value; the letter was not found.
+EXPECTED_COMMAND_LETTER = const(1)
+# The value of a word, or of a setting, is missing or is not a number.
+BAD_NUMBER_FORMAT = const(2)
+# The '$' command was not recognised or is not supported.
+INVALID_STATEMENT = const(3)
+# A negative value was given where only a positive one makes sense.
+NEGATIVE_VALUE = const(4)
+# The homing cycle is not enabled ($22).
+SETTING_DISABLED = const(5)
+# The step pulse time ($0) must be 3 microseconds or more.
+SETTING_STEP_PULSE_MIN = const(6)
+# Kept settings could not be read; defaults were restored.
+SETTING_READ_FAIL = const(7)
+# The '$' command can only be used while the machine is idle.
+IDLE_ERROR = const(8)
+# G-code is locked out in alarm and during a jog.
+SYSTEM_GC_LOCK = const(9)
+# Soft limits ($20) need homing ($22).
+SOFT_LIMIT_ERROR = const(10)
+# The line is longer than the line buffer; it was not executed.
+OVERFLOW = const(11)
+# The setting asks for a step rate that the pulse engine cannot make.
+MAX_STEP_RATE_EXCEEDED = const(12)
+# The safety door is open.
+CHECK_DOOR = const(13)
+# Build info or startup line is longer than the place where it is kept.
+LINE_LENGTH_EXCEEDED = const(14)
+# The target of a jog lies outside the machine's travel; the jog was ignored.
+TRAVEL_EXCEEDED = const(15)
+# A jog command has no '=' or holds words that a jog does not take.
+INVALID_JOG_COMMAND = const(16)
+# Laser mode needs a PWM output.
+SETTING_DISABLED_LASER = const(17)
+# The block holds a word that is not supported or not valid here.
+GCODE_UNSUPPORTED_COMMAND = const(20)
+# Two words of the same modal group stand in one block.
+GCODE_MODAL_GROUP_VIOLATION = const(21)
+# The feed rate has not been set, or is not defined in this mode.
+GCODE_UNDEFINED_FEED_RATE = const(22)
+# A G or M word takes a whole number.
+GCODE_COMMAND_VALUE_NOT_INTEGER = const(23)
+# Two words in one block both want the axis words.
+GCODE_AXIS_COMMAND_CONFLICT = const(24)
+# A word is repeated in the block.
+GCODE_WORD_REPEATED = const(25)
+# The command needs axis words, and none are there.
+GCODE_NO_AXIS_WORDS = const(26)
+# The line number is out of range.
+GCODE_INVALID_LINE_NUMBER = const(27)
+# The command needs a value word (P, L …) that is not there.
+GCODE_VALUE_WORD_MISSING = const(28)
+# The work coordinate system does not exist: there are six, G54 to G59.
+GCODE_UNSUPPORTED_COORD_SYS = const(29)
+# G53 goes with G0 and G1 only.
+GCODE_G53_INVALID_MOTION_MODE = const(30)
+# Axis words stand in the block and nothing uses them.
+GCODE_AXIS_WORDS_EXIST = const(31)
+# An arc needs an axis word in its plane.
+GCODE_NO_AXIS_WORDS_IN_PLANE = const(32)
+# The target of the motion is not valid: the arc cannot be, or the probe is there already.
+GCODE_INVALID_TARGET = const(33)
+# No arc of that radius reaches the target.
+GCODE_ARC_RADIUS_ERROR = const(34)
+# An arc by centre needs an offset word (I, J, K) in its plane.
+GCODE_NO_OFFSETS_IN_PLANE = const(35)
+# A value word in the block is used by no command.
+GCODE_UNUSED_WORDS = const(36)
+# G43.1 takes the tool length axis and no other.
+GCODE_G43_DYNAMIC_AXIS_ERROR = const(37)
+# The tool number is greater than 255.
+GCODE_MAX_VALUE_EXCEEDED = const(38)
+
+# Alarms: the machine had to stop; G-code is locked until $X or $H.
+
+# A limit switch was hit. The machine's position is probably lost: home it again.
+ALARM_HARD_LIMIT = const(1)
+# A motion would leave the machine's travel. Position is kept.
+ALARM_SOFT_LIMIT = const(2)
+# Reset while moving: steps may have been lost.
+ALARM_ABORT_CYCLE = const(3)
+# The probe was not in the expected state when the probing cycle began.
+ALARM_PROBE_FAIL_INITIAL = const(4)
+# The probe touched nothing within the programmed travel.
+ALARM_PROBE_FAIL_CONTACT = const(5)
+# Homing failed: reset during the cycle.
+ALARM_HOMING_FAIL_RESET = const(6)
+# Homing failed: the safety door was opened.
+ALARM_HOMING_FAIL_DOOR = const(7)
+# Homing failed: a switch stayed closed after the pull-off ($27).
+ALARM_HOMING_FAIL_PULLOFF = const(8)
+# Homing failed: no switch was found within the search distance.
+ALARM_HOMING_FAIL_APPROACH = const(9)
+# Homing failed: the second switch of an axis was not found in time.
+ALARM_HOMING_FAIL_DUAL_APPROACH = const(10)
+# The firmware met a fault of its own and stopped the machine. Not one of Grbl's.
+ALARM_INTERNAL = const(17)
+
+# Messages, as they stand in [MSG:…]. None may contain "ok" or "error".
+MSG_CRITICAL_EVENT = "Reset to continue"
+MSG_ALARM_LOCK = "'$H'|'$X' to unlock"
+MSG_ALARM_UNLOCK = "Caution: Unlocked"
+MSG_ENABLED = "Enabled"
+MSG_DISABLED = "Disabled"
+MSG_DOOR_AJAR = "Check Door"
+MSG_CHECK_LIMITS = "Check Limits"
+MSG_PROGRAM_END = "Pgm End"
+MSG_RESTORE_DEFAULTS = "Restoring defaults"
+MSG_SPINDLE_RESTORE = "Restoring spindle"
+MSG_SLEEP = "Sleeping"
+
+
+class GrblError(Exception):
+    """The request is refused; nothing has changed. The sender sees error:<code>."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+class Abort(Exception):
+    """A soft reset unwinds everything that waits. The sender sees the banner."""

@@ -1,0 +1,25 @@
+"""Single precision: the arithmetic of Grbl's replies, the same on every machine.
+
+A board computes in single precision by itself; the desktop has doubles. Where
+a reply or a step count depends on rounding, each result goes through f32(),
+which costs a board nothing worth naming.
+"""
+
+from array import array
+
+_cell = array("f", (0.0,))
+
+
+def f32(x: float) -> float:
+    """X rounded to single precision."""
+    _cell[0] = x
+    return _cell[0]
+
+
+def vector(axes: int) -> "array[float]":
+    """A position or offset: one single-precision number per axis, all 0."""
+    return array("f", (0.0 for _ in range(axes)))
+
+
+MM_PER_INCH = f32(25.4)
+INCH_PER_MM = f32(0.0393701)

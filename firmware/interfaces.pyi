@@ -1,0 +1,106 @@
+"""The seams of the firmware, as mypy sees them. Never copied to a board.
+
+An implementation need not inherit from these: mypy checks each one where
+`controller.build()` is called.
+"""
+
+from array import array
+from collections.abc import Callable, Iterable
+from typing import Protocol
+
+# Fills one segment row (see segments.py for its layout) and returns 1, or
+# returns 0 where no motion is due. Called from the engine's interrupt: it
+# neither allocates nor raises.
+NextSegment = Callable[[array[int]], int]
+
+class StepEngine(Protocol):
+    """Who makes pulses: pio, rmt, i2s or the simulator.
+
+    The engine pulls: it asks for a segment whenever its hardware has room.
+    """
+
+    tick_hz: int  # unit of every time in a segment row
+    segment_log2: int  # a full segment lasts 2**segment_log2 ticks
+
+    def max_step_hz(self, pulse_us: int) -> int:
+        """Highest rate of one axis with step pulses of pulse_us microseconds."""
+
+    def attach(self, next_segment: NextSegment, on_power: Callable[[int], None]) -> None:
+        """Say where segments come from and who is told the spindle power of each as it starts."""
+
+    def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
+        """Take over $0, $2 and $3. Called at rest only."""
+
+    def start(self) -> None:
+        """Begin to pull, where the engine had run out of segments."""
+
+    def stop(self) -> None:
+        """At once; safe in an interrupt; queued steps are dropped, locks released."""
+
+    def lock(self, axes: int) -> None:
+        """These axes (a mask) make no more pulses until stop(); the others go on."""
+
+    def idle(self) -> bool:
+        """Nothing is moving and nothing is queued in hardware."""
+
+    def position(self, steps: array[int]) -> None:
+        """Copy the steps really made, per motor: the only truth."""
+
+    def set_position(self, steps: array[int]) -> None:
+        """Name the present place. At rest only."""
+
+class Port(Protocol):
+    """Pins that are not steps, and the clock."""
+
+    pwm_max: int  # spindle(): full power
+
+    def attach(self, on_limits: Callable[[], None], on_controls: Callable[[], None]) -> None:
+        """Who is called, in interrupt context, when one of these inputs changes."""
+
+    def watch_probe(self, on_contact: Callable[[], None] | None, closed: bool) -> None:
+        """Call on_contact once, in interrupt context, as soon as the probe pin is `closed`."""
+
+    def limits(self) -> int:
+        """Mask of limit inputs pulled to ground, bit 0 = X."""
+
+    def controls(self) -> int:
+        """Mask of control inputs pulled to ground: inputs.RESET, HOLD, START, DOOR."""
+
+    def probe(self) -> bool:
+        """The probe input is pulled to ground."""
+
+    def enable(self, level: int) -> None:
+        """Level of the motor drivers' enable pin."""
+
+    def direction(self, level: int) -> None:
+        """Level of the spindle direction pin: 1 = counterclockwise."""
+
+    def spindle(self, on: bool, power: int) -> None:
+        """Spindle output: enable, and PWM power 0..pwm_max. May be called in an interrupt."""
+
+    def coolant(self, mask: int) -> None:
+        """Coolant outputs: coolant.FLOOD, coolant.MIST."""
+
+    def ticks_ms(self) -> int:
+        """Milliseconds, wrapping at some power of two; compare with elapsed_ms."""
+
+    def elapsed_ms(self, since: int) -> int:
+        """Milliseconds since a value of ticks_ms()."""
+
+class Link(Protocol):
+    """The sender: USB, UART, a pseudo-terminal, a test."""
+
+    def read_into(self, buf: bytearray) -> int:
+        """Move what has arrived into buf; return how many bytes. Never waits long."""
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        """Send; waits where the line is slower than we are."""
+
+class Store(Protocol):
+    """Text lines kept over power-off, by name."""
+
+    def load(self, name: str) -> list[str] | None:
+        """None where nothing valid is kept under that name."""
+
+    def save(self, name: str, lines: Iterable[str]) -> None:
+        """Replace at once or not at all."""

@@ -1,0 +1,792 @@
+# mypy: disable-error-code=arg-type
+"""Kernels: integers only, from a move in steps to segments of pulses.
+
+Everything here is viper: it allocates nothing, knows no objects, and takes
+and returns values from 0 to 2**30 - 1, so that it means the same on a 32-bit
+board, on the 64-bit desktop MicroPython and under CPython.
+
+A *real* is a positive number in one integer: 15 bits of mantissa, with the
+exponent above them, value = mantissa * 2**(exponent - 64). Reals compare as
+plain integers do; 0 is 0. Their relative error is 2**-14.
+
+Speeds are squared and linear on one scale per machine, `machine[SQR_SCALE]`:
+2**30 is the square of the highest speed any move can have. Within a block
+speeds are in units of 2**-18 step of its longest axis per full segment.
+"""
+
+import math
+
+import micropython
+from micropython import const
+
+# One row of the planner's ring: a block.
+EVENTS = const(0)  # steps of its longest axis
+DIRS = const(1)  # mask of motors that turn backwards
+FLAGS = const(2)  # what the planner was told about it (planner.py)
+LINE = const(3)  # line number N
+POWER = const(4)  # spindle power while it runs; DYNAMIC blocks: at the programmed rate, in 1/64
+LENGTH = const(5)  # real, mm
+RATE = const(6)  # real, mm/s as programmed
+RAPID = const(7)  # real, mm/s: what its axes allow
+ACCEL = const(8)  # real, mm/s2: what its axes allow
+NOMINAL = const(9)  # real, mm/s, overrides included
+NOMINAL_SQR = const(10)
+ENTRY_SQR = const(11)  # the planner's promise: from here, it can always stop in time
+MAX_ENTRY_SQR = const(12)
+JUNCTION_SQR = const(13)
+DELTA_SQR = const(14)  # how much speed squared can change over the block
+FACTOR = const(15)  # real: block speed units per (mm/s)
+RAMP = const(16)  # acceleration in block speed units per segment
+CRUISE = const(17)  # nominal speed in block speed units
+PROGRAMMED = const(18)  # rate as programmed in block speed units
+STEPS = const(19)  # per motor, without sign; behind them, per motor, steps * 2**29 / EVENTS
+
+
+# What the kernels know of the machine.
+AXES = const(0)
+COREXY = const(1)
+SQR_SCALE = const(2)  # real: scaled speed squared per (mm/s)2
+JUNCTION = const(3)  # real: 2**16 * junction deviation * SQR_SCALE
+SEGMENT_RATE = const(4)  # real: block speed units per (step/s)
+SEGMENT_ACCEL = const(5)  # real: block speed units per segment, per (step/s2)
+SEGMENT_LOG2 = const(6)  # a full segment is 2**SEGMENT_LOG2 ticks, 17 at the most
+MOVE_DIRS = const(7)  # mask of axes along which the measured move goes backwards
+POWER_FLOOR = const(8)  # spindle power, in 1/64, up to which a DYNAMIC block gets the least power
+POWER_MAX = const(9)  # spindle power at the most
+LIMITS = const(10)  # three reals per axis: mm per step, mm/s, mm/s2
+
+# The flow: what planner (main loop) and segments (interrupt) share, and where motion is.
+ROW_SIZE = const(0)  # integers in a block
+ROWS = const(1)  # blocks in the ring; one more behind them is the system's own
+HEAD = const(2)  # the main loop's: where the next block goes
+TAIL = const(3)  # the interrupt's: the block being executed
+HOLD = const(4)  # the main loop's: come to rest, and stay
+SYSTEM = const(5)  # the main loop's: run the system's own block, which clears this
+LOADED = const(6)  # the interrupt's from here on
+AT = const(7)  # where in the ring the loaded block begins
+NOW = const(8)  # speed in block speed units
+CARRY = const(9)  # real, mm/s: speed between blocks
+LEAVE = const(10)  # speed at which to leave the block
+LEAVE_SQR = const(11)  # the same as the planner put it
+WHOLE = const(12)  # steps of the longest axis still to go,
+FRACTION = const(13)  # and 2**-18 of one
+END = const(14)  # the segment being made: speed at its end,
+ADVANCE = const(15)  # distance,
+SHARE = const(16)  # duration in 2**-17 of a full segment
+MOTORS = const(17)  # per motor: steps still to go; phase, 2**18 is a step
+FLOW_LENGTH = const(17)
+
+# Flags of a block that the kernels look at.
+DYNAMIC = const(0x40)  # spindle power follows speed (laser, M4)
+
+# A row that goes to the pulse engine: a segment.
+ROW_TICKS = const(0)  # how long it lasts
+ROW_DIRS = const(1)  # mask of motors that turn backwards
+ROW_POWER = const(2)  # spindle power, or KEEP_POWER
+ROW_AXES = const(3)  # per motor: steps, tick of the first, tick of the last
+ROW_STRIDE = const(3)
+KEEP_POWER = const(0x3FFFFFFF)
+
+_SMALLEST = const(16384)  # a mantissa has 15 bits
+_LIMIT = const(32768)
+_BIAS = const(64)
+_HIGHEST = const(0x3FFFFFFF)
+
+
+def real(x: float) -> int:
+    """The real nearest below x >= 0."""
+    if x <= 0:
+        return 0
+    mantissa, exponent = math.frexp(x)
+    return (exponent - 15 + _BIAS) * _LIMIT + int(mantissa * _LIMIT)
+
+
+def value(r: int) -> float:
+    """The number that the real r stands for."""
+    return float(r % _LIMIT) * 2.0 ** (r // _LIMIT - _BIAS)
+
+
+def block_length(axes: int) -> int:
+    """Integers in a row of the planner's ring."""
+    return STEPS + 2 * axes
+
+
+def machine_length(axes: int) -> int:
+    """Integers in the table of what the kernels know of the machine."""
+    # Behind the limits: the last block's direction and the present one's; its distances.
+    return LIMITS + 6 * axes
+
+
+def row_length(axes: int) -> int:
+    """Integers in a segment row."""
+    return ROW_AXES + ROW_STRIDE * axes
+
+
+@micropython.viper
+def pack(mantissa: int, exponent: int) -> int:
+    """The real mantissa * 2**(exponent - 64) of any mantissa."""
+    if mantissa == 0:
+        return 0
+    while mantissa >= _LIMIT:
+        mantissa >>= 1
+        exponent += 1
+    while mantissa < _SMALLEST:
+        mantissa <<= 1
+        exponent -= 1
+    return (exponent << 15) + mantissa
+
+
+@micropython.viper
+def mul(a: int, b: int) -> int:
+    """The product of two reals."""
+    mantissa = ((a & 32767) * (b & 32767)) >> 14
+    if mantissa == 0:
+        return 0
+    exponent = (a >> 15) + (b >> 15) - _BIAS + 14
+    if mantissa >= _LIMIT:
+        mantissa >>= 1
+        exponent += 1
+    return (exponent << 15) + mantissa
+
+
+@micropython.viper
+def div(a: int, b: int) -> int:
+    """The quotient of two reals; b is not 0."""
+    mantissa = ((a & 32767) << 15) // (b & 32767)
+    if mantissa == 0:
+        return 0
+    exponent = (a >> 15) - (b >> 15) + _BIAS - 15
+    if mantissa >= _LIMIT:
+        mantissa >>= 1
+        exponent += 1
+    return (exponent << 15) + mantissa
+
+
+@micropython.viper
+def whole(a: int, fraction_bits: int) -> int:
+    """The integer a * 2**fraction_bits of a real, 2**30 - 1 at the most."""
+    mantissa = a & 32767
+    shift = (a >> 15) - _BIAS + fraction_bits
+    if shift > 15:
+        return _HIGHEST if mantissa else 0
+    if shift >= 0:
+        return mantissa << shift
+    if shift < -15:
+        return 0
+    return mantissa >> (0 - shift)
+
+
+@micropython.viper
+def square_root(n: int) -> int:
+    """The integer square root."""
+    root = 0
+    bit = 1 << 28
+    while bit > n:
+        bit >>= 2
+    while bit:
+        if n >= root + bit:
+            n -= root + bit
+            root = (root >> 1) + bit
+        else:
+            root >>= 1
+        bit >>= 2
+    return root
+
+
+@micropython.viper
+def real_root(a: int) -> int:
+    """The square root of a real."""
+    exponent = (a >> 15) - _BIAS
+    mantissa = (a & 32767) << 14
+    exponent -= 14
+    if exponent & 1:
+        mantissa <<= 1
+        exponent -= 1
+    return int(pack(int(square_root(mantissa)), (exponent >> 1) + _BIAS))
+
+
+@micropython.viper
+def scaled_sqr(speed: int, scale: int) -> int:
+    """The scaled square of a real speed: what the planner compares."""
+    return int(whole(int(mul(int(mul(speed, speed)), scale)), 0))
+
+
+@micropython.viper
+def to_steps(mm: ptr32, steps_per_mm: ptr32, steps: ptr32, axes: int) -> int:
+    """Round single-precision mm times steps/mm to whole steps, halves away from zero.
+
+    mm and steps_per_mm are arrays of floats seen as integers; the product is
+    rounded to single precision first, as Grbl's is. steps get 2**29 added.
+    Returns 0 where an axis leaves +-2**29 steps.
+    """
+    inside = 1
+    signs = ptr8(mm)
+    for i in range(axes):
+        a = mm[i] & 0x3FFFFFFF
+        high = (signs[4 * i + 3] & 0x40) << 24
+        b = steps_per_mm[i]
+        exponent = ((a + high) >> 23) + (b >> 23) - 254
+        a = (a & 0x7FFFFF) | 0x800000
+        b = (b & 0x7FFFFF) | 0x800000
+        middle = (a >> 12) * (b & 0xFFF) + (a & 0xFFF) * (b >> 12)
+        low = (a & 0xFFF) * (b & 0xFFF) + ((middle & 0xFFF) << 12)
+        product = (a >> 12) * (b >> 12) + (middle >> 12) + (low >> 24)
+        low &= 0xFFFFFF
+        if product >= 0x800000:
+            exponent += 1
+        else:
+            product = (product << 1) | (low >> 23)
+            low = (low << 1) & 0xFFFFFF
+        if low > 0x800000 or (low == 0x800000 and product & 1):
+            product += 1
+        if exponent > 28:
+            inside = 0
+            product = 0
+        elif exponent >= 23:
+            product <<= exponent - 23
+        elif exponent >= -1:
+            product = ((product >> (22 - exponent)) + 1) >> 1
+        else:
+            product = 0
+        if signs[4 * i + 3] & 0x80:
+            product = 0 - product
+        steps[i] = 0x20000000 + product
+    return inside
+
+
+@micropython.viper
+def measure(target: ptr32, position: ptr32, row: ptr32, machine: ptr32) -> int:
+    """Begin a block: steps and directions of a move, its length in mm. Returns EVENTS.
+
+    Distances per axis (reals) are left in the table of the machine for limit().
+    """
+    axes = machine[AXES]
+    distance = LIMITS + 5 * axes
+    top = 0
+    dirs = 0
+    for i in range(axes):
+        steps = target[i] - position[i]
+        if steps < 0:
+            dirs |= 1 << i
+            steps = 0 - steps
+        row[STEPS + i] = steps
+        exponent = 0
+        while steps >= _LIMIT:
+            steps >>= 1
+            exponent += 1
+        mm_per_step = machine[LIMITS + 3 * i]
+        mantissa = steps * (mm_per_step & 32767)
+        exponent += mm_per_step >> 15
+        while mantissa >= _LIMIT:
+            mantissa >>= 1
+            exponent += 1
+        machine[distance + i] = (exponent << 15) + mantissa if mantissa else 0
+        if mantissa and exponent > top:
+            top = exponent
+    machine[MOVE_DIRS] = dirs
+    if machine[COREXY]:
+        dx = target[0] - position[0]
+        dy = target[1] - position[1]
+        dirs &= 0x3FFFFFFC
+        if dx + dy < 0:
+            dirs |= 1
+        if dx - dy < 0:
+            dirs |= 2
+        row[STEPS] = dx + dy if dx + dy >= 0 else 0 - dx - dy
+        row[STEPS + 1] = dx - dy if dx >= dy else dy - dx
+    events = 0
+    squares = 0
+    for i in range(axes):
+        if row[STEPS + i] > events:
+            events = row[STEPS + i]
+        mantissa = machine[distance + i]
+        shift = top - (mantissa >> 15) + 1
+        mantissa = (mantissa & 32767) >> shift if shift < 15 else 0
+        squares += mantissa * mantissa
+    row[EVENTS] = events
+    row[DIRS] = dirs
+    row[LENGTH] = int(pack(int(square_root(squares)), top + 1))
+    return events
+
+
+@micropython.viper
+def limit(row: ptr32, machine: ptr32) -> int:
+    """What the axes of a measured block allow: its RAPID and ACCEL; and its direction.
+
+    A limit is the smallest, over the axes, of axis limit * length / distance.
+    Unit vectors are kept per axis as 16384 + component * 16384.
+    """
+    axes = machine[AXES]
+    length = row[LENGTH]
+    rapid = _HIGHEST
+    accel = _HIGHEST
+    direction = LIMITS + 4 * axes
+    for i in range(axes):
+        mm = machine[direction + axes + i]
+        component = 0
+        if mm:
+            shift = (length >> 15) - (mm >> 15)
+            if shift < 15:
+                component = (((mm & 32767) << 14) // (length & 32767)) >> shift
+            if component > 16384:
+                component = 16384
+            scale = ((length & 32767) << 14) // (mm & 32767)
+            for k in range(1, 3):
+                limiting = machine[LIMITS + 3 * i + k]
+                mantissa = ((limiting & 32767) * scale) >> 14
+                exponent = (limiting >> 15) + shift
+                if mantissa >= _LIMIT:
+                    mantissa >>= 1
+                    exponent += 1
+                elif mantissa < _SMALLEST:
+                    mantissa <<= 1
+                    exponent -= 1
+                limiting = (exponent << 15) + mantissa
+                if k == 1:
+                    if limiting < rapid:
+                        rapid = limiting
+                elif limiting < accel:
+                    accel = limiting
+        machine[direction + i] = component
+    row[RAPID] = rapid
+    row[ACCEL] = accel
+    return 0
+
+
+@micropython.viper
+def turn(row: ptr32, machine: ptr32) -> int:
+    """How fast, squared, the machine may go from the previous block into this one.
+
+    Junction deviation: the speed at which an arc that keeps within $11 of the
+    corner would need the axes' acceleration. With the change of direction D,
+    its cosine of half the angle c, and the acceleration along it that no axis
+    exceeds, v2 = accel * deviation * 4 c (1 + c) / D2.
+    """
+    axes = machine[AXES]
+    previous = LIMITS + 3 * axes
+    direction = previous + axes
+    dirs = machine[MOVE_DIRS]
+    squares = 0
+    least = _HIGHEST
+    for i in range(axes):
+        component = machine[direction + i]
+        component = 16384 - component if (dirs >> i) & 1 else 16384 + component
+        change = component - machine[previous + i]
+        machine[previous + i] = component
+        if change < 0:
+            change = 0 - change
+        if change:
+            squares += change * change
+            accel = int(div(machine[LIMITS + 3 * i + 2], int(pack(change, _BIAS))))
+            if accel < least:
+                least = accel
+    if squares < 16:
+        return _HIGHEST
+    if squares >= 0x3FFFFC00:
+        return 0
+    change = int(square_root(squares))
+    cosine = int(square_root(0x3FFFFFFF - squares)) >> 1
+    shape = int(pack((cosine * (16384 + cosine)) >> 14, _BIAS))
+    shape = int(div(shape, int(pack(change, _BIAS))))
+    return int(whole(int(mul(int(mul(shape, least)), machine[JUNCTION])), 0))
+
+
+@micropython.viper
+def schedule(row: ptr32, machine: ptr32) -> int:
+    """What the interrupt will want to know of a planned block; also after NOMINAL has changed."""
+    axes = machine[AXES]
+    events = row[EVENTS]
+    per_mm = int(div(int(pack(events, _BIAS)), row[LENGTH]))
+    factor = int(mul(per_mm, machine[SEGMENT_RATE]))
+    row[FACTOR] = factor
+    ramp = int(whole(int(mul(int(mul(row[ACCEL], per_mm)), machine[SEGMENT_ACCEL])), 0))
+    row[RAMP] = ramp if ramp else 1
+    cruise = int(whole(int(mul(row[NOMINAL], factor)), 0))
+    row[CRUISE] = cruise if cruise else 1
+    row[PROGRAMMED] = int(whole(int(mul(row[RATE], factor)), 0))
+    row[NOMINAL_SQR] = int(scaled_sqr(row[NOMINAL], machine[SQR_SCALE]))
+    delta = int(mul(int(mul(row[ACCEL], row[LENGTH])), machine[SQR_SCALE]))
+    row[DELTA_SQR] = int(whole(delta, 1))
+    width = 9 if events < 1 << 21 else 1
+    for i in range(axes):
+        rest = row[STEPS + i]
+        ratio = 0
+        bits = 29
+        while bits:
+            if width > bits:
+                width = bits
+            rest <<= width
+            ratio = (ratio << width) + rest // events
+            rest = rest % events
+            bits -= width
+        width = 9 if events < 1 << 21 else 1
+        row[STEPS + axes + i] = ratio
+    return 0
+
+
+@micropython.viper
+def reverse_pass(ring: ptr32, flow: ptr32, everything: int) -> int:
+    """Raise the blocks' entry speeds to what they can brake from by the end of the last one.
+
+    Works from the newest block back and stops where nothing changes, unless
+    everything is to be done. The block at the tail is being executed: its
+    entry is history. Returns how many blocks were looked at.
+    """
+    size = flow[ROW_SIZE]
+    head = flow[HEAD]
+    tail = flow[TAIL]
+    exit_sqr = 0
+    seen = 0
+    while head != tail:
+        head = head - 1 if head else flow[ROWS] - 1
+        if head == tail:
+            break
+        at = head * size
+        entry = exit_sqr + ring[at + DELTA_SQR]
+        if entry > ring[at + MAX_ENTRY_SQR]:
+            entry = ring[at + MAX_ENTRY_SQR]
+        seen += 1
+        if entry == ring[at + ENTRY_SQR] and everything == 0 and seen > 1:
+            break
+        ring[at + ENTRY_SQR] = entry
+        exit_sqr = entry
+    return seen
+
+
+# From here on everything runs in the engine's interrupt.
+
+
+@micropython.viper
+def share(part: int, all: int) -> int:
+    """part / all in 2**-17, for part <= all; 2**17 where it is more."""
+    if part >= all:
+        return 131072
+    while all >= 1 << 22:
+        all >>= 1
+        part >>= 1
+    part <<= 9
+    high = part // all
+    return (high << 8) + (((part - high * all) << 8) // all)
+
+
+@micropython.viper
+def times(x: int, part: int) -> int:
+    """x * part for a part in 2**-17, as in share()."""
+    part >>= 2
+    return (x >> 15) * part + (((x & 32767) * part) >> 15)
+
+
+@micropython.viper
+def braking(fast: int, slow: int, ramp: int, unit: int) -> int:
+    """Distance, in 2**-unit steps, over which ramp changes one speed into the other."""
+    if fast == slow:
+        return 0
+    total = fast + slow
+    change = fast - slow
+    exponent = unit - 19
+    while total >= _LIMIT:
+        total >>= 1
+        exponent += 1
+    while change >= _LIMIT:
+        change >>= 1
+        exponent += 1
+    while change < _SMALLEST:
+        change <<= 1
+        exponent -= 1
+    while ramp >= _LIMIT:
+        ramp >>= 1
+        exponent -= 1
+    change = total * change // ramp
+    if exponent < 0:
+        return change >> (0 - exponent) if exponent > -31 else 0
+    if exponent > 30 or change > _HIGHEST >> exponent:
+        return _HIGHEST
+    return change << exponent
+
+
+@micropython.viper
+def after(speed: int, ramp: int, distance: int, down: int) -> int:
+    """Speed after speeding up, or slowing down, by ramp over a distance: v2 +- 2 ramp distance."""
+    square = int(pack(speed, _BIAS))
+    square = int(mul(square, square))
+    change = int(mul(int(pack(ramp, _BIAS + 1)), int(pack(distance, _BIAS))))
+    exponent = square >> 15
+    if change >> 15 > exponent:
+        exponent = change >> 15
+    shift = exponent - (square >> 15)
+    mantissa = ((square & 32767) << 14) >> shift if shift < 30 else 0
+    shift = exponent - (change >> 15)
+    other = ((change & 32767) << 14) >> shift if shift < 30 else 0
+    mantissa = mantissa - other if down else mantissa + other
+    if mantissa <= 0:
+        return 0
+    exponent -= _BIAS + 14
+    if exponent & 1:
+        mantissa >>= 1
+        exponent += 1
+    return int(whole(int(pack(int(square_root(mantissa)), _BIAS)), exponent >> 1))
+
+
+@micropython.viper
+def load(flow: ptr32, ring: ptr32, axes: int) -> int:
+    """Take up the next block. Returns 0 where there is none."""
+    at = flow[TAIL]
+    if flow[SYSTEM]:
+        at = flow[ROWS]
+    elif at == flow[HEAD]:
+        return 0
+    at *= flow[ROW_SIZE]
+    flow[AT] = at
+    speed = int(whole(int(mul(flow[CARRY], ring[at + FACTOR])), 0))
+    cruise = ring[at + CRUISE]
+    if speed < cruise and speed + (cruise >> 9) >= cruise:
+        speed = cruise  # what rounding took off between blocks
+    flow[NOW] = speed
+    flow[LEAVE] = 0
+    flow[LEAVE_SQR] = 0
+    flow[WHOLE] = ring[at + EVENTS]
+    flow[FRACTION] = 0
+    for i in range(axes):
+        flow[MOTORS + 2 * i] = ring[at + STEPS + i]
+        flow[MOTORS + 2 * i + 1] = 131072
+    flow[LOADED] = 1
+    return 1
+
+
+@micropython.viper
+def look_ahead(flow: ptr32, ring: ptr32, scale: int) -> int:
+    """The speed at which to leave the loaded block: at which the planner lets the next one begin."""
+    sqr = 0
+    following = flow[TAIL] + 1
+    if following == flow[ROWS]:
+        following = 0
+    if flow[SYSTEM] == 0 and following != flow[HEAD]:
+        sqr = ring[following * flow[ROW_SIZE] + ENTRY_SQR]
+    if sqr != flow[LEAVE_SQR]:
+        flow[LEAVE_SQR] = sqr
+        speed = int(real_root(int(div(int(pack(sqr, _BIAS)), scale)))) if sqr else 0
+        flow[LEAVE] = int(whole(int(mul(speed, ring[flow[AT] + FACTOR])), 0))
+    return flow[LEAVE]
+
+
+@micropython.viper
+def slow_down(flow: ptr32, ramp: int, goal: int, rest: int) -> int:
+    """The next segment slows down by ramp to a goal, as far as the block reaches."""
+    speed = flow[NOW]
+    part = 131072
+    end = speed - ramp
+    if end < goal:
+        end = goal
+        part = int(share(speed - goal, ramp))
+    distance = int(times((speed + end) >> 1, part))
+    if distance >= rest:
+        distance = rest
+        end = int(after(speed, ramp, rest, 1))
+        if end < goal:
+            end = goal
+        part = int(share(rest, (speed + end) >> 1))
+    flow[END] = end
+    flow[ADVANCE] = distance
+    flow[SHARE] = part
+    return 0
+
+
+@micropython.viper
+def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
+    """The next segment brakes so as to leave the block, rest ahead, at the speed planned.
+
+    The rate of braking follows from what is left of the way, so that rounding
+    never adds up; it stays within a sixteenth of the ramp.
+    """
+    speed = flow[NOW]
+    mean = (speed + leave) >> 1
+    change = ramp
+    ramp += ramp >> 4
+    if rest > mean:
+        if rest < _HIGHEST:
+            change = int(times(speed - leave, int(share(mean, rest))))
+            if change > ramp:
+                change = ramp
+        flow[END] = speed - change
+        flow[ADVANCE] = speed - (change >> 1)
+        flow[SHARE] = 131072
+        return 0
+    part = int(share(rest, mean)) if mean else 131072
+    end = leave
+    if speed - leave > int(times(ramp, part)) + 4:
+        end = int(after(speed, ramp, rest, 1))
+        if end < leave:
+            end = leave
+        part = int(share(rest, (speed + end) >> 1))
+    flow[END] = end
+    flow[ADVANCE] = rest
+    flow[SHARE] = part
+    return 0
+
+
+@micropython.viper
+def speed_up(flow: ptr32, ramp: int, top: int, room: int) -> int:
+    """The next segment speeds up to the top speed, as far as there is room."""
+    speed = flow[NOW]
+    part = 131072
+    end = speed + ramp
+    if end > top:
+        end = top
+        part = int(share(top - speed, ramp))
+    distance = int(times((speed + end) >> 1, part))
+    if distance >= room:
+        distance = room
+        end = int(after(speed, ramp, room, 0))
+        if end > top:
+            end = top
+        part = int(share(room, (speed + end) >> 1))
+    flow[END] = end
+    flow[ADVANCE] = distance
+    flow[SHARE] = part
+    return 0
+
+
+@micropython.viper
+def profile(flow: ptr32, ring: ptr32, scale: int) -> int:
+    """Choose the next segment's END, ADVANCE and SHARE.
+
+    speed        ________            One segment is one of: speed up, cruise, brake,
+                /        \            slow down to a lowered nominal speed or to a hold.
+               /          \ leave    It brakes as soon as the way left is no longer
+      entry __/            \____     than what braking takes.
+    """
+    at = flow[AT]
+    ramp = ring[at + RAMP]
+    top = ring[at + CRUISE]
+    speed = flow[NOW]
+    unit = 18 if flow[WHOLE] < 4095 else 0
+    rest = (flow[WHOLE] << 18) + flow[FRACTION] if unit else _HIGHEST
+    if flow[HOLD]:
+        return int(slow_down(flow, ramp, 0, rest))
+    leave = int(look_ahead(flow, ring, scale))
+    if leave > top:
+        leave = top
+    slack = rest if unit else flow[WHOLE]
+    if speed > leave:
+        slack -= int(braking(speed, leave, ramp, unit))
+    elif leave > speed:
+        room = int(braking(leave, speed, ramp, unit))
+        slack += room if room < slack else slack
+    if slack <= (speed >> 8 if unit else 1) and speed > leave:
+        return int(brake(flow, ramp, leave, rest))
+    if speed > top:
+        return int(slow_down(flow, ramp, top, rest))
+    if unit == 0:
+        slack = slack << 18 if slack < 2048 else _HIGHEST
+    if speed < top:
+        slack = (slack + 1) >> 1
+        return int(speed_up(flow, ramp, top, slack if slack < rest else rest))
+    if slack > rest:
+        slack = rest
+    if slack < speed:
+        flow[ADVANCE] = slack
+        flow[SHARE] = int(share(slack, speed))
+    else:
+        flow[ADVANCE] = speed
+        flow[SHARE] = 131072
+    flow[END] = speed
+    return 0
+
+
+@micropython.viper
+def spread(flow: ptr32, ring: ptr32, row: ptr32, axes: int) -> int:
+    """Lay the segment's steps out in time: per motor how many, when the first and the last.
+
+    A motor's phase runs on from segment to segment, so at a constant speed its
+    steps are evenly spaced across them. A block begins and ends half a step
+    away from a step. The block's last segment makes what is left to make.
+    """
+    high = flow[ADVANCE] >> 15
+    low = flow[ADVANCE] & 32767
+    ticks = row[ROW_TICKS]
+    ratios = flow[AT] + STEPS + axes
+    last = flow[WHOLE] == 0 and flow[FRACTION] == 0
+    for i in range(axes):
+        ratio = ring[ratios + i]
+        phase = flow[MOTORS + 2 * i + 1]
+        middle = high * (ratio & 32767) + low * (ratio >> 15) + ((low * (ratio & 32767)) >> 15)
+        gain = ((high * (ratio >> 15)) << 1) + (middle >> 14)
+        steps = (phase + gain) >> 18
+        left = flow[MOTORS + 2 * i]
+        if last or steps > left:
+            steps = left
+        at = ROW_AXES + ROW_STRIDE * i
+        row[at] = steps
+        flow[MOTORS + 2 * i] = left - steps
+        flow[MOTORS + 2 * i + 1] = (phase + gain) & 0x3FFFF
+        scale = 0
+        while gain >= 1 << 22:
+            gain >>= 1
+            scale += 1
+        for k in range(2 if steps else 0):
+            part = (((steps if k else 1) << 18) - phase) >> scale
+            if part < gain:
+                part <<= 9
+                quotient = part // gain
+                part = (quotient << 8) + (((part - quotient * gain) << 8) // gain)
+                part = ((ticks >> 8) * part + (((ticks & 255) * part) >> 8)) >> 9
+            else:
+                part = ticks
+            row[at + 1 + k] = part
+    return 0
+
+
+@micropython.viper
+def power(flow: ptr32, ring: ptr32, machine: ptr32) -> int:
+    """Spindle power of the segment just chosen."""
+    at = flow[AT]
+    full = ring[at + POWER]
+    if ring[at + FLAGS] & DYNAMIC == 0:
+        return full
+    rate = ring[at + PROGRAMMED]
+    speed = (flow[NOW] + flow[END]) >> 1
+    if speed < rate:
+        full = int(times(full, int(share(speed, rate))))
+    if full == 0:
+        return 0
+    if full <= machine[POWER_FLOOR]:
+        return 1
+    full = ((full - machine[POWER_FLOOR]) >> 6) + 1
+    return full if full < machine[POWER_MAX] else machine[POWER_MAX]
+
+
+@micropython.viper
+def fill(flow: ptr32, ring: ptr32, machine: ptr32, row: ptr32) -> int:
+    """Make the next segment. Returns 0 where nothing is to move: no block, or at rest in a hold."""
+    axes = machine[AXES]
+    if flow[LOADED] == 0:
+        if flow[HOLD] and flow[CARRY] == 0:
+            return 0
+        if int(load(flow, ring, axes)) == 0:
+            return 0
+    elif flow[HOLD] and flow[NOW] == 0:
+        return 0
+    profile(flow, ring, machine[SQR_SCALE])
+    at = flow[AT]
+    row[ROW_TICKS] = flow[SHARE] >> (17 - machine[SEGMENT_LOG2])
+    if row[ROW_TICKS] == 0:
+        row[ROW_TICKS] = 1
+    row[ROW_DIRS] = ring[at + DIRS]
+    row[ROW_POWER] = int(power(flow, ring, machine))
+    fraction = flow[FRACTION] - flow[ADVANCE]
+    if fraction < 0:
+        steps = (0 - fraction + 0x3FFFF) >> 18
+        fraction += steps << 18
+        flow[WHOLE] = flow[WHOLE] - steps
+    flow[FRACTION] = fraction
+    spread(flow, ring, row, axes)
+    flow[NOW] = flow[END]
+    if flow[WHOLE] == 0 and fraction == 0:
+        flow[CARRY] = int(div(int(pack(flow[END], _BIAS)), ring[at + FACTOR]))
+        flow[LOADED] = 0
+        if flow[SYSTEM]:
+            flow[SYSTEM] = 0
+        else:
+            tail = flow[TAIL] + 1
+            flow[TAIL] = tail if tail < flow[ROWS] else 0
+    return 1

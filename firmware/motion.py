@@ -1,0 +1,194 @@
+"""Motion: the canonical machining functions, what gcode may ask of the machine.
+
+Targets are absolute, in mm of machine coordinates. Everything that has to wait
+does so here, through `service`, which raises Abort after a reset. In check
+mode nothing moves and nothing waits.
+"""
+
+import errors
+import planner as plan
+import state as st
+from f32 import vector
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from array import array
+    from collections.abc import Callable
+
+    from arcs import Arc
+    from coolant import Coolant
+    from interfaces import Port
+    from planner import Move, Planner
+    from realtime import Realtime
+    from settings import Settings
+    from spindle import Spindle
+    from state import State
+
+_DWELL_TICK_MS = const(50)
+
+
+class Motion:
+    """The Canon of interfaces.pyi. positive_origin: homing sets 0, and travel goes either way."""
+
+    def __init__(
+        self,
+        state: "State",
+        settings: "Settings",
+        planner: "Planner",
+        spindle: "Spindle",
+        coolant: "Coolant",
+        port: "Port",
+        positive_origin: bool,
+    ) -> None:
+        self._state = state
+        self._settings = settings
+        self._planner = planner
+        self._spindle = spindle
+        self._coolant = coolant
+        self._port = port
+        self._positive_origin = positive_origin
+        self._point = vector(planner.axes)
+
+    def connect(self, service: "Callable[[], None]", realtime: "Realtime") -> None:
+        """Say how to wait, and whom to tell of an alarm."""
+        self.service = service
+        self._realtime = realtime
+
+    # Moves
+
+    def line(self, target: "array[float]", move: "Move") -> None:
+        """A straight line: rapid or feed, by the move's flags."""
+        state = self._state
+        if self._settings.soft_limits and state.run != st.JOG and self.outside(target):
+            self._soft_limit()
+        if state.run == st.CHECK:
+            return
+        while True:
+            self.service()
+            if not self._planner.full():
+                break
+            self.auto_start()
+        if not self._planner.line(target, move, self._power(move)) and self._spindle.laser:
+            # A laser's S takes effect even where there is no way to go.
+            if move.flags & plan.SPINDLE_CW:
+                self.spin(plan.SPINDLE_CW, move.spindle_rpm)
+
+    def jog(self, target: "array[float]", move: "Move") -> None:
+        """A line that starts at once, and that a hold would cancel."""
+        self.line(target, move)
+        if self._state.run == st.IDLE and not self._planner.empty():
+            self._realtime.start(st.JOG)
+
+    def _power(self, move: "Move") -> int:
+        if not move.flags & plan.SPINDLE_MASK:
+            return 0
+        if self._spindle.laser and move.flags & plan.SPINDLE_CCW:
+            move.flags |= plan.RATE_ADJUSTED
+            return self._spindle.dynamic_power(move.spindle_rpm)
+        return self._spindle.power(move.spindle_rpm)
+
+    def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
+        """An arc, or helix, as chords within $12 of it."""
+        angle = arc.sweep(start, target)
+        chords = arc.chords(angle, self._settings.arc_tolerance_mm)
+        if chords and move.flags & plan.INVERSE_TIME:
+            # Its time is shared out among the chords, whose rate counts from here on.
+            move.feed *= chords
+            move.flags &= ~plan.INVERSE_TIME
+        arc.follow(start, target, self._point, chords, angle, lambda point: self.line(point, move))
+        self.line(target, move)
+
+    def dwell(self, seconds: float) -> None:
+        """Stand still; hold and reset work meanwhile."""
+        if self._state.run == st.CHECK:
+            return
+        self.synchronise()
+        ticks = -int(-seconds * 1000 // _DWELL_TICK_MS)
+        for _ in range(ticks):
+            self.pause_ms(_DWELL_TICK_MS)
+
+    def pause_ms(self, milliseconds: int) -> None:
+        """Wait."""
+        since = self._port.ticks_ms()
+        self.service()
+        while self._port.elapsed_ms(since) < milliseconds:
+            self.service()
+
+    def auto_start(self) -> None:
+        """Whatever is planned is to move."""
+        if not self._planner.empty():
+            self._state.post(st.CYCLE_START)
+
+    def synchronise(self) -> None:
+        """Wait until everything planned has been done."""
+        self.auto_start()
+        self.service()
+        while not self._planner.empty() or self._state.run == st.RUN:
+            self.service()
+
+    def settle(self) -> None:
+        """Wait until the motors are released."""
+        self._realtime.release()
+        while self._realtime.settling():
+            self.service()
+
+    # Accessories
+
+    def spin(self, direction: int, rpm: float) -> None:
+        """Turn the spindle, once motion has come to where it was asked."""
+        if self._state.run != st.CHECK:
+            self.synchronise()
+            self._spindle.turn(direction, rpm)
+
+    def cool(self, mask: int) -> None:
+        """Switch coolant, once motion has come to where it was asked."""
+        if self._state.run != st.CHECK:
+            self.synchronise()
+            self._coolant.set(mask)
+
+    def end_program(self) -> None:
+        """Spindle and coolant off, overrides back to 100 %."""
+        state = self._state
+        state.feed_override = state.rapid_override = state.spindle_override = 100
+        if state.run != st.CHECK:
+            self._spindle.turn(0, 0.0)
+            self._coolant.set(0)
+
+    def control_overrides(self, parking: bool) -> None:
+        """M56: parking is in action, or is not."""
+        if self._state.run != st.CHECK:
+            self.synchronise()
+        self._state.override_control = parking
+
+    def pause_program(self) -> None:
+        """M0: hold until cycle start."""
+        if self._state.run != st.CHECK:
+            self._state.post(st.FEED_HOLD)
+            self.service()
+
+    # Soft limits
+
+    def outside(self, target: "array[float]") -> bool:
+        """The target lies outside the machine's travel."""
+        settings = self._settings
+        for i in range(self._planner.axes):
+            low, high = -settings.max_travel[i], 0.0
+            if self._positive_origin and settings.homing_dir_invert >> i & 1:
+                low, high = 0.0, -low
+            if not low <= target[i] <= high:
+                return True
+        return False
+
+    def _soft_limit(self) -> None:
+        """Come to rest where position is certain, then alarm and reset."""
+        state = self._state
+        state.soft_limit = True
+        if state.run == st.RUN:
+            state.post(st.FEED_HOLD)
+            self.service()
+            while state.run != st.IDLE:
+                self.service()
+        self._realtime.reset()
+        state.alarm = errors.ALARM_SOFT_LIMIT
+        self.service()

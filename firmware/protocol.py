@@ -1,0 +1,91 @@
+"""Protocol: the loop. Bytes in, a line out to gcode or commands, "ok" or "error:n" back.
+
+pump() reads the link and takes real-time bytes off; it decides nothing.
+service() is pump() and what realtime then has to do: the only place where
+code waits.
+"""
+
+import errors
+import state as st
+from errors import GrblError
+from lines import LINE, NOTHING
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from commands import Commands
+    from gcode import Gcode
+    from interfaces import Link
+    from lines import LineReader
+    from motion import Motion
+    from realtime import Realtime
+    from report import Report
+    from state import State
+
+_LOCKED = const(0x21)  # ALARM | JOG
+
+
+class Protocol:
+    """The loop and its buffer."""
+
+    def __init__(self, link: "Link", state: "State", reader: "LineReader", report: "Report", echoes: bool) -> None:
+        self._link = link
+        self._state = state
+        self._reader = reader
+        self._report = report
+        self._echoes = echoes
+        self._buffer = bytearray(64)
+
+    def connect(
+        self, realtime: "Realtime", gcode: "Gcode", commands: "Commands", motion: "Motion"
+    ) -> None:
+        """Say who executes lines."""
+        self._realtime = realtime
+        self._gcode = gcode
+        self._commands = commands
+        self._motion = motion
+
+    def pump(self) -> None:
+        """Take in what has arrived."""
+        count = self._link.read_into(self._buffer)
+        if count:
+            self._reader.feed(self._buffer, count)
+
+    def service(self) -> None:
+        """One turn of whoever waits. Raises Abort after a reset."""
+        self.pump()
+        self._realtime.run()
+
+    def run(self) -> None:
+        """Execute lines until Abort."""
+        reader = self._reader
+        while True:
+            found = reader.take()
+            if found == NOTHING:
+                self._motion.auto_start()
+                self.service()
+            else:
+                self._realtime.run()
+                if found == LINE:
+                    self.execute(reader.line, reader.length)
+                else:
+                    self._report.error(errors.OVERFLOW)
+                reader.next_line()
+
+    def execute(self, line: bytearray, length: int) -> None:
+        """Execute one line and answer it."""
+        if self._echoes:
+            self._report.echo(bytes(line[:length]))
+        try:
+            if length == 0:
+                pass
+            elif line[0] == 36:  # $
+                self._commands.execute(line, length)
+            elif self._state.run & _LOCKED:
+                raise GrblError(errors.SYSTEM_GC_LOCK)
+            else:
+                self._gcode.execute(line, length)
+        except GrblError as refusal:
+            self._report.error(refusal.code)
+        else:
+            self._report.ok()

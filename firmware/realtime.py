@@ -1,0 +1,392 @@
+"""Real-time commands: the run-state machine.
+
+post() takes a real-time byte wherever it comes from; run() is called at every
+turn of every loop that waits, and does what has been asked, in Grbl's order:
+alarm, reset, report, holds, cycle start, cycle stop, overrides. While motion
+is suspended run() does not return: suspension.py has its turn there.
+"""
+
+import errors
+import state as st
+from coolant import FLOOD, MIST
+from errors import Abort
+from inputs import DOOR, HOLD, RESET, START
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from coolant import Coolant
+    from gcode import Gcode
+    from inputs import Inputs
+    from interfaces import Port, StepEngine
+    from planner import Planner
+    from report import Report
+    from segments import Segments
+    from settings import Settings
+    from spindle import Spindle
+    from state import State
+    from suspension import Suspension
+
+_SOFT_RESET = const(0x18)
+# The other real-time bytes below 0x90, and what they ask for.
+_EVENTS = {
+    0x3F: st.STATUS_REPORT,  # ?
+    0x7E: st.CYCLE_START,  # ~
+    0x21: st.FEED_HOLD,  # !
+    0x84: st.SAFETY_DOOR,
+    0x85: st.CANCEL_MOTION,  # jog cancel: only while jogging
+}
+_JOG_CANCEL = const(0x85)
+
+# Override bytes, from 0x90: which override, and by how much; 0 is back to 100 %.
+_FEED = const(0)
+_RAPID = const(1)
+_SPINDLE = const(2)
+_OVERRIDES = {
+    0x90: (_FEED, 0),
+    0x91: (_FEED, 10),
+    0x92: (_FEED, -10),
+    0x93: (_FEED, 1),
+    0x94: (_FEED, -1),
+    0x95: (_RAPID, 100),
+    0x96: (_RAPID, 50),
+    0x97: (_RAPID, 25),
+    0x99: (_SPINDLE, 0),
+    0x9A: (_SPINDLE, 10),
+    0x9B: (_SPINDLE, -10),
+    0x9C: (_SPINDLE, 1),
+    0x9D: (_SPINDLE, -1),
+}
+_SPINDLE_STOP = const(0x9E)
+_FLOOD_TOGGLE = const(0xA0)
+_MIST_TOGGLE = const(0xA1)
+_FOR_EVER = const(255)
+_LOWEST = const(10)
+_HIGHEST = const(200)
+
+# States in which the engine may be running on its own.
+_MOTION = const(0x38)  # RUN | HOLD | JOG
+_HOLDS = const(0xD0)  # HOLD | DOOR | SLEEP
+
+
+class Realtime:
+    """The state machine. motors: called with True or False to power them."""
+
+    def __init__(
+        self,
+        state: "State",
+        settings: "Settings",
+        engine: "StepEngine",
+        planner: "Planner",
+        segments: "Segments",
+        spindle: "Spindle",
+        coolant: "Coolant",
+        inputs: "Inputs",
+        report: "Report",
+        has_mist: bool,
+    ) -> None:
+        self._state = state
+        self._settings = settings
+        self._engine = engine
+        self._planner = planner
+        self._segments = segments
+        self._spindle = spindle
+        self._coolant = coolant
+        self._inputs = inputs
+        self._report = report
+        self._has_mist = has_mist
+        self._moving = False  # the engine was started and has not been seen idle since
+        self._settling = False  # it stands still, and the motors are still powered ($1)
+        self._since = 0
+
+    def connect(
+        self,
+        port: "Port",
+        pump: "Callable[[], None]",
+        gcode: "Gcode",
+        resync: "Callable[[], None]",
+        suspension: "Suspension",
+    ) -> None:
+        """Say whom to call: pump reads the link, resync copies the machine's position to all."""
+        self._port = port
+        self._pump = pump
+        self._gcode = gcode
+        self._resync = resync
+        self._suspension = suspension
+
+    # What asks, from anywhere
+
+    def post(self, byte: int) -> None:
+        """A real-time byte has been received. Unknown ones vanish."""
+        if byte == _SOFT_RESET:
+            self.reset()
+        elif byte == _JOG_CANCEL:
+            if self._state.run & st.JOG:
+                self._state.post(st.CANCEL_MOTION)
+        elif byte in _EVENTS:
+            self._state.post(_EVENTS[byte])
+        elif st.FIRST_OVERRIDE_BYTE <= byte <= st.LAST_OVERRIDE_BYTE:
+            self._state.post(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
+
+    def reset(self) -> None:
+        """Soft reset: outputs off and motion killed at once, the rest at the next turn of run()."""
+        state = self._state
+        if state.pending[st.RESET]:
+            return
+        state.post(st.RESET)
+        self._spindle.stop()
+        self._coolant.stop()
+        if state.run & (st.RUN | st.HOMING | st.JOG) or state.holding or state.system_motion:
+            if state.alarm == 0:
+                homing = state.run == st.HOMING
+                state.alarm = errors.ALARM_HOMING_FAIL_RESET if homing else errors.ALARM_ABORT_CYCLE
+            self._engine.stop()
+
+    def on_limits(self) -> None:
+        """A limit switch has changed. Interrupt."""
+        state = self._state
+        if self._settings.hard_limits and not state.run & (st.ALARM | st.HOMING) and state.alarm == 0:
+            self.reset()
+            state.alarm = errors.ALARM_HARD_LIMIT
+
+    def on_controls(self) -> None:
+        """A control input has changed. Interrupt."""
+        active = self._inputs.controls()
+        if active & RESET:
+            self.reset()
+        if active & HOLD:
+            self._state.post(st.FEED_HOLD)
+        if active & START:
+            self._state.post(st.CYCLE_START)
+        if active & DOOR:
+            self._state.post(st.SAFETY_DOOR)
+
+    def on_contact(self) -> None:
+        """The probe has touched. Interrupt."""
+        self._state.post(st.CANCEL_MOTION)
+
+    # What answers, in the main loop
+
+    def run(self) -> None:
+        """Do what has been asked. Raises Abort after a reset."""
+        self.events()
+        if self._state.suspend:
+            self._suspension.begin()
+        while self._state.suspend:
+            self._suspension.turn()
+            self._pump()
+            self.events()
+
+    def events(self) -> None:
+        """As run(), but does not wait for a suspension to end."""
+        state = self._state
+        if state.alarm:
+            self._raise_alarm()
+        if self._moving and self._engine.idle():
+            self.release()
+        if self._settling:
+            self._settle()
+        if not state.posted():
+            return
+        if state.pending[st.RESET]:
+            raise Abort
+        if state.take(st.STATUS_REPORT):
+            self._report.status()
+        held = self._holds()
+        if state.take(st.CYCLE_START) and not held:
+            self._cycle_start()
+        if state.take(st.CYCLE_STOP):
+            self._cycle_stop()
+        self._overrides()
+
+    def _raise_alarm(self) -> None:
+        state = self._state
+        code = state.alarm
+        state.run = st.ALARM
+        self._report.alarm(code)
+        if code in (errors.ALARM_HARD_LIMIT, errors.ALARM_SOFT_LIMIT):
+            # Nothing but a reset is heard: the user is to look at the machine first.
+            self._report.message(errors.MSG_CRITICAL_EVENT)
+            state.pending[st.RESET] = 0
+            while not state.pending[st.RESET]:
+                self._pump()
+        state.alarm = 0
+
+    def _holds(self) -> bool:
+        """Feed hold, door, sleep and motion cancel. Returns whether a cycle start is to be ignored."""
+        state = self._state
+        cancel = state.take(st.CANCEL_MOTION)
+        hold = state.take(st.FEED_HOLD)
+        door = state.take(st.SAFETY_DOOR)
+        sleep = state.take(st.SLEEP_REQUEST)
+        if not (cancel or hold or door or sleep):
+            return False
+        if not state.run & (st.ALARM | st.CHECK):
+            if state.run & (st.RUN | st.JOG):
+                self._slow_down(sleep)
+            elif state.run == st.IDLE:
+                state.suspend = st.HOLD_COMPLETE
+            if cancel and not state.run & st.JOG:
+                state.suspend |= st.MOTION_CANCEL
+            if hold and not state.run & (st.DOOR | st.JOG | st.SLEEP):
+                state.run = st.HOLD
+            if door:
+                self._open_door()
+        if sleep:
+            if state.run == st.ALARM:
+                state.suspend |= st.RETRACT_COMPLETE | st.HOLD_COMPLETE
+            state.run = st.SLEEP
+        return cancel or hold or door
+
+    def _slow_down(self, sleep: bool) -> None:
+        state = self._state
+        if state.suspend & (st.MOTION_CANCEL | st.JOG_CANCEL):
+            return
+        state.holding = True
+        self._segments.hold(True)
+        if state.run == st.JOG and not sleep:
+            state.suspend |= st.JOG_CANCEL
+
+    def _open_door(self) -> None:
+        state = self._state
+        self._report.message(errors.MSG_DOOR_AJAR)
+        if not state.suspend & st.JOG_CANCEL:
+            if state.run == st.DOOR and state.suspend & st.INITIATE_RESTORE:
+                if state.system_motion:
+                    self._segments.hold(True)
+                    state.holding = True
+                    state.suspend &= ~st.HOLD_COMPLETE
+                state.suspend &= ~(st.RETRACT_COMPLETE | st.INITIATE_RESTORE | st.RESTORE_COMPLETE)
+                state.suspend |= st.RESTART_RETRACT
+            if state.run != st.SLEEP:
+                state.run = st.DOOR
+        state.suspend |= st.DOOR_AJAR
+
+    def _cycle_start(self) -> None:
+        state = self._state
+        if state.run == st.DOOR and not state.suspend & st.DOOR_AJAR:
+            if state.suspend & st.RESTORE_COMPLETE:
+                state.run = st.IDLE
+            elif state.suspend & st.RETRACT_COMPLETE:
+                state.suspend |= st.INITIATE_RESTORE
+        held = state.run == st.HOLD
+        if state.run != st.IDLE and not (held and state.suspend & st.HOLD_COMPLETE):
+            return
+        if held and state.stop_override:
+            state.stop_override |= st.STOP_RESTORE_CYCLE
+            return
+        state.holding = False
+        self._segments.hold(False)
+        go = not self._planner.empty() and not state.suspend & st.MOTION_CANCEL
+        state.suspend = 0
+        state.run = st.IDLE
+        if go:
+            self.start(st.RUN)
+
+    def _cycle_stop(self) -> None:
+        state = self._state
+        cancelled = state.suspend & st.JOG_CANCEL
+        if state.run & _HOLDS and not state.soft_limit and not cancelled:
+            if state.holding:
+                state.suspend |= st.HOLD_COMPLETE
+            state.holding = False
+            state.system_motion = False
+            return
+        if cancelled:
+            self._planner.clear()
+            self._resync()
+        state.holding = False
+        self._segments.hold(False)
+        if state.suspend & st.DOOR_AJAR:
+            state.suspend = state.suspend & ~st.JOG_CANCEL | st.HOLD_COMPLETE
+            state.run = st.DOOR
+        else:
+            state.suspend = 0
+            state.run = st.IDLE
+
+    # Motors: they stay powered a little longer than they move ($1)
+
+    def start(self, run: int) -> None:
+        """Set the machine in motion, in that run state."""
+        self._state.run = run
+        self._settling = False
+        self.power(True)
+        self._moving = True
+        self._engine.start()
+
+    def release(self) -> None:
+        """The machine stands still: power the motors off in a while, and call it a stop then."""
+        self._moving = False
+        self._settling = True
+        self._since = self._port.ticks_ms()
+
+    def settling(self) -> bool:
+        """The delay has not passed yet."""
+        return self._settling
+
+    def _settle(self) -> None:
+        state = self._state
+        if state.run & (st.RUN | st.JOG) and not state.holding and not self._planner.empty():
+            self.start(state.run)  # more has come in the meantime: nothing is lost
+            return
+        delay = self._settings.idle_lock_ms
+        stay = delay == _FOR_EVER and state.run not in (st.SLEEP, st.ALARM)
+        if not stay and self._port.elapsed_ms(self._since) < delay:
+            return
+        self._settling = False
+        if not stay and state.run != st.HOMING:
+            self.power(False)
+        if state.run & _MOTION or state.system_motion or state.holding:
+            state.post(st.CYCLE_STOP)
+
+    def power(self, on: bool) -> None:
+        """Motors on or off ($4)."""
+        self._port.enable((0 if on else 1) ^ self._settings.enable_invert)
+
+    # Overrides
+
+    def _overrides(self) -> None:
+        state = self._state
+        new = [state.feed_override, state.rapid_override, state.spindle_override]
+        for byte, (which, change) in _OVERRIDES.items():
+            if state.take(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE):
+                if which == _RAPID:
+                    new[which] = change
+                else:
+                    new[which] = min(max(new[which] + change, _LOWEST), _HIGHEST) if change else 100
+        if new[0] != state.feed_override or new[1] != state.rapid_override:
+            state.feed_override, state.rapid_override = new[0], new[1]
+            state.override_countdown = 0
+            self._planner.override()
+        if new[2] != state.spindle_override:
+            state.spindle_override = new[2]
+            state.override_countdown = 0
+            state.update_spindle = True
+        self._accessory_overrides()
+
+    def _accessory_overrides(self) -> None:
+        state = self._state
+        if state.take(st.OVERRIDES + _SPINDLE_STOP - st.FIRST_OVERRIDE_BYTE):
+            self.stop_spindle()
+        flood = state.take(st.OVERRIDES + _FLOOD_TOGGLE - st.FIRST_OVERRIDE_BYTE)
+        mist = state.take(st.OVERRIDES + _MIST_TOGGLE - st.FIRST_OVERRIDE_BYTE)
+        if not (flood or mist) or state.run not in (st.IDLE, st.RUN, st.HOLD, st.JOG):
+            return
+        toggled = 0
+        if flood or not self._has_mist:
+            toggled |= FLOOD
+        if mist and self._has_mist:
+            toggled |= MIST
+        self._gcode.coolant ^= toggled
+        self._coolant.set(self._gcode.coolant)
+
+    def stop_spindle(self) -> None:
+        """Spindle stop override: toggles, and only while held."""
+        state = self._state
+        if state.run == st.HOLD:
+            if not state.stop_override:
+                state.stop_override = st.STOP_INITIATE
+            elif state.stop_override & st.STOP_ENABLED:
+                state.stop_override |= st.STOP_RESTORE

@@ -1,0 +1,78 @@
+"""Segments: constant-rate pieces of motion, cut from the planner's blocks on demand.
+
+The pulse engine calls next() from its interrupt; everything it does there is
+in kernels.py. The main loop talks to it through a few words of the flow:
+hold, resume, the system's own block.
+"""
+
+import kernels
+from f32 import f32
+from kernels import AT, CARRY, HOLD, LOADED, NOW, SYSTEM
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from array import array
+
+    from planner import Planner
+
+
+class Segments:
+    """What the engine asks. planner: whose ring and flow these are."""
+
+    def __init__(self, planner: "Planner") -> None:
+        self._planner = planner
+        self._flow = planner.flow
+        self._ring = planner.ring
+        self._machine = planner.machine
+        self._saved: "array[int] | None" = None
+
+    def next(self, row: "array[int]") -> int:
+        """Fill in the next segment's row; 0 where nothing is to move."""
+        return kernels.fill(self._flow, self._ring, self._machine, row)
+
+    def hold(self, on: bool) -> None:
+        """Slow down and come to rest; or go on."""
+        self._flow[HOLD] = 1 if on else 0
+
+    def at_rest(self) -> bool:
+        """Nothing more will come until something is planned or resumed."""
+        flow = self._flow
+        if flow[LOADED]:
+            return bool(flow[HOLD]) and flow[NOW] == 0
+        return self._planner.empty() and not flow[SYSTEM] or bool(flow[HOLD]) and flow[CARRY] == 0
+
+    def begin_system(self) -> None:
+        """Put the block in progress, at rest, aside: the system's own moves come first."""
+        if self._saved is None:
+            self._saved = type(self._flow)("i", self._flow)
+        self._flow[LOADED] = 0
+        self._flow[NOW] = 0
+        self._flow[CARRY] = 0
+
+    def end_system(self) -> None:
+        """Take the block put aside up again where it stood."""
+        if self._saved is not None:
+            self._flow[LOADED:] = self._saved[LOADED:]
+            self._flow[SYSTEM] = 0
+            self._saved = None
+
+    def clear(self) -> None:
+        """Forget the block in progress. Only while the engine is stopped."""
+        self._saved = None
+
+    def rate_mm_min(self) -> float:
+        """The speed planned up to now."""
+        flow = self._flow
+        if flow[LOADED]:
+            speed = kernels.pack(flow[NOW], 64)
+            return kernels.value(kernels.div(speed, self._ring[flow[AT] + kernels.FACTOR])) * 60
+        return kernels.value(flow[CARRY]) * 60
+
+    def dynamic_rpm(self) -> "float | None":
+        """Spindle speed of a laser whose power follows the rate; None where it does not."""
+        flow = self._flow
+        if not flow[LOADED] or not self._ring[flow[AT] + kernels.FLAGS] & kernels.DYNAMIC:
+            return None
+        rate = self._ring[flow[AT] + kernels.PROGRAMMED]
+        return f32(self._planner.speed_rpm() * flow[NOW] / rate) if rate else 0.0

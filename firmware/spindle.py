@@ -1,0 +1,100 @@
+"""Spindle and laser: from a speed in rpm to power at the pin.
+
+The interrupt sets power per segment while the machine moves (set_power);
+everything else goes through turn(). Never waits: whoever changes the spindle
+synchronises first (motion.py).
+"""
+
+from array import array
+
+import kernels
+from f32 import f32
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from interfaces import Port
+    from settings import Settings
+    from state import State
+
+OFF = const(0)
+CW = const(0x10)
+CCW = const(0x20)
+
+# Least power of a spindle that turns.
+_MIN_POWER = const(1)
+
+
+class Spindle:
+    """One PWM spindle with a direction pin."""
+
+    def __init__(self, port: "Port", state: "State", enable_by_direction: bool) -> None:
+        self._port = port
+        self._state = state
+        # A board with an enable pin in place of the direction's has no M4 to offer.
+        self.can_reverse = not enable_by_direction
+        self._power = -1
+        self._direction = OFF
+        self.laser = False
+
+    def configure(self, settings: "Settings", machine: "array[int]") -> None:
+        """Take over $30, $31 and $32."""
+        self._max_rpm = settings.max_rpm
+        self._min_rpm = settings.min_rpm
+        self.laser = bool(settings.laser_mode)
+        span = f32(self._max_rpm - self._min_rpm)
+        full = self._port.pwm_max
+        self._gradient = f32((full - _MIN_POWER) / span) if span > 0 else 0.0
+        machine[kernels.POWER_FLOOR] = int(self._min_rpm * self._gradient * 64)
+        machine[kernels.POWER_MAX] = full
+
+    def power(self, rpm: float) -> int:
+        """Power for a programmed speed, override included; tells the state what speed that is."""
+        state = self._state
+        rpm = f32(rpm * f32(f32(0.01) * state.spindle_override))
+        full = self._port.pwm_max
+        if self._min_rpm >= self._max_rpm or rpm >= self._max_rpm:
+            state.spindle_rpm = self._max_rpm
+            return full
+        if rpm <= self._min_rpm:
+            if rpm == 0:
+                state.spindle_rpm = 0.0
+                return 0
+            state.spindle_rpm = self._min_rpm
+            return _MIN_POWER
+        state.spindle_rpm = rpm
+        return int(f32(f32(rpm - self._min_rpm) * self._gradient)) + _MIN_POWER
+
+    def dynamic_power(self, rpm: float) -> int:
+        """Power of a laser whose rate is the programmed one, for kernels.power(): in 1/64."""
+        rpm = min(rpm * self._state.spindle_override / 100, self._max_rpm)
+        return int(rpm * self._gradient * 64) if self._gradient else 0
+
+    def turn(self, direction: int, rpm: float) -> None:
+        """Set direction and speed now. In laser mode a reversed spindle begins with no power."""
+        self._direction = direction
+        if direction == OFF:
+            self._state.spindle_rpm = 0.0
+            self.stop()
+        else:
+            if self.can_reverse:
+                self._port.direction(1 if direction == CCW else 0)
+            if self.laser and direction == CCW:
+                rpm = 0.0
+            self.set_power(self.power(rpm), True)
+        self._state.override_countdown = 0
+
+    def set_power(self, power: int, force: bool = False) -> None:
+        """Power of the segment that begins. Safe in an interrupt."""
+        if power != self._power or force:
+            self._power = power
+            self._port.spindle(self._direction != OFF and power != 0, power)
+
+    def stop(self) -> None:
+        """Off, at once; safe in an interrupt."""
+        self._power = 0
+        self._port.spindle(False, 0)
+
+    def direction(self) -> int:
+        """OFF, CW or CCW: what the pins say."""
+        return self._direction if self._power else OFF

@@ -1,0 +1,97 @@
+"""State: what the machine is doing, in one record.
+
+Written by realtime, and by cycles and commands through it; read by everyone
+above. The numbers are Grbl's, so that a set of states is a mask.
+"""
+
+from micropython import const
+
+# Run states.
+IDLE = const(0)
+ALARM = const(0x01)
+CHECK = const(0x02)
+HOMING = const(0x04)
+RUN = const(0x08)
+HOLD = const(0x10)
+JOG = const(0x20)
+DOOR = const(0x40)
+SLEEP = const(0x80)
+
+# Why, and how far, motion is suspended (mask); 0 = it is not.
+HOLD_COMPLETE = const(0x01)
+RESTART_RETRACT = const(0x02)
+RETRACT_COMPLETE = const(0x04)
+INITIATE_RESTORE = const(0x08)
+RESTORE_COMPLETE = const(0x10)
+DOOR_AJAR = const(0x20)
+MOTION_CANCEL = const(0x40)
+JOG_CANCEL = const(0x80)
+
+# Spindle stop override: its progress through a hold (mask).
+STOP_ENABLED = const(0x01)
+STOP_INITIATE = const(0x02)
+STOP_RESTORE = const(0x04)
+STOP_RESTORE_CYCLE = const(0x08)
+
+# Events waiting for realtime.run(): indices into `pending`. A byte each, so that an
+# interrupt can set one without losing another.
+STATUS_REPORT = const(0)
+CYCLE_START = const(1)
+CYCLE_STOP = const(2)
+FEED_HOLD = const(3)
+RESET = const(4)
+SAFETY_DOOR = const(5)
+CANCEL_MOTION = const(6)
+SLEEP_REQUEST = const(7)
+# Real-time bytes 0x90 to 0xA1 follow, in their order.
+OVERRIDES = const(8)
+_EVENTS = const(26)
+
+FIRST_OVERRIDE_BYTE = const(0x90)
+LAST_OVERRIDE_BYTE = const(0xA1)
+
+
+class State:
+    """The record. clear() is what a soft reset does; run survives it."""
+
+    def __init__(self) -> None:
+        self.pending = bytearray(_EVENTS + 1)  # the last byte: something is
+        self.alarm = 0  # an alarm not yet reported
+        self.run = IDLE
+        self.clear()
+
+    def post(self, event: int) -> None:
+        """Ask for something at the next turn of realtime.run(). Safe in an interrupt."""
+        self.pending[event] = 1
+        self.pending[_EVENTS] = 1
+
+    def posted(self) -> bool:
+        """Whether anything has been posted since this was asked last."""
+        if self.pending[_EVENTS]:
+            self.pending[_EVENTS] = 0
+            return True
+        return False
+
+    def take(self, event: int) -> bool:
+        """Whether that was posted; it is not any more."""
+        if self.pending[event]:
+            self.pending[event] = 0
+            return True
+        return False
+
+    def clear(self) -> None:
+        """Back to a fresh start, but for the run state and what is pending in alarm."""
+        self.suspend = 0
+        self.soft_limit = False
+        self.holding = False  # motion is slowing down, or has stopped, for a hold
+        self.system_motion = False  # a parking move is under way
+        self.update_spindle = False  # power must be set anew where motion stands still
+        self.stop_override = 0
+        self.feed_override = 100
+        self.rapid_override = 100
+        self.spindle_override = 100
+        self.override_control = True  # M56: parking is enabled
+        self.spindle_rpm = 0.0
+        self.probe_succeeded = False
+        self.wco_countdown = 0  # status reports until WCO: is shown again
+        self.override_countdown = 0  # and Ov:

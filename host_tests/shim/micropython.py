@@ -1,0 +1,258 @@
+"""The board's `micropython` module for CPython, with viper arithmetic that cannot wrap unseen.
+
+Checked (the default): whatever would wrap or go wrong in silence on the board raises: results
+outside signed 32 bits, division by zero, shift counts outside 0..31, floats, negative indices.
+Literals of 2**30 and more are heap objects there: refused, unless written int(literal).
+
+Fast (UGRBL_VIPER=fast, or VIPER = "fast" here before the firmware is imported): casts only.
+
+Pointers are memoryviews: ptr32 holds signed words, ptr16 and ptr8 unsigned ones. An index past the
+end, or a value that does not fit, raises in both modes. What is not modelled does not exist.
+"""
+
+import ast
+import builtins
+import copy
+import linecache
+import os
+from array import array
+from collections.abc import Callable
+from functools import lru_cache
+from types import FunctionType
+from typing import Any, NoReturn, TypeVar, cast
+
+_Value = TypeVar("_Value")
+_Result = TypeVar("_Result")
+
+VIPER = os.environ.get("UGRBL_VIPER", "checked")
+
+_WORD_LIMIT = 1 << 31
+_SMALL_INT_LIMIT = 1 << 30
+_WORD_BITS = 32
+_VIEWS_KEPT = 1000
+
+
+def const(value: _Value, /) -> _Value:
+    return value
+
+
+def native(function: _Value, /) -> _Value:
+    return function
+
+
+def alloc_emergency_exception_buf(size: int, /) -> None:
+    """CPython needs none."""
+
+
+def kbd_intr(char: int, /) -> None:
+    """Ctrl-C on the desktop is for the desktop."""
+
+
+# The parameters are left open: an array is as good as a pointer. The call itself checks them.
+def viper(function: Callable[..., _Result], /) -> Callable[..., _Result]:
+    """Compile function anew: pointer casts at entry and, unless VIPER is "fast", all checks."""
+    plain = cast(FunctionType, function)
+    node = _definition(plain)
+    _check_signature(plain, node)
+    casts, checks = _POINTER_CASTS, {} if VIPER == "fast" else _INT_CHECKS
+    if checks:
+        _Checks(plain).generic_visit(node)
+    entry = {**casts, **checks}
+    node.body[:0] = [
+        _statement(entry[_type(argument)].format(argument.arg), argument)
+        for argument in node.args.args
+        if _type(argument) in entry
+    ]
+    return cast("Callable[..., _Result]", _compile(plain, node))
+
+
+class _Pointer:
+    """ptr8, ptr16 or ptr32. Views of arrays are kept: making one costs more than a kernel."""
+
+    def __init__(self, code: str) -> None:
+        self._code = code
+        self.views: dict[int, memoryview] = {}  # by id; a view keeps what it shows alive
+
+    def __call__(self, memory: Any, /) -> memoryview:
+        view = self.views.get(id(memory))
+        if view is None:
+            view = memoryview(memory).cast("B").cast(cast(Any, self._code))
+            if isinstance(memory, (array, bytearray)):
+                if len(self.views) >= _VIEWS_KEPT:
+                    self.views.clear()
+                # The view too: one viper function may hand its pointer to another.
+                self.views[id(memory)] = self.views[id(view)] = view
+        return view
+
+
+def _int(value: Any, low: int = -_WORD_LIMIT, limit: int = _WORD_LIMIT) -> int:
+    if not isinstance(value, int):
+        raise TypeError(f"viper computes with integers, not with {value!r}")
+    if not low <= value < limit:
+        raise OverflowError(f"{value} leaves 32 bits")
+    return value
+
+
+def _uint(value: Any) -> int:
+    return _int(value, limit=2 * _WORD_LIMIT) & 0xFFFFFFFF
+
+
+def _count(value: int) -> int:
+    if not 0 <= value < _WORD_BITS:
+        raise OverflowError(f"shift by {value}: the result depends on the chip")
+    return value
+
+
+def _index(value: _Value) -> _Value:
+    if isinstance(value, int) and value < 0:
+        raise IndexError(f"index {value} is before the start of the buffer")
+    return value
+
+
+class _Checks(ast.NodeTransformer):
+    """Wraps results in checks; refuses what the board cannot do, or does with objects."""
+
+    _CHECKED = (ast.Add, ast.Sub, ast.Mult, ast.LShift, ast.FloorDiv, ast.Mod)
+    _REFUSED = (
+        *(ast.FunctionDef, ast.Lambda, ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp),
+        *(ast.Tuple, ast.List, ast.Dict, ast.Set, ast.JoinedStr, ast.Slice),
+        *(ast.Yield, ast.YieldFrom, ast.Div, ast.Pow),
+    )
+
+    def __init__(self, function: FunctionType) -> None:
+        self._function = function
+
+    def visit(self, node: ast.AST) -> Any:
+        if isinstance(node, self._REFUSED):
+            _refuse(self._function, f"{type(node).__name__} is not for viper", node)
+        return super().visit(node)
+
+    def visit_Constant(self, node: ast.Constant) -> ast.AST:
+        return self._literal(node, node.value)
+
+    def visit_Name(self, node: ast.Name) -> ast.AST:
+        if node.id in self._function.__code__.co_varnames:
+            return node
+        return self._literal(node, self._function.__globals__.get(node.id))
+
+    def _literal(self, node: ast.AST, value: object) -> ast.AST:
+        if isinstance(value, float):
+            _refuse(self._function, f"{value} is a float", node)
+        if isinstance(value, int) and not -_SMALL_INT_LIMIT <= value < _SMALL_INT_LIMIT:
+            _refuse(self._function, f"{value} is a heap object: write int({value:#x})", node)
+        return node
+
+    def visit_Call(self, node: ast.Call) -> ast.AST:
+        if not (isinstance(node.func, ast.Name) and node.func.id == "int" and node.args):
+            return self.generic_visit(node)
+        inner = node.args[0]
+        bare = (ast.Constant, ast.Name, ast.UnaryOp, ast.unaryop, ast.expr_context)
+        is_literal = all(isinstance(part, bare) for part in ast.walk(inner))
+        return _call("viper_int", inner if is_literal else self.visit(inner))
+
+    def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
+        self.generic_visit(node)
+        node.slice = _call("viper_index", node.slice)
+        return node
+
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:
+        self.generic_visit(node)
+        return _call("viper_int", node) if isinstance(node.op, ast.USub) else node
+
+    def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
+        self.generic_visit(node)
+        if isinstance(node.op, (ast.LShift, ast.RShift)):
+            node.right = _call("viper_count", node.right)
+        return _call("viper_int", node) if isinstance(node.op, self._CHECKED) else node
+
+    def visit_AugAssign(self, node: ast.AugAssign) -> ast.AST:
+        """Turn `p[i] += x` into `p[at] = p[at := i] + x`: the right side comes first."""
+        target = node.target
+        old = cast(ast.expr, copy.deepcopy(target))
+        cast(ast.Name, old).ctx = ast.Load()
+        if isinstance(old, ast.Subscript) and isinstance(target, ast.Subscript):
+            old.slice = ast.NamedExpr(ast.Name("viper_at", ast.Store()), old.slice)
+            target.slice = ast.Name("viper_at", ast.Load())
+        value = ast.copy_location(ast.BinOp(old, node.op, node.value), node)
+        return self.generic_visit(ast.copy_location(ast.Assign([target], value), node))
+
+
+def _check_signature(function: FunctionType, node: ast.FunctionDef) -> None:
+    arguments = node.args
+    if arguments.defaults or arguments.kwonlyargs or arguments.vararg or arguments.kwarg:
+        _refuse(function, "viper takes plain positional arguments only", node)
+    if function.__closure__:
+        _refuse(function, "viper functions cannot use the locals of another function", node)
+    places: list[ast.arg | ast.FunctionDef] = [*arguments.args, node]
+    for typed in places:
+        if _type(typed) not in (*_POINTER_CASTS, *_INT_CHECKS, "bool", "object"):
+            _refuse(function, f"{_type(typed)} is no viper type (no result: return 0)", typed)
+
+
+def _type(node: "ast.arg | ast.FunctionDef") -> str:
+    annotation = node.annotation if isinstance(node, ast.arg) else node.returns
+    return "object" if annotation is None else ast.unparse(annotation)
+
+
+def _refuse(function: FunctionType, why: str, node: ast.AST) -> NoReturn:
+    code = function.__code__
+    place = (code.co_filename, getattr(node, "lineno", code.co_firstlineno), None, None)
+    raise SyntaxError(f"{function.__name__}: {why}", place)
+
+
+_parse = lru_cache(maxsize=8)(ast.parse)
+
+
+def _definition(function: FunctionType) -> ast.FunctionDef:
+    """Find the source of function. The whole file is parsed, so that all positions are true."""
+    code = function.__code__
+    source = "".join(linecache.getlines(code.co_filename, function.__globals__))
+    for node in ast.walk(_parse(source)):
+        if isinstance(node, ast.FunctionDef) and node.name == code.co_name:
+            if code.co_firstlineno in (node.lineno, *(d.lineno for d in node.decorator_list)):
+                return copy.deepcopy(node)
+    raise OSError(f"viper needs the source of {code.co_name} in {code.co_filename}")
+
+
+def _statement(source: str, place: ast.AST) -> ast.stmt:
+    statement = ast.parse(source).body[0]
+    for node in ast.walk(statement):
+        ast.copy_location(node, place)
+    return statement
+
+
+def _call(name: str, argument: ast.expr) -> ast.expr:
+    return ast.copy_location(ast.Call(ast.Name(name, ast.Load()), [argument], []), argument)
+
+
+def _compile(function: FunctionType, node: ast.FunctionDef) -> FunctionType:
+    """Compile inside a factory: the helpers become closure cells, out of the module's way."""
+    node.decorator_list, node.returns = [], None
+    for argument in node.args.args:
+        argument.annotation = None
+    factory = cast(ast.FunctionDef, ast.parse(f"def factory({', '.join(_HELPERS)}): pass").body[0])
+    factory.body = [node, _statement(f"return {node.name}", node)]
+    tree = ast.fix_missing_locations(ast.Module([factory], []))
+    made: dict[str, Callable[..., FunctionType]] = {}
+    code = compile(tree, function.__code__.co_filename, "exec", dont_inherit=True)
+    exec(code, function.__globals__, made)
+    result = made["factory"](**_HELPERS)
+    for name in ("__qualname__", "__annotations__", "__doc__"):
+        setattr(result, name, getattr(function, name))
+    return result
+
+
+_POINTERS = {"ptr8": _Pointer("B"), "ptr16": _Pointer("H"), "ptr32": _Pointer("i")}
+# The statements that stand for annotations. A pointer met before costs no call of ours.
+_POINTER_CASTS = {t: f"{{0}} = viper_{t}(viper_id({{0}})) or {t}({{0}})" for t in _POINTERS}
+_INT_CHECKS = {"int": "{0} = viper_int({0})", "uint": "{0} = viper_int({0}, 0, 1 << 32)"}
+_HELPERS: dict[str, Any] = {
+    "viper_id": id,
+    "viper_int": _int,
+    "viper_count": _count,
+    "viper_index": _index,
+    **{f"viper_{t}": pointer.views.get for t, pointer in _POINTERS.items()},
+}
+
+for _name, _builtin in (*_POINTERS.items(), ("uint", _uint)):
+    setattr(builtins, _name, _builtin)

@@ -1,0 +1,117 @@
+"""The house rules of firmware/: layers look down, hardware stays in ports, files stay short."""
+
+import ast
+import sys
+from pathlib import Path
+
+import pytest
+
+FIRMWARE = Path(__file__).parent.parent / "firmware"
+
+# A module imports from lower lines only, never from its own. A new module gets its place here.
+LAYERS = (
+    {"errors", "axes", "f32"},
+    {"words", "lines", "arcs", "kernels"},
+    {"state", "settings", "coords"},
+    {"planner", "segments", "spindle", "coolant", "inputs"},
+    {"motion", "report"},
+    {"gcode", "cycles"},
+    {"realtime", "commands"},
+    {"protocol"},
+    {"controller"},
+    {"main"},
+)
+LAYER = {module: number for number, layer in enumerate(LAYERS) for module in layer}
+
+# Ports stand outside the stack: they use the two lowest layers, and only main uses them.
+PORT_PREFIXES = ("link", "gpio", "store")
+PORT_FOLDERS = ("pio", "esp")
+PORT_LAYERS = (0, 1)
+
+HARDWARE = {"esp32", "machine", "os", "rp2", "select", "vfs"}
+MICROPYTHON = HARDWARE | set(
+    "_thread array asyncio binascii bluetooth btree builtins cmath collections cryptolib deflate "
+    "dht dupterm errno espnow flashbdev framebuf gc hashlib heapq io json lwip math micropython "
+    "mip neopixel network ntptime onewire platform random re requests socket ssl struct sys time "
+    "tls uarray uctypes webrepl websocket".split()
+)
+BOARD_FILE = "board"  # a file of boards/, put beside main on the board
+
+FILES = sorted(FIRMWARE.rglob("*.py"))
+each_file = pytest.mark.parametrize(
+    "path", FILES, ids=[str(path.relative_to(FIRMWARE)) for path in FILES]
+)
+
+
+def module_name(path):
+    return ".".join(path.relative_to(FIRMWARE).with_suffix("").parts)
+
+
+def is_port(module):
+    top = module.partition(".")[0]
+    return top in PORT_FOLDERS or top.startswith(PORT_PREFIXES)
+
+
+def imports(tree):
+    """Yield every imported module, also inside functions, but not what only mypy reads."""
+    if isinstance(tree, ast.If) and ast.unparse(tree.test).endswith("TYPE_CHECKING"):
+        for node in tree.orelse:
+            yield from imports(node)
+    elif isinstance(tree, ast.Import):
+        yield from (alias.name for alias in tree.names)
+    elif isinstance(tree, ast.ImportFrom):
+        assert tree.level == 0, "the firmware is flat: no relative imports"
+        parent = FIRMWARE / tree.module.replace(".", "/")
+        names = [f"{tree.module}.{alias.name}" for alias in tree.names]
+        yield from names if parent.is_dir() else [tree.module]
+    else:
+        for node in ast.iter_child_nodes(tree):
+            yield from imports(node)
+
+
+def may_import(module, used):
+    if used in MICROPYTHON:
+        return used not in HARDWARE or is_port(module)
+    if is_port(module):
+        same_folder = "." in used and used.partition(".")[0] == module.partition(".")[0]
+        return same_folder or LAYER.get(used) in PORT_LAYERS
+    if is_port(used) or used == BOARD_FILE:
+        return module == "main"
+    return LAYER.get(used, len(LAYERS)) < LAYER[module]
+
+
+@each_file
+def test_a_module_imports_only_from_lower_layers(path):
+    module = module_name(path)
+    assert is_port(module) or module in LAYER, f"give {module} a place in LAYERS, in {__file__}"
+    used = set(imports(ast.parse(path.read_text())))
+    refused = sorted(name for name in used if not may_import(module, name))
+    assert not refused, f"{module} may not import {', '.join(refused)}"
+
+
+@each_file
+def test_no_name_hides_a_module_of_either_python(path):
+    taken = MICROPYTHON | sys.stdlib_module_names
+    hidden = taken.intersection({path.relative_to(FIRMWARE).parts[0], path.stem})
+    assert not hidden, f"{path} hides, or is hidden by, the module {hidden}"
+
+
+def length(node):
+    return node.end_lineno - node.lineno + 1
+
+
+@each_file
+def test_functions_and_files_stay_short(path):
+    text = path.read_text()
+    tree = ast.parse(text)
+    functions = (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef))
+    long = {f"{node.name}: {length(node)} lines" for node in functions if length(node) > 60}
+    assert not long, f"functions have 60 lines at most: {long}"
+    tables = (
+        length(node)
+        for node in tree.body
+        if isinstance(node, (ast.Assign, ast.AnnAssign))
+        and isinstance(node.value, (ast.Tuple, ast.Dict, ast.List))
+    )
+    lines = len(text.splitlines()) - sum(tables)
+    assert lines <= 400, f"{lines} lines; a module has 400 at most, tables not counted"

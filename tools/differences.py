@@ -1,0 +1,46 @@
+"""Where our replies differ from real Grbl's on purpose: the whole list.
+
+A row rewrites our line to Grbl's if, and only if, the difference is the one it
+names. Whatever is not in this table has to be equal.
+"""
+
+import re
+from collections.abc import Callable
+from typing import NamedTuple
+
+
+class Difference(NamedTuple):
+    """One difference: rewrite(ours, grbls) gives the line Grbl would have sent."""
+
+    name: str
+    reason: str
+    rewrite: Callable[[str, str], str]
+
+
+_VERSION = re.compile(r"\[VER:1\.1h\.\d{8}:(.*)\]")
+_OPTIONS = re.compile(r"\[OPT:([^,]*)(,\d+,\d+)\]")
+
+
+def _version(ours: str, grbls: str) -> str:
+    mine, theirs = _VERSION.fullmatch(ours), _VERSION.fullmatch(grbls)
+    return grbls if mine and theirs and theirs[1] in mine[1] else ours
+
+
+def _options(ours: str, grbls: str) -> str:
+    mine, theirs = _OPTIONS.fullmatch(ours), _OPTIONS.fullmatch(grbls)
+    same = mine and theirs and mine[2] == theirs[2] and set(theirs[1]) <= set(mine[1])
+    return grbls if same else ours
+
+
+DIFFERENCES = (
+    Difference(
+        "version",
+        "[VER:] names our own build date and may say who we are before the user's $I= text.",
+        _version,
+    ),
+    Difference(
+        "options",
+        "[OPT:] may list letters of options that the recorded Grbl was built without.",
+        _options,
+    ),
+)

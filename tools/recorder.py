@@ -1,0 +1,157 @@
+"""Counts what a simulated machine was told to do and what its motors did."""
+
+import json
+from array import array
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from math import hypot
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:
+    from .sim.rig import Rig
+
+_Value = TypeVar("_Value")
+
+_LETTERS = "XYZABC"
+# Floats per stroke of Recorder.path: where it ends, X Y Z in mm, and how many seconds it took.
+STROKE = 4
+
+
+@dataclass
+class Totals:
+    """What a machine has done, ready for JSON."""
+
+    time_s: float = 0.0
+    distance_mm: float = 0.0
+    steps_planned: dict[str, int] = field(default_factory=dict)
+    steps_made: dict[str, int] = field(default_factory=dict)
+    bounds_mm: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    def save(self, path: Path) -> None:
+        """Write them as JSON."""
+        path.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: Path) -> "Totals":
+        """Read what save() has written."""
+        return cls(**json.loads(path.read_text(encoding="utf-8")))
+
+
+class Recorder:
+    """Watches a rig. Make it before the rig runs.
+
+    Steps count in either direction. Places are machine positions. Time counts from the first
+    step to the last, or from start_clock() to stop_clock(). keep_path: note the tool's path.
+    """
+
+    def __init__(self, rig: "Rig", keep_path: bool = False) -> None:
+        import kernels
+
+        self._rig = rig
+        self._kernels = kernels
+        self._axes = range(len(rig.board.STEP))
+        self._corexy = getattr(rig.board, "COREXY", False)
+        self._planned = [0 for _ in self._axes]
+        self._made = [0 for _ in self._axes]
+        self._distance_mm = 0.0
+        self._place = [0 for _ in self._axes]  # steps per motor, as the firmware counts
+        self._mm_per_step = [0.0 for _ in self._axes]
+        self._low = [0.0 for _ in self._axes]
+        self._high = [0.0 for _ in self._axes]
+        self._begun: int | None = None
+        self._ended = 0
+        self._keep_path = keep_path
+        self.path = array("d", [0.0] * STROKE)
+        rig.on_built = self._attach
+        rig.engine.trace = self._segment
+        self._set_position = rig.engine.set_position
+        rig.engine.set_position = self._rename
+
+    def start_clock(self) -> None:
+        """The work begins now."""
+        self._begun = self._rig.now
+
+    def stop_clock(self) -> None:
+        """The work has taken until now."""
+        self._ended = self._rig.now
+
+    def totals(self) -> Totals:
+        """Everything up to now."""
+        bounds = list(zip(self._low, self._high, strict=True))
+        ticks = 0 if self._begun is None else self._ended - self._begun
+        return Totals(
+            ticks / self._rig.engine.tick_hz,
+            round(self._distance_mm, 4),
+            self._by_letter(self._planned),
+            self._by_letter(self._made),
+            self._by_letter([(round(low, 4), round(high, 4)) for low, high in bounds]),
+        )
+
+    def _attach(self) -> None:
+        """Called by the rig once the controller is built: follow what is planned."""
+        from planner import SYSTEM_MOTION
+
+        controller = self._rig.controller
+        self._system_motion = SYSTEM_MOTION
+        self._planner = controller.planner
+        self._settings = controller.settings
+        self._plan = self._planner.line
+        self._planner.line = self._line
+
+    def _by_letter(self, values: Sequence[_Value]) -> dict[str, _Value]:
+        return dict(zip(_LETTERS, values, strict=False))
+
+    def _line(self, target: Any, move: Any, power: int) -> bool:
+        """Stand in for Planner.line: what it adds to its ring is what will be stepped."""
+        kernels, flow = self._kernels, self._planner.flow
+        size = flow[kernels.ROW_SIZE]
+        at = size * flow[kernels.ROWS if move.flags & self._system_motion else kernels.HEAD]
+        if not self._plan(target, move, power):
+            return False
+        row = self._planner.ring[at : at + size]
+        steps = row[kernels.STEPS : kernels.STEPS + len(self._axes)]
+        for i in self._axes:
+            self._planned[i] += steps[i]
+        self._mm_per_step = [1 / (resolution or 1.0) for resolution in self._settings.steps_per_mm]
+        signed = [-n if row[kernels.DIRS] >> i & 1 else n for i, n in enumerate(steps)]
+        self._distance_mm += hypot(*self._to_mm(signed))
+        return True
+
+    def _segment(self, start: int, row: "array[int]") -> None:
+        """Called by the engine for every segment played, with the steps really made."""
+        kernels = self._kernels
+        if self._begun is None:
+            self._begun = start
+        self._ended = start + row[kernels.ROW_TICKS]
+        dirs = row[kernels.ROW_DIRS]
+        for i in self._axes:
+            count = row[kernels.ROW_AXES + kernels.ROW_STRIDE * i]
+            self._made[i] += count
+            self._place[i] += -count if dirs >> i & 1 else count
+        at = self._to_mm(self._place)
+        self._extend(at)
+        if self._keep_path:
+            seconds = row[kernels.ROW_TICKS] / self._rig.engine.tick_hz
+            self.path.extend((*at[:3], seconds))
+
+    def _rename(self, steps: "array[int]") -> None:
+        """Stand in for StepEngine.set_position: the same place has another number from now on."""
+        self._set_position(steps)
+        self._place = list(steps)
+        self._extend(self._to_mm(self._place))
+
+    def _extend(self, at: Sequence[float]) -> None:
+        low, high = self._low, self._high
+        for i, mm in enumerate(at):
+            if mm < low[i]:
+                low[i] = mm
+            elif mm > high[i]:
+                high[i] = mm
+
+    def _to_mm(self, motors: Sequence[int]) -> list[float]:
+        """Axes in mm from steps of motors."""
+        steps: Sequence[float] = motors
+        if self._corexy:
+            steps = [(motors[0] + motors[1]) / 2, (motors[0] - motors[1]) / 2, *motors[2:]]
+        return [n * mm for n, mm in zip(steps, self._mm_per_step, strict=True)]

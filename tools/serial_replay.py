@@ -1,0 +1,89 @@
+"""Replays conversations on a real device over a serial port, in real time.
+
+The device is put back to machine position 0 and factory settings before each
+case: it moves, and it forgets its settings.
+"""
+
+import time
+from collections.abc import Callable
+
+import serial
+
+from .compare import Json
+
+
+def needs_a_bench(case: Json) -> str:
+    """Why a case cannot be replayed on a serial port alone, or an empty text."""
+    if "program" in case or case["init"] != "defaults":
+        return "needs the simulator"
+    steps = [*case["steps"], *(item for item in case["setup"] if isinstance(item, dict))]
+    for step in steps:
+        if step.keys() & {"pins", "switches", "power", "eeprom_patch"}:
+            return "needs a hand on pins or power"
+        if step["wait"] == "stream":
+            return "needs the simulator"
+    return ""
+
+
+class SerialReplay:
+    """Replays cases on a real device, in real time. It may move."""
+
+    def __init__(self, port: str, baud: int = 115200) -> None:
+        self._serial = serial.Serial(port, baud, timeout=0.002)
+        self._text = ""
+        self._lines: list[str] = []
+
+    def replay(self, case: Json) -> Json:
+        """The lines of each step, as the simulator's replay gives them."""
+        self._make_default()
+        observed: Json = {"setup": [], "steps": []}
+        for line, _ in case["setup"]:
+            observed["setup"].append({"lines": self._step(line + "\n", "ok", 0)})
+        for step in case["steps"]:
+            lines = self._step(step["send"], step["wait"], step["t_ms"], step.get("settle_ms"))
+            observed["steps"].append({"lines": lines, "partial": self._text})
+        return observed
+
+    def _make_default(self) -> None:
+        """Machine position 0 and factory settings, then a fresh start."""
+        self._step("\x18", "banner", 0)
+        self._step("$X\n", "ok", 0)
+        self._step("G21G90G53G0X0Y0Z0\n", "ok", 0)
+        self._step("G4P0.01\n", "ok", 0)
+        self._step("$RST=*\n", "banner", 0, 500)
+        self._step("\x18", "banner", 0)
+
+    def _step(
+        self, send: str, wait: str, t_ms: float, settle_ms: float | None = None
+    ) -> list[str]:
+        self._lines = []
+        self._serial.write(send.encode("latin-1"))
+        self._serial.flush()
+        if wait.startswith("ms "):
+            self._listen(lambda: False, float(wait[3:]))
+        else:
+            wanted = send.count("\n") + send.count("\r")
+            held = {
+                "ok": lambda: self._answers() >= wanted,
+                "idle": lambda: self._answers() >= wanted,
+                "report": lambda: self._starts("<"),
+                "banner": lambda: self._starts("Grbl "),
+            }[wait]
+            self._listen(held, t_ms * 3 + 20_000)
+            if wait == "idle":
+                self._listen(lambda: False, t_ms * 1.1 + 300)
+            self._listen(lambda: False, settle_ms or {"banner": 60}.get(wait, 50))
+        return self._lines
+
+    def _answers(self) -> int:
+        return sum(line == "ok" or line.startswith("error:") for line in self._lines)
+
+    def _starts(self, start: str) -> bool:
+        return any(line.startswith(start) for line in self._lines)
+
+    def _listen(self, until: Callable[[], bool], milliseconds: float) -> None:
+        end = time.monotonic() + milliseconds / 1000
+        while not until() and time.monotonic() < end:
+            self._text += self._serial.read(4096).decode("latin-1")
+            *lines, self._text = self._text.split("\r\n")
+            self._lines += lines

@@ -1,0 +1,254 @@
+"""Pulse engine of the simulator: exact step times, nothing approximated.
+
+Segments are pulled through the same seam as on a board and played back in
+virtual time. Switches that close at a place are found to the very step.
+"""
+
+from array import array
+
+from kernels import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS, row_length
+
+_NEVER = 1 << 60
+
+
+def step_tick(row, base, k):
+    """Tick, from the start of the segment, of step k (from 0) of the axis at row[base].
+
+    The gaps between a segment's steps differ by one tick at the most, the
+    long ones first: what every engine does.
+    """
+    gaps = row[base] - 1
+    if gaps < 1:
+        return row[base + 1]
+    span = row[base + 2] - row[base + 1]
+    return row[base + 1] + k * (span // gaps) + min(k, span % gaps)
+
+
+def steps_until(row, base, tick):
+    """How many steps of the axis at row[base] have been made `tick` ticks into the segment."""
+    count = row[base]
+    if count == 0 or tick < row[base + 1]:
+        return 0
+    if tick >= row[base + 2]:
+        return count
+    span = row[base + 2] - row[base + 1]
+    gap, longer = divmod(span, count - 1)
+    tick -= row[base + 1]
+    if tick < longer * (gap + 1):
+        return tick // (gap + 1) + 1
+    return (tick - longer) // gap + 1
+
+
+class Switch:
+    """An input closed exactly while the steps of a motor are >= (or <=) a number."""
+
+    def __init__(self, pin, axis, above, steps):
+        self.pin = pin
+        self.axis = axis
+        self.above = above
+        self.steps = steps
+
+    def closed(self, steps):
+        """Whether it is closed with the motor at `steps`."""
+        return steps >= self.steps if self.above else steps <= self.steps
+
+    def crossing(self, start, end):
+        """Number of steps from start, on the way to end, after which it changes; 0 if never."""
+        if self.closed(start) == self.closed(end):
+            return 0
+        edge = self.steps - (1 if self.above == (end < start) else 0)
+        if not self.above:
+            edge = self.steps + (1 if end > start else 0)
+        return abs(edge - start)
+
+
+class SimEngine:
+    """A StepEngine in virtual time. The rig calls advance(); nothing else moves the clock.
+
+    depth: segments held by the "hardware", the running one included.
+    trace: called with (start tick, row) for every segment as it ends or is cut short,
+    the row then holding only the steps really made.
+    """
+
+    tick_hz = 25_000_000
+
+    def __init__(self, axes, depth=3, segment_log2=17):
+        self.segment_log2 = segment_log2
+        self.now = 0
+        self.trace = None
+        self.pins_changed = None
+        self.switches = []
+        self.starts = 0
+        self._axes = axes
+        self._queue = [array("i", [0] * row_length(axes)) for _ in range(depth)]
+        self._head = 0
+        self._held = 0
+        self._start = 0
+        self._running = False
+        self._locked = 0
+        self._physical = array("i", [0] * axes)
+        self._offset = array("i", [0] * axes)
+        self._next_segment = None
+        self._on_power = None
+        self.pulse_us = 10
+        self.dir_invert = 0
+
+    # The StepEngine seam
+
+    def max_step_hz(self, pulse_us):
+        return 1_000_000 // (pulse_us + 1)
+
+    def attach(self, next_segment, on_power):
+        self._next_segment = next_segment
+        self._on_power = on_power
+
+    def configure(self, pulse_us, step_invert, dir_invert):
+        self.pulse_us = pulse_us
+        self.dir_invert = dir_invert
+
+    def start(self):
+        if not self._running:
+            self._start = self.now
+            self._refill()
+            if self._held:
+                self._running = True
+                self.starts += 1
+                self._begin()
+
+    def stop(self):
+        if self._running:
+            self._finish(self.now - self._start)
+        self._held = 0
+        self._running = False
+        self._locked = 0
+
+    def lock(self, axes):
+        if self._running and axes & ~self._locked:
+            self._split()
+        self._locked |= axes
+
+    def idle(self):
+        return not self._running
+
+    def position(self, steps):
+        self.physical(steps)
+        for i in range(self._axes):
+            steps[i] += self._offset[i]
+
+    def set_position(self, steps):
+        for i in range(self._axes):
+            self._offset[i] = steps[i] - self._physical[i]
+
+    # The simulator's side
+
+    def physical(self, steps):
+        """Steps since power was first applied, whatever the firmware calls the place."""
+        for i in range(self._axes):
+            steps[i] = self._physical[i]
+        if self._running:
+            row = self._queue[self._head]
+            for i in range(self._axes):
+                made = self._made(row, i, self.now - self._start)
+                steps[i] += made
+
+    def power_off(self):
+        """Motion ends; the motors stay where they are and the count they are known by is 0 again."""
+        self.stop()
+        self._offset = array("i", [-steps for steps in self._physical])
+        self._next_segment = None
+
+    def next_event(self):
+        """The tick up to which nothing changes by itself."""
+        if not self._running:
+            return _NEVER
+        row = self._queue[self._head]
+        first = row[ROW_TICKS]
+        for switch in self.switches:
+            tick = self._crossing_tick(row, switch)
+            if tick < first:
+                first = tick
+        return self._start + first
+
+    def advance(self, to):
+        """Let time pass until `to`, playing segments and telling of pins that change."""
+        while True:
+            event = self.next_event()
+            if event > to:
+                break
+            self.now = event
+            row = self._queue[self._head]
+            if event - self._start >= row[ROW_TICKS]:
+                self._next(row)
+            if self.switches and self.pins_changed:
+                self.pins_changed()
+        self.now = to
+
+    def _made(self, row, axis, tick):
+        if self._locked >> axis & 1:
+            return 0
+        made = steps_until(row, ROW_AXES + ROW_STRIDE * axis, tick)
+        return -made if row[ROW_DIRS] >> axis & 1 else made
+
+    def _crossing_tick(self, row, switch):
+        axis = switch.axis
+        start = self._physical[axis]
+        end = start + self._made(row, axis, row[ROW_TICKS])
+        made = self._made(row, axis, self.now - self._start)
+        crossing = switch.crossing(start + made, end)
+        if crossing == 0:
+            return _NEVER
+        base = ROW_AXES + ROW_STRIDE * axis
+        return step_tick(row, base, abs(made) + crossing - 1)
+
+    def _refill(self):
+        size = len(self._queue)
+        while self._held < size:
+            row = self._queue[(self._head + self._held) % size]
+            if not self._next_segment(row):
+                break
+            self._held += 1
+
+    def _begin(self):
+        self._on_power(self._queue[self._head][ROW_POWER])
+
+    def _next(self, row):
+        self._finish(row[ROW_TICKS])
+        self._start += row[ROW_TICKS]
+        self._head = (self._head + 1) % len(self._queue)
+        self._held -= 1
+        self._refill()
+        if self._held:
+            self._begin()
+        else:
+            self._running = False
+
+    def _finish(self, ticks):
+        """Account for the steps made in the running segment, which ends after `ticks`."""
+        row = self._queue[self._head]
+        for i in range(self._axes):
+            base = ROW_AXES + ROW_STRIDE * i
+            made = self._made(row, i, ticks)
+            self._physical[i] += made
+            if ticks < row[ROW_TICKS] or self._locked:
+                row[base + 2] = step_tick(row, base, abs(made) - 1) if made else 0
+                row[base] = abs(made)
+        row[ROW_TICKS] = ticks
+        if self.trace:
+            self.trace(self._start, row)
+
+    def _split(self):
+        """Cut the running segment in two at this moment: a lock acts on what is left of it."""
+        row = self._queue[self._head]
+        done = self.now - self._start
+        rest = array("i", row)
+        for i in range(self._axes):
+            base = ROW_AXES + ROW_STRIDE * i
+            made = abs(self._made(row, i, done))
+            rest[base] = row[base] - made
+            if rest[base]:
+                rest[base + 1] = step_tick(row, base, made) - done
+                rest[base + 2] = row[base + 2] - done
+        rest[ROW_TICKS] = row[ROW_TICKS] - done
+        self._finish(done)
+        self._start = self.now
+        self._queue[self._head] = rest

@@ -1,0 +1,110 @@
+"""Pins of the simulated machine: outputs to look at, inputs to push, switches that close by themselves."""
+
+# Names of the inputs in recordings, in the bit order of Port.limits() and Port.controls().
+LIMITS = ("limit_x", "limit_y", "limit_z", "limit_a")
+CONTROLS = ("reset", "hold", "start", "door")
+
+
+class SimPort:
+    """A Port whose pins are attributes. Closed means pulled to ground."""
+
+    def __init__(self, rig, pwm_max=255):
+        self.pwm_max = pwm_max
+        self.enable_pin = 1
+        self.spindle_on = False
+        self.spindle_pwm = 0
+        self.spindle_dir = 0
+        self.flood = 0
+        self.mist = 0
+        self._rig = rig
+        self._pushed = {}
+        self._closed = set()
+        self._on_limits = None
+        self._on_controls = None
+        self._on_contact = None
+        self._contact_level = True
+
+    # The Port seam
+
+    def attach(self, on_limits, on_controls):
+        self._on_limits = on_limits
+        self._on_controls = on_controls
+
+    def watch_probe(self, on_contact, closed):
+        self._on_contact = on_contact
+        self._contact_level = closed
+        self._look_at_probe()
+
+    def limits(self):
+        return self._mask(LIMITS)
+
+    def controls(self):
+        return self._mask(CONTROLS)
+
+    def probe(self):
+        return "probe" in self._closed
+
+    def enable(self, level):
+        self.enable_pin = level
+
+    def direction(self, level):
+        self.spindle_dir = level
+
+    def spindle(self, on, power):
+        self.spindle_on = on
+        self.spindle_pwm = power
+
+    def coolant(self, mask):
+        self.flood = mask & 1
+        self.mist = mask >> 1 & 1
+
+    def ticks_ms(self):
+        return self._rig.now // self._rig.ticks_per_ms
+
+    def elapsed_ms(self, since):
+        return self.ticks_ms() - since
+
+    # The simulator's side
+
+    def power_off(self):
+        """The chip is dead: outputs float, nobody listens."""
+        self._on_limits = self._on_controls = self._on_contact = None
+        self.enable_pin = 1
+        self.spindle_on = False
+        self.spindle_pwm = self.spindle_dir = self.flood = self.mist = 0
+
+    def push(self, name, closed):
+        """Close or open an input by hand."""
+        self._pushed[name] = closed
+        self.update()
+
+    def update(self):
+        """Look at every switch again and raise the interrupts of what has changed."""
+        engine = self._rig.engine
+        steps = self._rig.scratch
+        engine.physical(steps)
+        closed = set(name for name, is_closed in self._pushed.items() if is_closed)
+        for switch in engine.switches:
+            if switch.closed(steps[switch.axis]):
+                closed.add(switch.pin)
+        changed = closed ^ self._closed
+        self._closed = closed
+        if "probe" in changed:
+            self._look_at_probe()
+        if self._on_limits and any(name in changed for name in LIMITS):
+            self._on_limits()
+        if self._on_controls and any(name in changed for name in CONTROLS):
+            self._on_controls()
+
+    def _look_at_probe(self):
+        if self._on_contact and self.probe() == self._contact_level:
+            on_contact = self._on_contact
+            self._on_contact = None
+            on_contact()
+
+    def _mask(self, names):
+        mask = 0
+        for bit, name in enumerate(names):
+            if name in self._closed:
+                mask |= 1 << bit
+        return mask

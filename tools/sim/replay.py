@@ -1,0 +1,464 @@
+"""Replays recordings of real Grbl on the rig, in virtual time, and tells what was observed.
+
+A transcript case gives, per step, the lines received, the steps moved and the
+outputs changed; a motion record gives replies, step counts, times and samples.
+Nothing is judged here: see tools/conformance.py. Runs under both Pythons.
+"""
+
+import sys
+from array import array
+
+import state
+from kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
+
+from .engine import Switch, step_tick, steps_until
+from .rig import MemoryStore, Rig
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator
+    from types import ModuleType
+    from typing import Any
+
+    Json = dict[str, Any]
+    Script = Generator[int | Callable[[], bool], None, None]
+
+_OUTPUTS = ("enable_pin", "spindle_on", "spindle_pwm", "spindle_dir", "flood", "mist")
+_AXES = "XYZABC"
+# Silence, in ms, that ends a step.
+_SETTLE = {"ok": 20, "idle": 20, "stream": 20, "report": 5, "banner": 60}
+_WINDOW = 127  # unanswered bytes while streaming
+_REACT_MS = 2  # after the last byte the firmware has this long before its state counts
+_PEAK_INTERVALS = 16
+
+
+class _TooLong(Exception):
+    """A wait did not end within its limit."""
+
+
+def to_bytes(text: str) -> bytes:
+    """One character = one byte."""
+    return bytes([ord(c) for c in text])
+
+
+def to_text(data: "bytes | bytearray") -> str:
+    """One byte = one character."""
+    return "".join([chr(b) for b in data])
+
+
+def is_answer(line: str) -> bool:
+    """Whether the line answers a line that was sent."""
+    return line == "ok" or line.startswith("error:")
+
+
+def describe(error: Exception) -> str:
+    """The traceback of an exception as text."""
+    if hasattr(sys, "print_exception"):
+        import io
+
+        out = io.StringIO()
+        sys.print_exception(error, out)
+        return out.getvalue()
+    import traceback
+
+    return "".join(traceback.format_exception(type(error), error, error.__traceback__))
+
+
+class Sender:
+    """Sends to a rig and waits as the recorder did. Waits are generators for a rig's script."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.lines: "list[str]" = []  # received since take()
+        self.answers = 0  # how many of them are answers
+        self.deadline = 0
+
+    def take(self) -> "list[str]":
+        """The lines received since the last call."""
+        self.poll()
+        lines = self.lines
+        self.lines = []
+        self.answers = 0
+        return lines
+
+    def partial(self) -> str:
+        """What has arrived of an unfinished line."""
+        return to_text(self.rig.link.received)
+
+    def poll(self) -> None:
+        """Split what has arrived into lines."""
+        link = self.rig.link
+        if link.received:
+            text = to_text(link.received)
+            if "\r\n" in text:
+                lines = text.split("\r\n")
+                link.received = bytearray(to_bytes(lines.pop()))
+                for line in lines:
+                    self.lines.append(line)
+                    self.answers += is_answer(line)
+
+    def allow(self, milliseconds: float) -> None:
+        """Set the limit of all waits to come."""
+        self.deadline = self.rig.ms(milliseconds)
+
+    def until(self, condition: "Callable[[], bool]") -> "Script":
+        """Wait until condition() holds."""
+
+        def over() -> bool:
+            self.poll()
+            return condition() or self.rig.now >= self.deadline
+
+        if not over():
+            yield over
+        if not condition():
+            raise _TooLong()
+
+    def silence(self, since: int, milliseconds: int) -> "Script":
+        """Wait until nothing has arrived for so long, from tick `since` on at the earliest."""
+        rig = self.rig
+        while True:
+            end = max(since, rig.link.last_arrival) + milliseconds * rig.ticks_per_ms
+            if rig.now >= end:
+                return
+            if rig.now >= self.deadline:
+                raise _TooLong()
+            yield end
+
+    def stream(self, lines: "list[str]") -> "Script":
+        """Send by character counting until every line is answered."""
+        lengths: "list[int]" = []
+        unanswered = 0
+        done = self.answers
+
+        def another() -> bool:
+            return self.answers > done
+
+        for line in lines:
+            while unanswered + len(line) > _WINDOW and lengths:
+                yield from self.until(another)
+                unanswered -= lengths.pop(0)
+                done += 1
+            lengths.append(len(line))
+            unanswered += len(line)
+            self.rig.link.send(to_bytes(line))
+        wanted = done + len(lengths)
+        yield from self.until(lambda: self.answers >= wanted)
+
+    def at_rest(self) -> bool:
+        """Motion has ended, as the recorder saw by looking into the chip."""
+        rig = self.rig
+        controller = rig.controller
+        if controller is None or rig.moving():
+            return False
+        machine = controller.state
+        if machine.run & (state.HOLD | state.DOOR):
+            return bool(machine.suspend & state.HOLD_COMPLETE)
+        if machine.run in (state.ALARM, state.SLEEP):
+            return True
+        return machine.run in (state.IDLE, state.CHECK) and controller.planner.empty()
+
+    def wait(self, how: str, text: str, settle: "int | None" = None) -> "Script":
+        """Transmit text and wait as a step object says."""
+        rig = self.rig
+        if how == "stream":
+            yield from self.stream([line + "\n" for line in text.split("\n")[:-1]])
+            since = rig.now
+        else:
+            since = rig.link.send(to_bytes(text))
+            wanted = text.count("\n") + text.count("\r")
+            if how.startswith("ms "):
+                yield since + int(float(how[3:]) * rig.ticks_per_ms)
+                return
+            if how == "report":
+                yield from self.until(lambda: any(line.startswith("<") for line in self.lines))
+            elif how == "banner":
+                yield from self.until(lambda: any(line.startswith("Grbl ") for line in self.lines))
+            elif how in ("ok", "idle"):
+                yield from self.until(lambda: self.answers >= wanted)
+            else:
+                raise ValueError("unknown wait: " + how)
+        if how == "idle":
+            react = since + _REACT_MS * rig.ticks_per_ms
+            yield from self.until(lambda: rig.now >= react and self.at_rest())
+            since = rig.now
+        yield from self.silence(since, _SETTLE[how] if settle is None else settle)
+
+
+_factory: "dict[str, dict[str, list[str]]]" = {}
+
+
+def factory_store(board: "ModuleType") -> MemoryStore:
+    """A store as the firmware leaves it after its very first start on this board."""
+    name = board.__name__
+    if name not in _factory:
+        rig = Rig(board, MemoryStore())
+        sender = Sender(rig)
+
+        def script() -> "Script":
+            sender.allow(20_000)
+            yield from sender.wait("banner", "", 500)
+
+        rig.run(script())
+        _factory[name] = rig.store.files
+    store = MemoryStore()
+    for name, lines in _factory[board.__name__].items():
+        store.files[name] = list(lines)
+    return store
+
+
+class _Case:
+    """Replay of one transcript case."""
+
+    def __init__(self, case: "Json", board: "ModuleType") -> None:
+        self.case = case
+        self.blank = case["init"] == "blank"
+        self.rig = Rig(board, MemoryStore() if self.blank else factory_store(board))
+        self.sender = Sender(self.rig)
+        self.place = array("i", self.rig.scratch)
+        self.result: "Json" = {"setup": [], "steps": []}
+
+    def run(self) -> "Json":
+        try:
+            self.rig.run(self.script())
+        except Exception as error:
+            self.result["error"] = describe(error)
+        return self.result
+
+    def script(self) -> "Script":
+        sender = self.sender
+        current = None
+        try:
+            sender.allow(20_000)
+            if not self.blank:
+                yield from sender.wait("banner", "")
+            sender.take()
+            for part, items in (("setup", self.case["setup"]), ("steps", self.case["steps"])):
+                for item in items:
+                    step = item
+                    if not isinstance(item, dict):
+                        step = {"send": item[0] + "\n", "wait": "ok", "t_ms": 0}
+                    current = self.begin(part)
+                    yield from self.step(step)
+                    self.end(current)
+        except _TooLong:
+            self.result["too_long"] = True
+            self.end(current)
+        except Exception as error:
+            self.result["error"] = describe(error)
+
+    def begin(self, part: str) -> "Json":
+        observed = {"lines": [], "moved": [], "out": self.outputs()}
+        self.result[part].append(observed)
+        self.rig.engine.physical(self.place)
+        return observed
+
+    def end(self, observed: "Json | None") -> None:
+        """Turn what was noted at the beginning into what has changed since."""
+        if observed is None:
+            return
+        observed["lines"] = self.sender.take()
+        observed["partial"] = self.sender.partial()
+        before = list(self.place)
+        self.rig.engine.physical(self.place)
+        observed["moved"] = [self.place[i] - before[i] for i in range(len(before))]
+        now = self.outputs()
+        was = observed["out"]
+        observed["out"] = {name: now[name] for name in _OUTPUTS if now[name] != was[name]}
+
+    def outputs(self) -> "dict[str, int]":
+        port = self.rig.port
+        return {name: int(getattr(port, name)) for name in _OUTPUTS}
+
+    def step(self, step: "Json") -> "Script":
+        rig = self.rig
+        self.sender.allow(step.get("t_ms", 0) * 3 + step.get("settle_ms", 0) + 20_000)
+        for row in step.get("switches", ()):
+            _attach(rig, row)
+        for pin, level in step.get("pins", {}).items():
+            rig.port.push(pin, level == "closed")
+        rig.port.update()
+        if step.get("power") == "cycle":
+            if self.blank:
+                self.blank = False  # the power has just come on
+            else:
+                rig.cycle_power()
+                yield rig.now
+        yield from self.sender.wait(step["wait"], step["send"], step.get("settle_ms"))
+
+
+def _attach(rig: Rig, row: "Any") -> None:
+    pin, axis, relation, steps = row
+    rig.engine.switches.append(Switch(pin, _AXES.index(axis), relation == "ge", steps))
+
+
+class _Trace:
+    """Follows the segments: counts, times, peak rates and samples, from the first step on."""
+
+    def __init__(self, axes: int, tick_hz: int, dt_ms: float) -> None:
+        self.first: "int | None" = None
+        self.last = 0
+        self.net = [0] * axes
+        self.pulses = [0] * axes
+        self.samples: "list[list[int]]" = []
+        self._hz = tick_hz
+        self._dt = int(dt_ms * tick_hz // 1000)
+        self._recent: "list[list[int]]" = [[] for _ in range(axes)]
+        self._shortest: "list[int | None]" = [
+            None
+        ] * axes  # ticks of _PEAK_INTERVALS consecutive intervals
+
+    def segment(self, start: int, row: "array[int]") -> None:
+        """Called by the engine for every segment that has been played."""
+        axes = range(len(self.net))
+        if self.first is None:
+            begun = [
+                start + row[base + 1]
+                for base in [ROW_AXES + ROW_STRIDE * i for i in axes]
+                if row[base]
+            ]
+            if not begun:
+                return
+            self.first = min(begun)
+        self.sample_until(start + row[ROW_TICKS], start, row)
+        for i in axes:
+            base = ROW_AXES + ROW_STRIDE * i
+            count = row[base]
+            if count:
+                self.net[i] += -count if row[ROW_DIRS] >> i & 1 else count
+                self.pulses[i] += count
+                self.last = max(self.last, start + row[base + 2])
+                self._rates(i, start, row, base, count)
+
+    def sample_until(self, tick: int, start: int = 0, row: "array[int] | None" = None) -> None:
+        """Take the samples due before tick."""
+        if self.first is None:
+            return
+        due = self.first + len(self.samples) * self._dt
+        while due < tick:
+            place = list(self.net)
+            if row is not None and due >= start:
+                for i in range(len(place)):
+                    made = steps_until(row, ROW_AXES + ROW_STRIDE * i, due - start)
+                    place[i] += -made if row[ROW_DIRS] >> i & 1 else made
+            self.samples.append(place)
+            due += self._dt
+
+    def peaks(self) -> "dict[str, float]":
+        """Highest step rate of each axis, by letter."""
+        return {
+            _AXES[i]: _PEAK_INTERVALS * self._hz / ticks
+            for i, ticks in enumerate(self._shortest)
+            if ticks
+        }
+
+    def _rates(self, axis: int, start: int, row: "array[int]", base: int, count: int) -> None:
+        recent = self._recent[axis]
+        shortest = self._shortest[axis]
+        for k in range(count):
+            tick = start + step_tick(row, base, k)
+            recent.append(tick)
+            if len(recent) > _PEAK_INTERVALS:
+                span = tick - recent.pop(0)
+                if shortest is None or span < shortest:
+                    shortest = span
+        self._shortest[axis] = shortest
+
+
+def _by_letter(values: "list[int]") -> "dict[str, int]":
+    return {_AXES[i]: value for i, value in enumerate(values)}
+
+
+class _Motion:
+    """Replay of one motion record."""
+
+    def __init__(self, record: "Json", board: "ModuleType") -> None:
+        self.record = record
+        self.rig = Rig(board, factory_store(board))
+        self.sender = Sender(self.rig)
+        axes = len(self.rig.scratch)
+        self.trace = _Trace(axes, self.rig.engine.tick_hz, record["samples"]["dt_ms"])
+        self.result: "Json" = {"settings": [], "replies": [], "final_report": ""}
+
+    def run(self) -> "Json":
+        try:
+            self.rig.run(self.script())
+        except Exception as error:
+            self.result["error"] = describe(error)
+        self.summary()
+        return self.result
+
+    def script(self) -> "Script":
+        record = self.record
+        sender = self.sender
+        rig = self.rig
+        try:
+            sender.allow(20_000)
+            yield from sender.wait("banner", "")
+            sender.take()
+            for row in record.get("switches", ()):
+                _attach(rig, row)
+            rig.port.update()
+            for line in record["settings"]:
+                sender.allow(20_000)
+                yield from sender.wait("ok", line + "\n")
+                self.result["settings"].extend(sender.take())
+            rig.engine.trace = self.trace.segment
+            sender.allow(record["duration_s"] * 3000 + 20_000)
+            yield from self.program()
+            self.result["replies"] = sender.take()
+            yield from sender.wait("report", "?")
+            self.result["final_report"] = "\n".join(sender.take())
+        except _TooLong:
+            self.result["too_long"] = True
+            self.result["replies"].extend(sender.take())
+        except Exception as error:
+            self.result["error"] = describe(error)
+
+    def program(self) -> "Script":
+        """Stream the program, inject the events at their times, wait for the end of motion."""
+        rig = self.rig
+        sender = self.sender
+        lines = [line + "\n" for line in self.record["program"]]
+        events = list(self.record.get("events_ms_after_first_step", ()))
+        sent = 0
+        unanswered: "list[int]" = []
+        answered = 0
+        while sent < len(lines) or unanswered or events:
+            sender.poll()
+            while answered < sender.answers and unanswered:
+                unanswered.pop(0)
+                answered += 1
+            while sent < len(lines) and sum(unanswered) + len(lines[sent]) <= _WINDOW:
+                rig.link.send(to_bytes(lines[sent]))
+                unanswered.append(len(lines[sent]))
+                sent += 1
+            wake = rig.ms(1)
+            if events and self.trace.first is not None:
+                due = self.trace.first + int(events[0][0] * rig.ticks_per_ms)
+                if due <= rig.now:
+                    rig.link.send(to_bytes(events.pop(0)[1]))
+                    continue
+                wake = min(wake, due)
+            if rig.now >= sender.deadline:
+                raise _TooLong()
+            yield wake
+        yield from sender.wait("idle", "", 100)
+
+    def summary(self) -> None:
+        trace = self.trace
+        result = self.result
+        trace.sample_until(self.rig.now)
+        result["net_steps"] = _by_letter(trace.net)
+        result["pulses"] = _by_letter(trace.pulses)
+        result["samples"] = trace.samples
+        result["peak_step_rate_hz"] = trace.peaks()
+        result["duration_s"] = 0
+        if trace.first is not None:
+            result["duration_s"] = (trace.last - trace.first) / self.rig.engine.tick_hz
+
+
+def replay(case: "Json", board: "ModuleType") -> "Json":
+    """Replay a transcript case or a motion record; the board is a module as in boards/."""
+    if "program" in case:
+        return _Motion(case, board).run()
+    return _Case(case, board).run()

@@ -1,0 +1,136 @@
+"""The rig: firmware, engine, pins and wire in one virtual clock, driven by a script.
+
+The firmware runs its own endless loop. When it asks the link for bytes and
+there are none, the rig lets time pass to the next event and lets the script
+look. A script is a generator: it acts on the rig and yields either a tick to
+be woken at or a function to be called after every event until it returns True.
+"""
+
+from array import array
+
+import controller
+
+from .engine import SimEngine
+from .link import SimLink
+from .port import SimPort
+
+_POLL_MS = 1  # while nothing else is due, the firmware's loop turns this often
+
+
+class PowerOff(BaseException):
+    """Unwinds the firmware when the script ends or cycles the power."""
+
+
+class MemoryStore:
+    """A Store in memory: it survives power cycles of the rig."""
+
+    def __init__(self):
+        self.files = {}
+
+    def load(self, name):
+        return self.files.get(name)
+
+    def save(self, name, lines):
+        self.files[name] = list(lines)
+
+
+class Rig:
+    """One simulated machine. board: a module as in boards/; store: a Store; link: makes a Link."""
+
+    def __init__(self, board, store=None, link=SimLink):
+        axes = len(board.STEP)
+        self.board = board
+        self.store = MemoryStore() if store is None else store
+        self.engine = SimEngine(axes, board.SEGMENT_QUEUE)
+        self.ticks_per_ms = self.engine.tick_hz // 1000
+        self.scratch = array("i", [0] * axes)
+        self.port = SimPort(self, board.PWM_MAX)
+        self.engine.pins_changed = self.port.update
+        self.link = link(self)
+        self.controller = None
+        self.on_built = None  # called whenever a new controller has been built
+        self._script = None
+        self._wake = None
+        self._cycle = False
+
+    @property
+    def now(self):
+        """Virtual time in ticks of the engine."""
+        return self.engine.now
+
+    def ms(self, milliseconds):
+        """The tick so many milliseconds from now."""
+        return self.now + int(milliseconds * self.ticks_per_ms)
+
+    def run(self, script):
+        """Power up and run the firmware until the script, a generator, ends."""
+        self._script = script
+        self._wake = self.now
+        while True:
+            self._cycle = False
+            try:
+                self.controller = controller.build(
+                    self.board, self.link, self.port, self.engine, self.store
+                )
+                if self.on_built:
+                    self.on_built()
+                self.controller.run()
+            except PowerOff:
+                self.engine.power_off()
+                self.port.power_off()
+                self.link.power_off()
+            if not self._cycle:
+                return
+
+    def cycle_power(self):
+        """Called by the script: the firmware starts anew, memory kept, once the script yields."""
+        self._cycle = True
+
+    def power_off(self):
+        """Called by a link: the machine is not needed any more."""
+        raise PowerOff()
+
+    def moving(self):
+        """The motors are turning."""
+        return not self.engine.idle()
+
+    def wait(self):
+        """The firmware has nothing to read: let time pass to the next event."""
+        to = self.ms(_POLL_MS)
+        arrival = self.link.next_event()
+        if arrival is not None and arrival < to:
+            to = arrival
+        self.pass_time(max(to, self.now))
+
+    def skip(self):
+        """Let time pass, without a script, until something may have changed by itself."""
+        engine = self.engine
+        to = self.ms(_POLL_MS) if engine.idle() else engine.next_event()
+        engine.advance(max(to, self.now))
+
+    def pass_time(self, to):
+        """Let time pass until `to`, waking the script where it asked for it."""
+        while True:
+            step = to
+            if not callable(self._wake) and self._wake < step:
+                step = self._wake
+            event = self.engine.next_event()
+            if event < step:
+                step = event
+            if step > self.now:
+                self.engine.advance(step)
+            elif event <= self.now:
+                self.engine.advance(self.now)
+            self.link.advance()
+            self._wake_script()
+            if self.now >= to:
+                return
+
+    def _wake_script(self):
+        while self._wake() if callable(self._wake) else self._wake <= self.now:
+            try:
+                self._wake = next(self._script)
+            except StopIteration:
+                raise PowerOff()
+            if self._cycle:
+                raise PowerOff()
