@@ -358,7 +358,7 @@ def badge() -> list[str]:
     begin(post, "Pocket, spiral from inside out", 12000)
     spiral_pocket(post, 2.5, 32.0, 1.2)
     begin(post, "Word", 14000)
-    engrave(post, "ugrbl", 11.0, -1.2, (0.3, 0.6))
+    engrave(post, "ugrbl", 13.0, -1.2, (0.3, 0.6))
     begin(post, "Ring, adaptive", 12000)
     adaptive_ring(post, 35.0, 42.0, 1.5)
     begin(post, "Rosette", 16000)

@@ -51,6 +51,7 @@ class Options:
         self.blocks: int = option("PLANNER_BLOCKS", _DEFAULT_BLOCKS)
         self.rx_bytes: int = option("RX_BYTES", _DEFAULT_RX_BYTES)
         self.defaults: dict = option("DEFAULTS", {})
+        self.least_steps: float = option("SEGMENT_STEPS", 0)
         self.corexy: bool = option("COREXY", False)
         self.door: bool = option("SAFETY_DOOR", False)
         self.parking: bool = option("PARKING", False)
@@ -98,7 +99,9 @@ class Controller:
         self.settings = Settings(store, axes, options.defaults)
         self.settings.max_step_hz = options.max_step_hz
         self.coords = Coords(store, axes, TOOL_LENGTH)
-        self.planner = Planner(axes, options.blocks, options.corexy, self.state)
+        self.planner = Planner(
+            axes, options.blocks, options.corexy, options.least_steps, self.state
+        )
         self.segments = Segments(self.planner)
         self.spindle = Spindle(port, self.state, options.enable_pin)
         self.coolant = Coolant(port, self.state)

@@ -53,7 +53,8 @@ SEGMENT_LOG2 = const(6)  # a full segment is 2**SEGMENT_LOG2 ticks, 17 at the mo
 MOVE_DIRS = const(7)  # mask of axes along which the measured move goes backwards
 POWER_FLOOR = const(8)  # spindle power, in 1/64, up to which a DYNAMIC block gets the least power
 POWER_MAX = const(9)  # spindle power at the most
-LIMITS = const(10)  # three reals per axis: mm per step, mm/s, mm/s2
+LEAST = const(10)  # distance that a segment covers at the least, where the block reaches that far
+LIMITS = const(11)  # three reals per axis: mm per step, mm/s, mm/s2
 
 # The flow: what planner (main loop) and segments (interrupt) share, and where motion is.
 ROW_SIZE = const(0)  # integers in a block
@@ -70,11 +71,10 @@ LEAVE = const(10)  # speed at which to leave the block
 LEAVE_SQR = const(11)  # the same as the planner put it
 WHOLE = const(12)  # steps of the longest axis still to go,
 FRACTION = const(13)  # and 2**-18 of one
-END = const(14)  # the segment being made: speed at its end,
-ADVANCE = const(15)  # distance,
-SHARE = const(16)  # duration in 2**-17 of a full segment
-MOTORS = const(17)  # per motor: steps still to go; phase, 2**18 is a step
-FLOW_LENGTH = const(17)
+ADVANCE = const(14)  # distance of the segment being made,
+LEFT = const(15)  # and what it still lacks of a full one, in 2**-17
+MOTORS = const(16)  # per motor: steps still to go; phase, 2**18 is a step
+FLOW_LENGTH = const(16)
 
 # Flags of a block that the kernels look at.
 DYNAMIC = const(0x40)  # spindle power follows speed (laser, M4)
@@ -91,6 +91,8 @@ _SMALLEST = const(16384)  # a mantissa has 15 bits
 _LIMIT = const(32768)
 _BIAS = const(64)
 _HIGHEST = const(0x3FFFFFFF)
+_LONGEST = const(0x200000)  # a segment lengthened for its steps lasts 16 full ones at the most
+_SPLINTER = const(64)  # a segment is not filled up with pieces as short as that, in 2**-17
 
 
 def real(x: float) -> int:
@@ -548,7 +550,9 @@ def load(flow: ptr32, ring: ptr32, axes: int) -> int:
     flow[FRACTION] = 0
     for i in range(axes):
         flow[MOTORS + 2 * i] = ring[at + STEPS + i]
-        flow[MOTORS + 2 * i + 1] = 131072
+        # The longest axis steps when it has come a whole step further, the others
+        # where they are nearest to the line.
+        flow[MOTORS + 2 * i + 1] = 0 if ring[at + STEPS + i] == ring[at + EVENTS] else 131072
     flow[LOADED] = 1
     return 1
 
@@ -571,13 +575,15 @@ def look_ahead(flow: ptr32, ring: ptr32, scale: int) -> int:
 
 @micropython.viper
 def slow_down(flow: ptr32, ramp: int, goal: int, rest: int) -> int:
-    """The next segment slows down by ramp to a goal, as far as the block reaches."""
+    """The next piece slows down by ramp to a goal, as far as the block reaches."""
     speed = flow[NOW]
-    part = 131072
-    end = speed - ramp
-    if end < goal:
-        end = goal
-        part = int(share(speed - goal, ramp))
+    part = int(share(speed - goal, ramp))
+    end = goal
+    if part >= flow[LEFT]:
+        part = flow[LEFT]
+        end = speed - int(times(ramp, part))
+        if end < goal:
+            end = goal
     distance = int(times((speed + end) >> 1, part))
     if distance >= rest:
         distance = rest
@@ -585,54 +591,50 @@ def slow_down(flow: ptr32, ramp: int, goal: int, rest: int) -> int:
         if end < goal:
             end = goal
         part = int(share(rest, (speed + end) >> 1))
-    flow[END] = end
-    flow[ADVANCE] = distance
-    flow[SHARE] = part
-    return 0
+    return int(piece(flow, end, distance, part))
 
 
 @micropython.viper
 def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
-    """The next segment brakes so as to leave the block, rest ahead, at the speed planned.
+    """The next piece brakes so as to leave the block, rest ahead, at the speed planned.
 
     The rate of braking follows from what is left of the way, so that rounding
     never adds up; it stays within a sixteenth of the ramp.
     """
     speed = flow[NOW]
+    left = flow[LEFT]
     mean = (speed + leave) >> 1
-    change = ramp
-    ramp += ramp >> 4
-    if rest > mean:
+    if rest > int(times(mean, left)):
+        most = int(times(ramp, left))
+        change = most
         if rest < _HIGHEST:
-            change = int(times(speed - leave, int(share(mean, rest))))
-            if change > ramp:
-                change = ramp
-        flow[END] = speed - change
-        flow[ADVANCE] = speed - (change >> 1)
-        flow[SHARE] = 131072
-        return 0
-    part = int(share(rest, mean)) if mean else 131072
+            change = int(times(speed - leave, int(share(int(times(mean, left)), rest))))
+            most += most >> 4
+            if change > most:
+                change = most
+        distance = int(times(speed - (change >> 1), left))
+        return int(piece(flow, speed - change, distance if distance < rest else rest, left))
+    part = int(share(rest, mean)) if mean else 1
     end = leave
-    if speed - leave > int(times(ramp, part)) + 4:
+    if speed - leave > int(times(ramp + (ramp >> 4), part)) + 4:
         end = int(after(speed, ramp, rest, 1))
         if end < leave:
             end = leave
         part = int(share(rest, (speed + end) >> 1))
-    flow[END] = end
-    flow[ADVANCE] = rest
-    flow[SHARE] = part
-    return 0
+    return int(piece(flow, end, rest, part))
 
 
 @micropython.viper
 def speed_up(flow: ptr32, ramp: int, top: int, room: int) -> int:
-    """The next segment speeds up to the top speed, as far as there is room."""
+    """The next piece speeds up to the top speed, as far as there is room."""
     speed = flow[NOW]
-    part = 131072
-    end = speed + ramp
-    if end > top:
-        end = top
-        part = int(share(top - speed, ramp))
+    part = int(share(top - speed, ramp))
+    end = top
+    if part >= flow[LEFT]:
+        part = flow[LEFT]
+        end = speed + int(times(ramp, part))
+        if end > top:
+            end = top
     distance = int(times((speed + end) >> 1, part))
     if distance >= room:
         distance = room
@@ -640,20 +642,34 @@ def speed_up(flow: ptr32, ramp: int, top: int, room: int) -> int:
         if end > top:
             end = top
         part = int(share(room, (speed + end) >> 1))
-    flow[END] = end
-    flow[ADVANCE] = distance
-    flow[SHARE] = part
-    return 0
+    return int(piece(flow, end, distance, part))
 
 
 @micropython.viper
-def profile(flow: ptr32, ring: ptr32, scale: int) -> int:
-    """Choose the next segment's END, ADVANCE and SHARE.
+def piece(flow: ptr32, end: int, distance: int, part: int) -> int:
+    """Add a piece to the segment being made. part: its duration in 2**-17 of a full segment."""
+    if part > flow[LEFT]:
+        part = flow[LEFT]
+    flow[LEFT] = flow[LEFT] - part
+    flow[NOW] = end
+    flow[ADVANCE] = flow[ADVANCE] + distance
+    distance = flow[FRACTION] - distance
+    if distance < 0:
+        steps = (0 - distance + 0x3FFFF) >> 18
+        distance += steps << 18
+        flow[WHOLE] = flow[WHOLE] - steps
+    flow[FRACTION] = distance
+    return flow[WHOLE] or distance
 
-    speed        ________            One segment is one of: speed up, cruise, brake,
-                /        \            slow down to a lowered nominal speed or to a hold.
-               /          \ leave    It brakes as soon as the way left is no longer
-      entry __/            \____     than what braking takes.
+
+@micropython.viper
+def proceed(flow: ptr32, ring: ptr32, scale: int) -> int:
+    """Choose the next piece of the segment. Returns 0 at the end of the block.
+
+    speed        ________            A piece is one of: speed up, cruise, brake,
+                /        `.          slow down to a lowered nominal speed or to a hold.
+               /           `. leave  It brakes as soon as the way left is no longer
+      entry __/              `.__    than what braking takes.
     """
     at = flow[AT]
     ramp = ring[at + RAMP]
@@ -683,14 +699,12 @@ def profile(flow: ptr32, ring: ptr32, scale: int) -> int:
         return int(speed_up(flow, ramp, top, slack if slack < rest else rest))
     if slack > rest:
         slack = rest
-    if slack < speed:
-        flow[ADVANCE] = slack
-        flow[SHARE] = int(share(slack, speed))
-    else:
-        flow[ADVANCE] = speed
-        flow[SHARE] = 131072
-    flow[END] = speed
-    return 0
+    part = flow[LEFT]
+    distance = int(times(speed, part))
+    if slack <= distance:
+        distance = slack
+        part = int(share(slack, speed))
+    return int(piece(flow, speed, distance, part))
 
 
 @micropython.viper
@@ -698,8 +712,8 @@ def spread(flow: ptr32, ring: ptr32, row: ptr32, axes: int) -> int:
     """Lay the segment's steps out in time: per motor how many, when the first and the last.
 
     A motor's phase runs on from segment to segment, so at a constant speed its
-    steps are evenly spaced across them. A block begins and ends half a step
-    away from a step. The block's last segment makes what is left to make.
+    steps are evenly spaced across them. The block's last segment makes what is
+    left to make.
     """
     high = flow[ADVANCE] >> 15
     low = flow[ADVANCE] & 32767
@@ -738,15 +752,14 @@ def spread(flow: ptr32, ring: ptr32, row: ptr32, axes: int) -> int:
 
 @micropython.viper
 def power(flow: ptr32, ring: ptr32, machine: ptr32) -> int:
-    """Spindle power of the segment just chosen."""
+    """Spindle power of the segment just made."""
     at = flow[AT]
     full = ring[at + POWER]
     if ring[at + FLAGS] & DYNAMIC == 0:
         return full
     rate = ring[at + PROGRAMMED]
-    speed = (flow[NOW] + flow[END]) >> 1
-    if speed < rate:
-        full = int(times(full, int(share(speed, rate))))
+    if flow[NOW] < rate:
+        full = int(times(full, int(share(flow[NOW], rate))))
     if full == 0:
         return 0
     if full <= machine[POWER_FLOOR]:
@@ -766,23 +779,25 @@ def fill(flow: ptr32, ring: ptr32, machine: ptr32, row: ptr32) -> int:
             return 0
     elif flow[HOLD] and flow[NOW] == 0:
         return 0
-    profile(flow, ring, machine[SQR_SCALE])
+    flow[LEFT] = 131072
+    flow[ADVANCE] = 0
+    span = 131072
+    going = 1
+    while going and not (flow[HOLD] and flow[NOW] == 0):
+        if flow[LEFT] <= _SPLINTER:
+            if flow[ADVANCE] >= machine[LEAST] or span == _LONGEST:
+                break
+            flow[LEFT] = flow[LEFT] + 131072
+            span += 131072
+        going = int(proceed(flow, ring, machine[SQR_SCALE]))
     at = flow[AT]
-    row[ROW_TICKS] = flow[SHARE] >> (17 - machine[SEGMENT_LOG2])
-    if row[ROW_TICKS] == 0:
-        row[ROW_TICKS] = 1
+    ticks = (span - flow[LEFT]) >> (17 - machine[SEGMENT_LOG2])
+    row[ROW_TICKS] = ticks if ticks else 1
     row[ROW_DIRS] = ring[at + DIRS]
     row[ROW_POWER] = int(power(flow, ring, machine))
-    fraction = flow[FRACTION] - flow[ADVANCE]
-    if fraction < 0:
-        steps = (0 - fraction + 0x3FFFF) >> 18
-        fraction += steps << 18
-        flow[WHOLE] = flow[WHOLE] - steps
-    flow[FRACTION] = fraction
     spread(flow, ring, row, axes)
-    flow[NOW] = flow[END]
-    if flow[WHOLE] == 0 and fraction == 0:
-        flow[CARRY] = int(div(int(pack(flow[END], _BIAS)), ring[at + FACTOR]))
+    if going == 0:
+        flow[CARRY] = int(div(int(pack(flow[NOW], _BIAS)), ring[at + FACTOR]))
         flow[LOADED] = 0
         if flow[SYSTEM]:
             flow[SYSTEM] = 0

@@ -59,10 +59,13 @@ class Move:
 class Planner:
     """The ring. `flow` is what it shares with the interrupt; see kernels.py."""
 
-    def __init__(self, axes: int, blocks: int, corexy: bool, state: "State") -> None:
+    def __init__(
+        self, axes: int, blocks: int, corexy: bool, least_steps: float, state: "State"
+    ) -> None:
         size = kernels.block_length(axes)
         self.axes = axes
         self.corexy = corexy
+        self._least_steps = least_steps
         self._state = state
         self.ring = array("i", (0 for _ in range(size * (blocks + 1))))
         self.flow = array("i", (0 for _ in range(kernels.FLOW_LENGTH + 2 * axes)))
@@ -101,6 +104,7 @@ class Planner:
         machine[kernels.SEGMENT_RATE] = kernels.real(seconds * 262144)
         machine[kernels.SEGMENT_ACCEL] = kernels.real(seconds * seconds * 262144)
         machine[kernels.SEGMENT_LOG2] = segment_log2
+        machine[kernels.LEAST] = int(self._least_steps * 262144)
 
     def free(self) -> int:
         """Blocks that can still be added."""

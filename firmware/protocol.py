@@ -7,7 +7,7 @@ code waits.
 
 import errors
 import state as st
-from errors import GrblError
+from errors import Abort, GrblError
 from lines import LINE, NOTHING
 from micropython import const
 
@@ -87,5 +87,8 @@ class Protocol:
                 self._gcode.execute(line, length)
         except GrblError as refusal:
             self._report.error(refusal.code)
+        except Abort:
+            self._report.ok()  # the line was accepted; a reset cut it short
+            raise
         else:
             self._report.ok()

@@ -86,7 +86,7 @@ def _judge_moves(steps: list[Json], got: list[Json]) -> list[str]:
 
 
 def _total(moves: list[list[int]]) -> list[int]:
-    return [sum(steps) for steps in zip(*moves, strict=True)]
+    return [sum(steps) for steps in zip(*moves)]  # noqa: B905
 
 
 def _rest_varies(steps: list[Json]) -> bool:

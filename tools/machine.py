@@ -31,7 +31,7 @@ def load_board(name: str) -> Any:
 
 
 def build(board: str, link: "Callable[[Rig], Any]", settings: Path | None = None) -> "Rig":
-    """A rig with that board. link: makes the Link; settings: file that keeps them, else none do."""
+    """A rig with that board. link: makes the Link; settings: the file that keeps them, if any."""
     paths.use_firmware()
     from .sim.rig import Rig
 

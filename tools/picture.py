@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from math import dist
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 _MOST_STROKES = 40_000
 # The least share of the width that height gets in the view in space.
 _FLATTEST = 0.2
+# The scale of colours leaves out the fastest of the path, by this share of the time.
+_RAPID_SHARE = 0.03
 
 Place = tuple[float, float, float]
 
@@ -54,37 +56,32 @@ def thin(path: Iterable[Stroke], shortest_mm: float) -> list[Stroke]:
 
 def draw(path: Sequence[Stroke], title: str = "") -> "Figure":
     """A figure of the path, from above and in space. The first stroke is only where it begins."""
-    import matplotlib.colors
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
-    length = sum(dist(a.place, b.place) for a, b in pairwise(path))
-    path = thin(path, length / _MOST_STROKES)
+    path = thin(path, sum(dist(a.place, b.place) for a, b in pairwise(path)) / _MOST_STROKES)
     lines = [(a.place, b.place) for a, b in pairwise(path)]
     speeds = [60 * dist(a.place, b.place) / (b.seconds or 1.0) for a, b in pairwise(path)]
-    colours = matplotlib.colors.PowerNorm(0.5, 0, max(speeds, default=1.0) or 1.0)
+    look: dict[str, Any] = {"array": speeds, "cmap": "turbo", "clim": (0, _fast(path, speeds))}
     low, size = _box(path)
 
-    figure = Figure(figsize=(15, 7), dpi=110, layout="constrained")
+    figure = Figure(figsize=(15, 7.5), dpi=110, layout="constrained")
     figure.suptitle(title)
     above = figure.add_subplot(1, 2, 1, aspect="equal", xlabel="X mm", ylabel="Y mm")
-    flat = [(a[:2], b[:2]) for a, b in lines]
-    top = LineCollection(flat, array=speeds, cmap="turbo", norm=colours, linewidths=0.6)
-    above.add_collection(top)
+    flat = LineCollection([(a[:2], b[:2]) for a, b in lines], linewidths=0.7, **look)
+    above.add_collection(flat)
     above.autoscale_view()
 
     space = figure.add_subplot(1, 2, 2, projection="3d", xlabel="X mm", ylabel="Y mm")
-    solid = Line3DCollection(lines, array=speeds, cmap="turbo", norm=colours, linewidths=0.4)
-    space.add_collection3d(solid)
-    space.set(
-        xlim=(low[0], low[0] + size[0]),
-        ylim=(low[1], low[1] + size[1]),
-        zlim=(low[2], low[2] + size[2]),
-        zlabel="Z mm",
-        box_aspect=(size[0], size[1], max(size[2], _FLATTEST * max(size))),
+    space.add_collection3d(Line3DCollection(lines, linewidths=0.5, **look))
+    space.set(zlabel="Z mm", box_aspect=(size[0], size[1], max(size[2], _FLATTEST * max(size))))
+    for name, start, side in zip(("xlim", "ylim", "zlim"), low, size, strict=True):
+        space.set(**{name: (start, start + side)})
+    space.locator_params(axis="z", nbins=4)
+    figure.colorbar(
+        flat, ax=[above, space], label="speed in mm/min", shrink=0.7, aspect=40, extend="max"
     )
-    figure.colorbar(top, ax=[above, space], label="speed in mm/min", shrink=0.8)
     return figure
 
 
@@ -92,6 +89,18 @@ def save(path: Sequence[Stroke], file: Path, title: str = "") -> None:
     """Draw the path into a file; its suffix says in which format."""
     file.parent.mkdir(parents=True, exist_ok=True)
     draw(path, title).savefig(file)
+
+
+def _fast(path: Sequence[Stroke], speeds: Sequence[float]) -> float:
+    """The speed that is exceeded for a tiny part of the time only: by the rapids, in most jobs."""
+    left = _RAPID_SHARE * sum(stroke.seconds for stroke in path[1:])
+    for speed, seconds in sorted(
+        zip(speeds, (stroke.seconds for stroke in path[1:]), strict=True), reverse=True
+    ):
+        left -= seconds
+        if left < 0:
+            return speed
+    return 1.0
 
 
 def _box(path: Sequence[Stroke]) -> tuple[Place, Place]:

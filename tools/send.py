@@ -74,7 +74,8 @@ class Connection:
             if time.monotonic() - asked >= _POLL_S:
                 self.write(STATUS)
                 asked = time.monotonic()
-            if any([done(line) for line in self.lines()]):
+            heard = [done(line) for line in self.lines()]  # every line, for done() may collect them
+            if any(heard):
                 return True
         return False
 

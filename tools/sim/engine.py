@@ -70,7 +70,8 @@ class SimEngine:
     the row then holding only the steps really made.
     """
 
-    tick_hz = 25_000_000
+    # A full segment of 2**17 ticks lasts 10 ms, as Grbl's.
+    tick_hz = 13_107_200
 
     def __init__(self, axes, depth=3, segment_log2=17):
         self.segment_log2 = segment_log2

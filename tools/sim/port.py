@@ -59,7 +59,7 @@ class SimPort:
         self.mist = mask >> 1 & 1
 
     def ticks_ms(self):
-        return self._rig.now // self._rig.ticks_per_ms
+        return int(self._rig.now // self._rig.ticks_per_ms)
 
     def elapsed_ms(self, since):
         return self.ticks_ms() - since

@@ -117,7 +117,7 @@ class Sender:
         """Wait until nothing has arrived for so long, from tick `since` on at the earliest."""
         rig = self.rig
         while True:
-            end = max(since, rig.link.last_arrival) + milliseconds * rig.ticks_per_ms
+            end = max(since, rig.link.last_arrival) + int(milliseconds * rig.ticks_per_ms)
             if rig.now >= end:
                 return
             if rig.now >= self.deadline:
@@ -178,7 +178,7 @@ class Sender:
             else:
                 raise ValueError("unknown wait: " + how)
         if how == "idle":
-            react = since + _REACT_MS * rig.ticks_per_ms
+            react = since + int(_REACT_MS * rig.ticks_per_ms)
             yield from self.until(lambda: rig.now >= react and self.at_rest())
             since = rig.now
         yield from self.silence(since, _SETTLE[how] if settle is None else settle)

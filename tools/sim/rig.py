@@ -42,7 +42,7 @@ class Rig:
         self.board = board
         self.store = MemoryStore() if store is None else store
         self.engine = SimEngine(axes, board.SEGMENT_QUEUE)
-        self.ticks_per_ms = self.engine.tick_hz // 1000
+        self.ticks_per_ms = self.engine.tick_hz / 1000
         self.scratch = array("i", [0] * axes)
         self.port = SimPort(self, board.PWM_MAX)
         self.engine.pins_changed = self.port.update
@@ -96,11 +96,7 @@ class Rig:
 
     def wait(self):
         """The firmware has nothing to read: let time pass to the next event."""
-        to = self.ms(_POLL_MS)
-        arrival = self.link.next_event()
-        if arrival is not None and arrival < to:
-            to = arrival
-        self.pass_time(max(to, self.now))
+        self.pass_time(self.ms(_POLL_MS), True)
 
     def skip(self):
         """Let time pass, without a script, until something may have changed by itself."""
@@ -108,10 +104,13 @@ class Rig:
         to = self.ms(_POLL_MS) if engine.idle() else engine.next_event()
         engine.advance(max(to, self.now))
 
-    def pass_time(self, to):
-        """Let time pass until `to`, waking the script where it asked for it."""
+    def pass_time(self, to, or_arrival=False):
+        """Let time pass until `to`, or a byte arrives, waking the script where it asked for it."""
         while True:
             step = to
+            arrival = self.link.next_event() if or_arrival else None
+            if arrival is not None and arrival < step:
+                step = arrival
             if not callable(self._wake) and self._wake < step:
                 step = self._wake
             event = self.engine.next_event()
@@ -123,7 +122,8 @@ class Rig:
                 self.engine.advance(self.now)
             self.link.advance()
             self._wake_script()
-            if self.now >= to:
+            arrival = self.link.next_event() if or_arrival else None
+            if self.now >= to or (arrival is not None and arrival <= self.now):
                 return
 
     def _wake_script(self):

@@ -1,0 +1,471 @@
+"""Laws of motion, whatever the moves were, and the benches that supply moves.
+
+A Watch looks over the shoulder of planner and segments and notes every block
+and every segment; the checks then know of nothing else. A Bench drives planner
+and segments alone, by their own functions; a whole rig is driven by its script.
+Everything here is plain floats: the twin of what the kernels do in integers.
+"""
+
+from array import array
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from math import inf, sqrt
+from types import SimpleNamespace
+from typing import Any
+
+import kernels
+from f32 import vector
+from kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
+from planner import Move, Planner
+from segments import Segments
+from state import State
+from ugrbl.sim.engine import step_tick
+
+TICK_HZ = 13_107_200
+SEGMENT_LOG2 = 17
+
+RATE_SLACK = 1.005
+ACCELERATION_SLACK = 1.08
+JUNCTION_SLACK = 1.1
+PROMISE_SLACK = 1.005
+# What a unit vector of 14 bits leaves open of a corner's angle, in radians.
+_ANGLE = 2e-4
+# Grbl calls a corner straight below this angle.
+_STRAIGHT = 0.0015
+SETUP_US = 3
+
+
+@dataclass
+class Limits:
+    """What the user set, in mm and seconds, per axis; and what the engine can do."""
+
+    steps_per_mm: tuple[float, ...] = (250.0, 250.0, 250.0)
+    rate: tuple[float, ...] = (500.0, 500.0, 500.0)  # mm/min
+    acceleration: tuple[float, ...] = (10.0, 10.0, 10.0)
+    deviation: float = 0.01
+    step_hz: int = 90_909
+    corexy: bool = False
+
+    @classmethod
+    def of(cls, settings: Any, step_hz: int, corexy: bool = False) -> "Limits":
+        """Those of a machine's settings."""
+        return cls(
+            tuple(settings.steps_per_mm),
+            tuple(settings.max_rate),
+            tuple(a / 3600 for a in settings.acceleration),
+            settings.junction_deviation_mm,
+            step_hz,
+            corexy,
+        )
+
+    def settings(self) -> SimpleNamespace:
+        """As planner.configure() wants them."""
+        return SimpleNamespace(
+            steps_per_mm=array("f", self.steps_per_mm),
+            max_rate=array("f", self.rate),
+            acceleration=array("f", [a * 3600 for a in self.acceleration]),
+            junction_deviation_mm=self.deviation,
+        )
+
+    def speed(self, axis: int) -> float:
+        """The highest speed of an axis, mm/s."""
+        return min(self.rate[axis] / 60, self.step_hz / self.steps_per_mm[axis])
+
+    def along(self, unit: Sequence[float], what: Sequence[float]) -> float:
+        """The most of it, per axis, along a direction."""
+        return min((w / abs(u) for u, w in zip(unit, what, strict=True) if u), default=inf)
+
+
+@dataclass(eq=False)
+class Block:
+    """A planned block in mm and seconds. motors: signed steps; unit: its direction."""
+
+    motors: tuple[int, ...]
+    unit: tuple[float, ...]
+    length: float
+    limits: Limits
+
+    @property
+    def events(self) -> int:
+        return max(abs(n) for n in self.motors)
+
+    @property
+    def speed(self) -> float:
+        """What its axes allow."""
+        limits = self.limits
+        return limits.along(self.unit, [limits.speed(i) for i in range(len(self.unit))])
+
+    @property
+    def acceleration(self) -> float:
+        """What its axes allow."""
+        return self.limits.along(self.unit, self.limits.acceleration)
+
+    def junction(self, after: "Block", slack: bool = True) -> float:
+        """Junction deviation: the highest speed into the following block, in floats."""
+        delta = [b - a for a, b in zip(self.unit, after.unit, strict=True)]
+        change = sqrt(sum(d * d for d in delta))  # 2 sin(half the angle of deflection)
+        accel = self.limits.along(delta, self.limits.acceleration) * change
+        if slack:
+            change = max(change - _ANGLE, 0)
+        if change < _STRAIGHT:
+            return inf
+        cosine = sqrt(max(1 - change * change / 4, 0))  # sin(theta / 2) of Grbl's angle
+        return sqrt(accel * self.limits.deviation * cosine / (1 - cosine))
+
+
+@dataclass(eq=False)
+class Segment:
+    """A row as it was handed out, and what the flow said around it. Speeds in mm/s along the path."""
+
+    block: Block
+    start: int
+    row: "array[int]"
+    distance: float  # mm
+    speed: float  # at its end
+    nominal: float
+    ends_block: bool
+    resumed: bool = False  # motion had come to rest before it
+
+    @property
+    def ticks(self) -> int:
+        return self.row[ROW_TICKS]
+
+    def axis(self, i: int) -> "tuple[int, int, int]":
+        """Steps, tick of the first, tick of the last."""
+        at = ROW_AXES + ROW_STRIDE * i
+        return self.row[at], self.row[at + 1], self.row[at + 2]
+
+
+def real(r: int) -> float:
+    """The number a real stands for."""
+    return (r % 32768) * 2.0 ** (r // 32768 - 64)
+
+
+def pack(x: float) -> int:
+    """The real below x."""
+    return kernels.real(x)
+
+
+class Watch:
+    """Notes blocks as they are planned and segments as they are made."""
+
+    def __init__(self, planner: Planner, segments: Segments, limits: Limits, tick_hz: int) -> None:
+        self.limits = limits
+        self.tick_hz = tick_hz
+        self.planned: list[Block] = []
+        self.made: list[Segment] = []
+        self.planner = planner
+        self._rows: dict[int, Block] = {}
+        self._line, self._system_line = planner.line, planner.system_line
+        self._next = segments.next
+        planner.line = self.line  # type: ignore[method-assign]
+        planner.system_line = self.system_line  # type: ignore[method-assign]
+        segments.next = self.next  # type: ignore[method-assign]
+
+    def line(self, target: Any, move: Move, power: int) -> bool:
+        """Stand in for Planner.line."""
+        at = self.planner.flow[kernels.HEAD]
+        return self._note(at, self._line(target, move, power))
+
+    def system_line(self, target: Any, move: Move, power: int, start: Any) -> bool:
+        """Stand in for Planner.system_line."""
+        at = self.planner.flow[kernels.ROWS]
+        return self._note(at, self._system_line(target, move, power, start))
+
+    def _note(self, at: int, planned: bool) -> bool:
+        if planned:
+            block = self._block(at)
+            self._rows[at] = block
+            self.planned.append(block)
+            check_plan(self)
+        return planned
+
+    def row(self, at: int) -> "array[int]":
+        """A row of the ring."""
+        size = self.planner.flow[kernels.ROW_SIZE]
+        return self.planner.ring[at * size : (at + 1) * size]
+
+    def _block(self, at: int) -> Block:
+        row = self.row(at)
+        axes = range(self.planner.axes)
+        steps = [row[kernels.STEPS + i] for i in axes]
+        motors = tuple(-n if row[kernels.DIRS] >> i & 1 else n for i, n in enumerate(steps))
+        mm = [n / r for n, r in zip(to_axes(motors, self.limits), self.limits.steps_per_mm)]
+        length = sqrt(sum(x * x for x in mm))
+        return Block(motors, tuple(x / length for x in mm), length, self.limits)
+
+    def queue(self) -> "list[tuple[Block, array[int]]]":
+        """The blocks in the ring, the one being executed first, with their rows."""
+        flow = self.planner.flow
+        at = flow[kernels.TAIL]
+        found = []
+        while at != flow[kernels.HEAD]:
+            found.append((self._rows[at], self.row(at)))
+            at = (at + 1) % flow[kernels.ROWS]
+        return found
+
+    def promise(self, row: "array[int]", column: int) -> float:
+        """A scaled speed squared of a row in mm/s."""
+        return sqrt(row[column] / real(self.planner.machine[kernels.SQR_SCALE]))
+
+    def next(self, row: "array[int]") -> int:
+        """Stand in for Segments.next."""
+        flow = self.planner.flow
+        at_rest = flow[kernels.NOW if flow[kernels.LOADED] else kernels.CARRY] == 0
+        found = self._next(row)
+        if found:
+            at = flow[kernels.AT] // flow[kernels.ROW_SIZE]
+            used = self.row(at)
+            block = self._rows[at]
+            per_mm = real(used[kernels.FACTOR])
+            distance = flow[kernels.ADVANCE] / 2**18 / block.events * block.length
+            start = self.made[-1].start + self.made[-1].ticks if self.made else 0
+            nominal = real(used[kernels.NOMINAL])
+            ended = not flow[kernels.LOADED]
+            speed = flow[kernels.NOW] / per_mm
+            self.made.append(
+                Segment(block, start, row[:], distance, speed, nominal, ended, at_rest)
+            )
+        return found
+
+
+def to_axes(motors: Sequence[float], limits: Limits) -> "list[float]":
+    """Steps of axes from those of motors."""
+    if limits.corexy:
+        return [(motors[0] + motors[1]) / 2, (motors[0] - motors[1]) / 2, *motors[2:]]
+    return list(motors)
+
+
+class Bench:
+    """Planner and segments without the rest of the machine."""
+
+    def __init__(
+        self,
+        limits: "Limits | None" = None,
+        blocks: int = 16,
+        tick_hz: int = TICK_HZ,
+        segment_log2: int = SEGMENT_LOG2,
+        least_steps: float = 0,
+    ) -> None:
+        self.limits = limits = limits or Limits()
+        axes = len(limits.rate)
+        self.state = State()
+        self.planner = Planner(axes, blocks, limits.corexy, least_steps, self.state)
+        self.planner.configure(limits.settings(), tick_hz, segment_log2, limits.step_hz)  # type: ignore[arg-type]
+        self.segments = Segments(self.planner)
+        self.watch = Watch(self.planner, self.segments, limits, tick_hz)
+        self._row = array("i", [0] * kernels.row_length(axes))
+        self._target = vector(axes)
+        self._move = Move()
+
+    def line(self, target: Sequence[float], feed: float = 0, flags: int = 0) -> bool:
+        """Plan a line to a place in mm; feed 0 is a rapid. Makes room first."""
+        while self.planner.full():
+            if not self.pull():
+                raise AssertionError("a full planner, and nothing moves")
+        self._target[:] = array("f", target)
+        self._move.clear()
+        self._move.feed = feed
+        self._move.flags = flags | (0 if feed else 1)
+        return self.planner.line(self._target, self._move, 0)
+
+    def pull(self, count: int = 1) -> bool:
+        """Make segments as the engine would ask for them."""
+        return all(self.segments.next(self._row) for _ in range(count))
+
+    def override(self, feed: int, rapid: int = 100) -> None:
+        """Set the overrides."""
+        self.state.feed_override = feed
+        self.state.rapid_override = rapid
+        self.planner.override()
+        check_plan(self.watch)
+
+    def hold(self) -> None:
+        """Hold, come to rest, go on."""
+        self.segments.hold(True)
+        self.finish()
+        assert self.segments.at_rest()
+        self.segments.hold(False)
+
+    def finish(self) -> None:
+        """Let everything planned happen."""
+        most = 1_000_000
+        while self.segments.next(self._row):
+            most -= 1
+            assert most, "motion does not end"
+
+    def check(self) -> None:
+        """All that was planned is made, by all laws."""
+        self.finish()
+        assert self.planner.empty()
+        assert self.segments.at_rest()
+        check_segments(self.watch)
+        check_pulses(self.watch, [(segment.start, segment.row) for segment in self.watch.made])
+
+
+def check_plan(watch: Watch) -> None:
+    """Every promised entry speed can be kept: reached by no one too fast, and braked from."""
+    queue = watch.queue()
+    speeds = [watch.promise(row, kernels.ENTRY_SQR) for _, row in queue]
+    for i, (block, row) in enumerate(queue):
+        if i == 0:
+            continue  # being executed, or about to be, from rest
+        entry = speeds[i]
+        leave = speeds[i + 1] if i + 1 < len(queue) else 0.0
+        way = 2 * block.acceleration * block.length
+        assert entry**2 <= (leave**2 + way) * PROMISE_SLACK + _least(watch), "cannot brake"
+        before, row_before = queue[i - 1]
+        nominals = [real(row[kernels.NOMINAL]), real(row_before[kernels.NOMINAL])]
+        assert entry <= min(nominals) * PROMISE_SLACK + _least(watch), "faster than nominal"
+        corner = before.junction(block)
+        assert entry <= corner * JUNCTION_SLACK + _least(watch), "corner too fast"
+        slower = min(before.junction(block, False) / JUNCTION_SLACK, inf)
+        junction = watch.promise(row, kernels.JUNCTION_SQR)
+        top = watch.promise(array("i", [(1 << 30) - 1]), 0)
+        if junction < slower:
+            assert junction >= min(slower, top) - _least(watch), "corner too slow"
+
+
+def _least(watch: Watch) -> float:
+    """What a scaled square leaves open, in mm/s (and in its square, where that is less)."""
+    return sqrt(2 / real(watch.planner.machine[kernels.SQR_SCALE]))
+
+
+def check_segments(watch: Watch) -> None:
+    """The path's speed: from rest to rest, without a jump, within every axis' limits."""
+    made = watch.made
+    hz = watch.tick_hz
+    _check_rows(watch)
+    left: dict[Block, list[int]] = {}
+    for segment in made:
+        block = segment.block
+        sums = left.setdefault(block, [0] * len(block.motors))
+        for i in range(len(sums)):
+            sums[i] += segment.axis(i)[0]
+        if segment.ends_block:
+            assert sums == [abs(n) for n in block.motors], "steps made are not those planned"
+    for segment in made:
+        mean = segment.distance / segment.ticks * hz
+        assert mean <= segment.block.speed * RATE_SLACK + _grain(segment, hz), "rate of an axis"
+    rest: list[tuple[Segment | None, Segment | None]] = []
+    for before, after in pairwise(made):
+        if after.resumed or not before.speed:
+            rest += [(before, None), (None, after)]
+            continue
+        if before.ends_block:
+            corner = before.block.junction(after.block) * JUNCTION_SLACK + _least(watch)
+            assert before.speed <= corner, "corner taken too fast"
+        rest.append((before, after))
+    if made:
+        rest += [(None, made[0]), (made[-1], None)]
+    for before, after in rest:
+        _check_joint(before, after, hz)
+
+
+def _check_rows(watch: Watch) -> None:
+    for segment in watch.made:
+        assert segment.ticks > 0
+        for i in range(len(segment.block.motors)):
+            count, first, last = segment.axis(i)
+            assert count >= 0
+            if count:
+                assert 0 <= first <= last <= segment.ticks
+                assert count == 1 or first < last
+                planned = segment.block.motors[i]
+                assert (segment.row[ROW_DIRS] >> i & 1) == (planned < 0), "wrong direction"
+
+
+def _check_joint(before: "Segment | None", after: "Segment | None", hz: int) -> None:
+    """The mean speeds of neighbours differ by what half of each allows; rest is 0."""
+    means = []
+    allowed = 0.0
+    for segment in (before, after):
+        if segment is None:
+            means.append(0.0)
+            continue
+        means.append(segment.distance / segment.ticks * hz)
+        allowed += segment.block.acceleration * segment.ticks / hz / 2 + _grain(segment, hz)
+    assert abs(means[1] - means[0]) <= allowed * ACCELERATION_SLACK, "acceleration of an axis"
+
+
+def _grain(segment: Segment, hz: int) -> float:
+    """What whole ticks, 2**-18 of a step, and 1/400 of a step's braking leave open of a mean speed."""
+    block = segment.block
+    step = block.length / block.events
+    ticks = (segment.distance * 2 / segment.ticks + step * 4 / 2**18) / segment.ticks * hz
+    return ticks + sqrt(2 * block.acceleration * step / 400)
+
+
+Rows = Sequence["tuple[int, array[int]]"]
+
+
+def pulses(rows: Rows, axis: int) -> "Iterator[tuple[int, int]]":
+    """(tick, direction) of every pulse of a motor."""
+    base = ROW_AXES + ROW_STRIDE * axis
+    for start, row in rows:
+        sign = -1 if row[ROW_DIRS] >> axis & 1 else 1
+        for k in range(row[base]):
+            yield start + step_tick(row, base, k), sign
+
+
+@dataclass
+class Train:
+    """The pulses of one motor."""
+
+    ticks: list[int] = field(default_factory=list)
+    net: int = 0
+    total: int = 0
+
+
+def check_pulses(watch: Watch, rows: Rows, pulse_us: float = 10) -> None:
+    """Pulses: those planned, no faster than their axis, and far enough from each other."""
+    limits = watch.limits
+    hz = watch.tick_hz
+    for i in range(watch.planner.axes):
+        train = list(pulses(rows, i))
+        ticks = [tick for tick, _ in train]
+        assert ticks == sorted(ticks)
+        planned = [block.motors[i] for block in watch.planned]
+        assert sum(sign for _, sign in train) == sum(planned), "net steps"
+        assert len(train) == sum(map(abs, planned)), "pulses"
+        check_spacing(rows, i, hz, pulse_us)
+        if not limits.corexy:
+            _check_density(ticks, limits.speed(i) * limits.steps_per_mm[i] / hz)
+
+
+def check_spacing(rows: Rows, axis: int, hz: int, pulse_us: float) -> None:
+    """A pulse ends before the next, and the direction stands some time before it."""
+    setup = SETUP_US * hz // 1_000_000
+    base = ROW_AXES + ROW_STRIDE * axis
+    last = turned = -inf
+    dirs = None
+    for start, row in rows:
+        if row[ROW_DIRS] >> axis & 1 != dirs:
+            dirs = row[ROW_DIRS] >> axis & 1
+            turned = start
+            assert start >= last
+        for k in range(row[base]):
+            tick = start + step_tick(row, base, k)
+            assert tick - turned >= setup, "a step too soon after its direction"
+            assert tick - last >= pulse_us * hz / 1_000_000, "a step within the last one's pulse"
+            last = tick
+
+
+def _check_density(ticks: "list[int]", rate: float) -> None:
+    """No window has more steps than the axis' rate explains, but for two."""
+    rate *= RATE_SLACK
+    # Steps as a queue that the rate empties: it never holds more than three.
+    waiting = 0.0
+    before = 0
+    for tick in ticks:
+        waiting = max(waiting - (tick - before) * rate, 0.0) + 1
+        before = tick
+        assert waiting <= 3 + 1e-6, "steps faster than the axis may go"
+
+
+def uneven(ticks: Sequence[int]) -> float:
+    """How far intervals that should be equal are from their mean: in ticks, or in 1 % of it."""
+    intervals = [b - a for a, b in pairwise(ticks)]
+    mean = (ticks[-1] - ticks[0]) / len(intervals)
+    return max(abs(n - mean) for n in intervals) / max(1.0, 0.01 * mean)
