@@ -5,7 +5,8 @@ STEP = (0, 1, 2)
 PWM_MAX = 255
 # Segments of 10 ms queued for the pulses: as many as Grbl's, so that holds come as late as its.
 SEGMENT_QUEUE = 5
-# Steps in a segment at the least, as Grbl's: slow segments are lengthened.
-SEGMENT_STEPS = 1.25
+# How long an Uno works on a line, and on a turn of its main loop while it moves.
+ANSWER_US = 700
+LOOP_US = 200
 PLANNER_BLOCKS = 16
 RX_BYTES = 128

@@ -70,15 +70,15 @@ class Commands:
 
     # Kept lines
 
-    def load(self) -> bool:
-        """Read the startup lines; False, and none, where nothing valid is kept."""
+    def load(self) -> None:
+        """Read the startup lines; none where nothing valid is kept."""
         lines = self._store.load(_STARTUP)
         self._startup = [""] * STARTUP_LINES
         for i in range(min(len(lines or ()), STARTUP_LINES)):
             self._startup[i] = lines[i]
         if lines is None:
             self._keep_startup()
-        return lines is not None
+        self._startup_valid = lines is not None
 
     def _keep_startup(self) -> None:
         self._store.save(_STARTUP, self._startup)
@@ -86,10 +86,14 @@ class Commands:
     def run_startup(self) -> None:
         """Execute the startup lines, each with its answer."""
         for text in self._startup:
-            if text:
+            if not self._startup_valid:
+                self._report.startup_run("")
+                self._report.error(errors.SETTING_READ_FAIL)
+            elif text:
                 self._report.startup_run(text)
                 line = bytearray(text.encode() + b"\0")
                 self._answer(line, len(line) - 1)
+        self._startup_valid = True
 
     # Dispatch
 

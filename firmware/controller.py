@@ -51,7 +51,6 @@ class Options:
         self.blocks: int = option("PLANNER_BLOCKS", _DEFAULT_BLOCKS)
         self.rx_bytes: int = option("RX_BYTES", _DEFAULT_RX_BYTES)
         self.defaults: dict = option("DEFAULTS", {})
-        self.least_steps: float = option("SEGMENT_STEPS", 0)
         self.corexy: bool = option("COREXY", False)
         self.door: bool = option("SAFETY_DOOR", False)
         self.parking: bool = option("PARKING", False)
@@ -99,9 +98,7 @@ class Controller:
         self.settings = Settings(store, axes, options.defaults)
         self.settings.max_step_hz = options.max_step_hz
         self.coords = Coords(store, axes, TOOL_LENGTH)
-        self.planner = Planner(
-            axes, options.blocks, options.corexy, options.least_steps, self.state
-        )
+        self.planner = Planner(axes, options.blocks, options.corexy, self.state)
         self.segments = Segments(self.planner)
         self.spindle = Spindle(port, self.state, options.enable_pin)
         self.coolant = Coolant(port, self.state)
@@ -267,7 +264,7 @@ class Controller:
             self.report.error(errors.SETTING_READ_FAIL)
             self.coords.restore()
             self.commands.show_settings()
-        self._startup_valid = self.commands.load()
+        self.commands.load()
         self.coords.load()
         self.configure(0)
         self.port.attach(self.realtime.on_limits, self.realtime.on_controls)

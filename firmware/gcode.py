@@ -207,7 +207,8 @@ class Gcode:
             self._offsets_changed()
 
     def _offsets_changed(self) -> None:
-        """The next status report shows WCO:."""
+        """The next status report shows WCO:. Reports of motion under way do not jump."""
+        self._motion.synchronise()
         self._state.wco_countdown = 0
 
     def _non_modal(self, block: "Block", move: "plan.Move") -> None:
@@ -215,6 +216,7 @@ class Gcode:
         coords = self.coords
         if command == b.SET_COORDS:
             index = int(block.p)
+            self._motion.synchronise()  # what is kept is written at rest only
             coords.write(index, self.stored)
             if index == self.modal.system:
                 self._offsets_changed()
@@ -225,8 +227,10 @@ class Gcode:
             self._motion.line(self.stored, move)
             self.position[:] = self.stored
         elif command == b.SET_G28:
+            self._motion.synchronise()
             coords.write(G28, self.position)
         elif command == b.SET_G30:
+            self._motion.synchronise()
             coords.write(G30, self.position)
         elif command == b.SET_G92:
             coords.g92[:] = block.xyz

@@ -53,8 +53,7 @@ SEGMENT_LOG2 = const(6)  # a full segment is 2**SEGMENT_LOG2 ticks, 17 at the mo
 MOVE_DIRS = const(7)  # mask of axes along which the measured move goes backwards
 POWER_FLOOR = const(8)  # spindle power, in 1/64, up to which a DYNAMIC block gets the least power
 POWER_MAX = const(9)  # spindle power at the most
-LEAST = const(10)  # distance that a segment covers at the least, where the block reaches that far
-LIMITS = const(11)  # three reals per axis: mm per step, mm/s, mm/s2
+LIMITS = const(10)  # three reals per axis: mm per step, mm/s, mm/s2
 
 # The flow: what planner (main loop) and segments (interrupt) share, and where motion is.
 ROW_SIZE = const(0)  # integers in a block
@@ -71,10 +70,12 @@ LEAVE = const(10)  # speed at which to leave the block
 LEAVE_SQR = const(11)  # the same as the planner put it
 WHOLE = const(12)  # steps of the longest axis still to go,
 FRACTION = const(13)  # and 2**-18 of one
-ADVANCE = const(14)  # distance of the segment being made,
-LEFT = const(15)  # and what it still lacks of a full one, in 2**-17
-MOTORS = const(16)  # per motor: steps still to go; phase, 2**18 is a step
-FLOW_LENGTH = const(16)
+PARTIAL = const(14)  # distance come since the last step of the longest axis, in 2**-18 step,
+SPARE = const(15)  # and its time, in ticks: both go into the next segment
+ADVANCE = const(16)  # distance of the segment being made,
+LEFT = const(17)  # and what it still lacks of a full one, in 2**-17
+MOTORS = const(18)  # per motor: steps still to go; phase, 2**18 is a step
+FLOW_LENGTH = const(18)
 
 # Flags of a block that the kernels look at.
 DYNAMIC = const(0x40)  # spindle power follows speed (laser, M4)
@@ -83,7 +84,7 @@ DYNAMIC = const(0x40)  # spindle power follows speed (laser, M4)
 ROW_TICKS = const(0)  # how long it lasts
 ROW_DIRS = const(1)  # mask of motors that turn backwards
 ROW_POWER = const(2)  # spindle power, or KEEP_POWER
-ROW_AXES = const(3)  # per motor: steps, tick of the first, tick of the last
+ROW_AXES = const(3)  # per motor: steps, tick of the first, tick of the last, the others evenly between
 ROW_STRIDE = const(3)
 KEEP_POWER = const(0x3FFFFFFF)
 
@@ -91,7 +92,9 @@ _SMALLEST = const(16384)  # a mantissa has 15 bits
 _LIMIT = const(32768)
 _BIAS = const(64)
 _HIGHEST = const(0x3FFFFFFF)
-_LONGEST = const(0x200000)  # a segment lengthened for its steps lasts 16 full ones at the most
+_LEAST = const(0x50000)  # a segment covers 1.25 steps, where the block reaches that far,
+_LONGEST = const(0x8000000)  # or lasts as long as 1024 full ones
+_HAIR = const(0x800)  # ahead of the truth, so that rounding does not cost the last step of a hold
 _SPLINTER = const(64)  # a segment is not filled up with pieces as short as that, in 2**-17
 
 
@@ -548,11 +551,11 @@ def load(flow: ptr32, ring: ptr32, axes: int) -> int:
     flow[LEAVE_SQR] = 0
     flow[WHOLE] = ring[at + EVENTS]
     flow[FRACTION] = 0
+    flow[PARTIAL] = _HAIR
+    flow[SPARE] = 0
     for i in range(axes):
         flow[MOTORS + 2 * i] = ring[at + STEPS + i]
-        # The longest axis steps when it has come a whole step further, the others
-        # where they are nearest to the line.
-        flow[MOTORS + 2 * i + 1] = 0 if ring[at + STEPS + i] == ring[at + EVENTS] else 131072
+        flow[MOTORS + 2 * i + 1] = 131072  # half a step: axes step where they are nearest the line
     flow[LOADED] = 1
     return 1
 
@@ -708,11 +711,39 @@ def proceed(flow: ptr32, ring: ptr32, scale: int) -> int:
 
 
 @micropython.viper
+def part_of(ticks: int, part: int) -> int:
+    """ticks * part for a part in 2**-17, as in share(); ticks < 2**28."""
+    return (((ticks >> 15) * part) >> 2) + (((ticks & 32767) * (part >> 2)) >> 15)
+
+
+@micropython.viper
+def close(flow: ptr32, row: ptr32, ticks: int) -> int:
+    """End the segment with a step of the longest axis: whole steps, and the time they take.
+
+    What is left over, distance and time, goes into the next segment. So every
+    interval of a segment is the same, and at a constant speed every interval
+    of a block. Returns the steps.
+    """
+    distance = flow[PARTIAL] + flow[ADVANCE]
+    ticks += flow[SPARE]
+    steps = distance >> 18
+    rest = distance & 0x3FFFF
+    flow[PARTIAL] = rest
+    flow[SPARE] = 0
+    if rest > _HAIR and steps:
+        whole_ticks = int(part_of(ticks, int(share(steps << 18, distance))))
+        flow[SPARE] = ticks - whole_ticks
+        ticks = whole_ticks
+    row[ROW_TICKS] = ticks if ticks else 1
+    return steps
+
+
+@micropython.viper
 def spread(flow: ptr32, ring: ptr32, row: ptr32, axes: int) -> int:
     """Lay the segment's steps out in time: per motor how many, when the first and the last.
 
-    A motor's phase runs on from segment to segment, so at a constant speed its
-    steps are evenly spaced across them. The block's last segment makes what is
+    A motor's phase runs on from segment to segment, so that at a constant
+    speed its steps are evenly spaced. The block's last segment makes what is
     left to make.
     """
     high = flow[ADVANCE] >> 15
@@ -743,7 +774,7 @@ def spread(flow: ptr32, ring: ptr32, row: ptr32, axes: int) -> int:
                 part <<= 9
                 quotient = part // gain
                 part = (quotient << 8) + (((part - quotient * gain) << 8) // gain)
-                part = ((ticks >> 8) * part + (((ticks & 255) * part) >> 8)) >> 9
+                part = (((ticks >> 15) * part) >> 2) + (((ticks & 32767) * (part >> 2)) >> 15)
             else:
                 part = ticks
             row[at + 1 + k] = part
@@ -785,14 +816,16 @@ def fill(flow: ptr32, ring: ptr32, machine: ptr32, row: ptr32) -> int:
     going = 1
     while going and not (flow[HOLD] and flow[NOW] == 0):
         if flow[LEFT] <= _SPLINTER:
-            if flow[ADVANCE] >= machine[LEAST] or span == _LONGEST:
+            if flow[ADVANCE] + flow[PARTIAL] >= _LEAST or span == _LONGEST:
                 break
             flow[LEFT] = flow[LEFT] + 131072
             span += 131072
         going = int(proceed(flow, ring, machine[SQR_SCALE]))
+    steps = int(close(flow, row, (span - flow[LEFT]) >> (17 - machine[SEGMENT_LOG2])))
+    if steps == 0 and going:
+        return 0  # at rest in a hold, less than a step further
+    flow[ADVANCE] = steps << 18
     at = flow[AT]
-    ticks = (span - flow[LEFT]) >> (17 - machine[SEGMENT_LOG2])
-    row[ROW_TICKS] = ticks if ticks else 1
     row[ROW_DIRS] = ring[at + DIRS]
     row[ROW_POWER] = int(power(flow, ring, machine))
     spread(flow, ring, row, axes)

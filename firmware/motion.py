@@ -5,10 +5,12 @@ does so here, through `service`, which raises Abort after a reset. In check
 mode nothing moves and nothing waits.
 """
 
+import math
+
 import errors
 import planner as plan
 import state as st
-from f32 import vector
+from f32 import f32, vector
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from state import State
 
 _DWELL_TICK_MS = const(50)
+_DWELL_TICKS_PER_S = const(20)
 
 
 class Motion:
@@ -81,12 +84,9 @@ class Motion:
             self._realtime.start(st.JOG)
 
     def _power(self, move: "Move") -> int:
-        if not move.flags & plan.SPINDLE_MASK:
-            return 0
         if self._spindle.laser and move.flags & plan.SPINDLE_CCW:
             move.flags |= plan.RATE_ADJUSTED
-            return self._spindle.dynamic_power(move.spindle_rpm)
-        return self._spindle.power(move.spindle_rpm)
+        return self._spindle.block_power(move.flags, move.spindle_rpm)
 
     def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
         """An arc, or helix, as chords within $12 of it."""
@@ -104,7 +104,7 @@ class Motion:
         if self._state.run == st.CHECK:
             return
         self.synchronise()
-        ticks = -int(-seconds * 1000 // _DWELL_TICK_MS)
+        ticks = math.ceil(f32(_DWELL_TICKS_PER_S * seconds))
         for _ in range(ticks):
             self.pause_ms(_DWELL_TICK_MS)
 

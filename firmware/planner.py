@@ -17,6 +17,8 @@ from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from settings import Settings
     from state import State
 
@@ -59,13 +61,10 @@ class Move:
 class Planner:
     """The ring. `flow` is what it shares with the interrupt; see kernels.py."""
 
-    def __init__(
-        self, axes: int, blocks: int, corexy: bool, least_steps: float, state: "State"
-    ) -> None:
+    def __init__(self, axes: int, blocks: int, corexy: bool, state: "State") -> None:
         size = kernels.block_length(axes)
         self.axes = axes
         self.corexy = corexy
-        self._least_steps = least_steps
         self._state = state
         self.ring = array("i", (0 for _ in range(size * (blocks + 1))))
         self.flow = array("i", (0 for _ in range(kernels.FLOW_LENGTH + 2 * axes)))
@@ -104,7 +103,6 @@ class Planner:
         machine[kernels.SEGMENT_RATE] = kernels.real(seconds * 262144)
         machine[kernels.SEGMENT_ACCEL] = kernels.real(seconds * seconds * 262144)
         machine[kernels.SEGMENT_LOG2] = segment_log2
-        machine[kernels.LEAST] = int(self._least_steps * 262144)
 
     def free(self) -> int:
         """Blocks that can still be added."""
@@ -215,6 +213,15 @@ class Planner:
                 self._limit_entry(at)
             at = (at + 1) % flow[ROWS]
         kernels.reverse_pass(self.ring, flow, 1)
+
+    def each_power(self, power: "Callable[[int, float], int]") -> None:
+        """Set the spindle power of every block anew, from its flags and speed."""
+        flow = self.flow
+        at = flow[TAIL]
+        while at != flow[HEAD]:
+            row = self._rows[at]
+            row[kernels.POWER] = power(row[FLAGS], self.speeds[at])
+            at = (at + 1) % flow[ROWS]
 
     def speed_rpm(self) -> float:
         """Spindle speed of the block being executed, as programmed."""

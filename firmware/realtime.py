@@ -143,6 +143,7 @@ class Realtime:
                 homing = state.run == st.HOMING
                 state.alarm = errors.ALARM_HOMING_FAIL_RESET if homing else errors.ALARM_ABORT_CYCLE
             self._engine.stop()
+            self.release()
 
     def on_limits(self) -> None:
         """A limit switch has changed. Interrupt."""
@@ -192,8 +193,9 @@ class Realtime:
             return
         if state.pending[st.RESET]:
             raise Abort
-        if state.take(st.STATUS_REPORT):
+        if state.pending[st.STATUS_REPORT]:
             self._report.status()
+            state.pending[st.STATUS_REPORT] = 0  # what was asked meanwhile has been answered too
         held = self._holds()
         if state.take(st.CYCLE_START) and not held:
             self._cycle_start()
@@ -212,6 +214,8 @@ class Realtime:
             state.pending[st.RESET] = 0
             while not state.pending[st.RESET]:
                 self._pump()
+                if self._settling:
+                    self._settle()
         state.alarm = 0
 
     def _holds(self) -> bool:
@@ -297,8 +301,9 @@ class Realtime:
         if cancelled:
             self._planner.clear()
             self._resync()
-        state.holding = False
-        self._segments.hold(False)
+            state.holding = False
+        # After a probe's contact `holding` stays until motion starts again, as in Grbl:
+        # a reset before that raises an alarm.
         if state.suspend & st.DOOR_AJAR:
             state.suspend = state.suspend & ~st.JOG_CANCEL | st.HOLD_COMPLETE
             state.run = st.DOOR
@@ -311,6 +316,8 @@ class Realtime:
     def start(self, run: int) -> None:
         """Set the machine in motion, in that run state."""
         self._state.run = run
+        self._state.holding = False
+        self._segments.hold(False)
         self._settling = False
         self.power(True)
         self._moving = True
@@ -363,8 +370,17 @@ class Realtime:
         if new[2] != state.spindle_override:
             state.spindle_override = new[2]
             state.override_countdown = 0
-            state.update_spindle = True
+            self._override_spindle()
         self._accessory_overrides()
+
+    def _override_spindle(self) -> None:
+        """The spindle's override has changed: now, with the motion, or once it is held."""
+        state = self._state
+        if state.run == st.IDLE:
+            self._spindle.turn(self._gcode.spindle, self._gcode.spindle_rpm)
+        elif state.run & _MOTION:
+            state.update_spindle = True
+            self._planner.each_power(self._spindle.block_power)
 
     def _accessory_overrides(self) -> None:
         state = self._state
@@ -372,13 +388,9 @@ class Realtime:
             self.stop_spindle()
         flood = state.take(st.OVERRIDES + _FLOOD_TOGGLE - st.FIRST_OVERRIDE_BYTE)
         mist = state.take(st.OVERRIDES + _MIST_TOGGLE - st.FIRST_OVERRIDE_BYTE)
-        if not (flood or mist) or state.run not in (st.IDLE, st.RUN, st.HOLD, st.JOG):
+        toggled = (FLOOD if flood else 0) | (MIST if mist and self._has_mist else 0)
+        if not toggled or state.run not in (st.IDLE, st.RUN, st.HOLD, st.JOG):
             return
-        toggled = 0
-        if flood or not self._has_mist:
-            toggled |= FLOOD
-        if mist and self._has_mist:
-            toggled |= MIST
         self._gcode.coolant ^= toggled
         self._coolant.set(self._gcode.coolant)
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 OFF = const(0)
 CW = const(0x10)
 CCW = const(0x20)
+_TURNING = const(0x30)
 
 # Least power of a spindle that turns.
 _MIN_POWER = const(1)
@@ -65,8 +66,12 @@ class Spindle:
         state.spindle_rpm = rpm
         return int(f32(f32(rpm - self._min_rpm) * self._gradient)) + _MIN_POWER
 
-    def dynamic_power(self, rpm: float) -> int:
-        """Power of a laser whose rate is the programmed one, for kernels.power(): in 1/64."""
+    def block_power(self, flags: int, rpm: float) -> int:
+        """What a planner block with these flags carries: see kernels.power()."""
+        if not flags & _TURNING:
+            return 0
+        if not flags & kernels.DYNAMIC:
+            return self.power(rpm)
         rpm = min(rpm * self._state.spindle_override / 100, self._max_rpm)
         return int(rpm * self._gradient * 64) if self._gradient else 0
 

@@ -116,16 +116,12 @@ class Block:
 
 @dataclass(eq=False)
 class Segment:
-    """A row as it was handed out, and what the flow said around it. Speeds in mm/s along the path."""
+    """A row as it was handed out. start: in ticks, with no pause between segments."""
 
     block: Block
     start: int
     row: "array[int]"
-    distance: float  # mm
-    speed: float  # at its end
-    nominal: float
     ends_block: bool
-    resumed: bool = False  # motion had come to rest before it
 
     @property
     def ticks(self) -> int:
@@ -135,6 +131,33 @@ class Segment:
         """Steps, tick of the first, tick of the last."""
         at = ROW_AXES + ROW_STRIDE * i
         return self.row[at], self.row[at + 1], self.row[at + 2]
+
+
+@dataclass(eq=False)
+class Piece:
+    """What the profile did while a segment was made: to a fraction of a step. mm and seconds."""
+
+    block: Block
+    distance: float
+    time: float
+    speed: float  # at its end
+    ends_block: bool
+    from_rest: bool
+
+    @property
+    def mean(self) -> float:
+        return self.distance / self.time
+
+    def change(self, hz: int) -> float:
+        """How much its mean speed may differ from that at either end."""
+        return self.block.acceleration * self.time / 2 + self.grain(hz)
+
+    def grain(self, hz: int) -> float:
+        """What ticks, 2**-18 of a step, and braking of 1/400 of a step leave open of its mean."""
+        block = self.block
+        step = block.length / block.events
+        ticks = (self.distance * 2 / self.time / hz + step * 4 / 2**18) / self.time
+        return ticks + sqrt(2 * block.acceleration * step / 400)
 
 
 def real(r: int) -> float:
@@ -155,6 +178,7 @@ class Watch:
         self.tick_hz = tick_hz
         self.planned: list[Block] = []
         self.made: list[Segment] = []
+        self.pieces: list[Piece] = []
         self.planner = planner
         self._rows: dict[int, Block] = {}
         self._line, self._system_line = planner.line, planner.system_line
@@ -212,22 +236,33 @@ class Watch:
     def next(self, row: "array[int]") -> int:
         """Stand in for Segments.next."""
         flow = self.planner.flow
-        at_rest = flow[kernels.NOW if flow[kernels.LOADED] else kernels.CARRY] == 0
+        loaded = flow[kernels.LOADED]
+        at_rest = flow[kernels.NOW if loaded else kernels.CARRY] == 0
+        left = self._left() if loaded else 0
+        spare = flow[kernels.SPARE] if loaded else 0
+        row[ROW_TICKS] = 0
         found = self._next(row)
+        at = flow[kernels.AT] // flow[kernels.ROW_SIZE]
+        block = self._rows.get(at)
+        if block is None:
+            return found
+        ended = not flow[kernels.LOADED]
         if found:
-            at = flow[kernels.AT] // flow[kernels.ROW_SIZE]
-            used = self.row(at)
-            block = self._rows[at]
-            per_mm = real(used[kernels.FACTOR])
-            distance = flow[kernels.ADVANCE] / 2**18 / block.events * block.length
             start = self.made[-1].start + self.made[-1].ticks if self.made else 0
-            nominal = real(used[kernels.NOMINAL])
-            ended = not flow[kernels.LOADED]
-            speed = flow[kernels.NOW] / per_mm
-            self.made.append(
-                Segment(block, start, row[:], distance, speed, nominal, ended, at_rest)
-            )
+            self.made.append(Segment(block, start, row[:], ended))
+        time = row[ROW_TICKS] + flow[kernels.SPARE] - spare
+        if row[ROW_TICKS] and time:
+            distance = ((left or block.events << 18) - self._left()) / 2**18
+            distance *= block.length / block.events
+            speed = flow[kernels.NOW] / real(self.row(at)[kernels.FACTOR])
+            piece = Piece(block, distance, time / self.tick_hz, speed, ended, at_rest)
+            self.pieces.append(piece)
         return found
+
+    def _left(self) -> int:
+        """What the profile has still to go, in 2**-18 steps of the longest axis."""
+        flow = self.planner.flow
+        return (flow[kernels.WHOLE] << 18) + flow[kernels.FRACTION]
 
 
 def to_axes(motors: Sequence[float], limits: Limits) -> "list[float]":
@@ -246,12 +281,11 @@ class Bench:
         blocks: int = 16,
         tick_hz: int = TICK_HZ,
         segment_log2: int = SEGMENT_LOG2,
-        least_steps: float = 0,
     ) -> None:
         self.limits = limits = limits or Limits()
         axes = len(limits.rate)
         self.state = State()
-        self.planner = Planner(axes, blocks, limits.corexy, least_steps, self.state)
+        self.planner = Planner(axes, blocks, limits.corexy, self.state)
         self.planner.configure(limits.settings(), tick_hz, segment_log2, limits.step_hz)  # type: ignore[arg-type]
         self.segments = Segments(self.planner)
         self.watch = Watch(self.planner, self.segments, limits, tick_hz)
@@ -334,67 +368,48 @@ def _least(watch: Watch) -> float:
 
 def check_segments(watch: Watch) -> None:
     """The path's speed: from rest to rest, without a jump, within every axis' limits."""
-    made = watch.made
-    hz = watch.tick_hz
     _check_rows(watch)
-    left: dict[Block, list[int]] = {}
-    for segment in made:
-        block = segment.block
-        sums = left.setdefault(block, [0] * len(block.motors))
-        for i in range(len(sums)):
-            sums[i] += segment.axis(i)[0]
-        if segment.ends_block:
-            assert sums == [abs(n) for n in block.motors], "steps made are not those planned"
-    for segment in made:
-        mean = segment.distance / segment.ticks * hz
-        assert mean <= segment.block.speed * RATE_SLACK + _grain(segment, hz), "rate of an axis"
-    rest: list[tuple[Segment | None, Segment | None]] = []
-    for before, after in pairwise(made):
-        if after.resumed or not before.speed:
-            rest += [(before, None), (None, after)]
+    hz = watch.tick_hz
+    pieces = watch.pieces
+    for piece in pieces:
+        assert piece.mean <= piece.block.speed * RATE_SLACK + piece.grain(hz), "rate of an axis"
+    for before, after in pairwise(pieces):
+        if after.from_rest:
+            _check_rest(before, hz)
+            _check_rest(after, hz)
             continue
+        change = before.change(hz) + after.change(hz)
+        assert abs(after.mean - before.mean) <= change * ACCELERATION_SLACK, "acceleration"
         if before.ends_block:
             corner = before.block.junction(after.block) * JUNCTION_SLACK + _least(watch)
             assert before.speed <= corner, "corner taken too fast"
-        rest.append((before, after))
-    if made:
-        rest += [(None, made[0]), (made[-1], None)]
-    for before, after in rest:
-        _check_joint(before, after, hz)
+    if pieces:
+        _check_rest(pieces[0], hz)
+        _check_rest(pieces[-1], hz)
+
+
+def _check_rest(piece: Piece, hz: int) -> None:
+    assert piece.mean <= piece.change(hz) * ACCELERATION_SLACK, "not from rest, or not to rest"
 
 
 def _check_rows(watch: Watch) -> None:
+    """Rows are in order, and a block's steps are those planned, all of them."""
+    made: dict[Block, list[int]] = {}
     for segment in watch.made:
+        sums = made.setdefault(segment.block, [0] * len(segment.block.motors))
         assert segment.ticks > 0
         for i in range(len(segment.block.motors)):
             count, first, last = segment.axis(i)
             assert count >= 0
+            sums[i] += count
             if count:
                 assert 0 <= first <= last <= segment.ticks
                 assert count == 1 or first < last
                 planned = segment.block.motors[i]
                 assert (segment.row[ROW_DIRS] >> i & 1) == (planned < 0), "wrong direction"
-
-
-def _check_joint(before: "Segment | None", after: "Segment | None", hz: int) -> None:
-    """The mean speeds of neighbours differ by what half of each allows; rest is 0."""
-    means = []
-    allowed = 0.0
-    for segment in (before, after):
-        if segment is None:
-            means.append(0.0)
-            continue
-        means.append(segment.distance / segment.ticks * hz)
-        allowed += segment.block.acceleration * segment.ticks / hz / 2 + _grain(segment, hz)
-    assert abs(means[1] - means[0]) <= allowed * ACCELERATION_SLACK, "acceleration of an axis"
-
-
-def _grain(segment: Segment, hz: int) -> float:
-    """What whole ticks, 2**-18 of a step, and 1/400 of a step's braking leave open of a mean speed."""
-    block = segment.block
-    step = block.length / block.events
-    ticks = (segment.distance * 2 / segment.ticks + step * 4 / 2**18) / segment.ticks * hz
-    return ticks + sqrt(2 * block.acceleration * step / 400)
+        if segment.ends_block:
+            planned = [abs(n) for n in segment.block.motors]
+            assert sums == planned, "steps made are not those planned"
 
 
 Rows = Sequence["tuple[int, array[int]]"]
@@ -429,27 +444,18 @@ def check_pulses(watch: Watch, rows: Rows, pulse_us: float = 10) -> None:
         planned = [block.motors[i] for block in watch.planned]
         assert sum(sign for _, sign in train) == sum(planned), "net steps"
         assert len(train) == sum(map(abs, planned)), "pulses"
-        check_spacing(rows, i, hz, pulse_us)
+        check_spacing(train, hz, pulse_us)
         if not limits.corexy:
             _check_density(ticks, limits.speed(i) * limits.steps_per_mm[i] / hz)
 
 
-def check_spacing(rows: Rows, axis: int, hz: int, pulse_us: float) -> None:
-    """A pulse ends before the next, and the direction stands some time before it."""
-    setup = SETUP_US * hz // 1_000_000
-    base = ROW_AXES + ROW_STRIDE * axis
-    last = turned = -inf
-    dirs = None
-    for start, row in rows:
-        if row[ROW_DIRS] >> axis & 1 != dirs:
-            dirs = row[ROW_DIRS] >> axis & 1
-            turned = start
-            assert start >= last
-        for k in range(row[base]):
-            tick = start + step_tick(row, base, k)
-            assert tick - turned >= setup, "a step too soon after its direction"
-            assert tick - last >= pulse_us * hz / 1_000_000, "a step within the last one's pulse"
-            last = tick
+def check_spacing(train: "list[tuple[int, int]]", hz: int, pulse_us: float) -> None:
+    """A pulse ends before the next, and a new direction has time to stand before its first."""
+    pulse = pulse_us * hz / 1_000_000
+    setup = SETUP_US * hz / 1_000_000
+    for (before, was), (tick, sign) in pairwise(train):
+        assert tick - before >= pulse, "a step within the last one's pulse"
+        assert sign == was or tick - before >= pulse + setup, "a step too soon after a reversal"
 
 
 def _check_density(ticks: "list[int]", rate: float) -> None:

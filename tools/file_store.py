@@ -8,7 +8,7 @@ _INDENT = "    "
 
 
 class FileStore:
-    """Keeps the firmware's settings between runs. A file that cannot be read counts as empty."""
+    """Keeps the firmware's settings between runs. A damaged file counts as empty."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -36,11 +36,11 @@ class FileStore:
             text = self._path.read_text(encoding="latin-1")
         except OSError:
             return kept
-        lines: list[str] = []
-        for line in text.split("\n"):
+        for line in text.splitlines():
             if line.startswith("[") and line.endswith("]"):
-                lines = kept[line[1:-1]] = []
-            elif line:
-                # A line without its indent is damage: the firmware, which checks, shall see it.
-                lines.append(line.removeprefix(_INDENT))
+                kept[line[1:-1]] = []
+            elif line.startswith(_INDENT) and kept and line.isprintable():
+                kept[next(reversed(kept))].append(line.removeprefix(_INDENT))
+            else:
+                return {}
         return kept

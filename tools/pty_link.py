@@ -15,23 +15,30 @@ _KEPT = 1024
 
 
 class Pty:
-    """A pseudo-terminal in raw mode. It outlives its senders; link: where a symlink to it goes."""
+    """A pseudo-terminal in raw mode. It outlives its senders."""
 
     closed = False
 
-    def __init__(self, link: Path | None = None) -> None:
+    def __init__(self) -> None:
         self._master, slave = os.openpty()
         tty.setraw(slave)
         self.name = os.ttyname(slave)
         os.close(slave)
         os.set_blocking(self._master, False)
-        self._link = link
-        if link:
-            _replace_link(link, self.name)
+        self._link: Path | None = None
         self._connected = False
         self._early = b""
         self._first = True
         self._deaf = False
+
+    def link(self, place: Path) -> None:
+        """Put a symlink to it there; one that is there already is replaced, a file is not."""
+        if place.exists() and not place.is_symlink():
+            raise FileExistsError(f"{place} is there already and is no link")
+        new = place.with_name(f".{place.name}.{os.getpid()}")
+        new.symlink_to(self.name)
+        new.replace(place)
+        self._link = place
 
     def read(self, limit: int) -> bytes:
         """What has come from the sender."""
@@ -123,12 +130,3 @@ class Stdio:
 
     def close(self) -> None:
         """Nothing to take away."""
-
-
-def _replace_link(link: Path, target: str) -> None:
-    """Put a symlink there at once; one that is there already is replaced, a file is not."""
-    if link.exists() and not link.is_symlink():
-        raise FileExistsError(f"{link} is there already and is no link")
-    new = link.with_name(f".{link.name}.{os.getpid()}")
-    new.symlink_to(target)
-    new.replace(link)

@@ -115,6 +115,8 @@ class ProgramLink:
 
     def _receive(self, line: str) -> None:
         self._news = self.rig.now
+        if self.result.stopped:
+            return  # lines already handed over are refused in alarm; that is no news
         if is_answer(line):
             if self._unanswered:
                 self._answer(line)

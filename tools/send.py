@@ -74,7 +74,9 @@ class Connection:
             if time.monotonic() - asked >= _POLL_S:
                 self.write(STATUS)
                 asked = time.monotonic()
-            heard = [done(line) for line in self.lines()]  # every line, for done() may collect them
+            heard = [
+                done(line) for line in self.lines()
+            ]  # every line, for done() may collect them
             if any(heard):
                 return True
         return False

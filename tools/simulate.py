@@ -28,7 +28,7 @@ class Options:
 
 def simulate(options: Options) -> None:
     """Run until a signal comes, or until stdin ends and all it asked for is done."""
-    wire = Stdio() if options.stdio else Pty(options.link)
+    wire = Stdio() if options.stdio else Pty()
     try:
         rig = machine.build(
             options.board, lambda rig: LiveLink(rig, wire, options.fast), options.settings
@@ -36,7 +36,7 @@ def simulate(options: Options) -> None:
         recorder = Recorder(rig, keep_path=options.plot is not None)
         _stop_on_signals(rig.link)
         if isinstance(wire, Pty):
-            Console().print(f"Grbl is at {options.link or wire.name}", highlight=False)
+            _publish(wire, options.link)
         rig.run(iter(()))
     finally:
         wire.close()
@@ -44,6 +44,12 @@ def simulate(options: Options) -> None:
         picture.save(picture.strokes(recorder.path), options.plot)
     if options.report:
         recorder.totals().save(options.report)
+
+
+def _publish(wire: Pty, link: Path | None) -> None:
+    if link:
+        wire.link(link)
+    Console().print(f"Grbl is at {link or wire.name}", highlight=False, soft_wrap=True)
 
 
 def _stop_on_signals(link: LiveLink) -> None:

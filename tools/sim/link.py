@@ -17,6 +17,7 @@ class SimLink:
         self._rig = rig
         self._rx_ticks = rig.engine.tick_hz * 10 // rx_baud
         self._tx_ticks = rig.engine.tick_hz * 10 // tx_baud
+        self._turn = 0
         self._rx = bytearray()
         self._rx_due = 0  # when the first byte of _rx has arrived
         self._tx = bytearray()
@@ -26,6 +27,10 @@ class SimLink:
 
     def read_into(self, buf):
         """What has arrived; where nothing has, time passes until the next event."""
+        turn = self._turn + self._rig.loop_ticks
+        if turn > self._rig.now and self._rig.moving():
+            self._rig.pass_time(turn)
+        self._turn = self._rig.now
         count = self._arrived(len(buf))
         if count == 0:
             self._rig.wait()
@@ -37,6 +42,7 @@ class SimLink:
 
     def write(self, data):
         rig = self._rig
+        rig.pass_time(rig.now + rig.answer_ticks)
         if not self._tx:
             self._tx_due = rig.now + self._tx_ticks
         self._tx.extend(data)

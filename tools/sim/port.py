@@ -73,9 +73,9 @@ class SimPort:
         self.spindle_on = False
         self.spindle_pwm = self.spindle_dir = self.flood = self.mist = 0
 
-    def push(self, name, closed):
-        """Close or open an input by hand."""
-        self._pushed[name] = closed
+    def push(self, pins):
+        """Close (True) or open inputs, by name, by hand and all at once."""
+        self._pushed.update(pins)
         self.update()
 
     def update(self):

@@ -274,9 +274,8 @@ class _Case:
         self.sender.allow(step.get("t_ms", 0) * 3 + step.get("settle_ms", 0) + 20_000)
         for row in step.get("switches", ()):
             _attach(rig, row)
-        for pin, level in step.get("pins", {}).items():
-            rig.port.push(pin, level == "closed")
-        rig.port.update()
+        pins = step.get("pins", {})
+        rig.port.push({pin: level == "closed" for pin, level in pins.items()})
         if step.get("power") == "cycle":
             if self.blank:
                 self.blank = False  # the power has just come on

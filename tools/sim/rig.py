@@ -44,6 +44,8 @@ class Rig:
         self.engine = SimEngine(axes, board.SEGMENT_QUEUE)
         self.ticks_per_ms = self.engine.tick_hz / 1000
         self.scratch = array("i", [0] * axes)
+        self.loop_ticks = int(getattr(board, "LOOP_US", 0) * self.ticks_per_ms / 1000)
+        self.answer_ticks = int(getattr(board, "ANSWER_US", 0) * self.ticks_per_ms / 1000)
         self.port = SimPort(self, board.PWM_MAX)
         self.engine.pins_changed = self.port.update
         self.link = link(self)

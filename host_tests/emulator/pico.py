@@ -1,0 +1,224 @@
+"""A Raspberry Pi Pico in the emulator rp2040py, running a real MicroPython image.
+
+Synchronous and deterministic: nothing happens unless run_us() or run_until() is called, and time
+is the emulated chip's. Three faults of rp2040py 0.3.6 are mended here, see _Usb, _Pio and
+_read_back(); what its times are worth is said in the README.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from littlefs import LittleFS, UserContext
+from rp2040py.boards import BOARDS, BoardSpec, FlashLayout
+from rp2040py.device import MicroPythonDevice
+from rp2040py.execute_batch import execute_batch
+from rp2040py.memory_map import FLASH_START_ADDRESS
+
+# Where MicroPython 1.28 keeps its file system in the Pico's 2 MB.
+LAYOUT = FlashLayout(fs_start=0xA0000, fs_blockcount=352, fs_blocksize=4096)
+_PROG_SIZE = 256
+_DISK_VERSION = 0x00020000
+
+_NS_PER_US = 1000
+_OUT_PACKET_US = 1  # how long after a byte has been queued the host sends it
+_LONGEST_STEP_NS = 4_000  # the processor never sleeps past a pin's edge by more
+
+
+class Edge(NamedTuple):
+    """A pin has changed."""
+
+    ns: float
+    pin: int
+    level: int
+
+
+def file_system(files: Mapping[str, bytes]) -> bytes:
+    """A littlefs image for the board with these files, by path."""
+    context = UserContext(LAYOUT.fs_blocksize * LAYOUT.fs_blockcount)
+    disk = _littlefs(context, mount=False)
+    disk.format()
+    disk.mount()
+    for name, content in files.items():
+        folder = str(Path(name).parent)
+        if folder != ".":
+            disk.makedirs(folder, exist_ok=True)
+        with disk.open(name, "wb") as file:
+            file.write(content)
+    disk.unmount()
+    return bytes(context.buffer)
+
+
+def _littlefs(context: UserContext, mount: bool) -> LittleFS:
+    return LittleFS(
+        context=context,
+        block_size=LAYOUT.fs_blocksize,
+        block_count=LAYOUT.fs_blockcount,
+        prog_size=_PROG_SIZE,
+        read_size=_PROG_SIZE,
+        disk_version=_DISK_VERSION,
+        mount=mount,
+    )
+
+
+class _Usb:
+    """The host's end of the serial line over USB.
+
+    rp2040py answers every empty OUT poll with a zero-length packet at once, which costs the chip
+    two thirds of its time; a real host keeps silent. So polls wait here until there are bytes.
+    """
+
+    def __init__(self, pico: "Pico") -> None:
+        self.received = bytearray()
+        self.connected = 0  # how often the chip has been enumerated
+        self._cdc = pico.device.cdc
+        self._pending = bytearray()
+        self._polled: tuple[int, int] | None = None
+        self._answer = pico.device.mcu.usb_ctrl.on_endpoint_read
+        self._alarm = pico.clock.create_alarm(self._push)
+        self._cdc.on_serial_data = self.received.extend
+        self._cdc.on_device_connected = self._on_connected
+        pico.device.mcu.usb_ctrl.on_endpoint_read = self._on_poll
+        on_reset = pico.device.mcu.usb_ctrl.on_reset
+        pico.device.mcu.usb_ctrl.on_reset = lambda: (self._forget(), on_reset())
+
+    def send(self, data: bytes) -> None:
+        self._pending += data
+        self._alarm.schedule(_OUT_PACKET_US * _NS_PER_US)
+
+    def waiting(self) -> int:
+        """Bytes the chip has not taken yet."""
+        return len(self._pending) + self._cdc.tx_fifo.item_count
+
+    def _on_connected(self) -> None:
+        self.connected += 1
+
+    def _forget(self) -> None:
+        self._polled = None
+
+    def _on_poll(self, endpoint: int, size: int) -> None:
+        if endpoint != self._cdc._out_endpoint or endpoint <= 0:
+            self._answer(endpoint, size)
+            return
+        self._polled = (endpoint, size)
+        if self._pending:
+            self._alarm.schedule(_OUT_PACKET_US * _NS_PER_US)
+
+    def _push(self) -> None:
+        if self._polled is None or not self._pending:
+            return
+        polled, self._polled = self._polled, None
+        for byte in self._pending[: polled[1]]:
+            self._cdc.send_serial_byte(byte)
+        del self._pending[: polled[1]]
+        self._answer(*polled)
+
+
+class Pico:
+    """The board. files: what is on its file system at first power-up, by path."""
+
+    def __init__(self, uf2: Path, files: Mapping[str, bytes] | None = None) -> None:
+        board: BoardSpec = replace(BOARDS["pico"], image=uf2, layout=LAYOUT)
+        self.device = MicroPythonDevice(board=board)
+        self.simulator = self.device.simulator
+        self.mcu = self.device.mcu
+        self.clock = self.simulator.clock
+        self.usb = _Usb(self)
+        self.edges: list[Edge] = []
+        self._stop = self.clock.create_alarm(self._on_stop)
+        self._beat = self.clock.create_alarm(self._on_beat)
+        if files is not None:
+            self.put_file_system(file_system(files))
+        for pin in self.mcu.gpio:
+            _read_back(pin)
+        self.mcu.core.pc = FLASH_START_ADDRESS
+
+    # Time
+
+    @property
+    def us(self) -> float:
+        """Emulated microseconds since power-up."""
+        return float(self.clock.nanos) / _NS_PER_US
+
+    def run_us(self, us: float) -> None:
+        """Let the chip run so long."""
+        self._stop.schedule(us * _NS_PER_US)
+        self.simulator.stopped = False
+        while not self.simulator.stopped:
+            execute_batch(self.simulator, 1)
+
+    def run_until(self, done: Callable[[], bool], limit_us: float, step_us: float = 500) -> bool:
+        """Let the chip run until done() says so; returns False where it never does."""
+        end = self.us + limit_us
+        while not done():
+            if self.us >= end:
+                return False
+            self.run_us(step_us)
+        return True
+
+    def at_us(self, delay_us: float, action: Callable[[], None]) -> None:
+        """Call action when that much more time has passed."""
+        self.clock.create_alarm(action).schedule(delay_us * _NS_PER_US)
+
+    def _on_stop(self) -> None:
+        self.simulator.stopped = True
+
+    # Pins
+
+    def record(self, pins: list[int]) -> None:
+        """Log the edges of these pins, from now on, in self.edges."""
+        for pin in pins:
+            self.mcu.gpio[pin].add_listener(self._listener(pin))
+        self._on_beat()
+
+    def _listener(self, pin: int) -> Callable[[object, object], None]:
+        edges, clock = self.edges, self.clock
+
+        def on_change(new: object, _old: object) -> None:
+            edges.append(Edge(clock.nanos, pin, 1 if new.name == "HIGH" else 0))
+
+        return on_change
+
+    def _on_beat(self) -> None:
+        """PIO advances once per instruction, or once per nap of the processor: keep naps short."""
+        self._beat.schedule(_LONGEST_STEP_NS)
+
+    def drive(self, pin: int, level: int | None) -> None:
+        """Drive an input from outside; None lets it float."""
+        gpio = self.mcu.gpio[pin]
+        if level is None:
+            gpio.release_input()
+        elif gpio.input_value != bool(level):
+            gpio.set_input_value(bool(level))
+
+    # Flash
+
+    def put_file_system(self, image: bytes) -> None:
+        """Replace the file system."""
+        self.mcu.flash[LAYOUT.fs_start : LAYOUT.fs_start + len(image)] = image
+
+    def flash_image(self) -> bytes:
+        """The file system as it is now."""
+        size = LAYOUT.fs_blocksize * LAYOUT.fs_blockcount
+        return bytes(self.mcu.flash[LAYOUT.fs_start : LAYOUT.fs_start + size])
+
+    def read_file(self, name: str) -> bytes:
+        """A file of the board, as the chip has left it."""
+        image = self.flash_image()
+        context = UserContext(len(image))
+        context.buffer[:] = image
+        with _littlefs(context, mount=True).open(name, "rb") as file:
+            return bytes(file.read())
+
+
+def _read_back(pin: object) -> None:
+    """Output pins read as what they drive: rp2040py keeps the two apart."""
+
+    def on_change(new: object, _old: object) -> None:
+        if new.name in ("LOW", "HIGH"):
+            pin.set_input_value(new.name == "HIGH")
+        else:
+            pin.release_input()
+
+    pin.add_listener(on_change)

@@ -1,0 +1,195 @@
+"""Kernels against plain floats; the stand-in for viper raises where 32 bits would not do."""
+
+import struct
+from array import array
+from math import isqrt, sqrt
+
+import kernels
+import pytest
+from f32 import vector
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from kernels import real, value
+from laws import Bench, Limits
+
+HIGHEST = 2**30 - 1
+_PRECISION = 2**-13
+
+words = st.integers(0, HIGHEST)
+positive = st.integers(1, HIGHEST)
+floats = st.floats(min_value=1e-6, max_value=1e9)
+parts = st.integers(0, 2**17)
+
+
+def single(x: float) -> float:
+    """X rounded to single precision."""
+    return struct.unpack("f", struct.pack("f", x))[0]
+
+
+def near(got: float, expected: float, part: float = _PRECISION) -> bool:
+    return abs(got - expected) <= part * abs(expected)
+
+
+# Reals
+
+
+@given(floats)
+def test_a_real_is_the_nearest_below(x: float) -> None:
+    assert x * (1 - 2**-14) < value(real(x)) <= x
+
+
+@given(floats, floats)
+def test_reals_compare_as_integers_do(x: float, y: float) -> None:
+    assert (real(x) < real(y)) == (value(real(x)) < value(real(y)))
+
+
+def test_nothing_is_zero() -> None:
+    assert real(0.0) == kernels.pack(0, 64) == kernels.mul(0, real(2.0)) == 0
+    assert kernels.div(0, real(2.0)) == kernels.whole(0, 0) == kernels.real_root(0) == 0
+
+
+@given(positive, st.integers(40, 90))
+def test_packing_keeps_fifteen_bits(n: int, exponent: int) -> None:
+    assert near(value(kernels.pack(n, exponent)), n * 2.0 ** (exponent - 64), 2**-14)
+
+
+@given(floats, floats)
+def test_products_and_quotients_are_near(x: float, y: float) -> None:
+    a, b = real(x), real(y)
+    assert near(value(kernels.mul(a, b)), value(a) * value(b))
+    assert near(value(kernels.div(a, b)), value(a) / value(b))
+
+
+@given(floats)
+def test_results_are_normal(x: float) -> None:
+    for r in (kernels.mul(real(x), real(3.0)), kernels.div(real(x), real(3.0))):
+        assert 16384 <= r % 32768
+
+
+@given(floats, st.integers(0, 20))
+def test_whole_numbers_are_cut_off_and_saturate(x: float, bits: int) -> None:
+    r = real(x)
+    exact = int(value(r) * 2**bits)
+    assert kernels.whole(r, bits) == (exact if exact <= 32767 << 15 else HIGHEST)
+
+
+@given(words)
+@example(0)
+@example(1)
+@example(HIGHEST)
+def test_square_roots_are_exact(n: int) -> None:
+    assert kernels.square_root(n) == isqrt(n)
+
+
+@given(floats)
+def test_roots_of_reals_are_near(x: float) -> None:
+    assert near(value(kernels.real_root(real(x))), sqrt(value(real(x))))
+
+
+# Steps
+
+
+@given(
+    st.floats(width=32, min_value=-20000, max_value=20000),
+    st.floats(width=32, min_value=0.0625, max_value=5000),
+)
+@example(0.5, 1.0)
+@example(-0.5, 1.0)
+@example(2.5, 1.0)
+@example(0.002, 250.0)
+@example(-0.00600000005, 250.0)
+@example(0.0, 250.0)
+@example(-0.0, 250.0)
+@example(1.17549435e-38, 5000.0)
+@example(8388607.5, 1.0)
+@example(107374.18, 5000.0)
+def test_millimetres_become_steps_as_in_single_precision(mm: float, resolution: float) -> None:
+    target, resolutions = vector(1), vector(1)
+    target[0], resolutions[0] = mm, resolution
+    steps = array("i", [0])
+    product = single(mm * resolution)
+    inside = kernels.to_steps(target, resolutions, steps, 1)
+    assert inside == (abs(product) < 2**29)
+    if inside:
+        rounded = int(abs(product) + 0.5)  # exact: a double holds both
+        assert steps[0] - 2**29 == (rounded if product >= 0 else -rounded)
+
+
+# The interrupt's arithmetic
+
+
+@given(words, positive)
+def test_a_share_is_cut_off_at_all_of_it(part: int, total: int) -> None:
+    exact = part / total * 2**17
+    got = kernels.share(part, total)
+    assert got == 2**17 if part >= total else abs(got - exact) <= 1 + exact * 2**-20
+
+
+@given(words, parts)
+def test_times_is_a_product_with_a_part(x: int, part: int) -> None:
+    exact = x * part / 2**17
+    assert abs(kernels.times(x, part) - exact) <= 2 + x * 2**-15
+
+
+speeds = st.integers(0, 2**30 - 1)
+ramps = st.integers(1, 2**30 - 1)
+
+
+@given(speeds, speeds, ramps, st.sampled_from([0, 18]))
+def test_braking_distance_is_what_floats_say(one: int, other: int, ramp: int, unit: int) -> None:
+    fast, slow = max(one, other), min(one, other)
+    exact = (fast - slow) * (fast + slow) / 2 / ramp * 2.0 ** (unit - 18)
+    got = kernels.braking(fast, slow, ramp, unit)
+    if exact >= HIGHEST * 1.001:
+        assert got == HIGHEST
+    elif exact < HIGHEST * 0.999:
+        assert abs(got - exact) <= 1 + exact * 2**-12
+
+
+@given(speeds, ramps, speeds, st.booleans())
+def test_speed_after_a_distance_is_what_floats_say(
+    speed: int, ramp: int, distance: int, down: bool
+) -> None:
+    square = speed**2 + (-2 if down else 2) * ramp * distance
+    got = kernels.after(speed, ramp, distance, int(down))
+    tolerance = (speed**2 + 2 * ramp * distance) * 2**-12 + 4
+    assert got >= 0
+    if square < HIGHEST**2 * 0.999:
+        exact = max(square, 0)
+        assert abs(got**2 - exact) <= tolerance + 4 * got
+
+
+# Extreme but legal settings: nothing leaves 32 bits, and every law holds.
+
+extremes = st.builds(
+    Limits,
+    st.tuples(*[st.sampled_from([1.0, 7.3, 250.0, 5000.0])] * 3),
+    st.tuples(*[st.sampled_from([1.0, 60.0, 3000.0, 100_000.0])] * 3),
+    st.tuples(*[st.sampled_from([1.0, 30.0, 800.0, 20_000.0])] * 3),
+    st.sampled_from([0.0, 0.001, 0.01, 10.0]),
+    st.sampled_from([90_909, 250_000]),
+)
+travels = st.tuples(*[st.sampled_from([-10_000.0, -0.5, 0.0, 0.001, 1.0, 9_999.9])] * 3)
+
+
+@settings(max_examples=150)
+@given(extremes, st.lists(st.tuples(travels, st.sampled_from([0.0, 1.0, 1e3, 1e6])), max_size=4))
+def test_extreme_settings_and_distances_stay_within_32_bits(limits, moves) -> None:
+    bench = Bench(limits)
+    for target, feed in moves:
+        if not bench.planner.full():
+            bench.line(target, feed)
+        bench.pull(6)
+    bench.hold()
+    bench.pull(3)
+
+
+@pytest.mark.parametrize("rate", [1.0, 100_000.0])
+@pytest.mark.parametrize("acceleration", [1.0, 20_000.0])
+@pytest.mark.parametrize("resolution", [1.0, 5000.0])
+def test_a_short_move_at_extreme_settings_keeps_every_law(rate, acceleration, resolution) -> None:
+    bench = Bench(Limits((resolution,) * 3, (rate,) * 3, (acceleration,) * 3))
+    way = 20 / resolution + rate / 60 / 50
+    bench.line((way, 0, 0))
+    bench.line((way, way / 2, -way / 3))
+    bench.check()

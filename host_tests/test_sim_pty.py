@@ -1,0 +1,273 @@
+"""`ugrbl sim`: the firmware behind a real pseudo-terminal, in a process of its own."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import serial
+
+_PATIENCE_S = 15.0
+_COMMAND = [sys.executable, "-m", "ugrbl.cli"]
+_ENVIRONMENT = {**os.environ, "UGRBL_VIPER": "fast", "COLUMNS": "120"}
+
+
+class Sim:
+    """A running simulator."""
+
+    def __init__(self, folder: Path, *arguments: str) -> None:
+        self.port = folder / "grbl"
+        command = [*_COMMAND, "sim", "--port", str(self.port), *arguments]
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, env=_ENVIRONMENT, text=True
+        )
+        until = time.monotonic() + _PATIENCE_S
+        while not self.port.is_symlink():
+            assert self.process.poll() is None and time.monotonic() < until, "no simulator"
+            time.sleep(0.01)
+
+    def open(self) -> "Sender":
+        return Sender(self.port)
+
+    def stop(self) -> str:
+        self.process.send_signal(signal.SIGTERM)
+        return self.process.communicate(timeout=_PATIENCE_S)[0]
+
+
+class Sender:
+    """A sender as pyserial makes them."""
+
+    def __init__(self, port: Path) -> None:
+        self._serial = serial.Serial(str(port), 115200, timeout=0.05)
+        self.text = ""
+
+    def __enter__(self) -> "Sender":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._serial.close()
+
+    def send(self, data: bytes) -> None:
+        self._serial.write(data)
+
+    def wait(self, what: "str | Callable[[str], bool]", seconds: float = _PATIENCE_S) -> str:
+        """Read until a text comes; returns everything up to then."""
+        found = what if callable(what) else lambda text: what in text
+        until = time.monotonic() + seconds
+        while not found(self.text):
+            assert time.monotonic() < until, f"no {what!r} in {self.text!r}"
+            self.text += self._serial.read(4096).decode("latin-1")
+        text, self.text = self.text, ""
+        return text
+
+    def ask(self, line: str) -> str:
+        self.send(line.encode() + b"\n")
+        return self.wait(lambda text: "ok\r\n" in text or "error:" in text)
+
+    def wait_idle(self) -> str:
+        """Ask for the status until the machine is idle; returns the report."""
+        for _ in range(int(_PATIENCE_S / 0.02)):
+            self.send(b"?")
+            report = self.wait(">")
+            if "<Idle" in report:
+                return report
+            time.sleep(0.02)
+        raise AssertionError("never idle")
+
+
+@pytest.fixture
+def sim(tmp_path: Path) -> Iterator[Sim]:
+    running = Sim(tmp_path, "--speed", "max")
+    yield running
+    running.process.kill()
+    running.process.communicate()
+
+
+def test_the_first_sender_gets_the_banner(sim: Sim) -> None:
+    with sim.open() as sender:
+        assert "Grbl 1.1h ['$' for help]\r\n" in sender.wait("help]\r\n")
+
+
+def test_lines_are_answered(sim: Sim) -> None:
+    with sim.open() as sender:
+        assert "[GC:G0 G54 " in sender.ask("$G")
+        assert "error:20" in sender.ask("G64")
+
+
+def test_a_sender_that_leaves_does_not_stop_the_machine(sim: Sim) -> None:
+    with sim.open() as sender:
+        sender.wait("help]")
+        sender.send(b"G91\n" + b"G1 X1 F500\n" * 10)
+        sender.wait("ok\r\n")
+    time.sleep(0.5)
+    with sim.open() as sender:
+        assert "MPos:10.000,0.000,0.000" in sender.wait_idle()
+        assert "G91" in sender.ask("$G")
+
+
+def test_the_next_sender_gets_nothing_that_was_meant_for_the_last(sim: Sim) -> None:
+    with sim.open() as sender:
+        sender.send(b"$$\n" * 3)
+        time.sleep(0.3)  # answered, and not read
+    time.sleep(0.3)
+    with sim.open() as sender:
+        assert sender.ask("$I").startswith("[VER:")
+
+
+def test_many_senders_come_and_go(sim: Sim) -> None:
+    for count in range(20):
+        with sim.open() as sender:
+            sender.send(b"G91 G0 X1\n")
+            if count % 2:
+                sender.wait("ok")
+    with sim.open() as sender:
+        assert "MPos:20.000" in sender.wait_idle()
+
+
+def test_a_sender_that_does_not_read_does_not_stop_the_machine(sim: Sim) -> None:
+    with sim.open() as sender:
+        for _ in range(60):
+            sender.send(b"$$\n$$\n")  # far more than a terminal holds
+            time.sleep(0.01)
+        time.sleep(1.0)
+    with sim.open() as sender:
+        assert "ok" in sender.ask("G0 X1")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_garbage_does_no_harm(sim: Sim, seed: int) -> None:
+    bytes_ = random.Random(seed)
+    with sim.open() as sender:
+        sender.wait("help]")
+        for _ in range(40):
+            sender.send(bytes_.randbytes(bytes_.randrange(1, 100)))
+            time.sleep(0.005)
+    with sim.open() as sender:
+        sender.send(b"\x18")
+        sender.wait("help]")
+        sender.ask("$X")
+        assert "[GC:" in sender.ask("$G")
+    assert sim.process.poll() is None
+
+
+def test_settings_are_kept_in_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "settings.txt"
+    for value in ("$11=0.010", "$11=0.020"):
+        sim = Sim(tmp_path, "--settings", str(file))
+        with sim.open() as sender:
+            sender.wait("help]")
+            assert value in sender.ask("$$")
+            sender.ask("$11=0.02")
+        sim.stop()
+
+
+def test_a_corrupt_settings_file_restores_defaults_and_says_so(tmp_path: Path) -> None:
+    file = tmp_path / "settings.txt"
+    file.write_bytes(b"[settings]\n    \xff\x00 rubbish\n    $110=fast\n")
+    sim = Sim(tmp_path, "--settings", str(file))
+    with sim.open() as sender:
+        assert "error:7" in sender.wait("help]")
+        assert "$110=500.000" in sender.ask("$$")
+    sim.stop()
+
+
+def test_the_link_goes_when_the_simulator_goes(tmp_path: Path) -> None:
+    sim = Sim(tmp_path)
+    printed = sim.stop()
+    assert str(tmp_path / "grbl") in printed.replace("\n", "")
+    assert sim.process.returncode == 0
+    assert not sim.port.is_symlink()
+
+
+def test_a_file_is_not_replaced_by_the_link(tmp_path: Path) -> None:
+    file = tmp_path / "precious"
+    file.write_text("data")
+    command = [*_COMMAND, "sim", "--port", str(file)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert file.read_text() == "data"
+
+
+def test_real_speed_takes_real_time(tmp_path: Path) -> None:
+    sim = Sim(tmp_path, "--speed", "real")
+    with sim.open() as sender:
+        sender.wait("help]")
+        begun = time.monotonic()
+        sender.ask("G4 P0.5")
+        dwelt = time.monotonic() - begun
+        sender.ask("G91 G0 X1")  # 0.63 s with stock settings
+        sender.wait_idle()
+        moved = time.monotonic() - begun - dwelt
+    sim.stop()
+    assert 0.45 < dwelt < 2
+    assert 0.5 < moved < 3
+
+
+def test_full_speed_does_not(sim: Sim) -> None:
+    with sim.open() as sender:
+        sender.wait("help]")
+        begun = time.monotonic()
+        sender.ask("G4 P60")
+        sender.ask("G91 G0 X100")
+        sender.wait_idle()
+    assert time.monotonic() - begun < 10
+
+
+def test_a_held_machine_stays_held_at_full_speed(sim: Sim) -> None:
+    with sim.open() as sender:
+        sender.wait("help]")
+        sender.send(b"G0 X1\nM0\nG0 X5\n")
+        sender.wait("ok\r\n")
+        time.sleep(0.3)
+        sender.send(b"?")
+        assert "<Hold:0|MPos:1.000" in sender.wait(">")
+        sender.send(b"~")
+        assert "MPos:5.000" in sender.wait_idle()
+
+
+def test_the_report_tells_steps_commanded_and_made(tmp_path: Path) -> None:
+    report, plot = tmp_path / "report.json", tmp_path / "path.png"
+    sim = Sim(tmp_path, "--speed", "max", "--report", str(report), "--plot", str(plot))
+    with sim.open() as sender:
+        sender.wait("help]")
+        sender.ask("G0 X2 Z-1")
+        sender.wait_idle()
+    sim.stop()
+    totals = json.loads(report.read_text())
+    assert totals["steps_planned"] == totals["steps_made"] == {"X": 500, "Y": 0, "Z": 250}
+    assert plot.stat().st_size > 0
+
+
+def test_stdio_ends_with_its_input_when_all_is_done() -> None:
+    done = subprocess.run(
+        [*_COMMAND, "sim", "--stdio", "--speed", "max"],
+        input=b"G91 G0 X3\n?\nG4P1\n$G\n",
+        capture_output=True,
+        env=_ENVIRONMENT,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count(b"ok\r\n") == 4  # the line of the "?" is an empty one
+    assert b"[GC:G0 G54 G17 G21 G91 " in done.stdout
+
+
+def test_the_demonstration_ends_well(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [*_COMMAND, "demo"],
+        cwd=tmp_path,
+        env=_ENVIRONMENT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "commanded = " in done.stdout
+    assert (tmp_path / "badge.png").stat().st_size > 10_000
