@@ -8,5 +8,7 @@ SEGMENT_QUEUE = 5
 # How long an Uno works on a line, and on a turn of its main loop while it moves.
 ANSWER_US = 700
 LOOP_US = 200
+# And on the segments that it prepares before it starts.
+START_US = 2200
 PLANNER_BLOCKS = 16
 RX_BYTES = 128

@@ -251,6 +251,7 @@ class Controller:
         self._power_up()
         while True:
             self._reset()
+            self.realtime.settle()
             try:
                 self._greet()
                 self.protocol.run()
@@ -286,6 +287,7 @@ class Controller:
         self.spindle.turn(sp.OFF, 0.0)
         self.coolant.set(0)
         self.port.watch_probe(None, False)
+        self.cycles.forget_probe()
         self.realtime.release()
         self.resync()
         state.override_countdown = 0

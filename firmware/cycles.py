@@ -119,6 +119,11 @@ class Cycles:
         self._report_probe()
         return not state.probe_succeeded
 
+    def forget_probe(self) -> None:
+        """As if nothing had been probed yet."""
+        for i in range(len(self.probe_steps)):
+            self.probe_steps[i] = 0
+
     def _on_contact(self) -> None:
         """Interrupt: the place counts, to the step."""
         self._engine.position(self.probe_steps)

@@ -125,6 +125,7 @@ class Gcode:
         move = self._begin_move(block)
         move.feed = block.f
         move.flags = plan.NO_FEED_OVERRIDE | self.accessory_flags()
+        move.spindle_rpm = self.spindle_rpm
         self._motion.jog(block.xyz, move)
         self.position[:] = block.xyz
 

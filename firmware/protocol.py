@@ -62,8 +62,10 @@ class Protocol:
         while True:
             found = reader.take()
             if found == NOTHING:
-                self._motion.auto_start()
-                self.service()
+                self.pump()
+                if not reader.waiting():
+                    self._motion.auto_start()
+                self._realtime.run()
             else:
                 self._realtime.run()
                 if found == LINE:

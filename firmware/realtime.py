@@ -195,6 +195,7 @@ class Realtime:
             raise Abort
         if state.pending[st.STATUS_REPORT]:
             self._report.status()
+            self._pump()
             state.pending[st.STATUS_REPORT] = 0  # what was asked meanwhile has been answered too
         held = self._holds()
         if state.take(st.CYCLE_START) and not held:
@@ -332,6 +333,12 @@ class Realtime:
     def settling(self) -> bool:
         """The delay has not passed yet."""
         return self._settling
+
+    def settle(self) -> None:
+        """Wait for the delay to pass; lines and real-time commands wait too."""
+        while self._settling:
+            self._pump()
+            self._settle()
 
     def _settle(self) -> None:
         state = self._state

@@ -34,8 +34,8 @@ class Spindle:
         self._state = state
         # A board with an enable pin in place of the direction's has no M4 to offer.
         self.can_reverse = not enable_by_direction
-        self._power = -1
-        self._direction = OFF
+        self._power = 0
+        self._direction = CW  # of the pin
         self.laser = False
 
     def configure(self, settings: "Settings", machine: "array[int]") -> None:
@@ -77,23 +77,23 @@ class Spindle:
 
     def turn(self, direction: int, rpm: float) -> None:
         """Set direction and speed now. In laser mode a reversed spindle begins with no power."""
-        self._direction = direction
         if direction == OFF:
             self._state.spindle_rpm = 0.0
             self.stop()
         else:
+            self._direction = direction
             if self.can_reverse:
                 self._port.direction(1 if direction == CCW else 0)
             if self.laser and direction == CCW:
                 rpm = 0.0
-            self.set_power(self.power(rpm), True)
+            self.set_power(self.power(rpm))
         self._state.override_countdown = 0
 
-    def set_power(self, power: int, force: bool = False) -> None:
+    def set_power(self, power: int) -> None:
         """Power of the segment that begins. Safe in an interrupt."""
-        if power != self._power or force:
+        if power != self._power:
             self._power = power
-            self._port.spindle(self._direction != OFF and power != 0, power)
+            self._port.spindle(power != 0, power)
 
     def stop(self) -> None:
         """Off, at once; safe in an interrupt."""

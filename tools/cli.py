@@ -137,7 +137,10 @@ def send(
         Mode, typer.Option(help="count: keep Grbl's buffer full; line: one line at a time.")
     ] = Mode.COUNT,
 ) -> None:
-    """Stream a program to a Grbl. Ctrl-C holds the machine and asks what next."""
+    """Stream a program to a Grbl.
+
+    Ctrl-C holds the machine and asks whether to go on; so does a pause (M0), after Ctrl-C.
+    """
     from .send import Connection, SendError, Stream, ctrl_c
 
     console = Console()

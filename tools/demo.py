@@ -18,9 +18,10 @@ from .recorder import Totals
 from .screen import Screen, show_errors, summary, totals_rows
 from .send import Connection, Report, SendError, Stream
 
-PROGRAM = "badge.nc"
+_PROGRAM = "badge.nc"
+_PICTURE = Path("build/badge.png")
 # A light router: stock Grbl is as slow as it is careful.
-SETTINGS = (
+_SETTINGS = (
     "$110=6000",  # mm/min
     "$111=6000",
     "$112=3000",
@@ -37,7 +38,6 @@ class Simulator:
     def __init__(self, folder: Path, picture: Path) -> None:
         self.port = folder / "grbl"
         self._report = folder / "report.json"
-        self.picture = picture
         command = [sys.executable, "-m", f"{__package__}.cli", "sim", "--speed", "max"]
         command += ["--port", str(self.port), "--report", str(self._report)]
         command += ["--plot", str(picture)]
@@ -78,14 +78,13 @@ def simulator(picture: Path) -> Iterator[Simulator]:
 
 def demo(console: Console) -> bool:
     """Stream the example and show what came of it. Returns whether all was well."""
-    lines = read_lines(paths.EXAMPLES / PROGRAM)
-    picture = Path("build" if Path("build").is_dir() else ".") / "badge.png"
-    with simulator(picture) as running:
+    lines = read_lines(paths.EXAMPLES / _PROGRAM)
+    with simulator(_PICTURE) as running:
         report, seconds = _stream(running, lines, console)
         console.print("Drawing …")
         totals = running.finish()
     show_errors(console, report.errors, lines)
-    console.print(_summary(report, totals, seconds, picture))
+    console.print(_summary(report, totals, seconds))
     equal = totals.steps_planned == totals.steps_made and any(totals.steps_made.values())
     return report.ok() and report.answered == len(lines) and report.state == "Idle" and equal
 
@@ -94,12 +93,12 @@ def _stream(running: Simulator, lines: Sequence[bytes], console: Console) -> tup
     connection = Connection(str(running.port))
     try:
         connection.start()
-        for setting in SETTINGS:
+        for setting in _SETTINGS:
             answer = connection.ask(setting)[-1]
             if answer != "ok":
                 raise SendError(f"{setting}: {answer}: {meaning(answer)}")
         begun = time.monotonic()
-        with Screen(console, PROGRAM, len(lines)) as screen:
+        with Screen(console, _PROGRAM, len(lines)) as screen:
             report = Stream(connection, lines, screen).run()
             screen.progress(report.answered, f"<{report.state}>")
         return report, time.monotonic() - begun
@@ -107,7 +106,7 @@ def _stream(running: Simulator, lines: Sequence[bytes], console: Console) -> tup
         connection.close()
 
 
-def _summary(report: Report, totals: Totals, seconds: float, picture: Path) -> object:
+def _summary(report: Report, totals: Totals, seconds: float) -> object:
     return summary(
         [
             ("lines", str(report.answered)),
@@ -115,6 +114,6 @@ def _summary(report: Report, totals: Totals, seconds: float, picture: Path) -> o
             *totals_rows(totals),
             ("ended", report.stopped or report.state),
             ("streamed in", f"{seconds:.1f} s"),
-            ("picture", str(picture.resolve())),
+            ("picture", str(_PICTURE.resolve())),
         ]
     )

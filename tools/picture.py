@@ -58,7 +58,7 @@ def draw(path: Sequence[Stroke], title: str = "") -> "Figure":
     """A figure of the path, from above and in space. The first stroke is only where it begins."""
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
-    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+    from mpl_toolkits.mplot3d import art3d  # type: ignore[import-untyped]
 
     path = thin(path, sum(dist(a.place, b.place) for a, b in pairwise(path)) / _MOST_STROKES)
     lines = [(a.place, b.place) for a, b in pairwise(path)]
@@ -74,11 +74,12 @@ def draw(path: Sequence[Stroke], title: str = "") -> "Figure":
     above.autoscale_view()
 
     space = figure.add_subplot(1, 2, 2, projection="3d", xlabel="X mm", ylabel="Y mm")
-    space.add_collection3d(Line3DCollection(lines, linewidths=0.5, **look))
+    space.add_collection3d(art3d.Line3DCollection(lines, linewidths=0.5, **look))
     space.set(zlabel="Z mm", box_aspect=(size[0], size[1], max(size[2], _FLATTEST * max(size))))
     for name, start, side in zip(("xlim", "ylim", "zlim"), low, size, strict=True):
         space.set(**{name: (start, start + side)})
-    space.locator_params(axis="z", nbins=4)
+    space.locator_params(nbins=5)
+    space.xaxis.labelpad = space.yaxis.labelpad = 8
     figure.colorbar(
         flat, ax=[above, space], label="speed in mm/min", shrink=0.7, aspect=40, extend="max"
     )

@@ -65,8 +65,7 @@ class Recorder:
         self.path = array("d", [0.0] * STROKE)
         rig.on_built = self._attach
         rig.engine.trace = self._segment
-        self._set_position = rig.engine.set_position
-        rig.engine.set_position = self._rename
+        self._set_position = _replace(rig.engine, "set_position", self._rename)
 
     def start_clock(self) -> None:
         """The work begins now."""
@@ -96,8 +95,7 @@ class Recorder:
         self._system_motion = SYSTEM_MOTION
         self._planner = controller.planner
         self._settings = controller.settings
-        self._plan = self._planner.line
-        self._planner.line = self._line
+        self._plan = _replace(self._planner, "line", self._line)
 
     def _by_letter(self, values: Sequence[_Value]) -> dict[str, _Value]:
         return dict(zip(_LETTERS, values, strict=False))
@@ -155,3 +153,10 @@ class Recorder:
         if self._corexy:
             steps = [(motors[0] + motors[1]) / 2, (motors[0] - motors[1]) / 2, *motors[2:]]
         return [n * mm for n, mm in zip(steps, self._mm_per_step, strict=True)]
+
+
+def _replace(owner: object, name: str, stand_in: object) -> Any:
+    """Put something else in the place of one object's method; returns the method."""
+    method = getattr(owner, name)
+    setattr(owner, name, stand_in)
+    return method

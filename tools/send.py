@@ -34,7 +34,7 @@ class Connection:
 
     def __init__(self, port: str, baud: int = BAUD) -> None:
         try:
-            self._serial = serial.Serial(port, baud, timeout=_READ_S)
+            self._serial = serial.Serial(port, baud, timeout=_READ_S, exclusive=True)
         except serial.SerialException as error:
             raise SendError(f"cannot open {port}: {error}") from error
         self._text = ""

@@ -65,6 +65,7 @@ class Switch:
 class SimEngine:
     """A StepEngine in virtual time. The rig calls advance(); nothing else moves the clock.
 
+    start_ticks: what it takes from start() to the first segment's beginning.
     depth: segments held by the "hardware", the running one included.
     trace: called with (start tick, row) for every segment as it ends or is cut short,
     the row then holding only the steps really made.
@@ -73,8 +74,9 @@ class SimEngine:
     # A full segment of 2**17 ticks lasts 10 ms, as Grbl's.
     tick_hz = 13_107_200
 
-    def __init__(self, axes, depth=3, segment_log2=17):
+    def __init__(self, axes, depth=3, segment_log2=17, start_ticks=0):
         self.segment_log2 = segment_log2
+        self._start_ticks = start_ticks
         self.now = 0
         self.trace = None
         self.pins_changed = None
@@ -109,7 +111,7 @@ class SimEngine:
 
     def start(self):
         if not self._running:
-            self._start = self.now
+            self._start = self.now + self._start_ticks
             self._refill()
             if self._held:
                 self._running = True

@@ -41,8 +41,9 @@ class Rig:
         axes = len(board.STEP)
         self.board = board
         self.store = MemoryStore() if store is None else store
-        self.engine = SimEngine(axes, board.SEGMENT_QUEUE)
-        self.ticks_per_ms = self.engine.tick_hz / 1000
+        self.ticks_per_ms = SimEngine.tick_hz / 1000
+        start_ticks = int(getattr(board, "START_US", 0) * self.ticks_per_ms / 1000)
+        self.engine = SimEngine(axes, board.SEGMENT_QUEUE, start_ticks=start_ticks)
         self.scratch = array("i", [0] * axes)
         self.loop_ticks = int(getattr(board, "LOOP_US", 0) * self.ticks_per_ms / 1000)
         self.answer_ticks = int(getattr(board, "ANSWER_US", 0) * self.ticks_per_ms / 1000)
