@@ -36,6 +36,8 @@ _VAGUE = 0.85
 # Grbl calls a corner straight below this angle.
 _STRAIGHT = 0.0015
 SETUP_US = 3
+# Segments of constant speed after which its steps are even.
+_SETTLED = 3
 # To which part of a step braking is right, in the middle of a block and at its end.
 _STEP_PART = 1 / 400
 _END_PART = 1 / 20
@@ -157,6 +159,7 @@ class Piece:
     speed: float  # at its end
     ends_block: bool
     from_rest: bool
+    segment: "Segment | None"
 
     @property
     def mean(self) -> float:
@@ -263,15 +266,17 @@ class Watch:
         if block is None:
             return found
         ended = not flow[kernels.LOADED]
+        segment = None
         if found:
             start = self.made[-1].start + self.made[-1].ticks if self.made else 0
-            self.made.append(Segment(block, start, row[:], ended))
+            segment = Segment(block, start, row[:], ended)
+            self.made.append(segment)
         time = row[ROW_TICKS] + flow[kernels.SPARE] - spare
         if row[ROW_TICKS] and time:
             distance = ((left or block.events << 18) - self._left()) / 2**18
             distance *= block.length / block.events
             speed = flow[kernels.NOW] / real(self.row(at)[kernels.FACTOR])
-            piece = Piece(block, distance, time / self.tick_hz, speed, ended, at_rest)
+            piece = Piece(block, distance, time / self.tick_hz, speed, ended, at_rest, segment)
             self.pieces.append(piece)
         return found
 
@@ -351,6 +356,7 @@ class Bench:
         assert self.planner.empty()
         assert self.segments.at_rest()
         check_segments(self.watch)
+        check_even(self.watch)
         check_pulses(self.watch, [(segment.start, segment.row) for segment in self.watch.made])
 
 
@@ -491,3 +497,35 @@ def uneven(ticks: Sequence[int]) -> float:
     intervals = [b - a for a, b in pairwise(ticks)]
     mean = (ticks[-1] - ticks[0]) / len(intervals)
     return max(abs(n - mean) for n in intervals) / max(1.0, 0.01 * mean)
+
+
+def check_even(watch: Watch) -> None:
+    """At a constant speed every motor's steps are evenly spaced, from segment to segment too."""
+    pieces = iter(watch.pieces)
+    stretch: list[Segment] = []
+    steady = None
+    for segment in watch.made:
+        piece = next(p for p in pieces if p.segment is segment)
+        same = steady and steady.block is piece.block and near(piece.mean, steady.speed, 1e-4)
+        if not same:
+            _check_stretch(stretch)
+            stretch = []
+        stretch.append(segment)
+        steady = piece if near(piece.mean, piece.speed, 1e-4) else None
+        if not steady:
+            stretch = []
+    _check_stretch(stretch)
+
+
+def _check_stretch(stretch: "list[Segment]") -> None:
+    # A fraction of a step comes along from the ramp before, and is gone after some segments.
+    rows = [(segment.start, segment.row) for segment in stretch[_SETTLED:]]
+    for i in range(len(stretch[0].block.motors) if stretch else 0):
+        ticks = [tick for tick, _ in pulses(rows, i)]
+        if len(ticks) > 2:
+            assert uneven(ticks) <= 1, "uneven steps at a constant speed"
+
+
+def near(got: float, expected: float, part: float) -> bool:
+    """Whether they differ by such a part at the most."""
+    return abs(got - expected) <= part * abs(expected)

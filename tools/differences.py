@@ -32,6 +32,35 @@ def _options(ours: str, grbls: str) -> str:
     return grbls if same else ours
 
 
+class Quirk(NamedTuple):
+    """A recorded case in which Grbl does what nobody wants; only cases tagged `quirk` count."""
+
+    name: str
+    reason: str
+    case: str
+
+
+QUIRKS = (
+    Quirk(
+        "refused homing",
+        "$HX is refused with error:3 and leaves the machine as it was; Grbl sticks in Home, "
+        "takes moves and never makes them.",
+        "$H with an argument leaves the machine in Home state",
+    ),
+)
+
+# Differences in motion; compare.py knows how to see them.
+IDLE_DELAY = (
+    "idle delay",
+    "Motors are released $1 after motion without stopping the processor for that time; "
+    "the enable pin may change one step of a case later.",
+)
+EXACT_STOP = (
+    "exact stop",
+    "Where a hold, a jog cancel or a probe's contact comes to rest exactly on a whole step, "
+    "Grbl's single-precision distance falls on either side of it: one step of difference.",
+)
+
 DIFFERENCES = (
     Difference(
         "version",

@@ -9,6 +9,8 @@ will ever come.
 from time import monotonic
 from typing import TYPE_CHECKING, Protocol
 
+from .machine import UntimedLink
+
 if TYPE_CHECKING:
     from .sim.rig import Rig
 
@@ -36,7 +38,7 @@ class Wire(Protocol):
         """Sleep until something comes, so long at the most."""
 
 
-class LiveLink:
+class LiveLink(UntimedLink):
     """A Link on a wire. fast: virtual time leaps ahead wherever the machine works or waits.
 
     With nothing to do the clock follows the wall's, so that a machine at rest rests in real time.
@@ -47,6 +49,7 @@ class LiveLink:
         self._wire = wire
         self._fast = fast
         self.stopping = False  # set, from a signal handler too, to end the simulation
+        self._greeted = False  # with the first banner; nothing is heard before
         self._looks = 0
         self._open_lines = 0  # received, and not yet answered
         self._heard = monotonic()  # when the sender or we have last said something
@@ -60,7 +63,7 @@ class LiveLink:
             self._rig.power_off()
         if not self._fast:
             self._follow_wall()
-        data = self._wire.read(len(buf))
+        data = self._wire.read(len(buf)) if self._greeted else b""
         if not data:
             if self._wire.closed and not self.busy():
                 self._rig.power_off()
@@ -75,12 +78,12 @@ class LiveLink:
         """Send to whoever is there."""
         out = bytes(data)
         answers = out.count(b"ok\r\n") + out.count(b"error:")
-        self._open_lines = 0 if b"Grbl " in out else max(self._open_lines - answers, 0)
+        self._open_lines = max(self._open_lines - answers, 0)
+        if b"Grbl " in out:
+            self._greeted = True
+            self._open_lines = 0
         self._wire.write(out)
         self._touch()
-
-    def power_off(self) -> None:
-        """Nothing is on its way."""
 
     # Time
 

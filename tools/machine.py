@@ -30,9 +30,27 @@ def load_board(name: str) -> Any:
     return import_module(f"boards.{name}")
 
 
-def build(board: str, link: "Callable[[Rig], Any]", settings: Path | None = None) -> "Rig":
+class UntimedLink:
+    """What the rig wants of a Link without a script, whose bytes take no time on a wire."""
+
+    def next_event(self) -> None:
+        """Nothing is on its way."""
+
+    def advance(self) -> None:
+        """Nothing arrives by time alone."""
+
+    def power_off(self) -> None:
+        """Nothing is lost."""
+
+
+def build(board: str, link: "Callable[[Rig], UntimedLink]", settings: Path | None = None) -> "Rig":
     """A rig with that board. link: makes the Link; settings: the file that keeps them, if any."""
     paths.use_firmware()
     from .sim.rig import Rig
 
     return Rig(load_board(board), FileStore(settings) if settings else None, link)
+
+
+def run(rig: "Rig") -> None:
+    """Power it up and let it run until its link switches it off."""
+    rig.run(iter([lambda: False]))

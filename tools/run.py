@@ -60,7 +60,7 @@ class Result:
 Step = tuple[int, bytes] | None
 
 
-class ProgramLink:
+class ProgramLink(machine.UntimedLink):
     """A Link whose sender has a whole program at hand, on a wire without delay.
 
     It keeps the firmware's receive buffer full, answers a hold with a cycle start, and
@@ -71,6 +71,7 @@ class ProgramLink:
         self.rig = rig
         self.result = Result()
         self.replies: list[str] = []  # to lines that are none of the program
+        self._greeted = False
         self._script = script(self)
         self._step: Step = None
         self._unanswered: deque[tuple[int, int]] = deque()  # line number, bytes
@@ -87,7 +88,7 @@ class ProgramLink:
 
     def read_into(self, buf: bytearray) -> int:
         """The next lines; time passes where the firmware has no use for any."""
-        if not self._out:
+        if self._greeted and not self._out:
             self._fetch()
         if not self._out:
             self._looks += 1
@@ -108,9 +109,6 @@ class ProgramLink:
         for line in lines:
             self._receive(line)
 
-    def power_off(self) -> None:
-        """Nothing is on its way."""
-
     # What comes back
 
     def _receive(self, line: str) -> None:
@@ -121,6 +119,7 @@ class ProgramLink:
             if self._unanswered:
                 self._answer(line)
         elif line.startswith("Grbl "):
+            self._greeted = True
             self._unanswered.clear()
             self._unanswered_bytes = 0
         elif line:
@@ -256,7 +255,7 @@ def run_program(
 
     rig = machine.build(board, lambda rig: ProgramLink(rig, script))
     recorder = Recorder(rig, keep_path)
-    rig.run(iter(()))
+    machine.run(rig)
     result: Result = rig.link.result
     if result.stopped:
         recorder.stop_clock()

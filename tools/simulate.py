@@ -37,7 +37,7 @@ def simulate(options: Options) -> None:
         _stop_on_signals(rig.link)
         if isinstance(wire, Pty):
             _publish(wire, options.link)
-        rig.run(iter(()))
+        machine.run(rig)
     finally:
         wire.close()
     if options.plot:

@@ -65,7 +65,7 @@ class Switch:
 class SimEngine:
     """A StepEngine in virtual time. The rig calls advance(); nothing else moves the clock.
 
-    start_ticks: what it takes from start() to the first segment's beginning.
+    prepare: called by start(), before motion; may let time pass.
     depth: segments held by the "hardware", the running one included.
     trace: called with (start tick, row) for every segment as it ends or is cut short,
     the row then holding only the steps really made.
@@ -74,9 +74,9 @@ class SimEngine:
     # A full segment of 2**17 ticks lasts 10 ms, as Grbl's.
     tick_hz = 13_107_200
 
-    def __init__(self, axes, depth=3, segment_log2=17, start_ticks=0):
+    def __init__(self, axes, depth=3, segment_log2=17):
         self.segment_log2 = segment_log2
-        self._start_ticks = start_ticks
+        self.prepare = None
         self.now = 0
         self.trace = None
         self.pins_changed = None
@@ -111,7 +111,9 @@ class SimEngine:
 
     def start(self):
         if not self._running:
-            self._start = self.now + self._start_ticks
+            if self.prepare:
+                self.prepare()
+            self._start = self.now
             self._refill()
             if self._held:
                 self._running = True

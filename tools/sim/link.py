@@ -30,11 +30,11 @@ class SimLink:
         turn = self._turn + self._rig.loop_ticks
         if turn > self._rig.now and self._rig.moving():
             self._rig.pass_time(turn)
-        self._turn = self._rig.now
         count = self._arrived(len(buf))
         if count == 0:
             self._rig.wait()
             count = self._arrived(len(buf))
+        self._turn = self._rig.now
         buf[:count] = self._rx[:count]
         self._rx = self._rx[count:]
         self._rx_due += count * self._rx_ticks

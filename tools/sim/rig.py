@@ -42,10 +42,12 @@ class Rig:
         self.board = board
         self.store = MemoryStore() if store is None else store
         self.ticks_per_ms = SimEngine.tick_hz / 1000
-        start_ticks = int(getattr(board, "START_US", 0) * self.ticks_per_ms / 1000)
-        self.engine = SimEngine(axes, board.SEGMENT_QUEUE, start_ticks=start_ticks)
+        self.engine = SimEngine(axes, board.SEGMENT_QUEUE)
         self.scratch = array("i", [0] * axes)
         self.loop_ticks = int(getattr(board, "LOOP_US", 0) * self.ticks_per_ms / 1000)
+        start_ticks = int(getattr(board, "START_US", 0) * self.ticks_per_ms / 1000)
+        if start_ticks:
+            self.engine.prepare = lambda: self.pass_time(self.now + start_ticks)
         self.answer_ticks = int(getattr(board, "ANSWER_US", 0) * self.ticks_per_ms / 1000)
         self.port = SimPort(self, board.PWM_MAX)
         self.engine.pins_changed = self.port.update

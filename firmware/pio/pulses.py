@@ -1,0 +1,185 @@
+# mypy: disable-error-code=arg-type
+"""Pulses: from a segment row to the words of programs.stepper, in integers and ticks.
+
+Knows the programs' timing, no hardware. A lane is what is remembered per axis, a few integers;
+its words go into a ring. The axes' words always fill the same time, to the tick: what a lane's
+words lack to the end of a segment is carried on as part of its next delay.
+
+Called in the engine's interrupt.
+"""
+
+import micropython
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from array import array
+
+# A segment row, as kernels.py says; viper wants its constants in the same file.
+_ROW_TICKS = const(0)
+_ROW_DIRS = const(1)
+_ROW_AXES = const(3)  # per motor: steps, tick of the first, tick of the last
+_ROW_STRIDE = const(3)
+
+# Lanes: integers per axis.
+LANE = const(6)
+CARRY = const(0)  # ticks from where the lane's words end to where the next segment begins
+DIR = const(1)  # level of the direction output
+HEAD = const(2)  # where in the ring the next word goes
+SENT = const(3)  # up to where words have been handed to the hardware
+PLACE = const(4)  # position at the end of all segments made
+FROZEN = const(5)  # position of a locked axis
+
+# Words a lane's ring holds. A segment takes five at the most: wait before a reversal, first
+# step, long gaps, short gaps, rest.
+RING_LOG2 = const(5)
+_RING_MASK = const(31)
+
+# Timing: what convert() is told, in ticks.
+AXES = const(0)
+PULSE = const(1)  # length of a pulse
+TURN_WAIT = const(2)  # delay of the word that waits before DIR changes,
+TURN_DELAY = const(3)  # and least delay of the word after it
+KEEP = const(4)  # a lane with nothing to do waits until so long before the end of its segment
+TIMING_LENGTH = const(5)
+
+# A word and what it costs, as programs.py says.
+_STEPS_SHIFT = const(1)
+_STEPS_MASK = const(0xFFF)
+_DELAY_SHIFT = const(13)
+_FETCH = const(6)  # ready to first edge, or to ready where there is none, besides the delay
+_AFTER = const(3)  # end of a pulse to ready
+_BETWEEN = const(9)  # end of a pulse to the next edge of the same word, besides the delay
+_TURN_HELD = const(10)  # end of a pulse to the change of DIR, besides the waiting word's delay
+_TURN_SET = const(5)  # change of DIR to the next edge, besides the delay
+_SPARE = const(3)  # for gaps that rounding makes shorter than the mean
+
+# Where a stepper stands, as programs.py says.
+_NEXT = const(0)
+_STEP = const(3)
+_RISEN = const(7)
+_MADE = const(11)
+
+
+def shortest_gap(pulse: int) -> int:
+    """Ticks from step to step at the highest rate, with pulses of so many ticks."""
+    return pulse + _BETWEEN + _SPARE
+
+
+def set_timing(timing: "array[int]", pulse: int, hold: int, setup: int) -> None:
+    """Take over the pulse's length, and how long DIR is to stay before and after it changes."""
+    timing[PULSE] = pulse
+    timing[TURN_WAIT] = max(hold - _TURN_HELD, 0)
+    timing[TURN_DELAY] = max(setup - _TURN_SET, 0)
+    # As long as a reversal takes, so that none has to be waited for after a pause.
+    timing[KEEP] = 2 * _FETCH + timing[TURN_WAIT] + timing[TURN_DELAY]
+
+
+@micropython.viper
+def late(row: ptr32, lanes: ptr32, timing: ptr32) -> int:
+    """By how many ticks a segment has to begin late, so that no lane is asked the impossible.
+
+    Where an axis reverses too soon after its last step, or pulses would run into each other,
+    all axes wait, and no step is lost.
+    """
+    most = 0
+    for i in range(timing[AXES]):
+        base = _ROW_AXES + _ROW_STRIDE * i
+        if row[base]:
+            lack = _FETCH - lanes[LANE * i + CARRY] - row[base + 1]
+            if (row[_ROW_DIRS] >> i) & 1 != lanes[LANE * i + DIR]:
+                lack += _FETCH + timing[TURN_WAIT] + timing[TURN_DELAY]
+            if lack > most:
+                most = lack
+    return most
+
+
+@micropython.viper
+def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32, delay: int) -> int:
+    """Add the words of a segment, `delay` ticks late, to the lanes' rings."""
+    keep = timing[KEEP]
+    shortest = timing[PULSE] + _BETWEEN
+    for i in range(timing[AXES]):
+        lane = LANE * i
+        base = _ROW_AXES + _ROW_STRIDE * i
+        ring = i << RING_LOG2
+        head = lanes[lane + HEAD]
+        carry = lanes[lane + CARRY] + delay
+        level = lanes[lane + DIR]
+        steps = row[base]
+        if steps:
+            if (row[_ROW_DIRS] >> i) & 1 != level:
+                words[ring + head] = level | (timing[TURN_WAIT] << _DELAY_SHIFT)
+                head = (head + 1) & _RING_MASK
+                carry -= _FETCH + timing[TURN_WAIT]
+                level = 1 - level
+            carry += row[base + 1] - _FETCH
+            words[ring + head] = level | (1 << _STEPS_SHIFT) | (carry << _DELAY_SHIFT)
+            head = (head + 1) & _RING_MASK
+            carry = 0 - row[base + 1] - timing[PULSE] - _AFTER
+            steps -= 1
+            if steps:
+                span = row[base + 2] - row[base + 1]
+                gap = span // steps
+                longer = span - gap * steps
+                if gap < shortest:
+                    gap = shortest
+                    longer = 0
+                carry -= gap * steps + longer
+                gap -= shortest
+                if longer:
+                    word = level | (longer << _STEPS_SHIFT)
+                    words[ring + head] = word | ((gap + 1) << _DELAY_SHIFT)
+                    head = (head + 1) & _RING_MASK
+                    steps -= longer
+                words[ring + head] = level | (steps << _STEPS_SHIFT) | (gap << _DELAY_SHIFT)
+                head = (head + 1) & _RING_MASK
+        carry += row[_ROW_TICKS]
+        if carry >= keep + _FETCH:
+            words[ring + head] = level | ((carry - keep - _FETCH) << _DELAY_SHIFT)
+            head = (head + 1) & _RING_MASK
+            carry = keep
+        lanes[lane + HEAD] = head
+        lanes[lane + CARRY] = carry
+        lanes[lane + DIR] = level
+    return 0
+
+
+@micropython.viper
+def undone(words: ptr32, axis: int, sent: int, waiting: int, at: int, x: int) -> int:
+    """Steps, backward ones negative, that a machine stopped in the middle has not made.
+
+    waiting: words sent that it has not fetched; at, x: where it stands and its X register.
+    """
+    ring = axis << RING_LOG2
+    total = 0
+    for k in range(waiting if at == _NEXT else waiting + 1):
+        word = words[ring + ((sent - 1 - k) & _RING_MASK)]
+        steps = (word >> _STEPS_SHIFT) & _STEPS_MASK
+        if k == waiting and at >= _STEP:
+            steps = x
+            if at >= _RISEN and at < _MADE:
+                steps -= 1
+        total += 0 - steps if word & 1 else steps
+    return total
+
+
+@micropython.viper
+def places(row: ptr32, tick: int, start: ptr32, steps: ptr32, axes: int) -> int:
+    """Positions `tick` ticks into a segment that begins at the positions start."""
+    for i in range(axes):
+        base = _ROW_AXES + _ROW_STRIDE * i
+        made = row[base]
+        if made == 0 or tick < row[base + 1]:
+            made = 0
+        elif tick < row[base + 2]:
+            span = row[base + 2] - row[base + 1]
+            gap = span // (made - 1)
+            longer = span - gap * (made - 1)
+            rest = tick - row[base + 1]
+            if rest < longer * (gap + 1):
+                made = rest // (gap + 1) + 1
+            else:
+                made = (rest - longer) // gap + 1
+        steps[i] = start[i] - made if (row[_ROW_DIRS] >> i) & 1 else start[i] + made
+    return 0
