@@ -9,6 +9,6 @@ SEGMENT_QUEUE = 5
 ANSWER_US = 700
 LOOP_US = 200
 # And on the segments that it prepares before it starts.
-START_US = 1500
+START_US = 1050
 PLANNER_BLOCKS = 16
 RX_BYTES = 128

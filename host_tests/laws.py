@@ -16,6 +16,7 @@ from typing import Any
 
 import kernels
 from f32 import vector
+from hypothesis import settings
 from kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 from planner import Move, Planner
 from segments import Segments
@@ -524,6 +525,11 @@ def _check_stretch(stretch: "list[Segment]") -> None:
         ticks = [tick for tick, _ in pulses(rows, i)]
         if len(ticks) > 2:
             assert uneven(ticks) <= 1, "uneven steps at a constant speed"
+
+
+def some(count: int) -> settings:
+    """So many examples in every test run, and forty times as many in a thorough one."""
+    return settings(max_examples=count * settings.default.max_examples // 50)
 
 
 def near(got: float, expected: float, part: float) -> bool:

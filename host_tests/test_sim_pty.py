@@ -56,7 +56,7 @@ class Sender:
     def send(self, data: bytes) -> None:
         self._serial.write(data)
 
-    def wait(self, what: "str | Callable[[str], bool]", seconds: float = _PATIENCE_S) -> str:
+    def wait(self, what: str | Callable[[str], bool], seconds: float = _PATIENCE_S) -> str:
         """Read until a text comes; returns everything up to then."""
         found = what if callable(what) else lambda text: what in text
         until = time.monotonic() + seconds
@@ -228,6 +228,7 @@ def test_a_held_machine_stays_held_at_full_speed(sim: Sim) -> None:
         sender.send(b"?")
         assert "<Hold:0|MPos:1.000" in sender.wait(">")
         sender.send(b"~")
+        sender.wait(lambda text: text.count("ok\r\n") == 2)
         assert "MPos:5.000" in sender.wait_idle()
 
 

@@ -18,7 +18,7 @@ def single(x: float) -> float:
 
 
 def read_number(text: str) -> "tuple[int, float] | None":
-    """Grbl's reader: eight digits count, the rest only move the point. Returns length and value."""
+    """Grbl's reader: eight digits count, the rest move the point. Returns length and value."""
     pos = 0
     if text[:1] in ("-", "+"):
         pos = 1

@@ -21,6 +21,7 @@ _READ_S = 0.02
 # An Arduino that resets when its port is opened says nothing for a second or two.
 _START_S = 5.0
 _HOLD_S = 5.0
+_AT_REST = ("Hold:0", "Door:0", "Idle", "Check", "Alarm")
 _OPTIONS = re.compile(r"\[OPT:[^,]*,\d+,(\d+)\]")
 _BUFFER = re.compile(r"\|Bf:\d+,(\d+)")
 
@@ -165,6 +166,7 @@ class Stream:
 
     def run(self) -> Report:
         """Send everything and wait until the machine is at rest."""
+        self._connection.status = ""
         while not self.report.stopped and not self._finished():
             self._fill()
             self._poll()
@@ -177,10 +179,8 @@ class Stream:
 
     def _finished(self) -> bool:
         """Everything is answered, and a status report that came after that says so, too."""
-        if self._sent < len(self._lines) or self._unanswered:
-            self._connection.status = ""
-            return False
-        return self._connection.state() in ("Idle", "Check")
+        done = self._sent == len(self._lines) and not self._unanswered
+        return done and self._connection.state() in ("Idle", "Check")
 
     def _fill(self) -> None:
         while self._sent < len(self._lines):
@@ -203,6 +203,7 @@ class Stream:
         report = self.report
         if is_answer(line) and self._unanswered:
             self._unanswered.popleft()
+            self._connection.status = ""  # it may be older than the answer
             report.answered += 1
             if line != "ok":
                 self._refused(line)
@@ -222,18 +223,21 @@ class Stream:
         self._view.message(f"line {number}: {text}: {answer}: {meaning(answer)}")
 
     def _hold(self) -> None:
+        """Come to rest before anything else: Grbl ignores a cycle start and loses steps at a reset
+        as long as the machine moves.
+        """
         self._interrupted = False
         self._connection.write(FEED_HOLD)
+        self._connection.wait_for(self._is_at_rest, _HOLD_S)
         if self._view.resume():
             self._connection.write(CYCLE_START)
-            return
-        # A reset in motion loses steps, and Grbl then raises an alarm: let it come to rest first.
-        at_rest = ("Hold:0", "Door:0", "Idle", "Check", "Alarm")
-        self._connection.wait_for(
-            lambda line: line.startswith("<") and self._connection.state() in at_rest, _HOLD_S
-        )
-        self._connection.write(RESET)
-        self.report.stopped = "given up by the user"
+        else:
+            self._connection.write(RESET)
+            self.report.stopped = "given up by the user"
+
+    def _is_at_rest(self, line: str) -> bool:
+        self._handle(line)
+        return line.startswith("<") and self._connection.state() in _AT_REST
 
 
 @contextmanager

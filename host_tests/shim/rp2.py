@@ -1,0 +1,191 @@
+"""The board's `rp2` module for CPython: the assembler, and state machines that remember.
+
+Our own assembler, for the instructions our programs use; the binary form is that of the
+RP2040's data sheet, 3.4. Nothing here executes a program: host_tests/pio_model.py does.
+"""
+
+from array import array
+from collections.abc import Callable
+from types import FunctionType
+from typing import Any
+
+from machine import Pin
+
+_SIZE = 32  # instructions a PIO holds
+_DATA, _OFFSETS, _EXECCTRL, _SHIFTCTRL, _OUT, _SET, _SIDE = 0, 1, 4, 5, 6, 7, 8
+
+_PLACES = {"pins": 0, "x": 1, "y": 2, "null": 3, "pindirs": 4, "isr": 6, "osr": 7}
+_CONDITIONS = {"not_x": 1, "x_dec": 2, "not_y": 3, "y_dec": 4, "x_not_y": 5, "pin": 6}
+
+
+class PIOASMError(Exception):
+    """The program cannot be assembled."""
+
+
+class _Assembler:
+    """One pass over a program. Labels are known from the second pass on."""
+
+    def __init__(self, labels: dict[str, int], final: bool) -> None:
+        self.words = array("H")
+        self.labels = labels
+        self._final = final
+
+    def names(self) -> dict[str, object]:
+        """What a program sees as its globals."""
+        methods = (self.label, self.jmp, self.out, self.pull, self.push, self.mov, self.irq)
+        names: dict[str, object] = {method.__name__: method for method in methods}
+        places = {**_PLACES, **_CONDITIONS, "block": 0x20, "noblock": 0}
+        return {**names, **places, "set": self.set, "rel": lambda index: index | 0x10}
+
+    def __getitem__(self, delay: int) -> None:
+        if not 0 < delay < _SIZE:
+            raise PIOASMError("delay too large")
+        self.words[-1] |= delay << 8
+
+    def _emit(self, word: int) -> "_Assembler":
+        self.words.append(word)
+        return self
+
+    def label(self, name: str) -> None:
+        if not self._final and name in self.labels:
+            raise PIOASMError(f"duplicate label {name}")
+        self.labels[name] = len(self.words)
+
+    def jmp(self, condition: "int | str", label: str = "") -> "_Assembler":
+        number = 0 if isinstance(condition, str) else condition
+        target = label or str(condition)
+        if self._final and target not in self.labels:
+            raise PIOASMError(f"unknown label {target}")
+        return self._emit(number << 5 | self.labels.get(target, 0))
+
+    def out(self, place: int, bits: int) -> "_Assembler":
+        if not 0 < bits <= _SIZE:
+            raise PIOASMError(f"invalid bit count {bits}")
+        return self._emit(0x6000 | place << 5 | bits & 0x1F)
+
+    def push(self, block: int = 0x20) -> "_Assembler":
+        return self._emit(0x8000 | block)
+
+    def pull(self, block: int = 0x20) -> "_Assembler":
+        return self._emit(0x8080 | block)
+
+    def mov(self, place: int, source: int) -> "_Assembler":
+        return self._emit(0xA000 | place << 5 | source)
+
+    def irq(self, index: int) -> "_Assembler":
+        return self._emit(0xC000 | index)
+
+    def set(self, place: int, value: int) -> "_Assembler":
+        if not 0 <= value < _SIZE:
+            raise PIOASMError(f"{value} does not fit")
+        return self._emit(0xE000 | place << 5 | value)
+
+
+def asm_pio(
+    *,
+    out_init: "int | None" = None,
+    set_init: "int | None" = None,
+    out_shiftdir: int = 0,
+) -> Callable[[Callable[[], None]], list[Any]]:
+    """Assemble the decorated function; it becomes the program as MicroPython keeps it."""
+
+    def assemble(function: Callable[[], None]) -> list[Any]:
+        assert isinstance(function, FunctionType)
+        labels: dict[str, int] = {}
+        for final in (False, True):
+            assembler = _Assembler(labels, final)
+            FunctionType(function.__code__, assembler.names())()
+        words = assembler.words
+        if len(words) > _SIZE:
+            raise PIOASMError("program too long")
+        shiftctrl = out_shiftdir << 19 | 1 << 18
+        return [words, -1, -1, -1, (len(words) - 1) << 12, shiftctrl, out_init, set_init, None]
+
+    return assemble
+
+
+class PIO:
+    """A block of four state machines. Its interrupts are remembered in `handlers`."""
+
+    IN_LOW, IN_HIGH, OUT_LOW, OUT_HIGH = range(4)
+    SHIFT_LEFT, SHIFT_RIGHT = 0, 1
+    JOIN_NONE, JOIN_TX, JOIN_RX = range(3)
+    IRQ_SM0, IRQ_SM1, IRQ_SM2, IRQ_SM3 = 0x100, 0x200, 0x400, 0x800
+
+    handlers: dict[int, tuple[Callable[["PIO"], object], int, bool]] = {}
+
+    def __init__(self, id: int, /) -> None:
+        if id not in (0, 1):
+            raise ValueError("invalid PIO")
+        self._id = id
+
+    def irq(
+        self, handler: Callable[["PIO"], object], trigger: int = 0xF00, hard: bool = False
+    ) -> None:
+        PIO.handlers[self._id] = (handler, trigger, hard)
+
+
+class StateMachine:
+    """A state machine as configured; it does not run."""
+
+    machines: dict[int, "StateMachine"] = {}
+    used: dict[int, int] = {}  # instructions per PIO
+
+    def __init__(
+        self,
+        id: int,
+        program: list[Any],
+        freq: int = -1,
+        *,
+        set_base: "Pin | None" = None,
+        out_base: "Pin | None" = None,
+    ) -> None:
+        if not 0 <= id < 8:
+            raise ValueError("invalid StateMachine")
+        for pin, init in ((set_base, program[_SET]), (out_base, program[_OUT])):
+            if (pin is None) != (init is None):
+                raise ValueError("pins and program do not agree")
+        pio = id // 4
+        if program[_OFFSETS + pio] < 0:
+            offset = StateMachine.used.get(pio, 0)
+            if offset + len(program[_DATA]) > _SIZE:
+                raise OSError(12)
+            program[_OFFSETS + pio] = offset
+            StateMachine.used[pio] = offset + len(program[_DATA])
+        self.program = program
+        self.freq = freq
+        self.set_base = set_base
+        self.out_base = out_base
+        StateMachine.machines[id] = self
+
+
+class DMA:
+    """A channel as configured; it moves nothing."""
+
+    claimed = 0
+
+    def __init__(self) -> None:
+        if DMA.claimed == 12:
+            raise OSError(16)
+        self.channel = DMA.claimed
+        DMA.claimed += 1
+        self.configured: dict[str, object] = {}
+
+    def pack_ctrl(
+        self,
+        *,
+        size: int = 2,
+        inc_write: bool = True,
+        ring_size: int = 0,
+        ring_sel: bool = False,
+        treq_sel: int = 63,
+        irq_quiet: bool = True,
+    ) -> int:
+        for value, limit in ((size, 4), (ring_size, 16), (treq_sel, 64)):
+            if not 0 <= value < limit:
+                raise ValueError("bad field value")
+        flags = int(irq_quiet) << 21 | int(ring_sel) << 10 | int(inc_write) << 5 | 0x11
+        return flags | treq_sel << 15 | self.channel << 11 | ring_size << 6 | size << 2
+
+    def config(self, *, read: object, write: object, ctrl: int) -> None:
+        self.configured = {"read": read, "write": write, "ctrl": ctrl}

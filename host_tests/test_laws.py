@@ -1,0 +1,261 @@
+"""Laws of motion on examples and random programs: planner and segments alone, then the machine."""
+
+from math import cos, pi, sin
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from laws import Bench, Limits, check_pulses, check_segments, check_spacing, pulses, some, uneven
+from rig_bench import Machine
+
+fast = Limits((250.0, 250.0, 250.0), (3000.0, 3000.0, 1500.0), (500.0, 500.0, 200.0))
+
+
+def circle(bench: Bench, radius: float, chords: int, feed: float) -> None:
+    for i in range(chords + 1):
+        angle = 2 * pi * i / chords
+        bench.line((radius * cos(angle) - radius, radius * sin(angle), 0), feed)
+
+
+def zigzag(bench: Bench) -> None:
+    for i in range(12):
+        bench.line((i % 2 * 3.0, i * 0.1, 0), 2000)
+
+
+def staircase(bench: Bench) -> None:
+    for i in range(40):
+        bench.line(((i + 1) // 2 * 0.05, i // 2 * 0.05, 0), 1500)
+
+
+def reversals(bench: Bench) -> None:
+    for i in range(6):
+        bench.line((0, 0, -5.0 * (i % 2)))
+
+
+def plunges(bench: Bench) -> None:
+    for i in range(5):
+        bench.line((i * 4, 0, 2))
+        bench.line((i * 4, 0, -1), 100)
+        bench.line((i * 4, 0, 2))
+
+
+def slow(bench: Bench) -> None:
+    bench.line((0.05, 0, 0), 1)
+    bench.line((0.1, 0.03, 0), 5)
+
+
+def single_steps(bench: Bench) -> None:
+    for i in range(20):
+        bench.line((0.004 * i, 0.004 * (i // 3), 0), 1000)
+
+
+programs = pytest.mark.parametrize(
+    "program", [zigzag, staircase, reversals, plunges, slow, single_steps]
+)
+
+
+@programs
+@pytest.mark.parametrize("limits", [Limits(), fast], ids=["factory", "fast"])
+def test_examples_keep_every_law(program, limits: Limits) -> None:
+    bench = Bench(limits)
+    program(bench)
+    bench.check()
+
+
+@pytest.mark.parametrize("chords", [24, 300])
+def test_a_circle_of_chords_keeps_every_law(chords: int) -> None:
+    bench = Bench(fast)
+    circle(bench, 4.0, chords, 2400)
+    bench.check()
+
+
+@pytest.mark.parametrize("segment_log2", [13, 17])
+def test_coarse_ticks_keep_every_law(segment_log2: int) -> None:
+    bench = Bench(fast, tick_hz=100 << segment_log2, segment_log2=segment_log2)
+    zigzag(bench)
+    bench.check()
+
+
+@pytest.mark.parametrize("after", [1, 7, 20, 40])
+def test_a_hold_at_any_moment_keeps_every_law(after: int) -> None:
+    bench = Bench(fast)
+    zigzag(bench)
+    bench.pull(after)
+    bench.hold()
+    bench.check()
+
+
+@pytest.mark.parametrize("feed", [10, 200])
+@pytest.mark.parametrize("after", [1, 7, 20, 40])
+def test_an_override_at_any_moment_keeps_every_law(feed: int, after: int) -> None:
+    bench = Bench(fast)
+    zigzag(bench)
+    bench.pull(after)
+    bench.override(feed)
+    bench.pull(after)
+    bench.override(100)
+    bench.check()
+
+
+# Even steps
+
+
+def cruising(bench: Bench, axis: int) -> "list[int]":
+    """Ticks of the middle half of an axis' pulses."""
+    bench.finish()
+    rows = [(segment.start, segment.row) for segment in bench.watch.made]
+    ticks = [tick for tick, _ in pulses(rows, axis)]
+    return ticks[len(ticks) // 4 : -len(ticks) // 4]
+
+
+@pytest.mark.parametrize("feed", [3, 61, 450, 1000, 2999, 5400])
+def test_steps_of_a_constant_rate_move_are_even(feed: int) -> None:
+    bench = Bench(Limits(rate=(6000.0,) * 3, acceleration=(2000.0,) * 3))
+    bench.line((max(0.4, feed / 200), 0, 0), feed)
+    assert uneven(cruising(bench, 0)) <= 1
+
+
+@pytest.mark.parametrize("minor", [0.7, 9.99, 13.37, 20.0, 39.996])
+def test_steps_of_a_minor_axis_are_even(minor: float) -> None:
+    bench = Bench(fast)
+    bench.line((40, minor, 0), 2500)
+    for axis in (0, 1):
+        assert uneven(cruising(bench, axis)) <= 1
+
+
+@pytest.mark.parametrize("pieces", [2, 15, 100])
+def test_steps_are_even_across_the_joints_of_a_straight_line(pieces: int) -> None:
+    bench = Bench(fast)
+    for i in range(1, pieces + 1):
+        bench.line((40 * i / pieces, 20 * i / pieces, 0), 2000)
+    for axis in (0, 1):
+        assert uneven(cruising(bench, axis)) <= 1
+
+
+# Random programs
+
+limits = st.builds(
+    Limits,
+    st.tuples(*[st.sampled_from([40.0, 80.0, 250.0, 800.0, 26.667])] * 3),
+    st.tuples(*[st.sampled_from([100.0, 500.0, 3000.0, 20_000.0])] * 3),
+    st.tuples(*[st.sampled_from([5.0, 10.0, 200.0, 3000.0])] * 3),
+    st.sampled_from([0.001, 0.01, 0.05, 0.5]),
+)
+steps = st.one_of(
+    *[st.tuples(*[st.floats(-size, size)] * 3) for size in (0.02, 0.5, 4.0)],
+    st.tuples(st.floats(-5, 5), st.just(0.0), st.just(0.0)),
+)
+actions = st.one_of(
+    *[st.tuples(st.just("line"), steps, st.sampled_from([0, 30, 600, 2000, 9000]))] * 6,
+    st.tuples(st.just("pull"), st.integers(1, 9)),
+    st.tuples(st.just("hold")),
+    st.tuples(st.just("override"), st.integers(10, 200), st.sampled_from([25, 50, 100])),
+)
+
+
+@some(40)
+@given(limits, st.lists(actions, min_size=5, max_size=30))
+def test_random_programs_keep_every_law(limits: Limits, program) -> None:
+    bench = Bench(limits)
+    place = (0.0, 0.0, 0.0)
+    for name, *arguments in program:
+        if name == "line":
+            place = tuple(a + b for a, b in zip(place, arguments[0], strict=True))
+            arguments[0] = place
+        getattr(bench, name)(*arguments)
+    bench.check()
+
+
+# The whole machine
+
+machines = st.fixed_dictionaries(
+    {},
+    optional={
+        11: st.sampled_from([0.002, 0.1]),
+        100: st.sampled_from([40.0, 320.0]),
+        101: st.sampled_from([80.0, 53.3]),
+        110: st.sampled_from([100.0, 2000.0, 8000.0]),
+        111: st.sampled_from([3000.0]),
+        112: st.sampled_from([60.0, 1200.0]),
+        120: st.sampled_from([5.0, 400.0]),
+        121: st.sampled_from([50.0, 1000.0]),
+        122: st.sampled_from([20.0]),
+    },
+)
+places = st.floats(-3, 3).map(lambda x: round(x, 3))
+words = st.tuples(places, places, places)
+blocks = st.one_of(
+    words.map("G1X%.3fY%.3fZ%.3f".__mod__),
+    st.tuples(places, places).map("G0X%.3fY%.3f".__mod__),
+    places.map("G0Z%.3f".__mod__),
+    st.tuples(st.sampled_from("23"), st.floats(0.1, 2)).map("G91G%sI%.3f".__mod__),
+    st.tuples(st.floats(0.1, 2)).map("G3X0Y1R%.3f".__mod__),
+    st.sampled_from("F60 F800 F3000 G90 G91 G4P.05 M0 M3S500 M8 G93 G94 G17 G18".split()),
+)
+moments = st.integers(0, 4000)
+harmless = st.sampled_from(["!", "~", "?", "\x90", "\x91", "\x92", "\x93", "\x95", "\x96", "\x97"])
+
+
+def events(bytes_: st.SearchStrategy) -> st.SearchStrategy:
+    return st.lists(st.tuples(moments, bytes_), min_size=1, max_size=8)
+
+
+def check_position(machine: Machine) -> None:
+    """The report says where the motors are, and the trace how they came there."""
+    physical = machine.physical()
+    for i, place in enumerate(machine.reported()):
+        assert sum(sign for _, sign in pulses(machine.rows, i)) == physical[i]
+        exact = physical[i] / machine.limits.steps_per_mm[i]
+        assert abs(place - exact) <= 0.00051 + abs(exact) * 1e-6
+    for i in range(3):
+        check_spacing(list(pulses(machine.rows, i)), machine.watch.tick_hz, 10)
+
+
+@some(15)
+@given(machines, st.lists(blocks, min_size=4, max_size=16), events(harmless))
+def test_nothing_is_lost_through_holds_and_overrides(settings_, lines, bytes_) -> None:
+    machine = Machine(settings_)
+    machine.play(["G21G91F500", *lines], bytes_)
+    check_segments(machine.watch)
+    check_pulses(machine.watch, machine.rows)
+    check_position(machine)
+
+
+@some(15)
+@given(
+    machines, st.lists(blocks, min_size=2, max_size=12), events(st.sampled_from("!~?\x18\x84\x91"))
+)
+def test_position_is_known_through_resets_and_doors(settings_, lines, bytes_) -> None:
+    machine = Machine(settings_)
+    machine.play(["G21G91F500", *lines], bytes_)
+    check_position(machine)
+
+
+jogs = st.one_of(
+    st.tuples(places, places).map("$J=G91G21X%.3fY%.3fF2000".__mod__),
+    places.map("$J=G90Z%.3fF300".__mod__),
+)
+
+
+@some(15)
+@given(machines, st.lists(jogs, min_size=2, max_size=6), events(st.sampled_from("\x85!?~")))
+def test_position_is_known_through_jog_cancels(settings_, lines, bytes_) -> None:
+    machine = Machine(settings_)
+    machine.play(lines, bytes_)
+    check_segments(machine.watch)
+    check_position(machine)
+
+
+def test_a_program_goes_where_it_should() -> None:
+    machine = Machine({110: 3000.0, 111: 3000.0, 120: 200.0, 121: 200.0})
+    machine.play(["G90G1X3Y4F2000", "G2X5Y4I1", "G0X0Y0"], [(120, "!"), (900, "~")])
+    check_pulses(machine.watch, machine.rows)
+    assert machine.reported() == [0, 0, 0]
+    assert max(abs(n) for n in machine.physical()) == 0
+
+
+def test_a_reset_in_motion_keeps_what_was_made() -> None:
+    machine = Machine({110: 3000.0, 120: 200.0})
+    machine.play(["G1X20F2000"], [(400, "\x18")])
+    assert 0 < machine.physical()[0] < 5000
+    check_position(machine)
