@@ -129,7 +129,6 @@ _M_WORDS = {
     9: (GROUP_M8, "coolant", 0),
     56: (GROUP_M9, "override_control", 1),
 }
-_M_REVERSE = const(4)
 _M_MIST = const(7)
 _M_OVERRIDE_CONTROL = const(56)
 
@@ -174,14 +173,12 @@ class Modal:
 class Block:
     """One line being interpreted. Reused for every line."""
 
-    def __init__(self, axes: int, has_reverse: bool, has_mist: bool, has_override_control: bool) -> None:
+    def __init__(self, axes: int, has_mist: bool, has_override_control: bool) -> None:
         self.modal = Modal()
         self.xyz = vector(axes)
         self.ijk = vector(3)
         self._axes = axes
         self._unsupported_m = set()
-        if not has_reverse:
-            self._unsupported_m.add(_M_REVERSE)
         if not has_mist:
             self._unsupported_m.add(_M_MIST)
         if not has_override_control:

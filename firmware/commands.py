@@ -174,8 +174,10 @@ class Commands:
                 raise GrblError(errors.INVALID_STATEMENT)
             axes = 1 << at
         self._state.run = st.HOMING
-        self._cycles.home(axes)
+        homed = self._cycles.home(axes)
         self._state.run = st.IDLE
+        if not homed:
+            return
         self._motion.settle()
         if axes == 0:
             self.run_startup()

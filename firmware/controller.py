@@ -60,7 +60,7 @@ class Options:
         self.zero_origin: bool = option("FORCE_SET_ORIGIN", False)
         self.single_axis_homing: bool = option("SINGLE_AXIS_HOMING", False)
         self.enable_pin: bool = option("SPINDLE_ENABLE_PIN", False)
-        self.shared_switches: bool = option("SHARED_LIMIT_SWITCHES", False)
+        self.shared_switches: bool = option("DUAL_LIMIT_SWITCHES", False)
         self.max_step_hz: int = option("MAX_STEP_RATE_HZ", 0)
         self.echo: bool = option("ECHO", False)
 
@@ -127,7 +127,7 @@ class Controller:
             options.zero_origin,
             options.shared_switches,
         )
-        block = Block(axes, not options.enable_pin, options.mist, options.override_control)
+        block = Block(axes, options.mist, options.override_control)
         self.gcode = Gcode(
             axes,
             self.state,
@@ -139,6 +139,7 @@ class Controller:
             self.report,
             block,
             options.line_numbers,
+            options.override_control,
         )
         self.realtime = Realtime(
             self.state,

@@ -141,13 +141,16 @@ class Cycles:
 
     # Homing ($H)
 
-    def home(self, axes: int) -> None:
-        """Find the switches: of these axes (a mask), or of all, Z first."""
+    def home(self, axes: int) -> bool:
+        """Find the switches: of these axes (a mask), or of all, Z first.
+
+        Returns False where it cannot begin: the machine will be in alarm.
+        """
         state = self._state
         if self._shared_switches and self._inputs.limits():
             self._realtime.reset()
             state.alarm = errors.ALARM_HARD_LIMIT
-            self._motion.service()
+            return False
         if axes:
             self._home(axes)
         else:
@@ -155,6 +158,7 @@ class Cycles:
             self._home(((1 << self._planner.axes) - 1) & ~(1 << Z))
         self._motion.service()
         self._resync()
+        return True
 
     def _home(self, axes: int) -> None:
         settings = self._settings

@@ -56,7 +56,9 @@ class Gcode:
         report: "Report",
         block: "Block",
         line_numbers: bool,
+        has_override_control: bool,
     ) -> None:
+        self._has_override_control = has_override_control
         self.axes = axes
         self.coords = coords
         self.modal = Modal()
@@ -296,6 +298,8 @@ class Gcode:
                 words.append("M8")
         else:
             words.append("M9")
+        if self._has_override_control and self._state.override_control:
+            words.append("M56")
         words.append("T%d" % self.tool)
         words.append("F" + self._report.rate(self.feed))
         words.append("S" + self._report.speed(self.spindle_rpm))

@@ -50,10 +50,9 @@ JUNCTION = const(3)  # real: 2**16 * junction deviation * SQR_SCALE
 SEGMENT_RATE = const(4)  # real: block speed units per (step/s)
 SEGMENT_ACCEL = const(5)  # real: block speed units per segment, per (step/s2)
 SEGMENT_LOG2 = const(6)  # a full segment is 2**SEGMENT_LOG2 ticks, 17 at the most
-MOVE_DIRS = const(7)  # mask of axes along which the measured move goes backwards
-POWER_FLOOR = const(8)  # spindle power, in 1/64, up to which a DYNAMIC block gets the least power
-POWER_MAX = const(9)  # spindle power at the most
-LIMITS = const(10)  # three reals per axis: mm per step, mm/s, mm/s2
+POWER_FLOOR = const(7)  # spindle power, in 1/64, up to which a DYNAMIC block gets the least power
+POWER_MAX = const(8)  # spindle power at the most
+LIMITS = const(9)  # three reals per axis: mm per step, mm/s, mm/s2
 
 # The flow: what planner (main loop) and segments (interrupt) share, and where motion is.
 ROW_SIZE = const(0)  # integers in a block
@@ -61,7 +60,7 @@ ROWS = const(1)  # blocks in the ring; one more behind them is the system's own
 HEAD = const(2)  # the main loop's: where the next block goes
 TAIL = const(3)  # the interrupt's: the block being executed
 HOLD = const(4)  # the main loop's: come to rest, and stay
-SYSTEM = const(5)  # the main loop's: run the system's own block, which clears this
+SYSTEM = const(5)  # 1: run the system's own block and no other; 2: that is done
 LOADED = const(6)  # the interrupt's from here on
 AT = const(7)  # where in the ring the loaded block begins
 NOW = const(8)  # speed in block speed units
@@ -271,6 +270,10 @@ def measure(target: ptr32, position: ptr32, row: ptr32, machine: ptr32) -> int:
     dirs = 0
     for i in range(axes):
         steps = target[i] - position[i]
+        if i < 2 and machine[COREXY]:
+            # Motor 0 makes x + y, motor 1 x - y; as in Grbl, length is theirs too.
+            other = target[1 - i] - position[1 - i]
+            steps = steps + other if i == 0 else other - steps
         if steps < 0:
             dirs |= 1 << i
             steps = 0 - steps
@@ -288,17 +291,6 @@ def measure(target: ptr32, position: ptr32, row: ptr32, machine: ptr32) -> int:
         machine[distance + i] = (exponent << 15) + mantissa if mantissa else 0
         if mantissa and exponent > top:
             top = exponent
-    machine[MOVE_DIRS] = dirs
-    if machine[COREXY]:
-        dx = target[0] - position[0]
-        dy = target[1] - position[1]
-        dirs &= 0x3FFFFFFC
-        if dx + dy < 0:
-            dirs |= 1
-        if dx - dy < 0:
-            dirs |= 2
-        row[STEPS] = dx + dy if dx + dy >= 0 else 0 - dx - dy
-        row[STEPS + 1] = dx - dy if dx >= dy else dy - dx
     events = 0
     squares = 0
     for i in range(axes):
@@ -370,7 +362,7 @@ def turn(row: ptr32, machine: ptr32) -> int:
     axes = machine[AXES]
     previous = LIMITS + 3 * axes
     direction = previous + axes
-    dirs = machine[MOVE_DIRS]
+    dirs = row[DIRS]
     squares = 0
     least = _HIGHEST
     for i in range(axes):
@@ -537,6 +529,8 @@ def load(flow: ptr32, ring: ptr32, axes: int) -> int:
     """Take up the next block. Returns 0 where there is none."""
     at = flow[TAIL]
     if flow[SYSTEM]:
+        if flow[SYSTEM] == 2:
+            return 0
         at = flow[ROWS]
     elif at == flow[HEAD]:
         return 0
@@ -833,7 +827,7 @@ def fill(flow: ptr32, ring: ptr32, machine: ptr32, row: ptr32) -> int:
         flow[CARRY] = int(div(int(pack(flow[NOW], _BIAS)), ring[at + FACTOR]))
         flow[LOADED] = 0
         if flow[SYSTEM]:
-            flow[SYSTEM] = 0
+            flow[SYSTEM] = 2
         else:
             tail = flow[TAIL] + 1
             flow[TAIL] = tail if tail < flow[ROWS] else 0

@@ -7,7 +7,7 @@ hold, resume, the system's own block.
 
 import kernels
 from f32 import f32
-from kernels import AT, CARRY, HOLD, LOADED, NOW, SYSTEM
+from kernels import AT, CARRY, HOLD, LOADED, NOW
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -35,13 +35,6 @@ class Segments:
         """Slow down and come to rest; or go on."""
         self._flow[HOLD] = 1 if on else 0
 
-    def at_rest(self) -> bool:
-        """Nothing more will come until something is planned or resumed."""
-        flow = self._flow
-        if flow[LOADED]:
-            return bool(flow[HOLD]) and flow[NOW] == 0
-        return self._planner.empty() and not flow[SYSTEM] or bool(flow[HOLD]) and flow[CARRY] == 0
-
     def begin_system(self) -> None:
         """Put the block in progress, at rest, aside: the system's own moves come first."""
         if self._saved is None:
@@ -52,9 +45,10 @@ class Segments:
 
     def end_system(self) -> None:
         """Take the block put aside up again where it stood."""
+        self._flow[kernels.SYSTEM] = 0
         if self._saved is not None:
-            self._flow[LOADED:] = self._saved[LOADED:]
-            self._flow[SYSTEM] = 0
+            for i in range(LOADED, len(self._flow)):
+                self._flow[i] = self._saved[i]
             self._saved = None
 
     def clear(self) -> None:

@@ -32,10 +32,11 @@ class Spindle:
     def __init__(self, port: "Port", state: "State", enable_by_direction: bool) -> None:
         self._port = port
         self._state = state
-        # A board with an enable pin in place of the direction's has no M4 to offer.
-        self.can_reverse = not enable_by_direction
+        # The direction's pin says that the spindle is on: M3 and M4 are the same then.
+        self._has_enable = enable_by_direction
         self._power = 0
         self._direction = CW  # of the pin
+        self._enabled = False
         self.laser = False
 
     def configure(self, settings: "Settings", machine: "array[int]") -> None:
@@ -81,9 +82,9 @@ class Spindle:
             self._state.spindle_rpm = 0.0
             self.stop()
         else:
-            self._direction = direction
-            if self.can_reverse:
-                self._port.direction(1 if direction == CCW else 0)
+            self._direction = CW if self._has_enable else direction
+            self._enabled = True
+            self._port.direction(1 if self._has_enable or direction == CCW else 0)
             if self.laser and direction == CCW:
                 rpm = 0.0
             self.set_power(self.power(rpm))
@@ -99,7 +100,11 @@ class Spindle:
         """Off, at once; safe in an interrupt."""
         self._power = 0
         self._port.spindle(False, 0)
+        if self._has_enable:
+            self._enabled = False
+            self._port.direction(0)
 
     def direction(self) -> int:
         """OFF, CW or CCW: what the pins say."""
-        return self._direction if self._power else OFF
+        on = self._enabled if self._has_enable else self._power
+        return self._direction if on else OFF

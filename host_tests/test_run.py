@@ -65,7 +65,7 @@ def test_programs_without_errors_run_to_their_last_step(name: str, tmp_path: Pat
 def test_time_is_that_of_the_trapezoid() -> None:
     # 600 mm/min = 10 mm/s reached and lost in 1 s each, 10 mm/s2: 20 mm take 3 s.
     result = run("G1 X20 F600\n", "$110=1000")
-    assert result.totals.time_s == pytest.approx(3.0, rel=0.01)
+    assert result.totals.time_s == pytest.approx(3.0, rel=1e-3)
 
 
 def test_a_dwell_takes_its_time() -> None:

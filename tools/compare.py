@@ -5,7 +5,7 @@ what is wrong, in words, and add the names of the differences they overlooked.
 """
 
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 from .differences import DIFFERENCES, EXACT_STOP, IDLE_DELAY, QUIRKS
 
@@ -24,28 +24,36 @@ _PLACE = re.compile(r"(?<=[:,])-?\d+\.\d+")
 # Comparing a conversation
 
 
-def _same_line(expected: str, got: str, shape: bool, used: list[str]) -> bool:
+class _Line(NamedTuple):
+    """A line expected, whether only its shape counts, and what had been sent."""
+
+    text: str
+    shape: bool
+    sent: str
+
+
+def _same_line(line: _Line, got: str, used: list[str]) -> bool:
+    expected = line.text
     if expected == got:
         return True
     for difference in DIFFERENCES:
-        if difference.rewrite(got, expected) == expected:
+        if difference.rewrite(got, expected, line.sent) == expected:
             used.append(difference.name)
             return True
-    if shape and _SHAPED.fullmatch(expected) and _SHAPED.fullmatch(got):
+    if line.shape and _SHAPED.fullmatch(expected) and _SHAPED.fullmatch(got):
         return _NUMBER.sub("#", expected) == _NUMBER.sub("#", got)
     return False
 
 
-def _same_lines(expected: list[tuple[str, bool]], got: list[str], used: list[str]) -> bool:
-    """Compare lines with the expected ones, each of which says whether only its shape counts."""
+def _same_lines(expected: list[_Line], got: list[str], used: list[str]) -> bool:
     return len(expected) == len(got) and all(
-        _same_line(line, mine, shape, used)
-        for (line, shape), mine in zip(expected, got, strict=True)
+        _same_line(line, mine, used) for line, mine in zip(expected, got, strict=True)
     )
 
 
-def _expected_lines(step: Json) -> list[tuple[str, bool]]:
-    return [(line, step.get("compare") == "shape") for line in step["expect"]]
+def _expected_lines(step: Json) -> list[_Line]:
+    shape = step.get("compare") == "shape"
+    return [_Line(line, shape, step.get("send", "")) for line in step["expect"]]
 
 
 def _judge_lines(steps: list[Json], got: list[Json], lenient: bool, used: list[str]) -> list[str]:
@@ -186,7 +194,7 @@ _HALF_STEP_DOUBT = 0.001
 def judge_motion(record: Json, observed: Json, used: list[str]) -> list[str]:
     """What is wrong with the replay of a motion record; nothing if it conforms."""
     wrong = trouble(observed)
-    replies = [(line, False) for line in record["replies"]]
+    replies = [_Line(line, False, "") for line in record["replies"]]
     if any(line != "ok" for line in observed["settings"]):
         wrong.append(f"settings: {observed['settings']}")
     if not _same_lines(replies, observed["replies"], used):

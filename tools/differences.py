@@ -10,26 +10,31 @@ from typing import NamedTuple
 
 
 class Difference(NamedTuple):
-    """One difference: rewrite(ours, grbls) gives the line Grbl would have sent."""
+    """One difference: rewrite(ours, grbls, sent) gives the line Grbl would have sent."""
 
     name: str
     reason: str
-    rewrite: Callable[[str, str], str]
+    rewrite: Callable[[str, str, str], str]
 
 
 _VERSION = re.compile(r"\[VER:1\.1h\.\d{8}:(.*)\]")
 _OPTIONS = re.compile(r"\[OPT:([^,]*)(,\d+,\d+)\]")
 
 
-def _version(ours: str, grbls: str) -> str:
+def _version(ours: str, grbls: str, _sent: str) -> str:
     mine, theirs = _VERSION.fullmatch(ours), _VERSION.fullmatch(grbls)
     return grbls if mine and theirs and theirs[1] in mine[1] else ours
 
 
-def _options(ours: str, grbls: str) -> str:
+def _options(ours: str, grbls: str, _sent: str) -> str:
     mine, theirs = _OPTIONS.fullmatch(ours), _OPTIONS.fullmatch(grbls)
     same = mine and theirs and mine[2] == theirs[2] and set(theirs[1]) <= set(mine[1])
     return grbls if same else ours
+
+
+def _homing(ours: str, grbls: str, sent: str) -> str:
+    stuck = sent.startswith("$H") and sent != "$H\n" and grbls == "error:8"
+    return grbls if stuck and ours == "error:3" else ours
 
 
 class Quirk(NamedTuple):
@@ -71,5 +76,10 @@ DIFFERENCES = (
         "options",
         "[OPT:] may list letters of options that the recorded Grbl was built without.",
         _options,
+    ),
+    Difference(
+        "refused homing again",
+        "A second refused $Hx is refused as the first was; Grbl is stuck in Home by then.",
+        _homing,
     ),
 )

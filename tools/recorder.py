@@ -69,11 +69,11 @@ class Recorder:
 
     def start_clock(self) -> None:
         """The work begins now."""
-        self._begun = self._rig.now
+        self._begun = self._ended = self._rig.now
 
-    def stop_clock(self) -> None:
-        """The work has taken until now."""
-        self._ended = self._rig.now
+    def stop_clock(self, tick: int) -> None:
+        """The work has taken until then, or until the last step if that came later."""
+        self._ended = max(self._ended, tick)
 
     def totals(self) -> Totals:
         """Everything up to now."""

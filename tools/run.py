@@ -81,7 +81,7 @@ class ProgramLink(machine.UntimedLink):
         self._out = bytearray()
         self._in = ""
         self._looks = 0
-        self._news: int = rig.now  # when something last happened
+        self.news: int = rig.now  # tick at which something last happened
         self._resume_at = 0
 
     # The Link seam
@@ -112,7 +112,7 @@ class ProgramLink(machine.UntimedLink):
     # What comes back
 
     def _receive(self, line: str) -> None:
-        self._news = self.rig.now
+        self.news = self.rig.now
         if self.result.stopped:
             return  # lines already handed over are refused in alarm; that is no news
         if is_answer(line):
@@ -198,13 +198,13 @@ class ProgramLink(machine.UntimedLink):
         rig = self.rig
         run = rig.controller.state.run
         if rig.moving():
-            self._news = rig.now
+            self.news = rig.now
         elif run & (state.HOLD | state.DOOR) and rig.now >= self._resume_at:
             self._resume()
             return
         elif run == state.SLEEP:
             self.stop("asleep ($SLP)")
-        elif rig.now - self._news > _STALLED_MS * rig.ticks_per_ms:
+        elif rig.now - self.news > _STALLED_MS * rig.ticks_per_ms:
             self.stop("nothing happens any more")
         rig.skip()
 
@@ -247,7 +247,7 @@ def run_program(
             if progress and number % _PROGRESS_LINES == 0:
                 progress(number)
         yield None
-        recorder.stop_clock()
+        recorder.stop_clock(link.news)
         link.replies.clear()
         yield 0, b"$G"
         yield None
@@ -257,7 +257,5 @@ def run_program(
     recorder = Recorder(rig, keep_path)
     machine.run(rig)
     result: Result = rig.link.result
-    if result.stopped:
-        recorder.stop_clock()
     result.totals = recorder.totals()
     return result, recorder

@@ -22,13 +22,14 @@ _ROW_AXES = const(3)  # per motor: steps, tick of the first, tick of the last
 _ROW_STRIDE = const(3)
 
 # Lanes: integers per axis.
-LANE = const(6)
+LANE = const(7)
 CARRY = const(0)  # ticks from where the lane's words end to where the next segment begins
 DIR = const(1)  # level of the direction output
 HEAD = const(2)  # where in the ring the next word goes
 SENT = const(3)  # up to where words have been handed to the hardware
 PLACE = const(4)  # position at the end of all segments made
-FROZEN = const(5)  # position of a locked axis
+END = const(5)  # position at the end of all words sent
+FROZEN = const(6)  # position of a locked axis
 
 # Words a lane's ring holds. A segment takes five at the most: wait before a reversal, first
 # step, long gaps, short gaps, rest.

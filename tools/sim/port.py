@@ -2,14 +2,17 @@
 
 # Names of the inputs in recordings, in the bit order of Port.limits() and Port.controls().
 LIMITS = ("limit_x", "limit_y", "limit_z", "limit_a")
-CONTROLS = ("reset", "hold", "start", "door")
+CONTROLS = ("reset", "hold", "start")
+# On an Uno with a safety door, the door takes the place of the hold button.
+CONTROLS_WITH_DOOR = ("reset", "", "start", "hold")
 
 
 class SimPort:
     """A Port whose pins are attributes. Closed means pulled to ground."""
 
-    def __init__(self, rig, pwm_max=255):
-        self.pwm_max = pwm_max
+    def __init__(self, rig, board):
+        self.pwm_max = board.PWM_MAX
+        self._controls = CONTROLS_WITH_DOOR if getattr(board, "SAFETY_DOOR", False) else CONTROLS
         self.enable_pin = 1
         self.spindle_on = False
         self.spindle_pwm = 0
@@ -39,7 +42,7 @@ class SimPort:
         return self._mask(LIMITS)
 
     def controls(self):
-        return self._mask(CONTROLS)
+        return self._mask(self._controls)
 
     def probe(self):
         return "probe" in self._closed
@@ -93,7 +96,7 @@ class SimPort:
             self._look_at_probe()
         if self._on_limits and any(name in changed for name in LIMITS):
             self._on_limits()
-        if self._on_controls and any(name in changed for name in CONTROLS):
+        if self._on_controls and any(name in changed for name in self._controls):
             self._on_controls()
 
     def _look_at_probe(self):

@@ -49,7 +49,7 @@ class Rig:
         if start_ticks:
             self.engine.prepare = lambda: self.pass_time(self.now + start_ticks)
         self.answer_ticks = int(getattr(board, "ANSWER_US", 0) * self.ticks_per_ms / 1000)
-        self.port = SimPort(self, board.PWM_MAX)
+        self.port = SimPort(self, board)
         self.engine.pins_changed = self.port.update
         self.link = link(self)
         self.controller = None
