@@ -203,7 +203,7 @@ class Block:
         for i in range(3):
             self.ijk[i] = 0.0
         self.f = 0.0
-        self.l = 0  # noqa: E741
+        self.l = 0
         self.n = 0
         self.p = 0.0
         self.r = 0.0
@@ -239,7 +239,7 @@ class Block:
             if self.claim:
                 raise GrblError(errors.GCODE_AXIS_COMMAND_CONFLICT)
             self.claim = claim
-        if hundredths and code in _G_DECIMALS or code in _WANTS_DECIMALS:
+        if (hundredths and code in _G_DECIMALS) or code in _WANTS_DECIMALS:
             if hundredths not in _G_DECIMALS[code]:
                 raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
             if code == 91:

@@ -102,7 +102,9 @@ def _non_modal(gcode: "Gcode", block: "Block") -> int:
     if command == b.SET_G92:
         if not block.values & b.AXIS_WORDS:
             raise GrblError(errors.GCODE_NO_AXIS_WORDS)
-        _offset_at(gcode, block, gcode.coords.systems[block.modal.system], gcode.coords.g92, block.xyz)
+        _offset_at(
+            gcode, block, gcode.coords.systems[block.modal.system], gcode.coords.g92, block.xyz
+        )
         return 0
     if block.claim != b.AXES_TOOL_LENGTH and block.values & b.AXIS_WORDS:
         _target(gcode, block)

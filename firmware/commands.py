@@ -60,7 +60,11 @@ class Commands:
         self._startup = [""] * STARTUP_LINES
 
     def connect(
-        self, realtime: "Realtime", motion: "Motion", configure: "Callable[[], None]", answer: "Callable[[bytearray, int], None]"
+        self,
+        realtime: "Realtime",
+        motion: "Motion",
+        configure: "Callable[[], None]",
+        answer: "Callable[[bytearray, int], None]",
     ) -> None:
         """Say whom to call. answer executes a line of G-code and prints what becomes of it."""
         self._realtime = realtime

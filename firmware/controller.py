@@ -1,18 +1,17 @@
 """The wiring diagram: makes every object and says who gets whom. Start reading here."""
 
+from array import array
+
 import errors
-import kernels
 import spindle as sp
 import state as st
-from array import array
 from axes import TOOL_LENGTH
 from block import Block
 from commands import Commands
 from coolant import Coolant
 from coords import Coords
 from cycles import Cycles
-from errors import Abort, GrblError
-from f32 import vector
+from errors import Abort
 from gcode import Gcode
 from inputs import Inputs
 from lines import LineReader
@@ -200,9 +199,7 @@ class Controller:
         self.cycles.connect(self.motion, self.realtime, pump, self.position, self.resync)
         self.realtime.connect(self.port, pump, self.gcode, self.resync, self.suspension)
         self.suspension.connect(self.realtime, self.gcode, self.pause_ms, self.position)
-        self.commands.connect(
-            self.realtime, self.motion, self.configure, self.protocol.execute
-        )
+        self.commands.connect(self.realtime, self.motion, self.configure, self.protocol.execute)
         self.protocol.connect(self.realtime, self.gcode, self.commands, self.motion)
 
     # Positions: machine (steps really made) -> planner -> parser

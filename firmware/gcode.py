@@ -22,8 +22,6 @@ from words import Words
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from array import array
-    from collections.abc import Callable
 
     from coords import Coords
     from cycles import Cycles

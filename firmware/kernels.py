@@ -83,7 +83,9 @@ DYNAMIC = const(0x40)  # spindle power follows speed (laser, M4)
 ROW_TICKS = const(0)  # how long it lasts
 ROW_DIRS = const(1)  # mask of motors that turn backwards
 ROW_POWER = const(2)  # spindle power, or KEEP_POWER
-ROW_AXES = const(3)  # per motor: steps, tick of the first, tick of the last, the others evenly between
+ROW_AXES = const(
+    3
+)  # per motor: steps, tick of the first, tick of the last, the others evenly between
 ROW_STRIDE = const(3)
 KEEP_POWER = const(0x3FFFFFFF)
 

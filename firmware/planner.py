@@ -82,7 +82,9 @@ class Planner:
         view = memoryview(self.ring)
         self._rows = [view[i * size : (i + 1) * size] for i in range(blocks + 1)]
 
-    def configure(self, settings: "Settings", tick_hz: int, segment_log2: int, step_hz: int) -> None:
+    def configure(
+        self, settings: "Settings", tick_hz: int, segment_log2: int, step_hz: int
+    ) -> None:
         """Take over rates, accelerations and resolution. step_hz: what the engine can make."""
         machine = self.machine
         fastest_sqr = 0.0
@@ -138,7 +140,9 @@ class Planner:
         self._append(self._rows[head])
         return True
 
-    def system_line(self, target: "array[float]", move: "Move", power: int, start: "array[int]") -> bool:
+    def system_line(
+        self, target: "array[float]", move: "Move", power: int, start: "array[int]"
+    ) -> bool:
         """A move of the system's own from start, in steps: from rest to rest, outside the ring's order."""
         for i in range(self.axes):
             self._start[i] = _BIAS + self.axis_steps(start, i)
@@ -147,7 +151,9 @@ class Planner:
         self.flow[SYSTEM] = 1
         return True
 
-    def _plan(self, at: int, start: "array[int]", target: "array[float]", move: "Move", power: int) -> bool:
+    def _plan(
+        self, at: int, start: "array[int]", target: "array[float]", move: "Move", power: int
+    ) -> bool:
         row = self._rows[at]
         machine = self.machine
         flags = move.flags

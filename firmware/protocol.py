@@ -6,7 +6,6 @@ code waits.
 """
 
 import errors
-import state as st
 from errors import Abort, GrblError
 from lines import LINE, NOTHING
 from micropython import const
@@ -28,7 +27,9 @@ _LOCKED = const(0x21)  # ALARM | JOG
 class Protocol:
     """The loop and its buffer."""
 
-    def __init__(self, link: "Link", state: "State", reader: "LineReader", report: "Report", echoes: bool) -> None:
+    def __init__(
+        self, link: "Link", state: "State", reader: "LineReader", report: "Report", echoes: bool
+    ) -> None:
         self._link = link
         self._state = state
         self._reader = reader

@@ -141,14 +141,20 @@ class Realtime:
         if state.run & (st.RUN | st.HOMING | st.JOG) or state.holding or state.system_motion:
             if state.alarm == 0:
                 homing = state.run == st.HOMING
-                state.alarm = errors.ALARM_HOMING_FAIL_RESET if homing else errors.ALARM_ABORT_CYCLE
+                state.alarm = (
+                    errors.ALARM_HOMING_FAIL_RESET if homing else errors.ALARM_ABORT_CYCLE
+                )
             self._engine.stop()
             self.release()
 
     def on_limits(self) -> None:
         """A limit switch has changed. Interrupt."""
         state = self._state
-        if self._settings.hard_limits and not state.run & (st.ALARM | st.HOMING) and state.alarm == 0:
+        if (
+            self._settings.hard_limits
+            and not state.run & (st.ALARM | st.HOMING)
+            and state.alarm == 0
+        ):
             self.reset()
             state.alarm = errors.ALARM_HARD_LIMIT
 
@@ -369,7 +375,9 @@ class Realtime:
                 if which == _RAPID:
                     new[which] = change
                 else:
-                    new[which] = min(max(new[which] + change, _LOWEST), _HIGHEST) if change else 100
+                    new[which] = (
+                        min(max(new[which] + change, _LOWEST), _HIGHEST) if change else 100
+                    )
         if new[0] != state.feed_override or new[1] != state.rapid_override:
             state.feed_override, state.rapid_override = new[0], new[1]
             state.override_countdown = 0

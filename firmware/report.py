@@ -4,7 +4,6 @@ Formats are Grbl 1.1h's to the byte. Answers are constant bytes; a status
 report is put together from parts.
 """
 
-import errors
 import state as st
 from axes import LETTERS
 from f32 import INCH_PER_MM, f32, vector
@@ -33,9 +32,7 @@ BUILD = "20261121"
 
 _OK = b"ok\r\n"
 _ERRORS = tuple(b"error:%d\r\n" % code for code in range(39))
-_HELP = (
-    b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]\r\n"
-)
+_HELP = b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]\r\n"
 _BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
 
 _STATES = {
@@ -85,7 +82,15 @@ def number(x: float, decimals: int) -> str:
 class Report:
     """Puts words to what the others know, and writes it to the link."""
 
-    def __init__(self, link: "Link", state: "State", settings: "Settings", coords: "Coords", axes: int, line_numbers: bool) -> None:
+    def __init__(
+        self,
+        link: "Link",
+        state: "State",
+        settings: "Settings",
+        coords: "Coords",
+        axes: int,
+        line_numbers: bool,
+    ) -> None:
         self._link = link
         self._state = state
         self._settings = settings
@@ -310,5 +315,3 @@ class Report:
         if coolant & 2:
             text += "M"
         return text
-
-

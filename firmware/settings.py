@@ -147,7 +147,9 @@ class Settings:
 
     def save(self) -> None:
         """Keep everything as it is now."""
-        lines = ["$%d=%.9g" % (number, self._shown(number, row)) for number, row in self._numbers()]
+        lines = [
+            "$%d=%.9g" % (number, self._shown(number, row)) for number, row in self._numbers()
+        ]
         self._store.save(_FILE, lines + self._unknown)
 
     def restore(self) -> None:
@@ -162,7 +164,10 @@ class Settings:
 
     def each(self) -> "list[tuple[int, float, int]]":
         """(number, value, decimals) of every setting in the order of $$."""
-        return [(number, self._shown(number, row), self._decimals(row)) for number, row in self._numbers()]
+        return [
+            (number, self._shown(number, row), self._decimals(row))
+            for number, row in self._numbers()
+        ]
 
     def _numbers(self) -> "list[tuple[int, tuple[int, str, int, float, str]]]":
         numbers = []
@@ -189,7 +194,9 @@ class Settings:
             for axis in range(self._axes if row[2] == _AXIS else 1):
                 self._store_value(row, axis, self._board_defaults.get(row[0] + axis, row[3]))
 
-    def _store_value(self, row: "tuple[int, str, int, float, str]", axis: int, amount: float) -> None:
+    def _store_value(
+        self, row: "tuple[int, str, int, float, str]", axis: int, amount: float
+    ) -> None:
         if row[2] == _AXIS:
             if row[0] == _ACCELERATION:
                 amount = amount * _PER_SECOND_SQR

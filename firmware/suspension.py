@@ -194,7 +194,11 @@ class Suspension:
     # Parking
 
     def _may_park(self) -> bool:
-        return bool(self._settings.homing) and not self._spindle.laser and self._state.override_control
+        return (
+            bool(self._settings.homing)
+            and not self._spindle.laser
+            and self._state.override_control
+        )
 
     def _park(self) -> None:
         """Pull out slowly with the spindle on, then go up fast without it."""

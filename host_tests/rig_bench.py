@@ -2,7 +2,7 @@
 
 from array import array
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import state as st
@@ -105,6 +105,17 @@ class Machine:
             wake = due[0][0] if due else rig.ms(20)
             yield lambda wake=wake: sender.poll() or bool(sender.lines) or rig.now >= wake
         yield from self.rest()
+
+    def converse(self, lines: Sequence[str], answered: "Callable[[str, list[str]], None]") -> None:
+        """Send lines one by one; answered(line, replies) is called when it has been done with."""
+
+        def script() -> Iterator[Any]:
+            yield from self.start()
+            for line in lines:
+                yield from self.sender.wait("idle", line + "\n", 1)
+                answered(line, self.take())
+
+        self.run(script())
 
     def _go_on(self) -> None:
         """A machine that holds is told to go on."""

@@ -133,13 +133,17 @@ def _same_outputs(steps: list[Json], got: list[Json], number: int, used: list[st
     used.append(IDLE_DELAY[0])
     before = max(0, number - 1)
     after = number + 2
-    changes = [step["out"]["enable_pin"] for step in steps[before:after] if "enable_pin" in step.get("out", {})]
+    changes = [
+        step["out"]["enable_pin"]
+        for step in steps[before:after]
+        if "enable_pin" in step.get("out", {})
+    ]
     ours = [step["out"]["enable_pin"] for step in got[before:after] if "enable_pin" in step["out"]]
     return bool(changes and ours) and (changes[0] == ours[0] or changes[-1] == ours[-1])
 
 
 def _total(moves: list[list[int]]) -> list[int]:
-    return [sum(steps) for steps in zip(*moves)]  # noqa: B905
+    return [sum(steps) for steps in zip(*moves)]
 
 
 def _rest_varies(steps: list[Json]) -> bool:

@@ -23,6 +23,7 @@ import rp2
 from kernels import row_length
 from micropython import const
 from pio import programs, pulses
+from pio.pulses import convert, late, places, undone
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -255,7 +256,9 @@ def _hand_over(
                 if count:
                     ptr32(regs[_DMA + i])[_COUNT_TRIGGER] = count
                 lanes[lane + _SENT] = lanes[lane + _HEAD]
-                lanes[lane + _END] = lanes[lane + _PLACE] if fed == state[_MADE] else rows[begin + i]
+                lanes[lane + _END] = (
+                    lanes[lane + _PLACE] if fed == state[_MADE] else rows[begin + i]
+                )
         for i in range(fed - state[_FED]):
             clock[_TXF + _CLOCK] = clocked[i]
         if state[_RUNNING] == 0:
@@ -377,6 +380,16 @@ def _position(
     return 0
 
 
+@micropython.viper
+def _address(memory: ptr8) -> int:
+    return int(memory)
+
+
+def _signed(word: int) -> int:
+    """The same bits as an array("i") takes them."""
+    return word - (1 << 32) if word >> 31 else word
+
+
 class PioEngine:
     """The engine. step, direction: pin numbers per axis; hold, setup: of DIR around its change."""
 
@@ -384,18 +397,22 @@ class PioEngine:
     segment_log2 = _SEGMENT_LOG2
 
     def __init__(
-        self, step: "tuple[int, ...]", direction: "tuple[int, ...]", hold_us: int, setup_us: int
+        self,
+        step: "tuple[int, ...]",
+        direction: "tuple[int, ...]",
+        hold_us: int = 2,
+        setup_us: int = 5,
     ) -> None:
+        if machine.freq() % _TICK_HZ:
+            raise ValueError("the processor's clock is no multiple of 12.5 MHz")
         axes = len(step)
         self._axes = axes
-        self._pins = step, direction
+        self._step = step
+        self._direction = direction
         self._hold_us = hold_us
         self._setup_us = setup_us
-        # The rings must lie at multiples of their size: DMA wraps within address bits.
-        ring = 4 << pulses.RING_LOG2
-        self._memory = bytearray(ring * (axes + 1))
-        self._words = _address(self._memory) + ring - 1 & -ring
         self._state = array("i", (0 for _ in range(_STATE_LENGTH)))
+        self._state[_BEGUN] = -1
         self._lanes = array("i", (0 for _ in range(_LANE * axes)))
         self._timing = array("i", (0 for _ in range(pulses.TIMING_LENGTH)))
         self._timing[_AXES] = axes
@@ -403,6 +420,167 @@ class PioEngine:
         self._row = array("i", (0 for _ in range(row_length(axes))))
         self._size = row_length(axes) + _ROW_EXTRA + axes
         self._rows = array("i", (0 for _ in range(_ROWS * self._size)))
-        self._state[_BEGUN] = -1
+        # The rings lie at multiples of their size: DMA wraps around within address bits.
+        ring = 4 << pulses.RING_LOG2
+        self._memory = bytearray(ring * (axes + 1))
+        self._words = (_address(self._memory) + ring - 1) // ring * ring
+        self._regs = array("i", (0 for _ in range(_DMA + axes)))
         self._make_machines()
-        self._chip = _Chip(...)
+
+    def _make_machines(self) -> None:
+        rp2350 = "RP2350" in sys.implementation._machine
+        regs = self._regs
+        regs[_PIO0] = 0x50200000
+        regs[_PIO1] = 0x50300000
+        regs[_TIMER] = 0x400B0028 if rp2350 else 0x40054028
+        regs[_NVIC] = _signed(0xE000E100)
+        regs[_PIN_IRQ] = 1 << (21 if rp2350 else 13)
+        regs[_BUSY] = 1 << (26 if rp2350 else 24)
+        self._pin_control = 0x40028004 if rp2350 else 0x40014004
+        self._invert_shift = 12 if rp2350 else 8
+        self._machines = []
+        self._channels = []
+        for i in range(self._axes):
+            stepper = rp2.StateMachine(
+                i,
+                programs.stepper,
+                freq=_TICK_HZ,
+                set_base=machine.Pin(self._step[i]),
+                out_base=machine.Pin(self._direction[i]),
+            )
+            channel = rp2.DMA()
+            # Words of 32 bits out of a ring of 2**7 bytes, paced by the machine's FIFO.
+            control = channel.pack_ctrl(
+                size=2, inc_write=False, ring_size=pulses.RING_LOG2 + 2, treq_sel=i
+            )
+            channel.config(
+                read=self._words + i * (4 << pulses.RING_LOG2), write=stepper, ctrl=control
+            )
+            regs[_DMA + i] = 0x50000000 + 0x40 * channel.channel
+            self._machines.append(stepper)
+            self._channels.append(channel)
+        self._machines.append(rp2.StateMachine(4 + _CLOCK, programs.clock, freq=_TICK_HZ))
+        regs[_STEPPER_AT] = programs.stepper[1]
+        regs[_CLOCK_AT] = programs.clock[2] + programs.CLOCK_PULL
+
+    # The StepEngine seam
+
+    def max_step_hz(self, pulse_us: int) -> int:
+        """Highest rate of one axis with step pulses of pulse_us microseconds."""
+        return _TICK_HZ // pulses.shortest_gap(_ticks(pulse_us))
+
+    def attach(self, next_segment: "NextSegment", on_power: "Callable[[int], None]") -> None:
+        """Say where segments come from and who is told the spindle power of each as it starts."""
+        self._next_segment = next_segment
+        self._on_power = on_power
+        rp2.PIO(1).irq(self._turn, trigger=rp2.PIO.IRQ_SM3, hard=True)
+
+    def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
+        """Take over $0, $2 and $3. Called at rest only."""
+        pulses.set_timing(
+            self._timing, _ticks(pulse_us), _ticks(self._hold_us), _ticks(self._setup_us)
+        )
+        for i in range(self._axes):
+            self._invert(self._step[i], step_invert >> i & 1)
+            self._invert(self._direction[i], dir_invert >> i & 1)
+
+    def _invert(self, pin: int, invert: int) -> None:
+        address = self._pin_control + 8 * pin
+        others = machine.mem32[address] & ~(3 << self._invert_shift)
+        machine.mem32[address] = others | invert << self._invert_shift
+
+    def start(self) -> None:
+        """Begin to pull, where the engine had run out of segments."""
+        self._state[_HALT] = 0
+        _call(self._regs)
+
+    def stop(self) -> None:
+        """At once; safe in an interrupt; queued steps are dropped, locks released."""
+        _stop(self._state, self._regs, self._lanes, self._words, self._axes)
+        _drop(self._state, self._lanes, self._axes)
+
+    def lock(self, axes: int) -> None:
+        """These axes (a mask) make no more pulses until stop(); the others go on."""
+        _lock(self._state, self._regs, self._lanes, self._words, axes, self._axes)
+
+    def idle(self) -> bool:
+        """Nothing is moving and nothing is queued in hardware."""
+        state = self._state
+        return state[_RUNNING] == 0 and state[_MADE] == state[_FED]
+
+    def position(self, steps: "array[int]") -> None:
+        """Copy the steps really made, per motor: the only truth. Safe in an interrupt."""
+        _position(self._state, self._regs, self._rows, self._lanes, steps, self._axes)
+
+    def set_position(self, steps: "array[int]") -> None:
+        """Name the present place. At rest only."""
+        for i in range(self._axes):
+            self._lanes[_LANE * i + _END] = steps[i]
+            self._lanes[_LANE * i + _PLACE] = steps[i]
+
+    # The interrupt
+
+    @micropython.viper
+    def _turn(self, _source: object) -> int:
+        """A segment has begun, or the engine is to start: keep the hardware supplied."""
+        state = ptr32(self._state)
+        if state[_HALT]:
+            return 0
+        if state[_RUNNING]:
+            power = int(_look(self._state, self._regs, self._rows, self._size))
+            if power != _KEEP_POWER:
+                self._on_power(power)
+        if state[_MADE] != state[_FED]:
+            self._feed()
+        made = 0
+        while made < _MOST and state[_AHEAD] < _LEAD and state[_MADE] - state[_FED] < _LAST_ROW - 6:
+            if int(self._next_segment(self._row)) == 0:
+                break
+            _append(self._state, self._rows, self._lanes, self._row, self._axes)
+            made += 1
+        if made:
+            self._feed()
+        if state[_HALT]:
+            _drop(self._state, self._lanes, self._axes)  # stopped by an interrupt of this one
+        return 0
+
+    @micropython.viper
+    def _feed(self) -> int:
+        """Make words of waiting segments, if the hardware can take them, and hand them over."""
+        state = ptr32(self._state)
+        clocked = ptr32(self._clocked)
+        rows = ptr32(self._rows)
+        size = int(self._size)
+        space = int(_may_feed(self._state, self._regs, self._timing))
+        if space == 0:
+            return 0
+        if state[_RUNNING] == 0:
+            _prepare(self._state, self._regs, self._lanes, self._words, self._timing)
+        fed = state[_FED]
+        count = 0
+        while fed != state[_MADE] and count < space:
+            at = (fed & _LAST_ROW) * size
+            row = int(rows) + 4 * at
+            delay = int(late(row, self._lanes, self._timing))
+            convert(row, self._lanes, self._words, self._timing, delay)
+            _time_row(self._state, self._rows, at, self._axes, delay)
+            ticks = rows[at] + delay - _CLOCK_OVERHEAD
+            clocked[count] = ticks if ticks > 0 else 0
+            count += 1
+            fed += 1
+        _hand_over(
+            self._state, self._regs, self._rows, self._lanes, fed, self._clocked, self._axes
+        )
+        return 0
+
+
+@micropython.viper
+def _call(regs: ptr32) -> int:
+    """Make the interrupt happen now."""
+    ptr32(regs[_PIO1])[_IRQ_FORCE] = 1 << _CLOCK
+    return 0
+
+
+def _ticks(us: int) -> int:
+    """Ticks that last so long at least."""
+    return -(-us * _HALF_TICKS_PER_US // 2)

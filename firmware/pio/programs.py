@@ -40,7 +40,7 @@ def stepper():
     jmp(x_dec, "made")  #     1   one less; goes to the next line either way
     label("made")
     jmp(not_x, "next")  #     1
-    jmp("step") [2]  #        3   as long as fetching a word takes
+    jmp("step")[2]  #        3   as long as fetching a word takes
 
 
 # Where a stepper is, from its start: up to here X counts the step in progress …

@@ -8,10 +8,16 @@ from array import array
 
 from kernels import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS, row_length
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from interfaces import NextSegment
+
 _NEVER = 1 << 60
 
 
-def step_tick(row, base, k):
+def step_tick(row: "array[int]", base: int, k: int) -> int:
     """Tick, from the start of the segment, of step k (from 0) of the axis at row[base].
 
     The gaps between a segment's steps differ by one tick at the most, the
@@ -24,7 +30,7 @@ def step_tick(row, base, k):
     return row[base + 1] + k * (span // gaps) + min(k, span % gaps)
 
 
-def steps_until(row, base, tick):
+def steps_until(row: "array[int]", base: int, tick: int) -> int:
     """How many steps of the axis at row[base] have been made `tick` ticks into the segment."""
     count = row[base]
     if count == 0 or tick < row[base + 1]:
@@ -42,17 +48,17 @@ def steps_until(row, base, tick):
 class Switch:
     """An input closed exactly while the steps of a motor are >= (or <=) a number."""
 
-    def __init__(self, pin, axis, above, steps):
+    def __init__(self, pin: str, axis: int, above: bool, steps: int) -> None:
         self.pin = pin
         self.axis = axis
         self.above = above
         self.steps = steps
 
-    def closed(self, steps):
+    def closed(self, steps: int) -> bool:
         """Whether it is closed with the motor at `steps`."""
         return steps >= self.steps if self.above else steps <= self.steps
 
-    def crossing(self, start, end):
+    def crossing(self, start: int, end: int) -> int:
         """Number of steps from start, on the way to end, after which it changes; 0 if never."""
         if self.closed(start) == self.closed(end):
             return 0
@@ -74,13 +80,13 @@ class SimEngine:
     # A full segment of 2**17 ticks lasts 10 ms, as Grbl's.
     tick_hz = 13_107_200
 
-    def __init__(self, axes, depth=3, segment_log2=17):
+    def __init__(self, axes: int, depth: int = 3, segment_log2: int = 17) -> None:
         self.segment_log2 = segment_log2
-        self.prepare = None
+        self.prepare: "Callable[[], None] | None" = None
         self.now = 0
-        self.trace = None
-        self.pins_changed = None
-        self.switches = []
+        self.trace: "Callable[[int, array[int]], None] | None" = None
+        self.pins_changed: "Callable[[], None] | None" = None
+        self.switches: "list[Switch]" = []
         self.starts = 0
         self._axes = axes
         self._queue = [array("i", [0] * row_length(axes)) for _ in range(depth)]
@@ -91,25 +97,25 @@ class SimEngine:
         self._locked = 0
         self._physical = array("i", [0] * axes)
         self._offset = array("i", [0] * axes)
-        self._next_segment = None
-        self._on_power = None
+        self._next_segment: "NextSegment"
+        self._on_power: "Callable[[int], None]"
         self.pulse_us = 10
         self.dir_invert = 0
 
     # The StepEngine seam
 
-    def max_step_hz(self, pulse_us):
+    def max_step_hz(self, pulse_us: int) -> int:
         return 1_000_000 // (pulse_us + 1)
 
-    def attach(self, next_segment, on_power):
+    def attach(self, next_segment: "NextSegment", on_power: "Callable[[int], None]") -> None:
         self._next_segment = next_segment
         self._on_power = on_power
 
-    def configure(self, pulse_us, step_invert, dir_invert):
+    def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
         self.pulse_us = pulse_us
         self.dir_invert = dir_invert
 
-    def start(self):
+    def start(self) -> None:
         if not self._running:
             if self.prepare:
                 self.prepare()
@@ -120,33 +126,33 @@ class SimEngine:
                 self.starts += 1
                 self._begin()
 
-    def stop(self):
+    def stop(self) -> None:
         if self._running:
             self._finish(self.now - self._start)
         self._held = 0
         self._running = False
         self._locked = 0
 
-    def lock(self, axes):
+    def lock(self, axes: int) -> None:
         if self._running and axes & ~self._locked:
             self._split()
         self._locked |= axes
 
-    def idle(self):
+    def idle(self) -> bool:
         return not self._running
 
-    def position(self, steps):
+    def position(self, steps: "array[int]") -> None:
         self.physical(steps)
         for i in range(self._axes):
             steps[i] += self._offset[i]
 
-    def set_position(self, steps):
+    def set_position(self, steps: "array[int]") -> None:
         for i in range(self._axes):
             self._offset[i] = steps[i] - self._physical[i]
 
     # The simulator's side
 
-    def physical(self, steps):
+    def physical(self, steps: "array[int]") -> None:
         """Steps since power was first applied, whatever the firmware calls the place."""
         for i in range(self._axes):
             steps[i] = self._physical[i]
@@ -156,13 +162,12 @@ class SimEngine:
                 made = self._made(row, i, self.now - self._start)
                 steps[i] += made
 
-    def power_off(self):
+    def power_off(self) -> None:
         """Motion ends; the motors stay where they are and the count they are known by is 0 again."""
         self.stop()
         self._offset = array("i", [-steps for steps in self._physical])
-        self._next_segment = None
 
-    def next_event(self):
+    def next_event(self) -> int:
         """The tick up to which nothing changes by itself."""
         if not self._running:
             return _NEVER
@@ -174,7 +179,7 @@ class SimEngine:
                 first = tick
         return self._start + first
 
-    def advance(self, to):
+    def advance(self, to: int) -> None:
         """Let time pass until `to`, playing segments and telling of pins that change."""
         while True:
             event = self.next_event()
@@ -188,13 +193,13 @@ class SimEngine:
                 self.pins_changed()
         self.now = to
 
-    def _made(self, row, axis, tick):
+    def _made(self, row: "array[int]", axis: int, tick: int) -> int:
         if self._locked >> axis & 1:
             return 0
         made = steps_until(row, ROW_AXES + ROW_STRIDE * axis, tick)
         return -made if row[ROW_DIRS] >> axis & 1 else made
 
-    def _crossing_tick(self, row, switch):
+    def _crossing_tick(self, row: "array[int]", switch: "Switch") -> int:
         axis = switch.axis
         start = self._physical[axis]
         end = start + self._made(row, axis, row[ROW_TICKS])
@@ -205,7 +210,7 @@ class SimEngine:
         base = ROW_AXES + ROW_STRIDE * axis
         return step_tick(row, base, abs(made) + crossing - 1)
 
-    def _refill(self):
+    def _refill(self) -> None:
         size = len(self._queue)
         while self._held < size:
             row = self._queue[(self._head + self._held) % size]
@@ -213,10 +218,10 @@ class SimEngine:
                 break
             self._held += 1
 
-    def _begin(self):
+    def _begin(self) -> None:
         self._on_power(self._queue[self._head][ROW_POWER])
 
-    def _next(self, row):
+    def _next(self, row: "array[int]") -> None:
         self._finish(row[ROW_TICKS])
         self._start += row[ROW_TICKS]
         self._head = (self._head + 1) % len(self._queue)
@@ -227,7 +232,7 @@ class SimEngine:
         else:
             self._running = False
 
-    def _finish(self, ticks):
+    def _finish(self, ticks: int) -> None:
         """Account for the steps made in the running segment, which ends after `ticks`."""
         row = self._queue[self._head]
         for i in range(self._axes):
@@ -241,7 +246,7 @@ class SimEngine:
         if self.trace:
             self.trace(self._start, row)
 
-    def _split(self):
+    def _split(self) -> None:
         """Cut the running segment in two at this moment: a lock acts on what is left of it."""
         row = self._queue[self._head]
         done = self.now - self._start

@@ -1,5 +1,9 @@
 """Serial line of the simulator: bytes take their time on the wire, both ways, in virtual time."""
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from .rig import Rig
+
 # An Arduino Uno at "115200": the sender is exact, the AVR's divider gives 117647 baud.
 RX_BAUD = 115200
 TX_BAUD = 117647
@@ -10,7 +14,7 @@ _TX_QUEUE = 104
 class SimLink:
     """A Link with two virtual wires. `received` is what the sender has got so far, whole bytes only."""
 
-    def __init__(self, rig, rx_baud=RX_BAUD, tx_baud=TX_BAUD):
+    def __init__(self, rig: "Rig", rx_baud: int = RX_BAUD, tx_baud: int = TX_BAUD) -> None:
         self.received = bytearray()
         self.last_arrival = 0
         self.wire_free = 0
@@ -25,7 +29,7 @@ class SimLink:
 
     # The Link seam
 
-    def read_into(self, buf):
+    def read_into(self, buf: bytearray) -> int:
         """What has arrived; where nothing has, time passes until the next event."""
         turn = self._turn + self._rig.loop_ticks
         if turn > self._rig.now and self._rig.moving():
@@ -40,7 +44,7 @@ class SimLink:
         self._rx_due += count * self._rx_ticks
         return count
 
-    def write(self, data):
+    def write(self, data: "bytes | bytearray | memoryview") -> None:
         rig = self._rig
         rig.pass_time(rig.now + rig.answer_ticks)
         if not self._tx:
@@ -51,7 +55,7 @@ class SimLink:
 
     # The simulator's side
 
-    def send(self, data):
+    def send(self, data: "bytes | bytearray | memoryview") -> int:
         """The sender begins to transmit; returns the tick at which the last byte has arrived."""
         now = self._rig.now
         if not self._rx:
@@ -61,15 +65,15 @@ class SimLink:
             self.wire_free = self._rx_due + (len(self._rx) - 1) * self._rx_ticks
         return max(now, self.wire_free)
 
-    def next_event(self):
+    def next_event(self) -> "int | None":
         """When the next byte arrives at the device, or None."""
         return self._rx_due if self._rx else None
 
-    def answered(self):
+    def answered(self) -> int:
         """When everything written so far has reached the sender."""
         return self._tx_due + (len(self._tx) - 1) * self._tx_ticks if self._tx else self._rig.now
 
-    def advance(self):
+    def advance(self) -> None:
         """Deliver the bytes whose time on the wire has passed."""
         now = self._rig.now
         if self._tx and self._tx_due <= now:
@@ -79,12 +83,12 @@ class SimLink:
             self.last_arrival = self._tx_due + (count - 1) * self._tx_ticks
             self._tx_due += count * self._tx_ticks
 
-    def power_off(self):
+    def power_off(self) -> None:
         """What was on its way is lost."""
         self._rx = bytearray()
         self._tx = bytearray()
 
-    def _arrived(self, limit):
+    def _arrived(self, limit: int) -> int:
         if not self._rx or self._rx_due > self._rig.now:
             return 0
         return min(limit, len(self._rx), (self._rig.now - self._rx_due) // self._rx_ticks + 1)

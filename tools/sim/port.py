@@ -1,5 +1,11 @@
 """Pins of the simulated machine: outputs to look at, inputs to push, switches that close by themselves."""
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .rig import Rig
+
 # Names of the inputs in recordings, in the bit order of Port.limits() and Port.controls().
 LIMITS = ("limit_x", "limit_y", "limit_z", "limit_a")
 CONTROLS = ("reset", "hold", "start")
@@ -10,7 +16,7 @@ CONTROLS_WITH_DOOR = ("reset", "", "start", "hold")
 class SimPort:
     """A Port whose pins are attributes. Closed means pulled to ground."""
 
-    def __init__(self, rig, board):
+    def __init__(self, rig: "Rig", board: "Any") -> None:
         self.pwm_max = board.PWM_MAX
         self._controls = CONTROLS_WITH_DOOR if getattr(board, "SAFETY_DOOR", False) else CONTROLS
         self.enable_pin = 1
@@ -20,68 +26,68 @@ class SimPort:
         self.flood = 0
         self.mist = 0
         self._rig = rig
-        self._pushed = {}
-        self._closed = set()
-        self._on_limits = None
-        self._on_controls = None
-        self._on_contact = None
+        self._pushed: "dict[str, bool]" = {}
+        self._closed: "set[str]" = set()
+        self._on_limits: "Callable[[], None] | None" = None
+        self._on_controls: "Callable[[], None] | None" = None
+        self._on_contact: "Callable[[], None] | None" = None
         self._contact_level = True
 
     # The Port seam
 
-    def attach(self, on_limits, on_controls):
+    def attach(self, on_limits: "Callable[[], None]", on_controls: "Callable[[], None]") -> None:
         self._on_limits = on_limits
         self._on_controls = on_controls
 
-    def watch_probe(self, on_contact, closed):
+    def watch_probe(self, on_contact: "Callable[[], None] | None", closed: bool) -> None:
         self._on_contact = on_contact
         self._contact_level = closed
         self._look_at_probe()
 
-    def limits(self):
+    def limits(self) -> int:
         return self._mask(LIMITS)
 
-    def controls(self):
+    def controls(self) -> int:
         return self._mask(self._controls)
 
-    def probe(self):
+    def probe(self) -> bool:
         return "probe" in self._closed
 
-    def enable(self, level):
+    def enable(self, level: int) -> None:
         self.enable_pin = level
 
-    def direction(self, level):
+    def direction(self, level: int) -> None:
         self.spindle_dir = level
 
-    def spindle(self, on, power):
+    def spindle(self, on: bool, power: int) -> None:
         self.spindle_on = on
         self.spindle_pwm = power
 
-    def coolant(self, mask):
+    def coolant(self, mask: int) -> None:
         self.flood = mask & 1
         self.mist = mask >> 1 & 1
 
-    def ticks_ms(self):
+    def ticks_ms(self) -> int:
         return int(self._rig.now // self._rig.ticks_per_ms)
 
-    def elapsed_ms(self, since):
+    def elapsed_ms(self, since: int) -> int:
         return self.ticks_ms() - since
 
     # The simulator's side
 
-    def power_off(self):
+    def power_off(self) -> None:
         """The chip is dead: outputs float, nobody listens."""
         self._on_limits = self._on_controls = self._on_contact = None
         self.enable_pin = 1
         self.spindle_on = False
         self.spindle_pwm = self.spindle_dir = self.flood = self.mist = 0
 
-    def push(self, pins):
+    def push(self, pins: "dict[str, bool]") -> None:
         """Close (True) or open inputs, by name, by hand and all at once."""
         self._pushed.update(pins)
         self.update()
 
-    def update(self):
+    def update(self) -> None:
         """Look at every switch again and raise the interrupts of what has changed."""
         engine = self._rig.engine
         steps = self._rig.scratch
@@ -99,13 +105,13 @@ class SimPort:
         if self._on_controls and any(name in changed for name in self._controls):
             self._on_controls()
 
-    def _look_at_probe(self):
+    def _look_at_probe(self) -> None:
         if self._on_contact and self.probe() == self._contact_level:
             on_contact = self._on_contact
             self._on_contact = None
             on_contact()
 
-    def _mask(self, names):
+    def _mask(self, names: "tuple[str, ...]") -> int:
         mask = 0
         for bit, name in enumerate(names):
             if name in self._closed:

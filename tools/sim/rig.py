@@ -14,6 +14,17 @@ from .engine import SimEngine
 from .link import SimLink
 from .port import SimPort
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+    from typing import Any
+
+    from controller import Controller
+    from interfaces import Store
+
+    Wake = int | Callable[[], bool]
+    Script = Iterator[Wake]
+
 _POLL_MS = 1  # while nothing else is due, the firmware's loop turns this often
 
 
@@ -24,23 +35,25 @@ class PowerOff(BaseException):
 class MemoryStore:
     """A Store in memory: it survives power cycles of the rig."""
 
-    def __init__(self):
-        self.files = {}
+    def __init__(self) -> None:
+        self.files: "dict[str, list[str]]" = {}
 
-    def load(self, name):
+    def load(self, name: str) -> "list[str] | None":
         return self.files.get(name)
 
-    def save(self, name, lines):
+    def save(self, name: str, lines: "Iterable[str]") -> None:
         self.files[name] = list(lines)
 
 
 class Rig:
     """One simulated machine. board: a module as in boards/; store: a Store; link: makes a Link."""
 
-    def __init__(self, board, store=None, link=SimLink):
+    def __init__(
+        self, board: "Any", store: "Store | None" = None, link: "Callable[[Rig], Any]" = SimLink
+    ) -> None:
         axes = len(board.STEP)
         self.board = board
-        self.store = MemoryStore() if store is None else store
+        self.store: "Any" = MemoryStore() if store is None else store
         self.ticks_per_ms = SimEngine.tick_hz / 1000
         self.engine = SimEngine(axes, board.SEGMENT_QUEUE)
         self.scratch = array("i", [0] * axes)
@@ -51,23 +64,25 @@ class Rig:
         self.answer_ticks = int(getattr(board, "ANSWER_US", 0) * self.ticks_per_ms / 1000)
         self.port = SimPort(self, board)
         self.engine.pins_changed = self.port.update
-        self.link = link(self)
-        self.controller = None
-        self.on_built = None  # called whenever a new controller has been built
-        self._script = None
-        self._wake = None
+        self.link: "Any" = link(self)
+        self.controller: "Controller"  # once run() has built it
+        self.on_built: "Callable[[], None] | None" = (
+            None  # called whenever a new controller has been built
+        )
+        self._script: "Script"
+        self._wake: "Wake"
         self._cycle = False
 
     @property
-    def now(self):
+    def now(self) -> int:
         """Virtual time in ticks of the engine."""
         return self.engine.now
 
-    def ms(self, milliseconds):
+    def ms(self, milliseconds: float) -> int:
         """The tick so many milliseconds from now."""
         return self.now + int(milliseconds * self.ticks_per_ms)
 
-    def run(self, script):
+    def run(self, script: "Script") -> None:
         """Power up and run the firmware until the script, a generator, ends."""
         self._script = script
         self._wake = self.now
@@ -87,29 +102,29 @@ class Rig:
             if not self._cycle:
                 return
 
-    def cycle_power(self):
+    def cycle_power(self) -> None:
         """Called by the script: the firmware starts anew, memory kept, once the script yields."""
         self._cycle = True
 
-    def power_off(self):
+    def power_off(self) -> None:
         """Called by a link: the machine is not needed any more."""
         raise PowerOff()
 
-    def moving(self):
+    def moving(self) -> bool:
         """The motors are turning."""
         return not self.engine.idle()
 
-    def wait(self):
+    def wait(self) -> None:
         """The firmware has nothing to read: let time pass to the next event."""
         self.pass_time(self.ms(_POLL_MS), True)
 
-    def skip(self):
+    def skip(self) -> None:
         """Let time pass, without a script, until something may have changed by itself."""
         engine = self.engine
         to = self.ms(_POLL_MS) if engine.idle() else engine.next_event()
         engine.advance(max(to, self.now))
 
-    def pass_time(self, to, or_arrival=False):
+    def pass_time(self, to: int, or_arrival: bool = False) -> None:
         """Let time pass until `to`, or a byte arrives, waking the script where it asked for it."""
         while True:
             step = to
@@ -131,7 +146,7 @@ class Rig:
             if self.now >= to or (arrival is not None and arrival <= self.now):
                 return
 
-    def _wake_script(self):
+    def _wake_script(self) -> None:
         while self._wake() if callable(self._wake) else self._wake <= self.now:
             try:
                 self._wake = next(self._script)
