@@ -67,7 +67,7 @@ GROUP_M7 = const(0x1000)  # spindle
 GROUP_M8 = const(0x2000)  # coolant
 GROUP_M9 = const(0x4000)  # override control
 
-# G number -> modal group, attribute of Modal it sets (None: none), value, who claims the axis words.
+# G number -> modal group, attribute of Modal it sets, if any, value, who claims the axis words.
 _G_WORDS = {
     0: (GROUP_1, "motion", SEEK, AXES_MOTION),
     1: (GROUP_1, "motion", LINEAR, AXES_MOTION),
@@ -102,7 +102,8 @@ _G_WORDS = {
     94: (GROUP_5, "inverse_time", 0, AXES_UNCLAIMED),
 }
 
-# G number -> the decimals (hundredths) it may have besides none; others are unsupported, not malformed.
+# G number -> the decimals (hundredths) it may have besides none. Others are unsupported, where
+# with any other G number they are malformed.
 _G_DECIMALS = {
     28: (10,),
     30: (10,),

@@ -16,6 +16,8 @@ from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from array import array
+
     from arcs import Arc
     from block import Block
     from gcode import Gcode
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
 _HIGHEST_LINE = const(10000000)
 # The axes of G17, G18, G19, and the one across.
 PLANES = ((0, 1, 2), (2, 0, 1), (1, 2, 0))
-# A target may be so far off an arc's circle: mm, and part of the radius; never more than _WORST mm.
+# A target may be so far off an arc's circle: mm, or that part of the radius up to _WORST mm.
 _ARC_CLOSE = 0.005
 _ARC_PART = 0.001
 _ARC_WORST = 0.5

@@ -63,7 +63,7 @@ class Commands:
         self,
         realtime: "Realtime",
         motion: "Motion",
-        configure: "Callable[[], None]",
+        configure: "Callable[[int], None]",
         answer: "Callable[[bytearray, int], None]",
     ) -> None:
         """Say whom to call. answer executes a line of G-code and prints what becomes of it."""
@@ -77,9 +77,7 @@ class Commands:
     def load(self) -> None:
         """Read the startup lines; none where nothing valid is kept."""
         lines = self._store.load(_STARTUP)
-        self._startup = [""] * STARTUP_LINES
-        for i in range(min(len(lines or ()), STARTUP_LINES)):
-            self._startup[i] = lines[i]
+        self._startup = ((lines or []) + [""] * STARTUP_LINES)[:STARTUP_LINES]
         if lines is None:
             self._keep_startup()
         self._startup_valid = lines is not None

@@ -30,7 +30,9 @@ from words import Words
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from types import ModuleType
+    from typing import Any
 
     from interfaces import Link, Port, StepEngine, Store
 
@@ -40,27 +42,46 @@ _LINE_LENGTH = const(79)
 
 
 class Options:
-    """What a board file may say, with what holds where it says nothing."""
+    """What a board file may say, with what holds where it says nothing.
+
+    The comment above an option is its documentation.
+    """
 
     def __init__(self, board: "ModuleType") -> None:
-        def option(name: str, default: object) -> object:
+        def option(name: str, default: "Any") -> "Any":
             return getattr(board, name, default)
 
-        self.axes: int = len(board.STEP)
+        # Step pins, one per axis: how many there are is how many axes the machine has.
+        self.axes: int = len(option("STEP", ()))
+        # Blocks the planner looks ahead.
         self.blocks: int = option("PLANNER_BLOCKS", _DEFAULT_BLOCKS)
+        # Receive buffer: what a sender that counts characters may have under way.
         self.rx_bytes: int = option("RX_BYTES", _DEFAULT_RX_BYTES)
-        self.defaults: dict = option("DEFAULTS", {})
+        # Default settings that differ from Grbl's, as {number: value}.
+        self.defaults: "dict[int, float]" = option("DEFAULTS", {})
+        # Motors A and B move X and Y together (CoreXY).
         self.corexy: bool = option("COREXY", False)
+        # A safety door is wired to the door input.
         self.door: bool = option("SAFETY_DOOR", False)
+        # Door and sleep move the tool up to -5 mm and back. Needs homing.
         self.parking: bool = option("PARKING", False)
+        # M56 switches parking off and on.
         self.override_control: bool = option("OVERRIDE_CONTROL", False)
+        # N of the line being executed is in status reports.
         self.line_numbers: bool = option("LINE_NUMBERS", False)
+        # A mist output: M7 and its override.
         self.mist: bool = option("MIST", False)
+        # Homing sets 0 at the switch's pull-off; travel is positive where $23 is set.
         self.zero_origin: bool = option("FORCE_SET_ORIGIN", False)
+        # $HX, $HY and $HZ home one axis.
         self.single_axis_homing: bool = option("SINGLE_AXIS_HOMING", False)
+        # The spindle direction pin says that the spindle is on.
         self.enable_pin: bool = option("SPINDLE_ENABLE_PIN", False)
+        # Both ends of an axis share its limit input: no homing from a closed switch.
         self.shared_switches: bool = option("DUAL_LIMIT_SWITCHES", False)
+        # Highest step rate; $100-$112 that ask for more are refused with error:12.
         self.max_step_hz: int = option("MAX_STEP_RATE_HZ", 0)
+        # Every line is echoed as it was understood, for debugging.
         self.echo: bool = option("ECHO", False)
 
     def letters(self) -> str:
@@ -105,30 +126,39 @@ class Controller:
         self.report = Report(
             link, self.state, self.settings, self.coords, axes, options.line_numbers
         )
+        self._make_language()
+        self._make_states()
+        self._make_commands(store)
+        self.reader = LineReader(options.rx_bytes, _LINE_LENGTH, self.realtime.post)
+        self.protocol = Protocol(link, self.state, self.reader, self.report, options.echo)
+        self._steps = array("i", (0 for _ in range(axes)))
+        self._connect()
+
+    def _make_language(self) -> None:
+        """G-code, and what it may ask of the machine."""
+        options = self.options
         self.motion = Motion(
             self.state,
             self.settings,
             self.planner,
             self.spindle,
             self.coolant,
-            port,
+            self.port,
             options.zero_origin,
         )
         self.cycles = Cycles(
             self.state,
             self.settings,
-            engine,
+            self.engine,
             self.planner,
-            self.segments,
             self.inputs,
-            port,
+            self.port,
             self.report,
             options.zero_origin,
             options.shared_switches,
         )
-        block = Block(axes, options.mist, options.override_control)
         self.gcode = Gcode(
-            axes,
+            options.axes,
             self.state,
             self.settings,
             self.coords,
@@ -136,34 +166,39 @@ class Controller:
             self.cycles,
             self.spindle,
             self.report,
-            block,
+            Block(options.axes, options.mist, options.override_control),
             options.line_numbers,
             options.override_control,
         )
+
+    def _make_states(self) -> None:
+        """The run states and what moves the machine between them."""
         self.realtime = Realtime(
             self.state,
             self.settings,
-            engine,
+            self.engine,
             self.planner,
             self.segments,
             self.spindle,
             self.coolant,
             self.inputs,
             self.report,
-            options.mist,
+            self.options.mist,
         )
         self.suspension = Suspension(
             self.state,
             self.settings,
-            engine,
+            self.engine,
             self.planner,
             self.segments,
             self.spindle,
             self.coolant,
             self.inputs,
             self.report,
-            options.parking,
+            self.options.parking,
         )
+
+    def _make_commands(self, store: "Store") -> None:
         self.commands = Commands(
             self.state,
             self.settings,
@@ -174,13 +209,9 @@ class Controller:
             self.cycles,
             self.inputs,
             Words(),
-            options.letters(),
-            options.single_axis_homing,
+            self.options.letters(),
+            self.options.single_axis_homing,
         )
-        self.reader = LineReader(options.rx_bytes, _LINE_LENGTH, self.realtime.post)
-        self.protocol = Protocol(link, self.state, self.reader, self.report, options.echo)
-        self._steps = array("i", (0 for _ in range(axes)))
-        self._connect()
 
     def _connect(self) -> None:
         """Hand those above to those below who wait for them or report on them."""

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from planner import Move, Planner
     from realtime import Realtime
     from report import Report
-    from segments import Segments
     from settings import Settings
     from state import State
 
@@ -32,7 +31,7 @@ _PHASES = const(4)
 
 
 class Cycles:
-    """Both cycles. zero_origin: homing sets 0; shared_switches: both ends of an axis on one input."""
+    """Both cycles. zero_origin: homing sets 0; shared_switches: an input serves both ends."""
 
     def __init__(
         self,
@@ -40,7 +39,6 @@ class Cycles:
         settings: "Settings",
         engine: "StepEngine",
         planner: "Planner",
-        segments: "Segments",
         inputs: "Inputs",
         port: "Port",
         report: "Report",
@@ -51,7 +49,6 @@ class Cycles:
         self._settings = settings
         self._engine = engine
         self._planner = planner
-        self._segments = segments
         self._inputs = inputs
         self._port = port
         self._report = report

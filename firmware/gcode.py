@@ -22,7 +22,6 @@ from words import Words
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-
     from coords import Coords
     from cycles import Cycles
     from motion import Motion

@@ -19,6 +19,8 @@ import math
 import micropython
 from micropython import const
 
+_INFINITE = 1e18  # no limit of a machine is as high
+
 # One row of the planner's ring: a block.
 EVENTS = const(0)  # steps of its longest axis
 DIRS = const(1)  # mask of motors that turn backwards
@@ -103,7 +105,7 @@ def real(x: float) -> int:
     """The real nearest below x >= 0."""
     if x <= 0:
         return 0
-    mantissa, exponent = math.frexp(x)
+    mantissa, exponent = math.frexp(min(x, _INFINITE))
     return (exponent - 15 + _BIAS) * _LIMIT + int(mantissa * _LIMIT)
 
 
@@ -558,7 +560,7 @@ def load(flow: ptr32, ring: ptr32, axes: int) -> int:
 
 @micropython.viper
 def look_ahead(flow: ptr32, ring: ptr32, scale: int) -> int:
-    """The speed at which to leave the loaded block: at which the planner lets the next one begin."""
+    """The speed at which to leave the loaded block: the planner's promise for the next one."""
     sqr = 0
     following = flow[TAIL] + 1
     if following == flow[ROWS]:
@@ -797,7 +799,7 @@ def power(flow: ptr32, ring: ptr32, machine: ptr32) -> int:
 
 @micropython.viper
 def fill(flow: ptr32, ring: ptr32, machine: ptr32, row: ptr32) -> int:
-    """Make the next segment. Returns 0 where nothing is to move: no block, or at rest in a hold."""
+    """Make the next segment. Returns 0 where nothing is to move: no block, or held at rest."""
     axes = machine[AXES]
     if flow[LOADED] == 0:
         if flow[HOLD] and flow[CARRY] == 0:

@@ -87,7 +87,7 @@ class LineReader:
         while self._tail != self._head:
             c = ring[self._tail]
             self._tail = self._tail + 1 if self._tail + 1 < size else 0
-            if c == 10 or c == 13:
+            if c in (10, 13):
                 found = TOO_LONG if skipping & _OVERFLOW else LINE
                 break
             if skipping:

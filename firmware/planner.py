@@ -143,7 +143,7 @@ class Planner:
     def system_line(
         self, target: "array[float]", move: "Move", power: int, start: "array[int]"
     ) -> bool:
-        """A move of the system's own from start, in steps: from rest to rest, outside the ring's order."""
+        """A move of the system's own from start, in steps: from rest to rest, beside the ring."""
         for i in range(self.axes):
             self._start[i] = _BIAS + self.axis_steps(start, i)
         if not self._plan(self.flow[ROWS], self._start, target, move, power):
@@ -188,7 +188,7 @@ class Planner:
         kernels.reverse_pass(self.ring, flow, 0)
 
     def _limit_entry(self, at: int) -> None:
-        """No block is entered faster than it, the one before it, or the corner between them allow."""
+        """No block is entered faster than it, the one before, or the corner between them allow."""
         row = self._rows[at]
         entry = min(row[kernels.JUNCTION_SQR], row[kernels.NOMINAL_SQR])
         before = self._rows[(at - 1) % self.flow[ROWS]]

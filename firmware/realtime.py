@@ -129,9 +129,10 @@ class Realtime:
             self._state.post(_EVENTS[byte])
         elif st.FIRST_OVERRIDE_BYTE <= byte <= st.LAST_OVERRIDE_BYTE:
             self._state.post(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
+            self._state.post(st.OVERRIDE)
 
     def reset(self) -> None:
-        """Soft reset: outputs off and motion killed at once, the rest at the next turn of run()."""
+        """Soft reset: outputs off and motion killed at once, the rest in the next run()."""
         state = self._state
         if state.pending[st.RESET]:
             return
@@ -208,7 +209,8 @@ class Realtime:
             self._cycle_start()
         if state.take(st.CYCLE_STOP):
             self._cycle_stop()
-        self._overrides()
+        if state.take(st.OVERRIDE):
+            self._overrides()
 
     def _raise_alarm(self) -> None:
         state = self._state
@@ -226,7 +228,7 @@ class Realtime:
         state.alarm = 0
 
     def _holds(self) -> bool:
-        """Feed hold, door, sleep and motion cancel. Returns whether a cycle start is to be ignored."""
+        """Feed hold, door, sleep, motion cancel. Returns whether cycle start is to be ignored."""
         state = self._state
         cancel = state.take(st.CANCEL_MOTION)
         hold = state.take(st.FEED_HOLD)

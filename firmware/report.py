@@ -6,6 +6,7 @@ report is put together from parts.
 
 import state as st
 from axes import LETTERS
+from coords import NAMES
 from f32 import INCH_PER_MM, f32, vector
 from inputs import DOOR, HOLD, RESET, START
 from micropython import const
@@ -51,11 +52,9 @@ _WCO_IDLE = const(10)
 _WCO_BUSY = const(30)
 _OVERRIDE_IDLE = const(10)
 _OVERRIDE_BUSY = const(20)
-_BUSY = const(0x7C)  # HOMING | RUN | HOLD | JOG | DOOR
-_MOVING = const(0x7C)
+_MOVING = const(0x7C)  # HOMING | RUN | HOLD | JOG | DOOR
 
 _LARGEST = 2147483648.0
-_HALF = 0.5
 
 
 def number(x: float, decimals: int) -> str:
@@ -70,7 +69,7 @@ def number(x: float, decimals: int) -> str:
         left -= 2
     if left:
         x = f32(x * 10)
-    x = f32(x + _HALF)
+    x = f32(x + 0.5)
     digits = "%d" % (int(x) if x < _LARGEST else 2147483648)
     if decimals == 0:
         return sign + digits
@@ -97,7 +96,6 @@ class Report:
         self._coords = coords
         self._axes = axes
         self._line_numbers = line_numbers
-        self._steps = None
         self._mm = vector(axes)
 
     def connect(
@@ -177,8 +175,6 @@ class Report:
         """The answer to $#: every offset and the last probe."""
         coords = self._coords
         for i in range(len(coords.systems)):
-            from coords import NAMES
-
             self._line("[%s:%s]" % (NAMES[i], self.vector(coords.systems[i])))
         self._line("[G92:%s]" % self.vector(coords.g92))
         self._line("[TLO:%s]" % self._length(coords.tool_length))
@@ -217,7 +213,6 @@ class Report:
 
     def status(self) -> None:
         """The answer to ?."""
-        state = self._state
         settings = self._settings
         mm = self._mm
         self._position(mm)
@@ -285,7 +280,7 @@ class Report:
     def _extras(self, parts: "list[str]") -> None:
         """WCO: now and then, Ov: and A: now and then but not with it."""
         state = self._state
-        busy = state.run & _BUSY
+        busy = state.run & _MOVING
         if state.wco_countdown > 0:
             state.wco_countdown -= 1
         else:

@@ -27,7 +27,8 @@ _FILE = "settings"
 _TABLE = (
     # number, attribute, kind, default, unit. The comment above a row is its documentation.
     #
-    # Step pulse time. Length of one step pulse; the driver's data sheet gives the minimum. At least 3.
+    # Step pulse time. Length of one step pulse; the driver's data sheet gives the minimum. No
+    # less than 3.
     (0, "step_pulse_us", _INT, 10, "microseconds"),
     # Step idle delay. Motors are released so long after a motion; 255 keeps them on for ever.
     (1, "idle_lock_ms", _INT, 25, "milliseconds"),
@@ -43,7 +44,7 @@ _TABLE = (
     (6, "probe_invert", _BOOL, 0, "boolean"),
     # Status report options. 1: machine position rather than work position; 2: buffer state.
     (10, "report_mask", _INT, 1, "mask"),
-    # Junction deviation. How far a corner may be rounded in thought; more is faster through corners.
+    # Junction deviation. How far a corner may be rounded in thought; more makes corners faster.
     (11, "junction_deviation_mm", _FLOAT, 0.010, "millimeters"),
     # Arc tolerance. How far the chords of an arc may stray from it.
     (12, "arc_tolerance_mm", _FLOAT, 0.002, "millimeters"),
@@ -132,18 +133,27 @@ class Settings:
             self.save()
             return False
         self._unknown = []
-        for line in lines:
-            if not self._read(line):
-                self._unknown.append(line)
-        return True
-
-    def _read(self, line: str) -> bool:
-        number, _, amount = line.partition("=")
         try:
-            self._assign(int(number[1:]), float(amount))
-        except (GrblError, ValueError):
+            for line in lines:
+                self._read(line)
+        except ValueError:
+            self.restore()
             return False
         return True
+
+    def _read(self, line: str) -> None:
+        """Take over a kept line. Raises ValueError where it is not one that was ever written."""
+        number, _, amount = line.partition("=")
+        key, value = int(number[1:]), float(amount)
+        try:
+            self._row(key)
+        except GrblError:
+            self._unknown.append(line)  # another firmware's
+            return
+        try:
+            self._assign(key, value)
+        except GrblError as refusal:
+            raise ValueError(line) from refusal
 
     def save(self) -> None:
         """Keep everything as it is now."""
@@ -216,7 +226,7 @@ class Settings:
         raise GrblError(errors.INVALID_STATEMENT)
 
     def _assign(self, number: int, amount: float) -> None:
-        if amount < 0:
+        if not amount >= 0:
             raise GrblError(errors.NEGATIVE_VALUE)
         row, axis = self._row(number)
         check = _CHECKS.get(row[0])

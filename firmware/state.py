@@ -43,9 +43,10 @@ RESET = const(4)
 SAFETY_DOOR = const(5)
 CANCEL_MOTION = const(6)
 SLEEP_REQUEST = const(7)
-# Real-time bytes 0x90 to 0xA1 follow, in their order.
-OVERRIDES = const(8)
-_EVENTS = const(26)
+OVERRIDE = const(8)  # one at least of those that follow:
+# Real-time bytes 0x90 to 0xA1, in their order.
+OVERRIDES = const(9)
+_EVENTS = const(27)
 
 FIRST_OVERRIDE_BYTE = const(0x90)
 LAST_OVERRIDE_BYTE = const(0xA1)

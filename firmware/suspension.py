@@ -7,6 +7,7 @@ Parking, an option of the board, moves the tool away from the work and back.
 from array import array
 
 import errors
+import kernels
 import planner as plan
 import state as st
 from axes import Z
@@ -108,8 +109,8 @@ class Suspension:
             self._flags = self._gcode.accessory_flags()
             self._rpm = self._gcode.spindle_rpm
         else:
-            self._flags = row[plan.FLAGS]
-            self._rpm = self._planner.speeds[self._planner.flow[plan.TAIL]]
+            self._flags = row[kernels.FLAGS]
+            self._rpm = self._planner.speeds[self._planner.flow[kernels.TAIL]]
         if self._spindle.laser:
             self._realtime.stop_spindle()
 

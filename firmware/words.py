@@ -19,12 +19,67 @@ NUMBER_EXPECTED = const(2)
 
 
 @micropython.viper
+def store_single(number: int, power: int, values: ptr32, at: int) -> int:
+    """Put number * 10**power, in single precision, into values[at]; number < 2**27.
+
+    Powers are taken in steps of 0.01, 0.1 or 10, and each product is rounded.
+    """
+    exponent = 150
+    rest = 0
+    half = 1
+    while number >= 1 << 24:
+        rest |= (number & 1) * half
+        half <<= 1
+        number >>= 1
+        exponent += 1
+    if rest << 1 > half or (rest << 1 == half and number & 1):
+        number += 1
+    while number and number < 1 << 23:
+        number <<= 1
+        exponent -= 1
+    while number and power:
+        if power < -1:
+            factor = 0xA3D70A
+            exponent -= 6
+            power += 2
+        elif power < 0:
+            factor = 0xCCCCCD
+            exponent -= 3
+            power = 0
+        else:
+            factor = 0xA00000
+            exponent += 4
+            power -= 1
+        middle = (number >> 12) * (factor & 0xFFF) + (number & 0xFFF) * (factor >> 12)
+        low = (number & 0xFFF) * (factor & 0xFFF) + ((middle & 0xFFF) << 12)
+        number = (number >> 12) * (factor >> 12) + (middle >> 12) + (low >> 24)
+        low &= 0xFFFFFF
+        if number < 1 << 23:
+            number = (number << 1) | (low >> 23)
+            low = (low << 1) & 0xFFFFFF
+            exponent -= 1
+        if low > 0x800000 or (low == 0x800000 and number & 1):
+            number += 1
+    if number == 1 << 24:
+        number >>= 1
+        exponent += 1
+    if exponent > 254:
+        exponent = 255  # infinite
+        number = 0
+    elif number == 0:
+        exponent = 0
+    values[at] = (exponent << 23) | (number & 0x7FFFFF)
+    return 0
+
+
+@micropython.viper
 def scan(text: ptr8, span: int, letters: ptr8, values: ptr32) -> int:
     """Read words from text[start:end], span = end << 8 | start; text[end] is 0.
 
     Letters and values, as bits of single-precision floats, go into their
     arrays. Returns the count of words, and above it (<< 8) what was wrong
-    after the last of them. A letter of 0 reads a bare number: see number().
+    after the last of them. A letter of 0 there asks for one bare number, and
+    for the position after it: see Words.number().
     """
     pos = span & 255
     end = span >> 8
@@ -39,7 +94,7 @@ def scan(text: ptr8, span: int, letters: ptr8, values: ptr32) -> int:
             letters[count] = letter
             pos += 1
         sign = text[pos]
-        if sign == 45 or sign == 43:
+        if sign == 45 or sign == 43:  # noqa: PLR1714 (a viper cannot ask `in`)
             pos += 1
         number = 0
         digits = 0
@@ -61,50 +116,7 @@ def scan(text: ptr8, span: int, letters: ptr8, values: ptr32) -> int:
             pos += 1
         if digits == 0:
             return count | 512
-        exponent = 150
-        rest = 0
-        half = 1
-        while number >= 1 << 24:
-            rest |= (number & 1) * half
-            half <<= 1
-            number >>= 1
-            exponent += 1
-        if rest << 1 > half or (rest << 1 == half and half > 1 and number & 1):
-            number += 1
-        while number and number < 1 << 23:
-            number <<= 1
-            exponent -= 1
-        while number and power:
-            # One factor at a time, each product rounded: 0.01, 0.1 or 10.
-            if power < -1:
-                factor = 0xA3D70A
-                exponent -= 6
-                power += 2
-            elif power < 0:
-                factor = 0xCCCCCD
-                exponent -= 3
-                power = 0
-            else:
-                factor = 0xA00000
-                exponent += 4
-                power -= 1
-            middle = (number >> 12) * (factor & 0xFFF) + (number & 0xFFF) * (factor >> 12)
-            low = (number & 0xFFF) * (factor & 0xFFF) + ((middle & 0xFFF) << 12)
-            number = (number >> 12) * (factor >> 12) + (middle >> 12) + (low >> 24)
-            low &= 0xFFFFFF
-            if number < 1 << 23:
-                number = (number << 1) | (low >> 23)
-                low = (low << 1) & 0xFFFFFF
-                exponent -= 1
-            if low > 0x800000 or (low == 0x800000 and number & 1):
-                number += 1
-        if number == 1 << 24:
-            number >>= 1
-            exponent += 1
-        if exponent > 254:
-            exponent = 255
-            number = 0
-        values[count] = (exponent << 23) | (number & 0x7FFFFF) if number or exponent == 255 else 0
+        store_single(number, power, values, count)
         if sign == 45:
             signs[4 * count + 3] = signs[4 * count + 3] | 128
         count += 1

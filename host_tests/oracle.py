@@ -55,12 +55,53 @@ def hypotenuse(x: float, y: float) -> float:
     return single(sqrt(single(single(x * x) + single(y * y))))
 
 
-def tokens(text: str) -> "list[tuple[str, float]]":
-    """The words of a line; what is no word is a Refused at the end, in its place."""
-    from test_words import read_words
+def read_number(text: str) -> "tuple[int, float] | None":
+    """Grbl's reader: eight digits count, the rest move the point. Returns length and value."""
+    pos = 0
+    if text[:1] in ("-", "+"):
+        pos = 1
+    number = exponent = digits = 0
+    point = False
+    while pos < len(text):
+        c = text[pos]
+        if c in "0123456789":
+            digits += 1
+            if digits <= 8:
+                number = number * 10 + int(c)
+                exponent -= point
+            elif not point:
+                exponent += 1
+        elif c == "." and not point:
+            point = True
+        else:
+            break
+        pos += 1
+    if not digits:
+        return None
+    value = single(number)
+    while value and exponent <= -2:
+        value = single(value * single(0.01))
+        exponent += 2
+    if value and exponent < 0:
+        value = single(value * single(0.1))
+    while value and exponent > 0:
+        value = single(value * 10.0)
+        exponent -= 1
+    return pos, -value if text[0] == "-" else value
 
-    words, fault = read_words(text)
-    return [*words, ("", fault)] if fault else words
+
+def read_words(text: str) -> "tuple[list[tuple[str, float]], int]":
+    """All words of a line, and the error that stands behind the last."""
+    found = []
+    while text:
+        if not "A" <= text[0] <= "Z":
+            return found, 1
+        number = read_number(text[1:])
+        if number is None:
+            return found, 2
+        found.append((text[0], number[1]))
+        text = text[1 + number[0] :]
+    return found, 0
 
 
 class Oracle:
@@ -123,9 +164,8 @@ class Block:
     # Words, one by one: what is wrong with the first that is wrong counts.
 
     def read(self, text: str) -> None:
-        for letter, value in tokens(text):
-            if not letter:
-                raise Refused(value)
+        words, fault = read_words(text)
+        for letter, value in words:
             code = trunc(value) & 255
             hundredths = rounded(single(100 * single(value - code)))
             if letter == "G":
@@ -134,6 +174,8 @@ class Block:
                 self.take_m(code, hundredths)
             else:
                 self.take_value(letter, value)
+        if fault:
+            raise Refused(fault)
 
     def take_g(self, code: int, hundredths: int) -> None:
         if code not in G_GROUPS:
@@ -251,6 +293,8 @@ class Block:
             return
         if self.claim != LENGTH and self.axes():
             self.target = {letter: self.place(letter) for letter in "XYZ"}
+        elif self.jog:
+            self.target = dict.fromkeys("XYZ", 0.0)  # a jog without axis words goes to zero
         if self.non_modal in ("G28", "G30"):
             stored = grbl.systems[28 if self.non_modal == "G28" else 30]
             self.then = {
@@ -370,6 +414,8 @@ class Block:
             grbl.motion = "G1"
             grbl.plane, grbl.distance, grbl.feed_mode = 17, 90, 94
             grbl.system, grbl.spindle, grbl.flood = 54, 5, False
+            # Real Grbl, in check mode only, keeps adding the offsets of the system before.
+            grbl.in_use = grbl.systems[54]
 
     def execute_non_modal(self) -> None:
         grbl = self.grbl

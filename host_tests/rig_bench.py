@@ -126,6 +126,7 @@ class Machine:
     def rest(self) -> Iterator[Any]:
         """Come to rest, and report."""
         rig = self.rig
+        yield rig.ms(100)  # a reset on its way would take the question with it
         while not self.idle():
             self._go_on()
             yield rig.ms(20)

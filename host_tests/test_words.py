@@ -1,4 +1,4 @@
-"""words.scan against a plain twin of how Grbl reads a number, in single precision by struct."""
+"""words.scan against a plain twin of how Grbl reads numbers: the oracle's."""
 
 import struct
 from array import array
@@ -6,64 +6,8 @@ from array import array
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from words import LETTER_EXPECTED, NUMBER_EXPECTED, Words, scan
-
-
-def single(x: float) -> float:
-    """X rounded to single precision; what is too large is infinite."""
-    try:
-        return struct.unpack("f", struct.pack("f", x))[0]
-    except OverflowError:
-        return float("inf")
-
-
-def read_number(text: str) -> "tuple[int, float] | None":
-    """Grbl's reader: eight digits count, the rest move the point. Returns length and value."""
-    pos = 0
-    if text[:1] in ("-", "+"):
-        pos = 1
-    number = exponent = digits = 0
-    point = False
-    while pos < len(text):
-        c = text[pos]
-        if c in "0123456789":
-            digits += 1
-            if digits <= 8:
-                number = number * 10 + int(c)
-                exponent -= point
-            elif not point:
-                exponent += 1
-        elif c == "." and not point:
-            point = True
-        else:
-            break
-        pos += 1
-    if not digits:
-        return None
-    value = single(number)
-    while value and exponent <= -2:
-        value = single(value * single(0.01))
-        exponent += 2
-    if value and exponent < 0:
-        value = single(value * single(0.1))
-    while value and exponent > 0:
-        value = single(value * 10.0)
-        exponent -= 1
-    return pos, -value if text[0] == "-" else value
-
-
-def read_words(text: str) -> "tuple[list[tuple[str, float]], int]":
-    """All words of a line, and what is wrong behind the last."""
-    found = []
-    while text:
-        if not "A" <= text[0] <= "Z":
-            return found, LETTER_EXPECTED
-        number = read_number(text[1:])
-        if number is None:
-            return found, NUMBER_EXPECTED
-        found.append((text[0], number[1]))
-        text = text[1 + number[0] :]
-    return found, 0
+from oracle import read_number, read_words
+from words import Words, scan
 
 
 def bits(x: float) -> int:

@@ -22,6 +22,7 @@ import micropython
 import rp2
 from kernels import row_length
 from micropython import const
+
 from pio import programs, pulses
 from pio.pulses import convert, late, places, undone
 
@@ -533,7 +534,9 @@ class PioEngine:
         if state[_MADE] != state[_FED]:
             self._feed()
         made = 0
-        while made < _MOST and state[_AHEAD] < _LEAD and state[_MADE] - state[_FED] < _LAST_ROW - 6:
+        while (
+            made < _MOST and state[_AHEAD] < _LEAD and state[_MADE] - state[_FED] < _LAST_ROW - 6
+        ):
             if int(self._next_segment(self._row)) == 0:
                 break
             _append(self._state, self._rows, self._lanes, self._row, self._axes)

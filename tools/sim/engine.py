@@ -163,7 +163,7 @@ class SimEngine:
                 steps[i] += made
 
     def power_off(self) -> None:
-        """Motion ends; the motors stay where they are and the count they are known by is 0 again."""
+        """Motion ends; the motors stay, and the count they are known by is 0 again."""
         self.stop()
         self._offset = array("i", [-steps for steps in self._physical])
 

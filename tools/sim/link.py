@@ -12,7 +12,7 @@ _TX_QUEUE = 104
 
 
 class SimLink:
-    """A Link with two virtual wires. `received` is what the sender has got so far, whole bytes only."""
+    """A Link with two virtual wires. `received` is what the sender has got, whole bytes only."""
 
     def __init__(self, rig: "Rig", rx_baud: int = RX_BAUD, tx_baud: int = TX_BAUD) -> None:
         self.received = bytearray()

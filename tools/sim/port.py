@@ -1,8 +1,9 @@
-"""Pins of the simulated machine: outputs to look at, inputs to push, switches that close by themselves."""
+"""Pins of the simulated machine: outputs to look at, inputs to push, switches that close."""
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from types import ModuleType
 
     from .rig import Rig
 
@@ -16,7 +17,7 @@ CONTROLS_WITH_DOOR = ("reset", "", "start", "hold")
 class SimPort:
     """A Port whose pins are attributes. Closed means pulled to ground."""
 
-    def __init__(self, rig: "Rig", board: "Any") -> None:
+    def __init__(self, rig: "Rig", board: "ModuleType") -> None:
         self.pwm_max = board.PWM_MAX
         self._controls = CONTROLS_WITH_DOOR if getattr(board, "SAFETY_DOOR", False) else CONTROLS
         self.enable_pin = 1
@@ -92,7 +93,7 @@ class SimPort:
         engine = self._rig.engine
         steps = self._rig.scratch
         engine.physical(steps)
-        closed = set(name for name, is_closed in self._pushed.items() if is_closed)
+        closed = {name for name, is_closed in self._pushed.items() if is_closed}
         for switch in engine.switches:
             if switch.closed(steps[switch.axis]):
                 closed.add(switch.pin)
