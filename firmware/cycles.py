@@ -85,7 +85,7 @@ class Cycles:
         """
         state = self._state
         if state.run == st.CHECK:
-            return False
+            return True
         self._motion.synchronise()
         state.probe_succeeded = False
         if self._inputs.probe() != away:

@@ -820,8 +820,8 @@ def fill(flow: ptr32, ring: ptr32, machine: ptr32, row: ptr32) -> int:
             span += 131072
         going = int(proceed(flow, ring, machine[SQR_SCALE]))
     steps = int(close(flow, row, (span - flow[LEFT]) >> (17 - machine[SEGMENT_LOG2])))
-    if steps == 0 and going:
-        return 0  # at rest in a hold, less than a step further
+    if steps == 0 and going and flow[HOLD] and flow[NOW] == 0:
+        return 0  # at rest, less than a step further
     flow[ADVANCE] = steps << 18
     at = flow[AT]
     row[ROW_DIRS] = ring[at + DIRS]
