@@ -10,6 +10,7 @@ meaning: NIST RS274NGC v3, table 8, as Grbl 1.1 reads it.
 import block as b
 import checks
 import errors
+import kernels
 import planner as plan
 import state as st
 from arcs import Arc
@@ -18,7 +19,7 @@ from coords import G28, G30
 from errors import GrblError
 from f32 import vector
 from micropython import const
-from words import Words
+from words import AXES, F_AT, HAS_F, HAS_G0, HAS_G1, HAS_N, HAS_S, N_AT, S_AT, Words
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -72,6 +73,9 @@ class Gcode:
         self._words = Words()
         self._move = plan.Move()
         self._line_numbers = line_numbers
+        self._target = vector(axes)
+        self._offsets = vector(axes)
+        self._is_plain = False
         self.reset()
 
     def reset(self) -> None:
@@ -80,6 +84,7 @@ class Gcode:
         self.feed = 0.0
         self.spindle_rpm = 0.0
         self.tool = 0
+        self._is_plain = False
 
     @property
     def spindle(self) -> int:
@@ -103,12 +108,72 @@ class Gcode:
 
     def execute(self, line: bytearray, length: int) -> None:
         """Interpret line[:length], which a 0 follows. Raises GrblError where it is refused."""
+        words = self._words
+        words.read(line, 0, length)
+        if self._is_plain and self._execute_plain(words.plain()):
+            return
         block = self._block
-        self._words.read(line, 0, length)
         block.begin(self.modal)
-        block.take(self._words)
+        block.take(words)
         checks.check(self, block, False)
         self._apply(block)
+        self._look_for_plain()
+
+    # The short path: lines that only move, nine of ten in a real job. No floats are made.
+
+    def _look_for_plain(self) -> None:
+        """Whether G0 and G1 lines may take the short path, and with which offsets."""
+        modal = self.modal
+        coords = self.coords
+        self._is_plain = (
+            not (modal.relative or modal.inches or modal.inverse_time)
+            and modal.motion in (b.SEEK, b.LINEAR)
+            and coords.tool_length == 0
+        )
+        if self._is_plain:
+            for i in range(self.axes):
+                self._offsets[i] = coords.work_offset(i)
+
+    def _execute_plain(self, seen: int) -> bool:
+        """Execute the line if it is plain, and nothing can be wrong with it."""
+        words = self._words
+        modal = self.modal
+        motion = modal.motion
+        if seen & HAS_G0:
+            motion = b.SEEK
+        elif seen & HAS_G1:
+            motion = b.LINEAR
+        laser = self._spindle.laser
+        if not 0 < seen & AXES < 1 << self.axes:
+            return False
+        if seen & HAS_S and not (laser and motion == b.LINEAR):
+            return False
+        feed = self.feed
+        if seen & HAS_F:
+            feed = words.values[words.at[F_AT]]
+        if motion == b.LINEAR and feed == 0:
+            return False
+        if seen & HAS_S:
+            self.spindle_rpm = words.values[words.at[S_AT]]
+        target = self._target
+        kernels.copy(self.position, target, self.axes)
+        words.target(seen, self._offsets, target)
+        move = self._move
+        move.flags = modal.spindle | modal.coolant << plan.COOLANT_SHIFT
+        move.feed = self.feed = feed
+        move.spindle_rpm = self.spindle_rpm
+        if motion == b.SEEK:
+            move.flags |= plan.RAPID
+            if laser:
+                move.spindle_rpm = 0.0
+        move.line_number = 0
+        if self._line_numbers and seen & HAS_N:
+            move.line_number = int(words.values[words.at[N_AT]])
+        self.tool = 0
+        modal.motion = motion
+        self._motion.line(target, move)
+        kernels.copy(target, self.position, self.axes)
+        return True
 
     def jog(self, line: bytearray, length: int) -> None:
         """Interpret a "$J=" line. The modal state stays as it is."""

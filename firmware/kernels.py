@@ -220,6 +220,14 @@ def scaled_sqr(speed: int, scale: int) -> int:
 
 
 @micropython.viper
+def copy(source: ptr32, target: ptr32, count: int) -> int:
+    """Copy integers, or floats as bits."""
+    for i in range(count):
+        target[i] = source[i]
+    return 0
+
+
+@micropython.viper
 def to_steps(mm: ptr32, steps_per_mm: ptr32, steps: ptr32, axes: int) -> int:
     """Round single-precision mm times steps/mm to whole steps, halves away from zero.
 

@@ -5,24 +5,90 @@ comment. Everything else waits in a ring, whose free space is what senders
 that count characters rely on, until the main loop asks for a line.
 """
 
+from array import array
+
+import micropython
 from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-_FIRST_EXTENDED = const(0x80)
-# Soft reset, status query, cycle start, feed hold.
-_REALTIME = b"\x18?~!"
-
 # What take() found.
 NOTHING = const(0)
 LINE = const(1)
 TOO_LONG = const(2)
 
+# Where the reader is.
+_SIZE = const(0)  # of the ring
+_HEAD = const(1)
+_TAIL = const(2)
+_LENGTH = const(3)  # of the line so far
+_LONGEST = const(4)
+_SKIPPING = const(5)  # mask:
 _IN_PARENTHESES = const(1)
 _AFTER_SEMICOLON = const(2)
 _OVERFLOW = const(4)
+
+
+@micropython.viper
+def fill_ring(data: ptr8, span: int, ring: ptr8, at: ptr32) -> int:
+    """Move data[start:count], span = count << 16 | start, into the ring, up to a real-time byte.
+
+    Returns where that is, or count. Bytes that find no room are lost.
+    """
+    count = span >> 16
+    i = span & 0xFFFF
+    head = at[_HEAD]
+    while i < count:
+        c = data[i]
+        if c >= 0x80 or c == 0x18 or c == 0x3F or c == 0x7E or c == 0x21:  # noqa: PLR1714
+            break
+        following = head + 1
+        if following == at[_SIZE]:
+            following = 0
+        if following != at[_TAIL]:
+            ring[head] = c
+            head = following
+        i += 1
+    at[_HEAD] = head
+    return i
+
+
+@micropython.viper
+def clean(ring: ptr8, at: ptr32, line: ptr8) -> int:
+    """Go on with the line: upper case, no spaces, comments, control characters, slashes."""
+    tail = at[_TAIL]
+    length = at[_LENGTH]
+    skipping = at[_SKIPPING]
+    found = NOTHING
+    while tail != at[_HEAD]:
+        c = ring[tail]
+        tail += 1
+        if tail == at[_SIZE]:
+            tail = 0
+        if c == 10 or c == 13:  # noqa: PLR1714 (a viper cannot ask `in`)
+            found = TOO_LONG if skipping & _OVERFLOW else LINE
+            break
+        if skipping:
+            if c == 41:
+                skipping &= ~_IN_PARENTHESES
+        elif c <= 32 or c == 47:
+            pass
+        elif c == 40:
+            skipping = _IN_PARENTHESES
+        elif c == 59:
+            skipping = _AFTER_SEMICOLON
+        elif length >= at[_LONGEST]:
+            skipping = _OVERFLOW
+        else:
+            line[length] = c - 32 if c >= 97 and c <= 122 else c
+            length += 1
+    line[length] = 0
+    at[_TAIL] = tail
+    at[_LENGTH] = length
+    at[_SKIPPING] = skipping
+    return found
 
 
 class LineReader:
@@ -30,81 +96,41 @@ class LineReader:
 
     def __init__(self, size: int, longest: int, on_realtime: "Callable[[int], None]") -> None:
         self.line = bytearray(longest + 1)
-        self.length = 0
         self._on_realtime = on_realtime
         self._ring = bytearray(size + 1)
-        self._head = 0
-        self._tail = 0
-        self._skipping = 0
+        self._at = array("i", (size + 1, 0, 0, 0, longest, 0))
+
+    @property
+    def length(self) -> int:
+        """Of the line that take() has found."""
+        return self._at[_LENGTH]
 
     def feed(self, data: bytearray, count: int) -> None:
         """Accept received bytes. Those that do not fit are lost: the sender has miscounted."""
-        ring = self._ring
-        size = len(ring)
-        head = self._head
-        for i in range(count):
-            c = data[i]
-            if c >= _FIRST_EXTENDED or c in _REALTIME:
-                self._head = head
-                self._on_realtime(c)
-                head = self._head
-                continue
-            following = head + 1
-            if following == size:
-                following = 0
-            if following != self._tail:
-                ring[head] = c
-                head = following
-        self._head = head
+        i = fill_ring(data, count << 16, self._ring, self._at)
+        while i < count:
+            self._on_realtime(data[i])
+            i = fill_ring(data, count << 16 | (i + 1), self._ring, self._at)
 
     def free(self) -> int:
         """Bytes that may still be sent."""
-        size = len(self._ring)
-        return size - 1 - (self._head - self._tail) % size
+        at = self._at
+        return at[_SIZE] - 1 - (at[_HEAD] - at[_TAIL]) % at[_SIZE]
 
     def waiting(self) -> bool:
         """Bytes have come that take() has not seen."""
-        return self._head != self._tail
+        return self._at[_HEAD] != self._at[_TAIL]
 
     def clear(self) -> None:
         """Forget everything received, the line in progress too."""
-        self._tail = self._head
+        self._at[_TAIL] = self._at[_HEAD]
         self.next_line()
 
     def next_line(self) -> None:
         """The line has been dealt with."""
-        self.length = 0
-        self._skipping = 0
+        self._at[_LENGTH] = 0
+        self._at[_SKIPPING] = 0
 
     def take(self) -> int:
         """Go on with the line: LINE when one is complete in line[:length], followed by a 0."""
-        ring = self._ring
-        size = len(ring)
-        line = self.line
-        length = self.length
-        skipping = self._skipping
-        found = NOTHING
-        while self._tail != self._head:
-            c = ring[self._tail]
-            self._tail = self._tail + 1 if self._tail + 1 < size else 0
-            if c in (10, 13):
-                found = TOO_LONG if skipping & _OVERFLOW else LINE
-                break
-            if skipping:
-                if c == 41 and skipping & _IN_PARENTHESES:
-                    skipping &= ~_IN_PARENTHESES
-            elif c <= 32 or c == 47:
-                pass
-            elif c == 40:
-                skipping = _IN_PARENTHESES
-            elif c == 59:
-                skipping = _AFTER_SEMICOLON
-            elif length >= len(line) - 1:
-                skipping = _OVERFLOW
-            else:
-                line[length] = c - 32 if 97 <= c <= 122 else c
-                length += 1
-        line[length] = 0
-        self.length = length
-        self._skipping = skipping
-        return found
+        return clean(self._ring, self._at, self.line)

@@ -35,7 +35,10 @@ SPINDLE_MASK = const(0x30)
 ACCESSORY_MASK = const(0x330)
 
 _BIAS = const(0x20000000)
-_SLOWEST_MM_MIN = 1.0
+_SLOWEST = kernels.real(1 / 60)
+_HUNDRED = kernels.real(100)
+_FULL = const(100)
+_REAL = const(64)  # exponent of a real that is a whole number
 
 
 class Move:
@@ -79,6 +82,8 @@ class Planner:
         self._start = array("i", (0 for _ in range(axes)))
         self._target = array("i", (0 for _ in range(axes)))
         self._steps_per_mm = vector(axes)
+        self._feed = 0.0  # the last one in mm/min, and the same as a real in mm/s
+        self._feed_real = 0
         view = memoryview(self.ring)
         self._rows = [view[i * size : (i + 1) * size] for i in range(blocks + 1)]
 
@@ -167,10 +172,14 @@ class Planner:
         self.speeds[at] = move.spindle_rpm
         if flags & RAPID:
             row[kernels.RATE] = row[kernels.RAPID]
-        elif flags & INVERSE_TIME:
-            row[kernels.RATE] = kernels.mul(kernels.real(move.feed / 60), row[kernels.LENGTH])
         else:
-            row[kernels.RATE] = kernels.real(move.feed / 60)
+            if move.feed != self._feed:
+                self._feed = move.feed
+                self._feed_real = kernels.real(move.feed / 60)
+            rate = self._feed_real
+            if flags & INVERSE_TIME:
+                rate = kernels.mul(rate, row[kernels.LENGTH])
+            row[kernels.RATE] = rate
         row[NOMINAL] = self._nominal(row)
         kernels.schedule(row, machine)
         return True
@@ -183,7 +192,7 @@ class Planner:
         row[kernels.JUNCTION_SQR] = junction
         row[kernels.ENTRY_SQR] = 0
         self._limit_entry(flow[HEAD])
-        self.position[:] = self._target
+        kernels.copy(self._target, self.position, self.axes)
         flow[HEAD] = (flow[HEAD] + 1) % flow[ROWS]
         kernels.reverse_pass(self.ring, flow, 0)
 
@@ -198,14 +207,13 @@ class Planner:
         """Rate of a block with overrides, no less than 1 mm/min."""
         state = self._state
         flags = row[FLAGS]
-        nominal = kernels.value(row[kernels.RATE])
-        if flags & RAPID:
-            nominal *= state.rapid_override / 100
-        else:
-            if not flags & NO_FEED_OVERRIDE:
-                nominal *= state.feed_override / 100
-            nominal = min(nominal, kernels.value(row[kernels.RAPID]))
-        return kernels.real(max(nominal, _SLOWEST_MM_MIN / 60))
+        nominal = row[kernels.RATE]
+        percent = state.rapid_override if flags & RAPID else state.feed_override
+        if percent != _FULL and not flags & NO_FEED_OVERRIDE:
+            nominal = kernels.div(kernels.mul(nominal, kernels.pack(percent, _REAL)), _HUNDRED)
+        if nominal > row[kernels.RAPID]:
+            nominal = row[kernels.RAPID]
+        return nominal if nominal > _SLOWEST else _SLOWEST
 
     def override(self) -> None:
         """Work out every block anew after an override has changed."""

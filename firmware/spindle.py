@@ -37,10 +37,16 @@ class Spindle:
         self._power = 0
         self._direction = CW  # of the pin
         self._enabled = False
+        # What power() was asked last, and what it said: most blocks ask the same again.
+        self._asked_rpm = -1.0
+        self._asked_override = 0
+        self._answered_rpm = 0.0
+        self._answered_power = 0
         self.laser = False
 
     def configure(self, settings: "Settings", machine: "array[int]") -> None:
         """Take over $30, $31 and $32."""
+        self._asked_rpm = -1.0
         self._max_rpm = settings.max_rpm
         self._min_rpm = settings.min_rpm
         self.laser = bool(settings.laser_mode)
@@ -52,6 +58,17 @@ class Spindle:
 
     def power(self, rpm: float) -> int:
         """Power for a programmed speed, override included; tells the state what speed that is."""
+        state = self._state
+        if rpm == self._asked_rpm and state.spindle_override == self._asked_override:
+            state.spindle_rpm = self._answered_rpm
+            return self._answered_power
+        self._asked_rpm = rpm
+        self._asked_override = state.spindle_override
+        self._answered_power = self._work_out(rpm)
+        self._answered_rpm = state.spindle_rpm
+        return self._answered_power
+
+    def _work_out(self, rpm: float) -> int:
         state = self._state
         rpm = f32(rpm * f32(f32(0.01) * state.spindle_override))
         full = self._port.pwm_max

@@ -13,6 +13,17 @@ from micropython import const
 
 _MAX_WORDS = const(128)
 
+# What plain() found: bits of its mask. Bits 0 to 3 are X, Y, Z and A.
+AXES = const(0x0F)
+HAS_F = const(0x10)
+HAS_S = const(0x20)
+HAS_G0 = const(0x40)
+HAS_G1 = const(0x80)
+HAS_N = const(0x100)
+F_AT = const(4)
+S_AT = const(5)
+N_AT = const(8)
+
 # What scan() found wrong, above the count of words.
 LETTER_EXPECTED = const(1)
 NUMBER_EXPECTED = const(2)
@@ -125,6 +136,105 @@ def scan(text: ptr8, span: int, letters: ptr8, values: ptr32) -> int:
     return count
 
 
+@micropython.viper
+def plain(letters: ptr8, values: ptr32, count: int, at: ptr8) -> int:
+    """What a line holds if it does no more than move; 0 if it does, or if a word is wrong.
+
+    Plain are G0 and G1, X to Z and A, F, N and S, each once at the most, the
+    last three not negative. Returns a mask of what is there; at[bit] tells which
+    word it is. The bits are the public names below.
+    """
+    signs = ptr8(values)
+    seen = 0
+    for i in range(count):
+        letter = letters[i]
+        value = values[i]
+        bit = 8
+        if letter == 71:  # G
+            if value >> 23 == 127 and value & 0x7FFFFF == 0:
+                bit = 7
+            elif value:
+                return 0
+            else:
+                bit = 6
+            if seen & 0xC0:
+                return 0
+        elif letter >= 88:  # X, Y, Z
+            bit = letter - 88
+        elif letter == 65:  # A
+            bit = 3
+        elif signs[4 * i + 3] & 128:
+            return 0
+        elif letter == 70:  # F
+            bit = 4
+        elif letter == 83:  # S
+            bit = 5
+        elif letter != 78 or value >> 7 >= 0x96312D:  # N below ten million
+            return 0
+        if seen >> bit & 1:
+            return 0
+        seen |= 1 << bit
+        at[bit] = i
+    return seen
+
+
+@micropython.viper
+def target(values: ptr32, at: ptr8, seen: int, offsets: ptr32, xyz: ptr32) -> int:
+    """Put the axis words of a plain line, offsets added, into xyz; the other axes stay."""
+    for i in range(4):
+        if seen >> i & 1:
+            xyz[i] = values[at[i]]
+            if offsets[i]:
+                add_single(offsets, i, xyz, i)
+    return 0
+
+
+@micropython.viper
+def add_single(a: ptr32, i: int, b: ptr32, j: int) -> int:
+    """Make b[j] the sum of a[i] and b[j], all bits of single-precision floats, rounded to even."""
+    sign_a = ptr8(a)[4 * i + 3] >> 7
+    sign_b = ptr8(b)[4 * j + 3] >> 7
+    x = (a[i] & 0x3FFFFFFF) | ((ptr8(a)[4 * i + 3] & 64) << 24)
+    y = (b[j] & 0x3FFFFFFF) | ((ptr8(b)[4 * j + 3] & 64) << 24)
+    if x < y:
+        shift = x
+        x = y
+        y = shift
+        shift = sign_a
+        sign_a = sign_b
+        sign_b = shift
+    exponent = x >> 23
+    shift = exponent - (y >> 23)
+    if y >> 23 and shift < 27:
+        # Three more bits, the last one sticky, are enough to round as if all were there.
+        y = ((y & 0x7FFFFF) | 0x800000) << 3
+        rest = y & ((1 << shift) - 1)
+        y = (y >> shift) | (1 if rest else 0)
+        x = ((x & 0x7FFFFF) | 0x800000) << 3
+        x = x + y if sign_a == sign_b else x - y
+        if x == 0:
+            exponent = 0
+            sign_a = 0
+        while x and x < 1 << 26:
+            x <<= 1
+            exponent -= 1
+        if x >= 1 << 27:
+            x = (x >> 1) | (x & 1)
+            exponent += 1
+        rest = x & 7
+        x >>= 3
+        if rest > 4 or (rest == 4 and x & 1):
+            x += 1
+        if x >> 24:
+            x >>= 1
+            exponent += 1
+        x = (exponent << 23) | (x & 0x7FFFFF)
+    b[j] = x
+    if sign_a:
+        ptr8(b)[4 * j + 3] = ptr8(b)[4 * j + 3] | 128
+    return 0
+
+
 class Words:
     """The words of one line. letters[i] is a character code, values[i] its number."""
 
@@ -133,6 +243,7 @@ class Words:
         self.values = array("f", (0.0 for _ in range(_MAX_WORDS)))
         self.count = 0
         self.fault = 0
+        self.at = bytearray(16)
         self._number = array("f", (0.0,))
         self._no_letter = bytearray(1)
 
@@ -142,6 +253,14 @@ class Words:
         found = scan(text, end << 8 | start, self.letters, self.values)
         self.count = found & 255
         self.fault = found >> 8
+
+    def plain(self) -> int:
+        """What the line holds if it does no more than move, else 0: see the kernel."""
+        return 0 if self.fault else plain(self.letters, self.values, self.count, self.at)
+
+    def target(self, seen: int, offsets: "array[float]", xyz: "array[float]") -> None:
+        """Put the axis words of a plain line into xyz."""
+        target(self.values, self.at, seen, offsets, xyz)
 
     def number(self, text: bytearray, start: int) -> "tuple[int, float]":
         """Read a bare number; returns the position after it, or -1, and its value."""

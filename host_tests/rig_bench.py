@@ -16,14 +16,24 @@ _LIMIT_MS = 600_000
 
 
 class Machine:
-    """The firmware on the simulator. settings: values by $-number that are not the factory's."""
+    """The firmware on the simulator.
 
-    def __init__(self, settings: "dict[int, float] | None" = None, board: str = "sim") -> None:
+    settings: values by $-number that are not the factory's. watched: its settings are sound, its
+    plans and segments are looked at.
+    """
+
+    def __init__(
+        self,
+        settings: "dict[int, float] | None" = None,
+        board: str = "sim",
+        watched: bool = True,
+    ) -> None:
         module = load_board(board)
         store = factory_store(module)
         store.files["settings"] += [f"${n}={value}" for n, value in (settings or {}).items()]
         self.rig = Rig(module, store)
-        self.rig.on_built = self._built
+        if watched:
+            self.rig.on_built = self._built
         self.rig.engine.trace = self._trace
         self.sender = Sender(self.rig)
         self.rows: list[tuple[int, array[int]]] = []

@@ -17,7 +17,7 @@ def word(letters: str, *numbers: str) -> st.SearchStrategy:
 
 
 G_CODES = (
-    "0 1 2 3 4 10 17 18 19 20 21 28 28.1 30 30.1 40 43.1 49 53 54 55 56 57 58 "
+    "0 1 2 3 4 10 17 18 19 20 21 28 28.1 30 30.1 38.2 38.3 38.4 38.5 40 43.1 49 53 54 55 56 57 58 "
     "59 61 80 90 91 91.1 92 92.1 93 94"
 ).split()
 ODD_CODES = (
@@ -64,7 +64,11 @@ arcs = st.tuples(
     st.sampled_from(["X2", "Y-1", "X1Y1", "X-2Z1", "Y2Z-2", "Z1"]),
     st.sampled_from(["I1", "J-.5", "I.5J.5", "K1", "R1", "R-2", "R.5", "I-1K.5", ""]),
 ).map(list)
-lines = st.one_of(usual_lines, usual_lines, any_lines, arcs).map("".join)
+lines = (
+    st.one_of(usual_lines, usual_lines, any_lines, arcs)
+    .map("".join)
+    .filter(lambda line: not line.startswith("$"))  # that would be a command
+)
 jogs = st.tuples(
     st.lists(st.sampled_from(["G20", "G21", "G90", "G91", "G53"]), max_size=2),
     st.lists(geometry, max_size=2),
@@ -136,17 +140,12 @@ def compare(machine: Machine, oracle: Oracle, program: "list[str]", first: str) 
 
 @some(60)
 @given(st.lists(lines, min_size=4, max_size=16))
+@example(["G38.2Z-1F10", "G38.2Z-1F10", "G91G38.5X1"])
 @example(["G10L2P2X1", "G55", "M2", "G0X0", "G54X0"])
 @example(["G20F10", "G93G1X1F2", "G94G1X2", "G94F3", "X3"])
 @example(["G43.1Z1", "G0Z0", "G92Z0", "G10L20P0Z0", "G49", "Z0"])
 def test_random_lines_get_the_error_that_the_rules_say(program: "list[str]") -> None:
     compare(Machine(), Oracle(), program, "$C")
-
-
-@pytest.mark.xfail(reason="cycles.probe: in check mode it leaves the parser where it was")
-@pytest.mark.parametrize("code", ["G38.2", "G38.3", "G38.4", "G38.5"])
-def test_a_probe_in_check_mode_ends_at_its_target(code: str) -> None:
-    compare(Machine(), Oracle(), [code + "Z-1F10", code + "Z-1F10", "G91G1X1"], "$C")
 
 
 @some(15)
@@ -191,6 +190,31 @@ noise = st.one_of(
 )
 
 
+def play(machine: Machine, data: bytes) -> bool:
+    """Send bytes whatever comes back; returns whether the machine has come to rest."""
+    rig = machine.rig
+
+    def script() -> Any:
+        yield from machine.start()
+        for start in range(0, len(data), 100):
+            rig.link.send(data[start : start + 100])
+            until = rig.ms(3000)
+            yield rig.ms(40)
+            while not machine.idle() and rig.now < until:
+                yield rig.ms(40)
+        yield rig.ms(500)
+        at_rest.append(machine.idle())
+
+    at_rest: list[bool] = []
+    machine.run(script())
+    machine.take()
+    return at_rest[0]
+
+
+def answers(machine: Machine) -> int:
+    return sum(line == "ok" or line.startswith("error:") for line in machine.received)
+
+
 @some(40)
 @given(noise)
 @example(b"$RST=*\n\x18?$$\n")
@@ -199,24 +223,44 @@ noise = st.one_of(
 @example(b"(" + bytes(range(128, 256)) + b")\n")
 @example(b"$I=" + b"\xc3" * 60 + b"\n$I\n")
 def test_any_bytes_are_answered_line_by_line(data: bytes) -> None:
-    data = bytes(c for c in data if c not in b"\x84!~") + b"\n"
+    data += b"\n"
     machine = Machine()
+    at_rest = play(machine, data)
     ends = sum(data.count(c) for c in (b"\n", b"\r"))
+    assert answers(machine) <= ends + data.count(b"\x18") * 3  # startup lines answer too
+    if at_rest and b"\x18" not in data:
+        assert answers(machine) == ends
 
-    def script() -> Any:
-        yield from machine.start()
-        for start in range(0, len(data), 100):
-            machine.rig.link.send(data[start : start + 100])
-            for _ in range(200):
-                yield machine.rig.ms(20)
-                if machine.idle():
-                    break
-        yield machine.rig.ms(500)
 
-    machine.run(script())
-    machine.take()
-    answers = [line for line in machine.received if line == "ok" or line.startswith("error:")]
-    if b"\x18" in data:
-        assert len(answers) <= ends
-    else:
-        assert len(answers) == ends
+# Beyond single precision
+
+_HUGE = 45 * "9"
+_arc = pytest.mark.xfail(
+    reason="arcs.chords: int() of an angle or a radius that is no number raises"
+)
+
+
+@pytest.mark.xfail(reason="block, checks, settings, commands: int() of an infinite number raises")
+@pytest.mark.parametrize("line", ["G", "M", "N", "L", "G10L2X1P", "$0=", "$4=", "$N", "$J=F1X1N"])
+def test_a_code_beyond_single_precision_is_answered(line: str) -> None:
+    machine = Machine()
+    play(machine, f"{line}{_HUGE}{'=' if line == '$N' else ''}\n".encode())
+    assert answers(machine) == 1
+
+
+@pytest.mark.parametrize("check_mode", [False, True])
+@pytest.mark.parametrize(
+    "line",
+    [
+        *("G0X", "G1F9X", "G1X1F", "M3S", "G92X", "G10L2P1X", "G43.1Z", "G20G0X", "G91X", "T"),
+        *("$100=", "$110=", "$120=", "$11=", "$12=", "$30=", "$", "$J=F1X", "$J=X1F"),
+        *("G2I1F9X", "G2F9I1Z", "G93G1X1F", "G38.2F9X"),
+        pytest.param("G2X1F9I", marks=_arc),
+        pytest.param("G2F9X1R", marks=_arc),
+    ],
+)
+def test_a_value_beyond_single_precision_is_answered(line: str, check_mode: bool) -> None:
+    machine = Machine()
+    more = "G1X1F99\nG91X1\nG2I1\n$#\n$G\n?"
+    play(machine, f"{'$C' * check_mode}\n{line}{_HUGE}\n{more}".encode())
+    assert machine.received

@@ -184,7 +184,6 @@ def test_extreme_settings_and_distances_stay_within_32_bits(limits, moves) -> No
     bench.pull(3)
 
 
-@pytest.mark.xfail(reason="kernels.fill: below a step in 10 s it makes no segment, for ever")
 def test_a_step_in_a_minute_is_made() -> None:
     bench = Bench(Limits((1.0,) * 3, (1.0,) * 3))
     bench.line((3, 1, 0))

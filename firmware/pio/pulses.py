@@ -77,35 +77,27 @@ def set_timing(timing: "array[int]", pulse: int, hold: int, setup: int) -> None:
 
 
 @micropython.viper
-def late(row: ptr32, lanes: ptr32, timing: ptr32) -> int:
-    """By how many ticks a segment has to begin late, so that no lane is asked the impossible.
+def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
+    """Add the words of a segment to the lanes' rings. Returns by how many ticks it begins late.
 
     Where an axis reverses too soon after its last step, or pulses would run into each other,
-    all axes wait, and no step is lost.
+    all axes wait so long, and no step is lost.
     """
-    most = 0
+    late = 0
     for i in range(timing[AXES]):
         base = _ROW_AXES + _ROW_STRIDE * i
         if row[base]:
             lack = _FETCH - lanes[LANE * i + CARRY] - row[base + 1]
             if (row[_ROW_DIRS] >> i) & 1 != lanes[LANE * i + DIR]:
                 lack += _FETCH + timing[TURN_WAIT] + timing[TURN_DELAY]
-            if lack > most:
-                most = lack
-    return most
-
-
-@micropython.viper
-def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32, delay: int) -> int:
-    """Add the words of a segment, `delay` ticks late, to the lanes' rings."""
-    keep = timing[KEEP]
-    shortest = timing[PULSE] + _BETWEEN
+            if lack > late:
+                late = lack
     for i in range(timing[AXES]):
         lane = LANE * i
         base = _ROW_AXES + _ROW_STRIDE * i
         ring = i << RING_LOG2
         head = lanes[lane + HEAD]
-        carry = lanes[lane + CARRY] + delay
+        carry = lanes[lane + CARRY] + late
         level = lanes[lane + DIR]
         steps = row[base]
         if steps:
@@ -123,27 +115,25 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32, delay: int) -
                 span = row[base + 2] - row[base + 1]
                 gap = span // steps
                 longer = span - gap * steps
-                if gap < shortest:
-                    gap = shortest
+                if gap < timing[PULSE] + _BETWEEN:
+                    gap = timing[PULSE] + _BETWEEN
                     longer = 0
                 carry -= gap * steps + longer
-                gap -= shortest
+                word = level | ((gap - timing[PULSE] - _BETWEEN) << _DELAY_SHIFT)
                 if longer:
-                    word = level | (longer << _STEPS_SHIFT)
-                    words[ring + head] = word | ((gap + 1) << _DELAY_SHIFT)
+                    words[ring + head] = word + (1 << _DELAY_SHIFT) + (longer << _STEPS_SHIFT)
                     head = (head + 1) & _RING_MASK
-                    steps -= longer
-                words[ring + head] = level | (steps << _STEPS_SHIFT) | (gap << _DELAY_SHIFT)
+                words[ring + head] = word | ((steps - longer) << _STEPS_SHIFT)
                 head = (head + 1) & _RING_MASK
         carry += row[_ROW_TICKS]
-        if carry >= keep + _FETCH:
-            words[ring + head] = level | ((carry - keep - _FETCH) << _DELAY_SHIFT)
+        if carry >= timing[KEEP] + _FETCH:
+            words[ring + head] = level | ((carry - timing[KEEP] - _FETCH) << _DELAY_SHIFT)
             head = (head + 1) & _RING_MASK
-            carry = keep
+            carry = timing[KEEP]
         lanes[lane + HEAD] = head
         lanes[lane + CARRY] = carry
         lanes[lane + DIR] = level
-    return 0
+    return late
 
 
 @micropython.viper

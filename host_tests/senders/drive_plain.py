@@ -1,0 +1,166 @@
+"""A day with the plainest of senders, as Grbl's own examples are: a port, a loop, nothing clever.
+
+    python drive_plain.py line|count PLAN_FILE RESULT_FILE
+
+line: a line is sent when the one before is answered. count: as many as 127 bytes are under way.
+"""
+
+import json
+import re
+import sys
+import time
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import serial
+
+_PATIENCE_S = 60.0
+_POLL_S = 0.1
+_WINDOW = 127
+_REPORT = re.compile(
+    r"<(?P<state>Idle|Run|Hold:[01]|Jog|Alarm|Home|Check|Door:[0-3]|Sleep)"
+    r"\|MPos:(?P<mpos>-?\d+\.\d{3},-?\d+\.\d{3},-?\d+\.\d{3})"
+    r"(\|Bf:\d+,\d+)?(\|Ln:\d+)?\|FS:\d+,\d+(\|Pn:[XYZPDHRS]+)?"
+    r"(\|WCO:(?P<wco>-?\d+\.\d{3},-?\d+\.\d{3},-?\d+\.\d{3}))?"
+    r"(\|Ov:(?P<ov>\d+),\d+,\d+)?(\|A:[SCFM]+)?>"
+)
+_KNOWN = re.compile(
+    r"|ok|\$(?P<number>\d+)=(?P<value>\d+(\.\d{3})?)|Grbl (?P<version>1\.1\w) \['\$' for help\]"
+    r"|\[MSG:[^\]]*\]|\[GC:[^\]]*\]|\[VER:[^\]]*\]|\[OPT:[^\]]*\]|\[G\d\d(\.1)?:[^\]]*\]"
+    r"|\[TLO:[^\]]*\]|\[PRB:[^\]]*\]"
+)
+
+
+class Plain:
+    """The port, and what is known of the machine behind it."""
+
+    def __init__(self, plan: Any, by_line: bool) -> None:
+        self.plan = plan
+        self.window = 0 if by_line else _WINDOW
+        self.port = serial.Serial(plan["port"], 115200, timeout=0.01)
+        self.result: Any = {
+            "unparsed": [],
+            "errors": [],
+            "override": [],
+            "states": [],
+            "settings": {},
+        }
+        self.under_way: deque[int] = deque()
+        self.state = ""
+        self.mpos = [0.0] * 3
+        self.wco = [0.0] * 3
+        self.asked = 0.0
+        self.rest = ""
+
+    def turn(self) -> None:
+        """Ask for a report when it is time, and read what has come."""
+        if time.monotonic() - self.asked > _POLL_S:
+            self.asked = time.monotonic()
+            self.port.write(b"?")
+        self.rest += self.port.read(max(1, self.port.in_waiting)).decode("latin-1")
+        *lines, self.rest = self.rest.split("\r\n")
+        for line in lines:
+            self.read(line)
+
+    def read(self, line: str) -> None:
+        result = self.result
+        report = _REPORT.fullmatch(line)
+        known = _KNOWN.fullmatch(line)
+        if report:
+            self.note(report)
+        elif line.startswith(("error:", "ALARM:")):
+            result["errors"].append(line)
+        elif not known:
+            result["unparsed"].append(line)
+        elif known["number"]:
+            result["settings"][known["number"]] = known["value"]
+        elif known["version"]:
+            result["version"] = known["version"]
+        if line == "ok" or line.startswith("error:"):
+            if self.under_way:
+                self.under_way.popleft()
+            else:
+                result["unparsed"].append(line + " without a question")
+
+    def note(self, report: re.Match[str]) -> None:
+        self.state = report["state"]
+        self.mpos = [float(mm) for mm in report["mpos"].split(",")]
+        if report["wco"]:
+            self.wco = [float(mm) for mm in report["wco"].split(",")]
+        if report["ov"]:
+            self.result["override"].append(int(report["ov"]))
+        if self.state not in self.result["states"][-1:]:
+            self.result["states"].append(self.state)
+
+    def until(self, what: str, condition: Any) -> None:
+        end = time.monotonic() + _PATIENCE_S
+        while not condition():
+            if time.monotonic() > end:
+                raise RuntimeError(f"never {what}: {self.state} {self.mpos}")
+            self.turn()
+
+    def send(self, line: str) -> None:
+        """Send as soon as there is room."""
+        data = line.encode() + b"\n"
+        self.until("room", lambda: not self.under_way or self.fits(len(data)))
+        self.port.write(data)
+        self.under_way.append(len(data))
+
+    def fits(self, length: int) -> bool:
+        return sum(self.under_way) + length <= self.window
+
+    def ask(self, line: str) -> None:
+        self.send(line)
+        self.until(f"answered {line}", lambda: not self.under_way)
+
+    def wpos(self) -> list[float]:
+        return [round(m - o, 3) for m, o in zip(self.mpos, self.wco, strict=True)]
+
+    def at(self, place: list[float]) -> bool:
+        return self.state == "Idle" and self.mpos == place
+
+
+def live(sender: Plain) -> None:
+    """The day."""
+    plan, result = sender.plan, sender.result
+    sender.port.write(b"\x18")
+    sender.until("greeted", lambda: "version" in result)
+    sender.ask("$$")
+    sender.ask("$I")
+    sender.ask("$H")
+    sender.until("homed", lambda: sender.at(plan["homed"]))
+    result["homed"] = sender.mpos
+    sender.ask(plan["jog"])
+    sender.until("jogged", lambda: sender.at(plan["jogged"]))
+    sender.ask(plan["zero"])
+    sender.until("zeroed", lambda: not any(sender.wpos()))
+    result["zeroed"] = sender.wpos()
+    half = len(plan["program"]) // 2
+    for line in plan["program"][:half]:
+        sender.send(line)
+    for percent in (110, 120):  # one at a time: Grbl keeps them as flags, two at once are one
+        sender.port.write(b"\x91")
+        sender.until("overridden", lambda percent=percent: percent in result["override"])
+    sender.port.write(b"!")
+    sender.until("held", lambda: sender.state == "Hold:0")
+    result["held"] = sender.mpos
+    sender.port.write(b"~")
+    for line in plan["program"][half:]:
+        sender.send(line)
+    sender.until("done", lambda: not sender.under_way and sender.at(plan["ended"]))
+    result["mpos"], result["wpos"] = sender.mpos, sender.wpos()
+
+
+def main() -> None:
+    mode, plan_file, result_file = sys.argv[1:]
+    sender = Plain(json.loads(Path(plan_file).read_text()), mode == "line")
+    try:
+        live(sender)
+    except RuntimeError as error:
+        sender.result["failed"] = str(error)
+    Path(result_file).write_text(json.dumps(sender.result))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,131 @@
+"""A user's day with real senders, each a program of its own, at `ugrbl sim` on its pseudo-terminal.
+
+Each comes to a locked machine, recognises Grbl 1.1, reads its settings, homes it, jogs, sets an
+offset, streams a program, overrides the feed, holds and resumes in the middle, and ends where it
+should, without having read a line it could make nothing of.
+"""
+
+import json
+import math
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from install import NotInstalled, cncjs, python
+from sim_bench import SETTINGS, STEPS_PER_MM, SWITCH_STEPS, Bench
+
+_HERE = Path(__file__).resolve().parent
+_PATIENCE_S = 240
+
+
+def spiral() -> list[str]:
+    """Some seconds of short moves, an arc, a dwell; in work coordinates, back to X-5 Y-7 Z-1."""
+    points = [
+        (-0.4 * n * math.cos(n / 2) - 2, -0.4 * n * math.sin(n / 2) - 2) for n in range(1, 25)
+    ]
+    lines = [f"G1 X{x:.3f} Y{y:.3f} F1200" for x, y in points]
+    ending = ["G2 X-5 Y-7 R20 F1200", "G4 P0.1", "G0 X-5 Y-7", "G1 Z-1 F600"]
+    return ["G21 G90 G94", "G17 G54", "G0 X0 Y0", *lines, *ending]
+
+
+PLAN: dict[str, Any] = {
+    "program": spiral(),
+    "homed": [-1.0, -1.0, -1.0],
+    "jog": "$J=G91 G21 X-10 Y-20 F3000",
+    "jogged": [-11.0, -21.0, -1.0],
+    "zero": "G10 L20 P1 X0 Y0 Z0",
+    "ended": [-16.0, -28.0, -2.0],
+}
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    running = Bench(tmp_path, settings=SETTINGS)
+    yield running
+    running.kill()
+
+
+def available(install: Any) -> Path:
+    """Where a sender is; where it cannot be had, the test is skipped and says why."""
+    try:
+        return Path(install())
+    except NotInstalled as error:
+        pytest.skip(str(error))
+
+
+def live(bench: Bench, *command: object) -> Any:
+    """Let a sender live through the day; returns what it noted."""
+    folder = bench.port.parent
+    plan, result = folder / "plan.json", folder / "result.json"
+    plan.write_text(json.dumps({**PLAN, "port": str(bench.port)}))
+    words = [str({"PLAN": plan, "RESULT": result}.get(str(word), word)) for word in command]
+    done = subprocess.run(
+        words, capture_output=True, text=True, timeout=_PATIENCE_S, cwd=folder, check=False
+    )
+    assert result.exists(), done.stdout[-2000:] + done.stderr[-4000:]
+    noted = json.loads(result.read_text())
+    assert "failed" not in noted, (noted, done.stderr[-2000:])
+    return noted
+
+
+def judge(noted: Any, bench: Bench) -> None:
+    """What holds for every sender's day, by its own words and by the machine's."""
+    assert noted["unparsed"] == []
+    assert [text for text in noted["errors"] if "error" in text or "ALARM" in text] == []
+    assert float(noted["settings"]["110"]) == SETTINGS[110]
+    assert len(noted["settings"]) == 34
+    assert noted["homed"] == PLAN["homed"]
+    assert noted["zeroed"] == [0, 0, 0]
+    assert noted["held"] != PLAN["ended"]
+    assert noted["mpos"] == PLAN["ended"]
+    assert noted["wpos"] == [-5, -7, -1]
+    sent = bench.wire(">")
+    assert sent.index(b"!") < sent.rindex(b"~")
+    # From the switch, at machine position 0, by the motors' own count.
+    switch = [SWITCH_STEPS + mm * STEPS_PER_MM for mm in PLAN["ended"]]
+    assert bench.stop() == pytest.approx(switch, abs=1)
+
+
+def test_cncjs(bench: Bench) -> None:
+    home = available(cncjs)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        http_port = free.getsockname()[1]
+    noted = live(bench, "node", _HERE / "drive_cncjs.js", home, "PLAN", "RESULT", http_port)
+    assert noted["controller"] == "Grbl"
+    assert max(noted["override"]) == 120
+    assert "Hold" in noted["states"]
+    judge(noted, bench)
+
+
+def test_bcnc(bench: Bench) -> None:
+    interpreter = available(python)
+    has_tk = subprocess.run([interpreter, "-c", "import tkinter"], check=False, capture_output=True)
+    if has_tk.returncode:
+        pytest.skip("bCNC needs Tk, and this Python has been built without it")
+    noted = live(bench, interpreter, _HERE / "drive_bcnc.py", "PLAN", "RESULT")
+    assert noted["controller"] == "GRBL1"
+    assert noted["version"] == "1.1h"
+    assert max(noted["override"]) == 120
+    judge(noted, bench)
+
+
+def test_grbl_streamer(bench: Bench) -> None:
+    interpreter = available(python)
+    noted = live(bench, interpreter, _HERE / "drive_grbl_streamer.py", "PLAN", "RESULT")
+    assert noted["version"] == "1.1h"
+    assert 1500 in noted["override"]
+    judge(noted, bench)
+
+
+@pytest.mark.parametrize("mode", ["line", "count"])
+def test_a_plain_streamer(bench: Bench, mode: str) -> None:
+    noted = live(bench, sys.executable, _HERE / "drive_plain.py", mode, "PLAN", "RESULT")
+    assert noted["version"] == "1.1h"
+    assert max(noted["override"]) == 120
+    assert "Hold:0" in noted["states"]
+    judge(noted, bench)

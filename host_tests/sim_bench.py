@@ -1,0 +1,159 @@
+"""`ugrbl sim` on a bench: limit switches to home against, inputs to push, a log of the wire.
+
+As a program it is `ugrbl sim` with these added, see serve(); as a module, Bench
+runs that program in a process of its own.
+"""
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+_PATIENCE_S = 20.0
+_HERE = Path(__file__).resolve().parent
+
+# Where the simulated machine's limit switches close, in steps from where it is switched on.
+SWITCH_STEPS = 5000
+STEPS_PER_MM = 250
+# Fast enough for a test in real time, and with everything that stock settings leave off.
+SETTINGS = {
+    1: 255,
+    22: 1,
+    24: 300,
+    25: 3000,
+    26: 5,
+    27: 1,
+    110: 3000,
+    111: 3000,
+    112: 3000,
+    120: 400,
+    121: 400,
+    122: 400,
+}
+
+
+class Bench:
+    """A running simulator. settings: kept in it from the start, by number."""
+
+    def __init__(self, folder: Path, *arguments: str, settings: dict[int, float] = {}) -> None:  # noqa: B006
+        self.port = folder / "grbl"
+        self.wire_log = folder / "wire.jsonl"
+        self._place = Path(f"{self.wire_log}.place")
+        kept = folder / "settings.txt"
+        if settings:
+            lines = "".join(f"    ${number}={value:g}\n" for number, value in settings.items())
+            kept.write_text("[settings]\n" + lines + "[startup]\n    \n    \n")
+        command = [sys.executable, __file__, str(self.wire_log), "sim", "--port", str(self.port)]
+        command += ["--settings", str(kept), *arguments]
+        self.process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            env={**os.environ, "UGRBL_VIPER": "fast"},
+            text=True,
+        )
+        until = time.monotonic() + _PATIENCE_S
+        while not self.port.is_symlink():
+            assert self.process.poll() is None and time.monotonic() < until, "no simulator"
+            time.sleep(0.02)
+
+    def push(self, pin: str, closed: bool = True) -> None:
+        """Close or open an input by hand: limit_x … limit_z, probe, reset, hold, start."""
+        assert self.process.stdin
+        self.process.stdin.write(json.dumps({pin: closed}) + "\n")
+        self.process.stdin.flush()
+
+    def stop(self) -> list[int]:
+        """Switch it off; returns where the motors stand, in steps from where they began."""
+        self.process.send_signal(signal.SIGTERM)
+        self.process.wait(_PATIENCE_S)
+        place: list[int] = json.loads(self._place.read_text())
+        return place
+
+    def kill(self) -> None:
+        """However it went, no process is left."""
+        self.process.kill()
+        self.process.communicate()
+
+    def wire(self, direction: str) -> bytes:
+        """Everything a sender has sent (">"), or has been sent ("<")."""
+        rows = [json.loads(line) for line in self.wire_log.read_text().splitlines()]
+        return b"".join(row[2].encode("latin-1") for row in rows if row[1] == direction)
+
+
+def serve(wire_log: Path, arguments: list[str]) -> None:
+    """Be `ugrbl sim`, fitted with switches; commands for inputs come as JSON on stdin."""
+    from ugrbl import machine, pty_link
+    from ugrbl.cli import app
+
+    build = machine.build
+    rigs = []
+
+    def fitted(*arguments: Any) -> Any:
+        rig = build(*arguments)
+        _fit_switches(rig)
+        _listen(rig)
+        rigs.append(rig)
+        return rig
+
+    machine.build = fitted
+    _log(pty_link.Pty, wire_log)
+    app(arguments, standalone_mode=False)
+    rig = rigs[0]
+    rig.engine.physical(rig.scratch)
+    Path(f"{wire_log}.place").write_text(json.dumps(list(rig.scratch)))
+
+
+def _fit_switches(rig: Any) -> None:
+    from ugrbl.sim.engine import Switch
+
+    for axis, letter in enumerate("xyz"):
+        rig.engine.switches.append(Switch(f"limit_{letter}", axis, True, SWITCH_STEPS))
+
+
+def _listen(rig: Any) -> None:
+    """Whenever the firmware reads, look for commands on stdin, too."""
+    read = rig.link.read_into
+    rest = ""
+
+    def read_into(buf: bytearray) -> int:
+        nonlocal rest
+        while select.select([0], [], [], 0)[0] and (data := os.read(0, 4096)):
+            *lines, rest = (rest + data.decode()).split("\n")
+            for line in lines:
+                rig.port.push(json.loads(line))
+        return int(read(buf))
+
+    rig.link.read_into = read_into
+
+
+def _log(pty: Any, file: Path) -> None:
+    """Note what goes over the wire, with the time."""
+    out = file.open("w", buffering=1)
+    read, write = pty.read, pty.write
+
+    def note(direction: str, data: bytes) -> None:
+        if data:
+            out.write(json.dumps([time.monotonic(), direction, data.decode("latin-1")]) + "\n")
+
+    def logged_read(self: Any, limit: int) -> bytes:
+        data: bytes = read(self, limit)
+        note(">", data)
+        return data
+
+    def logged_write(self: Any, data: bytes) -> None:
+        note("<", data)
+        write(self, data)
+
+    pty.read, pty.write = logged_read, logged_write
+
+
+if __name__ == "__main__":
+    # This folder holds the stand-ins of the firmware's tests, not the simulator's modules.
+    sys.path.remove(str(_HERE))
+    serve(Path(sys.argv[1]), sys.argv[2:])

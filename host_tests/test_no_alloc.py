@@ -1,0 +1,113 @@
+"""The interrupt's path and a line's kernels allocate nothing, under the desktop MicroPython."""
+
+from pathlib import Path
+
+import pytest
+from micropython_runner import needs_micropython, run_micropython
+
+pytestmark = needs_micropython
+
+FIRMWARE = Path(__file__).parent.parent / "firmware"
+
+# `proved` is called once to fill caches, then again with the heap locked. Its calls take no
+# arguments: passing on a tuple of them would allocate by itself.
+_BENCH = """
+import gc
+from array import array
+
+import kernels
+import micropython
+import words
+from f32 import vector
+from planner import Move, Planner
+from segments import Segments
+from state import State
+
+
+class Settings:
+    steps_per_mm = array("f", [250.0, 80.0, 4000.0])
+    max_rate = array("f", [3000.0, 5000.0, 500.0])
+    acceleration = array("f", [360000.0, 3600000.0, 36000.0])
+    junction_deviation_mm = 0.01
+
+
+def allocates(proved):
+    proved()
+    failed = False
+    gc.collect()
+    micropython.heap_lock()
+    try:
+        proved()
+    except MemoryError:
+        failed = True
+    micropython.heap_unlock()
+    return failed
+
+
+planner = Planner(3, 16, False, State())
+planner.configure(Settings, 13107200, 17, 90909)
+segments = Segments(planner)
+flow, ring, machine = planner.flow, planner.ring, planner.machine
+row = array("i", [0] * kernels.row_length(3))
+move = Move()
+target = vector(3)
+
+
+def plan():
+    for i in range(8):
+        target[0] = 3.0 * (i % 3)
+        target[1] = 0.7 * i
+        target[2] = -0.1 * i
+        move.feed = 1000.0
+        planner.line(target, move, 0)
+
+
+plan()
+block = memoryview(ring)[: flow[kernels.ROW_SIZE]]
+steps = array("i", [0] * 3)
+there = array("i", [1000, 2000, -300])
+resolutions = Settings.steps_per_mm
+text = bytearray(b"G1X-12.345Y0.0000678Z99999999.9F1500S12000\\0")
+end = len(text) - 1 << 8
+letters = bytearray(128)
+values = array("f", [0.0] * 128)
+"""
+
+_PROVED = {
+    "to_steps": "kernels.to_steps(target, resolutions, steps, 3)",
+    "measure": "kernels.measure(there, steps, block, machine)",
+    "limit": "kernels.limit(block, machine)",
+    "turn": "kernels.turn(block, machine)",
+    "schedule": "kernels.schedule(block, machine)",
+    "reverse_pass": "kernels.reverse_pass(ring, flow, 1)",
+    "scan": "words.scan(text, end, letters, values)",
+}
+
+_SEGMENTS = """
+def make():
+    made = 0
+    for k in range(400):
+        if k == 60:
+            segments.hold(True)
+        if k == 120:
+            segments.hold(False)
+        made += segments.next(row)
+    return made
+
+print(allocates(make), flow[kernels.TAIL] > 2)
+"""
+
+
+def test_what_allocates_is_found() -> None:
+    control = 'x = 1.0\nprint(allocates(lambda: x + 1.5), allocates(lambda: "%d" % 7))'
+    assert run_micropython(_BENCH + control, paths=[FIRMWARE]).split() == ["True", "True"]
+
+
+@pytest.mark.parametrize("call", _PROVED.values(), ids=_PROVED)
+def test_a_kernel_allocates_nothing(call: str) -> None:
+    proof = f"print(allocates(lambda: {call}))"
+    assert run_micropython(_BENCH + proof, paths=[FIRMWARE]) == "False\n"
+
+
+def test_segments_are_made_without_allocating_through_blocks_and_holds() -> None:
+    assert run_micropython(_BENCH + _SEGMENTS, paths=[FIRMWARE]).split() == ["False", "True"]

@@ -1,0 +1,112 @@
+"""Prints what kernels and words make of pseudo-random vectors: the same on every Python."""
+
+import sys
+from array import array
+
+import kernels
+import words
+from f32 import vector
+from kernels import ROWS
+from planner import Move, Planner
+from segments import Segments
+from state import State
+
+
+class Dice:
+    """A small generator that needs no module and no big integers."""
+
+    def __init__(self, seed):
+        self._state = seed
+
+    def below(self, limit):
+        """An integer from 0 to limit - 1, limit up to 2**24."""
+        self._state = (self._state * 1103 + 12345) % 16777213
+        return self._state % limit
+
+    def any(self, choices):
+        """One of them."""
+        return choices[self.below(len(choices))]
+
+
+def print_reals(dice):
+    """The arithmetic of reals and of the interrupt."""
+    for _ in range(2000):
+        a = kernels.pack(1 + dice.below(1 << 24), 50 + dice.below(28))
+        b = kernels.pack(1 + dice.below(1 << 24), 50 + dice.below(28))
+        n, m = dice.below(1 << 24) << dice.below(6), dice.below(1 << 24)
+        part = dice.below(131073)
+        print(
+            kernels.mul(a, b),
+            kernels.div(a, b),
+            kernels.whole(a, dice.below(16)),
+            kernels.real_root(a),
+            kernels.square_root(n),
+            kernels.share(n, m + 1),
+            kernels.times(n, part),
+            kernels.braking(max(n, m), min(n, m), 1 + dice.below(1 << 20), dice.any((0, 18))),
+            kernels.after(n, 1 + dice.below(1 << 20), m, dice.below(2)),
+        )
+
+
+def print_words(dice):
+    """Numbers of any length, read into the bits of floats."""
+    letters, values = bytearray(128), array("f", [0.0] * 128)
+    for _ in range(1500):
+        text = ""
+        for _ in range(1 + dice.below(5)):
+            text += dice.any("GXYZF") + dice.any(("", "-", "+"))
+            text += str(dice.below(10 ** (1 + dice.below(7))))
+            if dice.below(2):
+                text += "." + "0" * dice.below(4) + str(dice.below(10 ** (1 + dice.below(7))))
+        letters[0] = 1
+        count = words.scan(bytearray(text.encode() + b"\0"), len(text) << 8, letters, values)
+        bits = bytes(array("f", [values[i] for i in range(count & 255)]))
+        print(text, count, list(bits))
+
+
+class Settings:
+    """What Planner.configure() takes."""
+
+    junction_deviation_mm = 0.01
+
+    def __init__(self, dice):
+        self.steps_per_mm = array("f", [dice.any((5.0, 80.0, 250.0, 3200.0)) for _ in range(3)])
+        self.max_rate = array("f", [dice.any((100.0, 500.0, 3000.0, 20000.0)) for _ in range(3)])
+        self.acceleration = array(
+            "f", [dice.any((36000.0, 360000.0, 3600000.0)) for _ in range(3)]
+        )
+
+
+def print_blocks(dice):
+    """Blocks as they are planned, and the rows of segments cut from them."""
+    row = array("i", [0] * kernels.row_length(3))
+    target = vector(3)
+    move = Move()
+    for k in range(100):
+        planner = Planner(3, 16, k % 5 == 4, State())
+        planner.configure(Settings(dice), 13107200, 17, 90909)
+        segments = Segments(planner)
+        for _ in range(40):
+            for i in range(3):
+                target[i] += dice.any((0.0, 0.25, 2.0)) * (dice.below(9) - 4)
+            move.feed = 30.0 * (1 + dice.below(100))
+            move.flags = dice.any((0, 0, 1))
+            head = planner.flow[kernels.HEAD]
+            if not planner.full() and planner.line(target, move, 0):
+                size = planner.flow[kernels.ROW_SIZE]
+                print([planner.ring[head * size + i] for i in range(size)])
+            segments.hold(dice.below(12) == 0)
+            for _ in range(dice.below(6)):
+                if segments.next(row):
+                    print(list(row))
+        print(list(planner.flow), planner.flow[ROWS])
+
+
+def main():
+    """Print the part named on the command line."""
+    parts = {"reals": print_reals, "words": print_words, "blocks": print_blocks}
+    parts[sys.argv[1]](Dice(4711))
+
+
+if __name__ == "__main__":
+    main()
