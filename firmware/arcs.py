@@ -2,6 +2,7 @@
 
 import math
 
+from f32 import whole
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -46,7 +47,7 @@ class Arc:
         squared = tolerance * (2 * self.radius - tolerance)
         if squared <= 0:
             return 0
-        return int(abs(0.5 * angle * self.radius) / math.sqrt(squared))
+        return whole(abs(0.5 * angle * self.radius) / math.sqrt(squared)) & 0xFFFF
 
     def follow(
         self,

@@ -7,7 +7,7 @@ ones, two of a group, one repeated. Touches nothing but itself.
 
 import errors
 from errors import GrblError
-from f32 import f32, vector
+from f32 import f32, vector, whole
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -147,6 +147,7 @@ WORD_S = const(0x1000)
 WORD_T = const(0x2000)
 _NOT_NEGATIVE = const(0x3680)  # F, N, P, S, T
 _HIGHEST_TOOL = const(255)
+_MANY = const(100000000)  # more than any line number
 
 
 class Modal:
@@ -229,7 +230,7 @@ class Block:
 
     def _take_g(self, value: float) -> None:
         # The whole part is a byte; the rest, larger numbers included, counts as hundredths.
-        code = int(value) & 255
+        code = whole(value) & 255
         hundredths = _round(100 * f32(value - code))
         row = _G_WORDS.get(code)
         if row is None:
@@ -258,7 +259,7 @@ class Block:
         self._claim_group(group)
 
     def _take_m(self, value: float) -> None:
-        code = int(value) & 255
+        code = whole(value) & 255
         if _round(100 * f32(value - code)):
             raise GrblError(errors.GCODE_COMMAND_VALUE_NOT_INTEGER)
         row = _M_WORDS.get(code)
@@ -294,11 +295,11 @@ class Block:
         elif bit & WORD_IJK:
             self.ijk[letter - 73] = value
         elif bit == WORD_L:
-            self.l = int(value) & 255
+            self.l = whole(value) & 255
         elif bit == WORD_N:
-            self.n = int(value)
+            self.n = whole(min(value, _MANY))
         elif bit == WORD_T:
-            self.t = int(value) & 255
+            self.t = whole(value) & 255
         else:
             setattr(self, chr(letter + 32), value)
 
@@ -306,4 +307,4 @@ class Block:
 def _round(x: float) -> int:
     """To the nearest whole number, halves away from zero, in 16 bits without sign."""
     x = f32(x)
-    return (int(x + 0.5) if x >= 0 else -int(0.5 - x)) & 0xFFFF
+    return (whole(x + 0.5) if x >= 0 else -whole(0.5 - x)) & 0xFFFF

@@ -11,7 +11,7 @@ import block as b
 import errors
 from coords import G28, G30, SYSTEMS
 from errors import GrblError
-from f32 import MM_PER_INCH, f32
+from f32 import MM_PER_INCH, f32, whole
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -129,7 +129,7 @@ def _set_coords(gcode: "Gcode", block: "Block") -> int:
         raise GrblError(errors.GCODE_NO_AXIS_WORDS)
     if not block.values & (b.WORD_P | b.WORD_L):
         raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
-    system = int(block.p) & 255
+    system = whole(block.p) & 255
     if system > SYSTEMS:
         raise GrblError(errors.GCODE_UNSUPPORTED_COORD_SYS)
     if block.l != 20 and (block.l != 2 or block.values & b.WORD_R):

@@ -3,6 +3,7 @@
 import errors
 import state as st
 from errors import GrblError
+from f32 import whole
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -231,7 +232,7 @@ class Commands:
             raise GrblError(errors.INVALID_STATEMENT)
         block = line[at + 1 : length + 1]
         self._gcode.execute(block, length - at - 1)
-        index = int(number)
+        index = whole(number)
         if 0 <= index < STARTUP_LINES:
             self._startup[index] = bytes(block[: length - at - 1]).decode()
             self._keep_startup()

@@ -16,6 +16,11 @@ def f32(x: float) -> float:
     return _cell[0]
 
 
+def whole(x: float) -> int:
+    """X without its fraction; 0 where 32 bits cannot hold it."""
+    return int(x) if -2147483648 <= x < 4294967296 else 0
+
+
 def vector(axes: int) -> "array[float]":
     """A position or offset: one single-precision number per axis, all 0."""
     return array("f", (0.0 for _ in range(axes)))

@@ -621,8 +621,12 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
             most += most >> 4
             if change > most:
                 change = most
-        distance = int(times(speed - (change >> 1), left))
-        return int(piece(flow, speed - change, distance if distance < rest else rest, left))
+        mean = speed - (change >> 1)
+        distance = int(times(mean, left))
+        if distance > rest:
+            distance = rest
+            left = int(share(rest, mean))
+        return int(piece(flow, speed - change, distance, left))
     part = int(share(rest, mean)) if mean else 1
     end = leave
     if speed - leave > int(times(ramp + (ramp >> 4), part)) + 4:

@@ -5,12 +5,10 @@ does so here, through `service`, which raises Abort after a reset. In check
 mode nothing moves and nothing waits.
 """
 
-import math
-
 import errors
 import planner as plan
 import state as st
-from f32 import f32, vector
+from f32 import f32, vector, whole
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -104,8 +102,11 @@ class Motion:
         if self._state.run == st.CHECK:
             return
         self.synchronise()
-        ticks = math.ceil(f32(_DWELL_TICKS_PER_S * seconds))
-        for _ in range(ticks):
+        exact = f32(_DWELL_TICKS_PER_S * seconds)
+        ticks = whole(exact)
+        if exact > ticks:
+            ticks += 1
+        for _ in range(ticks & 0xFFFF):
             self.pause_ms(_DWELL_TICK_MS)
 
     def pause_ms(self, milliseconds: int) -> None:

@@ -11,7 +11,7 @@ but the floats of its caller.
 from array import array
 
 import kernels
-from f32 import f32, vector
+from f32 import f32, vector, whole
 from kernels import AT, FLAGS, HEAD, LINE, LOADED, NOMINAL, ROWS, SYSTEM, TAIL
 from micropython import const
 
@@ -265,7 +265,7 @@ class Planner:
     def set_axis(self, motors: "array[int]", axis: int, mm: float) -> None:
         """Change the motors' steps so that the axis stands there."""
         product = f32(mm * self._steps_per_mm[axis])
-        steps = int(product + 0.5) if product >= 0 else -int(0.5 - product)
+        steps = whole(product + 0.5) if product >= 0 else -whole(0.5 - product)
         if self.corexy and axis < 2:
             other = self.axis_steps(motors, 1 - axis)
             x, y = (steps, other) if axis == 0 else (other, steps)

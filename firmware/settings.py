@@ -9,7 +9,7 @@ from array import array
 
 import errors
 from errors import GrblError
-from f32 import f32
+from f32 import f32, whole
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -145,15 +145,14 @@ class Settings:
         """Take over a kept line. Raises ValueError where it is not one that was ever written."""
         number, _, amount = line.partition("=")
         key, value = int(number[1:]), float(amount)
+        if not value >= 0:
+            raise ValueError(line)
         try:
-            self._row(key)
+            row, axis = self._row(key)
         except GrblError:
             self._unknown.append(line)  # another firmware's
-            return
-        try:
-            self._assign(key, value)
-        except GrblError as refusal:
-            raise ValueError(line) from refusal
+        else:
+            self._store_value(row, axis, value)
 
     def save(self) -> None:
         """Keep everything as it is now."""
@@ -212,9 +211,9 @@ class Settings:
                 amount = amount * _PER_SECOND_SQR
             getattr(self, row[1])[axis] = amount
         elif row[2] == _INT:
-            setattr(self, row[1], int(amount) & 255)
+            setattr(self, row[1], whole(amount) & 255)
         elif row[2] == _BOOL:
-            setattr(self, row[1], 1 if int(amount) & 255 else 0)
+            setattr(self, row[1], 1 if whole(amount) & 255 else 0)
         else:
             setattr(self, row[1], f32(amount))
 
@@ -237,15 +236,15 @@ class Settings:
     # Checks across fields, by number.
 
     def _check_pulse(self, axis: int, amount: float) -> None:
-        if int(amount) & 255 < 3:
+        if whole(amount) & 255 < 3:
             raise GrblError(errors.SETTING_STEP_PULSE_MIN)
 
     def _check_soft_limits(self, axis: int, amount: float) -> None:
-        if int(amount) & 255 and not self.homing:
+        if whole(amount) & 255 and not self.homing:
             raise GrblError(errors.SOFT_LIMIT_ERROR)
 
     def _check_homing(self, axis: int, amount: float) -> None:
-        if not int(amount) & 255:
+        if not whole(amount) & 255:
             self.soft_limits = 0  # they cannot be without
 
     def _check_resolution(self, axis: int, amount: float) -> None:
