@@ -147,6 +147,7 @@ WORD_S = const(0x1000)
 WORD_T = const(0x2000)
 _NOT_NEGATIVE = const(0x3680)  # F, N, P, S, T
 _HIGHEST_TOOL = const(255)
+_BEYOND = 2147483648.0
 _MANY = const(100000000)  # more than any line number
 
 
@@ -307,4 +308,6 @@ class Block:
 def _round(x: float) -> int:
     """To the nearest whole number, halves away from zero, in 16 bits without sign."""
     x = f32(x)
+    if abs(x) >= _BEYOND:
+        return 0xFFFF
     return (whole(x + 0.5) if x >= 0 else -whole(0.5 - x)) & 0xFFFF

@@ -81,7 +81,7 @@ _TABLE = (
     # Maximum travel, one value per axis, from the homing switch.
     (130, "max_travel", _AXIS, 200.0, "millimeters"),
 )
-_AXIS_STEP = const(10)
+_BEYOND = 3.5e38  # single precision
 
 # Held in these units inside, as single-precision Grbl does, and shown in the row's.
 _ACCELERATION = const(120)
@@ -145,7 +145,7 @@ class Settings:
         """Take over a kept line. Raises ValueError where it is not one that was ever written."""
         number, _, amount = line.partition("=")
         key, value = int(number[1:]), float(amount)
-        if not value >= 0:
+        if not 0 <= value < _BEYOND:
             raise ValueError(line)
         try:
             row, axis = self._row(key)
