@@ -7,7 +7,7 @@ BIN := .venv/bin
 VENV := .venv/installed
 TYPESHED := .venv/typeshed/merged
 
-.PHONY: run test check fmt lint types build clean test-emulator bench
+.PHONY: run test check fmt lint types build clean test-emulator test-senders bench docs
 
 run: $(VENV)  ## a demonstration in the simulator
 	$(BIN)/ugrbl demo
@@ -41,8 +41,14 @@ build: $(VENV)  ## firmware for MPY_ARCH into build/; prints bytes per module
 test-emulator: $(VENV)
 	$(BIN)/pytest -q host_tests/emulator
 
+test-senders: $(VENV)  ## real senders, installed into ~/.cache/ugrbl-senders, at the simulator
+	$(BIN)/pytest -q -rs host_tests/senders
+
 bench: $(VENV)
 	$(BIN)/ugrbl bench
+
+docs: $(VENV)  ## the tables in README.md, out of the firmware's own
+	$(BIN)/python -m ugrbl.docs
 
 clean:  ## all that is made, except .venv
 	rm -rf build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

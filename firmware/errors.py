@@ -117,6 +117,7 @@ MSG_PROGRAM_END = "Pgm End"
 MSG_RESTORE_DEFAULTS = "Restoring defaults"
 MSG_SPINDLE_RESTORE = "Restoring spindle"
 MSG_SLEEP = "Sleeping"
+MSG_NOT_KEPT = "Flash is full or worn: not kept"
 
 
 class GrblError(Exception):

@@ -90,6 +90,10 @@ class Protocol:
                 self._gcode.execute(line, length)
         except GrblError as refusal:
             self._report.error(refusal.code)
+        except OSError:
+            # It holds until the power goes, and no longer.
+            self._report.message(errors.MSG_NOT_KEPT)
+            self._report.error(errors.SETTING_READ_FAIL)
         except Abort:
             self._report.ok()  # the line was accepted; a reset cut it short
             raise

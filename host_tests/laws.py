@@ -231,7 +231,8 @@ class Watch:
         axes = range(self.planner.axes)
         steps = [row[kernels.STEPS + i] for i in axes]
         motors = tuple(-n if row[kernels.DIRS] >> i & 1 else n for i, n in enumerate(steps))
-        mm = [n / r for n, r in zip(to_axes(motors, self.limits), self.limits.steps_per_mm)]
+        # CoreXY: as in Grbl, length and limits are the motors'.
+        mm = [n / r for n, r in zip(motors, self.limits.steps_per_mm, strict=True)]
         length = sqrt(sum(x * x for x in mm))
         return Block(motors, tuple(x / length for x in mm), length, self.limits)
 
@@ -285,13 +286,6 @@ class Watch:
         """What the profile has still to go, in 2**-18 steps of the longest axis."""
         flow = self.planner.flow
         return (flow[kernels.WHOLE] << 18) + flow[kernels.FRACTION]
-
-
-def to_axes(motors: Sequence[float], limits: Limits) -> "list[float]":
-    """Steps of axes from those of motors."""
-    if limits.corexy:
-        return [(motors[0] + motors[1]) / 2, (motors[0] - motors[1]) / 2, *motors[2:]]
-    return list(motors)
 
 
 class Bench:
@@ -466,8 +460,7 @@ def check_pulses(watch: Watch, rows: Rows, pulse_us: float = 10) -> None:
         assert sum(sign for _, sign in train) == sum(planned), "net steps"
         assert len(train) == sum(map(abs, planned)), "pulses"
         check_spacing(train, hz, pulse_us)
-        if not limits.corexy:
-            _check_density(ticks, limits.speed(i) * limits.steps_per_mm[i] / hz)
+        _check_density(ticks, limits.speed(i) * limits.steps_per_mm[i] / hz)
 
 
 def check_spacing(train: "list[tuple[int, int]]", hz: int, pulse_us: float) -> None:

@@ -78,7 +78,7 @@ def test_coarse_ticks_keep_every_law(segment_log2: int) -> None:
 
 
 @programs
-def test_corexy_keeps_every_law_of_its_axes(program) -> None:
+def test_corexy_keeps_every_law_of_its_motors(program) -> None:
     bench = Bench(replace(fast, corexy=True))
     program(bench)
     bench.check()
@@ -105,7 +105,6 @@ def test_an_override_at_any_moment_keeps_every_law(feed: int, after: int) -> Non
     bench.check()
 
 
-@pytest.mark.xfail(reason="kernels.brake: cuts the last piece's way short, but not its time")
 def test_an_override_too_late_to_brake_for_keeps_every_law() -> None:
     bench = Bench(Limits((80.0,) * 3, (3000.0,) * 3, deviation=0.05))
     bench.line((0.5, 0, 0), 1000)

@@ -4,10 +4,10 @@ import struct
 from array import array
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
-from oracle import read_number, read_words
-from words import Words, scan
+from oracle import read_number, read_words, single
+from words import Words, add_single, scan
 
 
 def bits(x: float) -> int:
@@ -42,31 +42,84 @@ def test_a_number_is_rounded_digit_by_digit_as_by_grbl(text: str) -> None:
 
 @given(st.lists(pieces, max_size=12).map(lambda parts: "".join(parts)[:127]))
 def test_a_line_is_read_word_by_word_up_to_the_first_fault(text: str) -> None:
-    words = Words()
-    words.read(bytearray(text.encode() + b"\0"), 0, len(text))
-    found = [(chr(words.letters[i]), bits(words.values[i])) for i in range(words.count)]
+    line = Words()
+    line.read(bytearray(text.encode() + b"\0"), 0, len(text))
+    found = [(chr(line.letters[i]), bits(line.values[i])) for i in range(line.count)]
     expected, fault = read_words(text)
     assert found == [(letter, bits(value)) for letter, value in expected]
-    assert words.fault == fault
+    assert line.fault == fault
 
 
 @settings(max_examples=200)
 @given(st.binary(max_size=126))
 def test_any_bytes_are_read_without_raising(data: bytes) -> None:
-    words = Words()
-    words.read(bytearray(data + b"\0"), 0, len(data))
-    assert words.count <= len(data)
+    line = Words()
+    line.read(bytearray(data + b"\0"), 0, len(data))
+    assert line.count <= len(data)
 
 
 @pytest.mark.parametrize("start", [0, 2])
 def test_reading_begins_where_it_is_told(start: int) -> None:
-    words = Words()
+    line = Words()
     text = b"$$X1Y2"[2 - start :]
-    words.read(bytearray(text + b"\0"), start, len(text))
-    assert bytes(words.letters[: words.count]) == b"XY"
-    assert list(words.values[:2]) == [1, 2]
+    line.read(bytearray(text + b"\0"), start, len(text))
+    assert bytes(line.letters[: line.count]) == b"XY"
+    assert list(line.values[:2]) == [1, 2]
 
 
 def test_nothing_is_read_behind_the_end() -> None:
     values = array("f", [0.0] * 4)
     assert scan(bytearray(b"X1Y2\0"), 2 << 8, bytearray(b"\1\0\0\0"), values) == 1
+
+
+# Plain lines
+
+normal = st.floats(width=32, min_value=-(2.0**100), max_value=2.0**100, allow_subnormal=False)
+places = st.one_of(normal, st.sampled_from([0.0, 1.0, -1.0, 0.1, -16777216.0, 2.0**-100]))
+
+
+@settings(max_examples=500)
+@given(places, places)
+@example(1.0, -1.0)
+@example(1.0, 2.0**-24)
+@example(1.0000001, 2.0**-24)
+@example(1.0, -(2.0**-25))
+@example(16777216.0, -0.50000006)
+def test_an_offset_is_added_as_in_single_precision(value: float, offset: float) -> None:
+    a, b = array("f", [offset]), array("f", [value])
+    expected = single(b[0] + a[0])
+    assume(expected == 0 or 2.0**-126 <= abs(expected))
+    add_single(a, 0, b, 0)
+    assert (b[0] == 0) if expected == 0 else bits(b[0]) == bits(expected)
+
+
+def test_a_sum_beyond_single_precision_is_infinite() -> None:
+    a, b = array("f", [3e38]), array("f", [3e38])
+    add_single(a, 0, b, 0)
+    assert b[0] == float("inf")
+
+
+@given(st.lists(pieces, max_size=6).map("".join))
+@example("N10000000X1")
+@example("N9999999X1")
+@example("G1X1F-1")
+@example("G00X-0F-0")
+def test_a_plain_line_holds_nothing_that_could_be_wrong(text: str) -> None:
+    found, fault = read_words(text)
+    letters = [letter for letter, _ in found]
+    line = Words()
+    line.read(bytearray(text.encode() + b"\0"), 0, len(text))
+    seen = line.plain()
+    if not seen:
+        return
+    assert not fault
+    assert len(set(letters)) == len(letters)
+    assert set(letters) <= set("GXYZAFNS")
+    for at, (letter, value) in enumerate(found):
+        bit = {"F": 4, "S": 5, "N": 8, "A": 3, "G": 6 + int(value)}.get(letter)
+        assert letter != "G" or value in (0, 1)
+        assert letter not in "FNS" or value >= 0
+        assert letter != "N" or value < 10_000_000
+        bit = ord(letter) - ord("X") if bit is None else bit
+        assert seen >> bit & 1
+        assert line.at[bit] == at

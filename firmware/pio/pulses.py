@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 # A segment row, as kernels.py says; viper wants its constants in the same file.
 _ROW_TICKS = const(0)
 _ROW_DIRS = const(1)
+_ROW_POWER = const(2)
 _ROW_AXES = const(3)  # per motor: steps, tick of the first, tick of the last
 _ROW_STRIDE = const(3)
 
@@ -35,6 +36,10 @@ FROZEN = const(6)  # position of a locked axis
 # step, long gaps, short gaps, rest.
 RING_LOG2 = const(5)
 _RING_MASK = const(31)
+
+# The longest row that convert() takes, and the length of the pieces of longer ones, in ticks.
+LONGEST = const(0x20000)
+_PIECE = const(0x10000)
 
 # Timing: what convert() is told, in ticks.
 AXES = const(0)
@@ -134,6 +139,38 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
         lanes[lane + CARRY] = carry
         lanes[lane + DIR] = level
     return late
+
+
+@micropython.viper
+def cut(row: ptr32, whole: ptr32, begin: int, axes: int) -> int:
+    """Fill a row with a piece of a long one, from tick `begin` on. Returns its end, or 0 at the last.
+
+    For rows that last longer than a word can wait: their steps are few.
+    """
+    ticks = whole[_ROW_TICKS]
+    end = begin + _PIECE
+    if end + _PIECE > ticks:
+        end = ticks
+    row[_ROW_TICKS] = end - begin
+    row[_ROW_DIRS] = whole[_ROW_DIRS]
+    row[_ROW_POWER] = whole[_ROW_POWER]
+    for i in range(axes):
+        base = _ROW_AXES + _ROW_STRIDE * i
+        steps = whole[base]
+        span = whole[base + 2] - whole[base + 1]
+        gap = span // (steps - 1) if steps > 1 else 0
+        longer = span - gap * (steps - 1)
+        tick = whole[base + 1] - begin
+        count = 0
+        for k in range(steps):
+            if tick >= 0 and (tick < end - begin or end == ticks):
+                if count == 0:
+                    row[base + 1] = tick
+                row[base + 2] = tick
+                count += 1
+            tick += gap + 1 if k < longer else gap
+        row[base] = count
+    return end if end < ticks else 0
 
 
 @micropython.viper

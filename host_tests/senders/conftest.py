@@ -1,4 +1,4 @@
-"""These run when asked for by name (`make test-senders`): they install programs and take minutes."""
+"""These run when asked for by name (`make test-senders`): they install programs, and take long."""
 
 from pathlib import Path
 

@@ -146,7 +146,11 @@ class Day:
         sender.resume()
         self.until("resumed", lambda: values["state"] == "Run")
         self.until("done", lambda: sender._gcount >= sender._runLines and self.at(plan["ended"]))
+        # As its window does at the end of a job: hold, reset, unlock, and set everything up again.
+        sender.cleanAfter = True
         sender.runEnded()
+        self.until("purged", lambda: not sender.cleanAfter and sender.queue.empty())
+        self.until("in place", lambda: self.at(plan["ended"]))
         result["mpos"], result["wpos"] = self.place("m"), self.place("w")
 
 

@@ -35,7 +35,18 @@ def cncjs() -> Path:
             raise NotInstalled("cncjs needs Node.js and npm")
         home.mkdir(parents=True, exist_ok=True)
         # Its native part comes ready made; scripts would only build what is there.
-        _run([npm, "install", "--prefix", home, "--no-audit", "--no-fund", "--ignore-scripts", CNCJS])
+        _run(
+            [
+                npm,
+                "install",
+                "--prefix",
+                home,
+                "--no-audit",
+                "--no-fund",
+                "--ignore-scripts",
+                CNCJS,
+            ]
+        )
     return package
 
 

@@ -1,4 +1,4 @@
-"""A user's day with real senders, each a program of its own, at `ugrbl sim` on its pseudo-terminal.
+"""A user's day with real senders, each a program of its own, at the terminal of `ugrbl sim`.
 
 Each comes to a locked machine, recognises Grbl 1.1, reads its settings, homes it, jogs, sets an
 offset, streams a program, overrides the feed, holds and resumes in the middle, and ends where it
@@ -85,9 +85,10 @@ def judge(noted: Any, bench: Bench) -> None:
     assert noted["wpos"] == [-5, -7, -1]
     sent = bench.wire(">")
     assert sent.index(b"!") < sent.rindex(b"~")
-    # From the switch, at machine position 0, by the motors' own count.
+    # From the switch, at machine position 0, by the motors' own count. Homing looks at its
+    # switches as often as the computer lets it.
     switch = [SWITCH_STEPS + mm * STEPS_PER_MM for mm in PLAN["ended"]]
-    assert bench.stop() == pytest.approx(switch, abs=1)
+    assert bench.stop() == pytest.approx(switch, abs=12)
 
 
 def test_cncjs(bench: Bench) -> None:
@@ -104,7 +105,9 @@ def test_cncjs(bench: Bench) -> None:
 
 def test_bcnc(bench: Bench) -> None:
     interpreter = available(python)
-    has_tk = subprocess.run([interpreter, "-c", "import tkinter"], check=False, capture_output=True)
+    has_tk = subprocess.run(
+        [interpreter, "-c", "import tkinter"], check=False, capture_output=True
+    )
     if has_tk.returncode:
         pytest.skip("bCNC needs Tk, and this Python has been built without it")
     noted = live(bench, interpreter, _HERE / "drive_bcnc.py", "PLAN", "RESULT")

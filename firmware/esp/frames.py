@@ -1,0 +1,199 @@
+# mypy: disable-error-code=arg-type
+"""Frames: from segment rows to the words that shift registers are filled with, in integers.
+
+A frame is one 32-bit word: what all outputs show for so many microseconds. Frames come in
+buffers of 256, the length of one DMA buffer of machine.I2S. A lane is what is remembered per
+axis, a few integers. Times are in ticks, 16 to a frame, counted from the start of the buffer
+being filled; what they point at may lie before it or behind it.
+
+A pulse never reaches over the end of a buffer: what follows may be zeros (see i2s.py), and must
+not be the second half of a step. Called in the engine's turns; nothing here allocates.
+"""
+
+import micropython
+from micropython import const
+
+# A segment row, as kernels.py says; viper wants its constants in the same file.
+_ROW_TICKS = const(0)
+_ROW_DIRS = const(1)
+_ROW_AXES = const(3)
+_ROW_STRIDE = const(3)
+
+FRAMES = const(256)  # of a buffer: DMA_BUF_LEN_IN_I2S_FRAMES of MicroPython's machine_i2s.c
+FRAME_LOG2 = const(4)  # ticks of a frame
+_TICKS = const(4096)  # of a buffer
+
+# Lanes: integers per axis.
+LANE = const(11)
+STEP = const(0)  # the bit of its step output,
+DIR = const(1)  # and of its direction output
+INVERT = const(2)  # 1: the direction output is high forwards
+BACK = const(3)  # 1: it turns backwards
+TURN = const(4)  # frame in which the direction output is to change; -1: no change is due
+FREE = const(5)  # from this frame on it may step
+LEFT = const(6)  # steps of the row that are still to come,
+NEXT = const(7)  # the next one's tick, from the start of the row,
+GAP = const(8)  # ticks from step to step,
+LONGER = const(9)  # and how many gaps are longer by one tick
+PLACE = const(10)  # position after all steps put into buffers
+
+# What all lanes share.
+AXES = const(0)
+PULSE = const(1)  # frames of a pulse
+SETUP = const(2)  # frames from a change of direction to a step
+WORD = const(3)  # all outputs but the steps, as the buffer begins
+ROW_AT = const(4)  # tick at which the row begins,
+ROW_END = const(5)  # and ends
+LOCKED = const(6)  # mask of axes that stand still
+LATE_FRAMES = const(7)  # frames that reversals have had to be waited for, in all
+TIMING_LENGTH = const(8)
+
+
+@micropython.viper
+def blank(frames: ptr32, word: int) -> int:
+    """Fill a buffer with one word."""
+    for i in range(FRAMES):
+        frames[i] = word
+    return 0
+
+
+@micropython.viper
+def begin_buffer(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
+    """Start a buffer, the next in time: no steps yet, but changes of direction that are due."""
+    word = timing[WORD]
+    for i in range(FRAMES):
+        frames[i] = word
+    for i in range(timing[AXES]):
+        turn = lanes[LANE * i + TURN]
+        if turn >= 0:
+            lanes[LANE * i + TURN] = -1
+            flip = lanes[LANE * i + DIR]
+            word ^= flip
+            for k in range(turn, FRAMES):
+                frames[k] = frames[k] ^ flip
+    timing[WORD] = word
+    return 0
+
+
+@micropython.viper
+def end_buffer(timing: ptr32, lanes: ptr32) -> int:
+    """Count from the start of the next buffer."""
+    timing[ROW_AT] = timing[ROW_AT] - _TICKS
+    timing[ROW_END] = timing[ROW_END] - _TICKS
+    for i in range(timing[AXES]):
+        lane = LANE * i
+        free = lanes[lane + FREE] - FRAMES
+        lanes[lane + FREE] = free if free > 0 else 0
+        if lanes[lane + TURN] >= 0:
+            lanes[lane + TURN] = lanes[lane + TURN] - FRAMES
+    return 0
+
+
+@micropython.viper
+def lateness(row: ptr32, timing: ptr32, lanes: ptr32) -> int:
+    """Ticks by which a row that would begin at ROW_END has to begin later.
+
+    An axis that reverses too soon after its last step makes all axes wait, and so do pulses
+    that would run into each other.
+    """
+    late = 0
+    at = timing[ROW_END]
+    for i in range(timing[AXES]):
+        base = _ROW_AXES + _ROW_STRIDE * i
+        if row[base] and (timing[LOCKED] >> i) & 1 == 0:
+            lane = LANE * i
+            earliest = lanes[lane + FREE]
+            if (row[_ROW_DIRS] >> i) & 1 != lanes[lane + BACK]:
+                turn = at >> FRAME_LOG2
+                if turn > earliest:
+                    earliest = turn
+                earliest += timing[SETUP]
+            lack = (earliest << FRAME_LOG2) - at - row[base + 1]
+            if lack > late:
+                late = lack
+    return late
+
+
+@micropython.viper
+def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int) -> int:
+    """Take up a row: it begins where the last one ended, and so much later."""
+    now = timing[ROW_END] >> FRAME_LOG2
+    timing[ROW_AT] = timing[ROW_END] + late
+    timing[ROW_END] = timing[ROW_AT] + row[_ROW_TICKS]
+    timing[LATE_FRAMES] = timing[LATE_FRAMES] + (late >> FRAME_LOG2)
+    for i in range(timing[AXES]):
+        lane = LANE * i
+        base = _ROW_AXES + _ROW_STRIDE * i
+        steps = row[base] if (timing[LOCKED] >> i) & 1 == 0 else 0
+        lanes[lane + LEFT] = steps
+        if steps:
+            lanes[lane + NEXT] = row[base + 1]
+            if steps > 1:
+                span = row[base + 2] - row[base + 1]
+                lanes[lane + GAP] = span // (steps - 1)
+                lanes[lane + LONGER] = span % (steps - 1)
+            if (row[_ROW_DIRS] >> i) & 1 != lanes[lane + BACK]:
+                lanes[lane + BACK] = 1 - lanes[lane + BACK]
+                turn = lanes[lane + FREE]
+                if now > turn:
+                    turn = now
+                if turn >= FRAMES:
+                    lanes[lane + TURN] = turn
+                else:
+                    flip = lanes[lane + DIR]
+                    timing[WORD] = timing[WORD] ^ flip
+                    for k in range(turn, FRAMES):
+                        frames[k] = frames[k] ^ flip
+    return 0
+
+
+@micropython.viper
+def render(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
+    """Put the row's steps into the buffer. Returns whether the row is over and there is room."""
+    over = 1 if timing[ROW_END] < _TICKS else 0
+    pulse = timing[PULSE]
+    for i in range(timing[AXES]):
+        lane = LANE * i
+        bit = lanes[lane + STEP]
+        while lanes[lane + LEFT]:
+            frame = (timing[ROW_AT] + lanes[lane + NEXT]) >> FRAME_LOG2
+            if frame < lanes[lane + FREE]:
+                frame = lanes[lane + FREE]
+            if frame < FRAMES and frame + pulse > FRAMES:
+                frame = FRAMES
+                lanes[lane + FREE] = FRAMES
+            if frame >= FRAMES:
+                over = 0
+                break
+            for k in range(frame, frame + pulse):
+                frames[k] = frames[k] | bit
+            lanes[lane + FREE] = frame + pulse + 1
+            lanes[lane + LEFT] = lanes[lane + LEFT] - 1
+            gap = lanes[lane + GAP]
+            if lanes[lane + LONGER]:
+                lanes[lane + LONGER] = lanes[lane + LONGER] - 1
+                gap += 1
+            lanes[lane + NEXT] = lanes[lane + NEXT] + gap
+            place = lanes[lane + PLACE]
+            lanes[lane + PLACE] = place - 1 if lanes[lane + BACK] else place + 1
+    return over
+
+
+@micropython.viper
+def count(frames: ptr32, until: int, timing: ptr32, lanes: ptr32, steps: ptr32) -> int:
+    """Add to steps those that the first frames of a buffer make: the truth, read from the bits."""
+    for i in range(timing[AXES]):
+        lane = LANE * i
+        bit = lanes[lane + STEP]
+        direction = lanes[lane + DIR]
+        invert = lanes[lane + INVERT]
+        place = steps[i]
+        last = 0
+        for k in range(until):
+            level = frames[k] & bit
+            if level and last == 0:
+                back = 1 if frames[k] & direction else 0
+                place = place - 1 if back != invert else place + 1
+            last = level
+        steps[i] = place
+    return 0

@@ -1,0 +1,341 @@
+# mypy: disable-error-code=arg-type
+"""I2sEngine: pulses through shift registers (74HC595), made by machine.I2S as a stream of bits.
+
+Every frame of the stream is one 32-bit word and carries all outputs: steps, directions and the
+drivers' enable (frames.py). DMA plays buffers of 256 frames out of a ring; a soft timer makes
+the next ones and hands them over, always whole ones, so that none is played twice.
+
+    segment rows -> frames (our ring) -> DMA's ring -> BCK, WS, DATA -> shift registers
+
+Where the engine comes too late, DMA plays zeros. A zero is no step, a motor that is powered
+(enable is low-active) and some direction; so the stream goes on with a buffer in which nothing
+steps, and directions stand long before the next step does. No step is lost or repeated.
+
+Time is counted in buffers since the stream was opened: the hardware's clock is the processor's.
+Position is read from the bits of the buffer that is being played. Stopping at once means to
+close the stream; the outputs keep their last levels until a new one begins with zeros.
+
+Philips format: data come one bit later than WS, which the registers take for their latch. So
+an output's bit stands one place higher than its number. Unverified on hardware, like all here.
+"""
+
+import select
+import time
+from array import array
+
+import machine
+import micropython
+from kernels import row_length
+from micropython import const
+
+from esp import frames
+from esp.frames import begin_buffer, begin_row, blank, count, end_buffer, lateness, render
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from interfaces import NextSegment
+
+_PORT = const(0)
+_FRAMES = const(256)
+_BYTES = const(1024)  # of a buffer
+_HIGHEST_OUTPUT = const(29)  # bit 30: the highest one that makes a small integer
+_TURN_MS = const(4)
+_SPARE = const(2)  # buffers of DMA's ring that are left free
+_DEPTH_AT_REST = const(8)
+# So close to the end of a DMA buffer it is not certain which one a word would go to, in us.
+_DOUBT = const(300)
+_SETUP_US = const(10)
+
+# State.
+_HALT = const(0)  # hands off: the stream is being opened anew
+_PULLING = const(1)  # there may be more segments
+_ROW = const(2)  # a row is being rendered
+_PLAYING = const(3)  # buffers played since the stream was opened,
+_BEGAN = const(4)  # and when this one began, in us
+_WRITTEN = const(5)  # the number that the next buffer handed over will have
+_MADE = const(6)  # buffers filled since power-up
+_SENT = const(7)  # and handed over
+_LAST = const(8)  # number of the last buffer with steps in it
+_POWER = const(9)  # spindle power of the row being rendered
+_TOLD = const(10)  # spindle power told last
+_DRY = const(11)  # how often the stream has run dry while steps were due
+_STATE_LENGTH = const(12)
+
+# What is remembered of a buffer; behind these, per axis, the position as it begins.
+_NUMBER = const(0)
+_START = const(1)  # its first word, without steps
+_PLAYS_POWER = const(2)
+_NOTE = const(3)
+
+# From frames.py, kernels.py.
+_LANE = const(11)
+_PLACE = const(10)
+_LEFT = const(6)
+_KEEP_POWER = const(0x3FFFFFFF)
+_ROW_POWER = const(2)
+
+_TICKS_MASK = const(0x3FFFFFFF)
+
+
+@micropython.viper
+def _follow(state: ptr32, now: int, buffer_us: int) -> int:
+    """See which buffer is being played. Returns for how long it has been, in us."""
+    passed = (now - state[_BEGAN]) & _TICKS_MASK
+    while passed >= buffer_us:
+        passed -= buffer_us
+        state[_BEGAN] = (state[_BEGAN] + buffer_us) & _TICKS_MASK
+        state[_PLAYING] = state[_PLAYING] + 1
+    return passed
+
+
+@micropython.viper
+def _find(state: ptr32, notes: ptr32, slots: int, size: int) -> int:
+    """Slot of the buffer being played; of the next one, less 1000, where it plays zeros."""
+    sent = state[_SENT]
+    first = sent - slots + 1
+    if first < 0:
+        first = 0
+    for k in range(first, sent):
+        number = notes[(k % slots) * size]
+        if number == state[_PLAYING]:
+            return k % slots
+        if number > state[_PLAYING]:
+            return k % slots - 1000
+    return -1000 + sent % slots if sent < state[_MADE] else -2000
+
+
+class I2sEngine:
+    """The engine. step, direction: numbers of outputs per axis; enable: that of the drivers.
+
+    pins: BCK, WS and DATA. rate_hz: frames per second, 256 of which last whole microseconds.
+    buffers: of DMA's ring; all but two are filled ahead while the machine moves.
+    """
+
+    segment_log2 = 14
+
+    def __init__(
+        self,
+        step: "tuple[int, ...]",
+        direction: "tuple[int, ...]",
+        enable: int,
+        pins: "tuple[int, int, int]",
+        rate_hz: int = 125_000,
+        buffers: int = 16,
+    ) -> None:
+        if _FRAMES * 1_000_000 % rate_hz:
+            raise ValueError("256 frames do not last whole microseconds")
+        if max(step + direction + (enable,)) > _HIGHEST_OUTPUT:
+            raise ValueError("outputs have numbers from 0 to 29")
+        axes = len(step)
+        self._axes = axes
+        self._pins = pins
+        self._rate_hz = rate_hz
+        self._buffers = buffers
+        self._buffer_us = _FRAMES * 1_000_000 // rate_hz
+        self.tick_hz = rate_hz << frames.FRAME_LOG2
+        self._enable_bit = 2 << enable
+        self._state = array("i", (0 for _ in range(_STATE_LENGTH)))
+        self._timing = array("i", (0 for _ in range(frames.TIMING_LENGTH)))
+        self._timing[frames.AXES] = axes
+        self._lanes = array("i", (0 for _ in range(_LANE * axes)))
+        for i in range(axes):
+            self._lanes[_LANE * i + frames.STEP] = 2 << step[i]
+            self._lanes[_LANE * i + frames.DIR] = 2 << direction[i]
+            self._lanes[_LANE * i + frames.TURN] = -1
+        self._row = array("i", (0 for _ in range(row_length(axes))))
+        # Our ring holds what DMA's may still have to play, and what is not handed over yet.
+        self._slots = buffers + 2
+        self._memory = bytearray(_BYTES * self._slots)
+        whole = memoryview(self._memory)
+        self._ring = [whole[_BYTES * k : _BYTES * (k + 1)] for k in range(self._slots)]
+        self._pause = bytearray(_BYTES)
+        self._size = _NOTE + axes
+        self._notes = array("i", (0 for _ in range(self._size * self._slots)))
+        self._timer = machine.Timer(0)
+        self.configure(10, 0, 0)
+        self._open()
+
+    def _open(self) -> None:
+        """A new stream. The first buffer that can be filled comes when all have played zeros."""
+        bck, ws, data = self._pins
+        self._stream = machine.I2S(
+            _PORT,
+            sck=machine.Pin(bck),
+            ws=machine.Pin(ws),
+            sd=machine.Pin(data),
+            mode=machine.I2S.TX,
+            bits=32,
+            format=machine.I2S.MONO,  # the same word in both halves of a frame
+            rate=self._rate_hz,
+            ibuf=_BYTES * self._buffers,
+        )
+        self._state[_BEGAN] = time.ticks_us() & _TICKS_MASK
+        self._state[_PLAYING] = 0
+        self._state[_WRITTEN] = self._buffers
+        # Once it has been polled, write() takes what fits and does not wait.
+        poller = select.poll()
+        poller.register(self._stream, select.POLLOUT)
+        poller.poll(0)
+        poller.unregister(self._stream)
+
+    # The StepEngine seam
+
+    def max_step_hz(self, pulse_us: int) -> int:
+        """Highest rate of one axis: a pulse takes whole frames, and one frame is between pulses."""
+        return self._rate_hz // (self._frames_of(pulse_us) + 1)
+
+    def _frames_of(self, us: int) -> int:
+        return -(-us * self._rate_hz // 1_000_000)
+
+    def attach(self, next_segment: "NextSegment", on_power: "Callable[[int], None]") -> None:
+        """Say where segments come from and who is told the spindle power of each as it starts."""
+        self._next_segment = next_segment
+        self._on_power = on_power
+        self._timer.init(mode=machine.Timer.PERIODIC, period=_TURN_MS, callback=self._turn)
+
+    def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
+        """Take over $0 and $3. Called at rest only.
+
+        $2 is not heard: with inverted steps, the zeros of a stream run dry would be one.
+        """
+        timing = self._timing
+        timing[frames.PULSE] = self._frames_of(pulse_us)
+        timing[frames.SETUP] = self._frames_of(_SETUP_US)
+        word = timing[frames.WORD] & self._enable_bit
+        for i in range(self._axes):
+            lane = _LANE * i
+            self._lanes[lane + frames.INVERT] = dir_invert >> i & 1
+            if self._lanes[lane + frames.BACK] != self._lanes[lane + frames.INVERT]:
+                word |= self._lanes[lane + frames.DIR]
+        timing[frames.WORD] = word
+
+    def enable(self, level: int) -> None:
+        """Level of the motor drivers' enable output, from the next buffer on. For the port."""
+        word = self._timing[frames.WORD] & ~self._enable_bit
+        self._timing[frames.WORD] = word | (self._enable_bit if level else 0)
+
+    def start(self) -> None:
+        """Begin to pull, where the engine had run out of segments; the timer's next turn does."""
+        if not self._state[_PULLING]:
+            self._state[_PULLING] = 1
+
+    def stop(self) -> None:
+        """At once; safe in a soft interrupt; queued steps are dropped, locks released."""
+        state = self._state
+        state[_HALT] = 1
+        state[_PULLING] = 0
+        if not self.idle():
+            steps = array("i", (0 for _ in range(self._axes)))
+            self.position(steps)
+            self._stream.deinit()
+            for i in range(self._axes):
+                self._lanes[_LANE * i + _PLACE] = steps[i]
+                self._lanes[_LANE * i + _LEFT] = 0
+            state[_SENT] = state[_MADE]
+            state[_LAST] = -1
+            self._open()
+        state[_ROW] = 0
+        self._timing[frames.LOCKED] = 0
+        state[_HALT] = 0
+
+    def lock(self, axes: int) -> None:
+        """These axes (a mask) make no more pulses until stop(), but those DMA has already."""
+        self._timing[frames.LOCKED] = self._timing[frames.LOCKED] | axes
+        for i in range(self._axes):
+            if axes >> i & 1:
+                self._lanes[_LANE * i + _LEFT] = 0
+
+    def idle(self) -> bool:
+        """Nothing is moving and nothing is queued in hardware."""
+        state = self._state
+        if state[_PULLING] or state[_MADE] != state[_SENT]:
+            return False
+        _follow(state, time.ticks_us(), self._buffer_us)
+        return state[_LAST] < state[_PLAYING]
+
+    def position(self, steps: "array[int]") -> None:
+        """Copy the steps really made, per motor, to the frame."""
+        state = self._state
+        passed = _follow(state, time.ticks_us(), self._buffer_us)
+        slot = _find(state, self._notes, self._slots, self._size)
+        inside = slot >= 0
+        if not inside:
+            slot += 1000
+        if slot < 0:
+            for i in range(self._axes):
+                steps[i] = self._lanes[_LANE * i + _PLACE]
+            return
+        for i in range(self._axes):
+            steps[i] = self._notes[slot * self._size + _NOTE + i]
+        if inside:
+            until = passed * _FRAMES // self._buffer_us + 1
+            count(self._ring[slot], until, self._timing, self._lanes, steps)
+
+    def set_position(self, steps: "array[int]") -> None:
+        """Name the present place. At rest only."""
+        self._state[_HALT] = 1
+        for i in range(self._axes):
+            self._lanes[_LANE * i + _PLACE] = steps[i]
+        # What has been played at rest counts from there too.
+        for slot in range(self._slots):
+            for i in range(self._axes):
+                self._notes[slot * self._size + _NOTE + i] = steps[i]
+        self._state[_HALT] = 0
+
+    def times_dry(self) -> int:
+        """How often the machine has had to pause because the engine came too late."""
+        return self._state[_DRY]
+
+    # The timer's turns: no other soft interrupt comes in between
+
+    def _turn(self, _timer: object) -> None:
+        state = self._state
+        if state[_HALT]:
+            return
+        passed = _follow(state, time.ticks_us(), self._buffer_us)
+        self._tell_power()
+        if state[_WRITTEN] <= state[_PLAYING] + 1 and not self._go_on(passed):
+            return
+        depth = self._buffers - _SPARE
+        while True:
+            if state[_MADE] == state[_SENT]:
+                if not state[_PULLING] and depth > _DEPTH_AT_REST:
+                    depth = _DEPTH_AT_REST
+                if state[_WRITTEN] - state[_PLAYING] >= depth:
+                    return
+                self._make()
+            if state[_WRITTEN] - state[_PLAYING] >= depth or not self._send():
+                return
+
+    def _go_on(self, passed: int) -> bool:
+        """The stream has run dry, or may have: nothing steps in the buffer that comes next."""
+        state = self._state
+        if passed < _DOUBT or passed > self._buffer_us - _DOUBT:
+            return state[_WRITTEN] > state[_PLAYING] + 1
+        state[_WRITTEN] = state[_PLAYING] + 1
+        if state[_PULLING]:
+            state[_DRY] += 1
+        word = self._timing[frames.WORD]
+        if state[_MADE] != state[_SENT]:
+            word = self._notes[state[_SENT] % self._slots * self._size + _START]
+        blank(self._pause, word)
+        if self._stream.write(self._pause) == 0:
+            return False
+        state[_WRITTEN] += 1
+        return True
+
+    def _send(self) -> bool:
+        """Hand over the buffer that is waiting. Returns False where there is no room yet."""
+        state = self._state
+        slot = state[_SENT] % self._slots
+        if self._stream.write(self._ring[slot]) == 0:
+            return False
+        note = slot * self._size
+        self._notes[note + _NUMBER] = state[_WRITTEN]
+        if state[_LAST] == _KEEP_POWER:
+            state[_LAST] = state[_WRITTEN]
+        state[_WRITTEN] += 1
+        state[_SENT] += 1
+        return True

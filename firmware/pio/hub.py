@@ -1,0 +1,343 @@
+# mypy: disable-error-code=arg-type
+"""The hub: all that the PIO engine's interrupt works on, in one array, and the leaves that do.
+
+One array, for every argument of a viper call costs a microsecond. It holds the engine's state,
+the addresses of registers and the addresses of what else the engine keeps. What all of it does
+together is told in engine.py; nothing here allocates.
+"""
+
+from array import array
+
+import micropython
+from kernels import row_length
+from micropython import const
+from pio import programs, pulses
+from pio.pulses import convert, cut
+
+_HALF_TICKS_PER_US = const(25)
+_ROWS = const(16)
+_LAST_ROW = const(15)
+_CLOCK_FIFO = const(4)
+# Words handed over later than that before the last ones end might come too late, in us.
+_MARGIN = const(20)
+
+# The hub: everything the leaves work on, in one array, for arguments cost microseconds.
+# First the engine's state …
+_RUNNING = const(0)  # machines are enabled
+_HALT = const(1)  # stopped: nothing moves before start()
+_MADE = const(2)  # segments made, since power-up
+_FED = const(3)  # segments handed to the hardware
+_BEGUN = const(4)  # the segment that runs
+_AHEAD = const(5)  # ticks made behind it
+_POWER = const(6)  # spindle power told last
+_LOCKED = const(7)  # mask of lanes that stand still
+_END_US = const(8)  # when the words end, in us and half ticks
+_END_REST = const(9)
+_CUT = const(10)  # where in a long segment the next piece begins; 0: there is none
+_AXES = const(11)
+# … then registers, which depend on the chip …
+_PIO0 = const(12)
+_PIO1 = const(13)
+_TIMER = const(14)
+_NVIC = const(15)
+_PIN_IRQ = const(16)  # masks
+_BUSY = const(17)
+_STEPPER_AT = const(18)  # where steppers wait for a word
+_CLOCK_AT = const(19)  # where the clock does
+_DMA = const(20)  # a channel per lane
+# … and memory.
+_LANES = const(24)
+_WORDS = const(25)
+_TIMING = const(26)
+_CLOCKED = const(27)  # words for the clock
+_WHOLE = const(28)  # a long segment, made in pieces
+_ROW = const(29)  # a row per segment
+_LENGTH = const(29 + 16)
+
+# A PIO's registers, in words.
+_CTRL = const(0)
+_FLEVEL = const(3)
+_TXF = const(4)
+_IRQ_FORCE = const(13)
+_ADDR = const(0x35)
+_INSTR = const(0x36)
+_SM = const(6)  # from one machine to the next
+_SET = const(0x800)  # the same register, where ones set bits,
+_CLEAR = const(0xC00)  # and where they clear them
+
+# A DMA channel's, and the interrupt controller's.
+_READ = const(0)
+_STATUS = const(3)
+_COUNT_TRIGGER = const(7)
+_DISABLE = const(32)
+
+# Instructions that are forced into a machine.
+_PULL = const(0x8080)
+_LOAD_ISR = const(0xA0C7)  # from OSR
+_STEP_LOW = const(0xE000)
+
+_CLOCK = const(3)  # the clock's machine
+_CLOCK_SHIFT = const(24)
+_CLOCK_OVERHEAD = const(4)  # ticks of its loop besides the count
+
+# From pulses.py, kernels.py.
+_LANE = const(7)
+_CARRY = const(0)
+_HEAD = const(2)
+_SENT = const(3)
+_PLACE = const(4)
+_END = const(5)
+_RING_MASK = const(31)
+_LONGEST = const(0x20000)
+_PULSE = const(1)
+_KEEP = const(4)
+_ROW_TICKS = const(0)
+_ROW_DIRS = const(1)
+_ROW_POWER = const(2)
+_ROW_AXES = const(3)
+_ROW_STRIDE = const(3)
+_KEEP_POWER = const(0x3FFFFFFF)
+# Behind a kernel's row: when it begins, us and half ticks, and where.
+_ROW_EXTRA = const(2)
+
+# Times are in us modulo 2**30; a difference from there on is a negative one.
+_MASK = const(0x3FFFFFFF)
+_NEGATIVE = const(0x20000000)
+
+
+@micropython.viper
+def look(hub: ptr32) -> int:
+    """See how far the hardware is. Returns the power to set, or KEEP_POWER."""
+    pio = ptr32(hub[_PIO1])
+    level = (pio[_FLEVEL] >> _CLOCK_SHIFT) & 15
+    begun = hub[_FED] - 1 - level
+    if level == 0 and pio[_ADDR + _SM * _CLOCK] == hub[_CLOCK_AT]:
+        hub[_RUNNING] = 0  # all words have been played
+    power = _KEEP_POWER
+    while hub[_BEGUN] < begun:
+        hub[_BEGUN] += 1
+        row = ptr32(hub[_ROW + (hub[_BEGUN] & _LAST_ROW)])
+        hub[_AHEAD] -= row[_ROW_TICKS]
+        power = row[_ROW_POWER]
+    if power == _KEEP_POWER or power == hub[_POWER]:
+        return _KEEP_POWER
+    hub[_POWER] = power
+    return power
+
+
+@micropython.viper
+def append(hub: ptr32) -> int:
+    """Take over the segment just made, or the next piece of it."""
+    axes = hub[_AXES]
+    lanes = ptr32(hub[_LANES])
+    row = ptr32(hub[_ROW + (hub[_MADE] & _LAST_ROW)])
+    if hub[_CUT] or row[_ROW_TICKS] > _LONGEST:
+        whole = ptr32(hub[_WHOLE])
+        if hub[_CUT] == 0:
+            for i in range(_ROW_AXES + _ROW_STRIDE * axes):
+                whole[i] = row[i]
+        hub[_CUT] = int(cut(row, whole, hub[_CUT], axes))
+    start = _ROW_AXES + _ROW_STRIDE * axes + _ROW_EXTRA
+    for i in range(axes):
+        place = lanes[_LANE * i + _PLACE]
+        row[start + i] = place
+        steps = row[_ROW_AXES + _ROW_STRIDE * i]
+        lanes[_LANE * i + _PLACE] = place - steps if (row[_ROW_DIRS] >> i) & 1 else place + steps
+    hub[_AHEAD] += row[_ROW_TICKS]
+    hub[_MADE] += 1
+    return 0
+
+
+@micropython.viper
+def _prepare(hub: ptr32) -> int:
+    """Machines that have stopped or run dry back to their beginnings, with nothing queued."""
+    axes = hub[_AXES]
+    pio = ptr32(hub[_PIO0])
+    clock = ptr32(hub[_PIO1])
+    lanes = ptr32(hub[_LANES])
+    timing = ptr32(hub[_TIMING])
+    timer = ptr32(hub[_TIMER])
+    patience = 1000
+    while (timer[0] - hub[_END_US]) & _MASK <= timing[_PULSE] // 12 + 1 and patience:
+        patience -= 1  # the last pulses have their full length
+    pio[_CTRL + _CLEAR] = (1 << axes) - 1
+    clock[_CTRL + _CLEAR] = 1 << _CLOCK
+    pio[_CTRL + _SET] = ((1 << axes) - 1) << 4  # restart
+    clock[_CTRL + _SET] = 16 << _CLOCK
+    while (clock[_FLEVEL] >> _CLOCK_SHIFT) & 15:
+        clock[_INSTR + _SM * _CLOCK] = _PULL
+    for i in range(axes):
+        dma = ptr32(hub[_DMA + i])
+        while dma[_STATUS] & hub[_BUSY] or (pio[_FLEVEL] >> (8 * i)) & 15:
+            pio[_INSTR + _SM * i] = _PULL
+        dma[_READ] = hub[_WORDS] + 4 * (_RING_MASK + 1) * i
+        lanes[_LANE * i + _HEAD] = 0
+        lanes[_LANE * i + _SENT] = 0
+        lanes[_LANE * i + _CARRY] = 0
+        pio[_TXF + i] = timing[_PULSE] - 3
+    for i in range(axes):
+        pio[_INSTR + _SM * i] = _PULL
+    for i in range(axes):
+        pio[_INSTR + _SM * i] = _LOAD_ISR
+    for i in range(axes):
+        pio[_INSTR + _SM * i] = _STEP_LOW
+    for i in range(axes):
+        pio[_INSTR + _SM * i] = hub[_STEPPER_AT]  # jump there
+    clock[_INSTR + _SM * _CLOCK] = hub[_CLOCK_AT] - 1
+    hub[_END_US] = 0
+    hub[_END_REST] = 0
+    hub[_POWER] = -1
+    return 0
+
+
+@micropython.viper
+def feed(hub: ptr32) -> int:
+    """Make words of waiting segments, if the hardware can take them, and hand them over."""
+    axes = hub[_AXES]
+    space = _CLOCK_FIFO
+    if hub[_RUNNING]:
+        left = (hub[_END_US] - ptr32(hub[_TIMER])[0]) & _MASK
+        if left >= _NEGATIVE or left < _MARGIN + ptr32(hub[_TIMING])[_KEEP] // 12:
+            return 0  # too late: all go on together when the last has come to rest
+        for i in range(axes):
+            if ptr32(hub[_DMA + i])[_STATUS] & hub[_BUSY] and (hub[_LOCKED] >> i) & 1 == 0:
+                return 0
+        space -= (ptr32(hub[_PIO1])[_FLEVEL] >> _CLOCK_SHIFT) & 15
+        if space == 0:
+            return 0
+    else:
+        _prepare(hub)
+    clocked = ptr32(hub[_CLOCKED])
+    begins = _ROW_AXES + _ROW_STRIDE * axes
+    fed = hub[_FED]
+    count = 0
+    while fed != hub[_MADE] and count < space:
+        row = ptr32(hub[_ROW + (fed & _LAST_ROW)])
+        late = int(convert(row, hub[_LANES], hub[_WORDS], hub[_TIMING]))
+        ticks = row[_ROW_TICKS]
+        clocked[count] = late + ticks - _CLOCK_OVERHEAD if ticks > _CLOCK_OVERHEAD else 0
+        rest = hub[_END_REST] + 2 * late
+        row[begins] = (hub[_END_US] + rest // _HALF_TICKS_PER_US) & _MASK
+        row[begins + 1] = rest % _HALF_TICKS_PER_US
+        rest += 2 * ticks
+        hub[_END_US] = (hub[_END_US] + rest // _HALF_TICKS_PER_US) & _MASK
+        hub[_END_REST] = rest % _HALF_TICKS_PER_US
+        count += 1
+        fed += 1
+    _hand_over(hub, fed)
+    return 0
+
+
+@micropython.viper
+def _hand_over(hub: ptr32, fed: int) -> int:
+    """Give DMA the words up to segment `fed`, and start the machines if they are at rest.
+
+    Interrupts of pins, which may stop the engine, wait so long.
+    """
+    axes = hub[_AXES]
+    lanes = ptr32(hub[_LANES])
+    nvic = ptr32(hub[_NVIC])
+    clock = ptr32(hub[_PIO1])
+    following = ptr32(hub[_ROW + (fed & _LAST_ROW)])
+    nvic[_DISABLE] = hub[_PIN_IRQ]
+    if hub[_HALT] == 0:
+        for i in range(axes):
+            lane = _LANE * i
+            if (hub[_LOCKED] >> i) & 1 == 0:
+                count = (lanes[lane + _HEAD] - lanes[lane + _SENT]) & _RING_MASK
+                if count:
+                    ptr32(hub[_DMA + i])[_COUNT_TRIGGER] = count
+                lanes[lane + _SENT] = lanes[lane + _HEAD]
+                place = lanes[lane + _PLACE]
+                if fed != hub[_MADE]:
+                    place = following[_ROW_AXES + _ROW_STRIDE * axes + _ROW_EXTRA + i]
+                lanes[lane + _END] = place
+        clocked = ptr32(hub[_CLOCKED])
+        for i in range(fed - hub[_FED]):
+            clock[_TXF + _CLOCK] = clocked[i]
+        if hub[_RUNNING] == 0:
+            _launch(hub, fed)
+        hub[_FED] = fed
+    nvic[0] = hub[_PIN_IRQ]
+    return 0
+
+
+@micropython.viper
+def _launch(hub: ptr32, fed: int) -> int:
+    """All machines begin, in the same tick. Rows were timed from 0: tell them the time."""
+    axes = hub[_AXES]
+    pio = ptr32(hub[_PIO0])
+    for i in range(axes):
+        patience = 100
+        while (pio[_FLEVEL] >> (8 * i)) & 15 == 0 and patience:
+            patience -= 1  # DMA puts the first word there
+    pio[_CTRL + _SET] = ((1 << axes) - 1) * 0x101  # enable, restart the divider
+    now = ptr32(hub[_TIMER])[0]
+    ptr32(hub[_PIO1])[_CTRL + _SET] = 0x101 << _CLOCK
+    for k in range(hub[_FED], fed):
+        row = ptr32(hub[_ROW + (k & _LAST_ROW)])
+        begins = _ROW_AXES + _ROW_STRIDE * axes
+        row[begins] = (row[begins] + now) & _MASK
+    hub[_END_US] = (hub[_END_US] + now) & _MASK
+    hub[_RUNNING] = 1
+    return 0
+
+
+@micropython.viper
+def call(hub: ptr32) -> int:
+    """Make the engine's interrupt happen now."""
+    ptr32(hub[_PIO1])[_IRQ_FORCE] = 1 << _CLOCK
+    return 0
+
+
+@micropython.viper
+def _address(memory: ptr8) -> int:
+    return int(memory)
+
+
+def _array(length: int) -> "array[int]":
+    return array("i", (0 for _ in range(length)))
+
+
+class Memory:
+    """What the interrupt works on, with the hub that leads to it. rp2350: which chip this is."""
+
+    def __init__(self, axes: int, rp2350: bool) -> None:
+        length = row_length(axes)
+        self.hub = hub = _array(_LENGTH)
+        self.lanes = _array(_LANE * axes)
+        self.timing = _array(pulses.TIMING_LENGTH)
+        self.rows = [_array(length + _ROW_EXTRA + axes) for _ in range(_ROWS)]
+        self._clocked = _array(_CLOCK_FIFO)
+        self._whole = _array(length)
+        # The rings lie at multiples of their size: DMA wraps around within address bits.
+        ring = 4 << pulses.RING_LOG2
+        self._rings = bytearray(ring * (axes + 1))
+        self.timing[pulses.AXES] = hub[_AXES] = axes
+        hub[_BEGUN] = -1
+        hub[_LANES] = _address(self.lanes)
+        hub[_WORDS] = (_address(self._rings) + ring - 1) // ring * ring
+        hub[_TIMING] = _address(self.timing)
+        hub[_CLOCKED] = _address(self._clocked)
+        hub[_WHOLE] = _address(self._whole)
+        for i, row in enumerate(self.rows):
+            hub[_ROW + i] = _address(row)
+        hub[_PIO0] = 0x50200000
+        hub[_PIO1] = 0x50300000
+        hub[_TIMER] = 0x400B0028 if rp2350 else 0x40054028
+        hub[_NVIC] = 0xE000E100 - (1 << 32)
+        hub[_PIN_IRQ] = 1 << (21 if rp2350 else 13)
+        hub[_BUSY] = 1 << (26 if rp2350 else 24)
+
+    def ring(self, axis: int) -> int:
+        """Address of a lane's ring."""
+        return self.hub[_WORDS] + (4 * axis << pulses.RING_LOG2)
+
+    def connect(self, axis: int, channel: int) -> None:
+        """A lane's words go through this DMA channel."""
+        self.hub[_DMA + axis] = 0x50000000 + 0x40 * channel
+
+    def programs_at(self, stepper: int, clock: int) -> None:
+        """Where in the PIOs the programs begin."""
+        self.hub[_STEPPER_AT] = stepper + programs.NEXT
+        self.hub[_CLOCK_AT] = clock + programs.CLOCK_PULL

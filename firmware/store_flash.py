@@ -1,0 +1,62 @@
+"""Store in the board's flash: one text file per name, which survives a power cut at any byte.
+
+A save writes a new file, reads it back, keeps the old one as the previous
+copy and puts the new one in its place; littlefs makes each renaming happen
+or not happen. A file's last line is the checksum of the others. Whoever
+saves sees to it that the machine is at rest: flash stops the processor.
+"""
+
+import binascii
+import os
+
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+# In the order in which load() looks: the newest whole file counts.
+_NOW = ".txt"
+_NEW = ".new"
+_OLD = ".old"
+_CHECKSUM = "#crc32="
+
+
+class FlashStore:
+    """A Store. folder: where the files are, with a slash at its end."""
+
+    def __init__(self, folder: str = "/") -> None:
+        self._folder = folder
+
+    def load(self, name: str) -> "list[str] | None":
+        """The lines kept under that name; None where no copy of them is whole."""
+        for kind in (_NOW, _NEW, _OLD):
+            lines = self._read(self._folder + name + kind)
+            if lines is not None:
+                return lines
+        return None
+
+    def save(self, name: str, lines: "Iterable[str]") -> None:
+        """Replace the lines at once or not at all. Raises OSError where flash is full or worn."""
+        path = self._folder + name
+        kept = list(lines)
+        text = "".join([line + "\n" for line in kept])
+        with open(path + _NEW, "w") as file:
+            file.write(text)
+            file.write(_CHECKSUM + "%08x\n" % binascii.crc32(text.encode()))
+        if self._read(path + _NEW) != kept:
+            raise OSError("flash does not keep what is written")
+        if self._read(path + _NOW) is not None:
+            os.rename(path + _NOW, path + _OLD)
+        os.rename(path + _NEW, path + _NOW)
+
+    def _read(self, path: str) -> "list[str] | None":
+        try:
+            with open(path) as file:
+                text = file.read()
+        except OSError:
+            return None
+        end = text.rfind(_CHECKSUM)
+        if end < 0 or text[end:] != _CHECKSUM + "%08x\n" % binascii.crc32(text[:end].encode()):
+            return None
+        return text[:end].split("\n")[:-1]

@@ -1,0 +1,574 @@
+"""What the code of senders demands of a Grbl, sender by sender, on the rig in virtual time.
+
+These senders cannot run here. What they do with each line is known from their sources and from
+what they were seen to send and take at a real Grbl 1.1h; the patterns below are theirs. Those
+that can run here are tested for real: `make test-senders`.
+"""
+
+import re
+from collections.abc import Callable, Generator
+from typing import Any
+
+import pytest
+from ugrbl import machine, paths
+
+paths.use_firmware(fast=False)
+
+from ugrbl.sim.engine import Switch  # noqa: E402
+from ugrbl.sim.replay import Sender, factory_store  # noqa: E402
+from ugrbl.sim.rig import MemoryStore, Rig  # noqa: E402
+
+Steps = Generator[Any, None, None]
+_BOARD = machine.load_board(machine.DEFAULT_BOARD)
+_BANNER = "Grbl 1.1h ['$' for help]"
+_PATIENCE_MS = 60_000
+
+
+class Talk:
+    """A sender at a machine; its methods are steps of a conversation."""
+
+    def __init__(self, store: MemoryStore) -> None:
+        self.rig = Rig(_BOARD, store)
+        self.sender = Sender(self.rig)
+        self.lines: list[str] = []
+
+    def send(self, data: str, wait: str = "ok") -> Steps:
+        """Send, wait as conversations do; what came is in `lines`."""
+        self.sender.allow(_PATIENCE_MS)
+        yield from self.sender.wait(wait, data)
+        self.lines = [line for line in self.sender.take() if line]
+
+    def after(self, milliseconds: float) -> Steps:
+        """What has come when so much time has passed."""
+        yield self.rig.ms(milliseconds)
+        self.lines = [line for line in self.sender.take() if line]
+
+    def settle(self) -> Steps:
+        """Ask for reports until the machine is idle."""
+        while True:
+            yield from self.send("?", "report")
+            if "<Idle" in self.lines[-1]:
+                return
+            yield self.rig.ms(50)
+
+    def report(self) -> str:
+        """The last status report."""
+        return [line for line in self.lines if line.startswith("<")][-1]
+
+
+def converse(steps: Callable[[Talk], Steps], **settings: float) -> None:
+    """Switch a machine on, wait for its banner, and talk. settings: `S22=1`."""
+    store = factory_store(_BOARD)
+    kept = dict(line.split("=") for line in store.files["settings"])
+    kept |= {f"${name[1:]}": f"{value:g}" for name, value in settings.items()}
+    store.files["settings"] = [f"{number}={value}" for number, value in kept.items()]
+    talk = Talk(store)
+
+    def script() -> Steps:
+        yield from talk.send("", "banner")
+        yield from steps(talk)
+
+    talk.rig.run(script())
+
+
+def answers(lines: list[str]) -> list[str]:
+    return [line for line in lines if line == "ok" or line.startswith("error:")]
+
+
+_FAST = {"S110": 3000, "S111": 3000, "S112": 3000, "S120": 500, "S121": 500, "S122": 500}
+_LONG = "G91 G1 X40 F600\n"  # four seconds of motion
+
+
+# UGS: GrblUtils, GrblCommunicator, GrblControllerInitializer
+
+
+def test_ugs_gets_a_banner_it_takes_for_grbl() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("\x18", "banner")
+        assert talk.lines[0].startswith("Grbl ")
+        assert re.search(r"Grbl (\d\.\d)([a-z])", talk.lines[0]).groups() == ("1.1", "h")
+
+    converse(steps)
+
+
+def test_ugs_gets_a_status_report_before_anything_else() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("?", "report")
+        assert re.match(r"<Idle\|MPos:0.000,0.000,0.000\|FS:0,0\|WCO:", talk.report())
+
+    converse(steps)
+
+
+@pytest.mark.parametrize("state", ["Alarm", "Hold:0"])
+def test_ugs_gets_an_answer_to_an_empty_line_in_any_state_it_may_find(state: str) -> None:
+    def steps(talk: Talk) -> Steps:
+        if state == "Hold:0":
+            yield from talk.send("!", "ms 100")
+        yield from talk.send("?", "report")
+        assert talk.report().startswith(f"<{state}|")
+        if state == "Alarm":  # held, a machine answers no lines: there it sends a reset
+            yield from talk.send("\n")
+            assert talk.lines == ["ok"]
+        else:
+            yield from talk.send("\x18", "banner")
+            assert talk.lines[0] == _BANNER
+
+    converse(steps, **({"S22": 1} if state == "Alarm" else {}))
+
+
+def test_ugs_can_read_the_version() -> None:
+    pattern = re.compile(r"^\[[a-zA-Z0-9:\s]*[vV]?(\d+)\.(\d+)([a-zA-Z])?.*?]$")
+
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("$I\n")
+        found = pattern.match(talk.lines[0])
+        assert found and found.groups() == ("1", "1", "h")
+        assert re.match(r"^\[OPT:[A-Z+]*,\d+,\d+]$", talk.lines[1])
+
+    converse(steps)
+
+
+def test_ugs_can_start_up_from_version_settings_and_modes() -> None:
+    def steps(talk: Talk) -> Steps:
+        for command, kind in (
+            ("$I", r"\[(VER|OPT):"),
+            ("$$", r"\$\d+=[\d.]+$"),
+            ("$G", r"\[GC:G"),
+        ):
+            yield from talk.send(command + "\n")
+            assert talk.lines[-1] == "ok"
+            assert all(re.match(kind, line) for line in talk.lines[:-1])
+
+    converse(steps)
+
+
+def test_ugs_can_keep_128_bytes_under_way() -> None:
+    line = "G1X1.25Y2.5F600\n"
+    count = 128 // len(line)
+
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send(line * count)
+        assert talk.lines == ["ok"] * count
+
+    converse(steps, **_FAST)
+
+
+# gSender: src/server/lib/Connection.js
+
+
+def test_gsender_finds_grbl_and_not_grblhal_in_what_it_hears_first() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("$I\n")
+        text = "\n".join(talk.lines)
+        assert re.search(r"grbl|fluidnc", text, re.IGNORECASE)
+        assert not re.search(r"grblhal", text, re.IGNORECASE)
+
+    converse(steps)
+
+
+def test_gsender_finds_a_machine_that_greeted_before_it_came() -> None:
+    """It asks for $I five times, 800 ms apart; each is answered with an ok."""
+
+    def steps(talk: Talk) -> Steps:
+        yield from talk.after(5000)
+        for _ in range(5):
+            yield from talk.send("$I\n")
+            assert len(answers(talk.lines)) == 1
+            yield from talk.after(800)
+
+    converse(steps)
+
+
+def test_gsender_gets_a_banner_for_its_reset_of_a_locked_machine() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("\x18", "banner")
+        assert talk.lines[0] == _BANNER
+        assert "[MSG:'$H'|'$X' to unlock]" in talk.lines
+        yield from talk.send("$X\n")
+        assert talk.lines[-1] == "ok"
+
+    converse(steps, S22=1)
+
+
+def test_gsender_can_follow_the_free_bytes_of_reports() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("?", "report")
+        free = re.search(r"\|Bf:(\d+),(\d+)", talk.report())
+        assert free and int(free[1]) == 15
+        # It sends up to eight bytes less than that at once.
+        room = int(free[2]) - 8
+        line = "G4P0\n"
+        yield from talk.send(line * (room // len(line)))
+        assert talk.lines == ["ok"] * (room // len(line))
+
+    converse(steps, S10=3)
+
+
+# LightBurn
+
+
+def test_lightburn_gets_the_banner_and_the_settings_it_reads_its_bed_from() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("\x18", "banner")
+        assert talk.lines[0] == _BANNER
+        yield from talk.send("$I\n")
+        assert talk.lines[0].startswith("[VER:1.1h.")
+        yield from talk.send("$$\n")
+        settings = dict(line.split("=") for line in talk.lines[:-1])
+        for number in ("$30", "$32", "$130", "$131"):
+            assert float(settings[number]) >= 0
+
+    converse(steps)
+
+
+def test_lightburn_can_fire_with_m4_at_a_power_that_follows_the_speed() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("M4 S500\nG91 G1 X20 F1200\n", "ms 400")
+        assert answers(talk.lines) == ["ok", "ok"]
+        assert 0 < talk.rig.port.spindle_pwm < 200
+        yield from talk.settle()
+        assert talk.rig.port.spindle_pwm == 0  # dark when at rest
+
+    converse(steps, S32=1, **_FAST)
+
+
+def test_lightburn_can_jog_and_cancel_the_jog() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("$J=G91X100F3000\n", "ms 300")
+        assert talk.lines == ["ok"]
+        yield from talk.send("\x85", "ms 500")
+        yield from talk.settle()
+        place = talk.report()
+        yield from talk.after(1000)
+        yield from talk.send("?", "report")
+        assert talk.report().split("|")[:2] == place.split("|")[:2]
+        assert "MPos:0.000" not in place and "MPos:100" not in place
+
+    converse(steps, **_FAST)
+
+
+def test_lightburn_streams_a_raster_by_character_counting() -> None:
+    lines = ["G91", "M4 S0"] + [f"G1X0.1S{100 + n % 800}F3000\n".strip() for n in range(150)]
+
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("".join(line + "\n" for line in [*lines, "M5"]), "stream")
+        assert talk.lines == ["ok"] * (len(lines) + 1)
+
+    converse(steps, S32=1, **_FAST)
+
+
+# LaserGRBL: LaserGRBL/Core/GrblCore.cs
+
+
+def test_lasergrbl_reads_the_version_from_fixed_places_after_its_reset() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("\x18", "banner")
+        banner = talk.lines[0]
+        assert banner.startswith("Grbl ")
+        assert (banner[5], banner[7], banner[8]) == ("1", "1", "h")
+
+    converse(steps)
+
+
+def test_lasergrbl_may_use_the_receive_buffer_to_the_last_byte_it_is_told_of() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("$I\n")
+        size = int(re.search(r"\[OPT:.*,(\d+)]", "\n".join(talk.lines))[1])
+        # The machine is held, so that nothing is taken out of the buffer meanwhile.
+        yield from talk.send("G91 G1 X5 F600\n")
+        yield from talk.send("!", "ms 500")
+        line = "G1X1F600\n"
+        count = size // len(line)
+        yield from talk.send(line * count, "ms 100")
+        yield from talk.send("~", "ms 20000")
+        assert answers(talk.lines) == ["ok"] * count
+
+    converse(steps, **_FAST)
+
+
+@pytest.mark.parametrize("source", ["firmware/errors.py", "firmware/report.py"])
+def test_lasergrbl_and_candle_find_no_ok_in_anything_but_an_answer(source: str) -> None:
+    """For both, a line with "ok" in it answers a command; case does not matter to the first."""
+    text = (paths.FIRMWARE.parent / source).read_text(encoding="utf-8")
+    messages = re.findall(r'^MSG_\w+ = "([^"]*)"', text, re.MULTILINE)
+    messages += re.findall(r'b"(\[[^"]*|\\r\\nGrbl[^"]*)"', text)
+    assert messages
+    for message in messages:
+        assert "ok" not in message.lower() and "error" not in message.lower(), message
+
+
+def test_lasergrbl_and_candle_find_no_ok_in_what_a_machine_says_unasked() -> None:
+    def steps(talk: Talk) -> Steps:
+        heard: list[str] = []
+        for data, wait in (
+            ("$$\n$#\n$G\n$I\n$N\n$\n", "ok"),
+            ("$C\nG0X1\nM30\n", "ok"),
+            ("$C\n", "ms 100"),
+            ("M0\n", "ms 100"),
+            ("~", "ms 100"),
+            ("?", "report"),
+            ("$SLP\n", "ms 100"),
+            ("\x18", "banner"),
+            ("$X\n", "ok"),
+        ):
+            yield from talk.send(data, wait)
+            heard += talk.lines
+        loose = [line for line in heard if "ok" in line.lower() and line != "ok"]
+        assert loose == []
+        assert not any("error" in line for line in heard if not line.startswith("error:"))
+
+    converse(steps)
+
+
+def test_lasergrbl_accepts_the_buffer_state_of_reports() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("?", "report")
+        free = int(re.search(r"\|Bf:\d+,(\d+)", talk.report())[1])
+        assert free in (128, 255, 256, 10240, 254)
+
+    converse(steps, S10=3)
+
+
+def test_lasergrbl_may_resend_a_line_that_was_refused() -> None:
+    def steps(talk: Talk) -> Steps:
+        for _ in range(3):
+            yield from talk.send("G1 X1\n")  # no feed rate yet
+            assert talk.lines == ["error:22"]
+        yield from talk.send("G1 X1 F500\n")
+        assert talk.lines == ["ok"]
+
+    converse(steps)
+
+
+# Candle: frmmain.cpp, serialportconnection.cpp
+
+
+def test_candle_may_end_lines_with_a_carriage_return_alone() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("$G\rG91\rG0X1\r")
+        assert answers(talk.lines) == ["ok"] * 3
+
+    converse(steps)
+
+
+def test_candle_always_hears_the_banner_after_a_reset() -> None:
+    """It ignores everything until then, so the banner comes in every state."""
+    reset = re.compile(r"^GRBL|GCARVIN\s\d\.\d.")
+
+    def steps(talk: Talk) -> Steps:
+        for before in ("", _LONG, "G4P5\n", "M0\n", "$C\n", "$SLP\n", _LONG + "!", "G9"):
+            yield from talk.send(before, "ms 200")
+            yield from talk.send("\x18", "banner")
+            assert any(reset.match(line.upper()) for line in talk.lines), before
+            yield from talk.send("$X\n")
+
+    converse(steps, **_FAST)
+
+
+def test_candle_reads_settings_joined_with_semicolons() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("$$\r")
+        assert not any(";" in line for line in talk.lines)
+        response = "; ".join(talk.lines)
+        found = dict(re.findall(r"\$(\d+)\=([^;]+)\; ", response))
+        assert len(found) == 34
+        assert found["110"] == "500.000"
+
+    converse(steps)
+
+
+def test_candle_may_keep_127_bytes_under_way() -> None:
+    line = "G1X1.25Y2.50F600\r"
+    count = 127 // len(line)
+
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send(line * count)
+        assert talk.lines == ["ok"] * count
+
+    converse(steps, **_FAST)
+
+
+# ioSender
+
+
+def test_iosender_finds_nothing_of_grblhal_in_the_build_info() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("$I\n")
+        assert not any("FIRMWARE" in line or "NEWOPT" in line for line in talk.lines)
+
+    converse(steps)
+
+
+def test_iosender_may_use_nine_tenths_of_the_buffer_it_is_told_of() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("$I\n")
+        size = int(talk.lines[1].rstrip("]").split(",")[2])
+        line = "G4P0.001\n"
+        count = int(size * 0.9) // len(line)
+        yield from talk.send(line * count)
+        assert talk.lines == ["ok"] * count
+
+    converse(steps)
+
+
+# What they all demand: PLATFORM.md D1 and D3, and what was seen on the wire
+
+
+def test_every_sender_gets_one_ok_for_each_line_end_as_from_grbl() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("\r\n\r\n")  # stream.py opens with this, and takes four
+        assert talk.lines == ["ok"] * 4
+        yield from talk.send("\n")
+        assert talk.lines == ["ok"]
+
+    converse(steps)
+
+
+@pytest.mark.parametrize("before", ["", _LONG, "G4P1\n", "$$\n$$\n", _LONG + "!"], ids=repr)
+def test_every_sender_gets_its_status_within_50_ms(before: str) -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("$X\n")
+        yield from talk.send(before, "ms 30")
+        asked = talk.rig.link.send(b"?")
+        talk.sender.allow(1000)
+        yield from talk.sender.until(lambda: any(x.startswith("<") for x in talk.sender.lines))
+        assert talk.rig.now - asked < 50 * talk.rig.ticks_per_ms
+
+    converse(steps, **_FAST)
+
+
+def test_every_sender_gets_its_status_when_homing_ends_at_the_latest() -> None:
+    """Grbl itself is silent while it homes."""
+
+    def steps(talk: Talk) -> Steps:
+        for letter, axis in zip("xyz", range(3)):
+            talk.rig.engine.switches.append(Switch(f"limit_{letter}", axis, True, 2500))
+        yield from talk.send("$H\n", "ms 100")
+        yield from talk.send("?", "report")
+        yield from talk.settle()
+        assert "MPos:-1.000,-1.000,-1.000" in talk.report()
+
+    converse(steps, S22=1, S25=1000, S24=100, **_FAST)
+
+
+def test_every_sender_finds_its_work_offset_in_the_first_ten_reports() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("G10 L20 P1 X5 Y6 Z7\n")
+        yield from talk.send("?", "report")
+        assert "|WCO:-5.000,-6.000,-7.000" in talk.report()
+        offsets = overrides = 0
+        for _ in range(20):
+            yield from talk.send("?", "report")
+            offsets += "|WCO:" in talk.report()
+            overrides += "|Ov:100,100,100" in talk.report()
+        assert (offsets, overrides) == (2, 2)
+
+    converse(steps)
+
+
+def test_cncjs_finds_no_more_than_six_numbers_in_a_field() -> None:
+    def steps(talk: Talk) -> Steps:
+        for _ in range(12):
+            yield from talk.send("?", "report")
+            for field in talk.report()[1:-1].split("|")[1:]:
+                assert 1 <= len(field.partition(":")[2].split(",")) <= 6
+
+    converse(steps, S10=3)
+
+
+def test_every_sender_may_write_settings_at_rest_and_never_in_motion() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("$110=2000\n")
+        assert talk.lines == ["ok"]
+        yield from talk.send(_LONG, "ms 200")
+        yield from talk.send("$110=1000\n", "ms 50")
+        assert talk.lines == ["error:8"]
+
+    converse(steps, **_FAST)
+
+
+def test_bcnc_and_cncjs_may_send_overrides_as_utf8() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("G9\xc2\x911\xc2\x85\n")
+        assert talk.lines == ["ok"]
+        yield from talk.send("$G\n")
+        assert " G91 " in talk.lines[0]
+        seen = ""
+        for _ in range(3):
+            yield from talk.send("?", "report")
+            seen += talk.report()
+        assert "|Ov:110,100,100" in seen
+
+    converse(steps)
+
+
+def test_every_realtime_byte_leaves_the_line_it_falls_into_alone() -> None:
+    def steps(talk: Talk) -> Steps:
+        for byte in range(0x80, 0x100):
+            if byte != 0x84:  # the door, after which nothing is answered
+                yield from talk.send(f"G9{chr(byte)}0\n")
+                assert talk.lines == ["ok"], hex(byte)
+
+    converse(steps)
+
+
+def test_bcnc_sees_no_start_button_that_is_not_pressed() -> None:
+    """It begins to stream at an S in Pn: while idle."""
+
+    def steps(talk: Talk) -> Steps:
+        for _ in range(12):
+            yield from talk.send("?", "report")
+            assert "|Pn:" not in talk.report()
+        talk.rig.port.push({"start": True})
+        yield from talk.send("?", "report")
+        assert re.search(r"\|Pn:[XYZPDHR]*S", talk.report())
+
+    converse(steps)
+
+
+def test_bcnc_may_jog_faster_than_the_machine_can() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("$J=G91 X5Y5 F100000\n")
+        assert talk.lines == ["ok"]
+        yield from talk.settle()
+        assert "MPos:5.000,5.000,0.000" in talk.report()
+
+    converse(steps, **_FAST)
+
+
+def test_bcnc_may_begin_with_empty_lines_and_end_with_a_purge() -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send("\n\n$#\n$G\n")
+        assert len(answers(talk.lines)) == 4
+        yield from talk.send("G91\nG0X3\n", "ok")
+        yield from talk.settle()
+        yield from talk.send("!", "ms 200")
+        yield from talk.send("\x18", "banner")
+        yield from talk.send("$X\n")
+        yield from talk.send("G0 G54 G17 G21 G90 G94\nG43.1Z0.0\n")
+        assert answers(talk.lines) == ["ok", "ok"]
+        yield from talk.send("?", "report")
+        assert talk.report().startswith("<Idle|MPos:3.000,")
+
+    converse(steps, **_FAST)
+
+
+def test_grbl_streamer_may_put_149_bytes_under_way_while_the_machine_takes_them() -> None:
+    line = "G1X0.5F600\n"
+
+    def steps(talk: Talk) -> Steps:
+        yield from talk.send(line * (149 // len(line)))
+        assert set(answers(talk.lines)) == {"ok"}
+
+    converse(steps, **_FAST)
+
+
+def test_simple_stream_gets_no_line_it_has_not_asked_for() -> None:
+    """It takes whatever line comes for the answer."""
+
+    def steps(talk: Talk) -> Steps:
+        for line in ("G21", "G91", "G0 X1", "M3 S100", "G1 Y1 F500", "M5", "G4 P0.1", "G90"):
+            yield from talk.send(line + "\n", "idle")
+            assert talk.lines == ["ok"], line
+
+    converse(steps)

@@ -1,0 +1,127 @@
+"""The board's store on a real littlefs image, with the power cut at every write to flash."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import store_flash
+from store_flash import FlashStore
+
+littlefs = pytest.importorskip("littlefs")
+
+BLOCK, BLOCKS = 4096, 32
+OLD, NEW = ["$0=10", "$110=500.5"], ["$0=3", "$110=1000", "$999=1"]
+
+
+class Flash(littlefs.UserContext):
+    """A flash chip that remembers every operation that changes it."""
+
+    def __init__(self, image: bytes | None = None) -> None:
+        super().__init__(BLOCK * BLOCKS)
+        if image is not None:
+            self.buffer[:] = image
+        self.log: list[tuple[int, bytes]] = []
+
+    def prog(self, cfg: Any, block: int, off: int, data: bytes) -> int:
+        self.log.append((block * cfg.block_size + off, bytes(data)))
+        return super().prog(cfg, block, off, data)
+
+    def erase(self, cfg: Any, block: int) -> int:
+        self.log.append((block * cfg.block_size, b"\xff" * cfg.block_size))
+        return super().erase(cfg, block)
+
+
+def cut(image: bytes, log: list[tuple[int, bytes]], whole: int, torn: int) -> bytes:
+    """The chip after so many whole operations and `torn` bytes of the next."""
+    chip = bytearray(image)
+    for at, data in log[:whole]:
+        chip[at : at + len(data)] = data
+    if whole < len(log):
+        at, data = log[whole]
+        chip[at : at + torn] = data[:torn]
+    return bytes(chip)
+
+
+class Files:
+    """`os` and `open` as the store sees them, on that chip."""
+
+    def __init__(self, flash: Flash, fresh: bool) -> None:
+        self.fs = littlefs.LittleFS(
+            context=flash, block_size=BLOCK, block_count=BLOCKS, mount=False, prog_size=256
+        )
+        if fresh:
+            self.fs.format()
+        self.fs.mount()
+
+    def open(self, path: str, mode: str = "r") -> Any:
+        try:
+            return self.fs.open(path, mode)
+        except littlefs.LittleFSError as error:
+            raise OSError(path) from error
+
+    def rename(self, old: str, new: str) -> None:
+        self.fs.rename(old, new)
+
+
+def attach(monkeypatch: pytest.MonkeyPatch, flash: Flash, fresh: bool = False) -> FlashStore:
+    files = Files(flash, fresh)
+    monkeypatch.setattr(store_flash, "open", files.open, raising=False)
+    monkeypatch.setattr(store_flash, "os", files)
+    return FlashStore("/")
+
+
+def test_what_is_saved_is_loaded_and_the_copy_before_it_kept(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    store = attach(monkeypatch, Flash(), fresh=True)
+    assert store.load("settings") is None
+    store.save("settings", OLD)
+    store.save("settings", NEW)
+    assert store.load("settings") == NEW
+    with store_flash.open("/settings.txt", "w") as file:  # type: ignore[attr-defined]
+        file.write("$0=")
+    assert store.load("settings") == OLD
+
+
+def test_a_power_cut_at_any_write_leaves_the_old_or_the_new(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    first = Flash()
+    attach(monkeypatch, first, fresh=True).save("settings", OLD)
+    image = bytes(first.buffer)
+    chip = Flash(image)
+    attach(monkeypatch, chip).save("settings", NEW)
+    found = set()
+    for whole, (_, data) in enumerate([*chip.log, (0, b"")]):
+        for torn in sorted({0, 1, len(data) // 2, max(len(data) - 1, 0)}):
+            left = Flash(cut(image, chip.log, whole, torn))
+            lines = attach(monkeypatch, left).load("settings")
+            assert lines in (OLD, NEW), f"after {whole} operations and {torn} bytes"
+            found.add(tuple(lines))
+    assert len(found) == 2, "the cuts fall on both sides of the change"
+
+
+class FullFile:
+    def __enter__(self) -> FullFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def write(self, _: str) -> int:
+        raise OSError(28)
+
+
+def test_a_full_flash_is_told_of_and_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    store = attach(monkeypatch, Flash(), fresh=True)
+    store.save("settings", OLD)
+    working = store_flash.open  # type: ignore[attr-defined]
+
+    def full(path: str, mode: str = "r") -> Any:
+        return FullFile() if mode == "w" else working(path, mode)
+
+    monkeypatch.setattr(store_flash, "open", full)
+    with pytest.raises(OSError, match="28"):
+        store.save("settings", NEW)
+    assert store.load("settings") == OLD
