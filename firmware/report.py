@@ -163,7 +163,7 @@ class Report:
 
     def build_info(self, info: str, options: str) -> None:
         """The answer to $I."""
-        name = info if info else "Grbl"
+        name = "Grbl " + info if info else "Grbl"  # senders look for that word
         self._line("[VER:%s.%s:%s]" % (VERSION, BUILD, name))
         self._line("[OPT:" + options + "]")
 

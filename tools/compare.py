@@ -17,6 +17,7 @@ _SETTING_STEPS = re.compile(r"\$10([0-5])=([\d.]+)")
 _AXIS_WORD = re.compile(r"([XYZABC])\s*(-?\d*\.?\d+)", re.IGNORECASE)
 _MM_PER_INCH = 25.4
 _STOP = re.compile("[!\x84\x85]|G38")
+_ON_STEP = 0.05
 _STEP_MM = 0.0041  # recordings have 250 steps/mm
 _PLACE = re.compile(r"(?<=[:,])-?\d+\.\d+")
 
@@ -62,7 +63,7 @@ def _judge_lines(steps: list[Json], got: list[Json], lenient: bool, used: list[s
         if step.get("compare") == "info":
             continue
         if not _same_lines(_expected_lines(step), mine["lines"], used):
-            if not _beside(steps[: number + 1], mine["lines"], used):
+            if not _beside(steps[: number + 1], got[: number + 1], used):
                 wrong.append(f"step {number}: lines")
         if "partial" in step and step["partial"] != mine["partial"]:
             wrong.append(f"step {number}: unfinished line")
@@ -76,10 +77,10 @@ def _judge_lines(steps: list[Json], got: list[Json], lenient: bool, used: list[s
     return wrong
 
 
-def _beside(steps: list[Json], lines: list[str], used: list[str]) -> bool:
+def _beside(steps: list[Json], got: list[Json], used: list[str]) -> bool:
     """Reports after a stop that differ by the place of one step at the most."""
-    expected = steps[-1]["expect"]
-    if not any(_STOP.search(step["send"]) for step in steps) or len(expected) != len(lines):
+    expected, lines = steps[-1]["expect"], got[-1]["lines"]
+    if len(expected) != len(lines):
         return False
     for theirs, ours in zip(expected, lines, strict=True):
         if _PLACE.sub("#", theirs) != _PLACE.sub("#", ours):
@@ -87,8 +88,7 @@ def _beside(steps: list[Json], lines: list[str], used: list[str]) -> bool:
         pairs = zip(_PLACE.findall(theirs), _PLACE.findall(ours), strict=True)
         if any(abs(float(a) - float(b)) > _STEP_MM for a, b in pairs):
             return False
-    used.append(EXACT_STOP[0])
-    return True
+    return _stopped_on_step(steps, got, used)
 
 
 def _judge_moves(steps: list[Json], got: list[Json], used: list[str]) -> list[str]:
@@ -100,7 +100,9 @@ def _judge_moves(steps: list[Json], got: list[Json], used: list[str]) -> list[st
             continue
         moved = _padded(step.get("moved", none), axes)
         if "compare" not in step and not step.get("moved_varies"):
-            if moved != mine["moved"] and not _exact_stop(steps[: number + 1], moved, mine, used):
+            if moved != mine["moved"] and not _exact_stop(
+                steps[: number + 1], got[: number + 1], moved, used
+            ):
                 wrong.append(f"step {number}: moved")
         if not _same_outputs(steps, got, number, used):
             wrong.append(f"step {number}: outputs")
@@ -112,12 +114,19 @@ def _judge_moves(steps: list[Json], got: list[Json], used: list[str]) -> list[st
     return wrong
 
 
-def _exact_stop(steps: list[Json], moved: list[int], mine: Json, used: list[str]) -> bool:
-    """Motion was stopped before its end, and rested one step away from where Grbl's did."""
-    stopped = any(_STOP.search(step["send"]) or step.get("pins") for step in steps)
-    if stopped and all(abs(a - b) <= 1 for a, b in zip(moved, mine["moved"], strict=True)):
-        used.append(EXACT_STOP[0])
-        return True
+def _exact_stop(steps: list[Json], got: list[Json], moved: list[int], used: list[str]) -> bool:
+    """Motion was stopped before its end, on a whole step, and rests one step beside Grbl's."""
+    if all(abs(a - b) <= 1 for a, b in zip(moved, got[-1]["moved"], strict=True)):
+        return _stopped_on_step(steps, got, used)
+    return False
+
+
+def _stopped_on_step(steps: list[Json], got: list[Json], used: list[str]) -> bool:
+    for step, mine in zip(steps, got, strict=True):
+        stops = _STOP.search(step["send"]) or step.get("pins")
+        if stops and mine.get("off_step", 1) < _ON_STEP:
+            used.append(EXACT_STOP[0])
+            return True
     return False
 
 

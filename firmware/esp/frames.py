@@ -41,11 +41,11 @@ PLACE = const(10)  # position after all steps put into buffers
 AXES = const(0)
 PULSE = const(1)  # frames of a pulse
 SETUP = const(2)  # frames from a change of direction to a step
-WORD = const(3)  # all outputs but the steps, as the buffer begins
+WORD = const(3)  # the direction outputs, as they are at the end of what has been filled
 ROW_AT = const(4)  # tick at which the row begins,
 ROW_END = const(5)  # and ends
 LOCKED = const(6)  # mask of axes that stand still
-LATE_FRAMES = const(7)  # frames that reversals have had to be waited for, in all
+ENABLE = const(7)  # the enable output, for the next buffer
 TIMING_LENGTH = const(8)
 
 
@@ -59,20 +59,22 @@ def blank(frames: ptr32, word: int) -> int:
 
 @micropython.viper
 def begin_buffer(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
-    """Start a buffer, the next in time: no steps yet, but changes of direction that are due."""
-    word = timing[WORD]
+    """Start a buffer, the next in time: no steps yet, but changes of direction that are due.
+
+    Returns its first word.
+    """
+    start = timing[WORD] | timing[ENABLE]
     for i in range(FRAMES):
-        frames[i] = word
+        frames[i] = start
     for i in range(timing[AXES]):
         turn = lanes[LANE * i + TURN]
         if turn >= 0:
             lanes[LANE * i + TURN] = -1
             flip = lanes[LANE * i + DIR]
-            word ^= flip
+            timing[WORD] = timing[WORD] ^ flip
             for k in range(turn, FRAMES):
                 frames[k] = frames[k] ^ flip
-    timing[WORD] = word
-    return 0
+    return start
 
 
 @micropython.viper
@@ -120,7 +122,6 @@ def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int)
     now = timing[ROW_END] >> FRAME_LOG2
     timing[ROW_AT] = timing[ROW_END] + late
     timing[ROW_END] = timing[ROW_AT] + row[_ROW_TICKS]
-    timing[LATE_FRAMES] = timing[LATE_FRAMES] + (late >> FRAME_LOG2)
     for i in range(timing[AXES]):
         lane = LANE * i
         base = _ROW_AXES + _ROW_STRIDE * i
@@ -177,6 +178,22 @@ def render(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
             place = lanes[lane + PLACE]
             lanes[lane + PLACE] = place - 1 if lanes[lane + BACK] else place + 1
     return over
+
+
+@micropython.viper
+def settle(timing: ptr32, lanes: ptr32) -> int:
+    """Forget the row in progress; direction outputs as the lanes say."""
+    word = 0
+    timing[ROW_END] = 0
+    for i in range(timing[AXES]):
+        lane = LANE * i
+        lanes[lane + TURN] = -1
+        lanes[lane + FREE] = 0
+        lanes[lane + LEFT] = 0
+        if lanes[lane + BACK] != lanes[lane + INVERT]:
+            word |= lanes[lane + DIR]
+    timing[WORD] = word
+    return 0
 
 
 @micropython.viper

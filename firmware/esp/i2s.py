@@ -29,7 +29,16 @@ from kernels import row_length
 from micropython import const
 
 from esp import frames
-from esp.frames import begin_buffer, begin_row, blank, count, end_buffer, lateness, render
+from esp.frames import (
+    begin_buffer,
+    begin_row,
+    blank,
+    count,
+    end_buffer,
+    lateness,
+    render,
+    settle,
+)
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -57,32 +66,35 @@ _BEGAN = const(4)  # and when this one began, in us
 _WRITTEN = const(5)  # the number that the next buffer handed over will have
 _MADE = const(6)  # buffers filled since power-up
 _SENT = const(7)  # and handed over
-_LAST = const(8)  # number of the last buffer with steps in it
-_POWER = const(9)  # spindle power of the row being rendered
-_TOLD = const(10)  # spindle power told last
-_DRY = const(11)  # how often the stream has run dry while steps were due
-_STATE_LENGTH = const(12)
+_LAST = const(8)  # number of the last buffer of motion; while that is not handed over, _NEVER
+_TOLD = const(9)  # spindle power told last
+_DRY = const(10)  # how often the stream has run dry while the machine moved
+_STATE_LENGTH = const(11)
 
 # What is remembered of a buffer; behind these, per axis, the position as it begins.
 _NUMBER = const(0)
 _START = const(1)  # its first word, without steps
-_PLAYS_POWER = const(2)
+_POWER = const(2)  # spindle power as it is played; _NEVER: nothing new
 _NOTE = const(3)
 
 # From frames.py, kernels.py.
 _LANE = const(11)
 _PLACE = const(10)
 _LEFT = const(6)
-_KEEP_POWER = const(0x3FFFFFFF)
+_NEVER = const(0x3FFFFFFF)
 _ROW_POWER = const(2)
 
+# Times are in us modulo 2**30; a difference from there on is a negative one.
 _TICKS_MASK = const(0x3FFFFFFF)
+_NEGATIVE = const(0x20000000)
 
 
 @micropython.viper
 def _follow(state: ptr32, now: int, buffer_us: int) -> int:
     """See which buffer is being played. Returns for how long it has been, in us."""
     passed = (now - state[_BEGAN]) & _TICKS_MASK
+    if passed > _NEGATIVE:
+        return 0  # asked before a turn, answered behind it
     while passed >= buffer_us:
         passed -= buffer_us
         state[_BEGAN] = (state[_BEGAN] + buffer_us) & _TICKS_MASK
@@ -203,39 +215,36 @@ class I2sEngine:
         timing = self._timing
         timing[frames.PULSE] = self._frames_of(pulse_us)
         timing[frames.SETUP] = self._frames_of(_SETUP_US)
-        word = timing[frames.WORD] & self._enable_bit
         for i in range(self._axes):
-            lane = _LANE * i
-            self._lanes[lane + frames.INVERT] = dir_invert >> i & 1
-            if self._lanes[lane + frames.BACK] != self._lanes[lane + frames.INVERT]:
-                word |= self._lanes[lane + frames.DIR]
-        timing[frames.WORD] = word
+            self._lanes[_LANE * i + frames.INVERT] = dir_invert >> i & 1
+        settle(timing, self._lanes)
 
     def enable(self, level: int) -> None:
         """Level of the motor drivers' enable output, from the next buffer on. For the port."""
-        word = self._timing[frames.WORD] & ~self._enable_bit
-        self._timing[frames.WORD] = word | (self._enable_bit if level else 0)
+        self._timing[frames.ENABLE] = self._enable_bit if level else 0
 
     def start(self) -> None:
         """Begin to pull, where the engine had run out of segments; the timer's next turn does."""
-        if not self._state[_PULLING]:
-            self._state[_PULLING] = 1
+        state = self._state
+        if not state[_PULLING]:
+            state[_TOLD] = -1
+            state[_PULLING] = 1
 
     def stop(self) -> None:
         """At once; safe in a soft interrupt; queued steps are dropped, locks released."""
         state = self._state
         state[_HALT] = 1
-        state[_PULLING] = 0
         if not self.idle():
             steps = array("i", (0 for _ in range(self._axes)))
             self.position(steps)
             self._stream.deinit()
             for i in range(self._axes):
                 self._lanes[_LANE * i + _PLACE] = steps[i]
-                self._lanes[_LANE * i + _LEFT] = 0
             state[_SENT] = state[_MADE]
             state[_LAST] = -1
+            settle(self._timing, self._lanes)
             self._open()
+        state[_PULLING] = 0
         state[_ROW] = 0
         self._timing[frames.LOCKED] = 0
         state[_HALT] = 0
@@ -250,7 +259,7 @@ class I2sEngine:
     def idle(self) -> bool:
         """Nothing is moving and nothing is queued in hardware."""
         state = self._state
-        if state[_PULLING] or state[_MADE] != state[_SENT]:
+        if state[_PULLING]:
             return False
         _follow(state, time.ticks_us(), self._buffer_us)
         return state[_LAST] < state[_PLAYING]
@@ -298,16 +307,46 @@ class I2sEngine:
         self._tell_power()
         if state[_WRITTEN] <= state[_PLAYING] + 1 and not self._go_on(passed):
             return
-        depth = self._buffers - _SPARE
-        while True:
+        depth = self._buffers - _SPARE if state[_PULLING] else _DEPTH_AT_REST
+        while state[_WRITTEN] - state[_PLAYING] < depth:
             if state[_MADE] == state[_SENT]:
-                if not state[_PULLING] and depth > _DEPTH_AT_REST:
-                    depth = _DEPTH_AT_REST
-                if state[_WRITTEN] - state[_PLAYING] >= depth:
-                    return
                 self._make()
-            if state[_WRITTEN] - state[_PLAYING] >= depth or not self._send():
+            if not self._send():
                 return
+
+    def _tell_power(self) -> None:
+        state = self._state
+        slot = _find(state, self._notes, self._slots, self._size)
+        if slot >= 0:
+            power = self._notes[slot * self._size + _POWER]
+            if power not in (_NEVER, state[_TOLD]):
+                state[_TOLD] = power
+                self._on_power(power)
+
+    def _make(self) -> None:
+        """Fill the next buffer of our ring."""
+        state, timing, lanes, row = self._state, self._timing, self._lanes, self._row
+        slot = state[_MADE] % self._slots
+        note = slot * self._size
+        buffer = self._ring[slot]
+        for i in range(self._axes):
+            self._notes[note + _NOTE + i] = lanes[_LANE * i + _PLACE]
+        self._notes[note + _START] = begin_buffer(buffer, timing, lanes)
+        self._notes[note + _POWER] = _NEVER
+        if state[_PULLING]:
+            state[_LAST] = _NEVER
+            if not state[_ROW]:
+                timing[frames.ROW_END] = 0
+            while not state[_ROW] or render(buffer, timing, lanes):
+                if not self._next_segment(row):
+                    state[_PULLING] = 0
+                    state[_ROW] = 0
+                    break
+                begin_row(buffer, row, timing, lanes, lateness(row, timing, lanes))
+                state[_ROW] = 1
+                self._notes[note + _POWER] = row[_ROW_POWER]
+        end_buffer(timing, lanes)
+        state[_MADE] += 1
 
     def _go_on(self, passed: int) -> bool:
         """The stream has run dry, or may have: nothing steps in the buffer that comes next."""
@@ -315,7 +354,7 @@ class I2sEngine:
         if passed < _DOUBT or passed > self._buffer_us - _DOUBT:
             return state[_WRITTEN] > state[_PLAYING] + 1
         state[_WRITTEN] = state[_PLAYING] + 1
-        if state[_PULLING]:
+        if state[_LAST] >= state[_WRITTEN] - 1 or state[_PULLING]:
             state[_DRY] += 1
         word = self._timing[frames.WORD]
         if state[_MADE] != state[_SENT]:
@@ -334,7 +373,7 @@ class I2sEngine:
             return False
         note = slot * self._size
         self._notes[note + _NUMBER] = state[_WRITTEN]
-        if state[_LAST] == _KEEP_POWER:
+        if state[_LAST] == _NEVER:
             state[_LAST] = state[_WRITTEN]
         state[_WRITTEN] += 1
         state[_SENT] += 1

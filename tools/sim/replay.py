@@ -9,7 +9,7 @@ import sys
 from array import array
 
 import state
-from kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
+from kernels import PARTIAL, ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 
 from .engine import Switch, step_tick, steps_until
 from .rig import MemoryStore, Rig
@@ -261,6 +261,9 @@ class _Case:
         before = list(self.place)
         self.rig.engine.physical(self.place)
         observed["moved"] = [self.place[i] - before[i] for i in range(len(before))]
+        # How far the way really come is from a whole step of the longest axis.
+        beyond = self.rig.controller.planner.flow[PARTIAL] / 262144
+        observed["off_step"] = min(beyond, 1 - beyond)
         now = self.outputs()
         was = observed["out"]
         observed["out"] = {name: now[name] for name in _OUTPUTS if now[name] != was[name]}
