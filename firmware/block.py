@@ -176,7 +176,14 @@ class Modal:
 class Block:
     """One line being interpreted. Reused for every line."""
 
-    def __init__(self, axes: int, has_mist: bool, has_override_control: bool) -> None:
+    def __init__(
+        self,
+        axes: int,
+        has_mist: bool,
+        has_override_control: bool,
+        highest_tool: int = _HIGHEST_TOOL,
+    ) -> None:
+        self._highest_tool = highest_tool
         self.modal = Modal()
         self.xyz = vector(axes)
         self.ijk = vector(3)
@@ -281,7 +288,7 @@ class Block:
         bit = self._values.get(letter)
         if bit is None:
             raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
-        if bit == WORD_T and value > _HIGHEST_TOOL:
+        if bit == WORD_T and value > self._highest_tool:
             raise GrblError(errors.GCODE_MAX_VALUE_EXCEEDED)
         self._assign(letter, bit, value)
         if self.values & bit:

@@ -90,8 +90,7 @@ class Commands:
         """Execute the startup lines, each with its answer."""
         for text in self._startup:
             if not self._startup_valid:
-                self._report.startup_run("")
-                self._report.error(errors.SETTING_READ_FAIL)
+                self._report.startup_lost()
             elif text:
                 self._report.startup_run(text)
                 line = bytearray(text.encode() + b"\0")
@@ -103,6 +102,8 @@ class Commands:
     def execute(self, line: bytearray, length: int) -> None:
         """Do what a line beginning with $ asks. Raises GrblError where it is refused."""
         key = line[1]
+        if key in self._report.NO_COMMANDS:
+            key = 48  # no letter: taken for the number of a setting
         if key == 0:
             self._report.help()
         elif key == 74:  # J

@@ -36,6 +36,10 @@ if TYPE_CHECKING:
 
     from interfaces import Link, Port, StepEngine, Store
 
+# Classes of the tool, its settings besides those of the table in place of others, and where
+# they are kept.
+_SPINDLE = (Spindle, Gcode, Realtime, (), (), "settings")
+
 _DEFAULT_BLOCKS = const(16)
 _DEFAULT_RX_BYTES = const(128)
 _LINE_LENGTH = const(79)
@@ -83,6 +87,12 @@ class Options:
         self.max_step_hz: int = option("MAX_STEP_RATE_HZ", 0)
         # Every line is echoed as it was understood, for debugging.
         self.echo: bool = option("ECHO", False)
+        # Whose words it uses: "1.1", or "0.9", "0.9i" and "0.9j" for senders older than that.
+        self.dialect: str = option("DIALECT", "1.1")
+        # What works on the material: "spindle", a laser too, or "punch".
+        self.tool: str = option("TOOL", "spindle")
+        self.reports = _reports(self.dialect)
+        self.parts = _parts(self.tool, board)
 
     def letters(self) -> str:
         """The text of [OPT:…]: Grbl's letters for what is on, planner blocks, receive bytes."""
@@ -104,6 +114,24 @@ class Options:
         return "%s,%d,%d" % (text, self.blocks - 1, self.rx_bytes)
 
 
+def _reports(dialect: str) -> "type[Report]":
+    """What speaks that dialect. Raises ValueError where nothing does."""
+    if dialect == "1.1":
+        return Report
+    import report_09
+
+    return report_09.find(dialect)
+
+
+def _parts(tool: str, board: "ModuleType") -> "Any":
+    """What that tool is made of, as in _SPINDLE. Raises ValueError where it cannot be."""
+    if tool == "spindle":
+        return _SPINDLE
+    import punch
+
+    return punch.find(tool, board)
+
+
 class Controller:
     """The machine. Made by build()."""
 
@@ -115,21 +143,32 @@ class Controller:
         self.port = port
         self.engine = engine
         self.state = State()
-        self.settings = Settings(store, axes, options.defaults)
+        tool, self._gcode, self._realtime, extra, replaced, file = options.parts
+        reports = options.reports
+        defaults = dict(reports.DEFAULTS)
+        defaults.update(options.defaults)
+        without = reports.NO_SETTINGS + replaced
+        self.settings = Settings(store, axes, defaults, without, extra, file)
         self.settings.max_step_hz = options.max_step_hz
         self.coords = Coords(store, axes, TOOL_LENGTH)
         self.planner = Planner(axes, options.blocks, options.corexy, self.state)
         self.segments = Segments(self.planner)
-        self.spindle = Spindle(port, self.state, options.enable_pin)
+        self.spindle = tool(port, self.state, options.enable_pin)
         self.coolant = Coolant(port, self.state)
         self.inputs = Inputs(port, axes, options.door)
-        self.report = Report(
+        self.report = reports(
             link, self.state, self.settings, self.coords, axes, options.line_numbers
         )
         self._make_language()
         self._make_states()
         self._make_commands(store)
-        self.reader = LineReader(options.rx_bytes, _LINE_LENGTH, self.realtime.post)
+        self.reader = LineReader(
+            options.rx_bytes,
+            _LINE_LENGTH,
+            self.realtime.post,
+            reports.REALTIME,
+            reports.CUTS_LINES,
+        )
         self.protocol = Protocol(link, self.state, self.reader, self.report, options.echo)
         self._steps = array("i", (0 for _ in range(axes)))
         self._connect()
@@ -157,7 +196,7 @@ class Controller:
             options.zero_origin,
             options.shared_switches,
         )
-        self.gcode = Gcode(
+        self.gcode = self._gcode(
             options.axes,
             self.state,
             self.settings,
@@ -166,14 +205,19 @@ class Controller:
             self.cycles,
             self.spindle,
             self.report,
-            Block(options.axes, options.mist, options.override_control),
+            Block(
+                options.axes,
+                options.mist,
+                options.override_control,
+                options.reports.HIGHEST_TOOL,
+            ),
             options.line_numbers,
             options.override_control,
         )
 
     def _make_states(self) -> None:
         """The run states and what moves the machine between them."""
-        self.realtime = Realtime(
+        self.realtime = self._realtime(
             self.state,
             self.settings,
             self.engine,

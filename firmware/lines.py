@@ -25,7 +25,10 @@ _HEAD = const(1)
 _TAIL = const(2)
 _LENGTH = const(3)  # of the line so far
 _LONGEST = const(4)
-_SKIPPING = const(5)  # mask:
+_FIRST_REALTIME = const(5)
+_EXTRA_REALTIME = const(6)
+_TOO_MUCH = const(7)  # what becomes of _SKIPPING where a line is too long; 0 = it ends there
+_SKIPPING = const(8)  # mask:
 _IN_PARENTHESES = const(1)
 _AFTER_SEMICOLON = const(2)
 _OVERFLOW = const(4)
@@ -40,9 +43,11 @@ def fill_ring(data: ptr8, span: int, ring: ptr8, at: ptr32) -> int:
     count = span >> 16
     i = span & 0xFFFF
     head = at[_HEAD]
+    first = at[_FIRST_REALTIME]
+    extra = at[_EXTRA_REALTIME]
     while i < count:
         c = data[i]
-        if c >= 0x80 or c == 0x18 or c == 0x3F or c == 0x7E or c == 0x21:  # noqa: PLR1714
+        if c >= first or c == 0x18 or c == 0x3F or c == 0x7E or c == 0x21 or c == extra:  # noqa: PLR1714
             break
         following = head + 1
         if following == at[_SIZE]:
@@ -80,7 +85,10 @@ def clean(ring: ptr8, at: ptr32, line: ptr8) -> int:
         elif c == 59:
             skipping = _AFTER_SEMICOLON
         elif length >= at[_LONGEST]:
-            skipping = _OVERFLOW
+            skipping = at[_TOO_MUCH]
+            if skipping == 0:
+                found = TOO_LONG
+                break
         else:
             line[length] = c - 32 if c >= 97 and c <= 122 else c
             length += 1
@@ -92,13 +100,25 @@ def clean(ring: ptr8, at: ptr32, line: ptr8) -> int:
 
 
 class LineReader:
-    """The ring and the line being put together. size: bytes of the ring; longest: of a line."""
+    """The ring and the line being put together. size: bytes of the ring; longest: of a line.
 
-    def __init__(self, size: int, longest: int, on_realtime: "Callable[[int], None]") -> None:
+    realtime: the first of the upper real-time bytes, and one more; cuts_lines: what is behind
+    the end of a line too long is a line of its own.
+    """
+
+    def __init__(
+        self,
+        size: int,
+        longest: int,
+        on_realtime: "Callable[[int], None]",
+        realtime: "tuple[int, int]" = (0x80, 0x84),
+        cuts_lines: bool = False,
+    ) -> None:
         self.line = bytearray(longest + 1)
         self._on_realtime = on_realtime
         self._ring = bytearray(size + 1)
-        self._at = array("i", (size + 1, 0, 0, 0, longest, 0))
+        too_much = 0 if cuts_lines else _OVERFLOW
+        self._at = array("i", (size + 1, 0, 0, 0, longest, realtime[0], realtime[1], too_much, 0))
 
     @property
     def length(self) -> int:

@@ -35,6 +35,7 @@ _EVENTS = {
     0x3F: st.STATUS_REPORT,  # ?
     0x7E: st.CYCLE_START,  # ~
     0x21: st.FEED_HOLD,  # !
+    0x40: st.SAFETY_DOOR,  # @, which only Grbl 0.9 takes off a line
     0x84: st.SAFETY_DOOR,
     0x85: st.CANCEL_MOTION,  # jog cancel: only while jogging
 }

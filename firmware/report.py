@@ -4,9 +4,11 @@ Formats are Grbl 1.1h's to the byte. Answers are constant bytes; a status
 report is put together from parts.
 """
 
+import errors
 import state as st
 from axes import LETTERS
 from coords import NAMES
+from digits import number
 from f32 import INCH_PER_MM, f32, vector
 from inputs import DOOR, HOLD, RESET, START
 from micropython import const
@@ -54,32 +56,22 @@ _OVERRIDE_IDLE = const(10)
 _OVERRIDE_BUSY = const(20)
 _MOVING = const(0x7C)  # HOMING | RUN | HOLD | JOG | DOOR
 
-_LARGEST = 2147483648.0
-
-
-def number(x: float, decimals: int) -> str:
-    """A number as Grbl prints it: single precision all the way, saturating at 2**31 digits."""
-    sign = ""
-    if x < 0:
-        sign = "-"
-        x = -x
-    left = decimals
-    while left >= 2:
-        x = f32(x * 100)
-        left -= 2
-    if left:
-        x = f32(x * 10)
-    x = f32(x + 0.5)
-    digits = "%d" % (int(x) if x < _LARGEST else 2147483648)
-    if decimals == 0:
-        return sign + digits
-    while len(digits) <= decimals:
-        digits = "0" + digits
-    return sign + digits[:-decimals] + "." + digits[-decimals:]
-
 
 class Report:
-    """Puts words to what the others know, and writes it to the link."""
+    """Puts words to what the others know, and writes it to the link.
+
+    The constants say what this dialect of Grbl has; report_09.py has others.
+    """
+
+    # Real-time bytes besides ? ~ ! and Ctrl-X: all from the first on, and the second.
+    REALTIME = (0x80, 0x84)
+    # What is behind the end of a line too long is a line of its own.
+    CUTS_LINES = False
+    HIGHEST_TOOL = 255
+    # Commands, by their letters, and settings that are not there.
+    NO_COMMANDS = b""
+    NO_SETTINGS: "tuple[int, ...]" = ()
+    DEFAULTS: "dict[int, float]" = {}
 
     def __init__(
         self,
@@ -160,6 +152,11 @@ class Report:
     def startup_run(self, text: str) -> None:
         """A startup line about to be executed; its answer follows on the same line."""
         self._link.write((">" + text + ":").encode())
+
+    def startup_lost(self) -> None:
+        """Nothing valid is kept in the place of a startup line."""
+        self.startup_run("")
+        self.error(errors.SETTING_READ_FAIL)
 
     def build_info(self, info: str, options: str) -> None:
         """The answer to $I."""

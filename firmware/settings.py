@@ -16,8 +16,10 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from interfaces import Store
 
+    Rows = tuple[tuple[int, str, int, float, str], ...]
+
 _INT = const(0)  # whole, 0 to 255: larger numbers wrap
-_BOOL = const(1)
+BOOL = const(1)
 _FLOAT = const(2)
 _RPM = const(3)  # a float, shown without decimals
 _AXIS = const(4)  # a float per axis: number + axis
@@ -37,11 +39,11 @@ _TABLE = (
     # Step direction invert. One bit per axis.
     (3, "dir_invert", _INT, 0, "mask"),
     # Invert step enable pin. Off: low enables the drivers.
-    (4, "enable_invert", _BOOL, 0, "boolean"),
+    (4, "enable_invert", BOOL, 0, "boolean"),
     # Invert limit pins. Off: switches pull their pins to ground when hit.
-    (5, "limit_invert", _BOOL, 0, "boolean"),
+    (5, "limit_invert", BOOL, 0, "boolean"),
     # Invert probe pin. Off: the probe pulls its pin to ground on contact.
-    (6, "probe_invert", _BOOL, 0, "boolean"),
+    (6, "probe_invert", BOOL, 0, "boolean"),
     # Status report options. 1: machine position rather than work position; 2: buffer state.
     (10, "report_mask", _INT, 1, "mask"),
     # Junction deviation. How far a corner may be rounded in thought; more makes corners faster.
@@ -49,13 +51,13 @@ _TABLE = (
     # Arc tolerance. How far the chords of an arc may stray from it.
     (12, "arc_tolerance_mm", _FLOAT, 0.002, "millimeters"),
     # Report in inches. Positions and rates in reports, not in settings.
-    (13, "report_inches", _BOOL, 0, "boolean"),
+    (13, "report_inches", BOOL, 0, "boolean"),
     # Soft limits. Refuse motion outside the travel of $130-$132. Needs homing.
-    (20, "soft_limits", _BOOL, 0, "boolean"),
+    (20, "soft_limits", BOOL, 0, "boolean"),
     # Hard limits. Stop at once and alarm when a limit switch changes.
-    (21, "hard_limits", _BOOL, 0, "boolean"),
+    (21, "hard_limits", BOOL, 0, "boolean"),
     # Homing cycle. $H is available, and the machine starts locked until homed.
-    (22, "homing", _BOOL, 0, "boolean"),
+    (22, "homing", BOOL, 0, "boolean"),
     # Homing direction invert. One bit per axis; set: the switch is at the negative end.
     (23, "homing_dir_invert", _INT, 0, "mask"),
     # Homing locate feed rate. The slow approach that counts.
@@ -71,7 +73,7 @@ _TABLE = (
     # Minimum spindle speed. The speed at least power.
     (31, "min_rpm", _RPM, 0.0, "RPM"),
     # Laser mode. S changes without stopping; M4 power follows the speed; G0 is dark.
-    (32, "laser_mode", _BOOL, 0, "boolean"),
+    (32, "laser_mode", BOOL, 0, "boolean"),
     # Steps per millimetre, one value per axis.
     (100, "steps_per_mm", _AXIS, 250.0, "step/mm"),
     # Maximum rate, one value per axis.
@@ -89,7 +91,10 @@ _PER_SECOND_SQR = 3600.0
 
 
 class Settings:
-    """All settings, with what is kept in the store."""
+    """All settings, with what is kept in the store.
+
+    without: numbers of the table that are not there; extra: rows that are, besides; file: where.
+    """
 
     step_pulse_us: int
     idle_lock_ms: int
@@ -118,8 +123,21 @@ class Settings:
     acceleration: "array[float]"  # mm/min2
     max_travel: "array[float]"
 
-    def __init__(self, store: "Store", axes: int, defaults: "dict[int, float]") -> None:
+    def __init__(
+        self,
+        store: "Store",
+        axes: int,
+        defaults: "dict[int, float]",
+        without: "tuple[int, ...]" = (),
+        extra: "Rows" = (),
+        file: str = _FILE,
+    ) -> None:
         self.max_step_hz = 0  # a board that checks step rates ($100-$112) sets it
+        self._rows = tuple(sorted([row for row in _TABLE if row[0] not in without] + list(extra)))
+        for row in _TABLE:
+            if row[0] in without:
+                setattr(self, row[1], row[3])
+        self._file = file
         self._store = store
         self._axes = axes
         self._board_defaults = defaults
@@ -128,7 +146,7 @@ class Settings:
     def load(self) -> bool:
         """Read what is kept; False where there was nothing valid and defaults were restored."""
         self._set_defaults()
-        lines = self._store.load(_FILE)
+        lines = self._store.load(self._file)
         if lines is None:
             self.save()
             return False
@@ -159,7 +177,7 @@ class Settings:
         lines = [
             "$%d=%.9g" % (number, self._shown(number, row)) for number, row in self._numbers()
         ]
-        self._store.save(_FILE, lines + self._unknown)
+        self._store.save(self._file, lines + self._unknown)
 
     def restore(self) -> None:
         """Back to defaults ($RST=$)."""
@@ -180,7 +198,7 @@ class Settings:
 
     def _numbers(self) -> "list[tuple[int, tuple[int, str, int, float, str]]]":
         numbers = []
-        for row in _TABLE:
+        for row in self._rows:
             for axis in range(self._axes if row[2] == _AXIS else 1):
                 numbers.append((row[0] + axis, row))
         return numbers
@@ -197,7 +215,7 @@ class Settings:
         return amount
 
     def _set_defaults(self) -> None:
-        for row in _TABLE:
+        for row in self._rows:
             if row[2] == _AXIS:
                 setattr(self, row[1], array("f", (0.0 for _ in range(self._axes))))
             for axis in range(self._axes if row[2] == _AXIS else 1):
@@ -212,13 +230,13 @@ class Settings:
             getattr(self, row[1])[axis] = amount
         elif row[2] == _INT:
             setattr(self, row[1], whole(amount) & 255)
-        elif row[2] == _BOOL:
+        elif row[2] == BOOL:
             setattr(self, row[1], 1 if whole(amount) & 255 else 0)
         else:
             setattr(self, row[1], f32(amount))
 
     def _row(self, number: int) -> "tuple[tuple[int, str, int, float, str], int]":
-        for row in _TABLE:
+        for row in self._rows:
             axis = number - row[0]
             if axis == 0 or (row[2] == _AXIS and 0 < axis < self._axes):
                 return row, axis

@@ -115,6 +115,14 @@ def test_millimetres_become_steps_as_in_single_precision(mm: float, resolution: 
         assert steps[0] - 2**29 == (rounded if product >= 0 else -rounded)
 
 
+@pytest.mark.xfail(reason="kernels.to_steps: a place out of reach becomes place 0, unheeded")
+def test_a_place_out_of_reach_lies_in_its_direction() -> None:
+    bench = Bench()
+    bench.line((10, -10, 0))
+    bench.line((3e6, -4e6, 0))
+    assert bench.watch.planned[-1].motors[0] > 0 > bench.watch.planned[-1].motors[1]
+
+
 # The interrupt's arithmetic
 
 
@@ -122,7 +130,7 @@ def test_millimetres_become_steps_as_in_single_precision(mm: float, resolution: 
 def test_a_share_is_cut_off_at_all_of_it(part: int, total: int) -> None:
     exact = part / total * 2**17
     got = kernels.share(part, total)
-    assert got == 2**17 if part >= total else abs(got - exact) <= 1 + exact * 2**-20
+    assert got == 2**17 if part >= total else abs(got - exact) <= 2 + exact * 2**-20
 
 
 @given(words, parts)
@@ -152,7 +160,7 @@ def test_speed_after_a_distance_is_what_floats_say(
 ) -> None:
     square = speed**2 + (-2 if down else 2) * ramp * distance
     got = kernels.after(speed, ramp, distance, int(down))
-    tolerance = (speed**2 + 2 * ramp * distance) * 2**-12 + 4
+    tolerance = (speed**2 + 2 * ramp * distance) * 2**-11 + 4
     assert got >= 0
     if square < HIGHEST**2 * 0.999:
         exact = max(square, 0)

@@ -11,13 +11,13 @@ FIRMWARE = Path(__file__).parent.parent / "firmware"
 # A module imports from lower lines only, never from its own. A new module gets its place here.
 LAYERS = (
     {"errors", "axes", "f32"},
-    {"words", "lines", "arcs", "kernels"},
+    {"words", "lines", "arcs", "digits", "kernels"},
     {"state", "settings", "coords"},
     {"block", "planner", "segments", "spindle", "coolant", "inputs"},
     {"checks", "motion", "report"},
-    {"gcode", "cycles"},
+    {"gcode", "cycles", "report_09"},
     {"realtime", "commands", "suspension"},
-    {"protocol"},
+    {"protocol", "punch"},
     {"controller"},
     {"main"},
 )

@@ -16,6 +16,7 @@ import gc
 from array import array
 
 import kernels
+import lines
 import micropython
 import words
 from f32 import vector
@@ -71,6 +72,11 @@ text = bytearray(b"G1X-12.345Y0.0000678Z99999999.9F1500S12000\\0")
 end = len(text) - 1 << 8
 letters = bytearray(128)
 values = array("f", [0.0] * 128)
+plain = bytearray(b"G1X-12.345Y0.25F1500\\0")
+line = words.Words()
+offsets = array("f", [0.1, -20.5, 0.0])
+reader = lines.LineReader(128, 79, lambda byte: None)
+received = bytearray(b"G1 X1 (a comment) ? y2\\n")
 """
 
 _PROVED = {
@@ -81,6 +87,10 @@ _PROVED = {
     "schedule": "kernels.schedule(block, machine)",
     "reverse_pass": "kernels.reverse_pass(ring, flow, 1)",
     "scan": "words.scan(text, end, letters, values)",
+    "read": "line.read(plain, 0, len(plain) - 1)",
+    "target": "line.target(line.plain(), offsets, target)",
+    "feed": "reader.feed(received, len(received))",
+    "take": "reader.take()",
 }
 
 _SEGMENTS = """

@@ -62,6 +62,9 @@ def print_words(dice):
         count = words.scan(bytearray(text.encode() + b"\0"), len(text) << 8, letters, values)
         bits = bytes(array("f", [values[i] for i in range(count & 255)]))
         print(text, count, list(bits))
+        one, other = array("f", [values[0]]), array("f", [values[1 % (count & 255)]])
+        words.add_single(one, 0, other, 0)
+        print(list(bytes(other)), words.plain(letters, values, count & 255, bytearray(16)))
 
 
 class Settings:

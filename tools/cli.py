@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from . import picture, settings_cli
+from . import picture, plot_cli, settings_cli
 from .conformance import conformance
 from .gcode_file import read_lines
 from .machine import DEFAULT_BOARD
@@ -18,6 +18,7 @@ from .screen import Screen, show_errors, summary, totals_rows
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
 app.command()(conformance)
+app.command("plot", epilog=plot_cli.EXAMPLES)(plot_cli.command)
 app.add_typer(settings_cli.app, name="settings")
 
 

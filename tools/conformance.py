@@ -33,6 +33,8 @@ _HEAP = "heapsize=64M"
 # Files recorded from a Grbl built with options, and the simulator board that has the same ones.
 BOARDS = {
     "corexy": "sim_corexy",
+    "grbl_0.9i_20150620": "sim_09i",
+    "grbl_0.9j_20150717": "sim_09j",
     "force_set_origin_and_single_axis_homing": "sim_single_axis_homing",
     "line_numbers_and_mist": "sim_line_numbers",
     "max_step_rate_and_echo": "sim_echo",

@@ -195,7 +195,7 @@ class I2sEngine:
     # The StepEngine seam
 
     def max_step_hz(self, pulse_us: int) -> int:
-        """Highest rate of one axis: a pulse takes whole frames, and one frame is between pulses."""
+        """Highest rate of one axis: pulses take whole frames, and there is one between them."""
         return self._rate_hz // (self._frames_of(pulse_us) + 1)
 
     def _frames_of(self, us: int) -> int:

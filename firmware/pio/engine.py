@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from interfaces import NextSegment
 
 _TICK_HZ = const(12_500_000)
-_SEGMENT_LOG2 = const(16)
+_SEGMENT_LOG2 = const(17)
 
-# So much is made ahead of the segment that runs, in ticks: what a hold has to wait for.
+# So much is made ahead of the segment that runs, in ticks: what a hold has to wait for, besides.
 _LEAD = const(40_000)
 _MOST = const(2)  # segments made in one interrupt
 _LAST_ROW = const(15)
@@ -48,6 +48,7 @@ _MADE = const(2)
 _FED = const(3)
 _AHEAD = const(5)
 _CUT = const(10)
+_EARLY = const(12)
 _LANE = const(7)
 _PLACE = const(4)
 _END = const(5)
@@ -167,6 +168,8 @@ class PioEngine:
             power = int(look(hub))
             if power != _KEEP_POWER:
                 self._on_power(power)
+            if hub[_RUNNING] and hub[_EARLY] > 0:
+                return 0
         if hub[_MADE] != hub[_FED]:
             feed(hub)
         made = 0

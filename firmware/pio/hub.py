@@ -15,6 +15,8 @@ from pio import programs, pulses
 from pio.pulses import convert, cut
 
 _HALF_TICKS_PER_US = const(25)
+# The clock calls so long before the end of a long segment, in ticks: time to make the next.
+_LEAD = const(40_000)
 _ROWS = const(16)
 _LAST_ROW = const(15)
 _CLOCK_FIFO = const(4)
@@ -34,25 +36,27 @@ _LOCKED = const(7)  # mask of lanes that stand still
 _END_US = const(8)  # when the words end, in us and half ticks
 _END_REST = const(9)
 _CUT = const(10)  # where in a long segment the next piece begins; 0: there is none
-_AXES = const(11)
+_BEATS = const(11)  # words handed to the clock, since power-up
+_EARLY = const(12)  # the clock will call again before the running segment ends
+_AXES = const(13)
 # … then registers, which depend on the chip …
-_PIO0 = const(12)
-_PIO1 = const(13)
-_TIMER = const(14)
-_NVIC = const(15)
-_PIN_IRQ = const(16)  # masks
-_BUSY = const(17)
-_STEPPER_AT = const(18)  # where steppers wait for a word
-_CLOCK_AT = const(19)  # where the clock does
-_DMA = const(20)  # a channel per lane
+_PIO0 = const(14)
+_PIO1 = const(15)
+_TIMER = const(16)
+_NVIC = const(17)
+_PIN_IRQ = const(18)  # masks
+_BUSY = const(19)
+_STEPPER_AT = const(20)  # where steppers wait for a word
+_CLOCK_AT = const(21)  # where the clock does
+_DMA = const(22)  # a channel per lane
 # … and memory.
-_LANES = const(24)
-_WORDS = const(25)
-_TIMING = const(26)
-_CLOCKED = const(27)  # words for the clock
-_WHOLE = const(28)  # a long segment, made in pieces
-_ROW = const(29)  # a row per segment
-_LENGTH = const(29 + 16)
+_LANES = const(26)
+_WORDS = const(27)
+_TIMING = const(28)
+_CLOCKED = const(29)  # words for the clock
+_WHOLE = const(30)  # a long segment, made in pieces
+_ROW = const(31)  # a row per segment
+_LENGTH = const(31 + 16)
 
 # A PIO's registers, in words.
 _CTRL = const(0)
@@ -88,7 +92,7 @@ _SENT = const(3)
 _PLACE = const(4)
 _END = const(5)
 _RING_MASK = const(31)
-_LONGEST = const(0x20000)
+_LONGEST = const(0x40000)
 _PULSE = const(1)
 _KEEP = const(4)
 _ROW_TICKS = const(0)
@@ -97,8 +101,9 @@ _ROW_POWER = const(2)
 _ROW_AXES = const(3)
 _ROW_STRIDE = const(3)
 _KEEP_POWER = const(0x3FFFFFFF)
-# Behind a kernel's row: when it begins, us and half ticks, and where.
-_ROW_EXTRA = const(2)
+# Behind a kernel's row: when it begins, us and half ticks; the clock's word with which it
+# ends; and where it begins, per axis.
+_ROW_EXTRA = const(3)
 
 # Times are in us modulo 2**30; a difference from there on is a negative one.
 _MASK = const(0x3FFFFFFF)
@@ -110,15 +115,18 @@ def look(hub: ptr32) -> int:
     """See how far the hardware is. Returns the power to set, or KEEP_POWER."""
     pio = ptr32(hub[_PIO1])
     level = (pio[_FLEVEL] >> _CLOCK_SHIFT) & 15
-    begun = hub[_FED] - 1 - level
-    if level == 0 and pio[_ADDR + _SM * _CLOCK] == hub[_CLOCK_AT]:
-        hub[_RUNNING] = 0  # all words have been played
+    beat = hub[_BEATS] - level
+    ends = _ROW_AXES + _ROW_STRIDE * hub[_AXES] + 2
+    row = ptr32(hub[_ROW + (hub[_BEGUN] & _LAST_ROW)])
     power = _KEEP_POWER
-    while hub[_BEGUN] < begun:
+    while hub[_BEGUN] < hub[_FED] - 1 and row[ends] < beat:
         hub[_BEGUN] += 1
         row = ptr32(hub[_ROW + (hub[_BEGUN] & _LAST_ROW)])
         hub[_AHEAD] -= row[_ROW_TICKS]
         power = row[_ROW_POWER]
+    hub[_EARLY] = row[ends] - beat
+    if level == 0 and pio[_ADDR + _SM * _CLOCK] == hub[_CLOCK_AT]:
+        hub[_RUNNING] = 0  # all words have been played
     if power == _KEEP_POWER or power == hub[_POWER]:
         return _KEEP_POWER
     hub[_POWER] = power
@@ -213,9 +221,16 @@ def feed(hub: ptr32) -> int:
     count = 0
     while fed != hub[_MADE] and count < space:
         row = ptr32(hub[_ROW + (fed & _LAST_ROW)])
-        late = int(convert(row, hub[_LANES], hub[_WORDS], hub[_TIMING]))
         ticks = row[_ROW_TICKS]
+        long = ticks >= 2 * _LEAD
+        if long and count + 1 == space:
+            break
+        late = int(convert(row, hub[_LANES], hub[_WORDS], hub[_TIMING]))
         clocked[count] = late + ticks - _CLOCK_OVERHEAD if ticks > _CLOCK_OVERHEAD else 0
+        if long:
+            clocked[count] -= _LEAD
+            count += 1
+            clocked[count] = _LEAD - _CLOCK_OVERHEAD
         rest = hub[_END_REST] + 2 * late
         row[begins] = (hub[_END_US] + rest // _HALF_TICKS_PER_US) & _MASK
         row[begins + 1] = rest % _HALF_TICKS_PER_US
@@ -223,14 +238,15 @@ def feed(hub: ptr32) -> int:
         hub[_END_US] = (hub[_END_US] + rest // _HALF_TICKS_PER_US) & _MASK
         hub[_END_REST] = rest % _HALF_TICKS_PER_US
         count += 1
+        row[begins + 2] = hub[_BEATS] + count
         fed += 1
-    _hand_over(hub, fed)
+    _hand_over(hub, fed, count)
     return 0
 
 
 @micropython.viper
-def _hand_over(hub: ptr32, fed: int) -> int:
-    """Give DMA the words up to segment `fed`, and start the machines if they are at rest.
+def _hand_over(hub: ptr32, fed: int, count: int) -> int:
+    """Give DMA the words up to segment `fed`, the clock `count` words; start what is at rest.
 
     Interrupts of pins, which may stop the engine, wait so long.
     """
@@ -244,17 +260,18 @@ def _hand_over(hub: ptr32, fed: int) -> int:
         for i in range(axes):
             lane = _LANE * i
             if (hub[_LOCKED] >> i) & 1 == 0:
-                count = (lanes[lane + _HEAD] - lanes[lane + _SENT]) & _RING_MASK
-                if count:
-                    ptr32(hub[_DMA + i])[_COUNT_TRIGGER] = count
+                new = (lanes[lane + _HEAD] - lanes[lane + _SENT]) & _RING_MASK
+                if new:
+                    ptr32(hub[_DMA + i])[_COUNT_TRIGGER] = new
                 lanes[lane + _SENT] = lanes[lane + _HEAD]
                 place = lanes[lane + _PLACE]
                 if fed != hub[_MADE]:
                     place = following[_ROW_AXES + _ROW_STRIDE * axes + _ROW_EXTRA + i]
                 lanes[lane + _END] = place
         clocked = ptr32(hub[_CLOCKED])
-        for i in range(fed - hub[_FED]):
+        for i in range(count):
             clock[_TXF + _CLOCK] = clocked[i]
+        hub[_BEATS] += count
         if hub[_RUNNING] == 0:
             _launch(hub, fed)
         hub[_FED] = fed

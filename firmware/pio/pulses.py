@@ -38,8 +38,8 @@ RING_LOG2 = const(5)
 _RING_MASK = const(31)
 
 # The longest row that convert() takes, and the length of the pieces of longer ones, in ticks.
-LONGEST = const(0x20000)
-_PIECE = const(0x10000)
+LONGEST = const(0x40000)
+_PIECE = const(0x20000)
 
 # Timing: what convert() is told, in ticks.
 AXES = const(0)
@@ -53,6 +53,8 @@ TIMING_LENGTH = const(5)
 _STEPS_SHIFT = const(1)
 _STEPS_MASK = const(0xFFF)
 _DELAY_SHIFT = const(13)
+_HALF_DELAY = const(0x40000)
+_ALL_DELAY = const(0x80000)
 _FETCH = const(6)  # ready to first edge, or to ready where there is none, besides the delay
 _AFTER = const(3)  # end of a pulse to ready
 _BETWEEN = const(9)  # end of a pulse to the next edge of the same word, besides the delay
@@ -112,6 +114,8 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
                 carry -= _FETCH + timing[TURN_WAIT]
                 level = 1 - level
             carry += row[base + 1] - _FETCH
+            if carry >= _HALF_DELAY:
+                carry -= _ALL_DELAY  # the same bits in a word, which is signed here
             words[ring + head] = level | (1 << _STEPS_SHIFT) | (carry << _DELAY_SHIFT)
             head = (head + 1) & _RING_MASK
             carry = 0 - row[base + 1] - timing[PULSE] - _AFTER
@@ -132,7 +136,10 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
                 head = (head + 1) & _RING_MASK
         carry += row[_ROW_TICKS]
         if carry >= timing[KEEP] + _FETCH:
-            words[ring + head] = level | ((carry - timing[KEEP] - _FETCH) << _DELAY_SHIFT)
+            carry -= timing[KEEP] + _FETCH
+            if carry >= _HALF_DELAY:
+                carry -= _ALL_DELAY
+            words[ring + head] = level | (carry << _DELAY_SHIFT)
             head = (head + 1) & _RING_MASK
             carry = timing[KEEP]
         lanes[lane + HEAD] = head

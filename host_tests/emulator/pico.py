@@ -29,7 +29,8 @@ _DISK_VERSION = 0x00020000
 _NS_PER_US = 1000
 _NS_PER_CYCLE = 8
 _OUT_PACKET_US = 1  # how long after a byte has been queued the host sends it
-_LONGEST_STEP_NS = 4_000  # the processor never sleeps past a pin's edge by more
+_NAP_NS = 80  # a tick of our pulse engine
+_BEAT_NS = 4_000
 _PIO_STEP = 8  # processor cycles
 
 
@@ -238,14 +239,16 @@ class Pico:
     def _listener(self, pin: int) -> Callable[[object, object], None]:
         edges, clock = self.edges, self.clock
 
-        def on_change(new: object, _old: object) -> None:
-            edges.append(Edge(clock.nanos, pin, 1 if new.name == "HIGH" else 0))
+        def on_change(new: object, old: object) -> None:
+            if old.name in ("LOW", "HIGH"):  # else it has only become an output
+                edges.append(Edge(clock.nanos, pin, 1 if new.name == "HIGH" else 0))
 
         return on_change
 
     def _on_beat(self) -> None:
         """PIO advances once per instruction, or once per nap of the processor: keep naps short."""
-        self._beat.schedule(_LONGEST_STEP_NS)
+        moving = any(not pio.stopped for pio in self.mcu.pio)
+        self._beat.schedule(_NAP_NS if moving and self.mcu.core.waiting else _BEAT_NS)
 
     def drive(self, pin: int, level: int | None) -> None:
         """Drive an input from outside; None lets it float."""

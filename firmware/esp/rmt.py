@@ -1,0 +1,377 @@
+# mypy: disable-error-code=arg-type
+"""RmtEngine: pulses on pins of their own, made by esp32.RMT, a channel per axis.
+
+RMT plays a list of durations exactly, but MicroPython can hand it the next list only when the
+last one has ended. So motion is cut into trains (trains.py), the same stretch for all axes,
+and between two trains there is a gap, for as long as three calls of write_pulses() take. A
+train ends behind a step, and the gap goes into the pause before the next one: steps come when
+they are due, as long as that pause is longer. Faster than that, motion stands still for the
+rest of the gap at every end of a train: MAX_STEP_RATE_HZ of a board file says where this begins.
+
+A soft timer gives the engine its turns. It waits for the end of a train there, for a
+millisecond at the most, so that nothing else comes in between. Each channel is started a bit
+later than the one before; the time to its first step is made shorter by that, with what the
+last call of write_pulses() took as the measure. Directions change between trains.
+
+Where time goes is known from the clock, never from the hardware: a channel that has been
+stopped counts wrong afterwards. What stop() leaves of a train cannot be known to the step:
+position is what the clock says, and whoever stops a moving machine raises an alarm.
+"""
+
+import time
+from array import array
+
+import esp32
+import machine
+import micropython
+from kernels import row_length
+from micropython import const
+
+from esp import trains
+from esp.trains import advance, cut, durations, held_us, lasts, made
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from interfaces import NextSegment
+
+_RESOLUTION_HZ = const(1_000_000)
+_HIGHEST_HZ = const(20_000)
+_LONGEST_US = const(18_000)  # of a train, as in trains.py
+_PULSE_MAX = const(32_767)
+
+# The next train is made so long before it is due, and handed over so long before, in us.
+_PREPARE_US = const(6_000)
+_EARLY_US = const(4_000)
+# Shorter than that the end of a train is waited for; the timer comes every millisecond.
+_WAIT_US = const(1_200)
+_FROM_REST_US = const(2_000)
+_GUARD_US = const(20)
+_SETUP_US = const(10)
+# What write_pulses() takes, before it has been measured: us, and per duration in 1/8 us.
+_CALL_US = const(150)
+_CALL_EIGHTHS = const(2)
+
+# State.
+_HALT = const(0)
+_PULLING = const(1)  # there may be more segments
+_RUNNING = const(2)  # a train is being played, or waited for
+_READY = const(3)  # the next one has been made
+_DUE = const(4)  # when the next train is due, in us
+_FREE = const(5)  # when the channels have ended
+_BEGAN = const(6)  # when the train that is played was due
+_TOLD = const(7)  # spindle power told last
+_GAP = const(8)  # longest time that motion had to stand still for, in us,
+_SKEW = const(9)  # most that a channel was started too early or late by,
+_TRAINS = const(10)  # and how many trains there were
+_STATE_LENGTH = const(11)
+
+# Lanes: integers per axis.
+_LANE = const(6)
+_PLACE = const(0)  # position at the beginning of the train that is played
+_BACK = const(1)  # 1: its steps go backwards
+_COUNT = const(2)  # its durations,
+_START = const(3)  # and when the channel was started
+_LEVEL = const(4)  # of the direction pin, before $3; -1: unknown
+_CALL = const(5)  # what write_pulses() takes, besides the durations
+
+_ROW_POWER = const(2)
+
+# Times are in us modulo 2**30.
+_MASK = const(0x3FFFFFFF)
+_NEGATIVE = const(0x20000000)
+
+
+@micropython.viper
+def _place(lanes: ptr32, axis: int, playing: ptr32, now: int) -> int:
+    """Where a motor is."""
+    lane = _LANE * axis
+    place = lanes[lane + _PLACE]
+    if lanes[lane + _COUNT] == 0:
+        return place
+    passed = (now - lanes[lane + _START]) & _MASK
+    if passed >= _NEGATIVE:
+        return place
+    steps = int(made(playing, lanes[lane + _COUNT], passed))
+    return place - steps if lanes[lane + _BACK] else place + steps
+
+
+class RmtEngine:
+    """The engine. step, direction: pin numbers per axis."""
+
+    tick_hz = _RESOLUTION_HZ
+    segment_log2 = 12
+
+    def __init__(self, step: "tuple[int, ...]", direction: "tuple[int, ...]") -> None:
+        axes = len(step)
+        self._axes = axes
+        self._step = step
+        self._direction = [machine.Pin(pin, machine.Pin.OUT, value=0) for pin in direction]
+        self._channels: "list[esp32.RMT]" = []
+        self._step_invert = -1
+        self._dir_invert = 0
+        self._state = array("i", (0 for _ in range(_STATE_LENGTH)))
+        self._timing = array("i", (0 for _ in range(trains.TIMING_LENGTH)))
+        self._timing[trains.AXES] = axes
+        self._lanes = array("i", (0 for _ in range(_LANE * axes)))
+        for i in range(axes):
+            self._lanes[_LANE * i + _LEVEL] = -1
+            self._lanes[_LANE * i + _CALL] = _CALL_US
+        self._size = row_length(axes)
+        self._row = array("i", (0 for _ in range(self._size)))
+        self._rows = array("i", (0 for _ in range(self._size * trains.ROWS)))
+        # Of each axis: the train that is played, the next one, and the list that RMT wants.
+        self._playing = [array("i", (0 for _ in range(trains.MOST))) for _ in range(axes)]
+        self._next = [array("i", (0 for _ in range(trains.MOST))) for _ in range(axes)]
+        self._counts = array("i", (0 for _ in range(axes)))
+        self._lists: "list[list[int]]" = [[] for _ in range(axes)]
+        # Spindle power of a train: when it begins, and what it is.
+        self._powers = array("i", (0 for _ in range(2 * trains.ROWS)))
+        self._next_powers = array("i", (0 for _ in range(2 * trains.ROWS)))
+        self._timer = machine.Timer(0)
+        self.configure(10, 0, 0)
+
+    # The StepEngine seam
+
+    def max_step_hz(self, pulse_us: int) -> int:
+        """Highest rate of one axis: as much as can be made ready in the time of a train."""
+        return min(_HIGHEST_HZ, 1_000_000 // (2 * pulse_us))
+
+    def attach(self, next_segment: "NextSegment", on_power: "Callable[[int], None]") -> None:
+        """Say where segments come from and who is told the spindle power of each as it starts."""
+        self._next_segment = next_segment
+        self._on_power = on_power
+
+    def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
+        """Take over $0, $2 and $3. Called at rest only."""
+        self._timing[trains.PULSE] = pulse_us
+        if step_invert != self._step_invert:
+            self._step_invert = step_invert
+            for channel in self._channels:
+                channel.deinit()
+            self._channels = [
+                esp32.RMT(
+                    i,
+                    pin=machine.Pin(self._step[i]),
+                    resolution_hz=_RESOLUTION_HZ,
+                    idle_level=bool(step_invert >> i & 1),
+                )
+                for i in range(self._axes)
+            ]
+        self._dir_invert = dir_invert
+        for i in range(self._axes):
+            level = max(self._lanes[_LANE * i + _LEVEL], 0)
+            self._direction[i].value(level ^ (dir_invert >> i & 1))
+
+    def start(self) -> None:
+        """Begin to pull, where the engine had run out of segments."""
+        state = self._state
+        state[_HALT] = 0
+        state[_PULLING] = 1
+        if not state[_RUNNING]:
+            state[_TOLD] = -1
+            state[_FREE] = time.ticks_us() & _MASK
+            state[_DUE] = (state[_FREE] + _FROM_REST_US) & _MASK
+            self._powers[0] = _MASK
+            state[_RUNNING] = 1
+            self._timer.init(mode=machine.Timer.PERIODIC, period=1, callback=self._turn)
+
+    def stop(self) -> None:
+        """At once; safe in a soft interrupt; queued steps are dropped, locks released."""
+        state, timing = self._state, self._timing
+        state[_HALT] = 1
+        if state[_RUNNING]:
+            self._cut_off((1 << self._axes) - 1)
+        state[_RUNNING] = 0
+        state[_PULLING] = 0
+        state[_READY] = 0
+        timing[trains.HELD] = 0
+        timing[trains.DONE] = 0
+        timing[trains.LOCKED] = 0
+
+    def _cut_off(self, axes: int) -> None:
+        """End these axes' trains now; they are where the clock says."""
+        for i in range(self._axes):
+            lane = _LANE * i
+            if axes >> i & 1 and self._lanes[lane + _COUNT]:
+                place = _place(self._lanes, i, self._playing[i], time.ticks_us())
+                self._channels[i].active(False)
+                self._lanes[lane + _PLACE] = place
+                self._lanes[lane + _COUNT] = 0
+
+    def lock(self, axes: int) -> None:
+        """These axes (a mask) make no more pulses until stop(); the others go on."""
+        self._timing[trains.LOCKED] = self._timing[trains.LOCKED] | axes
+        for i in range(self._axes):
+            if axes >> i & 1:
+                self._counts[i] = 0
+        self._cut_off(axes)
+
+    def idle(self) -> bool:
+        """Nothing is moving and nothing is queued in hardware."""
+        return not self._state[_RUNNING]
+
+    def position(self, steps: "array[int]") -> None:
+        """Copy the steps really made, per motor, by the clock."""
+        for i in range(self._axes):
+            steps[i] = _place(self._lanes, i, self._playing[i], time.ticks_us())
+
+    def set_position(self, steps: "array[int]") -> None:
+        """Name the present place. At rest only."""
+        for i in range(self._axes):
+            self._lanes[_LANE * i + _PLACE] = steps[i]
+            self._lanes[_LANE * i + _COUNT] = 0
+
+    def longest_gap_us(self) -> int:
+        """For how long motion has had to stand still between trains, at the most."""
+        return self._state[_GAP]
+
+    def worst_skew_us(self) -> int:
+        """By how much a channel was started too early or too late, at the most."""
+        return self._state[_SKEW]
+
+    # The timer's turns: no other soft interrupt comes in between
+
+    def _turn(self, _timer: object) -> None:
+        state = self._state
+        if state[_HALT]:
+            self._timer.deinit()
+            return
+        now = time.ticks_us()
+        self._tell_power(now)
+        due_in = time.ticks_diff(state[_DUE], now)
+        if due_in > _PREPARE_US:
+            return
+        if not state[_READY] and not self._prepare():
+            if time.ticks_diff(state[_FREE], now) <= 0 and due_in <= 0:
+                self._end_train()
+                state[_RUNNING] = 0
+                self._timer.deinit()
+            return
+        wait = time.ticks_diff(state[_FREE], time.ticks_us())
+        if due_in > _EARLY_US or wait > _WAIT_US:
+            return
+        while time.ticks_diff(state[_FREE], time.ticks_us()) > 0:
+            pass
+        self._send()
+
+    def _prepare(self) -> bool:
+        """Make the next train. Returns False where there is nothing to move."""
+        state, timing, rows, size = self._state, self._timing, self._rows, self._size
+        while (
+            state[_PULLING]
+            and timing[trains.HELD] < trains.ROWS
+            and held_us(rows, timing, size) < _LONGEST_US
+        ):
+            if not self._next_segment(self._row):
+                state[_PULLING] = 0
+                break
+            at = (timing[trains.FIRST] + timing[trains.HELD]) % trains.ROWS * size
+            for k in range(size):
+                rows[at + k] = self._row[k]
+            timing[trains.HELD] += 1
+        if not timing[trains.HELD]:
+            return False
+        cut(rows, timing, size)
+        for i in range(self._axes):
+            self._counts[i] = durations(rows, timing, size, i, self._next[i])
+        self._note_powers()
+        advance(timing)
+        state[_READY] = 1
+        return True
+
+    def _note_powers(self) -> None:
+        """Remember what power belongs to which part of the next train."""
+        timing, rows = self._timing, self._rows
+        at_us = -timing[trains.DONE]
+        for k in range(trains.ROWS):
+            at = (timing[trains.FIRST] + k) % trains.ROWS * self._size
+            valid = k < timing[trains.TAKEN] or (k == 0 and timing[trains.PART])
+            self._next_powers[2 * k] = at_us if valid else _MASK
+            self._next_powers[2 * k + 1] = rows[at + _ROW_POWER]
+            at_us += rows[at]
+
+    def _tell_power(self, now: int) -> None:
+        state = self._state
+        passed = time.ticks_diff(now, state[_BEGAN])
+        power = state[_TOLD]
+        for k in range(trains.ROWS):
+            if self._powers[2 * k] > passed:
+                break
+            power = self._powers[2 * k + 1]
+        if power not in (state[_TOLD], _MASK):
+            state[_TOLD] = power
+            self._on_power(power)
+
+    def _end_train(self) -> None:
+        """The train has been played: its steps are made."""
+        for i in range(self._axes):
+            lane = _LANE * i
+            steps = self._lanes[lane + _COUNT] // 2
+            self._lanes[lane + _COUNT] = 0
+            back = self._lanes[lane + _BACK]
+            self._lanes[lane + _PLACE] += -steps if back else steps
+
+    def _call_us(self, axis: int) -> int:
+        """How long write_pulses() is going to take."""
+        return self._lanes[_LANE * axis + _CALL] + (self._counts[axis] * _CALL_EIGHTHS >> 3)
+
+    def _send(self) -> None:
+        """Hand the next train over, all axes in step. The last one has ended."""
+        state, lanes = self._state, self._lanes
+        self._end_train()
+        setup = 0
+        for i in range(self._axes):
+            lane = _LANE * i
+            back = self._timing[trains.DIRS] >> i & 1
+            if self._counts[i]:
+                lanes[lane + _BACK] = back
+                if lanes[lane + _LEVEL] != back:
+                    lanes[lane + _LEVEL] = back
+                    self._direction[i].value(back ^ (self._dir_invert >> i & 1))
+                    setup = _SETUP_US
+        # The train begins when it is due, or when the slowest start allows.
+        now = time.ticks_us()
+        due_in = time.ticks_diff(state[_DUE], now)
+        late = 0
+        ready_in = setup + _GUARD_US
+        for i in range(self._axes):
+            if self._counts[i]:
+                ready_in += self._call_us(i)
+                late = max(late, ready_in - due_in - self._next[i][0])
+        state[_GAP] = max(state[_GAP], late)
+        state[_BEGAN] = (state[_DUE] + late) & _MASK
+        state[_FREE] = state[_BEGAN]
+        self._playing, self._next = self._next, self._playing
+        self._powers, self._next_powers = self._next_powers, self._powers
+        for i in range(self._axes):
+            if self._counts[i]:
+                self._start_channel(i)
+        state[_DUE] = (state[_BEGAN] + self._timing[trains.LENGTH]) & _MASK
+        state[_READY] = 0
+        state[_TRAINS] += 1
+
+    def _start_channel(self, axis: int) -> None:
+        """Start one axis so that its first step comes when it is due."""
+        state, lanes = self._state, self._lanes
+        lane = _LANE * axis
+        count = self._counts[axis]
+        playing = self._playing[axis]
+        pulses = self._lists[axis]
+        first = playing[0]
+        call = self._call_us(axis)
+        del pulses[:]
+        pulses.extend(memoryview(playing)[:count])
+        before = time.ticks_us()
+        lead = time.ticks_diff(state[_BEGAN], before) + first - call
+        pulses[0] = playing[0] = min(max(lead, 1), _PULSE_MAX)
+        self._channels[axis].write_pulses(pulses, bool(self._step_invert >> axis & 1))
+        took = time.ticks_diff(time.ticks_us(), before)
+        lanes[lane + _START] = (before + took) & _MASK
+        lanes[lane + _COUNT] = count
+        state[_SKEW] = max(state[_SKEW], abs(took - call))
+        lanes[lane + _CALL] = min(max(lanes[lane + _CALL] + (took - call) // 2, 20), 1000)
+        end = (before + took + lasts(playing, count) + _GUARD_US) & _MASK
+        if time.ticks_diff(end, state[_FREE]) > 0:
+            state[_FREE] = end

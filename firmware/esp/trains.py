@@ -1,0 +1,189 @@
+# mypy: disable-error-code=arg-type
+"""Trains: from segment rows to the durations that esp32.RMT plays, in integers and us.
+
+Rows wait in a ring. A train is a stretch of them, the same for all axes, in which no axis
+reverses: its length is chosen by cut(), one axis' durations are made by durations(). They
+begin with the time to the first step; then pulses and pauses follow each other, a pulse last.
+
+Called in the engine's turns; nothing here allocates.
+"""
+
+import micropython
+from micropython import const
+
+# A segment row, as kernels.py says; viper wants its constants in the same file.
+_ROW_TICKS = const(0)
+_ROW_DIRS = const(1)
+_ROW_POWER = const(2)
+_ROW_AXES = const(3)
+_ROW_STRIDE = const(3)
+
+ROWS = const(16)
+_ROWS_MASK = const(15)
+MOST = const(1000)  # durations of one axis in a train
+
+# A train is so long at the most, in us: what a hold has to wait for. It rather ends earlier
+# than where steps come faster by a quarter, but not before half of that.
+_LONGEST = const(18000)
+_WORTH = const(9000)
+
+# What all axes share.
+AXES = const(0)
+PULSE = const(1)  # us
+FIRST = const(2)  # the first row of the next train,
+DONE = const(3)  # and how much of it has gone into the last one
+HELD = const(4)  # rows in the ring
+TAKEN = const(5)  # by the next train: whole rows,
+PART = const(6)  # and behind them so much of another one
+LENGTH = const(7)  # of the next train, in us
+DIRS = const(8)  # directions in the next train, for axes that step
+LOCKED = const(9)  # mask of axes that stand still
+TIMING_LENGTH = const(10)
+
+
+@micropython.viper
+def held_us(rows: ptr32, timing: ptr32, size: int) -> int:
+    """How long the rows in the ring last, as far as it matters."""
+    total = 0 - timing[DONE]
+    for k in range(timing[HELD]):
+        total += rows[((timing[FIRST] + k) & _ROWS_MASK) * size]
+        if total > _LONGEST:
+            break
+    return total
+
+
+@micropython.viper
+def cut(rows: ptr32, timing: ptr32, size: int) -> int:
+    """Choose where the next train ends: at the end of a row, where steps are slowest."""
+    known = 0
+    dirs = 0
+    total = 0 - timing[DONE]
+    best = 0
+    timing[TAKEN] = 0
+    timing[PART] = 0
+    timing[LENGTH] = 0
+    for k in range(timing[HELD]):
+        at = ((timing[FIRST] + k) & _ROWS_MASK) * size
+        busy = 0
+        most = 0
+        for i in range(timing[AXES]):
+            steps = rows[at + _ROW_AXES + _ROW_STRIDE * i]
+            if steps and (timing[LOCKED] >> i) & 1 == 0:
+                busy |= 1 << i
+                if steps > most:
+                    most = steps
+        if known & busy & (dirs ^ rows[at + _ROW_DIRS]):
+            break  # an axis reverses
+        total += rows[at]
+        if total > _LONGEST and k:
+            break
+        known |= busy
+        dirs |= rows[at + _ROW_DIRS] & busy
+        timing[DIRS] = dirs
+        if total > _LONGEST:
+            timing[PART] = int(part(rows, timing, at, timing[DONE] + _LONGEST))
+            timing[LENGTH] = timing[PART] - timing[DONE]
+            break
+        interval = rows[at] // most if most else _LONGEST
+        if total < _WORTH or interval + (interval >> 2) >= best:
+            timing[TAKEN] = k + 1
+            timing[LENGTH] = total
+            best = interval
+    return timing[LENGTH]
+
+
+@micropython.viper
+def part(rows: ptr32, timing: ptr32, at: int, end: int) -> int:
+    """Where to cut a long row: behind the last step before `end`, or there."""
+    latest = timing[DONE]
+    for i in range(timing[AXES]):
+        base = at + _ROW_AXES + _ROW_STRIDE * i
+        steps = rows[base]
+        if steps and (timing[LOCKED] >> i) & 1 == 0:
+            tick = rows[base + 1]
+            gap = (rows[base + 2] - tick) // (steps - 1) if steps > 1 else 1
+            if tick < end:
+                # Not the longer gaps: a tick too early is early enough.
+                made = (end - 1 - tick) // (gap + 1)
+                if made >= steps:
+                    made = steps - 1
+                tick += made * gap + 1
+                if tick > latest:
+                    latest = tick
+    return latest if latest > timing[DONE] + _WORTH else end
+
+
+@micropython.viper
+def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> int:
+    """Make one axis' train. Returns how many durations; 0 where it does not step."""
+    if (timing[LOCKED] >> axis) & 1:
+        return 0
+    pulse = timing[PULSE]
+    count = 0
+    origin = 0 - timing[DONE]
+    last = 0 - pulse - 2  # end of the last pulse
+    done = timing[DONE]
+    for k in range(timing[TAKEN] + (1 if timing[PART] else 0)):
+        at = ((timing[FIRST] + k) & _ROWS_MASK) * size
+        base = at + _ROW_AXES + _ROW_STRIDE * axis
+        steps = rows[base]
+        end = rows[at] + 1
+        if timing[PART]:
+            end = timing[PART]
+        tick = rows[base + 1]
+        gap = 0
+        longer = 0
+        if steps > 1:
+            gap = (rows[base + 2] - tick) // (steps - 1)
+            longer = (rows[base + 2] - tick) % (steps - 1)
+        for n in range(steps):
+            if tick >= end or count >= MOST - 1:
+                break
+            if tick >= done:
+                edge = origin + tick
+                if count and edge < last + 2:
+                    edge = last + 2
+                out[count] = edge - last if count else edge
+                out[count + 1] = pulse
+                count += 2
+                last = edge + pulse
+            tick += gap
+            if n < longer:
+                tick += 1
+        origin += rows[at]
+        done = 0
+    return count
+
+
+@micropython.viper
+def advance(timing: ptr32) -> int:
+    """The next train has been made: the one after it begins where it ends."""
+    timing[FIRST] = (timing[FIRST] + timing[TAKEN]) & _ROWS_MASK
+    timing[HELD] = timing[HELD] - timing[TAKEN]
+    if timing[TAKEN]:
+        timing[DONE] = 0
+    if timing[PART]:
+        timing[DONE] = timing[PART]
+    return 0
+
+
+@micropython.viper
+def made(durations: ptr32, count: int, passed: int) -> int:
+    """Steps of a train so many us after it was started."""
+    steps = 0
+    for k in range(count):
+        passed -= durations[k]
+        if passed < 0:
+            break
+        if k & 1 == 0:
+            steps += 1
+    return steps
+
+
+@micropython.viper
+def lasts(durations: ptr32, count: int) -> int:
+    """How long a train is, in us."""
+    total = 0
+    for k in range(count):
+        total += durations[k]
+    return total

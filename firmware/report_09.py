@@ -1,0 +1,252 @@
+"""Reports as Grbl 0.9i and 0.9j word them, for senders older than Grbl 1.1.
+
+Errors, alarms and settings come with their meaning in words; a status report
+shows both positions and has no slow fields. Only what is said differs: the
+machine is the same. A board asks for it with DIALECT = "0.9".
+"""
+
+import state as st
+from errors import ALARM_PROBE_FAIL_CONTACT, ALARM_PROBE_FAIL_INITIAL
+from f32 import INCH_PER_MM, f32
+from micropython import const
+from report import BUILD, Report, number
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from array import array
+    from collections.abc import Callable
+
+    from coolant import Coolant
+    from inputs import Inputs
+    from interfaces import StepEngine
+    from planner import Planner
+    from segments import Segments
+    from spindle import Spindle
+
+# $10 in this dialect (mask).
+_MACHINE_POSITION = const(1)
+_WORK_POSITION = const(2)
+_PLANNER_BLOCKS = const(4)
+_RX_BYTES = const(8)
+_LIMITS = const(16)
+
+_HELP = b"""\
+$$ (view Grbl settings)\r
+$# (view # parameters)\r
+$G (view parser state)\r
+$I (view build info)\r
+$N (view startup blocks)\r
+$x=value (save Grbl setting)\r
+$Nx=line (save startup block)\r
+$C (check gcode mode)\r
+$X (kill alarm lock)\r
+$H (run homing cycle)\r
+~ (cycle start)\r
+! (feed hold)\r
+? (current status)\r
+ctrl-x (reset Grbl)\r
+"""
+
+# Those that are not here are shown by their numbers.
+_ERRORS = {
+    1: "Expected command letter",
+    2: "Bad number format",
+    3: "Invalid statement",
+    4: "Value < 0",
+    5: "Setting disabled",
+    6: "Value < 3 usec",
+    7: "EEPROM read fail. Using defaults",
+    8: "Not idle",
+    9: "Alarm lock",
+    10: "Homing not enabled",
+    11: "Line overflow",
+    12: "Step rate > 30kHz",
+    20: "Unsupported command",
+    21: "Modal group violation",
+    22: "Undefined feed rate",
+}
+
+_ALARMS = {
+    1: "Hard limit",
+    2: "Soft limit",
+    3: "Abort during cycle",
+    ALARM_PROBE_FAIL_INITIAL: "Probe fail",
+    ALARM_PROBE_FAIL_CONTACT: "Probe fail",
+    6: "Homing fail",
+    7: "Homing fail",
+    8: "Homing fail",
+    9: "Homing fail",
+    10: "Homing fail",
+    32: "Punch not down",
+    33: "Punch not up",
+}
+
+# What stands in parentheses behind a setting. A mask's bits follow the colon.
+_SETTINGS = {
+    0: "step pulse, usec",
+    1: "step idle delay, msec",
+    2: "step port invert mask:",
+    3: "dir port invert mask:",
+    4: "step enable invert, bool",
+    5: "limit pins invert, bool",
+    6: "probe pin invert, bool",
+    10: "status report mask:",
+    11: "junction deviation, mm",
+    12: "arc tolerance, mm",
+    13: "report inches, bool",
+    20: "soft limits, bool",
+    21: "hard limits, bool",
+    22: "homing cycle, bool",
+    23: "homing dir invert mask:",
+    24: "homing feed, mm/min",
+    25: "homing seek, mm/min",
+    26: "homing debounce, msec",
+    27: "homing pull-off, mm",
+    30: "punch actuator down invert, bool",
+    31: "punch actuator up invert, bool",
+    32: "punch sensor down invert, bool",
+    33: "punch sensor up invert, bool",
+}
+# The same for a group of one setting per axis, behind the axis's letter.
+_AXIS_SETTINGS = {
+    10: ", step/mm",
+    11: " max rate, mm/min",
+    12: " accel, mm/sec^2",
+    13: " max travel, mm",
+}
+
+
+class Report09(Report):
+    """Report, in the words of 0.9j."""
+
+    VERSION = "0.9j"
+    REALTIME = (0x100, 0x40)  # @ is the safety door; there are no upper ones
+    CUTS_LINES = True
+    HIGHEST_TOOL = 1 << 31
+    NO_COMMANDS = b"JS"
+    NO_SETTINGS = (30, 31, 32)
+    DEFAULTS = {10: _MACHINE_POSITION | _WORK_POSITION}
+
+    def connect(
+        self,
+        engine: "StepEngine",
+        planner: "Planner",
+        segments: "Segments",
+        inputs: "Inputs",
+        spindle: "Spindle",
+        coolant: "Coolant",
+        rx_free: "Callable[[], int]",
+        position: "Callable[[array[float]], None]",
+    ) -> None:
+        """As Report does. Buffers are empty yet: 0.9 counts what is in them."""
+        super().connect(engine, planner, segments, inputs, spindle, coolant, rx_free, position)
+        self._blocks = planner.free()
+        self._rx_bytes = rx_free()
+
+    # Answers
+
+    def error(self, code: int) -> None:
+        """The line was refused."""
+        self._line("error: " + _ERRORS.get(code, "Invalid gcode ID:%d" % code))
+
+    def alarm(self, code: int) -> None:
+        """The machine had to stop."""
+        self._line("ALARM: " + _ALARMS.get(code, "ID:%d" % code))
+
+    def message(self, text: str) -> None:
+        """Something a person should know."""
+        self._line("[" + text + "]")
+
+    def banner(self) -> None:
+        """The machine has started."""
+        self._line("\r\nGrbl " + self.VERSION + " ['$' for help]")
+
+    def help(self) -> None:
+        """The answer to $."""
+        self._link.write(_HELP)
+
+    def setting(self, key: int, value: float, decimals: int) -> None:
+        """One line of $$."""
+        if key < 100:
+            words = _SETTINGS[key]
+            if words[-1] == ":":
+                words += "{:08b}".format(int(value))
+        else:
+            words = "xyza"[key % 10] + _AXIS_SETTINGS[key // 10]
+        self._line("$%d=%s (%s)" % (key, number(value, decimals), words))
+
+    def startup_run(self, text: str) -> None:
+        """A startup line about to be executed; its answer follows on the same line."""
+        self._link.write(text.encode())
+
+    def startup_lost(self) -> None:
+        """Nothing valid is kept in the place of a startup line: it is empty, no more."""
+
+    def build_info(self, info: str, options: str) -> None:
+        """The answer to $I."""
+        self._line("[%s.%s:%s]" % (self.VERSION, BUILD, info))
+
+    def modes(self, text: str) -> None:
+        """The answer to $G. M0 is always there: between feed rate mode and spindle."""
+        self._line("[" + text.replace(" M", " M0 M", 1) + "]")
+
+    # Parts
+
+    def rate(self, mm_min: float) -> str:
+        """A feed rate in the units of reports; there is a point even where nothing follows."""
+        if self._settings.report_inches:
+            return number(f32(mm_min * INCH_PER_MM), 1)
+        return number(mm_min, 0) + "."
+
+    def speed(self, rpm: float) -> str:
+        """A spindle speed, which 0.9 takes for a feed rate."""
+        return self.rate(rpm)
+
+    # The status report
+
+    def status(self) -> None:
+        """The answer to ?."""
+        mask = self._settings.report_mask
+        mm = self._mm
+        self._position(mm)
+        parts = ["<" + self._state_name()]
+        if mask & _MACHINE_POSITION:
+            parts.append("MPos:" + self.vector(mm))
+        if mask & _WORK_POSITION:
+            for i in range(self._axes):
+                mm[i] = f32(mm[i] - self._coords.work_offset(i))
+            parts.append("WPos:" + self.vector(mm))
+        if mask & _PLANNER_BLOCKS:
+            parts.append("Buf:%d" % (self._blocks - self._planner.free()))
+        if mask & _RX_BYTES:
+            parts.append("RX:%d" % (self._rx_bytes - self._rx_free()))
+        if self._line_numbers:
+            parts.append("Ln:%d" % self._planner.line_number())
+        if mask & _LIMITS:
+            bits = "{:0%db}" % self._axes
+            parts.append("Lim:" + bits.format(self._inputs.limits()))
+        self._line(",".join(parts) + ">")
+
+    def _state_name(self) -> str:
+        state = self._state
+        suspend = state.suspend
+        if state.run == st.DOOR and (suspend & st.DOOR_AJAR or not suspend & st.RETRACT_COMPLETE):
+            return "Door"
+        if state.run & (st.HOLD | st.DOOR):
+            return "Hold"  # behind a closed door, too
+        return super()._state_name()
+
+
+class Report09i(Report09):
+    """Report, in the words of 0.9i: the same but for its name."""
+
+    VERSION = "0.9i"
+
+
+def find(dialect: str) -> "type[Report]":
+    """The class for that dialect. Raises ValueError where there is none."""
+    if dialect == "0.9i":
+        return Report09i
+    if dialect in ("0.9", "0.9j"):
+        return Report09
+    raise ValueError("DIALECT is 1.1, 0.9, 0.9i or 0.9j, not " + dialect)

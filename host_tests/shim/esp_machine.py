@@ -1,0 +1,233 @@
+"""The ESP32's `machine` module, as far as it differs from others: all callbacks are soft.
+
+As ports/esp32 of MicroPython and ESP-IDF 5 do it: I2S plays a ring of DMA buffers for ever, zeroes
+each behind itself, and hands out the oldest one played, the oldest of all being dropped where
+nobody takes them. In virtual time; runs under both Pythons. What is not modelled raises.
+"""
+
+import io
+
+from esp_clock import clock
+
+_DMA_FRAMES = 256
+_POLL = 3  # MP_STREAM_POLL
+
+
+def freq() -> int:
+    return 240_000_000
+
+
+class Pin:
+    """A pin; `log` has (us, level) of every change of its output."""
+
+    IN, OUT = 1, 3
+    PULL_DOWN, PULL_UP = 1, 2
+    IRQ_RISING, IRQ_FALLING = 1, 2
+    pins: "dict[int, Pin]" = {}
+    without_output = (34, 35, 36, 37, 38, 39)  # and without pull-ups: ESP32
+
+    def __new__(cls, id: int, *_: object, **__: object) -> "Pin":
+        if not 0 <= id < 49:
+            raise ValueError("invalid pin")
+        if id not in cls.pins:
+            cls.pins[id] = object.__new__(cls)
+            cls.pins[id]._fresh = True
+        return cls.pins[id]
+
+    def __init__(
+        self, id: int, mode: int = -1, pull: "int | None" = -1, *, value: "int | None" = None
+    ) -> None:
+        if self._fresh:
+            self._fresh = False
+            self.id = id
+            self.level = 0
+            self.mode = 0
+            self.pull: "int | None" = None
+            self.log: "list[tuple[int, int]]" = []
+            self.handler: object = None
+        if id in self.without_output and (mode == self.OUT or pull not in (-1, None)):
+            raise ValueError("pin can only be input, and has no pull")
+        if mode != -1:
+            self.mode = mode
+        if pull != -1:
+            self.pull = pull
+            self.level = 1 if pull == self.PULL_UP else self.level
+        if value is not None:
+            self.value(value)
+
+    def value(self, level: "int | None" = None) -> int:
+        if level is None:
+            return self.level
+        if self.mode != self.OUT:
+            raise ValueError("an input is written to")
+        self.level = 1 if level else 0
+        self.log.append((clock.us, self.level))
+        return 0
+
+    def irq(self, handler: object = None, trigger: int = 3) -> None:
+        self.handler = handler
+        self.trigger = trigger
+
+    def drive(self, level: int) -> None:
+        """From outside: the world pulls the pin."""
+        if level != self.level:
+            self.level = level
+            wanted = self.IRQ_RISING if level else self.IRQ_FALLING
+            if self.handler and self.trigger & wanted:
+                clock.call(self.handler, self)
+
+
+class PWM:
+    """A PWM output."""
+
+    def __init__(self, pin: Pin, *, freq: int, duty_u16: int = 0) -> None:
+        if not 0 < freq <= 40_000_000:
+            raise ValueError("frequency must be from 1Hz to 40MHz")
+        self.frequency = freq
+        self.pin = pin
+        self.duty_u16(duty_u16)
+
+    def duty_u16(self, duty: int) -> None:
+        if not 0 <= duty <= 65535:
+            raise ValueError("duty_u16 must be from 0 to 65535")
+        self.duty = duty
+        self.pin.log.append((clock.us, duty))
+
+
+class Timer:
+    """machine.Timer of the ESP32: soft only."""
+
+    ONE_SHOT, PERIODIC = 0, 1
+
+    def __init__(self, id: int = -1) -> None:
+        if id >= 4:
+            raise ValueError("there are only 4 hardware timers")
+        self.due = 0
+        self._period = 0
+        self._mode = 0
+
+    def init(
+        self, *, mode: int = 1, period: int = -1, callback: object = None, hard: bool = False
+    ) -> None:
+        if hard:
+            raise ValueError("hard Timers are not implemented")
+        if period <= 0:
+            raise ValueError("Timer period is too short for this timer")
+        self.deinit()
+        self.callback = callback
+        self._mode = mode
+        self._period = period * 1000
+        self.due = clock.us + self._period
+        clock.timers.append(self)
+
+    def rearm(self) -> None:
+        """It has fallen due. What has been missed meanwhile is not made up for."""
+        self.due += self._period
+        if self.due <= clock.us:
+            self.due = clock.us + 1
+        if self._mode == self.ONE_SHOT:
+            self.deinit()
+
+    def deinit(self) -> None:
+        if self in clock.timers:
+            clock.timers.remove(self)
+
+
+class I2S(io.IOBase):
+    """machine.I2S, transmitting. `played` gets (us, words as bytes) of each DMA buffer begun."""
+
+    RX, TX = 0, 1
+    STEREO, MONO = 0, 1
+    open_streams: "dict[int, I2S]" = {}
+    open_us = 400  # what opening takes
+
+    def __init__(
+        self,
+        id: int,
+        *,
+        sck: object,
+        ws: object,
+        sd: object,
+        mode: int,
+        bits: int,
+        format: int,
+        rate: int,
+        ibuf: int,
+    ) -> None:
+        if id not in (0, 1):
+            raise ValueError("invalid id")
+        if mode != self.TX or format != self.MONO:
+            raise NotImplementedError("only what our engine uses is modelled")
+        if bits not in (16, 32):
+            raise ValueError("invalid bits")
+        if bits == 16 or _DMA_FRAMES * 1_000_000 % rate:
+            raise NotImplementedError("only what our engine uses is modelled")
+        clock.work(self.open_us)
+        self.rate = rate
+        self.size = _DMA_FRAMES * bits // 8
+        self.buffer_us = _DMA_FRAMES * 1_000_000 // rate
+        self.memory = [bytearray(self.size) for _ in range(max(2, ibuf // self.size))]
+        self.played: "list[tuple[int, bytes]]" = []
+        self._asyncio = False
+        self._free: "list[int]" = []
+        self._current: "bytearray | None" = None  # taken, and being written
+        self._at = 0
+        self._began = clock.us
+        self._playing = 0
+        self._begin()
+        I2S.open_streams[id] = self
+
+    def _begin(self) -> None:
+        self.played.append((self._began, bytes(self.memory[self._playing])))
+
+    def run(self) -> None:
+        """Let DMA do what it has done up to now."""
+        count = len(self.memory)
+        while self._began + self.buffer_us <= clock.us:
+            self._began += self.buffer_us
+            done = self._playing
+            self._playing = (done + 1) % count
+            self._begin()
+            buffer = self.memory[done]
+            buffer[:] = bytes(len(buffer))  # auto_clear
+            if len(self._free) == count - 1:
+                self._free.pop(0)
+            self._free.append(done)
+
+    def fileno(self) -> int:
+        """CPython's way to poll(): it sees a file that can be written."""
+        self._asyncio = True
+        return 1
+
+    def ioctl(self, request: int, flags: int) -> int:
+        """Stand in for MicroPython's way."""
+        if request != _POLL:
+            return -1
+        self._asyncio = True
+        return flags
+
+    def write(self, data: "bytearray | memoryview") -> int:
+        assert self.size, "the stream is closed"
+        self.run()
+        done = 0
+        while done < len(data):
+            if self._current is None or self._at == self.size:
+                while not self._free and not self._asyncio:
+                    clock.work(self.buffer_us)
+                    self.run()
+                if not self._free:
+                    break
+                self._current = self.memory[self._free.pop(0)]
+                self._at = 0
+            count = min(len(data) - done, self.size - self._at)
+            self._current[self._at : self._at + count] = data[done : done + count]
+            self._at += count
+            done += count
+        clock.work(20)
+        return done
+
+    def deinit(self) -> None:
+        self.run()
+        self.size = 0
+        clock.work(100)
+        self.closed_us = clock.us
