@@ -356,6 +356,7 @@ class Controller:
         self.coords.clear()
         self.gcode.reset()
         self.planner.clear()
+        self.planner.override()
         self.segments.clear()
         self.spindle.turn(sp.OFF, 0.0)
         self.coolant.set(0)

@@ -54,7 +54,10 @@ SEGMENT_ACCEL = const(5)  # real: block speed units per segment, per (step/s2)
 SEGMENT_LOG2 = const(6)  # a full segment is 2**SEGMENT_LOG2 ticks, 17 at the most
 POWER_FLOOR = const(7)  # spindle power, in 1/64, up to which a DYNAMIC block gets the least power
 POWER_MAX = const(8)  # spindle power at the most
-LIMITS = const(9)  # three reals per axis: mm per step, mm/s, mm/s2
+SLOWEST = const(9)  # real, mm/s: no block is slower
+FEED_PERCENT = const(10)  # overrides
+RAPID_PERCENT = const(11)
+LIMITS = const(12)  # three reals per axis: mm per step, mm/s, mm/s2
 
 # The flow: what planner (main loop) and segments (interrupt) share, and where motion is.
 ROW_SIZE = const(0)  # integers in a block
@@ -78,7 +81,9 @@ LEFT = const(17)  # and what it still lacks of a full one, in 2**-17
 MOTORS = const(18)  # per motor: steps still to go; phase, 2**18 is a step
 FLOW_LENGTH = const(18)
 
-# Flags of a block that the kernels look at.
+# Flags of a block that the kernels look at; planner.py has the others.
+RAPID_MOTION = const(0x01)
+NO_FEED_OVERRIDE = const(0x04)
 DYNAMIC = const(0x40)  # spindle power follows speed (laser, M4)
 
 # A row that goes to the pulse engine: a segment.
@@ -402,9 +407,17 @@ def turn(row: ptr32, machine: ptr32) -> int:
 
 @micropython.viper
 def schedule(row: ptr32, machine: ptr32) -> int:
-    """What the interrupt will want to know of a planned block; also after NOMINAL has changed."""
+    """What the interrupt will want to know of a block; also after an override has changed."""
     axes = machine[AXES]
     events = row[EVENTS]
+    flags = row[FLAGS]
+    nominal = row[RATE]
+    percent = machine[RAPID_PERCENT] if flags & RAPID_MOTION else machine[FEED_PERCENT]
+    if percent != 100 and not flags & NO_FEED_OVERRIDE:
+        nominal = int(div(int(mul(nominal, int(pack(percent, _BIAS)))), int(pack(100, _BIAS))))
+    if nominal > row[RAPID]:
+        nominal = row[RAPID]
+    row[NOMINAL] = nominal if nominal > machine[SLOWEST] else machine[SLOWEST]
     per_mm = int(div(int(pack(events, _BIAS)), row[LENGTH]))
     factor = int(mul(per_mm, machine[SEGMENT_RATE]))
     row[FACTOR] = factor
@@ -421,6 +434,9 @@ def schedule(row: ptr32, machine: ptr32) -> int:
         rest = row[STEPS + i]
         ratio = 0
         bits = 29
+        if rest == 0 or rest == events:  # noqa: PLR1714 (a viper cannot ask `in`)
+            ratio = 0x20000000 if rest else 0
+            bits = 0
         while bits:
             if width > bits:
                 width = bits

@@ -152,6 +152,7 @@ class Motion:
         """Spindle and coolant off, overrides back to 100 %."""
         state = self._state
         state.feed_override = state.rapid_override = state.spindle_override = 100
+        self._planner.override()
         if state.run != st.CHECK:
             self._spindle.turn(0, 0.0)
             self._coolant.set(0)

@@ -12,7 +12,7 @@ from array import array
 
 import kernels
 from f32 import f32, vector, whole
-from kernels import AT, FLAGS, HEAD, LINE, LOADED, NOMINAL, ROWS, SYSTEM, TAIL
+from kernels import AT, FLAGS, HEAD, LINE, LOADED, ROWS, SYSTEM, TAIL
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from state import State
 
 # Flags of a block.
-RAPID = const(0x01)
+RAPID = const(0x01)  # the same as kernels.RAPID_MOTION
 SYSTEM_MOTION = const(0x02)  # homing and parking: from rest, to rest, outside the ring's order
 NO_FEED_OVERRIDE = const(0x04)
 INVERSE_TIME = const(0x08)
@@ -35,10 +35,7 @@ SPINDLE_MASK = const(0x30)
 ACCESSORY_MASK = const(0x330)
 
 _BIAS = const(0x20000000)
-_SLOWEST = kernels.real(1 / 60)
-_HUNDRED = kernels.real(100)
-_FULL = const(100)
-_REAL = const(64)  # exponent of a real that is a whole number
+_SLOWEST_MM_S = 1 / 60
 
 
 class Move:
@@ -110,6 +107,7 @@ class Planner:
         machine[kernels.SEGMENT_RATE] = kernels.real(seconds * 262144)
         machine[kernels.SEGMENT_ACCEL] = kernels.real(seconds * seconds * 262144)
         machine[kernels.SEGMENT_LOG2] = segment_log2
+        machine[kernels.SLOWEST] = kernels.real(_SLOWEST_MM_S)
 
     def free(self) -> int:
         """Blocks that can still be added."""
@@ -180,7 +178,6 @@ class Planner:
             if flags & INVERSE_TIME:
                 rate = kernels.mul(rate, row[kernels.LENGTH])
             row[kernels.RATE] = rate
-        row[NOMINAL] = self._nominal(row)
         kernels.schedule(row, machine)
         return True
 
@@ -203,25 +200,14 @@ class Planner:
         before = self._rows[(at - 1) % self.flow[ROWS]]
         row[kernels.MAX_ENTRY_SQR] = min(entry, before[kernels.NOMINAL_SQR])
 
-    def _nominal(self, row: memoryview) -> int:
-        """Rate of a block with overrides, no less than 1 mm/min."""
-        state = self._state
-        flags = row[FLAGS]
-        nominal = row[kernels.RATE]
-        percent = state.rapid_override if flags & RAPID else state.feed_override
-        if percent != _FULL and not flags & NO_FEED_OVERRIDE:
-            nominal = kernels.div(kernels.mul(nominal, kernels.pack(percent, _REAL)), _HUNDRED)
-        if nominal > row[kernels.RAPID]:
-            nominal = row[kernels.RAPID]
-        return nominal if nominal > _SLOWEST else _SLOWEST
-
     def override(self) -> None:
         """Work out every block anew after an override has changed."""
         flow = self.flow
+        self.machine[kernels.FEED_PERCENT] = self._state.feed_override
+        self.machine[kernels.RAPID_PERCENT] = self._state.rapid_override
         at = flow[TAIL]
         while at != flow[HEAD]:
             row = self._rows[at]
-            row[NOMINAL] = self._nominal(row)
             kernels.schedule(row, self.machine)
             if at != flow[TAIL]:
                 self._limit_entry(at)

@@ -187,8 +187,10 @@ class Report09(Report):
         self._line("[%s.%s:%s]" % (self.VERSION, BUILD, info))
 
     def modes(self, text: str) -> None:
-        """The answer to $G. M0 is always there: between feed rate mode and spindle."""
-        self._line("[" + text.replace(" M", " M0 M", 1) + "]")
+        """The answer to $G. M0 is always there, before the spindle; T is read and forgotten."""
+        words = ["T0" if word[0] == "T" else word for word in text.split(" ")]
+        words.insert(6, "M0")
+        self._line("[" + " ".join(words) + "]")
 
     # Parts
 

@@ -278,3 +278,14 @@ def test_a_reset_in_motion_keeps_what_was_made() -> None:
     machine.play(["G1X20F2000"], [(400, "\x18")])
     assert 0 < machine.physical()[0] < 5000
     check_position(machine)
+
+
+def test_a_reset_takes_overrides_back() -> None:
+    waiting = ["G4P9", "(" + 118 * "-" + ")"]  # what follows is not sent before the reset
+    spans = []
+    for before, events in ((waiting, [(100, "\x92\x92\x92\x97"), (300, "\x18")]), ([], [])):
+        machine = Machine({110: 6000.0, 120: 1000.0})
+        machine.play([*before, "G91G1X5F6000", "G0X5"], events)
+        ticks = [tick for tick, _ in pulses(machine.rows, 0)]
+        spans.append((len(ticks), ticks[-1] - ticks[0]))
+    assert spans[0] == spans[1]

@@ -1,0 +1,275 @@
+"""The ESP32's engines on the desktop: what they hand to hardware, turned back into steps.
+
+EspEngine is an engine of firmware/esp on the stand-ins, with the simulator's side of a
+SimEngine, so that a Rig takes it for one. Steps are what a motor's driver would make of the pins:
+a rising edge of STEP counts, with the level that DIR has then.
+"""
+
+import sys
+from array import array
+from collections import deque
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import esp32
+import esp_machine
+from esp_clock import clock
+from kernels import ROW_AXES, ROW_STRIDE, row_length
+from ugrbl.sim import engine as sim_engine
+from ugrbl.sim.engine import Switch
+
+
+def _load() -> "tuple[Any, Any]":
+    """Import the engines with the ESP32's own modules in the place of others of the name."""
+    stand_ins: dict[str, Any] = {
+        "machine": esp_machine,
+        "time": SimpleNamespace(
+            ticks_us=clock.ticks_us, ticks_ms=clock.ticks_ms, ticks_diff=clock.ticks_diff
+        ),
+    }
+    hidden = {name: sys.modules.get(name) for name in stand_ins}
+    sys.modules.update(stand_ins)
+    try:
+        from esp import i2s, rmt
+    finally:
+        for name, module in hidden.items():
+            if module is None:
+                del sys.modules[name]
+            else:
+                sys.modules[name] = module
+    return i2s, rmt
+
+
+i2s, rmt = _load()
+
+# As on the boards: outputs of the shift registers, pins.
+I2S_STEP, I2S_DIR, I2S_ENABLE = (1, 5, 3), (2, 6, 4), 0
+RMT_STEP, RMT_DIR = (26, 25, 17), (16, 27, 14)
+
+Step = tuple[int, int, int]  # us, axis, +1 or -1
+
+
+class Levels:
+    """Levels of one axis' two pins: finds steps, and measures what a driver wants kept."""
+
+    def __init__(self, axis: int) -> None:
+        self.axis = axis
+        self.step = self.direction = 0
+        self.rose = self.fell = self.turned = -1_000_000
+        self.last = 0
+        self.shortest_pulse = self.shortest_pause = 1_000_000
+        self.shortest_setup = self.shortest_hold = 1_000_000
+        self.invert = 0
+
+    def set_direction(self, us: int, level: int) -> None:
+        """The direction pin has this level from now on."""
+        if level != self.direction:
+            self.direction = level
+            self.turned = us
+            self.shortest_hold = min(self.shortest_hold, us - self.rose)
+
+    def set_step(self, us: int, level: int) -> "Step | None":
+        """The step pin has this level from now on; returns the step that this is."""
+        if level == self.step:
+            return None
+        self.step = level
+        if not level:
+            self.fell = us
+            self.shortest_pulse = min(self.shortest_pulse, us - self.rose)
+            return None
+        self.rose = us
+        self.shortest_pause = min(self.shortest_pause, us - self.fell)
+        self.shortest_setup = min(self.shortest_setup, us - self.turned)
+        return us, self.axis, -1 if self.direction != self.invert else 1
+
+
+class I2sPins:
+    """Shift registers that hang on machine.I2S in the Philips format."""
+
+    def __init__(self, axes: int) -> None:
+        self.levels = [Levels(i) for i in range(axes)]
+        self._stream: Any = None
+        self._seen = 0
+        self._word = 0
+        self._events: deque[tuple[int, int]] = deque()
+
+    def make(self) -> Any:
+        """The engine."""
+        return i2s.I2sEngine(I2S_STEP, I2S_DIR, I2S_ENABLE, (16, 17, 21))
+
+    def outputs(self) -> int:
+        """All outputs."""
+        return self._shown
+
+    def run(self, until: int) -> "list[Step]":
+        """The steps up to a time."""
+        stream = esp_machine.I2S.open_streams[0]
+        steps: list[Step] = []
+        if stream is not self._stream:
+            if self._stream is not None:
+                self._play(steps, self._stream.closed_us)
+            self._events.clear()
+            self._stream, self._seen = stream, 0
+        if stream.size:
+            stream.run()
+        frame_us = stream.buffer_us // 256
+        while self._seen < len(stream.played):
+            start, data = stream.played[self._seen]
+            stream.played[self._seen] = None
+            self._seen += 1
+            if data == self._word.to_bytes(4, "little") * 256:
+                continue
+            for k, word in enumerate(memoryview(data).cast("I")):
+                if word != self._word:
+                    self._word = word
+                    self._events.append((start + k * frame_us, word))
+        self._play(steps, until)
+        return steps
+
+    _shown = 0
+
+    def _play(self, steps: "list[Step]", until: int) -> None:
+        while self._events and self._events[0][0] <= until:
+            us, word = self._events.popleft()
+            # WS rises when the registers hold the word but for its last bit.
+            shown = self._shown = word >> 1
+            for axis, levels in enumerate(self.levels):
+                levels.set_direction(us, shown >> I2S_DIR[axis] & 1)
+                step = levels.set_step(us, shown >> I2S_STEP[axis] & 1)
+                if step:
+                    steps.append(step)
+
+
+class RmtPins:
+    """Drivers that hang on RMT channels and direction pins."""
+
+    def __init__(self, axes: int) -> None:
+        self.levels = [Levels(i) for i in range(axes)]
+        self._trains = [0] * axes
+        self._edges: list[deque[tuple[int, int, int]]] = [deque() for _ in range(axes)]
+        self._turns = [0] * axes
+
+    def make(self) -> Any:
+        """The engine."""
+        return rmt.RmtEngine(RMT_STEP, RMT_DIR)
+
+    def run(self, until: int) -> "list[Step]":
+        """The steps up to a time."""
+        steps: list[Step] = []
+        for axis, levels in enumerate(self.levels):
+            channel = esp32.RMT.channels[axis]
+            idle = int(channel.idle_level)
+            edges = self._edges[axis]
+            while self._trains[axis] < len(channel.trains):
+                number = self._trains[axis]
+                us, level, durations, _ = channel.trains[number]
+                self._trains[axis] += 1
+                for ticks in durations:
+                    edges.append((us, level ^ idle, number))
+                    us += ticks
+                    level = 1 - level
+                edges.append((us, 0, number))
+            turns = esp_machine.Pin.pins[RMT_DIR[axis]].log
+            while edges and edges[0][0] <= until:
+                us, level, number = edges.popleft()
+                end = channel.trains[number][3]
+                while self._turns[axis] < len(turns) and turns[self._turns[axis]][0] <= us:
+                    levels.set_direction(*turns[self._turns[axis]])
+                    self._turns[axis] += 1
+                if us > end:  # the train was cut off, and the pin is at rest from there on
+                    us, level = end, 0
+                step = levels.set_step(us, level)
+                if step:
+                    steps.append(step)
+        return sorted(steps)
+
+
+PINS: "dict[str, Any]" = {"i2s": I2sPins, "rmt": RmtPins}
+
+
+def reset_stand_ins() -> None:
+    """As after power-up."""
+    clock.timers.clear()
+    esp_machine.I2S.open_streams.clear()
+    esp_machine.Pin.pins.clear()
+    esp32.RMT.channels.clear()
+
+
+class EspEngine:
+    """An engine of the ESP32 in virtual time, seen by a Rig as its simulated engine."""
+
+    def __init__(self, name: str, axes: int = 3) -> None:
+        reset_stand_ins()
+        self.pins = PINS[name](axes)
+        self.real = self.pins.make()
+        self.tick_hz = self.real.tick_hz
+        self.segment_log2 = self.real.segment_log2
+        self.switches: list[Switch] = []
+        self.pins_changed: Callable[[], None] | None = None
+        self.trace: Callable[[int, array[int]], None] | None = None
+        self.prepare: Callable[[], None] | None = None
+        self.starts = 0
+        self.steps: list[Step] = []  # all that have been made
+        self._axes = axes
+        self._per_us = self.tick_hz // 1_000_000
+        self._place = [0] * axes
+        self._row = array("i", [0] * row_length(axes))
+        self.max_step_hz = self.real.max_step_hz
+        self.attach = self.real.attach
+        self.configure = self.real.configure
+        self.stop = self.real.stop
+        self.lock = self.real.lock
+        self.idle = self.real.idle
+        self.position = self.real.position
+        self.set_position = self.real.set_position
+
+    def start(self) -> None:
+        self.starts += 1
+        self.real.start()
+
+    # The simulator's side
+
+    @property
+    def now(self) -> int:
+        return clock.us * self._per_us
+
+    def physical(self, steps: "array[int]") -> None:
+        """Steps since power-up, whatever the firmware calls the place."""
+        steps[:] = array("i", self._place)
+
+    def power_off(self) -> None:
+        """The machine is not needed any more."""
+
+    def next_event(self) -> int:
+        """The tick up to which nothing changes by itself."""
+        if self.real.idle():
+            return sim_engine._NEVER
+        return self.now + 250 * self._per_us
+
+    def advance(self, to: int) -> None:
+        """Let time pass."""
+        end = -(-to // self._per_us)
+        while True:
+            moving = not self.real.idle()
+            clock.advance(min(clock.us + 500, end) if moving or end - clock.us < 2000 else end)
+            made = self.pins.run(clock.us)
+            for us, axis, sign in made:
+                self._place[axis] += sign
+                if self.trace:
+                    self._tell(us, axis, sign)
+            self.steps += made
+            if made and self.switches and self.pins_changed:
+                self.pins_changed()
+            if clock.us >= end:
+                return
+
+    def _tell(self, us: int, axis: int, sign: int) -> None:
+        row = self._row
+        for i in range(len(row)):
+            row[i] = 0
+        row[0] = 1
+        row[1] = 1 << axis if sign < 0 else 0
+        row[ROW_AXES + ROW_STRIDE * axis] = 1
+        if self.trace:
+            self.trace(us * self._per_us, row)

@@ -1,0 +1,306 @@
+"""`ugrbl doctor`: at the simulator, at ports with somebody else, and its judgement by itself."""
+
+import json
+import os
+import threading
+import time
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sim_bench import SETTINGS, STEPS_PER_MM, SWITCH_STEPS, Bench
+from typer.testing import CliRunner
+from ugrbl import checkup, patient, ports
+from ugrbl import settings_sync as sync
+from ugrbl.checkup import BAD, NOTE, OK, Finding
+from ugrbl.cli import app
+from ugrbl.settings_file import Firmware
+
+OURS = Firmware("1.1", "h", "20261121", "Grbl", "V,15,128")
+GRBL = Firmware("1.1", "h", "20190830", "", "V,15,128")
+# A machine nothing can be said against.
+GOOD: dict[int, float] = {
+    **dict.fromkeys((5, 6, 13, 20, 31, 32), 0),
+    **dict.fromkeys((21, 22), 1),
+    **dict.fromkeys((100, 101, 102), 80),
+    **dict.fromkeys((110, 111, 112), 6000),
+    **dict.fromkeys((120, 121, 122), 400),
+    **dict.fromkeys((130, 131, 132), 300),
+    0: 10,
+    11: 0.01,
+    12: 0.002,
+    24: 50,
+    25: 800,
+    27: 2,
+    30: 1000,
+}
+
+
+def examine(port: object, *words: str) -> Any:
+    """Exit code, findings by what they are about, everything said."""
+    command = ["doctor", "--port", str(port), "--json", "-", *words]
+    done = CliRunner().invoke(app, command)
+    found = json.loads(done.stdout)
+    by_name: dict[str, list[dict[str, str]]] = {}
+    for row in found["findings"]:
+        by_name.setdefault(row["what"], []).append(row)
+    return done.exit_code, by_name, found["verdict"]
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    running = Bench(tmp_path, "--speed", "max")
+    yield running
+    running.kill()
+
+
+# At the simulator
+
+
+def test_a_machine_from_the_factory_can_move_and_has_settings_to_make(bench: Bench) -> None:
+    code, found, verdict = examine(bench.port, "--move", "--pins", "0")
+    assert code == 0
+    assert found["port"][0]["verdict"] == OK
+    assert found["firmware"][0]["text"].startswith("Grbl 1.1h")
+    assert found["state"][0]["text"] == "Idle"
+    assert "the factory's" in found["settings"][0]["text"]
+    assert [found[f"move {letter}"][0]["verdict"] for letter in "XYZ"] == [OK] * 3
+    assert "$3" in found["move X"][0]["todo"]
+    assert "worth a look" in verdict
+    assert bench.stop() == [0, 0, 0]  # there and back
+
+
+def test_nothing_moves_unasked(bench: Bench) -> None:
+    _, found, _ = examine(bench.port)
+    assert not any(name.startswith("move") for name in found)
+    assert b"$J" not in bench.wire(">")
+
+
+def test_switches_are_seen_as_they_are_pressed(bench: Bench) -> None:
+    def press() -> None:
+        for pin in ("limit_x", "probe"):
+            time.sleep(1.2)
+            bench.push(pin)
+            time.sleep(0.5)
+            bench.push(pin, False)
+
+    finger = threading.Thread(target=press)
+    finger.start()
+    code, found, _ = examine(bench.port, "--pins", "5", "--no-move")
+    finger.join()
+    assert code == 0
+    assert found["switches"][0]["text"] == "seen: limit switch X (1×), probe (1×)"
+
+
+def test_an_input_active_at_rest_is_named_with_its_setting(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, "--speed", "max", settings=SETTINGS)
+    bench.push("limit_y")
+    bench.push("probe")
+    time.sleep(0.3)
+    code, found, _ = examine(bench.port, "--no-move", "--pins", "0")
+    bench.kill()
+    assert code == 1
+    assert found["limits"][0]["text"] == "limit inputs active at rest: Y"
+    assert "$5=1" in found["limits"][0]["todo"] and "$6=1" in found["probe"][0]["todo"]
+
+
+def test_a_locked_machine_is_told_the_way_out_and_does_not_move(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, "--speed", "max", settings=SETTINGS)
+    code, found, _ = examine(bench.port, "--move", "--pins", "0")
+    bench.kill()
+    assert code == 0
+    assert found["state"][0]["verdict"] == NOTE and "$H" in found["state"][0]["todo"]
+    assert found["move X"][0]["text"] == "not tried: the machine is in Alarm"
+
+
+def test_a_move_into_a_switch_is_told_with_its_alarm(bench: Bench) -> None:
+    connection = sync.connect(str(bench.port))
+    near = SWITCH_STEPS / STEPS_PER_MM - 0.5
+    for line in ("$21=1", f"$J=G91 X{near} F500"):
+        assert connection.ask(line)[-1] == "ok"
+    connection.wait_for(lambda line: f"<Idle|MPos:{near:.3f}" in line, 20)
+    connection.close()
+    code, found, _ = examine(bench.port, "--move", "--pins", "0")
+    assert code == 1
+    assert found["move X"][0]["text"].startswith("ALARM:1: ")
+    assert "move Y" not in found
+
+
+# At ports with somebody else
+
+
+class Impostor(threading.Thread):
+    """Answers whatever comes with a text of its own."""
+
+    def __init__(self, answers: dict[bytes, bytes], always: bytes = b"") -> None:
+        super().__init__(daemon=True)
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.port = os.ttyname(self._slave)
+        self._answers = answers
+        self._always = always
+        self.over = threading.Event()
+
+    def run(self) -> None:
+        while not self.over.wait(0.02):
+            try:
+                data = os.read(self._master, 4096)
+            except BlockingIOError:
+                continue
+            for part, answer in self._answers.items():
+                if part in data:
+                    os.write(self._master, answer)
+            os.write(self._master, self._always)
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(patient, "_REPL_S", 0.3)
+
+
+@pytest.mark.parametrize(
+    ("answers", "always", "what", "text"),
+    [
+        ({}, b"", "firmware", "no answer"),
+        (
+            {
+                b"\x03": b"\r\n>>> ",
+                b"import": b"\r\n|rp2|Raspberry Pi Pico|1.28.0|183000|False|\r\n>>> ",
+            },
+            b"",
+            "board",
+            "Raspberry Pi Pico, MicroPython 1.28.0",
+        ),
+        ({b"\x03": b"\r\n>>> "}, b"", "firmware", "MicroPython shows its prompt; no Grbl runs"),
+        ({}, b"rst:0x3 (SW_RESET)\r\n", "firmware", "an ESP32 that starts over and over"),
+        ({}, b"echo:Marlin 2.1\r\n", "firmware", "Marlin"),
+        ({}, b"\xff\xfe\x80\x9c\xe0", "firmware", "bytes come, but no text"),
+    ],
+)
+def test_who_is_there_instead_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+    answers: dict[bytes, bytes],
+    always: bytes,
+    what: str,
+    text: str,
+) -> None:
+    monkeypatch.setattr(patient, "_ANSWER_S", 0.5)
+    impostor = Impostor(answers, always)
+    impostor.start()
+    code, found, _ = examine(impostor.port)
+    impostor.over.set()
+    impostor.join()
+    assert code == 1
+    assert text in found[what][0]["text"]
+    assert found["firmware"][0]["todo"]
+
+
+def test_a_board_at_its_prompt_tells_its_free_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(patient, "_ANSWER_S", 0.5)
+    answer = b"\r\n|rp2|Raspberry Pi Pico|1.28.0|183000|True|\r\n>>> "
+    impostor = Impostor({b"\x03": b"\r\n>>> ", b"import": answer})
+    impostor.start()
+    _, found, _ = examine(impostor.port)
+    impostor.over.set()
+    impostor.join()
+    assert found["memory"][0]["text"] == "178 kB are free"
+    assert "main.py has ended" in found["firmware"][0]["todo"]
+
+
+def test_a_port_that_is_not_there_is_named() -> None:
+    code, found, verdict = examine("/dev/nowhere")
+    assert code == 1 and verdict == "1 wrong"
+    assert "/dev/nowhere" in found["port"][0]["text"] and "cable" in found["port"][0]["text"]
+
+
+def test_the_only_port_is_chosen_and_one_of_several_is_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Usb:
+        def __init__(self, device: str, vid: int | None, pid: int | None) -> None:
+            self.device, self.vid, self.pid = device, vid, pid
+
+    plugged = [Usb("/dev/ttyS0", None, None), Usb("/dev/ttyACM0", 0x2E8A, 5)]
+    monkeypatch.setattr(ports.list_ports, "comports", lambda: plugged)
+    assert ports.choose(None) == "/dev/ttyACM0"
+    assert ports.find()[0].what == "Raspberry Pi Pico with MicroPython"
+    plugged.append(Usb("/dev/ttyUSB0", 0x1A86, 0x7523))
+    with pytest.raises(Exception, match=r"there are several: .*ttyACM0.*ttyUSB0"):
+        ports.choose(None)
+    plugged.clear()
+    with pytest.raises(Exception, match="no controller is plugged in"):
+        ports.choose(None)
+
+
+# The judgement by itself
+
+
+def wrong(found: list[Finding]) -> list[tuple[str, str]]:
+    return [(finding.what, finding.verdict) for finding in found if finding.verdict != OK]
+
+
+def test_good_settings_are_good() -> None:
+    assert wrong(checkup.settings(GOOD, OURS)) == []
+
+
+@pytest.mark.parametrize(
+    ("values", "what", "verdict", "says"),
+    [
+        ({100: 0}, "settings", BAD, "$100"),
+        ({130: 0}, "settings", BAD, "$130"),
+        ({110: 60000, 100: 800}, "step rate", BAD, "lower $110 to"),
+        ({0: 200}, "step rate", BAD, "pulses of 200 us"),
+        ({121: 10}, "acceleration", NOTE, "raise"),
+        ({121: 40}, "acceleration", NOTE, "takes 2.5 s"),
+        ({27: 0}, "homing", BAD, "ALARM:8"),
+        ({27: 400}, "homing", BAD, "longer than the travel of X"),
+        ({24: 900}, "homing", NOTE, "slower"),
+        ({21: 0}, "homing", NOTE, "$21"),
+        ({22: 0, 20: 1}, "homing", BAD, "$22=1"),
+        ({30: 0}, "spindle", BAD, "$30"),
+        ({32: 1}, "spindle", NOTE, "laser"),
+        ({11: 3}, "settings", NOTE, "$11"),
+        ({12: 1}, "settings", NOTE, "$12"),
+        ({13: 1}, "settings", NOTE, "inches"),
+    ],
+)
+def test_what_is_wrong_with_settings_is_told_with_the_way_out(
+    values: dict[int, float], what: str, verdict: str, says: str
+) -> None:
+    found = checkup.settings({**GOOD, **values}, OURS)
+    hits = [finding for finding in found if (finding.what, finding.verdict) == (what, verdict)]
+    assert hits and all(finding.todo for finding in hits)
+    assert says in " ".join(finding.text + finding.todo for finding in hits)
+
+
+def test_a_real_grbl_makes_fewer_steps() -> None:
+    fast = {**GOOD, 110: 30000.0}  # 40 kHz
+    assert ("step rate", BAD) in wrong(checkup.settings(fast, GRBL))
+    assert ("step rate", BAD) not in wrong(checkup.settings(fast, OURS))
+
+
+@pytest.mark.parametrize(
+    ("found", "verdict"),
+    [
+        (OURS, OK),
+        (GRBL, OK),
+        (Firmware("0.9", "j", "20160303", ""), BAD),
+        (Firmware("1.1", "f", "20210101", "grblHAL"), NOTE),
+        (Firmware("1.1", "h", "20250101", "Grbl"), NOTE),
+        (Firmware(), BAD),
+    ],
+)
+def test_versions_are_judged(found: Firmware, verdict: str) -> None:
+    assert checkup.firmware(found, "20261121").verdict == verdict
+
+
+def test_a_switch_that_homing_needs_and_that_was_never_seen_is_told() -> None:
+    found = checkup.pins_pressed({"X": 1, "Y": 12}, GOOD, 3)
+    assert [finding.text for finding in found[1:]] == [
+        "never seen, though homing ($22) needs them: Z",
+        "Y changed very often",
+    ]
+    assert checkup.pins_pressed({}, GOOD, 3)[0].verdict == NOTE
