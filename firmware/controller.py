@@ -89,7 +89,7 @@ class Options:
         self.echo: bool = option("ECHO", False)
         # Whose words it uses: "1.1", or "0.9", "0.9i" and "0.9j" for senders older than that.
         self.dialect: str = option("DIALECT", "1.1")
-        # What works on the material: "spindle", a laser too, or "punch".
+        # What works on the material: "spindle", a laser too, or "punch", see docs/punch.md.
         self.tool: str = option("TOOL", "spindle")
         self.reports = _reports(self.dialect)
         self.parts = _parts(self.tool, board)

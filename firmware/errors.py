@@ -104,6 +104,10 @@ ALARM_HOMING_FAIL_APPROACH = const(9)
 ALARM_HOMING_FAIL_DUAL_APPROACH = const(10)
 # The firmware met a fault of its own and stopped the machine. Not one of Grbl's.
 ALARM_INTERNAL = const(17)
+# The punch went down and the sensor of $32 did not see it come there. Not one of Grbl's.
+ALARM_PUNCH_DOWN = const(32)
+# The punch is not up, or the sensor of $33 does not see it: nothing may move. Not one of Grbl's.
+ALARM_PUNCH_UP = const(33)
 
 # Messages, as they stand in [MSG:…]. None may contain "ok" or "error".
 MSG_CRITICAL_EVENT = "Reset to continue"
@@ -117,6 +121,8 @@ MSG_PROGRAM_END = "Pgm End"
 MSG_RESTORE_DEFAULTS = "Restoring defaults"
 MSG_SPINDLE_RESTORE = "Restoring spindle"
 MSG_SLEEP = "Sleeping"
+MSG_PUNCH_DOWN = "Punch not down"
+MSG_PUNCH_UP = "Punch not up"
 MSG_NOT_KEPT = "Flash is full or worn: not kept"
 
 

@@ -87,6 +87,20 @@ class Port(Protocol):
     def elapsed_ms(self, since: int) -> int:
         """Milliseconds since a value of ticks_ms()."""
 
+class PunchPort(Port, Protocol):
+    """A Port that has a punch besides (punch.py). Levels are what the pins carry: 1 is high."""
+
+    punch_timeout_ms: int  # no stroke takes longer, down or up
+
+    def punch(self, down: int, up: int) -> None:
+        """Levels of the two actuators' pins. May be called in an interrupt."""
+
+    def punch_sensors(self) -> int:
+        """Levels of the sensors' pins: bit 0 down, bit 1 up."""
+
+    def watch_punch(self, on_change: Callable[[], None]) -> None:
+        """Call on_change, in interrupt context, whenever a sensor's pin changes."""
+
 class Link(Protocol):
     """The sender: USB, UART, a pseudo-terminal, a test."""
 

@@ -78,8 +78,12 @@ PARTIAL = const(14)  # distance come since the last step of the longest axis, in
 SPARE = const(15)  # and its time, in ticks: both go into the next segment
 ADVANCE = const(16)  # distance of the segment being made,
 LEFT = const(17)  # and what it still lacks of a full one, in 2**-17
-MOTORS = const(18)  # per motor: steps still to go; phase, 2**18 is a step
-FLOW_LENGTH = const(18)
+BRAKE_FROM = const(18)  # braking from this speed to that takes so many whole steps,
+BRAKE_TO = const(19)
+BRAKE_WAY = const(20)
+BRAKE_WAY_FINE = const(21)  # and so much in 2**-18 step
+MOTORS = const(22)  # per motor: steps still to go; phase, 2**18 is a step
+FLOW_LENGTH = const(22)
 
 # Flags of a block that the kernels look at; planner.py has the others.
 RAPID_MOTION = const(0x01)
@@ -389,9 +393,10 @@ def turn(row: ptr32, machine: ptr32) -> int:
         machine[previous + i] = component
         if change < 0:
             change = 0 - change
-        if change:
-            squares += change * change
-            accel = int(div(machine[LIMITS + 3 * i + 2], int(pack(change, _BIAS))))
+        squares += change * change
+        if change or component != 16384:
+            # One more than it seems: a weak axis that hardly turns is not overlooked.
+            accel = int(div(machine[LIMITS + 3 * i + 2], int(pack(change + 1, _BIAS))))
             if accel < least:
                 least = accel
     if squares < 16:
@@ -574,6 +579,7 @@ def load(flow: ptr32, ring: ptr32, axes: int) -> int:
     flow[WHOLE] = ring[at + EVENTS]
     flow[FRACTION] = 0
     flow[PARTIAL] = _HAIR
+    flow[BRAKE_FROM] = 0
     flow[SPARE] = 0
     for i in range(axes):
         flow[MOTORS + 2 * i] = ring[at + STEPS + i]
@@ -713,7 +719,12 @@ def proceed(flow: ptr32, ring: ptr32, scale: int) -> int:
         leave = top
     slack = rest if unit else flow[WHOLE]
     if speed > leave:
-        slack -= int(braking(speed, leave, ramp, unit))
+        if speed != flow[BRAKE_FROM] or leave != flow[BRAKE_TO]:
+            flow[BRAKE_FROM] = speed
+            flow[BRAKE_TO] = leave
+            flow[BRAKE_WAY] = int(braking(speed, leave, ramp, 0))
+            flow[BRAKE_WAY_FINE] = int(braking(speed, leave, ramp, 18))
+        slack -= flow[BRAKE_WAY_FINE] if unit else flow[BRAKE_WAY]
     elif leave > speed:
         room = int(braking(leave, speed, ramp, unit))
         slack += room if room < slack else slack
@@ -729,7 +740,7 @@ def proceed(flow: ptr32, ring: ptr32, scale: int) -> int:
     if slack > rest:
         slack = rest
     part = flow[LEFT]
-    distance = int(times(speed, part))
+    distance = speed if part == 131072 else int(times(speed, part))
     if slack <= distance:
         distance = slack
         part = int(share(slack, speed))
@@ -809,11 +820,9 @@ def spread(flow: ptr32, ring: ptr32, row: ptr32, axes: int) -> int:
 
 @micropython.viper
 def power(flow: ptr32, ring: ptr32, machine: ptr32) -> int:
-    """Spindle power of the segment just made."""
+    """Spindle power of the segment just made, of a block whose power follows speed."""
     at = flow[AT]
     full = ring[at + POWER]
-    if ring[at + FLAGS] & DYNAMIC == 0:
-        return full
     rate = ring[at + PROGRAMMED]
     if flow[NOW] < rate:
         full = int(times(full, int(share(flow[NOW], rate))))
@@ -853,7 +862,9 @@ def fill(flow: ptr32, ring: ptr32, machine: ptr32, row: ptr32) -> int:
     flow[ADVANCE] = steps << 18
     at = flow[AT]
     row[ROW_DIRS] = ring[at + DIRS]
-    row[ROW_POWER] = int(power(flow, ring, machine))
+    row[ROW_POWER] = ring[at + POWER]
+    if ring[at + FLAGS] & DYNAMIC:
+        row[ROW_POWER] = int(power(flow, ring, machine))
     spread(flow, ring, row, axes)
     if going == 0:
         flow[CARRY] = int(div(int(pack(flow[NOW], _BIAS)), ring[at + FACTOR]))

@@ -6,10 +6,11 @@ machine is the same. A board asks for it with DIALECT = "0.9".
 """
 
 import state as st
+from digits import number
 from errors import ALARM_PROBE_FAIL_CONTACT, ALARM_PROBE_FAIL_INITIAL
 from f32 import INCH_PER_MM, f32
 from micropython import const
-from report import BUILD, Report, number
+from report import BUILD, Report
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:

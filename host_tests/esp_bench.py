@@ -42,6 +42,7 @@ def _load() -> "tuple[Any, Any]":
 
 
 i2s, rmt = _load()
+esp_machine.I2S.recording = True
 
 # As on the boards: outputs of the shift registers, pins.
 I2S_STEP, I2S_DIR, I2S_ENABLE = (1, 5, 3), (2, 6, 4), 0

@@ -32,8 +32,6 @@ JUNCTION_SLACK = 1.1
 PROMISE_SLACK = 1.005
 # What a unit vector of 14 bits leaves open of a corner's angle, in radians.
 _ANGLE = 2e-4
-# A corner of which so little is sure is not looked at for being taken too slowly.
-_VAGUE = 0.85
 # Grbl calls a corner straight below this angle.
 _STRAIGHT = 0.0015
 SETUP_US = 3
@@ -118,16 +116,19 @@ class Block:
         """What its axes allow."""
         return self.limits.along(self.unit, self.limits.acceleration)
 
-    def junction(self, after: "Block", slack: bool = True) -> float:
-        """Junction deviation: the highest speed into the following block, in floats."""
+    def junction(self, after: "Block", lean: int = 1) -> float:
+        """Junction deviation: the highest speed into the following block, in floats.
+
+        lean: 1 is the most that unit vectors of 14 bits may make of it, -1 the least.
+        """
         delta = [b - a for a, b in zip(self.unit, after.unit, strict=True)]
         change = sqrt(sum(d * d for d in delta))  # 2 sin(half the angle of deflection)
-        accel = self.limits.along(delta, self.limits.acceleration) * change
-        if slack:
-            change = max(change - _ANGLE, 0)
-        if change < _STRAIGHT:
+        unsure = [max(abs(d) - lean * _ANGLE, 0.0) for d in delta]
+        change = min(max(change - lean * _ANGLE, 0.0), 2.0)
+        if change < _STRAIGHT and lean > 0:
             return inf
-        cosine = sqrt(max(1 - change * change / 4, 0))  # sin(theta / 2) of Grbl's angle
+        accel = self.limits.along(unsure, self.limits.acceleration) * change
+        cosine = sqrt(1 - change * change / 4)  # sin(theta / 2) of Grbl's angle
         return sqrt(accel * self.limits.deviation * cosine / (1 - cosine))
 
 
@@ -303,6 +304,7 @@ class Bench:
         self.state = State()
         self.planner = Planner(axes, blocks, limits.corexy, self.state)
         self.planner.configure(limits.settings(), tick_hz, segment_log2, limits.step_hz)  # type: ignore[arg-type]
+        self.planner.override()
         self.segments = Segments(self.planner)
         self.watch = Watch(self.planner, self.segments, limits, tick_hz)
         self._row = array("i", [0] * kernels.row_length(axes))
@@ -369,10 +371,9 @@ def check_plan(watch: Watch) -> None:
         assert entry <= min(nominals) * PROMISE_SLACK + _least(watch), "faster than nominal"
         corner = before.junction(block)
         assert entry <= corner * JUNCTION_SLACK + _least(watch), "corner too fast"
-        slower = before.junction(block, False) / JUNCTION_SLACK
+        slower = before.junction(block, -1) / JUNCTION_SLACK
         junction = watch.promise(row, kernels.JUNCTION_SQR)
-        if slower > corner * _VAGUE:
-            assert junction >= min(slower, watch.top()) - _least(watch), "corner too slow"
+        assert junction >= min(slower, watch.top()) - _least(watch), "corner too slow"
 
 
 def _least(watch: Watch) -> float:

@@ -11,6 +11,7 @@ _FOLDERS = (
     _HERE / "conversations",
     _SHARED / "conformance",
     _SHARED / "conformance-options",
+    _SHARED / "conformance-0.9",
 )
 
 

@@ -47,6 +47,7 @@ def allocates(proved):
 
 planner = Planner(3, 16, False, State())
 planner.configure(Settings, 13107200, 17, 90909)
+planner.override()
 segments = Segments(planner)
 flow, ring, machine = planner.flow, planner.ring, planner.machine
 row = array("i", [0] * kernels.row_length(3))

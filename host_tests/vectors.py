@@ -88,6 +88,7 @@ def print_blocks(dice):
     for k in range(100):
         planner = Planner(3, 16, k % 5 == 4, State())
         planner.configure(Settings(dice), 13107200, 17, 90909)
+        planner.override()
         segments = Segments(planner)
         for _ in range(40):
             for i in range(3):

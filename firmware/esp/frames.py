@@ -4,7 +4,7 @@
 A frame is one 32-bit word: what all outputs show for so many microseconds. Frames come in
 buffers of 256, the length of one DMA buffer of machine.I2S. A lane is what is remembered per
 axis, a few integers. Times are in ticks, 16 to a frame, counted from the start of the buffer
-being filled; what they point at may lie before it or behind it.
+being filled; what they point at may lie behind it. No value but a position is negative.
 
 A pulse never reaches over the end of a buffer: what follows may be zeros (see i2s.py), and must
 not be the second half of a step. Called in the engine's turns; nothing here allocates.
@@ -29,10 +29,10 @@ STEP = const(0)  # the bit of its step output,
 DIR = const(1)  # and of its direction output
 INVERT = const(2)  # 1: the direction output is high forwards
 BACK = const(3)  # 1: it turns backwards
-TURN = const(4)  # frame in which the direction output is to change; -1: no change is due
+TURN = const(4)  # the frame after which the direction output is to change; 0: no change is due
 FREE = const(5)  # from this frame on it may step
 LEFT = const(6)  # steps of the row that are still to come,
-NEXT = const(7)  # the next one's tick, from the start of the row,
+NEXT = const(7)  # the next one's tick,
 GAP = const(8)  # ticks from step to step,
 LONGER = const(9)  # and how many gaps are longer by one tick
 PLACE = const(10)  # position after all steps put into buffers
@@ -42,11 +42,10 @@ AXES = const(0)
 PULSE = const(1)  # frames of a pulse
 SETUP = const(2)  # frames from a change of direction to a step
 WORD = const(3)  # the direction outputs, as they are at the end of what has been filled
-ROW_AT = const(4)  # tick at which the row begins,
-ROW_END = const(5)  # and ends
-LOCKED = const(6)  # mask of axes that stand still
-ENABLE = const(7)  # the enable output, for the next buffer
-TIMING_LENGTH = const(8)
+ROW_END = const(4)  # tick at which the row ends
+LOCKED = const(5)  # mask of axes that stand still
+ENABLE = const(6)  # the enable output, for the next buffer
+TIMING_LENGTH = const(7)
 
 
 @micropython.viper
@@ -68,11 +67,11 @@ def begin_buffer(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
         frames[i] = start
     for i in range(timing[AXES]):
         turn = lanes[LANE * i + TURN]
-        if turn >= 0:
-            lanes[LANE * i + TURN] = -1
+        if turn:
+            lanes[LANE * i + TURN] = 0
             flip = lanes[LANE * i + DIR]
             timing[WORD] = timing[WORD] ^ flip
-            for k in range(turn, FRAMES):
+            for k in range(turn - 1, FRAMES):
                 frames[k] = frames[k] ^ flip
     return start
 
@@ -80,13 +79,15 @@ def begin_buffer(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
 @micropython.viper
 def end_buffer(timing: ptr32, lanes: ptr32) -> int:
     """Count from the start of the next buffer."""
-    timing[ROW_AT] = timing[ROW_AT] - _TICKS
-    timing[ROW_END] = timing[ROW_END] - _TICKS
+    end = timing[ROW_END] - _TICKS
+    timing[ROW_END] = end if end > 0 else 0
     for i in range(timing[AXES]):
         lane = LANE * i
         free = lanes[lane + FREE] - FRAMES
         lanes[lane + FREE] = free if free > 0 else 0
-        if lanes[lane + TURN] >= 0:
+        tick = lanes[lane + NEXT] - _TICKS
+        lanes[lane + NEXT] = tick if tick > 0 else 0
+        if lanes[lane + TURN]:
             lanes[lane + TURN] = lanes[lane + TURN] - FRAMES
     return 0
 
@@ -120,15 +121,15 @@ def lateness(row: ptr32, timing: ptr32, lanes: ptr32) -> int:
 def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int) -> int:
     """Take up a row: it begins where the last one ended, and so much later."""
     now = timing[ROW_END] >> FRAME_LOG2
-    timing[ROW_AT] = timing[ROW_END] + late
-    timing[ROW_END] = timing[ROW_AT] + row[_ROW_TICKS]
+    at = timing[ROW_END] + late
+    timing[ROW_END] = at + row[_ROW_TICKS]
     for i in range(timing[AXES]):
         lane = LANE * i
         base = _ROW_AXES + _ROW_STRIDE * i
         steps = row[base] if (timing[LOCKED] >> i) & 1 == 0 else 0
         lanes[lane + LEFT] = steps
         if steps:
-            lanes[lane + NEXT] = row[base + 1]
+            lanes[lane + NEXT] = at + row[base + 1]
             if steps > 1:
                 span = row[base + 2] - row[base + 1]
                 lanes[lane + GAP] = span // (steps - 1)
@@ -139,7 +140,7 @@ def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int)
                 if now > turn:
                     turn = now
                 if turn >= FRAMES:
-                    lanes[lane + TURN] = turn
+                    lanes[lane + TURN] = turn + 1
                 else:
                     flip = lanes[lane + DIR]
                     timing[WORD] = timing[WORD] ^ flip
@@ -157,7 +158,7 @@ def render(frames: ptr32, timing: ptr32, lanes: ptr32) -> int:
         lane = LANE * i
         bit = lanes[lane + STEP]
         while lanes[lane + LEFT]:
-            frame = (timing[ROW_AT] + lanes[lane + NEXT]) >> FRAME_LOG2
+            frame = lanes[lane + NEXT] >> FRAME_LOG2
             if frame < lanes[lane + FREE]:
                 frame = lanes[lane + FREE]
             if frame < FRAMES and frame + pulse > FRAMES:
@@ -187,12 +188,20 @@ def settle(timing: ptr32, lanes: ptr32) -> int:
     timing[ROW_END] = 0
     for i in range(timing[AXES]):
         lane = LANE * i
-        lanes[lane + TURN] = -1
+        lanes[lane + TURN] = 0
         lanes[lane + FREE] = 0
         lanes[lane + LEFT] = 0
         if lanes[lane + BACK] != lanes[lane + INVERT]:
             word |= lanes[lane + DIR]
     timing[WORD] = word
+    return 0
+
+
+@micropython.viper
+def silence(frames: ptr32, first: int, until: int, bits: int) -> int:
+    """Take bits out of a stretch of a buffer."""
+    for i in range(first, until):
+        frames[i] = frames[i] & (-1 - bits)
     return 0
 
 

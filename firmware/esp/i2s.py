@@ -2,8 +2,8 @@
 """I2sEngine: pulses through shift registers (74HC595), made by machine.I2S as a stream of bits.
 
 Every frame of the stream is one 32-bit word and carries all outputs: steps, directions and the
-drivers' enable (frames.py). DMA plays buffers of 256 frames out of a ring; a soft timer makes
-the next ones and hands them over, always whole ones, so that none is played twice.
+drivers' enable (frames.py). DMA plays buffers of 256 frames (stream.py); a soft timer makes the
+next ones and hands them over.
 
     segment rows -> frames (our ring) -> DMA's ring -> BCK, WS, DATA -> shift registers
 
@@ -11,15 +11,13 @@ Where the engine comes too late, DMA plays zeros. A zero is no step, a motor tha
 (enable is low-active) and some direction; so the stream goes on with a buffer in which nothing
 steps, and directions stand long before the next step does. No step is lost or repeated.
 
-Time is counted in buffers since the stream was opened: the hardware's clock is the processor's.
 Position is read from the bits of the buffer that is being played. Stopping at once means to
-close the stream; the outputs keep their last levels until a new one begins with zeros.
+close the stream; a new one begins with zeros, and what is to be played on is handed over again.
 
 Philips format: data come one bit later than WS, which the registers take for their latch. So
 an output's bit stands one place higher than its number. Unverified on hardware, like all here.
 """
 
-import select
 import time
 from array import array
 
@@ -29,16 +27,7 @@ from kernels import row_length
 from micropython import const
 
 from esp import frames
-from esp.frames import (
-    begin_buffer,
-    begin_row,
-    blank,
-    count,
-    end_buffer,
-    lateness,
-    render,
-    settle,
-)
+from esp.stream import BYTES, Stream
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -46,36 +35,41 @@ if TYPE_CHECKING:
 
     from interfaces import NextSegment
 
-_PORT = const(0)
 _FRAMES = const(256)
-_BYTES = const(1024)  # of a buffer
 _HIGHEST_OUTPUT = const(29)  # bit 30: the highest one that makes a small integer
 _TURN_MS = const(4)
 _SPARE = const(2)  # buffers of DMA's ring that are left free
-_DEPTH_AT_REST = const(8)
+_DEPTH_AT_REST = const(5)
 # So close to the end of a DMA buffer it is not certain which one a word would go to, in us.
 _DOUBT = const(300)
 _SETUP_US = const(10)
+# A motor can be stopped and started again without a ramp where it makes no more steps than
+# these in all that DMA holds: about 1000 a second.
+_SLOW = const(28)
 
 # State.
 _HALT = const(0)  # hands off: the stream is being opened anew
 _PULLING = const(1)  # there may be more segments
 _ROW = const(2)  # a row is being rendered
-_PLAYING = const(3)  # buffers played since the stream was opened,
-_BEGAN = const(4)  # and when this one began, in us
+_PLAYING = const(3)  # number of the buffer being played,
+_BEGAN = const(4)  # and when that began, in us
 _WRITTEN = const(5)  # the number that the next buffer handed over will have
 _MADE = const(6)  # buffers filled since power-up
 _SENT = const(7)  # and handed over
-_LAST = const(8)  # number of the last buffer of motion; while that is not handed over, _NEVER
-_TOLD = const(9)  # spindle power told last
-_DRY = const(10)  # how often the stream has run dry while the machine moved
-_STATE_LENGTH = const(11)
+_MOVED = const(8)  # how many there had been with the last one of motion
+_LAST = const(9)  # number of the last one of motion that was handed over
+_PAUSE = const(10)  # a buffer without steps has to come first
+_TOLD = const(11)  # spindle power told last
+_DRY = const(12)  # how often the stream has run dry while the machine moved
+_SHOWN = const(13)  # frames of the buffer being played that the last position() has counted
+_STATE_LENGTH = const(14)
 
 # What is remembered of a buffer; behind these, per axis, the position as it begins.
 _NUMBER = const(0)
 _START = const(1)  # its first word, without steps
 _POWER = const(2)  # spindle power as it is played; _NEVER: nothing new
-_NOTE = const(3)
+_MOVES = const(3)  # it is part of a motion
+_NOTE = const(4)
 
 # From frames.py, kernels.py.
 _LANE = const(11)
@@ -83,6 +77,10 @@ _PLACE = const(10)
 _LEFT = const(6)
 _NEVER = const(0x3FFFFFFF)
 _ROW_POWER = const(2)
+
+# Slots that are none.
+_BEFORE = const(1000)
+_NOWHERE = const(-2000)
 
 # Times are in us modulo 2**30; a difference from there on is a negative one.
 _TICKS_MASK = const(0x3FFFFFFF)
@@ -104,7 +102,7 @@ def _follow(state: ptr32, now: int, buffer_us: int) -> int:
 
 @micropython.viper
 def _find(state: ptr32, notes: ptr32, slots: int, size: int) -> int:
-    """Slot of the buffer being played; of the next one, less 1000, where it plays zeros."""
+    """Slot of the buffer being played; where zeros are, the next one's less _BEFORE."""
     sent = state[_SENT]
     first = sent - slots + 1
     if first < 0:
@@ -114,8 +112,8 @@ def _find(state: ptr32, notes: ptr32, slots: int, size: int) -> int:
         if number == state[_PLAYING]:
             return k % slots
         if number > state[_PLAYING]:
-            return k % slots - 1000
-    return -1000 + sent % slots if sent < state[_MADE] else -2000
+            return k % slots - _BEFORE
+    return sent % slots - _BEFORE if sent < state[_MADE] else _NOWHERE
 
 
 class I2sEngine:
@@ -136,16 +134,14 @@ class I2sEngine:
         rate_hz: int = 125_000,
         buffers: int = 16,
     ) -> None:
-        if _FRAMES * 1_000_000 % rate_hz:
-            raise ValueError("256 frames do not last whole microseconds")
         if max(step + direction + (enable,)) > _HIGHEST_OUTPUT:
             raise ValueError("outputs have numbers from 0 to 29")
         axes = len(step)
         self._axes = axes
-        self._pins = pins
         self._rate_hz = rate_hz
         self._buffers = buffers
-        self._buffer_us = _FRAMES * 1_000_000 // rate_hz
+        self._stream = Stream(pins, rate_hz, buffers)
+        self._buffer_us = self._stream.buffer_us
         self.tick_hz = rate_hz << frames.FRAME_LOG2
         self._enable_bit = 2 << enable
         self._state = array("i", (0 for _ in range(_STATE_LENGTH)))
@@ -155,14 +151,13 @@ class I2sEngine:
         for i in range(axes):
             self._lanes[_LANE * i + frames.STEP] = 2 << step[i]
             self._lanes[_LANE * i + frames.DIR] = 2 << direction[i]
-            self._lanes[_LANE * i + frames.TURN] = -1
         self._row = array("i", (0 for _ in range(row_length(axes))))
         # Our ring holds what DMA's may still have to play, and what is not handed over yet.
         self._slots = buffers + 2
-        self._memory = bytearray(_BYTES * self._slots)
+        self._memory = bytearray(BYTES * self._slots)
         whole = memoryview(self._memory)
-        self._ring = [whole[_BYTES * k : _BYTES * (k + 1)] for k in range(self._slots)]
-        self._pause = bytearray(_BYTES)
+        self._ring = [whole[BYTES * k : BYTES * (k + 1)] for k in range(self._slots)]
+        self._pause = bytearray(BYTES)
         self._size = _NOTE + axes
         self._notes = array("i", (0 for _ in range(self._size * self._slots)))
         self._timer = machine.Timer(0)
@@ -170,27 +165,12 @@ class I2sEngine:
         self._open()
 
     def _open(self) -> None:
-        """A new stream. The first buffer that can be filled comes when all have played zeros."""
-        bck, ws, data = self._pins
-        self._stream = machine.I2S(
-            _PORT,
-            sck=machine.Pin(bck),
-            ws=machine.Pin(ws),
-            sd=machine.Pin(data),
-            mode=machine.I2S.TX,
-            bits=32,
-            format=machine.I2S.MONO,  # the same word in both halves of a frame
-            rate=self._rate_hz,
-            ibuf=_BYTES * self._buffers,
-        )
-        self._state[_BEGAN] = time.ticks_us() & _TICKS_MASK
-        self._state[_PLAYING] = 0
-        self._state[_WRITTEN] = self._buffers
-        # Once it has been polled, write() takes what fits and does not wait.
-        poller = select.poll()
-        poller.register(self._stream, select.POLLOUT)
-        poller.poll(0)
-        poller.unregister(self._stream)
+        state = self._state
+        state[_BEGAN] = self._stream.open() & _TICKS_MASK
+        state[_PLAYING] = 0
+        state[_WRITTEN] = self._buffers
+        state[_LAST] = -1
+        state[_PAUSE] = 1
 
     # The StepEngine seam
 
@@ -217,7 +197,7 @@ class I2sEngine:
         timing[frames.SETUP] = self._frames_of(_SETUP_US)
         for i in range(self._axes):
             self._lanes[_LANE * i + frames.INVERT] = dir_invert >> i & 1
-        settle(timing, self._lanes)
+        frames.settle(timing, self._lanes)
 
     def enable(self, level: int) -> None:
         """Level of the motor drivers' enable output, from the next buffer on. For the port."""
@@ -237,12 +217,11 @@ class I2sEngine:
         if not self.idle():
             steps = array("i", (0 for _ in range(self._axes)))
             self.position(steps)
-            self._stream.deinit()
+            self._stream.close()
             for i in range(self._axes):
                 self._lanes[_LANE * i + _PLACE] = steps[i]
-            state[_SENT] = state[_MADE]
-            state[_LAST] = -1
-            settle(self._timing, self._lanes)
+            state[_SENT] = state[_MOVED] = state[_MADE]
+            frames.settle(self._timing, self._lanes)
             self._open()
         state[_PULLING] = 0
         state[_ROW] = 0
@@ -250,37 +229,76 @@ class I2sEngine:
         state[_HALT] = 0
 
     def lock(self, axes: int) -> None:
-        """These axes (a mask) make no more pulses until stop(), but those DMA has already."""
+        """These axes (a mask) make no more pulses until stop(); the others go on.
+
+        At once where the others are so slow that they can be stopped for it; else with what
+        DMA has been handed, which no one can take back.
+        """
+        state = self._state
+        state[_HALT] = 1
+        axes &= ~self._timing[frames.LOCKED]
         self._timing[frames.LOCKED] = self._timing[frames.LOCKED] | axes
         for i in range(self._axes):
             if axes >> i & 1:
                 self._lanes[_LANE * i + _LEFT] = 0
+        steps = array("i", (0 for _ in range(self._axes)))
+        slot = self.position(steps)
+        slow = True
+        for i in range(self._axes):
+            if not self._timing[frames.LOCKED] >> i & 1:
+                slow = slow and abs(self._lanes[_LANE * i + _PLACE] - steps[i]) <= _SLOW
+        if slot >= 0 and slow and not self.idle():
+            self._stream.close()
+            self._play_again(slot, steps)
+            self._open()
+        state[_HALT] = 0
+
+    def _play_again(self, slot: int, steps: "array[int]") -> None:
+        """What DMA has not played is to be handed over once more, without the locked axes."""
+        state, timing, lanes, size = self._state, self._timing, self._lanes, self._size
+        every = locked = 0
+        for i in range(self._axes):
+            bit = lanes[_LANE * i + frames.STEP]
+            every |= bit
+            if timing[frames.LOCKED] >> i & 1:
+                locked |= bit
+                lanes[_LANE * i + _PLACE] = steps[i]
+        frames.silence(self._ring[slot], 0, state[_SHOWN], every)
+        state[_SENT] -= (state[_SENT] - slot - 1) % self._slots + 1
+        for k in range(state[_SENT], state[_MADE]):
+            at = k % self._slots
+            frames.silence(self._ring[at], 0, _FRAMES, locked)
+            for i in range(self._axes):
+                if at == slot or timing[frames.LOCKED] >> i & 1:
+                    self._notes[at * size + _NOTE + i] = steps[i]
 
     def idle(self) -> bool:
         """Nothing is moving and nothing is queued in hardware."""
         state = self._state
-        if state[_PULLING]:
+        if state[_PULLING] or state[_MOVED] > state[_SENT]:
             return False
         _follow(state, time.ticks_us(), self._buffer_us)
         return state[_LAST] < state[_PLAYING]
 
-    def position(self, steps: "array[int]") -> None:
-        """Copy the steps really made, per motor, to the frame."""
-        state = self._state
+    def position(self, steps: "array[int]") -> int:
+        """Copy the steps really made, per motor, to the frame. Returns the slot; -1: none."""
+        state, axes = self._state, self._axes
         passed = _follow(state, time.ticks_us(), self._buffer_us)
         slot = _find(state, self._notes, self._slots, self._size)
+        if slot == _NOWHERE:
+            for i in range(axes):
+                steps[i] = self._lanes[_LANE * i + _PLACE]
+            return -1
         inside = slot >= 0
         if not inside:
-            slot += 1000
-        if slot < 0:
-            for i in range(self._axes):
-                steps[i] = self._lanes[_LANE * i + _PLACE]
-            return
-        for i in range(self._axes):
+            slot += _BEFORE
+        for i in range(axes):
             steps[i] = self._notes[slot * self._size + _NOTE + i]
-        if inside:
-            until = passed * _FRAMES // self._buffer_us + 1
-            count(self._ring[slot], until, self._timing, self._lanes, steps)
+        if not inside:
+            return -1
+        state[_SHOWN] = passed * _FRAMES // self._buffer_us + 1
+        frames.count(self._ring[slot], state[_SHOWN], self._timing, self._lanes, steps)
+        return slot
 
     def set_position(self, steps: "array[int]") -> None:
         """Name the present place. At rest only."""
@@ -305,13 +323,19 @@ class I2sEngine:
             return
         passed = _follow(state, time.ticks_us(), self._buffer_us)
         self._tell_power()
-        if state[_WRITTEN] <= state[_PLAYING] + 1 and not self._go_on(passed):
-            return
+        if state[_WRITTEN] <= state[_PLAYING] + 1:
+            if passed < _DOUBT or passed > self._buffer_us - _DOUBT:
+                return
+            # The stream has run dry, or may have.
+            state[_WRITTEN] = state[_PLAYING] + 1
+            state[_PAUSE] = 1
+            if state[_PULLING] or state[_MOVED] > state[_SENT]:
+                state[_DRY] += 1
         depth = self._buffers - _SPARE if state[_PULLING] else _DEPTH_AT_REST
         while state[_WRITTEN] - state[_PLAYING] < depth:
             if state[_MADE] == state[_SENT]:
                 self._make()
-            if not self._send():
+            if not (self._send_pause() if state[_PAUSE] else self._send()):
                 return
 
     def _tell_power(self) -> None:
@@ -331,37 +355,31 @@ class I2sEngine:
         buffer = self._ring[slot]
         for i in range(self._axes):
             self._notes[note + _NOTE + i] = lanes[_LANE * i + _PLACE]
-        self._notes[note + _START] = begin_buffer(buffer, timing, lanes)
+        self._notes[note + _START] = frames.begin_buffer(buffer, timing, lanes)
         self._notes[note + _POWER] = _NEVER
+        self._notes[note + _MOVES] = state[_PULLING]
         if state[_PULLING]:
-            state[_LAST] = _NEVER
+            state[_MOVED] = state[_MADE] + 1
             if not state[_ROW]:
                 timing[frames.ROW_END] = 0
-            while not state[_ROW] or render(buffer, timing, lanes):
+            while not state[_ROW] or frames.render(buffer, timing, lanes):
                 if not self._next_segment(row):
                     state[_PULLING] = 0
                     state[_ROW] = 0
                     break
-                begin_row(buffer, row, timing, lanes, lateness(row, timing, lanes))
+                frames.begin_row(buffer, row, timing, lanes, frames.lateness(row, timing, lanes))
                 state[_ROW] = 1
                 self._notes[note + _POWER] = row[_ROW_POWER]
-        end_buffer(timing, lanes)
+        frames.end_buffer(timing, lanes)
         state[_MADE] += 1
 
-    def _go_on(self, passed: int) -> bool:
-        """The stream has run dry, or may have: nothing steps in the buffer that comes next."""
+    def _send_pause(self) -> bool:
+        """Behind zeros, and before anything steps: directions as they are to be."""
         state = self._state
-        if passed < _DOUBT or passed > self._buffer_us - _DOUBT:
-            return state[_WRITTEN] > state[_PLAYING] + 1
-        state[_WRITTEN] = state[_PLAYING] + 1
-        if state[_LAST] >= state[_WRITTEN] - 1 or state[_PULLING]:
-            state[_DRY] += 1
-        word = self._timing[frames.WORD]
-        if state[_MADE] != state[_SENT]:
-            word = self._notes[state[_SENT] % self._slots * self._size + _START]
-        blank(self._pause, word)
-        if self._stream.write(self._pause) == 0:
+        frames.blank(self._pause, self._notes[state[_SENT] % self._slots * self._size + _START])
+        if not self._stream.write(self._pause):
             return False
+        state[_PAUSE] = 0
         state[_WRITTEN] += 1
         return True
 
@@ -369,11 +387,11 @@ class I2sEngine:
         """Hand over the buffer that is waiting. Returns False where there is no room yet."""
         state = self._state
         slot = state[_SENT] % self._slots
-        if self._stream.write(self._ring[slot]) == 0:
+        if not self._stream.write(self._ring[slot]):
             return False
         note = slot * self._size
         self._notes[note + _NUMBER] = state[_WRITTEN]
-        if state[_LAST] == _NEVER:
+        if self._notes[note + _MOVES]:
             state[_LAST] = state[_WRITTEN]
         state[_WRITTEN] += 1
         state[_SENT] += 1

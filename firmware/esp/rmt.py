@@ -28,7 +28,7 @@ from kernels import row_length
 from micropython import const
 
 from esp import trains
-from esp.trains import advance, cut, durations, held_us, lasts, made
+from esp.trains import made
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -262,7 +262,7 @@ class RmtEngine:
         while (
             state[_PULLING]
             and timing[trains.HELD] < trains.ROWS
-            and held_us(rows, timing, size) < _LONGEST_US
+            and trains.held_us(rows, timing, size) < _LONGEST_US
         ):
             if not self._next_segment(self._row):
                 state[_PULLING] = 0
@@ -273,11 +273,11 @@ class RmtEngine:
             timing[trains.HELD] += 1
         if not timing[trains.HELD]:
             return False
-        cut(rows, timing, size)
+        trains.cut(rows, timing, size)
         for i in range(self._axes):
-            self._counts[i] = durations(rows, timing, size, i, self._next[i])
+            self._counts[i] = trains.durations(rows, timing, size, i, self._next[i])
         self._note_powers()
-        advance(timing)
+        trains.advance(timing)
         state[_READY] = 1
         return True
 
@@ -372,6 +372,6 @@ class RmtEngine:
         lanes[lane + _COUNT] = count
         state[_SKEW] = max(state[_SKEW], abs(took - call))
         lanes[lane + _CALL] = min(max(lanes[lane + _CALL] + (took - call) // 2, 20), 1000)
-        end = (before + took + lasts(playing, count) + _GUARD_US) & _MASK
+        end = (before + took + trains.lasts(playing, count) + _GUARD_US) & _MASK
         if time.ticks_diff(end, state[_FREE]) > 0:
             state[_FREE] = end

@@ -24,6 +24,7 @@ class Pin:
     PULL_DOWN, PULL_UP = 1, 2
     IRQ_RISING, IRQ_FALLING = 1, 2
     pins: "dict[int, Pin]" = {}
+    _fresh = True
     without_output = (34, 35, 36, 37, 38, 39)  # and without pull-ups: ESP32
 
     def __new__(cls, id: int, *_: object, **__: object) -> "Pin":
@@ -31,7 +32,6 @@ class Pin:
             raise ValueError("invalid pin")
         if id not in cls.pins:
             cls.pins[id] = object.__new__(cls)
-            cls.pins[id]._fresh = True
         return cls.pins[id]
 
     def __init__(
@@ -140,6 +140,7 @@ class I2S(io.IOBase):
     STEREO, MONO = 0, 1
     open_streams: "dict[int, I2S]" = {}
     open_us = 400  # what opening takes
+    recording = False  # fill `played`
 
     def __init__(
         self,
@@ -178,7 +179,8 @@ class I2S(io.IOBase):
         I2S.open_streams[id] = self
 
     def _begin(self) -> None:
-        self.played.append((self._began, bytes(self.memory[self._playing])))
+        if self.recording:
+            self.played.append((self._began, bytes(self.memory[self._playing])))
 
     def run(self) -> None:
         """Let DMA do what it has done up to now."""
@@ -229,5 +231,6 @@ class I2S(io.IOBase):
     def deinit(self) -> None:
         self.run()
         self.size = 0
-        clock.work(100)
+        clock.work(20)
         self.closed_us = clock.us
+        clock.work(100)

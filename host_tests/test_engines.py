@@ -1,0 +1,459 @@
+"""The laws that every pulse engine keeps: what it hands to hardware, turned back into steps.
+
+sim: the simulator's engine. pio: the words of firmware/pio, played by the timing that
+programs.py states. i2s, rmt: the whole engines on stand-ins of the ESP32's hardware.
+"""
+
+import json
+from array import array
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from esp_bench import EspEngine, Step, clock
+from kernels import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS, row_length
+from laws import Bench, Limits
+from pio import pulses
+from ugrbl.compare import judge_motion
+from ugrbl.machine import load_board
+from ugrbl.sim import replay
+from ugrbl.sim import rig as sim_rig
+from ugrbl.sim.engine import SimEngine, step_tick
+
+_SHARED = Path(__file__).resolve().parents[2] / "shared"
+_PULSE_US = 10
+
+
+@dataclass
+class Stated:
+    """What an engine says of itself, in us: the README and the board files say the same."""
+
+    early: float  # how much earlier than planned a step may come after the one before,
+    late: float  # or later, where motion does not stand still
+    gap: float  # for how long it may stand still, at the ends of trains
+    apart: float  # how far axes may drift against each other
+    hold_ms: float  # how much motion is handed over, and a hold has to wait for
+
+
+STATED = {
+    "sim": Stated(0.1, 0.1, 0, 0.1, 60),
+    "pio": Stated(0.2, 0.2, 0, 0.2, 10),
+    "i2s": Stated(17, 17, 0, 17, 40),
+    "rmt": Stated(60, 60, 600, 100, 50),
+}
+_TURN_US = 14  # what a reversal may make all axes wait for, besides
+ENGINES = ("sim", "i2s", "rmt", "pio")
+WHOLE = ("sim", "i2s", "rmt")  # those whose hardware is modelled too
+ESP = ("i2s", "rmt")
+
+
+class Made:
+    """A bench with an engine, and the steps that came out of it."""
+
+    def __init__(self, name: str, limits: Limits) -> None:
+        self.name = name
+        axes = len(limits.rate)
+        self.engine: Any
+        if name in ESP:
+            self.engine = EspEngine(name, axes)
+            hz, log2, most = self.engine.tick_hz, self.engine.segment_log2, 0
+            most = self.engine.max_step_hz(_PULSE_US)
+        elif name == "pio":
+            hz, log2, most = 12_500_000, 16, 12_500_000 // pulses.shortest_gap(125)
+        else:
+            self.engine = SimEngine(axes)
+            hz, log2, most = SimEngine.tick_hz, 17, 90_909
+        limits.step_hz = min(limits.step_hz, most)
+        self.us = 1_000_000 / hz  # of a tick
+        self.bench = Bench(limits, 64, hz, log2)
+        self.steps: list[Step] = []
+        self.powers: list[int] = []
+        if name != "pio":
+            self.engine.attach(self.bench.segments.next, self.powers.append)
+            self.engine.configure(_PULSE_US, 0, 0)
+            self.engine.trace = self._trace
+
+    def _trace(self, start: int, row: "array[int]") -> None:
+        steps = [
+            (int((start + step_tick(row, base, k)) * self.us * 1000), axis, sign)
+            for axis in range((len(row) - ROW_AXES) // ROW_STRIDE)
+            for base in [ROW_AXES + ROW_STRIDE * axis]
+            for sign in [-1 if row[ROW_DIRS] >> axis & 1 else 1]
+            for k in range(row[base])
+        ]
+        self.steps += [(ns / 1000, axis, sign) for ns, axis, sign in sorted(steps)]  # type: ignore[misc]
+
+    def run(self, milliseconds: float = 60_000) -> None:
+        """Let the engine work until it is idle, or for so long."""
+        if self.name == "pio":
+            self.steps += _play_words(self.bench, self.us)
+            return
+        end = self.engine.now + int(milliseconds * 1000 / self.us)
+        while not self.engine.idle() and self.engine.now < end:
+            self.engine.advance(min(self.engine.now + int(500 / self.us), end))
+
+    def go(self) -> "Made":
+        """All that is planned happens."""
+        if self.name != "pio":
+            self.engine.start()
+        self.run()
+        return self
+
+    def places(self) -> "list[int]":
+        """Where the steps have led to."""
+        found = [0] * self.bench.planner.axes
+        for _, axis, sign in self.steps:
+            found[axis] += sign
+        return found
+
+    def position(self) -> "list[int]":
+        """Where the engine says that the motors are."""
+        steps = array("i", [0] * self.bench.planner.axes)
+        self.engine.position(steps)
+        return list(steps)
+
+
+def _play_words(bench: Bench, us: float) -> "list[Step]":
+    """Segments as words for the PIO, and the words as steps, by the timing in programs.py."""
+    axes = bench.planner.axes
+    timing = array("i", [0] * pulses.TIMING_LENGTH)
+    timing[pulses.AXES] = axes
+    pulses.set_timing(timing, 125, 25, 63)
+    lanes = array("i", [0] * (pulses.LANE * axes))
+    words = array("i", [0] * (axes << pulses.RING_LOG2))
+    whole = array("i", [0] * row_length(axes))
+    piece = array("i", whole)
+    ready = [0] * axes
+    steps: list[tuple[float, int, int]] = []
+    while bench.segments.next(whole):
+        begin = 0
+        while True:
+            row = whole
+            if whole[ROW_TICKS] > pulses.LONGEST:
+                begin = pulses.cut(piece, whole, begin, axes)
+                row = piece
+            sent = [lanes[pulses.LANE * i + pulses.HEAD] for i in range(axes)]
+            pulses.convert(row, lanes, words, timing)
+            for i in range(axes):
+                ring = i << pulses.RING_LOG2
+                while sent[i] != lanes[pulses.LANE * i + pulses.HEAD]:
+                    word = words[ring + sent[i]] & 0xFFFFFFFF
+                    sent[i] = (sent[i] + 1) % (1 << pulses.RING_LOG2)
+                    count, delay = word >> 1 & 0xFFF, word >> 13
+                    edge = ready[i] + 6 + delay
+                    ready[i] = edge if count == 0 else edge + 125 + 3
+                    for k in range(count):
+                        if k:
+                            edge += 125 + 9 + delay
+                            ready[i] = edge + 125 + 3
+                        steps.append((edge * us, i, -1 if word & 1 else 1))
+            if not begin:
+                break
+    return sorted(steps)  # type: ignore[return-value]
+
+
+def moves() -> "dict[str, tuple[Limits, list[tuple[tuple[float, ...], float]]]]":
+    """Lines to places in mm at mm/s, by what is remarkable about them."""
+    slow = Limits(acceleration=(200.0,) * 3, rate=(3000.0,) * 3)
+    fast = Limits((80.0, 80.0, 400.0), (6000.0, 6000.0, 600.0), (500.0, 500.0, 200.0))
+    ring = [(0.0, 0.0), (1.0, 0.1), (1.9, 0.5), (2.4, 1.2), (2.5, 2.0), (2.1, 2.8), (1.2, 3.2)]
+    return {
+        "diagonal": (slow, [((6.0, 4.3, -1.7), 15.0)]),
+        "reversals": (slow, [((1.0, 0.2, 0.0), 9.0), ((-0.3, 0.0, 0.1), 9.0), ((0.0,) * 3, 9.0)]),
+        "slow": (slow, [((0.5, 0.0, 0.03), 0.8), ((0.5, 0.0, 0.0), 0.05)]),
+        "short lines": (slow, [((x, y, 0.0), 12.0) for x, y in ring]),
+        "fast": (fast, [((30.0, -12.0, 0.4), 60.0), ((0.0, 0.0, 0.0), 60.0)]),
+        "one step": (slow, [((0.004, 0.0, 0.0), 5.0)]),
+    }
+
+
+MOVES = moves()
+
+
+def make(engine: str, move: str) -> Made:
+    limits, lines = moves()[move]
+    made = Made(engine, limits)
+    for target, feed in lines:
+        made.bench.line(target, feed * 60)
+    return made
+
+
+Planned = "list[list[tuple[float, int]]]"
+
+
+def planned(made: Made) -> "list[list[tuple[float, int]]]":
+    """Per axis, (us, sign) of the steps that the engine was told to make."""
+    found: list[list[tuple[float, int]]] = [[] for _ in range(made.bench.planner.axes)]
+    for segment in made.bench.watch.made:
+        for axis, steps in enumerate(found):
+            base = ROW_AXES + ROW_STRIDE * axis
+            sign = -1 if segment.row[ROW_DIRS] >> axis & 1 else 1
+            for k in range(segment.row[base]):
+                steps.append(((segment.start + step_tick(segment.row, base, k)) * made.us, sign))
+    return found
+
+
+def of_axis(steps: "list[Step]", axis: int) -> "list[tuple[float, int]]":
+    return [(us, sign) for us, i, sign in steps if i == axis]
+
+
+@pytest.mark.parametrize("move", MOVES)
+@pytest.mark.parametrize("engine", ENGINES)
+def test_steps_are_those_planned_in_their_order(engine: str, move: str) -> None:
+    made = make(engine, move).go()
+    for axis, steps in enumerate(planned(made)):
+        assert [sign for _, sign in of_axis(made.steps, axis)] == [sign for _, sign in steps]
+
+
+@pytest.mark.parametrize("move", MOVES)
+@pytest.mark.parametrize("engine", ENGINES)
+def test_steps_come_when_they_are_due_within_what_is_stated(engine: str, move: str) -> None:
+    made = make(engine, move).go()
+    stated = STATED[engine]
+    tracks = []
+    for axis, steps in enumerate(planned(made)):
+        real = of_axis(made.steps, axis)
+        late = [us - due for (us, _), (due, _) in zip(real, steps, strict=True)]
+        for k, (before, after) in enumerate(pairwise(late)):
+            turn = _TURN_US if steps[k][1] != steps[k + 1][1] else 0
+            allowed = stated.late + stated.gap + turn
+            # The law of the motor: no interval is shorter, or longer, than stated.
+            assert -stated.early <= after - before <= allowed, f"axis {axis}, step {k}"
+        tracks.append(list(zip([due for due, _ in steps], late, strict=True)))
+    for a, b in pairwise([track for track in tracks if track]):
+        _check_together(a, b, stated.apart + stated.gap + 2 * _TURN_US)
+
+
+def _check_together(
+    a: "list[tuple[float, float]]", b: "list[tuple[float, float]]", allowed: float
+) -> None:
+    """Axes are late together, if at all: the path is the one planned."""
+    k = 0
+    for due, late in b:
+        while k + 1 < len(a) and a[k + 1][0] <= due:
+            k += 1
+        near = [a[k][1], a[min(k + 1, len(a) - 1)][1]]
+        assert min(near) - allowed <= late <= max(near) + allowed, f"axes apart at {due} us"
+
+
+@pytest.mark.parametrize("move", MOVES)
+@pytest.mark.parametrize("engine", ESP)
+def test_drivers_get_the_times_they_need(engine: str, move: str) -> None:
+    made = make(engine, move).go()
+    for levels in made.engine.pins.levels:
+        assert levels.shortest_pulse >= _PULSE_US
+        assert levels.shortest_pause >= 2
+        assert levels.shortest_setup >= 8, "direction to step"
+        assert levels.shortest_hold >= _PULSE_US, "step to direction"
+
+
+@pytest.mark.parametrize("engine", WHOLE)
+def test_position_is_where_the_steps_have_led_to_at_any_time(engine: str) -> None:
+    made = make(engine, "reversals")
+    made.engine.start()
+    while not made.engine.idle():
+        made.run(3.7)
+        if engine != "sim":  # its trace tells of whole segments
+            off = [abs(a - b) for a, b in zip(made.position(), made.places(), strict=True)]
+            assert max(off) <= 1
+    assert made.position() == made.places()
+
+
+@pytest.mark.parametrize("after_ms", [15, 90, 160, 233])
+@pytest.mark.parametrize("engine", WHOLE)
+def test_stop_is_at_once_and_leaves_a_position(engine: str, after_ms: float) -> None:
+    made = make(engine, "fast")
+    made.engine.start()
+    made.run(after_ms)
+    made.engine.stop()
+    stopped = made.engine.now * made.us
+    made.engine.advance(made.engine.now + int(100_000 / made.us))
+    assert made.engine.idle()
+    assert all(us <= stopped + 30 for us, *_ in made.steps)
+    off = [abs(a - b) for a, b in zip(made.position(), made.places(), strict=True)]
+    assert max(off) <= 1
+
+
+@pytest.mark.parametrize("engine", WHOLE)
+def test_motion_goes_on_after_a_stop(engine: str) -> None:
+    made = make(engine, "fast")
+    made.engine.start()
+    made.run(100)
+    made.engine.stop()
+    bench = made.bench
+    bench.planner.clear()
+    bench.segments.clear()
+    bench.planner.sync_motors(array("i", [0, 0, 0]))
+    made.engine.set_position(array("i", [0, 0, 0]))
+    made.engine.advance(made.engine.now + int(1000 / made.us))
+    before = made.places()
+    bench.line((3.0, 2.0, -0.25), 1200.0)
+    made.go()
+    assert made.position() == [240, 160, -100]
+    moved = [b - a for a, b in zip(before, made.places(), strict=True)]
+    assert [abs(a - b) for a, b in zip(moved, [240, 160, -100], strict=True)] <= [1, 1, 1]
+
+
+@pytest.mark.parametrize("engine", WHOLE)
+def test_a_locked_axis_stands_still_and_the_others_arrive(engine: str) -> None:
+    made = make(engine, "slow")
+    made.engine.start()
+    made.run(200)
+    made.engine.lock(1)
+    at = made.places()[0]
+    made.run(100)
+    made.engine.advance(made.engine.now + int(1000 / made.us))
+    locked = made.places()[0]
+    made.run()
+    assert made.places()[0] == locked
+    assert abs(locked - at) <= (1 if engine != "sim" else 10)
+    total = [sum(sign for _, sign in steps) for steps in planned(made)]
+    assert made.places()[1:] == total[1:]
+    assert made.position()[1:] == total[1:]
+    made.engine.stop()
+
+
+@pytest.mark.parametrize("engine", WHOLE)
+def test_a_hold_comes_to_rest_within_what_is_stated_and_loses_nothing(engine: str) -> None:
+    made = make(engine, "diagonal")
+    made.engine.start()
+    made.run(250)
+    made.bench.segments.hold(True)
+    asked = made.engine.now * made.us
+    made.run()
+    rest = made.places()
+    assert made.position() == rest
+    brake_ms = 15.0 / 200.0 * 1000  # its speed by its acceleration
+    last = max(us for us, *_ in made.steps)
+    assert last - asked <= (brake_ms * 1.6 + STATED[engine].hold_ms) * 1000
+    made.bench.segments.hold(False)
+    made.go()
+    assert made.position() == made.places() == [1500, 1075, -425]
+
+
+@pytest.mark.parametrize("engine", WHOLE)
+def test_power_is_told_with_the_segments(engine: str) -> None:
+    made = make(engine, "diagonal")
+    powers = iter(range(1, 10_000))
+    inner = made.bench.segments.next
+
+    def with_power(row: "array[int]") -> int:
+        found = inner(row)
+        row[ROW_POWER] = next(powers) // 4
+        return found
+
+    made.engine.attach(with_power, made.powers.append)
+    made.go()
+    told = [power for power, _ in zip(made.powers, made.powers, strict=True)]
+    assert told == sorted(told)
+    assert len(set(told)) >= 5
+
+
+def test_i2s_loses_nothing_where_it_comes_too_late() -> None:
+    made = make("i2s", "diagonal")
+    made.engine.start()
+    made.run(200)
+    clock.work(80_000)  # flash, or a very long collection
+    made.run()
+    assert made.engine.real.times_dry() == 1
+    assert made.position() == made.places() == [1500, 1075, -425]
+    for levels in made.engine.pins.levels:
+        assert levels.shortest_setup >= 8
+        assert levels.shortest_pulse >= 8
+
+
+def test_i2s_says_when_the_motors_are_to_be_powered() -> None:
+    made = Made("i2s", Limits())
+    made.engine.real.enable(1)
+    made.engine.advance(made.engine.now + 200_000)
+    assert made.engine.pins.outputs() & 1 == 1
+    made.engine.real.enable(0)
+    made.engine.advance(made.engine.now + 100_000)
+    assert made.engine.pins.outputs() & 1 == 0
+
+
+def test_i2s_keeps_its_highest_rate() -> None:
+    """A step every three frames: nothing is late, nothing is lost."""
+    limits = Limits((400.0,) * 3, (60_000.0,) * 3, (5000.0,) * 3)
+    made = Made("i2s", limits)
+    made.bench.line((40.0, 20.0, 0.0), 60_000.0)
+    made.go()
+    assert made.places() == made.position() == [16_000, 8000, 0]
+    ticks = [us for us, _ in of_axis(made.steps, 0)]
+    gaps = [b - a for a, b in pairwise(ticks)]
+    assert min(gaps) >= 24
+    assert max(made.engine.tick_hz // 16 / (g / 8) for g in gaps[6000:9000]) > 40_000
+
+
+def test_rmt_hides_its_gap_below_the_stated_rate() -> None:
+    """One axis at 2000 steps a second: no train is late."""
+    limits = Limits(acceleration=(200.0,) * 3, rate=(3000.0,) * 3)
+    made = Made("rmt", limits)
+    made.bench.line((6.0, 0.0, 0.0), 480.0)
+    made.go()
+    assert made.engine.real.longest_gap_us() == 0
+    assert made.engine.real.worst_skew_us() <= 60
+
+
+@pytest.mark.parametrize("invert", [0b000, 0b101])
+@pytest.mark.parametrize("engine", ESP)
+def test_directions_are_inverted_on_demand(engine: str, invert: int) -> None:
+    made = make(engine, "reversals")
+    made.engine.configure(_PULSE_US, 0, invert)
+    for i, levels in enumerate(made.engine.pins.levels):
+        levels.invert = invert >> i & 1
+    made.go()
+    assert made.position() == made.places() == [0, 0, 0]
+
+
+# Recorded motion of real Grbl
+
+_RECORDS = sorted((_SHARED / "conformance" / "motion").glob("*.json"))
+# A peak rate is taken over 16 steps: among them may be the end of a train.
+_PEAK = {"i2s": 0.02, "rmt": 0.06}
+
+
+@pytest.fixture
+def on_engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Rigs have this engine instead of the simulator's."""
+    name: str = request.param
+
+    class Engine:
+        tick_hz = EspEngine(name).tick_hz
+
+        def __new__(cls, axes: int, _depth: int) -> Any:
+            return EspEngine(name, axes)
+
+    replay.factory_store(load_board("sim"))
+    monkeypatch.setattr(sim_rig, "SimEngine", Engine)
+    return name
+
+
+@pytest.mark.skipif(not _RECORDS, reason="no recordings here")
+@pytest.mark.parametrize("on_engine", ESP, indirect=True)
+@pytest.mark.parametrize("path", _RECORDS, ids=lambda path: path.stem)
+def test_recorded_motion_is_repeated(path: Path, on_engine: str) -> None:
+    record = json.loads(path.read_text())
+    run = replay._Motion(record, load_board("sim"))
+    observed = run.run()
+    wrong = judge_motion(record, observed, [])
+    stops = bool(record.get("events_ms_after_first_step") or record.get("switches"))
+    if stops:
+        # How soon an engine hears of something is its own: Grbl takes 45 ms.
+        unheard = ("duration", "peak rate", "not at rest", "net_steps", "pulses", "final")
+        wrong = [text for text in wrong if not text.startswith(unheard) and " at " not in text]
+    assert not [text for text in wrong if not _near_peak(text, _PEAK[on_engine])]
+    steps = array("i", [0, 0, 0])
+    run.rig.engine.physical(steps)
+    by_letter = zip("XYZ", steps, strict=True)
+    assert observed["net_steps"] == dict(by_letter)
+
+
+def _near_peak(text: str, share: float) -> bool:
+    if not text.startswith("peak rate"):
+        return False
+    words = text.replace(",", "").split()
+    got, expected = float(words[3]), float(words[6])
+    return abs(got - expected) <= share * expected

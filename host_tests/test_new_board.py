@@ -1,0 +1,196 @@
+"""`ugrbl new-board`: what it writes, and what it refuses."""
+
+import json
+import os
+import pty
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner, Result
+from ugrbl import new_board
+from ugrbl.cli import app
+from ugrbl.machine import load_board
+from ugrbl.new_board import CHIPS, BoardError, load, read_pins
+
+_PICO = ("--chip", "pico", "--pin", "step=2,3,4", "--pin", "dir=5,6,7")
+
+
+def ugrbl(*words: object, answers: str = "") -> Result:
+    return CliRunner().invoke(app, ["new-board", *map(str, words)], input=answers)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "router.py"
+
+
+def test_a_board_made_of_options_is_one_the_firmware_takes(file: Path) -> None:
+    done = ugrbl(
+        "router",
+        *_PICO,
+        "--pin",
+        "limit=9 10 11",
+        "--pin",
+        "probe=GP12",
+        "--set",
+        "100=800",
+        "-o",
+        file,
+    )
+    assert done.exit_code == 0, done.output
+    board: Any = load(file)
+    assert (board.ENGINE, board.MPY_ARCH) == ("pio", "armv6m")
+    assert (board.STEP, board.DIR, board.LIMIT) == ((2, 3, 4), (5, 6, 7), (9, 10, 11))
+    assert board.PROBE == 12 and board.DEFAULTS == {100: 800}
+    assert not hasattr(board, "CONTROL")
+    assert "GPIO 9" in done.output and "limit switches X" in done.output
+
+
+def test_the_firmware_reads_its_options_from_the_file(file: Path) -> None:
+    from controller import Options
+
+    ugrbl("router", *_PICO, "--set", "110=3000", "-o", file)
+    options = Options(load(file))
+    assert options.axes == 3 and options.defaults == {110: 3000}
+
+
+def test_inputs_and_what_comes_with_them_are_as_in_the_boards_there_are(file: Path) -> None:
+    words = ("--chip", "esp32", "--pin", "step=26,25,17", "--pin", "dir=16,27,14")
+    controls = ("--pin", "hold=4", "--pin", "door=35", "--pin", "probe=39", "--pin", "mist_pin=18")
+    assert ugrbl("router", *words, *controls, "-o", file).exit_code == 0
+    board: Any = load(file)
+    assert board.CONTROL == (None, 4, None, 35)
+    assert board.NO_PULL_UP == (35, 39)
+    assert board.SAFETY_DOOR and board.MIST and board.MIST_PIN == 18
+    assert (board.ENGINE, board.LINK, board.MAX_STEP_RATE_HZ) == ("rmt", "uart", 5000)
+
+
+def test_a_board_there_is_can_be_made_anew(file: Path) -> None:
+    there: Any = load_board("esp32_devkit")
+    words = [f"step={there.STEP}", f"dir={there.DIR}", f"limit={there.LIMIT}"]
+    words += [f"enable={there.ENABLE}", f"probe={there.PROBE}", "hold=4", "start=35"]
+    words += [f"spindle_pwm={there.SPINDLE_PWM}", f"spindle_dir={there.SPINDLE_DIR}"]
+    options = [
+        part for word in words for part in ("--pin", word.replace("(", "").replace(")", ""))
+    ]
+    assert ugrbl("router", "--chip", "esp32", *options, "-o", file).exit_code == 0
+    made: Any = load(file)
+    for name in ("ENGINE", "LINK", "MPY_ARCH", "STEP", "DIR", "LIMIT", "CONTROL", "NO_PULL_UP"):
+        assert getattr(made, name) == getattr(there, name), name
+
+
+def test_four_axes_are_possible(file: Path) -> None:
+    words = ("--chip", "rp2040", "--pin", "step=0,1,2,3", "--pin", "dir=4,5,6,7")
+    assert ugrbl("router", *words, "-o", file).exit_code == 0
+    assert len(load(file).STEP) == 4
+
+
+def test_questions_are_asked_until_the_answers_fit(file: Path) -> None:
+    """As a user does, on a terminal."""
+    answers = ["pico", "2 3 99", "2 3 4", "4 5 6", "5 6 7", "8", *[""] * 12]
+    master, slave = pty.openpty()
+    command = [sys.executable, "-m", "ugrbl.cli", "new-board", "router", "-o", str(file)]
+    asked = subprocess.Popen(
+        command, stdin=slave, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    os.write(master, ("\n".join(answers) + "\n").encode())
+    output, _ = asked.communicate(timeout=60)
+    os.close(master)
+    os.close(slave)
+    assert asked.returncode == 0, output
+    assert "has no pin 99" in output
+    assert "pin 4 is STEP already" in output
+    board = load(file)
+    assert (board.STEP, board.DIR, board.ENABLE) == ((2, 3, 4), (5, 6, 7), 8)
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("--chip", "pico"), "STEP is needed"),
+        (("--pin", "step=1"), "which chip?"),
+        ((*_PICO, "--pin", "limit=9,10"), "LIMIT wants 3 pins, not 2"),
+        ((*_PICO, "--pin", "probe=2"), "PROBE: pin 2 is STEP already"),
+        ((*_PICO, "--pin", "limit=9,9,10"), "LIMIT names pin 9 twice"),
+        ((*_PICO, "--pin", "probe=23"), "has no pin 23"),
+        ((*_PICO, "--pin", "probe=D2"), "D2 is no pin"),
+        ((*_PICO, "--pin", "laser=2"), "it is one of step, dir"),
+        ((*_PICO, "--set", "0=1"), "$0=1 is refused"),
+        ((*_PICO, "--set", "999=1"), "$999=1 is refused"),
+        ((*_PICO, "--set", "fast"), "fast is no setting"),
+        ((*_PICO, "--title", 'my "best"'), "without quotation marks"),
+        (
+            ("--chip", "rp2040", "--pin", "step=0,1,2,3,4", "--pin", "dir=5,6,7,8,9"),
+            "pio has pulses for 4 axes at most",
+        ),
+        (
+            ("--chip", "esp32", "--pin", "step=34,13,14", "--pin", "dir=25,26,27"),
+            "pin 34 of ESP32 can only read",
+        ),
+        (
+            ("--chip", "esp32", "--pin", "step=6,13,14", "--pin", "dir=25,26,27"),
+            "has no pin 6",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused_with_the_reason(
+    file: Path, words: tuple[str, ...], why: str
+) -> None:
+    done = ugrbl("router", *words, "-o", file)
+    assert done.exit_code == 1
+    assert why in " ".join(done.output.split())
+    assert not file.exists()
+
+
+def test_a_file_is_not_replaced_unasked(file: Path) -> None:
+    file.write_text("mine")
+    done = ugrbl("router", *_PICO, "-o", file)
+    assert done.exit_code == 1 and "--force" in done.output
+    assert file.read_text() == "mine"
+    assert ugrbl("router", *_PICO, "-o", file, "--force").exit_code == 0
+
+
+def test_a_name_that_cannot_be_imported_is_refused() -> None:
+    assert "make a name" in ugrbl("my-router", *_PICO).output
+
+
+def test_pins_that_are_odd_are_told(file: Path) -> None:
+    words = ("--chip", "esp32", "--pin", "step=12,13,14", "--pin", "dir=25,26,27")
+    done = ugrbl("router", *words, "--pin", "limit=34,35,36", "-o", file)
+    assert done.exit_code == 0, done.output
+    said = " ".join(done.output.split())
+    assert "pin 12 (step pulses X) high at start" in said
+    assert "pin 34 (limit switches X) has no pull-up" in said
+
+
+def test_the_pins_as_json(file: Path) -> None:
+    done = ugrbl("router", *_PICO, "-o", file, "--json", "-")
+    found = json.loads(done.stdout)
+    assert found["pins"]["STEP"] == [2, 3, 4] and found["file"] == str(file)
+
+
+def test_a_file_that_the_projects_check_refuses_is_taken_away(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(new_board, "check_file", lambda file: ["the engine wants more"])
+    done = ugrbl("router", *_PICO, "-o", file)
+    assert done.exit_code == 1 and "the engine wants more" in done.output
+    assert not file.exists()
+
+
+@pytest.mark.parametrize("text", ["2 3 4", "2,3,4", "GP2, GP3, GP4", "gpio2 gpio3 io4"])
+def test_pins_are_read_as_people_write_them(text: str) -> None:
+    assert read_pins(text) == (2, 3, 4)
+
+
+def test_every_chip_says_what_it_is() -> None:
+    for chip in CHIPS.values():
+        assert chip.inputs_only <= chip.pins and set(chip.odd) <= chip.pins
+
+
+def test_no_text_is_taken_for_a_pin() -> None:
+    with pytest.raises(BoardError):
+        read_pins("two")
