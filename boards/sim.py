@@ -1,4 +1,4 @@
-"""The simulator as a board: an Arduino Uno's buffers, so that senders see the numbers of real Grbl."""
+"""The simulator as a board: an Arduino Uno's buffers, so that senders see Grbl's numbers."""
 
 ENGINE = "sim"
 STEP = (0, 1, 2)

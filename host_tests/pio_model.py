@@ -1,4 +1,4 @@
-"""PIO programs run cycle by cycle: rp2040py's model of a PIO block, with no processor beside it."""
+"""PIO programs run cycle by cycle: rp2040py's model of a PIO block, without a processor."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -5,6 +5,7 @@ programs.py states. i2s, rmt: the whole engines on stand-ins of the ESP32's hard
 """
 
 import json
+import random
 from array import array
 from dataclasses import dataclass
 from itertools import pairwise
@@ -349,6 +350,74 @@ def test_power_is_told_with_the_segments(engine: str) -> None:
     told = [power for power, _ in zip(made.powers, made.powers, strict=True)]
     assert told == sorted(told)
     assert len(set(told)) >= 5
+
+
+def awkward_rows(seed: int, tick_hz: int, count: int) -> "list[array[int]]":
+    """Rows that no planner makes: steps on their very edges, reversals at full speed."""
+    chance = random.Random(seed)
+    rows = []
+    for _ in range(count):
+        row = array("i", [0] * row_length(3))
+        gap = chance.choice((50, 110, 900)) * tick_hz // 1_000_000
+        steps = chance.choice((1, 2, 40))
+        ticks = row[ROW_TICKS] = gap * steps
+        row[ROW_DIRS] = chance.randrange(8)
+        for base in range(ROW_AXES, len(row), ROW_STRIDE):
+            row[base] = chance.randint(0, steps)
+            row[base + 1] = chance.choice((0, 1, gap)) if row[base] else 0
+            row[base + 2] = ticks if row[base] > 1 else row[base + 1]
+        rows.append(row)
+    return rows
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("engine", ESP)
+def test_awkward_segments_are_made_whole_and_in_order(engine: str, seed: int) -> None:
+    made = Made(engine, Limits())
+    rows = awkward_rows(seed, made.engine.tick_hz, 60)
+    waiting = list(rows)
+
+    def next_segment(row: "array[int]") -> int:
+        if waiting:
+            row[:] = waiting.pop(0)
+            return 1
+        return 0
+
+    made.engine.attach(next_segment, made.powers.append)
+    made.go()
+    for axis in range(3):
+        base = ROW_AXES + ROW_STRIDE * axis
+        signs = [-1 if row[ROW_DIRS] >> axis & 1 else 1 for row in rows for _ in range(row[base])]
+        assert [sign for _, sign in of_axis(made.steps, axis)] == signs
+    assert made.position() == made.places()
+    for levels in made.engine.pins.levels:
+        assert levels.shortest_pulse >= _PULSE_US
+        assert levels.shortest_pause >= 2
+        assert levels.shortest_setup >= 10
+        assert levels.shortest_hold >= _PULSE_US
+
+
+@pytest.mark.parametrize("late_us", range(30_000, 60_000, 7000))
+def test_i2s_sets_directions_up_after_it_has_run_dry(late_us: int) -> None:
+    made = Made("i2s", Limits())
+
+    def next_segment(row: "array[int]") -> int:
+        row[:] = array("i", [1600, 7, 0, *([2, 10, 810] * 3)])
+        return 1
+
+    made.engine.attach(next_segment, made.powers.append)
+    made.engine.start()
+    made.run(100)
+    for levels in made.engine.pins.levels:
+        levels.shortest_setup = 1_000_000
+    for _ in range(5):
+        clock.work(late_us)
+        made.run(41)
+    made.engine.stop()
+    made.run(1)
+    for levels in made.engine.pins.levels:
+        assert levels.shortest_setup >= 1000
+    assert all(sign < 0 for _, _, sign in made.steps)
 
 
 def test_i2s_loses_nothing_where_it_comes_too_late() -> None:

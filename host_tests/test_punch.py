@@ -19,7 +19,6 @@ from controller import Options
 from hypothesis import given
 from hypothesis import strategies as some
 from ugrbl import picture
-from ugrbl.conformance import run_folder
 from ugrbl.gcode_file import read_lines
 from ugrbl.machine import load_board
 from ugrbl.run import run_program
@@ -105,7 +104,9 @@ def play(script: "Callable[[Bench], Iterator[Any]]", *arguments: Any) -> Bench:
 
 def test_every_line_of_motion_ends_with_a_stroke_while_it_is_armed() -> None:
     def script(bench: Bench) -> Iterator[Any]:
-        yield from bench.lines("G0X1", "M3", "X2", "G1X3Y1F600", "G2X5R1", "M4", "G0X7", "M5", "X9")
+        yield from bench.lines(
+            "G0X1", "M3", "X2", "G1X3Y1F600", "G2X5R1", "M4", "G0X7", "M5", "X9"
+        )
 
     assert play(script).holes() == [(2, 0), (3, 1), (5, 1), (7, 1)]
 
@@ -459,13 +460,12 @@ def test_its_settings_are_those_of_the_document() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         assert (yield from bench.say("$30=1\n", "ok")) == ["ok"]
         shown = yield from bench.say("$$\n", "ok")
-        assert [line for line in shown if line.startswith("$3") and line[3] == "="] == [
-            "$3=0 (dir port invert mask:00000000)",
+        assert [line for line in shown if line[:2] == "$3" and line[3:4] == "="] == [
             "$30=1 (punch actuator down invert, bool)",
             "$31=0 (punch actuator up invert, bool)",
             "$32=0 (punch sensor down invert, bool)",
             "$33=0 (punch sensor up invert, bool)",
-        ] or shown
+        ]
 
     bench = Bench(_FAST, "sim_punch_09")
 
@@ -485,7 +485,7 @@ def expected_holes() -> "list[tuple[float, float]]":
     armed = False
     holes = []
     for line in _PROGRAM.read_text().splitlines():
-        if line.startswith("(") or line.startswith("G21"):
+        if line.startswith(("(", "G21")):
             continue
         if re.fullmatch("M[35]", line):
             armed = line == "M3"
@@ -512,10 +512,3 @@ def test_the_demonstration_punches_its_pattern(board: str, tmp_path: Path) -> No
     file = tmp_path / "punch.png"
     picture.save(picture.strokes(recorder.path), file, marks=recorder.marks)
     assert file.stat().st_size > 10_000
-
-
-def test_conversations_of_a_punch_under_cpython() -> None:
-    folder = Path(__file__).parent / "conversations"
-    for name in ("punch", "punch_09"):
-        results = run_folder(folder, only=name)
-        assert results.ok(), results.failures()

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from . import picture, plot_cli, settings_cli
+from . import doctor, new_board_cli, picture, plot_cli, settings_cli
 from .conformance import conformance
 from .gcode_file import read_lines
 from .machine import DEFAULT_BOARD
@@ -18,6 +18,8 @@ from .screen import Screen, show_errors, summary, totals_rows
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
 app.command()(conformance)
+app.command("doctor", epilog=doctor.EXAMPLES)(doctor.command)
+app.command("new-board", epilog=new_board_cli.EXAMPLES)(new_board_cli.command)
 app.command("plot", epilog=plot_cli.EXAMPLES)(plot_cli.command)
 app.add_typer(settings_cli.app, name="settings")
 
@@ -118,10 +120,12 @@ def run(
         console.print(f"line {number}: paused; told to go on", highlight=False)
     speed = f"{seconds:.1f} s, {result.lines / seconds:.0f} lines/s"
     rows = [("lines", str(result.lines)), ("errors", str(len(result.errors)))]
+    if recorder.marks:
+        rows.append(("holes punched", str(len(recorder.marks))))
     rows += [*totals_rows(result.totals), ("ended in", result.final_state), ("computed in", speed)]
     console.print(summary(rows))
     if plot:
-        picture.save(picture.strokes(recorder.path), plot, file.name)
+        picture.save(picture.strokes(recorder.path), plot, file.name, recorder.marks)
     if json_file:
         result.save(json_file)
     if result.stopped:

@@ -38,6 +38,8 @@ BOARDS = {
     "force_set_origin_and_single_axis_homing": "sim_single_axis_homing",
     "line_numbers_and_mist": "sim_line_numbers",
     "max_step_rate_and_echo": "sim_echo",
+    "punch": "sim_punch",
+    "punch_09": "sim_punch_09",
     "parking_and_override_control": "sim_parking",
     "safety_door_input": "sim_door",
     "spindle_enable_pin_and_two_switches": "sim_two_switches",

@@ -18,12 +18,26 @@ class Difference(NamedTuple):
 
 
 _VERSION = re.compile(r"\[VER:1\.1h\.\d{8}:(.*)\]")
+_VERSION_09 = re.compile(r"\[0\.9([ij])\.\d{8}:(.*)\]")
+_PROBE_09 = re.compile(r"\[G38\.(254|255|0|1) ")
 _OPTIONS = re.compile(r"\[OPT:([^,]*)(,\d+,\d+)\]")
 
 
 def _version(ours: str, grbls: str, _sent: str) -> str:
     mine, theirs = _VERSION.fullmatch(ours), _VERSION.fullmatch(grbls)
     return grbls if mine and theirs and theirs[1] in mine[1] else ours
+
+
+def _version_09(ours: str, grbls: str, _sent: str) -> str:
+    mine, theirs = _VERSION_09.fullmatch(ours), _VERSION_09.fullmatch(grbls)
+    return grbls if mine and theirs and mine.groups() == theirs.groups() else ours
+
+
+def _probe_09(ours: str, grbls: str, sent: str) -> str:
+    slip = _PROBE_09.match(grbls)
+    if sent != "$G\n" or slip is None:
+        return ours
+    return ours.replace(f"[G38.{(int(slip[1]) + 4) % 256} ", slip[0], 1)
 
 
 def _options(ours: str, grbls: str, _sent: str) -> str:
@@ -52,6 +66,12 @@ QUIRKS = (
         "takes moves and never makes them.",
         "$H with an argument leaves the machine in Home state",
     ),
+    Quirk(
+        "probe in contact",
+        "A probe closed at the start of G38.2 raises the alarm and ends the line, as Grbl 1.1 "
+        "does; Grbl 0.9 hears nothing from then on until it is reset.",
+        "probe already in contact",
+    ),
 )
 
 # Differences in motion; compare.py knows how to see them.
@@ -66,11 +86,32 @@ EXACT_STOP = (
     "Grbl's single-precision distance falls on either side of it: one step of difference.",
 )
 
+IN_MOTION = (
+    "in motion",
+    "A report in the middle of a motion may name the step before or after: steps spread out "
+    "evenly over a segment are not where the last rounding of Grbl's timer puts them.",
+)
+NO_SPEED = (
+    "spindle without speed",
+    "M3 with S0 leaves the spindle's output off, as Grbl 1.1 does; Grbl 0.9 connects a PWM "
+    "without power to the pin.",
+)
+
 DIFFERENCES = (
     Difference(
         "version",
         "[VER:] names our own build date and may say who we are before the user's $I= text.",
         _version,
+    ),
+    Difference(
+        "version of 0.9",
+        "In the answer to $I of Grbl 0.9, too, the date is that of our own build.",
+        _version_09,
+    ),
+    Difference(
+        "probe mode of 0.9",
+        "$G says G38.2 to G38.5, as they were sent; Grbl 0.9 counts from 254 by a slip.",
+        _probe_09,
     ),
     Difference(
         "options",

@@ -74,9 +74,9 @@ _M_MEANINGS = {
     "M1": "Optional pause: accepted; there is no switch for it, so nothing happens.",
     "M2": "End of program: spindle and coolant off; G1 G17 G54 G90 G94; overrides at 100 %.",
     "M30": "The same as M2.",
-    "M3": "Spindle clockwise at S. Laser mode: beam on at the power of S.",
-    "M4": "Spindle counterclockwise at S. Laser mode: beam on, its power follows the speed.",
-    "M5": "Spindle or laser off.",
+    "M3": "Spindle clockwise at S. Laser mode: beam on at the power of S. Punch: armed.",
+    "M4": "Spindle counterclockwise at S. Laser mode: beam follows the speed. Punch: armed.",
+    "M5": "Spindle or laser off. Punch: disarmed.",
     "M7": "Mist coolant on. Board option `MIST`.",
     "M8": "Flood coolant on.",
     "M9": "All coolant off.",
@@ -98,6 +98,7 @@ _EVENTS = {
     0x3F: "Status report.",
     0x7E: "Cycle start: begin, or go on after a hold, a pause or a closed door.",
     0x21: "Feed hold: come to rest, keeping the position.",
+    0x40: "With `DIALECT` 0.9: safety door, as 0x84. A character like others in 1.1.",
     0x84: "Safety door: hold, then spindle and coolant off.",
     0x85: "Jog cancel: end the jog and forget those that wait. Ignored otherwise.",
 }
@@ -320,7 +321,12 @@ def _boards() -> str:
 def _differences() -> str:
     rows = [(row.name, "replies", row.reason) for row in differences.DIFFERENCES]
     rows += [(row.name, "one case", row.reason) for row in differences.QUIRKS]
-    motion = (differences.IDLE_DELAY, differences.EXACT_STOP)
+    motion = (
+        differences.IDLE_DELAY,
+        differences.EXACT_STOP,
+        differences.IN_MOTION,
+        differences.NO_SPEED,
+    )
     rows += [(name, "motion", reason) for name, reason in motion]
     rows = [(name, where, _as_code(reason)) for name, where, reason in rows]
     return _table(("Name", "Where", "What and why"), rows)

@@ -37,6 +37,8 @@ def alarms() -> dict[int, str]:
 
 def meaning(reply: str) -> str:
     """The meaning of a reply such as `error:20` or `ALARM:1`."""
+    if ": " in reply:
+        return reply.partition(": ")[2]  # Grbl 0.9 says it itself
     match = _REPLY.fullmatch(reply)
     key = (match[1], int(match[2])) if match else ("", 0)
     return _table().get(key, "not a number of Grbl 1.1")

@@ -16,6 +16,9 @@ _FLATTEST = 0.2
 # The scale of colours leaves out the fastest of the path, by this share of the time.
 _RAPID_SHARE = 0.03
 
+# How a mark looks.
+_RING: dict[str, Any] = {"mfc": "white", "mec": "black", "ms": 5, "mew": 1.2}
+
 Place = tuple[float, float, float]
 
 
@@ -54,8 +57,13 @@ def thin(path: Iterable[Stroke], shortest_mm: float) -> list[Stroke]:
     return kept
 
 
-def draw(path: Sequence[Stroke], title: str = "") -> "Figure":
-    """A figure of the path, from above and in space. The first stroke is only where it begins."""
+def draw(
+    path: Sequence[Stroke], title: str = "", marks: Sequence[Sequence[float]] = ()
+) -> "Figure":
+    """A figure of the path, from above and in space. The first stroke is only where it begins.
+
+    marks: places to be ringed, the holes of a punch.
+    """
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d import art3d  # type: ignore[import-untyped]
@@ -71,6 +79,7 @@ def draw(path: Sequence[Stroke], title: str = "") -> "Figure":
     above = figure.add_subplot(1, 2, 1, aspect="equal", xlabel="X mm", ylabel="Y mm")
     flat = LineCollection([(a[:2], b[:2]) for a, b in lines], linewidths=0.7, **look)
     above.add_collection(flat)
+    above.plot([mark[0] for mark in marks], [mark[1] for mark in marks], "o", **_RING)
     above.autoscale_view()
 
     space = figure.add_subplot(1, 2, 2, projection="3d", xlabel="X mm", ylabel="Y mm")
@@ -86,10 +95,12 @@ def draw(path: Sequence[Stroke], title: str = "") -> "Figure":
     return figure
 
 
-def save(path: Sequence[Stroke], file: Path, title: str = "") -> None:
+def save(
+    path: Sequence[Stroke], file: Path, title: str = "", marks: Sequence[Sequence[float]] = ()
+) -> None:
     """Draw the path into a file; its suffix says in which format."""
     file.parent.mkdir(parents=True, exist_ok=True)
-    draw(path, title).savefig(file)
+    draw(path, title, marks).savefig(file)
 
 
 def _fast(path: Sequence[Stroke], speeds: Sequence[float]) -> float:

@@ -63,6 +63,9 @@ class Recorder:
         self._ended = 0
         self._keep_path = keep_path
         self.path = array("d", [0.0] * STROKE)
+        self.marks: list[Sequence[float]] = []  # where a punch has made a hole, in mm
+        if hasattr(rig.port, "on_hole"):
+            rig.port.on_hole = self._mark
         rig.on_built = self._attach
         rig.engine.trace = self._segment
         self._set_position = _replace(rig.engine, "set_position", self._rename)
@@ -132,6 +135,10 @@ class Recorder:
         if self._keep_path:
             seconds = row[kernels.ROW_TICKS] / self._rig.engine.tick_hz
             self.path.extend((*at[:3], seconds))
+
+    def _mark(self) -> None:
+        """The punch is down."""
+        self.marks.append(self._to_mm(self._place))
 
     def _rename(self, steps: "array[int]") -> None:
         """Stand in for StepEngine.set_position: the same place has another number from now on."""

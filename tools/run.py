@@ -251,7 +251,7 @@ def run_program(
         link.replies.clear()
         yield 0, b"$G"
         yield None
-        link.result.final_state = next((r for r in link.replies if r.startswith("[GC:")), "")
+        link.result.final_state = next((r for r in link.replies if r.startswith("[G")), "")
 
     rig = machine.build(board, lambda rig: ProgramLink(rig, script))
     recorder = Recorder(rig, keep_path)

@@ -41,7 +41,7 @@ def simulate(options: Options) -> None:
     finally:
         wire.close()
     if options.plot:
-        picture.save(picture.strokes(recorder.path), options.plot)
+        picture.save(picture.strokes(recorder.path), options.plot, marks=recorder.marks)
     if options.report:
         recorder.totals().save(options.report)
 

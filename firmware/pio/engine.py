@@ -20,6 +20,7 @@ import machine
 import micropython
 import rp2
 from micropython import const
+
 from pio import programs, pulses
 from pio.hub import Memory, append, call, feed, look
 from pio.stops import drop, lock, position, stop
@@ -160,7 +161,7 @@ class PioEngine:
 
     @micropython.viper
     def _turn(self, _source: object) -> int:
-        """Interrupt: a segment has begun, or the engine is to start. Keep the hardware supplied."""
+        """Interrupt: a segment has begun, or the engine is to start. Keep the hardware busy."""
         hub = ptr32(self._hub)
         if hub[_HALT]:
             return 0

@@ -11,6 +11,7 @@ from array import array
 import micropython
 from kernels import row_length
 from micropython import const
+
 from pio import programs, pulses
 from pio.pulses import convert, cut
 
@@ -309,7 +310,7 @@ def call(hub: ptr32) -> int:
 
 @micropython.viper
 def _address(memory: ptr8) -> int:
-    return int(memory)
+    return int(memory)  # type: ignore[call-overload, no-any-return]
 
 
 def _array(length: int) -> "array[int]":

@@ -85,11 +85,9 @@ def set_timing(timing: "array[int]", pulse: int, hold: int, setup: int) -> None:
 
 @micropython.viper
 def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
-    """Add the words of a segment to the lanes' rings. Returns by how many ticks it begins late.
+    """Add a segment's words to the lanes' rings. Returns by how many ticks all axes begin late.
 
-    Where an axis reverses too soon after its last step, or pulses would run into each other,
-    all axes wait so long, and no step is lost.
-    """
+    They wait where one would reverse or step too soon after its last step."""
     late = 0
     for i in range(timing[AXES]):
         base = _ROW_AXES + _ROW_STRIDE * i
@@ -150,7 +148,7 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
 
 @micropython.viper
 def cut(row: ptr32, whole: ptr32, begin: int, axes: int) -> int:
-    """Fill a row with a piece of a long one, from tick `begin` on. Returns its end, or 0 at the last.
+    """Fill a row with a piece of a long one, from tick `begin`. Returns its end, 0 at the last.
 
     For rows that last longer than a word can wait: their steps are few.
     """

@@ -7,6 +7,7 @@ not be divided is done with the interrupts of pins held back, for some microseco
 
 import micropython
 from micropython import const
+
 from pio.pulses import places, undone
 
 # From hub.py.
@@ -153,7 +154,7 @@ def position(hub: ptr32, steps: ptr32) -> int:
             if passed > 1 << 20:
                 passed = 1 << 20  # or the product wraps; no row is that long
             tick = (passed * _HALF_TICKS_PER_US - row[begins + 1]) >> 1
-        places(row, tick, int(row) + 4 * (begins + _ROW_EXTRA), steps, axes)
+        places(row, tick, int(row) + 4 * (begins + _ROW_EXTRA), steps, axes)  # type: ignore[call-overload]
     for i in range(axes):
         if (hub[_LOCKED] >> i) & 1:
             steps[i] = lanes[_LANE * i + _FROZEN]

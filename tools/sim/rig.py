@@ -13,6 +13,7 @@ import controller
 from .engine import SimEngine
 from .link import SimLink
 from .port import SimPort
+from .punch import PunchEngine, PunchPort
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -55,14 +56,16 @@ class Rig:
         self.board = board
         self.store: "Any" = MemoryStore() if store is None else store
         self.ticks_per_ms = SimEngine.tick_hz / 1000
-        self.engine = SimEngine(axes, board.SEGMENT_QUEUE)
+        has_punch = getattr(board, "TOOL", "") == "punch"
+        engine = PunchEngine if has_punch else SimEngine
+        self.engine = engine(axes, board.SEGMENT_QUEUE)
         self.scratch = array("i", [0] * axes)
         self.loop_ticks = int(getattr(board, "LOOP_US", 0) * self.ticks_per_ms / 1000)
         start_ticks = int(getattr(board, "START_US", 0) * self.ticks_per_ms / 1000)
         if start_ticks:
             self.engine.prepare = lambda: self.pass_time(self.now + start_ticks)
         self.answer_ticks = int(getattr(board, "ANSWER_US", 0) * self.ticks_per_ms / 1000)
-        self.port = SimPort(self, board)
+        self.port = (PunchPort if has_punch else SimPort)(self, board)
         self.engine.pins_changed = self.port.update
         self.link: "Any" = link(self)
         self.controller: "Controller"  # once run() has built it

@@ -1,0 +1,32 @@
+"""ESP32 in the shape of an Uno (ESPDUINO-32, Wemos D1 R32) under a CNC shield V3, three axes.
+
+The shield's pins by their Arduino names: step D2-D4, direction D5-D7, enable D8, limits D9, D10
+and D12, spindle D11 and D13, hold A1, start A2, probe A5. An ESP32 DevKit on wires can be
+connected alike. A2 and A5 need pull-up resistors of 10 kOhm to 3.3 V; A3, the shield's coolant,
+cannot be an output. Pin 12 (enable) decides about the flash's voltage at reset: nothing may pull
+it up. Never ran on hardware.
+"""
+
+MPY_ARCH = "xtensawin"
+ENGINE = "rmt"
+LINK = "uart"
+
+STEP = (26, 25, 17)
+DIR = (16, 27, 14)
+ENABLE = 12
+LIMIT = (13, 5, 19)
+PROBE = 39
+# Reset, hold, start, door. A0, the shield's reset, is pin 2, with an LED on it: not used.
+CONTROL = (None, 4, 35, None)
+SPINDLE_PWM = 23
+SPINDLE_DIR = 18
+NO_PULL_UP = (35, 39)
+
+# Between two trains of pulses there is a gap of about 0.2 ms for one axis and 0.5 ms for three
+# that move. It is hidden in the pause between two steps up to 2000 steps a second and axis; from
+# there on motion stands still for a moment every 16 ms. Up to here that is less than a step and
+# a half.
+MAX_STEP_RATE_HZ = 5000
+
+RX_BYTES = 128
+PWM_MAX = 1000

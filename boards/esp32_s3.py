@@ -1,0 +1,27 @@
+"""ESP32-S3 DevKitC with native USB, three stepper drivers on pins of their own.
+
+The sender is on the USB socket that is the S3's own, not on the UART's. All pins are free on
+the DevKitC-1, with or without octal PSRAM. Never ran on hardware.
+"""
+
+MPY_ARCH = "xtensawin"
+ENGINE = "rmt"
+LINK = "uart"  # stdin and stdout are the native USB, which makes the sender wait
+
+STEP = (4, 5, 6)
+DIR = (7, 15, 16)
+ENABLE = 17
+LIMIT = (9, 10, 11)
+PROBE = 12
+# Reset, hold, start, door.
+CONTROL = (13, 14, 21, None)
+SPINDLE_PWM = 18
+SPINDLE_DIR = 8
+FLOOD = 1
+NO_PULL_UP = ()
+
+# As on the ESP32: see esp32_devkit.py.
+MAX_STEP_RATE_HZ = 5000
+
+RX_BYTES = 128
+PWM_MAX = 1000

@@ -1,0 +1,30 @@
+"""MKS DLC32 V2.0 and V2.1: an ESP32 with three drivers behind a shift register, and a laser.
+
+Step, direction and enable are numbers of the shift register's outputs. Inputs are ESP32 pins
+with resistors on the board. From the maker's pin list for V2.1; V1.x has its laser at 22 and its
+probe at 2. Never ran on hardware.
+"""
+
+MPY_ARCH = "xtensawin"
+ENGINE = "i2s"
+LINK = "uart"
+
+STEP = (1, 5, 3)
+DIR = (2, 6, 4)
+ENABLE = 0
+I2S = (16, 17, 21)  # BCK, WS, DATA
+# Frames per second. A step takes a frame high for every 8 us of $0, and one low.
+I2S_RATE_HZ = 125_000
+# DMA buffers of 2 ms: so much motion is made ahead, less 4 ms, and a hold has to wait for it.
+I2S_BUFFERS = 16
+
+LIMIT = (36, 35, 34)
+PROBE = 22
+SPINDLE_PWM = 32  # the laser's TTL and its MOSFET
+NO_PULL_UP = (34, 35, 36)
+
+# With pulses of up to 16 us, two frames; steps then come 24 us apart.
+MAX_STEP_RATE_HZ = 41_666
+
+RX_BYTES = 128
+PWM_MAX = 1000

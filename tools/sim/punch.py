@@ -1,0 +1,140 @@
+"""A simulated punch that takes its time, and a pulse engine that watches over it.
+
+The law: no step is made unless the punch is all the way up, from the first
+step of a segment to its last; and it goes down only where nothing moves.
+Whoever breaks it gets a BrokenLaw.
+"""
+
+from array import array
+
+from kernels import ROW_AXES, ROW_STRIDE
+
+from .engine import SimEngine, step_tick
+from .port import SimPort
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import ModuleType
+
+    from .rig import Rig
+
+# Places of the punch, and the bits of its sensors.
+UP, DOWN = 0.0, 1.0
+SENSOR_DOWN, SENSOR_UP = 1, 2
+
+
+class BrokenLaw(Exception):
+    """The machine would have been damaged."""
+
+
+class PunchPort(SimPort):
+    """SimPort with a punch. It stays where it is while neither actuator is on, or both are.
+
+    wiring: mask of what is wired the other way round, as $30 to $33 count it from bit 0.
+    dead: mask of sensors that never see it. lowest: it goes no further down than that.
+    stuck: it does not move at all. holes: where it was down, in steps of the motors;
+    on_hole: called then.
+    """
+
+    def __init__(self, rig: "Rig", board: "ModuleType") -> None:
+        super().__init__(rig, board)
+        self.punch_timeout_ms: int = getattr(board, "PUNCH_TIMEOUT_MS", 1000)
+        self.wiring = 0
+        self.dead = 0
+        self.lowest = DOWN
+        self.stuck = False
+        self.holes: "list[tuple[int, ...]]" = []
+        self.on_hole: "Callable[[], None] | None" = None
+        self._stroke_ticks = rig.ms(board.PUNCH_STROKE_MS) - rig.now
+        self._place = UP
+        self._since = rig.now  # when it was there
+        self._speed = 0  # 1: down, -1: up
+        self._up_from = rig.now
+        self._up_until: "int | None" = None
+        self._on_change: "Callable[[], None] | None" = None
+        engine = rig.engine
+        if isinstance(engine, PunchEngine):
+            engine.watch = self.check
+
+    # The PunchPort seam
+
+    def punch(self, down: int, up: int) -> None:
+        down ^= self.wiring & 1
+        up ^= self.wiring >> 1 & 1
+        self.place()
+        speed = down - up
+        if speed > 0 and speed != self._speed and not self._rig.engine.idle():
+            raise BrokenLaw("it goes down while the machine moves")
+        self._speed = speed
+
+    def punch_sensors(self) -> int:
+        place = self.place()
+        seen = SENSOR_DOWN if place == DOWN else SENSOR_UP if place == UP else 0
+        return seen & ~self.dead ^ self.wiring >> 2
+
+    def watch_punch(self, on_change: "Callable[[], None]") -> None:
+        self._on_change = on_change
+
+    # The simulator's side
+
+    def place(self) -> float:
+        """Where it is now, UP to DOWN."""
+        was, since = self._place, self._since
+        self._since = self._rig.now
+        way = 0.0 if self.stuck else self._speed * (self._since - since) / self._stroke_ticks
+        if way > 0:
+            self._place = max(was, min(was + way, self.lowest))
+        elif way < 0:
+            self._place = max(was + way, UP)
+        if was == UP < self._place:
+            self._up_until = since
+        if was < DOWN == self._place:
+            self._note_hole()
+        if was > UP == self._place:
+            self._up_from = since + int(was * self._stroke_ticks)
+            self._up_until = None
+        return self._place
+
+    def _note_hole(self) -> None:
+        steps = self._rig.scratch
+        self._rig.engine.physical(steps)
+        self.holes.append(tuple(steps))
+        if self.on_hole:
+            self.on_hole()
+
+    def fall(self) -> None:
+        """It leaves its place by itself: half way down, at once."""
+        if self.place() == UP:
+            self._up_until = self._rig.now
+        self._place = (UP + DOWN) / 2
+        if self._on_change:
+            self._on_change()
+
+    def check(self, first: int, last: int) -> None:
+        """Steps have been made from one tick to the other."""
+        self.place()
+        if first < self._up_from or (self._up_until is not None and last > self._up_until):
+            raise BrokenLaw("the machine moves while the punch is down")
+
+    def power_off(self) -> None:
+        super().power_off()
+        self.place()
+        self._on_change = None
+        self._speed = 0
+
+
+class PunchEngine(SimEngine):
+    """SimEngine that has every step it made checked. watch: PunchPort.check."""
+
+    watch: "Callable[[int, int], None] | None" = None
+
+    def _finish(self, ticks: int) -> None:
+        super()._finish(ticks)
+        row: "array[int]" = self._queue[self._head]
+        for i in range(self._axes):
+            base = ROW_AXES + ROW_STRIDE * i
+            count = row[base]
+            if count and self.watch:
+                first, last = step_tick(row, base, 0), step_tick(row, base, count - 1)
+                self.watch(self._start + first, self._start + last)
