@@ -266,7 +266,7 @@ def to_steps(mm: ptr32, steps_per_mm: ptr32, steps: ptr32, axes: int) -> int:
             product += 1
         if exponent > 28:
             inside = 0
-            product = 0
+            product = 0x1FFFFFFF  # as far as it goes, on the right side
         elif exponent >= 23:
             product <<= exponent - 23
         elif exponent >= -1:

@@ -253,7 +253,9 @@ class EspEngine:
         end = -(-to // self._per_us)
         while True:
             moving = not self.real.idle()
-            clock.advance(min(clock.us + 500, end) if moving or end - clock.us < 2000 else end)
+            # Time goes in pieces, so that a switch is found where it is.
+            piece = 20 if self.switches else 500
+            clock.advance(min(clock.us + piece, end) if moving else end)
             made = self.pins.run(clock.us)
             for us, axis, sign in made:
                 self._place[axis] += sign

@@ -36,12 +36,13 @@ class Stated:
     gap: float  # for how long it may stand still, at the ends of trains
     apart: float  # how far axes may drift against each other
     hold_ms: float  # how much motion is handed over, and a hold has to wait for
+    lock_ms: float = 0.0  # for how long a locked axis runs on
 
 
 STATED = {
     "sim": Stated(0.1, 0.1, 0, 0.1, 60),
     "pio": Stated(0.2, 0.2, 0, 0.2, 10),
-    "i2s": Stated(17, 17, 0, 17, 40),
+    "i2s": Stated(17, 17, 0, 17, 40, 33),
     "rmt": Stated(60, 60, 600, 100, 50),
 }
 _TURN_US = 14  # what a reversal may make all axes wait for, besides
@@ -303,17 +304,21 @@ def test_a_locked_axis_stands_still_and_the_others_arrive(engine: str) -> None:
     made.engine.start()
     made.run(200)
     made.engine.lock(1)
-    at = made.places()[0]
-    made.run(100)
-    made.engine.advance(made.engine.now + int(1000 / made.us))
+    at = made.position()[0]
+    made.run(STATED[engine].lock_ms + 2)
     locked = made.places()[0]
     made.run()
     assert made.places()[0] == locked
-    assert abs(locked - at) <= (1 if engine != "sim" else 10)
     total = [sum(sign for _, sign in steps) for steps in planned(made)]
-    assert made.places()[1:] == total[1:]
-    assert made.position()[1:] == total[1:]
+    assert made.places()[1:] == made.position()[1:] == total[1:]
+    # Where it has run on, it goes back before the next motion: it ends where it was locked.
     made.engine.stop()
+    assert made.position()[0] == at
+    made.bench.planner.clear()
+    made.bench.planner.sync_motors(array("i", made.position()))
+    made.bench.line((0.5, 0.5, 0.5), 60.0)
+    made.go()
+    assert made.places() == made.position() == [125, 125, 125]
 
 
 @pytest.mark.parametrize("engine", WHOLE)

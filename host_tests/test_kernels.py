@@ -115,7 +115,6 @@ def test_millimetres_become_steps_as_in_single_precision(mm: float, resolution: 
         assert steps[0] - 2**29 == (rounded if product >= 0 else -rounded)
 
 
-@pytest.mark.xfail(reason="kernels.to_steps: a place out of reach becomes place 0, unheeded")
 def test_a_place_out_of_reach_lies_in_its_direction() -> None:
     bench = Bench()
     bench.line((10, -10, 0))
