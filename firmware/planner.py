@@ -36,6 +36,7 @@ ACCESSORY_MASK = const(0x330)
 
 _BIAS = const(0x20000000)
 _SLOWEST_MM_S = 1 / 60
+_FINEST = 1e8  # steps/mm: no division by nothing, whatever $100 is
 
 
 class Move:
@@ -91,7 +92,7 @@ class Planner:
         machine = self.machine
         fastest_sqr = 0.0
         for i in range(self.axes):
-            resolution = settings.steps_per_mm[i] or 1.0
+            resolution = min(settings.steps_per_mm[i] or 1.0, _FINEST)
             rate = min(settings.max_rate[i] / 60, step_hz / resolution)
             acceleration = settings.acceleration[i] / 3600
             fastest_sqr += rate * rate
