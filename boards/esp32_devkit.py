@@ -22,10 +22,10 @@ SPINDLE_PWM = 23
 SPINDLE_DIR = 18
 NO_PULL_UP = (35, 39)
 
-# Between two trains of pulses there is a gap of about 0.2 ms for one axis and 0.5 ms for three
-# that move. It is hidden in the pause between two steps up to 2000 steps a second and axis; from
-# there on motion stands still for a moment every 16 ms. Up to here that is less than a step and
-# a half.
+# Between two trains of pulses there is a gap of about 0.2 ms for one axis that moves, 0.5 ms for
+# three [estimated]. It hides in the pause between two steps up to 2000 steps a second (three
+# axes; one: 4000). Faster than that motion stands still for a moment every 16 ms; up to here for
+# less than two steps.
 MAX_STEP_RATE_HZ = 5000
 
 RX_BYTES = 128

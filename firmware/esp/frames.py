@@ -198,14 +198,6 @@ def settle(timing: ptr32, lanes: ptr32) -> int:
 
 
 @micropython.viper
-def silence(frames: ptr32, first: int, until: int, bits: int) -> int:
-    """Take bits out of a stretch of a buffer."""
-    for i in range(first, until):
-        frames[i] = frames[i] & (-1 - bits)
-    return 0
-
-
-@micropython.viper
 def count(frames: ptr32, until: int, timing: ptr32, lanes: ptr32, steps: ptr32) -> int:
     """Add to steps those that the first frames of a buffer make: the truth, read from the bits."""
     for i in range(timing[AXES]):

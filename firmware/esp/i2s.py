@@ -12,7 +12,9 @@ Where the engine comes too late, DMA plays zeros. A zero is no step, a motor tha
 steps, and directions stand long before the next step does. No step is lost or repeated.
 
 Position is read from the bits of the buffer that is being played. Stopping at once means to
-close the stream; a new one begins with zeros, and what is to be played on is handed over again.
+close the stream; a new one begins with zeros. What DMA has been handed of one axis alone cannot
+be taken back: a locked axis runs on with it, and makes good for it before the next motion, so
+that this begins where the axis was when it was locked.
 
 Philips format: data come one bit later than WS, which the registers take for their latch. So
 an output's bit stands one place higher than its number. Unverified on hardware, like all here.
@@ -43,9 +45,8 @@ _DEPTH_AT_REST = const(5)
 # So close to the end of a DMA buffer it is not certain which one a word would go to, in us.
 _DOUBT = const(300)
 _SETUP_US = const(10)
-# A motor can be stopped and started again without a ramp where it makes no more steps than
-# these in all that DMA holds: about 1000 a second.
-_SLOW = const(28)
+# A locked axis goes back to its place at so many steps a second, without a ramp.
+_BACK_HZ = const(1000)
 
 # State.
 _HALT = const(0)  # hands off: the stream is being opened anew
@@ -61,8 +62,7 @@ _LAST = const(9)  # number of the last one of motion that was handed over
 _PAUSE = const(10)  # a buffer without steps has to come first
 _TOLD = const(11)  # spindle power told last
 _DRY = const(12)  # how often the stream has run dry while the machine moved
-_SHOWN = const(13)  # frames of the buffer being played that the last position() has counted
-_STATE_LENGTH = const(14)
+_STATE_LENGTH = const(13)
 
 # What is remembered of a buffer; behind these, per axis, the position as it begins.
 _NUMBER = const(0)
@@ -76,7 +76,11 @@ _LANE = const(11)
 _PLACE = const(10)
 _LEFT = const(6)
 _NEVER = const(0x3FFFFFFF)
+_ROW_TICKS = const(0)
+_ROW_DIRS = const(1)
 _ROW_POWER = const(2)
+_ROW_AXES = const(3)
+_ROW_STRIDE = const(3)
 
 # Slots that are none.
 _BEFORE = const(1000)
@@ -160,6 +164,9 @@ class I2sEngine:
         self._pause = bytearray(BYTES)
         self._size = _NOTE + axes
         self._notes = array("i", (0 for _ in range(self._size * self._slots)))
+        # Of axes that are, or were, locked: where, and how far they have gone since then.
+        self._locked_at = array("i", (0 for _ in range(axes)))
+        self._owed = array("i", (0 for _ in range(axes)))
         self._timer = machine.Timer(0)
         self.configure(10, 0, 0)
         self._open()
@@ -214,15 +221,19 @@ class I2sEngine:
         """At once; safe in a soft interrupt; queued steps are dropped, locks released."""
         state = self._state
         state[_HALT] = 1
+        lanes = self._lanes
         if not self.idle():
             steps = array("i", (0 for _ in range(self._axes)))
             self.position(steps)
             self._stream.close()
             for i in range(self._axes):
-                self._lanes[_LANE * i + _PLACE] = steps[i]
+                lanes[_LANE * i + _PLACE] = steps[i] + self._owed[i]
             state[_SENT] = state[_MOVED] = state[_MADE]
-            frames.settle(self._timing, self._lanes)
+            frames.settle(self._timing, lanes)
             self._open()
+        for i in range(self._axes):
+            locked = self._timing[frames.LOCKED] >> i & 1
+            self._owed[i] = lanes[_LANE * i + _PLACE] - self._locked_at[i] if locked else 0
         state[_PULLING] = 0
         state[_ROW] = 0
         self._timing[frames.LOCKED] = 0
@@ -231,46 +242,18 @@ class I2sEngine:
     def lock(self, axes: int) -> None:
         """These axes (a mask) make no more pulses until stop(); the others go on.
 
-        At once where the others are so slow that they can be stopped for it; else with what
-        DMA has been handed, which no one can take back.
+        What DMA has been handed goes on too; its steps are taken back before the next motion.
         """
-        state = self._state
-        state[_HALT] = 1
-        axes &= ~self._timing[frames.LOCKED]
-        self._timing[frames.LOCKED] = self._timing[frames.LOCKED] | axes
-        for i in range(self._axes):
-            if axes >> i & 1:
-                self._lanes[_LANE * i + _LEFT] = 0
+        timing = self._timing
+        self._state[_HALT] = 1
         steps = array("i", (0 for _ in range(self._axes)))
-        slot = self.position(steps)
-        slow = True
+        self.position(steps)
         for i in range(self._axes):
-            if not self._timing[frames.LOCKED] >> i & 1:
-                slow = slow and abs(self._lanes[_LANE * i + _PLACE] - steps[i]) <= _SLOW
-        if slot >= 0 and slow and not self.idle():
-            self._stream.close()
-            self._play_again(slot, steps)
-            self._open()
-        state[_HALT] = 0
-
-    def _play_again(self, slot: int, steps: "array[int]") -> None:
-        """What DMA has not played is to be handed over once more, without the locked axes."""
-        state, timing, lanes, size = self._state, self._timing, self._lanes, self._size
-        every = locked = 0
-        for i in range(self._axes):
-            bit = lanes[_LANE * i + frames.STEP]
-            every |= bit
-            if timing[frames.LOCKED] >> i & 1:
-                locked |= bit
-                lanes[_LANE * i + _PLACE] = steps[i]
-        frames.silence(self._ring[slot], 0, state[_SHOWN], every)
-        state[_SENT] -= (state[_SENT] - slot - 1) % self._slots + 1
-        for k in range(state[_SENT], state[_MADE]):
-            at = k % self._slots
-            frames.silence(self._ring[at], 0, _FRAMES, locked)
-            for i in range(self._axes):
-                if at == slot or timing[frames.LOCKED] >> i & 1:
-                    self._notes[at * size + _NOTE + i] = steps[i]
+            if axes >> i & 1 and not timing[frames.LOCKED] >> i & 1:
+                self._locked_at[i] = steps[i]
+                self._lanes[_LANE * i + _LEFT] = 0
+        timing[frames.LOCKED] = timing[frames.LOCKED] | axes
+        self._state[_HALT] = 0
 
     def idle(self) -> bool:
         """Nothing is moving and nothing is queued in hardware."""
@@ -280,35 +263,28 @@ class I2sEngine:
         _follow(state, time.ticks_us(), self._buffer_us)
         return state[_LAST] < state[_PLAYING]
 
-    def position(self, steps: "array[int]") -> int:
-        """Copy the steps really made, per motor, to the frame. Returns the slot; -1: none."""
+    def position(self, steps: "array[int]") -> None:
+        """Copy the steps really made, per motor, to the frame; those to be taken back are not."""
         state, axes = self._state, self._axes
         passed = _follow(state, time.ticks_us(), self._buffer_us)
         slot = _find(state, self._notes, self._slots, self._size)
-        if slot == _NOWHERE:
-            for i in range(axes):
-                steps[i] = self._lanes[_LANE * i + _PLACE]
-            return -1
-        inside = slot >= 0
-        if not inside:
-            slot += _BEFORE
+        note = (slot if slot >= 0 else slot + _BEFORE) * self._size + _NOTE
         for i in range(axes):
-            steps[i] = self._notes[slot * self._size + _NOTE + i]
-        if not inside:
-            return -1
-        state[_SHOWN] = passed * _FRAMES // self._buffer_us + 1
-        frames.count(self._ring[slot], state[_SHOWN], self._timing, self._lanes, steps)
-        return slot
+            place = self._lanes[_LANE * i + _PLACE] if slot == _NOWHERE else self._notes[note + i]
+            steps[i] = place - self._owed[i]
+        if slot >= 0:
+            until = passed * _FRAMES // self._buffer_us + 1
+            frames.count(self._ring[slot], until, self._timing, self._lanes, steps)
 
     def set_position(self, steps: "array[int]") -> None:
         """Name the present place. At rest only."""
         self._state[_HALT] = 1
         for i in range(self._axes):
-            self._lanes[_LANE * i + _PLACE] = steps[i]
-        # What has been played at rest counts from there too.
-        for slot in range(self._slots):
-            for i in range(self._axes):
-                self._notes[slot * self._size + _NOTE + i] = steps[i]
+            place = steps[i] + self._owed[i]
+            self._lanes[_LANE * i + _PLACE] = place
+            # What has been played at rest counts from there too.
+            for slot in range(self._slots):
+                self._notes[slot * self._size + _NOTE + i] = place
         self._state[_HALT] = 0
 
     def times_dry(self) -> int:
@@ -343,13 +319,14 @@ class I2sEngine:
         slot = _find(state, self._notes, self._slots, self._size)
         if slot >= 0:
             power = self._notes[slot * self._size + _POWER]
-            if power not in (_NEVER, state[_TOLD]):
+            if power < _NEVER and power != state[_TOLD]:
                 state[_TOLD] = power
                 self._on_power(power)
 
     def _make(self) -> None:
         """Fill the next buffer of our ring."""
-        state, timing, lanes, row = self._state, self._timing, self._lanes, self._row
+        state, timing, lanes = self._state, self._timing, self._lanes
+        row = self._row
         slot = state[_MADE] % self._slots
         note = slot * self._size
         buffer = self._ring[slot]
@@ -362,6 +339,12 @@ class I2sEngine:
             state[_MOVED] = state[_MADE] + 1
             if not state[_ROW]:
                 timing[frames.ROW_END] = 0
+                if any(self._owed):
+                    self._take_back()
+                    frames.begin_row(
+                        buffer, row, timing, lanes, frames.lateness(row, timing, lanes)
+                    )
+                    state[_ROW] = 1
             while not state[_ROW] or frames.render(buffer, timing, lanes):
                 if not self._next_segment(row):
                     state[_PULLING] = 0
@@ -372,6 +355,22 @@ class I2sEngine:
                 self._notes[note + _POWER] = row[_ROW_POWER]
         frames.end_buffer(timing, lanes)
         state[_MADE] += 1
+
+    def _take_back(self) -> None:
+        """A segment that brings axes back to where they were locked."""
+        row = self._row
+        gap = self.tick_hz // _BACK_HZ
+        row[_ROW_TICKS] = gap * (max(abs(steps) for steps in self._owed) + 1)
+        row[_ROW_DIRS] = 0
+        for i in range(self._axes):
+            steps = abs(self._owed[i])
+            base = _ROW_AXES + _ROW_STRIDE * i
+            row[base] = steps
+            row[base + 1] = gap
+            row[base + 2] = gap * steps
+            if self._owed[i] > 0:
+                row[_ROW_DIRS] |= 1 << i
+            self._owed[i] = 0
 
     def _send_pause(self) -> bool:
         """Behind zeros, and before anything steps: directions as they are to be."""

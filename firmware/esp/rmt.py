@@ -48,6 +48,8 @@ _EARLY_US = const(4_000)
 _WAIT_US = const(1_200)
 _FROM_REST_US = const(2_000)
 _GUARD_US = const(20)
+# So long before write_pulses() returns the hardware has begun, about.
+_RETURN_US = const(10)
 _SETUP_US = const(10)
 # What write_pulses() takes, before it has been measured: us, and per duration in 1/8 us.
 _CALL_US = const(150)
@@ -258,7 +260,8 @@ class RmtEngine:
 
     def _prepare(self) -> bool:
         """Make the next train. Returns False where there is nothing to move."""
-        state, timing, rows, size = self._state, self._timing, self._rows, self._size
+        state, timing, rows = self._state, self._timing, self._rows
+        size = self._size
         while (
             state[_PULLING]
             and timing[trains.HELD] < trains.ROWS
@@ -300,7 +303,7 @@ class RmtEngine:
             if self._powers[2 * k] > passed:
                 break
             power = self._powers[2 * k + 1]
-        if power not in (state[_TOLD], _MASK):
+        if power < _MASK and power != state[_TOLD]:
             state[_TOLD] = power
             self._on_power(power)
 
@@ -368,7 +371,7 @@ class RmtEngine:
         pulses[0] = playing[0] = min(max(lead, 1), _PULSE_MAX)
         self._channels[axis].write_pulses(pulses, bool(self._step_invert >> axis & 1))
         took = time.ticks_diff(time.ticks_us(), before)
-        lanes[lane + _START] = (before + took) & _MASK
+        lanes[lane + _START] = (before + took - _RETURN_US) & _MASK
         lanes[lane + _COUNT] = count
         state[_SKEW] = max(state[_SKEW], abs(took - call))
         lanes[lane + _CALL] = min(max(lanes[lane + _CALL] + (took - call) // 2, 20), 1000)
