@@ -121,8 +121,6 @@ MSG_PROGRAM_END = "Pgm End"
 MSG_RESTORE_DEFAULTS = "Restoring defaults"
 MSG_SPINDLE_RESTORE = "Restoring spindle"
 MSG_SLEEP = "Sleeping"
-MSG_PUNCH_DOWN = "Punch not down"
-MSG_PUNCH_UP = "Punch not up"
 MSG_NOT_KEPT = "Flash is full or worn: not kept"
 
 

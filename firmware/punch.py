@@ -51,9 +51,12 @@ _SETTINGS: "Rows" = (
     (33, "punch_up_sensor_invert", BOOL, 0, "boolean"),
 )
 # Settings of a spindle, which are not there.
-_REPLACED = (30, 31, 32)
+_WITHOUT = (30, 31, 32)
 # A file of its own: $30=1000 of a spindle would turn an actuator round.
 _FILE = "settings_punch"
+
+_NOT_DOWN = "Punch not down"
+_NOT_UP = "Punch not up"
 
 # Port.punch_sensors()
 _DOWN = const(1)
@@ -85,7 +88,7 @@ class Punch(Spindle):
         self._report = report
         self._realtime = realtime
         self._pump = pump
-        self._pins.watch_punch(self._on_change)
+        self._pins.watch_punch(self.on_change)
 
     # What a spindle has
 
@@ -112,9 +115,9 @@ class Punch(Spindle):
         if direction == sp.OFF:
             self._drive(False)
             if not self._reach_up(self._pump):
-                self._fail(errors.ALARM_PUNCH_UP, errors.MSG_PUNCH_UP)
+                self._fail(errors.ALARM_PUNCH_UP, _NOT_UP)
             elif self._lost:
-                self._report.message(errors.MSG_PUNCH_UP)
+                self._report.message(_NOT_UP)
             self._lost = False
 
     def stop(self) -> None:
@@ -164,10 +167,10 @@ class Punch(Spindle):
         finally:
             self._drive(False)
         if made is None:
-            self._fail(errors.ALARM_PUNCH_DOWN, errors.MSG_PUNCH_DOWN)
+            self._fail(errors.ALARM_PUNCH_DOWN, _NOT_DOWN)
             self._realtime.reset()
         elif not self._reach_up(self._turn):
-            self._fail(errors.ALARM_PUNCH_UP, errors.MSG_PUNCH_UP)
+            self._fail(errors.ALARM_PUNCH_UP, _NOT_UP)
             self._realtime.reset()
         self._realtime.events()
         return bool(made)
@@ -193,7 +196,7 @@ class Punch(Spindle):
         """Whether motion may start. If not, the machine is in alarm and a reset is under way."""
         if self.is_up():
             return True
-        self._fail(errors.ALARM_PUNCH_UP, errors.MSG_PUNCH_UP)
+        self._fail(errors.ALARM_PUNCH_UP, _NOT_UP)
         self._realtime.reset()
         return False
 
@@ -202,8 +205,8 @@ class Punch(Spindle):
         self._report.alarm(code)
         self._report.message(words)
 
-    def _on_change(self) -> None:
-        """A sensor has changed. Interrupt."""
+    def on_change(self) -> None:
+        """A sensor may have changed. Interrupt."""
         if not self._engine.idle() and not self.is_up():
             self._lost = True
             if self._state.alarm == 0:
@@ -233,6 +236,7 @@ class PunchRealtime(Realtime):
         """Set the machine in motion if nothing is in the way."""
         if self._spindle.may_move():
             super().start(run)
+            self._spindle.on_change()  # it may have left in between
 
 
 class PunchGcode(Gcode):
@@ -263,11 +267,12 @@ class PunchGcode(Gcode):
                 return
 
 
-def find(tool: str, board: "ModuleType") -> "Any":
+def find(tool: str, board: "ModuleType", reports: "type[Report]") -> "Any":
     """What the controller makes a punch of. Raises ValueError where the board cannot have one."""
     if tool != "punch":
         raise ValueError("TOOL is spindle or punch, not " + tool)
     missing = [name for name in _PINS if getattr(board, name, None) is None]
     if missing:
         raise ValueError("TOOL = punch: the board file names no pin for " + ", ".join(missing))
-    return Punch, PunchGcode, PunchRealtime, _SETTINGS, _REPLACED, _FILE
+    without, extra = reports.SETTINGS or ((), ())
+    return Punch, PunchGcode, PunchRealtime, (without + _WITHOUT, extra + _SETTINGS, _FILE)

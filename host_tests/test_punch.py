@@ -415,7 +415,7 @@ def test_nothing_moves_while_it_is_down_whatever_happens(
 def test_the_simulated_machine_does_judge() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         bench.rig.controller.spindle.may_move = lambda: True
-        bench.port._on_change = None
+        bench.rig.controller.spindle.on_change = lambda: None
         bench.port.dead = SENSOR_UP
         bench.port._place, bench.port._up_until = DOWN, bench.rig.now
         bench.port.stuck = True
