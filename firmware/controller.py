@@ -36,10 +36,6 @@ if TYPE_CHECKING:
 
     from interfaces import Link, Port, StepEngine, Store
 
-# Classes of the tool, its settings besides those of the table in place of others, and where
-# they are kept.
-_SPINDLE = (Spindle, Gcode, Realtime, (), (), "settings")
-
 _DEFAULT_BLOCKS = const(16)
 _DEFAULT_RX_BYTES = const(128)
 _LINE_LENGTH = const(79)
@@ -92,7 +88,7 @@ class Options:
         # What works on the material: "spindle", a laser too, or "punch", see docs/punch.md.
         self.tool: str = option("TOOL", "spindle")
         self.reports = _reports(self.dialect)
-        self.parts = _parts(self.tool, board)
+        self.parts = _parts(self.tool, board, self.reports)
 
     def letters(self) -> str:
         """The text of [OPT:…]: Grbl's letters for what is on, planner blocks, receive bytes."""
@@ -123,13 +119,13 @@ def _reports(dialect: str) -> "type[Report]":
     return report_09.find(dialect)
 
 
-def _parts(tool: str, board: "ModuleType") -> "Any":
-    """What that tool is made of, as in _SPINDLE. Raises ValueError where it cannot be."""
+def _parts(tool: str, board: "ModuleType", reports: "type[Report]") -> "Any":
+    """What that tool is made of. Raises ValueError where it cannot be."""
     if tool == "spindle":
-        return _SPINDLE
+        return Spindle, Gcode, Realtime, reports.SETTINGS
     import punch
 
-    return punch.find(tool, board)
+    return punch.find(tool, board, reports)
 
 
 class Controller:
@@ -143,20 +139,15 @@ class Controller:
         self.port = port
         self.engine = engine
         self.state = State()
-        tool, self._gcode, self._realtime, extra, replaced, file = options.parts
-        reports = options.reports
-        defaults = dict(reports.DEFAULTS)
-        defaults.update(options.defaults)
-        without = reports.NO_SETTINGS + replaced
-        self.settings = Settings(store, axes, defaults, without, extra, file)
+        self.settings = Settings(store, axes, options.defaults, *options.parts[3])
         self.settings.max_step_hz = options.max_step_hz
         self.coords = Coords(store, axes, TOOL_LENGTH)
         self.planner = Planner(axes, options.blocks, options.corexy, self.state)
         self.segments = Segments(self.planner)
-        self.spindle = tool(port, self.state, options.enable_pin)
+        self.spindle = options.parts[0](port, self.state, options.enable_pin)
         self.coolant = Coolant(port, self.state)
         self.inputs = Inputs(port, axes, options.door)
-        self.report = reports(
+        self.report = options.reports(
             link, self.state, self.settings, self.coords, axes, options.line_numbers
         )
         self._make_language()
@@ -166,8 +157,7 @@ class Controller:
             options.rx_bytes,
             _LINE_LENGTH,
             self.realtime.post,
-            reports.REALTIME,
-            reports.CUTS_LINES,
+            options.reports.READS,
         )
         self.protocol = Protocol(link, self.state, self.reader, self.report, options.echo)
         self._steps = array("i", (0 for _ in range(axes)))
@@ -196,7 +186,7 @@ class Controller:
             options.zero_origin,
             options.shared_switches,
         )
-        self.gcode = self._gcode(
+        self.gcode = options.parts[1](
             options.axes,
             self.state,
             self.settings,
@@ -217,7 +207,7 @@ class Controller:
 
     def _make_states(self) -> None:
         """The run states and what moves the machine between them."""
-        self.realtime = self._realtime(
+        self.realtime = self.options.parts[2](
             self.state,
             self.settings,
             self.engine,

@@ -27,11 +27,15 @@ _LENGTH = const(3)  # of the line so far
 _LONGEST = const(4)
 _FIRST_REALTIME = const(5)
 _EXTRA_REALTIME = const(6)
-_TOO_MUCH = const(7)  # what becomes of _SKIPPING where a line is too long; 0 = it ends there
+_TOO_MUCH = const(7)
 _SKIPPING = const(8)  # mask:
 _IN_PARENTHESES = const(1)
 _AFTER_SEMICOLON = const(2)
 _OVERFLOW = const(4)
+
+# What a reader is told: the first of the upper real-time bytes, one more of them, and what is
+# to become of the rest of a line too long: _OVERFLOW skips it, 0 makes it a line of its own.
+READS = (0x80, 0x84, _OVERFLOW)
 
 
 @micropython.viper
@@ -100,25 +104,19 @@ def clean(ring: ptr8, at: ptr32, line: ptr8) -> int:
 
 
 class LineReader:
-    """The ring and the line being put together. size: bytes of the ring; longest: of a line.
-
-    realtime: the first of the upper real-time bytes, and one more; cuts_lines: what is behind
-    the end of a line too long is a line of its own.
-    """
+    """The ring and the line being put together. size: bytes of the ring; longest: of a line."""
 
     def __init__(
         self,
         size: int,
         longest: int,
         on_realtime: "Callable[[int], None]",
-        realtime: "tuple[int, int]" = (0x80, 0x84),
-        cuts_lines: bool = False,
+        reads: "tuple[int, int, int]" = READS,
     ) -> None:
         self.line = bytearray(longest + 1)
         self._on_realtime = on_realtime
         self._ring = bytearray(size + 1)
-        too_much = 0 if cuts_lines else _OVERFLOW
-        self._at = array("i", (size + 1, 0, 0, 0, longest, realtime[0], realtime[1], too_much, 0))
+        self._at = array("i", (size + 1, 0, 0, 0, longest) + reads + (0,))  # noqa: RUF005
 
     @property
     def length(self) -> int:

@@ -5,6 +5,7 @@ report is put together from parts.
 """
 
 import errors
+import lines
 import state as st
 from axes import LETTERS
 from coords import NAMES
@@ -17,6 +18,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from array import array
     from collections.abc import Callable
+    from typing import Any
 
     from coolant import Coolant
     from coords import Coords
@@ -63,15 +65,12 @@ class Report:
     The constants say what this dialect of Grbl has; report_09.py has others.
     """
 
-    # Real-time bytes besides ? ~ ! and Ctrl-X: all from the first on, and the second.
-    REALTIME = (0x80, 0x84)
-    # What is behind the end of a line too long is a line of its own.
-    CUTS_LINES = False
+    READS = lines.READS
     HIGHEST_TOOL = 255
-    # Commands, by their letters, and settings that are not there.
+    # Letters of commands that are not there.
     NO_COMMANDS = b""
-    NO_SETTINGS: "tuple[int, ...]" = ()
-    DEFAULTS: "dict[int, float]" = {}
+    # What Settings is to be told besides: numbers that are not there, rows that are.
+    SETTINGS: "tuple[Any, ...]" = ()
 
     def __init__(
         self,

@@ -11,6 +11,7 @@ from errors import ALARM_PROBE_FAIL_CONTACT, ALARM_PROBE_FAIL_INITIAL
 from f32 import INCH_PER_MM, f32
 from micropython import const
 from report import BUILD, Report
+from settings import INT
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -121,12 +122,17 @@ class Report09(Report):
     """Report, in the words of 0.9j."""
 
     VERSION = "0.9j"
-    REALTIME = (0x100, 0x40)  # @ is the safety door; there are no upper ones
-    CUTS_LINES = True
+    READS = (0x100, 0x40, 0)  # no upper real-time bytes; @ is the safety door
     HIGHEST_TOOL = 1 << 31
     NO_COMMANDS = b"JS"
-    NO_SETTINGS = (30, 31, 32)
-    DEFAULTS = {10: _MACHINE_POSITION | _WORK_POSITION}
+    SETTINGS = (
+        (10, 30, 31, 32),
+        (
+            # Status report options. 1: machine position; 2: work position; 4: planner blocks in
+            # use; 8: received bytes not yet read; 16: limit switches.
+            (10, "report_mask", INT, _MACHINE_POSITION | _WORK_POSITION, "mask"),
+        ),
+    )
 
     def connect(
         self,

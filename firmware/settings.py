@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     Rows = tuple[tuple[int, str, int, float, str], ...]
 
-_INT = const(0)  # whole, 0 to 255: larger numbers wrap
+INT = const(0)  # whole, 0 to 255: larger numbers wrap
 BOOL = const(1)
 _FLOAT = const(2)
 _RPM = const(3)  # a float, shown without decimals
@@ -31,13 +31,13 @@ _TABLE = (
     #
     # Step pulse time. Length of one step pulse; the driver's data sheet gives the minimum. No
     # less than 3.
-    (0, "step_pulse_us", _INT, 10, "microseconds"),
+    (0, "step_pulse_us", INT, 10, "microseconds"),
     # Step idle delay. Motors are released so long after a motion; 255 keeps them on for ever.
-    (1, "idle_lock_ms", _INT, 25, "milliseconds"),
+    (1, "idle_lock_ms", INT, 25, "milliseconds"),
     # Step pulse invert. One bit per axis: X = 1, Y = 2, Z = 4.
-    (2, "step_invert", _INT, 0, "mask"),
+    (2, "step_invert", INT, 0, "mask"),
     # Step direction invert. One bit per axis.
-    (3, "dir_invert", _INT, 0, "mask"),
+    (3, "dir_invert", INT, 0, "mask"),
     # Invert step enable pin. Off: low enables the drivers.
     (4, "enable_invert", BOOL, 0, "boolean"),
     # Invert limit pins. Off: switches pull their pins to ground when hit.
@@ -45,7 +45,7 @@ _TABLE = (
     # Invert probe pin. Off: the probe pulls its pin to ground on contact.
     (6, "probe_invert", BOOL, 0, "boolean"),
     # Status report options. 1: machine position rather than work position; 2: buffer state.
-    (10, "report_mask", _INT, 1, "mask"),
+    (10, "report_mask", INT, 1, "mask"),
     # Junction deviation. How far a corner may be rounded in thought; more makes corners faster.
     (11, "junction_deviation_mm", _FLOAT, 0.010, "millimeters"),
     # Arc tolerance. How far the chords of an arc may stray from it.
@@ -59,13 +59,13 @@ _TABLE = (
     # Homing cycle. $H is available, and the machine starts locked until homed.
     (22, "homing", BOOL, 0, "boolean"),
     # Homing direction invert. One bit per axis; set: the switch is at the negative end.
-    (23, "homing_dir_invert", _INT, 0, "mask"),
+    (23, "homing_dir_invert", INT, 0, "mask"),
     # Homing locate feed rate. The slow approach that counts.
     (24, "homing_feed", _FLOAT, 25.0, "mm/min"),
     # Homing search seek rate. The fast approach that finds the switch.
     (25, "homing_seek", _FLOAT, 500.0, "mm/min"),
     # Homing switch debounce delay. Rest between the moves of homing.
-    (26, "homing_debounce_ms", _INT, 250, "milliseconds"),
+    (26, "homing_debounce_ms", INT, 250, "milliseconds"),
     # Homing switch pull-off distance. Way back from the switch, far enough to open it.
     (27, "homing_pull_off_mm", _FLOAT, 1.0, "millimeters"),
     # Maximum spindle speed. The speed at full power.
@@ -228,7 +228,7 @@ class Settings:
             if row[0] == _ACCELERATION:
                 amount = amount * _PER_SECOND_SQR
             getattr(self, row[1])[axis] = amount
-        elif row[2] == _INT:
+        elif row[2] == INT:
             setattr(self, row[1], whole(amount) & 255)
         elif row[2] == BOOL:
             setattr(self, row[1], 1 if whole(amount) & 255 else 0)
