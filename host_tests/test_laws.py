@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from laws import Bench, Limits, check_pulses, check_segments, check_spacing, pulses, some, uneven
 from rig_bench import Machine
+from ugrbl.sim.engine import Switch
 
 fast = Limits((250.0, 250.0, 250.0), (3000.0, 3000.0, 1500.0), (500.0, 500.0, 200.0))
 
@@ -289,3 +290,32 @@ def test_a_reset_takes_overrides_back() -> None:
         ticks = [tick for tick, _ in pulses(machine.rows, 0)]
         spans.append((len(ticks), ticks[-1] - ticks[0]))
     assert spans[0] == spans[1]
+
+
+# The machine model
+
+
+def test_homing_with_bouncing_switches_ends_where_clean_ones_end() -> None:
+    places = []
+    for bounces in (0, 3):
+        machine = Machine({22: 1, 24: 150.0, 25: 1200.0, 26: 5, 27: 0.5, 110: 3000.0, 120: 200.0})
+        for axis, (pin, steps) in enumerate(
+            (("limit_x", 500), ("limit_y", 700), ("limit_z", 300))
+        ):
+            machine.rig.engine.switches.append(Switch(pin, axis, True, steps, bounces))
+        machine.play(["$H"])
+        assert machine.reported() == [-0.5, -0.5, -0.5]
+        places.append(machine.physical())
+    assert places[0] == places[1] == [375, 575, 175]
+
+
+def test_a_switch_that_bounces_changes_at_every_step_of_its_bounces() -> None:
+    switch = Switch("probe", 0, True, 10, 2)
+    closed = [switch.closed(steps) for steps in range(8, 17)]
+    assert closed == [False, False, True, False, True, False, True, True, True]
+    at, changes = 0, []
+    while switch.crossing(at, 20):
+        at += switch.crossing(at, 20)
+        changes.append(at)
+    assert changes == [10, 11, 12, 13, 14]
+    assert [switch.crossing(20, 0), switch.crossing(14, 13)] == [7, 1]

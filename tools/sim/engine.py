@@ -46,26 +46,39 @@ def steps_until(row: "array[int]", base: int, tick: int) -> int:
 
 
 class Switch:
-    """An input closed exactly while the steps of a motor are >= (or <=) a number."""
+    """An input closed exactly while the steps of a motor are >= (or <=) a number.
 
-    def __init__(self, pin: str, axis: int, above: bool, steps: int) -> None:
+    One that bounces opens again after its first step, and so on for so many times.
+    """
+
+    def __init__(self, pin: str, axis: int, above: bool, steps: int, bounces: int = 0) -> None:
         self.pin = pin
         self.axis = axis
         self.above = above
         self.steps = steps
+        self.bounces = bounces
 
     def closed(self, steps: int) -> bool:
         """Whether it is closed with the motor at `steps`."""
-        return steps >= self.steps if self.above else steps <= self.steps
+        beyond = steps - self.steps if self.above else self.steps - steps
+        return beyond >= 0 and (beyond % 2 == 0 or beyond >= 2 * self.bounces)
 
     def crossing(self, start: int, end: int) -> int:
         """Number of steps from start, on the way to end, after which it changes; 0 if never."""
-        if self.closed(start) == self.closed(end):
+        way = 1 if end > start else -1
+        here = self.closed(start)
+        if self.bounces == 0 and here == self.closed(end):
             return 0
-        edge = self.steps - (1 if self.above == (end < start) else 0)
-        if not self.above:
-            edge = self.steps + (1 if end > start else 0)
-        return abs(edge - start)
+        first, last = self.steps - 2 * self.bounces - 1, self.steps + 2 * self.bounces + 1
+        near = first if way > 0 else last  # nothing changes before it
+        made = max(0, (near - start) * way)
+        while made < abs(end - start):
+            made += 1
+            if self.closed(start + way * made) != here:
+                return made
+            if made > (last - first) + abs(near - start):
+                break
+        return 0
 
 
 class SimEngine:
