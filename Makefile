@@ -7,7 +7,7 @@ BIN := .venv/bin
 VENV := .venv/installed
 TYPESHED := .venv/typeshed/merged
 
-.PHONY: run test check fmt lint types build clean test-emulator test-senders bench docs
+.PHONY: run test check fmt lint types build clean test-senders docs
 
 run: $(VENV)  ## a demonstration in the simulator
 	$(BIN)/ugrbl demo
@@ -38,14 +38,8 @@ build: $(VENV)  ## firmware for MPY_ARCH into build/; prints bytes per module
 	done
 	@find build/$(MPY_ARCH) -name '*.mpy' -exec cat {} + | wc -c | xargs printf '%7d bytes in all\n'
 
-test-emulator: $(VENV)
-	$(BIN)/pytest -q host_tests/emulator
-
 test-senders: $(VENV)  ## real senders, installed into ~/.cache/ugrbl-senders, at the simulator
 	$(BIN)/pytest -q -rs host_tests/senders
-
-bench: $(VENV)
-	$(BIN)/ugrbl bench
 
 docs: $(VENV)  ## the tables in README.md, out of the firmware's own
 	$(BIN)/python -m ugrbl.docs
