@@ -1,0 +1,31 @@
+"""BIGTREETECH SKR Pico V1.0: an RP2040 with four TMC2209 drivers; X, Y and Z are used.
+
+The drivers run as they are wired, without their serial line: X makes 8 microsteps, Y 64, Z 32,
+since the pins that choose a driver's address choose its microsteps then. Limits are the STOP
+connectors; take the DIAG jumpers off. The spindle or laser is the servo connector, 3.3 V; the
+bed's MOSFET is flood coolant, the hot end's mist. From the maker's pin drawing. Never ran on
+hardware.
+"""
+
+CHIP = "rp2040"
+MPY_ARCH = "armv6m"
+ENGINE = "pio"
+LINK = "usb"
+
+STEP = (11, 6, 19)
+DIR = (10, 5, 28)
+ENABLE = (12, 7, 2)
+LIMIT = (4, 3, 25)
+PROBE = 22
+# Reset, hold, start, door: the E stop connector is hold.
+CONTROL = (None, 16, None, None)
+SPINDLE_PWM = 29
+FLOOD = 21
+MIST = True
+MIST_PIN = 23
+
+RX_BYTES = 255
+PWM_MAX = 1000
+
+# Belts of 2 mm and 20 teeth on X and Y, a screw of 8 mm on Z; motors of 1.8 degrees.
+DEFAULTS = {100: 40.0, 101: 320.0, 102: 800.0}

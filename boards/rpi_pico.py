@@ -1,0 +1,26 @@
+"""Raspberry Pi Pico with three stepper drivers on pins of their own, spindle or laser by PWM.
+
+Switches, buttons and probe go between their pin and ground; the Pico has the pull-ups. Pins give
+3.3 V: most drivers want no more, a spindle's controller may want a level shifter.
+"""
+
+CHIP = "pico"
+MPY_ARCH = "armv6m"
+ENGINE = "pio"
+LINK = "usb"
+
+STEP = (2, 3, 4)
+DIR = (5, 6, 7)
+ENABLE = 8
+LIMIT = (9, 10, 11)
+PROBE = 12
+# Reset, hold, start, door.
+CONTROL = (13, 14, 15, None)
+SPINDLE_PWM = 16
+SPINDLE_DIR = 17
+FLOOD = 18
+# Held to ground at power-up: MicroPython's prompt in place of the machine.
+REPL_PIN = 22
+
+RX_BYTES = 255
+PWM_MAX = 1000

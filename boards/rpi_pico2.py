@@ -1,0 +1,22 @@
+"""Raspberry Pi Pico 2 (RP2350): as rpi_pico.py. Never ran on hardware nor in an emulator."""
+
+CHIP = "pico2"
+MPY_ARCH = "armv7emsp"
+ENGINE = "pio"
+LINK = "usb"
+
+STEP = (2, 3, 4)
+DIR = (5, 6, 7)
+ENABLE = 8
+LIMIT = (9, 10, 11)
+PROBE = 12
+# Reset, hold, start, door.
+CONTROL = (13, 14, 15, None)
+SPINDLE_PWM = 16
+SPINDLE_DIR = 17
+FLOOD = 18
+# Held to ground at power-up: MicroPython's prompt in place of the machine.
+REPL_PIN = 22
+
+RX_BYTES = 255
+PWM_MAX = 1000

@@ -1,0 +1,179 @@
+"""The RP2040's `machine` module for CPython: pins, PWM and timers that a test looks at and drives.
+
+What is not modelled does not exist; what the board refuses is refused. Nothing happens by
+itself: a test drives inputs and lets timers expire. The ESP32's is esp_machine.py.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+_PINS = 30
+
+
+def freq() -> int:
+    return 125_000_000
+
+
+class _Memory:
+    """Registers, as far as somebody has written to them; they begin as 0."""
+
+    def __init__(self) -> None:
+        self.words: dict[int, int] = {}
+
+    def __getitem__(self, address: int) -> int:
+        if address % 4:
+            raise ValueError("address not aligned")
+        return self.words.get(address, 0)
+
+    def __setitem__(self, address: int, value: int) -> None:
+        if address % 4:
+            raise ValueError("address not aligned")
+        self.words[address] = value & 0xFFFFFFFF
+
+
+mem32 = _Memory()
+
+
+class Pin:
+    """A pin of the chip: one object per number. drive() is the world outside."""
+
+    IN, OUT = 0, 1
+    PULL_UP, PULL_DOWN = 1, 2
+    IRQ_FALLING, IRQ_RISING = 4, 8
+
+    pins: dict[int, "Pin"] = {}
+    id: int
+
+    def __new__(cls, id: int, *_: object, **__: object) -> "Pin":
+        if not 0 <= id < _PINS:
+            raise ValueError("invalid pin")
+        if id not in cls.pins:
+            pin = cls.pins[id] = object.__new__(cls)
+            pin.id, pin.mode, pin.pull, pin.level, pin.driven = id, cls.IN, None, 0, None
+            pin.handler, pin.trigger, pin.hard = None, 0, False
+        return cls.pins[id]
+
+    def __init__(
+        self,
+        id: int,
+        mode: int = -1,
+        pull: "int | None" = -1,
+        *,
+        value: "int | None" = None,
+    ) -> None:
+        self.mode: int = self.mode if mode == -1 else mode
+        self.pull: "int | None" = self.pull if pull == -1 else pull
+        self.driven: "int | None"
+        self.handler: "Callable[[Pin], object] | None"
+        self.trigger: int
+        self.hard: bool
+        if value is not None:
+            self.level: int = value
+
+    def value(self, level: "int | None" = None) -> int:
+        if level is not None:
+            self.level = 1 if level else 0
+        if self.mode == Pin.OUT:
+            return self.level
+        if self.driven is not None:
+            return self.driven
+        return 1 if self.pull == Pin.PULL_UP else 0
+
+    def irq(
+        self,
+        handler: "Callable[[Pin], object] | None" = None,
+        trigger: int = 12,
+        *,
+        hard: bool = False,
+    ) -> None:
+        self.handler, self.trigger, self.hard = handler, trigger, hard
+
+    def drive(self, level: int) -> None:
+        """The world outside sets the pin; an interrupt where the level changes."""
+        before = self.value()
+        self.driven = level
+        edge = Pin.IRQ_RISING if level else Pin.IRQ_FALLING
+        if self.handler and before != self.value() and self.trigger & edge:
+            self.handler(self)
+
+
+class PWM:
+    """A pulse width; one per pin."""
+
+    outputs: dict[int, "PWM"] = {}
+
+    def __init__(self, pin: Pin, *, freq: int, duty_u16: int) -> None:
+        if not 8 <= freq <= 62_500_000:
+            raise ValueError("freq out of range")
+        self.freq = freq
+        self.duty = duty_u16
+        PWM.outputs[pin.id] = self
+
+    def duty_u16(self, duty: int) -> None:
+        if not 0 <= duty <= 65535:
+            raise ValueError("duty out of range")
+        self.duty = duty
+
+
+class Timer:
+    """A timer; expire() lets its time come."""
+
+    ONE_SHOT, PERIODIC = 0, 1
+
+    def __init__(self, id: int = -1) -> None:
+        if id != -1:
+            raise ValueError("Timer doesn't exist")
+        self.callback: "Callable[[Timer], object] | None" = None
+        self.period = 0
+
+    def init(
+        self,
+        *,
+        mode: int = PERIODIC,
+        period: int = -1,
+        callback: "Callable[[Timer], object]",
+        hard: bool = False,
+    ) -> None:
+        self.mode, self.period, self.callback, self.hard = mode, period, callback, hard
+
+    def deinit(self) -> None:
+        self.callback = None
+
+    def expire(self) -> None:
+        callback = self.callback
+        if self.mode == Timer.ONE_SHOT:
+            self.callback = None
+        if callback:
+            callback(self)
+
+
+class WDT:
+    """A watchdog, which counts how often it has been fed."""
+
+    def __init__(self, *, timeout: int) -> None:
+        if not 1 <= timeout <= 8388:
+            raise ValueError("timeout exceeds 8388")
+        self.fed = 0
+
+    def feed(self) -> None:
+        self.fed += 1
+
+
+class I2S:
+    """Types only: the ESP32's is modelled in esp_machine.py."""
+
+    TX: int
+    STEREO: int
+    MONO: int
+
+    def __init__(self, *_: Any, **__: Any) -> None:
+        raise NotImplementedError
+
+    def write(self, data: object) -> int:
+        raise NotImplementedError
+
+    def fileno(self) -> int:
+        raise NotImplementedError
+
+    def deinit(self) -> None:
+        raise NotImplementedError

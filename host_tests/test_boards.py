@@ -1,0 +1,85 @@
+"""Board files: every one there is is good, and every mistake is named."""
+
+from types import ModuleType
+from typing import Any
+
+import pytest
+from ugrbl.boards import problems
+from ugrbl.machine import boards, load_board
+from ugrbl.new_board import CHIPS
+
+REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
+
+GOOD: dict[str, Any] = {
+    "CHIP": "pico",
+    "MPY_ARCH": "armv6m",
+    "ENGINE": "pio",
+    "STEP": (2, 3, 4),
+    "DIR": (5, 6, 7),
+    "LIMIT": (9, 10, 11),
+    "CONTROL": (None, 14, None, None),
+    "DEFAULTS": {100: 800.0},
+}
+
+
+def board(**changes: Any) -> ModuleType:
+    made = ModuleType("made")
+    for name, value in {**GOOD, **changes}.items():
+        if value is not None:
+            setattr(made, name, value)
+    return made
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_every_board_there_is_is_good(name: str) -> None:
+    assert problems(load_board(name)) == []
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_a_board_says_what_it_is(name: str) -> None:
+    found: Any = load_board(name)
+    assert found.__doc__ and found.__doc__.strip().endswith(".")
+    assert not hasattr(found, "CHIP") or CHIPS[found.CHIP].mpy_arch == found.MPY_ARCH
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_a_board_is_data_only(name: str) -> None:
+    found = load_board(name)
+    values = {key: value for key, value in vars(found).items() if not key.startswith("_")}
+    allowed = (int, float, str, tuple, dict, bool)
+    assert all(key.isupper() and isinstance(value, allowed) for key, value in values.items())
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"DIR": (5, 6, 2)}, "DIR: pin 2 is STEP already"),
+        ({"PROBE": 14}, "HOLD: pin 14 is PROBE already"),
+        ({"REPL_PIN": 3}, "REPL_PIN: pin 3 is STEP already"),
+        ({"LIMIT": (9, 9, 11)}, "LIMIT names pin 9 twice"),
+        ({"PROBE": 23}, "PROBE: Raspberry Pi Pico has no pin 23 to connect to"),
+        ({"ENABLE": (8, 30)}, "ENABLE: Raspberry Pi Pico has no pin 30 to connect to"),
+        ({"ENABLE": (8, 4)}, "ENABLE: pin 4 is STEP already"),
+        ({"DIR": (5, 6)}, "DIR wants 3 pins, not 2"),
+        ({"STEP": (2, 3), "DIR": (5, 6), "LIMIT": None}, "STEP wants 3 pins, for XYZ"),
+        ({"STEP": (2, 3, 4, 8, 12)}, "pio has pulses for 4 axes at most"),
+        ({"CONTROL": (14,)}, "CONTROL wants four entries"),
+        ({"SAFETY_DOOR": True}, "SAFETY_DOOR is set and there is no pin for the door"),
+        ({"PWM_MAX": 65535}, "PWM_MAX is from 1 to 16383"),
+        ({"WATCHDOG_MS": 9000}, "WATCHDOG_MS is 8388 at the most"),
+        ({"DEFAULTS": {0: 1}}, "DEFAULTS: $0=1 is refused"),
+        ({"ENGINE": "rmt"}, "ENGINE 'rmt' does not run on MPY_ARCH 'armv6m'"),
+        ({"ENGINE": "steam"}, "ENGINE 'steam' is not one of"),
+        ({"CHIP": "potato"}, "CHIP is not one of"),
+        ({"LINK": "pigeon"}, "LINK 'pigeon' is not one of"),
+        ({"DIR": None, "STEP": None}, ""),
+    ],
+)
+def test_a_mistake_is_named(changes: "dict[str, Any]", said: str) -> None:
+    found = problems(board(**changes))
+    assert (said in found[0] and len(found) == 1) if said else found == []
+
+
+def test_an_engine_is_what_its_board_needs() -> None:
+    made = board(STEP=None)
+    assert problems(made) == ["STEP is missing"]

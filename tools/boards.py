@@ -1,0 +1,158 @@
+"""What is wrong with a board file: judged from its data, before anything is on a board."""
+
+from collections.abc import Iterator
+from types import ModuleType
+from typing import Any
+
+from .new_board import AXES, CHIPS, CONTROLS, ITEMS, Board, BoardError, Chip, check_item
+
+# Which chip it may be where a board file does not say.
+_BY_ARCH = {
+    "armv6m": ("rp2040",),
+    "armv7emsp": ("rp2350",),
+    "xtensawin": ("esp32", "esp32s3"),
+}
+_RP2350 = CHIPS["rp2040"]._replace(title="RP2350 on a board of its own", mpy_arch="armv7emsp")
+_CHIPS = {**CHIPS, "rp2350": _RP2350}
+_ENGINES = {"pio": ("armv6m", "armv7emsp"), "rmt": ("xtensawin",), "i2s": ("xtensawin",)}
+_LINKS = ("usb", "uart")
+
+# Pins that new_board does not ask for.
+_OTHERS = {
+    "REPL_PIN": "the button for MicroPython's prompt",
+    "PUNCH_DOWN": "punch down",
+    "PUNCH_UP": "punch up",
+    "PUNCH_DOWN_SENSOR": "sensor of the punch being down",
+    "PUNCH_UP_SENSOR": "sensor of the punch being up",
+}
+_MOST_PWM = 16383  # times 65535 is still a small integer, which an interrupt needs
+_NEEDED_AXES = 3
+
+
+def problems(board: ModuleType) -> list[str]:
+    """Every problem in words: what and why. None for a good board."""
+    if not hasattr(board, "DIR"):  # a simulated machine
+        return []
+    found = list(_parts(board))
+    if found:
+        return found
+    check = _inputs if board.ENGINE == "i2s" else _pins
+    found = min((list(check(board, chip)) for chip in _chips(board)), key=len)
+    return found + list(_options(board)) + list(_defaults(board))
+
+
+def _chips(board: ModuleType) -> list[Chip]:
+    names = (board.CHIP,) if hasattr(board, "CHIP") else _BY_ARCH[board.MPY_ARCH]
+    return [_CHIPS[name] for name in names if name in _CHIPS]
+
+
+def _parts(board: ModuleType) -> Iterator[str]:
+    for name in ("ENGINE", "MPY_ARCH", "STEP", "DIR"):
+        if not hasattr(board, name):
+            yield f"{name} is missing"
+            return
+    if board.ENGINE not in _ENGINES:
+        yield f"ENGINE {board.ENGINE!r} is not one of {', '.join(_ENGINES)}"
+    elif board.MPY_ARCH not in _ENGINES[board.ENGINE]:
+        yield f"ENGINE {board.ENGINE!r} does not run on MPY_ARCH {board.MPY_ARCH!r}"
+    elif not _chips(board):
+        yield f"CHIP is not one of {', '.join(_CHIPS)}"
+    elif getattr(board, "LINK", "usb") not in _LINKS:
+        yield f"LINK {board.LINK!r} is not one of {', '.join(_LINKS)}"
+
+
+def _as_tuple(value: Any) -> tuple[Any, ...]:
+    return value if isinstance(value, tuple) else (value,)
+
+
+def _held(board: ModuleType) -> Iterator[tuple[str, tuple[int, ...]]]:
+    """Names in the board file with their pins, controls by their own names."""
+    for item in ITEMS:
+        if item.name not in CONTROLS and getattr(board, item.name, None) is not None:
+            yield item.name, _as_tuple(getattr(board, item.name))
+    for name, pin in zip(CONTROLS, getattr(board, "CONTROL", ()), strict=False):
+        if pin is not None:
+            yield name, (pin,)
+    for name in _OTHERS:
+        if getattr(board, name, None) is not None:
+            yield name, _as_tuple(getattr(board, name))
+
+
+def _pins(board: ModuleType, chip: Chip) -> Iterator[str]:
+    """No pin twice, pins that exist, as many as the engine needs."""
+    if len(board.STEP) < _NEEDED_AXES:
+        yield f"STEP wants {_NEEDED_AXES} pins, for {AXES[:_NEEDED_AXES]}"
+    if len(getattr(board, "CONTROL", (None,) * 4)) != len(CONTROLS):
+        yield "CONTROL wants four entries, for reset, hold, start and door; None where not wired"
+    items = {item.name: item for item in ITEMS}
+    known = Board(board.__name__, chip)
+    for name, pins in _held(board):
+        # An enable per driver is as good as one for all.
+        if name in items and not (name == "ENABLE" and len(pins) > 1):
+            try:
+                check_item(known, items[name], pins)
+            except BoardError as error:
+                yield str(error)
+                continue
+        else:
+            yield from _loose(known, name, pins)
+        known.pins[name] = pins
+
+
+def _loose(known: Board, name: str, pins: tuple[int, ...]) -> Iterator[str]:
+    used = {pin: other for other, held in known.pins.items() for pin in held}
+    for count, pin in enumerate(pins):
+        if pin not in known.chip.pins:
+            yield f"{name}: {known.chip.title} has no pin {pin} to connect to"
+        elif pin in used:
+            yield f"{name}: pin {pin} is {used[pin]} already"
+        elif pin in pins[:count]:
+            yield f"{name} names pin {pin} twice"
+
+
+def _inputs(board: ModuleType, chip: Chip) -> Iterator[str]:
+    """Of a board whose outputs are behind shift registers: those apart, pins of the chip apart."""
+    outputs = (*board.STEP, *board.DIR, *_as_tuple(getattr(board, "ENABLE", ())))
+    for pin in sorted(set(outputs)):
+        if outputs.count(pin) > 1:
+            yield f"output {pin} of the shift registers has two uses"
+    known = Board(board.__name__, chip, {"I2S": board.I2S})
+    for name, pins in _held(board):
+        if name not in ("STEP", "DIR", "ENABLE"):
+            yield from _loose(known, name, pins)
+            known.pins[name] = pins
+
+
+def _options(board: ModuleType) -> Iterator[str]:
+    if not 0 < getattr(board, "PWM_MAX", 1000) <= _MOST_PWM:
+        yield f"PWM_MAX is from 1 to {_MOST_PWM}"
+    if getattr(board, "WATCHDOG_MS", 0) > 8388:
+        yield "WATCHDOG_MS is 8388 at the most: the watchdog counts no further"
+    for option, name in (("SAFETY_DOOR", "door"), ("MIST", "mist")):
+        if getattr(board, option, False) and not _wired(board, name):
+            yield f"{option} is set and there is no pin for the {name}"
+
+
+def _wired(board: ModuleType, name: str) -> bool:
+    if name == "mist":
+        return getattr(board, "MIST_PIN", None) is not None
+    return len(getattr(board, "CONTROL", ())) == len(CONTROLS) and board.CONTROL[-1] is not None
+
+
+def _defaults(board: ModuleType) -> Iterator[str]:
+    from . import paths
+
+    paths.use_firmware()
+    from errors import GrblError
+    from settings import Settings
+
+    from .messages import meaning
+    from .sim.rig import MemoryStore
+
+    settings = Settings(MemoryStore(), len(board.STEP), {})
+    settings.load()
+    for number, value in getattr(board, "DEFAULTS", {}).items():
+        try:
+            settings.set(number, value)
+        except GrblError as error:
+            yield f"DEFAULTS: ${number}={value:g} is refused: {meaning(f'error:{error.args[0]}')}"
