@@ -27,6 +27,11 @@ _BOTH_EDGES = Pin.IRQ_RISING | Pin.IRQ_FALLING
 _PRIORITIES = const(0xE000E400)
 _FIRST = const(0x40)
 
+# The watchdog's control register, and where ones clear bits of it.
+_WATCHDOG = const(0x40058000)
+_WATCHDOG_2350 = const(0x400D8000)
+_CLEAR = const(0x3000)
+
 
 class GpioPort:
     """A Port, and a PunchPort where the board file has the pins."""
@@ -196,13 +201,14 @@ class GpioPort:
         """A button between this pin and ground is held."""
         return pin is not None and Pin(pin, Pin.IN, Pin.PULL_UP).value() == 0
 
-    def watchdog(self, timeout_ms: int) -> machine.WDT:
-        """Make the chip start anew where feed() is not called for so long."""
-        return machine.WDT(timeout=timeout_ms)
-
-    def pacify(self, watchdog: machine.WDT) -> None:
-        """Feed the watchdog for ever: it cannot be told to stop."""
-        self._timer.init(mode=Timer.PERIODIC, period=1000, callback=lambda _: watchdog.feed())
+    def watch(self, timeout_ms: int) -> "Callable[[], None] | None":
+        """Make the chip start anew where the result is not called for so long; 0: no more."""
+        if timeout_ms:
+            watchdog: "Callable[[], None]" = machine.WDT(timeout=timeout_ms).feed
+            return watchdog
+        # MicroPython has no way to stop it; clearing the enabling bit is one.
+        machine.mem32[(_WATCHDOG_2350 if _is_rp2350() else _WATCHDOG) + _CLEAR] = 1 << 30
+        return None
 
 
 def _input(pin: "int | None") -> "Pin | None":
@@ -224,8 +230,12 @@ def _mask(pins: "list[Pin | None] | tuple[Pin | None, ...]") -> int:
 
 def _raise_priority() -> None:
     """Interrupts of pins before all others."""
-    number = 21 if "RP2350" in sys.implementation._machine else 13
+    number = 21 if _is_rp2350() else 13
     address = _PRIORITIES + number // 4 * 4
     shift = number % 4 * 8
     others = machine.mem32[address] & ~(0xFF << shift)
     machine.mem32[address] = others | _FIRST << shift
+
+
+def _is_rp2350() -> bool:
+    return "RP2350" in sys.implementation._machine

@@ -6,8 +6,12 @@ MicroPython collects what has arrived in a ring of 512 bytes, and hands it out b
 out, and read where it lies; where it is not found the plain way is taken. USB makes the sender
 wait when the ring is full: nothing is ever lost.
 
-Back to the REPL, only while the machine is at rest (at_rest): Ctrl-C three times in a row, or
-Ctrl-C and Ctrl-A as mpremote sends them; KeyboardInterrupt leaves read_into() then.
+A hard timer looks at the ring too: Ctrl-X acts also while the main loop is busy, and a sender
+that opens the port is seen, for the welcome. What MicroPython writes while no port is open waits
+for the first one that is.
+
+Back to the REPL, only while the machine is at rest: Ctrl-C three times in a row, or Ctrl-C and
+Ctrl-A as mpremote sends them; KeyboardInterrupt leaves read_into() then.
 """
 
 import array
@@ -34,10 +38,28 @@ for _module in (array, binascii, io, machine, os, select, time):
 _CTRL_A = const(1)
 _CTRL_C = const(3)
 _CR = const(13)
+_CTRL_X = const(24)
 _PATIENCE = const(3)  # times Ctrl-C
 
 # A host that does not read for so long is taken for absent, and is not waited for any more.
 _DEAF_MS = const(250)
+
+_LOOK_MS = const(5)
+
+# What a link remembers: where the ring is,
+_RING = const(0)
+_TAKING = const(1)  # whether the main loop is taking bytes out of it,
+_PORT = const(2)  # what the sender has done with the port,
+_NEVER = const(0)
+_OPEN = const(1)
+_CLOSED = const(2)
+_OPENED = const(3)  # and whether it has opened it once more.
+
+# The last request of the host, in the memory of RP2040's and RP2350's USB: requests that tell
+# of the port being open or not (its DTR), and that the cable has been plugged in.
+_SETUP = const(0x50100000)
+_SET_LINE_STATE = const(0x2221)
+_SET_CONFIGURATION = const(0x0900)
 
 # MicroPython's struct ringbuf_t: address, size : 16, iget : 16, iput : 16.
 _RING_BYTES = const(512)
@@ -68,10 +90,11 @@ def _find(memory: ptr32, start: int, trial: ptr8, length: int) -> int:
 
 
 @micropython.viper
-def _take(ring: ptr32, buf: ptr8, room: int) -> int:
+def _take(at: ptr32, buf: ptr8, room: int) -> int:
     """Move up to `room` bytes that the ring holds into buf. Returns how many."""
-    shorts = ptr16(ring)
-    data = ptr8(ring[0])
+    at[_TAKING] = 1
+    shorts = ptr16(at[_RING])
+    data = ptr8(ptr32(at[_RING])[0])
     get = shorts[3]
     put = shorts[4]
     count = 0
@@ -82,7 +105,34 @@ def _take(ring: ptr32, buf: ptr8, room: int) -> int:
             get = 0
         count += 1
     shorts[3] = get
+    at[_TAKING] = 0
     return count
+
+
+@micropython.viper
+def _look(at: ptr32) -> int:
+    """Interrupt: drop all that has arrived up to a Ctrl-X. Returns whether there was one."""
+    shorts = ptr16(at[_RING])
+    data = ptr8(ptr32(at[_RING])[0])
+    get = shorts[3]
+    put = shorts[4]
+    request = ptr32(_SETUP)[0]
+    is_open = request & 0xFFFF == _SET_LINE_STATE and request & 0x10000
+    is_closed = request & 0x1FFFF == _SET_LINE_STATE or request & 0xFFFF == _SET_CONFIGURATION
+    if at[_PORT] == _OPEN:
+        if is_closed:
+            at[_PORT] = _CLOSED
+    elif is_open or get != put:
+        at[_OPENED] = at[_PORT] == _CLOSED
+        at[_PORT] = _OPEN
+    found = 0
+    if at[_TAKING] == 0:
+        while get != put:
+            get = (get + 1) & (_RING_BYTES - 1)
+            if data[(get - 1) & (_RING_BYTES - 1)] == _CTRL_X:
+                shorts[3] = get
+                found = 1
+    return found
 
 
 @micropython.viper
@@ -123,12 +173,11 @@ def _push(data: bytes) -> None:
 
 
 class UsbLink:
-    """A Link. at_rest: whether the REPL may be asked for; watchdog: fed at every turn."""
+    """A Link. feed: called at every turn of the main loop, for a watchdog."""
 
     def __init__(self) -> None:
         micropython.kbd_intr(-1)  # Ctrl-C is a byte like others
-        self.at_rest: "Callable[[], bool] | None" = None
-        self.watchdog: "Any" = None
+        self.feed: "Callable[[], None] | None" = None
         self._in: "Any" = sys.stdin.buffer
         self._out: "Any" = sys.stdout.buffer
         self._arrived: "Any" = select.poll()
@@ -139,7 +188,31 @@ class UsbLink:
         self._interrupts = 0
         self._byte = bytearray(1)
         self._early = bytearray()
-        self._ring = self._find_ring()
+        self._at_rest: "Callable[[], bool]" = lambda: True
+        self._timer: "machine.Timer | None" = None
+        self._at = array.array("i", (0, 0, _NEVER, 0))
+        if sys.platform == "rp2":
+            self._at[_RING] = self._find_ring()
+
+    def attach(
+        self,
+        at_rest: "Callable[[], bool]",
+        on_reset: "Callable[[], None]",
+        on_open: "Callable[[], None]",
+    ) -> None:
+        """Say when the REPL may be asked for, who hears of Ctrl-X, in a hard interrupt, while
+        the main loop does not listen, and who greets a sender that opens the port anew."""
+        self._at_rest = at_rest
+        self._on_reset = on_reset
+        self._on_open = on_open
+        if self._at[_RING]:
+            self._timer = machine.Timer()
+            self._timer.init(period=_LOOK_MS, callback=self._look, hard=True)
+
+    @micropython.native
+    def _look(self, _timer: object) -> None:
+        if _look(self._at):
+            self._on_reset()
 
     def _find_ring(self) -> int:
         """Address of MicroPython's ring, or 0."""
@@ -153,11 +226,12 @@ class UsbLink:
         index = _find(_MEMORY, 0, _TRIALS[0], len(_TRIALS[0]))
         while index >= 0:
             ring = _MEMORY + 4 * index
+            at = array.array("i", (ring, 0))
             trial = bytearray(len(_TRIALS[0]))
-            _take(ring, trial, len(trial))
+            _take(at, trial, len(trial))
             _push(_TRIALS[1])
             if _find(_MEMORY, index, _TRIALS[1], len(_TRIALS[1])) == index:
-                _take(ring, trial, len(trial))
+                _take(at, trial, len(trial))
                 return ring
             index = _find(_MEMORY, index + 1, _TRIALS[0], len(_TRIALS[0]))
         self._drop_trials()
@@ -171,16 +245,20 @@ class UsbLink:
 
     def read_into(self, buf: bytearray) -> int:
         """Move what has arrived into buf; return how many bytes."""
-        if self.watchdog:
-            self.watchdog.feed()
+        if self.feed:
+            self.feed()
+        at = self._at
         if self._early:
             count = min(len(buf), len(self._early))
             buf[:count] = self._early[:count]
             self._early = self._early[count:]
-        elif self._ring:
-            count = _take(self._ring, buf, len(buf))
+        elif at[_RING]:
+            count = _take(at, buf, len(buf))
             if count == 0 and self._waiting():  # asking also fills the ring
-                count = _take(self._ring, buf, len(buf))
+                count = _take(at, buf, len(buf))
+            if at[_OPENED]:
+                at[_OPENED] = 0
+                self._on_open()
         else:
             count = self._read_plainly(buf)
         if count and _control_bytes(buf, count):
@@ -212,7 +290,7 @@ class UsbLink:
                 self._interrupts = 0
             if self._interrupts >= _PATIENCE:
                 self._interrupts = 0
-                if self.at_rest and self.at_rest():
+                if self._at_rest():
                     self.close()
                     _push(bytes(buf[i:count]))  # the REPL reads on where we stop
                     raise KeyboardInterrupt
@@ -227,4 +305,6 @@ class UsbLink:
 
     def close(self) -> None:
         """Ctrl-C interrupts again."""
+        if self._timer:
+            self._timer.deinit()
         micropython.kbd_intr(_CTRL_C)

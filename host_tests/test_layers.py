@@ -19,11 +19,12 @@ LAYERS = (
     {"realtime", "commands", "suspension"},
     {"protocol", "punch"},
     {"controller"},
+    {"power_up"},
     {"main"},
 )
 LAYER = {module: number for number, layer in enumerate(LAYERS) for module in layer}
 
-# Ports stand outside the stack: they use the two lowest layers, and only main uses them.
+# Ports stand outside the stack: they use the two lowest layers, and only power_up uses them.
 PORT_PREFIXES = ("link", "gpio", "store")
 PORT_FOLDERS = ("pio", "esp")
 PORT_LAYERS = (0, 1)
@@ -35,7 +36,7 @@ MICROPYTHON = HARDWARE | set(
     "mip neopixel network ntptime onewire platform random re requests socket ssl struct sys time "
     "tls uarray uctypes webrepl websocket".split()
 )
-BOARD_FILE = "board"  # a file of boards/, put beside main on the board
+BOARD_FILE = "board"  # a file of boards/, put beside main.py on the board
 
 FILES = sorted(FIRMWARE.rglob("*.py"))
 each_file = pytest.mark.parametrize(
@@ -76,7 +77,7 @@ def may_import(module, used):
         same_folder = "." in used and used.partition(".")[0] == module.partition(".")[0]
         return same_folder or LAYER.get(used) in PORT_LAYERS
     if is_port(used) or used == BOARD_FILE:
-        return module == "main"
+        return module == "power_up"
     return LAYER.get(used, len(LAYERS)) < LAYER[module]
 
 

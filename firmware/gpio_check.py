@@ -1,0 +1,34 @@
+"""The pins of a board file, before anything is done with one of them."""
+
+from machine import Pin
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from types import ModuleType
+
+# Names that stand for pins of the chip, or for tuples of them; None is not wired.
+_MOTORS = "STEP DIR ENABLE"
+_OTHERS = (
+    "LIMIT PROBE CONTROL REPL_PIN SPINDLE_PWM SPINDLE_DIR SPINDLE_ON FLOOD MIST_PIN "
+    "PUNCH_DOWN PUNCH_UP PUNCH_DOWN_SENSOR PUNCH_UP_SENSOR"
+)
+
+
+def check(board: "ModuleType") -> None:
+    """No pin twice, and none that the chip has not. Raises ValueError, which says where."""
+    # Motors behind shift registers have numbers of their own.
+    names = _OTHERS if board.ENGINE == "i2s" else _MOTORS + " " + _OTHERS
+    used: "dict[int, str]" = {}
+    for name in names.split():
+        value = getattr(board, name, None)
+        for pin in value if isinstance(value, tuple) else (value,):
+            if pin is None:
+                continue
+            if pin in used:
+                raise ValueError("%s: pin %s is %s already" % (name, pin, used[pin]))
+            used[pin] = name
+            try:
+                Pin(pin)
+            except (TypeError, ValueError):
+                raise ValueError("%s: there is no pin %s" % (name, pin))

@@ -1,0 +1,195 @@
+"""Power up: choose the board's parts, build the machine, keep it running.
+
+The last safety net is here too. Where a board file cannot be right, or something is missing,
+nothing moves, and whoever asks is told why. Whatever goes wrong later that nobody has thought of
+stops the motors, switches spindle and coolant off, and says so in one line; the machine is in
+alarm then, until a soft reset.
+"""
+
+import gc
+import io
+import sys
+
+import errors
+import state as st
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from types import ModuleType
+    from typing import Any
+
+    from controller import Controller
+    from interfaces import StepEngine
+
+_RESET = const(0x18)
+_QUESTION = const(0x3F)
+_LONGEST = const(120)
+
+# Stuck for so long, the chip starts anew: flash is written in less, the longest of all work.
+_WATCHDOG_MS = const(5000)
+
+
+def main() -> "Controller | None":
+    """Run the machine of board.py, for ever or until the REPL is asked for; returns it."""
+    link: "Any" = None
+    port: "Any" = None
+    try:
+        import board
+
+        link = _link(getattr(board, "LINK", "usb"))
+        engine, port = _hardware(board)
+        if port.held(getattr(board, "REPL_PIN", None)):
+            link.close()
+            return None
+        machine = _build(board, link, port, engine)
+    except Exception as fault:
+        if port:
+            port.safe()
+        _stay(link, fault)
+        return None
+    _run(board, machine, link, port, engine)
+    return machine
+
+
+# Parts
+
+
+def _link(kind: str) -> "Any":
+    if kind == "uart":
+        from link_uart import UartLink
+
+        return UartLink()
+    if kind == "usb":
+        from link_usb import UsbLink
+
+        return UsbLink()
+    raise ValueError("LINK %s is not one there is" % kind)
+
+
+def _hardware(board: "ModuleType") -> "tuple[StepEngine, Any]":
+    """Engine and port; the engine's buffers are the first large things in memory."""
+    import gpio_check
+
+    gpio_check.check(board)
+    kind = board.ENGINE
+    if kind == "pio":
+        from gpio import GpioPort
+        from pio.engine import PioEngine
+
+        hold_us = getattr(board, "DIR_HOLD_US", 2)
+        setup_us = getattr(board, "DIR_SETUP_US", 5)
+        return PioEngine(board.STEP, board.DIR, hold_us, setup_us), GpioPort(board)
+    from gpio_esp import EspPort
+
+    if kind == "rmt":
+        from esp.rmt import RmtEngine
+
+        return RmtEngine(board.STEP, board.DIR), EspPort(board)
+    if kind == "i2s":
+        from esp.i2s import I2sEngine
+
+        engine = I2sEngine(
+            board.STEP, board.DIR, board.ENABLE, board.I2S, board.I2S_RATE_HZ, board.I2S_BUFFERS
+        )
+        return engine, EspPort(board, engine.enable)
+    raise ValueError("ENGINE %s is not one there is" % kind)
+
+
+def _build(board: "ModuleType", link: "Any", port: "Any", engine: "StepEngine") -> "Controller":
+    from store_flash import FlashStore
+
+    gc.collect()
+    import controller
+
+    machine = controller.build(board, link, port, engine, FlashStore())
+
+    def at_rest() -> bool:
+        return machine.state.run in (st.IDLE, st.ALARM)
+
+    def greet() -> None:
+        if at_rest():
+            machine.report.banner()
+
+    link.attach(at_rest, machine.realtime.reset, greet)
+    gc.collect()
+    return machine
+
+
+# Life
+
+
+def _run(
+    board: "ModuleType", machine: "Controller", link: "Any", port: "Any", engine: "StepEngine"
+) -> None:
+    fault: "Exception | None" = None
+    link.feed = port.watch(getattr(board, "WATCHDOG_MS", _WATCHDOG_MS))
+    while True:
+        try:
+            if fault:
+                told, fault = fault, None
+                _alarm(machine, link, told)
+            machine.run()
+        except KeyboardInterrupt:
+            break
+        except Exception as unforeseen:
+            fault = unforeseen
+        engine.stop()
+        port.safe()
+    engine.stop()
+    port.safe()
+    port.watch(0)
+    link.write(b"[MSG:Here is the REPL]\r\n")
+
+
+def _alarm(machine: "Controller", link: "Any", fault: Exception) -> None:
+    """Say what has happened, then wait for a soft reset."""
+    machine.state.alarm = 0
+    machine.state.run = st.ALARM
+    link.write(b"ALARM:%d\r\n" % errors.ALARM_INTERNAL)
+    link.write(_line(fault))
+    buf = bytearray(16)
+    while True:
+        count = link.read_into(buf)
+        for i in range(count):
+            if buf[i] == _RESET:
+                return
+            if buf[i] == _QUESTION:
+                machine.report.status()
+
+
+def _stay(link: "Any", fault: Exception) -> None:
+    """There is no machine: tell why, again to whoever writes to us."""
+    line = _line(fault)
+    if link is None:
+        print(line.decode())
+        return
+    try:
+        buf = bytearray(16)
+        link.write(line)
+        while True:
+            if link.read_into(buf):
+                link.write(line)
+    except KeyboardInterrupt:
+        return
+
+
+def _line(fault: Exception) -> bytes:
+    """A message of one line: what happened, and where."""
+    text = io.StringIO()
+    sys.print_exception(fault, text)
+    lines = text.getvalue().strip().split("\n")
+    place = lines[-2].strip() if len(lines) > 1 else ""
+    return ("[MSG:%s]\r\n" % _harmless("%s %s" % (lines[-1], place))).encode()
+
+
+def _harmless(text: str) -> str:
+    """The text without what senders take for an answer ("ok", "error") or for a message's end."""
+    clean = ""
+    for c in text[:_LONGEST]:
+        if clean[-1:] in ("o", "O") and c in ("k", "K"):
+            clean += "-"
+        clean += c if " " <= c <= "~" and c not in "[]" else " "
+    for word in ("Error", "error", "ERROR"):
+        clean = clean.replace(word, "Err")
+    return clean

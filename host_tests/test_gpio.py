@@ -1,0 +1,207 @@
+"""Pins of the RP2040 on stand-ins, and what power-up says of a board file that cannot be right."""
+
+import sys
+from collections.abc import Iterator
+from traceback import print_exception
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import gpio
+import gpio_check
+import machine
+import power_up
+import pytest
+from gpio import GpioPort
+from machine import PWM, Pin
+
+BOARD: dict[str, Any] = {
+    "ENGINE": "pio",
+    "STEP": (2, 3, 4),
+    "DIR": (5, 6, 7),
+    "ENABLE": 8,
+    "LIMIT": (9, 10, 11),
+    "PROBE": 12,
+    "CONTROL": (13, 14, 15, None),
+    "SPINDLE_PWM": 16,
+    "SPINDLE_DIR": 17,
+    "SPINDLE_ON": 19,
+    "FLOOD": 18,
+}
+
+
+def board(**changes: Any) -> ModuleType:
+    made = ModuleType("board")
+    vars(made).update({**BOARD, **changes})
+    return made
+
+
+@pytest.fixture(autouse=True)
+def new_chip(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    # The interpreter of the chip says what it is; CPython's does not.
+    monkeypatch.setattr(gpio.sys, "implementation", SimpleNamespace(_machine="with RP2040"))
+    Pin.pins.clear()
+    PWM.outputs.clear()
+    machine.mem32.words.clear()
+    yield
+    Pin.pins.clear()
+
+
+class Heard:
+    """Counts what it is called for."""
+
+    def __init__(self) -> None:
+        self.limits = self.controls = self.probe = 0
+
+    def on_limits(self) -> None:
+        self.limits += 1
+
+    def on_controls(self) -> None:
+        self.controls += 1
+
+    def on_contact(self) -> None:
+        self.probe += 1
+
+
+def made(**changes: Any) -> "tuple[GpioPort, Heard]":
+    port, heard = GpioPort(board(**changes)), Heard()
+    port.attach(heard.on_limits, heard.on_controls)
+    return port, heard
+
+
+def test_inputs_are_closed_when_pulled_to_ground() -> None:
+    port, _ = made()
+    assert (port.limits(), port.controls(), port.probe()) == (0, 0, False)
+    for pin in (10, 13, 12):
+        Pin(pin).drive(0)
+    assert (port.limits(), port.controls(), port.probe()) == (2, 1, True)
+
+
+def test_inputs_that_are_not_wired_are_never_closed() -> None:
+    port, _ = made(LIMIT=(), PROBE=None, CONTROL=(None,) * 4)
+    assert (port.limits(), port.controls(), port.probe()) == (0, 0, False)
+
+
+def test_every_edge_of_a_switch_is_heard_in_a_hard_interrupt() -> None:
+    _, heard = made()
+    Pin(9).drive(0)
+    Pin(9).drive(1)
+    Pin(14).drive(0)
+    assert (heard.limits, heard.controls) == (2, 1)
+    assert all(Pin(pin).hard for pin in (9, 10, 11, 12, 13, 14, 15))
+
+
+def test_pins_interrupt_before_all_others() -> None:
+    machine.mem32[0xE000E40C] = 0x80808080  # IO_IRQ_BANK0 is number 13
+    made()
+    assert machine.mem32[0xE000E40C] == 0x80804080
+
+
+def test_a_bouncing_button_is_heard_once_and_again_when_it_has_changed() -> None:
+    port, heard = made(CONTROL_DEBOUNCE_MS=20)
+    for level in (0, 1, 0, 1, 0):
+        Pin(13).drive(level)
+    assert heard.controls == 1
+    port._timer.expire()
+    assert heard.controls == 1
+    Pin(13).drive(1)
+    Pin(14).drive(0)  # while the contacts of the other are at it
+    assert heard.controls == 2
+    port._timer.expire()
+    assert heard.controls == 3
+    port._timer.expire()
+    assert heard.controls == 3
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_the_probe_is_told_of_once(closed: bool) -> None:
+    port, heard = made()
+    Pin(12).drive(1 if closed else 0)
+    port.watch_probe(heard.on_contact, closed)
+    assert heard.probe == 0
+    for level in (0, 1, 0, 1):
+        Pin(12).drive(level)
+    assert heard.probe == 1
+
+
+def test_a_probe_that_touches_already_is_told_of_at_once() -> None:
+    port, heard = made()
+    Pin(12).drive(0)
+    port.watch_probe(heard.on_contact, True)
+    assert heard.probe == 1
+
+
+def test_spindle_power_is_the_share_of_the_pulse() -> None:
+    port, _ = made(PWM_MAX=1000)
+    for power, duty in ((0, 0), (1, 65), (500, 32767), (1000, 65535)):
+        port.spindle(power > 0, power)
+        assert (PWM.outputs[16].duty, Pin(19).value()) == (duty, int(power > 0))
+
+
+def test_safe_switches_all_off_that_could_do_harm() -> None:
+    port, _ = made(MIST_PIN=20)
+    port.spindle(True, 1000)
+    port.coolant(3)
+    port.safe()
+    assert [Pin(pin).value() for pin in (18, 19, 20)] == [0, 0, 0]
+    assert PWM.outputs[16].duty == 0
+
+
+def test_motors_are_off_until_the_machine_enables_them() -> None:
+    port, _ = made(ENABLE=(8, 21, 22))
+    assert [Pin(pin).value() for pin in (8, 21, 22)] == [1, 1, 1]
+    port.enable(0)
+    assert [Pin(pin).value() for pin in (8, 21, 22)] == [0, 0, 0]
+
+
+def test_a_punch_has_its_pins() -> None:
+    port, heard = made(PUNCH_DOWN=20, PUNCH_UP=21, PUNCH_DOWN_SENSOR=22, PUNCH_UP_SENSOR=26)
+    port.watch_punch(heard.on_contact)
+    port.punch(1, 0)
+    assert (Pin(20).value(), Pin(21).value(), port.punch_sensors()) == (1, 0, 3)
+    Pin(26).drive(0)
+    assert (port.punch_sensors(), heard.probe) == (1, 1)
+
+
+def test_the_watchdog_is_stopped_for_the_repl() -> None:
+    port, _ = made()
+    assert port.watch(5000) is not None
+    assert port.watch(0) is None
+    assert machine.mem32[0x4005B000] == 1 << 30  # CTRL's ENABLE, by the alias that clears
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"DIR": (5, 6, 2)}, "DIR: pin 2 is STEP already"),
+        ({"PROBE": 30}, "PROBE: there is no pin 30"),
+        ({"CONTROL": (13, 9, None, None)}, "CONTROL: pin 9 is LIMIT already"),
+        ({"FLOOD": -1}, "FLOOD: there is no pin -1"),
+    ],
+)
+def test_a_wrong_pin_is_named(changes: "dict[str, Any]", said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        gpio_check.check(board(**changes))
+
+
+def test_outputs_behind_shift_registers_are_no_pins() -> None:
+    gpio_check.check(board(ENGINE="i2s", STEP=(2, 3, 101), LIMIT=(2, 3, 4)))
+
+
+def test_no_message_of_a_fault_can_be_taken_for_an_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(
+        sys,
+        "print_exception",
+        lambda fault, file: print_exception(fault, file=file),
+        raising=False,
+    )
+    try:
+        raise ValueError("token: Error in [book], ok")
+    except ValueError as fault:
+        line = power_up._line(fault)
+    assert line.startswith(b"[MSG:ValueErr: to-ken: Err in  boo-k , o-k ") and line.endswith(
+        b"]\r\n"
+    )
+    assert line.endswith(b"]\r\n") and line.count(b"\n") == 1
+    assert b"ok" not in line and b"rror" not in line
