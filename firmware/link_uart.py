@@ -1,43 +1,68 @@
-"""The sender on the board's own serial port: stdin and stdout, which are UART 0 or native USB.
+"""The sender on the ESP32's own serial port: stdin and stdout, which are UART 0 or native USB.
 
 MicroPython keeps 260 bytes that have arrived; a UART drops what comes on top of that and says
 nothing, so a board file that uses this tells senders of 128. Native USB lets the sender wait.
+Where there is native USB, what we say goes out on UART 0 as well, and no faster than there.
 """
 
 import select
 import sys
 
 import micropython
+from link_escape import Escape
 from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from typing import Any
 
+_CTRL_C = const(3)
 # What a UART's own memory takes without waiting; soft interrupts come in between.
 _PIECE = const(64)
 
 
 class UartLink:
-    """A Link."""
+    """A Link. feed: called at every turn of the main loop, for a watchdog."""
 
     def __init__(self) -> None:
         micropython.kbd_intr(-1)  # Ctrl-C is a byte like others
+        self.feed: "Callable[[], None] | None" = None
         self._in: "Any" = sys.stdin.buffer
         self._out: "Any" = sys.stdout.buffer
         self._byte = bytearray(1)
-        self._poll = select.poll()
-        self._poll.register(sys.stdin, select.POLLIN)
+        self._arrived: "Any" = select.poll()
+        self._arrived.register(sys.stdin, select.POLLIN)
+        self._escape = Escape(self.close)
+
+    def attach(
+        self,
+        at_rest: "Callable[[], bool]",
+        on_reset: "Callable[[], None]",
+        on_open: "Callable[[], None]",
+    ) -> None:
+        """Say when the REPL may be asked for. Of Ctrl-X, and of a sender that opens the port,
+        nobody hears but by reading: a UART knows of neither, and has no hard timer."""
+        self._escape.at_rest = at_rest
 
     def read_into(self, buf: bytearray) -> int:
         """Move what has arrived into buf; return how many bytes."""
+        if self.feed:
+            self.feed()
         count = 0
-        while count < len(buf) and self._poll.poll(0):
+        while count < len(buf) and self._waiting():
             if not self._in.readinto(self._byte):
                 break
             buf[count] = self._byte[0]
             count += 1
+        if count:
+            self._escape.listen(buf, count)
         return count
+
+    def _waiting(self) -> bool:
+        for _ in self._arrived.ipoll(0):
+            return True
+        return False
 
     def write(self, data: "bytes | bytearray | memoryview") -> None:
         """Send; waits where the line is slower than we are."""
@@ -47,3 +72,7 @@ class UartLink:
         whole = memoryview(data)
         for at in range(0, len(whole), _PIECE):
             self._out.write(whole[at : at + _PIECE])
+
+    def close(self) -> None:
+        """Ctrl-C interrupts again."""
+        micropython.kbd_intr(_CTRL_C)

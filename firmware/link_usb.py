@@ -10,8 +10,7 @@ A hard timer looks at the ring too: Ctrl-X acts also while the main loop is busy
 that opens the port is seen, for the welcome. What MicroPython writes while no port is open waits
 for the first one that is.
 
-Back to the REPL, only while the machine is at rest: Ctrl-C three times in a row, or Ctrl-C and
-Ctrl-A as mpremote sends them; KeyboardInterrupt leaves read_into() then.
+The way back to the REPL is link_escape.py's.
 """
 
 import array
@@ -24,6 +23,7 @@ import time
 
 import machine
 import micropython
+from link_escape import Escape, push
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -35,14 +35,16 @@ if TYPE_CHECKING:
 for _module in (array, binascii, io, machine, os, select, time):
     sys.modules[_module.__name__] = _module
 
-_CTRL_A = const(1)
 _CTRL_C = const(3)
-_CR = const(13)
 _CTRL_X = const(24)
-_PATIENCE = const(3)  # times Ctrl-C
 
 # A host that does not read for so long is taken for absent, and is not waited for any more.
 _DEAF_MS = const(250)
+
+# Answers wait for others, up to so many bytes, and until nothing has come for so many turns:
+# to send takes USB as long as a line takes to be read.
+_OUT_BYTES = const(64)
+_QUIET_TURNS = const(3)
 
 _LOOK_MS = const(5)
 
@@ -53,7 +55,11 @@ _PORT = const(2)  # what the sender has done with the port,
 _NEVER = const(0)
 _OPEN = const(1)
 _CLOSED = const(2)
-_OPENED = const(3)  # and whether it has opened it once more.
+_OPENED = const(3)  # whether it has opened it once more,
+_ESCAPES = const(4)  # whether bytes taken are such as ask for the prompt,
+_FULL = const(5)  # whether the ring was so full that more may wait behind it,
+_ALIVE = const(6)  # whether the main loop has looked, and
+_LENGTH = const(7)  # how much waits to be sent.
 
 # The last request of the host, in the memory of RP2040's and RP2350's USB: requests that tell
 # of the port being open or not (its DTR), and that the cable has been plugged in.
@@ -93,20 +99,36 @@ def _find(memory: ptr32, start: int, trial: ptr8, length: int) -> int:
 def _take(at: ptr32, buf: ptr8, room: int) -> int:
     """Move up to `room` bytes that the ring holds into buf. Returns how many."""
     at[_TAKING] = 1
+    at[_ALIVE] = 1
     shorts = ptr16(at[_RING])
     data = ptr8(ptr32(at[_RING])[0])
     get = shorts[3]
     put = shorts[4]
+    if (put - get) & (_RING_BYTES - 1) >= _RING_BYTES - 64:
+        at[_FULL] = 1
     count = 0
     while get != put and count < room:
-        buf[count] = data[get]
-        get += 1
-        if get == _RING_BYTES:
-            get = 0
+        c = data[get]
+        buf[count] = c
+        if c <= _CTRL_C:
+            at[_ESCAPES] = 1
+        get = (get + 1) & (_RING_BYTES - 1)
         count += 1
     shorts[3] = get
     at[_TAKING] = 0
     return count
+
+
+@micropython.viper
+def _keep(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
+    """Put data behind what waits to be sent. Returns whether there was room."""
+    length = at[_LENGTH]
+    if length + count > _OUT_BYTES:
+        return 0
+    for i in range(count):
+        out[length + i] = data[i]
+    at[_LENGTH] = length + count
+    return 1
 
 
 @micropython.viper
@@ -135,45 +157,8 @@ def _look(at: ptr32) -> int:
     return found
 
 
-@micropython.viper
-def _control_bytes(buf: ptr8, count: int) -> int:
-    """Whether there is a Ctrl-C or a Ctrl-A."""
-    for i in range(count):
-        if buf[i] == _CTRL_C or buf[i] == _CTRL_A:
-            return 1
-    return 0
-
-
-class _Pusher(io.IOBase):
-    """A stream with bytes for MicroPython to read, as if they had arrived."""
-
-    def __init__(self, data: bytes) -> None:
-        self._data = data
-        self._at = 0
-
-    def readinto(self, buf: bytearray) -> "int | None":
-        if self._at == len(self._data):
-            return None
-        buf[0] = self._data[self._at]
-        self._at += 1
-        return 1
-
-    def write(self, data: bytes) -> int:
-        return len(data)
-
-    def ioctl(self, request: int, argument: int) -> int:
-        return 0
-
-
-def _push(data: bytes) -> None:
-    """Put bytes behind those that have arrived."""
-    before = os.dupterm(_Pusher(data))
-    os.dupterm_notify(None)
-    os.dupterm(before)
-
-
 class UsbLink:
-    """A Link. feed: called at every turn of the main loop, for a watchdog."""
+    """A Link. feed: called as long as the main loop reads, for a watchdog."""
 
     def __init__(self) -> None:
         micropython.kbd_intr(-1)  # Ctrl-C is a byte like others
@@ -185,12 +170,12 @@ class UsbLink:
         self._sendable: "Any" = select.poll()
         self._sendable.register(sys.stdout, select.POLLOUT)
         self._deaf = False
-        self._interrupts = 0
         self._byte = bytearray(1)
-        self._early = bytearray()
-        self._at_rest: "Callable[[], bool]" = lambda: True
+        self._waiting_out = bytearray(_OUT_BYTES)
+        self._turns = 0
+        self._escape = Escape(self.close)
         self._timer: "machine.Timer | None" = None
-        self._at = array.array("i", (0, 0, _NEVER, 0))
+        self._at = array.array("i", (0, 0, _NEVER, 0, 0, 0, 0, 0))
         if sys.platform == "rp2":
             self._at[_RING] = self._find_ring()
 
@@ -202,68 +187,77 @@ class UsbLink:
     ) -> None:
         """Say when the REPL may be asked for, who hears of Ctrl-X, in a hard interrupt, while
         the main loop does not listen, and who greets a sender that opens the port anew."""
-        self._at_rest = at_rest
+        self._escape.at_rest = at_rest
         self._on_reset = on_reset
         self._on_open = on_open
         if self._at[_RING]:
             self._timer = machine.Timer()
             self._timer.init(period=_LOOK_MS, callback=self._look, hard=True)
 
-    @micropython.native
     def _look(self, _timer: object) -> None:
-        if _look(self._at):
+        at = self._at
+        if _look(at):
             self._on_reset()
+        if at[_ALIVE] and self.feed:
+            at[_ALIVE] = 0
+            self.feed()
 
     def _find_ring(self) -> int:
         """Address of MicroPython's ring, or 0."""
-        while self._waiting():
-            self._in.readinto(self._byte)
-            self._early.append(self._byte[0])
+        early = self._drain()
+        found = 0
         try:
-            _push(_TRIALS[0])
+            push(_TRIALS[0])
         except (AttributeError, OSError):
-            return 0
+            return found
         index = _find(_MEMORY, 0, _TRIALS[0], len(_TRIALS[0]))
-        while index >= 0:
-            ring = _MEMORY + 4 * index
-            at = array.array("i", (ring, 0))
+        while index >= 0 and not found:
+            at = array.array("i", (_MEMORY + 4 * index, 0, 0, 0, 0, 0, 0, 0))
             trial = bytearray(len(_TRIALS[0]))
             _take(at, trial, len(trial))
-            _push(_TRIALS[1])
+            push(_TRIALS[1])
             if _find(_MEMORY, index, _TRIALS[1], len(_TRIALS[1])) == index:
-                _take(at, trial, len(trial))
-                return ring
+                found = at[_RING]
             index = _find(_MEMORY, index + 1, _TRIALS[0], len(_TRIALS[0]))
-        self._drop_trials()
-        return 0
+        early += self._drain()
+        text = bytes(early).replace(_TRIALS[0], b"").replace(_TRIALS[1], b"")
+        if text:
+            push(text)
+        return found
 
-    def _drop_trials(self) -> None:
-        for trial in _TRIALS:
-            while self._waiting() and self._in.readinto(self._byte):
-                self._early.append(self._byte[0])
-            self._early = bytearray(bytes(self._early).replace(trial, b""))
+    def _drain(self) -> bytearray:
+        """All that has arrived."""
+        early = bytearray()
+        while self._waiting() and self._in.readinto(self._byte):
+            early.append(self._byte[0])
+        return early
 
     def read_into(self, buf: bytearray) -> int:
         """Move what has arrived into buf; return how many bytes."""
-        if self.feed:
-            self.feed()
         at = self._at
-        if self._early:
-            count = min(len(buf), len(self._early))
-            buf[:count] = self._early[:count]
-            self._early = self._early[count:]
-        elif at[_RING]:
-            count = _take(at, buf, len(buf))
-            if count == 0 and self._waiting():  # asking also fills the ring
-                count = _take(at, buf, len(buf))
-            if at[_OPENED]:
-                at[_OPENED] = 0
-                self._on_open()
-        else:
-            count = self._read_plainly(buf)
-        if count and _control_bytes(buf, count):
-            self._look_for_escape(buf, count)
+        if at[_RING] == 0:
+            return self._read_plainly(buf)
+        count: int = _take(at, buf, len(buf))
+        if count == 0:
+            self._quiet()
+        elif at[_ESCAPES]:
+            at[_ESCAPES] = 0
+            self._escape.listen(buf, count)
         return count
+
+    def _quiet(self) -> None:
+        """Nothing has come."""
+        at = self._at
+        if at[_LENGTH]:
+            self._turns += 1
+            if self._turns >= _QUIET_TURNS:
+                self._flush()
+        if at[_FULL]:
+            at[_FULL] = 0
+            self._waiting()  # to ask fills the ring
+        if at[_OPENED]:
+            at[_OPENED] = 0
+            self._on_open()
 
     def _waiting(self) -> bool:
         for _ in self._arrived.ipoll(0):
@@ -271,40 +265,43 @@ class UsbLink:
         return False
 
     def _read_plainly(self, buf: bytearray) -> int:
+        if self.feed:
+            self.feed()
+        self._flush()
         count = 0
         while count < len(buf) and self._waiting():
             self._in.readinto(self._byte)
             buf[count] = self._byte[0]
             count += 1
+        if count:
+            self._escape.listen(buf, count)
         return count
 
-    def _look_for_escape(self, buf: bytearray, count: int) -> None:
-        """Raise KeyboardInterrupt where the REPL is asked for, and may be."""
-        for i in range(count):
-            byte = buf[i]
-            if byte == _CTRL_C:
-                self._interrupts += 1
-            elif byte == _CTRL_A and self._interrupts:
-                self._interrupts = _PATIENCE
-            elif byte != _CR:
-                self._interrupts = 0
-            if self._interrupts >= _PATIENCE:
-                self._interrupts = 0
-                if self._at_rest():
-                    self.close()
-                    _push(bytes(buf[i:count]))  # the REPL reads on where we stop
-                    raise KeyboardInterrupt
-
     def write(self, data: "bytes | bytearray | memoryview") -> None:
-        """Send. A host that does not read is waited for once, then goes without."""
+        """Send, soon."""
+        if not _keep(self._at, self._waiting_out, data, len(data)):
+            self._flush()
+            if not _keep(self._at, self._waiting_out, data, len(data)):
+                self._send(data, len(data))
+
+    def _flush(self) -> None:
+        self._turns = 0
+        length = self._at[_LENGTH]
+        if length:
+            self._at[_LENGTH] = 0
+            self._send(self._waiting_out, length)
+
+    def _send(self, data: "bytes | bytearray | memoryview", length: int) -> None:
+        """A host that does not read is waited for once, then goes without."""
         if self._deaf and not self._sendable.poll(0):
             return
         since = time.ticks_ms()
-        self._out.write(data)
+        self._out.write(data, length)
         self._deaf = time.ticks_diff(time.ticks_ms(), since) >= _DEAF_MS
 
     def close(self) -> None:
-        """Ctrl-C interrupts again."""
+        """Send what is left; Ctrl-C interrupts again."""
+        self._flush()
         if self._timer:
             self._timer.deinit()
         micropython.kbd_intr(_CTRL_C)

@@ -5,7 +5,11 @@ does so here, through `service`, which raises Abort after a reset. In check
 mode nothing moves and nothing waits.
 """
 
+from array import array
+
 import errors
+import kernels
+import micropython
 import planner as plan
 import state as st
 from f32 import f32, vector, whole
@@ -13,7 +17,6 @@ from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from array import array
     from collections.abc import Callable
 
     from arcs import Arc
@@ -27,6 +30,37 @@ if TYPE_CHECKING:
 
 _DWELL_TICK_MS = const(50)
 _DWELL_TICKS_PER_S = const(20)
+
+# What judge() finds (mask).
+_OUTSIDE = const(1)
+_FULL = const(2)
+
+# What it is told: how many axes, a mask of those whose travel lies above 0; floats: travel.
+_AXES = const(0)
+_POSITIVE = const(1)
+_TRAVEL = const(2)
+
+# From kernels.py.
+_ROWS = const(1)
+_HEAD = const(2)
+_TAIL = const(3)
+
+
+@micropython.viper
+def judge(target: ptr32, travel: ptr32, flow: ptr32) -> int:
+    """What stands against a line to target: it is OUTSIDE the machine's travel, the ring FULL."""
+    signs = ptr8(target)
+    found = 0
+    for i in range(travel[_AXES]):
+        mm = (target[i] & 0x3FFFFFFF) | ((signs[4 * i + 3] & 0x40) << 24)
+        if mm:
+            above = (signs[4 * i + 3] >> 7) ^ 1
+            if mm > travel[_TRAVEL + i] or above != (travel[_POSITIVE] >> i) & 1:
+                found = _OUTSIDE
+    following = flow[_HEAD] + 1
+    if following == flow[_ROWS]:
+        following = 0
+    return found | _FULL if following == flow[_TAIL] else found
 
 
 class Motion:
@@ -50,27 +84,38 @@ class Motion:
         self._port = port
         self._positive_origin = positive_origin
         self._point = vector(planner.axes)
+        self._travel = array("i", (planner.axes, 0) + (0,) * planner.axes)
+        self._flow = planner.flow
 
     def connect(self, service: "Callable[[], None]", realtime: "Realtime") -> None:
         """Say how to wait, and whom to tell of an alarm."""
         self.service = service
         self._realtime = realtime
 
+    def configure(self) -> None:
+        """Take over $23, $130 and the others of travel."""
+        settings = self._settings
+        travel = self._travel
+        travel[_POSITIVE] = settings.homing_dir_invert if self._positive_origin else 0
+        kernels.copy(settings.max_travel, memoryview(travel)[_TRAVEL:], self._planner.axes)
+
     # Moves
 
     def line(self, target: "array[float]", move: "Move") -> None:
         """A straight line: rapid or feed, by the move's flags."""
+        found = judge(target, self._travel, self._flow)
         state = self._state
-        if self._settings.soft_limits and state.run != st.JOG and self.outside(target):
+        if found & _OUTSIDE and self._settings.soft_limits and state.run != st.JOG:
             self._soft_limit()
         if state.run == st.CHECK:
             return
-        while True:
-            self.service()
-            if not self._planner.full():
-                break
+        self.service()
+        while found & _FULL:
             self.auto_start()
-        if not self._planner.line(target, move, self._power(move)) and self._spindle.laser:
+            self.service()
+            found = judge(target, self._travel, self._flow)
+        power = self._power(move) if move.flags & plan.SPINDLE_MASK else 0
+        if not self._planner.line(target, move, power) and self._spindle.laser:
             # A laser's S takes effect even where there is no way to go.
             if move.flags & plan.SPINDLE_CW:
                 self.spin(plan.SPINDLE_CW, move.spindle_rpm)
@@ -118,7 +163,7 @@ class Motion:
 
     def auto_start(self) -> None:
         """Whatever is planned is to move."""
-        if not self._planner.empty():
+        if self._state.run == st.IDLE and not self._planner.empty():
             self._state.post(st.CYCLE_START)
 
     def synchronise(self) -> None:
@@ -173,14 +218,7 @@ class Motion:
 
     def outside(self, target: "array[float]") -> bool:
         """The target lies outside the machine's travel."""
-        settings = self._settings
-        for i in range(self._planner.axes):
-            low, high = -settings.max_travel[i], 0.0
-            if self._positive_origin and settings.homing_dir_invert >> i & 1:
-                low, high = 0.0, -low
-            if not low <= target[i] <= high:
-                return True
-        return False
+        return bool(judge(target, self._travel, self._flow) & _OUTSIDE)
 
     def _soft_limit(self) -> None:
         """Come to rest where position is certain, then alarm and reset."""

@@ -11,6 +11,7 @@ but the floats of its caller.
 from array import array
 
 import kernels
+import reals
 from f32 import f32, vector, whole
 from kernels import AT, FLAGS, HEAD, LINE, LOADED, ROWS, SYSTEM, TAIL
 from micropython import const
@@ -76,14 +77,16 @@ class Planner:
         self.machine[kernels.COREXY] = corexy
         # Spindle speed of each block in rpm, as programmed; the interrupt has no use for it.
         self.speeds = vector(blocks + 1)
-        self.position = array("i", (_BIAS for _ in range(axes)))
-        self._start = array("i", (0 for _ in range(axes)))
-        self._target = array("i", (0 for _ in range(axes)))
+        # Where the last block ends, in steps; part of the machine's table.
+        at = kernels.LIMITS + kernels.POSITION * axes
+        self.position = memoryview(self.machine)[at : at + axes]
         self._steps_per_mm = vector(axes)
         self._feed = 0.0  # the last one in mm/min, and the same as a real in mm/s
         self._feed_real = 0
         view = memoryview(self.ring)
         self._rows = [view[i * size : (i + 1) * size] for i in range(blocks + 1)]
+        for i in range(axes):
+            self.position[i] = _BIAS
 
     def configure(
         self, settings: "Settings", tick_hz: int, segment_log2: int, step_hz: int
@@ -97,18 +100,21 @@ class Planner:
             acceleration = settings.acceleration[i] / 3600
             fastest_sqr += rate * rate
             at = kernels.LIMITS + 3 * i
-            machine[at] = kernels.real(1 / resolution)
-            machine[at + 1] = kernels.real(rate)
-            machine[at + 2] = kernels.real(acceleration)
+            machine[at] = reals.real(1 / resolution)
+            machine[at + 1] = reals.real(rate)
+            machine[at + 2] = reals.real(acceleration)
             self._steps_per_mm[i] = resolution
+        at = kernels.LIMITS + kernels.RESOLUTION * self.axes
+        kernels.copy(self._steps_per_mm, memoryview(machine)[at:], self.axes)
         scale = (1 << 30) / (fastest_sqr or 1.0)
+        machine[kernels.ROOT_SCALE] = reals.real(scale**-0.5)
         seconds = (1 << segment_log2) / tick_hz
-        machine[kernels.SQR_SCALE] = kernels.real(scale)
-        machine[kernels.JUNCTION] = kernels.real(65536.0 * settings.junction_deviation_mm * scale)
-        machine[kernels.SEGMENT_RATE] = kernels.real(seconds * 262144)
-        machine[kernels.SEGMENT_ACCEL] = kernels.real(seconds * seconds * 262144)
+        machine[kernels.SQR_SCALE] = reals.real(scale)
+        machine[kernels.JUNCTION] = reals.real(65536.0 * settings.junction_deviation_mm * scale)
+        machine[kernels.SEGMENT_RATE] = reals.real(seconds * 262144)
+        machine[kernels.SEGMENT_ACCEL] = reals.real(seconds * seconds * 262144)
         machine[kernels.SEGMENT_LOG2] = segment_log2
-        machine[kernels.SLOWEST] = kernels.real(_SLOWEST_MM_S)
+        machine[kernels.SLOWEST] = reals.real(_SLOWEST_MM_S)
 
     def free(self) -> int:
         """Blocks that can still be added."""
@@ -138,68 +144,36 @@ class Planner:
 
         power: what the spindle makes of the move's spindle speed (spindle.Spindle.power).
         """
+        flags = move.flags
         head = self.flow[HEAD]
-        if not self._plan(head, self.position, target, move, power):
+        if move.feed != self._feed:
+            self._feed = move.feed
+            self._feed_real = reals.real(move.feed / 60)
+        if not kernels.plan(
+            target,
+            self.machine,
+            self.ring,
+            self.flow,
+            flags,
+            move.line_number,
+            power,
+            self._feed_real,
+        ):
             return False
-        self._append(self._rows[head])
+        self.speeds[self.flow[ROWS] if flags & SYSTEM_MOTION else head] = move.spindle_rpm
         return True
 
     def system_line(
         self, target: "array[float]", move: "Move", power: int, start: "array[int]"
     ) -> bool:
         """A move of the system's own from start, in steps: from rest to rest, beside the ring."""
+        position = self.position
+        before = list(position)
+        self.sync_motors(start)
+        planned = Planner.line(self, target, move, power)
         for i in range(self.axes):
-            self._start[i] = _BIAS + self.axis_steps(start, i)
-        if not self._plan(self.flow[ROWS], self._start, target, move, power):
-            return False
-        self.flow[SYSTEM] = 1
-        return True
-
-    def _plan(
-        self, at: int, start: "array[int]", target: "array[float]", move: "Move", power: int
-    ) -> bool:
-        row = self._rows[at]
-        machine = self.machine
-        flags = move.flags
-        kernels.to_steps(target, self._steps_per_mm, self._target, self.axes)
-        if kernels.measure(self._target, start, row, machine) == 0:
-            return False
-        kernels.limit(row, machine)
-        row[FLAGS] = flags
-        row[LINE] = move.line_number
-        row[kernels.POWER] = power
-        self.speeds[at] = move.spindle_rpm
-        if flags & RAPID:
-            row[kernels.RATE] = row[kernels.RAPID]
-        else:
-            if move.feed != self._feed:
-                self._feed = move.feed
-                self._feed_real = kernels.real(move.feed / 60)
-            rate = self._feed_real
-            if flags & INVERSE_TIME:
-                rate = kernels.mul(rate, row[kernels.LENGTH])
-            row[kernels.RATE] = rate
-        kernels.schedule(row, machine)
-        return True
-
-    def _append(self, row: memoryview) -> None:
-        flow = self.flow
-        junction = kernels.turn(row, self.machine)
-        if flow[HEAD] == flow[TAIL]:
-            junction = 0  # from rest
-        row[kernels.JUNCTION_SQR] = junction
-        row[kernels.ENTRY_SQR] = 0
-        self._limit_entry(flow[HEAD])
-        kernels.copy(self._target, self.position, self.axes)
-        flow[HEAD] = (flow[HEAD] + 1) % flow[ROWS]
-        kernels.reverse_pass(self.ring, flow, 0)
-
-    def _limit_entry(self, at: int) -> None:
-        """No block is entered faster than it, the one before, or the corner between them allow."""
-        row = self._rows[at]
-        entry = min(row[kernels.JUNCTION_SQR], row[kernels.NOMINAL_SQR])
-        before = self._rows[(at - 1) % self.flow[ROWS]]
-        row[kernels.MAX_ENTRY_SQR] = min(entry, before[kernels.NOMINAL_SQR])
+            position[i] = before[i]
+        return planned
 
     def override(self) -> None:
         """Work out every block anew after an override has changed."""
@@ -208,10 +182,9 @@ class Planner:
         self.machine[kernels.RAPID_PERCENT] = self._state.rapid_override
         at = flow[TAIL]
         while at != flow[HEAD]:
-            row = self._rows[at]
-            kernels.schedule(row, self.machine)
+            kernels.schedule(self.machine, self.ring, at * flow[kernels.ROW_SIZE])
             if at != flow[TAIL]:
-                self._limit_entry(at)
+                kernels.limit_entry(self.ring, flow, at)
             at = (at + 1) % flow[ROWS]
         kernels.reverse_pass(self.ring, flow, 1)
 

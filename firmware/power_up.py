@@ -10,9 +10,14 @@ import gc
 import io
 import sys
 
-import errors
-import state as st
-from micropython import const
+# Memory that is free from the lowest address on once the machine is built. MicroPython looks for
+# free memory from there; call frames of longer functions want some, and would have to look past
+# all that is kept, which takes half a millisecond.
+_nursery = [bytearray(gc.mem_free() // 8)] if hasattr(gc, "mem_free") else []
+
+import errors  # noqa: E402
+import state as st  # noqa: E402
+from micropython import const  # noqa: E402
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -72,6 +77,7 @@ def _hardware(board: "ModuleType") -> "tuple[StepEngine, Any]":
     import gpio_check
 
     gpio_check.check(board)
+    del sys.modules["gpio_check"]
     kind = board.ENGINE
     if kind == "pio":
         from gpio import GpioPort
@@ -100,18 +106,20 @@ def _build(board: "ModuleType", link: "Any", port: "Any", engine: "StepEngine") 
     from store_flash import FlashStore
 
     gc.collect()
-    import controller
+    import wiring
 
-    machine = controller.build(board, link, port, engine, FlashStore())
+    machine = wiring.build(board, link, port, engine, FlashStore())
+    del sys.modules["wiring"]  # 4 kB that nobody needs any more
 
     def at_rest() -> bool:
-        return machine.state.run in (st.IDLE, st.ALARM)
+        return machine.state.run in (st.IDLE, st.ALARM) and machine.planner.empty()
 
     def greet() -> None:
         if at_rest():
             machine.report.banner()
 
     link.attach(at_rest, machine.realtime.reset, greet)
+    _nursery.clear()
     gc.collect()
     return machine
 
@@ -140,6 +148,7 @@ def _run(
     port.safe()
     port.watch(0)
     link.write(b"[MSG:Here is the REPL]\r\n")
+    link.close()
 
 
 def _alarm(machine: "Controller", link: "Any", fault: Exception) -> None:

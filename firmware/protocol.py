@@ -6,6 +6,7 @@ code waits.
 """
 
 import errors
+import state as st
 from errors import Abort, GrblError
 from lines import LINE, NOTHING
 from micropython import const
@@ -54,12 +55,16 @@ class Protocol:
 
     def service(self) -> None:
         """One turn of whoever waits. Raises Abort after a reset."""
-        self.pump()
+        count = self._link.read_into(self._buffer)  # as pump() does
+        if count:
+            self._reader.feed(self._buffer, count)
         self._realtime.run()
 
     def run(self) -> None:
         """Execute lines until Abort."""
         reader = self._reader
+        state = self._state
+        line = reader.line
         while True:
             found = reader.take()
             if found == NOTHING:
@@ -68,12 +73,12 @@ class Protocol:
                     self._motion.auto_start()
                 self._realtime.run()
             else:
-                self._realtime.run()
-                if found == LINE:
-                    self.execute(reader.line, reader.length)
+                if state.pending[st.ANY] or state.suspend or state.alarm:
+                    self._realtime.run()
+                if found & LINE:
+                    self.execute(line, found >> 2)
                 else:
                     self._report.error(errors.OVERFLOW)
-                reader.next_line()
 
     def execute(self, line: bytearray, length: int) -> None:
         """Execute one line and answer it."""
@@ -83,6 +88,7 @@ class Protocol:
             if length == 0:
                 pass
             elif line[0] == 36:  # $
+                self._gcode.forget_plain()  # settings may change
                 self._commands.execute(line, length)
             elif self._state.run & _LOCKED:
                 raise GrblError(errors.SYSTEM_GC_LOCK)

@@ -142,10 +142,9 @@ class Realtime:
         self._coolant.stop()
         if state.run & (st.RUN | st.HOMING | st.JOG) or state.holding or state.system_motion:
             if state.alarm == 0:
-                homing = state.run == st.HOMING
-                state.alarm = (
-                    errors.ALARM_HOMING_FAIL_RESET if homing else errors.ALARM_ABORT_CYCLE
-                )
+                state.alarm = errors.ALARM_ABORT_CYCLE
+                if state.run == st.HOMING:
+                    state.alarm = errors.ALARM_HOMING_FAIL_RESET
             self._engine.stop()
             self.release()
 
@@ -180,8 +179,12 @@ class Realtime:
 
     def run(self) -> None:
         """Do what has been asked. Raises Abort after a reset."""
+        state = self._state
+        busy = state.pending[st.ANY] or state.suspend or state.alarm or self._settling
+        if not busy and not (self._moving and self._engine.idle()):
+            return  # as nearly always
         self.events()
-        if self._state.suspend:
+        if state.suspend:
             self._suspension.begin()
         while self._state.suspend:
             self._suspension.turn()
@@ -375,12 +378,10 @@ class Realtime:
         new = [state.feed_override, state.rapid_override, state.spindle_override]
         for byte, (which, change) in _OVERRIDES.items():
             if state.take(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE):
-                if which == _RAPID:
-                    new[which] = change
+                if which == _RAPID or change == 0:
+                    new[which] = change or 100
                 else:
-                    new[which] = (
-                        min(max(new[which] + change, _LOWEST), _HIGHEST) if change else 100
-                    )
+                    new[which] = min(max(new[which] + change, _LOWEST), _HIGHEST)
         if new[0] != state.feed_override or new[1] != state.rapid_override:
             state.feed_override, state.rapid_override = new[0], new[1]
             state.override_countdown = 0

@@ -71,6 +71,8 @@ class Report:
     NO_COMMANDS = b""
     # What Settings is to be told besides: numbers that are not there, rows that are.
     SETTINGS: "tuple[Any, ...]" = ()
+    # Who we are, in the answer to $I; senders look for this word.
+    identity = "Grbl"
 
     def __init__(
         self,
@@ -159,7 +161,7 @@ class Report:
 
     def build_info(self, info: str, options: str) -> None:
         """The answer to $I."""
-        name = "Grbl " + info if info else "Grbl"  # senders look for that word
+        name = self.identity + " " + info if info else self.identity
         self._line("[VER:%s.%s:%s]" % (VERSION, BUILD, name))
         self._line("[OPT:" + options + "]")
 

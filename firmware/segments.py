@@ -6,6 +6,7 @@ hold, resume, the system's own block.
 """
 
 import kernels
+import reals
 from f32 import f32
 from kernels import AT, CARRY, HOLD, LOADED, NOW
 from micropython import const
@@ -59,9 +60,8 @@ class Segments:
         """The speed planned up to now."""
         flow = self._flow
         if flow[LOADED]:
-            speed = kernels.pack(flow[NOW], 64)
-            return kernels.value(kernels.div(speed, self._ring[flow[AT] + kernels.FACTOR])) * 60
-        return kernels.value(flow[CARRY]) * 60
+            return reals.value(reals.ratio(flow[NOW], self._ring[flow[AT] + kernels.FACTOR])) * 60
+        return reals.value(flow[CARRY]) * 60
 
     def dynamic_rpm(self) -> "float | None":
         """Spindle speed of a laser whose power follows the rate; None where it does not."""

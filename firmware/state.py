@@ -46,7 +46,7 @@ SLEEP_REQUEST = const(7)
 OVERRIDE = const(8)  # one at least of those that follow:
 # Real-time bytes 0x90 to 0xA1, in their order.
 OVERRIDES = const(9)
-_EVENTS = const(27)
+ANY = const(27)  # something has been posted since posted() was asked last
 
 FIRST_OVERRIDE_BYTE = const(0x90)
 LAST_OVERRIDE_BYTE = const(0xA1)
@@ -56,7 +56,7 @@ class State:
     """The record. clear() is what a soft reset does; run survives it."""
 
     def __init__(self) -> None:
-        self.pending = bytearray(_EVENTS + 1)  # the last byte: something is
+        self.pending = bytearray(ANY + 1)  # the last byte: something is
         self.alarm = 0  # an alarm not yet reported
         self.run = IDLE
         self.clear()
@@ -64,12 +64,12 @@ class State:
     def post(self, event: int) -> None:
         """Ask for something at the next turn of realtime.run(). Safe in an interrupt."""
         self.pending[event] = 1
-        self.pending[_EVENTS] = 1
+        self.pending[ANY] = 1
 
     def posted(self) -> bool:
         """Whether anything has been posted since this was asked last."""
-        if self.pending[_EVENTS]:
-            self.pending[_EVENTS] = 0
+        if self.pending[ANY]:
+            self.pending[ANY] = 0
             return True
         return False
 

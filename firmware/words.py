@@ -14,15 +14,18 @@ from micropython import const
 _MAX_WORDS = const(128)
 
 # What plain() found: bits of its mask. Bits 0 to 3 are X, Y, Z and A.
-AXES = const(0x0F)
-HAS_F = const(0x10)
+HAS_F = const(0x10)  # another feed rate than before
 HAS_S = const(0x20)
-HAS_G0 = const(0x40)
+HAS_G0 = const(0x40)  # G0, which was not in force
 HAS_G1 = const(0x80)
 HAS_N = const(0x100)
+# Where in `at` the place of a word is; and, behind those, what plain() is told:
 F_AT = const(4)
 S_AT = const(5)
 N_AT = const(8)
+AXES = const(9)  # how many there are
+MODE = const(10)  # the motion in force: HAS_G0 or HAS_G1
+LASER = const(11)  # S goes with cutting motion
 
 # What scan() found wrong, above the count of words.
 LETTER_EXPECTED = const(1)
@@ -45,9 +48,13 @@ def store_single(number: int, power: int, values: ptr32, at: int) -> int:
         exponent += 1
     if rest << 1 > half or (rest << 1 == half and number & 1):
         number += 1
-    while number and number < 1 << 23:
-        number <<= 1
-        exponent -= 1
+    if number:
+        while number < 1 << 16:
+            number <<= 8
+            exponent -= 8
+        while number < 1 << 23:
+            number <<= 1
+            exponent -= 1
     while number and power:
         if power < -1:
             factor = 0xA3D70A
@@ -137,13 +144,16 @@ def scan(text: ptr8, span: int, letters: ptr8, values: ptr32) -> int:
 
 
 @micropython.viper
-def plain(letters: ptr8, values: ptr32, count: int, at: ptr8) -> int:
+def plain(letters: ptr8, values: ptr32, count: int, at: ptr8, feed: ptr32) -> int:
     """What a line holds if it does no more than move; 0 if it does, or if a word is wrong.
 
     Plain are G0 and G1, X to Z and A, F, N and S, each once at the most, the
-    last three not negative. Returns a mask of what is there; at[bit] tells which
-    word it is. The bits are the public names below.
+    last three not negative. Returns a mask of axes and of what is new to the
+    interpreter, the public names above; at[bit] tells which word it is. feed:
+    the rate in force.
     """
+    if count > 255:
+        return 0  # scan() has found a fault
     signs = ptr8(values)
     seen = 0
     for i in range(count):
@@ -175,17 +185,32 @@ def plain(letters: ptr8, values: ptr32, count: int, at: ptr8) -> int:
             return 0
         seen |= 1 << bit
         at[bit] = i
-    return seen
+    if seen & 15 == 0 or (seen & 15) >> at[AXES]:
+        return 0
+    mode = seen & (HAS_G0 | HAS_G1)
+    if mode == at[MODE]:
+        seen ^= mode
+    mode = mode or at[MODE]
+    rate = feed[0]
+    if seen & HAS_F:
+        if values[at[F_AT]] == rate:
+            seen ^= HAS_F
+        rate = values[at[F_AT]]
+    if mode == HAS_G1:
+        return seen if rate and (at[LASER] or not seen & HAS_S) else 0
+    return 0 if seen & HAS_S else seen
 
 
 @micropython.viper
-def target(values: ptr32, at: ptr8, seen: int, offsets: ptr32, xyz: ptr32) -> int:
-    """Put the axis words of a plain line, offsets added, into xyz; the other axes stay."""
-    for i in range(4):
+def target(values: ptr32, at: ptr8, seen: int, offsets: ptr32, position: ptr32, xyz: ptr32) -> int:
+    """Put the axis words of a plain line, offsets added, into xyz; other axes stay in position."""
+    for i in range(at[AXES]):
         if seen >> i & 1:
             xyz[i] = values[at[i]]
             if offsets[i]:
                 add_single(offsets, i, xyz, i)
+        else:
+            xyz[i] = position[i]
     return 0
 
 
@@ -236,31 +261,29 @@ def add_single(a: ptr32, i: int, b: ptr32, j: int) -> int:
 
 
 class Words:
-    """The words of one line. letters[i] is a character code, values[i] its number."""
+    """The words of one line. letters[i] is a character code, values[i] its number.
 
-    def __init__(self) -> None:
-        self.letters = bytearray(_MAX_WORDS)
+    axes: how many plain() knows.
+    """
+
+    def __init__(self, axes: int = 0) -> None:
+        self.letters = bytearray(b"\1" * _MAX_WORDS)  # never 0: see scan()
         self.values = array("f", (0.0 for _ in range(_MAX_WORDS)))
         self.count = 0
         self.fault = 0
         self.at = bytearray(16)
+        self.at[AXES] = axes
         self._number = array("f", (0.0,))
         self._no_letter = bytearray(1)
 
     def read(self, text: bytearray, start: int, end: int) -> None:
         """Read text[start:end], which a 0 follows. fault tells what is wrong behind the words."""
-        self.letters[0] = 1
-        found = scan(text, end << 8 | start, self.letters, self.values)
+        self.found(scan(text, end << 8 | start, self.letters, self.values))
+
+    def found(self, found: int) -> None:
+        """Take over what scan() has found."""
         self.count = found & 255
         self.fault = found >> 8
-
-    def plain(self) -> int:
-        """What the line holds if it does no more than move, else 0: see the kernel."""
-        return 0 if self.fault else plain(self.letters, self.values, self.count, self.at)
-
-    def target(self, seen: int, offsets: "array[float]", xyz: "array[float]") -> None:
-        """Put the axis words of a plain line into xyz."""
-        target(self.values, self.at, seen, offsets, xyz)
 
     def number(self, text: bytearray, start: int) -> "tuple[int, float]":
         """Read a bare number; returns the position after it, or -1, and its value."""

@@ -20,17 +20,19 @@ from ugrbl.sim import engine as sim_engine
 from ugrbl.sim.engine import Switch
 
 
-def _load() -> "tuple[Any, Any]":
-    """Import the engines with the ESP32's own modules in the place of others of the name."""
+def _load() -> "tuple[Any, Any, Any, Any]":
+    """Import engines and pins with the ESP32's own modules in the place of others of the name."""
     stand_ins: dict[str, Any] = {
         "machine": esp_machine,
         "time": SimpleNamespace(
             ticks_us=clock.ticks_us, ticks_ms=clock.ticks_ms, ticks_diff=clock.ticks_diff
         ),
     }
-    hidden = {name: sys.modules.get(name) for name in stand_ins}
+    hidden = {name: sys.modules.pop(name, None) for name in (*stand_ins, "gpio_port", "gpio_esp")}
     sys.modules.update(stand_ins)
     try:
+        import gpio_esp
+        import gpio_port
         from esp import i2s, rmt
     finally:
         for name, module in hidden.items():
@@ -38,10 +40,10 @@ def _load() -> "tuple[Any, Any]":
                 del sys.modules[name]
             else:
                 sys.modules[name] = module
-    return i2s, rmt
+    return i2s, rmt, gpio_esp, gpio_port
 
 
-i2s, rmt = _load()
+i2s, rmt, gpio_esp, gpio_port = _load()
 esp_machine.I2S.recording = True
 
 # As on the boards: outputs of the shift registers, pins.

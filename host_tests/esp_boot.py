@@ -1,8 +1,13 @@
-"""The whole firmware on an ESP32 board file and stand-ins: under either Python, in virtual time.
+"""The whole firmware of an ESP32 board on stand-ins: under either Python, in virtual time.
 
-python esp_boot.py BOARD [ENGINE] — talks to it as a sender would and prints what comes back.
+python esp_boot.py BOARD FOLDER [LINE ...] — runs main.py with boards/BOARD.py, in
+which each LINE (`ENGINE = "i2s"`) takes the place of the one for the same name, or comes behind
+it. Settings are kept in FOLDER. Its talk.json is what a sender says and waits for, nothing and
+the welcome first: [["", "Grbl"], ["$X\\n", "ok"], ...]. "pin 5 0" and "ms 100" are directions
+to the world around. Prints the conversation, and what the prompt would read after it.
 """
 
+import json
 import sys
 
 
@@ -13,20 +18,37 @@ def set_path() -> str:
     if sys.implementation.name == "cpython":
         sys.path.insert(0, here + "/shim")
     sys.path.insert(0, root + "/firmware")
-    sys.path.append(here + "/shim")
-    sys.path.append(root)
+    sys.path += [here, here + "/shim"]
     return root
 
 
-set_path()
+ROOT = set_path()
 
 import esp_clock  # noqa: E402
 import esp_machine  # noqa: E402
+import esp_stdio  # noqa: E402
+import punch_pins  # noqa: E402
 
 clock = esp_clock.clock
+_PATIENCE_US = 60_000_000
+_THINKING_US = 2_000
 
 
-class _Time:
+def load(modules: "dict[str, object]", *names: str) -> None:
+    """Import the firmware's modules of these names with others in the place of some of theirs."""
+    hidden = {name: sys.modules.get(name) for name in modules}
+    for name, stand_in in modules.items():
+        sys.modules[name] = stand_in  # type: ignore[assignment]
+    for name in names:
+        __import__(name)
+    for name, module in hidden.items():
+        if module:
+            sys.modules[name] = module
+        else:
+            del sys.modules[name]
+
+
+class Time:
     """The ESP32's time module."""
 
     ticks_us = clock.ticks_us
@@ -34,113 +56,102 @@ class _Time:
     ticks_diff = clock.ticks_diff
 
 
-sys.modules["machine"] = esp_machine
-hidden = sys.modules.get("time")
-sys.modules["time"] = _Time
+class Namespace:
+    """A module made here."""
 
-import controller  # noqa: E402
-from esp import i2s, rmt  # noqa: E402
-from gpio_esp import EspPort  # noqa: E402
-
-if hidden:
-    sys.modules["time"] = hidden
-
-_TURN_US = 400  # of the main loop
+    def __init__(self, names: "dict[str, object]") -> None:
+        for name, value in names.items():
+            setattr(self, name, value)
 
 
-class Done(BaseException):
-    """The conversation is over."""
+class Unanswered(BaseException):
+    """What a sender waits for does not come. No Exception: the firmware has a net for these."""
 
 
 class Sender:
-    """A Link with a sender at its other end: says one thing, waits for an answer, and so on."""
+    """Says one thing, waits for an answer, and so on."""
 
-    def __init__(self, lines: "list[tuple[str, str]]") -> None:
-        self._lines = lines
+    def __init__(self, wire: "esp_stdio.Wire", talk: "list[tuple[str, str]]") -> None:
+        self._wire = wire
+        self._talk = talk
         self._got = ""
-        self._until = "Grbl "
-        self._deadline = 0
-        self.pins: "dict[str, int]" = {}
+        self._until = talk.pop(0)[1]
+        self._deadline = _PATIENCE_US
+        self._heard_us = 0
+        wire.on_read = self.turn
+        wire.on_write = self.hear
+        self.punch: "punch_pins.Punch | None" = None
 
-    def read_into(self, buf: bytearray) -> int:
-        clock.advance(clock.us + _TURN_US)
-        if clock.us > self._deadline + 60_000_000:
-            raise AssertionError("no " + self._until + " in " + self._got)
-        if self._until not in self._got or not self._got.endswith("\n"):
-            return 0
+    def hear(self, text: str) -> None:
+        self._got += text
+        self._heard_us = clock.us
+        print(text.replace("\r", ""), end="")
+
+    def turn(self) -> None:
+        """The firmware looks for bytes, and there are none."""
+        if self.punch:
+            self.punch.turn()
+        if clock.us > self._deadline:
+            raise Unanswered("no " + self._until + " in " + self._got)
+        heard = not self._until or (self._until in self._got and self._got.endswith("\n"))
+        if not heard or not self._talk or clock.us < self._heard_us + _THINKING_US:
+            return
         self._got = ""
-        if not self._lines:
-            raise Done
-        text, self._until = self._lines.pop(0)
-        self._deadline = clock.us
+        text, self._until = self._talk.pop(0)
+        self._deadline = clock.us + _PATIENCE_US
         if text.startswith("pin "):
             _, pin, level = text.split()
             esp_machine.Pin.pins[int(pin)].drive(int(level))
-            return 0
-        if text.startswith("ms "):
+        elif text.startswith("ms "):
             clock.advance(clock.us + int(text[3:]) * 1000)
-            self._got = "\n"
-            return 0
-        print("> " + text.strip())
-        data = text.encode()
-        buf[: len(data)] = data
-        return len(data)
-
-    def write(self, data: "bytes | bytearray | memoryview") -> None:
-        clock.advance(clock.us + len(data) * 87)
-        text = bytes(data).decode()
-        self._got += text
-        print(text.replace("\r", ""), end="")
+        else:
+            if " " <= text[0]:
+                print("> " + text.strip())
+            self._wire.arrive(text.encode())
 
 
-class Store:
-    """Nothing is kept."""
-
-    def load(self, name: str) -> None:
-        return None
-
-    def save(self, name: str, lines: object) -> None:
-        list(lines)
-
-
-def machine(board: object, engine: str) -> "tuple[object, EspPort]":
-    """Engine and port of a board file."""
-    if engine == "i2s":
-        made = i2s.I2sEngine(
-            board.STEP, board.DIR, board.ENABLE, board.I2S, board.I2S_RATE_HZ, board.I2S_BUFFERS
-        )
-        return made, EspPort(board, made.enable)
-    return rmt.RmtEngine(board.STEP, board.DIR), EspPort(board)
+def board(name: str, lines: "list[str]") -> "Namespace":
+    """The board file, changed."""
+    with open(ROOT + "/boards/" + name + ".py") as file:
+        source = file.read().split("\n")
+    for line in lines:
+        named = line.split("=")[0]
+        at = [k for k in range(len(source)) if source[k].startswith(named)]
+        if at:
+            source[at[0]] = line
+        else:
+            source.append(line)
+    names: "dict[str, object]" = {}
+    exec("\n".join(source), names)
+    return Namespace(names)
 
 
 def main() -> None:
-    name = sys.argv[1]
-    board = getattr(__import__("boards." + name), name)
-    sender = Sender(
-        [
-            ("$X\n", "ok"),
-            ("$100=80\n", "ok"),
-            ("$101=80\n", "ok"),
-            ("$110=2000\n", "ok"),
-            ("$110=1000000\n", "error:12"),
-            ("G91 G1 X5 Y-3 F1200 M3 S500\n", "ok"),
-            ("G0 X-2\n", "ok"),
-            ("G4 P0.05\n", "ok"),
-            ("?", ">"),
-            ("$21=1\n", "ok"),
-            ("G1 X20 F1200\n", "ok"),
-            ("ms 300", ""),
-            ("pin %d 0" % board.LIMIT[0], "ALARM:1"),
-            ("\x18", "Grbl "),
-        ]
-    )
-    for pin in board.LIMIT + board.NO_PULL_UP:  # resistors outside
-        esp_machine.Pin(pin, esp_machine.Pin.IN).level = 1
-    engine, port = machine(board, sys.argv[2] if len(sys.argv) > 2 else board.ENGINE)
-    try:
-        controller.build(board, sender, port, engine, Store()).run()
-    except Done:
-        print("done at %d ms" % (clock.us // 1000))
+    name, folder, *lines = sys.argv[1:]
+    wire = esp_stdio.Wire()
+    load({"machine": esp_machine, "time": Time}, "gpio_esp", "gpio_check", "esp.i2s", "esp.rmt")
+    load({"os": wire.os()}, "link_escape")
+    load({"sys": wire.sys(), "select": wire.select()}, "link_uart")
+    import store_flash
+
+    real_store = store_flash.FlashStore
+    store_flash.FlashStore = lambda: real_store(folder + "/")  # type: ignore[misc, assignment]
+    if not hasattr(sys, "print_exception"):
+        from traceback import print_exception
+
+        sys.print_exception = lambda fault, file: print_exception(fault, file=file)  # type: ignore[attr-defined]
+    made: "object" = board(name, lines)
+    sys.modules["board"] = made  # type: ignore[assignment]
+    with open(folder + "/talk.json") as file:
+        sender = Sender(wire, json.load(file))
+    for pin in made.LIMIT + made.NO_PULL_UP:  # type: ignore[attr-defined]  # resistors outside
+        esp_machine.Pin(pin, esp_machine.Pin.IN).drive(1)
+    if getattr(made, "PUNCH_UP", None):
+        sender.punch = punch_pins.Punch(made, esp_machine.Pin, lambda: clock.us)
+    __import__("main")
+    print("the prompt reads", list(wire.left()))
+    if sender.punch:
+        print(sender.punch.strokes, "strokes")
 
 
 main()

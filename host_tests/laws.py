@@ -15,6 +15,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import kernels
+import reals
 from f32 import vector
 from hypothesis import settings
 from kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
@@ -184,7 +185,7 @@ def real(r: int) -> float:
 
 def pack(x: float) -> int:
     """The real below x."""
-    return kernels.real(x)
+    return reals.real(x)
 
 
 class Watch:

@@ -1,60 +1,72 @@
-"""PIO programs run cycle by cycle: rp2040py's model of a PIO block, without a processor."""
+"""PIO programs run tick by tick: rp2040py's model of the chip, without its processor.
 
-from collections.abc import Sequence
+PioModel is one PIO block and the words it is given. PioChip is all that PioEngine works on,
+with CPython in the processor's place: the firmware's own code reads and writes the registers of
+the modelled PIOs, DMA channels and timer, and its arrays lie in the modelled memory.
+"""
+
+import builtins
+import sys
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import machine
+import pytest
+import rp2
+from pio import engine, hub, pulses, stops
 from rp2040py.rp2040 import RP2040
 
-_PIO = 0x50200000
+# The data sheet's addresses.
+_PIO = (0x50200000, 0x50300000)
 _CTRL, _FDEBUG, _FLEVEL, _TXF, _INSTR_MEM = 0x00, 0x08, 0x0C, 0x10, 0x48
 _SM, _SM_STRIDE = 0xC8, 0x18
 _CLKDIV, _EXECCTRL, _SHIFTCTRL, _ADDR, _INSTR, _PINCTRL = range(0, 0x18, 4)
 _FUNCTION = 0x40014004  # of a pin: GPIO0_CTRL
+_DMA, _DMA_STRIDE = 0x50000000, 0x40
+_DMA_WRITE, _DMA_CONTROL = 0x04, 0x10
+_NVIC_ENABLE, _NVIC_DISABLE = 0xE000E100, 0xE000E180
+_RAM, _RAM_END = 0x20000000, 0x20042000
+
 _OUT_ENABLE = 0xE081  # set(pindirs, 1)
 _PULL, _LOAD_ISR = 0x8080, 0xA0C7  # pull(noblock), mov(isr, osr)
-_FIFO = 4
+_TICK_NS = 80
+_CLOCK_FLAG = 1 << 3  # the clock is machine 3
 
 
-class PioModel:
-    """One PIO block: a program in every machine, words fed as a DMA would, edges logged.
+class _Chip:
+    """What both have in common: programs, pins, and a log of edges."""
 
-    machines: per machine its step and direction pins, none for a program without pins.
-    """
-
-    def __init__(self, program: list[Any], machines: "Sequence[tuple[int, int] | None]") -> None:
+    def __init__(self) -> None:
         self.now = 0
         self.edges: list[tuple[int, int, int]] = []  # tick, pin, level
-        self.interrupts: list[int] = []
-        self.waiting: list[list[int]] = [[] for _ in machines]
-        self._mcu = RP2040()
-        self._mcu.simulator = self  # or the block would run by itself
-        self._pio = self._mcu.pio[0]
-        self._count = len(machines)
+        self.mcu = RP2040()
+        self.mcu.simulator = self  # or a block would run by itself
+
+    def write(self, address: int, value: int) -> None:
+        self.mcu.write_uint32(address, value & 0xFFFFFFFF)
+
+    def load(self, block: int, program: "list[Any]", at: int) -> None:
+        """Put a program's instructions where MicroPython does."""
         for i, word in enumerate(program[0]):
-            self.write(_INSTR_MEM + 4 * i, word)
-        for machine, pins in enumerate(machines):
-            self._write_sm(machine, _CLKDIV, 1 << 16)
-            self._write_sm(machine, _EXECCTRL, program[4])
-            self._write_sm(machine, _SHIFTCTRL, program[5])
-            if pins:
-                self._connect(machine, *pins)
+            jump = word >> 13 == 0
+            self.write(_PIO[block] + _INSTR_MEM + 4 * (at + i), word + at if jump else word)
 
-    def read(self, register: int) -> int:
-        return int(self._mcu.read_uint32(_PIO + register))
-
-    def write(self, register: int, value: int) -> None:
-        self._mcu.write_uint32(_PIO + register, value)
-
-    def _write_sm(self, machine: int, register: int, value: int) -> None:
-        self.write(_SM + _SM_STRIDE * machine + register, value)
-
-    def _connect(self, machine: int, step: int, direction: int) -> None:
-        for pin in (step, direction):
-            self._mcu.write_uint32(_FUNCTION + 8 * pin, 6)
-            self._write_sm(machine, _PINCTRL, 1 << 26 | pin << 5)
-            self.execute(machine, _OUT_ENABLE)
-            self._mcu.gpio[pin].add_listener(self._listener(pin))
-        self._write_sm(machine, _PINCTRL, 1 << 26 | 1 << 20 | step << 5 | direction)
+    def set_up(
+        self, block: int, number: int, program: "list[Any]", at: int, pins: "Sequence[int]"
+    ) -> None:
+        """A machine as MicroPython leaves it; pins: step and direction, or none."""
+        base = _PIO[block] + _SM + _SM_STRIDE * number
+        self.write(base + _CLKDIV, 1 << 16)
+        self.write(base + _EXECCTRL, program[4] + (at << 12) | at << 7)
+        self.write(base + _SHIFTCTRL, program[5])
+        self.write(base + _INSTR, at)
+        for pin in pins:
+            self.write(_FUNCTION + 8 * pin, 6 + block)
+            self.write(base + _PINCTRL, 1 << 26 | pin << 5)
+            self.write(base + _INSTR, _OUT_ENABLE)
+            self.mcu.gpio[pin].add_listener(self._listener(pin))
+        if pins:
+            self.write(base + _PINCTRL, 1 << 26 | 1 << 20 | pins[0] << 5 | pins[1])
 
     def _listener(self, pin: int) -> Any:
         def on_change(new: Any, old: Any) -> None:
@@ -63,25 +75,38 @@ class PioModel:
 
         return on_change
 
-    def execute(self, machine: int, instruction: int) -> None:
-        """Force an instruction into a machine."""
-        self._write_sm(machine, _INSTR, instruction)
 
-    def load_isr(self, machine: int, value: int) -> None:
+class PioModel(_Chip):
+    """One PIO block: a program in every machine, words fed as a DMA would, edges logged.
+
+    machines: per machine its step and direction pins, none for a program without pins.
+    """
+
+    def __init__(self, program: "list[Any]", machines: "Sequence[tuple[int, int] | None]") -> None:
+        super().__init__()
+        self.interrupts: list[int] = []
+        self.waiting: list[list[int]] = [[] for _ in machines]
+        self._pio = self.mcu.pio[0]
+        self._count = len(machines)
+        self.load(0, program, 0)
+        for number, pins in enumerate(machines):
+            self.set_up(0, number, program, 0, pins or ())
+
+    def load_isr(self, number: int, value: int) -> None:
         """What the engine does before it starts a machine."""
-        self.write(_TXF + 4 * machine, value)
-        self.execute(machine, _PULL)
-        self.execute(machine, _LOAD_ISR)
+        self.write(_PIO[0] + _TXF + 4 * number, value)
+        for instruction in (_PULL, _LOAD_ISR):
+            self.write(_PIO[0] + _SM + _SM_STRIDE * number + _INSTR, instruction)
 
     def start(self) -> None:
         """Enable all machines at once, their clocks in phase."""
         self._feed()
         machines = (1 << self._count) - 1
-        self.write(_CTRL, machines << 8 | machines)
+        self.write(_PIO[0] + _CTRL, machines << 8 | machines)
 
     def stop(self) -> None:
         """Disable all machines at once."""
-        self.write(_CTRL, 0)
+        self.write(_PIO[0] + _CTRL, 0)
 
     def run(self, ticks: int) -> None:
         """Advance so many ticks."""
@@ -95,18 +120,193 @@ class PioModel:
             self._feed()
 
     def _feed(self) -> None:
-        for machine, words in enumerate(self.waiting):
-            while words and not self._pio.machines[machine].tx_fifo.full:
-                self.write(_TXF + 4 * machine, words.pop(0))
+        for number, words in enumerate(self.waiting):
+            while words and not self._pio.machines[number].tx_fifo.full:
+                self.write(_PIO[0] + _TXF + 4 * number, words.pop(0))
 
-    def at(self, machine: int) -> int:
+    def at(self, number: int) -> int:
         """Where a machine stands."""
-        return self.read(_SM + _SM_STRIDE * machine + _ADDR)
+        return int(self.mcu.read_uint32(_PIO[0] + _SM + _SM_STRIDE * number + _ADDR))
 
-    def x(self, machine: int) -> int:
+    def x(self, number: int) -> int:
         """Its X register."""
-        return int(self._pio.machines[machine].x)
+        return int(self._pio.machines[number].x)
 
-    def unread(self, machine: int) -> int:
+    def unread(self, number: int) -> int:
         """Words it has not fetched."""
-        return int(self._pio.machines[machine].tx_fifo.item_count) + len(self.waiting[machine])
+        return int(self._pio.machines[number].tx_fifo.item_count) + len(self.waiting[number])
+
+
+class PioChip(_Chip):
+    """A chip with a PioEngine that runs on it. patch: until its end the engine is not on a board.
+
+    The engine's own interrupt comes `latency` ticks late. Whatever the engine does with a
+    register takes a tick; the rest of its computing takes no time.
+    """
+
+    def __init__(
+        self,
+        patch: pytest.MonkeyPatch,
+        step: "tuple[int, ...]",
+        direction: "tuple[int, ...]",
+        *timing_us: int,
+    ) -> None:
+        super().__init__()
+        self.latency = 0
+        self.interrupts: list[int] = []
+        self.accesses = 0  # to registers and memory, in what may be interrupted
+        self._due: int | None = None
+        self._inside = False
+        self._pins_may = True
+        self._preempt: tuple[int, Callable[[], None]] | None = None
+        self._ram = memoryview(self.mcu.sram).cast("B").cast("i")
+        self._used = 0
+        self._addresses: dict[int, tuple[int, object]] = {}
+        self._take_place(patch)
+        self.engine = engine.PioEngine(step, direction, *timing_us)
+        # By address, so that every access to it is seen here.
+        self.engine._hub = engine.ptr32(self._address(self.engine._hub))
+        self._connect()
+
+    def _take_place(self, patch: pytest.MonkeyPatch) -> None:
+        plain = builtins.ptr32  # type: ignore[attr-defined]
+        chip = self
+
+        class Pointer(int):
+            """An address, as viper has it."""
+
+            def __getitem__(self, i: int) -> int:
+                return chip._load(self + 4 * i)
+
+            def __setitem__(self, i: int, value: int) -> None:
+                chip._store(self + 4 * i, value)
+
+        def ptr32(memory: Any) -> Any:
+            return Pointer(memory) if isinstance(memory, int) else plain(memory)
+
+        for module in (engine, hub, pulses, stops):
+            patch.setattr(module, "ptr32", ptr32, raising=False)
+        patch.setattr(hub, "_array", self._array)
+        patch.setattr(hub, "_address", self._address)
+        patch.setattr(machine, "mem32", _Registers(self.mcu))
+        patch.setattr(rp2.StateMachine, "machines", {})
+        patch.setattr(rp2.PIO, "handlers", {})
+        patch.setattr(rp2.DMA, "claimed", 0)
+        name = "Raspberry Pi Pico with RP2040"
+        patch.setattr(sys.implementation, "_machine", name, raising=False)
+
+    def _connect(self) -> None:
+        for number, made in rp2.StateMachine.machines.items():
+            block = number // 4
+            at = made.program[1 + block]
+            self.load(block, made.program, at)
+            pins = (made.set_base.id, made.out_base.id) if made.set_base else ()
+            self.set_up(block, number % 4, made.program, at, pins)
+        for axis, (_, channel) in enumerate(self.engine._machines):
+            base = _DMA + _DMA_STRIDE * channel.channel
+            self.write(base, channel.configured["read"])
+            self.write(base + _DMA_WRITE, _PIO[0] + _TXF + 4 * axis)
+            self.write(base + _DMA_CONTROL, channel.configured["ctrl"])
+
+    # Memory and registers
+
+    def _allocate(self, size: int) -> int:
+        at = self._used
+        self._used += -(-size // 8) * 8
+        return at
+
+    def _array(self, length: int) -> memoryview:
+        at = self._allocate(4 * length)
+        made = memoryview(self.mcu.sram)[at : at + 4 * length].cast("i")
+        self._addresses[id(made)] = (_RAM + at, made)
+        return made
+
+    def _address(self, memory: Any) -> int:
+        if id(memory) not in self._addresses:
+            self._addresses[id(memory)] = (_RAM + self._allocate(len(memory)), memory)
+        return self._addresses[id(memory)][0]
+
+    def _load(self, address: int) -> int:
+        self._touch()
+        if _RAM <= address < _RAM_END:
+            return int(self._ram[(address - _RAM) >> 2])
+        self._tick()
+        value = int(self.mcu.read_uint32(address & 0xFFFFFFFF))
+        return value - (value >> 31 << 32)
+
+    def _store(self, address: int, value: int) -> None:
+        self._touch()
+        if _RAM <= address < _RAM_END:
+            self._ram[(address - _RAM) >> 2] = value
+            return
+        self._tick()
+        address &= 0xFFFFFFFF
+        if address in (_NVIC_ENABLE, _NVIC_DISABLE):
+            self._pins_may = address == _NVIC_ENABLE
+        self.write(address, value)
+        # An instruction forced into a machine at rest: the model looks at pins when one runs.
+        self.mcu.pio[0].check_changed_pins()
+
+    # Time and interrupts
+
+    def run(self, ticks: int) -> None:
+        """Advance so many ticks."""
+        end = self.now + ticks
+        while self.now < end:
+            if self._due is not None and self._due <= self.now:
+                self._due = None
+                self.interruptible(lambda: rp2.PIO.handlers[1][0](rp2.PIO(1)))
+            self._tick()
+
+    def run_until_idle(self, limit: int = 20_000_000) -> None:
+        """Until the engine has made all it is given."""
+        end = self.now + limit
+        self.run(self.latency + 1000)
+        while not self.engine.idle() or self._due is not None:
+            assert self.now < end, "motion does not end"
+            self.run(2000)
+        self.run(4000)  # the last pulse
+
+    def interruptible(self, work: "Callable[[], object]") -> None:
+        """Let the engine do something that a pin's interrupt may interrupt."""
+        self._inside = True
+        work()
+        self._inside = False
+
+    def preempt(self, after: int, action: "Callable[[], None]") -> None:
+        """A pin's interrupt after so many accesses of such work, or when the engine allows it."""
+        self._preempt = (self.accesses + after, action)
+
+    def _touch(self) -> None:
+        if not self._inside:
+            return
+        self.accesses += 1
+        if self._preempt and self._pins_may and self.accesses >= self._preempt[0]:
+            action = self._preempt[1]
+            self._preempt = None
+            action()
+
+    def _tick(self) -> None:
+        first, second = self.mcu.pio
+        first.advance(1)
+        second.advance(1)
+        self.now += 1
+        self.mcu.clock.tick(_TICK_NS)
+        if second.irq & _CLOCK_FLAG:
+            second.irq &= ~_CLOCK_FLAG
+            self.interrupts.append(self.now)
+            if self._due is None:
+                self._due = self.now + self.latency
+
+
+class _Registers:
+    """machine.mem32 of the chip."""
+
+    def __init__(self, mcu: Any) -> None:
+        self._mcu = mcu
+
+    def __getitem__(self, address: int) -> int:
+        return int(self._mcu.read_uint32(address))
+
+    def __setitem__(self, address: int, value: int) -> None:
+        self._mcu.write_uint32(address, value)

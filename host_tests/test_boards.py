@@ -4,7 +4,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from ugrbl.boards import problems
+from ugrbl.board_check import problems
 from ugrbl.machine import boards, load_board
 from ugrbl.new_board import CHIPS
 
@@ -72,7 +72,18 @@ def test_a_board_is_data_only(name: str) -> None:
         ({"ENGINE": "steam"}, "ENGINE 'steam' is not one of"),
         ({"CHIP": "potato"}, "CHIP is not one of"),
         ({"LINK": "pigeon"}, "LINK 'pigeon' is not one of"),
-        ({"DIR": None, "STEP": None}, ""),
+        ({"STEP": 2}, "STEP is 2 and wants parentheses"),
+        ({"ENABLE": "GP8"}, "ENABLE is 'GP8': pins are numbers"),
+        ({"PWM_MAX": "1000"}, "PWM_MAX is '1000': it is a whole number"),
+        ({"DEFAULTS": (100, 800)}, "DEFAULTS is not of the form"),
+        ({"SPINDEL_PWM": 16}, "SPINDEL_PWM: nothing reads it; is SPINDLE_PWM meant?"),
+        ({"ENGINE": "i2s", "MPY_ARCH": "xtensawin", "CHIP": "esp32"}, "ENABLE is missing"),
+        ({"DIALECT": "0.7"}, "DIALECT is 1.1, 0.9, 0.9i or 0.9j, not 0.7"),
+        ({"DIALECT": 0.9}, 'DIALECT = 0.9 wants quotation marks: "0.9"'),
+        ({"TOOL": "hammer"}, "TOOL is spindle or punch, not hammer"),
+        ({"TOOL": "punch", "PUNCH_UP": 20}, "no pin for PUNCH_DOWN, PUNCH_DOWN_SENSOR, PUNCH_UP_"),
+        ({"DIR": None}, "DIR is missing"),
+        ({"DIR": None, "ENGINE": "sim"}, ""),
     ],
 )
 def test_a_mistake_is_named(changes: "dict[str, Any]", said: str) -> None:

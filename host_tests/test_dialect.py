@@ -13,7 +13,6 @@ from typing import Any
 
 import errors
 import pytest
-from controller import Options
 from hypothesis import given
 from hypothesis import strategies as some
 from report import Report
@@ -24,6 +23,7 @@ from ugrbl.messages import alarms, meaning
 from ugrbl.messages import errors as error_words
 from ugrbl.sim.replay import Sender, factory_store
 from ugrbl.sim.rig import Rig
+from wiring import Options
 
 _HERE = Path(__file__).parent
 _FIRMWARE = _HERE.parent / "firmware"
@@ -88,14 +88,14 @@ def test_the_default_board_loads_neither_dialects_nor_tools() -> None:
     program = (
         f"import sys; sys.path[:0] = [{str(_HERE / 'shim')!r}, {str(_FIRMWARE)!r}]\n"
         "from types import SimpleNamespace\n"
-        "import controller; controller.Options(SimpleNamespace())\n"
+        "import wiring; wiring.Options(SimpleNamespace())\n"
         "assert not {'report_09', 'punch'} & set(sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
 def test_nobody_else_asks_which_dialect_it_is() -> None:
-    """There is one condition on it, in controller.py; the rest is classes and their constants."""
+    """There is one condition on it, in wiring.py; the rest is classes and their constants."""
     asking = []
     for path in sorted(_FIRMWARE.glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
@@ -103,7 +103,7 @@ def test_nobody_else_asks_which_dialect_it_is() -> None:
                 node.test
             ):
                 asking.append(path.name)
-    assert set(asking) <= {"controller.py", "report_09.py"} and asking.count("controller.py") == 1
+    assert set(asking) <= {"wiring.py", "report_09.py"} and asking.count("wiring.py") == 1
 
 
 def test_a_dialect_says_everything_that_1_1_says() -> None:

@@ -81,7 +81,7 @@ def test_every_error_and_alarm_is_in_the_readme():
 def test_every_board_and_option_is_in_the_readme():
     files = [path.name for path in (_ROOT / "boards").glob("[!_]*.py")]
     assert [name for name in files if not in_readme(name)] == []
-    source = (_FIRMWARE / "controller.py").read_text(encoding="utf-8")
+    source = (_FIRMWARE / "wiring.py").read_text(encoding="utf-8")
     options = re.findall(r'\boption\("(\w+)"', source)
     assert options
     assert [name for name in options if not in_readme(name)] == []

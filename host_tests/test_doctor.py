@@ -283,6 +283,24 @@ def test_a_real_grbl_makes_fewer_steps() -> None:
 
 
 @pytest.mark.parametrize(
+    ("name", "most"),
+    [
+        ("Grbl", 90_909),
+        ("Grbl pio", 90_909),
+        ("Grbl sim 5000", 90_909),
+        ("Grbl rmt", 5000),
+        ("Grbl rmt 5000Hz", 5000),
+        ("Grbl rmt 20000Hz my 7000Hz mill", 20_000),
+        ("Grbl i2s 41666Hz", 41_666),
+        ("my mill", 30_000),
+    ],
+)
+def test_whoever_makes_the_pulses_sets_the_limit(name: str, most: int) -> None:
+    found = Firmware("1.1", "h", "20261121", name, "V,15,128")
+    assert int(checkup.most_hz(found, 10)) == most
+
+
+@pytest.mark.parametrize(
     ("found", "verdict"),
     [
         (OURS, OK),

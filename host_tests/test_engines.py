@@ -357,6 +357,53 @@ def test_power_is_told_with_the_segments(engine: str) -> None:
     assert len(set(told)) >= 5
 
 
+@pytest.mark.parametrize("engine", WHOLE)
+def test_power_at_rest_is_the_last_segments(engine: str) -> None:
+    """A laser that follows the speed is off then, or at the least of its power."""
+    for length in (0.1, 0.5, 1.5, 3.0):
+        made = Made(engine, Limits(acceleration=(200.0,) * 3, rate=(3000.0,) * 3))
+        made.bench.line((length, 0.0, 0.0), 1200.0)
+        planned: list[int] = []
+        inner = made.bench.segments.next
+
+        def with_power(row: "array[int]", inner: Any = inner, planned: Any = planned) -> int:
+            found: int = inner(row)
+            row[ROW_POWER] = 900 - 7 * len(planned)
+            planned.extend([row[ROW_POWER]] * found)
+            return found
+
+        made.engine.attach(with_power, made.powers.append)
+        made.go()
+        assert made.powers[-1] == planned[-1]
+        told = len(made.powers)
+        made.engine.advance(made.engine.now + int(100_000 / made.us))
+        assert len(made.powers) == told
+
+
+@pytest.mark.parametrize("after_ms", [1, 5, 20, 33, 41, 120])
+@pytest.mark.parametrize("engine", WHOLE)
+def test_no_power_is_told_after_a_stop(engine: str, after_ms: float) -> None:
+    made = make(engine, "fast")
+    powers = iter(range(1, 10_000))
+    inner = made.bench.segments.next
+
+    def with_power(row: "array[int]") -> int:
+        found = inner(row)
+        row[ROW_POWER] = next(powers)
+        return found
+
+    made.engine.attach(with_power, made.powers.append)
+    made.engine.start()
+    made.run(after_ms)
+    made.engine.stop()
+    told, place = len(made.powers), made.position()
+    for _ in range(50):
+        made.engine.advance(made.engine.now + int(2000 / made.us))
+        assert made.engine.idle()
+        assert made.position() == place
+    assert len(made.powers) == told
+
+
 def awkward_rows(seed: int, tick_hz: int, count: int) -> "list[array[int]]":
     """Rows that no planner makes: steps on their very edges, reversals at full speed."""
     chance = random.Random(seed)

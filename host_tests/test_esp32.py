@@ -1,5 +1,6 @@
 """The ESP32 without one: its stand-ins are as strict as its modules, and the firmware boots."""
 
+import json
 import subprocess
 import sys
 from array import array
@@ -9,11 +10,24 @@ from pathlib import Path
 import pytest
 from esp_bench import EspEngine, clock, esp32, esp_machine
 from micropython_runner import needs_micropython, run_micropython
+from ugrbl import machine
 
-_BOOT = Path(__file__).parent / "esp_boot.py"
+_HERE = Path(__file__).parent
+_BOOT = _HERE / "esp_boot.py"
 _BOARDS = ("mks_dlc32", "esp32_devkit", "esp32_s3")
 
-_TALK = """\
+Talk = list[tuple[str, str]]
+_GREETING: Talk = [("", "Grbl "), ("$X\n", "ok")]
+_PROMPT: Talk = [("\x03\x03\x03", "prompt")]
+_SET_UP: Talk = [("$100=80\n", "ok"), ("$101=80\n", "ok"), ("$110=2000\n", "ok")]
+_MOVE: Talk = [
+    ("$110=1000000\n", "error:12"),
+    ("G91 G1 X5 Y-3 F1200 M3 S500\n", "ok"),
+    ("G0 X-2\n", "ok"),
+    ("G4 P0.05\n", "ok"),
+    ("?", ">"),
+]
+_MOVED = """\
 > $110=1000000
 error:12
 > G91 G1 X5 Y-3 F1200 M3 S500
@@ -24,38 +38,155 @@ ok
 ok
 > ?
 <Idle|MPos:3.000,-3.000,0.000|FS:0,500|WCO:0.000,0.000,0.000>
+"""
+_HIT = """\
 > $21=1
 ok
 > G1 X20 F1200
 ok
 ALARM:1
 [MSG:Reset to continue]
+
+Grbl 1.1h ['$' for help]
+[MSG:'$H'|'$X' to unlock]
 """
 
 
-def boot(*arguments: str) -> str:
+def hit(board: str) -> Talk:
+    """A limit switch in the middle of a move."""
+    pin = machine.load_board(board).LIMIT[0]
+    talk = [("$21=1\n", "ok"), ("G1 X20 F1200\n", "ok"), ("ms 300", ""), (f"pin {pin} 0", "cont")]
+    return [*talk, (f"pin {pin} 1", ""), ("\x18", "unlock")]
+
+
+def arguments(board: str, folder: Path, talk: Talk, *lines: str) -> "list[str]":
+    """Write down what is to be said; ask for the prompt at its end."""
+    (folder / "talk.json").write_text(json.dumps([*talk, *_PROMPT]))
+    return [board, str(folder), *lines]
+
+
+def boot(board: str, folder: Path, talk: Talk, *lines: str) -> str:
     """What the firmware says under CPython."""
-    command = [sys.executable, str(_BOOT), *arguments]
+    command = [sys.executable, str(_BOOT), *arguments(board, folder, talk, *lines)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
 
 @pytest.mark.parametrize("board", _BOARDS)
-def test_the_firmware_boots_moves_and_stops_at_a_limit(board: str) -> None:
-    said = boot(board)
+def test_the_firmware_boots_moves_and_stops_at_a_limit(board: str, tmp_path: Path) -> None:
+    said = boot(board, tmp_path, [*_GREETING, *_SET_UP, *_MOVE, *hit(board)])
     assert "Grbl 1.1h ['$' for help]" in said
-    assert _TALK in said
+    assert _MOVED + _HIT in said
 
 
 @needs_micropython
 @pytest.mark.parametrize("board", _BOARDS)
-def test_it_does_so_under_micropython(board: str) -> None:
-    assert _TALK in run_micropython(_BOOT, board)
+def test_it_does_so_under_micropython(board: str, tmp_path: Path) -> None:
+    talk = [*_GREETING, *_SET_UP, *_MOVE, *hit(board)]
+    assert _MOVED + _HIT in run_micropython(_BOOT, *arguments(board, tmp_path, talk))
 
 
-def test_a_board_file_chooses_its_engine_in_one_line() -> None:
-    assert _TALK in boot("mks_dlc32", "rmt")
+@needs_micropython
+def test_settings_are_kept_in_flash(tmp_path: Path) -> None:
+    boot("esp32_s3", tmp_path, [*_GREETING, *_SET_UP])
+    again: Talk = [("", "Grbl "), ("$$\n", "ok")]
+    said = run_micropython(_BOOT, *arguments("esp32_s3", tmp_path, again))
+    assert said.startswith("\nGrbl 1.1h") and "\n$100=80.000\n" in said
+
+
+def test_another_engine_is_one_line_of_a_board_file(tmp_path: Path) -> None:
+    """Numbers of outputs are pins then; that the board is not wired so is another matter."""
+    talk = [*_GREETING, *_SET_UP, *_MOVE, *hit("mks_dlc32")]
+    assert _MOVED + _HIT in boot("mks_dlc32", tmp_path, talk, 'ENGINE = "rmt"')
+
+
+@pytest.mark.parametrize(
+    ("board", "who"), [("mks_dlc32", "i2s 41666Hz"), ("esp32_s3", "rmt 5000Hz")]
+)
+def test_a_board_says_who_makes_its_pulses(board: str, who: str, tmp_path: Path) -> None:
+    said = boot(board, tmp_path, [*_GREETING, ("$I=my mill\n", "ok"), ("$I\n", "ok")])
+    assert f":Grbl {who} MYMILL]\n[OPT:V,15,128]\n" in said
+
+
+_REFUSED: Talk = [("", "MSG"), ("?", "MSG")]
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ('ENGINE = "i2s"', "ENGINE = i2s: the board file names no I2S, I2S_RATE_HZ, I2S_BUFFERS"),
+        ('ENGINE = "steam"', "ENGINE steam is not one there is"),
+        ('LINK = "pigeon"', "LINK pigeon is not one there is"),
+        ("PROBE = 13", "PROBE: pin 13 is LIMIT already"),
+        ("FLOOD = 34", "pin can only be input"),
+        ('TOOL = "punch"', "TOOL = punch: the board file names no pin for PUNCH_DOWN, PUNCH_UP, "),
+    ],
+)
+def test_a_board_that_cannot_be_says_why_to_whoever_asks(
+    line: str, words: str, tmp_path: Path
+) -> None:
+    if "LINK" in line:
+        assert words in boot("esp32_devkit", tmp_path, [], line)
+        return
+    said = boot("esp32_devkit", tmp_path, _REFUSED, line)
+    assert said.count(f"[MSG:ValueErr: {words}") == 2 and "rror" not in said
+
+
+_PUNCH = (
+    'TOOL = "punch"',
+    "PUNCH_DOWN = 32",
+    "PUNCH_UP = 33",
+    "PUNCH_DOWN_SENSOR = 34",
+    "PUNCH_UP_SENSOR = 36",
+    "NO_PULL_UP = (34, 35, 36, 39)",
+)
+
+
+def test_a_punch_runs(tmp_path: Path) -> None:
+    talk = [*_GREETING, *_SET_UP, ("G91 M3\n", "ok"), ("G0 X1\n", "ok"), ("G0 X1 Y1\n", "ok")]
+    talk += [("M5\n", "ok"), ("G0 X1\n", "ok"), ("G4 P0.2\n", "ok"), ("?", ">")]
+    said = boot("esp32_devkit", tmp_path, talk, *_PUNCH)
+    assert "<Idle|MPos:3.000,1.000,0.000|" in said
+    assert said.endswith("2 strokes\n")
+
+
+def test_a_laser_that_follows_the_speed_is_off_at_rest(tmp_path: Path) -> None:
+    talk = [*_GREETING, *_SET_UP, ("$32=1\n", "ok"), ("G91 M4 S500\n", "ok")]
+    for length in (5, 0.7, 0.2):
+        talk += [(f"G1 X{length} F1200\n", "ok"), ("G4 P0.01\n", "ok"), ("?", ">"), ("?", ">")]
+    said = boot("mks_dlc32", tmp_path, talk)
+    assert said.count("<Idle|") == 6 and "|A:" not in said
+
+
+# Back to the prompt
+
+
+@pytest.mark.parametrize(("asked", "left"), [("\x03\x03\x03", 3), ("\x03\r\x01", 1)])
+def test_the_prompt_is_had_at_rest(asked: str, left: int, tmp_path: Path) -> None:
+    said = boot("esp32_devkit", tmp_path, [("", "Grbl "), (asked, "prompt")][:2])
+    assert "[MSG:Here is the REPL]" in said
+    assert f"the prompt reads [{left}]" in said
+
+
+def test_the_prompt_is_not_had_in_motion(tmp_path: Path) -> None:
+    talk = [*_GREETING, ("G91 G1 X2 F300\n", "ok"), ("ms 50", ""), ("\x03\x03\x03?", ">")]
+    said = boot("esp32_devkit", tmp_path, [*talk, ("G4 P0\n", "ok"), ("?", ">")])
+    assert "<Run|" in said and "<Idle|MPos:2.000," in said
+
+
+def test_a_board_on_a_uart_promises_no_more_than_micropython_keeps() -> None:
+    found = [machine.load_board(name) for name in machine.boards()]
+    on_uart = [board for board in found if getattr(board, "LINK", "") == "uart"]
+    assert len(on_uart) >= 3
+    assert all(board.RX_BYTES == 128 for board in on_uart)
+
+
+def test_all_that_a_sender_may_have_under_way_is_kept(tmp_path: Path) -> None:
+    burst = "X.01\n" * 25
+    assert 120 < len(burst) <= 128
+    talk = [*_GREETING, ("G91 G1 F300\n", "ok"), (burst, "ok\r\n" * 25), ("G4 P0\n", "ok")]
+    assert "|MPos:0.252,0.000,0.000|" in boot("esp32_s3", tmp_path, [*talk, ("?", ">")])
 
 
 # A buffer is filled in the timer's turn with the heap locked: what allocates would raise.
@@ -106,8 +237,7 @@ print("filled", rows > 4)
 
 @needs_micropython
 def test_buffers_of_frames_are_filled_without_allocation() -> None:
-    here = _BOOT.parent
-    folders = (str(here.parent / "firmware"), str(here.parent), str(here / "shim"))
+    folders = (str(_HERE.parent / "firmware"), str(_HERE.parent), str(_HERE / "shim"))
     assert "filled True" in run_micropython(_NO_ALLOCATION % folders)
 
 

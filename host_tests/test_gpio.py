@@ -184,7 +184,10 @@ def test_a_wrong_pin_is_named(changes: "dict[str, Any]", said: str) -> None:
 
 
 def test_outputs_behind_shift_registers_are_no_pins() -> None:
-    gpio_check.check(board(ENGINE="i2s", STEP=(2, 3, 101), LIMIT=(2, 3, 4)))
+    registers = {"I2S": (20, 21, 22), "I2S_RATE_HZ": 125_000, "I2S_BUFFERS": 16}
+    gpio_check.check(board(ENGINE="i2s", STEP=(2, 3, 101), LIMIT=(2, 3, 4), **registers))
+    with pytest.raises(ValueError, match="PROBE: pin 21 is I2S already"):
+        gpio_check.check(board(ENGINE="i2s", PROBE=21, **registers))
 
 
 def test_no_message_of_a_fault_can_be_taken_for_an_answer(

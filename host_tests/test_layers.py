@@ -10,7 +10,7 @@ FIRMWARE = Path(__file__).parent.parent / "firmware"
 
 # A module imports from lower lines only, never from its own. A new module gets its place here.
 LAYERS = (
-    {"errors", "axes", "f32"},
+    {"errors", "axes", "f32", "reals"},
     {"words", "lines", "arcs", "digits", "kernels"},
     {"state", "settings", "coords"},
     {"block", "planner", "segments", "spindle", "coolant", "inputs"},
@@ -19,12 +19,14 @@ LAYERS = (
     {"realtime", "commands", "suspension"},
     {"protocol", "punch"},
     {"controller"},
+    {"wiring"},
     {"power_up"},
     {"main"},
 )
 LAYER = {module: number for number, layer in enumerate(LAYERS) for module in layer}
 
-# Ports stand outside the stack: they use the two lowest layers, and only power_up uses them.
+# Ports stand outside the stack: they use the two lowest layers and their own kind, and only
+# power_up uses them.
 PORT_PREFIXES = ("link", "gpio", "store")
 PORT_FOLDERS = ("pio", "esp")
 PORT_LAYERS = (0, 1)
@@ -53,6 +55,12 @@ def is_port(module):
     return top in PORT_FOLDERS or top.startswith(PORT_PREFIXES)
 
 
+def kind(module):
+    """What ports have in common: their folder, or how their names begin."""
+    top = module.partition(".")[0]
+    return top if top in PORT_FOLDERS else top.partition("_")[0]
+
+
 def imports(tree):
     """Yield every imported module, also inside functions, but not what only mypy reads."""
     if isinstance(tree, ast.If) and ast.unparse(tree.test).endswith("TYPE_CHECKING"):
@@ -74,8 +82,7 @@ def may_import(module, used):
     if used in MICROPYTHON:
         return used not in HARDWARE or is_port(module)
     if is_port(module):
-        same_folder = "." in used and used.partition(".")[0] == module.partition(".")[0]
-        return same_folder or LAYER.get(used) in PORT_LAYERS
+        return kind(used) == kind(module) or LAYER.get(used) in PORT_LAYERS
     if is_port(used) or used == BOARD_FILE:
         return module == "power_up"
     return LAYER.get(used, len(LAYERS)) < LAYER[module]
@@ -118,3 +125,9 @@ def test_functions_and_files_stay_short(path):
     # A viper sees constants of its own module only, so the kernels stay in one.
     most = 900 if path.stem == "kernels" else 400
     assert lines <= most, f"{lines} lines; a module has {most} at most, tables not counted"
+
+
+@pytest.mark.parametrize("folder", ["boards", "firmware"])
+def test_no_tool_hides_a_folder_beside_it(folder):
+    """Both are on the path of a replay, and a module wins over a folder without __init__.py."""
+    assert not (FIRMWARE.parent / "tools" / f"{folder}.py").exists()

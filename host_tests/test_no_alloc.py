@@ -18,6 +18,7 @@ from array import array
 import kernels
 import lines
 import micropython
+import motion
 import words
 from f32 import vector
 from planner import Move, Planner
@@ -65,31 +66,30 @@ def plan():
 
 
 plan()
-block = memoryview(ring)[: flow[kernels.ROW_SIZE]]
-steps = array("i", [0] * 3)
-there = array("i", [1000, 2000, -300])
-resolutions = Settings.steps_per_mm
 text = bytearray(b"G1X-12.345Y0.0000678Z99999999.9F1500S12000\\0")
 end = len(text) - 1 << 8
 letters = bytearray(128)
 values = array("f", [0.0] * 128)
 plain = bytearray(b"G1X-12.345Y0.25F1500\\0")
 line = words.Words()
+here = vector(3)
+line.at[words.AXES], line.at[words.MODE] = 3, words.HAS_G1
+there = array("i", [3, 0, 1000, 2000, 300])
 offsets = array("f", [0.1, -20.5, 0.0])
 reader = lines.LineReader(128, 79, lambda byte: None)
 received = bytearray(b"G1 X1 (a comment) ? y2\\n")
 """
 
 _PROVED = {
-    "to_steps": "kernels.to_steps(target, resolutions, steps, 3)",
-    "measure": "kernels.measure(there, steps, block, machine)",
-    "limit": "kernels.limit(block, machine)",
-    "turn": "kernels.turn(block, machine)",
-    "schedule": "kernels.schedule(block, machine)",
+    "plan": "kernels.plan(target, machine, ring, flow, 0, 0, 0, planner._feed_real)",
+    "schedule": "kernels.schedule(machine, ring, 0)",
+    "limit_entry": "kernels.limit_entry(ring, flow, 2)",
     "reverse_pass": "kernels.reverse_pass(ring, flow, 1)",
     "scan": "words.scan(text, end, letters, values)",
     "read": "line.read(plain, 0, len(plain) - 1)",
-    "target": "line.target(line.plain(), offsets, target)",
+    "plain": "words.plain(line.letters, line.values, line.count, line.at, target)",
+    "target": "words.target(line.values, line.at, 3, offsets, here, target)",
+    "judge": "motion.judge(target, there, flow)",
     "feed": "reader.feed(received, len(received))",
     "take": "reader.take()",
 }

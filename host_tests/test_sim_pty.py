@@ -100,6 +100,29 @@ def test_lines_are_answered(sim: Sim) -> None:
         assert "error:20" in sender.ask("G64")
 
 
+def test_a_machine_with_switches_is_homed_at_either_end_and_stops_there(tmp_path: Path) -> None:
+    running = Sim(tmp_path, "--speed", "max", "--switches")
+    try:
+        with running.open() as sender:
+            sender.wait("help]")
+            for setting in ("$22=1", "$25=5000", "$120=500", "$121=500", "$122=500", "$130=30"):
+                assert sender.ask(setting) == "ok\r\n"
+            assert sender.ask("$110=5000") == "ok\r\n"
+            assert sender.ask("$H") == "ok\r\n"
+            assert "MPos:-1.000,-1.000,-1.000|" in sender.wait_idle()
+            sender.ask("$23=1")
+            sender.ask("$H")
+            assert "MPos:-29.000,-1.000,-1.000|" in sender.wait_idle()
+            sender.ask("$21=1")
+            sender.ask("G53 G0 X0")  # a millimetre is between the travel's end and the switch
+            assert "MPos:0.000," in sender.wait_idle()
+            sender.send(b"G0 X2\n")
+            sender.wait("ALARM:1")
+    finally:
+        running.process.kill()
+        running.process.communicate()
+
+
 def test_a_sender_that_leaves_does_not_stop_the_machine(sim: Sim) -> None:
     with sim.open() as sender:
         sender.wait("help]")

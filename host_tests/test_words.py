@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from oracle import read_number, read_words, single
-from words import Words, add_single, scan
+from words import AXES, HAS_G0, HAS_G1, LASER, MODE, Words, add_single, plain, scan
 
 
 def bits(x: float) -> int:
@@ -100,20 +100,33 @@ def test_a_sum_beyond_single_precision_is_not_finite() -> None:
     assert not isfinite(b[0])
 
 
-@given(st.lists(pieces, max_size=6).map("".join))
-@example("N10000000X1")
-@example("N9999999X1")
-@example("G1X1F-1")
-@example("G00X-0F-0")
-def test_a_plain_line_holds_nothing_that_could_be_wrong(text: str) -> None:
+modes = st.tuples(st.sampled_from([HAS_G0, HAS_G1]), st.booleans(), st.sampled_from([0.0, 500.0]))
+
+
+@given(st.lists(pieces, max_size=6).map("".join), modes)
+@example("N10000000X1", (HAS_G0, False, 0.0))
+@example("N9999999X1", (HAS_G0, False, 0.0))
+@example("G1X1F-1", (HAS_G1, False, 500.0))
+@example("G1X1F500", (HAS_G1, False, 500.0))
+@example("X1F0", (HAS_G1, False, 500.0))
+@example("G1X1S5", (HAS_G0, True, 500.0))
+@example("G1X1S5", (HAS_G1, False, 500.0))
+@example("G00X-0F-0", (HAS_G0, False, 0.0))
+def test_a_plain_line_holds_nothing_that_could_be_wrong(
+    text: str, modes: "tuple[int, bool, float]"
+) -> None:
+    mode, laser, feed = modes
     found, fault = read_words(text)
     letters = [letter for letter, _ in found]
     line = Words()
     line.read(bytearray(text.encode() + b"\0"), 0, len(text))
-    seen = line.plain()
+    line.at[AXES], line.at[MODE], line.at[LASER] = 4, mode, laser
+    code = scan(bytearray(text.encode() + b"\0"), len(text) << 8, line.letters, line.values)
+    seen = plain(line.letters, line.values, code, line.at, array("f", [feed]))
     if not seen:
         return
     assert not fault
+    assert set(letters) & set("XYZA")
     assert len(set(letters)) == len(letters)
     assert set(letters) <= set("GXYZAFNS")
     for at, (letter, value) in enumerate(found):
@@ -122,5 +135,10 @@ def test_a_plain_line_holds_nothing_that_could_be_wrong(text: str) -> None:
         assert letter not in "FNS" or value >= 0
         assert letter != "N" or value < 10_000_000
         bit = ord(letter) - ord("X") if bit is None else bit
-        assert seen >> bit & 1
+        is_new = {"F": value != feed, "G": bit and 1 << bit != mode}.get(letter, True)
+        assert seen >> bit & 1 == is_new
         assert line.at[bit] == at
+    words = dict(found)
+    cuts = words.get("G", mode == HAS_G1) == 1
+    assert words.get("F", feed) or not cuts
+    assert "S" not in words or (laser and cuts)

@@ -4,6 +4,7 @@ import sys
 from array import array
 
 import kernels
+import reals
 import words
 from f32 import vector
 from kernels import ROWS
@@ -31,16 +32,16 @@ class Dice:
 def print_reals(dice):
     """The arithmetic of reals and of the interrupt."""
     for _ in range(2000):
-        a = kernels.pack(1 + dice.below(1 << 24), 50 + dice.below(28))
-        b = kernels.pack(1 + dice.below(1 << 24), 50 + dice.below(28))
+        a = reals.pack(1 + dice.below(1 << 24), 50 + dice.below(28))
+        b = reals.pack(1 + dice.below(1 << 24), 50 + dice.below(28))
         n, m = dice.below(1 << 24) << dice.below(6), dice.below(1 << 24)
         part = dice.below(131073)
         print(
-            kernels.mul(a, b),
-            kernels.div(a, b),
-            kernels.whole(a, dice.below(16)),
-            kernels.real_root(a),
-            kernels.square_root(n),
+            reals.mul(a, b),
+            reals.div(a, b),
+            reals.ratio(n, b),
+            reals.product(a, b, b),
+            reals.square_root(n),
             kernels.share(n, m + 1),
             kernels.times(n, part),
             kernels.braking(max(n, m), min(n, m), 1 + dice.below(1 << 20), dice.any((0, 18))),
@@ -51,6 +52,9 @@ def print_reals(dice):
 def print_words(dice):
     """Numbers of any length, read into the bits of floats."""
     letters, values = bytearray(128), array("f", [0.0] * 128)
+    zero = array("f", [500.0])
+    plain = bytearray(16)
+    plain[words.AXES], plain[words.MODE] = 3, words.HAS_G1
     for _ in range(1500):
         text = ""
         for _ in range(1 + dice.below(5)):
@@ -64,7 +68,7 @@ def print_words(dice):
         print(text, count, list(bits))
         one, other = array("f", [values[0]]), array("f", [values[1 % (count & 255)]])
         words.add_single(one, 0, other, 0)
-        print(list(bytes(other)), words.plain(letters, values, count & 255, bytearray(16)))
+        print(list(bytes(other)), words.plain(letters, values, count & 255, plain, zero))
 
 
 class Settings:

@@ -1,5 +1,6 @@
 """What may be wrong with a machine, in words: judged from what it says of itself."""
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 
@@ -7,9 +8,11 @@ from .settings_file import AXES, Firmware
 
 OK, NOTE, BAD = "ok", "note", "bad"
 
-# Highest step rates of one axis, by who makes the pulses; measured ones where they are lower.
+# Highest step rates of one axis, by who makes the pulses, where a board does not state its own.
 _GRBL_ON_AVR_HZ = 30_000
+_ENGINES_HZ = {"pio": 100_000, "i2s": 41_666, "rmt": 5_000}
 _UGRBL_HZ = 100_000
+_IDENTITY = re.compile(r"Grbl(?: (pio|i2s|rmt|sim))?(?: (\d+)Hz)?\b")
 # What Grbl 1.1h has from the factory, and hardly any machine wants.
 _STOCK = {100: 250.0, 110: 500.0, 120: 10.0, 130: 200.0}
 _LONG_RAMP_S = 2.0
@@ -65,9 +68,12 @@ def is_ours(found: Firmware) -> bool:
 
 def most_hz(found: Firmware, pulse_us: float) -> float:
     """The highest step rate to expect of one axis, with pulses of that length."""
-    if not is_ours(found):
+    identity = _IDENTITY.match(found.name)
+    if identity is None or not is_ours(found):
         return _GRBL_ON_AVR_HZ
-    return min(_UGRBL_HZ, 1_000_000 / (pulse_us + 1))
+    engine, stated = identity.groups()
+    most = int(stated) if stated else _ENGINES_HZ.get(engine, _UGRBL_HZ)
+    return min(most, 1_000_000 / (pulse_us + 1))
 
 
 def settings(values: Mapping[int, float], found: Firmware) -> list[Finding]:

@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from . import doctor, new_board_cli, picture, plot_cli, settings_cli
+from . import build_cli, deploy_cli, doctor, new_board_cli, picture, plot_cli, settings_cli
 from .conformance import conformance
 from .gcode_file import read_lines
 from .machine import DEFAULT_BOARD
@@ -17,7 +17,9 @@ from .messages import meaning
 from .screen import Screen, show_errors, summary, totals_rows
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
+app.command("build", epilog=build_cli.EXAMPLES)(build_cli.command)
 app.command()(conformance)
+app.command("deploy", epilog=deploy_cli.EXAMPLES)(deploy_cli.command)
 app.command("doctor", epilog=doctor.EXAMPLES)(doctor.command)
 app.command("new-board", epilog=new_board_cli.EXAMPLES)(new_board_cli.command)
 app.command("plot", epilog=plot_cli.EXAMPLES)(plot_cli.command)
@@ -57,6 +59,9 @@ def sim(
     settings: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Keeps the settings between runs.")
     ] = None,
+    switches: Annotated[
+        bool, typer.Option("--switches", help="Limit switches at both ends of $130-$132, for $H.")
+    ] = False,
     report: Annotated[
         Path | None, typer.Option(metavar="FILE", help="At the end, write steps and times there.")
     ] = None,
@@ -68,7 +73,8 @@ def sim(
     from .simulate import Options, simulate
 
     try:
-        simulate(Options(board, port, stdio, speed is Speed.MAX, settings, report, plot))
+        fast = speed is Speed.MAX
+        simulate(Options(board, port, stdio, fast, settings, report, plot, switches))
     except (ValueError, OSError) as error:
         raise _failed(error) from error
 

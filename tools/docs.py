@@ -1,4 +1,4 @@
-"""`python -m ugrbl.docs`: makes the README's tables out of the firmware's own.
+"""`python -m ugrbl.docs`: makes the README's tables out of the firmware's own, and package.json.
 
 A table stands between the lines `<!-- begin: NAME -->` and `<!-- end: NAME -->`; TABLES says
 who makes it. What a table says of a row is the comment beside it in the firmware, or the words
@@ -6,6 +6,7 @@ below, which docs refuses to do without. --picture also keeps what `make run` ha
 """
 
 import ast
+import json
 import re
 from collections.abc import Callable, Iterable
 from functools import cache
@@ -14,9 +15,10 @@ from typing import Annotated
 
 import typer
 
-from . import differences, messages, paths
+from . import __version__, build, differences, messages, paths
 
 README = paths.FIRMWARE.parent / "README.md"
+PACKAGE = README.with_name("package.json")
 PICTURE = paths.EXAMPLES / "badge.png"
 _DRAWN = Path("build/badge.png")
 _COLOURS = 256
@@ -274,22 +276,22 @@ def _numbers(kind: str, table: dict[int, str]) -> str:
 
 def board_options() -> dict[str, tuple[str, str]]:
     """Options of a board file by name: default and meaning; ValueError if one has no comment."""
-    nodes = ast.walk(ast.parse(_source("controller")))
+    nodes = ast.walk(ast.parse(_source("wiring")))
     calls = [node for node in nodes if isinstance(node, ast.Call)]
     found = {}
     for call in sorted(calls, key=lambda call: call.lineno):
         if ast.unparse(call.func) == "option":
             name = ast.literal_eval(call.args[0])
-            words = _above("controller", call.lineno, f"option {name}")
+            words = _above("wiring", call.lineno, f"option {name}")
             found[name] = (ast.unparse(call.args[1]), words)
     return found
 
 
 def _default(text: str) -> str:
     """A default as a board file would say it."""
-    import controller
+    import wiring
 
-    return f"`{getattr(controller, text, text)}`"
+    return f"`{getattr(wiring, text, text)}`"
 
 
 def _options() -> str:
@@ -351,6 +353,12 @@ def update(text: str) -> str:
     return _MARKED.sub(lambda found: f"{found[1]}{TABLES[found[2]]()}\n{found[3]}", text)
 
 
+def package() -> str:
+    """What `mip install` reads: every file of the firmware, and where it is beside this text."""
+    rows = ",\n".join(f"    {json.dumps([name, f'firmware/{name}'])}" for name in build.sources())
+    return f'{{\n  "urls": [\n{rows}\n  ],\n  "version": {json.dumps(__version__)}\n}}\n'
+
+
 def _keep_picture() -> None:
     """Keep the picture that `make run` has drawn, in fewer colours and so in fewer bytes."""
     from PIL import Image
@@ -360,15 +368,19 @@ def _keep_picture() -> None:
     few.save(PICTURE, optimize=True)
 
 
+def _renew(file: Path, new: str) -> None:
+    old = file.read_text(encoding="utf-8") if file.exists() else ""
+    if new != old:
+        file.write_text(new, encoding="utf-8")
+    print(file.name, "has been brought up to date" if new != old else "is up to date")
+
+
 def main(
     picture: Annotated[bool, typer.Option("--picture", help=f"Keep {_DRAWN} as well.")] = False,
 ) -> None:
-    """Bring the README's tables up to date."""
-    old = README.read_text(encoding="utf-8")
-    new = update(old)
-    if new != old:
-        README.write_text(new, encoding="utf-8")
-    print("README.md", "has been brought up to date" if new != old else "is up to date")
+    """Bring the README's tables, and package.json, up to date."""
+    _renew(README, update(README.read_text(encoding="utf-8")))
+    _renew(PACKAGE, package())
     if picture:
         _keep_picture()
 

@@ -1,19 +1,18 @@
 """What a machine does from segment to segment: place, speed, acceleration, step rate."""
 
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from . import machine
-from .recorder import Recorder, _replace
-from .run import ProgramLink, Result, Step
+from .recorder import Recorder, replace_method
+from .run import Result, watch_program
 
 if TYPE_CHECKING:
     from .sim.rig import Rig
 
 LETTERS = "XYZABC"
-_PROGRESS_LINES = 100
 # Between two segments so far apart the machine has stood still.
 _REST_S = 1e-6
 
@@ -64,8 +63,11 @@ class MotionTrace(Recorder):
 
     def _attach(self) -> None:
         super()._attach()
+        from reals import value
+
+        self._value = value
         self._segments = self._rig.controller.segments
-        self._next = _replace(self._segments, "next", self._noted)
+        self._next = replace_method(self._segments, "next", self._noted)
 
     def _noted(self, row: "array[int]") -> int:
         """Stand in for Segments.next: note the speed of what it makes, and of which block."""
@@ -74,7 +76,7 @@ class MotionTrace(Recorder):
             kernels = self._kernels
             at = self._planner.flow[kernels.AT]
             ring = self._planner.ring
-            length = kernels.value(ring[at + kernels.LENGTH]) or 1.0
+            length = self._value(ring[at + kernels.LENGTH]) or 1.0
             steps = ring[at + kernels.STEPS : at + kernels.STEPS + len(self._axes)]
             dirs = ring[at + kernels.DIRS]
             per_mm = [(-n if dirs >> i & 1 else n) / length for i, n in enumerate(steps)]
@@ -125,26 +127,5 @@ def trace_program(
     progress: Callable[[int], None] | None = None,
 ) -> tuple[Result, Motion]:
     """Run a program as run.run_program does, and follow every segment."""
-
-    def script(link: ProgramLink) -> Iterator[Step]:
-        for setting in settings:
-            link.replies.clear()
-            yield 0, setting.encode("latin-1")
-            yield None
-            if link.replies[-1] != "ok":
-                link.stop(f"{setting} was refused with {link.replies[-1]}")
-                return
-        trace.start_clock()
-        for number, line in enumerate(lines, 1):
-            yield number, line
-            if progress and number % _PROGRESS_LINES == 0:
-                progress(number)
-        yield None
-        trace.stop_clock(link.news)
-
-    rig = machine.build(board, lambda rig: ProgramLink(rig, script))
-    trace = MotionTrace(rig)
-    machine.run(rig)
-    result: Any = rig.link.result
-    result.totals = trace.totals()
+    result, trace = watch_program(lines, MotionTrace, board, settings, progress)
     return result, trace.motion

@@ -1,11 +1,11 @@
 """A board file made of answers: which pins there are, what may go where, the text of the file."""
 
 import importlib.util
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 AXES = "XYZA"
 
@@ -272,10 +272,7 @@ def load(file: Path) -> ModuleType:
 
 
 def check_file(file: Path) -> Sequence[str]:
-    """What the project's own check of board files finds wrong, where that is installed."""
-    if importlib.util.find_spec(f"{__package__}.boards") is None:
-        load(file)
-        return ()
-    module: Any = importlib.import_module(f"{__package__}.boards")
-    problems: Callable[[ModuleType], Sequence[str]] = module.problems
+    """Everything that is wrong with a board file as it stands there."""
+    from .board_check import problems  # which knows this module
+
     return problems(load(file))

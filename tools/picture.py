@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 # More strokes than that cannot be told apart on a picture and take long to draw.
 _MOST_STROKES = 40_000
 # The least share of the width that height gets in the view in space.
-_FLATTEST = 0.2
+FLATTEST = 0.2
 # The scale of colours leaves out the fastest of the path, by this share of the time.
 _RAPID_SHARE = 0.03
 
@@ -71,8 +71,8 @@ def draw(
     path = thin(path, sum(dist(a.place, b.place) for a, b in pairwise(path)) / _MOST_STROKES)
     lines = [(a.place, b.place) for a, b in pairwise(path)]
     speeds = [60 * dist(a.place, b.place) / (b.seconds or 1.0) for a, b in pairwise(path)]
-    look: dict[str, Any] = {"array": speeds, "cmap": "turbo", "clim": (0, _fast(path, speeds))}
-    low, size = _box(path)
+    look: dict[str, Any] = {"array": speeds, "cmap": "turbo", "clim": (0, fast(path, speeds))}
+    low, size = box(path)
 
     figure = Figure(figsize=(15, 7.5), dpi=110, layout="constrained")
     figure.suptitle(title)
@@ -84,7 +84,7 @@ def draw(
 
     space = figure.add_subplot(1, 2, 2, projection="3d", xlabel="X mm", ylabel="Y mm")
     space.add_collection3d(art3d.Line3DCollection(lines, linewidths=0.5, **look))
-    space.set(zlabel="Z mm", box_aspect=(size[0], size[1], max(size[2], _FLATTEST * max(size))))
+    space.set(zlabel="Z mm", box_aspect=(size[0], size[1], max(size[2], FLATTEST * max(size))))
     for name, start, side in zip(("xlim", "ylim", "zlim"), low, size, strict=True):
         space.set(**{name: (start, start + side)})
     space.locator_params(nbins=5)
@@ -103,7 +103,7 @@ def save(
     draw(path, title, marks).savefig(file)
 
 
-def _fast(path: Sequence[Stroke], speeds: Sequence[float]) -> float:
+def fast(path: Sequence[Stroke], speeds: Sequence[float]) -> float:
     """The speed that is exceeded for a tiny part of the time only: by the rapids, in most jobs."""
     left = _RAPID_SHARE * sum(stroke.seconds for stroke in path[1:])
     for speed, seconds in sorted(
@@ -115,7 +115,7 @@ def _fast(path: Sequence[Stroke], speeds: Sequence[float]) -> float:
     return 1.0
 
 
-def _box(path: Sequence[Stroke]) -> tuple[Place, Place]:
+def box(path: Sequence[Stroke]) -> tuple[Place, Place]:
     """Lowest corner and size; no side is 0."""
     axes = list(zip(*(stroke.place for stroke in path), strict=True)) or [(0.0,)] * 3
     low = (min(axes[0]), min(axes[1]), min(axes[2]))

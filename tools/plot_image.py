@@ -31,11 +31,11 @@ def draw(jobs: Sequence[Job], title: str, words: str, is_svg: bool = False) -> "
     figure = Figure(figsize=size, dpi=100, layout="constrained")
     figure.suptitle(f"{title}\n{words}" if words else title)
     grid = figure.add_gridspec(len(_HEIGHTS), len(jobs), height_ratios=_HEIGHTS)
-    paths = [_thin(job.strokes(), _STROKES_SVG if is_svg else _STROKES) for job in jobs]
-    fastest = max(picture._fast(path, _speeds(path)) for path in paths)
+    paths = [thinned(job.strokes(), _STROKES_SVG if is_svg else _STROKES) for job in jobs]
+    fastest = max(picture.fast(path, path_speeds(path)) for path in paths)
     above: list[Any] = []
     for column, (job, path) in enumerate(zip(jobs, paths, strict=True)):
-        look: dict[str, Any] = {"array": _speeds(path), "cmap": "turbo", "clim": (0, fastest)}
+        look: dict[str, Any] = {"array": path_speeds(path), "cmap": "turbo", "clim": (0, fastest)}
         above.append(figure.add_subplot(grid[0, column], aspect="equal"))
         flat = _from_above(above[-1], path, look)
         above[-1].set_title(f"{job.name}: {short(job.seconds)}")
@@ -45,11 +45,11 @@ def draw(jobs: Sequence[Job], title: str, words: str, is_svg: bool = False) -> "
     return figure
 
 
-def _thin(path: Sequence[Stroke], most: int) -> list[Stroke]:
+def thinned(path: Sequence[Stroke], most: int) -> list[Stroke]:
     return picture.thin(path, sum(dist(a.place, b.place) for a, b in pairwise(path)) / most)
 
 
-def _speeds(path: Sequence[Stroke]) -> list[float]:
+def path_speeds(path: Sequence[Stroke]) -> list[float]:
     return [60 * dist(a.place, b.place) / (b.seconds or 1.0) for a, b in pairwise(path)]
 
 
@@ -68,8 +68,8 @@ def _in_space(axes: Any, path: Sequence[Stroke], look: dict[str, Any]) -> None:
 
     lines = [(a.place, b.place) for a, b in pairwise(path)]
     axes.add_collection3d(art3d.Line3DCollection(lines, linewidths=0.5, **look))
-    low, size = picture._box(path)
-    flattest = picture._FLATTEST * max(size)
+    low, size = picture.box(path)
+    flattest = picture.FLATTEST * max(size)
     axes.set(xlabel="X mm", ylabel="Y mm", zlabel="Z mm")
     axes.set(box_aspect=(size[0], size[1], max(size[2], flattest)))
     for name, start, side in zip(("xlim", "ylim", "zlim"), low, size, strict=True):

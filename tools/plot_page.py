@@ -14,7 +14,7 @@ from typing import Any
 from . import picture
 from .motion_trace import LETTERS
 from .plot import Job, envelope, short
-from .plot_image import _speeds, _thin
+from .plot_image import path_speeds, thinned
 
 _STROKES = 12_000
 _STROKES_FLAT = 6000
@@ -83,7 +83,7 @@ draw().catch(fail);
 
 def page(jobs: Sequence[Job], title: str, words: str) -> str:
     """The text of the page."""
-    fastest = max(picture._fast(job.strokes(), _speeds(job.strokes())) for job in jobs)
+    fastest = max(picture.fast(job.strokes(), path_speeds(job.strokes())) for job in jobs)
     figures = {
         "space": _space(jobs, fastest),
         "flat": _flat(jobs, fastest),
@@ -142,8 +142,8 @@ def _space(jobs: Sequence[Job], fastest: float) -> dict[str, Any]:
         "showlegend": False,
     }
     for index, job in enumerate(jobs):
-        path = _thin(job.strokes(), _STROKES)
-        speeds = [round(speed) for speed in [0.0, *_speeds(path)]]
+        path = thinned(job.strokes(), _STROKES)
+        speeds = [round(speed) for speed in [0.0, *path_speeds(path)]]
         line = {"color": speeds, "colorscale": scale, "cmin": 0, "cmax": fastest, "width": 3}
         if index == 0:
             line |= {"showscale": True, "colorbar": {"title": {"text": "mm/min"}, "len": 0.8}}
@@ -164,9 +164,9 @@ def _space(jobs: Sequence[Job], fastest: float) -> dict[str, Any]:
 
 
 def _scene(side: Sequence[float], path: Sequence[picture.Stroke]) -> dict[str, Any]:
-    _, size = picture._box(path)
+    _, size = picture.box(path)
     longest = max(size)
-    shape = [size[0], size[1], max(size[2], picture._FLATTEST * longest)]
+    shape = [size[0], size[1], max(size[2], picture.FLATTEST * longest)]
     return {
         "domain": {"x": side, "y": [0, 1]},
         "aspectmode": "manual",
@@ -183,7 +183,7 @@ def _flat(jobs: Sequence[Job], fastest: float) -> dict[str, Any]:
     named = set()
     for index, job in enumerate(jobs):
         number = str(index + 1) if index else ""
-        path = _thin(job.strokes(), _STROKES_FLAT)
+        path = thinned(job.strokes(), _STROKES_FLAT)
         for step, (xs, ys) in enumerate(_binned(path, fastest)):
             if not xs:
                 continue
@@ -220,7 +220,7 @@ def _binned(
     """Strokes by speed; within a colour, those that do not join are parted by a gap."""
     bins: list[tuple[list[float | None], list[float | None]]] = [([], []) for _ in range(_BINS)]
     previous = -1
-    for (a, b), speed in zip(pairwise(path), _speeds(path), strict=True):
+    for (a, b), speed in zip(pairwise(path), path_speeds(path), strict=True):
         step = min(int(_BINS * speed / fastest), _BINS - 1)
         xs, ys = bins[step]
         if step != previous:

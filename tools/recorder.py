@@ -68,7 +68,7 @@ class Recorder:
             rig.port.on_hole = self._mark
         rig.on_built = self._attach
         rig.engine.trace = self._segment
-        self._set_position = _replace(rig.engine, "set_position", self._rename)
+        self._set_position = replace_method(rig.engine, "set_position", self._rename)
 
     def start_clock(self) -> None:
         """The work begins now."""
@@ -98,7 +98,7 @@ class Recorder:
         self._system_motion = SYSTEM_MOTION
         self._planner = controller.planner
         self._settings = controller.settings
-        self._plan = _replace(self._planner, "line", self._line)
+        self._plan = replace_method(self._planner, "line", self._line)
 
     def _by_letter(self, values: Sequence[_Value]) -> dict[str, _Value]:
         return dict(zip(_LETTERS, values, strict=False))
@@ -162,7 +162,7 @@ class Recorder:
         return [n * mm for n, mm in zip(steps, self._mm_per_step, strict=True)]
 
 
-def _replace(owner: object, name: str, stand_in: object) -> Any:
+def replace_method(owner: object, name: str, stand_in: object) -> Any:
     """Put something else in the place of one object's method; returns the method."""
     method = getattr(owner, name)
     setattr(owner, name, stand_in)

@@ -2,10 +2,10 @@
 
 import json
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from . import machine
 from .gcode_file import CYCLE_START, has_realtime, is_answer
@@ -13,6 +13,8 @@ from .recorder import Recorder, Totals
 
 if TYPE_CHECKING:
     from .sim.rig import Rig
+
+_Watcher = TypeVar("_Watcher", bound=Recorder)
 
 # Bytes sent and not yet answered: what senders allow themselves.
 _WINDOW = 127
@@ -228,34 +230,53 @@ def run_program(
 
     progress is told, now and then, how many lines have been sent.
     """
+    commands = (*settings, *(["$C"] if check else []))
+    return watch_program(lines, lambda rig: Recorder(rig, keep_path), board, commands, progress)
+
+
+def watch_program(
+    lines: Sequence[bytes],
+    watcher: "Callable[[Rig], _Watcher]",
+    board: str,
+    commands: Sequence[str],
+    progress: Callable[[int], None] | None,
+) -> tuple[Result, _Watcher]:
+    """Run a program, after commands that have to be accepted, with somebody made to watch."""
 
     def script(link: ProgramLink) -> Iterator[Step]:
-        import state
-
-        if link.rig.controller.state.run == state.ALARM:
-            yield 0, b"$X"
-        for setting in (*settings, *(["$C"] if check else [])):
-            link.replies.clear()
-            yield 0, setting.encode("latin-1")
-            yield None
-            if link.replies[-1] != "ok":
-                link.stop(f"{setting} was refused with {link.replies[-1]}")
-                return
-        recorder.start_clock()
+        if not (yield from _prepare(link, commands)):
+            return
+        watching.start_clock()
         for number, line in enumerate(lines, 1):
             yield number, line
             if progress and number % _PROGRESS_LINES == 0:
                 progress(number)
         yield None
-        recorder.stop_clock(link.news)
+        watching.stop_clock(link.news)
         link.replies.clear()
         yield 0, b"$G"
         yield None
         link.result.final_state = next((r for r in link.replies if r.startswith("[G")), "")
 
     rig = machine.build(board, lambda rig: ProgramLink(rig, script))
-    recorder = Recorder(rig, keep_path)
+    watching = watcher(rig)
     machine.run(rig)
     result: Result = rig.link.result
-    result.totals = recorder.totals()
-    return result, recorder
+    result.totals = watching.totals()
+    return result, watching
+
+
+def _prepare(link: ProgramLink, commands: Sequence[str]) -> Generator[Step, None, bool]:
+    """Unlock the machine and send it commands. Returns whether it took them all."""
+    import state
+
+    if link.rig.controller.state.run == state.ALARM:
+        yield 0, b"$X"
+    for command in commands:
+        link.replies.clear()
+        yield 0, command.encode("latin-1")
+        yield None
+        if link.replies[-1] != "ok":
+            link.stop(f"{command} was refused with {link.replies[-1]}")
+            return False
+    return True

@@ -24,6 +24,7 @@ class Options:
     settings: Path | None = None
     report: Path | None = None
     plot: Path | None = None
+    switches: bool = False
 
 
 def simulate(options: Options) -> None:
@@ -33,6 +34,10 @@ def simulate(options: Options) -> None:
         rig = machine.build(
             options.board, lambda rig: LiveLink(rig, wire, options.fast), options.settings
         )
+        if options.switches:
+            from .sim import switches
+
+            switches.fit(rig)
         recorder = Recorder(rig, keep_path=options.plot is not None)
         _stop_on_signals(rig.link)
         if isinstance(wire, Pty):

@@ -93,6 +93,29 @@ def end_buffer(timing: ptr32, lanes: ptr32) -> int:
 
 
 @micropython.viper
+def take_back(row: ptr32, owed: ptr32, axes: int, gap: int) -> int:
+    """Make a row that takes the owed steps back, `gap` ticks apart. Returns how many it lasts."""
+    most = 0
+    dirs = 0
+    for i in range(axes):
+        steps = owed[i]
+        owed[i] = 0
+        if steps > 0:
+            dirs |= 1 << i
+        else:
+            steps = 0 - steps
+        if steps > most:
+            most = steps
+        base = _ROW_AXES + _ROW_STRIDE * i
+        row[base] = steps
+        row[base + 1] = gap
+        row[base + 2] = gap * steps
+    row[_ROW_TICKS] = gap * (most + 1)
+    row[_ROW_DIRS] = dirs
+    return most
+
+
+@micropython.viper
 def lateness(row: ptr32, timing: ptr32, lanes: ptr32) -> int:
     """Ticks by which a row that would begin at ROW_END has to begin later.
 

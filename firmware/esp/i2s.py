@@ -62,12 +62,13 @@ _LAST = const(9)  # number of the last one of motion that was handed over
 _PAUSE = const(10)  # a buffer without steps has to come first
 _TOLD = const(11)  # spindle power told last
 _DRY = const(12)  # how often the stream has run dry while the machine moved
-_STATE_LENGTH = const(13)
+_LATEST = const(13)  # spindle power of the newest row, which is the last one in the end
+_STATE_LENGTH = const(14)
 
 # What is remembered of a buffer; behind these, per axis, the position as it begins.
 _NUMBER = const(0)
 _START = const(1)  # its first word, without steps
-_POWER = const(2)  # spindle power as it is played; _NEVER: nothing new
+_POWER = const(2)  # spindle power as it is played; -1: not known
 _MOVES = const(3)  # it is part of a motion
 _NOTE = const(4)
 
@@ -75,12 +76,7 @@ _NOTE = const(4)
 _LANE = const(11)
 _PLACE = const(10)
 _LEFT = const(6)
-_NEVER = const(0x3FFFFFFF)
-_ROW_TICKS = const(0)
-_ROW_DIRS = const(1)
 _ROW_POWER = const(2)
-_ROW_AXES = const(3)
-_ROW_STRIDE = const(3)
 
 # Slots that are none.
 _BEFORE = const(1000)
@@ -178,6 +174,8 @@ class I2sEngine:
         state[_WRITTEN] = self._buffers
         state[_LAST] = -1
         state[_PAUSE] = 1
+        for slot in range(self._slots):  # numbers begin anew
+            self._notes[slot * self._size + _NUMBER] = -1
 
     # The StepEngine seam
 
@@ -214,13 +212,14 @@ class I2sEngine:
         """Begin to pull, where the engine had run out of segments; the timer's next turn does."""
         state = self._state
         if not state[_PULLING]:
-            state[_TOLD] = -1
+            state[_TOLD] = state[_LATEST] = -1
             state[_PULLING] = 1
 
     def stop(self) -> None:
         """At once; safe in a soft interrupt; queued steps are dropped, locks released."""
         state = self._state
         state[_HALT] = 1
+        state[_LATEST] = -1
         lanes = self._lanes
         if not self.idle():
             steps = array("i", (0 for _ in range(self._axes)))
@@ -256,12 +255,15 @@ class I2sEngine:
         self._state[_HALT] = 0
 
     def idle(self) -> bool:
-        """Nothing is moving and nothing is queued in hardware."""
+        """Nothing is moving and nothing is queued in hardware. Power is the last row's then."""
         state = self._state
         if state[_PULLING] or state[_MOVED] > state[_SENT]:
             return False
         _follow(state, time.ticks_us(), self._buffer_us)
-        return state[_LAST] < state[_PLAYING]
+        if state[_LAST] >= state[_PLAYING]:
+            return False
+        self._tell(state[_LATEST])
+        return True
 
     def position(self, steps: "array[int]") -> None:
         """Copy the steps really made, per motor, to the frame; those to be taken back are not."""
@@ -315,13 +317,15 @@ class I2sEngine:
                 return
 
     def _tell_power(self) -> None:
-        state = self._state
-        slot = _find(state, self._notes, self._slots, self._size)
-        if slot >= 0:
-            power = self._notes[slot * self._size + _POWER]
-            if power < _NEVER and power != state[_TOLD]:
-                state[_TOLD] = power
-                self._on_power(power)
+        slot = _find(self._state, self._notes, self._slots, self._size)
+        # Not at rest: whoever has seen us idle may have turned the spindle.
+        if slot >= 0 and self._notes[slot * self._size + _MOVES]:
+            self._tell(self._notes[slot * self._size + _POWER])
+
+    def _tell(self, power: int) -> None:
+        if power >= 0 and power != self._state[_TOLD]:
+            self._state[_TOLD] = power
+            self._on_power(power)
 
     def _make(self) -> None:
         """Fill the next buffer of our ring."""
@@ -330,47 +334,31 @@ class I2sEngine:
         slot = state[_MADE] % self._slots
         note = slot * self._size
         buffer = self._ring[slot]
+        notes = self._notes
         for i in range(self._axes):
-            self._notes[note + _NOTE + i] = lanes[_LANE * i + _PLACE]
-        self._notes[note + _START] = frames.begin_buffer(buffer, timing, lanes)
-        self._notes[note + _POWER] = _NEVER
-        self._notes[note + _MOVES] = state[_PULLING]
+            notes[note + _NOTE + i] = lanes[_LANE * i + _PLACE]
+        notes[note + _START] = frames.begin_buffer(buffer, timing, lanes)
+        notes[note + _POWER] = state[_LATEST]
+        notes[note + _MOVES] = state[_PULLING]
         if state[_PULLING]:
             state[_MOVED] = state[_MADE] + 1
             if not state[_ROW]:
                 timing[frames.ROW_END] = 0
-                if any(self._owed):
-                    self._take_back()
-                    frames.begin_row(
-                        buffer, row, timing, lanes, frames.lateness(row, timing, lanes)
-                    )
+                if frames.take_back(row, self._owed, self._axes, self.tick_hz // _BACK_HZ):
+                    late = frames.lateness(row, timing, lanes)
+                    frames.begin_row(buffer, row, timing, lanes, late)
                     state[_ROW] = 1
             while not state[_ROW] or frames.render(buffer, timing, lanes):
                 if not self._next_segment(row):
                     state[_PULLING] = 0
                     state[_ROW] = 0
                     break
-                frames.begin_row(buffer, row, timing, lanes, frames.lateness(row, timing, lanes))
+                late = frames.lateness(row, timing, lanes)
+                frames.begin_row(buffer, row, timing, lanes, late)
                 state[_ROW] = 1
-                self._notes[note + _POWER] = row[_ROW_POWER]
+                notes[note + _POWER] = state[_LATEST] = row[_ROW_POWER]
         frames.end_buffer(timing, lanes)
         state[_MADE] += 1
-
-    def _take_back(self) -> None:
-        """A segment that brings axes back to where they were locked."""
-        row = self._row
-        gap = self.tick_hz // _BACK_HZ
-        row[_ROW_TICKS] = gap * (max(abs(steps) for steps in self._owed) + 1)
-        row[_ROW_DIRS] = 0
-        for i in range(self._axes):
-            steps = abs(self._owed[i])
-            base = _ROW_AXES + _ROW_STRIDE * i
-            row[base] = steps
-            row[base + 1] = gap
-            row[base + 2] = gap * steps
-            if self._owed[i] > 0:
-                row[_ROW_DIRS] |= 1 << i
-            self._owed[i] = 0
 
     def _send_pause(self) -> bool:
         """Behind zeros, and before anything steps: directions as they are to be."""

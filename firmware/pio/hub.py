@@ -64,8 +64,10 @@ _CTRL = const(0)
 _FLEVEL = const(3)
 _TXF = const(4)
 _IRQ_FORCE = const(13)
+_PADOUT = const(15)  # levels of all pins
 _ADDR = const(0x35)
 _INSTR = const(0x36)
+_PINCTRL = const(0x37)  # the direction pin in its lowest bits
 _SM = const(6)  # from one machine to the next
 _SET = const(0x800)  # the same register, where ones set bits,
 _CLEAR = const(0xC00)  # and where they clear them
@@ -88,6 +90,7 @@ _CLOCK_OVERHEAD = const(4)  # ticks of its loop besides the count
 # From pulses.py, kernels.py.
 _LANE = const(7)
 _CARRY = const(0)
+_DIR = const(1)
 _HEAD = const(2)
 _SENT = const(3)
 _PLACE = const(4)
@@ -183,6 +186,9 @@ def _prepare(hub: ptr32) -> int:
         lanes[_LANE * i + _HEAD] = 0
         lanes[_LANE * i + _SENT] = 0
         lanes[_LANE * i + _CARRY] = 0
+        # Words that have turned it may never have been played.
+        pin = pio[_PINCTRL + _SM * i] & 31
+        lanes[_LANE * i + _DIR] = (pio[_PADOUT] >> pin) & 1
         pio[_TXF + i] = timing[_PULSE] - 3
     for i in range(axes):
         pio[_INSTR + _SM * i] = _PULL
@@ -227,7 +233,8 @@ def feed(hub: ptr32) -> int:
         if long and count + 1 == space:
             break
         late = int(convert(row, hub[_LANES], hub[_WORDS], hub[_TIMING]))
-        clocked[count] = late + ticks - _CLOCK_OVERHEAD if ticks > _CLOCK_OVERHEAD else 0
+        lasts = late + ticks
+        clocked[count] = lasts - _CLOCK_OVERHEAD if lasts > _CLOCK_OVERHEAD else 0
         if long:
             clocked[count] -= _LEAD
             count += 1

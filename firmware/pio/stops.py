@@ -138,9 +138,11 @@ def position(hub: ptr32, steps: ptr32) -> int:
     axes = hub[_AXES]
     lanes = ptr32(hub[_LANES])
     begins = _ROW_AXES + _ROW_STRIDE * axes
-    for i in range(axes):
-        steps[i] = lanes[_LANE * i + _END]
-    if hub[_RUNNING]:
+    locked = hub[_LOCKED]  # now, for stop() may come in between
+    if hub[_RUNNING] == 0:
+        for i in range(axes):
+            steps[i] = lanes[_LANE * i + _END]
+    else:
         now = ptr32(hub[_TIMER])[0]
         fed = hub[_FED]
         passed = _NEGATIVE
@@ -156,6 +158,6 @@ def position(hub: ptr32, steps: ptr32) -> int:
             tick = (passed * _HALF_TICKS_PER_US - row[begins + 1]) >> 1
         places(row, tick, int(row) + 4 * (begins + _ROW_EXTRA), steps, axes)  # type: ignore[call-overload]
     for i in range(axes):
-        if (hub[_LOCKED] >> i) & 1:
+        if (locked >> i) & 1:
             steps[i] = lanes[_LANE * i + _FROZEN]
     return 0

@@ -95,6 +95,10 @@ class _Usb:
         self._pending += data
         self._alarm.schedule(_OUT_PACKET_US * _NS_PER_US)
 
+    def open_port(self, is_open: bool) -> None:
+        """A program opens or closes the port: its DTR tells."""
+        self._cdc._cdc_set_control_line_state(3 if is_open else 0)
+
     def waiting(self) -> int:
         """Bytes the chip has not taken yet."""
         return len(self._pending) + self._cdc.tx_fifo.item_count
@@ -268,6 +272,17 @@ class Pico:
         """The file system as it is now."""
         size = LAYOUT.fs_blocksize * LAYOUT.fs_blockcount
         return bytes(self.mcu.flash[LAYOUT.fs_start : LAYOUT.fs_start + size])
+
+    def write_file(self, name: str, content: bytes) -> None:
+        """Put a file on the board, which is not running."""
+        image = self.flash_image()
+        context = UserContext(len(image))
+        context.buffer[:] = image
+        disk = _littlefs(context, mount=True)
+        with disk.open(name, "wb") as file:
+            file.write(content)
+        disk.unmount()
+        self.put_file_system(bytes(context.buffer))
 
     def read_file(self, name: str) -> bytes:
         """A file of the board, as the chip has left it."""

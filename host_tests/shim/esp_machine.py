@@ -43,6 +43,7 @@ class Pin:
             self.level = 0
             self.mode = 0
             self.pull: "int | None" = None
+            self.driven = False
             self.log: "list[tuple[int, int]]" = []
             self.handler: object = None
         if id in self.without_output and (mode == self.OUT or pull not in (-1, None)):
@@ -51,7 +52,7 @@ class Pin:
             self.mode = mode
         if pull != -1:
             self.pull = pull
-            self.level = 1 if pull == self.PULL_UP else self.level
+            self.level = 1 if pull == self.PULL_UP and not self.driven else self.level
         if value is not None:
             self.value(value)
 
@@ -70,6 +71,7 @@ class Pin:
 
     def drive(self, level: int) -> None:
         """From outside: the world pulls the pin."""
+        self.driven = True
         if level != self.level:
             self.level = level
             wanted = self.IRQ_RISING if level else self.IRQ_FALLING
@@ -80,11 +82,11 @@ class Pin:
 class PWM:
     """A PWM output."""
 
-    def __init__(self, pin: Pin, *, freq: int, duty_u16: int = 0) -> None:
+    def __init__(self, dest: Pin, *, freq: int, duty_u16: int = 0) -> None:
         if not 0 < freq <= 40_000_000:
             raise ValueError("frequency must be from 1Hz to 40MHz")
         self.frequency = freq
-        self.pin = pin
+        self.pin = dest
         self.duty_u16(duty_u16)
 
     def duty_u16(self, duty: int) -> None:
@@ -131,6 +133,28 @@ class Timer:
     def deinit(self) -> None:
         if self in clock.timers:
             clock.timers.remove(self)
+
+
+class WDT:
+    """The watchdog: one, told anew by whoever makes it; it is never stopped. `fed`: when last."""
+
+    timeout_ms = 0
+    fed = 0
+
+    def __init__(self, id: int = 0, timeout: int = 5000) -> None:
+        if id != 0:
+            raise ValueError
+        if timeout <= 0:
+            raise ValueError("WDT timeout too short")
+        if timeout >= 1 << 30:
+            raise ValueError("its hardware counts no further")
+        WDT.timeout_ms = timeout
+        self.feed()
+
+    def feed(self) -> None:
+        if WDT.fed and clock.us - WDT.fed > 1000 * WDT.timeout_ms:
+            raise RuntimeError("the chip has started anew meanwhile")
+        WDT.fed = clock.us
 
 
 class I2S(io.IOBase):
@@ -208,11 +232,11 @@ class I2S(io.IOBase):
         self._asyncio = True
         return flags
 
-    def write(self, data: "bytearray | memoryview") -> int:
+    def write(self, buf: "bytearray | memoryview") -> int:
         assert self.size, "the stream is closed"
         self.run()
         done = 0
-        while done < len(data):
+        while done < len(buf):
             if self._current is None or self._at == self.size:
                 while not self._free and not self._asyncio:
                     clock.work(self.buffer_us)
@@ -221,8 +245,8 @@ class I2S(io.IOBase):
                     break
                 self._current = self.memory[self._free.pop(0)]
                 self._at = 0
-            count = min(len(data) - done, self.size - self._at)
-            self._current[self._at : self._at + count] = data[done : done + count]
+            count = min(len(buf) - done, self.size - self._at)
+            self._current[self._at : self._at + count] = buf[done : done + count]
             self._at += count
             done += count
         clock.work(20)

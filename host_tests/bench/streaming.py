@@ -1,0 +1,114 @@
+"""What a sender sees: lines per second, and how long answers take."""
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from statistics import mean
+
+from wire import Talk
+
+WINDOW = 255  # bytes under way, as [OPT:…] says
+SETTINGS = (
+    *("$0=3", "$1=255", "$10=3", "$100=250", "$101=250", "$102=250"),
+    *("$110=30000", "$111=30000", "$112=30000", "$120=5000", "$121=5000", "$122=5000"),
+)
+
+
+def short_moves(count: int) -> "Iterator[str]":
+    """Lines of 22 characters, moves of 0.05 mm, in slight turns."""
+    x = y = 10.0
+    for k in range(count):
+        x += 0.04 if k % 40 < 20 else -0.04
+        y += 0.03 if k % 20 < 10 else -0.03
+        yield f"G1X{x:06.3f}Y{y:06.3f}F9000"
+
+
+def raster(count: int) -> "Iterator[str]":
+    """A laser's line of an image: 0.1 mm per dot."""
+    for k in range(count):
+        yield f"G1X{10 + 0.1 * (k + 1):.1f}S{100 + 37 * (k % 9)}"
+
+
+def arcs(count: int) -> "Iterator[str]":
+    """Half circles of 1 mm radius, twelve chords or more each."""
+    for k in range(count):
+        yield f"G2X{12 + 2 * k}Y10I1J0F9000"
+
+
+@dataclass
+class Streamed:
+    """What came of it. waiting: blocks in the planner when asked, the least of all times."""
+
+    lines_s: float
+    query_us: "list[float]"
+    waiting: int
+
+
+def stream(talk: Talk, lines: "list[str]", blocks: int, query_every_us: float = 0) -> Streamed:
+    """Send lines by character counting; the first tenth is not counted."""
+    wire = talk.wire
+    under_way: deque[int] = deque()
+    answered = sent = 0
+    begun = ended = 0.0
+    query_at = 0.0
+    next_query = wire.now_us() + query_every_us
+    latencies: list[float] = []
+    waiting = blocks
+    skip = len(lines) // 10
+    wire.received.clear()
+    while answered < len(lines):
+        while sent < len(lines) and sum(under_way) + len(lines[sent]) + 1 <= WINDOW:
+            wire.send(lines[sent].encode() + b"\n")
+            under_way.append(len(lines[sent]) + 1)
+            sent += 1
+        if query_every_us and not query_at and wire.now_us() >= next_query:
+            wire.send(b"?")
+            query_at = wire.now_us()
+        wire.turn()
+        while b"\n" in wire.received:
+            line, _, rest = bytes(wire.received).partition(b"\n")
+            wire.received[:] = rest
+            if line.startswith(b"<"):
+                latencies.append(wire.now_us() - query_at)
+                query_at = 0.0
+                next_query = wire.now_us() + query_every_us
+                if skip < answered and sent < len(lines) and b"|Bf:" in line:
+                    free = int(line.partition(b"|Bf:")[2].partition(b",")[0])
+                    waiting = min(waiting, blocks - free)
+            elif line.startswith(b"ok"):
+                answered += 1
+                under_way.popleft()
+                if answered == skip:
+                    begun = wire.now_us()
+                ended = wire.now_us()
+            elif line.strip():
+                raise RuntimeError(f"line {answered + 1}: {line!r}")
+    return Streamed((answered - skip) / (ended - begun) * 1e6, latencies, waiting)
+
+
+def query_idle_us(talk: Talk, times: int = 20) -> "list[float]":
+    """From `?` to the end of the report, at rest."""
+    found = []
+    for k in range(times):
+        talk.pause_us(3_000 + 370 * k)
+        talk.wire.received.clear()
+        since = talk.wire.now_us()
+        talk.wire.send(b"?")
+        found.append(talk.wait(b">\r\n") - since)
+    return found
+
+
+def idle(talk: Talk) -> None:
+    """Wait until the machine stands still."""
+    while True:
+        talk.wire.received.clear()
+        talk.wire.send(b"?")
+        talk.wait(b">\r\n")
+        if b"<Idle" in talk.wire.received:
+            return
+        talk.pause_us(20_000)
+
+
+def figures(values: "list[float]") -> "tuple[float, float]":
+    """Mean and worst, in ms."""
+    return mean(values) / 1000, max(values) / 1000

@@ -1,0 +1,113 @@
+"""A board to measure: the emulated Pico, whose clock is exact, or a real one on a serial port."""
+
+import time
+from pathlib import Path
+from typing import Protocol
+
+import serial
+from emulated import Board
+
+
+class Wire(Protocol):
+    """A line to a board and a clock."""
+
+    kind: str  # "emulated" or "on hardware"
+    received: bytearray
+
+    def now_us(self) -> float:
+        """The time."""
+
+    def send(self, data: bytes) -> None:
+        """Give bytes to the line."""
+
+    def turn(self) -> None:
+        """Let a little time pass and take in what has come."""
+
+
+class EmulatedWire:
+    """A Wire to an emulated Pico."""
+
+    kind = "emulated"
+
+    def __init__(self, board: Board) -> None:
+        self.board = board
+        self.received = board.pico.usb.received
+        self.send = board.pico.usb.send
+
+    @classmethod
+    def boot(cls, uf2: Path) -> "EmulatedWire":
+        """Power up a new one; its first start is behind it."""
+        return cls(Board(uf2).boot().settled())
+
+    def now_us(self) -> float:
+        return self.board.pico.us
+
+    def turn(self) -> None:
+        self.board.pico.run_us(50)
+
+
+class SerialWire:
+    """A Wire to a board on a serial port. Times are those of this computer."""
+
+    kind = "on hardware"
+
+    def __init__(self, port: str) -> None:
+        self.received = bytearray()
+        self._serial = serial.Serial(port, 115200, timeout=0)
+
+    def now_us(self) -> float:
+        return time.perf_counter_ns() / 1000
+
+    def send(self, data: bytes) -> None:
+        self._serial.write(data)
+
+    def turn(self) -> None:
+        self.received += self._serial.read(4096)
+
+
+class Talk:
+    """Conversation over a Wire."""
+
+    def __init__(self, wire: Wire) -> None:
+        self.wire = wire
+
+    def wait(self, text: bytes, limit_us: float = 10_000_000) -> float:
+        """Until the text has come; returns when that was, in us."""
+        end = self.wire.now_us() + limit_us
+        while text not in self.wire.received:
+            if self.wire.now_us() > end:
+                raise TimeoutError(f"no {text!r} in {bytes(self.wire.received[-200:])!r}")
+            self.wire.turn()
+        return self.wire.now_us()
+
+    def ask(self, line: str) -> str:
+        """The answer to a line."""
+        self.wire.received.clear()
+        self.wire.send(line.encode() + b"\n")
+        self.wait(b"ok\r\n")
+        return self.wire.received.decode("latin-1")
+
+    def pause_us(self, us: float) -> None:
+        """Let time pass."""
+        end = self.wire.now_us() + us
+        while self.wire.now_us() < end:
+            self.wire.turn()
+
+    def python(self, code: str) -> str:
+        """Run code at MicroPython's prompt, which has to be asked for first; what it prints."""
+        self.wire.received.clear()
+        self.wire.send(code.encode() + b"\x04")
+        self.wait(b"\x04>", 60_000_000)
+        text = self.wire.received.decode("latin-1")
+        output, _, trace = text.removeprefix("OK").partition("\x04")
+        if trace.strip("\x04>"):
+            raise RuntimeError(trace)
+        return output
+
+    def prompt(self) -> None:
+        """Leave the machine for MicroPython's raw prompt."""
+        self.wire.send(b"\x03\x03\x03")
+        self.wait(b"Here is the REPL")
+        self.wire.received.clear()
+        self.wire.send(b"\x01")
+        self.wait(b"exit\r\n>")

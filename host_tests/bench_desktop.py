@@ -1,0 +1,56 @@
+"""`make bench`: how fast the firmware runs on this desktop, as ratios within one run.
+
+Times of a shared machine mean little by themselves; so a plain Python loop is timed before and
+after, and figures are told beside it: a line costs so many turns of that loop.
+"""
+
+from statistics import median
+from time import perf_counter
+
+from ugrbl.paths import EXAMPLES
+from ugrbl.run import run_program
+
+_LOOPS = 200_000
+_RUNS = 3
+_SETTINGS = ("$110=5000", "$111=5000", "$112=2000", "$120=500", "$121=500", "$122=300")
+_SHORT = [
+    b"G91 F1200",
+    *(b"G1X0.0%dY0.0%dF12%02d" % (3 + i % 5, 6 - i % 5, i % 100) for i in range(6000)),
+]
+
+
+def _loop_s() -> float:
+    """Seconds for a turn of a plain Python loop."""
+    since = perf_counter()
+    total = 0
+    for i in range(_LOOPS):
+        total += i & 3
+    return (perf_counter() - since) / _LOOPS
+
+
+def _measure(name: str, lines: "list[bytes]", check: bool = False) -> str:
+    figures = []
+    for _ in range(_RUNS):
+        before = _loop_s()
+        since = perf_counter()
+        result, _ = run_program(lines, settings=_SETTINGS, check=check)
+        seconds = perf_counter() - since
+        loop = (before + _loop_s()) / 2
+        assert not result.errors, result.errors[:3]
+        figures.append(
+            (seconds / len(lines), seconds / len(lines) / loop, result.totals.time_s / seconds)
+        )
+    line, turns, speed = (median(column) for column in zip(*figures, strict=True))
+    real = "" if check else f"{speed:8.1f} times real time"
+    return f"{name:<22}{1 / line:8.0f} lines/s {turns:8.0f} loop turns a line{real}"
+
+
+def main() -> None:
+    badge = (EXAMPLES / "badge.nc").read_bytes().splitlines()
+    print(_measure("short moves", _SHORT))
+    print(_measure("badge.nc", badge))
+    print(_measure("badge.nc, check mode", badge, check=True))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,30 @@
+"""Tests on an emulated Pico want MicroPython's image for it: UGRBL_UF2 says where that is."""
+
+import os
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+_HAS_EMULATOR = find_spec("rp2040py") is not None
+
+# Without the emulator these files cannot even be imported.
+collect_ignore_glob = [] if _HAS_EMULATOR else ["test_*.py"]
+
+
+def pytest_report_header() -> str:
+    """Why there is nothing to see."""
+    return "" if _HAS_EMULATOR else "emulated Pico: left out, rp2040py is not installed"
+
+
+@pytest.fixture(scope="session")
+def uf2() -> Path:
+    """MicroPython for the Pico."""
+    named = os.environ.get("UGRBL_UF2", "")
+    if not named:
+        pytest.skip(
+            "UGRBL_UF2 names no image: RPI_PICO-….uf2 of micropython.org/download/RPI_PICO"
+        )
+    if not Path(named).is_file():
+        pytest.skip(f"UGRBL_UF2: there is no file {named}")
+    return Path(named)

@@ -1,0 +1,153 @@
+"""`ugrbl deploy` and mpremote at an emulated Pico: the real tools, a real MicroPython."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ugrbl import build
+from ugrbl.gcode_file import is_answer
+from ugrbl.send import Connection
+
+pytestmark = pytest.mark.xdist_group("pico deploy")
+
+_HERE = Path(__file__).parent
+_BOARD = build.board_file("rpi_pico")
+# Twenty to fifty times as slow as the chip, by what else the computer does.
+_PATIENCE = {"UGRBL_PATIENCE": "10"}
+_BOOT_S = 200.0
+# The machine that is left has room for as much again as it takes from a program's lines.
+_FREE_BYTES = 30_000
+
+
+@contextmanager
+def pico(uf2: Path, folder: Path, files: "build.Build | None" = None) -> "Iterator[Path]":
+    """The port of a board with these files on it."""
+    link, there = folder / "pico", folder / "there"
+    there.mkdir()
+    if files:
+        build.save(files, there)
+    command = [sys.executable, str(_HERE / "pty_bridge.py"), str(uf2), str(link), str(there)]
+    bridge = subprocess.Popen(command)
+    try:
+        until = time.monotonic() + 30
+        while not link.exists():
+            assert bridge.poll() is None and time.monotonic() < until, "no emulated board"
+            time.sleep(0.1)
+        yield link
+    finally:
+        bridge.terminate()
+        bridge.wait()
+
+
+def deploy(port: Path, board: Path = _BOARD, *words: str) -> "tuple[int, Any]":
+    """Exit code and result."""
+    command = [sys.executable, "-m", "ugrbl.cli", "deploy", "--board", str(board)]
+    command += ["--port", str(port), "--json", "-", *words]
+    done = subprocess.run(
+        command, env={**os.environ, **_PATIENCE}, capture_output=True, text=True, check=False
+    )
+    assert done.stdout, done.stderr
+    return done.returncode, json.loads(done.stdout)
+
+
+def mpremote(port: Path, *words: str) -> str:
+    """What it prints."""
+    command = [sys.executable, "-m", "mpremote", "connect", str(port), *words]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+@contextmanager
+def grbl(port: Path) -> "Iterator[Connection]":
+    """The machine, once it has started."""
+    connection = Connection(str(port))
+    try:
+        assert connection.wait_for(lambda line: line.startswith("<"), _BOOT_S)
+        yield connection
+    finally:
+        connection.close()
+
+
+def ask(machine: Connection, line: str) -> "list[str]":
+    """All that is answered; a setting takes its time until it is in flash."""
+    heard: list[str] = []
+    machine.write(line.encode() + b"\n")
+    assert machine.wait_for(lambda reply: heard.append(reply) or is_answer(reply), _BOOT_S)
+    return heard
+
+
+def test_a_board_from_empty_to_up_to_date(uf2: Path, tmp_path: Path) -> None:
+    made = build.for_board(_BOARD)
+    with pico(uf2, tmp_path) as port:
+        code, done = deploy(port)
+        assert code == 0, done
+        assert sorted(done["copied"]) == sorted(made.files) and done["bytes"] == made.bytes
+        assert done["banner"].startswith("Grbl 1.1h") and done["build"].startswith("1.1h.")
+        assert done["micropython"].startswith("MicroPython 1.")
+        assert done["free_bytes"] > _FREE_BYTES
+
+        with grbl(port) as machine:
+            assert ask(machine, "$110=777")[-1] == "ok"
+        code, again = deploy(port)
+        assert (code, again["copied"], again["removed"]) == (0, [], [])
+        assert again["unchanged"] == len(made.files)
+
+        mine = tmp_path / "mine.py"
+        mine.write_text(_BOARD.read_text() + "PLANNER_BLOCKS = 12\n")
+        code, changed = deploy(port, mine)
+        assert (code, changed["copied"], changed["removed"]) == (0, ["board.py"], [])
+        with grbl(port) as machine:
+            assert "$110=777.000" in ask(machine, "$$")
+            assert "[OPT:V,11,255]" in ask(machine, "$I")
+
+
+def test_mpremote_gets_in_and_out_again(uf2: Path, tmp_path: Path) -> None:
+    with pico(uf2, tmp_path, build.for_board(_BOARD)) as port:
+        with grbl(port):
+            pass
+        assert mpremote(port, "resume", "exec", "print(6 * 7)") == "42\n"
+        assert "words.mpy" in mpremote(port, "fs", "ls")
+        with grbl_started_anew(port) as machine:
+            assert ask(machine, "$I")[-1] == "ok"
+        assert mpremote(port, "exec", "print(6 * 7)") == "42\n"  # by way of a soft reset
+
+
+@contextmanager
+def grbl_started_anew(port: Path) -> "Iterator[Connection]":
+    """As Ctrl-D at the prompt does it."""
+    connection = Connection(str(port))
+    connection.write(b"\x04")
+    connection.close()
+    with grbl(port) as machine:
+        yield machine
+
+
+def test_a_machine_that_moves_is_not_disturbed(uf2: Path, tmp_path: Path) -> None:
+    with pico(uf2, tmp_path, build.for_board(_BOARD)) as port:
+        with grbl(port) as machine:
+            assert ask(machine, "G91 G1 X100 F100")[-1] == "ok"
+        code, done = deploy(port)
+        assert code == 1 and "is in Run, and is not disturbed" in done["problems"][0]
+        with grbl(port) as machine:
+            assert machine.state() == "Run"
+
+
+def test_sources_copied_by_hand_are_replaced(uf2: Path, tmp_path: Path) -> None:
+    """What `mpremote cp -r firmware/. :` leaves would hide what is compiled."""
+    made = build.for_board(_BOARD)
+    sources = {
+        name: (build.paths.FIRMWARE / name).read_bytes() for name in ("words.py", "state.py")
+    }
+    there = build.Build(made.arch, {**made.files, **sources, "mine.py": b"mine = 1\n"})
+    with pico(uf2, tmp_path, there) as port:
+        with grbl(port):
+            pass
+        code, done = deploy(port)
+        assert (code, done["removed"], done["copied"]) == (0, ["state.py", "words.py"], [])
+        assert "mine.py" in mpremote(port, "fs", "ls")

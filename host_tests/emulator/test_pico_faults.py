@@ -1,0 +1,152 @@
+"""What goes wrong on the emulated Pico: it says so, in one line, and nothing moves or turns."""
+
+from pathlib import Path
+
+import pytest
+from emulated import ENABLE, SPINDLE_PWM, STEP, Board, firmware, steps
+
+pytestmark = pytest.mark.xdist_group("pico faults")
+
+BOARD = firmware()["board.py"]
+_HOOK = b"""
+import commands
+import power_up
+import time
+
+usual = commands.Commands.execute
+
+
+def execute(self, line, length):
+    what = bytes(line[1:length])
+    if what == b"FAULT":
+        [][1]
+    elif what == b"HANG":
+        while True:
+            pass
+    elif what == b"BUSY":
+        since = time.ticks_ms()
+        while time.ticks_diff(time.ticks_ms(), since) < 400:
+            pass
+    else:
+        usual(self, line, length)
+
+
+commands.Commands.execute = execute
+power_up.main()
+"""
+
+
+@pytest.fixture(scope="module")
+def machine(uf2: Path) -> Board:
+    made = (
+        Board(uf2, {"main.py": _HOOK, "board.py": BOARD + b"WATCHDOG_MS = 1500\n"})
+        .boot()
+        .settled()
+    )
+    made.ask("$120=200")
+    made.pico.record([*STEP, SPINDLE_PWM, ENABLE])
+    return made
+
+
+def still(machine: Board) -> None:
+    """Neither steps nor spindle pulses come any more."""
+    machine.pico.run_us(5_000)
+    machine.pico.edges.clear()
+    machine.pico.run_us(100_000)
+    assert not [edge for edge in machine.pico.edges if edge.pin != ENABLE]
+
+
+def test_a_fault_in_the_firmware_is_an_alarm_and_a_reset_goes_on(machine: Board) -> None:
+    machine.ask("M3 S500")
+    machine.ask("G91 G1 X20 F500")
+    machine.pico.run_us(200_000)
+    assert steps(machine.pico.edges, 0)
+    machine.forget()
+    machine.send("$FAULT\n")
+    machine.wait_for("ALARM:17\r\n[MSG:IndexErr: list index out of range")
+    still(machine)
+    assert machine.status()["state"] == "Alarm"
+    machine.forget()
+    machine.send("G0 X1\n")  # nothing but a reset is heard
+    machine.pico.run_us(50_000)
+    assert machine.said == ""
+    machine.send("\x18")
+    machine.wait_for("Grbl 1.1h")
+    assert machine.ask("$X").endswith("ok\r\n")
+    assert machine.ask("G90") == "ok\r\n"
+
+
+def test_ctrl_x_stops_motion_also_while_the_main_loop_is_busy(machine: Board) -> None:
+    machine.ask("G91 G1 X20 F500")
+    machine.pico.run_us(100_000)
+    machine.send("$BUSY\n")
+    machine.pico.run_us(50_000)
+    now = machine.pico.us
+    machine.forget()
+    machine.send("\x18")
+    machine.pico.run_us(20_000)
+    machine.pico.run_until(lambda: "Grbl 1.1h" in machine.said, 1_000_000)
+    assert "ALARM:3" in machine.said
+    assert steps(machine.pico.edges, 0)[-1][0] - now <= 10_000
+    machine.pico.run_us(50_000)
+    assert machine.said.count("Grbl") == 1
+
+
+def test_a_main_loop_that_hangs_starts_the_chip_anew(machine: Board) -> None:
+    machine.ask("M3 S500")
+    machine.forget()
+    machine.send("$HANG\n")
+    machine.wait_for("Grbl 1.1h", 8_000_000)
+    still(machine)
+
+
+_GOOD = "ENGINE = 'pio'\nSTEP = (2, 3, 4)\nDIR = (5, 6, 7)\n"
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"kernels.mpy": None}, "no module named 'kernels'"),
+        ({"board.py": _GOOD.replace("7", "2").encode()}, "DIR: pin 2 is STEP already"),
+        ({"board.py": _GOOD.replace("4", "40").encode()}, "STEP: there is no pin 40"),
+        ({"board.py": _GOOD.replace("pio", "steam").encode()}, "ENGINE steam is not one there is"),
+        ({"board.py": (_GOOD + "TOOL = 'punch'\n").encode()}, "PUNCH_DOWN"),
+    ],
+)
+def test_a_machine_that_cannot_be_tells_whoever_asks(
+    uf2: Path, changes: "dict[str, bytes | None]", said: str
+) -> None:
+    machine = Board(uf2, changes)
+    machine.pico.record([*STEP])
+    machine.wait_for("]\r\n")
+    machine.forget()
+    machine.send("?")
+    answer = machine.wait_for("]\r\n")
+    assert said in answer and "ok" not in answer and "rror" not in answer
+    assert not machine.pico.edges
+    assert machine.python("print(2 + 2)", "") == "4\r\n"
+
+
+@pytest.mark.parametrize(
+    ("board", "said"), [(None, "no module named 'board'"), (b"STEP = (2, 3, 4\n", "SyntaxErr")]
+)
+def test_without_a_board_there_is_a_line_and_the_prompt(
+    uf2: Path, board: "bytes | None", said: str
+) -> None:
+    machine = Board(uf2, {"board.py": board})
+    assert said in machine.wait_for(">>> ")
+    machine.forget()
+    machine.send("print(2 + 2)\r")
+    machine.wait_for("4\r\n")
+
+
+def test_a_spoilt_settings_file_is_said_and_the_factory_ones_hold(uf2: Path) -> None:
+    machine = Board(uf2, {"settings.txt": b"0=3\n110=99999\n#crc32=00000000\n"}).boot()
+    assert "error:7" in machine.said and "$110=500.000" in machine.said
+
+
+def test_a_full_flash_is_said_and_the_old_settings_stay(uf2: Path) -> None:
+    machine = Board(uf2, {"filler.bin": bytes(1_200_000)}).boot()
+    said = machine.ask("$110=777", until="\r\nerror:7\r\n")
+    assert "[MSG:Flash is full or worn: not kept]" in said
+    assert machine.ask("G90") == "ok\r\n"

@@ -1,0 +1,141 @@
+"""Switches, buttons and a probe at the emulated Pico, and what stops its motors."""
+
+from pathlib import Path
+
+import pytest
+from emulated import DIR, HOLD, LIMIT, PROBE, RESET, START, STEP, Board, steps
+
+pytestmark = pytest.mark.xdist_group("pico inputs")
+
+SETTINGS = (
+    *("$0=3", "$100=80", "$101=80", "$102=80"),
+    *("$110=3000", "$111=3000", "$112=3000"),
+    *("$120=400", "$121=400", "$122=400"),
+)
+
+
+@pytest.fixture(scope="module")
+def machine(uf2: Path) -> Board:
+    made = Board(uf2).boot().settled()
+    for setting in SETTINGS:
+        assert made.ask(setting) == "ok\r\n"
+    made.pico.record([*STEP, *DIR])
+    return made
+
+
+def position(machine: Board) -> "list[float]":
+    return [float(mm) for mm in machine.status()["MPos"].split(",")]
+
+
+def test_hold_comes_to_rest_and_start_goes_on_to_the_step(machine: Board) -> None:
+    machine.pico.edges.clear()
+    start = position(machine)[0]
+    machine.ask("G91 G1 X12 F1800")
+    machine.pico.run_us(150_000)
+    machine.pico.drive(HOLD, 0)
+    machine.pico.run_us(5_000)
+    machine.pico.drive(HOLD, 1)
+    machine.pico.run_us(250_000)
+    count = len(steps(machine.pico.edges, 0))
+    assert 0 < count < 960
+    assert machine.status()["state"] == "Hold:0"
+    machine.pico.run_us(50_000)
+    assert len(steps(machine.pico.edges, 0)) == count
+    machine.pico.drive(START, 0)
+    machine.pico.run_us(5_000)
+    machine.pico.drive(START, 1)
+    machine.until_idle()
+    assert len(steps(machine.pico.edges, 0)) == 960
+    assert position(machine)[0] == pytest.approx(start + 12, abs=0.001)
+
+
+def test_the_sender_holds_and_resumes(machine: Board) -> None:
+    machine.pico.edges.clear()
+    machine.ask("G91 G1 X6 F1800")
+    machine.pico.run_us(80_000)
+    machine.send("!")
+    machine.pico.run_us(200_000)
+    assert machine.status()["state"] == "Hold:0"
+    machine.send("~")
+    machine.until_idle()
+    assert len(steps(machine.pico.edges, 0)) == 480
+
+
+@pytest.mark.parametrize("how", ["ctrl-x", "button"])
+def test_a_reset_in_motion_stops_at_once_and_position_is_what_was_made(
+    machine: Board, how: str
+) -> None:
+    start = position(machine)
+    machine.pico.edges.clear()
+    machine.ask("G91 G1 X12 Y5 F1800")
+    machine.pico.run_us(150_000)
+    machine.forget()
+    now = machine.pico.us
+    if how == "button":
+        machine.pico.drive(RESET, 0)
+        machine.pico.at_us(2_000, lambda: machine.pico.drive(RESET, 1))
+    else:
+        machine.send("\x18")
+    machine.wait_for("Grbl 1.1h")
+    assert "ALARM:3" in machine.said
+    assert machine.pico.edges[-1].ns / 1000 - now <= (100 if how == "button" else 7_000)
+    machine.ask("$X")
+    made = [sum(sign for _, sign in steps(machine.pico.edges, axis)) / 80 for axis in range(3)]
+    assert position(machine) == pytest.approx([a + b for a, b in zip(start, made)], abs=0.001)
+
+
+def test_a_limit_switch_stops_all_axes_within_fifty_microseconds(machine: Board) -> None:
+    machine.ask("$21=1")
+    machine.pico.edges.clear()
+    machine.ask("G91 G1 X12 Y5 F1800")
+    machine.pico.run_us(150_000)
+    machine.forget()
+    now = machine.pico.us
+    machine.pico.drive(LIMIT[1], 0)
+    machine.wait_for("ALARM:1")
+    assert machine.pico.edges[-1].ns / 1000 - now <= 50
+    machine.pico.drive(LIMIT[1], 1)
+    machine.forget()
+    machine.send("\x18")
+    machine.wait_for("Grbl 1.1h")
+    machine.ask("$X")
+    machine.ask("$21=0")
+
+
+def test_a_probe_is_where_it_was_at_the_moment_of_contact(machine: Board) -> None:
+    z = position(machine)[2]
+    machine.pico.edges.clear()
+    contact: list[int] = []
+
+    def touch() -> None:
+        contact.append(sum(sign for _, sign in steps(machine.pico.edges, 2)))
+        machine.pico.drive(PROBE, 0)
+
+    machine.pico.at_us(213_000, touch)
+    said = machine.ask("G91 G38.2 Z-20 F600", limit_us=4_000_000)
+    machine.pico.drive(PROBE, 1)
+    probed = float(said.partition("[PRB:")[2].split(":")[0].split(",")[2])
+    assert probed == pytest.approx(z + contact[0] / 80, abs=0.0126)
+
+
+def test_homing_finds_the_switches(machine: Board) -> None:
+    """Switches of X and Y 3 mm away, Z's 2 mm, closing and opening where the motors are."""
+    places = [240, 240, 160]
+    for setting in ("$23=0", "$24=300", "$25=1200", "$27=1", "$26=5", "$22=1"):
+        machine.ask(setting)
+    machine.ask("$X")
+    at = [0, 0, 0]
+
+    def follow() -> None:
+        for axis in range(3):
+            at[axis] = sum(sign for _, sign in steps(machine.pico.edges, axis))
+            machine.pico.drive(LIMIT[axis], 0 if at[axis] >= places[axis] else 1)
+        machine.pico.at_us(1_000, follow)
+
+    machine.pico.edges.clear()
+    follow()
+    machine.ask("$H", limit_us=12_000_000)
+    # Homed: the pull-off from where the switch closes.
+    assert position(machine) == pytest.approx([-1, -1, -1], abs=0.001)
+    for axis in range(3):
+        assert abs(at[axis] - (places[axis] - 80)) <= 3

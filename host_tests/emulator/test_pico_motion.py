@@ -1,0 +1,173 @@
+"""Edges of step and direction pins on the emulated Pico: counted, timed, held to the plan."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import emulated
+import pytest
+from emulated import DIR, ENABLE, STEP, Board, steps
+
+pytestmark = pytest.mark.xdist_group("pico motion")
+
+SETTINGS = (
+    "$0=3",
+    *("$100=80", "$101=80", "$102=400"),
+    *("$110=6000", "$111=6000", "$112=600"),
+    *("$120=500", "$121=500", "$122=200"),
+)
+PROGRAM = """
+G91 G1 X3 Y-1.5 F4000
+X1.5 Y1.5
+G2 X1 Y1 I1 J0 F2400
+G0 Z0.5
+X-2 Y0.5
+G1 X-2.5 Y-1 Z-0.5 F3000
+""".split("\n")[1:-1]
+
+_PULSE_US = 3
+_TICK_US = 0.08
+# The emulator notes an edge up to some instructions late.
+_SEEN_US = 0.3
+_SETUP_US = 5
+_HOLD_US = 2
+
+
+@pytest.fixture(scope="module")
+def machine(uf2: Path) -> Board:
+    """A machine that is set up, its motor pins being recorded."""
+    made = Board(uf2, {"main.py": USER}).boot().settled()
+    for setting in SETTINGS:
+        assert made.ask(setting).endswith("ok\r\n")
+    made.pico.record([*STEP, *DIR, ENABLE])
+    return made
+
+
+# A user's Python, which takes its time. It is in main.py, where users may do such things.
+USER = b"""
+import gc
+import time
+
+import commands
+import power_up
+
+usual = commands.Commands.execute
+
+
+def execute(self, line, length):
+    what = bytes(line[1:length])
+    if what == b"BLOCK":
+        since = time.ticks_ms()
+        while time.ticks_diff(time.ticks_ms(), since) < 200:
+            pass
+    elif what == b"COLLECT":
+        for _ in range(8):
+            gc.collect()
+    elif what == b"PRINT":
+        for _ in range(40):
+            self._report.message("x" * 60)
+    else:
+        usual(self, line, length)
+
+
+commands.Commands.execute = execute
+power_up.main()
+"""
+
+
+def moved(machine: Board, lines: "list[str]") -> "list[list[tuple[float, int]]]":
+    """Stream lines, wait until all is done; the steps of every axis."""
+    machine.until_idle()
+    machine.pico.edges.clear()
+    machine.forget()
+    machine.send("".join(line + "\n" for line in lines))
+    machine.pico.run_until(lambda: machine.said.count("ok\r\n") == len(lines), 10_000_000)
+    assert machine.said.count("ok\r\n") == len(lines), machine.said
+    machine.until_idle()
+    return [steps(machine.pico.edges, axis) for axis in range(3)]
+
+
+@pytest.fixture(scope="module")
+def made(machine: Board) -> "list[list[tuple[float, int]]]":
+    found = moved(machine, PROGRAM)
+    machine.program_edges = list(machine.pico.edges)
+    return found
+
+
+@pytest.fixture(scope="module")
+def planned() -> "list[list[tuple[float, int]]]":
+    """What the simulator makes of the same program."""
+    return emulated.planned(PROGRAM, SETTINGS)
+
+
+def test_a_program_makes_exactly_the_steps_planned(
+    made: "list[list[tuple[float, int]]]", planned: "list[list[tuple[float, int]]]"
+) -> None:
+    for axis, (real, due) in enumerate(zip(made, planned, strict=True)):
+        assert [sign for _, sign in real] == [sign for _, sign in due], f"axis {axis}"
+
+
+def test_steps_come_when_the_plan_says(
+    made: "list[list[tuple[float, int]]]", planned: "list[list[tuple[float, int]]]"
+) -> None:
+    # Segments begin at other times here, so speed changes up to one of them earlier or later.
+    start = min(axis[0][0] for axis in made if axis)
+    start_due = min(axis[0][0] for axis in planned if axis)
+    for real, due in zip(made, planned, strict=True):
+        late = [t - start - (d - start_due) for (t, _), (d, _) in zip(real, due, strict=True)]
+        assert max(map(abs, late)) < 5_000
+
+
+def test_pulses_are_as_long_as_told_and_directions_stand_still_around_them(
+    made: "list[list[tuple[float, int]]]", machine: Board
+) -> None:
+    assert made
+    for axis in range(3):
+        edges = [e for e in machine.program_edges if e.pin in (STEP[axis], DIR[axis])]
+        rise = change = -1e9
+        for edge in edges:
+            us = edge.ns / 1000
+            if edge.pin == DIR[axis]:
+                assert us - rise >= _PULSE_US + _HOLD_US - _SEEN_US
+                change = us
+            elif edge.level:
+                assert us - change >= _SETUP_US - _SEEN_US
+                rise = us
+            else:
+                assert abs(us - rise - _PULSE_US) <= _SEEN_US
+
+
+def _intervals(track: "list[tuple[float, int]]", skip: int) -> "list[float]":
+    """Between steps at constant speed, so many at both ends left out."""
+    times = [us for us, _ in track][skip:-skip]
+    return [b - a for a, b in pairwise(times)]
+
+
+@pytest.mark.parametrize("command", ["$BLOCK", "$COLLECT", "$PRINT"])
+def test_planned_motion_is_smooth_while_python_is_busy(machine: Board, command: str) -> None:
+    # At 40 mm/s, 3200 steps/s, for 0.26 s; speeding up and slowing down take 128 steps each.
+    machine.pico.edges.clear()
+    machine.ask("G91 G1 X12 F2400")
+    machine.pico.run_us(60_000)
+    assert steps(machine.pico.edges, 0)
+    since = machine.pico.us
+    machine.ask(command)
+    assert machine.pico.us - since > 120_000  # it was busy
+    machine.until_idle()
+    gaps = _intervals(steps(machine.pico.edges, 0), 140)
+    assert len(gaps) > 600
+    assert max(gaps) - min(gaps) <= 2 * max(_TICK_US, 0.01 * 1e6 / 3200)
+
+
+def test_motors_are_powered_while_they_move_and_released_after(machine: Board) -> None:
+    machine.ask("$1=25")
+    moved(machine, ["G91 G0 X1"])
+    machine.pico.run_us(60_000)
+    levels = [edge.level for edge in machine.pico.edges if edge.pin == ENABLE]
+    assert levels == [0, 1]
+
+
+def test_slow_steps_are_even(machine: Board) -> None:
+    # Slower ones take too long here; host_tests/test_pio.py has them.
+    tracks = moved(machine, ["G91 G1 X0.5 F250"])
+    gaps = _intervals(tracks[0], 3)
+    assert all(abs(gap - 3000) <= 30 for gap in gaps)

@@ -1,0 +1,133 @@
+"""A sender and the emulated Pico: welcome, conversation, settings, the prompt and back."""
+
+from pathlib import Path
+
+import pytest
+from emulated import Board, firmware
+
+pytestmark = pytest.mark.xdist_group("pico talk")
+
+_BOOT_US = 1_000_000
+_HEAP = 100_000
+
+
+@pytest.fixture(scope="module")
+def machine(uf2: Path) -> Board:
+    return Board(uf2, {"main.py": MAIN}).boot().settled()
+
+
+# A user's command, in main.py: how much memory is free.
+MAIN = b"""
+import gc
+
+import commands
+import power_up
+
+usual = commands.Commands.execute
+
+
+def execute(self, line, length):
+    if line[1] == 77:
+        gc.collect()
+        self._report.message("free %d." % gc.mem_free())
+    else:
+        usual(self, line, length)
+
+
+commands.Commands.execute = execute
+power_up.main()
+"""
+
+
+def test_a_hundred_kilobytes_of_heap_are_free(machine: Board) -> None:
+    free = int(machine.ask("$M").partition("free ")[2].partition(".")[0])
+    assert free >= _HEAP
+
+
+def test_it_says_what_it_is(machine: Board) -> None:
+    said = machine.ask("$I")
+    assert "[VER:1.1h." in said and "[OPT:V," in said
+    assert "Grbl" in said and "grblHAL" not in said
+
+
+def test_every_setting_is_shown(machine: Board) -> None:
+    said = machine.ask("$$")
+    assert said.startswith("$0=10\r\n$1=25\r\n") and "$132=200.000\r\n" in said
+
+
+def test_lines_are_answered_in_their_order(machine: Board) -> None:
+    machine.forget()
+    machine.send("G21\nG99\nG1 X1\n$G\nT1\n")
+    said = machine.wait_for("[GC:")
+    assert said.split("[GC:")[0] == "ok\r\nerror:20\r\nerror:22\r\n"
+
+
+def test_a_status_report_while_idle_comes_within_five_milliseconds(machine: Board) -> None:
+    for _ in range(5):
+        machine.pico.run_us(7_300)
+        machine.forget()
+        asked = machine.pico.us
+        machine.send("?")
+        machine.pico.run_until(lambda: ">\r\n" in machine.said, 50_000, step_us=100)
+        assert machine.said.startswith("<Idle|MPos:0.000,0.000,0.000|FS:0,0")
+        assert machine.pico.us - asked <= 5_000
+
+
+def test_a_ctrl_c_in_the_stream_kills_nothing(machine: Board) -> None:
+    assert machine.ask("G90\x03") == "ok\r\n"
+    machine.ask("G91 G1 X1 F600", limit_us=100_000)
+    machine.send("\x03\x03\x03\x03")  # not at rest: no way to the prompt
+    machine.until_idle()
+    assert machine.status()["MPos"] == "1.000,0.000,0.000"
+
+
+def test_a_sender_that_opens_the_port_again_is_welcomed(machine: Board) -> None:
+    machine.forget()
+    machine.pico.usb.open_port(False)
+    machine.pico.run_us(20_000)
+    assert machine.said == ""
+    machine.pico.usb.open_port(True)
+    machine.wait_for("Grbl 1.1h ['$' for help]\r\n", 50_000)
+    machine.pico.run_us(50_000)
+    assert machine.said.count("Grbl") == 1
+    assert machine.ask("G90") == "ok\r\n"
+
+
+def test_a_sender_that_comes_back_to_a_job_is_not_told_of_a_reset(machine: Board) -> None:
+    machine.ask("G91 G1 X2 F600")
+    machine.pico.usb.open_port(False)
+    machine.pico.run_us(20_000)
+    machine.pico.usb.open_port(True)
+    machine.pico.run_us(20_000)
+    assert "Grbl" not in machine.said
+    machine.until_idle()
+
+
+def test_settings_survive_a_power_cut_and_the_welcome_comes_within_a_second(
+    machine: Board, uf2: Path
+) -> None:
+    for line in ("$110=1234.5", "G10 L2 P2 X-3.25", "$N0=G20", "$I=shed"):
+        assert machine.ask(line) == "ok\r\n"
+    second = Board(uf2)
+    second.pico.put_file_system(machine.pico.flash_image())
+    second.pico.write_file("main.py", firmware()["main.py"])
+    second.boot()
+    assert second.pico.us < _BOOT_US
+    assert second.said == "\r\nGrbl 1.1h ['$' for help]\r\n"
+    second.wait_for(">G20:ok\r\n")
+    assert "$110=1234.500" in second.ask("$$")
+    assert "[G55:-0.1280,0.0000,0.0000]" in second.ask("$#")
+    assert "shed" in second.ask("$I")
+    _prompt_and_back(second)
+
+
+def _prompt_and_back(machine: Board) -> None:
+    """The watchdog does not bite who is at the prompt, and the machine is left as it was."""
+    said = machine.python("print(machine.state.run, machine.planner.empty())")
+    assert said == "0 True\r\n"
+    said = machine.python_again("import time\ntime.sleep_ms(5500)\nprint(1 + 1)")
+    assert said == "2\r\n"
+    machine.forget()
+    machine.send("\x02\x04")  # leave the raw prompt; a soft reset runs main.py
+    machine.wait_for("Grbl 1.1h", 3_000_000)
+    assert machine.ask("G90") == "ok\r\n"

@@ -1,0 +1,97 @@
+"""The ESP32's stdin and stdout, and what there is of `sys`, `select` and `os` to reach them by.
+
+MicroPython keeps 260 bytes, less one, of what arrives on a UART. Here more than that are refused
+rather than lost. In virtual time; runs under both Pythons. What is not modelled raises.
+"""
+
+from esp_clock import clock
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
+_RING = 259
+_TURN_US = 400  # of the main loop
+_BYTE_US = 87  # at 115200 baud
+
+
+class _Namespace:
+    """Stands in for a module, or an object in it."""
+
+    def __init__(self, **names: object) -> None:
+        for name, value in names.items():
+            setattr(self, name, value)
+
+
+class Wire:
+    """on_read: called where there is nothing to read; on_write: with each text written."""
+
+    def __init__(self) -> None:
+        self.on_read: "Callable[[], object]" = lambda: None
+        self.on_write: "Callable[[str], object]" = lambda text: None
+        self._ring = bytearray()
+        self._second: "Any" = None  # os.dupterm
+
+    # The sender's side
+
+    def arrive(self, data: bytes) -> None:
+        """The sender's bytes are there."""
+        if len(self._ring) + len(data) > _RING:
+            raise OSError("MicroPython drops what does not fit into its ring")
+        self._ring += data
+
+    def left(self) -> bytes:
+        """What nobody has read."""
+        return bytes(self._ring)
+
+    # The modules
+
+    def sys(self) -> "Any":
+        stdin = _Namespace(buffer=_Namespace(readinto=self._read))
+        stdout = _Namespace(buffer=_Namespace(write=self._write))
+        return _Namespace(stdin=stdin, stdout=stdout, platform="esp32", modules={})
+
+    def select(self) -> "Any":
+        return _Namespace(poll=lambda: self, POLLIN=1)
+
+    def os(self) -> "Any":
+        return _Namespace(dupterm=self._dupterm, dupterm_notify=self._notify)
+
+    # select.poll()
+
+    def register(self, stream: object, events: int) -> None:
+        if events != 1:
+            raise NotImplementedError("only what our link uses is modelled")
+
+    def ipoll(self, timeout: int) -> "list[int]":
+        if timeout:
+            raise NotImplementedError("only what our link uses is modelled")
+        if not self._ring:
+            clock.advance(clock.us + _TURN_US)
+            self.on_read()
+        return [1] if self._ring else []
+
+    # Streams
+
+    def _read(self, buf: bytearray) -> int:
+        if len(buf) > len(self._ring):
+            raise OSError("this would wait for ever")
+        count = len(buf)
+        buf[:] = self._ring[:count]
+        self._ring = self._ring[count:]
+        return count
+
+    def _write(self, data: "bytes | bytearray | memoryview") -> int:
+        clock.advance(clock.us + len(data) * _BYTE_US)
+        self.on_write(bytes(data).decode())
+        return len(data)
+
+    def _dupterm(self, stream: "Any") -> "Any":
+        before, self._second = self._second, stream
+        return before
+
+    def _notify(self, _: object) -> None:
+        byte = bytearray(1)
+        while self._second and self._second.readinto(byte):
+            self.arrive(bytes(byte))

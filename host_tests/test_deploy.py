@@ -1,0 +1,538 @@
+"""`ugrbl build` and `ugrbl deploy`: what belongs on which board, and every way it can go wrong."""
+
+import ast
+import contextlib
+import errno
+import json
+import os
+import threading
+import tty
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner, Result
+from ugrbl import build, deploy_cli, docs, ports
+from ugrbl.build import BuildError
+from ugrbl.cli import app
+from ugrbl.deploy import LIST, About, DeployError, Running, check_fit, deploy
+from ugrbl.machine import boards, load_board
+
+REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
+PICO = About(0x1306, "1.28.0", "Raspberry Pi Pico with RP2040")
+_OTHER = b"M\x06\x00\x1f"  # how a compiled file for any processor begins
+SETTINGS = {"settings.txt": b"$0=10", "settings.old": b"$0=5", "offsets.new": b"", "log.txt": b"1"}
+
+
+def ugrbl(*words: object) -> Result:
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+@pytest.fixture(scope="module")
+def made() -> build.Build:
+    return build.for_board(build.board_file("rpi_pico"))
+
+
+class FakeBoard:
+    """A Device that is a dict. room: bytes that it takes. Logs what is done to it."""
+
+    def __init__(self, about: About = PICO, room: int = 1_000_000) -> None:
+        self.disk: dict[str, bytes] = dict(SETTINGS)
+        self.log: list[str] = []
+        self.running = Running("Grbl 1.1h ['$' for help]", "1.1h.20261121:", 60_000)
+        self._about = about
+        self._room = room
+
+    def enter(self) -> None:
+        self.log.append("enter")
+
+    def about(self) -> About:
+        return self._about
+
+    def files(self, folders: Iterable[str]) -> dict[str, str]:
+        seen = set(folders)
+        return {
+            path: build.digest(content)
+            for path, content in self.disk.items()
+            if path.rpartition("/")[0] in seen and (path.endswith(("py", ".sha256")))
+        }
+
+    def read(self, path: str) -> bytes:
+        return self.disk[path]
+
+    def write(self, path: str, content: bytes, progress: Callable[[int], None]) -> None:
+        self.disk[path] = content
+        self.log.append(f"write {path}")
+        if sum(map(len, self.disk.values())) > self._room:
+            raise OSError(errno.ENOSPC, path)
+        progress(len(content))
+
+    def remove(self, path: str) -> None:
+        del self.disk[path]
+        self.log.append(f"remove {path}")
+
+    def make_folder(self, path: str) -> None:
+        self.log.append(f"folder {path}")
+
+    def restart(self) -> Running:
+        self.log.append("restart")
+        return self.running
+
+    def close(self) -> None:
+        pass
+
+    def writes(self) -> list[str]:
+        return [line.removeprefix("write ") for line in self.log if line.startswith("write")]
+
+
+class Silent:
+    """A View that counts."""
+
+    def __init__(self) -> None:
+        self.total = self.done = 0
+
+    def begin(self, count: int, total: int) -> None:
+        self.total = total
+
+    def file(self, path: str) -> None:
+        pass
+
+    def written(self, count: int) -> None:
+        self.done += count
+
+
+def put(board: FakeBoard, made: build.Build, **options: Any) -> Any:
+    board.log.clear()
+    return deploy(board, made, Silent(), **options)
+
+
+def changed(made: build.Build, *paths: str) -> build.Build:
+    """The same with these files changed, or more."""
+    other = {path: _OTHER + path.encode() for path in paths}
+    return build.Build(made.arch, {**made.files, **other})
+
+
+# What belongs on which board
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_a_board_gets_every_module_its_modules_import(name: str) -> None:
+    """At their top level; inside functions a module imports what its board may not need."""
+    there = set(build.needed(load_board(name)))
+    for source in there:
+        tree = ast.parse((build.paths.FIRMWARE / source).read_text(encoding="utf-8"))
+        for node in tree.body:
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                for module in build._imported(node):
+                    path = module.replace(".", "/") + ".py"
+                    assert path in there or path not in build.sources(), f"{source}: {path}"
+
+
+def needed(**words: str) -> set[str]:
+    board = load_board("rpi_pico")
+    made = type(board)("made")
+    vars(made).update({**vars(board), **words})
+    return set(build.needed(made))
+
+
+def test_a_board_gets_what_it_can_use() -> None:
+    pico, i2s, rmt = needed(), needed(ENGINE="i2s", LINK="uart"), needed(ENGINE="rmt")
+    assert {"main.py", "gpio.py", "link_usb.py", "pio/engine.py", "pio/__init__.py"} < pico
+    assert not any(name.startswith(("esp", "gpio_esp", "link_uart", "punch")) for name in pico)
+    assert {"esp/i2s.py", "esp/frames.py", "esp/__init__.py", "link_uart.py"} < i2s
+    assert not {"esp/rmt.py", "esp/trains.py", "link_usb.py", "gpio.py", "pio/hub.py"} & i2s
+    assert {"esp/rmt.py", "esp/trains.py", "gpio_esp.py"} < rmt and "esp/i2s.py" not in rmt
+    assert needed(TOOL="punch") - pico == {"punch.py"}
+    assert needed(DIALECT="0.9") - pico == {"report_09.py"}
+
+
+def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() -> None:
+    assert set(build._CHOICES) <= {build._module(source) for source in build.sources()}
+    every: set[str] = set()
+    for engine in ("pio", "rmt", "i2s"):
+        for link in ("usb", "uart"):
+            every |= needed(ENGINE=engine, LINK=link, TOOL="punch", DIALECT="0.9")
+    assert every == set(build.sources())
+
+
+def test_main_and_the_board_file_stay_as_they_are(made: build.Build) -> None:
+    assert made.files["main.py"] == (build.paths.FIRMWARE / "main.py").read_bytes()
+    assert made.files["board.py"] == build.board_file("rpi_pico").read_bytes()
+    others = set(made.files) - {"main.py", "board.py"}
+    assert all(name.endswith(".mpy") for name in others)
+    assert build.signature(made) & 0xFF == 6 and build.signature(made) >> 10 == 4  # armv6m
+
+
+# The command build
+
+
+def test_build_shows_bytes_and_writes_files(tmp_path: Path) -> None:
+    done = ugrbl("build", "--board", "rpi_pico", "-o", tmp_path, "--json", tmp_path / "sizes")
+    assert done.exit_code == 0, done.output
+    sizes = json.loads((tmp_path / "sizes").read_text())
+    assert sizes["arch"] == "armv6m" and sizes["bytes"] == sum(sizes["files"].values())
+    for name, size in sizes["files"].items():
+        assert (tmp_path / name).stat().st_size == size
+        assert f"{size:7} {name}" in done.output
+
+
+def test_build_without_a_board_compiles_everything(tmp_path: Path) -> None:
+    done = ugrbl("build", "--arch", "xtensawin", "-o", tmp_path)
+    assert done.exit_code == 0, done.output
+    for source in build.sources():
+        assert f" {source}" in done.output.replace(".mpy", ".py")
+
+
+def test_what_was_built_before_and_is_no_more_goes(tmp_path: Path) -> None:
+    (tmp_path / "pio").mkdir()
+    gone, mine = tmp_path / "pio" / "gone.mpy", tmp_path / "mine.py"
+    gone.write_bytes(b"M")
+    mine.write_bytes(b"")
+    ugrbl("build", "--board", "rpi_pico", "-o", tmp_path)
+    assert not gone.exists() and mine.exists() and (tmp_path / "words.mpy").exists()
+
+
+def board_file(folder: Path, more: str, name: str = "mine") -> Path:
+    file = folder / f"{name}.py"
+    file.write_text(build.board_file("rpi_pico").read_text() + more)
+    return file
+
+
+@pytest.mark.parametrize("command", ["build", "deploy"])
+def test_a_punch_without_pins_is_refused(tmp_path: Path, command: str) -> None:
+    done = ugrbl(command, "--board", board_file(tmp_path, 'TOOL = "punch"\nPUNCH_UP = 20\n'))
+    assert done.exit_code == 1
+    missing = "PUNCH_DOWN, PUNCH_DOWN_SENSOR, PUNCH_UP_SENSOR"
+    assert f"mine.py: TOOL = punch: the board file names no pin for {missing}" in done.output
+
+
+def test_every_problem_has_a_line_and_nothing_is_built(tmp_path: Path) -> None:
+    more = "PROBE = 3\nSPINDLE_PWM = 24\nPWM_MAX = 65535\nDEFAULTS = {0: 1}\n"
+    done = ugrbl("build", "--board", board_file(tmp_path, more), "-o", tmp_path / "out")
+    assert done.exit_code == 1
+    lines = done.output.strip().splitlines()
+    for number, start in enumerate(
+        (
+            "mine.py: PROBE: pin 3 is STEP already",
+            "mine.py: SPINDLE_PWM: Raspberry Pi Pico has no pin 24",
+            "mine.py: PWM_MAX is from 1 to",
+            "mine.py: DEFAULTS: $0=1 is refused",
+        )
+    ):
+        assert lines[number].startswith(start)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("STEP = (2, 3", "is no Python file"),
+        ("STEP = nothing", "fails: NameError"),
+        ('ENGINE = "sim"', "is a machine of the simulator"),
+        ('MPY_ARCH = "armv6m"', "ENGINE is missing"),
+    ],
+)
+def test_a_file_that_is_no_board_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "mine.py").write_text(text)
+    with pytest.raises(BuildError, match=said):
+        build.for_board(build.board_file(str(tmp_path / "mine.py")))
+
+
+def test_a_board_file_that_imports_another_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BuildError, match=r"imports boards\.sim, and is alone on the board"):
+        build.load_board(board_file(tmp_path, "from boards.sim import RX_BYTES\n"))
+
+
+def test_names_that_are_no_board_are_told_which_there_are() -> None:
+    done = ugrbl("build", "--board", "potato")
+    assert done.exit_code == 1 and "no board 'potato'; there are" in done.output
+    assert "there is no file nowhere.py" in ugrbl("build", "--board", "nowhere.py").output
+
+
+# What is copied
+
+
+def test_a_new_board_gets_all_and_main_comes_last(made: build.Build) -> None:
+    board, view = FakeBoard(), Silent()
+    result = deploy(board, made, view)
+    assert sorted(result.copied) == sorted(made.files) and result.removed == []
+    assert {path: board.disk[path] for path in made.files} == made.files
+    assert board.writes()[-1] == "main.py" and board.log[-1] == "restart"
+    assert board.log.index("folder pio") < board.log.index("write pio/engine.mpy")
+    assert result.bytes == made.bytes == view.total == view.done
+    assert result.free_bytes == 60_000 and result.build == "1.1h.20261121:"
+
+
+def test_a_board_that_has_all_is_left_alone_and_started(made: build.Build) -> None:
+    board = FakeBoard()
+    put(board, made)
+    result = put(board, made)
+    assert board.log == ["enter", "restart"]
+    assert (result.copied, result.removed, result.unchanged) == ([], [], len(made.files))
+
+
+def test_only_what_has_changed_is_copied_and_never_beside_a_main(made: build.Build) -> None:
+    board = FakeBoard()
+    put(board, made)
+    result = put(board, changed(made, "words.mpy"))
+    assert result.copied == ["words.mpy"] and result.bytes == len(_OTHER) + 9
+    assert board.log == [
+        *("enter", "remove main.py", "write words.mpy", f"write {LIST}", "write main.py"),
+        "restart",
+    ]
+
+
+def test_settings_and_files_of_the_user_stay(made: build.Build) -> None:
+    board = FakeBoard()
+    mine = {"lib/mine.py": b"1", "my_tool.py": b"2", "boot.py": b"3"}
+    board.disk.update(mine)
+    put(board, made)
+    put(board, changed(made, "words.mpy"))
+    assert {**SETTINGS, **mine}.items() <= board.disk.items()
+
+
+def test_sources_that_would_hide_compiled_files_go(made: build.Build) -> None:
+    """As `mpremote cp -r firmware/. :/` puts them there."""
+    board = FakeBoard()
+    for source in build.sources():
+        board.disk[source] = (build.paths.FIRMWARE / source).read_bytes()
+    result = put(board, made)
+    assert set(result.removed) == set(build.sources()) - {"main.py"}
+    assert set(board.disk) == {*made.files, *SETTINGS, LIST}
+
+
+def test_what_another_board_had_goes(made: build.Build) -> None:
+    board = FakeBoard()
+    put(board, changed(made, "esp/rmt.mpy", "punch.mpy"))
+    assert put(board, made).removed == ["esp/rmt.mpy", "punch.mpy"]
+
+
+def test_a_module_of_older_firmware_goes_unless_it_was_changed(made: build.Build) -> None:
+    board = FakeBoard()
+    put(board, changed(made, "once.mpy", "twice.mpy"))
+    board.disk["twice.mpy"] = b"mine now"
+    assert put(board, made).removed == ["once.mpy"]
+    assert board.disk["twice.mpy"] == b"mine now"
+
+
+def test_a_list_of_rubbish_is_no_reason_to_remove_anything(made: build.Build) -> None:
+    board = FakeBoard()
+    board.disk.update({LIST: b"\xff rubbish\n\n", "mine.py": b""})
+    assert put(board, made).removed == []
+
+
+# The board's own board.py
+
+
+def test_a_board_file_changed_on_the_board_is_not_lost(made: build.Build) -> None:
+    board = FakeBoard()
+    put(board, made)
+    board.disk["board.py"] += b"PROBE = 28\n"
+    with pytest.raises(DeployError, match="changed there since") as refused:
+        put(board, made)
+    assert "--replace" in refused.value.todo and board.log == ["enter"]
+    assert put(board, made, replace=True).copied == ["board.py"]
+
+
+def test_a_main_of_somebody_else_is_not_lost(made: build.Build) -> None:
+    board = FakeBoard()
+    board.disk["main.py"] = b"print('blink')"
+    with pytest.raises(DeployError, match=r"main\.py was not put on the board"):
+        put(board, made)
+    assert board.disk["main.py"] == b"print('blink')"
+    put(board, made, replace=True)
+    assert board.disk["main.py"] == made.files["main.py"]
+
+
+def test_another_board_file_is_put_in_the_place_of_one_that_was_deployed(
+    made: build.Build,
+) -> None:
+    board = FakeBoard()
+    put(board, made)
+    assert put(board, changed(made, "board.py")).copied == ["board.py"]
+
+
+# What goes wrong
+
+
+@pytest.mark.parametrize(
+    ("about", "said", "todo"),
+    [
+        (PICO._replace(mpy=0x1F06), "armv7emsp \\(RP2350\\); the board file is for", "--board"),
+        (PICO._replace(mpy=0x2B06), "xtensawin \\(ESP32\\)", "--board"),
+        (PICO._replace(mpy=0x1206), "version 6.2, and mpy-cross makes 6.3", "1.23 or newer"),
+        (PICO._replace(mpy=0x1305), "version 5.3, and mpy-cross makes 6.3", "1.23 or newer"),
+        (PICO._replace(mpy=0), "takes no compiled files", "official MicroPython"),
+    ],
+)
+def test_a_board_that_cannot_run_it_is_not_touched(
+    made: build.Build, about: About, said: str, todo: str
+) -> None:
+    board = FakeBoard(about)
+    with pytest.raises(DeployError, match=said) as refused:
+        put(board, made)
+    assert todo in refused.value.todo
+    assert board.log == ["enter"] and board.disk == SETTINGS
+
+
+def test_the_right_board_fits(made: build.Build) -> None:
+    check_fit(PICO, made)
+
+
+def test_a_full_board_says_so_and_does_not_start_half_of_it(made: build.Build) -> None:
+    board = FakeBoard(room=made.bytes // 2)
+    with pytest.raises(DeployError, match=r"flash is full, at \w+") as refused:
+        put(board, made)
+    assert "remove what you do not need" in refused.value.todo
+    assert "main.py" not in board.disk and "restart" not in board.log
+
+
+def test_what_was_left_half_way_is_finished(made: build.Build) -> None:
+    board = FakeBoard(room=made.bytes // 2)
+    with pytest.raises(DeployError):
+        put(board, made)
+    board._room = 1_000_000
+    put(board, made)
+    assert {path: board.disk[path] for path in made.files} == made.files
+
+
+# The command deploy
+
+
+@pytest.fixture
+def plugged(monkeypatch: pytest.MonkeyPatch, made: build.Build) -> FakeBoard:
+    """A board that `ugrbl deploy` finds, with what has been compiled already."""
+    from ugrbl import deploy_device
+
+    board = FakeBoard()
+    monkeypatch.setattr(deploy_device, "MpremoteDevice", lambda port: board)
+    monkeypatch.setattr(build, "for_board", lambda file: made)
+    monkeypatch.setattr(ports, "choose", lambda port: port or "/dev/ttyACM7")
+    return board
+
+
+def test_deploy_says_what_it_has_done(plugged: FakeBoard) -> None:
+    said = " ".join(ugrbl("deploy", "--board", "rpi_pico").output.replace("│", " ").split())
+    for part in ("at /dev/ttyACM7", "Grbl 1.1h ['$' for help]", "1.1h.20261121", "60000 bytes"):
+        assert part in said
+    again = " ".join(ugrbl("deploy", "--board", "rpi_pico").output.split())
+    assert "copied │ 0 files, 0 bytes" in again
+
+
+def test_deploy_as_json(plugged: FakeBoard) -> None:
+    done = ugrbl("deploy", "--board", "rpi_pico", "--port", "COM3", "--json", "-")
+    found = json.loads(done.stdout)
+    assert (found["board"], found["port"], found["free_bytes"]) == ("rpi_pico", "COM3", 60_000)
+    assert "words.mpy" in found["copied"] and found["unchanged"] == 0
+
+
+def test_a_failure_as_json(plugged: FakeBoard) -> None:
+    plugged._about = PICO._replace(mpy=0x1F06)
+    done = ugrbl("deploy", "--board", "rpi_pico", "--json", "-")
+    assert done.exit_code == 1
+    found = json.loads(done.stdout)
+    assert "RP2350" in found["problems"][0] and "--board" in found["todo"]
+    assert "RP2350" in done.stderr and "->" in done.stderr
+
+
+def test_ctrl_c_says_what_it_has_left(plugged: FakeBoard, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*words: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(plugged, "write", interrupt)
+    done = ugrbl("deploy", "--board", "rpi_pico")
+    assert done.exit_code == 1 and "deploy again" in done.output
+
+
+def test_a_port_that_is_not_there(tmp_path: Path) -> None:
+    done = ugrbl("deploy", "--board", "rpi_pico", "--port", tmp_path / "nothing")
+    assert done.exit_code == 1
+    assert "No such file" in done.output and "-> is the cable one that carries data" in done.output
+
+
+def test_no_board_plugged_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ports, "find", list)
+    done = ugrbl("deploy", "--board", "rpi_pico")
+    assert done.exit_code == 1 and "no controller is plugged in" in done.output
+
+
+@pytest.mark.parametrize("command", ["build", "deploy"])
+def test_help_has_examples(command: str) -> None:
+    assert f"ugrbl {command} --board rpi_pico" in " ".join(ugrbl(command, "--help").output.split())
+    assert deploy_cli.EXAMPLES
+
+
+# Who is on the port
+
+
+@pytest.fixture
+def talk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[..., str]]:
+    """What deploy says of a port where bytes are answered by a table; None: it goes away."""
+    from ugrbl import deploy_device
+
+    for name in ("_STATUS_S", "_PROMPT_S", "_RAW_S"):
+        monkeypatch.setattr(deploy_device, name, 0.3)
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    port = tmp_path / "port"
+    port.symlink_to(os.ttyname(slave))
+    table: dict[bytes, bytes | None] = {}
+
+    def play() -> None:
+        with contextlib.suppress(OSError):
+            while data := os.read(master, 100):
+                answer = table.get(data, b"")
+                if answer is None:
+                    break
+                os.write(master, answer)
+        os.close(master)
+
+    def deploy_there(answers: Mapping[bytes, bytes | None]) -> str:
+        table.update(answers)
+        threading.Thread(target=play, daemon=True).start()
+        done = ugrbl("deploy", "--board", "rpi_pico", "--port", port)
+        assert done.exit_code == 1
+        return " ".join(done.output.split())
+
+    yield deploy_there
+    os.close(slave)  # which ends the thread
+
+
+def test_a_machine_that_moves_is_not_disturbed(talk: Callable[..., str]) -> None:
+    said = talk({b"?": b"<Run|MPos:1.000,0.000,0.000|FS:100,0>\r\n"})
+    assert "is in Run, and is not disturbed -> wait until the job has ended" in said
+
+
+def test_a_held_machine_says_how_to_go_on(talk: Callable[..., str]) -> None:
+    said = talk({b"?": b"<Hold:0|MPos:1.000,0.000,0.000|FS:0,0>\r\n"})
+    assert "is in Hold" in said and "resume (~) or reset (Ctrl-X) it, then deploy again" in said
+
+
+def test_a_grbl_that_is_not_ours(talk: Callable[..., str]) -> None:
+    said = talk({b"?": b"<Idle|MPos:1.000,0.000,0.000|FS:0,0>\r\n"})
+    assert "does not give way to MicroPython's prompt -> is it ours?" in said
+
+
+def test_nobody_there(talk: Callable[..., str]) -> None:
+    said = talk({})
+    assert "no MicroPython answers on" in said and "hold BOOTSEL" in said
+
+
+def test_a_cable_that_is_pulled(talk: Callable[..., str]) -> None:
+    assert "the connection broke" in talk({b"?": None})
+
+
+# package.json
+
+
+def test_package_json_is_up_to_date() -> None:
+    assert docs.PACKAGE.read_text(encoding="utf-8") == docs.package(), "make docs"
+
+
+def test_mip_finds_every_module_and_its_place() -> None:
+    package = json.loads(docs.package())
+    root = docs.PACKAGE.parent
+    assert [path for path, _ in package["urls"]] == build.sources()
+    for path, url in package["urls"]:
+        assert (root / url) == build.paths.FIRMWARE / path and (root / url).is_file()

@@ -1,0 +1,125 @@
+"""Pins of the ESP32 on stand-ins."""
+
+from collections.abc import Iterator
+from types import ModuleType
+from typing import Any
+
+import pytest
+from esp_bench import clock, esp_machine, gpio_esp, reset_stand_ins
+
+Pin = esp_machine.Pin
+
+BOARD: dict[str, Any] = {
+    "ENABLE": 12,
+    "LIMIT": (13, 5, 36),
+    "PROBE": 39,
+    "CONTROL": (None, 4, 35, None),
+    "SPINDLE_PWM": 23,
+    "SPINDLE_DIR": 18,
+    "FLOOD": 22,
+    "NO_PULL_UP": (35, 36, 39),
+}
+
+
+@pytest.fixture(autouse=True)
+def new_chip(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    reset_stand_ins()
+    monkeypatch.setattr(esp_machine.WDT, "fed", 0)
+    yield
+    reset_stand_ins()
+
+
+def made(enable: Any = None, **changes: Any) -> "tuple[Any, list[str]]":
+    """A port, and a list of what it has been heard of."""
+    board = ModuleType("board")
+    vars(board).update({**BOARD, **changes})
+    for pin in board.NO_PULL_UP:
+        Pin(pin, Pin.IN).drive(1)
+    port = gpio_esp.EspPort(board, enable)
+    heard: list[str] = []
+    port.attach(lambda: heard.append("limits"), lambda: heard.append("controls"))
+    return port, heard
+
+
+def test_inputs_are_closed_when_pulled_to_ground_and_heard() -> None:
+    port, heard = made()
+    assert (port.limits(), port.controls(), port.probe()) == (0, 0, False)
+    for pin in (5, 35, 39):
+        Pin(pin).drive(0)
+    assert (port.limits(), port.controls(), port.probe()) == (2, 4, True)
+    assert heard == ["limits", "controls"]
+
+
+def test_a_bouncing_button_is_heard_once() -> None:
+    _, heard = made(CONTROL_DEBOUNCE_MS=20)
+    for level in (0, 1, 0, 1, 0):
+        Pin(4).drive(level)
+    clock.advance(clock.us + 100_000)
+    assert heard == ["controls"]
+    Pin(4).drive(1)
+    assert heard == ["controls", "controls"]
+
+
+def test_the_probe_is_told_of_once() -> None:
+    port, _ = made()
+    contacts: list[bool] = []
+    port.watch_probe(lambda: contacts.append(True), True)
+    for level in (0, 1, 0):
+        Pin(39).drive(level)
+    assert contacts == [True]
+
+
+def test_motors_are_off_until_the_machine_enables_them() -> None:
+    port, _ = made()
+    assert Pin(12).level == 1
+    port.enable(0)
+    assert Pin(12).level == 0
+
+
+def test_enable_may_be_an_output_of_the_engine() -> None:
+    levels: list[int] = []
+    port, _ = made(levels.append, ENABLE=0)
+    port.enable(1)
+    assert levels == [1] and 0 not in Pin.pins
+
+
+def test_safe_switches_all_off_that_could_do_harm() -> None:
+    port, _ = made(MIST_PIN=21, SPINDLE_ON=19)
+    port.spindle(True, 1000)
+    port.coolant(3)
+    assert [Pin(pin).level for pin in (19, 21, 22)] == [1, 1, 1]
+    assert Pin(23).log[-1][1] == 65535
+    port.safe()
+    assert [Pin(pin).level for pin in (19, 21, 22)] == [0, 0, 0]
+    assert Pin(23).log[-1][1] == 0
+
+
+def test_a_punch_has_its_pins() -> None:
+    port, _ = made(PUNCH_DOWN=32, PUNCH_UP=33, PUNCH_DOWN_SENSOR=25, PUNCH_UP_SENSOR=26)
+    changes: list[bool] = []
+    port.watch_punch(lambda: changes.append(True))
+    port.punch(1, 0)
+    assert (Pin(32).level, Pin(33).level, port.punch_sensors()) == (1, 0, 3)
+    Pin(26).drive(0)
+    assert (port.punch_sensors(), len(changes)) == (1, 1)
+
+
+def test_a_button_asks_for_the_prompt() -> None:
+    port, _ = made()
+    assert not port.held(None)
+    assert not port.held(14)
+    Pin(14).drive(0)
+    assert port.held(14)
+
+
+def test_the_watchdog_waits_for_good_once_the_prompt_is_there() -> None:
+    port, _ = made()
+    feed = port.watch(5000)
+    clock.work(4_000_000)
+    feed()
+    clock.work(6_000_000)
+    with pytest.raises(RuntimeError, match="started anew"):
+        feed()
+    esp_machine.WDT.fed = clock.us
+    assert port.watch(0) is None
+    assert esp_machine.WDT.timeout_ms >= 86_400_000

@@ -1,0 +1,82 @@
+"""Constants put in place across modules: the same meaning, line by line."""
+
+import re
+import sys
+from types import ModuleType, SimpleNamespace
+
+from ugrbl.inline import inline
+from ugrbl.paths import FIRMWARE
+
+KINDS = """from micropython import const
+
+NAME = const(3)
+SHIFTED = const(NAME << 4 | 1)
+_OWN = const(7)
+NEGATIVE = const(-2)
+TEXT = "no number"
+LATER = const(5)
+LATER = 6
+
+
+def double(x):
+    return x * NAME + _OWN
+"""
+
+USER = """import kinds
+import kinds as k
+from kinds import (
+    NAME,
+    SHIFTED,
+    double,
+)
+from kinds import NEGATIVE as LEAST
+
+É = "é", NAME, k.SHIFTED, kinds.TEXT, k.LATER
+
+
+def f(kinds):
+    return kinds.NAME, LEAST, double(NAME), 2 - LEAST
+"""
+
+
+def run(sources: "dict[str, str]") -> "dict[str, object]":
+    """What the user's module comes to."""
+    made = ModuleType("kinds")
+    exec(sources["kinds"], vars(made))
+    sys.modules["kinds"] = made
+    try:
+        values: dict[str, object] = {}
+        exec(sources["user"], values)
+        f = values["f"]
+        assert callable(f)
+        return {"É": values["É"], "f": f(SimpleNamespace(NAME=99))}
+    finally:
+        del sys.modules["kinds"]
+
+
+def test_a_module_means_the_same() -> None:
+    before = {"kinds": KINDS, "user": USER}
+    assert run(inline(before)) == run(before)
+    assert run(before) == {"É": ("é", 3, 49, "no number", 6), "f": (99, -2, 16, 4)}
+
+
+def test_numbers_are_where_the_names_were_and_no_line_has_moved() -> None:
+    after = inline({"kinds": KINDS, "user": USER})
+    assert after["kinds"].count("\n") == KINDS.count("\n")
+    lines = after["user"].splitlines()
+    assert lines[2] == "from kinds import double" and lines[7] == "pass"
+    assert lines[9] == 'É = "é", 3, 49, kinds.TEXT, k.LATER'
+    assert lines[13] == "    return kinds.NAME, (-2), double(3), 2 - (-2)"  # a parameter hides it
+    assert "NAME = const" not in after["kinds"] and "x * 3 + _OWN" in after["kinds"]
+
+
+def test_every_constant_of_the_firmware_is_put_in_place() -> None:
+    sources = {
+        ".".join(file.relative_to(FIRMWARE).with_suffix("").parts): file.read_text("utf-8")
+        for file in FIRMWARE.rglob("*.py")
+    }
+    public = re.compile(r"^([A-Z]\w*) = const\(", re.MULTILINE)
+    assert sum(len(public.findall(text)) for text in sources.values()) > 200
+    for name, text in inline(sources).items():
+        assert text.count("\n") == sources[name].count("\n")
+        assert set(public.findall(text)) <= {"TYPE_CHECKING"}, name

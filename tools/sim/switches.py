@@ -1,0 +1,41 @@
+"""Limit switches at both ends of each axis' travel, so that a simulated machine can be homed."""
+
+from .engine import Switch
+from .port import LIMITS
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from .rig import Rig
+
+# The ends are so much further apart than the travel that soft limits end before them.
+_SPARE_MM = 1.0
+
+
+class EndSwitch(Switch):
+    """The switch at one end, wherever the settings of the moment put that.
+
+    The machine begins in the middle of its travel.
+    """
+
+    def __init__(self, rig: "Rig", axis: int, above: bool) -> None:
+        super().__init__(LIMITS[axis], axis, above, 0)
+        self._rig = rig
+
+    @property
+    def steps(self) -> int:
+        settings = self._rig.controller.settings
+        half_mm = (settings.max_travel[self.axis] + _SPARE_MM) / 2
+        steps = int(half_mm * settings.steps_per_mm[self.axis])
+        return steps if self.above else -steps
+
+    @steps.setter
+    def steps(self, steps: int) -> None:
+        """Settings say where it is."""
+
+
+def fit(rig: "Rig") -> None:
+    """Give a machine its switches. ValueError where its motors do not move an axis each."""
+    if getattr(rig.board, "COREXY", False):
+        raise ValueError("no switches here: motors A and B move X and Y together")
+    for axis in range(len(rig.board.STEP)):
+        rig.engine.switches += [EndSwitch(rig, axis, True), EndSwitch(rig, axis, False)]
