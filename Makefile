@@ -9,13 +9,13 @@ BIN := .venv/bin
 VENV := .venv/installed
 TYPESHED := .venv/typeshed/merged
 
-.PHONY: run test check fmt lint types build deploy clean test-senders docs
+.PHONY: run test check fmt lint types build deploy clean test-emulator test-senders bench bench-board docs
 
 run: $(VENV)  ## a demonstration in the simulator
 	$(BIN)/ugrbl demo
 
 test: lint types  ## everything CI runs
-	$(BIN)/pytest -q -n auto
+	$(BIN)/pytest -q -n auto --dist loadgroup
 
 check: test
 
@@ -35,6 +35,15 @@ build: $(VENV)  ## firmware for BOARD, or all of it for MPY_ARCH, into build/; b
 
 deploy: $(VENV)  ## firmware for BOARD onto the board at PORT, or at the only one there is
 	$(BIN)/ugrbl deploy --board $(or $(BOARD),$(error which board? make deploy BOARD=rpi_pico)) $(if $(PORT),--port $(PORT))
+
+test-emulator: $(VENV)  ## on an emulated Pico; UGRBL_UF2 names MicroPython's image for it
+	$(BIN)/pytest -q -rs -n auto --dist loadgroup host_tests/emulator
+
+bench: $(VENV)  ## the firmware's speed on this desktop
+	$(BIN)/python host_tests/bench/bench_desktop.py
+
+bench-board: $(VENV)  ## and on a board: at PORT, or emulated with the image UGRBL_UF2
+	PORT=$(PORT) $(BIN)/python host_tests/bench/bench_board.py
 
 test-senders: $(VENV)  ## real senders, installed into ~/.cache/ugrbl-senders, at the simulator
 	$(BIN)/pytest -q -rs host_tests/senders

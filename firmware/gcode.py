@@ -11,6 +11,7 @@ import block as b
 import checks
 import errors
 import kernels
+import micropython
 import planner as plan
 import state as st
 from arcs import Arc
@@ -128,6 +129,7 @@ class Gcode:
 
     # Lines
 
+    @micropython.native  # its call frame is on the stack then, not on the heap
     def execute(self, line: bytearray, length: int) -> None:
         """Interpret line[:length], which a 0 follows. Raises GrblError where it is refused."""
         words = self._words
@@ -179,6 +181,7 @@ class Gcode:
         if seeks:
             move.flags |= plan.RAPID
 
+    @micropython.native  # its call frame is on the stack then, not on the heap
     def _execute_plain(self, seen: int) -> bool:
         """Execute a plain line; see words.plain()."""
         words = self._words

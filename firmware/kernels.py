@@ -766,6 +766,9 @@ def spread(flow: ptr32, ring: ptr32, row: ptr32, axes: int) -> int:
     ticks = row[ROW_TICKS]
     ratios = flow[AT] + STEPS + axes
     last = flow[WHOLE] == 0 and flow[FRACTION] == 0
+    long = 0
+    while ticks >> long >= 1 << 18:
+        long += 1
     for i in range(axes):
         ratio = ring[ratios + i]
         phase = flow[MOTORS + 2 * i + 1]
@@ -780,16 +783,16 @@ def spread(flow: ptr32, ring: ptr32, row: ptr32, axes: int) -> int:
         flow[MOTORS + 2 * i] = left - steps
         flow[MOTORS + 2 * i + 1] = (phase + gain) & 0x3FFFF
         scale = 0
-        while gain >= 1 << 22:
+        while gain >= 1 << 21:
             gain >>= 1
             scale += 1
         for k in range(2 if steps else 0):
             part = (((steps if k else 1) << 18) - phase) >> scale
             if part < gain:
-                part <<= 9
-                quotient = part // gain
-                part = (quotient << 8) + (((part - quotient * gain) << 8) // gain)
-                part = (((ticks >> 15) * part) >> 2) + (((ticks & 32767) * (part >> 2)) >> 15)
+                coarse = (ticks >> long >> 9) * part
+                quotient = coarse // gain
+                rest = ((coarse - quotient * gain) << 9) + ((ticks >> long) & 511) * part
+                part = ((quotient << 9) + (rest + (gain >> 1)) // gain) << long
             else:
                 part = ticks
             row[at + 1 + k] = part

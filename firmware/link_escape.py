@@ -51,8 +51,12 @@ class Escape:
         found = _follow(buf, count, self._interrupts)
         self._interrupts = max(found, 0)
         if found < 0 and self.at_rest():
+            at = -1 - found
+            if buf[at] == _CTRL_C:
+                at += 1  # or it would interrupt what is to come
             self._close()
-            push(bytes(buf[-1 - found : count]))  # the prompt reads on where we stop
+            if at < count:
+                push(bytes(buf[at:count]))  # the prompt reads on where we stop
             raise KeyboardInterrupt
 
 

@@ -11,6 +11,7 @@ but the floats of its caller.
 from array import array
 
 import kernels
+import micropython
 import reals
 from f32 import f32, vector, whole
 from kernels import AT, FLAGS, HEAD, LINE, LOADED, ROWS, SYSTEM, TAIL
@@ -139,6 +140,7 @@ class Planner:
         row = self.row()
         return 0 if row is None else row[LINE]
 
+    @micropython.native  # its call frame is on the stack then, not on the heap
     def line(self, target: "array[float]", move: "Move", power: int) -> bool:
         """Add a straight line to target. There must be room. Returns False where it has no steps.
 

@@ -79,6 +79,8 @@ def _hardware(board: "ModuleType") -> "tuple[StepEngine, Any]":
     gpio_check.check(board)
     del sys.modules["gpio_check"]
     kind = board.ENGINE
+    if kind not in ("pio", "rmt", "i2s"):
+        raise ValueError("ENGINE %s is not one there is" % kind)
     if kind == "pio":
         from gpio import GpioPort
         from pio.engine import PioEngine
@@ -92,14 +94,12 @@ def _hardware(board: "ModuleType") -> "tuple[StepEngine, Any]":
         from esp.rmt import RmtEngine
 
         return RmtEngine(board.STEP, board.DIR), EspPort(board)
-    if kind == "i2s":
-        from esp.i2s import I2sEngine
+    from esp.i2s import I2sEngine
 
-        engine = I2sEngine(
-            board.STEP, board.DIR, board.ENABLE, board.I2S, board.I2S_RATE_HZ, board.I2S_BUFFERS
-        )
-        return engine, EspPort(board, engine.enable)
-    raise ValueError("ENGINE %s is not one there is" % kind)
+    engine = I2sEngine(
+        board.STEP, board.DIR, board.ENABLE, board.I2S, board.I2S_RATE_HZ, board.I2S_BUFFERS
+    )
+    return engine, EspPort(board, engine.enable)
 
 
 def _build(board: "ModuleType", link: "Any", port: "Any", engine: "StepEngine") -> "Controller":

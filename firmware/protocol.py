@@ -6,6 +6,7 @@ code waits.
 """
 
 import errors
+import micropython
 import state as st
 from errors import Abort, GrblError
 from lines import LINE, NOTHING
@@ -80,6 +81,7 @@ class Protocol:
                 else:
                     self._report.error(errors.OVERFLOW)
 
+    @micropython.native  # its call frame is on the stack then, not on the heap
     def execute(self, line: bytearray, length: int) -> None:
         """Execute one line and answer it."""
         if self._echoes:
@@ -100,8 +102,8 @@ class Protocol:
             # It holds until the power goes, and no longer.
             self._report.message(errors.MSG_NOT_KEPT)
             self._report.error(errors.SETTING_READ_FAIL)
-        except Abort:
+        except Abort as abort:
             self._report.ok()  # the line was accepted; a reset cut it short
-            raise
+            raise abort
         else:
             self._report.ok()

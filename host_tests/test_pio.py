@@ -454,7 +454,7 @@ def test_a_long_segment_is_cut_without_a_trace() -> None:
 
 # Ticks by which kernels.spread may misplace the first step of a segment against the last of the
 # one before: it rounds down, more than once.
-_ROUNDING = 3
+_ROUNDING = 1.1
 
 
 def cruise(words: Words, rows: "list[array[int]]") -> "list[list[int]]":

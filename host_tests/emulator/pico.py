@@ -273,17 +273,6 @@ class Pico:
         size = LAYOUT.fs_blocksize * LAYOUT.fs_blockcount
         return bytes(self.mcu.flash[LAYOUT.fs_start : LAYOUT.fs_start + size])
 
-    def write_file(self, name: str, content: bytes) -> None:
-        """Put a file on the board, which is not running."""
-        image = self.flash_image()
-        context = UserContext(len(image))
-        context.buffer[:] = image
-        disk = _littlefs(context, mount=True)
-        with disk.open(name, "wb") as file:
-            file.write(content)
-        disk.unmount()
-        self.put_file_system(bytes(context.buffer))
-
     def read_file(self, name: str) -> bytes:
         """A file of the board, as the chip has left it."""
         image = self.flash_image()

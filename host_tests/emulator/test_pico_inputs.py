@@ -78,7 +78,7 @@ def test_a_reset_in_motion_stops_at_once_and_position_is_what_was_made(
         machine.send("\x18")
     machine.wait_for("Grbl 1.1h")
     assert "ALARM:3" in machine.said
-    assert machine.pico.edges[-1].ns / 1000 - now <= (100 if how == "button" else 7_000)
+    assert machine.pico.edges[-1].ns / 1000 - now <= (1_000 if how == "button" else 7_000)
     machine.ask("$X")
     made = [sum(sign for _, sign in steps(machine.pico.edges, axis)) / 80 for axis in range(3)]
     assert position(machine) == pytest.approx([a + b for a, b in zip(start, made)], abs=0.001)
