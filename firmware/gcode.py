@@ -127,8 +127,6 @@ class Gcode:
         """Spindle and coolant as flags of a planner block."""
         return self.modal.spindle | self.modal.coolant << plan.COOLANT_SHIFT
 
-    # Lines
-
     @micropython.native  # its call frame is on the stack then, not on the heap
     def execute(self, line: bytearray, length: int) -> None:
         """Interpret line[:length], which a 0 follows. Raises GrblError where it is refused."""
@@ -146,8 +144,7 @@ class Gcode:
         self._apply(block)
         self._look_for_plain()
 
-    # The short path: lines that only move, nine of ten in a real job. What does not change from
-    # one to the next is worked out once; no floats are made.
+    # The short path: lines that only move. What stays the same is worked out once; no floats.
 
     def forget_plain(self) -> None:
         """Something else may change what holds: the next line takes the long way."""
