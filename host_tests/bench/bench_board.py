@@ -32,7 +32,7 @@ from wire import EmulatedWire, SerialWire, Talk  # noqa: E402
 
 Row = tuple[str, float, str]
 
-_ASKED = 560  # lines/s that the feed of the short moves makes of them
+_ASKED = 700  # lines/s that the feed of the short moves makes of them
 _CHORD_MM = 0.05
 _BLOCKS = 15
 
@@ -92,6 +92,7 @@ def memory(talk: Talk) -> Iterator[Row]:
 
 def share(talk: Talk) -> Iterator[Row]:
     """What the pulse engine's interrupt takes of the processor."""
+    idle(talk)
     at_rest, _ = _inside(talk, "$COUNT")
     for name, lines in _LONG.items():
         for line in lines:
@@ -131,6 +132,7 @@ def lines(talk: Talk) -> Iterator[Row]:
     idle(talk)
     made = stream(talk, moves, _BLOCKS, query_every_us=40_000)
     yield "short moves with ? every 40 ms", made.lines_s, "lines/s"
+    yield "least blocks in the planner then", made.waiting, ""
     yield "? while streaming, mean", figures(made.query_us)[0], "ms"
     yield "? while streaming, worst", figures(made.query_us)[1], "ms"
     idle(talk)

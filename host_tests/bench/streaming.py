@@ -49,7 +49,7 @@ def stream(talk: Talk, lines: "list[str]", blocks: int, query_every_us: float = 
     wire = talk.wire
     under_way: deque[int] = deque()
     answered = sent = 0
-    begun = ended = 0.0
+    begun = ended = wire.now_us()
     query_at = 0.0
     next_query = wire.now_us() + query_every_us
     latencies: list[float] = []
