@@ -159,6 +159,13 @@ def test_a_laser_that_follows_the_speed_is_off_at_rest(tmp_path: Path) -> None:
     assert said.count("<Idle|") == 6 and "|A:" not in said
 
 
+@pytest.mark.parametrize("board", ["esp32_devkit", "mks_dlc32"])
+def test_a_reset_in_motion_is_an_alarm_for_position_is_lost(board: str, tmp_path: Path) -> None:
+    talk = [*_GREETING, ("G91 G1 X2 F300\n", "ok"), ("ms 50", ""), ("\x18", "Grbl ")]
+    said = boot(board, tmp_path, [*talk, ("?", ">")])
+    assert "ALARM:3\n" in said and "<Alarm|" in said
+
+
 # Back to the prompt
 
 

@@ -53,6 +53,8 @@ def execute(self, line, length):
         since = time.ticks_us()
         gc.collect()
         self._report.message("%d %d." % (gc.mem_free(), time.ticks_us() - since))
+    elif what == b"ALLOC":
+        self._report.message("%d 0." % gc.mem_alloc())
     elif what == b"COUNT":
         count = 0
         since = time.ticks_us()
@@ -76,7 +78,7 @@ _LONG = {
 }
 
 
-def _inside(talk: Talk, command: str) -> tuple[int, int]:
+def inside(talk: Talk, command: str) -> tuple[int, int]:
     """Two numbers that a command of our own has found."""
     said = talk.ask(command).partition("[MSG:")[2].partition(".")[0]
     first, second = said.split()
@@ -85,7 +87,7 @@ def _inside(talk: Talk, command: str) -> tuple[int, int]:
 
 def memory(talk: Talk) -> Iterator[Row]:
     """Heap while the machine runs."""
-    free, us = _inside(talk, "$FREE")
+    free, us = inside(talk, "$FREE")
     yield "memory free", free / 1000, "kB"
     yield "a collection", us / 1000, "ms"
 
@@ -93,12 +95,12 @@ def memory(talk: Talk) -> Iterator[Row]:
 def share(talk: Talk) -> Iterator[Row]:
     """What the pulse engine's interrupt takes of the processor."""
     idle(talk)
-    at_rest, _ = _inside(talk, "$COUNT")
+    at_rest, _ = inside(talk, "$COUNT")
     for name, lines in _LONG.items():
         for line in lines:
             talk.ask(line)
         talk.pause_us(30_000)
-        moving, _ = _inside(talk, "$COUNT")
+        moving, _ = inside(talk, "$COUNT")
         yield f"interrupt's share, {name}", 100 * (1 - moving / at_rest), "%"
         _stop(talk)
 
