@@ -137,15 +137,17 @@ class Realtime:
         state = self._state
         if state.pending[st.RESET]:
             return
+        moving = state.run & (st.RUN | st.HOMING | st.JOG) or state.holding or state.system_motion
+        if moving:
+            self._engine.stop()  # before all else: a limit switch has no time to lose
         state.post(st.RESET)
         self._spindle.stop()
         self._coolant.stop()
-        if state.run & (st.RUN | st.HOMING | st.JOG) or state.holding or state.system_motion:
+        if moving:
             if state.alarm == 0:
                 state.alarm = errors.ALARM_ABORT_CYCLE
                 if state.run == st.HOMING:
                     state.alarm = errors.ALARM_HOMING_FAIL_RESET
-            self._engine.stop()
             self.release()
 
     def on_limits(self) -> None:
