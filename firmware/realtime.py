@@ -118,7 +118,6 @@ class Realtime:
         self._suspension = suspension
 
     # What asks, from anywhere
-
     def post(self, byte: int) -> None:
         """A real-time byte has been received. Unknown ones vanish."""
         if byte == _SOFT_RESET:
@@ -140,15 +139,14 @@ class Realtime:
         moving = state.run & (st.RUN | st.HOMING | st.JOG) or state.holding or state.system_motion
         if moving:
             self._engine.stop()  # before all else: a limit switch has no time to lose
-        state.post(st.RESET)
-        self._spindle.stop()
-        self._coolant.stop()
-        if moving:
+            self.release()
             if state.alarm == 0:
                 state.alarm = errors.ALARM_ABORT_CYCLE
                 if state.run == st.HOMING:
                     state.alarm = errors.ALARM_HOMING_FAIL_RESET
-            self.release()
+        state.post(st.RESET)
+        self._spindle.stop()
+        self._coolant.stop()
 
     def on_limits(self) -> None:
         """A limit switch has changed. Interrupt."""
