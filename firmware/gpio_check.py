@@ -16,16 +16,23 @@ _OTHERS = (
 
 # Motors behind shift registers have numbers of their own, and these pins.
 _REGISTERS = "I2S"
-_NEEDED = {"i2s": ("STEP", "DIR", "ENABLE", "I2S", "I2S_RATE_HZ", "I2S_BUFFERS")}
+
+# What an engine wants to be told.
+_NEEDED = {
+    "pio": ("STEP", "DIR"),
+    "rmt": ("STEP", "DIR"),
+    "i2s": ("STEP", "DIR", "ENABLE", "I2S", "I2S_RATE_HZ", "I2S_BUFFERS"),
+}
 
 
 def check(board: "ModuleType") -> None:
-    """All that the engine needs, no pin twice, and none that the chip has not.
+    """An engine there is, all that it needs, no pin twice, and none that the chip has not.
 
     Raises ValueError, which says what or where.
     """
-    needed = _NEEDED.get(board.ENGINE, ("STEP", "DIR"))
-    missing = [name for name in needed if not hasattr(board, name)]
+    if board.ENGINE not in _NEEDED:
+        raise ValueError("ENGINE %s is not one there is" % board.ENGINE)
+    missing = [name for name in _NEEDED[board.ENGINE] if not hasattr(board, name)]
     if missing:
         names = ", ".join(missing)
         raise ValueError("ENGINE = %s: the board file names no %s" % (board.ENGINE, names))

@@ -79,8 +79,6 @@ def _hardware(board: "ModuleType") -> "tuple[StepEngine, Any]":
     gpio_check.check(board)
     del sys.modules["gpio_check"]
     kind = board.ENGINE
-    if kind not in ("pio", "rmt", "i2s"):
-        raise ValueError("ENGINE %s is not one there is" % kind)
     if kind == "pio":
         from gpio import GpioPort
         from pio.engine import PioEngine
@@ -135,17 +133,16 @@ def _run(
     while True:
         try:
             if fault:
-                told, fault = fault, None
-                _alarm(machine, link, told)
+                _alarm(machine, link, fault)
             machine.run()
         except KeyboardInterrupt:
-            break
+            fault = None
         except Exception as unforeseen:
             fault = unforeseen
         engine.stop()
         port.safe()
-    engine.stop()
-    port.safe()
+        if fault is None:
+            break
     port.watch(0)
     link.write(b"[MSG:Here is the REPL]\r\n")
     link.close()

@@ -56,9 +56,7 @@ class Protocol:
 
     def service(self) -> None:
         """One turn of whoever waits. Raises Abort after a reset."""
-        count = self._link.read_into(self._buffer)  # as pump() does
-        if count:
-            self._reader.feed(self._buffer, count)
+        self.pump()
         self._realtime.run()
 
     def run(self) -> None:

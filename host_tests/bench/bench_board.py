@@ -74,7 +74,7 @@ _LONG = {
     "1 axis, 1 kHz": ("G91 G1 X100 F240",),
     "1 axis, 100 kHz": ("G91 G1 X100 F24000",),
     "3 axes, 70 kHz": ("G91 G1 X100 Y90 Z80 F29000",),
-    "125 blocks/s": ("G91", *(f"G1 X0.16 Y{0.12 + 0.01 * (k % 3):.2f} F1500" for k in range(15))),
+    "50 blocks/s": ("G91", *(f"G1 X0.4 Y{0.3 + 0.01 * (k % 3):.2f} F1500" for k in range(14))),
 }
 
 

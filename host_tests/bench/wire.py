@@ -92,22 +92,3 @@ class Talk:
         end = self.wire.now_us() + us
         while self.wire.now_us() < end:
             self.wire.turn()
-
-    def python(self, code: str) -> str:
-        """Run code at MicroPython's prompt, which has to be asked for first; what it prints."""
-        self.wire.received.clear()
-        self.wire.send(code.encode() + b"\x04")
-        self.wait(b"\x04>", 60_000_000)
-        text = self.wire.received.decode("latin-1")
-        output, _, trace = text.removeprefix("OK").partition("\x04")
-        if trace.strip("\x04>"):
-            raise RuntimeError(trace)
-        return output
-
-    def prompt(self) -> None:
-        """Leave the machine for MicroPython's raw prompt."""
-        self.wire.send(b"\x03\x03\x03")
-        self.wait(b"Here is the REPL")
-        self.wire.received.clear()
-        self.wire.send(b"\x01")
-        self.wait(b"exit\r\n>")

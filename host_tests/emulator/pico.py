@@ -273,14 +273,6 @@ class Pico:
         size = LAYOUT.fs_blocksize * LAYOUT.fs_blockcount
         return bytes(self.mcu.flash[LAYOUT.fs_start : LAYOUT.fs_start + size])
 
-    def read_file(self, name: str) -> bytes:
-        """A file of the board, as the chip has left it."""
-        image = self.flash_image()
-        context = UserContext(len(image))
-        context.buffer[:] = image
-        with _littlefs(context, mount=True).open(name, "rb") as file:
-            return bytes(file.read())
-
 
 def _read_back(pin: object) -> None:
     """Output pins read as what they drive: rp2040py keeps the two apart."""
