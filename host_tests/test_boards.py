@@ -42,6 +42,14 @@ def test_a_board_says_what_it_is(name: str) -> None:
     assert not hasattr(found, "CHIP") or CHIPS[found.CHIP].mpy_arch == found.MPY_ARCH
 
 
+@pytest.mark.parametrize("name", ["rpi_pico_w", "rpi_pico2"])
+def test_all_picos_are_wired_alike(name: str) -> None:
+    """Each file is alone on its board, so the wiring is in each of them."""
+    pico, other = vars(load_board("rpi_pico")), vars(load_board(name))
+    names = {key for key in (*pico, *other) if key.isupper()} - {"CHIP", "MPY_ARCH"}
+    assert {key: other[key] for key in names} == {key: pico[key] for key in names}
+
+
 @pytest.mark.parametrize("name", REAL)
 def test_a_board_is_data_only(name: str) -> None:
     found = load_board(name)
