@@ -10,8 +10,6 @@ meaning: NIST RS274NGC v3, table 8, as Grbl 1.1 reads it.
 import block as b
 import checks
 import errors
-import kernels
-import micropython
 import planner as plan
 import state as st
 from arcs import Arc
@@ -20,22 +18,8 @@ from coords import G28, G30
 from errors import GrblError
 from f32 import vector
 from micropython import const
-from words import (
-    F_AT,
-    HAS_F,
-    HAS_G0,
-    HAS_G1,
-    HAS_N,
-    HAS_S,
-    LASER,
-    MODE,
-    N_AT,
-    S_AT,
-    Words,
-    scan,
-)
-from words import plain as plain_words
-from words import target as plain_target
+from plain import Plain
+from words import Words
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -53,9 +37,6 @@ _JOG_START = const(3)  # behind "$J="
 _DARK = const(1)  # not a cutting motion
 _IN_MOTION = const(2)  # S goes with the motion
 _SYNC = const(4)  # the beam changes though nothing moves
-
-# What a plain line may change: words.HAS_F, HAS_S, HAS_G0, HAS_G1.
-_NEWS = const(0xF0)
 
 
 class Gcode:
@@ -89,15 +70,10 @@ class Gcode:
         self._spindle = spindle
         self._report = report
         self._block = block
-        self._words = Words(axes)
+        self._words = Words()
         self._move = plan.Move()
         self._line_numbers = line_numbers
-        self._target = vector(axes)
-        # The short path: see _look_for_plain().
-        self._is_plain = False
-        self._plain_move = plan.Move()
-        self._plain_feed = vector(1)
-        self._offsets = vector(axes)
+        self.plain = Plain(self, state, settings, motion, spindle)
         self.reset()
 
     def reset(self) -> None:
@@ -106,7 +82,7 @@ class Gcode:
         self.feed = 0.0
         self.spindle_rpm = 0.0
         self.tool = 0
-        self._is_plain = False
+        self.plain.forget()
 
     @property
     def spindle(self) -> int:
@@ -121,90 +97,23 @@ class Gcode:
     @coolant.setter
     def coolant(self, mask: int) -> None:
         self.modal.coolant = mask
-        self._is_plain = False
+        self.plain.forget()
 
     def accessory_flags(self) -> int:
         """Spindle and coolant as flags of a planner block."""
         return self.modal.spindle | self.modal.coolant << plan.COOLANT_SHIFT
 
-    @micropython.native  # its call frame is on the stack then, not on the heap
     def execute(self, line: bytearray, length: int) -> None:
         """Interpret line[:length], which a 0 follows. Raises GrblError where it is refused."""
-        words = self._words
-        found = scan(line, length << 8, words.letters, words.values)
-        if self._is_plain:
-            seen = plain_words(words.letters, words.values, found, words.at, self._plain_feed)
-            if seen and self._execute_plain(seen):
-                return
-        words.found(found)
+        if self.plain.execute(line, length):
+            return
         block = self._block
+        self._words.read(line, 0, length)
         block.begin(self.modal)
-        block.take(words)
+        block.take(self._words)
         checks.check(self, block, False)
         self._apply(block)
-        self._look_for_plain()
-
-    # The short path: lines that only move. What stays the same is worked out once; no floats.
-
-    def forget_plain(self) -> None:
-        """Something else may change what holds: the next line takes the long way."""
-        self._is_plain = False
-
-    def _look_for_plain(self) -> None:
-        """Whether G0 and G1 lines may take the short path, and what holds on it."""
-        modal = self.modal
-        coords = self.coords
-        self._is_plain = (
-            not (modal.relative or modal.inches or modal.inverse_time)
-            and modal.motion in (b.SEEK, b.LINEAR)
-            and coords.tool_length == 0
-        )
-        if self._is_plain:
-            for i in range(self.axes):
-                self._offsets[i] = coords.work_offset(i)
-            self._set_plain()
-
-    def _set_plain(self) -> None:
-        """How the next plain line moves, unless it says otherwise."""
-        at = self._words.at
-        move = self._plain_move
-        seeks = self.modal.motion == b.SEEK
-        laser = self._spindle.laser
-        at[MODE] = HAS_G0 if seeks else HAS_G1
-        at[LASER] = laser
-        self._plain_feed[0] = move.feed = self.feed
-        move.spindle_rpm = 0.0 if laser and seeks else self.spindle_rpm
-        move.flags = self.accessory_flags()
-        if seeks:
-            move.flags |= plan.RAPID
-
-    @micropython.native  # its call frame is on the stack then, not on the heap
-    def _execute_plain(self, seen: int) -> bool:
-        """Execute a plain line; see words.plain()."""
-        words = self._words
-        move = self._plain_move
-        if seen & _NEWS:
-            self._take_news(seen)
-        if self._line_numbers:
-            move.line_number = int(words.values[words.at[N_AT]]) if seen & HAS_N else 0
-        self.tool = 0
-        target = self._target
-        plain_target(words.values, words.at, seen, self._offsets, self.position, target)
-        self._motion.line(target, move)
-        kernels.copy(target, self.position, self.axes)
-        return True
-
-    def _take_news(self, seen: int) -> None:
-        """A plain line changes motion mode, feed rate, or a laser's power."""
-        words = self._words
-        if seen & HAS_F:
-            self.feed = words.values[words.at[F_AT]]
-        if seen & HAS_S:
-            self.spindle_rpm = self._plain_move.spindle_rpm = words.values[words.at[S_AT]]
-        if seen & _NEWS != HAS_S:
-            if seen & (HAS_G0 | HAS_G1):
-                self.modal.motion = b.SEEK if seen & HAS_G0 else b.LINEAR
-            self._set_plain()
+        self.plain.look()
 
     def jog(self, line: bytearray, length: int) -> None:
         """Interpret a "$J=" line. The modal state stays as it is."""

@@ -78,13 +78,13 @@ class Motion:
     ) -> None:
         self._state = state
         self._settings = settings
-        self._planner = planner
+        self.planner = planner
         self._spindle = spindle
         self._coolant = coolant
         self._port = port
         self._positive_origin = positive_origin
         self._point = vector(planner.axes)
-        self._travel = array("i", (planner.axes, 0) + (0,) * planner.axes)
+        self.travel = array("i", (planner.axes, 0) + (0,) * planner.axes)
         self._flow = planner.flow
 
     def connect(self, service: "Callable[[], None]", realtime: "Realtime") -> None:
@@ -95,15 +95,15 @@ class Motion:
     def configure(self) -> None:
         """Take over $23, $130 and the others of travel."""
         settings = self._settings
-        travel = self._travel
+        travel = self.travel
         travel[_POSITIVE] = settings.homing_dir_invert if self._positive_origin else 0
-        kernels.copy(settings.max_travel, memoryview(travel)[_TRAVEL:], self._planner.axes)
+        kernels.copy(settings.max_travel, memoryview(travel)[_TRAVEL:], self.planner.axes)
 
     # Moves
 
     def line(self, target: "array[float]", move: "Move") -> None:
         """A straight line: rapid or feed, by the move's flags."""
-        found = judge(target, self._travel, self._flow)
+        found = judge(target, self.travel, self._flow)
         state = self._state
         if found & _OUTSIDE and self._settings.soft_limits and state.run != st.JOG:
             self._soft_limit()
@@ -113,9 +113,8 @@ class Motion:
         while found & _FULL:
             self.auto_start()
             self.service()
-            found = judge(target, self._travel, self._flow)
-        power = self._power(move) if move.flags & plan.SPINDLE_MASK else 0
-        if not self._planner.line(target, move, power) and self._spindle.laser:
+            found = judge(target, self.travel, self._flow)
+        if not self.planner.line(target, move, self.power(move)) and self._spindle.laser:
             # A laser's S takes effect even where there is no way to go.
             if move.flags & plan.SPINDLE_CW:
                 self.spin(plan.SPINDLE_CW, move.spindle_rpm)
@@ -123,10 +122,13 @@ class Motion:
     def jog(self, target: "array[float]", move: "Move") -> None:
         """A line that starts at once, and that a hold would cancel."""
         self.line(target, move)
-        if self._state.run == st.IDLE and not self._planner.empty():
+        if self._state.run == st.IDLE and not self.planner.empty():
             self._realtime.start(st.JOG)
 
-    def _power(self, move: "Move") -> int:
+    def power(self, move: "Move") -> int:
+        """Spindle power of a planner block: in laser mode M4 makes it follow speed."""
+        if not move.flags & plan.SPINDLE_MASK:
+            return 0
         if self._spindle.laser and move.flags & plan.SPINDLE_CCW:
             move.flags |= plan.RATE_ADJUSTED
         return self._spindle.block_power(move.flags, move.spindle_rpm)
@@ -163,14 +165,14 @@ class Motion:
 
     def auto_start(self) -> None:
         """Whatever is planned is to move."""
-        if self._state.run == st.IDLE and not self._planner.empty():
+        if self._state.run == st.IDLE and not self.planner.empty():
             self._state.post(st.CYCLE_START)
 
     def synchronise(self) -> None:
         """Wait until everything planned has been done."""
         self.auto_start()
         self.service()
-        while not self._planner.empty() or self._state.run == st.RUN:
+        while not self.planner.empty() or self._state.run == st.RUN:
             self.service()
 
     def settle(self) -> None:
@@ -197,7 +199,7 @@ class Motion:
         """Spindle and coolant off, overrides back to 100 %."""
         state = self._state
         state.feed_override = state.rapid_override = state.spindle_override = 100
-        self._planner.override()
+        self.planner.override()
         if state.run != st.CHECK:
             self._spindle.turn(0, 0.0)
             self._coolant.set(0)
@@ -218,7 +220,7 @@ class Motion:
 
     def outside(self, target: "array[float]") -> bool:
         """The target lies outside the machine's travel."""
-        return bool(judge(target, self._travel, self._flow) & _OUTSIDE)
+        return bool(judge(target, self.travel, self._flow) & _OUTSIDE)
 
     def _soft_limit(self) -> None:
         """Come to rest where position is certain, then alarm and reset."""

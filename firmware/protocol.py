@@ -63,21 +63,32 @@ class Protocol:
         """Execute lines until Abort."""
         reader = self._reader
         state = self._state
+        pending = state.pending
+        take = reader.take
         line = reader.line
+        follow = self._gcode.plain.follow
+        ok = self._report.ok
+        echoes = self._echoes
+        waiting = False
         while True:
-            found = reader.take()
+            found = take()
             if found == NOTHING:
                 self.pump()
                 if not reader.waiting():
                     self._motion.auto_start()
                 self._realtime.run()
+                continue
+            if pending[st.ANY] or state.suspend or state.alarm:
+                self._realtime.run()
+            if found & LINE == 0:
+                self._report.error(errors.OVERFLOW)
+            elif state.run & _LOCKED == 0 and not echoes and follow(line, found >> 2):
+                ok()
+                waiting = not waiting
+                if waiting:
+                    self.service()  # after every other one
             else:
-                if state.pending[st.ANY] or state.suspend or state.alarm:
-                    self._realtime.run()
-                if found & LINE:
-                    self.execute(line, found >> 2)
-                else:
-                    self._report.error(errors.OVERFLOW)
+                self.execute(line, found >> 2)
 
     @micropython.native  # its call frame is on the stack then, not on the heap
     def execute(self, line: bytearray, length: int) -> None:
@@ -88,7 +99,7 @@ class Protocol:
             if length == 0:
                 pass
             elif line[0] == 36:  # $
-                self._gcode.forget_plain()  # settings may change
+                self._gcode.plain.forget()  # settings may change
                 self._commands.execute(line, length)
             elif self._state.run & _LOCKED:
                 raise GrblError(errors.SYSTEM_GC_LOCK)

@@ -244,11 +244,10 @@ class PunchGcode(Gcode):
 
     _spindle: Punch
 
-    def _execute_plain(self, seen: int) -> bool:
-        if not super()._execute_plain(seen):
-            return False
-        self._strike()
-        return True
+    def execute(self, line: bytearray, length: int) -> None:
+        """As Gcode does; there is no short path to a stroke."""
+        super().execute(line, length)
+        self.plain.forget()
 
     def _go(self, block: "b.Block", move: "Any") -> None:
         super()._go(block, move)

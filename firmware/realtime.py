@@ -315,8 +315,7 @@ class Realtime:
             self._planner.clear()
             self._resync()
             state.holding = False
-        # After a probe's contact `holding` stays until motion starts again, as in Grbl:
-        # a reset before that raises an alarm.
+        # As in Grbl `holding` stays after a probe's contact: a reset before motion is an alarm.
         if state.suspend & st.DOOR_AJAR:
             state.suspend = state.suspend & ~st.JOG_CANCEL | st.HOLD_COMPLETE
             state.run = st.DOOR
@@ -395,6 +394,7 @@ class Realtime:
     def _override_spindle(self) -> None:
         """The spindle's override has changed: now, with the motion, or once it is held."""
         state = self._state
+        self._gcode.plain.forget()
         if state.run == st.IDLE:
             self._spindle.turn(self._gcode.spindle, self._gcode.spindle_rpm)
         elif state.run & _MOTION:

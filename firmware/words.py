@@ -13,20 +13,6 @@ from micropython import const
 
 _MAX_WORDS = const(128)
 
-# What plain() found: bits of its mask. Bits 0 to 3 are X, Y, Z and A.
-HAS_F = const(0x10)  # another feed rate than before
-HAS_S = const(0x20)
-HAS_G0 = const(0x40)  # G0, which was not in force
-HAS_G1 = const(0x80)
-HAS_N = const(0x100)
-# Where in `at` the place of a word is; and, behind those, what plain() is told:
-F_AT = const(4)
-S_AT = const(5)
-N_AT = const(8)
-AXES = const(9)  # how many there are
-MODE = const(10)  # the motion in force: HAS_G0 or HAS_G1
-LASER = const(11)  # S goes with cutting motion
-
 # What scan() found wrong, above the count of words.
 LETTER_EXPECTED = const(1)
 NUMBER_EXPECTED = const(2)
@@ -91,127 +77,59 @@ def store_single(number: int, power: int, values: ptr32, at: int) -> int:
 
 
 @micropython.viper
+def number(text: ptr8, pos: int, values: ptr32, at: int) -> int:
+    """Read a number at text[pos] into values[at]. Returns where it ends; 0 if there is none."""
+    sign = text[pos]
+    if sign == 45 or sign == 43:  # noqa: PLR1714 (a viper cannot ask `in`)
+        pos += 1
+    mantissa = 0
+    digits = 0
+    power = 0
+    point = 0
+    while True:
+        c = text[pos] - 48
+        if c >= 0 and c <= 9:
+            digits += 1
+            if digits <= 8:
+                mantissa = mantissa * 10 + c
+                power -= point
+            else:
+                power += 1 - point
+        elif c == -2 and point == 0:
+            point = 1
+        else:
+            break
+        pos += 1
+    if digits == 0:
+        return 0
+    store_single(mantissa, power, values, at)
+    if sign == 45:
+        signs = ptr8(values)
+        signs[4 * at + 3] = signs[4 * at + 3] | 128
+    return pos
+
+
+@micropython.viper
 def scan(text: ptr8, span: int, letters: ptr8, values: ptr32) -> int:
     """Read words from text[start:end], span = end << 8 | start; text[end] is 0.
 
     Letters and values, as bits of single-precision floats, go into their
     arrays. Returns the count of words, and above it (<< 8) what was wrong
-    after the last of them. A letter of 0 there asks for one bare number, and
-    for the position after it: see Words.number().
+    after the last of them.
     """
     pos = span & 255
     end = span >> 8
-    signs = ptr8(values)
     count = 0
-    bare = letters[0] == 0
-    while pos < end or bare:
-        if not bare:
-            letter = text[pos]
-            if letter < 65 or letter > 90:
-                return count | 256
-            letters[count] = letter
-            pos += 1
-        sign = text[pos]
-        if sign == 45 or sign == 43:  # noqa: PLR1714 (a viper cannot ask `in`)
-            pos += 1
-        number = 0
-        digits = 0
-        power = 0
-        point = 0
-        while True:
-            c = text[pos] - 48
-            if c >= 0 and c <= 9:
-                digits += 1
-                if digits <= 8:
-                    number = number * 10 + c
-                    power -= point
-                else:
-                    power += 1 - point
-            elif c == -2 and point == 0:
-                point = 1
-            else:
-                break
-            pos += 1
-        if digits == 0:
+    while pos < end:
+        letter = text[pos]
+        if letter < 65 or letter > 90:
+            return count | 256
+        letters[count] = letter
+        pos = int(number(text, pos + 1, values, count))
+        if pos == 0:
             return count | 512
-        store_single(number, power, values, count)
-        if sign == 45:
-            signs[4 * count + 3] = signs[4 * count + 3] | 128
         count += 1
-        if bare:
-            return pos
     return count
-
-
-@micropython.viper
-def plain(letters: ptr8, values: ptr32, count: int, at: ptr8, feed: ptr32) -> int:
-    """What a line holds if it does no more than move; 0 if it does, or if a word is wrong.
-
-    Plain are G0 and G1, X to Z and A, F, N and S, each once at the most, the
-    last three not negative. Returns a mask of axes and of what is new to the
-    interpreter, the public names above; at[bit] tells which word it is. feed:
-    the rate in force.
-    """
-    if count > 255:
-        return 0  # scan() has found a fault
-    signs = ptr8(values)
-    seen = 0
-    for i in range(count):
-        letter = letters[i]
-        value = values[i]
-        bit = 8
-        if letter == 71:  # G
-            if value >> 23 == 127 and value & 0x7FFFFF == 0:
-                bit = 7
-            elif value:
-                return 0
-            else:
-                bit = 6
-            if seen & 0xC0:
-                return 0
-        elif letter >= 88:  # X, Y, Z
-            bit = letter - 88
-        elif letter == 65:  # A
-            bit = 3
-        elif signs[4 * i + 3] & 128:
-            return 0
-        elif letter == 70:  # F
-            bit = 4
-        elif letter == 83:  # S
-            bit = 5
-        elif letter != 78 or value >> 7 >= 0x96312D:  # N below ten million
-            return 0
-        if seen >> bit & 1:
-            return 0
-        seen |= 1 << bit
-        at[bit] = i
-    if seen & 15 == 0 or (seen & 15) >> at[AXES]:
-        return 0
-    mode = seen & (HAS_G0 | HAS_G1)
-    if mode == at[MODE]:
-        seen ^= mode
-    mode = mode or at[MODE]
-    rate = feed[0]
-    if seen & HAS_F:
-        if values[at[F_AT]] == rate:
-            seen ^= HAS_F
-        rate = values[at[F_AT]]
-    if mode == HAS_G1:
-        return seen if rate and (at[LASER] or not seen & HAS_S) else 0
-    return 0 if seen & HAS_S else seen
-
-
-@micropython.viper
-def target(values: ptr32, at: ptr8, seen: int, offsets: ptr32, position: ptr32, xyz: ptr32) -> int:
-    """Put the axis words of a plain line, offsets added, into xyz; other axes stay in position."""
-    for i in range(at[AXES]):
-        if seen >> i & 1:
-            xyz[i] = values[at[i]]
-            if offsets[i]:
-                add_single(offsets, i, xyz, i)
-        else:
-            xyz[i] = position[i]
-    return 0
 
 
 @micropython.viper
@@ -261,33 +179,24 @@ def add_single(a: ptr32, i: int, b: ptr32, j: int) -> int:
 
 
 class Words:
-    """The words of one line. letters[i] is a character code, values[i] its number.
+    """The words of one line. letters[i] is a character code, values[i] its number."""
 
-    axes: how many plain() knows.
-    """
-
-    def __init__(self, axes: int = 0) -> None:
-        self.letters = bytearray(b"\1" * _MAX_WORDS)  # never 0: see scan()
+    def __init__(self) -> None:
+        self.letters = bytearray(_MAX_WORDS)
         self.values = array("f", (0.0 for _ in range(_MAX_WORDS)))
         self.count = 0
         self.fault = 0
-        self.at = bytearray(16)
-        self.at[AXES] = axes
         self._number = array("f", (0.0,))
-        self._no_letter = bytearray(1)
 
     def read(self, text: bytearray, start: int, end: int) -> None:
         """Read text[start:end], which a 0 follows. fault tells what is wrong behind the words."""
-        self.found(scan(text, end << 8 | start, self.letters, self.values))
-
-    def found(self, found: int) -> None:
-        """Take over what scan() has found."""
+        found = scan(text, end << 8 | start, self.letters, self.values)
         self.count = found & 255
         self.fault = found >> 8
 
     def number(self, text: bytearray, start: int) -> "tuple[int, float]":
         """Read a bare number; returns the position after it, or -1, and its value."""
-        end = scan(text, start, self._no_letter, self._number)
-        if end >= 512:
+        end = number(text, start, self._number, 0)
+        if end == 0:
             return -1, 0.0
         return end, self._number[0]

@@ -12,10 +12,11 @@ FIRMWARE = Path(__file__).parent.parent / "firmware"
 LAYERS = (
     {"errors", "axes", "f32", "reals"},
     {"words", "lines", "arcs", "digits", "kernels"},
-    {"state", "settings", "coords"},
+    {"state", "settings", "coords", "singles"},
     {"block", "planner", "segments", "spindle", "coolant", "inputs"},
     {"checks", "motion", "report"},
-    {"gcode", "cycles", "report_09"},
+    {"plain", "cycles", "report_09"},
+    {"gcode"},
     {"realtime", "commands", "suspension"},
     {"protocol", "punch"},
     {"controller"},

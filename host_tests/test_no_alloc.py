@@ -19,6 +19,7 @@ import kernels
 import lines
 import micropython
 import motion
+import plain
 import words
 from f32 import vector
 from planner import Move, Planner
@@ -70,12 +71,13 @@ text = bytearray(b"G1X-12.345Y0.0000678Z99999999.9F1500S12000\\0")
 end = len(text) - 1 << 8
 letters = bytearray(128)
 values = array("f", [0.0] * 128)
-plain = bytearray(b"G1X-12.345Y0.25F1500\\0")
+short = bytearray(b"G1X-12.345Y0.25N7\\0")
 line = words.Words()
 here = vector(3)
-line.at[words.AXES], line.at[words.MODE] = 3, words.HAS_G1
 there = array("i", [3, 0, 1000, 2000, 300])
-offsets = array("f", [0.1, -20.5, 0.0])
+known = array("i", [0] * (plain.OFFSETS + 3))
+known[plain.AXES], known[plain.MODE], known[plain.FEED] = 3, plain.HAS_G1, 7
+known[plain.OFFSETS] = 7
 reader = lines.LineReader(128, 79, lambda byte: None)
 received = bytearray(b"G1 X1 (a comment) ? y2\\n")
 """
@@ -86,10 +88,13 @@ _PROVED = {
     "limit_entry": "kernels.limit_entry(ring, flow, 2)",
     "reverse_pass": "kernels.reverse_pass(ring, flow, 1)",
     "scan": "words.scan(text, end, letters, values)",
-    "read": "line.read(plain, 0, len(plain) - 1)",
-    "plain": "words.plain(line.letters, line.values, line.count, line.at, target)",
-    "target": "words.target(line.values, line.at, 3, offsets, here, target)",
+    "read": "line.read(short, 0, len(short) - 1)",
+    "plain.read": "plain.read(short, len(short) - 1, known)",
+    "place": "plain.place(known, 7, here, target)",
+    "line_number": "plain.line_number(known, plain.HAS_N)",
     "judge": "motion.judge(target, there, flow)",
+    "follow": "plain.follow(short, len(short) - 1, known, here, target, there, machine, ring, "
+    "flow, planner.speeds)",
     "feed": "reader.feed(received, len(received))",
     "take": "reader.take()",
 }

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from oracle import read_number, read_words, single
-from words import AXES, HAS_G0, HAS_G1, LASER, MODE, Words, add_single, plain, scan
+from words import Words, add_single, scan
 
 
 def bits(x: float) -> int:
@@ -73,8 +73,6 @@ def test_nothing_is_read_behind_the_end() -> None:
     assert scan(bytearray(b"X1Y2\0"), 2 << 8, bytearray(b"\1\0\0\0"), values) == 1
 
 
-# Plain lines
-
 normal = st.floats(width=32, min_value=-(2.0**100), max_value=2.0**100, allow_subnormal=False)
 places = st.one_of(normal, st.sampled_from([0.0, 1.0, -1.0, 0.1, -16777216.0, 2.0**-100]))
 
@@ -98,47 +96,3 @@ def test_a_sum_beyond_single_precision_is_not_finite() -> None:
     a, b = array("f", [3e38]), array("f", [3e38])
     add_single(a, 0, b, 0)
     assert not isfinite(b[0])
-
-
-modes = st.tuples(st.sampled_from([HAS_G0, HAS_G1]), st.booleans(), st.sampled_from([0.0, 500.0]))
-
-
-@given(st.lists(pieces, max_size=6).map("".join), modes)
-@example("N10000000X1", (HAS_G0, False, 0.0))
-@example("N9999999X1", (HAS_G0, False, 0.0))
-@example("G1X1F-1", (HAS_G1, False, 500.0))
-@example("G1X1F500", (HAS_G1, False, 500.0))
-@example("X1F0", (HAS_G1, False, 500.0))
-@example("G1X1S5", (HAS_G0, True, 500.0))
-@example("G1X1S5", (HAS_G1, False, 500.0))
-@example("G00X-0F-0", (HAS_G0, False, 0.0))
-def test_a_plain_line_holds_nothing_that_could_be_wrong(
-    text: str, modes: "tuple[int, bool, float]"
-) -> None:
-    mode, laser, feed = modes
-    found, fault = read_words(text)
-    letters = [letter for letter, _ in found]
-    line = Words()
-    line.read(bytearray(text.encode() + b"\0"), 0, len(text))
-    line.at[AXES], line.at[MODE], line.at[LASER] = 4, mode, laser
-    code = scan(bytearray(text.encode() + b"\0"), len(text) << 8, line.letters, line.values)
-    seen = plain(line.letters, line.values, code, line.at, array("f", [feed]))
-    if not seen:
-        return
-    assert not fault
-    assert set(letters) & set("XYZA")
-    assert len(set(letters)) == len(letters)
-    assert set(letters) <= set("GXYZAFNS")
-    for at, (letter, value) in enumerate(found):
-        bit = {"F": 4, "S": 5, "N": 8, "A": 3, "G": 6 + int(value)}.get(letter)
-        assert letter != "G" or value in (0, 1)
-        assert letter not in "FNS" or value >= 0
-        assert letter != "N" or value < 10_000_000
-        bit = ord(letter) - ord("X") if bit is None else bit
-        is_new = {"F": value != feed, "G": bit and 1 << bit != mode}.get(letter, True)
-        assert seen >> bit & 1 == is_new
-        assert line.at[bit] == at
-    words = dict(found)
-    cuts = words.get("G", mode == HAS_G1) == 1
-    assert words.get("F", feed) or not cuts
-    assert "S" not in words or (laser and cuts)

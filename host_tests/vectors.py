@@ -4,6 +4,7 @@ import sys
 from array import array
 
 import kernels
+import plain
 import reals
 import words
 from f32 import vector
@@ -52,9 +53,8 @@ def print_reals(dice):
 def print_words(dice):
     """Numbers of any length, read into the bits of floats."""
     letters, values = bytearray(128), array("f", [0.0] * 128)
-    zero = array("f", [500.0])
-    plain = bytearray(16)
-    plain[words.AXES], plain[words.MODE] = 3, words.HAS_G1
+    known = array("i", [0] * (plain.OFFSETS + 3))
+    known[plain.AXES], known[plain.MODE], known[plain.FEED] = 3, plain.HAS_G1, 500
     for _ in range(1500):
         text = ""
         for _ in range(1 + dice.below(5)):
@@ -62,13 +62,12 @@ def print_words(dice):
             text += str(dice.below(10 ** (1 + dice.below(7))))
             if dice.below(2):
                 text += "." + "0" * dice.below(4) + str(dice.below(10 ** (1 + dice.below(7))))
-        letters[0] = 1
         count = words.scan(bytearray(text.encode() + b"\0"), len(text) << 8, letters, values)
         bits = bytes(array("f", [values[i] for i in range(count & 255)]))
         print(text, count, list(bits))
         one, other = array("f", [values[0]]), array("f", [values[1 % (count & 255)]])
         words.add_single(one, 0, other, 0)
-        print(list(bytes(other)), words.plain(letters, values, count & 255, plain, zero))
+        print(list(bytes(other)), plain.read(bytearray(text.encode() + b"\0"), len(text), known))
 
 
 class Settings:

@@ -1,0 +1,126 @@
+"""The short path of lines that only move: the same as the long one, and only for such lines."""
+
+from array import array
+from types import SimpleNamespace
+
+import kernels
+import wiring
+from errors import GrblError
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from oracle import read_words
+from plain import AXES, FEED, HAS_G0, HAS_G1, LASER, MODE, OFFSETS, VALUES, Plain, read
+from test_words import bits, pieces
+from ugrbl import machine
+from ugrbl.run import ProgramLink
+
+modes = st.tuples(st.sampled_from([HAS_G0, HAS_G1]), st.booleans(), st.sampled_from([0.0, 500.0]))
+
+
+@given(st.lists(pieces, max_size=6).map("".join), modes)
+@example("N10000000X1", (HAS_G0, False, 0.0))
+@example("N9999999X1", (HAS_G0, False, 0.0))
+@example("G1X1F-1", (HAS_G1, False, 500.0))
+@example("G1X1F500", (HAS_G1, False, 500.0))
+@example("X1F0", (HAS_G1, False, 500.0))
+@example("G1X1S5", (HAS_G0, True, 500.0))
+@example("G1X1S5", (HAS_G1, False, 500.0))
+@example("G00X-0F-0", (HAS_G0, False, 0.0))
+@example("[1", (HAS_G0, False, 0.0))
+def test_a_plain_line_holds_nothing_that_could_be_wrong(
+    text: str, modes: "tuple[int, bool, float]"
+) -> None:
+    mode, laser, feed = modes
+    known = array("i", [0] * (OFFSETS + 4))
+    known[AXES], known[MODE], known[LASER], known[FEED] = 4, mode, laser, bits(feed)
+    seen = read(bytearray(text.encode() + b"\0"), len(text), known)
+    if not seen:
+        return
+    found, fault = read_words(text)
+    letters = [letter for letter, _ in found]
+    assert not fault
+    assert set(letters) & set("XYZA")
+    assert len(set(letters)) == len(letters)
+    assert set(letters) <= set("GXYZAFNS")
+    for letter, value in found:
+        bit = {"F": 4, "S": 5, "N": 8, "A": 3, "G": 6 + int(value)}.get(letter)
+        assert letter != "G" or value in (0, 1)
+        assert letter not in "FNS" or value >= 0
+        assert letter != "N" or value < 10_000_000
+        bit = ord(letter) - ord("X") if bit is None else bit
+        is_new = {"F": value != feed, "G": bit and 1 << bit != mode}.get(letter, True)
+        assert seen >> bit & 1 == is_new
+        assert letter == "G" or known[VALUES + bit] & 0xFFFFFFFF == bits(value)
+    words = dict(found)
+    cuts = words.get("G", mode == HAS_G1) == 1
+    assert words.get("F", feed) or not cuts
+    assert "S" not in words or (laser and cuts)
+
+
+class Bench:
+    """A machine that is told lines and never moves: what it plans is looked at, and forgotten."""
+
+    def __init__(self, laser: bool, short: bool) -> None:
+        self._short = short
+
+        rig = machine.build("sim", lambda rig: ProgramLink(rig, lambda _link: iter(())))
+        board = SimpleNamespace(**{**vars(rig.board), "LINE_NUMBERS": True})
+        self.machine = wiring.build(board, rig.link, rig.port, rig.engine, rig.store)
+        self.machine.settings.load()
+        self.machine.settings.laser_mode = int(laser)
+        self.machine.configure(0)
+        self.machine.planner.override()
+        self.machine.motion.service = self.machine.planner.clear  # whoever waits finds room
+
+    def tell(self, text: str) -> object:
+        """Everything that comes of a line."""
+        gcode, planner = self.machine.gcode, self.machine.planner
+        line = bytearray(text.encode() + b"\0")
+        fault = 0
+        try:
+            if not (self._short and gcode.plain.follow(line, len(text))):
+                gcode.execute(line, len(text))
+        except GrblError as refusal:
+            fault = refusal.code
+        if not self._short:
+            gcode.plain.forget()
+        row = [] if planner.empty() else list(planner.row() or ())
+        found = (fault, list(gcode.position), gcode.feed, gcode.spindle_rpm, gcode.tool, row)
+        speed = planner.speeds[planner.flow[kernels.TAIL]] if row else 0
+        rest = (gcode.modes(), list(planner.position), speed, self.machine.state.spindle_rpm)
+        planner.clear()
+        return found, rest
+
+
+simple = st.from_regex(r"(G[01])?(X-?[0-9]{1,2}\.[0-9]{0,3})?(Y-?[0-9]\.[0-9])?", fullmatch=True)
+other = st.sampled_from(
+    "G91 G90 G20 G21 G92X1.1Y-3 G92.1 F300 S500 M3S200 M4 M5 T2 G43.1Z0.3 G49 G55 G54 G10L2P2X0.7 "
+    "G93 G94 G2X1Y1R5 G80 X1X2 M8 M9".split()
+)
+tail = st.sampled_from(["", "", "", "F200", "F700", "S100", "N12", "S0", "Z1", "F0", "Z-0.0001"])
+program = st.lists(
+    st.one_of(*[st.tuples(simple, tail).map("".join)] * 4, other), min_size=4, max_size=25
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(program, st.booleans())
+@example(["F300", "G1X1", "X2", "X3S5", "G91", "X1", "X1", "X1"], True)
+@example(["M4S100F300", "G1X1", "X2", "X2", "X3S5", "G0X4", "X5", "G1X6"], True)
+@example(["M3S100F300", "G1X1", "X2", "X2", "X3", "T3", "X4", "X5", "X6", "X7"], False)
+def test_the_short_path_does_what_the_long_one_does(lines: "list[str]", laser: bool) -> None:
+    short, long = Bench(laser, True), Bench(laser, False)
+    for line in lines:
+        assert short.tell(line) == long.tell(line), line
+
+
+def test_lines_after_the_second_of_their_kind_take_the_short_path() -> None:
+    bench = Bench(False, True)
+    for text in ("G1X1F500", "X2"):
+        bench.tell(text)
+    plain = bench.machine.gcode.plain
+    assert isinstance(plain, Plain)
+    assert plain.follow(bytearray(b"X3Y1N5\0"), 6) == 1
+    assert plain.follow(bytearray(b"X3F501\0"), 6) == 0
+    plain.forget()
+    assert plain.follow(bytearray(b"X4\0"), 2) == 0
