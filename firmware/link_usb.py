@@ -46,6 +46,9 @@ _DEAF_MS = const(250)
 _OUT_BYTES = const(64)
 _QUIET_TURNS = const(3)
 
+# With a count of bytes: there is more to see to.
+_NOTE = const(0x100)
+
 _LOOK_MS = const(5)
 
 # What a link remembers: where the ring is,
@@ -97,7 +100,10 @@ def _find(memory: ptr32, start: int, trial: ptr8, length: int) -> int:
 
 @micropython.viper
 def _take(at: ptr32, buf: ptr8, room: int) -> int:
-    """Move up to `room` bytes that the ring holds into buf. Returns how many."""
+    """Move up to `room` bytes that the ring holds into buf.
+
+    Returns how many, and NOTE where UsbLink._note() is to see to something.
+    """
     at[_TAKING] = 1
     at[_ALIVE] = 1
     shorts = ptr16(at[_RING])
@@ -116,7 +122,8 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
         count += 1
     shorts[3] = get
     at[_TAKING] = 0
-    return count
+    noted = at[_ESCAPES] if count else at[_LENGTH] | at[_FULL] | at[_OPENED]
+    return count | _NOTE if noted else count
 
 
 @micropython.viper
@@ -158,7 +165,14 @@ def _look(at: ptr32) -> int:
 
 
 class UsbLink:
-    """A Link. feed: called as long as the main loop reads, for a watchdog."""
+    """A Link. feed: called as long as the main loop reads, for a watchdog.
+
+    read_into(buf) moves what has arrived into buf and returns how many bytes; write(data) sends,
+    soon.
+    """
+
+    read_into: "Callable[[bytearray], int]"
+    write: "Callable[[bytes | bytearray | memoryview], None]"
 
     def __init__(self) -> None:
         micropython.kbd_intr(-1)  # Ctrl-C is a byte like others
@@ -178,6 +192,8 @@ class UsbLink:
         self._at = array.array("i", (0, 0, _NEVER, 0, 0, 0, 0, 0))
         if sys.platform == "rp2":
             self._at[_RING] = self._find_ring()
+        self.read_into = self._make_read_into()
+        self.write = self._make_write()
 
     def attach(
         self,
@@ -232,22 +248,35 @@ class UsbLink:
             early.append(self._byte[0])
         return early
 
-    def read_into(self, buf: bytearray) -> int:
-        """Move what has arrived into buf; return how many bytes."""
+    def _make_read_into(self) -> "Callable[[bytearray], int]":
+        """A closure, for it is called at every turn: it finds what it needs without a look-up."""
+        if self._at[_RING] == 0:
+            return self._read_plainly
+        at, take, note = self._at, _take, self._note
+
+        def read_into(buf: bytearray) -> int:
+            count: int = take(at, buf, len(buf))
+            return note(buf, count - _NOTE) if count >= _NOTE else count
+
+        return read_into
+
+    def _make_write(self) -> "Callable[[bytes | bytearray | memoryview], None]":
+        """The same, for answers."""
+        at, keep, send, waiting = self._at, _keep, self._send_now, self._waiting_out
+
+        def write(data: "bytes | bytearray | memoryview") -> None:
+            if not keep(at, waiting, data, len(data)):
+                send(data)
+
+        return write
+
+    def _note(self, buf: bytearray, count: int) -> int:
+        """See to more than bytes. Returns their count."""
         at = self._at
-        if at[_RING] == 0:
-            return self._read_plainly(buf)
-        count: int = _take(at, buf, len(buf))
-        if count == 0:
-            self._quiet()
-        elif at[_ESCAPES]:
+        if count:
             at[_ESCAPES] = 0
             self._escape.listen(buf, count)
-        return count
-
-    def _quiet(self) -> None:
-        """Nothing has come."""
-        at = self._at
+            return count
         if at[_LENGTH]:
             self._turns += 1
             if self._turns >= _QUIET_TURNS:
@@ -258,6 +287,7 @@ class UsbLink:
         if at[_OPENED]:
             at[_OPENED] = 0
             self._on_open()
+        return 0
 
     def _waiting(self) -> bool:
         for _ in self._arrived.ipoll(0):
@@ -277,12 +307,11 @@ class UsbLink:
             self._escape.listen(buf, count)
         return count
 
-    def write(self, data: "bytes | bytearray | memoryview") -> None:
-        """Send, soon."""
+    def _send_now(self, data: "bytes | bytearray | memoryview") -> None:
+        """There is no room for more to wait."""
+        self._flush()
         if not _keep(self._at, self._waiting_out, data, len(data)):
-            self._flush()
-            if not _keep(self._at, self._waiting_out, data, len(data)):
-                self._send(data, len(data))
+            self._send(data, len(data))
 
     def _flush(self) -> None:
         self._turns = 0

@@ -231,19 +231,28 @@ class Plain:
         self.follow = self._make_follow()
 
     def _make_follow(self) -> "Callable[[bytearray, int], int]":
-        """A closure: it finds what it needs without a look-up."""
-        known, position, target = self._known, self._gcode.position, self._target
-        travel, planner = self._motion.travel, self._motion.planner
-        machine, ring, flow, speeds = planner.machine, planner.ring, planner.flow, planner.speeds
-        plan_line = follow
+        """What follow() needs is at hand there: no look-up, and no closure, whose call frame of
+        so many variables would be on the heap."""
+        planner = self._motion.planner
 
-        @micropython.native  # its call frame is on the stack then, not on the heap
-        def follow_line(line: bytearray, length: int) -> int:
-            return plan_line(
+        @micropython.native
+        def follow_line(
+            line: bytearray,
+            length: int,
+            known: "array[int]" = self._known,
+            position: "array[float]" = self._gcode.position,
+            target: "array[float]" = self._target,
+            travel: "array[int]" = self._motion.travel,
+            machine: "array[int]" = planner.machine,
+            ring: "array[int]" = planner.ring,
+            flow: "array[int]" = planner.flow,
+            speeds: "array[float]" = planner.speeds,
+        ) -> int:
+            return follow(
                 line, length, known, position, target, travel, machine, ring, flow, speeds
             )
 
-        return follow_line  # type: ignore[no-any-return]
+        return follow_line
 
     def forget(self) -> None:
         """Something may change what is known: the next line takes the long way."""
