@@ -1,22 +1,25 @@
 """Reports: every byte that leaves the machine as text.
 
 Formats are Grbl 1.1h's to the byte. Answers are constant bytes; a status
-report is put together from parts.
+report, which is asked for while the machine moves, is written into a buffer
+of its own and takes no memory.
 """
+
+from array import array
 
 import errors
 import lines
 import state as st
-from axes import LETTERS
 from coords import NAMES
-from digits import number
+from digits import END, VALUES, number, write
 from f32 import INCH_PER_MM, f32, vector
 from inputs import DOOR, HOLD, RESET, START
+from kernels import LIMITS, RESOLUTION, copy
 from micropython import const
+from singles import MINUS, add, divide
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from array import array
     from collections.abc import Callable
     from typing import Any
 
@@ -41,13 +44,13 @@ _HELP = b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x
 _BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
 
 _STATES = {
-    st.IDLE: "Idle",
-    st.RUN: "Run",
-    st.JOG: "Jog",
-    st.HOMING: "Home",
-    st.ALARM: "Alarm",
-    st.CHECK: "Check",
-    st.SLEEP: "Sleep",
+    st.IDLE: b"<Idle\0",
+    st.RUN: b"<Run\0",
+    st.JOG: b"<Jog\0",
+    st.HOMING: b"<Home\0",
+    st.ALARM: b"<Alarm\0",
+    st.CHECK: b"<Check\0",
+    st.SLEEP: b"<Sleep\0",
 }
 _REPORT_MPOS = const(1)
 _REPORT_BUFFERS = const(2)
@@ -56,6 +59,8 @@ _WCO_IDLE = const(10)
 _WCO_BUSY = const(30)
 _OVERRIDE_IDLE = const(10)
 _OVERRIDE_BUSY = const(20)
+_LONGEST = const(216)  # status report, and 12 bytes for write()
+_VALUES = const(3)  # at once, in a form
 _MOVING = const(0x7C)  # HOMING | RUN | HOLD | JOG | DOOR
 
 
@@ -89,7 +94,18 @@ class Report:
         self._coords = coords
         self._axes = axes
         self._line_numbers = line_numbers
+        self._all = (1 << axes) - 1
+        # A status report, and what it is made of.
+        self._text = bytearray(_LONGEST)
+        self._sent = 0  # the length of the last one, and its piece of the buffer
+        self._piece = memoryview(self._text)
+        self._ints = array("i", bytes(4 * (VALUES + _VALUES)))
+        self._steps = array("i", bytes(4 * axes))
         self._mm = vector(axes)
+        self._offset = vector(max(axes, 3))
+        self._shown = vector(axes + 1)
+        self._resolution = LIMITS + RESOLUTION * axes
+        self._form = b"#3,#3,#3,#3\0"[-3 * axes :]
 
     def connect(
         self,
@@ -187,7 +203,9 @@ class Report:
 
     def vector(self, mm: "array[float]") -> str:
         """Axis values in the units of reports."""
-        return ",".join([self._length(x) for x in mm])
+        self._ints[END] = 0
+        self._lengths(b"\0", mm)
+        return self._text[: self._ints[END]].decode()
 
     def _length(self, mm: float) -> str:
         if self._settings.report_inches:
@@ -211,71 +229,123 @@ class Report:
 
     def status(self) -> None:
         """The answer to ?."""
-        settings = self._settings
-        mm = self._mm
-        self._position(mm)
-        name = "MPos:"
-        if not settings.report_mask & _REPORT_MPOS:
-            name = "WPos:"
-            for i in range(self._axes):
-                mm[i] = f32(mm[i] - self._coords.work_offset(i))
-        parts = ["<" + self._state_name(), name + self.vector(mm)]
-        if settings.report_mask & _REPORT_BUFFERS:
-            parts.append("Bf:%d,%d" % (self._planner.free(), self._rx_free()))
+        mask = self._settings.report_mask
+        text, ints, mm = self._text, self._ints, self._mm
+        self._begin()
+        if mask & _REPORT_MPOS:
+            self._lengths(b"|MPos:\0", mm)
+        else:
+            add(self._work_offset(), MINUS, mm, self._axes)
+            self._lengths(b"|WPos:\0", mm)
+        if mask & _REPORT_BUFFERS:
+            ints[VALUES] = self._planner.free()
+            ints[VALUES + 1] = self._rx_free()
+            write(b"|Bf:%,%\0", text, ints, mm)
         if self._line_numbers:
-            line = self._planner.line_number()
-            if line:
-                parts.append("Ln:%d" % line)
-        parts.append("FS:%s,%s" % (self.rate(self._rate()), number(self._rpm(), 0)))
+            ints[VALUES] = self._planner.line_number()
+            if ints[VALUES]:
+                write(b"|Ln:%\0", text, ints, mm)
+        self._speeds()
         pins = self._pins()
         if pins:
-            parts.append("Pn:" + pins)
-        self._extras(parts)
-        self._line("|".join(parts) + ">")
+            ints[VALUES] = pins
+            write(b"|Pn:?P?X?Y?Z?A?D?R?H?S\0", text, ints, mm)
+        self._extras(text, ints)
+        self._finish()
 
-    def _state_name(self) -> str:
+    # Its parts: forms of digits.write(), which end with a 0
+
+    def _begin(self) -> None:
+        """State and, not written yet, machine position."""
+        self._ints[END] = 0
+        write(self._state_name(), self._text, self._ints, self._mm)
+        steps, planner = self._steps, self._planner
+        self._engine.position(steps)
+        if planner.corexy:
+            x = planner.axis_steps(steps, 0)
+            steps[1] = planner.axis_steps(steps, 1)
+            steps[0] = x
+        divide(steps, planner.machine, self._resolution, self._mm, self._axes)
+
+    def _lengths(self, name: bytes, mm: "array[float]") -> None:
+        """Axis values."""
+        text, ints = self._text, self._ints
+        write(name, text, ints, mm)
+        form = self._form
+        if self._settings.report_inches:
+            form = form.replace(b"3", b"4")
+            for i in range(self._axes):
+                self._shown[i] = mm[i] * INCH_PER_MM
+            mm = self._shown
+        write(form, text, ints, mm)
+
+    def _finish(self) -> None:
+        """Send what has been written."""
+        end = write(b">\r\n\0", self._text, self._ints, self._mm)
+        if end != self._sent:
+            # A piece of a buffer is an object; most reports are as long as the last one.
+            self._sent = end
+            self._piece = memoryview(self._text)[:end]
+        self._link.write(self._piece)
+
+    def _state_name(self) -> bytes:
         state = self._state
         if state.run == st.HOLD:
             # A jog being cancelled goes on as one.
-            return "Hold:0" if state.suspend & st.HOLD_COMPLETE else "Hold:1"
+            return b"<Hold:0\0" if state.suspend & st.HOLD_COMPLETE else b"<Hold:1\0"
         if state.run == st.DOOR:
-            return "Door:" + self._door_phase()
+            self._ints[VALUES] = self._door_phase()
+            return b"<Door:%\0"
         return _STATES[state.run]
 
-    def _door_phase(self) -> str:
+    def _door_phase(self) -> int:
         suspend = self._state.suspend
         if suspend & st.INITIATE_RESTORE:
-            return "3"
+            return 3
         if suspend & st.RETRACT_COMPLETE:
-            return "1" if suspend & st.DOOR_AJAR else "0"
-        return "2"
+            return 1 if suspend & st.DOOR_AJAR else 0
+        return 2
 
-    def _rate(self) -> float:
-        return self._segments.rate_mm_min() if self._state.run & _MOVING else 0.0
+    def _work_offset(self) -> "array[float]":
+        """What machine position has more than work position."""
+        coords, axes, offset = self._coords, self._axes, self._offset
+        copy(coords.systems[coords.active], offset, axes)
+        add(coords.g92, 0, offset, axes)
+        if coords.tool_length:
+            i = coords.length_axis
+            offset[i] = f32(offset[i] + coords.tool_length)
+        return offset
 
-    def _rpm(self) -> float:
-        if self._state.run & _MOVING:
-            rpm = self._segments.dynamic_rpm()
+    def _speeds(self) -> None:
+        """Feed rate and spindle speed."""
+        state, segments, shown = self._state, self._segments, self._shown
+        form = b"|FS:#0,#0\0"
+        shown[0] = 0.0
+        shown[1] = state.spindle_rpm
+        if state.run & _MOVING:
+            shown[0] = segments.whole_rate()
+            rpm = segments.dynamic_rpm()
             if rpm is not None:
-                return rpm
-        return self._state.spindle_rpm
+                shown[1] = rpm
+        if self._settings.report_inches:
+            form = b"|FS:#1,#0\0"
+            if state.run & _MOVING:
+                shown[0] = segments.rate_mm_min() * INCH_PER_MM
+        write(form, self._text, self._ints, shown)
 
-    def _pins(self) -> str:
+    def _pins(self) -> int:
+        """Probe, limits of four axes, door, reset, hold, start: a bit each."""
         inputs = self._inputs
-        pins = "P" if inputs.probe() else ""
+        pins = 1 if inputs.probe() else 0
         limits = inputs.limits()
         if limits:
-            for i in range(self._axes):
-                if limits >> i & 1:
-                    pins += LETTERS[i]
+            pins |= (limits & self._all) << 1
         controls = inputs.controls()
         if controls:
-            for bit, letter in ((DOOR, "D"), (RESET, "R"), (HOLD, "H"), (START, "S")):
-                if controls & bit:
-                    pins += letter
+            pins |= (controls & DOOR) << 2 | (controls & (RESET | HOLD | START)) << 6
         return pins
 
-    def _extras(self, parts: "list[str]") -> None:
+    def _extras(self, text: bytearray, ints: "array[int]") -> None:
         """WCO: now and then, Ov: and A: now and then but not with it."""
         state = self._state
         busy = state.run & _MOVING
@@ -285,26 +355,16 @@ class Report:
             state.wco_countdown = (_WCO_BUSY if busy else _WCO_IDLE) - 1
             if state.override_countdown == 0:
                 state.override_countdown = 1
-            offsets = self._mm
-            for i in range(self._axes):
-                offsets[i] = self._coords.work_offset(i)
-            parts.append("WCO:" + self.vector(offsets))
+            self._lengths(b"|WCO:\0", self._work_offset())
         if state.override_countdown > 0:
             state.override_countdown -= 1
             return
         state.override_countdown = (_OVERRIDE_BUSY if busy else _OVERRIDE_IDLE) - 1
-        parts.append(
-            "Ov:%d,%d,%d" % (state.feed_override, state.rapid_override, state.spindle_override)
-        )
-        accessories = self._accessories()
+        ints[VALUES] = state.feed_override
+        ints[VALUES + 1] = state.rapid_override
+        ints[VALUES + 2] = state.spindle_override
+        write(b"|Ov:%,%,%\0", text, ints, self._mm)
+        accessories = self._spindle.direction() >> 4 | self._coolant.mask << 2
         if accessories:
-            parts.append("A:" + accessories)
-
-    def _accessories(self) -> str:
-        text = ("", "S", "C")[self._spindle.direction() >> 4]
-        coolant = self._coolant.mask
-        if coolant & 1:
-            text += "F"
-        if coolant & 2:
-            text += "M"
-        return text
+            ints[VALUES] = accessories
+            write(b"|A:?S?C?F?M\0", text, ints, self._mm)

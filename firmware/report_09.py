@@ -6,12 +6,12 @@ machine is the same. A board asks for it with DIALECT = "0.9".
 """
 
 import state as st
-from digits import number
+from digits import VALUES, number, write
 from errors import ALARM_PROBE_FAIL_CONTACT, ALARM_PROBE_FAIL_INITIAL
-from f32 import INCH_PER_MM, f32
 from micropython import const
 from report import BUILD, Report
 from settings import INT
+from singles import MINUS, add
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -203,9 +203,8 @@ class Report09(Report):
 
     def rate(self, mm_min: float) -> str:
         """A feed rate in the units of reports; there is a point even where nothing follows."""
-        if self._settings.report_inches:
-            return number(f32(mm_min * INCH_PER_MM), 1)
-        return number(mm_min, 0) + "."
+        text = super().rate(mm_min)
+        return text if "." in text else text + "."
 
     def speed(self, rpm: float) -> str:
         """A spindle speed, which 0.9 takes for a feed rate."""
@@ -216,33 +215,37 @@ class Report09(Report):
     def status(self) -> None:
         """The answer to ?."""
         mask = self._settings.report_mask
-        mm = self._mm
-        self._position(mm)
-        parts = ["<" + self._state_name()]
+        text, ints, mm = self._text, self._ints, self._mm
+        self._begin()
         if mask & _MACHINE_POSITION:
-            parts.append("MPos:" + self.vector(mm))
+            self._lengths(b",MPos:\0", mm)
         if mask & _WORK_POSITION:
-            for i in range(self._axes):
-                mm[i] = f32(mm[i] - self._coords.work_offset(i))
-            parts.append("WPos:" + self.vector(mm))
+            add(self._work_offset(), MINUS, mm, self._axes)
+            self._lengths(b",WPos:\0", mm)
         if mask & _PLANNER_BLOCKS:
-            parts.append("Buf:%d" % (self._blocks - self._planner.free()))
+            self._number(b",Buf:%\0", self._blocks - self._planner.free())
         if mask & _RX_BYTES:
-            parts.append("RX:%d" % (self._rx_bytes - self._rx_free()))
+            self._number(b",RX:%\0", self._rx_bytes - self._rx_free())
         if self._line_numbers:
-            parts.append("Ln:%d" % self._planner.line_number())
+            self._number(b",Ln:%\0", self._planner.line_number())
         if mask & _LIMITS:
-            bits = "{:0%db}" % self._axes
-            parts.append("Lim:" + bits.format(self._inputs.limits()))
-        self._line(",".join(parts) + ">")
+            limits = self._inputs.limits()
+            write(b",Lim:\0", text, ints, mm)
+            for i in range(self._axes):
+                self._number(b"%\0", limits >> (self._axes - 1 - i) & 1)
+        self._finish()
 
-    def _state_name(self) -> str:
+    def _number(self, form: bytes, value: int) -> None:
+        self._ints[VALUES] = value
+        write(form, self._text, self._ints, self._mm)
+
+    def _state_name(self) -> bytes:
         state = self._state
         suspend = state.suspend
         if state.run == st.DOOR and (suspend & st.DOOR_AJAR or not suspend & st.RETRACT_COMPLETE):
-            return "Door"
+            return b"<Door\0"
         if state.run & (st.HOLD | st.DOOR):
-            return "Hold"  # behind a closed door, too
+            return b"<Hold\0"  # behind a closed door, too
         return super()._state_name()
 
 

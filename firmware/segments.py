@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 
     from planner import Planner
 
+# A real (reals.py): its mantissa, and the exponent of whole numbers.
+_MANTISSA = const(0x7FFF)
+_ONE = const(64)
+
 
 class Segments:
     """What the engine asks. planner: whose ring and flow these are."""
@@ -58,10 +62,23 @@ class Segments:
 
     def rate_mm_min(self) -> float:
         """The speed planned up to now."""
+        return reals.value(self._rate()) * 60
+
+    def whole_rate(self) -> int:
+        """The same speed, rounded, half a mm/min up."""
+        rate = self._rate()
+        twice = (rate & _MANTISSA) * 120
+        shift = _ONE - rate // (_MANTISSA + 1)
+        if shift <= 0:
+            return twice << -shift >> 1
+        return ((twice >> shift) + 1) >> 1
+
+    def _rate(self) -> int:
+        """It is a real, in mm/s."""
         flow = self._flow
         if flow[LOADED]:
-            return reals.value(reals.ratio(flow[NOW], self._ring[flow[AT] + kernels.FACTOR])) * 60
-        return reals.value(flow[CARRY]) * 60
+            return reals.ratio(flow[NOW], self._ring[flow[AT] + kernels.FACTOR])
+        return flow[CARRY]
 
     def dynamic_rpm(self) -> "float | None":
         """Spindle speed of a laser whose power follows the rate; None where it does not."""

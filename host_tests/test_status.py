@@ -1,0 +1,241 @@
+"""Status reports: digits, singles and segments' rate against plain arithmetic; no memory taken."""
+
+import struct
+from array import array
+from pathlib import Path
+
+import kernels
+import pytest
+import reals
+from digits import END, VALUES, scaled, write
+from f32 import f32, vector
+from hypothesis import example, given
+from hypothesis import strategies as some
+from micropython_runner import needs_micropython, run_micropython
+from planner import Planner
+from segments import Segments
+from singles import MINUS, add, divide
+from state import State
+from test_f32 import printed
+
+_FIRMWARE = Path(__file__).parent.parent / "firmware"
+
+steps = some.integers(1 - 2**30, 2**30 - 1)
+resolutions = some.floats(2.0**-20, 1e8, width=32)
+# Less than 2**-125 has no sign of its own.
+places = some.floats(-1e9, 1e9, width=32).map(lambda x: x if abs(x) > 1e-37 else 0.0)
+
+
+def bits(x: float) -> int:
+    """The word that a float is in memory."""
+    word: int = struct.unpack("i", struct.pack("f", x))[0]
+    return word
+
+
+def written(form: bytes, values: "list[int]", singles: "list[float]") -> str:
+    """What write() makes of that, behind an `a`."""
+    out = bytearray(b"a" + bytes(200))
+    ints = array("i", [1, *values, 0])
+    end = write(form, out, ints, array("f", [*singles, 0.0]))
+    assert end == ints[END]
+    return out[1:end].decode()
+
+
+# Positions
+
+
+@given(steps, resolutions)
+@example(2**24 + 1, 1.0)
+@example(2**24 + 3, 1.0)
+@example(2**25 - 1, 2.0)
+@example(2**30 - 1, 2.0**-20)
+@example(1 - 2**30, 250.0)
+@example(-1, 1e8)
+@example(0, 250.0)
+def test_steps_are_divided_as_floats_are(number: int, resolution: float) -> None:
+    quotients = vector(2)
+    divide(array("i", [7, number]), array("f", [9, 1, resolution]), 1, quotients, 2)
+    assert list(quotients) == [7, f32(f32(number) / resolution)]
+
+
+def test_what_no_float_can_hold_is_infinite() -> None:
+    quotients = vector(1)
+    divide(array("i", [1 - 2**30]), array("f", [1e-37]), 0, quotients, 1)
+    assert quotients[0] == float("-inf")
+
+
+@given(some.lists(some.tuples(places, places), min_size=1, max_size=4))
+def test_offsets_are_added_and_taken_away(pairs: "list[tuple[float, float]]") -> None:
+    a, b = (array("f", column) for column in zip(*pairs, strict=True))
+    add(a, 0, b, len(pairs))
+    assert list(b) == [f32(x + y) for x, y in pairs]
+    add(a, MINUS, b, len(pairs))
+    assert list(b) == [f32(f32(x + y) - x) for x, y in pairs]
+
+
+def test_what_is_infinite_stays_so() -> None:
+    total = array("f", [float("inf")])
+    add(array("f", [float("inf")]), 0, total, 1)
+    add(array("f", [1.0]), MINUS, total, 1)
+    assert total[0] == float("inf")
+
+
+# Texts
+
+
+@given(places, some.integers(0, 4))
+def test_a_single_is_written_as_by_grbl(x: float, decimals: int) -> None:
+    assert written(b"#%d\0" % decimals, [], [x]) == printed(x, decimals)
+
+
+@pytest.mark.parametrize(
+    ("x", "text"),
+    [
+        (-0.0, "0.000"),
+        (-0.0001, "-0.000"),
+        (1e30, "2147483.648"),
+        (float("-inf"), "-2147483.648"),
+        (2147483.5, "2147483.520"),
+        (1.5, "1.500"),
+    ],
+)
+def test_edges_of_what_can_be_written(x: float, text: str) -> None:
+    assert written(b"#3\0", [], [x]) == text
+
+
+def test_what_leaves_31_bits_is_told() -> None:
+    assert scaled(array("f", [2147483648.0]), 0, 0) == -1
+    assert scaled(array("f", [2147483520.0]), 0, 0) == 2147483520
+
+
+@given(some.integers(0, 2**31 - 1), some.integers(0, 1000))
+def test_whole_numbers_are_written_in_their_order(first: int, second: int) -> None:
+    assert written(b"|Bf:%,%\0", [first, second], []) == f"|Bf:{first},{second}"
+
+
+@given(some.integers(0, 15))
+def test_letters_are_those_of_the_bits_that_are_set(mask: int) -> None:
+    letters = "".join(c for i, c in enumerate("SCFM") if mask >> i & 1)
+    assert written(b"|A:?S?C?F?M\0", [mask], []) == "|A:" + letters
+
+
+def test_a_form_may_hold_all_of_it() -> None:
+    assert VALUES == 1
+    text = written(b"<Door:%|#3,#0|?P?X>\r\n\0", [3, 2], [-1.25, 999.5])
+    assert text == "<Door:3|-1.250,1000|X>\r\n"
+
+
+# Rates
+
+
+@given(some.integers(0, 2**30 - 1), some.integers(1, 2**15))
+@example(0, 1)
+@example(reals.real(1e17), 1)
+def test_a_rate_is_rounded_as_it_was_printed(carry: int, now: int) -> None:
+    carry = carry % (100 << 15) | 0x4000 if carry else 0
+    planner = Planner(3, 4, False, State())
+    segments = Segments(planner)
+    planner.flow[kernels.CARRY] = carry
+    rate = segments.rate_mm_min()
+    if rate < 2**31:
+        assert str(segments.whole_rate()) == printed(rate, 0)
+    planner.flow[kernels.LOADED] = 1
+    planner.flow[kernels.NOW] = now
+    planner.ring[kernels.FACTOR] = reals.real(1 / 7)
+    assert str(segments.whole_rate()) == printed(segments.rate_mm_min(), 0)
+
+
+# Memory
+
+_BENCH = """
+import gc
+import micropython
+from array import array
+from coords import Coords
+from planner import Planner
+from report import Report
+from segments import Segments
+import state as st
+
+class Store:
+    load = save = lambda *_: None
+class Settings:
+    report_mask = 3
+    report_inches = 0
+    steps_per_mm = array("f", [250.0, 80.0, 4000.0])
+    max_rate = array("f", [3000.0, 5000.0, 500.0])
+    acceleration = array("f", [360000.0, 3600000.0, 36000.0])
+    junction_deviation_mm = 0.01
+class Machine:
+    mask = 0
+    text = bytearray(200)
+    length = 0
+    def write(self, data):
+        self.length = len(data)
+        self.text[:self.length] = data
+    def position(self, steps):
+        steps[0] = 1234
+        steps[1] = -56790
+    def probe(self):
+        return True
+    def limits(self):
+        return 5
+    controls = limits
+    def direction(self):
+        return 16
+    def free(self):
+        return 255
+
+machine = Machine()
+state = st.State()
+state.run = st.RUN
+state.override_control = True
+settings = Settings()
+coords = Coords(Store(), 3, 2)
+coords.systems[0][0] = 10.5
+planner = Planner(3, 16, False, state)
+planner.configure(settings, 13107200, 17, 90909)
+segments = Segments(planner)
+planner.flow[9] = 56 << 15 | 0x4321
+report = Report(machine, state, settings, coords, 3, False)
+report.connect(machine, planner, segments, machine, machine, machine, machine.free, None)
+
+def taken(wco, ov):
+    state.wco_countdown, state.override_countdown = wco, ov
+    report.status()
+    gc.collect()
+    state.wco_countdown, state.override_countdown = wco, ov
+    report._link = Nowhere
+    before = gc.mem_alloc()
+    report.status()
+    after = gc.mem_alloc()
+    report._link = machine
+    return after - before
+
+class Nowhere:
+    @staticmethod
+    def write(data):
+        pass
+
+gc.collect()
+gc.disable()
+print(taken(5, 5), bytes(machine.text[:machine.length]).decode().strip())
+print(taken(5, 0), bytes(machine.text[:machine.length]).decode().strip())
+print(taken(0, 5), bytes(machine.text[:machine.length]).decode().strip())
+settings.report_mask = 2
+print(taken(5, 5), bytes(machine.text[:machine.length]).decode().strip())
+"""
+
+
+@needs_micropython
+def test_a_report_takes_no_memory() -> None:
+    said = run_micropython(_BENCH, paths=[_FIRMWARE]).splitlines()
+    rate = round(0x4321 * 60 / 256)
+    moved = "MPos:4.936,-709.875,0.000"
+    rest = f"|Bf:15,255|FS:{rate},0|Pn:PXZRS"
+    assert said == [
+        f"0 <Run|{moved}{rest}>",
+        f"0 <Run|{moved}{rest}|Ov:100,100,100|A:S>",
+        f"0 <Run|{moved}{rest}|WCO:10.500,0.000,0.000>",
+        f"0 <Run|WPos:-5.564,-709.875,0.000{rest}>",
+    ]
