@@ -39,7 +39,7 @@ def check(board: "ModuleType") -> None:
     names = (_REGISTERS if board.ENGINE == "i2s" else _MOTORS) + " " + _OTHERS
     used: "dict[int, str]" = {}
     for name in names.split():
-        value = getattr(board, name, None)
+        value = board.__dict__.get(name)  # getattr() would keep the names for good
         for pin in value if isinstance(value, tuple) else (value,):
             if pin is None:
                 continue

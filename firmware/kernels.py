@@ -496,8 +496,7 @@ def share(part: int, all: int) -> int:
 @micropython.viper
 def times(x: int, part: int) -> int:
     """x * part for a part in 2**-17, as in share()."""
-    part >>= 2
-    return (x >> 15) * part + (((x & 32767) * part) >> 15)
+    return (x >> 15) * (part >> 2) + (((x & 32767) * (part >> 2)) >> 15)
 
 
 @micropython.viper
@@ -558,12 +557,8 @@ def after(speed: int, ramp: int, distance: int, down: int) -> int:
 @micropython.viper
 def load(flow: ptr32, ring: ptr32, axes: int) -> int:
     """Take up the next block. Returns 0 where there is none."""
-    at = flow[TAIL]
-    if flow[SYSTEM]:
-        if flow[SYSTEM] == 2:
-            return 0
-        at = flow[ROWS]
-    elif at == flow[HEAD]:
+    at = flow[ROWS] if flow[SYSTEM] else flow[TAIL]
+    if flow[SYSTEM] == 2 or at == flow[HEAD]:
         return 0
     at *= flow[ROW_SIZE]
     flow[AT] = at
@@ -638,6 +633,7 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
     """
     speed = flow[NOW]
     left = flow[LEFT]
+    end = leave
     mean = (speed + leave) >> 1
     if rest > int(times(mean, left)):
         most = int(times(ramp, left))
@@ -647,20 +643,21 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
             most += most >> 4
             if change > most:
                 change = most
+        end = speed - change
         mean = speed - (change >> 1)
         distance = int(times(mean, left))
         if distance > rest:
             distance = rest
             left = int(share(rest, mean))
-        return int(piece(flow, speed - change, distance, left))
-    part = int(share(rest, mean)) if mean else 1
-    end = leave
-    if speed - leave > int(times(ramp + (ramp >> 4), part)) + 4:
-        end = int(after(speed, ramp, rest, 1))
-        if end < leave:
-            end = leave
-        part = int(share(rest, (speed + end) >> 1))
-    return int(piece(flow, end, rest, part))
+    else:
+        distance = rest
+        left = int(share(rest, mean)) if mean else 1
+        if speed - leave > int(times(ramp + (ramp >> 4), left)) + 4:
+            end = int(after(speed, ramp, rest, 1))
+            if end < leave:
+                end = leave
+            left = int(share(rest, (speed + end) >> 1))
+    return int(piece(flow, end, distance, left))
 
 
 @micropython.viper
@@ -695,38 +692,46 @@ def proceed(flow: ptr32, ring: ptr32, scale: int) -> int:
     speed = flow[NOW]
     unit = 18 if flow[WHOLE] < 4095 else 0
     rest = (flow[WHOLE] << 18) + flow[FRACTION] if unit else _HIGHEST
+    room = rest
+    due = 0
     if flow[HOLD]:
-        return int(approach(flow, ramp, 0, rest))
-    leave = int(look_ahead(flow, ring, scale))
-    if leave > top:
-        leave = top
-    slack = rest if unit else flow[WHOLE]
-    if speed > leave:
-        if speed != flow[BRAKE_FROM] or leave != flow[BRAKE_TO] or unit != flow[BRAKE_UNIT]:
-            flow[BRAKE_FROM] = speed
-            flow[BRAKE_TO] = leave
-            flow[BRAKE_UNIT] = unit
-            flow[BRAKE_WAY] = int(braking(speed, leave, ramp, unit))
-        slack -= flow[BRAKE_WAY]
-    elif leave > speed:
-        room = int(braking(leave, speed, ramp, unit))
-        slack += room if room < slack else slack
-    if slack <= (speed >> 8 if unit else 1) and speed > leave:
+        top = 0
+    else:
+        leave = int(look_ahead(flow, ring, scale))
+        if leave > top:
+            leave = top
+        slack = rest if unit else flow[WHOLE]
+        if speed != leave:
+            fast = speed if speed > leave else leave
+            slow = leave if speed > leave else speed
+            if fast != flow[BRAKE_FROM] or slow != flow[BRAKE_TO] or unit != flow[BRAKE_UNIT]:
+                flow[BRAKE_FROM] = fast
+                flow[BRAKE_TO] = slow
+                flow[BRAKE_UNIT] = unit
+                flow[BRAKE_WAY] = int(braking(fast, slow, ramp, unit))
+            way = flow[BRAKE_WAY]
+            if speed < leave:
+                slack += way if way < slack else slack
+            else:
+                slack -= way
+                if slack <= (speed >> 8 if unit else 1):
+                    due = 1
+        if due == 0 and speed <= top:
+            if unit == 0:
+                slack = slack << 18 if slack < 2048 else _HIGHEST
+            if speed < top:
+                slack = (slack + 1) >> 1
+            if slack < rest:
+                room = slack
+    if due:
         return int(brake(flow, ramp, leave, rest))
-    if speed > top:
-        return int(approach(flow, ramp, top, rest))
-    if unit == 0:
-        slack = slack << 18 if slack < 2048 else _HIGHEST
-    if speed < top:
-        slack = (slack + 1) >> 1
-        return int(approach(flow, ramp, top, slack if slack < rest else rest))
-    if slack > rest:
-        slack = rest
+    if speed != top:
+        return int(approach(flow, ramp, top, room))
     part = flow[LEFT]
     distance = speed if part == 131072 else int(times(speed, part))
-    if slack <= distance:
-        distance = slack
-        part = int(share(slack, speed))
+    if room <= distance:
+        distance = room
+        part = int(share(room, speed))
     return int(piece(flow, speed, distance, part))
 
 

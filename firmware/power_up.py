@@ -10,14 +10,9 @@ import gc
 import io
 import sys
 
-# Memory that is free from the lowest address on once the machine is built. MicroPython looks for
-# free memory from there; call frames of longer functions want some, and would have to look past
-# all that is kept, which takes half a millisecond.
-_nursery = [bytearray(gc.mem_free() // 8)] if hasattr(gc, "mem_free") else []
-
-import errors  # noqa: E402
-import state as st  # noqa: E402
-from micropython import const  # noqa: E402
+import errors
+import state as st
+from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -31,6 +26,9 @@ _RESET = const(0x18)
 _QUESTION = const(0x3F)
 _LONGEST = const(120)
 
+# Nothing of ours is there, and to look for each module of MicroPython's there takes 3 ms.
+_USERS = "/lib"
+
 # Stuck for so long, the chip starts anew: flash is written in less, the longest of all work.
 _WATCHDOG_MS = const(5000)
 
@@ -39,7 +37,9 @@ def main() -> "Controller | None":
     """Run the machine of board.py, for ever or until the REPL is asked for; returns it."""
     link: "Any" = None
     port: "Any" = None
+    path = sys.path[:]
     try:
+        sys.path[:] = [folder for folder in path if folder != _USERS]
         import board
 
         link = _link(getattr(board, "LINK", "usb"))
@@ -53,6 +53,8 @@ def main() -> "Controller | None":
             port.safe()
         _stay(link, fault)
         return None
+    finally:
+        sys.path[:] = path
     _run(board, machine, link, port, engine)
     return machine
 
@@ -117,7 +119,6 @@ def _build(board: "ModuleType", link: "Any", port: "Any", engine: "StepEngine") 
             machine.report.banner()
 
     link.attach(at_rest, machine.realtime.reset, greet)
-    _nursery.clear()
     gc.collect()
     return machine
 

@@ -113,7 +113,6 @@ def product(a: int, b: int, c: int) -> int:
     shift = (a >> 15) + (b >> 15) + (c >> 15) - 3 * _BIAS + 14
     if mantissa == 0 or shift < -30:
         return 0
-    if shift <= 0:
-        mantissa >>= 0 - shift
-        return mantissa if mantissa < _HIGHEST else _HIGHEST
+    if shift < 0:
+        return mantissa >> (0 - shift)
     return mantissa << shift if shift < 30 and mantissa <= _HIGHEST >> shift else _HIGHEST

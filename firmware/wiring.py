@@ -45,8 +45,7 @@ class Options:
     """
 
     def __init__(self, board: "ModuleType") -> None:
-        def option(name: str, default: "Any") -> "Any":
-            return getattr(board, name, default)
+        option = board.__dict__.get  # getattr() would keep the names for good
 
         # Step pins, one per axis: how many there are is how many axes the machine has.
         self.axes: int = len(option("STEP", ()))

@@ -15,6 +15,9 @@ from typing import Any
 from . import machine, new_board, paths
 from .board_check import is_simulated, problems
 from .inline import inline
+from .leaves import leaves
+from .prune import prune
+from .shorten import shorten
 
 # Without assertions and line numbers, which would take memory: tracebacks name functions.
 _OPTIMIZED = "-O3"
@@ -143,6 +146,8 @@ def compile_all(
     """Every module, or those a board needs. progress: is told path and bytes of each."""
     made = Build(arch)
     texts = inline({_module(source): _text(source) for source in sources()})
+    texts = leaves(texts)
+    texts = shorten(prune(texts))
     for source in sources() if board is None else needed(board):
         path = source if source == START else source.removesuffix(".py") + ".mpy"
         if source == START:
@@ -187,7 +192,9 @@ def _compile(source: str, text: str, arch: str) -> bytes:
     with TemporaryDirectory() as folder:
         file = Path(folder) / "module.py"
         file.write_text(text, encoding="utf-8")
-        command = [_mpy_cross(), _OPTIMIZED, f"-march={arch}", "-s", source, "-o", "-", str(file)]
+        # Tracebacks tell the module, which has its name in memory anyway, not the file.
+        told = ["-s", _module(source), "-o", "-"]
+        command = [_mpy_cross(), _OPTIMIZED, f"-march={arch}", *told, str(file)]
         done = subprocess.run(command, capture_output=True, check=False)
     if done.returncode:
         raise BuildError(f"{source} cannot be compiled: {done.stderr.decode().strip()}")

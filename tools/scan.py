@@ -1,0 +1,136 @@
+"""What names there are in a module's source, and what they stand for."""
+
+import ast
+import re
+from collections.abc import Iterable, Iterator
+
+
+def root(node: ast.expr) -> str:
+    """`a` of `a.b().c[d]`; an empty text where there is no name."""
+    while isinstance(node, ast.Attribute | ast.Subscript | ast.Call):
+        node = node.func if isinstance(node, ast.Call) else node.value
+    return node.id if isinstance(node, ast.Name) else ""
+
+
+def texts(tree: ast.AST) -> Iterator[str]:
+    """Every word of every text that is no comment."""
+    other = {node.value for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    other |= {node for node, _ in rows(tree)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in other:
+            yield from re.findall(r"\w+", node.value)
+
+
+def rows(tree: ast.AST) -> Iterator[tuple[ast.expr, str]]:
+    """Texts that are the attribute of a setting: (number, attribute, kind, default, unit)."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Tuple(
+                [
+                    ast.Constant(int()),
+                    ast.Constant(str(name)) as text,
+                    _,
+                    _,
+                    ast.Constant(str()),
+                ]
+            ):
+                yield text, name
+
+
+def imports(tree: ast.AST) -> Iterator[str]:
+    """Names that imports make."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            yield from ((alias.asname or alias.name).partition(".")[0] for alias in node.names)
+
+
+def public(tree: ast.Module) -> Iterator[str]:
+    """Variables of a module that others may ask for."""
+    imported = set(imports(tree))
+    return (name for name in variables(tree) if name[0] != "_" and name not in imported)
+
+
+def variables(tree: ast.Module) -> Iterator[str]:
+    """What the statements of a module make, functions and classes aside."""
+    for statement in tree.body:
+        if not isinstance(statement, ast.FunctionDef | ast.ClassDef):
+            yield from bound(statement)
+
+
+def fields(node: ast.ClassDef) -> Iterator[str]:
+    """Attributes that a class has in its own body."""
+    for statement in node.body:
+        match statement:
+            case ast.Assign([ast.Name(name)]) | ast.AnnAssign(ast.Name(name)):
+                yield name
+
+
+def loaded(node: ast.ClassDef) -> set[str]:
+    """What the body of a class, outside of its functions, makes of names."""
+    found: set[str] = set()
+    for statement in node.body:
+        match statement:
+            case ast.FunctionDef() | ast.ClassDef():
+                parts: Iterable[ast.AST] = statement.decorator_list
+            case ast.Assign([ast.Name()], value) | ast.AnnAssign(ast.Name(), value=value):
+                parts = [value] if value else []
+            case ast.Expr(ast.Constant()):
+                parts = []
+            case _:
+                parts = [statement]
+        found |= {name for part in parts for name in identifiers(part)}
+    return found
+
+
+def identifiers(tree: ast.AST) -> Iterator[str]:
+    """Every name there is."""
+    for node in ast.walk(tree):
+        for _, value in ast.iter_fields(node):
+            for part in value if isinstance(value, list) else (value,):
+                if isinstance(part, str):
+                    yield from re.findall(r"\w+", part)
+
+
+def bound(tree: ast.AST) -> Iterator[str]:
+    """Every name that is made something, wherever below a node."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Name(name, ast.Store() | ast.Del()):
+                yield name
+            case ast.arg(name) | ast.FunctionDef(name) | ast.ClassDef(name):
+                yield name
+        yield from _otherwise(node)
+
+
+def inside(tree: ast.Module) -> Iterator[str]:
+    """Names that are, anywhere in a module, not only the module's own."""
+    for statement in tree.body:
+        if not isinstance(statement, ast.Import | ast.ImportFrom):
+            yield from inner(statement)
+
+
+def inner(tree: ast.AST) -> Iterator[str]:
+    """Names that are bound in what may be a scope of its own, or otherwise than by `=`."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Lambda | ast.comprehension):
+            yield from bound(node)
+        else:
+            yield from _otherwise(node)
+
+
+def _otherwise(node: ast.AST) -> Iterator[str]:
+    match node:
+        case ast.ExceptHandler(name=str(name)):
+            yield name
+        case ast.Global(names) | ast.Nonlocal(names):
+            yield from names
+        case ast.Import() | ast.ImportFrom():
+            yield from imports(node)
+
+
+def constants(tree: ast.Module) -> Iterator[str]:
+    """`NAME = const(value)`."""
+    for statement in tree.body:
+        match statement:
+            case ast.Assign([ast.Name(name)], ast.Call(ast.Name("const"))):
+                yield name
