@@ -79,9 +79,9 @@ class Commands:
         """Read the startup lines; none where nothing valid is kept."""
         lines = self._store.load(_STARTUP)
         self._startup = ((lines or []) + [""] * STARTUP_LINES)[:STARTUP_LINES]
+        self._startup_valid = lines is not None
         if lines is None:
             self._keep_startup()
-        self._startup_valid = lines is not None
 
     def _keep_startup(self) -> None:
         self._store.save(_STARTUP, self._startup)

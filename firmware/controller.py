@@ -115,18 +115,26 @@ class Controller:
 
     def _power_up(self) -> None:
         self.engine.attach(self.segments.next, self.spindle.set_power)
-        if not self.settings.load():
+        if not self._loads(self.settings.load):
             # As Grbl: say so, show what holds now.
             self.report.error(errors.SETTING_READ_FAIL)
-            self.coords.restore()
+            self._loads(self.coords.restore)
             self.commands.show_settings()
-        self.commands.load()
-        self.coords.load()
+        self._loads(self.commands.load)
+        self._loads(self.coords.load)
         self.configure(0)
         self.port.attach(self.realtime.on_limits, self.realtime.on_controls)
         if self.settings.homing:
             self.state.run = st.ALARM
         self.realtime.power(True)
+
+    def _loads(self, load: "Callable[[], bool | None]") -> "bool | None":
+        """Read something that is kept. What cannot be kept is as it has to be, until power off."""
+        try:
+            return load()
+        except OSError:
+            self.report.message(errors.MSG_NOT_KEPT)
+            return False
 
     def _reset(self) -> None:
         state = self.state

@@ -54,12 +54,13 @@ FEED = const(3)
 RELATIVE = const(4)
 LIMITED = const(5)
 DRY = const(6)
-# what the planner is told: flags, spindle power (-1: it has not been worked out yet), rate (a
+# what the planner is told: flags, spindle power (or UNTOLD: none of it is known yet), rate (a
 # real), spindle speed (bits of a float),
 _FLAGS = const(7)
 _POWER = const(8)
 _RATE = const(9)
 _RPM = const(10)
+_UNTOLD = const(0x3FFFFFFF)
 # the line's numbers, by their bit; and what is added to places, per axis.
 VALUES = const(11)
 OFFSETS = const(20)
@@ -171,7 +172,7 @@ def follow(
 
     Returns 1 then; otherwise 0, and nothing has changed.
     """
-    if known[AXES] == 0 or known[_POWER] < 0:
+    if known[AXES] == 0 or known[_POWER] == _UNTOLD:
         return 0
     seen = int(read(text, length, known))
     if seen == 0 or seen & _NEWS:
@@ -296,7 +297,7 @@ class Plain:
         move.flags = gcode.accessory_flags()
         if seeks:
             move.flags |= plan.RAPID
-        known[_POWER] = -1
+        known[_POWER] = _UNTOLD
 
     @micropython.native  # its call frame is on the stack then, not on the heap
     def execute(self, line: bytearray, length: int) -> bool:
@@ -313,7 +314,7 @@ class Plain:
         place(known, seen, gcode.position, self._target)
         self._motion.line(self._target, move)
         copy(self._target, gcode.position, gcode.axes)
-        if known[_POWER] < 0:
+        if known[_POWER] == _UNTOLD:
             self._tell()
         return True
 
@@ -324,7 +325,7 @@ class Plain:
         if seen & HAS_S:
             copy(values[_S:], self._float, 1)
             gcode.spindle_rpm = self._move.spindle_rpm = self._float[0]
-            self._known[_POWER] = -1
+            self._known[_POWER] = _UNTOLD
         if seen & HAS_F:
             copy(values[_F:], self._float, 1)
             gcode.feed = self._float[0]

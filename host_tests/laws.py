@@ -19,6 +19,7 @@ import reals
 from f32 import vector
 from hypothesis import settings
 from kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
+from plain import Plain
 from planner import Move, Planner
 from segments import Segments
 from state import State
@@ -209,6 +210,18 @@ class Watch:
         """Stand in for Planner.line."""
         at = self.planner.flow[kernels.HEAD]
         return self._note(at, self._line(target, move, power))
+
+    def watch_plain(self, plain: Plain) -> None:
+        """See the blocks of the short path too."""
+        follow = plain.follow
+
+        def noted(line: bytearray, length: int) -> int:
+            at = self.planner.flow[kernels.HEAD]
+            done = follow(line, length)
+            self._note(at, self.planner.flow[kernels.HEAD] != at)
+            return done
+
+        plain.follow = noted
 
     def system_line(self, target: Any, move: Move, power: int, start: Any) -> bool:
         """Stand in for Planner.system_line."""

@@ -175,3 +175,20 @@ def test_any_damage_to_the_file_ends_in_a_start(tmp_path_factory, data: bytes) -
 
 def test_intact_settings_are_not_spoken_of() -> None:
     assert boot(Machine({110: 700})) == ["", "Grbl 1.1h ['$' for help]"]
+
+
+class FullStore(MemoryStore):
+    """Nothing can be kept."""
+
+    def save(self, name: str, lines: object) -> None:
+        raise OSError(28)
+
+
+def test_a_machine_whose_flash_is_full_starts_with_defaults_and_says_so() -> None:
+    machine = Machine(watched=False)
+    machine.rig.store = FullStore()
+    machine.play(["G91", "G1X1F300", "$110=600"])
+    assert machine.received.count("[MSG:Flash is full or worn: not kept]") == 5
+    assert "$110=500.000" in machine.received
+    assert machine.received[-2:-1] == ["error:7"]
+    assert machine.physical() == [250, 0, 0]

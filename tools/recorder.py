@@ -99,6 +99,7 @@ class Recorder:
         self._planner = controller.planner
         self._settings = controller.settings
         self._plan = replace_method(self._planner, "line", self._line)
+        self._follow_plain = replace_method(controller.gcode.plain, "follow", self._follow)
 
     def _by_letter(self, values: Sequence[_Value]) -> dict[str, _Value]:
         return dict(zip(_LETTERS, values, strict=False))
@@ -106,18 +107,32 @@ class Recorder:
     def _line(self, target: Any, move: Any, power: int) -> bool:
         """Stand in for Planner.line: what it adds to its ring is what will be stepped."""
         kernels, flow = self._kernels, self._planner.flow
-        size = flow[kernels.ROW_SIZE]
-        at = size * flow[kernels.ROWS if move.flags & self._system_motion else kernels.HEAD]
+        row = flow[kernels.ROWS if move.flags & self._system_motion else kernels.HEAD]
         if not self._plan(target, move, power):
             return False
-        row = self._planner.ring[at : at + size]
-        steps = row[kernels.STEPS : kernels.STEPS + len(self._axes)]
+        self._note(row)
+        return True
+
+    def _follow(self, line: bytearray, length: int) -> int:
+        """Stand in for Plain.follow, which adds to the ring by itself."""
+        head = self._kernels.HEAD
+        row = self._planner.flow[head]
+        done: int = self._follow_plain(line, length)
+        if self._planner.flow[head] != row:
+            self._note(row)
+        return done
+
+    def _note(self, row: int) -> None:
+        """A row of the ring has been planned."""
+        kernels = self._kernels
+        at = row * self._planner.flow[kernels.ROW_SIZE]
+        steps = self._planner.ring[at + kernels.STEPS :][: len(self._axes)]
+        dirs = self._planner.ring[at + kernels.DIRS]
         for i in self._axes:
             self._planned[i] += steps[i]
         self._mm_per_step = [1 / (resolution or 1.0) for resolution in self._settings.steps_per_mm]
-        signed = [-n if row[kernels.DIRS] >> i & 1 else n for i, n in enumerate(steps)]
+        signed = [-n if dirs >> i & 1 else n for i, n in enumerate(steps)]
         self._distance_mm += hypot(*self._to_mm(signed))
-        return True
 
     def _segment(self, start: int, row: "array[int]") -> None:
         """Called by the engine for every segment played, with the steps really made."""

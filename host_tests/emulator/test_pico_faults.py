@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 from emulated import ENABLE, SPINDLE_PWM, STEP, Board, firmware, steps
+from littlefs.errors import LittleFSError
+from pico import LAYOUT, file_system
 
 pytestmark = pytest.mark.xdist_group("pico faults")
 
@@ -144,3 +146,39 @@ def test_without_a_board_there_is_a_line_and_the_prompt(
 def test_a_spoilt_settings_file_is_said_and_the_factory_ones_hold(uf2: Path) -> None:
     machine = Board(uf2, {"settings.txt": b"0=3\n110=99999\n#crc32=00000000\n"}).boot()
     assert "error:7" in machine.said and "$110=500.000" in machine.said
+
+
+def fillers() -> "dict[str, bytes]":
+    """Files that leave no room: one takes all blocks, others by their names the folder's."""
+    files: dict[str, bytes] = {}
+    for name, size in (("filler", LAYOUT.fs_blocksize), ("0" * 240, 0), ("0" * 30, 0), ("0", 0)):
+        fits, too_many = 0, LAYOUT.fs_blockcount
+        while too_many - fits > 1:
+            count = (fits + too_many) // 2
+            try:
+                file_system({**firmware(), **files, **_parts(name, size, count)})
+                fits = count
+            except LittleFSError:
+                too_many = count
+        files |= _parts(name, size, fits)
+    return files
+
+
+def _parts(name: str, size: int, count: int) -> "dict[str, bytes]":
+    """One file of so many times that size; or so many without content."""
+    if size:
+        return {name: bytes(size * count)}
+    return {f"{name}{k}": b"" for k in range(count)}
+
+
+def test_a_full_flash_is_told_of_and_what_is_set_holds_until_power_off(uf2: Path) -> None:
+    machine = Board(uf2, fillers()).boot()
+    assert machine.status()["state"] == "Idle"
+    said = machine.ask("$110=600", "error:")
+    machine.pico.run_us(20_000)
+    assert machine.said.startswith("[MSG:") and machine.said.endswith("error:7\r\n"), said
+    assert "$110=600.000" in machine.ask("$$")
+    machine.pico.record([*STEP])
+    machine.ask("G91 G1 X1 F600")
+    machine.pico.run_us(250_000)
+    assert len(steps(machine.pico.edges, 0)) == 250
