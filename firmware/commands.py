@@ -5,6 +5,7 @@ import state as st
 from errors import GrblError
 from f32 import whole
 from micropython import const
+from words import bare
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from report import Report
     from settings import Settings
     from state import State
-    from words import Words
 
 _STARTUP = "startup"
 _BUILD_INFO = "build"
@@ -43,7 +43,6 @@ class Commands:
         gcode: "Gcode",
         cycles: "Cycles",
         inputs: "Inputs",
-        words: "Words",
         options: str,
         single_axis_homing: bool,
     ) -> None:
@@ -55,7 +54,6 @@ class Commands:
         self._gcode = gcode
         self._cycles = cycles
         self._inputs = inputs
-        self._words = words
         self._options = options
         self._single_axis_homing = single_axis_homing
         self._startup = [""] * STARTUP_LINES
@@ -226,7 +224,7 @@ class Commands:
             return
         if self._state.run != st.IDLE:
             raise GrblError(errors.IDLE_ERROR)
-        at, number = self._words.number(line, 2)
+        at, number = bare(line, 2)
         if at < 0:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
         if line[at] != 61:
@@ -239,12 +237,12 @@ class Commands:
             self._keep_startup()
 
     def _set(self, line: bytearray, start: int) -> None:
-        at, number = self._words.number(line, start)
+        at, number = bare(line, start)
         if at < 0:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
         if line[at] != 61:
             raise GrblError(errors.INVALID_STATEMENT)
-        at, value = self._words.number(line, at + 1)
+        at, value = bare(line, at + 1)
         if at < 0:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
         if line[at] != 0 or number > _HIGHEST_SETTING:

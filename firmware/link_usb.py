@@ -2,9 +2,9 @@
 """The sender on the board's USB, which MicroPython calls stdin and stdout.
 
 MicroPython collects what has arrived in a ring of 512 bytes, and hands it out byte by byte at
-13 us each, or in pieces whose length one has to know. So the ring is looked for in memory, tried
-out, and read where it lies; where it is not found the plain way is taken. USB makes the sender
-wait when the ring is full: nothing is ever lost.
+13 us each, or in pieces whose length one has to know. So the ring is looked for in memory
+(link_ring.py) and read where it lies; where it is not found the plain way is taken. USB makes the
+sender wait when the ring is full: nothing is ever lost.
 
 A hard timer looks at the ring too: Ctrl-X acts also while the main loop is busy, and a sender
 that opens the port is seen, for the welcome. What MicroPython writes while no port is open waits
@@ -23,7 +23,7 @@ import time
 
 import machine
 import micropython
-from link_escape import Escape, push
+from link_escape import Escape
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -72,30 +72,6 @@ _SET_CONFIGURATION = const(0x0900)
 
 # MicroPython's struct ringbuf_t: address, size : 16, iget : 16, iput : 16.
 _RING_BYTES = const(512)
-_MEMORY = const(0x20000000)
-_MEMORY_WORDS = const(0x10000)
-_TRIALS = (b"Where is the ring?", b"Here?")
-
-
-@micropython.viper
-def _find(memory: ptr32, start: int, trial: ptr8, length: int) -> int:
-    """Index, from start on, of a word that may begin a ring that ends with the trial; or -1."""
-    i = start
-    while i < _MEMORY_WORDS - 3:
-        at = memory[i] - _MEMORY
-        sizes = memory[i + 1]
-        if at > 0 and at < 4 * _MEMORY_WORDS and sizes & 0xFFFF == _RING_BYTES:
-            get = (sizes >> 16) & 0xFFFF
-            put = memory[i + 2] & 0xFFFF
-            if get < _RING_BYTES and put < _RING_BYTES and (put - get) & 511 >= length:
-                data = ptr8(memory[i])
-                same = 0
-                while same < length and data[(get + same) & 511] == trial[same]:
-                    same += 1
-                if same == length:
-                    return i
-        i += 1
-    return -1
 
 
 @micropython.viper
@@ -191,7 +167,10 @@ class UsbLink:
         self._timer: "machine.Timer | None" = None
         self._at = array.array("i", (0, 0, _NEVER, 0, 0, 0, 0, 0))
         if sys.platform == "rp2":
-            self._at[_RING] = self._find_ring()
+            import link_ring
+
+            self._at[_RING] = link_ring.find(self._drain, _take)
+            del sys.modules["link_ring"]  # nobody needs it any more
         self.read_into = self._make_read_into()
         self.write = self._make_write()
 
@@ -217,29 +196,6 @@ class UsbLink:
         if at[_ALIVE] and self.feed:
             at[_ALIVE] = 0
             self.feed()
-
-    def _find_ring(self) -> int:
-        """Address of MicroPython's ring, or 0."""
-        early = self._drain()
-        found = 0
-        try:
-            push(_TRIALS[0])
-        except (AttributeError, OSError):
-            return found
-        index = _find(_MEMORY, 0, _TRIALS[0], len(_TRIALS[0]))
-        while index >= 0 and not found:
-            at = array.array("i", (_MEMORY + 4 * index, 0, 0, 0, 0, 0, 0, 0))
-            trial = bytearray(len(_TRIALS[0]))
-            _take(at, trial, len(trial))
-            push(_TRIALS[1])
-            if _find(_MEMORY, index, _TRIALS[1], len(_TRIALS[1])) == index:
-                found = at[_RING]
-            index = _find(_MEMORY, index + 1, _TRIALS[0], len(_TRIALS[0]))
-        early += self._drain()
-        text = bytes(early).replace(_TRIALS[0], b"").replace(_TRIALS[1], b"")
-        if text:
-            push(text)
-        return found
 
     def _drain(self) -> bytearray:
         """All that has arrived."""

@@ -39,7 +39,6 @@ VERSION = "1.1h"
 BUILD = "20261121"
 
 _OK = b"ok\r\n"
-_ERRORS = tuple(b"error:%d\r\n" % code for code in range(39))
 _HELP = b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]\r\n"
 _BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
 
@@ -136,7 +135,7 @@ class Report:
 
     def error(self, code: int) -> None:
         """The line was refused."""
-        self._link.write(_ERRORS[code])
+        self._link.write(b"error:%d\r\n" % code)
 
     def alarm(self, code: int) -> None:
         """The machine had to stop."""

@@ -24,7 +24,6 @@ from settings import Settings
 from spindle import Spindle
 from state import State
 from suspension import Suspension
-from words import Words
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -256,7 +255,6 @@ def _make_commands(machine: Controller, options: Options, store: "Store") -> Non
         machine.gcode,
         machine.cycles,
         machine.inputs,
-        Words(),
         options.letters(),
         options.single_axis_homing,
     )

@@ -11,7 +11,7 @@ from array import array
 import micropython
 from micropython import const
 
-_MAX_WORDS = const(128)
+_LONGEST = const(79)  # characters of a line
 
 # What scan() found wrong, above the count of words.
 LETTER_EXPECTED = const(1)
@@ -181,12 +181,12 @@ def add_single(a: ptr32, i: int, b: ptr32, j: int) -> int:
 class Words:
     """The words of one line. letters[i] is a character code, values[i] its number."""
 
-    def __init__(self) -> None:
-        self.letters = bytearray(_MAX_WORDS)
-        self.values = array("f", (0.0 for _ in range(_MAX_WORDS)))
+    def __init__(self, longest: int = _LONGEST) -> None:
+        most = longest // 2 + 1
+        self.letters = bytearray(most)
+        self.values = array("f", (0.0 for _ in range(most)))
         self.count = 0
         self.fault = 0
-        self._number = array("f", (0.0,))
 
     def read(self, text: bytearray, start: int, end: int) -> None:
         """Read text[start:end], which a 0 follows. fault tells what is wrong behind the words."""
@@ -194,9 +194,11 @@ class Words:
         self.count = found & 255
         self.fault = found >> 8
 
-    def number(self, text: bytearray, start: int) -> "tuple[int, float]":
-        """Read a bare number; returns the position after it, or -1, and its value."""
-        end = number(text, start, self._number, 0)
-        if end == 0:
-            return -1, 0.0
-        return end, self._number[0]
+
+_bare = array("f", (0.0,))
+
+
+def bare(text: bytearray, start: int) -> "tuple[int, float]":
+    """Read a number without a letter; returns the position after it, or -1, and its value."""
+    end = number(text, start, _bare, 0)
+    return (end, _bare[0]) if end else (-1, 0.0)

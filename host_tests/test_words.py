@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from oracle import read_number, read_words, single
-from words import Words, add_single, scan
+from words import Words, add_single, bare, scan
 
 
 def bits(x: float) -> int:
@@ -34,7 +34,7 @@ pieces = st.one_of(
 @example("-0")
 def test_a_number_is_rounded_digit_by_digit_as_by_grbl(text: str) -> None:
     expected = read_number(text)
-    end, value = Words().number(bytearray(text.encode() + b"\0"), 0)
+    end, value = bare(bytearray(text.encode() + b"\0"), 0)
     if expected is None:
         assert end == -1
     else:
@@ -43,7 +43,7 @@ def test_a_number_is_rounded_digit_by_digit_as_by_grbl(text: str) -> None:
 
 @given(st.lists(pieces, max_size=12).map(lambda parts: "".join(parts)[:127]))
 def test_a_line_is_read_word_by_word_up_to_the_first_fault(text: str) -> None:
-    line = Words()
+    line = Words(127)
     line.read(bytearray(text.encode() + b"\0"), 0, len(text))
     found = [(chr(line.letters[i]), bits(line.values[i])) for i in range(line.count)]
     expected, fault = read_words(text)
@@ -54,14 +54,14 @@ def test_a_line_is_read_word_by_word_up_to_the_first_fault(text: str) -> None:
 @settings(max_examples=200)
 @given(st.binary(max_size=126))
 def test_any_bytes_are_read_without_raising(data: bytes) -> None:
-    line = Words()
+    line = Words(127)
     line.read(bytearray(data + b"\0"), 0, len(data))
     assert line.count <= len(data)
 
 
 @pytest.mark.parametrize("start", [0, 2])
 def test_reading_begins_where_it_is_told(start: int) -> None:
-    line = Words()
+    line = Words(127)
     text = b"$$X1Y2"[2 - start :]
     line.read(bytearray(text + b"\0"), start, len(text))
     assert bytes(line.letters[: line.count]) == b"XY"
