@@ -15,6 +15,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from array import array
 
+    from interfaces import NextSegment
     from planner import Planner
 
 # A real (reals.py): its mantissa, and the exponent of whole numbers.
@@ -23,7 +24,12 @@ _ONE = const(64)
 
 
 class Segments:
-    """What the engine asks. planner: whose ring and flow these are."""
+    """What the engine asks. planner: whose ring and flow these are.
+
+    next(row) fills in the next segment's row; it returns 0 where nothing is to move.
+    """
+
+    next: "NextSegment"
 
     def __init__(self, planner: "Planner") -> None:
         self._planner = planner
@@ -31,10 +37,19 @@ class Segments:
         self._ring = planner.ring
         self._machine = planner.machine
         self._saved: "array[int] | None" = None
+        self.next = self._make_next()
 
-    def next(self, row: "array[int]") -> int:
-        """Fill in the next segment's row; 0 where nothing is to move."""
-        return kernels.fill(self._flow, self._ring, self._machine, row)
+    def _make_next(self) -> "NextSegment":
+        """A closure: the interrupt finds what it needs without a look-up.
+
+        With the row it has five variables; the call of one with more would allocate.
+        """
+        fill, flow, ring, machine = kernels.fill, self._flow, self._ring, self._machine
+
+        def following(row: "array[int]") -> int:
+            return fill(flow, ring, machine, row)
+
+        return following
 
     def hold(self, on: bool) -> None:
         """Slow down and come to rest; or go on."""

@@ -204,7 +204,7 @@ class Watch:
         self._next = segments.next
         planner.line = self.line  # type: ignore[method-assign]
         planner.system_line = self.system_line  # type: ignore[method-assign]
-        segments.next = self.next  # type: ignore[method-assign]
+        segments.next = self.next
 
     def line(self, target: Any, move: Move, power: int) -> bool:
         """Stand in for Planner.line."""
