@@ -4,7 +4,7 @@ import re
 import sys
 from types import ModuleType, SimpleNamespace
 
-from ugrbl.inline import inline
+from ugrbl.compiling.inline import inline
 from ugrbl.paths import FIRMWARE
 
 KINDS = """from micropython import const

@@ -17,8 +17,8 @@ from typing import Any
 import pytest
 from laws import Bench, Limits
 from ugrbl.build import compile_all
-from ugrbl.inline import inline
-from ugrbl.leaves import leaves
+from ugrbl.compiling.inline import inline
+from ugrbl.compiling.leaves import leaves
 from ugrbl.paths import FIRMWARE
 
 _HEAD = "import micropython\nfrom micropython import const\n"

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 from ugrbl import build, paths
+from ugrbl.compiling.inline import inline
+from ugrbl.compiling.prune import prune
+from ugrbl.compiling.shorten import shorten
 from ugrbl.conformance import find_micropython
-from ugrbl.inline import inline
-from ugrbl.prune import prune
-from ugrbl.shorten import shorten
 
 _HERE = Path(__file__).resolve().parent
 

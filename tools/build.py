@@ -14,10 +14,7 @@ from typing import Any
 
 from . import machine, new_board, paths
 from .board_check import is_simulated, problems
-from .inline import inline
-from .leaves import leaves
-from .prune import prune
-from .shorten import shorten
+from .compiling import prepared
 
 # Without assertions and line numbers, which would take memory: tracebacks name functions.
 _OPTIMIZED = "-O3"
@@ -145,9 +142,7 @@ def compile_all(
 ) -> Build:
     """Every module, or those a board needs. progress: is told path and bytes of each."""
     made = Build(arch)
-    texts = inline({_module(source): _text(source) for source in sources()})
-    texts = leaves(texts)
-    texts = shorten(prune(texts))
+    texts = prepared({_module(source): _text(source) for source in sources()})
     for source in sources() if board is None else needed(board):
         path = source if source == START else source.removesuffix(".py") + ".mpy"
         if source == START:

@@ -118,7 +118,7 @@ def test_settings_survive_a_power_cut_and_the_welcome_comes_soon(
     assert second.said.startswith("\r\nGrbl 1.1h ['$' for help]\r\n")
     second.wait_for(">G20:ok\r\n")
     assert "$110=1234.500" in second.ask("$$")
-    assert "[G55:-0.1280,0.0000,0.0000]" in second.ask("$#")
+    assert "[G55:-3.250,0.000,0.000]" in second.ask("$#")
     assert "shed" in second.ask("$I")
     _prompt_and_back(second)
 

@@ -3,7 +3,7 @@
 import ast
 from collections.abc import Iterator
 
-from . import leaf_forms as forms
+from . import forms
 
 # A function by its module.
 Key = tuple[str, str]

@@ -21,7 +21,8 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cache
 from typing import NamedTuple
 
-from . import paths, scan
+from .. import paths
+from . import scan
 
 # Of MicroPython's static_qstr_list (py/makeqstrdata.py), part of the .mpy format 6. Not those
 # that it asks an object for by itself: send, throw, close, read, write, keys, args, value; nor

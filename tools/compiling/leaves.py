@@ -20,8 +20,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
-from . import leaf_forms as forms
-from .leaf_modules import Key, Module
+from . import forms
+from .modules import Key, Module
 
 # Nodes of a syntax tree that are worth their room at every call. A call takes about 50 bytes; 60
 # nodes in its place 250. On a Pico: 40 here would save 0.7 kB, and cost 19 us a line.

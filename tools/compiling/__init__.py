@@ -1,0 +1,19 @@
+"""What is done to the sources before MicroPython compiles them: the same program, on less.
+
+A constant of another module, a call between viper functions, a long name: on a desktop they cost
+nothing, on a board memory and microseconds. So the sources are written to be read, and these
+passes, one after the other, write what a board has more use for. Each takes the sources of all
+modules by name, and returns them; the tests let both forms do the same things.
+"""
+
+from collections.abc import Mapping
+
+from .inline import inline
+from .leaves import leaves
+from .prune import prune
+from .shorten import shorten
+
+
+def prepared(sources: Mapping[str, str]) -> dict[str, str]:
+    """The modules, by name, as they are to be compiled."""
+    return shorten(prune(leaves(inline(sources))))
