@@ -60,7 +60,7 @@ def execute(self, line, length):
         while time.ticks_diff(time.ticks_ms(), since) < 200:
             pass
     elif what == b"COLLECT":
-        for _ in range(8):
+        for _ in range(12):
             gc.collect()
     elif what == b"PRINT":
         for _ in range(200):
