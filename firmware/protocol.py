@@ -11,6 +11,7 @@ import state as st
 from errors import Abort, GrblError
 from lines import LINE, NOTHING
 from micropython import const
+from report import OK
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -38,6 +39,8 @@ class Protocol:
         self._report = report
         self._echoes = echoes
         self._buffer = bytearray(64)
+        self._read_into = link.read_into
+        self._feed = reader.feed
 
     def connect(
         self, realtime: "Realtime", gcode: "Gcode", commands: "Commands", motion: "Motion"
@@ -50,9 +53,9 @@ class Protocol:
 
     def pump(self) -> None:
         """Take in what has arrived."""
-        count = self._link.read_into(self._buffer)
+        count = self._read_into(self._buffer)
         if count:
-            self._reader.feed(self._buffer, count)
+            self._feed(self._buffer, count)
 
     def service(self) -> None:
         """One turn of whoever waits. Raises Abort after a reset."""
@@ -67,13 +70,14 @@ class Protocol:
         take = reader.take
         line = reader.line
         follow = self._gcode.plain.follow
-        ok = self._report.ok
+        write, ok = self._link.write, OK  # what report.ok() does
+        pump = self.pump
         echoes = self._echoes
         waiting = False
         while True:
             found = take()
             if found == NOTHING:
-                self.pump()
+                pump()
                 if not reader.waiting():
                     self._motion.auto_start()
                 self._realtime.run()
@@ -83,10 +87,10 @@ class Protocol:
             if found & LINE == 0:
                 self._report.error(errors.OVERFLOW)
             elif state.run & _LOCKED == 0 and not echoes and follow(line, found >> 2):
-                ok()
+                write(ok)
                 waiting = not waiting
                 if waiting:
-                    self.service()  # after every other one
+                    pump()  # after every other one
             else:
                 self.execute(line, found >> 2)
 

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 VERSION = "1.1h"
 BUILD = "20261121"
 
-_OK = b"ok\r\n"
+OK = b"ok\r\n"
+_ERROR = b"error:%d\r\n"
 _HELP = b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]\r\n"
 _BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
 
@@ -131,11 +132,11 @@ class Report:
 
     def ok(self) -> None:
         """The line was accepted."""
-        self._link.write(_OK)
+        self._link.write(OK)
 
     def error(self, code: int) -> None:
         """The line was refused."""
-        self._link.write(b"error:%d\r\n" % code)
+        self._link.write(_ERROR % code)
 
     def alarm(self, code: int) -> None:
         """The machine had to stop."""

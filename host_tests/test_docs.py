@@ -25,7 +25,7 @@ _HEADING = re.compile(r"^#+ (.*)$", re.MULTILINE)
 _RELEASE = re.compile(r"^## \[(Unreleased|\d{4}-\d{2}-\d{2}|[^]]+\] - \d{4}-\d{2}-\d{2})", re.M)
 
 # Answers that consist of these words; nothing else may contain them.
-_ANSWERS = ("_OK", "_ERRORS")
+_ANSWERS = ("OK", "_ERROR")
 _TAKEN = re.compile("ok|error", re.IGNORECASE)
 
 
