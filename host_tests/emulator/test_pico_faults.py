@@ -180,5 +180,5 @@ def test_a_full_flash_is_told_of_and_what_is_set_holds_until_power_off(uf2: Path
     assert "$110=600.000" in machine.ask("$$")
     machine.pico.record([*STEP])
     machine.ask("G91 G1 X1 F600")
-    machine.pico.run_us(250_000)
+    machine.until_idle()
     assert len(steps(machine.pico.edges, 0)) == 250
