@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import cos, sin
 from statistics import mean
 
 from wire import Talk
@@ -23,6 +24,14 @@ def short_moves(count: int) -> "Iterator[str]":
         yield f"G1X{x:06.3f}Y{y:06.3f}F9000"
 
 
+def gentle_moves(count: int) -> "Iterator[str]":
+    """The same on a circle of 20 mm, where no corner makes the machine slow down."""
+    for k in range(1, count + 1):
+        angle = 0.05 * k / 20
+        x, y = 30 - 20 * cos(angle), 10 + 20 * sin(angle)
+        yield f"G1X{x:06.3f}Y{y:06.3f}F9000"
+
+
 def raster(count: int) -> "Iterator[str]":
     """A laser's line of an image: 0.1 mm per dot."""
     for k in range(count):
@@ -35,11 +44,18 @@ def arcs(count: int) -> "Iterator[str]":
         yield f"G2X{12 + 2 * k}Y10I1J0F9000"
 
 
+def comments(count: int) -> "Iterator[str]":
+    """Lines of 22 characters, their end counted, that say nothing: what any line costs."""
+    return (f"({k:05}: say nothing.)" for k in range(count))
+
+
 @dataclass
 class Streamed:
-    """What came of it. waiting: blocks in the planner when asked, the least of all times."""
+    """What came of it. first_us, query_us: from `?` to the first and to the last byte of its
+    answer; waiting: blocks in the planner when asked, the least of all times."""
 
     lines_s: float
+    first_us: "list[float]"
     query_us: "list[float]"
     waiting: int
 
@@ -50,9 +66,10 @@ def stream(talk: Talk, lines: "list[str]", blocks: int, query_every_us: float = 
     under_way: deque[int] = deque()
     answered = sent = 0
     begun = ended = wire.now_us()
-    query_at = 0.0
+    query_at = first_at = 0.0
     next_query = wire.now_us() + query_every_us
     latencies: list[float] = []
+    first: list[float] = []
     waiting = blocks
     skip = len(lines) // 10
     wire.received.clear()
@@ -65,12 +82,15 @@ def stream(talk: Talk, lines: "list[str]", blocks: int, query_every_us: float = 
             wire.send(b"?")
             query_at = wire.now_us()
         wire.turn()
+        if query_at and not first_at and b"<" in wire.received:
+            first_at = wire.now_us()
         while b"\n" in wire.received:
             line, _, rest = bytes(wire.received).partition(b"\n")
             wire.received[:] = rest
             if line.startswith(b"<"):
                 latencies.append(wire.now_us() - query_at)
-                query_at = 0.0
+                first.append(first_at - query_at)
+                query_at = first_at = 0.0
                 next_query = wire.now_us() + query_every_us
                 if skip < answered and sent < len(lines) and b"|Bf:" in line:
                     free = int(line.partition(b"|Bf:")[2].partition(b",")[0])
@@ -83,19 +103,20 @@ def stream(talk: Talk, lines: "list[str]", blocks: int, query_every_us: float = 
                 ended = wire.now_us()
             elif line.strip():
                 raise RuntimeError(f"line {answered + 1}: {line!r}")
-    return Streamed((answered - skip) / (ended - begun) * 1e6, latencies, waiting)
+    return Streamed((answered - skip) / (ended - begun) * 1e6, first, latencies, waiting)
 
 
-def query_idle_us(talk: Talk, times: int = 20) -> "list[float]":
-    """From `?` to the end of the report, at rest."""
-    found = []
+def query_idle_us(talk: Talk, times: int = 20) -> "tuple[list[float], list[float]]":
+    """From `?` to the first and to the last byte of the report, at rest."""
+    first, whole = [], []
     for k in range(times):
         talk.pause_us(3_000 + 370 * k)
         talk.wire.received.clear()
         since = talk.wire.now_us()
         talk.wire.send(b"?")
-        found.append(talk.wait(b">\r\n") - since)
-    return found
+        first.append(talk.wait(b"<") - since)
+        whole.append(talk.wait(b">\r\n") - since)
+    return first, whole
 
 
 def idle(talk: Talk) -> None:

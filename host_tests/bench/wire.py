@@ -1,7 +1,6 @@
 """A board to measure: the emulated Pico, whose clock is exact, or a real one on a serial port."""
 
 import time
-from pathlib import Path
 from typing import Protocol
 
 import serial
@@ -33,11 +32,6 @@ class EmulatedWire:
         self.board = board
         self.received = board.pico.usb.received
         self.send = board.pico.usb.send
-
-    @classmethod
-    def boot(cls, uf2: Path) -> "EmulatedWire":
-        """Power up a new one; its first start is behind it."""
-        return cls(Board(uf2).boot().settled())
 
     def now_us(self) -> float:
         return self.board.pico.us
@@ -71,7 +65,7 @@ class Talk:
     def __init__(self, wire: Wire) -> None:
         self.wire = wire
 
-    def wait(self, text: bytes, limit_us: float = 10_000_000) -> float:
+    def wait(self, text: bytes, limit_us: float = 5_000_000) -> float:
         """Until the text has come; returns when that was, in us."""
         end = self.wire.now_us() + limit_us
         while text not in self.wire.received:
@@ -84,6 +78,9 @@ class Talk:
         """The answer to a line."""
         self.wire.received.clear()
         self.wire.send(line.encode() + b"\n")
+        self.wait(b"\r\n")
+        if b"error:" in self.wire.received:
+            raise RuntimeError(f"{line}: {bytes(self.wire.received)!r}")
         self.wait(b"ok\r\n")
         return self.wire.received.decode("latin-1")
 

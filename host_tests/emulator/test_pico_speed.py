@@ -8,8 +8,9 @@ from emulated import Board
 
 sys.path.append(str(Path(__file__).parent.parent / "bench"))
 
-from bench_board import MAIN, inside
-from streaming import SETTINGS, idle, short_moves, stream
+from bench_setup import inside, set_up
+from on_board import MAIN
+from streaming import idle, raster, short_moves, stream
 from wire import EmulatedWire, Talk
 
 pytestmark = pytest.mark.xdist_group("pico speed")
@@ -18,31 +19,54 @@ pytestmark = pytest.mark.xdist_group("pico speed")
 _STREAMED = 565  # lines/s, 700 asked
 _CHECKED = 1300  # lines/s
 _WORSE = 0.9
-_BYTES_PER_LINE = 8  # of the command that tells; the lines have none
+_RASTER_BYTES = 256  # of heap for a line with a new S; lines that only move have none
+_MORE = 1.1
+_ROUNDED = 4  # bytes per line: what comes before and after the lines differs by blocks of 16
 
 
 @pytest.fixture(scope="module")
 def talk(uf2: Path) -> Talk:
     made = Talk(EmulatedWire(Board(uf2, {"main.py": MAIN}).boot().settled()))
-    for line in (*SETTINGS, "G90", "G0X10Y10"):
-        made.ask(line)
-    idle(made)
+    set_up(made)
     return made
 
 
 MOVES = [line.replace("F9000", "F2100") for line in short_moves(150)]
 
 
+def _left(talk: Talk, lines: "list[str]") -> int:
+    """Bytes of heap that lines leave."""
+    inside(talk, "$COLLECT=1")
+    inside(talk, "$GC=0")
+    (before,) = inside(talk, "$ALLOC")
+    stream(talk, lines, 15)
+    (after,) = inside(talk, "$ALLOC")
+    inside(talk, "$GC=1")
+    return after - before
+
+
 def test_short_moves_are_streamed_as_fast_as_ever(talk: Talk) -> None:
-    before, _ = inside(talk, "$ALLOC")
-    stream(talk, MOVES[:2], 15)  # the way back to a plain line
-    made = stream(talk, MOVES[2:], 15)
-    after, _ = inside(talk, "$ALLOC")
-    assert made.lines_s >= _WORSE * _STREAMED
-    assert after - before <= _BYTES_PER_LINE * len(MOVES) + 4_000
+    assert stream(talk, MOVES, 15).lines_s >= _WORSE * _STREAMED
+
+
+@pytest.mark.parametrize(
+    ("lines", "before", "most"),
+    [(MOVES, "G90G1X10Y10F2100", 0), (list(raster(72)), "G90G1X10Y10F4000", _RASTER_BYTES)],
+)
+def test_lines_leave_no_more_on_the_heap_than_ever(
+    talk: Talk, lines: "list[str]", before: str, most: int
+) -> None:
+    idle(talk)
+    for line in ("$32=1", "M4S0" if most else "M5", before):
+        talk.ask(line)
+    idle(talk)
+    fewer = _left(talk, lines[:24])
+    idle(talk)
+    assert (_left(talk, lines[24:72]) - fewer) / 24 <= _MORE * most + _ROUNDED
 
 
 def test_check_mode_is_as_fast_as_ever(talk: Talk) -> None:
     idle(talk)
+    talk.ask("M5")
     talk.ask("$C")
     assert stream(talk, MOVES, 15).lines_s >= _WORSE * _CHECKED

@@ -1,0 +1,123 @@
+"""The emulated clock against figures that others have published of real boards.
+
+A few lines of our own do the same operations as theirs, at MicroPython's prompt without our
+firmware, and `measured / published` is told: below 1 the emulator is faster than a real chip. All
+boards are RP2040 at 125 MHz. Their MicroPython is older than 1.28, in which more of interpreter
+and memory management runs from flash, and programs full of float objects have become slower on
+real boards too: the score of bm_chaos fell from 213 in 2023 (GEORGE) to 154 in 2026
+(github.com/micropython/micropython/pull/19352). So a ratio says how far times are to be trusted,
+version and emulator together. Of viper code we know no published figure; its instructions are
+counted by the emulator as those of the interpreter are.
+
+    SHAO    github.com/shaoziyang/micropython_benchmarks, README.md at 46c413b (2025-06-25), row
+            RP2040, MicroPython v1.23.0, 125 MHz: ms for 10000 turns of `C = p[1] + p[2]` and the
+            like, by kind of number. Ours: fewer turns.
+    GEORGE  github.com/micropython/micropython/pull/12846, comment of 2023-11-09, a Pico with 1.22
+            in the making, after that change: scores of tests/perf_bench with N=100 M=100; a score
+            is 1e6 * count / us. bm_float 3769.89, count 250: so many objects made, scaled to unit
+            length and compared (sine, cosine, root, methods). core_locals 28.30, count 8: as many
+            objects, 8 rounds of getattr and setattr each, with 141 names of which 83 differ. Ours:
+            250, and 1 object.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import prompt
+from bench_setup import Bench
+from rows import Row
+
+_TIMED = """
+import gc, time
+def timed(act, *args):
+    gc.collect()
+    start = time.ticks_us()
+    act(*args)
+    return time.ticks_diff(time.ticks_us(), start)
+"""
+_TURNS = """
+def turns(p):
+    for _ in range(p[0]):
+        s = p[1] {} p[2]
+print(timed(turns, [{}, {}, {}]))
+"""
+_POINTS = """
+import math
+class Point:
+    def __init__(self, i):
+        self.x = x = math.sin(i)
+        self.y = math.cos(i) * 3
+        self.z = (x * x) / 2
+    def unit(self):
+        x, y, z = self.x, self.y, self.z
+        length = math.sqrt(x * x + y * y + z * z)
+        self.x /= length
+        self.y /= length
+        self.z /= length
+    def most(self, other):
+        self.x = self.x if self.x > other.x else other.x
+        self.y = self.y if self.y > other.y else other.y
+        self.z = self.z if self.z > other.z else other.z
+        return self
+def points(n):
+    made = [None] * n
+    for i in range(n):
+        made[i] = Point(i)
+    for point in made:
+        point.unit()
+    best = made[0]
+    for point in made[1:]:
+        best = best.most(point)
+print(timed(points, 250))
+"""
+_NAMES = """
+class Holder:
+    pass
+names = {}
+def rounds(n):
+    holder = Holder()
+    for _ in range(n):
+        for name in names:
+            setattr(holder, name, getattr(holder, name, 0) + 1)
+print(timed(rounds, 8))
+"""
+_WORDS = [f"n{(k * (k // 83 + 1) % 83) * 7919 % 9973}" for k in range(141)]
+
+
+class _Figure(NamedTuple):
+    """us: what was published for as much work as the code does."""
+
+    name: str
+    us: float
+    source: str
+    code: str
+
+
+def _turns(name: str, ms: float, sign: str, a: float, b: float, turns: int) -> _Figure:
+    code = _TURNS.format(sign, turns, a, b)
+    return _Figure(name, ms * 1000 * turns / 10_000, "SHAO", code)
+
+
+_FIGURES = (
+    _turns("integers added", 80, "+", 12345678, 56781234, 4000),
+    _turns("long integers multiplied", 276, "*", 12345678, 56781234, 1000),
+    _turns("integers divided", 126, "/", 99999991, 45481, 2000),
+    _turns("floats added", 129, "+", 12345678.1234, 56781234.5678, 2000),
+    _turns("floats multiplied", 129, "*", 12345678.1234, 56781234.5678, 2000),
+    _turns("floats to the power of", 993, "**", 1234.5678, 2.3456, 300),
+    _Figure("objects, methods and floats", 250e6 / 3769.89, "GEORGE", _POINTS),
+    _Figure("attributes by name", 8e6 / 28.30 / 8, "GEORGE", _NAMES.format(_WORDS)),
+)
+
+
+def calibration(bench: Bench) -> Iterator[Row]:
+    """Ratios, as said above."""
+    talk = bench.bare()
+    prompt.run(talk, _TIMED)
+    ratios = []
+    for figure in _FIGURES:
+        ratios.append(int(prompt.run(talk, figure.code)) / figure.us)
+        published = f"of {figure.us / 1000:.2f} ms ({figure.source})"
+        yield Row(f"calibration: {figure.name}", ratios[-1], published)
+    yield Row("calibration: least", min(ratios), "of published")
+    yield Row("calibration: most", max(ratios), "of published")

@@ -1,0 +1,280 @@
+"""What the benchmark runs on the board: its own commands, in MAIN, in front of the firmware's.
+
+A board that is emulated has it for its main.py; a real one is given it at its prompt (prompt.py)
+and keeps nothing of it. Objects of the firmware are got hold of as they pass by in a method, and
+only names of modules, classes, functions and methods are used: `ugrbl build` keeps those.
+
+`$STAGE` times the stages of a line, each in a loop with ticks_us, less the same loop with a
+function that does nothing; a figure is in 0.1 us. The short path is one call that does several
+stages, so it is called with what it knows (the arrays of the machine itself, seen at a line's
+passing) changed in such a way that it goes so far and no further: nothing is known (what a call
+costs); a feed rate other than the line's (it has read the words); travel limited to nowhere (it
+has put the place in and judged it); nothing is to move (all but planning); and as it is. Planning
+fills the ring with 12 short moves, three times over. A line that goes the long way,
+"G90G1X10.04Y10.03F9000", is taken apart into its words and put in a Block, checked, and executed
+whole, less the two before. The machine is in check mode meanwhile, and reset afterwards.
+"""
+
+import plain
+
+_START = """
+power_up.main()
+"""
+
+# Commands: `$NAME=number` answers with numbers in a message.
+_COMMANDS = """
+import power_up  # first, as in main.py: it sees to where memory is free
+
+import gc
+import time
+
+import commands
+import planner
+import report
+
+found = {}
+acts = {}
+usual = commands.Commands.execute
+
+
+def keep(kind, name):
+    usual = getattr(kind, name)
+
+    def kept(self, *rest):
+        found[kind] = self
+        return usual(self, *rest)
+
+    setattr(kind, name, kept)
+
+
+def execute(self, line, length):
+    name, _, value = bytes(line[1:length]).partition(b"=")
+    act = acts.get(name)
+    if act:
+        numbers = act(int(value or b"0"))
+        found[report.Report].message(" ".join([str(x) for x in numbers]) + ".")
+    else:
+        usual(self, line, length)
+
+
+def since(start):
+    return time.ticks_diff(time.ticks_us(), start)
+
+
+keep(report.Report, "banner")
+keep(planner.Planner, "configure")
+commands.Commands.execute = execute
+"""
+
+# $FREE; $COLLECT=n: mean and longest of n collections, us; $ALLOC: bytes on the heap; $GC=0 or 1:
+# collections off or on; $COUNT=us: turns of a loop; $LATER=us: the same once a block is through.
+_COUNTS = """
+def collect(times):
+    took = []
+    for _ in range(times):
+        start = time.ticks_us()
+        gc.collect()
+        took.append(since(start))
+    return sum(took) // times, max(took)
+
+
+def switch(on):
+    (gc.enable if on else gc.disable)()
+    return (on,)
+
+
+def count(us):
+    turns = 0
+    start = time.ticks_us()
+    while since(start) < us:
+        turns += 1
+    return (turns,)
+
+
+def later(us):
+    ring = found[planner.Planner]
+    free = ring.free()
+    start = time.ticks_us()
+    while ring.free() <= free and since(start) < 300000:
+        pass
+    return count(us)
+
+
+acts[b"FREE"] = lambda _: (gc.mem_free(),)
+acts[b"COLLECT"] = collect
+acts[b"ALLOC"] = lambda _: (gc.mem_alloc(),)
+acts[b"GC"] = switch
+acts[b"COUNT"] = count
+acts[b"LATER"] = later
+"""
+
+# $STAGE: see above.
+_STAGES = """
+import block
+import checks
+import gcode
+import lines
+import plain
+import protocol
+import words
+
+keep(gcode.Gcode, "reset")
+keep(protocol.Protocol, "connect")
+AXES, FEED, LIMITED, DRY = %d, %d, %d, %d
+follow = plain.follow
+known = []
+
+
+def seen(line, length, *rest):
+    plain.follow = follow
+    known.append(rest)
+    return follow(line, length, *rest)
+
+
+plain.follow = seen
+
+
+def nothing(*_):
+    return 0
+
+
+def nothing_3(a, b, c):
+    return 0
+
+
+def nothing_0():
+    return 0
+
+
+def each(act, texts, *rest):
+    gc.collect()
+    start = time.ticks_us()
+    for text in texts:
+        act(text, 21, *rest)
+    return since(start) * 10 // len(texts)
+
+
+def again(act, *rest):
+    gc.collect()
+    start = time.ticks_us()
+    for _ in range(24):
+        act(*rest)
+    return since(start) * 10 // 24
+
+
+def moves(k):
+    places = [(10 + 0.04 * (k + i), 10 + 0.03 * (k + i)) for i in range(12)]
+    return [bytearray(("G1X%%06.3fY%%06.3fF9000\\0" %% place).encode()) for place in places]
+
+
+def expect(value, texts, rest):
+    if follow(texts[0], 21, *rest) != value:
+        raise ValueError("a stage of follow()")
+
+
+def short_path():
+    rest = known[0]
+    now = rest[0]
+    texts = moves(0)
+    now[AXES] = 0
+    call = each(follow, texts, *rest)
+    now[AXES] = len(rest[1])
+    feed, limited, dry = now[FEED], now[LIMITED], now[DRY]
+    now[FEED] = feed ^ 256
+    expect(0, texts, rest)
+    read = each(follow, texts, *rest)
+    now[FEED] = feed
+    now[LIMITED] = 1
+    expect(0, texts, rest)
+    judged = each(follow, texts, *rest)
+    now[LIMITED] = limited
+    now[DRY] = 1
+    expect(1, texts, rest)
+    moved = each(follow, texts, *rest)
+    now[DRY] = 0
+    whole = 0
+    for k in range(3):
+        found[planner.Planner].clear()
+        whole += each(follow, moves(12 * k + 1), *rest)
+    found[planner.Planner].clear()
+    now[DRY] = dry
+    now[AXES] = 0
+    return call, read - call, judged - read, moved - judged, whole // 3 - moved
+
+
+def long_way():
+    line = bytearray(b"G90G1X10.04Y10.03F9000\\0")
+    text = words.Words()
+    own, modal = block.Block(3, False, False), block.Modal()
+    machine = found[gcode.Gcode]
+
+    def take():
+        text.read(line, 0, 22)
+        own.begin(modal)
+        own.take(text)
+
+    def check():
+        take()
+        checks.check(machine, own, False)
+
+    idle = again(nothing_0)
+    taken = again(take) - idle
+    checked = again(check) - idle
+    whole = again(machine.execute, line, 22) - again(nothing, line, 22)
+    return taken, checked - taken, whole - checked
+
+
+def clean(line):
+    reader = lines.LineReader(255, 79, nothing)
+    reader.feed(bytearray(line * 11), 11 * len(line))
+    take = reader.take
+    start = time.ticks_us()
+    for _ in range(11):
+        take()
+    took = since(start)
+    start = time.ticks_us()
+    for _ in range(11):
+        nothing_0()
+    return (took - since(start)) * 10 // 11
+
+
+def stages(_):
+    answer = again(found[report.Report].ok) - again(nothing_0)
+    empty = again(found[protocol.Protocol].execute, b"", 0) - again(nothing, b"", 0)
+    comment = empty + clean(b"(Twenty characters..)\\n")
+    return short_path() + long_way() + (clean(b"G1X10.040Y10.030F9000\\n"), comment, answer)
+
+
+acts[b"STAGE"] = stages
+""" % (plain.AXES, plain.FEED, plain.LIMITED, plain.DRY)
+
+# $GAP: the longest time from one look at the link to the next since it was asked last, us.
+_GAPS = """
+import protocol
+
+pump = protocol.Protocol.pump
+gaps = [0, 0]
+
+
+def watched(self):
+    now = time.ticks_us()
+    gap = time.ticks_diff(now, gaps[0])
+    if gap > gaps[1]:
+        gaps[1] = gap
+    gaps[0] = now
+    pump(self)
+
+
+def longest(_):
+    gap = gaps[1]
+    gaps[:] = time.ticks_us(), 0
+    return (gap,)
+
+
+protocol.Protocol.pump = watched
+acts[b"GAP"] = longest
+"""
+
+MAIN = (_COMMANDS + _COUNTS + _START).encode()
+STAGES = (_COMMANDS + _STAGES + _START).encode()
+GAPS = (_COMMANDS + _GAPS + _START).encode()

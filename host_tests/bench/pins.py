@@ -1,0 +1,145 @@
+"""Rows for which one has to look at the pins, or at what an interrupt takes: emulated boards only,
+but for the interrupt's share."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+from bench_setup import Bench, inside, reset, set_up
+from emulated import DIR, STEP, Board, steps
+from on_board import MAIN
+from rows import Row
+from streaming import figures, idle
+from wire import Talk
+
+# Moves that go on for longer than they are looked at.
+_LONG = {
+    "1 axis, 1 kHz": ("G91 G1 X100 F240",),
+    "1 axis, 100 kHz": ("G91 G1 X100 F24000",),
+    "3 axes, 70 kHz": ("G91 G1 X100 Y90 Z80 F29000",),
+    "50 blocks/s": ("G91", *(f"G1 X0.4 Y{0.3 + 0.01 * (k % 3):.2f} F1500" for k in range(14))),
+}
+_LOOKED_US = 100_000
+_BLOCKS_S = (300, 600)
+_BLOCK_MM = 0.05
+_WAITING = 13
+
+_HELD_HZ = 10_000
+_STEPS_MM = 250
+_SLOWER = 1.02
+_PHASES_US = (0, 2_300, 5_100, 7_700)
+
+_CRUISE_US = 10_000
+_FASTEST = (
+    *("$110=120000", "$111=120000", "$112=120000"),
+    *("$120=40000", "$121=40000", "$122=40000"),
+)
+_FAST_MM = 46
+
+
+def share(bench: Bench) -> Iterator[Row]:
+    """What the pulse engine's interrupt takes of the processor: a loop on the board counts for
+    0.1 s at rest and while a move goes on; for short blocks for most of the time that 13 of them
+    take, which are planned while a longer one runs."""
+    talk = bench.talk(MAIN)
+    idle(talk)
+    (at_rest,) = inside(talk, f"$COUNT={_LOOKED_US}")
+    for name, lines in _LONG.items():
+        for line in lines:
+            talk.ask(line)
+        talk.pause_us(30_000)
+        (moving,) = inside(talk, f"$COUNT={_LOOKED_US}")
+        yield Row(f"interrupt's share, {name}", 100 * (1 - moving / at_rest), "%")
+        _stop(talk)
+    for rate in _BLOCKS_S:
+        looked_us = round(0.8 * _WAITING / rate * 1e6)
+        (at_rest,) = inside(talk, f"$COUNT={looked_us}")
+        moving = _count_short(talk, rate, looked_us)
+        yield Row(f"interrupt's share, {rate} blocks/s", 100 * (1 - moving / at_rest), "%")
+        idle(talk)
+
+
+def _count_short(talk: Talk, rate: int, looked_us: int) -> int:
+    """Turns of the loop while short blocks run at that rate."""
+    feed = _BLOCK_MM * rate
+    talk.ask(f"G91 G1 X{0.1 * feed:.2f} F{60 * feed:.0f}")  # lasts 0.1 s
+    short = f"X{0.8 * _BLOCK_MM:.3f}Y{0.6 * _BLOCK_MM:.3f}"
+    for line in (short,) * (_WAITING + 1):
+        talk.ask(line)
+    (turns,) = inside(talk, f"$LATER={looked_us}")
+    return turns
+
+
+def _stop(talk: Talk) -> None:
+    talk.wire.send(b"!")
+    talk.pause_us(60_000)
+    reset(talk)
+
+
+def _recorded(bench: Bench) -> "tuple[Talk, Board]":
+    """A board whose motor pins are recorded."""
+    talk, board = bench.talk(MAIN), bench.pico(MAIN)
+    if not hasattr(board, "is_recorded"):
+        board.is_recorded = True
+        board.pico.record([*STEP, *DIR])
+    return talk, board
+
+
+def hold(bench: Bench) -> Iterator[Row]:
+    """From `!` to the first step that comes more than 2 % late, one axis at 10 kHz, at different
+    phases of segments and main loop."""
+    talk, board = _recorded(bench)
+    found = []
+    for phase_us in _PHASES_US:
+        talk.ask(f"G91 G1 X20 F{60 * _HELD_HZ / _STEPS_MM:.0f}")
+        talk.pause_us(30_000 + phase_us)
+        board.pico.edges.clear()
+        since = talk.wire.now_us()
+        talk.wire.send(b"!")
+        talk.pause_us(90_000)
+        found.append(_first_late(board) - since)
+        reset(talk)
+    mean, worst = figures(found)
+    yield Row("! to the first slower step, mean", mean, "ms", "held")
+    yield Row("! to the first slower step, worst", worst, "ms")
+
+
+def _first_late(board: Board) -> float:
+    """When the first step comes that is late, in us."""
+    rises = [us for us, _ in steps(board.pico.edges, 0)]
+    allowed = _SLOWER * 1e6 / _HELD_HZ
+    return next(b for a, b in pairwise(rises) if b - a > allowed)
+
+
+def rates(bench: Bench) -> Iterator[Row]:
+    """The rate that comes of a feed no motor could follow: mean of 10 ms in the middle of a move,
+    its shortest interval, and whether steps, pins and reported position agree. $0=3."""
+    talk, board = _recorded(bench)
+    for line in _FASTEST:
+        talk.ask(line)
+    for axes in (1, 2, 3):
+        before = _position(board)
+        board.pico.edges.clear()
+        talk.ask("G91 G1 " + "".join(f"{axis}{_FAST_MM}" for axis in "XYZ"[:axes]) + "F999999")
+        idle(talk)
+        tracks = [[us for us, _ in steps(board.pico.edges, axis)] for axis in range(axes)]
+        after = _position(board)
+        middle = (tracks[0][0] + tracks[0][-1]) / 2
+        gaps = [
+            b - a
+            for track in tracks
+            for a, b in pairwise(track)
+            if abs(a - middle) < _CRUISE_US / 2
+        ]
+        name = f"{axes} axis" if axes == 1 else f"{axes} axes"
+        yield Row(f"step rate, {name}", 1e3 * len(gaps) / sum(gaps), "kHz each", name)
+        yield Row(f"step rate, {name}, shortest interval", min(gaps), "us")
+        due = _FAST_MM * _STEPS_MM
+        wrong = sum(abs(len(track) - due) for track in tracks)
+        wrong += sum(abs(b - a - _FAST_MM) > 0.5 / _STEPS_MM for a, b in zip(before, after[:axes]))
+        yield Row(f"step rate, {name}, steps missing or reported wrong", wrong)
+    board.pico.edges.clear()
+    set_up(talk)
+
+
+def _position(board: Board) -> "list[float]":
+    return [float(x) for x in board.status()["MPos"].split(",")]

@@ -1,0 +1,57 @@
+"""MicroPython's raw prompt over a Wire: it gives a real board our commands, and runs code."""
+
+from wire import Talk
+
+_RAW = b"raw REPL; CTRL-B to exit\r\n>"
+_CODE_US = 20_000_000
+
+
+def leave_firmware(talk: Talk) -> None:
+    """From the machine at rest to the raw prompt; its objects are still there."""
+    talk.wire.received.clear()
+    talk.wire.send(b"\x03\x03\x03")
+    talk.wait(b"Here is the REPL")
+    _raw(talk)
+
+
+def begin_bare(talk: Talk) -> None:
+    """To the raw prompt of a board that has no program."""
+    talk.pause_us(50_000)
+    talk.wire.send(b"\r\x03")
+    talk.wait(b">>> ")
+    _raw(talk)
+
+
+def _raw(talk: Talk) -> None:
+    talk.pause_us(5_000)
+    talk.wire.send(b"\x01")
+    talk.wait(_RAW)
+
+
+def run(talk: Talk, code: str) -> str:
+    """Run code at the raw prompt; returns what it prints. RuntimeError if it raises."""
+    talk.wire.received.clear()
+    talk.wire.send(code.encode() + b"\x04")
+    talk.wait(b"\x04>", _CODE_US)
+    said, wrong, _ = talk.wire.received.decode("latin-1").removeprefix("OK").split("\x04", 2)
+    if wrong:
+        raise RuntimeError(wrong)
+    return said
+
+
+def start_firmware(talk: Talk, main: bytes) -> None:
+    """A soft reset, and the firmware with this program in place of main.py, kept nowhere."""
+    talk.wire.received.clear()
+    talk.wire.send(b"\x04")
+    talk.wait(_RAW)
+    talk.wire.received.clear()
+    talk.wire.send(main + b"\x04")
+    talk.wait(b"Grbl 1.1h")
+    talk.pause_us(300_000)
+
+
+def restart(talk: Talk) -> None:
+    """From the raw prompt back to the firmware as it is on the board."""
+    talk.wire.received.clear()
+    talk.wire.send(b"\x02\x04")
+    talk.wait(b"Grbl 1.1h")

@@ -1,0 +1,58 @@
+"""Rows of the table, and what Grbl 1.1h does on its own chip beside them."""
+
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+_RECORDED = Path(__file__).resolve().parents[3] / "shared" / "grbl-performance.json"
+
+# Recorded cycle by cycle on an emulated ATmega328P at 16 MHz: where it is in grbl-performance.json
+# (in the project's shared folder), what it says there, unit.
+_GRBL: "dict[str, tuple[tuple[str, ...], Any, str]]" = {
+    "streamed": (("b_lines_per_second", "xy_22_chars_115200"), 350, "lines/s"),
+    "checked": (("b_lines_per_second", "check_mode_g1_22_chars_fast_serial"), 1330, "lines/s"),
+    "empty": (("b_lines_per_second", "empty_lines_fast_serial"), 20849, "empty lines/s"),
+    "asked at rest": (
+        ("c_status_query_latency_us", "idle"),
+        [40, 46, 52],
+        "us: least, mean, most",
+    ),
+    "asked": (
+        ("c_status_query_latency_us", "streaming_short_segments_367_lines_per_s"),
+        [124, 1025, 2881],
+        "us: least, mean, most",
+    ),
+    "held": (("d_feed_hold", "x_10kHz"), [40.1, 44.9, 49.7], "ms: least, mean, most"),
+    "1 axis": (("a_step_rate_hz", "one_axis", "quiet"), 32000, "Hz (10 us)"),
+    "2 axes": (("a_step_rate_hz", "two_axes", "quiet"), 29000, "Hz (10 us)"),
+    "3 axes": (("a_step_rate_hz", "three_axes", "quiet"), 26500, "Hz (10 us)"),
+    "first start": (("f_boot_ms", "blank_memory_banner_complete"), 401.9, "ms"),
+    "start": (("f_boot_ms", "banner_line_complete"), 28.41, "ms"),
+}
+
+
+class Row(NamedTuple):
+    """A line of the table. grbl: a key of the figures above, if there is one."""
+
+    name: str
+    figure: float
+    unit: str = ""
+    grbl: str = ""
+
+    def text(self) -> str:
+        """As it is printed."""
+        figure = f"{self.figure:.0f}" if abs(self.figure) >= 1000 else f"{self.figure:.2f}"
+        beside = f"Grbl {grbl(self.grbl)}" if self.grbl else ""
+        return f"{self.name:<48}{figure:>9} {self.unit:<8} {beside}".rstrip()
+
+
+def grbl(key: str) -> str:
+    """Grbl's figure: from its record where that is at hand, or as we have noted it."""
+    path, noted, unit = _GRBL[key]
+    figure = noted
+    if _RECORDED.is_file():
+        figure = json.loads(_RECORDED.read_text(encoding="utf-8"))
+        for part in path:
+            figure = figure[part]
+    text = ", ".join(map(str, figure)) if isinstance(figure, list) else str(figure)
+    return f"{text} {unit}"

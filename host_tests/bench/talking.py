@@ -1,0 +1,204 @@
+"""Rows that a sender can measure, and those that our own commands tell from inside."""
+
+from collections.abc import Iterable, Iterator
+
+import prompt
+from bench_setup import Bench, inside, reset, set_up
+from on_board import GAPS, MAIN, STAGES
+from rows import Row
+from streaming import (
+    Streamed,
+    arcs,
+    comments,
+    figures,
+    gentle_moves,
+    idle,
+    query_idle_us,
+    raster,
+    short_moves,
+    stream,
+)
+from wire import EmulatedWire, Talk
+
+_ASKED = 700  # lines/s that the feed of the short moves makes of them
+_TOO_MUCH = 1200  # the same where the firmware is to be the limit
+_CHORD_MM = 0.05
+_BLOCKS = 15
+_QUERY_US = 40_000
+
+
+def _moves(count: int = 200) -> "list[str]":
+    return _at(_ASKED, short_moves(count))
+
+
+def _at(lines_s: int, moves: "Iterable[str]") -> "list[str]":
+    """Moves of 0.05 mm with a feed that makes so many a second of them."""
+    return [line.replace("F9000", f"F{lines_s * _CHORD_MM * 60:.0f}") for line in moves]
+
+
+def _at_start(talk: Talk) -> None:
+    for line in ("G90", "G0X10Y10"):
+        talk.ask(line)
+    idle(talk)
+
+
+def boot(bench: Bench) -> Iterator[Row]:
+    """Power-up to the welcome's last byte; memory is asked for at the prompt after Ctrl-C."""
+    first = bench.board().boot(until="for help]\r\n")
+    yield Row("power-up to welcome, first start", first.pico.us / 1000, "ms", "first start")
+    first.settled()
+    board = bench.board()
+    board.pico.put_file_system(first.pico.flash_image())
+    board.boot(until="for help]\r\n")
+    yield Row("power-up to welcome, settings kept", board.pico.us / 1000, "ms", "start")
+    board.ask("")
+    talk = Talk(EmulatedWire(board))
+    prompt.leave_firmware(talk)
+    free = prompt.run(talk, "import gc\ngc.collect()\nprint(gc.mem_free())")
+    yield Row("memory free, nothing but the firmware", int(free) / 1000, "kB")
+
+
+def memory(bench: Bench) -> Iterator[Row]:
+    """Heap while the machine runs, with the benchmark's commands on it. The first collection has
+    the garbage of lines that left some, the others have none."""
+    talk = bench.talk(MAIN)
+    _at_start(talk)
+    stream(talk, [f"G1G90X{10 + k % 9}F9000" for k in range(12)], _BLOCKS)
+    idle(talk)
+    mean, longest = inside(talk, "$COLLECT=6")
+    yield Row("a collection, mean", mean / 1000, "ms")
+    yield Row("a collection, longest", longest / 1000, "ms")
+    (free,) = inside(talk, "$FREE")
+    yield Row("memory free with the benchmark's commands", free / 1000, "kB")
+
+
+def heap(bench: Bench) -> Iterator[Row]:
+    """Bytes that a line leaves on the heap, collections off: the difference of a longer and a
+    shorter stream of the same kind, so that what comes before and after does not count, but for
+    some blocks of 16; a difference below 0 is shown as none."""
+    talk = bench.talk(MAIN)
+    talk.ask("$32=1")
+    kinds = {
+        "G1 X Y": (_moves(48), "M5"),
+        "G1 X S in M4": (list(raster(48)), "M4S0"),
+        "half circle of 1 mm": (list(arcs(6)), "M5"),
+    }
+    for name, (sent, spindle) in kinds.items():
+        for line in (spindle, "G90G1X10Y10F4000"):
+            talk.ask(line)
+        third = len(sent) // 3
+        fewer = _left(talk, sent[:third])
+        more = _left(talk, sent[third:])
+        left = (more - fewer) / (len(sent) - 2 * third)
+        yield Row(f"heap per line, {name}", max(left, 0), "bytes")
+    idle(talk)
+    talk.ask("M5")
+    talk.ask("$32=0")
+
+
+def _left(talk: Talk, sent: "list[str]") -> int:
+    """Bytes that these lines leave, and the way there and back."""
+    idle(talk)
+    inside(talk, "$COLLECT=1")
+    inside(talk, "$GC=0")
+    (before,) = inside(talk, "$ALLOC")
+    stream(talk, sent, _BLOCKS)
+    (after,) = inside(talk, "$ALLOC")
+    inside(talk, "$GC=1")
+    return after - before
+
+
+def queries(bench: Bench) -> Iterator[Row]:
+    """Status reports at rest: from `?` to the first byte of the answer, and to its last."""
+    talk = bench.talk(MAIN)
+    first, whole = query_idle_us(talk, 8)
+    yield Row("? at rest, to the first byte, mean", figures(first)[0], "ms", "asked at rest")
+    yield Row("? at rest, whole answer, mean", figures(whole)[0], "ms")
+    yield Row("? at rest, whole answer, worst", figures(whole)[1], "ms")
+
+
+def lines(bench: Bench) -> Iterator[Row]:
+    """Streams of short moves, by character counting. The first two turn corners, which limit
+    them; on a gentle curve the machine could go faster than lines come."""
+    talk = bench.talk(MAIN)
+    _at_start(talk)
+    made = stream(talk, _moves(), _BLOCKS)
+    yield Row(f"short moves, {_ASKED} asked", made.lines_s, "lines/s", "streamed")
+    _at_start(talk)
+    made = stream(talk, _moves(), _BLOCKS, query_every_us=_QUERY_US)
+    yield Row("short moves with ? every 40 ms", made.lines_s, "lines/s")
+    yield Row("least blocks in the planner then", made.waiting)
+    yield from _queried(made)
+    _at_start(talk)
+    made = stream(talk, _at(_TOO_MUCH, gentle_moves(200)), _BLOCKS)
+    yield Row(f"short moves on a gentle curve, {_TOO_MUCH} asked", made.lines_s, "lines/s")
+    idle(talk)
+    talk.ask("$C")
+    made = stream(talk, _moves(), _BLOCKS)
+    yield Row("short moves, check mode", made.lines_s, "lines/s", "checked")
+    talk.wire.send(b"$C\n")
+    talk.wait(b"Grbl")
+    talk.pause_us(20_000)
+
+
+def _queried(made: Streamed) -> Iterator[Row]:
+    """How long status reports took in a stream."""
+    first, whole = figures(made.first_us), figures(made.query_us)
+    yield Row("? while streaming, to the first byte, mean", first[0], "ms", "asked")
+    yield Row("? while streaming, to the first byte, worst", first[1], "ms")
+    yield Row("? while streaming, whole answer, mean", whole[0], "ms")
+    yield Row("? while streaming, whole answer, worst", whole[1], "ms")
+
+
+def special_lines(bench: Bench) -> Iterator[Row]:
+    """A laser's raster, and arcs."""
+    talk = bench.talk(MAIN)
+    for line in ("$32=1", "M4S0", "G90G1X10Y10F4000"):
+        talk.ask(line)
+    idle(talk)
+    made = stream(talk, list(raster(120)), _BLOCKS)
+    yield Row("raster, G1 X S in M4", made.lines_s, "lines/s")
+    _at_start(talk)
+    made = stream(talk, list(arcs(8)), _BLOCKS)
+    yield Row("half circles of 1 mm", made.lines_s, "lines/s")
+    idle(talk)
+    talk.ask("M5")
+    talk.ask("$32=0")
+
+
+def stages(bench: Bench) -> Iterator[Row]:
+    """Microseconds of a line's stages, as on_board.py says. Receive: USB, the link, the ring and
+    the loop, which is what a comment costs from end to end less its cleaning, the vain call of
+    the short path and the answer. The sum without planning is to be held against a line in check
+    mode, which has a look at the link more in every other line."""
+    talk = bench.talk(STAGES)
+    total_us = 1e6 / stream(talk, list(comments(150)), _BLOCKS).lines_s
+    idle(talk)
+    talk.ask("$C")
+    checked_us = 1e6 / stream(talk, list(short_moves(150)), _BLOCKS).lines_s
+    call, read, judged, moved, plan, *more = (x / 10 for x in inside(talk, "$STAGE"))
+    taken, checked, executed, clean, comment, answer = more
+    reset(talk)
+    yield Row("a comment, from end to end", total_us, "us", "empty")
+    short = (total_us - comment - call, clean, read, judged, call + moved, answer, plan)
+    names = ("receive", "clean", "words", "check", "execute", "answer", "plan")
+    for name, us in zip(names, short):
+        yield Row(f"a plain line: {name}", us, "us")
+    yield Row("a plain line: sum without plan", sum(short[:-1]), "us")
+    yield Row("a plain line in check mode, from end to end", checked_us, "us")
+    for name, us in zip(names[2:5], (taken, checked, executed)):
+        yield Row(f"a line the long way: {name}", us, "us")
+
+
+def gaps(bench: Bench) -> Iterator[Row]:
+    """The longest time from one look at the link to the next, while lines stream; a collection
+    that falls in counts."""
+    talk = bench.talk(GAPS)
+    for name, sent in (("short moves", _moves(120)), ("half circles", list(arcs(6)))):
+        _at_start(talk)
+        inside(talk, "$GAP")
+        stream(talk, sent, _BLOCKS, query_every_us=_QUERY_US)
+        (longest,) = inside(talk, "$GAP")
+        yield Row(f"longest gap between services, {name}", longest / 1000, "ms")
+    idle(talk)
+    set_up(talk)
