@@ -86,6 +86,7 @@ class Motion:
         self._point = vector(planner.axes)
         self.travel = array("i", (planner.axes, 0) + (0,) * planner.axes)
         self._flow = planner.flow
+        self.power = 0  # of the spindle, as the last line has it
 
     def connect(self, service: "Callable[[], None]", realtime: "Realtime") -> None:
         """Say how to wait, and whom to tell of an alarm."""
@@ -114,7 +115,8 @@ class Motion:
             self.auto_start()
             self.service()
             found = judge(target, self.travel, self._flow)
-        if not self.planner.line(target, move, self.power(move)) and self._spindle.laser:
+        self.power = self._power(move)
+        if not self.planner.line(target, move, self.power) and self._spindle.laser:
             # A laser's S takes effect even where there is no way to go.
             if move.flags & plan.SPINDLE_CW:
                 self.spin(plan.SPINDLE_CW, move.spindle_rpm)
@@ -125,7 +127,7 @@ class Motion:
         if self._state.run == st.IDLE and not self.planner.empty():
             self._realtime.start(st.JOG)
 
-    def power(self, move: "Move") -> int:
+    def _power(self, move: "Move") -> int:
         """Spindle power of a planner block: in laser mode M4 makes it follow speed."""
         if not move.flags & plan.SPINDLE_MASK:
             return 0

@@ -197,9 +197,9 @@ def follow(
 
 
 @micropython.viper
-def keep(value: ptr32, known: ptr32, at: int) -> int:
-    """Make a float known, as its bits."""
-    known[at] = value[0]
+def put(source: ptr32, at: int, target: ptr32, to: int) -> int:
+    """Copy the bits of one float."""
+    target[to] = source[at]
     return 0
 
 
@@ -282,7 +282,7 @@ class Plain:
 
     def _keep(self, at: int, value: float) -> None:
         self._float[0] = value
-        keep(self._float, self._known, at)
+        put(self._float, 0, self._known, at)
 
     def _set(self) -> None:
         """How lines move from now on, unless they say otherwise."""
@@ -292,6 +292,7 @@ class Plain:
         seeks = gcode.modal.motion == b.SEEK
         known[MODE] = HAS_G0 if seeks else HAS_G1
         self._keep(FEED, gcode.feed)
+        known[_RATE] = reals.real(gcode.feed / 60)
         move.feed = gcode.feed
         move.spindle_rpm = 0.0 if seeks and known[LASER] else gcode.spindle_rpm
         move.flags = gcode.accessory_flags()
@@ -321,13 +322,13 @@ class Plain:
     def _take_news(self, seen: int) -> None:
         """A line changes motion mode, feed rate, or a laser's power."""
         gcode = self._gcode
-        values = memoryview(self._known)[VALUES:]
+        known = self._known
         if seen & HAS_S:
-            copy(values[_S:], self._float, 1)
+            put(known, VALUES + _S, self._float, 0)
             gcode.spindle_rpm = self._move.spindle_rpm = self._float[0]
-            self._known[_POWER] = _UNTOLD
+            known[_POWER] = _UNTOLD
         if seen & HAS_F:
-            copy(values[_F:], self._float, 1)
+            put(known, VALUES + _F, self._float, 0)
             gcode.feed = self._float[0]
         if seen & (HAS_G0 | HAS_G1):
             gcode.modal.motion = b.SEEK if seen & HAS_G0 else b.LINEAR
@@ -339,6 +340,5 @@ class Plain:
         move = self._move
         known = self._known
         known[_FLAGS] = move.flags
-        known[_RATE] = reals.real(move.feed / 60)
         self._keep(_RPM, move.spindle_rpm)
-        known[_POWER] = 0 if known[DRY] else self._motion.power(move)
+        known[_POWER] = 0 if known[DRY] else self._motion.power

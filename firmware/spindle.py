@@ -90,8 +90,10 @@ class Spindle:
             return 0
         if not flags & kernels.DYNAMIC:
             return self.power(rpm)
-        rpm = min(rpm * self._state.spindle_override / 100, self._max_rpm)
-        return int(rpm * self._gradient * 64) if self._gradient else 0
+        percent = self._state.spindle_override
+        if percent != 100:
+            rpm = rpm * percent / 100
+        return int(min(rpm, self._max_rpm) * self._gradient * 64)
 
     def turn(self, direction: int, rpm: float) -> None:
         """Set direction and speed now. In laser mode a reversed spindle begins with no power."""
