@@ -14,22 +14,18 @@ SETTINGS = (
     *("$110=30000", "$111=30000", "$112=30000", "$120=5000", "$121=5000", "$122=5000"),
 )
 
-
-def short_moves(count: int) -> "Iterator[str]":
-    """Lines of 22 characters, moves of 0.05 mm, in slight turns."""
-    x = y = 10.0
-    for k in range(count):
-        x += 0.04 if k % 40 < 20 else -0.04
-        y += 0.03 if k % 20 < 10 else -0.03
-        yield f"G1X{x:06.3f}Y{y:06.3f}F9000"
+_MOVE_MM = 0.05
 
 
-def gentle_moves(count: int) -> "Iterator[str]":
-    """The same on a circle of 20 mm, where no corner makes the machine slow down."""
+def short_moves(count: int, lines_s: float = 3000) -> "Iterator[str]":
+    """Lines of 22 characters, moves of 0.05 mm, with a feed that makes so many a second of them.
+
+    They go round on a circle of 20 mm: no corner makes the machine slow down.
+    """
     for k in range(1, count + 1):
-        angle = 0.05 * k / 20
+        angle = _MOVE_MM * k / 20
         x, y = 30 - 20 * cos(angle), 10 + 20 * sin(angle)
-        yield f"G1X{x:06.3f}Y{y:06.3f}F9000"
+        yield f"G1X{x:06.3f}Y{y:06.3f}F{lines_s * _MOVE_MM * 60:.0f}"
 
 
 def raster(count: int) -> "Iterator[str]":

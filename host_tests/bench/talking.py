@@ -1,6 +1,6 @@
 """Rows that a sender can measure, and those that our own commands tell from inside."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 import prompt
 from bench_setup import Bench, inside, reset, set_up
@@ -11,7 +11,6 @@ from streaming import (
     arcs,
     comments,
     figures,
-    gentle_moves,
     idle,
     query_idle_us,
     raster,
@@ -20,20 +19,10 @@ from streaming import (
 )
 from wire import EmulatedWire, Talk
 
-_ASKED = 700  # lines/s that the feed of the short moves makes of them
+_ASKED = 700  # short moves per second
 _TOO_MUCH = 1200  # the same where the firmware is to be the limit
-_CHORD_MM = 0.05
 _BLOCKS = 15
 _QUERY_US = 40_000
-
-
-def _moves(count: int = 200) -> "list[str]":
-    return _at(_ASKED, short_moves(count))
-
-
-def _at(lines_s: int, moves: "Iterable[str]") -> "list[str]":
-    """Moves of 0.05 mm with a feed that makes so many a second of them."""
-    return [line.replace("F9000", f"F{lines_s * _CHORD_MM * 60:.0f}") for line in moves]
 
 
 def _at_start(talk: Talk) -> None:
@@ -79,7 +68,7 @@ def heap(bench: Bench) -> Iterator[Row]:
     talk = bench.talk(MAIN)
     talk.ask("$32=1")
     kinds = {
-        "G1 X Y": (_moves(48), "M5"),
+        "G1 X Y": (list(short_moves(48)), "M5"),
         "G1 X S in M4": (list(raster(48)), "M4S0"),
         "half circle of 1 mm": (list(arcs(6)), "M5"),
     }
@@ -118,23 +107,19 @@ def queries(bench: Bench) -> Iterator[Row]:
 
 
 def lines(bench: Bench) -> Iterator[Row]:
-    """Streams of short moves, by character counting. The first two turn corners, which limit
-    them; on a gentle curve the machine could go faster than lines come."""
+    """Streams of short moves, by character counting."""
     talk = bench.talk(MAIN)
     _at_start(talk)
-    made = stream(talk, _moves(), _BLOCKS)
-    yield Row(f"short moves, {_ASKED} asked", made.lines_s, "lines/s", "streamed")
-    _at_start(talk)
-    made = stream(talk, _moves(), _BLOCKS, query_every_us=_QUERY_US)
-    yield Row("short moves with ? every 40 ms", made.lines_s, "lines/s")
+    made = stream(talk, list(short_moves(200, _ASKED)), _BLOCKS, query_every_us=_QUERY_US)
+    yield Row(f"short moves, {_ASKED} asked, ? every 40 ms", made.lines_s, "lines/s", "streamed")
     yield Row("least blocks in the planner then", made.waiting)
     yield from _queried(made)
     _at_start(talk)
-    made = stream(talk, _at(_TOO_MUCH, gentle_moves(200)), _BLOCKS)
-    yield Row(f"short moves on a gentle curve, {_TOO_MUCH} asked", made.lines_s, "lines/s")
+    made = stream(talk, list(short_moves(200, _TOO_MUCH)), _BLOCKS)
+    yield Row(f"short moves, {_TOO_MUCH} asked", made.lines_s, "lines/s", "streamed")
     idle(talk)
     talk.ask("$C")
-    made = stream(talk, _moves(), _BLOCKS)
+    made = stream(talk, list(short_moves(200)), _BLOCKS)
     yield Row("short moves, check mode", made.lines_s, "lines/s", "checked")
     talk.wire.send(b"$C\n")
     talk.wait(b"Grbl")
@@ -153,7 +138,7 @@ def _queried(made: Streamed) -> Iterator[Row]:
 def special_lines(bench: Bench) -> Iterator[Row]:
     """A laser's raster, and arcs."""
     talk = bench.talk(MAIN)
-    for line in ("$32=1", "M4S0", "G90G1X10Y10F4000"):
+    for line in ("$32=1", "M4S0", "G90G1X10Y10F9000"):
         talk.ask(line)
     idle(talk)
     made = stream(talk, list(raster(120)), _BLOCKS)
@@ -194,7 +179,7 @@ def gaps(bench: Bench) -> Iterator[Row]:
     """The longest time from one look at the link to the next, while lines stream; a collection
     that falls in counts."""
     talk = bench.talk(GAPS)
-    for name, sent in (("short moves", _moves(120)), ("half circles", list(arcs(6)))):
+    for name, sent in (("short moves", list(short_moves(120))), ("half circles", list(arcs(6)))):
         _at_start(talk)
         inside(talk, "$GAP")
         stream(talk, sent, _BLOCKS, query_every_us=_QUERY_US)
