@@ -19,7 +19,7 @@ from kernels import copy
 from kernels import plan as plan_block
 from micropython import const
 from motion import judge
-from words import add_single, number
+from words import add_single, number, to_mm
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -61,9 +61,10 @@ _POWER = const(8)
 _RATE = const(9)
 _RPM = const(10)
 _UNTOLD = const(0x3FFFFFFF)
-# the line's numbers, by their bit; and what is added to places, per axis.
+# the line's numbers, by their bit; whether they are inches; what is added to places, per axis.
 VALUES = const(11)
-OFFSETS = const(20)
+INCHES = const(20)
+OFFSETS = const(21)
 
 # From motion.py and kernels.py.
 _OUTSIDE = const(1)
@@ -122,7 +123,7 @@ def read(text: ptr8, length: int, known: ptr32) -> int:
     mode = mode or known[MODE]
     rate = known[FEED]
     if seen & HAS_F:
-        if known[VALUES + _F] == rate:
+        if known[VALUES + _F] == rate and known[INCHES] == 0:
             seen ^= HAS_F
         rate = known[VALUES + _F]
     if mode == HAS_G1:
@@ -136,6 +137,8 @@ def place(known: ptr32, seen: int, position: ptr32, target: ptr32) -> int:
     for i in range(known[AXES]):
         if (seen >> i) & 1:
             target[i] = known[VALUES + i]
+            if known[INCHES]:
+                to_mm(target, i)
             if known[RELATIVE]:
                 add_single(position, i, target, i)
             elif known[OFFSETS + i]:
@@ -266,7 +269,7 @@ class Plain:
         coords = gcode.coords
         known = self._known
         is_plain = (
-            not (modal.inches or modal.inverse_time or gcode.tool)
+            not (modal.inverse_time or gcode.tool)
             and modal.motion in (b.SEEK, b.LINEAR)
             and coords.tool_length == 0
         )
@@ -275,6 +278,7 @@ class Plain:
             for i in range(gcode.axes):
                 self._keep(OFFSETS + i, coords.work_offset(i))
             known[RELATIVE] = modal.relative
+            known[INCHES] = modal.inches
             known[LIMITED] = self._settings.soft_limits
             known[DRY] = self._state.run == st.CHECK
             known[LASER] = self._spindle.laser
@@ -329,6 +333,8 @@ class Plain:
             known[_POWER] = _UNTOLD
         if seen & HAS_F:
             put(known, VALUES + _F, self._float, 0)
+            if known[INCHES]:
+                to_mm(self._float, 0)
             gcode.feed = self._float[0]
         if seen & (HAS_G0 | HAS_G1):
             gcode.modal.motion = b.SEEK if seen & HAS_G0 else b.LINEAR

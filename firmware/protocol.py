@@ -73,7 +73,7 @@ class Protocol:
         write, ok = self._link.write, OK  # what report.ok() does
         pump = self.pump
         echoes = self._echoes
-        waiting = False
+        every_other = False
         while True:
             found = take()
             if found == NOTHING:
@@ -88,9 +88,9 @@ class Protocol:
                 self._report.error(errors.OVERFLOW)
             elif state.run & _LOCKED == 0 and not echoes and follow(line, found >> 2):
                 write(ok)
-                waiting = not waiting
-                if waiting:
-                    pump()  # after every other one
+                every_other = not every_other
+                if every_other:
+                    pump()
             else:
                 self.execute(line, found >> 2)
 

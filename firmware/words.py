@@ -133,6 +133,36 @@ def scan(text: ptr8, span: int, letters: ptr8, values: ptr32) -> int:
 
 
 @micropython.viper
+def to_mm(values: ptr32, at: int) -> int:
+    """Make the inches in values[at] millimetres: times 25.4, all in single precision."""
+    exponent = (values[at] >> 23) & 255
+    if exponent == 0:
+        return 0
+    number = (values[at] & 0x7FFFFF) | 0x800000
+    middle = (number >> 12) * 0x333 + (number & 0xFFF) * 0xCB3
+    low = (number & 0xFFF) * 0x333 + ((middle & 0xFFF) << 12)
+    number = (number >> 12) * 0xCB3 + (middle >> 12) + (low >> 24)
+    low &= 0xFFFFFF
+    exponent += 5
+    if number < 1 << 23:
+        number = (number << 1) | (low >> 23)
+        low = (low << 1) & 0xFFFFFF
+        exponent -= 1
+    if low > 0x800000 or (low == 0x800000 and number & 1):
+        number += 1
+    if number >> 24:
+        number >>= 1
+        exponent += 1
+    if exponent > 254:
+        exponent = 255  # infinite
+        number = 0
+    sign = ptr8(values)[4 * at + 3] & 128
+    values[at] = (exponent << 23) | (number & 0x7FFFFF)
+    ptr8(values)[4 * at + 3] = ptr8(values)[4 * at + 3] | sign
+    return 0
+
+
+@micropython.viper
 def add_single(a: ptr32, i: int, b: ptr32, j: int) -> int:
     """Make b[j] the sum of a[i] and b[j], all bits of single-precision floats, rounded to even."""
     sign_a = ptr8(a)[4 * i + 3] >> 7

@@ -107,6 +107,8 @@ program = st.lists(
 @given(program, st.booleans())
 @example(["F300", "G1X1", "X2", "X3S5", "G91", "X1", "X1", "X1"], True)
 @example(["M4S100F300", "G1X1", "X2", "X2", "X3S5", "G0X4", "X5", "G1X6"], True)
+@example(["G20", "G1X1F20", "X2", "X-2.3F508", "X1Y0.333F20", "G0X4", "G91", "X-0.1"], False)
+@example(["G20", "G92X0.3", "G1X1F20", "X2", "X-2.3", "X0.1", "Y-0.0625", "Y0"], False)
 @example(["M3S100F300", "G1X1", "X2", "X2", "X3", "T3", "X4", "X5", "X6", "X7"], False)
 def test_the_short_path_does_what_the_long_one_does(lines: "list[str]", laser: bool) -> None:
     short, long = Bench(laser, True), Bench(laser, False)

@@ -5,10 +5,11 @@ from array import array
 from math import isfinite
 
 import pytest
+from f32 import MM_PER_INCH
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from oracle import read_number, read_words, single
-from words import Words, add_single, bare, scan
+from words import Words, add_single, bare, scan, to_mm
 
 
 def bits(x: float) -> int:
@@ -90,6 +91,16 @@ def test_an_offset_is_added_as_in_single_precision(value: float, offset: float) 
     assume(expected == 0 or 2.0**-126 <= abs(expected))
     add_single(a, 0, b, 0)
     assert (b[0] == 0) if expected == 0 else bits(b[0]) == bits(expected)
+
+
+@given(places)
+@example(1e37)
+@example(1.0000001)
+def test_inches_become_millimetres_as_in_single_precision(value: float) -> None:
+    inches = array("f", [value])
+    expected = single(inches[0] * MM_PER_INCH)
+    to_mm(inches, 0)
+    assert bits(inches[0]) == bits(expected)
 
 
 def test_a_sum_beyond_single_precision_is_not_finite() -> None:
