@@ -111,16 +111,21 @@ def _non_modal(gcode: "Gcode", block: "Block") -> int:
     if block.claim != b.AXES_TOOL_LENGTH and block.values & b.AXIS_WORDS:
         _target(gcode, block)
     if command in (b.GO_G28, b.GO_G30):
-        stored = gcode.coords.systems[G28 if command == b.GO_G28 else G30]
-        axis_words = block.values & b.AXIS_WORDS
-        if not axis_words:
-            block.claim = b.AXES_UNCLAIMED
-        for i in range(gcode.axes):
-            here = axis_words and not axis_words >> i & 1
-            gcode.stored[i] = gcode.position[i] if here else stored[i]
+        _stored(gcode, block)
     elif command == b.ABSOLUTE_OVERRIDE and block.modal.motion not in (b.SEEK, b.LINEAR):
         raise GrblError(errors.GCODE_G53_INVALID_MOTION_MODE)
     return 0
+
+
+def _stored(gcode: "Gcode", block: "Block") -> None:
+    """Where G28 or G30 is to go."""
+    stored = gcode.coords.systems[G28 if block.non_modal == b.GO_G28 else G30]
+    axis_words = block.values & b.AXIS_WORDS
+    if not axis_words:
+        block.claim = b.AXES_UNCLAIMED
+    for i in range(gcode.axes):
+        here = axis_words and not axis_words >> i & 1
+        gcode.stored[i] = gcode.position[i] if here else stored[i]
 
 
 def _set_coords(gcode: "Gcode", block: "Block") -> int:

@@ -172,7 +172,8 @@ class Gcode:
         modal.inches = new.inches
         self._set_offsets(block)
         modal.relative = new.relative
-        self._non_modal(block, move)
+        if block.non_modal != b.NO_ACTION:
+            self._non_modal(block, move)
         modal.motion = new.motion
         if block.claim == b.AXES_MOTION and modal.motion != b.NO_MOTION:
             self._go(block, move)
@@ -255,12 +256,17 @@ class Gcode:
         elif motion in (b.CW_ARC, b.CCW_ARC):
             self._motion.arc(self.position, block.xyz, self.arc, move)
         else:
-            move.flags |= plan.NO_FEED_OVERRIDE
-            away = motion in (b.PROBE_AWAY, b.PROBE_AWAY_NO_ALARM)
-            alarms = motion in (b.PROBE_TOWARD, b.PROBE_AWAY)
-            if not self._cycles.probe(block.xyz, move, away, alarms):
-                return  # position has been taken care of, or has not changed
+            self._probe(block, move)
+            return
         self.position[:] = block.xyz
+
+    def _probe(self, block: "Block", move: "plan.Move") -> None:
+        motion = self.modal.motion
+        move.flags |= plan.NO_FEED_OVERRIDE
+        away = motion in (b.PROBE_AWAY, b.PROBE_AWAY_NO_ALARM)
+        alarms = motion in (b.PROBE_TOWARD, b.PROBE_AWAY)
+        if self._cycles.probe(block.xyz, move, away, alarms):
+            self.position[:] = block.xyz  # otherwise it has been seen to, or has not changed
 
     def _flow(self, flow: int) -> None:
         if flow == b.RUNNING:

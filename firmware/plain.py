@@ -266,23 +266,25 @@ class Plain:
         """A line went the long way: see whether those that only move are plain ones now."""
         gcode = self._gcode
         modal = gcode.modal
-        coords = gcode.coords
         known = self._known
         is_plain = (
             not (modal.inverse_time or gcode.tool)
             and modal.motion in (b.SEEK, b.LINEAR)
-            and coords.tool_length == 0
+            and gcode.coords.tool_length == 0
         )
         known[AXES] = gcode.axes if is_plain else 0
         if is_plain:
-            for i in range(gcode.axes):
-                self._keep(OFFSETS + i, coords.work_offset(i))
+            self._keep_offsets()
             known[RELATIVE] = modal.relative
             known[INCHES] = modal.inches
             known[LIMITED] = self._settings.soft_limits
             known[DRY] = self._state.run == st.CHECK
             known[LASER] = self._spindle.laser
             self._set()
+
+    def _keep_offsets(self) -> None:
+        for i in range(self._gcode.axes):
+            self._keep(OFFSETS + i, self._gcode.coords.work_offset(i))
 
     def _keep(self, at: int, value: float) -> None:
         self._float[0] = value
@@ -304,24 +306,25 @@ class Plain:
             move.flags |= plan.RAPID
         known[_POWER] = _UNTOLD
 
-    @micropython.native  # its call frame is on the stack then, not on the heap
     def execute(self, line: bytearray, length: int) -> bool:
         """Execute a plain line; False where it is none, and nothing has changed."""
-        gcode = self._gcode
         known = self._known
         seen = read(line, length, known) if known[AXES] else 0
         if not seen:
             return False
         if seen & _NEWS:
             self._take_news(seen)
-        move = self._move
-        move.line_number = line_number(known, seen)
-        place(known, seen, gcode.position, self._target)
-        self._motion.line(self._target, move)
-        copy(self._target, gcode.position, gcode.axes)
+        self._go(seen)
         if known[_POWER] == _UNTOLD:
             self._tell()
         return True
+
+    def _go(self, seen: int) -> None:
+        """Go where the line says, as soon as there is room for it."""
+        self._move.line_number = line_number(self._known, seen)
+        place(self._known, seen, self._gcode.position, self._target)
+        self._motion.line(self._target, self._move)
+        copy(self._target, self._gcode.position, self._gcode.axes)
 
     def _take_news(self, seen: int) -> None:
         """A line changes motion mode, feed rate, or a laser's power."""

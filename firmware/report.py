@@ -274,10 +274,13 @@ class Report:
         form = self._form
         if self._settings.report_inches:
             form = form.replace(b"3", b"4")
-            for i in range(self._axes):
-                self._shown[i] = mm[i] * INCH_PER_MM
-            mm = self._shown
+            mm = self._in_inches(mm)
         write(form, text, ints, mm)
+
+    def _in_inches(self, mm: "array[float]") -> "array[float]":
+        for i in range(self._axes):
+            self._shown[i] = mm[i] * INCH_PER_MM
+        return self._shown
 
     def _finish(self) -> None:
         """Send what has been written."""
