@@ -41,10 +41,11 @@ _CTRL_X = const(24)
 # A host that does not read for so long is taken for absent, and is not waited for any more.
 _DEAF_MS = const(250)
 
-# Answers wait for others, up to so many bytes, and until nothing has come for so many turns:
-# to send takes USB as long as a line takes to be read.
+# Answers of a line wait for others, up to so many bytes, and until nothing has come for so many
+# turns: to send takes USB as long as a line takes to be read. What is longer is sent at once.
 _OUT_BYTES = const(64)
 _QUIET_TURNS = const(3)
+_ANSWER = const(16)
 
 # With a count of bytes: there is more to see to.
 _NOTE = const(0x100)
@@ -104,9 +105,9 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
 
 @micropython.viper
 def _keep(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
-    """Put data behind what waits to be sent. Returns whether there was room."""
+    """Put an answer behind those that wait to be sent. Returns 0 where it may not wait."""
     length = at[_LENGTH]
-    if length + count > _OUT_BYTES:
+    if count > _ANSWER or length + count > _OUT_BYTES:
         return 0
     for i in range(count):
         out[length + i] = data[i]
@@ -264,7 +265,7 @@ class UsbLink:
         return count
 
     def _send_now(self, data: "bytes | bytearray | memoryview") -> None:
-        """There is no room for more to wait."""
+        """Send what waits, and what may not wait."""
         self._flush()
         if not _keep(self._at, self._waiting_out, data, len(data)):
             self._send(data, len(data))

@@ -119,7 +119,7 @@ def test_settings_survive_a_power_cut_and_the_welcome_comes_soon(
     second.wait_for(">G20:ok\r\n")
     assert "$110=1234.500" in second.ask("$$")
     assert "[G55:-3.250,0.000,0.000]" in second.ask("$#")
-    assert "shed" in second.ask("$I")
+    assert "SHED" in second.ask("$I")
     _prompt_and_back(second)
 
 
