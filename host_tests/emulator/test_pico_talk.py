@@ -131,5 +131,5 @@ def _prompt_and_back(machine: Board) -> None:
     assert said == "2\r\n"
     machine.forget()
     machine.send("\x02\x04")  # leave the raw prompt; a soft reset runs main.py
-    machine.wait_for("Grbl 1.1h", 3_000_000)
+    machine.wait_for(">G20:ok\r\n", 3_000_000)  # behind the welcome, the startup line
     assert machine.ask("G90") == "ok\r\n"
