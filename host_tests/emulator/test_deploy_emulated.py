@@ -139,15 +139,16 @@ def test_a_machine_that_moves_is_not_disturbed(uf2: Path, tmp_path: Path) -> Non
 
 
 def test_sources_copied_by_hand_are_replaced(uf2: Path, tmp_path: Path) -> None:
-    """What `mpremote cp -r firmware/. :` leaves would hide what is compiled."""
+    """What `mpremote cp -r firmware/. :` leaves would hide what is compiled. These two have
+    nothing but functions for others, and so work among compiled modules."""
     made = build.for_board(_BOARD)
     sources = {
-        name: (build.paths.FIRMWARE / name).read_bytes() for name in ("words.py", "state.py")
+        name: (build.paths.FIRMWARE / name).read_bytes() for name in ("digits.py", "reals.py")
     }
     there = build.Build(made.arch, {**made.files, **sources, "mine.py": b"mine = 1\n"})
     with pico(uf2, tmp_path, there) as port:
         with grbl(port):
             pass
         code, done = deploy(port)
-        assert (code, done["removed"], done["copied"]) == (0, ["state.py", "words.py"], [])
+        assert (code, done["removed"], done["copied"]) == (0, ["digits.py", "reals.py"], [])
         assert "mine.py" in mpremote(port, "fs", "ls")
