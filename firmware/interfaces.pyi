@@ -25,17 +25,32 @@ class StepEngine(Protocol):
     def max_step_hz(self, pulse_us: int) -> int:
         """Highest rate of one axis with step pulses of pulse_us microseconds."""
 
-    def attach(self, next_segment: NextSegment, on_power: Callable[[int], None]) -> None:
-        """Say where segments come from and who is told the spindle power of each as it starts."""
+    def attach(
+        self,
+        next_segment: NextSegment,
+        on_power: Callable[[int], None],
+        on_rest: Callable[[], None],
+    ) -> None:
+        """Say where segments come from, who is told the spindle power of each as it starts, and
+        who hears, in the engine's interrupt, that motion has come to its end for want of them."""
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
         """Take over $0, $2 and $3. Called at rest only."""
 
+    def arm(self) -> None:
+        """Motion is possible again, after power-up or stop(). For the main loop, which looks
+        behind it whether something has stopped the machine meanwhile."""
+
     def start(self) -> None:
-        """Begin to pull, where the engine had run out of segments."""
+        """Begin to pull, where the engine had run out of segments. A stopped engine stays so."""
 
     def stop(self) -> None:
-        """At once; safe in an interrupt; queued steps are dropped, locks released."""
+        """At once, and for good until arm(); safe in an interrupt, also in one that has come
+        into start() or into the engine's own; queued steps are dropped, locks released."""
+
+    def fault(self) -> str:
+        """What is wrong with the engine, in words: its interrupt has failed, or motion is behind
+        its own schedule. "" as long as nothing is. For the main loop, at every turn."""
 
     def lock(self, axes: int) -> None:
         """These axes (a mask) make no more pulses until stop(); the others go on."""
@@ -56,6 +71,18 @@ class Port(Protocol):
 
     def attach(self, on_limits: Callable[[], None], on_controls: Callable[[], None]) -> None:
         """Who is called, in interrupt context, when one of these inputs changes."""
+
+    def hear_limits(self, on: bool) -> None:
+        """Call on_limits, or leave the limit inputs in peace ($21). An input that has called is
+        not heard again before the next hear_limits(True)."""
+
+    def kill(self) -> None:
+        """Spindle, laser, coolant and punch off; they stay off, whatever is asked of them, until
+        revive(). What an interrupt that has to stop the machine does first; needs little stack."""
+
+    def revive(self) -> None:
+        """They obey again. For the main loop, which looks behind it whether something has
+        stopped the machine meanwhile."""
 
     def watch_probe(self, on_contact: Callable[[], None] | None, closed: bool) -> None:
         """Call on_contact once, in interrupt context, as soon as the probe pin is `closed`."""
