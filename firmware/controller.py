@@ -86,6 +86,7 @@ class Controller:
         engine = self.engine
         engine.configure(settings.step_pulse_us, settings.step_invert, settings.dir_invert)
         self.inputs.configure(settings)
+        self.port.hear_limits(bool(settings.hard_limits))
         self.planner.configure(
             settings,
             engine.tick_hz,
@@ -114,7 +115,7 @@ class Controller:
                 continue
 
     def _power_up(self) -> None:
-        self.engine.attach(self.segments.next, self.spindle.set_power)
+        self.engine.attach(self.segments.next, self.spindle.set_power, self.spindle.rest)
         if not self._loads(self.settings.load):
             # As Grbl: say so, show what holds now.
             self.report.error(errors.SETTING_READ_FAIL)
@@ -122,8 +123,8 @@ class Controller:
             self.commands.show_settings()
         self._loads(self.commands.load)
         self._loads(self.coords.load)
-        self.configure(0)
         self.port.attach(self.realtime.on_limits, self.realtime.on_controls)
+        self.configure(0)
         if self.settings.homing:
             self.state.run = st.ALARM
         self.realtime.power(True)
@@ -155,6 +156,8 @@ class Controller:
         self.realtime.release()
         self.resync()
         state.override_countdown = 0
+        self.port.hear_limits(bool(self.settings.hard_limits))
+        self.realtime.arm()
 
     def _greet(self) -> None:
         state = self.state

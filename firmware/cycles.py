@@ -220,6 +220,7 @@ class Cycles:
                 self._pump()
         engine.stop()
         planner.clear()
+        self._realtime.arm()
 
     def _lock(self, axes: int) -> None:
         if self._corexy and axes & (1 << X | 1 << Y):

@@ -132,8 +132,9 @@ class Punch(Spindle):
 
     def _drive(self, down: bool) -> None:
         self._going_down = down
-        on = 1 if down else 0
-        self._pins.punch(on ^ self._down_invert, on ^ 1 ^ self._up_invert)
+        self._pins.punch(down ^ self._down_invert, (not down) ^ self._up_invert)
+        if down and not self._going_down:
+            self._drive(False)  # an interrupt has brought it up meanwhile
 
     def _sees(self) -> int:
         return self._pins.punch_sensors() ^ self._sensor_invert
@@ -211,7 +212,6 @@ class Punch(Spindle):
             self._lost = True
             if self._state.alarm == 0:
                 self._state.alarm = errors.ALARM_PUNCH_UP
-            self._engine.stop()
             self._realtime.reset()
 
 

@@ -70,6 +70,7 @@ _HIGHEST = const(200)
 # States in which the engine may be running on its own.
 _MOTION = const(0x38)  # RUN | HOLD | JOG
 _HOLDS = const(0xD0)  # HOLD | DOOR | SLEEP
+_PATIENCE = const(3)  # times that motion may be set going in vain
 
 
 class Realtime:
@@ -101,6 +102,9 @@ class Realtime:
         self._moving = False  # the engine was started and has not been seen idle since
         self._settling = False  # it stands still, and the motors are still powered ($1)
         self._since = 0
+        # Where motion stood when it was set going again, and how often that was in vain.
+        self._progress = -1
+        self._futile = 0
 
     def connect(
         self,
@@ -132,13 +136,19 @@ class Realtime:
             self._state.post(st.OVERRIDE)
 
     def reset(self) -> None:
-        """Soft reset: outputs off and motion killed at once, the rest in the next run()."""
+        """Soft reset: tool off and motors stopped at once, the rest in the next run().
+
+        Both stay so, whatever this has interrupted goes on to do, until arm().
+        """
+        try:
+            self._port.kill()
+        finally:
+            self._engine.stop()
         state = self._state
         if state.pending[st.RESET]:
             return
         moving = state.run & (st.RUN | st.HOMING | st.JOG) or state.holding or state.system_motion
         if moving:
-            self._engine.stop()  # before all else: a limit switch has no time to lose
             self.release()
             if state.alarm == 0:
                 state.alarm = errors.ALARM_ABORT_CYCLE
@@ -180,9 +190,12 @@ class Realtime:
     def run(self) -> None:
         """Do what has been asked. Raises Abort after a reset."""
         state = self._state
-        busy = state.pending[st.ANY] or state.suspend or state.alarm or self._settling
-        if not busy and not (self._moving and self._engine.idle()):
-            return  # as nearly always
+        if not (state.pending[st.ANY] or state.suspend or state.alarm or self._settling):
+            if not self._moving:
+                return  # as nearly always
+            if not self._engine.idle():
+                self._watch()
+                return
         self.events()
         if state.suspend:
             self._suspension.begin()
@@ -196,8 +209,11 @@ class Realtime:
         state = self._state
         if state.alarm:
             self._raise_alarm()
-        if self._moving and self._engine.idle():
-            self.release()
+        if self._moving:
+            if self._engine.idle():
+                self.release()
+            else:
+                self._watch()
         if self._settling:
             self._settle()
         if not state.posted():
@@ -325,6 +341,20 @@ class Realtime:
 
     # Motors: they stay powered a little longer than they move ($1)
 
+    def arm(self) -> None:
+        """Motors and tool obey again after a stop, if nothing has come that stops them anew."""
+        self._engine.arm()
+        self._port.revive()
+        if self._state.pending[st.RESET] or self._state.alarm:
+            self._port.kill()
+            self._engine.stop()
+
+    def _watch(self) -> None:
+        """Motion that is behind its own schedule is a fault of ours."""
+        fault = self._engine.fault()
+        if fault:
+            raise RuntimeError(fault)
+
     def start(self, run: int) -> None:
         """Set the machine in motion, in that run state."""
         self._state.run = run
@@ -354,7 +384,7 @@ class Realtime:
     def _settle(self) -> None:
         state = self._state
         if state.run & (st.RUN | st.JOG) and not state.holding and not self._planner.empty():
-            self.start(state.run)  # more has come in the meantime: nothing is lost
+            self._restart()  # more has come in the meantime: nothing is lost
             return
         delay = self._settings.idle_lock_ms
         stay = delay == _FOR_EVER and state.run not in (st.SLEEP, st.ALARM)
@@ -365,6 +395,15 @@ class Realtime:
             self.power(False)
         if state.run & _MOTION or state.system_motion or state.holding:
             state.post(st.CYCLE_STOP)
+
+    def _restart(self) -> None:
+        """Go on with what is planned. Raises RuntimeError where that has led nowhere before."""
+        progress = self._segments.progress()
+        self._futile = self._futile + 1 if progress == self._progress else 0
+        if self._futile > _PATIENCE:
+            raise RuntimeError("motion is planned and none is made")
+        self._progress = progress
+        self.start(self._state.run)
 
     def power(self, on: bool) -> None:
         """Motors on or off ($4)."""

@@ -55,6 +55,11 @@ class Segments:
         """Slow down and come to rest; or go on."""
         self._flow[HOLD] = 1 if on else 0
 
+    def progress(self) -> int:
+        """A number that changes as motion is made."""
+        flow = self._flow
+        return flow[kernels.TAIL] ^ flow[kernels.WHOLE] << 6 ^ flow[LOADED] << 5
+
     def begin_system(self) -> None:
         """Put the block in progress, at rest, aside: the system's own moves come first."""
         if self._saved is None:

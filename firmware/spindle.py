@@ -43,6 +43,7 @@ class Spindle:
         self._answered_rpm = 0.0
         self._answered_power = 0
         self.laser = False
+        self._follows = False  # M4 in laser mode: power follows the speed
 
     def configure(self, settings: "Settings", machine: "array[int]") -> None:
         """Take over $30, $31 and $32."""
@@ -97,6 +98,7 @@ class Spindle:
 
     def turn(self, direction: int, rpm: float) -> None:
         """Set direction and speed now. In laser mode a reversed spindle begins with no power."""
+        self._follows = self.laser and direction == CCW
         if direction == OFF:
             self._state.spindle_rpm = 0.0
             self.stop()
@@ -104,7 +106,7 @@ class Spindle:
             self._direction = CW if self._has_enable else direction
             self._enabled = True
             self._port.direction(1 if self._has_enable or direction == CCW else 0)
-            if self.laser and direction == CCW:
+            if self._follows:
                 rpm = 0.0
             self.set_power(self.power(rpm))
         self._state.override_countdown = 0
@@ -114,6 +116,11 @@ class Spindle:
         if power != self._power:
             self._power = power
             self._port.spindle(power != 0, power)
+
+    def rest(self) -> None:
+        """Motion has come to its end. A beam that follows the speed has none. Interrupt."""
+        if self._follows:
+            self.set_power(0)
 
     def stop(self) -> None:
         """Off, at once; safe in an interrupt."""

@@ -107,6 +107,7 @@ class SimEngine:
         self._held = 0
         self._start = 0
         self._running = False
+        self._stopped = True
         self._locked = 0
         self._physical = array("i", [0] * axes)
         self._offset = array("i", [0] * axes)
@@ -120,26 +121,36 @@ class SimEngine:
     def max_step_hz(self, pulse_us: int) -> int:
         return 1_000_000 // (pulse_us + 1)
 
-    def attach(self, next_segment: "NextSegment", on_power: "Callable[[int], None]") -> None:
+    def attach(
+        self,
+        next_segment: "NextSegment",
+        on_power: "Callable[[int], None]",
+        on_rest: "Callable[[], None]",
+    ) -> None:
         self._next_segment = next_segment
         self._on_power = on_power
+        self._on_rest = on_rest
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
         self.pulse_us = pulse_us
         self.dir_invert = dir_invert
 
+    def arm(self) -> None:
+        self._stopped = False
+
     def start(self) -> None:
-        if not self._running:
+        if not self._running and not self._stopped:
             if self.prepare:
                 self.prepare()
             self._start = self.now
             self._refill()
-            if self._held:
+            if self._held and not self._stopped:
                 self._running = True
                 self.starts += 1
                 self._begin()
 
     def stop(self) -> None:
+        self._stopped = True
         if self._running:
             self._finish(self.now - self._start)
         self._held = 0
@@ -150,6 +161,9 @@ class SimEngine:
         if self._running and axes & ~self._locked:
             self._split()
         self._locked |= axes
+
+    def fault(self) -> str:
+        return ""  # its time is the machine's
 
     def idle(self) -> bool:
         return not self._running
@@ -244,6 +258,7 @@ class SimEngine:
             self._begin()
         else:
             self._running = False
+            self._on_rest()
 
     def _finish(self, ticks: int) -> None:
         """Account for the steps made in the running segment, which ends after `ticks`."""

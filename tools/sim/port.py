@@ -33,12 +33,25 @@ class SimPort:
         self._on_controls: "Callable[[], None] | None" = None
         self._on_contact: "Callable[[], None] | None" = None
         self._contact_level = True
+        self._hears_limits = False
+        self._killed = False
 
     # The Port seam
 
     def attach(self, on_limits: "Callable[[], None]", on_controls: "Callable[[], None]") -> None:
         self._on_limits = on_limits
         self._on_controls = on_controls
+
+    def hear_limits(self, on: bool) -> None:
+        self._hears_limits = on
+
+    def kill(self) -> None:
+        self._killed = True
+        self.spindle(False, 0)
+        self.coolant(0)
+
+    def revive(self) -> None:
+        self._killed = False
 
     def watch_probe(self, on_contact: "Callable[[], None] | None", closed: bool) -> None:
         self._on_contact = on_contact
@@ -61,12 +74,12 @@ class SimPort:
         self.spindle_dir = level
 
     def spindle(self, on: bool, power: int) -> None:
-        self.spindle_on = on
-        self.spindle_pwm = power
+        self.spindle_on = on and not self._killed
+        self.spindle_pwm = 0 if self._killed else power
 
     def coolant(self, mask: int) -> None:
-        self.flood = mask & 1
-        self.mist = mask >> 1 & 1
+        self.flood = 0 if self._killed else mask & 1
+        self.mist = 0 if self._killed else mask >> 1 & 1
 
     def ticks_ms(self) -> int:
         return int(self._rig.now // self._rig.ticks_per_ms)
@@ -101,7 +114,7 @@ class SimPort:
         self._closed = closed
         if "probe" in changed:
             self._look_at_probe()
-        if self._on_limits and any(name in changed for name in LIMITS):
+        if self._on_limits and self._hears_limits and any(name in changed for name in LIMITS):
             self._on_limits()
         if self._on_controls and any(name in changed for name in self._controls):
             self._on_controls()
