@@ -8,7 +8,6 @@ from micropython import const
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from array import array
-    from collections.abc import Callable
 
 # Below this a sweep counts as none, which means a full circle.
 _NO_SWEEP = 5e-7
@@ -27,6 +26,12 @@ class Arc:
         self.radius = 0.0
         self.centre_0 = 0.0
         self.centre_1 = 0.0
+        # What point() needs: of where the arc begins, and from chord to chord.
+        self._from_0 = 0.0
+        self._from_1 = 0.0
+        self._base = 0.0
+        self._step = 0.0
+        self._rise = 0.0
 
     def sweep(self, start: "array[float]", target: "array[float]") -> float:
         """The angle travelled, in radians; negative is clockwise."""
@@ -49,27 +54,24 @@ class Arc:
             return 0
         return whole(abs(0.5 * angle * self.radius) / math.sqrt(squared)) & 0xFFFF
 
-    def follow(
-        self,
-        start: "array[float]",
-        target: "array[float]",
-        point: "array[float]",
-        chords: int,
-        angle: float,
-        line: "Callable[[array[float]], None]",
+    def begin(
+        self, start: "array[float]", target: "array[float]", chords: int, angle: float
     ) -> None:
-        """Call line(point) for every chord but the last, which ends at the target."""
+        """Get ready for point(). The centre is absolute from here on."""
         a, b, across = self.plane
-        centre_0 = start[a] + self.centre_0
-        centre_1 = start[b] + self.centre_1
-        from_0, from_1 = -self.centre_0, -self.centre_1
-        base = start[across]
-        rise = (target[across] - base) / chords if chords else 0.0
-        step = angle / chords if chords else 0.0
-        for i in range(1, chords):
-            cosine = math.cos(i * step)
-            sine = math.sin(i * step)
-            point[a] = centre_0 + from_0 * cosine - from_1 * sine
-            point[b] = centre_1 + from_0 * sine + from_1 * cosine
-            point[across] = base + i * rise
-            line(point)
+        self._from_0, self._from_1 = -self.centre_0, -self.centre_1
+        self.centre_0 += start[a]
+        self.centre_1 += start[b]
+        self._base = start[across]
+        if chords:
+            self._rise = (target[across] - self._base) / chords
+            self._step = angle / chords
+
+    def point(self, chord: int, point: "array[float]") -> None:
+        """Where that chord, counted from 1, ends; the last one ends at the target."""
+        a, b, across = self.plane
+        cosine = math.cos(chord * self._step)
+        sine = math.sin(chord * self._step)
+        point[a] = self.centre_0 + self._from_0 * cosine - self._from_1 * sine
+        point[b] = self.centre_1 + self._from_0 * sine + self._from_1 * cosine
+        point[across] = self._base + chord * self._rise

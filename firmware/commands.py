@@ -105,7 +105,11 @@ class Commands:
         if key == 0:
             self._report.help()
         elif key == 74:  # J
-            self._jog(line, length)
+            if self._state.run not in (st.IDLE, st.JOG):
+                raise GrblError(errors.IDLE_ERROR)
+            if line[2] != 61:
+                raise GrblError(errors.INVALID_STATEMENT)
+            self._gcode.jog(line, length)
         elif key in _PLAIN:
             if length != 2:
                 raise GrblError(errors.INVALID_STATEMENT)
@@ -116,13 +120,6 @@ class Commands:
             _AT_REST[key](self, line, length)
         else:
             self._set(line, 1)
-
-    def _jog(self, line: bytearray, length: int) -> None:
-        if self._state.run not in (st.IDLE, st.JOG):
-            raise GrblError(errors.IDLE_ERROR)
-        if line[2] != 61:
-            raise GrblError(errors.INVALID_STATEMENT)
-        self._gcode.jog(line, length)
 
     # Commands of one letter
 

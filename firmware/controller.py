@@ -71,13 +71,6 @@ class Controller:
         self.planner.sync_motors(self._steps)
         self.planner.to_mm(self._steps, self.gcode.position)
 
-    def pause_ms(self, milliseconds: int, until: "Callable[[], bool]") -> None:
-        """Wait in a suspension: real-time commands act, lines do not."""
-        since = self.port.ticks_ms()
-        while self.port.elapsed_ms(since) < milliseconds and not until():
-            self.protocol.pump()
-            self.realtime.events()
-
     # Settings
 
     def configure(self, number: int) -> None:
@@ -146,6 +139,7 @@ class Controller:
         self.reader.clear()
         self.coords.clear()
         self.gcode.reset()
+        self.motion.forget()
         self.planner.clear()
         self.planner.override()
         self.segments.clear()

@@ -105,15 +105,16 @@ class Gcode:
 
     def execute(self, line: bytearray, length: int) -> None:
         """Interpret line[:length], which a 0 follows. Raises GrblError where it is refused."""
-        if self.plain.execute(line, length):
-            return
-        block = self._block
-        self._words.read(line, 0, length)
-        block.begin(self.modal)
-        block.take(self._words)
-        checks.check(self, block, False)
-        self._apply(block)
-        self.plain.look()
+        if not self.plain.execute(line, length):
+            block = self._block
+            self._words.read(line, 0, length)
+            block.begin(self.modal)
+            block.take(self._words)
+            checks.check(self, block, False)
+            self._apply(block)
+            self.plain.look()
+        self._motion.finish()
+        self.plain.tell()
 
     def jog(self, line: bytearray, length: int) -> None:
         """Interpret a "$J=" line. The modal state stays as it is."""
@@ -132,6 +133,7 @@ class Gcode:
         move.spindle_rpm = self.spindle_rpm
         self._motion.jog(block.xyz, move)
         self.position[:] = block.xyz
+        self._motion.finish()
 
     # Step four: execution
 
@@ -256,17 +258,12 @@ class Gcode:
         elif motion in (b.CW_ARC, b.CCW_ARC):
             self._motion.arc(self.position, block.xyz, self.arc, move)
         else:
-            self._probe(block, move)
-            return
+            move.flags |= plan.NO_FEED_OVERRIDE
+            away = motion in (b.PROBE_AWAY, b.PROBE_AWAY_NO_ALARM)
+            alarms = motion in (b.PROBE_TOWARD, b.PROBE_AWAY)
+            if not self._cycles.probe(block.xyz, move, away, alarms):
+                return  # the position has been seen to, or has not changed
         self.position[:] = block.xyz
-
-    def _probe(self, block: "Block", move: "plan.Move") -> None:
-        motion = self.modal.motion
-        move.flags |= plan.NO_FEED_OVERRIDE
-        away = motion in (b.PROBE_AWAY, b.PROBE_AWAY_NO_ALARM)
-        alarms = motion in (b.PROBE_TOWARD, b.PROBE_AWAY)
-        if self._cycles.probe(block.xyz, move, away, alarms):
-            self.position[:] = block.xyz  # otherwise it has been seen to, or has not changed
 
     def _flow(self, flow: int) -> None:
         if flow == b.RUNNING:

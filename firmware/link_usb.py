@@ -219,11 +219,14 @@ class UsbLink:
 
     def _make_write(self) -> "Callable[[bytes | bytearray | memoryview], None]":
         """The same, for answers."""
-        at, keep, send, waiting = self._at, _keep, self._send_now, self._waiting_out
+        at, keep, waiting = self._at, _keep, self._waiting_out
 
         def write(data: "bytes | bytearray | memoryview") -> None:
+            if keep(at, waiting, data, len(data)):
+                return
+            self._flush()
             if not keep(at, waiting, data, len(data)):
-                send(data)
+                self._send(data, len(data))
 
         return write
 
@@ -263,12 +266,6 @@ class UsbLink:
         if count:
             self._escape.listen(buf, count)
         return count
-
-    def _send_now(self, data: "bytes | bytearray | memoryview") -> None:
-        """Send what waits, and what may not wait."""
-        self._flush()
-        if not _keep(self._at, self._waiting_out, data, len(data)):
-            self._send(data, len(data))
 
     def _flush(self) -> None:
         self._turns = 0

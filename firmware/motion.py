@@ -3,6 +3,10 @@
 Targets are absolute, in mm of machine coordinates. Everything that has to wait
 does so here, through `service`, which raises Abort after a reset. In check
 mode nothing moves and nothing waits.
+
+A move is asked for (line, arc, jog) deep within the interpreter, and made by
+finish(), which waits for room, when that has returned: an interrupt needs what
+is left of the stack.
 """
 
 from array import array
@@ -87,6 +91,10 @@ class Motion:
         self.travel = array("i", (planner.axes, 0) + (0,) * planner.axes)
         self._flow = planner.flow
         self.power = 0  # of the spindle, as the last line has it
+        # The move asked for: how many lines it takes, how many of them are still to be made.
+        self._lines = 0
+        self._left = 0
+        self._is_jog = False
 
     def connect(self, service: "Callable[[], None]", realtime: "Realtime") -> None:
         """Say how to wait, and whom to tell of an alarm."""
@@ -103,7 +111,34 @@ class Motion:
     # Moves
 
     def line(self, target: "array[float]", move: "Move") -> None:
-        """A straight line: rapid or feed, by the move's flags."""
+        """A straight line: rapid or feed, by the move's flags. Made by finish()."""
+        self.finish()
+        self._target = target
+        self._move = move
+        self._lines = self._left = 1
+
+    def finish(self) -> None:
+        """Make what has been asked for."""
+        while self._left:
+            chord = self._lines - self._left + 1
+            self._left -= 1
+            if self._left:
+                self._arc.point(chord, self._point)
+                self.make(self._point, self._move)
+            else:
+                self.make(self._target, self._move)
+        if self._is_jog:
+            self._is_jog = False
+            if self._state.run == st.IDLE and not self.planner.empty():
+                self._realtime.start(st.JOG)
+
+    def forget(self) -> None:
+        """Nothing has been asked for."""
+        self._left = 0
+        self._is_jog = False
+
+    def make(self, target: "array[float]", move: "Move") -> None:
+        """A straight line, at once; waits for room in the planner."""
         found = judge(target, self.travel, self._flow)
         state = self._state
         if found & _OUTSIDE and self._settings.soft_limits and state.run != st.JOG:
@@ -122,10 +157,9 @@ class Motion:
                 self.spin(plan.SPINDLE_CW, move.spindle_rpm)
 
     def jog(self, target: "array[float]", move: "Move") -> None:
-        """A line that starts at once, and that a hold would cancel."""
+        """A line that starts at once, and that a hold would cancel. Made by finish()."""
         self.line(target, move)
-        if self._state.run == st.IDLE and not self.planner.empty():
-            self._realtime.start(st.JOG)
+        self._is_jog = True
 
     def _power(self, move: "Move") -> int:
         """Spindle power of a planner block: in laser mode M4 makes it follow speed."""
@@ -136,15 +170,18 @@ class Motion:
         return self._spindle.block_power(move.flags, move.spindle_rpm)
 
     def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
-        """An arc, or helix, as chords within $12 of it."""
+        """An arc, or helix, as chords within $12 of it. Made by finish()."""
+        self.finish()
         angle = arc.sweep(start, target)
         chords = arc.chords(angle, self._settings.arc_tolerance_mm)
         if chords and move.flags & plan.INVERSE_TIME:
             # Its time is shared out among the chords, whose rate counts from here on.
             move.feed *= chords
             move.flags &= ~plan.INVERSE_TIME
-        arc.follow(start, target, self._point, chords, angle, lambda point: self.line(point, move))
+        arc.begin(start, target, chords, angle)
+        self._arc = arc
         self.line(target, move)
+        self._lines = self._left = max(chords, 1)
 
     def dwell(self, seconds: float) -> None:
         """Stand still; hold and reset work meanwhile."""
@@ -172,6 +209,7 @@ class Motion:
 
     def synchronise(self) -> None:
         """Wait until everything planned has been done."""
+        self.finish()
         self.auto_start()
         self.service()
         while not self.planner.empty() or self._state.run == st.RUN:

@@ -232,6 +232,7 @@ class Plain:
         self._target = vector(gcode.axes)
         self._float = vector(1)
         self._known = array("i", (0 for _ in range(OFFSETS + gcode.axes)))
+        self._asked = False  # the last line was a plain one
         self.follow = self._make_follow()
 
     def _make_follow(self) -> "Callable[[bytearray, int], int]":
@@ -267,6 +268,7 @@ class Plain:
         gcode = self._gcode
         modal = gcode.modal
         known = self._known
+        self._asked = False
         is_plain = (
             not (modal.inverse_time or gcode.tool)
             and modal.motion in (b.SEEK, b.LINEAR)
@@ -314,17 +316,13 @@ class Plain:
             return False
         if seen & _NEWS:
             self._take_news(seen)
-        self._go(seen)
-        if known[_POWER] == _UNTOLD:
-            self._tell()
-        return True
-
-    def _go(self, seen: int) -> None:
-        """Go where the line says, as soon as there is room for it."""
-        self._move.line_number = line_number(self._known, seen)
-        place(self._known, seen, self._gcode.position, self._target)
+        # Go where the line says.
+        self._move.line_number = line_number(known, seen)
+        place(known, seen, self._gcode.position, self._target)
         self._motion.line(self._target, self._move)
         copy(self._target, self._gcode.position, self._gcode.axes)
+        self._asked = True
+        return True
 
     def _take_news(self, seen: int) -> None:
         """A line changes motion mode, feed rate, or a laser's power."""
@@ -344,10 +342,13 @@ class Plain:
         if seen & _NEWS != HAS_S:
             self._set()
 
-    def _tell(self) -> None:
-        """A line has been planned: the next ones are like that."""
+    def tell(self) -> None:
+        """A line has been planned: if it was a plain one, the next ones are like that."""
         move = self._move
         known = self._known
+        if not self._asked or known[_POWER] != _UNTOLD:
+            return
+        self._asked = False
         known[_FLAGS] = move.flags
         self._keep(_RPM, move.spindle_rpm)
         known[_POWER] = 0 if known[DRY] else self._motion.power

@@ -162,7 +162,7 @@ def _alarm(machine: "Controller", link: "Any", fault: Exception) -> None:
             if buf[i] == _RESET:
                 return
             if buf[i] == _QUESTION:
-                machine.report.status()
+                link.write(machine.report.status())
 
 
 def _stay(link: "Any", fault: Exception) -> None:

@@ -60,7 +60,9 @@ class Protocol:
     def service(self) -> None:
         """One turn of whoever waits. Raises Abort after a reset."""
         self.pump()
-        self._realtime.run()
+        self._realtime.events()
+        if self._state.suspend:
+            self._realtime.suspended()
 
     def run(self) -> None:
         """Execute lines until Abort."""

@@ -188,17 +188,14 @@ class Realtime:
     # What answers, in the main loop
 
     def run(self) -> None:
-        """Do what has been asked. Raises Abort after a reset."""
-        state = self._state
-        if not (state.pending[st.ANY] or state.suspend or state.alarm or self._settling):
-            if not self._moving:
-                return  # as nearly always
-            if not self._engine.idle():
-                self._watch()
-                return
+        """Do what has been asked; wait while motion is suspended. Raises Abort after a reset."""
         self.events()
-        if state.suspend:
-            self._suspension.begin()
+        if self._state.suspend:
+            self.suspended()
+
+    def suspended(self) -> None:
+        """Wait until motion is not suspended any more."""
+        self._suspension.begin()
         while self._state.suspend:
             self._suspension.turn()
             self._pump()
@@ -207,6 +204,8 @@ class Realtime:
     def events(self) -> None:
         """As run(), but does not wait for a suspension to end."""
         state = self._state
+        if not (state.pending[st.ANY] or state.alarm or self._settling or self._moving):
+            return  # as nearly always
         if state.alarm:
             self._raise_alarm()
         if self._moving:
@@ -221,7 +220,7 @@ class Realtime:
         if state.pending[st.RESET]:
             raise Abort
         if state.pending[st.STATUS_REPORT]:
-            self._report.status()
+            self._report.send(self._report.status())
             self._pump()
             state.pending[st.STATUS_REPORT] = 0  # what was asked meanwhile has been answered too
         held = self._holds()

@@ -89,6 +89,7 @@ class Report:
         line_numbers: bool,
     ) -> None:
         self._link = link
+        self.send = link.write
         self._state = state
         self._settings = settings
         self._coords = coords
@@ -140,11 +141,11 @@ class Report:
 
     def alarm(self, code: int) -> None:
         """The machine had to stop."""
-        self._line("ALARM:%d" % code)
+        self._link.write(b"ALARM:%d\r\n" % code)
 
     def message(self, text: str) -> None:
         """Something a person should know."""
-        self._line("[MSG:" + text + "]")
+        self._link.write(("[MSG:" + text + "]\r\n").encode())
 
     def banner(self) -> None:
         """The machine has started."""
@@ -227,8 +228,8 @@ class Report:
 
     # The status report
 
-    def status(self) -> None:
-        """The answer to ?."""
+    def status(self) -> "memoryview":
+        """The answer to ?, to be sent before there is another."""
         mask = self._settings.report_mask
         text, ints, mm = self._text, self._ints, self._mm
         self._begin()
@@ -251,7 +252,7 @@ class Report:
             ints[VALUES] = pins
             write(b"|Pn:?P?X?Y?Z?A?D?R?H?S\0", text, ints, mm)
         self._extras(text, ints)
-        self._finish()
+        return self._finish()
 
     # Its parts: forms of digits.write(), which end with a 0
 
@@ -282,14 +283,14 @@ class Report:
             self._shown[i] = mm[i] * INCH_PER_MM
         return self._shown
 
-    def _finish(self) -> None:
-        """Send what has been written."""
+    def _finish(self) -> "memoryview":
+        """What has been written."""
         end = write(b">\r\n\0", self._text, self._ints, self._mm)
         if end != self._sent:
             # A piece of a buffer is an object; most reports are as long as the last one.
             self._sent = end
             self._piece = memoryview(self._text)[:end]
-        self._link.write(self._piece)
+        return self._piece
 
     def _state_name(self) -> bytes:
         state = self._state

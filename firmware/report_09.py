@@ -212,8 +212,8 @@ class Report09(Report):
 
     # The status report
 
-    def status(self) -> None:
-        """The answer to ?."""
+    def status(self) -> "memoryview":
+        """The answer to ?, to be sent before there is another."""
         mask = self._settings.report_mask
         text, ints, mm = self._text, self._ints, self._mm
         self._begin()
@@ -233,7 +233,7 @@ class Report09(Report):
             write(b",Lim:\0", text, ints, mm)
             for i in range(self._axes):
                 self._number(b"%\0", limits >> (self._axes - 1 - i) & 1)
-        self._finish()
+        return self._finish()
 
     def _number(self, form: bytes, value: int) -> None:
         self._ints[VALUES] = value

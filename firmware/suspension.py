@@ -1,7 +1,9 @@
 """Suspension: what happens while motion is held, behind an open door, or asleep.
 
-turn() is called over and over by realtime.run() until the suspension ends.
-Parking, an option of the board, moves the tool away from the work and back.
+turn() is called over and over by realtime.suspended() until the suspension ends.
+What takes time is a generator: it yields where it waits, so that no wait is
+nested in another. Parking, an option of the board, moves the tool away from
+the work and back.
 """
 
 from array import array
@@ -16,12 +18,12 @@ from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from coolant import Coolant
     from gcode import Gcode
     from inputs import Inputs
-    from interfaces import StepEngine
+    from interfaces import Port, StepEngine
     from planner import Planner
     from realtime import Realtime
     from report import Report
@@ -72,38 +74,51 @@ class Suspension:
         self._target = vector(planner.axes)
         self._resume_at = vector(planner.axes)
         self._waypoint = 0.0
+        self._routine: "Iterator[None] | None" = None  # what is under way
 
     def connect(
         self,
         realtime: "Realtime",
         gcode: "Gcode",
-        pause_ms: "Callable[[int, Callable[[], bool]], None]",
+        port: "Port",
         position: "Callable[[array[float]], None]",
     ) -> None:
-        """Say whom to call. pause_ms(ms, until) waits; position copies the machine's, in mm."""
+        """Say whom to call. position copies the machine's, in mm."""
         self._realtime = realtime
         self._gcode = gcode
-        self._pause_ms = pause_ms
+        self._port = port
         self._position = position
 
     def turn(self) -> None:
         """One turn of a suspension."""
         state = self._state
-        if not state.suspend & st.HOLD_COMPLETE:
+        if self._routine:
+            try:
+                next(self._routine)
+            except StopIteration:
+                self._routine = None
+        elif not state.suspend & st.HOLD_COMPLETE:
             return
-        if state.run not in (st.DOOR, st.SLEEP):
+        elif state.run not in (st.DOOR, st.SLEEP):
             self._hold()
         elif not state.suspend & st.RETRACT_COMPLETE:
-            self._retract()
+            self._routine = self._retract()
         elif state.run == st.SLEEP:
-            self._sleep()
+            self._routine = self._sleep()
         else:
             self._door()
+
+    def _pause(self, milliseconds: int) -> "Iterator[None]":
+        """Wait, unless the door opens again."""
+        since = self._port.ticks_ms()
+        while self._port.elapsed_ms(since) < milliseconds and not self._interrupted():
+            yield
 
     # Feed hold
 
     def begin(self) -> None:
         """A suspension has just begun: remember what turned, and darken a laser."""
+        self._routine = None
         row = self._planner.row()
         if row is None:
             self._flags = self._gcode.accessory_flags()
@@ -141,15 +156,12 @@ class Suspension:
 
     # Sleep
 
-    def _sleep(self) -> None:
+    def _sleep(self) -> "Iterator[None]":
         self._report.message(errors.MSG_SLEEP)
         self._stop_accessories()
         self._realtime.release()
         while True:  # until a reset raises Abort
-            self._pause_ms(1, self._never)
-
-    def _never(self) -> bool:
-        return False
+            yield
 
     def _stop_accessories(self) -> None:
         self._spindle.turn(0, 0.0)
@@ -160,11 +172,11 @@ class Suspension:
     def _interrupted(self) -> bool:
         return bool(self._state.suspend & st.RESTART_RETRACT)
 
-    def _retract(self) -> None:
+    def _retract(self) -> "Iterator[None]":
         state = self._state
         state.stop_override = 0
         if self._parks:
-            self._park()
+            yield from self._park()
         else:
             self._stop_accessories()
         state.suspend &= ~st.RESTART_RETRACT
@@ -174,20 +186,23 @@ class Suspension:
         state = self._state
         if not self._inputs.door_open():
             state.suspend &= ~st.DOOR_AJAR
-        if not state.suspend & st.INITIATE_RESTORE:
-            return
+        if state.suspend & st.INITIATE_RESTORE:
+            self._routine = self._restore()
+
+    def _restore(self) -> "Iterator[None]":
+        state = self._state
         if self._parks and self._may_park() and self._target[_PARK_AXIS] <= _PARK_TARGET_MM:
             self._target[_PARK_AXIS] = self._waypoint
-            self._park_move(self._target, _PARK_RATE, False)
+            yield from self._park_move(self._target, _PARK_RATE, False)
         if self._gcode.spindle and not self._interrupted():
             self._restore_spindle()
             if not self._spindle.laser:
-                self._pause_ms(_SPINDLE_DELAY_MS, self._interrupted)
+                yield from self._pause(_SPINDLE_DELAY_MS)
         if self._gcode.coolant and not self._interrupted():
             self._coolant.set(self._flags >> plan.COOLANT_SHIFT & 3)
-            self._pause_ms(_COOLANT_DELAY_MS, self._interrupted)
+            yield from self._pause(_COOLANT_DELAY_MS)
         if self._parks and self._may_park() and not self._interrupted():
-            self._park_move(self._resume_at, _PULL_OUT_RATE, True)
+            yield from self._park_move(self._resume_at, _PULL_OUT_RATE, True)
         if not self._interrupted():
             state.suspend |= st.RESTORE_COMPLETE
             state.post(st.CYCLE_START)
@@ -201,7 +216,7 @@ class Suspension:
             and self._state.override_control
         )
 
-    def _park(self) -> None:
+    def _park(self) -> "Iterator[None]":
         """Pull out slowly with the spindle on, then go up fast without it."""
         target = self._target
         self._position(target)
@@ -213,13 +228,15 @@ class Suspension:
             return
         if target[_PARK_AXIS] < self._waypoint:
             target[_PARK_AXIS] = self._waypoint
-            self._park_move(target, _PULL_OUT_RATE, True)
+            yield from self._park_move(target, _PULL_OUT_RATE, True)
         self._stop_accessories()
         if target[_PARK_AXIS] < _PARK_TARGET_MM:
             target[_PARK_AXIS] = _PARK_TARGET_MM
-            self._park_move(target, _PARK_RATE, False)
+            yield from self._park_move(target, _PARK_RATE, False)
 
-    def _park_move(self, target: "array[float]", rate: float, with_accessories: bool) -> None:
+    def _park_move(
+        self, target: "array[float]", rate: float, with_accessories: bool
+    ) -> "Iterator[None]":
         state = self._state
         move = self._move
         move.clear()
@@ -240,8 +257,8 @@ class Suspension:
             self._segments.hold(False)
             self._realtime.start(state.run)
             while state.system_motion:
-                self._pause_ms(1, self._never)
+                yield
         self._segments.end_system()
         self._segments.hold(True)
         if not planned:
-            self._realtime.events()
+            yield

@@ -289,6 +289,6 @@ def _connect(machine: Controller) -> None:
     motion.connect(machine.protocol.service, realtime)
     machine.cycles.connect(motion, realtime, pump, position, resync)
     realtime.connect(machine.port, pump, gcode, resync, machine.suspension)
-    machine.suspension.connect(realtime, gcode, machine.pause_ms, position)
+    machine.suspension.connect(realtime, gcode, machine.port, position)
     machine.commands.connect(realtime, motion, machine.configure, machine.protocol.execute)
     machine.protocol.connect(realtime, gcode, machine.commands, motion)
