@@ -149,10 +149,16 @@ class Commands:
 
     def _unlock(self) -> None:
         if self._state.run == st.ALARM:
+            self._check_stop()
             if self._inputs.door_open():
                 raise GrblError(errors.CHECK_DOOR)
             self._report.message(errors.MSG_ALARM_UNLOCK)
             self._state.run = st.IDLE
+
+    def _check_stop(self) -> None:
+        if self._inputs.estop():
+            self._report.message(errors.MSG_EMERGENCY_STOP)
+            raise GrblError(errors.SYSTEM_GC_LOCK)
 
     # Commands that want the machine at rest
 
@@ -164,6 +170,7 @@ class Commands:
     def _home(self, line: bytearray, length: int) -> None:
         if not self._settings.homing:
             raise GrblError(errors.SETTING_DISABLED)
+        self._check_stop()
         if self._inputs.door_open():
             raise GrblError(errors.CHECK_DOOR)
         axes = 0

@@ -116,7 +116,8 @@ class Controller:
             self.commands.show_settings()
         self._loads(self.commands.load)
         self._loads(self.coords.load)
-        self.port.attach(self.realtime.on_limits, self.realtime.on_controls)
+        realtime = self.realtime
+        self.port.attach(realtime.on_limits, realtime.on_controls, realtime.on_fault)
         self.configure(0)
         if self.settings.homing:
             self.state.run = st.ALARM
@@ -159,6 +160,9 @@ class Controller:
         if self.settings.hard_limits and self.inputs.limits():
             state.run = st.ALARM
             self.report.message(errors.MSG_CHECK_LIMITS)
+        if self.inputs.estop():
+            state.run = st.ALARM
+            self.report.message(errors.MSG_EMERGENCY_STOP)
         if state.run & (st.ALARM | st.SLEEP):
             self.report.message(errors.MSG_ALARM_LOCK)
             state.run = st.ALARM

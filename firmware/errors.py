@@ -103,7 +103,9 @@ ALARM_HOMING_FAIL_APPROACH = const(9)
 # Homing failed: the second switch of an axis was not found in time.
 ALARM_HOMING_FAIL_DUAL_APPROACH = const(10)
 # The firmware met a fault of its own and stopped the machine. Not one of Grbl's.
-ALARM_INTERNAL = const(17)
+ALARM_INTERNAL = const(16)
+# The emergency stop was pressed. Not one of Grbl's.
+ALARM_EMERGENCY_STOP = const(17)
 # The punch went down and the sensor of $32 did not see it come there. Not one of Grbl's.
 ALARM_PUNCH_DOWN = const(32)
 # The punch is not up, or the sensor of $33 does not see it: nothing may move. Not one of Grbl's.
@@ -117,6 +119,7 @@ MSG_ENABLED = "Enabled"
 MSG_DISABLED = "Disabled"
 MSG_DOOR_AJAR = "Check Door"
 MSG_CHECK_LIMITS = "Check Limits"
+MSG_EMERGENCY_STOP = "Emergency stop"
 MSG_PROGRAM_END = "Pgm End"
 MSG_RESTORE_DEFAULTS = "Restoring defaults"
 MSG_SPINDLE_RESTORE = "Restoring spindle"

@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import ModuleType
 
-_TIMER = const(1)  # 0 is the engine's
+# 0 is the engine's.
+_LIMIT_TIMER = const(1)
+_CONTROL_TIMER = const(2)
 
 # The watchdog cannot be stopped, but told to wait for so long: a week. Its hardware counts 2**32
 # quarters of a millisecond at the most.
@@ -29,7 +31,8 @@ class EspPort(PortPins):
 
     def __init__(self, board: "ModuleType", enable: "Callable[[int], None] | None" = None) -> None:
         pins = None if enable else getattr(board, "ENABLE", None)
-        super().__init__(board, Timer(_TIMER), pins, False)
+        timers = Timer(_LIMIT_TIMER), Timer(_CONTROL_TIMER)
+        super().__init__(board, timers, pins, False)
         self._set_enable = enable
 
     def enable(self, level: int) -> None:

@@ -1,7 +1,9 @@
 """Pins that are not steps, as far as all chips have them alike: see gpio.py, gpio_esp.py.
 
 Inputs are closed when pulled to ground; one that is not wired (None in the board file) is never
-closed. What they call in an interrupt neither allocates nor raises.
+closed. What they call in an interrupt neither allocates nor raises: where a callback fails all
+the same, the tool goes off and motion stops. An input that has called is left in peace for some
+milliseconds and looked at again then, so that interference does not starve the pulse engine.
 """
 
 import time
@@ -17,61 +19,115 @@ if TYPE_CHECKING:
 
 _FULL = const(65535)  # duty_u16
 _BOTH_EDGES = Pin.IRQ_RISING | Pin.IRQ_FALLING
+# For so long an input that has called is left in peace where the board file says nothing.
+_PEACE_MS = const(2)
+_FAILED = "A pin's callback has failed"
+_FAILED_TWICE = "A pin's callback has failed, and so has stopping"
 
 
 class PortPins:
     """A Port, and a PunchPort where the board file has the pins.
 
-    timer: one that nobody else uses. enables: pins of the motor drivers' enable. has_hard:
+    timers: two that nobody else uses. enables: pins of the motor drivers' enable. has_hard:
     interrupts can be hard.
     """
 
     def __init__(
         self,
         board: "ModuleType",
-        timer: Timer,
+        timers: "tuple[Timer, Timer]",
         enables: "int | tuple[int, ...] | None",
         has_hard: bool,
     ) -> None:
-        def option(name: str, default: "Any" = None) -> "Any":
-            return getattr(board, name, default)
-
+        self._board = board
         self._hard = has_hard
-        # Pins that can only be inputs have no pull-ups either: resistors do that on the board.
-        self._without_pull: "tuple[int, ...]" = option("NO_PULL_UP", ())
-        # Full spindle power; 16383 at the most, for the interrupt has small integers only.
-        self.pwm_max: int = option("PWM_MAX", 1000)
-        # How long a stroke of the punch takes at the most.
-        self.punch_timeout_ms: int = option("PUNCH_TIMEOUT_MS", 1000)
-        # For how long a button's contacts may bounce.
-        self._debounce_ms: int = option("CONTROL_DEBOUNCE_MS", 0)
-        self._limits = [self._input(pin) for pin in option("LIMIT", ())]
-        self._controls = [self._input(pin) for pin in option("CONTROL", ())]
-        self._probe = self._input(option("PROBE"))
+        self._limit_timer, self._control_timer = timers
+        self._killed = False
+        self.fault = ""  # what is wrong with the inputs, in words
         if not isinstance(enables, tuple):
             enables = () if enables is None else (enables,)
         # Motors are off until the machine has been built.
         self._enables = [Pin(pin, Pin.OUT, value=1) for pin in enables]
-        self._direction = _output(option("SPINDLE_DIR"))
-        self._spindle_on = _output(option("SPINDLE_ON"))
-        self._flood = _output(option("FLOOD"))
-        self._mist = _output(option("MIST_PIN"))
-        pwm = option("SPINDLE_PWM")
-        self._pwm: "PWM | None" = None
-        if pwm is not None:
-            self._pwm = PWM(Pin(pwm), freq=option("PWM_HZ", 5000), duty_u16=0)
-        self._punch_down = _output(option("PUNCH_DOWN"))
-        self._punch_up = _output(option("PUNCH_UP"))
-        self._punch_sensors = (
-            self._input(option("PUNCH_DOWN_SENSOR")),
-            self._input(option("PUNCH_UP_SENSOR")),
-        )
+        self._make_outputs()
+        self._make_inputs()
         self._on_contact: "Callable[[], None] | None" = None
         self._contact_level = True
-        self._timer = timer
+        self._hears_limits = False
+        self._limits_seen = 0
+        self.limit_invert = 0
         self._quiet = False  # a button bounces
-        self._seen = 0
-        self._settle = self._settled  # taking a method as a value allocates
+        self._controls_seen = 0
+        # Taking a method as a value allocates.
+        self._look_again = self._look_at_limits
+        self._settle = self._settled
+
+    def _option(self, name: str, default: "Any") -> "Any":
+        return self._board.__dict__.get(name, default)  # getattr() would keep the names for good
+
+    def _make_outputs(self) -> None:
+        option = self._option
+        # Names of outputs that are on when low: ("SPINDLE_PWM", "FLOOD"). ENABLE has $4.
+        self._inverted: "tuple[str, ...]" = option("INVERT", ())
+        # Full spindle power; 16383 at the most, for the interrupt has small integers only.
+        self.pwm_max: int = option("PWM_MAX", 1000)
+        # Pulses a second of SPINDLE_PWM.
+        hz: int = option("PWM_HZ", 5000)
+        # Milliseconds a stroke of the punch takes at the most.
+        self.punch_timeout_ms: int = option("PUNCH_TIMEOUT_MS", 1000)
+        # What kill() switches off: number, pin, and level when off. PWM is apart.
+        self._tools: "list[tuple[int, Pin, int]]" = []
+        self._pwm: "PWM | None" = None
+        self._pwm_off = self._off("SPINDLE_PWM")
+        pwm = self._output("SPINDLE_PWM", self._pwm_off)
+        if pwm:
+            self._pwm = PWM(pwm, freq=hz, duty_u16=0, invert=self._pwm_off)
+        self._spindle_off = self._off("SPINDLE_ON")
+        self._spindle_on = self._tool("SPINDLE_ON", self._spindle_off)
+        self._flood_off = self._off("FLOOD")
+        self._flood = self._tool("FLOOD", self._flood_off)
+        self._mist_off = self._off("MIST_PIN")
+        self._mist = self._tool("MIST_PIN", self._mist_off)
+        self._direction_off = self._off("SPINDLE_DIR")
+        make = self._tool if option("SPINDLE_ENABLE_PIN", False) else self._output
+        self._direction = make("SPINDLE_DIR", self._direction_off)
+        self._punch_down = self._output("PUNCH_DOWN", 0)
+        self._punch_up = self._output("PUNCH_UP", 0)
+
+    def _off(self, name: str) -> int:
+        return 1 if name in self._inverted else 0
+
+    def _output(self, name: str, level: int) -> "Pin | None":
+        pin = self._option(name, None)
+        return None if pin is None else Pin(pin, Pin.OUT, value=level)
+
+    def _tool(self, name: str, off: int) -> "Pin | None":
+        pin = self._output(name, off)
+        if pin:
+            self._tools.append((self._option(name, None), pin, off))
+        return pin
+
+    def _make_inputs(self) -> None:
+        option = self._option
+        # Pins that can only be inputs have no pull-ups either: resistors do that on the board.
+        self._without_pull: "tuple[int, ...]" = option("NO_PULL_UP", ())
+        # 1 to 5: a limit switch counts if it is closed so many ms after an edge. 0: at the edge.
+        self._limit_debounce_ms: int = option("LIMIT_DEBOUNCE_MS", 0)
+        # For how long a button's contacts may bounce, in ms.
+        self._debounce_ms: int = option("CONTROL_DEBOUNCE_MS", 0)
+        # Control inputs that are active when open, added up: reset 1, hold 2, start 4, door 8.
+        self._control_invert: int = option("CONTROL_INVERT", 0)
+        self._limits = [self._input(pin) for pin in option("LIMIT", ())]
+        self._controls = [self._input(pin) for pin in option("CONTROL", ())]
+        self._probe = self._input(option("PROBE", None))
+        # Emergency stop: a contact to ground that opens when it is pressed, or its cable cut.
+        self._estop = self._input(option("ESTOP", None))
+        self.estop: "Callable[[], bool] | None" = self._is_open if self._estop else None
+        self._buttons = list(self._controls)
+        self._buttons.append(self._estop)
+        self._punch_sensors = (
+            self._input(option("PUNCH_DOWN_SENSOR", None)),
+            self._input(option("PUNCH_UP_SENSOR", None)),
+        )
 
     def _input(self, pin: "int | None") -> "Pin | None":
         if pin is None:
@@ -80,69 +136,149 @@ class PortPins:
             return Pin(pin, Pin.IN)
         return Pin(pin, Pin.IN, Pin.PULL_UP)
 
-    def _hear(self, pins: "Iterable[Pin | None]", changed: "Callable[[Pin], object]") -> None:
-        for pin in pins:
-            if pin and self._hard:
-                pin.irq(changed, _BOTH_EDGES, hard=True)
-            elif pin:
-                pin.irq(changed, _BOTH_EDGES)
+    # Interrupts
 
-    # The Port seam
-
-    def attach(self, on_limits: "Callable[[], None]", on_controls: "Callable[[], None]") -> None:
-        """Who is called, in an interrupt, when one of these inputs changes."""
+    def attach(
+        self,
+        on_limits: "Callable[[], None]",
+        on_controls: "Callable[[], None]",
+        on_fault: "Callable[[], None]",
+    ) -> None:
+        """Who is called, in an interrupt, when one of these inputs changes, the emergency stop
+        being one of the controls; and where a callback has failed."""
         self._on_limits = on_limits
         self._on_controls = on_controls
+        self._on_fault = on_fault
         self._hear(self._limits, self._limit_changed)
-        self._hear(self._controls, self._control_changed)
-        self._hear((self._probe,), self._look_at_probe)
+        self._hear((self._probe,), self._probe_changed)
+        self._hear(self._buttons, self._control_changed)
+        _arm(self._buttons, _BOTH_EDGES)
 
-    def _limit_changed(self, _pin: object) -> None:
-        self._on_limits()
+    def _hear(self, pins: "Iterable[Pin | None]", changed: "Callable[[Pin], object]") -> None:
+        """Prepare for interrupts; _arm() lets them come."""
+        for pin in pins:
+            if pin and self._hard:
+                pin.irq(changed, 0, hard=True)
+            elif pin:
+                pin.irq(changed, 0)
 
-    def _control_changed(self, _pin: object) -> None:
-        if self._quiet:
-            return
-        self._on_controls()
-        if self._debounce_ms:
-            self._quiet = True
-            self._seen = self.controls()
-            self._timer.init(
-                mode=Timer.ONE_SHOT,
-                period=self._debounce_ms,
-                callback=self._settle,
-                hard=self._hard,
-            )
+    def _fail(self) -> None:
+        """A callback has raised: the tool off, and whoever stops the machine is told."""
+        self.fault = _FAILED
+        try:
+            self.kill()
+            self._on_fault()
+        except BaseException:
+            self.fault = _FAILED_TWICE
 
-    def _settled(self, _timer: object) -> None:
-        self._quiet = False
-        if self.controls() != self._seen:
-            self._control_changed(None)
+    def _start(self, timer: "Timer", ms: int, then: "Callable[[Timer], None]") -> None:
+        """Call in so many ms, again and again until the callback ends it: a call may get lost."""
+        timer.init(mode=Timer.PERIODIC, period=ms or _PEACE_MS, callback=then, hard=self._hard)
+
+    # Limits
+
+    def hear_limits(self, on: bool) -> None:
+        """Call on_limits, or leave the limit inputs in peace ($21)."""
+        self._hears_limits = on
+        self._limits_seen = self.limits()
+        _arm(self._limits, _BOTH_EDGES if on else 0)
+
+    def _limit_changed(self, pin: "Pin") -> None:
+        try:
+            pin.irq().trigger(0)
+            if not self._limit_debounce_ms:
+                self._limits_seen = self.limits()
+                self._on_limits()
+            self._start(self._limit_timer, self._limit_debounce_ms, self._look_again)
+        except BaseException:
+            self._fail()
+
+    def _look_at_limits(self, timer: "Timer") -> None:
+        try:
+            timer.deinit()
+            if not self._hears_limits:
+                return
+            _arm(self._limits, _BOTH_EDGES)  # before the look: nothing falls in between
+            now = self.limits()
+            if now != (self.limit_invert if self._limit_debounce_ms else self._limits_seen):
+                self._limits_seen = now
+                self._on_limits()
+        except BaseException:
+            self._fail()
+
+    def limits(self) -> int:
+        """Mask of limit inputs pulled to ground, bit 0 = X."""
+        return _mask(self._limits)
+
+    # Control inputs
+
+    def _control_changed(self, pin: "Pin") -> None:
+        try:
+            pin.irq().trigger(0)
+            if self._quiet and self._debounce_ms and pin is not self._estop:
+                return
+            self._controls_seen = self.controls()
+            self._on_controls()
+            if not self._quiet:
+                self._await_quiet()
+        except BaseException:
+            self._fail()
+
+    def _await_quiet(self) -> None:
+        self._quiet = True
+        self._start(self._control_timer, self._debounce_ms, self._settle)
+
+    def _settled(self, timer: "Timer") -> None:
+        try:
+            timer.deinit()
+            self._quiet = False
+            _arm(self._buttons, _BOTH_EDGES)  # before the look: nothing falls in between
+            changed = self._controls_seen != self.controls()
+            self._controls_seen = self.controls()
+            if changed or (self._estop and self._estop.value()):
+                self._on_controls()
+            if changed:
+                self._await_quiet()
+        except BaseException:
+            self._fail()
+
+    def controls(self) -> int:
+        """Mask of control inputs that are active: reset, hold, start, door."""
+        return _mask(self._controls) ^ self._control_invert
+
+    def _is_open(self) -> bool:
+        """The emergency stop is pressed."""
+        return self._estop is not None and self._estop.value() == 1
+
+    # The probe
 
     def watch_probe(self, on_contact: "Callable[[], None] | None", closed: bool) -> None:
         """Call on_contact once, in an interrupt, as soon as the probe pin is `closed`."""
         self._on_contact = None
         self._contact_level = closed
         self._on_contact = on_contact
-        self._look_at_probe(None)
+        _arm((self._probe,), _BOTH_EDGES if on_contact else 0)
+        self._look_at_probe()
 
-    def _look_at_probe(self, _pin: object) -> None:
+    def _probe_changed(self, _pin: object) -> None:
+        try:
+            self._look_at_probe()
+        except BaseException:
+            self._fail()
+
+    def _look_at_probe(self) -> None:
         on_contact = self._on_contact
         if on_contact and self.probe() == self._contact_level:
             self._on_contact = None
             on_contact()
-
-    def limits(self) -> int:
-        """Mask of limit inputs pulled to ground, bit 0 = X."""
-        return _mask(self._limits)
-
-    def controls(self) -> int:
-        """Mask of control inputs pulled to ground: reset, hold, start, door."""
-        return _mask(self._controls)
+            if self._probe:
+                self._probe.irq().trigger(0)
 
     def probe(self) -> bool:
         """The probe input is pulled to ground."""
         return self._probe is not None and self._probe.value() == 0
+
+    # Outputs
 
     def enable(self, level: int) -> None:
         """Level of the motor drivers' enable pins."""
@@ -150,23 +286,51 @@ class PortPins:
             pin.value(level)
 
     def direction(self, level: int) -> None:
-        """Level of the spindle direction pin: 1 = counterclockwise."""
+        """Spindle direction: 1 = counterclockwise."""
         if self._direction:
-            self._direction.value(level)
+            self._direction.value(level ^ self._direction_off)
+        if self._killed:
+            self.safe()
 
     def spindle(self, on: bool, power: int) -> None:
         """Spindle output: enable, and PWM power 0..pwm_max. May be called in an interrupt."""
         if self._pwm:
             self._pwm.duty_u16(power * _FULL // self.pwm_max)
         if self._spindle_on:
-            self._spindle_on.value(1 if on else 0)
+            self._spindle_on.value(on != self._spindle_off)
+        if self._killed:
+            self.safe()
 
     def coolant(self, mask: int) -> None:
         """Coolant outputs: flood, mist."""
         if self._flood:
-            self._flood.value(mask & 1)
+            self._flood.value(mask & 1 ^ self._flood_off)
         if self._mist:
-            self._mist.value(mask >> 1 & 1)
+            self._mist.value(mask >> 1 & 1 ^ self._mist_off)
+        if self._killed:
+            self.safe()
+
+    def kill(self) -> object:
+        """Spindle, laser, coolant and punch off until revive(), whatever is asked of them:
+        who writes to them looks behind that whether this has come in between."""
+        self._killed = True
+        self.safe()
+        return None
+
+    def revive(self) -> None:
+        """What has been killed is off, and obeys again."""
+        if self._killed:
+            self.safe()
+            self._killed = False
+
+    def safe(self) -> None:
+        """What could do harm off; motors stay as they are: an axis that drops is no safer."""
+        if self._pwm:
+            self._pwm.duty_u16(0)
+        for _, pin, level in self._tools:
+            pin.value(level)
+
+    # The clock
 
     def ticks_ms(self) -> int:
         """Milliseconds, wrapping; compare with elapsed_ms."""
@@ -184,6 +348,18 @@ class PortPins:
             self._punch_down.value(down)
         if self._punch_up:
             self._punch_up.value(up)
+        if self._killed:
+            self.safe()
+
+    def punch_rest(self, down: int, up: int) -> None:
+        """Levels with which it goes up: what kill() sets."""
+        ours = (self._punch_down, self._punch_up)
+        tools = [tool for tool in self._tools if tool[1] not in ours]
+        names = ("PUNCH_DOWN", "PUNCH_UP")
+        for name, pin, level in zip(names, ours, (down, up)):
+            if pin:
+                tools.append((self._option(name, None), pin, level))
+        self._tools = tools
 
     def punch_sensors(self) -> int:
         """Levels of the sensors' pins: bit 0 down, bit 1 up."""
@@ -193,24 +369,25 @@ class PortPins:
         """Call on_change, in an interrupt, whenever a sensor's pin changes."""
         self._on_punch = on_change
         self._hear(self._punch_sensors, self._punch_changed)
+        _arm(self._punch_sensors, _BOTH_EDGES)
 
     def _punch_changed(self, _pin: object) -> None:
-        self._on_punch()
+        try:
+            self._on_punch()
+        except BaseException:
+            self._fail()
 
     # For power_up.py
-
-    def safe(self) -> None:
-        """What could do harm off; motors stay as they are: an axis that drops is no safer."""
-        self.spindle(False, 0)
-        self.coolant(0)
 
     def held(self, pin: "int | None") -> bool:
         """A button between this pin and ground is held."""
         return pin is not None and Pin(pin, Pin.IN, Pin.PULL_UP).value() == 0
 
 
-def _output(pin: "int | None") -> "Pin | None":
-    return None if pin is None else Pin(pin, Pin.OUT, value=0)
+def _arm(pins: "Iterable[Pin | None]", edges: int) -> None:
+    for pin in pins:
+        if pin:
+            pin.irq().trigger(edges)
 
 
 def _mask(pins: "list[Pin | None] | tuple[Pin | None, ...]") -> int:

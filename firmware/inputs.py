@@ -1,6 +1,7 @@
 """Inputs: limit switches, probe and control buttons, as the machine means them.
 
-The port says which pins are pulled to ground; $5 and $6 say what that means.
+The port says which pins are pulled to ground; $5 and $6 say what that means, of control inputs the
+board file.
 """
 
 from micropython import const
@@ -31,6 +32,7 @@ class Inputs:
         """Take over $5 and $6."""
         self._limit_invert = self._all if settings.limit_invert else 0
         self._probe_invert = bool(settings.probe_invert)
+        self._port.limit_invert = self._limit_invert
 
     def limits(self) -> int:
         """Mask of axes whose limit switch is hit."""
@@ -39,6 +41,11 @@ class Inputs:
     def controls(self) -> int:
         """Mask of control inputs that are active."""
         return self._port.controls()
+
+    def estop(self) -> bool:
+        """The emergency stop is pressed; never so where there is none."""
+        estop = self._port.estop
+        return estop is not None and estop()
 
     def probe(self) -> bool:
         """The probe touches."""

@@ -68,15 +68,24 @@ class Port(Protocol):
     """Pins that are not steps, and the clock."""
 
     pwm_max: int  # spindle(): full power
+    limit_invert: int  # limits() where no switch is hit; Inputs sets it
+    estop: Callable[[], bool] | None  # whether the emergency stop is pressed; None: not wired
+    fault: str  # what is wrong with the inputs, in words; "" as long as nothing is
 
-    def attach(self, on_limits: Callable[[], None], on_controls: Callable[[], None]) -> None:
-        """Who is called, in interrupt context, when one of these inputs changes."""
+    def attach(
+        self,
+        on_limits: Callable[[], None],
+        on_controls: Callable[[], None],
+        on_fault: Callable[[], None],
+    ) -> None:
+        """Who is called, in interrupt context, when one of these inputs changes, the emergency
+        stop being one of the controls; and behind kill(), where a callback has raised."""
 
     def hear_limits(self, on: bool) -> None:
         """Call on_limits, or leave the limit inputs in peace ($21). An input that has called is
-        not heard again before the next hear_limits(True)."""
+        looked at again some milliseconds later and not heard meanwhile."""
 
-    def kill(self) -> None:
+    def kill(self) -> object:
         """Spindle, laser, coolant and punch off; they stay off, whatever is asked of them, until
         revive(). What an interrupt that has to stop the machine does first; needs little stack."""
 
@@ -91,7 +100,7 @@ class Port(Protocol):
         """Mask of limit inputs pulled to ground, bit 0 = X."""
 
     def controls(self) -> int:
-        """Mask of control inputs pulled to ground: inputs.RESET, HOLD, START, DOOR."""
+        """Mask of control inputs that are active: inputs.RESET, HOLD, START, DOOR."""
 
     def probe(self) -> bool:
         """The probe input is pulled to ground."""
@@ -121,6 +130,9 @@ class PunchPort(Port, Protocol):
 
     def punch(self, down: int, up: int) -> None:
         """Levels of the two actuators' pins. May be called in an interrupt."""
+
+    def punch_rest(self, down: int, up: int) -> None:
+        """Levels with which it goes up: what kill() sets."""
 
     def punch_sensors(self) -> int:
         """Levels of the sensors' pins: bit 0 down, bit 1 up."""

@@ -98,6 +98,7 @@ class Punch(Spindle):
         inverts = [getattr(settings, row[1]) for row in _SETTINGS]
         self._down_invert, self._up_invert = inverts[:2]
         self._sensor_invert = inverts[2] * _DOWN | inverts[3] * _UP
+        self._pins.punch_rest(self._down_invert, 1 ^ self._up_invert)
         self._drive(False)
 
     def power(self, rpm: float) -> int:

@@ -116,6 +116,7 @@ class Realtime:
     ) -> None:
         """Say whom to call: pump reads the link, resync copies the machine's position to all."""
         self._port = port
+        self._estop = port.estop
         self._pump = pump
         self._gcode = gcode
         self._resync = resync
@@ -170,7 +171,9 @@ class Realtime:
             state.alarm = errors.ALARM_HARD_LIMIT
 
     def on_controls(self) -> None:
-        """A control input has changed. Interrupt."""
+        """A control input has changed, or the emergency stop. Interrupt."""
+        if self._estop and self._estop():
+            self._emergency()
         active = self._inputs.controls()
         if active & RESET:
             self.reset()
@@ -180,6 +183,18 @@ class Realtime:
             self._state.post(st.CYCLE_START)
         if active & DOOR:
             self._state.post(st.SAFETY_DOOR)
+
+    def _emergency(self) -> None:
+        """The emergency stop is pressed. Where the machine is in alarm it is stopped already."""
+        state = self._state
+        if state.run != st.ALARM and state.alarm != errors.ALARM_EMERGENCY_STOP:
+            self.reset()
+            state.alarm = errors.ALARM_EMERGENCY_STOP
+
+    def on_fault(self) -> None:
+        """A callback of the port has raised. Interrupt."""
+        self._state.alarm = errors.ALARM_INTERNAL
+        self.reset()
 
     def on_contact(self) -> None:
         """The probe has touched. Interrupt."""
@@ -204,6 +219,8 @@ class Realtime:
     def events(self) -> None:
         """As run(), but does not wait for a suspension to end."""
         state = self._state
+        if self._estop and self._estop():
+            self._emergency()
         if not (state.pending[st.ANY] or state.alarm or self._settling or self._moving):
             return  # as nearly always
         if state.alarm:
@@ -236,6 +253,8 @@ class Realtime:
         code = state.alarm
         state.run = st.ALARM
         self._report.alarm(code)
+        if code == errors.ALARM_INTERNAL:
+            self._report.message(self._port.fault)
         if code in (errors.ALARM_HARD_LIMIT, errors.ALARM_SOFT_LIMIT):
             # Nothing but a reset is heard: the user is to look at the machine first.
             self._report.message(errors.MSG_CRITICAL_EVENT)

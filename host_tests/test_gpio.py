@@ -50,7 +50,7 @@ class Heard:
     """Counts what it is called for."""
 
     def __init__(self) -> None:
-        self.limits = self.controls = self.probe = 0
+        self.limits = self.controls = self.probe = self.faults = 0
 
     def on_limits(self) -> None:
         self.limits += 1
@@ -61,10 +61,14 @@ class Heard:
     def on_contact(self) -> None:
         self.probe += 1
 
+    def on_fault(self) -> None:
+        self.faults += 1
+
 
 def made(**changes: Any) -> "tuple[GpioPort, Heard]":
     port, heard = GpioPort(board(**changes)), Heard()
-    port.attach(heard.on_limits, heard.on_controls)
+    port.attach(heard.on_limits, heard.on_controls, heard.on_fault)
+    port.hear_limits(True)
     return port, heard
 
 
@@ -81,13 +85,67 @@ def test_inputs_that_are_not_wired_are_never_closed() -> None:
     assert (port.limits(), port.controls(), port.probe()) == (0, 0, False)
 
 
-def test_every_edge_of_a_switch_is_heard_in_a_hard_interrupt() -> None:
+def test_a_switch_is_heard_at_once_in_a_hard_interrupt() -> None:
     _, heard = made()
     Pin(9).drive(0)
-    Pin(9).drive(1)
     Pin(14).drive(0)
-    assert (heard.limits, heard.controls) == (2, 1)
+    assert (heard.limits, heard.controls) == (1, 1)
     assert all(Pin(pin).hard for pin in (9, 10, 11, 12, 13, 14, 15))
+
+
+def test_limits_are_heard_only_where_they_are_wanted() -> None:
+    port, heard = made()
+    port.hear_limits(False)
+    Pin(9).drive(0)
+    assert (Pin(9).calls, heard.limits) == (0, 0)
+    port.hear_limits(True)
+    Pin(10).drive(0)
+    assert heard.limits == 1
+
+
+def test_interference_calls_once_in_a_while_and_leaves_the_others_alone() -> None:
+    port, heard = made()
+    for _ in range(1000):
+        Pin(9).drive(0)
+        Pin(9).drive(1)
+    assert (Pin(9).calls, heard.limits) == (1, 1)
+    Pin(10).drive(0)
+    assert heard.limits == 2
+    port._limit_timer.expire()  # as at the last edge heard
+    assert heard.limits == 2
+    Pin(9).drive(0)
+    assert heard.limits == 3
+    Pin(9).drive(1)
+    port._limit_timer.expire()  # that was not heard, but seen
+    assert heard.limits == 4
+
+
+def test_nothing_is_heard_again_once_limits_are_not_wanted() -> None:
+    port, heard = made()
+    Pin(9).drive(0)
+    port.hear_limits(False)
+    Pin(9).drive(1)
+    port._limit_timer.expire()
+    Pin(10).drive(0)
+    assert (heard.limits, Pin(10).calls) == (1, 0)
+
+
+@pytest.mark.parametrize("invert", [0, 7])
+def test_a_limit_that_is_to_last_counts_if_it_is_closed_in_the_end(invert: int) -> None:
+    port, heard = made(LIMIT_DEBOUNCE_MS=3)
+    port.limit_invert = invert
+    at_rest, hit = (0, 1) if invert else (1, 0)
+    for pin in (9, 10, 11):
+        Pin(pin).drive(at_rest)
+    port._limit_timer.expire()
+    Pin(9).drive(hit)
+    Pin(9).drive(at_rest)
+    assert (port._limit_timer.period, heard.limits) == (3, 0)
+    port._limit_timer.expire()
+    assert heard.limits == 0
+    Pin(9).drive(hit)
+    port._limit_timer.expire()
+    assert heard.limits == 1
 
 
 def test_pins_interrupt_before_all_others() -> None:
@@ -96,19 +154,63 @@ def test_pins_interrupt_before_all_others() -> None:
     assert machine.mem32[0xE000E40C] == 0x80804080
 
 
+def test_a_button_is_heard_at_once_and_a_storm_is_not() -> None:
+    port, heard = made()
+    for _ in range(1000):
+        Pin(13).drive(0)
+        Pin(13).drive(1)
+    Pin(14).drive(0)
+    assert (Pin(13).calls, heard.controls) == (1, 2)
+    Pin(13).drive(0)
+    port._control_timer.expire()
+    assert heard.controls == 3  # what came in peace is not lost
+    port._control_timer.expire()
+    assert (heard.controls, port._control_timer.callback) == (3, None)
+    Pin(13).drive(1)
+    assert heard.controls == 4
+
+
+def test_an_input_is_active_when_open_where_the_board_says_so() -> None:
+    port, _ = made(CONTROL_INVERT=0b011)
+    assert port.controls() == 0b011
+    for pin in (13, 14, 15):
+        Pin(pin).drive(0)
+    assert port.controls() == 0b100
+
+
+def test_the_emergency_stop_is_pressed_when_open_and_is_never_left_in_peace() -> None:
+    port, heard = made(ESTOP=22, CONTROL_DEBOUNCE_MS=20)
+    assert port.estop is not None and port.estop()
+    Pin(22).drive(0)
+    assert not port.estop()
+    port._control_timer.expire()
+    before = heard.controls
+    Pin(13).drive(0)
+    Pin(22).drive(1)  # while a button bounces
+    assert heard.controls == before + 2
+    port._control_timer.expire()
+    assert heard.controls == before + 3  # it is still pressed
+    assert port._control_timer.callback is None
+
+
+def test_no_emergency_stop_costs_nothing() -> None:
+    port, _ = made()
+    assert port.estop is None
+
+
 def test_a_bouncing_button_is_heard_once_and_again_when_it_has_changed() -> None:
     port, heard = made(CONTROL_DEBOUNCE_MS=20)
     for level in (0, 1, 0, 1, 0):
         Pin(13).drive(level)
     assert heard.controls == 1
-    port._timer.expire()
+    port._control_timer.expire()
     assert heard.controls == 1
     Pin(13).drive(1)
     Pin(14).drive(0)  # while the contacts of the other are at it
     assert heard.controls == 2
-    port._timer.expire()
+    port._control_timer.expire()
     assert heard.controls == 3
-    port._timer.expire()
+    port._control_timer.expire()
     assert heard.controls == 3
 
 
@@ -121,6 +223,15 @@ def test_the_probe_is_told_of_once(closed: bool) -> None:
     for level in (0, 1, 0, 1):
         Pin(12).drive(level)
     assert heard.probe == 1
+
+
+def test_a_probe_interrupts_only_while_it_is_watched() -> None:
+    port, heard = made()
+    Pin(12).drive(0)
+    port.watch_probe(heard.on_contact, False)
+    port.watch_probe(None, False)
+    Pin(12).drive(1)
+    assert (Pin(12).calls, heard.probe) == (0, 0)
 
 
 def test_a_probe_that_touches_already_is_told_of_at_once() -> None:

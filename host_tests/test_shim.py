@@ -3,6 +3,7 @@
 import traceback
 from array import array
 
+import machine
 import micropython
 import pytest
 from hypothesis import given
@@ -234,6 +235,13 @@ def test_indices_outside_the_buffer_raise(index):
 def test_a_pointer_to_no_buffer_raises():
     with pytest.raises(TypeError):
         load32(0xD0000000, 0)
+
+
+def test_a_pointer_to_a_register_is_mem32_with_a_sign():
+    store32(0x40014004, 2, -2)
+    assert machine.mem32[0x4001400C] == 0xFFFFFFFE
+    assert load32(0x4001400C, 0) == -2
+    del machine.mem32.words[0x4001400C]
 
 
 def test_new_arrays_are_not_taken_for_old_ones():

@@ -17,6 +17,19 @@ def freq() -> int:
     return 240_000_000
 
 
+class IRQ:
+    """What Pin.irq() returns."""
+
+    def __init__(self, pin: "Pin") -> None:
+        self._pin = pin
+
+    def trigger(self, edges: int) -> int:
+        if edges & ~3:
+            raise ValueError("levels would call for ever")
+        before, self._pin.trigger = self._pin.trigger, edges
+        return before
+
+
 class Pin:
     """A pin; `log` has (us, level) of every change of its output."""
 
@@ -46,6 +59,7 @@ class Pin:
             self.driven = False
             self.log: "list[tuple[int, int]]" = []
             self.handler: object = None
+            self.trigger = 0
         if id in self.without_output and (mode == self.OUT or pull not in (-1, None)):
             raise ValueError("pin can only be input, and has no pull")
         if mode != -1:
@@ -65,9 +79,11 @@ class Pin:
         self.log.append((clock.us, self.level))
         return 0
 
-    def irq(self, handler: object = None, trigger: int = 3) -> None:
-        self.handler = handler
-        self.trigger = trigger
+    def irq(self, handler: object = None, trigger: int = 3) -> "IRQ":
+        if handler is not None:
+            self.handler = handler
+            self.trigger = trigger
+        return IRQ(self)
 
     def drive(self, level: int) -> None:
         """From outside: the world pulls the pin."""
@@ -82,11 +98,14 @@ class Pin:
 class PWM:
     """A PWM output."""
 
-    def __init__(self, dest: Pin, *, freq: int, duty_u16: int = 0) -> None:
+    def __init__(
+        self, dest: Pin, *, freq: int, duty_u16: int = 0, invert: "bool | int" = False
+    ) -> None:
         if not 0 < freq <= 40_000_000:
             raise ValueError("frequency must be from 1Hz to 40MHz")
         self.frequency = freq
         self.pin = dest
+        self.invert = invert
         self.duty_u16(duty_u16)
 
     def duty_u16(self, duty: int) -> None:

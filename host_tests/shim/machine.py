@@ -14,6 +14,15 @@ def freq() -> int:
     return 125_000_000
 
 
+# Registers that pins have for themselves: RP2040's, RP2350's IO_BANK0. Behind them lie aliases
+# where ones flip, set and clear bits.
+_BANKS = (0x40014000, 0x40028000)
+_ALIAS = 0x1000
+_CONTROL, _CONTROL_STEP = 0x40014004, 8
+_OUTOVER = 8  # a shift: 0 as it is, 1 inverted, 2 low, 3 high
+_FUNCTION_PWM, _FUNCTION_SIO = 4, 5
+
+
 class _Memory:
     """Registers, as far as somebody has written to them; they begin as 0."""
 
@@ -28,14 +37,37 @@ class _Memory:
     def __setitem__(self, address: int, value: int) -> None:
         if address % 4:
             raise ValueError("address not aligned")
-        self.words[address] = value & 0xFFFFFFFF
+        value &= 0xFFFFFFFF
+        for bank in _BANKS:
+            alias, offset = divmod(address - bank, _ALIAS)
+            if 0 < alias < 4:
+                address = bank + offset
+                old = self[address]
+                value = (old ^ value, old | value, old & ~value)[alias - 1]
+                break
+        self.words[address] = value
 
 
 mem32 = _Memory()
 
 
+class _Irq:
+    """What Pin.irq() returns."""
+
+    def __init__(self, pin: "Pin") -> None:
+        self._pin = pin
+
+    def trigger(self, edges: int) -> None:
+        if edges & ~(Pin.IRQ_FALLING | Pin.IRQ_RISING):
+            raise ValueError("levels would call for ever")
+        self._pin.trigger = edges
+
+
 class Pin:
-    """A pin of the chip: one object per number. drive() is the world outside."""
+    """A pin of the chip: one object per number. drive() is the world outside, pad() what it sees.
+
+    Edges of a pin whose trigger is 0 are lost. A handler that raises is not called again.
+    """
 
     IN, OUT = 0, 1
     PULL_UP, PULL_DOWN = 1, 2
@@ -51,6 +83,7 @@ class Pin:
             pin = cls.pins[id] = object.__new__(cls)
             pin.id, pin.mode, pin.pull, pin.level, pin.driven = id, cls.IN, None, 0, None
             pin.handler, pin.trigger, pin.hard = None, 0, False
+            pin.calls = 0
         return cls.pins[id]
 
     def __init__(
@@ -67,8 +100,22 @@ class Pin:
         self.handler: "Callable[[Pin], object] | None"
         self.trigger: int
         self.hard: bool
+        self.calls: int  # of its handler
         if value is not None:
             self.level: int = value
+        if mode != -1:
+            self.select(_FUNCTION_SIO)
+
+    def select(self, function: int) -> None:
+        """Somebody takes the pin: all its overrides are gone."""
+        mem32[_CONTROL + _CONTROL_STEP * self.id] = function
+
+    def pad(self) -> int:
+        """What comes out: 0 to 65535, the share of time that it is high."""
+        control = mem32[_CONTROL + _CONTROL_STEP * self.id]
+        pwm = control & 31 == _FUNCTION_PWM
+        level = PWM.outputs[self.id].shape() if pwm else 65535 * self.level
+        return (level, 65535 - level, 0, 65535)[control >> _OUTOVER & 3]
 
     def value(self, level: "int | None" = None) -> int:
         if level is not None:
@@ -84,9 +131,13 @@ class Pin:
         handler: "Callable[[Pin], object] | None" = None,
         trigger: int = 12,
         *,
-        hard: bool = False,
-    ) -> None:
-        self.handler, self.trigger, self.hard = handler, trigger, hard
+        hard: "bool | None" = None,
+    ) -> "_Irq":
+        if handler is not None:
+            self.handler, self.trigger, self.hard = handler, trigger, bool(hard)
+        elif hard is not None:
+            raise NotImplementedError("nobody takes a handler away")
+        return _Irq(self)
 
     def drive(self, level: int) -> None:
         """The world outside sets the pin; an interrupt where the level changes."""
@@ -94,7 +145,12 @@ class Pin:
         self.driven = level
         edge = Pin.IRQ_RISING if level else Pin.IRQ_FALLING
         if self.handler and before != self.value() and self.trigger & edge:
-            self.handler(self)
+            self.calls += 1
+            try:
+                self.handler(self)
+            except BaseException:
+                self.handler, self.trigger = None, 0
+                raise
 
 
 class PWM:
@@ -102,12 +158,18 @@ class PWM:
 
     outputs: dict[int, "PWM"] = {}
 
-    def __init__(self, pin: Pin, *, freq: int, duty_u16: int) -> None:
+    def __init__(self, pin: Pin, *, freq: int, duty_u16: int, invert: int = 0) -> None:
         if not 8 <= freq <= 62_500_000:
             raise ValueError("freq out of range")
         self.freq = freq
         self.duty = duty_u16
+        self.invert = invert
         PWM.outputs[pin.id] = self
+        pin.select(_FUNCTION_PWM)
+
+    def shape(self) -> int:
+        """What it hands to the pad."""
+        return 65535 - self.duty if self.invert else self.duty
 
     def duty_u16(self, duty: int) -> None:
         if not 0 <= duty <= 65535:
@@ -124,7 +186,7 @@ class Timer:
         if id != -1:
             raise ValueError("Timer doesn't exist")
         self.callback: "Callable[[Timer], object] | None" = None
-        self.period = 0
+        self.mode, self.period = Timer.PERIODIC, 0
 
     def init(
         self,

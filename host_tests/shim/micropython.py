@@ -30,6 +30,7 @@ _WORD_LIMIT = 1 << 31
 _SMALL_INT_LIMIT = 1 << 30
 _WORD_BITS = 32
 _VIEWS_KEPT = 1000
+_REGISTERS = range(0x40000000, 0x50000000)  # of the chip's slow peripherals: `machine` has them
 
 
 def const(value: _Value, /) -> _Value:
@@ -73,7 +74,9 @@ class _Pointer:
         self._code = code
         self.views: dict[int, memoryview] = {}  # by id; a view keeps what it shows alive
 
-    def __call__(self, memory: Any, /) -> memoryview:
+    def __call__(self, memory: Any, /) -> Any:
+        if isinstance(memory, int) and memory in _REGISTERS:
+            return _Registers(memory)
         view = self.views.get(id(memory))
         if view is None:
             view = memoryview(memory).cast("B").cast(cast(Any, self._code))
@@ -83,6 +86,22 @@ class _Pointer:
                 # The view too: one viper function may hand its pointer to another.
                 self.views[id(memory)] = self.views[id(view)] = view
         return view
+
+
+class _Registers:
+    """A pointer made of an address: to the registers of the stand-in for `machine`."""
+
+    def __init__(self, address: int) -> None:
+        import machine
+
+        self._memory, self._address = machine.mem32, address
+
+    def __getitem__(self, index: int) -> int:
+        value = int(self._memory[self._address + 4 * index])
+        return value - (value >> 31 << 32)
+
+    def __setitem__(self, index: int, value: int) -> None:
+        self._memory[self._address + 4 * index] = _int(value)
 
 
 def _int(value: Any, low: int = -_WORD_LIMIT, limit: int = _WORD_LIMIT) -> int:

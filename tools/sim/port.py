@@ -10,6 +10,7 @@ if TYPE_CHECKING:
 # Names of the inputs in recordings, in the bit order of Port.limits() and Port.controls().
 LIMITS = ("limit_x", "limit_y", "limit_z", "limit_a")
 CONTROLS = ("reset", "hold", "start")
+ESTOP = "estop"
 # On an Uno with a safety door, the door takes the place of the hold button.
 CONTROLS_WITH_DOOR = ("reset", "", "start", "hold")
 
@@ -20,6 +21,8 @@ class SimPort:
     def __init__(self, rig: "Rig", board: "ModuleType") -> None:
         self.pwm_max = board.PWM_MAX
         self._controls = CONTROLS_WITH_DOOR if getattr(board, "SAFETY_DOOR", False) else CONTROLS
+        # The direction's pin says that the spindle is on.
+        self._enables: bool = getattr(board, "SPINDLE_ENABLE_PIN", False)
         self.enable_pin = 1
         self.spindle_on = False
         self.spindle_pwm = 0
@@ -35,23 +38,43 @@ class SimPort:
         self._contact_level = True
         self._hears_limits = False
         self._killed = False
+        self.limit_invert = 0
+        self.fault = ""
+        self.estop: "Callable[[], bool] | None" = None
+        if getattr(board, "ESTOP", None) is not None:
+            self.estop = self._stop_is_open
+            self._pushed[ESTOP] = True  # a contact that opens when pressed, or when cut
+            self._closed.add(ESTOP)
 
     # The Port seam
 
-    def attach(self, on_limits: "Callable[[], None]", on_controls: "Callable[[], None]") -> None:
+    def attach(
+        self,
+        on_limits: "Callable[[], None]",
+        on_controls: "Callable[[], None]",
+        on_fault: "Callable[[], None]",
+    ) -> None:
         self._on_limits = on_limits
         self._on_controls = on_controls
+        self._on_fault = on_fault
 
     def hear_limits(self, on: bool) -> None:
         self._hears_limits = on
 
     def kill(self) -> None:
         self._killed = True
-        self.spindle(False, 0)
-        self.coolant(0)
+        self._switch_off()
 
     def revive(self) -> None:
-        self._killed = False
+        if self._killed:
+            self._switch_off()
+            self._killed = False
+
+    def _switch_off(self) -> None:
+        self.spindle_on = False
+        self.spindle_pwm = self.flood = self.mist = 0
+        if self._enables:
+            self.spindle_dir = 0
 
     def watch_probe(self, on_contact: "Callable[[], None] | None", closed: bool) -> None:
         self._on_contact = on_contact
@@ -72,14 +95,20 @@ class SimPort:
 
     def direction(self, level: int) -> None:
         self.spindle_dir = level
+        if self._killed:
+            self._switch_off()
 
     def spindle(self, on: bool, power: int) -> None:
-        self.spindle_on = on and not self._killed
-        self.spindle_pwm = 0 if self._killed else power
+        self.spindle_on = on
+        self.spindle_pwm = power
+        if self._killed:
+            self._switch_off()
 
     def coolant(self, mask: int) -> None:
-        self.flood = 0 if self._killed else mask & 1
-        self.mist = 0 if self._killed else mask >> 1 & 1
+        self.flood = mask & 1
+        self.mist = mask >> 1 & 1
+        if self._killed:
+            self._switch_off()
 
     def ticks_ms(self) -> int:
         return int(self._rig.now // self._rig.ticks_per_ms)
@@ -116,8 +145,12 @@ class SimPort:
             self._look_at_probe()
         if self._on_limits and self._hears_limits and any(name in changed for name in LIMITS):
             self._on_limits()
-        if self._on_controls and any(name in changed for name in self._controls):
+        buttons = any(name in changed for name in self._controls)
+        if self._on_controls and (buttons or ESTOP in changed):
             self._on_controls()
+
+    def _stop_is_open(self) -> bool:
+        return ESTOP not in self._closed
 
     def _look_at_probe(self) -> None:
         if self._on_contact and self.probe() == self._contact_level:

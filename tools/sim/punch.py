@@ -52,6 +52,7 @@ class PunchPort(SimPort):
         self._speed = 0  # 1: down, -1: up
         self._up_from = rig.now
         self._up_until: "int | None" = None
+        self._rest: "tuple[int, int] | None" = None
         self._on_change: "Callable[[], None] | None" = None
         engine = rig.engine
         if isinstance(engine, PunchEngine):
@@ -60,6 +61,16 @@ class PunchPort(SimPort):
     # The PunchPort seam
 
     def punch(self, down: int, up: int) -> None:
+        self._drive(down, up)
+        if self._killed:
+            self._switch_off()
+
+    def _switch_off(self) -> None:
+        super()._switch_off()
+        if self._rest:
+            self._drive(*self._rest)
+
+    def _drive(self, down: int, up: int) -> None:
         down ^= self.wiring & 1
         up ^= self.wiring >> 1 & 1
         self.place()
@@ -67,6 +78,9 @@ class PunchPort(SimPort):
         if speed > 0 and speed != self._speed and not self._rig.engine.idle():
             raise BrokenLaw("it goes down while the machine moves")
         self._speed = speed
+
+    def punch_rest(self, down: int, up: int) -> None:
+        self._rest = (down, up)
 
     def punch_sensors(self) -> int:
         place = self.place()

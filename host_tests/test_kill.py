@@ -1,0 +1,239 @@
+"""kill() between any two bytecodes of whatever switches a tool: it is off, and stays so."""
+
+import sys
+from collections.abc import Callable, Iterator
+from types import FrameType
+from typing import Any
+
+import esp_bench
+import gpio
+import machine
+import pytest
+from test_gpio import board
+from ugrbl.machine import load_board
+from ugrbl.sim.rig import Rig
+
+OUTPUTS = {"SPINDLE_PWM": 16, "SPINDLE_DIR": 17, "FLOOD": 18, "SPINDLE_ON": 19, "MIST_PIN": 20}
+PUNCH = {"PUNCH_DOWN": 21, "PUNCH_UP": 22, "PUNCH_DOWN_SENSOR": 26, "PUNCH_UP_SENSOR": 27}
+ENABLES = {"SPINDLE_ENABLE_PIN": True}
+POLARITIES = [(), ("SPINDLE_PWM",), ("SPINDLE_ON", "MIST_PIN"), tuple(OUTPUTS)]
+
+# What a machine does with its tools, on a port.
+WORK: "dict[str, Callable[[Any], object]]" = {
+    "spindle": lambda port: port.spindle(True, 700),
+    "coolant": lambda port: port.coolant(3),
+    "direction": lambda port: port.direction(1),
+    "punch": lambda port: port.punch(1, 0),
+}
+
+
+class Bench:
+    """A port of a chip, and what comes out of its pins: name by name, 0 is off."""
+
+    def __init__(self, chip: str, inverted: "tuple[str, ...]") -> None:
+        self.inverted = inverted
+        made = board(**OUTPUTS, **PUNCH, **ENABLES, INVERT=inverted)
+        if chip == "sim":
+            vars(made).update(vars(load_board("sim_punch")), **ENABLES)
+            self.port: Any = Rig(made).port
+        elif chip == "esp":
+            self.port = esp_bench.gpio_esp.EspPort(made)
+        else:
+            self.port = gpio.GpioPort(made)
+        self.chip = chip
+        self.port.punch_rest(0, 1)
+
+    def outputs(self) -> "dict[str, int]":
+        """How far from off each of them is."""
+        port = self.port
+        if self.chip == "sim":
+            names = ("spindle_on", "spindle_pwm", "spindle_dir", "flood", "mist")
+            return {**{name: int(getattr(port, name)) for name in names}, "down": port._speed > 0}
+        found = {}
+        for name, pin in {**OUTPUTS, "PUNCH_DOWN": 21}.items():
+            found[name] = self.level(pin) ^ (0xFFFF if name in self.inverted else 0)
+        return {**found, "PUNCH_UP": self.level(22) ^ 0xFFFF}
+
+    def level(self, number: int) -> int:
+        """What comes out of a pin, as a share of time."""
+        if self.chip == "rp2":
+            return machine.Pin(number).pad()
+        pin = esp_bench.esp_machine.Pin(number)
+        if number != OUTPUTS["SPINDLE_PWM"]:
+            return 0xFFFF * int(pin.level)
+        return int(self.port._pwm.duty) ^ (0xFFFF if self.port._pwm.invert else 0)
+
+
+@pytest.fixture(autouse=True)
+def new_chips(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(gpio, "_is_rp2350", lambda: False)
+    monkeypatch.setattr(machine.Pin, "pins", {})
+    monkeypatch.setattr(machine.PWM, "outputs", {})
+    monkeypatch.setattr(machine.mem32, "words", {})
+    esp_bench.reset_stand_ins()
+    yield
+    esp_bench.reset_stand_ins()
+
+
+def interrupted(work: "Callable[[], object]", at: int, interrupt: "Callable[[], object]") -> bool:
+    """Do work, with an interrupt before its bytecode number `at`; whether it had so many."""
+    count = 0
+
+    def trace(frame: FrameType, event: str, _argument: object) -> Any:
+        nonlocal count
+        frame.f_trace_opcodes = True
+        if event == "opcode":
+            count += 1
+            if count == at + 1:
+                interrupt()
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(lambda frame, *_: trace(frame, "call", None))
+    try:
+        work()
+    finally:
+        sys.settrace(before)
+    return count > at
+
+
+def kill_everywhere(bench: "Callable[[], Bench]", work: "Callable[[Any], object]") -> int:
+    """How many places there were; after each the tools are off, and on again when revived."""
+    at = 0
+    while True:
+        made = bench()
+        port = made.port
+        if not interrupted(lambda: work(port), at, port.kill):  # noqa: B023
+            assert any(made.outputs().values())  # nobody has killed it: it is on
+            return at
+        assert not any(made.outputs().values()), at
+        work(port)
+        assert not any(made.outputs().values()), at
+        port.revive()
+        assert not any(made.outputs().values()), at
+        work(port)
+        assert any(made.outputs().values()), at
+        at += 1
+
+
+@pytest.mark.parametrize("inverted", POLARITIES, ids=len)
+@pytest.mark.parametrize("what", WORK)
+@pytest.mark.parametrize("chip", ["rp2", "esp"])
+def test_nothing_that_is_interrupted_switches_a_tool_on(
+    chip: str, what: str, inverted: "tuple[str, ...]"
+) -> None:
+    assert kill_everywhere(lambda: Bench(chip, inverted), WORK[what]) > 20
+
+
+@pytest.mark.parametrize("what", WORK)
+def test_nor_does_it_in_the_simulator(what: str) -> None:
+    assert kill_everywhere(lambda: Bench("sim", ()), WORK[what]) > 10
+
+
+@pytest.mark.parametrize("chip", ["rp2", "esp", "sim"])
+def test_reviving_what_is_not_dead_changes_nothing(chip: str) -> None:
+    """Homing revives, and a spindle that turns goes on."""
+    bench = Bench(chip, ())
+    bench.port.spindle(True, 700)
+    before = bench.outputs()
+    bench.port.revive()
+    assert bench.outputs() == before and any(before.values())
+
+
+@pytest.mark.parametrize("inverted", POLARITIES, ids=len)
+@pytest.mark.parametrize("chip", ["rp2", "esp"])
+def test_every_output_is_off_from_the_start(chip: str, inverted: "tuple[str, ...]") -> None:
+    found = Bench(chip, inverted).outputs()
+    del found["PUNCH_UP"]  # it is Punch that moves it
+    assert not any(found.values())
+
+
+def test_a_punch_that_is_wired_the_other_way_round_is_brought_up() -> None:
+    bench = Bench("rp2", ())
+    bench.port.punch(0, 1)
+    bench.port.punch_rest(1, 0)
+    bench.port.kill()
+    assert (machine.Pin(21).pad(), machine.Pin(22).pad()) == (0xFFFF, 0)
+    bench.port.revive()
+    assert machine.mem32[0x40014004 + 8 * 21] >> 8 & 3 == 0
+
+
+def test_a_direction_that_enables_nothing_is_left_alone() -> None:
+    port = gpio.GpioPort(board())
+    port.direction(1)
+    port.kill()
+    assert machine.Pin(17).pad() == 0xFFFF
+
+
+@pytest.mark.parametrize(
+    ("chip", "control", "shift"), [("RP2040", 0x40014004, 8), ("RP2350", 0x40028004, 12)]
+)
+def test_pads_are_held_by_the_registers_of_the_chip(
+    chip: str, control: int, shift: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By GPIOn_CTRL.OUTOVER: 2 is low, 3 is high, whatever the pin's peripheral says."""
+    monkeypatch.setattr(gpio, "_is_rp2350", lambda: chip == "RP2350")
+    port = gpio.GpioPort(board(**OUTPUTS, INVERT=("FLOOD",)))
+    others = {pin: machine.mem32[control + 8 * pin] for pin in range(30)}
+    port.kill()
+    for pin in range(30):
+        forced = {16: 2, 18: 3, 19: 2, 20: 2}.get(pin, 0)
+        assert machine.mem32[control + 8 * pin] == others[pin] | forced << shift
+    port.revive()
+    assert {pin: machine.mem32[control + 8 * pin] for pin in range(30)} == others
+
+
+# Callbacks that fail
+
+
+def made(chip: str) -> "tuple[Any, Any, list[str]]":
+    """A port whose callbacks all fail, its pins, and what it has said of that."""
+    changes: "dict[str, Any]" = {**OUTPUTS, **PUNCH, "ESTOP": 28}
+    pins: Any = machine.Pin if chip == "rp2" else esp_bench.esp_machine.Pin
+    make = gpio.GpioPort if chip == "rp2" else esp_bench.gpio_esp.EspPort
+    port: Any = make(board(**changes))
+    told: list[str] = []
+
+    def fail() -> None:
+        raise MemoryError
+
+    port.attach(fail, fail, lambda: told.append(port.fault))
+    port.hear_limits(True)
+    port.watch_punch(fail)
+    return port, pins, told
+
+
+@pytest.mark.parametrize("pin", [9, 13, 12, 26, 28])
+@pytest.mark.parametrize("chip", ["rp2", "esp"])
+def test_a_callback_that_fails_kills_the_tool_and_tells(chip: str, pin: int) -> None:
+    port, pins, told = made(chip)
+    if pin == 12:
+        port.watch_probe(lambda: 1 // 0, True)
+    port.spindle(True, 700)
+    pins(pin).drive(0)
+    assert told == ["A pin's callback has failed"]
+    port.spindle(True, 700)
+    assert (machine.Pin(16).pad() if chip == "rp2" else port._pwm.duty) == 0
+
+
+def test_a_timer_s_callback_that_fails_tells_too() -> None:
+    port, pins, told = made("rp2")
+    fail, port._on_limits, port._on_controls = port._on_limits, list, list
+    pins(9).drive(0)
+    pins(13).drive(0)
+    assert not told
+    port._on_limits = port._on_controls = fail
+    pins(9).drive(1)
+    pins(13).drive(1)
+    port._limit_timer.expire()
+    assert told == ["A pin's callback has failed"]
+    port._control_timer.expire()
+    assert told == 2 * ["A pin's callback has failed"]
+
+
+def test_where_stopping_fails_too_nothing_leaves_the_interrupt() -> None:
+    port = gpio.GpioPort(board())
+    port.attach(*3 * (lambda: 1 // 0,))
+    port.hear_limits(True)
+    machine.Pin(9).drive(0)
+    assert port.fault.endswith("and so has stopping")
