@@ -61,7 +61,7 @@ class GpioPort(PortPins):
             control, shift = _CONTROL_2350, _OUTOVER_2350
         held = [(number, level) for number, _, level in self._tools]
         if self._pwm:
-            held.insert(0, (self._board.SPINDLE_PWM, self._pwm_off))
+            held.insert(0, (self._pwm_number, self._pwm_off))
         i = 1
         for number, level in held:
             self._pads[i + 1] = (_FORCED | level) << shift

@@ -28,7 +28,8 @@ def _load() -> "tuple[Any, Any, Any, Any]":
             ticks_us=clock.ticks_us, ticks_ms=clock.ticks_ms, ticks_diff=clock.ticks_diff
         ),
     }
-    hidden = {name: sys.modules.pop(name, None) for name in (*stand_ins, "gpio_port", "gpio_esp")}
+    pins = ("gpio_inputs", "gpio_port", "gpio_esp")
+    hidden = {name: sys.modules.pop(name, None) for name in (*stand_ins, *pins)}
     sys.modules.update(stand_ins)
     try:
         import gpio_esp

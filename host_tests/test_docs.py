@@ -81,9 +81,10 @@ def test_every_error_and_alarm_is_in_the_readme():
 def test_every_board_and_option_is_in_the_readme():
     files = [path.name for path in (_ROOT / "boards").glob("[!_]*.py")]
     assert [name for name in files if not in_readme(name)] == []
-    source = (_FIRMWARE / "wiring.py").read_text(encoding="utf-8")
+    readers = ("wiring.py", "gpio_inputs.py", "gpio_port.py")
+    source = "".join((_FIRMWARE / name).read_text(encoding="utf-8") for name in readers)
     options = re.findall(r'\boption\("(\w+)"', source)
-    assert options
+    assert {"STEP", "ESTOP", "INVERT"} <= set(options)
     assert [name for name in options if not in_readme(name)] == []
 
 

@@ -276,14 +276,16 @@ def _numbers(kind: str, table: dict[int, str]) -> str:
 
 def board_options() -> dict[str, tuple[str, str]]:
     """Options of a board file by name: default and meaning; ValueError if one has no comment."""
-    nodes = ast.walk(ast.parse(_source("wiring")))
-    calls = [node for node in nodes if isinstance(node, ast.Call)]
-    found = {}
-    for call in sorted(calls, key=lambda call: call.lineno):
-        if ast.unparse(call.func) == "option":
-            name = ast.literal_eval(call.args[0])
-            words = _above("wiring", call.lineno, f"option {name}")
-            found[name] = (ast.unparse(call.args[1]), words)
+    found: dict[str, tuple[str, str]] = {}
+    for module in ("wiring", "gpio_inputs", "gpio_port"):
+        nodes = ast.walk(ast.parse(_source(module)))
+        calls = [node for node in nodes if isinstance(node, ast.Call)]
+        for call in sorted(calls, key=lambda call: call.lineno):
+            if ast.unparse(call.func) == "option":
+                name = ast.literal_eval(call.args[0])
+                if name not in found:  # the first who reads it says what it is
+                    words = _above(module, call.lineno, f"option {name}")
+                    found[name] = (ast.unparse(call.args[1]), words)
     return found
 
 

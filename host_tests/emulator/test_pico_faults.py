@@ -65,7 +65,7 @@ def test_a_fault_in_the_firmware_is_an_alarm_and_a_reset_goes_on(machine: Board)
     assert steps(machine.pico.edges, 0)
     machine.forget()
     machine.send("$FAULT\n")
-    machine.wait_for("ALARM:17\r\n[MSG:IndexErr: list index out of range")
+    machine.wait_for("ALARM:16\r\n[MSG:IndexErr: list index out of range")
     still(machine)
     assert machine.status()["state"] == "Alarm"
     machine.forget()

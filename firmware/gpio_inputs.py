@@ -1,0 +1,258 @@
+"""Inputs of a board, as far as all chips have them alike, and who is called when one changes.
+
+An input is closed when pulled to ground; one that is not wired (None in the board file) is never
+closed. What they call in an interrupt neither allocates nor raises: where a callback fails all
+the same, the tool goes off and motion stops. An input that has called is left in peace for some
+milliseconds and looked at again then, so that interference does not starve the pulse engine.
+"""
+
+from machine import Pin, Timer
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+    from types import ModuleType
+
+_BOTH_EDGES = Pin.IRQ_RISING | Pin.IRQ_FALLING
+# For so long an input that has called is left in peace where the board file says nothing.
+_PEACE_MS = const(2)
+_FAILED = "A pin's callback has failed"
+_FAILED_TWICE = "A pin's callback has failed, and so has stopping"
+
+
+class PortInputs:
+    """The inputs of a Port, and of a PunchPort where the board file has the pins.
+
+    timers: two that nobody else uses. has_hard: interrupts can be hard.
+    """
+
+    def __init__(self, board: "ModuleType", timers: "tuple[Timer, Timer]", has_hard: bool) -> None:
+        self._hard = has_hard
+        self._limit_timer, self._control_timer = timers
+        self._make_inputs(board)
+        self.fault = ""  # what is wrong with the inputs, in words
+        self.limit_invert = 0
+        self._hears_limits = False
+        self._limits_seen = 0
+        self._quiet = False  # a button bounces
+        self._controls_seen = 0
+        self._on_contact: "Callable[[], None] | None" = None
+        self._contact_level = True
+        # Taking a method as a value allocates.
+        self._look_again = self._look_at_limits
+        self._settle = self._settled
+
+    def _make_inputs(self, board: "ModuleType") -> None:
+        option = board.__dict__.get  # getattr() would keep the names for good
+
+        # Pins that can only be inputs, without pull-ups: resistors do that on the board.
+        self._without_pull: "tuple[int, ...]" = option("NO_PULL_UP", ())
+        # Limit switches to ground, one pin per axis.
+        self._limits = [self._input(pin) for pin in option("LIMIT", ())]
+        # 1 to 5: a limit switch counts if it is closed so many ms after an edge. 0: at the edge.
+        self._limit_debounce_ms: int = option("LIMIT_DEBOUNCE_MS", 0)
+        # Inputs to ground: reset, hold, start, door; None where there is none.
+        self._controls = [self._input(pin) for pin in option("CONTROL", ())]
+        # Control inputs that are active when open, added up: reset 1, hold 2, start 4, door 8.
+        self._control_invert: int = option("CONTROL_INVERT", 0)
+        # For so many ms a button's contacts may bounce.
+        self._debounce_ms: int = option("CONTROL_DEBOUNCE_MS", 0)
+        # Emergency stop: a contact to ground that opens when it is pressed, or its cable cut.
+        self._estop = self._input(option("ESTOP", None))
+        self.estop: "Callable[[], bool] | None" = self._is_open if self._estop else None
+        self._buttons = list(self._controls)
+        self._buttons.append(self._estop)
+        # Probe to ground.
+        self._probe = self._input(option("PROBE", None))
+        # Sensor of the punch being down: see docs/punch.md.
+        down = self._input(option("PUNCH_DOWN_SENSOR", None))
+        # Sensor of the punch being up.
+        up = self._input(option("PUNCH_UP_SENSOR", None))
+        self._punch_sensors = (down, up)
+
+    def _input(self, pin: "int | None") -> "Pin | None":
+        if pin is None:
+            return None
+        if pin in self._without_pull:
+            return Pin(pin, Pin.IN)
+        return Pin(pin, Pin.IN, Pin.PULL_UP)
+
+    def kill(self) -> object:
+        """Tools off, and they stay off: whoever has outputs says how."""
+        raise NotImplementedError
+
+    # Interrupts
+
+    def attach(
+        self,
+        on_limits: "Callable[[], None]",
+        on_controls: "Callable[[], None]",
+        on_fault: "Callable[[], None]",
+    ) -> None:
+        """Who is called, in an interrupt, when one of these inputs changes, the emergency stop
+        being one of the controls; and where a callback has failed."""
+        self._on_limits = on_limits
+        self._on_controls = on_controls
+        self._on_fault = on_fault
+        self._hear(self._limits, self._limit_changed)
+        self._hear((self._probe,), self._probe_changed)
+        self._hear(self._buttons, self._control_changed)
+        _arm(self._buttons, _BOTH_EDGES)
+
+    def _hear(self, pins: "Iterable[Pin | None]", changed: "Callable[[Pin], object]") -> None:
+        """Prepare for interrupts; _arm() lets them come."""
+        for pin in pins:
+            if pin and self._hard:
+                pin.irq(changed, 0, hard=True)
+            elif pin:
+                pin.irq(changed, 0)
+
+    def _fail(self) -> None:
+        """A callback has raised: the tool off, and whoever stops the machine is told."""
+        self.fault = _FAILED
+        try:
+            self.kill()
+            self._on_fault()
+        except BaseException:
+            self.fault = _FAILED_TWICE
+
+    def _start(self, timer: "Timer", ms: int, then: "Callable[[Timer], None]") -> None:
+        """Call in so many ms, again and again until the callback ends it: a call may get lost."""
+        timer.init(mode=Timer.PERIODIC, period=ms or _PEACE_MS, callback=then, hard=self._hard)
+
+    # Limits
+
+    def hear_limits(self, on: bool) -> None:
+        """Call on_limits, or leave the limit inputs in peace ($21)."""
+        self._hears_limits = on
+        self._limits_seen = self.limits()
+        _arm(self._limits, _BOTH_EDGES if on else 0)
+
+    def _limit_changed(self, pin: "Pin") -> None:
+        try:
+            pin.irq().trigger(0)
+            if not self._limit_debounce_ms:
+                self._limits_seen = self.limits()
+                self._on_limits()
+            self._start(self._limit_timer, self._limit_debounce_ms, self._look_again)
+        except BaseException:
+            self._fail()
+
+    def _look_at_limits(self, timer: "Timer") -> None:
+        try:
+            timer.deinit()
+            if not self._hears_limits:
+                return
+            _arm(self._limits, _BOTH_EDGES)  # before the look: nothing falls in between
+            now = self.limits()
+            if now != (self.limit_invert if self._limit_debounce_ms else self._limits_seen):
+                self._limits_seen = now
+                self._on_limits()
+        except BaseException:
+            self._fail()
+
+    def limits(self) -> int:
+        """Mask of limit inputs pulled to ground, bit 0 = X."""
+        return _mask(self._limits)
+
+    # Control inputs
+
+    def _control_changed(self, pin: "Pin") -> None:
+        try:
+            pin.irq().trigger(0)
+            if self._quiet and self._debounce_ms and pin is not self._estop:
+                return
+            self._controls_seen = self.controls()
+            self._on_controls()
+            if not self._quiet:
+                self._await_quiet()
+        except BaseException:
+            self._fail()
+
+    def _await_quiet(self) -> None:
+        self._quiet = True
+        self._start(self._control_timer, self._debounce_ms, self._settle)
+
+    def _settled(self, timer: "Timer") -> None:
+        try:
+            timer.deinit()
+            self._quiet = False
+            _arm(self._buttons, _BOTH_EDGES)  # before the look: nothing falls in between
+            changed = self._controls_seen != self.controls()
+            self._controls_seen = self.controls()
+            if changed or (self._estop and self._estop.value()):
+                self._on_controls()
+            if changed:
+                self._await_quiet()
+        except BaseException:
+            self._fail()
+
+    def controls(self) -> int:
+        """Mask of control inputs that are active: reset, hold, start, door."""
+        return _mask(self._controls) ^ self._control_invert
+
+    def _is_open(self) -> bool:
+        """The emergency stop is pressed."""
+        return self._estop is not None and self._estop.value() == 1
+
+    # The probe
+
+    def watch_probe(self, on_contact: "Callable[[], None] | None", closed: bool) -> None:
+        """Call on_contact once, in an interrupt, as soon as the probe pin is `closed`."""
+        self._on_contact = None
+        self._contact_level = closed
+        self._on_contact = on_contact
+        _arm((self._probe,), _BOTH_EDGES if on_contact else 0)
+        self._look_at_probe()
+
+    def _probe_changed(self, _pin: object) -> None:
+        try:
+            self._look_at_probe()
+        except BaseException:
+            self._fail()
+
+    def _look_at_probe(self) -> None:
+        on_contact = self._on_contact
+        if on_contact and self.probe() == self._contact_level:
+            self._on_contact = None
+            on_contact()
+            if self._probe:
+                self._probe.irq().trigger(0)
+
+    def probe(self) -> bool:
+        """The probe input is pulled to ground."""
+        return self._probe is not None and self._probe.value() == 0
+
+    # The punch
+
+    def punch_sensors(self) -> int:
+        """Levels of the sensors' pins: bit 0 down, bit 1 up."""
+        return 3 ^ _mask(self._punch_sensors)
+
+    def watch_punch(self, on_change: "Callable[[], None]") -> None:
+        """Call on_change, in an interrupt, whenever a sensor's pin changes."""
+        self._on_punch = on_change
+        self._hear(self._punch_sensors, self._punch_changed)
+        _arm(self._punch_sensors, _BOTH_EDGES)
+
+    def _punch_changed(self, _pin: object) -> None:
+        try:
+            self._on_punch()
+        except BaseException:
+            self._fail()
+
+
+def _arm(pins: "Iterable[Pin | None]", edges: int) -> None:
+    for pin in pins:
+        if pin:
+            pin.irq().trigger(edges)
+
+
+def _mask(pins: "list[Pin | None] | tuple[Pin | None, ...]") -> int:
+    mask = 0
+    for bit in range(len(pins)):
+        pin = pins[bit]
+        if pin and pin.value() == 0:
+            mask |= 1 << bit
+    return mask

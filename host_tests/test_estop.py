@@ -1,0 +1,191 @@
+"""The emergency stop: it stops everything, and nothing unlocks the machine while it is pressed."""
+
+from collections.abc import Callable, Iterator
+from types import ModuleType
+from typing import Any
+
+import pytest
+from ugrbl.machine import load_board
+from ugrbl.sim.replay import factory_store
+from ugrbl.sim.rig import Rig
+
+PRESSED, RELEASED = {"estop": False}, {"estop": True}
+
+
+class Machine(Rig):
+    """A simulated machine with an emergency stop."""
+
+    def __init__(self, **settings: float) -> None:
+        made = ModuleType("board")
+        vars(made).update(vars(load_board("sim")), ESTOP=28)
+        store = factory_store(made)
+        store.files["settings"] += [f"${name[1:]}={value}" for name, value in settings.items()]
+        super().__init__(made, store)
+
+    def said(self) -> str:
+        return bytes(self.link.received).decode()
+
+    def ask(self, line: str, until: str = "\r\n") -> Iterator[Any]:
+        """Send a line, wait for its answer; what was said before is forgotten."""
+        yield self.ms(20)  # for the end of what is being said
+        self.link.received.clear()
+        self.link.send(line.encode("latin-1"))
+        yield lambda: until.encode() in self.link.received
+
+    def off(self) -> bool:
+        port = self.port
+        return not (port.spindle_on or port.spindle_pwm or port.flood or port.mist)
+
+    def place(self) -> "list[int]":
+        self.engine.physical(self.scratch)
+        return list(self.scratch)
+
+    def play(self, script: "Callable[[], Iterator[Any]]") -> None:
+        """Run the script from the banner on; what it asserts holds here."""
+        failed: list[Exception] = []
+
+        def guarded() -> Iterator[Any]:
+            try:
+                yield lambda: b"Grbl " in self.link.received
+                yield from script()
+            except Exception as fault:
+                failed.append(fault)
+
+        self.run(guarded())
+        if failed:
+            raise failed[0]
+
+
+LOCKED = "[MSG:Emergency stop]\r\nerror:9\r\n"
+
+
+def test_motion_and_tool_stop_at_once_and_nothing_unlocks() -> None:
+    machine = Machine()
+
+    def script() -> Iterator[Any]:
+        yield from machine.ask("M3 S1000 M8\n", "ok\r\n")
+        yield from machine.ask("G1 X100 F500\n", "ok\r\n")
+        yield machine.ms(300)
+        assert machine.moving() and not machine.off()
+        machine.link.received.clear()
+        machine.port.push(PRESSED)
+        assert machine.off() and not machine.moving()
+        place = machine.place()
+        yield lambda: b"unlock]\r\n" in machine.link.received
+        assert machine.said().startswith("ALARM:17\r\n\r\nGrbl 1.1h")
+        assert "[MSG:Emergency stop]\r\n[MSG:'$H'|'$X' to unlock]" in machine.said()
+        yield from machine.ask("$X\n", "error:9\r\n")
+        assert machine.said() == LOCKED
+        yield from machine.ask("\x18", "unlock]\r\n")
+        assert "ALARM" not in machine.said()  # told once
+        yield from machine.ask("$X\n", "error:9\r\n")
+        assert machine.said() == LOCKED
+        yield from machine.ask("G1 X1\n")
+        assert machine.said() == "error:9\r\n"
+        yield machine.ms(500)
+        assert machine.off() and machine.place() == place
+        machine.port.push(RELEASED)
+        yield machine.ms(100)
+        yield from machine.ask("?")
+        assert machine.said().startswith("<Alarm")
+        yield from machine.ask("$X\n", "ok\r\n")
+        yield from machine.ask("M3 S1000 G1 X1 F500\n", "ok\r\n")
+        yield machine.ms(50)
+        assert machine.moving() and not machine.off()
+
+    machine.play(script)
+
+
+def test_a_machine_that_starts_with_it_pressed_is_locked() -> None:
+    machine = Machine()
+    machine.port.push(PRESSED)
+
+    def script() -> Iterator[Any]:
+        yield lambda: b"unlock]\r\n" in machine.link.received
+        assert "[MSG:Emergency stop]" in machine.said()
+        yield from machine.ask("$X\n", "error:9\r\n")
+        assert machine.said() == LOCKED
+
+    machine.play(script)
+
+
+def test_there_is_no_homing_while_it_is_pressed() -> None:
+    machine = Machine(_22=1)
+    machine.port.push(PRESSED)
+
+    def script() -> Iterator[Any]:
+        yield from machine.ask("$H\n", "error:9\r\n")
+        assert machine.said() == LOCKED
+
+    machine.play(script)
+
+
+def hold(machine: Machine) -> Iterator[Any]:
+    yield from machine.ask("G1 X100 F500\n", "ok\r\n")
+    machine.link.send(b"!")
+    yield machine.ms(2000)
+
+
+def jog(machine: Machine) -> Iterator[Any]:
+    yield from machine.ask("$J=G91 X100 F500\n", "ok\r\n")
+    yield machine.ms(100)
+
+
+def home(machine: Machine) -> Iterator[Any]:
+    machine.link.send(b"$H\n")
+    yield machine.ms(300)
+
+
+def check(machine: Machine) -> Iterator[Any]:
+    yield from machine.ask("$C\n", "ok\r\n")
+
+
+def sleep(machine: Machine) -> Iterator[Any]:
+    machine.link.send(b"$SLP\n")
+    yield machine.ms(500)
+
+
+def dwell(machine: Machine) -> Iterator[Any]:
+    machine.link.send(b"G4 P5\n")
+    yield machine.ms(200)
+
+
+@pytest.mark.parametrize("heard", [True, False], ids=["interrupt", "level"])
+@pytest.mark.parametrize("prepare", [hold, jog, home, check, sleep, dwell])
+def test_it_is_heard_in_every_state(
+    prepare: "Callable[[Machine], Iterator[Any]]", heard: bool
+) -> None:
+    """Also where its interrupt is lost: the main loop looks at its level."""
+    machine = Machine(_22=1)
+
+    def script() -> Iterator[Any]:
+        yield from machine.ask("$X\n", "ok\r\n")
+        yield from prepare(machine)
+        machine.link.received.clear()
+        if not heard:
+            machine.port._on_controls = None
+        machine.port.push(PRESSED)
+        yield lambda: b"unlock]\r\n" in machine.link.received
+        assert "ALARM:17\r\n" in machine.said()
+        assert machine.said().count("ALARM") == 1
+        assert not machine.moving() and machine.off()
+
+    machine.play(script)
+
+
+def test_a_callback_that_fails_is_an_alarm_that_says_so() -> None:
+    machine = Machine()
+
+    def script() -> Iterator[Any]:
+        yield from machine.ask("M3 S1000 G1 X100 F500\n", "ok\r\n")
+        yield machine.ms(300)
+        machine.link.received.clear()
+        machine.port.fault = "A pin's callback has failed"
+        machine.port.kill()
+        machine.port._on_fault()
+        assert machine.off() and not machine.moving()
+        yield lambda: b"unlock]\r\n" in machine.link.received
+        assert "ALARM:16\r\n[MSG:A pin's callback has failed]" in machine.said()
+        yield from machine.ask("$X\n", "ok\r\n")
+
+    machine.play(script)
