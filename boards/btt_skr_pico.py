@@ -2,9 +2,11 @@
 
 The drivers run as they are wired, without their serial line: X makes 8 microsteps, Y 64, Z 32,
 since the pins that choose a driver's address choose its microsteps then. Limits are the STOP
-connectors; take the DIAG jumpers off. The spindle or laser is the servo connector, 3.3 V; the
-bed's MOSFET is flood coolant, the hot end's mist. From the maker's pin drawing. Never ran on
-hardware.
+connectors; take the DIAG jumpers off. E0-STOP is the filament sensor's connector, and no emergency
+stop: a button there, to ground, is a reset, which stops tool and motors at once. For an emergency
+stop, whose contact opens, write ESTOP = 16 and no reset. The spindle or laser is the servo
+connector, 3.3 V; the bed's MOSFET is flood coolant, the hot end's mist. From the maker's pin
+drawing. Never ran on hardware.
 """
 
 CHIP = "rp2040"
@@ -17,8 +19,8 @@ DIR = (10, 5, 28)
 ENABLE = (12, 7, 2)
 LIMIT = (4, 3, 25)
 PROBE = 22
-# Reset, hold, start, door: the E stop connector is hold.
-CONTROL = (None, 16, None, None)
+# Reset, hold, start, door.
+CONTROL = (16, None, None, None)
 SPINDLE_PWM = 29
 FLOOD = 21
 MIST = True

@@ -3,8 +3,10 @@
 The shield's pins by their Arduino names: step D2-D4, direction D5-D7, enable D8, limits D9, D10
 and D12, spindle D11 and D13, hold A1, start A2, probe A5. An ESP32 DevKit on wires can be
 connected alike. A2 and A5 need pull-up resistors of 10 kOhm to 3.3 V; A3, the shield's coolant,
-cannot be an output. Pin 12 (enable) decides about the flash's voltage at reset: nothing may pull
-it up. Never ran on hardware.
+cannot be an output. Pin 12 (enable) decides about the flash's voltage at reset, and the shield's
+pull-up there (10 kOhm from EN to its supply) keeps an ESP32 from starting: take the resistor off,
+or wire enable to another pin. Pins 16 and 17 belong to the memory of WROVER modules: this is for
+a WROOM. Never ran on hardware.
 """
 
 MPY_ARCH = "xtensawin"

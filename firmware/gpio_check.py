@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 # Names that stand for pins of the chip, or for tuples of them; None is not wired.
 _MOTORS = "STEP DIR ENABLE"
 _OTHERS = (
-    "LIMIT PROBE CONTROL REPL_PIN SPINDLE_PWM SPINDLE_DIR SPINDLE_ON FLOOD MIST_PIN "
+    "LIMIT PROBE CONTROL ESTOP REPL_PIN SPINDLE_PWM SPINDLE_DIR SPINDLE_ON FLOOD MIST_PIN "
     "PUNCH_DOWN PUNCH_UP PUNCH_DOWN_SENSOR PUNCH_UP_SENSOR"
 )
 
@@ -50,3 +50,8 @@ def check(board: "ModuleType") -> None:
                 Pin(pin)
             except (TypeError, ValueError):
                 raise ValueError("%s: there is no pin %s" % (name, pin))
+    controls = board.__dict__.get("CONTROL", ())
+    for bit in range(4):
+        wired = bit < len(controls) and controls[bit] is not None
+        if board.__dict__.get("CONTROL_INVERT", 0) >> bit & 1 and not wired:
+            raise ValueError("CONTROL_INVERT: there is no input of value %d" % (1 << bit))

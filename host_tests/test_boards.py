@@ -4,7 +4,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from ugrbl.board_check import problems
+from ugrbl.board_check import notes, problems
 from ugrbl.machine import boards, load_board
 from ugrbl.new_board import CHIPS
 
@@ -74,6 +74,16 @@ def test_a_board_is_data_only(name: str) -> None:
         ({"CONTROL": (14,)}, "CONTROL wants four entries"),
         ({"SAFETY_DOOR": True}, "SAFETY_DOOR is set and there is no pin for the door"),
         ({"PWM_MAX": 65535}, "PWM_MAX is from 1 to 16383"),
+        ({"ESTOP": 14}, "HOLD: pin 14 is ESTOP already"),
+        ({"INVERT": "FLOOD"}, "INVERT is 'FLOOD' and wants parentheses and a comma"),
+        ({"INVERT": ("ENABLE",)}, "INVERT: ENABLE is not one of SPINDLE_PWM, SPINDLE_ON"),
+        ({"INVERT": ("FLOOD",)}, "INVERT: there is no pin for FLOOD"),
+        ({"INVERT": ("FLOOD",), "FLOOD": 18}, ""),
+        ({"CONTROL_INVERT": 2}, ""),
+        ({"CONTROL_INVERT": 1}, "CONTROL_INVERT: there is no pin for RESET, and open means"),
+        ({"CONTROL_INVERT": 16}, "CONTROL_INVERT is a sum of 1, 2, 4 and 8, for RESET, HOLD,"),
+        ({"CONTROL_INVERT": "2"}, "CONTROL_INVERT is '2': it is a whole number"),
+        ({"LIMIT_DEBOUNCE_MS": 6}, "LIMIT_DEBOUNCE_MS is 5 at the most"),
         ({"WATCHDOG_MS": 9000}, "WATCHDOG_MS is 8388 at the most"),
         ({"DEFAULTS": {0: 1}}, "DEFAULTS: $0=1 is refused"),
         ({"ENGINE": "rmt"}, "ENGINE 'rmt' does not run on MPY_ARCH 'armv6m'"),
@@ -97,6 +107,16 @@ def test_a_board_is_data_only(name: str) -> None:
 def test_a_mistake_is_named(changes: "dict[str, Any]", said: str) -> None:
     found = problems(board(**changes))
     assert (said in found[0] and len(found) == 1) if said else found == []
+
+
+def test_pins_that_have_a_say_at_start_are_told_of() -> None:
+    told = notes(load_board("esp32_devkit"))
+    enable = next(text for text in told if text.startswith("ENABLE: pin 12 "))
+    assert "does not start" in enable and "CNC shield" in enable
+    wrover = [text.split(":")[0] for text in told if "WROVER" in text]
+    assert wrover == ["STEP", "DIR"]
+    assert notes(load_board("rpi_pico")) == notes(load_board("sim")) == []
+    assert not any("pin 0 " in text or "pin 5 " in text for text in notes(load_board("mks_dlc32")))
 
 
 def test_an_engine_is_what_its_board_needs() -> None:

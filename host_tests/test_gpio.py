@@ -287,6 +287,8 @@ def test_the_watchdog_is_stopped_for_the_repl() -> None:
         ({"PROBE": 30}, "PROBE: there is no pin 30"),
         ({"CONTROL": (13, 9, None, None)}, "CONTROL: pin 9 is LIMIT already"),
         ({"FLOOD": -1}, "FLOOD: there is no pin -1"),
+        ({"ESTOP": 9}, "ESTOP: pin 9 is LIMIT already"),
+        ({"CONTROL_INVERT": 8}, "CONTROL_INVERT: there is no input of value 8"),
     ],
 )
 def test_a_wrong_pin_is_named(changes: "dict[str, Any]", said: str) -> None:

@@ -90,7 +90,7 @@ def test_four_axes_are_possible(file: Path) -> None:
 
 def test_questions_are_asked_until_the_answers_fit(file: Path) -> None:
     """As a user does, on a terminal."""
-    answers = ["pico", "2 3 99", "2 3 4", "4 5 6", "5 6 7", "8", *[""] * 12]
+    answers = ["pico", "2 3 99", "2 3 4", "4 5 6", "5 6 7", "8", *[""] * 13]
     master, slave = pty.openpty()
     command = [sys.executable, "-m", "ugrbl.cli", "new-board", "router", "-o", str(file)]
     asked = subprocess.Popen(
@@ -162,7 +162,7 @@ def test_pins_that_are_odd_are_told(file: Path) -> None:
     done = ugrbl("router", *words, "--pin", "limit=34,35,36", "-o", file)
     assert done.exit_code == 0, done.output
     said = " ".join(done.output.split())
-    assert "pin 12 (step pulses X) high at start" in said
+    assert "pin 12 (step pulses X) pulled up at start" in said
     assert "pin 34 (limit switches X) has no pull-up" in said
 
 

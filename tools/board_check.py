@@ -35,8 +35,11 @@ _OTHERS = {
 }
 # What has a pin for each axis, or each of the controls.
 _TUPLES = {item.name for item in ITEMS if item.per_axis} | {"CONTROL"}
+# Outputs that may be on when low.
+_INVERTIBLE = ("SPINDLE_PWM", "SPINDLE_ON", "SPINDLE_DIR", "FLOOD", "MIST_PIN")
 _MOST_PWM = 16383  # times 65535 is still a small integer, which an interrupt needs
 _NEEDED_AXES = 3
+_MOST_DEBOUNCE_MS = 5
 
 
 def problems(board: ModuleType) -> list[str]:
@@ -49,6 +52,17 @@ def problems(board: ModuleType) -> list[str]:
     check = _inputs if board.ENGINE == "i2s" else _pins
     found = min((list(check(board, chip)) for chip in _chips(board)), key=len)
     return [*found, *_options(board), *_firmware(board), *_defaults(board)]
+
+
+def notes(board: ModuleType) -> list[str]:
+    """What is worth to know about the pins of a good board."""
+    if is_simulated(board):
+        return []
+    check = _inputs if board.ENGINE == "i2s" else _pins
+    chip = min(_chips(board), key=lambda chip: len(list(check(board, chip))))
+    behind = ("STEP", "DIR", "ENABLE") if board.ENGINE == "i2s" else ()
+    held = [(name, pin) for name, pins in _held(board) for pin in pins if name not in behind]
+    return [f"{name}: pin {pin} {chip.odd[pin]}" for name, pin in held if pin in chip.odd]
 
 
 def is_simulated(board: ModuleType) -> bool:
@@ -86,9 +100,11 @@ def _kinds(board: ModuleType) -> Iterator[str]:
             yield f"{name} is {value!r} and wants parentheses and commas: (2, 3, 4)"
         elif not all(pin is None or type(pin) is int for pin in _as_tuple(value)):
             yield f"{name} is {value!r}: pins are numbers"
-    for name in ("PWM_MAX", "WATCHDOG_MS"):
+    for name in ("PWM_MAX", "WATCHDOG_MS", "LIMIT_DEBOUNCE_MS", "CONTROL_INVERT"):
         if type(getattr(board, name, 0)) is not int:
             yield f"{name} is {getattr(board, name)!r}: it is a whole number"
+    if not isinstance(getattr(board, "INVERT", ()), tuple):
+        yield f'INVERT is {board.INVERT!r} and wants parentheses and a comma: ("FLOOD",)'
     if not isinstance(getattr(board, "DEFAULTS", {}), dict):
         yield "DEFAULTS is not of the form {100: 800.0}"
 
@@ -176,6 +192,24 @@ def _options(board: ModuleType) -> Iterator[str]:
     for option, name in (("SAFETY_DOOR", "door"), ("MIST", "mist")):
         if getattr(board, option, False) and not _wired(board, name):
             yield f"{option} is set and there is no pin for the {name}"
+    yield from _polarity(board)
+
+
+def _polarity(board: ModuleType) -> Iterator[str]:
+    """What is to be the other way round, and when a limit switch counts."""
+    for name in getattr(board, "INVERT", ()):
+        if name not in _INVERTIBLE:
+            yield f"INVERT: {name} is not one of {', '.join(_INVERTIBLE)}"
+        elif getattr(board, name, None) is None:
+            yield f"INVERT: there is no pin for {name}"
+    inverted, held = getattr(board, "CONTROL_INVERT", 0), getattr(board, "CONTROL", ())
+    if not 0 <= inverted < 1 << len(CONTROLS):
+        yield f"CONTROL_INVERT is a sum of 1, 2, 4 and 8, for {', '.join(CONTROLS)}"
+    for bit, name in enumerate(CONTROLS):
+        if inverted >> bit & 1 and held[bit : bit + 1] in ((), (None,)):
+            yield f"CONTROL_INVERT: there is no pin for {name}, and open means pressed"
+    if not 0 <= getattr(board, "LIMIT_DEBOUNCE_MS", 0) <= _MOST_DEBOUNCE_MS:
+        yield f"LIMIT_DEBOUNCE_MS is {_MOST_DEBOUNCE_MS} at the most: a machine goes on meanwhile"
 
 
 def _wired(board: ModuleType, name: str) -> bool:

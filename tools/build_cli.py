@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from . import build
+from .board_check import notes
 from .build import BuildError
 from .settings_cli import save_json
 
@@ -56,6 +57,9 @@ def command(
         build.save(made, folder)
     except (BuildError, OSError) as error:
         raise failed(error) from error
+    if board:
+        for text in notes(build.load_board(build.board_file(board))):
+            console.print(f"[yellow]note[/]: {escape(text)}", highlight=False, soft_wrap=True)
     console.print(f"{made.bytes:7} bytes in all, in {folder}", highlight=False)
     if json_file:
         sizes = {name: len(content) for name, content in made.files.items()}
