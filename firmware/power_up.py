@@ -91,10 +91,10 @@ def _hardware(board: "ModuleType") -> "tuple[StepEngine, Any]":
     from gpio_esp import EspPort
 
     if kind == "rmt":
-        from esp.rmt import RmtEngine
+        from esp_chip.rmt import RmtEngine
 
         return RmtEngine(board.STEP, board.DIR), EspPort(board)
-    from esp.i2s import I2sEngine
+    from esp_chip.i2s import I2sEngine
 
     engine = I2sEngine(
         board.STEP, board.DIR, board.ENABLE, board.I2S, board.I2S_RATE_HZ, board.I2S_BUFFERS

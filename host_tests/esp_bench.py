@@ -1,6 +1,6 @@
 """The ESP32's engines on the desktop: what they hand to hardware, turned back into steps.
 
-EspEngine is an engine of firmware/esp on the stand-ins, with the simulator's side of a
+EspEngine is an engine of firmware/esp_chip on the stand-ins, with the simulator's side of a
 SimEngine, so that a Rig takes it for one. Steps are what a motor's driver would make of the pins:
 a rising edge of STEP counts, with the level that DIR has then.
 """
@@ -34,7 +34,7 @@ def _load() -> "tuple[Any, Any, Any, Any]":
     try:
         import gpio_esp
         import gpio_port
-        from esp import i2s, rmt
+        from esp_chip import i2s, rmt
     finally:
         for name, module in hidden.items():
             if module is None:

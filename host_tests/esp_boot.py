@@ -129,7 +129,13 @@ def board(name: str, lines: "list[str]") -> "Namespace":
 def main() -> None:
     name, folder, *lines = sys.argv[1:]
     wire = esp_stdio.Wire()
-    load({"machine": esp_machine, "time": Time}, "gpio_esp", "gpio_check", "esp.i2s", "esp.rmt")
+    load(
+        {"machine": esp_machine, "time": Time},
+        "gpio_esp",
+        "gpio_check",
+        "esp_chip.i2s",
+        "esp_chip.rmt",
+    )
     load({"os": wire.os()}, "link_escape")
     load({"sys": wire.sys(), "select": wire.select()}, "link_uart")
     import store_flash

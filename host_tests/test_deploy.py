@@ -140,9 +140,15 @@ def test_a_board_gets_what_it_can_use() -> None:
     pico, i2s, rmt = needed(), needed(ENGINE="i2s", LINK="uart"), needed(ENGINE="rmt")
     assert {"main.py", "gpio.py", "link_usb.py", "pio/engine.py", "pio/__init__.py"} < pico
     assert not any(name.startswith(("esp", "gpio_esp", "link_uart", "punch")) for name in pico)
-    assert {"esp/i2s.py", "esp/frames.py", "esp/__init__.py", "link_uart.py"} < i2s
-    assert not {"esp/rmt.py", "esp/trains.py", "link_usb.py", "gpio.py", "pio/hub.py"} & i2s
-    assert {"esp/rmt.py", "esp/trains.py", "gpio_esp.py"} < rmt and "esp/i2s.py" not in rmt
+    assert {"esp_chip/i2s.py", "esp_chip/frames.py", "esp_chip/__init__.py", "link_uart.py"} < i2s
+    assert (
+        not {"esp_chip/rmt.py", "esp_chip/trains.py", "link_usb.py", "gpio.py", "pio/hub.py"} & i2s
+    )
+    assert {
+        "esp_chip/rmt.py",
+        "esp_chip/trains.py",
+        "gpio_esp.py",
+    } < rmt and "esp_chip/i2s.py" not in rmt
     assert needed(TOOL="punch") - pico == {"punch.py"}
     assert needed(DIALECT="0.9") - pico == {"report_09.py"}
 
@@ -304,8 +310,8 @@ def test_sources_that_would_hide_compiled_files_go(made: build.Build) -> None:
 
 def test_what_another_board_had_goes(made: build.Build) -> None:
     board = FakeBoard()
-    put(board, changed(made, "esp/rmt.mpy", "punch.mpy"))
-    assert put(board, made).removed == ["esp/rmt.mpy", "punch.mpy"]
+    put(board, changed(made, "esp_chip/rmt.mpy", "punch.mpy"))
+    assert put(board, made).removed == ["esp_chip/rmt.mpy", "punch.mpy"]
 
 
 def test_a_module_of_older_firmware_goes_unless_it_was_changed(made: build.Build) -> None:

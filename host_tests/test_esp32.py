@@ -211,7 +211,7 @@ sys.modules["machine"] = esp_machine
 class Time:
     ticks_us = esp_clock.clock.ticks_us
 sys.modules["time"] = Time
-from esp import i2s
+from esp_chip import i2s
 
 engine = i2s.I2sEngine((1, 5, 3), (2, 6, 4), 0, (16, 17, 21))
 rows = 0

@@ -29,16 +29,28 @@ LAYER = {module: number for number, layer in enumerate(LAYERS) for module in lay
 # Ports stand outside the stack: they use the two lowest layers and their own kind, and only
 # power_up uses them.
 PORT_PREFIXES = ("link", "gpio", "store")
-PORT_FOLDERS = ("pio", "esp")
+PORT_FOLDERS = ("pio", "esp_chip")
 PORT_LAYERS = (0, 1)
 
-HARDWARE = {"esp32", "machine", "os", "rp2", "select", "vfs"}
-MICROPYTHON = HARDWARE | set(
-    "_thread array asyncio binascii bluetooth btree builtins cmath collections cryptolib deflate "
-    "dht dupterm errno espnow flashbdev framebuf gc hashlib heapq io json lwip math micropython "
-    "mip neopixel network ntptime onewire platform random re requests socket ssl struct sys time "
-    "tls uarray uctypes webrepl websocket".split()
+HARDWARE = {"esp", "esp32", "machine", "os", "rp2", "select", "vfs"}
+# What MicroPython 1.28 has built in on rp2 and esp32 (MP_REGISTER_MODULE, py and extmod included),
+# what a file can extend, and what is frozen (boards/manifest.py, bundle-networking). A name of the
+# first kind wins over any file or folder; no file of ours has any of these names.
+BUILT_IN = (
+    "__main__ _asyncio _espnow _onewire _rp2 _thread _webrepl btree builtins cmath deflate esp "
+    "esp32 framebuf gc lwip marshal math micropython network openamp sys tls uctypes vfs "
+    "weakref"
 )
+EXTENSIBLE = (
+    "array binascii bluetooth collections cryptolib errno hashlib heapq io json machine os "
+    "platform random re select socket string struct time websocket"
+)
+FROZEN = (
+    "_boot _boot_fat aioble aioespnow apa106 asyncio dht ds18x20 espflash espnow flashbdev "
+    "inisetup logging mip neopixel ntptime onewire requests rp2 sdcard senml ssl umqtt upysh "
+    "urequests webrepl webrepl_setup"
+)
+MICROPYTHON = set(f"{BUILT_IN} {EXTENSIBLE} {FROZEN}".split())
 BOARD_FILE = "board"  # a file of boards/, put beside main.py on the board
 
 FILES = sorted(FIRMWARE.rglob("*.py"))
@@ -100,7 +112,7 @@ def test_a_module_imports_only_from_lower_layers(path):
 
 @each_file
 def test_no_name_hides_a_module_of_either_python(path):
-    taken = MICROPYTHON | sys.stdlib_module_names
+    taken = MICROPYTHON | {f"u{name}" for name in EXTENSIBLE.split()} | sys.stdlib_module_names
     hidden = taken.intersection({path.relative_to(FIRMWARE).parts[0], path.stem})
     assert not hidden, f"{path} hides, or is hidden by, the module {hidden}"
 

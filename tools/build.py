@@ -28,8 +28,8 @@ BOARD = "board.py"
 _CHOICES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "pio.engine": ("ENGINE", "", ("pio",)),
     "gpio": ("ENGINE", "", ("pio",)),
-    "esp.rmt": ("ENGINE", "", ("rmt",)),
-    "esp.i2s": ("ENGINE", "", ("i2s",)),
+    "esp_chip.rmt": ("ENGINE", "", ("rmt",)),
+    "esp_chip.i2s": ("ENGINE", "", ("i2s",)),
     "gpio_esp": ("ENGINE", "", ("rmt", "i2s")),
     "link_usb": ("LINK", "usb", ("usb",)),
     "link_uart": ("LINK", "usb", ("uart",)),

@@ -28,8 +28,8 @@ import micropython
 from kernels import row_length
 from micropython import const
 
-from esp import frames
-from esp.stream import BYTES, Stream
+from esp_chip import frames
+from esp_chip.stream import BYTES, Stream
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:

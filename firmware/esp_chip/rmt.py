@@ -27,8 +27,8 @@ import micropython
 from kernels import row_length
 from micropython import const
 
-from esp import trains
-from esp.trains import made
+from esp_chip import trains
+from esp_chip.trains import made
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
