@@ -19,11 +19,14 @@ from kernels import ROW_AXES, ROW_STRIDE, row_length
 from ugrbl.sim import engine as sim_engine
 from ugrbl.sim.engine import Switch
 
+CHIP = SimpleNamespace(_machine="Generic ESP32 module with ESP32")
 
-def _load() -> "tuple[Any, Any, Any, Any]":
+
+def _load() -> "tuple[Any, Any, Any, Any, Any]":
     """Import engines and pins with the ESP32's own modules in the place of others of the name."""
     stand_ins: dict[str, Any] = {
         "machine": esp_machine,
+        "sys": SimpleNamespace(implementation=CHIP),
         "time": SimpleNamespace(
             ticks_us=clock.ticks_us, ticks_ms=clock.ticks_ms, ticks_diff=clock.ticks_diff
         ),
@@ -34,17 +37,17 @@ def _load() -> "tuple[Any, Any, Any, Any]":
     try:
         import gpio_esp
         import gpio_port
-        from esp_chip import i2s, rmt
+        from esp_chip import i2s, rmt, start
     finally:
         for name, module in hidden.items():
             if module is None:
                 del sys.modules[name]
             else:
                 sys.modules[name] = module
-    return i2s, rmt, gpio_esp, gpio_port
+    return i2s, rmt, start, gpio_esp, gpio_port
 
 
-i2s, rmt, gpio_esp, gpio_port = _load()
+i2s, rmt, esp_start, gpio_esp, gpio_port = _load()
 esp_machine.I2S.recording = True
 
 # As on the boards: outputs of the shift registers, pins.
@@ -146,13 +149,17 @@ class I2sPins:
 
 
 class RmtPins:
-    """Drivers that hang on RMT channels and direction pins."""
+    """Drivers that hang on RMT channels, as far as the pins show these, and direction pins."""
 
     def __init__(self, axes: int) -> None:
         self.levels = [Levels(i) for i in range(axes)]
         self._trains = [0] * axes
+        # Edges that are to come, (us, level, train), and where in the logs of the pins we are.
         self._edges: list[deque[tuple[int, int, int]]] = [deque() for _ in range(axes)]
         self._turns = [0] * axes
+        self._words = [0] * axes
+        self._rmt = [0] * axes
+        self._shows = [False] * axes
 
     def make(self) -> Any:
         """The engine."""
@@ -162,39 +169,68 @@ class RmtPins:
         """The steps up to a time."""
         steps: list[Step] = []
         for axis, levels in enumerate(self.levels):
-            channel = esp32.RMT.channels[axis]
-            idle = int(channel.idle_level)
-            edges = self._edges[axis]
-            while self._trains[axis] < len(channel.trains):
-                number = self._trains[axis]
-                us, level, durations, _ = channel.trains[number]
-                self._trains[axis] += 1
-                for ticks in durations:
-                    edges.append((us, level ^ idle, number))
-                    us += ticks
-                    level = 1 - level
-                edges.append((us, 0, number))
+            self._take_trains(axis)
             turns = esp_machine.Pin.pins[RMT_DIR[axis]].log
-            while edges and edges[0][0] <= until:
-                us, level, number = edges.popleft()
-                end = channel.trains[number][3]
+            while True:
+                us = self._next(axis, until)
+                if us is None:
+                    break
                 while self._turns[axis] < len(turns) and turns[self._turns[axis]][0] <= us:
                     levels.set_direction(*turns[self._turns[axis]])
                     self._turns[axis] += 1
-                if us > end:  # the train was cut off, and the pin is at rest from there on
-                    us, level = end, 0
-                step = levels.set_step(us, level)
+                step = levels.set_step(us, self._rmt[axis] if self._shows[axis] else 0)
                 if step:
                     steps.append(step)
         return sorted(steps)
 
+    def _take_trains(self, axis: int) -> None:
+        channel = esp32.RMT.channels[axis]
+        while self._trains[axis] < len(channel.trains):
+            number = self._trains[axis]
+            us, level, durations, _ = channel.trains[number]
+            self._trains[axis] += 1
+            for ticks in durations:
+                self._edges[axis].append((us, level, number))
+                us += ticks
+                level = 1 - level
+            self._edges[axis].append((us, 0, number))
 
-PINS: "dict[str, Any]" = {"i2s": I2sPins, "rmt": RmtPins}
+    def _next(self, axis: int, until: int) -> "int | None":
+        """The next change of what RMT makes, or of whether the pin shows it."""
+        edges = self._edges[axis]
+        words = esp_machine.mem32.log[RMT_STEP[axis]]
+        word_us = words[self._words[axis]][0] if self._words[axis] < len(words) else until + 1
+        edge_us = edges[0][0] if edges else until + 1
+        if min(word_us, edge_us) > until:
+            return None
+        if word_us <= edge_us:
+            word = words[self._words[axis]][1]
+            self._shows[axis] = word & 0x1FF != esp_machine.mem32.register
+            self._words[axis] += 1
+            return word_us
+        us, self._rmt[axis], number = edges.popleft()
+        end = esp32.RMT.channels[axis].trains[number][3]
+        if us > end:  # the train was cut off, and the channel is at rest from there on
+            us, self._rmt[axis] = end, 0
+        return us
 
 
-def reset_stand_ins() -> None:
+PINS: "dict[str, Any]" = {"i2s": I2sPins, "rmt": RmtPins, "rmt_s3": RmtPins}
+
+
+CHIPS = {
+    "esp32": ("Generic ESP32 module with ESP32", 8, 64, 87, 0x3FF44530),
+    "esp32s3": ("Generic ESP32S3 module with ESP32S3", 4, 48, 81, 0x60004554),
+}
+
+
+def reset_stand_ins(chip: str = "esp32") -> None:
     """As after power-up."""
-    clock.timers.clear()
+    RMT = esp32.RMT
+    CHIP._machine, RMT.available, RMT.block, RMT.first_signal, first_pad = CHIPS[chip]
+    esp_machine.mem32.first = first_pad
+    esp_machine.mem32.log.clear()
+    clock.reset()
     esp_machine.I2S.open_streams.clear()
     esp_machine.Pin.pins.clear()
     esp32.RMT.channels.clear()
@@ -204,7 +240,7 @@ class EspEngine:
     """An engine of the ESP32 in virtual time, seen by a Rig as its simulated engine."""
 
     def __init__(self, name: str, axes: int = 3) -> None:
-        reset_stand_ins()
+        reset_stand_ins("esp32s3" if name == "rmt_s3" else "esp32")
         self.pins = PINS[name](axes)
         self.real = self.pins.make()
         self.tick_hz = self.real.tick_hz
@@ -221,6 +257,8 @@ class EspEngine:
         self._row = array("i", [0] * row_length(axes))
         self.max_step_hz = self.real.max_step_hz
         self.attach = self.real.attach
+        self.arm = self.real.arm
+        self.fault = self.real.fault
         self.configure = self.real.configure
         self.stop = self.real.stop
         self.lock = self.real.lock

@@ -21,9 +21,9 @@ _OURS = {
     "Pin": {"pins", "without_output", "drive"},
     "PWM": set(),
     "Timer": {"rearm"},
-    "I2S": {"open_streams", "open_us", "recording", "run", "fileno", "ioctl"},
+    "I2S": {"open_streams", "open_us", "recording", "run", "flash_write", "fileno", "ioctl"},
     "WDT": {"timeout_ms", "fed"},
-    "RMT": {"channels", "available"},
+    "RMT": {"channels", "available", "block", "first_signal", "flash_write"},
 }
 _CLASSES = [
     ("esp_machine.py", "machine.pyi", name) for name in ("Pin", "PWM", "Timer", "I2S", "WDT")

@@ -11,10 +11,14 @@ Where the engine comes too late, DMA plays zeros. A zero is no step, a motor tha
 (enable is low-active) and some direction; so the stream goes on with a buffer in which nothing
 steps, and directions stand long before the next step does. No step is lost or repeated.
 
-Position is read from the bits of the buffer that is being played. Stopping at once means to
+Position is read from the bits of the buffer that is being played. To stop at once means to
 close the stream; a new one begins with zeros. What DMA has been handed of one axis alone cannot
 be taken back: a locked axis runs on with it, and makes good for it before the next motion, so
 that this begins where the axis was when it was locked.
+
+While flash is written to, nobody hears of buffers that have been played (the interrupt of ESP-IDF
+is not in RAM), and the next free one is not the next to be played any more. So the stream is
+opened anew before the next motion: that begins a round of the ring, 32 ms, later.
 
 Philips format: data come one bit later than WS, which the registers take for their latch. So
 an output's bit stands one place higher than its number. Unverified on hardware, like all here.
@@ -24,18 +28,12 @@ import time
 from array import array
 
 import machine
-import micropython
 from kernels import row_length
 from micropython import const
 
 from esp_chip import frames
 from esp_chip.stream import BYTES, Stream
-
-TYPE_CHECKING = const(False)
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from interfaces import NextSegment
+from esp_chip.turns import Turns
 
 _FRAMES = const(256)
 _HIGHEST_OUTPUT = const(29)  # bit 30: the highest one that makes a small integer
@@ -48,8 +46,11 @@ _SETUP_US = const(10)
 # A locked axis goes back to its place at so many steps a second, without a ramp.
 _BACK_HZ = const(1000)
 
+# So long after it has taken a buffer the stream will not take one any more.
+_LOST_US = const(500_000)
+
 # State.
-_HALT = const(0)  # hands off: the stream is being opened anew
+_HALT = const(0)  # hands off: the main loop, or a stop, is at work
 _PULLING = const(1)  # there may be more segments
 _ROW = const(2)  # a row is being rendered
 _PLAYING = const(3)  # number of the buffer being played,
@@ -63,7 +64,11 @@ _PAUSE = const(10)  # a buffer without steps has to come first
 _TOLD = const(11)  # spindle power told last
 _DRY = const(12)  # how often the stream has run dry while the machine moved
 _LATEST = const(13)  # spindle power of the newest row, which is the last one in the end
-_STATE_LENGTH = const(14)
+_STOPPED = const(14)  # until arm()
+_MOVING = const(15)  # the machine is not at rest
+_STALE = const(16)  # flash has been written to since the stream was opened
+_TAKEN = const(17)  # when the stream has taken a buffer last, in us
+_STATE_LENGTH = const(18)
 
 # What is remembered of a buffer; behind these, per axis, the position as it begins.
 _NUMBER = const(0)
@@ -78,45 +83,12 @@ _PLACE = const(10)
 _LEFT = const(6)
 _ROW_POWER = const(2)
 
-# Slots that are none.
 _BEFORE = const(1000)
 _NOWHERE = const(-2000)
-
-# Times are in us modulo 2**30; a difference from there on is a negative one.
-_TICKS_MASK = const(0x3FFFFFFF)
-_NEGATIVE = const(0x20000000)
+_TICKS_MASK = const(0x3FFFFFFF)  # times are in us modulo 2**30
 
 
-@micropython.viper
-def _follow(state: ptr32, now: int, buffer_us: int) -> int:
-    """See which buffer is being played. Returns for how long it has been, in us."""
-    passed = (now - state[_BEGAN]) & _TICKS_MASK
-    if passed > _NEGATIVE:
-        return 0  # asked before a turn, answered behind it
-    while passed >= buffer_us:
-        passed -= buffer_us
-        state[_BEGAN] = (state[_BEGAN] + buffer_us) & _TICKS_MASK
-        state[_PLAYING] = state[_PLAYING] + 1
-    return passed
-
-
-@micropython.viper
-def _find(state: ptr32, notes: ptr32, slots: int, size: int) -> int:
-    """Slot of the buffer being played; where zeros are, the next one's less _BEFORE."""
-    sent = state[_SENT]
-    first = sent - slots + 1
-    if first < 0:
-        first = 0
-    for k in range(first, sent):
-        number = notes[(k % slots) * size]
-        if number == state[_PLAYING]:
-            return k % slots
-        if number > state[_PLAYING]:
-            return k % slots - _BEFORE
-    return sent % slots - _BEFORE if sent < state[_MADE] else _NOWHERE
-
-
-class I2sEngine:
+class I2sEngine(Turns):
     """The engine. step, direction: numbers of outputs per axis; enable: that of the drivers.
 
     pins: BCK, WS and DATA. rate_hz: frames per second, 256 of which last whole microseconds.
@@ -134,6 +106,7 @@ class I2sEngine:
         rate_hz: int = 125_000,
         buffers: int = 16,
     ) -> None:
+        super().__init__()
         if max(step + direction + (enable,)) > _HIGHEST_OUTPUT:
             raise ValueError("outputs have numbers from 0 to 29")
         axes = len(step)
@@ -163,9 +136,13 @@ class I2sEngine:
         # Of axes that are, or were, locked: where, and how far they have gone since then.
         self._locked_at = array("i", (0 for _ in range(axes)))
         self._owed = array("i", (0 for _ in range(axes)))
+        self._steps = array("i", (0 for _ in range(axes)))
+        self._state[_STOPPED] = 1
+        self.enable(1)  # off
         self._timer = machine.Timer(0)
         self.configure(10, 0, 0)
         self._open()
+        self._timer.init(mode=machine.Timer.PERIODIC, period=_TURN_MS, callback=self._turn)
 
     def _open(self) -> None:
         state = self._state
@@ -174,6 +151,7 @@ class I2sEngine:
         state[_WRITTEN] = self._buffers
         state[_LAST] = -1
         state[_PAUSE] = 1
+        state[_STALE] = 0
         for slot in range(self._slots):  # numbers begin anew
             self._notes[slot * self._size + _NUMBER] = -1
 
@@ -185,12 +163,6 @@ class I2sEngine:
 
     def _frames_of(self, us: int) -> int:
         return -(-us * self._rate_hz // 1_000_000)
-
-    def attach(self, next_segment: "NextSegment", on_power: "Callable[[int], None]") -> None:
-        """Say where segments come from and who is told the spindle power of each as it starts."""
-        self._next_segment = next_segment
-        self._on_power = on_power
-        self._timer.init(mode=machine.Timer.PERIODIC, period=_TURN_MS, callback=self._turn)
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
         """Take over $0 and $3. Called at rest only.
@@ -208,35 +180,66 @@ class I2sEngine:
         """Level of the motor drivers' enable output, from the next buffer on. For the port."""
         self._timing[frames.ENABLE] = self._enable_bit if level else 0
 
+    def flash_written(self) -> None:
+        """Flash has been written to; at rest only."""
+        self._state[_STALE] = 1
+
+    def arm(self) -> None:
+        """Motion is possible again, after power-up or stop()."""
+        self._why = None
+        self._timing[frames.LOCKED] = 0
+        self._state[_STOPPED] = 0
+
     def start(self) -> None:
-        """Begin to pull, where the engine had run out of segments; the timer's next turn does."""
+        """Begin to pull, in the timer's next turn. A stopped engine stays so."""
         state = self._state
-        if not state[_PULLING]:
-            state[_TOLD] = state[_LATEST] = -1
-            state[_PULLING] = 1
+        if state[_STOPPED] or state[_PULLING]:
+            return
+        if state[_STALE] and not state[_MOVING]:
+            state[_HALT] = 1
+            self._stream.close()
+            self._renew()
+            state[_HALT] = 0
+        state[_TAKEN] = time.ticks_us() & _TICKS_MASK
+        state[_TOLD] = state[_LATEST] = -1
+        state[_PULLING] = 1
+        state[_MOVING] = 1
 
     def stop(self) -> None:
-        """At once; safe in a soft interrupt; queued steps are dropped, locks released."""
-        state = self._state
-        state[_HALT] = 1
+        """At once, until arm(); safe in a soft interrupt; queued steps and locks are dropped."""
+        self._halt()
+        self._state[_MOVING] = 0
+
+    def _halt(self) -> None:
+        state, lanes, steps = self._state, self._lanes, self._steps
+        halted = state[_HALT]  # by what this has interrupted
+        state[_STOPPED] = state[_HALT] = 1
         state[_LATEST] = -1
-        lanes = self._lanes
-        if not self.idle():
-            steps = array("i", (0 for _ in range(self._axes)))
-            self.position(steps)
-            self._stream.close()
-            for i in range(self._axes):
-                lanes[_LANE * i + _PLACE] = steps[i] + self._owed[i]
-            state[_SENT] = state[_MOVED] = state[_MADE]
-            frames.settle(self._timing, lanes)
-            self._open()
+        if state[_MOVING] or state[_PULLING]:
+            now = time.ticks_us()
+            try:
+                self._stream.close()
+                self._look_up(steps, now)
+                for i in range(self._axes):
+                    lanes[_LANE * i + _PLACE] = steps[i] + self._owed[i]
+                self._renew()
+            except BaseException as why:
+                self._why = why
         for i in range(self._axes):
             locked = self._timing[frames.LOCKED] >> i & 1
             self._owed[i] = lanes[_LANE * i + _PLACE] - self._locked_at[i] if locked else 0
         state[_PULLING] = 0
         state[_ROW] = 0
         self._timing[frames.LOCKED] = 0
-        state[_HALT] = 0
+        state[_MOVING] = 1
+        state[_HALT] = halted
+
+    def _renew(self) -> None:
+        """Forget what has not been played, and begin a new stream."""
+        state = self._state
+        state[_SENT] = state[_MOVED] = state[_MADE]
+        frames.settle(self._timing, self._lanes)
+        self._open()
 
     def lock(self, axes: int) -> None:
         """These axes (a mask) make no more pulses until stop(); the others go on.
@@ -245,31 +248,31 @@ class I2sEngine:
         """
         timing = self._timing
         self._state[_HALT] = 1
-        steps = array("i", (0 for _ in range(self._axes)))
-        self.position(steps)
+        self.position(self._steps)
         for i in range(self._axes):
             if axes >> i & 1 and not timing[frames.LOCKED] >> i & 1:
-                self._locked_at[i] = steps[i]
+                self._locked_at[i] = self._steps[i]
                 self._lanes[_LANE * i + _LEFT] = 0
         timing[frames.LOCKED] = timing[frames.LOCKED] | axes
         self._state[_HALT] = 0
 
     def idle(self) -> bool:
-        """Nothing is moving and nothing is queued in hardware. Power is the last row's then."""
+        """Nothing is moving and nothing is queued in hardware, as the last turn has seen it."""
+        return not self._state[_MOVING]
+
+    def _behind(self) -> bool:
         state = self._state
-        if state[_PULLING] or state[_MOVED] > state[_SENT]:
-            return False
-        _follow(state, time.ticks_us(), self._buffer_us)
-        if state[_LAST] >= state[_PLAYING]:
-            return False
-        self._tell(state[_LATEST])
-        return True
+        late = time.ticks_diff(time.ticks_us(), state[_TAKEN])
+        return bool(state[_MOVING]) and late > _LOST_US
 
     def position(self, steps: "array[int]") -> None:
         """Copy the steps really made, per motor, to the frame; those to be taken back are not."""
+        self._look_up(steps, time.ticks_us())
+
+    def _look_up(self, steps: "array[int]", now: int) -> None:
         state, axes = self._state, self._axes
-        passed = _follow(state, time.ticks_us(), self._buffer_us)
-        slot = _find(state, self._notes, self._slots, self._size)
+        passed = frames.follow(state, now, self._buffer_us)
+        slot = frames.find(state, self._notes, self._slots, self._size)
         note = (slot if slot >= 0 else slot + _BEFORE) * self._size + _NOTE
         for i in range(axes):
             place = self._lanes[_LANE * i + _PLACE] if slot == _NOWHERE else self._notes[note + i]
@@ -295,11 +298,13 @@ class I2sEngine:
 
     # The timer's turns: no other soft interrupt comes in between
 
-    def _turn(self, _timer: object) -> None:
+    def _go_on(self) -> None:
         state = self._state
         if state[_HALT]:
             return
-        passed = _follow(state, time.ticks_us(), self._buffer_us)
+        if state[_STOPPED]:  # the stop may have come into start()
+            state[_PULLING] = state[_MOVING] = 0
+        passed = frames.follow(state, time.ticks_us(), self._buffer_us)
         self._tell_power()
         if state[_WRITTEN] <= state[_PLAYING] + 1:
             if passed < _DOUBT or passed > self._buffer_us - _DOUBT:
@@ -315,12 +320,24 @@ class I2sEngine:
                 self._make()
             if not (self._send_pause() if state[_PAUSE] else self._send()):
                 return
+            state[_TAKEN] = time.ticks_us() & _TICKS_MASK
 
     def _tell_power(self) -> None:
-        slot = _find(self._state, self._notes, self._slots, self._size)
+        slot = frames.find(self._state, self._notes, self._slots, self._size)
         # Not at rest: whoever has seen us idle may have turned the spindle.
         if slot >= 0 and self._notes[slot * self._size + _MOVES]:
             self._tell(self._notes[slot * self._size + _POWER])
+        self._look_for_rest()
+
+    def _look_for_rest(self) -> None:
+        """All has been played: power is the last row's then, or what whoever hears of it says."""
+        state = self._state
+        if not state[_MOVING] or state[_PULLING] or state[_MOVED] > state[_SENT]:
+            return
+        if state[_LAST] < state[_PLAYING]:
+            self._tell(state[_LATEST])
+            state[_MOVING] = 0
+            self._on_rest()
 
     def _tell(self, power: int) -> None:
         if power >= 0 and power != self._state[_TOLD]:
@@ -330,11 +347,9 @@ class I2sEngine:
     def _make(self) -> None:
         """Fill the next buffer of our ring."""
         state, timing, lanes = self._state, self._timing, self._lanes
-        row = self._row
-        slot = state[_MADE] % self._slots
+        row, slot = self._row, state[_MADE] % self._slots
         note = slot * self._size
-        buffer = self._ring[slot]
-        notes = self._notes
+        buffer, notes = self._ring[slot], self._notes
         for i in range(self._axes):
             notes[note + _NOTE + i] = lanes[_LANE * i + _PLACE]
         notes[note + _START] = frames.begin_buffer(buffer, timing, lanes)

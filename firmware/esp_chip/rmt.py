@@ -13,32 +13,31 @@ millisecond at the most, so that nothing else comes in between. Each channel is 
 later than the one before; the time to its first step is made shorter by that, with what the
 last call of write_pulses() took as the measure. Directions change between trains.
 
-Where time goes is known from the clock, never from the hardware: a channel that has been
-stopped counts wrong afterwards. What stop() leaves of a train cannot be known to the step:
-position is what the clock says, and whoever stops a moving machine raises an alarm.
+A channel has memory for so many steps (channel.py): trains are shorter where steps come faster,
+and the gap comes the more often. At the highest rate they last 4 ms, a row.
+
+Where time goes is known from the clock, never from the hardware. What stop() leaves of a train
+cannot be known to the step: position is what the clock says, and whoever stops a moving machine
+raises an alarm. The channels play what they have to its end, which the pins do not show; the next
+motion waits for that.
 """
 
 import time
 from array import array
 
-import esp32
 import machine
 import micropython
 from kernels import row_length
 from micropython import const
 
 from esp_chip import trains
+from esp_chip.channel import RESOLUTION_HZ, Channel, most_steps
 from esp_chip.trains import made
+from esp_chip.turns import Turns
 
-TYPE_CHECKING = const(False)
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from interfaces import NextSegment
-
-_RESOLUTION_HZ = const(1_000_000)
 _HIGHEST_HZ = const(20_000)
 _LONGEST_US = const(18_000)  # of a train, as in trains.py
+_SHORTEST_US = const(6_000)  # what a channel holds lasts so long at the highest rate
 _PULSE_MAX = const(32_767)
 
 # The next train is made so long before it is due, and handed over so long before, in us.
@@ -55,8 +54,11 @@ _SETUP_US = const(10)
 _CALL_US = const(150)
 _CALL_EIGHTHS = const(2)
 
+# So long after it was due a train will not come any more.
+_LOST_US = const(500_000)
+
 # State.
-_HALT = const(0)
+_HALT = const(0)  # stopped, until arm()
 _PULLING = const(1)  # there may be more segments
 _RUNNING = const(2)  # a train is being played, or waited for
 _READY = const(3)  # the next one has been made
@@ -99,23 +101,24 @@ def _place(lanes: ptr32, axis: int, playing: ptr32, now: int) -> int:
     return place - steps if lanes[lane + _BACK] else place + steps
 
 
-class RmtEngine:
+class RmtEngine(Turns):
     """The engine. step, direction: pin numbers per axis."""
 
-    tick_hz = _RESOLUTION_HZ
+    tick_hz = RESOLUTION_HZ
     segment_log2 = 12
 
     def __init__(self, step: "tuple[int, ...]", direction: "tuple[int, ...]") -> None:
+        super().__init__()
         axes = len(step)
         self._axes = axes
-        self._step = step
         self._direction = [machine.Pin(pin, machine.Pin.OUT, value=0) for pin in direction]
-        self._channels: "list[esp32.RMT]" = []
-        self._step_invert = -1
+        self._channels = [Channel(i, step[i], axes) for i in range(axes)]
         self._dir_invert = 0
         self._state = array("i", (0 for _ in range(_STATE_LENGTH)))
+        self._state[_HALT] = 1
         self._timing = array("i", (0 for _ in range(trains.TIMING_LENGTH)))
         self._timing[trains.AXES] = axes
+        self._timing[trains.MOST] = most = most_steps(axes)
         self._lanes = array("i", (0 for _ in range(_LANE * axes)))
         for i in range(axes):
             self._lanes[_LANE * i + _LEVEL] = -1
@@ -124,8 +127,8 @@ class RmtEngine:
         self._row = array("i", (0 for _ in range(self._size)))
         self._rows = array("i", (0 for _ in range(self._size * trains.ROWS)))
         # Of each axis: the train that is played, the next one, and the list that RMT wants.
-        self._playing = [array("i", (0 for _ in range(trains.MOST))) for _ in range(axes)]
-        self._next = [array("i", (0 for _ in range(trains.MOST))) for _ in range(axes)]
+        self._playing = [array("i", (0 for _ in range(2 * most))) for _ in range(axes)]
+        self._next = [array("i", (0 for _ in range(2 * most))) for _ in range(axes)]
         self._counts = array("i", (0 for _ in range(axes)))
         self._lists: "list[list[int]]" = [[] for _ in range(axes)]
         # Spindle power of a train: when it begins, and what it is.
@@ -138,54 +141,51 @@ class RmtEngine:
 
     def max_step_hz(self, pulse_us: int) -> int:
         """Highest rate of one axis: as much as can be made ready in the time of a train."""
-        return min(_HIGHEST_HZ, 1_000_000 // (2 * pulse_us))
-
-    def attach(self, next_segment: "NextSegment", on_power: "Callable[[int], None]") -> None:
-        """Say where segments come from and who is told the spindle power of each as it starts."""
-        self._next_segment = next_segment
-        self._on_power = on_power
+        most = self._timing[trains.MOST] * RESOLUTION_HZ // _SHORTEST_US
+        return min(_HIGHEST_HZ, most, RESOLUTION_HZ // (2 * pulse_us))
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
         """Take over $0, $2 and $3. Called at rest only."""
         self._timing[trains.PULSE] = pulse_us
-        if step_invert != self._step_invert:
-            self._step_invert = step_invert
-            for channel in self._channels:
-                channel.deinit()
-            self._channels = [
-                esp32.RMT(
-                    i,
-                    pin=machine.Pin(self._step[i]),
-                    resolution_hz=_RESOLUTION_HZ,
-                    idle_level=bool(step_invert >> i & 1),
-                )
-                for i in range(self._axes)
-            ]
         self._dir_invert = dir_invert
         for i in range(self._axes):
+            self._channels[i].invert(step_invert >> i & 1)
             level = max(self._lanes[_LANE * i + _LEVEL], 0)
             self._direction[i].value(level ^ (dir_invert >> i & 1))
 
+    def arm(self) -> None:
+        """Motion is possible again, after power-up or stop()."""
+        self._why = None
+        self._timing[trains.LOCKED] = 0
+        self._state[_HALT] = 0
+
     def start(self) -> None:
-        """Begin to pull, where the engine had run out of segments."""
+        """Begin to pull, where the engine had run out of segments. A stopped engine stays so."""
         state = self._state
-        state[_HALT] = 0
+        if state[_HALT]:
+            return
         state[_PULLING] = 1
         if not state[_RUNNING]:
             state[_TOLD] = -1
-            state[_FREE] = time.ticks_us() & _MASK
+            now = time.ticks_us()
+            rest = time.ticks_diff(state[_FREE], now)  # of a train that was cut off
+            if not 0 < rest < _LOST_US:
+                state[_FREE] = now & _MASK
             state[_DUE] = (state[_FREE] + _FROM_REST_US) & _MASK
             self._powers[0] = _MASK
             state[_RUNNING] = 1
             self._timer.init(mode=machine.Timer.PERIODIC, period=1, callback=self._turn)
 
     def stop(self) -> None:
-        """At once; safe in a soft interrupt; queued steps are dropped, locks released."""
+        """At once, until arm(); safe in a soft interrupt; queued steps and locks are dropped."""
+        self._halt()
+        self._state[_RUNNING] = 0
+
+    def _halt(self) -> None:
         state, timing = self._state, self._timing
         state[_HALT] = 1
-        if state[_RUNNING]:
-            self._cut_off((1 << self._axes) - 1)
-        state[_RUNNING] = 0
+        self._cut_off((1 << self._axes) - 1)
+        state[_RUNNING] = 1
         state[_PULLING] = 0
         state[_READY] = 0
         timing[trains.HELD] = 0
@@ -195,11 +195,13 @@ class RmtEngine:
     def _cut_off(self, axes: int) -> None:
         """End these axes' trains now; they are where the clock says."""
         for i in range(self._axes):
+            if axes >> i & 1:
+                self._channels[i].cut()
+        now = time.ticks_us()
+        for i in range(self._axes):
             lane = _LANE * i
             if axes >> i & 1 and self._lanes[lane + _COUNT]:
-                place = _place(self._lanes, i, self._playing[i], time.ticks_us())
-                self._channels[i].active(False)
-                self._lanes[lane + _PLACE] = place
+                self._lanes[lane + _PLACE] = _place(self._lanes, i, self._playing[i], now)
                 self._lanes[lane + _COUNT] = 0
 
     def lock(self, axes: int) -> None:
@@ -213,6 +215,11 @@ class RmtEngine:
     def idle(self) -> bool:
         """Nothing is moving and nothing is queued in hardware."""
         return not self._state[_RUNNING]
+
+    def _behind(self) -> bool:
+        state = self._state
+        late = time.ticks_diff(time.ticks_us(), state[_DUE])
+        return bool(state[_RUNNING]) and late > _LOST_US
 
     def position(self, steps: "array[int]") -> None:
         """Copy the steps really made, per motor, by the clock."""
@@ -235,9 +242,10 @@ class RmtEngine:
 
     # The timer's turns: no other soft interrupt comes in between
 
-    def _turn(self, _timer: object) -> None:
+    def _go_on(self) -> None:
         state = self._state
-        if state[_HALT]:
+        if state[_HALT] or not state[_RUNNING]:  # turns are told of even behind the timer's end
+            state[_RUNNING] = 0
             self._timer.deinit()
             return
         now = time.ticks_us()
@@ -250,6 +258,7 @@ class RmtEngine:
                 self._end_train()
                 state[_RUNNING] = 0
                 self._timer.deinit()
+                self._on_rest()
             return
         wait = time.ticks_diff(state[_FREE], time.ticks_us())
         if due_in > _EARLY_US or wait > _WAIT_US:
@@ -278,7 +287,10 @@ class RmtEngine:
             return False
         trains.cut(rows, timing, size)
         for i in range(self._axes):
-            self._counts[i] = trains.durations(rows, timing, size, i, self._next[i])
+            count = trains.durations(rows, timing, size, i, self._next[i])
+            if count < 0:
+                raise RuntimeError("a train is longer than its channel")
+            self._counts[i] = count
         self._note_powers()
         trains.advance(timing)
         state[_READY] = 1
@@ -369,7 +381,7 @@ class RmtEngine:
         before = time.ticks_us()
         lead = time.ticks_diff(state[_BEGAN], before) + first - call
         pulses[0] = playing[0] = min(max(lead, 1), _PULSE_MAX)
-        self._channels[axis].write_pulses(pulses, bool(self._step_invert >> axis & 1))
+        self._channels[axis].play(pulses)
         took = time.ticks_diff(time.ticks_us(), before)
         lanes[lane + _START] = (before + took - _RETURN_US) & _MASK
         lanes[lane + _COUNT] = count

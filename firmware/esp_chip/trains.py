@@ -2,8 +2,9 @@
 """Trains: from segment rows to the durations that esp32.RMT plays, in integers and us.
 
 Rows wait in a ring. A train is a stretch of them, the same for all axes, in which no axis
-reverses: its length is chosen by cut(), one axis' durations are made by durations(). They
-begin with the time to the first step; then pulses and pauses follow each other, a pulse last.
+reverses, and none has more steps than a channel can hold: its length is chosen by cut(), one
+axis' durations are made by durations(). They begin with the time to the first step; then pulses
+and pauses follow each other, a pulse last.
 
 Called in the engine's turns; nothing here allocates.
 """
@@ -20,7 +21,6 @@ _ROW_STRIDE = const(3)
 
 ROWS = const(16)
 _ROWS_MASK = const(15)
-MOST = const(1000)  # durations of one axis in a train
 
 # A train is so long at the most, in us: what a hold has to wait for. It rather ends earlier
 # than where steps come faster by a quarter, but not before half of that.
@@ -38,7 +38,8 @@ PART = const(6)  # and behind them so much of another one
 LENGTH = const(7)  # of the next train, in us
 DIRS = const(8)  # directions in the next train, for axes that step
 LOCKED = const(9)  # mask of axes that stand still
-TIMING_LENGTH = const(10)
+MOST = const(10)  # steps of an axis in a train
+TIMING_LENGTH = const(11)
 
 
 @micropython.viper
@@ -58,6 +59,7 @@ def cut(rows: ptr32, timing: ptr32, size: int) -> int:
     known = 0
     dirs = 0
     total = 0 - timing[DONE]
+    room = timing[MOST]
     best = 0
     timing[TAKEN] = 0
     timing[PART] = 0
@@ -66,24 +68,38 @@ def cut(rows: ptr32, timing: ptr32, size: int) -> int:
         at = ((timing[FIRST] + k) & _ROWS_MASK) * size
         busy = 0
         most = 0
+        least = rows[at]  # gap from step to step
         for i in range(timing[AXES]):
-            steps = rows[at + _ROW_AXES + _ROW_STRIDE * i]
+            base = at + _ROW_AXES + _ROW_STRIDE * i
+            steps = rows[base]
             if steps and (timing[LOCKED] >> i) & 1 == 0:
                 busy |= 1 << i
                 if steps > most:
                     most = steps
+                if steps > 1:
+                    gap = (rows[base + 2] - rows[base + 1]) // (steps - 1)
+                    if gap < least:
+                        least = gap
         if known & busy & (dirs ^ rows[at + _ROW_DIRS]):
             break  # an axis reverses
+        rest = rows[at] if k else total + rows[at]
+        count = most
+        if least > 0 and rest // least + 1 < most:
+            count = rest // least + 1
         total += rows[at]
-        if total > _LONGEST and k:
+        if k and (total > _LONGEST or count > room):
             break
         known |= busy
         dirs |= rows[at + _ROW_DIRS] & busy
         timing[DIRS] = dirs
-        if total > _LONGEST:
-            timing[PART] = int(part(rows, timing, at, timing[DONE] + _LONGEST))
+        if total > _LONGEST or count > room:
+            end = _LONGEST
+            if count > room and least * room < end:
+                end = least * room
+            timing[PART] = int(part(rows, timing, at, timing[DONE] + end))
             timing[LENGTH] = timing[PART] - timing[DONE]
             break
+        room -= count
         interval = rows[at] // most if most else _LONGEST
         if total < _WORTH or interval + (interval >> 2) >= best:
             timing[TAKEN] = k + 1
@@ -110,12 +126,15 @@ def part(rows: ptr32, timing: ptr32, at: int, end: int) -> int:
                 tick += made * gap + 1
                 if tick > latest:
                     latest = tick
-    return latest if latest > timing[DONE] + _WORTH else end
+    return latest if latest > (timing[DONE] + end) >> 1 else end
 
 
 @micropython.viper
 def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> int:
-    """Make one axis' train. Returns how many durations; 0 where it does not step."""
+    """Make one axis' train. Returns how many durations; 0 where it does not step.
+
+    -1: it is longer than a channel, and would lose steps.
+    """
     if (timing[LOCKED] >> axis) & 1:
         return 0
     pulse = timing[PULSE]
@@ -137,9 +156,11 @@ def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> i
             gap = (rows[base + 2] - tick) // (steps - 1)
             longer = (rows[base + 2] - tick) % (steps - 1)
         for n in range(steps):
-            if tick >= end or count >= MOST - 1:
+            if tick >= end:
                 break
             if tick >= done:
+                if count >> 1 >= timing[MOST]:
+                    return -1
                 edge = origin + tick
                 if count and edge < last + 2:
                     edge = last + 2

@@ -1,12 +1,20 @@
-"""The board's `esp32` module: RMT, in virtual time.
+"""The board's `esp32` module: RMT, and what is free of the heaps, in virtual time.
 
-As ports/esp32/esp32_rmt.c of MicroPython does it: write_pulses() waits for the last train inside
-C code, and only then begins to convert; it takes lists and tuples; what is aborted stays counted
-as under way for ever. Durations that the hardware would cut off, or take for an end, are
-refused. Runs under both Pythons. What is not modelled does not exist.
+As ports/esp32/esp32_rmt.c of MicroPython and rmt_tx.c of ESP-IDF 5.5.1 do it: write_pulses() waits
+for the last train inside C code, and only then begins to convert; it takes lists and tuples; what
+is aborted stays counted as under way for ever. On the ESP32 active(False) waits for the end of the
+train, and its pulses go on. A train longer than the channel's memory is filled in by an interrupt;
+where that cannot come, while flash is written to, old symbols are played again. Durations that the
+hardware would cut off, or take for an end, are refused. Runs under both Pythons. What is not
+modelled does not exist.
 """
 
+import esp_machine
 from esp_clock import clock
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
 
 # What a call takes, in us: to begin with, per duration, and at the most besides (a flash cache
 # has its moods). The hardware starts shortly before the call returns.
@@ -15,36 +23,50 @@ DURATION_US = 0.2
 MOOD_US = 30
 RETURN_US = 8
 
+HEAP_DATA = 4
+HEAP_EXEC = 1
+
+
+def idf_heap_info(capabilities: int) -> "list[tuple[int, int, int, int]]":
+    """Of each heap: size, free, largest free block, least that was ever free."""
+    return [(100_000, 60_000, 40_000, 50_000), (20_000, 3000, 2000, 2500)]
+
 
 class RMT:
     """A transmitting channel. `trains` gets [start in us, first level, durations, end in us]."""
 
     PULSE_MAX = 32767
     channels: "list[RMT]" = []
-    available = 8  # ESP32; the S3 has 4
+    available = 8  # blocks of memory: ESP32; the S3 has 4 for transmitting
+    block = 64  # symbols; the S3's have 48
+    first_signal = 87  # S3: 81
 
     def __init__(
         self,
         id: int = -1,
         *,
-        pin: object,
+        pin: "Any",
         resolution_hz: "int | None" = None,
         idle_level: bool = False,
-        num_symbols: int = 64,
+        num_symbols: int = 0,
     ) -> None:
-        if resolution_hz != 1_000_000:
+        if resolution_hz != 1_000_000 or idle_level:
             raise NotImplementedError("only what our engine uses is modelled")
-        if num_symbols < 64 or num_symbols % 2:
-            raise ValueError("num_symbols must be even and at least 64")
-        if len(RMT.channels) == RMT.available:
+        self.symbols = num_symbols or self.block
+        if self.symbols < self.block or self.symbols % 2:
+            raise ValueError("num_symbols must be even and at least %d" % self.block)
+        blocks = -(-self.symbols // self.block)
+        self._number = RMT.channels[-1]._after if RMT.channels else 0
+        self._after: int = self._number + blocks
+        if self._after > self.available:
             raise OSError(261)  # ESP_ERR_NOT_FOUND
         self.pin = pin
-        self.idle_level = idle_level
         self.trains: "list[tuple[int, int, list[int], int]]" = []
         self._enabled = False
         self._end = 0
         self._aborted = 0
         self._mood = id + 1
+        esp_machine.mem32.connect(pin.id, self.first_signal + self._number)
         RMT.channels.append(self)
 
     def write_pulses(self, duration: "list[int] | tuple[int, ...]", data: object = True) -> None:
@@ -69,6 +91,30 @@ class RMT:
         self.trains.append((start, 1 if data else 0, list(duration), self._end))
         clock.work(RETURN_US)
 
+    def flash_write(self, us: int) -> None:
+        """The interrupt that fills the memory in does not come for so long, from now on."""
+        if clock.us >= self._end:
+            return
+        start, level, played, _ = self.trains[-1]
+        left = list(played)
+        played = []
+        at = start
+        filled = 2 * self.symbols  # durations
+        while left and at < clock.us:
+            played.append(left.pop(0))
+            at += played[-1]
+            if len(played) % self.symbols == 0:
+                filled += self.symbols
+        while left and len(played) < filled:
+            played.append(left.pop(0))
+            at += played[-1]
+        while left and at < clock.us + us:
+            played.append(played[-2 * self.symbols])
+            at += played[-1]
+        played += left
+        self._end = start + sum(played)
+        self.trains[-1] = (start, level, played, self._end)
+
     def active(self, value: "bool | None" = None) -> bool:
         if value is None:
             return self._enabled and (clock.us < self._end or self._aborted > 0)
@@ -76,6 +122,8 @@ class RMT:
             raise ValueError("activate by calling write_pulses()")
         if self._enabled and clock.us < self._end:
             self._aborted += 1
+            if self.block == 64:  # the ESP32
+                clock.work(self._end - clock.us)
             start, level, duration, _ = self.trains[-1]
             self.trains[-1] = (start, level, duration, clock.us)
             self._end = clock.us

@@ -13,8 +13,50 @@ _DMA_FRAMES = 256
 _POLL = 3  # MP_STREAM_POLL
 
 
-def freq() -> int:
-    return 240_000_000
+_FIRST_PAD = 0x3FF44530  # GPIO_FUNC0_OUT_SEL_CFG_REG of the ESP32
+_FIRST_PAD_S3 = 0x60004554
+_hz = [160_000_000]  # as it starts
+
+
+def freq(hz: int = 0) -> int:
+    if hz:
+        if hz not in (80_000_000, 160_000_000, 240_000_000):
+            raise ValueError("frequency must be 80MHz, 160MHz or 240MHz")
+        _hz[0] = hz
+    return _hz[0]
+
+
+class Pads:
+    """machine.mem32, as far as it is the GPIO matrix: which signal each pin shows.
+
+    `log` has (us, word) of every change, by pin.
+    """
+
+    register = 0x100  # the pin's own level
+    inverted = 0x200
+    first = _FIRST_PAD
+
+    def __init__(self) -> None:
+        self.log: "dict[int, list[tuple[int, int]]]" = {}
+
+    def connect(self, pin: int, signal: int) -> None:
+        """A driver's own way."""
+        self.log.setdefault(pin, []).append((clock.us, signal))
+
+    def _pin(self, address: int) -> int:
+        pin = (address - self.first) // 4
+        if address % 4 or pin not in self.log:
+            raise ValueError("no such register is modelled")
+        return pin
+
+    def __getitem__(self, address: int) -> int:
+        return self.log[self._pin(address)][-1][1]
+
+    def __setitem__(self, address: int, word: int) -> None:
+        self.connect(self._pin(address), word)
+
+
+mem32 = Pads()
 
 
 class IRQ:
@@ -140,18 +182,19 @@ class Timer:
         self._period = period * 1000
         self.due = clock.us + self._period
         clock.timers.append(self)
+        clock.rearmed()
 
     def rearm(self) -> None:
-        """It has fallen due. What has been missed meanwhile is not made up for."""
+        """It has fallen due, and ticks on, late as its callback may come."""
         self.due += self._period
-        if self.due <= clock.us:
-            self.due = clock.us + 1
         if self._mode == self.ONE_SHOT:
             self.deinit()
 
     def deinit(self) -> None:
+        """What waits for a place between bytecodes goes on to wait for it."""
         if self in clock.timers:
             clock.timers.remove(self)
+            clock.rearmed()
 
 
 class WDT:
@@ -218,6 +261,7 @@ class I2S(io.IOBase):
         self._at = 0
         self._began = clock.us
         self._playing = 0
+        self._deaf = False  # flash is written to: no interrupt
         self._begin()
         I2S.open_streams[id] = self
 
@@ -233,11 +277,27 @@ class I2S(io.IOBase):
             done = self._playing
             self._playing = (done + 1) % count
             self._begin()
-            buffer = self.memory[done]
-            buffer[:] = bytes(len(buffer))  # auto_clear
-            if len(self._free) == count - 1:
-                self._free.pop(0)
-            self._free.append(done)
+            if not self._deaf:
+                self._ended(done)
+
+    def _ended(self, done: int) -> None:
+        """The interrupt at the end of a buffer."""
+        buffer = self.memory[done]
+        buffer[:] = bytes(len(buffer))  # auto_clear
+        if len(self._free) == len(self.memory) - 1:
+            self._free.pop(0)
+        self._free.append(done)
+
+    def flash_write(self, us: int) -> None:
+        """All ends of buffers meanwhile are one in the end, that of the last."""
+        self.run()
+        began = self._began
+        self._deaf = True
+        clock.work(us)
+        self.run()
+        self._deaf = False
+        if self._began > began:
+            self._ended((self._playing - 1) % len(self.memory))
 
     def fileno(self) -> int:
         """CPython's way to poll(): it sees a file that can be written."""
@@ -252,7 +312,8 @@ class I2S(io.IOBase):
         return flags
 
     def write(self, buf: "bytearray | memoryview") -> int:
-        assert self.size, "the stream is closed"
+        if not self.size:
+            raise OSError("the stream is closed")
         self.run()
         done = 0
         while done < len(buf):
@@ -272,6 +333,8 @@ class I2S(io.IOBase):
         return done
 
     def deinit(self) -> None:
+        if not self.size:
+            return
         self.run()
         self.size = 0
         clock.work(20)

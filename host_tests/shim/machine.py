@@ -10,7 +10,9 @@ from typing import Any
 _PINS = 30
 
 
-def freq() -> int:
+def freq(hz: int = 0) -> int:
+    if hz:
+        raise NotImplementedError("only what our engine uses is modelled")
     return 125_000_000
 
 

@@ -1,0 +1,81 @@
+"""Turns: what both engines' timers do before and behind their work.
+
+Interrupts are soft here: MicroPython prints what one of them raises, and calls it again. So a turn
+catches all. What goes wrong switches the tool off, then the motors, and is told to the main loop.
+
+An edge at a pin is lost where the scheduler's eight places are taken, and a timer of a millisecond
+takes them all in eight of a collection. So each turn begins with a look at the inputs.
+"""
+
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from interfaces import NextSegment
+
+
+def _nothing() -> None:
+    """Nobody has to be told."""
+
+
+class Turns:
+    """Half an engine. on_look: has the inputs looked at. on_fault: switches the tool off."""
+
+    def __init__(self) -> None:
+        self.on_look: "Callable[[], None]" = _nothing
+        self.on_fault: "Callable[[], None]" = _nothing
+        self._why: "BaseException | None" = None
+
+    def attach(
+        self,
+        next_segment: "NextSegment",
+        on_power: "Callable[[int], None]",
+        on_rest: "Callable[[], None]",
+    ) -> None:
+        """Say where segments come from, who is told the spindle power of each as it starts, and
+        who hears that motion has come to its end."""
+        self._next_segment = next_segment
+        self._on_power = on_power
+        self._on_rest = on_rest
+
+    def fault(self) -> str:
+        """What is wrong with the engine, in words; "" as long as nothing is."""
+        if self._why:
+            words = "the engine's turn has failed: %s %s" % (type(self._why).__name__, self._why)
+            return words.replace("rror", "rr").replace("ok", "o-k")
+        return "motion is behind its own schedule" if self._behind() else ""
+
+    def _turn(self, _timer: object) -> None:
+        try:
+            self.on_look()
+            if self._why is None:
+                self._go_on()
+        except BaseException as why:
+            self._fail(why)
+
+    def _fail(self, why: BaseException) -> None:
+        self._why = why
+        try:
+            self.on_fault()
+        except BaseException as worse:
+            self._why = worse
+        try:
+            self._halt()
+        except BaseException as worse:
+            self._why = worse
+
+    # What the other half has
+
+    def _go_on(self) -> None:
+        """A turn."""
+        raise NotImplementedError
+
+    def _halt(self) -> None:
+        """Stop the motors; the engine is not idle, so that the main loop asks for the fault."""
+        raise NotImplementedError
+
+    def _behind(self) -> bool:
+        """Motion should have gone on long ago."""
+        raise NotImplementedError
