@@ -1,7 +1,8 @@
 """Pins of an ESP32 that are not steps: limits, probe, controls, spindle, coolant, enable.
 
 Interrupts are soft here: what they call runs between two bytecodes, at the latest when what
-MicroPython does in C has been done.
+MicroPython does in C has been done; and not at all where eight others wait already. So look() is
+called in every turn of the engine and of the main loop: it finds what nobody has heard.
 """
 
 import machine
@@ -13,6 +14,8 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import ModuleType
+
+    from machine import Pin
 
 # 0 is the engine's.
 _LIMIT_TIMER = const(1)
@@ -34,6 +37,42 @@ class EspPort(PortPins):
         timers = Timer(_LIMIT_TIMER), Timer(_CONTROL_TIMER)
         super().__init__(board, timers, pins, False)
         self._set_enable = enable
+        self._limits_looked = self._estop_looked = 0
+        self._sensors_looked = -1  # nobody wants to hear of them
+
+    def attach(
+        self,
+        on_limits: "Callable[[], None]",
+        on_controls: "Callable[[], None]",
+        on_fault: "Callable[[], None]",
+    ) -> None:
+        """As on other chips; only what changes from now on counts."""
+        self._limits_looked = self.limits()
+        self._controls_seen = self.controls()
+        super().attach(on_limits, on_controls, on_fault)
+
+    def look(self) -> None:
+        """Act on inputs that have changed as if their interrupts had come."""
+        limits = self.limits()
+        if limits != self._limits_looked:
+            self._limits_looked = limits
+            if self._hears_limits and limits != self._limits_seen:
+                self._limit_changed(_first(self._limits))
+        if not self._quiet and self.controls() != self._controls_seen:
+            self._control_changed(_first(self._controls))
+        if self._estop and self._estop.value() != self._estop_looked:
+            self._estop_looked = self._estop.value()
+            self._control_changed(self._estop)
+        if self._on_contact:
+            self._probe_changed(None)
+        if self._sensors_looked >= 0 and self.punch_sensors() != self._sensors_looked:
+            self._sensors_looked = self.punch_sensors()
+            self._punch_changed(None)
+
+    def watch_punch(self, on_change: "Callable[[], None]") -> None:
+        """Call on_change, in an interrupt, whenever a sensor's pin changes."""
+        super().watch_punch(on_change)
+        self._sensors_looked = self.punch_sensors()
 
     def enable(self, level: int) -> None:
         """Level of the motor drivers' enable pins, or output."""
@@ -42,7 +81,16 @@ class EspPort(PortPins):
         else:
             super().enable(level)
 
-    def watch(self, timeout_ms: int) -> "Callable[[], None] | None":
+    def watch(self, timeout_ms: int) -> "Callable[[], None]":
         """Make the chip start anew where the result is not called for so long; 0: no more."""
-        watchdog = machine.WDT(timeout=timeout_ms or _NO_MORE_MS)
-        return watchdog.feed if timeout_ms else None
+        self._watchdog = machine.WDT(timeout=timeout_ms or _NO_MORE_MS)
+        return self._feed if timeout_ms else self.look
+
+    def _feed(self) -> None:
+        self._watchdog.feed()
+        self.look()
+
+
+def _first(pins: "list[Pin | None]") -> "Pin":
+    """One of those that are wired; its interrupt is as good as the others'."""
+    return [pin for pin in pins if pin][0]  # noqa: RUF015  # MicroPython compiles this smaller

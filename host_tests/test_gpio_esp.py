@@ -122,5 +122,111 @@ def test_the_watchdog_waits_for_good_once_the_prompt_is_there() -> None:
     with pytest.raises(RuntimeError, match="started anew"):
         feed()
     esp_machine.WDT.fed = clock.us
-    assert port.watch(0) is None
+    port.watch(0)()
     assert esp_machine.WDT.timeout_ms >= 86_400_000
+
+
+# Edges that the scheduler has no place for
+
+
+def fill_the_scheduler() -> None:
+    """As an engine's timer does in eight milliseconds of a collection."""
+    clock.busy = True
+    for _ in range(8):
+        clock.call(lambda _: None, None)
+
+
+def deaf(change: Any) -> None:
+    """Something changes while the scheduler is full: nobody is called."""
+    fill_the_scheduler()
+    change()
+    clock.busy = False
+    clock.advance(clock.us + 10)
+    assert clock.lost
+
+
+@pytest.mark.parametrize(("pin", "who"), [(5, "limits"), (4, "controls"), (35, "controls")])
+def test_an_edge_that_was_lost_is_found_at_the_next_look(pin: int, who: str) -> None:
+    port, heard = made()
+    deaf(lambda: Pin(pin).drive(0))
+    assert heard == []
+    port.look()
+    assert heard == [who]
+    for _ in range(10):
+        clock.advance(clock.us + 1000)
+        port.look()
+    assert heard == [who]
+    deaf(lambda: Pin(pin).drive(1))
+    port.look()
+    assert heard == [who, who]
+
+
+def test_an_edge_that_was_heard_is_not_found_again() -> None:
+    port, heard = made()
+    Pin(5).drive(0)
+    Pin(4).drive(0)
+    for _ in range(10):
+        port.look()
+        clock.advance(clock.us + 1000)
+    assert heard == ["limits", "controls"]
+
+
+def test_limits_that_are_not_heard_are_not_found_either() -> None:
+    port, heard = made()
+    port.hear_limits(False)
+    Pin(5).drive(0)
+    port.look()
+    port.hear_limits(True)
+    port.look()
+    assert heard == []
+
+
+def test_a_debounced_limit_that_was_lost_counts_when_it_has_settled() -> None:
+    port, heard = made(LIMIT_DEBOUNCE_MS=3)
+    deaf(lambda: Pin(5).drive(0))
+    for _ in range(2):
+        port.look()
+        clock.advance(clock.us + 1000)
+    assert heard == []
+    for _ in range(3):
+        port.look()
+        clock.advance(clock.us + 1000)
+    assert heard == ["limits"]
+
+
+def test_a_contact_of_the_probe_that_was_lost_is_found() -> None:
+    port, _ = made()
+    contacts: list[bool] = []
+    port.watch_probe(lambda: contacts.append(True), True)
+    deaf(lambda: Pin(39).drive(0))
+    assert contacts == []
+    port.look()
+    port.look()
+    assert contacts == [True]
+
+
+def test_an_emergency_stop_that_was_lost_is_found() -> None:
+    Pin(21, Pin.IN).drive(0)
+    port, heard = made(ESTOP=21)
+    deaf(lambda: Pin(21).drive(1))
+    assert heard == []
+    port.look()
+    assert heard == ["controls"]
+
+
+def test_a_sensor_of_the_punch_that_was_lost_is_found() -> None:
+    port, _ = made(PUNCH_DOWN=32, PUNCH_UP=33, PUNCH_DOWN_SENSOR=25, PUNCH_UP_SENSOR=26)
+    changes: list[bool] = []
+    port.watch_punch(lambda: changes.append(True))
+    deaf(lambda: Pin(26).drive(0))
+    port.look()
+    port.look()
+    assert changes == [True]
+
+
+def test_the_main_loop_looks_as_it_feeds_the_watchdog() -> None:
+    port, heard = made()
+    feed = port.watch(5000)
+    deaf(lambda: Pin(5).drive(0))
+    feed()
+    assert heard == ["limits"]
