@@ -13,7 +13,7 @@ from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
 # In the order in which load() looks: the newest whole file counts.
 _NOW = ".txt"
@@ -23,10 +23,12 @@ _CHECKSUM = "#crc32="
 
 
 class FlashStore:
-    """A Store. folder: where the files are, with a slash at its end."""
+    """A Store. folder: where the files are, with a slash at its end. on_write: called behind
+    each save, even one that fails."""
 
-    def __init__(self, folder: str = "/") -> None:
+    def __init__(self, folder: str = "/", on_write: "Callable[[], None] | None" = None) -> None:
         self._folder = folder
+        self._on_write = on_write
 
     def load(self, name: str) -> "list[str] | None":
         """The lines kept under that name; None where no copy of them is whole."""
@@ -38,8 +40,13 @@ class FlashStore:
 
     def save(self, name: str, lines: "Iterable[str]") -> None:
         """Replace the lines at once or not at all. Raises OSError where flash is full or worn."""
-        path = self._folder + name
-        kept = list(lines)
+        try:
+            self._write(self._folder + name, list(lines))
+        finally:
+            if self._on_write:
+                self._on_write()
+
+    def _write(self, path: str, kept: "list[str]") -> None:
         text = "".join([line + "\n" for line in kept])
         with open(path + _NEW, "w") as file:
             file.write(text)
