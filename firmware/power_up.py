@@ -80,26 +80,16 @@ def _hardware(board: "ModuleType") -> "tuple[StepEngine, Any]":
 
     gpio_check.check(board)
     del sys.modules["gpio_check"]
-    kind = board.ENGINE
-    if kind == "pio":
+    if board.ENGINE == "pio":
         from gpio import GpioPort
         from pio.engine import PioEngine
 
         hold_us = getattr(board, "DIR_HOLD_US", 2)
         setup_us = getattr(board, "DIR_SETUP_US", 5)
         return PioEngine(board.STEP, board.DIR, hold_us, setup_us), GpioPort(board)
-    from gpio_esp import EspPort
+    from parts_esp import make
 
-    if kind == "rmt":
-        from esp_chip.rmt import RmtEngine
-
-        return RmtEngine(board.STEP, board.DIR), EspPort(board)
-    from esp_chip.i2s import I2sEngine
-
-    engine = I2sEngine(
-        board.STEP, board.DIR, board.ENABLE, board.I2S, board.I2S_RATE_HZ, board.I2S_BUFFERS
-    )
-    return engine, EspPort(board, engine.enable)
+    return make(board)
 
 
 def _build(board: "ModuleType", link: "Any", port: "Any", engine: "StepEngine") -> "Controller":
@@ -108,7 +98,8 @@ def _build(board: "ModuleType", link: "Any", port: "Any", engine: "StepEngine") 
     gc.collect()
     import wiring
 
-    machine = wiring.build(board, link, port, engine, FlashStore())
+    store = FlashStore("/", getattr(engine, "flash_written", None))
+    machine = wiring.build(board, link, port, engine, store)
     del sys.modules["wiring"]  # 4 kB that nobody needs any more
 
     def at_rest() -> bool:

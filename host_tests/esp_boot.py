@@ -4,11 +4,16 @@ python esp_boot.py BOARD FOLDER [LINE ...] — runs main.py with boards/BOARD.py
 which each LINE (`ENGINE = "i2s"`) takes the place of the one for the same name, or comes behind
 it. Settings are kept in FOLDER. Its talk.json is what a sender says and waits for, nothing and
 the welcome first: [["", "Grbl"], ["$X\\n", "ok"], ...]. "pin 5 0" and "ms 100" are directions
-to the world around. Prints the conversation, and what the prompt would read after it.
+to the world around; "deaf 5 0" pulls the pin during a collection, which nobody hears of. Prints
+the conversation, and what the prompt would read after it.
 """
 
 import json
 import sys
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
 
 
 def set_path() -> str:
@@ -24,6 +29,7 @@ def set_path() -> str:
 
 ROOT = set_path()
 
+import esp32  # noqa: E402
 import esp_clock  # noqa: E402
 import esp_machine  # noqa: E402
 import esp_stdio  # noqa: E402
@@ -68,6 +74,27 @@ class Unanswered(BaseException):
     """What a sender waits for does not come. No Exception: the firmware has a net for these."""
 
 
+def deaf(pin: "esp_machine.Pin", level: int) -> None:
+    """A pin changes behind 40 ms of C code: a timer has taken all places for callbacks."""
+    clock.work(40_000)
+    lost = clock.lost
+    clock.busy = True
+    pin.drive(level)
+    clock.busy = False
+    assert clock.lost > lost or not clock.timers, "the edge is to be lost"
+
+
+def flash_write() -> None:
+    """No interrupt comes while a sector is erased."""
+    for channel in esp32.RMT.channels:
+        channel.flash_write(45_000)
+    streams = list(esp_machine.I2S.open_streams.values())
+    if streams:
+        streams[0].flash_write(45_000)
+    else:
+        clock.work(45_000)
+
+
 class Sender:
     """Says one thing, waits for an answer, and so on."""
 
@@ -102,6 +129,9 @@ class Sender:
         if text.startswith("pin "):
             _, pin, level = text.split()
             esp_machine.Pin.pins[int(pin)].drive(int(level))
+        elif text.startswith("deaf "):
+            _, pin, level = text.split()
+            deaf(esp_machine.Pin.pins[int(pin)], int(level))
         elif text.startswith("ms "):
             clock.advance(clock.us + int(text[3:]) * 1000)
         else:
@@ -126,22 +156,37 @@ def board(name: str, lines: "list[str]") -> "Namespace":
     return Namespace(names)
 
 
+def chip(board: str) -> "Namespace":
+    """The board's `sys`, as far as it says which chip this is."""
+    s3 = board == "esp32_s3"
+    if s3:
+        esp_machine.mem32.first = 0x60004554
+        esp32.RMT.available, esp32.RMT.block, esp32.RMT.first_signal = 4, 48, 81
+    name = "ESP32S3" if s3 else "ESP32"
+    return Namespace({"implementation": Namespace({"_machine": "A board with " + name})})
+
+
 def main() -> None:
     name, folder, *lines = sys.argv[1:]
     wire = esp_stdio.Wire()
-    load(
-        {"machine": esp_machine, "time": Time},
-        "gpio_esp",
-        "gpio_check",
-        "esp_chip.i2s",
-        "esp_chip.rmt",
-    )
+    load({"machine": esp_machine, "time": Time}, "gpio_esp", "gpio_check", "esp_chip.start")
+    modules = {"machine": esp_machine, "time": Time, "sys": chip(name)}
+    load(modules, "esp_chip.i2s", "esp_chip.rmt")
     load({"os": wire.os()}, "link_escape")
     load({"sys": wire.sys(), "select": wire.select()}, "link_uart")
     import store_flash
 
     real_store = store_flash.FlashStore
-    store_flash.FlashStore = lambda: real_store(folder + "/")  # type: ignore[misc, assignment]
+
+    def store(root: str, on_write: "Any") -> "store_flash.FlashStore":
+        def written() -> None:
+            flash_write()
+            if on_write:
+                on_write()
+
+        return real_store(folder + root, written)
+
+    store_flash.FlashStore = store  # type: ignore[misc, assignment]
     if not hasattr(sys, "print_exception"):
         from traceback import print_exception
 

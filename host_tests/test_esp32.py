@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from esp_bench import EspEngine, clock, esp32, esp_machine
+from esp_bench import EspEngine, clock, esp32, esp_machine, esp_start
 from micropython_runner import needs_micropython, run_micropython
 from ugrbl import machine
 
@@ -93,6 +93,19 @@ def test_settings_are_kept_in_flash(tmp_path: Path) -> None:
     again: Talk = [("", "Grbl "), ("$$\n", "ok")]
     said = run_micropython(_BOOT, *arguments("esp32_s3", tmp_path, again))
     assert said.startswith("\nGrbl 1.1h") and "\n$100=80.000\n" in said
+
+
+@pytest.mark.parametrize("board", _BOARDS)
+def test_a_limit_whose_edge_nobody_hears_stops_the_machine_all_the_same(
+    board: str, tmp_path: Path
+) -> None:
+    pin = machine.load_board(board).LIMIT[0]
+    talk = [*_GREETING, *_SET_UP, ("$21=1\n", "ok"), ("G91 G1 X20 F1200\n", "ok"), ("ms 300", "")]
+    talk += [(f"deaf {pin} 0", "cont"), (f"pin {pin} 1", ""), ("\x18", "unlock"), ("?", ">")]
+    said = boot(board, tmp_path, talk)
+    assert "ALARM:1\n" in said
+    went = float(said.rsplit("MPos:", 1)[1].split(",")[0])
+    assert went < 9, "the main loop, or the engine, looks at the switch within some milliseconds"
 
 
 def test_another_engine_is_one_line_of_a_board_file(tmp_path: Path) -> None:
@@ -228,7 +241,8 @@ def next_segment(row):
         row[5 + 3 * i] = 15000
     return 1
 
-engine.attach(next_segment, print)
+engine.attach(next_segment, print, print)
+engine.arm()
 engine.start()
 def fill():
     for _ in range(10):
@@ -248,6 +262,29 @@ def test_buffers_of_frames_are_filled_without_allocation() -> None:
     assert "filled True" in run_micropython(_NO_ALLOCATION % folders)
 
 
+# Compiled code has its own memory
+
+
+def prepared(modules: "list[str]") -> "tuple[int, str]":
+    """The processor's clock behind prepare(), and what it has said."""
+    esp_machine.freq(160_000_000)
+    try:
+        esp_start.prepare(modules)
+    except MemoryError as fault:
+        return esp_machine.freq(), str(fault)
+    return esp_machine.freq(), ""
+
+
+def test_compiled_code_that_finds_no_room_says_what_was_free(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "too_large.py").write_text("raise MemoryError\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert prepared(["kernels"]) == (240_000_000, "")
+    words = "no room for too_large among compiled code: 63000 bytes free, 40000 in one piece"
+    assert prepared(["kernels", "too_large"]) == (240_000_000, words)
+
+
 # The stand-ins refuse what the hardware's modules refuse
 
 
@@ -260,6 +297,7 @@ def refused(what: "Callable[[], object]") -> bool:
 
 
 def test_rmt_takes_lists_of_durations_that_the_hardware_has() -> None:
+    esp32.RMT.channels.clear()
     channel = esp32.RMT(0, pin=esp_machine.Pin(4), resolution_hz=1_000_000)
     assert refused(lambda: channel.write_pulses(array("i", [5, 5])))  # type: ignore[arg-type]
     assert refused(lambda: channel.write_pulses([]))
@@ -268,7 +306,46 @@ def test_rmt_takes_lists_of_durations_that_the_hardware_has() -> None:
     assert refused(lambda: channel.active(True))
 
 
+def test_rmt_is_not_stopped_by_making_it_inactive() -> None:
+    EspEngine("rmt")
+    esp32.RMT.channels.clear()
+    channel = esp32.RMT(0, pin=esp_machine.Pin(4), resolution_hz=1_000_000)
+    channel.write_pulses([100, 10] * 60, False)
+    asked = clock.us
+    channel.active(False)
+    start, _, durations, end = channel.trains[-1]
+    assert end == start + sum(durations) and clock.us >= end > asked + 6000
+
+
+def test_rmt_plays_old_symbols_where_its_memory_is_not_filled_in() -> None:
+    EspEngine("rmt")
+    esp32.RMT.channels.clear()
+    channel = esp32.RMT(0, pin=esp_machine.Pin(4), resolution_hz=1_000_000)
+    steps = {}
+    for count in (63, 200):
+        channel.write_pulses([100, 10] * count, False)
+        clock.work(1000)
+        channel.flash_write(15_000)
+        steps[count] = len(channel.trains[-1][2]) // 2
+        clock.work(60_000)
+    assert steps[63] == 63 and steps[200] > 200
+
+
+def test_the_scheduler_has_eight_places_and_a_timer_takes_one_each_tick() -> None:
+    EspEngine("rmt")
+    ticks: list[int] = []
+    timer = esp_machine.Timer(1)
+    timer.init(period=1, callback=lambda _: ticks.append(clock.us))
+    lost = clock.lost
+    clock.work(12_000)
+    assert ticks == [] and clock.lost == lost + 4
+    clock.advance(clock.us)
+    assert len(ticks) == 8
+
+
 def test_rmt_blocks_while_it_is_busy_and_miscounts_after_an_abort() -> None:
+    EspEngine("rmt")
+    esp32.RMT.channels.clear()
     channel = esp32.RMT(1, pin=esp_machine.Pin(5), resolution_hz=1_000_000)
     channel.write_pulses((10_000, 10), False)
     begun = clock.us

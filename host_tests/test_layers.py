@@ -21,13 +21,15 @@ LAYERS = (
     {"protocol", "punch"},
     {"controller"},
     {"wiring"},
+    {"parts_esp"},
     {"power_up"},
     {"main"},
 )
 LAYER = {module: number for number, layer in enumerate(LAYERS) for module in layer}
 
 # Ports stand outside the stack: they use the two lowest layers and their own kind, and only
-# power_up uses them.
+# what makes a board's parts uses them.
+BOOT = ("parts_esp", "power_up")
 PORT_PREFIXES = ("link", "gpio", "store")
 PORT_FOLDERS = ("pio", "esp_chip")
 PORT_LAYERS = (0, 1)
@@ -97,7 +99,7 @@ def may_import(module, used):
     if is_port(module):
         return kind(used) == kind(module) or LAYER.get(used) in PORT_LAYERS
     if is_port(used) or used == BOARD_FILE:
-        return module == "power_up"
+        return module in BOOT
     return LAYER.get(used, len(LAYERS)) < LAYER[module]
 
 

@@ -30,6 +30,7 @@ _CHOICES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "gpio": ("ENGINE", "", ("pio",)),
     "esp_chip.rmt": ("ENGINE", "", ("rmt",)),
     "esp_chip.i2s": ("ENGINE", "", ("i2s",)),
+    "parts_esp": ("ENGINE", "", ("rmt", "i2s")),
     "gpio_esp": ("ENGINE", "", ("rmt", "i2s")),
     "link_usb": ("LINK", "usb", ("usb",)),
     "link_uart": ("LINK", "usb", ("uart",)),

@@ -1,0 +1,34 @@
+"""Parts of an ESP32 board: what power_up.py makes there."""
+
+from esp_chip.start import prepare
+from gpio_esp import EspPort
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from types import ModuleType
+    from typing import Any
+
+# Modules with compiled code, the largest first.
+_COMPILED = "kernels words lines digits reals singles planner motion protocol plain"
+
+
+def make(board: "ModuleType") -> "tuple[Any, EspPort]":
+    """Engine and port. Raises MemoryError where compiled code finds no room."""
+    prepare(_COMPILED.split())
+    engine: "Any"
+    if board.ENGINE == "rmt":
+        from esp_chip.rmt import RmtEngine
+
+        engine = RmtEngine(board.STEP, board.DIR)
+        port = EspPort(board)
+    else:
+        from esp_chip.i2s import I2sEngine
+
+        engine = I2sEngine(
+            board.STEP, board.DIR, board.ENABLE, board.I2S, board.I2S_RATE_HZ, board.I2S_BUFFERS
+        )
+        port = EspPort(board, engine.enable)
+    engine.on_look = port.look
+    engine.on_fault = port.kill
+    return engine, port
