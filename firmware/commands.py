@@ -62,13 +62,11 @@ class Commands:
         self,
         realtime: "Realtime",
         motion: "Motion",
-        configure: "Callable[[int], None]",
         answer: "Callable[[bytearray, int], None]",
     ) -> None:
         """Say whom to call. answer executes a line of G-code and prints what becomes of it."""
         self._realtime = realtime
         self._motion = motion
-        self._configure = configure
         self._answer = answer
 
     # Kept lines
@@ -145,6 +143,7 @@ class Commands:
             if state.run != st.IDLE:
                 raise GrblError(errors.IDLE_ERROR)
             state.run = st.CHECK
+            self._gcode.plain.forget()  # what was a motion is none now
             self._report.message(errors.MSG_ENABLED)
 
     def _unlock(self) -> None:
@@ -206,14 +205,16 @@ class Commands:
         what = line[5] if length == 6 else 0
         if bytes(line[2:5]) != b"ST=" or what not in b"$#*":
             raise GrblError(errors.INVALID_STATEMENT)
-        if what != 35:  # $ or *
-            self._settings.restore()
-        if what != 36:  # # or *
-            self._coords.restore()
-        if what == 42:  # *
-            self.forget()
-        self._report.message(errors.MSG_RESTORE_DEFAULTS)
-        self._realtime.reset()
+        try:
+            if what != 35:  # $ or *
+                self._settings.restore()
+            if what != 36:  # # or *
+                self._coords.restore()
+            if what == 42:  # *
+                self.forget()
+            self._report.message(errors.MSG_RESTORE_DEFAULTS)
+        finally:
+            self._realtime.reset()  # also where not all of it could be kept
 
     def forget(self) -> None:
         """Startup lines and build info away."""
@@ -251,8 +252,8 @@ class Commands:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
         if line[at] != 0 or number > _HIGHEST_SETTING:
             raise GrblError(errors.INVALID_STATEMENT)
+        self._motion.synchronise()  # what is planned was planned with what holds now
         self._settings.set(int(number) & 255, value)
-        self._configure(int(number))
 
 
 _PLAIN = {

@@ -73,24 +73,24 @@ class Controller:
 
     # Settings
 
-    def configure(self, number: int) -> None:
-        """A setting has changed: tell those who have worked something out from it."""
+    def configure(self) -> None:
+        """A setting has changed: tell those who work something out from it and from each other."""
         settings = self.settings
         engine = self.engine
         engine.configure(settings.step_pulse_us, settings.step_invert, settings.dir_invert)
-        self.inputs.configure(settings)
-        self.port.hear_limits(bool(settings.hard_limits))
         self.planner.configure(
             settings,
             engine.tick_hz,
             engine.segment_log2,
             engine.max_step_hz(settings.step_pulse_us),
         )
-        self.motion.configure()
         self.spindle.configure(settings, self.planner.machine)
-        if number in (30, 31):
+        # Of all of them, a reset does the rest.
+        if settings.changed == 21:
+            self.port.hear_limits(bool(settings.hard_limits))
+        if settings.changed in (30, 31):
             self.spindle.stop()
-        if number in (10, 13):
+        if settings.changed == 13:
             self.state.wco_countdown = 0
 
     # Life
@@ -118,7 +118,6 @@ class Controller:
         self._loads(self.coords.load)
         realtime = self.realtime
         self.port.attach(realtime.on_limits, realtime.on_controls, realtime.on_fault)
-        self.configure(0)
         if self.settings.homing:
             self.state.run = st.ALARM
         self.realtime.power(True)

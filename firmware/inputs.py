@@ -21,15 +21,17 @@ DOOR = const(8)
 class Inputs:
     """axes: how many limit inputs there are; door: the hold input is a safety door's."""
 
-    def __init__(self, port: "Port", axes: int, has_door: bool) -> None:
+    def __init__(self, port: "Port", settings: "Settings", axes: int, has_door: bool) -> None:
         self._port = port
+        self._settings = settings
         self._all = (1 << axes) - 1
         self.has_door = has_door
         self._limit_invert = 0
         self._probe_invert = False
 
-    def configure(self, settings: "Settings") -> None:
+    def configure(self) -> None:
         """Take over $5 and $6."""
+        settings = self._settings
         self._limit_invert = self._all if settings.limit_invert else 0
         self._probe_invert = bool(settings.probe_invert)
         self._port.limit_invert = self._limit_invert

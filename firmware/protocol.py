@@ -105,7 +105,6 @@ class Protocol:
             if length == 0:
                 pass
             elif line[0] == 36:  # $
-                self._gcode.plain.forget()  # settings may change
                 self._commands.execute(line, length)
             elif self._state.run & _LOCKED:
                 raise GrblError(errors.SYSTEM_GC_LOCK)

@@ -2,7 +2,8 @@
 
 A setting is an attribute here, in the units of its row. Kept as the very
 lines a user would type; lines nobody understands are kept too, so that an
-older firmware does not lose a newer one's.
+older firmware does not lose a newer one's. Whoever works something out from
+a setting subscribes, see on_change(); nothing is to change while it moves.
 """
 
 from array import array
@@ -14,6 +15,8 @@ from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from interfaces import Store
 
     Rows = tuple[tuple[int, str, int, float, str], ...]
@@ -23,6 +26,9 @@ BOOL = const(1)
 _FLOAT = const(2)
 _RPM = const(3)  # a float, shown without decimals
 _AXIS = const(4)  # a float per axis: number + axis
+
+# In place of a number: all of them.
+ALL = const(-1)
 
 _FILE = "settings"
 
@@ -142,14 +148,29 @@ class Settings:
         self._axes = axes
         self._board_defaults = defaults
         self._unknown: "list[str]" = []
+        self._callbacks: "list[Callable[[], None]]" = []
+        self.changed = ALL
+
+    # Whom a change concerns
+
+    def on_change(self, callback: "Callable[[], None]") -> None:
+        """Have it called after every change of one or of all; `changed` is the number, or ALL."""
+        self._callbacks.append(callback)
+
+    def _announce(self, number: int) -> None:
+        self.changed = number
+        for callback in self._callbacks:
+            callback()
+
+    # Keeping
 
     def load(self) -> bool:
         """Read what is kept; False where there was nothing valid and defaults were restored."""
-        self._set_defaults()
         lines = self._store.load(self._file)
         if lines is None:
-            self.save()
+            self.restore()
             return False
+        self._set_defaults()
         self._unknown = []
         try:
             for line in lines:
@@ -157,6 +178,7 @@ class Settings:
         except ValueError:
             self.restore()
             return False
+        self._announce(ALL)
         return True
 
     def _read(self, line: str) -> None:
@@ -182,11 +204,13 @@ class Settings:
     def restore(self) -> None:
         """Back to defaults ($RST=$)."""
         self._set_defaults()
+        self._announce(ALL)  # what cannot be kept holds all the same, until power off
         self.save()
 
     def set(self, number: int, amount: float) -> None:
         """$number=amount. Raises GrblError where it is refused; nothing has changed then."""
         self._assign(number, amount)
+        self._announce(number)
         self.save()
 
     def each(self) -> "list[tuple[int, float, int]]":

@@ -159,7 +159,7 @@ def _make_basics(machine: Controller, options: Options, store: "Store") -> None:
     machine.segments = Segments(machine.planner)
     machine.spindle = options.parts[0](port, state, options.enable_pin)
     machine.coolant = Coolant(port, state)
-    machine.inputs = Inputs(port, axes, options.door)
+    machine.inputs = Inputs(port, machine.settings, axes, options.door)
 
 
 def _make_reports(machine: Controller, options: Options, link: "Link") -> None:
@@ -290,5 +290,12 @@ def _connect(machine: Controller) -> None:
     machine.cycles.connect(motion, realtime, pump, position, resync)
     realtime.connect(machine.port, pump, gcode, resync, machine.suspension)
     machine.suspension.connect(realtime, gcode, machine.port, position)
-    machine.commands.connect(realtime, motion, machine.configure, machine.protocol.execute)
+    machine.commands.connect(realtime, motion, machine.protocol.execute)
     machine.protocol.connect(realtime, gcode, machine.commands, motion)
+    for callback in (
+        machine.configure,
+        machine.inputs.configure,
+        motion.configure,
+        gcode.plain.forget,
+    ):
+        machine.settings.on_change(callback)

@@ -68,7 +68,7 @@ class Bench:
         self.machine = wiring.build(board, rig.link, rig.port, rig.engine, rig.store)
         self.machine.settings.load()
         self.machine.settings.laser_mode = int(laser)
-        self.machine.configure(0)
+        self.machine.configure()
         self.machine.planner.override()
         self.machine.motion.service = self.machine.planner.clear  # whoever waits finds room
 
