@@ -62,9 +62,10 @@ class Commands:
         self,
         realtime: "Realtime",
         motion: "Motion",
-        answer: "Callable[[bytearray, int], None]",
+        answer: "Callable[[bytearray, int, bytes], None]",
     ) -> None:
-        """Say whom to call. answer executes a line of G-code and prints what becomes of it."""
+        """Say whom to call. answer executes a line of G-code and prints what becomes of it,
+        beginning with that."""
         self._realtime = realtime
         self._motion = motion
         self._answer = answer
@@ -88,9 +89,8 @@ class Commands:
             if not self._startup_valid:
                 self._report.startup_lost()
             elif text:
-                self._report.startup_run(text)
                 line = bytearray(text.encode() + b"\0")
-                self._answer(line, len(line) - 1)
+                self._answer(line, len(line) - 1, self._report.startup_run(text))
         self._startup_valid = True
 
     # Dispatch
@@ -236,6 +236,7 @@ class Commands:
             raise GrblError(errors.INVALID_STATEMENT)
         block = line[at + 1 : length + 1]
         self._gcode.execute(block, length - at - 1)
+        self._motion.synchronise()  # memory is written at rest
         index = whole(number)
         if 0 <= index < STARTUP_LINES:
             self._startup[index] = bytes(block[: length - at - 1]).decode()

@@ -97,10 +97,12 @@ class Protocol:
                 self.execute(line, found >> 2)
 
     @micropython.native  # its call frame is on the stack then, not on the heap
-    def execute(self, line: bytearray, length: int) -> None:
-        """Execute one line and answer it."""
+    def execute(self, line: bytearray, length: int, before: bytes = b"") -> None:
+        """Execute one line and answer it. before: what the answer begins with."""
         if self._echoes:
             self._report.echo(bytes(line[:length]))
+        code = 0
+        reset = None
         try:
             if length == 0:
                 pass
@@ -111,13 +113,18 @@ class Protocol:
             else:
                 self._gcode.execute(line, length)
         except GrblError as refusal:
-            self._report.error(refusal.code)
+            code = refusal.code
         except OSError:
             # It holds until the power goes, and no longer.
             self._report.message(errors.MSG_NOT_KEPT)
-            self._report.error(errors.SETTING_READ_FAIL)
+            code = errors.SETTING_READ_FAIL
         except Abort as abort:
-            self._report.ok()  # the line was accepted; a reset cut it short
-            raise abort
+            reset = abort  # the line was accepted; a reset cut it short
+        if before:
+            self._link.write(before)
+        if code:
+            self._report.error(code)
         else:
             self._report.ok()
+        if reset:
+            raise reset

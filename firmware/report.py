@@ -167,13 +167,13 @@ class Report:
         """One line of $N."""
         self._line("$N%d=%s" % (index, text))
 
-    def startup_run(self, text: str) -> None:
-        """A startup line about to be executed; its answer follows on the same line."""
-        self._link.write((">" + text + ":").encode())
+    def startup_run(self, text: str) -> bytes:
+        """A startup line is about to be executed; returns what its answer begins with."""
+        return (">" + text + ":").encode()
 
     def startup_lost(self) -> None:
         """Nothing valid is kept in the place of a startup line."""
-        self.startup_run("")
+        self._link.write(self.startup_run(""))
         self.error(errors.SETTING_READ_FAIL)
 
     def build_info(self, info: str, options: str) -> None:

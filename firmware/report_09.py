@@ -182,9 +182,10 @@ class Report09(Report):
             words = "xyza"[key % 10] + _AXIS_SETTINGS[key // 10]
         self._line("$%d=%s (%s)" % (key, number(value, decimals), words))
 
-    def startup_run(self, text: str) -> None:
-        """A startup line about to be executed; its answer follows on the same line."""
+    def startup_run(self, text: str) -> bytes:
+        """A startup line is about to be executed: it stands before all that comes of it."""
         self._link.write(text.encode())
+        return b""
 
     def startup_lost(self) -> None:
         """Nothing valid is kept in the place of a startup line: it is empty, no more."""
