@@ -409,8 +409,7 @@ class Realtime:
         if not stay and self._port.elapsed_ms(self._since) < delay:
             return
         self._settling = False
-        if not stay and state.run != st.HOMING:
-            self.power(False)
+        self.power(stay or state.run == st.HOMING)
         if state.run & _MOTION or state.system_motion or state.holding:
             state.post(st.CYCLE_STOP)
 
