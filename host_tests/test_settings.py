@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+from typing import Any
 
 import pytest
 import settings as module
@@ -9,7 +10,7 @@ from errors import GrblError
 from hypothesis import given
 from hypothesis import strategies as st
 from rig_bench import Machine
-from settings import _AXIS, _TABLE, Settings
+from settings import _AXIS, _TABLE, ALL, Settings
 from ugrbl.file_store import FileStore
 from ugrbl.sim.rig import MemoryStore
 
@@ -122,6 +123,57 @@ def test_restoring_forgets_what_was_set() -> None:
     settings.set(110, 700)
     settings.restore()
     assert shown(settings) == shown(fresh())
+
+
+# Announcing
+
+
+def heard(settings: Settings) -> "list[int]":
+    """What a subscriber is told from now on."""
+    numbers: list[int] = []
+    settings.on_change(lambda: numbers.append(settings.changed))
+    return numbers
+
+
+def test_whoever_subscribes_hears_of_every_change() -> None:
+    settings = fresh()
+    first, second = heard(settings), heard(settings)
+    settings.set(110, 700)
+    settings.set(112, 700)
+    settings.restore()
+    settings.load()
+    assert first == second == [110, 112, ALL, ALL]
+
+
+def test_it_is_told_once_the_values_are_there_and_before_they_are_kept() -> None:
+    store = MemoryStore()
+    settings = fresh(store)
+    seen: list[object] = []
+    settings.on_change(lambda: seen.append((settings.max_rate[0], list(store.files["settings"]))))
+    before = list(store.files["settings"])
+    settings.set(110, 700)
+    assert seen == [(700, before)]
+    assert store.files["settings"] != before
+
+
+@pytest.mark.parametrize(("number", "amount"), [(0, 2), (20, 1), (40, 1), (110, -1)])
+def test_a_refused_change_is_not_announced(number: int, amount: float) -> None:
+    settings = fresh()
+    numbers = heard(settings)
+    with pytest.raises(GrblError):
+        settings.set(number, amount)
+    assert numbers == []
+
+
+@pytest.mark.parametrize("kept", [None, ["$110=5x0"]])
+def test_defaults_in_place_of_what_cannot_be_read_are_announced_once(kept: object) -> None:
+    store: Any = MemoryStore()
+    if kept:
+        store.files["settings"] = kept
+    settings = Settings(store, 3, {})
+    numbers = heard(settings)
+    assert not settings.load()
+    assert numbers == [ALL]
 
 
 # Damage

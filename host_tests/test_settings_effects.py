@@ -1,0 +1,530 @@
+"""Every setting by its effect: as shipped, after $n=, reset, power-up, $RST=$ and $RST=*.
+
+A row of _EFFECTS says how a setting is seen on the simulated machine, what is seen of its default
+and what of another value. A row of the settings table without one is a failure.
+"""
+
+import math
+from array import array
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from statistics import median
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
+from punch import _SETTINGS as punch_settings
+from settings import _AXIS, _TABLE
+from ugrbl.machine import load_board
+from ugrbl.sim.engine import Switch
+from ugrbl.sim.replay import Sender
+from ugrbl.sim.rig import MemoryStore, Rig
+
+_AXES = "XYZ"
+_PER_MM = 250
+_TICKS_PER_MS = 13_107.2
+_ENDS_STEPS = 500  # limit switches, from where the machine is switched on
+# The board's defaults: Grbl's, but for tests that need not wait.
+_BRISK = {120: 500, 121: 500, 122: 500, 130: 10, 131: 10, 132: 10}
+_HOMED = {22: 1}
+
+Look = Callable[["Bench"], Iterator[Any]]
+Row = tuple[int, float, dict[int, float], Look, object, object]
+
+
+class Bench:
+    """A simulated machine with its own defaults, and someone who talks to it."""
+
+    def __init__(
+        self,
+        defaults: "dict[int, float]",
+        board: str = "sim",
+        store: "MemoryStore | None" = None,
+    ) -> None:
+        module = {**vars(load_board(board)), "DEFAULTS": {**_BRISK, **defaults}}
+        self.rig = Rig(SimpleNamespace(**module), store)
+        self.port: Any = self.rig.port
+        self.sender = Sender(self.rig)
+        self.sender.allow(3_600_000)
+        self.handed: tuple[int, ...] = ()
+        self.rows: list[tuple[int, array[int]]] = []
+        self.levels: tuple[int, ...] = ()
+        if hasattr(self.port, "punch"):
+            self._drive = self.port.punch
+            self.port.punch = self._note_levels
+        self._configure = self.rig.engine.configure
+        self.rig.engine.configure = self._hand  # type: ignore[method-assign]
+        self.rig.engine.trace = lambda start, row: self.rows.append((start, row[:]))
+        for axis, letter in enumerate("xyz"):
+            for above in (True, False):
+                place = _ENDS_STEPS if above else -_ENDS_STEPS
+                self.rig.engine.switches.append(Switch(f"limit_{letter}", axis, above, place))
+
+    def _hand(self, *masks: int) -> None:
+        self.handed = masks
+        self._configure(*masks)
+
+    def _note_levels(self, *levels: int) -> None:
+        self.levels = levels
+        self._drive(*levels)
+
+    def run(self, script: "Iterator[Any]") -> None:
+        """Run it; what fails in the script is raised here."""
+        failed: list[BaseException] = []
+
+        def guarded() -> Iterator[Any]:
+            try:
+                yield from self.say("", "banner")
+                yield from script
+            except Exception as error:
+                failed.append(error)
+
+        self.rig.run(guarded())
+        if failed:
+            raise failed[0]
+
+    def say(self, text: str, how: str = "idle") -> "Iterator[Any]":
+        """Send, wait, return what came back."""
+        yield from self.sender.wait(how, text)
+        return self.sender.take()
+
+    def change(self, what: str) -> "Iterator[Any]":
+        """Do what may change settings: a line, "\\x18", or "power"."""
+        if what == "power":
+            self.handed = self.levels = ()
+            self.rig.cycle_power()
+            yield from self.say("", "banner")
+        elif what.startswith("$RST") or what == "\x18":
+            yield from self.say(what.rstrip() + "\n" * (what != "\x18"), "banner")
+        else:
+            assert (yield from self.say(what + "\n")) == ["ok"]
+
+    def unlock(self) -> "Iterator[Any]":
+        """Ready for G-code."""
+        assert (yield from self.say("$X\n"))[-1] == "ok"
+
+    def recover(self) -> "Iterator[Any]":
+        """After an alarm."""
+        yield from self.say("\x18", "banner")
+        yield from self.unlock()
+
+    def report(self) -> "Iterator[Any]":
+        """The fields of a status report, by name."""
+        fields = (yield from self.say("?", "report"))[-1][1:-1].split("|")[1:]
+        return dict(field.split(":") for field in fields)
+
+    def place(self) -> "list[int]":
+        """Where the motors are, in steps."""
+        self.rig.engine.physical(self.rig.scratch)
+        return list(self.rig.scratch)
+
+    def move(self, *lines: str) -> "Iterator[Any]":
+        """Make these moves and come to rest; self.rows has the segments they were made of."""
+        self.rows.clear()
+        for line in lines[:-1]:
+            assert (yield from self.say(line + "\n", "ok")) == ["ok"]
+        return (yield from self.say(lines[-1] + "\n"))
+
+    def speed_mm_min(self, rows: "Sequence[tuple[int, array[int]]]", axis: int) -> int:
+        """The speed that an axis has for most of the time, to 5 mm/min."""
+        base = ROW_AXES + ROW_STRIDE * axis
+        per_tick = median(row[base] / row[ROW_TICKS] for _, row in rows if row[ROW_TICKS])
+        return 5 * round(per_tick * _TICKS_PER_MS * 60_000 / _PER_MM / 5)
+
+    def legs(self) -> "list[list[tuple[int, array[int]]]]":
+        """The segments, cut where the machine stood still."""
+        legs: list[list[tuple[int, array[int]]]] = []
+        end = -1
+        for start, row in self.rows:
+            if start != end:
+                legs.append([])
+            legs[-1].append((start, row))
+            end = start + row[ROW_TICKS]
+        return legs
+
+
+# How settings are seen
+
+
+def _handed(which: int) -> Look:
+    """What the engine has been told: its own tests show what comes of it at the pins."""
+
+    def look(bench: Bench) -> Iterator[Any]:
+        yield bench.rig.now
+        return bench.handed[which]
+
+    return look
+
+
+def _released_ms(bench: Bench) -> Iterator[Any]:
+    """How long motors are powered after a motion, to 5 ms."""
+    yield from bench.say("G91G0Z0.1\n", "ok")
+    yield bench.rig.moving
+    yield lambda: not bench.rig.moving()
+    since = bench.rig.now
+    yield lambda: bench.port.enable_pin == 1
+    released = bench.rig.now
+    yield from bench.say("G91G0Z-0.1\n")
+    return 5 * round((released - since) / _TICKS_PER_MS / 5)
+
+
+def _level_in_motion(bench: Bench) -> Iterator[Any]:
+    yield from bench.say("G91G0Z0.1\n", "ok")
+    yield bench.rig.moving
+    level = bench.port.enable_pin
+    yield from bench.say("G91G0Z-0.1\n")
+    return level
+
+
+def _pins(bench: Bench) -> Iterator[Any]:
+    return (yield from bench.report()).get("Pn", "")
+
+
+def _probing(bench: Bench) -> Iterator[Any]:
+    """Probing, with nothing there: alarm, and the steps made."""
+    before = bench.place()[2]
+    lines = yield from bench.say("G91G38.3Z0.2F300\n")
+    alarm = lines[0] if lines[0].startswith("ALARM") else ""
+    moved = bench.place()[2] - before
+    yield from bench.recover()
+    if moved:
+        yield from bench.say("G91G0Z-0.2\n")
+    return alarm, moved
+
+
+def _fields(bench: Bench) -> Iterator[Any]:
+    """The form of a status report, without what is only there now and then."""
+    report = yield from bench.report()
+    return " ".join(name for name in report if name not in ("WCO", "Ov"))
+
+
+def _decimals(bench: Bench) -> Iterator[Any]:
+    report = yield from bench.report()
+    return len(report["MPos"].split(",")[0].split(".")[1])
+
+
+def _corners_ms(bench: Bench) -> Iterator[Any]:
+    """How long a staircase takes, to 100 ms."""
+    stairs = ["G91G1X0.2F500", "Y0.2", "X-0.2", "Y-0.2"] * 3
+    yield from bench.move(*stairs)
+    (start, _), (last, row) = bench.rows[0], bench.rows[-1]
+    return 100 * round((last + row[ROW_TICKS] - start) / _TICKS_PER_MS / 100)
+
+
+def _roundness_mm(bench: Bench) -> Iterator[Any]:
+    """How near to its centre a circle of 1 mm comes."""
+    yield from bench.move("G91G2X0Y0I1F500")
+    x = y = 0.0
+    nearest = 1.0
+    for _, row in bench.rows:
+        x += _made(row, 0) / _PER_MM
+        y += _made(row, 1) / _PER_MM
+        nearest = min(nearest, math.hypot(x - 1, y))
+    return round(nearest, 1)
+
+
+def _made(row: "array[int]", axis: int) -> int:
+    steps = row[ROW_AXES + ROW_STRIDE * axis]
+    return -steps if row[ROW_DIRS] >> axis & 1 else steps
+
+
+def _soft_limit(bench: Bench) -> Iterator[Any]:
+    """What comes of a short line out of the machine's travel, behind others of its kind."""
+    lines = yield from bench.say("X0.5\n", "ms 300")
+    if lines[0].startswith("ALARM"):
+        yield from bench.recover()
+    yield from bench.move("G90G1X-0.1F500", "X-0.2", "X0")
+    return lines[0]
+
+
+def _hard_limit(bench: Bench) -> Iterator[Any]:
+    bench.port.push({"limit_x": True})
+    lines = yield from bench.say("", "ms 20")
+    bench.port.push({"limit_x": False})
+    if lines:
+        yield from bench.recover()
+    return "".join(lines[:1])
+
+
+def _homes(bench: Bench) -> Iterator[Any]:
+    return (yield from bench.say("$H\n"))[-1]
+
+
+def _homed_at(bench: Bench) -> Iterator[Any]:
+    yield from bench.say("$H\n")
+    return [float(x) for x in (yield from bench.report())["MPos"].split(",")]
+
+
+def _homing(leg: int) -> Look:
+    """Speed of a leg of homing, counted from the last one: it goes off, to, off, to …"""
+
+    def look(bench: Bench) -> Iterator[Any]:
+        yield from bench.move("$H")
+        return bench.speed_mm_min(bench.legs()[-leg], 0)
+
+    return look
+
+
+def _homing_rest_ms(bench: Bench) -> Iterator[Any]:
+    """The rest between the last two legs of homing, to 10 ms."""
+    yield from bench.move("$H")
+    before, last = bench.legs()[-2:]
+    start, row = before[-1]
+    return 10 * round((last[0][0] - start - row[ROW_TICKS]) / _TICKS_PER_MS / 10)
+
+
+def _power_of(line: str) -> Look:
+    """Power of the spindle at rest."""
+
+    def look(bench: Bench) -> Iterator[Any]:
+        yield from bench.say(line + "\n")
+        power = bench.port.spindle_pwm
+        yield from bench.say("M5\n")
+        return power
+
+    return look
+
+
+def _steps_per_mm(axis: int) -> Look:
+    def look(bench: Bench) -> Iterator[Any]:
+        before = bench.place()[axis]
+        yield from bench.move(f"G91G0{_AXES[axis]}1")
+        moved = bench.place()[axis] - before
+        yield from bench.move(f"G91G0{_AXES[axis]}-1")
+        return moved
+
+    return look
+
+
+def _rapid_mm_min(axis: int) -> Look:
+    def look(bench: Bench) -> Iterator[Any]:
+        yield from bench.move(f"G91G0{_AXES[axis]}1")
+        speed = bench.speed_mm_min(bench.rows, axis)
+        yield from bench.move(f"G91G0{_AXES[axis]}-1")
+        return speed
+
+    return look
+
+
+def _rapid_ms(axis: int) -> Look:
+    """How long a short move takes, to 10 ms."""
+
+    def look(bench: Bench) -> Iterator[Any]:
+        yield from bench.move(f"G91G0{_AXES[axis]}0.5")
+        (start, _), (last, row) = bench.rows[0], bench.rows[-1]
+        yield from bench.move(f"G91G0{_AXES[axis]}-0.5")
+        return 10 * round((last + row[ROW_TICKS] - start) / _TICKS_PER_MS / 10)
+
+    return look
+
+
+def _reaches(axis: int) -> Look:
+    """The answer to a jog of 1.5 mm into the travel."""
+
+    def look(bench: Bench) -> Iterator[Any]:
+        (answer,) = yield from bench.say(f"$J=G91{_AXES[axis]}-1.5F500\n")
+        if answer == "ok":
+            yield from bench.say(f"$J=G91{_AXES[axis]}1.5F500\n")
+        return answer
+
+    return look
+
+
+def _punch(bench: Bench) -> Iterator[Any]:
+    yield bench.rig.ms(50)
+    controller: Any = bench.rig.controller
+    return (*bench.levels, controller.spindle.is_up())
+
+
+_EFFECTS: "list[Row]" = [
+    # number, another value, defaults besides, how it is seen, the default's effect, the other's
+    (0, 7, {}, _handed(0), 10, 7),
+    (1, 100, {}, _released_ms, 25, 100),
+    (2, 3, {}, _handed(1), 0, 3),
+    (3, 5, {}, _handed(2), 0, 5),
+    (4, 1, {}, _level_in_motion, 0, 1),
+    (5, 1, {}, _pins, "", "XYZ"),
+    (6, 1, {}, _probing, ("", 50), ("ALARM:4", 0)),
+    (10, 2, {}, _fields, "MPos FS", "WPos Bf FS"),
+    (11, 0.5, {120: 50, 121: 50}, _corners_ms, 1100, 500),
+    (12, 0.2, {}, _roundness_mm, 1.0, 0.8),
+    (13, 1, {}, _decimals, 3, 4),
+    (20, 1, _HOMED, _soft_limit, "ok", "ALARM:2"),
+    (21, 1, {}, _hard_limit, "", "ALARM:1"),
+    (22, 1, {}, _homes, "error:5", "ok"),
+    (23, 1, _HOMED, _homed_at, [-1, -1, -1], [-9, -1, -1]),
+    (24, 60, _HOMED, _homing(2), 25, 60),
+    (25, 300, _HOMED, _homing(1), 500, 300),
+    (26, 100, _HOMED, _homing_rest_ms, 250, 100),
+    (27, 2, _HOMED, _homed_at, [-1, -1, -1], [-2, -2, -2]),
+    (30, 500, {}, _power_of("M3S250"), 64, 128),
+    (31, 500, {}, _power_of("M3S100"), 26, 1),
+    (32, 1, {}, _power_of("M4S500"), 128, 0),
+]
+for _axis in range(3):
+    _EFFECTS += [
+        (100 + _axis, 125, {}, _steps_per_mm(_axis), 250, 125),
+        (110 + _axis, 300, {}, _rapid_mm_min(_axis), 500, 300),
+        (120 + _axis, 20, {}, _rapid_ms(_axis), 80, 320),
+        (130 + _axis, 3, {**_HOMED, 20: 1, 130 + _axis: 1}, _reaches(_axis), "error:15", "ok"),
+    ]
+
+
+# Of a machine with a punch: levels of the actuators' pins at rest, and whether it is seen up.
+_PUNCH_EFFECTS: "list[Row]" = [
+    (30, 1, {}, _punch, (0, 1, True), (1, 1, True)),
+    (31, 1, {}, _punch, (0, 1, True), (0, 0, True)),
+    (32, 1, {}, _punch, (0, 1, True), (0, 1, False)),
+    (33, 1, {}, _punch, (0, 1, True), (0, 1, False)),
+]
+
+
+def test_every_setting_is_seen() -> None:
+    table = [
+        number + axis
+        for number, _, kind, *_ in _TABLE
+        for axis in range(len(_AXES) if kind == _AXIS else 1)
+    ]
+    assert sorted(number for number, *_ in _EFFECTS) == table
+    punch = [number for number, *_ in punch_settings]
+    assert [number for number, *_ in _PUNCH_EFFECTS] == punch
+
+
+def _tell(bench: Bench, row: "Row") -> None:
+    """The story of a setting."""
+    number, value, _, look, by_default, by_value = row
+    change = f"${number}={value}"
+    story = [
+        ("power", by_default),
+        (change, by_value),
+        ("\x18", by_value),
+        ("power", by_value),
+        ("$RST=$", by_default),
+        ("power", by_default),
+        (change, by_value),
+        ("$RST=*", by_default),
+        ("\x18", by_default),
+    ]
+
+    def script() -> Iterator[Any]:
+        for what, wanted in story:
+            yield from bench.change(what)
+            yield from bench.unlock()
+            assert (yield from look(bench)) == wanted, f"after {what!r}"
+
+    bench.run(script())
+
+
+@pytest.mark.parametrize("row", _EFFECTS, ids=[f"${row[0]}" for row in _EFFECTS])
+def test_a_setting_has_its_effect_whatever_has_set_it(row: "Row") -> None:
+    _tell(Bench(row[2]), row)
+
+
+@pytest.mark.parametrize("row", _PUNCH_EFFECTS, ids=[f"${row[0]}" for row in _PUNCH_EFFECTS])
+def test_so_has_one_of_a_punch(row: "Row") -> None:
+    _tell(Bench({}, "sim_punch"), row)
+
+
+# What the table cannot say
+
+
+class FullStore(MemoryStore):
+    """Nothing more can be kept, once it is full."""
+
+    full = False
+
+    def save(self, name: str, lines: "Iterable[str]") -> None:
+        if self.full:
+            raise OSError(28)
+        super().save(name, lines)
+
+
+def test_what_cannot_be_kept_has_its_effect_until_power_off() -> None:
+    store = FullStore()
+    bench = Bench({}, store=store)
+    look = _steps_per_mm(0)
+
+    def script() -> Iterator[Any]:
+        store.full = True
+        not_kept = ["[MSG:Flash is full or worn: not kept]", "error:7"]
+        assert (yield from bench.say("$100=125\n")) == not_kept
+        assert (yield from look(bench)) == 125
+        assert (yield from bench.say("$RST=$\n", "banner"))[:2] == not_kept
+        assert (yield from look(bench)) == 250
+        yield from bench.say("$100=125\n")
+        yield from bench.change("power")
+        assert (yield from look(bench)) == 250
+
+    bench.run(script())
+
+
+@pytest.mark.parametrize("change", ["$100=80", "$110=100", "$110=50000", "$120=20", "$11=1"])
+def test_what_is_planned_is_made_as_it_was_planned(change: str) -> None:
+    def segments(text: str) -> "list[array[int]]":
+        bench = Bench({})
+
+        def script() -> Iterator[Any]:
+            yield from bench.say(text)
+
+        bench.run(script())
+        assert bench.place() == [750, 250, 0]
+        return [row for _, row in bench.rows]
+
+    moves = "G91G1X2Y1F300\nX1\n"
+    assert segments(f"{moves}{change}\n") == segments(moves)
+
+
+@pytest.mark.parametrize("change", ["$30=1000", "$31=0"])
+def test_a_new_range_of_speeds_stops_the_spindle(change: str) -> None:
+    bench = Bench({})
+
+    def script() -> Iterator[Any]:
+        yield from bench.say("M3S500\n")
+        assert bench.port.spindle_on
+        yield from bench.change(change)
+        assert not bench.port.spindle_on
+
+    bench.run(script())
+
+
+@pytest.mark.parametrize(("change", "asks"), [("$13=1", True), ("$10=3", False)])
+def test_inches_and_nothing_else_ask_for_the_work_offset(change: str, asks: bool) -> None:
+    bench = Bench({})
+
+    def script() -> Iterator[Any]:
+        for _ in range(2):
+            yield from bench.report()
+        assert "WCO" not in (yield from bench.report())
+        yield from bench.change(change)
+        assert ("WCO" in (yield from bench.report())) == asks
+
+    bench.run(script())
+
+
+def test_lines_that_only_move_do_nothing_from_check_mode_on() -> None:
+    bench = Bench({})
+
+    def script() -> Iterator[Any]:
+        yield from bench.move("G91G1X0.1F500", "X0.1", "X0.1")
+        assert bench.place()[0] == 75
+        yield from bench.say("$C\n")
+        yield from bench.move("X0.1", "X0.1")
+        assert bench.place()[0] == 75
+
+    bench.run(script())
+
+
+def test_motors_that_are_to_stay_powered_are_so_without_a_motion() -> None:
+    bench = Bench({})
+
+    def script() -> Iterator[Any]:
+        yield bench.rig.ms(100)
+        yield from bench.change("$1=255")
+        assert bench.port.enable_pin == 1
+        yield from bench.change("\x18")
+        assert bench.port.enable_pin == 0
+        yield from bench.change("power")
+        yield bench.rig.ms(500)
+        assert bench.port.enable_pin == 0
+
+    bench.run(script())
