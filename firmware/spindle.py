@@ -43,7 +43,7 @@ class Spindle:
         self._answered_rpm = 0.0
         self._answered_power = 0
         self.laser = False
-        self._follows = False  # M4 in laser mode: power follows the speed
+        self._reversed = False  # M4; in laser mode power follows the speed then
 
     def configure(self, settings: "Settings", machine: "array[int]") -> None:
         """Take over $30, $31 and $32."""
@@ -98,7 +98,7 @@ class Spindle:
 
     def turn(self, direction: int, rpm: float) -> None:
         """Set direction and speed now. In laser mode a reversed spindle begins with no power."""
-        self._follows = self.laser and direction == CCW
+        self._reversed = direction == CCW
         if direction == OFF:
             self._state.spindle_rpm = 0.0
             self.stop()
@@ -106,7 +106,7 @@ class Spindle:
             self._direction = CW if self._has_enable else direction
             self._enabled = True
             self._port.direction(1 if self._has_enable or direction == CCW else 0)
-            if self._follows:
+            if self.laser and self._reversed:
                 rpm = 0.0
             self.set_power(self.power(rpm))
         self._state.override_countdown = 0
@@ -119,7 +119,7 @@ class Spindle:
 
     def rest(self) -> None:
         """Motion has come to its end. A beam that follows the speed has none. Interrupt."""
-        if self._follows:
+        if self._reversed and self.laser:
             self.set_power(0)
 
     def stop(self) -> None:
