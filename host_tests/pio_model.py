@@ -2,11 +2,13 @@
 
 PioModel is one PIO block and the words it is given. PioChip is all that PioEngine works on,
 with CPython in the processor's place: the firmware's own code reads and writes the registers of
-the modelled PIOs, DMA channels and timer, and its arrays lie in the modelled memory.
+the modelled PIOs and timer, and its arrays lie in the modelled memory. DMA is our own: theirs
+puts a word into a FIFO in no time, whenever there is room, where a chip's counts.
 """
 
 import builtins
 import sys
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -22,13 +24,16 @@ _CTRL, _FDEBUG, _FLEVEL, _TXF, _INSTR_MEM = 0x00, 0x08, 0x0C, 0x10, 0x48
 _SM, _SM_STRIDE = 0xC8, 0x18
 _CLKDIV, _EXECCTRL, _SHIFTCTRL, _ADDR, _INSTR, _PINCTRL = range(0, 0x18, 4)
 _FUNCTION = 0x40014004  # of a pin: GPIO0_CTRL
-_DMA, _DMA_STRIDE = 0x50000000, 0x40
-_DMA_WRITE, _DMA_CONTROL = 0x04, 0x10
+_DMA, _DMA_STRIDE, _DMA_END = 0x50000000, 0x40, 0x50001000
+_DMA_READ, _DMA_CONTROL, _DMA_TRIGGER, _DMA_CREDITS = 0x00, 0x10, 0x1C, 0x800
+_BUSY = 1 << 24
+_FIFO = 4  # words
 _NVIC_ENABLE, _NVIC_DISABLE = 0xE000E100, 0xE000E180
 _RAM, _RAM_END = 0x20000000, 0x20042000
 
 _OUT_ENABLE = 0xE081  # set(pindirs, 1)
 _PULL, _LOAD_ISR = 0x8080, 0xA0C7  # pull(noblock), mov(isr, osr)
+_TXF_END = _PIO[0] + _TXF + 16
 _TICK_NS = 80
 _CLOCK_FLAG = 1 << 3  # the clock is machine 3
 
@@ -137,6 +142,85 @@ class PioModel(_Chip):
         return int(self._pio.machines[number].tx_fifo.item_count) + len(self.waiting[number])
 
 
+class Channel:
+    """A DMA channel that moves words from a ring in memory into the FIFO of one machine.
+
+    How it knows that there is room there can be read in two ways in the data sheets. counted:
+    there is a counter of its own, 4 at first, less one with each word that it sends, and more by
+    one with each that is taken out of the FIFO, whoever has put it there. Else it looks. A word
+    is on its way for `flight` ticks, and so long neither in the count nor in the FIFO.
+    """
+
+    def __init__(self, chip: "PioChip", number: int) -> None:
+        self.counted = True
+        self.flight = 1
+        self._chip = chip
+        self._number = number
+        self._fifo = chip.mcu.pio[0].machines[number].tx_fifo
+        self._level = 0  # of the FIFO, when last seen
+        self._room = _FIFO
+        self._flying: deque[tuple[int, int]] = deque()  # when it arrives, the word
+        self._at = self._mask = self._left = 0
+
+    @property
+    def busy(self) -> bool:
+        return self._left > 0 or len(self._flying) > 0
+
+    def read(self, register: int) -> int:
+        """One of its registers."""
+        match register:
+            case 0x00:
+                return self._at
+            case 0x08 | 0x1C:
+                return self._left
+            case 0x0C:
+                return _BUSY if self.busy else 0
+            case 0x800:
+                return self._room
+        raise AssertionError(f"nobody asks for register {register:#x} of DMA")
+
+    def write(self, register: int, value: int) -> None:
+        if register == _DMA_READ:
+            assert not self.busy, "the address of words on their way has been changed"
+            self._at = value
+        elif register == _DMA_CONTROL:
+            self._mask = (1 << (value >> 6 & 15)) - 1
+        elif register == _DMA_TRIGGER:
+            assert not self.busy, "DMA has not come to its end"
+            self._left = value
+        elif register == _DMA_CREDITS:
+            self._room = _FIFO - self._level - len(self._flying)
+        else:
+            raise AssertionError(f"nobody writes register {register:#x} of DMA")
+
+    def put(self, word: int) -> None:
+        """A word comes to the FIFO; where that is full it is lost, and TXOVER says so."""
+        self.look()
+        self._level += not self._fifo.full
+        self._chip.mcu.write_uint32(_PIO[0] + _TXF + 4 * self._number, word)
+
+    def look(self) -> None:
+        """See what has been taken out."""
+        level = self._fifo.item_count
+        if level != self._level:
+            self._room += self._level - level
+            self._level = level
+
+    def advance(self) -> None:
+        """A tick."""
+        self.look()
+        now = self._chip.now
+        while self._flying and self._flying[0][0] <= now:
+            self.put(self._flying.popleft()[1])
+        if not self.counted:
+            self._room = _FIFO - self._level - len(self._flying)
+        if self._left and self._room > 0:
+            self._flying.append((now + self.flight, self._chip.mcu.read_uint32(self._at)))
+            self._at = self._at & ~self._mask | self._at + 4 & self._mask
+            self._left -= 1
+            self._room -= 1
+
+
 class PioChip(_Chip):
     """A chip with a PioEngine that runs on it. patch: until its end the engine is not on a board.
 
@@ -162,6 +246,7 @@ class PioChip(_Chip):
         self._ram = memoryview(self.mcu.sram).cast("B").cast("i")
         self._used = 0
         self._addresses: dict[int, tuple[int, object]] = {}
+        self.channels = [Channel(self, number) for number in range(len(step))]
         self._take_place(patch)
         self.engine = engine.PioEngine(step, direction, *timing_us)
         # By address, so that every access to it is seen here.
@@ -188,7 +273,7 @@ class PioChip(_Chip):
             patch.setattr(module, "ptr32", ptr32, raising=False)
         patch.setattr(hub, "_array", self._array)
         patch.setattr(hub, "_address", self._address)
-        patch.setattr(machine, "mem32", _Registers(self.mcu))
+        patch.setattr(machine, "mem32", _Registers(self))
         patch.setattr(rp2.StateMachine, "machines", {})
         patch.setattr(rp2.PIO, "handlers", {})
         patch.setattr(rp2.DMA, "claimed", 0)
@@ -203,10 +288,9 @@ class PioChip(_Chip):
             pins = (made.set_base.id, made.out_base.id) if made.set_base else ()
             self.set_up(block, number % 4, made.program, at, pins)
         for axis, (_, channel) in enumerate(self.engine._machines):
-            base = _DMA + _DMA_STRIDE * channel.channel
-            self.write(base, channel.configured["read"])
-            self.write(base + _DMA_WRITE, _PIO[0] + _TXF + 4 * axis)
-            self.write(base + _DMA_CONTROL, channel.configured["ctrl"])
+            assert channel.channel == axis and channel.configured["ctrl"] >> 15 & 63 == axis
+            self.channels[axis].write(_DMA_READ, channel.configured["read"])
+            self.channels[axis].write(_DMA_CONTROL, channel.configured["ctrl"])
 
     # Memory and registers
 
@@ -231,7 +315,7 @@ class PioChip(_Chip):
         if _RAM <= address < _RAM_END:
             return int(self._ram[(address - _RAM) >> 2])
         self._tick()
-        value = int(self.mcu.read_uint32(address & 0xFFFFFFFF))
+        value = self.read(address & 0xFFFFFFFF)
         return value - (value >> 31 << 32)
 
     def _store(self, address: int, value: int) -> None:
@@ -246,6 +330,25 @@ class PioChip(_Chip):
         self.write(address, value)
         # An instruction forced into a machine at rest: the model looks at pins when one runs.
         self.mcu.pio[0].check_changed_pins()
+
+    def read(self, address: int) -> int:
+        """A register."""
+        if _DMA <= address < _DMA_END:
+            return self.channels[(address & 0x7FF) // _DMA_STRIDE].read(address & 0x83F)
+        return int(self.mcu.read_uint32(address))
+
+    def write(self, address: int, value: int) -> None:
+        address &= 0xFFFFFFFF
+        if _DMA <= address < _DMA_END:
+            self.channels[(address & 0x7FF) // _DMA_STRIDE].write(address & 0x83F, value)
+        elif _PIO[0] + _TXF <= address < _TXF_END:
+            self.channels[(address - _PIO[0] - _TXF) // 4].put(value & 0xFFFFFFFF)
+        else:
+            super().write(address, value)
+
+    def lost(self) -> int:
+        """Machines whose FIFO has been given a word when it was full."""
+        return self.read(_PIO[0] + _FDEBUG) >> 16 & 15
 
     # Time and interrupts
 
@@ -291,6 +394,8 @@ class PioChip(_Chip):
         first.advance(1)
         second.advance(1)
         self.now += 1
+        for channel in self.channels:
+            channel.advance()
         self.mcu.clock.tick(_TICK_NS)
         if second.irq & _CLOCK_FLAG:
             second.irq &= ~_CLOCK_FLAG
@@ -302,11 +407,11 @@ class PioChip(_Chip):
 class _Registers:
     """machine.mem32 of the chip."""
 
-    def __init__(self, mcu: Any) -> None:
-        self._mcu = mcu
+    def __init__(self, chip: PioChip) -> None:
+        self._chip = chip
 
     def __getitem__(self, address: int) -> int:
-        return int(self._mcu.read_uint32(address))
+        return self._chip.read(address)
 
     def __setitem__(self, address: int, value: int) -> None:
-        self._mcu.write_uint32(address, value)
+        self._chip.write(address, value)

@@ -298,7 +298,7 @@ def _moves(kernels: Any, machine: Any, ring: Any, flow: Any) -> "Iterator[Any]":
 
 # The PIO engine's interrupt
 
-_HUB, _REGISTERS = 47, 0x1000
+_HUB, _REGISTERS = 49, 0x1000
 _ADDRESSES = {14: 0x50200000, 15: 0x50300000, 16: 0x40054028, 17: -0x1FFF1F00}
 
 
@@ -329,6 +329,7 @@ class Chip:
         hub[8], hub[9], hub[11] = rng.randrange(1000), rng.randrange(25), rng.randrange(999)
         hub[10], hub[19], hub[20], hub[21] = rng.choice((0, 0, 0x20000)), 1 << 24, 5, 9
         self.memory[hub[15]][3] = rng.randrange(5) << 24 if hub[0] else 0
+        self.memory[hub[14]][2] = rng.choice((0, 0, 0, 0, 1 << 17))
         self.memory[hub[15]][0x35 + 18] = rng.randrange(8, 11)
         self.memory[hub[16]][0] = hub[8] - rng.randrange(-50, 400)
         for pin in range(16):
@@ -368,7 +369,12 @@ def _turns(engine: Any, patch: pytest.MonkeyPatch, seeds: range) -> "Iterator[An
         told: list[int] = []
         rows = [chip.memory[chip.hub[31 + i]] for i in range(16)]
         itself = SimpleNamespace(
-            _hub=chip.hub, _rows=rows, _next_segment=chip.row, _on_power=told.append
+            _hub=chip.hub,
+            _rows=rows,
+            _next_segment=chip.row,
+            _on_power=told.append,
+            _on_rest=lambda told=told: told.append(-1),
+            on_fault=lambda told=told: told.append(-2),
         )
         with patch.context() as here:
             here.setattr(builtins, "ptr32", chip.pointer(plain))

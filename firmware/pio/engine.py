@@ -8,6 +8,10 @@ together, for every lane's words fill the same time. DMA is handed counted words
 them: where the interrupt comes too late, the machines wait at `pull`, and when all have come
 to rest they are started together again. Nothing is lost or repeated.
 
+A stop holds until arm(): whatever it has interrupted goes on, and starts nothing. The interrupt
+lets no exception out, for MicroPython would never call it again: the machines are switched off,
+whoever has a tool is told, and the main loop learns of it by fault().
+
     segments -> rows, a ring -> words, a ring per lane -> DMA -> FIFO -> machine
 
 Positions while moving follow from the time and the rows; after a stop they are read out of
@@ -23,7 +27,7 @@ from micropython import const
 
 from pio import programs, pulses
 from pio.hub import Memory, append, call, feed, look
-from pio.stops import drop, lock, position, stop
+from pio.stops import arm, halt, position, trouble
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -53,7 +57,23 @@ _EARLY = const(12)
 _LANE = const(7)
 _PLACE = const(4)
 _END = const(5)
+_PIO0 = const(14)
+_PIO1 = const(15)
+_FAULT = const(31 + 16)
+_ASKED = const(31 + 17)
+_CLEARED = const(0xC00)  # CTRL, where ones clear bits
+_RAISED = const(1)
 _KEEP_POWER = const(0x3FFFFFFF)
+
+# fault(): in the order of stops.RAISED and those behind it.
+_FAULTS = (
+    "",
+    "the pulse engine's interrupt has failed",
+    "pulses were lost on their way to the hardware",
+    "DMA has no more pulses for the hardware",
+    "the pulse engine's interrupt does not come",
+    "motion is behind its own schedule",
+)
 
 
 def _ticks(us: int) -> int:
@@ -62,7 +82,11 @@ def _ticks(us: int) -> int:
 
 
 class PioEngine:
-    """The engine. step, direction: pin numbers per axis; hold, setup: of DIR around its change."""
+    """The engine. step, direction: pin numbers per axis; hold, setup: of DIR around its change.
+
+    on_fault, if set: called in the interrupt where that has failed, to kill the tool. A leaf, for
+    there may be next to no stack left.
+    """
 
     tick_hz = _TICK_HZ
     segment_log2 = _SEGMENT_LOG2
@@ -89,6 +113,7 @@ class PioEngine:
         self._machines = [self._make_machine(i) for i in range(len(step))]
         self._clock = rp2.StateMachine(4 + _CLOCK, programs.clock, freq=_TICK_HZ)
         self._memory.programs_at(programs.stepper[1], programs.clock[2])
+        self.on_fault: "Callable[[], None]" = lambda: None
 
     def _make_machine(self, axis: int) -> "tuple[rp2.StateMachine, rp2.DMA]":
         stepper = rp2.StateMachine(
@@ -112,11 +137,17 @@ class PioEngine:
         """Highest rate of one axis with step pulses of pulse_us microseconds."""
         return _TICK_HZ // pulses.shortest_gap(_ticks(pulse_us))
 
-    def attach(self, next_segment: "NextSegment", on_power: "Callable[[int], None]") -> None:
-        """Say where segments come from and who is told the spindle power of each as it starts."""
+    def attach(
+        self,
+        next_segment: "NextSegment",
+        on_power: "Callable[[int], None]",
+        on_rest: "Callable[[], None]",
+    ) -> None:
+        """Say where segments come from, who is told the spindle power of each as it starts, and
+        who hears that the machines stand still."""
         self._next_segment = next_segment
         self._on_power = on_power
-        rp2.PIO(1).irq(self._turn, trigger=rp2.PIO.IRQ_SM3, hard=True)
+        self._on_rest = on_rest
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
         """Take over $0, $2 and $3. Called at rest only."""
@@ -131,23 +162,32 @@ class PioEngine:
         others = machine.mem32[address] & ~(3 << self._invert_shift)
         machine.mem32[address] = others | invert << self._invert_shift
 
+    def arm(self) -> None:
+        """Motion is possible again, after power-up or stop(). For the main loop."""
+        # Anew: MicroPython may have taken the interrupt away from us.
+        rp2.PIO(1).irq(self._turn, trigger=rp2.PIO.IRQ_SM3, hard=True)
+        arm(self._hub)
+
     def start(self) -> None:
-        """Begin to pull, where the engine had run out of segments."""
-        self._hub[_HALT] = 0
+        """Begin to pull, where the engine had run out of segments. A stopped engine stays so."""
         call(self._hub)
 
     def stop(self) -> None:
-        """At once; safe in an interrupt; queued steps are dropped, locks released."""
-        stop(self._hub)
+        """At once, until arm(); safe in an interrupt; queued steps are dropped, locks released."""
+        halt(self._hub, -1)
+
+    def fault(self) -> str:
+        """What is wrong with the engine, in words, or nothing. For the main loop."""
+        return _FAULTS[trouble(self._hub)]
 
     def lock(self, axes: int) -> None:
         """These axes (a mask) make no more pulses until stop(); the others go on."""
-        lock(self._hub, axes)
+        halt(self._hub, axes)
 
     def idle(self) -> bool:
         """Nothing is moving and nothing is queued in hardware."""
         hub = self._hub
-        return hub[_RUNNING] == 0 and hub[_MADE] == hub[_FED]
+        return hub[_RUNNING] == 0 and (hub[_HALT] != 0 or hub[_MADE] == hub[_FED])
 
     def position(self, steps: "array[int]") -> None:
         """Copy the steps really made, per motor: the only truth. Safe in an interrupt."""
@@ -163,25 +203,40 @@ class PioEngine:
     def _turn(self, _source: object) -> int:
         """Interrupt: a segment has begun, or the engine is to start. Keep the hardware busy."""
         hub = ptr32(self._hub)
+        hub[_ASKED] = 0
         if hub[_HALT]:
             return 0
-        if hub[_RUNNING]:
-            power = int(look(hub))
+        try:
+            power = int(look(hub)) if hub[_RUNNING] else _KEEP_POWER
             if power != _KEEP_POWER:
                 self._on_power(power)
-            if hub[_RUNNING] and hub[_EARLY] > 0:
-                return 0
-        if hub[_MADE] != hub[_FED]:
-            feed(hub)
-        made = 0
-        while made < _MOST and hub[_AHEAD] < _LEAD and hub[_MADE] - hub[_FED] < _WAITING:
-            if hub[_CUT] == 0:
-                if int(self._next_segment(self._rows[hub[_MADE] & _LAST_ROW])) == 0:
-                    break
-            append(hub)
-            made += 1
-        if made:
-            feed(hub)
-        if hub[_HALT]:
-            drop(hub)  # stopped meanwhile by an interrupt that came before this one
+            if hub[_RUNNING] == 0 or hub[_EARLY] <= 0:
+                if hub[_MADE] != hub[_FED]:
+                    feed(hub)
+                made = 0
+                while made < _MOST and hub[_AHEAD] < _LEAD and hub[_MADE] - hub[_FED] < _WAITING:
+                    if hub[_CUT] == 0:
+                        if int(self._next_segment(self._rows[hub[_MADE] & _LAST_ROW])) == 0:
+                            break
+                    append(hub)
+                    made += 1
+                if made:
+                    feed(hub)
+                if hub[_RUNNING] == 0 and hub[_HALT] == 0:
+                    self._on_rest()
+        except:  # noqa: E722
+            hub[_FAULT] = _RAISED
+        if hub[_FAULT]:
+            # No calls up to here: the stack may be what there is too little of.
+            hub[_HALT] = 1
+            ptr32(hub[_PIO0])[_CLEARED] = 15
+            ptr32(hub[_PIO1])[_CLEARED] = 1 << _CLOCK
+            try:
+                self.on_fault()
+            except:  # noqa: E722
+                hub[_FAULT] = _RAISED  # the main loop sees to the tool
+            try:
+                halt(hub, -1)
+            except:  # noqa: E722
+                hub[_FAULT] = _RAISED
         return 0

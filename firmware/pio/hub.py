@@ -8,6 +8,7 @@ together is told in engine.py; nothing here allocates.
 
 from array import array
 
+import machine
 import micropython
 from kernels import row_length
 from micropython import const
@@ -27,7 +28,7 @@ _MARGIN = const(20)
 # The hub: everything the leaves work on, in one array, for arguments cost microseconds.
 # First the engine's state …
 _RUNNING = const(0)  # machines are enabled
-_HALT = const(1)  # stopped: nothing moves before start()
+_HALT = const(1)  # stopped: nothing moves before arm()
 _MADE = const(2)  # segments made, since power-up
 _FED = const(3)  # segments handed to the hardware
 _BEGUN = const(4)  # the segment that runs
@@ -45,8 +46,8 @@ _PIO0 = const(14)
 _PIO1 = const(15)
 _TIMER = const(16)
 _NVIC = const(17)
-_PIN_IRQ = const(18)  # masks
-_BUSY = const(19)
+_RIVALS = const(18)  # masks: interrupts in which the engine is stopped, and its own;
+_BUSY = const(19)  # a channel has words to move
 _STEPPER_AT = const(20)  # where steppers wait for a word
 _CLOCK_AT = const(21)  # where the clock does
 _DMA = const(22)  # a channel per lane
@@ -57,10 +58,13 @@ _TIMING = const(28)
 _CLOCKED = const(29)  # words for the clock
 _WHOLE = const(30)  # a long segment, made in pieces
 _ROW = const(31)  # a row per segment
-_LENGTH = const(31 + 16)
+_FAULT = const(31 + 16)  # what has gone wrong (stops.py), until arm()
+_ASKED = const(31 + 17)  # start() waits for the interrupt
+_LENGTH = const(31 + 18)
 
 # A PIO's registers, in words.
 _CTRL = const(0)
+_FDEBUG = const(2)
 _FLEVEL = const(3)
 _TXF = const(4)
 _IRQ_FORCE = const(13)
@@ -77,11 +81,22 @@ _READ = const(0)
 _STATUS = const(3)
 _COUNT_TRIGGER = const(7)
 _DISABLE = const(32)
+_DMA_AT = const(0x50000000)
+_CHANNEL = const(0x40)  # bytes from one channel to the next
+_CREDITS = const(0x800)  # how many words a channel believes that its FIFO has room for
 
 # Instructions that are forced into a machine.
 _PULL = const(0x8080)
-_LOAD_ISR = const(0xA0C7)  # from OSR
+_CLEAR_ISR = const(0xA0C3)
+_SET_X = const(0xE020)  # to five bits,
+_SHIFT_IN = const(0x4025)  # which go into ISR from below
 _STEP_LOW = const(0xE000)
+
+# In FDEBUG, from the bit of the first machine on: a word has come to a FIFO that was full.
+_TXOVER = const(16)
+# Faults, as stops.py says.
+_LOST = const(2)
+_JAMMED = const(3)
 
 _CLOCK = const(3)  # the clock's machine
 _CLOCK_SHIFT = const(24)
@@ -162,7 +177,11 @@ def append(hub: ptr32) -> int:
 
 @micropython.viper
 def _prepare(hub: ptr32) -> int:
-    """Machines that have stopped or run dry back to their beginnings, with nothing queued."""
+    """Machines that have stopped or run dry back to their beginnings, with nothing queued.
+
+    DMA counts how much room there is in a machine's FIFO: what it has put there may be taken
+    out by hand, for that is what a machine does too, but nothing may be put there.
+    """
     axes = hub[_AXES]
     pio = ptr32(hub[_PIO0])
     clock = ptr32(hub[_PIO1])
@@ -170,7 +189,7 @@ def _prepare(hub: ptr32) -> int:
     timing = ptr32(hub[_TIMING])
     timer = ptr32(hub[_TIMER])
     patience = 1000
-    while (timer[0] - hub[_END_US]) & _MASK <= timing[_PULSE] // 12 + 1 and patience:
+    while ((timer[0] & _MASK) - hub[_END_US]) & _MASK <= timing[_PULSE] // 12 + 1 and patience:
         patience -= 1  # the last pulses have their full length
     pio[_CTRL + _CLEAR] = (1 << axes) - 1
     clock[_CTRL + _CLEAR] = 1 << _CLOCK
@@ -178,22 +197,32 @@ def _prepare(hub: ptr32) -> int:
     clock[_CTRL + _SET] = 16 << _CLOCK
     while (clock[_FLEVEL] >> _CLOCK_SHIFT) & 15:
         clock[_INSTR + _SM * _CLOCK] = _PULL
+    patience = 1000
     for i in range(axes):
         dma = ptr32(hub[_DMA + i])
-        while dma[_STATUS] & hub[_BUSY] or (pio[_FLEVEL] >> (8 * i)) & 15:
+        while (dma[_STATUS] & hub[_BUSY] or (pio[_FLEVEL] >> (8 * i)) & 15) and patience:
             pio[_INSTR + _SM * i] = _PULL
-        dma[_READ] = hub[_WORDS] + 4 * (_RING_MASK + 1) * i
+            patience -= 1
+    if patience == 0:
+        hub[_FAULT] = _JAMMED
+        return 0
+    for i in range(axes):
+        ptr32(hub[_DMA + i])[_READ] = hub[_WORDS] + 4 * (_RING_MASK + 1) * i
         lanes[_LANE * i + _HEAD] = 0
         lanes[_LANE * i + _SENT] = 0
         lanes[_LANE * i + _CARRY] = 0
         # Words that have turned it may never have been played.
         pin = pio[_PINCTRL + _SM * i] & 31
         lanes[_LANE * i + _DIR] = (pio[_PADOUT] >> pin) & 1
-        pio[_TXF + i] = timing[_PULSE] - 3
     for i in range(axes):
-        pio[_INSTR + _SM * i] = _PULL
-    for i in range(axes):
-        pio[_INSTR + _SM * i] = _LOAD_ISR
+        pio[_INSTR + _SM * i] = _CLEAR_ISR
+    shift = 15
+    while shift:
+        shift -= 5
+        for i in range(axes):
+            pio[_INSTR + _SM * i] = _SET_X | (((timing[_PULSE] - 3) >> shift) & 31)
+        for i in range(axes):
+            pio[_INSTR + _SM * i] = _SHIFT_IN
     for i in range(axes):
         pio[_INSTR + _SM * i] = _STEP_LOW
     for i in range(axes):
@@ -211,7 +240,7 @@ def feed(hub: ptr32) -> int:
     axes = hub[_AXES]
     space = _CLOCK_FIFO
     if hub[_RUNNING]:
-        left = (hub[_END_US] - ptr32(hub[_TIMER])[0]) & _MASK
+        left = (hub[_END_US] - (ptr32(hub[_TIMER])[0] & _MASK)) & _MASK
         if left >= _NEGATIVE or left < _MARGIN + ptr32(hub[_TIMING])[_KEEP] // 12:
             return 0  # too late: all go on together when the last has come to rest
         for i in range(axes):
@@ -256,15 +285,18 @@ def feed(hub: ptr32) -> int:
 def _hand_over(hub: ptr32, fed: int, count: int) -> int:
     """Give DMA the words up to segment `fed`, the clock `count` words; start what is at rest.
 
-    Interrupts of pins, which may stop the engine, wait so long.
+    Interrupts that may stop the engine wait so long. Where a word has been lost nothing goes on.
     """
     axes = hub[_AXES]
     lanes = ptr32(hub[_LANES])
     nvic = ptr32(hub[_NVIC])
     clock = ptr32(hub[_PIO1])
     following = ptr32(hub[_ROW + (fed & _LAST_ROW)])
-    nvic[_DISABLE] = hub[_PIN_IRQ]
-    if hub[_HALT] == 0:
+    nvic[_DISABLE] = hub[_RIVALS]
+    over = ptr32(hub[_PIO0])[_FDEBUG] & ((1 << axes) - 1) << _TXOVER
+    if over or (clock[_FDEBUG] >> (_TXOVER + _CLOCK)) & 1:
+        hub[_FAULT] = _LOST
+    if hub[_HALT] == 0 and hub[_FAULT] == 0:
         for i in range(axes):
             lane = _LANE * i
             if (hub[_LOCKED] >> i) & 1 == 0:
@@ -283,7 +315,7 @@ def _hand_over(hub: ptr32, fed: int, count: int) -> int:
         if hub[_RUNNING] == 0:
             _launch(hub, fed)
         hub[_FED] = fed
-    nvic[0] = hub[_PIN_IRQ]
+    nvic[0] = hub[_RIVALS]
     return 0
 
 
@@ -297,7 +329,7 @@ def _launch(hub: ptr32, fed: int) -> int:
         while (pio[_FLEVEL] >> (8 * i)) & 15 == 0 and patience:
             patience -= 1  # DMA puts the first word there
     pio[_CTRL + _SET] = ((1 << axes) - 1) * 0x101  # enable, restart the divider
-    now = ptr32(hub[_TIMER])[0]
+    now = ptr32(hub[_TIMER])[0] & _MASK
     ptr32(hub[_PIO1])[_CTRL + _SET] = 0x101 << _CLOCK
     for k in range(hub[_FED], fed):
         row = ptr32(hub[_ROW + (k & _LAST_ROW)])
@@ -310,8 +342,10 @@ def _launch(hub: ptr32, fed: int) -> int:
 
 @micropython.viper
 def call(hub: ptr32) -> int:
-    """Make the engine's interrupt happen now."""
-    ptr32(hub[_PIO1])[_IRQ_FORCE] = 1 << _CLOCK
+    """Make the engine's interrupt happen now, unless it is stopped."""
+    if hub[_HALT] == 0:
+        hub[_ASKED] = 1
+        ptr32(hub[_PIO1])[_IRQ_FORCE] = 1 << _CLOCK
     return 0
 
 
@@ -339,6 +373,7 @@ class Memory:
         ring = 4 << pulses.RING_LOG2
         self._rings = bytearray(ring * (axes + 1))
         self.timing[pulses.AXES] = hub[_AXES] = axes
+        hub[_HALT] = 1
         hub[_BEGUN] = -1
         hub[_LANES] = _address(self.lanes)
         hub[_WORDS] = (_address(self._rings) + ring - 1) // ring * ring
@@ -351,7 +386,8 @@ class Memory:
         hub[_PIO1] = 0x50300000
         hub[_TIMER] = 0x400B0028 if rp2350 else 0x40054028
         hub[_NVIC] = 0xE000E100 - (1 << 32)
-        hub[_PIN_IRQ] = 1 << (21 if rp2350 else 13)
+        # IO_IRQ_BANK0, PIO1_IRQ_0, and the timer's four.
+        hub[_RIVALS] = 1 << 21 | 1 << 17 | 15 if rp2350 else 1 << 13 | 1 << 9 | 15
         hub[_BUSY] = 1 << (26 if rp2350 else 24)
 
     def ring(self, axis: int) -> int:
@@ -360,7 +396,8 @@ class Memory:
 
     def connect(self, axis: int, channel: int) -> None:
         """A lane's words go through this DMA channel."""
-        self.hub[_DMA + axis] = 0x50000000 + 0x40 * channel
+        self.hub[_DMA + axis] = at = _DMA_AT + _CHANNEL * channel
+        machine.mem32[at + _CREDITS] = 0  # counted anew: the FIFO is empty
 
     def programs_at(self, stepper: int, clock: int) -> None:
         """Where in the PIOs the programs begin."""

@@ -21,7 +21,12 @@ from rp2 import PIO, asm_pio
 # length + 3 to being ready for the next word.
 
 
-@asm_pio(out_init=PIO.OUT_LOW, set_init=PIO.OUT_LOW, out_shiftdir=PIO.SHIFT_RIGHT)
+@asm_pio(
+    out_init=PIO.OUT_LOW,
+    set_init=PIO.OUT_LOW,
+    out_shiftdir=PIO.SHIFT_RIGHT,
+    in_shiftdir=PIO.SHIFT_LEFT,
+)
 def stepper():
     label("next")
     pull(block)  #            1   stalls here where no word has come

@@ -86,6 +86,7 @@ def asm_pio(
     out_init: "int | None" = None,
     set_init: "int | None" = None,
     out_shiftdir: int = 0,
+    in_shiftdir: int = 0,
 ) -> Callable[[Callable[[], None]], list[Any]]:
     """Assemble the decorated function; it becomes the program as MicroPython keeps it."""
 
@@ -98,7 +99,7 @@ def asm_pio(
         words = assembler.words
         if len(words) > _SIZE:
             raise PIOASMError("program too long")
-        shiftctrl = out_shiftdir << 19 | 1 << 18
+        shiftctrl = out_shiftdir << 19 | in_shiftdir << 18
         return [words, -1, -1, -1, (len(words) - 1) << 12, shiftctrl, out_init, set_init, None]
 
     return assemble
