@@ -5,6 +5,7 @@ nothing, so a board file that uses this tells senders of 128. Native USB lets th
 Where there is native USB, what we say goes out on UART 0 as well, and no faster than there.
 """
 
+import array
 import select
 import sys
 
@@ -21,13 +22,25 @@ _CTRL_C = const(3)
 # What a UART's own memory takes without waiting; soft interrupts come in between.
 _PIECE = const(64)
 
+# How long one write may take: native USB waits for a host that does not read.
+_WRITE_MS = const(1000)
+
+# What is shared with the supervisor (supervisor.py).
+_TURNED = const(0)
+_STOPPED = const(1)
+_AWAY = const(2)
+
 
 class UartLink:
-    """A Link. feed: called at every turn of the main loop, for a watchdog."""
+    """A Link. For the supervisor: shared is what they share, look what its timer calls;
+    come_back is its own, called in the main loop, and raises."""
+
+    is_slow = False  # as fast as the chip's MicroPython lets it
 
     def __init__(self) -> None:
         micropython.kbd_intr(-1)  # Ctrl-C is a byte like others
-        self.feed: "Callable[[], None] | None" = None
+        self.come_back: "Callable[[], None]" = lambda: None
+        self.shared = array.array("i", (0, 0, 0))
         self._in: "Any" = sys.stdin.buffer
         self._out: "Any" = sys.stdout.buffer
         self._byte = bytearray(1)
@@ -45,10 +58,14 @@ class UartLink:
         nobody hears but by reading: a UART knows of neither, and has no hard timer."""
         self._escape.at_rest = at_rest
 
+    def look(self) -> None:
+        """Interrupt: there is nothing to see but by reading."""
+
     def read_into(self, buf: bytearray) -> int:
         """Move what has arrived into buf; return how many bytes."""
-        if self.feed:
-            self.feed()
+        self.shared[_TURNED] = 1
+        if self.shared[_STOPPED]:
+            self.come_back()
         count = 0
         while count < len(buf) and self._waiting():
             if not self._in.readinto(self._byte):
@@ -67,11 +84,16 @@ class UartLink:
     def write(self, data: "bytes | bytearray | memoryview") -> None:
         """Send; waits where the line is slower than we are."""
         if len(data) <= _PIECE:
-            self._out.write(data)
+            self._send(data)
             return
         whole = memoryview(data)
         for at in range(0, len(whole), _PIECE):
-            self._out.write(whole[at : at + _PIECE])
+            self._send(whole[at : at + _PIECE])
+
+    def _send(self, piece: "bytes | bytearray | memoryview") -> None:
+        self.shared[_AWAY] = -_WRITE_MS
+        self._out.write(piece)
+        self.shared[_AWAY] = 0
 
     def close(self) -> None:
         """Ctrl-C interrupts again."""

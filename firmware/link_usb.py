@@ -6,9 +6,9 @@ MicroPython collects what has arrived in a ring of 512 bytes, and hands it out b
 (link_ring.py) and read where it lies; where it is not found the plain way is taken. USB makes the
 sender wait when the ring is full: nothing is ever lost.
 
-A hard timer looks at the ring too: Ctrl-X acts also while the main loop is busy, and a sender
-that opens the port is seen, for the welcome. What MicroPython writes while no port is open waits
-for the first one that is.
+The supervisor's timer looks at the ring too: Ctrl-X acts also while the main loop is busy, and a
+sender that opens the port is seen, for the welcome. What MicroPython writes while no port is open
+waits for the first one that is.
 
 The way back to the REPL is link_escape.py's.
 """
@@ -50,25 +50,33 @@ _ANSWER = const(16)
 # With a count of bytes: there is more to see to.
 _NOTE = const(0x100)
 
-_LOOK_MS = const(5)
+# A write to a host that does not read: MicroPython gives up when nothing has gone for 500 ms, and
+# a packet or two may go before.
+_WRITE_MS = const(1000)
 
-# What a link remembers: where the ring is,
-_RING = const(0)
-_TAKING = const(1)  # whether the main loop is taking bytes out of it,
-_PORT = const(2)  # what the sender has done with the port,
-_NEVER = const(0)
-_OPEN = const(1)
-_CLOSED = const(2)
-_OPENED = const(3)  # whether it has opened it once more,
-_ESCAPES = const(4)  # whether bytes taken are such as ask for the prompt,
-_FULL = const(5)  # whether the ring was so full that more may wait behind it,
-_ALIVE = const(6)  # whether the main loop has looked, and
-_LENGTH = const(7)  # how much waits to be sent.
+# What a link remembers. First what it shares with the supervisor (supervisor.py): it has been
+# read, the machine was stopped meanwhile, for how long the main loop has been away.
+_TURNED = const(0)
+_STOPPED = const(1)
+_AWAY = const(2)
+_RING = const(3)  # Where the ring is,
+_LINE = const(4)  # where the host's control lines are (link_ring.py); 0: not known,
+_TAKING = const(5)  # whether the main loop is taking bytes out of the ring,
+_DTR = const(6)  # whether the port is open,
+_USED = const(7)  # has been before,
+_OPENED = const(8)  # and has been opened once more,
+_ESCAPES = const(9)  # whether bytes taken are such as ask for the prompt,
+_FULL = const(10)  # whether the ring was so full that more may wait behind it, and
+_LENGTH = const(11)  # how much waits to be sent.
+_REMEMBERED = const(12)
 
 # The last request of the host, in the memory of RP2040's and RP2350's USB: requests that tell
-# of the port being open or not (its DTR), and that the cable has been plugged in.
+# of the port being open or not (its DTR), that come with opening alone, and that the cable has
+# been plugged in.
 _SETUP = const(0x50100000)
 _SET_LINE_STATE = const(0x2221)
+_SET_LINE_CODING = const(0x2021)
+_GET_LINE_CODING = const(0x21A1)
 _SET_CONFIGURATION = const(0x0900)
 
 # MicroPython's struct ringbuf_t: address, size : 16, iget : 16, iput : 16.
@@ -82,7 +90,7 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
     Returns how many, and NOTE where UsbLink._note() is to see to something.
     """
     at[_TAKING] = 1
-    at[_ALIVE] = 1
+    at[_TURNED] = 1
     shorts = ptr16(at[_RING])
     data = ptr8(ptr32(at[_RING])[0])
     get = shorts[3]
@@ -100,7 +108,7 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
     shorts[3] = get
     at[_TAKING] = 0
     noted = at[_ESCAPES] if count else at[_LENGTH] | at[_FULL] | at[_OPENED]
-    return count | _NOTE if noted else count
+    return count | _NOTE if noted | at[_STOPPED] else count
 
 
 @micropython.viper
@@ -116,21 +124,36 @@ def _keep(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
 
 
 @micropython.viper
+def _is_open(at: ptr32) -> int:
+    """Whether a program has the port open."""
+    if at[_LINE]:
+        return ptr8(at[_LINE])[0] & 1
+    request = ptr32(_SETUP)[0]
+    what = request & 0xFFFF
+    if what == _SET_LINE_STATE:
+        return (request >> 16) & 1
+    if what == _SET_LINE_CODING:
+        return 1
+    if what == _GET_LINE_CODING:
+        return 1
+    return 0 if what == _SET_CONFIGURATION else at[_DTR]
+
+
+@micropython.viper
 def _look(at: ptr32) -> int:
-    """Interrupt: drop all that has arrived up to a Ctrl-X. Returns whether there was one."""
+    """Interrupt: drop all that has arrived up to a Ctrl-X. Returns whether there was one.
+
+    And see the port being opened, which for the first time is no news."""
     shorts = ptr16(at[_RING])
     data = ptr8(ptr32(at[_RING])[0])
     get = shorts[3]
     put = shorts[4]
-    request = ptr32(_SETUP)[0]
-    is_open = request & 0xFFFF == _SET_LINE_STATE and request & 0x10000
-    is_closed = request & 0x1FFFF == _SET_LINE_STATE or request & 0xFFFF == _SET_CONFIGURATION
-    if at[_PORT] == _OPEN:
-        if is_closed:
-            at[_PORT] = _CLOSED
-    elif is_open or get != put:
-        at[_OPENED] = at[_PORT] == _CLOSED
-        at[_PORT] = _OPEN
+    is_open = int(_is_open(at))
+    if is_open != at[_DTR]:
+        at[_DTR] = is_open
+        at[_OPENED] = is_open & at[_USED]
+    if is_open or get != put:
+        at[_USED] = 1
     found = 0
     if at[_TAKING] == 0:
         while get != put:
@@ -142,10 +165,12 @@ def _look(at: ptr32) -> int:
 
 
 class UsbLink:
-    """A Link. feed: called as long as the main loop reads, for a watchdog.
+    """A Link.
 
     read_into(buf) moves what has arrived into buf and returns how many bytes; write(data) sends,
-    soon.
+    soon. For the supervisor: shared is what they share, look what its timer calls;
+    come_back is its own, called in the main loop, and raises. is_slow: Ctrl-X is not heard
+    before the main loop reads.
     """
 
     read_into: "Callable[[bytearray], int]"
@@ -153,7 +178,7 @@ class UsbLink:
 
     def __init__(self) -> None:
         micropython.kbd_intr(-1)  # Ctrl-C is a byte like others
-        self.feed: "Callable[[], None] | None" = None
+        self.come_back: "Callable[[], None]" = lambda: None
         self._in: "Any" = sys.stdin.buffer
         self._out: "Any" = sys.stdout.buffer
         self._arrived: "Any" = select.poll()
@@ -165,13 +190,13 @@ class UsbLink:
         self._waiting_out = bytearray(_OUT_BYTES)
         self._turns = 0
         self._escape = Escape(self.close)
-        self._timer: "machine.Timer | None" = None
-        self._at = array.array("i", (0, 0, _NEVER, 0, 0, 0, 0, 0))
+        self.shared = self._at = array.array("i", (0 for _ in range(_REMEMBERED)))
         if sys.platform == "rp2":
             import link_ring
 
-            self._at[_RING] = link_ring.find(self._drain, _take)
+            link_ring.find(self._at, self._drain, _take)
             del sys.modules["link_ring"]  # nobody needs it any more
+        self.is_slow = self._at[_RING] == 0
         self.read_into = self._make_read_into()
         self.write = self._make_write()
 
@@ -186,17 +211,11 @@ class UsbLink:
         self._escape.at_rest = at_rest
         self._on_reset = on_reset
         self._on_open = on_open
-        if self._at[_RING]:
-            self._timer = machine.Timer()
-            self._timer.init(period=_LOOK_MS, callback=self._look, hard=True)
 
-    def _look(self, _timer: object) -> None:
-        at = self._at
-        if _look(at):
+    def look(self) -> None:
+        """Interrupt: what cannot wait for the main loop to read."""
+        if not self.is_slow and _look(self._at):
             self._on_reset()
-        if at[_ALIVE] and self.feed:
-            at[_ALIVE] = 0
-            self.feed()
 
     def _drain(self) -> bytearray:
         """All that has arrived."""
@@ -233,6 +252,8 @@ class UsbLink:
     def _note(self, buf: bytearray, count: int) -> int:
         """See to more than bytes. Returns their count."""
         at = self._at
+        if at[_STOPPED]:
+            self.come_back()
         if count:
             at[_ESCAPES] = 0
             self._escape.listen(buf, count)
@@ -255,8 +276,9 @@ class UsbLink:
         return False
 
     def _read_plainly(self, buf: bytearray) -> int:
-        if self.feed:
-            self.feed()
+        self._at[_TURNED] = 1
+        if self._at[_STOPPED]:
+            self.come_back()
         self._flush()
         count = 0
         while count < len(buf) and self._waiting():
@@ -279,12 +301,12 @@ class UsbLink:
         if self._deaf and not self._sendable.poll(0):
             return
         since = time.ticks_ms()
+        self._at[_AWAY] = -_WRITE_MS
         self._out.write(data, length)
+        self._at[_AWAY] = 0
         self._deaf = time.ticks_diff(time.ticks_ms(), since) >= _DEAF_MS
 
     def close(self) -> None:
         """Send what is left; Ctrl-C interrupts again."""
         self._flush()
-        if self._timer:
-            self._timer.deinit()
         micropython.kbd_intr(_CTRL_C)

@@ -11,11 +11,14 @@ import io
 import sys
 
 import errors
+import spindle as sp
 import state as st
 from micropython import const
+from supervisor import Supervisor
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from types import ModuleType
     from typing import Any
 
@@ -32,11 +35,22 @@ _USERS = "/lib"
 # Stuck for so long, the chip starts anew: flash is written in less, the longest of all work.
 _WATCHDOG_MS = const(5000)
 
+# The main loop turns within so long, or the machine is stopped. A collection takes 30 ms at the
+# most; who has more to do, in main.py say, reads the link in between.
+_LOOP_MS = const(250)
+
+# What $I says where Ctrl-X is not heard before the main loop reads; `ugrbl doctor` knows it.
+_SLOW_RESET = " slow-reset"
+
+# A save erases six sectors at the most, each in 400 ms.
+_FLASH_MS = const(2500)
+
 
 def main() -> "Controller | None":
     """Run the machine of board.py, for ever or until the REPL is asked for; returns it."""
     link: "Any" = None
     port: "Any" = None
+    watch: "Any" = None
     path = sys.path[:]
     try:
         sys.path[:] = [folder for folder in path if folder != _USERS]
@@ -47,7 +61,8 @@ def main() -> "Controller | None":
         if port.held(getattr(board, "REPL_PIN", None)):
             link.close()
             return None
-        machine = _build(board, link, port, engine)
+        watch = Supervisor(link, engine, port, getattr(board, "LOOP_MS", _LOOP_MS))
+        machine = _build(board, link, port, engine, watch)
     except Exception as fault:
         if port:
             port.safe()
@@ -55,7 +70,9 @@ def main() -> "Controller | None":
         return None
     finally:
         sys.path[:] = path
-    _run(board, machine, link, port, engine)
+    watch.start(port.watch(getattr(board, "WATCHDOG_MS", _WATCHDOG_MS)))
+    _run(machine, link, port, engine)
+    watch.close()
     return machine
 
 
@@ -92,15 +109,21 @@ def _hardware(board: "ModuleType") -> "tuple[StepEngine, Any]":
     return make(board)
 
 
-def _build(board: "ModuleType", link: "Any", port: "Any", engine: "StepEngine") -> "Controller":
+def _build(
+    board: "ModuleType", link: "Any", port: "Any", engine: "StepEngine", watch: Supervisor
+) -> "Controller":
     from store_flash import FlashStore
 
     gc.collect()
     import wiring
 
-    store = FlashStore("/", getattr(engine, "flash_written", None))
+    store = FlashStore()
     machine = wiring.build(board, link, port, engine, store)
     del sys.modules["wiring"]  # 4 kB that nobody needs any more
+    if link.is_slow:
+        machine.report.identity += _SLOW_RESET
+    written = getattr(engine, "flash_written", None)
+    store.before, store.after = _around_saves(machine, watch, written)
 
     def at_rest() -> bool:
         return machine.state.run in (st.IDLE, st.ALARM) and machine.planner.empty()
@@ -114,14 +137,40 @@ def _build(board: "ModuleType", link: "Any", port: "Any", engine: "StepEngine") 
     return machine
 
 
+def _around_saves(
+    machine: "Controller", watch: Supervisor, written: "Callable[[], None] | None"
+) -> "tuple[Callable[[], None], Callable[[], None]]":
+    """What to do before and after flash is written, which keeps all interrupts off.
+
+    The machine is at rest then. A spindle goes on; a laser that M3 has switched on would burn for
+    longer than the program says, and is off so long. written: the engine wants to hear of it.
+    """
+
+    lit = False
+    state, spindle, gcode = machine.state, machine.spindle, machine.gcode
+
+    def before() -> None:
+        nonlocal lit
+        watch.allow(_FLASH_MS)
+        lit = spindle.laser and gcode.spindle == sp.CW and state.spindle_rpm > 0
+        if lit:
+            spindle.stop()
+
+    def after() -> None:
+        if written:
+            written()
+        watch.allow(0)
+        if lit and not state.pending[st.RESET]:
+            spindle.turn(sp.CW, gcode.spindle_rpm)
+
+    return before, after
+
+
 # Life
 
 
-def _run(
-    board: "ModuleType", machine: "Controller", link: "Any", port: "Any", engine: "StepEngine"
-) -> None:
+def _run(machine: "Controller", link: "Any", port: "Any", engine: "StepEngine") -> None:
     fault: "Exception | None" = None
-    link.feed = port.watch(getattr(board, "WATCHDOG_MS", _WATCHDOG_MS))
     while True:
         try:
             if fault:

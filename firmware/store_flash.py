@@ -3,7 +3,8 @@
 A save writes a new file, reads it back, keeps the old one as the previous
 copy and puts the new one in its place; littlefs makes each renaming happen
 or not happen. A file's last line is the checksum of the others. Whoever
-saves sees to it that the machine is at rest: flash stops the processor.
+saves sees to it that the machine is at rest: flash stops the processor, up to
+0.4 s for each of the sectors it erases, and nothing is heard meanwhile.
 """
 
 import binascii
@@ -22,13 +23,20 @@ _OLD = ".old"
 _CHECKSUM = "#crc32="
 
 
-class FlashStore:
-    """A Store. folder: where the files are, with a slash at its end. on_write: called behind
-    each save, even one that fails."""
+def _nothing() -> None:
+    """Where nobody has to be told."""
 
-    def __init__(self, folder: str = "/", on_write: "Callable[[], None] | None" = None) -> None:
+
+class FlashStore:
+    """A Store. folder: where the files are, with a slash at its end.
+
+    before, after: called around each save, whatever becomes of it.
+    """
+
+    def __init__(self, folder: str = "/") -> None:
         self._folder = folder
-        self._on_write = on_write
+        self.before: "Callable[[], None]" = _nothing
+        self.after: "Callable[[], None]" = _nothing
 
     def load(self, name: str) -> "list[str] | None":
         """The lines kept under that name; None where no copy of them is whole."""
@@ -40,11 +48,12 @@ class FlashStore:
 
     def save(self, name: str, lines: "Iterable[str]") -> None:
         """Replace the lines at once or not at all. Raises OSError where flash is full or worn."""
+        kept = list(lines)
+        self.before()
         try:
-            self._write(self._folder + name, list(lines))
+            self._write(self._folder + name, kept)
         finally:
-            if self._on_write:
-                self._on_write()
+            self.after()
 
     def _write(self, path: str, kept: "list[str]") -> None:
         text = "".join([line + "\n" for line in kept])

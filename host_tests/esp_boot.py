@@ -4,8 +4,9 @@ python esp_boot.py BOARD FOLDER [LINE ...] — runs main.py with boards/BOARD.py
 which each LINE (`ENGINE = "i2s"`) takes the place of the one for the same name, or comes behind
 it. Settings are kept in FOLDER. Its talk.json is what a sender says and waits for, nothing and
 the welcome first: [["", "Grbl"], ["$X\\n", "ok"], ...]. "pin 5 0" and "ms 100" are directions
-to the world around; "deaf 5 0" pulls the pin during a collection, which nobody hears of. Prints
-the conversation, and what the prompt would read after it.
+to the world around; "deaf 5 0" pulls the pin during a collection, which nobody hears of; "hang
+400" keeps the main loop away for so many ms. Prints the conversation, and what the prompt would
+read after it.
 """
 
 import json
@@ -105,6 +106,7 @@ class Sender:
         self._until = talk.pop(0)[1]
         self._deadline = _PATIENCE_US
         self._heard_us = 0
+        self._waits_until_us = 0
         wire.on_read = self.turn
         wire.on_write = self.hear
         self.punch: "punch_pins.Punch | None" = None
@@ -123,6 +125,8 @@ class Sender:
         heard = not self._until or (self._until in self._got and self._got.endswith("\n"))
         if not heard or not self._talk or clock.us < self._heard_us + _THINKING_US:
             return
+        if clock.us < self._waits_until_us:
+            return
         self._got = ""
         text, self._until = self._talk.pop(0)
         self._deadline = clock.us + _PATIENCE_US
@@ -132,8 +136,10 @@ class Sender:
         elif text.startswith("deaf "):
             _, pin, level = text.split()
             deaf(esp_machine.Pin.pins[int(pin)], int(level))
+        elif text.startswith("hang "):
+            clock.advance(clock.us + int(text[5:]) * 1000)
         elif text.startswith("ms "):
-            clock.advance(clock.us + int(text[3:]) * 1000)
+            self._waits_until_us = clock.us + int(text[3:]) * 1000
         else:
             if " " <= text[0]:
                 print("> " + text.strip())
@@ -174,19 +180,19 @@ def main() -> None:
     load(modules, "esp_chip.i2s", "esp_chip.rmt")
     load({"os": wire.os()}, "link_escape")
     load({"sys": wire.sys(), "select": wire.select()}, "link_uart")
+    load({"sys": wire.sys(), "machine": esp_machine}, "supervisor")
     import store_flash
 
     real_store = store_flash.FlashStore
 
-    def store(root: str, on_write: "Any") -> "store_flash.FlashStore":
-        def written() -> None:
+    class Store(real_store):  # type: ignore[misc, valid-type]
+        """Flash that takes its time, and interrupts with it."""
+
+        def _write(self, path: str, kept: "list[str]") -> None:
+            super()._write(path, kept)
             flash_write()
-            if on_write:
-                on_write()
 
-        return real_store(folder + root, written)
-
-    store_flash.FlashStore = store  # type: ignore[misc, assignment]
+    store_flash.FlashStore = lambda: Store(folder + "/")  # type: ignore[misc, assignment]
     if not hasattr(sys, "print_exception"):
         from traceback import print_exception
 

@@ -85,6 +85,7 @@ def test_a_board_is_data_only(name: str) -> None:
         ({"CONTROL_INVERT": "2"}, "CONTROL_INVERT is '2': it is a whole number"),
         ({"LIMIT_DEBOUNCE_MS": 6}, "LIMIT_DEBOUNCE_MS is 5 at the most"),
         ({"WATCHDOG_MS": 9000}, "WATCHDOG_MS is 8388 at the most"),
+        ({"LOOP_MS": 20}, "LOOP_MS is 100 at the least"),
         ({"DEFAULTS": {0: 1}}, "DEFAULTS: $0=1 is refused"),
         ({"ENGINE": "rmt"}, "ENGINE 'rmt' does not run on MPY_ARCH 'armv6m'"),
         ({"ENGINE": "steam"}, "ENGINE 'steam' is not one of"),

@@ -1,6 +1,7 @@
 """The ESP32 without one: its stand-ins are as strict as its modules, and the firmware boots."""
 
 import json
+import re
 import subprocess
 import sys
 from array import array
@@ -78,6 +79,20 @@ def test_the_firmware_boots_moves_and_stops_at_a_limit(board: str, tmp_path: Pat
     said = boot(board, tmp_path, [*_GREETING, *_SET_UP, *_MOVE, *hit(board)])
     assert "Grbl 1.1h ['$' for help]" in said
     assert _MOVED + _HIT in said
+
+
+@pytest.mark.parametrize("board", ["esp32_devkit", "mks_dlc32"])
+def test_a_main_loop_that_hangs_is_stopped_and_told_of(board: str, tmp_path: Path) -> None:
+    hang: Talk = [
+        ("$X\n", "ok"),
+        ("M3 S500\n", "ok"),
+        ("G91 G1 X5 F300\n", "ok"),
+        ("hang 400", "]"),
+        ("\x18", "unlock"),
+    ]
+    said = boot(board, tmp_path, [*_GREETING, *_SET_UP, *hang])
+    away = re.search(r"ALARM:16\n\[MSG:RuntimeErr: the main loop was away for (\d+) ms", said)
+    assert away and 350 <= int(away[1]) <= 400  # it is counted in beats of 50 ms
 
 
 @needs_micropython

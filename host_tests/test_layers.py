@@ -30,7 +30,7 @@ LAYER = {module: number for number, layer in enumerate(LAYERS) for module in lay
 # Ports stand outside the stack: they use the two lowest layers and their own kind, and only
 # what makes a board's parts uses them.
 BOOT = ("parts_esp", "power_up")
-PORT_PREFIXES = ("link", "gpio", "store")
+PORT_PREFIXES = ("link", "gpio", "store", "supervisor")
 PORT_FOLDERS = ("pio", "esp_chip")
 PORT_LAYERS = (0, 1)
 

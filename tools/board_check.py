@@ -40,6 +40,7 @@ _INVERTIBLE = ("SPINDLE_PWM", "SPINDLE_ON", "SPINDLE_DIR", "FLOOD", "MIST_PIN")
 _MOST_PWM = 16383  # times 65535 is still a small integer, which an interrupt needs
 _NEEDED_AXES = 3
 _MOST_DEBOUNCE_MS = 5
+_LEAST_LOOP_MS = 100
 
 
 def problems(board: ModuleType) -> list[str]:
@@ -100,7 +101,7 @@ def _kinds(board: ModuleType) -> Iterator[str]:
             yield f"{name} is {value!r} and wants parentheses and commas: (2, 3, 4)"
         elif not all(pin is None or type(pin) is int for pin in _as_tuple(value)):
             yield f"{name} is {value!r}: pins are numbers"
-    for name in ("PWM_MAX", "WATCHDOG_MS", "LIMIT_DEBOUNCE_MS", "CONTROL_INVERT"):
+    for name in ("PWM_MAX", "WATCHDOG_MS", "LOOP_MS", "LIMIT_DEBOUNCE_MS", "CONTROL_INVERT"):
         if type(getattr(board, name, 0)) is not int:
             yield f"{name} is {getattr(board, name)!r}: it is a whole number"
     if not isinstance(getattr(board, "INVERT", ()), tuple):
@@ -189,6 +190,8 @@ def _options(board: ModuleType) -> Iterator[str]:
         yield f"PWM_MAX is from 1 to {_MOST_PWM}"
     if getattr(board, "WATCHDOG_MS", 0) > 8388:
         yield "WATCHDOG_MS is 8388 at the most: the watchdog counts no further"
+    if getattr(board, "LOOP_MS", _LEAST_LOOP_MS) < _LEAST_LOOP_MS:
+        yield f"LOOP_MS is {_LEAST_LOOP_MS} at the least: a collection of memory takes 30"
     for option, name in (("SAFETY_DOOR", "door"), ("MIST", "mist")):
         if getattr(board, option, False) and not _wired(board, name):
             yield f"{option} is set and there is no pin for the {name}"

@@ -27,7 +27,7 @@ def execute(self, line, length):
             pass
     elif what == b"BUSY":
         since = time.ticks_ms()
-        while time.ticks_diff(time.ticks_ms(), since) < 400:
+        while time.ticks_diff(time.ticks_ms(), since) < 200:
             pass
     else:
         usual(self, line, length)

@@ -1,0 +1,114 @@
+# mypy: disable-error-code=arg-type
+"""Supervisor: stops the machine where the main loop does not turn any more.
+
+Whatever waits reads the link, so a link that is not read is a main loop that hangs. A timer,
+hard where the chip has such, counts for how long; past the limit tools go off and motors stop, at
+every beat, until the loop is back, where an exception then tells of it. Where it never comes
+back the watchdog ends it, which is fed here, as long as the link is read.
+
+A write to flash, and one to a host that does not read, may take longer: they say so first.
+"""
+
+import sys
+
+import micropython
+from machine import Timer
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
+    from interfaces import Port, StepEngine
+
+# What is shared with a link, which has it as the first of what it remembers: whether it has been
+# read since the last beat, whether the machine was stopped meanwhile, and how long, in ms, the
+# main loop has been away: from less than 0 on where that is to last.
+_TURNED = const(0)
+_STOPPED = const(1)
+_AWAY = const(2)
+
+# Beats of a hard timer, and of one that goes through MicroPython's queue of 8, not to fill it.
+_HARD_MS = const(5)
+_SOFT_MS = const(50)
+_SOFT_TIMER = const(3)  # 0 is the engine's, 1 and 2 the port's
+
+_FAILED = const(-1)
+
+
+@micropython.viper
+def count(shared: ptr32, beat_ms: int) -> int:
+    """One beat more. Returns for how many ms the main loop has been away."""
+    if shared[_TURNED]:
+        shared[_TURNED] = 0
+        shared[_AWAY] = 0
+    else:
+        shared[_AWAY] += beat_ms
+    return shared[_AWAY]
+
+
+def _nothing() -> None:
+    """In place of a watchdog."""
+
+
+class Supervisor:
+    """Watches over a link, an engine and a port. limit_ms: how long the main loop may be away."""
+
+    def __init__(self, link: "Any", engine: "StepEngine", port: "Port", limit_ms: int) -> None:
+        self._shared = link.shared
+        self._look = link.look
+        link.come_back = self.tell
+        self._halt = (port.kill, engine.stop)  # in this order
+        self._limit_ms = limit_ms
+        self._is_hard = sys.platform == "rp2"
+        self._beat_ms = _HARD_MS if self._is_hard else _SOFT_MS
+        self._timer: "Timer | None" = None
+
+    def start(self, feed: "Callable[[], None] | None") -> None:
+        """Watch from now on. feed: the watchdog's."""
+        self._feed = feed or _nothing
+        self.allow(0)
+        if self._is_hard:
+            self._timer = Timer()
+            self._timer.init(period=_HARD_MS, callback=self._beat, hard=True)
+        else:
+            self._timer = Timer(_SOFT_TIMER)
+            self._timer.init(period=_SOFT_MS, callback=self._beat)
+
+    def close(self) -> None:
+        """Watch no more."""
+        if self._timer:
+            self._timer.deinit()
+
+    def allow(self, ms: int) -> None:
+        """The main loop may be away for so much longer, this time."""
+        self._shared[_AWAY] = -ms
+
+    @micropython.native  # for it needs little stack so
+    def _beat(self, _timer: object) -> None:
+        """Interrupt. Catches all, for MicroPython would not call it again."""
+        shared = self._shared
+        try:
+            away = count(shared, self._beat_ms)
+            if away < self._limit_ms:
+                if away == 0:
+                    self._feed()
+                self._look()
+                return
+            shared[_STOPPED] = away
+        except BaseException:
+            shared[_STOPPED] = _FAILED
+        for stop in self._halt:
+            try:
+                stop()
+            except BaseException:
+                shared[_STOPPED] = _FAILED
+
+    def tell(self) -> None:
+        """The main loop is back. Raises RuntimeError, which says why the machine was stopped."""
+        away = self._shared[_STOPPED]
+        self._shared[_STOPPED] = 0
+        if away == _FAILED:
+            raise RuntimeError("the timer's interrupt has failed")
+        raise RuntimeError("the main loop was away for %d ms" % away)
