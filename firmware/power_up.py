@@ -97,6 +97,10 @@ def _hardware(board: "ModuleType") -> "tuple[StepEngine, Any]":
 
     gpio_check.check(board)
     del sys.modules["gpio_check"]
+    import needs
+
+    needs.check(board.ENGINE)
+    del sys.modules["needs"]
     if board.ENGINE == "pio":
         from gpio import GpioPort
         from pio.engine import PioEngine

@@ -12,10 +12,6 @@ read after it.
 import json
 import sys
 
-TYPE_CHECKING = False
-if TYPE_CHECKING:
-    from typing import Any
-
 
 def set_path() -> str:
     """Find the firmware and the stand-ins; returns the folder of the tree."""

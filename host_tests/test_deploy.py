@@ -386,6 +386,18 @@ def test_the_right_board_fits(made: build.Build) -> None:
     check_fit(PICO, made)
 
 
+def test_a_micropython_that_is_too_old_is_refused_before_anything_is_copied(
+    made: build.Build,
+) -> None:
+    board = FakeBoard(PICO._replace(version="1.25.0"))
+    why = "MicroPython 1.25 is too old: ENGINE pio on RP2040 wants 1.26 or newer, for timers"
+    with pytest.raises(DeployError, match=why) as refused:
+        put(board, made)
+    assert "1.28" in refused.value.todo
+    assert board.disk == SETTINGS and "restart" not in board.log
+    check_fit(PICO._replace(version="1.26.0"), made)
+
+
 def test_a_full_board_says_so_and_does_not_start_half_of_it(made: build.Build) -> None:
     board = FakeBoard(room=made.bytes // 2)
     with pytest.raises(DeployError, match=r"flash is full, at \w+") as refused:

@@ -6,6 +6,7 @@ import threading
 import time
 import tty
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from ugrbl.checkup import BAD, NOTE, OK, Finding
 from ugrbl.cli import app
 from ugrbl.settings_file import Firmware
 
+OLD_PICO = b"\r\n|rp2|Raspberry Pi Pico with RP2040|1.25.0|183000|False|\r\n>>> "
 OURS = Firmware("1.1", "h", "20261121", "Grbl", "V,15,128")
 GRBL = Firmware("1.1", "h", "20190830", "", "V,15,128")
 # A machine nothing can be said against.
@@ -174,6 +176,12 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
             "board",
             "Raspberry Pi Pico, MicroPython 1.28.0",
         ),
+        (
+            {b"\x03": b"\r\n>>> ", b"import": OLD_PICO},
+            b"",
+            "MicroPython",
+            "MicroPython 1.25 is too old: ENGINE pio on RP2040 wants 1.26",
+        ),
         ({b"\x03": b"\r\n>>> "}, b"", "firmware", "MicroPython shows its prompt; no Grbl runs"),
         ({}, b"rst:0x3 (SW_RESET)\r\n", "firmware", "an ESP32 that starts over and over"),
         ({}, b"echo:Marlin 2.1\r\n", "firmware", "Marlin"),
@@ -208,6 +216,13 @@ def test_a_board_at_its_prompt_tells_its_free_memory(monkeypatch: pytest.MonkeyP
     impostor.join()
     assert found["memory"][0]["text"] == "178 kB are free"
     assert "main.py has ended" in found["firmware"][0]["todo"]
+
+
+def test_a_ctrl_x_that_is_heard_late_is_told_of() -> None:
+    (finding,) = checkup.link(replace(OURS, name="Grbl pio 100000Hz slow-reset SHED"))
+    assert finding.verdict == NOTE and "Ctrl-X" in finding.text and "1.28" in finding.todo
+    assert checkup.link(replace(OURS, name="Grbl pio 100000Hz SHED")) == []
+    assert checkup.link(replace(GRBL, name="slow-reset")) == []
 
 
 def test_a_port_that_is_not_there_is_named() -> None:

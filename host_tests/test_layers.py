@@ -10,7 +10,7 @@ FIRMWARE = Path(__file__).parent.parent / "firmware"
 
 # A module imports from lower lines only, never from its own. A new module gets its place here.
 LAYERS = (
-    {"errors", "axes", "f32", "reals"},
+    {"errors", "axes", "f32", "reals", "needs"},
     {"words", "lines", "arcs", "digits", "kernels"},
     {"state", "settings", "coords", "singles"},
     {"block", "planner", "segments", "spindle", "coolant", "inputs"},

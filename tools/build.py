@@ -49,10 +49,11 @@ class BuildError(Exception):
 
 @dataclass
 class Build:
-    """Files by their path on the board."""
+    """Files by their path on the board. engine: the board file's; "" where it is for none."""
 
     arch: str
     files: dict[str, bytes] = field(default_factory=dict)
+    engine: str = ""
 
     @property
     def bytes(self) -> int:
@@ -162,6 +163,7 @@ def for_board(file: Path, progress: Callable[[str, int], None] = lambda name, si
     """What belongs on the board of that file. BuildError before anything is compiled."""
     board: Any = load_board(file)
     made = compile_all(board.MPY_ARCH, board, progress)
+    made.engine = board.ENGINE
     made.files[BOARD] = file.read_bytes()
     progress(BOARD, len(made.files[BOARD]))
     return made

@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 
+from .paths import use_firmware
 from .settings_file import AXES, Firmware
 
 OK, NOTE, BAD = "ok", "note", "bad"
@@ -16,6 +17,10 @@ _IDENTITY = re.compile(r"Grbl(?: (pio|i2s|rmt|sim))?(?: (\d+)Hz)?\b")
 # What Grbl 1.1h has from the factory, and hardly any machine wants.
 _STOCK = {100: 250.0, 110: 500.0, 120: 10.0, 130: 200.0}
 _LONG_RAMP_S = 2.0
+
+NEW_MICROPYTHON = "put MicroPython 1.28 on the board: micropython.org/download"
+# What the firmware calls itself besides where it has to read USB the plain way.
+_SLOW_RESET = "slow-reset"
 
 PINS = {
     "X": "limit switch X",
@@ -59,6 +64,35 @@ def firmware(found: Firmware, ours: str) -> Finding:
         todo = f"this computer has the build of {ours}: deploy it"
         return Finding(what, NOTE, f"{text} is older than what is here", todo)
     return Finding(what, OK, text)
+
+
+def link(found: Firmware) -> list[Finding]:
+    """Whether Ctrl-X acts while the firmware is busy."""
+    if not is_ours(found) or _SLOW_RESET not in found.name.split():
+        return []
+    text = "this MicroPython keeps what comes over USB in a place we do not know: Ctrl-X is heard "
+    text += "at the firmware's next turn only, and the welcome is not sent when a port opens"
+    return [Finding("USB", NOTE, text, NEW_MICROPYTHON)]
+
+
+def too_old(engine: str, board: str, version: str) -> str:
+    """Why the engine cannot run with this MicroPython on that board; "" where it can."""
+    use_firmware()
+    import needs
+
+    numbers = tuple(int(number) for number in re.findall(r"\d+", version)[:2])
+    return needs.missing(engine, board, numbers) if len(numbers) == 2 else ""
+
+
+def micropython(board: str, version: str) -> list[Finding]:
+    """Whether a MicroPython that shows its prompt is new enough for our engines."""
+    use_firmware()
+    import needs
+
+    reasons = [too_old(engine, board, version) for engine in needs.engines(board)]
+    bad = [reason for reason in reasons if reason]
+    verdict = BAD if len(bad) == len(reasons) else NOTE
+    return [Finding("MicroPython", verdict, reason, NEW_MICROPYTHON) for reason in bad]
 
 
 def is_ours(found: Firmware) -> bool:

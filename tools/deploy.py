@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple, Protocol
 
-from . import build
+from . import build, checkup
 from .build import BOARD, START, Build, digest
 
 # Checksums and paths, as sha256sum writes them.
@@ -157,6 +157,9 @@ def check_fit(about: About, made: Build) -> None:
             f"makes {ours}",
             todo,
         )
+    too_old = checkup.too_old(made.engine, about.machine, about.version)
+    if too_old:
+        raise DeployError(too_old, checkup.NEW_MICROPYTHON)
     arch = about.mpy >> 10 & 0xF
     found = _ARCHS[arch] if arch < len(_ARCHS) else f"code number {arch}"
     if found != made.arch:

@@ -71,6 +71,7 @@ class Doctor:
         self.add(Finding("port", OK, f"a Grbl answers on {port}"))
         settings = sync.pull(connection)
         self.add(checkup.firmware(settings.firmware, _our_build()))
+        self.add(*checkup.link(settings.firmware))
         self._state(connection)
         values = _numbers(settings)
         self.add(*checkup.settings(values, settings.firmware))

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import serial
 
+from . import checkup
 from .checkup import BAD, NOTE, OK, PINS, Finding
 from .messages import meaning
 from .send import BAUD, Connection, SendError
@@ -98,6 +99,7 @@ def _idle_board(found: re.Match[str] | None) -> list[Finding]:
     if found:
         board = Board(found[1], found[2], found[3], int(found[4]), found[5] == "True")
         findings.append(Finding("board", OK, f"{board.name}, MicroPython {board.version}"))
+        findings += checkup.micropython(board.name, board.version)
         findings.append(Finding("memory", OK, f"{board.free_bytes // 1024} kB are free"))
         if board.has_program:
             todo = "its main.py has ended or failed: press its reset button, then look again"
