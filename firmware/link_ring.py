@@ -55,7 +55,7 @@ def _find(memory: ptr32, start: int, trial: ptr8, length: int) -> int:
 
 
 @micropython.viper
-def _find_line(memory: ptr32) -> int:
+def find_line(memory: ptr32) -> int:
     """Address of line_state, or 0."""
     for i in range(_MEMORY_WORDS - 3 * _FIFO_WORDS_MOST):
         here = _MEMORY + 4 * (i + _FIFOS)
@@ -94,4 +94,4 @@ def find(
     if text:
         push(text)
     at[_RING] = found
-    at[_LINE] = _find_line(_MEMORY)
+    at[_LINE] = find_line(_MEMORY)

@@ -33,6 +33,11 @@ _NAP_NS = 80  # a tick of our pulse engine
 _BEAT_NS = 4_000
 _PIO_STEP = 8  # processor cycles
 
+# Commands of a flash chip, and what its status says.
+_READ_STATUS = 0x05
+_ERASES = (b"\x20", b"\xd8")
+_BUSY = 1
+
 
 class Edge(NamedTuple):
     """A pin has changed."""
@@ -85,6 +90,10 @@ class _Usb:
         self._polled: tuple[int, int] | None = None
         self._answer = pico.device.mcu.usb_ctrl.on_endpoint_read
         self._alarm = pico.clock.create_alarm(self._push)
+        self._reads = True
+        self._unread: list[int] = []
+        self._tell_sent = pico.device.mcu.usb_ctrl._indicate_buffer_ready
+        pico.device.mcu.usb_ctrl._indicate_buffer_ready = self._sent
         self._cdc.on_serial_data = self.received.extend
         self._cdc.on_device_connected = self._on_connected
         pico.device.mcu.usb_ctrl.on_endpoint_read = self._on_poll
@@ -99,6 +108,28 @@ class _Usb:
         """A program opens or closes the port: its DTR tells."""
         self._cdc._cdc_set_control_line_state(3 if is_open else 0)
 
+    def ask(self, line_state: int | None) -> None:
+        """One control request: SET_CONTROL_LINE_STATE (1: DTR, 2: RTS), or SET_LINE_CODING."""
+        if line_state is None:
+            self._cdc.set_line_coding(115200)
+        else:
+            self._cdc._cdc_set_control_line_state(line_state)
+
+    def read(self, on: bool) -> None:
+        """The host takes what the chip sends, or lets it wait."""
+        self._reads = on
+        if on:
+            sent, self._unread = self._unread, []
+            for endpoint in sent:
+                self._tell_sent(endpoint, False)
+
+    def _sent(self, endpoint: int, out: bool) -> None:
+        """A buffer is ready for the chip: bytes that have come, or room for more to go."""
+        if out or self._reads or endpoint != self._cdc._in_endpoint:
+            self._tell_sent(endpoint, out)
+        else:
+            self._unread.append(endpoint)
+
     def waiting(self) -> int:
         """Bytes the chip has not taken yet."""
         return len(self._pending) + self._cdc.tx_fifo.item_count
@@ -108,6 +139,7 @@ class _Usb:
 
     def _forget(self) -> None:
         self._polled = None
+        self._unread = []
 
     def _on_poll(self, endpoint: int, size: int) -> None:
         if endpoint != self._cdc._out_endpoint or endpoint <= 0:
@@ -184,6 +216,7 @@ class Pico:
         self.clock = self.simulator.clock
         self.usb = _Usb(self)
         self.edges: list[Edge] = []
+        self.on_erase: Callable[[], None] = lambda: None  # a sector of flash, where it takes time
         self._stop = self.clock.create_alarm(self._on_stop)
         self._beat = self.clock.create_alarm(self._on_beat)
         if files is not None:
@@ -263,6 +296,26 @@ class Pico:
             gpio.set_input_value(bool(level))
 
     # Flash
+
+    def erase_takes_us(self, us: float) -> None:
+        """From now on every sector erased takes the chip so long: rp2040py does it in no time."""
+        ssi, clock = self.mcu.ssi, self.clock
+        shift, apply = type(ssi)._shift_byte, type(ssi)._apply_command
+        busy_until = 0.0
+
+        def shift_byte(byte: int) -> int:
+            answer = int(shift(ssi, byte))
+            asked = len(ssi._tx_buffer) > 1 and ssi._tx_buffer[0] == _READ_STATUS
+            return answer | _BUSY if asked and clock.nanos < busy_until else answer
+
+        def apply_command() -> None:
+            nonlocal busy_until
+            if ssi._tx_buffer[:1] in _ERASES and ssi._write_enabled:
+                busy_until = clock.nanos + us * _NS_PER_US
+                self.on_erase()
+            apply(ssi)
+
+        ssi._shift_byte, ssi._apply_command = shift_byte, apply_command
 
     def put_file_system(self, image: bytes) -> None:
         """Replace the file system."""

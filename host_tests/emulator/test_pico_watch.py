@@ -1,9 +1,10 @@
 """Watched on the emulated Pico: a main loop that hangs, a port that opens, flash, a deaf host."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from emulated import ENABLE, SPINDLE_PWM, STEP, Board, steps
+from emulated import ENABLE, LIMIT, SPINDLE_PWM, STEP, Board, steps
 
 pytestmark = pytest.mark.xdist_group("pico watch")
 
@@ -16,10 +17,8 @@ import time
 
 import commands
 import power_up
-import store_flash
 
 usual = commands.Commands.execute
-replace = store_flash.FlashStore._replace
 
 
 def execute(self, line, length):
@@ -33,12 +32,6 @@ def execute(self, line, length):
             pass
     else:
         usual(self, line, length)
-
-
-def slow(self, path, kept):
-    # As slow as a chip's flash: the emulator's takes no time.
-    time.sleep_ms(400)
-    replace(self, path, kept)
 
 
 commands.Commands.execute = execute
@@ -94,3 +87,139 @@ def test_it_works_again_after_that_and_a_shorter_time_is_no_fault(machine: Board
     machine.send("\x18")
     machine.wait_for("Grbl 1.1h")
     machine.ask("$X")
+
+
+def test_a_host_that_does_not_read_stops_no_motion(machine: Board) -> None:
+    moving(machine)
+    machine.pico.usb.read(False)
+    machine.send("$$\n")
+    machine.pico.edges.clear()
+    machine.pico.run_us(900_000)
+    assert steps(machine.pico.edges, 0)[-1][0] > machine.pico.us - 2_000
+    machine.pico.usb.read(True)
+    machine.pico.run_us(50_000)
+    assert machine.status()["state"] == "Run"
+    machine.send("\x18")
+    machine.wait_for("Grbl 1.1h")
+    machine.ask("$X")
+
+
+# What opens and closes a port, request by request: SET_LINE_CODING is None, others are levels of
+# DTR (1) and RTS (2). Linux: cdc-acm, which sends the coding first, then what pyserial sets anew.
+_REOPENED: "dict[str, tuple[list[int | None], list[int | None]]]" = {
+    "Linux": ([0], [None, 3]),
+    "Linux, pyserial": ([0], [None, 3, None, 3, None]),
+    "Linux, coding last": ([0], [3, None]),
+    "Windows": ([1, 0], [0, None, 1, 3, None]),
+    "macOS": ([0], [3, None, None]),
+    "coding behind the end": ([0, None], [3]),
+}
+
+
+def opens_again(machine: Board, closing: "list[int | None]", opening: "list[int | None]") -> int:
+    """How many welcomes there are for that."""
+    machine.forget()
+    for requests in (closing, opening):
+        for request in requests:
+            machine.pico.usb.ask(request)
+            machine.pico.run_us(300)  # all within one look of the firmware's
+        machine.pico.run_us(20_000)
+    machine.pico.run_us(30_000)
+    return machine.said.count("Grbl 1.1h")
+
+
+@pytest.mark.parametrize("system", list(_REOPENED))
+def test_a_sender_is_welcomed_whatever_its_system_sends_first(machine: Board, system: str) -> None:
+    assert opens_again(machine, *_REOPENED[system]) == 1
+    assert machine.ask("G90") == "ok\r\n"
+
+
+def test_a_sender_that_sets_its_speed_anew_is_not_welcomed_again(machine: Board) -> None:
+    assert opens_again(machine, [None], [3, None]) == 0
+
+
+def pulses(machine: Board, since_us: float) -> "list[float]":
+    """When the spindle's PWM has risen."""
+    edges = (e for e in machine.pico.edges if e.pin == SPINDLE_PWM and e.level)
+    return [e.ns / 1000 for e in edges if e.ns / 1000 > since_us]
+
+
+_ERASE_US = 45_000
+
+
+def saves(machine: Board, until: "Callable[[list[float]], bool]") -> "list[float]":
+    """Save offsets until that is so; most saves find room in a sector erased before. Returns when
+    each erasure began."""
+    begins: list[float] = []
+    machine.pico.erase_takes_us(_ERASE_US)
+    machine.pico.on_erase = lambda: begins.append(machine.pico.us)
+    for x in range(40):
+        machine.forget()
+        machine.send(f"G10 L2 P1 X{x}\n")
+        machine.pico.run_until(
+            lambda: until(begins) or "ok\r\n" in machine.said, 3_000_000, step_us=50
+        )
+        if until(begins):
+            break
+    machine.pico.on_erase = lambda: None
+    assert until(begins)
+    return begins
+
+
+def test_a_laser_is_off_while_flash_is_written_and_on_again_behind_it(machine: Board) -> None:
+    for line in ("$32=1", "G91", "M3 S500", "G1 X0.1 F600"):
+        machine.ask(line)
+    machine.until_idle()
+    machine.pico.edges.clear()
+    machine.pico.run_us(5_000)
+    assert pulses(machine, 0)  # it burns at rest, as M3 does
+    begins = saves(machine, lambda begins: bool(begins) and "ok\r\n" in machine.said)
+    behind = machine.pico.us
+    machine.pico.run_us(5_000)
+    end = begins[-1] + _ERASE_US
+    assert not [us for us in pulses(machine, begins[-1] - 500) if us < end]
+    assert pulses(machine, behind)
+    machine.ask("M5")
+
+
+def test_what_comes_while_flash_is_erased_is_heard_behind_it(machine: Board) -> None:
+    """A limit switch, with the spindle on; and a byte. Late, but not lost."""
+    for line in ("$32=0", "$21=1", "M3 S500"):
+        machine.ask(line)
+    (hit,) = saves(machine, bool)
+    machine.pico.drive(LIMIT[0], 0)
+    machine.forget()
+    machine.send("?")
+    machine.wait_for("ALARM:1\r\n")
+    machine.pico.run_us(20_000)
+    assert pulses(machine, hit)  # deaf so long
+    assert pulses(machine, hit)[-1] - hit < _ERASE_US + 2_000
+    machine.pico.drive(LIMIT[0], 1)
+    machine.pico.erase_takes_us(0)
+    machine.send("\x18")
+    machine.wait_for("Grbl 1.1h")
+    machine.ask("$X")
+    machine.ask("$21=0")
+
+
+# MicroPythons whose memory is another one.
+
+
+def test_without_the_control_lines_the_last_request_tells_of_a_port_that_opens(uf2: Path) -> None:
+    hidden = b"import link_ring\nlink_ring.find_line = lambda memory: 0\n"
+    machine = Board(uf2, {"main.py": hidden + _MAIN}).boot().settled()
+    for orders in _REOPENED.values():
+        if orders[0][-1] == 0:  # or the last request says that it is open
+            assert opens_again(machine, *orders) == 1
+    assert opens_again(machine, [None], [3, None]) == 0
+    assert "slow-reset" not in machine.ask("$I")
+
+
+def test_without_the_ring_it_talks_and_says_that_a_reset_is_heard_late(uf2: Path) -> None:
+    hidden = b"import link_ring\nlink_ring.find = lambda at, drain, take: None\n"
+    machine = Board(uf2, {"main.py": hidden + _MAIN}).boot().settled()
+    assert "[VER:1.1h." in machine.ask("$I") and " slow-reset]" in machine.said
+    machine.pico.record([*STEP, SPINDLE_PWM])
+    moving(machine)
+    machine.send("$BUSY=400\n")
+    machine.wait_for("the main loop was away for ")
