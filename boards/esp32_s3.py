@@ -20,8 +20,8 @@ SPINDLE_DIR = 8
 FLOOD = 1
 NO_PULL_UP = ()
 
-# As on the ESP32, see esp32_devkit.py; but a channel holds 47 steps, so that motion stands still for
-# a moment every 8 ms at this rate.
+# As on the ESP32, see esp32_devkit.py; but a channel holds 47 steps, so that motion stands still
+# for a moment every 8 ms at this rate.
 MAX_STEP_RATE_HZ = 5000
 
 RX_BYTES = 128

@@ -144,10 +144,12 @@ class SimEngine:
                 self.prepare()
             self._start = self.now
             self._refill()
-            if self._held and not self._stopped:
+            if self._held:
                 self._running = True
                 self.starts += 1
                 self._begin()
+            if self._stopped:
+                self.stop()  # meanwhile
 
     def stop(self) -> None:
         self._stopped = True
@@ -259,6 +261,8 @@ class SimEngine:
         else:
             self._running = False
             self._on_rest()
+        if self._stopped:
+            self.stop()  # meanwhile
 
     def _finish(self, ticks: int) -> None:
         """Account for the steps made in the running segment, which ends after `ticks`."""

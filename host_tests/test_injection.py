@@ -1,0 +1,258 @@
+"""Whatever comes, and whenever it comes: nothing moves and nothing turns behind it.
+
+A scenario is played again and again on the simulated machine; each time, at another bytecode of
+the functions in question, a switch closes, a button is pressed, a reset arrives. `make torture`
+takes every bytecode, `make test` some of each.
+"""
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from types import CodeType, FrameType
+from typing import Any
+
+import kernels
+import pytest
+from controller import Controller
+from coolant import Coolant
+from cycles import Cycles
+from motion import Motion
+from planner import Planner
+from realtime import Realtime
+from rig_bench import Machine
+from settings import Settings
+from spindle import Spindle
+from suspension import Suspension
+from ugrbl.sim.engine import SimEngine, Switch
+from ugrbl.sim.port import SimPort
+
+_EVERY = os.environ.get("UGRBL_TORTURE") is not None
+_SAMPLES = 40
+_BEFORE_MS = 600  # how long a scenario is looked at
+_FAST = {110: 3000, 111: 3000, 112: 3000, 120: 500, 121: 500, 122: 500}
+
+
+class Injector:
+    """Calls action at bytecode number `at` of these functions; counts them where at is -1."""
+
+    def __init__(
+        self, functions: "tuple[Any, ...]", at: int = -1, action: Callable[[], None] = lambda: None
+    ) -> None:
+        self._codes: set[CodeType] = {function.__code__ for function in functions}
+        self._at = at
+        self._action = action
+        self.count = 0
+
+    def __enter__(self) -> "Injector":
+        sys.settrace(self._on_call)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        sys.settrace(None)
+
+    def _on_call(self, frame: FrameType, _event: str, _argument: object) -> Any:
+        if frame.f_code not in self._codes:
+            return None
+        frame.f_trace_opcodes = True
+        frame.f_trace_lines = False
+        return self._on_opcode
+
+    def _on_opcode(self, _frame: FrameType, event: str, _argument: object) -> Any:
+        if event == "opcode":
+            if self.count == self._at:
+                self._action()
+            self.count += 1
+        return self._on_opcode
+
+
+@dataclass
+class Scenario:
+    """Lines that are sent, and the functions that are interrupted meanwhile."""
+
+    name: str
+    lines: str
+    functions: "tuple[Any, ...]"
+    settings: "dict[int, float]" = field(default_factory=dict)
+    byte: str = ""  # a real-time byte in the middle
+    homes: bool = False
+
+
+SCENARIOS = (
+    Scenario(
+        "start",
+        "M8 G91 G1X4F900",
+        (Realtime.start, Realtime.power, Realtime._cycle_start, SimEngine.start, SimPort.enable),
+    ),
+    Scenario(
+        "set_power",
+        "M3S500 G91 G1X1F900 G1X1S900",
+        (Spindle.set_power, Spindle.turn, Spindle.power, SimPort.spindle, Motion.spin),
+        {32: 1},
+    ),
+    Scenario(
+        "turn",
+        "M4S300 M8 M3S800 M9 M8 G91G1X2F900 M5",
+        (Spindle.turn, Spindle.stop, Coolant.set, SimPort.coolant, Motion.cool),
+    ),
+    Scenario(
+        "refill",
+        "M3S400 M8 G91 G1X0.3F900 G1Y0.2 G1X-0.3",
+        (kernels.fill, Spindle.set_power, Spindle.rest, Motion.make, Planner.line),
+    ),
+    Scenario(
+        "hold",
+        "M3S400 M8 G91 G1X6F1500",
+        (Realtime._holds, Realtime._slow_down, Realtime._cycle_stop, Suspension.begin),
+        byte="!",
+    ),
+    Scenario(
+        "reset",
+        "M3S400 M8 G91 G1X6F1500",
+        (Realtime.reset, Realtime.release, Controller._reset, Controller._greet, Realtime.arm),
+        byte="\x18",
+    ),
+    Scenario(
+        "probing",
+        "M3S400 M8 G91 G38.3X3F900",
+        (Cycles.probe, Cycles._on_contact, Cycles._report_probe),
+    ),
+    Scenario(
+        "saving",
+        "M3S400 M8 $110=2900 G10L2P1X1 $N0=G54",
+        (Settings.set, Settings.save, Spindle.configure, Controller.configure),
+    ),
+    Scenario(
+        "homing",
+        "$H",
+        (Cycles.home, Cycles._home, Cycles._home_phase, Cycles._failed, Cycles._lock),
+        {22: 1, 23: 7, 24: 600, 25: 1500, 26: 5, 27: 1},
+        homes=True,
+    ),
+)
+
+
+class Trial:
+    """One play of a scenario. act: what happens at bytecode `at` of its functions."""
+
+    def __init__(self, scenario: Scenario, at: int, act: str) -> None:
+        self._scenario = scenario
+        self._act = act
+        self.machine = Machine({**_FAST, 21: 1, **scenario.settings}, watched=False)
+        self._injector = Injector(scenario.functions, at, self._inject)
+        self.bytecodes = 0
+        self._place: "list[int] | None" = None
+
+    def run(self) -> None:
+        """Play, look whether the laws hold, and put the machine to work again."""
+        self.machine.run(self._script())
+
+    def _inject(self) -> None:
+        """This is where an interrupt would come."""
+        rig = self.machine.rig
+        if self._act in ("limit_x", "reset"):
+            rig.port.push({self._act: True})
+        else:
+            rig.controller.realtime.post(ord(self._act))
+        self._place = self.machine.physical()
+
+    def _script(self) -> Iterator[Any]:
+        machine, scenario = self.machine, self._scenario
+        rig = machine.rig
+        yield from machine.start()
+        if scenario.homes:
+            rig.engine.switches += [
+                Switch(f"limit_{n}", i, False, -900) for i, n in enumerate("xyz")
+            ]
+            yield from self._ask("$X")
+        with self._injector:
+            for line in scenario.lines.split():
+                if self._place is None:  # what comes behind a reset is for the machine to do
+                    rig.link.send(line.encode() + b"\n")
+                yield rig.ms(20)
+            if scenario.byte:
+                rig.link.send(scenario.byte.encode("latin-1"))
+            until = rig.ms(_BEFORE_MS * (10 if scenario.homes else 1))
+            while rig.now < until and self._place is None:
+                yield rig.ms(2)
+            yield rig.ms(30)
+        self.bytecodes = self._injector.count
+        if self._place is not None:
+            yield from self._check()
+
+    def _check(self) -> Iterator[Any]:
+        """Not one step more, all outputs off; and the reset that follows makes it work again."""
+        machine = self.machine
+        rig, port = machine.rig, machine.rig.port
+        yield rig.ms(200)
+        where = f"{self._scenario.name}, {self._act}, bytecode {self._injector.count}"
+        assert machine.physical() == self._place, f"it moved on: {where}"
+        outputs = (port.spindle_on, port.spindle_pwm, port.flood, port.mist)
+        assert outputs == (False, 0, 0, 0), f"outputs are on: {where}"
+        rig.engine.switches.clear()
+        port.push({"limit_x": False, "reset": False})
+        yield from self._ask("\x18", "Grbl 1.1h")
+        yield from self._ask("$X")
+        assert not rig.moving(), where
+        before = machine.physical()
+        yield from self._ask("G1F900M3S700")
+        assert port.spindle_on, f"the spindle is dead: {where}"
+        yield from self._ask("G91G21G94G1X1F900")
+        yield from machine.rest()
+        moved = [after - was for after, was in zip(machine.physical(), before, strict=True)]
+        assert moved == [250, 0, 0], f"the motors are dead: {where}"
+        assert port.spindle_on, f"the spindle has stopped: {where}"
+
+    def _ask(self, line: str, answer: str = "ok") -> Iterator[Any]:
+        rig, machine = self.machine.rig, self.machine
+        machine.take()
+        rig.link.send(line.encode("latin-1") + (b"" if line == "\x18" else b"\n"))
+        until = rig.ms(2000)
+        said: list[str] = []
+        while not any(text.startswith(answer) for text in said):
+            assert rig.now < until, f"{line!r} is answered by {said} in {self._scenario.name}"
+            yield rig.ms(5)
+            said += machine.take()
+
+
+def bytecodes(scenario: Scenario) -> int:
+    """How many of them there are to come in between."""
+    trial = Trial(scenario, -1, "")
+    trial.run()
+    return trial.bytecodes
+
+
+@pytest.mark.parametrize("act", ["limit_x", "reset", "\x18"], ids=["limit", "button", "Ctrl-X"])
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.name)
+def test_nothing_moves_or_turns_behind_a_stop(scenario: Scenario, act: str) -> None:
+    if scenario.homes and act == "limit_x":
+        pytest.skip("homing wants the switches for itself")
+    total = bytecodes(scenario)
+    assert total > _SAMPLES, "the functions are not called"
+    # Another phase for each, so that all together see more.
+    phase = len(scenario.name) + len(act)
+    step = 1 if _EVERY else max(1, total // _SAMPLES)
+    for at in range(0 if _EVERY else phase % step, total, step):
+        Trial(scenario, at, act).run()
+
+
+def test_a_stop_that_does_not_hold_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What this file is worth: the machine as it was."""
+    start = SimEngine.start
+
+    def start_anyway(engine: SimEngine) -> None:
+        engine.arm()
+        start(engine)
+
+    monkeypatch.setattr(SimEngine, "start", start_anyway)
+    with pytest.raises(AssertionError, match="it moved on"):
+        for at in range(40):
+            Trial(SCENARIOS[0], at, "limit_x").run()
+
+
+def test_a_tool_that_is_not_killed_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(SimPort, "kill", lambda _port: None)
+    scenario = SCENARIOS[1]
+    with pytest.raises(AssertionError, match="outputs are on"):
+        for at in range(0, bytecodes(scenario), 5):
+            Trial(scenario, at, "limit_x").run()
