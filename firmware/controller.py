@@ -5,7 +5,6 @@ from array import array
 import errors
 import spindle as sp
 import state as st
-from errors import Abort
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -95,19 +94,8 @@ class Controller:
 
     # Life
 
-    def run(self) -> None:
-        """From power up, for ever."""
-        self._power_up()
-        while True:
-            self._reset()
-            self.realtime.settle()
-            try:
-                self._greet()
-                self.protocol.run()
-            except Abort:
-                continue
-
-    def _power_up(self) -> None:
+    def power_up(self) -> None:
+        """Take in what is kept, and hear of what comes. Then protocol.run() is its life."""
         self.engine.attach(self.segments.next, self.spindle.set_power, self.spindle.rest)
         if not self._loads(self.settings.load):
             # As Grbl: say so, show what holds now.
@@ -129,6 +117,12 @@ class Controller:
         except OSError:
             self.report.message(errors.MSG_NOT_KEPT)
             return False
+
+    def restart(self) -> None:
+        """What a soft reset does, and power-up at last. Raises Abort where another one comes."""
+        self._reset()
+        self.realtime.settle()
+        self._greet()
 
     def _reset(self) -> None:
         state = self.state

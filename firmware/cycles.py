@@ -93,7 +93,8 @@ class Cycles:
             self._motion.service()
             return False
         self._contact = False
-        self._motion.make(target, move)
+        self._motion.line(target, move)
+        self._motion.finish()
         self._port.watch_probe(self._on_contact, self._inputs.contact_level(away))
         state.post(st.CYCLE_START)
         self._motion.service()

@@ -261,7 +261,8 @@ class UsbLink:
         if at[_LENGTH]:
             self._turns += 1
             if self._turns >= _QUIET_TURNS:
-                self._flush()
+                self._turns, length, at[_LENGTH] = 0, at[_LENGTH], 0
+                self._send(self._waiting_out, length)
         if at[_FULL]:
             at[_FULL] = 0
             self._waiting()  # to ask fills the ring

@@ -2,4 +2,4 @@
 
 import power_up
 
-machine = power_up.main()  # comes to an end for the prompt, where one may look at it
+machine = power_up.live(power_up.build())  # ends at the prompt, where one may look at it

@@ -119,42 +119,42 @@ class Motion:
 
     def finish(self) -> None:
         """Make what has been asked for."""
+        state = self._state
         while self._left:
-            chord = self._lines - self._left + 1
-            self._left -= 1
-            if self._left:
-                self._arc.point(chord, self._point)
-                self.make(self._point, self._move)
-            else:
-                self.make(self._target, self._move)
+            move = self._move
+            target = self._next_target()
+            found = judge(target, self.travel, self._flow)
+            if found & _OUTSIDE and self._settings.soft_limits and state.run != st.JOG:
+                self._soft_limit()
+            if state.run == st.CHECK:
+                continue
+            self.service()
+            while found & _FULL:
+                self.auto_start()
+                self.service()
+                found = judge(target, self.travel, self._flow)
+            self.power = self._power(move)
+            if not self.planner.line(target, move, self.power) and self._spindle.laser:
+                # A laser's S takes effect even where there is no way to go.
+                if move.flags & plan.SPINDLE_CW:
+                    self.spin(plan.SPINDLE_CW, move.spindle_rpm)
         if self._is_jog:
             self._is_jog = False
-            if self._state.run == st.IDLE and not self.planner.empty():
+            if state.run == st.IDLE and not self.planner.empty():
                 self._realtime.start(st.JOG)
+
+    def _next_target(self) -> "array[float]":
+        """Where the next of the lines asked for ends."""
+        self._left -= 1
+        if self._left == 0:
+            return self._target
+        self._arc.point(self._lines - self._left, self._point)
+        return self._point
 
     def forget(self) -> None:
         """Nothing has been asked for."""
         self._left = 0
         self._is_jog = False
-
-    def make(self, target: "array[float]", move: "Move") -> None:
-        """A straight line, at once; waits for room in the planner."""
-        found = judge(target, self.travel, self._flow)
-        state = self._state
-        if found & _OUTSIDE and self._settings.soft_limits and state.run != st.JOG:
-            self._soft_limit()
-        if state.run == st.CHECK:
-            return
-        self.service()
-        while found & _FULL:
-            self.auto_start()
-            self.service()
-            found = judge(target, self.travel, self._flow)
-        self.power = self._power(move)
-        if not self.planner.line(target, move, self.power) and self._spindle.laser:
-            # A laser's S takes effect even where there is no way to go.
-            if move.flags & plan.SPINDLE_CW:
-                self.spin(plan.SPINDLE_CW, move.spindle_rpm)
 
     def jog(self, target: "array[float]", move: "Move") -> None:
         """A line that starts at once, and that a hold would cancel. Made by finish()."""

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from controller import Controller
     from interfaces import StepEngine
 
+    Parts = tuple[Controller, Any, Any, StepEngine, Supervisor]
+
 _RESET = const(0x18)
 _QUESTION = const(0x3F)
 _LONGEST = const(120)
@@ -46,8 +48,8 @@ _SLOW_RESET = " slow-reset"
 _FLASH_MS = const(2500)
 
 
-def main() -> "Controller | None":
-    """Run the machine of board.py, for ever or until the REPL is asked for; returns it."""
+def build() -> "Parts | None":
+    """Make the machine of board.py; None where there cannot be one, or the REPL is asked for."""
     link: "Any" = None
     port: "Any" = None
     watch: "Any" = None
@@ -71,9 +73,7 @@ def main() -> "Controller | None":
     finally:
         sys.path[:] = path
     watch.start(port.watch(getattr(board, "WATCHDOG_MS", _WATCHDOG_MS)))
-    _run(machine, link, port, engine)
-    watch.close()
-    return machine
+    return machine, link, port, engine, watch
 
 
 # Parts
@@ -173,24 +173,32 @@ def _around_saves(
 # Life
 
 
-def _run(machine: "Controller", link: "Any", port: "Any", engine: "StepEngine") -> None:
+def live(parts: "Parts | None") -> "Controller | None":
+    """Run the machine, for ever or until the REPL is asked for; returns it. main.py calls this
+    and not build() does, for an interrupt needs what the stack has left."""
+    if parts is None:
+        return None
+    machine, link, port, engine, watch = parts
     fault: "Exception | None" = None
     while True:
         try:
             if fault:
                 _alarm(machine, link, fault)
-            machine.run()
+            machine.power_up()
+            machine.protocol.run()
         except KeyboardInterrupt:
             fault = None
         except Exception as unforeseen:
             fault = unforeseen
-        engine.stop()
         port.safe()
+        engine.stop()
         if fault is None:
             break
     port.watch(0)
     link.write(b"[MSG:Here is the REPL]\r\n")
     link.close()
+    watch.close()
+    return machine
 
 
 def _alarm(machine: "Controller", link: "Any", fault: Exception) -> None:

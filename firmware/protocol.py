@@ -15,6 +15,8 @@ from report import OK
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from commands import Commands
     from gcode import Gcode
     from interfaces import Link
@@ -43,9 +45,15 @@ class Protocol:
         self._feed = reader.feed
 
     def connect(
-        self, realtime: "Realtime", gcode: "Gcode", commands: "Commands", motion: "Motion"
+        self,
+        realtime: "Realtime",
+        gcode: "Gcode",
+        commands: "Commands",
+        motion: "Motion",
+        restart: "Callable[[], None]",
     ) -> None:
-        """Say who executes lines."""
+        """Say who executes lines, and who makes the machine ready for them."""
+        self._restart = restart
         self._realtime = realtime
         self._gcode = gcode
         self._commands = commands
@@ -65,7 +73,7 @@ class Protocol:
             self._realtime.suspended()
 
     def run(self) -> None:
-        """Execute lines until Abort."""
+        """Execute lines for ever; a reset begins anew. The stack is short: no frame to spare."""
         reader = self._reader
         state = self._state
         pending = state.pending
@@ -77,24 +85,29 @@ class Protocol:
         echoes = self._echoes
         every_other = False
         while True:
-            found = take()
-            if found == NOTHING:
-                pump()
-                if not reader.waiting():
-                    self._motion.auto_start()
-                self._realtime.run()
+            try:
+                self._restart()
+                while True:
+                    found = take()
+                    if found == NOTHING:
+                        pump()
+                        if not reader.waiting():
+                            self._motion.auto_start()
+                        self._realtime.run()
+                        continue
+                    if pending[st.ANY] or state.suspend or state.alarm:
+                        self._realtime.run()
+                    if found & LINE == 0:
+                        self._report.error(errors.OVERFLOW)
+                    elif state.run & _LOCKED == 0 and not echoes and follow(line, found >> 2):
+                        write(ok)
+                        every_other = not every_other
+                        if every_other:
+                            pump()
+                    else:
+                        self.execute(line, found >> 2)
+            except Abort:
                 continue
-            if pending[st.ANY] or state.suspend or state.alarm:
-                self._realtime.run()
-            if found & LINE == 0:
-                self._report.error(errors.OVERFLOW)
-            elif state.run & _LOCKED == 0 and not echoes and follow(line, found >> 2):
-                write(ok)
-                every_other = not every_other
-                if every_other:
-                    pump()
-            else:
-                self.execute(line, found >> 2)
 
     @micropython.native  # its call frame is on the stack then, not on the heap
     def execute(self, line: bytearray, length: int, before: bytes = b"") -> None:

@@ -291,7 +291,7 @@ def _connect(machine: Controller) -> None:
     realtime.connect(machine.port, pump, gcode, resync, machine.suspension)
     machine.suspension.connect(realtime, gcode, machine.port, position)
     machine.commands.connect(realtime, motion, machine.protocol.execute)
-    machine.protocol.connect(realtime, gcode, machine.commands, motion)
+    machine.protocol.connect(realtime, gcode, machine.commands, motion, machine.restart)
     for callback in (
         machine.configure,
         machine.inputs.configure,

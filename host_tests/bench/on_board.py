@@ -18,7 +18,7 @@ whole, less the two before. The machine is in check mode meanwhile, and reset af
 import plain
 
 _START = """
-power_up.main()
+power_up.live(power_up.build())
 """
 
 # Commands: `$NAME=number` answers with numbers in a message.

@@ -34,7 +34,7 @@ def execute(self, line, length):
 
 
 commands.Commands.execute = execute
-power_up.main()
+power_up.live(power_up.build())
 """
 
 

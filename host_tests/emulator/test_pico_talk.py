@@ -36,7 +36,7 @@ def execute(self, line, length):
 
 
 commands.Commands.execute = execute
-machine = power_up.main()
+machine = power_up.live(power_up.build())
 """
 
 

@@ -97,7 +97,8 @@ class Rig:
                 )
                 if self.on_built:
                     self.on_built()
-                self.controller.run()
+                self.controller.power_up()
+                self.controller.protocol.run()
             except PowerOff:
                 self.engine.power_off()
                 self.port.power_off()
