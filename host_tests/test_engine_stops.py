@@ -119,6 +119,22 @@ def test_a_turn_that_fails_stops_the_tool_then_the_motors_and_is_told(
     assert made.engine.fault() == ""
 
 
+@pytest.mark.parametrize("engine", ESP)
+def test_the_engine_works_again_long_behind_a_fault(engine: str) -> None:
+    """Longer than the difference between two of its times can be."""
+    made = make(engine, "diagonal")
+    made.engine.real._fail(ValueError())
+    made.engine.real._timer.deinit()
+    clock.work(700_000_000)
+    made.engine.stop()
+    made.engine.real._timer.init(period=1, callback=made.engine.real._turn)
+    made.run(30)
+    made.engine.arm()
+    made.go()
+    assert made.engine.fault() == ""
+    assert made.places() == made.position() == [1500, 1075, -425]
+
+
 @pytest.mark.parametrize("what_fails", ["on_fault", "_halt"])
 @pytest.mark.parametrize("engine", ESP)
 def test_what_fails_while_a_fault_is_mended_keeps_nothing_from_stopping(
@@ -252,6 +268,8 @@ def test_rmt_states_the_rate_at_which_trains_are_long_enough() -> None:
 @pytest.mark.parametrize("told", [True, False])
 def test_i2s_begins_a_new_stream_behind_a_flash_write(told: bool) -> None:
     made = make("i2s", "diagonal")
+    made.engine.real._stream.close()
+    made.engine.real._renew()
     made.engine.advance(made.engine.now + 200_000 * made.engine._per_us)
     esp_machine.I2S.open_streams[0].flash_write(45_000)
     if told:

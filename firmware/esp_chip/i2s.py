@@ -45,9 +45,7 @@ _DOUBT = const(300)
 _SETUP_US = const(10)
 # A locked axis goes back to its place at so many steps a second, without a ramp.
 _BACK_HZ = const(1000)
-
-# So long after it has taken a buffer the stream will not take one any more.
-_LOST_US = const(500_000)
+_LOST_US = const(500_000)  # so long without taking a buffer, the stream takes none any more
 
 # State.
 _HALT = const(0)  # hands off: the main loop, or a stop, is at work
@@ -134,14 +132,15 @@ class I2sEngine(Turns):
         self._size = _NOTE + axes
         self._notes = array("i", (0 for _ in range(self._size * self._slots)))
         # Of axes that are, or were, locked: where, and how far they have gone since then.
-        self._locked_at = array("i", (0 for _ in range(axes)))
-        self._owed = array("i", (0 for _ in range(axes)))
-        self._steps = array("i", (0 for _ in range(axes)))
+        self._locked_at, self._owed, self._steps = [
+            array("i", (0 for _ in range(axes))) for _ in range(3)
+        ]
         self._state[_STOPPED] = 1
         self.enable(1)  # off
         self._timer = machine.Timer(0)
         self.configure(10, 0, 0)
         self._open()
+        self.flash_written()  # or read from, in what is still to be loaded
         self._timer.init(mode=machine.Timer.PERIODIC, period=_TURN_MS, callback=self._turn)
 
     def _open(self) -> None:
@@ -181,12 +180,14 @@ class I2sEngine(Turns):
         self._timing[frames.ENABLE] = self._enable_bit if level else 0
 
     def flash_written(self) -> None:
-        """Flash has been written to; at rest only."""
+        """The stream cannot be relied upon any more. At rest only."""
         self._state[_STALE] = 1
 
     def arm(self) -> None:
         """Motion is possible again, after power-up or stop()."""
-        self._why = None
+        if self._why:  # nobody has followed the stream since then
+            self.flash_written()
+            self._why = None
         self._timing[frames.LOCKED] = 0
         self._state[_STOPPED] = 0
 
@@ -332,9 +333,8 @@ class I2sEngine(Turns):
     def _look_for_rest(self) -> None:
         """All has been played: power is the last row's then, or what whoever hears of it says."""
         state = self._state
-        if not state[_MOVING] or state[_PULLING] or state[_MOVED] > state[_SENT]:
-            return
-        if state[_LAST] < state[_PLAYING]:
+        played = state[_MOVED] <= state[_SENT] and state[_LAST] < state[_PLAYING]
+        if state[_MOVING] and not state[_PULLING] and played:
             self._tell(state[_LATEST])
             state[_MOVING] = 0
             self._on_rest()
