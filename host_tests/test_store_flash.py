@@ -125,3 +125,20 @@ def test_a_full_flash_is_told_of_and_loses_nothing(monkeypatch: pytest.MonkeyPat
     with pytest.raises(OSError, match="28"):
         store.save("settings", NEW)
     assert store.load("settings") == OLD
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_a_write_is_told_of_even_where_it_fails(
+    full: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    attach(monkeypatch, Flash(), fresh=True)
+    told: list[bool] = []
+    store = FlashStore("/", lambda: told.append(True))
+    assert store.load("settings") is None and told == []
+    if full:
+        monkeypatch.setattr(store_flash, "open", lambda *_: FullFile(), raising=False)
+        with pytest.raises(OSError, match="28"):
+            store.save("settings", NEW)
+    else:
+        store.save("settings", NEW)
+    assert told == [True]
