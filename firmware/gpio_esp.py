@@ -81,16 +81,12 @@ class EspPort(PortPins):
         else:
             super().enable(level)
 
-    def watch(self, timeout_ms: int) -> "Callable[[], None]":
+    def watch(self, timeout_ms: int) -> "Callable[[], None] | None":
         """Make the chip start anew where the result is not called for so long; 0: no more."""
-        self._watchdog = machine.WDT(timeout=timeout_ms or _NO_MORE_MS)
-        return self._feed if timeout_ms else self.look
-
-    def _feed(self) -> None:
-        self._watchdog.feed()
-        self.look()
+        watchdog = machine.WDT(timeout=timeout_ms or _NO_MORE_MS)
+        return watchdog.feed if timeout_ms else None
 
 
 def _first(pins: "list[Pin | None]") -> "Pin":
     """One of those that are wired; its interrupt is as good as the others'."""
-    return [pin for pin in pins if pin][0]  # noqa: RUF015  # MicroPython compiles this smaller
+    return next(pin for pin in pins if pin)

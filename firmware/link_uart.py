@@ -33,13 +33,14 @@ _AWAY = const(2)
 
 class UartLink:
     """A Link. For the supervisor: shared is what they share, look what its timer calls;
-    come_back is its own, called in the main loop, and raises."""
+    come_back is its own, called in the main loop, and raises. on_turn: called in every turn."""
 
     is_slow = False  # as fast as the chip's MicroPython lets it
 
     def __init__(self) -> None:
         micropython.kbd_intr(-1)  # Ctrl-C is a byte like others
         self.come_back: "Callable[[], None]" = lambda: None
+        self.on_turn = self.look
         self.shared = array.array("i", (0, 0, 0))
         self._in: "Any" = sys.stdin.buffer
         self._out: "Any" = sys.stdout.buffer
@@ -66,6 +67,7 @@ class UartLink:
         self.shared[_TURNED] = 1
         if self.shared[_STOPPED]:
             self.come_back()
+        self.on_turn()
         count = 0
         while count < len(buf) and self._waiting():
             if not self._in.readinto(self._byte):

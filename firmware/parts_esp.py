@@ -13,8 +13,9 @@ if TYPE_CHECKING:
 _COMPILED = "kernels words lines digits reals singles planner motion protocol plain"
 
 
-def make(board: "ModuleType") -> "tuple[Any, EspPort]":
-    """Engine and port. Raises MemoryError where compiled code finds no room."""
+def make(board: "ModuleType", link: "Any") -> "tuple[Any, EspPort]":
+    """Engine and port; all three work together. Raises MemoryError where compiled code finds no
+    room."""
     prepare(_COMPILED.split())
     engine: "Any"
     if board.ENGINE == "rmt":
@@ -29,6 +30,6 @@ def make(board: "ModuleType") -> "tuple[Any, EspPort]":
             board.STEP, board.DIR, board.ENABLE, board.I2S, board.I2S_RATE_HZ, board.I2S_BUFFERS
         )
         port = EspPort(board, engine.enable)
-    engine.on_look = port.look
+    engine.on_look = link.on_turn = port.look
     engine.on_fault = port.kill
     return engine, port

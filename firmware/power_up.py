@@ -59,7 +59,7 @@ def build() -> "Parts | None":
         import board
 
         link = _link(getattr(board, "LINK", "usb"))
-        engine, port = _hardware(board)
+        engine, port = _hardware(board, link)
         if port.held(getattr(board, "REPL_PIN", None)):
             link.close()
             return None
@@ -91,7 +91,7 @@ def _link(kind: str) -> "Any":
     raise ValueError("LINK %s is not one there is" % kind)
 
 
-def _hardware(board: "ModuleType") -> "tuple[StepEngine, Any]":
+def _hardware(board: "ModuleType", link: "Any") -> "tuple[StepEngine, Any]":
     """Engine and port; the engine's buffers are the first large things in memory."""
     import gpio_check
 
@@ -110,7 +110,7 @@ def _hardware(board: "ModuleType") -> "tuple[StepEngine, Any]":
         return PioEngine(board.STEP, board.DIR, hold_us, setup_us), GpioPort(board)
     from parts_esp import make
 
-    return make(board)
+    return make(board, link)
 
 
 def _build(
