@@ -5,12 +5,16 @@ which each LINE (`ENGINE = "i2s"`) takes the place of the one for the same name,
 it. Settings are kept in FOLDER. Its talk.json is what a sender says and waits for, nothing and
 the welcome first: [["", "Grbl"], ["$X\\n", "ok"], ...]. "pin 5 0" and "ms 100" are directions
 to the world around; "deaf 5 0" pulls the pin during a collection, which nobody hears of; "hang
-400" keeps the main loop away for so many ms. Prints the conversation, and what the prompt would
-read after it.
+400" keeps the main loop away for so many ms; "fail" makes the engine's next turn raise; "duty 5"
+prints what is at a pin. Prints the conversation, and what the prompt would read after it.
 """
 
 import json
 import sys
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
 
 
 def set_path() -> str:
@@ -81,6 +85,25 @@ def deaf(pin: "esp_machine.Pin", level: int) -> None:
     assert clock.lost > lost or not clock.timers, "the edge is to be lost"
 
 
+def fail() -> None:
+    """The engine's next turn raises."""
+    from esp_chip.i2s import I2sEngine
+    from esp_chip.rmt import RmtEngine
+
+    for kind in (I2sEngine, RmtEngine):
+        kind._go_on = failing(kind, kind._go_on)  # type: ignore[method-assign]
+
+
+def failing(kind: "Any", go_on: "Any") -> "Any":
+    """A turn that raises, once."""
+
+    def turn(_: object) -> None:
+        kind._go_on = go_on
+        raise ValueError("an error that is ok")
+
+    return turn
+
+
 def flash_write() -> None:
     """No interrupt comes while a sector is erased."""
     for channel in esp32.RMT.channels:
@@ -134,6 +157,10 @@ class Sender:
             deaf(esp_machine.Pin.pins[int(pin)], int(level))
         elif text.startswith("hang "):
             clock.advance(clock.us + int(text[5:]) * 1000)
+        elif text == "fail":
+            fail()
+        elif text.startswith("duty "):
+            print("duty", esp_machine.Pin.pins[int(text[5:])].log[-1][1])
         elif text.startswith("ms "):
             self._waits_until_us = clock.us + int(text[3:]) * 1000
         else:

@@ -123,6 +123,27 @@ def test_a_limit_whose_edge_nobody_hears_stops_the_machine_all_the_same(
     assert went < 9, "the main loop, or the engine, looks at the switch within some milliseconds"
 
 
+@pytest.mark.parametrize("board", _BOARDS)
+def test_an_engine_that_fails_is_told_of_with_the_tool_off_and_works_after_a_reset(
+    board: str, tmp_path: Path
+) -> None:
+    tool = machine.load_board(board).SPINDLE_PWM
+    talk = [
+        *_GREETING,
+        *_SET_UP,
+        ("G91 M3 S1000\n", "ok"),
+        ("G1 X20 F1200\n", "ok"),
+        ("ms 300", ""),
+    ]
+    talk += [(f"duty {tool}", ""), ("fail", "failed"), (f"duty {tool}", ""), ("\x18", "unlock")]
+    talk += [("$X\n", "ok"), ("G91 G0 X1\n", "ok"), ("G4 P0.1\n", "ok"), ("?", ">")]
+    said = boot(board, tmp_path, talk)
+    assert "duty 65535\n" in said and said.index("duty 0\n") > said.index("failed")
+    words = "[MSG:RuntimeErr: the engine's turn has failed: ValueErr an err that is o-k"
+    assert words in said and said.index("ALARM:") < said.index(words)
+    assert said.rsplit("<", 1)[1].startswith("Idle|")
+
+
 def test_another_engine_is_one_line_of_a_board_file(tmp_path: Path) -> None:
     """Numbers of outputs are pins then; that the board is not wired so is another matter."""
     talk = [*_GREETING, *_SET_UP, *_MOVE, *hit("mks_dlc32")]
