@@ -39,12 +39,14 @@ _FAILED = const(-1)
 
 @micropython.viper
 def count(shared: ptr32, beat_ms: int) -> int:
-    """One beat more. Returns for how many ms the main loop has been away."""
+    """One beat more. Returns for how many ms the main loop has been away; 0: it has turned."""
     if shared[_TURNED]:
         shared[_TURNED] = 0
         shared[_AWAY] = 0
-    else:
-        shared[_AWAY] += beat_ms
+        return 0
+    shared[_AWAY] += beat_ms
+    if shared[_AWAY] == 0:
+        shared[_AWAY] = 1  # it has been away for all of what it was allowed
     return shared[_AWAY]
 
 

@@ -1,0 +1,106 @@
+"""The supervisor by itself: when it stops the machine, in which order; it never raises."""
+
+from array import array
+from types import SimpleNamespace
+
+import pytest
+import supervisor
+from supervisor import Supervisor
+
+_BEAT_MS = 5  # of a hard timer
+_LIMIT_MS = 250
+
+
+class Machine:
+    """Link, engine and port at once, which log what is done to them. fails: who raises."""
+
+    def __init__(self, fails: str = "") -> None:
+        self.shared = array("i", (0, 0, 0, 7))
+        self.log: list[str] = []
+        self.fails = fails
+        self.watch = Supervisor(self, self, self, _LIMIT_MS)  # type: ignore[arg-type]
+        self.watch.start(self.feed)
+
+    def _do(self, what: str) -> None:
+        self.log.append(what)
+        if what == self.fails:
+            raise MemoryError
+
+    def look(self) -> None:
+        self._do("look")
+
+    def feed(self) -> None:
+        self._do("feed")
+
+    def kill(self) -> None:
+        self._do("kill")
+
+    def stop(self) -> None:
+        self._do("stop")
+
+    def read(self) -> None:
+        """The main loop turns."""
+        self.shared[0] = 1
+        if self.shared[1]:
+            self.watch.tell()
+
+    def beats(self, ms: int) -> "list[str]":
+        """What is done while the main loop is away for so long."""
+        self.log.clear()
+        for _ in range(ms // _BEAT_MS):
+            self.watch._timer.expire()
+        return self.log
+
+
+@pytest.fixture
+def machine(monkeypatch: pytest.MonkeyPatch) -> Machine:
+    """On an RP2040."""
+    monkeypatch.setattr(supervisor, "sys", SimpleNamespace(platform="rp2"))
+    made = Machine()
+    made.read()
+    made.beats(_BEAT_MS)
+    return made
+
+
+def test_the_watchdog_is_fed_as_long_as_the_link_is_read(machine: Machine) -> None:
+    for _ in range(20):
+        machine.read()
+        assert machine.beats(_BEAT_MS) == ["feed", "look"]
+    assert machine.beats(10) == ["look", "look"]
+
+
+def test_a_main_loop_that_hangs_is_stopped_tools_first_and_at_every_beat(machine: Machine) -> None:
+    assert machine.beats(_LIMIT_MS) == ["look"] * 49 + ["kill", "stop"]
+    assert machine.beats(10) == ["kill", "stop"] * 2
+    with pytest.raises(RuntimeError, match="the main loop was away for 260 ms"):
+        machine.read()
+    machine.read()  # it is told once
+    assert machine.beats(_BEAT_MS) == ["feed", "look"]
+
+
+def test_what_may_take_longer_says_so_and_is_stopped_behind_that(machine: Machine) -> None:
+    machine.watch.allow(1000)
+    assert set(machine.beats(1000 + _LIMIT_MS - _BEAT_MS)) == {"look"}
+    assert machine.beats(_BEAT_MS) == ["kill", "stop"]
+
+
+@pytest.mark.parametrize("fails", ["feed", "look"])
+def test_an_interrupt_that_fails_stops_the_machine_and_is_told(
+    machine: Machine, fails: str
+) -> None:
+    machine.fails = fails
+    machine.read()
+    assert machine.beats(_BEAT_MS)[-2:] == ["kill", "stop"]
+    with pytest.raises(RuntimeError, match="interrupt has failed"):
+        machine.read()
+
+
+def test_the_engine_is_stopped_also_where_killing_the_tool_fails(machine: Machine) -> None:
+    machine.fails = "kill"
+    machine.beats(_LIMIT_MS - _BEAT_MS)
+    assert machine.beats(_BEAT_MS) == ["kill", "stop"]
+
+
+def test_what_the_link_remembers_besides_is_left_alone(machine: Machine) -> None:
+    machine.beats(1000)
+    assert machine.shared[3] == 7
