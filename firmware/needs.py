@@ -5,14 +5,8 @@ Imported at start and forgotten again.
 
 import sys
 
-from micropython import const
-
-TYPE_CHECKING = const(False)
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
 # Engine, chip as MicroPython names it, oldest version, and what comes with that.
-_NEEDS = (
+NEEDS = (
     ("pio", "RP2040", (1, 26), "timers that interrupt at once"),
     ("pio", "RP2350", (1, 27), "DMA channels that can be given back"),
     ("rmt", "ESP32", (1, 27), "pulses of a resolution that is asked for"),
@@ -22,19 +16,11 @@ _NEEDS = (
 
 def missing(engine: str, machine: str, version: "tuple[int, ...]") -> str:
     """Why this version is too old for that engine on that machine; "" where it is not."""
-    for needing, chip, oldest, why in _NEEDS:
+    for needing, chip, oldest, why in NEEDS:
         if needing == engine and chip in machine and version < oldest:
-            old, new = "%d.%d" % version[:2], "%d.%d" % oldest
-            text = "MicroPython %s is too old: ENGINE %s on %s wants %s or newer, for %s"
-            return text % (old, engine, chip, new, why)
+            text = "MicroPython %d.%d is too old: ENGINE %s on %s wants %d.%d or newer, for %s"
+            return text % (*version[:2], engine, chip, *oldest, why)
     return ""
-
-
-def engines(machine: str) -> "Iterator[str]":
-    """The engines that there are for a machine."""
-    for engine, chip, _, _ in _NEEDS:
-        if chip in machine:
-            yield engine
 
 
 def check(engine: str) -> None:

@@ -23,7 +23,6 @@ def test_an_engine_is_refused_below_its_version_and_not_from_there_on(
     assert needs.missing(engine, machine, (2, 0)) == ""
     why = needs.missing(engine, machine, (oldest[0], oldest[1] - 1))
     assert f"wants {oldest[0]}.{oldest[1]} or newer" in why
-    assert engine in needs.engines(machine)
     for word in ("ok", "error"):
         assert word not in why.lower()
 

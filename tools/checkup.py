@@ -89,7 +89,8 @@ def micropython(board: str, version: str) -> list[Finding]:
     use_firmware()
     import needs
 
-    reasons = [too_old(engine, board, version) for engine in needs.engines(board)]
+    engines = [engine for engine, chip, _, _ in needs.NEEDS if chip in board]
+    reasons = [too_old(engine, board, version) for engine in engines]
     bad = [reason for reason in reasons if reason]
     verdict = BAD if len(bad) == len(reasons) else NOTE
     return [Finding("MicroPython", verdict, reason, NEW_MICROPYTHON) for reason in bad]
