@@ -26,8 +26,8 @@ import rp2
 from micropython import const
 
 from pio import programs, pulses
-from pio.hub import Memory, append, call, feed, look
-from pio.stops import arm, halt, position, trouble
+from pio.hub import Memory, append, feed, look
+from pio.stops import arm, call, halt, position, trouble
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:

@@ -59,15 +59,13 @@ _CLOCKED = const(29)  # words for the clock
 _WHOLE = const(30)  # a long segment, made in pieces
 _ROW = const(31)  # a row per segment
 _FAULT = const(31 + 16)  # what has gone wrong (stops.py), until arm()
-_ASKED = const(31 + 17)  # start() waits for the interrupt
-_LENGTH = const(31 + 18)
+_LENGTH = const(31 + 16 + 2)  # behind the fault: start() waits for the interrupt
 
 # A PIO's registers, in words.
 _CTRL = const(0)
 _FDEBUG = const(2)
 _FLEVEL = const(3)
 _TXF = const(4)
-_IRQ_FORCE = const(13)
 _PADOUT = const(15)  # levels of all pins
 _ADDR = const(0x35)
 _INSTR = const(0x36)
@@ -82,7 +80,6 @@ _STATUS = const(3)
 _COUNT_TRIGGER = const(7)
 _DISABLE = const(32)
 _DMA_AT = const(0x50000000)
-_CHANNEL = const(0x40)  # bytes from one channel to the next
 _CREDITS = const(0x800)  # how many words a channel believes that its FIFO has room for
 
 # Instructions that are forced into a machine.
@@ -94,8 +91,7 @@ _STEP_LOW = const(0xE000)
 
 # In FDEBUG, from the bit of the first machine on: a word has come to a FIFO that was full.
 _TXOVER = const(16)
-# Faults, as stops.py says.
-_LOST = const(2)
+_LOST = const(2)  # faults, as stops.py says
 _JAMMED = const(3)
 
 _CLOCK = const(3)  # the clock's machine
@@ -176,6 +172,21 @@ def append(hub: ptr32) -> int:
 
 
 @micropython.viper
+def _load(pio: ptr32, axes: int, pulse: int) -> int:
+    """The length of a pulse into the machines' ISR, five bits at a time."""
+    for i in range(axes):
+        pio[_INSTR + _SM * i] = _CLEAR_ISR
+    shift = 15
+    while shift:
+        shift -= 5
+        for i in range(axes):
+            pio[_INSTR + _SM * i] = _SET_X | ((pulse >> shift) & 31)
+        for i in range(axes):
+            pio[_INSTR + _SM * i] = _SHIFT_IN
+    return 0
+
+
+@micropython.viper
 def _prepare(hub: ptr32) -> int:
     """Machines that have stopped or run dry back to their beginnings, with nothing queued.
 
@@ -214,15 +225,7 @@ def _prepare(hub: ptr32) -> int:
         # Words that have turned it may never have been played.
         pin = pio[_PINCTRL + _SM * i] & 31
         lanes[_LANE * i + _DIR] = (pio[_PADOUT] >> pin) & 1
-    for i in range(axes):
-        pio[_INSTR + _SM * i] = _CLEAR_ISR
-    shift = 15
-    while shift:
-        shift -= 5
-        for i in range(axes):
-            pio[_INSTR + _SM * i] = _SET_X | (((timing[_PULSE] - 3) >> shift) & 31)
-        for i in range(axes):
-            pio[_INSTR + _SM * i] = _SHIFT_IN
+    _load(pio, axes, timing[_PULSE] - 3)
     for i in range(axes):
         pio[_INSTR + _SM * i] = _STEP_LOW
     for i in range(axes):
@@ -341,15 +344,6 @@ def _launch(hub: ptr32, fed: int) -> int:
 
 
 @micropython.viper
-def call(hub: ptr32) -> int:
-    """Make the engine's interrupt happen now, unless it is stopped."""
-    if hub[_HALT] == 0:
-        hub[_ASKED] = 1
-        ptr32(hub[_PIO1])[_IRQ_FORCE] = 1 << _CLOCK
-    return 0
-
-
-@micropython.viper
 def _address(memory: ptr8) -> int:
     return int(memory)  # type: ignore[call-overload, no-any-return]
 
@@ -396,7 +390,7 @@ class Memory:
 
     def connect(self, axis: int, channel: int) -> None:
         """A lane's words go through this DMA channel."""
-        self.hub[_DMA + axis] = at = _DMA_AT + _CHANNEL * channel
+        self.hub[_DMA + axis] = at = _DMA_AT + 0x40 * channel
         machine.mem32[at + _CREDITS] = 0  # counted anew: the FIFO is empty
 
     def programs_at(self, stepper: int, clock: int) -> None:

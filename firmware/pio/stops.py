@@ -1,5 +1,5 @@
 # mypy: disable-error-code=arg-type
-"""Stopping, and saying where the motors are: the other leaves that work on the hub (hub.py).
+"""Stops, starts, and where the motors are: the other leaves that work on the hub (hub.py).
 
 They may be called in any interrupt, also one that has interrupted the engine's own: what must
 not be divided is done with all these interrupts held back, for some microseconds.
@@ -39,6 +39,7 @@ _ASKED = const(31 + 17)
 _CTRL = const(0)
 _FDEBUG = const(2)
 _FLEVEL = const(3)
+_IRQ_FORCE = const(13)
 _RXF = const(8)
 _ADDR = const(0x35)
 _INSTR = const(0x36)
@@ -130,6 +131,15 @@ def halt(hub: ptr32, which: int) -> int:
         hub[_RUNNING] = 0
         hub[_LOCKED] = 0
     nvic[0] = hub[_RIVALS]
+    return 0
+
+
+@micropython.viper
+def call(hub: ptr32) -> int:
+    """Make the engine's interrupt happen now, unless it is stopped."""
+    if hub[_HALT] == 0:
+        hub[_ASKED] = 1
+        ptr32(hub[_PIO1])[_IRQ_FORCE] = 1 << _CLOCK
     return 0
 
 
