@@ -6,16 +6,16 @@ hold, resume, the system's own block.
 """
 
 import kernels
+import micropython
 import reals
 from f32 import f32
-from kernels import AT, CARRY, HOLD, LOADED, NOW
+from kernels import AT, CARRY, HOLD, LOADED, NOW, fill
 from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from array import array
 
-    from interfaces import NextSegment
     from planner import Planner
 
 # A real (reals.py): its mantissa, and the exponent of whole numbers.
@@ -24,12 +24,7 @@ _ONE = const(64)
 
 
 class Segments:
-    """What the engine asks. planner: whose ring and flow these are.
-
-    next(row) fills in the next segment's row; it returns 0 where nothing is to move.
-    """
-
-    next: "NextSegment"
+    """What the engine asks. planner: whose ring and flow these are."""
 
     def __init__(self, planner: "Planner") -> None:
         self._planner = planner
@@ -37,19 +32,18 @@ class Segments:
         self._ring = planner.ring
         self._machine = planner.machine
         self._saved: "array[int] | None" = None
-        self.next = self._make_next()
 
-    def _make_next(self) -> "NextSegment":
-        """A closure: the interrupt finds what it needs without a look-up.
+    @micropython.viper
+    def next(self, row: ptr32) -> int:
+        """Fill in the next segment's row, for the engine's interrupt; 0 where nothing is to move.
 
-        With the row it has five variables; the call of one with more would allocate.
+        Nothing but viper from there to here: a frame of bytecode takes a quarter of a kilobyte
+        of the stack, which the interrupt has to share with all that it interrupts.
         """
-        fill, flow, ring, machine = kernels.fill, self._flow, self._ring, self._machine
-
-        def following(row: "array[int]") -> int:
-            return fill(flow, ring, machine, row)
-
-        return following
+        flow = ptr32(self._flow)
+        ring = ptr32(self._ring)
+        machine = ptr32(self._machine)
+        return int(fill(flow, ring, machine, row))
 
     def hold(self, on: bool) -> None:
         """Slow down and come to rest; or go on."""

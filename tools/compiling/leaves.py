@@ -9,8 +9,9 @@ no other call, of a small one, and of one in _BUSY. A call stays where evaluatio
 order or happen without need, and where the function would have to return out of a loop.
 
 What becomes of the names in a leaf: a parameter is its argument, where that is a number or a local
-of the same type; each other local is called `leaf__name`. Such a name has one type wherever it
-appears, as viper wants it, so calls one after the other can share it.
+of the same type; each other local is called `int__0`, by its type, and by `leaf__name` where that
+cannot be told. Such a name has one type wherever it appears, as viper wants it, so calls one after
+the other can share it: every local takes a place on a stack of 8 kB.
 """
 
 import ast
@@ -19,6 +20,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import count
 
 from . import forms
 from .modules import Key, Module
@@ -30,6 +32,9 @@ _SMALL = 40
 _BUSY: "frozenset[Key]" = frozenset(
     {("kernels", "piece"), ("reals", "product"), ("reals", "ratio")}
 )
+
+# Types of locals that may share a name.
+_SHARED = {"int", *forms.POINTERS}
 
 
 def leaves(sources: Mapping[str, str]) -> dict[str, str]:
@@ -199,7 +204,7 @@ class _Caller:
         """An expression without its calls of leaves; these go before the statement."""
         call = self._call_in(node) if certain else None
         if call and (not place.touched or self._is_pure(call)):
-            name = self._fresh(self._key(call), "result")
+            name = self._fresh(self._key(call), "result", "int")
             place.before += self._put(call, partial(_store, name))
             self._live.append(name)
             return ast.Name(name, ast.Load())
@@ -267,12 +272,13 @@ class _Caller:
             if parameter.arg not in stored and self._is_as_good(value, kind):
                 names[parameter.arg] = value
                 continue
-            name = self._fresh(key, parameter.arg)
+            name = self._fresh(key, parameter.arg, kind)
             made += self._block(_store(name, self._typed(value, kind)))
             self._live.append(name)
             names[parameter.arg] = ast.Name(name, ast.Load())
+        types = forms.types(leaf)
         for local in sorted(stored - names.keys()):
-            self._live.append(self._fresh(key, local))
+            self._live.append(self._fresh(key, local, types.get(local, "object")))
             names[local] = ast.Name(self._live[-1], ast.Load())
         del self._live[pending:]
         self._program.placed.add(key)
@@ -294,8 +300,10 @@ class _Caller:
             return value
         return ast.Call(ast.Name(kind, ast.Load()), [value], [])
 
-    def _fresh(self, key: Key, local: str) -> str:
-        """A name for a leaf's local, shared with all that is not needed any more."""
+    def _fresh(self, key: Key, local: str, kind: str) -> str:
+        """A name for a leaf's local, shared with all of its type that are not needed any more."""
+        if kind in _SHARED:
+            return next(n for k in count() if (n := f"{kind}{forms.MARK}{k}") not in self._live)
         name = local if forms.MARK in local else self._program.prefix(key) + forms.MARK + local
         while name in self._live:
             name += "_"
