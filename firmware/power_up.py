@@ -107,7 +107,10 @@ def _hardware(board: "ModuleType", link: "Any") -> "tuple[StepEngine, Any]":
 
         hold_us = getattr(board, "DIR_HOLD_US", 2)
         setup_us = getattr(board, "DIR_SETUP_US", 5)
-        return PioEngine(board.STEP, board.DIR, hold_us, setup_us), GpioPort(board)
+        engine = PioEngine(board.STEP, board.DIR, hold_us, setup_us)
+        port = GpioPort(board)
+        engine.on_fault = port.kill
+        return engine, port
     from parts_esp import make
 
     return make(board, link)

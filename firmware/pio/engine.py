@@ -113,7 +113,7 @@ class PioEngine:
         self._machines = [self._make_machine(i) for i in range(len(step))]
         self._clock = rp2.StateMachine(4 + _CLOCK, programs.clock, freq=_TICK_HZ)
         self._memory.programs_at(programs.stepper[1], programs.clock[2])
-        self.on_fault: "Callable[[], None]" = lambda: None
+        self.on_fault: "Callable[[], object]" = lambda: None
 
     def _make_machine(self, axis: int) -> "tuple[rp2.StateMachine, rp2.DMA]":
         stepper = rp2.StateMachine(
