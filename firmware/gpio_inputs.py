@@ -114,6 +114,8 @@ class PortInputs:
         try:
             self.kill()
             self._on_fault()
+            self._start(self._limit_timer, 0, self._look_again)  # to be heard again
+            self._await_quiet()
         except BaseException:
             self.fault = _FAILED_TWICE
 

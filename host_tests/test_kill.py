@@ -231,6 +231,18 @@ def test_a_timer_s_callback_that_fails_tells_too() -> None:
     assert told == 2 * ["A pin's callback has failed"]
 
 
+@pytest.mark.parametrize("pin", [9, 13])
+def test_an_input_whose_callback_has_failed_is_heard_again(pin: int) -> None:
+    port, pins, told = made("rp2")
+    pins(pin).drive(0)
+    port._limit_timer.expire()
+    port._control_timer.expire()
+    heard: list[int] = []
+    port._on_limits = port._on_controls = lambda: heard.append(pin)
+    pins(pin).drive(1)
+    assert (len(told), heard) == (1, [pin])
+
+
 def test_where_stopping_fails_too_nothing_leaves_the_interrupt() -> None:
     port = gpio.GpioPort(board())
     port.attach(*3 * (lambda: 1 // 0,))

@@ -1,0 +1,124 @@
+"""Pins that are not steps on the emulated Pico: its pads, and its hard interrupts.
+
+Only the port is there, in MicroPython's prompt. What interrupts it cannot allocate there, for the
+heap is locked, so a callback that did would be told of as one that has failed.
+"""
+
+from functools import partial
+from pathlib import Path
+
+import pytest
+from emulated import LIMIT, PROBE, RESET, SPINDLE_PWM, Board
+
+pytestmark = pytest.mark.xdist_group("pico port")
+
+FLOOD, ESTOP = 18, 21
+
+SETUP = f"""
+import board, gpio
+board.INVERT = ("FLOOD",)
+board.ESTOP = {ESTOP}
+port = gpio.GpioPort(board)
+heard = bytearray(4)
+def note(i):
+    heard[i] += 1
+port.attach(lambda: note(0), lambda: note(1), lambda: note(2))
+port.hear_limits(True)
+"""
+
+
+@pytest.fixture(scope="module")
+def machine(uf2: Path) -> Board:
+    made = Board(uf2, {"main.py": b""})
+    made.pico.drive(ESTOP, 0)
+    assert made.pico.run_until(lambda: made.pico.usb.connected > 0, 3_000_000)
+    made.send("\x03")
+    made.wait_for(">>> ")
+    made.send("\x01")
+    made.wait_for("raw REPL; CTRL-B to exit\r\n>")
+    assert made.python_again(SETUP) == ""
+    return made
+
+
+def pads(machine: Board) -> "tuple[str, str]":
+    """What comes out: power, and flood coolant, which is on when low."""
+    machine.pico.run_us(1_000)
+    gpio = machine.pico.mcu.gpio
+    return gpio[SPINDLE_PWM].value.name, gpio[FLOOD].value.name
+
+
+OFF, ON = ("LOW", "HIGH"), ("HIGH", "LOW")
+SWITCH_ON = "port.spindle(True, port_max)\nport.coolant(1)"
+
+
+def test_killed_pads_stay_off_whatever_is_written_to_pin_and_pwm(machine: Board) -> None:
+    machine.python_again("port_max = board.PWM_MAX")
+    assert pads(machine) == OFF
+    machine.python_again(SWITCH_ON)
+    assert pads(machine) == ON
+    machine.python_again("port.kill()")
+    assert pads(machine) == OFF
+    machine.python_again(SWITCH_ON)
+    assert pads(machine) == OFF
+    machine.python_again("port.revive()")
+    assert pads(machine) == OFF
+    machine.python_again(SWITCH_ON)
+    assert pads(machine) == ON
+    machine.python_again("port.kill()\nport.revive()")
+    assert pads(machine) == OFF
+
+
+def test_a_storm_on_a_limit_input_is_heard_once_in_a_while(machine: Board) -> None:
+    machine.python_again("heard[0] = 0\nimport time")
+    for number in range(400):
+        level = number & 1
+        machine.pico.at_us(1_000 + 25 * number, partial(machine.pico.drive, LIMIT[0], level))
+    machine.python_again("time.sleep_ms(20)")
+    calls, _, failed, _ = machine.python_again("print(*heard)").split()
+    assert 1 <= int(calls) <= 11  # 10 ms, of which each call takes 2
+    assert failed == "0"
+
+
+def test_inputs_are_heard_in_hard_interrupts_that_allocate_nothing(machine: Board) -> None:
+    machine.python_again("heard[:] = bytes(4)\nport.watch_probe(lambda: note(3), True)")
+    for pin, level in ((LIMIT[1], 0), (RESET, 0), (PROBE, 0), (ESTOP, 1)):
+        machine.pico.drive(pin, level)
+        machine.pico.run_us(6_000)
+    assert machine.python_again("print(*heard, port.estop())") == "1 2 0 1 True\r\n"
+    for pin, level in ((LIMIT[1], 1), (RESET, 1), (PROBE, 1), (ESTOP, 0)):
+        machine.pico.drive(pin, level)
+        machine.pico.run_us(6_000)
+    calls = machine.python_again("print(*heard, port.estop())").split()
+    assert (calls[0], calls[2:]) == ("2", ["0", "1", "False"])
+
+
+def test_limits_that_are_not_wanted_are_not_heard(machine: Board) -> None:
+    machine.python_again("heard[:] = bytes(4)\nport.hear_limits(False)")
+    machine.pico.drive(LIMIT[2], 0)
+    machine.pico.run_us(6_000)
+    machine.pico.drive(RESET, 0)  # MicroPython looks at all pins then
+    machine.pico.run_us(6_000)
+    machine.pico.drive(LIMIT[2], 1)
+    machine.pico.drive(RESET, 1)
+    machine.pico.run_us(6_000)
+    assert machine.python_again("print(*heard)") == "0 2 0 0\r\n"
+
+
+FAILING = """
+def note(i):
+    if i == 2:
+        heard[2] += 1
+    else:
+        [0] * i
+"""
+
+
+def test_a_callback_that_fails_kills_the_tool_in_its_interrupt(machine: Board) -> None:
+    machine.python_again("port.hear_limits(True)\n" + SWITCH_ON)
+    assert pads(machine) == ON
+    machine.python_again(FAILING)
+    machine.pico.drive(RESET, 0)
+    machine.pico.run_us(2_000)
+    assert pads(machine) == OFF
+    assert machine.python_again("print(heard[2])") == "1\r\n"
+    machine.pico.drive(RESET, 1)
