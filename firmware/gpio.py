@@ -7,6 +7,7 @@ the pulse engine's interrupt runs. All inputs have pull-ups.
 """
 
 import sys
+import time
 from array import array
 
 import machine
@@ -98,6 +99,7 @@ class GpioPort(PortPins):
         """What has been killed is off, and obeys again."""
         if self._pads[0]:
             self.safe()
+            time.sleep_us(self._pwm_period_us)  # a new width counts from the next pulse on
             _release(self._pads, self._all_bits)
 
     def punch_rest(self, down: int, up: int) -> None:

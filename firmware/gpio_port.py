@@ -50,6 +50,7 @@ class PortPins(PortInputs):
         self._pwm_number: "int | None" = option("SPINDLE_PWM", None)
         # Pulses a second of SPINDLE_PWM.
         hz: int = option("PWM_HZ", 5000)
+        self._pwm_period_us = 1_000_000 // hz + 1
         # Steps of SPINDLE_PWM from nothing to full power, 16383 at the most.
         self.pwm_max: int = option("PWM_MAX", 1000)
         pwm = _output(self._pwm_number, self._pwm_off)

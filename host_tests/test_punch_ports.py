@@ -57,6 +57,7 @@ def rig(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Mach
         monkeypatch.setattr(gpio, "_is_rp2350", lambda: False)
         monkeypatch.setattr(machine.Pin, "pins", {})
         monkeypatch.setattr(gpio_port, "time", None)
+        monkeypatch.setattr(gpio, "time", SimpleNamespace(sleep_us=lambda us: None))
         return Machine(gpio.GpioPort, gpio_port, machine.Pin)
     esp_bench.reset_stand_ins()
     monkeypatch.setattr(esp_bench.gpio_port, "time", None)

@@ -156,7 +156,7 @@ class Pin:
 
 
 class PWM:
-    """A pulse width; one per pin."""
+    """A pulse width; one per pin. A new one counts from the next pulse on: see wrap()."""
 
     outputs: dict[int, "PWM"] = {}
 
@@ -164,14 +164,18 @@ class PWM:
         if not 8 <= freq <= 62_500_000:
             raise ValueError("freq out of range")
         self.freq = freq
-        self.duty = duty_u16
+        self.duty = self.playing = duty_u16
         self.invert = invert
         PWM.outputs[pin.id] = self
         pin.select(_FUNCTION_PWM)
 
     def shape(self) -> int:
         """What it hands to the pad."""
-        return 65535 - self.duty if self.invert else self.duty
+        return 65535 - self.playing if self.invert else self.playing
+
+    def wrap(self) -> None:
+        """A pulse ends."""
+        self.playing = self.duty
 
     def duty_u16(self, duty: int) -> None:
         if not 0 <= duty <= 65535:
