@@ -54,6 +54,7 @@ class GpioPort(PortPins):
         self._pads = array("i", [0] * _PADS_LENGTH)
         self._all_bits = _ALL_BITS << (_OUTOVER_2350 if _is_rp2350() else _OUTOVER)
         self._hold()
+        _raise_priority()
 
     def _hold(self) -> None:
         """See which pads kill() is to hold, and at which level."""
@@ -68,17 +69,6 @@ class GpioPort(PortPins):
             self._pads[i + 1] = (_FORCED | level) << shift
             self._pads[i] = control + _CONTROL_STEP * number
             i += 2
-
-    def attach(
-        self,
-        on_limits: "Callable[[], None]",
-        on_controls: "Callable[[], None]",
-        on_fault: "Callable[[], None]",
-    ) -> None:
-        """Who is called, in a hard interrupt, when one of these inputs changes; and where a
-        callback has failed."""
-        _raise_priority()
-        super().attach(on_limits, on_controls, on_fault)
 
     @micropython.viper
     def kill(self) -> int:

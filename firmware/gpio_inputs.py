@@ -27,6 +27,8 @@ class PortInputs:
     timers: two that nobody else uses. has_hard: interrupts can be hard.
     """
 
+    kill: "Callable[[], object]"  # tools off, for good: whoever has outputs says how
+
     def __init__(self, board: "ModuleType", timers: "tuple[Timer, Timer]", has_hard: bool) -> None:
         self._hard = has_hard
         self._limit_timer, self._control_timer = timers
@@ -77,10 +79,6 @@ class PortInputs:
         if pin in self._without_pull:
             return Pin(pin, Pin.IN)
         return Pin(pin, Pin.IN, Pin.PULL_UP)
-
-    def kill(self) -> object:
-        """Tools off, and they stay off: whoever has outputs says how."""
-        raise NotImplementedError
 
     # Interrupts
 
