@@ -235,6 +235,8 @@ class Realtime:
         if not state.posted():
             return
         if state.pending[st.RESET]:
+            if state.alarm:
+                self._raise_alarm()  # it has come since
             raise Abort
         if state.pending[st.STATUS_REPORT]:
             self._report.send(self._report.status())

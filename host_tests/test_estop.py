@@ -173,6 +173,32 @@ def test_it_is_heard_in_every_state(
     machine.play(script)
 
 
+@pytest.mark.parametrize(
+    ("pushed", "said"), [({"limit_x": True}, "ALARM:1\r\n"), (PRESSED, "ALARM:17\r\n")]
+)
+def test_an_alarm_that_comes_behind_the_look_for_one_is_told(
+    pushed: "dict[str, bool]", said: str
+) -> None:
+    machine = Machine(_21=1)
+    look = machine.engine.fault
+
+    def script() -> Iterator[Any]:
+        yield from machine.ask("G1 X100 F500\n", "ok\r\n")
+        yield machine.ms(300)
+        machine.link.received.clear()
+
+        def interrupted() -> str:
+            machine.engine.fault = look  # type: ignore[method-assign]
+            machine.port.push(pushed)
+            return look()
+
+        machine.engine.fault = interrupted  # type: ignore[method-assign]
+        yield machine.ms(300)
+        assert machine.said().startswith(said)
+
+    machine.play(script)
+
+
 def test_a_callback_that_fails_is_an_alarm_that_says_so() -> None:
     machine = Machine()
 
