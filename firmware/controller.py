@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from interfaces import Port, StepEngine
     from lines import LineReader
     from motion import Motion
+    from overrides import Overrides
     from planner import Planner
     from protocol import Protocol
     from realtime import Realtime
@@ -48,6 +49,7 @@ class Controller:
     motion: "Motion"
     cycles: "Cycles"
     gcode: "Gcode"
+    overrides: "Overrides"
     realtime: "Realtime"
     suspension: "Suspension"
     commands: "Commands"

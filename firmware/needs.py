@@ -19,7 +19,7 @@ def missing(engine: str, machine: str, version: "tuple[int, ...]") -> str:
     for needing, chip, oldest, why in NEEDS:
         if needing == engine and chip in machine and version < oldest:
             text = "MicroPython %d.%d is too old: ENGINE %s on %s wants %d.%d or newer, for %s"
-            return text % (*version[:2], engine, chip, *oldest, why)
+            return text % (version[:2] + (engine, chip) + oldest + (why,))
     return ""
 
 

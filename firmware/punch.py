@@ -225,12 +225,11 @@ class PunchRealtime(Realtime):
         self,
         port: "Port",
         pump: "Callable[[], None]",
-        gcode: "Gcode",
         resync: "Callable[[], None]",
         suspension: "Suspension",
     ) -> None:
         """As Realtime does, for the punch as well."""
-        super().connect(port, pump, gcode, resync, suspension)
+        super().connect(port, pump, resync, suspension)
         self._spindle.connect(self._engine, self._report, self, pump)
 
     def start(self, run: int) -> None:

@@ -8,7 +8,6 @@ is suspended run() does not return: suspension.py has its turn there.
 
 import errors
 import state as st
-from coolant import FLOOD, MIST
 from errors import Abort
 from inputs import DOOR, HOLD, RESET, START
 from micropython import const
@@ -18,9 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from coolant import Coolant
-    from gcode import Gcode
     from inputs import Inputs
     from interfaces import Port, StepEngine
+    from overrides import Overrides
     from planner import Planner
     from report import Report
     from segments import Segments
@@ -41,31 +40,7 @@ _EVENTS = {
 }
 _JOG_CANCEL = const(0x85)
 
-# Override bytes, from 0x90: which override, and by how much; 0 is back to 100 %.
-_FEED = const(0)
-_RAPID = const(1)
-_SPINDLE = const(2)
-_OVERRIDES = {
-    0x90: (_FEED, 0),
-    0x91: (_FEED, 10),
-    0x92: (_FEED, -10),
-    0x93: (_FEED, 1),
-    0x94: (_FEED, -1),
-    0x95: (_RAPID, 100),
-    0x96: (_RAPID, 50),
-    0x97: (_RAPID, 25),
-    0x99: (_SPINDLE, 0),
-    0x9A: (_SPINDLE, 10),
-    0x9B: (_SPINDLE, -10),
-    0x9C: (_SPINDLE, 1),
-    0x9D: (_SPINDLE, -1),
-}
-_SPINDLE_STOP = const(0x9E)
-_FLOOD_TOGGLE = const(0xA0)
-_MIST_TOGGLE = const(0xA1)
 _FOR_EVER = const(255)
-_LOWEST = const(10)
-_HIGHEST = const(200)
 
 # States in which the engine may be running on its own.
 _MOTION = const(0x38)  # RUN | HOLD | JOG
@@ -87,7 +62,7 @@ class Realtime:
         coolant: "Coolant",
         inputs: "Inputs",
         report: "Report",
-        has_mist: bool,
+        overrides: "Overrides",
     ) -> None:
         self._state = state
         self._settings = settings
@@ -98,7 +73,7 @@ class Realtime:
         self._coolant = coolant
         self._inputs = inputs
         self._report = report
-        self._has_mist = has_mist
+        self._overrides = overrides
         self._moving = False  # the engine was started and has not been seen idle since
         self._settling = False  # it stands still, and the motors are still powered ($1)
         self._since = 0
@@ -110,7 +85,6 @@ class Realtime:
         self,
         port: "Port",
         pump: "Callable[[], None]",
-        gcode: "Gcode",
         resync: "Callable[[], None]",
         suspension: "Suspension",
     ) -> None:
@@ -118,7 +92,6 @@ class Realtime:
         self._port = port
         self._estop = port.estop
         self._pump = pump
-        self._gcode = gcode
         self._resync = resync
         self._suspension = suspension
 
@@ -248,7 +221,7 @@ class Realtime:
         if state.take(st.CYCLE_STOP):
             self._cycle_stop()
         if state.take(st.OVERRIDE):
-            self._overrides()
+            self._overrides.take()
 
     def _raise_alarm(self) -> None:
         state = self._state
@@ -427,55 +400,3 @@ class Realtime:
     def power(self, on: bool) -> None:
         """Motors on or off ($4)."""
         self._port.enable((0 if on else 1) ^ self._settings.enable_invert)
-
-    # Overrides
-
-    def _overrides(self) -> None:
-        state = self._state
-        new = [state.feed_override, state.rapid_override, state.spindle_override]
-        for byte, (which, change) in _OVERRIDES.items():
-            if state.take(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE):
-                if which == _RAPID or change == 0:
-                    new[which] = change or 100
-                else:
-                    new[which] = min(max(new[which] + change, _LOWEST), _HIGHEST)
-        if new[0] != state.feed_override or new[1] != state.rapid_override:
-            state.feed_override, state.rapid_override = new[0], new[1]
-            state.override_countdown = 0
-            self._planner.override()
-        if new[2] != state.spindle_override:
-            state.spindle_override = new[2]
-            state.override_countdown = 0
-            self._override_spindle()
-        self._accessory_overrides()
-
-    def _override_spindle(self) -> None:
-        """The spindle's override has changed: now, with the motion, or once it is held."""
-        state = self._state
-        self._gcode.plain.forget()
-        if state.run == st.IDLE:
-            self._spindle.turn(self._gcode.spindle, self._gcode.spindle_rpm)
-        elif state.run & _MOTION:
-            state.update_spindle = True
-            self._planner.each_power(self._spindle.block_power)
-
-    def _accessory_overrides(self) -> None:
-        state = self._state
-        if state.take(st.OVERRIDES + _SPINDLE_STOP - st.FIRST_OVERRIDE_BYTE):
-            self.stop_spindle()
-        flood = state.take(st.OVERRIDES + _FLOOD_TOGGLE - st.FIRST_OVERRIDE_BYTE)
-        mist = state.take(st.OVERRIDES + _MIST_TOGGLE - st.FIRST_OVERRIDE_BYTE)
-        toggled = (FLOOD if flood else 0) | (MIST if mist and self._has_mist else 0)
-        if not toggled or state.run not in (st.IDLE, st.RUN, st.HOLD, st.JOG):
-            return
-        self._gcode.coolant ^= toggled
-        self._coolant.set(self._gcode.coolant)
-
-    def stop_spindle(self) -> None:
-        """Spindle stop override: toggles, and only while held."""
-        state = self._state
-        if state.run == st.HOLD:
-            if not state.stop_override:
-                state.stop_override = st.STOP_INITIATE
-            elif state.stop_override & st.STOP_ENABLED:
-                state.stop_override |= st.STOP_RESTORE

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from gcode import Gcode
     from inputs import Inputs
     from interfaces import Port, StepEngine
+    from overrides import Overrides
     from planner import Planner
     from realtime import Realtime
     from report import Report
@@ -79,12 +80,14 @@ class Suspension:
     def connect(
         self,
         realtime: "Realtime",
+        overrides: "Overrides",
         gcode: "Gcode",
         port: "Port",
         position: "Callable[[array[float]], None]",
     ) -> None:
         """Say whom to call. position copies the machine's, in mm."""
         self._realtime = realtime
+        self._overrides = overrides
         self._gcode = gcode
         self._port = port
         self._position = position
@@ -127,7 +130,7 @@ class Suspension:
             self._flags = row[kernels.FLAGS]
             self._rpm = self._planner.speeds[self._planner.flow[kernels.TAIL]]
         if self._spindle.laser:
-            self._realtime.stop_spindle()
+            self._overrides.stop_spindle()
 
     def _hold(self) -> None:
         state = self._state

@@ -15,6 +15,7 @@ from inputs import Inputs
 from lines import LineReader
 from micropython import const
 from motion import Motion
+from overrides import Overrides
 from planner import Planner
 from protocol import Protocol
 from realtime import Realtime
@@ -219,6 +220,15 @@ def _make_language(machine: Controller, options: Options) -> None:
 
 def _make_states(machine: Controller, options: Options) -> None:
     """The run states and what moves the machine between them."""
+    overrides = Overrides(
+        machine.state,
+        machine.planner,
+        machine.spindle,
+        machine.coolant,
+        machine.gcode,
+        options.mist,
+    )
+    machine.overrides = overrides
     machine.realtime = options.parts[2](
         machine.state,
         machine.settings,
@@ -229,7 +239,7 @@ def _make_states(machine: Controller, options: Options) -> None:
         machine.coolant,
         machine.inputs,
         machine.report,
-        options.mist,
+        overrides,
     )
     machine.suspension = Suspension(
         machine.state,
@@ -288,8 +298,8 @@ def _connect(machine: Controller) -> None:
     )
     motion.connect(machine.protocol.service, realtime)
     machine.cycles.connect(motion, realtime, pump, position, resync)
-    realtime.connect(machine.port, pump, gcode, resync, machine.suspension)
-    machine.suspension.connect(realtime, gcode, machine.port, position)
+    realtime.connect(machine.port, pump, resync, machine.suspension)
+    machine.suspension.connect(realtime, machine.overrides, gcode, machine.port, position)
     machine.commands.connect(realtime, motion, machine.protocol.execute)
     machine.protocol.connect(realtime, gcode, machine.commands, motion, machine.restart)
     for callback in (

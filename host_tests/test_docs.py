@@ -201,7 +201,7 @@ def test_no_message_contains_an_answer():
     modules = [path.relative_to(_FIRMWARE).as_posix() for path in _FIRMWARE.rglob("*.py")]
     texts = [text for module in modules for text in sent_texts(module)]
     assert "Pgm End" in texts
-    assert "ALARM:%d" in texts
+    assert "ALARM:%d\r\n" in texts
     assert [text for text in texts if _TAKEN.search(text)] == []
 
 

@@ -15,7 +15,7 @@ LAYERS = (
     {"state", "settings", "coords", "singles"},
     {"block", "planner", "segments", "spindle", "coolant", "inputs"},
     {"checks", "motion", "report"},
-    {"plain", "cycles", "report_09"},
+    {"plain", "cycles", "report_09", "overrides"},
     {"gcode"},
     {"realtime", "commands", "suspension"},
     {"protocol", "punch"},

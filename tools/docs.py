@@ -216,23 +216,24 @@ def _byte(number: int) -> str:
 
 def _realtime() -> str:
     paths.use_firmware()
+    import overrides
     import realtime
 
     rows = [(f"{_byte(realtime._SOFT_RESET)} Ctrl-X", _RESET)]
     rows += [(_byte(number), _EVENTS[number]) for number in (*realtime._EVENTS,)]
     names = {
-        realtime._FEED: "Feed rate",
-        realtime._RAPID: "Rapids",
-        realtime._SPINDLE: "Spindle speed",
+        overrides._FEED: "Feed rate",
+        overrides._RAPID: "Rapids",
+        overrides._SPINDLE: "Spindle speed",
     }
-    for number, (which, change) in realtime._OVERRIDES.items():
-        sets = which == realtime._RAPID or change == 0
+    for number, (which, change) in overrides._OVERRIDES.items():
+        sets = which == overrides._RAPID or change == 0
         amount = f"{change or 100} % of normal" if sets else f"{change:+d} %"
         rows.append((_byte(number), f"{names[which]}: {amount}."))
-    rows.append((_byte(realtime._SPINDLE_STOP), "Spindle stop, on and off; in a hold only."))
-    rows.append((_byte(realtime._FLOOD_TOGGLE), "Flood coolant on and off."))
+    rows.append((_byte(overrides._SPINDLE_STOP), "Spindle stop, on and off; in a hold only."))
+    rows.append((_byte(overrides._FLOOD_TOGGLE), "Flood coolant on and off."))
     mist = "Mist coolant on and off. Board option `MIST`."
-    rows.append((_byte(realtime._MIST_TOGGLE), mist))
+    rows.append((_byte(overrides._MIST_TOGGLE), mist))
     return _table(("Byte", "What it does"), rows)
 
 
