@@ -57,6 +57,8 @@ class Commands:
         self._options = options
         self._single_axis_homing = single_axis_homing
         self._startup = [""] * STARTUP_LINES
+        # What $I+ says besides $I, where the chip can tell.
+        self.health: "Callable[[], str] | None" = None
 
     def connect(
         self,
@@ -193,9 +195,12 @@ class Commands:
         self._state.post(st.SLEEP_REQUEST)
 
     def _build_info(self, line: bytearray, length: int) -> None:
-        if length == 2:
+        health = self.health if length == 3 and line[2] == 43 else None  # $I+
+        if length == 2 or health:
             kept = self._store.load(_BUILD_INFO)
             self._report.build_info(kept[0] if kept else "", self._options)
+            if health:
+                self._report.message(health())
         elif line[2] != 61:
             raise GrblError(errors.INVALID_STATEMENT)
         else:

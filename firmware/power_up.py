@@ -72,6 +72,11 @@ def build() -> "Parts | None":
         return None
     finally:
         sys.path[:] = path
+    if board.ENGINE == "pio":
+        from pio import stack
+
+        stack.paint()
+        machine.commands.health = stack.report
     watch.start(port.watch(getattr(board, "WATCHDOG_MS", _WATCHDOG_MS)))
     return machine, link, port, engine, watch
 

@@ -45,6 +45,11 @@ def alloc_emergency_exception_buf(size: int, /) -> None:
     """CPython needs none."""
 
 
+def stack_use() -> int:
+    """How much of the C stack is in use."""
+    raise NotImplementedError("a desktop's stack says nothing of a board's")
+
+
 def kbd_intr(char: int, /) -> None:
     """Ctrl-C on the desktop is for the desktop."""
 
