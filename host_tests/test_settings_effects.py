@@ -5,6 +5,7 @@ and what of another value. A row of the settings table without one is a failure.
 """
 
 import math
+import re
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from statistics import median
@@ -14,6 +15,7 @@ from typing import Any
 import pytest
 from kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 from punch import _SETTINGS as punch_settings
+from report_09 import Report09
 from settings import _AXIS, _TABLE
 from ugrbl.machine import load_board
 from ugrbl.sim.engine import Switch
@@ -196,6 +198,11 @@ def _fields(bench: Bench) -> Iterator[Any]:
     """The form of a status report, without what is only there now and then."""
     report = yield from bench.report()
     return " ".join(name for name in report if name not in ("WCO", "Ov"))
+
+
+def _fields_09(bench: Bench) -> Iterator[Any]:
+    report = (yield from bench.say("?", "report"))[-1]
+    return " ".join(re.findall(r"(\w+):", report))
 
 
 def _decimals(bench: Bench) -> Iterator[Any]:
@@ -423,6 +430,11 @@ def test_a_setting_has_its_effect_whatever_has_set_it(row: "Row") -> None:
 @pytest.mark.parametrize("row", _PUNCH_EFFECTS, ids=[f"${row[0]}" for row in _PUNCH_EFFECTS])
 def test_so_has_one_of_a_punch(row: "Row") -> None:
     _tell(Bench({}, "sim_punch"), row)
+
+
+def test_so_has_the_form_of_reports_of_grbl_09() -> None:
+    ((number, *_),) = Report09.SETTINGS[1]
+    _tell(Bench({}, "sim_09j"), (number, 6, {}, _fields_09, "MPos WPos", "WPos Buf"))
 
 
 # What the table cannot say
