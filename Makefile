@@ -9,7 +9,7 @@ BIN := .venv/bin
 VENV := .venv/installed
 TYPESHED := .venv/typeshed/merged
 
-.PHONY: run test check fmt lint types build deploy clean test-emulator test-senders bench bench-board docs
+.PHONY: run test check fmt lint types build deploy clean test-emulator test-senders torture bench bench-board docs
 
 run: $(VENV)  ## a demonstration in the simulator
 	$(BIN)/ugrbl demo
@@ -38,6 +38,9 @@ deploy: $(VENV)  ## firmware for BOARD onto the board at PORT, or at the only on
 
 test-emulator: $(VENV)  ## on an emulated Pico; UGRBL_UF2 names MicroPython's image for it
 	$(BIN)/pytest -q -rs -n auto --dist loadgroup host_tests/emulator
+
+torture: $(VENV)  ## stops at every bytecode, and random sessions: SEEDS of them, minutes to hours
+	UGRBL_TORTURE=$(or $(SEEDS),500) $(BIN)/pytest -q -n auto host_tests/test_injection.py host_tests/test_torture.py
 
 bench: $(VENV)  ## the firmware's speed on this desktop
 	$(BIN)/python host_tests/bench/bench_desktop.py
