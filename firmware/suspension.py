@@ -94,15 +94,20 @@ class Suspension:
 
     def turn(self) -> None:
         """One turn of a suspension."""
-        state = self._state
+        if not self._routine:
+            self._choose()
         if self._routine:
             try:
                 next(self._routine)
             except StopIteration:
                 self._routine = None
-        elif not state.suspend & st.HOLD_COMPLETE:
+
+    def _choose(self) -> None:
+        """What is to be done now: at once, or as a routine."""
+        state = self._state
+        if not state.suspend & st.HOLD_COMPLETE:
             return
-        elif state.run not in (st.DOOR, st.SLEEP):
+        if state.run not in (st.DOOR, st.SLEEP):
             self._hold()
         elif not state.suspend & st.RETRACT_COMPLETE:
             self._routine = self._retract()
