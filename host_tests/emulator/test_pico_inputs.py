@@ -3,10 +3,13 @@
 from pathlib import Path
 
 import pytest
-from emulated import DIR, HOLD, LIMIT, PROBE, RESET, START, STEP, Board, steps
+from emulated import DIR, HOLD, LIMIT, PROBE, RESET, SPINDLE_PWM, START, STEP, Board, steps
+from ugrbl.paths import BOARDS
 
 pytestmark = pytest.mark.xdist_group("pico inputs")
 
+ESTOP = 21  # closed until it is pressed
+BOARD = (BOARDS / "rpi_pico.py").read_bytes() + b"ESTOP = 21\n"
 SETTINGS = (
     *("$0=3", "$100=80", "$101=80", "$102=80"),
     *("$110=3000", "$111=3000", "$112=3000"),
@@ -16,10 +19,12 @@ SETTINGS = (
 
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
-    made = Board(uf2).boot().settled()
+    made = Board(uf2, {"board.py": BOARD})
+    made.pico.drive(ESTOP, 0)
+    made.boot().settled()
     for setting in SETTINGS:
         assert made.ask(setting) == "ok\r\n"
-    made.pico.record([*STEP, *DIR])
+    made.pico.record([*STEP, *DIR, SPINDLE_PWM])
     return made
 
 
@@ -100,6 +105,21 @@ def test_a_limit_switch_stops_all_axes_soon(machine: Board) -> None:
     machine.wait_for("Grbl 1.1h")
     machine.ask("$X")
     machine.ask("$21=0")
+
+
+def test_an_emergency_stop_stops_all_and_locks_the_machine(machine: Board) -> None:
+    machine.ask("M3 S500")
+    machine.ask("G91 G1 X12 Y5 F1800")
+    machine.pico.run_us(150_000)
+    machine.forget()
+    now = machine.pico.us
+    machine.pico.drive(ESTOP, 1)
+    machine.wait_for("unlock]\r\n")
+    assert "ALARM:17\r\n" in machine.said and "[MSG:Emergency stop]" in machine.said
+    assert machine.pico.edges[-1].ns / 1000 - now <= 300  # steps, and pulses of the spindle
+    assert machine.ask("$X", "error:9\r\n") == "[MSG:Emergency stop]\r\nerror:9\r\n"
+    machine.pico.drive(ESTOP, 0)
+    machine.ask("$X")
 
 
 def test_a_probe_is_where_it_was_at_the_moment_of_contact(machine: Board) -> None:
