@@ -133,8 +133,8 @@ class PortInputs:
         try:
             pin.irq().trigger(0)
             if not self._limit_debounce_ms:
-                self._limits_seen = self.limits()
                 self._on_limits()
+                self._limits_seen = self.limits()
             self._start(self._limit_timer, self._limit_debounce_ms, self._look_again)
         except BaseException:
             self._fail()

@@ -20,7 +20,8 @@ SETTINGS = (
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
     made = Board(uf2, {"board.py": BOARD})
-    made.pico.drive(ESTOP, 0)
+    for level in (1, 0):  # it is driven once it has changed
+        made.pico.drive(ESTOP, level)
     made.boot().settled()
     for setting in SETTINGS:
         assert made.ask(setting) == "ok\r\n"

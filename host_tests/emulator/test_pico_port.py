@@ -30,7 +30,8 @@ port.hear_limits(True)
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
     made = Board(uf2, {"main.py": b""})
-    made.pico.drive(ESTOP, 0)
+    for level in (1, 0):  # it is driven once it has changed
+        made.pico.drive(ESTOP, level)
     assert made.pico.run_until(lambda: made.pico.usb.connected > 0, 3_000_000)
     made.send("\x03")
     made.wait_for(">>> ")
