@@ -20,8 +20,7 @@ SETTINGS = (
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
     made = Board(uf2, {"board.py": BOARD})
-    for level in (1, 0):  # it is driven once it has changed
-        made.pico.drive(ESTOP, level)
+    made.pico.mcu.gpio[ESTOP].set_input_value(False)  # before the chip looks at any pin
     made.boot().settled()
     for setting in SETTINGS:
         assert made.ask(setting) == "ok\r\n"

@@ -30,8 +30,7 @@ port.hear_limits(True)
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
     made = Board(uf2, {"main.py": b""})
-    for level in (1, 0):  # it is driven once it has changed
-        made.pico.drive(ESTOP, level)
+    made.pico.mcu.gpio[ESTOP].set_input_value(False)  # before the chip looks at any pin
     assert made.pico.run_until(lambda: made.pico.usb.connected > 0, 3_000_000)
     made.send("\x03")
     made.wait_for(">>> ")
