@@ -20,7 +20,8 @@ SETTINGS = (
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
     made = Board(uf2, {"board.py": BOARD})
-    made.pico.mcu.gpio[ESTOP].set_input_value(False)  # before the chip looks at any pin
+    made.pico.run_us(200_000)  # MicroPython's start forgets what drives a pin
+    made.pico.mcu.gpio[ESTOP].set_input_value(False)
     made.boot().settled()
     for setting in SETTINGS:
         assert made.ask(setting) == "ok\r\n"

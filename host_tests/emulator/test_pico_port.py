@@ -30,7 +30,8 @@ port.hear_limits(True)
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
     made = Board(uf2, {"main.py": b""})
-    made.pico.mcu.gpio[ESTOP].set_input_value(False)  # before the chip looks at any pin
+    made.pico.run_us(200_000)  # MicroPython's start forgets what drives a pin
+    made.pico.mcu.gpio[ESTOP].set_input_value(False)
     assert made.pico.run_until(lambda: made.pico.usb.connected > 0, 3_000_000)
     made.send("\x03")
     made.wait_for(">>> ")
