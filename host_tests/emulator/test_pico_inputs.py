@@ -20,9 +20,11 @@ SETTINGS = (
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
     made = Board(uf2, {"board.py": BOARD})
-    made.pico.run_us(200_000)  # MicroPython's start forgets what drives a pin
-    made.pico.mcu.gpio[ESTOP].set_input_value(False)
-    made.boot().settled()
+    made.boot().wait_for("[MSG:Emergency stop]")  # nothing is wired: it is open
+    made.pico.drive(ESTOP, 0)
+    made.ask("$X")
+    made.send("\x18")
+    made.settled()
     for setting in SETTINGS:
         assert made.ask(setting) == "ok\r\n"
     made.pico.record([*STEP, *DIR, SPINDLE_PWM])
