@@ -176,6 +176,8 @@ F = "def f(x: int, y: int, memory: ptr32) -> int:\n    "
         ("signs = ptr8(memory)\n    return int(second(signs)) + int(second(memory))", "second"),
         ("return int(find(memory, x))", "find"),  # returns out of a loop can stay at the end
         ("return int(above(x))", "above"),
+        ("try:\n        push(memory, x)\n        memory[99] = y\n    except IndexError:\n"
+         "        push(memory, int(clipped(y)))\n    return x", "push, clipped"),
     ],
 )  # fmt: skip
 def test_a_function_means_the_same(tmp_path: Path, body: str, imports: str) -> None:
@@ -228,6 +230,29 @@ def test_large_leaves_are_worth_one_place_only() -> None:
     assert calls(leaves({"m": _HEAD + large + "    return x\n" + once})["m"]) == []
     twice = _HEAD + large + "    return x\n" + once + once.replace("def f", "def g")
     assert leaves({"m": twice})["m"] == twice
+
+
+def test_leaves_one_after_the_other_share_the_places_of_their_locals() -> None:
+    """By type: 3 numbers and a pointer each, and those of the innermost besides."""
+    leaf = """
+@micropython.viper
+def {0}(memory: ptr32, x: int) -> int:
+    a{0} = memory[x]
+    b{0} = a{0} * {1}
+    row{0} = ptr32(memory[b{0}])
+    c{0} = row{0}[a{0}]
+    return c{0} + b{0} + a{0}
+"""
+    text = _HEAD + leaf.format("inner", "7") + leaf.format("first", "int(inner(memory, x))")
+    text += leaf.format("second", "5") + (
+        "\n@micropython.viper\ndef f(memory: ptr32, x: int) -> int:\n"
+        "    first(memory, x)\n    z = int(second(memory, x))\n    return z\n"
+    )
+    made = leaves({"m": text})["m"]
+    assert calls(made) == []
+    names = {n.id for n in ast.walk(ast.parse(made)) if isinstance(n, ast.Name) and "__" in n.id}
+    assert {n for n in names if n.startswith("ptr32__")} == {"ptr32__0", "ptr32__1"}
+    assert {n for n in names if n.startswith("int__")} <= {f"int__{k}" for k in range(7)}
 
 
 # The firmware

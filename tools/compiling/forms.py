@@ -16,7 +16,7 @@ MARK = "__"
 _SMALL_INT_LIMIT = 1 << 30  # literals from there on are objects, unless written int(…)
 _STATEMENTS = (
     *(ast.Assign, ast.AugAssign, ast.Expr, ast.Return, ast.Pass),
-    *(ast.If, ast.For, ast.While, ast.Break, ast.Continue),
+    *(ast.If, ast.For, ast.While, ast.Break, ast.Continue, ast.Try),
 )
 _EXPRESSIONS = (
     *(ast.Name, ast.Constant, ast.BinOp, ast.UnaryOp, ast.Compare, ast.BoolOp, ast.IfExp),
@@ -67,6 +67,7 @@ def is_leaf(function: ast.FunctionDef) -> bool:
     arguments = function.args
     return (
         is_plain(function)
+        and not any(isinstance(node, ast.Try) for node in ast.walk(function))
         and always_returns(function.body)
         and annotation(function.returns) == "int"
         and all(annotation(a.annotation) in {"int", "uint", *POINTERS} for a in arguments.args)

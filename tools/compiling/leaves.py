@@ -32,6 +32,8 @@ _SMALL = 40
 _BUSY: "frozenset[Key]" = frozenset(
     {("kernels", "piece"), ("reals", "product"), ("reals", "ratio")}
 )
+# Leaves that are not, for they seldom run, and would take room on the stack of all that do.
+_RARE: "frozenset[Key]" = frozenset({("pio.pulses", "cut")})
 
 # Types of locals that may share a name.
 _SHARED = {"int", *forms.POINTERS}
@@ -90,7 +92,7 @@ class _Program:
 
     def is_wanted(self, key: Key) -> bool:
         """Whether it is worth its room."""
-        only = self._mentions[key] == 1
+        only = self._mentions[key] == 1 and key not in _RARE
         return only or key in _BUSY or forms.size(self.function(key)) <= _SMALL
 
     def prefix(self, key: Key) -> str:
@@ -165,8 +167,9 @@ class _Caller:
         place, pending = _Place(), len(self._live)
         self._take_out(statement, place)
         del self._live[pending:]
-        if isinstance(statement, ast.If | ast.For | ast.While):
-            statement.body = self._block(statement.body)
+        if isinstance(statement, ast.If | ast.For | ast.While | ast.Try):
+            for part in (statement, *getattr(statement, "handlers", ())):
+                part.body = self._block(part.body)
             statement.orelse = self._block(statement.orelse) if statement.orelse else []
         return [*place.before, statement]
 
