@@ -199,10 +199,9 @@ class Realtime:
         if state.alarm:
             self._raise_alarm()
         if self._moving:
+            self._watch()  # first: an engine that has failed stands still, too
             if self._engine.idle():
                 self.release()
-            else:
-                self._watch()
         if self._settling:
             self._settle()
         if not state.posted():
