@@ -13,7 +13,21 @@ BOARD = firmware()["board.py"]
 _HOOK = b"""
 import commands
 import power_up
+import segments
 import time
+
+following = segments.Segments.next
+spoilt = bytearray(1)
+
+
+def next(self, row):
+    if spoilt[0]:
+        spoilt[0] = 0
+        spoilt[1]
+    return following(self, row)
+
+
+segments.Segments.next = next
 
 usual = commands.Commands.execute
 
@@ -22,6 +36,8 @@ def execute(self, line, length):
     what = bytes(line[1:length])
     if what == b"FAULT":
         [][1]
+    elif what == b"TURN":
+        spoilt[0] = 1
     elif what == b"HANG":
         while True:
             pass
@@ -76,6 +92,29 @@ def test_a_fault_in_the_firmware_is_an_alarm_and_a_reset_goes_on(machine: Board)
     machine.wait_for("Grbl 1.1h")
     assert machine.ask("$X").endswith("ok\r\n")
     assert machine.ask("G90") == "ok\r\n"
+
+
+def test_an_exception_in_the_engines_interrupt_is_an_alarm_and_the_engine_lives(
+    machine: Board,
+) -> None:
+    machine.ask("$X")
+    machine.ask("M3 S500")
+    machine.ask("G91 G1 X20 F500")
+    machine.pico.run_us(200_000)
+    assert steps(machine.pico.edges, 0)
+    machine.forget()
+    machine.send("$TURN\n")
+    machine.wait_for("the pulse engine's interrupt has failed")
+    assert "ALARM:16" in machine.said and "Uncaught" not in machine.said
+    still(machine)
+    machine.forget()
+    machine.send("\x18")
+    machine.wait_for("Grbl 1.1h")
+    machine.ask("$X")
+    machine.pico.edges.clear()
+    machine.ask("G91 G1 X1 F500")
+    machine.until_idle()
+    assert len(steps(machine.pico.edges, 0)) == 250
 
 
 def test_ctrl_x_stops_motion_also_while_the_main_loop_is_busy(machine: Board) -> None:
