@@ -18,8 +18,13 @@ def missing(engine: str, machine: str, version: "tuple[int, ...]") -> str:
     """Why this version is too old for that engine on that machine; "" where it is not."""
     for needing, chip, oldest, why in NEEDS:
         if needing == engine and chip in machine and version < oldest:
-            text = "MicroPython %d.%d is too old: ENGINE %s on %s wants %d.%d or newer, for %s"
-            return text % (version[:2] + (engine, chip) + oldest + (why,))
+            old = "MicroPython %d.%d is too old: " % version[:2]
+            return old + "ENGINE %s on %s wants 1.%d or newer, for %s" % (
+                engine,
+                chip,
+                oldest[1],
+                why,
+            )
     return ""
 
 
