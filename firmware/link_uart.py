@@ -32,15 +32,17 @@ _AWAY = const(2)
 
 
 class UartLink:
-    """A Link. For the supervisor: shared is what they share, look what its timer calls;
-    come_back is its own, called in the main loop, and raises. on_turn: called in every turn."""
+    """A Link. For the supervisor: shared is what they share; there is nothing to look at but by
+    reading; come_back is its own, called in the main loop, and raises. on_turn: called in every
+    turn."""
 
-    is_slow = False  # as fast as the chip's MicroPython lets it
+    look = None
+    is_slow = False  # Ctrl-X is heard as soon as the chip's MicroPython lets anyone hear it
 
     def __init__(self) -> None:
         micropython.kbd_intr(-1)  # Ctrl-C is a byte like others
         self.come_back: "Callable[[], None]" = lambda: None
-        self.on_turn = self.look
+        self.on_turn: "Callable[[], None]" = lambda: None
         self.shared = array.array("i", (0, 0, 0))
         self._in: "Any" = sys.stdin.buffer
         self._out: "Any" = sys.stdout.buffer
@@ -49,18 +51,9 @@ class UartLink:
         self._arrived.register(sys.stdin, select.POLLIN)
         self._escape = Escape(self.close)
 
-    def attach(
-        self,
-        at_rest: "Callable[[], bool]",
-        on_reset: "Callable[[], None]",
-        on_open: "Callable[[], None]",
-    ) -> None:
-        """Say when the REPL may be asked for. Of Ctrl-X, and of a sender that opens the port,
-        nobody hears but by reading: a UART knows of neither, and has no hard timer."""
+    def attach(self, at_rest: "Callable[[], bool]", on_open: "Callable[[], None]") -> None:
+        """Say when the REPL may be asked for. That a sender opens the port nobody hears of."""
         self._escape.at_rest = at_rest
-
-    def look(self) -> None:
-        """Interrupt: there is nothing to see but by reading."""
 
     def read_into(self, buf: bytearray) -> int:
         """Move what has arrived into buf; return how many bytes."""

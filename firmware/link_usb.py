@@ -75,8 +75,7 @@ _REMEMBERED = const(12)
 # been plugged in.
 _SETUP = const(0x50100000)
 _SET_LINE_STATE = const(0x2221)
-_SET_LINE_CODING = const(0x2021)
-_GET_LINE_CODING = const(0x21A1)
+_LINE_CODING = const(0x2021)  # SET is 0x2021, GET is 0x21A1
 _SET_CONFIGURATION = const(0x0900)
 
 # MicroPython's struct ringbuf_t: address, size : 16, iget : 16, iput : 16.
@@ -123,54 +122,13 @@ def _keep(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
     return 1
 
 
-@micropython.viper
-def _is_open(at: ptr32) -> int:
-    """Whether a program has the port open."""
-    if at[_LINE]:
-        return ptr8(at[_LINE])[0] & 1
-    request = ptr32(_SETUP)[0]
-    what = request & 0xFFFF
-    if what == _SET_LINE_STATE:
-        return (request >> 16) & 1
-    if what == _SET_LINE_CODING:
-        return 1
-    if what == _GET_LINE_CODING:
-        return 1
-    return 0 if what == _SET_CONFIGURATION else at[_DTR]
-
-
-@micropython.viper
-def _look(at: ptr32) -> int:
-    """Interrupt: drop all that has arrived up to a Ctrl-X. Returns whether there was one.
-
-    And see the port being opened, which for the first time is no news."""
-    shorts = ptr16(at[_RING])
-    data = ptr8(ptr32(at[_RING])[0])
-    get = shorts[3]
-    put = shorts[4]
-    is_open = int(_is_open(at))
-    if is_open != at[_DTR]:
-        at[_DTR] = is_open
-        at[_OPENED] = is_open & at[_USED]
-    if is_open or get != put:
-        at[_USED] = 1
-    found = 0
-    if at[_TAKING] == 0:
-        while get != put:
-            get = (get + 1) & (_RING_BYTES - 1)
-            if data[(get - 1) & (_RING_BYTES - 1)] == _CTRL_X:
-                shorts[3] = get
-                found = 1
-    return found
-
-
 class UsbLink:
     """A Link.
 
     read_into(buf) moves what has arrived into buf and returns how many bytes; write(data) sends,
-    soon. For the supervisor: shared is what they share, look what its timer calls;
-    come_back is its own, called in the main loop, and raises. is_slow: Ctrl-X is not heard
-    before the main loop reads.
+    soon. For the supervisor: shared is what they share, look what its timer calls, None where
+    there is nothing to see; come_back is its own, called in the main loop, and raises. is_slow:
+    Ctrl-X is not heard before the main loop reads.
     """
 
     read_into: "Callable[[bytearray], int]"
@@ -197,25 +155,49 @@ class UsbLink:
             link_ring.find(self._at, self._drain, _take)
             del sys.modules["link_ring"]  # nobody needs it any more
         self.is_slow = self._at[_RING] == 0
+        self.look: "Callable[[], int] | None" = None if self.is_slow else self._look
         self.read_into = self._make_read_into()
         self.write = self._make_write()
 
-    def attach(
-        self,
-        at_rest: "Callable[[], bool]",
-        on_reset: "Callable[[], None]",
-        on_open: "Callable[[], None]",
-    ) -> None:
-        """Say when the REPL may be asked for, who hears of Ctrl-X, in a hard interrupt, while
-        the main loop does not listen, and who greets a sender that opens the port anew."""
+    def attach(self, at_rest: "Callable[[], bool]", on_open: "Callable[[], None]") -> None:
+        """Say when the REPL may be asked for, and who greets a sender that opens the port anew."""
         self._escape.at_rest = at_rest
-        self._on_reset = on_reset
         self._on_open = on_open
 
-    def look(self) -> None:
-        """Interrupt: what cannot wait for the main loop to read."""
-        if not self.is_slow and _look(self._at):
-            self._on_reset()
+    @micropython.viper
+    def _look(self) -> int:
+        """Interrupt: drop all that has arrived up to a Ctrl-X. Returns whether there was one.
+
+        And see the port being opened, which for the first time is no news."""
+        at = ptr32(self._at)
+        shorts = ptr16(at[_RING])
+        data = ptr8(ptr32(at[_RING])[0])
+        get = shorts[3]
+        put = shorts[4]
+        is_open = at[_DTR]
+        if at[_LINE]:
+            is_open = ptr8(at[_LINE])[0] & 1
+        else:
+            request = ptr32(_SETUP)[0] & 0x1FFFF
+            if request & 0xFFFF == _SET_LINE_STATE:
+                is_open = request >> 16
+            if request & 0xFE7F == _LINE_CODING:
+                is_open = 1
+            if request & 0xFFFF == _SET_CONFIGURATION:
+                is_open = 0
+        if is_open != at[_DTR]:
+            at[_DTR] = is_open
+            at[_OPENED] = is_open & at[_USED]
+        if is_open or get != put:
+            at[_USED] = 1
+        found = 0
+        if at[_TAKING] == 0:
+            while get != put:
+                get = (get + 1) & (_RING_BYTES - 1)
+                if data[(get - 1) & (_RING_BYTES - 1)] == _CTRL_X:
+                    shorts[3] = get
+                    found = 1
+        return found
 
     def _drain(self) -> bytearray:
         """All that has arrived."""

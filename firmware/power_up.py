@@ -77,7 +77,8 @@ def build() -> "Parts | None":
 
         stack.paint()
         machine.commands.health = stack.report
-    watch.start(port.watch(getattr(board, "WATCHDOG_MS", _WATCHDOG_MS)))
+    feed = port.watch(getattr(board, "WATCHDOG_MS", _WATCHDOG_MS))
+    watch.start(feed, machine.realtime.reset)
     return machine, link, port, engine, watch
 
 
@@ -144,7 +145,7 @@ def _build(
         if at_rest():
             machine.report.banner()
 
-    link.attach(at_rest, machine.realtime.reset, greet)
+    link.attach(at_rest, greet)
     gc.collect()
     return machine
 

@@ -50,10 +50,6 @@ def count(shared: ptr32, beat_ms: int) -> int:
     return shared[_AWAY]
 
 
-def _nothing() -> None:
-    """In place of a watchdog."""
-
-
 class Supervisor:
     """Watches over a link, an engine and a port. limit_ms: how long the main loop may be away."""
 
@@ -63,31 +59,27 @@ class Supervisor:
         link.come_back = self.tell
         self._halt = (port.kill, engine.stop)  # in this order
         self._limit_ms = limit_ms
-        self._is_hard = sys.platform == "rp2"
-        self._beat_ms = _HARD_MS if self._is_hard else _SOFT_MS
-        self._timer: "Timer | None" = None
+        hard = sys.platform == "rp2"
+        self._beat_ms = _HARD_MS if hard else _SOFT_MS
+        self._timer = Timer(-1 if hard else _SOFT_TIMER)
 
-    def start(self, feed: "Callable[[], None] | None") -> None:
-        """Watch from now on. feed: the watchdog's."""
-        self._feed = feed or _nothing
+    def start(self, feed: "Callable[[], None] | None", on_reset: "Callable[[], None]") -> None:
+        """Watch from now on. feed: the watchdog's; on_reset: hears of Ctrl-X, in the interrupt,
+        while the main loop does not listen."""
+        self._feed = feed
+        self._on_reset = on_reset
         self.allow(0)
-        if self._is_hard:
-            self._timer = Timer()
-            self._timer.init(period=_HARD_MS, callback=self._beat, hard=True)
-        else:
-            self._timer = Timer(_SOFT_TIMER)
-            self._timer.init(period=_SOFT_MS, callback=self._beat)
+        hard = self._beat_ms == _HARD_MS
+        self._timer.init(period=self._beat_ms, callback=self._beat, hard=hard)
 
     def close(self) -> None:
         """Watch no more."""
-        if self._timer:
-            self._timer.deinit()
+        self._timer.deinit()
 
     def allow(self, ms: int) -> None:
         """The main loop may be away for so much longer, this time."""
         self._shared[_AWAY] = -ms
 
-    @micropython.native  # for it needs little stack so
     def _beat(self, _timer: object) -> None:
         """Interrupt. Catches all, for MicroPython would not call it again."""
         shared = self._shared
@@ -95,9 +87,10 @@ class Supervisor:
             count(shared, self._beat_ms)
             away = shared[_AWAY]  # not what viper returns: 64 bits have no sign there
             if away < self._limit_ms:
-                if away == 0:
+                if away == 0 and self._feed:
                     self._feed()
-                self._look()
+                if self._look and self._look():
+                    self._on_reset()
                 return
             shared[_STOPPED] = away
         except BaseException:

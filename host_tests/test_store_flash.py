@@ -132,8 +132,9 @@ def test_a_write_is_told_of_even_where_it_fails(
     full: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     attach(monkeypatch, Flash(), fresh=True)
-    told: list[bool] = []
-    store = FlashStore("/", lambda: told.append(True))
+    told: list[str] = []
+    store = FlashStore("/")
+    store.before, store.after = lambda: told.append("before"), lambda: told.append("after")
     assert store.load("settings") is None and told == []
     if full:
         monkeypatch.setattr(store_flash, "open", lambda *_: FullFile(), raising=False)
@@ -141,4 +142,4 @@ def test_a_write_is_told_of_even_where_it_fails(
             store.save("settings", NEW)
     else:
         store.save("settings", NEW)
-    assert told == [True]
+    assert told == ["before", "after"]

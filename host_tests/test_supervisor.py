@@ -18,16 +18,22 @@ class Machine:
         self.shared = array("i", (0, 0, 0, 7))
         self.log: list[str] = []
         self.fails = fails
+        self.hears = False
         self.watch = Supervisor(self, self, self, _LIMIT_MS)  # type: ignore[arg-type]
-        self.watch.start(self.feed)
+        self.watch.start(self.feed, self.reset)
 
     def _do(self, what: str) -> None:
         self.log.append(what)
         if what == self.fails:
             raise MemoryError
 
-    def look(self) -> None:
+    def look(self) -> bool:
+        """Ctrl-X comes while the test says so."""
         self._do("look")
+        return self.hears
+
+    def reset(self) -> None:
+        self._do("reset")
 
     def feed(self) -> None:
         self._do("feed")
@@ -84,15 +90,21 @@ def test_what_may_take_longer_says_so_and_is_stopped_behind_that(machine: Machin
     assert machine.beats(_BEAT_MS) == ["kill", "stop"]
 
 
-@pytest.mark.parametrize("fails", ["feed", "look"])
+@pytest.mark.parametrize("fails", ["feed", "look", "reset"])
 def test_an_interrupt_that_fails_stops_the_machine_and_is_told(
     machine: Machine, fails: str
 ) -> None:
     machine.fails = fails
+    machine.hears = True
     machine.read()
     assert machine.beats(_BEAT_MS)[-2:] == ["kill", "stop"]
     with pytest.raises(RuntimeError, match="interrupt has failed"):
         machine.read()
+
+
+def test_ctrl_x_resets_also_while_the_main_loop_is_away(machine: Machine) -> None:
+    machine.hears = True
+    assert machine.beats(_BEAT_MS) == ["look", "reset"]
 
 
 def test_the_engine_is_stopped_also_where_killing_the_tool_fails(machine: Machine) -> None:
