@@ -9,7 +9,16 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from . import build_cli, deploy_cli, doctor, new_board_cli, picture, plot_cli, settings_cli
+from . import (
+    build_cli,
+    deploy_cli,
+    doctor,
+    new_board_cli,
+    picture,
+    plot_cli,
+    selftest_cli,
+    settings_cli,
+)
 from .conformance import conformance
 from .gcode_file import read_lines
 from .machine import DEFAULT_BOARD
@@ -23,6 +32,7 @@ app.command("deploy", epilog=deploy_cli.EXAMPLES)(deploy_cli.command)
 app.command("doctor", epilog=doctor.EXAMPLES)(doctor.command)
 app.command("new-board", epilog=new_board_cli.EXAMPLES)(new_board_cli.command)
 app.command("plot", epilog=plot_cli.EXAMPLES)(plot_cli.command)
+app.command("selftest", epilog=selftest_cli.EXAMPLES)(selftest_cli.command)
 app.add_typer(settings_cli.app, name="settings")
 
 

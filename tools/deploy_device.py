@@ -18,12 +18,12 @@ from .deploy import LIST, About, DeployError, Running
 from .send import SendError
 
 # An emulated board is slow: UGRBL_PATIENCE=5 waits five times as long for everything.
-_PATIENCE = float(os.environ.get("UGRBL_PATIENCE", "1"))
-_STATUS_S = 2.0 * _PATIENCE
-_PROMPT_S = 5.0 * _PATIENCE
-_START_S = 15.0 * _PATIENCE
-_ANSWER_S = 5.0 * _PATIENCE
-_RAW_S = 10.0 * _PATIENCE
+PATIENCE = float(os.environ.get("UGRBL_PATIENCE", "1"))
+_STATUS_S = 2.0 * PATIENCE
+_PROMPT_S = 5.0 * PATIENCE
+_START_S = 15.0 * PATIENCE
+_ANSWER_S = 5.0 * PATIENCE
+_RAW_S = 10.0 * PATIENCE
 _NAP_S = 0.01
 _PIECE = 1024  # bytes that the board takes at a time: it reads them as text, up to 4 kB
 _AT_REST = ("Idle", "Alarm")

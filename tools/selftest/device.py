@@ -1,0 +1,99 @@
+"""A real board for the self-test: `ugrbl deploy`'s, and lines as they come."""
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+
+from mpremote.transport import TransportError  # type: ignore[import-untyped]
+
+from .. import patient
+from ..deploy import DeployError
+from ..deploy_device import PATIENCE, MpremoteDevice
+from ..send import SendError
+from .session import WIRING, Wiring
+
+_NAP_S = 0.05
+_BACK_S = 20.0 * PATIENCE
+
+
+class PromptBoard(MpremoteDevice):
+    """A Board of session.py."""
+
+    def __init__(self, port: str) -> None:
+        self._where = port
+        super().__init__(port)
+
+    def wiring(self) -> Wiring | None:
+        """What its board file says; None without the firmware."""
+        self._run(WIRING)
+        found = self._evaluate("wiring()")
+        return Wiring(*found) if found else None
+
+    def run(self, script: str, heard: Callable[[str], None], seconds: float) -> str:
+        """Run this at the prompt, tell of each line; returns what it has failed with, or ""."""
+        lines = _Lines(heard)
+        with self._mended():
+            self._transport.exec_raw_no_follow(script)
+            _, wrong = self._transport.follow(seconds * PATIENCE, lines.bytes)
+            return bytes(wrong).decode("utf-8", "replace")
+
+    def until_restart(self, script: str, heard: Callable[[str], None], seconds: float) -> bool:
+        """The same with what never ends; whether the firmware has started anew by itself."""
+        lines = _Lines(heard)
+        with self._mended():
+            self._transport.exec_raw_no_follow(script)
+        until = time.monotonic() + seconds * PATIENCE
+        hung = False
+        with contextlib.suppress(OSError):  # USB goes away with the chip
+            while time.monotonic() < until:
+                piece = self._arrived()
+                lines.bytes(piece)
+                hung = hung or b"= hang" in lines.last
+                if hung and lines.last.startswith(b"Grbl "):
+                    break
+        self.close()
+        return hung and self._is_back()
+
+    def _is_back(self) -> bool:
+        until = time.monotonic() + _BACK_S
+        while time.monotonic() < until:
+            with contextlib.suppress(SendError, OSError):
+                connection = patient.open_port(self._where)
+                try:
+                    return patient.answers(connection)
+                finally:
+                    connection.close()
+            time.sleep(_NAP_S)
+        return False
+
+    def start(self) -> None:
+        """From the prompt back to the firmware."""
+        with self._mended():
+            self._leave_raw()
+            self._transport.serial.write(b"\x04")
+
+    @contextlib.contextmanager
+    def _mended(self) -> Iterator[None]:
+        todo = "unplug the board, plug it in and test again"
+        try:
+            yield
+        except OSError as error:
+            raise DeployError(f"the connection broke: {error}", todo) from error
+        except TransportError as error:
+            raise DeployError(f"the board has stopped to answer: {error}", todo) from error
+
+
+class _Lines:
+    """Bytes in, whole lines out. last: the line before the one that is being heard."""
+
+    def __init__(self, heard: Callable[[str], None]) -> None:
+        self._heard = heard
+        self._begun = b""
+        self.last = b""
+
+    def bytes(self, piece: bytes) -> None:
+        """What has come."""
+        *whole, self._begun = (self._begun + piece).split(b"\n")
+        for line in whole:
+            self.last = line.strip()
+            self._heard(self.last.decode("utf-8", "replace"))

@@ -1,0 +1,303 @@
+"""What the board has measured, judged: one row per check.
+
+A fact is a name and figures (on_board/watch.py, say()); facts of one kind that follow each other
+are judged together.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from itertools import pairwise
+from typing import Any
+
+Fact = dict[str, Any]
+
+TICK_US = 0.08  # of the engine, and of what samples its pins
+_TICK_HZ = 12_500_000
+# Two samples may see an edge a tick apart.
+_EXACT_TICKS = 1
+_LIMIT_US = 300.0
+_HANG_MS = 500
+_PWM_PERCENT = 2.0
+_STACK_BYTES = 2048
+# No flash erases as fast as that: 4 kB take 45 ms and more.
+_FLASH_US = 5000
+_NOT_SHOWN = "not shown here: "
+
+
+@dataclass
+class Row:
+    """A check. passed: None where it could not be looked at; text: figures, in words."""
+
+    what: str
+    passed: bool | None
+    text: str
+    figures: Fact = field(default_factory=dict)
+
+    def as_json(self) -> Fact:
+        """As `ugrbl selftest --json` writes it."""
+        return asdict(self)
+
+
+# Edges: the first level, then the ticks in which the level changes.
+
+
+def highs(edges: Sequence[int]) -> list[int]:
+    """Lengths of whole pulses, in ticks."""
+    return [b - a for a, b, is_high in _spans(edges) if is_high]
+
+
+def rises(edges: Sequence[int]) -> list[int]:
+    """Ticks in which the level rises."""
+    return list(edges[1 + edges[0] :: 2])
+
+
+def falls(edges: Sequence[int]) -> list[int]:
+    """Ticks in which it falls."""
+    return list(edges[2 - edges[0] :: 2])
+
+
+def _spans(edges: Sequence[int]) -> Iterator[tuple[int, int, bool]]:
+    level = edges[0]
+    for a, b in pairwise(edges[1:]):
+        level = 1 - level
+        yield a, b, level == 1
+
+
+def _us(ticks: float) -> float:
+    return round(ticks * TICK_US, 2)
+
+
+def _range(ticks: Sequence[int]) -> str:
+    low, high = _us(min(ticks)), _us(max(ticks))
+    return f"{low:g} us" if low == high else f"{low:g} to {high:g} us"
+
+
+# Checks, by name of their facts
+
+
+def _board(facts: list[Fact]) -> Iterator[Row]:
+    one = facts[0]
+    text = f"{one['name']}, MicroPython {one['micropython']}, {one['hz'] / 1e6:g} MHz"
+    yield Row("board", True, f"{text}, {one['axes']} axes, drivers off", one)
+
+
+def _watchers(facts: list[Fact]) -> Iterator[Row]:
+    one = facts[0]
+    sees = one["seen"] == one["made"] and one["levels"] == [1, 0]
+    forward, backward = one["made"]
+    if sees:
+        text = f"{forward} steps forward and {backward} backward made by hand were counted"
+    else:
+        text = (
+            f"{_NOT_SHOWN}PIO 1 counted {one['seen']} of {one['made']}: it does not see the pins"
+        )
+    yield Row("watchers see the pins", True if sees else None, text, one)
+
+
+def _steps(facts: list[Fact]) -> Iterator[Row]:
+    good, total = True, 0
+    for one in facts:
+        due = 0 if one["back"] else one["asked"]
+        total += one["asked"]
+        good &= one["rested"] and set(one["position"]) == {due} == set(one["counted"])
+    axes = len(facts[0]["counted"])
+    text = f"{total} on each of {axes} axes, there and back, all counted"
+    if not good:
+        last = facts[-1]
+        text = f"asked {total}, there and back; position {last['position']}, counted"
+        text += f" {last['counted']}" + ("" if last["rested"] else "; it did not come to rest")
+    yield Row(f"steps at {facts[0]['rate']}, all axes", good, text, {"facts": facts})
+
+
+def _pulses(facts: list[Fact]) -> Iterator[Row]:
+    hz, us = facts[0]["hz"], facts[0]["us"]
+    tracks = [edges for one in facts for edges in one["steps"]]
+    widths = [ticks for edges in tracks for ticks in highs(edges)]
+    gaps = [b - a for edges in tracks for a, b in pairwise(rises(edges))]
+    where = f", {hz / 1000:g} kHz"
+    if not widths or not gaps:
+        yield Row(f"pulse width{where}", False, "no pulse was seen")
+        return
+    slack = _EXACT_TICKS * TICK_US
+    good = us - slack <= min(widths) * TICK_US and max(widths) * TICK_US <= us + 2 * slack
+    text = f"{_range(widths)}; {us} asked; {len(widths)} pulses"
+    yield Row(f"pulse width{where}", good, text, {"us": [_us(min(widths)), _us(max(widths))]})
+    due = _TICK_HZ // hz
+    good = all(abs(gap - due) <= _EXACT_TICKS for gap in (min(gaps), max(gaps)))
+    text = f"{_range(gaps)}; {_us(due):g} asked; {len(gaps)} periods"
+    yield Row(f"step period{where}", good, text, {"us": [_us(min(gaps)), _us(max(gaps))]})
+    yield _skew(facts, due, where)
+
+
+def _skew(facts: list[Fact], due: int, where: str) -> Row:
+    apart = [
+        min((abs(a - b) for b in rises(edges)), default=due)
+        for one in facts
+        for edges in one["steps"][1:]
+        for a in rises(one["steps"][0])[1:-1]
+    ]
+    if not apart:
+        return Row(f"skew between axes{where}", False, "no steps to compare")
+    text = f"{_us(max(apart)):g} us at the most; {len(apart)} pairs of steps"
+    good = max(apart) <= _EXACT_TICKS
+    return Row(f"skew between axes{where}", good, text, {"us": _us(max(apart))})
+
+
+def _turns(facts: list[Fact]) -> Iterator[Row]:
+    hold, setup = [], []
+    for one in facts:
+        for step, direction in zip(one["steps"], one["dirs"], strict=True):
+            for turn in direction[1:]:
+                hold += [turn - fall for fall in falls(step) if fall <= turn][-1:]
+                setup += [rise - turn for rise in rises(step) if rise >= turn][:1]
+    for what, found, least in (
+        ("direction hold", hold, facts[0]["hold_us"]),
+        ("direction set-up", setup, facts[0]["setup_us"]),
+    ):
+        if not found:
+            yield Row(what, False, "no reversal was seen")
+            continue
+        good = min(found) * TICK_US >= least - _EXACT_TICKS * TICK_US
+        text = f"{_us(min(found)):g} us at the least; {least} asked; {len(found)} reversals"
+        yield Row(what, good, text, {"us": _us(min(found)), "asked_us": least})
+
+
+def _stops(facts: list[Fact]) -> Iterator[Row]:
+    one = facts[0]
+    good = one["wrong"] == 0 == one["late"]
+    text = f"{one['count']}, half of them in an interrupt; position equal to the count"
+    if not good:
+        text = f"{one['wrong']} of {one['count']} with a position that is not the count"
+        text += f" (the first: {one['first']}), {one['late']} with steps after the stop"
+    yield Row("stops at random instants", good, text, one)
+
+
+def _starts(facts: list[Fact]) -> Iterator[Row]:
+    one = facts[0]
+    good = one["wrong"] == 0 == one["stuck"]
+    text = f"{one['count']}, every step made and counted"
+    if not good:
+        text = f"{one['wrong']} of {one['count']} wrong (the first: {one['first']}), "
+        text += f"{one['stuck']} without an end"
+    yield Row("starts from rest", good, text, one)
+
+
+def _limits(facts: list[Fact]) -> Iterator[Row]:
+    for one in facts:
+        what = f"limit{', during a collection' if one['collecting'] else ''}: to the last edge"
+        if not one["inputs"]:
+            yield Row(what, None, "left out: the board file names no LIMIT", one)
+        elif not one["shown"]:
+            yield Row(what, None, _NOT_SHOWN + "a pin's interrupt cannot be forced", one)
+        else:
+            yield _limit(what, one)
+
+
+def _limit(what: str, one: Fact) -> Row:
+    found = [max(ticks, 0) for ticks in one["ticks"]]
+    worst = _us(max(found))
+    good = one["missed"] == 0 == one["wrong"] and worst <= _LIMIT_US
+    mean = _us(sum(found) / len(found))
+    text = f"mean {mean:g} us, worst {worst:g} us; {len(found)} interrupts forced"
+    if max(found) > 0.95 * one["window"]:
+        text = f"more than {_us(one['window']):g} us; {len(found)} interrupts forced"
+    if one["missed"] or one["wrong"]:
+        text += f"; {one['missed']} not heard, {one['wrong']} positions that are not the count"
+    return Row(what, good, text, {**one, "mean_us": mean, "worst_us": worst})
+
+
+def duty_percent(edges: Sequence[int]) -> float:
+    """Of whole periods; of what is level all the time, 0 or 100."""
+    begins = rises(edges)
+    if len(begins) < 2:
+        return 100.0 * edges[0]
+    inside = [b - a for a, b, is_high in _spans(edges) if is_high and a < begins[-1]]
+    return 100 * sum(inside) / (begins[-1] - begins[0])
+
+
+def _pwm(facts: list[Fact]) -> Iterator[Row]:
+    if "power" not in facts[0]:
+        why = "the board file names no SPINDLE_PWM" if facts[0]["asked"] else "--yes allows it"
+        yield Row("spindle PWM", None, f"left out: {why}")
+        return
+    for one in facts:
+        due = 100 * one["power"] / one["full"]
+        found = duty_percent(one["edges"])
+        good = abs(found - due) <= _PWM_PERCENT
+        if due in (0, 100):
+            good = one["edges"] == [due // 100]
+        yield Row(f"spindle PWM, {due:g} %", good, f"{found:.1f} % at the pin", one)
+
+
+def _dark(facts: list[Fact]) -> Iterator[Row]:
+    for one in facts:
+        what = one["what"].replace("pwm", "spindle PWM")
+        if one.get("shown") is False:
+            yield Row(what, None, _NOT_SHOWN + "a pin's interrupt cannot be forced")
+        else:
+            good = one["edges"] == [0]
+            text = (
+                "off, and stays so" if good else f"{duty_percent(one['edges']):.1f} % at the pin"
+            )
+            yield Row(what, good, text, one)
+
+
+def _save(facts: list[Fact]) -> Iterator[Row]:
+    one = facts[0]
+    off_us = max(one["longest_us"] - one["beat_us"], 0)
+    what = "settings save: interrupts off"
+    if one["wrong"]:
+        text = f"{one['wrong']} of {one['count']} saves read back otherwise"
+        yield Row(what, False, text, one)
+    elif off_us < _FLASH_US:
+        text = f"{_NOT_SHOWN}{off_us / 1000:g} ms; no flash is as fast as that"
+        yield Row(what, None, text, one)
+    else:
+        text = f"{off_us / 1000:.1f} ms at the most, of {one['took_ms']} ms; {one['count']} saves"
+        yield Row(what, off_us < 1_000_000, text, one)
+
+
+def _hang(facts: list[Fact]) -> Iterator[Row]:
+    last = facts[-1]
+    moved = last["steps"] > 0
+    good = moved and last["last_step_ms"] <= _HANG_MS
+    text = f"last step {max(last['last_step_ms'], 0)} ms after the main loop has hung"
+    if last["last_step_ms"] > last["ms"] - 300:
+        text = f"motors turned on for all of {last['ms']} ms"
+    yield Row("hang on purpose: steps", good, text if moved else "nothing moved", last)
+    if last["pwm"]:
+        off = last["last_high_ms"]
+        text = f"off {max(off, 0)} ms after the main loop has hung"
+        if off > last["ms"] - 300:
+            text = f"on for all of {last['ms']} ms"
+        yield Row("hang on purpose: spindle", off <= _HANG_MS, text)
+    free = last["free_stack"]
+    text = f"{8192 - free} bytes of 8192 in a simple move, {free} never used"
+    yield Row("C stack: deepest use", free >= _STACK_BYTES, text, {"free_bytes": free})
+
+
+RULES: dict[str, Callable[[list[Fact]], Iterator[Row]]] = {
+    "board": _board,
+    "watchers": _watchers,
+    "steps": _steps,
+    "pulses": _pulses,
+    "turns": _turns,
+    "stops": _stops,
+    "starts": _starts,
+    "limits": _limits,
+    "pwm": _pwm,
+    "pwm after a limit": _dark,
+    "pwm after a kill": _dark,
+    "save": _save,
+    "hang": _hang,
+}
+
+
+def judge(facts: list[Fact]) -> Iterator[Row]:
+    """Of one kind, with that kind under "what"."""
+    yield from RULES[facts[0]["what"]](facts)
+
+
+def belongs(fact: Fact, before: Fact) -> bool:
+    """Whether the two are judged together."""
+    return all(fact.get(key) == before.get(key) for key in ("what", "hz"))

@@ -1,0 +1,117 @@
+# mypy: ignore-errors
+# ruff: noqa: I001
+"""The whole firmware, which moves and then hangs on purpose. The watchdog ends it."""
+
+import power_up  # first, as in main.py: it sees to where memory is free
+
+import time
+
+import board
+import lines
+import micropython
+import protocol
+import store_flash
+from machine import mem32
+
+from .config import CONFIG
+from .drivers import drivers_off
+from .watch import FIRST, LAST, Counter, say
+
+BETWEEN_MS = 150  # lines given
+TOLD_MS = 200  # how often the state is told while it hangs
+STACK, STACK_END = CONFIG["stack"], CONFIG["stack"] + 0x2000
+PAINT = 0x15AFE000
+
+usual_pump = protocol.Protocol.pump
+usual_take = lines.LineReader.take
+readers = []
+program = list(CONFIG["program"])
+given = [0]
+
+
+def take(self, *rest):
+    """The machine's own reader, found as it is used."""
+    if not readers:
+        readers.append(self)
+    return usual_take(self, *rest)
+
+
+def pump(self):
+    """What a sender would send, then nothing for ever."""
+    usual_pump(self)
+    if not readers or time.ticks_diff(time.ticks_ms(), given[0]) < BETWEEN_MS:
+        return
+    given[0] = time.ticks_ms()
+    if program:
+        line = bytearray(program.pop(0).encode())
+        readers[0].feed(line, len(line))
+    else:
+        hang()
+
+
+def free_stack():
+    """Bytes of the C stack that nobody has used since it was painted."""
+    at = STACK
+    while at < STACK_END and mem32[at] == PAINT:
+        at += 4
+    return at - STACK
+
+
+def paint_stack():
+    """All of it but what is in use, and a reserve for this function."""
+    end = STACK_END - micropython.stack_use() - 1500
+    for at in range(STACK, end, 4):
+        mem32[at] = PAINT
+
+
+def hang():
+    """Look at the pins, and at nothing else."""
+    pwm = getattr(board, "SPINDLE_PWM", None)
+    pin = None if pwm is None else mem_level(pwm)
+    begun = told = time.ticks_ms()
+    before, last_step_ms, last_high_ms, steps = None, -1, -1, 0
+    while True:
+        now = time.ticks_ms()
+        since = time.ticks_diff(now, begun)
+        counts = [one.steps() for one in counters]
+        if counts != before:
+            if before is not None:
+                last_step_ms = since
+            before = counts
+        if pin and pin():
+            last_high_ms = since
+        if time.ticks_diff(now, told) >= TOLD_MS:
+            told = now
+            steps = sum(forward + backward for forward, backward in counts)
+            say(
+                "hang",
+                ms=since,
+                steps=steps,
+                last_step_ms=last_step_ms,
+                last_high_ms=last_high_ms,
+                pwm=CONFIG["pwm"] and pwm is not None,
+                free_stack=free_stack(),
+            )
+
+
+def mem_level(pin):
+    """The pad's level, whoever drives it: bit 17 of its status."""
+    address = CONFIG["io_bank"] + 8 * pin
+
+    def level():
+        return mem32[address] >> 17 & 1
+
+    return level
+
+
+counters = [
+    Counter(FIRST + i, board.STEP[i], board.DIR[i])
+    for i in range(min(len(board.STEP), LAST - FIRST + 1))
+]
+drivers_off()
+store_flash.FlashStore.load = lambda *_: None  # factory settings, and nothing is kept
+store_flash.FlashStore.save = lambda *_: None
+protocol.Protocol.pump = pump
+lines.LineReader.take = take
+paint_stack()
+power_up.main()

@@ -1,0 +1,190 @@
+# mypy: ignore-errors
+"""Limit inputs whose interrupts are forced, and what the motors and the spindle do then."""
+
+import gc
+import time
+from array import array
+
+import board
+import micropython
+from machine import Timer, mem32
+
+from .config import CONFIG
+from .drive import AXES, WATCHED, nothing, sampler, settle, some
+from .watch import CLEAR, FIRST, LAST, PIO1, SET, TICK_HZ, say
+
+PINS = CONFIG["io_bank"]  # registers of the pins: status and control, in turn
+INVERT = 1 << 28  # IRQOVER in control: an edge, whatever the level is
+TO_PROCESSOR = 26  # bit of status: what becomes of it
+BEFORE = 400  # ticks sampled ahead of the edge
+
+# What shoot() is told.
+DMA, WRITE, COUNT, ENABLE, REMAINS_AT, REMAINS, CONTROL, BITS = 0, 1, 2, 3, 4, 5, 6, 7
+
+
+@micropython.viper
+def shoot(told: ptr32) -> int:
+    """Begin to sample, and a little later turn a pin's interrupt round; REMAINS says when."""
+    dma = ptr32(told[0])
+    dma[1] = told[1]
+    dma[7] = told[2]
+    ptr32(told[3])[0] = 1 << 2
+    while dma[2] > told[4]:
+        pass
+    told[5] = dma[2]
+    ptr32(told[6])[0] = told[7]
+    return 0
+
+
+@micropython.viper
+def address_of(memory: ptr32) -> int:
+    """Where an array lies."""
+    return int(memory)
+
+
+class Shot:
+    """An edge at a limit input, at any moment, in an interrupt, with all pins sampled."""
+
+    def __init__(self):
+        self._told = told = array("i", [0] * 8)
+        length = sampler.length
+        told[DMA] = 0x50000000 + 0x40 * sampler.dma.channel
+        told[WRITE] = address_of(sampler.words)
+        told[COUNT] = length
+        told[ENABLE] = PIO1 + SET
+        told[REMAINS_AT] = length - BEFORE
+        told[BITS] = INVERT
+        self._timer = Timer()
+        self._act = self._make()
+
+    def _make(self):
+        act, told = shoot, self._told
+
+        def interrupt(_timer):
+            act(told)
+
+        return interrupt
+
+    def fire(self, pin, collect):
+        """Once; returns the tick in which it was forced, or None where the chip shows nothing."""
+        status = PINS + 8 * pin
+        before = mem32[status] >> TO_PROCESSOR
+        sampler.ready()
+        self._told[REMAINS] = 0
+        self._told[CONTROL] = status + 4 + SET
+        self._timer.init(
+            mode=Timer.ONE_SHOT,
+            period=some(2000, 9000),
+            tick_hz=1_000_000,
+            callback=self._act,
+            hard=True,
+        )
+        while not self._told[REMAINS]:
+            if collect:
+                gc.collect()
+        sampler.wait()
+        is_forced = (mem32[status] >> TO_PROCESSOR ^ before) & 1
+        mem32[status + 4 + CLEAR] = INVERT
+        self._timer.deinit()
+        return self._told[COUNT] - self._told[REMAINS] if is_forced else None
+
+
+def last_edge(at):
+    """Ticks from there to the last edge of any axis; -1 where none came."""
+    last = -1
+    for pin in board.STEP:
+        edges = sampler.edges(pin, at)
+        if len(edges) > 1:
+            last = max(last, edges[-1] - at)
+    return last
+
+
+def hear(drive, port):
+    """Limits switch off and stop; returns how often they have been heard."""
+    heard = [0]
+    kill, stop = port.kill, drive.engine.stop
+
+    def on_limits():
+        heard[0] += 1
+        kill()
+        stop()
+
+    port.attach(on_limits, nothing)
+    return heard
+
+
+def limits_stop(drive, port, heard, shot):
+    """Each limit input in turn, in the quiet and during a collection."""
+    pins = [pin for pin in getattr(board, "LIMIT", ()) if pin is not None]
+    watched = min(WATCHED, LAST - FIRST)  # the last machine samples
+    for collect in (False, True):
+        ticks, missed, wrong, shown = [], 0, 0, True
+        for k in range(CONFIG["limits"] if pins else 0):
+            drive.count(watched)
+            heard[0] = 0
+            port.hear_limits(True)
+            port.revive()
+            drive.even(drive.engine.max_step_hz(3), 1 << 20, some(0, (1 << AXES) - 1))
+            drive.start()
+            at = shot.fire(pins[k % len(pins)], collect)
+            if at is None:
+                shown = False
+                drive.stop()
+                break
+            missed += heard[0] == 0
+            ticks.append(last_edge(at))
+            drive.stop()
+            wrong += drive.position()[:watched] != drive.counted()
+        port.hear_limits(False)
+        say(
+            "limits",
+            collecting=collect,
+            inputs=len(pins),
+            shown=shown,
+            missed=missed,
+            wrong=wrong,
+            ticks=ticks,
+            window=sampler.length - BEFORE,
+        )
+
+
+def measure_pwm(pin):
+    """Level and edges at the pad, in a window of some periods."""
+    time.sleep_ms(CONFIG["pwm_settles_ms"])
+    sampler.look()
+    return sampler.edges(pin)
+
+
+def check_pwm(port, shot):
+    """0, half, full; what a limit leaves of it, and what it is told afterwards."""
+    pin = getattr(board, "SPINDLE_PWM", None)
+    if pin is None or not CONFIG["pwm"]:
+        say("pwm", asked=CONFIG["pwm"], wired=pin is not None)
+        return
+    full = getattr(board, "PWM_MAX", 1000)
+    sampler.hz = min(TICK_HZ, getattr(board, "PWM_HZ", 5000) * (sampler.length // 8))
+    port.revive()
+    for power in (0, full // 2, full):
+        port.spindle(power > 0, power)
+        say("pwm", power=power, full=full, edges=measure_pwm(pin))
+    inputs = [limit for limit in getattr(board, "LIMIT", ()) if limit is not None]
+    if inputs:
+        port.hear_limits(True)
+        at = shot.fire(inputs[0], False)
+        port.hear_limits(False)
+        say("pwm after a limit", shown=at is not None, edges=measure_pwm(pin))
+    port.kill()
+    port.spindle(True, full)
+    say("pwm after a kill", edges=measure_pwm(pin))
+    port.spindle(False, 0)
+
+
+def check_limits(drive, port):
+    """All of this file, in turn."""
+    drive.pulse(3)
+    settle()
+    heard = hear(drive, port)
+    shot = Shot()
+    limits_stop(drive, port, heard, shot)
+    check_pwm(port, shot)
+    port.kill()

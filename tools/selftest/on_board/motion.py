@@ -1,0 +1,181 @@
+# mypy: ignore-errors
+"""Steps counted, pulses measured, stops at random instants, starts from rest."""
+
+import time
+
+import board
+from machine import Pin, Timer
+
+from .config import CONFIG
+from .drive import AXES, WATCHED, sampler, settle, some
+from .watch import FIRST, Counter, say
+
+
+def see_pads():
+    """Whether the watchers see what is done to pins: a known number of steps, and levels."""
+    step, direction = Pin(board.STEP[0], Pin.OUT, value=0), Pin(board.DIR[0], Pin.OUT, value=0)
+    counter = Counter(FIRST, board.STEP[0], board.DIR[0])
+    made = CONFIG["seen"]
+    for level, count in ((0, made[0]), (1, made[1])):
+        direction.value(level)
+        for _ in range(count):
+            step.value(1)
+            time.sleep_us(5)
+            step.value(0)
+            time.sleep_us(5)
+    seen = counter.steps()
+    counter.close()
+    levels = []
+    for level in (1, 0):
+        step.value(level)
+        sampler.look()
+        levels.append(sampler.level(board.STEP[0], sampler.length // 2))
+    direction.value(0)
+    say("watchers", made=made, seen=seen, levels=levels)
+    return seen == tuple(made)
+
+
+def count_steps(drive, hz, name):
+    """All axes there, and back; watched all the way."""
+    drive.count(WATCHED)
+    for way in (0, (1 << AXES) - 1):
+        begun = time.ticks_us()
+        asked = drive.even(hz, hz * CONFIG["run_ms"] // 1000, way)
+        drive.start()
+        rested = drive.rest()
+        took_us = time.ticks_diff(time.ticks_us(), begun)
+        say(
+            "steps",
+            rate=name,
+            hz=hz,
+            back=way != 0,
+            asked=asked,
+            rested=rested,
+            took_us=took_us,
+            position=drive.position(),
+            counted=drive.counted(),
+        )
+
+
+def sample_pulses(drive, hz, us):
+    """Windows of a run at that rate with pulses of that length."""
+    drive.pulse(us)
+    drive.count(0)
+    for _ in range(CONFIG["windows"]):
+        drive.even(hz, 1 << 20)
+        drive.start()
+        time.sleep_us(some(2000, 8000))
+        sampler.look()
+        drive.stop()
+        say(
+            "pulses",
+            hz=hz,
+            us=us,
+            steps=[sampler.edges(board.STEP[i]) for i in range(AXES)],
+            dirs=[sampler.edges(board.DIR[i]) for i in range(AXES)],
+        )
+
+
+def sample_turns(drive):
+    """Windows of axes that reverse after every few steps."""
+    drive.pulse(10)
+    drive.count(0)
+    for _ in range(CONFIG["windows"]):
+        drive.plan(400, [4] * AXES, 40, 0, (1 << AXES) - 1, 2500)
+        drive.start()
+        time.sleep_us(some(2000, 4000))
+        sampler.look()
+        drive.stop()
+        say(
+            "turns",
+            hold_us=getattr(board, "DIR_HOLD_US", 2),
+            setup_us=getattr(board, "DIR_SETUP_US", 5),
+            steps=[sampler.edges(board.STEP[i]) for i in range(AXES)],
+            dirs=[sampler.edges(board.DIR[i]) for i in range(AXES)],
+        )
+
+
+def any_motion(drive, rows):
+    """Segments at any rate, in any directions."""
+    gap = some(60, 2500)
+    most = max(min(4000, 40_000 // gap), 1)
+    counts = [some(0, most) for _ in range(AXES)]
+    counts[some(0, AXES - 1)] = most
+    flips = some(0, (1 << AXES) - 1)
+    drive.plan(gap, counts, rows, some(0, (1 << AXES) - 1), flips, 40_000)
+
+
+def stop_at_random(drive):
+    """Every other stop comes in an interrupt, as a limit's does."""
+    drive.pulse(3)
+    drive.count(WATCHED)
+    wrong, worst, late = 0, [], 0
+    timer = Timer()
+    stop = drive.engine.stop
+
+    def interrupt(_timer):
+        stop()
+
+    for k in range(CONFIG["stops"]):
+        any_motion(drive, 1000)
+        drive.start()
+        delay_us = some(300, 9000)
+        if k & 1:
+            timer.init(
+                mode=Timer.ONE_SHOT,
+                period=delay_us,
+                tick_hz=1_000_000,
+                callback=interrupt,
+                hard=True,
+            )
+            time.sleep_us(delay_us + 300)
+        else:
+            time.sleep_us(delay_us)
+        drive.stop()
+        position, counted = drive.position(), drive.counted()
+        time.sleep_us(100)
+        late += drive.counted() != counted
+        if position[:WATCHED] != counted:
+            wrong += 1
+            worst = worst or [k, delay_us, position, counted]
+            drive.count(WATCHED)
+    timer.deinit()
+    say("stops", count=CONFIG["stops"], wrong=wrong, late=late, first=worst, end=drive.position())
+
+
+def start_from_rest(drive):
+    """Short ways, each to its end, with all that is asked for made."""
+    drive.pulse(3)
+    drive.count(WATCHED)
+    wrong, first, stuck = 0, [], 0
+    for k in range(CONFIG["starts"]):
+        before = drive.position()
+        gap = some(60, 1000)
+        counts = [some(0, 12) for _ in range(AXES)]
+        counts[some(0, AXES - 1)] = 12
+        ways = some(0, (1 << AXES) - 1)
+        drive.plan(gap, counts, 1, ways)
+        drive.start()
+        if not drive.rest(500):
+            stuck += 1
+        due = [before[i] + (-counts[i] if ways >> i & 1 else counts[i]) for i in range(AXES)]
+        position, counted = drive.position(), drive.counted()
+        if position != due or counted != due[:WATCHED]:
+            wrong += 1
+            first = first or [k, due, position, counted]
+            drive.count(WATCHED)
+    say("starts", count=CONFIG["starts"], wrong=wrong, stuck=stuck, first=first)
+
+
+def check_motion(drive):
+    """All of this file, in turn."""
+    most = drive.engine.max_step_hz(3)
+    for hz, us, name in ((1000, 10, "1 kHz"), (50_000, 10, "50 kHz"), (most, 3, "the highest")):
+        drive.pulse(us)
+        count_steps(drive, hz, name)
+    sample_pulses(drive, 50_000, 10)
+    sample_pulses(drive, most, 3)
+    sample_turns(drive)
+    settle()
+    stop_at_random(drive)
+    start_from_rest(drive)

@@ -1,0 +1,110 @@
+# mypy: ignore-errors
+"""The board itself: who it is, what writing to flash costs, and all checks in turn."""
+
+import gc
+import os
+import random
+import sys
+import time
+from array import array
+
+import board
+import micropython
+from gpio import GpioPort
+from machine import Timer, freq
+from store_flash import FlashStore
+
+from .config import CONFIG
+from .drive import Drive
+from .drivers import drivers_off
+from .limits import check_limits
+from .motion import check_motion, see_pads
+from .watch import say
+
+NAME = "selftest"  # of the file that is written and removed
+BEAT_MS = 1
+TIMER = CONFIG["timer"]  # its register of microseconds
+
+
+@micropython.viper
+def beat(kept: ptr32) -> int:
+    """The longest time from one call to the next, in us."""
+    now = ptr32(kept[0])[0]
+    gap = (now - kept[1]) & 0x3FFFFFFF
+    kept[1] = now
+    if gap > kept[2]:
+        kept[2] = gap
+    return 0
+
+
+def make_beat(kept):
+    """For an interrupt."""
+    act = beat
+
+    def interrupt(_timer):
+        act(kept)
+
+    return interrupt
+
+
+def check_save():
+    """Keep lines as settings are kept; how long no interrupt was served."""
+    store = FlashStore()
+    lines = ["$%d=%d" % (number, number * 7) for number in range(40)]
+    kept = array("i", [TIMER, time.ticks_us() & 0x3FFFFFFF, 0])
+    timer = Timer(mode=Timer.PERIODIC, period=BEAT_MS, callback=make_beat(kept), hard=True)
+    time.sleep_ms(20)
+    quiet_us, longest_us, wrong = kept[2], 0, 0
+    begun = time.ticks_ms()
+    for k in range(CONFIG["saves"]):
+        lines[0] = "$0=%d" % k
+        kept[2] = 0
+        store.save(NAME, lines)
+        longest_us = max(longest_us, kept[2])
+        wrong += store.load(NAME) != lines
+    took_ms = time.ticks_diff(time.ticks_ms(), begun)
+    timer.deinit()
+    for name in os.listdir("/"):
+        if name.startswith(NAME + "."):
+            os.remove("/" + name)
+    say(
+        "save",
+        count=CONFIG["saves"],
+        wrong=wrong,
+        quiet_us=quiet_us,
+        longest_us=longest_us,
+        beat_us=1000 * BEAT_MS,
+        took_ms=took_ms,
+    )
+
+
+def check_all():
+    """In turn; drivers are off all the time, and outputs at the end."""
+    wired = drivers_off()
+    random.seed(CONFIG["seed"])
+    say(
+        "board",
+        name=os.uname()[4],
+        micropython=".".join(str(x) for x in sys.implementation[1][:3]),
+        hz=freq(),
+        axes=len(board.STEP),
+        enables=len(wired),
+        free_bytes=gc.mem_free(),
+    )
+    if not see_pads():
+        return
+    port = GpioPort(board)
+    drive = Drive()
+    try:
+        check_motion(drive)
+        check_limits(drive, port)
+    finally:
+        try:
+            port.kill()
+        finally:
+            drive.stop()
+    check_save()
+    say("end")
+
+
+check_all()

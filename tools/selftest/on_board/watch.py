@@ -1,0 +1,140 @@
+# mypy: ignore-errors
+"""Watching machines of PIO 1, which see the pads of pins that others drive: no wire is needed.
+
+Machines 4 to 6 are theirs; 7 is the pulse engine's clock. Two or three count steps, and the last
+samples all pins into memory by DMA: a logic analyser. A tick is the engine's, so what is measured
+in ticks is exact.
+"""
+
+import json
+from array import array
+
+import micropython
+import rp2
+from machine import Pin
+
+from .config import CONFIG
+from .programs import count_program, sample_program
+
+TICK_HZ = 12_500_000
+ALL = 0xFFFFFFFF
+FIRST, LAST = 4, 6  # machines
+PIO1 = 0x50300000
+SET = 0x2000  # the same register, where ones set bits
+CLEAR = 0x3000
+
+
+def say(what, **facts):
+    """A fact, for the computer to judge."""
+    print("= %s %s" % (what, json.dumps(facts)))
+
+
+class Counter:
+    """Steps of one axis, from now on."""
+
+    def __init__(self, number, step, direction):
+        self._machine = rp2.StateMachine(
+            number, count_program, freq=TICK_HZ, in_base=Pin(step), jmp_pin=Pin(direction)
+        )
+        self._machine.exec("mov(x, invert(null))")
+        self._machine.exec("mov(y, invert(null))")
+        self._machine.active(1)
+
+    def _read(self, source):
+        self._machine.exec(source)
+        self._machine.exec("push(noblock)")
+        return ALL - self._machine.get()
+
+    def steps(self):
+        """Forward ones and backward ones."""
+        return self._read("mov(isr, x)"), self._read("mov(isr, y)")
+
+    def close(self):
+        """See no more."""
+        self._machine.active(0)
+
+
+class Sampler:
+    """Levels of all pins, tick by tick, as many ticks as length."""
+
+    def __init__(self, length):
+        self.length = length
+        self.words = bytearray(4 * length)
+        self.dma = rp2.DMA()
+        self._control = self.dma.pack_ctrl(
+            size=2, inc_read=False, inc_write=True, treq_sel=12 + LAST - FIRST
+        )
+        self.hz = TICK_HZ
+
+    def ready(self):
+        """Forget what has been sampled, and let begin whoever likes."""
+        self.machine = rp2.StateMachine(LAST, sample_program, freq=self.hz)
+        self.dma.active(0)
+        self.dma.config(
+            read=self.machine,
+            write=self.words,
+            count=self.length,
+            ctrl=self._control,
+            trigger=False,
+        )
+
+    def go(self):
+        """Begin now."""
+        self.dma.active(1)
+        self.machine.active(1)
+
+    def wait(self):
+        """Until all memory is full."""
+        while self.dma.active():
+            pass
+        self.machine.active(0)
+        while self.machine.rx_fifo():  # another program of this machine would find them
+            self.machine.get()
+
+    def look(self):
+        """Sample, and wait until that is done."""
+        self.ready()
+        self.go()
+        self.wait()
+
+    def edges(self, pin, begin=0):
+        """First level, then the ticks in which it changes, the last ones; the others' count."""
+        count = find_edges(self.words, begin, self.length, pin, found, len(found))
+        if count > len(found):
+            begin = found[count % len(found)] - 1  # the oldest that is kept
+        kept = [found[k % len(found)] for k in range(max(count - len(found), 0), count)]
+        kept.insert(0, self.level(pin, begin))
+        return kept
+
+    def level(self, pin, at):
+        """Of that pin in that tick."""
+        return find_level(self.words, at, pin)
+
+
+@micropython.viper
+def find_level(words: ptr32, at: int, pin: int) -> int:
+    """Of a pin in that tick."""
+    return (words[at] >> pin) & 1
+
+
+@micropython.viper
+def find_edges(words: ptr32, begin: int, end: int, pin: int, found: ptr32, room: int) -> int:
+    """Ticks in which a pin's level changes, in a ring. Returns how many there are."""
+    count = 0
+    place = 0
+    before = (words[begin] >> pin) & 1
+    k = begin + 1
+    while k < end:
+        level = (words[k] >> pin) & 1
+        if level != before:
+            found[place] = k
+            count += 1
+            place += 1
+            if place == room:
+                place = 0
+            before = level
+        k += 1
+    return count
+
+
+found = array("i", [0] * CONFIG["edges"])
