@@ -23,17 +23,16 @@ STACK, STACK_END = CONFIG["stack"], CONFIG["stack"] + 0x2000
 PAINT = 0x15AFE000
 
 usual_pump = protocol.Protocol.pump
-usual_take = lines.LineReader.take
+usual_making = lines.LineReader.__init__
 readers = []
 program = list(CONFIG["program"])
 given = [0]
 
 
-def take(self, *rest):
-    """The machine's own reader, found as it is used."""
-    if not readers:
-        readers.append(self)
-    return usual_take(self, *rest)
+def make_reader(self, *rest, **named):
+    """The machine's own reader."""
+    usual_making(self, *rest, **named)
+    readers.append(self)
 
 
 def pump(self):
@@ -112,6 +111,6 @@ drivers_off()
 store_flash.FlashStore.load = lambda *_: None  # factory settings, and nothing is kept
 store_flash.FlashStore.save = lambda *_: None
 protocol.Protocol.pump = pump
-lines.LineReader.take = take
+lines.LineReader.__init__ = make_reader
 paint_stack()
 power_up.main()

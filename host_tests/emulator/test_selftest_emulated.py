@@ -1,0 +1,135 @@
+"""`ugrbl selftest` at an emulated Pico: all checks pass, and they fail where they should."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from emulated import STEP, Board, firmware
+from ugrbl.deploy import About
+from ugrbl.selftest import program
+from ugrbl.selftest.judge import Row
+from ugrbl.selftest.session import WIRING, Wiring, look, test
+
+pytestmark = pytest.mark.xdist_group("pico selftest")
+
+_RAW = "raw REPL; CTRL-B to exit\r\n>"
+_PIECE_US = 5_000
+# The real one waits 5 s for a main loop that hangs; this one has no need to.
+_BOARD = {"board.py": firmware()["board.py"] + b"WATCHDOG_MS = 1500\n"}
+# What the emulator has no flash for.
+_NOT_SHOWN = {"settings save: interrupts off"}
+
+
+class Emulated:
+    """A Board of session.py."""
+
+    def __init__(self, board: Board) -> None:
+        self._board = board
+        self._is_at_prompt = False
+        board.pico.record([STEP[0]])  # which lets PIO keep its time while the processor sleeps
+
+    def enter(self) -> None:
+        if not self._is_at_prompt:
+            self._board.python("pass")
+            self._is_at_prompt = True
+        self._board.forget()
+        self._board.send("\x04")
+        self._board.wait_for("soft reboot\r\n")
+        self._board.wait_for(_RAW)
+
+    def about(self) -> About:
+        said = self._board.python_again("import os, sys; print(os.uname()[2], os.uname()[4])")
+        version, _, machine = said.strip().partition(" ")
+        return About(0, version, machine)
+
+    def wiring(self) -> Wiring:
+        said = self._board.python_again(WIRING + "print(wiring())")
+        engine, enable, pwm = said.strip()[1:-1].split(", ")
+        return Wiring(engine.strip("'"), int(enable), int(pwm))
+
+    def run(self, script: str, heard: "Callable[[str], None]", seconds: float) -> str:
+        self._send(script, lambda: self._board.said.count("\x04") >= 2, seconds)
+        said, wrong, _ = self._board.said.removeprefix("OK").split("\x04", 2)
+        for line in said.split("\r\n"):
+            heard(line)
+        return wrong
+
+    def until_restart(self, script: str, heard: "Callable[[str], None]", seconds: float) -> bool:
+        def is_back() -> bool:
+            return "Grbl 1.1h" in self._board.said.partition("= hang")[2]
+
+        self._send(script, is_back, seconds)
+        for line in self._board.said.split("\r\n"):
+            heard(line)
+        return is_back()
+
+    def start(self) -> None:
+        self._board.send("\x02\x04")
+
+    def _send(self, script: str, done: "Callable[[], bool]", seconds: float) -> None:
+        self._board.forget()
+        self._board.send(script + "\x04")
+        self._board.pico.run_until(done, seconds * 1e6, _PIECE_US)
+
+
+def test_the_firmware_passes_all_that_can_be_shown_here(uf2: Path) -> None:
+    machine = Board(uf2, _BOARD).boot().settled()
+    board = Emulated(machine)
+    chip, wiring = look(board)
+    assert (chip, wiring) == (program.RP2040, Wiring("pio", 8, 16))
+    rows: "dict[str, Row]" = {}
+    test(board, chip, program.QUICK, True, 13, lambda row: rows.update({row.what: row}))
+    failed = [row for row in rows.values() if row.passed is False]
+    assert not failed
+    assert {row.what for row in rows.values() if row.passed is None} == _NOT_SHOWN
+    assert {"stops at random instants", "limit: to the last edge"} <= set(rows)
+    assert machine.status()["state"] in ("Idle", "Alarm")
+
+
+# An engine that makes pulses too short, leaves DIR no time, and is a step off.
+_WORSE = """
+from pio import engine, pulses
+set_timing, position = pulses.set_timing, engine.PioEngine.position
+pulses.set_timing = lambda timing, pulse, hold, setup: set_timing(timing, pulse - 5, 0, 0)
+def lie(self, steps):
+    position(self, steps)
+    steps[0] += 1
+engine.PioEngine.position = lie
+"""
+_FEW = program.Amounts(1, (2, 1), 8192, 32, 1, 4, 2, 1, 1, 1)
+
+
+class Worse(Emulated):
+    """One with that engine."""
+
+    def run(self, script: str, heard: "Callable[[str], None]", seconds: float) -> str:
+        return super().run(_WORSE + script, heard, seconds)
+
+    def until_restart(self, script: str, heard: "Callable[[str], None]", seconds: float) -> bool:
+        return False
+
+
+def test_an_engine_that_is_wrong_fails(uf2: Path) -> None:
+    board = Worse(Board(uf2, {"main.py": b""}))
+    board._is_at_prompt = True
+    machine = board._board
+    machine.pico.run_us(400_000)
+    machine.send("\r\x03\x01")
+    machine.wait_for(_RAW)
+    chip, _ = look(board)
+    rows: "dict[str, Row]" = {}
+    test(board, chip, _FEW, False, 13, lambda row: rows.update({row.what: row}))
+    failed = {row.what for row in rows.values() if row.passed is False}
+    assert failed >= {
+        "steps at 1 kHz, all axes",
+        "steps at the highest, all axes",
+        "pulse width, 50 kHz",
+        "direction hold",
+        "direction set-up",
+        "stops at random instants",
+        "starts from rest",
+        "limit: to the last edge",
+        "hang on purpose: watchdog",
+    }
+    assert rows["watchers see the pins"].passed and rows["skew between axes, 50 kHz"].passed
+    assert rows["spindle PWM"].passed is None
