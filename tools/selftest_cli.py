@@ -3,6 +3,7 @@
 import random
 import sys
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -99,10 +100,11 @@ def _test(board: Board, report: Report, amounts: program.Amounts, yes: bool, see
     chip, wiring = look(board)
     try:
         pwm = _consent(wiring, yes)
+        test(board, chip, amounts, pwm, seed, report.tell)
     except (DeployError, typer.Abort):
-        board.start()
+        with suppress(DeployError):  # the first one says more
+            board.start()
         raise
-    test(board, chip, amounts, pwm, seed, report.tell)
 
 
 def _consent(wiring: Wiring, yes: bool) -> bool:

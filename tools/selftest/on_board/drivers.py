@@ -1,5 +1,5 @@
 # mypy: ignore-errors
-"""Motor drivers are off, before anything else is done."""
+"""Motor drivers are off, before anything else is done; inputs that are not wired say nothing."""
 
 import board
 from machine import Pin
@@ -20,3 +20,13 @@ def drivers_off():
         Pin(pin, Pin.OUT, value=0 if inverted else 1)
     board.ENABLE = None
     return wired
+
+
+def hear_nothing():
+    """What would be active with nothing wired, or keep a machine from moving, is not."""
+    board.ESTOP = None
+    board.CONTROL_INVERT = 0
+    board.LIMIT_DEBOUNCE_MS = 0
+    board.DEFAULTS = dict(getattr(board, "DEFAULTS", {}))
+    for number in (5, 20, 21, 22):
+        board.DEFAULTS[number] = 0

@@ -14,7 +14,7 @@ import store_flash
 from machine import mem32
 
 from .config import CONFIG
-from .drivers import drivers_off
+from .drivers import drivers_off, hear_nothing
 from .watch import FIRST, LAST, Counter, say
 
 BETWEEN_MS = 150  # lines given
@@ -94,11 +94,12 @@ def hang():
 
 
 def mem_level(pin):
-    """The pad's level, whoever drives it: bit 17 of its status."""
+    """Whether the pad is on, whoever drives it: bit 17 of its status."""
     address = CONFIG["io_bank"] + 8 * pin
+    off = "SPINDLE_PWM" in getattr(board, "INVERT", ())
 
     def level():
-        return mem32[address] >> 17 & 1
+        return mem32[address] >> 17 & 1 ^ off
 
     return level
 
@@ -108,6 +109,7 @@ counters = [
     for i in range(min(len(board.STEP), LAST - FIRST + 1))
 ]
 drivers_off()
+hear_nothing()
 store_flash.FlashStore.load = lambda *_: None  # factory settings, and nothing is kept
 store_flash.FlashStore.save = lambda *_: None
 protocol.Protocol.pump = pump

@@ -109,7 +109,7 @@ def hear(drive, port):
         kill()
         stop()
 
-    port.attach(on_limits, nothing)
+    port.attach(on_limits, nothing, stop)
     return heard
 
 
@@ -152,7 +152,9 @@ def measure_pwm(pin):
     """Level and edges at the pad, in a window of some periods."""
     time.sleep_ms(CONFIG["pwm_settles_ms"])
     sampler.look()
-    return sampler.edges(pin)
+    edges = sampler.edges(pin)
+    edges[0] ^= "SPINDLE_PWM" in getattr(board, "INVERT", ())
+    return edges
 
 
 def check_pwm(port, shot):

@@ -16,7 +16,7 @@ from store_flash import FlashStore
 
 from .config import CONFIG
 from .drive import Drive
-from .drivers import drivers_off
+from .drivers import drivers_off, hear_nothing
 from .limits import check_limits
 from .motion import check_motion, see_pads
 from .watch import say
@@ -81,6 +81,7 @@ def check_save():
 def check_all():
     """In turn; drivers are off all the time, and outputs at the end."""
     wired = drivers_off()
+    hear_nothing()
     random.seed(CONFIG["seed"])
     say(
         "board",
