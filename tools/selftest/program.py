@@ -35,11 +35,11 @@ class Amounts:
     stops: int = 2000
     starts: int = 1000
     limits: int = 40
-    saves: int = 5
+    saves: int = 20
     pwm_settles_ms: int = 5
 
 
-QUICK = Amounts(20, (20, 10), 8192, 32, 2, 24, 24, 3, 1, 1)
+QUICK = Amounts(20, (20, 10), 8192, 32, 2, 24, 24, 3, 8, 1)
 
 
 def checks(chip: Chip, amounts: Amounts, pwm: bool, seed: int) -> str:
