@@ -97,7 +97,7 @@ def lie(self, steps):
     steps[0] += 1
 engine.PioEngine.position = lie
 """
-_FEW = program.Amounts(1, (2, 1), 8192, 32, 1, 4, 2, 1, 1, 1)
+_FEW = program.Amounts(1, (2, 1), 8192, 64, 1, 4, 2, 1, 1, 1)
 
 
 class Worse(Emulated):

@@ -39,7 +39,7 @@ class Amounts:
     pwm_settles_ms: int = 5
 
 
-QUICK = Amounts(20, (20, 10), 8192, 32, 2, 24, 24, 3, 8, 1)
+QUICK = Amounts(20, (20, 10), 8192, 64, 2, 24, 24, 3, 8, 1)
 
 
 def checks(chip: Chip, amounts: Amounts, pwm: bool, seed: int) -> str:

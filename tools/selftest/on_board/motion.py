@@ -77,11 +77,11 @@ def sample_pulses(drive, hz, us):
 
 
 def sample_turns(drive):
-    """Windows of axes that reverse after every few steps."""
-    drive.pulse(10)
+    """Windows of axes that reverse after every few steps, sooner than the engine lets them."""
+    drive.pulse(3)
     drive.count(0)
     for _ in range(CONFIG["windows"]):
-        drive.plan(400, [4] * AXES, 40, 0, (1 << AXES) - 1, 2500)
+        drive.plan(100, [16] * AXES, 60, 0, (1 << AXES) - 1)
         drive.start()
         time.sleep_us(some(2000, 4000))
         sampler.look()

@@ -20,6 +20,9 @@ TICK_HZ = 12_500_000
 ALL = 0xFFFFFFFF
 FIRST, LAST = 4, 6  # machines
 PIO1 = 0x50300000
+# Instructions that are forced into a machine: mov(x, invert(null)), mov(isr, x), push(noblock) …
+FILL_X, FILL_Y = 0xA02B, 0xA04B
+TAKE_X, TAKE_Y, PUSH = 0xA0C1, 0xA0C2, 0x8000
 SET = 0x2000  # the same register, where ones set bits
 CLEAR = 0x3000
 
@@ -36,18 +39,18 @@ class Counter:
         self._machine = rp2.StateMachine(
             number, count_program, freq=TICK_HZ, in_base=Pin(step), jmp_pin=Pin(direction)
         )
-        self._machine.exec("mov(x, invert(null))")
-        self._machine.exec("mov(y, invert(null))")
+        self._machine.exec(FILL_X)
+        self._machine.exec(FILL_Y)
         self._machine.active(1)
 
     def _read(self, source):
         self._machine.exec(source)
-        self._machine.exec("push(noblock)")
+        self._machine.exec(PUSH)
         return ALL - self._machine.get()
 
     def steps(self):
         """Forward ones and backward ones."""
-        return self._read("mov(isr, x)"), self._read("mov(isr, y)")
+        return self._read(TAKE_X), self._read(TAKE_Y)
 
     def close(self):
         """See no more."""
