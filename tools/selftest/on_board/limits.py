@@ -105,9 +105,9 @@ def hear(drive, port):
     kill, stop = port.kill, drive.engine.stop
 
     def on_limits():
-        heard[0] += 1
         kill()
         stop()
+        heard[0] += 1
 
     port.attach(on_limits, nothing, stop)
     return heard
