@@ -39,7 +39,10 @@ TURNS = {
     "dirs": [[0, 100, 400]] * 3,
 }
 GOOD: "list[tuple[str, dict[str, Any]]]" = [
-    ("board", {"name": "Pico", "micropython": "1.28.0", "hz": 125000000, "axes": 3}),
+    (
+        "board",
+        {"name": "Pico", "micropython": "1.28.0", "hz": 125000000, "axes": 3, "enables": 1},
+    ),
     ("watchers", {"made": [20, 10], "seen": [20, 10], "levels": [1, 0]}),
     *(
         (

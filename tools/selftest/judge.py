@@ -78,7 +78,8 @@ def _range(ticks: Sequence[int]) -> str:
 def _board(facts: list[Fact]) -> Iterator[Row]:
     one = facts[0]
     text = f"{one['name']}, MicroPython {one['micropython']}, {one['hz'] / 1e6:g} MHz"
-    yield Row("board", True, f"{text}, {one['axes']} axes, drivers off", one)
+    drivers = "drivers off" if one["enables"] else "no ENABLE"
+    yield Row("board", True, f"{text}, {one['axes']} axes, {drivers}", one)
 
 
 def _watchers(facts: list[Fact]) -> Iterator[Row]:
