@@ -298,6 +298,28 @@ def test_a_machine_that_moves_is_not_disturbed(selftest: "Callable[..., Any]") -
     assert board.scripts == [] and board.started == 0
 
 
+def test_ctrl_c_says_how_the_board_comes_back(selftest: "Callable[..., Any]") -> None:
+    class Stopped(Fake):
+        def run(self, script: str, heard: "Callable[[str], None]", seconds: float) -> str:
+            raise KeyboardInterrupt
+
+    code, rows, _ = selftest(Stopped(), "--yes")
+    assert code == 1 and "unplug it" in rows["the board"]["text"]
+
+
+def test_a_connection_that_breaks_is_told_and_the_firmware_started(
+    selftest: "Callable[..., Any]",
+) -> None:
+    class Broken(Fake):
+        def run(self, script: str, heard: "Callable[[str], None]", seconds: float) -> str:
+            raise DeployError("the connection broke", "plug it in")
+
+    board = Broken()
+    code, rows, _ = selftest(board, "--yes")
+    assert (code, board.started) == (1, 1)
+    assert rows["the board"]["text"] == "the connection broke; plug it in"
+
+
 def test_a_wrong_port_is_told_in_words(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["selftest", "--port", str(tmp_path / "nothing")])
     assert done.exit_code == 1 and "cannot open" in done.output

@@ -82,6 +82,8 @@ def command(
     except (SendError, DeployError) as error:
         todo = getattr(error, "todo", "")
         report.tell(Row("the board", False, f"{error}{'; ' if todo else ''}{todo}"))
+    except KeyboardInterrupt:
+        report.tell(Row("the board", False, "stopped half way: unplug it, and plug it in again"))
     console.print(f"[b]{report.verdict()}[/b]; seed {seed}", highlight=False)
     if json_file:
         rows = [row.as_json() for row in report.rows]
