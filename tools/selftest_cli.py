@@ -15,7 +15,7 @@ from . import ports
 from .deploy import DeployError
 from .selftest import program
 from .selftest.judge import Row
-from .selftest.session import Board, Wiring, look, test
+from .selftest.session import Board, Wiring, check, look
 from .send import SendError
 from .settings_cli import save_json
 
@@ -102,7 +102,7 @@ def _test(board: Board, report: Report, amounts: program.Amounts, yes: bool, see
     chip, wiring = look(board)
     try:
         pwm = _consent(wiring, yes)
-        test(board, chip, amounts, pwm, seed, report.tell)
+        check(board, chip, amounts, pwm, seed, report.tell)
     except (DeployError, typer.Abort):
         with suppress(DeployError):  # the first one says more
             board.start()

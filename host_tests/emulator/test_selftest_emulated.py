@@ -8,7 +8,7 @@ from emulated import STEP, Board, firmware
 from ugrbl.deploy import About
 from ugrbl.selftest import program
 from ugrbl.selftest.judge import Row
-from ugrbl.selftest.session import WIRING, Wiring, look, test
+from ugrbl.selftest.session import WIRING, Wiring, check, look
 
 pytestmark = pytest.mark.xdist_group("pico selftest")
 
@@ -79,7 +79,7 @@ def test_the_firmware_passes_all_that_can_be_shown_here(uf2: Path) -> None:
     assert (chip, wiring) == (program.RP2040, Wiring("pio", 8, 16))
     machine.pico.erase_takes_us(_ERASE_US)
     rows: "dict[str, Row]" = {}
-    test(board, chip, program.QUICK, True, 13, lambda row: rows.update({row.what: row}))
+    check(board, chip, program.QUICK, True, 13, lambda row: rows.update({row.what: row}))
     failed = [row for row in rows.values() if row.passed is False]
     assert not failed
     assert not [row for row in rows.values() if row.passed is None]
@@ -120,7 +120,7 @@ def test_an_engine_that_is_wrong_fails(uf2: Path) -> None:
     machine.wait_for(_RAW)
     chip, _ = look(board)
     rows: "dict[str, Row]" = {}
-    test(board, chip, _FEW, False, 13, lambda row: rows.update({row.what: row}))
+    check(board, chip, _FEW, False, 13, lambda row: rows.update({row.what: row}))
     failed = {row.what for row in rows.values() if row.passed is False}
     assert failed >= {
         "steps at 1 kHz, all axes",

@@ -117,7 +117,7 @@ def _chip(about: About) -> Chip:
     return program.RP2350 if "RP2350" in about.machine else program.RP2040
 
 
-def test(
+def check(
     board: Board, chip: Chip, amounts: Amounts, pwm: bool, seed: int, tell: Callable[[Row], None]
 ) -> None:
     """All checks at a board that look() has found fit; the firmware runs again at the end."""
