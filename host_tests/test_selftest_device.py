@@ -1,0 +1,131 @@
+"""The self-test's way to a board, over an mpremote that says what it is told to say."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from mpremote.transport import TransportError
+from ugrbl import patient
+from ugrbl.deploy import DeployError
+from ugrbl.selftest import device
+from ugrbl.selftest.device import PromptBoard
+from ugrbl.selftest.session import Wiring
+from ugrbl.send import SendError
+
+
+class Wire:
+    """A serial port: pieces that come, one at a time, then it breaks."""
+
+    def __init__(self, *pieces: bytes) -> None:
+        self._pieces = list(pieces)
+        self.written = b""
+
+    @property
+    def in_waiting(self) -> int:
+        if not self._pieces:
+            raise OSError("device disconnected")
+        return len(self._pieces[0])
+
+    def read(self, count: int) -> bytes:
+        return self._pieces.pop(0)
+
+    def write(self, data: bytes) -> None:
+        self.written += data
+
+
+class Transport:
+    """mpremote's, as far as it is used."""
+
+    def __init__(self, said: bytes = b"", wrong: bytes = b"", wire: "Wire | None" = None) -> None:
+        self.serial = wire or Wire()
+        self.scripts: "list[str]" = []
+        self.is_closed = False
+        self._said, self._wrong = said, wrong
+
+    def exec_raw_no_follow(self, script: str) -> None:
+        self.scripts.append(script)
+
+    def follow(self, seconds: float, consumer: "Callable[[bytes], None]") -> "tuple[bytes, bytes]":
+        for k in range(len(self._said)):
+            consumer(self._said[k : k + 1])
+        return self._said, self._wrong
+
+    def exec(self, script: str) -> bytes:
+        self.scripts.append(script)
+        return b""
+
+    def eval(self, expression: str) -> Any:
+        return ["pio", 8, None]
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+def board(transport: Transport) -> PromptBoard:
+    """At that transport."""
+    made = PromptBoard.__new__(PromptBoard)
+    made._transport, made._where = transport, "there"
+    return made
+
+
+def test_lines_are_told_as_they_come_and_what_went_wrong_behind_them() -> None:
+    heard: "list[str]" = []
+    transport = Transport(b"= board {}\r\nand more\r\n\x04", b"Traceback\r\nMemoryError: \r\n")
+    assert board(transport).run("script", heard.append, 1) == "Traceback\r\nMemoryError: \r\n"
+    assert heard == ["= board {}", "and more"] and transport.scripts == ["script"]
+
+
+@pytest.mark.parametrize("error", [TransportError("no EOF"), OSError("unplugged")])
+def test_a_board_that_goes_away_is_told_in_words(error: Exception) -> None:
+    class Broken(Transport):
+        def follow(self, *_: Any) -> "tuple[bytes, bytes]":
+            raise error
+
+    with pytest.raises(DeployError) as raised:
+        board(Broken()).run("script", print, 1)
+    assert str(error) in str(raised.value) and "plug it in" in raised.value.todo
+
+
+class Back:
+    """A connection to what has come back."""
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def test_the_watchdog_takes_usb_away_and_the_firmware_answers_then(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tried: "list[str]" = []
+
+    def open_port(port: str) -> Back:
+        tried.append(port)
+        if len(tried) < 3:
+            raise SendError("not there yet")
+        return Back()
+
+    monkeypatch.setattr(patient, "open_port", open_port)
+    monkeypatch.setattr(patient, "answers", lambda connection: True)
+    heard: "list[str]" = []
+    transport = Transport(wire=Wire(b"= hang {", b"}\r\n= hang", b" {}\r\n"))
+    assert board(transport).until_restart("hang", heard.append, 5)
+    assert heard == ["= hang {}", "= hang {}"] and tried == ["there"] * 3
+    assert transport.is_closed
+
+
+def test_a_board_that_never_hung_was_not_started_by_the_watchdog() -> None:
+    transport = Transport(wire=Wire(b"Traceback\r\n"))
+    assert not board(transport).until_restart("hang", print, 5)
+
+
+def test_a_board_that_stays_away_has_not_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    def open_port(port: str) -> Back:
+        raise SendError("not there")
+
+    monkeypatch.setattr(patient, "open_port", open_port)
+    monkeypatch.setattr(device, "_BACK_S", 0.2)
+    assert not board(Transport(wire=Wire(b"= hang {}\r\n"))).until_restart("hang", print, 5)
+
+
+def test_the_board_file_is_asked_on_the_board() -> None:
+    assert board(Transport()).wiring() == Wiring("pio", 8, None)
