@@ -192,6 +192,8 @@ FAULTS = {
     "no turn": ("turns", {"dirs": [STILL] * 3}, "direction hold"),
     "a stop that lies": ("stops", {"wrong": 1, "first": [3]}, "stops at random instants"),
     "steps after a stop": ("stops", {"late": 1}, "stops at random instants"),
+    "no stop at all": ("stops", {"count": 0}, "stops at random instants"),
+    "no start at all": ("starts", {"count": 0}, "starts from rest"),
     "a lost start": ("starts", {"wrong": 1}, "starts from rest"),
     "a start without end": ("starts", {"stuck": 1}, "starts from rest"),
     "a deaf limit": ("limits", {"missed": 1}, "limit: to the last edge"),

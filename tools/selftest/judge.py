@@ -165,7 +165,7 @@ def _turns(facts: list[Fact]) -> Iterator[Row]:
 
 def _stops(facts: list[Fact]) -> Iterator[Row]:
     one = facts[0]
-    good = one["wrong"] == 0 == one["late"]
+    good = one["wrong"] == 0 == one["late"] and one["count"] > 0
     text = f"{one['count']}, half of them in an interrupt; position equal to the count"
     if not good:
         text = f"{one['wrong']} of {one['count']} with a position that is not the count"
@@ -175,7 +175,7 @@ def _stops(facts: list[Fact]) -> Iterator[Row]:
 
 def _starts(facts: list[Fact]) -> Iterator[Row]:
     one = facts[0]
-    good = one["wrong"] == 0 == one["stuck"]
+    good = one["wrong"] == 0 == one["stuck"] and one["count"] > 0
     text = f"{one['count']}, every step made and counted"
     if not good:
         text = f"{one['wrong']} of {one['count']} wrong (the first: {one['first']}), "
