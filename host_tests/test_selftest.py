@@ -94,7 +94,7 @@ HANG = {
     "last_step_ms": 260,
     "last_high_ms": 251,
     "pwm": True,
-    "free_stack": 4000,
+    "used_stack": 5000,
 }
 
 
@@ -223,7 +223,7 @@ def test_a_fault_fails_its_check_and_the_command(
         ({"last_step_ms": 4790}, "hang on purpose: steps"),
         ({"steps": 0}, "hang on purpose: steps"),
         ({"last_high_ms": 4790}, "hang on purpose: spindle"),
-        ({"free_stack": 400}, "C stack: deepest use"),
+        ({"used_stack": 7000}, "C stack: deepest use"),
     ],
 )
 def test_a_hang_that_does_harm_fails(

@@ -16,11 +16,10 @@ class Chip:
 
     io_bank: int
     timer: int
-    stack: int
 
 
-RP2040 = Chip(0x40014000, 0x40054028, 0x20040000)
-RP2350 = Chip(0x40028000, 0x400B0028, 0x20080000)
+RP2040 = Chip(0x40014000, 0x40054028)
+RP2350 = Chip(0x40028000, 0x400B0028)
 
 
 @dataclass(frozen=True)

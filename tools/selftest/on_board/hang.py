@@ -8,10 +8,10 @@ import time
 
 import board
 import lines
-import micropython
 import protocol
 import store_flash
 from machine import mem32
+from pio import stack
 
 from .config import CONFIG
 from .drivers import drivers_off, hear_nothing
@@ -19,8 +19,6 @@ from .watch import FIRST, LAST, Counter, say
 
 BETWEEN_MS = 150  # lines given
 TOLD_MS = 200  # how often the state is told while it hangs
-STACK, STACK_END = CONFIG["stack"], CONFIG["stack"] + 0x2000
-PAINT = 0x15AFE000
 
 usual_pump = protocol.Protocol.pump
 usual_making = lines.LineReader.__init__
@@ -46,21 +44,6 @@ def pump(self):
         readers[0].feed(line, len(line))
     else:
         hang()
-
-
-def free_stack():
-    """Bytes of the C stack that nobody has used since it was painted."""
-    at = STACK
-    while at < STACK_END and mem32[at] == PAINT:
-        at += 4
-    return at - STACK
-
-
-def paint_stack():
-    """All of it but what is in use, and a reserve for this function."""
-    end = STACK_END - micropython.stack_use() - 1500
-    for at in range(STACK, end, 4):
-        mem32[at] = PAINT
 
 
 def hang():
@@ -89,7 +72,7 @@ def hang():
                 last_step_ms=last_step_ms,
                 last_high_ms=last_high_ms,
                 pwm=CONFIG["pwm"] and pwm is not None,
-                free_stack=free_stack(),
+                used_stack=stack.used(),
             )
 
 
@@ -114,5 +97,4 @@ store_flash.FlashStore.load = lambda *_: None  # factory settings, and nothing i
 store_flash.FlashStore.save = lambda *_: None
 protocol.Protocol.pump = pump
 lines.LineReader.__init__ = make_reader
-paint_stack()
-power_up.main()
+power_up.live(power_up.build())
