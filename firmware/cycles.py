@@ -215,6 +215,7 @@ class Cycles:
             if self._failed(approach, axes):
                 self._realtime.reset()
                 self._motion.service()
+            self._realtime.watch()  # first: an engine that has failed stands still, too
             if engine.idle():
                 break
             if searching:

@@ -43,7 +43,7 @@ class EspPort(PortPins):
     def attach(
         self,
         on_limits: "Callable[[], None]",
-        on_controls: "Callable[[], None]",
+        on_controls: "Callable[[int], None]",
         on_fault: "Callable[[], None]",
     ) -> None:
         """As on other chips; only what changes from now on counts."""

@@ -6,6 +6,7 @@ the same, the tool goes off and motion stops. An input that has called is left i
 milliseconds and looked at again then, so that interference does not starve the pulse engine.
 """
 
+import micropython
 from machine import Pin, Timer
 from micropython import const
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 _BOTH_EDGES = Pin.IRQ_RISING | Pin.IRQ_FALLING
 # For so long an input that has called is left in peace where the board file says nothing.
 _PEACE_MS = const(2)
+_EMERGENCY_STOP = const(16)  # as inputs.py says
 _FAILED = "A pin's callback has failed"
 _FAILED_TWICE = "A pin's callback has failed, and so has stopping"
 
@@ -85,11 +87,11 @@ class PortInputs:
     def attach(
         self,
         on_limits: "Callable[[], None]",
-        on_controls: "Callable[[], None]",
+        on_controls: "Callable[[int], None]",
         on_fault: "Callable[[], None]",
     ) -> None:
         """Who is called, in an interrupt, when one of these inputs changes, the emergency stop
-        being one of the controls; and where a callback has failed."""
+        being one of the controls, which are handed over; and where a callback has failed."""
         self._on_limits = on_limits
         self._on_controls = on_controls
         self._on_fault = on_fault
@@ -129,6 +131,9 @@ class PortInputs:
         self._limits_seen = self.limits()
         _arm(self._limits, _BOTH_EDGES if on else 0)
 
+    # Native code needs half the stack, on top of the main loop's and the engine's.
+
+    @micropython.native
     def _limit_changed(self, pin: "Pin") -> None:
         try:
             pin.irq().trigger(0)
@@ -152,19 +157,21 @@ class PortInputs:
         except BaseException:
             self._fail()
 
+    @micropython.native
     def limits(self) -> int:
         """Mask of limit inputs pulled to ground, bit 0 = X."""
         return _mask(self._limits)
 
     # Control inputs
 
+    @micropython.native
     def _control_changed(self, pin: "Pin") -> None:
         try:
             pin.irq().trigger(0)
             if self._quiet and self._debounce_ms and pin is not self._estop:
                 return
             self._controls_seen = self.controls()
-            self._on_controls()
+            self._on_controls(self._active())
             if not self._quiet:
                 self._await_quiet()
         except BaseException:
@@ -182,12 +189,20 @@ class PortInputs:
             changed = self._controls_seen != self.controls()
             self._controls_seen = self.controls()
             if changed or (self._estop and self._estop.value()):
-                self._on_controls()
+                self._on_controls(self._active())
             if changed:
                 self._await_quiet()
         except BaseException:
             self._fail()
 
+    @micropython.native
+    def _active(self) -> int:
+        """What has been seen, with the emergency stop."""
+        if self._estop and self._estop.value():
+            return self._controls_seen | _EMERGENCY_STOP
+        return self._controls_seen
+
+    @micropython.native
     def controls(self) -> int:
         """Mask of control inputs that are active: reset, hold, start, door."""
         return _mask(self._controls) ^ self._control_invert
@@ -249,6 +264,7 @@ def _arm(pins: "Iterable[Pin | None]", edges: int) -> None:
             pin.irq().trigger(edges)
 
 
+@micropython.native
 def _mask(pins: "list[Pin | None] | tuple[Pin | None, ...]") -> int:
     mask = 0
     for bit in range(len(pins)):

@@ -16,6 +16,7 @@ RESET = const(1)
 HOLD = const(2)
 START = const(4)
 DOOR = const(8)
+EMERGENCY_STOP = const(16)  # from Port.attach() only
 
 
 class Inputs:

@@ -44,7 +44,7 @@ class StepEngine(Protocol):
     def start(self) -> None:
         """Begin to pull, where the engine had run out of segments. A stopped engine stays so."""
 
-    def stop(self) -> None:
+    def stop(self) -> object:
         """At once, and for good until arm(); safe in an interrupt, also in one that has come
         into start() or into the engine's own; queued steps are dropped, locks released."""
 
@@ -75,7 +75,7 @@ class Port(Protocol):
     def attach(
         self,
         on_limits: Callable[[], None],
-        on_controls: Callable[[], None],
+        on_controls: Callable[[int], None],
         on_fault: Callable[[], None],
     ) -> None:
         """Who is called, in interrupt context, when one of these inputs changes, the emergency

@@ -7,9 +7,10 @@ is suspended run() does not return: suspension.py has its turn there.
 """
 
 import errors
+import micropython
 import state as st
 from errors import Abort
-from inputs import DOOR, HOLD, RESET, START
+from inputs import DOOR, EMERGENCY_STOP, HOLD, RESET, START
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -109,6 +110,9 @@ class Realtime:
             self._state.post(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
             self._state.post(st.OVERRIDE)
 
+    # Interrupts come through these. As native code they need half the stack.
+
+    @micropython.native
     def reset(self) -> None:
         """Soft reset: tool off and motors stopped at once, the rest in the next run().
 
@@ -122,16 +126,13 @@ class Realtime:
         if state.pending[st.RESET]:
             return
         moving = state.run & (st.RUN | st.HOMING | st.JOG) or state.holding or state.system_motion
-        if moving:
-            self.release()
-            if state.alarm == 0:
-                state.alarm = errors.ALARM_ABORT_CYCLE
-                if state.run == st.HOMING:
-                    state.alarm = errors.ALARM_HOMING_FAIL_RESET
+        if moving and state.alarm == 0:
+            state.alarm = errors.ALARM_ABORT_CYCLE
+            if state.run == st.HOMING:
+                state.alarm = errors.ALARM_HOMING_FAIL_RESET
         state.post(st.RESET)
-        self._spindle.stop()
-        self._coolant.stop()
 
+    @micropython.native
     def on_limits(self) -> None:
         """A limit switch has changed. Interrupt."""
         state = self._state
@@ -140,14 +141,18 @@ class Realtime:
             and not state.run & (st.ALARM | st.HOMING)
             and state.alarm == 0
         ):
-            self.reset()
+            try:  # as in reset(): to call it would take more of the stack
+                self._port.kill()
+            finally:
+                self._engine.stop()
             state.alarm = errors.ALARM_HARD_LIMIT
+            state.pending[st.RESET] = state.pending[st.ANY] = 1
 
-    def on_controls(self) -> None:
-        """A control input has changed, or the emergency stop. Interrupt."""
-        if self._estop and self._estop():
+    @micropython.native
+    def on_controls(self, active: int) -> None:
+        """A control input has changed, or the emergency stop. active: mask. Interrupt."""
+        if active & EMERGENCY_STOP:
             self._emergency()
-        active = self._inputs.controls()
         if active & RESET:
             self.reset()
         if active & HOLD:
@@ -157,6 +162,7 @@ class Realtime:
         if active & DOOR:
             self._state.post(st.SAFETY_DOOR)
 
+    @micropython.native
     def _emergency(self) -> None:
         """The emergency stop is pressed. Where the machine is in alarm it is stopped already."""
         state = self._state
@@ -199,7 +205,7 @@ class Realtime:
         if state.alarm:
             self._raise_alarm()
         if self._moving:
-            self._watch()  # first: an engine that has failed stands still, too
+            self.watch()  # first: an engine that has failed stands still, too
             if self._engine.idle():
                 self.release()
         if self._settling:
@@ -226,6 +232,11 @@ class Realtime:
         state = self._state
         code = state.alarm
         state.run = st.ALARM
+        if state.pending[st.RESET]:  # which has killed what these switch off for good
+            self._spindle.stop()
+            self._coolant.stop()
+            if self._moving:
+                self.release()
         self._report.alarm(code)
         if code == errors.ALARM_INTERNAL:
             self._report.message(self._port.fault)
@@ -341,7 +352,7 @@ class Realtime:
             self._port.kill()
             self._engine.stop()
 
-    def _watch(self) -> None:
+    def watch(self) -> None:
         """Motion that is behind its own schedule is a fault of ours."""
         fault = self._engine.fault()
         if fault:

@@ -55,7 +55,7 @@ class Heard:
     def on_limits(self) -> None:
         self.limits += 1
 
-    def on_controls(self) -> None:
+    def on_controls(self, _active: int) -> None:
         self.controls += 1
 
     def on_contact(self) -> None:

@@ -37,7 +37,7 @@ def made(enable: Any = None, **changes: Any) -> "tuple[Any, list[str]]":
         Pin(pin, Pin.IN).drive(1)
     port = gpio_esp.EspPort(board, enable)
     heard: list[str] = []
-    port.attach(*(lambda n=name: heard.append(n) for name in ("limits", "controls", "fault")))
+    port.attach(*(lambda *_, n=name: heard.append(n) for name in ("limits", "controls", "fault")))
     port.hear_limits(True)
     return port, heard
 

@@ -172,9 +172,11 @@ class PioEngine:
         """Begin to pull, where the engine had run out of segments. A stopped engine stays so."""
         call(self._hub)
 
-    def stop(self) -> None:
+    @micropython.viper
+    def stop(self) -> int:
         """At once, until arm(); safe in an interrupt; queued steps are dropped, locks released."""
         halt(self._hub, -1)
+        return 0
 
     def fault(self) -> str:
         """What is wrong with the engine, in words, or nothing. For the main loop."""

@@ -22,7 +22,7 @@ port = gpio.GpioPort(board)
 heard = bytearray(4)
 def note(i):
     heard[i] += 1
-port.attach(lambda: note(0), lambda: note(1), lambda: note(2))
+port.attach(lambda: note(0), lambda active: note(1), lambda: note(2))
 port.hear_limits(True)
 """
 

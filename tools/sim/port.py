@@ -1,5 +1,7 @@
 """Pins of the simulated machine: outputs to look at, inputs to push, switches that close."""
 
+from inputs import EMERGENCY_STOP
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,7 +35,7 @@ class SimPort:
         self._pushed: "dict[str, bool]" = {}
         self._closed: "set[str]" = set()
         self._on_limits: "Callable[[], None] | None" = None
-        self._on_controls: "Callable[[], None] | None" = None
+        self._on_controls: "Callable[[int], None] | None" = None
         self._on_contact: "Callable[[], None] | None" = None
         self._contact_level = True
         self._hears_limits = False
@@ -51,7 +53,7 @@ class SimPort:
     def attach(
         self,
         on_limits: "Callable[[], None]",
-        on_controls: "Callable[[], None]",
+        on_controls: "Callable[[int], None]",
         on_fault: "Callable[[], None]",
     ) -> None:
         self._on_limits = on_limits
@@ -147,7 +149,8 @@ class SimPort:
             self._on_limits()
         buttons = any(name in changed for name in self._controls)
         if self._on_controls and (buttons or ESTOP in changed):
-            self._on_controls()
+            stop = EMERGENCY_STOP if self.estop and self.estop() else 0
+            self._on_controls(self.controls() | stop)
 
     def _stop_is_open(self) -> bool:
         return ESTOP not in self._closed
