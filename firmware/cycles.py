@@ -126,7 +126,7 @@ class Cycles:
         """Interrupt: the place counts, to the step."""
         self._engine.position(self.probe_steps)
         self._contact = True
-        self._realtime.on_contact()
+        self._state.post(st.CANCEL_MOTION)
 
     def _report_probe(self) -> None:
         self._planner.to_mm(self.probe_steps, self._target)

@@ -6,7 +6,6 @@ code waits.
 """
 
 import errors
-import micropython
 import state as st
 from errors import Abort, GrblError
 from lines import LINE, NOTHING
@@ -97,47 +96,60 @@ class Protocol:
                         continue
                     if pending[st.ANY] or state.suspend or state.alarm:
                         self._realtime.run()
+                    length = found >> 2
                     if found & LINE == 0:
                         self._report.error(errors.OVERFLOW)
-                    elif state.run & _LOCKED == 0 and not echoes and follow(line, found >> 2):
+                    elif state.run & _LOCKED == 0 and not echoes and follow(line, length):
                         write(ok)
                         every_other = not every_other
                         if every_other:
                             pump()
                     else:
-                        self.execute(line, found >> 2)
+                        try:  # as in execute()
+                            self._whose(line, length)(line, length)
+                        except (GrblError, OSError, Abort) as reason:
+                            self._refuse(reason, b"")
+                        else:
+                            write(ok)
             except Abort:
                 continue
 
-    @micropython.native  # its call frame is on the stack then, not on the heap
-    def execute(self, line: bytearray, length: int, before: bytes = b"") -> None:
+    def execute(self, line: bytearray, length: int, before: bytes) -> None:
         """Execute one line and answer it. before: what the answer begins with."""
+        try:
+            self._whose(line, length)(line, length)
+        except (GrblError, OSError, Abort) as reason:
+            self._refuse(reason, before)
+        else:
+            self._link.write(before)
+            self._report.ok()
+
+    def _whose(self, line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
+        """Who is to execute the line. Raises GrblError where nobody is."""
         if self._echoes:
             self._report.echo(bytes(line[:length]))
-        code = 0
-        reset = None
-        try:
-            if length == 0:
-                pass
-            elif line[0] == 36:  # $
-                self._commands.execute(line, length)
-            elif self._state.run & _LOCKED:
-                raise GrblError(errors.SYSTEM_GC_LOCK)
-            else:
-                self._gcode.execute(line, length)
-        except GrblError as refusal:
-            code = refusal.code
-        except OSError:
-            # It holds until the power goes, and no longer.
-            self._report.message(errors.MSG_NOT_KEPT)
-            code = errors.SETTING_READ_FAIL
-        except Abort as abort:
-            reset = abort  # the line was accepted; a reset cut it short
+        if length == 0:
+            return _pass_over
+        if line[0] == 36:  # $
+            return self._commands.execute
+        if self._state.run & _LOCKED:
+            raise GrblError(errors.SYSTEM_GC_LOCK)
+        return self._gcode.execute
+
+    def _refuse(self, reason: Exception, before: bytes) -> None:
+        """Answer a line that has not come to its end."""
+        if isinstance(reason, OSError):
+            self._report.message(errors.MSG_NOT_KEPT)  # it holds until the power goes
         if before:
             self._link.write(before)
-        if code:
-            self._report.error(code)
+        if isinstance(reason, GrblError):
+            self._report.error(reason.code)
+        elif isinstance(reason, OSError):
+            self._report.error(errors.SETTING_READ_FAIL)
         else:
-            self._report.ok()
-        if reset:
-            raise reset
+            self._report.ok()  # the line was accepted; a reset cut it short
+            raise reason
+
+
+def _pass_over(_line: bytearray, _length: int) -> None:
+    """An empty line."""

@@ -175,10 +175,6 @@ class Realtime:
         self._state.alarm = errors.ALARM_INTERNAL
         self.reset()
 
-    def on_contact(self) -> None:
-        """The probe has touched. Interrupt."""
-        self._state.post(st.CANCEL_MOTION)
-
     # What answers, in the main loop
 
     def run(self) -> None:
