@@ -173,7 +173,8 @@ class PortInputs:
             self._controls_seen = self.controls()
             self._on_controls(self._active())
             if not self._quiet:
-                self._await_quiet()
+                self._quiet = True
+                self._start(self._control_timer, self._debounce_ms, self._settle)
         except BaseException:
             self._fail()
 

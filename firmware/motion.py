@@ -218,7 +218,7 @@ class Motion:
     def settle(self) -> None:
         """Wait until the motors are released."""
         self._realtime.release()
-        while self._realtime.settling():
+        while self._realtime.settling:
             self.service()
 
     # Accessories

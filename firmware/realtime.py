@@ -76,7 +76,7 @@ class Realtime:
         self._report = report
         self._overrides = overrides
         self._moving = False  # the engine was started and has not been seen idle since
-        self._settling = False  # it stands still, and the motors are still powered ($1)
+        self.settling = False  # it stands still, and the motors are still powered ($1)
         self._since = 0
         # Where motion stood when it was set going again, and how often that was in vain.
         self._progress = -1
@@ -141,10 +141,10 @@ class Realtime:
             and not state.run & (st.ALARM | st.HOMING)
             and state.alarm == 0
         ):
-            try:  # as in reset(): to call it would take more of the stack
-                self._port.kill()
-            finally:
-                self._engine.stop()
+            # As in reset(), which would take more of the stack. Where this raises, the port's
+            # callback comes there.
+            self._port.kill()
+            self._engine.stop()
             state.alarm = errors.ALARM_HARD_LIMIT
             state.pending[st.RESET] = state.pending[st.ANY] = 1
 
@@ -196,7 +196,7 @@ class Realtime:
         state = self._state
         if self._estop and self._estop():
             self._emergency()
-        if not (state.pending[st.ANY] or state.alarm or self._settling or self._moving):
+        if not (state.pending[st.ANY] or state.alarm or self.settling or self._moving):
             return  # as nearly always
         if state.alarm:
             self._raise_alarm()
@@ -204,7 +204,7 @@ class Realtime:
             self.watch()  # first: an engine that has failed stands still, too
             if self._engine.idle():
                 self.release()
-        if self._settling:
+        if self.settling:
             self._settle()
         if not state.posted():
             return
@@ -242,7 +242,7 @@ class Realtime:
             state.pending[st.RESET] = 0
             while not state.pending[st.RESET]:
                 self._pump()
-                if self._settling:
+                if self.settling:
                     self._settle()
         state.alarm = 0
 
@@ -359,7 +359,7 @@ class Realtime:
         self._state.run = run
         self._state.holding = False
         self._segments.hold(False)
-        self._settling = False
+        self.settling = False
         self.power(True)
         self._moving = True
         self._engine.start()
@@ -367,16 +367,12 @@ class Realtime:
     def release(self) -> None:
         """The machine stands still: power the motors off in a while, and call it a stop then."""
         self._moving = False
-        self._settling = True
+        self.settling = True
         self._since = self._port.ticks_ms()
-
-    def settling(self) -> bool:
-        """The delay has not passed yet."""
-        return self._settling
 
     def settle(self) -> None:
         """Wait for the delay to pass; lines and real-time commands wait too."""
-        while self._settling:
+        while self.settling:
             self._pump()
             self._settle()
 
@@ -389,7 +385,7 @@ class Realtime:
         stay = delay == _FOR_EVER and state.run not in (st.SLEEP, st.ALARM)
         if not stay and self._port.elapsed_ms(self._since) < delay:
             return
-        self._settling = False
+        self.settling = False
         self.power(stay or state.run == st.HOMING)
         if state.run & _MOTION or state.system_motion or state.holding:
             state.post(st.CYCLE_STOP)
