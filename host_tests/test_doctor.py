@@ -8,15 +8,16 @@ import tty
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from sim_bench import SETTINGS, STEPS_PER_MM, SWITCH_STEPS, Bench
 from typer.testing import CliRunner
-from ugrbl import checkup, patient, ports
+from ugrbl import checkup, doctor, patient, ports
 from ugrbl import settings_sync as sync
 from ugrbl.checkup import BAD, NOTE, OK, Finding
 from ugrbl.cli import app
+from ugrbl.send import Connection
 from ugrbl.settings_file import Firmware
 
 OLD_PICO = b"\r\n|rp2|Raspberry Pi Pico with RP2040|1.25.0|183000|False|\r\n>>> "
@@ -223,6 +224,54 @@ def test_a_ctrl_x_that_is_heard_late_is_told_of() -> None:
     assert finding.verdict == NOTE and "Ctrl-X" in finding.text and "1.28" in finding.todo
     assert checkup.link(replace(OURS, name="Grbl pio 100000Hz SHED")) == []
     assert checkup.link(replace(GRBL, name="slow-reset")) == []
+
+
+@pytest.mark.parametrize(("used", "verdict"), [(4704, OK), (7168, OK), (7169, NOTE), (8192, NOTE)])
+def test_a_c_stack_that_is_nearly_full_is_told_with_the_next_step(used: int, verdict: str) -> None:
+    replies = ["[VER:1.1h.20261121:]", f"[MSG:Stack: {used} of 8192 bytes used]", "ok"]
+    (finding,) = checkup.stack(replies)
+    assert finding.verdict == verdict and f"{used} of 8192 bytes" in finding.text
+    assert ("report it" in finding.todo) == (verdict == NOTE)
+
+
+def test_who_says_nothing_of_a_stack_gets_no_row() -> None:
+    assert checkup.stack(["error:3"]) == []
+    assert checkup.stack(["[VER:1.1h.20261121:]", "[MSG:Stack: ]", "ok"]) == []
+
+
+class Asked:
+    """A connection that refuses, and remembers what it was asked."""
+
+    def __init__(self, *replies: str) -> None:
+        self.lines: list[str] = []
+        self._replies = list(replies)
+
+    def ask(self, line: str) -> list[str]:
+        self.lines.append(line)
+        return self._replies
+
+
+def test_only_ours_is_asked_for_its_stack() -> None:
+    told = ["[MSG:Stack: 4704 of 8192 bytes used]", "ok"]
+    ours, other = Asked(*told), Asked("error:3")
+    assert doctor._health(cast("Any", ours), OURS) == told and ours.lines == ["$I+"]
+    assert doctor._health(cast("Any", other), GRBL) == [] and other.lines == []
+
+
+def test_a_board_that_tells_its_stack_gets_a_row_and_the_simulator_none(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code, found, _ = examine(bench.port, "--no-move", "--pins", "0")
+    assert code == 0 and "C stack" not in found
+    ask = Connection.ask
+
+    def with_stack(self: Connection, line: str) -> list[str]:
+        told = ["[MSG:Stack: 7700 of 8192 bytes used]", "ok"]
+        return told if line == "$I+" else ask(self, line)
+
+    monkeypatch.setattr(Connection, "ask", with_stack)
+    code, found, verdict = examine(bench.port, "--no-move", "--pins", "0")
+    assert code == 0 and found["C stack"][0]["verdict"] == NOTE and "worth a look" in verdict
 
 
 def test_a_port_that_is_not_there_is_named() -> None:

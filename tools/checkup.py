@@ -1,7 +1,7 @@
 """What may be wrong with a machine, in words: judged from what it says of itself."""
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 
 from .paths import use_firmware
@@ -19,6 +19,8 @@ _STOCK = {100: 250.0, 110: 500.0, 120: 10.0, 130: 200.0}
 _LONG_RAMP_S = 2.0
 
 NEW_MICROPYTHON = "put MicroPython 1.28 on the board: micropython.org/download"
+_STACK = re.compile(r"\[MSG:Stack: (\d+) of (\d+) bytes used\]")
+_STACK_SPARE = 1024
 # What the firmware calls itself besides where it has to read USB the plain way.
 _SLOW_RESET = "slow-reset"
 
@@ -73,6 +75,20 @@ def link(found: Firmware) -> list[Finding]:
     text = "this MicroPython keeps what comes over USB in a place we do not know: Ctrl-X is heard "
     text += "at the firmware's next turn only, and the welcome is not sent when a port opens"
     return [Finding("USB", NOTE, text, NEW_MICROPYTHON)]
+
+
+def stack(replies: Iterable[str]) -> list[Finding]:
+    """What the answer to `$I+` says of the C stack; nothing where it says nothing."""
+    told = [match for match in map(_STACK.fullmatch, replies) if match]
+    if not told:
+        return []
+    used, size = (int(number) for number in told[-1].groups())
+    text = f"{used} of {size} bytes used at most since power-up"
+    if size - used >= _STACK_SPARE:
+        return [Finding("C stack", OK, text)]
+    todo = "report it with what the machine was doing, and run the firmware without changes of "
+    todo += "your own: an interrupt that finds no room stops the machine"
+    return [Finding("C stack", NOTE, f"{text}: less than 1 kB is free", todo)]
 
 
 def too_old(engine: str, board: str, version: str) -> str:

@@ -15,7 +15,7 @@ from .checkup import BAD, NOTE, OK, Finding
 from .paths import use_firmware
 from .send import Connection, SendError
 from .settings_cli import save_json
-from .settings_file import AXES, Settings
+from .settings_file import AXES, Firmware, Settings
 
 EXAMPLES = (
     "Examples:  ugrbl doctor   ·   ugrbl doctor --port /dev/ttyACM0 --pins 20 --move"
@@ -72,6 +72,7 @@ class Doctor:
         settings = sync.pull(connection)
         self.add(checkup.firmware(settings.firmware, _our_build()))
         self.add(*checkup.link(settings.firmware))
+        self.add(*checkup.stack(_health(connection, settings.firmware)))
         self._state(connection)
         values = _numbers(settings)
         self.add(*checkup.settings(values, settings.firmware))
@@ -109,6 +110,11 @@ class Doctor:
             return "all is well"
         words = [f"{bad} wrong"] * bool(bad) + [f"{notes} worth a look"] * bool(notes)
         return ", ".join(words)
+
+
+def _health(connection: Connection, found: Firmware) -> list[str]:
+    """What ours says besides to `$I+`; who cannot tell refuses it, and others are not asked."""
+    return connection.ask("$I+") if checkup.is_ours(found) else []
 
 
 def _our_build() -> str:
