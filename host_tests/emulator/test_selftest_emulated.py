@@ -7,7 +7,7 @@ import pytest
 from emulated import STEP, Board, firmware
 from ugrbl.deploy import About
 from ugrbl.selftest import program
-from ugrbl.selftest.judge import Row
+from ugrbl.selftest.row import Row
 from ugrbl.selftest.session import WIRING, Wiring, check, look
 
 pytestmark = pytest.mark.xdist_group("pico selftest")
@@ -44,7 +44,8 @@ class Emulated:
 
     def wiring(self) -> Wiring:
         said = self._board.python_again(WIRING + "print(wiring())")
-        engine, enable, pwm = said.strip()[1:-1].split(", ")
+        engine, enable, pwm, has_pcnt = said.strip()[1:-1].split(", ")
+        assert has_pcnt == "False"
         return Wiring(engine.strip("'"), int(enable), int(pwm))
 
     def run(self, script: str, heard: "Callable[[str], None]", seconds: float) -> str:

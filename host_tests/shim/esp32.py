@@ -11,6 +11,9 @@ modelled does not exist.
 
 import esp_machine
 from esp_clock import clock
+from esp_pcnt import PCNT
+
+__all__ = ["HEAP_DATA", "HEAP_EXEC", "PCNT", "RMT", "idf_heap_info"]
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -15,6 +15,10 @@ _POLL = 3  # MP_STREAM_POLL
 
 _FIRST_PAD = 0x3FF44530  # GPIO_FUNC0_OUT_SEL_CFG_REG of the ESP32
 _FIRST_PAD_S3 = 0x60004554
+# Offsets of registers with a bit per pin: outputs on, and levels.
+_ENABLES = (0x24, 0x30)
+_LEVELS = (0x3C, 0x40)
+_LEDC_SIGNAL = 71
 _hz = [160_000_000]  # as it starts
 
 
@@ -27,13 +31,15 @@ def freq(hz: int = 0) -> int:
 
 
 class Pads:
-    """machine.mem32, as far as it is the GPIO matrix: which signal each pin shows.
+    """machine.mem32, as far as it is pins: the GPIO matrix (which signal each pin shows), what
+    switches outputs on, and levels.
 
-    `log` has (us, word) of every change, by pin.
+    `log` has (us, word) of every change, by pin; OFF in it is an output that is switched off.
     """
 
     register = 0x100  # the pin's own level
     inverted = 0x200
+    OFF = 0x10000
     first = _FIRST_PAD
 
     def __init__(self) -> None:
@@ -45,15 +51,42 @@ class Pads:
 
     def _pin(self, address: int) -> int:
         pin = (address - self.first) // 4
-        if address % 4 or pin not in self.log:
+        if address % 4 or (pin not in self.log and pin not in Pin.pins):
             raise ValueError("no such register is modelled")
         return pin
 
+    def word(self, pin: int) -> int:
+        """What a pin shows, with OFF."""
+        return self.log[pin][-1][1] if pin in self.log else self.register
+
+    def take_output(self, pin: int) -> None:
+        """gpio_set_direction() of ESP-IDF, to an input."""
+        self.connect(pin, self.register | self.OFF)
+
+    def _of_all(self, address: int, registers: "tuple[int, int]") -> int:
+        """The first pin of a register with a bit per pin; -1: it is none of these."""
+        offset = address - (self.first & ~0xFFF)
+        return 32 * registers.index(offset) if offset in registers else -1
+
     def __getitem__(self, address: int) -> int:
-        return self.log[self._pin(address)][-1][1]
+        first = self._of_all(address, _LEVELS)
+        if first < 0:
+            return self.word(self._pin(address)) & ~self.OFF
+        from esp_pcnt import pad_now
+
+        clock.work(1)
+        pins = [pin for pin in Pin.pins if first <= pin < first + 32]
+        return sum([pad_now(pin) << (pin - first) for pin in pins])
 
     def __setitem__(self, address: int, word: int) -> None:
-        self.connect(self._pin(address), word)
+        first = self._of_all(address, _ENABLES)
+        if first < 0:
+            pin = self._pin(address)
+            self.connect(pin, word | (self.word(pin) & self.OFF))
+            return
+        for k in range(32):
+            if word >> k & 1:
+                self.connect(first + k, self.word(first + k) & ~self.OFF)
 
 
 mem32 = Pads()
@@ -108,7 +141,8 @@ class Pin:
             self.mode = mode
         if pull != -1:
             self.pull = pull
-            self.level = 1 if pull == self.PULL_UP and not self.driven else self.level
+            if not self.driven and pull in (self.PULL_UP, self.PULL_DOWN) and self.mode == self.IN:
+                self._set(1 if pull == self.PULL_UP else 0)
         if value is not None:
             self.value(value)
 
@@ -121,6 +155,14 @@ class Pin:
         self.log.append((clock.us, self.level))
         return 0
 
+    def _set(self, level: int) -> None:
+        """An input's level."""
+        if level != self.level:
+            self.level = level
+            wanted = self.IRQ_RISING if level else self.IRQ_FALLING
+            if self.handler and self.trigger & wanted:
+                clock.call(self.handler, self)
+
     def irq(self, handler: object = None, trigger: int = 3) -> "IRQ":
         if handler is not None:
             self.handler = handler
@@ -130,15 +172,13 @@ class Pin:
     def drive(self, level: int) -> None:
         """From outside: the world pulls the pin."""
         self.driven = True
-        if level != self.level:
-            self.level = level
-            wanted = self.IRQ_RISING if level else self.IRQ_FALLING
-            if self.handler and self.trigger & wanted:
-                clock.call(self.handler, self)
+        self._set(level)
 
 
 class PWM:
     """A PWM output."""
+
+    outputs: "dict[int, PWM]" = {}  # by pin
 
     def __init__(
         self, dest: Pin, *, freq: int, duty_u16: int = 0, invert: "bool | int" = False
@@ -148,6 +188,8 @@ class PWM:
         self.frequency = freq
         self.pin = dest
         self.invert = invert
+        mem32.connect(dest.id, _LEDC_SIGNAL)
+        PWM.outputs[dest.id] = self
         self.duty_u16(duty_u16)
 
     def duty_u16(self, duty: int) -> None:

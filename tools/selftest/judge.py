@@ -5,11 +5,10 @@ are judged together.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
 from itertools import pairwise
-from typing import Any
 
-Fact = dict[str, Any]
+from . import judge_esp as esp
+from .row import NOT_SHOWN, Fact, Row
 
 TICK_US = 0.08  # of the engine, and of what samples its pins
 _TICK_HZ = 12_500_000
@@ -22,21 +21,6 @@ _STACK_BYTES = 8192
 _STACK_SPARE = 2048
 # No flash erases as fast as that: 4 kB take 45 ms and more.
 _FLASH_US = 5000
-_NOT_SHOWN = "not shown here: "
-
-
-@dataclass
-class Row:
-    """A check. passed: None where it could not be looked at; text: figures, in words."""
-
-    what: str
-    passed: bool | None
-    text: str
-    figures: Fact = field(default_factory=dict)
-
-    def as_json(self) -> Fact:
-        """As `ugrbl selftest --json` writes it."""
-        return asdict(self)
 
 
 # Edges: the first level, then the ticks in which the level changes.
@@ -90,9 +74,8 @@ def _watchers(facts: list[Fact]) -> Iterator[Row]:
     if sees:
         text = f"{forward} steps forward and {backward} backward made by hand were counted"
     else:
-        text = (
-            f"{_NOT_SHOWN}PIO 1 counted {one['seen']} of {one['made']}: it does not see the pins"
-        )
+        who = one.get("who", "PIO 1")
+        text = f"{NOT_SHOWN}{who} counted {one['seen']} of {one['made']}: it does not see the pins"
     yield Row("watchers see the pins", True if sees else None, text, one)
 
 
@@ -190,7 +173,7 @@ def _limits(facts: list[Fact]) -> Iterator[Row]:
         if not one["inputs"]:
             yield Row(what, None, "left out: the board file names no LIMIT", one)
         elif not one["shown"]:
-            yield Row(what, None, _NOT_SHOWN + "a pin's interrupt cannot be forced", one)
+            yield Row(what, None, NOT_SHOWN + "a pin's interrupt cannot be forced", one)
         else:
             yield _limit(what, one)
 
@@ -235,7 +218,7 @@ def _dark(facts: list[Fact]) -> Iterator[Row]:
     for one in facts:
         what = one["what"].replace("pwm", "spindle PWM")
         if one.get("shown") is False:
-            yield Row(what, None, _NOT_SHOWN + "a pin's interrupt cannot be forced")
+            yield Row(what, None, NOT_SHOWN + "a pin's interrupt cannot be forced")
         else:
             good = one["edges"] == [0]
             text = (
@@ -252,7 +235,7 @@ def _save(facts: list[Fact]) -> Iterator[Row]:
         text = f"{one['wrong']} of {one['count']} saves read back otherwise"
         yield Row(what, False, text, one)
     elif off_us < _FLASH_US:
-        text = f"{_NOT_SHOWN}{off_us / 1000:g} ms; no flash is as fast as that"
+        text = f"{NOT_SHOWN}{off_us / 1000:g} ms; no flash is as fast as that"
         yield Row(what, None, text, one)
     else:
         text = f"{off_us / 1000:.1f} ms at the most, of {one['took_ms']} ms; {one['count']} saves"
@@ -274,6 +257,8 @@ def _hang(facts: list[Fact]) -> Iterator[Row]:
             text = f"on for all of {last['ms']} ms"
         yield Row("hang on purpose: spindle", off <= _HANG_MS, text)
     used = last["used_stack"]
+    if used is None:
+        return
     text = f"{used} bytes of {_STACK_BYTES} in a simple move"
     good = used <= _STACK_BYTES - _STACK_SPARE
     yield Row("C stack: deepest use", good, text, {"used_bytes": used})
@@ -293,6 +278,9 @@ RULES: dict[str, Callable[[list[Fact]], Iterator[Row]]] = {
     "pwm after a kill": _dark,
     "save": _save,
     "hang": _hang,
+    "stops by the clock": esp.stops,
+    "limits pulled": esp.limits,
+    "pwm looked at": esp.pwm,
 }
 
 

@@ -6,8 +6,11 @@ from pathlib import Path
 from typing import Any
 
 _HERE = Path(__file__).parent / "on_board"
-CHECKS = ("programs", "watch", "drivers", "drive", "motion", "limits", "rest")
-HANG = ("programs", "watch", "drivers", "hang")
+_WATCHED = ("say", "programs", "watch", "drivers")
+CHECKS = (*_WATCHED, "rows", "drive", "runs", "motion", "limits", "rest")
+HANG = (*_WATCHED, "eyes", "hang")
+ESP_CHECKS = ("say", "pcnt", "rows", "drivers", "drive_esp", "runs", "motion_esp", "rest_esp")
+ESP_HANG = ("say", "pcnt", "drivers", "eyes_esp", "hang")
 
 
 @dataclass(frozen=True)
@@ -18,8 +21,19 @@ class Chip:
     timer: int
 
 
+@dataclass(frozen=True)
+class Esp:
+    """Addresses that differ. gpio: registers of the pins; out_sel: from there, what they show."""
+
+    gpio: int
+    out_sel: int
+
+
+AnyChip = Chip | Esp
 RP2040 = Chip(0x40014000, 0x40054028)
 RP2350 = Chip(0x40028000, 0x400B0028)
+ESP32 = Esp(0x3FF44000, 0x530)
+ESP32_S3 = Esp(0x60004000, 0x554)
 
 
 @dataclass(frozen=True)
@@ -41,15 +55,29 @@ class Amounts:
 QUICK = Amounts(20, (20, 10), 8192, 64, 2, 24, 24, 3, 8, 1)
 
 
-def checks(chip: Chip, amounts: Amounts, pwm: bool, seed: int) -> str:
+# On an ESP32, whose engine is slower: a stop takes 60 ms there.
+ESP_FULL = Amounts(run_ms=2000, stops=300, starts=300)
+ESP_QUICK = Amounts(run_ms=200, seen=(20, 10), stops=20, starts=20, limits=3)
+
+
+def amounts(chip: AnyChip, quick: bool) -> Amounts:
+    """As much as there is time for."""
+    if isinstance(chip, Esp):
+        return ESP_QUICK if quick else ESP_FULL
+    return QUICK if quick else Amounts()
+
+
+def checks(chip: AnyChip, amounts: Amounts, pwm: bool, seed: int) -> str:
     """All checks but the last. pwm: the spindle's output may be used."""
-    return _text(CHECKS, {**asdict(chip), **asdict(amounts), "pwm": pwm, "seed": seed})
+    parts = ESP_CHECKS if isinstance(chip, Esp) else CHECKS
+    return _text(parts, {**asdict(chip), **asdict(amounts), "pwm": pwm, "seed": seed})
 
 
-def hang(chip: Chip, pwm: bool) -> str:
+def hang(chip: AnyChip, pwm: bool) -> str:
     """The firmware, moving, and then the hang."""
     program = ["$X\n", *(["M3S500\n"] if pwm else []), "G91G1X50F500\n"]
-    return _text(HANG, {**asdict(chip), "edges": 1, "pwm": pwm, "program": program})
+    parts = ESP_HANG if isinstance(chip, Esp) else HANG
+    return _text(parts, {**asdict(chip), "edges": 1, "pwm": pwm, "program": program})
 
 
 def _text(parts: tuple[str, ...], told: dict[str, Any]) -> str:

@@ -6,10 +6,11 @@ from typing import Any, NamedTuple, Protocol
 
 from ..deploy import About, DeployError
 from . import program
-from .judge import Fact, Row, belongs, judge
-from .program import Amounts, Chip
+from .judge import belongs, judge
+from .program import Amounts, AnyChip, Esp
+from .row import Fact, Row
 
-_OLDEST = (1, 26)  # Timer(hard=True)
+_OLDEST = (1, 26)
 _MARK = "= "
 # What the slowest parts may take, with some to spare.
 _CHECKS_S = 300.0
@@ -22,7 +23,12 @@ def wiring():
         import board
     except ImportError:
         return None
-    return [getattr(board, name, None) for name in ("ENGINE", "ENABLE", "SPINDLE_PWM")]
+    said = [getattr(board, name, None) for name in ("ENGINE", "ENABLE", "SPINDLE_PWM")]
+    try:
+        from esp32 import PCNT
+    except ImportError:
+        return said + [False]
+    return said + [True]
 """
 
 
@@ -32,6 +38,7 @@ class Wiring(NamedTuple):
     engine: str
     enable: Any
     spindle_pwm: int | None
+    has_pcnt: bool = False  # pulse counters
 
 
 class Board(Protocol):
@@ -84,7 +91,7 @@ class Hearer:
             self._tell(row)
 
 
-def look(board: Board) -> tuple[Chip, Wiring]:
+def look(board: Board) -> tuple[AnyChip, Wiring]:
     """Who is there; DeployError in words where it cannot be tested."""
     board.enter()
     about = board.about()
@@ -93,32 +100,64 @@ def look(board: Board) -> tuple[Chip, Wiring]:
         wiring = board.wiring()
         if wiring is None:
             raise DeployError("the firmware is not on the board", "ugrbl deploy, then test again")
-        if wiring.engine != "pio":
-            raise DeployError(f"ENGINE {wiring.engine!r} is none that can be tested", "")
+        _countable(about, wiring, chip)
     except DeployError:
         board.start()
         raise
     return chip, wiring
 
 
-def _chip(about: About) -> Chip:
-    if "RP2040" not in about.machine and "RP2350" not in about.machine:
+def _chip(about: About) -> AnyChip:
+    chips = {
+        "RP2350": program.RP2350,
+        "RP2040": program.RP2040,
+        "ESP32S3": program.ESP32_S3,
+        "ESP32C": None,
+        "ESP32S2": None,
+        "ESP32": program.ESP32,
+    }
+    name = about.machine.replace("-", "")
+    chip = next((chips[key] for key in chips if key in name), None)
+    if chip is None:
         raise DeployError(
-            f"{about.machine} is no RP2040 or RP2350: nothing on it can watch its pins",
-            "a Raspberry Pi Pico, or a board with its chip, can be tested",
+            f"{about.machine} is no RP2040, RP2350, ESP32 or ESP32-S3: the firmware has no pulse "
+            "engine for it whose steps could be counted",
+            "a board with one of these chips can be tested",
         )
     version = tuple(int(part) for part in about.version.split(".")[:2])
     if version < _OLDEST:
         oldest = ".".join(str(part) for part in _OLDEST)
+        lacks = "esp32.PCNT" if isinstance(chip, Esp) else "hard timers"
         raise DeployError(
-            f"MicroPython {about.version} is older than {oldest}: it has no hard timers",
+            f"MicroPython {about.version} is older than {oldest}: it has no {lacks}",
             "put a newer one on the board (micropython.org/download), then test again",
         )
-    return program.RP2350 if "RP2350" in about.machine else program.RP2040
+    return chip
+
+
+def _countable(about: About, wiring: Wiring, chip: AnyChip) -> None:
+    if isinstance(chip, Esp) and wiring.engine == "i2s":
+        raise DeployError(
+            "ENGINE 'i2s' makes steps behind shift registers: no pin of the chip shows them, so "
+            "nothing on it can count them",
+            "a board with ENGINE 'rmt' can be tested",
+        )
+    if wiring.engine != ("rmt" if isinstance(chip, Esp) else "pio"):
+        raise DeployError(f"ENGINE {wiring.engine!r} is none that can be tested", "")
+    if isinstance(chip, Esp) and not wiring.has_pcnt:
+        raise DeployError(
+            f"the MicroPython on {about.machine} has no esp32.PCNT: nothing on it can count steps",
+            "put the one of micropython.org/download on the board, then test again",
+        )
 
 
 def check(
-    board: Board, chip: Chip, amounts: Amounts, pwm: bool, seed: int, tell: Callable[[Row], None]
+    board: Board,
+    chip: AnyChip,
+    amounts: Amounts,
+    pwm: bool,
+    seed: int,
+    tell: Callable[[Row], None],
 ) -> None:
     """All checks at a board that look() has found fit; the firmware runs again at the end."""
     hearer = Hearer(tell)

@@ -1,144 +1,37 @@
 # mypy: ignore-errors
-"""The pulse engine of the firmware, given segments of our own, and counters beside it."""
-
-import gc
-import random
-import time
-from array import array
+"""The pulse engine of an RP2 board, and counters beside it."""
 
 import board
-import micropython
 
 from .config import CONFIG
-from .watch import FIRST, LAST, TICK_HZ, Counter, Sampler
+from .rows import AXES, Mover
+from .watch import FIRST, LAST, Counter, Sampler
 
 sampler = Sampler(CONFIG["samples"])  # ahead of what divides memory
 
 from pio.engine import PioEngine  # noqa: E402
 
-AXES = len(board.STEP)
 WATCHED = min(AXES, LAST - FIRST + 1)
-LONG = 65536  # ticks of a long segment
-STARTED_US = 20_000  # a start that has not begun by then never will
-
-# What is served: rows still to come, directions, what changes of them after each, length of a
-# row, and the row itself.
-LEFT, DIRS, FLIP, LENGTH, ROW = 0, 1, 2, 3, 4
-KEEP_POWER = 0x3FFFFFFF
 
 
-@micropython.viper
-def serve(plan: ptr32, row: ptr32) -> int:
-    """The next segment; 0 where none is left. The engine's interrupt asks for it."""
-    if plan[0] <= 0:
-        return 0
-    plan[0] -= 1
-    k = plan[3]
-    while k > 0:
-        k -= 1
-        row[k] = plan[4 + k]
-    row[1] = plan[1]
-    plan[1] = plan[1] ^ plan[2]
-    return 1
-
-
-def make_serve(plan):
-    """What the engine calls: a closure, for an interrupt looks nothing up."""
-    act = serve
-
-    def following(row):
-        return act(plan, row)
-
-    return following
-
-
-def nothing(*_):
-    """Nobody is told."""
-
-
-class Drive:
-    """The engine. Steps are named as its position names them: backward ones are negative."""
+class Drive(Mover):
+    """Moves, and counts the steps of some axes."""
 
     def __init__(self):
         hold_us = getattr(board, "DIR_HOLD_US", 2)
         setup_us = getattr(board, "DIR_SETUP_US", 5)
-        self.engine = PioEngine(board.STEP, board.DIR, hold_us, setup_us)
-        self._plan = array("i", [0] * (ROW + 3 + 3 * AXES))
-        self._plan[LENGTH] = 3 + 3 * AXES
-        self._steps = array("i", [0] * AXES)
+        engine = PioEngine(board.STEP, board.DIR, hold_us, setup_us)
         self._counters = []
-        self.engine.attach(make_serve(self._plan), nothing, nothing)
-        self.pulse(10)
-
-    def pulse(self, us):
-        """Length of a step's pulse."""
-        self.engine.configure(us, 0, 0)
+        super().__init__(engine, WATCHED, 65536, (60, 2500), (60, 1000), 40_000)
 
     def count(self, axes):
         """Watch the first axes from here on, the engine being at rest."""
         for one in self._counters:
             one.close()
         self._counters = [Counter(FIRST + i, board.STEP[i], board.DIR[i]) for i in range(axes)]
-        self.engine.set_position(array("i", [0] * AXES))
-
-    def plan(self, gap, counts, rows, dirs=0, flip=0, ticks=0):
-        """So many segments with these steps per axis, those with most of them gap ticks apart."""
-        plan = self._plan
-        plan[LEFT] = 0
-        plan[DIRS], plan[FLIP] = dirs, flip
-        ticks = ticks or gap * max(counts)
-        plan[ROW], plan[ROW + 2] = ticks, KEEP_POWER
-        for i in range(AXES):
-            steps = counts[i] if i < len(counts) else 0
-            own = gap * max(counts) // steps if steps else 0
-            plan[ROW + 3 + 3 * i] = steps
-            plan[ROW + 4 + 3 * i] = own // 2
-            plan[ROW + 5 + 3 * i] = own // 2 + own * (steps - 1) if steps else 0
-        plan[LEFT] = rows
-
-    def even(self, hz, steps, dirs=0):
-        """All axes together, at that rate, so many steps each; how many they will be."""
-        gap = TICK_HZ // hz
-        each = max(min(LONG // gap, steps), 1)
-        rows = max(steps // each, 1)
-        self.plan(gap, [each] * AXES, rows, dirs)
-        return rows * each
-
-    def start(self):
-        """Go."""
-        self.engine.arm()
-        self.engine.start()
-
-    def rest(self, limit_ms=10_000):
-        """Wait for the end of all motion; False where it does not come."""
-        begun = time.ticks_ms()
-        while self._plan[LEFT] or not self.engine.idle():
-            if time.ticks_diff(time.ticks_ms(), begun) > limit_ms:
-                self.stop()
-                return False
-        return True
-
-    def stop(self):
-        """At once, and nothing is left to do."""
-        self.engine.stop()
-        self._plan[LEFT] = 0
-
-    def position(self):
-        """What the engine says it has made."""
-        self.engine.position(self._steps)
-        return list(self._steps)
+        self.name_here()
 
     def counted(self):
         """What the watchers have seen."""
         both = [one.steps() for one in self._counters]
         return [forward - backward for forward, backward in both]
-
-
-def some(low, high):
-    """A random number, both ends included."""
-    return random.randint(low, high)
-
-
-def settle():
-    """Memory in order: a collection comes when it is asked for."""
-    gc.collect()

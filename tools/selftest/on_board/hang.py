@@ -10,12 +10,11 @@ import board
 import lines
 import protocol
 import store_flash
-from machine import mem32
-from pio import stack
 
 from .config import CONFIG
 from .drivers import drivers_off, hear_nothing
-from .watch import FIRST, LAST, Counter, say
+from .eyes import count_all, mem_level, used_stack, watch
+from .say import say
 
 BETWEEN_MS = 150  # lines given
 TOLD_MS = 200  # how often the state is told while it hangs
@@ -55,7 +54,7 @@ def hang():
     while True:
         now = time.ticks_ms()
         since = time.ticks_diff(now, begun)
-        counts = [one.steps() for one in counters]
+        counts = count_all()
         if counts != before:
             if before is not None:
                 last_step_ms = since
@@ -64,7 +63,7 @@ def hang():
             last_high_ms = since
         if time.ticks_diff(now, told) >= TOLD_MS:
             told = now
-            steps = sum(forward + backward for forward, backward in counts)
+            steps = sum(counts)
             say(
                 "hang",
                 ms=since,
@@ -72,29 +71,16 @@ def hang():
                 last_step_ms=last_step_ms,
                 last_high_ms=last_high_ms,
                 pwm=CONFIG["pwm"] and pwm is not None,
-                used_stack=stack.used(),
+                used_stack=used_stack(),
             )
 
 
-def mem_level(pin):
-    """Whether the pad is on, whoever drives it: bit 17 of its status."""
-    address = CONFIG["io_bank"] + 8 * pin
-    off = "SPINDLE_PWM" in getattr(board, "INVERT", ())
-
-    def level():
-        return mem32[address] >> 17 & 1 ^ off
-
-    return level
-
-
-counters = [
-    Counter(FIRST + i, board.STEP[i], board.DIR[i])
-    for i in range(min(len(board.STEP), LAST - FIRST + 1))
-]
 drivers_off()
 hear_nothing()
 store_flash.FlashStore.load = lambda *_: None  # factory settings, and nothing is kept
 store_flash.FlashStore.save = lambda *_: None
 protocol.Protocol.pump = pump
 lines.LineReader.__init__ = make_reader
-power_up.live(power_up.build())
+parts = power_up.build()
+watch()
+power_up.live(parts)

@@ -10,8 +10,10 @@ import micropython
 from machine import Timer, mem32
 
 from .config import CONFIG
-from .drive import AXES, WATCHED, nothing, sampler, settle, some
-from .watch import CLEAR, FIRST, LAST, PIO1, SET, TICK_HZ, say
+from .drive import WATCHED, sampler
+from .rows import AXES, nothing, settle, some
+from .say import say
+from .watch import CLEAR, FIRST, LAST, PIO1, SET, TICK_HZ
 
 PINS = CONFIG["io_bank"]  # registers of the pins: status and control, in turn
 INVERT = 1 << 28  # IRQOVER in control: an edge, whatever the level is

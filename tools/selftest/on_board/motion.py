@@ -7,8 +7,11 @@ import board
 from machine import Pin, Timer
 
 from .config import CONFIG
-from .drive import AXES, WATCHED, sampler, settle, some
-from .watch import FIRST, Counter, say
+from .drive import WATCHED, sampler
+from .rows import AXES, settle, some
+from .runs import any_motion, count_steps, start_from_rest
+from .say import say
+from .watch import FIRST, Counter
 
 
 def see_pads():
@@ -33,28 +36,6 @@ def see_pads():
     direction.value(0)
     say("watchers", made=made, seen=seen, levels=levels)
     return seen == tuple(made)
-
-
-def count_steps(drive, hz, name):
-    """All axes there, and back; watched all the way."""
-    drive.count(WATCHED)
-    for way in (0, (1 << AXES) - 1):
-        begun = time.ticks_us()
-        asked = drive.even(hz, hz * CONFIG["run_ms"] // 1000, way)
-        drive.start()
-        rested = drive.rest()
-        took_us = time.ticks_diff(time.ticks_us(), begun)
-        say(
-            "steps",
-            rate=name,
-            hz=hz,
-            back=way != 0,
-            asked=asked,
-            rested=rested,
-            took_us=took_us,
-            position=drive.position(),
-            counted=drive.counted(),
-        )
 
 
 def sample_pulses(drive, hz, us):
@@ -95,16 +76,6 @@ def sample_turns(drive):
         )
 
 
-def any_motion(drive, rows):
-    """Segments at any rate, in any directions."""
-    gap = some(60, 2500)
-    most = max(min(4000, 40_000 // gap), 1)
-    counts = [some(0, most) for _ in range(AXES)]
-    counts[some(0, AXES - 1)] = most
-    flips = some(0, (1 << AXES) - 1)
-    drive.plan(gap, counts, rows, some(0, (1 << AXES) - 1), flips, 40_000)
-
-
 def stop_at_random(drive):
     """Every other stop comes in an interrupt, as a limit's does."""
     drive.pulse(3)
@@ -143,30 +114,6 @@ def stop_at_random(drive):
     say("stops", count=CONFIG["stops"], wrong=wrong, late=late, first=worst, end=drive.position())
 
 
-def start_from_rest(drive):
-    """Short ways, each to its end, with all that is asked for made."""
-    drive.pulse(3)
-    drive.count(WATCHED)
-    wrong, first, stuck = 0, [], 0
-    for k in range(CONFIG["starts"]):
-        before = drive.position()
-        gap = some(60, 1000)
-        counts = [some(0, 12) for _ in range(AXES)]
-        counts[some(0, AXES - 1)] = 12
-        ways = some(0, (1 << AXES) - 1)
-        drive.plan(gap, counts, 1, ways)
-        drive.start()
-        if not drive.rest(500):
-            stuck += 1
-        due = [before[i] + (-counts[i] if ways >> i & 1 else counts[i]) for i in range(AXES)]
-        position, counted = drive.position(), drive.counted()
-        if position != due or counted != due[:WATCHED]:
-            wrong += 1
-            first = first or [k, due, position, counted]
-            drive.count(WATCHED)
-    say("starts", count=CONFIG["starts"], wrong=wrong, stuck=stuck, first=first)
-
-
 def check_motion(drive):
     """All of this file, in turn."""
     most = drive.engine.max_step_hz(3)
@@ -178,4 +125,5 @@ def check_motion(drive):
     sample_turns(drive)
     settle()
     stop_at_random(drive)
+    drive.pulse(3)
     start_from_rest(drive)

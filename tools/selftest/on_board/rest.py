@@ -19,7 +19,7 @@ from .drive import Drive
 from .drivers import drivers_off, hear_nothing
 from .limits import check_limits
 from .motion import check_motion, see_pads
-from .watch import say
+from .say import say
 
 NAME = "selftest"  # of the file that is written and removed
 BEAT_MS = 1

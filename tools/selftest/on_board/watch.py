@@ -6,7 +6,6 @@ samples all pins into memory by DMA: a logic analyser. A tick is the engine's, s
 in ticks is exact.
 """
 
-import json
 from array import array
 
 import micropython
@@ -25,11 +24,6 @@ FILL_X, FILL_Y = 0xA02B, 0xA04B
 TAKE_X, TAKE_Y, PUSH = 0xA0C1, 0xA0C2, 0x8000
 SET = 0x2000  # the same register, where ones set bits
 CLEAR = 0x3000
-
-
-def say(what, **facts):
-    """A fact, for the computer to judge."""
-    print("= %s %s" % (what, json.dumps(facts)))
 
 
 class Counter:

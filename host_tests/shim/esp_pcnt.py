@@ -1,0 +1,238 @@
+"""esp32.PCNT, which counts what the pads show, in virtual time.
+
+As ports/esp32/esp32_pcnt.c of MicroPython 1.28 and pcnt_legacy.c of ESP-IDF 5 do it: a pin that is
+given to a counter becomes an input with a pull-up, and nobody's output any more. Arguments that
+they refuse are refused; so is what our programs do not use. Runs under both Pythons.
+"""
+
+import esp_machine
+from esp_clock import clock
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+    Event = tuple[int, int, int]  # us, which, and what to
+
+_WORD, _OWN, _SIGNAL = 0, 1, 2
+
+
+def _channel(pin: int) -> "Any":
+    import esp32
+
+    for channel in esp32.RMT.channels:
+        if channel.pin.id == pin:
+            return channel
+    return None
+
+
+class Pad:
+    """What a pin's pad shows, from now on: its own level, or its RMT channel's, or its PWM's."""
+
+    def __init__(self, pin: int) -> None:
+        self.pin = pin
+        self.level = 0
+        self._at = [0, 0]  # how much of both logs is known
+        self._train = self._edge = 0
+        self._what = [esp_machine.Pads.register, 0, 0]
+        self.run(clock.us)
+
+    def run(self, until: int) -> "list[tuple[int, int]]":
+        """Changes of the level up to then, (us, level)."""
+        found = self._logged(until) + self._trains(until)
+        found.sort(key=_us)
+        changes = []
+        for us, which, value in found:
+            self._what[which] = value
+            level = self._now()
+            if level != self.level:
+                self.level = level
+                changes.append((us, level))
+        return changes
+
+    def _now(self) -> int:
+        word = self._what[_WORD]
+        if word & esp_machine.Pads.OFF:
+            return 1  # the pull-up
+        own = word & 0x1FF == esp_machine.Pads.register
+        return self._what[_OWN if own else _SIGNAL] ^ (1 if word & 0x200 else 0)
+
+    def _logged(self, until: int) -> "list[Event]":
+        pin = esp_machine.Pin.pins[self.pin]
+        own = [] if self.pin in esp_machine.PWM.outputs else pin.log
+        found = []
+        for which, log in ((_WORD, esp_machine.mem32.log.get(self.pin, [])), (_OWN, own)):
+            while self._at[which] < len(log) and log[self._at[which]][0] <= until:
+                us, value = log[self._at[which]]
+                found.append((us, which, value))
+                self._at[which] += 1
+        return found
+
+    def _trains(self, until: int) -> "list[Event]":
+        """Edges of the channel's trains; of one that was cut off, up to its end."""
+        channel = _channel(self.pin)
+        found: "list[Event]" = []
+        while channel and self._train < len(channel.trains):
+            start, level, durations, end = channel.trains[self._train]
+            us = start + sum(durations[: self._edge])
+            while self._edge < len(durations) and us <= min(until, end):
+                found.append((us, _SIGNAL, level ^ (self._edge & 1)))
+                us += durations[self._edge]
+                self._edge += 1
+            if end > until:
+                break
+            found.append((end, _SIGNAL, 0))
+            self._train += 1
+            self._edge = 0
+        return found
+
+
+def _us(event: "Event") -> int:
+    return event[0]
+
+
+def pwm_level(pwm: "Any", us: int) -> int:
+    """Of a PWM's output, its period beginning at 0."""
+    period = 1_000_000 // pwm.frequency
+    return int(65_535 * (us % period) < pwm.duty * period) ^ int(pwm.invert)
+
+
+def pad_now(pin: int) -> int:
+    """What a pad shows now."""
+    pwm = esp_machine.PWM.outputs.get(pin)
+    if pwm is None:
+        if pin not in PCNT.pads:
+            PCNT.pads[pin] = Pad(pin)
+        PCNT.pads[pin].run(clock.us)
+        return PCNT.pads[pin].level
+    return 1 if esp_machine.mem32.word(pin) & esp_machine.Pads.OFF else pwm_level(pwm, clock.us)
+
+
+class PCNT:
+    """A counter, one per id. Only what our programs use is modelled: one channel, no interrupt."""
+
+    IGNORE, INCREMENT, DECREMENT = 0, 1, 2
+    NORMAL, REVERSE, HOLD = 0, 1, 2
+    units: "dict[int, PCNT]" = {}
+    pads: "dict[int, Pad]" = {}  # that have been read
+    most_units = 8  # S3: 4
+    lose = 0  # for tests: of so many steps one is not seen
+
+    def __new__(cls, id: int, **_: object) -> "PCNT":
+        if not 0 <= id < cls.most_units:
+            raise ValueError("invalid id")
+        if id not in cls.units:
+            cls.units[id] = object.__new__(cls)
+            cls.units[id].deinit()
+        return cls.units[id]
+
+    def __init__(self, id: int, **arguments: "Any") -> None:
+        self.init(**arguments)
+
+    def init(
+        self,
+        *,
+        channel: int = 0,
+        pin: "Any" = None,
+        mode_pin: "Any" = None,
+        rising: "int | None" = None,
+        falling: int = 0,
+        mode_low: int = 0,
+        mode_high: int = 0,
+        min: "int | None" = None,
+        max: "int | None" = None,
+        filter: int = 0,
+        value: "int | None" = None,
+    ) -> None:
+        if channel or filter or falling or mode_low or rising == self.DECREMENT:
+            raise NotImplementedError("only what our programs use is modelled")
+        if mode_pin is not None and pin is None:
+            raise ValueError("pin")
+        if mode_high not in (self.NORMAL, self.REVERSE):
+            raise ValueError("mode_high")
+        if min is not None and not -32768 <= min <= 0:
+            raise ValueError("minimum")
+        if max is not None and not 0 <= max <= 32767:
+            raise ValueError("maximum")
+        if value:
+            raise ValueError("value")
+        self._run()
+        self._set_pins(pin, mode_pin)
+        if rising is not None:
+            self._counts, self._reverses = rising == self.INCREMENT, mode_high == self.REVERSE
+        self._range = (
+            self._range[0] if min is None else min,
+            self._range[1] if max is None else max,
+        )
+        if not (min is None and max is None and value is None):
+            self._value = 0
+
+    def _set_pins(self, pin: "Any", mode_pin: "Any") -> None:
+        for one in (pin, mode_pin):
+            if one is not None:
+                esp_machine.mem32.take_output(one.id)
+        if pin is not None:
+            self._pwm = esp_machine.PWM.outputs.get(pin.id)
+            self._pad = Pad(pin.id)
+        if mode_pin is not None:
+            self._mode = Pad(mode_pin.id)
+
+    def deinit(self) -> None:
+        self._pad: "Pad | None" = None
+        self._mode: "Pad | None" = None
+        self._pwm: "Any" = None
+        self._counts = self._reverses = self._started = False
+        self._range = (0, 0)
+        self._value = self._seen = 0
+        self._since = clock.us
+
+    def start(self) -> None:
+        self._run()
+        self._started = True
+
+    def stop(self) -> None:
+        self._run()
+        self._started = False
+
+    def value(self, value: "int | None" = None) -> int:
+        if value:
+            raise ValueError("value")
+        self._run()
+        found = self._value
+        if value == 0:
+            self._value = 0
+        return found
+
+    def _run(self) -> None:
+        """What has come up to now."""
+        if self._pwm:
+            self._run_pwm()
+        elif self._pad:
+            turns = self._mode.run(clock.us) if self._mode else []
+            down = self._turned(turns)
+            for us, level in self._pad.run(clock.us):
+                while turns and turns[0][0] <= us:
+                    down = turns.pop(0)[1]
+                if level and self._started and self._counts:
+                    self._step(-1 if down and self._reverses else 1)
+        self._since = clock.us
+
+    def _turned(self, turns: "list[tuple[int, int]]") -> int:
+        """The mode pin's level ahead of these changes."""
+        if turns:
+            return 1 - turns[0][1]
+        return self._mode.level if self._mode else 0
+
+    def _run_pwm(self) -> None:
+        off = esp_machine.mem32.word(self._pwm.pin.id) & esp_machine.Pads.OFF
+        if not off and self._started and 0 < self._pwm.duty < 65_535:
+            period = 1_000_000 // self._pwm.frequency
+            self._value += clock.us // period - self._since // period
+
+    def _step(self, sign: int) -> None:
+        self._seen += 1
+        if self.lose and self._seen % self.lose == 0:
+            return
+        self._value += sign
+        if not self._range[0] < self._value < self._range[1]:
+            raise OverflowError("it begins at 0 again, and nobody is told")

@@ -1,0 +1,66 @@
+"""What an ESP32 has measured, where that differs: see judge.py."""
+
+from collections.abc import Iterator
+
+from .row import NOT_SHOWN, Fact, Row
+
+# What stop() leaves of a train is known from the clock, which may be a step off (esp_chip/rmt.py).
+_CLOCK_STEPS = 1
+# The engine's own turn may wait for so long, with soft interrupts behind it, and then hands over.
+_LIMIT_US = 3000
+_PWM_PERCENT = 4.0
+
+
+def stops(facts: list[Fact]) -> Iterator[Row]:
+    """RMT's position after a stop."""
+    one = facts[0]
+    good = one["worst"] <= _CLOCK_STEPS and one["late"] == 0 and one["moved"] > 0
+    text = f"{one['count']}, half of them in a soft interrupt, {one['moved']} of them in motion; "
+    text += f"position by the clock: equal to the count {one['exact']} times, at the most "
+    text += f"{one['worst']} off; no step afterwards"
+    if not good:
+        text = f"position up to {one['worst']} steps off the count (the first: {one['first']}), "
+        text += f"{one['late']} with steps after the stop, {one['moved']} of {one['count']} moved"
+    yield Row("stops at random instants", good, text, one)
+
+
+def limits(facts: list[Fact]) -> Iterator[Row]:
+    """Inputs that nothing is wired to, pulled by the chip itself."""
+    one = facts[0]
+    what = "limit: to the last edge"
+    if not one["inputs"]:
+        yield Row(what, None, "left out: no LIMIT has the chip's own pull-up", one)
+    elif not one["shown"]:
+        why = "something wired to a limit input keeps it high; only a wire to ground can show it"
+        yield Row(what, None, NOT_SHOWN + why, one)
+    else:
+        yield _limit(what, one)
+    why = "the program that pulls the pin waits for the collection itself"
+    yield Row("limit, during a collection: to the last edge", None, NOT_SHOWN + why)
+
+
+def _limit(what: str, one: Fact) -> Row:
+    found = one["us"]
+    lost = one["missed"] or one["late"] or one["worst"] > _CLOCK_STEPS
+    if not found:
+        return Row(what, False, f"{one['missed']} pulled, none heard", one)
+    mean = sum(found) / len(found)
+    text = f"mean {mean:.0f} us, worst {max(found)} us; {len(found)} inputs pulled low by the chip"
+    if lost:
+        text += f"; {one['missed']} not heard, {one['late']} with steps after the stop, position "
+        text += f"up to {one['worst']} off"
+    good = not lost and max(found) <= _LIMIT_US
+    return Row(what, good, text, {**one, "mean_us": mean, "worst_us": max(found)})
+
+
+def pwm(facts: list[Fact]) -> Iterator[Row]:
+    """Looks at a pad, as fast as Python can, and its rising edges counted."""
+    for one in facts:
+        due = 100 * one["power"] / one["full"]
+        found = one["high"] / 10
+        hz = 1000 * one["edges"] / one["ms"]
+        still = due in (0, 100)
+        good = abs(found - due) <= (0 if still else _PWM_PERCENT) and still == (one["edges"] == 0)
+        what = "spindle PWM after a kill" if one.get("killed") else f"spindle PWM, {due:g} %"
+        text = f"{found:.1f} % of {one['looks']} looks at the pin, {hz:.0f} pulses a second"
+        yield Row(what, good, text, one)

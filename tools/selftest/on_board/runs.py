@@ -1,0 +1,63 @@
+# mypy: ignore-errors
+"""Runs that every engine makes: steps counted, starts from rest."""
+
+import time
+
+from .config import CONFIG
+from .rows import AXES, some
+from .say import say
+
+
+def count_steps(drive, hz, name):
+    """All axes there, and back; watched all the way."""
+    drive.count(drive.watched)
+    for way in (0, (1 << AXES) - 1):
+        begun = time.ticks_us()
+        asked = drive.even(hz, hz * CONFIG["run_ms"] // 1000, way)
+        drive.start()
+        rested = drive.rest()
+        took_us = time.ticks_diff(time.ticks_us(), begun)
+        say(
+            "steps",
+            rate=name,
+            hz=hz,
+            back=way != 0,
+            asked=asked,
+            rested=rested,
+            took_us=took_us,
+            position=drive.position(),
+            counted=drive.counted(),
+        )
+
+
+def any_motion(drive, rows):
+    """Segments at any rate, in any directions."""
+    gap = some(drive.gaps[0], drive.gaps[1])
+    most = max(min(4000, drive.row // gap), 1)
+    counts = [some(0, most) for _ in range(AXES)]
+    counts[some(0, AXES - 1)] = most
+    flips = some(0, (1 << AXES) - 1)
+    drive.plan(gap, counts, rows, some(0, (1 << AXES) - 1), flips, drive.row)
+
+
+def start_from_rest(drive):
+    """Short ways, each to its end, with all that is asked for made."""
+    drive.count(drive.watched)
+    wrong, first, stuck = 0, [], 0
+    for k in range(CONFIG["starts"]):
+        before = drive.position()
+        gap = some(drive.rest_gaps[0], drive.rest_gaps[1])
+        counts = [some(0, 12) for _ in range(AXES)]
+        counts[some(0, AXES - 1)] = 12
+        ways = some(0, (1 << AXES) - 1)
+        drive.plan(gap, counts, 1, ways)
+        drive.start()
+        if not drive.rest(500):
+            stuck += 1
+        due = [before[i] + (-counts[i] if ways >> i & 1 else counts[i]) for i in range(AXES)]
+        position, counted = drive.position(), drive.counted()
+        if position != due or counted != due[: drive.watched]:
+            wrong += 1
+            first = first or [k, due, position, counted]
+            drive.count(drive.watched)
+    say("starts", count=CONFIG["starts"], wrong=wrong, stuck=stuck, first=first)
