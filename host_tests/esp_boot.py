@@ -2,7 +2,8 @@
 
 python esp_boot.py BOARD FOLDER [LINE ...] — runs main.py with boards/BOARD.py, in
 which each LINE (`ENGINE = "i2s"`) takes the place of the one for the same name, or comes behind
-it. Settings are kept in FOLDER. Its talk.json is what a sender says and waits for, nothing and
+it; RUN = "FILE" runs that in place of main.py, until the watchdog ends it. Settings are kept in
+FOLDER. Its talk.json is what a sender says and waits for, nothing and
 the welcome first: [["", "Grbl"], ["$X\\n", "ok"], ...]. "pin 5 0" and "ms 100" are directions
 to the world around; "deaf 5 0" pulls the pin during a collection, which nobody hears of; "hang
 400" keeps the main loop away for so many ms; "fail" makes the engine's next turn raise; "duty 5"
@@ -195,6 +196,35 @@ def chip(board: str) -> "Namespace":
     return Namespace({"implementation": Namespace({"_machine": "A board with " + name})})
 
 
+class Restart(BaseException):
+    """The watchdog's. No Exception: the firmware has a net for these."""
+
+
+class BusyTime(Time):
+    """Time that passes as it is asked for, as in a loop that does nothing else."""
+
+    @staticmethod
+    def ticks_ms() -> int:
+        watchdog = esp_machine.WDT
+        if watchdog.fed and clock.us - watchdog.fed > 1000 * watchdog.timeout_ms:
+            raise Restart
+        if not clock._inside:
+            clock.advance(clock.us + 200)
+        return clock.ticks_ms()
+
+
+def run(path: str) -> None:
+    """A program for the prompt."""
+    sys.modules["machine"] = esp_machine  # type: ignore[assignment]
+    sys.modules["time"] = BusyTime  # type: ignore[assignment]
+    with open(path) as file:
+        source = file.read()
+    try:
+        exec(compile(source, path, "exec"), {"__name__": "__main__"})
+    except Restart:
+        print("the watchdog starts the chip anew")
+
+
 def main() -> None:
     name, folder, *lines = sys.argv[1:]
     wire = esp_stdio.Wire()
@@ -228,6 +258,9 @@ def main() -> None:
         esp_machine.Pin(pin, esp_machine.Pin.IN).drive(1)
     if getattr(made, "PUNCH_UP", None):
         sender.punch = punch_pins.Punch(made, esp_machine.Pin, lambda: clock.us)
+    if getattr(made, "RUN", None):
+        run(made.RUN)  # type: ignore[attr-defined]
+        return
     __import__("main")
     print("the prompt reads", list(wire.left()))
     if sender.punch:

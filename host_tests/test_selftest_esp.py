@@ -1,6 +1,7 @@
 """`ugrbl selftest` of an ESP32: what is sent runs on its stand-ins, and finds what is wrong."""
 
 import json
+import subprocess
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -12,7 +13,6 @@ import pytest
 from esp_bench import clock, esp32, esp_machine, gpio_esp, reset_stand_ins, rmt
 from ugrbl import machine
 from ugrbl.selftest import program
-from ugrbl.selftest.judge import judge
 from ugrbl.selftest.row import Row
 from ugrbl.selftest.session import Hearer
 
@@ -21,6 +21,7 @@ _CHIPS = {
     "esp32_s3": ("esp32s3", program.ESP32_S3),
 }
 _AMOUNTS = replace(program.ESP_QUICK, run_ms=100, stops=12, starts=8)
+_BOOT = Path(__file__).parent / "esp_boot.py"
 _ASKING_US = 6  # what a turn of a loop takes that asks for the time
 
 
@@ -78,7 +79,7 @@ class Bench:
         """All checks but the hang."""
         said: list[str] = []
         self._file.write_text(program.checks(self.chip, _AMOUNTS, pwm, seed))
-        names: dict[str, Any] = {"print": lambda text: said.append(text)}
+        names: dict[str, Any] = {"print": said.append}
         exec(compile(self._file.read_text(), str(self._file), "exec"), names)
         hearer = Hearer(lambda row: self.rows.update({row.what: row}))
         for line in said:
@@ -101,7 +102,245 @@ def failed(rows: "Iterable[Row]") -> "list[str]":
 def test_a_good_board_passes_what_can_be_shown(bench: "Callable[[str], Bench]", name: str) -> None:
     board = bench(name)
     rows = board.run()
-    for row in rows.values():
-        print(row.passed, row.what, row.text)
     assert board.ended and failed(rows.values()) == []
-    assert 0
+    assert [row.what for row in rows.values() if row.passed is None] == [
+        "limit, during a collection: to the last edge"
+    ]
+    highest = rows["steps at the highest, all axes"]
+    assert highest.text == "1000 on each of 3 axes, there and back, all counted"
+    assert rows["stops at random instants"].figures["moved"] == _AMOUNTS.stops
+    assert rows["spindle PWM, 50 %"].text.endswith("5000 pulses a second")
+
+
+def test_the_highest_rate_is_what_the_board_file_allows(
+    bench: "Callable[[str], Bench]", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    board = bench()
+    monkeypatch.setattr(board.board, "MAX_STEP_RATE_HZ", 2000)
+    rows = board.run(pwm=False)
+    assert [what for what in rows if what.startswith("steps")] == [
+        "steps at 0.2 kHz, all axes",
+        "steps at 1 kHz, all axes",
+        "steps at the highest, all axes",
+    ]
+    assert rows["spindle PWM"].passed is None
+
+
+# What is wrong is found
+
+
+def lose_pulses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every ninth train lacks its last step."""
+    usual = esp32.RMT.write_pulses
+    count = [0]
+
+    def write_pulses(self: Any, duration: "list[int]", data: object = True) -> None:
+        count[0] += 1
+        usual(self, duration[:-2] if count[0] % 9 == 0 and len(duration) > 2 else duration, data)
+
+    monkeypatch.setattr(esp32.RMT, "write_pulses", write_pulses)
+
+
+def count_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One step in 150 makes no edge at the counter."""
+    monkeypatch.setattr(esp32.PCNT, "lose", 150)
+
+
+def stop_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stop leaves the pins to the trains."""
+    monkeypatch.setattr(rmt.RmtEngine, "_cut_off", lambda self, axes: None)
+
+
+def stop_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is left of a train is forgotten."""
+
+    def forget(lanes: Any, axis: int, playing: Any, now: int) -> int:
+        return int(lanes[rmt._LANE * axis])
+
+    monkeypatch.setattr(rmt, "_place", forget)
+
+
+def never_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The engine does not notice its own end."""
+    monkeypatch.setattr(rmt.RmtEngine, "idle", lambda self: False)
+
+
+def hear_no_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody is called."""
+    monkeypatch.setattr(gpio_esp.EspPort, "hear_limits", lambda self, on: None)
+
+
+def burn_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What has been killed obeys again."""
+    monkeypatch.setattr(gpio_esp.EspPort, "kill", lambda self: None)
+
+
+def burn_half(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half the power there should be."""
+    usual = esp_machine.PWM.duty_u16
+    monkeypatch.setattr(esp_machine.PWM, "duty_u16", lambda self, duty: usual(self, duty // 2))
+
+
+@pytest.mark.parametrize(
+    ("fault", "rows"),
+    [
+        (lose_pulses, ["steps at the highest, all axes", "starts from rest"]),
+        (count_wrong, ["steps at the highest, all axes"]),
+        (stop_late, ["stops at random instants", "limit: to the last edge"]),
+        (stop_wrong, ["stops at random instants"]),
+        (never_rest, ["steps at the highest, all axes", "starts from rest"]),
+        (hear_no_limit, ["limit: to the last edge"]),
+        (burn_on, ["spindle PWM after a kill"]),
+        (burn_half, ["spindle PWM, 50 %", "spindle PWM, 100 %"]),
+    ],
+)
+def test_a_fault_is_found(
+    bench: "Callable[[str], Bench]",
+    monkeypatch: pytest.MonkeyPatch,
+    fault: "Callable[[pytest.MonkeyPatch], None]",
+    rows: "list[str]",
+) -> None:
+    board = bench("esp32_devkit")
+    fault(monkeypatch)
+    found = failed(board.run().values())
+    assert set(rows) <= set(found), found
+
+
+def test_pins_that_are_not_given_back_are_not_seen_and_nothing_passes(
+    bench: "Callable[[str], Bench]", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    board = bench("esp32_devkit")
+    monkeypatch.setattr(esp_machine.Pads, "__setitem__", lambda self, address, word: None)
+    rows = board.run()
+    assert list(rows) == ["board", "watchers see the pins"]
+    row = rows["watchers see the pins"]
+    assert row.passed is None and row.text.startswith("not shown here: PCNT counted [0, 0]")
+
+
+def test_a_limit_input_that_something_else_keeps_high_is_not_shown(
+    bench: "Callable[[str], Bench]",
+) -> None:
+    board = bench("esp32_devkit")
+    for pin in board.board.LIMIT:
+        esp_machine.Pin(pin, esp_machine.Pin.IN).drive(1)
+    row = board.run()["limit: to the last edge"]
+    assert row.passed is None and "only a wire to ground" in row.text
+
+
+def test_limits_without_pull_ups_are_left_out(
+    bench: "Callable[[str], Bench]", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    board = bench("esp32_devkit")
+    monkeypatch.setattr(board.board, "NO_PULL_UP", (35, 39, *board.board.LIMIT))
+    row = board.run()["limit: to the last edge"]
+    assert row.passed is None and row.text.startswith("left out")
+
+
+def test_the_same_seed_gives_the_same_stops(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def looks(seed: int) -> "list[tuple[int, int]]":
+        made: list[tuple[int, int]] = []
+        usual = rmt.RmtEngine.stop
+
+        def stop(self: Any) -> None:
+            usual(self)
+            made.append((clock.us, 0))
+
+        with monkeypatch.context() as patched:
+            board = Bench(tmp_path, patched, "esp32_devkit")
+            begun = clock.us
+            patched.setattr(rmt.RmtEngine, "stop", stop)
+            board.run(pwm=False, seed=seed)
+        return [(us - begun, 0) for us, _ in made]
+
+    assert looks(7) == looks(7) != looks(8)
+
+
+# The counters' stand-in refuses what MicroPython refuses, and loses what the chip loses
+
+
+@pytest.fixture
+def pins() -> "tuple[Any, Any]":
+    reset_stand_ins()
+    made = [esp_machine.Pin(number, esp_machine.Pin.OUT, value=0) for number in (26, 16)]
+    return made[0], made[1]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"mode_pin": True},
+        {"pin": True, "rising": 1, "min": 1},
+        {"pin": True, "rising": 1, "max": 40_000},
+        {"pin": True, "rising": 1, "max": -1},
+        {"pin": True, "rising": 1, "min": -32_769},
+        {"pin": True, "rising": 1, "value": 5},
+        {"pin": True, "rising": 1, "mode_high": 3},
+    ],
+)
+def test_a_counter_refuses_what_micropython_refuses(
+    pins: "tuple[Any, Any]", arguments: "dict[str, Any]"
+) -> None:
+    named = {key: pins[0] if value is True else value for key, value in arguments.items()}
+    with pytest.raises(ValueError):
+        esp32.PCNT(0, **named)
+    with pytest.raises(ValueError):
+        esp32.PCNT(8)
+    reset_stand_ins("esp32s3")
+    with pytest.raises(ValueError):
+        esp32.PCNT(4)
+
+
+def test_a_counter_takes_the_pin_from_its_output_and_counts_from_its_start(
+    pins: "tuple[Any, Any]",
+) -> None:
+    step, direction = pins
+    unit = esp32.PCNT(0, pin=step, mode_pin=direction, rising=1, mode_high=1, min=-9, max=9)
+    base = esp_machine.mem32.first & ~0xFFF
+
+    def pulse(count: int) -> None:
+        for level in (1, 0) * count:
+            clock.work(5)
+            step.value(level)
+        clock.work(5)
+
+    unit.start()
+    pulse(3)
+    assert unit.value() == 0  # the pin is an input
+    esp_machine.mem32[base + 0x24] = 1 << 26 | 1 << 16
+    pulse(3)
+    assert unit.value() == 3
+    direction.value(1)
+    pulse(5)
+    assert unit.value(0) == -2 and unit.value() == 0
+    unit.stop()
+    pulse(2)
+    assert unit.value() == 0
+    unit.start()
+    pulse(8)
+    with pytest.raises(OverflowError):
+        pulse(1)
+        unit.value()
+
+
+# The hang
+
+
+def test_a_hang_ends_by_the_watchdog_and_steps_have_ended_long_before(tmp_path: Path) -> None:
+    sent = tmp_path / "sent.py"
+    sent.write_text(program.hang(program.ESP32, True))
+    (tmp_path / "talk.json").write_text(json.dumps([["", "Grbl"]]))
+    command = [sys.executable, str(_BOOT), "esp32_devkit", str(tmp_path), f"RUN = {str(sent)!r}"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows: dict[str, Row] = {}
+    hearer = Hearer(lambda row: rows.update({row.what: row}))
+    for line in done.stdout.splitlines():
+        hearer.line(line)
+    hearer.close()
+    assert list(rows) == ["hang on purpose: steps", "hang on purpose: spindle"]
+    assert failed(rows.values()) == []
+    assert "the watchdog starts the chip anew" in done.stdout
+    last = rows["hang on purpose: steps"].figures
+    assert last["ms"] > 4000 and last["steps"] > 0 and 0 < last["last_step_ms"] < 500

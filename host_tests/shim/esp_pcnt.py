@@ -118,6 +118,11 @@ class PCNT:
     most_units = 8  # S3: 4
     lose = 0  # for tests: of so many steps one is not seen
 
+    _pad: "Pad | None"
+    _mode: "Pad | None"
+    _pwm: "Any"
+    _range: "tuple[int, int]"
+
     def __new__(cls, id: int, **_: object) -> "PCNT":
         if not 0 <= id < cls.most_units:
             raise ValueError("invalid id")
@@ -178,9 +183,9 @@ class PCNT:
             self._mode = Pad(mode_pin.id)
 
     def deinit(self) -> None:
-        self._pad: "Pad | None" = None
-        self._mode: "Pad | None" = None
-        self._pwm: "Any" = None
+        self._pad = None
+        self._mode = None
+        self._pwm = None
         self._counts = self._reverses = self._started = False
         self._range = (0, 0)
         self._value = self._seen = 0

@@ -23,17 +23,19 @@ class Chip:
 
 @dataclass(frozen=True)
 class Esp:
-    """Addresses that differ. gpio: registers of the pins; out_sel: from there, what they show."""
+    """Addresses that differ. gpio: registers of the pins; out_sel: from there, what they show;
+    units: pulse counters."""
 
     gpio: int
     out_sel: int
+    units: int
 
 
 AnyChip = Chip | Esp
 RP2040 = Chip(0x40014000, 0x40054028)
 RP2350 = Chip(0x40028000, 0x400B0028)
-ESP32 = Esp(0x3FF44000, 0x530)
-ESP32_S3 = Esp(0x60004000, 0x554)
+ESP32 = Esp(0x3FF44000, 0x530, 8)
+ESP32_S3 = Esp(0x60004000, 0x554, 4)
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ QUICK = Amounts(20, (20, 10), 8192, 64, 2, 24, 24, 3, 8, 1)
 
 
 # On an ESP32, whose engine is slower: a stop takes 60 ms there.
-ESP_FULL = Amounts(run_ms=2000, stops=300, starts=300)
+ESP_FULL = Amounts(stops=300, starts=300)
 ESP_QUICK = Amounts(run_ms=200, seen=(20, 10), stops=20, starts=20, limits=3)
 
 

@@ -108,7 +108,7 @@ def look(board: Board) -> tuple[AnyChip, Wiring]:
 
 
 def _chip(about: About) -> AnyChip:
-    chips = {
+    chips: dict[str, AnyChip | None] = {
         "RP2350": program.RP2350,
         "RP2040": program.RP2040,
         "ESP32S3": program.ESP32_S3,

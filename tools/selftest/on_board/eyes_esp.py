@@ -3,6 +3,7 @@
 
 import board
 
+from .config import CONFIG
 from .pcnt import Counter, Edges, pad_level
 
 counters = []
@@ -26,7 +27,9 @@ def used_stack():
 
 def mem_level(pin):
     """Whether the pad has been on since the last look, whoever drives it."""
-    edges = Edges(len(counters), pin)
+    unit = min(len(counters), CONFIG["units"] - 1)
+    del counters[unit:]  # where each axis has one, the last axis goes without
+    edges = Edges(unit, pin)
     off = "SPINDLE_PWM" in getattr(board, "INVERT", ())
 
     def level():
