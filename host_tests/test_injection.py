@@ -30,6 +30,8 @@ from ugrbl.sim.port import SimPort
 _EVERY = os.environ.get("UGRBL_TORTURE") is not None
 _SAMPLES = 40
 _BEFORE_MS = 600  # how long a scenario is looked at
+_PINS = ("limit_x", "reset", "hold", "probe")
+_STOPS = ("limit_x", "reset", "\x18")
 _FAST = {110: 3000, 111: 3000, 112: 3000, 120: 500, 121: 500, 122: 500}
 
 
@@ -141,7 +143,7 @@ class Trial:
         self.machine = Machine({**_FAST, 21: 1, **scenario.settings}, watched=False)
         self._injector = Injector(scenario.functions, at, self._inject)
         self.bytecodes = 0
-        self._place: "list[int] | None" = None
+        self.place: "list[int] | None" = None
         self._outputs: "list[str]" = []
 
     def run(self) -> None:
@@ -151,11 +153,11 @@ class Trial:
     def _inject(self) -> None:
         """This is where an interrupt would come."""
         rig = self.machine.rig
-        if self._act in ("limit_x", "reset"):
+        if self._act in _PINS:
             rig.port.push({self._act: True})
         else:
             rig.controller.realtime.post(ord(self._act))
-        self._place = self.machine.physical()
+        self.place = self.machine.physical()
         self._outputs = self._on()
 
     def _on(self) -> "list[str]":
@@ -175,18 +177,22 @@ class Trial:
             yield from self._ask("$X")
         with self._injector:
             for line in scenario.lines.split():
-                if self._place is None:  # what comes behind a reset is for the machine to do
+                # What comes behind a reset is for the machine to do.
+                if self.place is None or self._act not in _STOPS:
                     rig.link.send(line.encode() + b"\n")
                 yield rig.ms(20)
             if scenario.byte:
                 rig.link.send(scenario.byte.encode("latin-1"))
             until = rig.ms(_BEFORE_MS * (10 if scenario.homes else 1))
-            while rig.now < until and self._place is None:
+            while rig.now < until and self.place is None:
                 yield rig.ms(2)
             yield rig.ms(30)
         self.bytecodes = self._injector.count
-        if self._place is not None:
+        if self._act in _STOPS and self.place is not None:
             yield from self._check()
+        else:
+            rig.port.push({"hold": False, "probe": False})
+            yield from machine.rest()
 
     def _check(self) -> Iterator[Any]:
         """Not one step more, all outputs off; and the reset that follows makes it work again."""
@@ -194,7 +200,7 @@ class Trial:
         rig, port = machine.rig, machine.rig.port
         yield rig.ms(200)
         where = f"{self._scenario.name}, {self._act}, bytecode {self._injector.count}"
-        assert machine.physical() == self._place, f"it moved on: {where}"
+        assert machine.physical() == self.place, f"it moved on: {where}"
         assert not self._outputs, f"outputs are on: {where}"
         assert not self._on(), f"outputs are on again: {where}"
         rig.engine.switches.clear()
@@ -223,6 +229,13 @@ class Trial:
             said += machine.take()
 
 
+def some(total: int, phase: int) -> range:
+    """Which of so many bytecodes are tried: another phase for each, so that all see more."""
+    assert total > _SAMPLES, "the functions are not called"
+    step = 1 if _EVERY else max(1, total // _SAMPLES)
+    return range(0 if _EVERY else phase % step, total, step)
+
+
 def bytecodes(scenario: Scenario) -> int:
     """How many of them there are to come in between."""
     trial = Trial(scenario, -1, "")
@@ -235,13 +248,34 @@ def bytecodes(scenario: Scenario) -> int:
 def test_nothing_moves_or_turns_behind_a_stop(scenario: Scenario, act: str) -> None:
     if scenario.homes and act == "limit_x":
         pytest.skip("homing wants the switches for itself")
-    total = bytecodes(scenario)
-    assert total > _SAMPLES, "the functions are not called"
-    # Another phase for each, so that all together see more.
-    phase = len(scenario.name) + len(act)
-    step = 1 if _EVERY else max(1, total // _SAMPLES)
-    for at in range(0 if _EVERY else phase % step, total, step):
+    for at in some(bytecodes(scenario), len(scenario.name) + len(act)):
         Trial(scenario, at, act).run()
+
+
+@pytest.mark.parametrize("act", ["!", "hold"], ids=["!", "button"])
+@pytest.mark.parametrize("name", ["start", "turn", "refill", "hold"])
+def test_a_hold_at_any_moment_costs_no_step(name: str, act: str) -> None:
+    scenario = next(scenario for scenario in SCENARIOS if scenario.name == name)
+    undisturbed = Trial(scenario, -1, "")
+    undisturbed.run()
+    for at in some(undisturbed.bytecodes, len(name) + len(act)):
+        trial = Trial(scenario, at, act)
+        trial.run()
+        assert trial.machine.physical() == undisturbed.machine.physical(), f"bytecode {at}"
+
+
+def test_a_probe_s_contact_at_any_moment_is_noted_to_the_step() -> None:
+    scenario = next(scenario for scenario in SCENARIOS if scenario.name == "probing")
+    for at in some(bytecodes(scenario), 3):
+        trial = Trial(scenario, at, "probe")
+        trial.run()
+        said = trial.machine.received
+        found = [line for line in said if line.startswith("[PRB:")]
+        if found and trial.place and found[0].endswith(":1]"):
+            touched = [round(float(x) * 250) for x in found[0][5:-3].split(",")]
+            assert touched == trial.place, f"bytecode {at}: {found}"
+        else:
+            assert "ALARM:4" in said or found or trial.place is None, f"bytecode {at}: {said}"
 
 
 def test_a_stop_that_does_not_hold_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
