@@ -134,7 +134,7 @@ _M_MIST = const(7)
 _M_OVERRIDE_CONTROL = const(56)
 
 # Value words, as bits of `values` in Block. X, Y, Z, A come first, one bit per axis.
-VALUE_LETTERS = "XYZAIJKFLNPRST"
+_VALUE_LETTERS = b"XYZAIJKFLNPRST"
 AXIS_WORDS = const(0x000F)
 WORD_I = const(0x0010)
 WORD_IJK = const(0x0070)
@@ -194,10 +194,10 @@ class Block:
         if not has_override_control:
             self._unsupported_m.add(_M_OVERRIDE_CONTROL)
         self._values = {}
-        for i in range(len(VALUE_LETTERS)):
-            self._values[ord(VALUE_LETTERS[i])] = 1 << i
+        for i in range(len(_VALUE_LETTERS)):
+            self._values[_VALUE_LETTERS[i]] = 1 << i
         for i in range(axes, 4):
-            del self._values[ord(VALUE_LETTERS[i])]
+            del self._values[_VALUE_LETTERS[i]]
         self.begin(self.modal)
 
     def begin(self, modal: "Modal") -> None:

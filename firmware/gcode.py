@@ -292,20 +292,18 @@ class Gcode:
         words = ["G%d" % motion if motion <= b.NO_MOTION else "G38.%d" % ((motion - 138) // 10)]
         words.append("G%d" % (54 + modal.system))
         words.append("G%d" % (17 + modal.plane))
-        words.append("G20" if modal.inches else "G21")
-        words.append("G91" if modal.relative else "G90")
-        words.append("G93" if modal.inverse_time else "G94")
-        words.append(("M5", "M3", "M4")[modal.spindle >> 4])
-        if modal.coolant:
-            if modal.coolant & 2:
-                words.append("M7")
-            if modal.coolant & 1:
-                words.append("M8")
-        else:
-            words.append("M9")
+        words.append("G%d" % (20 if modal.inches else 21))
+        words.append("G%d" % (91 if modal.relative else 90))
+        words.append("G%d" % (93 if modal.inverse_time else 94))
+        numbers = [(5, 3, 4)[modal.spindle >> 4]]
+        if modal.coolant & 2:
+            numbers.append(7)
+        if modal.coolant & 1:
+            numbers.append(8)
+        if not modal.coolant:
+            numbers.append(9)
         if self._has_override_control and self._state.override_control:
-            words.append("M56")
-        words.append("T%d" % self.tool)
-        words.append("F" + self._report.rate(self.feed))
-        words.append("S" + self._report.speed(self.spindle_rpm))
-        return " ".join(words)
+            numbers.append(56)
+        words += ["M%d" % number for number in numbers]
+        feed, rpm = self._report.rate(self.feed), self._report.speed(self.spindle_rpm)
+        return "%s T%d F%s S%s" % (" ".join(words), self.tool, feed, rpm)

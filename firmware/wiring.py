@@ -95,22 +95,25 @@ class Options:
 
     def letters(self) -> str:
         """The text of [OPT:…]: Grbl's letters for what is on, planner blocks, receive bytes."""
-        text = "V"
-        for on, letter in (
-            (self.line_numbers, "N"),
-            (self.mist, "M"),
-            (self.corexy, "C"),
-            (self.parking, "P"),
-            (self.zero_origin, "Z"),
-            (self.single_axis_homing, "H"),
-            (self.shared_switches, "T"),
-            (self.override_control, "R"),
-            (self.enable_pin, "D"),
-            (self.door, "+"),
+        text = bytearray(b"V")  # a text of one letter would be kept for good
+        for on, letter in zip(
+            (
+                self.line_numbers,
+                self.mist,
+                self.corexy,
+                self.parking,
+                self.zero_origin,
+                self.single_axis_homing,
+                self.shared_switches,
+                self.override_control,
+                self.enable_pin,
+                self.door,
+            ),
+            b"NMCPZHTRD+",
         ):
             if on:
-                text += letter
-        return "%s,%d,%d" % (text, self.blocks - 1, self.rx_bytes)
+                text.append(letter)
+        return "%s,%d,%d" % (text.decode(), self.blocks - 1, self.rx_bytes)
 
 
 def _reports(dialect: str) -> "type[Report]":

@@ -11,7 +11,7 @@ import pytest
 from ugrbl import build, paths
 from ugrbl.compiling.inline import inline
 from ugrbl.compiling.prune import prune
-from ugrbl.compiling.shorten import shorten
+from ugrbl.compiling.shorten import SHORT, shorten
 from ugrbl.conformance import find_micropython
 
 _HERE = Path(__file__).resolve().parent
@@ -274,8 +274,8 @@ def qstrs(compiled: bytes) -> "list[str]":
 
 
 # The first 620 names need 9 kB in MicroPython 1.28, one more 4 kB besides: its pools get twice as
-# long each time. When 751 are counted here, of which the Pico's ROM has some, there are 561.
-_MOST = 790
+# long each time. When 698 are counted here, short ones in ROM apart, there are 599.
+_MOST = 710
 
 
 def test_names_of_the_firmware_fit_into_the_pools_of_a_pico() -> None:
@@ -286,5 +286,5 @@ def test_names_of_the_firmware_fit_into_the_pools_of_a_pico() -> None:
         if path.endswith(".mpy")
         for name in qstrs(content)
     }
-    assert len(found) <= _MOST
+    assert len(found - set(SHORT)) <= _MOST
     assert not {name for name in found if name.endswith(".py")}

@@ -27,7 +27,7 @@ from . import scan
 # Of MicroPython's static_qstr_list (py/makeqstrdata.py), part of the .mpy format 6. Not those
 # that it asks an object for by itself: send, throw, close, read, write, keys, args, value; nor
 # those of errors, which one would misread in a message.
-_SHORT = (
+SHORT = (
     "any id dir key map pop pow sep sum zip all chr ord abs end get int len set str add dict eval "
     "exec find hash iter join list next sort lower upper range print round index clear count copy "
     "bool bytes items little encode decode extend format globals insert isalpha isdigit islower "
@@ -42,7 +42,11 @@ _SHORT = (
     "popleft appendleft heapify heappop heappush namedtuple sha1 sha256 digest hexlify unhexlify "
     "sizeof calcsize pack_into unpack_from addressof pixel hline vline ellipse seed choice "
     "randint uniform randrange getrandbits getcwd ilistdir rmdir statvfs umount gmtime mktime "
-    "localtime getter deleter discard union issubset issuperset isdisjoint difference readlines"
+    "localtime getter deleter discard union issubset issuperset isdisjoint difference readlines "
+    "search match groups compile dumps loads scroll blit fill_rect framebuf polar factorial "
+    "copysign cmath frozenset complex default a2b_base64 b2a_base64 md5 baudrate polarity "
+    "firstbit mosi miso scl sda readfrom writeto readfrom_mem writeto_mem writevto memaddr "
+    "write_readinto readbit writebit readbyte writebyte crc8 uname sysname nodename mkdir chdir"
 ).split()
 
 # Names no longer than this gain nothing, and a block has its words by their letters.
@@ -116,7 +120,7 @@ class _Survey:
             self._inner |= set(scan.inside(tree))
             used |= set(scan.identifiers(tree))
             self._read(tree, self._aliases(tree), "")
-        self.free = [name for name in _SHORT if name not in used | self.kept - _outside()]
+        self.free = [name for name in SHORT if name not in used | self.kept - _outside()]
 
     def _aliases(self, tree: ast.Module) -> dict[str, bool]:
         """What a module calls others, and whether these are here."""
