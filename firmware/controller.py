@@ -7,6 +7,9 @@ import spindle as sp
 import state as st
 from micropython import const
 
+# A save erases six sectors of flash at the most, each in 400 ms.
+_FLASH_MS = const(2500)
+
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -119,6 +122,43 @@ class Controller:
         except OSError:
             self.report.message(errors.MSG_NOT_KEPT)
             return False
+
+    def at_rest(self) -> bool:
+        """Nothing moves or is going to."""
+        return self.state.run in (st.IDLE, st.ALARM) and self.planner.empty()
+
+    def welcome(self) -> None:
+        """A sender has opened the port anew."""
+        if self.at_rest():
+            self.report.banner()
+
+    def around_saves(
+        self, allow: "Callable[[int], None]", written: "Callable[[], None] | None"
+    ) -> "tuple[Callable[[], None], Callable[[], None]]":
+        """What to do before and after flash is written, which keeps all interrupts off.
+
+        The machine is at rest then. A spindle goes on; a laser that M3 has switched on would burn
+        for longer than the program says, and is off so long. allow: the supervisor's; written:
+        the engine wants to hear of it.
+        """
+        lit = False
+        state, spindle, gcode = self.state, self.spindle, self.gcode
+
+        def before() -> None:
+            nonlocal lit
+            allow(_FLASH_MS)
+            lit = spindle.laser and gcode.spindle == sp.CW and state.spindle_rpm > 0
+            if lit:
+                spindle.stop()
+
+        def after() -> None:
+            if written:
+                written()
+            allow(0)
+            if lit and not state.pending[st.RESET]:
+                spindle.turn(sp.CW, gcode.spindle_rpm)
+
+        return before, after
 
     def restart(self) -> None:
         """What a soft reset does, and power-up at last. Raises Abort where another one comes."""

@@ -53,15 +53,15 @@ class PortPins(PortInputs):
         self._pwm_period_us = 1_000_000 // hz + 1
         # Steps of SPINDLE_PWM from nothing to full power, 16383 at the most.
         self.pwm_max: int = option("PWM_MAX", 1000)
-        pwm = _output(self._pwm_number, self._pwm_off)
+        pwm = _make_output(self._pwm_number, self._pwm_off)
         self._pwm = pwm and PWM(pwm, freq=hz, duty_u16=0, invert=self._pwm_off)
         # Spindle on and off.
-        self._spindle_on = self._tool(option("SPINDLE_ON", None), self._spindle_off)
+        self._spindle_on = self._make_tool(option("SPINDLE_ON", None), self._spindle_off)
         # Flood coolant.
-        self._flood = self._tool(option("FLOOD", None), self._flood_off)
+        self._flood = self._make_tool(option("FLOOD", None), self._flood_off)
         # Mist coolant, with MIST.
-        self._mist = self._tool(option("MIST_PIN", None), self._mist_off)
-        make = self._tool if option("SPINDLE_ENABLE_PIN", False) else _output
+        self._mist = self._make_tool(option("MIST_PIN", None), self._mist_off)
+        make = self._make_tool if option("SPINDLE_ENABLE_PIN", False) else _make_output
         # Spindle direction: high is counterclockwise, or on with SPINDLE_ENABLE_PIN.
         self._direction = make(option("SPINDLE_DIR", None), self._direction_off)
         # Actuator that moves the punch down: see docs/punch.md.
@@ -69,13 +69,13 @@ class PortPins(PortInputs):
         # Actuator that moves the punch up.
         up = option("PUNCH_UP", None)
         self._punch_numbers: "tuple[int | None, int | None]" = (down, up)
-        self._punch_down = _output(down, 0)
-        self._punch_up = _output(up, 0)
+        self._punch_down = _make_output(down, 0)
+        self._punch_up = _make_output(up, 0)
         # So many ms a stroke of the punch takes at the most, one way.
         self.punch_timeout_ms: int = option("PUNCH_TIMEOUT_MS", 1000)
 
-    def _tool(self, number: "int | None", off: int) -> "Pin | None":
-        pin = _output(number, off)
+    def _make_tool(self, number: "int | None", off: int) -> "Pin | None":
+        pin = _make_output(number, off)
         if pin and number is not None:
             self._tools.append((number, pin, off))
         return pin
@@ -169,5 +169,5 @@ class PortPins(PortInputs):
         return pin is not None and Pin(pin, Pin.IN, Pin.PULL_UP).value() == 0
 
 
-def _output(number: "int | None", level: int) -> "Pin | None":
+def _make_output(number: "int | None", level: int) -> "Pin | None":
     return None if number is None else Pin(number, Pin.OUT, value=level)

@@ -1,4 +1,4 @@
-"""Parts of an ESP32 board: what power_up.py makes there."""
+"""Parts of an ESP32 board: what parts.py makes there."""
 
 from esp_chip.start import prepare
 from gpio_esp import EspPort

@@ -22,6 +22,7 @@ LAYERS = (
     {"controller"},
     {"wiring"},
     {"parts_esp"},
+    {"parts"},
     {"power_up"},
     {"main"},
 )
@@ -29,7 +30,7 @@ LAYER = {module: number for number, layer in enumerate(LAYERS) for module in lay
 
 # Ports stand outside the stack: they use the two lowest layers and their own kind, and only
 # what makes a board's parts uses them.
-BOOT = ("parts_esp", "power_up")
+BOOT = ("parts", "parts_esp")
 PORT_PREFIXES = ("link", "gpio", "store", "supervisor")
 PORT_FOLDERS = ("pio", "esp_chip")
 PORT_LAYERS = (0, 1)

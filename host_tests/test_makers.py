@@ -1,0 +1,54 @@
+"""What a board forgets once the machine is built is not asked for later."""
+
+import ast
+from collections.abc import Iterator
+
+import parts
+from test_shorten import firmware
+
+TREES = {name: ast.parse(text) for name, text in firmware().items()}
+CLASSES = {
+    node.name: {ast.unparse(base) for base in node.bases}
+    for tree in TREES.values()
+    for node in tree.body
+    if isinstance(node, ast.ClassDef)
+}
+# Here all is done while the machine is built; a stream for the prompt is no part of the machine.
+BUILDING = {"parts", "parts_esp", "wiring"}
+APART = {"_Pusher"}
+
+
+def is_maker(name: str) -> bool:
+    return name in parts.MAKERS or name.startswith(parts.MAKER)
+
+
+def is_fault(kind: str) -> bool:
+    """Whether this is an exception, or a class that we do not have."""
+    return kind not in CLASSES or any(base == "Exception" for base in CLASSES[kind])
+
+
+def calls(node: ast.AST) -> Iterator[str]:
+    """What is called while the machine runs: outside of modules, classes and makers."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.FunctionDef) and is_maker(child.name):
+            continue
+        if isinstance(child, ast.Call):
+            yield ast.unparse(child.func).rpartition(".")[2]
+        yield from calls(child)
+
+
+def later() -> Iterator[tuple[str, str]]:
+    for module, tree in TREES.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef) and module not in BUILDING:
+                if not is_maker(node.name):
+                    yield from ((module, name) for name in calls(node))
+
+
+def test_no_maker_is_called_when_the_machine_runs() -> None:
+    assert [(module, name) for module, name in later() if is_maker(name)] == []
+
+
+def test_no_object_is_made_when_the_machine_runs_but_those_that_may_be() -> None:
+    made = {name for _, name in later() if not is_fault(name)}
+    assert made - APART == set(parts.MADE_AGAIN)
