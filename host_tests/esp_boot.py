@@ -208,9 +208,24 @@ class BusyTime(Time):
         watchdog = esp_machine.WDT
         if watchdog.fed and clock.us - watchdog.fed > 1000 * watchdog.timeout_ms:
             raise Restart
-        if not clock._inside:
-            clock.advance(clock.us + 200)
+        BusyTime.sleep_us(200)
         return clock.ticks_ms()
+
+    @staticmethod
+    def ticks_us() -> int:
+        BusyTime.sleep_us(6)
+        return clock.us & 0x3FFFFFFF
+
+    @staticmethod
+    def sleep_us(us: int) -> None:
+        if clock._inside:
+            clock.work(us)
+        else:
+            clock.advance(clock.us + us)
+
+    @staticmethod
+    def sleep_ms(ms: int) -> None:
+        BusyTime.sleep_us(1000 * ms)
 
 
 def run(path: str) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from esp_bench import clock, esp32, esp_machine, gpio_esp, reset_stand_ins, rmt
+from micropython_runner import needs_micropython, run_micropython
 from ugrbl import machine
 from ugrbl.selftest import program
 from ugrbl.selftest.row import Row
@@ -72,6 +73,7 @@ class Bench:
             "gpio_esp": gpio_esp,
         }.items():
             monkeypatch.setitem(sys.modules, module, stand_in)
+        monkeypatch.delitem(sys.modules, "parts_esp", raising=False)  # imports one of these
         self.rows: dict[str, Row] = {}
         self.ended = False
 
@@ -133,6 +135,22 @@ def test_the_highest_rate_is_what_the_board_file_allows(
         "steps at the highest, all axes",
     ]
     assert rows["spindle PWM"].passed is None
+
+
+@needs_micropython
+def test_all_checks_pass_under_micropython(tmp_path: Path) -> None:
+    sent = tmp_path / "sent.py"
+    amounts = replace(_AMOUNTS, run_ms=20, stops=4, starts=4)
+    sent.write_text(program.checks(program.ESP32, amounts, True, 7))
+    (tmp_path / "talk.json").write_text(json.dumps([["", "Grbl"]]))
+    said = run_micropython(_BOOT, "esp32_devkit", str(tmp_path), f"RUN = {str(sent)!r}")
+    rows: dict[str, Row] = {}
+    hearer = Hearer(lambda row: rows.update({row.what: row}))
+    for line in said.splitlines():
+        hearer.line(line)
+    hearer.close()
+    assert hearer.ended and failed(rows.values()) == []
+    assert rows["steps at the highest, all axes"].passed
 
 
 # What is wrong is found
@@ -336,20 +354,31 @@ def test_a_counter_takes_the_pin_from_its_output_and_counts_from_its_start(
 # The hang
 
 
-def test_a_hang_ends_by_the_watchdog_and_steps_have_ended_long_before(tmp_path: Path) -> None:
+def run_python(*arguments: object) -> str:
+    """What a program says under CPython."""
+    command = [sys.executable, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize(
+    "run", [run_python, pytest.param(run_micropython, marks=needs_micropython)]
+)
+def test_a_hang_ends_by_the_watchdog_and_steps_have_ended_long_before(
+    run: "Callable[..., str]", tmp_path: Path
+) -> None:
     sent = tmp_path / "sent.py"
     sent.write_text(program.hang(program.ESP32, True))
     (tmp_path / "talk.json").write_text(json.dumps([["", "Grbl"]]))
-    command = [sys.executable, str(_BOOT), "esp32_devkit", str(tmp_path), f"RUN = {str(sent)!r}"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
+    said = run(_BOOT, "esp32_devkit", str(tmp_path), f"RUN = {str(sent)!r}")
     rows: dict[str, Row] = {}
     hearer = Hearer(lambda row: rows.update({row.what: row}))
-    for line in done.stdout.splitlines():
+    for line in said.splitlines():
         hearer.line(line)
     hearer.close()
     assert list(rows) == ["hang on purpose: steps", "hang on purpose: spindle"]
     assert failed(rows.values()) == []
-    assert "the watchdog starts the chip anew" in done.stdout
+    assert "the watchdog starts the chip anew" in said
     last = rows["hang on purpose: steps"].figures
     assert last["ms"] > 4000 and last["steps"] > 0 and 0 < last["last_step_ms"] < 500

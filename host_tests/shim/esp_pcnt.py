@@ -40,9 +40,10 @@ class Pad:
     def run(self, until: int) -> "list[tuple[int, int]]":
         """Changes of the level up to then, (us, level)."""
         found = self._logged(until) + self._trains(until)
-        found.sort(key=_us)
         changes = []
-        for us, which, value in found:
+        # MicroPython's sort() does not keep the order of what is equal.
+        for _, k in sorted([(found[k][0], k) for k in range(len(found))]):
+            us, which, value = found[k]
             self._what[which] = value
             level = self._now()
             if level != self.level:
@@ -85,10 +86,6 @@ class Pad:
             self._train += 1
             self._edge = 0
         return found
-
-
-def _us(event: "Event") -> int:
-    return event[0]
 
 
 def pwm_level(pwm: "Any", us: int) -> int:

@@ -5,7 +5,7 @@ import board
 
 from .config import CONFIG
 from .rows import AXES, Mover
-from .watch import FIRST, LAST, Counter, Sampler
+from .watch import FIRST, LAST, TICK_HZ, Counter, Sampler
 
 sampler = Sampler(CONFIG["samples"])  # ahead of what divides memory
 
@@ -22,7 +22,7 @@ class Drive(Mover):
         setup_us = getattr(board, "DIR_SETUP_US", 5)
         engine = PioEngine(board.STEP, board.DIR, hold_us, setup_us)
         self._counters = []
-        super().__init__(engine, WATCHED, 65536, (60, 2500), (60, 1000), 40_000)
+        super().__init__(engine, TICK_HZ, WATCHED, 65536, (60, 2500), (60, 1000), 40_000)
 
     def count(self, axes):
         """Watch the first axes from here on, the engine being at rest."""

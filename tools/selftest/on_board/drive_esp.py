@@ -4,12 +4,13 @@
 import time
 
 import board
-from esp_chip.rmt import RmtEngine
+from parts_esp import make
 
 from .pcnt import Counter
 from .rows import AXES, Mover
 
 # Rows as the firmware makes them: 4 ms; moves of any kind up to what the board file allows.
+TICK_HZ = 1_000_000
 LONG = 4096
 SLOWEST_US = 4000
 PULSE_US = 10
@@ -22,16 +23,18 @@ def highest_hz(engine):
     return min(most, getattr(board, "MAX_STEP_RATE_HZ", 0) or most)
 
 
-class Drive(Mover):
-    """Moves, and counts the steps of all axes."""
+class NoLink:
+    """Nobody sends; the parts want one all the same, to be called in each of its turns."""
 
-    def __init__(self, port):
-        engine = RmtEngine(board.STEP, board.DIR)
-        engine.on_look = port.look
-        engine.on_fault = port.kill
+
+class Drive(Mover):
+    """Moves, and counts the steps of all axes. port: of the firmware, working with its engine."""
+
+    def __init__(self):
+        engine, self.port = make(board, NoLink())
         self.most_hz = highest_hz(engine)
         gaps = (1_000_000 // self.most_hz, SLOWEST_US)
-        super().__init__(engine, AXES, LONG, gaps, gaps, 4 * SLOWEST_US)
+        super().__init__(engine, TICK_HZ, AXES, LONG, gaps, gaps, 4 * SLOWEST_US)
         self.pulse(PULSE_US)
         self._counters = [Counter(i, board.STEP[i], board.DIR[i]) for i in range(AXES)]
 

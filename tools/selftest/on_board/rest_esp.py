@@ -1,12 +1,9 @@
 # mypy: ignore-errors
 """An ESP32 board: who it is, and all checks in turn."""
 
-import os
 import random
 import sys
 
-import board
-from gpio_esp import EspPort
 from machine import freq
 
 from .config import CONFIG
@@ -22,17 +19,16 @@ def check_all():
     wired = drivers_off()
     hear_nothing()
     random.seed(CONFIG["seed"])
-    freq(240_000_000)  # as the firmware does
+    drive = Drive()  # at the firmware's clock from here on
     say(
         "board",
-        name=os.uname()[4],
+        name=getattr(sys.implementation, "_machine", sys.platform),
         micropython=".".join(str(x) for x in sys.implementation.version[:3]),
         hz=freq(),
         axes=AXES,
         enables=len(wired),
     )
-    port = EspPort(board)
-    drive = Drive(port)
+    port = drive.port
     try:
         if see_steps(drive):
             check_motion(drive)

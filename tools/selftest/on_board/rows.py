@@ -53,8 +53,8 @@ class Mover:
     from rest. row: ticks of a segment in the former.
     """
 
-    def __init__(self, engine, watched, long, gaps, rest_gaps, row):
-        self.engine, self.watched, self._long = engine, watched, long
+    def __init__(self, engine, tick_hz, watched, long, gaps, rest_gaps, row):
+        self.engine, self._tick_hz, self.watched, self._long = engine, tick_hz, watched, long
         self.gaps, self.rest_gaps, self.row = gaps, rest_gaps, row
         self._plan = array("i", [0] * (ROW + 3 + 3 * AXES))
         self._plan[LENGTH] = 3 + 3 * AXES
@@ -87,7 +87,7 @@ class Mover:
 
     def even(self, hz, steps, dirs=0):
         """All axes together, at that rate, so many steps each; how many they will be."""
-        gap = self.engine.tick_hz // hz
+        gap = self._tick_hz // hz
         each = max(min(self._long // gap, steps), 1)
         rows = max(steps // each, 1)
         self.plan(gap, [each] * AXES, rows, dirs)
