@@ -9,7 +9,7 @@ BIN := .venv/bin
 VENV := .venv/installed
 TYPESHED := .venv/typeshed/merged
 
-.PHONY: run test check fmt lint types build deploy clean test-emulator test-senders torture bench bench-board docs
+.PHONY: run test check fmt lint types build deploy clean test-emulator test-senders torture torture-board bench bench-board docs
 
 run: $(VENV)  ## a demonstration in the simulator
 	$(BIN)/ugrbl demo
@@ -41,6 +41,9 @@ test-emulator: $(VENV)  ## on an emulated Pico; UGRBL_UF2 names MicroPython's im
 
 torture: $(VENV)  ## stops at every bytecode, and random sessions: SEEDS of them, minutes to hours
 	UGRBL_TORTURE=$(or $(SEEDS),500) $(BIN)/pytest -q -n auto host_tests/test_injection.py host_tests/test_torture.py
+
+torture-board: $(VENV)  ## stops at random instants on an emulated Pico: INJECTIONS of them, hours
+	UGRBL_INJECTIONS=$(or $(INJECTIONS),1000) $(BIN)/pytest -q -rs -s host_tests/emulator/test_pico_injection.py
 
 bench: $(VENV)  ## the firmware's speed on this desktop
 	$(BIN)/python host_tests/bench/bench_desktop.py

@@ -120,6 +120,26 @@ def steps(edges: "list[Edge]", axis: int) -> "list[tuple[float, int]]":
     return found
 
 
+class Odometer:
+    """Steps made on every axis since then, out of the recorded edges and the levels of DIR."""
+
+    def __init__(self, pico: Pico) -> None:
+        self._pico = pico
+        self._signs = [1, 1, 1]
+        self._steps = [0, 0, 0]
+
+    def read(self) -> "list[int]":
+        """Take in the edges there are, and clear them."""
+        for edge in self._pico.edges:
+            if edge.pin in DIR:
+                self._signs[DIR.index(edge.pin)] = -1 if edge.level else 1
+            elif edge.pin in STEP and edge.level:
+                axis = STEP.index(edge.pin)
+                self._steps[axis] += self._signs[axis]
+        self._pico.edges.clear()
+        return list(self._steps)
+
+
 def planned(lines: "Sequence[str]", settings: "Sequence[str]") -> "list[list[tuple[float, int]]]":
     """The same of a program in the simulator."""
 
