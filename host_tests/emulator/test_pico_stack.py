@@ -1,0 +1,340 @@
+"""The C stack of the RP2040: main loop and all interrupts share 8 kB, and 2 kB are never touched.
+
+Two measures, both from outside. Watermark: what is free is painted, a scenario runs, and the
+lowest word that has changed is looked for. That sees what happened; the worst nesting is too rare
+for it. So the deepest main loop, the deepest interrupt of the engine and the deepest one of a pin
+are measured each by itself, by sampling the stack pointer, and their sum has to fit as well.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from emulated import DIR, HOLD, LIMIT, PROBE, RESET, START, STEP, Board, steps
+
+pytestmark = pytest.mark.xdist_group("pico stack")
+
+TOP = 0x20042000
+SIZE = 8192
+RESERVE = 2048
+_PATTERN = 0x2A2A2A2A  # firmware/pio/stack.py has the same: both look at one and the same paint
+_GUARD = 64  # bytes under the stack pointer that are not painted
+
+# Numbers in IPSR; no other interrupt is higher than any of the first three.
+_IRQ = 16
+TIMER, ENGINE, PIN = 3, 9, 13
+_SAMPLE_US = 0.1  # some instructions
+
+ARCS = ("G2X1Y0I0.5J0", "G3X-1Y0I-0.5J0")
+_RX_BYTES = 120
+
+
+class Watched(Board):
+    """A board whose complaint of an interrupt that found no room is never overheard."""
+
+    def forget(self) -> None:
+        assert "Uncaught" not in self.said, self.said[-300:]
+        super().forget()
+
+
+class Stack:
+    """What is seen of the chip's stack from outside."""
+
+    def __init__(self, board: Board) -> None:
+        self._pico = board.pico
+        self.main = 0  # deepest, in bytes
+        self.irqs: dict[int, int] = {}  # deepest of each interrupt, by its number
+        self.marks: dict[str, int] = {}  # used() by scenario
+
+    def paint(self) -> None:
+        """Begin anew."""
+        for address in range(TOP - SIZE, self._pico.mcu.core.sp - _GUARD, 4):
+            self._pico.mcu.write_uint32(address, _PATTERN)
+
+    def used(self) -> int:
+        """Bytes used at most since."""
+        for address in range(TOP - SIZE, TOP, 4):
+            if self._pico.mcu.read_uint32(address) != _PATTERN:
+                return TOP - address
+        return 0
+
+    @contextmanager
+    def sampled(self) -> "Iterator[None]":
+        """Meanwhile main and irqs are kept. What an interrupt interrupts is not counted in."""
+        run_us, core = self._pico.run_us, self._pico.mcu.core
+        nested: list[tuple[int, int]] = []  # (interrupt, stack pointer it came upon)
+        before = core.sp
+
+        def sample(us: float) -> None:
+            nonlocal before
+            end = self._pico.us + us
+            while self._pico.us < end:
+                run_us(_SAMPLE_US)
+                pointer, number = core.sp, core.ipsr
+                if not number:
+                    nested.clear()
+                    self.main = max(self.main, TOP - pointer)
+                else:
+                    while any(n == number for n, _ in nested[:-1]):
+                        nested.pop()
+                    if not nested or nested[-1][0] != number:
+                        nested.append((number, before))
+                    depth = nested[-1][1] - pointer
+                    self.irqs[number - _IRQ] = max(self.irqs.get(number - _IRQ, 0), depth)
+                before = pointer
+
+        self._pico.run_us = sample
+        try:
+            yield
+        finally:
+            self._pico.run_us = run_us
+
+
+@pytest.fixture(scope="module")
+def machine(uf2: Path) -> Board:
+    made = Watched(uf2).boot().settled()
+    for setting in ("$110=9000", "$111=9000", "$112=3000", "$120=1000", "$121=1000", "$122=500"):
+        made.ask(setting)
+    made.ask("$21=1")
+    return made
+
+
+@pytest.fixture(scope="module")
+def stack(machine: Board) -> "Iterator[Stack]":
+    """pytest -s shows the figures."""
+    seen = Stack(machine)
+    yield seen
+    print("\nbytes used:", seen.marks, "main loop:", seen.main, "interrupts:", seen.irqs)
+
+
+def stream(machine: Board, lines: "tuple[str, ...]", rounds: int, query_ms: float) -> None:
+    """Count characters as senders do, ask for the status meanwhile, and let the machine finish."""
+    pico = machine.pico
+    machine.ask("G91")
+    start = machine.status()["MPos"]
+    machine.forget()
+    query = pico.us + query_ms * 1000
+    left = [line + "\n" for line in lines * rounds]
+    sent: list[str] = []
+    while machine.said.count("ok\r\n") < len(lines) * rounds:
+        waiting = sent[machine.said.count("ok\r\n") :]
+        while left and sum(map(len, waiting)) + len(left[0]) <= _RX_BYTES:
+            waiting.append(left[0])
+            sent.append(left[0])
+            machine.send(left.pop(0))
+        if pico.us >= query:
+            machine.send("?")
+            query += query_ms * 1000
+        pico.run_us(500)
+        assert "Uncaught" not in machine.said and "error" not in machine.said, machine.said
+    machine.until_idle()
+    assert machine.status()["MPos"] == start
+
+
+def unlock(machine: Board) -> None:
+    """Work again after an alarm."""
+    for pin in (LIMIT[0], RESET, HOLD):
+        machine.pico.drive(pin, 1)
+    machine.pico.run_us(30_000)  # a button has its own welcome
+    machine.forget()
+    machine.send("\x18")
+    machine.wait_for("Grbl 1.1h")
+    machine.ask("$X")
+
+
+# Scenarios
+
+
+def talk(machine: Board) -> None:
+    for line in ("$I+", "$$", "$#", "$G", "$N", "$N0=G54", "$N0=", "$130=300", "G10L2P2X1"):
+        machine.ask(line)
+    machine.ask("$RST=#")
+    machine.ask("$C")
+    machine.ask("G2X1Y0I0.5J0F500")
+    machine.forget()
+    machine.send("$C\n")
+    machine.wait_for("Grbl 1.1h")
+    machine.ask("$X")
+
+
+def modes(machine: Board) -> None:
+    stream(
+        machine,
+        ("G91G1X0.3F3000", "M3S100", "G4P0.001", "M8", "G90", "G91", "M9", "G1X-0.3F2000", "M5"),
+        2,
+        17,
+    )
+
+
+def short_lines(machine: Board) -> None:
+    stream(machine, ("G1X0.05F3000", "G1X-0.05"), 12, 17)
+
+
+def jogs(machine: Board) -> None:
+    stream(machine, ("$J=X0.1F3000", "$J=X-0.1F3000"), 5, 17)
+    machine.forget()
+    machine.send("$J=X5F3000\n")
+    machine.pico.run_us(50_000)
+    machine.send(b"\x85?")
+    machine.pico.run_us(20_000)
+    machine.until_idle()
+
+
+def feed_hold(machine: Board) -> None:
+    machine.ask("G91 G1 X3 F3000")
+    machine.pico.run_us(30_000)
+    machine.send("!?")
+    machine.pico.run_us(80_000)
+    machine.send("?~?")
+    machine.pico.run_us(20_000)
+    machine.until_idle()
+
+
+def door(machine: Board) -> None:
+    """Behind it the spindle is restored, which takes it 4 s."""
+    machine.ask("M3S500")
+    machine.ask("G91 G1 X3 F3000")
+    machine.pico.run_us(30_000)
+    machine.send(b"\x84?")
+    machine.pico.run_us(100_000)
+    machine.send("~")
+    machine.pico.run_us(4_200_000)
+    machine.until_idle()
+    machine.ask("M5")
+
+
+def probe(machine: Board) -> None:
+    machine.forget()
+    machine.send("G91 G38.3 X2 F900\n")
+    machine.pico.run_us(40_000)
+    machine.send("?")
+    machine.pico.run_us(10_000)
+    machine.pico.drive(PROBE, 0)
+    machine.wait_for("PRB:")
+    machine.pico.drive(PROBE, 1)
+    machine.wait_for("ok")
+
+
+def homing(machine: Board) -> None:
+    """Switches 1 mm away on all axes, closing and opening where the motors are."""
+    for setting in ("$23=0", "$24=300", "$25=1200", "$27=0.3", "$26=5", "$22=1"):
+        machine.ask(setting)
+    machine.ask("$X")
+    machine.pico.record([*STEP, *DIR])
+    left = [True]
+
+    def follow() -> None:
+        for axis in range(3):
+            at = sum(sign for _, sign in steps(machine.pico.edges, axis))
+            machine.pico.drive(LIMIT[axis], 0 if at >= 250 else 1)
+        if left:
+            machine.pico.at_us(1_000, follow)
+
+    follow()
+    machine.ask("$H", limit_us=12_000_000)
+    left.clear()
+    machine.ask("$22=0")
+
+
+def in_arcs(machine: Board, query_ms: float, pin: int, answer: str) -> None:
+    """An input closes in the middle of arcs, right behind a request for the status."""
+    machine.ask("G91 F3000")
+    machine.forget()
+    machine.send("\n".join(ARCS * 2) + "\n")
+    machine.pico.run_us(40_000 + query_ms * 1000)
+    machine.send("?")
+    machine.pico.run_us(query_ms * 100)
+    machine.pico.drive(pin, 0)
+    machine.pico.run_us(3_000)
+    machine.pico.drive(pin, 1)
+    machine.send("?")
+    machine.wait_for(answer)
+
+
+def stops(pin: int, answer: str) -> "Callable[[Board], None]":
+    """The scenario of an input that ends all, at several phases."""
+
+    def scenario(machine: Board) -> None:
+        for phase in (2.1, 5.3, 9.7):
+            in_arcs(machine, phase, pin, answer)
+            unlock(machine)
+
+    return scenario
+
+
+def held(machine: Board) -> bool:
+    return machine.status()["state"] == "Hold:0"
+
+
+def hold_button(machine: Board) -> None:
+    for phase in (2.1, 5.3, 9.7):
+        in_arcs(machine, phase, HOLD, "<Hold")
+        rested = machine.pico.run_until(lambda: held(machine), 500_000, step_us=10_000)
+        assert rested, machine.said
+        machine.pico.drive(START, 0)
+        machine.pico.run_us(5_000)
+        machine.pico.drive(START, 1)
+        machine.until_idle(3_000_000)
+
+
+SCENARIOS: "dict[str, Callable[[Board], None]]" = {
+    "talk": talk,
+    "modes": modes,
+    "short lines": short_lines,
+    "jogs": jogs,
+    "feed hold": feed_hold,
+    "probe": probe,
+    "limit in arcs": stops(LIMIT[0], "ALARM:1"),
+    "reset button in arcs": stops(RESET, "ALARM:3"),
+    "hold button in arcs": hold_button,
+    "door": door,
+    "homing": homing,
+}
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_two_kilobytes_are_left(machine: Board, stack: Stack, name: str) -> None:
+    stack.paint()
+    SCENARIOS[name](machine)
+    stack.marks[name] = stack.used()
+    assert stack.marks[name] <= SIZE - RESERVE
+
+
+# What used to run out of it within half a second; each begins at another phase of the others.
+@pytest.mark.parametrize(
+    ("feed", "query_ms"), [(3000, 100), (3000, 40), (3000, 23), (9000, 17), (9000, 17.3)]
+)
+def test_two_kilobytes_are_left_in_streams_of_arcs(
+    machine: Board, stack: Stack, feed: int, query_ms: float
+) -> None:
+    stack.paint()
+    stream(machine, (f"{ARCS[0]}F{feed}", ARCS[1]), 3, query_ms)
+    stack.marks[f"F{feed} ? {query_ms}"] = stack.used()
+    assert stack.used() <= SIZE - RESERVE
+
+
+def test_the_firmware_says_what_is_seen_from_outside(machine: Board, stack: Stack) -> None:
+    stack.paint()
+    stream(machine, ARCS, 1, 23)
+    said = machine.ask("$I+").partition("[MSG:Stack: ")[2].partition(" of 8192 bytes used]")[0]
+    assert abs(int(said) - stack.used()) <= 64
+
+
+def test_two_kilobytes_would_be_left_were_the_deepest_of_all_nested(
+    machine: Board, stack: Stack
+) -> None:
+    with stack.sampled():
+        stream(machine, (f"{ARCS[0]}F3000", ARCS[1]), 1, 23)
+        talk(machine)
+        in_arcs(machine, 3.1, HOLD, "<Hold")
+        machine.send("~")
+        machine.pico.run_us(5_000)
+        for pin, answer in ((LIMIT[0], "ALARM:1"), (RESET, "ALARM:3")):
+            unlock(machine)
+            in_arcs(machine, 3.1, pin, answer)
+    unlock(machine)
+    irqs = dict(stack.irqs)
+    assert {TIMER, ENGINE, PIN} <= irqs.keys()
+    pin = irqs.pop(PIN)
+    assert stack.main + max(irqs.values()) + pin <= SIZE - RESERVE, (stack.main, stack.irqs)
