@@ -157,7 +157,6 @@ class PortInputs:
         except BaseException:
             self._fail()
 
-    @micropython.native
     def limits(self) -> int:
         """Mask of limit inputs pulled to ground, bit 0 = X."""
         return _mask(self._limits)
@@ -196,14 +195,12 @@ class PortInputs:
         except BaseException:
             self._fail()
 
-    @micropython.native
     def _active(self) -> int:
         """What has been seen, with the emergency stop."""
         if self._estop and self._estop.value():
             return self._controls_seen | _EMERGENCY_STOP
         return self._controls_seen
 
-    @micropython.native
     def controls(self) -> int:
         """Mask of control inputs that are active: reset, hold, start, door."""
         return _mask(self._controls) ^ self._control_invert
@@ -265,7 +262,6 @@ def _arm(pins: "Iterable[Pin | None]", edges: int) -> None:
             pin.irq().trigger(edges)
 
 
-@micropython.native
 def _mask(pins: "list[Pin | None] | tuple[Pin | None, ...]") -> int:
     mask = 0
     for bit in range(len(pins)):

@@ -110,9 +110,6 @@ class Realtime:
             self._state.post(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
             self._state.post(st.OVERRIDE)
 
-    # Interrupts come through these. As native code they need half the stack.
-
-    @micropython.native
     def reset(self) -> None:
         """Soft reset: tool off and motors stopped at once, the rest in the next run().
 
@@ -122,47 +119,52 @@ class Realtime:
             self._port.kill()
         finally:
             self._engine.stop()
+        self._note_reset(0)
+
+    # Interrupts of pins come through these: as native code, and without reset() in between, they
+    # need half the stack. Where one of them raises, the port's callback sees to the rest.
+
+    @micropython.native
+    def _note_reset(self, alarm: int) -> None:
+        """All has been stopped: what for, where that is an alarm, and that a reset is due."""
         state = self._state
-        if state.pending[st.RESET]:
-            return
-        moving = state.run & (st.RUN | st.HOMING | st.JOG) or state.holding or state.system_motion
-        if moving and state.alarm == 0:
-            state.alarm = errors.ALARM_ABORT_CYCLE
-            if state.run == st.HOMING:
-                state.alarm = errors.ALARM_HOMING_FAIL_RESET
-        state.post(st.RESET)
+        if not state.pending[st.RESET]:
+            moving = state.run & (st.RUN | st.HOMING | st.JOG)
+            if (moving or state.holding or state.system_motion) and state.alarm == 0:
+                state.alarm = errors.ALARM_ABORT_CYCLE
+                if state.run == st.HOMING:
+                    state.alarm = errors.ALARM_HOMING_FAIL_RESET
+            state.pending[st.RESET] = state.pending[st.ANY] = 1
+        if alarm:
+            state.alarm = alarm
 
     @micropython.native
     def on_limits(self) -> None:
         """A limit switch has changed. Interrupt."""
         state = self._state
-        if (
-            self._settings.hard_limits
-            and not state.run & (st.ALARM | st.HOMING)
-            and state.alarm == 0
-        ):
-            # As in reset(), which would take more of the stack. Where this raises, the port's
-            # callback comes there.
+        heard = self._settings.hard_limits and not state.run & (st.ALARM | st.HOMING)
+        if heard and state.alarm == 0:
             self._port.kill()
             self._engine.stop()
-            state.alarm = errors.ALARM_HARD_LIMIT
-            state.pending[st.RESET] = state.pending[st.ANY] = 1
+            self._note_reset(errors.ALARM_HARD_LIMIT)
 
     @micropython.native
     def on_controls(self, active: int) -> None:
         """A control input has changed, or the emergency stop. active: mask. Interrupt."""
-        if active & EMERGENCY_STOP:
-            self._emergency()
-        if active & RESET:
-            self.reset()
+        state = self._state
+        if active & (EMERGENCY_STOP | RESET):
+            self._port.kill()
+            self._engine.stop()
+            stopped = active & EMERGENCY_STOP and state.run != st.ALARM
+            if active & RESET or stopped:
+                self._note_reset(errors.ALARM_EMERGENCY_STOP if stopped else 0)
         if active & HOLD:
-            self._state.post(st.FEED_HOLD)
+            state.post(st.FEED_HOLD)
         if active & START:
-            self._state.post(st.CYCLE_START)
+            state.post(st.CYCLE_START)
         if active & DOOR:
-            self._state.post(st.SAFETY_DOOR)
+            state.post(st.SAFETY_DOOR)
 
-    @micropython.native
     def _emergency(self) -> None:
         """The emergency stop is pressed. Where the machine is in alarm it is stopped already."""
         state = self._state
