@@ -97,6 +97,7 @@ class Realtime:
         self._suspension = suspension
 
     # What asks, from anywhere
+
     def post(self, byte: int) -> None:
         """A real-time byte has been received. Unknown ones vanish."""
         if byte == _SOFT_RESET:
@@ -152,12 +153,11 @@ class Realtime:
     def on_controls(self, active: int) -> None:
         """A control input has changed, or the emergency stop. active: mask. Interrupt."""
         state = self._state
-        if active & (EMERGENCY_STOP | RESET):
+        emergency = active & EMERGENCY_STOP and state.run != st.ALARM
+        if active & RESET or emergency:
             self._port.kill()
             self._engine.stop()
-            stopped = active & EMERGENCY_STOP and state.run != st.ALARM
-            if active & RESET or stopped:
-                self._note_reset(errors.ALARM_EMERGENCY_STOP if stopped else 0)
+            self._note_reset(errors.ALARM_EMERGENCY_STOP if emergency else 0)
         if active & HOLD:
             state.post(st.FEED_HOLD)
         if active & START:

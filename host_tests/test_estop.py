@@ -96,6 +96,23 @@ def test_motion_and_tool_stop_at_once_and_nothing_unlocks() -> None:
     machine.play(script)
 
 
+def test_pressed_in_an_alarm_and_released_it_is_unlocked_as_usual() -> None:
+    """It stands still already: no reset is due that would bring motors and tool back."""
+    machine = Machine(s22=1)
+
+    def script() -> Iterator[Any]:
+        yield lambda: b"unlock]\r\n" in machine.link.received
+        machine.port.push(PRESSED)
+        yield machine.ms(50)
+        machine.port.push(RELEASED)
+        yield from machine.ask("$X\n", "ok\r\n")
+        yield from machine.ask("M3 S1000 G1 X1 F500\n", "ok\r\n")
+        yield machine.ms(50)
+        assert machine.moving() and not machine.off()
+
+    machine.play(script)
+
+
 def test_a_machine_that_starts_with_it_pressed_is_locked() -> None:
     machine = Machine()
     machine.port.push(PRESSED)
