@@ -9,7 +9,7 @@ from emulated import Board
 pytestmark = pytest.mark.xdist_group("pico talk")
 
 _BOOT_US = 1_000_000  # with settings kept; the first start writes them
-_HEAP = 100_000
+_HEAP = 95_000
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ machine = power_up.live(power_up.build())
 """
 
 
-def test_a_hundred_kilobytes_of_heap_are_free(machine: Board) -> None:
+def test_ninety_five_kilobytes_of_heap_are_free(machine: Board) -> None:
     free = int(machine.ask("$M").partition("free ")[2].partition(".")[0])
     assert free >= _HEAP
 
