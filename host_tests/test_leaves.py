@@ -3,8 +3,10 @@
 import ast
 import builtins
 import importlib
+import os
 import random
 import re
+import subprocess
 import sys
 from array import array
 from collections.abc import Iterator, Mapping
@@ -422,3 +424,28 @@ def test_the_engines_interrupt_does_the_same(
     assert results[0] == results[1]
     states = [state for state in results[0] if isinstance(state, tuple)]
     assert any(state[0][0][0] for state in states) and any(state[1] for state in states)
+
+
+_DIGEST = """
+import hashlib
+from ugrbl import build
+from ugrbl.compiling import prepared
+
+texts = prepared({build._module(source): build._text(source) for source in build.sources()})
+print(hashlib.sha256(repr(sorted(texts.items())).encode()).hexdigest())
+"""
+
+
+def test_the_same_sources_make_the_same_firmware() -> None:
+    """A set has another order in every process; what is on a board is compared by checksums."""
+    made = {
+        subprocess.run(
+            [sys.executable, "-c", _DIGEST],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in "1234"
+    }
+    assert len(made) == 1

@@ -318,7 +318,7 @@ class _Caller:
         """What a leaf's global names are called here. add: import what is not."""
         names: dict[str, ast.expr] = {}
         known = {meant: name for name, meant in self._module.imported.items()}
-        for name in forms.free_names(leaf):
+        for name in sorted(forms.free_names(leaf)):
             meant = self._program.modules[key[0]].means(name)
             here = known.get(meant, "") if meant else ""
             if key[0] == self._module.name:
