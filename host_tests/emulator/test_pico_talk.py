@@ -8,7 +8,7 @@ from emulated import Board
 
 pytestmark = pytest.mark.xdist_group("pico talk")
 
-_BOOT_US = 1_000_000  # with settings kept; the first start writes them
+_BOOT_US = 1_200_000  # with settings kept; the first start writes them
 _HEAP = 95_000
 
 
