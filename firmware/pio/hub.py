@@ -348,7 +348,7 @@ def _address(memory: ptr8) -> int:
     return int(memory)  # type: ignore[call-overload, no-any-return]
 
 
-def _make_array(length: int) -> "array[int]":
+def _array(length: int) -> "array[int]":
     return array("i", (0 for _ in range(length)))
 
 
@@ -357,12 +357,12 @@ class Memory:
 
     def __init__(self, axes: int, rp2350: bool) -> None:
         length = row_length(axes)
-        self.hub = hub = _make_array(_LENGTH)
-        self.lanes = _make_array(_LANE * axes)
-        self.timing = _make_array(pulses.TIMING_LENGTH)
-        self.rows = [_make_array(length + _ROW_EXTRA + axes) for _ in range(_ROWS)]
-        self._clocked = _make_array(_CLOCK_FIFO)
-        self._whole = _make_array(length)
+        self.hub = hub = _array(_LENGTH)
+        self.lanes = _array(_LANE * axes)
+        self.timing = _array(pulses.TIMING_LENGTH)
+        self.rows = [_array(length + _ROW_EXTRA + axes) for _ in range(_ROWS)]
+        self._clocked = _array(_CLOCK_FIFO)
+        self._whole = _array(length)
         # The rings lie at multiples of their size: DMA wraps around within address bits.
         ring = 4 << pulses.RING_LOG2
         self._rings = bytearray(ring * (axes + 1))
