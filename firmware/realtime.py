@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from coolant import Coolant
-    from inputs import Inputs
     from interfaces import Port, StepEngine
     from overrides import Overrides
     from planner import Planner
@@ -50,7 +49,7 @@ _PATIENCE = const(3)  # times that motion may be set going in vain
 
 
 class Realtime:
-    """The state machine. motors: called with True or False to power them."""
+    """The state machine."""
 
     def __init__(
         self,
@@ -61,7 +60,6 @@ class Realtime:
         segments: "Segments",
         spindle: "Spindle",
         coolant: "Coolant",
-        inputs: "Inputs",
         report: "Report",
         overrides: "Overrides",
     ) -> None:
@@ -72,7 +70,6 @@ class Realtime:
         self._segments = segments
         self._spindle = spindle
         self._coolant = coolant
-        self._inputs = inputs
         self._report = report
         self._overrides = overrides
         self._moving = False  # the engine was started and has not been seen idle since

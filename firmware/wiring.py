@@ -240,7 +240,6 @@ def _make_states(machine: Controller, options: Options) -> None:
         machine.segments,
         machine.spindle,
         machine.coolant,
-        machine.inputs,
         machine.report,
         overrides,
     )
