@@ -97,19 +97,18 @@ class Commands:
 
     # Dispatch
 
-    def execute(self, line: bytearray, length: int) -> None:
+    def whose(self, line: bytearray) -> "Callable[[bytearray, int], None]":
+        """Who executes a line beginning with $."""
+        jogs = line[1] == 74 and 74 not in self._report.NO_COMMANDS  # J
+        return self._jog if jogs else self._execute
+
+    def _execute(self, line: bytearray, length: int) -> None:
         """Do what a line beginning with $ asks. Raises GrblError where it is refused."""
         key = line[1]
         if key in self._report.NO_COMMANDS:
             key = 48  # no letter: taken for the number of a setting
         if key == 0:
             self._report.help()
-        elif key == 74:  # J
-            if self._state.run not in (st.IDLE, st.JOG):
-                raise GrblError(errors.IDLE_ERROR)
-            if line[2] != 61:
-                raise GrblError(errors.INVALID_STATEMENT)
-            self._gcode.jog(line, length)
         elif key in _PLAIN:
             if length != 2:
                 raise GrblError(errors.INVALID_STATEMENT)
@@ -120,6 +119,15 @@ class Commands:
             _AT_REST[key](self, line, length)
         else:
             self._set(line, 1)
+
+    def _jog(self, line: bytearray, length: int) -> None:
+        """Do what a line beginning with $J asks, with as few calls as can be: its way is the
+        longest. Raises GrblError where it is refused."""
+        if self._state.run not in (st.IDLE, st.JOG):
+            raise GrblError(errors.IDLE_ERROR)
+        if line[2] != 61:
+            raise GrblError(errors.INVALID_STATEMENT)
+        self._gcode.jog(line, length)
 
     # Commands of one letter
 
@@ -210,16 +218,14 @@ class Commands:
         what = line[5] if length == 6 else 0
         if bytes(line[2:5]) != b"ST=" or what not in b"$#*":
             raise GrblError(errors.INVALID_STATEMENT)
-        try:
-            if what != 35:  # $ or *
-                self._settings.restore()
-            if what != 36:  # # or *
-                self._coords.restore()
-            if what == 42:  # *
-                self.forget()
-            self._report.message(errors.MSG_RESTORE_DEFAULTS)
-        finally:
-            self._realtime.reset()  # also where not all of it could be kept
+        if what != 35:  # $ or *
+            self._settings.restore()
+        if what != 36:  # # or *
+            self._coords.restore()
+        if what == 42:  # *
+            self.forget()
+        self._report.message(errors.MSG_RESTORE_DEFAULTS)
+        self._realtime.reset()
 
     def forget(self) -> None:
         """Startup lines and build info away."""

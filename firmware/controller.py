@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from protocol import Protocol
     from realtime import Realtime
     from report import Report
+    from saves import Saves
     from segments import Segments
     from settings import Settings
     from spindle import Spindle
@@ -41,6 +42,7 @@ class Controller:
     port: "Port"
     engine: "StepEngine"
     state: "State"
+    saves: "Saves"
     settings: "Settings"
     coords: "Coords"
     planner: "Planner"
@@ -118,7 +120,9 @@ class Controller:
     def _loads(self, load: "Callable[[], bool | None]") -> "bool | None":
         """Read something that is kept. What cannot be kept is as it has to be, until power off."""
         try:
-            return load()
+            whole = load()
+            self.saves.finish()
+            return whole
         except OSError:
             self.report.message(errors.MSG_NOT_KEPT)
             return False

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from motion import Motion
     from realtime import Realtime
     from report import Report
+    from saves import Saves
     from state import State
 
 _LOCKED = const(0x21)  # ALARM | JOG
@@ -32,12 +33,19 @@ class Protocol:
     """The loop and its buffer."""
 
     def __init__(
-        self, link: "Link", state: "State", reader: "LineReader", report: "Report", echoes: bool
+        self,
+        link: "Link",
+        state: "State",
+        reader: "LineReader",
+        report: "Report",
+        saves: "Saves",
+        echoes: bool,
     ) -> None:
         self._link = link
         self._state = state
         self._reader = reader
         self._report = report
+        self._saves = saves
         self._echoes = echoes
         self._buffer = bytearray(64)
         self._read_into = link.read_into
@@ -82,6 +90,7 @@ class Protocol:
         write, ok = self._link.write, OK  # what report.ok() does
         pump = self.pump
         echoes = self._echoes
+        finish = self._saves.finish
         every_other = False
         while True:
             try:
@@ -107,6 +116,7 @@ class Protocol:
                     else:
                         try:  # as in execute()
                             self._whose(line, length)(line, length)
+                            finish()
                         except (GrblError, OSError, Abort) as reason:
                             self._refuse(reason, b"")
                         else:
@@ -118,6 +128,7 @@ class Protocol:
         """Execute one line and answer it. before: what the answer begins with."""
         try:
             self._whose(line, length)(line, length)
+            self._saves.finish()
         except (GrblError, OSError, Abort) as reason:
             self._refuse(reason, before)
         else:
@@ -131,7 +142,7 @@ class Protocol:
         if length == 0:
             return _pass_over
         if line[0] == 36:  # $
-            return self._commands.execute
+            return self._commands.whose(line)
         if self._state.run & _LOCKED:
             raise GrblError(errors.SYSTEM_GC_LOCK)
         return self._gcode.execute

@@ -204,7 +204,7 @@ class Settings:
     def restore(self) -> None:
         """Back to defaults ($RST=$)."""
         self._set_defaults()
-        self._announce(ALL)  # what cannot be kept holds all the same, until power off
+        self._announce(ALL)
         self.save()
 
     def set(self, number: int, amount: float) -> None:

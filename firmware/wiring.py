@@ -20,6 +20,7 @@ from planner import Planner
 from protocol import Protocol
 from realtime import Realtime
 from report import Report
+from saves import Saves
 from segments import Segments
 from settings import Settings
 from spindle import Spindle
@@ -142,23 +143,24 @@ def build(
     machine = Controller(options.axes)
     machine.port = port
     machine.engine = engine
-    _make_basics(machine, options, store)
+    machine.saves = Saves(store)
+    _make_basics(machine, options)
     _make_reports(machine, options, link)
     _make_language(machine, options)
     _make_states(machine, options)
-    _make_commands(machine, options, store)
+    _make_commands(machine, options)
     _make_protocol(machine, options, link)
     _connect(machine)
     return machine
 
 
-def _make_basics(machine: Controller, options: Options, store: "Store") -> None:
+def _make_basics(machine: Controller, options: Options) -> None:
     """What the machine is, what it has planned, what it switches."""
     axes, port, state = options.axes, machine.port, State()
     machine.state = state
-    machine.settings = Settings(store, axes, options.defaults, *options.parts[3])
+    machine.settings = Settings(machine.saves, axes, options.defaults, *options.parts[3])
     machine.settings.max_step_hz = options.max_step_hz
-    machine.coords = Coords(store, axes, TOOL_LENGTH)
+    machine.coords = Coords(machine.saves, axes, TOOL_LENGTH)
     machine.planner = Planner(axes, options.blocks, options.corexy, state)
     machine.segments = Segments(machine.planner)
     machine.spindle = options.parts[0](port, state, options.enable_pin)
@@ -257,12 +259,12 @@ def _make_states(machine: Controller, options: Options) -> None:
     )
 
 
-def _make_commands(machine: Controller, options: Options, store: "Store") -> None:
+def _make_commands(machine: Controller, options: Options) -> None:
     machine.commands = Commands(
         machine.state,
         machine.settings,
         machine.coords,
-        store,
+        machine.saves,
         machine.report,
         machine.gcode,
         machine.cycles,
@@ -280,7 +282,9 @@ def _make_protocol(machine: Controller, options: Options, link: "Link") -> None:
         machine.realtime.post,
         options.reports.READS,
     )
-    machine.protocol = Protocol(link, machine.state, machine.reader, machine.report, options.echo)
+    machine.protocol = Protocol(
+        link, machine.state, machine.reader, machine.report, machine.saves, options.echo
+    )
 
 
 def _connect(machine: Controller) -> None:

@@ -12,7 +12,7 @@ FIRMWARE = Path(__file__).parent.parent / "firmware"
 LAYERS = (
     {"errors", "axes", "f32", "reals", "needs"},
     {"words", "lines", "arcs", "digits", "kernels"},
-    {"state", "settings", "coords", "singles"},
+    {"state", "settings", "coords", "singles", "saves"},
     {"block", "planner", "segments", "spindle", "coolant", "inputs"},
     {"checks", "motion", "report"},
     {"plain", "cycles", "report_09", "overrides"},

@@ -1,0 +1,42 @@
+"""Saves: what is to be kept waits here until the loop has it written, before the line is answered.
+
+Whoever changes what is kept is deep in calls, and so is a file system: one on top of the other
+they need more stack than there is beside the interrupts.
+"""
+
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from interfaces import Store
+
+
+class Saves:
+    """A Store in front of another one, which save() leaves as it is until finish()."""
+
+    def __init__(self, store: "Store") -> None:
+        self._store = store
+        self._due: "dict[str, list[str]]" = {}
+
+    def load(self, name: str) -> "list[str] | None":
+        """The lines kept under that name; None where nothing valid is."""
+        return self._store.load(name)
+
+    def save(self, name: str, lines: "Iterable[str]") -> None:
+        """Replace them with the next finish()."""
+        self._due[name] = list(lines)
+
+    def finish(self) -> None:
+        """Write what is due; at rest only. Raises OSError where something could not be kept: it
+        holds until the power goes."""
+        failed: "OSError | None" = None
+        while self._due:
+            name, lines = self._due.popitem()
+            try:
+                self._store.save(name, lines)
+            except OSError as reason:
+                failed = reason
+        if failed:
+            raise failed
