@@ -46,6 +46,7 @@ _FOR_EVER = const(255)
 _MOTION = const(0x38)  # RUN | HOLD | JOG
 _HOLDS = const(0xD0)  # HOLD | DOOR | SLEEP
 _PATIENCE = const(3)  # times that motion may be set going in vain
+_ALARM_MS = const(500)  # nothing is answered for so long behind an alarm
 
 
 class Realtime:
@@ -233,6 +234,9 @@ class Realtime:
             if self._moving:
                 self.release()
         self._report.alarm(code)
+        since = self._port.ticks_ms()
+        while self._port.elapsed_ms(since) < _ALARM_MS:
+            self._stand()
         if code == errors.ALARM_INTERNAL:
             self._report.message(self._port.fault)
         if code in (errors.ALARM_HARD_LIMIT, errors.ALARM_SOFT_LIMIT):
@@ -240,10 +244,14 @@ class Realtime:
             self._report.message(errors.MSG_CRITICAL_EVENT)
             state.pending[st.RESET] = 0
             while not state.pending[st.RESET]:
-                self._pump()
-                if self.settling:
-                    self._settle()
+                self._stand()
         state.alarm = 0
+
+    def _stand(self) -> None:
+        """One turn of whoever waits in an alarm: nothing is answered."""
+        self._pump()
+        if self.settling:
+            self._settle()
 
     def _holds(self) -> bool:
         """Feed hold, door, sleep, motion cancel. Returns whether cycle start is to be ignored."""
