@@ -29,19 +29,8 @@ if TYPE_CHECKING:
     from suspension import Suspension
 
 _SOFT_RESET = const(0x18)
-# The other real-time bytes below 0x90, and what they ask for.
-_EVENTS = {
-    0x3F: st.STATUS_REPORT,  # ?
-    0x7E: st.CYCLE_START,  # ~
-    0x21: st.FEED_HOLD,  # !
-    0x40: st.SAFETY_DOOR,  # @, which only Grbl 0.9 takes off a line
-    0x84: st.SAFETY_DOOR,
-    0x85: st.CANCEL_MOTION,  # jog cancel: only while jogging
-}
 _JOG_CANCEL = const(0x85)
-
 _FOR_EVER = const(255)
-
 # States in which the engine may be running on its own.
 _MOTION = const(0x38)  # RUN | HOLD | JOG
 _HOLDS = const(0xD0)  # HOLD | DOOR | SLEEP
@@ -103,8 +92,8 @@ class Realtime:
         elif byte == _JOG_CANCEL:
             if self._state.run & st.JOG:
                 self._state.post(st.CANCEL_MOTION)
-        elif byte in _EVENTS:
-            self._state.post(_EVENTS[byte])
+        elif byte in st.EVENTS:
+            self._state.post(st.EVENTS[byte])
         elif st.FIRST_OVERRIDE_BYTE <= byte <= st.LAST_OVERRIDE_BYTE:
             self._state.post(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
             self._state.post(st.OVERRIDE)

@@ -50,6 +50,15 @@ ANY = const(27)  # something has been posted since posted() was asked last
 
 FIRST_OVERRIDE_BYTE = const(0x90)
 LAST_OVERRIDE_BYTE = const(0xA1)
+# The other real-time bytes, and what they ask for; a soft reset, 0x18, is none of these.
+EVENTS = {
+    0x3F: STATUS_REPORT,  # ?
+    0x7E: CYCLE_START,  # ~
+    0x21: FEED_HOLD,  # !
+    0x40: SAFETY_DOOR,  # @, which only Grbl 0.9 takes off a line
+    0x84: SAFETY_DOOR,
+    0x85: CANCEL_MOTION,  # jog cancel: only while jogging
+}
 
 
 class State:

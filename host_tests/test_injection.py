@@ -198,7 +198,7 @@ class Trial:
         """Not one step more, all outputs off; and the reset that follows makes it work again."""
         machine = self.machine
         rig, port = machine.rig, machine.rig.port
-        yield rig.ms(200)
+        yield rig.ms(600)  # an alarm is deaf for 500
         where = f"{self._scenario.name}, {self._act}, bytecode {self._injector.count}"
         assert machine.physical() == self.place, f"it moved on: {where}"
         assert not self._outputs, f"outputs are on: {where}"

@@ -245,7 +245,7 @@ def test_a_punch_that_falls_stops_the_machine() -> None:
         assert bench.rig.moving()
         bench.port.fall()
         assert not bench.rig.moving()
-        came = yield from bench.passes(500)
+        came = yield from bench.passes(1000)
         assert came == ["ALARM:33", _NOT_UP[1], *_BANNER, _LOCKED]
         assert bench.port.place() == UP
 
@@ -346,7 +346,7 @@ def test_a_hard_limit_brings_it_up() -> None:
     def script(bench: Bench) -> Iterator[Any]:
         yield from in_stroke(bench)
         bench.rig.port.push({"limit_x": True})
-        came = yield from bench.passes(500)
+        came = yield from bench.passes(1000)
         assert came == ["ALARM:1", "[MSG:Reset to continue]"]
         assert bench.port.place() == UP
 

@@ -510,6 +510,8 @@ def _talk(promise: Promise, rig: Rig) -> "Iterator[Any]":
     sender.take()
     for text, reply in promise.talk:
         yield from _say(rig, sender, text)
+        if reply and "[MSG:Reset to continue]" in reply:
+            yield from sender.wait("ms 600", "")  # half a second behind the alarm
         got = sender.take()
         if reply is not None:
             assert len(got) == len(reply), f"{text!r}: {got}"

@@ -107,6 +107,7 @@ class Bench:
 
     def recover(self) -> "Iterator[Any]":
         """After an alarm."""
+        yield self.rig.ms(600)  # an alarm is deaf for 500
         yield from self.say("\x18", "banner")
         yield from self.unlock()
 
@@ -156,6 +157,15 @@ def _handed(which: int) -> Look:
         return bench.handed[which]
 
     return look
+
+
+def _ways(bench: Bench) -> Iterator[Any]:
+    """Where the motors go."""
+    before = bench.place()
+    yield from bench.move("G91G0X0.1Y0.1Z0.1")
+    moved = [now - then for now, then in zip(bench.place(), before, strict=True)]
+    yield from bench.move("G91G0X-0.1Y-0.1Z-0.1")
+    return moved
 
 
 def _released_ms(bench: Bench) -> Iterator[Any]:
@@ -348,7 +358,7 @@ _EFFECTS: "list[Row]" = [
     (0, 7, {}, _handed(0), 10, 7),
     (1, 100, {}, _released_ms, 25, 100),
     (2, 3, {}, _handed(1), 0, 3),
-    (3, 5, {}, _handed(2), 0, 5),
+    (3, 5, {}, _ways, [25, 25, 25], [-25, 25, -25]),
     (4, 1, {}, _level_in_motion, 0, 1),
     (5, 1, {}, _pins, "", "XYZ"),
     (6, 1, {}, _probing, ("", 50), ("ALARM:4", 0)),

@@ -18,6 +18,7 @@ _SEEDS = int(os.environ.get("UGRBL_TORTURE") or 4)
 _ROUNDS = 12
 _WINDOW = 127
 _PATIENCE_MS = 120_000
+_DEAF_MS = 600  # an alarm is followed by half a second in which nothing is heard
 _FAST = {110: 6000, 111: 6000, 112: 3000, 120: 800, 121: 800, 122: 400}
 _STEPS_PER_MM = 250
 _HARMLESS = "?!~\x84\x85\x90\x91\x92\x93\x94\x95\x96\x97\x99\x9a\x9b\x9e\xa0\x81\xff"
@@ -44,6 +45,7 @@ class Torture:
         self._log: deque[str] = deque(maxlen=40)
         self._answers = 0
         self._offset: "list[int] | None" = None  # of what is reported against the motors
+        self._turned = 0  # $3 at that time
 
     def run(self) -> None:
         self.machine.run(self._script())
@@ -136,7 +138,7 @@ class Torture:
 
     def _recover(self) -> Iterator[Any]:
         """Ctrl-X and $X bring it back."""
-        yield self._rig.ms(30)
+        yield self._rig.ms(_DEAF_MS)
         self._hear()
         self._rig.link.send(b"\x18")
         yield from self._until("Grbl 1.1h")
@@ -166,10 +168,13 @@ class Torture:
         self._rig.link.send(b"?")
         yield from self._until("<")
         reported = [round(mm * _STEPS_PER_MM) for mm in self.machine.reported()]
-        offset = [a - b for a, b in zip(reported, self.machine.physical(), strict=True)]
-        if self._offset is not None:
+        turned = controller.settings.dir_invert
+        ways = [-1 if turned >> axis & 1 else 1 for axis in range(len(reported))]
+        made = [way * steps for way, steps in zip(ways, self.machine.physical(), strict=True)]
+        offset = [a - b for a, b in zip(reported, made, strict=True)]
+        if self._offset is not None and turned == self._turned:
             assert offset == self._offset, self._tell("it is not where it says")
-        self._offset = offset
+        self._offset, self._turned = offset, turned
         assert controller.state.run == st.IDLE, self._tell("it is not idle")
 
     def _go_on(self) -> None:

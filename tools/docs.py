@@ -218,9 +218,10 @@ def _realtime() -> str:
     paths.use_firmware()
     import overrides
     import realtime
+    import state
 
     rows = [(f"{_byte(realtime._SOFT_RESET)} Ctrl-X", _RESET)]
-    rows += [(_byte(number), _EVENTS[number]) for number in (*realtime._EVENTS,)]
+    rows += [(_byte(number), _EVENTS[number]) for number in (*state.EVENTS,)]
     names = {
         overrides._FEED: "Feed rate",
         overrides._RAPID: "Rapids",

@@ -113,7 +113,7 @@ class Trial:
         assert not self._pico.mcu.gpio[SPINDLE_PWM].output_value, "the spindle's output is on"
         was_moving = any(edge.pin in STEP and edge.ns / 1000 < self._injected_us for edge in edges)
         if self.act == "limit" or was_moving:
-            self._machine.wait_for("ALARM:1" if self.act == "limit" else "ALARM:3")
+            self._machine.wait_for("Reset to continue" if self.act == "limit" else "ALARM:3")
         if self.act != "limit":
             self._machine.wait_for("Grbl 1.1h")
 

@@ -100,7 +100,7 @@ def test_a_limit_switch_stops_all_axes_soon(machine: Board) -> None:
     machine.forget()
     now = machine.pico.us
     machine.pico.drive(LIMIT[1], 0)
-    machine.wait_for("ALARM:1")
+    machine.wait_for("Reset to continue")
     assert machine.pico.edges[-1].ns / 1000 - now <= 300
     machine.pico.drive(LIMIT[1], 1)
     machine.forget()

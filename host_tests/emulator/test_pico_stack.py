@@ -286,7 +286,7 @@ SCENARIOS: "dict[str, Callable[[Board], None]]" = {
     "jogs": jogs,
     "feed hold": feed_hold,
     "probe": probe,
-    "limit in arcs": stops(LIMIT[0], "ALARM:1"),
+    "limit in arcs": stops(LIMIT[0], "Reset to continue"),
     "reset button in arcs": stops(RESET, "ALARM:3"),
     "hold button in arcs": hold_button,
     "door": door,
@@ -329,7 +329,7 @@ def test_they_would_be_left_were_the_deepest_of_all_nested(machine: Board, stack
         in_arcs(machine, 3.1, HOLD, "<Hold")
         machine.send("~")
         machine.pico.run_us(5_000)
-        for pin, answer in ((LIMIT[0], "ALARM:1"), (RESET, "ALARM:3")):
+        for pin, answer in ((LIMIT[0], "Reset to continue"), (RESET, "ALARM:3")):
             unlock(machine)
             in_arcs(machine, 3.1, pin, answer)
     unlock(machine)

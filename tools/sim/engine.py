@@ -133,7 +133,10 @@ class SimEngine:
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
         self.pulse_us = pulse_us
+        place = self._physical[:]
+        self.position(place)
         self.dir_invert = dir_invert
+        self.set_position(place)
 
     def arm(self) -> None:
         self._stopped = False
@@ -173,16 +176,20 @@ class SimEngine:
     def position(self, steps: "array[int]") -> None:
         self.physical(steps)
         for i in range(self._axes):
-            steps[i] += self._offset[i]
+            steps[i] = self._asked(i, steps[i]) + self._offset[i]
 
     def set_position(self, steps: "array[int]") -> None:
         for i in range(self._axes):
-            self._offset[i] = steps[i] - self._physical[i]
+            self._offset[i] = steps[i] - self._asked(i, self._physical[i])
+
+    def _asked(self, axis: int, steps: int) -> int:
+        """Steps of a motor as the firmware counts them: $3 turns the pin round, not the count."""
+        return -steps if self.dir_invert >> axis & 1 else steps
 
     # The simulator's side
 
     def physical(self, steps: "array[int]") -> None:
-        """Steps since power was first applied, whatever the firmware calls the place."""
+        """Steps the pins have made since power was first applied, whatever the firmware says."""
         for i in range(self._axes):
             steps[i] = self._physical[i]
         if self._running:
@@ -194,7 +201,7 @@ class SimEngine:
     def power_off(self) -> None:
         """Motion ends; the motors stay, and the count they are known by is 0 again."""
         self.stop()
-        self._offset = array("i", [-steps for steps in self._physical])
+        self.set_position(array("i", [0] * self._axes))
 
     def next_event(self) -> int:
         """The tick up to which nothing changes by itself."""
@@ -245,6 +252,7 @@ class SimEngine:
             row = self._queue[(self._head + self._held) % size]
             if not self._next_segment(row):
                 break
+            row[ROW_DIRS] ^= self.dir_invert  # as the pins have it
             self._held += 1
 
     def _begin(self) -> None:
