@@ -107,15 +107,22 @@ class Cycles:
             state.alarm = errors.ALARM_PROBE_FAIL_CONTACT
         else:
             self._engine.position(self.probe_steps)
-        self._motion.service()
+        try:
+            self._motion.service()
+            self._realtime.release()
+            self._realtime.settle()
+        finally:  # a reset while the alarm was told comes behind the report
+            self._end_probe()
+        return not state.probe_succeeded
+
+    def _end_probe(self) -> None:
         self._planner.clear()
-        if state.probe_succeeded:
+        if self._state.probe_succeeded:
             self._resync()
         else:
             self._engine.position(self._steps)
             self._planner.sync_motors(self._steps)
         self._report_probe()
-        return not state.probe_succeeded
 
     def forget_probe(self) -> None:
         """As if nothing had been probed yet."""
@@ -205,6 +212,7 @@ class Cycles:
         planner.clear()
         planner.system_line(self._target, move, 0, self._steps)
         self._realtime.start(st.HOMING)
+        self._state.spindle_rpm = 0.0  # these moves have no power
         searching = axes
         while searching:
             if approach:

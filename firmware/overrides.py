@@ -64,12 +64,14 @@ class Overrides:
         """Do what has been asked by override bytes."""
         state = self._state
         new = [state.feed_override, state.rapid_override, state.spindle_override]
-        for byte, (which, change) in _OVERRIDES.items():
-            if state.take(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE):
+        for byte in range(st.FIRST_OVERRIDE_BYTE, _SPINDLE_STOP):  # in this order, as Grbl
+            times = self._asked(byte)
+            if times and byte in _OVERRIDES:
+                which, change = _OVERRIDES[byte]
                 if which == _RAPID or change == 0:
                     new[which] = change or 100
                 else:
-                    new[which] = min(max(new[which] + change, _LOWEST), _HIGHEST)
+                    new[which] = min(max(new[which] + times * change, _LOWEST), _HIGHEST)
         if new[0] != state.feed_override or new[1] != state.rapid_override:
             state.feed_override, state.rapid_override = new[0], new[1]
             state.override_countdown = 0
@@ -79,6 +81,10 @@ class Overrides:
             state.override_countdown = 0
             self._override_spindle()
         self._accessory_overrides()
+
+    def _asked(self, byte: int) -> int:
+        """How often that byte has come: each of a burst counts."""
+        return self._state.take(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
 
     def _override_spindle(self) -> None:
         """The spindle's override has changed: now, with the motion, or once it is held."""
@@ -92,11 +98,10 @@ class Overrides:
 
     def _accessory_overrides(self) -> None:
         state = self._state
-        if state.take(st.OVERRIDES + _SPINDLE_STOP - st.FIRST_OVERRIDE_BYTE):
+        if self._asked(_SPINDLE_STOP):
             self.stop_spindle()
-        flood = state.take(st.OVERRIDES + _FLOOD_TOGGLE - st.FIRST_OVERRIDE_BYTE)
-        mist = state.take(st.OVERRIDES + _MIST_TOGGLE - st.FIRST_OVERRIDE_BYTE)
-        toggled = (FLOOD if flood else 0) | (MIST if mist and self._has_mist else 0)
+        flood, mist = self._asked(_FLOOD_TOGGLE), self._asked(_MIST_TOGGLE)
+        toggled = (FLOOD if flood & 1 else 0) | (MIST if mist & 1 and self._has_mist else 0)
         if not toggled or state.run not in (st.IDLE, st.RUN, st.HOLD, st.JOG):
             return
         self._gcode.coolant ^= toggled

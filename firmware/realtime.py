@@ -95,7 +95,7 @@ class Realtime:
         elif byte in st.EVENTS:
             self._state.post(st.EVENTS[byte])
         elif st.FIRST_OVERRIDE_BYTE <= byte <= st.LAST_OVERRIDE_BYTE:
-            self._state.post(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
+            self._state.count(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
             self._state.post(st.OVERRIDE)
 
     def reset(self) -> None:
@@ -266,9 +266,9 @@ class Realtime:
             if state.run == st.ALARM:
                 state.suspend |= st.RETRACT_COMPLETE | st.HOLD_COMPLETE
             state.run = st.SLEEP
-        return cancel or hold or door
+        return bool(cancel or hold or door)
 
-    def _slow_down(self, sleep: bool) -> None:
+    def _slow_down(self, sleep: int) -> None:
         state = self._state
         if state.suspend & (st.MOTION_CANCEL | st.JOG_CANCEL):
             return

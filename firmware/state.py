@@ -75,6 +75,10 @@ class State:
         self.pending[event] = 1
         self.pending[ANY] = 1
 
+    def count(self, event: int) -> None:
+        """Ask for something once more than it has been asked for."""
+        self.pending[event] = min(self.pending[event] + 1, 255)
+
     def posted(self) -> bool:
         """Whether anything has been posted since this was asked last."""
         if self.pending[ANY]:
@@ -82,12 +86,12 @@ class State:
             return True
         return False
 
-    def take(self, event: int) -> bool:
-        """Whether that was posted; it is not any more."""
-        if self.pending[event]:
+    def take(self, event: int) -> int:
+        """How often that was asked for, once where it was posted; it is not any more."""
+        times = self.pending[event]
+        if times:
             self.pending[event] = 0
-            return True
-        return False
+        return times
 
     def clear(self) -> None:
         """Back to a fresh start, but for the run state and what is pending in alarm."""

@@ -159,6 +159,8 @@ class Suspension:
     def _restore_spindle(self) -> None:
         if self._spindle.laser:
             self._state.update_spindle = True  # comes back with the motion
+            if self._planner.row():
+                self._spindle.power(self._rpm)  # and is reported
         else:
             self._spindle.turn(self._flags & plan.SPINDLE_MASK, self._rpm)
 

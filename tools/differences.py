@@ -86,6 +86,11 @@ EXACT_STOP = (
     "Grbl's single-precision distance falls on either side of it: one step of difference.",
 )
 
+BROKEN_OFF = (
+    "broken off",
+    "Where an alarm ends motion at once, the machine rests where it happens to be: a few "
+    "milliseconds of way beside Grbl's, which ends a loop of its own first.",
+)
 IN_MOTION = (
     "in motion",
     "A report in the middle of a motion may name the step before or after: steps spread out "
@@ -96,6 +101,8 @@ NO_SPEED = (
     "M3 with S0 leaves the spindle's output off, as Grbl 1.1 does; Grbl 0.9 connects a PWM "
     "without power to the pin.",
 )
+
+MOTION = (IDLE_DELAY, EXACT_STOP, BROKEN_OFF, IN_MOTION, NO_SPEED)
 
 DIFFERENCES = (
     Difference(

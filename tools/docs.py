@@ -15,7 +15,7 @@ from typing import Annotated
 
 import typer
 
-from . import __version__, build, differences, messages, paths
+from . import __version__, build, differences, excuses, messages, paths
 
 README = paths.FIRMWARE.parent / "README.md"
 PACKAGE = README.with_name("package.json")
@@ -327,13 +327,10 @@ def _boards() -> str:
 def _differences() -> str:
     rows = [(row.name, "replies", row.reason) for row in differences.DIFFERENCES]
     rows += [(row.name, "one case", row.reason) for row in differences.QUIRKS]
-    motion = (
-        differences.IDLE_DELAY,
-        differences.EXACT_STOP,
-        differences.IN_MOTION,
-        differences.NO_SPEED,
-    )
-    rows += [(name, "motion", reason) for name, reason in motion]
+    rows += [(name, "motion", reason) for name, reason in differences.MOTION]
+    rows += [
+        (row.name, "whole cases", row.reason) for row in (*excuses.CASES, *excuses.MOTIONS[1:])
+    ]
     rows = [(name, where, _as_code(reason)) for name, where, reason in rows]
     return _table(("Name", "Where", "What and why"), rows)
 

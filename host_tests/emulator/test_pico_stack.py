@@ -152,7 +152,7 @@ def talk(machine: Board) -> None:
         machine.ask(line)
     machine.ask("$RST=#")
     machine.ask("$C")
-    machine.ask("G2X1Y0I0.5J0F500")
+    machine.ask("G91G2X1Y0I0.5J0F500")
     machine.forget()
     machine.send("$C\n")
     machine.wait_for("Grbl 1.1h")
