@@ -28,6 +28,8 @@ STARTUP_LINES = const(2)
 _HIGHEST_SETTING = const(255)
 _AXES = b"XYZ"
 _BUSY = const(0x18)  # RUN | HOLD
+_JOG = const(74)  # $J
+_AT_ANY_TIME = b"\0$GCX"
 
 
 class Commands:
@@ -57,6 +59,7 @@ class Commands:
         self._options = options
         self._single_axis_homing = single_axis_homing
         self._startup = [""] * STARTUP_LINES
+        self._letters = self._make_letters()
         # What $I+ says besides $I, where the chip can tell.
         self.health: "Callable[[], str] | None" = None
 
@@ -97,41 +100,48 @@ class Commands:
 
     # Dispatch
 
-    def whose(self, line: bytearray) -> "Callable[[bytearray, int], None]":
-        """Who executes a line beginning with $."""
-        jogs = line[1] == 74 and 74 not in self._report.NO_COMMANDS  # J
-        return self._jog if jogs else self._execute
+    def _make_letters(self) -> "dict[int, Callable[[bytearray, int], None]]":
+        return {
+            0: self._help,
+            36: self._show_settings,  # $$
+            71: self._show_modes,  # $G
+            67: self._check_mode,  # $C
+            88: self._unlock,  # $X
+            74: self._jog,
+            35: self._show_offsets,  # $#
+            72: self._home,  # $H
+            83: self._sleep,  # $SLP
+            73: self._build_info,  # $I
+            82: self._restore,  # $RST=
+            78: self._startup_lines,  # $N
+        }
 
-    def _execute(self, line: bytearray, length: int) -> None:
-        """Do what a line beginning with $ asks. Raises GrblError where it is refused."""
+    def whose(self, line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
+        """Who executes a line beginning with $: the loop calls it, for the stack is short. Raises
+        GrblError where it is refused."""
         key = line[1]
         if key in self._report.NO_COMMANDS:
             key = 48  # no letter: taken for the number of a setting
-        if key == 0:
-            self._report.help()
-        elif key in _PLAIN:
-            if length != 2:
+        if key in _AT_ANY_TIME:
+            if length > 2:
                 raise GrblError(errors.INVALID_STATEMENT)
-            _PLAIN[key](self)
-        elif self._state.run not in (st.IDLE, st.ALARM):
+        elif key != _JOG and self._state.run not in (st.IDLE, st.ALARM):
             raise GrblError(errors.IDLE_ERROR)
-        elif key in _AT_REST:
-            _AT_REST[key](self, line, length)
-        else:
-            self._set(line, 1)
+        return self._letters.get(key, self._set)
 
     def _jog(self, line: bytearray, length: int) -> None:
-        """Do what a line beginning with $J asks, with as few calls as can be: its way is the
-        longest. Raises GrblError where it is refused."""
         if self._state.run not in (st.IDLE, st.JOG):
             raise GrblError(errors.IDLE_ERROR)
         if line[2] != 61:
             raise GrblError(errors.INVALID_STATEMENT)
         self._gcode.jog(line, length)
 
-    # Commands of one letter
+    # Commands that are answered at any time
 
-    def _show_settings(self) -> None:
+    def _help(self, _line: bytearray, _length: int) -> None:
+        self._report.help()
+
+    def _show_settings(self, _line: bytearray, _length: int) -> None:
         if self._state.run & _BUSY:
             raise GrblError(errors.IDLE_ERROR)
         self.show_settings()
@@ -141,10 +151,10 @@ class Commands:
         for number, value, decimals in self._settings.each():
             self._report.setting(number, value, decimals)
 
-    def _show_modes(self) -> None:
+    def _show_modes(self, _line: bytearray, _length: int) -> None:
         self._report.modes(self._gcode.modes())
 
-    def _check_mode(self) -> None:
+    def _check_mode(self, _line: bytearray, _length: int) -> None:
         state = self._state
         if state.run == st.CHECK:
             self._realtime.reset()
@@ -156,7 +166,7 @@ class Commands:
             self._gcode.plain.forget()  # what was a motion is none now
             self._report.message(errors.MSG_ENABLED)
 
-    def _unlock(self) -> None:
+    def _unlock(self, _line: bytearray, _length: int) -> None:
         if self._state.run == st.ALARM:
             self._check_stop()
             if self._inputs.door_open():
@@ -253,8 +263,8 @@ class Commands:
             self._startup[index] = bytes(block[: length - at - 1]).decode()
             self._keep_startup()
 
-    def _set(self, line: bytearray, start: int) -> None:
-        at, number = bare(line, start)
+    def _set(self, line: bytearray, _length: int) -> None:
+        at, number = bare(line, 1)
         if at < 0:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
         if line[at] != 61:
@@ -266,20 +276,3 @@ class Commands:
             raise GrblError(errors.INVALID_STATEMENT)
         self._motion.synchronise()  # what is planned was planned with what holds now
         self._settings.set(int(number) & 255, value)
-
-
-_PLAIN = {
-    36: Commands._show_settings,  # $$
-    71: Commands._show_modes,  # $G
-    67: Commands._check_mode,  # $C
-    88: Commands._unlock,  # $X
-}
-
-_AT_REST = {
-    35: Commands._show_offsets,  # $#
-    72: Commands._home,  # $H
-    83: Commands._sleep,  # $SLP
-    73: Commands._build_info,  # $I
-    82: Commands._restore,  # $RST=
-    78: Commands._startup_lines,  # $N
-}

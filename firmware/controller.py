@@ -111,8 +111,7 @@ class Controller:
             self.commands.show_settings()
         self._loads(self.commands.load)
         self._loads(self.coords.load)
-        realtime = self.realtime
-        self.port.attach(realtime.on_limits, realtime.on_controls, realtime.on_fault)
+        self.port.attach(self.realtime)
         if self.settings.homing:
             self.state.run = st.ALARM
         self.realtime.power(True)

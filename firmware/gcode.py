@@ -172,7 +172,8 @@ class Gcode:
             self._motion.dwell(block.p)
         modal.plane = new.plane
         modal.inches = new.inches
-        self._set_offsets(block)
+        if self._set_offsets(block):
+            self._offsets_changed()
         modal.relative = new.relative
         if block.non_modal != b.NO_ACTION:
             self._non_modal(block, move)
@@ -201,7 +202,9 @@ class Gcode:
             self._motion.spin(self.modal.spindle, 0.0 if beam & _DARK else block.s)
         self.spindle_rpm = block.s
 
-    def _set_offsets(self, block: "Block") -> None:
+    def _set_offsets(self, block: "Block") -> bool:
+        """Returns whether work is somewhere else now."""
+        changed = False
         modal = self.modal
         coords = self.coords
         if block.claim == b.AXES_TOOL_LENGTH:
@@ -209,10 +212,11 @@ class Gcode:
             length = block.xyz[coords.length_axis] if modal.tool_length else 0.0
             if coords.tool_length != length:
                 coords.tool_length = length
-                self._offsets_changed()
+                changed = True
         if modal.system != block.modal.system:
             modal.system = coords.active = block.modal.system
-            self._offsets_changed()
+            changed = True
+        return changed
 
     def _offsets_changed(self) -> None:
         """The next status report shows WCO:. Reports of motion under way do not jump."""

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import ModuleType
 
+    from interfaces import InputListener
     from machine import Pin
 
 # 0 is the engine's.
@@ -40,16 +41,11 @@ class EspPort(PortPins):
         self._limits_looked = self._estop_looked = 0
         self._sensors_looked = -1  # nobody wants to hear of them
 
-    def attach(
-        self,
-        on_limits: "Callable[[], None]",
-        on_controls: "Callable[[int], None]",
-        on_fault: "Callable[[], None]",
-    ) -> None:
+    def attach(self, listener: "InputListener") -> None:
         """As on other chips; only what changes from now on counts."""
         self._limits_looked = self.limits()
         self._controls_seen = self.controls()
-        super().attach(on_limits, on_controls, on_fault)
+        super().attach(listener)
 
     def look(self) -> None:
         """Act on inputs that have changed as if their interrupts had come."""

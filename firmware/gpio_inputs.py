@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from types import ModuleType
 
+    from interfaces import InputListener
+
 _BOTH_EDGES = Pin.IRQ_RISING | Pin.IRQ_FALLING
 # For so long an input that has called is left in peace where the board file says nothing.
 _PEACE_MS = const(2)
@@ -84,17 +86,10 @@ class PortInputs:
 
     # Interrupts
 
-    def attach(
-        self,
-        on_limits: "Callable[[], None]",
-        on_controls: "Callable[[int], None]",
-        on_fault: "Callable[[], None]",
-    ) -> None:
+    def attach(self, listener: "InputListener") -> None:
         """Who is called, in an interrupt, when one of these inputs changes, the emergency stop
         being one of the controls, which are handed over; and where a callback has failed."""
-        self._on_limits = on_limits
-        self._on_controls = on_controls
-        self._on_fault = on_fault
+        self._listener = listener
         self._hear(self._limits, self._limit_changed)
         self._hear((self._probe,), self._probe_changed)
         self._hear(self._buttons, self._control_changed)
@@ -113,7 +108,7 @@ class PortInputs:
         self.fault = _FAILED
         try:
             self.kill()
-            self._on_fault()
+            self._listener.on_fault()
             self._start(self._limit_timer, 0, self._look_again)  # to be heard again
             self._await_quiet()
         except BaseException:
@@ -138,7 +133,7 @@ class PortInputs:
         try:
             pin.irq().trigger(0)
             if not self._limit_debounce_ms:
-                self._on_limits()
+                self._listener.on_limits()
                 self._limits_seen = self.limits()
             self._start(self._limit_timer, self._limit_debounce_ms, self._look_again)
         except BaseException:
@@ -153,7 +148,7 @@ class PortInputs:
             now = self.limits()
             if now != (self.limit_invert if self._limit_debounce_ms else self._limits_seen):
                 self._limits_seen = now
-                self._on_limits()
+                self._listener.on_limits()
         except BaseException:
             self._fail()
 
@@ -170,7 +165,7 @@ class PortInputs:
             if self._quiet and self._debounce_ms and pin is not self._estop:
                 return
             self._controls_seen = self.controls()
-            self._on_controls(self._active())
+            self._listener.on_controls(self._active())
             if not self._quiet:
                 self._quiet = True
                 self._start(self._control_timer, self._debounce_ms, self._settle)
@@ -189,7 +184,7 @@ class PortInputs:
             changed = self._controls_seen != self.controls()
             self._controls_seen = self.controls()
             if changed or (self._estop and self._estop.value()):
-                self._on_controls(self._active())
+                self._listener.on_controls(self._active())
             if changed:
                 self._await_quiet()
         except BaseException:

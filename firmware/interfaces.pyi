@@ -64,6 +64,19 @@ class StepEngine(Protocol):
     def set_position(self, steps: array[int]) -> None:
         """Name the present place. At rest only."""
 
+class InputListener(Protocol):
+    """Who hears of a port's inputs, in interrupt context. An object, and not three callables:
+    to call a method needs less stack than to call what has been taken from it."""
+
+    def on_limits(self) -> None:
+        """A limit switch has changed."""
+
+    def on_controls(self, active: int) -> None:
+        """A control input has changed, or the emergency stop, which is one of them. Mask."""
+
+    def on_fault(self) -> None:
+        """A callback has raised; kill() has been called."""
+
 class Port(Protocol):
     """Pins that are not steps, and the clock."""
 
@@ -72,14 +85,8 @@ class Port(Protocol):
     estop: Callable[[], bool] | None  # whether the emergency stop is pressed; None: not wired
     fault: str  # what is wrong with the inputs, in words; "" as long as nothing is
 
-    def attach(
-        self,
-        on_limits: Callable[[], None],
-        on_controls: Callable[[int], None],
-        on_fault: Callable[[], None],
-    ) -> None:
-        """Who is called, in interrupt context, when one of these inputs changes, the emergency
-        stop being one of the controls; and behind kill(), where a callback has raised."""
+    def attach(self, listener: InputListener) -> None:
+        """Who is called, in interrupt context, when an input changes."""
 
     def hear_limits(self, on: bool) -> None:
         """Call on_limits, or leave the limit inputs in peace ($21). An input that has called is

@@ -74,7 +74,9 @@ class Protocol:
 
     def service(self) -> None:
         """One turn of whoever waits. Raises Abort after a reset."""
-        self.pump()
+        count = self._read_into(self._buffer)  # as pump() does, without its frame
+        if count:
+            self._feed(self._buffer, count)
         self._realtime.events()
         if self._state.suspend:
             self._realtime.suspended()
@@ -142,7 +144,7 @@ class Protocol:
         if length == 0:
             return _pass_over
         if line[0] == 36:  # $
-            return self._commands.whose(line)
+            return self._commands.whose(line, length)
         if self._state.run & _LOCKED:
             raise GrblError(errors.SYSTEM_GC_LOCK)
         return self._gcode.execute

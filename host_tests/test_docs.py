@@ -56,12 +56,12 @@ def test_every_code_is_in_the_readme():
 
 
 def test_every_command_and_byte_is_in_the_readme():
-    import commands
     import overrides
     import realtime
     import state
 
-    letters = [chr(key) for key in (*commands._PLAIN, *commands._AT_REST)]
+    letters = [command[1] for command in docs._COMMAND.findall(docs._source("commands"))]
+    assert len(letters) == 10
     assert [letter for letter in letters if f"`${letter}" not in _README] == []
     numbers = [realtime._SOFT_RESET, *state.EVENTS, *overrides._OVERRIDES]
     assert [number for number in numbers if f"`0x{number:02X}`" not in _README] == []

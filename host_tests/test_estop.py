@@ -180,7 +180,7 @@ def test_it_is_heard_in_every_state(
         yield from prepare(machine)
         machine.link.received.clear()
         if not heard:
-            machine.port._on_controls = None
+            machine.port._listener = None
         machine.port.push(PRESSED)
         yield lambda: b"unlock]\r\n" in machine.link.received
         assert "ALARM:17\r\n" in machine.said()
@@ -225,7 +225,7 @@ def test_a_callback_that_fails_is_an_alarm_that_says_so() -> None:
         machine.link.received.clear()
         machine.port.fault = "A pin's callback has failed"
         machine.port.kill()
-        machine.port._on_fault()
+        machine.port._listener.on_fault()
         assert machine.off() and not machine.moving()
         yield lambda: b"unlock]\r\n" in machine.link.received
         assert "ALARM:16\r\n[MSG:A pin's callback has failed]" in machine.said()

@@ -67,7 +67,7 @@ class Heard:
 
 def made(**changes: Any) -> "tuple[GpioPort, Heard]":
     port, heard = GpioPort(board(**changes)), Heard()
-    port.attach(heard.on_limits, heard.on_controls, heard.on_fault)
+    port.attach(heard)
     port.hear_limits(True)
     return port, heard
 

@@ -1,7 +1,7 @@
 """Pins of the ESP32 on stand-ins."""
 
 from collections.abc import Iterator
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -37,7 +37,9 @@ def made(enable: Any = None, **changes: Any) -> "tuple[Any, list[str]]":
         Pin(pin, Pin.IN).drive(1)
     port = gpio_esp.EspPort(board, enable)
     heard: list[str] = []
-    port.attach(*(lambda *_, n=name: heard.append(n) for name in ("limits", "controls", "fault")))
+    names = ("limits", "controls", "fault")
+    notes = {f"on_{name}": lambda *_, n=name: heard.append(n) for name in names}
+    port.attach(SimpleNamespace(**notes))
     port.hear_limits(True)
     return port, heard
 

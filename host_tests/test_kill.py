@@ -198,6 +198,11 @@ def test_pads_are_held_by_the_registers_of_the_chip(
 # Callbacks that fail
 
 
+def listener(heard: "Callable[..., Any]", on_fault: "Callable[[], Any]") -> Any:
+    """One that is called for limits and controls alike."""
+    return SimpleNamespace(on_limits=heard, on_controls=heard, on_fault=on_fault)
+
+
 def made(chip: str) -> "tuple[Any, Any, list[str]]":
     """A port whose callbacks all fail, its pins, and what it has said of that."""
     changes: "dict[str, Any]" = {**OUTPUTS, **PUNCH, "ESTOP": 28}
@@ -206,10 +211,10 @@ def made(chip: str) -> "tuple[Any, Any, list[str]]":
     port: Any = make(board(**changes))
     told: list[str] = []
 
-    def fail() -> None:
+    def fail(*_: int) -> None:
         raise MemoryError
 
-    port.attach(fail, lambda _active: fail(), lambda: told.append(port.fault))
+    port.attach(listener(fail, lambda: told.append(port.fault)))
     port.hear_limits(True)
     port.watch_punch(fail)
     return port, pins, told
@@ -230,11 +235,12 @@ def test_a_callback_that_fails_kills_the_tool_and_tells(chip: str, pin: int) -> 
 
 def test_a_timer_s_callback_that_fails_tells_too() -> None:
     port, pins, told = made("rp2")
-    fail, port._on_limits, port._on_controls = port._on_limits, *2 * (lambda *_: None,)
+    failing, tell = port._listener, port._listener.on_fault
+    port._listener = listener(lambda *_: None, tell)
     pins(9).drive(0)
     pins(13).drive(0)
     assert not told
-    port._on_limits, port._on_controls = fail, lambda _active: fail()
+    port._listener = failing
     pins(9).drive(1)
     pins(13).drive(1)
     port._limit_timer.expire()
@@ -250,14 +256,14 @@ def test_an_input_whose_callback_has_failed_is_heard_again(pin: int) -> None:
     port._limit_timer.expire()
     port._control_timer.expire()
     heard: list[int] = []
-    port._on_limits = port._on_controls = lambda *_: heard.append(pin)
+    port._listener = listener(lambda *_: heard.append(pin), port._listener.on_fault)
     pins(pin).drive(1)
     assert told and heard == [pin]
 
 
 def test_where_stopping_fails_too_nothing_leaves_the_interrupt() -> None:
     port = gpio.GpioPort(board())
-    port.attach(*3 * (lambda *_: 1 // 0,))
+    port.attach(listener(*2 * (lambda *_: 1 // 0,)))
     port.hear_limits(True)
     machine.Pin(9).drive(0)
     assert port.fault.endswith("and so has stopping")

@@ -25,7 +25,7 @@ _COLOURS = 256
 
 _MARKED = re.compile(r"(<!-- begin: ([\w-]+) -->\n).*?(<!-- end: \2 -->)", re.DOTALL)
 _GROUP = re.compile(r"^GROUP_\w+ = const\((0x\w+)\)  # (.*)$", re.MULTILINE)
-_COMMAND = re.compile(r"^    \d+: Commands\.\w+,  # (\$\S+)$", re.MULTILINE)
+_COMMAND = re.compile(r"^ +\d+: self\.\w+,  # (\$\S+)$", re.MULTILINE)
 _DOLLAR = re.compile(r"'?(\$[\w$=]*)'?")
 
 _G_MEANINGS = {

@@ -22,7 +22,14 @@ port = gpio.GpioPort(board)
 heard = bytearray(4)
 def note(i):
     heard[i] += 1
-port.attach(lambda: note(0), lambda active: note(1), lambda: note(2))
+class Listener:
+    def on_limits(self):
+        note(0)
+    def on_controls(self, active):
+        note(1)
+    def on_fault(self):
+        note(2)
+port.attach(Listener())
 port.hear_limits(True)
 """
 

@@ -7,6 +7,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import ModuleType
 
+    from interfaces import InputListener
+
     from .rig import Rig
 
 # Names of the inputs in recordings, in the bit order of Port.limits() and Port.controls().
@@ -34,8 +36,7 @@ class SimPort:
         self._rig = rig
         self._pushed: "dict[str, bool]" = {}
         self._closed: "set[str]" = set()
-        self._on_limits: "Callable[[], None] | None" = None
-        self._on_controls: "Callable[[int], None] | None" = None
+        self._listener: "InputListener | None" = None
         self._on_contact: "Callable[[], None] | None" = None
         self._contact_level = True
         self._hears_limits = False
@@ -50,15 +51,8 @@ class SimPort:
 
     # The Port seam
 
-    def attach(
-        self,
-        on_limits: "Callable[[], None]",
-        on_controls: "Callable[[int], None]",
-        on_fault: "Callable[[], None]",
-    ) -> None:
-        self._on_limits = on_limits
-        self._on_controls = on_controls
-        self._on_fault = on_fault
+    def attach(self, listener: "InputListener") -> None:
+        self._listener = listener
 
     def hear_limits(self, on: bool) -> None:
         self._hears_limits = on
@@ -122,7 +116,7 @@ class SimPort:
 
     def power_off(self) -> None:
         """The chip is dead: outputs float, nobody listens."""
-        self._on_limits = self._on_controls = self._on_contact = None
+        self._listener = self._on_contact = None
         self.enable_pin = 1
         self.spindle_on = False
         self.spindle_pwm = self.spindle_dir = self.flood = self.mist = 0
@@ -145,12 +139,12 @@ class SimPort:
         self._closed = closed
         if "probe" in changed:
             self._look_at_probe()
-        if self._on_limits and self._hears_limits and any(name in changed for name in LIMITS):
-            self._on_limits()
+        if self._listener and self._hears_limits and any(name in changed for name in LIMITS):
+            self._listener.on_limits()
         buttons = any(name in changed for name in self._controls)
-        if self._on_controls and (buttons or ESTOP in changed):
+        if self._listener and (buttons or ESTOP in changed):
             stop = EMERGENCY_STOP if self.estop and self.estop() else 0
-            self._on_controls(self.controls() | stop)
+            self._listener.on_controls(self.controls() | stop)
 
     def _stop_is_open(self) -> bool:
         return ESTOP not in self._closed

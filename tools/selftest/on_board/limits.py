@@ -11,7 +11,7 @@ from machine import Timer, mem32
 
 from .config import CONFIG
 from .drive import WATCHED, sampler
-from .rows import AXES, nothing, settle, some
+from .rows import AXES, settle, some
 from .say import say
 from .watch import CLEAR, FIRST, LAST, PIO1, SET, TICK_HZ
 
@@ -106,12 +106,19 @@ def hear(drive, port):
     heard = [0]
     kill, stop = port.kill, drive.engine.stop
 
-    def on_limits():
-        kill()
-        stop()
-        heard[0] += 1
+    class Listener:
+        def on_limits(self):
+            kill()
+            stop()
+            heard[0] += 1
 
-    port.attach(on_limits, nothing, stop)
+        def on_controls(self, active):
+            pass
+
+        def on_fault(self):
+            stop()
+
+    port.attach(Listener())
     return heard
 
 

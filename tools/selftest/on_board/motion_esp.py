@@ -9,7 +9,7 @@ from machine import Pin, Timer
 from .config import CONFIG
 from .drive_esp import COUNTS_SEEN_US, PULSE_US, wait_us
 from .pcnt import Edges, pad_level
-from .rows import AXES, nothing, some
+from .rows import AXES, some
 from .runs import any_motion, count_steps, start_from_rest
 from .say import say
 
@@ -98,12 +98,19 @@ def hear(drive, port, heard):
     """Limits switch off and stop; heard gets when that has been done."""
     kill, stop = port.kill, drive.engine.stop
 
-    def on_limits():
-        kill()
-        stop()
-        heard.append(time.ticks_us())
+    class Listener:
+        def on_limits(self):
+            kill()
+            stop()
+            heard.append(time.ticks_us())
 
-    port.attach(on_limits, nothing, stop)
+        def on_controls(self, active):
+            pass
+
+        def on_fault(self):
+            stop()
+
+    port.attach(Listener())
 
 
 def limits_stop(drive, port):
