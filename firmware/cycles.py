@@ -179,7 +179,7 @@ class Cycles:
         for phase in range(_PHASES):
             approach = phase % 2 == 0
             self._home_phase(axes, approach, travel, rate * diagonal)
-            self._pause(settings.homing_debounce_ms)
+            self._motion.pause(settings.homing_debounce_ms)
             if approach:
                 travel = settings.homing_pull_off_mm
                 rate = settings.homing_seek
@@ -187,11 +187,6 @@ class Cycles:
                 travel = settings.homing_pull_off_mm * _LOCATE
                 rate = settings.homing_feed
         self._set_origin(axes)
-
-    def _pause(self, milliseconds: int) -> None:
-        since = self._port.ticks_ms()
-        while self._port.elapsed_ms(since) < milliseconds:
-            self._pump()
 
     def _home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
         """One move; ends when all switches were found, or with the way back done."""

@@ -96,8 +96,11 @@ class Motion:
         self._left = 0
         self._is_jog = False
 
-    def connect(self, service: "Callable[[], None]", realtime: "Realtime") -> None:
-        """Say how to wait, and whom to tell of an alarm."""
+    def connect(
+        self, service: "Callable[[], None]", pump: "Callable[[], None]", realtime: "Realtime"
+    ) -> None:
+        """Say how to wait, without answers too, and whom to tell of an alarm."""
+        self._pump = pump
         self.service = service
         self._realtime = realtime
 
@@ -193,14 +196,14 @@ class Motion:
         if exact > ticks:
             ticks += 1
         for _ in range(ticks & 0xFFFF):
-            self.pause_ms(_DWELL_TICK_MS)
-
-    def pause_ms(self, milliseconds: int) -> None:
-        """Wait."""
-        since = self._port.ticks_ms()
-        self.service()
-        while self._port.elapsed_ms(since) < milliseconds:
             self.service()
+            self.pause(_DWELL_TICK_MS)
+
+    def pause(self, milliseconds: int) -> None:
+        """Wait: bytes are taken in, and nothing is answered."""
+        since = self._port.ticks_ms()
+        while self._port.elapsed_ms(since) < milliseconds:
+            self._pump()
 
     def auto_start(self) -> None:
         """Whatever is planned is to move."""

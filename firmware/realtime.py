@@ -98,6 +98,7 @@ class Realtime:
             self._state.count(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
             self._state.post(st.OVERRIDE)
 
+    @micropython.native
     def reset(self) -> None:
         """Soft reset: tool off and motors stopped at once, the rest in the next run().
 
@@ -215,32 +216,31 @@ class Realtime:
 
     def _raise_alarm(self) -> None:
         state = self._state
-        code = state.alarm
+        code, homing = state.alarm, state.run == st.HOMING
         state.run = st.ALARM
         if state.pending[st.RESET]:  # which has killed what these switch off for good
             self._spindle.stop()
             self._coolant.stop()
             if self._moving:
                 self.release()
+                self.settling = not homing  # motors stay powered up to the reset
         self._report.alarm(code)
         since = self._port.ticks_ms()
-        while self._port.elapsed_ms(since) < _ALARM_MS:
-            self._stand()
-        if code == errors.ALARM_INTERNAL:
-            self._report.message(self._port.fault)
-        if code in (errors.ALARM_HARD_LIMIT, errors.ALARM_SOFT_LIMIT):
-            # Nothing but a reset is heard: the user is to look at the machine first.
-            self._report.message(errors.MSG_CRITICAL_EVENT)
-            state.pending[st.RESET] = 0
-            while not state.pending[st.RESET]:
-                self._stand()
+        deaf = True
+        while deaf or not state.pending[st.RESET]:
+            self._pump()
+            if self.settling:
+                self._settle()
+            if deaf and self._port.elapsed_ms(since) >= _ALARM_MS:
+                deaf = False
+                if code == errors.ALARM_INTERNAL:
+                    self._report.message(self._port.fault)
+                if code not in (errors.ALARM_HARD_LIMIT, errors.ALARM_SOFT_LIMIT):
+                    break
+                # Nothing but a reset is heard: the user is to look at the machine first.
+                self._report.message(errors.MSG_CRITICAL_EVENT)
+                state.pending[st.RESET] = 0
         state.alarm = 0
-
-    def _stand(self) -> None:
-        """One turn of whoever waits in an alarm: nothing is answered."""
-        self._pump()
-        if self.settling:
-            self._settle()
 
     def _holds(self) -> bool:
         """Feed hold, door, sleep, motion cancel. Returns whether cycle start is to be ignored."""
