@@ -159,7 +159,7 @@ class Suspension:
     def _restore_spindle(self) -> None:
         if self._spindle.laser:
             self._state.update_spindle = True  # comes back with the motion
-            if self._planner.row():
+            if self._planner.row() and not self._flags & kernels.DYNAMIC:
                 self._spindle.power(self._rpm)  # and is reported
         else:
             self._spindle.turn(self._flags & plan.SPINDLE_MASK, self._rpm)

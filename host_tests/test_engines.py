@@ -17,7 +17,7 @@ from esp_bench import EspEngine, Step, clock
 from kernels import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS, row_length
 from laws import Bench, Limits
 from pio import pulses
-from ugrbl.compare import judge_motion
+from ugrbl.compare_motion import judge_motion
 from ugrbl.machine import load_board
 from ugrbl.sim import replay
 from ugrbl.sim import rig as sim_rig

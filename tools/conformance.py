@@ -24,7 +24,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Column, Table
 
-from .compare import Json, judge_case, judge_motion, trouble
+from .compare import Json, judge_case, trouble
+from .compare_motion import judge_motion
 
 _REPLAY = Path(__file__).resolve().parent / "sim" / "replay_main.py"
 _CASE_SECONDS = 90.0  # longer than this without a result: the process hangs

@@ -78,7 +78,7 @@ QUIRKS = (
 IDLE_DELAY = (
     "idle delay",
     "Motors are released $1 after motion without stopping the processor for that time; "
-    "the enable pin may change one step of a case later.",
+    "the enable pin may change one step of a case later, and an alarm is told one earlier.",
 )
 EXACT_STOP = (
     "exact stop",
@@ -86,10 +86,16 @@ EXACT_STOP = (
     "Grbl's single-precision distance falls on either side of it: one step of difference.",
 )
 
-BROKEN_OFF = (
-    "broken off",
-    "Where an alarm ends motion at once, the machine rests where it happens to be: a few "
-    "milliseconds of way beside Grbl's, which ends a loop of its own first.",
+STOPPED = (
+    "stopped in motion",
+    "Where a hold, a jog cancel or an alarm ends a motion, the place of rest depends on the "
+    "millisecond: it may be as far from Grbl's as the machine goes in 10 ms, a segment.",
+)
+
+SWITCH = (
+    "switch of homing",
+    "A switch stops its motor within microseconds; Grbl's loop looks at it once in a millisecond, "
+    "and the motor is some steps further.",
 )
 IN_MOTION = (
     "in motion",
@@ -102,7 +108,7 @@ NO_SPEED = (
     "without power to the pin.",
 )
 
-MOTION = (IDLE_DELAY, EXACT_STOP, BROKEN_OFF, IN_MOTION, NO_SPEED)
+MOTION = (IDLE_DELAY, EXACT_STOP, STOPPED, SWITCH, IN_MOTION, NO_SPEED)
 
 DIFFERENCES = (
     Difference(
