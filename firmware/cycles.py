@@ -89,8 +89,7 @@ class Cycles:
         self._motion.synchronise()
         state.probe_succeeded = False
         if self._inputs.probe() != away:
-            state.alarm = errors.ALARM_PROBE_FAIL_INITIAL
-            self._motion.service()
+            self._realtime.fail(errors.ALARM_PROBE_FAIL_INITIAL)
             return False
         self._contact = False
         self._motion.line(target, move)
@@ -103,25 +102,24 @@ class Cycles:
         self._port.watch_probe(None, False)
         if self._contact:
             state.probe_succeeded = True
-        elif alarms:
-            state.alarm = errors.ALARM_PROBE_FAIL_CONTACT
-        else:
+        elif not alarms:
             self._engine.position(self.probe_steps)
-        try:
-            self._motion.service()
-            self._realtime.release()
-            self._realtime.settle()
-        finally:  # a reset while the alarm was told comes behind the report
-            self._end_probe()
-        return not state.probe_succeeded
-
-    def _end_probe(self) -> None:
+        self._motion.service()
         self._planner.clear()
-        if self._state.probe_succeeded:
+        if state.probe_succeeded:
             self._resync()
         else:
             self._engine.position(self._steps)
             self._planner.sync_motors(self._steps)
+        if alarms and not state.probe_succeeded:
+            self._realtime.fail(errors.ALARM_PROBE_FAIL_CONTACT, self._end_probe)
+        else:
+            self._end_probe()
+        return not state.probe_succeeded
+
+    def _end_probe(self) -> None:
+        self._realtime.release()
+        self._realtime.settle()
         self._report_probe()
 
     def forget_probe(self) -> None:
@@ -179,7 +177,7 @@ class Cycles:
         for phase in range(_PHASES):
             approach = phase % 2 == 0
             self._home_phase(axes, approach, travel, rate * diagonal)
-            self._motion.pause(settings.homing_debounce_ms)
+            self._realtime.pause(settings.homing_debounce_ms)
             if approach:
                 travel = settings.homing_pull_off_mm
                 rate = settings.homing_seek

@@ -96,11 +96,8 @@ class Motion:
         self._left = 0
         self._is_jog = False
 
-    def connect(
-        self, service: "Callable[[], None]", pump: "Callable[[], None]", realtime: "Realtime"
-    ) -> None:
-        """Say how to wait, without answers too, and whom to tell of an alarm."""
-        self._pump = pump
+    def connect(self, service: "Callable[[], None]", realtime: "Realtime") -> None:
+        """Say how to wait, and whom to tell of an alarm."""
         self.service = service
         self._realtime = realtime
 
@@ -197,13 +194,7 @@ class Motion:
             ticks += 1
         for _ in range(ticks & 0xFFFF):
             self.service()
-            self.pause(_DWELL_TICK_MS)
-
-    def pause(self, milliseconds: int) -> None:
-        """Wait: bytes are taken in, and nothing is answered."""
-        since = self._port.ticks_ms()
-        while self._port.elapsed_ms(since) < milliseconds:
-            self._pump()
+            self._realtime.pause(_DWELL_TICK_MS)
 
     def auto_start(self) -> None:
         """Whatever is planned is to move."""

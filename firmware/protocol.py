@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from state import State
 
 _LOCKED = const(0x21)  # ALARM | JOG
+_DEAF_MS = const(500)  # nothing is answered for so long behind an alarm
 
 
 class Protocol:
@@ -105,7 +106,7 @@ class Protocol:
                             self._motion.auto_start()
                         self._realtime.run()
                         continue
-                    if pending[st.ANY] or state.suspend or state.alarm:
+                    if pending[st.ANY] or state.suspend:
                         self._realtime.run()
                     length = found >> 2
                     if found & LINE == 0:
@@ -119,18 +120,21 @@ class Protocol:
                         try:  # as in execute()
                             self._whose(line, length)(line, length)
                             finish()
+                            if state.alarm and not pending[st.RESET]:
+                                self._tell_alarm()
                         except (GrblError, OSError, Abort) as reason:
                             self._refuse(reason, b"")
                         else:
                             write(ok)
             except Abort:
-                continue
+                self._tell_alarm()
 
     def execute(self, line: bytearray, length: int, before: bytes) -> None:
         """Execute one line and answer it. before: what the answer begins with."""
         try:
             self._whose(line, length)(line, length)
             self._saves.finish()
+            self._tell_alarm()
         except (GrblError, OSError, Abort) as reason:
             self._refuse(reason, before)
         else:
@@ -149,8 +153,31 @@ class Protocol:
             raise GrblError(errors.SYSTEM_GC_LOCK)
         return self._gcode.execute
 
+    def _tell_alarm(self) -> None:
+        """Say that there is an alarm, if there is one: here, for the stack is nearly empty."""
+        state, report, realtime = self._state, self._report, self._realtime
+        code = state.alarm
+        if code == 0:
+            return
+        behind = realtime.stand_down()
+        report.alarm(code)
+        realtime.pause(_DEAF_MS)
+        if code in (errors.ALARM_HARD_LIMIT, errors.ALARM_SOFT_LIMIT):
+            # Nothing but a reset is heard: the user is to look at the machine first.
+            report.message(errors.MSG_CRITICAL_EVENT)
+            state.pending[st.RESET] = 0
+            while not state.pending[st.RESET]:
+                realtime.pause(1)
+        state.alarm = 0
+        if behind:
+            try:
+                realtime.events()
+            finally:  # what is said behind the alarm is said behind a reset, too
+                behind()
+
     def _refuse(self, reason: Exception, before: bytes) -> None:
         """Answer a line that has not come to its end."""
+        self._tell_alarm()
         if isinstance(reason, OSError):
             self._report.message(errors.MSG_NOT_KEPT)  # it holds until the power goes
         if before:

@@ -31,11 +31,10 @@ if TYPE_CHECKING:
 _SOFT_RESET = const(0x18)
 _JOG_CANCEL = const(0x85)
 _FOR_EVER = const(255)
-# States in which the engine may be running on its own.
+# The engine may be running on its own.
 _MOTION = const(0x38)  # RUN | HOLD | JOG
 _HOLDS = const(0xD0)  # HOLD | DOOR | SLEEP
 _PATIENCE = const(3)  # times that motion may be set going in vain
-_ALARM_MS = const(500)  # nothing is answered for so long behind an alarm
 
 
 class Realtime:
@@ -68,6 +67,7 @@ class Realtime:
         # Where motion stood when it was set going again, and how often that was in vain.
         self._progress = -1
         self._futile = 0
+        self._behind: "Callable[[], None] | None" = None
 
     def connect(
         self,
@@ -78,6 +78,7 @@ class Realtime:
     ) -> None:
         """Say whom to call: pump reads the link, resync copies the machine's position to all."""
         self._port = port
+        self._tell = self._tell_fault  # to take it as a value allocates
         self._estop = port.estop
         self._pump = pump
         self._resync = resync
@@ -163,9 +164,13 @@ class Realtime:
     def on_fault(self) -> None:
         """A callback of the port has raised. Interrupt."""
         self._state.alarm = errors.ALARM_INTERNAL
+        self._behind = self._tell
         self.reset()
 
     # What answers, in the main loop
+
+    def _tell_fault(self) -> None:
+        self._report.message(self._port.fault)
 
     def run(self) -> None:
         """Do what has been asked; wait while motion is suspended. Raises Abort after a reset."""
@@ -186,10 +191,8 @@ class Realtime:
         state = self._state
         if self._estop and self._estop():
             self._emergency()
-        if not (state.pending[st.ANY] or state.alarm or self.settling or self._moving):
+        if not (state.pending[st.ANY] or self.settling or self._moving):
             return  # as nearly always
-        if state.alarm:
-            self._raise_alarm()
         if self._moving:
             self.watch()  # first: an engine that has failed stands still, too
             if self._engine.idle():
@@ -199,9 +202,7 @@ class Realtime:
         if not state.posted():
             return
         if state.pending[st.RESET]:
-            if state.alarm:
-                self._raise_alarm()  # it has come since
-            raise Abort
+            raise Abort  # behind which the loop tells of an alarm
         if state.pending[st.STATUS_REPORT]:
             self._report.send(self._report.status())
             self._pump()
@@ -214,33 +215,33 @@ class Realtime:
         if state.take(st.OVERRIDE):
             self._overrides.take()
 
-    def _raise_alarm(self) -> None:
+    def fail(self, alarm: int, behind: "Callable[[], None] | None" = None) -> None:
+        """What a line asks for has failed: an alarm at its end. behind: says more."""
+        self._state.alarm = alarm
+        self._state.run = st.ALARM
+        self._behind = behind
+
+    def stand_down(self) -> "Callable[[], None] | None":
+        """There is an alarm: nothing is to turn. Returns who says more behind it."""
         state = self._state
-        code, homing = state.alarm, state.run == st.HOMING
-        state.run = st.ALARM
         if state.pending[st.RESET]:  # which has killed what these switch off for good
             self._spindle.stop()
             self._coolant.stop()
             if self._moving:
                 self.release()
-                self.settling = not homing  # motors stay powered up to the reset
-        self._report.alarm(code)
+            if state.run == st.HOMING:
+                self.settling = False  # motors stay powered up to the reset
+        state.run = st.ALARM
+        behind, self._behind = self._behind, None
+        return behind
+
+    def pause(self, milliseconds: int) -> None:
+        """Wait: bytes are taken in, and nothing is answered."""
         since = self._port.ticks_ms()
-        deaf = True
-        while deaf or not state.pending[st.RESET]:
+        while self._port.elapsed_ms(since) < milliseconds:
             self._pump()
             if self.settling:
                 self._settle()
-            if deaf and self._port.elapsed_ms(since) >= _ALARM_MS:
-                deaf = False
-                if code == errors.ALARM_INTERNAL:
-                    self._report.message(self._port.fault)
-                if code not in (errors.ALARM_HARD_LIMIT, errors.ALARM_SOFT_LIMIT):
-                    break
-                # Nothing but a reset is heard: the user is to look at the machine first.
-                self._report.message(errors.MSG_CRITICAL_EVENT)
-                state.pending[st.RESET] = 0
-        state.alarm = 0
 
     def _holds(self) -> bool:
         """Feed hold, door, sleep, motion cancel. Returns whether cycle start is to be ignored."""

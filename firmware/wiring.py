@@ -302,7 +302,7 @@ def _connect(machine: Controller) -> None:
         machine.reader.free,
         position,
     )
-    motion.connect(machine.protocol.service, pump, realtime)
+    motion.connect(machine.protocol.service, realtime)
     machine.cycles.connect(motion, realtime, pump, position, resync)
     realtime.connect(machine.port, pump, resync, machine.suspension)
     machine.suspension.connect(realtime, machine.overrides, gcode, machine.port, position)

@@ -26,6 +26,7 @@ _GUARD = 64  # bytes under the stack pointer that are not painted
 _IRQ = 16
 TIMER, ENGINE, PIN = 3, 9, 13
 _SAMPLE_US = 0.1  # some instructions
+_PIO0 = 0x50200000  # its low bits: machines that run
 
 ARCS = ("G2X1Y0I0.5J0", "G3X-1Y0I-0.5J0")
 _RX_BYTES = 120
@@ -44,7 +45,8 @@ class Stack:
 
     def __init__(self, board: Board) -> None:
         self._pico = board.pico
-        self.main = 0  # deepest, in bytes
+        self.main = {False: 0, True: 0}  # deepest, in bytes, by whether the engine runs
+        self.starts = 0  # deepest of the engine's interrupt that starts it, with what is below
         self.irqs: dict[int, int] = {}  # deepest of each interrupt, by its number
         self.marks: dict[str, int] = {}  # used() by scenario
 
@@ -60,11 +62,15 @@ class Stack:
                 return TOP - address
         return 0
 
+    def _runs(self) -> bool:
+        return bool(self._pico.mcu.read_uint32(_PIO0) & 15)
+
     @contextmanager
     def sampled(self) -> "Iterator[None]":
         """Meanwhile main and irqs are kept. What an interrupt interrupts is not counted in."""
         run_us, core = self._pico.run_us, self._pico.mcu.core
-        nested: list[tuple[int, int]] = []  # (interrupt, stack pointer it came upon)
+        # (interrupt, stack pointer it came upon, whether the engine was running)
+        nested: list[tuple[int, int, bool]] = []
         before = core.sp
 
         def sample(us: float) -> None:
@@ -75,14 +81,18 @@ class Stack:
                 pointer, number = core.sp, core.ipsr
                 if not number:
                     nested.clear()
-                    self.main = max(self.main, TOP - pointer)
+                    if TOP - pointer > min(self.main.values()):
+                        runs = self._runs()
+                        self.main[runs] = max(self.main[runs], TOP - pointer)
                 else:
-                    while any(n == number for n, _ in nested[:-1]):
+                    while any(n == number for n, _, _ in nested[:-1]):
                         nested.pop()
                     if not nested or nested[-1][0] != number:
-                        nested.append((number, before))
+                        nested.append((number, before, self._runs()))
                     depth = nested[-1][1] - pointer
                     self.irqs[number - _IRQ] = max(self.irqs.get(number - _IRQ, 0), depth)
+                    if nested[-1][0] == ENGINE + _IRQ and not nested[-1][2]:
+                        self.starts = max(self.starts, TOP - pointer)
                 before = pointer
 
         self._pico.run_us = sample
@@ -335,5 +345,7 @@ def test_they_would_be_left_were_the_deepest_of_all_nested(machine: Board, stack
     unlock(machine)
     irqs = dict(stack.irqs)
     assert {TIMER, ENGINE, PIN} <= irqs.keys()
-    pin = irqs.pop(PIN)
-    assert stack.main + max(irqs.values()) + pin <= SIZE - RESERVE, (stack.main, stack.irqs)
+    moving = stack.main[True] + irqs[ENGINE]
+    standing = max(stack.main[False] + irqs[TIMER], stack.starts)
+    deepest = max(moving, standing) + irqs[PIN]
+    assert deepest <= SIZE - RESERVE, (moving, standing, irqs)
