@@ -46,8 +46,8 @@ class Bench:
         self._place = Path(f"{self.wire_log}.place")
         kept = folder / "settings.txt"
         if settings:
-            lines = "".join(f"    ${number}={value:g}\n" for number, value in settings.items())
-            kept.write_text("[settings]\n" + lines + "[startup]\n    \n    \n")
+            lines = [f"${number}={value:g}\n" for number, value in settings.items()]
+            kept.write_text("".join(lines))
         command = [sys.executable, __file__, str(self.wire_log), "sim", "--port", str(self.port)]
         command += ["--settings", str(kept), *arguments]
         self.process = subprocess.Popen(
@@ -94,8 +94,8 @@ def serve(wire_log: Path, arguments: list[str]) -> None:
     build = machine.build
     rigs = []
 
-    def fitted(*arguments: Any) -> Any:
-        rig = build(*arguments)
+    def fitted(*arguments: Any, **options: Any) -> Any:
+        rig = build(*arguments, **options)
         _fit_switches(rig)
         _listen(rig)
         rigs.append(rig)

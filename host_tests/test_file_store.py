@@ -1,9 +1,14 @@
 """Settings kept in a file between runs of the simulator."""
 
+import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 from ugrbl.file_store import FileStore
+from ugrbl.settings_file import Firmware, Settings, SettingsError
+
+_GRBL = Firmware("1.1", "h", "20190830", "Grbl", "V,15,128")
 
 
 @pytest.fixture
@@ -17,18 +22,18 @@ def test_nothing_is_kept_at_first(path: Path) -> None:
 
 def test_what_is_saved_is_loaded_in_the_next_run(path: Path) -> None:
     store = FileStore(path)
-    store.save("settings", ["$0=10", "$I=[a]"])
-    store.save("startup", [])
+    store.save("settings", ["$0=10", "$7=1"])
+    store.save("startup", ["", "G21"])
     store = FileStore(path)
-    assert store.load("settings") == ["$0=10", "$I=[a]"]
-    assert store.load("startup") == []
+    assert store.load("settings") == ["$0=10", "$7=1"]
+    assert store.load("startup") == ["", "G21"]
 
 
-def test_a_line_may_look_like_the_name_of_a_section(path: Path) -> None:
-    FileStore(path).save("build", ["[settings]", "  [x]"])
+def test_a_line_may_look_like_another_kind_of_line(path: Path) -> None:
+    FileStore(path).save("build", ["[settings]", "  [x]", ";[startup] G21"])
     store = FileStore(path)
-    assert store.load("build") == ["[settings]", "  [x]"]
-    assert store.load("settings") is None
+    assert store.load("build") == ["[settings]", "  [x]", ";[startup] G21"]
+    assert store.load("settings") == store.load("startup") is None
 
 
 def test_saving_again_replaces(path: Path) -> None:
@@ -49,17 +54,107 @@ def test_a_failed_save_leaves_the_file_as_it_was(path: Path) -> None:
     assert FileStore(path).load("settings") == ["$0=10"]
 
 
+def test_what_the_file_does_not_say_is_the_factorys(path: Path) -> None:
+    path.write_text("$110=600\n")
+    store = FileStore(path, {"settings": ["$0=10"], "startup": ["", ""]})
+    assert store.load("settings") == ["$110=600"]
+    assert store.load("startup") == ["", ""]
+
+
+# One form with `ugrbl settings pull`
+
+
+def test_a_pulled_file_is_read(path: Path) -> None:
+    values = {0: "10", 100: "250.000"}
+    path.write_text(Settings(_GRBL, values).text("as pulled"))
+    assert FileStore(path, firmware=_GRBL).load("settings") == ["$0=10", "$100=250.000"]
+
+
+def test_what_is_kept_can_be_pushed(path: Path) -> None:
+    store = FileStore(path, firmware=_GRBL)
+    store.save("settings", ["$0=10", "$100=250"])
+    store.save("startup", ["G21", ""])
+    store.save("coords", ["G54=1,2,3"])
+    read = Settings.read(path.read_text())
+    assert read.values == {0: "10", 100: "250"}
+    assert str(read.firmware) == str(_GRBL)
+    assert not [line for line in path.read_text().splitlines() if line[0] not in ";$"]
+
+
+def test_comments_and_values_as_others_wrote_them_stay(path: Path) -> None:
+    path.write_text("; my mill\n  $0 = 10.0 (as the driver wants)\n$110=600 ; slow, $110=600\n")
+    store = FileStore(path)
+    store.save("settings", ["$0=10", "$110=700", "$111=500"])
+    assert path.read_text() == (
+        "; my mill\n  $0 = 10.0 (as the driver wants)\n$110=700 ; slow, $110=600\n$111=500\n"
+    )
+
+
+# Nothing is written over that was not read and understood
+
+
 @pytest.mark.parametrize(
-    "damaged",
+    "foreign",
     [
-        b"",
         b"\x00\xff\xfe",
-        b"[settings\n$$$",
-        b"    $0=10\n",
         b"[settings]\n    $0=10\n\xa7\xa7\n",
-        b"[settings]\n    $0=1\x00\n",
+        b"G21 G90\nG1 X10 F600\n",
+        b"(a program)\n$H\nG0 X1\n",
+        b"; a comment and nothing else\n",
+        b"$0=10\n$0=11\n",
+        b"$110=fast\n",
+        b"$110=inf\n",
+        b"$110=1e39\n",
+        b"$0=10\n$$\n",
+        b"; [VER:0.9j.20150717:]\n$0=10\n",
     ],
 )
-def test_a_damaged_file_counts_as_empty(path: Path, damaged: bytes) -> None:
-    path.write_bytes(damaged)
-    assert FileStore(path).load("settings") is None
+def test_a_file_that_is_not_understood_is_refused_and_stays(path: Path, foreign: bytes) -> None:
+    path.write_bytes(foreign)
+    with pytest.raises(SettingsError):
+        FileStore(path, firmware=_GRBL)
+    assert path.read_bytes() == foreign
+
+
+def test_a_file_that_somebody_changes_meanwhile_stays(path: Path) -> None:
+    store = FileStore(path)
+    store.save("settings", ["$0=10"])
+    path.write_text("$0=20\n")
+    with pytest.raises(OSError, match="changed by somebody else"):
+        store.save("settings", ["$0=11"])
+    assert path.read_text() == "$0=20\n"
+
+
+def test_one_that_appears_meanwhile_stays(path: Path) -> None:
+    store = FileStore(path)
+    path.write_text("precious")
+    with pytest.raises(OSError, match="changed by somebody else"):
+        store.save("settings", ["$0=11"])
+    assert path.read_text() == "precious"
+
+
+def test_a_save_that_fails_leaves_no_other_file(path: Path, monkeypatch: Any) -> None:
+    FileStore(path).save("settings", ["$0=10"])
+    store = FileStore(path)
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        store.save("settings", ["$0=11"])
+    assert [file.name for file in path.parent.iterdir()] == [path.name]
+    assert FileStore(path).load("settings") == ["$0=10"]
+
+
+def test_a_link_to_the_file_stays_a_link(path: Path) -> None:
+    link = path.with_name("link")
+    path.write_text("$0=10\n")
+    link.symlink_to(path.name)
+    FileStore(link).save("settings", ["$0=11"])
+    assert link.is_symlink() and path.read_text() == "$0=11\n"
+
+
+def test_a_folder_that_is_not_there_is_told_at_once(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="no folder"):
+        FileStore(tmp_path / "nowhere" / "settings")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from . import paths
 from .file_store import FileStore
+from .settings_file import Firmware, SettingsError
 
 if TYPE_CHECKING:
     from .sim.rig import Rig
@@ -22,12 +23,26 @@ def boards() -> list[str]:
 
 def load_board(name: str) -> Any:
     """The module of a board; ValueError if there is none of that name."""
+    if name.endswith(".py"):
+        return _load_file(Path(name))
     if name not in boards():
         raise ValueError(f"no board {name!r}; there are {', '.join(boards())}")
     folder = str(paths.BOARDS.parent)
     if folder not in sys.path:
         sys.path.append(folder)
     return import_module(f"boards.{name}")
+
+
+def _load_file(file: Path) -> Any:
+    """A board file wherever it is, checked as before it is built for."""
+    from .build import BuildError, load_board
+
+    try:
+        if not file.is_file():
+            raise ValueError(f"no board file {file}")
+        return load_board(file)
+    except BuildError as error:
+        raise ValueError(str(error)) from error
 
 
 class UntimedLink:
@@ -43,12 +58,42 @@ class UntimedLink:
         """Nothing is lost."""
 
 
-def build(board: str, link: "Callable[[Rig], UntimedLink]", settings: Path | None = None) -> "Rig":
-    """A rig with that board. link: makes the Link; settings: the file that keeps them, if any."""
-    paths.use_firmware()
-    from .sim.rig import Rig
+def build(
+    board: str,
+    link: "Callable[[Rig], UntimedLink]",
+    settings: Path | None = None,
+    *,
+    blank: bool = False,
+) -> "Rig":
+    """A rig with that board, with the settings of a new machine that has once been started.
 
-    return Rig(load_board(board), FileStore(settings) if settings else None, link)
+    link: makes the Link; settings: the file that keeps them, if any; blank: with an erased
+    memory instead. ValueError for a file that cannot be one.
+    """
+    paths.use_firmware()
+    from .sim.replay import factory_store
+    from .sim.rig import MemoryStore, Rig
+
+    module = load_board(board)
+    store = MemoryStore() if blank else factory_store(module)
+    if settings is None:
+        return Rig(module, store, link)
+    try:
+        kept = FileStore(settings, store.files, firmware(module))
+    except SettingsError as error:
+        raise ValueError(f"{settings} is left as it is: {error}") from error
+    return Rig(module, kept, link)
+
+
+def firmware(board: Any) -> Firmware:
+    """What $I says with that board."""
+    import report
+    from wiring import Options
+
+    options = Options(board)
+    version = getattr(options.reports, "VERSION", report.VERSION)
+    number, letter = version[:-1], version[-1]
+    return Firmware(number, letter, report.BUILD, options.identity(), options.letters())
 
 
 def run(rig: "Rig") -> None:

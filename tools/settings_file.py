@@ -14,7 +14,8 @@ from . import paths
 
 AXES = "XYZABC"
 
-_SETTING = re.compile(r"\$(\d+)\s*=\s*([^;( ]*)\s*(?:[;(].*)?")
+# A setting with what may stand behind it: number and value.
+SETTING = re.compile(r"\$(\d+)\s*=\s*([^;( ]*)\s*(?:[;(].*)?")
 _VERSION = re.compile(r"\[(?:VER:)?(\d+\.\d+)(\w*)\.(\d+):([^\]]*)\]")
 _OPTIONS = re.compile(r"\[OPT:([^\]]*)\]")
 # Bytes that act even in a comment; what is said of settings goes without them.
@@ -80,7 +81,7 @@ class Settings:
         """Read a file, or the answers to $I and $$. SettingsError names a line that is wrong."""
         settings = cls(Firmware.read(text.splitlines()))
         for number, line in enumerate(text.splitlines(), 1):
-            match = _SETTING.fullmatch(line.strip())
+            match = SETTING.fullmatch(line.strip())
             if match:
                 _take(settings.values, number, int(match[1]), match[2])
             elif line.strip() and line.strip()[0] not in ";([":

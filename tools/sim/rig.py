@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     Wake = int | Callable[[], bool]
     Script = Iterator[Wake]
 
+# Segments under way where a board has hardware that says it.
+_SEGMENT_QUEUE = 5
 _POLL_MS = 1  # while nothing else is due, the firmware's loop turns this often
 
 
@@ -58,7 +60,7 @@ class Rig:
         self.ticks_per_ms = SimEngine.tick_hz / 1000
         has_punch = getattr(board, "TOOL", "") == "punch"
         engine = PunchEngine if has_punch else SimEngine
-        self.engine = engine(axes, board.SEGMENT_QUEUE)
+        self.engine = engine(axes, getattr(board, "SEGMENT_QUEUE", _SEGMENT_QUEUE))
         self.scratch = array("i", [0] * axes)
         self.loop_ticks = int(getattr(board, "LOOP_US", 0) * self.ticks_per_ms / 1000)
         start_ticks = int(getattr(board, "START_US", 0) * self.ticks_per_ms / 1000)
