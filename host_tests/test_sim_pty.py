@@ -4,10 +4,12 @@ import json
 import os
 import random
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,20 @@ import serial
 _PATIENCE_S = 15.0
 _COMMAND = [sys.executable, "-m", "ugrbl.cli"]
 _ENVIRONMENT = {**os.environ, "UGRBL_VIPER": "fast", "COLUMNS": "120"}
+
+
+def ugrbl(*words: object) -> subprocess.CompletedProcess[str]:
+    """A command in a process of its own."""
+    command = [*_COMMAND, *map(str, words)]
+    return subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        env=_ENVIRONMENT,
+        stdin=subprocess.DEVNULL,
+        timeout=60,
+        check=False,
+    )
 
 
 class Sim:
@@ -43,8 +59,8 @@ class Sim:
 class Sender:
     """A sender as pyserial makes them."""
 
-    def __init__(self, port: Path) -> None:
-        self._serial = serial.Serial(str(port), 115200, timeout=0.05)
+    def __init__(self, port: Path | str) -> None:
+        self._serial = serial.serial_for_url(str(port), 115200, timeout=0.05)
         self.text = ""
 
     def __enter__(self) -> "Sender":
@@ -190,13 +206,53 @@ def test_settings_are_kept_in_the_file(tmp_path: Path) -> None:
         sim.stop()
 
 
-def test_a_corrupt_settings_file_restores_defaults_and_says_so(tmp_path: Path) -> None:
-    file = tmp_path / "settings.txt"
-    file.write_bytes(b"[settings]\n    \xff\x00 rubbish\n    $110=fast\n")
-    sim = Sim(tmp_path, "--settings", str(file))
+def test_a_new_machine_has_the_factorys_settings_and_nothing_to_complain_of(sim: Sim) -> None:
+    with sim.open() as sender:
+        assert "error" not in sender.wait("help]")
+        assert sender.ask("$N").startswith("$N0=\r\n")
+        assert "$110=500.000" in sender.ask("$$")
+
+
+def test_an_erased_memory_is_told_of(tmp_path: Path) -> None:
+    sim = Sim(tmp_path, "--blank")
     with sim.open() as sender:
         assert "error:7" in sender.wait("help]")
-        assert "$110=500.000" in sender.ask("$$")
+    sim.stop()
+
+
+@pytest.mark.parametrize("text", ["G21 G90\nG1 X10 F600\n", "$110=fast\n"])
+def test_a_file_that_holds_no_settings_is_left_alone(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "precious.nc"
+    file.write_text(text)
+    done = ugrbl("sim", "--stdio", "--settings", file)
+    assert done.returncode == 1
+    assert f"{file} is left as it is: line" in done.stderr
+    assert file.read_text() == text
+
+
+def test_what_was_pulled_is_the_simulators_and_what_it_keeps_can_be_pushed(tmp_path: Path) -> None:
+    file, kept = tmp_path / "mill.settings", tmp_path / "kept.settings"
+    file.write_text("; [VER:1.1h.20190830:]\n$110=1234.500 ; fast\n$132=70\n")
+    sim = Sim(tmp_path, "--settings", str(file))
+    with sim.open() as sender:
+        assert "$110=1234.500\r\n" in sender.ask("$$")
+        sender.ask("$N0=G21")
+        sender.ask("$131=300")
+    sim.stop()
+    assert file.read_text().startswith("; [VER:1.1h.20190830:]\n$110=1234.500 ; fast\n$132=70\n")
+    sim = Sim(tmp_path, "--speed", "max")
+    with sim.open():
+        pass
+    done = ugrbl("settings", "push", file, "--port", sim.port, "--yes")
+    assert done.returncode == 0, done.stdout + done.stderr
+    done = ugrbl("settings", "pull", kept, "--port", sim.port)
+    assert done.returncode == 0, done.stdout + done.stderr
+    sim.stop()
+    assert "$131=300.000" in kept.read_text()
+    sim = Sim(tmp_path, "--settings", str(kept))
+    with sim.open() as sender:
+        sender.wait("help]")
+        assert "$132=70.000" in sender.ask("$$")
     sim.stop()
 
 
@@ -208,13 +264,150 @@ def test_the_link_goes_when_the_simulator_goes(tmp_path: Path) -> None:
     assert not sim.port.is_symlink()
 
 
-def test_a_file_is_not_replaced_by_the_link(tmp_path: Path) -> None:
-    file = tmp_path / "precious"
-    file.write_text("data")
-    command = [*_COMMAND, "sim", "--port", str(file)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+@pytest.mark.parametrize("kind", ["file", "link", "broken link", "folder", "another simulator's"])
+def test_the_link_replaces_nothing_that_is_there(tmp_path: Path, kind: str) -> None:
+    place, other = tmp_path / "precious", tmp_path / "other"
+    running = None
+    if kind == "file":
+        place.write_text("data")
+    elif kind == "folder":
+        place.mkdir()
+    elif kind == "another simulator's":
+        running = Sim(tmp_path)
+        place = running.port
+    else:
+        place.symlink_to(other)
+        if kind == "link":
+            other.write_text("data")
+    before = os.readlink(place) if place.is_symlink() else place.stat().st_ino
+    done = ugrbl("sim", "--port", place)
     assert done.returncode == 1
-    assert file.read_text() == "data"
+    assert "is there already; it is left as it is" in " ".join(done.stderr.split())
+    assert before == (os.readlink(place) if place.is_symlink() else place.stat().st_ino)
+    if running:
+        running.stop()
+
+
+def test_the_link_of_a_simulator_that_was_killed_is_replaced(tmp_path: Path) -> None:
+    killed = Sim(tmp_path)
+    killed.process.kill()
+    killed.process.communicate()
+    assert killed.port.is_symlink() and not killed.port.exists()
+    process = subprocess.Popen(
+        [*_COMMAND, "sim", "--port", str(killed.port)], stdout=subprocess.PIPE, env=_ENVIRONMENT
+    )
+    assert process.stdout and str(killed.port).encode() in process.stdout.readline()
+    assert killed.port.exists()
+    process.terminate()
+    process.communicate()
+    assert not killed.port.is_symlink()
+
+
+def test_a_link_that_somebody_has_put_in_its_place_stays(tmp_path: Path) -> None:
+    sim = Sim(tmp_path)
+    sim.port.unlink()
+    sim.port.symlink_to("/dev/null")
+    sim.stop()
+    assert os.readlink(sim.port) == "/dev/null"
+
+
+def test_a_sender_that_says_nothing_is_not_greeted_before_it_is_ready(sim: Sim) -> None:
+    """The Universal G-Code Sender has begun by itself, and noted it, some time after opening."""
+    time.sleep(0.5)
+    with sim.open() as sender:
+        begun = time.monotonic()
+        sender.wait("help]")
+        assert 0.2 < time.monotonic() - begun < 2
+        assert sender.ask("$I").count("[VER") == 1
+
+
+def test_a_sender_that_speaks_first_does_not_wait_for_its_greeting(sim: Sim) -> None:
+    time.sleep(0.5)
+    with sim.open() as sender:
+        begun = time.monotonic()
+        sender.send(b"\n")
+        assert sender.wait("ok").index("Grbl") < 10
+        assert time.monotonic() - begun < 0.25
+
+
+# On TCP
+
+
+class TcpSim:
+    """A simulator that listens."""
+
+    def __init__(self, *arguments: str) -> None:
+        command = [*_COMMAND, "sim", "--speed", "max", "--tcp", *(arguments or ("0",))]
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, env=_ENVIRONMENT, text=True
+        )
+        assert self.process.stdout
+        self.place = self.process.stdout.readline().rpartition(" ")[2].strip()
+
+    def open(self) -> Sender:
+        return Sender(f"socket://{self.place}")
+
+    def stop(self) -> int:
+        self.process.terminate()
+        self.process.communicate()
+        return self.process.returncode
+
+
+@pytest.fixture
+def tcp_sim() -> Iterator[TcpSim]:
+    running = TcpSim()
+    yield running
+    assert running.stop() == 0
+
+
+def test_senders_on_tcp_come_one_after_the_other(tcp_sim: TcpSim) -> None:
+    assert tcp_sim.place.startswith("127.0.0.1:")
+    with tcp_sim.open() as sender:
+        sender.wait("help]")
+        assert sender.ask("G91 G0 X1") == "ok\r\n"
+    for place in range(2, 5):
+        with tcp_sim.open() as sender:
+            assert sender.ask("G91 G0 X1") == "ok\r\n"
+            assert f"MPos:{place}.000," in sender.wait_idle()
+
+
+def test_another_one_waits_until_the_first_has_hung_up(tcp_sim: TcpSim) -> None:
+    with tcp_sim.open() as sender:
+        sender.wait("help]")
+        second = tcp_sim.open()
+        second.send(b"G91 G0 X7\n?")
+        sender.ask("G4 P0.1")
+        assert "MPos:0.000," in sender.wait_idle()
+    with second:
+        second.wait("ok")
+        assert "MPos:7.000," in second.wait_idle()
+
+
+def test_one_on_tcp_that_does_not_read_does_not_stop_the_machine(tcp_sim: TcpSim) -> None:
+    host, _, port = tcp_sim.place.rpartition(":")
+    with socket.create_connection((host, int(port)), _PATIENCE_S) as deaf:
+        deaf.setblocking(False)
+        for _ in range(300):
+            with suppress(BlockingIOError):
+                deaf.send(b"$$\n" * 100)
+            time.sleep(0.003)
+    with tcp_sim.open() as sender:
+        sender.send(b"\x18")
+        sender.wait("help]")
+        assert sender.ask("G0 X1") == "ok\r\n"
+
+
+@pytest.mark.parametrize("words", [["0:x"], ["99999"], ["0", "--stdio"], ["256.1.1.1:0"]])
+def test_where_it_cannot_listen_it_says_so(words: list[str]) -> None:
+    done = ugrbl("sim", "--tcp", *words)
+    assert done.returncode == 1
+    assert done.stderr and "Traceback" not in done.stderr
+
+
+def test_a_place_that_is_taken_is_told(tcp_sim: TcpSim) -> None:
+    done = ugrbl("sim", "--tcp", tcp_sim.place)
+    assert done.returncode == 1
+    assert "in use" in done.stderr and "Traceback" not in done.stderr
 
 
 def test_real_speed_takes_real_time(tmp_path: Path) -> None:

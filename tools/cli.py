@@ -23,6 +23,7 @@ from .conformance import conformance
 from .gcode_file import read_lines
 from .machine import DEFAULT_BOARD
 from .messages import meaning
+from .outputs import check_outputs
 from .screen import Screen, show_errors, summary, totals_rows
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
@@ -62,13 +63,21 @@ def sim(
     port: Annotated[
         Path | None, typer.Option(metavar="LINK", help="Link to the pseudo-terminal, made there.")
     ] = None,
+    tcp: Annotated[
+        str | None,
+        typer.Option(metavar="[HOST:]PORT", help="On TCP instead; no HOST: this computer only."),
+    ] = None,
     stdio: Annotated[bool, typer.Option("--stdio", help="On stdin and stdout instead.")] = False,
     speed: Annotated[
         Speed, typer.Option(help="max: motion takes no longer than computing it.")
     ] = Speed.REAL,
     settings: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Keeps the settings between runs.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Keeps them between runs, as `ugrbl settings pull`."),
     ] = None,
+    blank: Annotated[
+        bool, typer.Option("--blank", help="With an erased memory, as before the first start.")
+    ] = False,
     switches: Annotated[
         bool, typer.Option("--switches", help="Limit switches at both ends of $130-$132, for $H.")
     ] = False,
@@ -79,12 +88,14 @@ def sim(
         Path | None, typer.Option(metavar="FILE", help="At the end, draw the tool's path there.")
     ] = None,
 ) -> None:
-    """Run the firmware behind a pseudo-terminal that any sender can open."""
+    """Run the firmware behind a pseudo-terminal, or on TCP, that any sender can open."""
     from .simulate import Options, simulate
 
     try:
         fast = speed is Speed.MAX
-        simulate(Options(board, port, stdio, fast, settings, report, plot, switches))
+        check_outputs(report, plot=plot)
+        options = Options(board, port, stdio, fast, settings, report, plot, switches, tcp, blank)
+        simulate(options)
     except (ValueError, OSError) as error:
         raise _failed(error) from error
 

@@ -8,96 +8,74 @@ import time
 import tty
 from pathlib import Path
 
-# A sender that has not taken a byte for so long does not listen: what follows is lost on it.
-_DEAF_S = 0.5
-# What is kept for the first sender to come: the banner.
-_KEPT = 1024
+from .wire import Wire
+
+# How our links spell a terminal, and nobody else's: so one that was left behind is known as ours.
+_OURS = "/dev/./"
 
 
-class Pty:
-    """A pseudo-terminal in raw mode. It outlives its senders."""
-
-    closed = False
+class Pty(Wire):
+    """A pseudo-terminal in raw mode."""
 
     def __init__(self) -> None:
+        super().__init__()
         self._master, slave = os.openpty()
         tty.setraw(slave)
         self.name = os.ttyname(slave)
         os.close(slave)
         os.set_blocking(self._master, False)
         self._link: Path | None = None
-        self._connected = False
-        self._early = b""
-        self._first = True
-        self._deaf = False
 
     def link(self, place: Path) -> None:
-        """Put a symlink to it there; one that is there already is replaced, a file is not."""
-        if place.exists() and not place.is_symlink():
-            raise FileExistsError(f"{place} is there already and is no link")
-        new = place.with_name(f".{place.name}.{os.getpid()}")
-        new.symlink_to(self.name)
-        new.replace(place)
-        self._link = place
+        """Put a symlink to it there. FileExistsError where there is anything that is not ours.
 
-    def read(self, limit: int) -> bytes:
-        """What has come from the sender."""
+        A link of a simulator that was killed is replaced.
+        """
+        if self._is_left_behind(place):
+            place.unlink()
         try:
-            data = os.read(self._master, limit)
-        except BlockingIOError:
-            data = b""
-        except OSError:  # EIO: nobody has it open
-            self._set_connected(False)
-            return b""
-        self._set_connected(True)
-        return data
-
-    def write(self, data: bytes) -> None:
-        """Send; without a sender, or to one that does not read, the bytes are lost."""
-        if not self._connected:
-            if self._first:
-                self._early = (self._early + data)[-_KEPT:]
-            return
-        until = time.monotonic() + (0 if self._deaf else _DEAF_S)
-        while data:
-            try:
-                data = data[os.write(self._master, data) :]
-                self._deaf = False
-            except BlockingIOError:
-                select.select([], [self._master], [], max(0.0, until - time.monotonic()))
-                if time.monotonic() >= until:
-                    self._deaf = True
-                    return
-            except OSError:
-                return
-
-    def wait(self, seconds: float) -> None:
-        """Sleep until bytes come; with nobody there, for the time given."""
-        if self._connected:
-            select.select([self._master], [], [], seconds)
-        else:
-            time.sleep(seconds)
+            place.symlink_to(self._target())
+        except FileExistsError as error:
+            raise FileExistsError(f"{place} is there already; it is left as it is") from error
+        self._link = place
 
     def close(self) -> None:
         """Take the terminal and its link away."""
         os.close(self._master)
-        if self._link and self._link.is_symlink() and os.readlink(self._link) == self.name:
+        if self._link and self._link.is_symlink() and os.readlink(self._link) == self._target():
             self._link.unlink()
 
-    def _set_connected(self, connected: bool) -> None:
-        if connected == self._connected:
-            return
-        self._connected = connected
-        if connected:
-            self._first = False
-            early, self._early = self._early, b""
-            self.write(early)
-        else:
-            self._deaf = False
-            self._forget()
+    def _is_left_behind(self, place: Path) -> bool:
+        """A link of a simulator whose terminal has gone, or is this one."""
+        if not place.is_symlink():
+            return False
+        target = os.readlink(place)
+        gone = target.startswith(_OURS) and not place.exists()
+        return gone or target == self._target()
 
-    def _forget(self) -> None:
+    def _target(self) -> str:
+        return self.name.replace("/dev/", _OURS, 1)
+
+    def _take(self, limit: int) -> bytes | None:
+        try:
+            return os.read(self._master, limit)
+        except BlockingIOError:
+            return b""
+        except OSError:  # EIO: nobody has it open
+            return None
+
+    def _put(self, data: bytes) -> int:
+        return os.write(self._master, data)
+
+    def _wait_to_put(self, seconds: float) -> None:
+        select.select([], [self._master], [], seconds)
+
+    def _wait_to_take(self, seconds: float) -> None:
+        select.select([self._master], [], [], seconds)
+
+    def _left(self) -> None:
         """What the last sender did not read is not for the next one."""
+        super()._left()
         slave = os.open(self.name, os.O_RDWR | os.O_NOCTTY)
         termios.tcflush(slave, termios.TCIOFLUSH)
         os.close(slave)

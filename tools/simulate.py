@@ -1,16 +1,20 @@
-"""`ugrbl sim`: the firmware behind a pseudo-terminal, or on stdin and stdout."""
+"""`ugrbl sim`: the firmware behind a pseudo-terminal, on TCP, or on stdin and stdout."""
 
 import signal
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
 from . import machine, picture
 from .live import LiveLink
-from .pty_link import Pty, Stdio
 from .recorder import Recorder
+
+if TYPE_CHECKING:
+    from .pty_link import Pty, Stdio
+    from .tcp_link import Tcp
 
 
 @dataclass
@@ -25,14 +29,19 @@ class Options:
     report: Path | None = None
     plot: Path | None = None
     switches: bool = False
+    tcp: str | None = None
+    blank: bool = False
 
 
 def simulate(options: Options) -> None:
     """Run until a signal comes, or until stdin ends and all it asked for is done."""
-    wire = Stdio() if options.stdio else Pty()
+    wire = _wire(options)
     try:
         rig = machine.build(
-            options.board, lambda rig: LiveLink(rig, wire, options.fast), options.settings
+            options.board,
+            lambda rig: LiveLink(rig, wire, options.fast),
+            options.settings,
+            blank=options.blank,
         )
         if options.switches:
             from .sim import switches
@@ -40,8 +49,7 @@ def simulate(options: Options) -> None:
             switches.fit(rig)
         recorder = Recorder(rig, keep_path=options.plot is not None)
         _stop_on_signals(rig.link)
-        if isinstance(wire, Pty):
-            _publish(wire, options.link)
+        _publish(wire, options.link)
         machine.run(rig)
     finally:
         wire.close()
@@ -51,10 +59,27 @@ def simulate(options: Options) -> None:
         recorder.totals().save(options.report)
 
 
-def _publish(wire: Pty, link: Path | None) -> None:
+def _wire(options: Options) -> "Pty | Tcp | Stdio":
+    """What the sender will be on. ValueError where that is said twice."""
+    if sum((options.link is not None, options.tcp is not None, options.stdio)) > 1:
+        raise ValueError("say one of --port, --tcp and --stdio")
+    if options.tcp is not None:
+        from .tcp_link import Tcp, address
+
+        return Tcp(*address(options.tcp))
+    try:
+        from .pty_link import Pty, Stdio
+    except ImportError as error:
+        raise ValueError("there are no pseudo-terminals here: use --tcp PORT") from error
+    return Stdio() if options.stdio else Pty()
+
+
+def _publish(wire: "Pty | Tcp | Stdio", link: Path | None) -> None:
+    name = getattr(wire, "name", "")
     if link:
-        wire.link(link)
-    Console().print(f"Grbl is at {link or wire.name}", highlight=False, soft_wrap=True)
+        wire.link(link)  # type: ignore[union-attr]  # a Pty, see _wire()
+    if name:
+        Console().print(f"Grbl is at {link or name}", highlight=False, soft_wrap=True)
 
 
 def _stop_on_signals(link: LiveLink) -> None:

@@ -1,0 +1,77 @@
+"""A wire to the simulator over TCP, for senders that cannot open a pseudo-terminal."""
+
+import select
+import socket
+from contextlib import suppress
+
+from .wire import Wire
+
+LOOPBACK = "127.0.0.1"
+
+
+def address(text: str) -> tuple[str, int]:
+    """`[HOST:]PORT`; without a host, this computer only. ValueError where it is none."""
+    host, _, port = text.rpartition(":")
+    if not port.isdecimal() or int(port) > 65535:
+        raise ValueError(f"{text} is no place to listen at; write it as 2323 or {LOOPBACK}:2323")
+    return host.strip("[]") or LOOPBACK, int(port)
+
+
+class Tcp(Wire):
+    """Listens; one sender at a time: another one waits until it has hung up."""
+
+    def __init__(self, host: str, port: int) -> None:
+        super().__init__()
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        self._listener = socket.create_server((host, port), family=family, backlog=1)
+        self._listener.setblocking(False)
+        self._sender: socket.socket | None = None
+        self.name = f"{host}:{self._listener.getsockname()[1]}"
+
+    def close(self) -> None:
+        """Hang up."""
+        self._hang_up()
+        self._listener.close()
+
+    def _take(self, limit: int) -> bytes | None:
+        if self._sender is None:
+            self._accept()
+        if self._sender is None:
+            return None
+        try:
+            data = self._sender.recv(limit)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._hang_up()
+            return None
+        return data
+
+    def _accept(self) -> None:
+        with suppress(BlockingIOError):
+            caller, _ = self._listener.accept()
+            caller.setblocking(False)
+            caller.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            caller.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            self._sender = caller
+
+    def _hang_up(self) -> None:
+        if self._sender is not None:
+            self._sender.close()
+        self._sender = None
+
+    def _put(self, data: bytes) -> int:
+        if self._sender is None:
+            raise ConnectionError
+        return self._sender.send(data)
+
+    def _wait_to_put(self, seconds: float) -> None:
+        select.select([], self._open(), [], seconds)
+
+    def _wait_to_take(self, seconds: float) -> None:
+        select.select(self._open(), [], [], seconds)
+
+    def _open(self) -> list[socket.socket]:
+        return [self._sender] if self._sender else []
