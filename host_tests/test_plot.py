@@ -1,15 +1,21 @@
 """`ugrbl plot`: the curves' numbers, the files, and the page in a real browser."""
 
+import html
 import json
+import math
 import re
 import shutil
 import subprocess
+import sys
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
-from ugrbl import plot
+from ugrbl import drawing, machine, plot
 from ugrbl.cli import app
 from ugrbl.gcode_file import split_lines
 from ugrbl.motion_trace import Motion, trace_program
@@ -20,7 +26,7 @@ needs_plotly = pytest.mark.skipif(find_spec("plotly") is None, reason="plotly is
 
 
 def trace(text: str, *settings: str, board: str = "sim") -> Motion:
-    return trace_program(split_lines(text.encode()), settings=settings, board=board)[1]
+    return trace_program(split_lines(text.encode()), settings=settings, board=board)[1].motion
 
 
 def ugrbl(*words: object) -> Result:
@@ -41,9 +47,9 @@ def test_speed_and_acceleration_are_those_of_the_trapezoid() -> None:
     # 600 mm/min = 10 mm/s, reached and lost at 10 mm/s2.
     motion = trace("G1 X20 F600\n", "$110=1000")
     assert max(motion.speed_mm_s) == pytest.approx(10, rel=0.001)
-    ramp = [a for a, t in zip(motion.acceleration[0], motion.time_s) if 0.1 < t < 0.9]
+    ramp = [a for a, t in zip(motion.acceleration(0), motion.time_s) if 0.1 < t < 0.9]
     assert sum(ramp) / len(ramp) == pytest.approx(10, rel=0.01)
-    cruise = [a for a, t in zip(motion.acceleration[0], motion.time_s) if 1.1 < t < 1.9]
+    cruise = [a for a, t in zip(motion.acceleration(0), motion.time_s) if 1.1 < t < 1.9]
     assert max(cruise) == 0
     assert motion.time_s[-1] == pytest.approx(3, rel=0.01)
 
@@ -52,16 +58,16 @@ def test_step_rates_are_per_axis_and_by_its_resolution() -> None:
     motion = trace(
         "G1 X30 Y40 F600\n", "$110=1000", "$111=1000", "$101=100", "$120=100", "$121=100"
     )
-    assert max(motion.step_hz[0]) == pytest.approx(6 * 250, rel=0.002)
-    assert max(motion.step_hz[1]) == pytest.approx(8 * 100, rel=0.002)
-    assert max(motion.step_hz[2]) == 0
+    assert max(motion.step_hz(0)) == pytest.approx(6 * 250, rel=0.002)
+    assert max(motion.step_hz(1)) == pytest.approx(8 * 100, rel=0.002)
+    assert max(motion.step_hz(2)) == 0
 
 
 def test_motors_of_a_corexy_step_for_both_axes() -> None:
     motion = trace("G1 X10 Y10 F300\n", "$120=100", "$121=100", board="sim_corexy")
-    assert max(motion.step_hz[0]) > 1000
-    assert max(motion.step_hz[1]) == 0
-    assert max(motion.acceleration[0]) == pytest.approx(max(motion.acceleration[1]))
+    assert max(motion.step_hz(0)) > 1000
+    assert max(motion.step_hz(1)) == 0
+    assert max(motion.acceleration(0)) == pytest.approx(max(motion.acceleration(1)))
 
 
 def test_a_dwell_is_rest() -> None:
@@ -77,11 +83,92 @@ def test_the_path_ends_where_the_program_does() -> None:
 
 
 def test_an_envelope_keeps_the_peaks() -> None:
-    values = [0.0] * 10_000
-    values[7777], values[1234] = 9.0, -4.0
-    times, kept = plot.envelope([float(n) for n in range(10_000)], values, 500)
-    assert len(kept) <= 500 and max(kept) == 9 and min(kept) == -4
-    assert times == sorted(times)
+    values = np.zeros(10_001)
+    values[7777], values[1234], values[10_000] = 9.0, -4.0, 11.0
+    times, kept = drawing.envelope(np.arange(10_001.0), values, 500)
+    assert len(kept) <= 500 and max(kept) == 11 and min(kept) == -4 and 9 in kept
+    assert list(times) == sorted(times)
+
+
+def test_each_segment_knows_its_line_and_whether_it_is_a_rapid() -> None:
+    motion = trace("G0 X1\n(nothing)\nG1 X2 F300\nG4 P1\nG2 X4 Y0 R1\nG0 Z1\n")
+    found = {line: bool(rapid) for line, rapid in zip(motion.lines, motion.rapids) if line}
+    assert found == {1: True, 3: False, 5: False, 6: True}
+    assert 0 in motion.lines  # at rest
+
+
+def test_the_tools_power_is_known() -> None:
+    motion = trace("M3 S500\nG1 X2 F300\nM5\nG0 X4\n")
+    cut, rapid = motion.lines == 2, motion.lines == 4
+    power = np.array(motion.power)
+    assert power[cut] == pytest.approx(0.5, abs=0.01) and not power[rapid].any()
+
+
+# What is drawn
+
+
+def lettering() -> list[str]:
+    """Small letters with rapids between them, and a hole that no line may cross."""
+    lines = ["G21 G90", "M3 S1000"]
+    for letter in range(40):
+        x, y = 4 * (letter % 8), 5 * (letter // 8)
+        lines += ["G0 Z1", f"G0 X{x} Y{y}", "G1 Z-1 F900"]
+        angles = [n * math.pi / 20 for n in range(41)]
+        lines += [f"G1 X{x + math.cos(a) - 1:.4f} Y{y + math.sin(a):.4f} F900" for a in angles]
+    return lines
+
+
+_FAST = ["$110=5000", "$111=5000", "$112=3000", "$120=500", "$121=500", "$122=500"]
+
+
+def away(points: Any, rows: Any) -> float:
+    """How far the points are from the line through those of the rows."""
+    worst = 0.0
+    for begin, end in pairwise(rows):
+        part = points[begin : end + 1].astype(float)
+        way = part[-1] - part[0]
+        share = np.clip((part - part[0]) @ way / ((way @ way) or 1.0), 0, 1)
+        off = part - part[0] - share[:, None] * way
+        worst = max(worst, float(np.sqrt((off**2).sum(axis=1)).max()))
+    return worst
+
+
+@pytest.mark.parametrize("most", [600_000, 900])
+def test_what_is_drawn_is_nowhere_further_from_the_path_than_it_says(most: int) -> None:
+    job = plot.run_job("", split_lines("\n".join(lettering()).encode()), _FAST)
+    drawn = drawing.draw(job, most)
+    assert (drawn.tolerance_mm > drawing.TOLERANCE_MM) == (most == 900)
+    rows = np.searchsorted(job.motion.time_s, drawn.time_s)
+    assert away(job.motion.points, rows) <= drawn.tolerance_mm * 1.001
+    assert len(rows) < len(job.motion) / 2
+
+
+def test_cuts_drawn_are_cuts_and_rapids_are_rapids() -> None:
+    job = plot.run_job("", split_lines("\n".join(lettering()).encode()), _FAST)
+    drawn = drawing.draw(job, 600_000)
+    cuts, rapids = drawn.strokes(False), drawn.strokes(True)
+    # Nothing is cut but circles of 1 mm and the ways down to them.
+    middle = (cuts[:, 0] + cuts[:, 1]) / 2
+    x, y = (middle[:, 0] + 1) % 4, middle[:, 1] % 5
+    radius = np.hypot(np.where(x > 2, x - 4, x), np.where(y > 2.5, y - 5, y))
+    assert abs(radius - 1).max() < drawn.tolerance_mm + 0.01
+    assert (rapids[:, :, 2].min(), rapids[:, :, 2].max()) == pytest.approx((-1, 1))
+    assert len(cuts) + len(rapids) == len(drawn.points) - 1
+
+
+def test_a_long_job_takes_little_time_and_memory(tmp_path: Path) -> None:
+    file, out = tmp_path / "long.nc", tmp_path / "long.html"
+    file.write_text("\n".join(lettering() * 12) + "\n")  # 21,000 lines
+    code = (
+        "import resource, sys; from ugrbl.cli import app;"
+        "app(sys.argv[1:], standalone_mode=False);"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+    )
+    words = [sys.executable, "-c", code, "plot", str(file), "-o", str(out)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=True)
+    # 200,000 lines have to do with 500 MB; what does not grow with the job is 100.
+    assert int(done.stdout.split()[-1]) / 1024 < 140
+    assert out.stat().st_size < 8_000_000
 
 
 # The words
@@ -153,12 +240,52 @@ def test_a_pulled_settings_file_is_the_machine_as_it_is(program: Path) -> None:
         (["--set", "fast"], "write it as 120=500"),
         (["--set", "0=1"], "was refused with error:6"),
         (["-o", "out.pdf"], ".html, .png, .svg"),
+        (["-o", "square.nc"], ".html, .png, .svg"),
+        (["-o", "FOLDER"], "is a folder"),
+        (["-o", "FILE/out.png"], "square.nc is no folder"),
+        (["--json", "FOLDER"], "is a folder"),
+        (["--json", "FILE"], "it is not written over"),
+        (["--board", "nowhere.py"], "no board file nowhere.py"),
     ],
 )
 def test_what_cannot_be_drawn_says_why(program: Path, words: list[str], why: str) -> None:
+    folder = program.with_name("folder.png")
+    folder.mkdir()
+    words = [w.replace("FOLDER", str(folder)).replace("FILE", str(program)) for w in words]
+    before = program.read_bytes()
     done = ugrbl(program, "-o", program.with_name("out.png"), *words)
-    assert done.exit_code == 1
+    assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
     assert why in " ".join(done.output.split())
+    assert "--set" in words or "--board" in words or "lines" not in done.output, "before the work"
+    assert program.read_bytes() == before
+
+
+def test_errors_are_a_failure_and_the_rest_is_drawn(program: Path) -> None:
+    program.write_text("G0 X1\nG64\nG0 X2\n")
+    out = program.with_name("out.png")
+    done = ugrbl(program, "-o", out)
+    assert done.exit_code == 1 and "line 2" in done.output
+    assert out.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("data", [b"", b"\n \n", b"\x89PNG\r\n\x1a\n\0\0"])
+def test_what_is_no_program_is_not_drawn(program: Path, data: bytes) -> None:
+    program.write_bytes(data)
+    done = ugrbl(program, "-o", program.with_name("out.png"))
+    assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
+    assert str(program) in done.output.replace("\n", "")
+
+
+def test_a_program_that_moves_nothing_is_drawn(program: Path) -> None:
+    program.write_text("G21\n")
+    for suffix in (".png", ".html"):
+        assert ugrbl(program, "-o", program.with_name("out" + suffix)).exit_code == 0
+
+
+@pytest.mark.parametrize("name", machine.boards())
+def test_every_board_can_be_drawn_for(name: str, program: Path) -> None:
+    done = ugrbl(program, "-o", program.with_name("out.svg"), "--board", name)
+    assert done.exit_code == 0, done.output
 
 
 def test_a_program_that_ends_in_an_alarm_is_not_drawn(program: Path) -> None:
@@ -170,40 +297,46 @@ def test_a_program_that_ends_in_an_alarm_is_not_drawn(program: Path) -> None:
 # The page in a browser
 
 _PROBE = """<script>
-const until = setInterval(() => {
+const until = setInterval(async () => {
   if (!document.body.dataset.drawn) return;
   clearInterval(until);
   document.querySelector('button[data-up="1"]').click();
-  setTimeout(() => {
-    const space = document.getElementById("space");
-    const time = document.getElementById("time");
-    const seen = {
-      traces: [...document.querySelectorAll("#space, #flat, #time")].map((d) => d.data.length),
-      points: space.data[0].x.length,
-      up: space.layout.scene2.camera.up.y,
-      canvases: space.querySelectorAll("canvas").length,
-      lines: time.querySelectorAll(".scatterlayer .js-line").length,
-      requests: performance.getEntriesByType("resource").map((entry) => entry.name),
-      words: document.getElementById("words").textContent,
-    };
-    document.body.dataset.seen = JSON.stringify(seen);
-  }, 1000);
+  const by = (id) => document.getElementById(id);
+  const spot = (name) => by(name).data.find((one) => one.hoverinfo === "skip");
+  const told = () => by("told").textContent;
+  by("moment").value = 1e9;
+  by("moment").oninput();
+  await new Promise((done) => setTimeout(done, 1500));
+  const last = told();
+  const cuts = by("space").data[0];
+  const pointNumber = cuts.rows.findLastIndex((row) => row >= 0);
+  by("space").emit("plotly_hover", { points: [{ data: cuts, pointNumber }] });
+  await new Promise((done) => setTimeout(done, 1500));
+  const seen = {
+    traces: ["space", "flat", "time"].map((name) => by(name).data.map((one) => one.name)),
+    points: cuts.x.length,
+    up: by("space").layout.scene2.camera.up.y,
+    canvases: by("space").querySelectorAll("canvas").length,
+    lines: by("time").querySelectorAll(".scatterlayer .js-line").length,
+    requests: performance.getEntriesByType("resource").map((entry) => entry.name),
+    words: by("words").textContent,
+    tables: by("jobs").textContent,
+    last, hovered: told(), spot: [...spot("space").x, ...spot("flat").y],
+    cursor: by("time").layout.shapes[0].x0, moment: Number(by("moment").value),
+  };
+  document.body.dataset.seen = JSON.stringify(seen);
 }, 50);
 </script>"""
 
 
-@needs_plotly
-def test_the_page_draws_itself_in_a_browser_without_a_network(program: Path) -> None:
+def browse(page: Path) -> Any:
+    """What the probe has seen in a browser; skipped where there is none."""
     browser = next(filter(None, map(shutil.which, _BROWSERS)), None)
     if browser is None:
         pytest.skip(f"no browser here: none of {', '.join(_BROWSERS)}")
-    page = program.with_name("page.html")
-    done = ugrbl(program, "-o", page, "--set", "120=200")
-    assert done.exit_code == 0, done.output
-    assert page.stat().st_size < 3_000_000
     page.write_text(page.read_text() + _PROBE)
     words = [browser, "--headless", "--no-sandbox", "--enable-unsafe-swiftshader"]
-    words += ["--virtual-time-budget=60000", f"--user-data-dir={program.parent / 'profile'}"]
+    words += ["--virtual-time-budget=60000", f"--user-data-dir={page.parent / 'profile'}"]
     shown = subprocess.run(
         [*words, "--dump-dom", page.as_uri()],
         capture_output=True,
@@ -213,10 +346,27 @@ def test_the_page_draws_itself_in_a_browser_without_a_network(program: Path) -> 
     )
     found = re.search(r'data-seen="([^"]*)"', shown.stdout)
     assert found, shown.stderr[-2000:] + shown.stdout[-500:]
-    seen = json.loads(found[1].replace("&quot;", '"'))
-    assert seen["traces"][0] == 2 and seen["traces"][2] == 14
-    assert seen["points"] > 100 and seen["canvases"] > 0
-    assert seen["lines"] == 14
+    return json.loads(html.unescape(found[1]))
+
+
+@needs_plotly
+def test_the_page_draws_itself_in_a_browser_without_a_network(program: Path) -> None:
+    page = program.with_name("page.html")
+    done = ugrbl(program, "-o", page, "--set", "120=200")
+    assert done.exit_code == 0, done.output
+    assert page.stat().st_size < 3_000_000
+    seen = browse(page)
+    assert seen["traces"][0][:2] == ["cuts", "rapids"] and len(seen["traces"][2]) == 16
+    assert "rapids" in seen["traces"][1]
+    assert seen["points"] > 30 and seen["canvases"] > 0
+    assert seen["lines"] == 16
     assert seen["up"] == 1  # the button turned it
     assert not [name for name in seen["requests"] if not name.startswith(("file:", "blob:"))]
     assert "saved" in seen["words"]
+    assert "X0.000 to 10.000 mm: 10.000 of 200 ($130)" in seen["tables"]
+    assert "nowhere more than 0.01 mm beside the path" in seen["tables"]
+    # The slider's end is the program's, and what is hovered over is told with its line.
+    assert "X 5.000   Y 5.000   Z 2.000" in seen["last"]
+    assert "line 8: G2 X5 Y5 R5" in seen["hovered"]
+    assert seen["spot"] == pytest.approx([5, 5], abs=0.2)
+    assert seen["cursor"] == pytest.approx(seen["moment"]) and seen["moment"] > 1

@@ -17,7 +17,7 @@ import pytest
 import state as st
 from hypothesis import given
 from hypothesis import strategies as some
-from ugrbl import picture
+from ugrbl import plot
 from ugrbl.gcode_file import read_lines
 from ugrbl.machine import load_board
 from ugrbl.run import run_program
@@ -502,13 +502,18 @@ def test_the_generator_makes_the_committed_program() -> None:
 
 
 @pytest.mark.parametrize("board", ["sim_punch", "sim_punch_09"])
-def test_the_demonstration_punches_its_pattern(board: str, tmp_path: Path) -> None:
-    result, recorder = run_program(read_lines(_PROGRAM), board=board, keep_path=True)
+def test_the_demonstration_punches_its_pattern(board: str) -> None:
+    result, recorder = run_program(read_lines(_PROGRAM), board=board)
     wanted = expected_holes()
     assert not result.errors and not result.stopped
     assert len(recorder.marks) == len(wanted) == 131
     for (x, y), mark in zip(wanted, recorder.marks, strict=True):
         assert math.dist((x, y), mark[:2]) < 0.005
-    file = tmp_path / "punch.png"
-    picture.save(picture.strokes(recorder.path), file, marks=recorder.marks)
-    assert file.stat().st_size > 10_000
+
+
+def test_its_holes_are_drawn(tmp_path: Path) -> None:
+    job = plot.run_job("as it is", read_lines(_PROGRAM), [], "sim_punch")
+    assert len(job.marks) == 131
+    for suffix in (".png", ".html"):
+        plot.save([job], "punch", "", tmp_path / f"punch{suffix}")
+        assert (tmp_path / f"punch{suffix}").stat().st_size > 10_000

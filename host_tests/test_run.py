@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
+from ugrbl import machine, paths
 from ugrbl.cli import app
 from ugrbl.gcode_file import read_lines, split_lines
 from ugrbl.messages import alarms, errors, meaning
@@ -186,7 +187,80 @@ def test_unknown_numbers_are_said_to_be_so() -> None:
     assert meaning("error:99") == "not a number of Grbl 1.1"
 
 
+def test_a_reset_in_the_text_is_told_of() -> None:
+    assert run("G91\n\x18\nG0 X1\n").resets == [2]
+
+
 # The command
+
+
+def test_a_reset_in_the_text_is_a_failure(program: Path) -> None:
+    program.write_bytes(b"G0 X1\n\x18G0 X2\n")
+    done = CliRunner().invoke(app, ["run", str(program)])
+    assert done.exit_code == 1 and "line 2: Ctrl-X" in done.output
+
+
+@pytest.mark.parametrize("data", [b"", b"\n\n", b"GIF89a\0\0"])
+def test_what_is_no_program_is_a_failure(program: Path, data: bytes) -> None:
+    program.write_bytes(data)
+    done = CliRunner().invoke(app, ["run", str(program)])
+    assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--plot", "out.tiff"], ".html, .png, .svg"),
+        (["--json", "PROGRAM/x.json"], "program.nc is no folder"),
+        (["--json", "PROGRAM"], "it is not written over"),
+        (["--settings", "PROGRAM"], "is no setting"),
+        (["--set", "fast"], "write it as"),
+    ],
+)
+def test_what_cannot_be_is_told_before_the_work(program: Path, words: list[str], why: str) -> None:
+    program.write_text("G0 X1\n")
+    words = [word.replace("PROGRAM", str(program)) for word in words]
+    done = CliRunner().invoke(app, ["run", str(program), *words])
+    assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
+    assert why in " ".join(done.output.split()) and "machining" not in done.output
+    assert program.read_text() == "G0 X1\n"
+
+
+def test_settings_of_a_file_hold_and_those_said_over_them(program: Path, tmp_path: Path) -> None:
+    program.write_text("G0 X1 Y1\n")
+    settings, file = tmp_path / "my.settings", tmp_path / "out.json"
+    settings.write_text("$100=100 ; coarse\n$101=50\n")
+    words = ["--settings", str(settings), "--set", "101=80", "--json", str(file)]
+    assert CliRunner().invoke(app, ["run", str(program), *words]).exit_code == 0
+    result = json.loads(file.read_text())
+    assert result["steps_made"] == {"X": 100, "Y": 80, "Z": 0}
+    assert result["final_position_mm"] == {"X": 1, "Y": 1, "Z": 0}
+
+
+@pytest.mark.parametrize("suffix", [".html", ".PNG", ".svg"])
+def test_what_has_run_is_drawn_as_plot_does(program: Path, suffix: str) -> None:
+    program.write_text("G0 X10 Y5\nG1 X0 F300\n")
+    file = program.with_name("new") / f"path{suffix}"
+    done = CliRunner().invoke(app, ["run", str(program), "--plot", str(file)])
+    assert done.exit_code == 0, done.output
+    assert file.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("name", machine.boards())
+def test_every_board_simulates(name: str, program: Path) -> None:
+    program.write_text("G21 G90\nG0 X1\nG1 Y1 F300\n")
+    done = CliRunner().invoke(app, ["run", str(program), "--board", name])
+    assert done.exit_code == 0, done.output
+    assert "2 commanded" not in done.output and "!=" not in done.output
+
+
+def test_a_board_file_anywhere_simulates(program: Path, tmp_path: Path) -> None:
+    program.write_text("G0 X1\n")
+    board = tmp_path / "mine.py"
+    board.write_text((paths.BOARDS / "rpi_pico.py").read_text() + "DEFAULTS = {100: 80.0}\n")
+    done = CliRunner().invoke(app, ["run", str(program), "--board", str(board)])
+    assert done.exit_code == 0, done.output
+    assert "80 commanded = 80 made" in done.output
 
 
 @pytest.fixture

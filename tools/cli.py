@@ -1,6 +1,5 @@
 """The command line `ugrbl`: what there is to type. The work is done elsewhere."""
 
-import time
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
@@ -14,17 +13,16 @@ from . import (
     deploy_cli,
     doctor,
     new_board_cli,
-    picture,
     plot_cli,
+    run_cli,
     selftest_cli,
     settings_cli,
 )
 from .conformance import conformance
 from .gcode_file import read_lines
 from .machine import DEFAULT_BOARD
-from .messages import meaning
 from .outputs import check_outputs
-from .screen import Screen, show_errors, summary, totals_rows
+from .screen import Screen
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
 app.command("build", epilog=build_cli.EXAMPLES)(build_cli.command)
@@ -33,6 +31,7 @@ app.command("deploy", epilog=deploy_cli.EXAMPLES)(deploy_cli.command)
 app.command("doctor", epilog=doctor.EXAMPLES)(doctor.command)
 app.command("new-board", epilog=new_board_cli.EXAMPLES)(new_board_cli.command)
 app.command("plot", epilog=plot_cli.EXAMPLES)(plot_cli.command)
+app.command("run", epilog=run_cli.EXAMPLES)(run_cli.command)
 app.command("selftest", epilog=selftest_cli.EXAMPLES)(selftest_cli.command)
 app.add_typer(settings_cli.app, name="settings")
 
@@ -98,68 +97,6 @@ def sim(
         simulate(options)
     except (ValueError, OSError) as error:
         raise _failed(error) from error
-
-
-@app.command()
-def run(
-    file: Program,
-    setting: Annotated[
-        list[str] | None, typer.Option("--set", metavar="N=V", help="A setting: 110=6000.")
-    ] = None,
-    check: Annotated[
-        bool, typer.Option("--check", help="In check mode, nothing moves; errors make it exit 1.")
-    ] = False,
-    plot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw the tool's path there.")
-    ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the result there.")
-    ] = None,
-    board: Board = DEFAULT_BOARD,
-) -> None:
-    """Run a program in virtual time and say how long it takes, how far it goes, what is wrong.
-
-    Where the program pauses (M0, or a hold in its text) it is told to go on. The exit code is 0
-    if it came to its end; with --check, only if there were no errors either.
-    """
-    from .run import run_program
-
-    console = Console()
-    lines = read_lines(file)
-    settings = [f"${text.lstrip('$')}" for text in setting or ()]
-    begun = time.monotonic()
-    try:
-        with Screen(console, file.name, len(lines)) as screen:
-            result, recorder = run_program(
-                lines,
-                board=board,
-                settings=settings,
-                check=check,
-                keep_path=plot is not None,
-                progress=screen.progress,
-            )
-            screen.progress(result.lines)
-    except ValueError as error:
-        raise _failed(error) from error
-    seconds = time.monotonic() - begun
-    show_errors(console, result.errors, lines)
-    for number in result.pauses:
-        console.print(f"line {number}: paused; told to go on", highlight=False)
-    speed = f"{seconds:.1f} s, {result.lines / seconds:.0f} lines/s"
-    rows = [("lines", str(result.lines)), ("errors", str(len(result.errors)))]
-    if recorder.marks:
-        rows.append(("holes punched", str(len(recorder.marks))))
-    rows += [*totals_rows(result.totals), ("ended in", result.final_state), ("computed in", speed)]
-    console.print(summary(rows))
-    if plot:
-        picture.save(picture.strokes(recorder.path), plot, file.name, recorder.marks)
-    if json_file:
-        result.save(json_file)
-    if result.stopped:
-        why = meaning(result.stopped) if result.stopped.startswith("ALARM:") else ""
-        raise _failed(": ".join(filter(None, ["could not finish", result.stopped, why])))
-    if check and result.errors:
-        raise typer.Exit(1)
 
 
 @app.command()

@@ -27,6 +27,16 @@ def read_lines(path: Path) -> list[bytes]:
     return split_lines(path.read_bytes())
 
 
+def read_program(path: Path) -> list[bytes]:
+    """As read_lines(); ValueError where there is nothing to run, or what is there is no text."""
+    lines = read_lines(path)
+    if not any(line.strip() for line in lines):
+        raise ValueError(f"{path} is empty")
+    if any(b"\0" in line for line in lines):
+        raise ValueError(f"{path} is no text, and so no G-code")
+    return lines
+
+
 def has_realtime(line: bytes) -> bool:
     """Whether a line holds bytes that act at once, before the lines in front of it are done."""
     return _REALTIME.search(line) is not None

@@ -57,6 +57,10 @@ class UntimedLink:
     def power_off(self) -> None:
         """Nothing is lost."""
 
+    def now_at(self) -> int:
+        """No program is known, and so no line of it."""
+        return 0
+
 
 def build(
     board: str,

@@ -28,9 +28,12 @@ def check_outputs(
 def _check(file: Path) -> None:
     if file.is_dir():
         raise IsADirectoryError(f"{file} is a folder: name a file")
+    there = next(folder for folder in file.absolute().parents if folder.exists())
+    if not there.is_dir():
+        raise NotADirectoryError(f"{file} cannot be written: {there} is no folder")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OSError(f"{file} cannot be written: {error.strerror}: {error.filename}") from error
+        raise OSError(f"{file} cannot be written: {error.strerror}") from error
     if not os.access(file if file.exists() else file.parent, os.W_OK):
         raise PermissionError(f"{file} cannot be written: permission denied")

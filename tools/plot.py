@@ -7,12 +7,9 @@ from typing import Any
 
 from . import machine
 from .messages import meaning as reply_meaning
-from .motion_trace import LETTERS, Motion, trace_program
-from .picture import Stroke
+from .motion_trace import LETTERS, Motion, MotionTrace, trace_program
 from .run import Result
 from .settings_file import Settings, SettingsError, meaning
-
-FORMATS = (".html", ".png", ".svg")
 
 # There are no switches on paper: with these, a job would begin locked, or end in an alarm.
 _WITHOUT = frozenset({20, 21, 22})
@@ -25,17 +22,15 @@ class Job:
     name: str
     result: Result
     motion: Motion
-    limits: dict[str, list[float]]  # per axis, of max_rate in steps/s and acceleration in mm/s2
+    # Per axis: max_rate in steps/s, acceleration in mm/s2, travel in mm.
+    limits: dict[str, list[float]]
+    program: Sequence[bytes] = ()
+    marks: Sequence[Sequence[float]] = ()  # where a punch has made a hole, in mm
 
     @property
     def seconds(self) -> float:
         """How long it takes."""
         return self.result.totals.time_s
-
-    def strokes(self) -> list[Stroke]:
-        """Its path, as picture.py wants it."""
-        motion = self.motion
-        return [Stroke(*row) for row in zip(*motion.place, motion.seconds, strict=True)]
 
     def as_json(self) -> dict[str, Any]:
         """As `ugrbl plot --json` writes it."""
@@ -47,8 +42,11 @@ class Job:
             "errors": self.result.errors,
             "stopped": self.result.stopped,
             "distance_mm": self.result.totals.distance_mm,
-            "fastest_mm_min": 60 * max(motion.speed_mm_s, default=0.0),
-            "fastest_step_hz": by_letter(max(c, default=0.0) for c in motion.step_hz),
+            "fastest_mm_min": 60 * float(max(motion.speed_mm_s, default=0.0)),
+            "fastest_step_hz": by_letter(
+                float(motion.step_hz(axis).max(initial=0)) for axis in motion.axes()
+            ),
+            "final_position_mm": self.result.totals.final_position_mm,
         }
 
 
@@ -83,11 +81,24 @@ def run_job(
     progress: Callable[[int], None] | None = None,
 ) -> Job:
     """Run it. ValueError where a setting is refused."""
-    result, motion = trace_program(lines, board=board, settings=settings, progress=progress)
+    result, trace = trace_program(lines, board=board, settings=settings, progress=progress)
     if " was refused with " in result.stopped:
         reply = result.stopped.rpartition(" ")[2]
         raise ValueError(f"{result.stopped}: {reply_meaning(reply)}")
-    return Job(name, result, motion, _limits(board, settings, len(motion.step_hz)))
+    return job_of(name, lines, settings, board, result, trace)
+
+
+def job_of(
+    name: str,
+    lines: Sequence[bytes],
+    settings: Sequence[str],
+    board: str,
+    result: Result,
+    trace: MotionTrace,
+) -> Job:
+    """What has been traced, ready to be drawn."""
+    limits = _limits(board, settings, len(trace.motion.axes()))
+    return Job(name, result, trace.motion, limits, lines, trace.marks)
 
 
 def _limits(board: str, settings: Sequence[str], axes: int) -> dict[str, list[float]]:
@@ -97,7 +108,11 @@ def _limits(board: str, settings: Sequence[str], axes: int) -> dict[str, list[fl
         number, _, value = line.lstrip("$").partition("=")
         values[int(number)] = float(value)
     hz = [values[110 + axis] / 60 * values[100 + axis] for axis in range(axes)]
-    return {"step_hz": hz, "acceleration": [values[120 + axis] for axis in range(axes)]}
+    return {
+        "step_hz": hz,
+        "acceleration": [values[120 + axis] for axis in range(axes)],
+        "travel": [values[130 + axis] for axis in range(axes)],
+    }
 
 
 def _defaults(board: str) -> dict[int, float]:
@@ -147,32 +162,12 @@ def short(seconds: float) -> str:
 
 def save(jobs: Sequence[Job], title: str, words: str, file: Path) -> None:
     """Draw the jobs beside each other; the suffix of the file says how."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    if file.suffix == ".html":
+    suffix = file.suffix.lower()
+    if suffix == ".html":
         from . import plot_page
 
         file.write_text(plot_page.page(jobs, title, words), encoding="utf-8")
     else:
         from . import plot_image
 
-        plot_image.draw(jobs, title, words, file.suffix == ".svg").savefig(file)
-
-
-def envelope(
-    time_s: Sequence[float], values: Sequence[float], most: int
-) -> tuple[list[float], list[float]]:
-    """The same curve in no more than so many points: the least and the highest of each stretch."""
-    count = len(time_s)
-    if count <= most:
-        return list(time_s), list(values)
-    stretch = -(-count // (most // 2))
-    times: list[float] = []
-    kept: list[float] = []
-    for begin in range(0, count, stretch):
-        rows = range(begin, min(begin + stretch, count))
-        low = min(rows, key=values.__getitem__)
-        high = max(rows, key=values.__getitem__)
-        for row in sorted({low, high}):
-            times.append(time_s[row])
-            kept.append(values[row])
-    return times, kept
+        plot_image.draw(jobs, title, words, suffix == ".svg").savefig(file, format=suffix[1:])

@@ -9,7 +9,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from . import machine, plot
-from .gcode_file import read_lines
+from .gcode_file import read_program
+from .outputs import check_outputs
 from .plot import Job
 from .screen import Screen, show_errors, summary
 from .settings_cli import save_json
@@ -46,13 +47,13 @@ def command(
 ) -> None:
     """Draw what a program will do: its path, coloured by speed; speed, acceleration, step rates.
 
-    With --set it is drawn a second time, under those settings, and the time saved is told.
+    With --set it is drawn a second time, under those settings, and the time saved is told. The
+    exit code is 1 where the program has errors; what could be done of it is drawn all the same.
     """
     console = Console(stderr=str(json_file) == "-")
     target = out or Path(file.stem + ".html")
     try:
-        if target.suffix not in plot.FORMATS:
-            raise ValueError(f"{target}: it can be {', '.join(plot.FORMATS)}")
+        check_outputs(json_file, plot=target, keep=(file, settings))
         jobs = _jobs(console, file, settings, what_if or (), board)
         words = ""
         if len(jobs) > 1:
@@ -60,18 +61,20 @@ def command(
             words = f"{extra}: {plot.verdict(*jobs)}"
         console.print("Drawing …")
         plot.save(jobs, file.name, words, target)
+        if json_file:
+            save_json({"jobs": [job.as_json() for job in jobs], "verdict": words}, json_file)
     except (ValueError, OSError) as error:
         Console(stderr=True).print(f"[red]{escape(str(error))}", highlight=False)
         raise typer.Exit(1) from error
     _tell(console, jobs, words, target)
-    if json_file:
-        save_json({"jobs": [job.as_json() for job in jobs], "verdict": words}, json_file)
+    if jobs[0].result.errors:
+        raise typer.Exit(1)
 
 
 def _jobs(
     console: Console, file: Path, settings: Path | None, what_if: Sequence[str], board: str
 ) -> list[Job]:
-    lines = read_lines(file)
+    lines = read_program(file)
     base = plot.from_file(settings) if settings else []
     extra = [plot.as_line(text) for text in what_if]
     runs = [(settings.name if settings else "as it is", base)]

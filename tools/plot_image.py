@@ -1,14 +1,14 @@
 """Jobs as a picture: a column each, with the path from above and in space, and curves in time."""
 
 from collections.abc import Iterable, Sequence
-from itertools import pairwise
-from math import dist
 from typing import TYPE_CHECKING, Any
 
-from . import picture
+import numpy as np
+
+from . import drawing
+from .drawing import Drawing, Numbers, envelope
 from .motion_trace import LETTERS
-from .picture import Stroke
-from .plot import Job, envelope, short
+from .plot import Job, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -16,11 +16,14 @@ if TYPE_CHECKING:
 
 # A curve, or a path in a drawing made of lines, has no more points than that.
 _POINTS = 4000
-_STROKES = 20_000
-_STROKES_SVG = 5000
+_STROKES = 40_000
+_STROKES_SVG = 10_000
+# A picture is so many dots wide: what is finer than one cannot be seen.
+_DOTS = 2000
 _WIDTH = 9.0
-_HEIGHTS = (6.0, 5.0, 2.2, 2.2, 2.2)
-_COLOURS = ("tab:red", "tab:green", "tab:blue", "tab:orange", "tab:purple", "tab:brown")
+_HEIGHTS = (6.0, 5.0, 1.8, 1.8, 1.8, 1.8)
+# How a hole looks that a punch has made.
+_RING: dict[str, Any] = {"mfc": "white", "mec": "black", "ms": 5, "mew": 1.2}
 
 
 def draw(jobs: Sequence[Job], title: str, words: str, is_svg: bool = False) -> "Figure":
@@ -29,47 +32,78 @@ def draw(jobs: Sequence[Job], title: str, words: str, is_svg: bool = False) -> "
 
     size = (_WIDTH * len(jobs), sum(_HEIGHTS))
     figure = Figure(figsize=size, dpi=100, layout="constrained")
-    figure.suptitle(f"{title}\n{words}" if words else title)
+    figure.suptitle(f"{title}\n{words}" if words else title, parse_math=False)
     grid = figure.add_gridspec(len(_HEIGHTS), len(jobs), height_ratios=_HEIGHTS)
-    paths = [thinned(job.strokes(), _STROKES_SVG if is_svg else _STROKES) for job in jobs]
-    fastest = max(picture.fast(path, path_speeds(path)) for path in paths)
+    drawings = [_draw(job, _STROKES_SVG if is_svg else _STROKES) for job in jobs]
+    look: dict[str, Any] = {"cmap": drawing.SCALE, "clim": (0, drawing.fastest(drawings))}
     above: list[Any] = []
-    for column, (job, path) in enumerate(zip(jobs, paths, strict=True)):
-        look: dict[str, Any] = {"array": path_speeds(path), "cmap": "turbo", "clim": (0, fastest)}
+    for column, (job, drawn) in enumerate(zip(jobs, drawings, strict=True)):
         above.append(figure.add_subplot(grid[0, column], aspect="equal"))
-        flat = _from_above(above[-1], path, look)
-        above[-1].set_title(f"{job.name}: {short(job.seconds)}")
-        _in_space(figure.add_subplot(grid[1, column], projection="3d"), path, look)
-    figure.colorbar(flat, ax=above, label="speed in mm/min", extend="max")
+        flat = _from_above(above[-1], job, drawn, look)
+        above[-1].set_title(_heading(job, drawn), fontsize="small", parse_math=False)
+        _in_space(figure.add_subplot(grid[1, column], projection="3d"), drawn, look)
+    figure.colorbar(flat, ax=above, label="speed of cuts in mm/min", extend="max")
     _curves(figure, grid, jobs)
     return figure
 
 
-def thinned(path: Sequence[Stroke], most: int) -> list[Stroke]:
-    return picture.thin(path, sum(dist(a.place, b.place) for a, b in pairwise(path)) / most)
+def _draw(job: Job, most: int) -> Drawing:
+    longest = max(high - low for low, high in job.result.totals.bounds_mm.values())
+    return drawing.draw(job, most, max(drawing.TOLERANCE_MM, longest / _DOTS))
 
 
-def path_speeds(path: Sequence[Stroke]) -> list[float]:
-    return [60 * dist(a.place, b.place) / (b.seconds or 1.0) for a, b in pairwise(path)]
+def _heading(job: Job, drawn: Drawing) -> str:
+    rows = [f"{name} {what}" for name, what in drawing.figures(job)]
+    rows.append(f"drawn within {drawn.tolerance_mm:.2g} mm; rapids dashed")
+    pairs = ["   ".join(rows[n : n + 2]) for n in range(0, len(rows), 2)]
+    return "\n".join([f"{job.name}: {short(job.seconds)}", *pairs])
 
 
-def _from_above(axes: "Axes", path: Sequence[Stroke], look: dict[str, Any]) -> Any:
+def _from_above(axes: "Axes", job: Job, drawn: Drawing, look: dict[str, Any]) -> Any:
     from matplotlib.collections import LineCollection
 
-    flat = LineCollection([(a[:2], b[:2]) for a, b in pairwise(path)], linewidths=0.7, **look)
+    rapids = LineCollection(
+        list(drawn.strokes(True)[:, :, :2]), colors=drawing.RAPID, linewidths=0.6, linestyles="--"
+    )
+    speeds = drawn.stroke_speeds(False)
+    flat = LineCollection(
+        list(drawn.strokes(False)[:, :, :2]), array=speeds, linewidths=0.8, **look
+    )
+    axes.add_collection(rapids)
     axes.add_collection(flat)
+    axes.plot([mark[0] for mark in job.marks], [mark[1] for mark in job.marks], "o", **_RING)
     axes.autoscale_view()
     axes.set(xlabel="X mm", ylabel="Y mm")
+    _travel(axes, job, drawn)
     return flat
 
 
-def _in_space(axes: Any, path: Sequence[Stroke], look: dict[str, Any]) -> None:
+def _travel(axes: "Axes", job: Job, drawn: Drawing) -> None:
+    """A frame as large as the travel of $130 and $131, where the job is nearly as large."""
+    from matplotlib.patches import Rectangle
+
+    place = drawing.travel(job, drawn)
+    if place:
+        (x, y), size = place
+        axes.add_patch(Rectangle((x, y), *size, fill=False, ec=drawing.TRAVEL, ls=":"))
+
+
+def _in_space(axes: Any, drawn: Drawing, look: dict[str, Any]) -> None:
     from mpl_toolkits.mplot3d import art3d  # type: ignore[import-untyped]
 
-    lines = [(a.place, b.place) for a, b in pairwise(path)]
-    axes.add_collection3d(art3d.Line3DCollection(lines, linewidths=0.5, **look))
-    low, size = picture.box(path)
-    flattest = picture.FLATTEST * max(size)
+    rapids, cuts = drawn.strokes(True), drawn.strokes(False)
+    axes.add_collection3d(
+        art3d.Line3DCollection(
+            _lines(rapids), colors=drawing.RAPID, linewidths=0.4, linestyles="--"
+        )
+    )
+    axes.add_collection3d(
+        art3d.Line3DCollection(
+            _lines(cuts), array=drawn.stroke_speeds(False), linewidths=0.6, **look
+        )
+    )
+    low, size = drawing.box(drawn)
+    flattest = drawing.FLATTEST * max(size)
     axes.set(xlabel="X mm", ylabel="Y mm", zlabel="Z mm")
     axes.set(box_aspect=(size[0], size[1], max(size[2], flattest)))
     for name, start, side in zip(("xlim", "ylim", "zlim"), low, size, strict=True):
@@ -77,9 +111,14 @@ def _in_space(axes: Any, path: Sequence[Stroke], look: dict[str, Any]) -> None:
     axes.locator_params(nbins=5)
 
 
+def _lines(strokes: Numbers) -> list[Any]:
+    """For matplotlib, which wants some, as many as there are."""
+    return list(strokes) or [np.zeros((2, 3))]
+
+
 def _curves(figure: "Figure", grid: Any, jobs: Sequence[Job]) -> None:
-    """Speed, acceleration and step rate; a row has one scale, and time too."""
-    rows: list[list[Axes]] = [[], [], []]
+    """Speed, acceleration, step rate and power; a row has one scale, and time too."""
+    rows: list[list[Axes]] = [[], [], [], []]
     first: Axes | None = None
     for column, job in enumerate(jobs):
         motion = job.motion
@@ -90,26 +129,29 @@ def _curves(figure: "Figure", grid: Any, jobs: Sequence[Job]) -> None:
             first = first or axes
             axes.grid(alpha=0.3)
             shared.append(axes)
-        speed = [60 * mm_s for mm_s in motion.speed_mm_s]
-        rows[0][-1].plot(*envelope(motion.time_s, speed, _POINTS), linewidth=0.6, color="black")
-        _by_axis(rows[1][-1], job, motion.acceleration, job.limits["acceleration"])
-        _by_axis(rows[2][-1], job, motion.step_hz, job.limits["step_hz"])
-        rows[2][-1].set(xlabel="seconds")
-    rows[0][0].set(ylabel="speed\nmm/min")
-    rows[1][0].set(ylabel="acceleration\nmm/s²")
-    rows[2][0].set(ylabel="steps per second")
+        time_s, power = np.frombuffer(motion.time_s), np.frombuffer(motion.power, np.float32)
+        speed = 60 * np.frombuffer(motion.speed_mm_s, np.float32)
+        rows[0][-1].plot(*envelope(time_s, speed, _POINTS), linewidth=0.6, color="black")
+        _by_axis(rows[1][-1], job, map(motion.acceleration, motion.axes()), "acceleration")
+        _by_axis(rows[2][-1], job, map(motion.step_hz, motion.axes()), "step_hz")
+        rows[3][-1].plot(
+            *envelope(time_s, 100 * power, _POINTS), linewidth=0.6, color=drawing.POWER
+        )
+        rows[3][-1].set(xlabel="seconds")
+    labels = ("speed\nmm/min", "acceleration\nmm/s²", "steps\nper second", "spindle or\nlaser, %")
+    for shared, label in zip(rows, labels, strict=True):
+        shared[0].set(ylabel=label)
 
 
-def _by_axis(
-    axes: "Axes", job: Job, columns: Iterable[Sequence[float]], limits: Sequence[float]
-) -> None:
+def _by_axis(axes: "Axes", job: Job, columns: Iterable[Numbers], limits: str) -> None:
     """A curve per axis, with what its setting allows as a dotted line where it comes near."""
+    time_s = np.frombuffer(job.motion.time_s)
     highest = 0.0
-    for letter, colour, values in zip(LETTERS, _COLOURS, columns, strict=False):
-        line = envelope(job.motion.time_s, values, _POINTS)
-        axes.plot(*line, linewidth=0.6, color=colour, label=letter)
-        highest = max(highest, *line[1])
-    for limit, colour in zip(limits, _COLOURS, strict=False):
+    for letter, colour, values in zip(LETTERS, drawing.AXES, columns, strict=False):
+        times, kept = envelope(time_s, values, _POINTS)
+        axes.plot(times, kept, linewidth=0.6, color=colour, label=letter)
+        highest = max(highest, float(kept.max(initial=0)))
+    for limit, colour in zip(job.limits[limits], drawing.AXES, strict=False):
         if limit <= 2 * highest:
             axes.axhline(limit, color=colour, linewidth=0.8, linestyle=":")
     axes.legend(loc="upper right", ncols=len(LETTERS), fontsize="small")

@@ -1,7 +1,6 @@
 """Counts what a simulated machine was told to do and what its motors did."""
 
 import json
-from array import array
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from math import hypot
@@ -9,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
+    from array import array
+
     from .sim.rig import Rig
 
 _Value = TypeVar("_Value")
 
 _LETTERS = "XYZABC"
-# Floats per stroke of Recorder.path: where it ends, X Y Z in mm, and how many seconds it took.
-STROKE = 4
 
 
 @dataclass
@@ -27,6 +26,7 @@ class Totals:
     steps_planned: dict[str, int] = field(default_factory=dict)
     steps_made: dict[str, int] = field(default_factory=dict)
     bounds_mm: dict[str, tuple[float, float]] = field(default_factory=dict)
+    final_position_mm: dict[str, float] = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
         """Write them as JSON."""
@@ -42,10 +42,10 @@ class Recorder:
     """Watches a rig. Make it before the rig runs.
 
     Steps count in either direction. Places are machine positions. Time counts from the first
-    step to the last, or from start_clock() to stop_clock(). keep_path: note the tool's path.
+    step to the last, or from start_clock() to stop_clock().
     """
 
-    def __init__(self, rig: "Rig", keep_path: bool = False) -> None:
+    def __init__(self, rig: "Rig") -> None:
         import kernels
 
         self._rig = rig
@@ -61,8 +61,6 @@ class Recorder:
         self._high = [0.0 for _ in self._axes]
         self._begun: int | None = None
         self._ended = 0
-        self._keep_path = keep_path
-        self.path = array("d", [0.0] * STROKE)
         self.marks: list[Sequence[float]] = []  # where a punch has made a hole, in mm
         if hasattr(rig.port, "on_hole"):
             rig.port.on_hole = self._mark
@@ -88,6 +86,7 @@ class Recorder:
             self._by_letter(self._planned),
             self._by_letter(self._made),
             self._by_letter([(round(low, 4), round(high, 4)) for low, high in bounds]),
+            self._by_letter([round(mm, 4) for mm in self._to_mm(self._place)]),
         )
 
     def _attach(self) -> None:
@@ -147,9 +146,10 @@ class Recorder:
             self._place[i] += -count if dirs >> i & 1 else count
         at = self._to_mm(self._place)
         self._extend(at)
-        if self._keep_path:
-            seconds = row[kernels.ROW_TICKS] / self._rig.engine.tick_hz
-            self.path.extend((*at[:3], seconds))
+        self._moved(start, row, at)
+
+    def _moved(self, start: int, row: "array[int]", at: Sequence[float]) -> None:
+        """A segment has ended there, in mm: for those who want to know more."""
 
     def _mark(self) -> None:
         """The punch is down."""
@@ -169,7 +169,7 @@ class Recorder:
             elif mm > high[i]:
                 high[i] = mm
 
-    def _to_mm(self, motors: Sequence[int]) -> list[float]:
+    def _to_mm(self, motors: Sequence[float]) -> list[float]:
         """Axes in mm from steps of motors."""
         steps: Sequence[float] = motors
         if self._corexy:

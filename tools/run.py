@@ -1,14 +1,12 @@
 """A program through the firmware in virtual time, as fast as the computer can."""
 
-import json
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from . import machine
-from .gcode_file import CYCLE_START, has_realtime, is_answer
+from .gcode_file import CYCLE_START, RESET, has_realtime, is_answer
 from .recorder import Recorder, Totals
 
 if TYPE_CHECKING:
@@ -38,6 +36,7 @@ class Result:
     other_output: list[tuple[int, str]] = field(default_factory=list)
     final_state: str = ""
     pauses: list[int] = field(default_factory=list)
+    resets: list[int] = field(default_factory=list)  # lines with a Ctrl-X
     stopped: str = ""  # why it could not finish, if it could not
     totals: Totals = field(default_factory=Totals)
 
@@ -50,12 +49,9 @@ class Result:
             "final_state": self.final_state,
             "other_output": self.other_output,
             "pauses": self.pauses,
+            "resets": self.resets,
             "stopped": self.stopped,
         }
-
-    def save(self, path: Path) -> None:
-        """Write the JSON."""
-        path.write_text(json.dumps(self.as_json(), indent=1) + "\n", encoding="utf-8")
 
 
 # What the sender does next: a line of the program (from 1; 0 is none of it), or wait for rest.
@@ -138,15 +134,15 @@ class ProgramLink(machine.UntimedLink):
             self.result.errors.append((self._last, line))
 
     def _other(self, line: str) -> None:
-        if self._now_at() == 0:
+        if self.now_at() == 0:
             self.replies.append(line)
         else:
-            self.result.other_output.append((self._now_at(), line))
+            self.result.other_output.append((self.now_at(), line))
         if line.startswith("ALARM:"):
             self.stop(line)
 
-    def _now_at(self) -> int:
-        """The line of the program that is being executed."""
+    def now_at(self) -> int:
+        """The line of the program that is being interpreted; 0 for none of it."""
         return self._unanswered[0][0] if self._unanswered else self._last
 
     # What goes out
@@ -177,6 +173,8 @@ class ProgramLink(machine.UntimedLink):
         self._unanswered.append((number, len(line) + 1))
         self._unanswered_bytes += len(line) + 1
         self._alone = has_realtime(line)
+        if RESET in line and number:
+            self.result.resets.append(number)
 
     def stop(self, why: str) -> None:
         """Send nothing more."""
@@ -213,8 +211,8 @@ class ProgramLink(machine.UntimedLink):
     def _resume(self) -> None:
         self._out += CYCLE_START
         self._resume_at = self.rig.ms(_RESUME_MS)
-        if self._now_at() not in self.result.pauses[-1:]:
-            self.result.pauses.append(self._now_at())
+        if self.now_at() not in self.result.pauses[-1:]:
+            self.result.pauses.append(self.now_at())
 
 
 def run_program(
@@ -223,7 +221,6 @@ def run_program(
     board: str = machine.DEFAULT_BOARD,
     settings: Sequence[str] = (),
     check: bool = False,
-    keep_path: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[Result, Recorder]:
     """Run a program on a machine fresh from the factory. settings: lines such as `$110=6000`.
@@ -231,7 +228,7 @@ def run_program(
     progress is told, now and then, how many lines have been sent.
     """
     commands = (*settings, *(["$C"] if check else []))
-    return watch_program(lines, lambda rig: Recorder(rig, keep_path), board, commands, progress)
+    return watch_program(lines, Recorder, board, commands, progress)
 
 
 def watch_program(

@@ -4,16 +4,19 @@ import signal
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from rich.console import Console
 
-from . import machine, picture
+from . import machine, plot
 from .live import LiveLink
+from .motion_trace import MotionTrace
 from .recorder import Recorder
+from .run import Result
 
 if TYPE_CHECKING:
     from .pty_link import Pty, Stdio
+    from .sim.rig import Rig
     from .tcp_link import Tcp
 
 
@@ -47,16 +50,24 @@ def simulate(options: Options) -> None:
             from .sim import switches
 
             switches.fit(rig)
-        recorder = Recorder(rig, keep_path=options.plot is not None)
+        recorder = (MotionTrace if options.plot else Recorder)(rig)
         _stop_on_signals(rig.link)
         _publish(wire, options.link)
         machine.run(rig)
     finally:
         wire.close()
-    if options.plot:
-        picture.save(picture.strokes(recorder.path), options.plot, marks=recorder.marks)
+    if options.plot and isinstance(recorder, MotionTrace):
+        _draw(options, rig, recorder)
     if options.report:
         recorder.totals().save(options.report)
+
+
+def _draw(options: Options, rig: "Rig", trace: MotionTrace) -> None:
+    """What the motors did, with the settings of the end."""
+    settings = [f"${number}={value}" for number, value, _ in rig.controller.settings.each()]
+    result = Result(totals=trace.totals())
+    job = plot.job_of("as run", (), settings, options.board, result, trace)
+    plot.save([job], options.board, "", cast(Path, options.plot))
 
 
 def _wire(options: Options) -> "Pty | Tcp | Stdio":

@@ -1,0 +1,78 @@
+"""Polylines in fewer points: within the tolerance everywhere, and no more points than needed."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from ugrbl.simplify import fitted, simplify
+
+_number = st.floats(-100, 100, width=32)
+_path = st.lists(st.tuples(_number, _number, _number), min_size=1, max_size=60)
+
+
+def away(points: "np.ndarray", rows: "np.ndarray") -> float:
+    """How far the path strays from what is drawn of it, by a plain look at every point."""
+    worst = 0.0
+    for begin, end in pairwise(rows):
+        a, way = points[begin], points[end] - points[begin]
+        for point in points[begin:end]:
+            share = np.dot(point - a, way) / (np.dot(way, way) or 1.0)
+            worst = max(worst, float(np.linalg.norm(point - a - min(max(share, 0), 1) * way)))
+    return worst
+
+
+@given(_path, st.sampled_from([0.01, 1.0, 30.0]), st.sets(st.integers(0, 59)))
+def test_the_path_is_within_the_tolerance_everywhere(path, tolerance, keep) -> None:
+    points = np.array(path, float)
+    kept = sorted(row for row in keep if row < len(path))
+    rows = simplify(points, tolerance, kept)
+    assert {0, len(path) - 1, *kept} <= set(rows.tolist())
+    assert np.all(np.diff(rows) > 0)
+    assert away(points, rows) <= tolerance * (1 + 1e-9) + 1e-9
+
+
+def test_of_a_straight_line_next_to_nothing_is_left() -> None:
+    points = np.column_stack([np.linspace(0, 1, 1000)] * 3)
+    assert simplify(points, 1e-6).tolist() == [0, 256, 512, 768, 999]
+
+
+def test_a_way_there_and_back_is_not_lost() -> None:
+    points = np.array([[0, 0], [5, 0], [10, 0], [5, 0], [0, 0.0]])
+    assert simplify(points, 0.1).tolist() == [0, 2, 4]
+
+
+def test_a_circle_has_as_many_points_as_its_tolerance_asks_for() -> None:
+    angle = np.linspace(0, 2 * math.pi, 1001)
+    points = np.column_stack([10 * np.cos(angle), 10 * np.sin(angle)])
+    rows = simplify(points, 0.01)
+    needed = math.pi / math.acos(1 - 0.01 / 10)
+    assert needed <= len(rows) <= 2.1 * needed
+    assert away(points, rows) <= 0.01
+
+
+@pytest.mark.parametrize("most", [50, 300])
+def test_a_tolerance_is_widened_until_it_fits_and_told(most: int) -> None:
+    angle = np.linspace(0, 60, 20_000)
+    points = np.column_stack([angle * np.cos(angle), angle * np.sin(angle)])
+    rows, tolerance = fitted(points, 0.001, [0, 10_000], most)
+    assert len(rows) <= most + 2 and 10_000 in rows
+    assert away(points, rows) <= tolerance * (1 + 1e-9)
+    assert tolerance > 0.001
+
+
+def test_two_million_points_are_a_matter_of_seconds() -> None:
+    import time
+
+    angle = np.linspace(0, 20_000, 2_000_000)
+    points = np.column_stack([angle * np.cos(angle), angle * np.sin(angle), angle]) / 100
+    begun = time.process_time()
+    assert 10_000 < len(simplify(points, 0.01)) < 1_000_000
+    assert time.process_time() - begun < 30
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_very_little_stays_as_it_is(count: int) -> None:
+    assert len(simplify(np.zeros((count, 3)), 1.0)) == count

@@ -1,0 +1,147 @@
+"""What pages and pictures draw of a job: its path in few enough points, its figures in words."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .simplify import fitted
+
+if TYPE_CHECKING:
+    from .plot import Job
+
+# What is drawn is nowhere further from the path than this, unless it says another.
+TOLERANCE_MM = 0.01
+# Speeds are told apart in so many steps.
+SHADES = 12
+# In pages and pictures alike.
+SCALE = "turbo"
+RAPID = "#9aa0a6"
+TRAVEL = "#b0b0b0"
+POWER = "#b5179e"
+AXES = ("#d62728", "#2ca02c", "#1f77b4", "#ff7f0e", "#9467bd", "#8c564b")
+# The least share of the width that height gets in the view in space.
+FLATTEST = 0.2
+
+Numbers = NDArray[Any]
+
+
+@dataclass
+class Drawing:
+    """Columns of equal length, a row per point; speed is that of the stroke that ends there."""
+
+    tolerance_mm: float
+    time_s: Numbers
+    points: Numbers  # X Y Z in mm
+    speed: Numbers  # mm/min
+    rapid: Numbers
+    line: Numbers
+    power: Numbers
+
+    def strokes(self, rapid: bool) -> Numbers:
+        """The strokes of one kind: pairs of points."""
+        ends = np.flatnonzero(self._of(rapid))
+        return np.asarray(np.stack([self.points[ends - 1], self.points[ends]], axis=1))
+
+    def stroke_speeds(self, rapid: bool) -> Numbers:
+        """Their speeds."""
+        return np.asarray(self.speed[self._of(rapid)])
+
+    def _of(self, rapid: bool) -> Numbers:
+        chosen = np.asarray(self.rapid == rapid)
+        chosen[:1] = False  # the first point ends no stroke
+        return chosen
+
+
+def draw(job: "Job", most: int, tolerance_mm: float = TOLERANCE_MM) -> Drawing:
+    """A job in so many points at the most, and in those that part rapids from cuts."""
+    motion = job.motion
+    points, rapid = motion.points, motion.rapids
+    time_s = np.frombuffer(motion.time_s)
+    speed = np.frombuffer(motion.speed_mm_s, np.float32)
+    # Half a shade more or less of speed counts as much as the tolerance.
+    shade = 2 * SHADES * tolerance_mm / (float(speed.max(initial=0)) or 1.0)
+    parting = np.flatnonzero(rapid[1:] != rapid[:-1])
+    rows, tolerance_mm = fitted(
+        np.column_stack([points, speed * np.float32(shade)]), tolerance_mm, parting, most
+    )
+    way = np.concatenate([[0.0], np.cumsum(_lengths(points))])[: len(points)]
+    length, seconds = np.diff(way[rows], prepend=0), np.diff(time_s[rows], prepend=0)
+    mm_s = np.divide(length, seconds, out=np.zeros(len(rows)), where=seconds > 0)
+    line, power = motion.lines[rows], np.frombuffer(motion.power, np.float32)[rows]
+    return Drawing(tolerance_mm, time_s[rows], points[rows], 60 * mm_s, rapid[rows], line, power)
+
+
+def _lengths(points: Numbers) -> Numbers:
+    return np.asarray(np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1, dtype=float)))
+
+
+def fastest(drawings: Sequence[Drawing]) -> float:
+    """Where the scale of colours ends, in mm/min: the fastest cut, or rapid where nothing cuts."""
+    for rapid in (False, True):
+        most = max(float(one.stroke_speeds(rapid).max(initial=0)) for one in drawings)
+        if most:
+            return most
+    return 1.0
+
+
+def box(drawing: Drawing) -> tuple[Numbers, Numbers]:
+    """Lowest corner and size; no side is 0."""
+    if not len(drawing.points):
+        return np.zeros(3), np.ones(3)
+    low, high = drawing.points.min(axis=0), drawing.points.max(axis=0)
+    size = high - low
+    size[size == 0] = 1.0
+    return low, size
+
+
+def travel(job: "Job", drawing: Drawing) -> tuple[Numbers, Numbers] | None:
+    """A frame of $130 and $131 around the job, lowest corner and size, if it nearly fills it."""
+    low, size = (side[:2] for side in box(drawing))
+    frame = np.array(job.limits["travel"][:2])
+    return (low + (size - frame) / 2, frame) if (size * 3 > frame).any() else None
+
+
+def figures(job: "Job") -> list[tuple[str, str]]:
+    """The job in words, for the top of a drawing: what, how much."""
+    from .plot import short
+
+    motion, totals = job.motion, job.result.totals
+    seconds, rapid, line = motion.seconds, motion.rapids, motion.lines
+    speed = np.frombuffer(motion.speed_mm_s, np.float32)
+    power = np.frombuffer(motion.power, np.float32)
+    rapid_s, cut_s = float(seconds[rapid].sum()), float(seconds[~rapid & (line > 0)].sum())
+    rows = [
+        ("takes", short(job.seconds)),
+        ("of that", f"cuts {short(cut_s)}, rapids {short(rapid_s)}"),
+        ("distance", f"{totals.distance_mm:.1f} mm"),
+        ("fastest", f"{60 * float(speed.max(initial=0)):.0f} mm/min"),
+    ]
+    if power.any():
+        on_s = float(seconds[power > 0].sum())
+        rows.append(("tool", f"on for {short(on_s)}, at {100 * float(power.max()):.0f} % at most"))
+    for axis, (letter, (low, high)) in enumerate(totals.bounds_mm.items()):
+        travel, used = job.limits["travel"][axis], high - low
+        fits = "" if used <= travel else ": TOO FAR"
+        rows.append(
+            (letter, f"{low:.3f} to {high:.3f} mm: {used:.3f} of {travel:g} (${130 + axis}){fits}")
+        )
+    rows.append(("lines", f"{job.result.lines}, {len(job.result.errors)} with errors"))
+    return rows
+
+
+def envelope(time_s: Numbers, values: Numbers, most: int) -> tuple[Numbers, Numbers]:
+    """The same curve in no more than so many points: the least and the highest of each stretch."""
+    count = len(time_s)
+    if count <= most:
+        return np.asarray(time_s), np.asarray(values)
+    stretch = -(-count // (most // 2))
+    begins = np.arange(0, count, stretch)
+    padded = np.full(len(begins) * stretch, values[-1])
+    padded[:count] = values
+    table = padded.reshape(len(begins), stretch)
+    rows = np.concatenate([begins + table.argmin(axis=1), begins + table.argmax(axis=1)])
+    rows = np.unique(np.minimum(rows, count - 1))
+    return np.asarray(time_s)[rows], np.asarray(values)[rows]

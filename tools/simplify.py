@@ -1,0 +1,79 @@
+"""Polylines in fewer points, never further from the given one than a tolerance (Douglas-Peucker).
+
+All stretches are cut at once, again and again, so that the work is numpy's: a path of two million
+points takes seconds, and a few times its own memory.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+# One point in so many stays in any case: cutting a long spiral at its farthest point, again and
+# again, would take for ever.
+_STRETCH = 256
+
+Points = NDArray[np.float32] | NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+
+def simplify(points: Points, tolerance: float, keep: Sequence[int] | Rows = ()) -> Rows:
+    """The rows of a polyline that are enough. keep: rows that stay whatever they are.
+
+    Every point lies within the tolerance of the straight line between the kept ones around it,
+    in all columns together.
+    """
+    count = len(points)
+    if count < 3:
+        return np.arange(count)
+    is_kept = np.zeros(count, bool)
+    is_kept[::_STRETCH] = is_kept[-1] = True
+    is_kept[np.asarray(keep, np.int64)] = True
+    ends = np.flatnonzero(is_kept)
+    first, last = ends[:-1], ends[1:]
+    while len(first := first[wide := last - first > 1]):
+        last = last[wide]
+        worst, far = _farthest(points, first, last)
+        cut = far > tolerance
+        first, last, worst = first[cut], last[cut], worst[cut]
+        is_kept[worst] = True
+        first, last = np.concatenate((first, worst)), np.concatenate((worst, last))
+    return np.flatnonzero(is_kept)
+
+
+def fitted(
+    points: Points, tolerance: float, keep: Sequence[int] | Rows, most: int
+) -> tuple[Rows, float]:
+    """As simplify(), with a tolerance doubled until there are so many rows at the most.
+
+    Rows that stay whatever they are do not count. Returns the tolerance too.
+    """
+    rows = simplify(points, tolerance, keep)
+    while len(rows) > most + len(keep):
+        tolerance *= 2
+        rows = rows[simplify(points[rows], tolerance / 2, np.searchsorted(rows, keep))]
+    return rows, tolerance
+
+
+def _farthest(points: Points, first: Rows, last: Rows) -> tuple[Rows, NDArray[np.float64]]:
+    """Of each stretch the point farthest from its chord: its row, and how far."""
+    sizes = last - first - 1  # points between the ends
+    begins = np.cumsum(sizes) - sizes
+    stretch = np.repeat(np.arange(len(first)), sizes)
+    rows = np.arange(len(stretch)) - begins[stretch] + first[stretch] + 1
+    far = _distance_sqr(points, rows, first[stretch], last[stretch])
+    most = np.maximum.reduceat(far, begins)
+    is_most = np.flatnonzero(far == most[stretch])
+    _, earliest = np.unique(stretch[is_most], return_index=True)
+    return rows[is_most[earliest]], np.sqrt(most)
+
+
+def _distance_sqr(points: Points, rows: Rows, first: Rows, last: Rows) -> NDArray[np.float64]:
+    """Squared distance of each row from the straight line between two others."""
+    begin = points[first].astype(float)
+    way, off = points[last] - begin, points[rows] - begin
+    length_sqr = np.einsum("ij,ij->i", way, way)
+    along = np.einsum("ij,ij->i", off, way)
+    share = np.divide(along, length_sqr, out=np.zeros_like(along), where=length_sqr > 0)
+    off -= np.clip(share, 0, 1)[:, None] * way
+    return np.asarray(np.einsum("ij,ij->i", off, off))
