@@ -24,27 +24,17 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Column, Table
 
+from . import machine, recordings
 from .compare import Json, judge_case, trouble
 from .compare_motion import judge_motion
+from .outputs import check_outputs
+from .recordings import Recording
+from .settings_cli import save_json
 
 _REPLAY = Path(__file__).resolve().parent / "sim" / "replay_main.py"
 _CASE_SECONDS = 90.0  # longer than this without a result: the process hangs
 _HEAP = "heapsize=64M"
 
-# Files recorded from a Grbl built with options, and the simulator board that has the same ones.
-BOARDS = {
-    "corexy": "sim_corexy",
-    "grbl_0.9i_20150620": "sim_09i",
-    "grbl_0.9j_20150717": "sim_09j",
-    "force_set_origin_and_single_axis_homing": "sim_single_axis_homing",
-    "line_numbers_and_mist": "sim_line_numbers",
-    "max_step_rate_and_echo": "sim_echo",
-    "punch": "sim_punch",
-    "punch_09": "sim_punch_09",
-    "parking_and_override_control": "sim_parking",
-    "safety_door_input": "sim_door",
-    "spindle_enable_pin_and_two_switches": "sim_two_switches",
-}
 # Cases with one of these tags are not required.
 _SKIPPED_TAGS = {
     "avr-eeprom": "depends on the AVR's memory",
@@ -173,33 +163,6 @@ def _feed(stream: Iterable[str], put: Any) -> None:
     put("")
 
 
-@dataclass
-class _Job:
-    category: str
-    file: Path
-    board: str
-    cases: list[tuple[int, Json]]
-
-
-def _load(folder: Path, only: str | None, board: str | None) -> list[_Job]:
-    """Every file of the folder with its cases; motion records are one category."""
-    files = [(path.stem, path) for path in sorted(folder.glob("*.json"))]
-    files += [("motion", path) for path in sorted(folder.glob("motion/*.json"))]
-    jobs = []
-    for category, path in files:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        cases = content if isinstance(content, list) else [content]
-        if only not in (None, category) or not _has_cases(cases):
-            continue
-        name = board or BOARDS.get(path.stem, "sim")
-        jobs.append(_Job(category, path, name, list(enumerate(cases))))
-    return jobs
-
-
-def _has_cases(cases: list[Json]) -> bool:
-    return all(isinstance(case, dict) and ("steps" in case or "program" in case) for case in cases)
-
-
 def _weight(case: Json) -> float:
     """About how many milliseconds of virtual time it takes."""
     if "program" in case:
@@ -207,7 +170,7 @@ def _weight(case: Json) -> float:
     return 400.0 + sum(float(step.get("t_ms", 0)) + 20 for step in case["steps"])
 
 
-def _chunks(jobs: list[_Job], most: float) -> Iterator[_Job]:
+def _chunks(jobs: list[Recording], most: float) -> Iterator[Recording]:
     """Cut jobs so that all cores have something to do until the end."""
     for job in jobs:
         part: list[tuple[int, Json]] = []
@@ -216,10 +179,10 @@ def _chunks(jobs: list[_Job], most: float) -> Iterator[_Job]:
             part.append((index, case))
             weight += _weight(case)
             if weight > most:
-                yield _Job(job.category, job.file, job.board, part)
+                yield Recording(job.category, job.file, job.board, part)
                 part, weight = [], 0.0
         if part:
-            yield _Job(job.category, job.file, job.board, part)
+            yield Recording(job.category, job.file, job.board, part)
 
 
 def _skip(case: Json) -> str:
@@ -250,7 +213,7 @@ def run_folder(
     results = Results(python)
     command = _command(python)
     required = []
-    for job in _load(folder, only, board):
+    for job in recordings.load(folder, only, board):
         for _, case in job.cases:
             if _skip(case):
                 skipped = Outcome(job.category, case["name"], skipped=_skip(case))
@@ -258,7 +221,7 @@ def run_folder(
         job.cases = [(index, case) for index, case in job.cases if not _skip(case)]
         required.append(job)
 
-    def work(job: _Job) -> list[Outcome]:
+    def work(job: Recording) -> list[Outcome]:
         cases = dict(job.cases)
         return [
             judge(job.category, cases[observed["index"]], observed)
@@ -279,11 +242,17 @@ def run_folder(
 
 def run_port(folder: Path, port: str, only: str | None = None) -> Results:
     """Replay on a real device what needs nothing but its serial port."""
+    from serial import SerialException
+
     from .serial_replay import SerialReplay, needs_a_bench
 
     results = Results("port")
-    device = SerialReplay(port)
-    for job in _load(folder, only, None):
+    jobs = recordings.load(folder, only, None)
+    try:
+        device = SerialReplay(port)
+    except SerialException as error:
+        raise OSError(f"{port}: {error}") from error
+    for job in jobs:
         for _, case in job.cases:
             reason = _skip(case) or needs_a_bench(case)
             if reason:
@@ -363,10 +332,12 @@ def conformance(
         str | None, typer.Option(metavar="CATEGORY", help="One file's name, or motion.")
     ] = None,
     json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write all results there.")
+        Path | None,
+        typer.Option("--json", metavar="FILE", help="Write all results there; - is stdout."),
     ] = None,
     board: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Simulator board; else by file name.")
+        str | None,
+        typer.Option(metavar="NAME", help="Simulator board; else by what it says of itself."),
     ] = None,
 ) -> None:
     """Replay recordings of real Grbl and say how many are answered alike."""
@@ -374,10 +345,17 @@ def conformance(
         raise typer.BadParameter("--python is cpython or micropython")
     if not folder.is_dir():
         raise typer.BadParameter(f"no folder {folder}")
-    results = run_port(folder, port, only) if port else run_folder(folder, python, only, board)
-    show(results, Console())
-    if json_file:
-        json_file.write_text(json.dumps(results.as_json(), indent=1), encoding="utf-8")
+    try:
+        check_outputs(json_file)
+        if board is not None:
+            machine.load_board(board)
+        results = run_port(folder, port, only) if port else run_folder(folder, python, only, board)
+        if json_file:
+            save_json(results.as_json(), json_file)
+    except (ValueError, OSError) as error:
+        Console(stderr=True).print(f"[red]{escape(str(error))}", highlight=False)
+        raise typer.Exit(1) from error
+    show(results, Console(stderr=str(json_file) == "-"))
     if not results.ok():
         raise typer.Exit(1)
 
