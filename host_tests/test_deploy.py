@@ -251,6 +251,9 @@ def test_a_board_file_that_imports_another_is_refused(tmp_path: Path) -> None:
 
 
 def test_names_that_are_no_board_are_told_which_there_are() -> None:
+    file = Path(__file__)
+    done = ugrbl("build", "--board", "rpi_pico", "-o", file)
+    assert done.exit_code == 1 and "is no folder" in done.output.replace("\n", " ")
     done = ugrbl("build", "--board", "potato")
     assert done.exit_code == 1 and "no board 'potato'; there are" in done.output
     assert "there is no file nowhere.py" in ugrbl("build", "--board", "nowhere.py").output

@@ -153,6 +153,25 @@ def test_a_file_is_not_replaced_unasked(file: Path) -> None:
     assert ugrbl("router", *_PICO, "-o", file, "--force").exit_code == 0
 
 
+def test_a_folder_gets_a_file_of_that_name(tmp_path: Path) -> None:
+    done = ugrbl("router", *_PICO, "-o", tmp_path)
+    assert done.exit_code == 0, done.output
+    assert load(tmp_path / "router.py").STEP == (2, 3, 4)
+    again = ugrbl("router", *_PICO, "-o", tmp_path, "--force")
+    assert again.exit_code == 0, again.output
+
+
+@pytest.mark.parametrize("words", [["-o", "FILE/x.py"], ["--json", "FOLDER"]])
+def test_where_nothing_can_be_written_it_says_so_first(tmp_path: Path, words: list[str]) -> None:
+    (tmp_path / "file").write_text("")
+    there = {"FILE": tmp_path / "file", "FOLDER": tmp_path}
+    for name, place in there.items():
+        words = [word.replace(name, str(place)) for word in words]
+    done = ugrbl("router", *_PICO, "-o", tmp_path / "new.py", *words)
+    assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
+    assert "folder" in done.output and not (tmp_path / "new.py").exists()
+
+
 def test_a_name_that_cannot_be_imported_is_refused() -> None:
     assert "make a name" in ugrbl("my-router", *_PICO).output
 

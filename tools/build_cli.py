@@ -10,6 +10,7 @@ from rich.markup import escape
 from . import build
 from .board_check import notes
 from .build import BuildError
+from .outputs import check_outputs
 from .settings_cli import save_json
 
 EXAMPLES = "Examples:  ugrbl build --board rpi_pico   ·   ugrbl build --arch armv7emsp --json -"
@@ -48,14 +49,17 @@ def command(
     def progress(name: str, size: int) -> None:
         console.print(f"{size:7} {name}", highlight=False)
 
+    folder = out or _FOLDER / (Path(board).stem if board else arch)
     try:
+        check_outputs(json_file)
+        if folder.exists() and not folder.is_dir():
+            raise BuildError(f"{folder} is no folder")
         if board:
             made = build.for_board(build.board_file(board), progress)
         else:
             made = build.compile_all(arch, None, progress)
-        folder = out or _FOLDER / (Path(board).stem if board else arch)
         build.save(made, folder)
-    except (BuildError, OSError) as error:
+    except (BuildError, OSError, ValueError) as error:
         raise failed(error) from error
     if board:
         for text in notes(build.load_board(build.board_file(board))):

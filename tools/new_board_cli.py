@@ -11,6 +11,7 @@ from rich.markup import escape
 
 from . import new_board, paths
 from .new_board import CHIPS, ITEMS, Board, BoardError, Chip, Item, Pins
+from .outputs import check_outputs
 from .plot import as_line
 from .screen import summary
 from .settings_cli import save_json
@@ -48,7 +49,8 @@ def command(
         typer.Option("--ask/--no-ask", help="For what is not said. [default: on a terminal]"),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="FILE", help="[default: boards/NAME.py]")
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="Or a folder for it. [default: boards]"),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file.")] = False,
     json_file: Annotated[
@@ -62,10 +64,13 @@ def command(
     """
     asking = sys.stdin.isatty() if ask is None else ask
     console = Console(stderr=str(json_file) == "-")
-    file = out or paths.BOARDS / f"{name}.py"
+    file = out or paths.BOARDS
+    if file.is_dir():
+        file /= f"{name}.py"
     try:
         if not name.isidentifier():
             raise BoardError(f"{name}: letters, digits and _ make a name, and no digit first")
+        check_outputs(json_file, file)
         if file.exists() and not force:
             raise BoardError(f"{file} is there already; --force replaces it")
         given = _given(pin or [])
@@ -75,7 +80,7 @@ def command(
         board.defaults = _defaults(setting or [])
         new_board.check(board)
         _write(board, file)
-    except BoardError as error:
+    except (BoardError, OSError, ValueError) as error:
         Console(stderr=True).print(f"[red]{escape(str(error))}", highlight=False)
         raise typer.Exit(1) from error
     _show(console, board, file)

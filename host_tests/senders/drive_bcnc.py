@@ -16,7 +16,12 @@ from pathlib import Path
 
 _PATIENCE_S = 60.0
 # Kinds of lines that parseLine() hands to the terminal and reads nothing from, as with real Grbl.
-_KNOWN = re.compile(r"\$\d+=|Grbl |\[(MSG|GC|VER|OPT|G\d\d|G92|TLO|PRB|HLP):")
+# A whole status report is one of them: the Sender asks on a timer and on its own account (reset,
+# unlock, overrides), notes one question only (sio_status), and logs the answer to the other.
+_KNOWN = re.compile(
+    r"\$\d+=|Grbl |\[(MSG|GC|VER|OPT|G\d\d|G92|TLO|PRB|HLP):"
+    r"|<[A-Z][a-z]+(:\d)?\|[MW]Pos:[-\d.,]+(\|[A-Z][A-Za-z]*:[-\w.,]+)*>$"
+)
 
 
 def find_bcnc():
