@@ -109,10 +109,14 @@ def figures(job: "Job") -> list[tuple[str, str]]:
     from .plot import short
 
     motion, totals = job.motion, job.result.totals
-    seconds, rapid, line = motion.seconds, motion.rapids, motion.lines
+    seconds, rapid, moves = (
+        motion.seconds,
+        motion.rapids,
+        np.frombuffer(motion.block, np.int32) > 0,
+    )
     speed = np.frombuffer(motion.speed_mm_s, np.float32)
     power = np.frombuffer(motion.power, np.float32)
-    rapid_s, cut_s = float(seconds[rapid].sum()), float(seconds[~rapid & (line > 0)].sum())
+    rapid_s, cut_s = float(seconds[rapid].sum()), float(seconds[~rapid & moves].sum())
     rows = [
         ("takes", short(job.seconds)),
         ("of that", f"cuts {short(cut_s)}, rapids {short(rapid_s)}"),
@@ -128,7 +132,8 @@ def figures(job: "Job") -> list[tuple[str, str]]:
         rows.append(
             (letter, f"{low:.3f} to {high:.3f} mm: {used:.3f} of {travel:g} (${130 + axis}){fits}")
         )
-    rows.append(("lines", f"{job.result.lines}, {len(job.result.errors)} with errors"))
+    if job.program:
+        rows.append(("lines", f"{job.result.lines}, {len(job.result.errors)} with errors"))
     return rows
 
 

@@ -20,8 +20,10 @@ _STROKES = 40_000
 _STROKES_SVG = 10_000
 # A picture is so many dots wide: what is finer than one cannot be seen.
 _DOTS = 2000
+# In inches: of a job alone, of one beside others; of the path, the view in space, the curves.
+_WIDE = 15.0
 _WIDTH = 9.0
-_HEIGHTS = (6.0, 5.0, 1.8, 1.8, 1.8, 1.8)
+_HEIGHTS = (6.5, 5.0, 1.6, 1.6, 1.6, 1.6)
 # How a hole looks that a punch has made.
 _RING: dict[str, Any] = {"mfc": "white", "mec": "black", "ms": 5, "mew": 1.2}
 
@@ -30,21 +32,31 @@ def draw(jobs: Sequence[Job], title: str, words: str, is_svg: bool = False) -> "
     """The figure."""
     from matplotlib.figure import Figure
 
-    size = (_WIDTH * len(jobs), sum(_HEIGHTS))
-    figure = Figure(figsize=size, dpi=100, layout="constrained")
+    figure = Figure(dpi=100, layout="constrained")
     figure.suptitle(f"{title}\n{words}" if words else title, parse_math=False)
-    grid = figure.add_gridspec(len(_HEIGHTS), len(jobs), height_ratios=_HEIGHTS)
+    places = _places(figure, len(jobs))
     drawings = [_draw(job, _STROKES_SVG if is_svg else _STROKES) for job in jobs]
     look: dict[str, Any] = {"cmap": drawing.SCALE, "clim": (0, drawing.fastest(drawings))}
     above: list[Any] = []
-    for column, (job, drawn) in enumerate(zip(jobs, drawings, strict=True)):
-        above.append(figure.add_subplot(grid[0, column], aspect="equal"))
+    for place, job, drawn in zip(places, jobs, drawings, strict=True):
+        above.append(figure.add_subplot(place[0], aspect="equal"))
         flat = _from_above(above[-1], job, drawn, look)
         above[-1].set_title(_heading(job, drawn), fontsize="small", parse_math=False)
-        _in_space(figure.add_subplot(grid[1, column], projection="3d"), drawn, look)
+        _in_space(figure.add_subplot(place[1], projection="3d"), drawn, look)
     figure.colorbar(flat, ax=above, label="speed of cuts in mm/min", extend="max")
-    _curves(figure, grid, jobs)
+    _curves(figure, [place[2:] for place in places], jobs)
     return figure
+
+
+def _places(figure: "Figure", count: int) -> list[list[Any]]:
+    """Where the path, the view in space and the curves of each job go: columns, where several."""
+    if count == 1:
+        figure.set_size_inches(_WIDE, sum(_HEIGHTS) - _HEIGHTS[1])
+        grid = figure.add_gridspec(len(_HEIGHTS) - 1, 2, height_ratios=_HEIGHTS[:1] + _HEIGHTS[2:])
+        return [[grid[0, 0], grid[0, 1], *(grid[row, :] for row in range(1, len(_HEIGHTS) - 1))]]
+    figure.set_size_inches(_WIDTH * count, sum(_HEIGHTS))
+    grid = figure.add_gridspec(len(_HEIGHTS), count, height_ratios=_HEIGHTS)
+    return [[grid[row, column] for row in range(len(_HEIGHTS))] for column in range(count)]
 
 
 def _draw(job: Job, most: int) -> Drawing:
@@ -55,7 +67,7 @@ def _draw(job: Job, most: int) -> Drawing:
 def _heading(job: Job, drawn: Drawing) -> str:
     rows = [f"{name} {what}" for name, what in drawing.figures(job)]
     rows.append(f"drawn within {drawn.tolerance_mm:.2g} mm; rapids dashed")
-    pairs = ["   ".join(rows[n : n + 2]) for n in range(0, len(rows), 2)]
+    pairs = ["   ".join(rows[n : n + 2]) for n in range(1, len(rows), 2)]
     return "\n".join([f"{job.name}: {short(job.seconds)}", *pairs])
 
 
@@ -116,16 +128,14 @@ def _lines(strokes: Numbers) -> list[Any]:
     return list(strokes) or [np.zeros((2, 3))]
 
 
-def _curves(figure: "Figure", grid: Any, jobs: Sequence[Job]) -> None:
+def _curves(figure: "Figure", places: Sequence[Sequence[Any]], jobs: Sequence[Job]) -> None:
     """Speed, acceleration, step rate and power; a row has one scale, and time too."""
     rows: list[list[Axes]] = [[], [], [], []]
     first: Axes | None = None
-    for column, job in enumerate(jobs):
+    for column, job in zip(places, jobs, strict=True):
         motion = job.motion
-        for row, shared in enumerate(rows):
-            axes = figure.add_subplot(
-                grid[row + 2, column], sharex=first, sharey=shared[0] if shared else None
-            )
+        for place, shared in zip(column, rows, strict=True):
+            axes = figure.add_subplot(place, sharex=first, sharey=shared[0] if shared else None)
             first = first or axes
             axes.grid(alpha=0.3)
             shared.append(axes)
