@@ -383,6 +383,19 @@ def test_another_one_waits_until_the_first_has_hung_up(tcp_sim: TcpSim) -> None:
         assert "MPos:7.000," in second.wait_idle()
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:serial")
+def test_a_serial_port_over_the_network_is_one(tmp_path: Path) -> None:
+    running = TcpSim("0", "--rfc2217")
+    try:
+        for place in (2, 4):
+            with Sender(f"rfc2217://{running.place}") as sender:
+                assert sender.ask("G91 G0 X2").endswith("ok\r\n")
+                assert f"MPos:{place}.000," in sender.wait_idle()
+                assert sender.ask("$$").count("$") == 34
+    finally:
+        assert running.stop() == 0
+
+
 def test_one_on_tcp_that_does_not_read_does_not_stop_the_machine(tcp_sim: TcpSim) -> None:
     host, _, port = tcp_sim.place.rpartition(":")
     with socket.create_connection((host, int(port)), _PATIENCE_S) as deaf:
@@ -395,6 +408,34 @@ def test_one_on_tcp_that_does_not_read_does_not_stop_the_machine(tcp_sim: TcpSim
         sender.send(b"\x18")
         sender.wait("help]")
         assert sender.ask("G0 X1") == "ok\r\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--plot", "path.tiff"], ".html, .png, .svg"),
+        (["--plot", "FOLDER"], ".html, .png, .svg"),
+        (["--report", "FOLDER"], "is a folder"),
+        (["--report", "FOLDER/mill.settings/x"], "mill.settings is no folder"),
+        (["--report", "FOLDER/mill.settings"], "not written over"),
+        (["--settings", "FOLDER/nowhere/x"], "no folder"),
+        (["--settings", "FOLDER"], "FOLDER"),
+        (["--board", "toaster"], "no board 'toaster'"),
+        (["--rfc2217"], "is for --tcp"),
+    ],
+)
+def test_what_cannot_be_is_told_before_it_runs(tmp_path: Path, words: list[str], why: str) -> None:
+    (tmp_path / "mill.settings").write_text("$110=600\n")
+    words = [word.replace("FOLDER", str(tmp_path)) for word in words]
+    words = [
+        *([] if "--settings" in words else ["--settings", str(tmp_path / "mill.settings")]),
+        *words,
+    ]
+    done = ugrbl("sim", "--stdio", *words)
+    assert done.returncode == 1 and not done.stdout
+    assert why.replace("FOLDER", str(tmp_path)) in done.stderr.replace("\n", "")
+    assert "Traceback" not in done.stderr
+    assert (tmp_path / "mill.settings").read_text() == "$110=600\n"
 
 
 @pytest.mark.parametrize("words", [["0:x"], ["99999"], ["0", "--stdio"], ["256.1.1.1:0"]])

@@ -66,6 +66,9 @@ def sim(
         str | None,
         typer.Option(metavar="[HOST:]PORT", help="On TCP instead; no HOST: this computer only."),
     ] = None,
+    rfc2217: Annotated[
+        bool, typer.Option("--rfc2217", help="With --tcp: as a serial port, for rfc2217:// URLs.")
+    ] = False,
     stdio: Annotated[bool, typer.Option("--stdio", help="On stdin and stdout instead.")] = False,
     speed: Annotated[
         Speed, typer.Option(help="max: motion takes no longer than computing it.")
@@ -91,9 +94,20 @@ def sim(
     from .simulate import Options, simulate
 
     try:
-        fast = speed is Speed.MAX
-        check_outputs(report, plot=plot)
-        options = Options(board, port, stdio, fast, settings, report, plot, switches, tcp, blank)
+        check_outputs(report, plot=plot, keep=(settings,))
+        options = Options(
+            board=board,
+            link=port,
+            stdio=stdio,
+            fast=speed is Speed.MAX,
+            settings=settings,
+            report=report,
+            plot=plot,
+            switches=switches,
+            tcp=tcp,
+            rfc2217=rfc2217,
+            blank=blank,
+        )
         simulate(options)
     except (ValueError, OSError) as error:
         raise _failed(error) from error

@@ -33,6 +33,7 @@ class Options:
     plot: Path | None = None
     switches: bool = False
     tcp: str | None = None
+    rfc2217: bool = False
     blank: bool = False
 
 
@@ -56,10 +57,10 @@ def simulate(options: Options) -> None:
         machine.run(rig)
     finally:
         wire.close()
-    if options.plot and isinstance(recorder, MotionTrace):
-        _draw(options, rig, recorder)
     if options.report:
         recorder.totals().save(options.report)
+    if options.plot and isinstance(recorder, MotionTrace):
+        _draw(options, rig, recorder)
 
 
 def _draw(options: Options, rig: "Rig", trace: MotionTrace) -> None:
@@ -75,9 +76,11 @@ def _wire(options: Options) -> "Pty | Tcp | Stdio":
     if sum((options.link is not None, options.tcp is not None, options.stdio)) > 1:
         raise ValueError("say one of --port, --tcp and --stdio")
     if options.tcp is not None:
-        from .tcp_link import Tcp, address
+        from .tcp_link import Rfc2217, Tcp, address
 
-        return Tcp(*address(options.tcp))
+        return (Rfc2217 if options.rfc2217 else Tcp)(*address(options.tcp))
+    if options.rfc2217:
+        raise ValueError("--rfc2217 is for --tcp")
     try:
         from .pty_link import Pty, Stdio
     except ImportError as error:

@@ -3,6 +3,11 @@
 import select
 import socket
 from contextlib import suppress
+from types import SimpleNamespace
+from typing import Any
+
+from serial import serial_for_url
+from serial.rfc2217 import PortManager
 
 from .wire import Wire
 
@@ -75,3 +80,28 @@ class Tcp(Wire):
 
     def _open(self) -> list[socket.socket]:
         return [self._sender] if self._sender else []
+
+
+class Rfc2217(Tcp):
+    """The same for senders that open a serial port over the network (RFC 2217).
+
+    What they set, such as the speed, is taken and means nothing. What Grbl says is ASCII and
+    needs no escape.
+    """
+
+    _port: PortManager | None = None
+
+    def _accept(self) -> None:
+        super()._accept()
+        if self._sender is not None:
+            nowhere: Any = serial_for_url("loop://")
+            answers: Any = SimpleNamespace(write=self._negotiate)
+            self._port = PortManager(nowhere, answers)
+
+    def _take(self, limit: int) -> bytes | None:
+        data = super()._take(limit)
+        return b"".join(self._port.filter(data)) if data and self._port else data
+
+    def _negotiate(self, data: bytes) -> None:
+        with suppress(OSError):  # a sender that does not read, or has gone
+            self._put(data)
