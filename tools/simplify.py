@@ -1,7 +1,7 @@
 """Polylines in fewer points, never further from the given one than a tolerance (Douglas-Peucker).
 
-All stretches are cut at once, again and again, so that the work is numpy's: a path of two million
-points takes seconds, and a few times its own memory.
+Many stretches are cut at once, again and again, so that the work is numpy's: a path of two million
+points takes seconds, and next to no memory.
 """
 
 from collections.abc import Sequence
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 # One point in so many stays in any case: cutting a long spiral at its farthest point, again and
 # again, would take for ever.
 _STRETCH = 256
+_AT_ONCE = 256 * _STRETCH  # points whose distances are in memory at once
 
 Points = NDArray[np.float32] | NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -24,11 +25,17 @@ def simplify(points: Points, tolerance: float, keep: Sequence[int] | Rows = ()) 
     in all columns together.
     """
     count = len(points)
-    if count < 3:
-        return np.arange(count)
     is_kept = np.zeros(count, bool)
-    is_kept[::_STRETCH] = is_kept[-1] = True
+    is_kept[::_STRETCH] = is_kept[-1:] = True
     is_kept[np.asarray(keep, np.int64)] = True
+    for begin in range(0, count, _AT_ONCE):
+        part = slice(begin, begin + _AT_ONCE + 1)  # it ends where the next one begins
+        _cut(points[part], is_kept[part], tolerance)
+    return np.flatnonzero(is_kept)
+
+
+def _cut(points: Points, is_kept: NDArray[np.bool_], tolerance: float) -> None:
+    """Keep what has to be, between points that are kept already."""
     ends = np.flatnonzero(is_kept)
     first, last = ends[:-1], ends[1:]
     while len(first := first[wide := last - first > 1]):
@@ -38,7 +45,6 @@ def simplify(points: Points, tolerance: float, keep: Sequence[int] | Rows = ()) 
         first, last, worst = first[cut], last[cut], worst[cut]
         is_kept[worst] = True
         first, last = np.concatenate((first, worst)), np.concatenate((worst, last))
-    return np.flatnonzero(is_kept)
 
 
 def fitted(
