@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
-from ugrbl import drawing, machine, plot
+from ugrbl import drawing, machine, motion_trace, plot
 from ugrbl.cli import app
 from ugrbl.gcode_file import split_lines
 from ugrbl.motion_trace import Motion, trace_program
@@ -131,6 +131,34 @@ def away(points: Any, rows: Any) -> float:
         off = part - part[0] - share[:, None] * way
         worst = max(worst, float(np.sqrt((off**2).sum(axis=1)).max()))
     return worst
+
+
+def test_longer_segments_of_a_long_job_change_neither_path_nor_time(monkeypatch: Any) -> None:
+    lines = split_lines("\n".join(lettering()).encode())
+    fine = plot.run_job("", lines, ["$120=50", "$121=50"])
+    monkeypatch.setattr(motion_trace, "_MANY_LINES", 100)
+    coarse = plot.run_job("", lines, ["$120=50", "$121=50"])
+    assert len(coarse.motion) < 0.6 * len(fine.motion)
+    assert coarse.seconds == pytest.approx(fine.seconds, rel=1e-4)
+    for totals in (one.result.totals for one in (fine, coarse)):
+        assert totals.steps_made == totals.steps_planned == fine.result.totals.steps_planned
+    # Every point of the fine path lies on the coarse one, at its own place in the program.
+    moves = [(one.motion.lines, one.motion.points) for one in (fine, coarse)]
+    for line in range(1, len(lines) + 1, 7):
+        (of_fine,), (of_coarse,) = (np.nonzero(found == line) for found, _ in moves)
+        if len(of_fine):
+            path = moves[1][1][of_coarse[0] - 1 : of_coarse[-1] + 1]
+            assert max(beside(point, path) for point in moves[0][1][of_fine]) < 0.01
+
+
+def beside(point: Any, path: Any) -> float:
+    """How far a point is from a polyline."""
+    nearest = math.inf
+    for begin, end in pairwise(path.astype(float)):
+        way = end - begin
+        share = np.clip((point - begin) @ way / ((way @ way) or 1.0), 0, 1)
+        nearest = min(nearest, float(np.linalg.norm(point - begin - share * way)))
+    return nearest
 
 
 @pytest.mark.parametrize("most", [600_000, 900])

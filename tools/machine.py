@@ -68,11 +68,12 @@ def build(
     settings: Path | None = None,
     *,
     blank: bool = False,
+    coarse: int = 1,
 ) -> "Rig":
     """A rig with that board, with the settings of a new machine that has once been started.
 
     link: makes the Link; settings: the file that keeps them, if any; blank: with an erased
-    memory instead. ValueError for a file that cannot be one.
+    memory instead; coarse: see Rig. ValueError for a file that cannot be one.
     """
     paths.use_firmware()
     from .sim.replay import factory_store
@@ -81,12 +82,12 @@ def build(
     module = load_board(board)
     store = MemoryStore() if blank else factory_store(module)
     if settings is None:
-        return Rig(module, store, link)
+        return Rig(module, store, link, coarse)
     try:
         kept = FileStore(settings, store.files, firmware(module))
     except SettingsError as error:
         raise ValueError(f"{settings} is left as it is: {error}") from error
-    return Rig(module, kept, link)
+    return Rig(module, kept, link, coarse)
 
 
 def firmware(board: Any) -> Firmware:

@@ -22,6 +22,10 @@ LETTERS = "XYZABC"
 # Between two segments so far apart the machine has stood still.
 _REST_S = 1e-6
 
+# Of a program of so many lines, segments of 40 ms in place of Grbl's 10 are enough.
+_MANY_LINES = 50_000
+_COARSE = 4
+
 Column = NDArray[np.float64] | NDArray[np.float32]
 
 
@@ -186,6 +190,10 @@ def trace_program(
     check: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[Result, MotionTrace]:
-    """Run a program as run.run_program does, and follow every segment."""
+    """Run a program as run.run_program does, and follow every segment.
+
+    In a long one segments are longer where lines are: its steps, path and time are the same.
+    """
     commands = (*settings, *(["$C"] if check else []))
-    return watch_program(lines, MotionTrace, board, commands, progress)
+    coarse = _COARSE if len(lines) > _MANY_LINES else 1
+    return watch_program(lines, MotionTrace, board, commands, progress, coarse)

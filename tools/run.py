@@ -237,8 +237,12 @@ def watch_program(
     board: str,
     commands: Sequence[str],
     progress: Callable[[int], None] | None,
+    coarse: int = 1,
 ) -> tuple[Result, _Watcher]:
-    """Run a program, after commands that have to be accepted, with somebody made to watch."""
+    """Run a program, after commands that have to be accepted, with somebody made to watch.
+
+    coarse: see Rig.
+    """
 
     def script(link: ProgramLink) -> Iterator[Step]:
         if not (yield from _prepare(link, commands)):
@@ -255,7 +259,7 @@ def watch_program(
         yield None
         link.result.final_state = next((r for r in link.replies if r.startswith("[G")), "")
 
-    rig = machine.build(board, lambda rig: ProgramLink(rig, script))
+    rig = machine.build(board, lambda rig: ProgramLink(rig, script), coarse=coarse)
     watching = watcher(rig)
     machine.run(rig)
     result: Result = rig.link.result

@@ -49,18 +49,27 @@ class MemoryStore:
 
 
 class Rig:
-    """One simulated machine. board: a module as in boards/; store: a Store; link: makes a Link."""
+    """One simulated machine. board: a module as in boards/; store: a Store; link: makes a Link.
+
+    coarse: full segments are so many times as long as Grbl's 10 ms. Steps are the same, and take
+    as long all together; what is between the ends of a segment is less exact, and there are fewer.
+    """
 
     def __init__(
-        self, board: "Any", store: "Store | None" = None, link: "Callable[[Rig], Any]" = SimLink
+        self,
+        board: "Any",
+        store: "Store | None" = None,
+        link: "Callable[[Rig], Any]" = SimLink,
+        coarse: int = 1,
     ) -> None:
         axes = len(board.STEP)
         self.board = board
         self.store: "Any" = MemoryStore() if store is None else store
-        self.ticks_per_ms = SimEngine.tick_hz / 1000
         has_punch = getattr(board, "TOOL", "") == "punch"
         engine = PunchEngine if has_punch else SimEngine
         self.engine = engine(axes, getattr(board, "SEGMENT_QUEUE", _SEGMENT_QUEUE))
+        self.engine.tick_hz = SimEngine.tick_hz // coarse
+        self.ticks_per_ms = self.engine.tick_hz / 1000
         self.scratch = array("i", [0] * axes)
         self.loop_ticks = int(getattr(board, "LOOP_US", 0) * self.ticks_per_ms / 1000)
         start_ticks = int(getattr(board, "START_US", 0) * self.ticks_per_ms / 1000)
