@@ -220,6 +220,26 @@ def test_an_erased_memory_is_told_of(tmp_path: Path) -> None:
     sim.stop()
 
 
+def test_settings_that_want_each_other_may_come_in_any_order(tmp_path: Path) -> None:
+    file = tmp_path / "mill.settings"
+    file.write_text("$20=1\n$22=1\n$7=1\n")
+    sim = Sim(tmp_path, "--settings", str(file))
+    with sim.open() as sender:
+        assert "'$H'|'$X' to unlock" in sender.wait("unlock]")
+        assert "$20=1" in sender.ask("$$")
+        sender.ask("$110=600")
+    sim.stop()
+    assert file.read_text().startswith("$20=1\n$22=1\n$7=1\n")
+
+
+def test_settings_that_the_machine_would_refuse_are_named(tmp_path: Path) -> None:
+    file = tmp_path / "mill.settings"
+    file.write_text("$0=1\n")
+    done = ugrbl("sim", "--stdio", "--settings", file)
+    assert done.returncode == 1
+    assert "$0=1: error:6: " in done.stderr.replace("\n", " ")
+
+
 @pytest.mark.parametrize("text", ["G21 G90\nG1 X10 F600\n", "$110=fast\n"])
 def test_a_file_that_holds_no_settings_is_left_alone(tmp_path: Path, text: str) -> None:
     file = tmp_path / "precious.nc"

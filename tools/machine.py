@@ -1,13 +1,14 @@
 """A simulated machine for the commands: its board by name, its place to keep settings."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import paths
 from .file_store import FileStore
+from .messages import meaning
 from .settings_file import Firmware, SettingsError
 
 if TYPE_CHECKING:
@@ -85,9 +86,43 @@ def build(
         return Rig(module, store, link, coarse)
     try:
         kept = FileStore(settings, store.files, firmware(module))
+        _check_values(module, kept.load("settings") or ())
     except SettingsError as error:
         raise ValueError(f"{settings} is left as it is: {error}") from error
     return Rig(module, kept, link, coarse)
+
+
+def _check_values(board: Any, lines: Iterable[str]) -> None:
+    """SettingsError where the machine would not take a setting, in whatever order they come.
+
+    What it reads from its own memory it takes unseen. Settings that it does not have are kept.
+    """
+    import errors
+    from errors import GrblError
+    from settings import Settings
+    from wiring import Options
+
+    from .sim.rig import MemoryStore
+
+    options = Options(board)
+    settings = Settings(MemoryStore(), options.axes, options.defaults, *options.parts[3])
+    settings.max_step_hz = options.max_step_hz
+    settings.load()
+    left = list(lines)
+    while left:
+        refused = []
+        for line in left:
+            number, _, value = line[1:].partition("=")
+            try:
+                settings.set(int(number), float(value))
+            except GrblError as error:
+                if error.args[0] != errors.INVALID_STATEMENT:
+                    refused.append((line, f"error:{error.args[0]}"))
+        if len(refused) == len(left):
+            raise SettingsError(
+                "; ".join(f"{line}: {why}: {meaning(why)}" for line, why in refused)
+            )
+        left = [line for line, _ in refused]
 
 
 def firmware(board: Any) -> Firmware:
