@@ -191,6 +191,13 @@ def test_a_reset_in_the_text_is_told_of() -> None:
     assert run("G91\n\x18\nG0 X1\n").resets == [2]
 
 
+def test_a_place_is_what_the_firmware_calls_it() -> None:
+    totals = run("G92 X0\nG0 X-3\n").totals
+    assert totals.final_position_mm["X"] == -3
+    totals = run("G0 X3\n", "$3=1").totals
+    assert (totals.final_position_mm["X"], totals.bounds_mm["X"]) == (3, (0, 3))
+
+
 # The command
 
 

@@ -66,7 +66,9 @@ class Recorder:
             rig.port.on_hole = self._mark
         rig.on_built = self._attach
         rig.engine.trace = self._segment
+        self._is_on = True
         self._set_position = replace_method(rig.engine, "set_position", self._rename)
+        self._power_off = replace_method(rig.engine, "power_off", self._switch_off)
 
     def start_clock(self) -> None:
         """The work begins now."""
@@ -139,7 +141,7 @@ class Recorder:
         if self._begun is None:
             self._begun = start
         self._ended = start + row[kernels.ROW_TICKS]
-        dirs = row[kernels.ROW_DIRS]
+        dirs = row[kernels.ROW_DIRS] ^ self._rig.engine.dir_invert  # as the firmware means them
         for i in self._axes:
             count = row[kernels.ROW_AXES + kernels.ROW_STRIDE * i]
             self._made[i] += count
@@ -158,8 +160,15 @@ class Recorder:
     def _rename(self, steps: "array[int]") -> None:
         """Stand in for StepEngine.set_position: the same place has another number from now on."""
         self._set_position(steps)
-        self._place = list(steps)
-        self._extend(self._to_mm(self._place))
+        if self._is_on:
+            self._place = list(steps)
+            self._extend(self._to_mm(self._place))
+
+    def _switch_off(self) -> None:
+        """Stand in for SimEngine.power_off: a count that begins at 0 again is no way to 0."""
+        self._is_on = False
+        self._power_off()
+        self._is_on = True
 
     def _extend(self, at: Sequence[float]) -> None:
         low, high = self._low, self._high
