@@ -1,17 +1,45 @@
 """Program files as senders see them: lines of bytes, cut at CRLF, LF or CR."""
 
 import re
+import sys
+import unicodedata
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 # Bytes that Grbl takes off before it looks at lines. Those from 0x80 on are all its own.
 STATUS = b"?"
 CYCLE_START = b"~"
 FEED_HOLD = b"!"
 RESET = b"\x18"
+STDIN = "-"
 
 # A doubled CR before the LF, as broken conversions leave it, ends one line and not two.
 _LINE_END = re.compile(rb"\r*\n|\r")
 _REALTIME = re.compile(rb"[?~!\x18\x80-\xff]")
+# As Grbl reads them: a comment in parentheses may be left open, and ; ends a line outside of them.
+_COMMENT = re.compile(rb"\([^)]*\)?|;.*", re.DOTALL)
+_MARK = b"\xef\xbb\xbf"  # how some editors begin a file in UTF-8
+_NAMES = {
+    b"?": "the question mark asks for a status report",
+    b"~": "~ is a cycle start",
+    b"!": "! is a feed hold",
+    b"\x18": "Ctrl-X is a reset",
+}
+# What comments hold instead of what would act.
+_HARMLESS = str.maketrans({"?": ".", "!": ".", "~": "-", "ß": "ss", "Ø": "O", "ø": "o", "µ": "u"})
+
+
+class Problem(NamedTuple):
+    """A line (from 1) with bytes that act at once. in_comment: they can be left out."""
+
+    line: int
+    text: str
+    in_comment: bool
+
+
+class NotText(ValueError):
+    """A file that is no program: empty, or not made of text."""
 
 
 def split_lines(data: bytes) -> list[bytes]:
@@ -23,8 +51,18 @@ def split_lines(data: bytes) -> list[bytes]:
 
 
 def read_lines(path: Path) -> list[bytes]:
-    """The lines of a program file; line n of the file is element n - 1."""
-    return split_lines(path.read_bytes())
+    """The lines of a program file, `-` is stdin; line n of the file is element n - 1."""
+    data = sys.stdin.buffer.read() if str(path) == STDIN else path.read_bytes()
+    return split_lines(data.removeprefix(_MARK))
+
+
+def check_text(lines: Sequence[bytes], name: str) -> None:
+    """NotText where no program can be in it."""
+    if not any(line.strip() for line in lines):
+        raise NotText(f"{name} is empty: there is nothing to do")
+    for number, line in enumerate(lines, 1):
+        if b"\0" in line:
+            raise NotText(f"{name} is no G-code: line {number} holds bytes that are no text")
 
 
 def read_program(path: Path) -> list[bytes]:
@@ -40,6 +78,56 @@ def read_program(path: Path) -> list[bytes]:
 def has_realtime(line: bytes) -> bool:
     """Whether a line holds bytes that act at once, before the lines in front of it are done."""
     return _REALTIME.search(line) is not None
+
+
+def without_comments(line: bytes) -> bytes:
+    """What a Grbl acts upon."""
+    return _COMMENT.sub(b"", line)
+
+
+def comment(line: bytes) -> str:
+    """What a line says to people."""
+    found = b" ".join(_COMMENT.findall(line))
+    return text(found).translate({ord(sign): " " for sign in "();"}).strip()
+
+
+def harmless(line: bytes) -> bytes:
+    """The line, with comments in which nothing acts: letters in ASCII, and no ! ~ ? or Ctrl-X."""
+    if not has_realtime(line):
+        return line
+    return _COMMENT.sub(lambda match: _plain(match[0]), line)
+
+
+def text(line: bytes) -> str:
+    """A line as it is shown: in UTF-8 as programs of today are, or in Latin-1."""
+    try:
+        return line.decode("utf-8").strip()
+    except UnicodeDecodeError:
+        return line.decode("latin-1").strip()
+
+
+def problems(lines: Iterable[bytes]) -> list[Problem]:
+    """Where a program holds bytes that a Grbl would act upon at once."""
+    found = []
+    for number, line in enumerate(lines, 1):
+        code = _REALTIME.search(without_comments(line))
+        if code:
+            found.append(Problem(number, _what(line, code[0]), False))
+        elif act := _REALTIME.search(line):
+            found.append(Problem(number, f"{_what(line, act[0])} in a comment", True))
+    return found
+
+
+def _what(line: bytes, byte: bytes) -> str:
+    if byte in _NAMES:
+        return _NAMES[byte]
+    sign = next((sign for sign in text(line) if not sign.isascii()), "")
+    return f"{sign!r} holds bytes that are real-time commands"
+
+
+def _plain(part: bytes) -> bytes:
+    letters = unicodedata.normalize("NFKD", text(part).translate(_HARMLESS))
+    return bytes(byte for byte in letters.encode("ascii", "ignore") if byte >= 0x20)
 
 
 def is_answer(line: str) -> bool:

@@ -1,0 +1,77 @@
+"""Program files: what is left out of comments, what is refused, and with which line."""
+
+import io
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from ugrbl import gcode_file
+from ugrbl.gcode_file import check_text, comment, harmless, has_realtime, problems
+
+
+@pytest.mark.parametrize(
+    ("line", "sent"),
+    [
+        ("G1 X1 (Nut fräsen)", b"G1 X1 (Nut frasen)"),
+        ("G1 X1 ; Ä Ö à – Größe!", b"G1 X1 ; A O a  Grosse."),
+        ("(really? ~5 mm!) G0 X1", b"(really. -5 mm.) G0 X1"),
+        ("(日本語)G1 X1", b"()G1 X1"),
+        ("(open Ä", b"(open A"),
+        ("(a; Ä) X1 ; (Ö", b"(a; A) X1 ; (O"),
+        ("(caf\u00e9) M3", b"(cafe) M3"),
+        ("G1 X1 (plain, nothing to do)", b"G1 X1 (plain, nothing to do)"),
+    ],
+)
+def test_comments_become_harmless_and_code_stays(line: str, sent: bytes) -> None:
+    assert harmless(line.encode("utf-8")) == sent
+
+
+def test_a_comment_in_latin_1_becomes_harmless_too() -> None:
+    assert harmless("G1 (Fräser)".encode("latin-1")) == b"G1 (Fraser)"
+
+
+@given(st.binary(max_size=60))
+def test_whatever_is_in_comments_only_code_can_act(line: bytes) -> None:
+    line = line.replace(b"\n", b"").replace(b"\r", b"")
+    found = problems([line])
+    if not found or found[0].in_comment:
+        assert not has_realtime(harmless(line))
+
+
+def test_problems_name_line_and_sign() -> None:
+    lines = ["G21", "(Ä)", "G1 X10°", "M0 !", "G1 (x?) X1", "\x18"]
+    found = problems([line.encode("utf-8") for line in lines])
+    assert [(one.line, one.in_comment) for one in found] == [
+        (2, True),
+        (3, False),
+        (4, False),
+        (5, True),
+        (6, False),
+    ]
+    assert "'Ä'" in found[0].text and "'°'" in found[1].text
+    assert "feed hold" in found[2].text and "reset" in found[4].text
+
+
+def test_the_mark_of_utf_8_is_no_part_of_the_program(tmp_path: Path) -> None:
+    file = tmp_path / "program.nc"
+    file.write_bytes(b"\xef\xbb\xbfG21\r\nG0 X1\r\n")
+    assert gcode_file.read_lines(file) == [b"G21", b"G0 X1"]
+
+
+def test_a_program_can_come_from_stdin(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(b"G21\nG0 X1\n")))
+    assert gcode_file.read_lines(Path("-")) == [b"G21", b"G0 X1"]
+
+
+def test_what_is_said_to_people() -> None:
+    assert comment(b"M0 (change to 3 mm)") == "change to 3 mm"
+    assert comment("M0 ; Fräser 3 mm".encode()) == "Fräser 3 mm"
+    assert comment(b"M0") == ""
+
+
+@pytest.mark.parametrize(("data", "why"), [(b"\n \n", "empty"), (b"G21\nPK\0\3\4\n", "line 2")])
+def test_a_file_without_a_program_is_refused(data: bytes, why: str) -> None:
+    with pytest.raises(gcode_file.NotText, match=why):
+        check_text(gcode_file.split_lines(data), "job.nc")
