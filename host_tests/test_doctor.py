@@ -13,11 +13,11 @@ from typing import Any, cast
 import pytest
 from sim_bench import SETTINGS, STEPS_PER_MM, SWITCH_STEPS, Bench
 from typer.testing import CliRunner
-from ugrbl import checkup, doctor, patient, ports
+from ugrbl import checkup, connection, doctor, patient, ports
 from ugrbl import settings_sync as sync
 from ugrbl.checkup import BAD, NOTE, OK, Finding
 from ugrbl.cli import app
-from ugrbl.send import Connection
+from ugrbl.connection import Connection
 from ugrbl.settings_file import Firmware
 
 OLD_PICO = b"\r\n|rp2|Raspberry Pi Pico with RP2040|1.25.0|183000|False|\r\n>>> "
@@ -196,7 +196,7 @@ def test_who_is_there_instead_is_told(
     what: str,
     text: str,
 ) -> None:
-    monkeypatch.setattr(patient, "_ANSWER_S", 0.5)
+    monkeypatch.setattr(connection, "_START_S", 0.5)
     impostor = Impostor(answers, always)
     impostor.start()
     code, found, _ = examine(impostor.port)
@@ -208,7 +208,7 @@ def test_who_is_there_instead_is_told(
 
 
 def test_a_board_at_its_prompt_tells_its_free_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(patient, "_ANSWER_S", 0.5)
+    monkeypatch.setattr(connection, "_START_S", 0.5)
     answer = b"\r\n|rp2|Raspberry Pi Pico|1.28.0|183000|True|\r\n>>> "
     impostor = Impostor({b"\x03": b"\r\n>>> ", b"import": answer})
     impostor.start()

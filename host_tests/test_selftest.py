@@ -9,10 +9,10 @@ import pytest
 from typer.testing import CliRunner
 from ugrbl import ports, selftest_cli
 from ugrbl.cli import app
+from ugrbl.connection import SendError
 from ugrbl.deploy import About, DeployError
 from ugrbl.selftest.judge import duty_percent, falls, highs, judge, rises
 from ugrbl.selftest.session import Wiring
-from ugrbl.send import SendError
 
 PICO = About(0x1F06, "1.28.0", "Raspberry Pi Pico with RP2040")
 WIRED = Wiring("pio", 8, 16)

@@ -5,12 +5,11 @@ from typing import Any
 
 import pytest
 from mpremote.transport import TransportError
-from ugrbl import patient
+from ugrbl.connection import SendError
 from ugrbl.deploy import DeployError
 from ugrbl.selftest import device
 from ugrbl.selftest.device import PromptBoard
 from ugrbl.selftest.session import Wiring
-from ugrbl.send import SendError
 
 
 class Wire:
@@ -89,6 +88,10 @@ def test_a_board_that_goes_away_is_told_in_words(error: Exception) -> None:
 class Back:
     """A connection to what has come back."""
 
+    def answers(self) -> bool:
+        """It does."""
+        return True
+
     def close(self) -> None:
         """Nothing is open."""
 
@@ -104,8 +107,7 @@ def test_the_watchdog_takes_usb_away_and_the_firmware_answers_then(
             raise SendError("not there yet")
         return Back()
 
-    monkeypatch.setattr(patient, "open_port", open_port)
-    monkeypatch.setattr(patient, "answers", lambda connection: True)
+    monkeypatch.setattr(device, "Connection", open_port)
     heard: "list[str]" = []
     transport = Transport(wire=Wire(b"= hang {", b"}\r\n= hang", b" {}\r\n"))
     assert board(transport).until_restart("hang", heard.append, 5)
@@ -122,7 +124,7 @@ def test_a_board_that_stays_away_has_not_come_back(monkeypatch: pytest.MonkeyPat
     def open_port(port: str) -> Back:
         raise SendError("not there")
 
-    monkeypatch.setattr(patient, "open_port", open_port)
+    monkeypatch.setattr(device, "Connection", open_port)
     monkeypatch.setattr(device, "_BACK_S", 0.2)
     assert not board(Transport(wire=Wire(b"= hang {}\r\n"))).until_restart("hang", print, 5)
 

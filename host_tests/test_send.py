@@ -8,20 +8,26 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
-from ugrbl import send
+from typer.testing import CliRunner, Result
+from ugrbl import connection as connection_module
+from ugrbl import keys
 from ugrbl.cli import app
+from ugrbl.connection import Connection, SendError
 from ugrbl.gcode_file import CYCLE_START, FEED_HOLD, RESET, STATUS
 from ugrbl.messages import meaning
-from ugrbl.send import Connection, SendError, Stream
+from ugrbl.send import Choice, Line, Stream
+from ugrbl.send import program as ready
 
 _ANSWER_S = 0.002
 
 
 class FakeGrbl(threading.Thread):
-    """Answers each line after a moment: G64 with error:20, G38 with an alarm, others with ok."""
+    """Answers each line after a moment: G64 with error:20, G38 with an alarm, others with ok.
 
-    def __init__(self, options: str = "V,15,128", state: str = "Idle") -> None:
+    old: it talks as Grbl 0.9 does, and slows down for three reports before it stands in a hold.
+    """
+
+    def __init__(self, options: str = "V,15,128", state: str = "Idle", old: bool = False) -> None:
         super().__init__(daemon=True)
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
@@ -29,6 +35,8 @@ class FakeGrbl(threading.Thread):
         self.port = os.ttyname(self._slave)
         self.options = options
         self.state = state
+        self.old = old
+        self._braking = 0
         self.lines: list[bytes] = []
         self.realtime = b""
         self.most_waiting = 0
@@ -41,7 +49,7 @@ class FakeGrbl(threading.Thread):
             self._receive()
             self.most_waiting = max(self.most_waiting, self._waiting.count(b"\n"))
             self.most_bytes = max(self.most_bytes, len(self._waiting))
-            if b"\n" in self._waiting and not self.state.startswith("Hold"):
+            if b"\n" in self._waiting and not self.state.startswith(("Hold", "Door", "Sleep")):
                 line, _, self._waiting = self._waiting.partition(b"\n")
                 self.lines.append(line)
                 self._answer(line)
@@ -62,12 +70,32 @@ class FakeGrbl(threading.Thread):
             return
         for byte in (bytes([value]) for value in data):
             if byte == STATUS:
-                self.say(f"<{self.state}|MPos:1.000,2.000,3.000|FS:0,0>")
-            elif byte in (FEED_HOLD, CYCLE_START, RESET):
-                self.realtime += byte
-                self.state = "Hold:0" if byte == FEED_HOLD else "Idle"
+                self._report()
+            elif byte in (FEED_HOLD, CYCLE_START, RESET) or byte[0] >= 0x80:
+                self._command(byte)
             else:
                 self._waiting += byte
+
+    def _report(self) -> None:
+        self._braking = max(0, self._braking - 1)
+        place = f"{1 - self._braking / 10:.3f},2.000,3.000"
+        if self.old:
+            self.say(f"<{self.state},MPos:{place},WPos:{place}>")
+        else:
+            self.say(f"<{self.state}|MPos:{place}|FS:0,0>")
+
+    def _command(self, byte: bytes) -> None:
+        self.realtime += byte
+        if byte == FEED_HOLD:
+            self.state = "Hold" if self.old else "Hold:0"
+            self._braking = 4 if self.old else 0
+        elif byte == CYCLE_START:
+            self.state = "Idle"
+        elif byte == RESET:
+            self.place_at_reset = self._braking
+            self.state = "Idle"
+            self._waiting = b""
+            self.say("\r\nGrbl 1.1h ['$' for help]")
 
     def _answer(self, line: bytes) -> None:
         if line == b"$I":
@@ -81,12 +109,14 @@ class FakeGrbl(threading.Thread):
 
 
 class Watcher:
-    """A View that notes what it is shown; `answers` are what it says when asked to resume."""
+    """A View that notes what it is shown; `answers` are what it says when asked what next."""
 
     def __init__(self) -> None:
         self.messages: list[str] = []
         self.states: list[str] = []
-        self.answers: list[bool] = []
+        self.answers: list[Choice] = []
+        self.questions: list[str] = []
+        self.pressed: list[bytes] = []
 
     def progress(self, answered: int, status: str) -> None:
         self.states.append(status)
@@ -94,8 +124,12 @@ class Watcher:
     def message(self, text: str) -> None:
         self.messages.append(text)
 
-    def resume(self) -> bool:
+    def ask(self, why: str) -> Choice:
+        self.questions.append(why)
         return self.answers.pop(0)
+
+    def keys(self) -> bytes:
+        return self.pressed.pop(0) if self.pressed else b""
 
 
 @pytest.fixture
@@ -124,10 +158,18 @@ def program(count: int) -> list[bytes]:
     return [b"G1 X%d.125 Y%d.250 F1200" % (n, n) for n in range(count)]
 
 
+def listing(*lines: bytes) -> list[Line]:
+    return ready(lines)
+
+
+def ready_program(count: int) -> list[Line]:
+    return ready(program(count))
+
+
 def test_every_line_is_sent_and_answered(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
-    report = Stream(connection, program(50), view).run()
+    report = Stream(connection, ready_program(50), view).run()
     assert grbl.lines == program(50)
     assert (report.answered, report.state, report.ok()) == (50, "Idle", True)
 
@@ -135,7 +177,7 @@ def test_every_line_is_sent_and_answered(
 def test_counting_keeps_the_buffer_full_and_never_overfills_it(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
-    Stream(connection, program(50), view).run()
+    Stream(connection, ready_program(50), view).run()
     assert grbl.most_waiting >= 4
     assert 100 < grbl.most_bytes <= 127
 
@@ -143,7 +185,7 @@ def test_counting_keeps_the_buffer_full_and_never_overfills_it(
 def test_line_by_line_has_one_line_under_way(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
-    Stream(connection, program(20), view, by_line=True).run()
+    Stream(connection, ready_program(20), view, by_line=True).run()
     assert grbl.lines == program(20)
     assert grbl.most_waiting == 1
 
@@ -153,23 +195,48 @@ def test_a_larger_buffer_is_made_use_of(view: Watcher) -> None:
     grbl.start()
     connection = Connection(grbl.port)
     connection.start()
-    Stream(connection, program(60), view).run()
+    Stream(connection, ready_program(60), view).run()
     connection.close()
     grbl.stop()
     assert 400 < grbl.most_bytes <= 511
 
 
-def test_an_error_names_its_line_and_meaning_and_the_rest_goes_on(
-    connection: Connection, view: Watcher
+def test_an_error_names_its_line_and_meaning_and_holds_and_asks(
+    grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
-    report = Stream(connection, [b"G21", b"G64 P0.1", b"G0 X1"], view).run()
-    assert report.errors == [(2, "error:20")]
-    assert report.answered == 3
+    view.answers = [Choice.RESUME]
+    report = Stream(connection, listing(b"G21", b"G64 P0.1", b"G0 X1"), view).run()
+    assert report.errors == [(2, "error:20")] and report.answered == 3
     assert view.messages == [f"line 2: G64 P0.1: error:20: {meaning('error:20')}"]
+    assert view.questions == ["line 2 was refused"]
+    assert grbl.realtime == FEED_HOLD + CYCLE_START
+
+
+def test_after_an_error_nothing_more_is_made_unless_the_user_says_so(
+    grbl: FakeGrbl, connection: Connection, view: Watcher
+) -> None:
+    view.answers = [Choice.ABORT]
+    report = Stream(connection, listing(b"G64", *program(50)), view).run()
+    assert report.stopped == "line 1 was refused"
+    assert grbl.realtime == FEED_HOLD + RESET
+    assert len(grbl.lines) < 10  # what was on its way when the answer came
+
+
+def test_keep_going_asks_no_more(grbl: FakeGrbl, connection: Connection, view: Watcher) -> None:
+    view.answers = [Choice.KEEP_GOING]
+    report = Stream(connection, listing(b"G64", b"G64", b"G64"), view).run()
+    assert len(view.questions) == 1 and len(report.errors) == 3 and not report.stopped
+
+
+def test_with_keep_going_an_error_holds_nothing(
+    grbl: FakeGrbl, connection: Connection, view: Watcher
+) -> None:
+    report = Stream(connection, listing(b"G64", b"G0 X1"), view, keep_going=True).run()
+    assert len(report.errors) == 1 and grbl.realtime == b"" and len(grbl.lines) == 2
 
 
 def test_an_alarm_stops_it_and_says_why(connection: Connection, view: Watcher) -> None:
-    report = Stream(connection, [b"G21", b"G38.2 Z-1 F10", *program(50)], view).run()
+    report = Stream(connection, listing(b"G21", b"G38.2 Z-1 F10", *program(50)), view).run()
     assert report.stopped == f"ALARM:4: {meaning('ALARM:4')}"
     assert report.answered < 50
 
@@ -178,12 +245,12 @@ def test_a_controller_that_resets_stops_it(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
     threading.Timer(0.05, grbl.say, ["Grbl 1.1h ['$' for help]"]).start()
-    report = Stream(connection, program(500), view).run()
+    report = Stream(connection, ready_program(500), view).run()
     assert report.stopped == "the controller was reset"
 
 
 def test_messages_and_states_are_shown(connection: Connection, view: Watcher) -> None:
-    Stream(connection, [b"M2"], view).run()
+    Stream(connection, listing(b"M2"), view).run()
     assert view.messages == ["[MSG:Pgm End]"]
     assert view.states[-1].startswith("<Idle|MPos:1.000,2.000,3.000")
 
@@ -191,10 +258,11 @@ def test_messages_and_states_are_shown(connection: Connection, view: Watcher) ->
 def test_ctrl_c_holds_and_resume_finishes(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
-    view.answers = [True]
-    stream = Stream(connection, program(30), view)
+    view.answers = [Choice.RESUME]
+    stream = Stream(connection, ready_program(30), view)
     stream.interrupt()
     report = stream.run()
+    assert view.questions == ["Ctrl-C"]
     assert grbl.realtime == FEED_HOLD + CYCLE_START
     assert (report.answered, report.stopped) == (30, "")
 
@@ -202,13 +270,13 @@ def test_ctrl_c_holds_and_resume_finishes(
 def test_ctrl_c_and_abort_resets_once_the_machine_is_at_rest(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
-    view.answers = [False]
-    stream = Stream(connection, program(30), view)
+    view.answers = [Choice.ABORT]
+    stream = Stream(connection, ready_program(30), view)
     stream.interrupt()
     report = stream.run()
     time.sleep(0.05)
     assert grbl.realtime == FEED_HOLD + RESET
-    assert report.stopped == "given up by the user"
+    assert report.stopped == "Ctrl-C"
     assert len(grbl.lines) < 30
 
 
@@ -223,7 +291,7 @@ def test_a_locked_machine_is_refused() -> None:
 
 
 def test_a_port_without_grbl_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(send, "_START_S", 0.2)
+    monkeypatch.setattr(connection_module, "_START_S", 0.2)
     master, slave = os.openpty()
     connection = Connection(os.ttyname(slave))
     with pytest.raises(SendError, match="no Grbl answers"):
@@ -241,9 +309,9 @@ def test_a_port_that_is_not_there_is_named() -> None:
 def test_the_command_tells_errors_and_fails(grbl: FakeGrbl, tmp_path: Path) -> None:
     file = tmp_path / "program.nc"
     file.write_text("G21\nG64\n")
-    done = CliRunner().invoke(app, ["send", str(file), "--port", grbl.port])
+    done = CliRunner().invoke(app, ["send", str(file), "--port", grbl.port, "--no-check"])
     assert done.exit_code == 1
-    assert "line 2: G64: error:20" in done.output
+    assert "line 2: G64: error:20" in done.output and "line 2 was refused" in done.output
 
 
 def test_the_command_succeeds_line_by_line(grbl: FakeGrbl, tmp_path: Path) -> None:
@@ -251,4 +319,188 @@ def test_the_command_succeeds_line_by_line(grbl: FakeGrbl, tmp_path: Path) -> No
     file.write_text("G21\nG0 X1\n")
     done = CliRunner().invoke(app, ["send", str(file), "--port", grbl.port, "--mode", "line"])
     assert done.exit_code == 0, done.output
-    assert grbl.lines == [b"$I", b"G21", b"G0 X1"]
+    assert grbl.lines == [b"$I", b"$$", b"$#", b"$G", b"G21", b"G0 X1"]
+
+
+# What is sent, and what is not
+
+
+def send_file(grbl: FakeGrbl, folder: Path, text: str, *words: str) -> Result:
+    file = folder / "program.nc"
+    file.write_bytes(text.encode("utf-8"))
+    return CliRunner().invoke(app, ["send", str(file), "--port", grbl.port, *words])
+
+
+def test_letters_in_comments_arrive_as_ascii_and_nothing_acts(
+    grbl: FakeGrbl, tmp_path: Path
+) -> None:
+    done = send_file(grbl, tmp_path, "(Ä Ö à!)\nG0 X1 ; Größe?\n")
+    assert done.exit_code == 0, done.output
+    assert grbl.lines[-2:] == [b"(A O a.)", b"G0 X1 ; Grosse."]
+    assert grbl.realtime == b""
+    assert "line 1: 'Ä'" in done.output
+
+
+def test_a_byte_that_acts_outside_of_comments_is_refused_before_anything_is_sent(
+    grbl: FakeGrbl, tmp_path: Path
+) -> None:
+    done = send_file(grbl, tmp_path, "G0 X1\nG0 X2°\n\x18\n")
+    assert done.exit_code == 1 and grbl.lines == []
+    assert "line 2: '°'" in done.output and "line 3: Ctrl-X is a reset" in done.output
+
+
+@pytest.mark.parametrize("text", ["", "\n\n", "PK\0\3"])
+def test_what_is_no_program_is_refused(grbl: FakeGrbl, tmp_path: Path, text: str) -> None:
+    done = send_file(grbl, tmp_path, text)
+    assert done.exit_code == 1 and grbl.lines == []
+    assert "program.nc is" in done.output
+
+
+def test_what_the_simulator_refuses_is_not_sent(grbl: FakeGrbl, tmp_path: Path) -> None:
+    done = send_file(grbl, tmp_path, "G0 X1\nT1 M6\n")
+    assert done.exit_code == 1 and b"G0 X1" not in grbl.lines
+    assert "line 2" in done.output and "--no-check" in done.output
+
+
+def test_keep_going_sends_what_the_simulator_refuses(grbl: FakeGrbl, tmp_path: Path) -> None:
+    done = send_file(grbl, tmp_path, "G0 X1\nG64\nG0 X2\n", "--keep-going")
+    assert done.exit_code == 1 and grbl.lines[-1] == b"G0 X2"
+
+
+# States
+
+
+@pytest.mark.parametrize(
+    ("state", "todo"),
+    [
+        ("Hold:0", "resume (~)"),
+        ("Door:0", "close the safety door"),
+        ("Sleep", "reset it"),
+        ("Run", "wait until the job has ended"),
+        ("Alarm", "$X"),
+    ],
+)
+def test_a_machine_that_cannot_work_says_why_and_what_to_do(state: str, todo: str) -> None:
+    grbl = FakeGrbl(state=state)
+    grbl.start()
+    connection = Connection(grbl.port)
+    with pytest.raises(SendError) as raised:
+        connection.start()
+    connection.close()
+    grbl.stop()
+    assert state.partition(":")[0] in str(raised.value) and todo in str(raised.value)
+
+
+def test_a_question_in_a_hold_is_told_to_be_one(
+    grbl: FakeGrbl, connection: Connection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection_module, "_START_S", 0.5)
+    grbl.state = "Hold:0"
+    with pytest.raises(SendError, match=r"no answer to \$\$: in Hold:0 .* resume"):
+        connection.ask("$$")
+
+
+def test_grbl_0_9_is_understood(view: Watcher) -> None:
+    grbl = FakeGrbl(old=True)
+    grbl.start()
+    connection = Connection(grbl.port)
+    connection.start()
+    assert connection.place() == [1.0, 2.0, 3.0]
+    report = Stream(connection, ready_program(20), view).run()
+    connection.close()
+    grbl.stop()
+    assert (report.answered, report.state, report.ok()) == (20, "Idle", True)
+
+
+def test_grbl_0_9_is_reset_when_it_stands_and_not_before(view: Watcher) -> None:
+    grbl = FakeGrbl(old=True)
+    grbl.start()
+    connection = Connection(grbl.port)
+    connection.start()
+    view.answers = [Choice.ABORT]
+    stream = Stream(connection, ready_program(50), view)
+    stream.interrupt()
+    stream.run()
+    connection.close()
+    grbl.stop()
+    assert grbl.place_at_reset == 0
+
+
+def test_overrides_by_keys_go_to_grbl_1_1_only(grbl: FakeGrbl, view: Watcher) -> None:
+    for old, sent in ((False, b"\x91!~"), (True, b"!~")):
+        grbl = FakeGrbl(old=old)
+        grbl.start()
+        connection = Connection(grbl.port)
+        connection.start()
+        view.pressed = [b"", b"\x91!", b"~"]
+        Stream(connection, ready_program(20), view).run()
+        connection.close()
+        grbl.stop()
+        assert grbl.realtime == sent
+
+
+def test_keys_of_arrows_are_no_commands() -> None:
+    assert keys.commands("\x1b[A+\x1bOB-\x1b") == b"\x91\x92"
+    assert keys.commands(" ~q") == b"!~"
+
+
+def test_a_machine_that_goes_to_sleep_ends_it(
+    grbl: FakeGrbl, connection: Connection, view: Watcher
+) -> None:
+    def sleep() -> None:
+        grbl.state = "Sleep"
+
+    threading.Timer(0.1, sleep).start()
+    report = Stream(connection, ready_program(500), view).run()
+    assert "gone to sleep" in report.stopped
+
+
+def test_an_opened_door_is_told_once_and_the_job_goes_on(
+    grbl: FakeGrbl, connection: Connection, view: Watcher
+) -> None:
+    def door(state: str) -> None:
+        grbl.state = state
+
+    threading.Timer(0.1, door, ["Door:0"]).start()
+    threading.Timer(0.9, door, ["Idle"]).start()
+    report = Stream(connection, ready_program(100), view).run()
+    assert view.messages == ["the machine is in Door:0: close the safety door and resume (~)"]
+    assert report.ok() and report.answered == 100
+
+
+# Ends
+
+
+def test_an_unplugged_cable_is_told_with_the_line(grbl: FakeGrbl, view: Watcher) -> None:
+    master, slave = os.openpty()
+    connection = Connection(os.ttyname(slave))
+    os.close(slave)
+    threading.Timer(0.3, os.close, [master]).start()
+    report = Stream(connection, ready_program(10), view).run()
+    connection.close()
+    assert report.lost and "cable" in report.stopped
+
+
+def test_whatever_goes_wrong_here_holds_the_machine_first(
+    grbl: FakeGrbl, connection: Connection, view: Watcher, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(answered: int, status: str) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(view, "progress", full)
+    with pytest.raises(OSError, match="No space"):
+        Stream(connection, ready_program(50), view).run()
+    time.sleep(0.05)
+    assert grbl.realtime == FEED_HOLD
+
+
+def test_a_port_in_use_is_told_to_be(grbl: FakeGrbl, connection: Connection) -> None:
+    with pytest.raises(SendError, match="another program has it"):
+        Connection(grbl.port)
+
+
+def test_a_file_is_no_port(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("")
+    with pytest.raises(SendError, match="no serial port"):
+        Connection(str(file))

@@ -57,8 +57,7 @@ def firmware(found: Firmware, ours: str) -> Finding:
     if not found.version:
         return Finding(what, BAD, "it does not tell its version", "update the firmware")
     text = f"{found}{', ' + found.name if found.name else ''}"
-    lower = found.name.lower()
-    if "hal" in lower or "fluidnc" in lower:
+    if is_relative(found):
         return Finding(what, NOTE, f"{text}: a relative of Grbl; not all said here holds for it")
     if found.version != "1.1":
         return Finding(what, BAD, text, "senders of today want Grbl 1.1: update the firmware")
@@ -110,6 +109,12 @@ def micropython(board: str, version: str) -> list[Finding]:
     bad = [reason for reason in reasons if reason]
     verdict = BAD if len(bad) == len(reasons) else NOTE
     return [Finding("MicroPython", verdict, reason, NEW_MICROPYTHON) for reason in bad]
+
+
+def is_relative(found: Firmware) -> bool:
+    """Whether it is one of the firmwares that came out of Grbl and know more than it."""
+    name = found.name.lower()
+    return "hal" in name or "fluidnc" in name
 
 
 def is_ours(found: Firmware) -> bool:

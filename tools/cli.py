@@ -14,15 +14,15 @@ from . import (
     doctor,
     new_board_cli,
     plot_cli,
+    ports,
     run_cli,
     selftest_cli,
+    send_cli,
     settings_cli,
 )
 from .conformance import conformance
-from .gcode_file import read_lines
 from .machine import DEFAULT_BOARD
 from .outputs import check_outputs
-from .screen import Screen
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
 app.command("build", epilog=build_cli.EXAMPLES)(build_cli.command)
@@ -32,6 +32,8 @@ app.command("doctor", epilog=doctor.EXAMPLES)(doctor.command)
 app.command("new-board", epilog=new_board_cli.EXAMPLES)(new_board_cli.command)
 app.command("plot", epilog=plot_cli.EXAMPLES)(plot_cli.command)
 app.command("run", epilog=run_cli.EXAMPLES)(run_cli.command)
+app.command("ports")(ports.command)
+app.command("send", epilog=send_cli.EXAMPLES)(send_cli.command)
 app.command("selftest", epilog=selftest_cli.EXAMPLES)(selftest_cli.command)
 app.add_typer(settings_cli.app, name="settings")
 
@@ -41,13 +43,6 @@ class Speed(str, Enum):
 
     REAL = "real"
     MAX = "max"
-
-
-class Mode(str, Enum):
-    """How a program is streamed."""
-
-    COUNT = "count"
-    LINE = "line"
 
 
 Program = Annotated[
@@ -114,46 +109,10 @@ def sim(
 
 
 @app.command()
-def send(
-    file: Program,
-    port: Annotated[str, typer.Option(metavar="PORT", help="Serial port, or a simulator's link.")],
-    mode: Annotated[
-        Mode, typer.Option(help="count: keep Grbl's buffer full; line: one line at a time.")
-    ] = Mode.COUNT,
-) -> None:
-    """Stream a program to a Grbl.
-
-    Ctrl-C holds the machine and asks whether to go on; so does a pause (M0), after Ctrl-C.
-    """
-    from .send import Connection, SendError, Stream, ctrl_c
-
-    console = Console()
-    lines = read_lines(file)
-    try:
-        connection = Connection(port)
-        try:
-            connection.start()
-            with Screen(console, file.name, len(lines)) as screen:
-                stream = Stream(connection, lines, screen, by_line=mode is Mode.LINE)
-                with ctrl_c(stream.interrupt):
-                    report = stream.run()
-                screen.progress(report.answered, f"<{report.state}>")
-        finally:
-            connection.close()
-    except SendError as error:
-        raise _failed(error) from error
-    console.print(f"{report.answered} lines, {len(report.errors)} errors", highlight=False)
-    if report.stopped:
-        raise _failed(f"stopped after line {report.answered}: {report.stopped}")
-    if report.errors:
-        raise typer.Exit(1)
-
-
-@app.command()
 def demo() -> None:
     """Stream an example into the simulator and draw what the motors did."""
+    from .connection import SendError
     from .demo import demo as show
-    from .send import SendError
 
     try:
         good = show(Console())

@@ -12,11 +12,12 @@ from pathlib import Path
 from rich.console import Console
 
 from . import paths
+from .connection import Connection, SendError
 from .gcode_file import read_lines
 from .messages import meaning
 from .recorder import Totals
 from .screen import Screen, show_errors, summary, totals_rows
-from .send import Connection, Report, SendError, Stream
+from .send import Report, Stream, program
 
 _PROGRAM = "badge.nc"
 _PICTURE = Path("build/badge.png")
@@ -99,7 +100,7 @@ def _stream(running: Simulator, lines: Sequence[bytes], console: Console) -> tup
                 raise SendError(f"{setting}: {answer}: {meaning(answer)}")
         begun = time.monotonic()
         with Screen(console, _PROGRAM, len(lines)) as screen:
-            report = Stream(connection, lines, screen).run()
+            report = Stream(connection, program(lines), screen, keep_going=True).run()
             screen.progress(report.answered, f"<{report.state}>")
         return report, time.monotonic() - begun
     finally:

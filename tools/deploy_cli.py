@@ -12,9 +12,9 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeE
 
 from . import build, ports
 from .build import Build, BuildError
+from .connection import SendError
 from .deploy import DeployError, Result, deploy
 from .screen import summary
-from .send import SendError
 from .settings_cli import save_json
 
 EXAMPLES = (

@@ -13,9 +13,8 @@ import serial
 from mpremote.transport import TransportError  # type: ignore[import-untyped]
 from mpremote.transport_serial import SerialTransport  # type: ignore[import-untyped]
 
-from . import patient
+from .connection import Connection, SendError, way_out
 from .deploy import LIST, About, DeployError, Running
-from .send import SendError
 
 # An emulated board is slow: UGRBL_PATIENCE=5 waits five times as long for everything.
 PATIENCE = float(os.environ.get("UGRBL_PATIENCE", "1"))
@@ -77,7 +76,7 @@ class MpremoteDevice:
 
     def __init__(self, port: str) -> None:
         try:
-            patient.open_port(port).close()  # for its words: mpremote does not say why
+            Connection(port).close()  # for its words: mpremote does not say why
             self._transport: Any = SerialTransport(port)
         except (SendError, TransportError) as error:
             why, _, todo = str(error).partition("; ")
@@ -101,7 +100,7 @@ class MpremoteDevice:
             if state and state not in _AT_REST:
                 raise DeployError(
                     f"the machine on {self._port} is in {state}, and is not disturbed",
-                    patient.way_out(state).replace("look", "deploy"),
+                    f"{way_out(state)}; then deploy again",
                 )
             given_way = self._hear(_PROMPT, _PROMPT_S if found else 0.0, _ESCAPE)
             if state and not given_way:

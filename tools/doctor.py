@@ -12,8 +12,8 @@ from rich.markup import escape
 from . import checkup, patient, ports
 from . import settings_sync as sync
 from .checkup import BAD, NOTE, OK, Finding
+from .connection import BAUD, Connection, SendError, way_out
 from .paths import use_firmware
-from .send import Connection, SendError
 from .settings_cli import save_json
 from .settings_file import AXES, Firmware, Settings
 
@@ -45,30 +45,36 @@ class Doctor:
                 self.console.print(f"       -> {escape(finding.todo)}", highlight=False)
 
     def see(
-        self, port: str, pins_s: float | None, may_move: Callable[[], bool], ask: bool
+        self, port: str, baud: int, pins_s: float | None, may_move: Callable[[], bool], ask: bool
     ) -> None:
         """Look at what is on a port."""
         with self.console.status(f"listening on {port} …"):
-            connection = patient.open_port(port)
-            alive = patient.answers(connection)
+            connection = Connection(port, baud)
+            alive = connection.answers()
         if not alive:
             connection.close()
-            self.add(*patient.stranger(port))
+            self.add(*patient.stranger(port, baud))
             return
         try:
-            self._examine(connection, port, pins_s, may_move, ask)
+            self.add(Finding("port", OK, f"a Grbl answers on {port}"))
+            state = connection.state()
+            if state in sync.QUIET:
+                self._examine(connection, pins_s, may_move, ask)
+            else:
+                text = f"{state}: Grbl answers no questions then"
+                todo = f"{way_out(state)}; then look again"
+                self.add(Finding("state", BAD, text, todo))
+                self.add(*checkup.pins_at_rest(patient.pins(connection), {}))
         finally:
             connection.close()
 
     def _examine(
         self,
         connection: Connection,
-        port: str,
         pins_s: float | None,
         may_move: Callable[[], bool],
         ask: bool,
     ) -> None:
-        self.add(Finding("port", OK, f"a Grbl answers on {port}"))
         settings = sync.pull(connection)
         self.add(checkup.firmware(settings.firmware, _our_build()))
         self.add(*checkup.link(settings.firmware))
@@ -97,7 +103,7 @@ class Doctor:
         if state == "Idle":
             self.add(Finding("state", OK, "Idle"))
         else:
-            self.add(Finding("state", NOTE, state, patient.way_out(state)))
+            self.add(Finding("state", NOTE, state, f"{way_out(state)}; then look again"))
 
     def _pin(self, name: str, is_on: bool) -> None:
         self.console.print(f"     {name}: {'on' if is_on else 'off'}", highlight=False)
@@ -143,6 +149,7 @@ def command(
             metavar="PORT", help="Serial port, or a simulator's link. [default: the one]"
         ),
     ] = None,
+    baud: Annotated[int, typer.Option(metavar="RATE", help="Of a real serial port.")] = BAUD,
     pins: Annotated[
         float | None,
         typer.Option(metavar="SECONDS", help="Watch the inputs so long; 0: not. [default: ask]"),
@@ -171,7 +178,7 @@ def command(
         return move
 
     try:
-        doctor.see(_find(doctor, port), pins, may_move, ask)
+        doctor.see(_find(doctor, port), baud, pins, may_move, ask)
     except SendError as error:
         doctor.add(Finding("port", BAD, str(error)))
     _close(doctor, doctor.findings, json_file)

@@ -9,8 +9,8 @@ import serial
 
 from . import checkup
 from .checkup import BAD, NOTE, OK, PINS, Finding
+from .connection import BAUD, Connection, SendError, way_out
 from .messages import meaning
-from .send import BAUD, Connection, SendError
 
 _ANSWER_S = 5.0
 _REPL_S = 1.0
@@ -19,7 +19,6 @@ _MOVE_S = 20.0
 _MM = 1.0
 _NEAR_MM = 0.006
 _PINS = re.compile(r"\|Pn:([A-Z]+)")
-_PLACE = re.compile(r"\|MPos:(-?[\d.,-]+)")
 _STRANGERS = (
     (
         re.compile(r"rst:0x|ets [A-Z][a-z]{2} |Guru Meditation"),
@@ -46,30 +45,10 @@ class Board(NamedTuple):
     has_program: bool
 
 
-def open_port(port: str) -> Connection:
-    """The port; SendError says in words why not."""
-    try:
-        return Connection(port)
-    except SendError as error:
-        text = str(error)
-        if "Permission denied" in text:
-            text += "; add yourself to its group (`ls -l` shows which) and log in anew"
-        elif "No such file" in text or "could not open port" in text:
-            text += "; is the cable one that carries data, and plugged in?"
-        if "exclusively lock" in text or "busy" in text:
-            text += "; another program has it: close that"
-        raise SendError(text) from error
-
-
-def answers(connection: Connection) -> bool:
-    """Whether a Grbl reports its status."""
-    return connection.wait_for(lambda line: line.startswith("<"), _ANSWER_S)
-
-
-def stranger(port: str) -> list[Finding]:
+def stranger(port: str, baud: int = BAUD) -> list[Finding]:
     """Who is there, where no Grbl answers. It may be stopped (Ctrl-C), for it runs no Grbl."""
     try:
-        with serial.Serial(port, BAUD, timeout=_REPL_S) as wire:
+        with serial.Serial(port, baud, timeout=_REPL_S) as wire:
             wire.write(b"\r\x03\x03\r")
             heard = wire.read(4096).decode("latin-1")
             if ">>>" in heard:
@@ -86,9 +65,10 @@ def stranger(port: str) -> list[Finding]:
             return [Finding("firmware", BAD, f"no Grbl: this looks like {who}", todo)]
     if heard and not heard.isprintable() and sum(c > "\x7f" for c in heard) > len(heard) / 4:
         text = "bytes come, but no text"
-        return [Finding("firmware", BAD, text, f"another baud rate than {BAUD}")]
+        return [Finding("firmware", BAD, text, f"another baud rate than {baud} (--baud)")]
     text = "no answer" if not heard.strip() else f"no Grbl, but: {heard.strip()[:80]!r}"
-    todo = "is it powered, is the firmware on it, is this its port? Then unplug it and try again"
+    todo = "is it powered, is the firmware on it, is this its port? Then unplug it and try again; "
+    todo += "after ALARM:1 or 2, Grbl hears nothing but a reset (Ctrl-X)"
     return [Finding("firmware", BAD, text, todo)]
 
 
@@ -111,12 +91,6 @@ def pins(connection: Connection) -> str:
     """The letters of active inputs, as last reported."""
     found = _PINS.search(connection.status)
     return found[1] if found else ""
-
-
-def place(connection: Connection) -> list[float]:
-    """The machine position, as last reported."""
-    found = _PLACE.search(connection.status)
-    return [float(mm) for mm in found[1].split(",")] if found else []
 
 
 def report(connection: Connection) -> None:
@@ -152,7 +126,10 @@ def move(connection: Connection, axis: int, letter: str, rate: float) -> Finding
     if connection.state() != "Idle":
         text = f"not tried: the machine is in {connection.state()}"
         return Finding(what, NOTE, text, way_out(connection.state()))
-    start = place(connection)
+    if not connection.takes_overrides:
+        text = "not tried: Grbl 0.9 has no jogging ($J=)"
+        return Finding(what, NOTE, text, "move it with G-code")
+    start = connection.place()
     if len(start) <= axis:
         return Finding(what, NOTE, "not tried: reports have no MPos", "set $10=1")
     for way in (_MM, -_MM):
@@ -164,7 +141,7 @@ def move(connection: Connection, axis: int, letter: str, rate: float) -> Finding
         trouble = _wait_until_idle(connection)
         if trouble:
             return Finding(what, BAD, trouble, "reset it (Ctrl-X), see why, unlock it ($X)")
-        came = place(connection)[axis] - start[axis]
+        came = connection.place()[axis] - start[axis]
         if abs(came - max(way, 0)) > _NEAR_MM:
             text = f"it should be {max(way, 0):g} mm off and says {came:.3f}"
             return Finding(what, BAD, text, "report this: steps were lost within the firmware")
@@ -187,17 +164,6 @@ def _wait_until_idle(connection: Connection) -> str:
         return alarm != "" or (line.startswith("<") and connection.state() == "Idle")
 
     return alarm if connection.wait_for(over, _MOVE_S) else "the move did not end"
-
-
-def way_out(state: str) -> str:
-    return {
-        "Alarm": "home it ($H), or unlock it ($X), with any sender; then look again",
-        "Hold": "resume (~) or reset (Ctrl-X) it, then look again",
-        "Door": "close the safety door and resume (~)",
-        "Sleep": "reset it (Ctrl-X)",
-        "Check": "end check mode ($C)",
-        "Run": "wait until the job has ended",
-    }.get(state.partition(":")[0], "reset it (Ctrl-X), then look again")
 
 
 def _why_refused(answer: str) -> str:

@@ -1,10 +1,13 @@
 """Serial ports, and which of them may have a Grbl behind them."""
 
-from typing import NamedTuple
+import json
+from typing import Annotated, NamedTuple
 
+import typer
+from rich.console import Console
 from serial.tools import list_ports
 
-from .send import SendError
+from .connection import SendError
 
 # USB vendor and product (0: any) of what controllers speak through.
 _KNOWN = (
@@ -37,6 +40,23 @@ def find() -> list[Found]:
                 found.append(Found(port.device, what))
                 break
     return found
+
+
+def command(
+    json_out: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+) -> None:
+    """List the serial ports that may have a controller behind them.
+
+    The exit code is 1 if there is none.
+    """
+    found = find()
+    if json_out:
+        print(json.dumps([one._asdict() for one in found], indent=1))
+    for one in [] if json_out else found:
+        Console().print(f"{one.port}: {one.what}", highlight=False, soft_wrap=True)
+    if not found:
+        Console(stderr=True).print("no controller is plugged in, as far as USB tells")
+        raise typer.Exit(1)
 
 
 def choose(port: str | None) -> str:

@@ -1,8 +1,8 @@
 """What the commands show: a progress bar with the machine's state, tables, messages."""
 
 import re
-import signal
-from collections.abc import Iterable, Sequence
+import sys
+from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
 
 from rich.console import Console
@@ -10,17 +10,30 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from .connection import state_of
+from .gcode_file import text
+from .keys import Keys
 from .messages import meaning
 from .recorder import Totals
+from .send import Choice
 
-_PLACE = re.compile(r"\|([MW])Pos:([^|>]*)")
+_PLACE = re.compile(r"[|,]([MW])Pos:(-?[\d.]+(?:,-?[\d.]+)*)")
 _MOST_ERRORS = 20
 
 
 class Screen:
-    """A View for send.Stream, and the bar of `ugrbl run`; use it as a context."""
+    """A View for send.Stream, and the bar of `ugrbl run`; use it as a context.
 
-    def __init__(self, console: Console, name: str, total: int) -> None:
+    seconds_left: how long it takes once so many lines are done, or None.
+    """
+
+    def __init__(
+        self,
+        console: Console,
+        name: str,
+        total: int,
+        seconds_left: Callable[[int], float | None] = lambda done: None,
+    ) -> None:
         self._progress = Progress(
             TextColumn(escape(name)),
             BarColumn(),
@@ -30,9 +43,12 @@ class Screen:
             TextColumn("[cyan]{task.fields[state]}"),
             console=console,
         )
+        self._seconds_left = seconds_left
+        self._keys = Keys()
         self._task = self._progress.add_task("", total=total, state="")
 
     def __enter__(self) -> "Screen":
+        self._keys.__enter__()
         self._progress.start()
         return self
 
@@ -43,34 +59,51 @@ class Screen:
         trace: TracebackType | None,
     ) -> None:
         self._progress.stop()
+        self._keys.__exit__(kind, error, trace)
 
     def progress(self, answered: int, status: str = "") -> None:
         """So many lines are done."""
-        self._progress.update(self._task, completed=answered, state=escape(brief(status)))
+        left = self._seconds_left(answered)
+        shown = brief(status) + (f"  {clock(left)[:-4]} left" if left is not None else "")
+        self._progress.update(self._task, completed=answered, state=escape(shown))
 
-    def message(self, text: str) -> None:
+    def message(self, words: str) -> None:
         """A line above the bar."""
-        self._progress.console.print(escape(text), highlight=False)
+        self._progress.console.print(escape(words), highlight=False)
 
-    def resume(self) -> bool:
-        """Ask whether to go on. Ctrl-C, or no answer, means no."""
+    def keys(self) -> bytes:
+        """Real-time commands that have been asked for by keys."""
+        return self._keys.commands()
+
+    def ask(self, why: str) -> Choice:
+        """Whether to go on. No answer, or nobody to give one, means no."""
+        if not sys.stdin.isatty():
+            return Choice.ABORT
         self._progress.stop()
-        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+        self._keys.__exit__(None, None, None)
         try:
-            self._progress.console.print("The machine is held: [b]r[/b]esume or [b]a[/b]bort?")
-            while (answer := input("> ").strip().lower()[:1]) not in ("r", "a"):
-                pass
-        except (EOFError, KeyboardInterrupt):
-            answer = "a"
+            return self._choice(why)
         finally:
-            signal.signal(signal.SIGINT, before)
-        self._progress.start()
-        return answer == "r"
+            self._keys.__enter__()
+            self._progress.start()
+
+    def _choice(self, why: str) -> Choice:
+        refused = why.endswith("refused")
+        keep = "[b]k[/b]eep going whatever is refused, " if refused else ""
+        question = f"{escape(why)}; the machine is held: [b]r[/b]esume, {keep}or [b]a[/b]bort?"
+        self._progress.console.print(question, highlight=False)
+        letters = "rka" if refused else "ra"
+        try:
+            while (answer := input("> ").strip().lower()[:1]) not in tuple(letters):
+                pass
+        except EOFError:
+            return Choice.ABORT
+        return Choice(answer)
 
 
 def brief(status: str) -> str:
     """The state and place of a status report: `Run 1.000 2.000 0.000`."""
-    state = re.split("[|>]", status[1:])[0]
+    state = state_of(status)
     place = _PLACE.search(status)
     return f"{state} {place[2].replace(',', ' ')}" if place else state
 
@@ -80,9 +113,9 @@ def show_errors(
 ) -> None:
     """Each error with its line and its meaning; the first of very many."""
     for number, reply in errors[:_MOST_ERRORS]:
-        text = lines[number - 1].decode("latin-1").strip()
+        shown = escape(text(lines[number - 1]))
         console.print(
-            f"line {number}: [b]{escape(text)}[/b]\n    {reply}: {escape(meaning(reply))}",
+            f"line {number}: [b]{shown}[/b]\n    {reply}: {escape(meaning(reply))}",
             highlight=False,
         )
     if len(errors) > _MOST_ERRORS:

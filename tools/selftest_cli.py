@@ -12,11 +12,11 @@ from rich.console import Console
 from rich.markup import escape
 
 from . import ports
+from .connection import SendError
 from .deploy import DeployError
 from .selftest import program
 from .selftest.row import Row
 from .selftest.session import Board, Wiring, check, look
-from .send import SendError
 from .settings_cli import save_json
 
 EXAMPLES = (

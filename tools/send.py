@@ -1,130 +1,73 @@
-"""Streams a program to any Grbl on a serial port, by character counting or line by line."""
+"""Streams a program to any Grbl on a serial port, by character counting or line by line.
 
+Whatever ends it early, the machine is held before anything else is done: Grbl would go on with
+what it has been sent.
+"""
+
+import os
 import re
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Protocol
+from enum import Enum
+from types import FrameType
+from typing import NamedTuple, Protocol
 
-import serial
-
-from .gcode_file import CYCLE_START, FEED_HOLD, RESET, STATUS, is_answer
+from .connection import POLL_S, Connection, SendError, is_deaf, way_out
+from .gcode_file import (
+    CYCLE_START,
+    FEED_HOLD,
+    RESET,
+    STATUS,
+    comment,
+    harmless,
+    is_answer,
+    text,
+    without_comments,
+)
 from .messages import meaning
 
-BAUD = 115200
-WINDOW = 127  # bytes in Grbl's receive buffer, less one
-_POLL_S = 0.2
-_READ_S = 0.02
-# An Arduino that resets when its port is opened says nothing for a second or two.
-_START_S = 5.0
-_HOLD_S = 5.0
-_AT_REST = ("Hold:0", "Door:0", "Idle", "Check", "Alarm")
-_OPTIONS = re.compile(r"\[OPT:[^,]*,\d+,(\d+)\]")
-_BUFFER = re.compile(r"\|Bf:\d+,(\d+)")
+_HOLD_S = 15.0
+_RESET_S = 3.0
+_SILENCE_S = 10.0
+_ENDED = ("Idle", "Check", "Sleep")
+_PAUSE = re.compile(rb"M0+(?![\d.])", re.IGNORECASE)
+_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
-class SendError(Exception):
-    """The program cannot be sent, or not to its end."""
+class Line(NamedTuple):
+    """One line on its way. number: in the program, from 1; 0 where it leads up to it."""
+
+    number: int
+    data: bytes  # as it is sent, without its end
+    text: str  # as people read it
 
 
-class Connection:
-    """Lines from and bytes to a Grbl."""
+class Choice(Enum):
+    """What to do with a machine that is held."""
 
-    def __init__(self, port: str, baud: int = BAUD) -> None:
-        try:
-            self._serial = serial.Serial(port, baud, timeout=_READ_S, exclusive=True)
-        except serial.SerialException as error:
-            raise SendError(f"cannot open {port}: {error}") from error
-        self._text = ""
-        self.window = WINDOW
-        self.status = ""
-
-    def close(self) -> None:
-        """Give the port back."""
-        self._serial.close()
-
-    def write(self, data: bytes) -> None:
-        """Send bytes."""
-        self._serial.write(data)
-
-    def lines(self) -> list[str]:
-        """The lines that have come; waits a moment for the first."""
-        try:
-            data = self._serial.read(max(1, self._serial.in_waiting))
-        except serial.SerialException as error:
-            raise SendError(f"the connection broke: {error}") from error
-        self._text += data.decode("latin-1")
-        *lines, self._text = self._text.split("\r\n")
-        for line in lines:
-            if line.startswith("<"):
-                self._note_status(line)
-        return lines
-
-    def state(self) -> str:
-        """The machine's state as last reported: `Idle`, `Hold:0` …"""
-        return re.split("[|>]", self.status[1:])[0]
-
-    def wait_for(self, done: Callable[[str], bool], seconds: float) -> bool:
-        """Ask for the status until one of the lines that come is what is waited for."""
-        until = time.monotonic() + seconds
-        asked = 0.0
-        while time.monotonic() < until:
-            if time.monotonic() - asked >= _POLL_S:
-                self.write(STATUS)
-                asked = time.monotonic()
-            heard = [
-                done(line) for line in self.lines()
-            ]  # every line, for done() may collect them
-            if any(heard):
-                return True
-        return False
-
-    def start(self) -> None:
-        """Wait until Grbl listens, and ask how much it can take."""
-        if not self.wait_for(lambda line: line.startswith("<"), _START_S):
-            raise SendError("no Grbl answers on this port")
-        if self.state() == "Alarm":
-            raise SendError("the machine is locked in Alarm: home it ($H) or unlock it ($X) first")
-        self.ask("$I")
-
-    def ask(self, line: str) -> list[str]:
-        """Send a line and return what it is answered with, the answer last."""
-        self.write(line.encode("latin-1") + b"\n")
-        replies: list[str] = []
-
-        def answered(reply: str) -> bool:
-            options = _OPTIONS.fullmatch(reply)
-            if options:
-                self._widen(int(options[1]))
-            if not reply.startswith("<"):
-                replies.append(reply)
-            return is_answer(reply)
-
-        if not self.wait_for(answered, _START_S):
-            raise SendError(f"no answer to {line}")
-        return replies
-
-    def _note_status(self, line: str) -> None:
-        self.status = line
-        free = _BUFFER.search(line)
-        if free:
-            self._widen(int(free[1]))
-
-    def _widen(self, buffer: int) -> None:
-        self.window = max(self.window, buffer - 1)
+    RESUME = "r"
+    KEEP_GOING = "k"  # and ask no more
+    ABORT = "a"
 
 
 @dataclass
 class Report:
     """How it went. Lines count from 1."""
 
-    answered: int = 0
+    answered: int = 0  # lines of those that were to be sent
+    line: int = 0  # the last one that was answered, by its number in the program
     errors: list[tuple[int, str]] = field(default_factory=list)
     stopped: str = ""  # why it did not come to its end, if it did not
-    state: str = ""  # of the machine, at last
+    signal: int = 0  # that ended it
+    lost: bool = False  # the machine cannot be reached any more
+    # Of the machine, at last; the place and the blocks not made are those before a reset.
+    state: str = ""
+    place: list[float] = field(default_factory=list)
+    blocks_left: int | None = None
 
     def ok(self) -> bool:
         """All is done, and nothing was refused."""
@@ -132,59 +75,105 @@ class Report:
 
 
 class View(Protocol):
-    """Who shows the progress and answers the one question."""
+    """Who shows the progress and asks the user."""
 
     def progress(self, answered: int, status: str) -> None:
         """So many lines are done, and this is the last status report."""
 
-    def message(self, text: str) -> None:
+    def message(self, words: str) -> None:
         """Something worth reading."""
 
-    def resume(self) -> bool:
-        """The user has stopped the machine: go on, or give up?"""
+    def ask(self, why: str) -> Choice:
+        """The machine is held: what next?"""
+
+    def keys(self) -> bytes:
+        """Real-time commands that the user has asked for by keys."""
+
+
+def program(lines: Iterable[bytes]) -> list[Line]:
+    """Lines of a file, made ready: nothing in their comments acts on the way."""
+    return [Line(number, harmless(line), text(line)) for number, line in enumerate(lines, 1)]
 
 
 class Stream:
-    """One program on its way through a connection. by_line: one line at a time."""
+    """One program on its way through a connection.
+
+    by_line: one line at a time. keep_going: lines that are refused do not stop it.
+    """
 
     def __init__(
-        self, connection: Connection, lines: Sequence[bytes], view: View, by_line: bool = False
+        self,
+        connection: Connection,
+        lines: Sequence[Line],
+        view: View,
+        by_line: bool = False,
+        keep_going: bool = False,
     ) -> None:
         self.report = Report()
         self._connection = connection
         self._lines = lines
         self._view = view
         self._by_line = by_line
+        self._keep_going = keep_going
         self._sent = 0
         self._unanswered: deque[int] = deque()  # their lengths
         self._polled = 0.0
-        self._interrupted = False
+        self._why_hold = ""
+        self._asking = False
+        self._told = ""  # the state that the user has been told of
 
-    def interrupt(self) -> None:
-        """Hold the machine as soon as may be. May be called from a signal handler."""
-        self._interrupted = True
+    def interrupt(self, number: int = signal.SIGINT) -> None:
+        """Hold the machine at once. May be called from a signal handler.
+
+        Ctrl-C asks what next; any other signal ends the program, for nobody may be there.
+        """
+        self._connection.write(FEED_HOLD)
+        self._why_hold = "Ctrl-C"
+        if number != signal.SIGINT:
+            self.report.signal = number
+            self._why_hold = signal.Signals(number).name
+        if self._asking:
+            raise KeyboardInterrupt
 
     def run(self) -> Report:
         """Send everything and wait until the machine is at rest."""
-        self._connection.status = ""
-        while not self.report.stopped and not self._finished():
-            self._fill()
-            self._poll()
-            for line in self._connection.lines():
-                self._handle(line)
-            if self._interrupted:
-                self._hold()
+        try:
+            self._connection.status = ""
+            while not self.report.stopped and not self._finished():
+                self._turn()
+        except SendError as error:
+            self.report.stopped = str(error)
+            self.report.lost = True
+        except BaseException:
+            self._connection.write(FEED_HOLD)
+            raise
         self.report.state = self._connection.state()
         return self.report
+
+    def _turn(self) -> None:
+        if not self._why_hold:
+            self._fill()
+        self._poll()
+        for line in self._connection.lines():
+            self._handle(line)
+        self._press(self._view.keys())
+        if self._why_hold:
+            self._hold()
+
+    def _press(self, keys: bytes) -> None:
+        if not self._connection.takes_overrides:
+            keys = bytes(byte for byte in keys if byte < 0x80)
+        if keys:
+            self._connection.write(keys)
 
     def _finished(self) -> bool:
         """Everything is answered, and a status report that came after that says so, too."""
         done = self._sent == len(self._lines) and not self._unanswered
-        return done and self._connection.state() in ("Idle", "Check")
+        return done and self._connection.state() in _ENDED
 
     def _fill(self) -> None:
         while self._sent < len(self._lines):
-            line = self._lines[self._sent] + b"\n"
+            line = self._lines[self._sent].data + b"\n"
             if self._unanswered and not self._fits(len(line)):
                 return
             self._connection.write(line)
@@ -195,56 +184,135 @@ class Stream:
         return not self._by_line and sum(self._unanswered) + length <= self._connection.window
 
     def _poll(self) -> None:
-        if time.monotonic() - self._polled >= _POLL_S:
-            self._polled = time.monotonic()
+        now = time.monotonic()
+        if now - self._polled >= POLL_S:
+            self._polled = now
             self._connection.write(STATUS)
+        if now - self._connection.heard >= _SILENCE_S:
+            self._connection.heard = now
+            self._view.message(f"the machine has said nothing for {_SILENCE_S:g} s")
 
     def _handle(self, line: str) -> None:
         report = self.report
         if is_answer(line) and self._unanswered:
-            self._unanswered.popleft()
-            self._connection.status = ""  # it may be older than the answer
-            report.answered += 1
-            if line != "ok":
-                self._refused(line)
+            self._answered(line)
         elif line.startswith("ALARM:"):
+            self._note_place()
             report.stopped = f"{line}: {meaning(line)}"
         elif line.startswith("Grbl "):
             report.stopped = "the controller was reset"
         elif line.startswith("<"):
+            self._note_place()
             self._view.progress(report.answered, line)
+            self._tell_state(self._connection.state())
         elif line:
             self._view.message(line)
 
-    def _refused(self, answer: str) -> None:
-        number = self.report.answered
-        self.report.errors.append((number, answer))
-        text = self._lines[number - 1].decode("latin-1").strip()
-        self._view.message(f"line {number}: {text}: {answer}: {meaning(answer)}")
+    def _answered(self, answer: str) -> None:
+        self._unanswered.popleft()
+        self._connection.status = ""  # it may be older than the answer
+        line = self._lines[self.report.answered]
+        self.report.answered += 1
+        self.report.line = line.number
+        if answer == "ok":
+            return
+        self.report.errors.append((line.number, answer))
+        name = f"line {line.number}" if line.number else "on the way there"
+        self._view.message(f"{name}: {line.text}: {answer}: {meaning(answer)}")
+        if not self._keep_going and not self._why_hold:
+            self._connection.write(FEED_HOLD)
+            self._why_hold = f"{name} was refused"
+
+    def _note_place(self) -> None:
+        if place := self._connection.place():
+            self.report.place = place
+            self.report.blocks_left = self._connection.blocks_left()
+
+    def _tell_state(self, state: str) -> None:
+        """Say why nothing moves, once."""
+        if state == "Sleep" and not self._finished():
+            self.report.stopped = f"the machine has gone to sleep: {way_out(state)}"
+        if not is_deaf(state) or self._why_hold:
+            self._told = ""
+        elif state.partition(":")[0] != self._told:
+            self._told = state.partition(":")[0]
+            self._view.message(self._pause() or f"the machine is in {state}: {way_out(state)}")
+
+    def _pause(self) -> str:
+        """What the program wants, where it has paused the machine by M0."""
+        if not self._unanswered:
+            return ""
+        line = self._lines[self.report.answered]
+        if not _PAUSE.search(without_comments(line.data).replace(b" ", b"")):
+            return ""
+        words = comment(line.text.encode("utf-8"))
+        wish = f": {words}" if words else ""
+        return f"line {line.number}: M0 pauses{wish} (~ or the start button goes on)"
 
     def _hold(self) -> None:
         """Come to rest before anything else: Grbl ignores a cycle start and loses steps at a reset
         as long as the machine moves.
         """
-        self._interrupted = False
-        self._connection.write(FEED_HOLD)
         self._connection.wait_for(self._is_at_rest, _HOLD_S)
-        if self._view.resume():
-            self._connection.write(CYCLE_START)
-        else:
-            self._connection.write(RESET)
-            self.report.stopped = "given up by the user"
+        if self.report.stopped:
+            return
+        choice = Choice.ABORT if self.report.signal else self._ask(self._why_hold)
+        if choice is Choice.ABORT:
+            self._give_up()
+            return
+        self._keep_going |= choice is Choice.KEEP_GOING
+        self._why_hold = ""
+        self._connection.write(CYCLE_START)
+
+    def _ask(self, why: str) -> Choice:
+        self._asking = True
+        try:
+            return self._view.ask(why)
+        except KeyboardInterrupt:
+            return Choice.ABORT
+        finally:
+            self._asking = False
+
+    def _give_up(self) -> None:
+        """Reset: the tool goes off, and what is in Grbl's buffers is forgotten."""
+        self.report.stopped = self._why_hold
+        self._connection.write(RESET)
+        self._connection.status = ""
+        self._connection.wait_for(lambda line: line.startswith("Grbl "), _RESET_S)
+        self._connection.wait_for(lambda line: line.startswith("<"), _RESET_S)
 
     def _is_at_rest(self, line: str) -> bool:
         self._handle(line)
-        return line.startswith("<") and self._connection.state() in _AT_REST
+        if self.report.stopped:
+            return True
+        return line.startswith("<") and self._connection.at_rest()
 
 
 @contextmanager
-def ctrl_c(action: Callable[[], None]) -> Iterator[None]:
-    """Within this, Ctrl-C does that instead of raising."""
-    before = signal.signal(signal.SIGINT, lambda number, frame: action())
+def stopping_signals(stream: Stream) -> Iterator[None]:
+    """Within this, Ctrl-C, a closed terminal and SIGTERM hold the machine first of all."""
+
+    terminals = [number for number in range(3) if os.isatty(number)]
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        if signal.Signals(number).name == "SIGHUP":
+            _leave(terminals)
+        stream.interrupt(number)
+
+    before = {}
+    for name in _SIGNALS:
+        number = getattr(signal, name, None)  # Windows has no SIGHUP
+        if number and signal.getsignal(number) is not signal.SIG_IGN:  # as nohup leaves it
+            before[number] = signal.signal(number, stop)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _leave(terminals: Sequence[int]) -> None:
+    """A terminal has been closed: to write to it would fail, and there is a machine to stop."""
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for number in terminals:
+        os.dup2(nothing, number)

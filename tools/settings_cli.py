@@ -1,6 +1,7 @@
 """`ugrbl settings`: a machine's settings as a file, and back."""
 
 import json
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -14,20 +15,25 @@ from rich.markup import escape
 from rich.table import Table
 
 from . import settings_sync as sync
+from .connection import BAUD, Connection, SendError
+from .gcode_file import STDIN
 from .messages import meaning as reply_meaning
 from .ports import choose
-from .send import Connection, SendError
 from .settings_file import Change, Settings, SettingsError, changes, check_fit, meaning
 
 app = typer.Typer(no_args_is_help=True, help="Pull, compare, push and restore settings.")
 
-File = Annotated[Path, typer.Argument(metavar="FILE", dir_okay=False, help="Lines of $n=v.")]
+File = Annotated[
+    Path,
+    typer.Argument(metavar="FILE", allow_dash=True, help="Lines of $n=v; - is stdin or stdout."),
+]
 Port = Annotated[
     str | None,
     typer.Option(
         metavar="PORT", help="Serial port, or a simulator's link. [default: the only one]"
     ),
 ]
+Baud = Annotated[int, typer.Option(metavar="RATE", help="Of a real serial port.")]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
 AnyVersion = Annotated[
     bool, typer.Option("--any-version", help="Even if it is for another Grbl, or does not say.")
@@ -43,24 +49,34 @@ _EXAMPLE = "\n\nExample:  ugrbl settings {} --port /dev/ttyACM0"
 def pull(
     file: File,
     port: Port = None,
+    baud: Baud = BAUD,
     force: Annotated[bool, typer.Option("--force", help="Replace a file.")] = False,
 ) -> None:
     """Write a machine's settings into a file, with meaning and unit of each."""
-    if file.exists() and not force:
-        raise _failed(f"{file} is there already; --force replaces it")
-    with _machine(port) as connection:
+    to_stdout = str(file) == STDIN
+    if not to_stdout:
+        if file.exists() and not force:
+            raise _failed(f"{file} is there already; --force replaces it")
+        _check_output(file)
+    with _machine(port, baud) as connection:
         settings = sync.pull(connection)
     _keep(settings, file, "as pulled")
-    Console().print(f"{len(settings.values)} settings of {settings.firmware} are in {file}")
+    words = f"{len(settings.values)} settings of {settings.firmware} are in {file}"
+    if not to_stdout:
+        Console().print(words, highlight=False, soft_wrap=True)
 
 
 @app.command(epilog=_EXAMPLE.format("diff router.settings"))
 def diff(
-    file: File, port: Port = None, any_version: AnyVersion = False, json_file: Json = None
+    file: File,
+    port: Port = None,
+    baud: Baud = BAUD,
+    any_version: AnyVersion = False,
+    json_file: Json = None,
 ) -> None:
     """Show what a push of the file would change. The exit code is 1 if that is anything."""
     wanted = _read(file)
-    with _machine(port) as connection:
+    with _machine(port, baud) as connection:
         machine = sync.pull(connection)
         check_fit(wanted, machine, any_version, complete=False)
         todo = changes(machine.values, wanted.values)
@@ -73,6 +89,7 @@ def diff(
 def push(
     file: File,
     port: Port = None,
+    baud: Baud = BAUD,
     yes: Yes = False,
     any_version: AnyVersion = False,
     json_file: Json = None,
@@ -81,7 +98,7 @@ def push(
 
     What would change is shown first. What was there before goes to FILE.before.
     """
-    _write(file, port, yes, any_version, json_file, complete=False)
+    _write(file, port, baud, yes, any_version, json_file, complete=False)
 
 
 @app.command(epilog=_EXAMPLE.format("restore router.settings.before"))
@@ -90,6 +107,7 @@ def restore(
         Path | None, typer.Argument(metavar="FILE", dir_okay=False, help="As pulled, complete.")
     ] = None,
     port: Port = None,
+    baud: Baud = BAUD,
     factory: Annotated[
         bool, typer.Option("--factory", help="What the firmware was built with ($RST=$).")
     ] = False,
@@ -104,13 +122,14 @@ def restore(
     if (file is None) != factory:
         raise _failed("say one of both: a file that was pulled, or --factory")
     if file:
-        _write(file, port, yes, any_version, json_file, complete=True)
+        _write(file, port, baud, yes, any_version, json_file, complete=True)
         return
-    with _machine(port) as connection:
+    with _machine(port, baud) as connection:
         before = sync.pull(connection)
         if not yes and not typer.confirm("Restore the factory's settings?"):
             raise _failed("nothing has been changed")
         kept = Path("factory.before")
+        _check_output(kept, json_file)
         _keep(before, kept, "before a restore to the factory's")
         sync.factory(connection)
         done = changes(before.values, sync.pull(connection).values)
@@ -121,14 +140,20 @@ def restore(
 def _write(
     file: Path,
     port: str | None,
+    baud: int,
     yes: bool,
     any_version: bool,
     json_file: Path | None,
     complete: bool,
 ) -> None:
     wanted = _read(file)
+    from_stdin = str(file) == STDIN
+    if from_stdin and not yes:
+        raise _failed("settings from stdin leave nobody to ask: say --yes")
+    kept = Path("settings.before") if from_stdin else file.with_name(file.name + ".before")
+    _check_output(kept, json_file)
     console = Console(stderr=True)
-    with _machine(port) as connection:
+    with _machine(port, baud) as connection:
         machine = sync.pull(connection)
         check_fit(wanted, machine, any_version, complete)
         todo = changes(machine.values, wanted.values)
@@ -138,7 +163,6 @@ def _write(
             raise _failed("nothing has been changed")
         refusals: Sequence[tuple[Change, str]] = ()
         if todo:
-            kept = file.with_name(file.name + ".before")
             _keep(machine, kept, "before a push")
             console.print(f"what is there now is kept in {kept}", highlight=False)
             refusals = _push(connection, todo, console)
@@ -167,6 +191,8 @@ def _push(
 
 def _read(file: Path) -> Settings:
     try:
+        if str(file) == STDIN:
+            return Settings.read(sys.stdin.read())
         return Settings.read(file.read_text(encoding="utf-8"))
     except SettingsError as error:
         raise _failed(f"{file}: {error}") from error
@@ -176,7 +202,7 @@ def _read(file: Path) -> Settings:
 
 def _keep(settings: Settings, file: Path, why: str) -> None:
     when = datetime.now().strftime("%Y-%m-%d %H:%M")
-    file.write_text(settings.text(f"{why}, {when}"), encoding="utf-8")
+    _save(settings.text(f"{why}, {when}"), file)
 
 
 def _count(todo: Sequence[Change]) -> str:
@@ -219,19 +245,46 @@ def _save_json(
 
 
 def save_json(found: object, file: Path) -> None:
-    """Write it; `-` is stdout."""
-    text = json.dumps(found, indent=1) + "\n"
-    if str(file) == "-":
+    """Write it; `-` is stdout. What goes wrong with it ends the command with the reason."""
+    _save(json.dumps(found, indent=1) + "\n", file)
+
+
+def _save(text: str, file: Path) -> None:
+    """Write a file; one that is there is replaced once the new one is whole."""
+    if str(file) == STDIN:
         sys.stdout.write(text)
-    else:
-        file.write_text(text, encoding="utf-8")
+        return
+    try:
+        if file.exists() and not file.is_file():
+            file.write_text(text, encoding="utf-8")
+            return
+        new = file.resolve().with_name(f".{file.name}.new")
+        try:
+            new.write_text(text, encoding="utf-8")
+            new.replace(file.resolve())
+        finally:
+            new.unlink(missing_ok=True)
+    except OSError as error:
+        raise _failed(f"{file} cannot be written: {error.strerror}") from error
+
+
+def _check_output(*files: Path | None) -> None:
+    """End the command before its work where a file could not be written after it."""
+    for file in files:
+        if file is None or str(file) == STDIN:
+            continue
+        if file.is_dir():
+            raise _failed(f"{file} is a folder: name a file")
+        if not os.access(file if file.exists() else file.absolute().parent, os.W_OK):
+            why = "permission denied" if file.absolute().parent.is_dir() else "no such folder"
+            raise _failed(f"{file} cannot be written: {why}")
 
 
 @contextmanager
-def _machine(port: str | None) -> Iterator[Connection]:
+def _machine(port: str | None, baud: int) -> Iterator[Connection]:
     """A Grbl to talk to; what goes wrong with it ends the command with the reason."""
     try:
-        connection = sync.connect(choose(port))
+        connection = sync.connect(choose(port), baud)
         try:
             yield connection
         finally:

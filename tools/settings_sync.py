@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Sequence
 
+from .connection import BAUD, Connection, SendError, way_out
 from .messages import meaning
-from .send import Connection, SendError
 from .settings_file import Change, Firmware, Settings, changes
 
 _ANSWER_S = 5.0
+# States in which Grbl answers all questions about itself.
+QUIET = ("Idle", "Alarm")
 _HOMING = 22
 _SOFT_LIMITS = 20
 
@@ -21,9 +23,9 @@ class Refused(Exception):
         self.refusals = refusals
 
 
-def connect(port: str) -> Connection:
+def connect(port: str, baud: int = BAUD) -> Connection:
     """A Grbl that listens, in whatever state it is."""
-    connection = Connection(port)
+    connection = Connection(port, baud)
     if not connection.wait_for(lambda line: line.startswith("<"), _ANSWER_S):
         connection.close()
         raise SendError(f"no Grbl answers on {port}; `ugrbl doctor --port {port}` may know why")
@@ -31,7 +33,10 @@ def connect(port: str) -> Connection:
 
 
 def pull(connection: Connection) -> Settings:
-    """Read everything."""
+    """Read everything. SendError where the machine is in no state to tell."""
+    state = connection.state()
+    if state and state not in QUIET:
+        raise SendError(f"the machine is in {state} and does not tell: {way_out(state)} first")
     info = _ask(connection, "$I")
     values = _ask(connection, "$$")
     settings = Settings.read("\n".join(line for line in values if line.startswith("$")))

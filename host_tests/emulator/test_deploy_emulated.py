@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 from ugrbl import build
+from ugrbl.connection import Connection
 from ugrbl.gcode_file import is_answer
-from ugrbl.send import Connection
 
 pytestmark = pytest.mark.xdist_group("pico deploy")
 

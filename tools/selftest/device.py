@@ -6,10 +6,9 @@ from collections.abc import Callable, Iterator
 
 from mpremote.transport import TransportError  # type: ignore[import-untyped]
 
-from .. import patient
+from ..connection import Connection, SendError
 from ..deploy import DeployError
 from ..deploy_device import PATIENCE, MpremoteDevice
-from ..send import SendError
 from .session import WIRING, Wiring
 
 _NAP_S = 0.05
@@ -58,9 +57,9 @@ class PromptBoard(MpremoteDevice):
         until = time.monotonic() + _BACK_S
         while time.monotonic() < until:
             with contextlib.suppress(SendError, OSError):
-                connection = patient.open_port(self._where)
+                connection = Connection(self._where)
                 try:
-                    return patient.answers(connection)
+                    return connection.answers()
                 finally:
                     connection.close()
             time.sleep(_NAP_S)
