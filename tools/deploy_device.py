@@ -100,7 +100,7 @@ class MpremoteDevice:
             if state and state not in _AT_REST:
                 raise DeployError(
                     f"the machine on {self._port} is in {state}, and is not disturbed",
-                    f"{way_out(state)}; then deploy again",
+                    f"{way_out(state)}, then deploy again",
                 )
             given_way = self._hear(_PROMPT, _PROMPT_S if found else 0.0, _ESCAPE)
             if state and not given_way:

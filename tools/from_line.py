@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from .gcode_file import without_comments
 from .rehearsal import Forecast
 from .send import Line
-from .stage import Stage, axis_words, read
+from .stage import SYSTEMS, Stage, axis_words, read
 
 _SPIN_UP_S = 4
 _SLOW_MM_MIN = 100.0
 _NEAR_MM = 0.001
-_MM_PER_INCH = 25.4
 _MOTION = re.compile(rb"G0*[0123](?![\d.])")
 _RELATIVE = re.compile(rb"G91(?![\d.])")
 _TOOL = re.compile(rb"T\d|M0*6(?!\d)")
@@ -40,6 +39,7 @@ def approach(lines: Sequence[bytes], number: int, forecast: Forecast, here: Stag
     if forecast.stopped:
         raise CannotEnter(f"the lines before cannot be simulated: {forecast.stopped}")
     there = read(forecast.at_line)
+    there.settings = here.settings
     place = forecast.place_before(number)
     _check_motion(lines[number - 1], number, there.modes)
     way = _Way(here, there, place, max(forecast.highest_mm(number), here.place[2]))
@@ -79,6 +79,7 @@ class _Way:
             self._down(),
             *self._offsets(),
             *([] if not laser else self._tool()),
+            (f"F{self._feed_mm_min():g}", f"feed {self._feed_mm_min():g} mm/min"),
             (self._modal(), f"modes {self._modal()}"),
         ]
 
@@ -105,17 +106,14 @@ class _Way:
         return f"G53 G1 Z{self._place[2]:.3f} F{feed:g}", said
 
     def _feed_mm_min(self) -> float:
-        feed = self._word("F")
-        if feed <= 0 or "G93" in self._modes:
-            return _SLOW_MM_MIN
-        return round(feed * (_MM_PER_INCH if "G20" in self._modes else 1.0), 1)
+        return self._there.feed_mm_min() or _SLOW_MM_MIN
 
     def _tool(self) -> list[tuple[str, str]]:
         """Spindle and coolant as they were."""
         steps = []
         spin = next((word for word in self._modes if word in ("M3", "M4")), "")
         if spin:
-            on = f"{spin} S{self._word('S'):g}"
+            on = f"{spin} S{self._there.word('S'):g}"
             if self._here.laser():
                 steps.append((f"{on} G1 F{self._feed_mm_min():g}", f"laser on: {on}"))
             else:
@@ -133,23 +131,13 @@ class _Way:
         if self._there.offsets.get("G92") != self._here.offsets.get("G92"):
             there = self._there
             work = [at - by for at, by in zip(self._place, there.work_offset(), strict=False)]
-            system = next((word for word in self._modes if word in _SYSTEMS), "G54")
-            steps.append((f"{system} G92 {axis_words(work)}", f"G92 {axis_words(work)}"))
+            steps.append((f"{there.system()} G92 {axis_words(work)}", f"G92 {axis_words(work)}"))
         return steps
 
     def _modal(self) -> str:
         wanted = ("G0", "G1", "G80", "G17", "G18", "G19", "G20", "G21", "G90", "G91", "G93", "G94")
-        words = [word for word in self._modes if word in (*wanted, *_SYSTEMS)]
-        feed = self._word("F")
-        if feed > 0 and "G93" not in words:
-            words.append(f"F{feed:g}")
-        return " ".join([*words, f"S{self._word('S'):g}"])
-
-    def _word(self, letter: str) -> float:
-        return next((float(word[1:]) for word in self._modes if word[0] == letter), 0.0)
-
-
-_SYSTEMS = ("G54", "G55", "G56", "G57", "G58", "G59")
+        words = [word for word in self._modes if word in (*wanted, *SYSTEMS)]
+        return " ".join([*words, f"S{self._there.word('S'):g}"])
 
 
 def _cautions(before: Sequence[bytes], here: Stage, there: Stage) -> list[str]:
@@ -162,7 +150,7 @@ def _cautions(before: Sequence[bytes], here: Stage, there: Stage) -> list[str]:
         numbers = [number for number, line in enumerate(before, 1) if pattern.search(_code(line))]
         if numbers:
             found.append(f"line {numbers[-1]} {text}")
-    systems = [name for name in _SYSTEMS if there.offsets.get(name) != here.offsets.get(name)]
+    systems = [name for name in SYSTEMS if there.offsets.get(name) != here.offsets.get(name)]
     if systems:
         found.append(f"the lines before write {', '.join(systems)} (G10): here it is as it was")
     return found

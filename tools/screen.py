@@ -64,7 +64,9 @@ class Screen:
     def progress(self, answered: int, status: str = "") -> None:
         """So many lines are done."""
         left = self._seconds_left(answered)
-        shown = brief(status) + (f"  {clock(left)[:-4]} left" if left is not None else "")
+        shown = brief(status)
+        if left is not None and state_of(status) != "Idle":
+            shown += f"  {clock(left)[:-4]} left"
         self._progress.update(self._task, completed=answered, state=escape(shown))
 
     def message(self, words: str) -> None:

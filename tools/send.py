@@ -121,6 +121,7 @@ class Stream:
         self._why_hold = ""
         self._asking = False
         self._told = ""  # the state that the user has been told of
+        self._held_by_key = False
 
     def interrupt(self, number: int = signal.SIGINT) -> None:
         """Hold the machine at once. May be called from a signal handler.
@@ -164,6 +165,7 @@ class Stream:
         if not self._connection.takes_overrides:
             keys = bytes(byte for byte in keys if byte < 0x80)
         if keys:
+            self._held_by_key |= FEED_HOLD in keys
             self._connection.write(keys)
 
     def _finished(self) -> bool:
@@ -234,13 +236,14 @@ class Stream:
             self.report.stopped = f"the machine has gone to sleep: {way_out(state)}"
         if not is_deaf(state) or self._why_hold:
             self._told = ""
+            self._held_by_key = False
         elif state.partition(":")[0] != self._told:
             self._told = state.partition(":")[0]
             self._view.message(self._pause() or f"the machine is in {state}: {way_out(state)}")
 
     def _pause(self) -> str:
         """What the program wants, where it has paused the machine by M0."""
-        if not self._unanswered:
+        if not self._unanswered or self._held_by_key:
             return ""
         line = self._lines[self.report.answered]
         if not _PAUSE.search(without_comments(line.data).replace(b" ", b"")):

@@ -31,13 +31,7 @@ class Mode(str, Enum):
 def command(
     file: Annotated[
         Path,
-        typer.Argument(
-            metavar="FILE",
-            exists=True,
-            dir_okay=False,
-            allow_dash=True,
-            help="Program; - is stdin.",
-        ),
+        typer.Argument(metavar="FILE", help="Program; - is stdin."),
     ],
     port: Annotated[
         str | None,

@@ -19,8 +19,8 @@ _HOMING, _SOFT_LIMITS, _INCHES = 22, 20, 13
 _SETTING = re.compile(r"\$(\d+)=([\d.]+)")
 _OFFSET = re.compile(r"\[(G5[4-9]|G28|G30|G92|TLO):([-\d.,]+)\]")
 _MODES = re.compile(r"\[(?:GC:)?(G\d[^\]:]*)\]")
-_KEPT_MODES = re.compile(r"G(?:[01]|1[789]|2[01]|5[4-9]|9[0134])|M[3459]|[FS][\d.]+")
-_SYSTEMS = ("G54", "G55", "G56", "G57", "G58", "G59")
+_KEPT_MODES = re.compile(r"G(?:[01]|1[789]|2[01]|5[4-9]|9[0134])|M[3459]|S[\d.]+")
+SYSTEMS = ("G54", "G55", "G56", "G57", "G58", "G59")
 
 
 @dataclass
@@ -46,9 +46,8 @@ class Stage:
 
     def work_offset(self) -> list[float]:
         """What the machine position has more than the work position."""
-        system = next((word for word in self.modes if word in _SYSTEMS), "G54")
         total = [0.0, 0.0, 0.0]
-        for name in (system, "G92"):
+        for name in (self.system(), "G92"):
             total = [a + b for a, b in zip(total, self._offset(name), strict=True)]
         total[2] += self.tool_length()
         return total
@@ -66,7 +65,7 @@ class Stage:
                 lines += [f"G53 G0 {axis_words(self._offset(name))}", number]
         if self.place:
             lines.append(f"G53 G0 {axis_words(self.place)}")
-        for index, name in enumerate(_SYSTEMS, 1):
+        for index, name in enumerate(SYSTEMS, 1):
             if any(self._offset(name)):
                 lines.append(f"G10 L2 P{index} {axis_words(self._offset(name))}")
         lines += self._modal()
@@ -75,17 +74,30 @@ class Stage:
         return lines
 
     def _modal(self) -> list[str]:
-        """Work coordinates and modes. Feed and speed come in the units that are in effect."""
-        lines = [word for word in self.modes if word in _SYSTEMS]
+        """Work coordinates and modes."""
+        lines = [self.system()]
         if self.tool_length():
             lines.append(f"G43.1 Z{self.tool_length():.3f}")
         if any(self._offset("G92")) and self.place:
             here = [at - by for at, by in zip(self.place, self.work_offset(), strict=False)]
             lines.append(f"G92 {axis_words(here)}")
+        if self.feed_mm_min():
+            lines.append(f"F{self.feed_mm_min():g}")
         words = [word for word in self.modes if _KEPT_MODES.fullmatch(word)]
-        if "G93" in words:
-            words = [word for word in words if word[0] != "F"]
         return [*lines, " ".join(words)] if words else lines
+
+    def feed_mm_min(self) -> float:
+        """The feed rate; 0 where there is none, or where each line has its own (G93)."""
+        feed = 0.0 if "G93" in self.modes else self.word("F")
+        return round(feed * self.unit_mm(), 1)
+
+    def word(self, letter: str) -> float:
+        """The number of a word of $G."""
+        return next((float(word[1:]) for word in self.modes if word[0] == letter), 0.0)
+
+    def system(self) -> str:
+        """The work coordinate system that is active."""
+        return next((word for word in self.modes if word in SYSTEMS), SYSTEMS[0])
 
     def _offset(self, name: str) -> list[float]:
         return (self.offsets.get(name, []) + [0.0, 0.0, 0.0])[:3]

@@ -1,0 +1,255 @@
+"""`ugrbl send` in a process of its own, at the simulator: how it ends, and how it goes on."""
+
+import os
+import pty
+import re
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from sim_bench import Bench
+from ugrbl.connection import Connection
+
+_PATIENCE_S = 40.0
+_ENVIRONMENT = {**os.environ, "UGRBL_VIPER": "fast", "COLUMNS": "120", "TERM": "dumb"}
+# Short enough that the planner's 15 blocks are no long way, slow enough for a finger.
+SETTINGS = {1: 255, 110: 2000, 111: 2000, 112: 2000, 120: 200, 121: 200, 122: 200}
+# Line n ends at X n/2: 15 mm a second.
+STAIRS = ["G21 G90 F900", *(f"G1 X{n / 2:g}" for n in range(2, 400))]
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    running = Bench(tmp_path, settings=SETTINGS)
+    unlock(running)
+    yield running
+    running.kill()
+
+
+def unlock(bench: Bench) -> None:
+    """Where settings are kept but no offsets are, it may begin with an alarm."""
+    connection = Connection(str(bench.port))
+    assert connection.answers()
+    connection.ask("$X")
+    connection.close()
+
+
+class Send:
+    """A running `ugrbl send`. terminal: it has one, and this is the person at it."""
+
+    def __init__(
+        self,
+        bench: Bench,
+        folder: Path,
+        lines: list[str],
+        *words: str,
+        terminal: bool = False,
+        dumb: bool = True,
+    ) -> None:
+        file = folder / "job.nc"
+        file.write_text("\n".join(lines) + "\n")
+        command = [sys.executable, "-m", "ugrbl.cli", "send", str(file), "--port"]
+        command += [str(bench.port), *words]
+        self.text = ""
+        self.master = -1
+        if terminal:
+            pid, self.master = pty.fork()
+            if pid == 0:
+                os.execve(
+                    sys.executable, command, {**_ENVIRONMENT, "TERM": "dumb" if dumb else "xterm"}
+                )
+            self.pid = pid
+            return
+        self.process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=_ENVIRONMENT,
+            text=True,
+        )
+        self.pid = self.process.pid
+
+    def press(self, keys: str) -> None:
+        os.write(self.master, keys.encode())
+
+    def wait_text(self, what: str) -> str:
+        """Read from the terminal until a text comes."""
+        until = time.monotonic() + _PATIENCE_S
+        while what not in self.text:
+            assert time.monotonic() < until, self.text
+            self._read()
+        return self.text
+
+    def end(self) -> tuple[int, str]:
+        """Exit code, and everything said."""
+        if self.master < 0:
+            text, _ = self.process.communicate(timeout=_PATIENCE_S)
+            return self.process.returncode, text
+        until = time.monotonic() + _PATIENCE_S
+        pid = 0
+        while not pid:
+            assert time.monotonic() < until, self.text
+            self._read()
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+        self._read()
+        os.close(self.master)
+        return os.waitstatus_to_exitcode(status), self.text
+
+    def _read(self) -> None:
+        """What the terminal shows; after the command's end, that is an error."""
+        while select.select([self.master], [], [], 0.1)[0]:
+            try:
+                self.text += os.read(self.master, 4096).decode(errors="replace")
+            except OSError:
+                return
+
+
+def wait_until_at(bench: Bench, mm: float) -> None:
+    """The status reports on the wire are past that X."""
+    until = time.monotonic() + _PATIENCE_S
+    while time.monotonic() < until:
+        places = re.findall(rb"<Run\|MPos:([\d.]+)", bench.wire("<"))
+        if places and float(places[-1]) >= mm:
+            return
+        time.sleep(0.05)
+    raise AssertionError(f"never at {mm} mm")
+
+
+def place(bench: Bench) -> tuple[str, list[float]]:
+    """State and place, asked for anew."""
+    connection = Connection(str(bench.port))
+    assert connection.answers()
+    connection.close()
+    return connection.state(), connection.place()
+
+
+def line_made(text: str) -> int:
+    found = re.search(r"line (\d+) was being made", text)
+    assert found, text
+    return int(found[1])
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_holds_resets_and_tells_the_line(
+    bench: Bench, tmp_path: Path, number: signal.Signals
+) -> None:
+    send = Send(bench, tmp_path, STAIRS)
+    wait_until_at(bench, 5)
+    os.kill(send.pid, number)
+    code, text = send.end()
+    state, (x, _, _) = place(bench)
+    assert code == 128 + number
+    sent = bench.wire(">")
+    assert 0 < sent.index(b"!") < sent.index(b"\x18")
+    assert state == "Idle" and x < 100
+    assert (line_made(text) - 2) / 2 <= x <= line_made(text) / 2 + 0.01
+    assert f"stopped: {number.name}" in text and "the machine is in Idle" in text
+
+
+def test_a_closed_terminal_holds_first(bench: Bench, tmp_path: Path) -> None:
+    send = Send(bench, tmp_path, STAIRS, terminal=True)
+    send.wait_text("keys:")
+    wait_until_at(bench, 5)
+    os.close(send.master)
+    _, status = os.waitpid(send.pid, 0)
+    assert os.waitstatus_to_exitcode(status) == 128 + signal.SIGHUP
+    state, (x, _, _) = place(bench)
+    assert state == "Idle" and 5 <= x < 100
+    sent = bench.wire(">")
+    assert sent.index(b"!") < sent.index(b"\x18")
+
+
+def test_without_a_terminal_a_refused_line_ends_it_where_it_is(
+    bench: Bench, tmp_path: Path
+) -> None:
+    lines = [*STAIRS[:20], "T1 M6", *STAIRS[20:]]
+    send = Send(bench, tmp_path, lines, "--no-check")
+    code, text = send.end()
+    state, (x, _, _) = place(bench)
+    assert code == 1 and state == "Idle"
+    assert "line 21: T1 M6: error:20" in text and x < 25
+
+
+def test_a_refused_line_asks_and_can_be_passed(bench: Bench, tmp_path: Path) -> None:
+    lines = ["G21 G90 F900", "G1 X1", "T1 M6", "G1 X2", "G64", "G1 X3"]
+    send = Send(bench, tmp_path, lines, "--no-check", terminal=True)
+    send.wait_text("keep going")
+    send.press("k\n")
+    code, text = send.end()
+    assert code == 1 and "6 lines, 2 errors" in text
+    assert place(bench) == ("Idle", [3.0, 0.0, 0.0])
+
+
+def test_keys_hold_and_go_on_and_m0_says_its_comment(bench: Bench, tmp_path: Path) -> None:
+    lines = ["G21 G90 F900", "G1 X8", "M0 (Fräser 3 mm)", "G1 X9"]
+    send = Send(bench, tmp_path, lines, terminal=True)
+    wait_until_at(bench, 1)
+    send.press(" ")
+    send.wait_text("the machine is in Hold")
+    send.press("~")
+    send.wait_text("line 3: M0 pauses: Fräser 3 mm")
+    send.press("\n")
+    code, text = send.end()
+    assert code == 0, text
+    assert place(bench)[1][0] == 9.0
+
+
+def test_soft_limits_are_those_of_the_machine(bench: Bench, tmp_path: Path) -> None:
+    connection = Connection(str(bench.port))
+    assert connection.answers()
+    for setting in ("$22=1", "$20=1", "$130=100"):
+        assert connection.ask(setting)[-1] == "ok"
+    connection.ask("G10 L2 P1 X-50")
+    connection.close()
+    code, text = Send(bench, tmp_path, ["G21 G90 G1 X40 F900", "X-60"]).end()
+    assert code == 1 and "line 2: ALARM:2" in text and "1 line would be refused" in text
+    assert place(bench) == ("Idle", [0.0, 0.0, 0.0])
+
+
+def test_from_a_line_on_modes_tool_and_place_are_rebuilt(bench: Bench, tmp_path: Path) -> None:
+    lines = ["G20 G91.1 G90", "M3 S1000", "G0 Z0.2", "G0 X0.4", "G1 Z-0.1 F20", "X0.8", "Z0.2"]
+    send = Send(bench, tmp_path, lines, "--from-line", "6", "--yes")
+    code, text = send.end()
+    assert code == 0, text
+    assert place(bench)[1] == [20.32, 0.0, 5.08]
+    assert "up to Z5.080" in text and "across to X10.160 Y0.000" in text
+    assert "down to Z-2.540 at 508 mm/min" in text and "spindle on: M3 S1000" in text
+    sent = [line for line in bench.wire(">").replace(b"?", b"").split(b"\n") if line]
+    way = [b"G53 G0 Z5.080", b"M3 S1000", b"G4 P4", b"G53 G0 X10.160 Y0.000"]
+    assert sent[-10:-3] == [b"G21 G90 G94 M5", *way, b"G53 G1 Z-2.540 F508", b"F508"]
+    assert {b"G1", b"G20", b"G90", b"S1000"} <= set(sent[-3].split())
+    assert sent[-2:] == [b"X0.8", b"Z0.2"]
+
+
+def test_from_a_line_on_nothing_moves_unasked(bench: Bench, tmp_path: Path) -> None:
+    code, text = Send(bench, tmp_path, STAIRS, "--from-line", "50").end()
+    assert code == 1 and "--yes" in text
+    assert place(bench) == ("Idle", [0.0, 0.0, 0.0])
+
+
+def test_time_left_comes_from_the_simulation(bench: Bench, tmp_path: Path) -> None:
+    send = Send(bench, tmp_path, STAIRS[:160], terminal=True, dumb=False)
+    text = send.wait_text(" left")
+    found = re.search(r"0:00:(\d\d) left", text)
+    assert found and 1 <= int(found[1]) <= 6  # 80 mm at 15 mm/s, some of it gone
+    assert send.end()[0] == 0
+
+
+def test_a_program_from_stdin(bench: Bench, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "ugrbl.cli", "send", "-", "--port", str(bench.port)]
+    done = subprocess.run(
+        command,
+        input="G21 G90\nG1 X2 F900\n",
+        capture_output=True,
+        text=True,
+        env=_ENVIRONMENT,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert place(bench)[1][0] == 2.0
