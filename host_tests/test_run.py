@@ -31,6 +31,16 @@ def ugrbl(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
 
 
+def test_check_names_bytes_that_act_at_once(tmp_path: Path) -> None:
+    file = tmp_path / "umlauts.nc"
+    file.write_text("(Größe)\nG0 X1\n", encoding="utf-8")
+    done = ugrbl("run", file, "--check")
+    assert done.returncode == 0 and "line 1: 'ö'" in done.stdout
+    file.write_text("G0 X1\nG0 X2 Ö\n", encoding="utf-8")
+    done = ugrbl("run", file, "--check")
+    assert done.returncode == 1 and "line 2: 'Ö'" in done.stdout
+
+
 # Real programs, with real Grbl as the judge
 
 

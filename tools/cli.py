@@ -45,9 +45,6 @@ class Speed(str, Enum):
     MAX = "max"
 
 
-Program = Annotated[
-    Path, typer.Argument(metavar="FILE", exists=True, dir_okay=False, help="G-code program.")
-]
 Board = Annotated[str, typer.Option(metavar="NAME", help="Machine: a file of boards/.")]
 
 

@@ -68,10 +68,7 @@ def check_text(lines: Sequence[bytes], name: str) -> None:
 def read_program(path: Path) -> list[bytes]:
     """As read_lines(); ValueError where there is nothing to run, or what is there is no text."""
     lines = read_lines(path)
-    if not any(line.strip() for line in lines):
-        raise ValueError(f"{path} is empty")
-    if any(b"\0" in line for line in lines):
-        raise ValueError(f"{path} is no text, and so no G-code")
+    check_text(lines, path.name)
     return lines
 
 

@@ -113,15 +113,17 @@ class _Watcher(Recorder):
     def __init__(self, rig: "Rig") -> None:
         super().__init__(rig)
         self.forecast = Forecast()
+        self._watching = False
 
     def begin(self) -> None:
         """The program is about to be sent."""
         self.start_clock()
+        self._watching = True
         self.forecast.start = self._planned_place()
 
     def _note(self, row: int) -> None:
         super()._note(row)
-        if self._begun is not None and row != self._planner.flow[self._kernels.ROWS]:
+        if self._watching and row != self._planner.flow[self._kernels.ROWS]:
             self.forecast.block_line.append(self._rig.link.now_at())
             self.forecast.block_end.append(self._planned_place())
 
@@ -141,10 +143,6 @@ class _Link(ProgramLink):
     def __init__(self, rig: "Rig", script: Callable[[ProgramLink], Iterator[Step]]) -> None:
         super().__init__(rig, script)
         self.answered: list[int] = []  # ticks
-
-    def now_at(self) -> int:
-        """The line of the program that is being executed."""
-        return self._now_at()
 
     def _answer(self, line: str) -> None:
         super()._answer(line)

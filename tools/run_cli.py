@@ -16,7 +16,7 @@ from .motion_trace import MotionTrace, trace_program
 from .outputs import check_outputs
 from .recorder import Recorder
 from .run import Result, run_program
-from .screen import Screen, show_errors, summary, totals_rows
+from .screen import Screen, show_errors, show_problems, summary, totals_rows
 from .settings_cli import save_json
 
 EXAMPLES = (
@@ -63,6 +63,7 @@ def command(
     try:
         check_outputs(json_file, plot=picture, keep=(file, settings))
         lines = read_program(file)
+        acting = show_problems(console, lines)
         chosen = plot.from_file(settings) if settings else []
         chosen += [plot.as_line(text) for text in setting or ()]
         begun = time.monotonic()
@@ -80,7 +81,7 @@ def command(
             save_json(result.as_json(), json_file)
     except (ValueError, OSError) as error:
         raise _failed(error) from error
-    _judge(result, check)
+    _judge(result, check, acting)
 
 
 def _tell(
@@ -98,15 +99,15 @@ def _tell(
     console.print(summary(rows))
 
 
-def _judge(result: Result, check: bool) -> None:
-    """End with the exit code that is due."""
+def _judge(result: Result, check: bool, acting: bool) -> None:
+    """End with the exit code that is due. acting: bytes of the program act at once."""
     if result.stopped:
         why = meaning(result.stopped) if result.stopped.startswith("ALARM:") else ""
         raise _failed(": ".join(filter(None, ["could not finish", result.stopped, why])))
     if result.resets:
         numbers = ", ".join(map(str, result.resets))
         raise _failed(f"line {numbers}: Ctrl-X is a reset: what was planned before it is lost")
-    if check and result.errors:
+    if check and (result.errors or acting):
         raise typer.Exit(1)
 
 

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from .connection import state_of
-from .gcode_file import text
+from .gcode_file import problems, text
 from .keys import Keys
 from .messages import meaning
 from .recorder import Totals
@@ -122,6 +122,24 @@ def show_errors(
         )
     if len(errors) > _MOST_ERRORS:
         console.print(f"… and {len(errors) - _MOST_ERRORS} more errors")
+
+
+def show_problems(console: Console, lines: Sequence[bytes]) -> bool:
+    """Tell of bytes that act at once. Returns whether some stand outside of comments."""
+    found = problems(lines)
+    bad = [one for one in found if not one.in_comment]
+    for one in bad[:_MOST_ERRORS]:
+        words = f"line {one.line}: {one.text}, wherever it stands: take it out"
+        console.print(escape(words), highlight=False)
+    if len(bad) > _MOST_ERRORS:
+        console.print(f"… and {len(bad) - _MOST_ERRORS} more such lines")
+    harmless = [one for one in found if one.in_comment]
+    if harmless:
+        first = f"line {harmless[0].line}: {harmless[0].text}"
+        more = f", and {len(harmless) - 1} more" if len(harmless) > 1 else ""
+        words = f"{first}{more}: `ugrbl send` makes them harmless, other senders may not"
+        console.print(escape(words), highlight=False)
+    return bool(bad)
 
 
 def summary(rows: Iterable[tuple[str, str]]) -> Table:

@@ -12,13 +12,13 @@ from . import gcode_file
 from .connection import BAUD, Connection, SendError
 from .from_line import CannotEnter
 from .ports import choose
+from .screen import show_problems
 from .send_job import Job, Options, Stopped
 
 EXAMPLES = (
     "Examples:  ugrbl send job.nc   ·   ugrbl send job.nc --port /dev/ttyACM0 --from-line 1200"
     "   ·   make-gcode | ugrbl send - --port COM3 --keep-going"
 )
-_MOST_PROBLEMS = 10
 
 
 class Mode(str, Enum):
@@ -99,13 +99,6 @@ def _read(file: Path, options: Options, console: Console) -> list[bytes]:
     gcode_file.check_text(lines, options.name)
     if options.from_line > len(lines):
         raise Stopped(f"{options.name} has {len(lines)} lines only")
-    found = gcode_file.problems(lines)
-    bad = [one for one in found if not one.in_comment]
-    if bad:
-        shown = "\n".join(f"line {one.line}: {one.text}" for one in bad[:_MOST_PROBLEMS])
-        raise Stopped(f"these act at once, wherever they stand; take them out:\n{shown}")
-    if found:
-        text = f"line {found[0].line}: {found[0].text}"
-        more = f", and {len(found) - 1} more" if len(found) > 1 else ""
-        console.print(f"{escape(text)}{more}: sent in plain ASCII", highlight=False)
+    if show_problems(console, lines):
+        raise Stopped("nothing was sent")
     return lines

@@ -1,0 +1,178 @@
+"""Rehearsals: a machine's state in the simulator, which line is made when, the way to a line."""
+
+import pytest
+from ugrbl import stage
+from ugrbl.from_line import CannotEnter, approach
+from ugrbl.rehearsal import Forecast, Job, Rehearsal, check, rehearse
+
+_BY_AXIS = ((100, 250), (110, 3000), (120, 300), (130, 100))
+MACHINE = [
+    *("$11=0.010", "$13=0", "$20=1", "$22=1", "$32=0"),
+    *(f"${base + axis}={value}.000" for base, value in _BY_AXIS for axis in range(3)),
+]
+REPLIES = [
+    *MACHINE,
+    "[G54:-50.000,-40.000,-30.000]",
+    "[G55:-10.000,-10.000,-10.000]",
+    "[G28:-1.000,-1.000,-1.000]",
+    "[G92:1.000,0.000,0.000]",
+    "[TLO:2.000]",
+    "[GC:G1 G54 G17 G20 G90 G94 M5 M9 T0 F254 S0]",
+]
+
+
+@pytest.fixture
+def here() -> stage.Stage:
+    found = stage.read(REPLIES)
+    found.place = [-20.0, -20.0, -5.0]
+    return found
+
+
+def forecast(here: stage.Stage, lines: list[str], ask_at: int = 0) -> Forecast:
+    result, found = rehearse(Job(lines, here.commands(), ask_at=ask_at))
+    assert not result.errors and not result.stopped, result
+    return found
+
+
+# The stage
+
+
+def test_the_simulator_stands_where_the_machine_stands(here: stage.Stage) -> None:
+    found = forecast(here, ["G0 X0", "G91 Y-1"], ask_at=1)
+    assert found.start == [-20.0, -20.0, -5.0]
+    # G54 and G92 in X; Y in inches, from where it was.
+    assert found.block_end == [[-49.0, -20.0, -5.0], [-49.0, -45.4, -5.0]]
+    there = stage.read(found.at_line)
+    assert there.offsets["G92"] == [1.0, 0.0, 0.0] and there.tool_length() == 2.0
+    assert "G20" in there.modes and there.word("F") == 254
+
+
+def test_places_in_inches_are_understood(here: stage.Stage) -> None:
+    inches = stage.read(["$13=1", "[G54:1.0000,2.0000,0.0000]", "[GC:G0 G54 F10]"])
+    assert inches.offsets["G54"] == [25.4, 50.8, 0.0] and inches.feed_mm_min() == 254
+
+
+def test_soft_limits_count_from_where_the_machine_is(here: stage.Stage) -> None:
+    lines = ["G21", "G0 X-40", "X-60"]
+    result, line = check(Job(lines, here.commands()))
+    assert (result.stopped, line) == ("ALARM:2", 3)
+
+
+def test_lines_for_a_machine_at_rest_are_no_errors(here: stage.Stage) -> None:
+    result, _ = check(Job(["$H", "$10=3", "G0 X0", "T1 M6"], here.commands()))
+    assert result.errors == [(4, "error:20")]
+
+
+# Which line it was
+
+
+def squares(count: int) -> list[str]:
+    return ["G21 G91 F1000", *(["G1 X1", "Y1", "X-1", "Y-1"] * count)]
+
+
+def test_the_line_is_found_by_its_place(here: stage.Stage) -> None:
+    found = forecast(here, ["G21 G91 F1000", *(f"G1 X-{n}" for n in range(1, 9))])
+    x = -20.0 - 1 - 2 - 1.5  # in the middle of X3
+    assert found.line_at(8, [x, -20.0, -5.0], 15, None) == 4
+
+
+def test_of_lines_at_the_same_place_the_earlier_is_taken(here: stage.Stage) -> None:
+    found = forecast(here, squares(3))
+    assert found.line_at(13, [-19.5, -20.0, -5.0], 15, None) == 2
+    assert found.line_at(13, [-19.5, -20.0, -5.0], 6, None) == 10  # no more fits the planner
+
+
+def test_the_line_is_found_by_the_blocks_that_are_left(here: stage.Stage) -> None:
+    found = forecast(here, squares(3))
+    assert found.line_at(13, [0.0, 0.0, 0.0], 15, 3) == 11
+    assert found.line_at(13, [0.0, 0.0, 0.0], 15, 0) == 13
+
+
+def test_a_place_off_the_path_is_no_line(here: stage.Stage) -> None:
+    assert forecast(here, squares(1)).line_at(5, [-90.0, 0.0, 0.0], 15, None) is None
+
+
+def test_an_arc_is_one_line(here: stage.Stage) -> None:
+    found = forecast(here, ["G21 G91 F1000", "G1 X5", "G2 X0 Y0 I5", "G1 X-1"])
+    assert set(found.block_line) == {2, 3, 4} and found.block_line.count(3) > 20
+    top = [-10.0, -15.0, -5.0]
+    assert found.line_at(2, top, 15, None) == 3  # under way, and not answered
+
+
+def test_time_left_falls_from_line_to_line(here: stage.Stage) -> None:
+    found = forecast(here, ["G21 G91 F600", *["G1 X-1"] * 40])  # 40 mm at 10 mm/s
+    left = [found.seconds_left(n) or 0 for n in range(42)]
+    assert 4.0 < left[0] < 4.5 and left == sorted(left, reverse=True)
+    assert 1.0 < left[41] < 2.0  # what is in the planner then
+
+
+def test_a_rehearsal_in_a_process_of_its_own_says_the_same(here: stage.Stage) -> None:
+    job = Job(squares(5), here.commands(), ask_at=3)
+    running = Rehearsal(job)
+    assert running.wait() == rehearse(job)[1]
+    running.close()
+
+
+# From a line on
+
+
+PART = [
+    b"G21 G90 G54 G92.1",
+    b"T1 M3 S8000 (3 mm)",
+    b"M8",
+    b"G0 X5 Y5 Z10",
+    b"G1 Z-1 F120",
+    b"X8 F300",
+    b"G2 X10 Y7 I0 J2",
+    b"X8 Y9 I-2 J0",
+    b"G0 Z10",
+]
+
+
+def way(here: stage.Stage, number: int, lines: list[bytes] = PART) -> list[str]:
+    found = forecast(here, [line.decode() for line in lines], ask_at=number)
+    return [line.text for line in approach(lines, number, found, here).lines]
+
+
+def test_the_way_goes_up_across_and_down_at_feed(here: stage.Stage) -> None:
+    here.place[2] = -25.0
+    assert way(here, 6) == [
+        "G21 G90 G94 M5",
+        "G53 G0 Z-18.000",
+        "M3 S8000",
+        "G4 P4",
+        "M8",
+        "G53 G0 X-45.000 Y-35.000",
+        "G53 G1 Z-29.000 F120",
+        "G54 G92 X5.000 Y5.000 Z-1.000",
+        "F120",
+        "G1 G54 G17 G21 G90 G94 S8000",
+    ]
+
+
+def test_a_laser_is_on_only_once_it_is_there(here: stage.Stage) -> None:
+    here.settings[32] = "1"
+    lines = way(here, 6)
+    assert lines.index("M3 S8000 G1 F120") > lines.index("G53 G1 Z-29.000 F120")
+    assert "G4 P4" not in lines
+
+
+def test_an_arc_that_goes_on_cannot_be_begun_with(here: stage.Stage) -> None:
+    with pytest.raises(CannotEnter, match="line 8 goes on with G2"):
+        way(here, 8)
+    assert way(here, 7)[-1].startswith("G1 ")
+
+
+def test_what_only_the_user_can_know_is_said(here: stage.Stage) -> None:
+    lines = [b"G91", b"G10 L2 P2 X1", *PART]
+    found = forecast(here, [line.decode() for line in lines], ask_at=8)
+    cautions = approach(lines, 8, found, here).cautions
+    assert ["line 1 moves" in cautions[0], "line 4 names a tool" in cautions[1]] == [True, True]
+    assert "G55" in cautions[2]
+
+
+def test_what_cannot_be_simulated_cannot_be_passed(here: stage.Stage) -> None:
+    lines = ["G21", "G38.2 Z-30 F100", "G0 X1"]
+    _, found = rehearse(Job(lines, here.commands(), ask_at=3))
+    with pytest.raises(CannotEnter, match="ALARM"):
+        approach([line.encode() for line in lines], 3, found, here)
