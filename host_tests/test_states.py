@@ -1,0 +1,157 @@
+"""What send, settings and doctor say of a machine that cannot answer, and of Grbl 0.9."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from sim_bench import Bench
+from typer.testing import CliRunner, Result
+from ugrbl import ports
+from ugrbl.cli import app
+from ugrbl.connection import Connection
+
+# State, what brings it about, and what is to be done about it.
+STATES = [
+    ("Hold:0", b"!", "resume (~) or reset (Ctrl-X) it"),
+    ("Door:0", b"\x84", "close the safety door and resume (~)"),
+    ("Sleep", b"$SLP\n", "reset it (Ctrl-X)"),
+    ("Check", b"$C\n", "end check mode ($C)"),
+]
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    running = Bench(tmp_path, "--speed", "max")
+    yield running
+    running.kill()
+
+
+@pytest.fixture
+def old(tmp_path: Path) -> Iterator[Bench]:
+    """A Grbl 0.9j."""
+    running = Bench(tmp_path, "--speed", "max", "--board", "sim_09j")
+    yield running
+    running.kill()
+
+
+def put(bench: Bench, state: str, command: bytes) -> None:
+    """Bring the machine into a state."""
+    connection = Connection(str(bench.port))
+    assert connection.answers()
+    connection.write(command)
+    assert connection.wait_for(lambda line: line.startswith(f"<{state}"), 10), connection.status
+    connection.close()
+
+
+def ugrbl(*words: object) -> Result:
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+@pytest.mark.parametrize(("state", "command", "todo"), STATES)
+def test_each_command_says_state_and_way_out(
+    bench: Bench, tmp_path: Path, state: str, command: bytes, todo: str
+) -> None:
+    put(bench, state, command)
+    file = tmp_path / "job.nc"
+    file.write_text("G0 X1\n")
+    sent = ugrbl("send", file, "--port", bench.port)
+    if state == "Check":
+        assert sent.exit_code == 0 and "not checked: the machine is in Check" in sent.output
+    else:
+        assert sent.exit_code == 1 and state in sent.output and todo in sent.output
+    kept = tmp_path / "kept"
+    pulled = ugrbl("settings", "pull", kept, "--port", bench.port)
+    assert pulled.exit_code == 1 and not kept.exists()
+    assert state in pulled.output and todo in pulled.output
+    seen = ugrbl("doctor", "--port", bench.port, "--json", "-", "--no-move", "--pins", "0")
+    found = {row["what"]: row for row in json.loads(seen.stdout)["findings"]}
+    assert seen.exit_code == 1
+    assert state in found["state"]["text"] and todo in found["state"]["todo"]
+
+
+def test_send_doctor_and_settings_understand_grbl_0_9(old: Bench, tmp_path: Path) -> None:
+    file = tmp_path / "job.nc"
+    file.write_text("G21 G91 F500\nG1 X1\nY2\n")
+    sent = ugrbl("send", file, "--port", old.port)
+    assert sent.exit_code == 0, sent.output
+    assert "3 lines, 0 errors" in sent.output
+    connection = Connection(str(old.port))
+    assert connection.answers()
+    assert (connection.state(), connection.place()) == ("Idle", [1.0, 2.0, 0.0])
+    connection.close()
+    kept = tmp_path / "kept"
+    pulled = ugrbl("settings", "pull", kept, "--port", old.port)
+    assert pulled.exit_code == 0 and "$110=500.000" in kept.read_text()
+    seen = ugrbl("doctor", "--port", old.port, "--json", "-", "--move", "--pins", "0")
+    found = {row["what"]: row for row in json.loads(seen.stdout)["findings"]}
+    assert found["state"]["text"] == "Idle" and "0.9" in found["firmware"]["text"]
+    assert "no jogging" in found["move X"]["text"]
+
+
+# Files
+
+
+def test_settings_go_to_stdout_and_come_from_stdin(bench: Bench) -> None:
+    pulled = ugrbl("settings", "pull", "-", "--port", bench.port)
+    assert pulled.exit_code == 0 and "$110=" in pulled.stdout
+    words = ["settings", "push", "-", "--port", str(bench.port)]
+    pushed = CliRunner().invoke(app, words, input=pulled.stdout)
+    assert pushed.exit_code == 1 and "--yes" in pushed.output
+    pushed = CliRunner().invoke(app, [*words, "--yes"], input=pulled.stdout)
+    assert pushed.exit_code == 0, pushed.output
+
+
+@pytest.mark.parametrize("name", ["nowhere/kept", "."])
+def test_where_a_file_cannot_be_nothing_is_asked(bench: Bench, tmp_path: Path, name: str) -> None:
+    done = ugrbl("settings", "pull", tmp_path / name, "--port", bench.port, "--force")
+    assert done.exit_code == 1 and not isinstance(done.exception, OSError)
+    assert str(tmp_path) in done.output.replace("\n", "") and b"$$" not in bench.wire(">")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full disk to test with")
+def test_a_full_disk_is_told_in_words(bench: Bench) -> None:
+    done = ugrbl("settings", "pull", "/dev/full", "--force", "--port", bench.port)
+    assert done.exit_code == 1 and "cannot be written: No space left" in done.output
+    done = ugrbl("doctor", "--port", bench.port, "--json", "/dev/full", "--no-move", "--pins", "0")
+    assert done.exit_code == 1 and "cannot be written: No space left" in done.output
+
+
+def test_a_file_that_is_replaced_is_whole_or_as_it_was(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "kept"
+    file.write_text("precious")
+
+    def full(self: Path, text: str, encoding: str = "") -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    done = ugrbl("settings", "pull", file, "--force", "--port", bench.port)
+    assert done.exit_code == 1 and file.read_text() == "precious"
+
+
+# Ports
+
+
+def test_ports_lists_what_is_plugged_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ports, "find", lambda: [ports.Found("/dev/ttyACM0", "a Pico")])
+    assert ugrbl("ports").output == "/dev/ttyACM0: a Pico\n"
+    assert json.loads(ugrbl("ports", "--json").output) == [
+        {"port": "/dev/ttyACM0", "what": "a Pico"}
+    ]
+    monkeypatch.setattr(ports, "find", list)
+    done = ugrbl("ports")
+    assert done.exit_code == 1 and "no controller" in done.output
+
+
+def test_send_finds_the_only_port(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ports, "find", lambda: [ports.Found(str(bench.port), "a simulator")])
+    file = tmp_path / "job.nc"
+    file.write_text("G0 X1\n")
+    assert ugrbl("send", file).exit_code == 0
+    monkeypatch.setattr(ports, "find", list)
+    done = ugrbl("send", file)
+    assert done.exit_code == 1 and "--port" in done.output
