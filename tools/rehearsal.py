@@ -7,6 +7,7 @@ Forecast as JSON on stdout.
 """
 
 import json
+import os
 import subprocess
 import sys
 import threading
@@ -241,7 +242,9 @@ class Rehearsal:
 
 
 def main() -> None:
-    """Rehearse what stdin says."""
+    """Rehearse what stdin says, when the computer has nothing better to do."""
+    if hasattr(os, "nice"):
+        os.nice(10)
     _, forecast = rehearse(Job(**json.load(sys.stdin)))
     json.dump(asdict(forecast), sys.stdout)
 
