@@ -148,7 +148,7 @@ def test_a_signal_holds_resets_and_tells_the_line(
     sent = bench.wire(">")
     assert 0 < sent.index(b"!") < sent.index(b"\x18")
     assert state == "Idle" and x < 100
-    assert (line_made(text) - 2) / 2 <= x <= line_made(text) / 2 + 0.01
+    assert (line_made(text) - 2) / 2 <= x <= line_made(text) / 2 + 0.02
     assert f"stopped: {number.name}" in text and "the machine is in Idle" in text
 
 
@@ -253,3 +253,24 @@ def test_a_program_from_stdin(bench: Bench, tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert place(bench)[1][0] == 2.0
+
+
+def test_reports_of_work_positions_do_as_well(bench: Bench, tmp_path: Path) -> None:
+    connection = Connection(str(bench.port))
+    assert connection.answers()
+    for line in ("$10=2", "G10 L2 P1 Y-30"):
+        assert connection.ask(line)[-1] == "ok"
+    connection.close()
+    send = Send(bench, tmp_path, STAIRS)
+    until = time.monotonic() + _PATIENCE_S
+    while not re.search(rb"<Run\|WPos:[5-9]", bench.wire("<")):
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    os.kill(send.pid, signal.SIGTERM)
+    _, text = send.end()
+    made = line_made(text)
+    connection = Connection(str(bench.port))
+    assert connection.wait_for(lambda line: bool(connection.place()), 5)
+    connection.close()
+    x = connection.work_place()[0]
+    assert (made - 2) / 2 <= x <= made / 2 + 0.02, text

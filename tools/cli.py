@@ -10,6 +10,7 @@ from rich.markup import escape
 
 from . import (
     build_cli,
+    console_cli,
     deploy_cli,
     doctor,
     new_board_cli,
@@ -27,6 +28,7 @@ from .outputs import check_outputs
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
 app.command("build", epilog=build_cli.EXAMPLES)(build_cli.command)
 app.command()(conformance)
+app.command("console", epilog=console_cli.EXAMPLES)(console_cli.command)
 app.command("deploy", epilog=deploy_cli.EXAMPLES)(deploy_cli.command)
 app.command("doctor", epilog=doctor.EXAMPLES)(doctor.command)
 app.command("new-board", epilog=new_board_cli.EXAMPLES)(new_board_cli.command)

@@ -24,6 +24,7 @@ _START_S = 5.0
 _OPTIONS = re.compile(r"\[OPT:[^,]*,(\d+),(\d+)\]")
 _BUFFER = re.compile(r"\|Bf:(\d+),(\d+)")
 _PLACE = re.compile(r"[|,]([MW])Pos:(-?[\d.]+(?:,-?[\d.]+)*)")
+_WORK = re.compile(r"[|,]WPos:(-?[\d.]+(?:,-?[\d.]+)*)")
 _OFFSET = re.compile(r"\|WCO:(-?[\d.]+(?:,-?[\d.]+)*)")
 # States in which Grbl reads no lines, and those in which it stands still for good.
 _DEAF = ("Hold", "Door", "Sleep")
@@ -98,6 +99,13 @@ class Connection:
         offset = self._offset or []
         return [at + by for at, by in zip(place, offset, strict=False)]
 
+    def work_place(self) -> list[float]:
+        """The work position as last reported, in its own unit."""
+        found = _WORK.search(self.status)
+        if found:
+            return [float(number) for number in found[1].split(",")]
+        return [at - by for at, by in zip(self.place(), self._offset or [0.0] * 6, strict=False)]
+
     def blocks_left(self) -> int | None:
         """How many blocks of the planner are not made yet, where the status report tells."""
         found = _BUFFER.search(self.status)
@@ -140,7 +148,8 @@ class Connection:
             raise SendError("no Grbl answers on this port")
         state = self.state()
         if state == "Alarm":
-            raise SendError("the machine is locked in Alarm: home it ($H) or unlock it ($X) first")
+            text = "the machine is locked in Alarm: home it ($H) or unlock it ($X) first"
+            raise SendError(f"{text}, with `ugrbl console`")
         if state not in ("Idle", "Check"):
             raise SendError(f"the machine is in {state}: {way_out(state)} first")
         self.info = self.ask("$I")

@@ -24,7 +24,7 @@ from .run import ProgramLink, Result, Step
 if TYPE_CHECKING:
     from .sim.rig import Rig
 
-_ON_PATH_MM = 0.02
+_ON_PATH_MM = 0.005
 _OFF_PATH_MM = 1.0
 _PROGRESS_LINES = 1000
 

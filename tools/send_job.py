@@ -97,6 +97,8 @@ class Job:
         if checkup.is_relative(found):
             return f"{found.name} is a relative of Grbl, and takes what the simulator does not"
         self._here = stage.look(self._connection)
+        if not self._here.place:
+            return "the machine does not tell where it is: $10=1 lets it"
         axes = self._here.axes()
         if axes > _SIM_AXES and self._options.board is None:
             return f"the machine has {axes} axes; name a board like it with --board"

@@ -12,6 +12,8 @@ from .connection import Connection
 from .settings_file import AXES
 
 _MM_PER_INCH = 25.4
+# Where reports have WPos only, WCO comes in every tenth.
+_PLACE_S = 3.0
 # What decides where a program may go, and how long it takes. Not homing's and inputs' own.
 _SETTINGS = (11, 12, 30, 31, 32, *range(100, 103), *range(110, 113), *range(120, 123))
 _TRAVEL = range(130, 133)
@@ -106,7 +108,7 @@ class Stage:
 def look(connection: Connection) -> Stage:
     """Ask a machine that is idle. What it does not tell is left as a simulator has it."""
     replies = [reply for line in ("$$", "$#", "$G") for reply in connection.ask(line)]
-    connection.wait_for(lambda line: line.startswith("<"), 1.0)
+    connection.wait_for(lambda line: bool(connection.place()), _PLACE_S)
     stage = read(replies)
     stage.place = [at * stage.unit_mm() for at in connection.place()[:3]]
     return stage

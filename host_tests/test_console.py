@@ -1,0 +1,195 @@
+"""`ugrbl console`: what lines and keys do at the simulator, and the terminal itself."""
+
+import fcntl
+import os
+import pty
+import select
+import struct
+import sys
+import termios
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from sim_bench import Bench
+from ugrbl.connection import Connection
+from ugrbl.desk import JOG_CANCEL, Desk, explained
+
+_PATIENCE_S = 20.0
+SETTINGS = {1: 255, 110: 2000, 111: 2000, 112: 2000, 120: 200, 121: 200, 122: 200}
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    running = Bench(tmp_path, settings=SETTINGS)
+    yield running
+    running.kill()
+
+
+class Person:
+    """Somebody at a desk, with all that was said to them."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.connection = Connection(str(bench.port))
+        assert self.connection.answers()
+        self.heard: list[str] = []
+        self.desk = Desk(self.connection, self.heard.append)
+        self.desk.enter("$X")
+        self.wait(lambda: "ok" in self.heard)
+
+    def wait(self, done: Callable[[], bool]) -> None:
+        until = time.monotonic() + _PATIENCE_S
+        while not done():
+            assert time.monotonic() < until, self.heard
+            self.desk.turn()
+
+    def hold_key(self, key: str, seconds: float) -> None:
+        """As a keyboard repeats it."""
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            self.desk.press(key)
+            self.desk.turn()
+            time.sleep(0.03)
+
+    def wait_idle(self) -> list[float]:
+        """Where the machine stands, by two reports."""
+        self.connection.status = ""
+        self.wait(lambda: self.connection.state() == "Idle")
+        self.connection.status = ""
+        self.wait(lambda: self.connection.state() == "Idle")
+        return self.connection.place()
+
+
+@pytest.fixture
+def person(bench: Bench) -> Iterator[Person]:
+    somebody = Person(bench)
+    yield somebody
+    somebody.connection.close()
+
+
+def test_settings_and_errors_come_with_their_meaning(person: Person) -> None:
+    person.desk.enter("$$")
+    person.wait(lambda: any(line.startswith("$132=") for line in person.heard))
+    (rate,) = [line for line in person.heard if line.startswith("$110=")]
+    assert "Maximum rate X, mm/min" in rate
+    person.desk.enter("G64")
+    person.wait(lambda: any(line.startswith("error:20: ") for line in person.heard))
+
+
+def test_many_lines_at_once_do_not_overfill_the_buffer(bench: Bench, person: Person) -> None:
+    for _ in range(60):
+        person.desk.enter("G4 P0.001 (some words that make it longer)")
+    person.wait(lambda: person.heard.count("ok") == 61)
+    assert not any(line.startswith("error") for line in person.heard)
+
+
+def test_bytes_that_act_at_once_are_not_sent_within_lines(bench: Bench, person: Person) -> None:
+    person.desk.enter("G0 X1 Ö")
+    assert "not sent" in person.heard[-1]
+    person.desk.enter("G4 P0 (Ö)")
+    person.wait(lambda: person.heard.count("ok") == 2)
+    assert bench.wire(">").isascii()
+
+
+def test_a_tap_jogs_a_step_and_modes_stay(person: Person) -> None:
+    for key in ("right", "up", "]", "pageup"):
+        person.desk.press(key)
+        person.wait_idle()
+    assert person.wait_idle() == [1.0, 1.0, 10.0]
+    person.desk.enter("$G")
+    person.wait(lambda: any("G90" in line for line in person.heard))
+
+
+def test_a_held_key_jogs_until_it_is_released(bench: Bench, person: Person) -> None:
+    person.hold_key("right", 1.0)
+    person.wait(lambda: JOG_CANCEL in bench.wire(">"))
+    x = person.wait_idle()[0]
+    assert 3 < x < 12  # a step, and then 500 mm/min for as long as the key was down
+    assert person.wait_idle()[0] == x
+    assert person.heard.count("ok") == 1  # that to $X: pieces of a jog are not worth a line
+
+
+def test_leaving_ends_a_jog(bench: Bench, person: Person) -> None:
+    person.hold_key("left", 0.5)
+    person.desk.leave()
+    person.connection.wait_for(lambda line: line.startswith("<Idle"), 5)
+    assert bench.wire(">").rstrip(b"?").endswith(JOG_CANCEL)
+
+
+def test_keys_zero_hold_go_on_and_change_the_feed(bench: Bench, person: Person) -> None:
+    person.desk.press("right")
+    person.wait_idle()
+    person.desk.press("x")
+    person.wait(lambda: person.heard.count("ok") == 2)
+    person.wait(lambda: "|WCO:1.000" in person.connection.status)
+    assert "X0.000 Y0.000" in person.desk.status()
+    person.desk.enter("G1 X3 F200")
+    person.wait(lambda: person.connection.state() == "Run")
+    person.desk.press("+")
+    person.wait(lambda: "overrides 110,100,100" in person.desk.status())
+    person.desk.press(" ")
+    person.wait(lambda: person.connection.state() == "Hold:0")
+    assert "Hold:0: resume (~) or reset (Ctrl-X) it" in person.heard
+    person.desk.press("~")
+    assert person.wait_idle()[0] == 4.0
+
+
+def test_a_reset_forgets_what_was_waiting(person: Person) -> None:
+    person.desk.enter("G4 P5")
+    for _ in range(40):
+        person.desk.enter("G0 X1")
+    person.desk.turn()
+    person.desk.reset()
+    person.wait(lambda: any(line.startswith("Grbl 1.1h") for line in person.heard))
+    assert person.wait_idle()[0] == 0.0
+
+
+def test_meanings() -> None:
+    assert explained("$110=500.000").startswith("$110=500.000 ")
+    assert explained("[GC:G0 G54]") == "[GC:G0 G54]"
+    assert explained("ALARM:1").startswith("ALARM:1: ")
+
+
+def test_the_terminal_shows_state_lines_and_jogs(bench: Bench, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "ugrbl.cli", "console", "--port", str(bench.port)]
+    environment = {**os.environ, "HOME": str(tmp_path), "TERM": "xterm", "UGRBL_VIPER": "fast"}
+    pid, master = pty.fork()
+    if pid == 0:
+        fcntl.ioctl(0, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 160, 0, 0))
+        os.execve(sys.executable, command, environment)
+    text = b""
+
+    def wait(what: bytes) -> None:
+        nonlocal text
+        until = time.monotonic() + _PATIENCE_S
+        while what not in text:
+            assert time.monotonic() < until, text
+            if select.select([master], [], [], 0.1)[0]:
+                text += os.read(master, 4096)
+                if b"\x1b[6n" in text:  # where is the cursor?
+                    text = text.replace(b"\x1b[6n", b"")
+                    os.write(master, b"\x1b[1;1R")
+        text = text[text.index(what) + len(what) :]
+
+    wait(b"Tab: keys jog")
+    os.write(master, b"$X\r$G\r")
+    wait(b"[GC:G0 G54")
+    os.write(master, b"\t")
+    wait(b"step 1 mm, 500 mm/min")
+    os.write(master, b"\x1b[C")
+    wait(b"1.000")
+    os.write(master, b"\t\x04")
+    until = time.monotonic() + _PATIENCE_S
+    done = 0
+    while not done and time.monotonic() < until:
+        if select.select([master], [], [], 0.1)[0]:
+            try:
+                os.read(master, 4096)
+            except OSError:  # the other end is closed
+                time.sleep(0.05)
+        done, status = os.waitpid(pid, os.WNOHANG)
+    os.close(master)
+    assert done and os.waitstatus_to_exitcode(status) == 0
+    assert b"$J=G91 G21 X1.000 F500" in bench.wire(">")
+    assert "$G" in (tmp_path / ".ugrbl_history").read_text()

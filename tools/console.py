@@ -1,0 +1,96 @@
+"""The terminal of `ugrbl console`: the state in a line, lines with a history, keys that jog."""
+
+import asyncio
+from pathlib import Path
+
+from prompt_toolkit import PromptSession
+from prompt_toolkit.filters import Condition
+from prompt_toolkit.history import FileHistory
+from prompt_toolkit.key_binding import KeyBindings, KeyPressEvent
+from prompt_toolkit.patch_stdout import patch_stdout
+
+from .desk import JOGS, Desk
+from .keys import COMMANDS
+
+_HISTORY = ".ugrbl_history"
+_TURN_S = 0.01
+_LINE_HELP = "Tab: keys jog   Ctrl-X: reset   Ctrl-D: leave"
+_KEY_HELP = (
+    "arrows, PgUp, PgDn jog   [ ] step   , . speed   x y z zero   h home   u unlock   "
+    "space holds   ~ goes on   + - 0 feed   1 2 3 rapids   * / = spindle   Tab: lines"
+)
+_OTHER_KEYS = "[],.huxyz" + "".join(key for key in COMMANDS if key.isprintable() and key != " ")
+
+
+class Terminal:
+    """Lines with a history, or keys that move the machine; Tab goes from one to the other."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        self._by_keys = False
+        self._session: PromptSession[str] = PromptSession(
+            history=FileHistory(str(Path.home() / _HISTORY)),
+            bottom_toolbar=self._toolbar,
+            key_bindings=self._bindings(),
+            refresh_interval=0.2,
+        )
+
+    async def run(self) -> None:
+        """Until the person leaves, or the machine cannot be reached."""
+        turning = asyncio.create_task(self._turn())
+        asking = asyncio.create_task(self._ask())
+        done, _ = await asyncio.wait((turning, asking), return_when=asyncio.FIRST_COMPLETED)
+        for task in (turning, asking):
+            task.cancel()
+        await asyncio.gather(turning, asking, return_exceptions=True)
+        for task in done:
+            task.result()
+
+    async def _turn(self) -> None:
+        while True:
+            self._desk.turn()
+            await asyncio.sleep(_TURN_S)
+
+    async def _ask(self) -> None:
+        while True:
+            try:
+                with patch_stdout():
+                    self._desk.enter(await self._session.prompt_async(self._prompt))
+            except KeyboardInterrupt:  # Ctrl-C empties the line
+                continue
+            except EOFError:
+                return
+
+    def _prompt(self) -> str:
+        return f"jog, {self._desk.jog_line()} " if self._by_keys else "> "
+
+    def _toolbar(self) -> str:
+        return f"{self._desk.status()}\n{_KEY_HELP if self._by_keys else _LINE_HELP}"
+
+    def _bindings(self) -> KeyBindings:
+        bindings = KeyBindings()
+        by_keys = Condition(lambda: self._by_keys)
+
+        @bindings.add("tab")
+        def _switch(event: KeyPressEvent) -> None:
+            self._by_keys = not self._by_keys
+            self._desk.leave()
+
+        @bindings.add("c-x", eager=True)
+        def _reset(event: KeyPressEvent) -> None:
+            self._desk.reset()
+
+        def press(event: KeyPressEvent) -> None:
+            for pressed in event.key_sequence:
+                self._desk.press(_name(pressed.key))
+
+        for key in (*JOGS, *_OTHER_KEYS, "space", "enter"):
+            bindings.add(key, filter=by_keys, eager=True)(press)
+        bindings.add("<any>", filter=by_keys)(lambda event: None)
+        return bindings
+
+
+def _name(key: str) -> str:
+    """A key as Desk.press() knows it."""
+    text = str(getattr(key, "value", key))
+    return {"c-m": "\r", "c-j": "\n"}.get(text, text)

@@ -1,0 +1,45 @@
+"""The command `ugrbl console`."""
+
+import asyncio
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from .connection import BAUD, Connection, SendError
+from .desk import Desk
+from .ports import choose
+
+EXAMPLES = "Examples:  ugrbl console   ·   ugrbl console --port /dev/ttyACM0"
+
+
+def command(
+    port: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PORT", help="Serial port, or a simulator's link. [default: the only one]"
+        ),
+    ] = None,
+    baud: Annotated[int, typer.Option(metavar="RATE", help="Of a real serial port.")] = BAUD,
+) -> None:
+    """Talk to a Grbl: a line for its state, a history, settings and errors with their meaning.
+
+    Tab changes between lines and keys. Keys jog while they are held, set zero, home, unlock, hold,
+    and change feed, rapids and spindle. Ctrl-X resets the machine.
+    """
+    from .console import Terminal
+
+    try:
+        connection = Connection(choose(port), baud)
+        desk = Desk(connection, print)
+        try:
+            if not connection.answers():
+                raise SendError("no Grbl answers on this port; `ugrbl doctor` may know why")
+            asyncio.run(Terminal(desk).run())
+        finally:
+            desk.leave()
+            connection.close()
+    except SendError as error:
+        Console(stderr=True).print(f"[red]{escape(str(error))}", highlight=False)
+        raise typer.Exit(1) from error
