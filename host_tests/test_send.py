@@ -484,14 +484,26 @@ def test_an_unplugged_cable_is_told_with_the_line(grbl: FakeGrbl, view: Watcher)
 def test_whatever_goes_wrong_here_holds_the_machine_first(
     grbl: FakeGrbl, connection: Connection, view: Watcher, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def broken(answered: int, status: str) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(view, "progress", broken)
+    with pytest.raises(ZeroDivisionError):
+        Stream(connection, ready_program(50), view).run()
+    time.sleep(0.05)
+    assert grbl.realtime == FEED_HOLD
+
+
+def test_a_full_disk_ends_it_as_an_abort_does(
+    grbl: FakeGrbl, connection: Connection, view: Watcher, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(answered: int, status: str) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(view, "progress", full)
-    with pytest.raises(OSError, match="No space"):
-        Stream(connection, ready_program(50), view).run()
-    time.sleep(0.05)
-    assert grbl.realtime == FEED_HOLD
+    report = Stream(connection, ready_program(50), view).run()
+    assert "No space left" in report.stopped and report.answered < 50
+    assert grbl.realtime == FEED_HOLD + RESET
 
 
 def test_a_port_in_use_is_told_to_be(grbl: FakeGrbl, connection: Connection) -> None:

@@ -274,3 +274,34 @@ def test_reports_of_work_positions_do_as_well(bench: Bench, tmp_path: Path) -> N
     connection.close()
     x = connection.work_place()[0]
     assert (made - 2) / 2 <= x <= made / 2 + 0.02, text
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full disk to test with")
+@pytest.mark.parametrize(("words", "x"), [([], 0.0), (["--no-check"], 20.0)])
+def test_a_full_disk_begins_no_job_and_ends_none(
+    bench: Bench, tmp_path: Path, words: list[str], x: float
+) -> None:
+    file = tmp_path / "job.nc"
+    file.write_text("\n".join(STAIRS[:40]))
+    command = [sys.executable, "-m", "ugrbl.cli", "send", str(file), "--port", str(bench.port)]
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [*command, *words],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=_ENVIRONMENT,
+            check=False,
+        )
+    assert "No space left" in done.stderr and "Traceback" not in done.stderr
+    assert place(bench) == ("Idle", [x, 0.0, 0.0])
+    assert (done.returncode == 0) == ("40 lines, 0 errors" in done.stderr) == (x > 0)
+
+
+def test_an_unplugged_cable_is_told_with_line_and_state(bench: Bench, tmp_path: Path) -> None:
+    send = Send(bench, tmp_path, STAIRS)
+    wait_until_at(bench, 5)
+    bench.kill()
+    code, text = send.end()
+    assert code == 1 and "cable" in text and line_made(text) > 10
+    assert "was in Run, and goes on" in text

@@ -4,6 +4,7 @@ Every failure of the port is a SendError that says in words what may be wrong. G
 `<Idle|MPos:…|…>`, Grbl 0.9 `<Idle,MPos:…,…>`; both are understood.
 """
 
+import errno
 import re
 import time
 from collections.abc import Callable
@@ -219,14 +220,16 @@ def way_out(state: str) -> str:
 def _why_not(port: str, error: Exception) -> str:
     """Why a port cannot be opened, and what may help."""
     text = f"cannot open {port}: {error}"
-    if "configure port" in text or "Is a directory" in text:
+    number = getattr(error, "errno", None)
+    if number == errno.ENOENT or "FileNotFound" in text:
+        return f"there is no {port}; is the cable one that carries data, and plugged in?"
+    if number == errno.EACCES or "Access is denied" in text:
+        todo = "add yourself to its group (`ls -l` shows which) and log in anew"
+        return f"cannot open {port}: permission denied; {todo}"
+    if number == errno.EBUSY or "exclusively lock" in text:
+        return f"cannot open {port}: another program has it; close that"
+    if number == errno.EISDIR or "configure port" in text:
         return f"cannot open {port}: it is no serial port"
-    if "ermission denied" in text or "Access is denied" in text:
-        return text + "; add yourself to its group (`ls -l` shows which) and log in anew"
-    if "exclusively lock" in text or "busy" in text:
-        return text + "; another program has it: close that"
-    if "No such file" in text or "could not open port" in text or "FileNotFound" in text:
-        return text + "; is the cable one that carries data, and plugged in?"
     return text
 
 

@@ -1,7 +1,6 @@
 """The command `ugrbl console`."""
 
 import asyncio
-from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -9,19 +8,14 @@ from rich.markup import escape
 
 from .connection import BAUD, Connection, SendError
 from .desk import Desk
-from .ports import choose
+from .ports import Baud, Port, choose
 
 EXAMPLES = "Examples:  ugrbl console   ·   ugrbl console --port /dev/ttyACM0"
 
 
 def command(
-    port: Annotated[
-        str | None,
-        typer.Option(
-            metavar="PORT", help="Serial port, or a simulator's link. [default: the only one]"
-        ),
-    ] = None,
-    baud: Annotated[int, typer.Option(metavar="RATE", help="Of a real serial port.")] = BAUD,
+    port: Port = None,
+    baud: Baud = BAUD,
 ) -> None:
     """Talk to a Grbl: a line for its state, a history, settings and errors with their meaning.
 

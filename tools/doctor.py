@@ -14,7 +14,8 @@ from . import settings_sync as sync
 from .checkup import BAD, NOTE, OK, Finding
 from .connection import BAUD, Connection, SendError, way_out
 from .paths import use_firmware
-from .settings_cli import save_json
+from .ports import Baud, Port
+from .settings_cli import check_output, save_json
 from .settings_file import AXES, Firmware, Settings
 
 EXAMPLES = (
@@ -143,13 +144,8 @@ def _find(doctor: Doctor, port: str | None) -> str:
 
 
 def command(
-    port: Annotated[
-        str | None,
-        typer.Option(
-            metavar="PORT", help="Serial port, or a simulator's link. [default: the one]"
-        ),
-    ] = None,
-    baud: Annotated[int, typer.Option(metavar="RATE", help="Of a real serial port.")] = BAUD,
+    port: Port = None,
+    baud: Baud = BAUD,
     pins: Annotated[
         float | None,
         typer.Option(metavar="SECONDS", help="Watch the inputs so long; 0: not. [default: ask]"),
@@ -170,6 +166,7 @@ def command(
     something is wrong.
     """
     ask = sys.stdin.isatty()
+    check_output(json_file)
     doctor = Doctor(Console(stderr=str(json_file) == "-"))
 
     def may_move() -> bool:

@@ -9,6 +9,15 @@ from serial.tools import list_ports
 
 from .connection import SendError
 
+# Options of all commands that talk to a machine.
+Port = Annotated[
+    str | None,
+    typer.Option(
+        metavar="PORT", help="Serial port, or a simulator's link. [default: the only one]"
+    ),
+]
+Baud = Annotated[int, typer.Option(metavar="RATE", min=50, help="Of a real serial port.")]
+
 # USB vendor and product (0: any) of what controllers speak through.
 _KNOWN = (
     (0x2E8A, 0x0005, "Raspberry Pi Pico with MicroPython"),

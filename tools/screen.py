@@ -58,8 +58,12 @@ class Screen:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._progress.stop()
         self._keys.__exit__(kind, error, trace)
+        try:
+            self._progress.stop()
+        except OSError as failed:  # a full disk is no reason to forget what has been done
+            why = f"what has happened cannot be shown: {failed.strerror}"
+            Console(stderr=True).print(why, highlight=False)
 
     def progress(self, answered: int, status: str = "") -> None:
         """So many lines are done."""

@@ -95,6 +95,24 @@ def program(lines: Iterable[bytes]) -> list[Line]:
     return [Line(number, harmless(line), text(line)) for number, line in enumerate(lines, 1)]
 
 
+class _Mute:
+    """A View for nobody."""
+
+    def progress(self, answered: int, status: str) -> None:
+        """Nobody sees it."""
+
+    def message(self, words: str) -> None:
+        """Nobody reads it."""
+
+    def ask(self, why: str) -> Choice:
+        """Nobody answers."""
+        return Choice.ABORT
+
+    def keys(self) -> bytes:
+        """Nobody presses any."""
+        return b""
+
+
 class Stream:
     """One program on its way through a connection.
 
@@ -139,17 +157,25 @@ class Stream:
     def run(self) -> Report:
         """Send everything and wait until the machine is at rest."""
         try:
-            self._connection.status = ""
-            while not self.report.stopped and not self._finished():
-                self._turn()
+            self._stream()
         except SendError as error:
             self.report.stopped = str(error)
             self.report.lost = True
         except BaseException:
             self._connection.write(FEED_HOLD)
             raise
-        self.report.state = self._connection.state()
         return self.report
+
+    def _stream(self) -> None:
+        self._connection.status = ""
+        try:
+            while not self.report.stopped and not self._finished():
+                self._turn()
+        except OSError as error:  # a full disk, a pipe that nobody reads any more
+            self._connection.write(FEED_HOLD)
+            self._view = _Mute()
+            self._why_hold = f"what happens cannot be shown ({error.strerror})"
+            self._hold()
 
     def _turn(self) -> None:
         if not self._why_hold:
@@ -226,6 +252,7 @@ class Stream:
             self._why_hold = f"{name} was refused"
 
     def _note_place(self) -> None:
+        self.report.state = self._connection.state() or self.report.state
         if place := self._connection.place():
             self.report.place = place
             self.report.blocks_left = self._connection.blocks_left()
@@ -283,6 +310,7 @@ class Stream:
         self._connection.status = ""
         self._connection.wait_for(lambda line: line.startswith("Grbl "), _RESET_S)
         self._connection.wait_for(lambda line: line.startswith("<"), _RESET_S)
+        self.report.state = self._connection.state()
 
     def _is_at_rest(self, line: str) -> bool:
         self._handle(line)

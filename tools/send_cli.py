@@ -11,7 +11,7 @@ from rich.markup import escape
 from . import gcode_file
 from .connection import BAUD, Connection, SendError
 from .from_line import CannotEnter
-from .ports import choose
+from .ports import Baud, Port, choose
 from .screen import show_problems
 from .send_job import Job, Options, Stopped
 
@@ -33,13 +33,8 @@ def command(
         Path,
         typer.Argument(metavar="FILE", help="Program; - is stdin."),
     ],
-    port: Annotated[
-        str | None,
-        typer.Option(
-            metavar="PORT", help="Serial port, or a simulator's link. [default: the only one]"
-        ),
-    ] = None,
-    baud: Annotated[int, typer.Option(metavar="RATE", help="Of a real serial port.")] = BAUD,
+    port: Port = None,
+    baud: Baud = BAUD,
     mode: Annotated[
         Mode, typer.Option(help="count: keep Grbl's buffer full; line: one line at a time.")
     ] = Mode.COUNT,
@@ -84,18 +79,28 @@ def command(
             report = Job(lines, options, connection, console).run()
         finally:
             connection.close()
-    except (SendError, Stopped, CannotEnter, ValueError, OSError) as error:
-        Console(stderr=True).print(f"[red]{escape(str(error))}", highlight=False)
-        raise typer.Exit(1) from error
+    except OSError as error:
+        raise _failed(f"what happens cannot be shown: {error.strerror}") from error
+    except (SendError, Stopped, CannotEnter, ValueError) as error:
+        raise _failed(error) from error
     if report.signal:
         raise typer.Exit(128 + report.signal)
     if not report.ok():
         raise typer.Exit(1)
 
 
+def _failed(why: object) -> typer.Exit:
+    """Say why on stderr; raise what this returns."""
+    Console(stderr=True).print(f"[red]{escape(str(why))}", highlight=False)
+    return typer.Exit(1)
+
+
 def _read(file: Path, options: Options, console: Console) -> list[bytes]:
     """The program; Stopped where it must not be sent."""
-    lines = gcode_file.read_lines(file)
+    try:
+        lines = gcode_file.read_lines(file)
+    except OSError as error:
+        raise Stopped(f"{options.name} cannot be read: {error.strerror}") from error
     gcode_file.check_text(lines, options.name)
     if options.from_line > len(lines):
         raise Stopped(f"{options.name} has {len(lines)} lines only")

@@ -196,4 +196,7 @@ class Job:
         return forecast.line_at(report.line, place, self._connection.blocks, report.blocks_left)
 
     def _say(self, words: str) -> None:
-        self._console.print(words, highlight=False, markup=False, soft_wrap=True)
+        try:
+            self._console.print(words, highlight=False, markup=False, soft_wrap=True)
+        except OSError:  # a full disk: there may be somebody at the terminal
+            Console(stderr=True).print(words, highlight=False, markup=False, soft_wrap=True)

@@ -18,7 +18,7 @@ from . import settings_sync as sync
 from .connection import BAUD, Connection, SendError
 from .gcode_file import STDIN
 from .messages import meaning as reply_meaning
-from .ports import choose
+from .ports import Baud, Port, choose
 from .settings_file import Change, Settings, SettingsError, changes, check_fit, meaning
 
 app = typer.Typer(no_args_is_help=True, help="Pull, compare, push and restore settings.")
@@ -27,13 +27,6 @@ File = Annotated[
     Path,
     typer.Argument(metavar="FILE", allow_dash=True, help="Lines of $n=v; - is stdin or stdout."),
 ]
-Port = Annotated[
-    str | None,
-    typer.Option(
-        metavar="PORT", help="Serial port, or a simulator's link. [default: the only one]"
-    ),
-]
-Baud = Annotated[int, typer.Option(metavar="RATE", help="Of a real serial port.")]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
 AnyVersion = Annotated[
     bool, typer.Option("--any-version", help="Even if it is for another Grbl, or does not say.")
@@ -57,7 +50,7 @@ def pull(
     if not to_stdout:
         if file.exists() and not force:
             raise _failed(f"{file} is there already; --force replaces it")
-        _check_output(file)
+        check_output(file)
     with _machine(port, baud) as connection:
         settings = sync.pull(connection)
     _keep(settings, file, "as pulled")
@@ -129,7 +122,7 @@ def restore(
         if not yes and not typer.confirm("Restore the factory's settings?"):
             raise _failed("nothing has been changed")
         kept = Path("factory.before")
-        _check_output(kept, json_file)
+        check_output(kept, json_file)
         _keep(before, kept, "before a restore to the factory's")
         sync.factory(connection)
         done = changes(before.values, sync.pull(connection).values)
@@ -151,7 +144,7 @@ def _write(
     if from_stdin and not yes:
         raise _failed("settings from stdin leave nobody to ask: say --yes")
     kept = Path("settings.before") if from_stdin else file.with_name(file.name + ".before")
-    _check_output(kept, json_file)
+    check_output(kept, json_file)
     console = Console(stderr=True)
     with _machine(port, baud) as connection:
         machine = sync.pull(connection)
@@ -268,7 +261,7 @@ def _save(text: str, file: Path) -> None:
         raise _failed(f"{file} cannot be written: {error.strerror}") from error
 
 
-def _check_output(*files: Path | None) -> None:
+def check_output(*files: Path | None) -> None:
     """End the command before its work where a file could not be written after it."""
     for file in files:
         if file is None or str(file) == STDIN:
