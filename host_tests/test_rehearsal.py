@@ -164,11 +164,11 @@ def test_an_arc_that_goes_on_cannot_be_begun_with(here: stage.Stage) -> None:
 
 
 def test_what_only_the_user_can_know_is_said(here: stage.Stage) -> None:
-    lines = [b"G91", b"G10 L2 P2 X1", *PART]
-    found = forecast(here, [line.decode() for line in lines], ask_at=8)
-    cautions = approach(lines, 8, found, here).cautions
-    assert ["line 1 moves" in cautions[0], "line 4 names a tool" in cautions[1]] == [True, True]
-    assert "G55" in cautions[2]
+    lines = [b"G91", b"G10 L2 P2 X1", b"G92 X0", *PART]
+    found = forecast(here, [line.decode() for line in lines], ask_at=9)
+    moves, origin, tool, offsets = approach(lines, 9, found, here).cautions
+    assert "line 1 moves relatively" in moves and "line 3 sets the origin" in origin
+    assert "line 5 names a tool" in tool and "G55" in offsets
 
 
 def test_what_cannot_be_simulated_cannot_be_passed(here: stage.Stage) -> None:

@@ -5,6 +5,7 @@ Every failure of the port is a SendError that says in words what may be wrong. G
 """
 
 import errno
+import os
 import re
 import time
 from collections.abc import Callable
@@ -219,14 +220,13 @@ def way_out(state: str) -> str:
 
 def _why_not(port: str, error: Exception) -> str:
     """Why a port cannot be opened, and what may help."""
-    text = f"cannot open {port}: {error}"
     number = getattr(error, "errno", None)
+    text = f"cannot open {port}: {os.strerror(number) if number else error}"
     if number == errno.ENOENT or "FileNotFound" in text:
-        return f"there is no {port}; is the cable one that carries data, and plugged in?"
+        return f"{text}; is the cable one that carries data, and plugged in?"
     if number == errno.EACCES or "Access is denied" in text:
-        todo = "add yourself to its group (`ls -l` shows which) and log in anew"
-        return f"cannot open {port}: permission denied; {todo}"
-    if number == errno.EBUSY or "exclusively lock" in text:
+        return f"{text}; add yourself to its group (`ls -l` shows which) and log in anew"
+    if number == errno.EBUSY or "exclusively lock" in str(error):
         return f"cannot open {port}: another program has it; close that"
     if number == errno.EISDIR or "configure port" in text:
         return f"cannot open {port}: it is no serial port"

@@ -18,6 +18,7 @@ _SLOW_MM_MIN = 100.0
 _NEAR_MM = 0.001
 _MOTION = re.compile(rb"G0*[0123](?![\d.])")
 _RELATIVE = re.compile(rb"G91(?![\d.])")
+_ORIGIN = re.compile(rb"G92(?![\d.])|G10L20")
 _TOOL = re.compile(rb"T\d|M0*6(?!\d)")
 
 
@@ -145,6 +146,7 @@ def _cautions(before: Sequence[bytes], here: Stage, there: Stage) -> list[str]:
     found = []
     for pattern, text in (
         (_RELATIVE, "moves relatively (G91): the places above hold where the program began here"),
+        (_ORIGIN, "sets the origin where the tool is: that holds where it stands there again"),
         (_TOOL, "names a tool: see that it is in the spindle"),
     ):
         numbers = [number for number, line in enumerate(before, 1) if pattern.search(_code(line))]

@@ -35,13 +35,14 @@ _SEQUENCE = re.compile(r"\x1b(?:[\[O][0-9;]*[A-Za-z~])?")
 
 
 class Keys:
-    """The keyboard, as a context. Without a terminal, nothing is ever pressed."""
+    """The keyboard, as a context. Not listened to, or no terminal: nothing is ever pressed."""
 
-    def __init__(self) -> None:
+    def __init__(self, listen: bool = True) -> None:
+        self._listen = listen and sys.stdin.isatty()
         self._saved: Any = None
 
     def __enter__(self) -> "Keys":
-        if sys.platform != "win32" and sys.stdin.isatty():
+        if sys.platform != "win32" and self._listen:
             import termios
             import tty
 
@@ -69,7 +70,7 @@ class Keys:
         if sys.platform == "win32":
             import msvcrt
 
-            return msvcrt.getwch() if sys.stdin.isatty() and msvcrt.kbhit() else ""
+            return msvcrt.getwch() if self._listen and msvcrt.kbhit() else ""
         if self._saved is None or not select.select([sys.stdin], [], [], 0)[0]:
             return ""
         return os.read(sys.stdin.fileno(), 64).decode("latin-1")

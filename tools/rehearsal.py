@@ -245,7 +245,13 @@ def main() -> None:
     """Rehearse what stdin says, when the computer has nothing better to do."""
     if hasattr(os, "nice"):
         os.nice(10)
-    _, forecast = rehearse(Job(**json.load(sys.stdin)))
+    parent = os.getppid()
+
+    def needed(line: int) -> None:
+        if os.getppid() != parent:
+            sys.exit("who has asked for it is gone")
+
+    _, forecast = rehearse(Job(**json.load(sys.stdin)), needed)
     json.dump(asdict(forecast), sys.stdout)
 
 

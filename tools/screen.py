@@ -18,13 +18,15 @@ from .recorder import Totals
 from .send import Choice
 
 _PLACE = re.compile(r"[|,]([MW])Pos:(-?[\d.]+(?:,-?[\d.]+)*)")
+# Of feed, rapids and spindle; not in every report.
+_OVERRIDES = re.compile(r"\|Ov:(\d+,\d+,\d+)")
 _MOST_ERRORS = 20
 
 
 class Screen:
     """A View for send.Stream, and the bar of `ugrbl run`; use it as a context.
 
-    seconds_left: how long it takes once so many lines are done, or None.
+    seconds_left: how long it takes once so many lines are done, or None; listen: to keys.
     """
 
     def __init__(
@@ -33,6 +35,7 @@ class Screen:
         name: str,
         total: int,
         seconds_left: Callable[[int], float | None] = lambda done: None,
+        listen: bool = False,
     ) -> None:
         self._progress = Progress(
             TextColumn(escape(name)),
@@ -44,7 +47,8 @@ class Screen:
             console=console,
         )
         self._seconds_left = seconds_left
-        self._keys = Keys()
+        self._overrides = ""
+        self._keys = Keys(listen)
         self._task = self._progress.add_task("", total=total, state="")
 
     def __enter__(self) -> "Screen":
@@ -68,7 +72,9 @@ class Screen:
     def progress(self, answered: int, status: str = "") -> None:
         """So many lines are done."""
         left = self._seconds_left(answered)
-        shown = brief(status)
+        if found := _OVERRIDES.search(status):
+            self._overrides = "" if found[1] == "100,100,100" else f"  {found[1]} %"
+        shown = brief(status) + self._overrides
         if left is not None and state_of(status) != "Idle":
             shown += f"  {clock(left)[:-4]} left"
         self._progress.update(self._task, completed=answered, state=escape(shown))

@@ -151,12 +151,14 @@ class Job:
         options = self._options
         if sys.stdin.isatty():
             self._say(keys.HELP)
-        with Screen(self._console, options.name, len(to_send), self._seconds_left) as screen:
+        left = self._seconds_left
+        with Screen(self._console, options.name, len(to_send), left, listen=True) as screen:
             stream = Stream(self._connection, to_send, screen, options.by_line, options.keep_going)
             with stopping_signals(stream):
                 report = stream.run()
             screen.progress(report.answered, f"<{report.state}>")
-        self._say(f"{report.answered} lines, {len(report.errors)} errors")
+        done = max(0, report.answered - self._lead)
+        self._say(f"{done} lines, {len(report.errors)} errors")
         return report
 
     def _seconds_left(self, done: int) -> float | None:
