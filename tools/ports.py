@@ -12,9 +12,7 @@ from .connection import SendError
 # Options of all commands that talk to a machine.
 Port = Annotated[
     str | None,
-    typer.Option(
-        metavar="PORT", help="Serial port, or a simulator's link. [default: the only one]"
-    ),
+    typer.Option(metavar="PORT", help="Serial port or simulator; not said: the only one."),
 ]
 Baud = Annotated[int, typer.Option(metavar="RATE", min=50, help="Of a real serial port.")]
 
