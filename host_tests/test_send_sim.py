@@ -121,6 +121,11 @@ def wait_until_at(bench: Bench, mm: float) -> None:
     raise AssertionError(f"never at {mm} mm")
 
 
+def place_reported(bench: Bench) -> float:
+    """X, by the last report on the wire."""
+    return float(re.findall(rb"MPos:(-?[\d.]+)", bench.wire("<"))[-1])
+
+
 def place(bench: Bench) -> tuple[str, list[float]]:
     """State and place, asked for anew."""
     connection = Connection(str(bench.port))
@@ -150,6 +155,20 @@ def test_a_signal_holds_resets_and_tells_the_line(
     assert state == "Idle" and x < 100
     assert (line_made(text) - 2) / 2 <= x <= line_made(text) / 2 + 0.02
     assert f"stopped: {number.name}" in text and "the machine is in Idle" in text
+
+
+@pytest.mark.parametrize("answer", ["r", "a"])
+def test_ctrl_c_holds_and_asks_whether_to_go_on(bench: Bench, tmp_path: Path, answer: str) -> None:
+    send = Send(bench, tmp_path, STAIRS[:60], terminal=True)
+    wait_until_at(bench, 5)
+    send.press("\x03")
+    send.wait_text("the machine is held")
+    assert place_reported(bench) < 30
+    send.press(f"{answer}\n")
+    code, text = send.end()
+    state, (x, _, _) = place(bench)
+    assert (code, state) == (0 if answer == "r" else 1, "Idle")
+    assert (x == 30.0) == ("being made" not in text) == (answer == "r")
 
 
 def test_a_closed_terminal_holds_first(bench: Bench, tmp_path: Path) -> None:

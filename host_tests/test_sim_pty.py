@@ -509,28 +509,6 @@ def test_a_held_machine_stays_held_at_full_speed(sim: Sim) -> None:
         assert "MPos:5.000" in sender.wait_idle()
 
 
-@pytest.mark.parametrize("answer", ["r", "a"])
-def test_a_program_held_by_ctrl_c_goes_on_or_ends_without_alarm(
-    tmp_path: Path, answer: str
-) -> None:
-    program = tmp_path / "program.nc"
-    program.write_text("G91\n" + "G1 X1 F500\n" * 20)
-    sim = Sim(tmp_path, "--speed", "real")
-    command = [*_COMMAND, "send", str(program), "--port", str(sim.port)]
-    sending = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=_ENVIRONMENT, text=True
-    )
-    time.sleep(2.0)
-    sending.send_signal(signal.SIGINT)
-    printed, _ = sending.communicate(answer + "\n", timeout=60)
-    assert "The machine is held" in printed
-    assert sending.returncode == (0 if answer == "r" else 1)
-    with sim.open() as sender:
-        place = float(sender.wait_idle().partition("MPos:")[2].partition(",")[0])
-    sim.stop()
-    assert place == 20.0 if answer == "r" else 0 < place < 20.0
-
-
 def test_the_report_tells_steps_commanded_and_made(tmp_path: Path) -> None:
     report, plot = tmp_path / "report.json", tmp_path / "path.png"
     sim = Sim(tmp_path, "--speed", "max", "--report", str(report), "--plot", str(plot))
