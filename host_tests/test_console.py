@@ -145,6 +145,36 @@ def test_a_reset_forgets_what_was_waiting(person: Person) -> None:
     assert person.wait_idle()[0] == 0.0
 
 
+def test_after_a_limit_switch_the_console_can_reset(bench: Bench, person: Person) -> None:
+    person.desk.enter("$21=1")
+    person.desk.enter("G1 X30 F2000")  # the bench's switch is at 20 mm
+    person.wait(lambda: any(line.startswith("ALARM:1: ") for line in person.heard))
+    person.desk.enter("$X")
+    time.sleep(1.0)
+    person.desk.turn()
+    assert "[MSG:Caution: Unlocked]" not in person.heard
+    person.desk.reset()
+    person.wait(lambda: any(line.startswith("Grbl 1.1h") for line in person.heard))
+    person.desk.enter("$21=0")
+    person.desk.enter("$X")
+    person.wait(lambda: "[MSG:Caution: Unlocked]" in person.heard)
+
+
+def test_grbl_0_9_has_no_jogging_and_no_overrides(tmp_path: Path) -> None:
+    old = Bench(tmp_path, "--speed", "max", "--board", "sim_09j")
+    person = Person(old)
+    for key in ("right", "+"):
+        person.desk.press(key)
+    person.wait_idle()
+    person.connection.close()
+    assert person.heard[-2:] == [
+        "Grbl 0.9 has no jogging: move it with G-code",
+        "Grbl 0.9 has no overrides",
+    ]
+    assert old.wire(">").isascii() and b"$J" not in old.wire(">")
+    old.kill()
+
+
 def test_meanings() -> None:
     assert explained("$110=500.000").startswith("$110=500.000 ")
     assert explained("[GC:G0 G54]") == "[GC:G0 G54]"

@@ -231,6 +231,17 @@ def test_soft_limits_are_those_of_the_machine(bench: Bench, tmp_path: Path) -> N
     assert place(bench) == ("Idle", [0.0, 0.0, 0.0])
 
 
+def test_an_alarm_tells_the_line_that_was_being_made(bench: Bench, tmp_path: Path) -> None:
+    connection = Connection(str(bench.port))
+    assert connection.answers()
+    assert connection.ask("$21=1")[-1] == "ok"  # the bench's switch is at 20 mm
+    connection.close()
+    code, text = Send(bench, tmp_path, STAIRS).end()
+    assert code == 1 and "stopped: ALARM:1" in text
+    assert 30 <= line_made(text) <= 41  # by the last report before it
+    assert "the machine is in Alarm: reset it (Ctrl-X), then home it" in text
+
+
 def test_from_a_line_on_modes_tool_and_place_are_rebuilt(bench: Bench, tmp_path: Path) -> None:
     lines = ["G20 G91.1 G90", "M3 S1000", "G0 Z0.2", "G0 X0.4", "G1 Z-0.1 F20", "X0.8", "Z0.2"]
     send = Send(bench, tmp_path, lines, "--from-line", "6", "--yes")

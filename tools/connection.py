@@ -28,6 +28,7 @@ _BUFFER = re.compile(r"\|Bf:(\d+),(\d+)")
 _PLACE = re.compile(r"[|,]([MW])Pos:(-?[\d.]+(?:,-?[\d.]+)*)")
 _WORK = re.compile(r"[|,]WPos:(-?[\d.]+(?:,-?[\d.]+)*)")
 _OFFSET = re.compile(r"\|WCO:(-?[\d.]+(?:,-?[\d.]+)*)")
+ONLY_RESET = "after ALARM:1 or ALARM:2 it hears nothing but a reset (Ctrl-X)"
 # States in which Grbl reads no lines, and those in which it stands still for good.
 _DEAF = ("Hold", "Door", "Sleep")
 _AT_REST = ("Idle", "Check", "Alarm", "Sleep")
@@ -147,7 +148,7 @@ class Connection:
     def start(self) -> None:
         """Wait until Grbl listens and could work, and ask how much it can take."""
         if not self.answers():
-            raise SendError("no Grbl answers on this port")
+            raise SendError(f"no Grbl answers on this port; {ONLY_RESET}")
         state = self.state()
         if state == "Alarm":
             text = "the machine is locked in Alarm: home it ($H) or unlock it ($X) first"

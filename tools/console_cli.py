@@ -6,7 +6,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from .connection import BAUD, Connection, SendError
+from .connection import BAUD, ONLY_RESET, Connection, SendError
 from .desk import Desk
 from .ports import Baud, Port, choose
 
@@ -29,7 +29,7 @@ def command(
         desk = Desk(connection, print)
         try:
             if not connection.answers():
-                raise SendError("no Grbl answers on this port; `ugrbl doctor` may know why")
+                print(f"no Grbl answers on this port; {ONLY_RESET}")
             asyncio.run(Terminal(desk).run())
         finally:
             desk.leave()

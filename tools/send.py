@@ -67,6 +67,7 @@ class Report:
     # Of the machine, at last; the place and the blocks not made are those before a reset.
     state: str = ""
     place: list[float] = field(default_factory=list)
+    place_line: int = 0  # the last one that was answered when it was there
     blocks_left: int | None = None
 
     def ok(self) -> bool:
@@ -225,8 +226,8 @@ class Stream:
         if is_answer(line) and self._unanswered:
             self._answered(line)
         elif line.startswith("ALARM:"):
-            self._note_place()
             report.stopped = f"{line}: {meaning(line)}"
+            report.state = "Alarm"
         elif line.startswith("Grbl "):
             report.stopped = "the controller was reset"
         elif line.startswith("<"):
@@ -255,6 +256,7 @@ class Stream:
         self.report.state = self._connection.state() or self.report.state
         if place := self._connection.place():
             self.report.place = place
+            self.report.place_line = self.report.line
             self.report.blocks_left = self._connection.blocks_left()
 
     def _tell_state(self, state: str) -> None:

@@ -22,6 +22,8 @@ from .stage import Stage
 # How long it may take to find out which line was being made.
 _PATIENCE_S = 20.0
 _SIM_AXES = 3
+# Alarms after which Grbl hears nothing but a reset.
+_DEAD = ("ALARM:1:", "ALARM:2:")
 
 
 @dataclass
@@ -185,17 +187,20 @@ class Job:
             self._say(f"the machine was in {state}, and goes on with what it has been sent")
         else:
             todo = "" if state == "Idle" else f": {way_out(state)}"
+            if report.stopped.startswith(_DEAD):
+                todo = f": reset it (Ctrl-X), then {way_out(state)}"
             self._say(f"the machine is in {state}{todo}")
 
     def _reached(self, report: Report) -> int | None:
         """The line that was being made, where the rehearsal can tell."""
         forecast: Forecast | None = None
-        if self._rehearsal and report.place and report.line:
+        if self._rehearsal and report.place and report.place_line:
             forecast = self._rehearsal.wait(_PATIENCE_S)
         if forecast is None:
             return None
         place = [at * self._here.unit_mm() for at in report.place]
-        return forecast.line_at(report.line, place, self._connection.blocks, report.blocks_left)
+        line = report.place_line
+        return forecast.line_at(line, place, self._connection.blocks, report.blocks_left)
 
     def _say(self, words: str) -> None:
         try:
