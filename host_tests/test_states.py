@@ -102,8 +102,9 @@ def test_settings_go_to_stdout_and_come_from_stdin(bench: Bench) -> None:
     assert pushed.exit_code == 0, pushed.output
 
 
-@pytest.mark.parametrize("name", ["nowhere/kept", "."])
+@pytest.mark.parametrize("name", ["file/kept", "."])
 def test_where_a_file_cannot_be_nothing_is_asked(bench: Bench, tmp_path: Path, name: str) -> None:
+    (tmp_path / "file").write_text("")
     done = ugrbl("settings", "pull", tmp_path / name, "--port", bench.port, "--force")
     assert done.exit_code == 1 and not isinstance(done.exception, OSError)
     assert str(tmp_path) in done.output.replace("\n", "") and b"$$" not in bench.wire(">")

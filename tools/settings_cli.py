@@ -1,7 +1,6 @@
 """`ugrbl settings`: a machine's settings as a file, and back."""
 
 import json
-import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -18,6 +17,7 @@ from . import settings_sync as sync
 from .connection import BAUD, Connection, SendError
 from .gcode_file import STDIN
 from .messages import meaning as reply_meaning
+from .outputs import check_outputs
 from .ports import Baud, Port, choose
 from .settings_file import Change, Settings, SettingsError, changes, check_fit, meaning
 
@@ -263,14 +263,10 @@ def _save(text: str, file: Path) -> None:
 
 def check_output(*files: Path | None) -> None:
     """End the command before its work where a file could not be written after it."""
-    for file in files:
-        if file is None or str(file) == STDIN:
-            continue
-        if file.is_dir():
-            raise _failed(f"{file} is a folder: name a file")
-        if not os.access(file if file.exists() else file.absolute().parent, os.W_OK):
-            why = "permission denied" if file.absolute().parent.is_dir() else "no such folder"
-            raise _failed(f"{file} cannot be written: {why}")
+    try:
+        check_outputs(*files)
+    except OSError as error:
+        raise _failed(error) from error
 
 
 @contextmanager
