@@ -150,6 +150,13 @@ def test_the_way_goes_up_across_and_down_at_feed(here: stage.Stage) -> None:
     ]
 
 
+def test_a_machine_that_reports_inches_goes_the_same_way(here: stage.Stage) -> None:
+    in_mm = way(here, 6)
+    here.settings[13] = "1"
+    here.modes = ["F10" if word[0] == "F" else word for word in here.modes]
+    assert way(here, 6) == in_mm
+
+
 def test_a_laser_is_on_only_once_it_is_there(here: stage.Stage) -> None:
     here.settings[32] = "1"
     lines = way(here, 6)

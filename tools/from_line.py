@@ -40,7 +40,6 @@ def approach(lines: Sequence[bytes], number: int, forecast: Forecast, here: Stag
     if forecast.stopped:
         raise CannotEnter(f"the lines before cannot be simulated: {forecast.stopped}")
     there = read(forecast.at_line)
-    there.settings = here.settings
     place = forecast.place_before(number)
     _check_motion(lines[number - 1], number, there.modes)
     way = _Way(here, there, place, max(forecast.highest_mm(number), here.place[2]))
