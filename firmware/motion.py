@@ -193,8 +193,9 @@ class Motion:
         if exact > ticks:
             ticks += 1
         for _ in range(ticks & 0xFFFF):
+            since = self._port.ticks_ms()
             self.service()
-            self._realtime.pause(_DWELL_TICK_MS)
+            self._realtime.pause(_DWELL_TICK_MS - self._port.elapsed_ms(since))
 
     def auto_start(self) -> None:
         """Whatever is planned is to move."""

@@ -170,10 +170,9 @@ class Protocol:
                 realtime.pause(1)
         state.alarm = 0
         if behind:
-            try:
+            if not state.pending[st.RESET]:
                 realtime.events()
-            finally:  # what is said behind the alarm is said behind a reset, too
-                behind()
+            behind()
 
     def _refuse(self, reason: Exception, before: bytes) -> None:
         """Answer a line that has not come to its end."""

@@ -101,10 +101,8 @@ class Realtime:
 
     @micropython.native
     def reset(self) -> None:
-        """Soft reset: tool off and motors stopped at once, the rest in the next run().
-
-        Both stay so, whatever this has interrupted goes on to do, until arm().
-        """
+        """Soft reset: tool off and motors stopped at once, the rest in the next run(). Both stay
+        so, whatever this has interrupted goes on to do, until arm()."""
         try:
             self._port.kill()
         finally:
@@ -193,6 +191,8 @@ class Realtime:
             self._emergency()
         if not (state.pending[st.ANY] or self.settling or self._moving):
             return  # as nearly always
+        if state.pending[st.RESET]:
+            raise Abort  # behind which the loop tells of an alarm
         if self._moving:
             self.watch()  # first: an engine that has failed stands still, too
             if self._engine.idle():
@@ -201,8 +201,6 @@ class Realtime:
             self._settle()
         if not state.posted():
             return
-        if state.pending[st.RESET]:
-            raise Abort  # behind which the loop tells of an alarm
         if state.pending[st.STATUS_REPORT]:
             self._report.send(self._report.status())
             self._pump()
@@ -218,7 +216,6 @@ class Realtime:
     def fail(self, alarm: int, behind: "Callable[[], None] | None" = None) -> None:
         """What a line asks for has failed: an alarm at its end. behind: says more."""
         self._state.alarm = alarm
-        self._state.run = st.ALARM
         self._behind = behind
 
     def stand_down(self) -> "Callable[[], None] | None":

@@ -15,6 +15,7 @@ _SHARED = _HERE.parents[1] / "shared"
 _FOLDERS = (
     _HERE / "conversations",
     _SHARED / "conformance",
+    _SHARED / "conformance-2",
     _SHARED / "conformance-options",
     _SHARED / "conformance-0.9",
 )

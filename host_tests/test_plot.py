@@ -283,7 +283,7 @@ def test_what_cannot_be_drawn_says_why(program: Path, words: list[str], why: str
     before = program.read_bytes()
     done = ugrbl(program, "-o", program.with_name("out.png"), *words)
     assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
-    assert why in " ".join(done.output.split())
+    assert "".join(why.split()) in "".join(done.output.split())
     assert "--set" in words or "--board" in words or "lines" not in done.output, "before the work"
     assert program.read_bytes() == before
 
@@ -301,7 +301,7 @@ def test_what_is_no_program_is_not_drawn(program: Path, data: bytes) -> None:
     program.write_bytes(data)
     done = ugrbl(program, "-o", program.with_name("out.png"))
     assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
-    assert str(program) in done.output.replace("\n", "")
+    assert program.name in done.output
 
 
 def test_a_program_that_moves_nothing_is_drawn(program: Path) -> None:

@@ -9,6 +9,7 @@ import json
 import os
 import queue
 import shutil
+import statistics
 import subprocess
 import sys
 import threading
@@ -53,6 +54,7 @@ class Outcome:
     differences: list[str] = field(default_factory=list)
     expected: list[Json] = field(default_factory=list)
     got: list[Json] = field(default_factory=list)
+    times_s: tuple[float, float] | None = None  # of a motion record: Grbl's, ours
 
 
 @dataclass
@@ -74,6 +76,11 @@ class Results:
         failed = Counter(outcome.category for outcome in self.failures())
         return {name: (total[name] - failed[name], total[name]) for name in sorted(total)}
 
+    def time_ratios(self) -> list[float]:
+        """How long each motion took, measured by Grbl's time; in order."""
+        times = [outcome.times_s for outcome in self.outcomes if outcome.times_s]
+        return sorted(ours / grbls for grbls, ours in times if grbls)
+
     def ok(self) -> bool:
         return bool(self.required()) and not self.failures()
 
@@ -93,6 +100,7 @@ class Results:
                 for o in self.outcomes
                 if o.skipped
             ],
+            "time ratios": self.time_ratios(),
             "differences": dict(Counter(d for o in self.outcomes for d in o.differences)),
         }
 
@@ -196,6 +204,7 @@ def judge(category: str, case: Json, observed: Json, lenient: bool = False) -> O
     if "program" in case:
         if "samples" in observed:
             outcome.wrong = judge_motion(case, observed, outcome.differences)
+            outcome.times_s = case["duration_s"], observed["duration_s"]
         else:
             outcome.wrong = trouble(observed)
     else:
@@ -317,6 +326,13 @@ def show(results: Results, console: Console, most: int = 20) -> None:
     console.print(
         f"{required - len(results.failures())} of {required} conform, {skipped} not required"
     )
+    if ratios := results.time_ratios():
+        low, middle, high = ratios[0], statistics.median(ratios), ratios[-1]
+        console.print(
+            f"{len(ratios)} motions take {middle:.4f} of Grbl's time, the median, "
+            f"{low:.3f} to {high:.3f}",
+            highlight=False,
+        )
     used = Counter(name for outcome in results.outcomes for name in outcome.differences)
     for name, count in used.items():
         console.print(f"named difference {name}: {count} times", highlight=False)

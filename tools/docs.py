@@ -18,6 +18,7 @@ import typer
 from . import __version__, build, differences, excuses, messages, paths
 
 README = paths.FIRMWARE.parent / "README.md"
+PAGES = (README, README.parent / "docs" / "conformance.md")  # those with tables
 PACKAGE = README.with_name("package.json")
 PICTURE = paths.EXAMPLES / "badge.png"
 _DRAWN = Path("build/badge.png")
@@ -379,8 +380,9 @@ def _renew(file: Path, new: str) -> None:
 def main(
     picture: Annotated[bool, typer.Option("--picture", help=f"Keep {_DRAWN} as well.")] = False,
 ) -> None:
-    """Bring the README's tables, and package.json, up to date."""
-    _renew(README, update(README.read_text(encoding="utf-8")))
+    """Bring the tables in README and docs/, and package.json, up to date."""
+    for page in PAGES:
+        _renew(page, update(page.read_text(encoding="utf-8")))
     _renew(PACKAGE, package())
     if picture:
         _keep_picture()

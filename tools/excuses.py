@@ -110,7 +110,7 @@ CASES = (
     ),
     Excuse(
         "jog as a startup line",
-        "`$N0=$J=…` is refused; Grbl keeps it, and moves at each start.",
+        "$N0=$J= is refused; Grbl keeps it, and moves at each start.",
         _startup_jog,
         lambda _lines: [],
     ),

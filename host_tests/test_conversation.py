@@ -1,0 +1,234 @@
+"""What Grbl says, and when, where one would expect it otherwise: see ../shared/GRBL-FACTS.md."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from test_settings_effects import Bench
+
+_WELCOME = ["", "Grbl 1.1h ['$' for help]"]
+_LOCKED = "[MSG:'$H'|'$X' to unlock]"
+
+Script = Iterator[Any]
+
+
+def fields(report: "list[str]") -> "dict[str, str]":
+    """Of the last line, a status report; the state is under ""."""
+    state, *rest = report[-1][1:-1].split("|")
+    return {"": state, **dict(field.split(":", 1) for field in rest)}
+
+
+def status(bench: Bench) -> Script:
+    return fields((yield from bench.say("?", "report")))
+
+
+def both_reports(bench: Bench) -> Script:
+    """Two status reports later all that is shown now and then has been shown."""
+    yield from status(bench)
+    yield from status(bench)
+
+
+@pytest.mark.parametrize("line", ["$10=1", "$13=1"])
+def test_a_setting_that_changes_what_offsets_look_like_has_them_shown_again(line: str) -> None:
+    bench = Bench({})
+
+    def script() -> Script:
+        yield from both_reports(bench)
+        assert "WCO" not in (yield from status(bench))
+        yield from bench.say(line + "\n")
+        assert ("WCO" in (yield from status(bench))) == line.startswith("$13")
+
+    bench.run(script())
+
+
+def test_what_a_startup_line_says_is_inside_its_echo() -> None:
+    bench = Bench({})
+
+    def script() -> Script:
+        yield from bench.say("$N0=M30\n")
+        bench.rig.cycle_power()
+        said = yield from bench.say("", "ms 200")
+        assert said == [*_WELCOME, "[MSG:Pgm End]", ">M30:ok"]
+
+    bench.run(script())
+
+
+def test_a_startup_line_that_moves_is_answered_when_it_has() -> None:
+    bench = Bench({})
+
+    def script() -> Script:
+        assert (yield from bench.say("$N0=G91G1X1F500\n", "ok")) == ["ok"]
+        assert not bench.rig.moving()
+        assert (yield from bench.say("$N0=\n", "ok")) == ["ok"]
+
+    bench.run(script())
+
+
+def test_motors_that_stay_powered_are_so_right_behind_a_reset() -> None:
+    bench = Bench({1: 255})
+
+    def script() -> Script:
+        yield from bench.say("\x18", "banner")
+        yield bench.rig.ms(100)
+        assert bench.port.enable_pin == 0
+
+    bench.run(script())
+
+
+def test_an_override_of_the_spindle_shows_while_it_moves() -> None:
+    bench = Bench({})
+
+    def script() -> Script:
+        yield from bench.say("M3S500\nG91G1X20F300\n", "ok")
+        yield bench.rig.ms(300)
+        yield from bench.say("\x9a", "ms 30")
+        assert (yield from status(bench))["FS"] == "300,550"
+
+    bench.run(script())
+
+
+@pytest.mark.parametrize("stop", ["!", "\x84"])
+@pytest.mark.parametrize(("mode", "at_rest"), [("M3", "0,500"), ("M4", "0,0")])
+def test_a_laser_comes_back_with_the_motion(stop: str, mode: str, at_rest: str) -> None:
+    bench = Bench({32: 1})
+
+    def script() -> Script:
+        yield from bench.say(mode + "S500\nG91G1X3F300\n", "ok")
+        yield bench.rig.ms(200)
+        yield from bench.say(stop, "ms 400")
+        assert (yield from status(bench))["FS"] == "0,0" and not bench.port.spindle_pwm
+        yield from bench.say("~", "ms 150")
+        assert bench.port.spindle_pwm
+        yield from bench.say("", "idle")
+        assert (yield from status(bench))["FS"] == at_rest
+        assert bool(bench.port.spindle_pwm) == (mode == "M3")
+
+    bench.run(script())
+
+
+def test_homing_leaves_the_spindle_off_and_says_so() -> None:
+    bench = Bench({22: 1})
+
+    def script() -> Script:
+        yield from bench.unlock()
+        yield from bench.say("M3S500\n")
+        assert (yield from status(bench))["FS"] == "0,500"
+        yield from bench.say("$H\n")
+        assert (yield from status(bench))["FS"] == "0,0" and not bench.port.spindle_pwm
+        yield from bench.say("M3S500\n")  # nothing new: nothing is switched
+        assert not bench.port.spindle_pwm
+
+    bench.run(script())
+
+
+def test_requests_in_one_burst_with_empty_lines_are_answered_before_these() -> None:
+    bench = Bench({})
+
+    def script() -> Script:
+        said = yield from bench.say("?\n?\n?\n", "ms 200")
+        kinds = ["report" if line.startswith("<") else line for line in said]
+        assert kinds[0] == "report" and kinds[-3:] == ["ok"] * 3 and len(kinds) <= 6, said
+
+    bench.run(script())
+
+
+@pytest.mark.parametrize("many", [1, 2, 3, 4])
+@pytest.mark.parametrize("where", ["", "G4P1", "G91G1X20F300"])
+def test_each_byte_of_a_burst_of_overrides_counts(many: int, where: str) -> None:
+    bench = Bench({})
+
+    def script() -> Script:
+        if where:
+            yield from bench.say(where + "\n", "ms 100")
+        yield from bench.say("\x91" * many + "\x9d" * many, "ms 200")
+        yield from bench.say("", "idle")
+        controller = bench.rig.controller
+        assert controller.state.feed_override == 100 + 10 * many
+        assert controller.state.spindle_override == 100 - many
+
+    bench.run(script())
+
+
+@pytest.mark.parametrize("sent", ["G1X1F500\n", "$X\n", "?", "$$\n"])
+def test_what_comes_right_behind_an_alarm_is_not_executed(sent: str) -> None:
+    """Half a second long nothing is answered, and the reset forgets it."""
+    bench = Bench({})
+
+    def script() -> Script:
+        yield from bench.say("G91G1X20F300\n", "ok")
+        yield bench.rig.ms(200)
+        assert (yield from bench.say("\x18", "ms 100")) == ["ALARM:3"]
+        assert (yield from bench.say(sent, "ms 350")) == []
+        assert (yield from bench.say("", "banner")) == [*_WELCOME, _LOCKED]
+        assert (yield from bench.say("", "ms 500")) == []
+        assert not bench.rig.moving()
+
+    bench.run(script())
+
+
+def test_a_probe_that_finds_nothing_says_so_in_this_order() -> None:
+    bench = Bench({})
+
+    def script() -> Script:
+        said = yield from bench.say("G38.2X1F500\n", "ms 1200")
+        assert said == ["ALARM:5", "[PRB:0.000,0.000,0.000:0]", "ok"]
+        assert (yield from status(bench))[""] == "Alarm"
+
+    bench.run(script())
+
+
+def test_a_reset_while_the_alarm_of_a_probe_is_told_comes_behind_it() -> None:
+    bench = Bench({})
+
+    def script() -> Script:
+        said = yield from bench.say("G38.2X1F500\n", "ms 300")
+        while said != ["ALARM:5"]:
+            assert not said
+            said = yield from bench.say("", "ms 20")
+        said = yield from bench.say("\x18", "ms 900")
+        assert said == ["[PRB:0.000,0.000,0.000:0]", "ok", *_WELCOME, _LOCKED]
+
+    bench.run(script())
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_probe_ends_at_its_contact_with_either_polarity(level: int) -> None:
+    bench = Bench({6: level})
+
+    def script() -> Script:
+        bench.port.push({"probe": bool(level)})
+        yield from bench.say("G91G38.2X5F300\n", "ms 300")
+        bench.port.push({"probe": not level})
+        said = yield from bench.say("", "ms 400")
+        assert said[0].startswith("[PRB:") and said[0].endswith(":1]") and said[1:] == ["ok"]
+        bench.port.push({"probe": bool(level)})
+        assert (yield from bench.say("G91G38.3X0.1F300\n", "ms 1500"))[-1] == "ok"
+        assert (yield from status(bench))[""] == "Idle"
+
+    bench.run(script())
+
+
+def test_a_dwell_hears_a_hold_at_its_next_tick() -> None:
+    bench = Bench({})
+
+    def script() -> Script:
+        assert (yield from bench.say("G4P0.5\n", "ms 110")) == []
+        yield from bench.say("!", "ms 60")
+        assert fields((yield from bench.say("?", "report")))[""] == "Hold:0"
+        yield from bench.say("~", "ms 600")
+        assert (yield from status(bench))[""] == "Idle"
+
+    bench.run(script())
+
+
+def test_no_laser_that_follows_the_speed_is_lit_at_rest() -> None:
+    """Moves of all lengths: it stayed on behind one of sixty."""
+    bench = Bench({32: 1})
+
+    def script() -> Script:
+        yield from bench.say("M4S500\n")
+        for hundredths in range(1, 120, 2):
+            yield from bench.say(f"G91G1X{hundredths / 100}F600\n")
+            assert not bench.port.spindle_pwm and not bench.port.spindle_on, hundredths
+
+    bench.run(script())
