@@ -41,6 +41,10 @@ _CTRL_X = const(24)
 # A host that does not read for so long is taken for absent, and is not waited for any more.
 _DEAF_MS = const(250)
 
+# An Arduino is silent for longer after it has been opened, and senders count on it: the Universal
+# G-Code Sender begins twice where it is greeted before it has noted that it has begun.
+_GREET_MS = const(300)
+
 # Answers of a line wait for others, up to so many bytes, and until nothing has come for so many
 # turns: to send takes USB as long as a line takes to be read. What is longer is sent at once.
 _OUT_BYTES = const(64)
@@ -64,11 +68,12 @@ _LINE = const(4)  # where the host's control lines are (link_ring.py); 0: not kn
 _TAKING = const(5)  # whether the main loop is taking bytes out of the ring,
 _DTR = const(6)  # whether the port is open,
 _USED = const(7)  # has been before,
-_OPENED = const(8)  # and has been opened once more,
+_OPENED = const(8)  # and has been opened once more: JUST now, or a while ago,
 _ESCAPES = const(9)  # whether bytes taken are such as ask for the prompt,
 _FULL = const(10)  # whether the ring was so full that more may wait behind it, and
 _LENGTH = const(11)  # how much waits to be sent.
 _REMEMBERED = const(12)
+_JUST = const(1)
 
 # The last request of the host, in the memory of RP2040's and RP2350's USB: requests that tell
 # of the port being open or not (its DTR), that come with opening alone, and that the cable has
@@ -106,8 +111,8 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
         count += 1
     shorts[3] = get
     at[_TAKING] = 0
-    noted = at[_ESCAPES] if count else at[_LENGTH] | at[_FULL] | at[_OPENED]
-    return count | _NOTE if noted | at[_STOPPED] else count
+    noted = at[_ESCAPES] if count else at[_LENGTH] | at[_FULL]
+    return count | _NOTE if noted | at[_OPENED] | at[_STOPPED] else count
 
 
 @micropython.viper
@@ -146,7 +151,7 @@ class UsbLink:
         self._deaf = False
         self._byte = bytearray(1)
         self._waiting_out = bytearray(_OUT_BYTES)
-        self._turns = 0
+        self._turns = self._since = 0
         self._escape = Escape(self.close)
         self.shared = self._at = array.array("i", (0 for _ in range(_REMEMBERED)))
         if sys.platform == "rp2":
@@ -236,6 +241,8 @@ class UsbLink:
         at = self._at
         if at[_STOPPED]:
             self.come_back()
+        if at[_OPENED]:
+            self._greet(count)
         if count:
             at[_ESCAPES] = 0
             self._escape.listen(buf, count)
@@ -248,10 +255,18 @@ class UsbLink:
         if at[_FULL]:
             at[_FULL] = 0
             self._waiting()  # to ask fills the ring
-        if at[_OPENED]:
+        return 0
+
+    def _greet(self, count: int) -> None:
+        """A program has opened the port: greet it when it says something, or in a while, unless
+        it has come back to a job."""
+        at = self._at
+        if at[_OPENED] == _JUST:
+            at[_OPENED] = _JUST + 1 if self._escape.at_rest() else 0
+            self._since = time.ticks_ms()
+        if at[_OPENED] and (count or time.ticks_diff(time.ticks_ms(), self._since) >= _GREET_MS):
             at[_OPENED] = 0
             self._on_open()
-        return 0
 
     def _waiting(self) -> bool:
         for _ in self._arrived.ipoll(0):

@@ -201,6 +201,8 @@ class Realtime:
             self._settle()
         if not state.posted():
             return
+        if state.pending[st.RESET]:
+            raise Abort  # it has come since
         if state.pending[st.STATUS_REPORT]:
             self._report.send(self._report.status())
             self._pump()

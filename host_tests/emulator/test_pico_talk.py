@@ -90,10 +90,24 @@ def test_a_sender_that_opens_the_port_again_is_welcomed(machine: Board) -> None:
     machine.pico.run_us(20_000)
     assert machine.said == ""
     machine.pico.usb.open_port(True)
-    machine.wait_for("Grbl 1.1h ['$' for help]\r\n", 50_000)
+    machine.pico.run_us(250_000)
+    assert machine.said == ""  # senders get ready first
+    machine.wait_for("Grbl 1.1h ['$' for help]\r\n", 100_000)
     machine.pico.run_us(50_000)
     assert machine.said.count("Grbl") == 1
     assert machine.ask("G90") == "ok\r\n"
+
+
+def test_a_sender_that_says_something_at_once_is_welcomed_before_its_answer(
+    machine: Board,
+) -> None:
+    machine.forget()
+    machine.pico.usb.open_port(False)
+    machine.pico.run_us(20_000)
+    machine.pico.usb.open_port(True)
+    machine.pico.run_us(20_000)
+    said = machine.ask("G90")
+    assert said.index("Grbl 1.1h") < said.index("ok\r\n")
 
 
 def test_a_sender_that_comes_back_to_a_job_is_not_told_of_a_reset(machine: Board) -> None:

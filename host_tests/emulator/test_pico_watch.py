@@ -124,7 +124,7 @@ def opens_again(machine: Board, closing: "list[int | None]", opening: "list[int 
             machine.pico.usb.ask(request)
             machine.pico.run_us(300)  # all within one look of the firmware's
         machine.pico.run_us(20_000)
-    machine.pico.run_us(30_000)
+    machine.pico.run_us(330_000)  # a sender that says nothing is greeted in a while
     return machine.said.count("Grbl 1.1h")
 
 
