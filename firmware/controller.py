@@ -167,7 +167,15 @@ class Controller:
         """What a soft reset does, and power-up at last. Raises Abort where another one comes."""
         self._reset()
         self.realtime.settle()
+        self._keep()
         self._greet()
+
+    def _keep(self) -> None:
+        """Write what a line had to keep that a reset has cut short; the machine is at rest."""
+        try:
+            self.saves.finish()
+        except OSError:
+            self.report.message(errors.MSG_NOT_KEPT)
 
     def _reset(self) -> None:
         state = self.state

@@ -232,3 +232,29 @@ def test_no_laser_that_follows_the_speed_is_lit_at_rest() -> None:
             assert not bench.port.spindle_pwm and not bench.port.spindle_on, hundredths
 
     bench.run(script())
+
+
+def test_what_a_reset_has_cut_short_is_kept_at_rest() -> None:
+    bench = Bench({})
+    written: list[bool] = []
+
+    def script() -> Script:
+        controller = bench.rig.controller
+        save = bench.rig.store.save
+
+        def noted(name: str, lines: "list[str]") -> None:
+            written.append(bench.rig.moving())
+            save(name, lines)
+
+        bench.rig.store.save = noted
+        apply = controller.gcode._offsets_changed
+
+        def cut() -> None:
+            controller.realtime.reset()
+            apply()
+
+        controller.gcode._offsets_changed = cut
+        yield from bench.say("G10L2P1X1\n", "banner")
+        assert written == [False]
+
+    bench.run(script())
