@@ -137,6 +137,7 @@ class Stream:
         self._sent = 0
         self._unanswered: deque[int] = deque()  # their lengths
         self._polled = 0.0
+        self._rests = 0  # status reports in a row, behind the last answer, that say it is at rest
         self._why_hold = ""
         self._asking = False
         self._told = ""  # the state that the user has been told of
@@ -196,9 +197,12 @@ class Stream:
             self._connection.write(keys)
 
     def _finished(self) -> bool:
-        """Everything is answered, and a status report that came after that says so, too."""
-        done = self._sent == len(self._lines) and not self._unanswered
-        return done and self._connection.state() in _ENDED
+        """All is answered, and two status reports behind that say so, too: the first may have come
+        before the last motion began."""
+        return self._all_answered() and self._rests >= 2
+
+    def _all_answered(self) -> bool:
+        return self._sent == len(self._lines) and not self._unanswered
 
     def _fill(self) -> None:
         while self._sent < len(self._lines):
@@ -231,6 +235,7 @@ class Stream:
         elif line.startswith("Grbl "):
             report.stopped = "the controller was reset"
         elif line.startswith("<"):
+            self._rests = self._rests + 1 if self._connection.state() in _ENDED else 0
             self._note_place()
             self._view.progress(report.answered, line)
             self._tell_state(self._connection.state())
@@ -240,6 +245,7 @@ class Stream:
     def _answered(self, answer: str) -> None:
         self._unanswered.popleft()
         self._connection.status = ""  # it may be older than the answer
+        self._rests = 0
         line = self._lines[self.report.answered]
         self.report.answered += 1
         self.report.line = line.number
@@ -261,7 +267,7 @@ class Stream:
 
     def _tell_state(self, state: str) -> None:
         """Say why nothing moves, once."""
-        if state == "Sleep" and not self._finished():
+        if state == "Sleep" and not self._all_answered():
             self.report.stopped = f"the machine has gone to sleep: {way_out(state)}"
         if not is_deaf(state) or self._why_hold:
             self._told = ""

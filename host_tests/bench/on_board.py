@@ -34,7 +34,7 @@ import report
 
 found = {}
 acts = {}
-usual = commands.Commands.execute
+usual = commands.Commands.whose
 
 
 def keep(kind, name):
@@ -47,14 +47,15 @@ def keep(kind, name):
     setattr(kind, name, kept)
 
 
-def execute(self, line, length):
+def whose(self, line, length):
     name, _, value = bytes(line[1:length]).partition(b"=")
     act = acts.get(name)
     if act:
         numbers = act(int(value or b"0"))
         found[report.Report].message(" ".join([str(x) for x in numbers]) + ".")
     else:
-        usual(self, line, length)
+        return usual(self, line, length)
+    return lambda line, length: None
 
 
 def since(start):
@@ -63,7 +64,7 @@ def since(start):
 
 keep(report.Report, "banner")
 keep(planner.Planner, "configure")
-commands.Commands.execute = execute
+commands.Commands.whose = whose
 """
 
 # $FREE; $COLLECT=n: mean and longest of n collections, us; $ALLOC: bytes on the heap; $GC=0 or 1:

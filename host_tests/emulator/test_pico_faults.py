@@ -29,10 +29,10 @@ def next(self, row):
 
 segments.Segments.next = next
 
-usual = commands.Commands.execute
+usual = commands.Commands.whose
 
 
-def execute(self, line, length):
+def whose(self, line, length):
     what = bytes(line[1:length])
     if what == b"FAULT":
         [][1]
@@ -46,10 +46,11 @@ def execute(self, line, length):
         while time.ticks_diff(time.ticks_ms(), since) < 200:
             pass
     else:
-        usual(self, line, length)
+        return usual(self, line, length)
+    return lambda line, length: None
 
 
-commands.Commands.execute = execute
+commands.Commands.whose = whose
 power_up.live(power_up.build())
 """
 

@@ -24,18 +24,19 @@ import gc
 import commands
 import power_up
 
-usual = commands.Commands.execute
+usual = commands.Commands.whose
 
 
-def execute(self, line, length):
+def whose(self, line, length):
     if line[1] == 77:
         gc.collect()
         self._report.message("free %d." % gc.mem_free())
     else:
-        usual(self, line, length)
+        return usual(self, line, length)
+    return lambda line, length: None
 
 
-commands.Commands.execute = execute
+commands.Commands.whose = whose
 machine = power_up.live(power_up.build())
 """
 
