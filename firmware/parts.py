@@ -112,10 +112,21 @@ def _hardware(board: "ModuleType", link: "Any") -> "tuple[StepEngine, Any]":
         engine = PioEngine(board.STEP, board.DIR, hold_us, setup_us)
         port = GpioPort(board)
         engine.on_fault = port.kill
+        _forget_programs()
         return engine, port
     from parts_esp import make
 
     return make(board, link)
+
+
+def _forget_programs() -> None:
+    """What made the PIO's programs, MicroPython's own part too: nearly 2 kB."""
+    import __main__
+
+    for name in ("rp2", "pio.programs"):
+        sys.modules.pop(name, None)
+    sys.modules["pio"].__dict__.pop("programs", None)
+    __main__.__dict__.pop("rp2", None)  # MicroPython's start has left it there
 
 
 def _build(

@@ -99,7 +99,6 @@ class Realtime:
             self._state.count(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
             self._state.post(st.OVERRIDE)
 
-    @micropython.native
     def reset(self) -> None:
         """Soft reset: tool off and motors stopped at once, the rest in the next run(). Both stay
         so, whatever this has interrupted goes on to do, until arm()."""

@@ -80,7 +80,6 @@ class Supervisor:
         """The main loop may be away for so much longer, this time."""
         self._shared[_AWAY] = -ms
 
-    @micropython.native  # which needs half the stack
     def _beat(self, _timer: object) -> None:
         """Interrupt. Catches all, for MicroPython would not call it again."""
         shared = self._shared

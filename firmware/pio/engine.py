@@ -22,10 +22,9 @@ import sys
 
 import machine
 import micropython
-import rp2
 from micropython import const
 
-from pio import programs, pulses
+from pio import pulses
 from pio.hub import Memory, append, feed, look
 from pio.stops import arm, call, halt, position, trouble
 
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
     from array import array
     from collections.abc import Callable
 
+    import rp2
     from interfaces import NextSegment
 
 _TICK_HZ = const(12_500_000)
@@ -111,11 +111,23 @@ class PioEngine:
         self._hub = self._memory.hub
         self._rows = self._memory.rows
         self._machines = [self._make_machine(i) for i in range(len(step))]
+        # A board forgets both modules once the engine is there.
+        import rp2
+
+        from pio import programs
+
+        self._pio1 = rp2.PIO(1)
         self._clock = rp2.StateMachine(4 + _CLOCK, programs.clock, freq=_TICK_HZ)
-        self._memory.programs_at(programs.stepper[1], programs.clock[2])
+        self._memory.programs_at(
+            programs.stepper[1] + programs.NEXT, programs.clock[2] + programs.CLOCK_PULL
+        )
         self.on_fault: "Callable[[], object]" = lambda: None
 
     def _make_machine(self, axis: int) -> "tuple[rp2.StateMachine, rp2.DMA]":
+        import rp2
+
+        from pio import programs
+
         stepper = rp2.StateMachine(
             axis,
             programs.stepper,
@@ -165,7 +177,7 @@ class PioEngine:
     def arm(self) -> None:
         """Motion is possible again, after power-up or stop(). For the main loop."""
         # Anew: MicroPython may have taken the interrupt away from us.
-        rp2.PIO(1).irq(self._turn, trigger=rp2.PIO.IRQ_SM3, hard=True)
+        self._pio1.irq(self._turn, trigger=self._pio1.IRQ_SM3, hard=True)
         arm(self._hub)
 
     def start(self) -> None:

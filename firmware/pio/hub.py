@@ -13,7 +13,7 @@ import micropython
 from kernels import row_length
 from micropython import const
 
-from pio import programs, pulses
+from pio import pulses
 from pio.pulses import convert, cut
 
 _HALF_TICKS_PER_US = const(25)
@@ -394,6 +394,6 @@ class Memory:
         machine.mem32[at + _CREDITS] = 0  # counted anew: the FIFO is empty
 
     def programs_at(self, stepper: int, clock: int) -> None:
-        """Where in the PIOs the programs begin."""
-        self.hub[_STEPPER_AT] = stepper + programs.NEXT
-        self.hub[_CLOCK_AT] = clock + programs.CLOCK_PULL
+        """Where in the PIOs their machines pull new words."""
+        self.hub[_STEPPER_AT] = stepper
+        self.hub[_CLOCK_AT] = clock
