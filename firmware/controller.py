@@ -117,14 +117,10 @@ class Controller:
         self.realtime.power(True)
 
     def _loads(self, load: "Callable[[], bool | None]") -> "bool | None":
-        """Read something that is kept. What cannot be kept is as it has to be, until power off."""
-        try:
-            whole = load()
-            self.saves.finish()
-            return whole
-        except OSError:
-            self.report.message(errors.MSG_NOT_KEPT)
-            return False
+        """Read something that is kept, or begin to keep it."""
+        whole = load()
+        self._keep()
+        return whole
 
     def at_rest(self) -> bool:
         """Nothing moves or is going to."""
@@ -167,11 +163,11 @@ class Controller:
         """What a soft reset does, and power-up at last. Raises Abort where another one comes."""
         self._reset()
         self.realtime.settle()
-        self._keep()
+        self._keep()  # what a reset has cut short
         self._greet()
 
     def _keep(self) -> None:
-        """Write what a line had to keep that a reset has cut short; the machine is at rest."""
+        """Write what is due. What cannot be kept is as it has to be, until power off."""
         try:
             self.saves.finish()
         except OSError:
