@@ -78,7 +78,6 @@ class Realtime:
     ) -> None:
         """Say whom to call: pump reads the link, resync copies the machine's position to all."""
         self._port = port
-        self._tell = self._tell_fault  # to take it as a value allocates
         self._estop = port.estop
         self._pump = pump
         self._resync = resync
@@ -161,7 +160,6 @@ class Realtime:
     def on_fault(self) -> None:
         """A callback of the port has raised. Interrupt."""
         self._state.alarm = errors.ALARM_INTERNAL
-        self._behind = self._tell
         self.reset()
 
     # What answers, in the main loop
@@ -231,7 +229,7 @@ class Realtime:
                 self.settling = False  # motors stay powered up to the reset
         state.run = st.ALARM
         behind, self._behind = self._behind, None
-        return behind
+        return self._tell_fault if state.alarm == errors.ALARM_INTERNAL else behind
 
     def pause(self, milliseconds: int) -> None:
         """Wait: bytes are taken in, and nothing is answered."""
