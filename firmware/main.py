@@ -2,4 +2,6 @@
 
 import power_up
 
+rp2 = None  # MicroPython's start leaves its module here, which takes a kilobyte
+
 machine = power_up.live(power_up.build())  # ends at the prompt, where one may look at it

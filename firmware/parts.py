@@ -121,12 +121,9 @@ def _hardware(board: "ModuleType", link: "Any") -> "tuple[StepEngine, Any]":
 
 def _forget_programs() -> None:
     """What made the PIO's programs, MicroPython's own part too: nearly 2 kB."""
-    import __main__
-
     for name in ("rp2", "pio.programs"):
         sys.modules.pop(name, None)
     sys.modules["pio"].__dict__.pop("programs", None)
-    __main__.__dict__.pop("rp2", None)  # MicroPython's start has left it there
 
 
 def _build(

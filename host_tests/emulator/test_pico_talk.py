@@ -37,6 +37,7 @@ def whose(self, line, length):
 
 
 commands.Commands.whose = whose
+rp2 = None  # as the firmware's own main.py
 machine = power_up.live(power_up.build())
 """
 
