@@ -53,6 +53,16 @@ _TIME = SimpleNamespace(
 )
 
 
+def heard(said: "Iterable[str]") -> "tuple[dict[str, Row], bool]":
+    """The rows that are in these lines, by their names, and whether all have come."""
+    rows: dict[str, Row] = {}
+    hearer = Hearer(lambda row: rows.update({row.what: row}))
+    for line in said:
+        hearer.line(line)
+    hearer.close()
+    return rows, hearer.ended
+
+
 class Bench:
     """Runs what is sent to a board of that name."""
 
@@ -83,11 +93,7 @@ class Bench:
         self._file.write_text(program.checks(self.chip, _AMOUNTS, pwm, seed))
         names: dict[str, Any] = {"print": said.append}
         exec(compile(self._file.read_text(), str(self._file), "exec"), names)
-        hearer = Hearer(lambda row: self.rows.update({row.what: row}))
-        for line in said:
-            hearer.line(line)
-        hearer.close()
-        self.ended = hearer.ended
+        self.rows, self.ended = heard(said)
         return self.rows
 
 
@@ -144,12 +150,8 @@ def test_all_checks_pass_under_micropython(tmp_path: Path) -> None:
     sent.write_text(program.checks(program.ESP32, amounts, True, 7))
     (tmp_path / "talk.json").write_text(json.dumps([["", "Grbl"]]))
     said = run_micropython(_BOOT, "esp32_devkit", str(tmp_path), f"RUN = {str(sent)!r}")
-    rows: dict[str, Row] = {}
-    hearer = Hearer(lambda row: rows.update({row.what: row}))
-    for line in said.splitlines():
-        hearer.line(line)
-    hearer.close()
-    assert hearer.ended and failed(rows.values()) == []
+    rows, ended = heard(said.splitlines())
+    assert ended and failed(rows.values()) == []
     assert rows["steps at the highest, all axes"].passed
 
 
@@ -372,11 +374,7 @@ def test_a_hang_ends_by_the_watchdog_and_steps_have_ended_long_before(
     sent.write_text(program.hang(program.ESP32, True))
     (tmp_path / "talk.json").write_text(json.dumps([["", "Grbl"]]))
     said = run(_BOOT, "esp32_devkit", str(tmp_path), f"RUN = {str(sent)!r}")
-    rows: dict[str, Row] = {}
-    hearer = Hearer(lambda row: rows.update({row.what: row}))
-    for line in said.splitlines():
-        hearer.line(line)
-    hearer.close()
+    rows, _ = heard(said.splitlines())
     assert list(rows) == ["hang on purpose: steps", "hang on purpose: spindle"]
     assert failed(rows.values()) == []
     assert "the watchdog starts the chip anew" in said

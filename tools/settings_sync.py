@@ -9,7 +9,6 @@ from .settings_file import Change, Firmware, Settings, changes
 _ANSWER_S = 5.0
 # States in which Grbl answers all questions about itself.
 QUIET = ("Idle", "Alarm")
-_HOMING = 22
 _SOFT_LIMITS = 20
 
 
