@@ -1,6 +1,6 @@
 """What MicroPython runs at power-up. It wants this file as source, so the rest is elsewhere."""
 
-import power_up
+from boot import power_up
 
 rp2 = None  # MicroPython's start leaves its module here, which takes a kilobyte
 

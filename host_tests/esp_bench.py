@@ -15,7 +15,7 @@ from typing import Any
 import esp32
 import esp_machine
 from esp_clock import clock
-from kernels import ROW_AXES, ROW_STRIDE, row_length
+from motion.kernels import ROW_AXES, ROW_STRIDE, row_length
 from ugrbl.sim import engine as sim_engine
 from ugrbl.sim.engine import Switch
 
@@ -31,17 +31,17 @@ def _load() -> "tuple[Any, Any, Any, Any, Any]":
             ticks_us=clock.ticks_us, ticks_ms=clock.ticks_ms, ticks_diff=clock.ticks_diff
         ),
     }
-    pins = ("gpio_inputs", "gpio_port", "gpio_esp")
+    pins = ("ports.input_pins", "ports.port", "esp_chip.pins")
     hidden = {name: sys.modules.pop(name, None) for name in (*stand_ins, *pins)}
     sys.modules.update(stand_ins)
     try:
-        import gpio_esp
-        import gpio_port
         from esp_chip import i2s, rmt, start
+        from esp_chip import pins as gpio_esp
+        from ports import port as gpio_port
     finally:
         for name, module in hidden.items():
             if module is None:
-                del sys.modules[name]
+                sys.modules.pop(name, None)
             else:
                 sys.modules[name] = module
     return i2s, rmt, start, gpio_esp, gpio_port

@@ -243,13 +243,18 @@ def run(path: str) -> None:
 def main() -> None:
     name, folder, *lines = sys.argv[1:]
     wire = esp_stdio.Wire()
-    load({"machine": esp_machine, "time": Time}, "gpio_esp", "gpio_check", "esp_chip.start")
+    load(
+        {"machine": esp_machine, "time": Time},
+        "esp_chip.pins",
+        "ports.pin_check",
+        "esp_chip.start",
+    )
     modules = {"machine": esp_machine, "time": Time, "sys": chip(name)}
     load(modules, "esp_chip.i2s", "esp_chip.rmt")
-    load({"os": wire.os()}, "link_escape")
-    load({"sys": wire.sys(), "select": wire.select()}, "link_uart")
-    load({"sys": wire.sys(), "machine": esp_machine}, "supervisor")
-    import store_flash
+    load({"os": wire.os()}, "ports.escape")
+    load({"sys": wire.sys(), "select": wire.select()}, "ports.uart_link")
+    load({"sys": wire.sys(), "machine": esp_machine}, "ports.supervisor")
+    from ports import flash_store as store_flash
 
     real_store = store_flash.FlashStore
 

@@ -14,15 +14,14 @@ from math import inf, sqrt
 from types import SimpleNamespace
 from typing import Any
 
-import kernels
-import reals
-from f32 import vector
+from base.f32 import vector
+from base.state import State
 from hypothesis import settings
-from kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
-from plain import Plain
-from planner import Move, Planner
-from segments import Segments
-from state import State
+from language.fast_path import Plain
+from motion import kernels, reals
+from motion.kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
+from motion.planner import Move, Planner
+from motion.segments import Segments
 from ugrbl.sim.engine import step_tick
 
 TICK_HZ = 13_107_200

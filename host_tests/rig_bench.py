@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
-import state as st
+from base import state as st
 from laws import Limits, Watch
 from ugrbl.machine import load_board
 from ugrbl.sim.replay import Sender, factory_store

@@ -138,19 +138,26 @@ def needed(**words: str) -> set[str]:
 
 def test_a_board_gets_what_it_can_use() -> None:
     pico, i2s, rmt = needed(), needed(ENGINE="i2s", LINK="uart"), needed(ENGINE="rmt")
-    assert {"main.py", "gpio.py", "link_usb.py", "pio/engine.py", "pio/__init__.py"} < pico
-    assert not any(name.startswith(("esp", "gpio_esp", "link_uart", "punch")) for name in pico)
-    assert {"esp_chip/i2s.py", "esp_chip/frames.py", "esp_chip/__init__.py", "link_uart.py"} < i2s
+    assert {"main.py", "pio/pins.py", "ports/usb_link.py", "pio/engine.py"} < pico
+    assert not any(name.startswith(("esp", "ports/uart", "extras")) for name in pico)
+    assert {"esp_chip/i2s.py", "esp_chip/frames.py", "ports/uart_link.py"} < i2s
     assert (
-        not {"esp_chip/rmt.py", "esp_chip/trains.py", "link_usb.py", "gpio.py", "pio/hub.py"} & i2s
+        not {
+            "esp_chip/rmt.py",
+            "esp_chip/trains.py",
+            "ports/usb_link.py",
+            "pio/pins.py",
+            "pio/hub.py",
+        }
+        & i2s
     )
     assert {
         "esp_chip/rmt.py",
         "esp_chip/trains.py",
-        "gpio_esp.py",
+        "esp_chip/pins.py",
     } < rmt and "esp_chip/i2s.py" not in rmt
-    assert needed(TOOL="punch") - pico == {"punch.py"}
-    assert needed(DIALECT="0.9") - pico == {"report_09.py"}
+    assert needed(TOOL="punch") - pico == {"extras/punch.py"}
+    assert needed(DIALECT="0.9") - pico == {"extras/dialect_09.py"}
 
 
 def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() -> None:
@@ -196,7 +203,7 @@ def test_what_was_built_before_and_is_no_more_goes(tmp_path: Path) -> None:
     gone.write_bytes(b"M")
     mine.write_bytes(b"")
     ugrbl("build", "--board", "rpi_pico", "-o", tmp_path)
-    assert not gone.exists() and mine.exists() and (tmp_path / "words.mpy").exists()
+    assert not gone.exists() and mine.exists() and (tmp_path / "language/words.mpy").exists()
 
 
 def board_file(folder: Path, more: str, name: str = "mine") -> Path:
@@ -284,10 +291,10 @@ def test_a_board_that_has_all_is_left_alone_and_started(made: build.Build) -> No
 def test_only_what_has_changed_is_copied_and_never_beside_a_main(made: build.Build) -> None:
     board = FakeBoard()
     put(board, made)
-    result = put(board, changed(made, "words.mpy"))
-    assert result.copied == ["words.mpy"] and result.bytes == len(_OTHER) + 9
+    result = put(board, changed(made, "language/words.mpy"))
+    assert result.copied == ["language/words.mpy"] and result.bytes == len(_OTHER) + 9
     assert board.log == [
-        *("enter", "remove main.py", "write words.mpy", f"write {LIST}", "write main.py"),
+        *("enter", "remove main.py", "write language/words.mpy", f"write {LIST}", "write main.py"),
         "restart",
     ]
 
@@ -297,7 +304,7 @@ def test_settings_and_files_of_the_user_stay(made: build.Build) -> None:
     mine = {"lib/mine.py": b"1", "my_tool.py": b"2", "boot.py": b"3"}
     board.disk.update(mine)
     put(board, made)
-    put(board, changed(made, "words.mpy"))
+    put(board, changed(made, "language/words.mpy"))
     assert {**SETTINGS, **mine}.items() <= board.disk.items()
 
 
@@ -313,8 +320,8 @@ def test_sources_that_would_hide_compiled_files_go(made: build.Build) -> None:
 
 def test_what_another_board_had_goes(made: build.Build) -> None:
     board = FakeBoard()
-    put(board, changed(made, "esp_chip/rmt.mpy", "punch.mpy"))
-    assert put(board, made).removed == ["esp_chip/rmt.mpy", "punch.mpy"]
+    put(board, changed(made, "esp_chip/rmt.mpy", "extras/punch.mpy"))
+    assert put(board, made).removed == ["esp_chip/rmt.mpy", "extras/punch.mpy"]
 
 
 def test_a_module_of_older_firmware_goes_unless_it_was_changed(made: build.Build) -> None:
@@ -445,7 +452,7 @@ def test_deploy_as_json(plugged: FakeBoard) -> None:
     done = ugrbl("deploy", "--board", "rpi_pico", "--port", "COM3", "--json", "-")
     found = json.loads(done.stdout)
     assert (found["board"], found["port"], found["free_bytes"]) == ("rpi_pico", "COM3", 60_000)
-    assert "words.mpy" in found["copied"] and found["unchanged"] == 0
+    assert "language/words.mpy" in found["copied"] and found["unchanged"] == 0
 
 
 def test_a_failure_as_json(plugged: FakeBoard) -> None:

@@ -11,19 +11,19 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import errors
 import pytest
+from base import errors
+from base.settings import _TABLE
+from boot.wiring import Options
+from extras.dialect_09 import _ALARMS, _SETTINGS, Report09, Report09i, find
 from hypothesis import given
 from hypothesis import strategies as some
-from report import Report
-from report_09 import _ALARMS, _SETTINGS, Report09, Report09i, find
-from settings import _TABLE
+from talk.report import Report
 from ugrbl.machine import load_board
 from ugrbl.messages import alarms, meaning
 from ugrbl.messages import errors as error_words
 from ugrbl.sim.replay import Sender, factory_store
 from ugrbl.sim.rig import Rig
-from wiring import Options
 
 _HERE = Path(__file__).parent
 _FIRMWARE = _HERE.parent / "firmware"
@@ -88,8 +88,8 @@ def test_the_default_board_loads_neither_dialects_nor_tools() -> None:
     program = (
         f"import sys; sys.path[:0] = [{str(_HERE / 'shim')!r}, {str(_FIRMWARE)!r}]\n"
         "from types import SimpleNamespace\n"
-        "import wiring; wiring.Options(SimpleNamespace())\n"
-        "assert not {'report_09', 'punch'} & set(sys.modules)\n"
+        "from boot import wiring; wiring.Options(SimpleNamespace())\n"
+        "assert not {'extras.dialect_09', 'extras.punch'} & set(sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
 
@@ -97,13 +97,13 @@ def test_the_default_board_loads_neither_dialects_nor_tools() -> None:
 def test_nobody_else_asks_which_dialect_it_is() -> None:
     """There is one condition on it, in wiring.py; the rest is classes and their constants."""
     asking = []
-    for path in sorted(_FIRMWARE.glob("*.py")):
+    for path in sorted(_FIRMWARE.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, (ast.If, ast.IfExp, ast.While)) and "dialect" in ast.unparse(
                 node.test
             ):
                 asking.append(path.name)
-    assert set(asking) <= {"wiring.py", "report_09.py"} and asking.count("wiring.py") == 1
+    assert set(asking) <= {"wiring.py", "dialect_09.py"} and asking.count("wiring.py") == 1
 
 
 def test_a_dialect_says_everything_that_1_1_says() -> None:

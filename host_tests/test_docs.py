@@ -50,7 +50,7 @@ def test_every_table_has_its_place():
 
 
 def test_every_code_is_in_the_readme():
-    import block
+    from language import block
 
     words = docs.g_words() + docs.m_words()
     numbers = {(word[0], int(word[1:].partition(".")[0])) for word in words}
@@ -59,11 +59,10 @@ def test_every_code_is_in_the_readme():
 
 
 def test_every_command_and_byte_is_in_the_readme():
-    import overrides
-    import realtime
-    import state
+    from base import state
+    from control import overrides, realtime
 
-    letters = [command[1] for command in docs._COMMAND.findall(docs._source("commands"))]
+    letters = [command[1] for command in docs._COMMAND.findall(docs._source("talk/commands"))]
     assert len(letters) == 10
     assert [letter for letter in letters if f"`${letter}" not in _README] == []
     numbers = [realtime._SOFT_RESET, *state.EVENTS, *overrides._OVERRIDES]
@@ -71,7 +70,7 @@ def test_every_command_and_byte_is_in_the_readme():
 
 
 def test_every_setting_has_a_comment_and_is_in_the_readme():
-    import settings
+    from base import settings
 
     numbers = [row[0] for row in settings._TABLE]
     assert list(docs.setting_comments()) == numbers
@@ -86,7 +85,7 @@ def test_every_error_and_alarm_is_in_the_readme():
 def test_every_board_and_option_is_in_the_readme():
     files = [path.name for path in (_ROOT / "boards").glob("[!_]*.py")]
     assert [name for name in files if not in_readme(name)] == []
-    readers = ("wiring.py", "gpio_inputs.py", "gpio_port.py")
+    readers = ("boot/wiring.py", "ports/input_pins.py", "ports/port.py")
     source = "".join((_FIRMWARE / name).read_text(encoding="utf-8") for name in readers)
     options = re.findall(r'\boption\("(\w+)"', source)
     assert {"STEP", "ESTOP", "INVERT"} <= set(options)
@@ -191,7 +190,7 @@ def annotations(tree):
 def sent_texts(module):
     """What a module may send as it stands: report's texts, and whatever goes into a message."""
     tree = ast.parse((_FIRMWARE / module).read_text(encoding="utf-8"))
-    if module == "report.py":
+    if module == "talk/report.py":
         types = set(annotations(tree))
         yield from (text for text in strings(tree) if text not in types)
     for node in ast.walk(tree):

@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 from esp_bench import EspEngine, Step, clock
-from kernels import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS, row_length
 from laws import Bench, Limits
+from motion.kernels import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS, row_length
 from pio import pulses
 from ugrbl.compare_motion import judge_motion
 from ugrbl.machine import load_board

@@ -2,10 +2,10 @@
 
 import struct
 
-from digits import number
-from f32 import INCH_PER_MM, MM_PER_INCH, f32, vector
+from base.f32 import INCH_PER_MM, MM_PER_INCH, f32, vector
 from hypothesis import given
 from hypothesis import strategies as st
+from talk.digits import number
 
 
 def single(x: float) -> float:

@@ -6,13 +6,13 @@ from traceback import print_exception
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
-import gpio
-import gpio_check
 import machine
-import power_up
 import pytest
-from gpio import GpioPort
+from boot import power_up
 from machine import PWM, Pin
+from pio import pins as gpio
+from pio.pins import GpioPort
+from ports import pin_check as gpio_check
 
 BOARD: dict[str, Any] = {
     "ENGINE": "pio",

@@ -12,18 +12,18 @@ from dataclasses import dataclass, field
 from types import CodeType, FrameType
 from typing import Any
 
-import kernels
 import pytest
-from controller import Controller
-from coolant import Coolant
-from cycles import Cycles
-from motion import Motion
-from planner import Planner
-from realtime import Realtime
+from base.settings import Settings
+from boot.controller import Controller
+from control.canon import Motion
+from control.coolant import Coolant
+from control.realtime import Realtime
+from control.seek import Cycles
+from control.spindle import Spindle
+from control.suspension import Suspension
+from motion import kernels
+from motion.planner import Planner
 from rig_bench import Machine
-from settings import Settings
-from spindle import Spindle
-from suspension import Suspension
 from ugrbl.sim.engine import SimEngine, Switch
 from ugrbl.sim.port import SimPort
 

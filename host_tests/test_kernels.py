@@ -4,14 +4,13 @@ import struct
 from array import array
 from math import isqrt
 
-import kernels
 import pytest
-import reals
-from f32 import vector
+from base.f32 import vector
 from hypothesis import example, given
 from hypothesis import strategies as st
 from laws import Bench, Limits, some
-from reals import real, value
+from motion import kernels, reals
+from motion.reals import real, value
 
 HIGHEST = 2**30 - 1
 _PRECISION = 2**-13

@@ -6,9 +6,9 @@ from types import FrameType, SimpleNamespace
 from typing import Any
 
 import esp_bench
-import gpio
 import machine
 import pytest
+from pio import pins as gpio
 from test_gpio import board
 from ugrbl.machine import load_board
 from ugrbl.sim.rig import Rig

@@ -279,7 +279,7 @@ def test_most_calls_of_the_firmware_are_gone() -> None:
     defined = re.compile(r"@micropython\.viper\n\s*def ")
     left = sum(len(defined.findall(text)) for text in after.values())
     assert left < 0.7 * sum(len(defined.findall(text)) for text in before.values())
-    assert not {"fill", "share", "load"} & set(calls(after["segments"], "next"))
+    assert not {"fill", "share", "load"} & set(calls(after["motion.segments"], "next"))
 
 
 @pytest.mark.parametrize("arch", ["armv6m", "armv7emsp", "xtensawin"])
@@ -294,8 +294,8 @@ def test_kernels_plan_and_make_the_same_segments(tmp_path: Path) -> None:
     planner = bench.planner
     results: list[list[Any]] = []
     for texts in (whole, leaves(whole)):
-        names = ("kernels", "reals", "f32", "segments")
-        with imported(parts(texts, *names), tmp_path, "kernels", "segments") as made:
+        names = ("motion.kernels", "motion.reals", "base.f32", "motion.segments")
+        with imported(parts(texts, *names), tmp_path, "motion.kernels", "motion.segments") as made:
             memory = [array("i", planner.machine), array("i", planner.ring)]
             memory.append(array("i", planner.flow))
             results.append(list(_moves(*made, *memory)))
@@ -416,10 +416,13 @@ def test_the_engines_interrupt_does_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = firmware()
-    names = ("pio", "pio.engine", "pio.hub", "pio.programs", "pio.pulses", "pio.stops")
+    names = ("engine", "hub", "programs", "pulses", "stops")
+    names = ("motion.kernels", "motion.reals", *(f"pio.{name}" for name in names))
     results = []
     for texts in (whole, leaves(whole)):
-        with imported(parts(texts, *names, "kernels", "reals"), tmp_path, "pio.engine") as (made,):
+        with imported(
+            parts(texts, *names, "motion.kernels", "motion.reals"), tmp_path, "pio.engine"
+        ) as (made,):
             results.append(list(_turns(made, monkeypatch, range(150))))
     assert results[0] == results[1]
     states = [state for state in results[0] if isinstance(state, tuple)]

@@ -3,9 +3,9 @@
 from types import SimpleNamespace
 from typing import Any
 
-import link_escape
 import pytest
-from link_escape import Escape
+from ports import escape as link_escape
+from ports.escape import Escape
 
 
 class Dupterm:

@@ -3,7 +3,7 @@
 import ast
 from collections.abc import Iterator
 
-import parts
+from boot import parts
 from test_shorten import firmware
 
 TREES = {name: ast.parse(text) for name, text in firmware().items()}

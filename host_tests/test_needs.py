@@ -3,8 +3,8 @@
 import sys
 from types import SimpleNamespace
 
-import needs
 import pytest
+from boot import needs
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,7 @@ def test_a_board_made_of_options_is_one_the_firmware_takes(file: Path) -> None:
 
 
 def test_the_firmware_reads_its_options_from_the_file(file: Path) -> None:
-    from wiring import Options
+    from boot.wiring import Options
 
     ugrbl("router", *_PICO, "--set", "110=3000", "-o", file)
     options = Options(load(file))

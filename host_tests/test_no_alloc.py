@@ -15,16 +15,16 @@ _BENCH = """
 import gc
 from array import array
 
-import kernels
-import lines
+from motion import kernels
+from talk import lines
 import micropython
-import motion
-import plain
-import words
-from f32 import vector
-from planner import Move, Planner
-from segments import Segments
-from state import State
+from control import canon as motion
+from language import fast_path as plain
+from language import words
+from base.f32 import vector
+from motion.planner import Move, Planner
+from motion.segments import Segments
+from base.state import State
 
 
 class Settings:

@@ -19,8 +19,8 @@ import pytest
 import rp2
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kernels import KEEP_POWER, ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS
 from laws import Bench, Limits
+from motion.kernels import KEEP_POWER, ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS
 from pio import hub, programs, pulses
 from pio.engine import PioEngine
 from test_engines import _play_words

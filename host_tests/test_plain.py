@@ -3,13 +3,24 @@
 from array import array
 from types import SimpleNamespace
 
-import kernels
-import wiring
-from errors import GrblError
+from base.errors import GrblError
+from boot import wiring
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from language.fast_path import (
+    AXES,
+    FEED,
+    HAS_G0,
+    HAS_G1,
+    LASER,
+    MODE,
+    OFFSETS,
+    VALUES,
+    Plain,
+    read,
+)
+from motion import kernels
 from oracle import read_words
-from plain import AXES, FEED, HAS_G0, HAS_G1, LASER, MODE, OFFSETS, VALUES, Plain, read
 from test_words import bits, pieces
 from ugrbl import machine
 from ugrbl.run import ProgramLink

@@ -14,7 +14,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-import state as st
+from base import state as st
+from boot.wiring import Options
 from hypothesis import given
 from hypothesis import strategies as some
 from ugrbl import plot
@@ -24,7 +25,6 @@ from ugrbl.run import run_program
 from ugrbl.sim.punch import DOWN, SENSOR_DOWN, SENSOR_UP, UP, BrokenLaw
 from ugrbl.sim.replay import Sender, factory_store
 from ugrbl.sim.rig import MemoryStore, Rig
-from wiring import Options
 
 _EXAMPLES = Path(__file__).parent.parent / "examples"
 _PROGRAM = _EXAMPLES / "punch.nc"

@@ -5,10 +5,10 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import esp_bench
-import gpio
-import gpio_port
 import machine
 import pytest
+from pio import pins as gpio
+from ports import port as gpio_port
 from punch_pins import Punch
 from ugrbl.machine import load_board
 from ugrbl.sim.rig import Rig

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-import state as st
+from base import state as st
 from ugrbl.machine import load_board
 from ugrbl.sim.engine import Switch
 from ugrbl.sim.replay import Sender, factory_store

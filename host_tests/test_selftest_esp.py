@@ -80,10 +80,10 @@ class Bench:
             "esp32": esp32,
             "time": _TIME,
             "board": self.board,
-            "gpio_esp": gpio_esp,
+            "esp_chip.pins": gpio_esp,
         }.items():
             monkeypatch.setitem(sys.modules, module, stand_in)
-        monkeypatch.delitem(sys.modules, "parts_esp", raising=False)  # imports one of these
+        monkeypatch.delitem(sys.modules, "boot.parts_esp", raising=False)  # imports one of these
         self.rows: dict[str, Row] = {}
         self.ended = False
 

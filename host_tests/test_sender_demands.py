@@ -286,7 +286,7 @@ def test_lasergrbl_may_use_the_receive_buffer_to_the_last_byte_it_is_told_of() -
     converse(steps, **_FAST)
 
 
-@pytest.mark.parametrize("source", ["firmware/errors.py", "firmware/report.py"])
+@pytest.mark.parametrize("source", ["firmware/base/errors.py", "firmware/talk/report.py"])
 def test_lasergrbl_and_candle_find_no_ok_in_anything_but_an_answer(source: str) -> None:
     """For both, a line with "ok" in it answers a command; case does not matter to the first."""
     text = (paths.FIRMWARE.parent / source).read_text(encoding="utf-8")

@@ -5,12 +5,12 @@ import inspect
 from typing import Any
 
 import pytest
-import settings as module
-from errors import GrblError
+from base import settings as module
+from base.errors import GrblError
+from base.settings import _AXIS, _TABLE, ALL, Settings
 from hypothesis import given
 from hypothesis import strategies as st
 from rig_bench import Machine
-from settings import _AXIS, _TABLE, ALL, Settings
 from ugrbl.sim.rig import MemoryStore
 
 SOURCE = inspect.getsource(module)

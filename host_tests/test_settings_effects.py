@@ -13,10 +13,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
-from punch import _SETTINGS as punch_settings
-from report_09 import Report09
-from settings import _AXIS, _TABLE
+from base.settings import _AXIS, _TABLE
+from extras.dialect_09 import Report09
+from extras.punch import _SETTINGS as punch_settings
+from motion.kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 from ugrbl.machine import load_board
 from ugrbl.sim.engine import Switch
 from ugrbl.sim.replay import Sender

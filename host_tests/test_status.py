@@ -4,18 +4,17 @@ import struct
 from array import array
 from pathlib import Path
 
-import kernels
 import pytest
-import reals
-from digits import END, VALUES, scaled, write
-from f32 import f32, vector
+from base.f32 import f32, vector
+from base.state import State
 from hypothesis import example, given
 from hypothesis import strategies as some
 from micropython_runner import needs_micropython, run_micropython
-from planner import Planner
-from segments import Segments
-from singles import MINUS, add, divide
-from state import State
+from motion import kernels, reals
+from motion.planner import Planner
+from motion.segments import Segments
+from talk.digits import END, VALUES, scaled, write
+from talk.singles import MINUS, add, divide
 from test_f32 import printed
 
 _FIRMWARE = Path(__file__).parent.parent / "firmware"
@@ -151,10 +150,10 @@ _BENCH = """
 import gc
 import micropython
 from array import array
-from coords import Coords
-from planner import Planner
-from report import Report
-from segments import Segments
+from control.coords import Coords
+from motion.planner import Planner
+from talk.report import Report
+from motion.segments import Segments
 import state as st
 
 class Store:

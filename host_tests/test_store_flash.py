@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-import store_flash
-from store_flash import FlashStore
+from ports import flash_store as store_flash
+from ports.flash_store import FlashStore
 
 littlefs = pytest.importorskip("littlefs")
 

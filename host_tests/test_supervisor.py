@@ -4,8 +4,8 @@ from array import array
 from types import SimpleNamespace
 
 import pytest
-import supervisor
-from supervisor import Supervisor
+from ports import supervisor
+from ports.supervisor import Supervisor
 
 _BEAT_MS = 5  # of a hard timer
 _LIMIT_MS = 250

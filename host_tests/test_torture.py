@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-import state as st
+from base import state as st
 from rig_bench import Machine
 
 _SEEDS = int(os.environ.get("UGRBL_TORTURE") or 4)

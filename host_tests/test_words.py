@@ -5,11 +5,11 @@ from array import array
 from math import isfinite
 
 import pytest
-from f32 import MM_PER_INCH
+from base.f32 import MM_PER_INCH
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
+from language.words import Words, add_single, bare, scan, to_mm
 from oracle import read_number, read_words, single
-from words import Words, add_single, bare, scan, to_mm
 
 
 def bits(x: float) -> int:

@@ -3,15 +3,14 @@
 import sys
 from array import array
 
-import kernels
-import plain
-import reals
-import words
-from f32 import vector
-from kernels import ROWS
-from planner import Move, Planner
-from segments import Segments
-from state import State
+from base.f32 import vector
+from base.state import State
+from language import fast_path as plain
+from language import words
+from motion import kernels, reals
+from motion.kernels import ROWS
+from motion.planner import Move, Planner
+from motion.segments import Segments
 
 
 class Dice:

@@ -224,7 +224,7 @@ def _wired(board: ModuleType, name: str) -> bool:
 def _firmware(board: ModuleType) -> Iterator[str]:
     """What the firmware itself would refuse: a dialect, a tool or its pins."""
     paths.use_firmware()
-    from wiring import Options
+    from boot.wiring import Options
 
     words = {name: getattr(board, name, "") for name in ("TOOL", "DIALECT")}
     wrong = [name for name, value in words.items() if not isinstance(value, str)]
@@ -240,8 +240,8 @@ def _firmware(board: ModuleType) -> Iterator[str]:
 
 def _defaults(board: ModuleType) -> Iterator[str]:
     paths.use_firmware()
-    from errors import GrblError
-    from settings import Settings
+    from base.errors import GrblError
+    from base.settings import Settings
 
     from .messages import meaning
     from .sim.rig import MemoryStore

@@ -27,15 +27,15 @@ BOARD = "board.py"
 # a board if one that goes there imports them; so does what a chosen one imports.
 _CHOICES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "pio.engine": ("ENGINE", "", ("pio",)),
-    "gpio": ("ENGINE", "", ("pio",)),
+    "pio.pins": ("ENGINE", "", ("pio",)),
     "esp_chip.rmt": ("ENGINE", "", ("rmt",)),
     "esp_chip.i2s": ("ENGINE", "", ("i2s",)),
-    "parts_esp": ("ENGINE", "", ("rmt", "i2s")),
-    "gpio_esp": ("ENGINE", "", ("rmt", "i2s")),
-    "link_usb": ("LINK", "usb", ("usb",)),
-    "link_uart": ("LINK", "usb", ("uart",)),
-    "report_09": ("DIALECT", "1.1", ("0.9", "0.9i", "0.9j")),
-    "punch": ("TOOL", "spindle", ("punch",)),
+    "boot.parts_esp": ("ENGINE", "", ("rmt", "i2s")),
+    "esp_chip.pins": ("ENGINE", "", ("rmt", "i2s")),
+    "ports.usb_link": ("LINK", "usb", ("usb",)),
+    "ports.uart_link": ("LINK", "usb", ("uart",)),
+    "extras.dialect_09": ("DIALECT", "1.1", ("0.9", "0.9i", "0.9j")),
+    "extras.punch": ("TOOL", "spindle", ("punch",)),
 }
 
 
@@ -62,8 +62,12 @@ class Build:
 
 
 def sources() -> list[str]:
-    """Every module of the firmware: `words.py`, `pio/engine.py`."""
-    found = paths.FIRMWARE.rglob("*.py")
+    """Every module of the firmware: `main.py`, `pio/engine.py`.
+
+    What makes a folder a package on a desktop only says what the folder is for: a board has no
+    use for it.
+    """
+    found = (path for path in paths.FIRMWARE.rglob("*.py") if path.name != "__init__.py")
     return sorted(path.relative_to(paths.FIRMWARE).as_posix() for path in found)
 
 
@@ -77,13 +81,13 @@ def needed(board: ModuleType) -> list[str]:
         if name in there and name not in found and _is_chosen(name, board):
             found[name] = there[name]
             tree = ast.parse(_text(there[name]))
-            left += [name.partition(".")[0], *_imported(tree)]
+            left += _imported(tree)
     return sorted(found.values())
 
 
 def _module(source: str) -> str:
-    """`pio/engine.py` is `pio.engine`, `pio/__init__.py` is `pio`."""
-    return source.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+    """`pio/engine.py` is `pio.engine`."""
+    return source.removesuffix(".py").replace("/", ".")
 
 
 def _is_chosen(name: str, board: ModuleType) -> bool:

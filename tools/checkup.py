@@ -93,7 +93,7 @@ def stack(replies: Iterable[str]) -> list[Finding]:
 def too_old(engine: str, board: str, version: str) -> str:
     """Why the engine cannot run with this MicroPython on that board; "" where it can."""
     use_firmware()
-    import needs
+    from boot import needs
 
     numbers = tuple(int(number) for number in re.findall(r"\d+", version)[:2])
     return needs.missing(engine, board, numbers) if len(numbers) == 2 else ""
@@ -102,7 +102,7 @@ def too_old(engine: str, board: str, version: str) -> str:
 def micropython(board: str, version: str) -> list[Finding]:
     """Whether a MicroPython that shows its prompt is new enough for our engines."""
     use_firmware()
-    import needs
+    from boot import needs
 
     engines = [engine for engine, chip, _, _ in needs.NEEDS if chip in board]
     reasons = [too_old(engine, board, version) for engine in engines]

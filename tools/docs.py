@@ -144,13 +144,13 @@ def _table(header: Row, rows: Iterable[Row]) -> str:
 
 @cache
 def _group_names() -> dict[int, str]:
-    return {int(bit, 16): name for bit, name in _GROUP.findall(_source("block"))}
+    return {int(bit, 16): name for bit, name in _GROUP.findall(_source("language/block"))}
 
 
 def _group(word: str) -> str:
     """The modal group that the interpreter puts a word in."""
-    from block import Block, Modal
-    from words import Words
+    from language.block import Block, Modal
+    from language.words import Words
 
     words = Words()
     words.read(bytearray(word.encode() + b"\0"), 0, len(word))
@@ -163,7 +163,7 @@ def _group(word: str) -> str:
 def g_words() -> list[str]:
     """Every G word that the interpreter knows, in order."""
     paths.use_firmware()
-    import block
+    from language import block
 
     found = []
     for number in block._G_WORDS:
@@ -176,14 +176,14 @@ def g_words() -> list[str]:
 def m_words() -> list[str]:
     """Every M word that the interpreter knows, options of the board included."""
     paths.use_firmware()
-    import block
+    from language import block
 
     return [f"M{number}" for number in block._M_WORDS]
 
 
 def _at_start(word: str) -> bool:
     """A mode that a reset puts in force."""
-    from block import _G_WORDS, _M_WORDS, GROUP_M4, Modal
+    from language.block import _G_WORDS, _M_WORDS, GROUP_M4, Modal
 
     if "." in word:
         return False
@@ -206,7 +206,7 @@ def _words_table(words: list[str], meanings: dict[str, str]) -> str:
 def _commands() -> str:
     rows = [("`$`", "Show this list, in short."), ("`$n=value`", "Change setting n.")]
     rows.append(("`$J=words`", "Jog: a motion that a hold or jog cancel ends for good."))
-    found = _COMMAND.findall(_source("commands"))
+    found = _COMMAND.findall(_source("talk/commands"))
     rows += [(f"`{command}`", _COMMANDS[command]) for command in found]
     return _table(("Command", "What it does"), rows)
 
@@ -217,9 +217,8 @@ def _byte(number: int) -> str:
 
 def _realtime() -> str:
     paths.use_firmware()
-    import overrides
-    import realtime
-    import state
+    from base import state
+    from control import overrides, realtime
 
     rows = [(f"{_byte(realtime._SOFT_RESET)} Ctrl-X", _RESET)]
     rows += [(_byte(number), _EVENTS[number]) for number in (*state.EVENTS,)]
@@ -244,10 +243,10 @@ def _realtime() -> str:
 
 def setting_comments() -> dict[int, str]:
     """What is said above each row of the settings' table; ValueError if one has no comment."""
-    for node in ast.parse(_source("settings")).body:
+    for node in ast.parse(_source("base/settings")).body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "_TABLE":
             rows = [(ast.literal_eval(row.elts[0]), row.lineno) for row in _tuples(node.value)]
-            return {number: _above("settings", at, f"${number}") for number, at in rows}
+            return {number: _above("base/settings", at, f"${number}") for number, at in rows}
     raise ValueError("settings.py has no _TABLE")
 
 
@@ -258,7 +257,7 @@ def _tuples(table: ast.expr) -> list[ast.Tuple]:
 
 def _settings() -> str:
     paths.use_firmware()
-    import settings
+    from base import settings
 
     comments = setting_comments()
     rows = []
@@ -280,7 +279,7 @@ def _numbers(kind: str, table: dict[int, str]) -> str:
 def board_options() -> dict[str, tuple[str, str]]:
     """Options of a board file by name: default and meaning; ValueError if one has no comment."""
     found: dict[str, tuple[str, str]] = {}
-    for module in ("wiring", "gpio_inputs", "gpio_port"):
+    for module in ("boot/wiring", "ports/input_pins", "ports/port"):
         nodes = ast.walk(ast.parse(_source(module)))
         calls = [node for node in nodes if isinstance(node, ast.Call)]
         for call in sorted(calls, key=lambda call: call.lineno):
@@ -294,7 +293,7 @@ def board_options() -> dict[str, tuple[str, str]]:
 
 def _default(text: str) -> str:
     """A default as a board file would say it."""
-    import wiring
+    from boot import wiring
 
     return f"`{getattr(wiring, text, text)}`"
 

@@ -126,7 +126,7 @@ def _health(connection: Connection, found: Firmware) -> list[str]:
 
 def _our_build() -> str:
     use_firmware()
-    import report
+    from talk import report
 
     return report.BUILD
 

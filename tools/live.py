@@ -89,7 +89,7 @@ class LiveLink(UntimedLink):
 
     def busy(self) -> bool:
         """The machine is at work, or will be without a further word from its sender."""
-        import state
+        from base import state
 
         if self._rig.moving():
             return True

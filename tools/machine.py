@@ -97,10 +97,10 @@ def _check_values(board: Any, lines: Iterable[str]) -> None:
 
     What it reads from its own memory it takes unseen. Settings that it does not have are kept.
     """
-    import errors
-    from errors import GrblError
-    from settings import Settings
-    from wiring import Options
+    from base import errors
+    from base.errors import GrblError
+    from base.settings import Settings
+    from boot.wiring import Options
 
     from .sim.rig import MemoryStore
 
@@ -127,8 +127,8 @@ def _check_values(board: Any, lines: Iterable[str]) -> None:
 
 def firmware(board: Any) -> Firmware:
     """What $I says with that board."""
-    import report
-    from wiring import Options
+    from boot.wiring import Options
+    from talk import report
 
     options = Options(board)
     version = getattr(options.reports, "VERSION", report.VERSION)

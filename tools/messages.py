@@ -1,6 +1,6 @@
 """What Grbl's numbers mean, in words: `error:20`, `ALARM:1`.
 
-The words are the comments in firmware/errors.py, the one table of them.
+The words are the comments in firmware/base/errors.py, the one table of them.
 """
 
 import re
@@ -14,7 +14,7 @@ _REPLY = re.compile(r"(error|ALARM):(\d+)")
 
 @cache
 def _table() -> dict[tuple[str, int], str]:
-    source = (FIRMWARE / "errors.py").read_text(encoding="utf-8")
+    source = (FIRMWARE / "base" / "errors.py").read_text(encoding="utf-8")
     return {
         ("ALARM" if alarm else "error", int(number)): _words(comment)
         for comment, alarm, number in _ROW.findall(source)

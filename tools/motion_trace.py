@@ -123,7 +123,7 @@ class MotionTrace(Recorder):
 
     def _attach(self) -> None:
         super()._attach()
-        from reals import value
+        from motion.reals import value
 
         self._value = value
         self._segments = self._rig.controller.segments

@@ -238,8 +238,8 @@ def _check_defaults(board: Board) -> None:
     from . import paths
 
     paths.use_firmware()
-    from errors import GrblError
-    from settings import Settings
+    from base.errors import GrblError
+    from base.settings import Settings
 
     from .sim.rig import MemoryStore
 

@@ -116,7 +116,7 @@ def _limits(board: str, settings: Sequence[str], axes: int) -> dict[str, list[fl
 
 
 def _defaults(board: str) -> dict[int, float]:
-    import settings
+    from base import settings
 
     given = getattr(machine.load_board(board), "DEFAULTS", {})
     values = {}

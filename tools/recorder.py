@@ -46,7 +46,7 @@ class Recorder:
     """
 
     def __init__(self, rig: "Rig") -> None:
-        import kernels
+        from motion import kernels
 
         self._rig = rig
         self._kernels = kernels
@@ -93,7 +93,7 @@ class Recorder:
 
     def _attach(self) -> None:
         """Called by the rig once the controller is built: follow what is planned."""
-        from planner import SYSTEM_MOTION
+        from motion.planner import SYSTEM_MOTION
 
         controller = self._rig.controller
         self._system_motion = SYSTEM_MOTION

@@ -130,7 +130,7 @@ class _Watcher(Recorder):
 
     def _planned_place(self) -> list[float]:
         """Where the last block ends."""
-        import planner
+        from motion import planner
 
         controller = self._rig.controller
         steps = [position - planner._BIAS for position in controller.planner.position]
@@ -155,7 +155,7 @@ def rehearse(job: Job, progress: Callable[[int], None] | None = None) -> tuple[R
     """Run a job. A command for the stage that the simulator refuses is left out."""
 
     def script(link: ProgramLink) -> Iterator[Step]:
-        import state
+        from base import state
 
         if link.rig.controller.state.run == state.ALARM:
             yield 0, b"$X"

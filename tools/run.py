@@ -183,7 +183,7 @@ class ProgramLink(machine.UntimedLink):
 
     def at_rest(self) -> bool:
         """Everything is answered and nothing moves, nor is it about to."""
-        import state
+        from base import state
 
         rig = self.rig
         if self._unanswered or rig.moving() or not rig.controller.planner.empty():
@@ -193,7 +193,7 @@ class ProgramLink(machine.UntimedLink):
     # Time
 
     def _pass_time(self) -> None:
-        import state
+        from base import state
 
         rig = self.rig
         run = rig.controller.state.run
@@ -269,7 +269,7 @@ def watch_program(
 
 def _prepare(link: ProgramLink, commands: Sequence[str]) -> Generator[Step, None, bool]:
     """Unlock the machine and send it commands. Returns whether it took them all."""
-    import state
+    from base import state
 
     if link.rig.controller.state.run == state.ALARM:
         yield 0, b"$X"

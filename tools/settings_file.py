@@ -127,7 +127,7 @@ def _take(values: dict[int, str], line: int, number: int, value: str) -> None:
 def _table() -> dict[int, Meaning]:
     """Every setting of the firmware, axis by axis."""
     paths.use_firmware()
-    import settings
+    from base import settings
 
     from .docs import setting_comments
 

@@ -28,8 +28,8 @@ import time
 from array import array
 
 import machine
-from kernels import row_length
 from micropython import const
+from motion.kernels import row_length
 
 from esp_chip import frames
 from esp_chip.stream import BYTES, Stream

@@ -27,8 +27,8 @@ from array import array
 
 import machine
 import micropython
-from kernels import row_length
 from micropython import const
+from motion.kernels import row_length
 
 from esp_chip import trains
 from esp_chip.channel import RESOLUTION_HZ, Channel, most_steps

@@ -10,8 +10,8 @@ from array import array
 
 import machine
 import micropython
-from kernels import row_length
 from micropython import const
+from motion.kernels import row_length
 
 from pio import pulses
 from pio.pulses import convert, cut

@@ -15,7 +15,7 @@ fills the ring with 12 short moves, three times over. A line that goes the long 
 whole, less the two before. The machine is in check mode meanwhile, and reset afterwards.
 """
 
-import plain
+from language import fast_path as plain
 
 _START = """
 power_up.live(power_up.build())
@@ -23,14 +23,14 @@ power_up.live(power_up.build())
 
 # Commands: `$NAME=number` answers with numbers in a message.
 _COMMANDS = """
-import power_up  # first, as in main.py: it sees to where memory is free
+from boot import power_up  # first, as in main.py: it sees to where memory is free
 
 import gc
 import time
 
-import commands
-import planner
-import report
+from talk import commands
+from motion import planner
+from talk import report
 
 found = {}
 acts = {}
@@ -111,13 +111,13 @@ acts[b"LATER"] = later
 
 # $STAGE: see above.
 _STAGES = """
-import block
-import checks
-import gcode
-import lines
-import plain
-import protocol
-import words
+from language import block
+from language import checks
+from language import interpreter as gcode
+from talk import lines
+from language import fast_path as plain
+from talk import protocol
+from language import words
 
 keep(gcode.Gcode, "reset")
 keep(protocol.Protocol, "connect")
@@ -251,7 +251,7 @@ acts[b"STAGE"] = stages
 
 # $GAP: the longest time from one look at the link to the next since it was asked last, us.
 _GAPS = """
-import protocol
+from talk import protocol
 
 pump = protocol.Protocol.pump
 gaps = [0, 0]

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
-from kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE
+from motion.kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE
 from pico import Edge, Pico
 from ugrbl import build, machine
 from ugrbl.paths import BOARDS

@@ -112,7 +112,7 @@ def test_mpremote_gets_in_and_out_again(uf2: Path, tmp_path: Path) -> None:
         with grbl(port):
             pass
         assert mpremote(port, "resume", "exec", "print(6 * 7)") == "42\n"
-        assert "words.mpy" in mpremote(port, "fs", "ls")
+        assert "words.mpy" in mpremote(port, "fs", "ls", "language")
         with grbl_started_anew(port) as machine:
             assert "ok" in ask(machine, "$I")
         assert mpremote(port, "exec", "print(6 * 7)") == "42\n"  # by way of a soft reset
@@ -143,12 +143,17 @@ def test_sources_copied_by_hand_are_replaced(uf2: Path, tmp_path: Path) -> None:
     nothing but functions for others, and so work among compiled modules."""
     made = build.for_board(_BOARD)
     sources = {
-        name: (build.paths.FIRMWARE / name).read_bytes() for name in ("digits.py", "reals.py")
+        name: (build.paths.FIRMWARE / name).read_bytes()
+        for name in ("motion/reals.py", "talk/digits.py")
     }
     there = build.Build(made.arch, {**made.files, **sources, "mine.py": b"mine = 1\n"})
     with pico(uf2, tmp_path, there) as port:
         with grbl(port):
             pass
         code, done = deploy(port)
-        assert (code, done["removed"], done["copied"]) == (0, ["digits.py", "reals.py"], [])
+        assert (code, done["removed"], done["copied"]) == (
+            0,
+            ["motion/reals.py", "talk/digits.py"],
+            [],
+        )
         assert "mine.py" in mpremote(port, "fs", "ls")

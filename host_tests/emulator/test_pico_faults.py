@@ -11,9 +11,9 @@ pytestmark = pytest.mark.xdist_group("pico faults")
 
 BOARD = firmware()["board.py"]
 _HOOK = b"""
-import commands
-import power_up
-import segments
+from talk import commands
+from boot import power_up
+from motion import segments
 import time
 
 following = segments.Segments.next
@@ -149,11 +149,11 @@ _GOOD = "ENGINE = 'pio'\nSTEP = (2, 3, 4)\nDIR = (5, 6, 7)\n"
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"kernels.mpy": None}, "no module named 'kernels'"),
+        ({"motion/kernels.mpy": None}, "no module named 'motion.kernels'"),
         ({"board.py": _GOOD.replace("7", "2").encode()}, "DIR: pin 2 is STEP already"),
         ({"board.py": _GOOD.replace("4", "40").encode()}, "STEP: there is no pin 40"),
         ({"board.py": _GOOD.replace("pio", "steam").encode()}, "ENGINE steam is not one there is"),
-        ({"board.py": (_GOOD + "TOOL = 'punch'\n").encode()}, "no module named 'punch'"),
+        ({"board.py": (_GOOD + "TOOL = 'punch'\n").encode()}, "no module named 'extras.punch'"),
     ],
 )
 def test_a_machine_that_cannot_be_tells_whoever_asks(

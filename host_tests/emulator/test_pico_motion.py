@@ -47,8 +47,8 @@ USER = b"""
 import gc
 import time
 
-import commands
-import power_up
+from talk import commands
+from boot import power_up
 
 usual = commands.Commands.whose
 

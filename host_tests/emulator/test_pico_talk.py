@@ -21,8 +21,8 @@ def machine(uf2: Path) -> Board:
 MAIN = b"""
 import gc
 
-import commands
-import power_up
+from talk import commands
+from boot import power_up
 
 usual = commands.Commands.whose
 

@@ -30,7 +30,7 @@ from .modules import Key, Module
 _SMALL = 40
 # Larger leaves that are, for they run several times for each block or segment.
 _BUSY: "frozenset[Key]" = frozenset(
-    {("kernels", "piece"), ("reals", "product"), ("reals", "ratio")}
+    {("motion.kernels", "piece"), ("motion.reals", "product"), ("motion.reals", "ratio")}
 )
 # Leaves that are not, for they seldom run, and would take room on the stack of all that do.
 _RARE: "frozenset[Key]" = frozenset({("pio.pulses", "cut")})

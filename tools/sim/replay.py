@@ -8,8 +8,8 @@ Nothing is judged here: see tools/conformance.py. Runs under both Pythons.
 import sys
 from array import array
 
-import state
-from kernels import PARTIAL, ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
+from base import state
+from motion.kernels import PARTIAL, ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 
 from .engine import Switch, step_tick, steps_until
 from .rig import MemoryStore, Rig

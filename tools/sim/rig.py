@@ -8,7 +8,7 @@ be woken at or a function to be called after every event until it returns True.
 
 from array import array
 
-import wiring
+from boot import wiring
 
 from .engine import SimEngine
 from .link import SimLink
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from typing import Any
 
-    from controller import Controller
+    from boot.controller import Controller
     from interfaces import Store
 
     Wake = int | Callable[[], bool]

@@ -3,7 +3,7 @@
 
 import board
 from machine import Pin
-from store_flash import FlashStore
+from ports.flash_store import FlashStore
 
 
 def drivers_off():

@@ -2,14 +2,14 @@
 # ruff: noqa: I001
 """The whole firmware, which moves and then hangs on purpose. The watchdog ends it."""
 
-import power_up  # first, as in main.py: it sees to where memory is free
+from boot import power_up  # first, as in main.py: it sees to where memory is free
 
 import time
 
 import board
-import lines
-import protocol
-import store_flash
+from talk import lines
+from talk import protocol
+from ports import flash_store as store_flash
 
 from .config import CONFIG
 from .drivers import drivers_off, hear_nothing

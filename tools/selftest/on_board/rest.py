@@ -10,9 +10,9 @@ from array import array
 
 import board
 import micropython
-from gpio import GpioPort
 from machine import Timer, freq
-from store_flash import FlashStore
+from pio.pins import GpioPort
+from ports.flash_store import FlashStore
 
 from .config import CONFIG
 from .drive import Drive

@@ -1,0 +1,1 @@
+"""What all others stand on: errors, axes, settings, the state record, single precision."""

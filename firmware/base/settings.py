@@ -1,0 +1,307 @@
+"""Settings: declared once, in _TABLE; everything else is derived from its rows.
+
+A setting is an attribute here, in the units of its row. Kept as the very
+lines a user would type; lines nobody understands are kept too, so that an
+older firmware does not lose a newer one's. Whoever works something out from
+a setting subscribes, see on_change(); nothing is to change while it moves.
+"""
+
+from array import array
+
+from base import errors
+from base.errors import GrblError
+from base.f32 import f32, whole
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from interfaces import Store
+
+    Rows = tuple[tuple[int, str, int, float, str], ...]
+
+INT = const(0)  # whole, 0 to 255: larger numbers wrap
+BOOL = const(1)
+_FLOAT = const(2)
+_RPM = const(3)  # a float, shown without decimals
+_AXIS = const(4)  # a float per axis: number + axis
+
+# In place of a number: all of them.
+ALL = const(-1)
+
+_FILE = "settings"
+
+_TABLE = (
+    # number, attribute, kind, default, unit. The comment above a row is its documentation.
+    #
+    # Step pulse time. Length of one step pulse; the driver's data sheet gives the minimum. No
+    # less than 3.
+    (0, "step_pulse_us", INT, 10, "microseconds"),
+    # Step idle delay. Motors are released so long after a motion; 255 keeps them on for ever.
+    (1, "idle_lock_ms", INT, 25, "milliseconds"),
+    # Step pulse invert. One bit per axis: X = 1, Y = 2, Z = 4.
+    (2, "step_invert", INT, 0, "mask"),
+    # Step direction invert. One bit per axis.
+    (3, "dir_invert", INT, 0, "mask"),
+    # Invert step enable pin. Off: low enables the drivers.
+    (4, "enable_invert", BOOL, 0, "boolean"),
+    # Invert limit pins. Off: switches pull their pins to ground when hit.
+    (5, "limit_invert", BOOL, 0, "boolean"),
+    # Invert probe pin. Off: the probe pulls its pin to ground on contact.
+    (6, "probe_invert", BOOL, 0, "boolean"),
+    # Status report options. 1: machine position rather than work position; 2: buffer state.
+    (10, "report_mask", INT, 1, "mask"),
+    # Junction deviation. How far a corner may be rounded in thought; more makes corners faster.
+    (11, "junction_deviation_mm", _FLOAT, 0.010, "millimeters"),
+    # Arc tolerance. How far the chords of an arc may stray from it.
+    (12, "arc_tolerance_mm", _FLOAT, 0.002, "millimeters"),
+    # Report in inches. Positions and rates in reports, not in settings.
+    (13, "report_inches", BOOL, 0, "boolean"),
+    # Soft limits. Refuse motion outside the travel of $130-$132. Needs homing.
+    (20, "soft_limits", BOOL, 0, "boolean"),
+    # Hard limits. Stop at once and alarm when a limit switch changes.
+    (21, "hard_limits", BOOL, 0, "boolean"),
+    # Homing cycle. $H is available, and the machine starts locked until homed.
+    (22, "homing", BOOL, 0, "boolean"),
+    # Homing direction invert. One bit per axis; set: the switch is at the negative end.
+    (23, "homing_dir_invert", INT, 0, "mask"),
+    # Homing locate feed rate. The slow approach that counts.
+    (24, "homing_feed", _FLOAT, 25.0, "mm/min"),
+    # Homing search seek rate. The fast approach that finds the switch.
+    (25, "homing_seek", _FLOAT, 500.0, "mm/min"),
+    # Homing switch debounce delay. Rest between the moves of homing.
+    (26, "homing_debounce_ms", INT, 250, "milliseconds"),
+    # Homing switch pull-off distance. Way back from the switch, far enough to open it.
+    (27, "homing_pull_off_mm", _FLOAT, 1.0, "millimeters"),
+    # Maximum spindle speed. The speed at full power.
+    (30, "max_rpm", _RPM, 1000.0, "RPM"),
+    # Minimum spindle speed. The speed at least power.
+    (31, "min_rpm", _RPM, 0.0, "RPM"),
+    # Laser mode. S changes without stopping; M4 power follows the speed; G0 is dark.
+    (32, "laser_mode", BOOL, 0, "boolean"),
+    # Steps per millimetre, one value per axis.
+    (100, "steps_per_mm", _AXIS, 250.0, "step/mm"),
+    # Maximum rate, one value per axis.
+    (110, "max_rate", _AXIS, 500.0, "mm/min"),
+    # Acceleration, one value per axis.
+    (120, "acceleration", _AXIS, 10.0, "mm/sec^2"),
+    # Maximum travel, one value per axis, from the homing switch.
+    (130, "max_travel", _AXIS, 200.0, "millimeters"),
+)
+_BEYOND = 3.5e38  # single precision
+
+# Held in these units inside, as single-precision Grbl does, and shown in the row's.
+_ACCELERATION = const(120)
+_PER_SECOND_SQR = 3600.0
+
+
+class Settings:
+    """All settings, with what is kept in the store.
+
+    without: numbers of the table that are not there; extra: rows that are, besides; file: where.
+    """
+
+    step_pulse_us: int
+    idle_lock_ms: int
+    step_invert: int
+    dir_invert: int
+    enable_invert: int
+    limit_invert: int
+    probe_invert: int
+    report_mask: int
+    junction_deviation_mm: float
+    arc_tolerance_mm: float
+    report_inches: int
+    soft_limits: int
+    hard_limits: int
+    homing: int
+    homing_dir_invert: int
+    homing_feed: float
+    homing_seek: float
+    homing_debounce_ms: int
+    homing_pull_off_mm: float
+    max_rpm: float
+    min_rpm: float
+    laser_mode: int
+    steps_per_mm: "array[float]"
+    max_rate: "array[float]"
+    acceleration: "array[float]"  # mm/min2
+    max_travel: "array[float]"
+
+    def __init__(
+        self,
+        store: "Store",
+        axes: int,
+        defaults: "dict[int, float]",
+        without: "tuple[int, ...]" = (),
+        extra: "Rows" = (),
+        file: str = _FILE,
+    ) -> None:
+        self.max_step_hz = 0  # a board that checks step rates ($100-$112) sets it
+        self._rows = tuple(sorted([row for row in _TABLE if row[0] not in without] + list(extra)))
+        for row in _TABLE:
+            if row[0] in without:
+                setattr(self, row[1], row[3])
+        self._file = file
+        self._store = store
+        self._axes = axes
+        self._board_defaults = defaults
+        self._unknown: "list[str]" = []
+        self._callbacks: "list[Callable[[], None]]" = []
+        self.changed = ALL
+
+    # Whom a change concerns
+
+    def on_change(self, callback: "Callable[[], None]") -> None:
+        """Have it called after every change of one or of all; `changed` is the number, or ALL."""
+        self._callbacks.append(callback)
+
+    def _announce(self, number: int) -> None:
+        self.changed = number
+        for callback in self._callbacks:
+            callback()
+
+    # Keeping
+
+    def load(self) -> bool:
+        """Read what is kept; False where there was nothing valid and defaults were restored."""
+        lines = self._store.load(self._file)
+        if lines is None:
+            self.restore()
+            return False
+        self._set_defaults()
+        self._unknown = []
+        try:
+            for line in lines:
+                self._read(line)
+        except ValueError:
+            self.restore()
+            return False
+        self._announce(ALL)
+        return True
+
+    def _read(self, line: str) -> None:
+        """Take over a kept line. Raises ValueError where it is not one that was ever written."""
+        number, _, amount = line.partition("=")
+        key, value = int(number[1:]), float(amount)
+        if not 0 <= value < _BEYOND:
+            raise ValueError(line)
+        try:
+            row, axis = self._row(key)
+        except GrblError:
+            self._unknown.append(line)  # another firmware's
+        else:
+            self._store_value(row, axis, value)
+
+    def save(self) -> None:
+        """Keep everything as it is now."""
+        lines = [
+            "$%d=%.9g" % (number, self._shown(number, row)) for number, row in self._numbers()
+        ]
+        self._store.save(self._file, lines + self._unknown)
+
+    def restore(self) -> None:
+        """Back to defaults ($RST=$)."""
+        self._set_defaults()
+        self._announce(ALL)
+        self.save()
+
+    def set(self, number: int, amount: float) -> None:
+        """$number=amount. Raises GrblError where it is refused; nothing has changed then."""
+        self._assign(number, amount)
+        self._announce(number)
+        self.save()
+
+    def each(self) -> "list[tuple[int, float, int]]":
+        """(number, value, decimals) of every setting in the order of $$."""
+        return [
+            (number, self._shown(number, row), self._decimals(row))
+            for number, row in self._numbers()
+        ]
+
+    def _numbers(self) -> "list[tuple[int, tuple[int, str, int, float, str]]]":
+        numbers = []
+        for row in self._rows:
+            for axis in range(self._axes if row[2] == _AXIS else 1):
+                numbers.append((row[0] + axis, row))
+        return numbers
+
+    def _decimals(self, row: "tuple[int, str, int, float, str]") -> int:
+        return 3 if row[2] in (_FLOAT, _AXIS) else 0
+
+    def _shown(self, number: int, row: "tuple[int, str, int, float, str]") -> float:
+        amount: float = getattr(self, row[1])
+        if row[2] == _AXIS:
+            amount = getattr(self, row[1])[number - row[0]]
+            if row[0] == _ACCELERATION:
+                amount = f32(amount / _PER_SECOND_SQR)
+        return amount
+
+    def _set_defaults(self) -> None:
+        for row in self._rows:
+            if row[2] == _AXIS:
+                setattr(self, row[1], array("f", (0.0 for _ in range(self._axes))))
+            for axis in range(self._axes if row[2] == _AXIS else 1):
+                self._store_value(row, axis, self._board_defaults.get(row[0] + axis, row[3]))
+
+    def _store_value(
+        self, row: "tuple[int, str, int, float, str]", axis: int, amount: float
+    ) -> None:
+        if row[2] == _AXIS:
+            if row[0] == _ACCELERATION:
+                amount = amount * _PER_SECOND_SQR
+            getattr(self, row[1])[axis] = amount
+        elif row[2] == INT:
+            setattr(self, row[1], whole(amount) & 255)
+        elif row[2] == BOOL:
+            setattr(self, row[1], 1 if whole(amount) & 255 else 0)
+        else:
+            setattr(self, row[1], f32(amount))
+
+    def _row(self, number: int) -> "tuple[tuple[int, str, int, float, str], int]":
+        for row in self._rows:
+            axis = number - row[0]
+            if axis == 0 or (row[2] == _AXIS and 0 < axis < self._axes):
+                return row, axis
+        raise GrblError(errors.INVALID_STATEMENT)
+
+    def _assign(self, number: int, amount: float) -> None:
+        if not amount >= 0:
+            raise GrblError(errors.NEGATIVE_VALUE)
+        row, axis = self._row(number)
+        check = _CHECKS.get(row[0])
+        if check:
+            check(self, axis, amount)
+        self._store_value(row, axis, amount)
+
+    # Checks across fields, by number.
+
+    def _check_pulse(self, axis: int, amount: float) -> None:
+        if whole(amount) & 255 < 3:
+            raise GrblError(errors.SETTING_STEP_PULSE_MIN)
+
+    def _check_soft_limits(self, axis: int, amount: float) -> None:
+        if whole(amount) & 255 and not self.homing:
+            raise GrblError(errors.SOFT_LIMIT_ERROR)
+
+    def _check_homing(self, axis: int, amount: float) -> None:
+        if not whole(amount) & 255:
+            self.soft_limits = 0  # they cannot be without
+
+    def _check_resolution(self, axis: int, amount: float) -> None:
+        if self.max_step_hz and amount * self.max_rate[axis] > self.max_step_hz * 60.0:
+            raise GrblError(errors.MAX_STEP_RATE_EXCEEDED)
+
+    def _check_rate(self, axis: int, amount: float) -> None:
+        if self.max_step_hz and amount * self.steps_per_mm[axis] > self.max_step_hz * 60.0:
+            raise GrblError(errors.MAX_STEP_RATE_EXCEEDED)
+
+
+_CHECKS = {
+    0: Settings._check_pulse,
+    20: Settings._check_soft_limits,
+    22: Settings._check_homing,
+    100: Settings._check_resolution,
+    110: Settings._check_rate,
+}

@@ -1,0 +1,216 @@
+"""The machine as a whole: where it is, what its settings mean to its parts, and its life."""
+
+from array import array
+
+from base import errors
+from base import state as st
+from control import spindle as sp
+from micropython import const
+
+# A save erases six sectors of flash at the most, each in 400 ms.
+_FLASH_MS = const(2500)
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from base.settings import Settings
+    from base.state import State
+    from control.canon import Motion
+    from control.coolant import Coolant
+    from control.coords import Coords
+    from control.inputs import Inputs
+    from control.overrides import Overrides
+    from control.realtime import Realtime
+    from control.saves import Saves
+    from control.seek import Cycles
+    from control.spindle import Spindle
+    from control.suspension import Suspension
+    from interfaces import Port, StepEngine
+    from language.interpreter import Gcode
+    from motion.planner import Planner
+    from motion.segments import Segments
+    from talk.commands import Commands
+    from talk.lines import LineReader
+    from talk.protocol import Protocol
+    from talk.report import Report
+
+
+class Controller:
+    """The machine, made by wiring.build(). axes: how many motors it has."""
+
+    port: "Port"
+    engine: "StepEngine"
+    state: "State"
+    saves: "Saves"
+    settings: "Settings"
+    coords: "Coords"
+    planner: "Planner"
+    segments: "Segments"
+    spindle: "Spindle"
+    coolant: "Coolant"
+    inputs: "Inputs"
+    report: "Report"
+    motion: "Motion"
+    cycles: "Cycles"
+    gcode: "Gcode"
+    overrides: "Overrides"
+    realtime: "Realtime"
+    suspension: "Suspension"
+    commands: "Commands"
+    reader: "LineReader"
+    protocol: "Protocol"
+
+    def __init__(self, axes: int) -> None:
+        self._steps = array("i", (0 for _ in range(axes)))
+
+    # Positions: machine (steps really made) -> planner -> parser
+
+    def position(self, mm: "array[float]") -> None:
+        """Copy the machine position, in mm."""
+        self.engine.position(self._steps)
+        self.planner.to_mm(self._steps, mm)
+
+    def resync(self) -> None:
+        """Plan and interpret from where the machine really is."""
+        self.engine.position(self._steps)
+        self.planner.sync_motors(self._steps)
+        self.planner.to_mm(self._steps, self.gcode.position)
+
+    # Settings
+
+    def configure(self) -> None:
+        """A setting has changed: tell those who work something out from it and from each other."""
+        settings = self.settings
+        engine = self.engine
+        engine.configure(settings.step_pulse_us, settings.step_invert, settings.dir_invert)
+        self.planner.configure(
+            settings,
+            engine.tick_hz,
+            engine.segment_log2,
+            engine.max_step_hz(settings.step_pulse_us),
+        )
+        self.spindle.configure(settings, self.planner.machine)
+        # Of all of them, a reset does the rest.
+        if settings.changed == 21:
+            self.port.hear_limits(bool(settings.hard_limits))
+        if settings.changed in (30, 31):
+            self.spindle.stop()
+        if settings.changed == 13:
+            self.state.wco_countdown = 0
+
+    # Life
+
+    def power_up(self) -> None:
+        """Take in what is kept, and hear of what comes. Then protocol.run() is its life."""
+        self.engine.attach(self.segments.next, self.spindle.set_power, self.spindle.rest)
+        if not self._loads(self.settings.load):
+            # As Grbl: say so, show what holds now.
+            self.report.error(errors.SETTING_READ_FAIL)
+            self._loads(self.coords.restore)
+            self.commands.show_settings()
+        self._loads(self.commands.load)
+        self._loads(self.coords.load)
+        self.port.attach(self.realtime)
+        if self.settings.homing:
+            self.state.run = st.ALARM
+        self.realtime.power(True)
+
+    def _loads(self, load: "Callable[[], bool | None]") -> "bool | None":
+        """Read something that is kept, or begin to keep it."""
+        whole = load()
+        self._keep()
+        return whole
+
+    def at_rest(self) -> bool:
+        """Nothing moves or is going to."""
+        return self.state.run in (st.IDLE, st.ALARM) and self.planner.empty()
+
+    def welcome(self) -> None:
+        """A sender has opened the port anew."""
+        if self.at_rest():
+            self.report.banner()
+
+    def around_saves(
+        self, allow: "Callable[[int], None]", written: "Callable[[], None] | None"
+    ) -> "tuple[Callable[[], None], Callable[[], None]]":
+        """What to do before and after flash is written, which keeps all interrupts off.
+
+        The machine is at rest then. A spindle goes on; a laser that M3 has switched on would burn
+        for longer than the program says, and is off so long. allow: the supervisor's; written:
+        the engine wants to hear of it.
+        """
+        lit = False
+        state, spindle, gcode = self.state, self.spindle, self.gcode
+
+        def before() -> None:
+            nonlocal lit
+            allow(_FLASH_MS)
+            lit = spindle.laser and gcode.spindle == sp.CW and state.spindle_rpm > 0
+            if lit:
+                spindle.stop()
+
+        def after() -> None:
+            if written:
+                written()
+            allow(0)
+            if lit and not state.pending[st.RESET]:
+                spindle.turn(sp.CW, gcode.spindle_rpm)
+
+        return before, after
+
+    def restart(self) -> None:
+        """What a soft reset does, and power-up at last. Raises Abort where another one comes."""
+        self._reset()
+        self.realtime.settle()
+        self._keep()  # what a reset has cut short
+        self._greet()
+
+    def _keep(self) -> None:
+        """Write what is due. What cannot be kept is as it has to be, until power off."""
+        try:
+            self.saves.finish()
+        except OSError:
+            self.report.message(errors.MSG_NOT_KEPT)
+
+    def _reset(self) -> None:
+        state = self.state
+        state.clear()
+        state.pending[:] = bytes(len(state.pending))
+        state.alarm = 0
+        self.engine.stop()
+        self.reader.clear()
+        self.coords.clear()
+        self.gcode.reset()
+        self.motion.forget()
+        self.planner.clear()
+        self.planner.override()
+        self.segments.clear()
+        self.spindle.turn(sp.OFF, 0.0)
+        self.coolant.set(0)
+        self.port.watch_probe(None, False)
+        self.cycles.forget_probe()
+        self.realtime.release()
+        self.resync()
+        state.override_countdown = 0
+        self.port.hear_limits(bool(self.settings.hard_limits))
+        self.realtime.arm()
+
+    def _greet(self) -> None:
+        state = self.state
+        self.report.banner()
+        if self.settings.hard_limits and self.inputs.limits():
+            state.run = st.ALARM
+            self.report.message(errors.MSG_CHECK_LIMITS)
+        if self.inputs.estop():
+            state.run = st.ALARM
+            self.report.message(errors.MSG_EMERGENCY_STOP)
+        if state.run & (st.ALARM | st.SLEEP):
+            self.report.message(errors.MSG_ALARM_LOCK)
+            state.run = st.ALARM
+            return
+        state.run = st.IDLE
+        if self.inputs.door_open():
+            state.post(st.SAFETY_DOOR)
+            self.realtime.run()
+        self.commands.run_startup()

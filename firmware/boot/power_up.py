@@ -1,0 +1,115 @@
+"""Power up: have the machine built (parts.py), keep it running.
+
+The last safety net is here too. Where a board file cannot be right, or something is missing,
+nothing moves, and whoever asks is told why. Whatever goes wrong later that nobody has thought of
+stops the motors, switches spindle and coolant off, and says so in one line; the machine is in
+alarm then, until a soft reset.
+"""
+
+import io
+import sys
+
+from base import errors
+from base import state as st
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from typing import Any
+
+    from boot.controller import Controller
+    from boot.parts import Parts
+
+_RESET = const(0x18)
+_QUESTION = const(0x3F)
+_LONGEST = const(120)
+
+
+def build() -> "Parts | None":
+    """Make the machine of board.py; None where there cannot be one, or the REPL is asked for."""
+    from boot import parts
+
+    made = parts.build(_stay)
+    parts.forget("boot.parts")
+    return made
+
+
+def live(parts: "Parts | None") -> "Controller | None":
+    """Run the machine, for ever or until the REPL is asked for; returns it. main.py calls this
+    and not build() does, for an interrupt needs what the stack has left."""
+    if parts is None:
+        return None
+    machine, link, port, engine, watch = parts
+    fault: "Exception | None" = None
+    while True:
+        try:
+            if fault:
+                _alarm(machine, link, fault)
+            machine.power_up()
+            machine.protocol.run()
+        except KeyboardInterrupt:
+            fault = None
+        except Exception as unforeseen:
+            fault = unforeseen
+        port.safe()
+        engine.stop()
+        if fault is None:
+            break
+    port.watch(0)
+    link.write(b"[MSG:Here is the REPL]\r\n")
+    link.close()
+    watch.close()
+    return machine
+
+
+def _alarm(machine: "Controller", link: "Any", fault: Exception) -> None:
+    """Say what has happened, then wait for a soft reset."""
+    machine.state.alarm = 0
+    machine.state.run = st.ALARM
+    link.write(b"ALARM:%d\r\n" % errors.ALARM_INTERNAL)
+    link.write(_line(fault))
+    buf = bytearray(16)
+    while True:
+        count = link.read_into(buf)
+        for i in range(count):
+            if buf[i] == _RESET:
+                return
+            if buf[i] == _QUESTION:
+                link.write(machine.report.status())
+
+
+def _stay(link: "Any", fault: Exception) -> None:
+    """There is no machine: tell why, again to whoever writes to us."""
+    line = _line(fault)
+    if link is None:
+        print(line.decode())
+        return
+    try:
+        buf = bytearray(16)
+        link.write(line)
+        while True:
+            if link.read_into(buf):
+                link.write(line)
+    except KeyboardInterrupt:
+        return
+
+
+def _line(fault: Exception) -> bytes:
+    """A message of one line: what happened, and where."""
+    text = io.StringIO()
+    sys.print_exception(fault, text)
+    lines = text.getvalue().strip().split("\n")
+    place = lines[-2].strip() if len(lines) > 1 else ""
+    return ("[MSG:%s]\r\n" % _harmless("%s %s" % (lines[-1], place))).encode()
+
+
+def _harmless(text: str) -> str:
+    """The text without what senders take for an answer ("ok", "error") or for a message's end."""
+    clean = ""
+    for c in text[:_LONGEST]:
+        if clean[-1:] in ("o", "O") and c in ("k", "K"):
+            clean += "-"
+        clean += c if " " <= c <= "~" and c not in "[]" else " "
+    for word in ("Error", "error", "ERROR"):
+        clean = clean.replace(word, "Err")
+    return clean

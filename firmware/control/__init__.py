@@ -1,0 +1,1 @@
+"""What the machine does: run states, spindle, coolant, homing, probing, what moves it."""

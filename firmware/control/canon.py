@@ -1,0 +1,271 @@
+"""Motion: the canonical machining functions, what gcode may ask of the machine.
+
+Targets are absolute, in mm of machine coordinates. Everything that has to wait
+does so here, through `service`, which raises Abort after a reset. In check
+mode nothing moves and nothing waits.
+
+A move is asked for (line, arc, jog) deep within the interpreter, and made by
+finish(), which waits for room, when that has returned: an interrupt needs what
+is left of the stack.
+"""
+
+from array import array
+
+import micropython
+from base import errors
+from base import state as st
+from base.f32 import f32, vector, whole
+from micropython import const
+from motion import kernels
+from motion import planner as plan
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from base.settings import Settings
+    from base.state import State
+    from control.coolant import Coolant
+    from control.realtime import Realtime
+    from control.spindle import Spindle
+    from interfaces import Port
+    from motion.arcs import Arc
+    from motion.planner import Move, Planner
+
+_DWELL_TICK_MS = const(50)
+_DWELL_TICKS_PER_S = const(20)
+
+# What judge() finds (mask).
+_OUTSIDE = const(1)
+_FULL = const(2)
+
+# What it is told: how many axes, a mask of those whose travel lies above 0; floats: travel.
+_AXES = const(0)
+_POSITIVE = const(1)
+_TRAVEL = const(2)
+
+# From kernels.py.
+_ROWS = const(1)
+_HEAD = const(2)
+_TAIL = const(3)
+
+
+@micropython.viper
+def judge(target: ptr32, travel: ptr32, flow: ptr32) -> int:
+    """What stands against a line to target: it is OUTSIDE the machine's travel, the ring FULL."""
+    signs = ptr8(target)
+    found = 0
+    for i in range(travel[_AXES]):
+        mm = (target[i] & 0x3FFFFFFF) | ((signs[4 * i + 3] & 0x40) << 24)
+        if mm:
+            above = (signs[4 * i + 3] >> 7) ^ 1
+            if mm > travel[_TRAVEL + i] or above != (travel[_POSITIVE] >> i) & 1:
+                found = _OUTSIDE
+    following = flow[_HEAD] + 1
+    if following == flow[_ROWS]:
+        following = 0
+    return found | _FULL if following == flow[_TAIL] else found
+
+
+class Motion:
+    """The Canon of interfaces.pyi. positive_origin: homing sets 0, and travel goes either way."""
+
+    def __init__(
+        self,
+        state: "State",
+        settings: "Settings",
+        planner: "Planner",
+        spindle: "Spindle",
+        coolant: "Coolant",
+        port: "Port",
+        positive_origin: bool,
+    ) -> None:
+        self._state = state
+        self._settings = settings
+        self.planner = planner
+        self._spindle = spindle
+        self._coolant = coolant
+        self._port = port
+        self._positive_origin = positive_origin
+        self._point = vector(planner.axes)
+        self.travel = array("i", (planner.axes, 0) + (0,) * planner.axes)
+        self._flow = planner.flow
+        self.power = 0  # of the spindle, as the last line has it
+        # The move asked for: how many lines it takes, how many of them are still to be made.
+        self._lines = 0
+        self._left = 0
+        self._is_jog = False
+
+    def connect(self, service: "Callable[[], None]", realtime: "Realtime") -> None:
+        """Say how to wait, and whom to tell of an alarm."""
+        self.service = service
+        self._realtime = realtime
+
+    def configure(self) -> None:
+        """Take over $23, $130 and the others of travel."""
+        settings = self._settings
+        travel = self.travel
+        travel[_POSITIVE] = settings.homing_dir_invert if self._positive_origin else 0
+        kernels.copy(settings.max_travel, memoryview(travel)[_TRAVEL:], self.planner.axes)
+
+    # Moves
+
+    def line(self, target: "array[float]", move: "Move") -> None:
+        """A straight line: rapid or feed, by the move's flags. Made by finish()."""
+        self.finish()
+        self._target = target
+        self._move = move
+        self._lines = self._left = 1
+
+    def finish(self) -> None:
+        """Make what has been asked for."""
+        state = self._state
+        while self._left:
+            move = self._move
+            target = self._next_target()
+            found = judge(target, self.travel, self._flow)
+            if found & _OUTSIDE and self._settings.soft_limits and state.run != st.JOG:
+                self._soft_limit()
+            if state.run == st.CHECK:
+                continue
+            self.service()
+            while found & _FULL:
+                self.auto_start()
+                self.service()
+                found = judge(target, self.travel, self._flow)
+            self.power = self._power(move)
+            if not self.planner.line(target, move, self.power) and self._spindle.laser:
+                # A laser's S takes effect even where there is no way to go.
+                if move.flags & plan.SPINDLE_CW:
+                    self.spin(plan.SPINDLE_CW, move.spindle_rpm)
+        if self._is_jog:
+            self._is_jog = False
+            if state.run == st.IDLE and not self.planner.empty():
+                self._realtime.start(st.JOG)
+
+    def _next_target(self) -> "array[float]":
+        """Where the next of the lines asked for ends."""
+        self._left -= 1
+        if self._left == 0:
+            return self._target
+        self._arc.point(self._lines - self._left, self._point)
+        return self._point
+
+    def forget(self) -> None:
+        """Nothing has been asked for."""
+        self._left = 0
+        self._is_jog = False
+
+    def jog(self, target: "array[float]", move: "Move") -> None:
+        """A line that starts at once, and that a hold would cancel. Made by finish()."""
+        self.line(target, move)
+        self._is_jog = True
+
+    def _power(self, move: "Move") -> int:
+        """Spindle power of a planner block: in laser mode M4 makes it follow speed."""
+        if not move.flags & plan.SPINDLE_MASK:
+            return 0
+        if self._spindle.laser and move.flags & plan.SPINDLE_CCW:
+            move.flags |= plan.RATE_ADJUSTED
+        return self._spindle.block_power(move.flags, move.spindle_rpm)
+
+    def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
+        """An arc, or helix, as chords within $12 of it. Made by finish()."""
+        self.finish()
+        angle = arc.sweep(start, target)
+        chords = arc.chords(angle, self._settings.arc_tolerance_mm)
+        if chords and move.flags & plan.INVERSE_TIME:
+            # Its time is shared out among the chords, whose rate counts from here on.
+            move.feed *= chords
+            move.flags &= ~plan.INVERSE_TIME
+        arc.begin(start, target, chords, angle)
+        self._arc = arc
+        self.line(target, move)
+        self._lines = self._left = max(chords, 1)
+
+    def dwell(self, seconds: float) -> None:
+        """Stand still; hold and reset work meanwhile."""
+        if self._state.run == st.CHECK:
+            return
+        self.synchronise()
+        exact = f32(_DWELL_TICKS_PER_S * seconds)
+        ticks = whole(exact)
+        if exact > ticks:
+            ticks += 1
+        for _ in range(ticks & 0xFFFF):
+            since = self._port.ticks_ms()
+            self.service()
+            self._realtime.pause(_DWELL_TICK_MS - self._port.elapsed_ms(since))
+
+    def auto_start(self) -> None:
+        """Whatever is planned is to move."""
+        if self._state.run == st.IDLE and not self.planner.empty():
+            self._state.post(st.CYCLE_START)
+
+    def synchronise(self) -> None:
+        """Wait until everything planned has been done."""
+        self.finish()
+        self.auto_start()
+        self.service()
+        while not self.planner.empty() or self._state.run == st.RUN:
+            self.service()
+
+    def settle(self) -> None:
+        """Wait until the motors are released."""
+        self._realtime.release()
+        while self._realtime.settling:
+            self.service()
+
+    # Accessories
+
+    def spin(self, direction: int, rpm: float) -> None:
+        """Turn the spindle, once motion has come to where it was asked."""
+        if self._state.run != st.CHECK:
+            self.synchronise()
+            self._spindle.turn(direction, rpm)
+
+    def cool(self, mask: int) -> None:
+        """Switch coolant, once motion has come to where it was asked."""
+        if self._state.run != st.CHECK:
+            self.synchronise()
+            self._coolant.set(mask)
+
+    def end_program(self) -> None:
+        """Spindle and coolant off, overrides back to 100 %."""
+        state = self._state
+        state.feed_override = state.rapid_override = state.spindle_override = 100
+        self.planner.override()
+        if state.run != st.CHECK:
+            self._spindle.turn(0, 0.0)
+            self._coolant.set(0)
+
+    def control_overrides(self, parking: bool) -> None:
+        """M56: parking is in action, or is not."""
+        if self._state.run != st.CHECK:
+            self.synchronise()
+        self._state.override_control = parking
+
+    def pause_program(self) -> None:
+        """M0: hold until cycle start."""
+        if self._state.run != st.CHECK:
+            self._state.post(st.FEED_HOLD)
+            self.service()
+
+    # Soft limits
+
+    def outside(self, target: "array[float]") -> bool:
+        """The target lies outside the machine's travel."""
+        return bool(judge(target, self.travel, self._flow) & _OUTSIDE)
+
+    def _soft_limit(self) -> None:
+        """Come to rest where position is certain, then alarm and reset."""
+        state = self._state
+        state.soft_limit = True
+        if state.run == st.RUN:
+            state.post(st.FEED_HOLD)
+            self.service()
+            while state.run != st.IDLE:
+                self.service()
+        self._realtime.reset()
+        state.alarm = errors.ALARM_SOFT_LIMIT
+        self.service()

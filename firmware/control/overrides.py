@@ -1,0 +1,117 @@
+"""Overrides: feed, rapids and spindle in percent, spindle stop, coolant, by real-time bytes."""
+
+from base import state as st
+from control.coolant import FLOOD, MIST
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from base.state import State
+    from control.coolant import Coolant
+    from control.spindle import Spindle
+    from language.interpreter import Gcode
+    from motion.planner import Planner
+
+# Override bytes, from 0x90: which override, and by how much; 0 is back to 100 %.
+_FEED = const(0)
+_RAPID = const(1)
+_SPINDLE = const(2)
+_OVERRIDES = {
+    0x90: (_FEED, 0),
+    0x91: (_FEED, 10),
+    0x92: (_FEED, -10),
+    0x93: (_FEED, 1),
+    0x94: (_FEED, -1),
+    0x95: (_RAPID, 100),
+    0x96: (_RAPID, 50),
+    0x97: (_RAPID, 25),
+    0x99: (_SPINDLE, 0),
+    0x9A: (_SPINDLE, 10),
+    0x9B: (_SPINDLE, -10),
+    0x9C: (_SPINDLE, 1),
+    0x9D: (_SPINDLE, -1),
+}
+_SPINDLE_STOP = const(0x9E)
+_FLOOD_TOGGLE = const(0xA0)
+_MIST_TOGGLE = const(0xA1)
+_LOWEST = const(10)
+_HIGHEST = const(200)
+
+# States in which blocks are being executed, or wait for it.
+_MOTION = const(0x38)  # RUN | HOLD | JOG
+
+
+class Overrides:
+    """What they change. has_mist: there is a mist output."""
+
+    def __init__(
+        self,
+        state: "State",
+        planner: "Planner",
+        spindle: "Spindle",
+        coolant: "Coolant",
+        gcode: "Gcode",
+        has_mist: bool,
+    ) -> None:
+        self._state = state
+        self._planner = planner
+        self._spindle = spindle
+        self._coolant = coolant
+        self._gcode = gcode
+        self._has_mist = has_mist
+
+    def take(self) -> None:
+        """Do what has been asked by override bytes."""
+        state = self._state
+        new = [state.feed_override, state.rapid_override, state.spindle_override]
+        for byte in range(st.FIRST_OVERRIDE_BYTE, _SPINDLE_STOP):  # in this order, as Grbl
+            times = self._asked(byte)
+            if times and byte in _OVERRIDES:
+                which, change = _OVERRIDES[byte]
+                if which == _RAPID or change == 0:
+                    new[which] = change or 100
+                else:
+                    new[which] = min(max(new[which] + times * change, _LOWEST), _HIGHEST)
+        if new[0] != state.feed_override or new[1] != state.rapid_override:
+            state.feed_override, state.rapid_override = new[0], new[1]
+            state.override_countdown = 0
+            self._planner.override()
+        if new[2] != state.spindle_override:
+            state.spindle_override = new[2]
+            state.override_countdown = 0
+            self._override_spindle()
+        self._accessory_overrides()
+
+    def _asked(self, byte: int) -> int:
+        """How often that byte has come: each of a burst counts."""
+        return self._state.take(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
+
+    def _override_spindle(self) -> None:
+        """The spindle's override has changed: now, with the motion, or once it is held."""
+        state = self._state
+        self._gcode.plain.forget()
+        if state.run == st.IDLE:
+            self._spindle.turn(self._gcode.spindle, self._gcode.spindle_rpm)
+        elif state.run & _MOTION:
+            state.update_spindle = True
+            self._planner.each_power(self._spindle.block_power)
+
+    def _accessory_overrides(self) -> None:
+        state = self._state
+        if self._asked(_SPINDLE_STOP):
+            self.stop_spindle()
+        flood, mist = self._asked(_FLOOD_TOGGLE), self._asked(_MIST_TOGGLE)
+        toggled = (FLOOD if flood & 1 else 0) | (MIST if mist & 1 and self._has_mist else 0)
+        if not toggled or state.run not in (st.IDLE, st.RUN, st.HOLD, st.JOG):
+            return
+        self._gcode.coolant ^= toggled
+        self._coolant.set(self._gcode.coolant)
+
+    def stop_spindle(self) -> None:
+        """Spindle stop override: toggles, and only while held."""
+        state = self._state
+        if state.run == st.HOLD:
+            if not state.stop_override:
+                state.stop_override = st.STOP_INITIATE
+            elif state.stop_override & st.STOP_ENABLED:
+                state.stop_override |= st.STOP_RESTORE

@@ -1,0 +1,260 @@
+"""Homing and probing: motion that ends when a switch says so."""
+
+import math
+from array import array
+
+from base import errors
+from base import state as st
+from base.axes import X, Y, Z
+from base.f32 import f32, vector
+from micropython import const
+from motion import planner as plan
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from base.settings import Settings
+    from base.state import State
+    from control.canon import Motion
+    from control.inputs import Inputs
+    from control.realtime import Realtime
+    from interfaces import Port, StepEngine
+    from motion.planner import Move, Planner
+    from talk.report import Report
+
+# How much further than the travel, or the pull-off, a switch is searched for.
+_SEARCH = 1.5
+_LOCATE = 5.0
+# Approach fast, pull off, approach slowly, pull off.
+_PHASES = const(4)
+
+
+class Cycles:
+    """Both cycles. zero_origin: homing sets 0; shared_switches: an input serves both ends."""
+
+    def __init__(
+        self,
+        state: "State",
+        settings: "Settings",
+        engine: "StepEngine",
+        planner: "Planner",
+        inputs: "Inputs",
+        port: "Port",
+        report: "Report",
+        zero_origin: bool,
+        shared_switches: bool,
+    ) -> None:
+        self._state = state
+        self._settings = settings
+        self._engine = engine
+        self._planner = planner
+        self._inputs = inputs
+        self._port = port
+        self._report = report
+        self._zero_origin = zero_origin
+        self._shared_switches = shared_switches
+        axes = planner.axes
+        self._corexy = planner.corexy
+        self._steps = array("i", (0 for _ in range(axes)))
+        self._target = vector(axes)
+        self._move = plan.Move()
+        self.probe_steps = array("i", (0 for _ in range(axes)))
+
+    def connect(
+        self,
+        motion: "Motion",
+        realtime: "Realtime",
+        pump: "Callable[[], None]",
+        position: "Callable[[array[float]], None]",
+        resync: "Callable[[], None]",
+    ) -> None:
+        """Say whom to call; see controller.py."""
+        self._motion = motion
+        self._realtime = realtime
+        self._pump = pump
+        self._position = position
+        self._resync = resync
+
+    # Probing (G38.2 to G38.5)
+
+    def probe(self, target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
+        """Move until contact, or until it is lost. Returns whether the parser is at the target.
+
+        Where the probe fails and alarms is set, the machine is in alarm afterwards.
+        """
+        state = self._state
+        if state.run == st.CHECK:
+            return True
+        self._motion.synchronise()
+        state.probe_succeeded = False
+        if self._inputs.probe() != away:
+            self._realtime.fail(errors.ALARM_PROBE_FAIL_INITIAL)
+            return False
+        self._contact = False
+        self._motion.line(target, move)
+        self._motion.finish()
+        self._port.watch_probe(self._on_contact, self._inputs.contact_level(away))
+        state.post(st.CYCLE_START)
+        self._motion.service()
+        while state.run != st.IDLE:
+            self._motion.service()
+        self._port.watch_probe(None, False)
+        if self._contact:
+            state.probe_succeeded = True
+        elif not alarms:
+            self._engine.position(self.probe_steps)
+        self._motion.service()
+        self._planner.clear()
+        if state.probe_succeeded:
+            self._resync()
+        else:
+            self._engine.position(self._steps)
+            self._planner.sync_motors(self._steps)
+        if alarms and not state.probe_succeeded:
+            self._realtime.fail(errors.ALARM_PROBE_FAIL_CONTACT, self._end_probe)
+        else:
+            self._end_probe()
+        return not state.probe_succeeded
+
+    def _end_probe(self) -> None:
+        self._realtime.release()
+        self._realtime.settle()
+        self._report_probe()
+
+    def forget_probe(self) -> None:
+        """As if nothing had been probed yet."""
+        for i in range(len(self.probe_steps)):
+            self.probe_steps[i] = 0
+
+    def _on_contact(self) -> None:
+        """Interrupt: the place counts, to the step."""
+        self._engine.position(self.probe_steps)
+        self._contact = True
+        self._state.post(st.CANCEL_MOTION)
+
+    def _report_probe(self) -> None:
+        self._planner.to_mm(self.probe_steps, self._target)
+        self._report.probe(self._target)
+
+    def probe_position(self) -> "array[float]":
+        """Where the probe touched last, in mm."""
+        self._planner.to_mm(self.probe_steps, self._target)
+        return self._target
+
+    # Homing ($H)
+
+    def home(self, axes: int) -> bool:
+        """Find the switches: of these axes (a mask), or of all, Z first.
+
+        Returns False where it cannot begin: the machine will be in alarm.
+        """
+        state = self._state
+        if self._shared_switches and self._inputs.limits():
+            self._realtime.reset()
+            state.alarm = errors.ALARM_HARD_LIMIT
+            return False
+        if axes:
+            self._home(axes)
+        else:
+            self._home(1 << Z)
+            self._home(((1 << self._planner.axes) - 1) & ~(1 << Z))
+        self._motion.service()
+        self._resync()
+        return True
+
+    def _home(self, axes: int) -> None:
+        settings = self._settings
+        travel = 0.0
+        count = 0
+        for i in range(self._planner.axes):
+            if axes >> i & 1:
+                travel = max(travel, _SEARCH * settings.max_travel[i])
+                count += 1
+        # Each axis is to move at the homing rate, the diagonal that much faster.
+        diagonal = math.sqrt(count)
+        rate = settings.homing_seek
+        for phase in range(_PHASES):
+            approach = phase % 2 == 0
+            self._home_phase(axes, approach, travel, rate * diagonal)
+            self._realtime.pause(settings.homing_debounce_ms)
+            if approach:
+                travel = settings.homing_pull_off_mm
+                rate = settings.homing_seek
+            else:
+                travel = settings.homing_pull_off_mm * _LOCATE
+                rate = settings.homing_feed
+        self._set_origin(axes)
+
+    def _home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
+        """One move; ends when all switches were found, or with the way back done."""
+        engine = self._engine
+        planner = self._planner
+        engine.position(self._steps)
+        self._position(self._target)
+        for i in range(planner.axes):
+            if axes >> i & 1:
+                planner.set_axis(self._steps, i, 0.0)
+                negative = bool(self._settings.homing_dir_invert >> i & 1) == approach
+                self._target[i] = -travel if negative else travel
+        engine.set_position(self._steps)
+        move = self._move
+        move.clear()
+        move.feed = rate
+        move.flags = plan.SYSTEM_MOTION | plan.NO_FEED_OVERRIDE
+        planner.clear()
+        planner.system_line(self._target, move, 0, self._steps)
+        self._realtime.start(st.HOMING)
+        self._state.spindle_rpm = 0.0  # these moves have no power
+        searching = axes
+        while searching:
+            if approach:
+                found = self._inputs.limits() & searching
+                if found:
+                    searching &= ~found
+                    self._lock(found)
+            if self._failed(approach, axes):
+                self._realtime.reset()
+                self._motion.service()
+            self._realtime.watch()  # first: an engine that has failed stands still, too
+            if engine.idle():
+                break
+            if searching:
+                self._pump()
+        engine.stop()
+        planner.clear()
+        self._realtime.arm()
+
+    def _lock(self, axes: int) -> None:
+        if self._corexy and axes & (1 << X | 1 << Y):
+            axes |= 1 << X | 1 << Y  # one motor alone would move both
+        self._engine.lock(axes)
+
+    def _failed(self, approach: bool, axes: int) -> bool:
+        """Set the alarm if the cycle cannot go on."""
+        state = self._state
+        done = self._engine.idle()
+        if state.pending[st.RESET]:
+            state.alarm = errors.ALARM_HOMING_FAIL_RESET
+        elif state.pending[st.SAFETY_DOOR]:
+            state.alarm = errors.ALARM_HOMING_FAIL_DOOR
+        elif done and not approach and self._inputs.limits() & axes:
+            state.alarm = errors.ALARM_HOMING_FAIL_PULLOFF
+        elif done and approach:
+            state.alarm = errors.ALARM_HOMING_FAIL_APPROACH
+        return state.alarm != 0
+
+    def _set_origin(self, axes: int) -> None:
+        settings = self._settings
+        engine = self._engine
+        engine.position(self._steps)
+        pull_off = settings.homing_pull_off_mm
+        for i in range(self._planner.axes):
+            if axes >> i & 1:
+                place = -pull_off
+                if self._zero_origin:
+                    place = 0.0
+                elif settings.homing_dir_invert >> i & 1:
+                    place = f32(pull_off - settings.max_travel[i])
+                self._planner.set_axis(self._steps, i, place)
+        engine.set_position(self._steps)

@@ -1,0 +1,274 @@
+"""Suspension: what happens while motion is held, behind an open door, or asleep.
+
+turn() is called over and over by realtime.suspended() until the suspension ends.
+What takes time is a generator: it yields where it waits, so that no wait is
+nested in another. Parking, an option of the board, moves the tool away from
+the work and back.
+"""
+
+from array import array
+
+from base import errors
+from base import state as st
+from base.axes import Z
+from base.f32 import vector
+from micropython import const
+from motion import kernels
+from motion import planner as plan
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from base.settings import Settings
+    from base.state import State
+    from control.coolant import Coolant
+    from control.inputs import Inputs
+    from control.overrides import Overrides
+    from control.realtime import Realtime
+    from control.spindle import Spindle
+    from interfaces import Port, StepEngine
+    from language.interpreter import Gcode
+    from motion.planner import Planner
+    from motion.segments import Segments
+    from talk.report import Report
+
+# What a spindle and a pump need before cutting goes on behind a closed door.
+_SPINDLE_DELAY_MS = const(4000)
+_COOLANT_DELAY_MS = const(1000)
+
+_PARK_AXIS = Z
+_PARK_TARGET_MM = -5.0  # machine coordinates
+_PARK_RATE = 500.0
+_PULL_OUT_RATE = 100.0
+_PULL_OUT_MM = 5.0
+
+
+class Suspension:
+    """Holds, door and sleep. parks: the board has parking motion."""
+
+    def __init__(
+        self,
+        state: "State",
+        settings: "Settings",
+        engine: "StepEngine",
+        planner: "Planner",
+        segments: "Segments",
+        spindle: "Spindle",
+        coolant: "Coolant",
+        inputs: "Inputs",
+        report: "Report",
+        parks: bool,
+    ) -> None:
+        self._state = state
+        self._settings = settings
+        self._engine = engine
+        self._steps = array("i", (0 for _ in range(planner.axes)))
+        self._planner = planner
+        self._segments = segments
+        self._spindle = spindle
+        self._coolant = coolant
+        self._inputs = inputs
+        self._report = report
+        self._parks = parks
+        self._move = plan.Move()
+        self._target = vector(planner.axes)
+        self._resume_at = vector(planner.axes)
+        self._waypoint = 0.0
+        self._routine: "Iterator[None] | None" = None  # what is under way
+
+    def connect(
+        self,
+        realtime: "Realtime",
+        overrides: "Overrides",
+        gcode: "Gcode",
+        port: "Port",
+        position: "Callable[[array[float]], None]",
+    ) -> None:
+        """Say whom to call. position copies the machine's, in mm."""
+        self._realtime = realtime
+        self._overrides = overrides
+        self._gcode = gcode
+        self._port = port
+        self._position = position
+
+    def turn(self) -> None:
+        """One turn of a suspension."""
+        if not self._routine:
+            self._choose()
+        if self._routine:
+            try:
+                next(self._routine)
+            except StopIteration:
+                self._routine = None
+
+    def _choose(self) -> None:
+        """What is to be done now: at once, or as a routine."""
+        state = self._state
+        if not state.suspend & st.HOLD_COMPLETE:
+            return
+        if state.run not in (st.DOOR, st.SLEEP):
+            self._hold()
+        elif not state.suspend & st.RETRACT_COMPLETE:
+            self._routine = self._retract()
+        elif state.run == st.SLEEP:
+            self._routine = self._sleep()
+        else:
+            self._door()
+
+    def _pause(self, milliseconds: int) -> "Iterator[None]":
+        """Wait, unless the door opens again."""
+        since = self._port.ticks_ms()
+        while self._port.elapsed_ms(since) < milliseconds and not self._interrupted():
+            yield
+
+    # Feed hold
+
+    def begin(self) -> None:
+        """A suspension has just begun: remember what turned, and darken a laser."""
+        self._routine = None
+        row = self._planner.row()
+        if row is None:
+            self._flags = self._gcode.accessory_flags()
+            self._rpm = self._gcode.spindle_rpm
+        else:
+            self._flags = row[kernels.FLAGS]
+            self._rpm = self._planner.speeds[self._planner.flow[kernels.TAIL]]
+        if self._spindle.laser:
+            self._overrides.stop_spindle()
+
+    def _hold(self) -> None:
+        state = self._state
+        stopping = state.stop_override
+        if stopping & st.STOP_INITIATE:
+            state.stop_override = 0
+            if self._gcode.spindle:
+                self._spindle.turn(0, 0.0)
+                state.stop_override = st.STOP_ENABLED
+        elif stopping & (st.STOP_RESTORE | st.STOP_RESTORE_CYCLE):
+            if self._gcode.spindle:
+                self._report.message(errors.MSG_SPINDLE_RESTORE)
+                self._restore_spindle()
+            if stopping & st.STOP_RESTORE_CYCLE:
+                state.post(st.CYCLE_START)
+            state.stop_override = 0
+        elif not stopping and state.update_spindle:
+            self._spindle.turn(self._flags & plan.SPINDLE_MASK, self._rpm)
+            state.update_spindle = False
+
+    def _restore_spindle(self) -> None:
+        if self._spindle.laser:
+            self._state.update_spindle = True  # comes back with the motion
+            if self._planner.row() and not self._flags & kernels.DYNAMIC:
+                self._spindle.power(self._rpm)  # and is reported
+        else:
+            self._spindle.turn(self._flags & plan.SPINDLE_MASK, self._rpm)
+
+    # Sleep
+
+    def _sleep(self) -> "Iterator[None]":
+        self._report.message(errors.MSG_SLEEP)
+        self._stop_accessories()
+        self._realtime.release()
+        while True:  # until a reset raises Abort
+            yield
+
+    def _stop_accessories(self) -> None:
+        self._spindle.turn(0, 0.0)
+        self._coolant.set(0)
+
+    # Door
+
+    def _interrupted(self) -> bool:
+        return bool(self._state.suspend & st.RESTART_RETRACT)
+
+    def _retract(self) -> "Iterator[None]":
+        state = self._state
+        state.stop_override = 0
+        if self._parks:
+            yield from self._park()
+        else:
+            self._stop_accessories()
+        state.suspend &= ~st.RESTART_RETRACT
+        state.suspend |= st.RETRACT_COMPLETE
+
+    def _door(self) -> None:
+        state = self._state
+        if not self._inputs.door_open():
+            state.suspend &= ~st.DOOR_AJAR
+        if state.suspend & st.INITIATE_RESTORE:
+            self._routine = self._restore()
+
+    def _restore(self) -> "Iterator[None]":
+        state = self._state
+        if self._parks and self._may_park() and self._target[_PARK_AXIS] <= _PARK_TARGET_MM:
+            self._target[_PARK_AXIS] = self._waypoint
+            yield from self._park_move(self._target, _PARK_RATE, False)
+        if self._gcode.spindle and not self._interrupted():
+            self._restore_spindle()
+            if not self._spindle.laser:
+                yield from self._pause(_SPINDLE_DELAY_MS)
+        if self._gcode.coolant and not self._interrupted():
+            self._coolant.set(self._flags >> plan.COOLANT_SHIFT & 3)
+            yield from self._pause(_COOLANT_DELAY_MS)
+        if self._parks and self._may_park() and not self._interrupted():
+            yield from self._park_move(self._resume_at, _PULL_OUT_RATE, True)
+        if not self._interrupted():
+            state.suspend |= st.RESTORE_COMPLETE
+            state.post(st.CYCLE_START)
+
+    # Parking
+
+    def _may_park(self) -> bool:
+        return (
+            bool(self._settings.homing)
+            and not self._spindle.laser
+            and self._state.override_control
+        )
+
+    def _park(self) -> "Iterator[None]":
+        """Pull out slowly with the spindle on, then go up fast without it."""
+        target = self._target
+        self._position(target)
+        if not self._interrupted():
+            self._resume_at[:] = target
+            self._waypoint = min(target[_PARK_AXIS] + _PULL_OUT_MM, _PARK_TARGET_MM)
+        if not self._may_park() or target[_PARK_AXIS] >= _PARK_TARGET_MM:
+            self._stop_accessories()
+            return
+        if target[_PARK_AXIS] < self._waypoint:
+            target[_PARK_AXIS] = self._waypoint
+            yield from self._park_move(target, _PULL_OUT_RATE, True)
+        self._stop_accessories()
+        if target[_PARK_AXIS] < _PARK_TARGET_MM:
+            target[_PARK_AXIS] = _PARK_TARGET_MM
+            yield from self._park_move(target, _PARK_RATE, False)
+
+    def _park_move(
+        self, target: "array[float]", rate: float, with_accessories: bool
+    ) -> "Iterator[None]":
+        state = self._state
+        move = self._move
+        move.clear()
+        move.feed = rate
+        move.flags = plan.SYSTEM_MOTION | plan.NO_FEED_OVERRIDE
+        power = 0
+        if with_accessories:
+            move.flags |= self._flags & plan.ACCESSORY_MASK
+            move.spindle_rpm = self._rpm
+            if self._flags & plan.SPINDLE_MASK:
+                power = self._spindle.power(self._rpm)
+        self._segments.begin_system()
+        self._engine.position(self._steps)
+        planned = self._planner.system_line(target, move, power, self._steps)
+        if planned:
+            state.system_motion = True
+            state.holding = False
+            self._segments.hold(False)
+            self._realtime.start(state.run)
+            while state.system_motion:
+                yield
+        self._segments.end_system()
+        self._segments.hold(True)
+        if not planned:
+            yield

@@ -1,0 +1,265 @@
+"""Reports as Grbl 0.9i and 0.9j word them, for senders older than Grbl 1.1.
+
+Errors, alarms and settings come with their meaning in words; a status report
+shows both positions and has no slow fields. Only what is said differs: the
+machine is the same. A board asks for it with DIALECT = "0.9".
+"""
+
+from base import state as st
+from base.errors import ALARM_PROBE_FAIL_CONTACT, ALARM_PROBE_FAIL_INITIAL
+from base.settings import INT
+from micropython import const
+from talk.digits import VALUES, number, write
+from talk.report import BUILD, Report
+from talk.singles import MINUS, add
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from array import array
+    from collections.abc import Callable
+
+    from control.coolant import Coolant
+    from control.inputs import Inputs
+    from control.spindle import Spindle
+    from interfaces import StepEngine
+    from motion.planner import Planner
+    from motion.segments import Segments
+
+# $10 in this dialect (mask).
+_MACHINE_POSITION = const(1)
+_WORK_POSITION = const(2)
+_PLANNER_BLOCKS = const(4)
+_RX_BYTES = const(8)
+_LIMITS = const(16)
+
+_HELP = b"""\
+$$ (view Grbl settings)\r
+$# (view # parameters)\r
+$G (view parser state)\r
+$I (view build info)\r
+$N (view startup blocks)\r
+$x=value (save Grbl setting)\r
+$Nx=line (save startup block)\r
+$C (check gcode mode)\r
+$X (kill alarm lock)\r
+$H (run homing cycle)\r
+~ (cycle start)\r
+! (feed hold)\r
+? (current status)\r
+ctrl-x (reset Grbl)\r
+"""
+
+# Those that are not here are shown by their numbers.
+_ERRORS = {
+    1: "Expected command letter",
+    2: "Bad number format",
+    3: "Invalid statement",
+    4: "Value < 0",
+    5: "Setting disabled",
+    6: "Value < 3 usec",
+    7: "EEPROM read fail. Using defaults",
+    8: "Not idle",
+    9: "Alarm lock",
+    10: "Homing not enabled",
+    11: "Line overflow",
+    12: "Step rate > 30kHz",
+    20: "Unsupported command",
+    21: "Modal group violation",
+    22: "Undefined feed rate",
+}
+
+_ALARMS = {
+    1: "Hard limit",
+    2: "Soft limit",
+    3: "Abort during cycle",
+    ALARM_PROBE_FAIL_INITIAL: "Probe fail",
+    ALARM_PROBE_FAIL_CONTACT: "Probe fail",
+    6: "Homing fail",
+    7: "Homing fail",
+    8: "Homing fail",
+    9: "Homing fail",
+    10: "Homing fail",
+    32: "Punch not down",
+    33: "Punch not up",
+}
+
+# What stands in parentheses behind a setting. A mask's bits follow the colon.
+_SETTINGS = {
+    0: "step pulse, usec",
+    1: "step idle delay, msec",
+    2: "step port invert mask:",
+    3: "dir port invert mask:",
+    4: "step enable invert, bool",
+    5: "limit pins invert, bool",
+    6: "probe pin invert, bool",
+    10: "status report mask:",
+    11: "junction deviation, mm",
+    12: "arc tolerance, mm",
+    13: "report inches, bool",
+    20: "soft limits, bool",
+    21: "hard limits, bool",
+    22: "homing cycle, bool",
+    23: "homing dir invert mask:",
+    24: "homing feed, mm/min",
+    25: "homing seek, mm/min",
+    26: "homing debounce, msec",
+    27: "homing pull-off, mm",
+    30: "punch actuator down invert, bool",
+    31: "punch actuator up invert, bool",
+    32: "punch sensor down invert, bool",
+    33: "punch sensor up invert, bool",
+}
+# The same for a group of one setting per axis, behind the axis's letter.
+_AXIS_SETTINGS = {
+    10: ", step/mm",
+    11: " max rate, mm/min",
+    12: " accel, mm/sec^2",
+    13: " max travel, mm",
+}
+
+
+class Report09(Report):
+    """Report, in the words of 0.9j."""
+
+    VERSION = "0.9j"
+    READS = (0x100, 0x40, 0)  # no upper real-time bytes; @ is the safety door
+    HIGHEST_TOOL = 1 << 31
+    NO_COMMANDS = b"JS"
+    SETTINGS = (
+        (10, 30, 31, 32),
+        (
+            # Status report options. 1: machine position; 2: work position; 4: planner blocks in
+            # use; 8: received bytes not yet read; 16: limit switches.
+            (10, "report_mask", INT, _MACHINE_POSITION | _WORK_POSITION, "mask"),
+        ),
+    )
+
+    def connect(
+        self,
+        engine: "StepEngine",
+        planner: "Planner",
+        segments: "Segments",
+        inputs: "Inputs",
+        spindle: "Spindle",
+        coolant: "Coolant",
+        rx_free: "Callable[[], int]",
+        position: "Callable[[array[float]], None]",
+    ) -> None:
+        """As Report does. Buffers are empty yet: 0.9 counts what is in them."""
+        super().connect(engine, planner, segments, inputs, spindle, coolant, rx_free, position)
+        self._blocks = planner.free()
+        self._rx_bytes = rx_free()
+
+    # Answers
+
+    def error(self, code: int) -> None:
+        """The line was refused."""
+        self._line("error: " + _ERRORS.get(code, "Invalid gcode ID:%d" % code))
+
+    def alarm(self, code: int) -> None:
+        """The machine had to stop."""
+        self._line("ALARM: " + _ALARMS.get(code, "ID:%d" % code))
+
+    def message(self, text: str) -> None:
+        """Something a person should know."""
+        self._line("[" + text + "]")
+
+    def banner(self) -> None:
+        """The machine has started."""
+        self._line("\r\nGrbl " + self.VERSION + " ['$' for help]")
+
+    def help(self) -> None:
+        """The answer to $."""
+        self._link.write(_HELP)
+
+    def setting(self, key: int, value: float, decimals: int) -> None:
+        """One line of $$."""
+        if key < 100:
+            words = _SETTINGS[key]
+            if words[-1] == ":":
+                words += "{:08b}".format(int(value))
+        else:
+            words = "xyza"[key % 10] + _AXIS_SETTINGS[key // 10]
+        self._line("$%d=%s (%s)" % (key, number(value, decimals), words))
+
+    def startup_run(self, text: str) -> bytes:
+        """A startup line is about to be executed: it stands before all that comes of it."""
+        self._link.write(text.encode())
+        return b""
+
+    def startup_lost(self) -> None:
+        """Nothing valid is kept in the place of a startup line: it is empty, no more."""
+
+    def build_info(self, info: str, options: str) -> None:
+        """The answer to $I."""
+        self._line("[%s.%s:%s]" % (self.VERSION, BUILD, info))
+
+    def modes(self, text: str) -> None:
+        """The answer to $G. M0 is always there, before the spindle; T is read and forgotten."""
+        words = ["T0" if word[0] == "T" else word for word in text.split(" ")]
+        words.insert(6, "M0")
+        self._line("[" + " ".join(words) + "]")
+
+    # Parts
+
+    def rate(self, mm_min: float) -> str:
+        """A feed rate in the units of reports; there is a point even where nothing follows."""
+        text = super().rate(mm_min)
+        return text if "." in text else text + "."
+
+    def speed(self, rpm: float) -> str:
+        """A spindle speed, which 0.9 takes for a feed rate."""
+        return self.rate(rpm)
+
+    # The status report
+
+    def status(self) -> "memoryview":
+        """The answer to ?, to be sent before there is another."""
+        mask = self._settings.report_mask
+        text, ints, mm = self._text, self._ints, self._mm
+        self._begin()
+        if mask & _MACHINE_POSITION:
+            self._lengths(b",MPos:\0", mm)
+        if mask & _WORK_POSITION:
+            add(self._work_offset(), MINUS, mm, self._axes)
+            self._lengths(b",WPos:\0", mm)
+        if mask & _PLANNER_BLOCKS:
+            self._number(b",Buf:%\0", self._blocks - self._planner.free())
+        if mask & _RX_BYTES:
+            self._number(b",RX:%\0", self._rx_bytes - self._rx_free())
+        if self._line_numbers:
+            self._number(b",Ln:%\0", self._planner.line_number())
+        if mask & _LIMITS:
+            limits = self._inputs.limits()
+            write(b",Lim:\0", text, ints, mm)
+            for i in range(self._axes):
+                self._number(b"%\0", limits >> (self._axes - 1 - i) & 1)
+        return self._finish()
+
+    def _number(self, form: bytes, value: int) -> None:
+        self._ints[VALUES] = value
+        write(form, self._text, self._ints, self._mm)
+
+    def _state_name(self) -> bytes:
+        state = self._state
+        suspend = state.suspend
+        if state.run == st.DOOR and (suspend & st.DOOR_AJAR or not suspend & st.RETRACT_COMPLETE):
+            return b"<Door\0"
+        if state.run & (st.HOLD | st.DOOR):
+            return b"<Hold\0"  # behind a closed door, too
+        return super()._state_name()
+
+
+class Report09i(Report09):
+    """Report, in the words of 0.9i: the same but for its name."""
+
+    VERSION = "0.9i"
+
+
+def find(dialect: str) -> "type[Report]":
+    """The class for that dialect. Raises ValueError where there is none."""
+    if dialect == "0.9i":
+        return Report09i
+    if dialect in ("0.9", "0.9j"):
+        return Report09
+    raise ValueError("DIALECT is 1.1, 0.9, 0.9i or 0.9j, not " + dialect)

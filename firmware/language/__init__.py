@@ -1,0 +1,1 @@
+"""G-code: words to checked blocks to what control may be asked for."""

@@ -1,0 +1,278 @@
+"""Checks: step three of the interpreter. Everything that can refuse a block does so here.
+
+Along the way the block's values become what execution wants: mm, absolute,
+machine coordinates. The order of checks is the standard's order of execution,
+which decides the number that a block with two faults gets.
+"""
+
+import math
+
+from base import errors
+from base.errors import GrblError
+from base.f32 import MM_PER_INCH, f32, whole
+from control.coords import G28, G30, SYSTEMS
+from language import block as b
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from array import array
+
+    from language.block import Block
+    from language.interpreter import Gcode
+    from motion.arcs import Arc
+
+_HIGHEST_LINE = const(10000000)
+# The axes of G17, G18, G19, and the one across.
+PLANES = ((0, 1, 2), (2, 0, 1), (1, 2, 0))
+# A target may be so far off an arc's circle: mm, or that part of the radius up to _WORST mm.
+_ARC_CLOSE = 0.005
+_ARC_PART = 0.001
+_ARC_WORST = 0.5
+
+
+def check(gcode: "Gcode", block: "Block", jog: bool) -> None:
+    """Refuse the block with GrblError, or leave it ready to be executed."""
+    if block.values & b.AXIS_WORDS and not block.claim:
+        block.claim = b.AXES_MOTION
+    if block.values & b.WORD_N and block.n > _HIGHEST_LINE:
+        raise GrblError(errors.GCODE_INVALID_LINE_NUMBER)
+    _feed(gcode, block, jog)
+    if not block.values & b.WORD_S:
+        block.s = gcode.spindle_rpm
+    if block.commands & b.GROUP_M9:
+        _override_control(block)
+    unused = block.values & ~b.WORD_N
+    if block.non_modal == b.DWELL:
+        if not block.values & b.WORD_P:
+            raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
+        unused &= ~b.WORD_P
+    if block.modal.inches:
+        _to_mm(block.xyz)
+    if block.claim == b.AXES_TOOL_LENGTH and block.modal.tool_length:
+        if block.values & b.AXIS_WORDS != 1 << gcode.coords.length_axis:
+            raise GrblError(errors.GCODE_G43_DYNAMIC_AXIS_ERROR)
+    if block.commands & b.GROUP_M9:
+        unused &= ~b.WORD_P
+    unused &= ~_non_modal(gcode, block)
+    unused &= ~_motion(gcode, block)
+    unused &= ~(b.WORD_F if jog else b.WORD_F | b.WORD_S | b.WORD_T)
+    if block.claim:
+        unused &= ~b.AXIS_WORDS
+    if unused:
+        raise GrblError(errors.GCODE_UNUSED_WORDS)
+    if jog:
+        _jog(block)
+
+
+def _to_mm(values: "array[float]") -> None:
+    for i in range(len(values)):
+        values[i] = values[i] * MM_PER_INCH
+
+
+def _feed(gcode: "Gcode", block: "Block", jog: bool) -> None:
+    has_f = block.values & b.WORD_F
+    modal = block.modal
+    if jog:
+        if not has_f:
+            raise GrblError(errors.GCODE_UNDEFINED_FEED_RATE)
+        if modal.inches:
+            block.f = f32(block.f * MM_PER_INCH)
+    elif modal.inverse_time:
+        cuts = block.claim == b.AXES_MOTION and modal.motion not in (b.NO_MOTION, b.SEEK)
+        if cuts and not has_f:
+            raise GrblError(errors.GCODE_UNDEFINED_FEED_RATE)
+    elif not gcode.modal.inverse_time:
+        if not has_f:
+            block.f = gcode.feed
+        elif modal.inches:
+            block.f = f32(block.f * MM_PER_INCH)
+
+
+def _override_control(block: "Block") -> None:
+    """M56 P0 takes parking out of action, M56 or M56 P1 puts it back."""
+    block.modal.override_control = 1
+    if block.values & b.WORD_P and block.p == 0:
+        block.modal.override_control = 0
+
+
+def _non_modal(gcode: "Gcode", block: "Block") -> int:
+    """Check group 0 and compute targets; returns the value words it used."""
+    command = block.non_modal
+    if command == b.SET_COORDS:
+        return _set_coords(gcode, block)
+    if command == b.SET_G92:
+        if not block.values & b.AXIS_WORDS:
+            raise GrblError(errors.GCODE_NO_AXIS_WORDS)
+        _offset_at(
+            gcode, block, gcode.coords.systems[block.modal.system], gcode.coords.g92, block.xyz
+        )
+        return 0
+    if block.claim != b.AXES_TOOL_LENGTH and block.values & b.AXIS_WORDS:
+        _target(gcode, block)
+    if command in (b.GO_G28, b.GO_G30):
+        _stored(gcode, block)
+    elif command == b.ABSOLUTE_OVERRIDE and block.modal.motion not in (b.SEEK, b.LINEAR):
+        raise GrblError(errors.GCODE_G53_INVALID_MOTION_MODE)
+    return 0
+
+
+def _stored(gcode: "Gcode", block: "Block") -> None:
+    """Where G28 or G30 is to go."""
+    stored = gcode.coords.systems[G28 if block.non_modal == b.GO_G28 else G30]
+    axis_words = block.values & b.AXIS_WORDS
+    if not axis_words:
+        block.claim = b.AXES_UNCLAIMED
+    for i in range(gcode.axes):
+        here = axis_words and not axis_words >> i & 1
+        gcode.stored[i] = gcode.position[i] if here else stored[i]
+
+
+def _set_coords(gcode: "Gcode", block: "Block") -> int:
+    """G10 L2 and L20: the new offsets go to gcode.stored, the system's index to block.p."""
+    if not block.values & b.AXIS_WORDS:
+        raise GrblError(errors.GCODE_NO_AXIS_WORDS)
+    if not block.values & (b.WORD_P | b.WORD_L):
+        raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
+    system = whole(block.p) & 255
+    if system > SYSTEMS:
+        raise GrblError(errors.GCODE_UNSUPPORTED_COORD_SYS)
+    if block.l != 20 and (block.l != 2 or block.values & b.WORD_R):
+        raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
+    index = system - 1 if system else block.modal.system
+    block.p = index
+    stored = gcode.coords.systems[index]
+    if block.l == 20:
+        _offset_at(gcode, block, gcode.coords.g92, stored, gcode.stored)
+    else:
+        for i in range(gcode.axes):
+            gcode.stored[i] = block.xyz[i] if block.values >> i & 1 else stored[i]
+    return b.WORD_P | b.WORD_L
+
+
+def _offset_at(
+    gcode: "Gcode", block: "Block", other: "array[float]", old: "array[float]", new: "array[float]"
+) -> None:
+    """The offset which, beside the other one, makes the present place read as programmed."""
+    coords = gcode.coords
+    for i in range(gcode.axes):
+        if block.values >> i & 1:
+            offset = f32(f32(gcode.position[i] - other[i]) - block.xyz[i])
+            if i == coords.length_axis:
+                offset -= coords.tool_length
+            new[i] = offset
+        else:
+            new[i] = old[i]
+
+
+def _target(gcode: "Gcode", block: "Block") -> None:
+    """Axis words become a target in machine coordinates; axes without a word stay."""
+    coords = gcode.coords
+    system = coords.systems[block.modal.system]
+    xyz = block.xyz
+    for i in range(gcode.axes):
+        if not block.values >> i & 1:
+            xyz[i] = gcode.position[i]
+        elif block.non_modal == b.ABSOLUTE_OVERRIDE:
+            pass
+        elif block.modal.relative:
+            xyz[i] += gcode.position[i]
+        else:
+            xyz[i] += f32(system[i] + coords.g92[i])
+            if i == coords.length_axis:
+                xyz[i] += coords.tool_length
+
+
+def _motion(gcode: "Gcode", block: "Block") -> int:
+    """Check group 1; returns the value words it used."""
+    motion = block.modal.motion
+    axis_words = block.values & b.AXIS_WORDS
+    if motion == b.NO_MOTION:
+        if axis_words:
+            raise GrblError(errors.GCODE_AXIS_WORDS_EXIST)
+        return 0
+    if block.claim != b.AXES_MOTION:
+        return 0
+    if motion == b.SEEK:
+        if not axis_words:
+            block.claim = b.AXES_UNCLAIMED
+        return 0
+    if block.f == 0:
+        raise GrblError(errors.GCODE_UNDEFINED_FEED_RATE)
+    if motion == b.LINEAR:
+        if not axis_words:
+            block.claim = b.AXES_UNCLAIMED
+        return 0
+    if not axis_words:
+        raise GrblError(errors.GCODE_NO_AXIS_WORDS)
+    if motion in (b.CW_ARC, b.CCW_ARC):
+        return _arc(gcode, block)
+    if _same(gcode.position, block.xyz):
+        raise GrblError(errors.GCODE_INVALID_TARGET)
+    return 0
+
+
+def _same(one: "array[float]", other: "array[float]") -> bool:
+    for i in range(len(one)):
+        if one[i] != other[i]:
+            return False
+    return True
+
+
+def _arc(gcode: "Gcode", block: "Block") -> int:
+    """Find centre and radius of an arc; returns the value words it used."""
+    arc = gcode.arc
+    arc.plane = PLANES[block.modal.plane]
+    arc.clockwise = block.modal.motion == b.CW_ARC
+    a, c, _ = arc.plane
+    if not block.values & (1 << a | 1 << c):
+        raise GrblError(errors.GCODE_NO_AXIS_WORDS_IN_PLANE)
+    x = f32(block.xyz[a] - gcode.position[a])
+    y = f32(block.xyz[c] - gcode.position[c])
+    if block.values & b.WORD_R:
+        if _same(gcode.position, block.xyz):
+            raise GrblError(errors.GCODE_INVALID_TARGET)
+        _by_radius(block, arc, x, y)
+        return b.WORD_R
+    if not block.values & (b.WORD_I << a | b.WORD_I << c):
+        raise GrblError(errors.GCODE_NO_OFFSETS_IN_PLANE)
+    if block.modal.inches:
+        _to_mm(block.ijk)
+    arc.centre_0 = block.ijk[a]
+    arc.centre_1 = block.ijk[c]
+    to_target = _hypot(f32(x - arc.centre_0), f32(y - arc.centre_1))
+    arc.radius = _hypot(arc.centre_0, arc.centre_1)
+    off = abs(f32(to_target - arc.radius))
+    if off > _ARC_CLOSE and (off > _ARC_WORST or off > f32(f32(_ARC_PART) * arc.radius)):
+        raise GrblError(errors.GCODE_INVALID_TARGET)
+    return b.WORD_IJK
+
+
+def _hypot(x: float, y: float) -> float:
+    return f32(math.sqrt(f32(f32(x * x) + f32(y * y))))
+
+
+def _by_radius(block: "Block", arc: "Arc", x: float, y: float) -> None:
+    """The centre of the arc with radius R over the chord (x, y).
+
+    It lies on the chord's perpendicular bisector, left of the way for a
+    counterclockwise arc of less than half a circle. R < 0 asks for the longer arc.
+    """
+    radius = block.r
+    if block.modal.inches:
+        radius = f32(radius * MM_PER_INCH)
+    squared = f32(f32(f32(4.0 * f32(radius * radius)) - f32(x * x)) - f32(y * y))
+    if squared < 0:
+        raise GrblError(errors.GCODE_ARC_RADIUS_ERROR)
+    height = math.sqrt(squared) / math.sqrt(x * x + y * y) if x or y else 0.0
+    if arc.clockwise == (radius >= 0):
+        height = -height
+    arc.radius = abs(radius)
+    arc.centre_0 = 0.5 * (x - y * height)
+    arc.centre_1 = 0.5 * (y + x * height)
+
+
+def _jog(block: "Block") -> None:
+    allowed = b.GROUP_0 | b.GROUP_3 | b.GROUP_6
+    if block.commands & ~allowed or block.non_modal not in (b.NO_ACTION, b.ABSOLUTE_OVERRIDE):
+        raise GrblError(errors.INVALID_JOG_COMMAND)

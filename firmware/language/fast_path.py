@@ -1,0 +1,354 @@
+# mypy: disable-error-code=arg-type
+"""Plain lines: those that do no more than move, from text to a planner block in one go.
+
+Nearly all lines of a program are G0 or G1 with places, and now and then F, S or N. What else they
+depend on stays the same until another kind of line, a setting or an override changes it: look()
+works it out once, into a table of integers. A plain line then is one call of follow(). Whatever
+is less simple is for the interpreter, and what follow() does means the same as what that does.
+"""
+
+from array import array
+
+import micropython
+from base import state as st
+from base.f32 import vector
+from control.canon import judge
+from language import block as b
+from language.words import add_single, number, to_mm
+from micropython import const
+from motion import planner as plan
+from motion import reals
+from motion.kernels import copy
+from motion.kernels import plan as plan_block
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from base.settings import Settings
+    from base.state import State
+    from control.canon import Motion
+    from control.spindle import Spindle
+    from language.interpreter import Gcode
+
+# What read() found: bits of its mask. Bits 0 to 3 are X, Y, Z and A.
+HAS_F = const(0x10)  # another feed rate than before
+HAS_S = const(0x20)
+HAS_G0 = const(0x40)  # G0, which was not in force
+HAS_G1 = const(0x80)
+HAS_N = const(0x100)
+_NEWS = const(0xF0)
+_F = const(4)  # the same as bit numbers
+_S = const(5)
+_G0 = const(6)
+_N = const(8)
+_NO_LETTER = const(9)
+
+# What is known: how many axes there are (0: nothing is known), the motion in force (HAS_G0 or
+# HAS_G1), whether S goes with cutting motion, the feed rate (bits of a float),
+AXES = const(0)
+MODE = const(1)
+LASER = const(2)
+FEED = const(3)
+# whether places are relative, travel is limited, nothing is to move,
+RELATIVE = const(4)
+LIMITED = const(5)
+DRY = const(6)
+# what the planner is told: flags, spindle power (or UNTOLD: none of it is known yet), rate (a
+# real), spindle speed (bits of a float),
+_FLAGS = const(7)
+_POWER = const(8)
+_RATE = const(9)
+_RPM = const(10)
+_UNTOLD = const(0x3FFFFFFF)
+# the line's numbers, by their bit; whether they are inches; what is added to places, per axis.
+VALUES = const(11)
+INCHES = const(20)
+OFFSETS = const(21)
+
+# From motion.py and kernels.py.
+_OUTSIDE = const(1)
+_FULL = const(2)
+_HEAD = const(2)
+
+
+@micropython.viper
+def read(text: ptr8, length: int, known: ptr32) -> int:
+    """What a line holds if it does no more than move; 0 if it does, or if a word is wrong.
+
+    Plain are G0 and G1, X to Z and A, F, N and S, each once at the most, the last three not
+    negative. Returns a mask of axes and of what is new, the public names above.
+    """
+    signs = ptr8(known)
+    pos = 0
+    seen = 0
+    while pos < length:
+        letter = text[pos]
+        bit = _NO_LETTER
+        if letter == 71:  # G
+            bit = _G0
+        elif letter >= 88 and letter <= 90:  # X, Y, Z
+            bit = letter - 88
+        elif letter == 65:  # A
+            bit = 3
+        elif letter == 70:  # F
+            bit = _F
+        elif letter == 83:  # S
+            bit = _S
+        elif letter == 78:  # N
+            bit = _N
+        pos = int(number(text, pos + 1, known, VALUES + bit)) if bit < _NO_LETTER else 0
+        if pos == 0:
+            return 0
+        value = known[VALUES + bit]
+        if bit == _G0:
+            if seen & (HAS_G0 | HAS_G1):
+                return 0
+            if value == 0x3F800000:  # the float 1
+                bit += 1
+            elif value:
+                return 0
+        elif bit > 3 and signs[4 * (VALUES + bit) + 3] & 128:
+            return 0
+        elif bit == _N and value >> 7 >= 0x96312D:  # ten million
+            return 0
+        if (seen >> bit) & 1:
+            return 0
+        seen |= 1 << bit
+    if seen & 15 == 0 or (seen & 15) >> known[AXES]:
+        return 0
+    mode = seen & (HAS_G0 | HAS_G1)
+    if mode == known[MODE]:
+        seen ^= mode
+    mode = mode or known[MODE]
+    rate = known[FEED]
+    if seen & HAS_F:
+        if known[VALUES + _F] == rate and known[INCHES] == 0:
+            seen ^= HAS_F
+        rate = known[VALUES + _F]
+    if mode == HAS_G1:
+        return seen if rate and (known[LASER] or not seen & HAS_S) else 0
+    return 0 if seen & HAS_S else seen
+
+
+@micropython.viper
+def place(known: ptr32, seen: int, position: ptr32, target: ptr32) -> int:
+    """Put the places of a line that has been read, offsets added, into target."""
+    for i in range(known[AXES]):
+        if (seen >> i) & 1:
+            target[i] = known[VALUES + i]
+            if known[INCHES]:
+                to_mm(target, i)
+            if known[RELATIVE]:
+                add_single(position, i, target, i)
+            elif known[OFFSETS + i]:
+                add_single(known, OFFSETS + i, target, i)
+        else:
+            target[i] = position[i]
+    return 0
+
+
+@micropython.viper
+def line_number(known: ptr32, seen: int) -> int:
+    """N of a line that has been read; 0 if it has none."""
+    if not seen & HAS_N:
+        return 0
+    value = known[VALUES + _N]
+    exponent = value >> 23
+    return ((value & 0x7FFFFF) | 0x800000) >> (150 - exponent) if exponent >= 127 else 0
+
+
+@micropython.viper
+def follow(
+    text: ptr8,
+    length: int,
+    known: ptr32,
+    position: ptr32,
+    target: ptr32,
+    travel: ptr32,
+    machine: ptr32,
+    ring: ptr32,
+    flow: ptr32,
+    speeds: ptr32,
+) -> int:
+    """Plan a plain line that says nothing new and has nothing in its way.
+
+    Returns 1 then; otherwise 0, and nothing has changed.
+    """
+    if known[AXES] == 0 or known[_POWER] == _UNTOLD:
+        return 0
+    seen = int(read(text, length, known))
+    if seen == 0 or seen & _NEWS:
+        return 0
+    place(known, seen, position, target)
+    found = int(judge(target, travel, flow))
+    if found & _OUTSIDE and known[LIMITED]:
+        return 0
+    if known[DRY] == 0:
+        if found & _FULL:
+            return 0
+        at = flow[_HEAD]
+        line = int(line_number(known, seen))
+        flags = known[_FLAGS]
+        power = known[_POWER]
+        rate = known[_RATE]
+        if int(plan_block(target, machine, ring, flow, flags, line, power, rate)) == 0:
+            return 0
+        speeds[at] = known[_RPM]
+    copy(target, position, known[AXES])
+    return 1
+
+
+@micropython.viper
+def put(source: ptr32, at: int, target: ptr32, to: int) -> int:
+    """Copy the bits of one float."""
+    target[to] = source[at]
+    return 0
+
+
+class Plain:
+    """The short path of an interpreter.
+
+    follow(line, length) plans a line that says nothing new, and returns 1; or it returns 0, and
+    has done nothing. execute() takes what is new, too, and waits for room.
+    """
+
+    follow: "Callable[[bytearray, int], int]"
+
+    def __init__(
+        self,
+        gcode: "Gcode",
+        state: "State",
+        settings: "Settings",
+        motion: "Motion",
+        spindle: "Spindle",
+    ) -> None:
+        self._gcode = gcode
+        self._state = state
+        self._settings = settings
+        self._motion = motion
+        self._spindle = spindle
+        self._move = plan.Move()
+        self._target = vector(gcode.axes)
+        self._float = vector(1)
+        self._known = array("i", (0 for _ in range(OFFSETS + gcode.axes)))
+        self._asked = False  # the last line was a plain one
+        self.follow = self._make_follow()
+
+    def _make_follow(self) -> "Callable[[bytearray, int], int]":
+        """What follow() needs is at hand there: no look-up, and no closure, whose call frame of
+        so many variables would be on the heap."""
+        planner = self._motion.planner
+
+        @micropython.native
+        def follow_line(
+            line: bytearray,
+            length: int,
+            known: "array[int]" = self._known,
+            position: "array[float]" = self._gcode.position,
+            target: "array[float]" = self._target,
+            travel: "array[int]" = self._motion.travel,
+            machine: "array[int]" = planner.machine,
+            ring: "array[int]" = planner.ring,
+            flow: "array[int]" = planner.flow,
+            speeds: "array[float]" = planner.speeds,
+        ) -> int:
+            return follow(
+                line, length, known, position, target, travel, machine, ring, flow, speeds
+            )
+
+        return follow_line
+
+    def forget(self) -> None:
+        """Something may change what is known: the next line takes the long way."""
+        self._known[AXES] = 0
+
+    def look(self) -> None:
+        """A line went the long way: see whether those that only move are plain ones now."""
+        gcode = self._gcode
+        modal = gcode.modal
+        known = self._known
+        self._asked = False
+        is_plain = (
+            not (modal.inverse_time or gcode.tool)
+            and modal.motion in (b.SEEK, b.LINEAR)
+            and gcode.coords.tool_length == 0
+        )
+        known[AXES] = gcode.axes if is_plain else 0
+        if is_plain:
+            self._keep_offsets()
+            known[RELATIVE] = modal.relative
+            known[INCHES] = modal.inches
+            known[LIMITED] = self._settings.soft_limits
+            known[DRY] = self._state.run == st.CHECK
+            known[LASER] = self._spindle.laser
+            self._set()
+
+    def _keep_offsets(self) -> None:
+        for i in range(self._gcode.axes):
+            self._keep(OFFSETS + i, self._gcode.coords.work_offset(i))
+
+    def _keep(self, at: int, value: float) -> None:
+        self._float[0] = value
+        put(self._float, 0, self._known, at)
+
+    def _set(self) -> None:
+        """How lines move from now on, unless they say otherwise."""
+        gcode = self._gcode
+        move = self._move
+        known = self._known
+        seeks = gcode.modal.motion == b.SEEK
+        known[MODE] = HAS_G0 if seeks else HAS_G1
+        self._keep(FEED, gcode.feed)
+        known[_RATE] = reals.real(gcode.feed / 60)
+        move.feed = gcode.feed
+        move.spindle_rpm = 0.0 if seeks and known[LASER] else gcode.spindle_rpm
+        move.flags = gcode.accessory_flags()
+        if seeks:
+            move.flags |= plan.RAPID
+        known[_POWER] = _UNTOLD
+
+    def execute(self, line: bytearray, length: int) -> bool:
+        """Execute a plain line; False where it is none, and nothing has changed."""
+        known = self._known
+        seen = read(line, length, known) if known[AXES] else 0
+        if not seen:
+            return False
+        if seen & _NEWS:
+            self._take_news(seen)
+        # Go where the line says.
+        self._move.line_number = line_number(known, seen)
+        place(known, seen, self._gcode.position, self._target)
+        self._motion.line(self._target, self._move)
+        copy(self._target, self._gcode.position, self._gcode.axes)
+        self._asked = True
+        return True
+
+    def _take_news(self, seen: int) -> None:
+        """A line changes motion mode, feed rate, or a laser's power."""
+        gcode = self._gcode
+        known = self._known
+        if seen & HAS_S:
+            put(known, VALUES + _S, self._float, 0)
+            gcode.spindle_rpm = self._move.spindle_rpm = self._float[0]
+            known[_POWER] = _UNTOLD
+        if seen & HAS_F:
+            put(known, VALUES + _F, self._float, 0)
+            if known[INCHES]:
+                to_mm(self._float, 0)
+            gcode.feed = self._float[0]
+        if seen & (HAS_G0 | HAS_G1):
+            gcode.modal.motion = b.SEEK if seen & HAS_G0 else b.LINEAR
+        if seen & _NEWS != HAS_S:
+            self._set()
+
+    def tell(self) -> None:
+        """A line has been planned: if it was a plain one, the next ones are like that."""
+        move = self._move
+        known = self._known
+        if not self._asked or known[_POWER] != _UNTOLD:
+            return
+        self._asked = False
+        known[_FLAGS] = move.flags
+        self._keep(_RPM, move.spindle_rpm)
+        known[_POWER] = 0 if known[DRY] else self._motion.power

@@ -1,0 +1,241 @@
+"""Planner: a ring of blocks, each joined to the next as fast as both allow.
+
+In: absolute targets in mm (single precision), rates in mm/min. Out: rows of
+integers for segments.py. A row holds a *promise*: the speed it may be entered
+with so that everything behind it can still be braked for. The interrupt
+speeds up towards the promises as its acceleration allows, so no second pass
+is needed. Called from motion and cycles only; allocates nothing per block
+but the floats of its caller.
+"""
+
+from array import array
+
+import micropython
+from base.f32 import f32, vector, whole
+from micropython import const
+from motion import kernels, reals
+from motion.kernels import AT, FLAGS, HEAD, LINE, LOADED, ROWS, SYSTEM, TAIL
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from base.settings import Settings
+    from base.state import State
+
+# Flags of a block.
+RAPID = const(0x01)  # the same as kernels.RAPID_MOTION
+SYSTEM_MOTION = const(0x02)  # homing and parking: from rest, to rest, outside the ring's order
+NO_FEED_OVERRIDE = const(0x04)
+INVERSE_TIME = const(0x08)
+SPINDLE_CW = const(0x10)
+SPINDLE_CCW = const(0x20)
+RATE_ADJUSTED = const(0x40)  # kernels.DYNAMIC
+COOLANT_SHIFT = const(8)  # flood 0x100, mist 0x200
+SPINDLE_MASK = const(0x30)
+ACCESSORY_MASK = const(0x330)
+
+_BIAS = const(0x20000000)
+_SLOWEST_MM_S = 1 / 60
+_FINEST = 1e8  # steps/mm: no division by nothing, whatever $100 is
+
+
+class Move:
+    """How to go somewhere: one reusable record, filled in by gcode or cycles.
+
+    feed: mm/min, or lines per minute with INVERSE_TIME; spindle_rpm: programmed speed.
+    """
+
+    def __init__(self) -> None:
+        self.feed = 0.0
+        self.flags = 0
+        self.spindle_rpm = 0.0
+        self.line_number = 0
+
+    def clear(self) -> None:
+        """As new."""
+        self.feed = 0.0
+        self.flags = 0
+        self.spindle_rpm = 0.0
+        self.line_number = 0
+
+
+class Planner:
+    """The ring. `flow` is what it shares with the interrupt; see kernels.py."""
+
+    def __init__(self, axes: int, blocks: int, corexy: bool, state: "State") -> None:
+        size = kernels.block_length(axes)
+        self.axes = axes
+        self.corexy = corexy
+        self._state = state
+        self.ring = array("i", (0 for _ in range(size * (blocks + 1))))
+        self.flow = array("i", (0 for _ in range(kernels.FLOW_LENGTH + 2 * axes)))
+        self.machine = array("i", (0 for _ in range(kernels.machine_length(axes))))
+        self.flow[kernels.ROW_SIZE] = size
+        self.flow[ROWS] = blocks
+        self.machine[kernels.AXES] = axes
+        self.machine[kernels.COREXY] = corexy
+        # Spindle speed of each block in rpm, as programmed; the interrupt has no use for it.
+        self.speeds = vector(blocks + 1)
+        # Where the last block ends, in steps; part of the machine's table.
+        at = kernels.LIMITS + kernels.POSITION * axes
+        self.position = memoryview(self.machine)[at : at + axes]
+        self._steps_per_mm = vector(axes)
+        self._feed = 0.0  # the last one in mm/min, and the same as a real in mm/s
+        self._feed_real = 0
+        view = memoryview(self.ring)
+        self._rows = [view[i * size : (i + 1) * size] for i in range(blocks + 1)]
+        for i in range(axes):
+            self.position[i] = _BIAS
+
+    def configure(
+        self, settings: "Settings", tick_hz: int, segment_log2: int, step_hz: int
+    ) -> None:
+        """Take over rates, accelerations and resolution. step_hz: what the engine can make."""
+        machine = self.machine
+        fastest_sqr = 0.0
+        for i in range(self.axes):
+            resolution = min(settings.steps_per_mm[i] or 1.0, _FINEST)
+            rate = min(settings.max_rate[i] / 60, step_hz / resolution)
+            acceleration = settings.acceleration[i] / 3600
+            fastest_sqr += rate * rate
+            at = kernels.LIMITS + 3 * i
+            machine[at] = reals.real(1 / resolution)
+            machine[at + 1] = reals.real(rate)
+            machine[at + 2] = reals.real(acceleration)
+            self._steps_per_mm[i] = resolution
+        at = kernels.LIMITS + kernels.RESOLUTION * self.axes
+        kernels.copy(self._steps_per_mm, memoryview(machine)[at:], self.axes)
+        scale = (1 << 30) / (fastest_sqr or 1.0)
+        machine[kernels.ROOT_SCALE] = reals.real(scale**-0.5)
+        seconds = (1 << segment_log2) / tick_hz
+        machine[kernels.SQR_SCALE] = reals.real(scale)
+        machine[kernels.JUNCTION] = reals.real(65536.0 * settings.junction_deviation_mm * scale)
+        machine[kernels.SEGMENT_RATE] = reals.real(seconds * 262144)
+        machine[kernels.SEGMENT_ACCEL] = reals.real(seconds * seconds * 262144)
+        machine[kernels.SEGMENT_LOG2] = segment_log2
+        machine[kernels.SLOWEST] = reals.real(_SLOWEST_MM_S)
+
+    def free(self) -> int:
+        """Blocks that can still be added."""
+        return (self.flow[TAIL] - self.flow[HEAD] - 1) % self.flow[ROWS]
+
+    def full(self) -> bool:
+        """No block can be added."""
+        return self.free() == 0
+
+    def empty(self) -> bool:
+        """No block is waiting or being executed; its last segments may still be under way."""
+        return self.flow[HEAD] == self.flow[TAIL]
+
+    def row(self) -> "memoryview | None":
+        """The block being executed, or next to be."""
+        if self.flow[HEAD] == self.flow[TAIL]:
+            return None
+        return self._rows[self.flow[TAIL]]
+
+    def line_number(self) -> int:
+        """N of the block being executed; 0 if there is none."""
+        row = self.row()
+        return 0 if row is None else row[LINE]
+
+    @micropython.native  # its call frame is on the stack then, not on the heap
+    def line(self, target: "array[float]", move: "Move", power: int) -> bool:
+        """Add a straight line to target. There must be room. Returns False where it has no steps.
+
+        power: what the spindle makes of the move's spindle speed (spindle.Spindle.power).
+        """
+        flags = move.flags
+        head = self.flow[HEAD]
+        if move.feed != self._feed:
+            self._feed = move.feed
+            self._feed_real = reals.real(move.feed / 60)
+        if not kernels.plan(
+            target,
+            self.machine,
+            self.ring,
+            self.flow,
+            flags,
+            move.line_number,
+            power,
+            self._feed_real,
+        ):
+            return False
+        self.speeds[self.flow[ROWS] if flags & SYSTEM_MOTION else head] = move.spindle_rpm
+        return True
+
+    def system_line(
+        self, target: "array[float]", move: "Move", power: int, start: "array[int]"
+    ) -> bool:
+        """A move of the system's own from start, in steps: from rest to rest, beside the ring."""
+        position = self.position
+        before = list(position)
+        self.sync_motors(start)
+        planned = Planner.line(self, target, move, power)
+        for i in range(self.axes):
+            position[i] = before[i]
+        return planned
+
+    def override(self) -> None:
+        """Work out every block anew after an override has changed."""
+        flow = self.flow
+        self.machine[kernels.FEED_PERCENT] = self._state.feed_override
+        self.machine[kernels.RAPID_PERCENT] = self._state.rapid_override
+        at = flow[TAIL]
+        while at != flow[HEAD]:
+            kernels.schedule(self.machine, self.ring, at * flow[kernels.ROW_SIZE])
+            if at != flow[TAIL]:
+                kernels.limit_entry(self.ring, flow, at)
+            at = (at + 1) % flow[ROWS]
+        kernels.reverse_pass(self.ring, flow, 1)
+
+    def each_power(self, power: "Callable[[int, float], int]") -> None:
+        """Set the spindle power of every block anew, from its flags and speed."""
+        flow = self.flow
+        at = flow[TAIL]
+        while at != flow[HEAD]:
+            row = self._rows[at]
+            row[kernels.POWER] = power(row[FLAGS], self.speeds[at])
+            at = (at + 1) % flow[ROWS]
+
+    def speed_rpm(self) -> float:
+        """Spindle speed of the block being executed, as programmed."""
+        return self.speeds[self.flow[AT] // self.flow[kernels.ROW_SIZE]]
+
+    def clear(self) -> None:
+        """Forget all blocks. Only while the engine is stopped."""
+        flow = self.flow
+        flow[TAIL] = flow[HEAD]
+        for i in (kernels.HOLD, SYSTEM, LOADED, kernels.NOW, kernels.CARRY):
+            flow[i] = 0
+
+    # Steps of motors and places in mm. CoreXY: motor 0 makes x + y, motor 1 makes x - y.
+
+    def axis_steps(self, motors: "array[int]", axis: int) -> int:
+        """Steps of an axis from those of the motors."""
+        if self.corexy and axis < 2:
+            total = motors[0] + motors[1] if axis == 0 else motors[0] - motors[1]
+            return total // 2 if total >= 0 else -(-total // 2)
+        return motors[axis]
+
+    def to_mm(self, motors: "array[int]", mm: "array[float]") -> None:
+        """Where the motors' steps are, in mm."""
+        for i in range(self.axes):
+            mm[i] = f32(self.axis_steps(motors, i)) / self._steps_per_mm[i]
+
+    def set_axis(self, motors: "array[int]", axis: int, mm: float) -> None:
+        """Change the motors' steps so that the axis stands there."""
+        product = f32(mm * self._steps_per_mm[axis])
+        steps = whole(product + 0.5) if product >= 0 else -whole(0.5 - product)
+        if self.corexy and axis < 2:
+            other = self.axis_steps(motors, 1 - axis)
+            x, y = (steps, other) if axis == 0 else (other, steps)
+            motors[0] = x + y
+            motors[1] = x - y
+        else:
+            motors[axis] = steps
+
+    def sync_motors(self, motors: "array[int]") -> None:
+        """Go on planning from here: machine position in the motors' steps."""
+        for i in range(self.axes):
+            self.position[i] = _BIAS + self.axis_steps(motors, i)

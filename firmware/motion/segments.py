@@ -1,0 +1,102 @@
+"""Segments: constant-rate pieces of motion, cut from the planner's blocks on demand.
+
+The pulse engine calls next() from its interrupt; everything it does there is
+in kernels.py. The main loop talks to it through a few words of the flow:
+hold, resume, the system's own block.
+"""
+
+import micropython
+from base.f32 import f32
+from micropython import const
+from motion import kernels, reals
+from motion.kernels import AT, CARRY, HOLD, LOADED, NOW, fill
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from array import array
+
+    from motion.planner import Planner
+
+# A real (reals.py): its mantissa, and the exponent of whole numbers.
+_MANTISSA = const(0x7FFF)
+_ONE = const(64)
+
+
+class Segments:
+    """What the engine asks. planner: whose ring and flow these are."""
+
+    def __init__(self, planner: "Planner") -> None:
+        self._planner = planner
+        self._flow = planner.flow
+        self._ring = planner.ring
+        self._machine = planner.machine
+        self._saved: "array[int] | None" = None
+
+    @micropython.viper
+    def next(self, row: ptr32) -> int:
+        """Fill in the next segment's row, for the engine's interrupt; 0 where nothing is to move.
+
+        Nothing but viper from there to here: a frame of bytecode takes a quarter of a kilobyte
+        of the stack, which the interrupt has to share with all that it interrupts.
+        """
+        flow = ptr32(self._flow)
+        ring = ptr32(self._ring)
+        machine = ptr32(self._machine)
+        return int(fill(flow, ring, machine, row))
+
+    def hold(self, on: bool) -> None:
+        """Slow down and come to rest; or go on."""
+        self._flow[HOLD] = 1 if on else 0
+
+    def progress(self) -> int:
+        """A number that changes as motion is made."""
+        flow = self._flow
+        return flow[kernels.TAIL] ^ flow[kernels.WHOLE] << 6 ^ flow[LOADED] << 5
+
+    def begin_system(self) -> None:
+        """Put the block in progress, at rest, aside: the system's own moves come first."""
+        if self._saved is None:
+            self._saved = type(self._flow)("i", self._flow)
+        self._flow[LOADED] = 0
+        self._flow[NOW] = 0
+        self._flow[CARRY] = 0
+
+    def end_system(self) -> None:
+        """Take the block put aside up again where it stood."""
+        self._flow[kernels.SYSTEM] = 0
+        if self._saved is not None:
+            for i in range(LOADED, len(self._flow)):
+                self._flow[i] = self._saved[i]
+            self._saved = None
+
+    def clear(self) -> None:
+        """Forget the block in progress. Only while the engine is stopped."""
+        self._saved = None
+
+    def rate_mm_min(self) -> float:
+        """The speed planned up to now."""
+        return reals.value(self._rate()) * 60
+
+    def whole_rate(self) -> int:
+        """The same speed, rounded, half a mm/min up."""
+        rate = self._rate()
+        twice = (rate & _MANTISSA) * 120
+        shift = _ONE - rate // (_MANTISSA + 1)
+        if shift <= 0:
+            return twice << -shift >> 1
+        return ((twice >> shift) + 1) >> 1
+
+    def _rate(self) -> int:
+        """It is a real, in mm/s."""
+        flow = self._flow
+        if flow[LOADED]:
+            return reals.ratio(flow[NOW], self._ring[flow[AT] + kernels.FACTOR])
+        return flow[CARRY]
+
+    def dynamic_rpm(self) -> "float | None":
+        """Spindle speed of a laser whose power follows the rate; None where it does not."""
+        flow = self._flow
+        if not flow[LOADED] or not self._ring[flow[AT] + kernels.FLAGS] & kernels.DYNAMIC:
+            return None
+        rate = self._ring[flow[AT] + kernels.PROGRAMMED]
+        return f32(self._planner.speed_rpm() * flow[NOW] / rate) if rate else 0.0

@@ -1,0 +1,131 @@
+# mypy: disable-error-code=arg-type
+"""Pins of an RP2040 or RP2350 that are not steps: limits, probe, controls, spindle, coolant.
+
+Interrupts are hard: what they call runs at once, whatever the main loop does, and neither
+allocates nor raises. They come before all others, so that a limit switch is heard also while
+the pulse engine's interrupt runs. All inputs have pull-ups.
+"""
+
+import sys
+import time
+from array import array
+
+import machine
+import micropython
+from machine import Timer
+from micropython import const
+from ports.port import PortPins
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import ModuleType
+
+# The interrupt controller's table of priorities, a byte each: MicroPython leaves all at 0x80,
+# and less comes first.
+_PRIORITIES = const(0xE000E400)
+_FIRST = const(0x40)
+
+# The watchdog's control register, and where ones clear bits of it.
+_WATCHDOG = const(0x40058000)
+_WATCHDOG_2350 = const(0x400D8000)
+_CLEAR = const(0x3000)
+
+# Control of pin 0 where ones set bits, from one pin to the next, and, in words, where ones clear
+# them. OUTOVER in it says what becomes of the output: 0 as it is, 2 low, 3 high.
+_CONTROL = const(0x40016004)
+_CONTROL_2350 = const(0x4002A004)
+_CONTROL_STEP = const(8)
+_TO_CLEAR = const(0x400)
+_OUTOVER = const(8)
+_OUTOVER_2350 = const(12)
+_FORCED = const(2)
+_ALL_BITS = const(3)
+_PADS_LENGTH = const(16)  # seven outputs: power, on, direction, flood, mist, two of the punch
+
+
+class GpioPort(PortPins):
+    """A Port, and a PunchPort where the board file has the pins."""
+
+    def __init__(self, board: "ModuleType") -> None:
+        enables = getattr(board, "ENABLE", None)
+        super().__init__(board, (Timer(), Timer()), enables, True)
+        # What kill() writes: whether it has, then pairs of an address and bits, then 0.
+        self._pads = array("i", [0] * _PADS_LENGTH)
+        self._all_bits = _ALL_BITS << (_OUTOVER_2350 if _is_rp2350() else _OUTOVER)
+        self._hold()
+        _raise_priority()
+
+    def _hold(self) -> None:
+        """See which pads kill() is to hold, and at which level."""
+        control, shift = _CONTROL, _OUTOVER
+        if _is_rp2350():
+            control, shift = _CONTROL_2350, _OUTOVER_2350
+        held = [(number, level) for number, _, level in self._tools]
+        if self._pwm:
+            held.insert(0, (self._pwm_number, self._pwm_off))
+        i = 1
+        for number, level in held:
+            self._pads[i + 1] = (_FORCED | level) << shift
+            self._pads[i] = control + _CONTROL_STEP * number
+            i += 2
+
+    @micropython.viper
+    def kill(self) -> int:
+        """Spindle, laser, coolant and punch off until revive(), whatever is asked of them.
+
+        The pads are held: what an interrupted set_power() still writes does not come out.
+        """
+        pads = ptr32(self._pads)
+        pads[0] = 1
+        i = 1
+        while pads[i]:
+            control = ptr32(pads[i])
+            control[0] = pads[i + 1]
+            i += 2
+        return 0
+
+    def revive(self) -> None:
+        """What has been killed is off, and obeys again."""
+        if self._pads[0]:
+            self.safe()
+            time.sleep_us(self._pwm_period_us)  # a new width counts from the next pulse on
+            _release(self._pads, self._all_bits)
+
+    def punch_rest(self, down: int, up: int) -> None:
+        """Levels with which it goes up: what kill() sets."""
+        super().punch_rest(down, up)
+        self._hold()
+
+    def watch(self, timeout_ms: int) -> "Callable[[], None] | None":
+        """Make the chip start anew where the result is not called for so long; 0: no more."""
+        if timeout_ms:
+            watchdog: "Callable[[], None]" = machine.WDT(timeout=timeout_ms).feed
+            return watchdog
+        # MicroPython has no way to stop it; clearing the enabling bit is one.
+        machine.mem32[(_WATCHDOG_2350 if _is_rp2350() else _WATCHDOG) + _CLEAR] = 1 << 30
+        return None
+
+
+@micropython.viper
+def _release(pads: ptr32, bits: int) -> int:
+    pads[0] = 0
+    i = 1
+    while pads[i]:
+        control = ptr32(pads[i])
+        control[_TO_CLEAR] = bits
+        i += 2
+    return 0
+
+
+def _raise_priority() -> None:
+    """Interrupts of pins before all others."""
+    number = 21 if _is_rp2350() else 13
+    address = _PRIORITIES + number // 4 * 4
+    shift = number % 4 * 8
+    others = machine.mem32[address] & ~(0xFF << shift)
+    machine.mem32[address] = others | _FIRST << shift
+
+
+def _is_rp2350() -> bool:
+    return "RP2350" in sys.implementation._machine

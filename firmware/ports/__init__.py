@@ -1,0 +1,1 @@
+"""What all chips have alike: pins that are not steps, links, flash, the supervisor."""

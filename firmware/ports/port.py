@@ -1,0 +1,173 @@
+"""Pins that are not steps, as far as all chips have them alike: see gpio.py, gpio_esp.py."""
+
+import time
+
+from machine import PWM, Pin, Timer
+from micropython import const
+from ports.input_pins import PortInputs
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from types import ModuleType
+
+_FULL = const(65535)  # duty_u16
+_INVERTIBLE = ("SPINDLE_PWM", "SPINDLE_ON", "SPINDLE_DIR", "FLOOD", "MIST_PIN")
+
+
+class PortPins(PortInputs):
+    """A Port, and a PunchPort where the board file has the pins.
+
+    timers: two that nobody else uses. enables: pins of the motor drivers' enable. has_hard:
+    interrupts can be hard.
+    """
+
+    def __init__(
+        self,
+        board: "ModuleType",
+        timers: "tuple[Timer, Timer]",
+        enables: "int | tuple[int, ...] | None",
+        has_hard: bool,
+    ) -> None:
+        super().__init__(board, timers, has_hard)
+        if not isinstance(enables, tuple):
+            enables = () if enables is None else (enables,)
+        # Motors are off until the machine has been built.
+        self._enables = [Pin(pin, Pin.OUT, value=1) for pin in enables]
+        self._killed = False
+        # What kill() switches off: number, pin, and level when off. PWM is apart.
+        self._tools: "list[tuple[int, Pin, int]]" = []
+        self._make_outputs(board)
+
+    def _make_outputs(self, board: "ModuleType") -> None:
+        option = board.__dict__.get
+
+        # Names of outputs that are on when low: ("SPINDLE_PWM", "FLOOD"). ENABLE has $4.
+        inverted: "tuple[str, ...]" = option("INVERT", ())
+        off = [1 if name in inverted else 0 for name in _INVERTIBLE]
+        self._pwm_off, self._spindle_off, self._direction_off = off[:3]
+        self._flood_off, self._mist_off = off[3:]
+        # Power of spindle or laser, as a pulse width.
+        self._pwm_number: "int | None" = option("SPINDLE_PWM", None)
+        # Pulses a second of SPINDLE_PWM.
+        hz: int = option("PWM_HZ", 5000)
+        self._pwm_period_us = 1_000_000 // hz + 1
+        # Steps of SPINDLE_PWM from nothing to full power, 16383 at the most.
+        self.pwm_max: int = option("PWM_MAX", 1000)
+        pwm = _make_output(self._pwm_number, self._pwm_off)
+        self._pwm = pwm and PWM(pwm, freq=hz, duty_u16=0, invert=self._pwm_off)
+        # Spindle on and off.
+        self._spindle_on = self._make_tool(option("SPINDLE_ON", None), self._spindle_off)
+        # Flood coolant.
+        self._flood = self._make_tool(option("FLOOD", None), self._flood_off)
+        # Mist coolant, with MIST.
+        self._mist = self._make_tool(option("MIST_PIN", None), self._mist_off)
+        make = self._make_tool if option("SPINDLE_ENABLE_PIN", False) else _make_output
+        # Spindle direction: high is counterclockwise, or on with SPINDLE_ENABLE_PIN.
+        self._direction = make(option("SPINDLE_DIR", None), self._direction_off)
+        # Actuator that moves the punch down: see docs/punch.md.
+        down = option("PUNCH_DOWN", None)
+        # Actuator that moves the punch up.
+        up = option("PUNCH_UP", None)
+        self._punch_numbers: "tuple[int | None, int | None]" = (down, up)
+        self._punch_down = _make_output(down, 0)
+        self._punch_up = _make_output(up, 0)
+        # So many ms a stroke of the punch takes at the most, one way.
+        self.punch_timeout_ms: int = option("PUNCH_TIMEOUT_MS", 1000)
+
+    def _make_tool(self, number: "int | None", off: int) -> "Pin | None":
+        pin = _make_output(number, off)
+        if pin and number is not None:
+            self._tools.append((number, pin, off))
+        return pin
+
+    # Outputs
+
+    def enable(self, level: int) -> None:
+        """Level of the motor drivers' enable pins."""
+        for pin in self._enables:
+            pin.value(level)
+
+    def direction(self, level: int) -> None:
+        """Spindle direction: 1 = counterclockwise."""
+        if self._direction:
+            self._direction.value(level ^ self._direction_off)
+        if self._killed:
+            self.safe()
+
+    def spindle(self, on: bool, power: int) -> None:
+        """Spindle output: enable, and PWM power 0..pwm_max. May be called in an interrupt."""
+        if self._pwm:
+            self._pwm.duty_u16(power * _FULL // self.pwm_max)
+        if self._spindle_on:
+            self._spindle_on.value(on != self._spindle_off)
+        if self._killed:
+            self.safe()
+
+    def coolant(self, mask: int) -> None:
+        """Coolant outputs: flood, mist."""
+        if self._flood:
+            self._flood.value(mask & 1 ^ self._flood_off)
+        if self._mist:
+            self._mist.value(mask >> 1 & 1 ^ self._mist_off)
+        if self._killed:
+            self.safe()
+
+    def kill(self) -> object:
+        """Spindle, laser, coolant and punch off until revive(), whatever is asked of them:
+        who writes to them looks behind that whether this has come in between."""
+        self._killed = True
+        self.safe()
+        return None
+
+    def revive(self) -> None:
+        """What has been killed is off, and obeys again."""
+        if self._killed:
+            self.safe()
+            self._killed = False
+
+    def safe(self) -> None:
+        """What could do harm off; motors stay as they are: an axis that drops is no safer."""
+        if self._pwm:
+            self._pwm.duty_u16(0)
+        for _, pin, level in self._tools:
+            pin.value(level)
+
+    # The clock
+
+    def ticks_ms(self) -> int:
+        """Milliseconds, wrapping; compare with elapsed_ms."""
+        return time.ticks_ms()
+
+    def elapsed_ms(self, since: int) -> int:
+        """Milliseconds since a value of ticks_ms()."""
+        return time.ticks_diff(time.ticks_ms(), since)
+
+    # The punch
+
+    def punch(self, down: int, up: int) -> None:
+        """Levels of the two actuators' pins. May be called in an interrupt."""
+        if self._punch_down:
+            self._punch_down.value(down)
+        if self._punch_up:
+            self._punch_up.value(up)
+        if self._killed:
+            self.safe()
+
+    def punch_rest(self, down: int, up: int) -> None:
+        """Levels with which it goes up: what kill() sets."""
+        ours = (self._punch_down, self._punch_up)
+        tools = [tool for tool in self._tools if tool[1] not in ours]
+        for number, pin, level in zip(self._punch_numbers, ours, (down, up)):
+            if pin and number is not None:
+                tools.append((number, pin, level))
+        self._tools = tools
+
+    # For power_up.py
+
+    def held(self, pin: "int | None") -> bool:
+        """A button between this pin and ground is held."""
+        return pin is not None and Pin(pin, Pin.IN, Pin.PULL_UP).value() == 0
+
+
+def _make_output(number: "int | None", level: int) -> "Pin | None":
+    return None if number is None else Pin(number, Pin.OUT, value=level)

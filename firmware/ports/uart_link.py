@@ -1,0 +1,95 @@
+"""The sender on the ESP32's own serial port: stdin and stdout, which are UART 0 or native USB.
+
+MicroPython keeps 260 bytes that have arrived; a UART drops what comes on top of that and says
+nothing, so a board file that uses this tells senders of 128. Native USB lets the sender wait.
+Where there is native USB, what we say goes out on UART 0 as well, and no faster than there.
+"""
+
+import array
+import select
+import sys
+
+import micropython
+from micropython import const
+from ports.escape import Escape
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
+_CTRL_C = const(3)
+# What a UART's own memory takes without waiting; soft interrupts come in between.
+_PIECE = const(64)
+
+# How long one write may take: native USB waits for a host that does not read.
+_WRITE_MS = const(1000)
+
+# What is shared with the supervisor (supervisor.py).
+_TURNED = const(0)
+_STOPPED = const(1)
+_AWAY = const(2)
+
+
+class UartLink:
+    """A Link. For the supervisor: shared is what they share; there is nothing to look at but by
+    reading; come_back is its own, called in the main loop, and raises. on_turn: called in every
+    turn."""
+
+    look = None
+    is_slow = False  # Ctrl-X is heard as soon as the chip's MicroPython lets anyone hear it
+
+    def __init__(self) -> None:
+        micropython.kbd_intr(-1)  # Ctrl-C is a byte like others
+        self.come_back: "Callable[[], None]" = lambda: None
+        self.on_turn: "Callable[[], None]" = lambda: None
+        self.shared = array.array("i", (0, 0, 0))
+        self._in: "Any" = sys.stdin.buffer
+        self._out: "Any" = sys.stdout.buffer
+        self._byte = bytearray(1)
+        self._arrived: "Any" = select.poll()
+        self._arrived.register(sys.stdin, select.POLLIN)
+        self._escape = Escape(self.close)
+
+    def attach(self, at_rest: "Callable[[], bool]", on_open: "Callable[[], None]") -> None:
+        """Say when the REPL may be asked for. That a sender opens the port nobody hears of."""
+        self._escape.at_rest = at_rest
+
+    def read_into(self, buf: bytearray) -> int:
+        """Move what has arrived into buf; return how many bytes."""
+        self.shared[_TURNED] = 1
+        if self.shared[_STOPPED]:
+            self.come_back()
+        self.on_turn()
+        count = 0
+        while count < len(buf) and self._waiting():
+            if not self._in.readinto(self._byte):
+                break
+            buf[count] = self._byte[0]
+            count += 1
+        if count:
+            self._escape.listen(buf, count)
+        return count
+
+    def _waiting(self) -> bool:
+        for _ in self._arrived.ipoll(0):
+            return True
+        return False
+
+    def write(self, data: "bytes | bytearray | memoryview") -> None:
+        """Send; waits where the line is slower than we are."""
+        if len(data) <= _PIECE:
+            self._send(data)
+            return
+        whole = memoryview(data)
+        for at in range(0, len(whole), _PIECE):
+            self._send(whole[at : at + _PIECE])
+
+    def _send(self, piece: "bytes | bytearray | memoryview") -> None:
+        self.shared[_AWAY] = -_WRITE_MS
+        self._out.write(piece)
+        self.shared[_AWAY] = 0
+
+    def close(self) -> None:
+        """Ctrl-C interrupts again."""
+        micropython.kbd_intr(_CTRL_C)

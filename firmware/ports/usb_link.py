@@ -1,0 +1,310 @@
+# mypy: disable-error-code=arg-type
+"""The sender on the board's USB, which MicroPython calls stdin and stdout.
+
+MicroPython collects what has arrived in a ring of 512 bytes, and hands it out byte by byte at
+13 us each, or in pieces whose length one has to know. So the ring is looked for in memory
+(link_ring.py) and read where it lies; where it is not found the plain way is taken. USB makes the
+sender wait when the ring is full: nothing is ever lost.
+
+The supervisor's timer looks at the ring too: Ctrl-X acts also while the main loop is busy, and a
+sender that opens the port is seen, for the welcome. What MicroPython writes while no port is open
+waits for the first one that is.
+
+The way back to the REPL is link_escape.py's.
+"""
+
+import array
+import binascii
+import io
+import os
+import select
+import sys
+import time
+
+import machine
+import micropython
+from micropython import const
+from ports.escape import Escape
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
+# MicroPython looks for files of these names at every import, for 5 ms each, unless they are known.
+for _module in (array, binascii, io, machine, os, select, time):
+    sys.modules[_module.__name__] = _module
+
+_CTRL_C = const(3)
+_CTRL_X = const(24)
+
+# A host that does not read for so long is taken for absent, and is not waited for any more.
+_DEAF_MS = const(250)
+
+# An Arduino is silent for longer after it has been opened, and senders count on it: the Universal
+# G-Code Sender begins twice where it is greeted before it has noted that it has begun.
+_GREET_MS = const(300)
+
+# Answers of a line wait for others, up to so many bytes, and until nothing has come for so many
+# turns: to send takes USB as long as a line takes to be read. What is longer is sent at once.
+_OUT_BYTES = const(64)
+_QUIET_TURNS = const(3)
+_ANSWER = const(16)
+
+# With a count of bytes: there is more to see to.
+_NOTE = const(0x100)
+
+# A write to a host that does not read: MicroPython gives up when nothing has gone for 500 ms, and
+# a packet or two may go before.
+_WRITE_MS = const(1000)
+
+# What a link remembers. First what it shares with the supervisor (supervisor.py): it has been
+# read, the machine was stopped meanwhile, for how long the main loop has been away.
+_TURNED = const(0)
+_STOPPED = const(1)
+_AWAY = const(2)
+_RING = const(3)  # Where the ring is,
+_LINE = const(4)  # where the host's control lines are (link_ring.py); 0: not known,
+_TAKING = const(5)  # whether the main loop is taking bytes out of the ring,
+_DTR = const(6)  # whether the port is open,
+_USED = const(7)  # has been before,
+_OPENED = const(8)  # and has been opened once more: JUST now, or a while ago,
+_ESCAPES = const(9)  # whether bytes taken are such as ask for the prompt,
+_FULL = const(10)  # whether the ring was so full that more may wait behind it, and
+_LENGTH = const(11)  # how much waits to be sent.
+_REMEMBERED = const(12)
+_JUST = const(1)
+
+# The last request of the host, in the memory of RP2040's and RP2350's USB: requests that tell
+# of the port being open or not (its DTR), that come with opening alone, and that the cable has
+# been plugged in.
+_SETUP = const(0x50100000)
+_SET_LINE_STATE = const(0x2221)
+_LINE_CODING = const(0x2021)  # SET is 0x2021, GET is 0x21A1
+_SET_CONFIGURATION = const(0x0900)
+
+# MicroPython's struct ringbuf_t: address, size : 16, iget : 16, iput : 16.
+_RING_BYTES = const(512)
+
+
+@micropython.viper
+def _take(at: ptr32, buf: ptr8, room: int) -> int:
+    """Move up to `room` bytes that the ring holds into buf.
+
+    Returns how many, and NOTE where UsbLink._note() is to see to something.
+    """
+    at[_TAKING] = 1
+    at[_TURNED] = 1
+    shorts = ptr16(at[_RING])
+    data = ptr8(ptr32(at[_RING])[0])
+    get = shorts[3]
+    put = shorts[4]
+    if (put - get) & (_RING_BYTES - 1) >= _RING_BYTES - 64:
+        at[_FULL] = 1
+    count = 0
+    while get != put and count < room:
+        c = data[get]
+        buf[count] = c
+        if c <= _CTRL_C:
+            at[_ESCAPES] = 1
+        get = (get + 1) & (_RING_BYTES - 1)
+        count += 1
+    shorts[3] = get
+    at[_TAKING] = 0
+    noted = at[_ESCAPES] if count else at[_LENGTH] | at[_FULL]
+    return count | _NOTE if noted | at[_OPENED] | at[_STOPPED] else count
+
+
+@micropython.viper
+def _keep(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
+    """Put an answer behind those that wait to be sent. Returns 0 where it may not wait."""
+    length = at[_LENGTH]
+    if count > _ANSWER or length + count > _OUT_BYTES:
+        return 0
+    for i in range(count):
+        out[length + i] = data[i]
+    at[_LENGTH] = length + count
+    return 1
+
+
+class UsbLink:
+    """A Link.
+
+    read_into(buf) moves what has arrived into buf and returns how many bytes; write(data) sends,
+    soon. For the supervisor: shared is what they share, look what its timer calls, None where
+    there is nothing to see; come_back is its own, called in the main loop, and raises. is_slow:
+    Ctrl-X is not heard before the main loop reads.
+    """
+
+    read_into: "Callable[[bytearray], int]"
+    write: "Callable[[bytes | bytearray | memoryview], None]"
+
+    def __init__(self) -> None:
+        micropython.kbd_intr(-1)  # Ctrl-C is a byte like others
+        self.come_back: "Callable[[], None]" = lambda: None
+        self._in: "Any" = sys.stdin.buffer
+        self._out: "Any" = sys.stdout.buffer
+        self._arrived: "Any" = select.poll()
+        self._arrived.register(sys.stdin, select.POLLIN)
+        self._sendable: "Any" = select.poll()
+        self._sendable.register(sys.stdout, select.POLLOUT)
+        self._deaf = False
+        self._byte = bytearray(1)
+        self._waiting_out = bytearray(_OUT_BYTES)
+        self._turns = self._since = 0
+        self._escape = Escape(self.close)
+        self.shared = self._at = array.array("i", (0 for _ in range(_REMEMBERED)))
+        if sys.platform == "rp2":
+            from ports import usb_ring as link_ring
+
+            link_ring.find(self._at, self._drain, _take)
+            del sys.modules["link_ring"]  # nobody needs it any more
+        self.is_slow = self._at[_RING] == 0
+        self.look: "Callable[[], int] | None" = None if self.is_slow else self._look
+        self.read_into = self._make_read_into()
+        self.write = self._make_write()
+
+    def attach(self, at_rest: "Callable[[], bool]", on_open: "Callable[[], None]") -> None:
+        """Say when the REPL may be asked for, and who greets a sender that opens the port anew."""
+        self._escape.at_rest = at_rest
+        self._on_open = on_open
+
+    @micropython.viper
+    def _look(self) -> int:
+        """Interrupt: drop all that has arrived up to a Ctrl-X. Returns whether there was one.
+
+        And see the port being opened, which for the first time is no news."""
+        at = ptr32(self._at)
+        shorts = ptr16(at[_RING])
+        data = ptr8(ptr32(at[_RING])[0])
+        get = shorts[3]
+        put = shorts[4]
+        is_open = at[_DTR]
+        if at[_LINE]:
+            is_open = ptr8(at[_LINE])[0] & 1
+        else:
+            request = ptr32(_SETUP)[0] & 0x1FFFF
+            if request & 0xFFFF == _SET_LINE_STATE:
+                is_open = request >> 16
+            if request & 0xFE7F == _LINE_CODING:
+                is_open = 1
+            if request & 0xFFFF == _SET_CONFIGURATION:
+                is_open = 0
+        if is_open != at[_DTR]:
+            at[_DTR] = is_open
+            at[_OPENED] = is_open & at[_USED]
+        if is_open or get != put:
+            at[_USED] = 1
+        found = 0
+        if at[_TAKING] == 0:
+            while get != put:
+                get = (get + 1) & (_RING_BYTES - 1)
+                if data[(get - 1) & (_RING_BYTES - 1)] == _CTRL_X:
+                    shorts[3] = get
+                    found = 1
+        return found
+
+    def _drain(self) -> bytearray:
+        """All that has arrived."""
+        early = bytearray()
+        while self._waiting() and self._in.readinto(self._byte):
+            early.append(self._byte[0])
+        return early
+
+    def _make_read_into(self) -> "Callable[[bytearray], int]":
+        """A closure, for it is called at every turn: it finds what it needs without a look-up."""
+        if self._at[_RING] == 0:
+            return self._read_plainly
+        at, take, note = self._at, _take, self._note
+
+        def read_into(buf: bytearray) -> int:
+            count: int = take(at, buf, len(buf))
+            return note(buf, count - _NOTE) if count >= _NOTE else count
+
+        return read_into
+
+    def _make_write(self) -> "Callable[[bytes | bytearray | memoryview], None]":
+        """The same, for answers."""
+        at, keep, waiting = self._at, _keep, self._waiting_out
+
+        def write(data: "bytes | bytearray | memoryview") -> None:
+            if keep(at, waiting, data, len(data)):
+                return
+            self._flush()
+            if not keep(at, waiting, data, len(data)):
+                self._send(data, len(data))
+
+        return write
+
+    def _note(self, buf: bytearray, count: int) -> int:
+        """See to more than bytes. Returns their count."""
+        at = self._at
+        if at[_STOPPED]:
+            self.come_back()
+        if at[_OPENED]:
+            self._greet(count)
+        if count:
+            at[_ESCAPES] = 0
+            self._escape.listen(buf, count)
+            return count
+        if at[_LENGTH]:
+            self._turns += 1
+            if self._turns >= _QUIET_TURNS:
+                self._turns, length, at[_LENGTH] = 0, at[_LENGTH], 0
+                self._send(self._waiting_out, length)
+        if at[_FULL]:
+            at[_FULL] = 0
+            self._waiting()  # to ask fills the ring
+        return 0
+
+    def _greet(self, count: int) -> None:
+        """A program has opened the port: greet it when it says something, or in a while, unless
+        it has come back to a job."""
+        at = self._at
+        if at[_OPENED] == _JUST:
+            at[_OPENED] = _JUST + 1 if self._escape.at_rest() else 0
+            self._since = time.ticks_ms()
+        if at[_OPENED] and (count or time.ticks_diff(time.ticks_ms(), self._since) >= _GREET_MS):
+            at[_OPENED] = 0
+            self._on_open()
+
+    def _waiting(self) -> bool:
+        for _ in self._arrived.ipoll(0):
+            return True
+        return False
+
+    def _read_plainly(self, buf: bytearray) -> int:
+        self._at[_TURNED] = 1
+        if self._at[_STOPPED]:
+            self.come_back()
+        self._flush()
+        count = 0
+        while count < len(buf) and self._waiting():
+            self._in.readinto(self._byte)
+            buf[count] = self._byte[0]
+            count += 1
+        if count:
+            self._escape.listen(buf, count)
+        return count
+
+    def _flush(self) -> None:
+        self._turns = 0
+        length = self._at[_LENGTH]
+        if length:
+            self._at[_LENGTH] = 0
+            self._send(self._waiting_out, length)
+
+    def _send(self, data: "bytes | bytearray | memoryview", length: int) -> None:
+        """A host that does not read is waited for once, then goes without."""
+        if self._deaf and not self._sendable.poll(0):
+            return
+        since = time.ticks_ms()
+        self._at[_AWAY] = -_WRITE_MS
+        self._out.write(data, length)
+        self._at[_AWAY] = 0
+        self._deaf = time.ticks_diff(time.ticks_ms(), since) >= _DEAF_MS
+
+    def close(self) -> None:
+        """Send what is left; Ctrl-C interrupts again."""
+        self._flush()
+        micropython.kbd_intr(_CTRL_C)

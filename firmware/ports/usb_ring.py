@@ -1,0 +1,97 @@
+# mypy: disable-error-code=arg-type
+"""Where MicroPython keeps what has come over USB: a ring in memory, found by trying it out.
+
+And where TinyUSB, the library below it, keeps the host's control lines (DTR, which says whether a
+program has the port open): in a struct that is known by its two pointers into itself.
+"""
+
+import array
+
+import micropython
+from micropython import const
+from ports.escape import push
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+# MicroPython's struct ringbuf_t: address, size : 16, iget : 16, iput : 16.
+_RING_BYTES = const(512)
+_MEMORY = const(0x20000000)
+_MEMORY_WORDS = const(0x10000)
+_TRIALS = (b"Where is the ring?", b"Here?")
+
+# From link_usb.py.
+_RING = const(3)
+_LINE = const(4)
+
+# TinyUSB's struct cdcd_interface_t, in words: 7 bytes, the last of which are line_state and
+# wanted_char, -1; line_coding; from here on two FIFOs of a few words, address and size first, and
+# behind them what the first address points to, then what the second does.
+_FIFOS = const(4)
+_FIFO_WORDS_MOST = const(8)
+_LINE_STATE = const(5)  # byte
+
+
+@micropython.viper
+def _find(memory: ptr32, start: int, trial: ptr8, length: int) -> int:
+    """Index, from start on, of a word that may begin a ring that ends with the trial; or -1."""
+    i = start
+    while i < _MEMORY_WORDS - 3:
+        at = memory[i] - _MEMORY
+        sizes = memory[i + 1]
+        if at > 0 and at < 4 * _MEMORY_WORDS and sizes & 0xFFFF == _RING_BYTES:
+            get = (sizes >> 16) & 0xFFFF
+            put = memory[i + 2] & 0xFFFF
+            if get < _RING_BYTES and put < _RING_BYTES and (put - get) & 511 >= length:
+                data = ptr8(memory[i])
+                same = 0
+                while same < length and data[(get + same) & 511] == trial[same]:
+                    same += 1
+                if same == length:
+                    return i
+        i += 1
+    return -1
+
+
+@micropython.viper
+def find_line(memory: ptr32) -> int:
+    """Address of line_state, or 0."""
+    for i in range(_MEMORY_WORDS - 3 * _FIFO_WORDS_MOST):
+        here = _MEMORY + 4 * (i + _FIFOS)
+        fifo = (memory[i + _FIFOS] - here) >> 3  # its words; both FIFOs lie between
+        if fifo >= 3 and fifo <= _FIFO_WORDS_MOST and memory[i + _FIFOS] == here + 8 * fifo:
+            second = memory[i + _FIFOS] + (memory[i + _FIFOS + 1] & 0xFFFF)
+            if memory[i + _FIFOS + fifo] == second and (memory[i + 1] >> 16) & 0xFF == 0xFF:
+                return _MEMORY + 4 * i + _LINE_STATE
+    return 0
+
+
+def find(
+    at: "array.array[int]",
+    drain: "Callable[[], bytearray]",
+    take: "Callable[[array.array[int], bytearray, int], int]",
+) -> None:
+    """Put both addresses into what a link remembers, or 0. drain: reads all that has come; take:
+    as link_usb has it."""
+    early = drain()
+    try:
+        push(_TRIALS[0])
+    except (AttributeError, OSError):
+        return
+    found = 0
+    index = _find(_MEMORY, 0, _TRIALS[0], len(_TRIALS[0]))
+    while index >= 0 and not found:
+        at[_RING] = _MEMORY + 4 * index
+        trial = bytearray(len(_TRIALS[0]))
+        take(at, trial, len(trial))
+        push(_TRIALS[1])
+        if _find(_MEMORY, index, _TRIALS[1], len(_TRIALS[1])) == index:
+            found = at[_RING]
+        index = _find(_MEMORY, index + 1, _TRIALS[0], len(_TRIALS[0]))
+    early += drain()
+    text = bytes(early).replace(_TRIALS[0], b"").replace(_TRIALS[1], b"")
+    if text:
+        push(text)
+    at[_RING] = found
+    at[_LINE] = find_line(_MEMORY)

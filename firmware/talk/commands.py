@@ -1,0 +1,278 @@
+"""The $ commands: one method each, found by a table."""
+
+from base import errors
+from base import state as st
+from base.errors import GrblError
+from base.f32 import whole
+from language.words import bare
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from base.settings import Settings
+    from base.state import State
+    from control.canon import Motion
+    from control.coords import Coords
+    from control.inputs import Inputs
+    from control.realtime import Realtime
+    from control.seek import Cycles
+    from interfaces import Store
+    from language.interpreter import Gcode
+    from talk.report import Report
+
+_STARTUP = "startup"
+_BUILD_INFO = "build"
+STARTUP_LINES = const(2)
+_HIGHEST_SETTING = const(255)
+_AXES = b"XYZ"
+_BUSY = const(0x18)  # RUN | HOLD
+_JOG = const(74)  # $J
+_AT_ANY_TIME = b"\0$GCX"
+
+
+class Commands:
+    """What lines beginning with $ do. options: the letters and numbers of [OPT:…]."""
+
+    def __init__(
+        self,
+        state: "State",
+        settings: "Settings",
+        coords: "Coords",
+        store: "Store",
+        report: "Report",
+        gcode: "Gcode",
+        cycles: "Cycles",
+        inputs: "Inputs",
+        options: str,
+        single_axis_homing: bool,
+    ) -> None:
+        self._state = state
+        self._settings = settings
+        self._coords = coords
+        self._store = store
+        self._report = report
+        self._gcode = gcode
+        self._cycles = cycles
+        self._inputs = inputs
+        self._options = options
+        self._single_axis_homing = single_axis_homing
+        self._startup = [""] * STARTUP_LINES
+        self._letters = self._make_letters()
+        # What $I+ says besides $I, where the chip can tell.
+        self.health: "Callable[[], str] | None" = None
+
+    def connect(
+        self,
+        realtime: "Realtime",
+        motion: "Motion",
+        answer: "Callable[[bytearray, int, bytes], None]",
+    ) -> None:
+        """Say whom to call. answer executes a line of G-code and prints what becomes of it,
+        beginning with that."""
+        self._realtime = realtime
+        self._motion = motion
+        self._answer = answer
+
+    # Kept lines
+
+    def load(self) -> None:
+        """Read the startup lines; none where nothing valid is kept."""
+        lines = self._store.load(_STARTUP)
+        self._startup = ((lines or []) + [""] * STARTUP_LINES)[:STARTUP_LINES]
+        self._startup_valid = lines is not None
+        if lines is None:
+            self._keep_startup()
+
+    def _keep_startup(self) -> None:
+        self._store.save(_STARTUP, self._startup)
+
+    def run_startup(self) -> None:
+        """Execute the startup lines, each with its answer."""
+        for text in self._startup:
+            if not self._startup_valid:
+                self._report.startup_lost()
+            elif text:
+                line = bytearray(text.encode() + b"\0")
+                self._answer(line, len(line) - 1, self._report.startup_run(text))
+        self._startup_valid = True
+
+    # Dispatch
+
+    def _make_letters(self) -> "dict[int, Callable[[bytearray, int], None]]":
+        return {
+            0: self._help,
+            36: self._show_settings,  # $$
+            71: self._show_modes,  # $G
+            67: self._check_mode,  # $C
+            88: self._unlock,  # $X
+            74: self._jog,
+            35: self._show_offsets,  # $#
+            72: self._home,  # $H
+            83: self._sleep,  # $SLP
+            73: self._build_info,  # $I
+            82: self._restore,  # $RST=
+            78: self._startup_lines,  # $N
+        }
+
+    def whose(self, line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
+        """Who executes a line beginning with $: the loop calls it, for the stack is short. Raises
+        GrblError where it is refused."""
+        key = line[1]
+        if key in self._report.NO_COMMANDS:
+            key = 48  # no letter: taken for the number of a setting
+        if key in _AT_ANY_TIME:
+            if length > 2:
+                raise GrblError(errors.INVALID_STATEMENT)
+        elif key != _JOG and self._state.run not in (st.IDLE, st.ALARM):
+            raise GrblError(errors.IDLE_ERROR)
+        return self._letters.get(key, self._set)
+
+    def _jog(self, line: bytearray, length: int) -> None:
+        if self._state.run not in (st.IDLE, st.JOG):
+            raise GrblError(errors.IDLE_ERROR)
+        if line[2] != 61:
+            raise GrblError(errors.INVALID_STATEMENT)
+        self._gcode.jog(line, length)
+
+    # Commands that are answered at any time
+
+    def _help(self, _line: bytearray, _length: int) -> None:
+        self._report.help()
+
+    def _show_settings(self, _line: bytearray, _length: int) -> None:
+        if self._state.run & _BUSY:
+            raise GrblError(errors.IDLE_ERROR)
+        self.show_settings()
+
+    def show_settings(self) -> None:
+        """Print every setting."""
+        for number, value, decimals in self._settings.each():
+            self._report.setting(number, value, decimals)
+
+    def _show_modes(self, _line: bytearray, _length: int) -> None:
+        self._report.modes(self._gcode.modes())
+
+    def _check_mode(self, _line: bytearray, _length: int) -> None:
+        state = self._state
+        if state.run == st.CHECK:
+            self._realtime.reset()
+            self._report.message(errors.MSG_DISABLED)
+        else:
+            if state.run != st.IDLE:
+                raise GrblError(errors.IDLE_ERROR)
+            state.run = st.CHECK
+            self._gcode.plain.forget()  # what was a motion is none now
+            self._report.message(errors.MSG_ENABLED)
+
+    def _unlock(self, _line: bytearray, _length: int) -> None:
+        if self._state.run == st.ALARM:
+            self._check_stop()
+            if self._inputs.door_open():
+                raise GrblError(errors.CHECK_DOOR)
+            self._report.message(errors.MSG_ALARM_UNLOCK)
+            self._state.run = st.IDLE
+
+    def _check_stop(self) -> None:
+        if self._inputs.estop():
+            self._report.message(errors.MSG_EMERGENCY_STOP)
+            raise GrblError(errors.SYSTEM_GC_LOCK)
+
+    # Commands that want the machine at rest
+
+    def _show_offsets(self, line: bytearray, length: int) -> None:
+        if length != 2:
+            raise GrblError(errors.INVALID_STATEMENT)
+        self._report.offsets(self._cycles.probe_position())
+
+    def _home(self, line: bytearray, length: int) -> None:
+        if not self._settings.homing:
+            raise GrblError(errors.SETTING_DISABLED)
+        self._check_stop()
+        if self._inputs.door_open():
+            raise GrblError(errors.CHECK_DOOR)
+        axes = 0
+        if length > 2:
+            at = _AXES.find(line[2:3]) if length == 3 and self._single_axis_homing else -1
+            if at < 0:
+                raise GrblError(errors.INVALID_STATEMENT)
+            axes = 1 << at
+        self._state.run = st.HOMING
+        homed = self._cycles.home(axes)
+        self._state.run = st.IDLE
+        if not homed:
+            return
+        self._motion.settle()
+        if axes == 0:
+            self.run_startup()
+
+    def _sleep(self, line: bytearray, length: int) -> None:
+        if bytes(line[2:length]) != b"LP":
+            raise GrblError(errors.INVALID_STATEMENT)
+        self._state.post(st.SLEEP_REQUEST)
+
+    def _build_info(self, line: bytearray, length: int) -> None:
+        health = self.health if length == 3 and line[2] == 43 else None  # $I+
+        if length == 2 or health:
+            kept = self._store.load(_BUILD_INFO)
+            self._report.build_info(kept[0] if kept else "", self._options)
+            if health:
+                self._report.message(health())
+        elif line[2] != 61:
+            raise GrblError(errors.INVALID_STATEMENT)
+        else:
+            self._store.save(_BUILD_INFO, [line[3:length].decode()])
+
+    def _restore(self, line: bytearray, length: int) -> None:
+        what = line[5] if length == 6 else 0
+        if bytes(line[2:5]) != b"ST=" or what not in b"$#*":
+            raise GrblError(errors.INVALID_STATEMENT)
+        if what != 35:  # $ or *
+            self._settings.restore()
+        if what != 36:  # # or *
+            self._coords.restore()
+        if what == 42:  # *
+            self.forget()
+        self._report.message(errors.MSG_RESTORE_DEFAULTS)
+        self._realtime.reset()
+
+    def forget(self) -> None:
+        """Startup lines and build info away."""
+        self._startup = [""] * STARTUP_LINES
+        self._keep_startup()
+        self._store.save(_BUILD_INFO, [""])
+
+    def _startup_lines(self, line: bytearray, length: int) -> None:
+        if length == 2:
+            for i in range(STARTUP_LINES):
+                self._report.startup_line(i, self._startup[i])
+            return
+        if self._state.run != st.IDLE:
+            raise GrblError(errors.IDLE_ERROR)
+        at, number = bare(line, 2)
+        if at < 0:
+            raise GrblError(errors.BAD_NUMBER_FORMAT)
+        if line[at] != 61:
+            raise GrblError(errors.INVALID_STATEMENT)
+        block = line[at + 1 : length + 1]
+        self._gcode.execute(block, length - at - 1)
+        self._motion.synchronise()  # memory is written at rest
+        index = whole(number)
+        if 0 <= index < STARTUP_LINES:
+            self._startup[index] = bytes(block[: length - at - 1]).decode()
+            self._keep_startup()
+
+    def _set(self, line: bytearray, _length: int) -> None:
+        at, number = bare(line, 1)
+        if at < 0:
+            raise GrblError(errors.BAD_NUMBER_FORMAT)
+        if line[at] != 61:
+            raise GrblError(errors.INVALID_STATEMENT)
+        at, value = bare(line, at + 1)
+        if at < 0:
+            raise GrblError(errors.BAD_NUMBER_FORMAT)
+        if line[at] != 0 or number > _HIGHEST_SETTING:
+            raise GrblError(errors.INVALID_STATEMENT)
+        self._motion.synchronise()  # what is planned was planned with what holds now
+        self._settings.set(int(number) & 255, value)

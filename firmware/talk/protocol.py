@@ -1,0 +1,194 @@
+"""Protocol: the loop. Bytes in, a line out to gcode or commands, "ok" or "error:n" back.
+
+pump() reads the link and takes real-time bytes off; it decides nothing.
+service() is pump() and what realtime then has to do: the only place where
+code waits.
+"""
+
+from base import errors
+from base import state as st
+from base.errors import Abort, GrblError
+from micropython import const
+from talk.lines import LINE, NOTHING
+from talk.report import OK
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from base.state import State
+    from control.canon import Motion
+    from control.realtime import Realtime
+    from control.saves import Saves
+    from interfaces import Link
+    from language.interpreter import Gcode
+    from talk.commands import Commands
+    from talk.lines import LineReader
+    from talk.report import Report
+
+_LOCKED = const(0x21)  # ALARM | JOG
+_DEAF_MS = const(500)  # nothing is answered for so long behind an alarm
+
+
+class Protocol:
+    """The loop and its buffer."""
+
+    def __init__(
+        self,
+        link: "Link",
+        state: "State",
+        reader: "LineReader",
+        report: "Report",
+        saves: "Saves",
+        echoes: bool,
+    ) -> None:
+        self._link = link
+        self._state = state
+        self._reader = reader
+        self._report = report
+        self._saves = saves
+        self._echoes = echoes
+        self._buffer = bytearray(64)
+        self._read_into = link.read_into
+        self._feed = reader.feed
+
+    def connect(
+        self,
+        realtime: "Realtime",
+        gcode: "Gcode",
+        commands: "Commands",
+        motion: "Motion",
+        restart: "Callable[[], None]",
+    ) -> None:
+        """Say who executes lines, and who makes the machine ready for them."""
+        self._restart = restart
+        self._realtime = realtime
+        self._gcode = gcode
+        self._commands = commands
+        self._motion = motion
+
+    def pump(self) -> None:
+        """Take in what has arrived."""
+        count = self._read_into(self._buffer)
+        if count:
+            self._feed(self._buffer, count)
+
+    def service(self) -> None:
+        """One turn of whoever waits. Raises Abort after a reset."""
+        count = self._read_into(self._buffer)  # as pump() does, without its frame
+        if count:
+            self._feed(self._buffer, count)
+        self._realtime.events()
+        if self._state.suspend:
+            self._realtime.suspended()
+
+    def run(self) -> None:
+        """Execute lines for ever; a reset begins anew. The stack is short: no frame to spare."""
+        reader = self._reader
+        state = self._state
+        pending = state.pending
+        take = reader.take
+        line = reader.line
+        follow = self._gcode.plain.follow
+        write, ok = self._link.write, OK  # what report.ok() does
+        pump = self.pump
+        echoes = self._echoes
+        finish = self._saves.finish
+        every_other = False
+        while True:
+            try:
+                self._restart()
+                while True:
+                    found = take()
+                    if found == NOTHING:
+                        pump()
+                        if not reader.waiting():
+                            self._motion.auto_start()
+                        self._realtime.run()
+                        continue
+                    if pending[st.ANY] or state.suspend:
+                        self._realtime.run()
+                    length = found >> 2
+                    if found & LINE == 0:
+                        self._report.error(errors.OVERFLOW)
+                    elif state.run & _LOCKED == 0 and not echoes and follow(line, length):
+                        write(ok)
+                        every_other = not every_other
+                        if every_other:
+                            pump()
+                    else:
+                        try:  # as in execute()
+                            self._whose(line, length)(line, length)
+                            finish()
+                            if state.alarm and not pending[st.RESET]:
+                                self._tell_alarm()
+                        except (GrblError, OSError, Abort) as reason:
+                            self._refuse(reason, b"")
+                        else:
+                            write(ok)
+            except Abort:
+                self._tell_alarm()
+
+    def execute(self, line: bytearray, length: int, before: bytes) -> None:
+        """Execute one line and answer it. before: what the answer begins with."""
+        try:
+            self._whose(line, length)(line, length)
+            self._saves.finish()
+            self._tell_alarm()
+        except (GrblError, OSError, Abort) as reason:
+            self._refuse(reason, before)
+        else:
+            self._link.write(before)
+            self._report.ok()
+
+    def _whose(self, line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
+        """Who is to execute the line. Raises GrblError where nobody is."""
+        if self._echoes:
+            self._report.echo(bytes(line[:length]))
+        if length == 0:
+            return _pass_over
+        if line[0] == 36:  # $
+            return self._commands.whose(line, length)
+        if self._state.run & _LOCKED:
+            raise GrblError(errors.SYSTEM_GC_LOCK)
+        return self._gcode.execute
+
+    def _tell_alarm(self) -> None:
+        """Say that there is an alarm, if there is one: here, for the stack is nearly empty."""
+        state, report, realtime = self._state, self._report, self._realtime
+        code = state.alarm
+        if code == 0:
+            return
+        behind = realtime.stand_down()
+        report.alarm(code)
+        realtime.pause(_DEAF_MS)
+        if code in (errors.ALARM_HARD_LIMIT, errors.ALARM_SOFT_LIMIT):
+            # Nothing but a reset is heard: the user is to look at the machine first.
+            report.message(errors.MSG_CRITICAL_EVENT)
+            state.pending[st.RESET] = 0
+            while not state.pending[st.RESET]:
+                realtime.pause(1)
+        state.alarm = 0
+        if behind:
+            if not state.pending[st.RESET]:
+                realtime.events()
+            behind()
+
+    def _refuse(self, reason: Exception, before: bytes) -> None:
+        """Answer a line that has not come to its end."""
+        self._tell_alarm()
+        if isinstance(reason, OSError):
+            self._report.message(errors.MSG_NOT_KEPT)  # it holds until the power goes
+        if before:
+            self._link.write(before)
+        if isinstance(reason, GrblError):
+            self._report.error(reason.code)
+        elif isinstance(reason, OSError):
+            self._report.error(errors.SETTING_READ_FAIL)
+        else:
+            self._report.ok()  # the line was accepted; a reset cut it short
+            raise reason
+
+
+def _pass_over(_line: bytearray, _length: int) -> None:
+    """An empty line."""

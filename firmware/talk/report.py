@@ -1,0 +1,374 @@
+"""Reports: every byte that leaves the machine as text.
+
+Formats are Grbl 1.1h's to the byte. Answers are constant bytes; a status
+report, which is asked for while the machine moves, is written into a buffer
+of its own and takes no memory.
+"""
+
+from array import array
+
+from base import errors
+from base import state as st
+from base.f32 import INCH_PER_MM, f32, vector
+from control.coords import NAMES
+from control.inputs import DOOR, HOLD, RESET, START
+from micropython import const
+from motion.kernels import LIMITS, RESOLUTION, copy
+from talk import lines
+from talk.digits import END, VALUES, number, write
+from talk.singles import MINUS, add, divide
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
+    from base.settings import Settings
+    from base.state import State
+    from control.coolant import Coolant
+    from control.coords import Coords
+    from control.inputs import Inputs
+    from control.spindle import Spindle
+    from interfaces import Link, StepEngine
+    from motion.planner import Planner
+    from motion.segments import Segments
+
+# Date of this firmware's behaviour, in Grbl's place for it, and who we are. Senders look for
+# "Grbl" here, and must not find another firmware's name.
+VERSION = "1.1h"
+BUILD = "20261121"
+
+OK = b"ok\r\n"
+_ERROR = b"error:%d\r\n"
+_HELP = b"[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]\r\n"
+_BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
+
+_STATES = {
+    st.IDLE: b"<Idle\0",
+    st.RUN: b"<Run\0",
+    st.JOG: b"<Jog\0",
+    st.HOMING: b"<Home\0",
+    st.ALARM: b"<Alarm\0",
+    st.CHECK: b"<Check\0",
+    st.SLEEP: b"<Sleep\0",
+}
+_REPORT_MPOS = const(1)
+_REPORT_BUFFERS = const(2)
+# Reports from one showing of WCO: or Ov: to the next, at rest and in motion.
+_WCO_IDLE = const(10)
+_WCO_BUSY = const(30)
+_OVERRIDE_IDLE = const(10)
+_OVERRIDE_BUSY = const(20)
+_LONGEST = const(216)  # status report, and 12 bytes for write()
+_VALUES = const(3)  # at once, in a form
+_MOVING = const(0x7C)  # HOMING | RUN | HOLD | JOG | DOOR
+
+
+class Report:
+    """Puts words to what the others know, and writes it to the link.
+
+    The constants say what this dialect of Grbl has; report_09.py has others.
+    """
+
+    READS = lines.READS
+    HIGHEST_TOOL = 255
+    # Letters of commands that are not there.
+    NO_COMMANDS = b""
+    # What Settings is to be told besides: numbers that are not there, rows that are.
+    SETTINGS: "tuple[Any, ...]" = ()
+    # Who we are, in the answer to $I; senders look for this word.
+    identity = "Grbl"
+
+    def __init__(
+        self,
+        link: "Link",
+        state: "State",
+        settings: "Settings",
+        coords: "Coords",
+        axes: int,
+        line_numbers: bool,
+    ) -> None:
+        self._link = link
+        self.send = link.write
+        self._state = state
+        self._settings = settings
+        self._coords = coords
+        self._axes = axes
+        self._line_numbers = line_numbers
+        self._all = (1 << axes) - 1
+        # A status report, and what it is made of.
+        self._text = bytearray(_LONGEST)
+        self._sent = 0  # the length of the last one, and its piece of the buffer
+        self._piece = memoryview(self._text)
+        self._ints = array("i", bytes(4 * (VALUES + _VALUES)))
+        self._steps = array("i", bytes(4 * axes))
+        self._mm = vector(axes)
+        self._offset = vector(max(axes, 3))
+        self._shown = vector(axes + 1)
+        self._resolution = LIMITS + RESOLUTION * axes
+        self._form = b"#3,#3,#3,#3\0"[-3 * axes :]
+
+    def connect(
+        self,
+        engine: "StepEngine",
+        planner: "Planner",
+        segments: "Segments",
+        inputs: "Inputs",
+        spindle: "Spindle",
+        coolant: "Coolant",
+        rx_free: "Callable[[], int]",
+        position: "Callable[[array[float]], None]",
+    ) -> None:
+        """Say whom a status report is to ask. position: copies the machine position in mm."""
+        self._engine = engine
+        self._planner = planner
+        self._segments = segments
+        self._inputs = inputs
+        self._spindle = spindle
+        self._coolant = coolant
+        self._rx_free = rx_free
+        self._position = position
+
+    # Answers
+
+    def ok(self) -> None:
+        """The line was accepted."""
+        self._link.write(OK)
+
+    def error(self, code: int) -> None:
+        """The line was refused."""
+        self._link.write(_ERROR % code)
+
+    def alarm(self, code: int) -> None:
+        """The machine had to stop."""
+        self._link.write(b"ALARM:%d\r\n" % code)
+
+    def message(self, text: str) -> None:
+        """Something a person should know."""
+        self._link.write(("[MSG:" + text + "]\r\n").encode())
+
+    def banner(self) -> None:
+        """The machine has started."""
+        self._link.write(_BANNER)
+
+    def help(self) -> None:
+        """The answer to $."""
+        self._link.write(_HELP)
+
+    def echo(self, line: bytes) -> None:
+        """The line as it was understood."""
+        self._line("[echo: " + line.decode() + "]")
+
+    def setting(self, key: int, value: float, decimals: int) -> None:
+        """One line of $$."""
+        self._line("$%d=%s" % (key, number(value, decimals)))
+
+    def startup_line(self, index: int, text: str) -> None:
+        """One line of $N."""
+        self._line("$N%d=%s" % (index, text))
+
+    def startup_run(self, text: str) -> bytes:
+        """A startup line is about to be executed; returns what its answer begins with."""
+        return (">" + text + ":").encode()
+
+    def startup_lost(self) -> None:
+        """Nothing valid is kept in the place of a startup line."""
+        self._link.write(self.startup_run(""))
+        self.error(errors.SETTING_READ_FAIL)
+
+    def build_info(self, info: str, options: str) -> None:
+        """The answer to $I."""
+        name = self.identity + " " + info if info else self.identity
+        self._line("[VER:%s.%s:%s]" % (VERSION, BUILD, name))
+        self._line("[OPT:" + options + "]")
+
+    def modes(self, text: str) -> None:
+        """The answer to $G."""
+        self._line("[GC:" + text + "]")
+
+    def offsets(self, probe: "array[float]") -> None:
+        """The answer to $#: every offset and the last probe."""
+        coords = self._coords
+        for i in range(len(coords.systems)):
+            self._line("[%s:%s]" % (NAMES[i], self.vector(coords.systems[i])))
+        self._line("[G92:%s]" % self.vector(coords.g92))
+        self._line("[TLO:%s]" % self._length(coords.tool_length))
+        self.probe(probe)
+
+    def probe(self, probe: "array[float]") -> None:
+        """Where the probe touched last, and whether it did."""
+        succeeded = 1 if self._state.probe_succeeded else 0
+        self._line("[PRB:%s:%d]" % (self.vector(probe), succeeded))
+
+    # Parts
+
+    def vector(self, mm: "array[float]") -> str:
+        """Axis values in the units of reports."""
+        self._ints[END] = 0
+        self._lengths(b"\0", mm)
+        return self._text[: self._ints[END]].decode()
+
+    def _length(self, mm: float) -> str:
+        if self._settings.report_inches:
+            return number(f32(mm * INCH_PER_MM), 4)
+        return number(mm, 3)
+
+    def rate(self, mm_min: float) -> str:
+        """A feed rate in the units of reports."""
+        if self._settings.report_inches:
+            return number(f32(mm_min * INCH_PER_MM), 1)
+        return number(mm_min, 0)
+
+    def speed(self, rpm: float) -> str:
+        """A spindle speed."""
+        return number(rpm, 0)
+
+    def _line(self, text: str) -> None:
+        self._link.write((text + "\r\n").encode())
+
+    # The status report
+
+    def status(self) -> "memoryview":
+        """The answer to ?, to be sent before there is another."""
+        mask = self._settings.report_mask
+        text, ints, mm = self._text, self._ints, self._mm
+        self._begin()
+        if mask & _REPORT_MPOS:
+            self._lengths(b"|MPos:\0", mm)
+        else:
+            add(self._work_offset(), MINUS, mm, self._axes)
+            self._lengths(b"|WPos:\0", mm)
+        if mask & _REPORT_BUFFERS:
+            ints[VALUES] = self._planner.free()
+            ints[VALUES + 1] = self._rx_free()
+            write(b"|Bf:%,%\0", text, ints, mm)
+        if self._line_numbers:
+            ints[VALUES] = self._planner.line_number()
+            if ints[VALUES]:
+                write(b"|Ln:%\0", text, ints, mm)
+        self._speeds()
+        pins = self._pins()
+        if pins:
+            ints[VALUES] = pins
+            write(b"|Pn:?P?X?Y?Z?A?D?R?H?S\0", text, ints, mm)
+        self._extras(text, ints)
+        return self._finish()
+
+    # Its parts: forms of digits.write(), which end with a 0
+
+    def _begin(self) -> None:
+        """State and, not written yet, machine position."""
+        self._ints[END] = 0
+        write(self._state_name(), self._text, self._ints, self._mm)
+        steps, planner = self._steps, self._planner
+        self._engine.position(steps)
+        if planner.corexy:
+            x = planner.axis_steps(steps, 0)
+            steps[1] = planner.axis_steps(steps, 1)
+            steps[0] = x
+        divide(steps, planner.machine, self._resolution, self._mm, self._axes)
+
+    def _lengths(self, name: bytes, mm: "array[float]") -> None:
+        """Axis values."""
+        text, ints = self._text, self._ints
+        write(name, text, ints, mm)
+        form = self._form
+        if self._settings.report_inches:
+            form = form.replace(b"3", b"4")
+            mm = self._in_inches(mm)
+        write(form, text, ints, mm)
+
+    def _in_inches(self, mm: "array[float]") -> "array[float]":
+        for i in range(self._axes):
+            self._shown[i] = mm[i] * INCH_PER_MM
+        return self._shown
+
+    def _finish(self) -> "memoryview":
+        """What has been written."""
+        end = write(b">\r\n\0", self._text, self._ints, self._mm)
+        if end != self._sent:
+            # A piece of a buffer is an object; most reports are as long as the last one.
+            self._sent = end
+            self._piece = memoryview(self._text)[:end]
+        return self._piece
+
+    def _state_name(self) -> bytes:
+        state = self._state
+        if state.run == st.HOLD:
+            # A jog being cancelled goes on as one.
+            return b"<Hold:0\0" if state.suspend & st.HOLD_COMPLETE else b"<Hold:1\0"
+        if state.run == st.DOOR:
+            self._ints[VALUES] = self._door_phase()
+            return b"<Door:%\0"
+        return _STATES[state.run]
+
+    def _door_phase(self) -> int:
+        suspend = self._state.suspend
+        if suspend & st.INITIATE_RESTORE:
+            return 3
+        if suspend & st.RETRACT_COMPLETE:
+            return 1 if suspend & st.DOOR_AJAR else 0
+        return 2
+
+    def _work_offset(self) -> "array[float]":
+        """What machine position has more than work position."""
+        coords, axes, offset = self._coords, self._axes, self._offset
+        copy(coords.systems[coords.active], offset, axes)
+        add(coords.g92, 0, offset, axes)
+        if coords.tool_length:
+            i = coords.length_axis
+            offset[i] = f32(offset[i] + coords.tool_length)
+        return offset
+
+    def _speeds(self) -> None:
+        """Feed rate and spindle speed."""
+        state, segments, shown = self._state, self._segments, self._shown
+        form = b"|FS:#0,#0\0"
+        shown[0] = 0.0
+        shown[1] = state.spindle_rpm
+        if state.run & _MOVING:
+            shown[0] = segments.whole_rate()
+            rpm = segments.dynamic_rpm()
+            if rpm is not None:
+                shown[1] = rpm
+        if self._settings.report_inches:
+            form = b"|FS:#1,#0\0"
+            if state.run & _MOVING:
+                shown[0] = segments.rate_mm_min() * INCH_PER_MM
+        write(form, self._text, self._ints, shown)
+
+    def _pins(self) -> int:
+        """Probe, limits of four axes, door, reset, hold, start: a bit each."""
+        inputs = self._inputs
+        pins = 1 if inputs.probe() else 0
+        limits = inputs.limits()
+        if limits:
+            pins |= (limits & self._all) << 1
+        controls = inputs.controls()
+        if controls:
+            pins |= (controls & DOOR) << 2 | (controls & (RESET | HOLD | START)) << 6
+        return pins
+
+    def _extras(self, text: bytearray, ints: "array[int]") -> None:
+        """WCO: now and then, Ov: and A: now and then but not with it."""
+        state = self._state
+        busy = state.run & _MOVING
+        if state.wco_countdown > 0:
+            state.wco_countdown -= 1
+        else:
+            state.wco_countdown = (_WCO_BUSY if busy else _WCO_IDLE) - 1
+            if state.override_countdown == 0:
+                state.override_countdown = 1
+            self._lengths(b"|WCO:\0", self._work_offset())
+        if state.override_countdown > 0:
+            state.override_countdown -= 1
+            return
+        state.override_countdown = (_OVERRIDE_BUSY if busy else _OVERRIDE_IDLE) - 1
+        ints[VALUES] = state.feed_override
+        ints[VALUES + 1] = state.rapid_override
+        ints[VALUES + 2] = state.spindle_override
+        write(b"|Ov:%,%,%\0", text, ints, self._mm)
+        accessories = self._spindle.direction() >> 4 | self._coolant.mask << 2
+        if accessories:
+            ints[VALUES] = accessories
+            write(b"|A:?S?C?F?M\0", text, ints, self._mm)
