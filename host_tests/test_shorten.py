@@ -11,6 +11,7 @@ import pytest
 from ugrbl import build, paths
 from ugrbl.compiling.inline import inline
 from ugrbl.compiling.prune import prune
+from ugrbl.compiling.scan import private_methods
 from ugrbl.compiling.shorten import SHORT, shorten
 from ugrbl.conformance import find_micropython
 
@@ -145,7 +146,9 @@ def test_no_object_has_two_attributes_of_one_name() -> None:
         ("number", IN.replace("A:", "A(Exception):") + "self.number = 1"),
         ("_slow", "class A:\n    _slow = 1\n    fast = _slow"),
         ("Kind", "class Kind:\n    def _method(self):\n        self._method()"),
-        ("_method", "class Kind:\n    def _method(self):\n        self._method()"),
+        ("method", "class Kind:\n    def method(self):\n        self.method()"),
+        ("_make_it", "class Kind:\n    def _make_it(self):\n        self._make_it()"),
+        ("_method", "class Kind:\n    def _method(self):\n        return '_method'"),
         ("letter", "def f(letter):\n    return 1\nf(letter=1)"),
         ("letter", "def f(letter):\n    return [letter for letter in letter]"),
         ("letter", "def f(letter):\n    def g():\n        nonlocal letter\n        letter = 1"),
@@ -187,13 +190,18 @@ def firmware() -> "dict[str, str]":
 
 def module(file: str) -> str:
     """The name of a file's module."""
-    return file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+    return file.removesuffix(".py").replace("/", ".")
 
 
-def test_tracebacks_of_the_firmware_tell_its_own_names() -> None:
+def test_public_functions_and_classes_keep_their_names_and_all_their_lines() -> None:
     def told(text: str) -> "list[tuple[str, int]]":
         kinds = ast.FunctionDef | ast.ClassDef
-        return [(n.name, n.lineno) for n in ast.walk(ast.parse(text)) if isinstance(n, kinds)]
+        found = [n for n in ast.walk(ast.parse(text)) if isinstance(n, kinds)]
+        return [("" if n.name in private else n.name, n.lineno) for n in found]
+
+    classes = [n for text in firmware().values() for n in ast.walk(ast.parse(text))]
+    methods = [m for n in classes if isinstance(n, ast.ClassDef) for m in private_methods(n)]
+    private = {*SHORT, *(method.name for method in methods)}
 
     before = inline(firmware())
     after = shorten(prune(before))

@@ -154,7 +154,7 @@ from control.coords import Coords
 from motion.planner import Planner
 from talk.report import Report
 from motion.segments import Segments
-import state as st
+from base import state as st
 
 class Store:
     load = save = lambda *_: None

@@ -90,7 +90,9 @@ def _link(kind: str) -> "Any":
     if kind == "usb":
         from ports.usb_link import UsbLink
 
-        return UsbLink()
+        usb = UsbLink()
+        forget("ports.usb_ring")  # it has found what there is to find
+        return usb
     raise ValueError("LINK %s is not one there is" % kind)
 
 

@@ -25,12 +25,13 @@ if TYPE_CHECKING:
 
     from base.settings import Settings
     from base.state import State
-    from control.coolant import Coolant
-    from control.realtime import Realtime
-    from control.spindle import Spindle
     from interfaces import Port
     from motion.arcs import Arc
     from motion.planner import Move, Planner
+
+    from control.coolant import Coolant
+    from control.realtime import Realtime
+    from control.spindle import Spindle
 
 _DWELL_TICK_MS = const(50)
 _DWELL_TICKS_PER_S = const(20)
@@ -44,7 +45,7 @@ _AXES = const(0)
 _POSITIVE = const(1)
 _TRAVEL = const(2)
 
-# From kernels.py.
+# From motion/kernels.py.
 _ROWS = const(1)
 _HEAD = const(2)
 _TAIL = const(3)

@@ -13,7 +13,7 @@ MIST = const(2)
 
 
 class Coolant:
-    """The outputs. Whoever changes them synchronises first (motion.py)."""
+    """The outputs. Whoever changes them synchronises first (canon.py)."""
 
     def __init__(self, port: "Port", state: "State") -> None:
         self._port = port

@@ -2,7 +2,7 @@
 
 The interrupt sets power per segment while the machine moves (set_power);
 everything else goes through turn(). Never waits: whoever changes the spindle
-synchronises first (motion.py).
+synchronises first (canon.py).
 """
 
 from array import array

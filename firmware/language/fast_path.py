@@ -13,13 +13,14 @@ import micropython
 from base import state as st
 from base.f32 import vector
 from control.canon import judge
-from language import block as b
-from language.words import add_single, number, to_mm
 from micropython import const
 from motion import planner as plan
 from motion import reals
 from motion.kernels import copy
 from motion.kernels import plan as plan_block
+
+from language import block as b
+from language.words import add_single, number, to_mm
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from base.state import State
     from control.canon import Motion
     from control.spindle import Spindle
+
     from language.interpreter import Gcode
 
 # What read() found: bits of its mask. Bits 0 to 3 are X, Y, Z and A.
@@ -66,7 +68,7 @@ VALUES = const(11)
 INCHES = const(20)
 OFFSETS = const(21)
 
-# From motion.py and kernels.py.
+# From control/canon.py and motion/kernels.py.
 _OUTSIDE = const(1)
 _FULL = const(2)
 _HEAD = const(2)

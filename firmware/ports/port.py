@@ -1,9 +1,10 @@
-"""Pins that are not steps, as far as all chips have them alike: see gpio.py, gpio_esp.py."""
+"""Pins that are not steps, as far as all chips have them alike: pio/pins.py, esp_chip/pins.py."""
 
 import time
 
 from machine import PWM, Pin, Timer
 from micropython import const
+
 from ports.input_pins import PortInputs
 
 TYPE_CHECKING = const(False)

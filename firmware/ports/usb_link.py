@@ -3,14 +3,14 @@
 
 MicroPython collects what has arrived in a ring of 512 bytes, and hands it out byte by byte at
 13 us each, or in pieces whose length one has to know. So the ring is looked for in memory
-(link_ring.py) and read where it lies; where it is not found the plain way is taken. USB makes the
+(usb_ring.py) and read where it lies; where it is not found the plain way is taken. USB makes the
 sender wait when the ring is full: nothing is ever lost.
 
 The supervisor's timer looks at the ring too: Ctrl-X acts also while the main loop is busy, and a
 sender that opens the port is seen, for the welcome. What MicroPython writes while no port is open
 waits for the first one that is.
 
-The way back to the REPL is link_escape.py's.
+The way back to the REPL is escape.py's.
 """
 
 import array
@@ -24,6 +24,7 @@ import time
 import machine
 import micropython
 from micropython import const
+
 from ports.escape import Escape
 
 TYPE_CHECKING = const(False)
@@ -64,7 +65,7 @@ _TURNED = const(0)
 _STOPPED = const(1)
 _AWAY = const(2)
 _RING = const(3)  # Where the ring is,
-_LINE = const(4)  # where the host's control lines are (link_ring.py); 0: not known,
+_LINE = const(4)  # where the host's control lines are (usb_ring.py); 0: not known,
 _TAKING = const(5)  # whether the main loop is taking bytes out of the ring,
 _DTR = const(6)  # whether the port is open,
 _USED = const(7)  # has been before,
@@ -155,10 +156,9 @@ class UsbLink:
         self._escape = Escape(self.close)
         self.shared = self._at = array.array("i", (0 for _ in range(_REMEMBERED)))
         if sys.platform == "rp2":
-            from ports import usb_ring as link_ring
+            from ports import usb_ring
 
-            link_ring.find(self._at, self._drain, _take)
-            del sys.modules["link_ring"]  # nobody needs it any more
+            usb_ring.find(self._at, self._drain, _take)
         self.is_slow = self._at[_RING] == 0
         self.look: "Callable[[], int] | None" = None if self.is_slow else self._look
         self.read_into = self._make_read_into()

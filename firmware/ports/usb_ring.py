@@ -9,6 +9,7 @@ import array
 
 import micropython
 from micropython import const
+
 from ports.escape import push
 
 TYPE_CHECKING = const(False)
@@ -21,7 +22,7 @@ _MEMORY = const(0x20000000)
 _MEMORY_WORDS = const(0x10000)
 _TRIALS = (b"Where is the ring?", b"Here?")
 
-# From link_usb.py.
+# From usb_link.py.
 _RING = const(3)
 _LINE = const(4)
 

@@ -14,6 +14,7 @@ from control.coords import NAMES
 from control.inputs import DOOR, HOLD, RESET, START
 from micropython import const
 from motion.kernels import LIMITS, RESOLUTION, copy
+
 from talk import lines
 from talk.digits import END, VALUES, number, write
 from talk.singles import MINUS, add, divide
@@ -67,7 +68,7 @@ _MOVING = const(0x7C)  # HOMING | RUN | HOLD | JOG | DOOR
 class Report:
     """Puts words to what the others know, and writes it to the link.
 
-    The constants say what this dialect of Grbl has; report_09.py has others.
+    The constants say what this dialect of Grbl has; extras/dialect_09.py has others.
     """
 
     READS = lines.READS

@@ -241,7 +241,7 @@ def clean(line):
 
 def stages(_):
     answer = again(found[report.Report].ok) - again(nothing_0)
-    empty = again(found[protocol.Protocol].execute, b"", 0) - again(nothing, b"", 0)
+    empty = again(found[protocol.Protocol].execute, b"", 0, b"") - again(nothing_3, b"", 0, b"")
     comment = empty + clean(b"(Twenty characters..)\\n")
     return short_path() + long_way() + (clean(b"G1X10.040Y10.030F9000\\n"), comment, answer)
 
@@ -253,17 +253,19 @@ acts[b"STAGE"] = stages
 _GAPS = """
 from talk import protocol
 
-pump = protocol.Protocol.pump
 gaps = [0, 0]
 
 
-def watched(self):
-    now = time.ticks_us()
-    gap = time.ticks_diff(now, gaps[0])
-    if gap > gaps[1]:
-        gaps[1] = gap
-    gaps[0] = now
-    pump(self)
+def watched(look):
+    def look_and_note(self):
+        now = time.ticks_us()
+        gap = time.ticks_diff(now, gaps[0])
+        if gap > gaps[1]:
+            gaps[1] = gap
+        gaps[0] = now
+        look(self)
+
+    return look_and_note
 
 
 def longest(_):
@@ -272,7 +274,8 @@ def longest(_):
     return (gap,)
 
 
-protocol.Protocol.pump = watched
+for way in ("pump", "service"):
+    setattr(protocol.Protocol, way, watched(getattr(protocol.Protocol, way)))
 acts[b"GAP"] = longest
 """
 

@@ -65,6 +65,13 @@ def fields(node: ast.ClassDef) -> Iterator[str]:
                 yield name
 
 
+def private_methods(node: ast.ClassDef) -> Iterator[ast.FunctionDef]:
+    """Methods with a name that nobody outside has a use for; boot/parts.py looks for makers."""
+    for statement in node.body:
+        if isinstance(statement, ast.FunctionDef) and re.match("_(?!_|make_)", statement.name):
+            yield statement
+
+
 def loaded(node: ast.ClassDef) -> set[str]:
     """What the body of a class, outside of its functions, makes of names."""
     found: set[str] = set()

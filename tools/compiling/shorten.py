@@ -2,9 +2,9 @@
 
 A board keeps every name of the code it loads, text and all, in memory: 7 bytes and its letters.
 The first names in MicroPython's own ROM have a fixed place in every .mpy file, whatever the board,
-and cost neither memory nor a search at start. So attributes, parameters and private variables of
-modules take such names instead, where the sources do not use them. Names of functions, classes
-and modules stay: they are in a traceback, and a message from the field tells file and function.
+and cost neither memory nor a search at start. So attributes, private methods, parameters and
+private variables of modules take such names instead, where the sources do not use them. Names of
+public functions, of classes and of modules stay: whoever talks to a board's objects has those.
 
 Where it is not plain that a name is ours alone it stays as it is: what MicroPython's objects have
 too, what is in a text (for getattr() and the like) or passed by keyword, what a board file says.
@@ -107,6 +107,7 @@ class _Survey:
         self._foreign: set[str] = set()  # what modules that are not here are asked for
         self._stored: set[str] = set()
         self._alone: dict[str, set[str]] = defaultdict(set)  # classes that say self.name
+        self._private: set[ast.FunctionDef] = set()  # methods that only their class calls
         self._seen: set[str] = set()  # attributes of something else than self
         self._inner: set[str] = set()
         self._bases: dict[str, set[str]] = defaultdict(set)
@@ -118,6 +119,8 @@ class _Survey:
             self._imported |= set(scan.imports(tree))
             self._public |= set(scan.public(tree))
             self._inner |= set(scan.inside(tree))
+            classes = (node for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+            self._private |= {method for node in classes for method in scan.private_methods(node)}
             used |= set(scan.identifiers(tree))
             self._read(tree, self._aliases(tree), "")
         self.free = [name for name in SHORT if name not in used | self.kept - _outside()]
@@ -144,10 +147,13 @@ class _Survey:
                 inside = node.name
                 self._named.add(node.name)
                 self._bases[inside] |= {ast.unparse(base) for base in node.bases}
-                for name in scan.fields(node):
+                methods = [method.name for method in scan.private_methods(node)]
+                for name in (*scan.fields(node), *methods):
                     self._stored.add(name)
                     self._alone[name].add(inside)
                 self.kept |= scan.loaded(node)
+            case ast.FunctionDef() if node in self._private:
+                pass
             case ast.FunctionDef() | ast.AsyncFunctionDef():
                 self._named.add(node.name)
             case ast.keyword(arg=str(name)):
@@ -249,6 +255,10 @@ def _attribute_edits(tree: ast.Module, short: Mapping[str, str]) -> Iterator[_Ed
                 column = (node.end_col_offset or 0) - len(name.encode())
                 yield _Edit(node.end_lineno or 0, column, name, short[name])
             case ast.ClassDef():
+                for method in scan.private_methods(node):
+                    if method.name in short:
+                        column = method.col_offset + len("def ")
+                        yield _Edit(method.lineno, column, method.name, short[method.name])
                 for statement in node.body:
                     match statement:
                         case ast.Assign([ast.Name(name) as at]) if name in short:
