@@ -4,6 +4,7 @@ from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from unittest.mock import patch
 
 from motion.kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE
 from pico import Edge, Pico
@@ -30,6 +31,23 @@ _ANSWER_US = 2_000_000
 def firmware() -> "Mapping[str, bytes]":
     """What `ugrbl deploy` puts on a Pico, by path."""
     return build.for_board(BOARDS / "rpi_pico.py").files
+
+
+def altered(old: str, new: str) -> "Mapping[str, bytes]":
+    """The same, where one text in one of its sources reads otherwise."""
+    read = build._text
+    found = set()
+
+    def text(source: str) -> str:
+        there = read(source)
+        if old in there:
+            found.add(source)
+        return there.replace(old, new)
+
+    with patch.object(build, "_text", text):
+        files = build.for_board(BOARDS / "rpi_pico.py").files
+    assert len(found) == 1, f"{old!r} is in {sorted(found)}"
+    return files
 
 
 class Board:

@@ -1,0 +1,225 @@
+"""A life of the emulated Pico, and what may come into it at a random instant.
+
+A life is a program streamed from rest. A trial is a stop or a hold at one instant of it, and what
+must follow. Lives and trials are what their numbers make them, so one can be played again.
+"""
+
+from random import Random
+from typing import NamedTuple
+
+import pytest
+from emulated import DIR, HOLD, LIMIT, RESET, SPINDLE_PWM, STEP, Board, Odometer
+
+# How long edges may come behind a stop. A hold slows down first, and is looked at otherwise.
+LATENCY_US = {"limit": 300, "button": 300, "Ctrl-X": 10_000}
+ACTS = (*LATENCY_US, "hold button", "!")
+# What is sent once, and what is sent again and again: it ends where it begins.
+PROGRAMS = (
+    ("G91", ("G2X0.5Y0I0.25J0F3000", "G3X-0.5Y0I-0.25J0")),
+    ("G91M3S300", ("G1X0.16Y0.08Z-0.04F3000", "X-0.16Y-0.08Z0.04")),
+    ("G91M4S500", ("G1X0.2S900F3000", "Y0.1S200", "X-0.2S700", "Y-0.1S0")),
+)
+SETTINGS = (
+    *("$0=3", "$21=1", "$32=1"),
+    *("$110=3000", "$111=3000", "$112=3000"),
+    *("$120=4000", "$121=4000", "$122=4000"),
+)
+# Behind an alarm half a second of silence costs more than all the rest of a trial.
+SILENCE = ("_DEAF_MS = const(500)", "_DEAF_MS = const(20)")
+STEPS_PER_MM = 250
+TRIALS_PER_LIFE = 15
+
+_REST_US = 10_000  # at most, that timers stand elsewhere at every start
+_WITHIN_US = 90_000
+_SENDER_US = 200  # between two looks of the sender at what has been answered
+_WATCHED_US = 15_000  # behind a stop
+_SETTLED_US = 600_000
+_IDLE_US = 500_000
+_RX_BYTES = 64
+
+
+class Outcome(NamedTuple):
+    """What has come of a trial. trouble: empty where all laws hold."""
+
+    seed: int
+    act: str
+    latency_us: float
+    trouble: str
+
+
+class Life:
+    """A machine that streams a program, and starts from rest. It remembers all edges since."""
+
+    def __init__(self, machine: Board, odometer: Odometer, number: int) -> None:
+        self.machine = machine
+        self.odometer = odometer
+        self.begin, self._lines = PROGRAMS[number % len(PROGRAMS)]
+        self._rest_us = Random(number).uniform(0, _REST_US)
+        self._sent: list[str] = []
+
+    def start(self) -> None:
+        """From rest; what was done so far is forgotten."""
+        pico = self.machine.pico
+        pico.run_us(self._rest_us)
+        self.machine.ask(self.begin)
+        self.machine.forget()
+        self.made = self.odometer.read()
+        self._start_us = self._due_us = pico.us
+
+    def run_to(self, after_us: float) -> None:
+        """Stream until so long behind the start. The sender counts characters, as most do."""
+        pico = self.machine.pico
+        while pico.us < self._start_us + after_us:
+            if pico.us >= self._due_us:
+                self._due_us += _SENDER_US
+                self._send_what_fits()
+            pico.run_us(min(self._due_us, self._start_us + after_us) - pico.us)
+
+    def end_round(self, limit_us: float) -> None:
+        """Send what is left of a round, which ends where it began, and wait for all answers."""
+        rounds = -(-len(self._sent) // len(self._lines))
+        lines = rounds * len(self._lines)
+
+        def is_answered() -> bool:
+            self._send_what_fits(lines)
+            return self._answers() >= lines
+
+        answered = self.machine.pico.run_until(is_answered, limit_us)
+        assert answered, f"no answer to all lines: {self.machine.said}"
+
+    def _answers(self) -> int:
+        return self.machine.said.count("ok\r\n")
+
+    def _send_what_fits(self, most_lines: "int | None" = None) -> None:
+        while most_lines is None or len(self._sent) < most_lines:
+            line = self._lines[len(self._sent) % len(self._lines)] + "\n"
+            waiting = self._sent[self._answers() :]
+            if sum(map(len, waiting)) + len(line) > _RX_BYTES:
+                return
+            self._sent.append(line)
+            self.machine.send(line)
+
+
+class Trial:
+    """One stop, or one hold."""
+
+    def __init__(self, seed: int) -> None:
+        random = Random(seed)
+        self.seed = seed
+        self.act = ACTS[seed % len(ACTS)]
+        self._limit = random.choice(LIMIT)
+        self.at_us = random.uniform(0, _WITHIN_US)
+        self.latency_us = 0.0
+
+    def outcome(self, life: Life) -> Outcome:
+        """Play it now, and see whether the laws hold."""
+        trouble = ""
+        try:
+            self.play(life)
+        except AssertionError as reason:
+            at_ms = self.at_us / 1000
+            trouble = f"seed {self.seed}, {self.act} at {at_ms:.3f} ms of {life.begin}: {reason}"
+        return Outcome(self.seed, self.act, self.latency_us, trouble)
+
+    def play(self, life: Life) -> None:
+        """The same; raises AssertionError. Behind it the machine is at rest and can be used."""
+        self._life = life
+        self._machine, self._pico = life.machine, life.machine.pico
+        self._injected_us = self._pico.us
+        self._inject()
+        if self.act in LATENCY_US:
+            self._check_stop()
+        else:
+            self._check_hold()
+        self._check_move()
+
+    def make_usable(self, machine: Board) -> None:
+        """Whatever has come of it, the next one can begin."""
+        machine.pico.run_us(_SETTLED_US)
+        self._release(machine)
+        machine.forget()
+        machine.send("\x18")
+        machine.wait_for("Grbl 1.1h")
+        machine.ask("$X")
+
+    def _inject(self) -> None:
+        if self.act == "limit":
+            self._pico.drive(self._limit, 0)
+        elif self.act == "button":
+            self._pico.drive(RESET, 0)
+        elif self.act == "hold button":
+            self._pico.drive(HOLD, 0)
+        else:
+            self._machine.send({"Ctrl-X": "\x18", "!": "!"}[self.act])
+
+    def _release(self, machine: Board) -> None:
+        for pin in (*LIMIT, RESET, HOLD):
+            machine.pico.drive(pin, 1)
+
+    # A stop
+
+    def _check_stop(self) -> None:
+        """No edge behind the time there is, all off, an alarm where it moved, and a reset."""
+        self._pico.run_us(_WATCHED_US)
+        edges = [edge for edge in self._pico.edges if edge.pin not in DIR]
+        self.latency_us = self._since_injected_us(max((edge.ns for edge in edges), default=0.0))
+        assert self.latency_us <= LATENCY_US[self.act], f"it moved on for {self.latency_us:.0f} us"
+        assert not self._pico.mcu.gpio[SPINDLE_PWM].output_value, "the spindle's output is on"
+        moved = any(edge.pin in STEP and edge.ns < self._injected_us * 1000 for edge in edges)
+        self._check_reset(moved)
+        late = [edge for edge in self._pico.edges if edge.pin not in DIR][len(edges) :]
+        assert not late, f"it stirs up to the end of the reset: {late[:3]}"
+
+    def _check_reset(self, moved: bool) -> None:
+        """What is told, and the reset that follows a limit, and is the others."""
+        if self.act == "limit":
+            self._machine.wait_for("ALARM:1\r\n")
+            self._machine.wait_for("Reset to continue")
+        elif moved:
+            self._machine.wait_for("ALARM:3\r\n")
+        self._release(self._machine)
+        if self.act == "limit":
+            self._machine.forget()
+            self._machine.send("\x18")
+        self._machine.wait_for("Grbl 1.1h")
+        self._machine.ask("$X")
+
+    def _since_injected_us(self, ns: float) -> float:
+        return max(0.0, ns / 1000 - self._injected_us)
+
+    # A hold
+
+    def _check_hold(self) -> None:
+        """At rest it is at rest; told to go on, it makes what was left to the step."""
+        self._pico.run_us(3_000)
+        self._release(self._machine)
+        assert self._pico.run_until(self._is_held, 200_000), "it does not hold"
+        steps = [edge.ns for edge in self._pico.edges if edge.pin in STEP]
+        self.latency_us = self._since_injected_us(max(steps, default=0.0))
+        self._life.odometer.read()
+        self._pico.run_us(10_000)
+        assert not self._pico.edges, "it moves or turns while held"
+        self._machine.send("~")
+        self._life.end_round(_IDLE_US)
+        self._machine.until_idle(_IDLE_US)
+        assert self._life.odometer.read() == self._life.made, "steps were lost in a hold"
+
+    def _is_held(self) -> bool:
+        self._machine.send("?")
+        self._pico.run_us(3_000)
+        return "<Hold:0" in self._machine.said
+
+    # Both
+
+    def _check_move(self) -> None:
+        """All motors work, and the machine is where they are."""
+        machine, odometer = self._machine, self._life.odometer
+        before = odometer.read()
+        machine.ask("G91G1X0.1Y-0.08Z0.04F3000")
+        self._pico.run_us(15_000)
+        machine.until_idle(_IDLE_US)
+        made = odometer.read()
+        moved = [(now - was) / STEPS_PER_MM for now, was in zip(made, before, strict=True)]
+        assert moved == [0.1, -0.08, 0.04], f"the next move is {moved}"
+        told = [float(mm) * STEPS_PER_MM for mm in machine.status()["MPos"].split(",")]
+        assert told == pytest.approx(made, abs=0.3), f"told {told} steps, made {made}"
