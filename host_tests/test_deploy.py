@@ -294,8 +294,8 @@ def test_only_what_has_changed_is_copied_and_never_beside_a_main(made: build.Bui
     result = put(board, changed(made, "language/words.mpy"))
     assert result.copied == ["language/words.mpy"] and result.bytes == len(_OTHER) + 18
     assert board.log == [
-        *("enter", "remove main.py", "write language/words.mpy", f"write {LIST}", "write main.py"),
-        "restart",
+        *("enter", "remove main.py", "folder language", "write language/words.mpy"),
+        *(f"write {LIST}", "write main.py", "restart"),
     ]
 
 
