@@ -147,6 +147,25 @@ class PunchPort(Port, Protocol):
     def watch_punch(self, on_change: Callable[[], None]) -> None:
         """Call on_change, in interrupt context, whenever a sensor's pin changes."""
 
+class Voice(Protocol):
+    """What may be said from below: talk/report.py in the words of its dialect."""
+
+    @property
+    def send(self) -> Callable[[bytes | bytearray | memoryview], None]:
+        """Write bytes as they are."""
+
+    def message(self, text: str) -> None:
+        """Something a person should know."""
+
+    def alarm(self, code: int) -> None:
+        """The machine had to stop."""
+
+    def status(self) -> memoryview:
+        """The answer to ?, to be sent before there is another."""
+
+    def probe(self, probe: array[float]) -> None:
+        """Where the probe touched last, mm, and whether it did."""
+
 class Link(Protocol):
     """The sender: USB, UART, a pseudo-terminal, a test."""
 

@@ -17,7 +17,7 @@ from typing import Any
 from base.f32 import vector
 from base.state import State
 from hypothesis import settings
-from language.fast_path import Plain
+from language.fast_path import FastPath
 from motion import kernels, reals
 from motion.kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 from motion.planner import Move, Planner
@@ -210,7 +210,7 @@ class Watch:
         at = self.planner.flow[kernels.HEAD]
         return self._note(at, self._line(target, move, power))
 
-    def watch_plain(self, plain: Plain) -> None:
+    def watch_plain(self, plain: FastPath) -> None:
         """See the blocks of the short path too."""
         follow = plain.follow
 

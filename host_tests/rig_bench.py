@@ -47,7 +47,7 @@ class Machine:
         self.watch = Watch(
             controller.planner, controller.segments, self.limits, self.rig.engine.tick_hz
         )
-        self.watch.watch_plain(controller.gcode.plain)
+        self.watch.watch_plain(controller.interpreter.fast)
 
     def _trace(self, start: int, row: "array[int]") -> None:
         self.rows.append((start, row[:]))

@@ -247,13 +247,13 @@ def test_what_a_reset_has_cut_short_is_kept_at_rest() -> None:
             save(name, lines)
 
         bench.rig.store.save = noted
-        apply = controller.gcode._offsets_changed
+        apply = controller.interpreter._offsets_changed
 
         def cut() -> None:
-            controller.realtime.reset()
+            controller.drive.reset()
             apply()
 
-        controller.gcode._offsets_changed = cut
+        controller.interpreter._offsets_changed = cut
         yield from bench.say("G10L2P1X1\n", "banner")
         assert written == [False]
 

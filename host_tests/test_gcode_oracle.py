@@ -83,13 +83,13 @@ jogs = st.tuples(
 def everything(machine: Machine) -> "dict[str, Any]":
     """What a refused line may not change."""
     controller: Any = machine.rig.controller
-    gcode, coords, planner = controller.gcode, controller.coords, controller.planner
+    modes, coords, planner = controller.modes, controller.coords, controller.planner
     found: dict[str, Any] = {
-        "modes": vars(gcode.modal).copy(),
-        "feed": gcode.feed,
-        "speed": gcode.spindle_rpm,
-        "tool": gcode.tool,
-        "position": list(gcode.position),
+        "modes": vars(modes.modal).copy(),
+        "feed": modes.feed,
+        "speed": modes.spindle_rpm,
+        "tool": modes.tool,
+        "position": list(modes.position),
         "systems": [list(system) for system in coords.systems],
         "g92": list(coords.g92),
         "length": (coords.tool_length, coords.active),
@@ -105,11 +105,11 @@ def everything(machine: Machine) -> "dict[str, Any]":
 def check_equal(machine: Machine, oracle: Oracle) -> None:
     """The firmware and the oracle have come to the same state."""
     controller: Any = machine.rig.controller
-    gcode, coords = controller.gcode, controller.coords
-    modes = gcode.modes()
-    assert modes[: modes.index(" F")] == oracle.modes()
-    assert (gcode.feed, gcode.spindle_rpm) == (oracle.feed, oracle.speed)
-    assert list(gcode.position) == list(oracle.position.values())
+    modes, coords = controller.modes, controller.coords
+    told = controller.commands.modes()
+    assert told[: told.index(" F")] == oracle.modes()
+    assert (modes.feed, modes.spindle_rpm) == (oracle.feed, oracle.speed)
+    assert list(modes.position) == list(oracle.position.values())
     numbers = (54, 55, 56, 57, 58, 59, 28, 30)
     assert [list(s) for s in coords.systems] == [
         list(oracle.systems[number].values()) for number in numbers

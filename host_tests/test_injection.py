@@ -15,10 +15,11 @@ from typing import Any
 import pytest
 from base.settings import Settings
 from boot.controller import Controller
-from control.canon import Motion
+from control.canon import Canon
 from control.coolant import Coolant
+from control.drive import Drive
 from control.realtime import Realtime
-from control.seek import Cycles
+from control.seek import Seek
 from control.spindle import Spindle
 from control.suspension import Suspension
 from motion import kernels
@@ -84,23 +85,23 @@ SCENARIOS = (
     Scenario(
         "start",
         "M8 G91 G1X4F900",
-        (Realtime.start, Realtime.power, Realtime._cycle_start, SimEngine.start, SimPort.enable),
+        (Drive.start, Drive.power, Realtime._cycle_start, SimEngine.start, SimPort.enable),
     ),
     Scenario(
         "set_power",
         "M3S500 G91 G1X1F900 G1X1S900",
-        (Spindle.set_power, Spindle.turn, Spindle.power, SimPort.spindle, Motion.spin),
+        (Spindle.set_power, Spindle.turn, Spindle.power, SimPort.spindle, Canon.spin),
         {32: 1},
     ),
     Scenario(
         "turn",
         "M4S300 M8 M3S800 M9 M8 G91G1X2F900 M5",
-        (Spindle.turn, Spindle.stop, Coolant.set, SimPort.coolant, Motion.cool),
+        (Spindle.turn, Spindle.stop, Coolant.set, SimPort.coolant, Canon.cool),
     ),
     Scenario(
         "refill",
         "M3S400 M8 G91 G1X0.3F900 G1Y0.2 G1X-0.3",
-        (kernels.fill, Spindle.set_power, Spindle.rest, Motion.finish, Planner.line),
+        (kernels.fill, Spindle.set_power, Spindle.rest, Canon.finish, Planner.line),
     ),
     Scenario(
         "hold",
@@ -111,13 +112,13 @@ SCENARIOS = (
     Scenario(
         "reset",
         "M3S400 M8 G91 G1X6F1500",
-        (Realtime.reset, Controller._reset, Controller._greet, Realtime.arm),
+        (Drive.reset, Controller._reset, Controller._greet, Drive.arm),
         byte="\x18",
     ),
     Scenario(
         "probing",
         "M3S400 M8 G91 G38.3X3F900",
-        (Cycles.probe, Cycles._on_contact, Cycles._report_probe),
+        (Seek.probe, Seek._on_contact, Seek._report_probe),
     ),
     Scenario(
         "saving",
@@ -127,7 +128,7 @@ SCENARIOS = (
     Scenario(
         "homing",
         "$H",
-        (Cycles.home, Cycles._home, Cycles._home_phase, Cycles._failed, Cycles._lock),
+        (Seek.home, Seek._home, Seek._home_phase, Seek._failed, Seek._lock),
         {22: 1, 23: 7, 24: 600, 25: 1500, 26: 5, 27: 1},
         homes=True,
     ),

@@ -8,32 +8,24 @@ import pytest
 
 FIRMWARE = Path(__file__).parent.parent / "firmware"
 
-# A module imports from lower lines only, never from its own. A new module gets its place here.
-LAYERS = (
-    {"errors", "axes", "f32", "reals", "needs"},
-    {"words", "lines", "arcs", "digits", "kernels"},
-    {"state", "settings", "coords", "singles", "saves"},
-    {"block", "planner", "segments", "spindle", "coolant", "inputs"},
-    {"checks", "motion", "report"},
-    {"plain", "cycles", "report_09", "overrides"},
-    {"gcode"},
-    {"realtime", "commands", "suspension"},
-    {"protocol", "punch"},
-    {"controller"},
-    {"wiring"},
-    {"parts_esp"},
-    {"parts"},
-    {"power_up"},
-    {"main"},
-)
-LAYER = {module: number for number, layer in enumerate(LAYERS) for module in layer}
-
-# Ports stand outside the stack: they use the two lowest layers and their own kind, and only
-# what makes a board's parts uses them.
-BOOT = ("parts", "parts_esp")
-PORT_PREFIXES = ("link", "gpio", "store", "supervisor")
-PORT_FOLDERS = ("pio", "esp_chip")
-PORT_LAYERS = (0, 1)
+# Folders are layers: who may import what of which others, what only mypy reads included. In its
+# own folder a module may import what does not lead back to it. main.py only starts.
+LAYERS: "dict[str, tuple[str, ...]]" = {
+    "base": (),
+    "motion": ("base",),
+    "control": ("base", "motion"),
+    "language": ("base", "motion", "control"),
+    "talk": ("base", "motion", "control", "language"),
+    "extras": ("base", "motion", "control", "language", "talk"),
+    "ports": ("base", "motion"),
+    "pio": ("base", "motion", "ports"),
+    "esp_chip": ("base", "motion", "ports"),
+}
+LAYERS["boot"] = tuple(LAYERS)
+LAYERS["main"] = ("boot",)
+PORTS = ("ports", "pio", "esp_chip")
+# Protocols that mypy knows, and what they are made of: never on a board.
+SEAMS = "interfaces"
 
 HARDWARE = {"esp", "esp32", "machine", "os", "rp2", "select", "vfs"}
 # What MicroPython 1.28 has built in on rp2 and esp32 (MP_REGISTER_MODULE, py and extmod included),
@@ -66,51 +58,58 @@ def module_name(path):
     return ".".join(path.relative_to(FIRMWARE).with_suffix("").parts)
 
 
-def is_port(module):
-    top = module.partition(".")[0]
-    return top in PORT_FOLDERS or top.startswith(PORT_PREFIXES)
-
-
-def kind(module):
-    """What ports have in common: their folder, or how their names begin."""
-    top = module.partition(".")[0]
-    return top if top in PORT_FOLDERS else top.partition("_")[0]
-
-
 def imports(tree):
-    """Yield every imported module, also inside functions, but not what only mypy reads."""
-    if isinstance(tree, ast.If) and ast.unparse(tree.test).endswith("TYPE_CHECKING"):
-        for node in tree.orelse:
-            yield from imports(node)
-    elif isinstance(tree, ast.Import):
-        yield from (alias.name for alias in tree.names)
-    elif isinstance(tree, ast.ImportFrom):
-        assert tree.level == 0, "the firmware is flat: no relative imports"
-        parent = FIRMWARE / tree.module.replace(".", "/")
-        names = [f"{tree.module}.{alias.name}" for alias in tree.names]
-        yield from names if parent.is_dir() else [tree.module]
-    else:
-        for node in ast.iter_child_nodes(tree):
-            yield from imports(node)
+    """Yield every imported module, those that only mypy reads too."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "no relative imports: a stranger is to see the folder"
+            parent = FIRMWARE / node.module.replace(".", "/")
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+            yield from names if parent.is_dir() else [node.module]
+
+
+IMPORTS = {module_name(path): set(imports(ast.parse(path.read_text()))) for path in FILES}
+
+
+def typing_only(used):
+    return used in ("typing", "types", "collections.abc", SEAMS)
 
 
 def may_import(module, used):
-    if used in MICROPYTHON:
-        return used not in HARDWARE or is_port(module)
-    if is_port(module):
-        return kind(used) == kind(module) or LAYER.get(used) in PORT_LAYERS
-    if is_port(used) or used == BOARD_FILE:
-        return module in BOOT
-    return LAYER.get(used, len(LAYERS)) < LAYER[module]
+    layer, other = module.partition(".")[0], used.partition(".")[0]
+    if typing_only(used) or layer == other:
+        return True
+    if used == BOARD_FILE:
+        return layer == "boot"
+    if other in LAYERS:
+        return other in LAYERS[layer]
+    return used in MICROPYTHON and (used not in HARDWARE or layer in PORTS)
 
 
-@each_file
-def test_a_module_imports_only_from_lower_layers(path):
-    module = module_name(path)
-    assert is_port(module) or module in LAYER, f"give {module} a place in LAYERS, in {__file__}"
-    used = set(imports(ast.parse(path.read_text())))
-    refused = sorted(name for name in used if not may_import(module, name))
+@pytest.mark.parametrize("module", IMPORTS)
+def test_a_module_imports_only_from_lower_layers(module):
+    assert module.partition(".")[0] in LAYERS, f"give its folder a place in LAYERS, in {__file__}"
+    refused = sorted(used for used in IMPORTS[module] if not may_import(module, used))
     assert not refused, f"{module} may not import {', '.join(refused)}"
+
+
+def circles(imports):
+    """The modules that are left when those go, again and again, that import none of them."""
+    left = {module: used & imports.keys() for module, used in imports.items()}
+    while ends := [module for module, used in left.items() if not used & left.keys()]:
+        for module in ends:
+            del left[module]
+    return left
+
+
+def test_no_import_leads_back_to_where_it_began():
+    assert not circles(IMPORTS), "these import one another, or one that does"
+
+
+def test_a_circle_is_found():
+    assert set(circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": set()})) == {"a", "b", "c"}
 
 
 @each_file

@@ -19,7 +19,7 @@ from motion import kernels
 from talk import lines
 import micropython
 from control import canon as motion
-from language import fast_path as plain
+from language import fast_path
 from language import words
 from base.f32 import vector
 from motion.planner import Move, Planner
@@ -47,7 +47,8 @@ def allocates(proved):
     return failed
 
 
-planner = Planner(3, 16, False, State())
+state = State()
+planner = Planner(3, 16, False, state)
 planner.configure(Settings, 13107200, 17, 90909)
 planner.override()
 segments = Segments(planner)
@@ -75,9 +76,9 @@ short = bytearray(b"G1X-12.345Y0.25N7\\0")
 line = words.Words()
 here = vector(3)
 there = array("i", [3, 0, 1000, 2000, 300])
-known = array("i", [0] * (plain.OFFSETS + 3))
-known[plain.AXES], known[plain.MODE], known[plain.FEED] = 3, plain.HAS_G1, 7
-known[plain.OFFSETS] = 7
+known = array("i", [0] * (fast_path.OFFSETS + 3))
+known[fast_path.AXES], known[fast_path.MODE], known[fast_path.FEED] = 3, fast_path.HAS_G1, 7
+known[fast_path.OFFSETS] = 7
 reader = lines.LineReader(128, 79, lambda byte: None)
 received = bytearray(b"G1 X1 (a comment) ? y2\\n")
 """
@@ -89,12 +90,12 @@ _PROVED = {
     "reverse_pass": "kernels.reverse_pass(ring, flow, 1)",
     "scan": "words.scan(text, end, letters, values)",
     "read": "line.read(short, 0, len(short) - 1)",
-    "plain.read": "plain.read(short, len(short) - 1, known)",
-    "place": "plain.place(known, 7, here, target)",
-    "line_number": "plain.line_number(known, plain.HAS_N)",
+    "fast_path.read": "fast_path.read(short, len(short) - 1, known)",
+    "place": "fast_path.place(known, 7, here, target)",
+    "line_number": "fast_path.line_number(known, fast_path.HAS_N)",
     "judge": "motion.judge(target, there, flow)",
-    "follow": "plain.follow(short, len(short) - 1, known, here, target, there, machine, ring, "
-    "flow, planner.speeds)",
+    "follow": "fast_path.follow(short, len(short) - 1, known, here, target, there, machine, ring, "
+    "flow, planner.speeds, state.changes)",
     "feed": "reader.feed(received, len(received))",
     "take": "reader.take()",
 }

@@ -16,7 +16,7 @@ from language.fast_path import (
     MODE,
     OFFSETS,
     VALUES,
-    Plain,
+    FastPath,
     read,
 )
 from motion import kernels
@@ -81,24 +81,30 @@ class Bench:
         self.machine.settings.laser_mode = int(laser)
         self.machine.configure()
         self.machine.planner.override()
-        self.machine.motion.service = self.machine.planner.clear  # whoever waits finds room
+        self.machine.canon.service = self.machine.planner.clear  # whoever waits finds room
 
     def tell(self, text: str) -> object:
         """Everything that comes of a line."""
-        gcode, planner = self.machine.gcode, self.machine.planner
+        gcode, planner = self.machine.interpreter, self.machine.planner
         line = bytearray(text.encode() + b"\0")
         fault = 0
         try:
-            if not (self._short and gcode.plain.follow(line, len(text))):
+            if not (self._short and gcode.fast.follow(line, len(text))):
                 gcode.execute(line, len(text))
         except GrblError as refusal:
             fault = refusal.code
         if not self._short:
-            gcode.plain.forget()
+            self.machine.state.change()
         row = [] if planner.empty() else list(planner.row() or ())
-        found = (fault, list(gcode.position), gcode.feed, gcode.spindle_rpm, gcode.tool, row)
+        modes = self.machine.modes
+        found = (fault, list(modes.position), modes.feed, modes.spindle_rpm, modes.tool, row)
         speed = planner.speeds[planner.flow[kernels.TAIL]] if row else 0
-        rest = (gcode.modes(), list(planner.position), speed, self.machine.state.spindle_rpm)
+        rest = (
+            self.machine.commands.modes(),
+            list(planner.position),
+            speed,
+            self.machine.state.spindle_rpm,
+        )
         planner.clear()
         return found, rest
 
@@ -131,9 +137,9 @@ def test_lines_after_the_second_of_their_kind_take_the_short_path() -> None:
     bench = Bench(False, True)
     for text in ("G1X1F500", "X2"):
         bench.tell(text)
-    plain = bench.machine.gcode.plain
-    assert isinstance(plain, Plain)
+    plain = bench.machine.interpreter.fast
+    assert isinstance(plain, FastPath)
     assert plain.follow(bytearray(b"X3Y1N5\0"), 6) == 1
     assert plain.follow(bytearray(b"X3F501\0"), 6) == 0
-    plain.forget()
+    bench.machine.state.change()
     assert plain.follow(bytearray(b"X4\0"), 2) == 0

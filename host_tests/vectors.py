@@ -5,8 +5,7 @@ from array import array
 
 from base.f32 import vector
 from base.state import State
-from language import fast_path as plain
-from language import words
+from language import fast_path, words
 from motion import kernels, reals
 from motion.kernels import ROWS
 from motion.planner import Move, Planner
@@ -52,8 +51,8 @@ def print_reals(dice):
 def print_words(dice):
     """Numbers of any length, read into the bits of floats."""
     letters, values = bytearray(128), array("f", [0.0] * 128)
-    known = array("i", [0] * (plain.OFFSETS + 3))
-    known[plain.AXES], known[plain.MODE], known[plain.FEED] = 3, plain.HAS_G1, 500
+    known = array("i", [0] * (fast_path.OFFSETS + 3))
+    known[fast_path.AXES], known[fast_path.MODE], known[fast_path.FEED] = 3, fast_path.HAS_G1, 500
     for _ in range(1500):
         text = ""
         for _ in range(1 + dice.below(5)):
@@ -66,7 +65,9 @@ def print_words(dice):
         print(text, count, list(bits))
         one, other = array("f", [values[0]]), array("f", [values[1 % (count & 255)]])
         words.add_single(one, 0, other, 0)
-        print(list(bytes(other)), plain.read(bytearray(text.encode() + b"\0"), len(text), known))
+        print(
+            list(bytes(other)), fast_path.read(bytearray(text.encode() + b"\0"), len(text), known)
+        )
 
 
 class Settings:

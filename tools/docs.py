@@ -149,7 +149,8 @@ def _group_names() -> dict[int, str]:
 
 def _group(word: str) -> str:
     """The modal group that the interpreter puts a word in."""
-    from language.block import Block, Modal
+    from control.modes import Modal
+    from language.block import Block
     from language.words import Words
 
     words = Words()
@@ -183,7 +184,8 @@ def m_words() -> list[str]:
 
 def _at_start(word: str) -> bool:
     """A mode that a reset puts in force."""
-    from language.block import _G_WORDS, _M_WORDS, GROUP_M4, Modal
+    from control.modes import Modal
+    from language.block import _G_WORDS, _M_WORDS, GROUP_M4
 
     if "." in word:
         return False

@@ -100,7 +100,7 @@ class Recorder:
         self._planner = controller.planner
         self._settings = controller.settings
         self._plan = replace_method(self._planner, "line", self._line)
-        self._follow_plain = replace_method(controller.gcode.plain, "follow", self._follow)
+        self._follow_plain = replace_method(controller.interpreter.fast, "follow", self._follow)
 
     def _by_letter(self, values: Sequence[_Value]) -> dict[str, _Value]:
         return dict(zip(_LETTERS, values, strict=False))

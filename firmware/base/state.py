@@ -1,8 +1,10 @@
-"""State: what the machine is doing, in one record.
+"""State: what the machine is doing, in one record that everyone above reads.
 
-Written by realtime, and by cycles and commands through it; read by everyone
-above. The numbers are Grbl's, so that a set of states is a mask.
+The run state goes from one to the next by enter(), which knows what may follow what. The numbers
+are Grbl's, so that a set of states is a mask.
 """
+
+from array import array
 
 from micropython import const
 
@@ -16,6 +18,21 @@ HOLD = const(0x10)
 JOG = const(0x20)
 DOOR = const(0x40)
 SLEEP = const(0x80)
+
+# The states that each may follow (mask), with a bit of its own for Idle, whose number has none.
+# An alarm ends with $X, homing, or what a reset finds; sleep with a reset only, in an alarm.
+_IDLE_BIT = const(0x100)
+_FOLLOWS = {
+    IDLE: _IDLE_BIT | ALARM | CHECK | HOMING | RUN | HOLD | JOG | DOOR,
+    ALARM: _IDLE_BIT | ALARM | CHECK | HOMING | RUN | HOLD | JOG | DOOR | SLEEP,
+    CHECK: _IDLE_BIT,
+    HOMING: _IDLE_BIT | ALARM | HOMING,
+    RUN: _IDLE_BIT | RUN,
+    HOLD: _IDLE_BIT | HOMING | RUN | HOLD,
+    JOG: _IDLE_BIT | JOG,
+    DOOR: _IDLE_BIT | HOMING | RUN | HOLD | JOG | DOOR,
+    SLEEP: _IDLE_BIT | ALARM | HOMING | RUN | HOLD | JOG | DOOR | SLEEP,
+}
 
 # Why, and how far, motion is suspended (mask); 0 = it is not.
 HOLD_COMPLETE = const(0x01)
@@ -67,8 +84,22 @@ class State:
     def __init__(self) -> None:
         self.pending = bytearray(ANY + 1)  # the last byte: something is
         self.alarm = 0  # an alarm not yet reported
-        self.run = IDLE
+        self.run = IDLE  # enter() writes it
+        # Counts on with every change of what the fast path of lines depends on.
+        self.changes = array("i", (0,))
         self.clear()
+
+    def enter(self, run: int) -> None:
+        """Go over to another run state. RuntimeError, a fault of ours, where it may not follow."""
+        if not _FOLLOWS[run] & (self.run or _IDLE_BIT):
+            raise RuntimeError("state %d cannot follow %d" % (run, self.run))
+        if (self.run | run) & CHECK:
+            self.change()
+        self.run = run
+
+    def change(self) -> None:
+        """What lines depend on is another now: a setting, an override, a mode."""
+        self.changes[0] = (self.changes[0] + 1) & 0xFFFF
 
     def post(self, event: int) -> None:
         """Ask for something at the next turn of realtime.run(). Safe in an interrupt."""
@@ -95,6 +126,7 @@ class State:
 
     def clear(self) -> None:
         """Back to a fresh start, but for the run state and what is pending in alarm."""
+        self.change()
         self.suspend = 0
         self.soft_limit = False
         self.holding = False  # motion is slowing down, or has stopped, for a hold

@@ -16,18 +16,20 @@ if TYPE_CHECKING:
 
     from base.settings import Settings
     from base.state import State
-    from control.canon import Motion
+    from control.canon import Canon
     from control.coolant import Coolant
     from control.coords import Coords
+    from control.drive import Drive
     from control.inputs import Inputs
+    from control.modes import Modes
     from control.overrides import Overrides
     from control.realtime import Realtime
     from control.saves import Saves
-    from control.seek import Cycles
+    from control.seek import Seek
     from control.spindle import Spindle
     from control.suspension import Suspension
     from interfaces import Port, StepEngine
-    from language.interpreter import Gcode
+    from language.interpreter import Interpreter
     from motion.planner import Planner
     from motion.segments import Segments
     from talk.commands import Commands
@@ -51,9 +53,11 @@ class Controller:
     coolant: "Coolant"
     inputs: "Inputs"
     report: "Report"
-    motion: "Motion"
-    cycles: "Cycles"
-    gcode: "Gcode"
+    canon: "Canon"
+    seek: "Seek"
+    drive: "Drive"
+    modes: "Modes"
+    interpreter: "Interpreter"
     overrides: "Overrides"
     realtime: "Realtime"
     suspension: "Suspension"
@@ -75,7 +79,7 @@ class Controller:
         """Plan and interpret from where the machine really is."""
         self.engine.position(self._steps)
         self.planner.sync_motors(self._steps)
-        self.planner.to_mm(self._steps, self.gcode.position)
+        self.planner.to_mm(self._steps, self.modes.position)
 
     # Settings
 
@@ -111,10 +115,10 @@ class Controller:
             self.commands.show_settings()
         self._loads(self.commands.load)
         self._loads(self.coords.load)
-        self.port.attach(self.realtime)
+        self.port.attach(self.drive)
         if self.settings.homing:
-            self.state.run = st.ALARM
-        self.realtime.power(True)
+            self.state.enter(st.ALARM)
+        self.drive.power(True)
 
     def _loads(self, load: "Callable[[], bool | None]") -> "bool | None":
         """Read something that is kept, or begin to keep it."""
@@ -141,12 +145,12 @@ class Controller:
         the engine wants to hear of it.
         """
         lit = False
-        state, spindle, gcode = self.state, self.spindle, self.gcode
+        state, spindle, modes = self.state, self.spindle, self.modes
 
         def before() -> None:
             nonlocal lit
             allow(_FLASH_MS)
-            lit = spindle.laser and gcode.spindle == sp.CW and state.spindle_rpm > 0
+            lit = spindle.laser and modes.modal.spindle == sp.CW and state.spindle_rpm > 0
             if lit:
                 spindle.stop()
 
@@ -155,14 +159,14 @@ class Controller:
                 written()
             allow(0)
             if lit and not state.pending[st.RESET]:
-                spindle.turn(sp.CW, gcode.spindle_rpm)
+                spindle.turn(sp.CW, modes.spindle_rpm)
 
         return before, after
 
     def restart(self) -> None:
         """What a soft reset does, and power-up at last. Raises Abort where another one comes."""
         self._reset()
-        self.realtime.settle()
+        self.drive.wait_settled()
         self._keep()  # what a reset has cut short
         self._greet()
 
@@ -181,35 +185,35 @@ class Controller:
         self.engine.stop()
         self.reader.clear()
         self.coords.clear()
-        self.gcode.reset()
-        self.motion.forget()
+        self.modes.reset()
+        self.canon.forget()
         self.planner.clear()
         self.planner.override()
         self.segments.clear()
         self.spindle.turn(sp.OFF, 0.0)
         self.coolant.set(0)
         self.port.watch_probe(None, False)
-        self.cycles.forget_probe()
-        self.realtime.release()
+        self.seek.forget_probe()
+        self.drive.release()
         self.resync()
         state.override_countdown = 0
         self.port.hear_limits(bool(self.settings.hard_limits))
-        self.realtime.arm()
+        self.drive.arm()
 
     def _greet(self) -> None:
         state = self.state
         self.report.banner()
         if self.settings.hard_limits and self.inputs.limits():
-            state.run = st.ALARM
+            state.enter(st.ALARM)
             self.report.message(errors.MSG_CHECK_LIMITS)
         if self.inputs.estop():
-            state.run = st.ALARM
+            state.enter(st.ALARM)
             self.report.message(errors.MSG_EMERGENCY_STOP)
         if state.run & (st.ALARM | st.SLEEP):
             self.report.message(errors.MSG_ALARM_LOCK)
-            state.run = st.ALARM
+            state.enter(st.ALARM)
             return
-        state.run = st.IDLE
+        state.enter(st.IDLE)
         if self.inputs.door_open():
             state.post(st.SAFETY_DOOR)
             self.realtime.run()

@@ -75,10 +75,10 @@ def build(stay: "Callable[[Any, Exception], None]") -> "Parts | None":
     feed = port.watch(getattr(board, "WATCHDOG_MS", _WATCHDOG_MS))
     parts = machine, link, port, engine, watch
     _forget_makers(parts)
-    for owner in (machine, machine.gcode, engine, link):
+    for owner in (machine, machine.interpreter, engine, link):
         _forget_makers(owner.__dict__.values())
     del sys.modules["board"]
-    watch.start(feed, machine.realtime.reset)
+    watch.start(feed, machine.drive.reset)
     return parts
 
 

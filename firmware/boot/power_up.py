@@ -65,7 +65,7 @@ def live(parts: "Parts | None") -> "Controller | None":
 def _alarm(machine: "Controller", link: "Any", fault: Exception) -> None:
     """Say what has happened, then wait for a soft reset."""
     machine.state.alarm = 0
-    machine.state.run = st.ALARM
+    machine.state.enter(st.ALARM)
     link.write(b"ALARM:%d\r\n" % errors.ALARM_INTERNAL)
     link.write(_line(fault))
     buf = bytearray(16)

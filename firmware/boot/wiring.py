@@ -6,19 +6,20 @@ Nothing here is used once the machine is built: a board forgets this module then
 from base.axes import TOOL_LENGTH
 from base.settings import Settings
 from base.state import State
-from boot.controller import Controller
-from control.canon import Motion
+from control.canon import Canon
 from control.coolant import Coolant
 from control.coords import Coords
+from control.drive import Drive
 from control.inputs import Inputs
+from control.modes import Modes
 from control.overrides import Overrides
 from control.realtime import Realtime
 from control.saves import Saves
-from control.seek import Cycles
+from control.seek import Seek
 from control.spindle import Spindle
 from control.suspension import Suspension
 from language.block import Block
-from language.interpreter import Gcode
+from language.interpreter import Interpreter
 from micropython import const
 from motion.planner import Planner
 from motion.segments import Segments
@@ -27,8 +28,11 @@ from talk.lines import LineReader
 from talk.protocol import Protocol
 from talk.report import Report
 
+from boot.controller import Controller
+
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from types import ModuleType
     from typing import Any
 
@@ -88,6 +92,11 @@ class Options:
         self.tool: str = option("TOOL", "spindle")
         self.reports = _reports(self.dialect)
         self.parts = _parts(self.tool, board, self.reports)
+        self.install: "Callable[[Controller], None] | None" = None
+        if self.tool == "punch":
+            from extras import punch
+
+            self.install = punch.install
 
     def identity(self) -> str:
         """What [VER:…] says of us: "Grbl" for senders, the rest for `ugrbl doctor`."""
@@ -129,7 +138,7 @@ def _reports(dialect: str) -> "type[Report]":
 def _parts(tool: str, board: "ModuleType", reports: "type[Report]") -> "Any":
     """What that tool is made of. Raises ValueError where it cannot be."""
     if tool == "spindle":
-        return Spindle, Gcode, Realtime, reports.SETTINGS
+        return Spindle, Interpreter, Drive, reports.SETTINGS
     from extras import punch
 
     return punch.find(tool, board, reports)
@@ -146,11 +155,13 @@ def build(
     machine.saves = Saves(store)
     _make_basics(machine, options)
     _make_reports(machine, options, link)
-    _make_language(machine, options)
+    _make_motion(machine, options)
     _make_states(machine, options)
-    _make_commands(machine, options)
-    _make_protocol(machine, options, link)
+    _make_language(machine, options)
+    _make_talk(machine, options, link)
     _connect(machine)
+    if options.install:
+        options.install(machine)
     return machine
 
 
@@ -161,6 +172,7 @@ def _make_basics(machine: Controller, options: Options) -> None:
     machine.settings = Settings(machine.saves, axes, options.defaults, *options.parts[3])
     machine.settings.max_step_hz = options.max_step_hz
     machine.coords = Coords(machine.saves, axes, TOOL_LENGTH)
+    machine.modes = Modes(axes)
     machine.planner = Planner(axes, options.blocks, options.corexy, state)
     machine.segments = Segments(machine.planner)
     machine.spindle = options.parts[0](port, state, options.enable_pin)
@@ -181,60 +193,9 @@ def _make_reports(machine: Controller, options: Options, link: "Link") -> None:
     machine.report.identity = options.identity()
 
 
-def _make_language(machine: Controller, options: Options) -> None:
-    """G-code, and what it may ask of the machine."""
-    machine.motion = Motion(
-        machine.state,
-        machine.settings,
-        machine.planner,
-        machine.spindle,
-        machine.coolant,
-        machine.port,
-        options.zero_origin,
-    )
-    machine.cycles = Cycles(
-        machine.state,
-        machine.settings,
-        machine.engine,
-        machine.planner,
-        machine.inputs,
-        machine.port,
-        machine.report,
-        options.zero_origin,
-        options.shared_switches,
-    )
-    machine.gcode = options.parts[1](
-        options.axes,
-        machine.state,
-        machine.settings,
-        machine.coords,
-        machine.motion,
-        machine.cycles,
-        machine.spindle,
-        machine.report,
-        Block(
-            options.axes,
-            options.mist,
-            options.override_control,
-            options.reports.HIGHEST_TOOL,
-        ),
-        options.line_numbers,
-        options.override_control,
-    )
-
-
-def _make_states(machine: Controller, options: Options) -> None:
-    """The run states and what moves the machine between them."""
-    overrides = Overrides(
-        machine.state,
-        machine.planner,
-        machine.spindle,
-        machine.coolant,
-        machine.gcode,
-        options.mist,
-    )
-    machine.overrides = overrides
-    machine.realtime = options.parts[2](
+def _make_motion(machine: Controller, options: Options) -> None:
+    """What sets the machine in motion, and what may be asked of it."""
+    machine.drive = options.parts[2](
         machine.state,
         machine.settings,
         machine.engine,
@@ -242,8 +203,45 @@ def _make_states(machine: Controller, options: Options) -> None:
         machine.segments,
         machine.spindle,
         machine.coolant,
+        machine.port,
         machine.report,
-        overrides,
+    )
+    machine.canon = Canon(
+        machine.state,
+        machine.settings,
+        machine.planner,
+        machine.spindle,
+        machine.coolant,
+        machine.drive,
+        machine.port,
+        options.zero_origin,
+    )
+    machine.seek = Seek(
+        machine.state,
+        machine.settings,
+        machine.engine,
+        machine.planner,
+        machine.inputs,
+        machine.port,
+        machine.report,
+        machine.canon,
+        machine.drive,
+        machine.position,
+        machine.resync,
+        options.zero_origin,
+        options.shared_switches,
+    )
+
+
+def _make_states(machine: Controller, options: Options) -> None:
+    """The run states and what moves the machine between them."""
+    machine.overrides = Overrides(
+        machine.state,
+        machine.planner,
+        machine.spindle,
+        machine.coolant,
+        machine.modes,
+        options.mist,
     )
     machine.suspension = Suspension(
         machine.state,
@@ -254,28 +252,66 @@ def _make_states(machine: Controller, options: Options) -> None:
         machine.spindle,
         machine.coolant,
         machine.inputs,
+        machine.port,
+        machine.modes,
+        machine.overrides,
+        machine.drive,
         machine.report,
+        machine.position,
         options.parking,
+    )
+    machine.realtime = Realtime(
+        machine.state,
+        machine.planner,
+        machine.segments,
+        machine.port,
+        machine.drive,
+        machine.overrides,
+        machine.suspension,
+        machine.report,
+        machine.resync,
     )
 
 
-def _make_commands(machine: Controller, options: Options) -> None:
+def _make_language(machine: Controller, options: Options) -> None:
+    """G-code."""
+    machine.interpreter = options.parts[1](
+        machine.modes,
+        machine.state,
+        machine.settings,
+        machine.coords,
+        machine.canon,
+        machine.seek,
+        machine.spindle,
+        machine.report,
+        Block(
+            options.axes,
+            options.mist,
+            options.override_control,
+            options.reports.HIGHEST_TOOL,
+        ),
+        options.line_numbers,
+    )
+
+
+def _make_talk(machine: Controller, options: Options, link: "Link") -> None:
+    """The way of a byte to its answer."""
     machine.commands = Commands(
         machine.state,
         machine.settings,
         machine.coords,
         machine.saves,
         machine.report,
-        machine.gcode,
-        machine.cycles,
+        machine.modes,
+        machine.interpreter,
+        machine.canon,
+        machine.seek,
+        machine.drive,
         machine.inputs,
         options.letters(),
         options.single_axis_homing,
+        options.override_control,
     )
-
-
-def _make_protocol(machine: Controller, options: Options, link: "Link") -> None:
-    """The way of a byte to its answer."""
     machine.reader = LineReader(
         options.rx_bytes,
         _LINE_LENGTH,
@@ -283,15 +319,23 @@ def _make_protocol(machine: Controller, options: Options, link: "Link") -> None:
         options.reports.READS,
     )
     machine.protocol = Protocol(
-        link, machine.state, machine.reader, machine.report, machine.saves, options.echo
+        link,
+        machine.state,
+        machine.reader,
+        machine.report,
+        machine.saves,
+        machine.realtime,
+        machine.drive,
+        machine.interpreter,
+        machine.commands,
+        machine.canon,
+        machine.restart,
+        options.echo,
     )
 
 
 def _connect(machine: Controller) -> None:
     """Hand those above to those below who wait for them or report on them."""
-    pump = machine.protocol.pump
-    gcode, motion, realtime = machine.gcode, machine.motion, machine.realtime
-    position, resync = machine.position, machine.resync
     machine.report.connect(
         machine.engine,
         machine.planner,
@@ -300,18 +344,15 @@ def _connect(machine: Controller) -> None:
         machine.spindle,
         machine.coolant,
         machine.reader.free,
-        position,
+        machine.position,
     )
-    motion.connect(machine.protocol.service, realtime)
-    machine.cycles.connect(motion, realtime, pump, position, resync)
-    realtime.connect(machine.port, pump, resync, machine.suspension)
-    machine.suspension.connect(realtime, machine.overrides, gcode, machine.port, position)
-    machine.commands.connect(realtime, motion, machine.protocol.execute)
-    machine.protocol.connect(realtime, gcode, machine.commands, motion, machine.restart)
+    machine.drive.connect(machine.protocol.pump)
+    machine.canon.connect(machine.protocol.service)
+    machine.commands.connect(machine.protocol.execute)
     for callback in (
         machine.configure,
         machine.inputs.configure,
-        motion.configure,
-        gcode.plain.forget,
+        machine.canon.configure,
+        machine.state.change,
     ):
         machine.settings.on_change(callback)

@@ -1,4 +1,4 @@
-"""Motion: the canonical machining functions, what gcode may ask of the machine.
+"""Canon: the canonical machining functions, what the language may ask of the machine.
 
 Targets are absolute, in mm of machine coordinates. Everything that has to wait
 does so here, through `service`, which raises Abort after a reset. In check
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from motion.planner import Move, Planner
 
     from control.coolant import Coolant
-    from control.realtime import Realtime
+    from control.drive import Drive
     from control.spindle import Spindle
 
 _DWELL_TICK_MS = const(50)
@@ -68,8 +68,8 @@ def judge(target: ptr32, travel: ptr32, flow: ptr32) -> int:
     return found | _FULL if following == flow[_TAIL] else found
 
 
-class Motion:
-    """The Canon of interfaces.pyi. positive_origin: homing sets 0, and travel goes either way."""
+class Canon:
+    """Its functions. positive_origin: homing sets 0, and travel goes either way."""
 
     def __init__(
         self,
@@ -78,6 +78,7 @@ class Motion:
         planner: "Planner",
         spindle: "Spindle",
         coolant: "Coolant",
+        drive: "Drive",
         port: "Port",
         positive_origin: bool,
     ) -> None:
@@ -86,6 +87,7 @@ class Motion:
         self.planner = planner
         self._spindle = spindle
         self._coolant = coolant
+        self._drive = drive
         self._port = port
         self._positive_origin = positive_origin
         self._point = vector(planner.axes)
@@ -97,10 +99,9 @@ class Motion:
         self._left = 0
         self._is_jog = False
 
-    def connect(self, service: "Callable[[], None]", realtime: "Realtime") -> None:
-        """Say how to wait, and whom to tell of an alarm."""
+    def connect(self, service: "Callable[[], None]") -> None:
+        """Say how to wait: one turn of it, which raises Abort after a reset."""
         self.service = service
-        self._realtime = realtime
 
     def configure(self) -> None:
         """Take over $23, $130 and the others of travel."""
@@ -142,7 +143,7 @@ class Motion:
         if self._is_jog:
             self._is_jog = False
             if state.run == st.IDLE and not self.planner.empty():
-                self._realtime.start(st.JOG)
+                self._drive.start(st.JOG)
 
     def _next_target(self) -> "array[float]":
         """Where the next of the lines asked for ends."""
@@ -196,7 +197,7 @@ class Motion:
         for _ in range(ticks & 0xFFFF):
             since = self._port.ticks_ms()
             self.service()
-            self._realtime.pause(_DWELL_TICK_MS - self._port.elapsed_ms(since))
+            self._drive.wait_deaf(_DWELL_TICK_MS - self._port.elapsed_ms(since))
 
     def auto_start(self) -> None:
         """Whatever is planned is to move."""
@@ -213,8 +214,8 @@ class Motion:
 
     def settle(self) -> None:
         """Wait until the motors are released."""
-        self._realtime.release()
-        while self._realtime.settling:
+        self._drive.release()
+        while self._drive.settling:
             self.service()
 
     # Accessories
@@ -267,6 +268,6 @@ class Motion:
             self.service()
             while state.run != st.IDLE:
                 self.service()
-        self._realtime.reset()
+        self._drive.reset()
         state.alarm = errors.ALARM_SOFT_LIMIT
         self.service()

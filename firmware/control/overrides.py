@@ -1,16 +1,18 @@
 """Overrides: feed, rapids and spindle in percent, spindle stop, coolant, by real-time bytes."""
 
 from base import state as st
-from control.coolant import FLOOD, MIST
 from micropython import const
+
+from control.coolant import FLOOD, MIST
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from base.state import State
-    from control.coolant import Coolant
-    from control.spindle import Spindle
-    from language.interpreter import Gcode
     from motion.planner import Planner
+
+    from control.coolant import Coolant
+    from control.modes import Modes
+    from control.spindle import Spindle
 
 # Override bytes, from 0x90: which override, and by how much; 0 is back to 100 %.
 _FEED = const(0)
@@ -50,14 +52,14 @@ class Overrides:
         planner: "Planner",
         spindle: "Spindle",
         coolant: "Coolant",
-        gcode: "Gcode",
+        modes: "Modes",
         has_mist: bool,
     ) -> None:
         self._state = state
         self._planner = planner
         self._spindle = spindle
         self._coolant = coolant
-        self._gcode = gcode
+        self._modes = modes
         self._has_mist = has_mist
 
     def take(self) -> None:
@@ -89,9 +91,9 @@ class Overrides:
     def _override_spindle(self) -> None:
         """The spindle's override has changed: now, with the motion, or once it is held."""
         state = self._state
-        self._gcode.plain.forget()
+        state.change()
         if state.run == st.IDLE:
-            self._spindle.turn(self._gcode.spindle, self._gcode.spindle_rpm)
+            self._spindle.turn(self._modes.modal.spindle, self._modes.spindle_rpm)
         elif state.run & _MOTION:
             state.update_spindle = True
             self._planner.each_power(self._spindle.block_power)
@@ -104,8 +106,9 @@ class Overrides:
         toggled = (FLOOD if flood & 1 else 0) | (MIST if mist & 1 and self._has_mist else 0)
         if not toggled or state.run not in (st.IDLE, st.RUN, st.HOLD, st.JOG):
             return
-        self._gcode.coolant ^= toggled
-        self._coolant.set(self._gcode.coolant)
+        self._modes.modal.coolant ^= toggled
+        state.change()
+        self._coolant.set(self._modes.modal.coolant)
 
     def stop_spindle(self) -> None:
         """Spindle stop override: toggles, and only while held."""

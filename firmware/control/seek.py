@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
     from base.settings import Settings
     from base.state import State
-    from control.canon import Motion
-    from control.inputs import Inputs
-    from control.realtime import Realtime
-    from interfaces import Port, StepEngine
+    from interfaces import Port, StepEngine, Voice
     from motion.planner import Move, Planner
-    from talk.report import Report
+
+    from control.canon import Canon
+    from control.drive import Drive
+    from control.inputs import Inputs
 
 # How much further than the travel, or the pull-off, a switch is searched for.
 _SEARCH = 1.5
@@ -30,8 +30,9 @@ _LOCATE = 5.0
 _PHASES = const(4)
 
 
-class Cycles:
-    """Both cycles. zero_origin: homing sets 0; shared_switches: an input serves both ends."""
+class Seek:
+    """Both cycles. position copies the machine's, in mm; resync plans on from there. zero_origin:
+    homing sets 0; shared_switches: an input serves both ends."""
 
     def __init__(
         self,
@@ -41,7 +42,11 @@ class Cycles:
         planner: "Planner",
         inputs: "Inputs",
         port: "Port",
-        report: "Report",
+        voice: "Voice",
+        canon: "Canon",
+        drive: "Drive",
+        position: "Callable[[array[float]], None]",
+        resync: "Callable[[], None]",
         zero_origin: bool,
         shared_switches: bool,
     ) -> None:
@@ -51,7 +56,11 @@ class Cycles:
         self._planner = planner
         self._inputs = inputs
         self._port = port
-        self._report = report
+        self._voice = voice
+        self._canon = canon
+        self._drive = drive
+        self._position = position
+        self._resync = resync
         self._zero_origin = zero_origin
         self._shared_switches = shared_switches
         axes = planner.axes
@@ -60,21 +69,6 @@ class Cycles:
         self._target = vector(axes)
         self._move = plan.Move()
         self.probe_steps = array("i", (0 for _ in range(axes)))
-
-    def connect(
-        self,
-        motion: "Motion",
-        realtime: "Realtime",
-        pump: "Callable[[], None]",
-        position: "Callable[[array[float]], None]",
-        resync: "Callable[[], None]",
-    ) -> None:
-        """Say whom to call; see controller.py."""
-        self._motion = motion
-        self._realtime = realtime
-        self._pump = pump
-        self._position = position
-        self._resync = resync
 
     # Probing (G38.2 to G38.5)
 
@@ -86,25 +80,25 @@ class Cycles:
         state = self._state
         if state.run == st.CHECK:
             return True
-        self._motion.synchronise()
+        self._canon.synchronise()
         state.probe_succeeded = False
         if self._inputs.probe() != away:
-            self._realtime.fail(errors.ALARM_PROBE_FAIL_INITIAL)
+            self._drive.fail(errors.ALARM_PROBE_FAIL_INITIAL)
             return False
         self._contact = False
-        self._motion.line(target, move)
-        self._motion.finish()
+        self._canon.line(target, move)
+        self._canon.finish()
         self._port.watch_probe(self._on_contact, self._inputs.contact_level(away))
         state.post(st.CYCLE_START)
-        self._motion.service()
+        self._canon.service()
         while state.run != st.IDLE:
-            self._motion.service()
+            self._canon.service()
         self._port.watch_probe(None, False)
         if self._contact:
             state.probe_succeeded = True
         elif not alarms:
             self._engine.position(self.probe_steps)
-        self._motion.service()
+        self._canon.service()
         self._planner.clear()
         if state.probe_succeeded:
             self._resync()
@@ -112,14 +106,14 @@ class Cycles:
             self._engine.position(self._steps)
             self._planner.sync_motors(self._steps)
         if alarms and not state.probe_succeeded:
-            self._realtime.fail(errors.ALARM_PROBE_FAIL_CONTACT, self._end_probe)
+            self._drive.fail(errors.ALARM_PROBE_FAIL_CONTACT, self._end_probe)
         else:
             self._end_probe()
         return not state.probe_succeeded
 
     def _end_probe(self) -> None:
-        self._realtime.release()
-        self._realtime.settle()
+        self._drive.release()
+        self._drive.wait_settled()
         self._report_probe()
 
     def forget_probe(self) -> None:
@@ -135,7 +129,7 @@ class Cycles:
 
     def _report_probe(self) -> None:
         self._planner.to_mm(self.probe_steps, self._target)
-        self._report.probe(self._target)
+        self._voice.probe(self._target)
 
     def probe_position(self) -> "array[float]":
         """Where the probe touched last, in mm."""
@@ -151,7 +145,7 @@ class Cycles:
         """
         state = self._state
         if self._shared_switches and self._inputs.limits():
-            self._realtime.reset()
+            self._drive.reset()
             state.alarm = errors.ALARM_HARD_LIMIT
             return False
         if axes:
@@ -159,7 +153,7 @@ class Cycles:
         else:
             self._home(1 << Z)
             self._home(((1 << self._planner.axes) - 1) & ~(1 << Z))
-        self._motion.service()
+        self._canon.service()
         self._resync()
         return True
 
@@ -177,7 +171,7 @@ class Cycles:
         for phase in range(_PHASES):
             approach = phase % 2 == 0
             self._home_phase(axes, approach, travel, rate * diagonal)
-            self._realtime.pause(settings.homing_debounce_ms)
+            self._drive.wait_deaf(settings.homing_debounce_ms)
             if approach:
                 travel = settings.homing_pull_off_mm
                 rate = settings.homing_seek
@@ -204,7 +198,7 @@ class Cycles:
         move.flags = plan.SYSTEM_MOTION | plan.NO_FEED_OVERRIDE
         planner.clear()
         planner.system_line(self._target, move, 0, self._steps)
-        self._realtime.start(st.HOMING)
+        self._drive.start(st.HOMING)
         self._state.spindle_rpm = 0.0  # these moves have no power
         searching = axes
         while searching:
@@ -214,16 +208,16 @@ class Cycles:
                     searching &= ~found
                     self._lock(found)
             if self._failed(approach, axes):
-                self._realtime.reset()
-                self._motion.service()
-            self._realtime.watch()  # first: an engine that has failed stands still, too
+                self._drive.reset()
+                self._canon.service()
+            self._drive.watch()  # first: an engine that has failed stands still, too
             if engine.idle():
                 break
             if searching:
-                self._pump()
+                self._drive.pump()
         engine.stop()
         planner.clear()
-        self._realtime.arm()
+        self._drive.arm()
 
     def _lock(self, axes: int) -> None:
         if self._corexy and axes & (1 << X | 1 << Y):

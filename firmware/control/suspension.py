@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 
     from base.settings import Settings
     from base.state import State
-    from control.coolant import Coolant
-    from control.inputs import Inputs
-    from control.overrides import Overrides
-    from control.realtime import Realtime
-    from control.spindle import Spindle
-    from interfaces import Port, StepEngine
-    from language.interpreter import Gcode
+    from interfaces import Port, StepEngine, Voice
     from motion.planner import Planner
     from motion.segments import Segments
-    from talk.report import Report
+
+    from control.coolant import Coolant
+    from control.drive import Drive
+    from control.inputs import Inputs
+    from control.modes import Modes
+    from control.overrides import Overrides
+    from control.spindle import Spindle
 
 # What a spindle and a pump need before cutting goes on behind a closed door.
 _SPINDLE_DELAY_MS = const(4000)
@@ -45,7 +45,8 @@ _PULL_OUT_MM = 5.0
 
 
 class Suspension:
-    """Holds, door and sleep. parks: the board has parking motion."""
+    """Holds, door and sleep. position copies the machine's, in mm; parks: the board has parking
+    motion."""
 
     def __init__(
         self,
@@ -57,7 +58,12 @@ class Suspension:
         spindle: "Spindle",
         coolant: "Coolant",
         inputs: "Inputs",
-        report: "Report",
+        port: "Port",
+        modes: "Modes",
+        overrides: "Overrides",
+        drive: "Drive",
+        voice: "Voice",
+        position: "Callable[[array[float]], None]",
         parks: bool,
     ) -> None:
         self._state = state
@@ -69,28 +75,18 @@ class Suspension:
         self._spindle = spindle
         self._coolant = coolant
         self._inputs = inputs
-        self._report = report
+        self._port = port
+        self._modes = modes
+        self._overrides = overrides
+        self._drive = drive
+        self._voice = voice
+        self._position = position
         self._parks = parks
         self._move = plan.Move()
         self._target = vector(planner.axes)
         self._resume_at = vector(planner.axes)
         self._waypoint = 0.0
         self._routine: "Iterator[None] | None" = None  # what is under way
-
-    def connect(
-        self,
-        realtime: "Realtime",
-        overrides: "Overrides",
-        gcode: "Gcode",
-        port: "Port",
-        position: "Callable[[array[float]], None]",
-    ) -> None:
-        """Say whom to call. position copies the machine's, in mm."""
-        self._realtime = realtime
-        self._overrides = overrides
-        self._gcode = gcode
-        self._port = port
-        self._position = position
 
     def turn(self) -> None:
         """One turn of a suspension."""
@@ -129,8 +125,8 @@ class Suspension:
         self._routine = None
         row = self._planner.row()
         if row is None:
-            self._flags = self._gcode.accessory_flags()
-            self._rpm = self._gcode.spindle_rpm
+            self._flags = self._modes.accessory_flags()
+            self._rpm = self._modes.spindle_rpm
         else:
             self._flags = row[kernels.FLAGS]
             self._rpm = self._planner.speeds[self._planner.flow[kernels.TAIL]]
@@ -142,12 +138,12 @@ class Suspension:
         stopping = state.stop_override
         if stopping & st.STOP_INITIATE:
             state.stop_override = 0
-            if self._gcode.spindle:
+            if self._modes.modal.spindle:
                 self._spindle.turn(0, 0.0)
                 state.stop_override = st.STOP_ENABLED
         elif stopping & (st.STOP_RESTORE | st.STOP_RESTORE_CYCLE):
-            if self._gcode.spindle:
-                self._report.message(errors.MSG_SPINDLE_RESTORE)
+            if self._modes.modal.spindle:
+                self._voice.message(errors.MSG_SPINDLE_RESTORE)
                 self._restore_spindle()
             if stopping & st.STOP_RESTORE_CYCLE:
                 state.post(st.CYCLE_START)
@@ -167,9 +163,9 @@ class Suspension:
     # Sleep
 
     def _sleep(self) -> "Iterator[None]":
-        self._report.message(errors.MSG_SLEEP)
+        self._voice.message(errors.MSG_SLEEP)
         self._stop_accessories()
-        self._realtime.release()
+        self._drive.release()
         while True:  # until a reset raises Abort
             yield
 
@@ -204,11 +200,11 @@ class Suspension:
         if self._parks and self._may_park() and self._target[_PARK_AXIS] <= _PARK_TARGET_MM:
             self._target[_PARK_AXIS] = self._waypoint
             yield from self._park_move(self._target, _PARK_RATE, False)
-        if self._gcode.spindle and not self._interrupted():
+        if self._modes.modal.spindle and not self._interrupted():
             self._restore_spindle()
             if not self._spindle.laser:
                 yield from self._pause(_SPINDLE_DELAY_MS)
-        if self._gcode.coolant and not self._interrupted():
+        if self._modes.modal.coolant and not self._interrupted():
             self._coolant.set(self._flags >> plan.COOLANT_SHIFT & 3)
             yield from self._pause(_COOLANT_DELAY_MS)
         if self._parks and self._may_park() and not self._interrupted():
@@ -265,7 +261,7 @@ class Suspension:
             state.system_motion = True
             state.holding = False
             self._segments.hold(False)
-            self._realtime.start(state.run)
+            self._drive.start(state.run)
             while state.system_motion:
                 yield
         self._segments.end_system()

@@ -6,7 +6,7 @@ rest the actuator goes down until the sensor below sees it, and up until the
 sensor above does. Nothing else makes one: not a jog, G28, a probe or homing.
 
 Whatever happens, nothing moves unless the sensor above sees the punch: motion
-does not start (PunchRealtime.start), motion under way is stopped, and a reset
+does not start (PunchDrive.start), motion under way is stopped, and a reset
 in the middle of a stroke first brings the punch up. A sensor that does not
 answer in time is an alarm.
 
@@ -18,10 +18,10 @@ from base import errors
 from base import state as st
 from base.settings import BOOL
 from control import spindle as sp
-from control.realtime import Realtime
+from control.drive import Drive
 from control.spindle import Spindle
 from language import block as b
-from language.interpreter import Gcode
+from language.interpreter import Interpreter
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -33,8 +33,7 @@ if TYPE_CHECKING:
 
     from base.settings import Rows, Settings
     from base.state import State
-    from control.suspension import Suspension
-    from interfaces import Port, PunchPort, StepEngine
+    from interfaces import Port, PunchPort, StepEngine, Voice
     from talk.report import Report
 
 # What a board file has to say besides TOOL = "punch".
@@ -79,15 +78,15 @@ class Punch(Spindle):
     def connect(
         self,
         engine: "StepEngine",
-        report: "Report",
-        realtime: "PunchRealtime",
-        pump: "Callable[[], None]",
+        voice: "Voice",
+        drive: "Drive",
+        events: "Callable[[], None]",
     ) -> None:
-        """Say whom to call, or to ask whether anything moves."""
+        """Say whom to call, or to ask whether anything moves. events: realtime's."""
         self._engine = engine
-        self._report = report
-        self._realtime = realtime
-        self._pump = pump
+        self._voice = voice
+        self._machine = drive
+        self._events = events
         self._pins.watch_punch(self.on_change)
 
     # What a spindle has
@@ -115,10 +114,10 @@ class Punch(Spindle):
         self._state.override_countdown = 0
         if direction == sp.OFF:
             self._drive(False)
-            if not self._reach_up(self._pump):
+            if not self._reach_up(self._machine.pump):
                 self._fail(errors.ALARM_PUNCH_UP, _NOT_UP)
             elif self._lost:
-                self._report.message(_NOT_UP)
+                self._voice.message(_NOT_UP)
             self._lost = False
 
     def stop(self) -> None:
@@ -162,7 +161,7 @@ class Punch(Spindle):
         if not self._engine.idle():
             return False
         if not self.may_move():
-            self._realtime.events()  # raises Abort
+            self._events()  # raises Abort
         try:
             self._drive(True)
             made = self._go_down()
@@ -170,16 +169,16 @@ class Punch(Spindle):
             self._drive(False)
         if made is None:
             self._fail(errors.ALARM_PUNCH_DOWN, _NOT_DOWN)
-            self._realtime.reset()
+            self._machine.reset()
         elif not self._reach_up(self._turn):
             self._fail(errors.ALARM_PUNCH_UP, _NOT_UP)
-            self._realtime.reset()
-        self._realtime.events()
+            self._machine.reset()
+        self._events()
         return bool(made)
 
     def _turn(self) -> None:
-        self._pump()
-        self._realtime.events()
+        self._machine.pump()
+        self._events()
 
     def _go_down(self) -> "bool | None":
         """True when it is there, False where a door calls it back, None when time is over."""
@@ -199,13 +198,13 @@ class Punch(Spindle):
         if self.is_up():
             return True
         self._fail(errors.ALARM_PUNCH_UP, _NOT_UP)
-        self._realtime.reset()
+        self._machine.reset()
         return False
 
     def _fail(self, code: int, words: str) -> None:
-        self._state.run = st.ALARM
-        self._report.alarm(code)
-        self._report.message(words)
+        self._state.enter(st.ALARM)
+        self._voice.alarm(code)
+        self._voice.message(words)
 
     def on_change(self) -> None:
         """A sensor may have changed. Interrupt."""
@@ -213,24 +212,13 @@ class Punch(Spindle):
             self._lost = True
             if self._state.alarm == 0:
                 self._state.alarm = errors.ALARM_PUNCH_UP
-            self._realtime.reset()
+            self._machine.reset()
 
 
-class PunchRealtime(Realtime):
-    """The state machine, which starts no motion unless the punch is up."""
+class PunchDrive(Drive):
+    """The drive, which starts no motion unless the punch is up."""
 
     _spindle: Punch
-
-    def connect(
-        self,
-        port: "Port",
-        pump: "Callable[[], None]",
-        resync: "Callable[[], None]",
-        suspension: "Suspension",
-    ) -> None:
-        """As Realtime does, for the punch as well."""
-        super().connect(port, pump, resync, suspension)
-        self._spindle.connect(self._engine, self._report, self, pump)
 
     def start(self, run: int) -> None:
         """Set the machine in motion if nothing is in the way."""
@@ -239,31 +227,37 @@ class PunchRealtime(Realtime):
             self._spindle.on_change()  # it may have left in between
 
 
-class PunchGcode(Gcode):
+class PunchInterpreter(Interpreter):
     """The interpreter, which ends each line of motion with a stroke while the punch is armed."""
 
     _spindle: Punch
 
     def execute(self, line: bytearray, length: int) -> None:
-        """As Gcode does; there is no short path to a stroke."""
+        """As Interpreter does; there is no short path to a stroke."""
         super().execute(line, length)
-        self.plain.forget()
+        self._state.change()
 
     def _go(self, block: "b.Block", move: "Any") -> None:
         super()._go(block, move)
-        if self.modal.motion <= b.CCW_ARC:
+        if self._modes.modal.motion <= b.CCW_ARC:
             self._strike()
 
     def _strike(self) -> None:
         state = self._state
-        if not self.modal.spindle or state.run == st.CHECK:
+        if not self._modes.modal.spindle or state.run == st.CHECK:
             return
-        self._motion.synchronise()
+        self._canon.synchronise()
         while True:
             # A hold that began with the last segments is over later than the plan.
-            self._motion.service()
+            self._canon.service()
             if state.run == st.ALARM or (state.run == st.IDLE and self._spindle.stroke()):
                 return
+
+
+def install(machine: "Any") -> None:
+    """Connect the punch with the machine it is part of."""
+    punch: "Any" = machine.spindle
+    punch.connect(machine.engine, machine.report, machine.drive, machine.realtime.events)
 
 
 def find(tool: str, board: "ModuleType", reports: "type[Report]") -> "Any":
@@ -274,4 +268,4 @@ def find(tool: str, board: "ModuleType", reports: "type[Report]") -> "Any":
     if missing:
         raise ValueError("TOOL = punch: the board file names no pin for " + ", ".join(missing))
     without, extra = reports.SETTINGS or ((), ())
-    return Punch, PunchGcode, PunchRealtime, (without + _WITHOUT, extra + _SETTINGS, _FILE)
+    return Punch, PunchInterpreter, PunchDrive, (without + _WITHOUT, extra + _SETTINGS, _FILE)

@@ -8,7 +8,9 @@ ones, two of a group, one repeated. Touches nothing but itself.
 from base import errors
 from base.errors import GrblError
 from base.f32 import f32, vector, whole
+from control.modes import Modal
 from micropython import const
+from motion.arcs import Arc
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -151,28 +153,6 @@ _BEYOND = 2147483648.0
 _MANY = const(100000000)  # more than any line number
 
 
-class Modal:
-    """The modal state of the interpreter, or what a block would make of it."""
-
-    def __init__(self) -> None:
-        self.motion = SEEK
-        self.plane = 0
-        self.relative = 0
-        self.inverse_time = 0
-        self.inches = 0
-        self.tool_length = 0
-        self.system = 0
-        self.flow = RUNNING
-        self.spindle = 0
-        self.coolant = 0
-        self.override_control = 1
-
-    def copy(self, other: "Modal") -> None:
-        """Become equal to another."""
-        for name, value in other.__dict__.items():
-            setattr(self, name, value)
-
-
 class Block:
     """One line being interpreted. Reused for every line."""
 
@@ -187,6 +167,9 @@ class Block:
         self.modal = Modal()
         self.xyz = vector(axes)
         self.ijk = vector(3)
+        # What the checks find: the arc, and what G10, G28 and G30 are to keep or go to.
+        self.arc = Arc()
+        self.stored = vector(axes)
         self._axes = axes
         self._unsupported_m = set()
         if not has_mist:

@@ -1,4 +1,4 @@
-"""Checks: step three of the interpreter. Everything that can refuse a block does so here.
+"""Checks: step three of the modes. Everything that can refuse a block does so here.
 
 Along the way the block's values become what execution wants: mm, absolute,
 machine coordinates. The order of checks is the standard's order of execution,
@@ -11,16 +11,19 @@ from base import errors
 from base.errors import GrblError
 from base.f32 import MM_PER_INCH, f32, whole
 from control.coords import G28, G30, SYSTEMS
-from language import block as b
 from micropython import const
+
+from language import block as b
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from array import array
 
-    from language.block import Block
-    from language.interpreter import Gcode
+    from control.coords import Coords
+    from control.modes import Modes
     from motion.arcs import Arc
+
+    from language.block import Block
 
 _HIGHEST_LINE = const(10000000)
 # The axes of G17, G18, G19, and the one across.
@@ -31,15 +34,15 @@ _ARC_PART = 0.001
 _ARC_WORST = 0.5
 
 
-def check(gcode: "Gcode", block: "Block", jog: bool) -> None:
+def check(modes: "Modes", coords: "Coords", block: "Block", jog: bool) -> None:
     """Refuse the block with GrblError, or leave it ready to be executed."""
     if block.values & b.AXIS_WORDS and not block.claim:
         block.claim = b.AXES_MOTION
     if block.values & b.WORD_N and block.n > _HIGHEST_LINE:
         raise GrblError(errors.GCODE_INVALID_LINE_NUMBER)
-    _feed(gcode, block, jog)
+    _feed(modes, block, jog)
     if not block.values & b.WORD_S:
-        block.s = gcode.spindle_rpm
+        block.s = modes.spindle_rpm
     if block.commands & b.GROUP_M9:
         _override_control(block)
     unused = block.values & ~b.WORD_N
@@ -50,12 +53,12 @@ def check(gcode: "Gcode", block: "Block", jog: bool) -> None:
     if block.modal.inches:
         _to_mm(block.xyz)
     if block.claim == b.AXES_TOOL_LENGTH and block.modal.tool_length:
-        if block.values & b.AXIS_WORDS != 1 << gcode.coords.length_axis:
+        if block.values & b.AXIS_WORDS != 1 << coords.length_axis:
             raise GrblError(errors.GCODE_G43_DYNAMIC_AXIS_ERROR)
     if block.commands & b.GROUP_M9:
         unused &= ~b.WORD_P
-    unused &= ~_non_modal(gcode, block)
-    unused &= ~_motion(gcode, block)
+    unused &= ~_non_modal(modes, coords, block)
+    unused &= ~_motion(modes, block)
     unused &= ~(b.WORD_F if jog else b.WORD_F | b.WORD_S | b.WORD_T)
     if block.claim:
         unused &= ~b.AXIS_WORDS
@@ -70,7 +73,7 @@ def _to_mm(values: "array[float]") -> None:
         values[i] = values[i] * MM_PER_INCH
 
 
-def _feed(gcode: "Gcode", block: "Block", jog: bool) -> None:
+def _feed(modes: "Modes", block: "Block", jog: bool) -> None:
     has_f = block.values & b.WORD_F
     modal = block.modal
     if jog:
@@ -82,9 +85,9 @@ def _feed(gcode: "Gcode", block: "Block", jog: bool) -> None:
         cuts = block.claim == b.AXES_MOTION and modal.motion not in (b.NO_MOTION, b.SEEK)
         if cuts and not has_f:
             raise GrblError(errors.GCODE_UNDEFINED_FEED_RATE)
-    elif not gcode.modal.inverse_time:
+    elif not modes.modal.inverse_time:
         if not has_f:
-            block.f = gcode.feed
+            block.f = modes.feed
         elif modal.inches:
             block.f = f32(block.f * MM_PER_INCH)
 
@@ -96,40 +99,38 @@ def _override_control(block: "Block") -> None:
         block.modal.override_control = 0
 
 
-def _non_modal(gcode: "Gcode", block: "Block") -> int:
+def _non_modal(modes: "Modes", coords: "Coords", block: "Block") -> int:
     """Check group 0 and compute targets; returns the value words it used."""
     command = block.non_modal
     if command == b.SET_COORDS:
-        return _set_coords(gcode, block)
+        return _set_coords(modes, coords, block)
     if command == b.SET_G92:
         if not block.values & b.AXIS_WORDS:
             raise GrblError(errors.GCODE_NO_AXIS_WORDS)
-        _offset_at(
-            gcode, block, gcode.coords.systems[block.modal.system], gcode.coords.g92, block.xyz
-        )
+        _offset_at(modes, coords, block, coords.systems[block.modal.system], coords.g92, block.xyz)
         return 0
     if block.claim != b.AXES_TOOL_LENGTH and block.values & b.AXIS_WORDS:
-        _target(gcode, block)
+        _target(modes, coords, block)
     if command in (b.GO_G28, b.GO_G30):
-        _stored(gcode, block)
+        _stored(modes, coords, block)
     elif command == b.ABSOLUTE_OVERRIDE and block.modal.motion not in (b.SEEK, b.LINEAR):
         raise GrblError(errors.GCODE_G53_INVALID_MOTION_MODE)
     return 0
 
 
-def _stored(gcode: "Gcode", block: "Block") -> None:
+def _stored(modes: "Modes", coords: "Coords", block: "Block") -> None:
     """Where G28 or G30 is to go."""
-    stored = gcode.coords.systems[G28 if block.non_modal == b.GO_G28 else G30]
+    stored = coords.systems[G28 if block.non_modal == b.GO_G28 else G30]
     axis_words = block.values & b.AXIS_WORDS
     if not axis_words:
         block.claim = b.AXES_UNCLAIMED
-    for i in range(gcode.axes):
+    for i in range(len(modes.position)):
         here = axis_words and not axis_words >> i & 1
-        gcode.stored[i] = gcode.position[i] if here else stored[i]
+        block.stored[i] = modes.position[i] if here else stored[i]
 
 
-def _set_coords(gcode: "Gcode", block: "Block") -> int:
-    """G10 L2 and L20: the new offsets go to gcode.stored, the system's index to block.p."""
+def _set_coords(modes: "Modes", coords: "Coords", block: "Block") -> int:
+    """G10 L2 and L20: the new offsets go to block.stored, the system's index to block.p."""
     if not block.values & b.AXIS_WORDS:
         raise GrblError(errors.GCODE_NO_AXIS_WORDS)
     if not block.values & (b.WORD_P | b.WORD_L):
@@ -141,23 +142,27 @@ def _set_coords(gcode: "Gcode", block: "Block") -> int:
         raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
     index = system - 1 if system else block.modal.system
     block.p = index
-    stored = gcode.coords.systems[index]
+    stored = coords.systems[index]
     if block.l == 20:
-        _offset_at(gcode, block, gcode.coords.g92, stored, gcode.stored)
+        _offset_at(modes, coords, block, coords.g92, stored, block.stored)
     else:
-        for i in range(gcode.axes):
-            gcode.stored[i] = block.xyz[i] if block.values >> i & 1 else stored[i]
+        for i in range(len(modes.position)):
+            block.stored[i] = block.xyz[i] if block.values >> i & 1 else stored[i]
     return b.WORD_P | b.WORD_L
 
 
 def _offset_at(
-    gcode: "Gcode", block: "Block", other: "array[float]", old: "array[float]", new: "array[float]"
+    modes: "Modes",
+    coords: "Coords",
+    block: "Block",
+    other: "array[float]",
+    old: "array[float]",
+    new: "array[float]",
 ) -> None:
     """The offset which, beside the other one, makes the present place read as programmed."""
-    coords = gcode.coords
-    for i in range(gcode.axes):
+    for i in range(len(modes.position)):
         if block.values >> i & 1:
-            offset = f32(f32(gcode.position[i] - other[i]) - block.xyz[i])
+            offset = f32(f32(modes.position[i] - other[i]) - block.xyz[i])
             if i == coords.length_axis:
                 offset -= coords.tool_length
             new[i] = offset
@@ -165,25 +170,24 @@ def _offset_at(
             new[i] = old[i]
 
 
-def _target(gcode: "Gcode", block: "Block") -> None:
+def _target(modes: "Modes", coords: "Coords", block: "Block") -> None:
     """Axis words become a target in machine coordinates; axes without a word stay."""
-    coords = gcode.coords
     system = coords.systems[block.modal.system]
     xyz = block.xyz
-    for i in range(gcode.axes):
+    for i in range(len(modes.position)):
         if not block.values >> i & 1:
-            xyz[i] = gcode.position[i]
+            xyz[i] = modes.position[i]
         elif block.non_modal == b.ABSOLUTE_OVERRIDE:
             pass
         elif block.modal.relative:
-            xyz[i] += gcode.position[i]
+            xyz[i] += modes.position[i]
         else:
             xyz[i] += f32(system[i] + coords.g92[i])
             if i == coords.length_axis:
                 xyz[i] += coords.tool_length
 
 
-def _motion(gcode: "Gcode", block: "Block") -> int:
+def _motion(modes: "Modes", block: "Block") -> int:
     """Check group 1; returns the value words it used."""
     motion = block.modal.motion
     axis_words = block.values & b.AXIS_WORDS
@@ -206,8 +210,8 @@ def _motion(gcode: "Gcode", block: "Block") -> int:
     if not axis_words:
         raise GrblError(errors.GCODE_NO_AXIS_WORDS)
     if motion in (b.CW_ARC, b.CCW_ARC):
-        return _arc(gcode, block)
-    if _same(gcode.position, block.xyz):
+        return _arc(modes, block)
+    if _same(modes.position, block.xyz):
         raise GrblError(errors.GCODE_INVALID_TARGET)
     return 0
 
@@ -219,18 +223,18 @@ def _same(one: "array[float]", other: "array[float]") -> bool:
     return True
 
 
-def _arc(gcode: "Gcode", block: "Block") -> int:
+def _arc(modes: "Modes", block: "Block") -> int:
     """Find centre and radius of an arc; returns the value words it used."""
-    arc = gcode.arc
+    arc = block.arc
     arc.plane = PLANES[block.modal.plane]
     arc.clockwise = block.modal.motion == b.CW_ARC
     a, c, _ = arc.plane
     if not block.values & (1 << a | 1 << c):
         raise GrblError(errors.GCODE_NO_AXIS_WORDS_IN_PLANE)
-    x = f32(block.xyz[a] - gcode.position[a])
-    y = f32(block.xyz[c] - gcode.position[c])
+    x = f32(block.xyz[a] - modes.position[a])
+    y = f32(block.xyz[c] - modes.position[c])
     if block.values & b.WORD_R:
-        if _same(gcode.position, block.xyz):
+        if _same(modes.position, block.xyz):
             raise GrblError(errors.GCODE_INVALID_TARGET)
         _by_radius(block, arc, x, y)
         return b.WORD_R

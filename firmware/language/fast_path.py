@@ -1,9 +1,9 @@
 # mypy: disable-error-code=arg-type
-"""Plain lines: those that do no more than move, from text to a planner block in one go.
+"""The fast path: lines that do no more than move, from text to a planner block in one go.
 
 Nearly all lines of a program are G0 or G1 with places, and now and then F, S or N. What else they
-depend on stays the same until another kind of line, a setting or an override changes it: look()
-works it out once, into a table of integers. A plain line then is one call of follow(). Whatever
+depend on stays the same until another kind of line comes, or State.changes counts on: look()
+works it out once, into a table of integers. Such a line then is one call of follow(). Whatever
 is less simple is for the interpreter, and what follow() does means the same as what that does.
 """
 
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
     from base.settings import Settings
     from base.state import State
-    from control.canon import Motion
+    from control.canon import Canon
+    from control.coords import Coords
+    from control.modes import Modes
     from control.spindle import Spindle
-
-    from language.interpreter import Gcode
 
 # What read() found: bits of its mask. Bits 0 to 3 are X, Y, Z and A.
 HAS_F = const(0x10)  # another feed rate than before
@@ -66,7 +66,8 @@ _UNTOLD = const(0x3FFFFFFF)
 # the line's numbers, by their bit; whether they are inches; what is added to places, per axis.
 VALUES = const(11)
 INCHES = const(20)
-OFFSETS = const(21)
+_CHANGES = const(21)  # as they were counted when this was known
+OFFSETS = const(22)
 
 # From control/canon.py and motion/kernels.py.
 _OUTSIDE = const(1)
@@ -78,7 +79,7 @@ _HEAD = const(2)
 def read(text: ptr8, length: int, known: ptr32) -> int:
     """What a line holds if it does no more than move; 0 if it does, or if a word is wrong.
 
-    Plain are G0 and G1, X to Z and A, F, N and S, each once at the most, the last three not
+    Such have G0 and G1, X to Z and A, F, N and S, each once at the most, the last three not
     negative. Returns a mask of axes and of what is new, the public names above.
     """
     signs = ptr8(known)
@@ -172,12 +173,13 @@ def follow(
     ring: ptr32,
     flow: ptr32,
     speeds: ptr32,
+    changes: ptr32,
 ) -> int:
-    """Plan a plain line that says nothing new and has nothing in its way.
+    """Plan a line that does no more than move, says nothing new and has nothing in its way.
 
     Returns 1 then; otherwise 0, and nothing has changed.
     """
-    if known[AXES] == 0 or known[_POWER] == _UNTOLD:
+    if known[AXES] == 0 or known[_POWER] == _UNTOLD or known[_CHANGES] != changes[0]:
         return 0
     seen = int(read(text, length, known))
     if seen == 0 or seen & _NEWS:
@@ -208,7 +210,7 @@ def put(source: ptr32, at: int, target: ptr32, to: int) -> int:
     return 0
 
 
-class Plain:
+class FastPath:
     """The short path of an interpreter.
 
     follow(line, length) plans a line that says nothing new, and returns 1; or it returns 0, and
@@ -219,64 +221,65 @@ class Plain:
 
     def __init__(
         self,
-        gcode: "Gcode",
+        modes: "Modes",
+        coords: "Coords",
         state: "State",
         settings: "Settings",
-        motion: "Motion",
+        canon: "Canon",
         spindle: "Spindle",
     ) -> None:
-        self._gcode = gcode
+        self._modes = modes
+        self._coords = coords
         self._state = state
         self._settings = settings
-        self._motion = motion
+        self._canon = canon
         self._spindle = spindle
+        axes = len(modes.position)
         self._move = plan.Move()
-        self._target = vector(gcode.axes)
+        self._target = vector(axes)
         self._float = vector(1)
-        self._known = array("i", (0 for _ in range(OFFSETS + gcode.axes)))
-        self._asked = False  # the last line was a plain one
+        self._known = array("i", (0 for _ in range(OFFSETS + axes)))
+        self._asked = False  # the last line was one of these
         self.follow = self._make_follow()
 
     def _make_follow(self) -> "Callable[[bytearray, int], int]":
         """What follow() needs is at hand there: no look-up, and no closure, whose call frame of
         so many variables would be on the heap."""
-        planner = self._motion.planner
+        planner = self._canon.planner
 
         @micropython.native
         def follow_line(
             line: bytearray,
             length: int,
             known: "array[int]" = self._known,
-            position: "array[float]" = self._gcode.position,
+            position: "array[float]" = self._modes.position,
             target: "array[float]" = self._target,
-            travel: "array[int]" = self._motion.travel,
+            travel: "array[int]" = self._canon.travel,
             machine: "array[int]" = planner.machine,
             ring: "array[int]" = planner.ring,
             flow: "array[int]" = planner.flow,
             speeds: "array[float]" = planner.speeds,
+            changes: "array[int]" = self._state.changes,
         ) -> int:
             return follow(
-                line, length, known, position, target, travel, machine, ring, flow, speeds
+                line, length, known, position, target, travel, machine, ring, flow, speeds, changes
             )
 
         return follow_line
 
-    def forget(self) -> None:
-        """Something may change what is known: the next line takes the long way."""
-        self._known[AXES] = 0
-
     def look(self) -> None:
-        """A line went the long way: see whether those that only move are plain ones now."""
-        gcode = self._gcode
-        modal = gcode.modal
+        """A line went the long way: see whether those that only move have a shorter one now."""
+        modes = self._modes
+        modal = modes.modal
         known = self._known
         self._asked = False
+        known[_CHANGES] = self._state.changes[0]
         is_plain = (
-            not (modal.inverse_time or gcode.tool)
+            not (modal.inverse_time or modes.tool)
             and modal.motion in (b.SEEK, b.LINEAR)
-            and gcode.coords.tool_length == 0
+            and self._coords.tool_length == 0
         )
-        known[AXES] = gcode.axes if is_plain else 0
+        known[AXES] = len(modes.position) if is_plain else 0
         if is_plain:
             self._keep_offsets()
             known[RELATIVE] = modal.relative
@@ -287,8 +290,8 @@ class Plain:
             self._set()
 
     def _keep_offsets(self) -> None:
-        for i in range(self._gcode.axes):
-            self._keep(OFFSETS + i, self._gcode.coords.work_offset(i))
+        for i in range(len(self._modes.position)):
+            self._keep(OFFSETS + i, self._coords.work_offset(i))
 
     def _keep(self, at: int, value: float) -> None:
         self._float[0] = value
@@ -296,56 +299,58 @@ class Plain:
 
     def _set(self) -> None:
         """How lines move from now on, unless they say otherwise."""
-        gcode = self._gcode
+        modes = self._modes
         move = self._move
         known = self._known
-        seeks = gcode.modal.motion == b.SEEK
+        seeks = modes.modal.motion == b.SEEK
         known[MODE] = HAS_G0 if seeks else HAS_G1
-        self._keep(FEED, gcode.feed)
-        known[_RATE] = reals.real(gcode.feed / 60)
-        move.feed = gcode.feed
-        move.spindle_rpm = 0.0 if seeks and known[LASER] else gcode.spindle_rpm
-        move.flags = gcode.accessory_flags()
+        self._keep(FEED, modes.feed)
+        known[_RATE] = reals.real(modes.feed / 60)
+        move.feed = modes.feed
+        move.spindle_rpm = 0.0 if seeks and known[LASER] else modes.spindle_rpm
+        move.flags = modes.accessory_flags()
         if seeks:
             move.flags |= plan.RAPID
         known[_POWER] = _UNTOLD
 
     def execute(self, line: bytearray, length: int) -> bool:
-        """Execute a plain line; False where it is none, and nothing has changed."""
+        """Execute a line that does no more than move; False where it does, and nothing has
+        changed."""
         known = self._known
-        seen = read(line, length, known) if known[AXES] else 0
+        is_known = known[AXES] and known[_CHANGES] == self._state.changes[0]
+        seen = read(line, length, known) if is_known else 0
         if not seen:
             return False
         if seen & _NEWS:
             self._take_news(seen)
         # Go where the line says.
         self._move.line_number = line_number(known, seen)
-        place(known, seen, self._gcode.position, self._target)
-        self._motion.line(self._target, self._move)
-        copy(self._target, self._gcode.position, self._gcode.axes)
+        place(known, seen, self._modes.position, self._target)
+        self._canon.line(self._target, self._move)
+        copy(self._target, self._modes.position, len(self._modes.position))
         self._asked = True
         return True
 
     def _take_news(self, seen: int) -> None:
         """A line changes motion mode, feed rate, or a laser's power."""
-        gcode = self._gcode
+        modes = self._modes
         known = self._known
         if seen & HAS_S:
             put(known, VALUES + _S, self._float, 0)
-            gcode.spindle_rpm = self._move.spindle_rpm = self._float[0]
+            modes.spindle_rpm = self._move.spindle_rpm = self._float[0]
             known[_POWER] = _UNTOLD
         if seen & HAS_F:
             put(known, VALUES + _F, self._float, 0)
             if known[INCHES]:
                 to_mm(self._float, 0)
-            gcode.feed = self._float[0]
+            modes.feed = self._float[0]
         if seen & (HAS_G0 | HAS_G1):
-            gcode.modal.motion = b.SEEK if seen & HAS_G0 else b.LINEAR
+            modes.modal.motion = b.SEEK if seen & HAS_G0 else b.LINEAR
         if seen & _NEWS != HAS_S:
             self._set()
 
     def tell(self) -> None:
-        """A line has been planned: if it was a plain one, the next ones are like that."""
+        """A line has been planned: if it only moves, the next ones are like that."""
         move = self._move
         known = self._known
         if not self._asked or known[_POWER] != _UNTOLD:
@@ -353,4 +358,4 @@ class Plain:
         self._asked = False
         known[_FLAGS] = move.flags
         self._keep(_RPM, move.spindle_rpm)
-        known[_POWER] = 0 if known[DRY] else self._motion.power
+        known[_POWER] = 0 if known[DRY] else self._canon.power

@@ -4,6 +4,8 @@ from base import errors
 from base import state as st
 from base.errors import GrblError
 from base.f32 import whole
+from control.coolant import FLOOD, MIST
+from language.block import NO_MOTION
 from language.words import bare
 from micropython import const
 
@@ -13,13 +15,15 @@ if TYPE_CHECKING:
 
     from base.settings import Settings
     from base.state import State
-    from control.canon import Motion
+    from control.canon import Canon
     from control.coords import Coords
+    from control.drive import Drive
     from control.inputs import Inputs
-    from control.realtime import Realtime
-    from control.seek import Cycles
+    from control.modes import Modes
+    from control.seek import Seek
     from interfaces import Store
-    from language.interpreter import Gcode
+    from language.interpreter import Interpreter
+
     from talk.report import Report
 
 _STARTUP = "startup"
@@ -42,37 +46,38 @@ class Commands:
         coords: "Coords",
         store: "Store",
         report: "Report",
-        gcode: "Gcode",
-        cycles: "Cycles",
+        modes: "Modes",
+        interpreter: "Interpreter",
+        canon: "Canon",
+        seek: "Seek",
+        drive: "Drive",
         inputs: "Inputs",
         options: str,
         single_axis_homing: bool,
+        override_control: bool,
     ) -> None:
         self._state = state
         self._settings = settings
         self._coords = coords
         self._store = store
         self._report = report
-        self._gcode = gcode
-        self._cycles = cycles
+        self._modes = modes
+        self._interpreter = interpreter
+        self._canon = canon
+        self._seek = seek
+        self._drive = drive
         self._inputs = inputs
         self._options = options
         self._single_axis_homing = single_axis_homing
+        self._override_control = override_control
         self._startup = [""] * STARTUP_LINES
         self._letters = self._make_letters()
         # What $I+ says besides $I, where the chip can tell.
         self.health: "Callable[[], str] | None" = None
 
-    def connect(
-        self,
-        realtime: "Realtime",
-        motion: "Motion",
-        answer: "Callable[[bytearray, int, bytes], None]",
-    ) -> None:
-        """Say whom to call. answer executes a line of G-code and prints what becomes of it,
-        beginning with that."""
-        self._realtime = realtime
-        self._motion = motion
+    def connect(self, answer: "Callable[[bytearray, int, bytes], None]") -> None:
+        """Say what executes a line of G-code and prints what becomes of it, beginning with the
+        bytes it is given."""
         self._answer = answer
 
     # Kept lines
@@ -134,7 +139,7 @@ class Commands:
             raise GrblError(errors.IDLE_ERROR)
         if line[2] != 61:
             raise GrblError(errors.INVALID_STATEMENT)
-        self._gcode.jog(line, length)
+        self._interpreter.jog(line, length)
 
     # Commands that are answered at any time
 
@@ -152,18 +157,40 @@ class Commands:
             self._report.setting(number, value, decimals)
 
     def _show_modes(self, _line: bytearray, _length: int) -> None:
-        self._report.modes(self._gcode.modes())
+        self._report.modes(self.modes())
+
+    def modes(self) -> str:
+        """What is in force, in words."""
+        modes, modal, report = self._modes, self._modes.modal, self._report
+        motion = modal.motion
+        words = ["G%d" % motion if motion <= NO_MOTION else "G38.%d" % ((motion - 138) // 10)]
+        words.append("G%d" % (54 + modal.system))
+        words.append("G%d" % (17 + modal.plane))
+        words.append("G%d" % (20 if modal.inches else 21))
+        words.append("G%d" % (91 if modal.relative else 90))
+        words.append("G%d" % (93 if modal.inverse_time else 94))
+        numbers = [(5, 3, 4)[modal.spindle >> 4]]
+        if modal.coolant & MIST:
+            numbers.append(7)
+        if modal.coolant & FLOOD:
+            numbers.append(8)
+        if not modal.coolant:
+            numbers.append(9)
+        if self._override_control and self._state.override_control:
+            numbers.append(56)
+        words += ["M%d" % number for number in numbers]
+        words += ["T%d" % modes.tool, "F" + report.rate(modes.feed)]
+        return " ".join(words) + " S" + report.speed(modes.spindle_rpm)
 
     def _check_mode(self, _line: bytearray, _length: int) -> None:
         state = self._state
         if state.run == st.CHECK:
-            self._realtime.reset()
+            self._drive.reset()
             self._report.message(errors.MSG_DISABLED)
         else:
             if state.run != st.IDLE:
                 raise GrblError(errors.IDLE_ERROR)
-            state.run = st.CHECK
-            self._gcode.plain.forget()  # what was a motion is none now
+            state.enter(st.CHECK)
             self._report.message(errors.MSG_ENABLED)
 
     def _unlock(self, _line: bytearray, _length: int) -> None:
@@ -172,7 +199,7 @@ class Commands:
             if self._inputs.door_open():
                 raise GrblError(errors.CHECK_DOOR)
             self._report.message(errors.MSG_ALARM_UNLOCK)
-            self._state.run = st.IDLE
+            self._state.enter(st.IDLE)
 
     def _check_stop(self) -> None:
         if self._inputs.estop():
@@ -184,7 +211,7 @@ class Commands:
     def _show_offsets(self, line: bytearray, length: int) -> None:
         if length != 2:
             raise GrblError(errors.INVALID_STATEMENT)
-        self._report.offsets(self._cycles.probe_position())
+        self._report.offsets(self._seek.probe_position())
 
     def _home(self, line: bytearray, length: int) -> None:
         if not self._settings.homing:
@@ -198,12 +225,12 @@ class Commands:
             if at < 0:
                 raise GrblError(errors.INVALID_STATEMENT)
             axes = 1 << at
-        self._state.run = st.HOMING
-        homed = self._cycles.home(axes)
-        self._state.run = st.IDLE
+        self._state.enter(st.HOMING)
+        homed = self._seek.home(axes)
+        self._state.enter(st.IDLE)
         if not homed:
             return
-        self._motion.settle()
+        self._canon.settle()
         if axes == 0:
             self.run_startup()
 
@@ -235,7 +262,7 @@ class Commands:
         if what == 42:  # *
             self.forget()
         self._report.message(errors.MSG_RESTORE_DEFAULTS)
-        self._realtime.reset()
+        self._drive.reset()
 
     def forget(self) -> None:
         """Startup lines and build info away."""
@@ -256,8 +283,8 @@ class Commands:
         if line[at] != 61:
             raise GrblError(errors.INVALID_STATEMENT)
         block = line[at + 1 : length + 1]
-        self._gcode.execute(block, length - at - 1)
-        self._motion.synchronise()  # memory is written at rest
+        self._interpreter.execute(block, length - at - 1)
+        self._canon.synchronise()  # memory is written at rest
         index = whole(number)
         if 0 <= index < STARTUP_LINES:
             self._startup[index] = bytes(block[: length - at - 1]).decode()
@@ -274,5 +301,5 @@ class Commands:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
         if line[at] != 0 or number > _HIGHEST_SETTING:
             raise GrblError(errors.INVALID_STATEMENT)
-        self._motion.synchronise()  # what is planned was planned with what holds now
+        self._canon.synchronise()  # what is planned was planned with what holds now
         self._settings.set(int(number) & 255, value)

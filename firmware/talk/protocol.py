@@ -1,4 +1,4 @@
-"""Protocol: the loop. Bytes in, a line out to gcode or commands, "ok" or "error:n" back.
+"""Protocol: the loop. Bytes in, a line out to the interpreter or commands, "ok" or "error:n" back.
 
 pump() reads the link and takes real-time bytes off; it decides nothing.
 service() is pump() and what realtime then has to do: the only place where
@@ -9,6 +9,7 @@ from base import errors
 from base import state as st
 from base.errors import Abort, GrblError
 from micropython import const
+
 from talk.lines import LINE, NOTHING
 from talk.report import OK
 
@@ -17,11 +18,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from base.state import State
-    from control.canon import Motion
+    from control.canon import Canon
+    from control.drive import Drive
     from control.realtime import Realtime
     from control.saves import Saves
     from interfaces import Link
-    from language.interpreter import Gcode
+    from language.interpreter import Interpreter
+
     from talk.commands import Commands
     from talk.lines import LineReader
     from talk.report import Report
@@ -31,7 +34,7 @@ _DEAF_MS = const(500)  # nothing is answered for so long behind an alarm
 
 
 class Protocol:
-    """The loop and its buffer."""
+    """The loop and its buffer. restart: makes the machine ready for lines, and greets."""
 
     def __init__(
         self,
@@ -40,6 +43,12 @@ class Protocol:
         reader: "LineReader",
         report: "Report",
         saves: "Saves",
+        realtime: "Realtime",
+        drive: "Drive",
+        interpreter: "Interpreter",
+        commands: "Commands",
+        canon: "Canon",
+        restart: "Callable[[], None]",
         echoes: bool,
     ) -> None:
         self._link = link
@@ -47,25 +56,16 @@ class Protocol:
         self._reader = reader
         self._report = report
         self._saves = saves
+        self._realtime = realtime
+        self._drive = drive
+        self._interpreter = interpreter
+        self._commands = commands
+        self._canon = canon
+        self._restart = restart
         self._echoes = echoes
         self._buffer = bytearray(64)
         self._read_into = link.read_into
         self._feed = reader.feed
-
-    def connect(
-        self,
-        realtime: "Realtime",
-        gcode: "Gcode",
-        commands: "Commands",
-        motion: "Motion",
-        restart: "Callable[[], None]",
-    ) -> None:
-        """Say who executes lines, and who makes the machine ready for them."""
-        self._restart = restart
-        self._realtime = realtime
-        self._gcode = gcode
-        self._commands = commands
-        self._motion = motion
 
     def pump(self) -> None:
         """Take in what has arrived."""
@@ -89,7 +89,7 @@ class Protocol:
         pending = state.pending
         take = reader.take
         line = reader.line
-        follow = self._gcode.plain.follow
+        follow = self._interpreter.fast.follow
         write, ok = self._link.write, OK  # what report.ok() does
         pump = self.pump
         echoes = self._echoes
@@ -103,7 +103,7 @@ class Protocol:
                     if found == NOTHING:
                         pump()
                         if not reader.waiting():
-                            self._motion.auto_start()
+                            self._canon.auto_start()
                         self._realtime.run()
                         continue
                     if pending[st.ANY] or state.suspend:
@@ -151,27 +151,27 @@ class Protocol:
             return self._commands.whose(line, length)
         if self._state.run & _LOCKED:
             raise GrblError(errors.SYSTEM_GC_LOCK)
-        return self._gcode.execute
+        return self._interpreter.execute
 
     def _tell_alarm(self) -> None:
         """Say that there is an alarm, if there is one: here, for the stack is nearly empty."""
-        state, report, realtime = self._state, self._report, self._realtime
+        state, report, drive = self._state, self._report, self._drive
         code = state.alarm
         if code == 0:
             return
-        behind = realtime.stand_down()
+        behind = drive.stand_down()
         report.alarm(code)
-        realtime.pause(_DEAF_MS)
+        drive.wait_deaf(_DEAF_MS)
         if code in (errors.ALARM_HARD_LIMIT, errors.ALARM_SOFT_LIMIT):
             # Nothing but a reset is heard: the user is to look at the machine first.
             report.message(errors.MSG_CRITICAL_EVENT)
             state.pending[st.RESET] = 0
             while not state.pending[st.RESET]:
-                realtime.pause(1)
+                drive.wait_deaf(1)
         state.alarm = 0
         if behind:
             if not state.pending[st.RESET]:
-                realtime.events()
+                self._realtime.events()
             behind()
 
     def _refuse(self, reason: Exception, before: bytes) -> None:

@@ -15,7 +15,7 @@ fills the ring with 12 short moves, three times over. A line that goes the long 
 whole, less the two before. The machine is in check mode meanwhile, and reset afterwards.
 """
 
-from language import fast_path as plain
+from language import fast_path
 
 _START = """
 power_up.live(power_up.build())
@@ -113,26 +113,30 @@ acts[b"LATER"] = later
 _STAGES = """
 from language import block
 from language import checks
-from language import interpreter as gcode
+from language import interpreter
 from talk import lines
-from language import fast_path as plain
+from language import fast_path
 from talk import protocol
 from language import words
+from control import coords
+from control import modes
 
-keep(gcode.Gcode, "reset")
-keep(protocol.Protocol, "connect")
+keep(interpreter.Interpreter, "execute")
+keep(modes.Modes, "reset")
+keep(coords.Coords, "clear")
+keep(protocol.Protocol, "run")
 AXES, FEED, LIMITED, DRY = %d, %d, %d, %d
-follow = plain.follow
+follow = fast_path.follow
 known = []
 
 
 def seen(line, length, *rest):
-    plain.follow = follow
+    fast_path.follow = follow
     known.append(rest)
     return follow(line, length, *rest)
 
 
-plain.follow = seen
+fast_path.follow = seen
 
 
 def nothing(*_):
@@ -206,8 +210,9 @@ def short_path():
 def long_way():
     line = bytearray(b"G90G1X10.04Y10.03F9000\\0")
     text = words.Words()
-    own, modal = block.Block(3, False, False), block.Modal()
-    machine = found[gcode.Gcode]
+    own, modal = block.Block(3, False, False), modes.Modal()
+    machine = found[interpreter.Interpreter]
+    places = found[modes.Modes], found[coords.Coords]
 
     def take():
         text.read(line, 0, 22)
@@ -216,7 +221,7 @@ def long_way():
 
     def check():
         take()
-        checks.check(machine, own, False)
+        checks.check(*places, own, False)
 
     idle = again(nothing_0)
     taken = again(take) - idle
@@ -247,7 +252,7 @@ def stages(_):
 
 
 acts[b"STAGE"] = stages
-""" % (plain.AXES, plain.FEED, plain.LIMITED, plain.DRY)
+""" % (fast_path.AXES, fast_path.FEED, fast_path.LIMITED, fast_path.DRY)
 
 # $GAP: the longest time from one look at the link to the next since it was asked last, us.
 _GAPS = """
