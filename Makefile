@@ -9,7 +9,7 @@ BIN := .venv/bin
 VENV := .venv/installed
 TYPESHED := .venv/typeshed/merged
 
-.PHONY: run test check fmt lint types build deploy clean test-emulator test-senders torture torture-board bench bench-board docs
+.PHONY: run test check fmt lint types build deploy clean test-emulator test-senders torture torture-board bench bench-board docs pictures
 
 run: $(VENV)  ## a demonstration in the simulator
 	$(BIN)/ugrbl demo
@@ -54,8 +54,11 @@ bench-board: $(VENV)  ## and on a board: at PORT, or emulated with the image UGR
 test-senders: $(VENV)  ## real senders, installed into ~/.cache/ugrbl-senders, at the simulator
 	$(BIN)/pytest -q -rs host_tests/senders
 
-docs: $(VENV)  ## the tables in README.md, and package.json, out of the firmware's own
+docs: $(VENV)  ## the tables in docs/, and package.json, out of the firmware's own
 	$(BIN)/python -m ugrbl.docs
+
+pictures: $(VENV)  ## and the pictures, each by its command
+	$(BIN)/python -m ugrbl.docs --pictures
 
 clean:  ## all that is made, except .venv
 	rm -rf build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

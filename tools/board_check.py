@@ -173,7 +173,7 @@ def _inputs(board: ModuleType, chip: Chip) -> Iterator[str]:
 
 
 @cache
-def _names() -> set[str]:
+def names() -> set[str]:
     """All that a board file can say."""
     found = set(_READ_HERE)
     for file in paths.FIRMWARE.rglob("*.py"):
@@ -183,8 +183,8 @@ def _names() -> set[str]:
 
 
 def _options(board: ModuleType) -> Iterator[str]:
-    for name in (name for name in vars(board) if name.isupper() and name not in _names()):
-        meant = difflib.get_close_matches(name, _names(), 1)
+    for name in (name for name in vars(board) if name.isupper() and name not in names()):
+        meant = difflib.get_close_matches(name, names(), 1)
         yield f"{name}: nothing reads it" + "".join(f"; is {one} meant?" for one in meant)
     if not 0 < getattr(board, "PWM_MAX", 1000) <= _MOST_PWM:
         yield f"PWM_MAX is from 1 to {_MOST_PWM}"

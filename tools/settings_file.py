@@ -129,7 +129,7 @@ def _table() -> dict[int, Meaning]:
     paths.use_firmware()
     from base import settings
 
-    from .docs import setting_comments
+    from .docs.machines import setting_comments
 
     comments = setting_comments()
     table = {}

@@ -1,0 +1,1 @@
+"""The generated parts of the documents, out of the firmware's own tables: see __main__.py."""

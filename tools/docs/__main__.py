@@ -1,0 +1,35 @@
+"""`python -m ugrbl.docs`: makes the tables in docs/ out of the firmware's own, and package.json.
+
+What a table says of a row is the comment beside it in the firmware, or the words in meanings.py,
+without which it is not made. --pictures draws the pictures anew as well.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from . import pages, pictures
+
+
+def main(
+    draw: Annotated[bool, typer.Option("--pictures", help="Draw the pictures as well.")] = False,
+) -> None:
+    """Bring the tables in docs/, and package.json, up to date."""
+    for page in pages.PAGES:
+        _renew(page, pages.update(page.read_text(encoding="utf-8")))
+    _renew(pages.PACKAGE, pages.package())
+    if draw:
+        for picture in pictures.PICTURES:
+            print(f"{pictures.keep(picture).name} has been drawn")
+
+
+def _renew(file: Path, new: str) -> None:
+    old = file.read_text(encoding="utf-8") if file.exists() else ""
+    if new != old:
+        file.write_text(new, encoding="utf-8")
+    print(file.name, "has been brought up to date" if new != old else "is up to date")
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,52 @@
+"""The house: which folders of the firmware there are, what is in them, and who imports whom."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+from .. import paths
+from .source import table
+
+# From the ground up; the first line of main.py stands for what MicroPython starts.
+FOLDERS = "base motion control language talk ports pio esp_chip extras boot".split()
+
+
+def imports() -> set[tuple[str, str]]:
+    """Which folder imports from which, for types too: (importing, imported)."""
+    found = set()
+    for folder in FOLDERS:
+        for path in (paths.FIRMWARE / folder).glob("*.py"):
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            found |= {(folder, used) for used in _folders(tree) if used != folder}
+    return found
+
+
+def _folders(tree: ast.Module) -> Iterator[str]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = [node.module]
+        else:
+            continue
+        for name in names:
+            top = name.partition(".")[0]
+            if top in FOLDERS:
+                yield top
+
+
+def folders_table() -> str:
+    """Every module with the first line of what it says it is."""
+    rows = []
+    for folder in FOLDERS:
+        for path in sorted((paths.FIRMWARE / folder).glob("[!_]*.py")):
+            rows.append((f"`{folder}/{path.name}`", _first_sentence(path)))
+    return table(("Module", "What it is"), rows)
+
+
+def _first_sentence(path: Path) -> str:
+    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
+    if not text:
+        raise ValueError(f"{path} does not say what it is")
+    words = " ".join(text.partition("\n\n")[0].split())
+    return words.partition(". ")[0].rstrip(".") + "."

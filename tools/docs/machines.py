@@ -1,0 +1,155 @@
+"""Tables of what a machine is: settings, errors, alarms, boards and their options."""
+
+import ast
+from pathlib import Path
+from typing import Any
+
+from .. import board_check, differences, excuses, messages, paths
+from . import meanings
+from .source import above, as_code, source, table
+
+_SETTINGS = "base/settings"
+_OPTION_READERS = ("boot/wiring", "ports/input_pins", "ports/port")
+
+
+# Settings, errors, alarms
+
+
+def setting_comments() -> dict[int, str]:
+    """What is said above each row of the settings' table; ValueError if one has no comment."""
+    for node in ast.parse(source(_SETTINGS)).body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "_TABLE":
+            rows = [(ast.literal_eval(row.elts[0]), row.lineno) for row in _tuples(node.value)]
+            return {number: above(_SETTINGS, at, f"${number}") for number, at in rows}
+    raise ValueError(f"{_SETTINGS}.py has no _TABLE")
+
+
+def _tuples(rows: ast.expr) -> list[ast.Tuple]:
+    assert isinstance(rows, ast.Tuple)
+    return [row for row in rows.elts if isinstance(row, ast.Tuple)]
+
+
+def settings_table() -> str:
+    """Settings with default, unit and meaning."""
+    paths.use_firmware()
+    from base import settings
+
+    comments = setting_comments()
+    rows = []
+    for number, _, kind, default, unit in settings._TABLE:
+        axes = range(3 if kind == settings._AXIS else 1)
+        names = " ".join(f"`${number + axis}`" for axis in axes)
+        rows.append((names, f"{default:g}", unit, comments[number]))
+    return table(("Setting", "Default", "Unit", "Meaning"), rows)
+
+
+def _replies(kind: str, numbers: dict[int, str]) -> str:
+    rows = [(f"`{kind}:{number}`", as_code(words)) for number, words in numbers.items()]
+    return table(("Reply", "Meaning"), rows)
+
+
+def errors_table() -> str:
+    """error:n."""
+    return _replies("error", messages.errors())
+
+
+def alarms_table() -> str:
+    """ALARM:n."""
+    return _replies("ALARM", messages.alarms())
+
+
+# Boards
+
+
+def board_options() -> dict[str, tuple[str, str]]:
+    """Options of a board file by name: default and meaning; ValueError if one has no comment."""
+    found: dict[str, tuple[str, str]] = {}
+    for module in _OPTION_READERS:
+        nodes = ast.walk(ast.parse(source(module)))
+        calls = [node for node in nodes if isinstance(node, ast.Call)]
+        for call in sorted(calls, key=lambda call: call.lineno):
+            if ast.unparse(call.func) == "option":
+                name = ast.literal_eval(call.args[0])
+                if name not in found:  # the first who reads it says what it is
+                    words = above(module, call.lineno, f"option {name}")
+                    found[name] = (ast.unparse(call.args[1]), words)
+    return found
+
+
+def _default(text: str) -> str:
+    """A default as a board file would say it."""
+    from boot import wiring
+
+    return f"`{getattr(wiring, text, text)}`"
+
+
+def options_table() -> str:
+    """All that a board file can say, with default and meaning; ValueError where one has none."""
+    paths.use_firmware()
+    commented = board_options()
+    rows = [(f"`{name}`", _default(text), words) for name, (text, words) in commented.items()]
+    uncommented = board_check.names() - set(commented)
+    if uncommented != set(meanings.OPTIONS):
+        raise ValueError(f"meanings.OPTIONS has to have these: {', '.join(sorted(uncommented))}")
+    for name, (default, words) in meanings.OPTIONS.items():
+        rows.append((f"`{name}`", f"`{default}`" if default else "", words))
+    return table(("Option", "Default", "Meaning"), rows)
+
+
+def _board_files() -> list[Path]:
+    return sorted(paths.BOARDS.glob("[!_]*.py"))
+
+
+def boards_table() -> str:
+    """Board files with the first line of what they say they are."""
+    rows = []
+    for path in _board_files():
+        text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
+        if not text:
+            raise ValueError(f"{path} does not say what it is")
+        rows.append((f"`{path.name}`", text.splitlines()[0]))
+    return table(("File", "Machine"), rows)
+
+
+def pins_table() -> str:
+    """A row for each thing that can be wired, a column for each board of real hardware."""
+    from ..machine import load_board
+    from ..new_board import CONTROLS, ITEMS
+
+    boards = {path.name: load_board(path.stem) for path in _board_files()}
+    real = {name: board for name, board in boards.items() if not board_check.is_simulated(board)}
+    rows = []
+    for item in ITEMS:
+        pins = [_pins(board, item.name, CONTROLS) for board in real.values()]
+        if any(pins):
+            rows.append((f"`{item.name}`", *pins))
+    rows.append(("`REPL_PIN`", *(_pins(board, "REPL_PIN", ()) for board in real.values())))
+    return table(("", *(f"`{name}`" for name in real)), rows)
+
+
+def _pins(board: Any, name: str, controls: tuple[str, ...]) -> str:
+    """The pins of one thing in a board file; "" where it has none."""
+    if name in controls:
+        wired = getattr(board, "CONTROL", ())
+        place = controls.index(name)
+        held = wired[place] if place < len(wired) else None
+    else:
+        held = getattr(board, name, None)
+    if held is None:
+        return ""
+    return ", ".join(map(str, held)) if isinstance(held, tuple) else str(held)
+
+
+# Differences from Grbl
+
+
+def differences_table() -> str:
+    """What differs from the recordings of Grbl on purpose."""
+    rows = [(row.name, "replies", row.reason) for row in differences.DIFFERENCES]
+    rows += [(row.name, "one case", row.reason) for row in differences.QUIRKS]
+    rows += [(name, "motion", reason) for name, reason in differences.MOTION]
+    rows += [
+        (row.name, "whole cases", row.reason) for row in (*excuses.CASES, *excuses.MOTIONS[1:])
+    ]
+    rows = [(name, where, as_code(reason)) for name, where, reason in rows]
+    return table(("Name", "Where", "What and why"), rows)

@@ -1,0 +1,96 @@
+"""What words, commands and bytes mean: what the tables say where the firmware has numbers only."""
+
+G_MEANINGS = {
+    "G0": "Go to the target as fast as the axes can (rapid).",
+    "G1": "Go to the target in a straight line at the feed rate.",
+    "G2": "Arc, clockwise, to the target: centre I J K, or radius R.",
+    "G3": "Arc, counterclockwise, to the target: centre I J K, or radius R.",
+    "G4": "Dwell for P seconds.",
+    "G10": "L2: set the offset of coordinate system P (1 to 6; 0: the active one). "
+    "L20: set it so that the present place reads as the axis words say.",
+    "G17": "Arcs lie in the XY plane.",
+    "G18": "Arcs lie in the ZX plane.",
+    "G19": "Arcs lie in the YZ plane.",
+    "G20": "Lengths are in inches.",
+    "G21": "Lengths are in millimetres.",
+    "G28": "Rapid to the place kept by G28.1; with axis words by way of the target, "
+    "and only those axes.",
+    "G28.1": "Keep the present place for G28.",
+    "G30": "Rapid to the place kept by G30.1; with axis words by way of the target, "
+    "and only those axes.",
+    "G30.1": "Keep the present place for G30.",
+    "G38.2": "Probe towards the workpiece until contact; none is ALARM:5.",
+    "G38.3": "Probe towards the workpiece until contact; none is no alarm.",
+    "G38.4": "Probe away from the workpiece until contact is lost; if it is not, ALARM:5.",
+    "G38.5": "Probe away from the workpiece until contact is lost; if it is not, no alarm.",
+    "G40": "Cutter compensation off: the only mode there is.",
+    "G43.1": "Set the tool length offset (Z).",
+    "G49": "No tool length offset.",
+    "G53": "In this block, with G0 or G1: the target is in machine coordinates.",
+    "G54": "Coordinate system 1.",
+    "G55": "Coordinate system 2.",
+    "G56": "Coordinate system 3.",
+    "G57": "Coordinate system 4.",
+    "G58": "Coordinate system 5.",
+    "G59": "Coordinate system 6.",
+    "G61": "Path control, exact path: the only mode there is.",
+    "G80": "No motion mode: axis words without a command are refused.",
+    "G90": "Targets are absolute.",
+    "G91": "Targets are relative to the present place.",
+    "G91.1": "Arc centres are relative to where the arc begins: the only mode there is.",
+    "G92": "Shift all coordinate systems so that the present place reads as the axis words say.",
+    "G92.1": "Take that shift back.",
+    "G93": "F is the inverse of the time a block takes: F2 is half a minute.",
+    "G94": "F is in units per minute.",
+}
+M_MEANINGS = {
+    "M0": "Pause until cycle start.",
+    "M1": "Optional pause: accepted; there is no switch for it, so nothing happens.",
+    "M2": "End of program: spindle and coolant off; G1 G17 G54 G90 G94; overrides at 100 %.",
+    "M30": "The same as M2.",
+    "M3": "Spindle clockwise at S. Laser mode: beam on at the power of S. Punch: armed.",
+    "M4": "Spindle counterclockwise at S. Laser mode: beam follows the speed. Punch: armed.",
+    "M5": "Spindle or laser off. Punch: disarmed.",
+    "M7": "Mist coolant on. Board option `MIST`.",
+    "M8": "Flood coolant on.",
+    "M9": "All coolant off.",
+    "M56": "Parking in action; with P0: not. Board option `OVERRIDE_CONTROL`.",
+}
+COMMANDS = {
+    "$$": "Show all settings.",
+    "$G": "Show the modes in force.",
+    "$C": "Check mode on: programs are checked, nothing moves. Again: off, with a reset.",
+    "$X": "Unlock: leave the alarm.",
+    "$#": "Show offsets and the last probing.",
+    "$H": "Home. `$HX`, `$HY`, `$HZ`: one axis; board option `SINGLE_AXIS_HOMING`.",
+    "$SLP": "Sleep: spindle, coolant and motors off until a reset.",
+    "$I": "Show version and build options. `$I=text`: keep a text, shown with them.",
+    "$RST=": "`$`: restore settings. `#`: clear offsets. `*`: both, startup lines and `$I` text.",
+    "$N": "Show the startup lines. `$N0=line`, `$N1=line`: keep one; it runs after every start.",
+}
+EVENTS = {
+    0x3F: "Status report.",
+    0x7E: "Cycle start: begin, or go on after a hold, a pause or a closed door.",
+    0x21: "Feed hold: come to rest, keeping the position.",
+    0x40: "With `DIALECT` 0.9: safety door, as 0x84. A character like others in 1.1.",
+    0x84: "Safety door: hold, then spindle and coolant off.",
+    0x85: "Jog cancel: end the jog and forget those that wait. Ignored otherwise.",
+}
+RESET = "Soft reset: stop at once, start anew. While it moves steps are lost: ALARM:3."
+# What the firmware and these tools read of a board file without a comment beside it: what holds
+# where it says nothing ("" where it has to say), and the meaning.
+OPTIONS = {
+    "CHIP": ("", 'Module, for tools: "pico", "pico_w", "pico2", "rp2040", "rp2350", "esp32" …'),
+    "MPY_ARCH": ("", 'What it compiles for: "armv6m", "armv7emsp" (RP2350), "xtensawin" (ESP32).'),
+    "LINK": ('"usb"', 'Where the sender is: "usb", or "uart" (ESP32: UART 0, or native USB).'),
+    "DIR": ("", "Direction pins, one per axis."),
+    "ENABLE": ("None", "Enable of the motor drivers: a pin for all, or a tuple of them."),
+    "DIR_HOLD_US": ("2", 'Direction stays so long behind a step. ENGINE "pio".'),
+    "DIR_SETUP_US": ("5", 'Direction is there so long before a step. ENGINE "pio".'),
+    "REPL_PIN": ("None", "Held to ground at power-up: MicroPython's prompt, and no machine."),
+    "LOOP_MS": ("250", "A main loop that is away for longer is stopped: tools off, motors too."),
+    "WATCHDOG_MS": ("5000", "A chip that hangs for longer starts anew; 0: it does not."),
+    "I2S": ("", 'Pins of the shift register: BCK, WS, DATA. ENGINE "i2s".'),
+    "I2S_RATE_HZ": ("", 'Its frames a second. ENGINE "i2s".'),
+    "I2S_BUFFERS": ("", 'DMA buffers of 2 ms: motion made ahead. ENGINE "i2s".'),
+}

@@ -1,0 +1,47 @@
+"""The pages with generated parts, and what makes each part.
+
+A part stands between the lines `<!-- begin: NAME -->` and `<!-- end: NAME -->`; TABLES says who
+makes it.
+"""
+
+import json
+import re
+from collections.abc import Callable
+
+from .. import __version__, build, paths
+from . import house, machines, words
+
+ROOT = paths.FIRMWARE.parent
+DOCS = ROOT / "docs"
+PAGES = tuple(
+    DOCS / f"{name}.md" for name in ("reference", "boards", "conformance", "architecture")
+)
+PACKAGE = ROOT / "package.json"
+
+_MARKED = re.compile(r"(<!-- begin: ([\w-]+) -->\n).*?(<!-- end: \2 -->)", re.DOTALL)
+
+TABLES: dict[str, Callable[[], str]] = {
+    "g-words": words.g_table,
+    "m-words": words.m_table,
+    "commands": words.commands_table,
+    "realtime": words.realtime_table,
+    "settings": machines.settings_table,
+    "errors": machines.errors_table,
+    "alarms": machines.alarms_table,
+    "options": machines.options_table,
+    "boards": machines.boards_table,
+    "pins": machines.pins_table,
+    "differences": machines.differences_table,
+    "modules": house.folders_table,
+}
+
+
+def update(text: str) -> str:
+    """The text with all its tables as they are now."""
+    return _MARKED.sub(lambda found: f"{found[1]}{TABLES[found[2]]()}\n{found[3]}", text)
+
+
+def package() -> str:
+    """What `mip install` reads: every file of the firmware, and where it is beside this text."""
+    rows = ",\n".join(f"    {json.dumps([name, f'firmware/{name}'])}" for name in build.sources())
+    return f'{{\n  "urls": [\n{rows}\n  ],\n  "version": {json.dumps(__version__)}\n}}\n'

@@ -1,0 +1,58 @@
+"""The pictures in docs/pictures: drawn by a command, kept in fewer dots and colours."""
+
+import subprocess
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+from .pages import DOCS, ROOT
+
+FOLDER = DOCS / "pictures"
+_WIDTH = 1200
+_COLOURS = 64
+
+
+class Picture(NamedTuple):
+    """A picture by its name, and the words behind `ugrbl` that draw it, but for --plot FILE."""
+
+    name: str
+    words: str
+
+    @property
+    def command(self) -> str:
+        """What to type to have it drawn, into build/."""
+        return f"ugrbl {self.words} --plot build/{self.name}"
+
+
+PICTURES = (
+    Picture(
+        "badge.png",
+        "run examples/badge.nc --set 110=6000 --set 111=6000 --set 112=3000"
+        " --set 120=500 --set 121=500 --set 122=300",
+    ),
+    Picture("punch.png", "run examples/punch.nc --board sim_punch"),
+)
+
+
+def draw(picture: Picture, file: Path) -> None:
+    """Draw it there, as it is kept. Raises CalledProcessError where the command fails."""
+    from PIL import Image
+
+    with TemporaryDirectory() as folder:
+        drawn = Path(folder) / picture.name
+        command = [sys.executable, "-m", "ugrbl.cli", *picture.words.split(), "--plot", str(drawn)]
+        subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+        with Image.open(drawn) as image:
+            size = (_WIDTH, image.height * _WIDTH // image.width)
+            small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+    few = small.quantize(_COLOURS, method=Image.Quantize.MAXCOVERAGE)
+    file.parent.mkdir(exist_ok=True)
+    few.save(file, optimize=True)
+
+
+def keep(picture: Picture) -> Path:
+    """Draw it where the documents look for it."""
+    file = FOLDER / picture.name
+    draw(picture, file)
+    return file
