@@ -1,0 +1,218 @@
+"""What docs/extending.md tells a newcomer to do, done: its changes in a copy of the tree."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+_ROOT = Path(__file__).resolve().parent.parent
+_PAGE = _ROOT / "docs" / "extending.md"
+_COPIED = ("firmware", "boards", "tools", "host_tests", "examples", "docs", "package.json")
+_LEFT_OUT = shutil.ignore_patterns("__pycache__", "pictures", "*.png")
+
+_BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_SECTION = re.compile(r"^## (.*)$", re.MULTILINE)
+_ROW = re.compile(r"^\| \[(.*?)\]\(.*?\) \| (\d+) \| (\d+) \|$", re.MULTILINE)
+
+
+class Change(NamedTuple):
+    """A block of the page: a new file, or changes to one."""
+
+    path: str
+    kind: str
+    text: str
+
+
+def changes(title):
+    """What a section of the page changes."""
+    parts = _SECTION.split(_PAGE.read_text(encoding="utf-8"))
+    section = dict(zip(parts[1::2], parts[2::2], strict=True))[title]
+    for kind, path, text in _BLOCK.findall(section):
+        if kind == "diff":
+            head, _, diff = text.partition("\n")
+            assert head.startswith("--- ")
+            yield Change(head[4:], kind, diff)
+        else:
+            assert path, f"{title}: a block says of which file it is"
+            yield Change(path, kind, text)
+
+
+def apply(text, diff):
+    """The text with the changes; each has to fit in one place."""
+    for hunk in re.split(r"^@@.*\n", diff, flags=re.MULTILINE):
+        lines = [line if line.strip() else " \n" for line in hunk.splitlines(keepends=True)]
+        old = "".join(line[1:] for line in lines if line[0] in " -")
+        new = "".join(line[1:] for line in lines if line[0] in " +")
+        places = [found.start() for found in re.finditer(f"^{re.escape(old)}", text, re.MULTILINE)]
+        assert len(places) == 1, f"{len(places)} places for:\n{old}"
+        text = text[: places[0]] + new + text[places[0] + len(old) :]
+    return text
+
+
+class Tree:
+    """A copy of what is needed of the tree, with what a section of the page changes."""
+
+    def __init__(self, folder, title):
+        self.folder = folder
+        for name in _COPIED:
+            source = _ROOT / name
+            if source.is_dir():
+                shutil.copytree(source, folder / name, ignore=_LEFT_OUT)
+            else:
+                shutil.copy(source, folder / name)
+        (folder / "ugrbl").symlink_to(folder / "tools")
+        self.written = set()
+        for change in changes(title):
+            file = folder / change.path
+            text = change.text
+            if change.kind == "diff":
+                text = apply(file.read_text(encoding="utf-8"), change.text)
+            else:
+                assert not file.exists()
+            file.write_text(text, encoding="utf-8")
+            self.written.add(change.path)
+
+    def python(self, *words):
+        """Run that Python, with this tree in the place of ours; returns what it printed."""
+        done = subprocess.run(
+            [sys.executable, *words],
+            cwd=self.folder,
+            env={**os.environ, "PYTHONPATH": str(self.folder), "PYTHONDONTWRITEBYTECODE": "1"},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    def ugrbl(self, line):
+        """Run a command as the page has it."""
+        assert f"    ugrbl {line}\n" in _PAGE.read_text(encoding="utf-8")
+        return self.python("-m", "ugrbl.cli", *line.split())
+
+    def make_docs(self):
+        """Returns the files that it has brought up to date."""
+        told = self.python("-m", "ugrbl.docs")
+        return set(re.findall(r"^(\S+) has been brought up to date$", told, re.MULTILINE))
+
+
+@pytest.fixture
+def tree(request, tmp_path):
+    return Tree(tmp_path, request.param)
+
+
+def in_section(title):
+    return pytest.mark.parametrize("tree", [title], indirect=True)
+
+
+def files_named(what):
+    """How many files the page says are to be written, and brought up to date."""
+    rows = {row[0]: (int(row[1]), int(row[2])) for row in _ROW.findall(_PAGE.read_text())}
+    return rows[what]
+
+
+def test_a_change_has_to_fit_in_one_place():
+    assert apply("a\nb\nc\n", " a\n+x\n b\n@@\n-c\n+d\n") == "a\nx\nb\nd\n"
+    with pytest.raises(AssertionError, match="2 places"):
+        apply("ab\na\na\n", " a\n+x\n")
+
+
+@in_section("A drilling cycle")
+def test_a_drilling_cycle(tree):
+    renewed = tree.make_docs()
+    assert "`G81`" in (tree.folder / "docs" / "reference.md").read_text()
+    assert (len(tree.written), len(renewed)) == files_named("a drilling cycle")
+    told = tree.ugrbl("conformance host_tests/conversations --only drilling")
+    assert "2" in told
+
+
+@in_section("A drilling cycle")
+def test_its_holes_are_as_deep_as_they_should_be(tree):
+    program = tree.folder / "holes.nc"
+    program.write_text("G54 G10 L2 P1 Z1\nG0 Z5\nG81 X10 Y5 Z-2 R1 F100\nX20\nG80\n")
+    told = tree.python("-m", "ugrbl.cli", "run", str(program), "--json", str(tree.folder / "j"))
+    result = json.loads((tree.folder / "j").read_text())
+    assert result["errors"] == [], told
+    assert result["bounds_mm"]["Z"] == [-1.0, 6.0]  # the work's zero is at 1
+    assert result["bounds_mm"]["X"] == [0.0, 20.0]
+    assert result["final_position_mm"] == {"X": 20.0, "Y": 5.0, "Z": 6.0}
+
+
+@in_section("A setting")
+def test_a_setting(tree):
+    renewed = tree.make_docs()
+    assert "`$99`" in (tree.folder / "docs" / "reference.md").read_text()
+    assert (len(tree.written), len(renewed)) == files_named("a setting")
+    tests = ("-k", "99 or every_setting", "host_tests/test_settings_effects.py")
+    told = tree.python("-m", "pytest", "-q", "-p", "no:cacheprovider", *tests)
+    assert re.search(r"^2 passed", told, re.MULTILINE), told
+
+
+@in_section("A setting")
+def test_a_setting_has_its_words_in_grbl_09(tree):
+    program = tree.folder / "ask.nc"
+    program.write_text("$$\n")
+    tree.python(
+        *("-m", "ugrbl.cli", "run", str(program)),
+        *("--board", "sim_09j", "--json", str(tree.folder / "told")),
+    )
+    told = json.loads((tree.folder / "told").read_text())["other_output"]
+    assert "$99=0.000 (spin-up time, sec)" in [text for _, text in told]
+
+
+@in_section("A board")
+def test_a_board(tree):
+    renewed = tree.make_docs()
+    assert "`pen_plotter.py`" in (tree.folder / "docs" / "boards.md").read_text()
+    assert (len(tree.written), len(renewed)) == files_named("a board")
+    assert "board.py" in tree.ugrbl("build --board pen_plotter")
+    tree.ugrbl("run examples/badge.nc --board pen_plotter --check")
+
+
+_TALK = """
+import sys
+sys.path[:0] = ["firmware", "host_tests/shim"]
+import machine
+
+class UART:
+    def __init__(self, number, baudrate, tx, rx, rxbuf):
+        self.arrived, self.sent = b"G0X1", b""
+
+    def any(self):
+        return len(self.arrived)
+
+    def readinto(self, buf):
+        count = min(len(buf), len(self.arrived))
+        buf[:count], self.arrived = self.arrived[:count], self.arrived[count:]
+        return count
+
+    def write(self, data):
+        self.sent += bytes(data)
+
+machine.UART = UART
+from boot import parts
+link = parts._link("serial")
+buf = bytearray(3)
+print(link.read_into(buf), bytes(buf), link.shared[0], link.read_into(buf), link.read_into(buf))
+link.write(b"ok")
+print(link._uart.sent)
+"""
+
+
+@in_section("A link")
+def test_a_link(tree):
+    renewed = tree.make_docs()
+    assert (len(tree.written), len(renewed)) == files_named("a link")
+    pico = (tree.folder / "boards" / "rpi_pico.py").read_text()
+    board = tree.folder / "my_bluetooth.py"
+    board.write_text(pico.replace('LINK = "usb"', 'LINK = "serial"'))
+    built = tree.ugrbl("build --board my_bluetooth.py")
+    assert "ports/serial_link.mpy" in built
+    assert "ports/usb_link.mpy" not in built
+    assert tree.python("-c", _TALK).splitlines() == ["3 b'G0X' 1 1 0", "b'ok'"]
