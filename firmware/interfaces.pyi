@@ -1,7 +1,7 @@
 """The seams of the firmware, as mypy sees them. Never copied to a board.
 
 An implementation need not inherit from these: mypy checks each one where
-`controller.build()` is called.
+`wiring.build()` is called.
 """
 
 from array import array

@@ -1,6 +1,6 @@
 """Numbers that senders know: errors, alarms and messages of Grbl 1.1h.
 
-Each row's comment is its documentation; tools/docs.py makes the README table of it.
+Each row's comment is its documentation; `make docs` puts it into docs/reference.md.
 """
 
 from micropython import const

@@ -2,8 +2,8 @@
 """Words: a letter and a number, the atoms of a G-code line.
 
 Numbers come out in single precision, rounded digit by digit as Grbl's reader
-does: eight digits count, the rest only move the point. Called by gcode and
-commands; it knows no meaning of any letter.
+does: eight digits count, the rest only move the point. Called by the
+interpreter, its fast path and commands; it knows no meaning of any letter.
 """
 
 from array import array

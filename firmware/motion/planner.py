@@ -4,8 +4,8 @@ In: absolute targets in mm (single precision), rates in mm/min. Out: rows of
 integers for segments.py. A row holds a *promise*: the speed it may be entered
 with so that everything behind it can still be braked for. The interrupt
 speeds up towards the promises as its acceleration allows, so no second pass
-is needed. Called from motion and cycles only; allocates nothing per block
-but the floats of its caller.
+is needed. Lines come from canon, seek and suspension only; allocates nothing
+per block but the floats of its caller.
 """
 
 from array import array
@@ -41,7 +41,7 @@ _FINEST = 1e8  # steps/mm: no division by nothing, whatever $100 is
 
 
 class Move:
-    """How to go somewhere: one reusable record, filled in by gcode or cycles.
+    """How to go somewhere: one reusable record, filled in by who asks.
 
     feed: mm/min, or lines per minute with INVERSE_TIME; spindle_rpm: programmed speed.
     """

@@ -74,7 +74,7 @@ def find(
     take: "Callable[[array.array[int], bytearray, int], int]",
 ) -> None:
     """Put both addresses into what a link remembers, or 0. drain: reads all that has come; take:
-    as link_usb has it."""
+    as usb_link has it."""
     early = drain()
     try:
         push(_TRIALS[0])

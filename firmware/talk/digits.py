@@ -3,7 +3,7 @@
 
 A number is multiplied by 100 and 10 until its decimals are whole, a half is added, and the
 fraction dropped; each result is rounded to single precision, which shows in the last digit. In
-integers, and into a buffer that is there already, a status report costs a tenth of what it costs
+integers, and into a buffer that is there already, a status report costs a quarter of what it costs
 in floats and strings, and no memory.
 """
 
