@@ -329,6 +329,18 @@ def test_the_life_of_a_g1_meets_everybody():
     assert {name.partition(".")[0] for name in names} >= _STATIONS
 
 
+# Decisions
+
+
+def test_every_decision_has_its_three_parts_and_is_short():
+    text = text_of(_ROOT / "docs" / "decisions.md")
+    for decision in text.split("\n## ")[1:]:
+        parts = re.findall(r"^\*(\w+)\.\*", decision, re.MULTILINE)
+        assert parts == ["Context", "Decision", "Consequence"], decision
+        lines = [line for line in decision.splitlines()[1:] if line]
+        assert 6 <= len(lines) <= 12, decision
+
+
 # The house, as it is drawn
 
 # Imports for mypy only, against the arrows. This set is to become empty, and not to grow.
