@@ -129,6 +129,19 @@ AXES, FEED, LIMITED, DRY = %d, %d, %d, %d
 follow = fast_path.follow
 known = []
 
+# A board lets go of what has made its objects; here some are made once more.
+whole = [
+    (thing, dict(thing.__dict__))
+    for thing in (lines, lines.LineReader, words, words.Words, block, block.Block)
+]
+
+
+def restore():
+    for thing, members in whole:
+        for name, value in members.items():
+            if getattr(thing, name, value) is None:
+                setattr(thing, name, value)
+
 
 def seen(line, length, *rest):
     fast_path.follow = follow
@@ -245,6 +258,7 @@ def clean(line):
 
 
 def stages(_):
+    restore()
     answer = again(found[report.Report].ok) - again(nothing_0)
     empty = again(found[protocol.Protocol].execute, b"", 0, b"") - again(nothing_3, b"", 0, b"")
     comment = empty + clean(b"(Twenty characters..)\\n")
