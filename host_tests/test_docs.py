@@ -116,6 +116,11 @@ def test_the_readme_is_short():
     assert 7_000 <= _README.stat().st_size <= 9_000
 
 
+def test_the_readme_counts_the_lines_of_the_example():
+    lines = text_of(_ROOT / "examples" / "badge.nc").splitlines()
+    assert f"({len(lines)} lines)" in text_of(_README)
+
+
 def test_the_readme_leads_to_every_page_once():
     links = [link.partition("#")[0] for link in _LINK.findall(text_of(_README))]
     assert sorted(link for link in links if link.startswith("docs/") and link.endswith(".md")) == [
