@@ -1,4 +1,4 @@
-"""Checks: step three of the modes. Everything that can refuse a block does so here.
+"""Checks: step three of the interpreter. Everything that can refuse a block does so here.
 
 Along the way the block's values become what execution wants: mm, absolute,
 machine coordinates. The order of checks is the standard's order of execution,

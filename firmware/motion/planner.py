@@ -13,6 +13,7 @@ from array import array
 import micropython
 from base.f32 import f32, vector, whole
 from micropython import const
+
 from motion import kernels, reals
 from motion.kernels import AT, FLAGS, HEAD, LINE, LOADED, ROWS, SYSTEM, TAIL
 
