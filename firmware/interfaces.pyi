@@ -8,6 +8,10 @@ from array import array
 from collections.abc import Callable, Iterable
 from typing import Protocol
 
+from control.spindle import Spindle
+from extras.api import Cnc
+from talk.report import Report
+
 # Fills one segment row (see segments.py for its layout) and returns 1, or
 # returns 0 where no motion is due. Called from the engine's interrupt: it
 # neither allocates nor raises.
@@ -93,8 +97,9 @@ class Port(Protocol):
         looked at again some milliseconds later and not heard meanwhile."""
 
     def kill(self) -> object:
-        """Spindle, laser, coolant and punch off; they stay off, whatever is asked of them, until
-        revive(). What an interrupt that has to stop the machine does first; needs little stack."""
+        """Spindle, laser, coolant, and outputs of extras, off; they stay off, whatever is asked of
+        them, until revive(). What an interrupt that has to stop the machine does first; needs
+        little stack."""
 
     def revive(self) -> None:
         """They obey again. For the main loop, which looks behind it whether something has
@@ -124,28 +129,41 @@ class Port(Protocol):
     def coolant(self, mask: int) -> None:
         """Coolant outputs: coolant.FLOOD, coolant.MIST."""
 
+    def add_pins(self, outputs: tuple[int, ...], inputs: tuple[int, ...]) -> None:
+        """Pins of an extra: outputs that drive() sets, inputs that sense() reads."""
+
+    def drive(self, levels: int) -> None:
+        """Levels of the outputs of add_pins(), a bit each. May be called in an interrupt."""
+
+    def rest(self, levels: int) -> None:
+        """The levels that kill() sets."""
+
+    def sense(self) -> int:
+        """Levels of the inputs of add_pins(), a bit each."""
+
+    def watch_pins(self, on_change: Callable[[], None]) -> None:
+        """Call on_change, in interrupt context, whenever one of those inputs changes."""
+
     def ticks_ms(self) -> int:
         """Milliseconds, wrapping at some power of two; compare with elapsed_ms."""
 
     def elapsed_ms(self, since: int) -> int:
         """Milliseconds since a value of ticks_ms()."""
 
-class PunchPort(Port, Protocol):
-    """A Port that has a punch besides (punch.py). Levels are what the pins carry: 1 is high."""
+class Options(Protocol):
+    """What an extra's prepare() may have otherwise, before the machine is made."""
 
-    punch_timeout_ms: int  # no stroke takes longer, down or up
+    report: type[Report]  # or one that speaks another dialect
+    spindle: type[Spindle]  # or a tool that is told the same
+    reads: tuple[int, int, int]  # talk/lines.py
+    highest_tool: int
 
-    def punch(self, down: int, up: int) -> None:
-        """Levels of the two actuators' pins. May be called in an interrupt."""
+class Extra(Protocol):
+    """A module of extras/, or a user's. It may have PINS: what it calls pins in the board file;
+    and prepare(options, board), called before the machine is made."""
 
-    def punch_rest(self, down: int, up: int) -> None:
-        """Levels with which it goes up: what kill() sets."""
-
-    def punch_sensors(self) -> int:
-        """Levels of the sensors' pins: bit 0 down, bit 1 up."""
-
-    def watch_punch(self, on_change: Callable[[], None]) -> None:
-        """Call on_change, in interrupt context, whenever a sensor's pin changes."""
+    def install(self, cnc: Cnc) -> None:
+        """The machine is there: put around it what is to be otherwise."""
 
 class Voice(Protocol):
     """What may be said from below: talk/report.py in the words of its dialect."""

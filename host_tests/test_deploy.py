@@ -13,10 +13,11 @@ from typing import Any
 
 import pytest
 from typer.testing import CliRunner, Result
-from ugrbl import build, deploy_cli, docs, ports
+from ugrbl import build, deploy_cli, ports
 from ugrbl.build import BuildError
 from ugrbl.cli import app
 from ugrbl.deploy import LIST, About, DeployError, Running, check_fit, deploy
+from ugrbl.docs import pages
 from ugrbl.machine import boards, load_board
 
 REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
@@ -156,8 +157,8 @@ def test_a_board_gets_what_it_can_use() -> None:
         "esp_chip/trains.py",
         "esp_chip/pins.py",
     } < rmt and "esp_chip/i2s.py" not in rmt
-    assert needed(TOOL="punch") - pico == {"extras/punch.py"}
-    assert needed(DIALECT="0.9") - pico == {"extras/dialect_09.py"}
+    assert needed(TOOL="punch") - pico == {"extras/api.py", "extras/punch.py"}
+    assert needed(DIALECT="0.9") - pico == {"extras/api.py", "extras/dialect_09.py"}
 
 
 def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() -> None:
@@ -555,12 +556,12 @@ def test_a_cable_that_is_pulled(talk: Callable[..., str]) -> None:
 
 
 def test_package_json_is_up_to_date() -> None:
-    assert docs.PACKAGE.read_text(encoding="utf-8") == docs.package(), "make docs"
+    assert pages.PACKAGE.read_text(encoding="utf-8") == pages.package(), "make docs"
 
 
 def test_mip_finds_every_module_and_its_place() -> None:
-    package = json.loads(docs.package())
-    root = docs.PACKAGE.parent
+    package = json.loads(pages.package())
+    root = pages.PACKAGE.parent
     assert [path for path, _ in package["urls"]] == build.sources()
     for path, url in package["urls"]:
         assert (root / url) == build.paths.FIRMWARE / path and (root / url).is_file()

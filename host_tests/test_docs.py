@@ -64,7 +64,7 @@ def test_every_code_is_in_the_reference():
 
     found = words.g_words() + words.m_words()
     numbers = {(word[0], int(word[1:].partition(".")[0])) for word in found}
-    assert numbers == {("G", g) for g in block._G_WORDS} | {("M", m) for m in block._M_WORDS}
+    assert numbers == {("G", g) for g in block.G_WORDS} | {("M", m) for m in block.M_WORDS}
     assert missing(found, reference()) == []
 
 

@@ -264,13 +264,14 @@ def test_motors_are_off_until_the_machine_enables_them() -> None:
     assert [Pin(pin).value() for pin in (8, 21, 22)] == [0, 0, 0]
 
 
-def test_a_punch_has_its_pins() -> None:
-    port, heard = made(PUNCH_DOWN=20, PUNCH_UP=21, PUNCH_DOWN_SENSOR=22, PUNCH_UP_SENSOR=26)
-    port.watch_punch(heard.on_contact)
-    port.punch(1, 0)
-    assert (Pin(20).value(), Pin(21).value(), port.punch_sensors()) == (1, 0, 3)
+def test_an_extra_has_pins() -> None:
+    port, heard = made()
+    port.add_pins((20, 21), (22, 26))
+    port.watch_pins(heard.on_contact)
+    port.drive(1)
+    assert (Pin(20).value(), Pin(21).value(), port.sense()) == (1, 0, 3)
     Pin(26).drive(0)
-    assert (port.punch_sensors(), heard.probe) == (1, 1)
+    assert (port.sense(), heard.probe) == (1, 1)
 
 
 def test_the_watchdog_is_stopped_for_the_repl() -> None:

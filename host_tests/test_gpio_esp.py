@@ -97,14 +97,15 @@ def test_safe_switches_all_off_that_could_do_harm() -> None:
     assert Pin(23).log[-1][1] == 0
 
 
-def test_a_punch_has_its_pins() -> None:
-    port, _ = made(PUNCH_DOWN=32, PUNCH_UP=33, PUNCH_DOWN_SENSOR=25, PUNCH_UP_SENSOR=26)
+def test_an_extra_has_pins() -> None:
+    port, _ = made()
+    port.add_pins((32, 33), (25, 26))
     changes: list[bool] = []
-    port.watch_punch(lambda: changes.append(True))
-    port.punch(1, 0)
-    assert (Pin(32).level, Pin(33).level, port.punch_sensors()) == (1, 0, 3)
+    port.watch_pins(lambda: changes.append(True))
+    port.drive(1)
+    assert (Pin(32).level, Pin(33).level, port.sense()) == (1, 0, 3)
     Pin(26).drive(0)
-    assert (port.punch_sensors(), len(changes)) == (1, 1)
+    assert (port.sense(), len(changes)) == (1, 1)
 
 
 def test_a_button_asks_for_the_prompt() -> None:
@@ -216,10 +217,11 @@ def test_an_emergency_stop_that_was_lost_is_found() -> None:
     assert heard == ["controls"]
 
 
-def test_a_sensor_of_the_punch_that_was_lost_is_found() -> None:
-    port, _ = made(PUNCH_DOWN=32, PUNCH_UP=33, PUNCH_DOWN_SENSOR=25, PUNCH_UP_SENSOR=26)
+def test_an_input_of_an_extra_that_was_lost_is_found() -> None:
+    port, _ = made()
+    port.add_pins((32, 33), (25, 26))
     changes: list[bool] = []
-    port.watch_punch(lambda: changes.append(True))
+    port.watch_pins(lambda: changes.append(True))
     deaf(lambda: Pin(26).drive(0))
     port.look()
     port.look()

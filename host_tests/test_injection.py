@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 from base.settings import Settings
-from boot.controller import Controller
 from control.canon import Canon
 from control.coolant import Coolant
 from control.drive import Drive
@@ -25,6 +24,7 @@ from control.suspension import Suspension
 from motion import kernels
 from motion.planner import Planner
 from rig_bench import Machine
+from talk.controller import Controller
 from ugrbl.sim.engine import SimEngine, Switch
 from ugrbl.sim.port import SimPort
 

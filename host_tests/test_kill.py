@@ -14,7 +14,6 @@ from ugrbl.machine import load_board
 from ugrbl.sim.rig import Rig
 
 OUTPUTS = {"SPINDLE_PWM": 16, "SPINDLE_DIR": 17, "FLOOD": 18, "SPINDLE_ON": 19, "MIST_PIN": 20}
-PUNCH = {"PUNCH_DOWN": 21, "PUNCH_UP": 22, "PUNCH_DOWN_SENSOR": 26, "PUNCH_UP_SENSOR": 27}
 ENABLES = {"SPINDLE_ENABLE_PIN": True}
 POLARITIES = [(), ("SPINDLE_PWM",), ("SPINDLE_ON", "MIST_PIN"), tuple(OUTPUTS)]
 
@@ -23,7 +22,7 @@ WORK: "dict[str, Callable[[Any], object]]" = {
     "spindle": lambda port: port.spindle(True, 700),
     "coolant": lambda port: port.coolant(3),
     "direction": lambda port: port.direction(1),
-    "punch": lambda port: port.punch(1, 0),
+    "punch": lambda port: port.drive(1),
 }
 
 
@@ -32,7 +31,7 @@ class Bench:
 
     def __init__(self, chip: str, inverted: "tuple[str, ...]") -> None:
         self.inverted = inverted
-        made = board(**OUTPUTS, **PUNCH, **ENABLES, INVERT=inverted)
+        made = board(**OUTPUTS, **ENABLES, INVERT=inverted)
         if chip == "sim":
             vars(made).update(vars(load_board("sim_punch")), **ENABLES)
             self.port: Any = Rig(made).port
@@ -41,7 +40,8 @@ class Bench:
         else:
             self.port = gpio.GpioPort(made)
         self.chip = chip
-        self.port.punch_rest(0, 1)
+        self.port.add_pins((21, 22), (26, 27))
+        self.port.rest(2)
 
     def outputs(self) -> "dict[str, int]":
         """How far from off each of them is."""
@@ -162,8 +162,8 @@ def test_every_output_is_off_from_the_start(chip: str, inverted: "tuple[str, ...
 
 def test_a_punch_that_is_wired_the_other_way_round_is_brought_up() -> None:
     bench = Bench("rp2", ())
-    bench.port.punch(0, 1)
-    bench.port.punch_rest(1, 0)
+    bench.port.drive(2)
+    bench.port.rest(1)
     bench.port.kill()
     assert (machine.Pin(21).pad(), machine.Pin(22).pad()) == (0xFFFF, 0)
     bench.port.revive()
@@ -205,7 +205,7 @@ def listener(heard: "Callable[..., Any]", on_fault: "Callable[[], Any]") -> Any:
 
 def made(chip: str) -> "tuple[Any, Any, list[str]]":
     """A port whose callbacks all fail, its pins, and what it has said of that."""
-    changes: "dict[str, Any]" = {**OUTPUTS, **PUNCH, "ESTOP": 28}
+    changes: "dict[str, Any]" = {**OUTPUTS, "ESTOP": 28}
     pins: Any = machine.Pin if chip == "rp2" else esp_bench.esp_machine.Pin
     make = gpio.GpioPort if chip == "rp2" else esp_bench.gpio_esp.EspPort
     port: Any = make(board(**changes))
@@ -216,7 +216,8 @@ def made(chip: str) -> "tuple[Any, Any, list[str]]":
 
     port.attach(listener(fail, lambda: told.append(port.fault)))
     port.hear_limits(True)
-    port.watch_punch(fail)
+    port.add_pins((21, 22), (26, 27))
+    port.watch_pins(fail)
     return port, pins, told
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 from base.settings import _AXIS, _TABLE
-from extras.dialect_09 import Report09
+from extras.dialect_09 import _SETTINGS as settings_09
 from extras.punch import _SETTINGS as punch_settings
 from motion.kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 from ugrbl.machine import load_board
@@ -51,9 +51,8 @@ class Bench:
         self.handed: tuple[int, ...] = ()
         self.rows: list[tuple[int, array[int]]] = []
         self.levels: tuple[int, ...] = ()
-        if hasattr(self.port, "punch"):
-            self._drive = self.port.punch
-            self.port.punch = self._note_levels
+        self._drive = self.port.drive
+        self.port.drive = self._note_levels
         self._configure = self.rig.engine.configure
         self.rig.engine.configure = self._hand  # type: ignore[method-assign]
         self.rig.engine.trace = lambda start, row: self.rows.append((start, row[:]))
@@ -66,9 +65,9 @@ class Bench:
         self.handed = masks
         self._configure(*masks)
 
-    def _note_levels(self, *levels: int) -> None:
-        self.levels = levels
-        self._drive(*levels)
+    def _note_levels(self, levels: int) -> None:
+        self.levels = (levels & 1, levels >> 1)
+        self._drive(levels)
 
     def run(self, script: "Iterator[Any]") -> None:
         """Run it; what fails in the script is raised here."""
@@ -443,7 +442,7 @@ def test_so_has_one_of_a_punch(row: "Row") -> None:
 
 
 def test_so_has_the_form_of_reports_of_grbl_09() -> None:
-    ((number, *_),) = Report09.SETTINGS[1]
+    ((number, *_),) = settings_09
     _tell(Bench({}, "sim_09j"), (number, 6, {}, _fields_09, "MPos WPos", "WPos Buf"))
 
 

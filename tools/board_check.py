@@ -26,13 +26,7 @@ _READ = re.compile(r"""\b(?:option\(|getattr\(\s*board,\s*)"([A-Z]\w*)"|\bboard\
 _READ_HERE = {"CHIP", "MPY_ARCH"}
 
 # Pins that new_board does not ask for.
-_OTHERS = {
-    "REPL_PIN": "the button for MicroPython's prompt",
-    "PUNCH_DOWN": "punch down",
-    "PUNCH_UP": "punch up",
-    "PUNCH_DOWN_SENSOR": "sensor of the punch being down",
-    "PUNCH_UP_SENSOR": "sensor of the punch being up",
-}
+_OTHERS = {"REPL_PIN": "the button for MicroPython's prompt"}
 # What has a pin for each axis, or each of the controls.
 _TUPLES = {item.name for item in ITEMS if item.per_axis} | {"CONTROL"}
 # Outputs that may be on when low.
@@ -94,7 +88,7 @@ def _parts(board: ModuleType) -> Iterator[str]:
 
 def _kinds(board: ModuleType) -> Iterator[str]:
     """Numbers where numbers have to be, and what has one for each axis in parentheses."""
-    names = [*(item.name for item in ITEMS), *_OTHERS, "CONTROL"]
+    names = [*(item.name for item in ITEMS), *_others(board), "CONTROL"]
     for name in names:
         value = getattr(board, name, None)
         if name in _TUPLES and value is not None and not isinstance(value, tuple):
@@ -110,6 +104,18 @@ def _kinds(board: ModuleType) -> Iterator[str]:
         yield "DEFAULTS is not of the form {100: 800.0}"
 
 
+def _others(board: ModuleType) -> dict[str, str]:
+    """What else is a pin, those of extras included, and what it is for."""
+    paths.use_firmware()
+    from boot import guests
+
+    try:
+        names = guests.pins(board)
+    except (ImportError, ValueError):
+        names = ()  # _firmware() says it
+    return {**_OTHERS, **{name: name.lower().replace("_", " ") for name in names}}
+
+
 def _as_tuple(value: Any) -> tuple[Any, ...]:
     return value if isinstance(value, tuple) else (value,)
 
@@ -122,7 +128,7 @@ def _held(board: ModuleType) -> Iterator[tuple[str, tuple[int, ...]]]:
     for name, pin in zip(CONTROLS, getattr(board, "CONTROL", ()), strict=False):
         if pin is not None:
             yield name, (pin,)
-    for name in _OTHERS:
+    for name in _others(board):
         if getattr(board, name, None) is not None:
             yield name, _as_tuple(getattr(board, name))
 
@@ -224,7 +230,7 @@ def _wired(board: ModuleType, name: str) -> bool:
 def _firmware(board: ModuleType) -> Iterator[str]:
     """What the firmware itself would refuse: a dialect, a tool or its pins."""
     paths.use_firmware()
-    from boot.wiring import Options
+    from boot.options import Options
 
     words = {name: getattr(board, name, "") for name in ("TOOL", "DIALECT")}
     wrong = [name for name, value in words.items() if not isinstance(value, str)]

@@ -34,9 +34,11 @@ _CHOICES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "esp_chip.pins": ("ENGINE", "", ("rmt", "i2s")),
     "ports.usb_link": ("LINK", "usb", ("usb",)),
     "ports.uart_link": ("LINK", "usb", ("uart",)),
-    "extras.dialect_09": ("DIALECT", "1.1", ("0.9", "0.9i", "0.9j")),
-    "extras.punch": ("TOOL", "spindle", ("punch",)),
 }
+
+
+# What extras are handed; who has none has no use for it.
+_EXTRAS_API = "extras.api"
 
 
 class BuildError(Exception):
@@ -75,14 +77,23 @@ def needed(board: ModuleType) -> list[str]:
     """The modules that a board has a use for, as sources() has them."""
     there = {_module(source): source for source in sources()}
     found: dict[str, str] = {}
-    left = [_module(START)]
+    extras = _extras(board)
+    left = [_module(START), *extras]
     while left:
         name = left.pop()
-        if name in there and name not in found and _is_chosen(name, board):
+        wanted = _is_chosen(name, board) and (extras or name != _EXTRAS_API)
+        if name in there and name not in found and wanted:
             found[name] = there[name]
             tree = ast.parse(_text(there[name]))
             left += _imported(tree)
     return sorted(found.values())
+
+
+def _extras(board: ModuleType) -> list[str]:
+    paths.use_firmware()
+    from boot import guests
+
+    return guests.names(board)
 
 
 def _module(source: str) -> str:

@@ -99,14 +99,12 @@ def _check_values(board: Any, lines: Iterable[str]) -> None:
     """
     from base import errors
     from base.errors import GrblError
-    from base.settings import Settings
-    from boot.wiring import Options
+    from boot import wiring
 
-    from .sim.rig import MemoryStore
+    from .sim.rig import Rig
 
-    options = Options(board)
-    settings = Settings(MemoryStore(), options.axes, options.defaults, *options.parts[3])
-    settings.max_step_hz = options.max_step_hz
+    rig = Rig(board)
+    settings = wiring.build(board, rig.link, rig.port, rig.engine, rig.store).settings
     settings.load()
     left = list(lines)
     while left:
@@ -127,11 +125,11 @@ def _check_values(board: Any, lines: Iterable[str]) -> None:
 
 def firmware(board: Any) -> Firmware:
     """What $I says with that board."""
-    from boot.wiring import Options
+    from boot.options import Options
     from talk import report
 
     options = Options(board)
-    version = getattr(options.reports, "VERSION", report.VERSION)
+    version = getattr(options.report, "VERSION", report.VERSION)
     number, letter = version[:-1], version[-1]
     return Firmware(number, letter, report.BUILD, options.identity(), options.letters())
 

@@ -1,6 +1,6 @@
 """What Grbl's numbers mean, in words: `error:20`, `ALARM:1`.
 
-The words are the comments in firmware/base/errors.py, the one table of them.
+The words are the comments in firmware/base/errors.py, and in extras that have alarms.
 """
 
 import re
@@ -14,11 +14,16 @@ _REPLY = re.compile(r"(error|ALARM):(\d+)")
 
 @cache
 def _table() -> dict[tuple[str, int], str]:
-    source = (FIRMWARE / "base" / "errors.py").read_text(encoding="utf-8")
-    return {
+    errors = (FIRMWARE / "base" / "errors.py").read_text(encoding="utf-8")
+    found = {
         ("ALARM" if alarm else "error", int(number)): _words(comment)
-        for comment, alarm, number in _ROW.findall(source)
+        for comment, alarm, number in _ROW.findall(errors)
     }
+    for file in sorted((FIRMWARE / "extras").glob("*.py")):
+        for comment, alarm, number in _ROW.findall(file.read_text(encoding="utf-8")):
+            if alarm:
+                found["ALARM", int(number)] = _words(comment)
+    return found
 
 
 def _words(comment: str) -> str:

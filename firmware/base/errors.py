@@ -106,10 +106,6 @@ ALARM_HOMING_FAIL_DUAL_APPROACH = const(10)
 ALARM_INTERNAL = const(16)
 # The emergency stop was pressed. Not one of Grbl's.
 ALARM_EMERGENCY_STOP = const(17)
-# The punch went down and the sensor of $32 did not see it come there. Not one of Grbl's.
-ALARM_PUNCH_DOWN = const(32)
-# The punch is not up, or the sensor of $33 does not see it: nothing may move. Not one of Grbl's.
-ALARM_PUNCH_UP = const(33)
 
 # Messages, as they stand in [MSG:…]. None may contain "ok" or "error".
 MSG_CRITICAL_EVENT = "Reset to continue"

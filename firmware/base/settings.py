@@ -8,10 +8,11 @@ a setting subscribes, see on_change(); nothing is to change while it moves.
 
 from array import array
 
+from micropython import const
+
 from base import errors
 from base.errors import GrblError
 from base.f32 import f32, whole
-from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -19,7 +20,8 @@ if TYPE_CHECKING:
 
     from interfaces import Store
 
-    Rows = tuple[tuple[int, str, int, float, str], ...]
+    Row = tuple[int, str, int, float, str]
+    Rows = tuple[Row, ...]
 
 INT = const(0)  # whole, 0 to 255: larger numbers wrap
 BOOL = const(1)
@@ -97,10 +99,7 @@ _PER_SECOND_SQR = 3600.0
 
 
 class Settings:
-    """All settings, with what is kept in the store.
-
-    without: numbers of the table that are not there; extra: rows that are, besides; file: where.
-    """
+    """All settings, with what is kept in the store."""
 
     step_pulse_us: int
     idle_lock_ms: int
@@ -134,16 +133,11 @@ class Settings:
         store: "Store",
         axes: int,
         defaults: "dict[int, float]",
-        without: "tuple[int, ...]" = (),
-        extra: "Rows" = (),
-        file: str = _FILE,
     ) -> None:
         self.max_step_hz = 0  # a board that checks step rates ($100-$112) sets it
-        self._rows = tuple(sorted([row for row in _TABLE if row[0] not in without] + list(extra)))
-        for row in _TABLE:
-            if row[0] in without:
-                setattr(self, row[1], row[3])
-        self._file = file
+        # An extra may have others, or keep them under another name.
+        self.rows: "Rows" = _TABLE
+        self.file = _FILE
         self._store = store
         self._axes = axes
         self._board_defaults = defaults
@@ -166,7 +160,7 @@ class Settings:
 
     def load(self) -> bool:
         """Read what is kept; False where there was nothing valid and defaults were restored."""
-        lines = self._store.load(self._file)
+        lines = self._store.load(self.file)
         if lines is None:
             self.restore()
             return False
@@ -188,7 +182,7 @@ class Settings:
         if not 0 <= value < _BEYOND:
             raise ValueError(line)
         try:
-            row, axis = self._row(key)
+            row, axis = self.row(key)
         except GrblError:
             self._unknown.append(line)  # another firmware's
         else:
@@ -199,7 +193,7 @@ class Settings:
         lines = [
             "$%d=%.9g" % (number, self._shown(number, row)) for number, row in self._numbers()
         ]
-        self._store.save(self._file, lines + self._unknown)
+        self._store.save(self.file, lines + self._unknown)
 
     def restore(self) -> None:
         """Back to defaults ($RST=$)."""
@@ -222,15 +216,15 @@ class Settings:
 
     def _numbers(self) -> "list[tuple[int, tuple[int, str, int, float, str]]]":
         numbers = []
-        for row in self._rows:
+        for row in self.rows:
             for axis in range(self._axes if row[2] == _AXIS else 1):
                 numbers.append((row[0] + axis, row))
         return numbers
 
-    def _decimals(self, row: "tuple[int, str, int, float, str]") -> int:
+    def _decimals(self, row: "Row") -> int:
         return 3 if row[2] in (_FLOAT, _AXIS) else 0
 
-    def _shown(self, number: int, row: "tuple[int, str, int, float, str]") -> float:
+    def _shown(self, number: int, row: "Row") -> float:
         amount: float = getattr(self, row[1])
         if row[2] == _AXIS:
             amount = getattr(self, row[1])[number - row[0]]
@@ -239,15 +233,13 @@ class Settings:
         return amount
 
     def _set_defaults(self) -> None:
-        for row in self._rows:
+        for row in self.rows:
             if row[2] == _AXIS:
                 setattr(self, row[1], array("f", (0.0 for _ in range(self._axes))))
             for axis in range(self._axes if row[2] == _AXIS else 1):
                 self._store_value(row, axis, self._board_defaults.get(row[0] + axis, row[3]))
 
-    def _store_value(
-        self, row: "tuple[int, str, int, float, str]", axis: int, amount: float
-    ) -> None:
+    def _store_value(self, row: "Row", axis: int, amount: float) -> None:
         if row[2] == _AXIS:
             if row[0] == _ACCELERATION:
                 amount = amount * _PER_SECOND_SQR
@@ -259,8 +251,9 @@ class Settings:
         else:
             setattr(self, row[1], f32(amount))
 
-    def _row(self, number: int) -> "tuple[tuple[int, str, int, float, str], int]":
-        for row in self._rows:
+    def row(self, number: int) -> "tuple[Row, int]":
+        """The row of a number, and which axis it is of. GrblError where there is none."""
+        for row in self.rows:
             axis = number - row[0]
             if axis == 0 or (row[2] == _AXIS and 0 < axis < self._axes):
                 return row, axis
@@ -269,7 +262,7 @@ class Settings:
     def _assign(self, number: int, amount: float) -> None:
         if not amount >= 0:
             raise GrblError(errors.NEGATIVE_VALUE)
-        row, axis = self._row(number)
+        row, axis = self.row(number)
         check = _CHECKS.get(row[0])
         if check:
             check(self, axis, amount)

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from interfaces import StepEngine
-
-    from boot.controller import Controller
+    from talk.controller import Controller
 
     Parts = tuple[Controller, Any, Any, StepEngine, Supervisor]
 
@@ -98,9 +97,11 @@ def _link(kind: str) -> "Any":
 
 def _hardware(board: "ModuleType", link: "Any") -> "tuple[StepEngine, Any]":
     """Engine and port; the engine's buffers are the first large things in memory."""
-    from ports import pin_check as gpio_check
+    from ports import pin_check
 
-    gpio_check.check(board)
+    from boot import guests
+
+    pin_check.check(board, guests.pins(board))
     forget("ports.pin_check")
     from boot import needs
 
@@ -138,7 +139,8 @@ def _build(
 
     store = FlashStore()
     machine = wiring.build(board, link, port, engine, store)
-    forget("boot.wiring")  # 4 kB that nobody needs any more
+    for name in ("wiring", "options", "guests"):  # 5 kB that nobody needs any more
+        forget("boot." + name)
     if link.is_slow:
         machine.report.identity += _SLOW_RESET
     written = getattr(engine, "flash_written", None)

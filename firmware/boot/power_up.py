@@ -17,7 +17,8 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from typing import Any
 
-    from boot.controller import Controller
+    from talk.controller import Controller
+
     from boot.parts import Parts
 
 _RESET = const(0x18)

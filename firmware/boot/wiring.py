@@ -16,7 +16,6 @@ from control.overrides import Overrides
 from control.realtime import Realtime
 from control.saves import Saves
 from control.seek import Seek
-from control.spindle import Spindle
 from control.suspension import Suspension
 from language.block import Block
 from language.interpreter import Interpreter
@@ -24,124 +23,19 @@ from micropython import const
 from motion.planner import Planner
 from motion.segments import Segments
 from talk.commands import Commands
+from talk.controller import Controller
 from talk.lines import LineReader
 from talk.protocol import Protocol
-from talk.report import Report
 
-from boot.controller import Controller
+from boot.options import Options
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from types import ModuleType
-    from typing import Any
 
     from interfaces import Link, Port, StepEngine, Store
 
-_DEFAULT_BLOCKS = const(16)
-_DEFAULT_RX_BYTES = const(128)
 _LINE_LENGTH = const(79)
-
-
-class Options:
-    """What a board file may say, with what holds where it says nothing.
-
-    The comment above an option is its documentation.
-    """
-
-    def __init__(self, board: "ModuleType") -> None:
-        option = board.__dict__.get  # getattr() would keep the names for good
-
-        # Step pins, one per axis: how many there are is how many axes the machine has.
-        self.axes: int = len(option("STEP", ()))
-        # Who makes the pulses: "pio" (RP2040, RP2350), "rmt" or "i2s" (ESP32). $I says so.
-        self.engine: str = option("ENGINE", "")
-        # Blocks the planner looks ahead.
-        self.blocks: int = option("PLANNER_BLOCKS", _DEFAULT_BLOCKS)
-        # Receive buffer: what a sender that counts characters may have under way.
-        self.rx_bytes: int = option("RX_BYTES", _DEFAULT_RX_BYTES)
-        # Default settings that differ from Grbl's, as {number: value}.
-        self.defaults: "dict[int, float]" = option("DEFAULTS", {})
-        # Motors A and B move X and Y together (CoreXY).
-        self.corexy: bool = option("COREXY", False)
-        # A safety door is wired to the door input.
-        self.door: bool = option("SAFETY_DOOR", False)
-        # Door and sleep move the tool up to -5 mm and back. Needs homing.
-        self.parking: bool = option("PARKING", False)
-        # M56 switches parking off and on.
-        self.override_control: bool = option("OVERRIDE_CONTROL", False)
-        # N of the line being executed is in status reports.
-        self.line_numbers: bool = option("LINE_NUMBERS", False)
-        # A mist output: M7 and its override.
-        self.mist: bool = option("MIST", False)
-        # Homing sets 0 at the switch's pull-off; travel is positive where $23 is set.
-        self.zero_origin: bool = option("FORCE_SET_ORIGIN", False)
-        # $HX, $HY and $HZ home one axis.
-        self.single_axis_homing: bool = option("SINGLE_AXIS_HOMING", False)
-        # The spindle direction pin says that the spindle is on.
-        self.enable_pin: bool = option("SPINDLE_ENABLE_PIN", False)
-        # Both ends of an axis share its limit input: no homing from a closed switch.
-        self.shared_switches: bool = option("DUAL_LIMIT_SWITCHES", False)
-        # Highest step rate; $100-$112 that ask for more are refused with error:12.
-        self.max_step_hz: int = option("MAX_STEP_RATE_HZ", 0)
-        # Every line is echoed as it was understood, for debugging.
-        self.echo: bool = option("ECHO", False)
-        # Whose words it uses: "1.1", or "0.9", "0.9i" and "0.9j" for senders older than that.
-        self.dialect: str = option("DIALECT", "1.1")
-        # What works on the material: "spindle", a laser too, or "punch", see docs/punch.md.
-        self.tool: str = option("TOOL", "spindle")
-        self.reports = _reports(self.dialect)
-        self.parts = _parts(self.tool, board, self.reports)
-        self.install: "Callable[[Controller], None] | None" = None
-        if self.tool == "punch":
-            from extras import punch
-
-            self.install = punch.install
-
-    def identity(self) -> str:
-        """What [VER:…] says of us: "Grbl" for senders, the rest for `ugrbl doctor`."""
-        rate = "%dHz" % self.max_step_hz if self.max_step_hz else ""
-        return " ".join([word for word in ("Grbl", self.engine, rate) if word])
-
-    def letters(self) -> str:
-        """The text of [OPT:…]: Grbl's letters for what is on, planner blocks, receive bytes."""
-        text = bytearray(b"V")  # a text of one letter would be kept for good
-        for on, letter in zip(
-            (
-                self.line_numbers,
-                self.mist,
-                self.corexy,
-                self.parking,
-                self.zero_origin,
-                self.single_axis_homing,
-                self.shared_switches,
-                self.override_control,
-                self.enable_pin,
-                self.door,
-            ),
-            b"NMCPZHTRD+",
-        ):
-            if on:
-                text.append(letter)
-        return "%s,%d,%d" % (text.decode(), self.blocks - 1, self.rx_bytes)
-
-
-def _reports(dialect: str) -> "type[Report]":
-    """What speaks that dialect. Raises ValueError where nothing does."""
-    if dialect == "1.1":
-        return Report
-    from extras import dialect_09 as report_09
-
-    return report_09.find(dialect)
-
-
-def _parts(tool: str, board: "ModuleType", reports: "type[Report]") -> "Any":
-    """What that tool is made of. Raises ValueError where it cannot be."""
-    if tool == "spindle":
-        return Spindle, Interpreter, Drive, reports.SETTINGS
-    from extras import punch
-
-    return punch.find(tool, board, reports)
 
 
 def build(
@@ -160,8 +54,12 @@ def build(
     _make_language(machine, options)
     _make_talk(machine, options, link)
     _connect(machine)
-    if options.install:
-        options.install(machine)
+    if options.extras:
+        from extras.api import Cnc
+
+        cnc = Cnc(machine)
+        for extra in options.extras:
+            extra.install(cnc)
     return machine
 
 
@@ -169,20 +67,20 @@ def _make_basics(machine: Controller, options: Options) -> None:
     """What the machine is, what it has planned, what it switches."""
     axes, port, state = options.axes, machine.port, State()
     machine.state = state
-    machine.settings = Settings(machine.saves, axes, options.defaults, *options.parts[3])
+    machine.settings = Settings(machine.saves, axes, options.defaults)
     machine.settings.max_step_hz = options.max_step_hz
     machine.coords = Coords(machine.saves, axes, TOOL_LENGTH)
     machine.modes = Modes(axes)
     machine.planner = Planner(axes, options.blocks, options.corexy, state)
     machine.segments = Segments(machine.planner)
-    machine.spindle = options.parts[0](port, state, options.enable_pin)
+    machine.spindle = options.spindle(port, state, options.enable_pin)
     machine.coolant = Coolant(port, state)
     machine.inputs = Inputs(port, machine.settings, axes, options.door)
 
 
 def _make_reports(machine: Controller, options: Options, link: "Link") -> None:
     """Whatever is said."""
-    machine.report = options.reports(
+    machine.report = options.report(
         link,
         machine.state,
         machine.settings,
@@ -195,7 +93,7 @@ def _make_reports(machine: Controller, options: Options, link: "Link") -> None:
 
 def _make_motion(machine: Controller, options: Options) -> None:
     """What sets the machine in motion, and what may be asked of it."""
-    machine.drive = options.parts[2](
+    machine.drive = Drive(
         machine.state,
         machine.settings,
         machine.engine,
@@ -275,7 +173,7 @@ def _make_states(machine: Controller, options: Options) -> None:
 
 def _make_language(machine: Controller, options: Options) -> None:
     """G-code."""
-    machine.interpreter = options.parts[1](
+    machine.interpreter = Interpreter(
         machine.modes,
         machine.state,
         machine.settings,
@@ -288,7 +186,7 @@ def _make_language(machine: Controller, options: Options) -> None:
             options.axes,
             options.mist,
             options.override_control,
-            options.reports.HIGHEST_TOOL,
+            options.highest_tool,
         ),
         options.line_numbers,
     )
@@ -316,7 +214,7 @@ def _make_talk(machine: Controller, options: Options, link: "Link") -> None:
         options.rx_bytes,
         _LINE_LENGTH,
         machine.realtime.post,
-        options.reports.READS,
+        options.reads,
     )
     machine.protocol = Protocol(
         link,

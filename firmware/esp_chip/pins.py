@@ -28,7 +28,7 @@ _NO_MORE_MS = const(604_800_000)
 
 
 class EspPort(PortPins):
-    """A Port, and a PunchPort where the board file has the pins.
+    """A Port.
 
     enable: who sets the drivers' enable, where that is not a pin of the ESP32.
     """
@@ -61,14 +61,14 @@ class EspPort(PortPins):
             self._control_changed(self._estop)
         if self._on_contact:
             self._probe_changed(None)
-        if self._sensors_looked >= 0 and self.punch_sensors() != self._sensors_looked:
-            self._sensors_looked = self.punch_sensors()
-            self._punch_changed(None)
+        if self._sensors_looked >= 0 and self.sense() != self._sensors_looked:
+            self._sensors_looked = self.sense()
+            self._sensor_changed(None)
 
-    def watch_punch(self, on_change: "Callable[[], None]") -> None:
-        """Call on_change, in an interrupt, whenever a sensor's pin changes."""
-        super().watch_punch(on_change)
-        self._sensors_looked = self.punch_sensors()
+    def watch_pins(self, on_change: "Callable[[], None]") -> None:
+        """Call on_change, in an interrupt, whenever an input of an extra changes."""
+        super().watch_pins(on_change)
+        self._sensors_looked = self.sense()
 
     def enable(self, level: int) -> None:
         """Level of the motor drivers' enable pins, or output."""

@@ -17,13 +17,19 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from array import array
     from collections.abc import Callable
+    from types import ModuleType
 
+    from base.settings import Rows, Settings
+    from base.state import State
     from control.coolant import Coolant
+    from control.coords import Coords
     from control.inputs import Inputs
     from control.spindle import Spindle
-    from interfaces import StepEngine
+    from interfaces import Link, Options, StepEngine
     from motion.planner import Planner
     from motion.segments import Segments
+
+    from extras.api import Cnc
 
 # $10 in this dialect (mask).
 _MACHINE_POSITION = const(1)
@@ -79,12 +85,10 @@ _ALARMS = {
     8: "Homing fail",
     9: "Homing fail",
     10: "Homing fail",
-    32: "Punch not down",
-    33: "Punch not up",
 }
 
 # What stands in parentheses behind a setting. A mask's bits follow the colon.
-_SETTINGS = {
+_WORDS = {
     0: "step pulse, usec",
     1: "step idle delay, msec",
     2: "step port invert mask:",
@@ -104,10 +108,6 @@ _SETTINGS = {
     25: "homing seek, mm/min",
     26: "homing debounce, msec",
     27: "homing pull-off, mm",
-    30: "punch actuator down invert, bool",
-    31: "punch actuator up invert, bool",
-    32: "punch sensor down invert, bool",
-    33: "punch sensor up invert, bool",
 }
 # The same for a group of one setting per axis, behind the axis's letter.
 _AXIS_SETTINGS = {
@@ -122,17 +122,20 @@ class Report09(Report):
     """Report, in the words of 0.9j."""
 
     VERSION = "0.9j"
-    READS = (0x100, 0x40, 0)  # no upper real-time bytes; @ is the safety door
-    HIGHEST_TOOL = 1 << 31
-    NO_COMMANDS = b"JS"
-    SETTINGS = (
-        (10, 30, 31, 32),
-        (
-            # Status report options. 1: machine position; 2: work position; 4: planner blocks in
-            # use; 8: received bytes not yet read; 16: limit switches.
-            (10, "report_mask", INT, _MACHINE_POSITION | _WORK_POSITION, "mask"),
-        ),
-    )
+
+    def __init__(
+        self,
+        link: "Link",
+        state: "State",
+        settings: "Settings",
+        coords: "Coords",
+        axes: int,
+        line_numbers: bool,
+    ) -> None:
+        super().__init__(link, state, settings, coords, axes, line_numbers)
+        # Other extras may add to these.
+        self.words = _WORDS.copy()
+        self.alarms = _ALARMS.copy()
 
     def connect(
         self,
@@ -158,7 +161,7 @@ class Report09(Report):
 
     def alarm(self, code: int) -> None:
         """The machine had to stop."""
-        self._line("ALARM: " + _ALARMS.get(code, "ID:%d" % code))
+        self._line("ALARM: " + self.alarms.get(code, "ID:%d" % code))
 
     def message(self, text: str) -> None:
         """Something a person should know."""
@@ -174,11 +177,10 @@ class Report09(Report):
 
     def setting(self, key: int, value: float, decimals: int) -> None:
         """One line of $$."""
-        if key < 100:
-            words = _SETTINGS[key]
-            if words[-1] == ":":
-                words += "{:08b}".format(int(value))
-        else:
+        words = self.words.get(key) or self._settings.row(key)[0][4]
+        if words[-1] == ":":
+            words += "{:08b}".format(int(value))
+        elif key // 10 in _AXIS_SETTINGS:
             words = "xyza"[key % 10] + _AXIS_SETTINGS[key // 10]
         self._line("$%d=%s (%s)" % (key, number(value, decimals), words))
 
@@ -256,10 +258,22 @@ class Report09i(Report09):
     VERSION = "0.9i"
 
 
-def find(dialect: str) -> "type[Report]":
-    """The class for that dialect. Raises ValueError where there is none."""
-    if dialect == "0.9i":
-        return Report09i
-    if dialect in ("0.9", "0.9j"):
-        return Report09
-    raise ValueError("DIALECT is 1.1, 0.9, 0.9i or 0.9j, not " + dialect)
+_SETTINGS: "Rows" = (
+    # Status report options. 1: machine position; 2: work position; 4: planner blocks in use; 8:
+    # received bytes not yet read; 16: limit switches.
+    (10, "report_mask", INT, _MACHINE_POSITION | _WORK_POSITION, "mask"),
+)
+_WITHOUT = (10, 30, 31, 32)
+
+
+def prepare(options: "Options", board: "ModuleType") -> None:
+    """Before the machine is made: who reports, and which bytes are no more than characters."""
+    options.report = Report09i if board.__dict__["DIALECT"] == "0.9i" else Report09
+    options.reads = (0x100, 0x40, 0)  # no upper real-time bytes; @ is the safety door
+    options.highest_tool = 1 << 31
+
+
+def install(cnc: "Cnc") -> None:
+    """What 0.9 has otherwise, and has not."""
+    cnc.add_settings(_SETTINGS, _WITHOUT)
+    cnc.without_commands(b"JS")

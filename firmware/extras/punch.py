@@ -6,7 +6,7 @@ rest the actuator goes down until the sensor below sees it, and up until the
 sensor above does. Nothing else makes one: not a jog, G28, a probe or homing.
 
 Whatever happens, nothing moves unless the sensor above sees the punch: motion
-does not start (PunchDrive.start), motion under way is stopped, and a reset
+does not start (may_move), motion under way is stopped, and a reset
 in the middle of a stroke first brings the punch up. A sensor that does not
 answer in time is an alarm.
 
@@ -14,14 +14,10 @@ A stroke is never held half way: a feed hold takes effect behind it. A safety
 door turns it back, and it is made once the door is closed.
 """
 
-from base import errors
 from base import state as st
 from base.settings import BOOL
 from control import spindle as sp
-from control.drive import Drive
 from control.spindle import Spindle
-from language import block as b
-from language.interpreter import Interpreter
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -33,11 +29,18 @@ if TYPE_CHECKING:
 
     from base.settings import Rows, Settings
     from base.state import State
-    from interfaces import Port, PunchPort, StepEngine, Voice
-    from talk.report import Report
+    from interfaces import Options, Port
+    from talk.controller import Controller
 
-# What a board file has to say besides TOOL = "punch".
-_PINS = ("PUNCH_DOWN", "PUNCH_UP", "PUNCH_DOWN_SENSOR", "PUNCH_UP_SENSOR")
+    from extras.api import Cnc
+
+# What a board file has to name besides TOOL = "punch": two outputs, two inputs.
+PINS = ("PUNCH_DOWN", "PUNCH_UP", "PUNCH_DOWN_SENSOR", "PUNCH_UP_SENSOR")
+
+# The punch went down and the sensor of $32 did not see it come there. Not one of Grbl's.
+ALARM_PUNCH_DOWN = const(32)
+# The punch is not up, or the sensor of $33 does not see it: nothing may move. Not one of Grbl's.
+ALARM_PUNCH_UP = const(33)
 
 _SETTINGS: "Rows" = (
     # Punch actuator down invert. Off: 5 V move it down.
@@ -51,13 +54,20 @@ _SETTINGS: "Rows" = (
 )
 # Settings of a spindle, which are not there.
 _WITHOUT = (30, 31, 32)
+# What Grbl 0.9 says of them.
+_WORDS = {
+    30: "punch actuator down invert, bool",
+    31: "punch actuator up invert, bool",
+    32: "punch sensor down invert, bool",
+    33: "punch sensor up invert, bool",
+}
 # A file of its own: $30=1000 of a spindle would turn an actuator round.
 _FILE = "settings_punch"
 
 _NOT_DOWN = "Punch not down"
 _NOT_UP = "Punch not up"
 
-# Port.punch_sensors()
+# Bits of what drives it, and of what sees it.
 _DOWN = const(1)
 _UP = const(2)
 
@@ -65,29 +75,21 @@ _UP = const(2)
 class Punch(Spindle):
     """The actuators and their sensors. Armed is what a spindle calls turning."""
 
+    pins: "tuple[int, ...]" = ()
+    timeout_ms = 0
+
     def __init__(self, port: "Port", state: "State", enable_by_direction: bool) -> None:
-        if not hasattr(port, "punch"):
-            raise ValueError("TOOL = punch: this port has no pins for one")
         super().__init__(port, state, False)
-        self._pins: "PunchPort" = port  # type: ignore[assignment]  # find() is where it is told
         self._armed = sp.OFF
         self._going_down = False
         self._lost = False
         self._sensor_invert = 0
+        port.add_pins(self.pins[:2], self.pins[2:])
 
-    def connect(
-        self,
-        engine: "StepEngine",
-        voice: "Voice",
-        drive: "Drive",
-        events: "Callable[[], None]",
-    ) -> None:
-        """Say whom to call, or to ask whether anything moves. events: realtime's."""
-        self._engine = engine
-        self._voice = voice
-        self._machine = drive
-        self._events = events
-        self._pins.watch_punch(self.on_change)
+    def connect(self, machine: "Controller") -> None:
+        """Say what it is part of, and hear of the sensors from now on."""
+        self._machine = machine
+        self._port.watch_pins(self.on_change)
 
     # What a spindle has
 
@@ -97,7 +99,7 @@ class Punch(Spindle):
         inverts = [getattr(settings, row[1]) for row in _SETTINGS]
         self._down_invert, self._up_invert = inverts[:2]
         self._sensor_invert = inverts[2] * _DOWN | inverts[3] * _UP
-        self._pins.punch_rest(self._down_invert, 1 ^ self._up_invert)
+        self._port.rest(self._down_invert | (1 ^ self._up_invert) << 1)
         self._drive(False)
 
     def power(self, rpm: float) -> int:
@@ -114,10 +116,10 @@ class Punch(Spindle):
         self._state.override_countdown = 0
         if direction == sp.OFF:
             self._drive(False)
-            if not self._reach_up(self._machine.pump):
-                self._fail(errors.ALARM_PUNCH_UP, _NOT_UP)
+            if not self._reach_up(self._machine.drive.pump):
+                self._fail(ALARM_PUNCH_UP, _NOT_UP)
             elif self._lost:
-                self._voice.message(_NOT_UP)
+                self._machine.report.message(_NOT_UP)
             self._lost = False
 
     def stop(self) -> None:
@@ -132,21 +134,21 @@ class Punch(Spindle):
 
     def _drive(self, down: bool) -> None:
         self._going_down = down
-        self._pins.punch(down ^ self._down_invert, (not down) ^ self._up_invert)
+        self._port.drive(down ^ self._down_invert | ((not down) ^ self._up_invert) << 1)
         if down and not self._going_down:
             self._drive(False)  # an interrupt has brought it up meanwhile
 
     def _sees(self) -> int:
-        return self._pins.punch_sensors() ^ self._sensor_invert
+        return self._port.sense() ^ self._sensor_invert
 
     def is_up(self) -> bool:
         """It is up, is to stay there, and both sensors say so."""
         return not self._going_down and self._sees() == _UP
 
     def _reach_up(self, turn: "Callable[[], None]") -> bool:
-        since = self._pins.ticks_ms()
+        since = self._port.ticks_ms()
         while not self.is_up():
-            if self._pins.elapsed_ms(since) >= self._pins.punch_timeout_ms:
+            if self._port.elapsed_ms(since) >= self.timeout_ms:
                 return False
             turn()
         return True
@@ -158,35 +160,35 @@ class Punch(Spindle):
 
         Raises Abort where a sensor does not answer, or after a reset.
         """
-        if not self._engine.idle():
+        if not self._machine.engine.idle():
             return False
         if not self.may_move():
-            self._events()  # raises Abort
+            self._machine.realtime.events()  # raises Abort
         try:
             self._drive(True)
             made = self._go_down()
         finally:
             self._drive(False)
         if made is None:
-            self._fail(errors.ALARM_PUNCH_DOWN, _NOT_DOWN)
-            self._machine.reset()
+            self._fail(ALARM_PUNCH_DOWN, _NOT_DOWN)
+            self._machine.drive.reset()
         elif not self._reach_up(self._turn):
-            self._fail(errors.ALARM_PUNCH_UP, _NOT_UP)
-            self._machine.reset()
-        self._events()
+            self._fail(ALARM_PUNCH_UP, _NOT_UP)
+            self._machine.drive.reset()
+        self._machine.realtime.events()
         return bool(made)
 
     def _turn(self) -> None:
-        self._machine.pump()
-        self._events()
+        self._machine.drive.pump()
+        self._machine.realtime.events()
 
     def _go_down(self) -> "bool | None":
         """True when it is there, False where a door calls it back, None when time is over."""
-        since = self._pins.ticks_ms()
+        since = self._port.ticks_ms()
         while self._sees() != _DOWN:
             if self._state.run & (st.DOOR | st.SLEEP):
                 return False
-            if self._pins.elapsed_ms(since) >= self._pins.punch_timeout_ms:
+            if self._port.elapsed_ms(since) >= self.timeout_ms:
                 return None
             self._turn()
         return True
@@ -197,75 +199,67 @@ class Punch(Spindle):
         """Whether motion may start. If not, the machine is in alarm and a reset is under way."""
         if self.is_up():
             return True
-        self._fail(errors.ALARM_PUNCH_UP, _NOT_UP)
-        self._machine.reset()
+        self._fail(ALARM_PUNCH_UP, _NOT_UP)
+        self._machine.drive.reset()
         return False
 
     def _fail(self, code: int, words: str) -> None:
         self._state.enter(st.ALARM)
-        self._voice.alarm(code)
-        self._voice.message(words)
+        self._machine.report.alarm(code)
+        self._machine.report.message(words)
 
     def on_change(self) -> None:
         """A sensor may have changed. Interrupt."""
-        if not self._engine.idle() and not self.is_up():
+        if not self._machine.engine.idle() and not self.is_up():
             self._lost = True
             if self._state.alarm == 0:
-                self._state.alarm = errors.ALARM_PUNCH_UP
-            self._machine.reset()
+                self._state.alarm = ALARM_PUNCH_UP
+            self._machine.drive.reset()
 
+    # As an extra
 
-class PunchDrive(Drive):
-    """The drive, which starts no motion unless the punch is up."""
-
-    _spindle: Punch
-
-    def start(self, run: int) -> None:
-        """Set the machine in motion if nothing is in the way."""
-        if self._spindle.may_move():
-            super().start(run)
-            self._spindle.on_change()  # it may have left in between
-
-
-class PunchInterpreter(Interpreter):
-    """The interpreter, which ends each line of motion with a stroke while the punch is armed."""
-
-    _spindle: Punch
-
-    def execute(self, line: bytearray, length: int) -> None:
-        """As Interpreter does; there is no short path to a stroke."""
-        super().execute(line, length)
-        self._state.change()
-
-    def _go(self, block: "b.Block", move: "Any") -> None:
-        super()._go(block, move)
-        if self._modes.modal.motion <= b.CCW_ARC:
-            self._strike()
-
-    def _strike(self) -> None:
-        state = self._state
-        if not self._modes.modal.spindle or state.run == st.CHECK:
+    def strike(self) -> None:
+        """A line of motion has been planned: a stroke behind it, if the punch is armed."""
+        state, machine = self._state, self._machine
+        if not machine.modes.modal.spindle or state.run == st.CHECK:
             return
-        self._canon.synchronise()
+        machine.canon.synchronise()
         while True:
             # A hold that began with the last segments is over later than the plan.
-            self._canon.service()
-            if state.run == st.ALARM or (state.run == st.IDLE and self._spindle.stroke()):
+            machine.canon.service()
+            if state.run == st.ALARM or (state.run == st.IDLE and self.stroke()):
                 return
 
 
-def install(machine: "Any") -> None:
-    """Connect the punch with the machine it is part of."""
-    punch: "Any" = machine.spindle
-    punch.connect(machine.engine, machine.report, machine.drive, machine.realtime.events)
+def prepare(options: "Options", board: "ModuleType") -> None:
+    """Before the machine is made. Raises ValueError where the board file lacks a pin."""
+    option = board.__dict__.get
 
-
-def find(tool: str, board: "ModuleType", reports: "type[Report]") -> "Any":
-    """What the controller makes a punch of. Raises ValueError where the board cannot have one."""
-    if tool != "punch":
-        raise ValueError("TOOL is spindle or punch, not " + tool)
-    missing = [name for name in _PINS if getattr(board, name, None) is None]
+    pins = (
+        # Actuator that moves the punch down: see docs/punch.md.
+        option("PUNCH_DOWN", None),
+        # Actuator that moves the punch up.
+        option("PUNCH_UP", None),
+        # Sensor of the punch being down.
+        option("PUNCH_DOWN_SENSOR", None),
+        # Sensor of the punch being up.
+        option("PUNCH_UP_SENSOR", None),
+    )
+    missing = [PINS[i] for i in range(len(pins)) if pins[i] is None]
     if missing:
         raise ValueError("TOOL = punch: the board file names no pin for " + ", ".join(missing))
-    without, extra = reports.SETTINGS or ((), ())
-    return Punch, PunchInterpreter, PunchDrive, (without + _WITHOUT, extra + _SETTINGS, _FILE)
+    Punch.pins = tuple([pin for pin in pins if pin is not None])
+    # So many ms a stroke of the punch takes at the most, one way.
+    Punch.timeout_ms = option("PUNCH_TIMEOUT_MS", 1000)
+    options.spindle = Punch
+
+
+def install(cnc: "Cnc") -> None:
+    """Its settings, its guard over every start, and a stroke behind each line of motion."""
+    punch: "Any" = cnc.machine.spindle
+    cnc.add_settings(_SETTINGS, _WITHOUT, _FILE, _WORDS)
+    cnc.add_alarms({ALARM_PUNCH_DOWN: _NOT_DOWN, ALARM_PUNCH_UP: _NOT_UP})
+    cnc.before_motion(punch.may_move)
+    cnc.behind_start(punch.on_change)  # it may have left in between
+    cnc.behind_line(punch.strike)
+    punch.connect(cnc.machine)

@@ -70,7 +70,7 @@ GROUP_M8 = const(0x2000)  # coolant
 GROUP_M9 = const(0x4000)  # override control
 
 # G number -> modal group, attribute of Modal it sets, if any, value, who claims the axis words.
-_G_WORDS = {
+G_WORDS = {
     0: (GROUP_1, "motion", SEEK, AXES_MOTION),
     1: (GROUP_1, "motion", LINEAR, AXES_MOTION),
     2: (GROUP_1, "motion", CW_ARC, AXES_MOTION),
@@ -119,7 +119,7 @@ _G_DECIMALS = {
 _WANTS_DECIMALS = (38, 43)
 
 # M number -> modal group, attribute of Modal, value.
-_M_WORDS = {
+M_WORDS = {
     0: (GROUP_M4, "flow", PAUSED),
     1: (GROUP_M4, "flow", RUNNING),  # optional stop: there is no switch for it
     2: (GROUP_M4, "flow", END_M2),
@@ -148,7 +148,7 @@ WORD_R = const(0x0800)
 WORD_S = const(0x1000)
 WORD_T = const(0x2000)
 _NOT_NEGATIVE = const(0x3680)  # F, N, P, S, T
-_HIGHEST_TOOL = const(255)
+HIGHEST_TOOL = const(255)
 _BEYOND = 2147483648.0
 _MANY = const(100000000)  # more than any line number
 
@@ -161,7 +161,7 @@ class Block:
         axes: int,
         has_mist: bool,
         has_override_control: bool,
-        highest_tool: int = _HIGHEST_TOOL,
+        highest_tool: int = HIGHEST_TOOL,
     ) -> None:
         self._highest_tool = highest_tool
         self.modal = Modal()
@@ -223,7 +223,7 @@ class Block:
         # The whole part is a byte; the rest, larger numbers included, counts as hundredths.
         code = whole(value) & 255
         hundredths = _round(100 * f32(value - code))
-        row = _G_WORDS.get(code)
+        row = G_WORDS.get(code)
         if row is None:
             raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
         group, name, setting, claim = row
@@ -253,7 +253,7 @@ class Block:
         code = whole(value) & 255
         if _round(100 * f32(value - code)):
             raise GrblError(errors.GCODE_COMMAND_VALUE_NOT_INTEGER)
-        row = _M_WORDS.get(code)
+        row = M_WORDS.get(code)
         if row is None or code in self._unsupported_m:
             raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
         group, name, setting = row

@@ -146,7 +146,7 @@ class Interpreter:
             self._non_modal(block, move)
         modal.motion = new.motion
         if block.claim == b.AXES_MOTION and modal.motion != b.NO_MOTION:
-            self._go(block, move)
+            self.go(block, move)
         self._flow(new.flow)
 
     def _beam(self, block: "Block") -> int:
@@ -219,7 +219,8 @@ class Interpreter:
                 coords.g92[i] = 0.0
             self._offsets_changed()
 
-    def _go(self, block: "Block", move: "plan.Move") -> None:
+    def go(self, block: "Block", move: "plan.Move") -> None:
+        """Make the motion of a block."""
         motion = self._modes.modal.motion
         if motion == b.LINEAR:
             self._canon.line(block.xyz, move)

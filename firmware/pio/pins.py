@@ -41,11 +41,11 @@ _OUTOVER = const(8)
 _OUTOVER_2350 = const(12)
 _FORCED = const(2)
 _ALL_BITS = const(3)
-_PADS_LENGTH = const(16)  # seven outputs: power, on, direction, flood, mist, two of the punch
+_PADS_LENGTH = const(16)  # seven outputs: power, on, direction, flood, mist, two of an extra
 
 
 class GpioPort(PortPins):
-    """A Port, and a PunchPort where the board file has the pins."""
+    """A Port."""
 
     def __init__(self, board: "ModuleType") -> None:
         enables = getattr(board, "ENABLE", None)
@@ -72,7 +72,7 @@ class GpioPort(PortPins):
 
     @micropython.viper
     def kill(self) -> int:
-        """Spindle, laser, coolant and punch off until revive(), whatever is asked of them.
+        """Spindle, laser, coolant, and outputs of extras, off until revive().
 
         The pads are held: what an interrupted set_power() still writes does not come out.
         """
@@ -92,9 +92,9 @@ class GpioPort(PortPins):
             time.sleep_us(self._pwm_period_us)  # a new width counts from the next pulse on
             _release(self._pads, self._all_bits)
 
-    def punch_rest(self, down: int, up: int) -> None:
-        """Levels with which it goes up: what kill() sets."""
-        super().punch_rest(down, up)
+    def rest(self, levels: int) -> None:
+        """The levels of an extra's outputs that kill() sets."""
+        super().rest(levels)
         self._hold()
 
     def watch(self, timeout_ms: int) -> "Callable[[], None] | None":

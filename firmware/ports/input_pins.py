@@ -26,10 +26,12 @@ _FAILED_TWICE = "A pin's callback has failed, and so has stopping"
 
 
 class PortInputs:
-    """The inputs of a Port, and of a PunchPort where the board file has the pins.
+    """The inputs of a Port.
 
     timers: two that nobody else uses. has_hard: interrupts can be hard.
     """
+
+    _sensors: "list[Pin | None]"  # inputs of an extra, where there is one
 
     kill: "Callable[[], object]"  # tools off, for good: whoever has outputs says how
 
@@ -71,11 +73,6 @@ class PortInputs:
         self._buttons.append(self._estop)
         # Probe to ground.
         self._probe = self._make_input(option("PROBE", None))
-        # Sensor of the punch being down: see docs/punch.md.
-        down = self._make_input(option("PUNCH_DOWN_SENSOR", None))
-        # Sensor of the punch being up.
-        up = self._make_input(option("PUNCH_UP_SENSOR", None))
-        self._punch_sensors = (down, up)
 
     def _make_input(self, pin: "int | None") -> "Pin | None":
         if pin is None:
@@ -232,21 +229,21 @@ class PortInputs:
         """The probe input is pulled to ground."""
         return self._probe is not None and self._probe.value() == 0
 
-    # The punch
+    # Inputs of extras
 
-    def punch_sensors(self) -> int:
-        """Levels of the sensors' pins: bit 0 down, bit 1 up."""
-        return 3 ^ _mask(self._punch_sensors)
+    def sense(self) -> int:
+        """Levels of those inputs, a bit each."""
+        return (1 << len(self._sensors)) - 1 ^ _mask(self._sensors)
 
-    def watch_punch(self, on_change: "Callable[[], None]") -> None:
-        """Call on_change, in an interrupt, whenever a sensor's pin changes."""
-        self._on_punch = on_change
-        self._hear(self._punch_sensors, self._punch_changed)
-        _arm(self._punch_sensors, _BOTH_EDGES)
+    def watch_pins(self, on_change: "Callable[[], None]") -> None:
+        """Call on_change, in an interrupt, whenever one of them changes."""
+        self._on_sensor = on_change
+        self._hear(self._sensors, self._sensor_changed)
+        _arm(self._sensors, _BOTH_EDGES)
 
-    def _punch_changed(self, _pin: object) -> None:
+    def _sensor_changed(self, _pin: object) -> None:
         try:
-            self._on_punch()
+            self._on_sensor()
         except BaseException:
             self._fail()
 

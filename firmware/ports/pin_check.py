@@ -9,10 +9,7 @@ if TYPE_CHECKING:
 
 # Names that stand for pins of the chip, or for tuples of them; None is not wired.
 _MOTORS = "STEP DIR ENABLE"
-_OTHERS = (
-    "LIMIT PROBE CONTROL ESTOP REPL_PIN SPINDLE_PWM SPINDLE_DIR SPINDLE_ON FLOOD MIST_PIN "
-    "PUNCH_DOWN PUNCH_UP PUNCH_DOWN_SENSOR PUNCH_UP_SENSOR"
-)
+_OTHERS = "LIMIT PROBE CONTROL ESTOP REPL_PIN SPINDLE_PWM SPINDLE_DIR SPINDLE_ON FLOOD MIST_PIN"
 
 # Motors behind shift registers have numbers of their own, and these pins.
 _REGISTERS = "I2S"
@@ -25,10 +22,10 @@ _NEEDED = {
 }
 
 
-def check(board: "ModuleType") -> None:
+def check(board: "ModuleType", others: "tuple[str, ...]" = ()) -> None:
     """An engine there is, all that it needs, no pin twice, and none that the chip has not.
 
-    Raises ValueError, which says what or where.
+    others: names that extras have for pins. Raises ValueError, which says what or where.
     """
     if board.ENGINE not in _NEEDED:
         raise ValueError("ENGINE %s is not one there is" % board.ENGINE)
@@ -38,7 +35,7 @@ def check(board: "ModuleType") -> None:
         raise ValueError("ENGINE = %s: the board file names no %s" % (board.ENGINE, names))
     names = (_REGISTERS if board.ENGINE == "i2s" else _MOTORS) + " " + _OTHERS
     used: "dict[int, str]" = {}
-    for name in names.split():
+    for name in names.split() + list(others):
         value = board.__dict__.get(name)  # getattr() would keep the names for good
         for pin in value if isinstance(value, tuple) else (value,):
             if pin is None:

@@ -16,7 +16,7 @@ _INVERTIBLE = ("SPINDLE_PWM", "SPINDLE_ON", "SPINDLE_DIR", "FLOOD", "MIST_PIN")
 
 
 class PortPins(PortInputs):
-    """A Port, and a PunchPort where the board file has the pins.
+    """A Port.
 
     timers: two that nobody else uses. enables: pins of the motor drivers' enable. has_hard:
     interrupts can be hard.
@@ -65,15 +65,6 @@ class PortPins(PortInputs):
         make = self._make_tool if option("SPINDLE_ENABLE_PIN", False) else _make_output
         # Spindle direction: high is counterclockwise, or on with SPINDLE_ENABLE_PIN.
         self._direction = make(option("SPINDLE_DIR", None), self._direction_off)
-        # Actuator that moves the punch down: see docs/punch.md.
-        down = option("PUNCH_DOWN", None)
-        # Actuator that moves the punch up.
-        up = option("PUNCH_UP", None)
-        self._punch_numbers: "tuple[int | None, int | None]" = (down, up)
-        self._punch_down = _make_output(down, 0)
-        self._punch_up = _make_output(up, 0)
-        # So many ms a stroke of the punch takes at the most, one way.
-        self.punch_timeout_ms: int = option("PUNCH_TIMEOUT_MS", 1000)
 
     def _make_tool(self, number: "int | None", off: int) -> "Pin | None":
         pin = _make_output(number, off)
@@ -114,8 +105,8 @@ class PortPins(PortInputs):
             self.safe()
 
     def kill(self) -> object:
-        """Spindle, laser, coolant and punch off until revive(), whatever is asked of them:
-        who writes to them looks behind that whether this has come in between."""
+        """Spindle, laser, coolant, and outputs of extras, off until revive(), whatever is asked of
+        them: who writes to them looks behind that whether this has come in between."""
         self._killed = True
         self.safe()
         return None
@@ -143,24 +134,27 @@ class PortPins(PortInputs):
         """Milliseconds since a value of ticks_ms()."""
         return time.ticks_diff(time.ticks_ms(), since)
 
-    # The punch
+    # Pins of extras
 
-    def punch(self, down: int, up: int) -> None:
-        """Levels of the two actuators' pins. May be called in an interrupt."""
-        if self._punch_down:
-            self._punch_down.value(down)
-        if self._punch_up:
-            self._punch_up.value(up)
+    def add_pins(self, outputs: "tuple[int, ...]", inputs: "tuple[int, ...]") -> None:
+        """Outputs that drive() sets, inputs that sense() reads."""
+        self._own_numbers = outputs
+        self._own = [Pin(pin, Pin.OUT, value=0) for pin in outputs]
+        self._sensors = [self._make_input(pin) for pin in inputs]
+
+    def drive(self, levels: int) -> None:
+        """Levels of those outputs, a bit each. May be called in an interrupt."""
+        for i in range(len(self._own)):
+            self._own[i].value(levels >> i & 1)
         if self._killed:
             self.safe()
 
-    def punch_rest(self, down: int, up: int) -> None:
-        """Levels with which it goes up: what kill() sets."""
-        ours = (self._punch_down, self._punch_up)
-        tools = [tool for tool in self._tools if tool[1] not in ours]
-        for number, pin, level in zip(self._punch_numbers, ours, (down, up)):
-            if pin and number is not None:
-                tools.append((number, pin, level))
+    def rest(self, levels: int) -> None:
+        """The levels that kill() sets."""
+        own = self._own
+        tools = [tool for tool in self._tools if tool[1] not in own]
+        for i in range(len(own)):
+            tools.append((self._own_numbers[i], own[i], levels >> i & 1))
         self._tools = tools
 
     # For power_up.py

@@ -39,6 +39,8 @@ _AT_ANY_TIME = b"\0$GCX"
 class Commands:
     """What lines beginning with $ do. options: the letters and numbers of [OPT:…]."""
 
+    without = b""  # letters of commands that an extra has taken away
+
     def __init__(
         self,
         state: "State",
@@ -125,7 +127,7 @@ class Commands:
         """Who executes a line beginning with $: the loop calls it, for the stack is short. Raises
         GrblError where it is refused."""
         key = line[1]
-        if key in self._report.NO_COMMANDS:
+        if key in self.without:
             key = 48  # no letter: taken for the number of a setting
         if key in _AT_ANY_TIME:
             if length > 2:

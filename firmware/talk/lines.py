@@ -152,7 +152,7 @@ class LineReader:
         reads: "tuple[int, int, int]" = READS,
     ) -> None:
         self.line = bytearray(longest + 1)
-        self._on_realtime = on_realtime
+        self.post = on_realtime
         self._ring = bytearray(size + 1)
         self._at = array("i", (size + 1, 0, 0, 0, longest, reads[2], 0))
         self._kinds = _make_kinds(reads[0], reads[1])
@@ -171,7 +171,7 @@ class LineReader:
         """Accept received bytes. Those that do not fit are lost: the sender has miscounted."""
         i = fill_ring(data, count << 16, self._ring, self._at, self._kinds)
         while i < count:
-            self._on_realtime(data[i])
+            self.post(data[i])
             i = fill_ring(data, count << 16 | (i + 1), self._ring, self._at, self._kinds)
 
     def free(self) -> int:

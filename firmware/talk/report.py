@@ -15,14 +15,12 @@ from control.inputs import DOOR, HOLD, RESET, START
 from micropython import const
 from motion.kernels import LIMITS, RESOLUTION, copy
 
-from talk import lines
 from talk.digits import END, VALUES, number, write
 from talk.singles import MINUS, add, divide
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from typing import Any
 
     from base.settings import Settings
     from base.state import State
@@ -68,15 +66,9 @@ _MOVING = const(0x7C)  # HOMING | RUN | HOLD | JOG | DOOR
 class Report:
     """Puts words to what the others know, and writes it to the link.
 
-    The constants say what this dialect of Grbl has; extras/dialect_09.py has others.
+    An extra may speak another dialect of Grbl: extras/dialect_09.py.
     """
 
-    READS = lines.READS
-    HIGHEST_TOOL = 255
-    # Letters of commands that are not there.
-    NO_COMMANDS = b""
-    # What Settings is to be told besides: numbers that are not there, rows that are.
-    SETTINGS: "tuple[Any, ...]" = ()
     # Who we are, in the answer to $I; senders look for this word.
     identity = "Grbl"
 

@@ -9,7 +9,7 @@ from . import meanings
 from .source import above, as_code, source, table
 
 _SETTINGS = "base/settings"
-_OPTION_READERS = ("boot/wiring", "ports/input_pins", "ports/port")
+_OPTION_READERS = ("boot/options", "boot/guests", "ports/input_pins", "ports/port", "extras/punch")
 
 
 # Settings, errors, alarms
@@ -78,9 +78,9 @@ def board_options() -> dict[str, tuple[str, str]]:
 
 def _default(text: str) -> str:
     """A default as a board file would say it."""
-    from boot import wiring
+    from boot import options
 
-    return f"`{getattr(wiring, text, text)}`"
+    return f"`{getattr(options, text, text)}`"
 
 
 def options_table() -> str:

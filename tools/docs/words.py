@@ -36,7 +36,7 @@ def g_words() -> list[str]:
     from language import block
 
     found = []
-    for number in block._G_WORDS:
+    for number in block.G_WORDS:
         if number not in block._WANTS_DECIMALS:
             found.append(f"G{number}")
         found += [f"G{number}.{part // 10}" for part in block._G_DECIMALS.get(number, ())]
@@ -48,17 +48,17 @@ def m_words() -> list[str]:
     paths.use_firmware()
     from language import block
 
-    return [f"M{number}" for number in block._M_WORDS]
+    return [f"M{number}" for number in block.M_WORDS]
 
 
 def _at_start(word: str) -> bool:
     """A mode that a reset puts in force."""
     from control.modes import Modal
-    from language.block import _G_WORDS, _M_WORDS, GROUP_M4
+    from language.block import G_WORDS, GROUP_M4, M_WORDS
 
     if "." in word:
         return False
-    rows = _G_WORDS if word[0] == "G" else _M_WORDS
+    rows = G_WORDS if word[0] == "G" else M_WORDS
     group, name, value, *_ = rows[int(word[1:])]
     return bool(name) and group != GROUP_M4 and getattr(Modal(), str(name)) == value
 

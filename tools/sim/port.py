@@ -41,6 +41,10 @@ class SimPort:
         self._contact_level = True
         self._hears_limits = False
         self._killed = False
+        # Pins of an extra: levels of outputs, those of kill(), names of inputs as for push().
+        self.own_outputs = self._rest = 0
+        self._own_inputs: "tuple[str, ...]" = ()
+        self._on_change: "Callable[[], None] | None" = None
         self.limit_invert = 0
         self.fault = ""
         self.estop: "Callable[[], bool] | None" = None
@@ -69,6 +73,7 @@ class SimPort:
     def _switch_off(self) -> None:
         self.spindle_on = False
         self.spindle_pwm = self.flood = self.mist = 0
+        self.own_outputs = self._rest
         if self._enables:
             self.spindle_dir = 0
 
@@ -106,6 +111,23 @@ class SimPort:
         if self._killed:
             self._switch_off()
 
+    def add_pins(self, outputs: "tuple[int, ...]", inputs: "tuple[int, ...]") -> None:
+        self._own_inputs = tuple(["pin_%d" % pin for pin in inputs])
+
+    def drive(self, levels: int) -> None:
+        self.own_outputs = levels
+        if self._killed:
+            self._switch_off()
+
+    def rest(self, levels: int) -> None:
+        self._rest = levels
+
+    def sense(self) -> int:
+        return (1 << len(self._own_inputs)) - 1 ^ self._mask(self._own_inputs)
+
+    def watch_pins(self, on_change: "Callable[[], None]") -> None:
+        self._on_change = on_change
+
     def ticks_ms(self) -> int:
         return int(self._rig.now // self._rig.ticks_per_ms)
 
@@ -139,6 +161,8 @@ class SimPort:
         self._closed = closed
         if "probe" in changed:
             self._look_at_probe()
+        if self._on_change and any(name in changed for name in self._own_inputs):
+            self._on_change()
         if self._listener and self._hears_limits and any(name in changed for name in LIMITS):
             self._listener.on_limits()
         buttons = any(name in changed for name in self._controls)

@@ -39,7 +39,6 @@ class PunchPort(SimPort):
 
     def __init__(self, rig: "Rig", board: "ModuleType") -> None:
         super().__init__(rig, board)
-        self.punch_timeout_ms: int = getattr(board, "PUNCH_TIMEOUT_MS", 1000)
         self.wiring = 0
         self.dead = 0
         self.lowest = DOWN
@@ -52,23 +51,25 @@ class PunchPort(SimPort):
         self._speed = 0  # 1: down, -1: up
         self._up_from = rig.now
         self._up_until: "int | None" = None
-        self._rest: "tuple[int, int] | None" = None
-        self._on_change: "Callable[[], None] | None" = None
+        self._has_rest = False  # what is rest has been said
         engine = rig.engine
         if isinstance(engine, PunchEngine):
             engine.watch = self.check
 
-    # The PunchPort seam
+    # The pins of an extra
 
-    def punch(self, down: int, up: int) -> None:
-        self._drive(down, up)
+    def add_pins(self, outputs: "tuple[int, ...]", inputs: "tuple[int, ...]") -> None:
+        assert (len(outputs), len(inputs)) == (2, 2), "down and up, and what sees them"
+
+    def drive(self, levels: int) -> None:
+        self._drive(levels & 1, levels >> 1)
         if self._killed:
             self._switch_off()
 
     def _switch_off(self) -> None:
         super()._switch_off()
-        if self._rest:
-            self._drive(*self._rest)
+        if self._has_rest:
+            self._drive(self._rest & 1, self._rest >> 1)
 
     def _drive(self, down: int, up: int) -> None:
         down ^= self.wiring & 1
@@ -79,15 +80,16 @@ class PunchPort(SimPort):
             raise BrokenLaw("it goes down while the machine moves")
         self._speed = speed
 
-    def punch_rest(self, down: int, up: int) -> None:
-        self._rest = (down, up)
+    def rest(self, levels: int) -> None:
+        self._rest = levels
+        self._has_rest = True
 
-    def punch_sensors(self) -> int:
+    def sense(self) -> int:
         place = self.place()
         seen = SENSOR_DOWN if place == DOWN else SENSOR_UP if place == UP else 0
         return seen & ~self.dead ^ self.wiring >> 2
 
-    def watch_punch(self, on_change: "Callable[[], None]") -> None:
+    def watch_pins(self, on_change: "Callable[[], None]") -> None:
         self._on_change = on_change
 
     # The simulator's side

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from typing import Any
 
-    from boot.controller import Controller
     from interfaces import Store
+    from talk.controller import Controller
 
     Wake = int | Callable[[], bool]
     Script = Iterator[Wake]

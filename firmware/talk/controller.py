@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from language.interpreter import Interpreter
     from motion.planner import Planner
     from motion.segments import Segments
+
     from talk.commands import Commands
     from talk.lines import LineReader
     from talk.protocol import Protocol

@@ -1,0 +1,55 @@
+"""Guests: the modules of extras that a board file asks for.
+
+Imported at start and forgotten again.
+"""
+
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    from interfaces import Extra
+
+# Words that ask for an extra of ours, and its module; the first of each asks for none.
+_DIALECTS = {
+    "1.1": "",
+    "0.9": "extras.dialect_09",
+    "0.9i": "extras.dialect_09",
+    "0.9j": "extras.dialect_09",
+}
+_TOOLS = {"spindle": "", "punch": "extras.punch"}
+
+
+def names(board: "ModuleType") -> "list[str]":
+    """Modules by their names. Raises ValueError where a word asks for none there is."""
+    option = board.__dict__.get  # getattr() would keep the names for good
+
+    # Whose words it uses: "1.1", or "0.9", "0.9i" and "0.9j" for senders older than that.
+    dialect = _known("DIALECT", option("DIALECT", "1.1"), _DIALECTS)
+    # What works on the material: "spindle", a laser too, or "punch", see docs/punch.md.
+    tool = _known("TOOL", option("TOOL", "spindle"), _TOOLS)
+    # Modules of your own beside board.py, by name: see docs/extending.md.
+    own: "tuple[str, ...]" = option("EXTRAS", ())
+    return [name for name in (dialect, tool) + own if name]
+
+
+def _known(option: str, word: str, known: "dict[str, str]") -> str:
+    if word not in known:
+        words = list(known)
+        last = words.pop()
+        raise ValueError("%s is %s or %s, not %s" % (option, ", ".join(words), last, word))
+    return known[word]
+
+
+def modules(board: "ModuleType") -> "list[Extra]":
+    """The modules themselves."""
+    return [__import__(name, None, None, ("install",)) for name in names(board)]
+
+
+def pins(board: "ModuleType") -> "tuple[str, ...]":
+    """What they call pins in the board file."""
+    found: "tuple[str, ...]" = ()
+    for module in modules(board):
+        found += getattr(module, "PINS", ())
+    return found

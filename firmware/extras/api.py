@@ -1,0 +1,273 @@
+"""What an extra may ask of the machine: its install(cnc) gets one of these.
+
+Main loop only, never an interrupt: what is hooked in here may take memory and its time, as long as
+it lets cnc.service() have a turn now and then. The machine itself knows nothing of extras: they
+are put around what it does, so a board without any pays nothing.
+"""
+
+from base import errors
+from base import state as st
+from base.errors import GrblError
+from base.f32 import whole
+from language import block as b
+from language.words import Words
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
+    from base.settings import Rows
+    from talk.controller import Controller
+
+    Word = tuple[Callable[..., object], str]
+
+_G = const(71)
+_M = const(77)
+_NUMBER = const(10)  # G words by tenths: G38.2 is 382
+
+
+class Cnc:
+    """The machine, for an extra. Numbers are those of Grbl: mm, mm/min, rpm."""
+
+    def __init__(self, machine: "Controller") -> None:
+        self._machine = machine
+        self._words: "dict[tuple[int, int], Word]" = {}
+        self._read = Words()
+
+    # What there is
+
+    @property
+    def machine(self) -> "Controller":
+        """All parts, for what the methods here do not do."""
+        return self._machine
+
+    def service(self) -> None:
+        """One turn of whoever waits. Raises Abort after a reset: let it pass."""
+        self._machine.protocol.service()
+
+    def message(self, text: str) -> None:
+        """Tell the sender something, as [MSG:text]."""
+        self._machine.report.message(text)
+
+    # What can be added
+
+    def add_settings(
+        self,
+        rows: "Rows",
+        without: "tuple[int, ...]" = (),
+        file: str = "",
+        words: "dict[int, str] | None" = None,
+    ) -> None:
+        """Settings besides Grbl's, as in base/settings.py: number, attribute, kind, default, unit.
+
+        without: numbers that are not there any more; their attributes keep what is usual. file:
+        the name they are all kept under. words: what Grbl 0.9 says of each in $$.
+        """
+        settings = self._machine.settings
+        for row in settings.rows:
+            if row[0] in without:
+                setattr(settings, row[1], row[3])
+        left = [row for row in settings.rows if row[0] not in without]
+        settings.rows = tuple(sorted(left + list(rows)))
+        settings.file = file or settings.file
+        told = getattr(self._machine.report, "words", None)
+        if told is not None and words:
+            told.update(words)
+
+    def add_alarms(self, words: "dict[int, str]") -> None:
+        """What Grbl 0.9, which has no numbers for them, says of alarms."""
+        told = getattr(self._machine.report, "alarms", None)
+        if told is not None:
+            told.update(words)
+
+    def add_m(self, number: int, call: "Callable[..., object]", letters: str = "") -> None:
+        """An M word, on a line of its own: call gets the numbers behind the letters, in the order
+        of `letters`; lower case may be missing, and is None then. It runs when motion has come to
+        its end. ValueError where Grbl has the word."""
+        self._add(_M, number, number in b.M_WORDS, call, letters)
+
+    def add_g(self, number: float, call: "Callable[..., object]", letters: str = "") -> None:
+        """The same for a G word: 81, or 81.1."""
+        self._add(_G, whole(number * _NUMBER + 0.5), whole(number) in b.G_WORDS, call, letters)
+
+    def _add(
+        self, letter: int, number: int, taken: bool, call: "Callable[..., object]", letters: str
+    ) -> None:
+        if taken or (letter, number) in self._words:
+            raise ValueError("%s%d is taken" % (chr(letter), number))
+        if not self._words:
+            self._put_around_lines()
+        self._words[(letter, number)] = call, letters
+
+    def without_commands(self, letters: bytes) -> None:
+        """$ commands with these letters are not there any more."""
+        self._machine.commands.without = letters
+
+    def add_command(self, name: bytes, call: "Callable[[bytes], object]") -> None:
+        """A $ command, by what stands behind the $; call gets what follows. It is taken in Idle
+        and in Alarm. GrblError refuses the line."""
+        commands, state = self._machine.commands, self._machine.state
+        usual = commands.whose
+
+        def execute(line: bytearray, length: int) -> None:
+            call(bytes(line[1 + len(name) : length]))
+
+        def whose(line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
+            if bytes(line[1 : 1 + len(name)]) != name:
+                return usual(line, length)
+            if state.run not in (st.IDLE, st.ALARM):
+                raise GrblError(errors.IDLE_ERROR)
+            return execute
+
+        commands.whose = whose  # type: ignore[method-assign]
+
+    def add_field(self, field: "Callable[[], str]") -> None:
+        """A field of the status report: what it returns, `Xx:1` say, or an empty text."""
+        report = self._machine.report
+        usual = report.status
+
+        def status() -> "memoryview":
+            told, text = bytes(usual()), field()
+            if text:
+                told = told[:-3] + b"|" + text.encode() + told[-3:]  # >\r\n
+            return memoryview(told)
+
+        report.status = status  # type: ignore[method-assign]
+
+    def add_byte(self, byte: int, call: "Callable[[], object]") -> None:
+        """A real-time byte, 0x80 to 0xFF, that Grbl has no use for; call at the next turn."""
+        if byte < 0x80 or byte in st.EVENTS or 0x90 <= byte <= 0xA1:
+            raise ValueError("byte 0x%X is taken" % byte)
+        reader, realtime = self._machine.reader, self._machine.realtime
+        usual_post, usual_events = reader.post, realtime.events
+        asked = [False]
+
+        def post(received: int) -> None:
+            if received == byte:
+                asked[0] = True
+            else:
+                usual_post(received)
+
+        def events() -> None:
+            usual_events()
+            if asked[0]:
+                asked[0] = False
+                call()
+
+        reader.post = post
+        realtime.events = events  # type: ignore[method-assign]
+
+    # What can be heard of
+
+    def before_motion(self, may_start: "Callable[[], bool]") -> None:
+        """Called before the machine is set in motion; False keeps it where it is."""
+        drive = self._machine.drive
+        usual = drive.start
+
+        def start(run: int) -> None:
+            if may_start():
+                usual(run)
+
+        drive.start = start  # type: ignore[method-assign]
+
+    def behind_start(self, call: "Callable[[], object]") -> None:
+        """Called when the machine has been set in motion."""
+        drive = self._machine.drive
+        usual = drive.start
+
+        def start(run: int) -> None:
+            usual(run)
+            if drive.moving:
+                call()
+
+        drive.start = start  # type: ignore[method-assign]
+
+    def behind_line(self, call: "Callable[[], object]") -> None:
+        """Called when a line has asked for a motion of G0 to G3, and it has been planned."""
+        machine = self._machine
+        interpreter, canon, state = machine.interpreter, machine.canon, machine.state
+        usual_go, usual_execute = interpreter.go, interpreter.execute
+
+        def go(block: "b.Block", move: "Any") -> None:
+            usual_go(block, move)
+            if block.modal.motion <= b.CCW_ARC:
+                canon.finish()
+                call()
+
+        def execute(line: bytearray, length: int) -> None:
+            usual_execute(line, length)
+            state.change()  # the next one is not to take the short way, past this
+
+        interpreter.go = go  # type: ignore[method-assign]
+        interpreter.execute = execute  # type: ignore[method-assign]
+
+    def behind_reset(self, call: "Callable[[], object]") -> None:
+        """Called behind the welcome, after power-up and every reset."""
+        report = self._machine.report
+        usual = report.banner
+
+        def banner() -> None:
+            usual()
+            call()
+
+        report.banner = banner  # type: ignore[method-assign]
+
+    # Lines with words of ours
+
+    def _put_around_lines(self) -> None:
+        interpreter = self._machine.interpreter
+        usual = interpreter.execute
+
+        def execute(line: bytearray, length: int) -> None:
+            word = self._find(line, length)
+            if word is None:
+                usual(line, length)
+            else:
+                self._call(word)
+
+        interpreter.execute = execute  # type: ignore[method-assign]
+
+    def _find(self, line: bytearray, length: int) -> "Word | None":
+        """The word of ours that a line has, if there is one."""
+        words = self._read
+        words.read(line, 0, length)
+        for i in range(words.count):
+            letter, value = words.letters[i], words.values[i]
+            key = whole(value * _NUMBER + 0.5) if letter == _G else whole(value)
+            if (letter, key) in self._words:
+                return self._words[(letter, key)]
+        return None
+
+    def _call(self, word: "Word") -> None:
+        """Check the line, wait for motion to end, and do what the word says."""
+        call, letters = word
+        there = self._arguments(letters)
+        missing = [c for c in letters if c == c.upper() and there.get(c) is None]
+        if missing:
+            raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
+        self._machine.canon.synchronise()
+        if self._machine.state.run != st.CHECK:
+            call(*[there.get(c.upper()) for c in letters])
+
+    def _arguments(self, letters: str) -> "dict[str, float]":
+        """The numbers of the line by letter. GrblError where one is not wanted, or twice."""
+        words = self._read
+        found: "dict[str, float]" = {}
+        own = 0
+        for i in range(words.count):
+            letter, value = chr(words.letters[i]), words.values[i]
+            if letter in "GM":
+                own += 1
+            elif letter in found:
+                raise GrblError(errors.GCODE_WORD_REPEATED)
+            elif letter != "N" and letter not in letters.upper():
+                raise GrblError(errors.GCODE_UNUSED_WORDS)
+            else:
+                found[letter] = value
+        if words.fault:
+            raise GrblError(errors.BAD_NUMBER_FORMAT)
+        if own != 1:
+            raise GrblError(errors.GCODE_MODAL_GROUP_VIOLATION)
+        return found
