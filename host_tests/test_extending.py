@@ -216,3 +216,25 @@ def test_a_link(tree):
     assert "ports/serial_link.mpy" in built
     assert "ports/usb_link.mpy" not in built
     assert tree.python("-c", _TALK).splitlines() == ["3 b'G0X' 1 1 0", "b'ok'"]
+
+
+@in_section("An extra")
+def test_an_extra(tree):
+    assert (len(tree.written), 0) == files_named("an extra")
+    built = tree.ugrbl("build --board router.py")
+    assert "vacuum.py" in built and "extras/api.mpy" in built
+    program = tree.folder / "job.nc"
+    program.write_text("M100 P1\nG1 X5 F300\nM100 P0\n")
+    tree.python(
+        *("-m", "ugrbl.cli", "run", str(program)),
+        *("--board", "router.py", "--json", str(tree.folder / "told")),
+    )
+    assert json.loads((tree.folder / "told").read_text())["errors"] == []
+
+
+@in_section("An extra")
+def test_a_pin_of_an_extra_that_is_taken_is_named(tree):
+    board = tree.folder / "router.py"
+    board.write_text(board.read_text().replace("VACUUM = 20", "VACUUM = 8"))
+    with pytest.raises(AssertionError, match="VACUUM"):
+        tree.python("-m", "ugrbl.cli", "build", "--board", "router.py")

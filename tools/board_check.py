@@ -1,9 +1,11 @@
 """What is wrong with a board file: judged from its data, before anything is on a board."""
 
 import difflib
+import importlib.util
 import re
 from collections.abc import Iterator
 from functools import cache
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -188,9 +190,21 @@ def names() -> set[str]:
     return found
 
 
+def _names_of_extras(board: ModuleType) -> set[str]:
+    """What modules of the user's own read."""
+    found: set[str] = set()
+    for name in getattr(board, "EXTRAS", ()):
+        spec = importlib.util.find_spec(name)
+        if spec and spec.origin:
+            matches = _READ.findall(Path(spec.origin).read_text(encoding="utf-8"))
+            found.update(one or other for one, other in matches)
+    return found
+
+
 def _options(board: ModuleType) -> Iterator[str]:
-    for name in (name for name in vars(board) if name.isupper() and name not in names()):
-        meant = difflib.get_close_matches(name, names(), 1)
+    known = names() | _names_of_extras(board)
+    for name in (name for name in vars(board) if name.isupper() and name not in known):
+        meant = difflib.get_close_matches(name, known, 1)
         yield f"{name}: nothing reads it" + "".join(f"; is {one} meant?" for one in meant)
     if not 0 < getattr(board, "PWM_MAX", 1000) <= _MOST_PWM:
         yield f"PWM_MAX is from 1 to {_MOST_PWM}"
@@ -242,6 +256,8 @@ def _firmware(board: ModuleType) -> Iterator[str]:
             Options(board)
         except ValueError as error:
             yield str(error)
+        except ImportError as error:
+            yield f"EXTRAS: {error}: it is to lie beside the board file"
 
 
 def _defaults(board: ModuleType) -> Iterator[str]:

@@ -179,8 +179,10 @@ def for_board(file: Path, progress: Callable[[str, int], None] = lambda name, si
     board: Any = load_board(file)
     made = compile_all(board.MPY_ARCH, board, progress)
     made.engine = board.ENGINE
-    made.files[BOARD] = file.read_bytes()
-    progress(BOARD, len(made.files[BOARD]))
+    own = [f"{name}.py" for name in getattr(board, "EXTRAS", ())]
+    for path, source in ((BOARD, file), *((name, file.parent / name) for name in own)):
+        made.files[path] = source.read_bytes()
+        progress(path, len(made.files[path]))
     return made
 
 

@@ -1,6 +1,7 @@
 """A board file made of answers: which pins there are, what may go where, the text of the file."""
 
 import importlib.util
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -271,6 +272,8 @@ def load(file: Path) -> ModuleType:
         raise BoardError(f"{file} is no Python file")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
+    if getattr(module, "EXTRAS", ()) and str(file.parent) not in sys.path:
+        sys.path.append(str(file.parent))  # where its extras are, as on the board
     return module
 
 

@@ -1,0 +1,212 @@
+"""Extras: modules with install(cnc), put around a machine that knows nothing of them."""
+
+import sys
+from collections.abc import Callable, Iterator
+from types import ModuleType
+from typing import Any
+
+import pytest
+from base import errors
+from base.errors import GrblError
+from base.settings import INT
+from boot.options import Options
+from extras.api import Cnc
+from ugrbl.machine import load_board
+from ugrbl.sim.replay import Sender, factory_store
+from ugrbl.sim.rig import Rig
+
+
+class Bench:
+    """A machine with one extra, `install`, and someone who talks to it."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, install: "Callable[[Cnc], None]") -> None:
+        extra = ModuleType("mine")
+        extra.install = install  # type: ignore[attr-defined]
+        monkeypatch.setitem(sys.modules, "mine", extra)
+        board = ModuleType("board")
+        vars(board).update(vars(load_board("sim")), EXTRAS=("mine",))
+        self.rig = Rig(board, factory_store(load_board("sim")))
+        self.sender = Sender(self.rig)
+        self.sender.allow(3_600_000)
+
+    def say(self, *talk: "tuple[str, str]") -> "list[list[str]]":
+        """What comes back of each text: (text, what to wait for)."""
+        said: list[list[str]] = []
+
+        def script() -> Iterator[Any]:
+            yield from self.sender.wait("banner", "")
+            self.sender.take()
+            for text, how in talk:
+                yield from self.sender.wait(how, text)
+                said.append(self.sender.take())
+
+        self.rig.run(script())
+        return said
+
+
+def lines(*texts: str) -> "list[tuple[str, str]]":
+    return [(text + "\n", "ok") for text in texts]
+
+
+# Words
+
+
+def test_an_m_word_gets_its_numbers_once_motion_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[Any] = []
+
+    def install(cnc: Cnc) -> None:
+        def vacuum(p: float, q: "float | None") -> None:
+            heard.append((p, q, cnc.machine.planner.empty(), cnc.machine.engine.idle()))
+
+        cnc.add_m(100, vacuum, "Pq")
+
+    said = Bench(monkeypatch, install).say(*lines("G0X5", "M100 P2", "N7 m100 p1.5 q3"))
+    assert said == [["ok"]] * 3
+    assert heard == [(2.0, None, True, True), (1.5, 3.0, True, True)]
+
+
+@pytest.mark.parametrize(
+    ("line", "error"),
+    [
+        ("M100", errors.GCODE_VALUE_WORD_MISSING),
+        ("M100 Q1", errors.GCODE_VALUE_WORD_MISSING),
+        ("M100 P1 X2", errors.GCODE_UNUSED_WORDS),
+        ("M100 P1 P2", errors.GCODE_WORD_REPEATED),
+        ("M100 P1 G0", errors.GCODE_MODAL_GROUP_VIOLATION),
+        ("M100 P", errors.BAD_NUMBER_FORMAT),
+        ("M101 P1", errors.GCODE_UNSUPPORTED_COMMAND),
+    ],
+)
+def test_a_line_that_is_refused_calls_nobody(
+    monkeypatch: pytest.MonkeyPatch, line: str, error: int
+) -> None:
+    heard: list[Any] = []
+    bench = Bench(monkeypatch, lambda cnc: cnc.add_m(100, lambda *n: heard.append(n), "Pq"))
+    assert bench.say(*lines(line)) == [[f"error:{error}"]] and heard == []
+
+
+def test_check_mode_checks_and_does_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[Any] = []
+    bench = Bench(monkeypatch, lambda cnc: cnc.add_m(100, lambda *n: heard.append(n), "P"))
+    said = bench.say(*lines("$C", "M100P1", "M100"))
+    assert said[1:] == [["ok"], [f"error:{errors.GCODE_VALUE_WORD_MISSING}"]] and heard == []
+
+
+def test_a_g_word_may_have_a_decimal(monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[Any] = []
+
+    def install(cnc: Cnc) -> None:
+        cnc.add_g(81, lambda: heard.append("81"))
+        cnc.add_g(81.1, lambda: heard.append("81.1"))
+
+    assert Bench(monkeypatch, install).say(*lines("G81.1", "G81")) == [["ok"], ["ok"]]
+    assert heard == ["81.1", "81"]
+
+
+def test_what_grbl_has_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    def install(cnc: Cnc) -> None:
+        cnc.add_m(100, print)
+        for add in (
+            lambda: cnc.add_m(3, print),
+            lambda: cnc.add_m(100, print),
+            lambda: cnc.add_g(0, print),
+            lambda: cnc.add_byte(0x84, print),
+            lambda: cnc.add_byte(0x41, print),
+        ):
+            with pytest.raises(ValueError, match="is taken"):
+                add()
+
+    Bench(monkeypatch, install).say()
+
+
+def test_a_handler_may_refuse_and_a_reset_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def install(cnc: Cnc) -> None:
+        def wait(p: float) -> None:
+            if p == 0:
+                raise GrblError(errors.NEGATIVE_VALUE)
+            while True:
+                cnc.service()
+
+        cnc.add_m(100, wait, "P")
+
+    bench = Bench(monkeypatch, install)
+    said = bench.say(
+        ("M100P0\n", "ok"), ("M100P1\n", "ms 50"), ("?", "report"), ("\x18", "banner")
+    )
+    assert said[0] == [f"error:{errors.NEGATIVE_VALUE}"] and said[2][0].startswith("<Idle")
+    assert said[3][-1].startswith("Grbl 1.1h")
+
+
+# Settings, commands, fields, bytes
+
+
+def test_a_setting_is_kept_with_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, lambda cnc: cnc.add_settings(((40, "level", INT, 5, "percent"),)))
+    assert "$40=5" in bench.say(("$$\n", "ok"))[0]
+    assert bench.say(("$40=7\n", "ok"), ("$$\n", "ok"))[1].count("$40=7") == 1
+    assert "$40=7" in bench.rig.store.files["settings"]
+    assert bench.rig.controller.settings.level == 7  # type: ignore[attr-defined]
+
+
+def test_a_command_is_taken_at_rest_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[bytes] = []
+    bench = Bench(monkeypatch, lambda cnc: cnc.add_command(b"VAC", heard.append))
+    said = bench.say(("$VAC=1\n", "ok"), ("G1X50F100\n", "ok"), ("$VAC\n", "ok"), ("$G\n", "ok"))
+    assert heard == [b"=1"]
+    assert said[0] == ["ok"] and said[2] == [f"error:{errors.IDLE_ERROR}"]
+    assert said[3][0].startswith("[GC:G1")
+
+
+def test_a_field_stands_at_the_end_of_the_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    texts = iter(["Vac:1", ""])
+    bench = Bench(monkeypatch, lambda cnc: cnc.add_field(lambda: next(texts)))
+    with_field, without = bench.say(("?", "report"), ("?", "report"))
+    assert with_field[0].endswith("|Vac:1>") and "Vac" not in without[0]
+
+
+def test_a_byte_is_heard_wherever_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[int] = []
+    bench = Bench(monkeypatch, lambda cnc: cnc.add_byte(0xC0, lambda: heard.append(1)))
+    assert bench.say(("G0\xc0X1\n", "idle")) == [["ok"]] and heard == [1]
+
+
+# Events
+
+
+def test_a_guard_keeps_the_machine_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    may: list[bool] = [False]
+    started: list[int] = []
+
+    def install(cnc: Cnc) -> None:
+        cnc.before_motion(lambda: may[0])
+        cnc.behind_start(lambda: started.append(1))
+
+    bench = Bench(monkeypatch, install)
+    bench.say(("G0X1\n", "ms 500"))
+    steps = bench.rig.scratch
+    bench.rig.engine.physical(steps)
+    assert list(steps) == [0, 0, 0] and started == []
+    may[0] = True
+    Bench(monkeypatch, install).say(("G0X1\n", "idle"))
+    assert started
+
+
+def test_lines_of_motion_and_resets_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[str] = []
+
+    def install(cnc: Cnc) -> None:
+        cnc.behind_line(lambda: heard.append("line"))
+        cnc.behind_reset(lambda: heard.append("reset"))
+
+    Bench(monkeypatch, install).say(*lines("G0X1", "X2", "G4P0", "G1Y1F100"), ("\x18", "banner"))
+    assert heard == ["reset", "line", "line", "line", "reset"]
+
+
+# The board file
+
+
+def test_a_module_that_is_not_there_is_named() -> None:
+    board = ModuleType("board")
+    vars(board).update(EXTRAS=("nowhere",))
+    with pytest.raises(ImportError, match="nowhere"):
+        Options(board)
