@@ -5,7 +5,7 @@ An implementation need not inherit from these: mypy checks each one where
 """
 
 from array import array
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Protocol
 
 from control.spindle import Spindle
@@ -56,8 +56,8 @@ class StepEngine(Protocol):
         """What is wrong with the engine, in words: its interrupt has failed, or motion is behind
         its own schedule. "" as long as nothing is. For the main loop, at every turn."""
 
-    def lock(self, axes: int) -> None:
-        """These axes (a mask) make no more pulses until stop(); the others go on."""
+    def lock(self, motors: int) -> None:
+        """These motors (a mask) make no more pulses until stop(); the others go on."""
 
     def idle(self) -> bool:
         """Nothing is moving and nothing is queued in hardware."""
@@ -67,6 +67,28 @@ class StepEngine(Protocol):
 
     def set_position(self, steps: array[int]) -> None:
         """Name the present place. At rest only."""
+
+class Kinematics(Protocol):
+    """Which motor moves which axes, where they do not move one each: motion/kinematics.py.
+
+    Steps are whole ones, of all motors or of one axis.
+    """
+
+    @property
+    def moves(self) -> Sequence[int]:
+        """What each motor does, at least one per axis, as the kernels read it."""
+
+    def axis_steps(self, motors: array[int], axis: int) -> int:
+        """Steps of an axis from those of the motors."""
+
+    def to_axes(self, motors: array[int]) -> None:
+        """Put the steps of the axes where those of the first motors are. Takes no memory."""
+
+    def set_axis(self, motors: array[int], axis: int, steps: int) -> None:
+        """Change the steps of an axis' motors so that it stands there, and no other axis moves."""
+
+    def motors_of(self, axes: int) -> int:
+        """The motors (a mask) that move any of these axes (a mask): they stop at its switch."""
 
 class InputListener(Protocol):
     """Who hears of a port's inputs, in interrupt context. An object, and not three callables:

@@ -20,6 +20,7 @@ from hypothesis import settings
 from language.fast_path import FastPath
 from motion import kernels, reals
 from motion.kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
+from motion.kinematics import Kinematics
 from motion.planner import Move, Planner
 from motion.segments import Segments
 from ugrbl.sim.engine import step_tick
@@ -52,10 +53,10 @@ class Limits:
     acceleration: tuple[float, ...] = (10.0, 10.0, 10.0)
     deviation: float = 0.01
     step_hz: int = 90_909
-    corexy: bool = False
+    moves: Sequence[int] = ()  # what the first motors do; none: each moves an axis of its own
 
     @classmethod
-    def of(cls, settings: Any, step_hz: int, corexy: bool = False) -> "Limits":
+    def of(cls, settings: Any, step_hz: int) -> "Limits":
         """Those of a machine's settings."""
         return cls(
             tuple(settings.steps_per_mm),
@@ -63,7 +64,6 @@ class Limits:
             tuple(a / 3600 for a in settings.acceleration),
             settings.junction_deviation_mm,
             step_hz,
-            corexy,
         )
 
     def settings(self) -> SimpleNamespace:
@@ -315,12 +315,13 @@ class Bench:
         self.limits = limits = limits or Limits()
         axes = len(limits.rate)
         self.state = State()
-        self.planner = Planner(axes, blocks, limits.corexy, self.state)
+        kinematics = Kinematics(axes, limits.moves) if limits.moves else None
+        self.planner = Planner(axes, blocks, kinematics, self.state)
         self.planner.configure(limits.settings(), tick_hz, segment_log2, limits.step_hz)  # type: ignore[arg-type]
         self.planner.override()
         self.segments = Segments(self.planner)
         self.watch = Watch(self.planner, self.segments, limits, tick_hz)
-        self._row = array("i", [0] * kernels.row_length(axes))
+        self._row = array("i", [0] * kernels.row_length(self.planner.motors))
         self._target = vector(axes)
         self._move = Move()
 

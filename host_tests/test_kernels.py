@@ -108,7 +108,7 @@ def test_a_product_of_three_is_cut_off_and_saturates(x: float, y: float, z: floa
 def test_millimetres_become_steps_as_in_single_precision(mm: float, resolution: float) -> None:
     target, resolutions = vector(1), vector(1)
     target[0], resolutions[0] = mm, resolution
-    machine = array("i", [1] + [0] * kernels.machine_length(1))
+    machine = array("i", [1] + [0] * kernels.machine_length(1, 1))
     kernels.copy(resolutions, memoryview(machine)[kernels.LIMITS + kernels.RESOLUTION :], 1)
     product = single(mm * resolution)
     inside = kernels.to_steps(target, machine)

@@ -7,9 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from laws import Bench, Limits, check_pulses, check_segments, check_spacing, pulses, some, uneven
+from motion.kinematics import COREXY
 from rig_bench import Machine
 from ugrbl.sim.engine import Switch
 
+SECOND_Y = (0x001, 0x002, 0x004, 0x200)
 fast = Limits((250.0, 250.0, 250.0), (3000.0, 3000.0, 1500.0), (500.0, 500.0, 200.0))
 
 
@@ -80,7 +82,7 @@ def test_coarse_ticks_keep_every_law(segment_log2: int) -> None:
 
 @programs
 def test_corexy_keeps_every_law_of_its_motors(program) -> None:
-    bench = Bench(replace(fast, corexy=True))
+    bench = Bench(replace(fast, moves=COREXY))
     program(bench)
     bench.check()
 
@@ -159,7 +161,7 @@ limits = st.builds(
     st.tuples(*[st.sampled_from([5.0, 10.0, 200.0, 3000.0])] * 3),
     st.sampled_from([0.001, 0.01, 0.05, 0.5]),
     st.just(90_909),
-    st.booleans(),
+    st.sampled_from([(), COREXY, SECOND_Y]),
 )
 steps = st.one_of(
     *[st.tuples(*[st.floats(-size, size)] * 3) for size in (0.02, 0.5, 4.0)],

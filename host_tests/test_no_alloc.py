@@ -48,7 +48,7 @@ def allocates(proved):
 
 
 state = State()
-planner = Planner(3, 16, False, state)
+planner = Planner(3, 16, None, state)
 planner.configure(Settings, 13107200, 17, 90909)
 planner.override()
 segments = Segments(planner)

@@ -132,7 +132,7 @@ def test_a_form_may_hold_all_of_it() -> None:
 @example(reals.real(1e17), 1)
 def test_a_rate_is_rounded_as_it_was_printed(carry: int, now: int) -> None:
     carry = carry % (100 << 15) | 0x4000 if carry else 0
-    planner = Planner(3, 4, False, State())
+    planner = Planner(3, 4, None, State())
     segments = Segments(planner)
     planner.flow[kernels.CARRY] = carry
     rate = segments.rate_mm_min()
@@ -192,7 +192,7 @@ state.override_control = True
 settings = Settings()
 coords = Coords(Store(), 3, 2)
 coords.systems[0][0] = 10.5
-planner = Planner(3, 16, False, state)
+planner = Planner(3, 16, None, state)
 planner.configure(settings, 13107200, 17, 90909)
 segments = Segments(planner)
 planner.flow[9] = 56 << 15 | 0x4321

@@ -8,6 +8,7 @@ from base.state import State
 from language import fast_path, words
 from motion import kernels, reals
 from motion.kernels import ROWS
+from motion.kinematics import COREXY, Kinematics
 from motion.planner import Move, Planner
 from motion.segments import Segments
 
@@ -89,7 +90,7 @@ def print_blocks(dice):
     target = vector(3)
     move = Move()
     for k in range(100):
-        planner = Planner(3, 16, k % 5 == 4, State())
+        planner = Planner(3, 16, Kinematics(3, COREXY) if k % 5 == 4 else None, State())
         planner.configure(Settings(dice), 13107200, 17, 90909)
         planner.override()
         segments = Segments(planner)

@@ -25,7 +25,7 @@ BOARD = "board.py"
 # Modules that the firmware has the choice of: what a board file has to say for it, where it says
 # nothing what holds, and with which of these words the module is needed. All other modules go on
 # a board if one that goes there imports them; so does what a chosen one imports.
-_CHOICES: dict[str, tuple[str, str, tuple[str, ...]]] = {
+_CHOICES: dict[str, tuple[str, object, tuple[object, ...]]] = {
     "pio.engine": ("ENGINE", "", ("pio",)),
     "pio.pins": ("ENGINE", "", ("pio",)),
     "esp_chip.rmt": ("ENGINE", "", ("rmt",)),
@@ -34,6 +34,7 @@ _CHOICES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "esp_chip.pins": ("ENGINE", "", ("rmt", "i2s")),
     "ports.usb_link": ("LINK", "usb", ("usb",)),
     "ports.uart_link": ("LINK", "usb", ("uart",)),
+    "motion.kinematics": ("COREXY", False, (True,)),
 }
 
 

@@ -66,12 +66,17 @@ def build(
 def _make_basics(machine: Controller, options: Options) -> None:
     """What the machine is, what it has planned, what it switches."""
     axes, port, state = options.axes, machine.port, State()
+    kinematics: "Kinematics | None" = None
+    if options.corexy:
+        from motion.kinematics import COREXY, Kinematics
+
+        kinematics = Kinematics(axes, COREXY)
     machine.state = state
     machine.settings = Settings(machine.saves, axes, options.defaults)
     machine.settings.max_step_hz = options.max_step_hz
     machine.coords = Coords(machine.saves, axes, TOOL_LENGTH)
     machine.modes = Modes(axes)
-    machine.planner = Planner(axes, options.blocks, options.corexy, state)
+    machine.planner = Planner(axes, options.blocks, kinematics, state)
     machine.segments = Segments(machine.planner)
     machine.spindle = options.spindle(port, state, options.enable_pin)
     machine.coolant = Coolant(port, state)

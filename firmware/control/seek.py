@@ -5,7 +5,7 @@ from array import array
 
 from base import errors
 from base import state as st
-from base.axes import X, Y, Z
+from base.axes import Z
 from base.f32 import f32, vector
 from micropython import const
 from motion import planner as plan
@@ -63,12 +63,12 @@ class Seek:
         self._resync = resync
         self._zero_origin = zero_origin
         self._shared_switches = shared_switches
-        axes = planner.axes
-        self._corexy = planner.corexy
-        self._steps = array("i", (0 for _ in range(axes)))
-        self._target = vector(axes)
+        self._kinematics = planner.kinematics
+        motors = planner.motors
+        self._steps = array("i", (0 for _ in range(motors)))
+        self._target = vector(planner.axes)
         self._move = plan.Move()
-        self.probe_steps = array("i", (0 for _ in range(axes)))
+        self.probe_steps = array("i", (0 for _ in range(motors)))
 
     # Probing (G38.2 to G38.5)
 
@@ -206,7 +206,7 @@ class Seek:
                 found = self._inputs.limits() & searching
                 if found:
                     searching &= ~found
-                    self._lock(found)
+                    engine.lock(self._kinematics.motors_of(found) if self._kinematics else found)
             if self._failed(approach, axes):
                 self._drive.reset()
                 self._canon.service()
@@ -218,11 +218,6 @@ class Seek:
         engine.stop()
         planner.clear()
         self._drive.arm()
-
-    def _lock(self, axes: int) -> None:
-        if self._corexy and axes & (1 << X | 1 << Y):
-            axes |= 1 << X | 1 << Y  # one motor alone would move both
-        self._engine.lock(axes)
 
     def _failed(self, approach: bool, axes: int) -> bool:
         """Set the alarm if the cycle cannot go on."""

@@ -69,7 +69,7 @@ class Suspension:
         self._state = state
         self._settings = settings
         self._engine = engine
-        self._steps = array("i", (0 for _ in range(planner.axes)))
+        self._steps = array("i", (0 for _ in range(planner.motors)))
         self._planner = planner
         self._segments = segments
         self._spindle = spindle
@@ -155,7 +155,7 @@ class Suspension:
     def _restore_spindle(self) -> None:
         if self._spindle.laser:
             self._state.update_spindle = True  # comes back with the motion
-            if self._planner.row() and not self._flags & kernels.DYNAMIC:
+            if not (self._planner.empty() or self._flags & kernels.DYNAMIC):
                 self._spindle.power(self._rpm)  # and is reported
         else:
             self._spindle.turn(self._flags & plan.SPINDLE_MASK, self._rpm)

@@ -242,8 +242,8 @@ class I2sEngine(Turns):
         frames.settle(self._timing, self._lanes)
         self._open()
 
-    def lock(self, axes: int) -> None:
-        """These axes (a mask) make no more pulses until stop(); the others go on.
+    def lock(self, motors: int) -> None:
+        """These motors (a mask) make no more pulses until stop(); the others go on.
 
         What DMA has been handed goes on too; its steps are taken back before the next motion.
         """
@@ -251,10 +251,10 @@ class I2sEngine(Turns):
         self._state[_HALT] = 1
         self.position(self._steps)
         for i in range(self._axes):
-            if axes >> i & 1 and not timing[frames.LOCKED] >> i & 1:
+            if motors >> i & 1 and not timing[frames.LOCKED] >> i & 1:
                 self._locked_at[i] = self._steps[i]
                 self._lanes[_LANE * i + _LEFT] = 0
-        timing[frames.LOCKED] = timing[frames.LOCKED] | axes
+        timing[frames.LOCKED] = timing[frames.LOCKED] | motors
         self._state[_HALT] = 0
 
     def idle(self) -> bool:

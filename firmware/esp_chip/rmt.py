@@ -204,13 +204,13 @@ class RmtEngine(Turns):
                 self._lanes[lane + _PLACE] = _place(self._lanes, i, self._playing[i], now)
                 self._lanes[lane + _COUNT] = 0
 
-    def lock(self, axes: int) -> None:
-        """These axes (a mask) make no more pulses until stop(); the others go on."""
-        self._timing[trains.LOCKED] = self._timing[trains.LOCKED] | axes
+    def lock(self, motors: int) -> None:
+        """These motors (a mask) make no more pulses until stop(); the others go on."""
+        self._timing[trains.LOCKED] = self._timing[trains.LOCKED] | motors
         for i in range(self._axes):
-            if axes >> i & 1:
+            if motors >> i & 1:
                 self._counts[i] = 0
-        self._cut_off(axes)
+        self._cut_off(motors)
 
     def idle(self) -> bool:
         """Nothing is moving and nothing is queued in hardware."""

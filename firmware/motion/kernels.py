@@ -14,6 +14,7 @@ speeds are in units of 2**-18 step of its longest axis per full segment.
 
 import micropython
 from micropython import const
+
 from motion.reals import div, mul, pack, product, ratio, square_root
 
 # One row of the planner's ring: a block.
@@ -41,7 +42,7 @@ STEPS = const(19)  # per motor, without sign; behind them, per motor, steps * 2*
 
 # What the kernels know of the machine.
 AXES = const(0)
-COREXY = const(1)
+MOTOR_COUNT = const(1)
 SQR_SCALE = const(2)  # real: scaled speed squared per (mm/s)2
 JUNCTION = const(3)  # real: 2**16 * junction deviation * SQR_SCALE
 SEGMENT_RATE = const(4)  # real: block speed units per (step/s)
@@ -59,6 +60,8 @@ LIMITS = const(13)  # three reals per axis: mm per step, mm/s, mm/s2
 RESOLUTION = const(6)  # steps/mm, bits of a float
 TARGET = const(7)  # steps + 2**29
 POSITION = const(8)  # steps + 2**29 where the last block ends
+MOVES = const(9)  # per motor: bit n, its steps go up with those of axis n; bit n + REVERSE, down
+REVERSE = const(8)
 
 # The flow: what planner (main loop) and segments (interrupt) share, and where motion is.
 ROW_SIZE = const(0)  # integers in a block
@@ -113,19 +116,19 @@ _HAIR = const(0x800)  # ahead of the truth, so that rounding does not cost the l
 _SPLINTER = const(64)  # a segment is not filled up with pieces as short as that, in 2**-17
 
 
-def block_length(axes: int) -> int:
+def block_length(motors: int) -> int:
     """Integers in a row of the planner's ring."""
-    return STEPS + 2 * axes
+    return STEPS + 2 * motors
 
 
-def machine_length(axes: int) -> int:
+def machine_length(axes: int, motors: int) -> int:
     """Integers in the table of what the kernels know of the machine."""
-    return LIMITS + 9 * axes
+    return LIMITS + MOVES * axes + motors
 
 
-def row_length(axes: int) -> int:
+def row_length(motors: int) -> int:
     """Integers in a segment row."""
-    return ROW_AXES + ROW_STRIDE * axes
+    return ROW_AXES + ROW_STRIDE * motors
 
 
 @micropython.viper
@@ -182,29 +185,47 @@ def to_steps(target: ptr32, machine: ptr32) -> int:
 
 
 @micropython.viper
+def motor_steps(places: ptr32, at: int, axes: int, moves: int) -> int:
+    """Steps of a motor on the way to a place of the axes, from the one that stands behind it.
+
+    moves: what the motor does; see MOVES.
+    """
+    steps = 0
+    for i in range(axes):
+        turns = ((moves >> i) & 1) - ((moves >> (i + REVERSE)) & 1)
+        steps += turns * (places[at + i] - places[at + axes + i])
+    return steps
+
+
+@micropython.viper
 def measure(machine: ptr32, ring: ptr32, at: int) -> int:
     """Begin a block, from POSITION to TARGET: steps, directions, length in mm. Returns EVENTS.
 
-    Distances per axis (reals) are left in the table of the machine for limit().
+    As in Grbl, length is that of the motors' way, one per axis. Their distances (reals) are left
+    in the table of the machine for limit().
     """
     axes = machine[AXES]
     distance = LIMITS + 5 * axes
     target = LIMITS + TARGET * axes
+    moves = LIMITS + MOVES * axes
     top = 0
     dirs = 0
     events = 0
-    for i in range(axes):
-        steps = machine[target + i] - machine[target + axes + i]
-        if i < 2 and machine[COREXY]:
-            # Motor 0 makes x + y, motor 1 x - y; as in Grbl, length is theirs too.
-            other = machine[target + 1 - i] - machine[target + axes + 1 - i]
-            steps = steps + other if i == 0 else other - steps
+    for i in range(machine[MOTOR_COUNT]):
+        does = machine[moves + i]
+        if does == 1 << i:
+            steps = machine[target + i] - machine[target + axes + i]
+        else:
+            steps = int(motor_steps(machine, target, axes, does))
+        if steps < 0:
+            dirs |= 1 << i
+            steps = 0 - steps
+        ring[at + STEPS + i] = steps
+        if i >= axes:
+            continue  # the way is that of the motor that it goes with
         mantissa = 0
         exponent = 0
         if steps:
-            if steps < 0:
-                dirs |= 1 << i
-                steps = 0 - steps
             mantissa = steps
             while mantissa >= _LIMIT:
                 mantissa >>= 1
@@ -219,7 +240,6 @@ def measure(machine: ptr32, ring: ptr32, at: int) -> int:
                 top = exponent
             if steps > events:
                 events = steps
-        ring[at + STEPS + i] = steps
         machine[distance + i] = (exponent << 15) + mantissa
     squares = 0
     for i in range(axes):
@@ -351,11 +371,11 @@ def schedule(machine: ptr32, ring: ptr32, at: int) -> int:
 
 
 @micropython.viper
-def ratios(ring: ptr32, at: int, axes: int) -> int:
+def ratios(ring: ptr32, at: int, motors: int) -> int:
     """A block's steps per motor as parts of its EVENTS, in 2**-29."""
     events = ring[at + EVENTS]
     width = 15 if events < _LIMIT else (9 if events < 1 << 21 else 1)
-    for i in range(axes):
+    for i in range(motors):
         rest = ring[at + STEPS + i]
         ratio = 0
         if rest == events:
@@ -369,7 +389,7 @@ def ratios(ring: ptr32, at: int, axes: int) -> int:
                 ratio = (ratio << take) + part
                 rest -= part * events
                 bits -= take
-        ring[at + STEPS + axes + i] = ratio
+        ring[at + STEPS + motors + i] = ratio
     return 0
 
 
@@ -440,7 +460,7 @@ def plan(
         rate = int(mul(rate, ring[at + LENGTH]))
     ring[at + RATE] = rate
     schedule(machine, ring, at)
-    ratios(ring, at, machine[AXES])
+    ratios(ring, at, machine[MOTOR_COUNT])
     if flags & SYSTEM_MOTION:
         flow[SYSTEM] = 1
     else:
@@ -555,7 +575,7 @@ def after(speed: int, ramp: int, distance: int, down: int) -> int:
 
 
 @micropython.viper
-def load(flow: ptr32, ring: ptr32, axes: int) -> int:
+def load(flow: ptr32, ring: ptr32, motors: int) -> int:
     """Take up the next block. Returns 0 where there is none."""
     at = flow[ROWS] if flow[SYSTEM] else flow[TAIL]
     if flow[SYSTEM] == 2 or at == flow[HEAD]:
@@ -574,9 +594,9 @@ def load(flow: ptr32, ring: ptr32, axes: int) -> int:
     flow[PARTIAL] = _HAIR
     flow[BRAKE_FROM] = 0
     flow[SPARE] = 0
-    for i in range(axes):
+    for i in range(motors):
         flow[MOTORS + 2 * i] = ring[at + STEPS + i]
-        flow[MOTORS + 2 * i + 1] = 131072  # half a step: axes step where they are nearest the line
+        flow[MOTORS + 2 * i + 1] = 131072  # half a step: all step where they are nearest the line
     flow[LOADED] = 1
     return 1
 
@@ -759,7 +779,7 @@ def close(flow: ptr32, row: ptr32, ticks: int) -> int:
 
 
 @micropython.viper
-def spread(flow: ptr32, ring: ptr32, row: ptr32, axes: int) -> int:
+def spread(flow: ptr32, ring: ptr32, row: ptr32, motors: int) -> int:
     """Lay the segment's steps out in time: per motor how many, when the first and the last.
 
     A motor's phase runs on from segment to segment, so that at a constant
@@ -769,12 +789,12 @@ def spread(flow: ptr32, ring: ptr32, row: ptr32, axes: int) -> int:
     high = flow[ADVANCE] >> 15
     low = flow[ADVANCE] & 32767
     ticks = row[ROW_TICKS]
-    ratios = flow[AT] + STEPS + axes
+    ratios = flow[AT] + STEPS + motors
     last = flow[WHOLE] == 0 and flow[FRACTION] == 0
     long = 0
     while ticks >> long >= 1 << 18:
         long += 1
-    for i in range(axes):
+    for i in range(motors):
         ratio = ring[ratios + i]
         phase = flow[MOTORS + 2 * i + 1]
         middle = high * (ratio & 32767) + low * (ratio >> 15) + ((low * (ratio & 32767)) >> 15)
@@ -823,11 +843,11 @@ def power(flow: ptr32, ring: ptr32, machine: ptr32) -> int:
 @micropython.viper
 def fill(flow: ptr32, ring: ptr32, machine: ptr32, row: ptr32) -> int:
     """Make the next segment. Returns 0 where nothing is to move: no block, or held at rest."""
-    axes = machine[AXES]
+    motors = machine[MOTOR_COUNT]
     if flow[LOADED] == 0:
         if flow[HOLD] and flow[CARRY] == 0:
             return 0
-        if int(load(flow, ring, axes)) == 0:
+        if int(load(flow, ring, motors)) == 0:
             return 0
     elif flow[HOLD] and flow[NOW] == 0:
         return 0
@@ -851,7 +871,7 @@ def fill(flow: ptr32, ring: ptr32, machine: ptr32, row: ptr32) -> int:
     row[ROW_POWER] = ring[at + POWER]
     if ring[at + FLAGS] & DYNAMIC:
         row[ROW_POWER] = int(power(flow, ring, machine))
-    spread(flow, ring, row, axes)
+    spread(flow, ring, row, motors)
     if going == 0:
         flow[CARRY] = int(ratio(flow[NOW], ring[at + FACTOR]))
         flow[LOADED] = 0

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from base.settings import Settings
     from base.state import State
+    from interfaces import Kinematics
 
 # Flags of a block.
 RAPID = const(0x01)  # the same as kernels.RAPID_MOTION
@@ -62,20 +63,30 @@ class Move:
 
 
 class Planner:
-    """The ring. `flow` is what it shares with the interrupt; see kernels.py."""
+    """The ring. `flow` is what it shares with the interrupt; see kernels.py.
 
-    def __init__(self, axes: int, blocks: int, corexy: bool, state: "State") -> None:
-        size = kernels.block_length(axes)
+    kinematics: None where each motor moves the axis of its own number.
+    """
+
+    def __init__(
+        self, axes: int, blocks: int, kinematics: "Kinematics | None", state: "State"
+    ) -> None:
+        moves = kinematics.moves if kinematics else [1 << i for i in range(axes)]
+        motors = len(moves)
+        size = kernels.block_length(motors)
         self.axes = axes
-        self.corexy = corexy
+        self.motors = motors
+        self.kinematics = kinematics
         self._state = state
         self.ring = array("i", (0 for _ in range(size * (blocks + 1))))
-        self.flow = array("i", (0 for _ in range(kernels.FLOW_LENGTH + 2 * axes)))
-        self.machine = array("i", (0 for _ in range(kernels.machine_length(axes))))
+        self.flow = array("i", (0 for _ in range(kernels.FLOW_LENGTH + 2 * motors)))
+        self.machine = array("i", (0 for _ in range(kernels.machine_length(axes, motors))))
         self.flow[kernels.ROW_SIZE] = size
         self.flow[ROWS] = blocks
         self.machine[kernels.AXES] = axes
-        self.machine[kernels.COREXY] = corexy
+        self.machine[kernels.MOTOR_COUNT] = motors
+        for i in range(motors):
+            self.machine[kernels.LIMITS + kernels.MOVES * axes + i] = moves[i]
         # Spindle speed of each block in rpm, as programmed; the interrupt has no use for it.
         self.speeds = vector(blocks + 1)
         # Where the last block ends, in steps; part of the machine's table.
@@ -84,8 +95,6 @@ class Planner:
         self._steps_per_mm = vector(axes)
         self._feed = 0.0  # the last one in mm/min, and the same as a real in mm/s
         self._feed_real = 0
-        view = memoryview(self.ring)
-        self._rows = [view[i * size : (i + 1) * size] for i in range(blocks + 1)]
         for i in range(axes):
             self.position[i] = _BIAS
 
@@ -131,14 +140,17 @@ class Planner:
 
     def row(self) -> "memoryview | None":
         """The block being executed, or next to be."""
-        if self.flow[HEAD] == self.flow[TAIL]:
+        if self.empty():
             return None
-        return self._rows[self.flow[TAIL]]
+        size = self.flow[kernels.ROW_SIZE]
+        at = self.flow[TAIL] * size
+        return memoryview(self.ring)[at : at + size]
 
     def line_number(self) -> int:
         """N of the block being executed; 0 if there is none."""
-        row = self.row()
-        return 0 if row is None else row[LINE]
+        if self.empty():
+            return 0
+        return self.ring[self.flow[TAIL] * self.flow[kernels.ROW_SIZE] + LINE]
 
     @micropython.native  # its call frame is on the stack then, not on the heap
     def line(self, target: "array[float]", move: "Move", power: int) -> bool:
@@ -195,8 +207,8 @@ class Planner:
         flow = self.flow
         at = flow[TAIL]
         while at != flow[HEAD]:
-            row = self._rows[at]
-            row[kernels.POWER] = power(row[FLAGS], self.speeds[at])
+            row = at * flow[kernels.ROW_SIZE]
+            self.ring[row + kernels.POWER] = power(self.ring[row + FLAGS], self.speeds[at])
             at = (at + 1) % flow[ROWS]
 
     def speed_rpm(self) -> float:
@@ -210,14 +222,11 @@ class Planner:
         for i in (kernels.HOLD, SYSTEM, LOADED, kernels.NOW, kernels.CARRY):
             flow[i] = 0
 
-    # Steps of motors and places in mm. CoreXY: motor 0 makes x + y, motor 1 makes x - y.
+    # Steps of motors and places in mm
 
     def axis_steps(self, motors: "array[int]", axis: int) -> int:
         """Steps of an axis from those of the motors."""
-        if self.corexy and axis < 2:
-            total = motors[0] + motors[1] if axis == 0 else motors[0] - motors[1]
-            return total // 2 if total >= 0 else -(-total // 2)
-        return motors[axis]
+        return self.kinematics.axis_steps(motors, axis) if self.kinematics else motors[axis]
 
     def to_mm(self, motors: "array[int]", mm: "array[float]") -> None:
         """Where the motors' steps are, in mm."""
@@ -228,11 +237,8 @@ class Planner:
         """Change the motors' steps so that the axis stands there."""
         product = f32(mm * self._steps_per_mm[axis])
         steps = whole(product + 0.5) if product >= 0 else -whole(0.5 - product)
-        if self.corexy and axis < 2:
-            other = self.axis_steps(motors, 1 - axis)
-            x, y = (steps, other) if axis == 0 else (other, steps)
-            motors[0] = x + y
-            motors[1] = x - y
+        if self.kinematics:
+            self.kinematics.set_axis(motors, axis, steps)
         else:
             motors[axis] = steps
 

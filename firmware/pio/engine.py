@@ -194,9 +194,9 @@ class PioEngine:
         """What is wrong with the engine, in words, or nothing. For the main loop."""
         return _FAULTS[trouble(self._hub)]
 
-    def lock(self, axes: int) -> None:
-        """These axes (a mask) make no more pulses until stop(); the others go on."""
-        halt(self._hub, axes)
+    def lock(self, motors: int) -> None:
+        """These motors (a mask) make no more pulses until stop(); the others go on."""
+        halt(self._hub, motors)
 
     def idle(self) -> bool:
         """Nothing is moving and nothing is queued in hardware."""

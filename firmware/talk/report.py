@@ -94,7 +94,6 @@ class Report:
         self._sent = 0  # the length of the last one, and its piece of the buffer
         self._piece = memoryview(self._text)
         self._ints = array("i", bytes(4 * (VALUES + _VALUES)))
-        self._steps = array("i", bytes(4 * axes))
         self._mm = vector(axes)
         self._offset = vector(max(axes, 3))
         self._shown = vector(axes + 1)
@@ -115,6 +114,7 @@ class Report:
         """Say whom a status report is to ask. position: copies the machine position in mm."""
         self._engine = engine
         self._planner = planner
+        self._steps = array("i", bytes(4 * planner.motors))
         self._segments = segments
         self._inputs = inputs
         self._spindle = spindle
@@ -255,10 +255,8 @@ class Report:
         write(self._state_name(), self._text, self._ints, self._mm)
         steps, planner = self._steps, self._planner
         self._engine.position(steps)
-        if planner.corexy:
-            x = planner.axis_steps(steps, 0)
-            steps[1] = planner.axis_steps(steps, 1)
-            steps[0] = x
+        if planner.kinematics:
+            planner.kinematics.to_axes(steps)
         divide(steps, planner.machine, self._resolution, self._mm, self._axes)
 
     def _lengths(self, name: bytes, mm: "array[float]") -> None:

@@ -162,10 +162,10 @@ class SimEngine:
         self._running = False
         self._locked = 0
 
-    def lock(self, axes: int) -> None:
-        if self._running and axes & ~self._locked:
+    def lock(self, motors: int) -> None:
+        if self._running and motors & ~self._locked:
             self._split()
-        self._locked |= axes
+        self._locked |= motors
 
     def fault(self) -> str:
         return ""  # its time is the machine's

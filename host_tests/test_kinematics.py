@@ -1,0 +1,148 @@
+"""Which motor moves which axes: the tables, both ways, and what is planned and cut by them."""
+
+from array import array
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from laws import Bench, Limits
+from motion import kernels
+from motion.kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS, motor_steps
+from motion.kinematics import COREXY, Kinematics
+
+CARTESIAN: "tuple[int, ...]" = ()  # as a machine without a table: each motor moves its own axis
+# Two motors on Y: the second, behind one for each axis, stands the other way round.
+PAIR = (0x001, 0x002, 0x004, 0x200)
+PAIR_ALONGSIDE = (0x001, 0x002, 0x004, 0x002)
+TABLES = {"cartesian": CARTESIAN, "corexy": COREXY, "pair": PAIR, "alongside": PAIR_ALONGSIDE}
+
+each_table = pytest.mark.parametrize("moves", TABLES.values(), ids=TABLES)
+places = st.lists(st.integers(-(2**28), 2**28 - 1), min_size=3, max_size=3)
+fast = Limits((250.0, 250.0, 250.0), (3000.0, 3000.0, 1500.0), (500.0, 500.0, 200.0))
+
+
+def motors_at(kinematics: Kinematics, place: Sequence[int]) -> "array[int]":
+    """What the motors have made when the axes have come from 0 to there."""
+    way = array("i", [*place, 0, 0, 0])
+    return array("i", [motor_steps(way, 0, 3, moves) for moves in kinematics.moves])
+
+
+@pytest.mark.parametrize(
+    ("moves", "motors"),
+    [
+        (CARTESIAN, [10, 3, 7]),
+        (COREXY, [13, 7, 7]),
+        (PAIR, [10, 3, 7, -3]),
+        (PAIR_ALONGSIDE, [10, 3, 7, 3]),
+    ],
+    ids=TABLES,
+)
+def test_motors_add_up_what_their_axes_go(moves: Sequence[int], motors: "list[int]") -> None:
+    kinematics = Kinematics(3, moves)
+    assert len(kinematics.moves) == len(motors)
+    assert list(motors_at(kinematics, [10, 3, 7])) == motors
+
+
+@each_table
+@given(places)
+def test_axes_are_where_their_motors_have_brought_them(
+    moves: Sequence[int], place: "list[int]"
+) -> None:
+    kinematics = Kinematics(3, moves)
+    motors = motors_at(kinematics, place)
+    assert [kinematics.axis_steps(motors, i) for i in range(3)] == place
+    kinematics.to_axes(motors)
+    assert list(motors[:3]) == place
+
+
+@each_table
+@given(places, st.integers(0, 2), st.integers(-(2**28), 2**28 - 1))
+def test_an_axis_gets_a_new_place_and_the_others_keep_theirs(
+    moves: Sequence[int], place: "list[int]", axis: int, steps: int
+) -> None:
+    kinematics = Kinematics(3, moves)
+    motors = motors_at(kinematics, place)
+    kinematics.set_axis(motors, axis, steps)
+    place[axis] = steps
+    assert motors == motors_at(kinematics, place)
+
+
+@pytest.mark.parametrize(("a", "b", "x", "y"), [(1, 0, 0, 0), (-1, 0, 0, 0), (7, -2, 2, 4)])
+def test_half_a_step_of_a_corexy_is_rounded_towards_0(a: int, b: int, x: int, y: int) -> None:
+    kinematics = Kinematics(3, COREXY)
+    motors = array("i", [a, b, 5])
+    assert [kinematics.axis_steps(motors, i) for i in range(3)] == [x, y, 5]
+    kinematics.set_axis(motors, 2, 9)
+    assert list(motors) == [a, b, 9], "the motors of other axes are left alone"
+    kinematics.set_axis(motors, 0, 10)
+    assert list(motors) == [10 + y, 10 - y, 9]
+
+
+@pytest.mark.parametrize(
+    ("moves", "found"),
+    [
+        (CARTESIAN, [0b001, 0b010, 0b100]),
+        (COREXY, [0b011, 0b011, 0b100]),  # one motor alone would move both axes
+        (PAIR, [0b0001, 0b1010, 0b0100]),
+        (PAIR_ALONGSIDE, [0b0001, 0b1010, 0b0100]),
+    ],
+    ids=TABLES,
+)
+def test_all_motors_of_an_axis_stop_at_its_switch(
+    moves: Sequence[int], found: "list[int]"
+) -> None:
+    kinematics = Kinematics(3, moves)
+    assert [kinematics.motors_of(1 << i) for i in range(3)] == found
+    assert kinematics.motors_of(0) == 0
+    assert kinematics.motors_of(0b111) == (1 << len(kinematics.moves)) - 1
+
+
+@each_table
+def test_each_further_motor_goes_with_one_of_the_first(moves: Sequence[int]) -> None:
+    """What kernels.measure() takes for granted: the way of a block is that of the first motors."""
+    both = [{m, (m & 0xFF) << 8 | m >> 8} for m in Kinematics(3, moves).moves]
+    assert all(any(motor == first for first in both[:3]) for motor in both[3:])
+
+
+def zigzag(moves: Sequence[int]) -> "tuple[Bench, list[array[int]]]":
+    """A bench that has made a program by all laws, and its segments."""
+    bench = Bench(replace(fast, moves=moves))
+    for i in range(12):
+        bench.line((i % 2 * 3.0, i * 0.3, -0.1 * (i % 3)), 2000)
+    bench.check()
+    return bench, [segment.row for segment in bench.watch.made]
+
+
+def motor(row: "array[int]", i: int) -> "list[int]":
+    """Steps of a motor in a segment, and when the first and the last are."""
+    count, *ticks = row[ROW_AXES + ROW_STRIDE * i :][:ROW_STRIDE]
+    return [count, *ticks] if count else [0]
+
+
+@pytest.mark.parametrize(("moves", "reverse"), [(PAIR, 1), (PAIR_ALONGSIDE, 0)])
+def test_a_second_motor_of_an_axis_makes_its_steps_and_changes_nothing_else(
+    moves: Sequence[int], reverse: int
+) -> None:
+    (_, alone), (bench, rows) = zigzag(CARTESIAN), zigzag(moves)
+    assert bench.planner.ring[kernels.STEPS + 3] == bench.planner.ring[kernels.STEPS + 1] > 0
+    assert len(rows) == len(alone)
+    for row, other in zip(rows, alone, strict=True):
+        assert row[ROW_TICKS] == other[ROW_TICKS]
+        assert row[ROW_DIRS] & 0b111 == other[ROW_DIRS]
+        assert [motor(row, i) for i in range(3)] == [motor(other, i) for i in range(3)]
+        assert motor(row, 3) == motor(row, 1)
+        if row[ROW_AXES + ROW_STRIDE]:
+            assert row[ROW_DIRS] >> 3 ^ reverse == row[ROW_DIRS] >> 1 & 1
+
+
+@each_table
+def test_planning_goes_on_from_where_the_motors_are(moves: Sequence[int]) -> None:
+    bench = Bench(replace(fast, moves=moves))
+    bench.planner.sync_motors(motors_at(Kinematics(3, moves), [500, -250, 750]))
+    assert not bench.line((2.0, -1.0, 3.0)), "it is there already"
+    assert bench.line((3.0, -1.0, 3.0))
+    ring, count = bench.planner.ring, bench.planner.motors
+    made = motors_at(Kinematics(3, moves), [250, 0, 0])
+    assert list(ring[kernels.STEPS :][:count]) == [abs(n) for n in made]
