@@ -8,8 +8,9 @@ PORT ?=
 BIN := .venv/bin
 VENV := .venv/installed
 TYPESHED := .venv/typeshed/merged
+EMULATOR := .venv/emulator/compiled
 
-.PHONY: run test check fmt lint types build deploy clean test-emulator test-senders torture torture-board bench bench-board docs pictures
+.PHONY: run test check fmt lint types build deploy clean compiled-emulator test-emulator test-senders torture torture-board bench bench-board docs pictures
 
 run: $(VENV)  ## a demonstration in the simulator
 	$(BIN)/ugrbl demo
@@ -36,13 +37,15 @@ build: $(VENV)  ## firmware for BOARD, or all of it for MPY_ARCH, into build/; b
 deploy: $(VENV)  ## firmware for BOARD onto the board at PORT, or at the only one there is
 	$(BIN)/ugrbl deploy --board $(or $(BOARD),$(error which board? make deploy BOARD=rpi_pico)) $(if $(PORT),--port $(PORT))
 
-test-emulator: $(VENV)  ## on an emulated Pico; UGRBL_UF2 names MicroPython's image for it
+compiled-emulator: $(EMULATOR)  ## the emulated Pico three times as fast, where there is a C compiler
+
+test-emulator: $(EMULATOR)  ## on an emulated Pico; UGRBL_UF2 names MicroPython's image for it
 	$(BIN)/pytest -q -rs -n auto --dist loadgroup host_tests/emulator
 
 torture: $(VENV)  ## stops at every bytecode, and random sessions: SEEDS of them, minutes to hours
 	UGRBL_TORTURE=$(or $(SEEDS),500) $(BIN)/pytest -q -n auto host_tests/test_injection.py host_tests/test_torture.py
 
-torture-board: $(VENV)  ## stops at random instants on an emulated Pico: INJECTIONS of them, hours
+torture-board: $(EMULATOR)  ## stops at random instants on an emulated Pico: INJECTIONS of them, hours
 	UGRBL_INJECTIONS=$(or $(INJECTIONS),1000) $(BIN)/pytest -q -rs -s host_tests/emulator/test_pico_injection.py
 
 bench: $(VENV)  ## the firmware's speed on this desktop
@@ -71,4 +74,8 @@ $(VENV): pyproject.toml
 
 $(TYPESHED): $(VENV) $(wildcard host_tests/typeshed/*)
 	$(BIN)/python host_tests/typeshed/merge.py $(@D)
+	@touch $@
+
+$(EMULATOR): $(VENV) host_tests/emulator/compile_emulator.py
+	$(BIN)/python host_tests/emulator/compile_emulator.py $(@D)
 	@touch $@

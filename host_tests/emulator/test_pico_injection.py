@@ -21,7 +21,7 @@ from pathlib import Path
 import pytest
 from emulated import DIR, SPINDLE_PWM, STEP, Board, Odometer, altered
 from futures import HAVE_FORK, futures, told
-from injection import SETTINGS, SILENCE, TRIALS_PER_LIFE, Life, Outcome, Trial
+from injection import ACTS, SETTINGS, SILENCE, TRIALS_PER_LIFE, Life, Outcome, Trial
 
 pytestmark = pytest.mark.xdist_group("pico injection")
 
@@ -45,12 +45,16 @@ def odometer(machine: Board) -> Odometer:
 
 
 @pytest.fixture(scope="module")
-def latencies() -> "Iterator[dict[str, list[float]]]":
-    """Of each kind; pytest -s shows how many there were, and the longest."""
-    found: dict[str, list[float]] = {}
+def played() -> "Iterator[list[Outcome]]":
+    """All of them; pytest -s shows how many of each kind there were, and the slowest."""
+    found: list[Outcome] = []
     yield found
-    for act, all_us in found.items():
-        print(f"\n{act}: {len(all_us)}, us to the last edge at most: {max(all_us):.0f}", end="")
+    for act in ACTS:
+        alike = [outcome for outcome in found if outcome.act == act]
+        if alike:
+            last = max(alike, key=lambda outcome: outcome.latency_us)
+            longest = f"{last.latency_us:.0f} us to the last edge, seed {last.seed}"
+            print(f"\n{act}: {len(alike)}; at most {longest}", end="")
 
 
 def _trials(life: int) -> "list[Trial]":
@@ -97,13 +101,12 @@ def _outcomes(
 
 @pytest.mark.parametrize("number", _LIVES)
 def test_at_any_instant(
-    machine: Board, odometer: Odometer, latencies: "dict[str, list[float]]", number: int
+    machine: Board, odometer: Odometer, played: "list[Outcome]", number: int
 ) -> None:
     trials = _trials(number)
     seeds = {trial.seed for trial in trials}.intersection(_SEEDS)
     outcomes = _outcomes(lambda: Life(machine, odometer, number), trials, seeds)
-    for outcome in outcomes:
-        latencies.setdefault(outcome.act, []).append(outcome.latency_us)
+    played += outcomes
     troubles = [outcome.trouble for outcome in outcomes if outcome.trouble]
     assert not troubles, "\n".join(troubles)
 

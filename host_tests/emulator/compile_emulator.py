@@ -1,0 +1,51 @@
+"""Compile rp2040py for this Python alone: three times as fast as it is installed.
+
+Usage: compile_emulator.py OUTPUT. The libraries in its wheel fit every Python, and pay for that at
+every call; their C sources lie beside them. Where there is no C compiler all stays as it is, and
+the tests say in their first lines which of the two runs.
+"""
+
+import shlex
+import shutil
+import subprocess
+import sys
+import sysconfig
+from concurrent.futures import ThreadPoolExecutor
+from importlib.util import find_spec
+from pathlib import Path
+
+_PACKAGE = "rp2040py"
+
+
+def _compile(source: Path) -> None:
+    """The library of one module, beside it. Raises OSError or CalledProcessError."""
+    options = ("LDSHARED", "CFLAGS", "CCSHARED")
+    command = [word for name in options for word in shlex.split(sysconfig.get_config_var(name))]
+    library = source.with_suffix(sysconfig.get_config_var("EXT_SUFFIX"))
+    include = f"-I{sysconfig.get_path('include')}"
+    subprocess.run(
+        [*command, "-O3", "-g0", "-w", include, str(source), "-o", str(library)], check=True
+    )
+
+
+def main(output: Path) -> None:
+    """A copy of the package there; none where it cannot be compiled."""
+    copy = output / _PACKAGE
+    shutil.rmtree(copy, ignore_errors=True)
+    output.mkdir(parents=True, exist_ok=True)
+    found = find_spec(_PACKAGE)
+    if found is None or found.origin is None or sysconfig.get_config_var("LDSHARED") is None:
+        print("the emulator is not compiled: no rp2040py, or no word on how Python was compiled")
+        return
+    shutil.copytree(Path(found.origin).parent, copy)
+    for library in copy.glob("native/*.abi3.so"):
+        library.unlink()
+    try:
+        with ThreadPoolExecutor() as pool:
+            list(pool.map(_compile, copy.glob("native/*.c")))
+    except (OSError, subprocess.CalledProcessError) as error:
+        shutil.rmtree(copy)
+        print(f"the emulator is not compiled, and slower: {error}")
+
+
+main(Path(sys.argv[1]))
