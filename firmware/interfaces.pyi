@@ -215,6 +215,9 @@ class Link(Protocol):
     def write(self, data: bytes | bytearray | memoryview) -> None:
         """Send; waits where the line is slower than we are."""
 
+    def discard(self) -> None:
+        """Drop what has arrived and has not been read."""
+
 class Store(Protocol):
     """Text lines kept over power-off, by name."""
 

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 # Reads that may find nothing before the firmware is taken to wait for the machine. It looks at
 # the line more than once between two blocks, and none of these looks takes time.
 _LOOKS = 3
+_PIECE = 64
+_PIECES = 16  # hold all that a board would have taken
 # How long, by the wall's clock, the machine waits for a sender that could keep it busy.
 _PATIENCE_S = 0.01
 _AT_REST_S = 0.02
@@ -73,6 +75,11 @@ class LiveLink(UntimedLink):
         self._open_lines += data.count(b"\n") + data.count(b"\r")
         self._touch()
         return len(data)
+
+    def discard(self) -> None:
+        """Drop what has come; a sender may go on sending."""
+        for _ in range(_PIECES):
+            self._wire.read(_PIECE)
 
     def write(self, data: "bytes | bytearray | memoryview") -> None:
         """Send to whoever is there."""

@@ -49,6 +49,9 @@ def _load_file(file: Path) -> Any:
 class UntimedLink:
     """What the rig wants of a Link without a script, whose bytes take no time on a wire."""
 
+    def discard(self) -> None:
+        """Nothing has arrived before it is read."""
+
     def next_event(self) -> None:
         """Nothing is on its way."""
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _CTRL_C = const(3)
 # What a UART's own memory takes without waiting; soft interrupts come in between.
 _PIECE = const(64)
+_PIECES = const(16)  # hold all that may have arrived
 
 # How long one write may take: native USB waits for a host that does not read.
 _WRITE_MS = const(1000)
@@ -70,6 +71,12 @@ class UartLink:
         if count:
             self._escape.listen(buf, count)
         return count
+
+    def discard(self) -> None:
+        """Drop what has arrived. MicroPython keeps less than 1 kB; more may follow."""
+        piece = bytearray(_PIECE)
+        for _ in range(_PIECES):
+            self.read_into(piece)
 
     def _waiting(self) -> bool:
         for _ in self._arrived.ipoll(0):

@@ -52,6 +52,8 @@ _OUT_BYTES = const(64)
 _QUIET_TURNS = const(3)
 _ANSWER = const(16)
 
+_PIECES = const(16)  # of 64 bytes hold all that may have arrived
+
 # With a count of bytes: there is more to see to.
 _NOTE = const(0x100)
 
@@ -286,6 +288,12 @@ class UsbLink:
         if count:
             self._escape.listen(buf, count)
         return count
+
+    def discard(self) -> None:
+        """Drop what has arrived. MicroPython and its USB keep less than 1 kB; more may follow."""
+        piece = bytearray(64)
+        for _ in range(_PIECES):
+            self.read_into(piece)
 
     def _flush(self) -> None:
         self._turns = 0

@@ -128,6 +128,7 @@ class Protocol:
                             write(ok)
             except Abort:
                 self._tell_alarm()
+                self._link.discard()  # sent before the reset, and not for the machine behind it
 
     def execute(self, line: bytearray, length: int, before: bytes) -> None:
         """Execute one line and answer it. before: what the answer begins with."""

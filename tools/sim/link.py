@@ -44,6 +44,12 @@ class SimLink:
         self._rx_due += count * self._rx_ticks
         return count
 
+    def discard(self) -> None:
+        """Drop what has arrived by now."""
+        count = self._arrived(len(self._rx))
+        self._rx = self._rx[count:]
+        self._rx_due += count * self._rx_ticks
+
     def write(self, data: "bytes | bytearray | memoryview") -> None:
         rig = self._rig
         rig.pass_time(rig.now + rig.answer_ticks)
