@@ -26,7 +26,7 @@ from injection import ACTS, SETTINGS, SILENCE, TRIALS_PER_LIFE, Life, Outcome, T
 pytestmark = pytest.mark.xdist_group("pico injection")
 
 _ALONE = os.environ.get("UGRBL_INJECTION", "")
-_SEEDS = [int(_ALONE)] if _ALONE else range(int(os.environ.get("UGRBL_INJECTIONS", "30")))
+_SEEDS = [int(_ALONE)] if _ALONE else range(int(os.environ.get("UGRBL_INJECTIONS", "45")))
 _LIVES = sorted({seed // TRIALS_PER_LIFE for seed in _SEEDS})
 
 
