@@ -192,6 +192,10 @@ class UART:
         buf[:count], self.arrived = self.arrived[:count], self.arrived[count:]
         return count
 
+    def read(self, most):
+        read, self.arrived = self.arrived[:most], self.arrived[most:]
+        return read
+
     def write(self, data):
         self.sent += bytes(data)
 
@@ -202,6 +206,9 @@ buf = bytearray(3)
 print(link.read_into(buf), bytes(buf), link.shared[0], link.read_into(buf), link.read_into(buf))
 link.write(b"ok")
 print(link._uart.sent)
+link._uart.arrived = b"G1X2"
+link.discard()
+print(link.read_into(buf))
 """
 
 
@@ -215,7 +222,7 @@ def test_a_link(tree):
     built = tree.ugrbl("build --board my_bluetooth.py")
     assert "ports/serial_link.mpy" in built
     assert "ports/usb_link.mpy" not in built
-    assert tree.python("-c", _TALK).splitlines() == ["3 b'G0X' 1 1 0", "b'ok'"]
+    assert tree.python("-c", _TALK).splitlines() == ["3 b'G0X' 1 1 0", "b'ok'", "0"]
 
 
 @in_section("An extra")
