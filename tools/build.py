@@ -5,8 +5,9 @@ import hashlib
 import importlib
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
@@ -14,13 +15,18 @@ from typing import Any
 
 from . import machine, new_board, paths
 from .board_check import is_simulated, problems
-from .compiling import prepared
+from .compiling import prepared, symbols
+from .compiling.shorten import Shortened
 
 # Without assertions and line numbers, which would take memory: tracebacks name functions.
 _OPTIMIZED = "-O3"
+_DEBUG = "-O0"
 # MicroPython runs main.py at start, and never main.mpy: this one stays as it is.
 START = "main.py"
 BOARD = "board.py"
+
+# Is told path and bytes of each file.
+Progress = Callable[[str, int], None]
 
 # Modules that the firmware has the choice of: what a board file has to say for it, where it says
 # nothing what holds, and with which of these words the module is needed. All other modules go on
@@ -52,11 +58,15 @@ class BuildError(Exception):
 
 @dataclass
 class Build:
-    """Files by their path on the board. engine: the board file's; "" where it is for none."""
+    """Files by their path on the board. engine: the board file's; "" where it is for none.
+
+    map: what its names and places mean, see compiling/symbols.py; it stays on this computer.
+    """
 
     arch: str
     files: dict[str, bytes] = field(default_factory=dict)
     engine: str = ""
+    map: dict[str, Any] = field(default_factory=dict)
 
     @property
     def bytes(self) -> int:
@@ -76,10 +86,10 @@ def sources() -> list[str]:
 
 def needed(board: ModuleType) -> list[str]:
     """The modules that a board has a use for, as sources() has them."""
-    there = {_module(source): source for source in sources()}
+    there = {module(source): source for source in sources()}
     found: dict[str, str] = {}
     extras = _extras(board)
-    left = [_module(START), *extras]
+    left = [module(START), *extras]
     while left:
         name = left.pop()
         wanted = _is_chosen(name, board) and (extras or name != _EXTRAS_API)
@@ -97,7 +107,7 @@ def _extras(board: ModuleType) -> list[str]:
     return guests.names(board)
 
 
-def _module(source: str) -> str:
+def module(source: str) -> str:
     """`pio/engine.py` is `pio.engine`."""
     return source.removesuffix(".py").replace("/", ".")
 
@@ -156,29 +166,60 @@ def load_board(file: Path) -> ModuleType:
 def compile_all(
     arch: str,
     board: ModuleType | None = None,
-    progress: Callable[[str, int], None] = lambda name, size: None,
+    progress: Progress = lambda name, size: None,
+    debug: bool = False,
 ) -> Build:
-    """Every module, or those a board needs. progress: is told path and bytes of each."""
+    """Every module, or those a board needs. debug: names and line numbers stay."""
+    firmware = prepared_firmware(debug)
+    made = compile_texts(arch, firmware.texts, board, progress, debug)
+    made.map = symbols.describe(texts(), firmware, debug)
+    return made
+
+
+def compile_texts(
+    arch: str,
+    prepared_texts: Mapping[str, str],
+    board: ModuleType | None = None,
+    progress: Progress = lambda name, size: None,
+    debug: bool = False,
+) -> Build:
+    """The same of sources that have been prepared, without a map."""
     made = Build(arch)
-    texts = prepared({_module(source): _text(source) for source in sources()})
     for source in sources() if board is None else needed(board):
         path = source if source == START else source.removesuffix(".py") + ".mpy"
         if source == START:
             made.files[path] = _text(source).encode()
         else:
-            made.files[path] = _compile(source, texts[_module(source)], arch)
+            made.files[path] = _compile(source, prepared_texts[module(source)], arch, debug)
         progress(path, len(made.files[path]))
     return made
+
+
+def prepared_firmware(debug: bool = False) -> Shortened:
+    """All modules as they are compiled, with what tells this build from others in them."""
+    return _prepared(tuple(texts().items()), debug)
+
+
+@lru_cache(2)
+def _prepared(modules: tuple[tuple[str, str], ...], debug: bool) -> Shortened:
+    return symbols.stamped(prepared(dict(modules), debug))
 
 
 def _text(source: str) -> str:
     return (paths.FIRMWARE / source).read_text(encoding="utf-8")
 
 
-def for_board(file: Path, progress: Callable[[str, int], None] = lambda name, size: None) -> Build:
+def texts() -> dict[str, str]:
+    """Every module of the firmware as it is written, by its name."""
+    return {module(source): _text(source) for source in sources()}
+
+
+def for_board(
+    file: Path, progress: Progress = lambda name, size: None, debug: bool = False
+) -> Build:
     """What belongs on the board of that file. BuildError before anything is compiled."""
     board: Any = load_board(file)
-    made = compile_all(board.MPY_ARCH, board, progress)
+    made = compile_all(board.MPY_ARCH, board, progress, debug)
     made.engine = board.ENGINE
     own = [f"{name}.py" for name in getattr(board, "EXTRAS", ())]
     for path, source in ((BOARD, file), *((name, file.parent / name) for name in own)):
@@ -203,14 +244,20 @@ def folders(made: Build) -> list[str]:
     return sorted({path.rpartition("/")[0] for path in (*made.files, *sources())})
 
 
-def _compile(source: str, text: str, arch: str) -> bytes:
+def _compile(source: str, text: str, arch: str, debug: bool) -> bytes:
     """A module in MicroPython's own format."""
     with TemporaryDirectory() as folder:
         file = Path(folder) / "module.py"
         file.write_text(text, encoding="utf-8")
         # Tracebacks tell the module, which has its name in memory anyway, not the file.
-        told = ["-s", _module(source), "-o", "-"]
-        command = [_mpy_cross(), _OPTIMIZED, f"-march={arch}", *told, str(file)]
+        told = ["-s", module(source), "-o", "-"]
+        command = [
+            _mpy_cross(),
+            "-O0" if debug else _OPTIMIZED,
+            f"-march={arch}",
+            *told,
+            str(file),
+        ]
         done = subprocess.run(command, capture_output=True, check=False)
     if done.returncode:
         raise BuildError(f"{source} cannot be compiled: {done.stderr.decode().strip()}")

@@ -8,6 +8,7 @@ _HERE = Path(__file__).resolve().parent
 _INSTALLED = (_HERE / "firmware").is_dir()
 _ROOT = _HERE if _INSTALLED else _HERE.parent
 
+TOOLS = _HERE
 FIRMWARE = _ROOT / "firmware"
 BOARDS = _ROOT / "boards"
 EXAMPLES = _ROOT / "examples"

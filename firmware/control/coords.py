@@ -29,7 +29,7 @@ class Coords:
         self._axes = axes
         self.length_axis = length_axis
         self.systems = [vector(axes) for _ in range(_COUNT)]
-        self.active = 0
+        self.active = 0  # keep-name: esp32.RMT has active(), too
         self.g92 = vector(axes)
         self.tool_length = 0.0
 

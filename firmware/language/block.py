@@ -70,7 +70,7 @@ GROUP_M8 = const(0x2000)  # coolant
 GROUP_M9 = const(0x4000)  # override control
 
 # G number -> modal group, attribute of Modal it sets, if any, value, who claims the axis words.
-G_WORDS = {
+G_WORDS = {  # attribute-names: column 1
     0: (GROUP_1, "motion", SEEK, AXES_MOTION),
     1: (GROUP_1, "motion", LINEAR, AXES_MOTION),
     2: (GROUP_1, "motion", CW_ARC, AXES_MOTION),
@@ -119,7 +119,7 @@ _G_DECIMALS = {
 _WANTS_DECIMALS = (38, 43)
 
 # M number -> modal group, attribute of Modal, value.
-M_WORDS = {
+M_WORDS = {  # attribute-names: column 1
     0: (GROUP_M4, "flow", PAUSED),
     1: (GROUP_M4, "flow", RUNNING),  # optional stop: there is no switch for it
     2: (GROUP_M4, "flow", END_M2),

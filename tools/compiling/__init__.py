@@ -8,12 +8,15 @@ modules by name, and returns them; the tests let both forms do the same things.
 
 from collections.abc import Mapping
 
+from . import marks
 from .inline import inline
 from .leaves import leaves
 from .prune import prune
-from .shorten import shorten
+from .shorten import Shortened, shorten
 
 
-def prepared(sources: Mapping[str, str]) -> dict[str, str]:
-    """The modules, by name, as they are to be compiled."""
-    return shorten(prune(leaves(inline(sources))))
+def prepared(sources: Mapping[str, str], debug: bool = False) -> Shortened:
+    """The modules, by name, as they are to be compiled. debug: names stay as they are."""
+    found = marks.read(sources)
+    texts = prune(leaves(inline(sources)))
+    return Shortened(texts, {}, {}, {}) if debug else shorten(texts, found)

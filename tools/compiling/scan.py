@@ -12,29 +12,26 @@ def root(node: ast.expr) -> str:
     return node.id if isinstance(node, ast.Name) else ""
 
 
-def texts(tree: ast.AST) -> Iterator[str]:
-    """Every word of every text that is no comment."""
-    other = {node.value for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-    other |= {node for node, _ in rows(tree)}
+def texts(tree: ast.AST) -> Iterator[ast.Constant]:
+    """Every text that is no documentation and no annotation."""
+    other: set[ast.AST] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Expr):
+            other.add(node.value)
+        for part in (getattr(node, "annotation", None), getattr(node, "returns", None)):
+            other |= set(ast.walk(part)) if part else set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in other:
-            yield from re.findall(r"\w+", node.value)
+            yield node
 
 
-def rows(tree: ast.AST) -> Iterator[tuple[ast.expr, str]]:
-    """Texts that are the attribute of a setting: (number, attribute, kind, default, unit)."""
+def asked_by_text(tree: ast.AST) -> Iterator[str]:
+    """Names in getattr(…, "name") and its like."""
     for node in ast.walk(tree):
         match node:
-            case ast.Tuple(
-                [
-                    ast.Constant(int()),
-                    ast.Constant(str(name)) as text,
-                    _,
-                    _,
-                    ast.Constant(str()),
-                ]
-            ):
-                yield text, name
+            case ast.Call(ast.Name(function), [_, ast.Constant(str(name)), *_]):
+                if function in ("getattr", "setattr", "hasattr", "delattr"):
+                    yield name
 
 
 def imports(tree: ast.AST) -> Iterator[str]:
@@ -85,7 +82,7 @@ def loaded(node: ast.ClassDef) -> set[str]:
                 parts = []
             case _:
                 parts = [statement]
-        found |= {name for part in parts for name in identifiers(part)}
+        found |= {n.id for part in parts for n in ast.walk(part) if isinstance(n, ast.Name)}
     return found
 
 

@@ -6,9 +6,10 @@ and cost neither memory nor a search at start. So attributes, private methods, p
 private variables of modules take such names instead, where the sources do not use them. Names of
 public functions, of classes and of modules stay: whoever talks to a board's objects has those.
 
-Where it is not plain that a name is ours alone it stays as it is: what MicroPython's objects have
-too, what is in a text (for getattr() and the like) or passed by keyword, what a board file says.
-No line moves, and the sources do the same without it.
+Where it is not plain that a name is ours alone it stays as it is: what Python's objects have too,
+what getattr() asks for or is passed by keyword, what a board file says. Where the code does not
+say it a mark does (marks.py), and a text that could be a name and is not marked is an error. No
+line moves, and the sources do the same without it.
 """
 
 import array
@@ -21,8 +22,9 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cache
 from typing import NamedTuple
 
-from .. import paths
+from . import marks as mk
 from . import scan
+from .marks import Marks
 
 # Of MicroPython's static_qstr_list (py/makeqstrdata.py), part of the .mpy format 6. Not those
 # that it asks an object for by itself: send, throw, close, read, write, keys, args, value; nor
@@ -52,9 +54,6 @@ SHORT = (
 # Names no longer than this gain nothing, and a block has its words by their letters.
 _LETTERS = 2
 
-# What scripts that run on the board ask us for: those of the tests and of the benchmark.
-_ASKED_FOR = frozenset(("_report",))
-
 _PARAMETERS = 24  # of these names are for parameters, which hide variables of modules
 
 _Function = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
@@ -70,25 +69,86 @@ class _Edit(NamedTuple):
     new: str
 
 
-def shorten(sources: Mapping[str, str], keep: Collection[str] = ()) -> dict[str, str]:
-    """The modules, by name, with short names in place. keep: names that others want too."""
+class Shortened(NamedTuple):
+    """The modules, by name, and what became of their names.
+
+    names: the short name of what any module may ask another for, by the long one; modules and
+    classes: the long names by the short one, in each. id: what tells this firmware from others.
+    """
+
+    texts: dict[str, str]
+    names: dict[str, str]
+    modules: dict[str, dict[str, list[str]]]
+    classes: dict[str, dict[str, str]]
+    id: str = ""
+
+
+def shorten(sources: Mapping[str, str], marks: Marks | None = None) -> Shortened:
+    """The modules, by name, with short names in place. ValueError where a mark is missing."""
+    marks = marks or mk.read(sources)
     trees = {name: ast.parse(text) for name, text in sources.items()}
-    survey = _Survey(trees, {*keep, *_ASKED_FOR})
+    survey = _Survey(trees, marks)
     attributes, shared = survey.attributes(), survey.shared()
+    names = {**attributes, **shared}
+    _check_texts(trees, marks, attributes)
     left = [name for name in survey.free[_PARAMETERS:] if name not in shared.values()]
-    return {
-        name: _apply(
-            text,
-            [
-                *_attribute_edits(trees[name], {**attributes, **shared}),
-                *_parameter_edits(trees[name], survey.keywords, survey.free[:_PARAMETERS]),
-                *_shared_edits(trees[name], shared),
-                *_variable_edits(trees[name], survey.kept | survey.asked, left),
-                *_constant_edits(trees[name], survey.kept | survey.asked),
-            ],
-        )
-        for name, text in sources.items()
+    stay = survey.kept | survey.asked
+    edits = {
+        name: [
+            *_name_edits(name, tree, names, marks),
+            *_parameter_edits(tree, survey.keywords, survey.free[:_PARAMETERS]),
+            *_uses([tree], shared),
+            *_variable_edits(tree, stay, left),
+            *_constant_edits(tree, stay),
+        ]
+        for name, tree in trees.items()
     }
+    return Shortened(
+        {name: _apply(text, edits[name]) for name, text in sources.items()},
+        names,
+        {name: _by_short(made) for name, made in edits.items()},
+        survey.classes(attributes),
+    )
+
+
+def follow(module: str, text: str, made: Shortened) -> str:
+    """The source of one who uses the firmware's objects, by the public names these have now.
+
+    What its own classes have goes by the same names, for the firmware may use them.
+    """
+    tree = ast.parse(text)
+    public = {name: short for name, short in made.names.items() if name[0] != "_"}
+    edits = [*_name_edits(module, tree, public, Marks({}, {}))]
+    edits += _uses([tree], {n: public[n] for n in scan.imports(tree) if n in public})
+    for node in ast.walk(tree):
+        if isinstance(node, ast.keyword) and node.arg in public:
+            edits.append(_Edit(node.lineno, node.col_offset, node.arg, public[node.arg]))
+        for part in node.body if isinstance(node, ast.ClassDef) else ():
+            if isinstance(part, ast.FunctionDef) and part.name in public:
+                at = part.col_offset + len("def ")
+                edits.append(_Edit(part.lineno, at, part.name, public[part.name]))
+    return _apply(text, edits)
+
+
+def _by_short(edits: "Iterable[_Edit]") -> dict[str, list[str]]:
+    found: dict[str, set[str]] = defaultdict(set)
+    for edit in edits:
+        found[edit.new].add(edit.old)
+    return {short: sorted(long) for short, long in sorted(found.items())}
+
+
+def _check_texts(
+    trees: Mapping[str, ast.Module], marks: Marks, attributes: Mapping[str, str]
+) -> None:
+    """ValueError where a text is what an attribute was called, and no mark says what it is."""
+    for module, tree in trees.items():
+        marked = set(mk.cells(module, tree, marks))
+        for text in scan.texts(tree):
+            if text.value in attributes and text not in marked:
+                raise ValueError(
+                    f"{module}: is {text.value!r} the name of an attribute? If so, mark its table "
+                    "(attribute-names), else the attribute (keep-name): compiling/marks.py"
+                )
 
 
 # What there is
@@ -97,10 +157,10 @@ def shorten(sources: Mapping[str, str], keep: Collection[str] = ()) -> dict[str,
 class _Survey:
     """Every name of all modules, and what it is."""
 
-    def __init__(self, trees: Mapping[str, ast.Module], keep: set[str]) -> None:
-        self.keywords = set(keep)
+    def __init__(self, trees: Mapping[str, ast.Module], marks: Marks) -> None:
+        self.keywords = set(marks.kept)
         self.asked: set[str] = set()  # what modules are asked for
-        self.kept = {*keep, *_outside()}
+        self.kept = {*marks.kept, *_python()}
         self._named: set[str] = set()  # functions, classes, modules
         self._imported: set[str] = set()
         self._public: set[str] = set()  # variables of modules
@@ -112,9 +172,9 @@ class _Survey:
         self._inner: set[str] = set()
         self._bases: dict[str, set[str]] = defaultdict(set)
         self._modules = {part for name in trees for part in (name, name.partition(".")[0])}
-        used = set(keep)
+        used = set(marks.kept)
         for module, tree in trees.items():
-            self.kept |= set(scan.texts(tree))
+            self.kept |= set(scan.asked_by_text(tree))
             self._named |= set(module.split("."))
             self._imported |= set(scan.imports(tree))
             self._public |= set(scan.public(tree))
@@ -123,7 +183,11 @@ class _Survey:
             self._private |= {method for node in classes for method in scan.private_methods(node)}
             used |= set(scan.identifiers(tree))
             self._read(tree, self._aliases(tree), "")
-        self.free = [name for name in SHORT if name not in used | self.kept - _outside()]
+            for _, name in mk.names(module, tree, marks):
+                self._stored.add(name)
+                self._alone[name] |= set()
+                self._seen.add(name)
+        self.free = [name for name in SHORT if name not in used | self.kept - _python()]
 
     def _aliases(self, tree: ast.Module) -> dict[str, bool]:
         """What a module calls others, and whether these are here."""
@@ -208,6 +272,15 @@ class _Survey:
                     taken[kind].add(short)
         return found
 
+    def classes(self, attributes: Mapping[str, str]) -> dict[str, dict[str, str]]:
+        """The long names of each class's attributes by their short ones."""
+        found: dict[str, dict[str, str]] = {}
+        for kind in self._bases:
+            family = self._family(kind)
+            own = [n for n in attributes if family in {self._family(k) for k in self._alone[n]}]
+            found[kind] = {attributes[name]: name for name in sorted(own)}
+        return found
+
     def _odd(self, bases: set[str]) -> bool:
         """Whether a class has a base that is not here."""
         return any(base not in self._bases for base in bases)
@@ -228,29 +301,30 @@ def _is_plain(name: str) -> bool:
 
 
 @cache
-def _outside() -> frozenset[str]:
-    """Names of what MicroPython's objects have: as Python's do, and those of the hardware."""
+def _python() -> frozenset[str]:
+    """Names of what Python's own objects have."""
     kinds = [kind for kind in vars(builtins).values() if isinstance(kind, type)]
-    kinds += [array.array, io.StringIO, io.FileIO, type(_outside), types.GeneratorType]
+    kinds += [array.array, io.StringIO, io.FileIO, type(_python), types.GeneratorType]
     names = {name for kind in kinds for name in dir(kind)}
-    for file in paths.SHIM.glob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Attribute):
-                names.add(node.attr)
-            elif isinstance(node, ast.FunctionDef):
-                names.add(node.name)
     return frozenset(name for name in names if name[0] != "_" or name[:2] == "__")
 
 
 # What becomes of it
 
 
-def _attribute_edits(tree: ast.Module, short: Mapping[str, str]) -> Iterator[_Edit]:
-    for text, name in scan.rows(tree):
+def _name_edits(
+    module: str, tree: ast.Module, short: Mapping[str, str], marks: Marks
+) -> Iterator[_Edit]:
+    """Attributes, and what is imported from other modules."""
+    for text, name in mk.names(module, tree, marks):
         if name in short:
             yield _Edit(text.lineno, text.col_offset + 1, name, short[name])
     for node in ast.walk(tree):
         match node:
+            case ast.ImportFrom():
+                for alias in node.names:
+                    if alias.name in short:
+                        yield _Edit(alias.lineno, alias.col_offset, alias.name, short[alias.name])
             case ast.Attribute(_, name) if name in short:
                 column = (node.end_col_offset or 0) - len(name.encode())
                 yield _Edit(node.end_lineno or 0, column, name, short[name])
@@ -299,15 +373,6 @@ def _uses(trees: Iterable[ast.AST], short: Mapping[str, str]) -> Iterator[_Edit]
         for node in ast.walk(tree):
             if isinstance(node, ast.Name) and node.id in short:
                 yield _edit(node, node.id, short[node.id])
-
-
-def _shared_edits(tree: ast.Module, short: Mapping[str, str]) -> Iterator[_Edit]:
-    yield from _uses([tree], short)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom):
-            for alias in node.names:
-                if alias.name in short:
-                    yield _Edit(alias.lineno, alias.col_offset, alias.name, short[alias.name])
 
 
 def _variable_edits(tree: ast.Module, kept: Collection[str], free: list[str]) -> Iterator[_Edit]:

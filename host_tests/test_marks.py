@@ -1,0 +1,74 @@
+"""The firmware's marks say what its names are: none is missing, none is stale."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+from ugrbl import build, paths
+from ugrbl.compiling import marks, prepared
+from ugrbl.compiling.inline import inline
+from ugrbl.compiling.marks import Marks
+from ugrbl.compiling.shorten import Shortened, shorten
+
+_HERE = Path(__file__).resolve().parent
+# Whose scripts run on a board, where they ask the firmware's objects for names.
+_ON_BOARD = (_HERE / "emulator", _HERE / "bench")
+
+
+@pytest.fixture(scope="module")
+def made() -> Shortened:
+    return prepared(build.texts())
+
+
+@pytest.fixture(scope="module")
+def found() -> Marks:
+    return marks.read(build.texts())
+
+
+def on_boards() -> set[str]:
+    """What objects of MicroPython's hardware modules have: the stand-ins' functions."""
+    return {
+        node.name
+        for file in paths.SHIM.glob("*.py")
+        for node in ast.walk(ast.parse(file.read_text("utf-8")))
+        if isinstance(node, ast.FunctionDef) and node.name[0] != "_"
+    }
+
+
+def asked_by_scripts() -> set[str]:
+    """Attributes in what runs on a board for a test or the benchmark."""
+    files = [file for folder in _ON_BOARD for file in folder.glob("*.py")]
+    return {
+        name for file in files for name in re.findall(r"\bself\.(\w+)", file.read_text("utf-8"))
+    }
+
+
+def test_no_name_that_becomes_short_is_one_of_a_board(made: Shortened) -> None:
+    """If this fails: `# keep-name:` where the attribute is made, see compiling/marks.py."""
+    assert not made.names.keys() & on_boards()
+    assert len(made.names) > 300
+
+
+def test_every_name_kept_would_be_short_and_is_anothers_too(found: Marks) -> None:
+    free = shorten(inline(build.texts()), found._replace(kept={})).names
+    for name, reason in found.kept.items():
+        assert name in free, f"{name} needs no mark ({reason})"
+        assert name in on_boards() | asked_by_scripts(), f"{name}: who has it? ({reason})"
+
+
+def test_every_marked_column_has_names_of_attributes(found: Marks, made: Shortened) -> None:
+    texts = build.texts()
+    for table in found.tables:
+        only = Marks({}, {table: found.tables[table]})
+        tree = ast.parse(texts[table.module])
+        names = {name for _, name in marks.names(table.module, tree, only)}
+        assert names & made.names.keys(), f"{table}: no name in this column becomes short"
+        assert all(map(str.isidentifier, names)), f"{table}: {names}"
+
+
+@pytest.mark.parametrize("module", ["base.settings", "language.block"])
+def test_without_its_mark_a_table_is_asked_about(module: str, found: Marks) -> None:
+    less = {table: column for table, column in found.tables.items() if table.module != module}
+    with pytest.raises(ValueError, match=f"{module}: is .* the name of an attribute"):
+        shorten(inline(build.texts()), found._replace(tables=less))
