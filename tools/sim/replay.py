@@ -270,7 +270,9 @@ class _Case:
 
     def outputs(self) -> "dict[str, int]":
         port = self.rig.port
-        return {name: int(getattr(port, name)) for name in _OUTPUTS}
+        levels = [port.enable_pin, port.spindle_on, port.spindle_pwm, port.spindle_dir]
+        levels += [port.flood, port.mist]
+        return {name: int(level) for name, level in zip(_OUTPUTS, levels)}
 
     def step(self, step: "Json") -> "Script":
         rig = self.rig
