@@ -316,7 +316,7 @@ def test_no_message_of_a_fault_can_be_taken_for_an_answer(
     try:
         raise ValueError("token: Error in [book], ok")
     except ValueError as fault:
-        line = power_up._line(fault)
+        line = power_up._line(power_up._text(fault))
     assert line.startswith(b"[MSG:ValueErr: to-ken: Err in  boo-k , o-k ") and line.endswith(
         b"]\r\n"
     )

@@ -16,14 +16,18 @@ _USED_BEFORE = 0x55
 # The command
 
 
-def answers(health: "Callable[[], str] | None", *lines: str) -> "list[list[str]]":
-    """What each line is answered with, at a board with that health."""
+BUILD = "[MSG:Build: --------]"  # of sources
+
+
+def answers(health: "Callable[[], str] | None", *lines: str, fault: str = "") -> "list[list[str]]":
+    """What each line is answered with, at a board with that health, after that fault."""
     machine = Machine(watched=False)
     replies: list[list[str]] = []
 
     def built() -> None:
         controller: Any = machine.rig.controller
         controller.commands.health = health
+        controller.commands.fault = fault
 
     machine.rig.on_built = built
     machine.converse(["$X", *lines], lambda line, said: replies.append(said))
@@ -33,13 +37,18 @@ def answers(health: "Callable[[], str] | None", *lines: str) -> "list[list[str]]
 def test_a_board_that_can_tell_answers_as_to_i_and_tells() -> None:
     plain, told = answers(lambda: "Stack: 4704 of 8192 bytes used", "$I", "$I+")
     assert plain[-1] == "ok" and len(plain) == 3
-    assert told == [*plain[:-1], "[MSG:Stack: 4704 of 8192 bytes used]", "ok"]
+    assert told == [*plain[:-1], BUILD, "[MSG:Stack: 4704 of 8192 bytes used]", "ok"]
 
 
-def test_a_board_that_cannot_refuses_and_keeps_what_it_was() -> None:
-    named, before, refused, after = answers(None, "$I=MILL", "$I", "$I+", "$I")
+def test_a_board_that_cannot_tells_its_build_and_keeps_what_it_was() -> None:
+    named, before, told, after = answers(None, "$I=MILL", "$I", "$I+", "$I")
     assert named == ["ok"] and "MILL" in before[0]
-    assert refused == ["error:3"] and after == before
+    assert told == [*before[:-1], BUILD, "ok"] and after == before
+
+
+def test_the_last_fault_is_told_until_power_goes() -> None:
+    told = answers(None, "$I+", "$I+", fault="ValueErr: 5 (1a2b3c4d)")
+    assert [said[-2] for said in told] == ["[MSG:Last fault: ValueErr: 5 (1a2b3c4d)]"] * 2
 
 
 @pytest.mark.parametrize("line", ["$I+1", "$I++", "$I-"])

@@ -122,6 +122,9 @@ MSG_SPINDLE_RESTORE = "Restoring spindle"
 MSG_SLEEP = "Sleeping"
 MSG_NOT_KEPT = "Flash is full or worn: not kept"
 
+# What tells builds apart: `ugrbl build` writes it here, and `ugrbl decode` looks for its map.
+BUILD_ID = "--------"
+
 
 class GrblError(Exception):
     """The request is refused; nothing has changed. The sender sees error:<code>."""

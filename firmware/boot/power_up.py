@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _RESET = const(0x18)
 _QUESTION = const(0x3F)
+_DOLLAR = const(0x24)
 _LONGEST = const(120)
 
 
@@ -64,11 +65,13 @@ def live(parts: "Parts | None") -> "Controller | None":
 
 
 def _alarm(machine: "Controller", link: "Any", fault: Exception) -> None:
-    """Say what has happened, then wait for a soft reset."""
+    """Say what has happened, again to who begins a $-command; then wait for a soft reset."""
     machine.state.alarm = 0
     machine.state.enter(st.ALARM)
     link.write(b"ALARM:%d\r\n" % errors.ALARM_INTERNAL)
-    link.write(_line(fault))
+    machine.commands.fault = text = _text(fault)
+    line = _line(text)
+    link.write(line)
     buf = bytearray(16)
     while True:
         count = link.read_into(buf)
@@ -77,11 +80,13 @@ def _alarm(machine: "Controller", link: "Any", fault: Exception) -> None:
                 return
             if buf[i] == _QUESTION:
                 link.write(machine.report.status())
+            elif buf[i] == _DOLLAR:
+                link.write(line)
 
 
 def _stay(link: "Any", fault: Exception) -> None:
     """There is no machine: tell why, again to whoever writes to us."""
-    line = _line(fault)
+    line = _line(_text(fault))
     if link is None:
         print(line.decode())
         return
@@ -95,13 +100,17 @@ def _stay(link: "Any", fault: Exception) -> None:
         return
 
 
-def _line(fault: Exception) -> bytes:
-    """A message of one line: what happened, and where."""
-    text = io.StringIO()
-    sys.print_exception(fault, text)
-    lines = text.getvalue().strip().split("\n")
+def _line(text: str) -> bytes:
+    return ("[MSG:%s]\r\n" % text).encode()
+
+
+def _text(fault: Exception) -> str:
+    """What happened, where, and in which build."""
+    out = io.StringIO()
+    sys.print_exception(fault, out)
+    lines = out.getvalue().strip().split("\n")
     place = lines[-2].strip() if len(lines) > 1 else ""
-    return ("[MSG:%s]\r\n" % _harmless("%s %s" % (lines[-1], place))).encode()
+    return "%s (%s)" % (_harmless("%s %s" % (lines[-1], place)), errors.BUILD_ID)
 
 
 def _harmless(text: str) -> str:

@@ -62,7 +62,7 @@ class Commands:
         self._settings = settings
         self._coords = coords
         self._store = store
-        self._report = report
+        self._report = report  # keep-name: tests on a board ask for it
         self._modes = modes
         self._interpreter = interpreter
         self._canon = canon
@@ -74,8 +74,9 @@ class Commands:
         self._override_control = override_control
         self._startup = [""] * STARTUP_LINES
         self._letters = self._make_letters()
-        # What $I+ says besides $I, where the chip can tell.
+        # What $I+ says besides $I: of the chip, where it can tell, and of the last fault.
         self.health: "Callable[[], str] | None" = None
+        self.fault = ""
 
     def connect(self, answer: "Callable[[bytearray, int, bytes], None]") -> None:
         """Say what executes a line of G-code and prints what becomes of it, beginning with the
@@ -242,16 +243,24 @@ class Commands:
         self._state.post(st.SLEEP_REQUEST)
 
     def _build_info(self, line: bytearray, length: int) -> None:
-        health = self.health if length == 3 and line[2] == 43 else None  # $I+
-        if length == 2 or health:
+        is_long = length == 3 and line[2] == 43  # $I+
+        if length == 2 or is_long:
             kept = self._store.load(_BUILD_INFO)
             self._report.build_info(kept[0] if kept else "", self._options)
-            if health:
-                self._report.message(health())
+            if is_long:
+                self._tell_health()
         elif line[2] != 61:
             raise GrblError(errors.INVALID_STATEMENT)
         else:
             self._store.save(_BUILD_INFO, [line[3:length].decode()])
+
+    def _tell_health(self) -> None:
+        message = self._report.message
+        message("Build: " + errors.BUILD_ID)
+        if self.health:
+            message(self.health())
+        if self.fault:
+            message("Last fault: " + self.fault)
 
     def _restore(self, line: bytearray, length: int) -> None:
         what = line[5] if length == 6 else 0
