@@ -4,6 +4,7 @@ import os
 import sys
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 _HERE = Path(__file__).parent
@@ -15,3 +16,9 @@ os.environ.setdefault("UGRBL_VIPER", "checked")
 settings.register_profile("ci", deadline=None, max_examples=50)
 settings.register_profile("thorough", deadline=None, max_examples=2000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
+
+
+@pytest.fixture(autouse=True, scope="session")
+def maps_of_tests(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """No test keeps a map in the user's folder."""
+    os.environ["UGRBL_MAPS"] = str(tmp_path_factory.mktemp("maps"))

@@ -162,7 +162,7 @@ def test_a_board_gets_what_it_can_use() -> None:
 
 
 def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() -> None:
-    assert set(build._CHOICES) <= {build._module(source) for source in build.sources()}
+    assert set(build._CHOICES) <= {build.module(source) for source in build.sources()}
     every: set[str] = set()
     for engine in ("pio", "rmt", "i2s"):
         for link in ("usb", "uart"):
@@ -436,7 +436,7 @@ def plugged(monkeypatch: pytest.MonkeyPatch, made: build.Build) -> FakeBoard:
 
     board = FakeBoard()
     monkeypatch.setattr(deploy_device, "MpremoteDevice", lambda port: board)
-    monkeypatch.setattr(build, "for_board", lambda file: made)
+    monkeypatch.setattr(build, "for_board", lambda file, debug=False: made)
     monkeypatch.setattr(ports, "choose", lambda port: port or "/dev/ttyACM7")
     return board
 

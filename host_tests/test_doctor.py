@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import threading
 import time
 import tty
@@ -13,7 +14,7 @@ from typing import Any, cast
 import pytest
 from sim_bench import SETTINGS, STEPS_PER_MM, SWITCH_STEPS, Bench
 from typer.testing import CliRunner
-from ugrbl import checkup, connection, doctor, patient, ports
+from ugrbl import build, checkup, connection, doctor, patient, ports
 from ugrbl import settings_sync as sync
 from ugrbl.checkup import BAD, NOTE, OK, Finding
 from ugrbl.cli import app
@@ -272,6 +273,81 @@ def test_a_board_that_tells_its_stack_gets_a_row_and_the_simulator_none(
     monkeypatch.setattr(Connection, "ask", with_stack)
     code, found, verdict = examine(bench.port, "--no-move", "--pins", "0")
     assert code == 0 and found["C stack"][0]["verdict"] == NOTE and "worth a look" in verdict
+
+
+# A fault of the firmware
+
+
+@pytest.fixture
+def fault() -> str:
+    """As a board tells it that has the firmware that is here."""
+    number = build.prepared_firmware().id
+    return f'[MSG:IndexErr: list index File "talk.report", line 1, in status ({number})]'
+
+
+_REPORT = b"<Alarm|MPos:0.000,0.000,0.000|FS:0,0>\r\n"
+
+
+def test_a_board_that_stands_in_a_fault_is_asked_for_it(fault: str) -> None:
+    impostor = Impostor({b"?": _REPORT, b"$": fault.encode() + b"\r\n"})
+    impostor.start()
+    code, found, _ = examine(impostor.port)
+    impostor.over.set()
+    assert code == 1 and "firmware" not in found  # it hears nothing else
+    assert "IndexError: list index" in found["fault"][0]["text"]
+    assert re.search(
+        r"talk/report\.py, lines \d+ to \d+: Report\.status", found["fault"][0]["text"]
+    )
+    assert "Ctrl-X" in found["fault"][0]["todo"]
+
+
+def test_a_board_that_cannot_start_says_why_in_names(fault: str) -> None:
+    impostor = Impostor({}, fault.encode() + b"\r\n")
+    (found,) = judged(impostor)
+    assert found.what == "fault" and "talk/report.py" in found.text
+
+
+def judged(impostor: Impostor) -> "list[Finding]":
+    """What is said of one who is no Grbl."""
+    impostor.start()
+    found = patient.stranger(impostor.port)
+    impostor.over.set()
+    return found
+
+
+def test_the_last_fault_is_told_though_the_machine_works_again(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, fault: str
+) -> None:
+    ask = Connection.ask
+
+    def with_fault(self: Connection, line: str) -> list[str]:
+        told = [fault.replace("[MSG:", "[MSG:Last fault: "), "ok"]
+        return told if line == "$I+" else ask(self, line)
+
+    monkeypatch.setattr(Connection, "ask", with_fault)
+    code, found, _ = examine(bench.port, "--no-move", "--pins", "0")
+    assert code == 1 and found["state"][0]["text"] == "Idle"
+    assert found["fault"][0]["text"].startswith("IndexError: list index")
+
+
+@pytest.mark.parametrize(
+    ("told", "todo"),
+    [
+        ('[MSG:TypeErr: x File "a", line 1, in f (99999999)]', "no map of the build 99999999"),
+        ('[MSG:TypeErr: x File "a", line 1, in f]', "report it"),
+    ],
+)
+def test_a_fault_without_a_map_is_told_as_it_is(told: str, todo: str) -> None:
+    found = checkup.fault(told)
+    assert found.verdict == BAD and found.text == told and todo in found.todo
+
+
+def test_an_alarm_that_is_no_fault_is_none(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, "--speed", "max", settings=SETTINGS)
+    connection = sync.connect(str(bench.port))
+    assert connection.state() == "Alarm" and patient.fault(connection) == ""
+    connection.close()
+    bench.kill()
 
 
 def test_a_port_that_is_not_there_is_named() -> None:

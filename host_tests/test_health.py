@@ -1,11 +1,14 @@
 """`$I+`, which says how the board itself is, and the C stack's watermark that it tells of."""
 
+import sys
 from array import array
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from base.state import ALARM, State
+from boot import power_up
 from pio import stack
 from rig_bench import Machine
 
@@ -60,6 +63,42 @@ def test_what_looks_like_it_is_refused_and_not_asked_for(line: str) -> None:
         return "Stack: 1 of 8192 bytes used"
 
     assert answers(health, line) == [["error:3"]] and not asked
+
+
+class Wire:
+    """A link: what is read, a piece at a time, and what is written."""
+
+    def __init__(self, *pieces: bytes) -> None:
+        self.written = b""
+        self._pieces = list(pieces)
+
+    def write(self, data: bytes) -> None:
+        self.written += data
+
+    def read_into(self, buf: bytearray) -> int:
+        piece = self._pieces.pop(0)
+        buf[: len(piece)] = piece
+        return len(piece)
+
+
+def test_a_fault_is_told_again_to_who_asks_and_kept_for_afterwards(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    text = 'Traceback\n  File "talk.lines", line 1, in feed\nIndexError: [1]'
+    monkeypatch.setattr(
+        sys, "print_exception", lambda fault, file: file.write(text), raising=False
+    )
+    machine: Any = SimpleNamespace(
+        state=State(),
+        commands=SimpleNamespace(fault=""),
+        report=SimpleNamespace(status=lambda: b"<Alarm>"),
+    )
+    wire = Wire(b"G0 X1\n", b"?", b"$I\n", b"\x18")
+    power_up._alarm(machine, wire, IndexError())
+    line = b'[MSG:IndexErr:  1  File "talk.lines", line 1, in feed (--------)]\r\n'
+    assert wire.written == b"ALARM:16\r\n" + line + b"<Alarm>" + line
+    assert machine.commands.fault.encode() == line[5:-3]
+    assert machine.state.run == ALARM
 
 
 # The watermark, in memory of our own

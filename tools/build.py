@@ -202,7 +202,8 @@ def prepared_firmware(debug: bool = False) -> Shortened:
 
 @lru_cache(2)
 def _prepared(modules: tuple[tuple[str, str], ...], debug: bool) -> Shortened:
-    return symbols.stamped(prepared(dict(modules), debug))
+    written = dict(modules)
+    return symbols.stamped(written, prepared(written, debug))
 
 
 def _text(source: str) -> str:

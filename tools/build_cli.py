@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from . import build
+from . import build, maps
 from .board_check import notes
 from .build import BuildError
 from .outputs import check_outputs
@@ -15,6 +15,9 @@ from .settings_cli import save_json
 
 EXAMPLES = "Examples:  ugrbl build --board rpi_pico   ·   ugrbl build --arch armv7emsp --json -"
 _ARCH = "armv6m"
+Debug = Annotated[
+    bool, typer.Option("--debug", help="Keep names and line numbers, at the cost of memory.")
+]
 _FOLDER = Path("build")
 
 
@@ -32,6 +35,7 @@ def command(
             "--out", "-o", metavar="FOLDER", help="By default build/BOARD or build/ARCH."
         ),
     ] = None,
+    debug: Debug = False,
     json_file: Annotated[
         Path | None,
         typer.Option("--json", metavar="FILE", help="Write the sizes there; - is stdout."),
@@ -39,7 +43,8 @@ def command(
 ) -> None:
     """Compile the firmware for a board and show the bytes of each module.
 
-    With --board what `ugrbl deploy` would put on it; without, all there is.
+    With --board what `ugrbl deploy` would put on it; without, all there is. Beside
+    the folder a map is written, FOLDER.map.json, for `ugrbl decode`.
 
     The board file is checked first, and nothing is built for a bad one: every
     problem has a line, and the exit code is 1.
@@ -55,16 +60,18 @@ def command(
         if folder.exists() and not folder.is_dir():
             raise BuildError(f"{folder} is no folder")
         if board:
-            made = build.for_board(build.board_file(board), progress)
+            made = build.for_board(build.board_file(board), progress, debug)
         else:
-            made = build.compile_all(arch, None, progress)
+            made = build.compile_all(arch, None, progress, debug)
         build.save(made, folder)
+        maps.save(made.map, maps.beside(folder))
     except (BuildError, OSError, ValueError) as error:
         raise failed(error) from error
     if board:
         for text in notes(build.load_board(build.board_file(board))):
             console.print(f"[yellow]note[/]: {escape(text)}", highlight=False, soft_wrap=True)
-    console.print(f"{made.bytes:7} bytes in all, in {folder}", highlight=False)
+    text = f"{made.bytes:7} bytes in all, in {folder}; build {made.map['id']}"
+    console.print(text, highlight=False, soft_wrap=True)
     if json_file:
         sizes = {name: len(content) for name, content in made.files.items()}
         save_json({"arch": made.arch, "bytes": made.bytes, "files": sizes}, json_file)

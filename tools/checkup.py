@@ -4,6 +4,8 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 
+from . import decode, maps
+from .maps import MapError
 from .paths import use_firmware
 from .settings_file import AXES, Firmware
 
@@ -88,6 +90,26 @@ def stack(replies: Iterable[str]) -> list[Finding]:
     todo = "report it with what the machine was doing, and run the firmware without changes of "
     todo += "your own: an interrupt that finds no room stops the machine"
     return [Finding("C stack", NOTE, f"{text}: less than 1 kB is free", todo)]
+
+
+def fault(told: str) -> Finding:
+    """A fault of the firmware, as a board tells it, in the sources' names."""
+    number = decode.build_of(told)
+    todo = "report it, with these lines and what the machine was doing; a reset (Ctrl-X), and it "
+    todo += "listens again: its place is what the motors made, but look before it moves"
+    if not number:
+        return Finding("fault", BAD, told, todo)
+    try:
+        found = maps.find(number)
+    except MapError as error:
+        return Finding("fault", BAD, told, f"{error}; {todo}")
+    lines = (line.strip() for line in decode.decode(told, found.map))
+    return Finding("fault", BAD, "; ".join(lines), todo)
+
+
+def faults(replies: Iterable[str]) -> list[Finding]:
+    """What the answer to `$I+` says of the last fault since power-up."""
+    return [fault(reply) for reply in replies if reply.startswith("[MSG:Last fault: ")]
 
 
 def too_old(engine: str, board: str, version: str) -> str:

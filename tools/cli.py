@@ -11,6 +11,7 @@ from rich.markup import escape
 from . import (
     build_cli,
     console_cli,
+    decode_cli,
     deploy_cli,
     doctor,
     new_board_cli,
@@ -29,6 +30,7 @@ app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_comp
 app.command("build", epilog=build_cli.EXAMPLES)(build_cli.command)
 app.command()(conformance)
 app.command("console", epilog=console_cli.EXAMPLES)(console_cli.command)
+app.command("decode", epilog=decode_cli.EXAMPLES)(decode_cli.command)
 app.command("deploy", epilog=deploy_cli.EXAMPLES)(deploy_cli.command)
 app.command("doctor", epilog=doctor.EXAMPLES)(doctor.command)
 app.command("new-board", epilog=new_board_cli.EXAMPLES)(new_board_cli.command)

@@ -10,8 +10,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeElapsedColumn
 
-from . import build, ports
+from . import build, maps, ports
 from .build import Build, BuildError
+from .build_cli import Debug
 from .connection import SendError
 from .deploy import DeployError, Result, deploy
 from .screen import summary
@@ -72,6 +73,7 @@ def command(
     replace: Annotated[
         bool, typer.Option("--replace", help="Even if its board.py or main.py is yours.")
     ] = False,
+    debug: Debug = False,
     json_file: Annotated[
         Path | None,
         typer.Option("--json", metavar="FILE", help="Write the result there; - is stdout."),
@@ -89,9 +91,10 @@ def command(
     console = Console(stderr=str(json_file) == "-")
     try:
         file = build.board_file(board)
-        made = build.for_board(file)
+        made = build.for_board(file, debug=debug)
         where = ports.choose(port)
         console.print(f"{file.stem}: {len(made.files)} files, {made.bytes} bytes", highlight=False)
+        _keep_map(console, made)
         result = _deploy(console, where, made, replace)
     except BuildError as error:
         raise _failed(error.problems, "nothing has been copied", json_file) from error
@@ -105,6 +108,15 @@ def command(
     _show(console, result, where)
     if json_file:
         save_json({"port": where, "board": file.stem, **result.as_json()}, json_file)
+
+
+def _keep_map(console: Console, made: Build) -> None:
+    """For `ugrbl decode`; a board can do without."""
+    try:
+        maps.keep(made.map)
+    except OSError as error:
+        text = f"[yellow]note[/]: no map is kept, for decode and doctor: {escape(str(error))}"
+        console.print(text, highlight=False, soft_wrap=True)
 
 
 def _deploy(console: Console, port: str, made: Build, replace: bool) -> Result:

@@ -59,7 +59,10 @@ class Doctor:
         try:
             self.add(Finding("port", OK, f"a Grbl answers on {port}"))
             state = connection.state()
-            if state in sync.QUIET:
+            fault = patient.fault(connection) if state == "Alarm" else ""
+            if fault:
+                self.add(checkup.fault(fault))
+            elif state in sync.QUIET:
                 self._examine(connection, pins_s, may_move, ask)
             else:
                 text = f"{state}: Grbl answers no questions then"
@@ -79,7 +82,8 @@ class Doctor:
         settings = sync.pull(connection)
         self.add(checkup.firmware(settings.firmware, _our_build()))
         self.add(*checkup.link(settings.firmware))
-        self.add(*checkup.stack(_health(connection, settings.firmware)))
+        health = _health(connection, settings.firmware)
+        self.add(*checkup.stack(health), *checkup.faults(health))
         self._state(connection)
         values = _numbers(settings)
         self.add(*checkup.settings(values, settings.firmware))

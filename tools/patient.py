@@ -10,9 +10,12 @@ import serial
 from . import checkup
 from .checkup import BAD, NOTE, OK, PINS, Finding
 from .connection import BAUD, Connection, SendError, way_out
+from .decode import is_fault
+from .gcode_file import is_answer
 from .messages import meaning
 
 _ANSWER_S = 5.0
+_FAULT_S = 2.0
 _REPL_S = 1.0
 _POLL_S = 0.05
 _MOVE_S = 20.0
@@ -59,6 +62,9 @@ def stranger(port: str, baud: int = BAUD) -> list[Finding]:
     board = _REPL.search(heard.replace("\r", ""))
     if ">>>" in heard:
         return _idle_board(board)
+    for line in heard.splitlines():
+        if line.startswith("[MSG:") and is_fault(line):
+            return [checkup.fault(line)]
     for pattern, who in _STRANGERS:
         if pattern.search(heard):
             todo = "put the firmware on the board anew"
@@ -85,6 +91,19 @@ def _idle_board(found: re.Match[str] | None) -> list[Finding]:
             todo = "its main.py has ended or failed: press its reset button, then look again"
     findings.append(Finding("firmware", BAD, "MicroPython shows its prompt; no Grbl runs", todo))
     return findings
+
+
+def fault(connection: Connection) -> str:
+    """The message of our firmware in a fault, in which it hears `?`, `$` and a reset; else ""."""
+    told: list[str] = []
+
+    def over(line: str) -> bool:
+        told.extend([line] if is_fault(line) else [])
+        return bool(told) or is_answer(line)
+
+    connection.write(b"$\n")
+    connection.wait_for(over, _FAULT_S)
+    return "".join(told[:1])
 
 
 def pins(connection: Connection) -> str:

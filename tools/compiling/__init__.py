@@ -19,4 +19,4 @@ def prepared(sources: Mapping[str, str], debug: bool = False) -> Shortened:
     """The modules, by name, as they are to be compiled. debug: names stay as they are."""
     found = marks.read(sources)
     texts = prune(leaves(inline(sources)))
-    return Shortened(texts, {}, {}, {}) if debug else shorten(texts, found)
+    return Shortened(texts, {}, {}, {}, {}) if debug else shorten(texts, found)

@@ -72,13 +72,15 @@ class _Edit(NamedTuple):
 class Shortened(NamedTuple):
     """The modules, by name, and what became of their names.
 
-    names: the short name of what any module may ask another for, by the long one; modules and
-    classes: the long names by the short one, in each. id: what tells this firmware from others.
+    names: the short name of what any module may ask another for, by the long one. The other way
+    round, by the short name: attributes and variables in each module, attributes of each class.
+    id: what tells this firmware from others.
     """
 
     texts: dict[str, str]
     names: dict[str, str]
-    modules: dict[str, dict[str, list[str]]]
+    attributes: dict[str, dict[str, list[str]]]
+    variables: dict[str, dict[str, list[str]]]
     classes: dict[str, dict[str, str]]
     id: str = ""
 
@@ -93,9 +95,9 @@ def shorten(sources: Mapping[str, str], marks: Marks | None = None) -> Shortened
     _check_texts(trees, marks, attributes)
     left = [name for name in survey.free[_PARAMETERS:] if name not in shared.values()]
     stay = survey.kept | survey.asked
-    edits = {
+    asked = {name: [*_name_edits(name, tree, names, marks)] for name, tree in trees.items()}
+    own = {
         name: [
-            *_name_edits(name, tree, names, marks),
             *_parameter_edits(tree, survey.keywords, survey.free[:_PARAMETERS]),
             *_uses([tree], shared),
             *_variable_edits(tree, stay, left),
@@ -104,9 +106,10 @@ def shorten(sources: Mapping[str, str], marks: Marks | None = None) -> Shortened
         for name, tree in trees.items()
     }
     return Shortened(
-        {name: _apply(text, edits[name]) for name, text in sources.items()},
+        {name: _apply(text, asked[name] + own[name]) for name, text in sources.items()},
         names,
-        {name: _by_short(made) for name, made in edits.items()},
+        {name: _by_short(edits) for name, edits in asked.items()},
+        {name: _by_short(edits) for name, edits in own.items()},
         survey.classes(attributes),
     )
 
