@@ -8,6 +8,7 @@ import pytest
 from ugrbl import build, paths
 from ugrbl.compiling import marks, prepared
 from ugrbl.compiling.inline import inline
+from ugrbl.compiling.leaves import leaves
 from ugrbl.compiling.marks import Marks
 from ugrbl.compiling.shorten import Shortened, shorten
 
@@ -60,11 +61,31 @@ def test_every_name_kept_would_be_short_and_is_anothers_too(found: Marks) -> Non
 def test_every_marked_column_has_names_of_attributes(found: Marks, made: Shortened) -> None:
     texts = build.texts()
     for table in found.tables:
-        only = Marks({}, {table: found.tables[table]})
+        only = found._replace(tables={table: found.tables[table]})
         tree = ast.parse(texts[table.module])
         names = {name for _, name in marks.names(table.module, tree, only)}
         assert names & made.names.keys(), f"{table}: no name in this column becomes short"
         assert all(map(str.isidentifier, names)), f"{table}: {names}"
+
+
+def test_every_prefix_kept_is_one_of_methods(found: Marks) -> None:
+    texts = "".join(build.texts().values())
+    assert found.prefixes
+    for prefix, reason in found.prefixes.items():
+        assert re.search(rf"    def {prefix}\w+\(self", texts), f"{prefix}: {reason}"
+
+
+def test_every_function_marked_for_its_calls_would_be_treated_otherwise(found: Marks) -> None:
+    sources = inline(build.texts())
+
+    def mentions(only: Marks) -> "dict[marks.Key, int]":
+        text = "".join(leaves(sources, only).values())
+        return {key: len(re.findall(rf"\b{key[1]}\(", text)) for key in found.inline}
+
+    marked, free = mentions(found), mentions(found._replace(inline={}))
+    for key, how in found.inline.items():
+        less, more = (marked, free) if how == "always" else (free, marked)
+        assert less[key] < more[key], f"{key}: the mark changes nothing"
 
 
 @pytest.mark.parametrize("module", ["base.settings", "language.block"])

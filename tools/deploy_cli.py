@@ -12,7 +12,7 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeE
 
 from . import build, maps, ports
 from .build import Build, BuildError
-from .build_cli import Debug
+from .build_cli import DEBUG_COST, Debug
 from .connection import SendError
 from .deploy import DeployError, Result, deploy
 from .screen import summary
@@ -106,6 +106,8 @@ def command(
         todo = "deploy again; until then the board may start with MicroPython's prompt"
         raise _failed(["stopped half way"], todo, json_file) from error
     _show(console, result, where)
+    if debug:
+        console.print(f"names and line numbers stay: they take {DEBUG_COST}", highlight=False)
     if json_file:
         save_json({"port": where, "board": file.stem, **result.as_json()}, json_file)
 

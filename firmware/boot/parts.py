@@ -35,7 +35,7 @@ _SLOW_RESET = " slow-reset"
 
 # Methods that make objects, or begin so, in a class or a module; and what is made also later.
 MAKERS = ("__init__", "connect")
-MAKER = "_make_"
+MAKER = "_make_"  # keep-prefix: methods are looked for by it
 MADE_AGAIN = ("Modal",)
 
 

@@ -680,6 +680,7 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
     return int(piece(flow, end, distance, left))
 
 
+# inline: always, for it runs several times for each block and segment
 @micropython.viper
 def piece(flow: ptr32, end: int, distance: int, part: int) -> int:
     """Add a piece to the segment being made. part: its duration in 2**-17 of a full segment."""

@@ -70,6 +70,7 @@ def div(a: int, b: int) -> int:
     return (exponent << 15) + mantissa
 
 
+# inline: always, for it runs several times for each block and segment
 @micropython.viper
 def ratio(n: int, b: int) -> int:
     """The quotient of an integer and a real that is not 0."""
@@ -106,6 +107,7 @@ def square_root(n: int) -> int:
     return root
 
 
+# inline: always, for it runs several times for each block and segment
 @micropython.viper
 def product(a: int, b: int, c: int) -> int:
     """The whole part of the product of three reals, 2**30 - 1 at the most."""

@@ -248,19 +248,16 @@ class Commands:
             kept = self._store.load(_BUILD_INFO)
             self._report.build_info(kept[0] if kept else "", self._options)
             if is_long:
-                self._tell_health()
+                message = self._report.message
+                message("Build: " + errors.BUILD_ID)
+                if self.health:
+                    message(self.health())
+                if self.fault:
+                    message("Last fault: " + self.fault)
         elif line[2] != 61:
             raise GrblError(errors.INVALID_STATEMENT)
         else:
             self._store.save(_BUILD_INFO, [line[3:length].decode()])
-
-    def _tell_health(self) -> None:
-        message = self._report.message
-        message("Build: " + errors.BUILD_ID)
-        if self.health:
-            message(self.health())
-        if self.fault:
-            message("Last fault: " + self.fault)
 
     def _restore(self, line: bytearray, length: int) -> None:
         what = line[5] if length == 6 else 0

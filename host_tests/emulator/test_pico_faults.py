@@ -6,6 +6,7 @@ import pytest
 from emulated import ENABLE, SPINDLE_PWM, STEP, Board, firmware, steps
 from littlefs.errors import LittleFSError
 from pico import LAYOUT, file_system
+from ugrbl import build
 
 pytestmark = pytest.mark.xdist_group("pico faults")
 
@@ -89,8 +90,11 @@ def test_a_fault_in_the_firmware_is_an_alarm_and_a_reset_goes_on(machine: Board)
     machine.send("G0 X1\n")  # nothing but a reset is heard
     machine.pico.run_us(50_000)
     assert machine.said == ""
+    machine.send("$")  # who asks is told again
+    machine.wait_for(f"({build.prepared_firmware().id})]\r\n")
     machine.send("\x18")
     machine.wait_for("Grbl 1.1h")
+    assert "[MSG:Last fault: IndexErr: list index out of range" in machine.ask("$I+")
     assert machine.ask("$X").endswith("ok\r\n")
     assert machine.ask("G90") == "ok\r\n"
 

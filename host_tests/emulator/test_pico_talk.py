@@ -5,6 +5,7 @@ from statistics import median
 
 import pytest
 from emulated import Board
+from ugrbl import build
 
 pytestmark = pytest.mark.xdist_group("pico talk")
 
@@ -43,8 +44,20 @@ machine = power_up.live(power_up.build())
 
 
 def test_ninety_five_kilobytes_of_heap_are_free(machine: Board) -> None:
-    free = int(machine.ask("$M").partition("free ")[2].partition(".")[0])
-    assert free >= _HEAP
+    assert free(machine) >= _HEAP
+
+
+def free(machine: Board) -> int:
+    """Bytes of its heap."""
+    return int(machine.ask("$M").partition("free ")[2].partition(".")[0])
+
+
+def test_names_and_lines_take_fifteen_kilobytes_at_most(machine: Board, uf2: Path) -> None:
+    """`--debug`; what it says of that: build_cli.DEBUG_COST."""
+    files = build.for_board(build.board_file("rpi_pico"), debug=True).files
+    debug = Board(uf2, {**files, "main.py": MAIN}).boot().settled()
+    assert 10_000 < free(machine) - free(debug) < 15_000
+    assert f"[MSG:Build: {build.prepared_firmware(debug=True).id}]" in debug.ask("$I+")
 
 
 def test_it_says_what_it_is(machine: Board) -> None:

@@ -18,5 +18,5 @@ from .shorten import Shortened, shorten
 def prepared(sources: Mapping[str, str], debug: bool = False) -> Shortened:
     """The modules, by name, as they are to be compiled. debug: names stay as they are."""
     found = marks.read(sources)
-    texts = prune(leaves(inline(sources)))
+    texts = prune(leaves(inline(sources), found))
     return Shortened(texts, {}, {}, {}, {}) if debug else shorten(texts, found)

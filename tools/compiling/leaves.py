@@ -5,8 +5,9 @@ becomes an object and a number again. So leaves are written short, to be read, a
 put where they are called; those without a call left go. The sources mean the same without it.
 
 Put in place are calls that stand alone, `f(x)`, and those in `int(f(x))`: of a function that has
-no other call, of a small one, and of one in _BUSY. A call stays where evaluation would change its
-order or happen without need, and where the function would have to return out of a loop.
+no other call, of a small one, and of one that a mark says so of (marks.py). A call stays where
+evaluation would change its order or happen without need, and where the function would have to
+return out of a loop.
 
 What becomes of the names in a leaf: a parameter is its argument, where that is a number or a local
 of the same type; each other local is called `int__0`, by its type, and by `leaf__name` where that
@@ -23,25 +24,20 @@ from functools import partial
 from itertools import count
 
 from . import forms
-from .modules import Key, Module
+from . import marks as mk
+from .marks import Key, Marks
+from .modules import Module
 
 # Nodes of a syntax tree that are worth their room at every call. A call takes about 50 bytes; 60
 # nodes in its place 250. On a Pico: 40 in place of 60 saves 0.7 kB, and costs 19 us a line.
 _SMALL = 40
-# Larger leaves that are, for they run several times for each block or segment.
-_BUSY: "frozenset[Key]" = frozenset(
-    {("motion.kernels", "piece"), ("motion.reals", "product"), ("motion.reals", "ratio")}
-)
-# Leaves that are not, for they seldom run, and would take room on the stack of all that do.
-_RARE: "frozenset[Key]" = frozenset({("pio.pulses", "cut")})
-
 # Types of locals that may share a name.
 _SHARED = {"int", *forms.POINTERS}
 
 
-def leaves(sources: Mapping[str, str]) -> dict[str, str]:
+def leaves(sources: Mapping[str, str], marks: Marks | None = None) -> dict[str, str]:
     """The modules, by name, with viper functions in place of their calls."""
-    program = _Program(sources)
+    program = _Program(sources, marks or mk.read(sources))
     program.put_all()
     program.clear()
     return {
@@ -53,7 +49,8 @@ def leaves(sources: Mapping[str, str]) -> dict[str, str]:
 class _Program:
     """All modules, and which of their functions are put in place."""
 
-    def __init__(self, sources: Mapping[str, str]) -> None:
+    def __init__(self, sources: Mapping[str, str], marks: Marks) -> None:
+        self._marked = marks.inline
         self.modules = {name: Module(name, text) for name, text in sources.items()}
         self.placed: set[Key] = set()
         self._leaves = {
@@ -92,8 +89,9 @@ class _Program:
 
     def is_wanted(self, key: Key) -> bool:
         """Whether it is worth its room."""
-        only = self._mentions[key] == 1 and key not in _RARE
-        return only or key in _BUSY or forms.size(self.function(key)) <= _SMALL
+        if key in self._marked:
+            return self._marked[key] == "always"
+        return self._mentions[key] == 1 or forms.size(self.function(key)) <= _SMALL
 
     def prefix(self, key: Key) -> str:
         """How the names of a leaf's locals begin."""

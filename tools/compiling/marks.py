@@ -7,8 +7,17 @@ keeps the name of an attribute as it is, for the reason given. And
     _ROWS = (  # attribute-names: column 1
 
 says that this column of the table, or of the dictionary's values, that begins there has names of
-attributes: they are changed with these. Comments are read before the first pass, for not every
-pass keeps them; so a table is known by its variable.
+attributes: they are changed with these.
+
+    MAKER = "_make_"  # keep-prefix: parts.py looks for methods by it
+
+keeps all methods that begin so. And above a viper function,
+
+    # inline: always, for it runs several times for each segment
+
+puts it in the place of its calls however large it is, "never" however small; see leaves.py.
+Comments are read before the first pass, for not every pass keeps them; so a table is known by its
+variable.
 """
 
 import ast
@@ -18,7 +27,14 @@ from typing import NamedTuple
 
 _KEEP = re.compile(r"^\s*(?:self\.)?(\w+)\s*[:=].*#\s*keep-name:\s*(\S.*)$", re.MULTILINE)
 _COLUMN = re.compile(r"[({\[]\s*#\s*attribute-names: column (\d+)$")
-_ANY = re.compile(r"#\s*(?:keep-name|attribute-names)\b")
+_PREFIX = re.compile(r'^\w+ = "(\w+)"\s*#\s*keep-prefix:\s*(\S.*)$', re.MULTILINE)
+_INLINE = re.compile(
+    r"^# inline: (always|never), \S.*\n(?:# .*\n)*@micropython\.viper\ndef (\w+)", re.MULTILINE
+)
+_ANY = re.compile(r"#\s*(?:keep-name|keep-prefix|attribute-names|inline):")
+
+# A function by its module.
+Key = tuple[str, str]
 
 _Container = ast.Tuple | ast.List | ast.Dict
 
@@ -32,24 +48,38 @@ class Table(NamedTuple):
 
 
 class Marks(NamedTuple):
-    """kept: why each name stays; tables: which column has names."""
+    """kept, prefixes: why each stays; tables: which column has names; inline: by function."""
 
     kept: dict[str, str]
     tables: dict[Table, int]
+    prefixes: dict[str, str]
+    inline: dict[Key, str]
+
+
+def none() -> Marks:
+    """Where nothing is marked."""
+    return Marks({}, {}, {}, {})
 
 
 def read(sources: Mapping[str, str]) -> Marks:
     """All marks of these modules. ValueError where one is not written as it should be."""
-    marks = Marks({}, {})
+    marks = none()
     for module, text in sources.items():
         if not _ANY.search(text):
             continue
-        kept = _KEEP.findall(text)
-        tables = dict(_tables(module, text))
-        if len(_ANY.findall(text)) != len(kept) + len(tables):
+        found = Marks(
+            dict(_KEEP.findall(text)),
+            dict(_tables(module, text)),
+            dict(_PREFIX.findall(text)),
+            {(module, function): how for how, function in _INLINE.findall(text)},
+        )
+        understood = len(found.kept) + len(found.tables) + len(found.prefixes) + len(found.inline)
+        if len(_ANY.findall(text)) != understood:
             raise ValueError(f"{module}: a mark that compiling/marks.py does not understand")
-        marks.kept.update(kept)
-        marks.tables.update(tables)
+        marks.kept.update(found.kept)
+        marks.tables.update(found.tables)
+        marks.prefixes.update(found.prefixes)
+        marks.inline.update(found.inline)
     return marks
 
 

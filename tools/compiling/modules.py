@@ -4,9 +4,7 @@ import ast
 from collections.abc import Iterator
 
 from . import forms
-
-# A function by its module.
-Key = tuple[str, str]
+from .marks import Key
 
 
 class Module:

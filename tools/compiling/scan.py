@@ -2,7 +2,7 @@
 
 import ast
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 
 
 def root(node: ast.expr) -> str:
@@ -62,11 +62,12 @@ def fields(node: ast.ClassDef) -> Iterator[str]:
                 yield name
 
 
-def private_methods(node: ast.ClassDef) -> Iterator[ast.FunctionDef]:
-    """Methods with a name that nobody outside has a use for; boot/parts.py looks for makers."""
+def private_methods(node: ast.ClassDef, kept: Collection[str] = ()) -> Iterator[ast.FunctionDef]:
+    """Methods with a name that nobody outside has a use for. kept: how others begin."""
     for statement in node.body:
-        if isinstance(statement, ast.FunctionDef) and re.match("_(?!_|make_)", statement.name):
-            yield statement
+        if isinstance(statement, ast.FunctionDef) and re.match("_(?!_)", statement.name):
+            if not statement.name.startswith(tuple(kept)):
+                yield statement
 
 
 def loaded(node: ast.ClassDef) -> set[str]:

@@ -121,7 +121,7 @@ def follow(module: str, text: str, made: Shortened) -> str:
     """
     tree = ast.parse(text)
     public = {name: short for name, short in made.names.items() if name[0] != "_"}
-    edits = [*_name_edits(module, tree, public, Marks({}, {}))]
+    edits = [*_name_edits(module, tree, public, mk.none())]
     edits += _uses([tree], {n: public[n] for n in scan.imports(tree) if n in public})
     for node in ast.walk(tree):
         if isinstance(node, ast.keyword) and node.arg in public:
@@ -183,7 +183,7 @@ class _Survey:
             self._public |= set(scan.public(tree))
             self._inner |= set(scan.inside(tree))
             classes = (node for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
-            self._private |= {method for node in classes for method in scan.private_methods(node)}
+            self._private |= {m for c in classes for m in scan.private_methods(c, marks.prefixes)}
             used |= set(scan.identifiers(tree))
             self._read(tree, self._aliases(tree), "")
             for _, name in mk.names(module, tree, marks):
@@ -214,7 +214,7 @@ class _Survey:
                 inside = node.name
                 self._named.add(node.name)
                 self._bases[inside] |= {ast.unparse(base) for base in node.bases}
-                methods = [method.name for method in scan.private_methods(node)]
+                methods = [m.name for m in ast.iter_child_nodes(node) if m in self._private]
                 for name in (*scan.fields(node), *methods):
                     self._stored.add(name)
                     self._alone[name].add(inside)
@@ -332,7 +332,7 @@ def _name_edits(
                 column = (node.end_col_offset or 0) - len(name.encode())
                 yield _Edit(node.end_lineno or 0, column, name, short[name])
             case ast.ClassDef():
-                for method in scan.private_methods(node):
+                for method in scan.private_methods(node, marks.prefixes):
                     if method.name in short:
                         column = method.col_offset + len("def ")
                         yield _Edit(method.lineno, column, method.name, short[method.name])
