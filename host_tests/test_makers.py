@@ -4,9 +4,9 @@ import ast
 from collections.abc import Iterator
 
 from boot import parts
-from test_shorten import firmware
+from ugrbl import build
 
-TREES = {name: ast.parse(text) for name, text in firmware().items()}
+TREES = {name: ast.parse(text) for name, text in build.texts().items()}
 CLASSES = {
     node.name: {ast.unparse(base) for base in node.bases}
     for tree in TREES.values()

@@ -10,7 +10,8 @@ from ugrbl import build, paths
 from ugrbl.compiling.inline import inline
 from ugrbl.compiling.prune import prune
 from ugrbl.compiling.scan import private_methods
-from ugrbl.compiling.shorten import SHORT, shorten
+from ugrbl.compiling.short_names import SHORT
+from ugrbl.compiling.shorten import shorten
 
 PARTS = '''from micropython import const
 
