@@ -14,7 +14,7 @@ CLASSES = {
     if isinstance(node, ast.ClassDef)
 }
 # Here all is done while the machine is built; a stream for the prompt is no part of the machine.
-BUILDING = {"parts", "parts_esp", "wiring"}
+BUILDING = {"boot.parts", "boot.parts_esp", "boot.wiring"}
 APART = {"_Pusher"}
 
 
