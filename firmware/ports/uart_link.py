@@ -11,6 +11,7 @@ import sys
 
 import micropython
 from micropython import const
+
 from ports.escape import Escape
 
 TYPE_CHECKING = const(False)
