@@ -172,6 +172,18 @@ class Port(Protocol):
     def elapsed_ms(self, since: int) -> int:
         """Milliseconds since a value of ticks_ms()."""
 
+class BoardPort(Port, Protocol):
+    """A Port of a real board: what power_up wants besides."""
+
+    def safe(self) -> None:
+        """What could do harm off, once; motors stay as they are."""
+
+    def held(self, pin: int | None) -> bool:
+        """A button between this pin and ground is held."""
+
+    def watch(self, timeout_ms: int) -> Callable[[], None] | None:
+        """Make the chip start anew where the result is not called for so long; 0: no more."""
+
 class Options(Protocol):
     """What an extra's prepare() may have otherwise, before the machine is made."""
 
@@ -217,6 +229,24 @@ class Link(Protocol):
 
     def discard(self) -> None:
         """Drop what has arrived and has not been read."""
+
+class BoardLink(Link, Protocol):
+    """A Link of a real board: what power_up and the supervisor want besides."""
+
+    shared: array[int]  # with the supervisor, see ports/supervisor.py
+    come_back: Callable[[], None]  # the supervisor's, called in the main loop, and raises
+    is_slow: bool  # Ctrl-X is not heard before the main loop reads
+
+    @property
+    def look(self) -> Callable[[], int] | None:
+        """Called by the supervisor, in its interrupt: whether a Ctrl-X has come. None where
+        there is nothing to see but by reading."""
+
+    def attach(self, at_rest: Callable[[], bool], on_open: Callable[[], None]) -> None:
+        """Say when the REPL may be asked for, and who greets a sender that opens the port anew."""
+
+    def close(self) -> None:
+        """Leave all to MicroPython's prompt."""
 
 class Store(Protocol):
     """Text lines kept over power-off, by name."""

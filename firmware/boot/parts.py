@@ -13,12 +13,11 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from types import ModuleType
-    from typing import Any
 
-    from interfaces import StepEngine
+    from interfaces import BoardLink, BoardPort, StepEngine
     from talk.controller import Controller
 
-    Parts = tuple[Controller, Any, Any, StepEngine, Supervisor]
+    Parts = tuple[Controller, BoardLink, BoardPort, StepEngine, Supervisor]
 
 # Nothing of ours is there, and to look for each module of MicroPython's there takes 3 ms.
 _USERS = "/lib"
@@ -39,14 +38,13 @@ MAKER = "_make_"  # keep-prefix: methods are looked for by it
 MADE_AGAIN = ("Modal",)
 
 
-def build(stay: "Callable[[Any, Exception], None]") -> "Parts | None":
+def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | None":
     """Make the machine of board.py; None where there cannot be one, or the REPL is asked for.
 
     stay: called with the link, if there is one, and what is wrong where there cannot be one.
     """
-    link: "Any" = None
-    port: "Any" = None
-    watch: "Any" = None
+    link: "BoardLink | None" = None
+    port: "BoardPort | None" = None
     path = sys.path[:]
     try:
         sys.path[:] = [folder for folder in path if folder != _USERS]
@@ -81,7 +79,7 @@ def build(stay: "Callable[[Any, Exception], None]") -> "Parts | None":
     return parts
 
 
-def _link(kind: str) -> "Any":
+def _link(kind: str) -> "BoardLink":
     if kind == "uart":
         from ports.uart_link import UartLink
 
@@ -95,7 +93,7 @@ def _link(kind: str) -> "Any":
     raise ValueError("LINK %s is not one there is" % kind)
 
 
-def _hardware(board: "ModuleType", link: "Any") -> "tuple[StepEngine, Any]":
+def _hardware(board: "ModuleType", link: "BoardLink") -> "tuple[StepEngine, BoardPort]":
     """Engine and port; the engine's buffers are the first large things in memory."""
     from ports import pin_check
 
@@ -130,7 +128,11 @@ def _forget_programs() -> None:
 
 
 def _build(
-    board: "ModuleType", link: "Any", port: "Any", engine: "StepEngine", watch: Supervisor
+    board: "ModuleType",
+    link: "BoardLink",
+    port: "BoardPort",
+    engine: "StepEngine",
+    watch: Supervisor,
 ) -> "Controller":
     from ports.flash_store import FlashStore
 

@@ -7,7 +7,10 @@ from micropython import const
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from types import ModuleType
-    from typing import Any
+
+    from esp_chip.i2s import I2sEngine
+    from esp_chip.rmt import RmtEngine
+    from interfaces import BoardLink
 
 # Modules with compiled code, the largest first.
 _COMPILED = (
@@ -16,11 +19,11 @@ _COMPILED = (
 )
 
 
-def make(board: "ModuleType", link: "Any") -> "tuple[Any, EspPort]":
+def make(board: "ModuleType", link: "BoardLink") -> "tuple[RmtEngine | I2sEngine, EspPort]":
     """Engine and port; all three work together. Raises MemoryError where compiled code finds no
     room."""
     prepare(_COMPILED.split())
-    engine: "Any"
+    engine: "RmtEngine | I2sEngine"
     if board.ENGINE == "rmt":
         from esp_chip.rmt import RmtEngine
 
@@ -33,6 +36,7 @@ def make(board: "ModuleType", link: "Any") -> "tuple[Any, EspPort]":
             board.STEP, board.DIR, board.ENABLE, board.I2S, board.I2S_RATE_HZ, board.I2S_BUFFERS
         )
         port = EspPort(board, engine.enable)
-    engine.on_look = link.on_turn = port.look
+    engine.on_look = port.look
+    link.on_turn = port.look  # type: ignore[attr-defined]  # UartLink's
     engine.on_fault = port.kill
     return engine, port

@@ -15,8 +15,7 @@ from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from typing import Any
-
+    from interfaces import BoardLink
     from talk.controller import Controller
 
     from boot.parts import Parts
@@ -64,7 +63,7 @@ def live(parts: "Parts | None") -> "Controller | None":
     return machine
 
 
-def _alarm(machine: "Controller", link: "Any", fault: Exception) -> None:
+def _alarm(machine: "Controller", link: "BoardLink", fault: Exception) -> None:
     """Say what has happened, again to who begins a $-command; then wait for a soft reset."""
     machine.state.alarm = 0
     machine.state.enter(st.ALARM)
@@ -84,7 +83,7 @@ def _alarm(machine: "Controller", link: "Any", fault: Exception) -> None:
                 link.write(line)
 
 
-def _stay(link: "Any", fault: Exception) -> None:
+def _stay(link: "BoardLink | None", fault: Exception) -> None:
     """There is no machine: tell why, again to whoever writes to us."""
     line = _line(_text(fault))
     if link is None:

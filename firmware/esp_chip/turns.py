@@ -25,7 +25,7 @@ class Turns:
 
     def __init__(self) -> None:
         self.on_look: "Callable[[], None]" = _nothing
-        self.on_fault: "Callable[[], None]" = _nothing
+        self.on_fault: "Callable[[], object]" = _nothing
         self._why: "BaseException | None" = None
 
     def attach(

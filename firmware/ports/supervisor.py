@@ -18,9 +18,8 @@ from micropython import const
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from typing import Any
 
-    from interfaces import Port, StepEngine
+    from interfaces import BoardLink, Port, StepEngine
 
 # What is shared with a link, which has it as the first of what it remembers: whether it has been
 # read since the last beat, whether the machine was stopped meanwhile, and how long, in ms, the
@@ -53,7 +52,9 @@ def count(shared: ptr32, beat_ms: int) -> int:
 class Supervisor:
     """Watches over a link, an engine and a port. limit_ms: how long the main loop may be away."""
 
-    def __init__(self, link: "Any", engine: "StepEngine", port: "Port", limit_ms: int) -> None:
+    def __init__(
+        self, link: "BoardLink", engine: "StepEngine", port: "Port", limit_ms: int
+    ) -> None:
         self._shared = link.shared
         self._look = link.look
         link.come_back = self.tell
