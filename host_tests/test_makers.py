@@ -16,10 +16,17 @@ CLASSES = {
 # Here all is done while the machine is built; a stream for the prompt is no part of the machine.
 BUILDING = {"boot.parts", "boot.parts_esp", "boot.wiring"}
 APART = {"_Pusher"}
+# What extras do and ask for then.
+INSTALLING = {"prepare", "install", "add_pins"}
 
 
 def is_maker(name: str) -> bool:
     return name in parts.MAKERS or name.startswith(parts.MAKER)
+
+
+def is_building(name: str) -> bool:
+    """Whether a function of that name runs only while the machine is built."""
+    return is_maker(name) or name in INSTALLING
 
 
 def is_fault(kind: str) -> bool:
@@ -30,7 +37,7 @@ def is_fault(kind: str) -> bool:
 def calls(node: ast.AST) -> Iterator[str]:
     """What is called while the machine runs: outside of modules, classes and makers."""
     for child in ast.iter_child_nodes(node):
-        if isinstance(child, ast.FunctionDef) and is_maker(child.name):
+        if isinstance(child, ast.FunctionDef) and is_building(child.name):
             continue
         if isinstance(child, ast.Call):
             yield ast.unparse(child.func).rpartition(".")[2]
@@ -41,7 +48,7 @@ def later() -> Iterator[tuple[str, str]]:
     for module, tree in TREES.items():
         for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef) and module not in BUILDING:
-                if not is_maker(node.name):
+                if not is_building(node.name):
                     yield from ((module, name) for name in calls(node))
 
 
