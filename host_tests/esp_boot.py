@@ -254,9 +254,9 @@ def main() -> None:
     load({"os": wire.os()}, "ports.escape")
     load({"sys": wire.sys(), "select": wire.select()}, "ports.uart_link")
     load({"sys": wire.sys(), "machine": esp_machine}, "ports.supervisor")
-    from ports import flash_store as store_flash
+    from ports import flash_store
 
-    real_store = store_flash.FlashStore
+    real_store = flash_store.FlashStore
 
     class Store(real_store):  # type: ignore[misc, valid-type]
         """Flash that takes its time, and interrupts with it."""
@@ -265,7 +265,7 @@ def main() -> None:
             super()._write(path, kept)
             flash_write()
 
-    store_flash.FlashStore = lambda: Store(folder + "/")  # type: ignore[misc, assignment]
+    flash_store.FlashStore = lambda: Store(folder + "/")  # type: ignore[misc, assignment]
     if not hasattr(sys, "print_exception"):
         from traceback import print_exception
 

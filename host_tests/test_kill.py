@@ -9,7 +9,7 @@ import esp_bench
 import machine
 import pytest
 from pio import pins as gpio
-from test_gpio import board
+from test_pio_pins import board
 from ugrbl.machine import load_board
 from ugrbl.sim.rig import Rig
 

@@ -18,7 +18,7 @@ from array import array
 from motion import kernels
 from talk import lines
 import micropython
-from control import canon as motion
+from control import canon
 from language import fast_path
 from language import words
 from base.f32 import vector

@@ -9,7 +9,7 @@ import time
 import board
 from talk import lines
 from talk import protocol
-from ports import flash_store as store_flash
+from ports import flash_store
 
 from .config import CONFIG
 from .drivers import drivers_off, hear_nothing
@@ -77,8 +77,8 @@ def hang():
 
 drivers_off()
 hear_nothing()
-store_flash.FlashStore.load = lambda *_: None  # factory settings, and nothing is kept
-store_flash.FlashStore.save = lambda *_: None
+flash_store.FlashStore.load = lambda *_: None  # factory settings, and nothing is kept
+flash_store.FlashStore.save = lambda *_: None
 protocol.Protocol.pump = pump
 lines.LineReader.__init__ = make_reader
 parts = power_up.build()

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from ports import escape as link_escape
+from ports import escape
 from ports.escape import Escape
 
 
@@ -29,7 +29,7 @@ class Dupterm:
 def terminal(monkeypatch: pytest.MonkeyPatch) -> Dupterm:
     found = Dupterm()
     stand_in = SimpleNamespace(dupterm=found.dupterm, dupterm_notify=found.dupterm_notify)
-    monkeypatch.setattr(link_escape, "os", stand_in)
+    monkeypatch.setattr(escape, "os", stand_in)
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from ports import flash_store as store_flash
+from ports import flash_store
 from ports.flash_store import FlashStore
 
 littlefs = pytest.importorskip("littlefs")
@@ -66,8 +66,8 @@ class Files:
 
 def attach(monkeypatch: pytest.MonkeyPatch, flash: Flash, fresh: bool = False) -> FlashStore:
     files = Files(flash, fresh)
-    monkeypatch.setattr(store_flash, "open", files.open, raising=False)
-    monkeypatch.setattr(store_flash, "os", files)
+    monkeypatch.setattr(flash_store, "open", files.open, raising=False)
+    monkeypatch.setattr(flash_store, "os", files)
     return FlashStore("/")
 
 
@@ -79,7 +79,7 @@ def test_what_is_saved_is_loaded_and_the_copy_before_it_kept(
     store.save("settings", OLD)
     store.save("settings", NEW)
     assert store.load("settings") == NEW
-    with store_flash.open("/settings.txt", "w") as file:  # type: ignore[attr-defined]
+    with flash_store.open("/settings.txt", "w") as file:  # type: ignore[attr-defined]
         file.write("$0=")
     assert store.load("settings") == OLD
 
@@ -116,12 +116,12 @@ class FullFile:
 def test_a_full_flash_is_told_of_and_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     store = attach(monkeypatch, Flash(), fresh=True)
     store.save("settings", OLD)
-    working = store_flash.open  # type: ignore[attr-defined]
+    working = flash_store.open  # type: ignore[attr-defined]
 
     def full(path: str, mode: str = "r") -> Any:
         return FullFile() if mode == "w" else working(path, mode)
 
-    monkeypatch.setattr(store_flash, "open", full)
+    monkeypatch.setattr(flash_store, "open", full)
     with pytest.raises(OSError, match="28"):
         store.save("settings", NEW)
     assert store.load("settings") == OLD
@@ -137,7 +137,7 @@ def test_a_write_is_told_of_even_where_it_fails(
     store.before, store.after = lambda: told.append("before"), lambda: told.append("after")
     assert store.load("settings") is None and told == []
     if full:
-        monkeypatch.setattr(store_flash, "open", lambda *_: FullFile(), raising=False)
+        monkeypatch.setattr(flash_store, "open", lambda *_: FullFile(), raising=False)
         with pytest.raises(OSError, match="28"):
             store.save("settings", NEW)
     else:

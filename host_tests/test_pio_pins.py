@@ -12,7 +12,7 @@ from boot import power_up
 from machine import PWM, Pin
 from pio import pins as gpio
 from pio.pins import GpioPort
-from ports import pin_check as gpio_check
+from ports import pin_check
 
 BOARD: dict[str, Any] = {
     "ENGINE": "pio",
@@ -294,14 +294,14 @@ def test_the_watchdog_is_stopped_for_the_repl() -> None:
 )
 def test_a_wrong_pin_is_named(changes: "dict[str, Any]", said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        gpio_check.check(board(**changes))
+        pin_check.check(board(**changes))
 
 
 def test_outputs_behind_shift_registers_are_no_pins() -> None:
     registers = {"I2S": (20, 21, 22), "I2S_RATE_HZ": 125_000, "I2S_BUFFERS": 16}
-    gpio_check.check(board(ENGINE="i2s", STEP=(2, 3, 101), LIMIT=(2, 3, 4), **registers))
+    pin_check.check(board(ENGINE="i2s", STEP=(2, 3, 101), LIMIT=(2, 3, 4), **registers))
     with pytest.raises(ValueError, match="PROBE: pin 21 is I2S already"):
-        gpio_check.check(board(ENGINE="i2s", PROBE=21, **registers))
+        pin_check.check(board(ENGINE="i2s", PROBE=21, **registers))
 
 
 def test_no_message_of_a_fault_can_be_taken_for_an_answer(
