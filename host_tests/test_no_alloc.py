@@ -93,7 +93,7 @@ _PROVED = {
     "fast_path.read": "fast_path.read(short, len(short) - 1, known)",
     "place": "fast_path.place(known, 7, here, target)",
     "line_number": "fast_path.line_number(known, fast_path.HAS_N)",
-    "judge": "motion.judge(target, there, flow)",
+    "judge": "canon.judge(target, there, flow)",
     "follow": "fast_path.follow(short, len(short) - 1, known, here, target, there, machine, ring, "
     "flow, planner.speeds, state.changes)",
     "feed": "reader.feed(received, len(received))",
