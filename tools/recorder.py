@@ -93,7 +93,7 @@ class Recorder:
 
     def _attach(self) -> None:
         """Called by the rig once the controller is built: follow what is planned."""
-        from motion.planner import SYSTEM_MOTION
+        from motion.kernels import SYSTEM_MOTION
 
         controller = self._rig.controller
         self._system_motion = SYSTEM_MOTION

@@ -168,7 +168,7 @@ class Canon:
         if not move.flags & plan.SPINDLE_MASK:
             return 0
         if self._spindle.laser and move.flags & plan.SPINDLE_CCW:
-            move.flags |= plan.RATE_ADJUSTED
+            move.flags |= kernels.DYNAMIC
         return self._spindle.block_power(move.flags, move.spindle_rpm)
 
     def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
@@ -176,10 +176,10 @@ class Canon:
         self.finish()
         angle = arc.sweep(start, target)
         chords = arc.chords(angle, self._settings.arc_tolerance_mm)
-        if chords and move.flags & plan.INVERSE_TIME:
+        if chords and move.flags & kernels.INVERSE_TIME:
             # Its time is shared out among the chords, whose rate counts from here on.
             move.feed *= chords
-            move.flags &= ~plan.INVERSE_TIME
+            move.flags &= ~kernels.INVERSE_TIME
         arc.begin(start, target, chords, angle)
         self._arc = arc
         self.line(target, move)

@@ -247,7 +247,7 @@ class Suspension:
         move = self._move
         move.clear()
         move.feed = rate
-        move.flags = plan.SYSTEM_MOTION | plan.NO_FEED_OVERRIDE
+        move.flags = kernels.SYSTEM_MOTION | kernels.NO_FEED_OVERRIDE
         power = 0
         if with_accessories:
             move.flags |= self._flags & plan.ACCESSORY_MASK

@@ -13,7 +13,7 @@ not be the second half of a step. Called in the engine's turns; nothing here all
 import micropython
 from micropython import const
 
-# A segment row, as kernels.py says; viper wants its constants in the same file.
+# From motion/kernels.py.
 _ROW_TICKS = const(0)
 _ROW_DIRS = const(1)
 _ROW_AXES = const(3)

@@ -29,9 +29,10 @@ from array import array
 
 import machine
 from micropython import const
-from motion.kernels import row_length
+from motion.kernels import ROW_POWER, row_length
 
 from esp_chip import frames
+from esp_chip.frames import LANE, LEFT, PLACE
 from esp_chip.stream import BYTES, Stream
 from esp_chip.turns import Turns
 
@@ -75,12 +76,6 @@ _POWER = const(2)  # spindle power as it is played; -1: not known
 _MOVES = const(3)  # it is part of a motion
 _NOTE = const(4)
 
-# From frames.py, kernels.py.
-_LANE = const(11)
-_PLACE = const(10)
-_LEFT = const(6)
-_ROW_POWER = const(2)
-
 _BEFORE = const(1000)
 _NOWHERE = const(-2000)
 _TICKS_MASK = const(0x3FFFFFFF)  # times are in us modulo 2**30
@@ -118,10 +113,10 @@ class I2sEngine(Turns):
         self._state = array("i", (0 for _ in range(_STATE_LENGTH)))
         self._timing = array("i", (0 for _ in range(frames.TIMING_LENGTH)))
         self._timing[frames.AXES] = axes
-        self._lanes = array("i", (0 for _ in range(_LANE * axes)))
+        self._lanes = array("i", (0 for _ in range(LANE * axes)))
         for i in range(axes):
-            self._lanes[_LANE * i + frames.STEP] = 2 << step[i]
-            self._lanes[_LANE * i + frames.DIR] = 2 << direction[i]
+            self._lanes[LANE * i + frames.STEP] = 2 << step[i]
+            self._lanes[LANE * i + frames.DIR] = 2 << direction[i]
         self._row = array("i", (0 for _ in range(row_length(axes))))
         # Our ring holds what DMA's may still have to play, and what is not handed over yet.
         self._slots = buffers + 2
@@ -172,7 +167,7 @@ class I2sEngine(Turns):
         timing[frames.PULSE] = self._frames_of(pulse_us)
         timing[frames.SETUP] = self._frames_of(_SETUP_US)
         for i in range(self._axes):
-            self._lanes[_LANE * i + frames.INVERT] = dir_invert >> i & 1
+            self._lanes[LANE * i + frames.INVERT] = dir_invert >> i & 1
         frames.settle(timing, self._lanes)
 
     def enable(self, level: int) -> None:
@@ -222,13 +217,13 @@ class I2sEngine(Turns):
                 self._stream.close()
                 self._look_up(steps, now)
                 for i in range(self._axes):
-                    lanes[_LANE * i + _PLACE] = steps[i] + self._owed[i]
+                    lanes[LANE * i + PLACE] = steps[i] + self._owed[i]
                 self._renew()
             except BaseException as why:
                 self._why = why
         for i in range(self._axes):
             locked = self._timing[frames.LOCKED] >> i & 1
-            self._owed[i] = lanes[_LANE * i + _PLACE] - self._locked_at[i] if locked else 0
+            self._owed[i] = lanes[LANE * i + PLACE] - self._locked_at[i] if locked else 0
         state[_PULLING] = 0
         state[_ROW] = 0
         self._timing[frames.LOCKED] = 0
@@ -253,7 +248,7 @@ class I2sEngine(Turns):
         for i in range(self._axes):
             if motors >> i & 1 and not timing[frames.LOCKED] >> i & 1:
                 self._locked_at[i] = self._steps[i]
-                self._lanes[_LANE * i + _LEFT] = 0
+                self._lanes[LANE * i + LEFT] = 0
         timing[frames.LOCKED] = timing[frames.LOCKED] | motors
         self._state[_HALT] = 0
 
@@ -276,7 +271,7 @@ class I2sEngine(Turns):
         slot = frames.find(state, self._notes, self._slots, self._size)
         note = (slot if slot >= 0 else slot + _BEFORE) * self._size + _NOTE
         for i in range(axes):
-            place = self._lanes[_LANE * i + _PLACE] if slot == _NOWHERE else self._notes[note + i]
+            place = self._lanes[LANE * i + PLACE] if slot == _NOWHERE else self._notes[note + i]
             steps[i] = place - self._owed[i]
         if slot >= 0:
             until = passed * _FRAMES // self._buffer_us + 1
@@ -287,7 +282,7 @@ class I2sEngine(Turns):
         self._state[_HALT] = 1
         for i in range(self._axes):
             place = steps[i] + self._owed[i]
-            self._lanes[_LANE * i + _PLACE] = place
+            self._lanes[LANE * i + PLACE] = place
             # What has been played at rest counts from there too.
             for slot in range(self._slots):
                 self._notes[slot * self._size + _NOTE + i] = place
@@ -351,7 +346,7 @@ class I2sEngine(Turns):
         note = slot * self._size
         buffer, notes = self._ring[slot], self._notes
         for i in range(self._axes):
-            notes[note + _NOTE + i] = lanes[_LANE * i + _PLACE]
+            notes[note + _NOTE + i] = lanes[LANE * i + PLACE]
         notes[note + _START] = frames.begin_buffer(buffer, timing, lanes)
         notes[note + _POWER] = state[_LATEST]
         notes[note + _MOVES] = state[_PULLING]
@@ -371,7 +366,7 @@ class I2sEngine(Turns):
                 late = frames.lateness(row, timing, lanes)
                 frames.begin_row(buffer, row, timing, lanes, late)
                 state[_ROW] = 1
-                notes[note + _POWER] = state[_LATEST] = row[_ROW_POWER]
+                notes[note + _POWER] = state[_LATEST] = row[ROW_POWER]
         frames.end_buffer(timing, lanes)
         state[_MADE] += 1
 

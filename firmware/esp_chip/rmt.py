@@ -28,7 +28,7 @@ from array import array
 import machine
 import micropython
 from micropython import const
-from motion.kernels import row_length
+from motion.kernels import ROW_POWER, row_length
 
 from esp_chip import trains
 from esp_chip.channel import RESOLUTION_HZ, Channel, most_steps
@@ -36,7 +36,6 @@ from esp_chip.trains import made
 from esp_chip.turns import Turns
 
 _HIGHEST_HZ = const(20_000)
-_LONGEST_US = const(18_000)  # of a train, as in trains.py
 _SHORTEST_US = const(6_000)  # what a channel holds lasts so long at the highest rate
 _PULSE_MAX = const(32_767)
 
@@ -79,8 +78,6 @@ _COUNT = const(2)  # its durations,
 _START = const(3)  # and when the channel was started
 _LEVEL = const(4)  # of the direction pin, before $3; -1: unknown
 _CALL = const(5)  # what write_pulses() takes, besides the durations
-
-_ROW_POWER = const(2)
 
 # Times are in us modulo 2**30.
 _MASK = const(0x3FFFFFFF)
@@ -274,7 +271,7 @@ class RmtEngine(Turns):
         while (
             state[_PULLING]
             and timing[trains.HELD] < trains.ROWS
-            and trains.held_us(rows, timing, size) < _LONGEST_US
+            and trains.held_us(rows, timing, size) < trains.LONGEST
         ):
             if not self._next_segment(self._row):
                 state[_PULLING] = 0
@@ -304,7 +301,7 @@ class RmtEngine(Turns):
             at = (timing[trains.FIRST] + k) % trains.ROWS * self._size
             valid = k < timing[trains.TAKEN] or (k == 0 and timing[trains.PART])
             self._next_powers[2 * k] = at_us if valid else _MASK
-            self._next_powers[2 * k + 1] = rows[at + _ROW_POWER]
+            self._next_powers[2 * k + 1] = rows[at + ROW_POWER]
             at_us += rows[at]
 
     def _tell_power(self, now: int) -> None:

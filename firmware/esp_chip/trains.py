@@ -12,10 +12,8 @@ Called in the engine's turns; nothing here allocates.
 import micropython
 from micropython import const
 
-# A segment row, as kernels.py says; viper wants its constants in the same file.
-_ROW_TICKS = const(0)
+# From motion/kernels.py.
 _ROW_DIRS = const(1)
-_ROW_POWER = const(2)
 _ROW_AXES = const(3)
 _ROW_STRIDE = const(3)
 
@@ -24,7 +22,7 @@ _ROWS_MASK = const(15)
 
 # A train is so long at the most, in us: what a hold has to wait for. It rather ends earlier
 # than where steps come faster by a quarter, but not before half of that.
-_LONGEST = const(18000)
+LONGEST = const(18000)
 _WORTH = const(9000)
 
 # What all axes share.
@@ -48,7 +46,7 @@ def held_us(rows: ptr32, timing: ptr32, size: int) -> int:
     total = 0 - timing[DONE]
     for k in range(timing[HELD]):
         total += rows[((timing[FIRST] + k) & _ROWS_MASK) * size]
-        if total > _LONGEST:
+        if total > LONGEST:
             break
     return total
 
@@ -87,20 +85,20 @@ def cut(rows: ptr32, timing: ptr32, size: int) -> int:
         if least > 0 and rest // least + 1 < most:
             count = rest // least + 1
         total += rows[at]
-        if k and (total > _LONGEST or count > room):
+        if k and (total > LONGEST or count > room):
             break
         known |= busy
         dirs |= rows[at + _ROW_DIRS] & busy
         timing[DIRS] = dirs
-        if total > _LONGEST or count > room:
-            end = _LONGEST
+        if total > LONGEST or count > room:
+            end = LONGEST
             if count > room and least * room < end:
                 end = least * room
             timing[PART] = int(part(rows, timing, at, timing[DONE] + end))
             timing[LENGTH] = timing[PART] - timing[DONE]
             break
         room -= count
-        interval = rows[at] // most if most else _LONGEST
+        interval = rows[at] // most if most else LONGEST
         if total < _WORTH or interval + (interval >> 2) >= best:
             timing[TAKEN] = k + 1
             timing[LENGTH] = total

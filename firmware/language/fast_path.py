@@ -14,8 +14,8 @@ from base import state as st
 from base.f32 import vector
 from control.canon import judge
 from micropython import const
+from motion import kernels, reals
 from motion import planner as plan
-from motion import reals
 from motion.kernels import copy
 from motion.kernels import plan as plan_block
 
@@ -69,7 +69,7 @@ INCHES = const(20)
 _CHANGES = const(21)  # as they were counted when this was known
 OFFSETS = const(22)
 
-# From control/canon.py and motion/kernels.py.
+# From control/canon.py, motion/kernels.py.
 _OUTSIDE = const(1)
 _FULL = const(2)
 _HEAD = const(2)
@@ -310,7 +310,7 @@ class FastPath:
         move.spindle_rpm = 0.0 if seeks and known[LASER] else modes.spindle_rpm
         move.flags = modes.accessory_flags()
         if seeks:
-            move.flags |= plan.RAPID
+            move.flags |= kernels.RAPID_MOTION
         known[_POWER] = _UNTOLD
 
     def execute(self, line: bytearray, length: int) -> bool:

@@ -91,7 +91,7 @@ FLOW_LENGTH = const(22)
 
 # Flags of a block that the kernels look at; planner.py has the others.
 RAPID_MOTION = const(0x01)
-SYSTEM_MOTION = const(0x02)  # the system's own block
+SYSTEM_MOTION = const(0x02)  # homing and parking: from rest, to rest, outside the ring's order
 NO_FEED_OVERRIDE = const(0x04)
 INVERSE_TIME = const(0x08)  # RATE is per block, not per mm
 DYNAMIC = const(0x40)  # spindle power follows speed (laser, M4)
@@ -105,11 +105,13 @@ ROW_AXES = const(3)
 ROW_STRIDE = const(3)
 KEEP_POWER = const(0x3FFFFFFF)
 
-_SMALLEST = const(16384)  # a mantissa has 15 bits
-_ONE = const(0x194000)  # the real 1
+# From motion/reals.py.
+_SMALLEST = const(16384)
 _LIMIT = const(32768)
 _BIAS = const(64)
 _HIGHEST = const(0x3FFFFFFF)
+
+_ONE = const(0x194000)  # the real 1
 _LEAST = const(0x50000)  # a segment covers 1.25 steps, where the block reaches that far,
 _LONGEST = const(0x8000000)  # or lasts as long as 1024 full ones
 _HAIR = const(0x800)  # ahead of the truth, so that rounding does not cost the last step of a hold

@@ -25,14 +25,9 @@ if TYPE_CHECKING:
     from base.state import State
     from interfaces import Kinematics
 
-# Flags of a block.
-RAPID = const(0x01)  # the same as kernels.RAPID_MOTION
-SYSTEM_MOTION = const(0x02)  # homing and parking: from rest, to rest, outside the ring's order
-NO_FEED_OVERRIDE = const(0x04)
-INVERSE_TIME = const(0x08)
+# Flags of a block, besides those that the kernels look at.
 SPINDLE_CW = const(0x10)
 SPINDLE_CCW = const(0x20)
-RATE_ADJUSTED = const(0x40)  # kernels.DYNAMIC
 COOLANT_SHIFT = const(8)  # flood 0x100, mist 0x200
 SPINDLE_MASK = const(0x30)
 ACCESSORY_MASK = const(0x330)
@@ -174,7 +169,7 @@ class Planner:
             self._feed_real,
         ):
             return False
-        self.speeds[self.flow[ROWS] if flags & SYSTEM_MOTION else head] = move.spindle_rpm
+        self.speeds[self.flow[ROWS] if flags & kernels.SYSTEM_MOTION else head] = move.spindle_rpm
         return True
 
     def system_line(

@@ -12,8 +12,8 @@ from micropython import const
 
 _INFINITE = 1e18  # no limit of a machine is as high
 _SMALLEST = const(16384)  # a mantissa has 15 bits
-_LIMIT = const(32768)
-_BIAS = const(64)
+LIMIT = const(32768)
+BIAS = const(64)  # the exponent of whole numbers
 _HIGHEST = const(0x3FFFFFFF)
 
 
@@ -22,12 +22,12 @@ def real(x: float) -> int:
     if x <= 0:
         return 0
     mantissa, exponent = math.frexp(min(x, _INFINITE))
-    return (exponent - 15 + _BIAS) * _LIMIT + int(mantissa * _LIMIT)
+    return (exponent - 15 + BIAS) * LIMIT + int(mantissa * LIMIT)
 
 
 def value(r: int) -> float:
     """The number that the real r stands for."""
-    return float(r % _LIMIT) * 2.0 ** (r // _LIMIT - _BIAS)
+    return float(r % LIMIT) * 2.0 ** (r // LIMIT - BIAS)
 
 
 @micropython.viper
@@ -35,7 +35,7 @@ def pack(mantissa: int, exponent: int) -> int:
     """The real mantissa * 2**(exponent - 64) of any mantissa."""
     if mantissa == 0:
         return 0
-    while mantissa >= _LIMIT:
+    while mantissa >= LIMIT:
         mantissa >>= 1
         exponent += 1
     while mantissa < _SMALLEST:
@@ -50,8 +50,8 @@ def mul(a: int, b: int) -> int:
     mantissa = ((a & 32767) * (b & 32767)) >> 14
     if mantissa == 0:
         return 0
-    exponent = (a >> 15) + (b >> 15) - _BIAS + 14
-    if mantissa >= _LIMIT:
+    exponent = (a >> 15) + (b >> 15) - BIAS + 14
+    if mantissa >= LIMIT:
         mantissa >>= 1
         exponent += 1
     return (exponent << 15) + mantissa
@@ -63,8 +63,8 @@ def div(a: int, b: int) -> int:
     mantissa = ((a & 32767) << 15) // (b & 32767)
     if mantissa == 0:
         return 0
-    exponent = (a >> 15) - (b >> 15) + _BIAS - 15
-    if mantissa >= _LIMIT:
+    exponent = (a >> 15) - (b >> 15) + BIAS - 15
+    if mantissa >= LIMIT:
         mantissa >>= 1
         exponent += 1
     return (exponent << 15) + mantissa
@@ -76,15 +76,15 @@ def ratio(n: int, b: int) -> int:
     """The quotient of an integer and a real that is not 0."""
     if n == 0:
         return 0
-    exponent = 2 * _BIAS - 15
-    while n >= _LIMIT:
+    exponent = 2 * BIAS - 15
+    while n >= LIMIT:
         n >>= 1
         exponent += 1
     while n < _SMALLEST:
         n <<= 1
         exponent -= 1
     n = (n << 15) // (b & 32767)
-    if n >= _LIMIT:
+    if n >= LIMIT:
         n >>= 1
         exponent += 1
     return ((exponent - (b >> 15)) << 15) + n
@@ -112,7 +112,7 @@ def square_root(n: int) -> int:
 def product(a: int, b: int, c: int) -> int:
     """The whole part of the product of three reals, 2**30 - 1 at the most."""
     mantissa = (((a & 32767) * (b & 32767)) >> 14) * (c & 32767)
-    shift = (a >> 15) + (b >> 15) + (c >> 15) - 3 * _BIAS + 14
+    shift = (a >> 15) + (b >> 15) + (c >> 15) - 3 * BIAS + 14
     if mantissa == 0 or shift < -30:
         return 0
     if shift < 0:

@@ -8,6 +8,7 @@ hold, resume, the system's own block.
 import micropython
 from base.f32 import f32
 from micropython import const
+
 from motion import kernels, reals
 from motion.kernels import AT, CARRY, HOLD, LOADED, NOW, fill
 
@@ -16,10 +17,6 @@ if TYPE_CHECKING:
     from array import array
 
     from motion.planner import Planner
-
-# A real (reals.py): its mantissa, and the exponent of whole numbers.
-_MANTISSA = const(0x7FFF)
-_ONE = const(64)
 
 
 class Segments:
@@ -80,8 +77,8 @@ class Segments:
     def whole_rate(self) -> int:
         """The same speed, rounded, half a mm/min up."""
         rate = self._rate()
-        twice = (rate & _MANTISSA) * 120
-        shift = _ONE - rate // (_MANTISSA + 1)
+        twice = rate % reals.LIMIT * 120
+        shift = reals.BIAS - rate // reals.LIMIT
         if shift <= 0:
             return twice << -shift >> 1
         return ((twice >> shift) + 1) >> 1

@@ -46,7 +46,7 @@ _LAST_ROW = const(15)
 _WAITING = const(10)  # rows that may wait; the others may still be looked at
 _CLOCK = const(3)  # the clock's machine
 
-# From hub.py, pulses.py, kernels.py.
+# From pio/hub.py, pio/stops.py, motion/kernels.py.
 _RUNNING = const(0)
 _HALT = const(1)
 _MADE = const(2)
@@ -54,14 +54,11 @@ _FED = const(3)
 _AHEAD = const(5)
 _CUT = const(10)
 _EARLY = const(12)
-_LANE = const(7)
-_PLACE = const(4)
-_END = const(5)
 _PIO0 = const(14)
 _PIO1 = const(15)
 _FAULT = const(31 + 16)
 _ASKED = const(31 + 17)
-_CLEARED = const(0xC00)  # CTRL, where ones clear bits
+_CLEAR = const(0xC00)
 _RAISED = const(1)
 _KEEP_POWER = const(0x3FFFFFFF)
 
@@ -211,7 +208,8 @@ class PioEngine:
         """Name the present place. At rest only."""
         lanes = self._memory.lanes
         for i in range(len(self._step)):
-            lanes[_LANE * i + _END] = lanes[_LANE * i + _PLACE] = steps[i]
+            at = pulses.LANE * i
+            lanes[at + pulses.END] = lanes[at + pulses.PLACE] = steps[i]
 
     @micropython.viper
     def _turn(self, _source: object) -> int:
@@ -243,8 +241,8 @@ class PioEngine:
         if hub[_FAULT]:
             # No calls up to here: the stack may be what there is too little of.
             hub[_HALT] = 1
-            ptr32(hub[_PIO0])[_CLEARED] = 15
-            ptr32(hub[_PIO1])[_CLEARED] = 1 << _CLOCK
+            ptr32(hub[_PIO0])[_CLEAR] = 15
+            ptr32(hub[_PIO1])[_CLEAR] = 1 << _CLOCK
             try:
                 self.on_fault()
             except:  # noqa: E722

@@ -59,7 +59,8 @@ _CLOCKED = const(29)  # words for the clock
 _WHOLE = const(30)  # a long segment, made in pieces
 _ROW = const(31)  # a row per segment
 _FAULT = const(31 + 16)  # what has gone wrong (stops.py), until arm()
-_LENGTH = const(31 + 16 + 2)  # behind the fault: start() waits for the interrupt
+_ASKED = const(31 + 17)  # start() waits for the interrupt
+_LENGTH = const(31 + 16 + 2)
 
 # A PIO's registers, in words.
 _CTRL = const(0)
@@ -91,14 +92,14 @@ _STEP_LOW = const(0xE000)
 
 # In FDEBUG, from the bit of the first machine on: a word has come to a FIFO that was full.
 _TXOVER = const(16)
-_LOST = const(2)  # faults, as stops.py says
-_JAMMED = const(3)
 
 _CLOCK = const(3)  # the clock's machine
 _CLOCK_SHIFT = const(24)
 _CLOCK_OVERHEAD = const(4)  # ticks of its loop besides the count
 
-# From pulses.py, kernels.py.
+# From pio/pulses.py, pio/stops.py, motion/kernels.py.
+_LOST = const(2)
+_JAMMED = const(3)
 _LANE = const(7)
 _CARRY = const(0)
 _DIR = const(1)

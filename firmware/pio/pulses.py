@@ -15,7 +15,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from array import array
 
-# A segment row, as kernels.py says; viper wants its constants in the same file.
+# From motion/kernels.py.
 _ROW_TICKS = const(0)
 _ROW_DIRS = const(1)
 _ROW_POWER = const(2)
@@ -49,7 +49,7 @@ TURN_DELAY = const(3)  # and least delay of the word after it
 KEEP = const(4)  # a lane with nothing to do waits until so long before the end of its segment
 TIMING_LENGTH = const(5)
 
-# A word and what it costs, as programs.py says.
+# A word for programs.stepper, and what it costs.
 _STEPS_SHIFT = const(1)
 _STEPS_MASK = const(0xFFF)
 _DELAY_SHIFT = const(13)
@@ -62,7 +62,7 @@ _TURN_HELD = const(10)  # end of a pulse to the change of DIR, besides the waiti
 _TURN_SET = const(5)  # change of DIR to the next edge, besides the delay
 _SPARE = const(3)  # for gaps that rounding makes shorter than the mean
 
-# Where a stepper stands, as programs.py says.
+# Where programs.stepper stands.
 _NEXT = const(0)
 _STEP = const(3)
 _RISEN = const(7)

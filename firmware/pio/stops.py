@@ -10,7 +10,7 @@ from micropython import const
 
 from pio.pulses import places, undone
 
-# From hub.py.
+# From pio/hub.py, pio/pulses.py.
 _HALF_TICKS_PER_US = const(25)
 _LAST_ROW = const(15)
 _RUNNING = const(0)
@@ -39,19 +39,13 @@ _ASKED = const(31 + 17)
 _CTRL = const(0)
 _FDEBUG = const(2)
 _FLEVEL = const(3)
-_IRQ_FORCE = const(13)
-_RXF = const(8)
 _ADDR = const(0x35)
 _INSTR = const(0x36)
 _SM = const(6)
 _CLEAR = const(0xC00)
-_COUNT = const(2)
 _STATUS = const(3)
 _DISABLE = const(32)
-_SAVE_X = const(0xA0C1)
-_PUSH = const(0x8000)
 _TXOVER = const(16)
-_FIFO = const(4)  # words it holds
 _CLOCK = const(3)
 _LANE = const(7)
 _SENT = const(3)
@@ -63,6 +57,14 @@ _ROW_STRIDE = const(3)
 _ROW_EXTRA = const(3)
 _MASK = const(0x3FFFFFFF)
 _NEGATIVE = const(0x20000000)
+
+# Registers of a PIO and of DMA, in words; instructions that are forced into a machine.
+_IRQ_FORCE = const(13)
+_RXF = const(8)
+_COUNT = const(2)
+_SAVE_X = const(0xA0C1)
+_PUSH = const(0x8000)
+_FIFO = const(4)  # words it holds
 
 # What may be wrong: trouble().
 RAISED = const(1)  # the interrupt has met an exception

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 _BOTH_EDGES = Pin.IRQ_RISING | Pin.IRQ_FALLING
 # For so long an input that has called is left in peace where the board file says nothing.
 _PEACE_MS = const(2)
-_EMERGENCY_STOP = const(16)  # as inputs.py says
+
+# From control/inputs.py.
+_EMERGENCY_STOP = const(16)
 _FAILED = "A pin's callback has failed"
 _FAILED_TWICE = "A pin's callback has failed, and so has stopping"
 

@@ -22,7 +22,7 @@ _MEMORY = const(0x20000000)
 _MEMORY_WORDS = const(0x10000)
 _TRIALS = (b"Where is the ring?", b"Here?")
 
-# From usb_link.py.
+# From ports/usb_link.py.
 _RING = const(3)
 _LINE = const(4)
 
