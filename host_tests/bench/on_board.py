@@ -16,6 +16,7 @@ whole, less the two before. The machine is in check mode meanwhile, and reset af
 """
 
 from language import fast_path
+from ugrbl.selftest import program
 
 _START = """
 power_up.live(power_up.build())
@@ -28,10 +29,9 @@ from boot import power_up  # first, as in main.py: it sees to where memory is fr
 import gc
 import time
 
-from talk import commands
-from motion import planner
-from talk import report
-
+commands = module("talk", "commands")
+planner = module("motion", "planner")
+report = module("talk", "report")
 found = {}
 acts = {}
 usual = commands.Commands.whose
@@ -111,16 +111,15 @@ acts[b"LATER"] = later
 
 # $STAGE: see above.
 _STAGES = """
-from language import block
-from language import checks
-from language import interpreter
-from talk import lines
-from language import fast_path
-from talk import protocol
-from language import words
-from control import coords
-from control import modes
-
+block = module("language", "block")
+checks = module("language", "checks")
+interpreter = module("language", "interpreter")
+lines = module("talk", "lines")
+fast_path = module("language", "fast_path")
+protocol = module("talk", "protocol")
+words = module("language", "words")
+coords = module("control", "coords")
+modes = module("control", "modes")
 keep(interpreter.Interpreter, "execute")
 keep(modes.Modes, "reset")
 keep(coords.Coords, "clear")
@@ -270,8 +269,7 @@ acts[b"STAGE"] = stages
 
 # $GAP: the longest time from one look at the link to the next since it was asked last, us.
 _GAPS = """
-from talk import protocol
-
+protocol = module("talk", "protocol")
 gaps = [0, 0]
 
 
@@ -298,6 +296,7 @@ for way in ("pump", "service"):
 acts[b"GAP"] = longest
 """
 
-MAIN = (_COMMANDS + _COUNTS + _START).encode()
-STAGES = (_COMMANDS + _STAGES + _START).encode()
-GAPS = (_COMMANDS + _GAPS + _START).encode()
+_BEGIN = program.found() + _COMMANDS
+MAIN = (_BEGIN + _COUNTS + _START).encode()
+STAGES = (_BEGIN + _STAGES + _START).encode()
+GAPS = (_BEGIN + _GAPS + _START).encode()

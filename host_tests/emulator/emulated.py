@@ -11,6 +11,7 @@ from pico import Edge, Pico
 from ugrbl import build, machine
 from ugrbl.paths import BOARDS
 from ugrbl.run import ProgramLink
+from ugrbl.selftest import program
 from ugrbl.sim.engine import step_tick
 
 STEP = (2, 3, 4)
@@ -22,6 +23,9 @@ RESET, HOLD, START = 13, 14, 15
 SPINDLE_PWM = 16
 # No board is wired to its inputs: they have pull-ups, which the emulator does not know.
 INPUTS = (*LIMIT, PROBE, RESET, HOLD, START, 22)
+
+# In front of a program for the board that wants modules of the firmware.
+FOUND = program.found().encode()
 
 _BOOT_US = 3_000_000
 _ANSWER_US = 2_000_000

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from emulated import ENABLE, SPINDLE_PWM, STEP, Board, firmware, steps
+from emulated import ENABLE, FOUND, SPINDLE_PWM, STEP, Board, firmware, steps
 from littlefs.errors import LittleFSError
 from pico import LAYOUT, file_system
 from ugrbl import build
@@ -11,12 +11,14 @@ from ugrbl import build
 pytestmark = pytest.mark.xdist_group("pico faults")
 
 BOARD = firmware()["board.py"]
-_HOOK = b"""
-from talk import commands
+_HOOK = (
+    FOUND
+    + b"""
 from boot import power_up
-from motion import segments
 import time
 
+commands = module("talk", "commands")
+segments = module("motion", "segments")
 following = segments.Segments.next
 spoilt = bytearray(1)
 
@@ -54,6 +56,7 @@ def whose(self, line, length):
 commands.Commands.whose = whose
 power_up.live(power_up.build())
 """
+)
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from emulated import ENABLE, LIMIT, SPINDLE_PWM, STEP, Board, steps
+from emulated import ENABLE, FOUND, LIMIT, SPINDLE_PWM, STEP, Board, steps
 
 pytestmark = pytest.mark.xdist_group("pico watch")
 
@@ -12,12 +12,14 @@ _LIMIT_MS = 250  # how long the main loop may be away
 _BEAT_MS = 5
 
 # A user's commands, in main.py. How long they last: $BUSY=ms; for ever: $HANG.
-_MAIN = b"""
+_MAIN = (
+    FOUND
+    + b"""
 import time
 
-from talk import commands
 from boot import power_up
 
+commands = module("talk", "commands")
 usual = commands.Commands.whose
 
 
@@ -38,6 +40,7 @@ def whose(self, line, length):
 commands.Commands.whose = whose
 machine = power_up.live(power_up.build())
 """
+)
 
 
 @pytest.fixture(scope="module")

@@ -90,8 +90,8 @@ def test_the_firmware_passes_all_that_can_be_shown_here(uf2: Path) -> None:
 
 
 # An engine that makes pulses too short, leaves DIR no time, and is a step off.
-_WORSE = """
-from pio import engine, pulses
+_WORSE = f"""{program.found()}
+engine, pulses = module("pio", "engine"), module("pio", "pulses")
 set_timing, position = pulses.set_timing, engine.PioEngine.position
 pulses.set_timing = lambda timing, pulse, hold, setup: set_timing(timing, pulse - 5, 0, 0)
 def lie(self, steps):

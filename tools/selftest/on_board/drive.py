@@ -4,12 +4,13 @@
 import board
 
 from .config import CONFIG
+from .found import module
 from .rows import AXES, Mover
 from .watch import FIRST, LAST, TICK_HZ, Counter, Sampler
 
 sampler = Sampler(CONFIG["samples"])  # ahead of what divides memory
 
-from pio.engine import PioEngine  # noqa: E402
+PioEngine = module("pio", "engine").PioEngine
 
 WATCHED = min(AXES, LAST - FIRST + 1)
 

@@ -3,7 +3,10 @@
 
 import board
 from machine import Pin
-from ports.flash_store import FlashStore
+
+from .found import module
+
+FlashStore = module("ports", "flash_store").FlashStore
 
 
 def drivers_off():

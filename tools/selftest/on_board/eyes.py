@@ -5,6 +5,7 @@ import board
 from machine import mem32
 
 from .config import CONFIG
+from .found import module
 from .watch import FIRST, LAST, Counter
 
 counters = [
@@ -24,9 +25,7 @@ def count_all():
 
 def used_stack():
     """Bytes of the C stack at most."""
-    from pio import stack
-
-    return stack.used()
+    return module("pio", "stack").used()
 
 
 def mem_level(pin):

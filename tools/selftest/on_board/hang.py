@@ -7,18 +7,18 @@ from boot import power_up  # first, as in main.py: it sees to where memory is fr
 import time
 
 import board
-from talk import lines
-from talk import protocol
-from ports import flash_store
 
 from .config import CONFIG
-from .drivers import drivers_off, hear_nothing
+from .drivers import FlashStore, drivers_off, hear_nothing
 from .eyes import count_all, mem_level, used_stack, watch
+from .found import module
 from .say import say
 
 BETWEEN_MS = 150  # lines given
 TOLD_MS = 200  # how often the state is told while it hangs
 
+lines = module("talk", "lines")
+protocol = module("talk", "protocol")
 usual_pump = protocol.Protocol.pump
 usual_making = lines.LineReader.__init__
 readers = []
@@ -77,8 +77,8 @@ def hang():
 
 drivers_off()
 hear_nothing()
-flash_store.FlashStore.load = lambda *_: None  # factory settings, and nothing is kept
-flash_store.FlashStore.save = lambda *_: None
+FlashStore.load = lambda *_: None  # factory settings, and nothing is kept
+FlashStore.save = lambda *_: None
 protocol.Protocol.pump = pump
 lines.LineReader.__init__ = make_reader
 parts = power_up.build()
