@@ -116,9 +116,11 @@ def _hardware(board: "ModuleType", link: "BoardLink") -> "tuple[StepEngine, Boar
         engine.on_fault = port.kill
         _forget_programs()
         return engine, port
-    from boot.parts_esp import make
+    from boot import parts_esp
 
-    return make(board, link)
+    made = parts_esp.make(board, link)
+    forget("boot.parts_esp")
+    return made
 
 
 def _forget_programs() -> None:
