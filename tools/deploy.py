@@ -134,7 +134,8 @@ def plan(made: Build, there: Mapping[str, str], before: Mapping[str, str]) -> Pl
     """
     same = [path for path, content in made.files.items() if there.get(path) == digest(content)]
     copy = [path for path in made.files if path not in same]
-    ours = {name.removesuffix(".py") + kind for name in build.sources() for kind in _KINDS}
+    names = {name.removesuffix(".py") for name in build.sources()} | build.packages()
+    ours = {name + kind for name in names for kind in _KINDS}
     stale = [
         path
         for path, checksum in there.items()

@@ -143,8 +143,9 @@ def _build(
 
     store = FlashStore()
     machine = wiring.build(board, link, port, engine, store)
-    for name in ("wiring", "options", "guests"):  # 5 kB that nobody needs any more
-        forget("boot." + name)
+    forget("boot.wiring")  # with these, 5 kB that nobody needs any more
+    forget("boot.options")
+    forget("boot.guests")
     if link.is_slow:
         machine.report.identity += _SLOW_RESET
     written = getattr(engine, "flash_written", None)

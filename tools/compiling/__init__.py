@@ -6,11 +6,13 @@ passes, one after the other, write what a board has more use for. Each takes the
 modules by name, and returns them; the tests let both forms do the same things.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from . import marks
+from .bundle import Bundles, bundle
 from .inline import inline
 from .leaves import leaves
+from .order import order
 from .prune import prune
 from .shorten import Shortened, shorten
 
@@ -20,3 +22,9 @@ def prepared(sources: Mapping[str, str], debug: bool = False) -> Shortened:
     found = marks.read(sources)
     texts = prune(leaves(inline(sources), found))
     return Shortened(texts, {}, {}, {}, {}) if debug else shorten(texts, found)
+
+
+def put_together(texts: Mapping[str, str], needed: Collection[str]) -> Bundles:
+    """Those modules, as prepared() has made them, that a board needs: one for each package."""
+    made = bundle({name: text for name, text in texts.items() if name in needed})
+    return made._replace(texts=order(made.texts))

@@ -29,11 +29,13 @@ def vipers(tree: ast.Module, methods: bool) -> Iterator[ast.FunctionDef]:
     for node in tree.body:
         inside = node.body if methods and isinstance(node, ast.ClassDef) else [node]
         for function in inside:
-            if isinstance(function, ast.FunctionDef) and any(
-                ast.unparse(decorator) == "micropython.viper"
-                for decorator in function.decorator_list
-            ):
+            if isinstance(function, ast.FunctionDef) and is_viper(function):
                 yield function
+
+
+def is_viper(function: ast.FunctionDef) -> bool:
+    """Whether it is compiled to the processor's own code."""
+    return any(ast.unparse(each) == "micropython.viper" for each in function.decorator_list)
 
 
 def stored(node: ast.AST) -> set[str]:
