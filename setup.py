@@ -8,7 +8,6 @@ FOLDERS = {
     "ugrbl": "tools",
     "ugrbl.firmware": "firmware",
     "ugrbl.boards": "boards",
-    "ugrbl.shim": "host_tests/shim",
     "ugrbl.examples": "examples",
 }
 

@@ -9,7 +9,7 @@ from hypothesis import settings
 
 _HERE = Path(__file__).parent
 
-sys.path[:0] = [str(_HERE / "shim"), str(_HERE.parent / "firmware")]
+sys.path[:0] = [str(_HERE.parent / "tools" / "sim" / "standins"), str(_HERE.parent / "firmware")]
 # Said aloud, so that no tool under test switches the checks off for the tests after it.
 os.environ.setdefault("UGRBL_VIPER", "checked")
 

@@ -22,10 +22,11 @@ def set_path() -> str:
     """Find the firmware and the stand-ins; returns the folder of the tree."""
     here = sys.argv[0].rsplit("/", 1)[0] if "/" in sys.argv[0] else "."
     root = here + "/.."
+    standins = root + "/tools/sim/standins"
     if sys.implementation.name == "cpython":
-        sys.path.insert(0, here + "/shim")
+        sys.path.insert(0, standins)
     sys.path.insert(0, root + "/firmware")
-    sys.path += [here, here + "/shim"]
+    sys.path += [here, standins]
     return root
 
 

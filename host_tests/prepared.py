@@ -9,14 +9,15 @@ import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from ugrbl import build, paths
+from ugrbl import paths
+from ugrbl.compiling import build
 from ugrbl.compiling.inline import inline
 from ugrbl.compiling.shorten import Shortened, follow
 
 _ROOT = Path(__file__).resolve().parent.parent
 # Tests, and what they stand on, which are run against prepared sources.
 _TESTS = ("conftest.py", "laws.py", "rig_bench.py", "test_laws.py", "test_torture.py")
-_DATA = ("boards", "tools", "host_tests/shim")
+_DATA = ("boards", "tools")
 # In a process of CPython there is nobody who sees to const(), as MicroPython's compiler does.
 _CONST = "import builtins\nbuiltins.const = lambda value: value\n"
 
@@ -55,7 +56,7 @@ def write_tree(root: Path, made: Shortened, write: Compile) -> Path:
 
 def guests(ours: "Mapping[str, str]", made: Shortened) -> "dict[str, str]":
     """Simulator and tests, by their paths, for the firmware as it is now."""
-    files = [*(paths.TOOLS / "sim").rglob("*.py"), *(_ROOT / "host_tests" / t for t in _TESTS)]
+    files = [*(paths.TOOLS / "sim").glob("*.py"), *(_ROOT / "host_tests" / t for t in _TESTS)]
     texts = {str(file.relative_to(_ROOT)): file.read_text("utf-8") for file in files}
     placed = inline({**ours, **texts})
     return {name: follow(name, placed[name], made) for name in texts}

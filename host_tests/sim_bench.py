@@ -88,8 +88,8 @@ class Bench:
 
 def serve(wire_log: Path, arguments: list[str]) -> None:
     """Be `ugrbl sim`, fitted with switches; commands for inputs come as JSON on stdin."""
-    from ugrbl import machine, pty_link
-    from ugrbl.cli import app
+    from ugrbl.cli.app import app
+    from ugrbl.run import machine, pty_link
 
     build = machine.build
     rigs = []

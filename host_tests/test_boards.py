@@ -4,9 +4,9 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from ugrbl.board_check import notes, problems
-from ugrbl.machine import boards, load_board
-from ugrbl.new_board import CHIPS
+from ugrbl.boardfile.board_check import notes, problems
+from ugrbl.boardfile.new_board import CHIPS
+from ugrbl.run.machine import boards, load_board
 
 REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
 

@@ -8,13 +8,14 @@ import pytest
 from micropython_runner import needs_micropython, run_micropython
 
 HERE = Path(__file__).parent
+STANDINS = HERE.parent / "tools" / "sim" / "standins"
 PATHS = [HERE.parent / "firmware", HERE]
 VECTORS = HERE / "vectors.py"
 
 
 def cpython(*arguments: object) -> str:
     """What the vectors print here, in a fresh process as there."""
-    paths = [str(HERE / "shim"), *map(str, PATHS)]
+    paths = [str(STANDINS), *map(str, PATHS)]
     start = f"import sys; sys.path[:0] = {paths}; sys.argv[1:] = {[*map(str, arguments)]}; "
     command = [sys.executable, "-c", start + "import vectors; vectors.main()"]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout

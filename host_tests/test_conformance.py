@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 from typer.testing import CliRunner
-from ugrbl import recordings
-from ugrbl.cli import app
-from ugrbl.conformance import Results, run_folder
+from ugrbl.cli.app import app
+from ugrbl.replay import recordings
+from ugrbl.replay.conformance import Results, run_folder
 
 _HERE = Path(__file__).resolve().parent
 _SHARED = _HERE.parents[1] / "shared"

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 from sim_bench import Bench
-from ugrbl.connection import Connection
-from ugrbl.desk import JOG_CANCEL, Desk, explained
+from ugrbl.cli.desk import JOG_CANCEL, Desk, explained
+from ugrbl.device.connection import Connection
 
 _PATIENCE_S = 20.0
 SETTINGS = {1: 255, 110: 2000, 111: 2000, 112: 2000, 120: 200, 121: 200, 122: 200}

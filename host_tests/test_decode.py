@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from micropython_runner import needs_micropython, run_micropython
 from typer.testing import CliRunner, Result
-from ugrbl import build, maps, paths
-from ugrbl.cli import app
-from ugrbl.compiling import symbols
-from ugrbl.decode import build_of, decode, is_fault
+from ugrbl import paths
+from ugrbl.cli.app import app
+from ugrbl.compiling import build, maps, symbols
+from ugrbl.compiling.decode import build_of, decode, is_fault
 
 # A script that makes the firmware fail, as compiled, and tells as a board tells.
 _FAILS = """

@@ -13,12 +13,14 @@ from typing import Any
 
 import pytest
 from typer.testing import CliRunner, Result
-from ugrbl import build, deploy_cli, ports
-from ugrbl.build import BuildError
-from ugrbl.cli import app
-from ugrbl.deploy import LIST, About, DeployError, Running, check_fit, deploy
+from ugrbl.cli import deploy as deploy_cli
+from ugrbl.cli import ports
+from ugrbl.cli.app import app
+from ugrbl.compiling import build
+from ugrbl.compiling.build import BuildError
+from ugrbl.device.deploy import LIST, About, DeployError, Running, check_fit, deploy
 from ugrbl.docs import pages
-from ugrbl.machine import boards, load_board
+from ugrbl.run.machine import boards, load_board
 
 REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
 PICO = About(0x1306, "1.28.0", "Raspberry Pi Pico with RP2040")
@@ -438,7 +440,7 @@ def test_what_was_left_half_way_is_finished(made: build.Build) -> None:
 @pytest.fixture
 def plugged(monkeypatch: pytest.MonkeyPatch, made: build.Build) -> FakeBoard:
     """A board that `ugrbl deploy` finds, with what has been compiled already."""
-    from ugrbl import deploy_device
+    from ugrbl.device import deploy_device
 
     board = FakeBoard()
     monkeypatch.setattr(deploy_device, "MpremoteDevice", lambda port: board)
@@ -504,7 +506,7 @@ def test_help_has_examples(command: str) -> None:
 @pytest.fixture
 def talk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[..., str]]:
     """What deploy says of a port where bytes are answered by a table; None: it goes away."""
-    from ugrbl import deploy_device
+    from ugrbl.device import deploy_device
 
     for name in ("_STATUS_S", "_PROMPT_S", "_RAW_S"):
         monkeypatch.setattr(deploy_device, name, 0.3)

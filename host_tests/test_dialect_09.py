@@ -20,9 +20,10 @@ from extras.punch import ALARM_PUNCH_DOWN, ALARM_PUNCH_UP
 from hypothesis import given
 from hypothesis import strategies as some
 from talk.report import Report
-from ugrbl.machine import load_board
-from ugrbl.messages import alarms, meaning
-from ugrbl.messages import errors as error_words
+from ugrbl.grbl.messages import alarms, meaning
+from ugrbl.grbl.messages import errors as error_words
+from ugrbl.paths import STANDINS
+from ugrbl.run.machine import load_board
 from ugrbl.sim.replay import Sender, factory_store
 from ugrbl.sim.rig import Rig
 
@@ -87,7 +88,7 @@ def test_another_is_refused_in_words() -> None:
 
 def test_the_default_board_loads_neither_dialects_nor_tools() -> None:
     program = (
-        f"import sys; sys.path[:0] = [{str(_HERE / 'shim')!r}, {str(_FIRMWARE)!r}]\n"
+        f"import sys; sys.path[:0] = [{str(STANDINS)!r}, {str(_FIRMWARE)!r}]\n"
         "from types import SimpleNamespace\n"
         "from boot.options import Options; Options(SimpleNamespace())\n"
         "assert not {'extras.dialect_09', 'extras.punch'} & set(sys.modules)\n"

@@ -7,12 +7,12 @@ import sys
 from pathlib import Path
 
 import pytest
-from ugrbl import board_check
-from ugrbl.cli import app
+from ugrbl.boardfile import board_check
+from ugrbl.cli.app import app
 from ugrbl.docs import house, machines, pages, pictures, words
-from ugrbl.gcode_file import split_lines
-from ugrbl.messages import alarms, errors
-from ugrbl.run import run_program
+from ugrbl.grbl.gcode_file import split_lines
+from ugrbl.grbl.messages import alarms, errors
+from ugrbl.run.program import run_program
 
 _ROOT = Path(__file__).resolve().parent.parent
 _FIRMWARE = _ROOT / "firmware"

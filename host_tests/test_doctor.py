@@ -14,12 +14,14 @@ from typing import Any, cast
 import pytest
 from sim_bench import SETTINGS, STEPS_PER_MM, SWITCH_STEPS, Bench
 from typer.testing import CliRunner
-from ugrbl import build, checkup, connection, doctor, patient, ports
-from ugrbl import settings_sync as sync
-from ugrbl.checkup import BAD, NOTE, OK, Finding
-from ugrbl.cli import app
-from ugrbl.connection import Connection
-from ugrbl.settings_file import Firmware
+from ugrbl.cli import doctor, ports
+from ugrbl.cli.app import app
+from ugrbl.compiling import build
+from ugrbl.device import checkup, connection, patient
+from ugrbl.device import settings_sync as sync
+from ugrbl.device.checkup import BAD, NOTE, OK, Finding
+from ugrbl.device.connection import Connection
+from ugrbl.grbl.settings_file import Firmware
 
 OLD_PICO = b"\r\n|rp2|Raspberry Pi Pico with RP2040|1.25.0|183000|False|\r\n>>> "
 OURS = Firmware("1.1", "h", "20261121", "Grbl", "V,15,128")

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from esp_bench import EspEngine, clock, esp32, esp_machine, esp_start
 from micropython_runner import needs_micropython, run_micropython
-from ugrbl import machine
+from ugrbl.paths import STANDINS
+from ugrbl.run import machine
 
 _HERE = Path(__file__).parent
 _BOOT = _HERE / "esp_boot.py"
@@ -294,7 +295,7 @@ print("filled", rows > 4)
 
 @needs_micropython
 def test_buffers_of_frames_are_filled_without_allocation() -> None:
-    folders = (str(_HERE.parent / "firmware"), str(_HERE.parent), str(_HERE / "shim"))
+    folders = (str(_HERE.parent / "firmware"), str(_HERE.parent), str(STANDINS))
     assert "filled True" in run_micropython(_NO_ALLOCATION % folders)
 
 

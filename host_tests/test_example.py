@@ -5,8 +5,8 @@ import runpy
 from pathlib import Path
 
 import pytest
-from ugrbl.gcode_file import read_lines
-from ugrbl.run import run_program
+from ugrbl.grbl.gcode_file import read_lines
+from ugrbl.run.program import run_program
 
 _EXAMPLES = Path(__file__).parent.parent / "examples"
 _PROGRAM = _EXAMPLES / "badge.nc"

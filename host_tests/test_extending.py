@@ -177,7 +177,7 @@ def test_a_board(tree):
 
 _TALK = """
 import sys
-sys.path[:0] = ["firmware", "host_tests/shim"]
+sys.path[:0] = ["firmware", "tools/sim/standins"]
 import machine
 
 class UART:

@@ -22,8 +22,8 @@ from language.fast_path import (
 from motion import kernels
 from oracle import read_words
 from test_words import bits, pieces
-from ugrbl import machine
-from ugrbl.run import ProgramLink
+from ugrbl.run import machine
+from ugrbl.run.program import ProgramLink
 
 modes = st.tuples(st.sampled_from([HAS_G0, HAS_G1]), st.booleans(), st.sampled_from([0.0, 500.0]))
 

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from ugrbl.file_store import FileStore
-from ugrbl.settings_file import Firmware, Settings, SettingsError
+from ugrbl.grbl.settings_file import Firmware, Settings, SettingsError
+from ugrbl.run.file_store import FileStore
 
 _GRBL = Firmware("1.1", "h", "20190830", "Grbl", "V,15,128")
 

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ugrbl import gcode_file
-from ugrbl.gcode_file import check_text, comment, harmless, has_realtime, problems
+from ugrbl.grbl import gcode_file
+from ugrbl.grbl.gcode_file import check_text, comment, harmless, has_realtime, problems
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 from laws import Bench, Limits
-from ugrbl.build import compile_all
+from ugrbl.compiling.build import compile_all
 from ugrbl.compiling.inline import inline
 from ugrbl.compiling.leaves import leaves
 from ugrbl.paths import FIRMWARE

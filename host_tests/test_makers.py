@@ -4,7 +4,7 @@ import ast
 from collections.abc import Iterator
 
 from boot import parts
-from ugrbl import build
+from ugrbl.compiling import build
 
 TREES = {name: ast.parse(text) for name, text in build.texts().items()}
 CLASSES = {

@@ -5,8 +5,8 @@ import re
 from pathlib import Path
 
 import pytest
-from ugrbl import build, paths
-from ugrbl.compiling import marks, prepared
+from ugrbl import paths
+from ugrbl.compiling import build, marks, prepared
 from ugrbl.compiling.inline import inline
 from ugrbl.compiling.leaves import leaves
 from ugrbl.compiling.marks import Marks
@@ -31,7 +31,7 @@ def on_boards() -> set[str]:
     """What objects of MicroPython's hardware modules have: the stand-ins' functions."""
     return {
         node.name
-        for file in paths.SHIM.glob("*.py")
+        for file in paths.STANDINS.glob("*.py")
         for node in ast.walk(ast.parse(file.read_text("utf-8")))
         if isinstance(node, ast.FunctionDef) and node.name[0] != "_"
     }

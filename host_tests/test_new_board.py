@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 from typer.testing import CliRunner, Result
-from ugrbl import new_board
-from ugrbl.cli import app
-from ugrbl.machine import load_board
-from ugrbl.new_board import CHIPS, BoardError, load, read_pins
+from ugrbl.boardfile import new_board
+from ugrbl.boardfile.new_board import CHIPS, BoardError, load, read_pins
+from ugrbl.cli.app import app
+from ugrbl.run.machine import load_board
 
 _PICO = ("--chip", "pico", "--pin", "step=2,3,4", "--pin", "dir=5,6,7")
 

@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
-from ugrbl import drawing, machine, motion_trace, plot
-from ugrbl.cli import app
-from ugrbl.gcode_file import split_lines
-from ugrbl.motion_trace import Motion, trace_program
+from ugrbl.cli.app import app
+from ugrbl.draw import drawing, motion_trace, plot
+from ugrbl.draw.motion_trace import Motion, trace_program
+from ugrbl.grbl.gcode_file import split_lines
+from ugrbl.run import machine
 
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 _SQUARE = "G90 G21\nG1 X10 F600\nY10\nX0\nY0\nG0 Z2\nG4 P1\nG2 X5 Y5 R5\n"

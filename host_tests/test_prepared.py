@@ -19,9 +19,8 @@ from typing import Any
 import pytest
 from prepared import write_compiled, write_sources, write_tree
 from test_conformance import FOLDERS, summary
-from ugrbl import build
-from ugrbl.compiling import prepared
-from ugrbl.conformance import Results, find_micropython, run_folder
+from ugrbl.compiling import build, prepared
+from ugrbl.replay.conformance import Results, find_micropython, run_folder
 
 # One process makes the trees for all of these.
 pytestmark = pytest.mark.xdist_group("prepared")

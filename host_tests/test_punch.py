@@ -18,10 +18,10 @@ from base import state as st
 from boot.options import Options
 from hypothesis import given
 from hypothesis import strategies as some
-from ugrbl import plot
-from ugrbl.gcode_file import read_lines
-from ugrbl.machine import load_board
-from ugrbl.run import run_program
+from ugrbl.draw import plot
+from ugrbl.grbl.gcode_file import read_lines
+from ugrbl.run.machine import load_board
+from ugrbl.run.program import run_program
 from ugrbl.sim.punch import DOWN, SENSOR_DOWN, SENSOR_UP, UP, BrokenLaw
 from ugrbl.sim.replay import Sender, factory_store
 from ugrbl.sim.rig import Rig

@@ -1,9 +1,9 @@
 """Rehearsals: a machine's state in the simulator, which line is made when, the way to a line."""
 
 import pytest
-from ugrbl import stage
-from ugrbl.from_line import CannotEnter, approach
-from ugrbl.rehearsal import Forecast, Job, Rehearsal, check, rehearse
+from ugrbl.device import stage
+from ugrbl.device.from_line import CannotEnter, approach
+from ugrbl.run.rehearsal import Forecast, Job, Rehearsal, check, rehearse
 
 _BY_AXIS = ((100, 250), (110, 3000), (120, 300), (130, 100))
 MACHINE = [

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
-from ugrbl import machine, paths
-from ugrbl.cli import app
-from ugrbl.gcode_file import read_lines, split_lines
-from ugrbl.messages import alarms, errors, meaning
-from ugrbl.run import Result, run_program
+from ugrbl import paths
+from ugrbl.cli.app import app
+from ugrbl.grbl.gcode_file import read_lines, split_lines
+from ugrbl.grbl.messages import alarms, errors, meaning
+from ugrbl.run import machine
+from ugrbl.run.program import Result, run_program
 
 _PROGRAMS = Path(__file__).resolve().parents[2] / "shared" / "gcode"
 _EXPECTED = _PROGRAMS / "expected.json"

@@ -7,12 +7,13 @@ from typing import Any
 
 import pytest
 from typer.testing import CliRunner
-from ugrbl import ports, selftest_cli
-from ugrbl.cli import app
-from ugrbl.connection import SendError
-from ugrbl.deploy import About, DeployError
-from ugrbl.selftest.judge import duty_percent, falls, highs, judge, rises
-from ugrbl.selftest.session import Wiring
+from ugrbl.cli import ports
+from ugrbl.cli import selftest as selftest_cli
+from ugrbl.cli.app import app
+from ugrbl.device.connection import SendError
+from ugrbl.device.deploy import About, DeployError
+from ugrbl.device.selftest.judge import duty_percent, falls, highs, judge, rises
+from ugrbl.device.selftest.session import Wiring
 
 PICO = About(0x1F06, "1.28.0", "Raspberry Pi Pico with RP2040")
 WIRED = Wiring("pio", 8, 16)

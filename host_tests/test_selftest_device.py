@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 from mpremote.transport import TransportError
-from ugrbl.connection import SendError
-from ugrbl.deploy import DeployError
-from ugrbl.selftest import device
-from ugrbl.selftest.device import PromptBoard
-from ugrbl.selftest.session import Wiring
+from ugrbl.device.connection import SendError
+from ugrbl.device.deploy import DeployError
+from ugrbl.device.selftest import device
+from ugrbl.device.selftest.device import PromptBoard
+from ugrbl.device.selftest.session import Wiring
 
 
 class Wire:

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 from esp_bench import clock, esp32, esp_machine, gpio_esp, reset_stand_ins, rmt
 from micropython_runner import needs_micropython, run_micropython
-from ugrbl import machine
-from ugrbl.selftest import program
-from ugrbl.selftest.row import Row
-from ugrbl.selftest.session import WIRING, Hearer
+from ugrbl.device.selftest import program
+from ugrbl.device.selftest.row import Row
+from ugrbl.device.selftest.session import WIRING, Hearer
+from ugrbl.run import machine
 
 _CHIPS = {
     "esp32_devkit": ("esp32", program.ESP32),

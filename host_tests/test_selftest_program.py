@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from ugrbl.selftest import program
+from ugrbl.device.selftest import program
 
 
 @pytest.mark.parametrize(

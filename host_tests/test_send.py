@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner, Result
-from ugrbl import connection as connection_module
-from ugrbl import keys
-from ugrbl.cli import app
-from ugrbl.connection import Connection, SendError
-from ugrbl.gcode_file import CYCLE_START, FEED_HOLD, RESET, STATUS
-from ugrbl.messages import meaning
-from ugrbl.send import Choice, Line, Stream
-from ugrbl.send import program as ready
+from ugrbl.cli import keys
+from ugrbl.cli.app import app
+from ugrbl.device import connection as connection_module
+from ugrbl.device.connection import Connection, SendError
+from ugrbl.device.send import Choice, Line, Stream
+from ugrbl.device.send import program as ready
+from ugrbl.grbl.gcode_file import CYCLE_START, FEED_HOLD, RESET, STATUS
+from ugrbl.grbl.messages import meaning
 
 _ANSWER_S = 0.002
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 from sim_bench import Bench
-from ugrbl.connection import Connection
+from ugrbl.device.connection import Connection
 
 _PATIENCE_S = 40.0
 _ENVIRONMENT = {**os.environ, "UGRBL_VIPER": "fast", "COLUMNS": "120", "TERM": "dumb"}

@@ -10,7 +10,8 @@ from collections.abc import Callable, Generator
 from typing import Any
 
 import pytest
-from ugrbl import machine, paths
+from ugrbl import paths
+from ugrbl.run import machine
 
 paths.use_firmware(fast=False)
 

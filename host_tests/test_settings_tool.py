@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from sim_bench import Bench
 from typer.testing import CliRunner, Result
-from ugrbl import settings_file
-from ugrbl.cli import app
-from ugrbl.settings_file import Firmware, Settings, SettingsError, changes, check_fit, meaning
+from ugrbl.cli.app import app
+from ugrbl.grbl import settings_file
+from ugrbl.grbl.settings_file import Firmware, Settings, SettingsError, changes, check_fit, meaning
 
 GRBL = ["[VER:1.1h.20190830:]", "[OPT:V,15,128]"]
 

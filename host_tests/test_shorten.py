@@ -6,7 +6,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from ugrbl import build, paths
+from ugrbl import paths
+from ugrbl.compiling import build
 from ugrbl.compiling.inline import inline
 from ugrbl.compiling.prune import prune
 from ugrbl.compiling.scan import private_methods
@@ -90,7 +91,7 @@ def outcome(sources: "dict[str, str]", folder: Path) -> str:
     folder.mkdir()
     for name, text in sources.items():
         (folder / f"{name}.py").write_text(text)
-    code = f"import sys; sys.path[:0] = [{str(folder)!r}, {str(paths.SHIM)!r}]; import user"
+    code = f"import sys; sys.path[:0] = [{str(folder)!r}, {str(paths.STANDINS)!r}]; import user"
     command = [sys.executable, "-c", code + "; print(user.RESULT)"]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ugrbl.simplify import fitted, simplify
+from ugrbl.draw.simplify import fitted, simplify
 
 _number = st.floats(-100, 100, width=32)
 _path = st.lists(st.tuples(_number, _number, _number), min_size=1, max_size=60)

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from sim_bench import Bench
 from typer.testing import CliRunner, Result
-from ugrbl import ports
-from ugrbl.cli import app
-from ugrbl.connection import Connection
+from ugrbl.cli import ports
+from ugrbl.cli.app import app
+from ugrbl.device.connection import Connection
 
 # State, what brings it about, and what is to be done about it.
 STATES = [

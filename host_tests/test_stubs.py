@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-_SHIM = Path(__file__).parent / "shim"
+_STANDINS = Path(__file__).parent.parent / "tools" / "sim" / "standins"
 _VERSION = "1.28.*"
 _CACHE = Path(os.environ.get("UGRBL_STUBS") or Path.home() / ".cache" / "ugrbl-stubs")
 
@@ -79,7 +79,7 @@ def names(file: Path, name: str) -> Names:
 def test_a_stand_in_has_no_names_but_the_boards(
     module: str, stub: str, name: str, stubs: Path
 ) -> None:
-    ours, theirs = names(_SHIM / module, name), names(stubs / stub, name)
+    ours, theirs = names(_STANDINS / module, name), names(stubs / stub, name)
     assert set(ours) - _OURS[name] <= set(theirs)
     for method in set(ours) & set(theirs):
         # Values given by their place have names of no meaning.

@@ -12,7 +12,7 @@ TOOLS = _HERE
 FIRMWARE = _ROOT / "firmware"
 BOARDS = _ROOT / "boards"
 EXAMPLES = _ROOT / "examples"
-SHIM = _HERE / "shim" if _INSTALLED else _ROOT / "host_tests" / "shim"
+STANDINS = _HERE / "sim" / "standins"  # for the modules that only a board has
 
 
 def use_firmware(fast: bool = True) -> None:
@@ -20,7 +20,7 @@ def use_firmware(fast: bool = True) -> None:
 
     fast leaves out the checks of viper arithmetic; UGRBL_VIPER in the environment overrules it.
     """
-    for folder in (str(FIRMWARE), str(SHIM)):
+    for folder in (str(FIRMWARE), str(STANDINS)):
         if folder in sys.path:
             sys.path.remove(folder)
         sys.path.insert(0, folder)

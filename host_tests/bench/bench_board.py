@@ -18,7 +18,7 @@ _HERE = Path(__file__).resolve().parent
 sys.path[:0] = [
     str(_HERE),
     str(_HERE.parent / "emulator"),
-    str(_HERE.parent / "shim"),
+    str(_HERE.parent.parent / "tools" / "sim" / "standins"),
     str(_HERE.parent.parent / "firmware"),
 ]
 

@@ -8,7 +8,7 @@ from statistics import median
 from time import perf_counter
 
 from ugrbl.paths import EXAMPLES
-from ugrbl.run import run_program
+from ugrbl.run.program import run_program
 
 _LOOPS = 200_000
 _RUNS = 3

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import FrameType
 
 from pico import Pico
-from ugrbl.pty_link import Pty
+from ugrbl.run.pty_link import Pty
 
 # With pull-ups, which the emulator does not know: all that rpi_pico.py has as inputs.
 _INPUTS = (9, 10, 11, 12, 13, 14, 15, 22)

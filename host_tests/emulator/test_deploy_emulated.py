@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from ugrbl import build
-from ugrbl.connection import Connection
-from ugrbl.gcode_file import is_answer
+from ugrbl.compiling import build
+from ugrbl.device.connection import Connection
+from ugrbl.grbl.gcode_file import is_answer
 
 pytestmark = pytest.mark.xdist_group("pico deploy")
 

@@ -6,7 +6,7 @@ import pytest
 from emulated import ENABLE, FOUND, SPINDLE_PWM, STEP, Board, firmware, steps
 from littlefs.errors import LittleFSError
 from pico import LAYOUT, file_system
-from ugrbl import build
+from ugrbl.compiling import build
 
 pytestmark = pytest.mark.xdist_group("pico faults")
 

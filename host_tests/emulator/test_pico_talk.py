@@ -5,7 +5,7 @@ from statistics import median
 
 import pytest
 from emulated import FOUND, Board
-from ugrbl import build
+from ugrbl.compiling import build
 
 pytestmark = pytest.mark.xdist_group("pico talk")
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 from emulated import STEP, Board, firmware
-from ugrbl.deploy import About
-from ugrbl.selftest import program
-from ugrbl.selftest.row import Row
-from ugrbl.selftest.session import WIRING, Wiring, check, look
+from ugrbl.device.deploy import About
+from ugrbl.device.selftest import program
+from ugrbl.device.selftest.row import Row
+from ugrbl.device.selftest.session import WIRING, Wiring, check, look
 
 pytestmark = pytest.mark.xdist_group("pico selftest")
 

@@ -4,7 +4,10 @@ import ast
 from pathlib import Path
 from typing import Any
 
-from .. import board_check, differences, excuses, messages, paths
+from .. import paths
+from ..boardfile import board_check
+from ..grbl import messages
+from ..replay import differences, excuses
 from . import meanings
 from .source import above, as_code, source, table
 
@@ -113,8 +116,8 @@ def boards_table() -> str:
 
 def pins_table() -> str:
     """A row for each thing that can be wired, a column for each board of real hardware."""
-    from ..machine import load_board
-    from ..new_board import CONTROLS, ITEMS
+    from ..boardfile.new_board import CONTROLS, ITEMS
+    from ..run.machine import load_board
 
     boards = {path.name: load_board(path.stem) for path in _board_files()}
     real = {name: board for name, board in boards.items() if not board_check.is_simulated(board)}

@@ -8,7 +8,8 @@ import json
 import re
 from collections.abc import Callable
 
-from .. import __version__, build, paths
+from .. import __version__, paths
+from ..compiling import build
 from . import house, machines, words
 
 ROOT = paths.FIRMWARE.parent

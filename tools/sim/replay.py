@@ -2,7 +2,7 @@
 
 A transcript case gives, per step, the lines received, the steps moved and the
 outputs changed; a motion record gives replies, step counts, times and samples.
-Nothing is judged here: see tools/conformance.py. Runs under both Pythons.
+Nothing is judged here: see tools/replay/conformance.py. Runs under both Pythons.
 """
 
 import sys

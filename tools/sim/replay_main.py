@@ -20,14 +20,13 @@ def set_path() -> None:
     tools = here + "/.."
     try:
         os.stat(tools + "/firmware")
-        root, shim = tools, tools + "/shim"  # installed
+        root = tools  # installed
     except OSError:
         root = tools + "/.."
-        shim = root + "/host_tests/shim"
     # In place of this folder, whose modules would hide the firmware's.
     sys.path[0:1] = [root + "/firmware"]
     if sys.implementation.name == "cpython":
-        sys.path.insert(0, shim)
+        sys.path.insert(0, here + "/standins")
     sys.path.append(root)
     sys.path.append(tools)
 

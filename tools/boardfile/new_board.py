@@ -1,0 +1,284 @@
+"""A board file made of answers: which pins there are, what may go where, the text of the file."""
+
+import importlib.util
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import NamedTuple
+
+AXES = "XYZA"
+
+Pins = tuple[int, ...]
+
+
+class Chip(NamedTuple):
+    """What a board file has to respect of a processor and the module it sits on."""
+
+    title: str
+    engine: str
+    mpy_arch: str
+    pins: frozenset[int]  # that come out
+    inputs_only: frozenset[int]
+    odd: Mapping[int, str]  # pins that work, with something to know
+    most_axes: int = 4
+    link: str = "usb"
+
+
+_ESP32_ODD = {
+    0: "pressed to ground at start it asks for new firmware",
+    2: "has to be low or open while new firmware is loaded",
+    5: "has a say at start; gives pulses then",
+    12: "pulled up at start selects the wrong flash voltage, and the board does not start: a CNC"
+    " shield pulls its enable up",
+    15: "has a say at start; gives pulses then",
+    **dict.fromkeys((16, 17), "belongs to the memory of a WROVER module: free on a WROOM only"),
+    1: "is the serial line to the computer (TX)",
+    3: "is the serial line to the computer (RX)",
+    **dict.fromkeys((34, 35, 36, 39), "has no pull-up: the switch needs a resistor to 3.3 V"),
+}
+_PICO_PINS = frozenset(range(23)) | {26, 27, 28}
+_PICO_LED = {25: "is the LED"}
+
+CHIPS = {
+    "pico": Chip(
+        "Raspberry Pi Pico",
+        "pio",
+        "armv6m",
+        _PICO_PINS | {25},
+        frozenset(),
+        _PICO_LED,
+    ),
+    "pico_w": Chip("Raspberry Pi Pico W", "pio", "armv6m", _PICO_PINS, frozenset(), {}),
+    "pico2": Chip(
+        "Raspberry Pi Pico 2",
+        "pio",
+        "armv7emsp",
+        _PICO_PINS | {25},
+        frozenset(),
+        _PICO_LED,
+    ),
+    "rp2040": Chip(
+        "RP2040 on a board of its own",
+        "pio",
+        "armv6m",
+        frozenset(range(30)),
+        frozenset(),
+        {},
+    ),
+    "esp32": Chip(
+        "ESP32",
+        "rmt",
+        "xtensawin",
+        frozenset(range(40)) - frozenset(range(6, 12)) - {20, 24, 28, 29, 30, 31, 37, 38},
+        frozenset({34, 35, 36, 39}),
+        _ESP32_ODD,
+        link="uart",
+    ),
+    "esp32s3": Chip(
+        "ESP32-S3",
+        "rmt",
+        "xtensawin",
+        frozenset(range(49)) - frozenset(range(22, 33)),
+        frozenset(),
+        {
+            0: "pressed to ground at start it asks for new firmware",
+            3: "has a say at start",
+            19: "is native USB (D-)",
+            20: "is native USB (D+)",
+            45: "has a say at start",
+            46: "has a say at start",
+        },
+        link="uart",
+    ),
+}
+
+
+class Item(NamedTuple):
+    """A line of a board file that holds pins."""
+
+    name: str
+    question: str
+    per_axis: bool = False
+    needed: bool = False
+    output: bool = False
+
+
+# In the order of the file, and of the questions.
+ITEMS = (
+    Item("STEP", "step pulses, a pin per axis", per_axis=True, needed=True, output=True),
+    Item("DIR", "directions, a pin per axis", per_axis=True, needed=True, output=True),
+    Item("ENABLE", "enable of the motor drivers, all together", output=True),
+    Item("LIMIT", "limit switches, a pin per axis", per_axis=True),
+    Item("PROBE", "probe"),
+    Item("RESET", "reset button"),
+    Item("HOLD", "hold button"),
+    Item("START", "start button"),
+    Item("DOOR", "safety door"),
+    Item("ESTOP", "emergency stop, a contact that opens when pressed"),
+    Item("SPINDLE_PWM", "spindle or laser power (PWM)", output=True),
+    Item("SPINDLE_DIR", "spindle direction", output=True),
+    Item("SPINDLE_ON", "spindle on and off", output=True),
+    Item("FLOOD", "flood coolant", output=True),
+    Item("MIST_PIN", "mist coolant", output=True),
+)
+# These stand together in the file, None where there is no such input.
+CONTROLS = ("RESET", "HOLD", "START", "DOOR")
+# What a pin brings with it.
+_SWITCHED_ON = {"DOOR": "SAFETY_DOOR", "MIST_PIN": "MIST"}
+_RMT_MOST_HZ = 5000  # up to here its trains of pulses have no gap to speak of
+BY_NAME = {item.name: item for item in ITEMS}
+
+
+class BoardError(Exception):
+    """Something that a board file cannot say; the text tells what and why."""
+
+
+@dataclass
+class Board:
+    """The answers."""
+
+    title: str
+    chip: Chip
+    pins: dict[str, Pins] = field(default_factory=dict)
+    defaults: dict[int, float] = field(default_factory=dict)
+
+    def text(self) -> str:
+        """The board file."""
+        lines = [f'"""{self.title}: {self.chip.title}."""', ""]
+        lines += [f'MPY_ARCH = "{self.chip.mpy_arch}"', f'ENGINE = "{self.chip.engine}"']
+        lines += [f'LINK = "{self.chip.link}"', ""]
+        for item in ITEMS:
+            if item.name == CONTROLS[0]:
+                lines += self._controls()
+            elif item.name not in CONTROLS and (pins := self.pins.get(item.name)):
+                value = _tuple(pins) if item.per_axis else str(pins[0])
+                lines.append(f"{item.name} = {value}  # {item.question}")
+        lines += [
+            f"{option} = True" for name, option in _SWITCHED_ON.items() if self.pins.get(name)
+        ]
+        if bare := sorted(pin for pin, _ in self.wiring() if pin in self.chip.inputs_only):
+            lines.append(f"NO_PULL_UP = {_tuple(bare)}  # resistors to 3.3 V do it")
+        if self.chip.engine == "rmt":
+            lines += ["", "# See esp32_devkit.py.", f"MAX_STEP_RATE_HZ = {_RMT_MOST_HZ}"]
+        lines += ["", "PWM_MAX = 1000"]
+        if self.defaults:
+            lines += ["", "# Settings of this machine from the factory."]
+            lines.append("DEFAULTS = {")
+            lines += [
+                f"    {number}: {value:g}," for number, value in sorted(self.defaults.items())
+            ]
+            lines.append("}")
+        return "\n".join(lines) + "\n"
+
+    def _controls(self) -> list[str]:
+        held = [self.pins.get(name, ()) for name in CONTROLS]
+        if not any(held):
+            return []
+        values = ", ".join(str(pins[0]) if pins else "None" for pins in held)
+        return [f"CONTROL = ({values})  # reset, hold, start, door"]
+
+    def wiring(self) -> Iterator[tuple[int, str]]:
+        """Every pin in use, and what is connected to it."""
+        for item in ITEMS:
+            for axis, pin in enumerate(self.pins.get(item.name, ())):
+                what = item.question.partition(",")[0]
+                yield pin, f"{what} {AXES[axis]}" if item.per_axis else what
+
+
+def _tuple(pins: Sequence[int]) -> str:
+    return f"({', '.join(map(str, pins))}{',' if len(pins) == 1 else ''})"
+
+
+def read_pins(text: str) -> Pins:
+    """`2 3 4`, `2,3,4` or `GP2 GP3 GP4`."""
+    pins = []
+    for word in text.replace(",", " ").split():
+        digits = word.upper().removeprefix("GPIO").removeprefix("GP").removeprefix("IO")
+        if not digits.isdigit():
+            raise BoardError(f"{word} is no pin: write its GPIO number")
+        pins.append(int(digits))
+    return tuple(pins)
+
+
+def check_item(board: Board, item: Item, pins: Pins) -> None:
+    """BoardError where these pins cannot be it, beside those there are already."""
+    if not pins:
+        if item.needed:
+            raise BoardError(f"{item.name} is needed")
+        return
+    axes = len(board.pins.get("STEP", pins))
+    wanted = axes if item.per_axis else 1
+    if item.name == "STEP" and len(pins) > board.chip.most_axes:
+        raise BoardError(f"{board.chip.engine} has pulses for {board.chip.most_axes} axes at most")
+    if len(pins) != wanted:
+        raise BoardError(f"{item.name} wants {wanted} pin{'s' * (wanted > 1)}, not {len(pins)}")
+    used = {p: name for name, held in board.pins.items() if name != item.name for p in held}
+    for count, pin in enumerate(pins):
+        if pin not in board.chip.pins:
+            raise BoardError(f"{item.name}: {board.chip.title} has no pin {pin} to connect to")
+        if item.output and pin in board.chip.inputs_only:
+            raise BoardError(f"{item.name}: pin {pin} of {board.chip.title} can only read")
+        if pin in used:
+            raise BoardError(f"{item.name}: pin {pin} is {used[pin]} already")
+        if pin in pins[:count]:
+            raise BoardError(f"{item.name} names pin {pin} twice")
+
+
+def check(board: Board) -> None:
+    """BoardError for the first thing that is wrong with the whole of it."""
+    if not board.title.isprintable() or set(board.title) & set('"\\'):
+        raise BoardError("the title is one line without quotation marks and backslashes")
+    for item in ITEMS:
+        check_item(board, item, board.pins.get(item.name, ()))
+    _check_defaults(board)
+
+
+def _check_defaults(board: Board) -> None:
+    from .. import paths
+
+    paths.use_firmware()
+    from base.errors import GrblError
+    from base.settings import Settings
+
+    from ..sim.rig import MemoryStore
+
+    settings = Settings(MemoryStore(), len(board.pins["STEP"]), {})
+    settings.load()
+    for number, value in board.defaults.items():
+        try:
+            settings.set(number, value)
+        except GrblError as error:
+            from ..grbl.messages import meaning
+
+            why = meaning(f"error:{error.args[0]}")
+            raise BoardError(f"${number}={value:g} is refused: {why}") from error
+
+
+def oddities(board: Board) -> list[str]:
+    """What is worth to know about the pins chosen."""
+    return [
+        f"pin {pin} ({what}) {board.chip.odd[pin]}"
+        for pin, what in board.wiring()
+        if pin in board.chip.odd
+    ]
+
+
+def load(file: Path) -> ModuleType:
+    """The board file as a module."""
+    spec = importlib.util.spec_from_file_location(f"board_{file.stem}", file)
+    if spec is None or spec.loader is None:
+        raise BoardError(f"{file} is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    if getattr(module, "EXTRAS", ()) and str(file.parent) not in sys.path:
+        sys.path.append(str(file.parent))  # where its extras are, as on the board
+    return module
+
+
+def check_file(file: Path) -> Sequence[str]:
+    """Everything that is wrong with a board file as it stands there."""
+    from .board_check import problems  # which knows this module
+
+    return problems(load(file))

@@ -1,0 +1,5 @@
+"""`python -m ugrbl.cli` is `ugrbl`."""
+
+from .app import app
+
+app()

@@ -1,0 +1,88 @@
+"""The command `ugrbl build`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from ..boardfile.board_check import notes
+from ..compiling import build, maps
+from ..compiling.build import BuildError
+from .outputs import check_outputs
+from .settings import save_json
+
+EXAMPLES = "Examples:  ugrbl build --board rpi_pico   ·   ugrbl build --arch armv7emsp --json -"
+_ARCH = "armv6m"
+# Measured by host_tests/emulator/test_pico_talk.py: 92.6 kB are free, and 78.8.
+DEBUG_COST = "14 kB of a Pico's memory"
+Debug = Annotated[
+    bool, typer.Option("--debug", help=f"Keep names and line numbers. Takes {DEBUG_COST}.")
+]
+_FOLDER = Path("build")
+
+
+def command(
+    board: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="A file of boards/, or a path."),
+    ] = None,
+    arch: Annotated[
+        str, typer.Option(metavar="ARCH", help="Processor, where no board says it.")
+    ] = _ARCH,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", "-o", metavar="FOLDER", help="By default build/BOARD or build/ARCH."
+        ),
+    ] = None,
+    debug: Debug = False,
+    json_file: Annotated[
+        Path | None,
+        typer.Option("--json", metavar="FILE", help="Write the sizes there; - is stdout."),
+    ] = None,
+) -> None:
+    """Compile the firmware for a board and show the bytes of each module.
+
+    With --board what `ugrbl deploy` would put on it; without, all there is. Beside
+    the folder a map is written, FOLDER.map.json, for `ugrbl decode`.
+
+    The board file is checked first, and nothing is built for a bad one: every
+    problem has a line, and the exit code is 1.
+    """
+    console = Console(stderr=str(json_file) == "-")
+
+    def progress(name: str, size: int) -> None:
+        console.print(f"{size:7} {name}", highlight=False)
+
+    folder = out or _FOLDER / (Path(board).stem if board else arch)
+    try:
+        check_outputs(json_file)
+        if folder.exists() and not folder.is_dir():
+            raise BuildError(f"{folder} is no folder")
+        if board:
+            made = build.for_board(build.board_file(board), progress, debug)
+        else:
+            made = build.compile_all(arch, None, progress, debug)
+        build.save(made, folder)
+        maps.save(made.map, maps.beside(folder))
+    except (BuildError, OSError, ValueError) as error:
+        raise failed(error) from error
+    if board:
+        for text in notes(build.load_board(build.board_file(board))):
+            console.print(f"[yellow]note[/]: {escape(text)}", highlight=False, soft_wrap=True)
+    text = f"{made.bytes:7} bytes in all, in {folder}; build {made.map['id']}"
+    console.print(text, highlight=False, soft_wrap=True)
+    if debug:
+        console.print(f"names and line numbers stay: they take {DEBUG_COST}", highlight=False)
+    if json_file:
+        sizes = {name: len(content) for name, content in made.files.items()}
+        save_json({"arch": made.arch, "bytes": made.bytes, "files": sizes}, json_file)
+
+
+def failed(why: Exception) -> typer.Exit:
+    """Say why on stderr, a problem on each line; raise what this returns."""
+    for line in str(why).splitlines():
+        Console(stderr=True).print(f"[red]{escape(line)}", highlight=False, soft_wrap=True)
+    return typer.Exit(1)

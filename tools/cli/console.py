@@ -1,0 +1,39 @@
+"""The command `ugrbl console`."""
+
+import asyncio
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from ..device.connection import BAUD, ONLY_RESET, Connection, SendError
+from .desk import Desk
+from .ports import Baud, Port, choose
+
+EXAMPLES = "Examples:  ugrbl console   ·   ugrbl console --port /dev/ttyACM0"
+
+
+def command(
+    port: Port = None,
+    baud: Baud = BAUD,
+) -> None:
+    """Talk to a Grbl: a line for its state, a history, settings and errors with their meaning.
+
+    Tab changes between lines and keys. Keys jog while they are held, set zero, home, unlock, hold,
+    and change feed, rapids and spindle. Ctrl-X resets the machine.
+    """
+    from .terminal import Terminal
+
+    try:
+        connection = Connection(choose(port), baud)
+        desk = Desk(connection, print)
+        try:
+            if not connection.answers():
+                print(f"no Grbl answers on this port; {ONLY_RESET}")
+            asyncio.run(Terminal(desk).run())
+        finally:
+            desk.leave()
+            connection.close()
+    except SendError as error:
+        Console(stderr=True).print(f"[red]{escape(str(error))}", highlight=False)
+        raise typer.Exit(1) from error

@@ -1,0 +1,163 @@
+"""The command `ugrbl deploy`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeElapsedColumn
+
+from ..compiling import build, maps
+from ..compiling.build import Build, BuildError
+from ..device.connection import SendError
+from ..device.deploy import DeployError, Result, deploy
+from . import ports
+from .build import DEBUG_COST, Debug
+from .screen import summary
+from .settings import save_json
+
+EXAMPLES = (
+    "Examples:  ugrbl deploy --board rpi_pico   ·   ugrbl deploy --board my_router.py"
+    " --port /dev/ttyACM0   ·   ugrbl deploy --board rpi_pico --port COM3 --json -"
+)
+
+
+class Bar:
+    """A View: a bar of bytes; use it as a context."""
+
+    def __init__(self, console: Console) -> None:
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            DownloadColumn(),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+        )
+        self._task = self._progress.add_task("looking at the board", total=None)
+
+    def __enter__(self) -> "Bar":
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._progress.stop()
+
+    def begin(self, count: int, total: int) -> None:
+        """So many files with so many bytes will be written."""
+        self._progress.update(self._task, total=max(total, 1))
+
+    def file(self, path: str) -> None:
+        """This is the next."""
+        self._progress.update(self._task, description=escape(path))
+
+    def written(self, count: int) -> None:
+        """So many bytes more."""
+        self._progress.advance(self._task, count)
+
+
+def command(
+    board: Annotated[
+        str, typer.Option(metavar="NAME", help="A file of boards/, or a path: my_router.py.")
+    ],
+    port: Annotated[
+        str | None, typer.Option(metavar="PORT", help="Serial port; the only one by default.")
+    ] = None,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Even if its board.py or main.py is yours.")
+    ] = False,
+    debug: Debug = False,
+    json_file: Annotated[
+        Path | None,
+        typer.Option("--json", metavar="FILE", help="Write the result there; - is stdout."),
+    ] = None,
+) -> None:
+    """Put the firmware on a board that has MicroPython, and start it.
+
+    Checks the board file, compiles what this board needs, copies what has changed,
+    takes away what an older deployment has left, and shows what the firmware says.
+
+    Settings and files of yours stay; so does a board.py that was changed on the
+    board: deploy refuses then. A machine that moves is not disturbed. The exit
+    code is 1 if it could not be done.
+    """
+    console = Console(stderr=str(json_file) == "-")
+    try:
+        file = build.board_file(board)
+        made = build.for_board(file, debug=debug)
+        where = ports.choose(port)
+        console.print(f"{file.stem}: {len(made.files)} files, {made.bytes} bytes", highlight=False)
+        _keep_map(console, made)
+        result = _deploy(console, where, made, replace)
+    except BuildError as error:
+        raise _failed(error.problems, "nothing has been copied", json_file) from error
+    except SendError as error:
+        raise _failed([str(error)], "", json_file) from error
+    except DeployError as error:
+        raise _failed([str(error)], error.todo, json_file) from error
+    except KeyboardInterrupt as error:
+        todo = "deploy again; until then the board may start with MicroPython's prompt"
+        raise _failed(["stopped half way"], todo, json_file) from error
+    _show(console, result, where)
+    if debug:
+        console.print(f"names and line numbers stay: they take {DEBUG_COST}", highlight=False)
+    if json_file:
+        save_json({"port": where, "board": file.stem, **result.as_json()}, json_file)
+
+
+def _keep_map(console: Console, made: Build) -> None:
+    """For `ugrbl decode`; a board can do without."""
+    try:
+        maps.keep(made.map)
+    except OSError as error:
+        text = f"[yellow]note[/]: no map is kept, for decode and doctor: {escape(str(error))}"
+        console.print(text, highlight=False, soft_wrap=True)
+
+
+def _deploy(console: Console, port: str, made: Build, replace: bool) -> Result:
+    from ..device.deploy_device import MpremoteDevice  # which needs a moment to be imported
+
+    with Bar(console) as bar:
+        device = MpremoteDevice(port)
+        try:
+            return deploy(device, made, bar, replace)
+        finally:
+            device.close()
+
+
+def _show(console: Console, result: Result, port: str) -> None:
+    rows = [
+        ("board", f"{result.micropython}, at {port}"),
+        ("copied", f"{_files(len(result.copied))}, {result.bytes} bytes"),
+        ("unchanged", _files(result.unchanged)),
+    ]
+    if result.removed:
+        rows.append(("removed", " ".join(result.removed)))
+    rows += [("says", result.banner), ("build", result.build)]
+    if result.free_bytes is not None:
+        rows.append(("free memory", f"{result.free_bytes} bytes, while it runs"))
+    console.print(summary([*rows, ("took", f"{result.seconds:g} s")]))
+
+
+def _files(count: int) -> str:
+    return "1 file" if count == 1 else f"{count} files"
+
+
+def _failed(why: Sequence[str], todo: str, json_file: Path | None) -> typer.Exit:
+    """Say why, and what helps, on stderr; raise what this returns."""
+    console = Console(stderr=True)
+    for problem in why:
+        console.print(f"[red]{escape(problem)}", highlight=False, soft_wrap=True)
+    if todo:
+        console.print(f"  -> {escape(todo)}", highlight=False, soft_wrap=True)
+    if json_file:
+        save_json({"problems": list(why), "todo": todo}, json_file)
+    return typer.Exit(1)

@@ -1,0 +1,195 @@
+"""The command `ugrbl doctor`."""
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from ..device import checkup, patient
+from ..device import settings_sync as sync
+from ..device.checkup import BAD, NOTE, OK, Finding
+from ..device.connection import BAUD, Connection, SendError, way_out
+from ..grbl.settings_file import AXES, Firmware, Settings
+from ..paths import use_firmware
+from . import ports
+from .ports import Baud, Port
+from .settings import check_output, save_json
+
+EXAMPLES = (
+    "Examples:  ugrbl doctor   ·   ugrbl doctor --port /dev/ttyACM0 --pins 20 --move"
+    "   ·   ugrbl doctor --port COM3 --no-move --json -"
+)
+_MARKS = {OK: "[green]ok  [/]", NOTE: "[yellow]note[/]", BAD: "[red]BAD [/]"}
+_PINS_S = 15.0
+_TEST_RATE = 200.0
+
+
+class Doctor:
+    """One visit: everything found is told at once, and kept."""
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+        self.findings: list[Finding] = []
+
+    def add(self, *findings: Finding) -> None:
+        """Tell of something found."""
+        for finding in findings:
+            self.findings.append(finding)
+            mark = _MARKS[finding.verdict]
+            self.console.print(
+                f"{mark} [b]{finding.what}[/b]: {escape(finding.text)}", highlight=False
+            )
+            if finding.todo:
+                self.console.print(f"       -> {escape(finding.todo)}", highlight=False)
+
+    def see(
+        self, port: str, baud: int, pins_s: float | None, may_move: Callable[[], bool], ask: bool
+    ) -> None:
+        """Look at what is on a port."""
+        with self.console.status(f"listening on {port} …"):
+            connection = Connection(port, baud)
+            alive = connection.answers()
+        if not alive:
+            connection.close()
+            self.add(*patient.stranger(port, baud))
+            return
+        try:
+            self.add(Finding("port", OK, f"a Grbl answers on {port}"))
+            state = connection.state()
+            fault = patient.fault(connection) if state == "Alarm" else ""
+            if fault:
+                self.add(checkup.fault(fault))
+            elif state in sync.QUIET:
+                self._examine(connection, pins_s, may_move, ask)
+            else:
+                text = f"{state}: Grbl answers no questions then"
+                todo = f"{way_out(state)}; then look again"
+                self.add(Finding("state", BAD, text, todo))
+                self.add(*checkup.pins_at_rest(patient.pins(connection), {}))
+        finally:
+            connection.close()
+
+    def _examine(
+        self,
+        connection: Connection,
+        pins_s: float | None,
+        may_move: Callable[[], bool],
+        ask: bool,
+    ) -> None:
+        settings = sync.pull(connection)
+        self.add(checkup.firmware(settings.firmware, _our_build()))
+        self.add(*checkup.link(settings.firmware))
+        health = _health(connection, settings.firmware)
+        self.add(*checkup.stack(health), *checkup.faults(health))
+        self._state(connection)
+        values = _numbers(settings)
+        self.add(*checkup.settings(values, settings.firmware))
+        patient.report(connection)
+        self.add(*checkup.pins_at_rest(patient.pins(connection), values))
+        axes = sum(100 + axis in values for axis in range(len(AXES)))
+        if pins_s is None and ask and typer.confirm("Watch the inputs while you press them?"):
+            pins_s = _PINS_S
+        if pins_s:
+            self.console.print(f"press each switch now; {pins_s:g} s …", highlight=False)
+            seen = patient.watch_pins(connection, pins_s, self._pin)
+            self.add(*checkup.pins_pressed(seen, values, axes))
+        if may_move():
+            for axis in range(axes):
+                rate = min(_TEST_RATE, values.get(110 + axis, _TEST_RATE))
+                self.add(patient.move(connection, axis, AXES[axis], rate))
+                if self.findings[-1].verdict != OK:
+                    break
+
+    def _state(self, connection: Connection) -> None:
+        state = connection.state()
+        if state == "Idle":
+            self.add(Finding("state", OK, "Idle"))
+        else:
+            self.add(Finding("state", NOTE, state, f"{way_out(state)}; then look again"))
+
+    def _pin(self, name: str, is_on: bool) -> None:
+        self.console.print(f"     {name}: {'on' if is_on else 'off'}", highlight=False)
+
+    def verdict(self) -> str:
+        """All in one sentence."""
+        bad = sum(finding.verdict == BAD for finding in self.findings)
+        notes = sum(finding.verdict == NOTE for finding in self.findings)
+        if not bad and not notes:
+            return "all is well"
+        words = [f"{bad} wrong"] * bool(bad) + [f"{notes} worth a look"] * bool(notes)
+        return ", ".join(words)
+
+
+def _health(connection: Connection, found: Firmware) -> list[str]:
+    """What ours says besides to `$I+`; who cannot tell refuses it, and others are not asked."""
+    return connection.ask("$I+") if checkup.is_ours(found) else []
+
+
+def _our_build() -> str:
+    use_firmware()
+    from talk import report
+
+    return report.BUILD
+
+
+def _numbers(settings: Settings) -> dict[int, float]:
+    return {number: float(value) for number, value in settings.values.items()}
+
+
+def _find(doctor: Doctor, port: str | None) -> str:
+    """The port to look at; what else is plugged in is told."""
+    found = ports.find()
+    for one in found:
+        doctor.add(Finding("usb", OK, f"{one.port}: {one.what}"))
+    return ports.choose(port)
+
+
+def command(
+    port: Port = None,
+    baud: Baud = BAUD,
+    pins: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="Watch the inputs so long; 0: not. [default: ask]"),
+    ] = None,
+    move: Annotated[
+        bool | None,
+        typer.Option("--move/--no-move", help="Move each axis a millimetre. [default: ask]"),
+    ] = None,
+    json_file: Annotated[
+        Path | None,
+        typer.Option("--json", metavar="FILE", help="Write the findings there; - is stdout."),
+    ] = None,
+) -> None:
+    """Find out what is wrong with a machine, and say what to do.
+
+    Looks for the port, the board and the firmware; checks the version, the settings against what
+    the machine can do, the inputs as you press them, and a small move. The exit code is 1 if
+    something is wrong.
+    """
+    ask = sys.stdin.isatty()
+    check_output(json_file)
+    doctor = Doctor(Console(stderr=str(json_file) == "-"))
+
+    def may_move() -> bool:
+        if move is None:
+            return ask and typer.confirm("Move each axis a millimetre there and back?")
+        return move
+
+    try:
+        doctor.see(_find(doctor, port), baud, pins, may_move, ask)
+    except SendError as error:
+        doctor.add(Finding("port", BAD, str(error)))
+    _close(doctor, doctor.findings, json_file)
+
+
+def _close(doctor: Doctor, findings: Sequence[Finding], json_file: Path | None) -> None:
+    doctor.console.print(f"[b]{doctor.verdict()}[/b]", highlight=False)
+    if json_file:
+        rows = [finding.as_json() for finding in findings]
+        save_json({"findings": rows, "verdict": doctor.verdict()}, json_file)
+    if any(finding.verdict == BAD for finding in findings):
+        raise typer.Exit(1)

@@ -1,0 +1,166 @@
+"""The command `ugrbl new-board`."""
+
+import sys
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from .. import paths
+from ..boardfile import new_board
+from ..boardfile.new_board import CHIPS, ITEMS, Board, BoardError, Chip, Item, Pins
+from ..draw.plot import as_line
+from .outputs import check_outputs
+from .screen import summary
+from .settings import save_json
+
+EXAMPLES = (
+    "Examples:  ugrbl new-board my_router   ·   ugrbl new-board my_router --chip pico"
+    " --pin step=2,3,4 --pin dir=5,6,7 --pin enable=8 --pin limit=9,10,11 --set 100=800"
+)
+_NAMES = ", ".join(item.name.lower() for item in ITEMS)
+
+
+class ChipName(str, Enum):
+    """The processors that have engines."""
+
+    PICO = "pico"
+    PICO_W = "pico_w"
+    PICO2 = "pico2"
+    RP2040 = "rp2040"
+    ESP32 = "esp32"
+    ESP32S3 = "esp32s3"
+
+
+def command(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Of the file: my_router.")],
+    chip: Annotated[ChipName | None, typer.Option(help="What is on the board.")] = None,
+    title: Annotated[str, typer.Option(help="What the machine is, in a line.")] = "",
+    pin: Annotated[
+        list[str] | None, typer.Option(metavar="WHAT=PINS", help=f"WHAT: {_NAMES}.")
+    ] = None,
+    setting: Annotated[
+        list[str] | None, typer.Option("--set", metavar="N=V", help="A default: 100=800.")
+    ] = None,
+    ask: Annotated[
+        bool | None,
+        typer.Option("--ask/--no-ask", help="For what is not said. [default: on a terminal]"),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="Or a folder for it. [default: boards]"),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file.")] = False,
+    json_file: Annotated[
+        Path | None,
+        typer.Option("--json", metavar="FILE", help="Write the pins there; - is stdout."),
+    ] = None,
+) -> None:
+    """Make a board file: asks for the pins, checks them, writes the file, shows the wiring.
+
+    What is said by options is not asked for.
+    """
+    asking = sys.stdin.isatty() if ask is None else ask
+    console = Console(stderr=str(json_file) == "-")
+    file = out or paths.BOARDS
+    if file.is_dir():
+        file /= f"{name}.py"
+    try:
+        if not name.isidentifier():
+            raise BoardError(f"{name}: letters, digits and _ make a name, and no digit first")
+        check_outputs(json_file, file)
+        if file.exists() and not force:
+            raise BoardError(f"{file} is there already; --force replaces it")
+        given = _given(pin or [])
+        board = Board(title or name.replace("_", " ").capitalize(), _chip(console, chip, asking))
+        for item in ITEMS:
+            board.pins[item.name] = _one(console, board, item, given.get(item.name), asking)
+        board.defaults = _defaults(setting or [])
+        new_board.check(board)
+        _write(board, file)
+    except (BoardError, OSError, ValueError) as error:
+        Console(stderr=True).print(f"[red]{escape(str(error))}", highlight=False)
+        raise typer.Exit(1) from error
+    _show(console, board, file)
+    if json_file:
+        save_json({"file": str(file), "pins": board.pins, "defaults": board.defaults}, json_file)
+
+
+def _given(words: list[str]) -> dict[str, str]:
+    """What was said by options, by name of the item."""
+    given = {}
+    for word in words:
+        name, _, pins = word.partition("=")
+        if name.upper() not in new_board.BY_NAME:
+            raise BoardError(f"{word}: it is one of {_NAMES}, as in step=2,3,4")
+        given[name.upper()] = pins
+    return given
+
+
+def _chip(console: Console, chip: ChipName | None, asking: bool) -> Chip:
+    if chip is None:
+        if not asking:
+            raise BoardError(f"which chip? --chip, one of {', '.join(CHIPS)}")
+        for key, one in CHIPS.items():
+            console.print(f"  {key:8} {one.title}", highlight=False)
+        chip = typer.prompt("What is on the board", type=ChipName, default=ChipName.PICO.value)
+    return CHIPS[ChipName(chip).value]
+
+
+def _one(console: Console, board: Board, item: Item, text: str | None, asking: bool) -> Pins:
+    """The pins of one item, from its option or from the user, who is asked until they fit."""
+    if text is not None or not asking:
+        pins = new_board.read_pins(text or "")
+        new_board.check_item(board, item, pins)
+        return pins
+    while True:
+        question = item.question[0].upper() + item.question[1:]
+        if item.needed:
+            answer = typer.prompt(question)
+        else:
+            answer = typer.prompt(f"{question}, or nothing", default="", show_default=False)
+        try:
+            pins = new_board.read_pins(answer)
+            new_board.check_item(board, item, pins)
+            return pins
+        except BoardError as error:
+            console.print(f"[yellow]{escape(str(error))}", highlight=False)
+
+
+def _defaults(settings: list[str]) -> dict[int, float]:
+    values = {}
+    for text in settings:
+        try:
+            number, _, value = as_line(text)[1:].partition("=")
+            values[int(number)] = float(value)
+        except ValueError as error:
+            raise BoardError(f"{text} is no setting; write it as 100=800") from error
+    return values
+
+
+def _write(board: Board, file: Path) -> None:
+    """Write it, and let it be checked as it stands there; a file that fails is taken away."""
+    before = file.read_bytes() if file.exists() else None
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(board.text(), encoding="utf-8")
+    except OSError as error:
+        raise BoardError(f"{file} cannot be written: {error}") from error
+    problems = new_board.check_file(file)
+    if problems:
+        if before is None:
+            file.unlink()
+        else:
+            file.write_bytes(before)
+        raise BoardError("; ".join(problems))
+
+
+def _show(console: Console, board: Board, file: Path) -> None:
+    rows = [(f"GPIO {pin}", what) for pin, what in board.wiring()]
+    console.print(summary(rows))
+    for text in new_board.oddities(board):
+        console.print(f"[yellow]note[/]: {escape(text)}", highlight=False)
+    console.print(f"written: {file}", highlight=False)

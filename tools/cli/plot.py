@@ -1,0 +1,99 @@
+"""The command `ugrbl plot`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from ..draw import plot
+from ..draw.plot import Job
+from ..grbl.gcode_file import read_program
+from ..run import machine
+from .outputs import check_outputs
+from .screen import Screen, show_errors, summary
+from .settings import save_json
+
+EXAMPLES = (
+    "Examples:  ugrbl plot badge.nc   ·   ugrbl plot badge.nc -o badge.png --settings my.settings"
+    "   ·   ugrbl plot badge.nc --set 120=500 --set 121=500"
+)
+
+
+def command(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", exists=True, dir_okay=False, help="G-code program.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help=".html, .png or .svg. [default: .html]"),
+    ] = None,
+    settings: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The machine's, of `ugrbl settings pull`."),
+    ] = None,
+    what_if: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="N=V", help="What if: draw it so beside how it is."),
+    ] = None,
+    json_file: Annotated[
+        Path | None,
+        typer.Option("--json", metavar="FILE", help="Write the figures there; - is stdout."),
+    ] = None,
+    board: Annotated[str, typer.Option(metavar="NAME", help="Machine: a file of boards/.")] = (
+        machine.DEFAULT_BOARD
+    ),
+) -> None:
+    """Draw what a program will do: its path, coloured by speed; speed, acceleration, step rates.
+
+    With --set it is drawn a second time, under those settings, and the time saved is told. The
+    exit code is 1 where the program has errors; what could be done of it is drawn all the same.
+    """
+    console = Console(stderr=str(json_file) == "-")
+    target = out or Path(file.stem + ".html")
+    try:
+        check_outputs(json_file, plot=target, keep=(file, settings))
+        jobs = _jobs(console, file, settings, what_if or (), board)
+        words = ""
+        if len(jobs) > 1:
+            extra = plot.describe([plot.as_line(text) for text in what_if or ()])
+            words = f"{extra}: {plot.verdict(*jobs)}"
+        console.print("Drawing …")
+        plot.save(jobs, file.name, words, target)
+        if json_file:
+            save_json({"jobs": [job.as_json() for job in jobs], "verdict": words}, json_file)
+    except (ValueError, OSError) as error:
+        Console(stderr=True).print(f"[red]{escape(str(error))}", highlight=False)
+        raise typer.Exit(1) from error
+    _tell(console, jobs, words, target)
+    if jobs[0].result.errors:
+        raise typer.Exit(1)
+
+
+def _jobs(
+    console: Console, file: Path, settings: Path | None, what_if: Sequence[str], board: str
+) -> list[Job]:
+    lines = read_program(file)
+    base = plot.from_file(settings) if settings else []
+    extra = [plot.as_line(text) for text in what_if]
+    runs = [(settings.name if settings else "as it is", base)]
+    if extra:
+        runs.append((" ".join(extra), [*base, *extra]))
+    jobs = []
+    for name, chosen in runs:
+        with Screen(console, f"{file.name}, {name}", len(lines)) as screen:
+            jobs.append(plot.run_job(name, lines, chosen, board, screen.progress))
+            screen.progress(jobs[-1].result.lines)
+        if jobs[-1].result.stopped:
+            raise ValueError(f"could not finish: {jobs[-1].result.stopped}")
+    show_errors(console, jobs[0].result.errors, lines)
+    return jobs
+
+
+def _tell(console: Console, jobs: Sequence[Job], words: str, target: Path) -> None:
+    rows = [(job.name, plot.short(job.seconds)) for job in jobs]
+    console.print(summary([*rows, ("drawn in", str(target))]))
+    if words:
+        console.print(words, highlight=False)

@@ -1,0 +1,81 @@
+"""Serial ports, and which of them may have a Grbl behind them."""
+
+import json
+from typing import Annotated, NamedTuple
+
+import typer
+from rich.console import Console
+from serial.tools import list_ports
+
+from ..device.connection import SendError
+
+# Options of all commands that talk to a machine.
+Port = Annotated[
+    str | None,
+    typer.Option(metavar="PORT", help="Serial port or simulator; not said: the only one."),
+]
+Baud = Annotated[int, typer.Option(metavar="RATE", min=50, help="Of a real serial port.")]
+
+# USB vendor and product (0: any) of what controllers speak through.
+_KNOWN = (
+    (0x2E8A, 0x0005, "Raspberry Pi Pico with MicroPython"),
+    (0x2E8A, 0x000A, "Raspberry Pi Pico with a program in C"),
+    (0x2E8A, 0, "Raspberry Pi RP2 chip"),
+    (0x303A, 0, "ESP32 with USB of its own"),
+    (0x10C4, 0xEA60, "CP210x bridge, as on many ESP32 boards"),
+    (0x1A86, 0x7523, "CH340 bridge, as on ESP32 boards and copies of the Arduino"),
+    (0x1A86, 0x55D4, "CH9102 bridge, as on ESP32 boards"),
+    (0x0403, 0x6001, "FTDI bridge, as on older Arduinos"),
+    (0x2341, 0, "Arduino"),
+    (0x2A03, 0, "Arduino"),
+)
+
+
+class Found(NamedTuple):
+    """A port, and what is plugged in there."""
+
+    port: str
+    what: str
+
+
+def find() -> list[Found]:
+    """The ports that may have a controller behind them, those known by their USB numbers."""
+    found = []
+    for port in list_ports.comports():
+        for vendor, product, what in _KNOWN:
+            if port.vid == vendor and product in (0, port.pid):
+                found.append(Found(port.device, what))
+                break
+    return found
+
+
+def command(
+    json_out: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+) -> None:
+    """List the serial ports that may have a controller behind them.
+
+    The exit code is 1 if there is none.
+    """
+    found = find()
+    if json_out:
+        print(json.dumps([one._asdict() for one in found], indent=1))
+    for one in [] if json_out else found:
+        Console().print(f"{one.port}: {one.what}", highlight=False, soft_wrap=True)
+    if not found:
+        Console(stderr=True).print("no controller is plugged in, as far as USB tells")
+        raise typer.Exit(1)
+
+
+def choose(port: str | None) -> str:
+    """The port asked for, or the only one there is; SendError where that cannot be said."""
+    if port:
+        return port
+    found = find()
+    if not found:
+        raise SendError(
+            "no controller is plugged in, as far as USB tells; if there is one, say where: --port"
+        )
+    if len(found) > 1:
+        which = ", ".join(f"{one.port} ({one.what})" for one in found)
+        raise SendError(f"there are several: {which}; say which with --port")
+    return found[0].port

@@ -1,0 +1,182 @@
+"""What the commands show: a progress bar with the machine's state, tables, messages."""
+
+import re
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from types import TracebackType
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from ..device.connection import state_of
+from ..device.send import Choice
+from ..grbl.gcode_file import problems, text
+from ..grbl.messages import meaning
+from ..run.recorder import Totals
+from .keys import Keys
+
+_PLACE = re.compile(r"[|,]([MW])Pos:(-?[\d.]+(?:,-?[\d.]+)*)")
+# Of feed, rapids and spindle; not in every report.
+_OVERRIDES = re.compile(r"\|Ov:(\d+,\d+,\d+)")
+_MOST_ERRORS = 20
+
+
+class Screen:
+    """A View for send.Stream, and the bar of `ugrbl run`; use it as a context.
+
+    seconds_left: how long it takes once so many lines are done, or None; listen: to keys.
+    """
+
+    def __init__(
+        self,
+        console: Console,
+        name: str,
+        total: int,
+        seconds_left: Callable[[int], float | None] = lambda done: None,
+        listen: bool = False,
+    ) -> None:
+        self._progress = Progress(
+            TextColumn(escape(name)),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("lines"),
+            TimeElapsedColumn(),
+            TextColumn("[cyan]{task.fields[state]}"),
+            console=console,
+        )
+        self._seconds_left = seconds_left
+        self._overrides = ""
+        self._keys = Keys(listen)
+        self._task = self._progress.add_task("", total=total, state="")
+
+    def __enter__(self) -> "Screen":
+        self._keys.__enter__()
+        self._progress.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._keys.__exit__(kind, error, trace)
+        try:
+            self._progress.stop()
+        except OSError as failed:  # a full disk is no reason to forget what has been done
+            why = f"what has happened cannot be shown: {failed.strerror}"
+            Console(stderr=True).print(why, highlight=False)
+
+    def progress(self, answered: int, status: str = "") -> None:
+        """So many lines are done."""
+        left = self._seconds_left(answered)
+        if found := _OVERRIDES.search(status):
+            self._overrides = "" if found[1] == "100,100,100" else f"  {found[1]} %"
+        shown = brief(status) + self._overrides
+        if left is not None and state_of(status) != "Idle":
+            shown += f"  {clock(left)[:-4]} left"
+        self._progress.update(self._task, completed=answered, state=escape(shown))
+
+    def message(self, words: str) -> None:
+        """A line above the bar."""
+        self._progress.console.print(escape(words), highlight=False)
+
+    def keys(self) -> bytes:
+        """Real-time commands that have been asked for by keys."""
+        return self._keys.commands()
+
+    def ask(self, why: str) -> Choice:
+        """Whether to go on. No answer, or nobody to give one, means no."""
+        if not sys.stdin.isatty():
+            return Choice.ABORT
+        self._progress.stop()
+        self._keys.__exit__(None, None, None)
+        try:
+            return self._choice(why)
+        finally:
+            self._keys.__enter__()
+            self._progress.start()
+
+    def _choice(self, why: str) -> Choice:
+        refused = why.endswith("refused")
+        keep = "[b]k[/b]eep going whatever is refused, " if refused else ""
+        question = f"{escape(why)}; the machine is held: [b]r[/b]esume, {keep}or [b]a[/b]bort?"
+        self._progress.console.print(question, highlight=False)
+        letters = "rka" if refused else "ra"
+        try:
+            while (answer := input("> ").strip().lower()[:1]) not in tuple(letters):
+                pass
+        except EOFError:
+            return Choice.ABORT
+        return Choice(answer)
+
+
+def brief(status: str) -> str:
+    """The state and place of a status report: `Run 1.000 2.000 0.000`."""
+    state = state_of(status)
+    place = _PLACE.search(status)
+    return f"{state} {place[2].replace(',', ' ')}" if place else state
+
+
+def show_errors(
+    console: Console, errors: Sequence[tuple[int, str]], lines: Sequence[bytes]
+) -> None:
+    """Each error with its line and its meaning; the first of very many."""
+    for number, reply in errors[:_MOST_ERRORS]:
+        shown = escape(text(lines[number - 1]))
+        console.print(
+            f"line {number}: [b]{shown}[/b]\n    {reply}: {escape(meaning(reply))}",
+            highlight=False,
+        )
+    if len(errors) > _MOST_ERRORS:
+        console.print(f"… and {len(errors) - _MOST_ERRORS} more errors")
+
+
+def show_problems(console: Console, lines: Sequence[bytes]) -> bool:
+    """Tell of bytes that act at once. Returns whether some stand outside of comments."""
+    found = problems(lines)
+    bad = [one for one in found if not one.in_comment]
+    for one in bad[:_MOST_ERRORS]:
+        words = f"line {one.line}: {one.text}, wherever it stands: take it out"
+        console.print(escape(words), highlight=False)
+    if len(bad) > _MOST_ERRORS:
+        console.print(f"… and {len(bad) - _MOST_ERRORS} more such lines")
+    harmless = [one for one in found if one.in_comment]
+    if harmless:
+        first = f"line {harmless[0].line}: {harmless[0].text}"
+        more = f", and {len(harmless) - 1} more" if len(harmless) > 1 else ""
+        words = f"{first}{more}: `ugrbl send` makes them harmless, other senders may not"
+        console.print(escape(words), highlight=False)
+    return bool(bad)
+
+
+def summary(rows: Iterable[tuple[str, str]]) -> Table:
+    """A table of names and values."""
+    table = Table(show_header=False)
+    for name, value in rows:
+        table.add_row(name, escape(value))
+    return table
+
+
+def totals_rows(totals: Totals) -> list[tuple[str, str]]:
+    """What a machine has done, for a summary."""
+    rows = [
+        ("machining time", clock(totals.time_s)),
+        ("distance", f"{totals.distance_mm:.1f} mm"),
+    ]
+    for axis, made in totals.steps_made.items():
+        planned = totals.steps_planned[axis]
+        sign = "=" if planned == made else "!="
+        rows.append((f"steps {axis}", f"{planned} commanded {sign} {made} made"))
+    for axis, (low, high) in totals.bounds_mm.items():
+        rows.append((f"travel {axis}", f"{low:.3f} to {high:.3f} mm"))
+    return rows
+
+
+def clock(seconds: float) -> str:
+    """Hours, minutes and seconds."""
+    minutes, rest = divmod(seconds, 60)
+    hours, minutes = divmod(int(minutes), 60)
+    return f"{hours}:{minutes:02}:{rest:06.3f}"

@@ -1,0 +1,123 @@
+"""The command `ugrbl selftest`."""
+
+import random
+import sys
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from ..device.connection import SendError
+from ..device.deploy import DeployError
+from ..device.selftest import program
+from ..device.selftest.row import Row
+from ..device.selftest.session import Board, Wiring, check, look
+from . import ports
+from .settings import save_json
+
+EXAMPLES = (
+    "Examples:  ugrbl selftest   ·   ugrbl selftest --port /dev/ttyACM0 --yes"
+    "   ·   ugrbl selftest --port COM3 --json -"
+)
+_MARKS = {True: "[green]passed[/]", False: "[red]FAILED[/]", None: "[yellow]      [/]"}
+_BARE = "The board file names no ENABLE: motors turn, unless their drivers have no power. Go on?"
+_LASER = (
+    "Use the spindle's output, at up to full power? A laser that is wired to it burns. (n: all "
+    "other checks)"
+)
+
+
+class Report:
+    """Rows, told at once and kept."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self.rows: list[Row] = []
+
+    def tell(self, row: Row) -> None:
+        """One check more."""
+        self.rows.append(row)
+        text = f"{_MARKS[row.passed]} [b]{escape(row.what)}[/b]: {escape(row.text)}"
+        self._console.print(text, highlight=False, soft_wrap=True)
+
+    def verdict(self) -> str:
+        """All in one sentence."""
+        count = Counter(row.passed for row in self.rows)
+        words = [f"{count[True]} passed", f"{count[False]} failed"]
+        return ", ".join([*words, *([f"{count[None]} not looked at"] if count[None] else [])])
+
+
+def command(
+    port: Annotated[
+        str | None, typer.Option(metavar="PORT", help="Serial port; the only one by default.")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer of all: some seconds.")] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", "-y", help="Do not ask: no laser and no motor is wired.")
+    ] = False,
+    seed: Annotated[
+        int | None, typer.Option(metavar="N", help="Of the random instants. [default: any]")
+    ] = None,
+    json_file: Annotated[
+        Path | None,
+        typer.Option("--json", metavar="FILE", help="Write the rows there; - is stdout."),
+    ] = None,
+) -> None:
+    """Prove the firmware on the board itself: nothing wired, drivers off.
+
+    Free machines of the chip's second PIO watch the pins that the first one drives, so no wire
+    is needed: steps counted, pulses measured, stops, starts, limits, PWM, flash, a hang. On an
+    ESP32 its pulse counters count. The settings stay. A machine that moves is not disturbed. The
+    exit code is 1 if something failed.
+    """
+    console = Console(stderr=str(json_file) == "-")
+    seed = random.randrange(1 << 30) if seed is None else seed
+    report = Report(console)
+    try:
+        where = ports.choose(port)
+        _test(_open(where), report, quick, yes, seed)
+    except (SendError, DeployError) as error:
+        todo = getattr(error, "todo", "")
+        report.tell(Row("the board", False, f"{error}{'; ' if todo else ''}{todo}"))
+    except KeyboardInterrupt:
+        report.tell(Row("the board", False, "stopped half way: unplug it, and plug it in again"))
+    console.print(f"[b]{report.verdict()}[/b]; seed {seed}", highlight=False)
+    if json_file:
+        rows = [row.as_json() for row in report.rows]
+        save_json({"checks": rows, "verdict": report.verdict(), "seed": seed}, json_file)
+    if any(row.passed is False for row in report.rows):
+        raise typer.Exit(1)
+
+
+def _open(port: str) -> Board:
+    from ..device.selftest.device import PromptBoard  # which needs a moment to be imported
+
+    return PromptBoard(port)
+
+
+def _test(board: Board, report: Report, quick: bool, yes: bool, seed: int) -> None:
+    chip, wiring = look(board)
+    try:
+        pwm = _consent(wiring, yes)
+        check(board, chip, program.amounts(chip, quick), pwm, seed, report.tell)
+    except (DeployError, typer.Abort):
+        with suppress(DeployError):  # the first one says more
+            board.start()
+        raise
+
+
+def _consent(wiring: Wiring, yes: bool) -> bool:
+    """Whether the spindle's output may be used; DeployError where nothing may be done at all."""
+    ask = sys.stdin.isatty() and not yes
+    if wiring.enable is None and not yes and not (ask and typer.confirm(_BARE)):
+        raise DeployError(
+            "the board file names no ENABLE, so motors would turn",
+            "switch off the power of their drivers and say --yes",
+        )
+    if wiring.spindle_pwm is None or yes:
+        return True
+    return ask and typer.confirm(_LASER)

@@ -1,0 +1,109 @@
+"""The command `ugrbl send`."""
+
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from ..device.connection import BAUD, Connection, SendError
+from ..device.from_line import CannotEnter
+from ..grbl import gcode_file
+from .ports import Baud, Port, choose
+from .screen import show_problems
+from .send_job import Job, Options, Stopped
+
+EXAMPLES = (
+    "Examples:  ugrbl send job.nc   ·   ugrbl send job.nc --port /dev/ttyACM0 --from-line 1200"
+    "   ·   make-gcode | ugrbl send - --port COM3 --keep-going"
+)
+
+
+class Mode(str, Enum):
+    """How a program is streamed."""
+
+    COUNT = "count"
+    LINE = "line"
+
+
+def command(
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="Program; - is stdin."),
+    ],
+    port: Port = None,
+    baud: Baud = BAUD,
+    mode: Annotated[
+        Mode, typer.Option(help="count: keep Grbl's buffer full; line: one line at a time.")
+    ] = Mode.COUNT,
+    check_first: Annotated[
+        bool,
+        typer.Option(
+            "--check/--no-check",
+            help="Let the simulator look for errors first, with the machine's own settings.",
+        ),
+    ] = True,
+    keep_going: Annotated[
+        bool, typer.Option("--keep-going", help="Lines that are refused do not stop it.")
+    ] = False,
+    from_line: Annotated[
+        int,
+        typer.Option(
+            metavar="N",
+            min=1,
+            help="Begin there, with the modes and the place of the lines before.",
+        ),
+    ] = 1,
+    board: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Board that the simulator is, for --check.")
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before it starts.")] = False,
+) -> None:
+    """Stream a program to a Grbl.
+
+    The simulator checks it first. Where the machine refuses a line, it is held and you are asked;
+    without a terminal the job ends. Ctrl-C, a closed terminal and SIGTERM hold the machine first.
+    Keys: space holds, ~ goes on, + and - change the feed. The exit code is 0 if all was done and
+    nothing was refused.
+    """
+    console = Console()
+    name = "stdin" if str(file) == gcode_file.STDIN else file.name
+    by_line = mode is Mode.LINE
+    options = Options(name, board, check_first, by_line, keep_going, from_line, yes)
+    try:
+        lines = _read(file, options, console)
+        connection = Connection(choose(port), baud)
+        try:
+            report = Job(lines, options, connection, console).run()
+        finally:
+            connection.close()
+    except OSError as error:
+        raise _failed(f"what happens cannot be shown: {error.strerror}") from error
+    except (SendError, Stopped, CannotEnter, ValueError) as error:
+        raise _failed(error) from error
+    if report.signal:
+        raise typer.Exit(128 + report.signal)
+    if not report.ok():
+        raise typer.Exit(1)
+
+
+def _failed(why: object) -> typer.Exit:
+    """Say why on stderr; raise what this returns."""
+    Console(stderr=True).print(f"[red]{escape(str(why))}", highlight=False)
+    return typer.Exit(1)
+
+
+def _read(file: Path, options: Options, console: Console) -> list[bytes]:
+    """The program; Stopped where it must not be sent."""
+    try:
+        lines = gcode_file.read_lines(file)
+    except OSError as error:
+        raise Stopped(f"{options.name} cannot be read: {error.strerror}") from error
+    gcode_file.check_text(lines, options.name)
+    if options.from_line > len(lines):
+        raise Stopped(f"{options.name} has {len(lines)} lines only")
+    if show_problems(console, lines):
+        raise Stopped("nothing was sent")
+    return lines

@@ -1,0 +1,212 @@
+"""What `ugrbl send` does: look at the machine, rehearse the program, send it, say how it went."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from ..device import checkup, stage
+from ..device.connection import Connection, way_out
+from ..device.from_line import approach
+from ..device.send import Line, Report, Stream, program, stopping_signals
+from ..device.stage import Stage
+from ..grbl import gcode_file
+from ..grbl.messages import meaning
+from ..grbl.settings_file import Firmware
+from ..run import rehearsal
+from ..run.machine import DEFAULT_BOARD
+from ..run.rehearsal import Forecast, Rehearsal
+from . import keys
+from .screen import Screen, show_errors
+
+# How long it may take to find out which line was being made.
+_PATIENCE_S = 20.0
+_SIM_AXES = 3
+# Alarms after which Grbl hears nothing but a reset.
+_DEAD = ("ALARM:1:", "ALARM:2:")
+
+
+@dataclass
+class Options:
+    """What the command line asks for."""
+
+    name: str
+    board: str | None = None
+    check: bool = True
+    by_line: bool = False
+    keep_going: bool = False
+    from_line: int = 1
+    yes: bool = False
+
+
+class Stopped(Exception):
+    """Nothing is sent; the text says why."""
+
+
+class Job:
+    """One program for one machine."""
+
+    def __init__(
+        self, lines: Sequence[bytes], options: Options, connection: Connection, console: Console
+    ) -> None:
+        self._lines = lines
+        self._options = options
+        self._connection = connection
+        self._console = console
+        self._here = Stage()
+        self._rehearsal: Rehearsal | None = None
+        self._lead = 0  # lines that lead up to the program
+
+    def run(self) -> Report:
+        """Check it, send it, say how it went. Stopped, where nothing is sent."""
+        self._connection.start()
+        try:
+            report = self._send(self._prepare())
+            if report.stopped:
+                self._tell_end(report)
+            return report
+        finally:
+            if self._rehearsal:
+                self._rehearsal.close()
+
+    def _prepare(self) -> list[Line]:
+        """The lines to be sent."""
+        options = self._options
+        to_send = program(self._lines)[options.from_line - 1 :]
+        if not options.check and options.from_line == 1:
+            return to_send
+        if why := self._cannot_rehearse():
+            if options.from_line > 1:
+                raise Stopped(f"--from-line needs the simulator: {why}")
+            self._say(f"not checked: {why}")
+            return to_send
+        job = self._rehearsal_job()
+        if options.check:
+            self._check(job)
+        self._rehearsal = Rehearsal(job)
+        if options.from_line == 1:
+            return to_send
+        way = self._approach(self._rehearsal)
+        self._lead = len(way)
+        return [*way, *to_send]
+
+    def _cannot_rehearse(self) -> str:
+        """Why the simulator would not be like the machine, or an empty text."""
+        state = self._connection.state()
+        if state != "Idle":
+            return f"the machine is in {state}"
+        found = Firmware.read(self._connection.info)
+        if checkup.is_relative(found):
+            return f"{found.name} is a relative of Grbl, and takes what the simulator does not"
+        self._here = stage.look(self._connection)
+        if not self._here.place:
+            return "the machine does not tell where it is: $10=1 lets it"
+        axes = self._here.axes()
+        if axes > _SIM_AXES and self._options.board is None:
+            return f"the machine has {axes} axes; name a board like it with --board"
+        return ""
+
+    def _rehearsal_job(self) -> rehearsal.Job:
+        options = self._options
+        lines = [line.data.decode("latin-1") for line in program(self._lines)]
+        ask_at = options.from_line if options.from_line > 1 else 0
+        return rehearsal.Job(lines, self._here.commands(), options.board or DEFAULT_BOARD, ask_at)
+
+    def _check(self, job: rehearsal.Job) -> None:
+        with self._console.status("checking …") as status:
+            result, line = rehearsal.check(
+                job, lambda done: status.update(f"checking: line {done} …")
+            )
+        show_errors(self._console, result.errors, self._lines)
+        found = len(result.errors)
+        if result.stopped:
+            found += 1
+            why = meaning(result.stopped) if result.stopped.startswith("ALARM:") else ""
+            self._say(": ".join(filter(None, [f"line {line}", result.stopped, why])))
+        if not found or self._options.keep_going:
+            return
+        words = "1 line would be refused" if found == 1 else f"{found} lines would be refused"
+        if not self._confirm(f"{words}. Send it nevertheless?"):
+            raise Stopped(f"{words}; nothing was sent (--no-check sends it)")
+
+    def _approach(self, running: Rehearsal) -> list[Line]:
+        """The way to the line to begin with, if the user agrees."""
+        number = self._options.from_line
+        with self._console.status(f"simulating up to line {number} …"):
+            forecast = running.wait()
+        if forecast is None:
+            raise Stopped("the simulator has failed")
+        way = approach(self._lines, number, forecast, self._here)
+        self._say(f"before line {number}, the machine goes")
+        for words in way.words:
+            self._say(f"  {words}")
+        for words in way.cautions:
+            self._say(f"  note: {words}")
+        if not self._options.yes and not self._confirm("Is the way free, and all of this right?"):
+            raise Stopped("nothing was sent (--yes does not ask)")
+        return way.lines
+
+    def _confirm(self, question: str) -> bool:
+        return sys.stdin.isatty() and typer.confirm(question)
+
+    def _send(self, to_send: Sequence[Line]) -> Report:
+        options = self._options
+        if sys.stdin.isatty():
+            self._say(keys.HELP)
+        left = self._seconds_left
+        with Screen(self._console, options.name, len(to_send), left, listen=True) as screen:
+            stream = Stream(self._connection, to_send, screen, options.by_line, options.keep_going)
+            with stopping_signals(stream):
+                report = stream.run()
+            screen.progress(report.answered, f"<{report.state}>")
+        done = max(0, report.answered - self._lead)
+        self._say(f"{done} lines, {len(report.errors)} errors")
+        return report
+
+    def _seconds_left(self, done: int) -> float | None:
+        forecast = self._rehearsal.forecast if self._rehearsal else None
+        if forecast is None:
+            return None
+        return forecast.seconds_left(max(0, done - self._lead) + self._options.from_line - 1)
+
+    def _tell_end(self, report: Report) -> None:
+        """Why it came to no end, what was made, and what the machine does now."""
+        Console(stderr=True).print(f"[red]stopped: {escape(report.stopped)}", highlight=False)
+        if reached := self._reached(report):
+            self._say(
+                f"line {reached} was being made: {gcode_file.text(self._lines[reached - 1])}"
+            )
+            self._say(f"line {report.line} was answered last; to go on: --from-line {reached}")
+        else:
+            most = self._connection.blocks if report.blocks_left is None else report.blocks_left
+            self._say(
+                f"line {report.line} was answered last; up to {most} moves before were not made"
+            )
+        state = report.state or "an unknown state"
+        if report.lost:
+            self._say(f"the machine was in {state}, and goes on with what it has been sent")
+        else:
+            todo = "" if state == "Idle" else f": {way_out(state)}"
+            if report.stopped.startswith(_DEAD):
+                todo = f": reset it (Ctrl-X), then {way_out(state)}"
+            self._say(f"the machine is in {state}{todo}")
+
+    def _reached(self, report: Report) -> int | None:
+        """The line that was being made, where the rehearsal can tell."""
+        forecast: Forecast | None = None
+        if self._rehearsal and report.place and report.place_line:
+            forecast = self._rehearsal.wait(_PATIENCE_S)
+        if forecast is None:
+            return None
+        place = [at * self._here.unit_mm() for at in report.place]
+        line = report.place_line
+        return forecast.line_at(line, place, self._connection.blocks, report.blocks_left)
+
+    def _say(self, words: str) -> None:
+        try:
+            self._console.print(words, highlight=False, markup=False, soft_wrap=True)
+        except OSError:  # a full disk: there may be somebody at the terminal
+            Console(stderr=True).print(words, highlight=False, markup=False, soft_wrap=True)

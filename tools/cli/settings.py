@@ -1,0 +1,287 @@
+"""`ugrbl settings`: a machine's settings as a file, and back."""
+
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from ..device import settings_sync as sync
+from ..device.connection import BAUD, Connection, SendError
+from ..grbl.gcode_file import STDIN
+from ..grbl.messages import meaning as reply_meaning
+from ..grbl.settings_file import Change, Settings, SettingsError, changes, check_fit, meaning
+from .outputs import check_outputs
+from .ports import Baud, Port, choose
+
+app = typer.Typer(no_args_is_help=True, help="Pull, compare, push and restore settings.")
+
+File = Annotated[
+    Path,
+    typer.Argument(metavar="FILE", allow_dash=True, help="Lines of $n=v; - is stdin or stdout."),
+]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
+AnyVersion = Annotated[
+    bool, typer.Option("--any-version", help="Even if it is for another Grbl, or does not say.")
+]
+Json = Annotated[
+    Path | None,
+    typer.Option("--json", metavar="FILE", help="Write the result there; - is stdout."),
+]
+_EXAMPLE = "\n\nExample:  ugrbl settings {} --port /dev/ttyACM0"
+
+
+@app.command(epilog=_EXAMPLE.format("pull router.settings"))
+def pull(
+    file: File,
+    port: Port = None,
+    baud: Baud = BAUD,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file.")] = False,
+) -> None:
+    """Write a machine's settings into a file, with meaning and unit of each."""
+    to_stdout = str(file) == STDIN
+    if not to_stdout:
+        if file.exists() and not force:
+            raise _failed(f"{file} is there already; --force replaces it")
+        check_output(file)
+    with _machine(port, baud) as connection:
+        settings = sync.pull(connection)
+    _keep(settings, file, "as pulled")
+    words = f"{len(settings.values)} settings of {settings.firmware} are in {file}"
+    if not to_stdout:
+        Console().print(words, highlight=False, soft_wrap=True)
+
+
+@app.command(epilog=_EXAMPLE.format("diff router.settings"))
+def diff(
+    file: File,
+    port: Port = None,
+    baud: Baud = BAUD,
+    any_version: AnyVersion = False,
+    json_file: Json = None,
+) -> None:
+    """Show what a push of the file would change. The exit code is 1 if that is anything."""
+    wanted = _read(file)
+    with _machine(port, baud) as connection:
+        machine = sync.pull(connection)
+        check_fit(wanted, machine, any_version, complete=False)
+        todo = changes(machine.values, wanted.values)
+    _report(machine, todo, json_file)
+    if todo:
+        raise typer.Exit(1)
+
+
+@app.command(epilog=_EXAMPLE.format("push router.settings"))
+def push(
+    file: File,
+    port: Port = None,
+    baud: Baud = BAUD,
+    yes: Yes = False,
+    any_version: AnyVersion = False,
+    json_file: Json = None,
+) -> None:
+    """Make the machine's settings those of the file; settings it does not name stay.
+
+    What would change is shown first. What was there before goes to FILE.before.
+    """
+    _write(file, port, baud, yes, any_version, json_file, complete=False)
+
+
+@app.command(epilog=_EXAMPLE.format("restore router.settings.before"))
+def restore(
+    file: Annotated[
+        Path | None, typer.Argument(metavar="FILE", dir_okay=False, help="As pulled, complete.")
+    ] = None,
+    port: Port = None,
+    baud: Baud = BAUD,
+    factory: Annotated[
+        bool, typer.Option("--factory", help="What the firmware was built with ($RST=$).")
+    ] = False,
+    yes: Yes = False,
+    any_version: AnyVersion = False,
+    json_file: Json = None,
+) -> None:
+    """Put a machine back to exactly what a file holds, or to the factory's settings.
+
+    After a push that was a mistake: restore FILE.before.
+    """
+    if (file is None) != factory:
+        raise _failed("say one of both: a file that was pulled, or --factory")
+    if file:
+        _write(file, port, baud, yes, any_version, json_file, complete=True)
+        return
+    with _machine(port, baud) as connection:
+        before = sync.pull(connection)
+        if not yes and not typer.confirm("Restore the factory's settings?"):
+            raise _failed("nothing has been changed")
+        kept = Path("factory.before")
+        check_output(kept, json_file)
+        _keep(before, kept, "before a restore to the factory's")
+        sync.factory(connection)
+        done = changes(before.values, sync.pull(connection).values)
+    _report(before, done, json_file)
+    Console(stderr=True).print(f"what was there before is in {kept}", highlight=False)
+
+
+def _write(
+    file: Path,
+    port: str | None,
+    baud: int,
+    yes: bool,
+    any_version: bool,
+    json_file: Path | None,
+    complete: bool,
+) -> None:
+    wanted = _read(file)
+    from_stdin = str(file) == STDIN
+    if from_stdin and not yes:
+        raise _failed("settings from stdin leave nobody to ask: say --yes")
+    kept = Path("settings.before") if from_stdin else file.with_name(file.name + ".before")
+    check_output(kept, json_file)
+    console = Console(stderr=True)
+    with _machine(port, baud) as connection:
+        machine = sync.pull(connection)
+        check_fit(wanted, machine, any_version, complete)
+        todo = changes(machine.values, wanted.values)
+        if not (json_file and str(json_file) == "-"):
+            _show(machine, todo)
+        if todo and not yes and not typer.confirm(f"Change {_count(todo)}?", err=True):
+            raise _failed("nothing has been changed")
+        refusals: Sequence[tuple[Change, str]] = ()
+        if todo:
+            _keep(machine, kept, "before a push")
+            console.print(f"what is there now is kept in {kept}", highlight=False)
+            refusals = _push(connection, todo, console)
+    _save_json(machine, todo, json_file, refusals)
+    for change, reply in refusals:
+        words = reply_meaning(reply) if reply.startswith("error") else "it was not taken"
+        console.print(f"[red]${change.number}={change.after}: {reply}: {escape(words)}")
+    if refusals:
+        raise typer.Exit(1)
+
+
+def _push(
+    connection: Connection, todo: Sequence[Change], console: Console
+) -> Sequence[tuple[Change, str]]:
+    """Returns what was refused."""
+
+    def progress(change: Change) -> None:
+        console.print(f"${change.number}={change.after}", highlight=False)
+
+    try:
+        sync.push(connection, todo, progress)
+    except sync.Refused as refused:
+        return refused.refusals
+    return ()
+
+
+def _read(file: Path) -> Settings:
+    try:
+        if str(file) == STDIN:
+            return Settings.read(sys.stdin.read())
+        return Settings.read(file.read_text(encoding="utf-8"))
+    except SettingsError as error:
+        raise _failed(f"{file}: {error}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise _failed(f"{file} cannot be read: {error}") from error
+
+
+def _keep(settings: Settings, file: Path, why: str) -> None:
+    when = datetime.now().strftime("%Y-%m-%d %H:%M")
+    _save(settings.text(f"{why}, {when}"), file)
+
+
+def _count(todo: Sequence[Change]) -> str:
+    return "1 setting" if len(todo) == 1 else f"{len(todo)} settings"
+
+
+def _show(machine: Settings, todo: Sequence[Change]) -> None:
+    console = Console()
+    if not todo:
+        console.print(f"nothing would change: {machine.firmware} has it all", highlight=False)
+        return
+    table = Table("", "now", "then", "unit", "what it is", box=None, pad_edge=False)
+    for change in todo:
+        said = meaning(change.number)
+        table.add_row(f"${change.number}", change.before, change.after, said.unit, said.name)
+    console.print(table)
+
+
+def _report(machine: Settings, todo: Sequence[Change], json_file: Path | None) -> None:
+    if not (json_file and str(json_file) == "-"):
+        _show(machine, todo)
+    _save_json(machine, todo, json_file)
+
+
+def _save_json(
+    machine: Settings,
+    todo: Sequence[Change],
+    json_file: Path | None,
+    refusals: Sequence[tuple[Change, str]] = (),
+) -> None:
+    if json_file is None:
+        return
+    refused = [{**change.as_json(), "reply": reply} for change, reply in refusals]
+    found: dict[str, Any] = {
+        "firmware": vars(machine.firmware),
+        "changes": [change.as_json() for change in todo],
+        "refused": refused,
+    }
+    save_json(found, json_file)
+
+
+def save_json(found: object, file: Path) -> None:
+    """Write it; `-` is stdout. What goes wrong with it ends the command with the reason."""
+    _save(json.dumps(found, indent=1) + "\n", file)
+
+
+def _save(text: str, file: Path) -> None:
+    """Write a file; one that is there is replaced once the new one is whole."""
+    if str(file) == STDIN:
+        sys.stdout.write(text)
+        return
+    try:
+        if file.exists() and not file.is_file():
+            file.write_text(text, encoding="utf-8")
+            return
+        new = file.resolve().with_name(f".{file.name}.new")
+        try:
+            new.write_text(text, encoding="utf-8")
+            new.replace(file.resolve())
+        finally:
+            new.unlink(missing_ok=True)
+    except OSError as error:
+        raise _failed(f"{file} cannot be written: {error.strerror}") from error
+
+
+def check_output(*files: Path | None) -> None:
+    """End the command before its work where a file could not be written after it."""
+    try:
+        check_outputs(*files)
+    except OSError as error:
+        raise _failed(error) from error
+
+
+@contextmanager
+def _machine(port: str | None, baud: int) -> Iterator[Connection]:
+    """A Grbl to talk to; what goes wrong with it ends the command with the reason."""
+    try:
+        connection = sync.connect(choose(port), baud)
+        try:
+            yield connection
+        finally:
+            connection.close()
+    except (SendError, SettingsError) as error:
+        raise _failed(error) from error
+
+
+def _failed(why: object) -> typer.Exit:
+    Console(stderr=True).print(f"[red]{escape(str(why))}", highlight=False)
+    return typer.Exit(1)

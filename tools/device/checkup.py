@@ -1,0 +1,318 @@
+"""What may be wrong with a machine, in words: judged from what it says of itself."""
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+
+from ..compiling import decode, maps
+from ..compiling.maps import MapError
+from ..grbl.settings_file import AXES, Firmware
+from ..paths import use_firmware
+
+OK, NOTE, BAD = "ok", "note", "bad"
+
+# Highest step rates of one axis, by who makes the pulses, where a board does not state its own.
+_GRBL_ON_AVR_HZ = 30_000
+_ENGINES_HZ = {"pio": 100_000, "i2s": 41_666, "rmt": 5_000}
+_UGRBL_HZ = 100_000
+_IDENTITY = re.compile(r"Grbl(?: (pio|i2s|rmt|sim))?(?: (\d+)Hz)?\b")
+# What Grbl 1.1h has from the factory, and hardly any machine wants.
+_STOCK = {100: 250.0, 110: 500.0, 120: 10.0, 130: 200.0}
+_LONG_RAMP_S = 2.0
+
+NEW_MICROPYTHON = "put MicroPython 1.28 on the board: micropython.org/download"
+_STACK = re.compile(r"\[MSG:Stack: (\d+) of (\d+) bytes used\]")
+_STACK_SPARE = 1024
+# What the firmware calls itself besides where it has to read USB the plain way.
+_SLOW_RESET = "slow-reset"
+
+PINS = {
+    "X": "limit switch X",
+    "Y": "limit switch Y",
+    "Z": "limit switch Z",
+    "A": "limit switch A",
+    "P": "probe",
+    "D": "safety door",
+    "H": "hold button",
+    "R": "reset button",
+    "S": "start button",
+}
+
+
+@dataclass
+class Finding:
+    """One thing looked at. todo: what to do about it, where there is something to do."""
+
+    what: str
+    verdict: str
+    text: str
+    todo: str = ""
+
+    def as_json(self) -> dict[str, str]:
+        """As `ugrbl doctor --json` writes it."""
+        return asdict(self)
+
+
+def firmware(found: Firmware, ours: str) -> Finding:
+    """Who answers. ours: the build that this package would put on a board."""
+    what = "firmware"
+    if not found.version:
+        return Finding(what, BAD, "it does not tell its version", "update the firmware")
+    text = f"{found}{', ' + found.name if found.name else ''}"
+    if is_relative(found):
+        return Finding(what, NOTE, f"{text}: a relative of Grbl; not all said here holds for it")
+    if found.version != "1.1":
+        return Finding(what, BAD, text, "senders of today want Grbl 1.1: update the firmware")
+    if is_ours(found) and found.build < ours:
+        todo = f"this computer has the build of {ours}: deploy it"
+        return Finding(what, NOTE, f"{text} is older than what is here", todo)
+    return Finding(what, OK, text)
+
+
+def link(found: Firmware) -> list[Finding]:
+    """Whether Ctrl-X acts while the firmware is busy."""
+    if not is_ours(found) or _SLOW_RESET not in found.name.split():
+        return []
+    text = "this MicroPython keeps what comes over USB in a place we do not know: Ctrl-X is heard "
+    text += "at the firmware's next turn only, and the welcome is not sent when a port opens"
+    return [Finding("USB", NOTE, text, NEW_MICROPYTHON)]
+
+
+def stack(replies: Iterable[str]) -> list[Finding]:
+    """What the answer to `$I+` says of the C stack; nothing where it says nothing."""
+    told = [match for match in map(_STACK.fullmatch, replies) if match]
+    if not told:
+        return []
+    used, size = (int(number) for number in told[-1].groups())
+    text = f"{used} of {size} bytes used at most since power-up"
+    if size - used >= _STACK_SPARE:
+        return [Finding("C stack", OK, text)]
+    todo = "report it with what the machine was doing, and run the firmware without changes of "
+    todo += "your own: an interrupt that finds no room stops the machine"
+    return [Finding("C stack", NOTE, f"{text}: less than 1 kB is free", todo)]
+
+
+def fault(told: str) -> Finding:
+    """A fault of the firmware, as a board tells it, in the sources' names."""
+    number = decode.build_of(told)
+    todo = "report it, with these lines and what the machine was doing; a reset (Ctrl-X), and it "
+    todo += "listens again: its place is what the motors made, but look before it moves"
+    if not number:
+        return Finding("fault", BAD, told, todo)
+    try:
+        found = maps.find(number)
+    except MapError as error:
+        return Finding("fault", BAD, told, f"{error}; {todo}")
+    lines = (line.strip() for line in decode.decode(told, found.map))
+    return Finding("fault", BAD, "; ".join(lines), todo)
+
+
+def faults(replies: Iterable[str]) -> list[Finding]:
+    """What the answer to `$I+` says of the last fault since power-up."""
+    return [fault(reply) for reply in replies if reply.startswith("[MSG:Last fault: ")]
+
+
+def too_old(engine: str, board: str, version: str) -> str:
+    """Why the engine cannot run with this MicroPython on that board; "" where it can."""
+    use_firmware()
+    from boot import needs
+
+    numbers = tuple(int(number) for number in re.findall(r"\d+", version)[:2])
+    return needs.missing(engine, board, numbers) if len(numbers) == 2 else ""
+
+
+def micropython(board: str, version: str) -> list[Finding]:
+    """Whether a MicroPython that shows its prompt is new enough for our engines."""
+    use_firmware()
+    from boot import needs
+
+    engines = [engine for engine, chip, _, _ in needs.NEEDS if chip in board]
+    reasons = [too_old(engine, board, version) for engine in engines]
+    bad = [reason for reason in reasons if reason]
+    verdict = BAD if len(bad) == len(reasons) else NOTE
+    return [Finding("MicroPython", verdict, reason, NEW_MICROPYTHON) for reason in bad]
+
+
+def is_relative(found: Firmware) -> bool:
+    """Whether it is one of the firmwares that came out of Grbl and know more than it."""
+    name = found.name.lower()
+    return "hal" in name or "fluidnc" in name
+
+
+def is_ours(found: Firmware) -> bool:
+    """ugrbl names itself in $I, where Grbl says nothing."""
+    return found.version == "1.1" and found.name.startswith("Grbl")
+
+
+def most_hz(found: Firmware, pulse_us: float) -> float:
+    """The highest step rate to expect of one axis, with pulses of that length."""
+    identity = _IDENTITY.match(found.name)
+    if identity is None or not is_ours(found):
+        return _GRBL_ON_AVR_HZ
+    engine, stated = identity.groups()
+    most = int(stated) if stated else _ENGINES_HZ.get(engine, _UGRBL_HZ)
+    return min(most, 1_000_000 / (pulse_us + 1))
+
+
+def settings(values: Mapping[int, float], found: Firmware) -> list[Finding]:
+    """What in the settings cannot work, or will disappoint."""
+    findings = [finding for check in _CHECKS for finding in check(values, found)]
+    return findings or [Finding("settings", OK, "nothing in the settings contradicts itself")]
+
+
+def pins_at_rest(pins: str, values: Mapping[int, float]) -> list[Finding]:
+    """What it means that inputs are active while nobody touches them."""
+    if not pins:
+        return [Finding("inputs", OK, "no input is active")]
+    findings = []
+    limits = "".join(letter for letter in pins if letter in AXES)
+    if limits:
+        needed = values.get(21, 0) or values.get(22, 0)
+        todo = (
+            "move off the switches; if they are open, they are wired the other way round: "
+            f"$5={0 if values.get(5) else 1}"
+        )
+        if not needed:
+            todo += ", or there are none: then leave $21 and $22 at 0"
+        text = f"limit inputs active at rest: {limits}"
+        findings.append(Finding("limits", BAD if needed else NOTE, text, todo))
+    if "P" in pins:
+        todo = f"take the probe off the work; if it is off: $6={0 if values.get(6) else 1}"
+        findings.append(Finding("probe", NOTE, "the probe reads contact", todo))
+    for letter in "DHRS":
+        if letter in pins:
+            todo = "release it; if it is released, look for a wire to ground, or noise"
+            findings.append(Finding("inputs", BAD, f"the {PINS[letter]} is active", todo))
+    return findings
+
+
+def pins_pressed(seen: Mapping[str, int], values: Mapping[int, float], axes: int) -> list[Finding]:
+    """What pressing the switches has shown: letters, and how often each went on."""
+    if not seen:
+        todo = "check wiring and the pins of the board file; was anything pressed?"
+        return [Finding("switches", NOTE, "no input has changed", todo)]
+    names = ", ".join(f"{PINS.get(letter, letter)} ({count}×)" for letter, count in seen.items())
+    findings = [Finding("switches", OK, f"seen: {names}")]
+    missing = [letter for letter in AXES[:axes] if letter not in seen]
+    if missing and values.get(22, 0):
+        text = f"never seen, though homing ($22) needs them: {', '.join(missing)}"
+        findings.append(Finding("switches", NOTE, text, "press each; check wiring and pins"))
+    bouncing = [letter for letter, count in seen.items() if count > 10]
+    if bouncing:
+        text = f"{', '.join(bouncing)} changed very often"
+        todo = "noise: shielded wire, a capacitor of 100 nF at the input, a stronger pull-up"
+        findings.append(Finding("switches", NOTE, text, todo))
+    return findings
+
+
+def _axes(values: Mapping[int, float]) -> Iterator[tuple[int, str]]:
+    for axis, letter in enumerate(AXES):
+        if 100 + axis in values:
+            yield axis, letter
+
+
+Findings = Iterator[Finding]
+
+
+def _positive(values: Mapping[int, float], found: Firmware) -> Findings:
+    names = {100: "steps/mm", 110: "highest rate", 120: "acceleration", 130: "travel"}
+    for axis, letter in _axes(values):
+        for base, name in names.items():
+            if values.get(base + axis, 0) <= 0:
+                number = f"${base + axis}"
+                text = f"{number}: the {name} of {letter} is {values.get(base + axis, 0):g}"
+                yield Finding("settings", BAD, text, f"set {number} to what the machine has")
+
+
+def _step_rates(values: Mapping[int, float], found: Firmware) -> Findings:
+    pulse = values.get(0, 10)
+    most = most_hz(found, pulse)
+    for axis, letter in _axes(values):
+        hz = values[100 + axis] * values.get(110 + axis, 0) / 60
+        if hz > most:
+            rate = most * 60 / values[100 + axis]
+            text = (
+                f"{letter} at its highest rate needs {hz / 1000:.1f} kHz; "
+                f"{most / 1000:.0f} kHz can be had with pulses of {pulse:g} us"
+            )
+            todo = f"lower $11{axis} to {rate:.0f}, or take fewer microsteps"
+            yield Finding("step rate", BAD, text, todo)
+
+
+def _ramps(values: Mapping[int, float], found: Firmware) -> Findings:
+    for axis, letter in _axes(values):
+        speed = values.get(110 + axis, 0) / 60
+        acceleration = values.get(120 + axis, 0)
+        if acceleration <= 0:
+            continue
+        seconds = speed / acceleration
+        way = speed * seconds
+        if way > values.get(130 + axis, 0):
+            text = f"{letter} cannot reach its highest rate within its travel"
+            todo = f"raise the acceleration, ${120 + axis}"
+            yield Finding("acceleration", NOTE, text, todo)
+        elif seconds > _LONG_RAMP_S:
+            text = f"{letter} takes {seconds:.1f} s to its highest rate: slow in every corner"
+            todo = f"raise ${120 + axis} in steps until it loses steps, then halve it"
+            yield Finding("acceleration", NOTE, text, todo)
+
+
+def _stock(values: Mapping[int, float], found: Firmware) -> Findings:
+    axes = list(_axes(values))
+    if axes and all(values.get(base + i) == v for base, v in _STOCK.items() for i, _ in axes):
+        text = "steps/mm, rates, accelerations and travels are the factory's"
+        todo = "set $100 to $132 for this machine; start with steps/mm"
+        yield Finding("settings", NOTE, text, todo)
+
+
+def _homing(values: Mapping[int, float], found: Firmware) -> Findings:
+    if not values.get(22):
+        if values.get(20):
+            yield Finding("homing", BAD, "soft limits ($20) without homing", "set $22=1")
+        return
+    off = values.get(27, 0)
+    if off <= 0:
+        todo = "set it so that the switch opens, 1 to 3 mm"
+        yield Finding("homing", BAD, "the pull-off ($27) is 0: homing ends in ALARM:8", todo)
+    for axis, letter in _axes(values):
+        if off >= values.get(130 + axis, 0) > 0:
+            text = f"the pull-off ($27) is longer than the travel of {letter}"
+            yield Finding("homing", BAD, text, f"lower $27 or correct $13{axis}")
+    if values.get(24, 0) > values.get(25, 0):
+        text = "homing looks for the switch ($25) slower than it measures it ($24)"
+        yield Finding("homing", NOTE, text, "exchange the two")
+    if not values.get(21):
+        text = "homing is on and hard limits ($21) are off: a crash goes on"
+        yield Finding("homing", NOTE, text, "set $21=1 once the switches are free of noise")
+
+
+def _spindle(values: Mapping[int, float], found: Firmware) -> Findings:
+    if values.get(30, 1) <= values.get(31, 0):
+        text = "the highest spindle speed ($30) is not above the lowest ($31)"
+        yield Finding("spindle", BAD, text, "S would be full power or none: correct them")
+    if values.get(32):
+        text = "laser mode ($32) is on: G0 is dark, and M3 does not wait for a spindle"
+        yield Finding("spindle", NOTE, text, "right for a laser; with a spindle: $32=0")
+
+
+def _motion(values: Mapping[int, float], found: Firmware) -> Findings:
+    if not 0 < values.get(11, 0.01) <= 0.5:
+        text = f"junction deviation ($11) is {values[11]:g} mm"
+        yield Finding("settings", NOTE, text, "0.01 to 0.05 is usual")
+    if not 0.0005 <= values.get(12, 0.002) <= 0.1:
+        text = f"arc tolerance ($12) is {values[12]:g} mm"
+        yield Finding("settings", NOTE, text, "0.002 is usual")
+    if values.get(13):
+        text = "reports are in inches ($13): some senders take them for millimetres"
+        yield Finding("settings", NOTE, text, "set $13=0")
+
+
+_CHECKS: tuple[Callable[[Mapping[int, float], Firmware], Findings], ...] = (
+    _positive,
+    _step_rates,
+    _ramps,
+    _stock,
+    _homing,
+    _spindle,
+    _motion,
+)

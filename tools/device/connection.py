@@ -1,0 +1,238 @@
+"""A Grbl on a serial port: lines from it, bytes to it, and the state it reports.
+
+Every failure of the port is a SendError that says in words what may be wrong. Grbl 1.1 writes
+`<Idle|MPos:…|…>`, Grbl 0.9 `<Idle,MPos:…,…>`; both are understood.
+"""
+
+import errno
+import os
+import re
+import time
+from collections.abc import Callable
+
+import serial
+
+from ..grbl.gcode_file import STATUS, is_answer
+
+BAUD = 115200
+WINDOW = 127  # bytes in Grbl's receive buffer, less one
+# Blocks in Grbl's planner, where it does not tell.
+BLOCKS = 15
+POLL_S = 0.2
+_READ_S = 0.02
+_WRITE_S = 5.0
+# An Arduino that resets when its port is opened says nothing for a second or two.
+_START_S = 5.0
+_OPTIONS = re.compile(r"\[OPT:[^,]*,(\d+),(\d+)\]")
+_BUFFER = re.compile(r"\|Bf:(\d+),(\d+)")
+_PLACE = re.compile(r"[|,]([MW])Pos:(-?[\d.]+(?:,-?[\d.]+)*)")
+_WORK = re.compile(r"[|,]WPos:(-?[\d.]+(?:,-?[\d.]+)*)")
+_OFFSET = re.compile(r"\|WCO:(-?[\d.]+(?:,-?[\d.]+)*)")
+ONLY_RESET = "after ALARM:1 or ALARM:2 it hears nothing but a reset (Ctrl-X)"
+# States in which Grbl reads no lines, and those in which it stands still for good.
+_DEAF = ("Hold", "Door", "Sleep")
+_AT_REST = ("Idle", "Check", "Alarm", "Sleep")
+
+
+class SendError(Exception):
+    """What is asked for cannot be done, or not to its end; the text says why."""
+
+
+class Connection:
+    """Lines from and bytes to a Grbl."""
+
+    def __init__(self, port: str, baud: int = BAUD) -> None:
+        try:
+            self._serial = serial.serial_for_url(
+                port, baud, timeout=_READ_S, write_timeout=_WRITE_S, exclusive=True
+            )
+        except (OSError, ValueError) as error:
+            raise SendError(_why_not(port, error)) from error
+        self._text = ""
+        self.window = WINDOW
+        self.blocks = BLOCKS
+        self.status = ""
+        # For Grbl 0.9, which reports without bars, bytes from 0x80 on are parts of lines.
+        self.takes_overrides = False
+        self.info: list[str] = []  # what start() was told by $I
+        self.heard = time.monotonic()  # when something came last
+        self._offset: list[float] | None = None  # WCO
+        self._rested = ""  # the place at which a Grbl 0.9 was held, as last reported
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._serial.close()
+
+    def write(self, data: bytes) -> None:
+        """Send bytes."""
+        try:
+            self._serial.write(data)
+        except serial.SerialTimeoutException as error:
+            raise SendError("the machine takes no more bytes") from error
+        except OSError as error:
+            raise SendError(_broke(error)) from error
+
+    def lines(self) -> list[str]:
+        """The lines that have come; waits a moment for the first."""
+        try:
+            data = self._serial.read(max(1, self._serial.in_waiting))
+        except (OSError, TypeError) as error:  # pyserial's own, where the port is closed meanwhile
+            raise SendError(_broke(error)) from error
+        if data:
+            self.heard = time.monotonic()
+        self._text += data.decode("latin-1")
+        *lines, self._text = self._text.split("\r\n")
+        for line in lines:
+            if line.startswith("<"):
+                self._note_status(line)
+        return lines
+
+    def state(self) -> str:
+        """The machine's state as last reported: `Idle`, `Hold:0` …"""
+        return state_of(self.status)
+
+    def place(self) -> list[float]:
+        """The machine position as last reported, in its own unit; empty where it is not known."""
+        found = _PLACE.search(self.status)
+        if not found:
+            return []
+        place = [float(number) for number in found[2].split(",")]
+        if found[1] == "M":
+            return place
+        offset = self._offset or []
+        return [at + by for at, by in zip(place, offset, strict=False)]
+
+    def work_place(self) -> list[float]:
+        """The work position as last reported, in its own unit."""
+        found = _WORK.search(self.status)
+        if found:
+            return [float(number) for number in found[1].split(",")]
+        return [at - by for at, by in zip(self.place(), self._offset or [0.0] * 6, strict=False)]
+
+    def blocks_left(self) -> int | None:
+        """How many blocks of the planner are not made yet, where the status report tells."""
+        found = _BUFFER.search(self.status)
+        return self.blocks - int(found[1]) if found else None
+
+    def at_rest(self) -> bool:
+        """Whether the machine stands still, by its last report.
+
+        Grbl 0.9 says `Hold` from the moment on at which it begins to slow down: there, two
+        reports have to name the same place.
+        """
+        state = self.state()
+        if state in ("Hold:0", "Door:0", "Door:1") or state in _AT_REST:
+            return True
+        before, self._rested = self._rested, self.status
+        return state in ("Hold", "Door") and self.status == before
+
+    def wait_for(self, done: Callable[[str], bool], seconds: float) -> bool:
+        """Ask for the status until one of the lines that come is what is waited for."""
+        until = time.monotonic() + seconds
+        asked = 0.0
+        while time.monotonic() < until:
+            if time.monotonic() - asked >= POLL_S:
+                self.write(STATUS)
+                asked = time.monotonic()
+            heard = [
+                done(line) for line in self.lines()
+            ]  # every line, for done() may collect them
+            if any(heard):
+                return True
+        return False
+
+    def answers(self) -> bool:
+        """Whether a Grbl reports its status."""
+        return self.wait_for(lambda line: line.startswith("<"), _START_S)
+
+    def start(self) -> None:
+        """Wait until Grbl listens and could work, and ask how much it can take."""
+        if not self.answers():
+            raise SendError(f"no Grbl answers on this port; {ONLY_RESET}")
+        state = self.state()
+        if state == "Alarm":
+            text = "the machine is locked in Alarm: home it ($H) or unlock it ($X) first"
+            raise SendError(f"{text}, with `ugrbl console`")
+        if state not in ("Idle", "Check"):
+            raise SendError(f"the machine is in {state}: {way_out(state)} first")
+        self.info = self.ask("$I")
+
+    def ask(self, line: str) -> list[str]:
+        """Send a line and return what it is answered with, the answer last."""
+        self.write(line.encode("latin-1") + b"\n")
+        replies: list[str] = []
+
+        def answered(reply: str) -> bool:
+            options = _OPTIONS.fullmatch(reply)
+            if options:
+                self.blocks = int(options[1])
+                self._widen(int(options[2]))
+            if not reply.startswith("<"):
+                replies.append(reply)
+            return is_answer(reply)
+
+        if not self.wait_for(answered, _START_S):
+            raise SendError(self._why_no_answer(line))
+        return replies
+
+    def _why_no_answer(self, line: str) -> str:
+        state = self.state()
+        if is_deaf(state):
+            return f"no answer to {line}: in {state} Grbl reads no lines; {way_out(state)} first"
+        return f"no answer to {line}"
+
+    def _note_status(self, line: str) -> None:
+        self.status = line
+        self.takes_overrides = "|" in line
+        offset = _OFFSET.search(line)
+        if offset:
+            self._offset = [float(number) for number in offset[1].split(",")]
+        free = _BUFFER.search(line)
+        if free:
+            self._widen(int(free[2]))
+
+    def _widen(self, buffer: int) -> None:
+        self.window = max(self.window, buffer - 1)
+
+
+def state_of(status: str) -> str:
+    """The state in a report."""
+    return re.split("[|,>]", status[1:])[0]
+
+
+def is_deaf(state: str) -> bool:
+    """Whether Grbl reads no lines in a state, real-time commands only."""
+    return state.partition(":")[0] in _DEAF
+
+
+def way_out(state: str) -> str:
+    """What to do about a state."""
+    return {
+        "Alarm": "home it ($H) or unlock it ($X)",
+        "Hold": "resume (~) or reset (Ctrl-X) it",
+        "Door": "close the safety door and resume (~)",
+        "Sleep": "reset it (Ctrl-X)",
+        "Check": "end check mode ($C)",
+        "Run": "wait until the job has ended",
+        "Jog": "wait until the jog has ended",
+        "Home": "wait until homing has ended",
+    }.get(state.partition(":")[0], "reset it (Ctrl-X)")
+
+
+def _why_not(port: str, error: Exception) -> str:
+    """Why a port cannot be opened, and what may help."""
+    number = getattr(error, "errno", None)
+    text = f"cannot open {port}: {os.strerror(number) if number else error}"
+    if number == errno.ENOENT or "FileNotFound" in text:
+        return f"{text}; is the cable one that carries data, and plugged in?"
+    if number == errno.EACCES or "Access is denied" in text:
+        return f"{text}; add yourself to its group (`ls -l` shows which) and log in anew"
+    if number == errno.EBUSY or "exclusively lock" in str(error):
+        return f"cannot open {port}: another program has it; close that"
+    if number == errno.EISDIR or "configure port" in text:
+        return f"cannot open {port}: it is no serial port"
+    return text
+
+
+def _broke(error: Exception) -> str:
+    return f"the connection broke ({error}): is the cable still plugged in?"

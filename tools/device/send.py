@@ -1,0 +1,357 @@
+"""Streams a program to any Grbl on a serial port, by character counting or line by line.
+
+Whatever ends it early, the machine is held before anything else is done: Grbl would go on with
+what it has been sent.
+"""
+
+import os
+import re
+import signal
+import time
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from enum import Enum
+from types import FrameType
+from typing import NamedTuple, Protocol
+
+from ..grbl.gcode_file import (
+    CYCLE_START,
+    FEED_HOLD,
+    RESET,
+    STATUS,
+    comment,
+    harmless,
+    is_answer,
+    text,
+    without_comments,
+)
+from ..grbl.messages import meaning
+from .connection import POLL_S, Connection, SendError, is_deaf, way_out
+
+_HOLD_S = 15.0
+_RESET_S = 3.0
+_SILENCE_S = 10.0
+_ENDED = ("Idle", "Check", "Sleep")
+_PAUSE = re.compile(rb"M0+(?![\d.])", re.IGNORECASE)
+_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
+
+
+class Line(NamedTuple):
+    """One line on its way. number: in the program, from 1; 0 where it leads up to it."""
+
+    number: int
+    data: bytes  # as it is sent, without its end
+    text: str  # as people read it
+
+
+class Choice(Enum):
+    """What to do with a machine that is held."""
+
+    RESUME = "r"
+    KEEP_GOING = "k"  # and ask no more
+    ABORT = "a"
+
+
+@dataclass
+class Report:
+    """How it went. Lines count from 1."""
+
+    answered: int = 0  # lines of those that were to be sent
+    line: int = 0  # the last one that was answered, by its number in the program
+    errors: list[tuple[int, str]] = field(default_factory=list)
+    stopped: str = ""  # why it did not come to its end, if it did not
+    signal: int = 0  # that ended it
+    lost: bool = False  # the machine cannot be reached any more
+    # Of the machine, at last; the place and the blocks not made are those before a reset.
+    state: str = ""
+    place: list[float] = field(default_factory=list)
+    place_line: int = 0  # the last one that was answered when it was there
+    blocks_left: int | None = None
+
+    def ok(self) -> bool:
+        """All is done, and nothing was refused."""
+        return not self.errors and not self.stopped
+
+
+class View(Protocol):
+    """Who shows the progress and asks the user."""
+
+    def progress(self, answered: int, status: str) -> None:
+        """So many lines are done, and this is the last status report."""
+
+    def message(self, words: str) -> None:
+        """Something worth reading."""
+
+    def ask(self, why: str) -> Choice:
+        """The machine is held: what next?"""
+
+    def keys(self) -> bytes:
+        """Real-time commands that the user has asked for by keys."""
+
+
+def program(lines: Iterable[bytes]) -> list[Line]:
+    """Lines of a file, made ready: nothing in their comments acts on the way."""
+    return [Line(number, harmless(line), text(line)) for number, line in enumerate(lines, 1)]
+
+
+class _Mute:
+    """A View for nobody."""
+
+    def progress(self, answered: int, status: str) -> None:
+        """Nobody sees it."""
+
+    def message(self, words: str) -> None:
+        """Nobody reads it."""
+
+    def ask(self, why: str) -> Choice:
+        """Nobody answers."""
+        return Choice.ABORT
+
+    def keys(self) -> bytes:
+        """Nobody presses any."""
+        return b""
+
+
+class Stream:
+    """One program on its way through a connection.
+
+    by_line: one line at a time. keep_going: lines that are refused do not stop it.
+    """
+
+    def __init__(
+        self,
+        connection: Connection,
+        lines: Sequence[Line],
+        view: View,
+        by_line: bool = False,
+        keep_going: bool = False,
+    ) -> None:
+        self.report = Report()
+        self._connection = connection
+        self._lines = lines
+        self._view = view
+        self._by_line = by_line
+        self._keep_going = keep_going
+        self._sent = 0
+        self._unanswered: deque[int] = deque()  # their lengths
+        self._polled = 0.0
+        self._rests = 0  # status reports in a row, behind the last answer, that say it is at rest
+        self._why_hold = ""
+        self._asking = False
+        self._told = ""  # the state that the user has been told of
+        self._held_by_key = False
+
+    def interrupt(self, number: int = signal.SIGINT) -> None:
+        """Hold the machine at once. May be called from a signal handler.
+
+        Ctrl-C asks what next; any other signal ends the program, for nobody may be there.
+        """
+        self._connection.write(FEED_HOLD)
+        self._why_hold = "Ctrl-C"
+        if number != signal.SIGINT:
+            self.report.signal = number
+            self._why_hold = signal.Signals(number).name
+        if self._asking:
+            raise KeyboardInterrupt
+
+    def run(self) -> Report:
+        """Send everything and wait until the machine is at rest."""
+        try:
+            self._stream()
+        except SendError as error:
+            self.report.stopped = str(error)
+            self.report.lost = True
+        except BaseException:
+            self._connection.write(FEED_HOLD)
+            raise
+        return self.report
+
+    def _stream(self) -> None:
+        self._connection.status = ""
+        try:
+            while not self.report.stopped and not self._finished():
+                self._turn()
+        except OSError as error:  # a full disk, a pipe that nobody reads any more
+            self._connection.write(FEED_HOLD)
+            self._view = _Mute()
+            self._why_hold = f"what happens cannot be shown ({error.strerror})"
+            self._hold()
+
+    def _turn(self) -> None:
+        if not self._why_hold:
+            self._fill()
+        self._poll()
+        for line in self._connection.lines():
+            self._handle(line)
+        self._press(self._view.keys())
+        if self._why_hold:
+            self._hold()
+
+    def _press(self, keys: bytes) -> None:
+        if not self._connection.takes_overrides:
+            keys = bytes(byte for byte in keys if byte < 0x80)
+        if keys:
+            self._held_by_key |= FEED_HOLD in keys
+            self._connection.write(keys)
+
+    def _finished(self) -> bool:
+        """All is answered, and two status reports behind that say so, too: the first may have come
+        before the last motion began."""
+        return self._all_answered() and self._rests >= 2
+
+    def _all_answered(self) -> bool:
+        return self._sent == len(self._lines) and not self._unanswered
+
+    def _fill(self) -> None:
+        while self._sent < len(self._lines):
+            line = self._lines[self._sent].data + b"\n"
+            if self._unanswered and not self._fits(len(line)):
+                return
+            self._connection.write(line)
+            self._unanswered.append(len(line))
+            self._sent += 1
+
+    def _fits(self, length: int) -> bool:
+        return not self._by_line and sum(self._unanswered) + length <= self._connection.window
+
+    def _poll(self) -> None:
+        now = time.monotonic()
+        if now - self._polled >= POLL_S:
+            self._polled = now
+            self._connection.write(STATUS)
+        if now - self._connection.heard >= _SILENCE_S:
+            self._connection.heard = now
+            self._view.message(f"the machine has said nothing for {_SILENCE_S:g} s")
+
+    def _handle(self, line: str) -> None:
+        report = self.report
+        if is_answer(line) and self._unanswered:
+            self._answered(line)
+        elif line.startswith("ALARM:"):
+            report.stopped = f"{line}: {meaning(line)}"
+            report.state = "Alarm"
+        elif line.startswith("Grbl "):
+            report.stopped = "the controller was reset"
+        elif line.startswith("<"):
+            self._rests = self._rests + 1 if self._connection.state() in _ENDED else 0
+            self._note_place()
+            self._view.progress(report.answered, line)
+            self._tell_state(self._connection.state())
+        elif line:
+            self._view.message(line)
+
+    def _answered(self, answer: str) -> None:
+        self._unanswered.popleft()
+        self._connection.status = ""  # it may be older than the answer
+        self._rests = 0
+        line = self._lines[self.report.answered]
+        self.report.answered += 1
+        self.report.line = line.number
+        if answer == "ok":
+            return
+        self.report.errors.append((line.number, answer))
+        name = f"line {line.number}" if line.number else "on the way there"
+        self._view.message(f"{name}: {line.text}: {answer}: {meaning(answer)}")
+        if not self._keep_going and not self._why_hold:
+            self._connection.write(FEED_HOLD)
+            self._why_hold = f"{name} was refused"
+
+    def _note_place(self) -> None:
+        self.report.state = self._connection.state() or self.report.state
+        if place := self._connection.place():
+            self.report.place = place
+            self.report.place_line = self.report.line
+            self.report.blocks_left = self._connection.blocks_left()
+
+    def _tell_state(self, state: str) -> None:
+        """Say why nothing moves, once."""
+        if state == "Sleep" and not self._all_answered():
+            self.report.stopped = f"the machine has gone to sleep: {way_out(state)}"
+        if not is_deaf(state) or self._why_hold:
+            self._told = ""
+            self._held_by_key = False
+        elif state.partition(":")[0] != self._told:
+            self._told = state.partition(":")[0]
+            self._view.message(self._pause() or f"the machine is in {state}: {way_out(state)}")
+
+    def _pause(self) -> str:
+        """What the program wants, where it has paused the machine by M0."""
+        if not self._unanswered or self._held_by_key:
+            return ""
+        line = self._lines[self.report.answered]
+        if not _PAUSE.search(without_comments(line.data).replace(b" ", b"")):
+            return ""
+        words = comment(line.text.encode("utf-8"))
+        wish = f": {words}" if words else ""
+        return f"line {line.number}: M0 pauses{wish} (~ or the start button goes on)"
+
+    def _hold(self) -> None:
+        """Come to rest before anything else: Grbl ignores a cycle start and loses steps at a reset
+        as long as the machine moves.
+        """
+        self._connection.wait_for(self._is_at_rest, _HOLD_S)
+        if self.report.stopped:
+            return
+        choice = Choice.ABORT if self.report.signal else self._ask(self._why_hold)
+        if choice is Choice.ABORT:
+            self._give_up()
+            return
+        self._keep_going |= choice is Choice.KEEP_GOING
+        self._why_hold = ""
+        self._connection.write(CYCLE_START)
+
+    def _ask(self, why: str) -> Choice:
+        self._asking = True
+        try:
+            return self._view.ask(why)
+        except KeyboardInterrupt:
+            return Choice.ABORT
+        finally:
+            self._asking = False
+
+    def _give_up(self) -> None:
+        """Reset: the tool goes off, and what is in Grbl's buffers is forgotten."""
+        self.report.stopped = self._why_hold
+        self._connection.write(RESET)
+        self._connection.status = ""
+        self._connection.wait_for(lambda line: line.startswith("Grbl "), _RESET_S)
+        self._connection.wait_for(lambda line: line.startswith("<"), _RESET_S)
+        self.report.state = self._connection.state()
+
+    def _is_at_rest(self, line: str) -> bool:
+        self._handle(line)
+        if self.report.stopped:
+            return True
+        return line.startswith("<") and self._connection.at_rest()
+
+
+@contextmanager
+def stopping_signals(stream: Stream) -> Iterator[None]:
+    """Within this, Ctrl-C, a closed terminal and SIGTERM hold the machine first of all."""
+
+    terminals = [number for number in range(3) if os.isatty(number)]
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        if signal.Signals(number).name == "SIGHUP":
+            _leave(terminals)
+        stream.interrupt(number)
+
+    before = {}
+    for name in _SIGNALS:
+        number = getattr(signal, name, None)  # Windows has no SIGHUP
+        if number and signal.getsignal(number) is not signal.SIG_IGN:  # as nohup leaves it
+            before[number] = signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _leave(terminals: Sequence[int]) -> None:
+    """A terminal has been closed: to write to it would fail, and there is a machine to stop."""
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for number in terminals:
+        os.dup2(nothing, number)

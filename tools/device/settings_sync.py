@@ -1,0 +1,83 @@
+"""Settings to and from a Grbl on a port."""
+
+from collections.abc import Callable, Sequence
+
+from ..grbl.messages import meaning
+from ..grbl.settings_file import Change, Firmware, Settings, changes
+from .connection import BAUD, Connection, SendError, way_out
+
+_ANSWER_S = 5.0
+# States in which Grbl answers all questions about itself.
+QUIET = ("Idle", "Alarm")
+_SOFT_LIMITS = 20
+
+
+class Refused(Exception):
+    """What the machine would not take: (change, its reply) each."""
+
+    def __init__(self, refusals: Sequence[tuple[Change, str]]) -> None:
+        super().__init__(
+            "; ".join(f"${c.number}={c.after}: {r}: {meaning(r)}" for c, r in refusals)
+        )
+        self.refusals = refusals
+
+
+def connect(port: str, baud: int = BAUD) -> Connection:
+    """A Grbl that listens, in whatever state it is."""
+    connection = Connection(port, baud)
+    if not connection.wait_for(lambda line: line.startswith("<"), _ANSWER_S):
+        connection.close()
+        raise SendError(f"no Grbl answers on {port}; `ugrbl doctor --port {port}` may know why")
+    return connection
+
+
+def pull(connection: Connection) -> Settings:
+    """Read everything. SendError where the machine is in no state to tell."""
+    state = connection.state()
+    if state and state not in QUIET:
+        raise SendError(f"the machine is in {state} and does not tell: {way_out(state)} first")
+    info = _ask(connection, "$I")
+    values = _ask(connection, "$$")
+    settings = Settings.read("\n".join(line for line in values if line.startswith("$")))
+    settings.firmware = Firmware.read(info)
+    return settings
+
+
+def push(
+    connection: Connection, todo: Sequence[Change], progress: Callable[[Change], None]
+) -> None:
+    """Write, and see that it has been taken. Refused tells of what has not; the rest has been.
+
+    A value may be refused as long as another is what it was ($20 wants $22, a rate may be too
+    high for a resolution), so what is refused is tried again after the others.
+    """
+    left = sorted(todo, key=lambda change: (change.number == _SOFT_LIMITS, change.number))
+    while left:
+        refused: list[tuple[Change, str]] = []
+        for change in left:
+            reply = connection.ask(f"${change.number}={change.after}")[-1]
+            if reply == "ok":
+                progress(change)
+            else:
+                refused.append((change, reply))
+        if len(refused) == len(left):
+            raise Refused(refused)
+        left = [change for change, _ in refused]
+    wanted = {change.number: change.after for change in todo}
+    other = changes(pull(connection).values, wanted)
+    if other:
+        raise Refused([(change, f"it says {change.before}") for change in other])
+
+
+def factory(connection: Connection) -> None:
+    """Everything back to what the firmware was built with ($RST=$); it starts anew then."""
+    connection.write(b"$RST=$\n")
+    if not connection.wait_for(lambda line: line.startswith("Grbl "), _ANSWER_S):
+        raise SendError("the machine did not restore its settings: is it at rest?")
+
+
+def _ask(connection: Connection, line: str) -> list[str]:
+    replies = connection.ask(line)
+    if replies[-1] != "ok":
+        raise SendError(f"{line}: {replies[-1]}: {meaning(replies[-1])}")
+    return replies

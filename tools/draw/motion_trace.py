@@ -1,0 +1,199 @@
+"""What a machine does from segment to segment: place, speed, acceleration, step rate, power.
+
+And for which line of the program. A long job has millions of segments, so all is in arrays.
+"""
+
+from array import array
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..run import machine
+from ..run.program import Result, watch_program
+from ..run.recorder import Recorder, replace_method
+
+if TYPE_CHECKING:
+    from ..sim.rig import Rig
+
+LETTERS = "XYZABC"
+# Between two segments so far apart the machine has stood still.
+_REST_S = 1e-6
+
+# Of a program of so many lines, segments of 40 ms in place of Grbl's 10 are enough.
+_MANY_LINES = 50_000
+_COARSE = 4
+
+Column = NDArray[np.float64] | NDArray[np.float32]
+
+
+def _column(kind: str) -> "array[float]":
+    return array(kind)
+
+
+@dataclass
+class Motion:
+    """Columns of equal length, a row per segment; at rest, a row at each end of it.
+
+    speed is that at the end of the segment, along the path; power the tool's, from 0 to 1.
+    Per axis, and made when asked for: acceleration and step rate, without sign, as the settings
+    limit them.
+    """
+
+    time_s: "array[float]" = field(default_factory=lambda: _column("d"))
+    place: "list[array[float]]" = field(default_factory=lambda: [_column("f") for _ in range(3)])
+    speed_mm_s: "array[float]" = field(default_factory=lambda: _column("f"))
+    power: "array[float]" = field(default_factory=lambda: _column("f"))
+    block: "array[int]" = field(default_factory=lambda: array("i"))
+    # A row per block of the planner; block 0 is rest.
+    line: "array[int]" = field(default_factory=lambda: array("i"))
+    rapid: "array[int]" = field(default_factory=lambda: array("b"))
+    steps_per_mm: "list[array[float]]" = field(default_factory=list)  # of path, by motor
+    share: "list[array[float]]" = field(default_factory=list)  # of a mm of path, by axis
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @property
+    def seconds(self) -> Column:
+        """How long each segment took."""
+        return np.diff(np.frombuffer(self.time_s), prepend=self.time_s[0])
+
+    @property
+    def lines(self) -> NDArray[np.int32]:
+        """The line of the program that each segment is for; 0 at rest."""
+        return np.asarray(_view(self.line)[_view(self.block)], np.int32)
+
+    @property
+    def rapids(self) -> NDArray[np.bool_]:
+        """Which segments belong to rapids."""
+        return np.asarray(_view(self.rapid)[_view(self.block)], bool)
+
+    @property
+    def points(self) -> NDArray[np.float32]:
+        """X, Y and Z in mm."""
+        return np.column_stack([_view(column) for column in self.place])
+
+    def axes(self) -> range:
+        """The numbers of all axes."""
+        return range(len(self.share))
+
+    def acceleration(self, axis: int) -> Column:
+        """In mm/s2."""
+        seconds = self.seconds
+        change = np.abs(np.diff(_view(self.speed_mm_s), prepend=np.float32(0)))
+        along = np.divide(change, seconds, out=np.zeros(len(self)), where=seconds > 0)
+        return np.asarray(along * _view(self.share[axis])[_view(self.block)])
+
+    def step_hz(self, motor: int) -> Column:
+        """Steps a second."""
+        per_mm = _view(self.steps_per_mm[motor])[_view(self.block)]
+        return np.asarray(per_mm * _view(self.speed_mm_s))
+
+
+def _view(column: "array[float] | array[int]") -> "NDArray[np.float32]":
+    """The array as numpy sees it, not copied."""
+    return np.frombuffer(column, column.typecode)
+
+
+class MotionTrace(Recorder):
+    """A Recorder that also knows how fast the firmware meant each segment to be.
+
+    Speeds come from the segments' maker and not from the steps: at 250 steps/mm, the steps of
+    10 ms tell an acceleration to no better than 40 mm/s2.
+    """
+
+    def __init__(self, rig: "Rig") -> None:
+        super().__init__(rig)
+        per_motor, per_axis = ([_column("f") for _ in self._axes] for _ in range(2))
+        self.motion = Motion(steps_per_mm=per_motor, share=per_axis)
+        self._begun_at = 0
+        self._blocks: dict[int, int] = {}  # of the trace, by the row of the planner's ring
+        self._plans: dict[int, tuple[float, int]] = {}  # speed and block, by the segment's row
+        self._port = rig.port
+        self._add_block(0, False, [0.0 for _ in self._axes])
+
+    def start_clock(self) -> None:
+        """The work begins now; what was before is forgotten."""
+        super().start_clock()
+        self._begun_at = self._rig.now
+        self._add(0.0, 0.0, 0, self._to_mm(self._place))
+
+    def _attach(self) -> None:
+        super()._attach()
+        from motion.reals import value
+
+        self._value = value
+        self._segments = self._rig.controller.segments
+        self._next = replace_method(self._segments, "next", self._noted)
+
+    def _note(self, row: int) -> None:
+        super()._note(row)
+        kernels, ring = self._kernels, self._planner.ring
+        at = row * self._planner.flow[kernels.ROW_SIZE]
+        length = self._value(ring[at + kernels.LENGTH]) or 1.0
+        steps = ring[at + kernels.STEPS : at + kernels.STEPS + len(self._axes)]
+        dirs, flags = ring[at + kernels.DIRS], ring[at + kernels.FLAGS]
+        per_mm = [(-n if dirs >> i & 1 else n) / length for i, n in enumerate(steps)]
+        self._blocks[at] = len(self.motion.line)
+        rapid = bool(flags & (kernels.RAPID_MOTION | kernels.SYSTEM_MOTION))
+        self._add_block(self._rig.link.now_at(), rapid, per_mm)
+
+    def _add_block(self, line: int, rapid: bool, per_mm: Sequence[float]) -> None:
+        motion = self.motion
+        motion.line.append(line)
+        motion.rapid.append(rapid)
+        for steps, mm in zip(motion.steps_per_mm, per_mm, strict=True):
+            steps.append(abs(mm))
+        for share, mm in zip(motion.share, self._to_mm(per_mm), strict=True):
+            share.append(abs(mm))
+
+    def _noted(self, row: "array[int]") -> int:
+        """Stand in for Segments.next: note the speed of what it makes, and of which block."""
+        made = int(self._next(row))
+        if made:
+            at = self._planner.flow[self._kernels.AT]
+            self._plans[id(row)] = (self._segments.rate_mm_min() / 60, self._blocks.get(at, 0))
+        return made
+
+    def _moved(self, start: int, row: "array[int]", at: Sequence[float]) -> None:
+        if not self.motion.time_s:
+            self._begun_at = start
+            self._add(0.0, 0.0, 0, [0.0 for _ in self._axes])
+        hz = self._rig.engine.tick_hz
+        speed, block = self._plans.get(id(row), (0.0, 0))
+        begin = (start - self._begun_at) / hz
+        motion = self.motion
+        if len(motion) and begin - motion.time_s[-1] > _REST_S:
+            last = [column[-1] for column in motion.place]
+            self._add(motion.time_s[-1], 0.0, 0, last)
+            self._add(begin, 0.0, 0, last)
+        self._add(begin + row[self._kernels.ROW_TICKS] / hz, speed, block, at)
+
+    def _add(self, time_s: float, speed: float, block: int, at: Sequence[float]) -> None:
+        motion, port = self.motion, self._port
+        motion.time_s.append(time_s)
+        motion.speed_mm_s.append(speed)
+        motion.power.append(port.spindle_pwm / port.pwm_max if port.spindle_on else 0.0)
+        motion.block.append(block)
+        for column, mm in zip(motion.place, at, strict=False):
+            column.append(mm)
+
+
+def trace_program(
+    lines: Sequence[bytes],
+    *,
+    board: str = machine.DEFAULT_BOARD,
+    settings: Sequence[str] = (),
+    check: bool = False,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[Result, MotionTrace]:
+    """Run a program as run.run_program does, and follow every segment.
+
+    In a long one segments are longer where lines are: its steps, path and time are the same.
+    """
+    commands = (*settings, *(["$C"] if check else []))
+    coarse = _COARSE if len(lines) > _MANY_LINES else 1
+    return watch_program(lines, MotionTrace, board, commands, progress, coarse)

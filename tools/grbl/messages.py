@@ -1,0 +1,49 @@
+"""What Grbl's numbers mean, in words: `error:20`, `ALARM:1`.
+
+The words are the comments in firmware/base/errors.py, and in extras that have alarms.
+"""
+
+import re
+from functools import cache
+
+from ..paths import FIRMWARE
+
+_ROW = re.compile(r"((?:^#.*\n)+)^(ALARM_)?[A-Z_]\w* = const\((\d+)\)", re.MULTILINE)
+_REPLY = re.compile(r"(error|ALARM):(\d+)")
+
+
+@cache
+def _table() -> dict[tuple[str, int], str]:
+    errors = (FIRMWARE / "base" / "errors.py").read_text(encoding="utf-8")
+    found = {
+        ("ALARM" if alarm else "error", int(number)): _words(comment)
+        for comment, alarm, number in _ROW.findall(errors)
+    }
+    for file in sorted((FIRMWARE / "extras").glob("*.py")):
+        for comment, alarm, number in _ROW.findall(file.read_text(encoding="utf-8")):
+            if alarm:
+                found["ALARM", int(number)] = _words(comment)
+    return found
+
+
+def _words(comment: str) -> str:
+    return " ".join(line.lstrip("# ") for line in comment.splitlines())
+
+
+def errors() -> dict[int, str]:
+    """Every error number with its meaning."""
+    return {number: words for (kind, number), words in _table().items() if kind == "error"}
+
+
+def alarms() -> dict[int, str]:
+    """Every alarm number with its meaning."""
+    return {number: words for (kind, number), words in _table().items() if kind == "ALARM"}
+
+
+def meaning(reply: str) -> str:
+    """The meaning of a reply such as `error:20` or `ALARM:1`."""
+    if ": " in reply:
+        return reply.partition(": ")[2]  # Grbl 0.9 says it itself
+    match = _REPLY.fullmatch(reply)
+    key = (match[1], int(match[2])) if match else ("", 0)
+    return _table().get(key, "not a number of Grbl 1.1")

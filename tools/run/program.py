@@ -1,0 +1,283 @@
+"""A program through the firmware in virtual time, as fast as the computer can."""
+
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from ..grbl.gcode_file import CYCLE_START, RESET, has_realtime, is_answer
+from . import machine
+from .recorder import Recorder, Totals
+
+if TYPE_CHECKING:
+    from ..sim.rig import Rig
+
+_Watcher = TypeVar("_Watcher", bound=Recorder)
+
+# Bytes sent and not yet answered: what senders allow themselves.
+_WINDOW = 127
+# A line longer than that is handed over in pieces, so that the firmware can make room.
+_PIECE = 64
+# Reads that may find nothing before the firmware is taken to wait for the machine.
+_LOOKS = 3
+# A held machine is told again to go on after so long.
+_RESUME_MS = 500
+_PROGRESS_LINES = 100
+# Nothing moved and nothing was answered for so long: it never will be.
+_STALLED_MS = 6 * 3600 * 1000
+
+
+@dataclass
+class Result:
+    """What came of a program. Lines count from 1."""
+
+    lines: int = 0  # answered
+    errors: list[tuple[int, str]] = field(default_factory=list)
+    other_output: list[tuple[int, str]] = field(default_factory=list)
+    final_state: str = ""
+    pauses: list[int] = field(default_factory=list)
+    resets: list[int] = field(default_factory=list)  # lines with a Ctrl-X
+    stopped: str = ""  # why it could not finish, if it could not
+    totals: Totals = field(default_factory=Totals)
+
+    def as_json(self) -> dict[str, Any]:
+        """As `ugrbl run --json` writes it."""
+        return {
+            "lines": self.lines,
+            "errors": self.errors,
+            **vars(self.totals),
+            "final_state": self.final_state,
+            "other_output": self.other_output,
+            "pauses": self.pauses,
+            "resets": self.resets,
+            "stopped": self.stopped,
+        }
+
+
+# What the sender does next: a line of the program (from 1; 0 is none of it), or wait for rest.
+Step = tuple[int, bytes] | None
+
+
+class ProgramLink(machine.UntimedLink):
+    """A Link whose sender has a whole program at hand, on a wire without delay.
+
+    It keeps the firmware's receive buffer full, answers a hold with a cycle start, and
+    switches the machine off when its script ends.
+    """
+
+    def __init__(self, rig: "Rig", script: Callable[["ProgramLink"], Iterator[Step]]) -> None:
+        self.rig = rig
+        self.result = Result()
+        self.replies: list[str] = []  # to lines that are none of the program
+        self._greeted = False
+        self._script = script(self)
+        self._step: Step = None
+        self._unanswered: deque[tuple[int, int]] = deque()  # line number, bytes
+        self._unanswered_bytes = 0
+        self._alone = False  # what was sent last is to be answered before anything else is sent
+        self._last = 0  # line answered last
+        self._out = bytearray()
+        self._in = ""
+        self._looks = 0
+        self.news: int = rig.now  # tick at which something last happened
+        self._resume_at = 0
+
+    # The Link seam
+
+    def read_into(self, buf: bytearray) -> int:
+        """The next lines; time passes where the firmware has no use for any."""
+        if self._greeted and not self._out:
+            self._fetch()
+        if not self._out:
+            self._looks += 1
+            if self._looks > _LOOKS:
+                self._pass_time()
+            return 0
+        self._looks = 0
+        count = min(len(buf), len(self._out), _PIECE if len(self._out) > _WINDOW else _WINDOW)
+        buf[:count] = self._out[:count]
+        del self._out[:count]
+        return count
+
+    def write(self, data: "bytes | bytearray | memoryview") -> None:
+        """What the firmware says."""
+        self._looks = 0
+        self._in += bytes(data).decode("latin-1")
+        *lines, self._in = self._in.split("\r\n")
+        for line in lines:
+            self._receive(line)
+
+    # What comes back
+
+    def _receive(self, line: str) -> None:
+        self.news = self.rig.now
+        if self.result.stopped:
+            return  # lines already handed over are refused in alarm; that is no news
+        if is_answer(line):
+            if self._unanswered:
+                self._answer(line)
+        elif line.startswith("Grbl "):
+            self._greeted = True
+            self._unanswered.clear()
+            self._unanswered_bytes = 0
+        elif line:
+            self._other(line)
+
+    def _answer(self, line: str) -> None:
+        self._last, length = self._unanswered.popleft()
+        self._unanswered_bytes -= length
+        if self._last == 0:
+            self.replies.append(line)
+            return
+        self.result.lines += 1
+        if line != "ok":
+            self.result.errors.append((self._last, line))
+
+    def _other(self, line: str) -> None:
+        if self.now_at() == 0:
+            self.replies.append(line)
+        else:
+            self.result.other_output.append((self.now_at(), line))
+        if line.startswith("ALARM:"):
+            self.stop(line)
+
+    def now_at(self) -> int:
+        """The line of the program that is being interpreted; 0 for none of it."""
+        return self._unanswered[0][0] if self._unanswered else self._last
+
+    # What goes out
+
+    def _fetch(self) -> None:
+        """Put as many lines into _out as the firmware can take."""
+        if self.result.stopped:
+            self.rig.power_off()
+        while self._step is not None or self.at_rest():
+            if self._step is not None:
+                if not self._fits(self._step[1]):
+                    return
+                self._send(*self._step)
+            try:
+                self._step = next(self._script)
+            except StopIteration:
+                self.rig.power_off()
+
+    def _fits(self, line: bytes) -> bool:
+        if not self._unanswered:
+            return True
+        if self._alone or has_realtime(line):
+            return False
+        return self._unanswered_bytes + len(line) < _WINDOW
+
+    def _send(self, number: int, line: bytes) -> None:
+        self._out += line + b"\n"
+        self._unanswered.append((number, len(line) + 1))
+        self._unanswered_bytes += len(line) + 1
+        self._alone = has_realtime(line)
+        if RESET in line and number:
+            self.result.resets.append(number)
+
+    def stop(self, why: str) -> None:
+        """Send nothing more."""
+        if not self.result.stopped:
+            self.result.stopped = why
+
+    def at_rest(self) -> bool:
+        """Everything is answered and nothing moves, nor is it about to."""
+        from base import state
+
+        rig = self.rig
+        if self._unanswered or rig.moving() or not rig.controller.planner.empty():
+            return False
+        return rig.controller.state.run in (state.IDLE, state.CHECK, state.ALARM)
+
+    # Time
+
+    def _pass_time(self) -> None:
+        from base import state
+
+        rig = self.rig
+        run = rig.controller.state.run
+        if rig.moving():
+            self.news = rig.now
+        elif run & (state.HOLD | state.DOOR) and rig.now >= self._resume_at:
+            self._resume()
+            return
+        elif run == state.SLEEP:
+            self.stop("asleep ($SLP)")
+        elif rig.now - self.news > _STALLED_MS * rig.ticks_per_ms:
+            self.stop("nothing happens any more")
+        rig.skip()
+
+    def _resume(self) -> None:
+        self._out += CYCLE_START
+        self._resume_at = self.rig.ms(_RESUME_MS)
+        if self.now_at() not in self.result.pauses[-1:]:
+            self.result.pauses.append(self.now_at())
+
+
+def run_program(
+    lines: Sequence[bytes],
+    *,
+    board: str = machine.DEFAULT_BOARD,
+    settings: Sequence[str] = (),
+    check: bool = False,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[Result, Recorder]:
+    """Run a program on a machine fresh from the factory. settings: lines such as `$110=6000`.
+
+    progress is told, now and then, how many lines have been sent.
+    """
+    commands = (*settings, *(["$C"] if check else []))
+    return watch_program(lines, Recorder, board, commands, progress)
+
+
+def watch_program(
+    lines: Sequence[bytes],
+    watcher: "Callable[[Rig], _Watcher]",
+    board: str,
+    commands: Sequence[str],
+    progress: Callable[[int], None] | None,
+    coarse: int = 1,
+) -> tuple[Result, _Watcher]:
+    """Run a program, after commands that have to be accepted, with somebody made to watch.
+
+    coarse: see Rig.
+    """
+
+    def script(link: ProgramLink) -> Iterator[Step]:
+        if not (yield from _prepare(link, commands)):
+            return
+        watching.start_clock()
+        for number, line in enumerate(lines, 1):
+            yield number, line
+            if progress and number % _PROGRESS_LINES == 0:
+                progress(number)
+        yield None
+        watching.stop_clock(link.news)
+        link.replies.clear()
+        yield 0, b"$G"
+        yield None
+        link.result.final_state = next((r for r in link.replies if r.startswith("[G")), "")
+
+    rig = machine.build(board, lambda rig: ProgramLink(rig, script), coarse=coarse)
+    watching = watcher(rig)
+    machine.run(rig)
+    result: Result = rig.link.result
+    result.totals = watching.totals()
+    return result, watching
+
+
+def _prepare(link: ProgramLink, commands: Sequence[str]) -> Generator[Step, None, bool]:
+    """Unlock the machine and send it commands. Returns whether it took them all."""
+    from base import state
+
+    if link.rig.controller.state.run == state.ALARM:
+        yield 0, b"$X"
+    for command in commands:
+        link.replies.clear()
+        yield 0, command.encode("latin-1")
+        yield None
+        if link.replies[-1] != "ok":
+            link.stop(f"{command} was refused with {link.replies[-1]}")
+            return False
+    return True

@@ -1,0 +1,193 @@
+"""Counts what a simulated machine was told to do and what its motors did."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from math import hypot
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:
+    from array import array
+
+    from ..sim.rig import Rig
+
+_Value = TypeVar("_Value")
+
+_LETTERS = "XYZABC"
+
+
+@dataclass
+class Totals:
+    """What a machine has done, ready for JSON."""
+
+    time_s: float = 0.0
+    distance_mm: float = 0.0
+    steps_planned: dict[str, int] = field(default_factory=dict)
+    steps_made: dict[str, int] = field(default_factory=dict)
+    bounds_mm: dict[str, tuple[float, float]] = field(default_factory=dict)
+    final_position_mm: dict[str, float] = field(default_factory=dict)
+
+    def save(self, path: Path) -> None:
+        """Write them as JSON."""
+        path.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: Path) -> "Totals":
+        """Read what save() has written."""
+        return cls(**json.loads(path.read_text(encoding="utf-8")))
+
+
+class Recorder:
+    """Watches a rig. Make it before the rig runs.
+
+    Steps count in either direction. Places are machine positions. Time counts from the first
+    step to the last, or from start_clock() to stop_clock().
+    """
+
+    def __init__(self, rig: "Rig") -> None:
+        from motion import kernels
+
+        self._rig = rig
+        self._kernels = kernels
+        self._axes = range(len(rig.board.STEP))
+        self._corexy = getattr(rig.board, "COREXY", False)
+        self._planned = [0 for _ in self._axes]
+        self._made = [0 for _ in self._axes]
+        self._distance_mm = 0.0
+        self._place = [0 for _ in self._axes]  # steps per motor, as the firmware counts
+        self._mm_per_step = [0.0 for _ in self._axes]
+        self._low = [0.0 for _ in self._axes]
+        self._high = [0.0 for _ in self._axes]
+        self._begun: int | None = None
+        self._ended = 0
+        self.marks: list[Sequence[float]] = []  # where a punch has made a hole, in mm
+        if hasattr(rig.port, "on_hole"):
+            rig.port.on_hole = self._mark
+        rig.on_built = self._attach
+        rig.engine.trace = self._segment
+        self._is_on = True
+        self._set_position = replace_method(rig.engine, "set_position", self._rename)
+        self._power_off = replace_method(rig.engine, "power_off", self._switch_off)
+
+    def start_clock(self) -> None:
+        """The work begins now."""
+        self._begun = self._ended = self._rig.now
+
+    def stop_clock(self, tick: int) -> None:
+        """The work has taken until then, or until the last step if that came later."""
+        self._ended = max(self._ended, tick)
+
+    def totals(self) -> Totals:
+        """Everything up to now."""
+        bounds = list(zip(self._low, self._high, strict=True))
+        ticks = 0 if self._begun is None else self._ended - self._begun
+        return Totals(
+            ticks / self._rig.engine.tick_hz,
+            round(self._distance_mm, 4),
+            self._by_letter(self._planned),
+            self._by_letter(self._made),
+            self._by_letter([(round(low, 4), round(high, 4)) for low, high in bounds]),
+            self._by_letter([round(mm, 4) for mm in self._to_mm(self._place)]),
+        )
+
+    def _attach(self) -> None:
+        """Called by the rig once the controller is built: follow what is planned."""
+        from motion.kernels import SYSTEM_MOTION
+
+        controller = self._rig.controller
+        self._system_motion = SYSTEM_MOTION
+        self._planner = controller.planner
+        self._settings = controller.settings
+        self._plan = replace_method(self._planner, "line", self._line)
+        self._follow_plain = replace_method(controller.interpreter.fast, "follow", self._follow)
+
+    def _by_letter(self, values: Sequence[_Value]) -> dict[str, _Value]:
+        return dict(zip(_LETTERS, values, strict=False))
+
+    def _line(self, target: Any, move: Any, power: int) -> bool:
+        """Stand in for Planner.line: what it adds to its ring is what will be stepped."""
+        kernels, flow = self._kernels, self._planner.flow
+        row = flow[kernels.ROWS if move.flags & self._system_motion else kernels.HEAD]
+        if not self._plan(target, move, power):
+            return False
+        self._note(row)
+        return True
+
+    def _follow(self, line: bytearray, length: int) -> int:
+        """Stand in for Plain.follow, which adds to the ring by itself."""
+        head = self._kernels.HEAD
+        row = self._planner.flow[head]
+        done: int = self._follow_plain(line, length)
+        if self._planner.flow[head] != row:
+            self._note(row)
+        return done
+
+    def _note(self, row: int) -> None:
+        """A row of the ring has been planned."""
+        kernels = self._kernels
+        at = row * self._planner.flow[kernels.ROW_SIZE]
+        steps = self._planner.ring[at + kernels.STEPS :][: len(self._axes)]
+        dirs = self._planner.ring[at + kernels.DIRS]
+        for i in self._axes:
+            self._planned[i] += steps[i]
+        self._mm_per_step = [1 / (resolution or 1.0) for resolution in self._settings.steps_per_mm]
+        signed = [-n if dirs >> i & 1 else n for i, n in enumerate(steps)]
+        self._distance_mm += hypot(*self._to_mm(signed))
+
+    def _segment(self, start: int, row: "array[int]") -> None:
+        """Called by the engine for every segment played, with the steps really made."""
+        kernels = self._kernels
+        if self._begun is None:
+            self._begun = start
+        self._ended = start + row[kernels.ROW_TICKS]
+        dirs = row[kernels.ROW_DIRS] ^ self._rig.engine.dir_invert  # as the firmware means them
+        for i in self._axes:
+            count = row[kernels.ROW_AXES + kernels.ROW_STRIDE * i]
+            self._made[i] += count
+            self._place[i] += -count if dirs >> i & 1 else count
+        at = self._to_mm(self._place)
+        self._extend(at)
+        self._moved(start, row, at)
+
+    def _moved(self, start: int, row: "array[int]", at: Sequence[float]) -> None:
+        """A segment has ended there, in mm: for those who want to know more."""
+
+    def _mark(self) -> None:
+        """The punch is down."""
+        self.marks.append(self._to_mm(self._place))
+
+    def _rename(self, steps: "array[int]") -> None:
+        """Stand in for StepEngine.set_position: the same place has another number from now on."""
+        self._set_position(steps)
+        if self._is_on:
+            self._place = list(steps)
+            self._extend(self._to_mm(self._place))
+
+    def _switch_off(self) -> None:
+        """Stand in for SimEngine.power_off: a count that begins at 0 again is no way to 0."""
+        self._is_on = False
+        self._power_off()
+        self._is_on = True
+
+    def _extend(self, at: Sequence[float]) -> None:
+        low, high = self._low, self._high
+        for i, mm in enumerate(at):
+            if mm < low[i]:
+                low[i] = mm
+            elif mm > high[i]:
+                high[i] = mm
+
+    def _to_mm(self, motors: Sequence[float]) -> list[float]:
+        """Axes in mm from steps of motors."""
+        steps: Sequence[float] = motors
+        if self._corexy:
+            steps = [(motors[0] + motors[1]) / 2, (motors[0] - motors[1]) / 2, *motors[2:]]
+        return [n * mm for n, mm in zip(steps, self._mm_per_step, strict=True)]
+
+
+def replace_method(owner: object, name: str, stand_in: object) -> Any:
+    """Put something else in the place of one object's method; returns the method."""
+    method = getattr(owner, name)
+    setattr(owner, name, stand_in)
+    return method

@@ -1,0 +1,259 @@
+"""A program's rehearsal in the simulator, on a stage like the machine it is for.
+
+check() is quick: check mode, to find what will be refused. Rehearsal makes every step, in a
+process of its own while the program is being sent already, and knows then how long it takes and
+where the machine is when. Run as a program, this is that process: a Job as JSON on stdin, a
+Forecast as JSON on stdout.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from math import dist, inf
+from typing import TYPE_CHECKING, Any
+
+from . import machine
+from .program import ProgramLink, Result, Step
+from .recorder import Recorder
+
+if TYPE_CHECKING:
+    from ..sim.rig import Rig
+
+_ON_PATH_MM = 0.005
+_OFF_PATH_MM = 1.0
+_PROGRESS_LINES = 1000
+
+
+@dataclass
+class Forecast:
+    """What a program will do. Lines count from 1, places are machine positions in mm."""
+
+    answered_s: list[float] = field(default_factory=list)  # when a line is answered
+    block_line: list[int] = field(default_factory=list)  # of each block of the planner
+    block_end: list[list[float]] = field(default_factory=list)
+    start: list[float] = field(default_factory=list)
+    total_s: float = 0.0
+    stopped: str = ""  # why it knows no more
+    at_line: list[str] = field(default_factory=list)  # $G and $# before the line asked for
+
+    def seconds_left(self, line: int) -> float | None:
+        """How long it takes from the moment on at which a line is answered."""
+        if self.stopped or line > len(self.answered_s):
+            return None
+        return self.total_s - (self.answered_s[line - 1] if line else 0.0)
+
+    def line_at(
+        self, answered: int, place: Sequence[float], planned: int, left: int | None
+    ) -> int | None:
+        """The line that was being made when the machine stopped; None where that is not clear.
+
+        answered: the last line answered; planned: blocks that fit into the planner; left: blocks
+        that were in it, where the machine tells. Where the path crosses itself there, the
+        earlier line is taken: to make some of it again is better than to leave some of it out.
+        """
+        end = bisect_right(self.block_line, answered)
+        if left is not None and bisect_right(self.block_line, answered + 1) <= end + 1:
+            return self.block_line[max(0, end - left)] if left and end else answered
+        first = max(0, end - planned - 1)
+        last = bisect_right(self.block_line, answered + 1)
+        near, best = inf, None
+        for block in range(first, last):
+            far = _distance(place[:3], self._begin(block), self.block_end[block])
+            if far < near - _ON_PATH_MM:
+                near, best = far, block
+        if best is None or near > _OFF_PATH_MM:
+            return None
+        return self.block_line[best]
+
+    def place_before(self, line: int) -> list[float]:
+        """Where the tool is when that line begins."""
+        return self._begin(bisect_left(self.block_line, line))
+
+    def highest_mm(self, line: int) -> float:
+        """The highest Z up to there: high enough to get everywhere."""
+        return max(end[2] for end in [self.start, *self.block_end[: self.blocks_before(line)]])
+
+    def blocks_before(self, line: int) -> int:
+        """How many blocks the lines before that one make."""
+        return bisect_left(self.block_line, line)
+
+    def _begin(self, block: int) -> list[float]:
+        return self.block_end[block - 1] if block else self.start
+
+
+def _distance(place: Sequence[float], begin: Sequence[float], end: Sequence[float]) -> float:
+    """From a place to the nearest point of a straight line."""
+    length_sqr = dist(begin, end) ** 2
+    along = 0.0
+    if length_sqr:
+        dot = sum((p - b) * (e - b) for p, b, e in zip(place, begin, end, strict=True))
+        along = min(1.0, max(0.0, dot / length_sqr))
+    nearest = [b + along * (e - b) for b, e in zip(begin, end, strict=True)]
+    return dist(place, nearest)
+
+
+@dataclass
+class Job:
+    """What is to be rehearsed. ask_at: line before which modes and offsets are asked for."""
+
+    lines: list[str]  # in Latin-1
+    commands: list[str]
+    board: str = machine.DEFAULT_BOARD
+    ask_at: int = 0
+    check: bool = False
+
+
+class _Watcher(Recorder):
+    """A Recorder that also notes where each block ends, and which line wants it."""
+
+    def __init__(self, rig: "Rig") -> None:
+        super().__init__(rig)
+        self.forecast = Forecast()
+        self._watching = False
+
+    def begin(self) -> None:
+        """The program is about to be sent."""
+        self.start_clock()
+        self._watching = True
+        self.forecast.start = self._planned_place()
+
+    def _note(self, row: int) -> None:
+        super()._note(row)
+        if self._watching and row != self._planner.flow[self._kernels.ROWS]:
+            self.forecast.block_line.append(self._rig.link.now_at())
+            self.forecast.block_end.append(self._planned_place())
+
+    def _planned_place(self) -> list[float]:
+        """Where the last block ends."""
+        from motion import planner
+
+        controller = self._rig.controller
+        steps = [position - planner._BIAS for position in controller.planner.position]
+        per_mm = controller.settings.steps_per_mm
+        return [round(n / (mm or 1.0), 4) for n, mm in zip(steps[:3], per_mm, strict=False)]
+
+
+class _Link(ProgramLink):
+    """A ProgramLink that knows when each line was answered."""
+
+    def __init__(self, rig: "Rig", script: Callable[[ProgramLink], Iterator[Step]]) -> None:
+        super().__init__(rig, script)
+        self.answered: list[int] = []  # ticks
+
+    def _answer(self, line: str) -> None:
+        super()._answer(line)
+        if self._last:
+            self.answered.append(self.rig.now)
+
+
+def rehearse(job: Job, progress: Callable[[int], None] | None = None) -> tuple[Result, Forecast]:
+    """Run a job. A command for the stage that the simulator refuses is left out."""
+
+    def script(link: ProgramLink) -> Iterator[Step]:
+        from base import state
+
+        if link.rig.controller.state.run == state.ALARM:
+            yield 0, b"$X"
+        for command in [*job.commands, *(["$C"] if job.check else [])]:
+            yield 0, command.encode("latin-1")
+            yield None
+        watcher.begin()
+        for number, line in enumerate(job.lines, 1):
+            if number == job.ask_at:
+                yield from _ask(link, watcher.forecast)
+            yield number, line.encode("latin-1")
+            if progress and number % _PROGRESS_LINES == 0:
+                progress(number)
+        yield None
+        watcher.stop_clock(link.news)
+
+    rig = machine.build(job.board, lambda rig: _Link(rig, script))
+    watcher = _Watcher(rig)
+    begun = rig.now
+    machine.run(rig)
+    link: _Link = rig.link
+    return link.result, _forecast(watcher, link, begun)
+
+
+def _ask(link: ProgramLink, forecast: Forecast) -> Iterator[Step]:
+    yield None
+    link.replies.clear()
+    yield 0, b"$G"
+    yield 0, b"$#"
+    yield None
+    forecast.at_line = [reply for reply in link.replies if reply.startswith("[")]
+
+
+def _forecast(watcher: _Watcher, link: _Link, begun: int) -> Forecast:
+    forecast = watcher.forecast
+    begun = watcher._begun or begun
+    hz = link.rig.engine.tick_hz
+    forecast.answered_s = [round((tick - begun) / hz, 3) for tick in link.answered]
+    forecast.total_s = round(watcher.totals().time_s, 3)
+    forecast.stopped = link.result.stopped
+    return forecast
+
+
+def check(job: Job, progress: Callable[[int], None] | None = None) -> tuple[Result, int]:
+    """What will be refused, and the line at which it stopped, if it did.
+
+    Lines beginning with $ are for a machine that is not in check mode, and left out.
+    """
+    lines = ["" if line.lstrip().startswith("$") else line for line in job.lines]
+    result, _ = rehearse(Job(lines, job.commands, job.board, check=True), progress)
+    return result, result.other_output[-1][0] if result.stopped and result.other_output else 0
+
+
+class Rehearsal:
+    """A job in a process of its own."""
+
+    def __init__(self, job: Job) -> None:
+        self.forecast: Forecast | None = None  # once it is known
+        command = [sys.executable, "-m", f"{__package__}.rehearsal"]
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C is for the sender
+        )
+        self._thread = threading.Thread(target=self._talk, args=(asdict(job),), daemon=True)
+        self._thread.start()
+
+    def wait(self, seconds: float | None = None) -> Forecast | None:
+        """The forecast, as soon as it is there; None where the simulator has failed."""
+        self._thread.join(seconds)
+        return self.forecast
+
+    def close(self) -> None:
+        """It is not needed any more."""
+        self._process.kill()
+        self._thread.join()
+
+    def _talk(self, job: dict[str, Any]) -> None:
+        out, _ = self._process.communicate(json.dumps(job).encode("ascii"))
+        if self._process.returncode == 0:
+            self.forecast = Forecast(**json.loads(out))
+
+
+def main() -> None:
+    """Rehearse what stdin says, when the computer has nothing better to do."""
+    if hasattr(os, "nice"):
+        os.nice(10)
+    parent = os.getppid()
+
+    def needed(line: int) -> None:
+        if os.getppid() != parent:
+            sys.exit("who has asked for it is gone")
+
+    _, forecast = rehearse(Job(**json.load(sys.stdin)), needed)
+    json.dump(asdict(forecast), sys.stdout)
+
+
+if __name__ == "__main__":
+    main()
