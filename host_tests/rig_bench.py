@@ -7,7 +7,7 @@ from typing import Any
 
 from base import state as st
 from laws import Limits, Watch
-from ugrbl.run.machine import load_board
+from ugrbl.boardfile.files import load_board
 from ugrbl.sim.replay import Sender, factory_store
 from ugrbl.sim.rig import Rig
 

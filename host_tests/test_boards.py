@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 from ugrbl.boardfile.board_check import notes, problems
+from ugrbl.boardfile.files import boards, load_board
 from ugrbl.boardfile.new_board import CHIPS
-from ugrbl.run.machine import boards, load_board
 
 REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
 

@@ -13,14 +13,14 @@ from typing import Any
 
 import pytest
 from typer.testing import CliRunner, Result
+from ugrbl.boardfile import files
+from ugrbl.boardfile.files import BoardFileError, boards, load_board
 from ugrbl.cli import deploy as deploy_cli
 from ugrbl.cli import ports
 from ugrbl.cli.app import app
 from ugrbl.compiling import build
-from ugrbl.compiling.build import BuildError
 from ugrbl.device.deploy import LIST, About, DeployError, Running, check_fit, deploy
 from ugrbl.docs import pages
-from ugrbl.run.machine import boards, load_board
 
 REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
 PICO = About(0x1306, "1.28.0", "Raspberry Pi Pico with RP2040")
@@ -34,7 +34,7 @@ def ugrbl(*words: object) -> Result:
 
 @pytest.fixture(scope="module")
 def made() -> build.Build:
-    return build.for_board(build.board_file("rpi_pico"))
+    return build.for_board(files.board_file("rpi_pico"))
 
 
 class FakeBoard:
@@ -174,7 +174,7 @@ def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() ->
 
 def test_main_and_the_board_file_stay_as_they_are(made: build.Build) -> None:
     assert made.files["main.py"] == (build.paths.FIRMWARE / "main.py").read_bytes()
-    assert made.files["board.py"] == build.board_file("rpi_pico").read_bytes()
+    assert made.files["board.py"] == files.board_file("rpi_pico").read_bytes()
     others = set(made.files) - {"main.py", "board.py"}
     assert all(name.endswith(".mpy") for name in others)
     assert build.signature(made) & 0xFF == 6 and build.signature(made) >> 10 == 4  # armv6m
@@ -211,7 +211,7 @@ def test_what_was_built_before_and_is_no_more_goes(tmp_path: Path) -> None:
 
 def board_file(folder: Path, more: str, name: str = "mine") -> Path:
     file = folder / f"{name}.py"
-    file.write_text(build.board_file("rpi_pico").read_text() + more)
+    file.write_text(files.board_file("rpi_pico").read_text() + more)
     return file
 
 
@@ -251,13 +251,13 @@ def test_every_problem_has_a_line_and_nothing_is_built(tmp_path: Path) -> None:
 )
 def test_a_file_that_is_no_board_is_refused(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "mine.py").write_text(text)
-    with pytest.raises(BuildError, match=said):
-        build.for_board(build.board_file(str(tmp_path / "mine.py")))
+    with pytest.raises(BoardFileError, match=said):
+        build.for_board(files.board_file(str(tmp_path / "mine.py")))
 
 
 def test_a_board_file_that_imports_another_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(BuildError, match=r"imports boards\.sim, and is alone on the board"):
-        build.load_board(board_file(tmp_path, "from boards.sim import RX_BYTES\n"))
+    with pytest.raises(BoardFileError, match=r"imports boards\.sim, and is alone on the board"):
+        files.load_for_build(board_file(tmp_path, "from boards.sim import RX_BYTES\n"))
 
 
 def test_names_that_are_no_board_are_told_which_there_are() -> None:

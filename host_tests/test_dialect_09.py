@@ -20,10 +20,10 @@ from extras.punch import ALARM_PUNCH_DOWN, ALARM_PUNCH_UP
 from hypothesis import given
 from hypothesis import strategies as some
 from talk.report import Report
+from ugrbl.boardfile.files import load_board
 from ugrbl.grbl.messages import alarms, meaning
 from ugrbl.grbl.messages import errors as error_words
 from ugrbl.paths import STANDINS
-from ugrbl.run.machine import load_board
 from ugrbl.sim.replay import Sender, factory_store
 from ugrbl.sim.rig import Rig
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 from ugrbl.boardfile import board_check
 from ugrbl.cli.app import app
-from ugrbl.docs import house, machines, pages, pictures, words
+from ugrbl.docs import house, pages, pictures, words
+from ugrbl.grbl import comments
 from ugrbl.grbl.gcode_file import split_lines
 from ugrbl.grbl.messages import alarms, errors
 from ugrbl.run.program import run_program
@@ -83,7 +84,7 @@ def test_every_setting_has_a_comment_and_is_in_the_reference():
     from base import settings
 
     numbers = [row[0] for row in settings._TABLE]
-    assert list(machines.setting_comments()) == numbers
+    assert list(comments.setting_comments()) == numbers
     assert missing([f"${number}" for number in numbers], reference()) == []
 
 
@@ -104,9 +105,9 @@ def test_every_option_that_the_firmware_reads_is_in_the_reference():
 
 
 def test_a_row_without_a_comment_is_named(monkeypatch):
-    monkeypatch.setattr(machines, "source", lambda module: "_TABLE = (\n    (7, 'x'),\n)\n")
+    monkeypatch.setattr(comments, "source", lambda module: "_TABLE = (\n    (7, 'x'),\n)\n")
     with pytest.raises(ValueError, match=r"\$7 has no comment"):
-        machines.setting_comments()
+        comments.setting_comments()
 
 
 # Size and links

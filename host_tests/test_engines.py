@@ -17,8 +17,8 @@ from esp_bench import EspEngine, Step, clock
 from laws import Bench, Limits
 from motion.kernels import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS, row_length
 from pio import pulses
+from ugrbl.boardfile.files import load_board
 from ugrbl.replay.compare_motion import judge_motion
-from ugrbl.run.machine import load_board
 from ugrbl.sim import replay
 from ugrbl.sim import rig as sim_rig
 from ugrbl.sim.engine import SimEngine, step_tick

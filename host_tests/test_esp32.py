@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from esp_bench import EspEngine, clock, esp32, esp_machine, esp_start
 from micropython_runner import needs_micropython, run_micropython
+from ugrbl.boardfile.files import boards, load_board
 from ugrbl.paths import STANDINS
-from ugrbl.run import machine
 
 _HERE = Path(__file__).parent
 _BOOT = _HERE / "esp_boot.py"
@@ -56,7 +56,7 @@ Grbl 1.1h ['$' for help]
 
 def hit(board: str) -> Talk:
     """A limit switch in the middle of a move."""
-    pin = machine.load_board(board).LIMIT[0]
+    pin = load_board(board).LIMIT[0]
     talk = [("$21=1\n", "ok"), ("G1 X20 F1200\n", "ok"), ("ms 300", ""), (f"pin {pin} 0", "cont")]
     return [*talk, (f"pin {pin} 1", ""), ("\x18", "unlock")]
 
@@ -115,7 +115,7 @@ def test_settings_are_kept_in_flash(tmp_path: Path) -> None:
 def test_a_limit_whose_edge_nobody_hears_stops_the_machine_all_the_same(
     board: str, tmp_path: Path
 ) -> None:
-    pin = machine.load_board(board).LIMIT[0]
+    pin = load_board(board).LIMIT[0]
     talk = [*_GREETING, *_SET_UP, ("$21=1\n", "ok"), ("G91 G1 X20 F1200\n", "ok"), ("ms 300", "")]
     talk += [(f"deaf {pin} 0", "cont"), (f"pin {pin} 1", ""), ("\x18", "unlock"), ("?", ">")]
     said = boot(board, tmp_path, talk)
@@ -128,7 +128,7 @@ def test_a_limit_whose_edge_nobody_hears_stops_the_machine_all_the_same(
 def test_an_engine_that_fails_is_told_of_with_the_tool_off_and_works_after_a_reset(
     board: str, tmp_path: Path
 ) -> None:
-    tool = machine.load_board(board).SPINDLE_PWM
+    tool = load_board(board).SPINDLE_PWM
     talk = [
         *_GREETING,
         *_SET_UP,
@@ -233,7 +233,7 @@ def test_the_prompt_is_not_had_in_motion(tmp_path: Path) -> None:
 
 
 def test_a_board_on_a_uart_promises_no_more_than_micropython_keeps() -> None:
-    found = [machine.load_board(name) for name in machine.boards()]
+    found = [load_board(name) for name in boards()]
     on_uart = [board for board in found if getattr(board, "LINK", "") == "uart"]
     assert len(on_uart) >= 3
     assert all(board.RX_BYTES == 128 for board in on_uart)

@@ -5,7 +5,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from ugrbl.run.machine import load_board
+from ugrbl.boardfile.files import load_board
 from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
 

@@ -11,7 +11,7 @@ from base.errors import GrblError
 from base.settings import INT
 from boot.options import Options
 from extras.api import Cnc
-from ugrbl.run.machine import load_board
+from ugrbl.boardfile.files import load_board
 from ugrbl.sim.replay import Sender, factory_store
 from ugrbl.sim.rig import Rig
 

@@ -10,7 +10,7 @@ import machine
 import pytest
 from pio import pins as gpio
 from test_pio_pins import board
-from ugrbl.run.machine import load_board
+from ugrbl.boardfile.files import load_board
 from ugrbl.sim.rig import Rig
 
 OUTPUTS = {"SPINDLE_PWM": 16, "SPINDLE_DIR": 17, "FLOOD": 18, "SPINDLE_ON": 19, "MIST_PIN": 20}

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 from typer.testing import CliRunner, Result
-from ugrbl.boardfile import new_board
-from ugrbl.boardfile.new_board import CHIPS, BoardError, load, read_pins
+from ugrbl.boardfile import board_check
+from ugrbl.boardfile.files import load, load_board
+from ugrbl.boardfile.new_board import CHIPS, BoardError, read_pins
 from ugrbl.cli.app import app
-from ugrbl.run.machine import load_board
 
 _PICO = ("--chip", "pico", "--pin", "step=2,3,4", "--pin", "dir=5,6,7")
 
@@ -194,7 +194,7 @@ def test_the_pins_as_json(file: Path) -> None:
 def test_a_file_that_the_projects_check_refuses_is_taken_away(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(new_board, "check_file", lambda file: ["the engine wants more"])
+    monkeypatch.setattr(board_check, "problems", lambda board: ["the engine wants more"])
     done = ugrbl("router", *_PICO, "-o", file)
     assert done.exit_code == 1 and "the engine wants more" in done.output
     assert not file.exists()

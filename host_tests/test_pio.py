@@ -24,7 +24,7 @@ from motion.kernels import KEEP_POWER, ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE
 from pio import hub, programs, pulses
 from pio.engine import PioEngine
 from test_engines import _play_words
-from ugrbl.run.machine import load_board
+from ugrbl.boardfile.files import load_board
 from ugrbl.sim.engine import step_tick
 
 pio_model = pytest.importorskip("pio_model", reason="rp2040py has no wheel for this platform")

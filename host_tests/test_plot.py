@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
+from ugrbl.boardfile.files import boards
 from ugrbl.cli.app import app
-from ugrbl.draw import drawing, motion_trace, plot
+from ugrbl.draw import drawing, motion_trace
+from ugrbl.draw.job import run_job, short
 from ugrbl.draw.motion_trace import Motion, trace_program
 from ugrbl.grbl.gcode_file import split_lines
-from ugrbl.run import machine
 
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 _SQUARE = "G90 G21\nG1 X10 F600\nY10\nX0\nY0\nG0 Z2\nG4 P1\nG2 X5 Y5 R5\n"
@@ -136,9 +137,9 @@ def away(points: Any, rows: Any) -> float:
 
 def test_longer_segments_of_a_long_job_change_neither_path_nor_time(monkeypatch: Any) -> None:
     lines = split_lines("\n".join(lettering()).encode())
-    fine = plot.run_job("", lines, ["$120=50", "$121=50"])
+    fine = run_job("", lines, ["$120=50", "$121=50"])
     monkeypatch.setattr(motion_trace, "_MANY_LINES", 100)
-    coarse = plot.run_job("", lines, ["$120=50", "$121=50"])
+    coarse = run_job("", lines, ["$120=50", "$121=50"])
     assert len(coarse.motion) < 0.6 * len(fine.motion)
     assert coarse.seconds == pytest.approx(fine.seconds, rel=1e-4)
     for totals in (one.result.totals for one in (fine, coarse)):
@@ -164,7 +165,7 @@ def beside(point: Any, path: Any) -> float:
 
 @pytest.mark.parametrize("most", [600_000, 900])
 def test_what_is_drawn_is_nowhere_further_from_the_path_than_it_says(most: int) -> None:
-    job = plot.run_job("", split_lines("\n".join(lettering()).encode()), _FAST)
+    job = run_job("", split_lines("\n".join(lettering()).encode()), _FAST)
     drawn = drawing.draw(job, most)
     assert (drawn.tolerance_mm > drawing.TOLERANCE_MM) == (most == 900)
     rows = np.searchsorted(job.motion.time_s, drawn.time_s)
@@ -173,7 +174,7 @@ def test_what_is_drawn_is_nowhere_further_from_the_path_than_it_says(most: int) 
 
 
 def test_cuts_drawn_are_cuts_and_rapids_are_rapids() -> None:
-    job = plot.run_job("", split_lines("\n".join(lettering()).encode()), _FAST)
+    job = run_job("", split_lines("\n".join(lettering()).encode()), _FAST)
     drawn = drawing.draw(job, 600_000)
     cuts, rapids = drawn.strokes(False), drawn.strokes(True)
     # Nothing is cut but circles of 1 mm and the ways down to them.
@@ -190,7 +191,7 @@ def test_a_long_job_takes_little_time_and_memory(tmp_path: Path) -> None:
     file.write_text("\n".join(lettering() * 12) + "\n")  # 21,000 lines
     # What ru_maxrss says of a process begins with what its parent had.
     code = (
-        "import re, sys; from ugrbl.cli import app;"
+        "import re, sys; from ugrbl.cli.app import app;"
         "app(sys.argv[1:], standalone_mode=False);"
         "print(re.search(r'VmHWM:\\s+(\\d+)', open('/proc/self/status').read())[1])"
     )
@@ -209,7 +210,7 @@ def test_a_long_job_takes_little_time_and_memory(tmp_path: Path) -> None:
     [(0.25, "0.25 s"), (42.04, "42.0 s"), (200, "3 min 20 s"), (7500, "2 h 5 min")],
 )
 def test_times_are_said_as_people_do(seconds: float, words: str) -> None:
-    assert plot.short(seconds) == words
+    assert short(seconds) == words
 
 
 def test_what_if_tells_the_time_saved(program: Path) -> None:
@@ -312,7 +313,7 @@ def test_a_program_that_moves_nothing_is_drawn(program: Path) -> None:
         assert ugrbl(program, "-o", program.with_name("out" + suffix)).exit_code == 0
 
 
-@pytest.mark.parametrize("name", machine.boards())
+@pytest.mark.parametrize("name", boards())
 def test_every_board_can_be_drawn_for(name: str, program: Path) -> None:
     done = ugrbl(program, "-o", program.with_name("out.svg"), "--board", name)
     assert done.exit_code == 0, done.output

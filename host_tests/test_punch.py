@@ -18,9 +18,10 @@ from base import state as st
 from boot.options import Options
 from hypothesis import given
 from hypothesis import strategies as some
+from ugrbl.boardfile.files import load_board
 from ugrbl.draw import plot
+from ugrbl.draw.job import run_job
 from ugrbl.grbl.gcode_file import read_lines
-from ugrbl.run.machine import load_board
 from ugrbl.run.program import run_program
 from ugrbl.sim.punch import DOWN, SENSOR_DOWN, SENSOR_UP, UP, BrokenLaw
 from ugrbl.sim.replay import Sender, factory_store
@@ -504,7 +505,7 @@ def test_the_demonstration_punches_its_pattern(board: str) -> None:
 
 
 def test_its_holes_are_drawn(tmp_path: Path) -> None:
-    job = plot.run_job("as it is", read_lines(_PROGRAM), [], "sim_punch")
+    job = run_job("as it is", read_lines(_PROGRAM), [], "sim_punch")
     assert len(job.marks) == 131
     for suffix in (".png", ".html"):
         plot.save([job], "punch", "", tmp_path / f"punch{suffix}")

@@ -10,7 +10,7 @@ import pytest
 from pio import pins as gpio
 from ports import port as gpio_port
 from punch_pins import Punch
-from ugrbl.run.machine import load_board
+from ugrbl.boardfile.files import load_board
 from ugrbl.sim.rig import Rig
 
 

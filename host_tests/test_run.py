@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 from ugrbl import paths
+from ugrbl.boardfile.files import boards
 from ugrbl.cli.app import app
 from ugrbl.grbl.gcode_file import read_lines, split_lines
 from ugrbl.grbl.messages import alarms, errors, meaning
-from ugrbl.run import machine
 from ugrbl.run.program import Result, run_program
 
 _PROGRAMS = Path(__file__).resolve().parents[2] / "shared" / "gcode"
@@ -264,7 +264,7 @@ def test_what_has_run_is_drawn_as_plot_does(program: Path, suffix: str) -> None:
     assert file.stat().st_size > 10_000
 
 
-@pytest.mark.parametrize("name", machine.boards())
+@pytest.mark.parametrize("name", boards())
 def test_every_board_simulates(name: str, program: Path) -> None:
     program.write_text("G21 G90\nG0 X1\nG1 Y1 F300\n")
     done = CliRunner().invoke(app, ["run", str(program), "--board", name])

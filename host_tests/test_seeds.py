@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import pytest
 from base import state as st
-from ugrbl.run.machine import load_board
+from ugrbl.boardfile.files import load_board
 from ugrbl.sim.engine import Switch
 from ugrbl.sim.replay import Sender, factory_store
 from ugrbl.sim.rig import Rig

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 from esp_bench import clock, esp32, esp_machine, gpio_esp, reset_stand_ins, rmt
 from micropython_runner import needs_micropython, run_micropython
+from ugrbl.boardfile.files import load_board
 from ugrbl.device.selftest import program
 from ugrbl.device.selftest.row import Row
 from ugrbl.device.selftest.session import WIRING, Hearer
-from ugrbl.run import machine
 
 _CHIPS = {
     "esp32_devkit": ("esp32", program.ESP32),
@@ -70,7 +70,7 @@ class Bench:
         self._file = folder / "sent.py"
         chip, self.chip = _CHIPS[name]
         reset_stand_ins(chip)
-        self.board: Any = machine.load_board(name)
+        self.board: Any = load_board(name)
         monkeypatch.setattr(self.board, "ENABLE", self.board.ENABLE)  # the program changes them
         for changed in ("ESTOP", "CONTROL_INVERT", "LIMIT_DEBOUNCE_MS", "DEFAULTS"):
             monkeypatch.setattr(self.board, changed, None, raising=False)

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from ugrbl import paths
+from ugrbl.boardfile.files import load_board
 from ugrbl.run import machine
 
 paths.use_firmware(fast=False)
@@ -20,7 +21,7 @@ from ugrbl.sim.replay import Sender, factory_store  # noqa: E402
 from ugrbl.sim.rig import MemoryStore, Rig  # noqa: E402
 
 Steps = Generator[Any, None, None]
-_BOARD = machine.load_board(machine.DEFAULT_BOARD)
+_BOARD = load_board(machine.DEFAULT_BOARD)
 _BANNER = "Grbl 1.1h ['$' for help]"
 _PATIENCE_MS = 60_000
 

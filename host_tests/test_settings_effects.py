@@ -17,7 +17,7 @@ from base.settings import _AXIS, _TABLE
 from extras.dialect_09 import _SETTINGS as settings_09
 from extras.punch import _SETTINGS as punch_settings
 from motion.kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
-from ugrbl.run.machine import load_board
+from ugrbl.boardfile.files import load_board
 from ugrbl.sim.engine import Switch
 from ugrbl.sim.replay import Sender
 from ugrbl.sim.rig import MemoryStore, Rig

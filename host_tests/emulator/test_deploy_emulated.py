@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from ugrbl.boardfile import files
 from ugrbl.compiling import build
 from ugrbl.device.connection import Connection
 from ugrbl.grbl.gcode_file import is_answer
@@ -18,7 +19,7 @@ from ugrbl.grbl.gcode_file import is_answer
 pytestmark = pytest.mark.xdist_group("pico deploy")
 
 _HERE = Path(__file__).parent
-_BOARD = build.board_file("rpi_pico")
+_BOARD = files.board_file("rpi_pico")
 # Twenty to fifty times as slow as the chip, by what else the computer does.
 _PATIENCE = {"UGRBL_PATIENCE": "10"}
 _BOOT_S = 200.0

@@ -1,4 +1,4 @@
-"""Board files: how one is found, made of answers, and judged from its data.
+"""Board files: where one is, how one is made of answers, what is wrong with one.
 
-Imports grbl, and of sim the place where a machine keeps its settings.
+Imports `grbl`, and of `sim` the memory that a board's default settings are tried in.
 """

@@ -1,11 +1,7 @@
 """A board file made of answers: which pins there are, what may go where, the text of the file."""
 
-import importlib.util
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from types import ModuleType
 from typing import NamedTuple
 
 AXES = "XYZA"
@@ -263,22 +259,3 @@ def oddities(board: Board) -> list[str]:
         for pin, what in board.wiring()
         if pin in board.chip.odd
     ]
-
-
-def load(file: Path) -> ModuleType:
-    """The board file as a module."""
-    spec = importlib.util.spec_from_file_location(f"board_{file.stem}", file)
-    if spec is None or spec.loader is None:
-        raise BoardError(f"{file} is no Python file")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    if getattr(module, "EXTRAS", ()) and str(file.parent) not in sys.path:
-        sys.path.append(str(file.parent))  # where its extras are, as on the board
-    return module
-
-
-def check_file(file: Path) -> Sequence[str]:
-    """Everything that is wrong with a board file as it stands there."""
-    from .board_check import problems  # which knows this module
-
-    return problems(load(file))

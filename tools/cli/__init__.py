@@ -1,4 +1,4 @@
 """The command line `ugrbl`: a module for each command, and what they show and ask.
 
-The highest room: it imports all others, and nobody imports it.
+Imports all other rooms, and nobody imports it. Only here is anything drawn on a terminal.
 """

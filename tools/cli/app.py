@@ -6,37 +6,39 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 
-from ..replay.conformance import conformance
 from ..run.machine import DEFAULT_BOARD
-from . import build as build_cli
-from . import console as console_cli
-from . import decode as decode_cli
-from . import deploy as deploy_cli
-from . import doctor, ports
-from . import new_board as new_board_cli
-from . import plot as plot_cli
-from . import run as run_cli
-from . import selftest as selftest_cli
-from . import send as send_cli
-from . import settings as settings_cli
-from .outputs import check_outputs
+from . import (
+    build,
+    conformance,
+    console,
+    decode,
+    deploy,
+    doctor,
+    new_board,
+    plot,
+    ports,
+    run,
+    selftest,
+    send,
+    settings,
+)
+from .outputs import check_outputs, failed
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
-app.command("build", epilog=build_cli.EXAMPLES)(build_cli.command)
-app.command()(conformance)
-app.command("console", epilog=console_cli.EXAMPLES)(console_cli.command)
-app.command("decode", epilog=decode_cli.EXAMPLES)(decode_cli.command)
-app.command("deploy", epilog=deploy_cli.EXAMPLES)(deploy_cli.command)
+app.command("build", epilog=build.EXAMPLES)(build.command)
+app.command("conformance")(conformance.command)
+app.command("console", epilog=console.EXAMPLES)(console.command)
+app.command("decode", epilog=decode.EXAMPLES)(decode.command)
+app.command("deploy", epilog=deploy.EXAMPLES)(deploy.command)
 app.command("doctor", epilog=doctor.EXAMPLES)(doctor.command)
-app.command("new-board", epilog=new_board_cli.EXAMPLES)(new_board_cli.command)
-app.command("plot", epilog=plot_cli.EXAMPLES)(plot_cli.command)
-app.command("run", epilog=run_cli.EXAMPLES)(run_cli.command)
+app.command("new-board", epilog=new_board.EXAMPLES)(new_board.command)
+app.command("plot", epilog=plot.EXAMPLES)(plot.command)
+app.command("run", epilog=run.EXAMPLES)(run.command)
 app.command("ports")(ports.command)
-app.command("send", epilog=send_cli.EXAMPLES)(send_cli.command)
-app.command("selftest", epilog=selftest_cli.EXAMPLES)(selftest_cli.command)
-app.add_typer(settings_cli.app, name="settings")
+app.command("send", epilog=send.EXAMPLES)(send.command)
+app.command("selftest", epilog=selftest.EXAMPLES)(selftest.command)
+app.add_typer(settings.app, name="settings")
 
 
 class Speed(str, Enum):
@@ -103,7 +105,7 @@ def sim(
         )
         simulate(options)
     except (ValueError, OSError) as error:
-        raise _failed(error) from error
+        raise failed(error) from error
 
 
 @app.command()
@@ -115,16 +117,6 @@ def demo() -> None:
     try:
         good = show(Console())
     except SendError as error:
-        raise _failed(error) from error
+        raise failed(error) from error
     if not good:
         raise typer.Exit(1)
-
-
-def _failed(why: object) -> typer.Exit:
-    """Say why on stderr; raise what this returns."""
-    Console(stderr=True).print(f"[red]{escape(str(why))}", highlight=False)
-    return typer.Exit(1)
-
-
-if __name__ == "__main__":
-    app()

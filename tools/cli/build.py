@@ -8,10 +8,10 @@ from rich.console import Console
 from rich.markup import escape
 
 from ..boardfile.board_check import notes
+from ..boardfile.files import board_file, load_for_build
 from ..compiling import build, maps
 from ..compiling.build import BuildError
-from .outputs import check_outputs
-from .settings import save_json
+from .outputs import check_outputs, save_json
 
 EXAMPLES = "Examples:  ugrbl build --board rpi_pico   ·   ugrbl build --arch armv7emsp --json -"
 _ARCH = "armv6m"
@@ -62,7 +62,7 @@ def command(
         if folder.exists() and not folder.is_dir():
             raise BuildError(f"{folder} is no folder")
         if board:
-            made = build.for_board(build.board_file(board), progress, debug)
+            made = build.for_board(board_file(board), progress, debug)
         else:
             made = build.compile_all(arch, None, progress, debug)
         build.save(made, folder)
@@ -70,7 +70,7 @@ def command(
     except (BuildError, OSError, ValueError) as error:
         raise failed(error) from error
     if board:
-        for text in notes(build.load_board(build.board_file(board))):
+        for text in notes(load_for_build(board_file(board))):
             console.print(f"[yellow]note[/]: {escape(text)}", highlight=False, soft_wrap=True)
     text = f"{made.bytes:7} bytes in all, in {folder}; build {made.map['id']}"
     console.print(text, highlight=False, soft_wrap=True)

@@ -10,14 +10,15 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeElapsedColumn
 
+from ..boardfile.files import BoardFileError, board_file
 from ..compiling import build, maps
 from ..compiling.build import Build, BuildError
 from ..device.connection import SendError
 from ..device.deploy import DeployError, Result, deploy
 from . import ports
 from .build import DEBUG_COST, Debug
+from .outputs import save_json
 from .screen import summary
-from .settings import save_json
 
 EXAMPLES = (
     "Examples:  ugrbl deploy --board rpi_pico   ·   ugrbl deploy --board my_router.py"
@@ -91,13 +92,13 @@ def command(
     """
     console = Console(stderr=str(json_file) == "-")
     try:
-        file = build.board_file(board)
+        file = board_file(board)
         made = build.for_board(file, debug=debug)
         where = ports.choose(port)
         console.print(f"{file.stem}: {len(made.files)} files, {made.bytes} bytes", highlight=False)
         _keep_map(console, made)
         result = _deploy(console, where, made, replace)
-    except BuildError as error:
+    except (BoardFileError, BuildError) as error:
         raise _failed(error.problems, "nothing has been copied", json_file) from error
     except SendError as error:
         raise _failed([str(error)], "", json_file) from error

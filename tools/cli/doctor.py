@@ -16,8 +16,8 @@ from ..device.connection import BAUD, Connection, SendError, way_out
 from ..grbl.settings_file import AXES, Firmware, Settings
 from ..paths import use_firmware
 from . import ports
+from .outputs import check_output, save_json
 from .ports import Baud, Port
-from .settings import check_output, save_json
 
 EXAMPLES = (
     "Examples:  ugrbl doctor   ·   ugrbl doctor --port /dev/ttyACM0 --pins 20 --move"

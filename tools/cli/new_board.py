@@ -10,12 +10,11 @@ from rich.console import Console
 from rich.markup import escape
 
 from .. import paths
-from ..boardfile import new_board
+from ..boardfile import board_check, files, new_board
 from ..boardfile.new_board import CHIPS, ITEMS, Board, BoardError, Chip, Item, Pins
-from ..draw.plot import as_line
-from .outputs import check_outputs
+from ..grbl.settings_file import as_line
+from .outputs import check_outputs, save_json
 from .screen import summary
-from .settings import save_json
 
 EXAMPLES = (
     "Examples:  ugrbl new-board my_router   ·   ugrbl new-board my_router --chip pico"
@@ -149,7 +148,7 @@ def _write(board: Board, file: Path) -> None:
         file.write_text(board.text(), encoding="utf-8")
     except OSError as error:
         raise BoardError(f"{file} cannot be written: {error}") from error
-    problems = new_board.check_file(file)
+    problems = board_check.problems(files.load(file))
     if problems:
         if before is None:
             file.unlink()

@@ -1,8 +1,16 @@
-"""Where commands write: looked at before the work, so that none is done in vain."""
+"""Where commands write: looked at before the work, so that none is done in vain; then written."""
 
+import json
 import os
+import sys
 from collections.abc import Iterable
 from pathlib import Path
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from ..grbl.gcode_file import STDIN
 
 # What a path or a job can be drawn as.
 PICTURES = (".html", ".png", ".svg")
@@ -37,3 +45,41 @@ def _check(file: Path) -> None:
         raise OSError(f"{file} cannot be written: {error.strerror}") from error
     if not os.access(file if file.exists() else file.parent, os.W_OK):
         raise PermissionError(f"{file} cannot be written: permission denied")
+
+
+def check_output(*files: Path | None) -> None:
+    """End the command before its work where a file could not be written after it."""
+    try:
+        check_outputs(*files)
+    except OSError as error:
+        raise failed(error) from error
+
+
+def save_json(found: object, file: Path) -> None:
+    """Write it; `-` is stdout. What goes wrong with it ends the command with the reason."""
+    save_text(json.dumps(found, indent=1) + "\n", file)
+
+
+def save_text(text: str, file: Path) -> None:
+    """Write a file; one that is there is replaced once the new one is whole."""
+    if str(file) == STDIN:
+        sys.stdout.write(text)
+        return
+    try:
+        if file.exists() and not file.is_file():
+            file.write_text(text, encoding="utf-8")
+            return
+        new = file.resolve().with_name(f".{file.name}.new")
+        try:
+            new.write_text(text, encoding="utf-8")
+            new.replace(file.resolve())
+        finally:
+            new.unlink(missing_ok=True)
+    except OSError as error:
+        raise failed(f"{file} cannot be written: {error.strerror}") from error
+
+
+def failed(why: object) -> typer.Exit:
+    """Say why on stderr; raise what this returns."""
+    Console(stderr=True).print(f"[red]{escape(str(why))}", highlight=False)
+    return typer.Exit(1)

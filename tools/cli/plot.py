@@ -9,12 +9,12 @@ from rich.console import Console
 from rich.markup import escape
 
 from ..draw import plot
-from ..draw.plot import Job
+from ..draw.job import Job, describe, from_file, run_job, short, verdict
 from ..grbl.gcode_file import read_program
+from ..grbl.settings_file import as_line
 from ..run import machine
-from .outputs import check_outputs
+from .outputs import check_outputs, save_json
 from .screen import Screen, show_errors, summary
-from .settings import save_json
 
 EXAMPLES = (
     "Examples:  ugrbl plot badge.nc   ·   ugrbl plot badge.nc -o badge.png --settings my.settings"
@@ -58,8 +58,8 @@ def command(
         jobs = _jobs(console, file, settings, what_if or (), board)
         words = ""
         if len(jobs) > 1:
-            extra = plot.describe([plot.as_line(text) for text in what_if or ()])
-            words = f"{extra}: {plot.verdict(*jobs)}"
+            extra = describe([as_line(text) for text in what_if or ()])
+            words = f"{extra}: {verdict(*jobs)}"
         console.print("Drawing …")
         plot.save(jobs, file.name, words, target)
         if json_file:
@@ -76,15 +76,15 @@ def _jobs(
     console: Console, file: Path, settings: Path | None, what_if: Sequence[str], board: str
 ) -> list[Job]:
     lines = read_program(file)
-    base = plot.from_file(settings) if settings else []
-    extra = [plot.as_line(text) for text in what_if]
+    base = from_file(settings) if settings else []
+    extra = [as_line(text) for text in what_if]
     runs = [(settings.name if settings else "as it is", base)]
     if extra:
         runs.append((" ".join(extra), [*base, *extra]))
     jobs = []
     for name, chosen in runs:
         with Screen(console, f"{file.name}, {name}", len(lines)) as screen:
-            jobs.append(plot.run_job(name, lines, chosen, board, screen.progress))
+            jobs.append(run_job(name, lines, chosen, board, screen.progress))
             screen.progress(jobs[-1].result.lines)
         if jobs[-1].result.stopped:
             raise ValueError(f"could not finish: {jobs[-1].result.stopped}")
@@ -93,7 +93,7 @@ def _jobs(
 
 
 def _tell(console: Console, jobs: Sequence[Job], words: str, target: Path) -> None:
-    rows = [(job.name, plot.short(job.seconds)) for job in jobs]
+    rows = [(job.name, short(job.seconds)) for job in jobs]
     console.print(summary([*rows, ("drawn in", str(target))]))
     if words:
         console.print(words, highlight=False)

@@ -10,15 +10,16 @@ from rich.console import Console
 from rich.markup import escape
 
 from ..draw import plot
+from ..draw.job import from_file, job_of
 from ..draw.motion_trace import MotionTrace, trace_program
 from ..grbl.gcode_file import read_program
 from ..grbl.messages import meaning
+from ..grbl.settings_file import as_line
 from ..run import machine
 from ..run.program import Result, run_program
 from ..run.recorder import Recorder
-from .outputs import check_outputs
+from .outputs import check_outputs, save_json
 from .screen import Screen, show_errors, show_problems, summary, totals_rows
-from .settings import save_json
 
 EXAMPLES = (
     "Examples:  ugrbl run badge.nc   ·   ugrbl run badge.nc --check"
@@ -65,8 +66,8 @@ def command(
         check_outputs(json_file, plot=picture, keep=(file, settings))
         lines = read_program(file)
         acting = show_problems(console, lines)
-        chosen = plot.from_file(settings) if settings else []
-        chosen += [plot.as_line(text) for text in setting or ()]
+        chosen = from_file(settings) if settings else []
+        chosen += [as_line(text) for text in setting or ()]
         begun = time.monotonic()
         with Screen(console, file.name, len(lines)) as screen:
             run: _Runner = trace_program if picture else run_program
@@ -76,7 +77,7 @@ def command(
             screen.progress(result.lines)
         _tell(console, result, recorder, lines, time.monotonic() - begun)
         if picture and isinstance(recorder, MotionTrace):
-            job = plot.job_of("as it is", lines, chosen, board, result, recorder)
+            job = job_of("as it is", lines, chosen, board, result, recorder)
             plot.save([job], file.name, "", picture)
         if json_file:
             save_json(result.as_json(), json_file)

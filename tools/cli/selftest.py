@@ -17,7 +17,7 @@ from ..device.selftest import program
 from ..device.selftest.row import Row
 from ..device.selftest.session import Board, Wiring, check, look
 from . import ports
-from .settings import save_json
+from .outputs import save_json
 
 EXAMPLES = (
     "Examples:  ugrbl selftest   ·   ugrbl selftest --port /dev/ttyACM0 --yes"

@@ -1,6 +1,5 @@
 """`ugrbl settings`: a machine's settings as a file, and back."""
 
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -18,7 +17,7 @@ from ..device.connection import BAUD, Connection, SendError
 from ..grbl.gcode_file import STDIN
 from ..grbl.messages import meaning as reply_meaning
 from ..grbl.settings_file import Change, Settings, SettingsError, changes, check_fit, meaning
-from .outputs import check_outputs
+from .outputs import check_output, failed, save_json, save_text
 from .ports import Baud, Port, choose
 
 app = typer.Typer(no_args_is_help=True, help="Pull, compare, push and restore settings.")
@@ -49,7 +48,7 @@ def pull(
     to_stdout = str(file) == STDIN
     if not to_stdout:
         if file.exists() and not force:
-            raise _failed(f"{file} is there already; --force replaces it")
+            raise failed(f"{file} is there already; --force replaces it")
         check_output(file)
     with _machine(port, baud) as connection:
         settings = sync.pull(connection)
@@ -113,14 +112,14 @@ def restore(
     After a push that was a mistake: restore FILE.before.
     """
     if (file is None) != factory:
-        raise _failed("say one of both: a file that was pulled, or --factory")
+        raise failed("say one of both: a file that was pulled, or --factory")
     if file:
         _write(file, port, baud, yes, any_version, json_file, complete=True)
         return
     with _machine(port, baud) as connection:
         before = sync.pull(connection)
         if not yes and not typer.confirm("Restore the factory's settings?"):
-            raise _failed("nothing has been changed")
+            raise failed("nothing has been changed")
         kept = Path("factory.before")
         check_output(kept, json_file)
         _keep(before, kept, "before a restore to the factory's")
@@ -142,7 +141,7 @@ def _write(
     wanted = _read(file)
     from_stdin = str(file) == STDIN
     if from_stdin and not yes:
-        raise _failed("settings from stdin leave nobody to ask: say --yes")
+        raise failed("settings from stdin leave nobody to ask: say --yes")
     kept = Path("settings.before") if from_stdin else file.with_name(file.name + ".before")
     check_output(kept, json_file)
     console = Console(stderr=True)
@@ -153,7 +152,7 @@ def _write(
         if not (json_file and str(json_file) == "-"):
             _show(machine, todo)
         if todo and not yes and not typer.confirm(f"Change {_count(todo)}?", err=True):
-            raise _failed("nothing has been changed")
+            raise failed("nothing has been changed")
         refusals: Sequence[tuple[Change, str]] = ()
         if todo:
             _keep(machine, kept, "before a push")
@@ -188,14 +187,14 @@ def _read(file: Path) -> Settings:
             return Settings.read(sys.stdin.read())
         return Settings.read(file.read_text(encoding="utf-8"))
     except SettingsError as error:
-        raise _failed(f"{file}: {error}") from error
+        raise failed(f"{file}: {error}") from error
     except (OSError, UnicodeDecodeError) as error:
-        raise _failed(f"{file} cannot be read: {error}") from error
+        raise failed(f"{file} cannot be read: {error}") from error
 
 
 def _keep(settings: Settings, file: Path, why: str) -> None:
     when = datetime.now().strftime("%Y-%m-%d %H:%M")
-    _save(settings.text(f"{why}, {when}"), file)
+    save_text(settings.text(f"{why}, {when}"), file)
 
 
 def _count(todo: Sequence[Change]) -> str:
@@ -237,38 +236,6 @@ def _save_json(
     save_json(found, json_file)
 
 
-def save_json(found: object, file: Path) -> None:
-    """Write it; `-` is stdout. What goes wrong with it ends the command with the reason."""
-    _save(json.dumps(found, indent=1) + "\n", file)
-
-
-def _save(text: str, file: Path) -> None:
-    """Write a file; one that is there is replaced once the new one is whole."""
-    if str(file) == STDIN:
-        sys.stdout.write(text)
-        return
-    try:
-        if file.exists() and not file.is_file():
-            file.write_text(text, encoding="utf-8")
-            return
-        new = file.resolve().with_name(f".{file.name}.new")
-        try:
-            new.write_text(text, encoding="utf-8")
-            new.replace(file.resolve())
-        finally:
-            new.unlink(missing_ok=True)
-    except OSError as error:
-        raise _failed(f"{file} cannot be written: {error.strerror}") from error
-
-
-def check_output(*files: Path | None) -> None:
-    """End the command before its work where a file could not be written after it."""
-    try:
-        check_outputs(*files)
-    except OSError as error:
-        raise _failed(error) from error
-
-
 @contextmanager
 def _machine(port: str | None, baud: int) -> Iterator[Connection]:
     """A Grbl to talk to; what goes wrong with it ends the command with the reason."""
@@ -279,9 +246,4 @@ def _machine(port: str | None, baud: int) -> Iterator[Connection]:
         finally:
             connection.close()
     except (SendError, SettingsError) as error:
-        raise _failed(error) from error
-
-
-def _failed(why: object) -> typer.Exit:
-    Console(stderr=True).print(f"[red]{escape(str(why))}", highlight=False)
-    return typer.Exit(1)
+        raise failed(error) from error

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, cast
 from rich.console import Console
 
 from ..draw import plot
+from ..draw.job import job_of
 from ..draw.motion_trace import MotionTrace
 from ..run import machine
 from ..run.live import LiveLink
@@ -68,7 +69,7 @@ def _draw(options: Options, rig: "Rig", trace: MotionTrace) -> None:
     """What the motors did, with the settings of the end."""
     settings = [f"${number}={value}" for number, value, _ in rig.controller.settings.each()]
     result = Result(totals=trace.totals())
-    job = plot.job_of("as run", (), settings, options.board, result, trace)
+    job = job_of("as run", (), settings, options.board, result, trace)
     plot.save([job], options.board, "", cast(Path, options.plot))
 
 

@@ -14,9 +14,7 @@ from types import ModuleType
 from typing import Any
 
 from .. import paths
-from ..boardfile import new_board
-from ..boardfile.board_check import is_simulated, problems
-from ..run import machine
+from ..boardfile.files import load_for_build
 from . import prepared, put_together, symbols
 from .scopes import NotUnderstood
 from .shorten import Shortened
@@ -142,37 +140,6 @@ def _imported(node: ast.AST) -> Iterator[str]:
         yield from _imported(child)
 
 
-def board_file(name: str) -> Path:
-    """Where a board's file is: a name out of boards/, or a path. BuildError if there is none."""
-    file = Path(name)
-    if file.suffix != ".py":
-        if name not in machine.boards():
-            raise BuildError(f"no board {name!r}; there are {', '.join(machine.boards())}")
-        file = paths.BOARDS / f"{name}.py"
-    if not file.is_file():
-        raise BuildError(f"there is no file {file}")
-    return file
-
-
-def load_board(file: Path) -> ModuleType:
-    """A board that can be built for; BuildError says everything that is wrong with it."""
-    try:
-        imports = list(_imported(ast.parse(file.read_text(encoding="utf-8"))))
-        board = new_board.load(file)
-    except (SyntaxError, UnicodeDecodeError) as error:
-        raise BuildError(f"{file} is no Python file: {error}") from error
-    except Exception as error:
-        raise BuildError(f"{file} fails: {type(error).__name__}: {error}") from error
-    if is_simulated(board):
-        raise BuildError(f"{file.stem} is a machine of the simulator: it has no pins")
-    found = [f"{file.name}: {problem}" for problem in problems(board)]
-    if imports:
-        found.append(f"{file.name}: it imports {imports[0]}, and is alone on the board: copy that")
-    if found:
-        raise BuildError(*found)
-    return board
-
-
 def compile_all(
     arch: str,
     board: ModuleType | None = None,
@@ -239,8 +206,8 @@ def texts() -> dict[str, str]:
 def for_board(
     file: Path, progress: Progress = lambda name, size: None, debug: bool = False
 ) -> Build:
-    """What belongs on the board of that file. BuildError before anything is compiled."""
-    board: Any = load_board(file)
+    """What belongs on the board of that file. BoardFileError before anything is compiled."""
+    board: Any = load_for_build(file)
     made = compile_all(board.MPY_ARCH, board, progress, debug)
     made.engine = board.ENGINE
     own = [f"{name}.py" for name in getattr(board, "EXTRAS", ())]

@@ -1,4 +1,4 @@
 """What is done with a machine at a serial port: any Grbl, or a board of ours.
 
-Imports grbl, compiling for what belongs on a board, and run to look ahead of a program.
+Imports `grbl`, `compiling` for what belongs on a board, and `run` for what a program will do.
 """

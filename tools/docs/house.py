@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from .. import paths
-from .source import table
+from .markdown import table
 
 # From the ground up; the first line of main.py stands for what MicroPython starts.
 FOLDERS = "base motion control language talk ports pio esp_chip extras boot".split()

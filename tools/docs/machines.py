@@ -7,29 +7,15 @@ from typing import Any
 from .. import paths
 from ..boardfile import board_check
 from ..grbl import messages
+from ..grbl.comments import above, setting_comments, source
 from ..replay import differences, excuses
 from . import meanings
-from .source import above, as_code, source, table
+from .markdown import as_code, table
 
-_SETTINGS = "base/settings"
 _OPTION_READERS = ("boot/options", "boot/guests", "ports/input_pins", "ports/port", "extras/punch")
 
 
 # Settings, errors, alarms
-
-
-def setting_comments() -> dict[int, str]:
-    """What is said above each row of the settings' table; ValueError if one has no comment."""
-    for node in ast.parse(source(_SETTINGS)).body:
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "_TABLE":
-            rows = [(ast.literal_eval(row.elts[0]), row.lineno) for row in _tuples(node.value)]
-            return {number: above(_SETTINGS, at, f"${number}") for number, at in rows}
-    raise ValueError(f"{_SETTINGS}.py has no _TABLE")
-
-
-def _tuples(rows: ast.expr) -> list[ast.Tuple]:
-    assert isinstance(rows, ast.Tuple)
-    return [row for row in rows.elts if isinstance(row, ast.Tuple)]
 
 
 def settings_table() -> str:
@@ -42,7 +28,7 @@ def settings_table() -> str:
     for number, _, kind, default, unit in settings._TABLE:
         axes = range(3 if kind == settings._AXIS else 1)
         names = " ".join(f"`${number + axis}`" for axis in axes)
-        rows.append((names, f"{default:g}", unit, comments[number]))
+        rows.append((names, f"{default:g}", unit, as_code(comments[number])))
     return table(("Setting", "Default", "Unit", "Meaning"), rows)
 
 
@@ -74,7 +60,7 @@ def board_options() -> dict[str, tuple[str, str]]:
             if ast.unparse(call.func) == "option":
                 name = ast.literal_eval(call.args[0])
                 if name not in found:  # the first who reads it says what it is
-                    words = above(module, call.lineno, f"option {name}")
+                    words = as_code(above(module, call.lineno, f"option {name}"))
                     found[name] = (ast.unparse(call.args[1]), words)
     return found
 
@@ -116,8 +102,8 @@ def boards_table() -> str:
 
 def pins_table() -> str:
     """A row for each thing that can be wired, a column for each board of real hardware."""
+    from ..boardfile.files import load_board
     from ..boardfile.new_board import CONTROLS, ITEMS
-    from ..run.machine import load_board
 
     boards = {path.name: load_board(path.stem) for path in _board_files()}
     real = {name: board for name, board in boards.items() if not board_check.is_simulated(board)}

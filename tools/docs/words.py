@@ -4,8 +4,9 @@ import re
 from functools import cache
 
 from .. import paths
+from ..grbl.comments import source
 from . import meanings
-from .source import source, table
+from .markdown import table
 
 _GROUP = re.compile(r"^GROUP_\w+ = const\((0x\w+)\)  # (.*)$", re.MULTILINE)
 _COMMAND = re.compile(r"^ +\d+: self\.\w+,  # (\$\S+)$", re.MULTILINE)

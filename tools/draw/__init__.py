@@ -1,4 +1,4 @@
-"""What a job does, as a page or a picture.
+"""What a job does, as a page or a picture, and how two of them differ.
 
-Imports grbl, boardfile and run, which it watches.
+Imports `grbl`, `boardfile`, `run`, whose programs it watches, and of `sim` a type.
 """

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .simplify import fitted
 
 if TYPE_CHECKING:
-    from .plot import Job
+    from .job import Job
 
 # What is drawn is nowhere further from the path than this, unless it says another.
 TOLERANCE_MM = 0.01
@@ -106,7 +106,7 @@ def travel(job: "Job", drawing: Drawing) -> tuple[Numbers, Numbers] | None:
 
 def figures(job: "Job") -> list[tuple[str, str]]:
     """The job in words, for the top of a drawing: what, how much."""
-    from .plot import short
+    from .job import short
 
     motion, totals = job.motion, job.result.totals
     seconds, rapid, moves = (

@@ -7,8 +7,8 @@ import numpy as np
 
 from . import drawing
 from .drawing import Drawing, Numbers, envelope
+from .job import Job, short
 from .motion_trace import LETTERS
-from .plot import Job, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,8 +16,8 @@ import numpy as np
 
 from . import drawing
 from .drawing import Drawing, Numbers, envelope
+from .job import Job, short
 from .motion_trace import LETTERS
-from .plot import Job, short
 from .script import PAGE, SCRIPT
 
 # What a browser turns without getting stuck. Beyond it the tolerance widens, and the page says so.

@@ -1,4 +1,4 @@
 """What a Grbl says and reads, as text: programs, settings, and its numbers in words.
 
-The lowest room: it imports `paths` and the firmware's tables only.
+Imports nothing of the other rooms; the words come out of the firmware's own tables.
 """

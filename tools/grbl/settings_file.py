@@ -11,6 +11,7 @@ from functools import cache
 from typing import NamedTuple
 
 from .. import paths
+from .comments import setting_comments
 
 AXES = "XYZABC"
 
@@ -129,8 +130,6 @@ def _table() -> dict[int, Meaning]:
     paths.use_firmware()
     from base import settings
 
-    from ..docs.machines import setting_comments
-
     comments = setting_comments()
     table = {}
     for number, _, kind, _, unit in settings._TABLE:
@@ -146,6 +145,14 @@ def _table() -> dict[int, Meaning]:
 def meaning(number: int) -> Meaning:
     """What a setting is about; nothing where Grbl 1.1 has none of that number."""
     return _table().get(number, Meaning("", "", ""))
+
+
+def as_line(text: str) -> str:
+    """`120=500` or `$120=500` as a line."""
+    number, _, value = text.strip().lstrip("$").partition("=")
+    if not number.isdigit() or not value:
+        raise ValueError(f"{text} is no setting; write it as 120=500")
+    return f"${number}={value}"
 
 
 def _comment(number: int) -> str:

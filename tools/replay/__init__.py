@@ -1,4 +1,4 @@
 """Recordings of real Grbl beside what our firmware answers: replayed, compared, judged.
 
-Imports boardfile; sim replays, in processes of its own.
+Imports `boardfile`. The replaying is done by sim/replay_main.py, in processes of its own.
 """

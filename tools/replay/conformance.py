@@ -1,4 +1,4 @@
-"""Compares the firmware with recordings of real Grbl: `conformance DIR`.
+"""Compares the firmware with recordings of real Grbl.
 
 Replays every case of a folder on the simulator, in processes of their own
 under CPython or MicroPython, or over a real serial port, and judges by the
@@ -9,7 +9,6 @@ import json
 import os
 import queue
 import shutil
-import statistics
 import subprocess
 import sys
 import threading
@@ -18,16 +17,8 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import typer
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Column, Table
-
-from ..cli.outputs import check_outputs
-from ..cli.settings import save_json
-from ..run import machine
 from . import recordings
 from .compare import Json, judge_case, trouble
 from .compare_motion import judge_motion
@@ -275,111 +266,3 @@ def run_port(folder: Path, port: str, only: str | None = None) -> Results:
                 outcome = judge(job.category, case, device.replay(case), lenient=True)
             results.outcomes.append(outcome)
     return results
-
-
-# Showing the results
-
-
-def _side_by_side(outcome: Outcome) -> Iterator[tuple[str, str, str]]:
-    """Number, expected and got of every step, for the table of a failing case."""
-    for number, step in enumerate(outcome.expected):
-        mine = outcome.got[number] if number < len(outcome.got) else {"lines": ["(not reached)"]}
-        expected = [*step["expect"]]
-        got = [*mine["lines"]]
-        if "moved" in mine and (step.get("moved") or any(mine["moved"])):
-            note = " (not required)" if step.get("moving") or step.get("moved_varies") else ""
-            expected.append(f"moved {step.get('moved', [0, 0, 0])}{note}")
-            got.append(f"moved {mine['moved']}")
-        if step.get("out") or mine.get("out"):
-            expected.append(f"out {step.get('out', {})}")
-            got.append(f"out {mine.get('out', {})}")
-        marks = [key for key in ("moving", "moved_varies") if step.get(key)]
-        if "compare" in step:
-            marks.append(step["compare"])
-        for pin in ("pins", "switches", "power"):
-            if pin in step:
-                marks.append(f"{pin} {step[pin]}")
-        head = f"{number} {step['send']!r} {step['wait']} {' '.join(marks)}"
-        yield head, "\n".join(expected), "\n".join(got)
-
-
-def _table() -> Table:
-    names = ("step", "expected", "got")
-    return Table(*(Column(name, overflow="fold") for name in names), show_lines=True)
-
-
-def show(results: Results, console: Console, most: int = 20) -> None:
-    """Print the failing cases, then n of m per category."""
-    for outcome in results.failures()[:most]:
-        title = f"{outcome.category}: {outcome.name}"
-        console.print(f"\n[bold red]{escape(title)}[/]")
-        for line in outcome.wrong:
-            console.print(f"  {escape(line)}", highlight=False)
-        if outcome.expected:
-            table = _table()
-            for head, expected, got in _side_by_side(outcome):
-                style = "" if expected == got else "yellow"
-                table.add_row(escape(head), escape(expected), escape(got), style=style)
-            console.print(table)
-    if len(results.failures()) > most:
-        console.print(f"\n… and {len(results.failures()) - most} more (--json has them all)")
-    for name, (passed, total) in results.categories().items():
-        mark = "[green]" if passed == total else "[red]"
-        console.print(f"{mark}{name}: {passed} of {total}[/]", highlight=False)
-    required = len(results.required())
-    skipped = len(results.outcomes) - required
-    console.print(
-        f"{required - len(results.failures())} of {required} conform, {skipped} not required"
-    )
-    if ratios := results.time_ratios():
-        low, middle, high = ratios[0], statistics.median(ratios), ratios[-1]
-        console.print(
-            f"{len(ratios)} motions take {middle:.4f} of Grbl's time, the median, "
-            f"{low:.3f} to {high:.3f}",
-            highlight=False,
-        )
-    used = Counter(name for outcome in results.outcomes for name in outcome.differences)
-    for name, count in used.items():
-        console.print(f"named difference {name}: {count} times", highlight=False)
-
-
-def conformance(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of recordings.")],
-    python: Annotated[str, typer.Option(help="cpython or micropython")] = "cpython",
-    port: Annotated[
-        str | None, typer.Option(help="Serial port of a real device. The machine will move!")
-    ] = None,
-    only: Annotated[
-        str | None, typer.Option(metavar="CATEGORY", help="One file's name, or motion.")
-    ] = None,
-    json_file: Annotated[
-        Path | None,
-        typer.Option("--json", metavar="FILE", help="Write all results there; - is stdout."),
-    ] = None,
-    board: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Simulator board; else by what it says of itself."),
-    ] = None,
-) -> None:
-    """Replay recordings of real Grbl and say how many are answered alike."""
-    if python not in ("cpython", "micropython"):
-        raise typer.BadParameter("--python is cpython or micropython")
-    if not folder.is_dir():
-        raise typer.BadParameter(f"no folder {folder}")
-    try:
-        check_outputs(json_file)
-        if board is not None:
-            machine.load_board(board)
-        results = run_port(folder, port, only) if port else run_folder(folder, python, only, board)
-        if json_file:
-            save_json(results.as_json(), json_file)
-    except (ValueError, OSError) as error:
-        Console(stderr=True).print(f"[red]{escape(str(error))}", highlight=False)
-        raise typer.Exit(1) from error
-    show(results, Console(stderr=str(json_file) == "-"))
-    if not results.ok():
-        raise typer.Exit(1)
-
-
-if __name__ == "__main__":
-    typer.run(conformance)

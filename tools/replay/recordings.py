@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..run import machine
+from ..boardfile.files import load_board
 from .compare import Json
 
 # Files recorded from a Grbl built with options, and the simulator board that has the same ones.
@@ -93,5 +93,5 @@ def _board(path: Path, cases: list[Json], whole: set[str]) -> str:
     if dialect not in _SPEAKERS:
         raise ValueError(f"{path} is of Grbl {dialect}: nothing here speaks as that")
     name = _BOARDS.get(path.stem, _SPEAKERS[dialect])
-    speaks = getattr(machine.load_board(name), "DIALECT", "1.1")
+    speaks = getattr(load_board(name), "DIALECT", "1.1")
     return name if dialect.startswith(speaks) else _SPEAKERS[dialect]

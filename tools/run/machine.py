@@ -1,12 +1,11 @@
 """A simulated machine for the commands: its board by name, its place to keep settings."""
 
-import sys
 from collections.abc import Callable, Iterable
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .. import paths
+from ..boardfile.files import load_board
 from ..grbl.messages import meaning
 from ..grbl.settings_file import Firmware, SettingsError
 from .file_store import FileStore
@@ -15,35 +14,6 @@ if TYPE_CHECKING:
     from ..sim.rig import Rig
 
 DEFAULT_BOARD = "sim"
-
-
-def boards() -> list[str]:
-    """The names of all boards."""
-    return sorted(path.stem for path in paths.BOARDS.glob("[!_]*.py"))
-
-
-def load_board(name: str) -> Any:
-    """The module of a board; ValueError if there is none of that name."""
-    if name.endswith(".py"):
-        return _load_file(Path(name))
-    if name not in boards():
-        raise ValueError(f"no board {name!r}; there are {', '.join(boards())}")
-    folder = str(paths.BOARDS.parent)
-    if folder not in sys.path:
-        sys.path.append(folder)
-    return import_module(f"boards.{name}")
-
-
-def _load_file(file: Path) -> Any:
-    """A board file wherever it is, checked as before it is built for."""
-    from ..compiling.build import BuildError, load_board
-
-    try:
-        if not file.is_file():
-            raise ValueError(f"no board file {file}")
-        return load_board(file)
-    except BuildError as error:
-        raise ValueError(str(error)) from error
 
 
 class UntimedLink:

@@ -2,7 +2,7 @@
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from .rig import Rig
+    from .seams import Clock
 
 # An Arduino Uno at "115200": the sender is exact, the AVR's divider gives 117647 baud.
 RX_BAUD = 115200
@@ -14,7 +14,7 @@ _TX_QUEUE = 104
 class SimLink:
     """A Link with two virtual wires. `received` is what the sender has got, whole bytes only."""
 
-    def __init__(self, rig: "Rig", rx_baud: int = RX_BAUD, tx_baud: int = TX_BAUD) -> None:
+    def __init__(self, rig: "Clock", rx_baud: int = RX_BAUD, tx_baud: int = TX_BAUD) -> None:
         self.received = bytearray()
         self.last_arrival = 0
         self.wire_free = 0

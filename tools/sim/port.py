@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
     from interfaces import InputListener
 
-    from .rig import Rig
+    from .seams import Clock
 
 # Names of the inputs in recordings, in the bit order of Port.limits() and Port.controls().
 LIMITS = ("limit_x", "limit_y", "limit_z", "limit_a")
@@ -22,7 +22,7 @@ CONTROLS_WITH_DOOR = ("reset", "", "start", "hold")
 class SimPort:
     """A Port whose pins are attributes. Closed means pulled to ground."""
 
-    def __init__(self, rig: "Rig", board: "ModuleType") -> None:
+    def __init__(self, rig: "Clock", board: "ModuleType") -> None:
         self.pwm_max = board.PWM_MAX
         self._controls = CONTROLS_WITH_DOOR if getattr(board, "SAFETY_DOOR", False) else CONTROLS
         # The direction's pin says that the spindle is on.

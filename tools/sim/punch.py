@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import ModuleType
 
-    from .rig import Rig
+    from .seams import Clock
 
 # Places of the punch, and the bits of its sensors.
 UP, DOWN = 0.0, 1.0
@@ -37,7 +37,7 @@ class PunchPort(SimPort):
     on_hole: called then.
     """
 
-    def __init__(self, rig: "Rig", board: "ModuleType") -> None:
+    def __init__(self, rig: "Clock", board: "ModuleType") -> None:
         super().__init__(rig, board)
         self.wiring = 0
         self.dead = 0

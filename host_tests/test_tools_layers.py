@@ -1,0 +1,149 @@
+"""The rooms of tools/: each imports only from lower ones, nothing leads back, and all stays short."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+from test_layers import circles, length
+
+TOOLS = Path(__file__).parent.parent / "tools"
+
+# Who may import whom, what only mypy reads included. Everybody may import paths.
+ROOMS: "dict[str, tuple[str, ...]]" = {
+    "grbl": (),
+    "sim": (),
+    "boardfile": ("grbl", "sim"),
+    "compiling": ("boardfile",),
+    "run": ("grbl", "sim", "boardfile"),
+    "draw": ("grbl", "sim", "boardfile", "run"),
+    "replay": ("boardfile",),
+    "device": ("grbl", "compiling", "run"),
+    "docs": ("grbl", "boardfile", "compiling", "replay"),
+}
+ROOMS["cli"] = tuple(ROOMS)
+GROUND = ("", "paths")  # the package itself, for its version
+# What draws on a terminal and ends a command; make docs has lines to tell as well.
+SCREEN = ("typer", "rich", "prompt_toolkit")
+SCREENS = ("cli", "docs.__main__")
+
+# What a CPython reads in the place of a board's modules: no package, see test_stubs.py.
+STANDINS = TOOLS / "sim" / "standins"
+FILES = sorted(
+    path
+    for suffix in ("*.py", "*.pyi")
+    for path in TOOLS.rglob(suffix)
+    if STANDINS not in path.parents
+)
+each_file = pytest.mark.parametrize(
+    "path", FILES, ids=[path.relative_to(TOOLS).as_posix() for path in FILES]
+)
+
+
+def module_name(path: Path) -> str:
+    """`draw.page`; a package by its own name, and "" is the whole."""
+    parts = path.relative_to(TOOLS).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {module_name(path): path for path in FILES}
+
+
+def base(node: ast.ImportFrom, path: Path) -> "str | None":
+    """The module or package that something is imported from; None for a stranger's."""
+    if not node.level:
+        assert not re.match(r"(ugrbl|tools)\b", node.module or ""), "import it from . or .."
+        return None
+    package = path.relative_to(TOOLS).parent.parts
+    above = package[: len(package) - node.level + 1]
+    return ".".join((*above, *([node.module] if node.module else [])))
+
+
+def imports(path: Path) -> set[str]:
+    """Every module of tools/ that one imports, those that only mypy reads too."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (start := base(node, path)) is not None:
+            for alias in node.names:
+                inside = f"{start}.{alias.name}".lstrip(".")
+                found.add(inside if inside in MODULES else start)
+    return found
+
+
+def strangers(path: Path) -> set[str]:
+    """Packages that are not ours."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            found.add((node.module or "").partition(".")[0])
+    return found
+
+
+IMPORTS = {name: imports(path) for name, path in MODULES.items()}
+
+
+def room(module: str) -> str:
+    return module.partition(".")[0]
+
+
+def may_import(module: str, used: str) -> bool:
+    if used in GROUND or room(used) == room(module):
+        return True
+    return room(used) in ROOMS.get(room(module), ())
+
+
+def test_every_module_has_a_room() -> None:
+    assert {room(module) for module in MODULES} - set(GROUND) == set(ROOMS)
+
+
+@pytest.mark.parametrize("module", IMPORTS)
+def test_a_module_imports_only_from_lower_rooms(module: str) -> None:
+    unknown = IMPORTS[module] - MODULES.keys()
+    assert not unknown, f"{module}: there is no {', '.join(unknown)}"
+    refused = sorted(used for used in IMPORTS[module] if not may_import(module, used))
+    assert not refused, f"{module} may not import {', '.join(refused)}"
+
+
+def test_a_room_imports_only_what_is_lower() -> None:
+    assert not circles({name: set(lower) for name, lower in ROOMS.items()})
+
+
+def test_a_room_uses_all_that_it_may() -> None:
+    used = {name: set() for name in ROOMS}
+    for module, others in IMPORTS.items():
+        if room(module) in used:
+            used[room(module)] |= {room(other) for other in others} - {room(module), *GROUND}
+    allowed = {name: set(lower) for name, lower in ROOMS.items() if name != "cli"}
+    assert {name: used[name] for name in allowed} == allowed
+
+
+def test_no_import_leads_back_to_where_it_began() -> None:
+    assert not circles(IMPORTS), "these import one another, or one that does"
+
+
+@pytest.mark.parametrize("name", ROOMS)
+def test_a_room_says_what_it_is_for_and_what_it_may_import(name: str) -> None:
+    words = ast.get_docstring(ast.parse((TOOLS / name / "__init__.py").read_text("utf-8")))
+    assert words and words.partition("\n\n")[2], "a line what for, and below it who is imported"
+    if name != "cli":  # which imports all of them
+        last = words.rpartition("\n\n")[2]
+        assert {lower for lower in ROOMS if re.search(rf"`{lower}`", last)} == set(ROOMS[name])
+
+
+@each_file
+def test_only_commands_know_the_screen(path: Path) -> None:
+    name = module_name(path)
+    if room(name) not in SCREENS and name not in SCREENS:
+        assert not strangers(path).intersection(SCREEN)
+
+
+@each_file
+def test_functions_and_files_stay_short(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    tree = ast.parse(text)
+    functions = (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef))
+    long = {f"{node.name}: {length(node)} lines" for node in functions if length(node) > 60}
+    assert not long, f"functions have 60 lines at most: {long}"
+    assert len(text.splitlines()) <= 400

@@ -1,0 +1,95 @@
+"""Board files: where one is, and what it says, by its name or its path."""
+
+import ast
+import importlib.util
+import sys
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from .. import paths
+from .board_check import is_simulated, problems
+
+
+class BoardFileError(ValueError):
+    """What is wrong with a board file, a text for each thing."""
+
+    def __init__(self, *problems: str) -> None:
+        super().__init__("\n".join(problems))
+        self.problems = problems
+
+
+def boards() -> list[str]:
+    """The names of all boards."""
+    return sorted(path.stem for path in paths.BOARDS.glob("[!_]*.py"))
+
+
+def board_file(name: str) -> Path:
+    """Where a board file is: a name out of boards/, or a path. BoardFileError if none is there."""
+    file = Path(name)
+    if file.suffix != ".py":
+        _check_name(name)
+        file = paths.BOARDS / f"{name}.py"
+    if not file.is_file():
+        raise BoardFileError(f"there is no file {file}")
+    return file
+
+
+def _check_name(name: str) -> None:
+    if name not in boards():
+        raise BoardFileError(f"no board {name!r}; there are {', '.join(boards())}")
+
+
+def load_board(name: str) -> Any:
+    """The module of a board out of boards/, or of a file that a real board could have.
+
+    BoardFileError if there is none of that name, or says everything that is wrong with the file.
+    """
+    if name.endswith(".py"):
+        return load_for_build(board_file(name))
+    _check_name(name)
+    folder = str(paths.BOARDS.parent)
+    if folder not in sys.path:
+        sys.path.append(folder)
+    return import_module(f"boards.{name}")
+
+
+def load(file: Path) -> ModuleType:
+    """The board file as a module, whatever it says."""
+    spec = importlib.util.spec_from_file_location(f"board_{file.stem}", file)
+    if spec is None or spec.loader is None:
+        raise BoardFileError(f"{file} is no Python file")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    if getattr(module, "EXTRAS", ()) and str(file.parent) not in sys.path:
+        sys.path.append(str(file.parent))  # where its extras are, as on the board
+    return module
+
+
+def load_for_build(file: Path) -> ModuleType:
+    """A board that can be built for; BoardFileError says everything that is wrong with it."""
+    try:
+        imports = list(_imports(ast.parse(file.read_text(encoding="utf-8"))))
+        board = load(file)
+    except (SyntaxError, UnicodeDecodeError) as error:
+        raise BoardFileError(f"{file} is no Python file: {error}") from error
+    except Exception as error:
+        raise BoardFileError(f"{file} fails: {type(error).__name__}: {error}") from error
+    if is_simulated(board):
+        raise BoardFileError(f"{file.stem} is a machine of the simulator: it has no pins")
+    found = [f"{file.name}: {problem}" for problem in problems(board)]
+    if imports:
+        found.append(f"{file.name}: it imports {imports[0]}, and is alone on the board: copy that")
+    if found:
+        raise BoardFileError(*found)
+    return board
+
+
+def _imports(tree: ast.Module) -> Iterator[str]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield "." * node.level + (node.module or "")

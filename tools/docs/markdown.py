@@ -1,0 +1,21 @@
+"""Markdown: code in a text, and tables."""
+
+import re
+from collections.abc import Iterable
+
+Row = tuple[str, ...]
+
+_DOLLAR = re.compile(r"'?(\$[\w$=]*)'?")
+
+
+def as_code(text: str) -> str:
+    """The text with what begins with $ as code."""
+    return _DOLLAR.sub(r"`\1`", text)
+
+
+def table(header: Row, rows: Iterable[Row]) -> str:
+    """A table of Markdown."""
+    lines = [header, ("---",) * len(header), *rows]
+    return "\n".join(
+        f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines
+    )

@@ -1,0 +1,153 @@
+"""A job: a program as it runs under some settings, ready to be drawn; two of them, compared."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..boardfile.files import load_board
+from ..grbl.messages import meaning as reply_meaning
+from ..grbl.settings_file import Settings, SettingsError, meaning
+from ..run import machine
+from ..run.program import Result
+from .motion_trace import LETTERS, Motion, MotionTrace, trace_program
+
+# There are no switches on paper: with these, a job would begin locked, or end in an alarm.
+_WITHOUT = frozenset({20, 21, 22})
+
+
+@dataclass
+class Job:
+    """A program as it runs under some settings. name says which."""
+
+    name: str
+    result: Result
+    motion: Motion
+    # Per axis: max_rate in steps/s, acceleration in mm/s2, travel in mm.
+    limits: dict[str, list[float]]
+    program: Sequence[bytes] = ()
+    marks: Sequence[Sequence[float]] = ()  # where a punch has made a hole, in mm
+
+    @property
+    def seconds(self) -> float:
+        """How long it takes."""
+        return self.result.totals.time_s
+
+    def as_json(self) -> dict[str, Any]:
+        """As `ugrbl plot --json` writes it."""
+        motion = self.motion
+        return {
+            "name": self.name,
+            "time_s": self.seconds,
+            "lines": self.result.lines,
+            "errors": self.result.errors,
+            "stopped": self.result.stopped,
+            "distance_mm": self.result.totals.distance_mm,
+            "fastest_mm_min": 60 * float(max(motion.speed_mm_s, default=0.0)),
+            "fastest_step_hz": by_letter(
+                float(motion.step_hz(axis).max(initial=0)) for axis in motion.axes()
+            ),
+            "final_position_mm": self.result.totals.final_position_mm,
+        }
+
+
+def by_letter(values: Iterable[float]) -> dict[str, float]:
+    """Values by the letter of their axis."""
+    return dict(zip(LETTERS, values, strict=False))
+
+
+def from_file(file: Path) -> list[str]:
+    """The settings in a file of `ugrbl settings pull`, as lines for a machine on paper."""
+    try:
+        settings = Settings.read(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, SettingsError) as error:
+        raise ValueError(f"{file}: {error}") from error
+    kept = sorted(settings.values.items())
+    return [f"${number}={value}" for number, value in kept if number not in _WITHOUT]
+
+
+def run_job(
+    name: str,
+    lines: Sequence[bytes],
+    settings: Sequence[str],
+    board: str = machine.DEFAULT_BOARD,
+    progress: Callable[[int], None] | None = None,
+) -> Job:
+    """Run it. ValueError where a setting is refused."""
+    result, trace = trace_program(lines, board=board, settings=settings, progress=progress)
+    if " was refused with " in result.stopped:
+        reply = result.stopped.rpartition(" ")[2]
+        raise ValueError(f"{result.stopped}: {reply_meaning(reply)}")
+    return job_of(name, lines, settings, board, result, trace)
+
+
+def job_of(
+    name: str,
+    lines: Sequence[bytes],
+    settings: Sequence[str],
+    board: str,
+    result: Result,
+    trace: MotionTrace,
+) -> Job:
+    """What has been traced, ready to be drawn."""
+    limits = _limits(board, settings, len(trace.motion.axes()))
+    return Job(name, result, trace.motion, limits, lines, trace.marks)
+
+
+def _limits(board: str, settings: Sequence[str], axes: int) -> dict[str, list[float]]:
+    """What the settings allow each axis."""
+    values = _defaults(board)
+    for line in settings:
+        number, _, value = line.lstrip("$").partition("=")
+        values[int(number)] = float(value)
+    hz = [values[110 + axis] / 60 * values[100 + axis] for axis in range(axes)]
+    return {
+        "step_hz": hz,
+        "acceleration": [values[120 + axis] for axis in range(axes)],
+        "travel": [values[130 + axis] for axis in range(axes)],
+    }
+
+
+def _defaults(board: str) -> dict[int, float]:
+    from base import settings
+
+    given = getattr(load_board(board), "DEFAULTS", {})
+    values = {}
+    for number, _, kind, default, _ in settings._TABLE:
+        for axis in range(len(LETTERS) if kind == settings._AXIS else 1):
+            values[number + axis] = float(given.get(number + axis, default))
+    return values
+
+
+def describe(settings: Sequence[str]) -> str:
+    """Settings in words: `Acceleration X 500 mm/sec^2, …`."""
+    words = []
+    for line in settings:
+        number, _, value = line.lstrip("$").partition("=")
+        said = meaning(int(number))
+        words.append(f"{said.name} {value} {said.unit}".strip())
+    return ", ".join(words)
+
+
+def verdict(before: Job, after: Job) -> str:
+    """The difference in words."""
+    digits = 1 if before.seconds < 60 else 0  # so that the times shown add up
+    saved = round(before.seconds, digits) - round(after.seconds, digits)
+    times = f"{short(after.seconds)} instead of {short(before.seconds)}"
+    if not before.seconds or abs(saved) < 0.005 * before.seconds:
+        return f"{times}: next to no difference"
+    share = 100 * abs(saved) / before.seconds
+    what = "saved" if saved > 0 else "more"
+    return f"{times}: {short(abs(saved))} {what} ({share:.0f} %)"
+
+
+def short(seconds: float) -> str:
+    """A length of time as people say it."""
+    if seconds < 1:
+        return f"{seconds:.2f} s"
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes < 60:
+        return f"{minutes} min {rest} s"
+    return f"{minutes // 60} h {minutes % 60} min"
