@@ -8,8 +8,9 @@ from typing import Any
 from base import state as st
 from laws import Limits, Watch
 from ugrbl.boardfile.files import load_board
-from ugrbl.sim.replay import Sender, factory_store
+from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
+from ugrbl.sim.sender import Sender
 
 _WINDOW = 127
 _LIMIT_MS = 600_000

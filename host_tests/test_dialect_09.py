@@ -24,8 +24,9 @@ from ugrbl.boardfile.files import load_board
 from ugrbl.grbl.messages import alarms, meaning
 from ugrbl.grbl.messages import errors as error_words
 from ugrbl.paths import STANDINS
-from ugrbl.sim.replay import Sender, factory_store
+from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
+from ugrbl.sim.sender import Sender
 
 _HERE = Path(__file__).parent
 _FIRMWARE = _HERE.parent / "firmware"

@@ -276,7 +276,7 @@ def test_a_pulled_settings_file_is_the_machine_as_it_is(program: Path) -> None:
         (["-o", "FILE/out.png"], "square.nc is no folder"),
         (["--json", "FOLDER"], "is a folder"),
         (["--json", "FILE"], "it is not written over"),
-        (["--board", "nowhere.py"], "no board file nowhere.py"),
+        (["--board", "nowhere.py"], "there is no file nowhere.py"),
     ],
 )
 def test_what_cannot_be_drawn_says_why(program: Path, words: list[str], why: str) -> None:

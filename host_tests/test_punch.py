@@ -24,8 +24,9 @@ from ugrbl.draw.job import run_job
 from ugrbl.grbl.gcode_file import read_lines
 from ugrbl.run.program import run_program
 from ugrbl.sim.punch import DOWN, SENSOR_DOWN, SENSOR_UP, UP, BrokenLaw
-from ugrbl.sim.replay import Sender, factory_store
+from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
+from ugrbl.sim.sender import Sender
 
 _EXAMPLES = Path(__file__).parent.parent / "examples"
 _PROGRAM = _EXAMPLES / "punch.nc"

@@ -11,8 +11,9 @@ import pytest
 from base import state as st
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.engine import Switch
-from ugrbl.sim.replay import Sender, factory_store
+from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
+from ugrbl.sim.sender import Sender
 
 _TABLE = Path(__file__).parent.parent / "docs" / "seeds.md"
 _OK = ["ok"]

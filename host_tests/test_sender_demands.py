@@ -17,8 +17,9 @@ from ugrbl.run import machine
 paths.use_firmware(fast=False)
 
 from ugrbl.sim.engine import Switch  # noqa: E402
-from ugrbl.sim.replay import Sender, factory_store  # noqa: E402
+from ugrbl.sim.replay import factory_store  # noqa: E402
 from ugrbl.sim.rig import MemoryStore, Rig  # noqa: E402
+from ugrbl.sim.sender import Sender  # noqa: E402
 
 Steps = Generator[Any, None, None]
 _BOARD = load_board(machine.DEFAULT_BOARD)

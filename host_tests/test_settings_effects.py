@@ -19,8 +19,8 @@ from extras.punch import _SETTINGS as punch_settings
 from motion.kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.engine import Switch
-from ugrbl.sim.replay import Sender
 from ugrbl.sim.rig import MemoryStore, Rig
+from ugrbl.sim.sender import Sender
 
 _AXES = "XYZ"
 _PER_MM = 250

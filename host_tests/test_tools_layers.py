@@ -1,4 +1,4 @@
-"""The rooms of tools/: each imports only from lower ones, nothing leads back, and all stays short."""
+"""The rooms of tools/: each imports only from lower ones, nothing leads back, all stays short."""
 
 import ast
 import re
