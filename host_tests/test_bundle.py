@@ -8,12 +8,13 @@ from pathlib import Path
 
 import pytest
 from test_shorten import firmware, qstrs
-from ugrbl import build, paths
+from ugrbl import paths
+from ugrbl.compiling import build
 from ugrbl.compiling import prepared
 from ugrbl.compiling.bundle import Bundles, bundle
 from ugrbl.compiling.order import order
 from ugrbl.compiling.scopes import Meaning, NotUnderstood
-from ugrbl.conformance import find_micropython
+from ugrbl.replay.conformance import find_micropython
 
 _HERE = Path(__file__).resolve().parent
 _BOARDS = sorted(set(paths.BOARDS.glob("*.py")) - set(paths.BOARDS.glob("sim*.py")))

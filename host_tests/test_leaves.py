@@ -431,7 +431,7 @@ def test_the_engines_interrupt_does_the_same(
 
 _DIGEST = """
 import hashlib
-from ugrbl import build
+from ugrbl.compiling import build
 from ugrbl.compiling import prepared
 
 texts = prepared(build.texts()).texts

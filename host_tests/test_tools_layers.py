@@ -23,9 +23,10 @@ ROOMS: "dict[str, tuple[str, ...]]" = {
 }
 ROOMS["cli"] = tuple(ROOMS)
 GROUND = ("", "paths")  # the package itself, for its version
-# What draws on a terminal and ends a command; make docs has lines to tell as well.
+# What draws on a terminal and ends a command. `make docs` is one, too; maps asks typer where a
+# user's files lie.
 SCREEN = ("typer", "rich", "prompt_toolkit")
-SCREENS = ("cli", "docs.__main__")
+SCREENS = ("cli", "docs.__main__", "compiling.maps")
 
 # What a CPython reads in the place of a board's modules: no package, see test_stubs.py.
 STANDINS = TOOLS / "sim" / "standins"

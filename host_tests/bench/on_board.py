@@ -16,7 +16,7 @@ whole, less the two before. The machine is in check mode meanwhile, and reset af
 """
 
 from language import fast_path
-from ugrbl.selftest import program
+from ugrbl.device.selftest import program
 
 _START = """
 power_up.live(power_up.build())

@@ -9,8 +9,8 @@ from unittest.mock import patch
 from motion.kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE
 from pico import Edge, Pico
 from ugrbl.compiling import build
-from ugrbl.paths import BOARDS
 from ugrbl.device.selftest import program
+from ugrbl.paths import BOARDS
 from ugrbl.run import machine
 from ugrbl.run.program import ProgramLink
 from ugrbl.sim.engine import step_tick

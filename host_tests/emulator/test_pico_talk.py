@@ -5,6 +5,7 @@ from statistics import median
 
 import pytest
 from emulated import FOUND, Board
+from ugrbl.boardfile.files import board_file
 from ugrbl.compiling import build
 
 pytestmark = pytest.mark.xdist_group("pico talk")
@@ -57,7 +58,7 @@ def free(machine: Board) -> int:
 
 def test_names_and_lines_take_fifteen_kilobytes_at_most(machine: Board, uf2: Path) -> None:
     """`--debug`; what it says of that: cli/build.py has DEBUG_COST."""
-    files = build.for_board(files.board_file("rpi_pico"), debug=True).files
+    files = build.for_board(board_file("rpi_pico"), debug=True).files
     debug = Board(uf2, {**files, "main.py": MAIN}).boot().settled()
     assert 10_000 < free(machine) - free(debug) < 15_000
     assert f"[MSG:Build: {build.prepared_firmware(debug=True).id}]" in debug.ask("$I+")
