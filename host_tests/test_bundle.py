@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 from test_shorten import firmware, qstrs
 from ugrbl import paths
-from ugrbl.compiling import build
-from ugrbl.compiling import prepared
+from ugrbl.compiling import build, prepared
 from ugrbl.compiling.bundle import Bundles, bundle
 from ugrbl.compiling.order import order
 from ugrbl.compiling.scopes import Meaning, NotUnderstood
