@@ -2,10 +2,10 @@
 
 The machine is streaming, and at some instant a limit switch closes, the reset or the hold button
 is pressed, a Ctrl-X or a `!` arrives. Behind a stop there is no edge on a step pin nor on the
-spindle's later than the README says, and the reset that follows ends in a machine that works and
-knows where it is, counted from the edges. A hold loses no step.
+spindle's later than docs/faults.md says, and the reset that follows ends in a machine that works
+and knows where it is, counted from the edges. A hold loses no step.
 
-A trial costs 1 to 2 CPU seconds, for it is a future of a machine that streams on. A thousand of
+A trial costs 2 CPU seconds, for it is a future of a machine that streams on. A thousand of
 them is `make torture-board`; what has failed is played again, alone, by the seed it names:
 
     UGRBL_INJECTION=137 .venv/bin/pytest -q host_tests/emulator/test_pico_injection.py
