@@ -12,8 +12,9 @@ from base.settings import INT
 from boot.options import Options
 from extras.api import Cnc
 from ugrbl.boardfile.files import load_board
-from ugrbl.sim.replay import Sender, factory_store
+from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
+from ugrbl.sim.sender import Sender
 
 
 class Bench:
