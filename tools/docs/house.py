@@ -9,6 +9,8 @@ from .markdown import table
 
 # From the ground up; the first line of main.py stands for what MicroPython starts.
 FOLDERS = "base motion control language talk ports pio esp_chip extras boot".split()
+# The rooms of the package on the desktop, each above those that it imports.
+ROOMS = "grbl sim boardfile compiling run draw replay device docs cli".split()
 
 
 def imports() -> set[tuple[str, str]]:
@@ -42,6 +44,13 @@ def folders_table() -> str:
         for path in sorted((paths.FIRMWARE / folder).glob("[!_]*.py")):
             rows.append((f"`{folder}/{path.name}`", _first_sentence(path)))
     return table(("Module", "What it is"), rows)
+
+
+def rooms_table() -> str:
+    """Every folder of the package on the desktop with the first line of what it says it is."""
+    files = ((room, paths.TOOLS / room / "__init__.py") for room in ROOMS)
+    rows = [(f"`{room}/`", _first_sentence(file)) for room, file in files]
+    return table(("Room", "What is in it"), rows)
 
 
 def _first_sentence(path: Path) -> str:

@@ -34,6 +34,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "pins": machines.pins_table,
     "differences": machines.differences_table,
     "modules": house.folders_table,
+    "rooms": house.rooms_table,
 }
 
 
