@@ -249,3 +249,23 @@ def test_every_build_has_its_id_once_and_tells_it() -> None:
     ids = {symbols.stamped(texts, unstamped).id for texts in (build.texts(), moved)}
     assert len(ids) == 2
     assert (paths.FIRMWARE / "base" / "errors.py").read_text().count(symbols.OF_SOURCES) == 1
+
+
+# Where a package is one module on the board
+
+
+def test_a_function_of_a_bundle_is_looked_for_in_its_package(map_: Any) -> None:
+    told = '[MSG:ValueErr: wrong File "control", line 1, in finish]'
+    found = list(decode(told, map_))
+    assert any("control/canon.py" in line and "Canon.finish" in line for line in found)
+    assert any("control/saves.py" in line and "Saves.finish" in line for line in found)
+    assert not any("talk/" in line for line in found)
+
+
+def test_a_name_that_clashed_in_a_bundle_is_known(map_: Any) -> None:
+    renamed = {**map_, "bundles": {"control": {"finish_2": ["control.saves", "finish"]}}}
+    told = '[MSG:ValueErr: wrong File "control", line 1, in finish_2]'
+    found = list(decode(told, renamed))
+    assert [line for line in found if "control/" in line and "File" not in line] == [
+        f"    control/saves.py, {span('control.saves', 'Saves.finish')}: Saves.finish"
+    ]

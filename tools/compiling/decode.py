@@ -94,11 +94,29 @@ def _meant(kind: str, short: str, module: dict[str, Any], map_: dict[str, Any]) 
 def _places(told: "re.Match[str]", map_: dict[str, Any]) -> Iterator[Place]:
     """Which functions it may be: a short name may be of several classes, or be cut off."""
     module = _of_module(told[1], map_)
-    if not module:
+    if module:
+        yield from _in_module(told, told[3] or "", module)
+    else:
+        yield from _in_bundle(told, map_)
+
+
+def _in_bundle(told: "re.Match[str]", map_: dict[str, Any]) -> Iterator[Place]:
+    """The same where a package is one module on the board (bundle.py)."""
+    package, function = told[1], told[3] or ""
+    renamed = map_.get("bundles", {}).get(package, {}).get(function)
+    if renamed:
+        module, function = renamed
+        yield from _in_module(told, function, map_["modules"][module])
         return
+    for name, module in map_["modules"].items():
+        if name.startswith(package + ".") and _functions(function, module, [*module["functions"]]):
+            yield from _in_module(told, function, module)
+
+
+def _in_module(told: "re.Match[str]", function: str, module: dict[str, Any]) -> Iterator[Place]:
     line = module.get("lines", {}).get(told[2], 0)
     spans = {name: (first, last) for name, (first, last) in module["functions"].items()}
-    found = _functions(told[3] or "", module, [*spans])
+    found = _functions(function, module, [*spans])
     if line:
         found = [name for name in found if spans[name][0] <= line <= spans[name][1]] or found
     for name in found:
