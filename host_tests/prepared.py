@@ -46,6 +46,7 @@ def write_tree(root: Path, made: Shortened, write: Compile) -> Path:
         shutil.copytree(
             _ROOT / folder, root / folder, ignore=shutil.ignore_patterns("__pycache__")
         )
+    (root / "host_tests").mkdir()
     for name, text in guests(ours, made).items():
         (root / name).write_text(text, "utf-8")
     (root / "site").mkdir()
