@@ -132,7 +132,7 @@ def test_a_board_gets_every_module_its_modules_import(name: str) -> None:
                     assert path in there or path not in build.sources(), f"{source}: {path}"
 
 
-def needed(**words: str) -> set[str]:
+def needed(**words: "str | bool") -> set[str]:
     board = load_board("rpi_pico")
     made = type(board)("made")
     vars(made).update({**vars(board), **words})
@@ -168,7 +168,8 @@ def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() ->
     every: set[str] = set()
     for engine in ("pio", "rmt", "i2s"):
         for link in ("usb", "uart"):
-            every |= needed(ENGINE=engine, LINK=link, TOOL="punch", DIALECT="0.9")
+            words = {"TOOL": "punch", "DIALECT": "0.9", "COREXY": True}
+            every |= needed(ENGINE=engine, LINK=link, **words)
     assert every == set(build.sources())
 
 
