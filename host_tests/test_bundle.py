@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from test_shorten import firmware, qstrs
+from test_shorten import qstrs
 from ugrbl import paths
-from ugrbl.compiling import build, prepared
+from ugrbl.compiling import build
 from ugrbl.compiling.bundle import Bundles, bundle
 from ugrbl.compiling.order import order
 from ugrbl.compiling.scopes import Meaning, NotUnderstood
@@ -207,7 +207,7 @@ def test_names_that_are_used_most_have_the_first_places(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def placed() -> "dict[str, str]":
     """All modules, as they are put together."""
-    return prepared(firmware()).texts
+    return build.prepared_firmware().texts
 
 
 def put_together(placed: "dict[str, str]", board: Path) -> Bundles:

@@ -219,9 +219,10 @@ def test_a_link(tree):
     pico = (tree.folder / "boards" / "rpi_pico.py").read_text()
     board = tree.folder / "my_bluetooth.py"
     board.write_text(pico.replace('LINK = "usb"', 'LINK = "serial"'))
-    built = tree.ugrbl("build --board my_bluetooth.py")
-    assert "ports/serial_link.mpy" in built
-    assert "ports/usb_link.mpy" not in built
+    tree.ugrbl("build --board my_bluetooth.py")
+    map_ = json.loads((tree.folder / "build" / "my_bluetooth.map.json").read_text())
+    ports = {module for module, _ in map_["bundles"]["ports"].values()}
+    assert "ports.serial_link" in ports and "ports.usb_link" not in ports
     assert tree.python("-c", _TALK).splitlines() == ["3 b'G0X' 1 1 0", "b'ok'", "0"]
 
 

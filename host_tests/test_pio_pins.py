@@ -41,7 +41,7 @@ def new_chip(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(gpio.sys, "implementation", SimpleNamespace(_machine="with RP2040"))
     Pin.pins.clear()
     PWM.outputs.clear()
-    machine.mem32.words.clear()
+    monkeypatch.setattr(machine, "mem32", machine._Memory())
     yield
     Pin.pins.clear()
 
