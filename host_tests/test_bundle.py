@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from test_shorten import qstrs
 from ugrbl import paths
+from ugrbl.boardfile.files import load_for_build
 from ugrbl.compiling import build
 from ugrbl.compiling.bundle import Bundles, bundle
 from ugrbl.compiling.order import order
@@ -122,7 +123,7 @@ def outcome(texts: "dict[str, str]", folder: Path, micropython: bool) -> str:
         file = folder / (f"{name}/__init__.py" if merged else name.replace(".", "/") + ".py")
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text)
-    path = [str(folder)] if micropython else [str(folder), str(paths.SHIM)]
+    path = [str(folder)] if micropython else [str(folder), str(paths.STANDINS)]
     python = str(find_micropython()) if micropython else sys.executable
     command = [python, "-c", f"import sys; sys.path[:0] = {path!r}; import main"]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
@@ -212,13 +213,13 @@ def placed() -> "dict[str, str]":
 
 def put_together(placed: "dict[str, str]", board: Path) -> Bundles:
     """What a board needs of them."""
-    needed = [build.module(source) for source in build.needed(build.load_board(board))]
+    needed = [build.module(source) for source in build.needed(load_for_build(board))]
     return bundle({name: placed[name] for name in needed})
 
 
 @pytest.mark.parametrize("board", _BOARDS, ids=lambda file: file.stem)
 def test_of_each_board_every_module_goes_somewhere(placed: "dict[str, str]", board: Path) -> None:
-    needed = [build.module(source) for source in build.needed(build.load_board(board))]
+    needed = [build.module(source) for source in build.needed(load_for_build(board))]
     made = put_together(placed, board)
     merged = {meaning.module for names in made.origins.values() for meaning in names.values()}
     apart = set(made.texts) - set(made.origins)
@@ -262,9 +263,8 @@ def test_programs_for_the_board_find_what_they_ask_for_under_its_name(
         *(_HERE / "emulator").glob("*.py"),
         _HERE / "bench" / "on_board.py",
     ]
-    texts = [
-        file.read_text("utf-8") for file in (_HERE.parent / "tools/selftest/on_board").glob("*.py")
-    ]
+    selftest = paths.TOOLS / "device" / "selftest" / "on_board"
+    texts = [file.read_text("utf-8") for file in selftest.glob("*.py")]
     rows = {row for text in [*texts, *map(programs, files)] for row in asked(text)}
     assert {
         ("talk", "commands", "Commands"),
