@@ -156,11 +156,11 @@ _GOOD = "ENGINE = 'pio'\nSTEP = (2, 3, 4)\nDIR = (5, 6, 7)\n"
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"motion/kernels.mpy": None}, "no module named 'motion.kernels'"),
+        ({"motion/__init__.mpy": None}, "no module named 'motion'"),
         ({"board.py": _GOOD.replace("7", "2").encode()}, "DIR: pin 2 is STEP already"),
         ({"board.py": _GOOD.replace("4", "40").encode()}, "STEP: there is no pin 40"),
         ({"board.py": _GOOD.replace("pio", "steam").encode()}, "ENGINE steam is not one there is"),
-        ({"board.py": (_GOOD + "TOOL = 'punch'\n").encode()}, "no module named 'extras.punch'"),
+        ({"board.py": (_GOOD + "TOOL = 'punch'\n").encode()}, "no module named 'extras"),
     ],
 )
 def test_a_machine_that_cannot_be_tells_whoever_asks(
