@@ -1,6 +1,7 @@
 """The firmware on the desktop: stand-ins first, so that they win over others of the name."""
 
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -22,3 +23,9 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 def maps_of_tests(tmp_path_factory: pytest.TempPathFactory) -> None:
     """No test keeps a map in the user's folder."""
     os.environ["UGRBL_MAPS"] = str(tmp_path_factory.mktemp("maps"))
+
+
+# Who runs tests in the background may have these ignored, and what a test starts would inherit it.
+for _number in (signal.SIGINT, getattr(signal, "SIGHUP", signal.SIGINT)):
+    if signal.getsignal(_number) == signal.SIG_IGN:
+        signal.signal(_number, signal.SIG_DFL)
