@@ -4,7 +4,7 @@ from pathlib import Path
 from statistics import median
 
 import pytest
-from emulated import FOUND, Board
+from emulated import FOUND, Board, firmware
 from ugrbl.boardfile.files import board_file
 from ugrbl.compiling import build
 
@@ -56,12 +56,23 @@ def free(machine: Board) -> int:
     return int(machine.ask("$M").partition("free ")[2].partition(".")[0])
 
 
-def test_names_and_lines_take_fifteen_kilobytes_at_most(machine: Board, uf2: Path) -> None:
+def test_names_lines_and_single_modules_take_24_kilobytes_at_most(uf2: Path) -> None:
     """`--debug`; what it says of that: cli/build.py has DEBUG_COST."""
-    files = build.for_board(board_file("rpi_pico"), debug=True).files
-    debug = Board(uf2, {**files, "main.py": MAIN}).boot().settled()
-    assert 10_000 < free(machine) - free(debug) < 15_000
+    debug = board_as_built(uf2, debug=True)
     assert f"[MSG:Build: {build.prepared_firmware(debug=True).id}]" in debug.ask("$I+")
+    usual = board_as_built(uf2, debug=False)
+    ask = "import gc;gc.collect();print(gc.mem_free())"
+    left, left_of_debug = (int(board.python(ask)) for board in (usual, debug))
+    assert 18_000 < left - left_of_debug < 24_000
+
+
+def board_as_built(uf2: Path, debug: bool) -> Board:
+    """With main.py as it is deployed."""
+    files = build.for_board(board_file("rpi_pico"), debug=debug).files
+    if not debug:
+        return Board(uf2).boot().settled()
+    others = {name: None for name in firmware() if name not in files}
+    return Board(uf2, {**others, **files}).boot().settled()
 
 
 def test_it_says_what_it_is(machine: Board) -> None:
