@@ -57,6 +57,7 @@ class Drive:
         self._port = port
         self._voice = voice
         self.moving = False  # the engine was started and has not been seen idle since
+        self.by_pin = False  # a switch or a button has asked for the reset that is due
         self.settling = False  # it stands still, and the motors are still powered ($1)
         self._since = 0
         # Where motion stood when it was set going again, and how often that was in vain.
@@ -105,6 +106,7 @@ class Drive:
             self._port.kill()
             self._engine.stop()
             self._note_reset(errors.ALARM_HARD_LIMIT)
+            self.by_pin = True
 
     @micropython.native
     def on_controls(self, active: int) -> None:
@@ -115,6 +117,7 @@ class Drive:
             self._port.kill()
             self._engine.stop()
             self._note_reset(errors.ALARM_EMERGENCY_STOP if emergency else 0)
+            self.by_pin = True
         if active & HOLD:
             state.post(st.FEED_HOLD)
         if active & START:

@@ -128,7 +128,9 @@ class Protocol:
                             write(ok)
             except Abort:
                 self._tell_alarm()
-                self._link.discard()  # sent before the reset, and not for the machine behind it
+                if self._drive.by_pin:  # what is unread was sent before that
+                    self._drive.by_pin = False
+                    self._link.discard()
 
     def execute(self, line: bytearray, length: int, before: bytes) -> None:
         """Execute one line and answer it. before: what the answer begins with."""

@@ -151,6 +151,7 @@ def unlock(machine: Board) -> None:
     machine.forget()
     machine.send("\x18")
     machine.wait_for("Grbl 1.1h")
+    machine.pico.run_us(60_000)  # that may have been the button's, half a second late
     machine.ask("$X")
 
 
