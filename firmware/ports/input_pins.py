@@ -163,13 +163,21 @@ class PortInputs:
             pin.irq().trigger(0)
             if self._quiet and self._debounce_ms and pin is not self._estop:
                 return
+            self._listener.on_controls(self._seen_by(pin))  # before anything else is looked at
             self._controls_seen = self.controls()
-            self._listener.on_controls(self._active())
             if not self._quiet:
                 self._quiet = True
                 self._start(self._control_timer, self._debounce_ms, self._settle)
         except BaseException:
             self._fail()
+
+    @micropython.native
+    def _seen_by(self, pin: "Pin") -> int:
+        """Mask of this control input alone, 0 where it is not active."""
+        if pin is self._estop:
+            return _EMERGENCY_STOP if pin.value() else 0
+        bit = 1 << self._controls.index(pin)
+        return (0 if pin.value() else bit) ^ (self._control_invert & bit)
 
     def _await_quiet(self) -> None:
         self._quiet = True
