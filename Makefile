@@ -57,7 +57,7 @@ bench-board: $(VENV)  ## and on a board: at PORT, or emulated with the image UGR
 test-senders: $(VENV)  ## real senders, installed into ~/.cache/ugrbl-senders, at the simulator
 	$(BIN)/pytest -q -rs host_tests/senders
 
-docs: $(VENV)  ## the tables in docs/, and package.json, out of the firmware's own
+docs: $(VENV)  ## the tables in docs/ out of the firmware's own
 	$(BIN)/python -m ugrbl.docs
 
 pictures: $(VENV)  ## and the pictures, each by its command

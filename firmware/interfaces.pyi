@@ -134,7 +134,7 @@ class Port(Protocol):
         """Mask of limit inputs pulled to ground, bit 0 = X."""
 
     def controls(self) -> int:
-        """Mask of control inputs that are active: inputs.RESET, HOLD, START, DOOR."""
+        """Mask of control inputs that are active: base.controls: RESET, HOLD, START, DOOR."""
 
     def probe(self) -> bool:
         """The probe input is pulled to ground."""

@@ -15,7 +15,7 @@ from typing import Any
 import esp32
 import esp_machine
 from esp_clock import clock
-from motion.kernels import ROW_AXES, ROW_STRIDE, row_length
+from motion.layout import ROW_AXES, ROW_STRIDE, row_length
 from ugrbl.sim import engine as sim_engine
 from ugrbl.sim.engine import Switch
 

@@ -11,6 +11,7 @@ prints what is at a pin. Prints the conversation, and what the prompt would read
 """
 
 import json
+import os
 import sys
 
 TYPE_CHECKING = False
@@ -25,7 +26,7 @@ def set_path() -> str:
     standins = root + "/tools/sim/standins"
     if sys.implementation.name == "cpython":
         sys.path.insert(0, standins)
-    sys.path.insert(0, root + "/firmware")
+    sys.path.insert(0, os.getenv("UGRBL_FIRMWARE") or root + "/firmware")
     sys.path += [here, standins]
     return root
 
@@ -89,11 +90,10 @@ def deaf(pin: "esp_machine.Pin", level: int) -> None:
 
 def fail() -> None:
     """The engine's next turn raises."""
-    from esp_chip.i2s import I2sEngine
-    from esp_chip.rmt import RmtEngine
-
-    for kind in (I2sEngine, RmtEngine):
-        kind._go_on = failing(kind, kind._go_on)  # type: ignore[method-assign]
+    for module, name in (("esp_chip.i2s", "I2sEngine"), ("esp_chip.rmt", "RmtEngine")):
+        if module in sys.modules:
+            kind: "Any" = getattr(sys.modules[module], name)
+            kind._go_on = failing(kind, kind._go_on)
 
 
 def failing(kind: "Any", go_on: "Any") -> "Any":
@@ -243,6 +243,7 @@ def run(path: str) -> None:
 
 def main() -> None:
     name, folder, *lines = sys.argv[1:]
+    made: "Any" = board(name, lines)
     wire = esp_stdio.Wire()
     load(
         {"machine": esp_machine, "time": Time},
@@ -251,7 +252,8 @@ def main() -> None:
         "esp_chip.start",
     )
     modules = {"machine": esp_machine, "time": Time, "sys": chip(name)}
-    load(modules, "esp_chip.i2s", "esp_chip.rmt")
+    if made.ENGINE in ("rmt", "i2s"):
+        load(modules, "esp_chip." + made.ENGINE)
     load({"os": wire.os()}, "ports.escape")
     load({"sys": wire.sys(), "select": wire.select()}, "ports.uart_link")
     load({"sys": wire.sys(), "machine": esp_machine}, "ports.supervisor")
@@ -271,16 +273,15 @@ def main() -> None:
         from traceback import print_exception
 
         sys.print_exception = lambda fault, file: print_exception(fault, file=file)  # type: ignore[attr-defined]
-    made: "object" = board(name, lines)
     sys.modules["board"] = made  # type: ignore[assignment]
     with open(folder + "/talk.json") as file:
         sender = Sender(wire, json.load(file))
-    for pin in made.LIMIT + made.NO_PULL_UP:  # type: ignore[attr-defined]  # resistors outside
+    for pin in made.LIMIT + made.NO_PULL_UP:  # resistors outside
         esp_machine.Pin(pin, esp_machine.Pin.IN).drive(1)
     if getattr(made, "PUNCH_UP", None):
         sender.punch = punch_pins.Punch(made, esp_machine.Pin, lambda: clock.us)
     if getattr(made, "RUN", None):
-        run(made.RUN)  # type: ignore[attr-defined]
+        run(made.RUN)
         return
     __import__("main")
     print("the prompt reads", list(wire.left()))

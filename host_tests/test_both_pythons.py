@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 from micropython_runner import needs_micropython, run_micropython
+from ugrbl.paths import FIRMWARE
 
 HERE = Path(__file__).parent
 STANDINS = HERE.parent / "tools" / "sim" / "standins"
-PATHS = [HERE.parent / "firmware", HERE]
+PATHS = [FIRMWARE, HERE]
 VECTORS = HERE / "vectors.py"
 
 

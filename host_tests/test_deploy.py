@@ -19,8 +19,8 @@ from ugrbl.cli import deploy as deploy_cli
 from ugrbl.cli import ports
 from ugrbl.cli.app import app
 from ugrbl.compiling import build
+from ugrbl.compiling.inline import inline
 from ugrbl.device.deploy import LIST, About, DeployError, Running, check_fit, deploy
-from ugrbl.docs import pages
 
 REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
 PICO = About(0x1306, "1.28.0", "Raspberry Pi Pico with RP2040")
@@ -123,8 +123,9 @@ def changed(made: build.Build, *paths: str) -> build.Build:
 def test_a_board_gets_every_module_its_modules_import(name: str) -> None:
     """At their top level; inside functions a module imports what its board may not need."""
     there = set(build.needed(load_board(name)))
+    texts = inline(build.texts())
     for source in there:
-        tree = ast.parse((build.paths.FIRMWARE / source).read_text(encoding="utf-8"))
+        tree = ast.parse(texts[build.module(source)])
         for node in tree.body:
             if isinstance(node, ast.Import | ast.ImportFrom):
                 for module in build._imported(node):
@@ -170,7 +171,10 @@ def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() ->
         for link in ("usb", "uart"):
             words = {"TOOL": "punch", "DIALECT": "0.9", "COREXY": True}
             every |= needed(ENGINE=engine, LINK=link, **words)
-    assert every == set(build.sources())
+    left = {build.module(source) for source in set(build.sources()) - every}
+    trees = [ast.parse(text) for text in inline(build.texts()).values()]
+    assert not any(left.intersection(build._imported(tree)) for tree in trees)
+    assert "pio.layout" in left  # which has nothing but constants
 
 
 def test_main_and_the_board_file_stay_as_they_are(made: build.Build) -> None:
@@ -564,13 +568,9 @@ def test_a_cable_that_is_pulled(talk: Callable[..., str]) -> None:
 # package.json
 
 
-def test_package_json_is_up_to_date() -> None:
-    assert pages.PACKAGE.read_text(encoding="utf-8") == pages.package(), "make docs"
-
-
-def test_mip_finds_every_module_and_its_place() -> None:
-    package = json.loads(pages.package())
-    root = pages.PACKAGE.parent
-    assert [path for path, _ in package["urls"]] == build.sources()
-    for path, url in package["urls"]:
-        assert (root / url) == build.paths.FIRMWARE / path and (root / url).is_file()
+def test_mip_finds_every_file_of_a_build_and_its_place(tmp_path: Path) -> None:
+    made = build.for_board(build.paths.BOARDS / "rpi_pico.py")
+    build.save(made, tmp_path)
+    listed = json.loads((tmp_path / "package.json").read_text())["urls"]
+    assert {path for path, _ in listed} == set(made.files) and listed[-1][0] == "main.py"
+    assert all((tmp_path / beside).read_bytes() == made.files[path] for path, beside in listed)

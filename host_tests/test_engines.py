@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from esp_bench import EspEngine, Step, clock
 from laws import Bench, Limits
-from motion.kernels import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS, row_length
+from motion.layout import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS, row_length
 from pio import pulses
 from ugrbl.boardfile.files import load_board
 from ugrbl.replay.compare_motion import judge_motion

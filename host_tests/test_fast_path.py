@@ -19,7 +19,7 @@ from language.fast_path import (
     FastPath,
     read,
 )
-from motion import kernels
+from motion import layout
 from oracle import read_words
 from test_words import bits, pieces
 from ugrbl.run import machine
@@ -98,7 +98,7 @@ class Bench:
         row = [] if planner.empty() else list(planner.row() or ())
         modes = self.machine.modes
         found = (fault, list(modes.position), modes.feed, modes.spindle_rpm, modes.tool, row)
-        speed = planner.speeds[planner.flow[kernels.TAIL]] if row else 0
+        speed = planner.speeds[planner.flow[layout.TAIL]] if row else 0
         rest = (
             self.machine.commands.modes(),
             list(planner.position),

@@ -21,7 +21,7 @@ from control.realtime import Realtime
 from control.seek import Seek
 from control.spindle import Spindle
 from control.suspension import Suspension
-from motion import kernels
+from motion import segment_kernel
 from motion.planner import Planner
 from rig_bench import Machine
 from talk.controller import Controller
@@ -101,7 +101,7 @@ SCENARIOS = (
     Scenario(
         "refill",
         "M3S400 M8 G91 G1X0.3F900 G1Y0.2 G1X-0.3",
-        (kernels.fill, Spindle.set_power, Spindle.rest, Canon.finish, Planner.line),
+        (segment_kernel.fill, Spindle.set_power, Spindle.rest, Canon.finish, Planner.line),
     ),
     Scenario(
         "hold",

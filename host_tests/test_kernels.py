@@ -5,12 +5,13 @@ from array import array
 from math import isqrt
 
 import pytest
-from base.f32 import vector
+from base.f32 import copy, vector
 from hypothesis import example, given
 from hypothesis import strategies as st
 from laws import Bench, Limits, some
-from motion import kernels, reals
+from motion import layout, ramps, reals
 from motion.reals import real, value
+from motion.steps import to_steps
 
 HIGHEST = 2**30 - 1
 _PRECISION = 2**-13
@@ -108,11 +109,11 @@ def test_a_product_of_three_is_cut_off_and_saturates(x: float, y: float, z: floa
 def test_millimetres_become_steps_as_in_single_precision(mm: float, resolution: float) -> None:
     target, resolutions = vector(1), vector(1)
     target[0], resolutions[0] = mm, resolution
-    machine = array("i", [1] + [0] * kernels.machine_length(1, 1))
-    kernels.copy(resolutions, memoryview(machine)[kernels.LIMITS + kernels.RESOLUTION :], 1)
+    machine = array("i", [1] + [0] * layout.machine_length(1, 1))
+    copy(resolutions, memoryview(machine)[layout.LIMITS + layout.RESOLUTION :], 1)
     product = single(mm * resolution)
-    inside = kernels.to_steps(target, machine)
-    steps = machine[kernels.LIMITS + kernels.TARGET :]
+    inside = to_steps(target, machine)
+    steps = machine[layout.LIMITS + layout.TARGET :]
     assert inside == (abs(product) < 2**29) or abs(product) == 2**29
     if inside:
         rounded = int(abs(product) + 0.5)  # exact: a double holds both
@@ -132,32 +133,32 @@ def test_a_place_out_of_reach_lies_in_its_direction() -> None:
 @given(words, positive)
 def test_a_share_is_cut_off_at_all_of_it(part: int, total: int) -> None:
     exact = part / total * 2**17
-    got = kernels.share(part, total)
+    got = ramps.share(part, total)
     assert got == 2**17 if part >= total else abs(got - exact) <= 2 + exact * 2**-20
 
 
 @given(words, parts)
 def test_times_is_a_product_with_a_part(x: int, part: int) -> None:
     exact = x * part / 2**17
-    assert abs(kernels.times(x, part) - exact) <= 2 + x * 2**-15
+    assert abs(ramps.times(x, part) - exact) <= 2 + x * 2**-15
 
 
 speeds = st.integers(0, 2**30 - 1)
-ramps = st.integers(1, 2**30 - 1)
+accelerations = st.integers(1, 2**30 - 1)
 
 
-@given(speeds, speeds, ramps, st.sampled_from([0, 18]))
+@given(speeds, speeds, accelerations, st.sampled_from([0, 18]))
 def test_braking_distance_is_what_floats_say(one: int, other: int, ramp: int, unit: int) -> None:
     fast, slow = max(one, other), min(one, other)
     exact = (fast - slow) * (fast + slow) / 2 / ramp * 2.0 ** (unit - 18)
-    got = kernels.braking(fast, slow, ramp, unit)
+    got = ramps.braking(fast, slow, ramp, unit)
     if exact >= HIGHEST * 1.001:
         assert got == HIGHEST
     elif exact < HIGHEST * 0.999:
         assert abs(got - exact) <= 1 + exact * 2**-12
 
 
-@given(speeds, ramps, speeds, st.booleans())
+@given(speeds, accelerations, speeds, st.booleans())
 @example(2**30 - 1, 1, 1, False)
 @example(2**30 - 1, 2**29, 2**30 - 1, True)
 @example(2**28, 2**26, 2**29, True)
@@ -165,7 +166,7 @@ def test_speed_after_a_distance_is_what_floats_say(
     speed: int, ramp: int, distance: int, down: bool
 ) -> None:
     square = speed**2 + (-2 if down else 2) * ramp * distance
-    got = kernels.after(speed, ramp, distance, int(down))
+    got = ramps.after(speed, ramp, distance, int(down))
     tolerance = (speed**2 + 2 * ramp * distance) * 2**-11 + 4
     assert got >= 0
     if square < HIGHEST**2 * 0.999:

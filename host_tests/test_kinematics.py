@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from laws import Bench, Limits
-from motion import kernels
-from motion.kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS, motor_steps
+from motion import layout
 from motion.kinematics import COREXY, Kinematics
+from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
+from motion.steps import motor_steps
 
 CARTESIAN: "tuple[int, ...]" = ()  # as a machine without a table: each motor moves its own axis
 # Two motors on Y: the second, behind one for each axis, stands the other way round.
@@ -101,7 +102,7 @@ def test_all_motors_of_an_axis_stop_at_its_switch(
 
 @each_table
 def test_each_further_motor_goes_with_one_of_the_first(moves: Sequence[int]) -> None:
-    """What kernels.measure() takes for granted: the way of a block is that of the first motors."""
+    """What steps.measure() takes for granted: a block's way is that of the first motors."""
     both = [{m, (m & 0xFF) << 8 | m >> 8} for m in Kinematics(3, moves).moves]
     assert all(any(motor == first for first in both[:3]) for motor in both[3:])
 
@@ -126,7 +127,7 @@ def test_a_second_motor_of_an_axis_makes_its_steps_and_changes_nothing_else(
     moves: Sequence[int], reverse: int
 ) -> None:
     (_, alone), (bench, rows) = zigzag(CARTESIAN), zigzag(moves)
-    assert bench.planner.ring[kernels.STEPS + 3] == bench.planner.ring[kernels.STEPS + 1] > 0
+    assert bench.planner.ring[layout.STEPS + 3] == bench.planner.ring[layout.STEPS + 1] > 0
     assert len(rows) == len(alone)
     for row, other in zip(rows, alone, strict=True):
         assert row[ROW_TICKS] == other[ROW_TICKS]
@@ -145,4 +146,4 @@ def test_planning_goes_on_from_where_the_motors_are(moves: Sequence[int]) -> Non
     assert bench.line((3.0, -1.0, 3.0))
     ring, count = bench.planner.ring, bench.planner.motors
     made = motors_at(Kinematics(3, moves), [250, 0, 0])
-    assert list(ring[kernels.STEPS :][:count]) == [abs(n) for n in made]
+    assert list(ring[layout.STEPS :][:count]) == [abs(n) for n in made]

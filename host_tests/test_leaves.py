@@ -288,21 +288,34 @@ def test_mpy_cross_takes_them(arch: str) -> None:
     assert compile_all(arch).files
 
 
+_KERNELS = (
+    "base.f32",
+    "motion.layout",
+    "motion.reals",
+    "motion.ramps",
+    "motion.steps",
+    "motion.plan_kernel",
+    "motion.segment_kernel",
+    "motion.segments",
+)
+
+
 def test_kernels_plan_and_make_the_same_segments(tmp_path: Path) -> None:
     whole = firmware()
     bench = Bench(Limits())
     planner = bench.planner
     results: list[list[Any]] = []
     for texts in (whole, leaves(whole)):
-        names = ("motion.kernels", "motion.reals", "base.f32", "motion.segments")
-        with imported(parts(texts, *names), tmp_path, "motion.kernels", "motion.segments") as made:
+        with imported(
+            parts(texts, *_KERNELS), tmp_path, "motion.plan_kernel", "motion.segments"
+        ) as made:
             memory = [array("i", planner.machine), array("i", planner.ring)]
             memory.append(array("i", planner.flow))
             results.append(list(_moves(*made, *memory)))
     assert results[0] == results[1] and len(results[0]) > 500
 
 
-def _moves(kernels: Any, segments: Any, machine: Any, ring: Any, flow: Any) -> "Iterator[Any]":
+def _moves(plan_kernel: Any, segments: Any, machine: Any, ring: Any, flow: Any) -> "Iterator[Any]":
     """Random moves, holds and segments: all results, and memory as it is after each."""
     head, tail, hold, rows, loaded, now = 2, 3, 4, 1, 6, 8
     rng = random.Random(7)
@@ -315,7 +328,7 @@ def _moves(kernels: Any, segments: Any, machine: Any, ring: Any, flow: Any) -> "
                 places[i] += rng.choice((0, 0.05, -0.1, 3, -0.7)) * rng.random()
             flags = rng.choice((0, 0, 1, 4, 0x40))
             speed = rng.choice((0x194000 + 0x8000 * rng.randrange(8), 0x19D000))
-            yield kernels.plan(places, machine, ring, flow, flags, 1, 3000, speed)
+            yield plan_kernel.plan(places, machine, ring, flow, flags, 1, 3000, speed)
         if rng.random() < 0.05:
             flow[hold] ^= 1
         for _ in range(rng.choice((0, 1, 1, 3, 30))):
@@ -416,13 +429,11 @@ def test_the_engines_interrupt_does_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = firmware()
-    names = ("engine", "hub", "programs", "pulses", "stops")
-    names = ("motion.kernels", "motion.reals", *(f"pio.{name}" for name in names))
+    names = ("engine", "hub", "layout", "programs", "pulses", "registers", "stops")
+    needed = (*_KERNELS, *(f"pio.{name}" for name in names))
     results = []
     for texts in (whole, leaves(whole)):
-        with imported(
-            parts(texts, *names, "motion.kernels", "motion.reals"), tmp_path, "pio.engine"
-        ) as (made,):
+        with imported(parts(texts, *needed), tmp_path, "pio.engine") as (made,):
             results.append(list(_turns(made, monkeypatch, range(150))))
     assert results[0] == results[1]
     states = [state for state in results[0] if isinstance(state, tuple)]

@@ -1,13 +1,10 @@
 """The interrupt's path and a line's kernels allocate nothing, under the desktop MicroPython."""
 
-from pathlib import Path
-
 import pytest
 from micropython_runner import needs_micropython, run_micropython
+from ugrbl.paths import FIRMWARE
 
 pytestmark = needs_micropython
-
-FIRMWARE = Path(__file__).parent.parent / "firmware"
 
 # `proved` is called once to fill caches, then again with the heap locked. Its calls take no
 # arguments: passing on a tuple of them would allocate by itself.
@@ -15,7 +12,7 @@ _BENCH = """
 import gc
 from array import array
 
-from motion import kernels
+from motion import layout, plan_kernel
 from talk import lines
 import micropython
 from control import canon
@@ -53,7 +50,7 @@ planner.configure(Settings, 13107200, 17, 90909)
 planner.override()
 segments = Segments(planner)
 flow, ring, machine = planner.flow, planner.ring, planner.machine
-row = array("i", [0] * kernels.row_length(3))
+row = array("i", [0] * layout.row_length(3))
 move = Move()
 target = vector(3)
 
@@ -84,10 +81,10 @@ received = bytearray(b"G1 X1 (a comment) ? y2\\n")
 """
 
 _PROVED = {
-    "plan": "kernels.plan(target, machine, ring, flow, 0, 0, 0, planner._feed_real)",
-    "schedule": "kernels.schedule(machine, ring, 0)",
-    "limit_entry": "kernels.limit_entry(ring, flow, 2)",
-    "reverse_pass": "kernels.reverse_pass(ring, flow, 1)",
+    "plan": "plan_kernel.plan(target, machine, ring, flow, 0, 0, 0, planner._feed_real)",
+    "schedule": "plan_kernel.schedule(machine, ring, 0)",
+    "limit_entry": "plan_kernel.limit_entry(ring, flow, 2)",
+    "reverse_pass": "plan_kernel.reverse_pass(ring, flow, 1)",
     "scan": "words.scan(text, end, letters, values)",
     "read": "line.read(short, 0, len(short) - 1)",
     "fast_path.read": "fast_path.read(short, len(short) - 1, known)",
@@ -111,7 +108,7 @@ def make():
         made += segments.next(row)
     return made
 
-print(allocates(make), flow[kernels.TAIL] > 2)
+print(allocates(make), flow[layout.TAIL] > 2)
 """
 
 

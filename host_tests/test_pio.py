@@ -20,8 +20,8 @@ import rp2
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from laws import Bench, Limits
-from motion.kernels import KEEP_POWER, ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS
-from pio import hub, programs, pulses
+from motion.layout import KEEP_POWER, ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS
+from pio import hub, layout, programs, pulses
 from pio.engine import PioEngine
 from test_engines import _play_words
 from ugrbl.boardfile.files import load_board
@@ -452,8 +452,8 @@ def test_a_long_segment_is_cut_without_a_trace() -> None:
 
 # Rates
 
-# Ticks by which kernels.spread may misplace the first step of a segment against the last of the
-# one before: it rounds down, more than once.
+# Ticks by which segment_kernel.spread may misplace the first step of a segment against the last of
+# the one before: it rounds down, more than once.
 _ROUNDING = 1.1
 
 
@@ -1040,7 +1040,7 @@ def test_registers_of_the_rp2350_are_where_its_data_sheet_has_them(
     """Addresses only: there is no model of that chip. Its PIO 0 and 1 lie as the RP2040's."""
     with a_bed():
         memory = hub.Memory(AXES, True)
-        timer, rivals, busy = hub._TIMER, hub._RIVALS, hub._BUSY
+        timer, rivals, busy = layout.TIMER, layout.RIVALS, layout.BUSY
         assert memory.hub[timer] == 0x400B0000 + 0x28  # TIMER0, TIMERAWL
         # IO_IRQ_BANK0, PIO1_IRQ_0, TIMER0_IRQ_0 to 3
         assert memory.hub[rivals] == 1 << 21 | 1 << 17 | 0b1111

@@ -16,7 +16,7 @@ import pytest
 from base.settings import _AXIS, _TABLE
 from extras.dialect_09 import _SETTINGS as settings_09
 from extras.punch import _SETTINGS as punch_settings
-from motion.kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
+from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.engine import Switch
 from ugrbl.sim.rig import MemoryStore, Rig

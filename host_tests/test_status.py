@@ -2,7 +2,6 @@
 
 import struct
 from array import array
-from pathlib import Path
 
 import pytest
 from base.f32 import f32, vector
@@ -10,14 +9,13 @@ from base.state import State
 from hypothesis import example, given
 from hypothesis import strategies as some
 from micropython_runner import needs_micropython, run_micropython
-from motion import kernels, reals
+from motion import layout, reals
 from motion.planner import Planner
 from motion.segments import Segments
 from talk.digits import END, VALUES, scaled, write
 from talk.singles import MINUS, add, divide
 from test_f32 import printed
-
-_FIRMWARE = Path(__file__).parent.parent / "firmware"
+from ugrbl.paths import FIRMWARE
 
 steps = some.integers(1 - 2**30, 2**30 - 1)
 resolutions = some.floats(2.0**-20, 1e8, width=32)
@@ -134,13 +132,13 @@ def test_a_rate_is_rounded_as_it_was_printed(carry: int, now: int) -> None:
     carry = carry % (100 << 15) | 0x4000 if carry else 0
     planner = Planner(3, 4, None, State())
     segments = Segments(planner)
-    planner.flow[kernels.CARRY] = carry
+    planner.flow[layout.CARRY] = carry
     rate = segments.rate_mm_min()
     if rate < 2**31:
         assert str(segments.whole_rate()) == printed(rate, 0)
-    planner.flow[kernels.LOADED] = 1
-    planner.flow[kernels.NOW] = now
-    planner.ring[kernels.FACTOR] = reals.real(1 / 7)
+    planner.flow[layout.LOADED] = 1
+    planner.flow[layout.NOW] = now
+    planner.ring[layout.FACTOR] = reals.real(1 / 7)
     assert str(segments.whole_rate()) == printed(segments.rate_mm_min(), 0)
 
 
@@ -221,7 +219,7 @@ print(taken(5, 5), bytes(machine.text[:machine.length]).decode().strip())
 
 @needs_micropython
 def test_a_report_takes_no_memory() -> None:
-    said = run_micropython(_BENCH, paths=[_FIRMWARE]).splitlines()
+    said = run_micropython(_BENCH, paths=[FIRMWARE]).splitlines()
     rate = round(0x4321 * 60 / 256)
     moved = "MPos:4.936,-709.875,0.000"
     rest = f"|Bf:15,255|FS:{rate},0|Pn:PXZRS"

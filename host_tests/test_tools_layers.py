@@ -17,9 +17,9 @@ ROOMS: "dict[str, tuple[str, ...]]" = {
     "compiling": ("boardfile",),
     "run": ("grbl", "sim", "boardfile"),
     "draw": ("grbl", "sim", "boardfile", "run"),
-    "replay": ("boardfile",),
+    "replay": ("boardfile", "compiling"),
     "device": ("grbl", "compiling", "run"),
-    "docs": ("grbl", "boardfile", "compiling", "replay"),
+    "docs": ("grbl", "boardfile", "replay"),
 }
 ROOMS["cli"] = tuple(ROOMS)
 GROUND = ("", "paths")  # the package itself, for its version

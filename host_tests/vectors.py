@@ -6,9 +6,9 @@ from array import array
 from base.f32 import vector
 from base.state import State
 from language import fast_path, words
-from motion import kernels, reals
-from motion.kernels import ROWS
+from motion import layout, ramps, reals
 from motion.kinematics import COREXY, Kinematics
+from motion.layout import ROWS
 from motion.planner import Move, Planner
 from motion.segments import Segments
 
@@ -42,10 +42,10 @@ def print_reals(dice):
             reals.ratio(n, b),
             reals.product(a, b, b),
             reals.square_root(n),
-            kernels.share(n, m + 1),
-            kernels.times(n, part),
-            kernels.braking(max(n, m), min(n, m), 1 + dice.below(1 << 20), dice.any((0, 18))),
-            kernels.after(n, 1 + dice.below(1 << 20), m, dice.below(2)),
+            ramps.share(n, m + 1),
+            ramps.times(n, part),
+            ramps.braking(max(n, m), min(n, m), 1 + dice.below(1 << 20), dice.any((0, 18))),
+            ramps.after(n, 1 + dice.below(1 << 20), m, dice.below(2)),
         )
 
 
@@ -86,7 +86,7 @@ class Settings:
 
 def print_blocks(dice):
     """Blocks as they are planned, and the rows of segments cut from them."""
-    row = array("i", [0] * kernels.row_length(3))
+    row = array("i", [0] * layout.row_length(3))
     target = vector(3)
     move = Move()
     for k in range(100):
@@ -99,9 +99,9 @@ def print_blocks(dice):
                 target[i] += dice.any((0.0, 0.25, 2.0)) * (dice.below(9) - 4)
             move.feed = 30.0 * (1 + dice.below(100))
             move.flags = dice.any((0, 0, 1))
-            head = planner.flow[kernels.HEAD]
+            head = planner.flow[layout.HEAD]
             if not planner.full() and planner.line(target, move, 0):
-                size = planner.flow[kernels.ROW_SIZE]
+                size = planner.flow[layout.ROW_SIZE]
                 print([planner.ring[head * size + i] for i in range(size)])
             segments.hold(dice.below(12) == 0)
             for _ in range(dice.below(6)):

@@ -1,3 +1,4 @@
+# mypy: disable-error-code=arg-type
 """Single precision: the arithmetic of Grbl's replies, the same on every machine.
 
 A board computes in single precision by itself; the desktop has doubles. Where
@@ -6,6 +7,8 @@ which costs a board nothing worth naming.
 """
 
 from array import array
+
+import micropython
 
 _cell = array("f", (0.0,))
 
@@ -28,3 +31,11 @@ def vector(axes: int) -> "array[float]":
 
 MM_PER_INCH = f32(25.4)
 INCH_PER_MM = f32(0.0393701)
+
+
+@micropython.viper
+def copy(source: ptr32, target: ptr32, count: int) -> int:
+    """Copy integers, or floats as bits."""
+    for i in range(count):
+        target[i] = source[i]
+    return 0

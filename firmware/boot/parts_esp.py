@@ -14,8 +14,9 @@ if TYPE_CHECKING:
 
 # Modules with compiled code, the largest first.
 _COMPILED = (
-    "motion.kernels language.words talk.lines talk.digits motion.reals talk.singles "
-    "motion.planner control.canon talk.protocol language.fast_path"
+    "motion.segment_kernel motion.plan_kernel language.words talk.lines talk.digits motion.steps "
+    "motion.ramps motion.reals talk.singles motion.planner control.canon talk.protocol "
+    "language.fast_path"
 )
 
 

@@ -14,10 +14,11 @@ from array import array
 import micropython
 from base import errors
 from base import state as st
-from base.f32 import f32, vector, whole
+from base.f32 import copy, f32, vector, whole
 from micropython import const
-from motion import kernels
+from motion import layout
 from motion import planner as plan
+from motion.layout import HEAD, ROWS, TAIL
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -37,18 +38,13 @@ _DWELL_TICK_MS = const(50)
 _DWELL_TICKS_PER_S = const(20)
 
 # What judge() finds (mask).
-_OUTSIDE = const(1)
-_FULL = const(2)
+OUTSIDE = const(1)
+FULL = const(2)
 
 # What it is told: how many axes, a mask of those whose travel lies above 0; floats: travel.
 _AXES = const(0)
 _POSITIVE = const(1)
 _TRAVEL = const(2)
-
-# From motion/kernels.py.
-_ROWS = const(1)
-_HEAD = const(2)
-_TAIL = const(3)
 
 
 @micropython.viper
@@ -61,11 +57,11 @@ def judge(target: ptr32, travel: ptr32, flow: ptr32) -> int:
         if mm:
             above = (signs[4 * i + 3] >> 7) ^ 1
             if mm > travel[_TRAVEL + i] or above != (travel[_POSITIVE] >> i) & 1:
-                found = _OUTSIDE
-    following = flow[_HEAD] + 1
-    if following == flow[_ROWS]:
+                found = OUTSIDE
+    following = flow[HEAD] + 1
+    if following == flow[ROWS]:
         following = 0
-    return found | _FULL if following == flow[_TAIL] else found
+    return found | FULL if following == flow[TAIL] else found
 
 
 class Canon:
@@ -108,7 +104,7 @@ class Canon:
         settings = self._settings
         travel = self.travel
         travel[_POSITIVE] = settings.homing_dir_invert if self._positive_origin else 0
-        kernels.copy(settings.max_travel, memoryview(travel)[_TRAVEL:], self.planner.axes)
+        copy(settings.max_travel, memoryview(travel)[_TRAVEL:], self.planner.axes)
 
     # Moves
 
@@ -126,12 +122,12 @@ class Canon:
             move = self._move
             target = self._next_target()
             found = judge(target, self.travel, self._flow)
-            if found & _OUTSIDE and self._settings.soft_limits and state.run != st.JOG:
+            if found & OUTSIDE and self._settings.soft_limits and state.run != st.JOG:
                 self._soft_limit()
             if state.run == st.CHECK:
                 continue
             self.service()
-            while found & _FULL:
+            while found & FULL:
                 self.auto_start()
                 self.service()
                 found = judge(target, self.travel, self._flow)
@@ -168,7 +164,7 @@ class Canon:
         if not move.flags & plan.SPINDLE_MASK:
             return 0
         if self._spindle.laser and move.flags & plan.SPINDLE_CCW:
-            move.flags |= kernels.DYNAMIC
+            move.flags |= layout.DYNAMIC
         return self._spindle.block_power(move.flags, move.spindle_rpm)
 
     def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
@@ -176,10 +172,10 @@ class Canon:
         self.finish()
         angle = arc.sweep(start, target)
         chords = arc.chords(angle, self._settings.arc_tolerance_mm)
-        if chords and move.flags & kernels.INVERSE_TIME:
+        if chords and move.flags & layout.INVERSE_TIME:
             # Its time is shared out among the chords, whose rate counts from here on.
             move.feed *= chords
-            move.flags &= ~kernels.INVERSE_TIME
+            move.flags &= ~layout.INVERSE_TIME
         arc.begin(start, target, chords, angle)
         self._arc = arc
         self.line(target, move)
@@ -257,7 +253,7 @@ class Canon:
 
     def outside(self, target: "array[float]") -> bool:
         """The target lies outside the machine's travel."""
-        return bool(judge(target, self.travel, self._flow) & _OUTSIDE)
+        return bool(judge(target, self.travel, self._flow) & OUTSIDE)
 
     def _soft_limit(self) -> None:
         """Come to rest where position is certain, then alarm and reset."""

@@ -7,9 +7,8 @@ drive is who listens to the port (InputListener). The main loop does the rest wi
 import micropython
 from base import errors
 from base import state as st
+from base.controls import DOOR, EMERGENCY_STOP, HOLD, RESET, START
 from micropython import const
-
-from control.inputs import DOOR, EMERGENCY_STOP, HOLD, RESET, START
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:

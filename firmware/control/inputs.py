@@ -4,19 +4,13 @@ The port says which pins are pulled to ground; $5 and $6 say what that means, of
 board file.
 """
 
+from base.controls import DOOR
 from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from base.settings import Settings
     from interfaces import Port
-
-# Control inputs, bit by bit as in Port.controls().
-RESET = const(1)
-HOLD = const(2)
-START = const(4)
-DOOR = const(8)
-EMERGENCY_STOP = const(16)  # from Port.attach() only
 
 
 class Inputs:

@@ -8,7 +8,7 @@ from base import state as st
 from base.axes import Z
 from base.f32 import f32, vector
 from micropython import const
-from motion import kernels
+from motion import layout
 from motion import planner as plan
 
 TYPE_CHECKING = const(False)
@@ -196,7 +196,7 @@ class Seek:
         move = self._move
         move.clear()
         move.feed = rate
-        move.flags = kernels.SYSTEM_MOTION | kernels.NO_FEED_OVERRIDE
+        move.flags = layout.SYSTEM_MOTION | layout.NO_FEED_OVERRIDE
         planner.clear()
         planner.system_line(self._target, move, 0, self._steps)
         self._drive.start(st.HOMING)

@@ -9,7 +9,7 @@ from array import array
 
 from base.f32 import f32
 from micropython import const
-from motion import kernels
+from motion import layout
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -54,8 +54,8 @@ class Spindle:
         span = f32(self._max_rpm - self._min_rpm)
         full = self._port.pwm_max
         self._gradient = f32((full - _MIN_POWER) / span) if span > 0 else 0.0
-        machine[kernels.POWER_FLOOR] = int(self._min_rpm * self._gradient * 64)
-        machine[kernels.POWER_MAX] = full
+        machine[layout.POWER_FLOOR] = int(self._min_rpm * self._gradient * 64)
+        machine[layout.POWER_MAX] = full
 
     def power(self, rpm: float) -> int:
         """Power for a programmed speed, override included; tells the state what speed that is."""
@@ -86,10 +86,10 @@ class Spindle:
         return int(f32(f32(rpm - self._min_rpm) * self._gradient)) + _MIN_POWER
 
     def block_power(self, flags: int, rpm: float) -> int:
-        """What a planner block with these flags carries: see kernels.power()."""
+        """What a planner block with these flags carries: see segment_kernel.power()."""
         if not flags & _TURNING:
             return 0
-        if not flags & kernels.DYNAMIC:
+        if not flags & layout.DYNAMIC:
             return self.power(rpm)
         percent = self._state.spindle_override
         if percent != 100:

@@ -13,7 +13,7 @@ from base import state as st
 from base.axes import Z
 from base.f32 import vector
 from micropython import const
-from motion import kernels
+from motion import layout
 from motion import planner as plan
 
 TYPE_CHECKING = const(False)
@@ -128,8 +128,8 @@ class Suspension:
             self._flags = self._modes.accessory_flags()
             self._rpm = self._modes.spindle_rpm
         else:
-            self._flags = row[kernels.FLAGS]
-            self._rpm = self._planner.speeds[self._planner.flow[kernels.TAIL]]
+            self._flags = row[layout.FLAGS]
+            self._rpm = self._planner.speeds[self._planner.flow[layout.TAIL]]
         if self._spindle.laser:
             self._overrides.stop_spindle()
 
@@ -155,7 +155,7 @@ class Suspension:
     def _restore_spindle(self) -> None:
         if self._spindle.laser:
             self._state.update_spindle = True  # comes back with the motion
-            if not (self._planner.empty() or self._flags & kernels.DYNAMIC):
+            if not (self._planner.empty() or self._flags & layout.DYNAMIC):
                 self._spindle.power(self._rpm)  # and is reported
         else:
             self._spindle.turn(self._flags & plan.SPINDLE_MASK, self._rpm)
@@ -247,7 +247,7 @@ class Suspension:
         move = self._move
         move.clear()
         move.feed = rate
-        move.flags = kernels.SYSTEM_MOTION | kernels.NO_FEED_OVERRIDE
+        move.flags = layout.SYSTEM_MOTION | layout.NO_FEED_OVERRIDE
         power = 0
         if with_accessories:
             move.flags |= self._flags & plan.ACCESSORY_MASK

@@ -12,12 +12,7 @@ not be the second half of a step. Called in the engine's turns; nothing here all
 
 import micropython
 from micropython import const
-
-# From motion/kernels.py.
-_ROW_TICKS = const(0)
-_ROW_DIRS = const(1)
-_ROW_AXES = const(3)
-_ROW_STRIDE = const(3)
+from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 
 FRAMES = const(256)  # of a buffer: DMA_BUF_LEN_IN_I2S_FRAMES of MicroPython's machine_i2s.c
 FRAME_LOG2 = const(4)  # ticks of a frame
@@ -121,12 +116,12 @@ def take_back(row: ptr32, owed: ptr32, axes: int, gap: int) -> int:
             steps = 0 - steps
         if steps > most:
             most = steps
-        base = _ROW_AXES + _ROW_STRIDE * i
+        base = ROW_AXES + ROW_STRIDE * i
         row[base] = steps
         row[base + 1] = gap
         row[base + 2] = gap * steps
-    row[_ROW_TICKS] = gap * (most + 1)
-    row[_ROW_DIRS] = dirs
+    row[ROW_TICKS] = gap * (most + 1)
+    row[ROW_DIRS] = dirs
     return most
 
 
@@ -140,11 +135,11 @@ def lateness(row: ptr32, timing: ptr32, lanes: ptr32) -> int:
     late = 0
     at = timing[ROW_END]
     for i in range(timing[AXES]):
-        base = _ROW_AXES + _ROW_STRIDE * i
+        base = ROW_AXES + ROW_STRIDE * i
         if row[base] and (timing[LOCKED] >> i) & 1 == 0:
             lane = LANE * i
             earliest = lanes[lane + FREE]
-            if (row[_ROW_DIRS] >> i) & 1 != lanes[lane + BACK]:
+            if (row[ROW_DIRS] >> i) & 1 != lanes[lane + BACK]:
                 turn = at >> FRAME_LOG2
                 if turn > earliest:
                     earliest = turn
@@ -160,10 +155,10 @@ def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int)
     """Take up a row: it begins where the last one ended, and so much later."""
     now = timing[ROW_END] >> FRAME_LOG2
     at = timing[ROW_END] + late
-    timing[ROW_END] = at + row[_ROW_TICKS]
+    timing[ROW_END] = at + row[ROW_TICKS]
     for i in range(timing[AXES]):
         lane = LANE * i
-        base = _ROW_AXES + _ROW_STRIDE * i
+        base = ROW_AXES + ROW_STRIDE * i
         steps = row[base] if (timing[LOCKED] >> i) & 1 == 0 else 0
         lanes[lane + LEFT] = steps
         if steps:
@@ -172,7 +167,7 @@ def begin_row(frames: ptr32, row: ptr32, timing: ptr32, lanes: ptr32, late: int)
                 span = row[base + 2] - row[base + 1]
                 lanes[lane + GAP] = span // (steps - 1)
                 lanes[lane + LONGER] = span % (steps - 1)
-            if (row[_ROW_DIRS] >> i) & 1 != lanes[lane + BACK]:
+            if (row[ROW_DIRS] >> i) & 1 != lanes[lane + BACK]:
                 lanes[lane + BACK] = 1 - lanes[lane + BACK]
                 turn = lanes[lane + FREE]
                 if now > turn:

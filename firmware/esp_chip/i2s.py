@@ -29,7 +29,7 @@ from array import array
 
 import machine
 from micropython import const
-from motion.kernels import ROW_POWER, row_length
+from motion.layout import ROW_POWER, row_length
 
 from esp_chip import frames
 from esp_chip.frames import LANE, LEFT, PLACE

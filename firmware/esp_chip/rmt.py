@@ -28,7 +28,7 @@ from array import array
 import machine
 import micropython
 from micropython import const
-from motion.kernels import ROW_POWER, row_length
+from motion.layout import ROW_POWER, row_length
 
 from esp_chip import trains
 from esp_chip.channel import RESOLUTION_HZ, Channel, most_steps

@@ -11,11 +11,7 @@ Called in the engine's turns; nothing here allocates.
 
 import micropython
 from micropython import const
-
-# From motion/kernels.py.
-_ROW_DIRS = const(1)
-_ROW_AXES = const(3)
-_ROW_STRIDE = const(3)
+from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE
 
 ROWS = const(16)
 _ROWS_MASK = const(15)
@@ -68,7 +64,7 @@ def cut(rows: ptr32, timing: ptr32, size: int) -> int:
         most = 0
         least = rows[at]  # gap from step to step
         for i in range(timing[AXES]):
-            base = at + _ROW_AXES + _ROW_STRIDE * i
+            base = at + ROW_AXES + ROW_STRIDE * i
             steps = rows[base]
             if steps and (timing[LOCKED] >> i) & 1 == 0:
                 busy |= 1 << i
@@ -78,7 +74,7 @@ def cut(rows: ptr32, timing: ptr32, size: int) -> int:
                     gap = (rows[base + 2] - rows[base + 1]) // (steps - 1)
                     if gap < least:
                         least = gap
-        if known & busy & (dirs ^ rows[at + _ROW_DIRS]):
+        if known & busy & (dirs ^ rows[at + ROW_DIRS]):
             break  # an axis reverses
         rest = rows[at] if k else total + rows[at]
         count = most
@@ -88,7 +84,7 @@ def cut(rows: ptr32, timing: ptr32, size: int) -> int:
         if k and (total > LONGEST or count > room):
             break
         known |= busy
-        dirs |= rows[at + _ROW_DIRS] & busy
+        dirs |= rows[at + ROW_DIRS] & busy
         timing[DIRS] = dirs
         if total > LONGEST or count > room:
             end = LONGEST
@@ -111,7 +107,7 @@ def part(rows: ptr32, timing: ptr32, at: int, end: int) -> int:
     """Where to cut a long row: behind the last step before `end`, or there."""
     latest = timing[DONE]
     for i in range(timing[AXES]):
-        base = at + _ROW_AXES + _ROW_STRIDE * i
+        base = at + ROW_AXES + ROW_STRIDE * i
         steps = rows[base]
         if steps and (timing[LOCKED] >> i) & 1 == 0:
             tick = rows[base + 1]
@@ -142,7 +138,7 @@ def durations(rows: ptr32, timing: ptr32, size: int, axis: int, out: ptr32) -> i
     done = timing[DONE]
     for k in range(timing[TAKEN] + (1 if timing[PART] else 0)):
         at = ((timing[FIRST] + k) & _ROWS_MASK) * size
-        base = at + _ROW_AXES + _ROW_STRIDE * axis
+        base = at + ROW_AXES + ROW_STRIDE * axis
         steps = rows[base]
         end = rows[at] + 1
         if timing[PART]:

@@ -104,17 +104,17 @@ G_WORDS = {  # attribute-names: column 1
     94: (GROUP_5, "inverse_time", 0, AXES_UNCLAIMED),
 }
 
-# G number -> the decimals (hundredths) it may have besides none. Others are unsupported, where
-# with any other G number they are malformed.
+# G number -> the decimals it may have besides none, a bit for each tenth. Others are unsupported,
+# where with any other G number they are malformed.
 _G_DECIMALS = {
-    28: (10,),
-    30: (10,),
-    38: (20, 30, 40, 50),
-    43: (10,),
-    61: (),
-    90: (),
-    91: (10,),
-    92: (10,),
+    28: 0b10,
+    30: 0b10,
+    38: 0b111100,
+    43: 0b10,
+    61: 0,
+    90: 0,
+    91: 0b10,
+    92: 0b10,
 }
 _WANTS_DECIMALS = (38, 43)
 
@@ -233,7 +233,7 @@ class Block:
                 raise GrblError(errors.GCODE_AXIS_COMMAND_CONFLICT)
             self.claim = claim
         if (hundredths and code in _G_DECIMALS) or code in _WANTS_DECIMALS:
-            if hundredths not in _G_DECIMALS[code]:
+            if hundredths % 10 or not _G_DECIMALS[code] >> hundredths // 10 & 1:
                 raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
             if code == 91:
                 group, name = GROUP_4, None  # G91.1: arc distance is always relative

@@ -11,13 +11,13 @@ from array import array
 
 import micropython
 from base import state as st
-from base.f32 import vector
-from control.canon import judge
+from base.f32 import copy, vector
+from control.canon import FULL, OUTSIDE, judge
 from micropython import const
-from motion import kernels, reals
+from motion import layout, reals
 from motion import planner as plan
-from motion.kernels import copy
-from motion.kernels import plan as plan_block
+from motion.layout import HEAD
+from motion.plan_kernel import plan as plan_block
 
 from language import block as b
 from language.words import add_single, number, to_mm
@@ -68,11 +68,6 @@ VALUES = const(11)
 INCHES = const(20)
 _CHANGES = const(21)  # as they were counted when this was known
 OFFSETS = const(22)
-
-# From control/canon.py, motion/kernels.py.
-_OUTSIDE = const(1)
-_FULL = const(2)
-_HEAD = const(2)
 
 
 @micropython.viper
@@ -186,12 +181,12 @@ def follow(
         return 0
     place(known, seen, position, target)
     found = int(judge(target, travel, flow))
-    if found & _OUTSIDE and known[LIMITED]:
+    if found & OUTSIDE and known[LIMITED]:
         return 0
     if known[DRY] == 0:
-        if found & _FULL:
+        if found & FULL:
             return 0
-        at = flow[_HEAD]
+        at = flow[HEAD]
         line = int(line_number(known, seen))
         flags = known[_FLAGS]
         power = known[_POWER]
@@ -310,7 +305,7 @@ class FastPath:
         move.spindle_rpm = 0.0 if seeks and known[LASER] else modes.spindle_rpm
         move.flags = modes.accessory_flags()
         if seeks:
-            move.flags |= kernels.RAPID_MOTION
+            move.flags |= layout.RAPID_MOTION
         known[_POWER] = _UNTOLD
 
     def execute(self, line: bytearray, length: int) -> bool:

@@ -12,7 +12,7 @@ from base import state as st
 from base.errors import GrblError
 from control.coords import G28, G30
 from micropython import const
-from motion import kernels
+from motion import layout
 from motion import planner as plan
 
 from language import block as b
@@ -97,7 +97,7 @@ class Interpreter:
             raise GrblError(errors.TRAVEL_EXCEEDED)
         move = self._begin_move(block)
         move.feed = block.f
-        move.flags = kernels.NO_FEED_OVERRIDE | self._modes.accessory_flags()
+        move.flags = layout.NO_FEED_OVERRIDE | self._modes.accessory_flags()
         move.spindle_rpm = self._modes.spindle_rpm
         self._canon.jog(block.xyz, move)
         self._modes.position[:] = block.xyz
@@ -120,7 +120,7 @@ class Interpreter:
         beam = self._beam(block)
         modal.inverse_time = new.inverse_time
         if new.inverse_time:
-            move.flags |= kernels.INVERSE_TIME
+            move.flags |= layout.INVERSE_TIME
         self._modes.feed = move.feed = block.f
         self._set_speed(block, beam)
         if not beam & _DARK:
@@ -201,7 +201,7 @@ class Interpreter:
             if index == self._modes.modal.system:
                 self._offsets_changed()
         elif command in (b.GO_G28, b.GO_G30):
-            move.flags |= kernels.RAPID_MOTION
+            move.flags |= layout.RAPID_MOTION
             if block.claim:
                 self._canon.line(block.xyz, move)
             self._canon.line(self._block.stored, move)
@@ -226,12 +226,12 @@ class Interpreter:
         if motion == b.LINEAR:
             self._canon.line(block.xyz, move)
         elif motion == b.SEEK:
-            move.flags |= kernels.RAPID_MOTION
+            move.flags |= layout.RAPID_MOTION
             self._canon.line(block.xyz, move)
         elif motion in (b.CW_ARC, b.CCW_ARC):
             self._canon.arc(self._modes.position, block.xyz, self._block.arc, move)
         else:
-            move.flags |= kernels.NO_FEED_OVERRIDE
+            move.flags |= layout.NO_FEED_OVERRIDE
             away = motion in (b.PROBE_AWAY, b.PROBE_AWAY_NO_ALARM)
             alarms = motion in (b.PROBE_TOWARD, b.PROBE_AWAY)
             if not self._seek.probe(block.xyz, move, away, alarms):

@@ -1,7 +1,7 @@
 """Kinematics: which motor moves which axes, and in which direction.
 
 In and out: whole steps. The planner counts those of axes up to where a block begins; blocks,
-segments and engines know motors only. What a motor does is a number (kernels.MOVES): bit n, its
+segments and engines know motors only. What a motor does is a number (layout.MOVES): bit n, its
 steps go up with those of axis n; bit n + REVERSE, they go down. The first motors, one per axis,
 have the settings of that axis; each further one does what one of the first does, or the reverse.
 Where each motor moves the axis of its own number, a board has no need of this module.
@@ -11,7 +11,8 @@ from array import array
 
 from micropython import const
 
-from motion.kernels import REVERSE, motor_steps
+from motion.layout import REVERSE
+from motion.steps import motor_steps
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:

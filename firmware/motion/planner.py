@@ -11,11 +11,11 @@ per block but the floats of its caller.
 from array import array
 
 import micropython
-from base.f32 import f32, vector, whole
+from base.f32 import copy, f32, vector, whole
 from micropython import const
 
-from motion import kernels, reals
-from motion.kernels import AT, FLAGS, HEAD, LINE, LOADED, ROWS, SYSTEM, TAIL
+from motion import layout, plan_kernel, reals
+from motion.layout import AT, FLAGS, HEAD, LINE, LOADED, ROWS, SYSTEM, TAIL
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ class Move:
 
 
 class Planner:
-    """The ring. `flow` is what it shares with the interrupt; see kernels.py.
+    """The ring. `flow` is what it shares with the interrupt; see layout.py.
 
     kinematics: None where each motor moves the axis of its own number.
     """
@@ -68,24 +68,24 @@ class Planner:
     ) -> None:
         moves = kinematics.moves if kinematics else [1 << i for i in range(axes)]
         motors = len(moves)
-        size = kernels.block_length(motors)
+        size = layout.block_length(motors)
         self.axes = axes
         self.motors = motors
         self.kinematics = kinematics
         self._state = state
         self.ring = array("i", (0 for _ in range(size * (blocks + 1))))
-        self.flow = array("i", (0 for _ in range(kernels.FLOW_LENGTH + 2 * motors)))
-        self.machine = array("i", (0 for _ in range(kernels.machine_length(axes, motors))))
-        self.flow[kernels.ROW_SIZE] = size
+        self.flow = array("i", (0 for _ in range(layout.FLOW_LENGTH + 2 * motors)))
+        self.machine = array("i", (0 for _ in range(layout.machine_length(axes, motors))))
+        self.flow[layout.ROW_SIZE] = size
         self.flow[ROWS] = blocks
-        self.machine[kernels.AXES] = axes
-        self.machine[kernels.MOTOR_COUNT] = motors
+        self.machine[layout.AXES] = axes
+        self.machine[layout.MOTOR_COUNT] = motors
         for i in range(motors):
-            self.machine[kernels.LIMITS + kernels.MOVES * axes + i] = moves[i]
+            self.machine[layout.LIMITS + layout.MOVES * axes + i] = moves[i]
         # Spindle speed of each block in rpm, as programmed; the interrupt has no use for it.
         self.speeds = vector(blocks + 1)
         # Where the last block ends, in steps; part of the machine's table.
-        at = kernels.LIMITS + kernels.POSITION * axes
+        at = layout.LIMITS + layout.POSITION * axes
         self.position = memoryview(self.machine)[at : at + axes]
         self._steps_per_mm = vector(axes)
         self._feed = 0.0  # the last one in mm/min, and the same as a real in mm/s
@@ -104,22 +104,22 @@ class Planner:
             rate = min(settings.max_rate[i] / 60, step_hz / resolution)
             acceleration = settings.acceleration[i] / 3600
             fastest_sqr += rate * rate
-            at = kernels.LIMITS + 3 * i
+            at = layout.LIMITS + 3 * i
             machine[at] = reals.real(1 / resolution)
             machine[at + 1] = reals.real(rate)
             machine[at + 2] = reals.real(acceleration)
             self._steps_per_mm[i] = resolution
-        at = kernels.LIMITS + kernels.RESOLUTION * self.axes
-        kernels.copy(self._steps_per_mm, memoryview(machine)[at:], self.axes)
+        at = layout.LIMITS + layout.RESOLUTION * self.axes
+        copy(self._steps_per_mm, memoryview(machine)[at:], self.axes)
         scale = (1 << 30) / (fastest_sqr or 1.0)
-        machine[kernels.ROOT_SCALE] = reals.real(scale**-0.5)
+        machine[layout.ROOT_SCALE] = reals.real(scale**-0.5)
         seconds = (1 << segment_log2) / tick_hz
-        machine[kernels.SQR_SCALE] = reals.real(scale)
-        machine[kernels.JUNCTION] = reals.real(65536.0 * settings.junction_deviation_mm * scale)
-        machine[kernels.SEGMENT_RATE] = reals.real(seconds * 262144)
-        machine[kernels.SEGMENT_ACCEL] = reals.real(seconds * seconds * 262144)
-        machine[kernels.SEGMENT_LOG2] = segment_log2
-        machine[kernels.SLOWEST] = reals.real(_SLOWEST_MM_S)
+        machine[layout.SQR_SCALE] = reals.real(scale)
+        machine[layout.JUNCTION] = reals.real(65536.0 * settings.junction_deviation_mm * scale)
+        machine[layout.SEGMENT_RATE] = reals.real(seconds * 262144)
+        machine[layout.SEGMENT_ACCEL] = reals.real(seconds * seconds * 262144)
+        machine[layout.SEGMENT_LOG2] = segment_log2
+        machine[layout.SLOWEST] = reals.real(_SLOWEST_MM_S)
 
     def free(self) -> int:
         """Blocks that can still be added."""
@@ -137,7 +137,7 @@ class Planner:
         """The block being executed, or next to be."""
         if self.empty():
             return None
-        size = self.flow[kernels.ROW_SIZE]
+        size = self.flow[layout.ROW_SIZE]
         at = self.flow[TAIL] * size
         return memoryview(self.ring)[at : at + size]
 
@@ -145,7 +145,7 @@ class Planner:
         """N of the block being executed; 0 if there is none."""
         if self.empty():
             return 0
-        return self.ring[self.flow[TAIL] * self.flow[kernels.ROW_SIZE] + LINE]
+        return self.ring[self.flow[TAIL] * self.flow[layout.ROW_SIZE] + LINE]
 
     @micropython.native  # its call frame is on the stack then, not on the heap
     def line(self, target: "array[float]", move: "Move", power: int) -> bool:
@@ -158,7 +158,7 @@ class Planner:
         if move.feed != self._feed:
             self._feed = move.feed
             self._feed_real = reals.real(move.feed / 60)
-        if not kernels.plan(
+        if not plan_kernel.plan(
             target,
             self.machine,
             self.ring,
@@ -169,7 +169,7 @@ class Planner:
             self._feed_real,
         ):
             return False
-        self.speeds[self.flow[ROWS] if flags & kernels.SYSTEM_MOTION else head] = move.spindle_rpm
+        self.speeds[self.flow[ROWS] if flags & layout.SYSTEM_MOTION else head] = move.spindle_rpm
         return True
 
     def system_line(
@@ -187,34 +187,34 @@ class Planner:
     def override(self) -> None:
         """Work out every block anew after an override has changed."""
         flow = self.flow
-        self.machine[kernels.FEED_PERCENT] = self._state.feed_override
-        self.machine[kernels.RAPID_PERCENT] = self._state.rapid_override
+        self.machine[layout.FEED_PERCENT] = self._state.feed_override
+        self.machine[layout.RAPID_PERCENT] = self._state.rapid_override
         at = flow[TAIL]
         while at != flow[HEAD]:
-            kernels.schedule(self.machine, self.ring, at * flow[kernels.ROW_SIZE])
+            plan_kernel.schedule(self.machine, self.ring, at * flow[layout.ROW_SIZE])
             if at != flow[TAIL]:
-                kernels.limit_entry(self.ring, flow, at)
+                plan_kernel.limit_entry(self.ring, flow, at)
             at = (at + 1) % flow[ROWS]
-        kernels.reverse_pass(self.ring, flow, 1)
+        plan_kernel.reverse_pass(self.ring, flow, 1)
 
     def each_power(self, power: "Callable[[int, float], int]") -> None:
         """Set the spindle power of every block anew, from its flags and speed."""
         flow = self.flow
         at = flow[TAIL]
         while at != flow[HEAD]:
-            row = at * flow[kernels.ROW_SIZE]
-            self.ring[row + kernels.POWER] = power(self.ring[row + FLAGS], self.speeds[at])
+            row = at * flow[layout.ROW_SIZE]
+            self.ring[row + layout.POWER] = power(self.ring[row + FLAGS], self.speeds[at])
             at = (at + 1) % flow[ROWS]
 
     def speed_rpm(self) -> float:
         """Spindle speed of the block being executed, as programmed."""
-        return self.speeds[self.flow[AT] // self.flow[kernels.ROW_SIZE]]
+        return self.speeds[self.flow[AT] // self.flow[layout.ROW_SIZE]]
 
     def clear(self) -> None:
         """Forget all blocks. Only while the engine is stopped."""
         flow = self.flow
         flow[TAIL] = flow[HEAD]
-        for i in (kernels.HOLD, SYSTEM, LOADED, kernels.NOW, kernels.CARRY):
+        for i in (layout.HOLD, SYSTEM, LOADED, layout.NOW, layout.CARRY):
             flow[i] = 0
 
     # Steps of motors and places in mm

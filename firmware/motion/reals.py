@@ -11,10 +11,10 @@ import micropython
 from micropython import const
 
 _INFINITE = 1e18  # no limit of a machine is as high
-_SMALLEST = const(16384)  # a mantissa has 15 bits
+SMALLEST = const(16384)  # a mantissa has 15 bits
 LIMIT = const(32768)
 BIAS = const(64)  # the exponent of whole numbers
-_HIGHEST = const(0x3FFFFFFF)
+HIGHEST = const(0x3FFFFFFF)
 
 
 def real(x: float) -> int:
@@ -38,7 +38,7 @@ def pack(mantissa: int, exponent: int) -> int:
     while mantissa >= LIMIT:
         mantissa >>= 1
         exponent += 1
-    while mantissa < _SMALLEST:
+    while mantissa < SMALLEST:
         mantissa <<= 1
         exponent -= 1
     return (exponent << 15) + mantissa
@@ -80,7 +80,7 @@ def ratio(n: int, b: int) -> int:
     while n >= LIMIT:
         n >>= 1
         exponent += 1
-    while n < _SMALLEST:
+    while n < SMALLEST:
         n <<= 1
         exponent -= 1
     n = (n << 15) // (b & 32767)
@@ -117,4 +117,4 @@ def product(a: int, b: int, c: int) -> int:
         return 0
     if shift < 0:
         return mantissa >> (0 - shift)
-    return mantissa << shift if shift < 30 and mantissa <= _HIGHEST >> shift else _HIGHEST
+    return mantissa << shift if shift < 30 and mantissa <= HIGHEST >> shift else HIGHEST

@@ -1,7 +1,7 @@
 """Segments: constant-rate pieces of motion, cut from the planner's blocks on demand.
 
 The pulse engine calls next() from its interrupt; everything it does there is
-in kernels.py. The main loop talks to it through a few words of the flow:
+in segment_kernel.py. The main loop talks to it through a few words of the flow:
 hold, resume, the system's own block.
 """
 
@@ -9,8 +9,9 @@ import micropython
 from base.f32 import f32
 from micropython import const
 
-from motion import kernels, reals
-from motion.kernels import AT, CARRY, HOLD, LOADED, NOW, fill
+from motion import layout, reals
+from motion.layout import AT, CARRY, HOLD, LOADED, NOW
+from motion.segment_kernel import fill
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ class Segments:
     def progress(self) -> int:
         """A number that changes as motion is made."""
         flow = self._flow
-        return flow[kernels.TAIL] ^ flow[kernels.WHOLE] << 6 ^ flow[LOADED] << 5
+        return flow[layout.TAIL] ^ flow[layout.WHOLE] << 6 ^ flow[LOADED] << 5
 
     def begin_system(self) -> None:
         """Put the block in progress, at rest, aside: the system's own moves come first."""
@@ -60,7 +61,7 @@ class Segments:
 
     def end_system(self) -> None:
         """Take the block put aside up again where it stood."""
-        self._flow[kernels.SYSTEM] = 0
+        self._flow[layout.SYSTEM] = 0
         if self._saved is not None:
             for i in range(LOADED, len(self._flow)):
                 self._flow[i] = self._saved[i]
@@ -87,13 +88,13 @@ class Segments:
         """It is a real, in mm/s."""
         flow = self._flow
         if flow[LOADED]:
-            return reals.ratio(flow[NOW], self._ring[flow[AT] + kernels.FACTOR])
+            return reals.ratio(flow[NOW], self._ring[flow[AT] + layout.FACTOR])
         return flow[CARRY]
 
     def dynamic_rpm(self) -> "float | None":
         """Spindle speed of a laser whose power follows the rate; None where it does not."""
         flow = self._flow
-        if not flow[LOADED] or not self._ring[flow[AT] + kernels.FLAGS] & kernels.DYNAMIC:
+        if not flow[LOADED] or not self._ring[flow[AT] + layout.FLAGS] & layout.DYNAMIC:
             return None
-        rate = self._ring[flow[AT] + kernels.PROGRAMMED]
+        rate = self._ring[flow[AT] + layout.PROGRAMMED]
         return f32(self._planner.speed_rpm() * flow[NOW] / rate) if rate else 0.0

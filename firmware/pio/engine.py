@@ -23,9 +23,26 @@ import sys
 import machine
 import micropython
 from micropython import const
+from motion.layout import KEEP_POWER
 
 from pio import pulses
 from pio.hub import Memory, append, feed, look
+from pio.layout import (
+    AHEAD,
+    ASKED,
+    CUT,
+    EARLY,
+    FAULT,
+    FED,
+    HALT,
+    LAST_ROW,
+    MADE,
+    PIO0,
+    PIO1,
+    RAISED,
+    RUNNING,
+)
+from pio.registers import CLEAR, CLOCK
 from pio.stops import arm, call, halt, position, trouble
 
 TYPE_CHECKING = const(False)
@@ -42,25 +59,8 @@ _SEGMENT_LOG2 = const(17)
 # So much is made ahead of the segment that runs, in ticks: what a hold has to wait for, besides.
 _LEAD = const(40_000)
 _MOST = const(2)  # segments made in one interrupt
-_LAST_ROW = const(15)
 _WAITING = const(10)  # rows that may wait; the others may still be looked at
-_CLOCK = const(3)  # the clock's machine
 
-# From pio/hub.py, pio/stops.py, motion/kernels.py.
-_RUNNING = const(0)
-_HALT = const(1)
-_MADE = const(2)
-_FED = const(3)
-_AHEAD = const(5)
-_CUT = const(10)
-_EARLY = const(12)
-_PIO0 = const(14)
-_PIO1 = const(15)
-_FAULT = const(31 + 16)
-_ASKED = const(31 + 17)
-_CLEAR = const(0xC00)
-_RAISED = const(1)
-_KEEP_POWER = const(0x3FFFFFFF)
 
 # fault(): in the order of stops.RAISED and those behind it.
 _FAULTS = (
@@ -114,7 +114,7 @@ class PioEngine:
         from pio import programs
 
         self._pio1 = rp2.PIO(1)
-        self._clock = rp2.StateMachine(4 + _CLOCK, programs.clock, freq=_TICK_HZ)
+        self._clock = rp2.StateMachine(4 + CLOCK, programs.clock, freq=_TICK_HZ)
         self._memory.programs_at(
             programs.stepper[1] + programs.NEXT, programs.clock[2] + programs.CLOCK_PULL
         )
@@ -198,7 +198,7 @@ class PioEngine:
     def idle(self) -> bool:
         """Nothing is moving and nothing is queued in hardware."""
         hub = self._hub
-        return hub[_RUNNING] == 0 and (hub[_HALT] != 0 or hub[_MADE] == hub[_FED])
+        return hub[RUNNING] == 0 and (hub[HALT] != 0 or hub[MADE] == hub[FED])
 
     def position(self, steps: "array[int]") -> None:
         """Copy the steps really made, per motor: the only truth. Safe in an interrupt."""
@@ -215,40 +215,40 @@ class PioEngine:
     def _turn(self, _source: object) -> int:
         """Interrupt: a segment has begun, or the engine is to start. Keep the hardware busy."""
         hub = ptr32(self._hub)
-        hub[_ASKED] = 0
-        if hub[_HALT]:
+        hub[ASKED] = 0
+        if hub[HALT]:
             return 0
         try:
-            power = int(look(hub)) if hub[_RUNNING] else _KEEP_POWER
-            if power != _KEEP_POWER:
+            power = int(look(hub)) if hub[RUNNING] else KEEP_POWER
+            if power != KEEP_POWER:
                 self._on_power(power)
-            if hub[_RUNNING] == 0 or hub[_EARLY] <= 0:
-                if hub[_MADE] != hub[_FED]:
+            if hub[RUNNING] == 0 or hub[EARLY] <= 0:
+                if hub[MADE] != hub[FED]:
                     feed(hub)
                 made = 0
-                while made < _MOST and hub[_AHEAD] < _LEAD and hub[_MADE] - hub[_FED] < _WAITING:
-                    if hub[_CUT] == 0:
-                        if int(self._next_segment(self._rows[hub[_MADE] & _LAST_ROW])) == 0:
+                while made < _MOST and hub[AHEAD] < _LEAD and hub[MADE] - hub[FED] < _WAITING:
+                    if hub[CUT] == 0:
+                        if int(self._next_segment(self._rows[hub[MADE] & LAST_ROW])) == 0:
                             break
                     append(hub)
                     made += 1
                 if made:
                     feed(hub)
-                if hub[_RUNNING] == 0 and hub[_HALT] == 0:
+                if hub[RUNNING] == 0 and hub[HALT] == 0:
                     self._on_rest()
         except:  # noqa: E722
-            hub[_FAULT] = _RAISED
-        if hub[_FAULT]:
+            hub[FAULT] = RAISED
+        if hub[FAULT]:
             # No calls up to here: the stack may be what there is too little of.
-            hub[_HALT] = 1
-            ptr32(hub[_PIO0])[_CLEAR] = 15
-            ptr32(hub[_PIO1])[_CLEAR] = 1 << _CLOCK
+            hub[HALT] = 1
+            ptr32(hub[PIO0])[CLEAR] = 15
+            ptr32(hub[PIO1])[CLEAR] = 1 << CLOCK
             try:
                 self.on_fault()
             except:  # noqa: E722
-                hub[_FAULT] = _RAISED  # the main loop sees to the tool
+                hub[FAULT] = RAISED  # the main loop sees to the tool
             try:
                 halt(hub, -1)
             except:  # noqa: E722
-                hub[_FAULT] = _RAISED
+                hub[FAULT] = RAISED
         return 0

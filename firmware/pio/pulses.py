@@ -10,17 +10,12 @@ Called in the engine's interrupt.
 
 import micropython
 from micropython import const
+from motion.layout import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from array import array
 
-# From motion/kernels.py.
-_ROW_TICKS = const(0)
-_ROW_DIRS = const(1)
-_ROW_POWER = const(2)
-_ROW_AXES = const(3)  # per motor: steps, tick of the first, tick of the last
-_ROW_STRIDE = const(3)
 
 # Lanes: integers per axis.
 LANE = const(7)
@@ -35,7 +30,7 @@ FROZEN = const(6)  # position of a locked axis
 # Words a lane's ring holds. A segment takes five at the most: wait before a reversal, first
 # step, long gaps, short gaps, rest.
 RING_LOG2 = const(5)
-_RING_MASK = const(31)
+RING_MASK = const(31)
 
 # The longest row that convert() takes, and the length of the pieces of longer ones, in ticks.
 LONGEST = const(0x40000)
@@ -90,32 +85,32 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
     They wait where one would reverse or step too soon after its last step."""
     late = 0
     for i in range(timing[AXES]):
-        base = _ROW_AXES + _ROW_STRIDE * i
+        base = ROW_AXES + ROW_STRIDE * i
         if row[base]:
             lack = _FETCH - lanes[LANE * i + CARRY] - row[base + 1]
-            if (row[_ROW_DIRS] >> i) & 1 != lanes[LANE * i + DIR]:
+            if (row[ROW_DIRS] >> i) & 1 != lanes[LANE * i + DIR]:
                 lack += _FETCH + timing[TURN_WAIT] + timing[TURN_DELAY]
             if lack > late:
                 late = lack
     for i in range(timing[AXES]):
         lane = LANE * i
-        base = _ROW_AXES + _ROW_STRIDE * i
+        base = ROW_AXES + ROW_STRIDE * i
         ring = i << RING_LOG2
         head = lanes[lane + HEAD]
         carry = lanes[lane + CARRY] + late
         level = lanes[lane + DIR]
         steps = row[base]
         if steps:
-            if (row[_ROW_DIRS] >> i) & 1 != level:
+            if (row[ROW_DIRS] >> i) & 1 != level:
                 words[ring + head] = level | (timing[TURN_WAIT] << _DELAY_SHIFT)
-                head = (head + 1) & _RING_MASK
+                head = (head + 1) & RING_MASK
                 carry -= _FETCH + timing[TURN_WAIT]
                 level = 1 - level
             carry += row[base + 1] - _FETCH
             if carry >= _HALF_DELAY:
                 carry -= _ALL_DELAY  # the same bits in a word, which is signed here
             words[ring + head] = level | (1 << _STEPS_SHIFT) | (carry << _DELAY_SHIFT)
-            head = (head + 1) & _RING_MASK
+            head = (head + 1) & RING_MASK
             carry = 0 - row[base + 1] - timing[PULSE] - _AFTER
             steps -= 1
             if steps:
@@ -129,16 +124,16 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
                 word = level | ((gap - timing[PULSE] - _BETWEEN) << _DELAY_SHIFT)
                 if longer:
                     words[ring + head] = word + (1 << _DELAY_SHIFT) + (longer << _STEPS_SHIFT)
-                    head = (head + 1) & _RING_MASK
+                    head = (head + 1) & RING_MASK
                 words[ring + head] = word | ((steps - longer) << _STEPS_SHIFT)
-                head = (head + 1) & _RING_MASK
-        carry += row[_ROW_TICKS]
+                head = (head + 1) & RING_MASK
+        carry += row[ROW_TICKS]
         if carry >= timing[KEEP] + _FETCH:
             carry -= timing[KEEP] + _FETCH
             if carry >= _HALF_DELAY:
                 carry -= _ALL_DELAY
             words[ring + head] = level | (carry << _DELAY_SHIFT)
-            head = (head + 1) & _RING_MASK
+            head = (head + 1) & RING_MASK
             carry = timing[KEEP]
         lanes[lane + HEAD] = head
         lanes[lane + CARRY] = carry
@@ -153,15 +148,15 @@ def cut(row: ptr32, whole: ptr32, begin: int, axes: int) -> int:
 
     For rows that last longer than a word can wait: their steps are few.
     """
-    ticks = whole[_ROW_TICKS]
+    ticks = whole[ROW_TICKS]
     end = begin + _PIECE
     if end + _PIECE > ticks:
         end = ticks
-    row[_ROW_TICKS] = end - begin
-    row[_ROW_DIRS] = whole[_ROW_DIRS]
-    row[_ROW_POWER] = whole[_ROW_POWER]
+    row[ROW_TICKS] = end - begin
+    row[ROW_DIRS] = whole[ROW_DIRS]
+    row[ROW_POWER] = whole[ROW_POWER]
     for i in range(axes):
-        base = _ROW_AXES + _ROW_STRIDE * i
+        base = ROW_AXES + ROW_STRIDE * i
         steps = whole[base]
         span = whole[base + 2] - whole[base + 1]
         gap = span // (steps - 1) if steps > 1 else 0
@@ -188,7 +183,7 @@ def undone(words: ptr32, axis: int, sent: int, waiting: int, at: int, x: int) ->
     ring = axis << RING_LOG2
     total = 0
     for k in range(waiting if at == _NEXT else waiting + 1):
-        word = words[ring + ((sent - 1 - k) & _RING_MASK)]
+        word = words[ring + ((sent - 1 - k) & RING_MASK)]
         steps = (word >> _STEPS_SHIFT) & _STEPS_MASK
         if k == waiting and at >= _STEP:
             steps = x
@@ -202,7 +197,7 @@ def undone(words: ptr32, axis: int, sent: int, waiting: int, at: int, x: int) ->
 def places(row: ptr32, tick: int, start: ptr32, steps: ptr32, axes: int) -> int:
     """Positions `tick` ticks into a segment that begins at the positions start."""
     for i in range(axes):
-        base = _ROW_AXES + _ROW_STRIDE * i
+        base = ROW_AXES + ROW_STRIDE * i
         made = row[base]
         if made == 0 or tick < row[base + 1]:
             made = 0
@@ -215,5 +210,5 @@ def places(row: ptr32, tick: int, start: ptr32, steps: ptr32, axes: int) -> int:
                 made = rest // (gap + 1) + 1
             else:
                 made = (rest - longer) // gap + 1
-        steps[i] = start[i] - made if (row[_ROW_DIRS] >> i) & 1 else start[i] + made
+        steps[i] = start[i] - made if (row[ROW_DIRS] >> i) & 1 else start[i] + made
     return 0

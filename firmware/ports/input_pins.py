@@ -7,6 +7,7 @@ milliseconds and looked at again then, so that interference does not starve the 
 """
 
 import micropython
+from base.controls import EMERGENCY_STOP
 from machine import Pin, Timer
 from micropython import const
 
@@ -21,8 +22,6 @@ _BOTH_EDGES = Pin.IRQ_RISING | Pin.IRQ_FALLING
 # For so long an input that has called is left in peace where the board file says nothing.
 _PEACE_MS = const(2)
 
-# From control/inputs.py.
-_EMERGENCY_STOP = const(16)
 _FAILED = "A pin's callback has failed"
 _FAILED_TWICE = "A pin's callback has failed, and so has stopping"
 
@@ -175,7 +174,7 @@ class PortInputs:
     def _seen_by(self, pin: "Pin") -> int:
         """Mask of this control input alone, 0 where it is not active."""
         if pin is self._estop:
-            return _EMERGENCY_STOP if pin.value() else 0
+            return EMERGENCY_STOP if pin.value() else 0
         bit = 1 << self._controls.index(pin)
         return (0 if pin.value() else bit) ^ (self._control_invert & bit)
 
@@ -200,7 +199,7 @@ class PortInputs:
     def _active(self) -> int:
         """What has been seen, with the emergency stop."""
         if self._estop and self._estop.value():
-            return self._controls_seen | _EMERGENCY_STOP
+            return self._controls_seen | EMERGENCY_STOP
         return self._controls_seen
 
     def controls(self) -> int:

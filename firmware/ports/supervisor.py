@@ -15,18 +15,13 @@ import micropython
 from machine import Timer
 from micropython import const
 
+from ports.link_memory import AWAY, STOPPED, TURNED
+
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from interfaces import BoardLink, Port, StepEngine
-
-# What is shared with a link, which has it as the first of what it remembers: whether it has been
-# read since the last beat, whether the machine was stopped meanwhile, and how long, in ms, the
-# main loop has been away: from less than 0 on where that is to last.
-_TURNED = const(0)
-_STOPPED = const(1)
-_AWAY = const(2)
 
 # Beats of a hard timer, and of one that goes through MicroPython's queue of 8, not to fill it.
 _HARD_MS = const(5)
@@ -39,14 +34,14 @@ _FAILED = const(-1)
 @micropython.viper
 def count(shared: ptr32, beat_ms: int) -> int:
     """One beat more. Returns for how many ms the main loop has been away; 0: it has turned."""
-    if shared[_TURNED]:
-        shared[_TURNED] = 0
-        shared[_AWAY] = 0
+    if shared[TURNED]:
+        shared[TURNED] = 0
+        shared[AWAY] = 0
         return 0
-    shared[_AWAY] += beat_ms
-    if shared[_AWAY] == 0:
-        shared[_AWAY] = 1  # it has been away for all of what it was allowed
-    return shared[_AWAY]
+    shared[AWAY] += beat_ms
+    if shared[AWAY] == 0:
+        shared[AWAY] = 1  # it has been away for all of what it was allowed
+    return shared[AWAY]
 
 
 class Supervisor:
@@ -79,33 +74,33 @@ class Supervisor:
 
     def allow(self, ms: int) -> None:
         """The main loop may be away for so much longer, this time."""
-        self._shared[_AWAY] = -ms
+        self._shared[AWAY] = -ms
 
     def _beat(self, _timer: object) -> None:
         """Interrupt. Catches all, for MicroPython would not call it again."""
         shared = self._shared
         try:
             count(shared, self._beat_ms)
-            away = shared[_AWAY]  # not what viper returns: 64 bits have no sign there
+            away = shared[AWAY]  # not what viper returns: 64 bits have no sign there
             if away < self._limit_ms:
                 if away == 0 and self._feed:
                     self._feed()
                 if self._look and self._look():
                     self._on_reset()
                 return
-            shared[_STOPPED] = away
+            shared[STOPPED] = away
         except BaseException:
-            shared[_STOPPED] = _FAILED
+            shared[STOPPED] = _FAILED
         for stop in self._halt:
             try:
                 stop()
             except BaseException:
-                shared[_STOPPED] = _FAILED
+                shared[STOPPED] = _FAILED
 
     def tell(self) -> None:
         """The main loop is back. Raises RuntimeError, which says why the machine was stopped."""
-        away = self._shared[_STOPPED]
-        self._shared[_STOPPED] = 0
+        away = self._shared[STOPPED]
+        self._shared[STOPPED] = 0
         if away == _FAILED:
             raise RuntimeError("the timer's interrupt has failed")
         raise RuntimeError("the main loop was away for %d ms" % away)

@@ -13,6 +13,7 @@ import micropython
 from micropython import const
 
 from ports.escape import Escape
+from ports.link_memory import AWAY, STOPPED, TURNED
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -26,11 +27,6 @@ _PIECES = const(16)  # hold all that may have arrived
 
 # How long one write may take: native USB waits for a host that does not read.
 _WRITE_MS = const(1000)
-
-# What is shared with the supervisor (supervisor.py).
-_TURNED = const(0)
-_STOPPED = const(1)
-_AWAY = const(2)
 
 
 class UartLink:
@@ -59,8 +55,8 @@ class UartLink:
 
     def read_into(self, buf: bytearray) -> int:
         """Move what has arrived into buf; return how many bytes."""
-        self.shared[_TURNED] = 1
-        if self.shared[_STOPPED]:
+        self.shared[TURNED] = 1
+        if self.shared[STOPPED]:
             self.come_back()
         self.on_turn()
         count = 0
@@ -94,9 +90,9 @@ class UartLink:
             self._send(whole[at : at + _PIECE])
 
     def _send(self, piece: "bytes | bytearray | memoryview") -> None:
-        self.shared[_AWAY] = -_WRITE_MS
+        self.shared[AWAY] = -_WRITE_MS
         self._out.write(piece)
-        self.shared[_AWAY] = 0
+        self.shared[AWAY] = 0
 
     def close(self) -> None:
         """Ctrl-C interrupts again."""

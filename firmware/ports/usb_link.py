@@ -26,6 +26,23 @@ import micropython
 from micropython import const
 
 from ports.escape import Escape
+from ports.link_memory import (
+    AWAY,
+    DTR,
+    ESCAPES,
+    FULL,
+    JUST,
+    LENGTH,
+    LINE,
+    OPENED,
+    REMEMBERED,
+    RING,
+    RING_BYTES,
+    STOPPED,
+    TAKING,
+    TURNED,
+    USED,
+)
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -61,23 +78,6 @@ _NOTE = const(0x100)
 # a packet or two may go before.
 _WRITE_MS = const(1000)
 
-# What a link remembers. First what it shares with the supervisor (supervisor.py): it has been
-# read, the machine was stopped meanwhile, for how long the main loop has been away.
-_TURNED = const(0)
-_STOPPED = const(1)
-_AWAY = const(2)
-_RING = const(3)  # Where the ring is,
-_LINE = const(4)  # where the host's control lines are (usb_ring.py); 0: not known,
-_TAKING = const(5)  # whether the main loop is taking bytes out of the ring,
-_DTR = const(6)  # whether the port is open,
-_USED = const(7)  # has been before,
-_OPENED = const(8)  # and has been opened once more: JUST now, or a while ago,
-_ESCAPES = const(9)  # whether bytes taken are such as ask for the prompt,
-_FULL = const(10)  # whether the ring was so full that more may wait behind it, and
-_LENGTH = const(11)  # how much waits to be sent.
-_REMEMBERED = const(12)
-_JUST = const(1)
-
 # The last request of the host, in the memory of RP2040's and RP2350's USB: requests that tell
 # of the port being open or not (its DTR), that come with opening alone, and that the cable has
 # been plugged in.
@@ -86,9 +86,6 @@ _SET_LINE_STATE = const(0x2221)
 _LINE_CODING = const(0x2021)  # SET is 0x2021, GET is 0x21A1
 _SET_CONFIGURATION = const(0x0900)
 
-# MicroPython's struct ringbuf_t: address, size : 16, iget : 16, iput : 16.
-_RING_BYTES = const(512)
-
 
 @micropython.viper
 def _take(at: ptr32, buf: ptr8, room: int) -> int:
@@ -96,37 +93,37 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
 
     Returns how many, and NOTE where UsbLink._note() is to see to something.
     """
-    at[_TAKING] = 1
-    at[_TURNED] = 1
-    shorts = ptr16(at[_RING])
-    data = ptr8(ptr32(at[_RING])[0])
+    at[TAKING] = 1
+    at[TURNED] = 1
+    shorts = ptr16(at[RING])
+    data = ptr8(ptr32(at[RING])[0])
     get = shorts[3]
     put = shorts[4]
-    if (put - get) & (_RING_BYTES - 1) >= _RING_BYTES - 64:
-        at[_FULL] = 1
+    if (put - get) & (RING_BYTES - 1) >= RING_BYTES - 64:
+        at[FULL] = 1
     count = 0
     while get != put and count < room:
         c = data[get]
         buf[count] = c
         if c <= _CTRL_C:
-            at[_ESCAPES] = 1
-        get = (get + 1) & (_RING_BYTES - 1)
+            at[ESCAPES] = 1
+        get = (get + 1) & (RING_BYTES - 1)
         count += 1
     shorts[3] = get
-    at[_TAKING] = 0
-    noted = at[_ESCAPES] if count else at[_LENGTH] | at[_FULL]
-    return count | _NOTE if noted | at[_OPENED] | at[_STOPPED] else count
+    at[TAKING] = 0
+    noted = at[ESCAPES] if count else at[LENGTH] | at[FULL]
+    return count | _NOTE if noted | at[OPENED] | at[STOPPED] else count
 
 
 @micropython.viper
 def _keep(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
     """Put an answer behind those that wait to be sent. Returns 0 where it may not wait."""
-    length = at[_LENGTH]
+    length = at[LENGTH]
     if count > _ANSWER or length + count > _OUT_BYTES:
         return 0
     for i in range(count):
         out[length + i] = data[i]
-    at[_LENGTH] = length + count
+    at[LENGTH] = length + count
     return 1
 
 
@@ -156,12 +153,12 @@ class UsbLink:
         self._waiting_out = bytearray(_OUT_BYTES)
         self._turns = self._since = 0
         self._escape = Escape(self.close)
-        self.shared = self._at = array.array("i", (0 for _ in range(_REMEMBERED)))
+        self.shared = self._at = array.array("i", (0 for _ in range(REMEMBERED)))
         if sys.platform == "rp2":
             from ports import usb_ring
 
             usb_ring.find(self._at, self._drain, _take)
-        self.is_slow = self._at[_RING] == 0
+        self.is_slow = self._at[RING] == 0
         self.look: "Callable[[], int] | None" = None if self.is_slow else self._look
         self.read_into = self._make_read_into()
         self.write = self._make_write()
@@ -177,13 +174,13 @@ class UsbLink:
 
         And see the port being opened, which for the first time is no news."""
         at = ptr32(self._at)
-        shorts = ptr16(at[_RING])
-        data = ptr8(ptr32(at[_RING])[0])
+        shorts = ptr16(at[RING])
+        data = ptr8(ptr32(at[RING])[0])
         get = shorts[3]
         put = shorts[4]
-        is_open = at[_DTR]
-        if at[_LINE]:
-            is_open = ptr8(at[_LINE])[0] & 1
+        is_open = at[DTR]
+        if at[LINE]:
+            is_open = ptr8(at[LINE])[0] & 1
         else:
             request = ptr32(_SETUP)[0] & 0x1FFFF
             if request & 0xFFFF == _SET_LINE_STATE:
@@ -192,16 +189,16 @@ class UsbLink:
                 is_open = 1
             if request & 0xFFFF == _SET_CONFIGURATION:
                 is_open = 0
-        if is_open != at[_DTR]:
-            at[_DTR] = is_open
-            at[_OPENED] = is_open & at[_USED]
+        if is_open != at[DTR]:
+            at[DTR] = is_open
+            at[OPENED] = is_open & at[USED]
         if is_open or get != put:
-            at[_USED] = 1
+            at[USED] = 1
         found = 0
-        if at[_TAKING] == 0:
+        if at[TAKING] == 0:
             while get != put:
-                get = (get + 1) & (_RING_BYTES - 1)
-                if data[(get - 1) & (_RING_BYTES - 1)] == _CTRL_X:
+                get = (get + 1) & (RING_BYTES - 1)
+                if data[(get - 1) & (RING_BYTES - 1)] == _CTRL_X:
                     shorts[3] = get
                     found = 1
         return found
@@ -215,7 +212,7 @@ class UsbLink:
 
     def _make_read_into(self) -> "Callable[[bytearray], int]":
         """A closure, for it is called at every turn: it finds what it needs without a look-up."""
-        if self._at[_RING] == 0:
+        if self._at[RING] == 0:
             return self._read_plainly
         at, take, note = self._at, _take, self._note
 
@@ -241,21 +238,21 @@ class UsbLink:
     def _note(self, buf: bytearray, count: int) -> int:
         """See to more than bytes. Returns their count."""
         at = self._at
-        if at[_STOPPED]:
+        if at[STOPPED]:
             self.come_back()
-        if at[_OPENED]:
+        if at[OPENED]:
             self._greet(count)
         if count:
-            at[_ESCAPES] = 0
+            at[ESCAPES] = 0
             self._escape.listen(buf, count)
             return count
-        if at[_LENGTH]:
+        if at[LENGTH]:
             self._turns += 1
             if self._turns >= _QUIET_TURNS:
-                self._turns, length, at[_LENGTH] = 0, at[_LENGTH], 0
+                self._turns, length, at[LENGTH] = 0, at[LENGTH], 0
                 self._send(self._waiting_out, length)
-        if at[_FULL]:
-            at[_FULL] = 0
+        if at[FULL]:
+            at[FULL] = 0
             self._waiting()  # to ask fills the ring
         return 0
 
@@ -263,11 +260,11 @@ class UsbLink:
         """A program has opened the port: greet it when it says something, or in a while, unless
         it has come back to a job."""
         at = self._at
-        if at[_OPENED] == _JUST:
-            at[_OPENED] = _JUST + 1 if self._escape.at_rest() else 0
+        if at[OPENED] == JUST:
+            at[OPENED] = JUST + 1 if self._escape.at_rest() else 0
             self._since = time.ticks_ms()
-        if at[_OPENED] and (count or time.ticks_diff(time.ticks_ms(), self._since) >= _GREET_MS):
-            at[_OPENED] = 0
+        if at[OPENED] and (count or time.ticks_diff(time.ticks_ms(), self._since) >= _GREET_MS):
+            at[OPENED] = 0
             self._on_open()
 
     def _waiting(self) -> bool:
@@ -276,8 +273,8 @@ class UsbLink:
         return False
 
     def _read_plainly(self, buf: bytearray) -> int:
-        self._at[_TURNED] = 1
-        if self._at[_STOPPED]:
+        self._at[TURNED] = 1
+        if self._at[STOPPED]:
             self.come_back()
         self._flush()
         count = 0
@@ -297,9 +294,9 @@ class UsbLink:
 
     def _flush(self) -> None:
         self._turns = 0
-        length = self._at[_LENGTH]
+        length = self._at[LENGTH]
         if length:
-            self._at[_LENGTH] = 0
+            self._at[LENGTH] = 0
             self._send(self._waiting_out, length)
 
     def _send(self, data: "bytes | bytearray | memoryview", length: int) -> None:
@@ -307,9 +304,9 @@ class UsbLink:
         if self._deaf and not self._sendable.poll(0):
             return
         since = time.ticks_ms()
-        self._at[_AWAY] = -_WRITE_MS
+        self._at[AWAY] = -_WRITE_MS
         self._out.write(data, length)
-        self._at[_AWAY] = 0
+        self._at[AWAY] = 0
         self._deaf = time.ticks_diff(time.ticks_ms(), since) >= _DEAF_MS
 
     def close(self) -> None:

@@ -11,20 +11,15 @@ import micropython
 from micropython import const
 
 from ports.escape import push
+from ports.link_memory import LINE, RING, RING_BYTES
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# MicroPython's struct ringbuf_t: address, size : 16, iget : 16, iput : 16.
-_RING_BYTES = const(512)
 _MEMORY = const(0x20000000)
 _MEMORY_WORDS = const(0x10000)
 _TRIALS = (b"Where is the ring?", b"Here?")
-
-# From ports/usb_link.py.
-_RING = const(3)
-_LINE = const(4)
 
 # TinyUSB's struct cdcd_interface_t, in words: 7 bytes, the last of which are line_state and
 # wanted_char, -1; line_coding; from here on two FIFOs of a few words, address and size first, and
@@ -41,10 +36,10 @@ def _find(memory: ptr32, start: int, trial: ptr8, length: int) -> int:
     while i < _MEMORY_WORDS - 3:
         at = memory[i] - _MEMORY
         sizes = memory[i + 1]
-        if at > 0 and at < 4 * _MEMORY_WORDS and sizes & 0xFFFF == _RING_BYTES:
+        if at > 0 and at < 4 * _MEMORY_WORDS and sizes & 0xFFFF == RING_BYTES:
             get = (sizes >> 16) & 0xFFFF
             put = memory[i + 2] & 0xFFFF
-            if get < _RING_BYTES and put < _RING_BYTES and (put - get) & 511 >= length:
+            if get < RING_BYTES and put < RING_BYTES and (put - get) & 511 >= length:
                 data = ptr8(memory[i])
                 same = 0
                 while same < length and data[(get + same) & 511] == trial[same]:
@@ -83,16 +78,16 @@ def find(
     found = 0
     index = _find(_MEMORY, 0, _TRIALS[0], len(_TRIALS[0]))
     while index >= 0 and not found:
-        at[_RING] = _MEMORY + 4 * index
+        at[RING] = _MEMORY + 4 * index
         trial = bytearray(len(_TRIALS[0]))
         take(at, trial, len(trial))
         push(_TRIALS[1])
         if _find(_MEMORY, index, _TRIALS[1], len(_TRIALS[1])) == index:
-            found = at[_RING]
+            found = at[RING]
         index = _find(_MEMORY, index + 1, _TRIALS[0], len(_TRIALS[0]))
     early += drain()
     text = bytes(early).replace(_TRIALS[0], b"").replace(_TRIALS[1], b"")
     if text:
         push(text)
-    at[_RING] = found
-    at[_LINE] = find_line(_MEMORY)
+    at[RING] = found
+    at[LINE] = find_line(_MEMORY)

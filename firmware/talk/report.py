@@ -9,11 +9,11 @@ from array import array
 
 from base import errors
 from base import state as st
-from base.f32 import INCH_PER_MM, f32, vector
+from base.controls import DOOR, HOLD, RESET, START
+from base.f32 import INCH_PER_MM, copy, f32, vector
 from control.coords import NAMES
-from control.inputs import DOOR, HOLD, RESET, START
 from micropython import const
-from motion.kernels import LIMITS, RESOLUTION, copy
+from motion.layout import LIMITS, RESOLUTION
 
 from talk.digits import END, VALUES, number, write
 from talk.singles import MINUS, add, divide

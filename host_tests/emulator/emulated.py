@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 from unittest.mock import patch
 
-from motion.kernels import ROW_AXES, ROW_DIRS, ROW_STRIDE
+from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE
 from pico import Edge, Pico
 from ugrbl.compiling import build
 from ugrbl.device.selftest import program

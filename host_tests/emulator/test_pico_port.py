@@ -8,17 +8,20 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from emulated import LIMIT, PROBE, RESET, SPINDLE_PWM, Board
+from emulated import FOUND, LIMIT, PROBE, RESET, SPINDLE_PWM, Board
 
 pytestmark = pytest.mark.xdist_group("pico port")
 
 FLOOD, ESTOP = 18, 21
 
-SETUP = f"""
-import board, gpio
+SETUP = (
+    FOUND.decode()
+    + f"""
+import board
+pins = module("pio", "pins")
 board.INVERT = ("FLOOD",)
 board.ESTOP = {ESTOP}
-port = gpio.GpioPort(board)
+port = pins.GpioPort(board)
 heard = bytearray(4)
 def note(i):
     heard[i] += 1
@@ -32,6 +35,7 @@ class Listener:
 port.attach(Listener())
 port.hear_limits(True)
 """
+)
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 import ast
 import hashlib
 import importlib
+import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -13,9 +14,10 @@ from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import Any
 
-from .. import paths
+from .. import __version__, paths
 from ..boardfile.files import load_for_build
 from . import prepared, put_together, symbols
+from .inline import inline
 from .scopes import NotUnderstood
 from .shorten import Shortened
 
@@ -25,6 +27,7 @@ _DEBUG = "-O0"
 # MicroPython runs main.py at start, and never main.mpy: this one stays as it is.
 START = "main.py"
 BOARD = "board.py"
+PACKAGE_LIST = "package.json"
 # The file of a package, in its folder.
 PACKAGE = "__init__"
 
@@ -49,6 +52,8 @@ _CHOICES: dict[str, tuple[str, object, tuple[object, ...]]] = {
 
 # What extras are handed; who has none has no use for it.
 _EXTRAS_API = "extras.api"
+# Brings modules into memory one by one, in an order of its own: there they stay apart.
+_IN_ORDER = "esp_chip.start"
 
 
 class BuildError(Exception):
@@ -95,6 +100,8 @@ def packages() -> set[str]:
 def needed(board: ModuleType) -> list[str]:
     """The modules that a board has a use for, as sources() has them."""
     there = {module(source): source for source in sources()}
+    # Without imports of constants: a module that has nothing else stays behind.
+    written = inline(texts())
     found: dict[str, str] = {}
     extras = _extras(board)
     left = [module(START), *extras]
@@ -103,8 +110,7 @@ def needed(board: ModuleType) -> list[str]:
         wanted = _is_chosen(name, board) and (extras or name != _EXTRAS_API)
         if name in there and name not in found and wanted:
             found[name] = there[name]
-            tree = ast.parse(_text(there[name]))
-            left += _imported(tree)
+            left += _imported(ast.parse(written[name]))
     return sorted(found.values())
 
 
@@ -153,7 +159,7 @@ def compile_all(
     if board is not None:
         wanted = [module(source) for source in needed(board)]
         chosen = {name: text for name, text in chosen.items() if name in wanted}
-    if board is not None and not debug:
+    if board is not None and not debug and _IN_ORDER not in chosen:
         try:
             chosen, described["bundles"] = put_together(chosen, chosen)
         except NotUnderstood as error:
@@ -194,6 +200,14 @@ def _prepared(modules: tuple[tuple[str, str], ...], debug: bool) -> Shortened:
     return symbols.stamped(written, prepared(written, debug))
 
 
+def place(folder: Path) -> None:
+    """Write the sources there as a desktop's MicroPython runs them: constants in place."""
+    for name, text in inline(texts(), keep=True).items():
+        file = folder / f"{name.replace('.', '/')}.py"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+
+
 def _text(source: str) -> str:
     return (paths.FIRMWARE / source).read_text(encoding="utf-8")
 
@@ -218,7 +232,8 @@ def for_board(
 
 
 def save(made: Build, folder: Path) -> None:
-    """Write the files there; what an older build has compiled there goes."""
+    """Write the files there, and a list of them for mip; what an older build has compiled there
+    goes."""
     for part in folders(made):
         for old in (folder / part).glob("*.mpy"):
             old.unlink()
@@ -226,6 +241,16 @@ def save(made: Build, folder: Path) -> None:
         file = folder / path
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(content)
+    (folder / PACKAGE_LIST).write_text(package_list(made), encoding="utf-8")
+
+
+def package_list(made: Build) -> str:
+    """What `mpremote mip install` reads: each file's path on the board, and beside this text.
+
+    Left half way, the board is to start with MicroPython's prompt: main.py is the last."""
+    order = sorted(made.files, key=lambda path: (path == START, path))
+    rows = ",\n".join(f"    {json.dumps([path, path])}" for path in order)
+    return f'{{\n  "urls": [\n{rows}\n  ],\n  "version": {json.dumps(__version__)}\n}}\n'
 
 
 def folders(made: Build) -> list[str]:

@@ -20,9 +20,9 @@ from .short_names import SHORT
 
 # Who calls this with the name of a module lets go of it: merged, it would stay in memory.
 _FORGET = "forget"
-# Of extras a user has one, or none, or his own. The parts of esp_chip have an order in memory, see
-# esp_chip/start.py: a package would come whole, and first.
-_APART = ("extras", "esp_chip")
+# Of extras a user has one, or none, or his own. The rows of block's tables are objects, each of
+# which a collection has to keep in mind while it looks at a module's: it has room for 64.
+_APART = ("extras", "language.block")
 
 
 class Bundles(NamedTuple):
@@ -57,7 +57,7 @@ def _apart(sources: Mapping[str, str]) -> Iterator[str]:
     """Modules that are not merged."""
     for name, text in sources.items():
         tree = ast.parse(text)
-        if name.partition(".")[0] in _APART:
+        if name in _APART or name.partition(".")[0] in _APART:
             yield name
         if "." not in name:  # main.py, which stays as it is
             yield name

@@ -2,8 +2,8 @@
 
 MicroPython's compiler does so within a module, for names that begin with an underscore. A public
 constant costs 30 bytes of the board's memory and, wherever another module uses it, two look-ups
-of 2 us. So this writes the numbers where the names were: nothing else changes, no line moves, and
-the sources do the same without it.
+of 2 us; a viper function cannot take a number from there at all. So this writes the numbers where
+the names were: nothing else changes, and no line moves. CPython does the same without it.
 """
 
 import ast
@@ -20,12 +20,13 @@ class _Edit(NamedTuple):
     text: str
 
 
-def inline(sources: Mapping[str, str]) -> dict[str, str]:
-    """The modules, by name, with each other's public constants in place."""
+def inline(sources: Mapping[str, str], keep: bool = False) -> dict[str, str]:
+    """The modules, by name, with each other's public constants in place. keep: they stay where
+    they are defined, too, for programs that are not among these modules."""
     trees = {name: ast.parse(text) for name, text in sources.items()}
     known = {name: _public(tree) for name, tree in trees.items()}
     return {
-        name: _apply(text, list(_edits(trees[name], known[name], known)))
+        name: _apply(text, list(_edits(trees[name], known[name], known, keep)))
         for name, text in sources.items()
     }
 
@@ -70,7 +71,9 @@ def _names(tree: ast.AST, context: type[ast.expr_context]) -> Iterator[ast.Name]
             yield node
 
 
-def _edits(tree: ast.Module, own: Constants, known: Mapping[str, Constants]) -> Iterator[_Edit]:
+def _edits(
+    tree: ast.Module, own: Constants, known: Mapping[str, Constants], keep: bool
+) -> Iterator[_Edit]:
     here = dict(own)
     modules: dict[str, str] = {}
     stored = {node.id for node in _names(tree, ast.Store)}
@@ -86,7 +89,7 @@ def _edits(tree: ast.Module, own: Constants, known: Mapping[str, Constants]) -> 
             if gone:
                 yield _Edit(node, _import(node, gone))
     for statement in tree.body:
-        if _definition(statement)[0] in own:
+        if not keep and _definition(statement)[0] in own:
             yield _Edit(statement, "pass")
     seen = {a: known[m] for a, m in modules.items() if m in known and a not in stored}
     yield from _uses(tree, here, seen)

@@ -1,4 +1,4 @@
-"""`python -m ugrbl.docs`: makes the tables in docs/ out of the firmware's own, and package.json.
+"""`python -m ugrbl.docs`: makes the tables in docs/ out of the firmware's own.
 
 What a table says of a row is the comment beside it in the firmware, or the words in meanings.py,
 without which it is not made. --pictures draws the pictures anew as well.
@@ -15,10 +15,9 @@ from . import pages, pictures
 def main(
     draw: Annotated[bool, typer.Option("--pictures", help="Draw the pictures as well.")] = False,
 ) -> None:
-    """Bring the tables in docs/, and package.json, up to date."""
+    """Bring the tables in docs/ up to date."""
     for page in pages.PAGES:
         _renew(page, pages.update(page.read_text(encoding="utf-8")))
-    _renew(pages.PACKAGE, pages.package())
     if draw:
         for picture in pictures.PICTURES:
             print(f"{pictures.keep(picture).name} has been drawn")

@@ -4,12 +4,10 @@ A part stands between the lines `<!-- begin: NAME -->` and `<!-- end: NAME -->`;
 makes it.
 """
 
-import json
 import re
 from collections.abc import Callable
 
-from .. import __version__, paths
-from ..compiling import build
+from .. import paths
 from . import house, machines, words
 
 ROOT = paths.FIRMWARE.parent
@@ -17,7 +15,6 @@ DOCS = ROOT / "docs"
 PAGES = tuple(
     DOCS / f"{name}.md" for name in ("reference", "boards", "conformance", "architecture")
 )
-PACKAGE = ROOT / "package.json"
 
 _MARKED = re.compile(r"(<!-- begin: ([\w-]+) -->\n).*?(<!-- end: \2 -->)", re.DOTALL)
 
@@ -41,9 +38,3 @@ TABLES: dict[str, Callable[[], str]] = {
 def update(text: str) -> str:
     """The text with all its tables as they are now."""
     return _MARKED.sub(lambda found: f"{found[1]}{TABLES[found[2]]()}\n{found[3]}", text)
-
-
-def package() -> str:
-    """What `mip install` reads: every file of the firmware, and where it is beside this text."""
-    rows = ",\n".join(f"    {json.dumps([name, f'firmware/{name}'])}" for name in build.sources())
-    return f'{{\n  "urls": [\n{rows}\n  ],\n  "version": {json.dumps(__version__)}\n}}\n'

@@ -40,7 +40,8 @@ def g_words() -> list[str]:
     for number in block.G_WORDS:
         if number not in block._WANTS_DECIMALS:
             found.append(f"G{number}")
-        found += [f"G{number}.{part // 10}" for part in block._G_DECIMALS.get(number, ())]
+        tenths = block._G_DECIMALS.get(number, 0)
+        found += [f"G{number}.{part}" for part in range(10) if tenths >> part & 1]
     return found
 
 

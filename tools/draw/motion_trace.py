@@ -131,14 +131,14 @@ class MotionTrace(Recorder):
 
     def _note(self, row: int) -> None:
         super()._note(row)
-        kernels, ring = self._kernels, self._planner.ring
-        at = row * self._planner.flow[kernels.ROW_SIZE]
-        length = self._value(ring[at + kernels.LENGTH]) or 1.0
-        steps = ring[at + kernels.STEPS : at + kernels.STEPS + len(self._axes)]
-        dirs, flags = ring[at + kernels.DIRS], ring[at + kernels.FLAGS]
+        layout, ring = self._layout, self._planner.ring
+        at = row * self._planner.flow[layout.ROW_SIZE]
+        length = self._value(ring[at + layout.LENGTH]) or 1.0
+        steps = ring[at + layout.STEPS : at + layout.STEPS + len(self._axes)]
+        dirs, flags = ring[at + layout.DIRS], ring[at + layout.FLAGS]
         per_mm = [(-n if dirs >> i & 1 else n) / length for i, n in enumerate(steps)]
         self._blocks[at] = len(self.motion.line)
-        rapid = bool(flags & (kernels.RAPID_MOTION | kernels.SYSTEM_MOTION))
+        rapid = bool(flags & (layout.RAPID_MOTION | layout.SYSTEM_MOTION))
         self._add_block(self._rig.link.now_at(), rapid, per_mm)
 
     def _add_block(self, line: int, rapid: bool, per_mm: Sequence[float]) -> None:
@@ -154,7 +154,7 @@ class MotionTrace(Recorder):
         """Stand in for Segments.next: note the speed of what it makes, and of which block."""
         made = int(self._next(row))
         if made:
-            at = self._planner.flow[self._kernels.AT]
+            at = self._planner.flow[self._layout.AT]
             self._plans[id(row)] = (self._segments.rate_mm_min() / 60, self._blocks.get(at, 0))
         return made
 
@@ -170,7 +170,7 @@ class MotionTrace(Recorder):
             last = [column[-1] for column in motion.place]
             self._add(motion.time_s[-1], 0.0, 0, last)
             self._add(begin, 0.0, 0, last)
-        self._add(begin + row[self._kernels.ROW_TICKS] / hz, speed, block, at)
+        self._add(begin + row[self._layout.ROW_TICKS] / hz, speed, block, at)
 
     def _add(self, time_s: float, speed: float, block: int, at: Sequence[float]) -> None:
         motion, port = self.motion, self._port

@@ -15,10 +15,13 @@ import threading
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+from ..compiling import build
 from . import recordings
 from .compare import Json, judge_case, trouble
 from .compare_motion import judge_motion
@@ -115,7 +118,20 @@ def _command(python: str, program: Path) -> list[str]:
     return [found, "-X", _HEAP, str(program)]
 
 
-def _replay(command: list[str], file: Path, board: str, indices: list[int]) -> Iterator[Json]:
+@contextmanager
+def _environment(python: str, program: Path) -> Iterator[dict[str, str]]:
+    """In which our own program finds a firmware that this Python can run."""
+    if python == "cpython" or program != _REPLAY:
+        yield dict(os.environ)
+        return
+    with TemporaryDirectory(prefix="ugrbl-") as folder:
+        build.place(Path(folder))
+        yield {**os.environ, "UGRBL_FIRMWARE": folder}
+
+
+def _replay(
+    command: list[str], environment: dict[str, str], file: Path, board: str, indices: list[int]
+) -> Iterator[Json]:
     """Replay cases of a file; a process that dies or hangs costs the case it was at."""
     todo = list(indices)
     while todo:
@@ -123,6 +139,7 @@ def _replay(command: list[str], file: Path, board: str, indices: list[int]) -> I
             [*command, str(file), board, *map(str, todo)],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
+            env=environment,
             text=True,
             encoding="utf-8",
         )
@@ -230,13 +247,16 @@ def run_folder(
         cases = dict(job.cases)
         return [
             judge(job.category, cases[observed["index"]], observed)
-            for observed in _replay(command, job.file, job.board, list(cases))
+            for observed in _replay(command, environment, job.file, job.board, list(cases))
         ]
 
     chunks = sorted(
         _chunks(required, 20_000), key=lambda job: -sum(_weight(case) for _, case in job.cases)
     )
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+    with (
+        _environment(python, program) as environment,
+        ThreadPoolExecutor(os.cpu_count() or 1) as pool,
+    ):
         for outcomes in pool.map(work, chunks):
             results.outcomes += outcomes
     return results

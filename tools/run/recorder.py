@@ -46,10 +46,10 @@ class Recorder:
     """
 
     def __init__(self, rig: "Rig") -> None:
-        from motion import kernels
+        from motion import layout
 
         self._rig = rig
-        self._kernels = kernels
+        self._layout = layout
         self._axes = range(len(rig.board.STEP))
         self._corexy = getattr(rig.board, "COREXY", False)
         self._planned = [0 for _ in self._axes]
@@ -93,10 +93,7 @@ class Recorder:
 
     def _attach(self) -> None:
         """Called by the rig once the controller is built: follow what is planned."""
-        from motion.kernels import SYSTEM_MOTION
-
         controller = self._rig.controller
-        self._system_motion = SYSTEM_MOTION
         self._planner = controller.planner
         self._settings = controller.settings
         self._plan = replace_method(self._planner, "line", self._line)
@@ -107,8 +104,8 @@ class Recorder:
 
     def _line(self, target: Any, move: Any, power: int) -> bool:
         """Stand in for Planner.line: what it adds to its ring is what will be stepped."""
-        kernels, flow = self._kernels, self._planner.flow
-        row = flow[kernels.ROWS if move.flags & self._system_motion else kernels.HEAD]
+        layout, flow = self._layout, self._planner.flow
+        row = flow[layout.ROWS if move.flags & layout.SYSTEM_MOTION else layout.HEAD]
         if not self._plan(target, move, power):
             return False
         self._note(row)
@@ -116,7 +113,7 @@ class Recorder:
 
     def _follow(self, line: bytearray, length: int) -> int:
         """Stand in for Plain.follow, which adds to the ring by itself."""
-        head = self._kernels.HEAD
+        head = self._layout.HEAD
         row = self._planner.flow[head]
         done: int = self._follow_plain(line, length)
         if self._planner.flow[head] != row:
@@ -125,10 +122,10 @@ class Recorder:
 
     def _note(self, row: int) -> None:
         """A row of the ring has been planned."""
-        kernels = self._kernels
-        at = row * self._planner.flow[kernels.ROW_SIZE]
-        steps = self._planner.ring[at + kernels.STEPS :][: len(self._axes)]
-        dirs = self._planner.ring[at + kernels.DIRS]
+        layout = self._layout
+        at = row * self._planner.flow[layout.ROW_SIZE]
+        steps = self._planner.ring[at + layout.STEPS :][: len(self._axes)]
+        dirs = self._planner.ring[at + layout.DIRS]
         for i in self._axes:
             self._planned[i] += steps[i]
         self._mm_per_step = [1 / (resolution or 1.0) for resolution in self._settings.steps_per_mm]
@@ -137,13 +134,13 @@ class Recorder:
 
     def _segment(self, start: int, row: "array[int]") -> None:
         """Called by the engine for every segment played, with the steps really made."""
-        kernels = self._kernels
+        layout = self._layout
         if self._begun is None:
             self._begun = start
-        self._ended = start + row[kernels.ROW_TICKS]
-        dirs = row[kernels.ROW_DIRS] ^ self._rig.engine.dir_invert  # as the firmware means them
+        self._ended = start + row[layout.ROW_TICKS]
+        dirs = row[layout.ROW_DIRS] ^ self._rig.engine.dir_invert  # as the firmware means them
         for i in self._axes:
-            count = row[kernels.ROW_AXES + kernels.ROW_STRIDE * i]
+            count = row[layout.ROW_AXES + layout.ROW_STRIDE * i]
             self._made[i] += count
             self._place[i] += -count if dirs >> i & 1 else count
         at = self._to_mm(self._place)

@@ -124,7 +124,7 @@ class _Watcher(Recorder):
 
     def _note(self, row: int) -> None:
         super()._note(row)
-        if self._watching and row != self._planner.flow[self._kernels.ROWS]:
+        if self._watching and row != self._planner.flow[self._layout.ROWS]:
             self.forecast.block_line.append(self._rig.link.now_at())
             self.forecast.block_end.append(self._planned_place())
 

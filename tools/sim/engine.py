@@ -6,7 +6,7 @@ virtual time. Switches that close at a place are found to the very step.
 
 from array import array
 
-from motion.kernels import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS, row_length
+from motion.layout import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS, row_length
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

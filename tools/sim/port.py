@@ -1,6 +1,6 @@
 """Pins of the simulated machine: outputs to look at, inputs to push, switches that close."""
 
-from control.inputs import EMERGENCY_STOP
+from base.controls import EMERGENCY_STOP
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ Whoever breaks it gets a BrokenLaw.
 
 from array import array
 
-from motion.kernels import ROW_AXES, ROW_STRIDE
+from motion.layout import ROW_AXES, ROW_STRIDE
 
 from .engine import SimEngine, step_tick
 from .port import SimPort

@@ -8,7 +8,7 @@ Nothing is judged here: see tools/replay/conformance.py. Runs under both Pythons
 import sys
 from array import array
 
-from motion.kernels import PARTIAL, ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
+from motion.layout import PARTIAL, ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 
 from .engine import Switch, step_tick, steps_until
 from .rig import MemoryStore, Rig

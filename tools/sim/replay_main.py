@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 
 def set_path() -> None:
-    """Find firmware, boards and simulator; under CPython the stand-ins as well."""
+    """Find firmware, boards and simulator; under CPython the stand-ins as well. UGRBL_FIRMWARE:
+    what MicroPython runs in place of the sources (compiling/build.place())."""
     here = sys.argv[0].rsplit("/", 1)[0] if "/" in sys.argv[0] else "."
     tools = here + "/.."
     try:
@@ -24,7 +25,7 @@ def set_path() -> None:
     except OSError:
         root = tools + "/.."
     # In place of this folder, whose modules would hide the firmware's.
-    sys.path[0:1] = [root + "/firmware"]
+    sys.path[0:1] = [os.getenv("UGRBL_FIRMWARE") or root + "/firmware"]
     if sys.implementation.name == "cpython":
         sys.path.insert(0, here + "/standins")
     sys.path.append(root)

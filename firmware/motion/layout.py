@@ -1,0 +1,115 @@
+"""Layout: what stands where in the integers that motion is made of.
+
+Blocks, the planner's rows; the table of what the kernels know of the machine; the flow, which main
+loop and interrupt share; segments, the rows that go to a pulse engine. One vocabulary for planner,
+kernels and engines; `ugrbl build` puts the numbers in place.
+
+Speeds are squared and linear on one scale per machine, `machine[SQR_SCALE]`: 2**30 is the square
+of the highest speed any move can have. Within a block speeds are in units of 2**-18 step of its
+longest axis per full segment. A real is a positive number in one integer: see reals.py.
+"""
+
+from micropython import const
+
+# One row of the planner's ring: a block.
+EVENTS = const(0)  # steps of its longest axis
+DIRS = const(1)  # mask of motors that turn backwards
+FLAGS = const(2)  # what the planner was told about it (planner.py)
+LINE = const(3)  # line number N
+POWER = const(4)  # spindle power while it runs; DYNAMIC blocks: at the programmed rate, in 1/64
+LENGTH = const(5)  # real, mm
+RATE = const(6)  # real, mm/s as programmed
+RAPID = const(7)  # real, mm/s: what its axes allow
+ACCEL = const(8)  # real, mm/s2: what its axes allow
+NOMINAL = const(9)  # real, mm/s, overrides included
+NOMINAL_SQR = const(10)
+ENTRY_SQR = const(11)  # the planner's promise: from here, it can always stop in time
+MAX_ENTRY_SQR = const(12)
+JUNCTION_SQR = const(13)
+DELTA_SQR = const(14)  # how much speed squared can change over the block
+FACTOR = const(15)  # real: block speed units per (mm/s)
+RAMP = const(16)  # acceleration in block speed units per segment
+CRUISE = const(17)  # nominal speed in block speed units
+PROGRAMMED = const(18)  # rate as programmed in block speed units
+STEPS = const(19)  # per motor, without sign; behind them, per motor, steps * 2**29 / EVENTS
+
+
+# What the kernels know of the machine.
+AXES = const(0)
+MOTOR_COUNT = const(1)
+SQR_SCALE = const(2)  # real: scaled speed squared per (mm/s)2
+JUNCTION = const(3)  # real: 2**16 * junction deviation * SQR_SCALE
+SEGMENT_RATE = const(4)  # real: block speed units per (step/s)
+SEGMENT_ACCEL = const(5)  # real: block speed units per segment, per (step/s2)
+SEGMENT_LOG2 = const(6)  # a full segment is 2**SEGMENT_LOG2 ticks, 17 at the most
+POWER_FLOOR = const(7)  # spindle power, in 1/64, up to which a DYNAMIC block gets the least power
+POWER_MAX = const(8)  # spindle power at the most
+SLOWEST = const(9)  # real, mm/s: no block is slower
+FEED_PERCENT = const(10)  # overrides
+RAPID_PERCENT = const(11)
+ROOT_SCALE = const(12)  # real: mm/s per root of a scaled speed squared
+LIMITS = const(13)  # three reals per axis: mm per step, mm/s, mm/s2
+# Behind the limits, one of each per axis: direction of the last block, of the present one, its
+# distances; and, so many times the axes behind the limits:
+RESOLUTION = const(6)  # steps/mm, bits of a float
+TARGET = const(7)  # steps + 2**29
+POSITION = const(8)  # steps + 2**29 where the last block ends
+MOVES = const(9)  # per motor: bit n, its steps go up with those of axis n; bit n + REVERSE, down
+REVERSE = const(8)
+
+# The flow: what planner (main loop) and segments (interrupt) share, and where motion is.
+ROW_SIZE = const(0)  # integers in a block
+ROWS = const(1)  # blocks in the ring; one more behind them is the system's own
+HEAD = const(2)  # the main loop's: where the next block goes
+TAIL = const(3)  # the interrupt's: the block being executed
+HOLD = const(4)  # the main loop's: come to rest, and stay
+SYSTEM = const(5)  # 1: run the system's own block and no other; 2: that is done
+LOADED = const(6)  # the interrupt's from here on
+AT = const(7)  # where in the ring the loaded block begins
+NOW = const(8)  # speed in block speed units
+CARRY = const(9)  # real, mm/s: speed between blocks
+LEAVE = const(10)  # speed at which to leave the block
+LEAVE_SQR = const(11)  # the same as the planner put it
+WHOLE = const(12)  # steps of the longest axis still to go,
+FRACTION = const(13)  # and 2**-18 of one
+PARTIAL = const(14)  # distance come since the last step of the longest axis, in 2**-18 step,
+SPARE = const(15)  # and its time, in ticks: both go into the next segment
+ADVANCE = const(16)  # distance of the segment being made,
+LEFT = const(17)  # and what it still lacks of a full one, in 2**-17
+BRAKE_FROM = const(18)  # braking from this speed to that takes so many whole steps,
+BRAKE_TO = const(19)
+BRAKE_WAY = const(20)
+BRAKE_UNIT = const(21)  # or, where this is 18, so much in 2**-18 step
+MOTORS = const(22)  # per motor: steps still to go; phase, 2**18 is a step
+FLOW_LENGTH = const(22)
+
+# Flags of a block that the kernels look at; planner.py has the others.
+RAPID_MOTION = const(0x01)
+SYSTEM_MOTION = const(0x02)  # homing and parking: from rest, to rest, outside the ring's order
+NO_FEED_OVERRIDE = const(0x04)
+INVERSE_TIME = const(0x08)  # RATE is per block, not per mm
+DYNAMIC = const(0x40)  # spindle power follows speed (laser, M4)
+
+# A row that goes to the pulse engine: a segment.
+ROW_TICKS = const(0)  # how long it lasts
+ROW_DIRS = const(1)  # mask of motors that turn backwards
+ROW_POWER = const(2)  # spindle power, or KEEP_POWER
+# Per motor: steps, tick of the first, tick of the last, the others evenly between.
+ROW_AXES = const(3)
+ROW_STRIDE = const(3)
+KEEP_POWER = const(0x3FFFFFFF)
+
+
+def block_length(motors: int) -> int:
+    """Integers in a row of the planner's ring."""
+    return STEPS + 2 * motors
+
+
+def machine_length(axes: int, motors: int) -> int:
+    """Integers in the table of what the kernels know of the machine."""
+    return LIMITS + MOVES * axes + motors
+
+
+def row_length(motors: int) -> int:
+    """Integers in a segment row."""
+    return ROW_AXES + ROW_STRIDE * motors

@@ -1,0 +1,310 @@
+# mypy: disable-error-code=arg-type
+"""The planner's kernel: integers only, from a target to a block that joins the others.
+
+Everything here is viper: it allocates nothing, knows no objects, and takes and returns values from
+0 to 2**30 - 1, so that it means the same on a 32-bit board, on the 64-bit desktop MicroPython and
+under CPython. What stands where is told in layout.py. Called by the main loop only.
+"""
+
+import micropython
+from micropython import const
+
+from motion.layout import (
+    ACCEL,
+    AXES,
+    CRUISE,
+    DELTA_SQR,
+    DIRS,
+    ENTRY_SQR,
+    EVENTS,
+    FACTOR,
+    FEED_PERCENT,
+    FLAGS,
+    HEAD,
+    INVERSE_TIME,
+    JUNCTION,
+    JUNCTION_SQR,
+    LENGTH,
+    LIMITS,
+    LINE,
+    MAX_ENTRY_SQR,
+    MOTOR_COUNT,
+    NO_FEED_OVERRIDE,
+    NOMINAL,
+    NOMINAL_SQR,
+    POWER,
+    PROGRAMMED,
+    RAMP,
+    RAPID,
+    RAPID_MOTION,
+    RAPID_PERCENT,
+    RATE,
+    ROW_SIZE,
+    ROWS,
+    SEGMENT_ACCEL,
+    SEGMENT_RATE,
+    SLOWEST,
+    SQR_SCALE,
+    STEPS,
+    SYSTEM,
+    SYSTEM_MOTION,
+    TAIL,
+    TARGET,
+)
+from motion.reals import (
+    BIAS,
+    HIGHEST,
+    LIMIT,
+    SMALLEST,
+    div,
+    mul,
+    pack,
+    product,
+    ratio,
+    square_root,
+)
+from motion.steps import measure, to_steps
+
+_ONE = const(0x194000)  # the real 1
+
+
+@micropython.viper
+def limit(machine: ptr32, ring: ptr32, at: int) -> int:
+    """What the axes of a measured block allow: its RAPID and ACCEL; and its direction.
+
+    A limit is the smallest, over the axes, of axis limit * length / distance.
+    Unit vectors are kept per axis as 16384 + component * 16384.
+    """
+    axes = machine[AXES]
+    length = ring[at + LENGTH]
+    rapid = HIGHEST
+    accel = HIGHEST
+    direction = LIMITS + 4 * axes
+    for i in range(axes):
+        mm = machine[direction + axes + i]
+        component = 0
+        if mm:
+            shift = (length >> 15) - (mm >> 15)
+            if shift < 15:
+                component = (((mm & 32767) << 14) // (length & 32767)) >> shift
+            if component > 16384:
+                component = 16384
+            scale = ((length & 32767) << 14) // (mm & 32767)
+            for k in range(1, 3):
+                limiting = machine[LIMITS + 3 * i + k]
+                mantissa = ((limiting & 32767) * scale) >> 14
+                exponent = (limiting >> 15) + shift
+                if mantissa >= LIMIT:
+                    mantissa >>= 1
+                    exponent += 1
+                elif mantissa < SMALLEST:
+                    mantissa <<= 1
+                    exponent -= 1
+                limiting = (exponent << 15) + mantissa
+                if k == 1:
+                    if limiting < rapid:
+                        rapid = limiting
+                elif limiting < accel:
+                    accel = limiting
+        machine[direction + i] = component
+    ring[at + RAPID] = rapid
+    ring[at + ACCEL] = accel
+    return 0
+
+
+@micropython.viper
+def turn(machine: ptr32, dirs: int) -> int:
+    """How fast, squared, the machine may go from the previous block into this one.
+
+    Junction deviation: the speed at which an arc that keeps within $11 of the
+    corner would need the axes' acceleration. With the change of direction D,
+    its cosine of half the angle c, and the acceleration along it that no axis
+    exceeds, v2 = accel * deviation * 4 c (1 + c) / D2.
+    """
+    axes = machine[AXES]
+    previous = LIMITS + 3 * axes
+    squares = 0
+    least = HIGHEST
+    for i in range(axes):
+        component = machine[previous + axes + i]
+        component = 16384 - component if (dirs >> i) & 1 else 16384 + component
+        change = component - machine[previous + i]
+        machine[previous + i] = component
+        if change < 0:
+            change = 0 - change
+        squares += change * change
+        if change or component != 16384:
+            # One more than it seems: a weak axis that hardly turns is not overlooked.
+            accel = machine[LIMITS + 3 * i + 2]
+            mantissa = ((accel & 32767) << 15) // (change + 1)
+            exponent = (accel >> 15) - 15
+            while mantissa >= LIMIT:
+                mantissa >>= 1
+                exponent += 1
+            accel = (exponent << 15) + mantissa
+            if accel < least:
+                least = accel
+    if squares < 16:
+        return HIGHEST
+    if squares >= 0x3FFFFC00:
+        return 0
+    change = int(square_root(squares))
+    cosine = int(square_root(0x3FFFFFFF - squares)) >> 1
+    shape = (((cosine * (16384 + cosine)) >> 14) << 15) // change
+    return int(product(int(pack(shape, BIAS - 15)), least, machine[JUNCTION]))
+
+
+@micropython.viper
+def schedule(machine: ptr32, ring: ptr32, at: int) -> int:
+    """What the interrupt will want to know of a block; also after an override has changed."""
+    flags = ring[at + FLAGS]
+    rate = ring[at + RATE]
+    nominal = rate
+    percent = machine[RAPID_PERCENT] if flags & RAPID_MOTION else machine[FEED_PERCENT]
+    if percent != 100 and not flags & NO_FEED_OVERRIDE:
+        nominal = int(div(int(mul(nominal, int(pack(percent, BIAS)))), int(pack(100, BIAS))))
+    if nominal > ring[at + RAPID]:
+        nominal = ring[at + RAPID]
+    if nominal < machine[SLOWEST]:
+        nominal = machine[SLOWEST]
+    ring[at + NOMINAL] = nominal
+    accel = ring[at + ACCEL]
+    scale = machine[SQR_SCALE]
+    per_mm = int(ratio(ring[at + EVENTS], ring[at + LENGTH]))
+    factor = int(mul(per_mm, machine[SEGMENT_RATE]))
+    ring[at + FACTOR] = factor
+    ramp = int(product(accel, per_mm, machine[SEGMENT_ACCEL]))
+    ring[at + RAMP] = ramp if ramp else 1
+    cruise = int(product(nominal, factor, _ONE))
+    ring[at + CRUISE] = cruise if cruise else 1
+    ring[at + PROGRAMMED] = cruise if rate == nominal else int(product(rate, factor, _ONE))
+    ring[at + NOMINAL_SQR] = int(product(nominal, nominal, scale))
+    ring[at + DELTA_SQR] = int(product(accel + LIMIT, ring[at + LENGTH], scale))  # twice
+    return 0
+
+
+@micropython.viper
+def ratios(ring: ptr32, at: int, motors: int) -> int:
+    """A block's steps per motor as parts of its EVENTS, in 2**-29."""
+    events = ring[at + EVENTS]
+    width = 15 if events < LIMIT else (9 if events < 1 << 21 else 1)
+    for i in range(motors):
+        rest = ring[at + STEPS + i]
+        ratio = 0
+        if rest == events:
+            ratio = 0x20000000
+        elif rest:
+            bits = 29
+            while bits:
+                take = width if width < bits else bits
+                rest <<= take
+                part = rest // events
+                ratio = (ratio << take) + part
+                rest -= part * events
+                bits -= take
+        ring[at + STEPS + motors + i] = ratio
+    return 0
+
+
+@micropython.viper
+def join(machine: ptr32, ring: ptr32, flow: ptr32) -> int:
+    """Put the block that has been made at HEAD into the ring."""
+    size = flow[ROW_SIZE]
+    head = flow[HEAD]
+    at = head * size
+    junction = int(turn(machine, ring[at + DIRS]))
+    if head == flow[TAIL]:
+        junction = 0  # from rest
+    ring[at + JUNCTION_SQR] = junction
+    ring[at + ENTRY_SQR] = 0
+    limit_entry(ring, flow, head)
+    axes = machine[AXES]
+    target = LIMITS + TARGET * axes
+    for i in range(axes):
+        machine[target + axes + i] = machine[target + i]
+    head += 1
+    flow[HEAD] = head if head < flow[ROWS] else 0
+    reverse_pass(ring, flow, 0)
+    return 0
+
+
+@micropython.viper
+def limit_entry(ring: ptr32, flow: ptr32, row: int) -> int:
+    """No block is entered faster than it, the one before, or the corner between them allow."""
+    size = flow[ROW_SIZE]
+    at = row * size
+    before = (row if row else flow[ROWS]) * size - size
+    entry = ring[at + JUNCTION_SQR]
+    if entry > ring[at + NOMINAL_SQR]:
+        entry = ring[at + NOMINAL_SQR]
+    if entry > ring[before + NOMINAL_SQR]:
+        entry = ring[before + NOMINAL_SQR]
+    ring[at + MAX_ENTRY_SQR] = entry
+    return 0
+
+
+@micropython.viper
+def plan(
+    target: ptr32,
+    machine: ptr32,
+    ring: ptr32,
+    flow: ptr32,
+    flags: int,
+    line: int,
+    power: int,
+    rate: int,
+) -> int:
+    """Add a block from POSITION to target, in mm. Returns 0 where it has no steps.
+
+    rate: real, mm/s, or 1/s with INVERSE_TIME. There has to be room.
+    """
+    at = flow[ROWS] if flags & SYSTEM_MOTION else flow[HEAD]
+    at *= flow[ROW_SIZE]
+    to_steps(target, machine)
+    if int(measure(machine, ring, at)) == 0:
+        return 0
+    limit(machine, ring, at)
+    ring[at + FLAGS] = flags
+    ring[at + LINE] = line
+    ring[at + POWER] = power
+    if flags & RAPID_MOTION:
+        rate = ring[at + RAPID]
+    elif flags & INVERSE_TIME:
+        rate = int(mul(rate, ring[at + LENGTH]))
+    ring[at + RATE] = rate
+    schedule(machine, ring, at)
+    ratios(ring, at, machine[MOTOR_COUNT])
+    if flags & SYSTEM_MOTION:
+        flow[SYSTEM] = 1
+    else:
+        join(machine, ring, flow)
+    return 1
+
+
+@micropython.viper
+def reverse_pass(ring: ptr32, flow: ptr32, everything: int) -> int:
+    """Raise the blocks' entry speeds to what they can brake from by the end of the last one.
+
+    Works from the newest block back and stops where nothing changes, unless
+    everything is to be done. The block at the tail is being executed: its
+    entry is history. Returns how many blocks were looked at.
+    """
+    size = flow[ROW_SIZE]
+    head = flow[HEAD]
+    tail = flow[TAIL]
+    exit_sqr = 0
+    seen = 0
+    while head != tail:
+        head = head - 1 if head else flow[ROWS] - 1
+        if head == tail:
+            break
+        at = head * size
+        entry = exit_sqr + ring[at + DELTA_SQR]
+        if entry > ring[at + MAX_ENTRY_SQR]:
+            entry = ring[at + MAX_ENTRY_SQR]
+        seen += 1
+        if entry == ring[at + ENTRY_SQR] and everything == 0 and seen > 1:
+            break
+        ring[at + ENTRY_SQR] = entry
+        exit_sqr = entry
+    return seen

@@ -1,0 +1,138 @@
+# mypy: disable-error-code=arg-type
+"""Steps: from a target in mm to the steps of each motor, and the length of their way.
+
+Viper, for plan_kernel.py. What stands where is told in layout.py.
+"""
+
+import micropython
+
+from motion.layout import (
+    AXES,
+    DIRS,
+    EVENTS,
+    LENGTH,
+    LIMITS,
+    MOTOR_COUNT,
+    MOVES,
+    RESOLUTION,
+    REVERSE,
+    STEPS,
+    TARGET,
+)
+from motion.reals import LIMIT, pack, square_root
+
+
+@micropython.viper
+def to_steps(target: ptr32, machine: ptr32) -> int:
+    """Round mm times steps/mm to whole steps, halves away from zero, into TARGET of the machine.
+
+    mm and steps/mm are single precision, seen as integers; the product is
+    rounded to single precision first, as Grbl's is. Returns 0 where an axis
+    leaves +-2**29 steps.
+    """
+    inside = 1
+    axes = machine[AXES]
+    resolution = LIMITS + RESOLUTION * axes
+    signs = ptr8(target)
+    for i in range(axes):
+        a = target[i] & 0x3FFFFFFF
+        high = (signs[4 * i + 3] & 0x40) << 24
+        b = machine[resolution + i]
+        exponent = ((a + high) >> 23) + (b >> 23) - 254
+        a = (a & 0x7FFFFF) | 0x800000
+        b = (b & 0x7FFFFF) | 0x800000
+        middle = (a >> 12) * (b & 0xFFF) + (a & 0xFFF) * (b >> 12)
+        low = (a & 0xFFF) * (b & 0xFFF) + ((middle & 0xFFF) << 12)
+        product = (a >> 12) * (b >> 12) + (middle >> 12) + (low >> 24)
+        low &= 0xFFFFFF
+        if product >= 0x800000:
+            exponent += 1
+        else:
+            product = (product << 1) | (low >> 23)
+            low = (low << 1) & 0xFFFFFF
+        if low > 0x800000 or (low == 0x800000 and product & 1):
+            product += 1
+        if exponent > 28:
+            inside = 0
+            product = 0x1FFFFFFF  # as far as it goes, on the right side
+        elif exponent >= 23:
+            product <<= exponent - 23
+        elif exponent >= -1:
+            product = ((product >> (22 - exponent)) + 1) >> 1
+        else:
+            product = 0
+        if signs[4 * i + 3] & 0x80:
+            product = 0 - product
+        machine[resolution + axes + i] = 0x20000000 + product
+    return inside
+
+
+@micropython.viper
+def motor_steps(places: ptr32, at: int, axes: int, moves: int) -> int:
+    """Steps of a motor on the way to a place of the axes, from the one that stands behind it.
+
+    moves: what the motor does; see MOVES.
+    """
+    steps = 0
+    for i in range(axes):
+        turns = ((moves >> i) & 1) - ((moves >> (i + REVERSE)) & 1)
+        steps += turns * (places[at + i] - places[at + axes + i])
+    return steps
+
+
+@micropython.viper
+def measure(machine: ptr32, ring: ptr32, at: int) -> int:
+    """Begin a block, from POSITION to TARGET: steps, directions, length in mm. Returns EVENTS.
+
+    As in Grbl, length is that of the motors' way, one per axis. Their distances (reals) are left
+    in the table of the machine for limit().
+    """
+    axes = machine[AXES]
+    distance = LIMITS + 5 * axes
+    target = LIMITS + TARGET * axes
+    moves = LIMITS + MOVES * axes
+    top = 0
+    dirs = 0
+    events = 0
+    for i in range(machine[MOTOR_COUNT]):
+        does = machine[moves + i]
+        if does == 1 << i:
+            steps = machine[target + i] - machine[target + axes + i]
+        else:
+            steps = int(motor_steps(machine, target, axes, does))
+        if steps < 0:
+            dirs |= 1 << i
+            steps = 0 - steps
+        ring[at + STEPS + i] = steps
+        if i >= axes:
+            continue  # the way is that of the motor that it goes with
+        mantissa = 0
+        exponent = 0
+        if steps:
+            mantissa = steps
+            while mantissa >= LIMIT:
+                mantissa >>= 1
+                exponent += 1
+            mm_per_step = machine[LIMITS + 3 * i]
+            mantissa *= mm_per_step & 32767
+            exponent += mm_per_step >> 15
+            while mantissa >= LIMIT:
+                mantissa >>= 1
+                exponent += 1
+            if exponent > top:
+                top = exponent
+            if steps > events:
+                events = steps
+        machine[distance + i] = (exponent << 15) + mantissa
+    squares = 0
+    for i in range(axes):
+        mantissa = machine[distance + i]
+        if mantissa:
+            shift = top - (mantissa >> 15) + 1
+            mantissa = (mantissa & 32767) >> shift if shift < 15 else 0
+            squares += mantissa * mantissa
+    ring[at + EVENTS] = events
+    ring[at + DIRS] = dirs
+    if events:
+        ring[at + LENGTH] = int(pack(int(square_root(squares)), top + 1))
+    return events

@@ -1,0 +1,62 @@
+"""Layout: what stands where in the hub, the one array that the PIO engine's leaves work on.
+
+Lanes and timing, which the hub has the addresses of, are told in pulses.py; what chips call their
+registers, in registers.py.
+"""
+
+from micropython import const
+
+HALF_TICKS_PER_US = const(25)
+ROWS = const(16)  # segments made, and not yet played
+LAST_ROW = const(15)
+
+# First the engine's state …
+RUNNING = const(0)  # machines are enabled
+HALT = const(1)  # stopped: nothing moves before arm()
+MADE = const(2)  # segments made, since power-up
+FED = const(3)  # segments handed to the hardware
+BEGUN = const(4)  # the segment that runs
+AHEAD = const(5)  # ticks made behind it
+POWER = const(6)  # spindle power told last
+LOCKED = const(7)  # mask of lanes that stand still
+END_US = const(8)  # when the words end, in us and half ticks
+END_REST = const(9)
+CUT = const(10)  # where in a long segment the next piece begins; 0: there is none
+BEATS = const(11)  # words handed to the clock, since power-up
+EARLY = const(12)  # the clock will call again before the running segment ends
+AXES = const(13)
+# … then registers, which depend on the chip …
+PIO0 = const(14)
+PIO1 = const(15)
+TIMER = const(16)
+NVIC = const(17)
+RIVALS = const(18)  # masks: interrupts in which the engine is stopped, and its own;
+BUSY = const(19)  # a channel has words to move
+STEPPER_AT = const(20)  # where steppers wait for a word
+CLOCK_AT = const(21)  # where the clock does
+DMA = const(22)  # a channel per lane
+# … and memory.
+LANES = const(26)
+WORDS = const(27)
+TIMING = const(28)
+CLOCKED = const(29)  # words for the clock
+WHOLE = const(30)  # a long segment, made in pieces
+ROW = const(31)  # a row per segment
+FAULT = const(ROW + ROWS)  # what has gone wrong (stops.py), until arm()
+ASKED = const(ROW + ROWS + 1)  # start() waits for the interrupt
+LENGTH = const(ROW + ROWS + 2)
+
+# Behind a segment's row: when it begins, us and half ticks; the clock's word with which it
+# ends; and where it begins, per axis.
+ROW_EXTRA = const(3)
+
+# Times are in us modulo 2**30; a difference from there on is a negative one.
+MASK = const(0x3FFFFFFF)
+NEGATIVE = const(0x20000000)
+
+# What may be wrong: trouble().
+RAISED = const(1)  # the interrupt has met an exception
+LOST = const(2)  # a word has come to a FIFO that was full
+JAMMED = const(3)  # DMA does not move on
+UNHEARD = const(4)  # the interrupt does not come
+BEHIND = const(5)  # words should have been played long since
