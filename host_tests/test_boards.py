@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 from ugrbl.boardfile.board_check import notes, problems
+from ugrbl.boardfile.chips import CHIPS
 from ugrbl.boardfile.files import boards, load_board
-from ugrbl.boardfile.new_board import CHIPS
 
 REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
 
@@ -73,36 +73,40 @@ def test_a_board_is_data_only(name: str) -> None:
         ({"STEP": (2, 3, 4, 8, 12)}, "pio has pulses for 4 axes at most"),
         ({"CONTROL": (14,)}, "CONTROL wants four entries"),
         ({"SAFETY_DOOR": True}, "SAFETY_DOOR is set and there is no pin for the door"),
-        ({"PWM_MAX": 65535}, "PWM_MAX is from 1 to 16383"),
+        ({"PWM_MAX": 65535}, "PWM_MAX is 65535: it is 16383 at the most"),
         ({"ESTOP": 14}, "HOLD: pin 14 is ESTOP already"),
         ({"INVERT": "FLOOD"}, "INVERT is 'FLOOD' and wants parentheses and a comma"),
-        ({"INVERT": ("ENABLE",)}, "INVERT: ENABLE is not one of SPINDLE_PWM, SPINDLE_ON"),
+        ({"INVERT": ("ENABLE",)}, "INVERT: 'ENABLE' is not one of SPINDLE_PWM, SPINDLE_ON"),
         ({"INVERT": ("FLOOD",)}, "INVERT: there is no pin for FLOOD"),
         ({"INVERT": ("FLOOD",), "FLOOD": 18}, ""),
         ({"CONTROL_INVERT": 2}, ""),
         ({"CONTROL_INVERT": 1}, "CONTROL_INVERT: there is no pin for RESET, and open means"),
-        ({"CONTROL_INVERT": 16}, "CONTROL_INVERT is a sum of 1, 2, 4 and 8, for RESET, HOLD,"),
+        ({"CONTROL_INVERT": 16}, "CONTROL_INVERT is 16: it is 15 at the most"),
         ({"CONTROL_INVERT": "2"}, "CONTROL_INVERT is '2': it is a whole number"),
-        ({"LIMIT_DEBOUNCE_MS": 6}, "LIMIT_DEBOUNCE_MS is 5 at the most"),
-        ({"WATCHDOG_MS": 9000}, "WATCHDOG_MS is 8388 at the most"),
-        ({"LOOP_MS": 20}, "LOOP_MS is 100 at the least"),
+        ({"LIMIT_DEBOUNCE_MS": 6}, "LIMIT_DEBOUNCE_MS is 6: it is 5 at the most"),
+        ({"WATCHDOG_MS": 9000}, "WATCHDOG_MS is 9000: it is 8388 at the most"),
+        ({"LOOP_MS": 20}, "LOOP_MS is 20: it is 100 at the least"),
         ({"DEFAULTS": {0: 1}}, "DEFAULTS: $0=1 is refused"),
         ({"ENGINE": "rmt"}, "ENGINE 'rmt' does not run on MPY_ARCH 'armv6m'"),
-        ({"ENGINE": "steam"}, "ENGINE 'steam' is not one of"),
-        ({"CHIP": "potato"}, "CHIP is not one of"),
-        ({"LINK": "pigeon"}, "LINK 'pigeon' is not one of"),
+        ({"ENGINE": "steam"}, "ENGINE: 'steam' is not one of"),
+        ({"CHIP": "potato"}, "CHIP: 'potato' is not one of"),
+        ({"LINK": "pigeon"}, "LINK: 'pigeon' is not one of usb, uart"),
         ({"STEP": 2}, "STEP is 2 and wants parentheses"),
         ({"ENABLE": "GP8"}, "ENABLE is 'GP8': pins are numbers"),
         ({"PWM_MAX": "1000"}, "PWM_MAX is '1000': it is a whole number"),
-        ({"DEFAULTS": (100, 800)}, "DEFAULTS is not of the form"),
+        ({"DEFAULTS": (100, 800)}, "DEFAULTS is (100, 800) and not of the form"),
         ({"SPINDEL_PWM": 16}, "SPINDEL_PWM: nothing reads it; is SPINDLE_PWM meant?"),
         ({"ENGINE": "i2s", "MPY_ARCH": "xtensawin", "CHIP": "esp32"}, "ENABLE is missing"),
-        ({"DIALECT": "0.7"}, "DIALECT is 1.1, 0.9, 0.9i or 0.9j, not 0.7"),
-        ({"DIALECT": 0.9}, 'DIALECT = 0.9 wants quotation marks: "0.9"'),
-        ({"TOOL": "hammer"}, "TOOL is spindle or punch, not hammer"),
+        ({"DIALECT": "0.7"}, "DIALECT: '0.7' is not one of 1.1, 0.9, 0.9i, 0.9j"),
+        ({"DIALECT": 0.9}, 'DIALECT is 0.9 and wants quotation marks: "0.9"'),
+        ({"TOOL": "hammer"}, "TOOL: 'hammer' is not one of spindle, punch"),
         ({"TOOL": "punch", "PUNCH_UP": 20}, "no pin for PUNCH_DOWN, PUNCH_DOWN_SENSOR, PUNCH_UP_"),
         ({"DIR": None}, "DIR is missing"),
         ({"DIR": None, "ENGINE": "sim"}, ""),
+        ({"ENGINE": "sim", "LOOP_US": "200"}, "LOOP_US is '200': it is a whole number"),
+        ({"CHIP": "pico2"}, "CHIP 'pico2' has MPY_ARCH 'armv7emsp'"),
+        ({"MIST": 1}, "MIST is 1: it is True or False"),
+        ({"EXTRAS": ("nowhere",)}, "EXTRAS: No module named 'nowhere'"),
     ],
 )
 def test_a_mistake_is_named(changes: "dict[str, Any]", said: str) -> None:

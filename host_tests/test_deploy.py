@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from typer.testing import CliRunner, Result
-from ugrbl.boardfile import files
+from ugrbl.boardfile import engines, files
 from ugrbl.boardfile.files import BoardFileError, boards, load_board
 from ugrbl.cli import deploy as deploy_cli
 from ugrbl.cli import ports
@@ -165,10 +165,10 @@ def test_a_board_gets_what_it_can_use() -> None:
 
 
 def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() -> None:
-    assert set(build._CHOICES) <= {build.module(source) for source in build.sources()}
+    assert {*build._SWITCHED, *build._PARTS} <= {build.module(one) for one in build.sources()}
     every: set[str] = set()
-    for engine in ("pio", "rmt", "i2s"):
-        for link in ("usb", "uart"):
+    for engine in engines.engines():
+        for link in engines.links():
             words = {"TOOL": "punch", "DIALECT": "0.9", "COREXY": True}
             every |= needed(ENGINE=engine, LINK=link, **words)
     left = {build.module(source) for source in set(build.sources()) - every}
@@ -237,7 +237,7 @@ def test_every_problem_has_a_line_and_nothing_is_built(tmp_path: Path) -> None:
         (
             "mine.py: PROBE: pin 3 is STEP already",
             "mine.py: SPINDLE_PWM: Raspberry Pi Pico has no pin 24",
-            "mine.py: PWM_MAX is from 1 to",
+            "mine.py: PWM_MAX is 65535: it is 16383 at the most",
             "mine.py: DEFAULTS: $0=1 is refused",
         )
     ):
@@ -390,7 +390,7 @@ def test_another_board_file_is_put_in_the_place_of_one_that_was_deployed(
     ("about", "said", "todo"),
     [
         (PICO._replace(mpy=0x1F06), "armv7emsp \\(RP2350\\); the board file is for", "--board"),
-        (PICO._replace(mpy=0x2B06), "xtensawin \\(ESP32\\)", "--board"),
+        (PICO._replace(mpy=0x2B06), "xtensawin \\(ESP32 or ESP32S3\\)", "--board"),
         (PICO._replace(mpy=0x1206), "version 6.2, and mpy-cross makes 6.3", "1.23 or newer"),
         (PICO._replace(mpy=0x1305), "version 5.3, and mpy-cross makes 6.3", "1.23 or newer"),
         (PICO._replace(mpy=0), "takes no compiled files", "official MicroPython"),

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from ugrbl.boardfile import board_check
+from ugrbl.boardfile import options
 from ugrbl.cli.app import app
 from ugrbl.docs import house, pages, pictures, words
 from ugrbl.grbl import comments
@@ -98,10 +98,8 @@ def test_every_board_is_in_its_page():
     assert missing(files, text_of(_ROOT / "docs" / "boards.md")) == []
 
 
-def test_every_option_that_the_firmware_reads_is_in_the_reference():
-    options = board_check.names()
-    assert {"STEP", "ESTOP", "INVERT", "LOOP_MS", "I2S"} <= options
-    assert missing(options, reference()) == []
+def test_every_board_option_is_in_the_reference():
+    assert missing(options.BY_NAME, reference()) == []
 
 
 def test_a_row_without_a_comment_is_named(monkeypatch):

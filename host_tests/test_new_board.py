@@ -11,8 +11,9 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 from ugrbl.boardfile import board_check
+from ugrbl.boardfile.chips import CHIPS
 from ugrbl.boardfile.files import load, load_board
-from ugrbl.boardfile.new_board import CHIPS, BoardError, read_pins
+from ugrbl.boardfile.new_board import BoardError, read_pins
 from ugrbl.cli.app import app
 
 _PICO = ("--chip", "pico", "--pin", "step=2,3,4", "--pin", "dir=5,6,7")

@@ -13,6 +13,7 @@ from machine import PWM, Pin
 from pio import pins as gpio
 from pio.pins import GpioPort
 from ports import pin_check
+from ugrbl.boardfile.engines import engines
 
 BOARD: dict[str, Any] = {
     "ENGINE": "pio",
@@ -27,6 +28,7 @@ BOARD: dict[str, Any] = {
     "SPINDLE_ON": 19,
     "FLOOD": 18,
 }
+MOTORS = engines()["pio"].pins
 
 
 def board(**changes: Any) -> ModuleType:
@@ -294,14 +296,14 @@ def test_the_watchdog_is_stopped_for_the_repl() -> None:
 )
 def test_a_wrong_pin_is_named(changes: "dict[str, Any]", said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        pin_check.check(board(**changes))
+        pin_check.check(board(**changes), MOTORS)
 
 
 def test_outputs_behind_shift_registers_are_no_pins() -> None:
-    registers = {"I2S": (20, 21, 22), "I2S_RATE_HZ": 125_000, "I2S_BUFFERS": 16}
-    pin_check.check(board(ENGINE="i2s", STEP=(2, 3, 101), LIMIT=(2, 3, 4), **registers))
+    pins = engines()["i2s"].pins
+    pin_check.check(board(STEP=(2, 3, 101), LIMIT=(2, 3, 4), I2S=(20, 21, 22)), pins)
     with pytest.raises(ValueError, match="PROBE: pin 21 is I2S already"):
-        pin_check.check(board(ENGINE="i2s", PROBE=21, **registers))
+        pin_check.check(board(PROBE=21, I2S=(20, 21, 22)), pins)
 
 
 def test_no_message_of_a_fault_can_be_taken_for_an_answer(

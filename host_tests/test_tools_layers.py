@@ -18,7 +18,7 @@ ROOMS: "dict[str, tuple[str, ...]]" = {
     "run": ("grbl", "sim", "boardfile"),
     "draw": ("grbl", "sim", "boardfile", "run"),
     "replay": ("boardfile", "compiling"),
-    "device": ("grbl", "compiling", "run"),
+    "device": ("grbl", "boardfile", "compiling", "run"),
     "docs": ("grbl", "boardfile", "replay"),
 }
 ROOMS["cli"] = tuple(ROOMS)

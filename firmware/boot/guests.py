@@ -24,12 +24,8 @@ _TOOLS = {"spindle": "", "punch": "extras.punch"}
 def names(board: "ModuleType") -> "list[str]":
     """Modules by their names. Raises ValueError where a word asks for none there is."""
     option = board.__dict__.get  # getattr() would keep the names for good
-
-    # Whose words it uses: "1.1", or "0.9", "0.9i" and "0.9j" for senders older than that.
     dialect = _known("DIALECT", option("DIALECT", "1.1"), _DIALECTS)
-    # What works on the material: "spindle", a laser too, or "punch", see docs/punch.md.
     tool = _known("TOOL", option("TOOL", "spindle"), _TOOLS)
-    # Modules of your own beside board.py, by name: see docs/extending.md.
     own: "tuple[str, ...]" = option("EXTRAS", ())
     return [name for name in (dialect, tool) + own if name]
 

@@ -1,13 +1,13 @@
 """Parts: chooses what the board has, makes the machine of it, and forgets how that was done.
 
-A board forgets this module too once the machine is there: it has no use for it then.
+The tables _ENGINES and _LINKS have all that is to be known of either; the tools read them too. A
+board forgets this module once the machine is there: it has no use for it then.
 """
 
 import gc
 import sys
 
 from micropython import const
-from ports.supervisor import Supervisor
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -15,9 +15,19 @@ if TYPE_CHECKING:
     from types import ModuleType
 
     from interfaces import BoardLink, BoardPort, StepEngine
+    from ports.supervisor import Supervisor
     from talk.controller import Controller
 
     Parts = tuple[Controller, BoardLink, BoardPort, StepEngine, Supervisor]
+    Hardware = tuple[StepEngine, BoardPort]
+    Oldest = tuple[str, tuple[int, int], str]
+    Engine = tuple[
+        Callable[[ModuleType, BoardLink], Hardware],
+        tuple[str, ...],
+        tuple[str, ...],
+        int,
+        tuple[Oldest, ...],
+    ]
 
 # Nothing of ours is there, and to look for each module of MicroPython's there takes 3 ms.
 _USERS = "/lib"
@@ -38,6 +48,95 @@ MAKER = "_make_"  # keep-prefix: methods are looked for by it
 MADE_AGAIN = ("Modal",)
 
 
+# Engines and links: a build takes the imports of those that the board file names.
+
+
+def pio(board: "ModuleType", link: "BoardLink") -> "Hardware":
+    """State machines of a PIO."""
+    from pio.engine import PioEngine
+    from pio.pins import GpioPort
+
+    option = board.__dict__.get  # getattr() would keep the names for good
+    hold_us, setup_us = option("DIR_HOLD_US", 2), option("DIR_SETUP_US", 5)
+    engine = PioEngine(board.STEP, board.DIR, hold_us, setup_us)
+    port = GpioPort(board)
+    engine.on_fault = port.kill
+    forget("rp2")  # with our programs, which it has made, nearly 2 kB
+    forget("pio.programs")
+    return engine, port
+
+
+def rmt(board: "ModuleType", link: "BoardLink") -> "Hardware":
+    """Pins of their own, by esp32.RMT."""
+    from boot import parts_esp
+
+    made = parts_esp.rmt(board, link)
+    forget("boot.parts_esp")
+    return made
+
+
+def i2s(board: "ModuleType", link: "BoardLink") -> "Hardware":
+    """Shift registers, by machine.I2S."""
+    from boot import parts_esp
+
+    made = parts_esp.i2s(board, link)
+    forget("boot.parts_esp")
+    return made
+
+
+def usb() -> "BoardLink":
+    """The board's USB."""
+    from ports.usb_link import UsbLink
+
+    link = UsbLink()
+    forget("ports.usb_ring")  # it has found what there is to find
+    return link
+
+
+def uart() -> "BoardLink":
+    """UART 0 of an ESP32, or its native USB."""
+    from ports.uart_link import UartLink
+
+    return UartLink()
+
+
+# What a board file calls ENGINE: who makes it, with the pins that are not steps; what the board
+# file has to name; which of these names are pins of the chip; how many steps a second one axis can
+# expect where the board file does not say, for the tools; and per chip, as MicroPython calls it,
+# the oldest MicroPython that will do, and what came with that.
+_ENGINES: "dict[str, Engine]" = {
+    "pio": (
+        pio,
+        ("STEP", "DIR"),
+        ("STEP", "DIR", "ENABLE"),
+        100_000,
+        (
+            ("RP2040", (1, 26), "timers that interrupt at once"),
+            ("RP2350", (1, 27), "DMA channels that can be given back"),
+        ),
+    ),
+    "rmt": (
+        rmt,
+        ("STEP", "DIR"),
+        ("STEP", "DIR", "ENABLE"),
+        5_000,
+        (("ESP32", (1, 27), "pulses of a resolution that is asked for"),),
+    ),
+    "i2s": (
+        i2s,
+        ("STEP", "DIR", "ENABLE", "I2S", "I2S_RATE_HZ", "I2S_BUFFERS"),
+        ("I2S",),  # motors are behind shift registers, whose outputs have numbers of their own
+        41_666,
+        (("ESP32", (1, 23), "compiled modules of today's kind"),),
+    ),
+}
+# What a board file calls LINK: who makes it.
+_LINKS: "dict[str, Callable[[], BoardLink]]" = {"usb": usb, "uart": uart}
+
+
+# The machine
+
+
 def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | None":
     """Make the machine of board.py; None where there cannot be one, or the REPL is asked for.
 
@@ -49,6 +148,7 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
     try:
         sys.path[:] = [folder for folder in path if folder != _USERS]
         import board
+        from ports.supervisor import Supervisor
 
         link = _link(getattr(board, "LINK", "usb"))
         engine, port = _hardware(board, link)
@@ -80,53 +180,60 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
 
 
 def _link(kind: str) -> "BoardLink":
-    if kind == "uart":
-        from ports.uart_link import UartLink
-
-        return UartLink()
-    if kind == "usb":
-        from ports.usb_link import UsbLink
-
-        usb = UsbLink()
-        forget("ports.usb_ring")  # it has found what there is to find
-        return usb
-    raise ValueError("LINK %s is not one there is" % kind)
+    if kind not in _LINKS:
+        raise ValueError("LINK %s is not one there is" % kind)
+    return _LINKS[kind]()
 
 
-def _hardware(board: "ModuleType", link: "BoardLink") -> "tuple[StepEngine, BoardPort]":
+def _hardware(board: "ModuleType", link: "BoardLink") -> "Hardware":
     """Engine and port; the engine's buffers are the first large things in memory."""
     from ports import pin_check
 
     from boot import guests
 
-    pin_check.check(board, guests.pins(board))
+    _check_engine(board)
+    _, _, pins, _, _ = _ENGINES[board.ENGINE]
+    pin_check.check(board, pins, guests.pins(board))
     forget("ports.pin_check")
-    from boot import needs
-
-    needs.check(board.ENGINE)
-    forget("boot.needs")
-    if board.ENGINE == "pio":
-        from pio.engine import PioEngine
-        from pio.pins import GpioPort
-
-        hold_us = getattr(board, "DIR_HOLD_US", 2)
-        setup_us = getattr(board, "DIR_SETUP_US", 5)
-        engine = PioEngine(board.STEP, board.DIR, hold_us, setup_us)
-        port = GpioPort(board)
-        engine.on_fault = port.kill
-        _forget_programs()
-        return engine, port
-    from boot import parts_esp
-
-    made = parts_esp.make(board, link)
-    forget("boot.parts_esp")
-    return made
+    return make(board, link)
 
 
-def _forget_programs() -> None:
-    """What made the PIO's programs, MicroPython's own part too: nearly 2 kB."""
-    forget("rp2")
-    forget("pio.programs")
+def _check_engine(board: "ModuleType") -> None:
+    """An engine there is, and all that it needs. Raises ValueError, which says what is missing."""
+    engine: str = board.ENGINE
+    if engine not in _ENGINES:
+        raise ValueError("ENGINE %s is not one there is" % engine)
+    _, needed, _, _, _ = _ENGINES[engine]
+    missing = [name for name in needed if name not in board.__dict__]
+    if missing:
+        names = ", ".join(missing)
+        raise ValueError("ENGINE = %s: the board file names no %s" % (engine, names))
+    machine = getattr(sys.implementation, "_machine", "")
+    why = too_old(engine, machine, sys.implementation.version[:2])
+    if why:
+        raise ValueError(why)
+
+
+def too_old(engine: str, machine: str, version: "tuple[int, ...]") -> str:
+    """Why this MicroPython is too old for that engine on that machine; "" where it is not."""
+    _, _, _, _, rows = _ENGINES[engine]
+    for chip, oldest, why in rows:
+        if chip in machine and version < oldest:
+            old = "MicroPython %d.%d is too old: " % version[:2]
+            return old + "ENGINE %s on %s wants 1.%d or newer, for %s" % (
+                engine,
+                chip,
+                oldest[1],
+                why,
+            )
+    return ""
+
+
+def make(board: "ModuleType", link: "BoardLink") -> "Hardware":
+    """Engine and port of a board file. They and the link work together. Raises MemoryError where
+    compiled code finds no room on an ESP32."""
+    maker, _, _, _, _ = _ENGINES[board.ENGINE]
+    return maker(board, link)
 
 
 def _build(
@@ -134,7 +241,7 @@ def _build(
     link: "BoardLink",
     port: "BoardPort",
     engine: "StepEngine",
-    watch: Supervisor,
+    watch: "Supervisor",
 ) -> "Controller":
     from ports.flash_store import FlashStore
 

@@ -1,4 +1,4 @@
-"""Parts of an ESP32 board: what parts.py makes there."""
+"""Parts of an ESP32 board: the engines that parts.py has it make, under their names there."""
 
 from esp_chip.pins import EspPort
 from esp_chip.start import prepare
@@ -20,24 +20,32 @@ _COMPILED = (
 )
 
 
-def make(board: "ModuleType", link: "BoardLink") -> "tuple[RmtEngine | I2sEngine, EspPort]":
-    """Engine and port; all three work together. Raises MemoryError where compiled code finds no
-    room."""
+def rmt(board: "ModuleType", link: "BoardLink") -> "tuple[RmtEngine, EspPort]":
+    """Raises MemoryError where compiled code finds no room."""
     prepare(_COMPILED.split())
-    engine: "RmtEngine | I2sEngine"
-    if board.ENGINE == "rmt":
-        from esp_chip.rmt import RmtEngine
+    from esp_chip.rmt import RmtEngine
 
-        engine = RmtEngine(board.STEP, board.DIR)
-        port = EspPort(board)
-    else:
-        from esp_chip.i2s import I2sEngine
+    engine = RmtEngine(board.STEP, board.DIR)
+    port = EspPort(board)
+    _join(engine, port, link)
+    return engine, port
 
-        engine = I2sEngine(
-            board.STEP, board.DIR, board.ENABLE, board.I2S, board.I2S_RATE_HZ, board.I2S_BUFFERS
-        )
-        port = EspPort(board, engine.enable)
+
+def i2s(board: "ModuleType", link: "BoardLink") -> "tuple[I2sEngine, EspPort]":
+    """Raises MemoryError where compiled code finds no room."""
+    prepare(_COMPILED.split())
+    from esp_chip.i2s import I2sEngine
+
+    engine = I2sEngine(
+        board.STEP, board.DIR, board.ENABLE, board.I2S, board.I2S_RATE_HZ, board.I2S_BUFFERS
+    )
+    port = EspPort(board, engine.enable)
+    _join(engine, port, link)
+    return engine, port
+
+
+def _join(engine: "RmtEngine | I2sEngine", port: EspPort, link: "BoardLink") -> None:
+    """All three work together."""
     engine.on_look = port.look
     link.on_turn = port.look  # type: ignore[attr-defined]  # UartLink's
     engine.on_fault = port.kill
-    return engine, port

@@ -234,22 +234,11 @@ class Punch(Spindle):
 def prepare(options: "Options", board: "ModuleType") -> None:
     """Before the machine is made. Raises ValueError where the board file lacks a pin."""
     option = board.__dict__.get
-
-    pins = (
-        # Actuator that moves the punch down: see docs/punch.md.
-        option("PUNCH_DOWN", None),
-        # Actuator that moves the punch up.
-        option("PUNCH_UP", None),
-        # Sensor of the punch being down.
-        option("PUNCH_DOWN_SENSOR", None),
-        # Sensor of the punch being up.
-        option("PUNCH_UP_SENSOR", None),
-    )
+    pins = [option(name) for name in PINS]
     missing = [PINS[i] for i in range(len(pins)) if pins[i] is None]
     if missing:
         raise ValueError("TOOL = punch: the board file names no pin for " + ", ".join(missing))
     Punch.pins = tuple([pin for pin in pins if pin is not None])
-    # So many ms a stroke of the punch takes at the most, one way.
     Punch.timeout_ms = option("PUNCH_TIMEOUT_MS", 1000)
     options.spindle = Punch
 

@@ -54,25 +54,16 @@ class PortInputs:
 
     def _make_inputs(self, board: "ModuleType") -> None:
         option = board.__dict__.get  # getattr() would keep the names for good
-
-        # Pins that can only be inputs, without pull-ups: resistors do that on the board.
         self._without_pull: "tuple[int, ...]" = option("NO_PULL_UP", ())
-        # Limit switches to ground, one pin per axis.
         self._limits = [self._make_input(pin) for pin in option("LIMIT", ())]
-        # 1 to 5: a limit switch counts if it is closed so many ms after an edge. 0: at the edge.
         self._limit_debounce_ms: int = option("LIMIT_DEBOUNCE_MS", 0)
-        # Inputs to ground: reset, hold, start, door; None where there is none.
         self._controls = [self._make_input(pin) for pin in option("CONTROL", ())]
-        # Control inputs that are active when open, added up: reset 1, hold 2, start 4, door 8.
         self._control_invert: int = option("CONTROL_INVERT", 0)
-        # For so many ms a button's contacts may bounce.
         self._debounce_ms: int = option("CONTROL_DEBOUNCE_MS", 0)
-        # Emergency stop: a contact to ground that opens when it is pressed, or its cable cut.
         self._estop = self._make_input(option("ESTOP", None))
         self.estop: "Callable[[], bool] | None" = self._is_open if self._estop else None
         self._buttons = list(self._controls)
         self._buttons.append(self._estop)
-        # Probe to ground.
         self._probe = self._make_input(option("PROBE", None))
 
     def _make_input(self, pin: "int | None") -> "Pin | None":

@@ -7,35 +7,18 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from types import ModuleType
 
-# Names that stand for pins of the chip, or for tuples of them; None is not wired.
-_MOTORS = "STEP DIR ENABLE"
-_OTHERS = "LIMIT PROBE CONTROL ESTOP REPL_PIN SPINDLE_PWM SPINDLE_DIR SPINDLE_ON FLOOD MIST_PIN"
-
-# Motors behind shift registers have numbers of their own, and these pins.
-_REGISTERS = "I2S"
-
-# What an engine wants to be told.
-_NEEDED = {
-    "pio": ("STEP", "DIR"),
-    "rmt": ("STEP", "DIR"),
-    "i2s": ("STEP", "DIR", "ENABLE", "I2S", "I2S_RATE_HZ", "I2S_BUFFERS"),
-}
+# Names that stand for pins of the chip, or for tuples of them, on every board; None is not wired.
+_NAMES = "LIMIT PROBE CONTROL ESTOP REPL_PIN SPINDLE_PWM SPINDLE_DIR SPINDLE_ON FLOOD MIST_PIN"
 
 
-def check(board: "ModuleType", others: "tuple[str, ...]" = ()) -> None:
-    """An engine there is, all that it needs, no pin twice, and none that the chip has not.
+def check(board: "ModuleType", motors: "tuple[str, ...]", others: "tuple[str, ...]" = ()) -> None:
+    """No pin twice, and none that the chip has not.
 
-    others: names that extras have for pins. Raises ValueError, which says what or where.
+    motors: the engine's names for pins. others: those of extras. Raises ValueError, which says
+    where.
     """
-    if board.ENGINE not in _NEEDED:
-        raise ValueError("ENGINE %s is not one there is" % board.ENGINE)
-    missing = [name for name in _NEEDED[board.ENGINE] if not hasattr(board, name)]
-    if missing:
-        names = ", ".join(missing)
-        raise ValueError("ENGINE = %s: the board file names no %s" % (board.ENGINE, names))
-    names = (_REGISTERS if board.ENGINE == "i2s" else _MOTORS) + " " + _OTHERS
     used: "dict[int, str]" = {}
-    for name in names.split() + list(others):
+    for name in list(motors) + _NAMES.split() + list(others):
         value = board.__dict__.get(name)  # getattr() would keep the names for good
         for pin in value if isinstance(value, tuple) else (value,):
             if pin is None:

@@ -41,29 +41,20 @@ class PortPins(PortInputs):
 
     def _make_outputs(self, board: "ModuleType") -> None:
         option = board.__dict__.get
-
-        # Names of outputs that are on when low: ("SPINDLE_PWM", "FLOOD"). ENABLE has $4.
         inverted: "tuple[str, ...]" = option("INVERT", ())
         off = [1 if name in inverted else 0 for name in _INVERTIBLE]
         self._pwm_off, self._spindle_off, self._direction_off = off[:3]
         self._flood_off, self._mist_off = off[3:]
-        # Power of spindle or laser, as a pulse width.
         self._pwm_number: "int | None" = option("SPINDLE_PWM", None)
-        # Pulses a second of SPINDLE_PWM.
         hz: int = option("PWM_HZ", 5000)
         self._pwm_period_us = 1_000_000 // hz + 1
-        # Steps of SPINDLE_PWM from nothing to full power, 16383 at the most.
         self.pwm_max: int = option("PWM_MAX", 1000)
         pwm = _make_output(self._pwm_number, self._pwm_off)
         self._pwm = pwm and PWM(pwm, freq=hz, duty_u16=0, invert=self._pwm_off)
-        # Spindle on and off.
         self._spindle_on = self._make_tool(option("SPINDLE_ON", None), self._spindle_off)
-        # Flood coolant.
         self._flood = self._make_tool(option("FLOOD", None), self._flood_off)
-        # Mist coolant, with MIST.
         self._mist = self._make_tool(option("MIST_PIN", None), self._mist_off)
         make = self._make_tool if option("SPINDLE_ENABLE_PIN", False) else _make_output
-        # Spindle direction: high is counterclockwise, or on with SPINDLE_ENABLE_PIN.
         self._direction = make(option("SPINDLE_DIR", None), self._direction_off)
 
     def _make_tool(self, number: "int | None", off: int) -> "Pin | None":

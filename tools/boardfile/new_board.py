@@ -1,94 +1,15 @@
 """A board file made of answers: which pins there are, what may go where, the text of the file."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
+
+from . import engines
+from .chips import Chip
 
 AXES = "XYZA"
 
 Pins = tuple[int, ...]
-
-
-class Chip(NamedTuple):
-    """What a board file has to respect of a processor and the module it sits on."""
-
-    title: str
-    engine: str
-    mpy_arch: str
-    pins: frozenset[int]  # that come out
-    inputs_only: frozenset[int]
-    odd: Mapping[int, str]  # pins that work, with something to know
-    most_axes: int = 4
-    link: str = "usb"
-
-
-_ESP32_ODD = {
-    0: "pressed to ground at start it asks for new firmware",
-    2: "has to be low or open while new firmware is loaded",
-    5: "has a say at start; gives pulses then",
-    12: "pulled up at start selects the wrong flash voltage, and the board does not start: a CNC"
-    " shield pulls its enable up",
-    15: "has a say at start; gives pulses then",
-    **dict.fromkeys((16, 17), "belongs to the memory of a WROVER module: free on a WROOM only"),
-    1: "is the serial line to the computer (TX)",
-    3: "is the serial line to the computer (RX)",
-    **dict.fromkeys((34, 35, 36, 39), "has no pull-up: the switch needs a resistor to 3.3 V"),
-}
-_PICO_PINS = frozenset(range(23)) | {26, 27, 28}
-_PICO_LED = {25: "is the LED"}
-
-CHIPS = {
-    "pico": Chip(
-        "Raspberry Pi Pico",
-        "pio",
-        "armv6m",
-        _PICO_PINS | {25},
-        frozenset(),
-        _PICO_LED,
-    ),
-    "pico_w": Chip("Raspberry Pi Pico W", "pio", "armv6m", _PICO_PINS, frozenset(), {}),
-    "pico2": Chip(
-        "Raspberry Pi Pico 2",
-        "pio",
-        "armv7emsp",
-        _PICO_PINS | {25},
-        frozenset(),
-        _PICO_LED,
-    ),
-    "rp2040": Chip(
-        "RP2040 on a board of its own",
-        "pio",
-        "armv6m",
-        frozenset(range(30)),
-        frozenset(),
-        {},
-    ),
-    "esp32": Chip(
-        "ESP32",
-        "rmt",
-        "xtensawin",
-        frozenset(range(40)) - frozenset(range(6, 12)) - {20, 24, 28, 29, 30, 31, 37, 38},
-        frozenset({34, 35, 36, 39}),
-        _ESP32_ODD,
-        link="uart",
-    ),
-    "esp32s3": Chip(
-        "ESP32-S3",
-        "rmt",
-        "xtensawin",
-        frozenset(range(49)) - frozenset(range(22, 33)),
-        frozenset(),
-        {
-            0: "pressed to ground at start it asks for new firmware",
-            3: "has a say at start",
-            19: "is native USB (D-)",
-            20: "is native USB (D+)",
-            45: "has a say at start",
-            46: "has a say at start",
-        },
-        link="uart",
-    ),
-}
 
 
 class Item(NamedTuple):
@@ -123,7 +44,6 @@ ITEMS = (
 CONTROLS = ("RESET", "HOLD", "START", "DOOR")
 # What a pin brings with it.
 _SWITCHED_ON = {"DOOR": "SAFETY_DOOR", "MIST_PIN": "MIST"}
-_RMT_MOST_HZ = 5000  # up to here its trains of pulses have no gap to speak of
 BY_NAME = {item.name: item for item in ITEMS}
 
 
@@ -157,7 +77,8 @@ class Board:
         if bare := sorted(pin for pin, _ in self.wiring() if pin in self.chip.inputs_only):
             lines.append(f"NO_PULL_UP = {_tuple(bare)}  # resistors to 3.3 V do it")
         if self.chip.engine == "rmt":
-            lines += ["", "# See esp32_devkit.py.", f"MAX_STEP_RATE_HZ = {_RMT_MOST_HZ}"]
+            most_hz = engines.engines()["rmt"].most_hz
+            lines += ["", "# See esp32_devkit.py.", f"MAX_STEP_RATE_HZ = {most_hz}"]
         lines += ["", "PWM_MAX = 1000"]
         if self.defaults:
             lines += ["", "# Settings of this machine from the factory."]

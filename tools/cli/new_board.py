@@ -1,7 +1,6 @@
 """The command `ugrbl new-board`."""
 
 import sys
-from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +10,8 @@ from rich.markup import escape
 
 from .. import paths
 from ..boardfile import board_check, files, new_board
-from ..boardfile.new_board import CHIPS, ITEMS, Board, BoardError, Chip, Item, Pins
+from ..boardfile.chips import CHIPS, Chip
+from ..boardfile.new_board import ITEMS, Board, BoardError, Item, Pins
 from ..grbl.settings_file import as_line
 from .outputs import check_outputs, save_json
 from .screen import summary
@@ -21,22 +21,21 @@ EXAMPLES = (
     " --pin step=2,3,4 --pin dir=5,6,7 --pin enable=8 --pin limit=9,10,11 --set 100=800"
 )
 _NAMES = ", ".join(item.name.lower() for item in ITEMS)
+_CHIPS = "|".join(CHIPS)
 
 
-class ChipName(str, Enum):
-    """The processors that have engines."""
-
-    PICO = "pico"
-    PICO_W = "pico_w"
-    PICO2 = "pico2"
-    RP2040 = "rp2040"
-    ESP32 = "esp32"
-    ESP32S3 = "esp32s3"
+def _read_chip(name: str) -> Chip:
+    if name not in CHIPS:
+        raise typer.BadParameter(f"{name} is not one of {', '.join(CHIPS)}")
+    return CHIPS[name]
 
 
 def command(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Of the file: my_router.")],
-    chip: Annotated[ChipName | None, typer.Option(help="What is on the board.")] = None,
+    chip: Annotated[
+        Chip | None,
+        typer.Option(parser=_read_chip, metavar=f"[{_CHIPS}]", help="What is on the board."),
+    ] = None,
     title: Annotated[str, typer.Option(help="What the machine is, in a line.")] = "",
     pin: Annotated[
         list[str] | None, typer.Option(metavar="WHAT=PINS", help=f"WHAT: {_NAMES}.")
@@ -99,14 +98,15 @@ def _given(words: list[str]) -> dict[str, str]:
     return given
 
 
-def _chip(console: Console, chip: ChipName | None, asking: bool) -> Chip:
+def _chip(console: Console, chip: Chip | None, asking: bool) -> Chip:
     if chip is None:
         if not asking:
             raise BoardError(f"which chip? --chip, one of {', '.join(CHIPS)}")
         for key, one in CHIPS.items():
             console.print(f"  {key:8} {one.title}", highlight=False)
-        chip = typer.prompt("What is on the board", type=ChipName, default=ChipName.PICO.value)
-    return CHIPS[ChipName(chip).value]
+        first = next(iter(CHIPS))
+        chip = typer.prompt("What is on the board", default=first, value_proc=_read_chip)
+    return chip
 
 
 def _one(console: Console, board: Board, item: Item, text: str | None, asking: bool) -> Pins:

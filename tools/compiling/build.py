@@ -6,7 +6,7 @@ import importlib
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -15,6 +15,7 @@ from types import ModuleType
 from typing import Any
 
 from .. import __version__, paths
+from ..boardfile import engines, options
 from ..boardfile.files import load_for_build
 from . import prepared, put_together, symbols
 from .inline import inline
@@ -34,22 +35,11 @@ PACKAGE = "__init__"
 # Is told path and bytes of each file.
 Progress = Callable[[str, int], None]
 
-# Modules that the firmware has the choice of: what a board file has to say for it, where it says
-# nothing what holds, and with which of these words the module is needed. All other modules go on
-# a board if one that goes there imports them; so does what a chosen one imports.
-_CHOICES: dict[str, tuple[str, object, tuple[object, ...]]] = {
-    "pio.engine": ("ENGINE", "", ("pio",)),
-    "pio.pins": ("ENGINE", "", ("pio",)),
-    "esp_chip.rmt": ("ENGINE", "", ("rmt",)),
-    "esp_chip.i2s": ("ENGINE", "", ("i2s",)),
-    "boot.parts_esp": ("ENGINE", "", ("rmt", "i2s")),
-    "esp_chip.pins": ("ENGINE", "", ("rmt", "i2s")),
-    "ports.usb_link": ("LINK", "usb", ("usb",)),
-    "ports.uart_link": ("LINK", "usb", ("uart",)),
-    "motion.kinematics": ("COREXY", False, (True,)),
-}
-
-
+# Where engines and links are made, a function for each, which bears its name.
+_PARTS = ("boot.parts", "boot.parts_esp")
+# Modules that an option asks for by being on. All others go on a board if one that goes there
+# imports them, where it makes an engine or link: the board's.
+_SWITCHED = {"motion.kinematics": "COREXY"}
 # What extras are handed; who has none has no use for it.
 _EXTRAS_API = "extras.api"
 # Brings modules into memory one by one, in an order of its own: there they stay apart.
@@ -107,10 +97,11 @@ def needed(board: ModuleType) -> list[str]:
     left = [module(START), *extras]
     while left:
         name = left.pop()
-        wanted = _is_chosen(name, board) and (extras or name != _EXTRAS_API)
-        if name in there and name not in found and wanted:
+        off = name in _SWITCHED and not getattr(board, _SWITCHED[name], False)
+        if name in there and name not in found and not off and (extras or name != _EXTRAS_API):
             found[name] = there[name]
-            left += _imported(ast.parse(written[name]))
+            tree = ast.parse(written[name])
+            left += _imported(tree, _others(board) if name in _PARTS else set())
     return sorted(found.values())
 
 
@@ -126,15 +117,17 @@ def module(source: str) -> str:
     return source.removesuffix(".py").replace("/", ".")
 
 
-def _is_chosen(name: str, board: ModuleType) -> bool:
-    if name not in _CHOICES:
-        return True
-    option, otherwise, words = _CHOICES[name]
-    return getattr(board, option, otherwise) in words
+def _others(board: ModuleType) -> set[str]:
+    """The engines and links which this board has not."""
+    link = getattr(board, "LINK", options.BY_NAME["LINK"].default)
+    return {*engines.engines(), *engines.links()} - {board.ENGINE, link}
 
 
-def _imported(node: ast.AST) -> Iterator[str]:
-    """What may be a module in the imports below a node, but not what only mypy reads."""
+def _imported(node: ast.AST, without: Collection[str] = ()) -> Iterator[str]:
+    """What may be a module in the imports below a node, but not what only mypy reads, nor what
+    those functions import."""
+    if isinstance(node, ast.FunctionDef) and node.name in without:
+        return
     if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
         return
     if isinstance(node, ast.Import):
@@ -143,7 +136,7 @@ def _imported(node: ast.AST) -> Iterator[str]:
         yield node.module
         yield from (f"{node.module}.{alias.name}" for alias in node.names)
     for child in ast.iter_child_nodes(node):
-        yield from _imported(child)
+        yield from _imported(child, without)
 
 
 def compile_all(

@@ -1,4 +1,5 @@
 """What is done with a machine at a serial port: any Grbl, or a board of ours.
 
-Imports `grbl`, `compiling` for what belongs on a board, and `run` for what a program will do.
+Imports `grbl`, `boardfile` for engines and chips, `compiling` for what belongs on a board, and
+`run` for what a program will do.
 """

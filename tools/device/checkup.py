@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 
+from ..boardfile import engines
 from ..compiling import decode, maps
 from ..compiling.maps import MapError
 from ..grbl.settings_file import AXES, Firmware
@@ -11,11 +12,11 @@ from ..paths import use_firmware
 
 OK, NOTE, BAD = "ok", "note", "bad"
 
-# Highest step rates of one axis, by who makes the pulses, where a board does not state its own.
+# Highest step rates of one axis where who makes the pulses is not known.
 _GRBL_ON_AVR_HZ = 30_000
-_ENGINES_HZ = {"pio": 100_000, "i2s": 41_666, "rmt": 5_000}
 _UGRBL_HZ = 100_000
-_IDENTITY = re.compile(r"Grbl(?: (pio|i2s|rmt|sim))?(?: (\d+)Hz)?\b")
+# Who makes them, and the rate that the board states.
+_IDENTITY = re.compile(r"Grbl(?: ([a-z]\w*))?(?: (\d+)Hz)?\b")
 # What Grbl 1.1h has from the factory, and hardly any machine wants.
 _STOCK = {100: 250.0, 110: 500.0, 120: 10.0, 130: 200.0}
 _LONG_RAMP_S = 2.0
@@ -112,22 +113,19 @@ def faults(replies: Iterable[str]) -> list[Finding]:
     return [fault(reply) for reply in replies if reply.startswith("[MSG:Last fault: ")]
 
 
-def too_old(engine: str, board: str, version: str) -> str:
-    """Why the engine cannot run with this MicroPython on that board; "" where it can."""
+def too_old(engine: str, machine: str, version: str) -> str:
+    """Why the engine cannot run with this MicroPython on that machine; "" where it can."""
     use_firmware()
-    from boot import needs
+    from boot import parts
 
     numbers = tuple(int(number) for number in re.findall(r"\d+", version)[:2])
-    return needs.missing(engine, board, numbers) if len(numbers) == 2 else ""
+    return parts.too_old(engine, machine, numbers) if engine and len(numbers) == 2 else ""
 
 
-def micropython(board: str, version: str) -> list[Finding]:
+def micropython(machine: str, version: str) -> list[Finding]:
     """Whether a MicroPython that shows its prompt is new enough for our engines."""
-    use_firmware()
-    from boot import needs
-
-    engines = [engine for engine, chip, _, _ in needs.NEEDS if chip in board]
-    reasons = [too_old(engine, board, version) for engine in engines]
+    possible = [name for name, engine in engines.engines().items() if engine.runs_on(machine)]
+    reasons = [too_old(engine, machine, version) for engine in possible]
     bad = [reason for reason in reasons if reason]
     verdict = BAD if len(bad) == len(reasons) else NOTE
     return [Finding("MicroPython", verdict, reason, NEW_MICROPYTHON) for reason in bad]
@@ -150,7 +148,9 @@ def most_hz(found: Firmware, pulse_us: float) -> float:
     if identity is None or not is_ours(found):
         return _GRBL_ON_AVR_HZ
     engine, stated = identity.groups()
-    most = int(stated) if stated else _ENGINES_HZ.get(engine, _UGRBL_HZ)
+    known = engines.engines()
+    of_engine = known[engine].most_hz if engine in known else _UGRBL_HZ
+    most = int(stated) if stated else of_engine
     return min(most, 1_000_000 / (pulse_us + 1))
 
 

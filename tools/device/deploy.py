@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple, Protocol
 
+from ..boardfile import chips
 from ..compiling import build
 from ..compiling.build import BOARD, START, Build, digest
 from . import checkup
@@ -24,12 +25,7 @@ _ARCHS = (
     *("x86", "x64", "armv6", "armv6m", "armv7m", "armv7em", "armv7emsp", "armv7emdp"),
     *("xtensa", "xtensawin", "rv32imc", "rv64imc"),
 )
-_CHIPS = {
-    "armv6m": "RP2040",
-    "armv7emsp": "RP2350",
-    "rv32imc": "RP2350 in its RISC-V mode, or an ESP32-C3",
-    "xtensawin": "ESP32",
-}
+_NOT_OURS = {"rv32imc": "RP2350 in its RISC-V mode, or an ESP32-C3"}
 
 
 class DeployError(Exception):
@@ -165,13 +161,18 @@ def check_fit(about: About, made: Build) -> None:
     arch = about.mpy >> 10 & 0xF
     found = _ARCHS[arch] if arch < len(_ARCHS) else f"code number {arch}"
     if found != made.arch:
-        chip = _CHIPS.get(found, "another processor")
         todo = "choose the board that is plugged in: --board, or the port that it is at: --port"
         raise DeployError(
-            f"this is {about.machine}: {found} ({chip}); the board file is for {made.arch} "
-            f"({_CHIPS.get(made.arch, 'another processor')})",
+            f"this is {about.machine}: {_processor(found)}; the board file is for "
+            f"{_processor(made.arch)}",
             todo,
         )
+
+
+def _processor(arch: str) -> str:
+    """What is compiled for, with its chips: `armv6m (RP2040)`."""
+    known = " or ".join(chips.processors(arch)) or _NOT_OURS.get(arch, "another processor")
+    return f"{arch} ({known})"
 
 
 def check_yours(made: Build, there: Mapping[str, str], before: Mapping[str, str]) -> None:

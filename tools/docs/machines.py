@@ -5,15 +5,11 @@ from pathlib import Path
 from typing import Any
 
 from .. import paths
-from ..boardfile import board_check
+from ..boardfile import board_check, options
 from ..grbl import messages
-from ..grbl.comments import above, setting_comments, source
+from ..grbl.comments import setting_comments
 from ..replay import differences, excuses
-from . import meanings
 from .markdown import as_code, table
-
-_OPTION_READERS = ("boot/options", "boot/guests", "ports/input_pins", "ports/port", "extras/punch")
-
 
 # Settings, errors, alarms
 
@@ -50,39 +46,19 @@ def alarms_table() -> str:
 # Boards
 
 
-def board_options() -> dict[str, tuple[str, str]]:
-    """Options of a board file by name: default and meaning; ValueError if one has no comment."""
-    found: dict[str, tuple[str, str]] = {}
-    for module in _OPTION_READERS:
-        nodes = ast.walk(ast.parse(source(module)))
-        calls = [node for node in nodes if isinstance(node, ast.Call)]
-        for call in sorted(calls, key=lambda call: call.lineno):
-            if ast.unparse(call.func) == "option":
-                name = ast.literal_eval(call.args[0])
-                if name not in found:  # the first who reads it says what it is
-                    words = as_code(above(module, call.lineno, f"option {name}"))
-                    found[name] = (ast.unparse(call.args[1]), words)
-    return found
-
-
-def _default(text: str) -> str:
-    """A default as a board file would say it."""
-    from boot import options
-
-    return f"`{getattr(options, text, text)}`"
-
-
 def options_table() -> str:
-    """All that a board file can say, with default and meaning; ValueError where one has none."""
-    paths.use_firmware()
-    commented = board_options()
-    rows = [(f"`{name}`", _default(text), words) for name, (text, words) in commented.items()]
-    uncommented = board_check.names() - set(commented)
-    if uncommented != set(meanings.OPTIONS):
-        raise ValueError(f"meanings.OPTIONS has to have these: {', '.join(sorted(uncommented))}")
-    for name, (default, words) in meanings.OPTIONS.items():
-        rows.append((f"`{name}`", f"`{default}`" if default else "", words))
-    return table(("Option", "Default", "Meaning"), rows)
+    """All that a board file can say, with type, default and meaning."""
+    rows = [
+        (f"`{row.name}`", row.type, _default(row), as_code(row.meaning)) for row in options.OPTIONS
+    ]
+    return table(("Option", "Type", "Default", "Meaning"), rows)
+
+
+def _default(row: options.Option) -> str:
+    """As a board file would say it."""
+    if row.default is options.NEEDED:
+        return ""
+    return f'`"{row.default}"`' if isinstance(row.default, str) else f"`{row.default}`"
 
 
 def _board_files() -> list[Path]:

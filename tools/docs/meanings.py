@@ -77,20 +77,3 @@ EVENTS = {
     0x85: "Jog cancel: end the jog and forget those that wait. Ignored otherwise.",
 }
 RESET = "Soft reset: stop at once, start anew. While it moves steps are lost: ALARM:3."
-# What the firmware and these tools read of a board file without a comment beside it: what holds
-# where it says nothing ("" where it has to say), and the meaning.
-OPTIONS = {
-    "CHIP": ("", 'Module, for tools: "pico", "pico_w", "pico2", "rp2040", "rp2350", "esp32" …'),
-    "MPY_ARCH": ("", 'What it compiles for: "armv6m", "armv7emsp" (RP2350), "xtensawin" (ESP32).'),
-    "LINK": ('"usb"', 'Where the sender is: "usb", or "uart" (ESP32: UART 0, or native USB).'),
-    "DIR": ("", "Direction pins, one per axis."),
-    "ENABLE": ("None", "Enable of the motor drivers: a pin for all, or a tuple of them."),
-    "DIR_HOLD_US": ("2", 'Direction stays so long behind a step. ENGINE "pio".'),
-    "DIR_SETUP_US": ("5", 'Direction is there so long before a step. ENGINE "pio".'),
-    "REPL_PIN": ("None", "Held to ground at power-up: MicroPython's prompt, and no machine."),
-    "LOOP_MS": ("250", "A main loop that is away for longer is stopped: tools off, motors too."),
-    "WATCHDOG_MS": ("5000", "A chip that hangs for longer starts anew; 0: it does not."),
-    "I2S": ("", 'Pins of the shift register: BCK, WS, DATA. ENGINE "i2s".'),
-    "I2S_RATE_HZ": ("", 'Its frames a second. ENGINE "i2s".'),
-    "I2S_BUFFERS": ("", 'DMA buffers of 2 ms: motion made ahead. ENGINE "i2s".'),
-}

@@ -65,7 +65,7 @@ class Rig:
         axes = len(board.STEP)
         self.board = board
         self.store: "Any" = MemoryStore() if store is None else store
-        has_punch = getattr(board, "TOOL", "") == "punch"
+        has_punch = getattr(board, "TOOL", "spindle") == "punch"
         engine = PunchEngine if has_punch else SimEngine
         self.engine = engine(axes, getattr(board, "SEGMENT_QUEUE", _SEGMENT_QUEUE))
         self.engine.tick_hz = SimEngine.tick_hz // coarse

@@ -4,7 +4,7 @@
 import time
 
 import board
-from boot.parts_esp import make
+from boot.parts import make
 
 from .pcnt import Counter
 from .rows import AXES, Mover

@@ -1,0 +1,175 @@
+"""The table of board options: whoever reads one reads a row of it, with that default."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from boot import parts
+from ports import pin_check
+from typer.testing import CliRunner
+from ugrbl import paths
+from ugrbl.boardfile import chips, engines
+from ugrbl.boardfile.chips import CHIPS
+from ugrbl.boardfile.options import (
+    BY_NAME,
+    COUNT,
+    INVERTIBLE,
+    NEEDED,
+    OPTIONS,
+    PIN,
+    PIN_OR_PINS,
+    PINS,
+    Option,
+)
+from ugrbl.cli.app import app
+
+_NOTHING = (None, "", (), 0)
+
+
+class Read(NamedTuple):
+    """An option that is read. default: None where there is none."""
+
+    name: str
+    default: "ast.expr | None"
+
+
+def is_board(node: ast.expr) -> bool:
+    return ast.unparse(node).endswith("board")
+
+
+def reads(tree: ast.AST) -> Iterator[Read]:
+    """option("X", 1), getattr(board, "X", 1), hasattr(…), board.X, board.__dict__["X"]."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Call(ast.Name("option"), [ast.Constant(str(name)), *rest]):
+                yield Read(name, rest[0] if rest else None)
+            case ast.Call(ast.Name("getattr" | "hasattr"), [board, ast.Constant(name), *rest]):
+                if is_board(board):
+                    yield Read(str(name), rest[0] if rest else None)
+            case ast.Call(
+                ast.Attribute(ast.Attribute(board, "__dict__"), "get"),
+                [ast.Constant(name), *rest],
+            ) if is_board(board):
+                yield Read(str(name), rest[0] if rest else None)
+            case ast.Subscript(ast.Attribute(board, "__dict__"), ast.Constant(name)):
+                if is_board(board):
+                    yield Read(str(name), None)
+            case ast.Attribute(board, name) if name.isupper() and is_board(board):
+                yield Read(name, None)
+            case ast.Assign([ast.Name("PINS")], ast.Tuple() as names):
+                yield from (Read(name, None) for name in ast.literal_eval(names))
+
+
+def value(node: ast.expr, tree: ast.Module) -> Any:
+    """A default, which may be a constant of its module."""
+    for statement in tree.body:
+        match node, statement:
+            case ast.Name(name), ast.Assign([ast.Name(defined)], given) if name == defined:
+                number = given.args[0] if isinstance(given, ast.Call) else given
+                return ast.literal_eval(number)
+    return ast.literal_eval(node)
+
+
+def read_in(folder: Path) -> "Iterator[tuple[str, Read, ast.Module]]":
+    for file in sorted(folder.rglob("*.py")):
+        tree = ast.parse(file.read_text("utf-8"))
+        yield from ((file.name, read, tree) for read in reads(tree))
+
+
+IN_FIRMWARE = list(read_in(paths.FIRMWARE))
+IN_SIMULATOR = list(read_in(paths.TOOLS / "sim"))
+ON_BOARD = list(read_in(paths.TOOLS / "device" / "selftest" / "on_board"))
+EVERYWHERE = [*IN_FIRMWARE, *IN_SIMULATOR, *ON_BOARD]
+
+
+def test_all_ways_to_read_are_seen() -> None:
+    text = (
+        'option("A", 1)\ngetattr(board, "B", 2)\nrig.board.C\nboard.__dict__["D"]\n'
+        'hasattr(self.board, "E")\nboard.__dict__.get("F", 6)\nPINS = ("G",)\n'
+    )
+    found = {read.name: read.default for read in reads(ast.parse(text))}
+    assert set(found) == set("ABCDEFG")
+    assert {name for name, default in found.items() if default} == set("ABF")
+
+
+def test_every_option_that_is_read_is_a_row_and_every_row_is_read() -> None:
+    read = {read.name for _, read, _ in EVERYWHERE}
+    assert set(BY_NAME) - read == {"CHIP", "MPY_ARCH"}  # for tools
+    assert read - set(BY_NAME) == set()
+    assert len(BY_NAME) == len(OPTIONS)
+
+
+@pytest.mark.parametrize(
+    ("file", "read", "tree"),
+    [row for row in EVERYWHERE if row[1].default],
+    ids=[f"{file}:{read.name}" for file, read, _ in EVERYWHERE if read.default],
+)
+def test_what_holds_where_a_board_file_says_nothing(
+    file: str, read: Read, tree: ast.Module
+) -> None:
+    """NEEDED is refused by board_check, and what is read there is nothing."""
+    assert read.default
+    found, stated = value(read.default, tree), BY_NAME[read.name].default
+    if stated is NEEDED or found in _NOTHING:
+        assert found in _NOTHING and (stated is NEEDED or not stated)
+    else:
+        assert (type(found), found) == (type(stated), stated)
+
+
+@pytest.mark.parametrize("option", OPTIONS, ids=lambda option: option.name)
+def test_a_row_is_whole(option: Option) -> None:
+    assert option.meaning.endswith((".", "?"))
+    if option.default not in (NEEDED, None):
+        assert option.problem(option.default) == ""
+    assert option.kind is COUNT or (option.low, option.high) == (0, None)
+
+
+def test_what_is_checked_to_be_a_pin_is_one_in_the_table() -> None:
+    kinds = (PIN, PINS, PIN_OR_PINS)
+    pins = {option.name for option in OPTIONS if option.kind in kinds} - {"NO_PULL_UP"}
+    named = {name for engine in engines.engines().values() for name in engine.pins}
+    named |= {*pin_check._NAMES.split(), *(name for name in pins if name.startswith("PUNCH_"))}
+    assert named == pins
+    assert set(INVERTIBLE) < pins
+
+
+# Engines, links and chips
+
+
+def test_an_engine_is_whole() -> None:
+    for name, engine in engines.engines().items():
+        assert {*engine.needed, *engine.pins} <= set(BY_NAME), name
+        assert engine.most_hz > 0 and engine.oldest
+
+
+def test_a_chip_names_an_engine_that_runs_on_it_and_a_link_there_is() -> None:
+    known = engines.engines()
+    for name, chip in CHIPS.items():
+        assert known[chip.engine].runs_on(chip.processor), name
+        assert chip.link in engines.links()
+        assert set(chip.inputs_only) | set(chip.odd) <= chip.pins
+
+
+def test_every_engine_has_a_chip_and_every_arch_one_on_its_own() -> None:
+    for name, engine in engines.engines().items():
+        assert any(engine.runs_on(chip.processor) for chip in CHIPS.values()), name
+    for arch in chips.ARCHS:
+        assert {chip.processor for chip in chips.on_their_own(arch)} == set(chips.processors(arch))
+
+
+def test_who_makes_an_engine_or_a_link_bears_its_name() -> None:
+    """A build leaves out the imports of the others: see compiling/build.py."""
+    made = {name: row[0] for name, row in parts._ENGINES.items()}
+    assert not made.keys() & parts._LINKS.keys()
+    for name, maker in {**made, **parts._LINKS}.items():
+        assert maker.__name__ == name
+
+
+def test_a_new_board_can_have_any_chip_there_is() -> None:
+    shown = CliRunner().invoke(app, ["new-board", "--help"], env={"COLUMNS": "200"}).output
+    for name in CHIPS:
+        assert name in shown
+    wrong = CliRunner().invoke(app, ["new-board", "x", "--chip", "potato", "--no-ask"])
+    assert wrong.exit_code == 2 and "potato is not one of pico" in wrong.output

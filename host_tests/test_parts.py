@@ -1,0 +1,65 @@
+"""The table of engines: what each wants of the board file and of MicroPython, at start."""
+
+import sys
+from types import ModuleType, SimpleNamespace
+
+import pytest
+from boot import parts
+
+
+@pytest.mark.parametrize(
+    ("engine", "machine", "oldest"),
+    [
+        ("pio", "Raspberry Pi Pico with RP2040", (1, 26)),
+        ("pio", "Raspberry Pi Pico2 with RP2350", (1, 27)),
+        ("rmt", "Generic ESP32S3 module with ESP32S3", (1, 27)),
+        ("i2s", "Generic ESP32 module with ESP32", (1, 23)),
+    ],
+)
+def test_an_engine_is_refused_below_its_version_and_not_from_there_on(
+    engine: str, machine: str, oldest: "tuple[int, int]"
+) -> None:
+    assert parts.too_old(engine, machine, oldest) == ""
+    assert parts.too_old(engine, machine, (2, 0)) == ""
+    why = parts.too_old(engine, machine, (oldest[0], oldest[1] - 1))
+    assert f"wants {oldest[0]}.{oldest[1]} or newer" in why
+    for word in ("ok", "error"):
+        assert word not in why.lower()
+
+
+def board(engine: str, *left_out: str) -> ModuleType:
+    made = ModuleType("board")
+    names = {"ENGINE": engine, "STEP": (1,), "DIR": (2,), "ENABLE": 3, "I2S": (4, 5, 6)}
+    names |= {"I2S_RATE_HZ": 125_000, "I2S_BUFFERS": 16}
+    vars(made).update({name: value for name, value in names.items() if name not in left_out})
+    return made
+
+
+def test_the_firmware_refuses_to_start_and_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    old = SimpleNamespace(version=(1, 25, 0, ""), _machine="Raspberry Pi Pico with RP2040")
+    monkeypatch.setattr(parts, "sys", SimpleNamespace(implementation=old))
+    with pytest.raises(ValueError, match=r"MicroPython 1\.25 is too old"):
+        parts._check_engine(board("pio"))
+    parts._check_engine(board("i2s"))  # which is none of this chip's: somebody else says so
+    monkeypatch.setattr(parts, "sys", sys)
+    parts._check_engine(board("pio"))
+
+
+@pytest.mark.parametrize(
+    ("engine", "left_out", "said"),
+    [
+        ("steam", (), "ENGINE steam is not one there is"),
+        ("pio", ("DIR",), "ENGINE = pio: the board file names no DIR"),
+        ("i2s", ("I2S", "ENABLE"), "ENGINE = i2s: the board file names no ENABLE, I2S"),
+    ],
+)
+def test_what_a_board_file_lacks_is_named(
+    engine: str, left_out: "tuple[str, ...]", said: str
+) -> None:
+    with pytest.raises(ValueError, match=said):
+        parts._check_engine(board(engine, *left_out))
+
+
+def test_a_link_that_is_not_there_is_named() -> None:
+    with pytest.raises(ValueError, match="LINK pigeon is not one there is"):
+        parts._link("pigeon")

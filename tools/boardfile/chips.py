@@ -1,0 +1,107 @@
+"""Chips: what a board file has to respect of a processor and the module it sits on."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+
+class Chip(NamedTuple):
+    """A row of CHIPS. processor: as MicroPython names it; engine, link: what a new board gets."""
+
+    title: str
+    processor: str
+    mpy_arch: str
+    engine: str
+    link: str
+    pins: frozenset[int]  # that come out
+    inputs_only: frozenset[int] = frozenset()
+    odd: Mapping[int, str] = {}  # pins that work, with something to know
+    most_axes: int = 4
+
+
+_ESP32_ODD = {
+    0: "pressed to ground at start it asks for new firmware",
+    2: "has to be low or open while new firmware is loaded",
+    5: "has a say at start; gives pulses then",
+    12: "pulled up at start selects the wrong flash voltage, and the board does not start: a CNC"
+    " shield pulls its enable up",
+    15: "has a say at start; gives pulses then",
+    **dict.fromkeys((16, 17), "belongs to the memory of a WROVER module: free on a WROOM only"),
+    1: "is the serial line to the computer (TX)",
+    3: "is the serial line to the computer (RX)",
+    **dict.fromkeys((34, 35, 36, 39), "has no pull-up: the switch needs a resistor to 3.3 V"),
+}
+_ESP32_S3_ODD = {
+    0: "pressed to ground at start it asks for new firmware",
+    3: "has a say at start",
+    19: "is native USB (D-)",
+    20: "is native USB (D+)",
+    45: "has a say at start",
+    46: "has a say at start",
+}
+_PICO_PINS = frozenset(range(23)) | {26, 27, 28}
+_RP2_PINS = frozenset(range(30))
+_LED = {25: "is the LED"}
+_ESP32_PINS = frozenset(range(40)) - frozenset(range(6, 12)) - {20, 24, 28, 29, 30, 31, 37, 38}
+_ESP32_S3_PINS = frozenset(range(49)) - frozenset(range(22, 33))
+
+# What a board file calls CHIP. One that bears its processor's name is that on a board of its own,
+# and what a board file is measured by that does not say.
+CHIPS = {
+    "pico": Chip(
+        "Raspberry Pi Pico",
+        *("RP2040", "armv6m", "pio", "usb"),
+        pins=_PICO_PINS | {25},
+        odd=_LED,
+    ),
+    "pico_w": Chip(
+        "Raspberry Pi Pico W",
+        *("RP2040", "armv6m", "pio", "usb"),
+        pins=_PICO_PINS,
+    ),
+    "pico2": Chip(
+        "Raspberry Pi Pico 2",
+        *("RP2350", "armv7emsp", "pio", "usb"),
+        pins=_PICO_PINS | {25},
+        odd=_LED,
+    ),
+    "rp2040": Chip(
+        "RP2040 on a board of its own",
+        *("RP2040", "armv6m", "pio", "usb"),
+        pins=_RP2_PINS,
+    ),
+    "rp2350": Chip(
+        "RP2350 on a board of its own",
+        *("RP2350", "armv7emsp", "pio", "usb"),
+        pins=_RP2_PINS,
+    ),
+    "esp32": Chip(
+        "ESP32",
+        *("ESP32", "xtensawin", "rmt", "uart"),
+        pins=_ESP32_PINS,
+        inputs_only=frozenset({34, 35, 36, 39}),
+        odd=_ESP32_ODD,
+    ),
+    "esp32s3": Chip(
+        "ESP32-S3",
+        *("ESP32S3", "xtensawin", "rmt", "uart"),
+        pins=_ESP32_S3_PINS,
+        odd=_ESP32_S3_ODD,
+    ),
+}
+
+# What MicroPython's compiler calls the processors.
+ARCHS = tuple(dict.fromkeys(chip.mpy_arch for chip in CHIPS.values()))
+
+
+def processors(arch: str) -> list[str]:
+    """Those that run what is compiled for it, by their names."""
+    return list(dict.fromkeys(chip.processor for chip in CHIPS.values() if chip.mpy_arch == arch))
+
+
+def on_their_own(arch: str) -> list[Chip]:
+    """Chips of that arch that are no particular module."""
+    return [
+        chip
+        for name, chip in CHIPS.items()
+        if chip.mpy_arch == arch and name == chip.processor.lower()
+    ]

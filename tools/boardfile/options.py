@@ -1,0 +1,294 @@
+"""Board options: all that a board file may say, in one table: type, default, range and meaning.
+
+The firmware reads them where they are used and has each default there, once more: this table on a
+board would make its start 20 ms longer. host_tests/test_options.py holds that the firmware reads
+these and no others, with these defaults. board_check.py judges board files by it, and
+docs/reference.md is made of it.
+"""
+
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+from . import engines
+from .chips import ARCHS, CHIPS
+
+
+class Kind(NamedTuple):
+    """What an option is. wants: what is said of a value that is none; {} is the value."""
+
+    title: str
+    fits: Callable[[Any], bool]
+    wants: str
+
+
+def _is_pin(value: Any) -> bool:
+    return value is None or type(value) is int
+
+
+def _are_pins(value: Any) -> bool:
+    return isinstance(value, tuple) and all(map(_is_pin, value))
+
+
+def _are_names(value: Any) -> bool:
+    return isinstance(value, tuple) and all(isinstance(name, str) for name in value)
+
+
+def _are_values(value: Any) -> bool:
+    return isinstance(value, dict) and all(
+        type(number) is int and isinstance(one, int | float) for number, one in value.items()
+    )
+
+
+_PARENTHESES = "and wants parentheses and commas: (2, 3, 4)"
+PIN = Kind("pin", _is_pin, ": pins are numbers")
+PINS = Kind("pins", _are_pins, _PARENTHESES)
+PIN_OR_PINS = Kind("pin, or pins", lambda value: _is_pin(value) or _are_pins(value), PIN.wants)
+COUNT = Kind("whole number", lambda value: type(value) is int, ": it is a whole number")
+SWITCH = Kind("True or False", lambda value: type(value) is bool, ": it is True or False")
+WORD = Kind("word", lambda value: isinstance(value, str), 'and wants quotation marks: "{}"')
+NAMES = Kind("names", _are_names, 'and wants parentheses and a comma: ("FLOOD",)')
+VALUES = Kind("{number: value}", _are_values, "and not of the form {100: 800.0}")
+
+# The default of an option without which there is no machine, or no such engine or tool.
+NEEDED = object()
+
+
+class Option(NamedTuple):
+    """A row. low, high: of a count; words: what a word, or each of several names, is one of."""
+
+    name: str
+    kind: Kind
+    default: object
+    meaning: str
+    low: int = 0
+    high: int | None = None
+    words: Callable[[], Iterable[str]] | None = None
+
+    def problem(self, value: Any) -> str:
+        """What is wrong with a value; "" where it can be."""
+        if not self.kind.fits(value):
+            gap = "" if self.kind.wants[0] == ":" else " "
+            return f"{self.name} is {value!r}{gap}{self.kind.wants.replace('{}', str(value))}"
+        if self.kind is COUNT and value < self.low:
+            return f"{self.name} is {value}: it is {self.low} at the least"
+        if self.high is not None and value > self.high:
+            return f"{self.name} is {value}: it is {self.high} at the most"
+        return self._no_word(value if isinstance(value, tuple) else (value,))
+
+    def _no_word(self, found: tuple[Any, ...]) -> str:
+        words = list(self.words()) if self.words else found
+        unknown = [word for word in found if word not in words]
+        return f"{self.name}: {unknown[0]!r} is not one of {', '.join(words)}" if unknown else ""
+
+    @property
+    def type(self) -> str:
+        """Kind, words and range, for the documents."""
+        if self.kind is WORD and self.words:
+            return ", ".join(f'"{word}"' for word in self.words())
+        if self.high is not None:
+            return f"{self.kind.title}, {self.low} to {self.high}"
+        return f"{self.kind.title}, {self.low} or more" if self.low else self.kind.title
+
+
+# Outputs that may be on when low.
+INVERTIBLE = ("SPINDLE_PWM", "SPINDLE_ON", "SPINDLE_DIR", "FLOOD", "MIST_PIN")
+
+OPTIONS = (
+    # What there is.
+    Option(
+        *("CHIP", WORD, None),
+        "The chip or module, for tools; without it the chip that MPY_ARCH is for.",
+        words=lambda: CHIPS,
+    ),
+    Option("MPY_ARCH", WORD, NEEDED, "What is compiled for.", words=lambda: ARCHS),
+    Option(
+        *("ENGINE", WORD, NEEDED),
+        'Who makes the pulses: "pio" on RP2 chips, "rmt" or "i2s" on an ESP32, "sim" in the '
+        "simulator. $I says so.",
+        words=lambda: (*engines.engines(), engines.SIMULATOR),
+    ),
+    Option(
+        *("LINK", WORD, "usb"),
+        "Where the sender is. uart: UART 0 of an ESP32, or its native USB.",
+        words=engines.links,
+    ),
+    # Motors.
+    Option(
+        *("STEP", PINS, NEEDED),
+        "Step pins, one per axis: how many there are is how many axes the machine has.",
+    ),
+    Option("DIR", PINS, NEEDED, "Direction pins, one per axis."),
+    Option(
+        *("ENABLE", PIN_OR_PINS, None),
+        'Enable of the motor drivers: one for all, or a tuple of them. ENGINE "i2s" needs it.',
+    ),
+    Option(
+        *("DIR_HOLD_US", COUNT, 2),
+        'Direction stays so many us behind a step. ENGINE "pio".',
+    ),
+    Option(
+        *("DIR_SETUP_US", COUNT, 5),
+        'Direction is there so many us before a step. ENGINE "pio".',
+    ),
+    Option("I2S", PINS, NEEDED, 'Pins of the shift register: BCK, WS, DATA. ENGINE "i2s".'),
+    Option("I2S_RATE_HZ", COUNT, NEEDED, 'Its frames a second. ENGINE "i2s".', low=1),
+    Option(
+        *("I2S_BUFFERS", COUNT, NEEDED),
+        'DMA buffers of 2 ms: motion made ahead. ENGINE "i2s".',
+        low=4,
+    ),
+    Option(
+        *("MAX_STEP_RATE_HZ", COUNT, 0),
+        "Highest step rate; $100-$112 that ask for more are refused with error:12. 0: none.",
+    ),
+    Option("COREXY", SWITCH, False, "Motors A and B move X and Y together (CoreXY)."),
+    # Inputs.
+    Option("LIMIT", PINS, (), "Limit switches to ground, one pin per axis."),
+    Option(
+        *("LIMIT_DEBOUNCE_MS", COUNT, 0),
+        "A limit switch counts if it is closed so many ms after an edge; a machine goes on "
+        "meanwhile. 0: at the edge.",
+        high=5,
+    ),
+    Option(
+        *("DUAL_LIMIT_SWITCHES", SWITCH, False),
+        "Both ends of an axis share its limit input: no homing from a closed switch.",
+    ),
+    Option("PROBE", PIN, None, "Probe to ground."),
+    Option(
+        *("CONTROL", PINS, ()),
+        "Inputs to ground: reset, hold, start, door; None where there is none.",
+    ),
+    Option(
+        *("CONTROL_INVERT", COUNT, 0),
+        "Control inputs that are active when open, added up: reset 1, hold 2, start 4, door 8.",
+        high=15,
+    ),
+    Option(
+        *("CONTROL_DEBOUNCE_MS", COUNT, 0),
+        "For so many ms a button's contacts may bounce.",
+    ),
+    Option(
+        *("ESTOP", PIN, None),
+        "Emergency stop: a contact to ground that opens when it is pressed, or its cable cut.",
+    ),
+    Option(
+        *("NO_PULL_UP", PINS, ()),
+        "Pins that can only be inputs, without pull-ups: resistors do that on the board.",
+    ),
+    Option(
+        *("REPL_PIN", PIN, None),
+        "Held to ground at power-up: MicroPython's prompt, and no machine.",
+    ),
+    # Outputs.
+    Option("SPINDLE_PWM", PIN, None, "Power of spindle or laser, as a pulse width."),
+    Option("PWM_HZ", COUNT, 5000, "Pulses a second of SPINDLE_PWM.", low=1),
+    Option(
+        *("PWM_MAX", COUNT, 1000),
+        "Steps of SPINDLE_PWM from nothing to full power.",
+        low=1,
+        high=16383,  # times 65535 is still a small integer, which an interrupt needs
+    ),
+    Option("SPINDLE_ON", PIN, None, "Spindle on and off."),
+    Option(
+        *("SPINDLE_DIR", PIN, None),
+        "Spindle direction: high is counterclockwise, or on with SPINDLE_ENABLE_PIN.",
+    ),
+    Option(
+        *("SPINDLE_ENABLE_PIN", SWITCH, False),
+        "The spindle direction pin says that the spindle is on.",
+    ),
+    Option("FLOOD", PIN, None, "Flood coolant."),
+    Option("MIST_PIN", PIN, None, "Mist coolant, with MIST."),
+    Option("MIST", SWITCH, False, "A mist output: M7 and its override."),
+    Option(
+        *("INVERT", NAMES, ()),
+        'Names of outputs that are on when low: ("SPINDLE_PWM", "FLOOD"). ENABLE has $4.',
+        words=lambda: INVERTIBLE,
+    ),
+    # What the machine does.
+    Option(
+        *("DEFAULTS", VALUES, {}),
+        "Default settings that differ from Grbl's, as {number: value}.",
+    ),
+    Option("PLANNER_BLOCKS", COUNT, 16, "Blocks the planner looks ahead.", low=2),
+    Option(
+        *("RX_BYTES", COUNT, 128),
+        "Receive buffer: what a sender that counts characters may have under way.",
+        low=16,
+    ),
+    Option("SAFETY_DOOR", SWITCH, False, "A safety door is wired to the door input."),
+    Option(
+        *("PARKING", SWITCH, False),
+        "Door and sleep move the tool up to -5 mm and back. Needs homing.",
+    ),
+    Option("OVERRIDE_CONTROL", SWITCH, False, "M56 switches parking off and on."),
+    Option(
+        *("LINE_NUMBERS", SWITCH, False),
+        "N of the line being executed is in status reports.",
+    ),
+    Option(
+        *("FORCE_SET_ORIGIN", SWITCH, False),
+        "Homing sets 0 at the switch's pull-off; travel is positive where $23 is set.",
+    ),
+    Option("SINGLE_AXIS_HOMING", SWITCH, False, "$HX, $HY and $HZ home one axis."),
+    Option("ECHO", SWITCH, False, "Every line is echoed as it was understood, for debugging."),
+    Option(
+        *("LOOP_MS", COUNT, 250),
+        "A main loop that is away for longer is stopped: tools off, motors too.",
+        low=100,  # a collection of memory takes 30
+    ),
+    Option(
+        *("WATCHDOG_MS", COUNT, 5000),
+        "A chip that hangs for longer starts anew; 0: it does not.",
+        high=8388,  # the RP2040's watchdog counts no further
+    ),
+    # Extras.
+    Option(
+        *("DIALECT", WORD, "1.1"),
+        "Whose words it uses: those of another Grbl are for senders older than 1.1.",
+        words=engines.dialects,
+    ),
+    Option(
+        *("TOOL", WORD, "spindle"),
+        "What works on the material: a spindle, a laser too, or a punch, see docs/punch.md.",
+        words=engines.tools,
+    ),
+    Option(
+        *("EXTRAS", NAMES, ()),
+        "Modules of your own beside board.py, by name: see docs/extending.md.",
+    ),
+    Option("PUNCH_DOWN", PIN, NEEDED, "Actuator that moves the punch down: see docs/punch.md."),
+    Option("PUNCH_UP", PIN, NEEDED, "Actuator that moves the punch up."),
+    Option("PUNCH_DOWN_SENSOR", PIN, NEEDED, "Sensor of the punch being down."),
+    Option("PUNCH_UP_SENSOR", PIN, NEEDED, "Sensor of the punch being up."),
+    Option(
+        *("PUNCH_TIMEOUT_MS", COUNT, 1000),
+        "So many ms a stroke of the punch takes at the most, one way.",
+        low=1,
+    ),
+    # The simulator.
+    Option(
+        *("SEGMENT_QUEUE", COUNT, 5),
+        "Simulator: segments that its pulses have ready.",
+        low=1,
+    ),
+    Option(
+        *("ANSWER_US", COUNT, 0),
+        "Simulator: so many us it works on a line.",
+    ),
+    Option(
+        *("LOOP_US", COUNT, 0),
+        "Simulator: so many us a turn of its main loop takes while it moves.",
+    ),
+    Option(
+        *("START_US", COUNT, 0),
+        "Simulator: so many us it works on the first segments of a motion.",
+    ),
+    Option(
+        *("PUNCH_STROKE_MS", COUNT, NEEDED),
+        "Simulator: so many ms a stroke of the punch takes, one way.",
+        low=1,
+    ),
+)
+BY_NAME = {option.name: option for option in OPTIONS}
