@@ -19,13 +19,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import ModuleType
 
-    from base.settings import Rows, Settings
-    from base.state import State
+    from base.settings import Rows
     from control.coolant import Coolant
-    from control.coords import Coords
     from control.inputs import Inputs
     from control.spindle import Spindle
-    from interfaces import Link, Options, StepEngine
+    from interfaces import Options, StepEngine
     from motion.planner import Planner
     from motion.segments import Segments
 
@@ -123,19 +121,8 @@ class Report09(Report):
 
     VERSION = "0.9j"
 
-    def __init__(
-        self,
-        link: "Link",
-        state: "State",
-        settings: "Settings",
-        coords: "Coords",
-        axes: int,
-        line_numbers: bool,
-    ) -> None:
-        super().__init__(link, state, settings, coords, axes, line_numbers)
-        # Other extras may add to these.
-        self.words = _WORDS.copy()
-        self.alarms = _ALARMS.copy()
+    words = _WORDS
+    alarms = _ALARMS
 
     def connect(
         self,
@@ -150,6 +137,8 @@ class Report09(Report):
     ) -> None:
         """As Report does. Buffers are empty yet: 0.9 counts what is in them."""
         super().connect(engine, planner, segments, inputs, spindle, coolant, rx_free, position)
+        self.words = _WORDS.copy()  # other extras may add to these
+        self.alarms = _ALARMS.copy()
         self._blocks = planner.free()
         self._rx_bytes = rx_free()
 
