@@ -97,6 +97,9 @@ class Protocol:
         every_other = False
         while True:
             try:
+                if self._drive.by_pin:  # what is unread was sent before the reset
+                    self._drive.by_pin = False
+                    self._link.discard()
                 self._restart()
                 while True:
                     found = take()
@@ -128,9 +131,6 @@ class Protocol:
                             write(ok)
             except Abort:
                 self._tell_alarm()
-                if self._drive.by_pin:  # what is unread was sent before that
-                    self._drive.by_pin = False
-                    self._link.discard()
 
     def execute(self, line: bytearray, length: int, before: bytes) -> None:
         """Execute one line and answer it. before: what the answer begins with."""

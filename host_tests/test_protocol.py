@@ -1,0 +1,68 @@
+"""The loop, at its edges: what is read, and what is dropped."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from base.errors import Abort
+from base.state import State
+from fakes import FakeLink
+from talk.protocol import Protocol
+
+
+class Off(Exception):
+    """The power goes."""
+
+
+class Loop:
+    """A protocol that is restarted so many times, and then goes off."""
+
+    def __init__(self, unread: bytes, restarts: int = 0, by_pin: bool = False) -> None:
+        self.link, self.fed = FakeLink(unread), b""
+        self.seen: "list[bytes]" = []  # what was unread at each start
+        self.drive: Any = SimpleNamespace(by_pin=by_pin)
+        self._restarts = restarts
+        reader: Any = SimpleNamespace(feed=self._feed, take=None, line=bytearray(80))
+        fast = SimpleNamespace(follow=None)
+        nobody: Any = SimpleNamespace(finish=None, fast=fast)
+        self.protocol = Protocol(
+            *(self.link, State(), reader, nobody, nobody, nobody, self.drive),
+            *(nobody, nobody, nobody, self._restart, False),
+        )
+
+    def _feed(self, buf: bytearray, count: int) -> None:
+        self.fed += buf[:count]
+
+    def _restart(self) -> None:
+        self.seen.append(self.link.unread)
+        if len(self.seen) > self._restarts:
+            raise Off
+        raise Abort
+
+
+def test_what_has_come_is_read_piece_by_piece() -> None:
+    loop = Loop(b"G1X1F100\n" * 20)
+    loop.protocol.pump()
+    assert loop.fed == (b"G1X1F100\n" * 20)[:64] and len(loop.link.unread) == 180 - 64
+
+
+def test_behind_the_reset_of_a_pin_what_was_sent_before_is_dropped() -> None:
+    loop = Loop(b"G1X1\n", by_pin=True)
+    with pytest.raises(Off):
+        loop.protocol.run()
+    assert loop.seen == [b""] and not loop.drive.by_pin
+
+
+def test_behind_other_resets_the_next_line_is_kept_also_where_a_fault_came_in_between() -> None:
+    """A loop that a fault has ended is begun anew; $RST= then ends with an Abort of its own."""
+    loop = Loop(b"", restarts=1, by_pin=True)
+    kept = loop.protocol._restart
+
+    def restart() -> None:
+        loop.link.unread = b"G1X1\n"  # sent right behind the ok
+        kept()
+
+    loop.protocol._restart = restart
+    with pytest.raises(Off):
+        loop.protocol.run()
+    assert loop.link.unread == b"G1X1\n"
