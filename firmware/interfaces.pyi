@@ -10,6 +10,8 @@ from typing import Protocol
 
 from control.spindle import Spindle
 from extras.api import Cnc
+from motion.arcs import Arc
+from motion.planner import Move, Planner
 from talk.report import Report
 
 # Fills one segment row (see segments.py for its layout) and returns 1, or
@@ -67,6 +69,51 @@ class StepEngine(Protocol):
 
     def set_position(self, steps: array[int]) -> None:
         """Name the present place. At rest only."""
+
+class Canon(Protocol):
+    """The canonical machining functions: what the language may ask of the machine. Targets are
+    absolute, in mm of machine coordinates. Who has to wait does so in them, and a reset raises
+    Abort there; in check mode nothing moves."""
+
+    planner: Planner  # where the fast path puts its lines, if it finds room
+    travel: array[int]  # and what it looks at first: see canon.judge()
+    power: int  # of the spindle, as the last line has it
+
+    def line(self, target: array[float], move: Move) -> None:
+        """A straight line: rapid or feed, by the move's flags. Made by finish()."""
+
+    def arc(self, start: array[float], target: array[float], arc: Arc, move: Move) -> None:
+        """An arc, or helix. Made by finish()."""
+
+    def jog(self, target: array[float], move: Move) -> None:
+        """A line that starts at once, and that a hold would cancel. Made by finish()."""
+
+    def finish(self) -> None:
+        """Make what has been asked for."""
+
+    def synchronise(self) -> None:
+        """Wait until everything planned has been done."""
+
+    def dwell(self, seconds: float) -> None:
+        """Stand still; hold and reset work meanwhile."""
+
+    def spin(self, direction: int, rpm: float) -> None:
+        """Turn the spindle, once motion has come to where it was asked."""
+
+    def cool(self, mask: int) -> None:
+        """Switch coolant, once motion has come to where it was asked."""
+
+    def control_overrides(self, parking: bool) -> None:
+        """M56: parking is in action, or is not."""
+
+    def pause_program(self) -> None:
+        """M0: hold until cycle start."""
+
+    def end_program(self) -> None:
+        """Spindle and coolant off, overrides back to 100 %."""
+
+    def outside(self, target: array[float]) -> bool:
+        """The target lies outside the machine's travel."""
 
 class Kinematics(Protocol):
     """Which motor moves which axes, where they do not move one each: motion/kinematics.py.

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from base.state import State
-from motion.kernels import RAPID_MOTION
+from motion.layout import RAPID_MOTION
 from motion.planner import Move, Planner
 
 if TYPE_CHECKING:

@@ -1,10 +1,101 @@
-"""The interpreter's tables. What it does with lines: test_gcode_oracle.py and the recordings."""
+"""The interpreter, on paper: what a line asks of the machine, in which order; and its tables."""
 
 import subprocess
 import sys
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
+from base import errors
+from base.errors import GrblError
+from base.settings import Settings
+from base.state import State
+from control.coords import Coords
+from control.modes import Modes
+from fakes import FakeCanon, FakeStore, FakeVoice
+from language.block import Block
+from language.interpreter import Interpreter
 from ugrbl.paths import FIRMWARE, STANDINS
+
+
+class Paper:
+    """An interpreter whose machine notes what it is asked for."""
+
+    def __init__(self) -> None:
+        self.canon, self.voice, store = FakeCanon(), FakeVoice(), FakeStore()
+        settings = Settings(store, 3, {})
+        settings.load()
+        self.modes, self.coords = Modes(3), Coords(store, 3, 2)
+        spindle: Any = SimpleNamespace(laser=False)
+        seek: Any = SimpleNamespace(probe=self._probe)
+        block = Block(3, True, True)
+        self.settings = settings
+        self.interpreter = Interpreter(
+            *(self.modes, State(), settings, self.coords, self.canon, seek, spindle),
+            *(self.voice, block, False),
+        )
+
+    def _probe(self, *_: object) -> bool:
+        self.canon.asked.append("probe")
+        return True
+
+    def does(self, *lines: str) -> "list[str]":
+        """What lines without spaces ask for; of the last one only."""
+        for line in lines:
+            self.canon.asked.clear()
+            text = bytearray(line.encode() + b"\0")
+            run = self.interpreter.jog if line.startswith("$J=") else self.interpreter.execute
+            run(text, len(line))
+        return self.canon.asked
+
+
+@pytest.mark.parametrize(
+    ("lines", "asked"),
+    [
+        (("G1X10F600",), ["line F600 10 0 0"]),
+        (("G91G1X10F600", "X10"), ["line F600 20 0 0"]),
+        (("G20G0Z1",), ["rapid 0 0 25.4"]),
+        (("G2X2Y0I1J0F60",), ["arc F60 0 0 0 to 2 0 0"]),
+        (("F60X1G1S100M3M8",), ["spin 16 100", "cool 1", "line F60 1 0 0"]),
+        (("G4P0.5",), ["dwell 0.5"]),
+        (("M56P0",), ["parking False"]),
+        (("G0X1Y2", "G28.1"), ["synchronise"]),
+        (("G0X1Y2", "G28.1", "G0X5", "G28Y0"), ["rapid 5 0 0", "rapid 5 2 0"]),
+        (("G10L2P1X1", "G0X1"), ["rapid 2 0 0"]),
+        (("G38.2X1F10",), ["probe"]),
+        (("M0",), ["synchronise", "pause"]),
+        (("M30",), ["synchronise", "end", "synchronise"]),
+        (("$J=X1F10",), ["jog F10 1 0 0"]),
+    ],
+)
+def test_what_a_line_asks_of_the_machine(lines: "tuple[str, ...]", asked: "list[str]") -> None:
+    assert Paper().does(*lines) == asked
+
+
+def test_the_end_of_a_program_is_told() -> None:
+    paper = Paper()
+    paper.does("M2")
+    assert paper.voice.asked == [f"message {errors.MSG_PROGRAM_END}"]
+
+
+@pytest.mark.parametrize("line", ["G1X1", "G2X1F10", "G1X1F10M3S1M99", "G38.2F10"])
+def test_a_line_that_is_refused_asks_for_nothing(line: str) -> None:
+    paper = Paper()
+    with pytest.raises(GrblError):
+        paper.does(line)
+    assert paper.canon.asked == []
+    assert list(paper.modes.position) == [0, 0, 0] and paper.modes.feed == 0
+
+
+def test_a_jog_out_of_the_travel_is_refused() -> None:
+    paper = Paper()
+    paper.canon.too_far = 10
+    assert paper.does("$J=X11F10") == ["jog F10 11 0 0"], "soft limits are off"
+    paper.settings.set(22, 1)
+    paper.settings.set(20, 1)
+    with pytest.raises(GrblError) as refused:
+        paper.does("$J=X11F10")
+    assert refused.value.code == errors.TRAVEL_EXCEEDED and paper.canon.asked == []
 
 
 @pytest.mark.parametrize("row", ["GROUP_1, 'motion', 81", "GROUP_0, None, 81"])

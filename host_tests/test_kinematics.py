@@ -5,12 +5,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
+from base.state import State
+from fakes import FakeKinematics
 from hypothesis import given
 from hypothesis import strategies as st
 from laws import Bench, Limits
 from motion import layout
 from motion.kinematics import COREXY, Kinematics
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
+from motion.planner import Planner
 from motion.steps import motor_steps
 
 CARTESIAN: "tuple[int, ...]" = ()  # as a machine without a table: each motor moves its own axis
@@ -147,3 +150,11 @@ def test_planning_goes_on_from_where_the_motors_are(moves: Sequence[int]) -> Non
     ring, count = bench.planner.ring, bench.planner.motors
     made = motors_at(Kinematics(3, moves), [250, 0, 0])
     assert list(ring[layout.STEPS :][:count]) == [abs(n) for n in made]
+
+
+def test_the_planner_asks_its_kinematics_where_the_axes_are() -> None:
+    planner = Planner(3, 4, FakeKinematics(), State())
+    motors = array("i", [10, 20, 30])
+    assert [planner.axis_steps(motors, axis) for axis in range(3)] == [20, 10, 30]
+    planner.sync_motors(motors)
+    assert [planner.position[axis] - planner.position[0] for axis in range(3)] == [0, -10, 10]

@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
     from base.settings import Settings
     from base.state import State
-    from control.canon import Canon
     from control.coords import Coords
     from control.modes import Modes
     from control.spindle import Spindle
+    from interfaces import Canon
 
 # What read() found: bits of its mask. Bits 0 to 3 are X, Y, Z and A.
 HAS_F = const(0x10)  # another feed rate than before

@@ -24,12 +24,11 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from base.settings import Settings
     from base.state import State
-    from control.canon import Canon
     from control.coords import Coords
     from control.modes import Modes
     from control.seek import Seek
     from control.spindle import Spindle
-    from interfaces import Voice
+    from interfaces import Canon, Voice
 
     from language.block import Block
 
