@@ -152,6 +152,7 @@ def test_a_board_gets_what_it_can_use() -> None:
             "ports/usb_link.py",
             "pio/pins.py",
             "pio/hub.py",
+            "pio/stack.py",
         }
         & i2s
     )

@@ -125,12 +125,12 @@ def test_what_lies_below_the_present_depth_is_painted_and_nothing_above(
 
 @pytest.mark.parametrize("depth", [1600, 4704, 8188, 8192])
 def test_the_deepest_use_is_what_has_been_touched(memory: "array[int]", depth: int) -> None:
-    stack.paint()
+    tell = stack.watch()
     memory[_WORDS - depth // 4] = 7
     assert stack.used() == depth
     memory[_WORDS - 1500 // 4] = 8  # less deep than that
     assert stack.used() == depth
-    assert stack.report() == f"Stack: {depth} of 8192 bytes used"
+    assert tell() == f"Stack: {depth} of 8192 bytes used"
 
 
 def test_painting_begins_anew(memory: "array[int]") -> None:

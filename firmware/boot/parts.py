@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from talk.controller import Controller
 
     Parts = tuple[Controller, BoardLink, BoardPort, StepEngine, Supervisor]
-    Hardware = tuple[StepEngine, BoardPort]
+    # Engine, pins, and who watches the chip's health once the machine is there, for $I+.
+    Hardware = tuple[StepEngine, BoardPort, Callable[[], Callable[[], str]] | None]
     Oldest = tuple[str, tuple[int, int], str]
     Engine = tuple[
         Callable[[ModuleType, BoardLink], Hardware],
@@ -53,6 +54,7 @@ MADE_AGAIN = ("Modal",)
 
 def pio(board: "ModuleType", link: "BoardLink") -> "Hardware":
     """State machines of a PIO."""
+    from pio import stack
     from pio.engine import PioEngine
     from pio.pins import GpioPort
 
@@ -63,25 +65,25 @@ def pio(board: "ModuleType", link: "BoardLink") -> "Hardware":
     engine.on_fault = port.kill
     forget("rp2")  # with our programs, which it has made, nearly 2 kB
     forget("pio.programs")
-    return engine, port
+    return engine, port, stack.watch
 
 
 def rmt(board: "ModuleType", link: "BoardLink") -> "Hardware":
     """Pins of their own, by esp32.RMT."""
     from boot import parts_esp
 
-    made = parts_esp.rmt(board, link)
+    engine, port = parts_esp.rmt(board, link)
     forget("boot.parts_esp")
-    return made
+    return engine, port, None
 
 
 def i2s(board: "ModuleType", link: "BoardLink") -> "Hardware":
     """Shift registers, by machine.I2S."""
     from boot import parts_esp
 
-    made = parts_esp.i2s(board, link)
+    engine, port = parts_esp.i2s(board, link)
     forget("boot.parts_esp")
-    return made
+    return engine, port, None
 
 
 def usb() -> "BoardLink":
@@ -151,7 +153,7 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
         from ports.supervisor import Supervisor
 
         link = _link(getattr(board, "LINK", "usb"))
-        engine, port = _hardware(board, link)
+        engine, port, watch_health = _hardware(board, link)
         if port.held(getattr(board, "REPL_PIN", None)):
             link.close()
             return None
@@ -164,11 +166,8 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
         return None
     finally:
         sys.path[:] = path
-    if board.ENGINE == "pio":
-        from pio import stack
-
-        stack.paint()
-        machine.commands.health = stack.report
+    if watch_health:
+        machine.commands.health = watch_health()
     feed = port.watch(getattr(board, "WATCHDOG_MS", _WATCHDOG_MS))
     parts = machine, link, port, engine, watch
     _forget_makers(parts)
@@ -186,7 +185,7 @@ def _link(kind: str) -> "BoardLink":
 
 
 def _hardware(board: "ModuleType", link: "BoardLink") -> "Hardware":
-    """Engine and port; the engine's buffers are the first large things in memory."""
+    """What runs the machine; the engine's buffers are the first large things in memory."""
     from ports import pin_check
 
     from boot import guests
@@ -230,8 +229,8 @@ def too_old(engine: str, machine: str, version: "tuple[int, ...]") -> str:
 
 
 def make(board: "ModuleType", link: "BoardLink") -> "Hardware":
-    """Engine and port of a board file. They and the link work together. Raises MemoryError where
-    compiled code finds no room on an ESP32."""
+    """By a board file. Engine, pins and link work together. Raises MemoryError where compiled code
+    finds no room on an ESP32."""
     maker, _, _, _, _ = _ENGINES[board.ENGINE]
     return maker(board, link)
 

@@ -10,6 +10,10 @@ import sys
 import micropython
 from micropython import const
 
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 SIZE = const(8192)
 _TOP = const(0x20042000)
 _TOP_2350 = const(0x20082000)
@@ -41,6 +45,12 @@ def paint() -> None:
     """Begin anew: what lies below the present depth has not been used."""
     free = SIZE - micropython.stack_use() - _CALLS
     _fill(_bottom(), free // 4)
+
+
+def watch() -> "Callable[[], str]":
+    """Begin now; returns who tells of it."""
+    paint()
+    return report
 
 
 def used() -> int:

@@ -31,7 +31,7 @@ class Drive(Mover):
     """Moves, and counts the steps of all axes. port: of the firmware, working with its engine."""
 
     def __init__(self):
-        engine, self.port = make(board, NoLink())
+        engine, self.port, _ = make(board, NoLink())
         self.most_hz = highest_hz(engine)
         gaps = (1_000_000 // self.most_hz, SLOWEST_US)
         super().__init__(engine, TICK_HZ, AXES, LONG, gaps, gaps, 4 * SLOWEST_US)
