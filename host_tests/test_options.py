@@ -24,6 +24,8 @@ from ugrbl.boardfile.options import (
     Option,
 )
 from ugrbl.cli.app import app
+from ugrbl.device.deploy import About
+from ugrbl.device.selftest import session
 
 _NOTHING = (None, "", (), 0)
 
@@ -165,6 +167,12 @@ def test_who_makes_an_engine_or_a_link_bears_its_name() -> None:
     assert not made.keys() & parts._LINKS.keys()
     for name, maker in {**made, **parts._LINKS}.items():
         assert maker.__name__ == name
+
+
+def test_the_self_test_knows_every_processor() -> None:
+    for chip in CHIPS.values():
+        about = About(0, "1.28.0", f"Some module with {chip.processor}")
+        assert session._chip(about)
 
 
 def test_a_new_board_can_have_any_chip_there_is() -> None:

@@ -207,21 +207,22 @@ def _check_engine(board: "ModuleType") -> None:
     if missing:
         names = ", ".join(missing)
         raise ValueError("ENGINE = %s: the board file names no %s" % (engine, names))
-    machine = getattr(sys.implementation, "_machine", "")
-    why = too_old(engine, machine, sys.implementation.version[:2])
+    chip = getattr(sys.implementation, "_machine", "")
+    why = too_old(engine, chip, sys.implementation.version[:2])
     if why:
         raise ValueError(why)
 
 
-def too_old(engine: str, machine: str, version: "tuple[int, ...]") -> str:
-    """Why this MicroPython is too old for that engine on that machine; "" where it is not."""
+def too_old(engine: str, chip: str, version: "tuple[int, ...]") -> str:
+    """Why this MicroPython is too old for that engine; "" where it is not. chip: as MicroPython
+    names it, with the board perhaps."""
     _, _, _, _, rows = _ENGINES[engine]
-    for chip, oldest, why in rows:
-        if chip in machine and version < oldest:
+    for name, oldest, why in rows:
+        if name in chip and version < oldest:
             old = "MicroPython %d.%d is too old: " % version[:2]
             return old + "ENGINE %s on %s wants 1.%d or newer, for %s" % (
                 engine,
-                chip,
+                name,
                 oldest[1],
                 why,
             )

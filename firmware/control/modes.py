@@ -24,7 +24,7 @@ class Modal:
         self.inches = 0
         self.tool_length = 0
         self.system = 0
-        self.flow = 0
+        self.program_flow = 0
         self.spindle = 0
         self.coolant = 0
         self.override_control = 1

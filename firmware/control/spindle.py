@@ -45,8 +45,8 @@ class Spindle:
         self.laser = False
         self._reversed = False  # M4; in laser mode power follows the speed then
 
-    def configure(self, settings: "Settings", machine: "array[int]") -> None:
-        """Take over $30, $31 and $32."""
+    def configure(self, settings: "Settings", table: "array[int]") -> None:
+        """Take over $30, $31 and $32. table: the planner's, for the kernels."""
         self._asked_rpm = -1.0
         self._max_rpm = settings.max_rpm
         self._min_rpm = settings.min_rpm
@@ -54,8 +54,8 @@ class Spindle:
         span = f32(self._max_rpm - self._min_rpm)
         full = self._port.pwm_max
         self._gradient = f32((full - _MIN_POWER) / span) if span > 0 else 0.0
-        machine[layout.POWER_FLOOR] = int(self._min_rpm * self._gradient * 64)
-        machine[layout.POWER_MAX] = full
+        table[layout.POWER_FLOOR] = int(self._min_rpm * self._gradient * 64)
+        table[layout.POWER_MAX] = full
 
     def power(self, rpm: float) -> int:
         """Power for a programmed speed, override included; tells the state what speed that is."""

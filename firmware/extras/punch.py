@@ -93,9 +93,9 @@ class Punch(Spindle):
 
     # What a spindle has
 
-    def configure(self, settings: "Settings", machine: "array[int]") -> None:
+    def configure(self, settings: "Settings", table: "array[int]") -> None:
         """Take over $30 to $33."""
-        super().configure(settings, machine)
+        super().configure(settings, table)
         inverts = [getattr(settings, row[1]) for row in _SETTINGS]
         self._down_invert, self._up_invert = inverts[:2]
         self._sensor_invert = inverts[2] * _DOWN | inverts[3] * _UP

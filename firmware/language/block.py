@@ -120,10 +120,10 @@ _WANTS_DECIMALS = (38, 43)
 
 # M number -> modal group, attribute of Modal, value.
 M_WORDS = {  # attribute-names: column 1
-    0: (GROUP_M4, "flow", PAUSED),
-    1: (GROUP_M4, "flow", RUNNING),  # optional stop: there is no switch for it
-    2: (GROUP_M4, "flow", END_M2),
-    30: (GROUP_M4, "flow", END_M30),
+    0: (GROUP_M4, "program_flow", PAUSED),
+    1: (GROUP_M4, "program_flow", RUNNING),  # optional stop: there is no switch for it
+    2: (GROUP_M4, "program_flow", END_M2),
+    30: (GROUP_M4, "program_flow", END_M30),
     3: (GROUP_M7, "spindle", 0x10),
     4: (GROUP_M7, "spindle", 0x20),
     5: (GROUP_M7, "spindle", 0),

@@ -167,7 +167,7 @@ class Interpreter:
         modal.motion = new.motion
         if block.claim == b.AXES_MOTION and modal.motion != b.NO_MOTION:
             self.go(block, move)
-        self._flow(new.flow)
+        self._control_program(new.program_flow)
 
     def _beam(self, block: "Block") -> int:
         """Laser mode: what the block means for the beam."""
@@ -257,7 +257,8 @@ class Interpreter:
                 return  # the position has been seen to, or has not changed
         self._modes.position[:] = block.xyz
 
-    def _flow(self, flow: int) -> None:
+    def _control_program(self, flow: int) -> None:
+        """Let it go on, pause it, or end it."""
         if flow == b.RUNNING:
             return
         self._canon.synchronise()

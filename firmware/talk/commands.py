@@ -290,12 +290,12 @@ class Commands:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
         if line[at] != 61:
             raise GrblError(errors.INVALID_STATEMENT)
-        block = line[at + 1 : length + 1]
-        self._interpreter.execute(block, length - at - 1)
+        kept = line[at + 1 : length + 1]
+        self._interpreter.execute(kept, length - at - 1)
         self._canon.synchronise()  # memory is written at rest
         index = whole(number)
         if 0 <= index < STARTUP_LINES:
-            self._startup[index] = bytes(block[: length - at - 1]).decode()
+            self._startup[index] = bytes(kept[: length - at - 1]).decode()
             self._keep_startup()
 
     def _set(self, line: bytearray, _length: int) -> None:

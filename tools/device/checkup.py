@@ -113,19 +113,19 @@ def faults(replies: Iterable[str]) -> list[Finding]:
     return [fault(reply) for reply in replies if reply.startswith("[MSG:Last fault: ")]
 
 
-def too_old(engine: str, machine: str, version: str) -> str:
-    """Why the engine cannot run with this MicroPython on that machine; "" where it can."""
+def too_old(engine: str, chip: str, version: str) -> str:
+    """Why the engine cannot run with this MicroPython; "" where it can. chip: as that names it."""
     use_firmware()
     from boot import parts
 
     numbers = tuple(int(number) for number in re.findall(r"\d+", version)[:2])
-    return parts.too_old(engine, machine, numbers) if engine and len(numbers) == 2 else ""
+    return parts.too_old(engine, chip, numbers) if engine and len(numbers) == 2 else ""
 
 
-def micropython(machine: str, version: str) -> list[Finding]:
+def micropython(chip: str, version: str) -> list[Finding]:
     """Whether a MicroPython that shows its prompt is new enough for our engines."""
-    possible = [name for name, engine in engines.engines().items() if engine.runs_on(machine)]
-    reasons = [too_old(engine, machine, version) for engine in possible]
+    possible = [name for name, engine in engines.engines().items() if engine.runs_on(chip)]
+    reasons = [too_old(engine, chip, version) for engine in possible]
     bad = [reason for reason in reasons if reason]
     verdict = BAD if len(bad) == len(reasons) else NOTE
     return [Finding("MicroPython", verdict, reason, NEW_MICROPYTHON) for reason in bad]

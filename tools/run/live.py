@@ -100,8 +100,8 @@ class LiveLink(UntimedLink):
 
         if self._rig.moving():
             return True
-        machine = self._rig.controller.state
-        if machine.run & (state.HOLD | state.DOOR | state.ALARM | state.SLEEP):
+        present = self._rig.controller.state
+        if present.run & (state.HOLD | state.DOOR | state.ALARM | state.SLEEP):
             return False
         return self._open_lines > 0 or not self._rig.controller.planner.empty()
 
