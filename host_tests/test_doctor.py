@@ -442,6 +442,12 @@ def test_whoever_makes_the_pulses_sets_the_limit(name: str, most: int) -> None:
     assert int(checkup.most_hz(found, 10)) == most
 
 
+def test_short_pulses_leave_room_for_as_many_as_the_engine_makes() -> None:
+    names = {"Grbl pio": 250_000, "Grbl sim": 100_000, "Grbl rmt": 5000}
+    for name, most in names.items():
+        assert checkup.most_hz(replace(OURS, name=name), 3) == most
+
+
 @pytest.mark.parametrize(
     ("found", "verdict"),
     [

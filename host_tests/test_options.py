@@ -3,15 +3,19 @@
 import ast
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any, NamedTuple, cast
 
 import pytest
 from boot import parts
+from esp_bench import i2s
+from pio.engine import PioEngine
 from ports import pin_check
 from typer.testing import CliRunner
 from ugrbl import paths
 from ugrbl.boardfile import chips, engines
 from ugrbl.boardfile.chips import CHIPS
+from ugrbl.boardfile.files import boards, load_board
 from ugrbl.boardfile.options import (
     BY_NAME,
     COUNT,
@@ -144,6 +148,17 @@ def test_an_engine_is_whole() -> None:
     for name, engine in engines.engines().items():
         assert {*engine.needed, *engine.pins} <= set(BY_NAME), name
         assert engine.most_hz > 0 and engine.oldest
+
+
+def test_the_rate_of_an_engine_is_what_it_says_of_itself_with_its_shortest_pulse() -> None:
+    known, nobody = engines.engines(), cast("Any", None)
+    assert known["pio"].most_hz == PioEngine.max_step_hz(nobody, 3)
+    frames = SimpleNamespace(_rate_hz=125_000, _frames_of=lambda us: 2)  # 16 us
+    assert known["i2s"].most_hz == i2s.I2sEngine.max_step_hz(cast("Any", frames), 16)
+    rates = {
+        board.MAX_STEP_RATE_HZ for board in map(load_board, boards()) if board.ENGINE == "rmt"
+    }
+    assert {known["rmt"].most_hz} == rates, "its trains have gaps beyond: see esp32_devkit.py"
 
 
 def test_a_chip_names_an_engine_that_runs_on_it_and_a_link_there_is() -> None:

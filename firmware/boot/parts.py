@@ -111,7 +111,7 @@ _ENGINES: "dict[str, Engine]" = {
         pio,
         ("STEP", "DIR"),
         ("STEP", "DIR", "ENABLE"),
-        100_000,
+        250_000,  # with pulses of 3 us
         (
             ("RP2040", (1, 26), "timers that interrupt at once"),
             ("RP2350", (1, 27), "DMA channels that can be given back"),
