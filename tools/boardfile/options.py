@@ -135,7 +135,7 @@ OPTIONS = (
     Option(
         *("I2S_BUFFERS", COUNT, NEEDED),
         'DMA buffers of 2 ms: motion made ahead. ENGINE "i2s".',
-        low=4,
+        low=8,  # five are made ahead at rest, two are left free
     ),
     Option(
         *("MAX_STEP_RATE_HZ", COUNT, 0),
@@ -215,7 +215,7 @@ OPTIONS = (
     Option(
         *("RX_BYTES", COUNT, 128),
         "Receive buffer: what a sender that counts characters may have under way.",
-        low=16,
+        low=128,  # as Grbl: senders that do not ask count on it
     ),
     Option("SAFETY_DOOR", SWITCH, False, "A safety door is wired to the door input."),
     Option(
