@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 from base import errors
 from base import state as st
+from base.controls import EMERGENCY_STOP, RESET
 from base.state import State
 from control.coolant import Coolant
 from control.drive import Drive
-from control.inputs import EMERGENCY_STOP, RESET
 from fakes import Asked, FakeEngine, FakePort, FakeVoice
 
 _STOPPED = ["kill", "stop"]
