@@ -13,10 +13,11 @@ import micropython
 from base import state as st
 from base.f32 import copy, vector
 from control.canon import FULL, OUTSIDE, judge
+from control.spindle import dynamic_power
 from micropython import const
 from motion import layout, reals
 from motion import planner as plan
-from motion.layout import HEAD
+from motion.layout import DYNAMIC, HEAD
 from motion.plan_kernel import plan as plan_block
 
 from language import block as b
@@ -67,7 +68,8 @@ _UNTOLD = const(0x3FFFFFFF)
 VALUES = const(11)
 INCHES = const(20)
 _CHANGES = const(21)  # as they were counted when this was known
-OFFSETS = const(22)
+_AS_ASKED = const(22)  # the speed of the spindle is not overridden
+OFFSETS = const(23)
 
 
 @micropython.viper
@@ -168,17 +170,26 @@ def follow(
     ring: ptr32,
     flow: ptr32,
     speeds: ptr32,
+    speed: ptr32,
     changes: ptr32,
 ) -> int:
-    """Plan a line that does no more than move, says nothing new and has nothing in its way.
+    """Plan a line that does no more than move, with another power of a beam that follows the speed
+    at the most, and has nothing in its way.
 
     Returns 1 then; otherwise 0, and nothing has changed.
     """
     if known[AXES] == 0 or known[_POWER] == _UNTOLD or known[_CHANGES] != changes[0]:
         return 0
     seen = int(read(text, length, known))
-    if seen == 0 or seen & _NEWS:
+    if seen == 0 or seen & (_NEWS - HAS_S):
         return 0
+    power = known[_POWER]
+    rpm = known[_RPM]
+    if seen & HAS_S:
+        if known[_FLAGS] & DYNAMIC == 0 or known[_AS_ASKED] == 0:
+            return 0
+        power = int(dynamic_power(known, VALUES + _S, machine))
+        rpm = known[VALUES + _S]
     place(known, seen, position, target)
     found = int(judge(target, travel, flow))
     if found & OUTSIDE and known[LIMITED]:
@@ -189,11 +200,14 @@ def follow(
         at = flow[HEAD]
         line = int(line_number(known, seen))
         flags = known[_FLAGS]
-        power = known[_POWER]
         rate = known[_RATE]
         if int(plan_block(target, machine, ring, flow, flags, line, power, rate)) == 0:
             return 0
-        speeds[at] = known[_RPM]
+        speeds[at] = rpm
+    if seen & HAS_S:
+        known[_POWER] = power
+        known[_RPM] = rpm
+        speed[0] = rpm
     copy(target, position, known[AXES])
     return 1
 
@@ -254,10 +268,22 @@ class FastPath:
             ring: "array[int]" = planner.ring,
             flow: "array[int]" = planner.flow,
             speeds: "array[float]" = planner.speeds,
+            speed: "array[float]" = self._modes.speed,
             changes: "array[int]" = self._state.changes,
         ) -> int:
             return follow(
-                line, length, known, position, target, travel, machine, ring, flow, speeds, changes
+                line,
+                length,
+                known,
+                position,
+                target,
+                travel,
+                machine,
+                ring,
+                flow,
+                speeds,
+                speed,
+                changes,
             )
 
         return follow_line
@@ -282,6 +308,7 @@ class FastPath:
             known[LIMITED] = self._settings.soft_limits
             known[DRY] = self._state.run == st.CHECK
             known[LASER] = self._spindle.laser
+            known[_AS_ASKED] = self._state.spindle_override == 100
             self._set()
 
     def _keep_offsets(self) -> None:
@@ -306,6 +333,8 @@ class FastPath:
         move.flags = modes.accessory_flags()
         if seeks:
             move.flags |= layout.RAPID_MOTION
+        if known[LASER] and move.flags & plan.SPINDLE_CCW:
+            move.flags |= DYNAMIC
         known[_POWER] = _UNTOLD
 
     def execute(self, line: bytearray, length: int) -> bool:
@@ -319,6 +348,8 @@ class FastPath:
         if seen & _NEWS:
             self._take_news(seen)
         # Go where the line says.
+        if not self._move.flags & layout.RAPID_MOTION:
+            self._move.spindle_rpm = self._modes.spindle_rpm  # which follow() may have changed
         self._move.line_number = line_number(known, seen)
         place(known, seen, self._modes.position, self._target)
         self._canon.line(self._target, self._move)
