@@ -262,11 +262,11 @@ class Watch:
 
     def promise(self, row: "array[int]", column: int) -> float:
         """A scaled speed squared of a row in mm/s."""
-        return sqrt(row[column] / real(self.planner.machine[layout.SQR_SCALE]))
+        return sqrt(row[column] / real(self.planner.table[layout.SQR_SCALE]))
 
     def top(self) -> float:
         """The highest speed that the planner knows."""
-        return sqrt(2**30 / real(self.planner.machine[layout.SQR_SCALE])) * 0.999
+        return sqrt(2**30 / real(self.planner.table[layout.SQR_SCALE])) * 0.999
 
     def next(self, row: "array[int]") -> int:
         """Stand in for Segments.next."""
@@ -392,7 +392,7 @@ def check_plan(watch: Watch) -> None:
 
 def _least(watch: Watch) -> float:
     """What a scaled square leaves open, in mm/s (and in its square, where that is less)."""
-    return sqrt(2 / real(watch.planner.machine[layout.SQR_SCALE]))
+    return sqrt(2 / real(watch.planner.table[layout.SQR_SCALE]))
 
 
 def check_segments(watch: Watch) -> None:

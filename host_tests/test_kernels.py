@@ -109,7 +109,7 @@ def test_a_product_of_three_is_cut_off_and_saturates(x: float, y: float, z: floa
 def test_millimetres_become_steps_as_in_single_precision(mm: float, resolution: float) -> None:
     target, resolutions = vector(1), vector(1)
     target[0], resolutions[0] = mm, resolution
-    machine = array("i", [1] + [0] * layout.machine_length(1, 1))
+    machine = array("i", [1] + [0] * layout.table_length(1, 1))
     copy(resolutions, memoryview(machine)[layout.LIMITS + layout.RESOLUTION :], 1)
     product = single(mm * resolution)
     inside = to_steps(target, machine)

@@ -309,7 +309,7 @@ def test_kernels_plan_and_make_the_same_segments(tmp_path: Path) -> None:
         with imported(
             parts(texts, *_KERNELS), tmp_path, "motion.plan_kernel", "motion.segments"
         ) as made:
-            memory = [array("i", planner.machine), array("i", planner.ring)]
+            memory = [array("i", planner.table), array("i", planner.ring)]
             memory.append(array("i", planner.flow))
             results.append(list(_moves(*made, *memory)))
     assert results[0] == results[1] and len(results[0]) > 500

@@ -49,7 +49,7 @@ planner = Planner(3, 16, None, state)
 planner.configure(Settings, 13107200, 17, 90909)
 planner.override()
 segments = Segments(planner)
-flow, ring, machine = planner.flow, planner.ring, planner.machine
+flow, ring, table = planner.flow, planner.ring, planner.table
 row = array("i", [0] * layout.row_length(3))
 move = Move()
 target = vector(3)
@@ -81,8 +81,8 @@ received = bytearray(b"G1 X1 (a comment) ? y2\\n")
 """
 
 _PROVED = {
-    "plan": "plan_kernel.plan(target, machine, ring, flow, 0, 0, 0, planner._feed_real)",
-    "schedule": "plan_kernel.schedule(machine, ring, 0)",
+    "plan": "plan_kernel.plan(target, table, ring, flow, 0, 0, 0, planner._feed_real)",
+    "schedule": "plan_kernel.schedule(table, ring, 0)",
     "limit_entry": "plan_kernel.limit_entry(ring, flow, 2)",
     "reverse_pass": "plan_kernel.reverse_pass(ring, flow, 1)",
     "scan": "words.scan(text, end, letters, values)",
@@ -91,8 +91,8 @@ _PROVED = {
     "place": "fast_path.place(known, 7, here, target)",
     "line_number": "fast_path.line_number(known, fast_path.HAS_N)",
     "judge": "canon.judge(target, there, flow)",
-    "follow": "fast_path.follow(short, len(short) - 1, known, here, target, there, machine, ring, "
-    "flow, planner.speeds, state.changes)",
+    "follow": "fast_path.follow(short, len(short) - 1, known, here, target, there, table, ring, "
+    "flow, planner.speeds, here, state.changes)",
     "feed": "reader.feed(received, len(received))",
     "take": "reader.take()",
 }

@@ -18,10 +18,10 @@ speeds = st.floats(0, 100_000, width=32)
 @example(2**-149, 1000.0, 255)
 @example(1000.0, 1000.0, 65535)
 def test_power_follows_the_programmed_speed(rpm: float, most: float, full: int) -> None:
-    machine = Bench(Limits()).planner.machine
+    table = Bench(Limits()).planner.table
     slope = array("f", [64 * full / most])
-    copy(array("f", [most]), memoryview(machine)[RPM_MAX:], 1)
-    copy(slope, memoryview(machine)[POWER_PER_RPM:], 1)
+    copy(array("f", [most]), memoryview(table)[RPM_MAX:], 1)
+    copy(slope, memoryview(table)[POWER_PER_RPM:], 1)
     exact = Fraction(min(rpm, most)) * Fraction(slope[0])
     tiny = exact < Fraction(1, 1 << 20)  # less than anything can show
-    assert dynamic_power(array("f", [7, rpm]), 1, machine) == (0 if tiny else int(exact))
+    assert dynamic_power(array("f", [7, rpm]), 1, table) == (0 if tiny else int(exact))

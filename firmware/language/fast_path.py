@@ -166,7 +166,7 @@ def follow(
     position: ptr32,
     target: ptr32,
     travel: ptr32,
-    machine: ptr32,
+    table: ptr32,
     ring: ptr32,
     flow: ptr32,
     speeds: ptr32,
@@ -188,7 +188,7 @@ def follow(
     if seen & HAS_S:
         if known[_FLAGS] & DYNAMIC == 0 or known[_AS_ASKED] == 0:
             return 0
-        power = int(dynamic_power(known, VALUES + _S, machine))
+        power = int(dynamic_power(known, VALUES + _S, table))
         rpm = known[VALUES + _S]
     place(known, seen, position, target)
     found = int(judge(target, travel, flow))
@@ -201,7 +201,7 @@ def follow(
         line = int(line_number(known, seen))
         flags = known[_FLAGS]
         rate = known[_RATE]
-        if int(plan_block(target, machine, ring, flow, flags, line, power, rate)) == 0:
+        if int(plan_block(target, table, ring, flow, flags, line, power, rate)) == 0:
             return 0
         speeds[at] = rpm
     if seen & HAS_S:
@@ -264,7 +264,7 @@ class FastPath:
             position: "array[float]" = self._modes.position,
             target: "array[float]" = self._target,
             travel: "array[int]" = self._canon.travel,
-            machine: "array[int]" = planner.machine,
+            table: "array[int]" = planner.table,
             ring: "array[int]" = planner.ring,
             flow: "array[int]" = planner.flow,
             speeds: "array[float]" = planner.speeds,
@@ -278,7 +278,7 @@ class FastPath:
                 position,
                 target,
                 travel,
-                machine,
+                table,
                 ring,
                 flow,
                 speeds,

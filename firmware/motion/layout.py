@@ -4,7 +4,7 @@ Blocks, the planner's rows; the table of what the kernels know of the machine; t
 loop and interrupt share; segments, the rows that go to a pulse engine. One vocabulary for planner,
 kernels and engines; `ugrbl build` puts the numbers in place.
 
-Speeds are squared and linear on one scale per machine, `machine[SQR_SCALE]`: 2**30 is the square
+Speeds are squared and linear on one scale per machine, `table[SQR_SCALE]`: 2**30 is the square
 of the highest speed any move can have. Within a block speeds are in units of 2**-18 step of its
 longest axis per full segment. A real is a positive number in one integer: see reals.py.
 """
@@ -34,7 +34,7 @@ PROGRAMMED = const(18)  # rate as programmed in block speed units
 STEPS = const(19)  # per motor, without sign; behind them, per motor, steps * 2**29 / EVENTS
 
 
-# What the kernels know of the machine.
+# The table: what the kernels know of the machine.
 AXES = const(0)
 MOTOR_COUNT = const(1)
 SQR_SCALE = const(2)  # real: scaled speed squared per (mm/s)2
@@ -107,7 +107,7 @@ def block_length(motors: int) -> int:
     return STEPS + 2 * motors
 
 
-def machine_length(axes: int, motors: int) -> int:
+def table_length(axes: int, motors: int) -> int:
     """Integers in the table of what the kernels know of the machine."""
     return LIMITS + MOVES * axes + motors
 

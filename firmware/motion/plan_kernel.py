@@ -69,19 +69,19 @@ _ONE = const(0x194000)  # the real 1
 
 
 @micropython.viper
-def limit(machine: ptr32, ring: ptr32, at: int) -> int:
+def limit(table: ptr32, ring: ptr32, at: int) -> int:
     """What the axes of a measured block allow: its RAPID and ACCEL; and its direction.
 
     A limit is the smallest, over the axes, of axis limit * length / distance.
     Unit vectors are kept per axis as 16384 + component * 16384.
     """
-    axes = machine[AXES]
+    axes = table[AXES]
     length = ring[at + LENGTH]
     rapid = HIGHEST
     accel = HIGHEST
     direction = LIMITS + 4 * axes
     for i in range(axes):
-        mm = machine[direction + axes + i]
+        mm = table[direction + axes + i]
         component = 0
         if mm:
             shift = (length >> 15) - (mm >> 15)
@@ -91,7 +91,7 @@ def limit(machine: ptr32, ring: ptr32, at: int) -> int:
                 component = 16384
             scale = ((length & 32767) << 14) // (mm & 32767)
             for k in range(1, 3):
-                limiting = machine[LIMITS + 3 * i + k]
+                limiting = table[LIMITS + 3 * i + k]
                 mantissa = ((limiting & 32767) * scale) >> 14
                 exponent = (limiting >> 15) + shift
                 if mantissa >= LIMIT:
@@ -106,14 +106,14 @@ def limit(machine: ptr32, ring: ptr32, at: int) -> int:
                         rapid = limiting
                 elif limiting < accel:
                     accel = limiting
-        machine[direction + i] = component
+        table[direction + i] = component
     ring[at + RAPID] = rapid
     ring[at + ACCEL] = accel
     return 0
 
 
 @micropython.viper
-def turn(machine: ptr32, dirs: int) -> int:
+def turn(table: ptr32, dirs: int) -> int:
     """How fast, squared, the machine may go from the previous block into this one.
 
     Junction deviation: the speed at which an arc that keeps within $11 of the
@@ -121,21 +121,21 @@ def turn(machine: ptr32, dirs: int) -> int:
     its cosine of half the angle c, and the acceleration along it that no axis
     exceeds, v2 = accel * deviation * 4 c (1 + c) / D2.
     """
-    axes = machine[AXES]
+    axes = table[AXES]
     previous = LIMITS + 3 * axes
     squares = 0
     least = HIGHEST
     for i in range(axes):
-        component = machine[previous + axes + i]
+        component = table[previous + axes + i]
         component = 16384 - component if (dirs >> i) & 1 else 16384 + component
-        change = component - machine[previous + i]
-        machine[previous + i] = component
+        change = component - table[previous + i]
+        table[previous + i] = component
         if change < 0:
             change = 0 - change
         squares += change * change
         if change or component != 16384:
             # One more than it seems: a weak axis that hardly turns is not overlooked.
-            accel = machine[LIMITS + 3 * i + 2]
+            accel = table[LIMITS + 3 * i + 2]
             mantissa = ((accel & 32767) << 15) // (change + 1)
             exponent = (accel >> 15) - 15
             while mantissa >= LIMIT:
@@ -151,29 +151,29 @@ def turn(machine: ptr32, dirs: int) -> int:
     change = int(square_root(squares))
     cosine = int(square_root(0x3FFFFFFF - squares)) >> 1
     shape = (((cosine * (16384 + cosine)) >> 14) << 15) // change
-    return int(product(int(pack(shape, BIAS - 15)), least, machine[JUNCTION]))
+    return int(product(int(pack(shape, BIAS - 15)), least, table[JUNCTION]))
 
 
 @micropython.viper
-def schedule(machine: ptr32, ring: ptr32, at: int) -> int:
+def schedule(table: ptr32, ring: ptr32, at: int) -> int:
     """What the interrupt will want to know of a block; also after an override has changed."""
     flags = ring[at + FLAGS]
     rate = ring[at + RATE]
     nominal = rate
-    percent = machine[RAPID_PERCENT] if flags & RAPID_MOTION else machine[FEED_PERCENT]
+    percent = table[RAPID_PERCENT] if flags & RAPID_MOTION else table[FEED_PERCENT]
     if percent != 100 and not flags & NO_FEED_OVERRIDE:
         nominal = int(div(int(mul(nominal, int(pack(percent, BIAS)))), int(pack(100, BIAS))))
     if nominal > ring[at + RAPID]:
         nominal = ring[at + RAPID]
-    if nominal < machine[SLOWEST]:
-        nominal = machine[SLOWEST]
+    if nominal < table[SLOWEST]:
+        nominal = table[SLOWEST]
     ring[at + NOMINAL] = nominal
     accel = ring[at + ACCEL]
-    scale = machine[SQR_SCALE]
+    scale = table[SQR_SCALE]
     per_mm = int(ratio(ring[at + EVENTS], ring[at + LENGTH]))
-    factor = int(mul(per_mm, machine[SEGMENT_RATE]))
+    factor = int(mul(per_mm, table[SEGMENT_RATE]))
     ring[at + FACTOR] = factor
-    ramp = int(product(accel, per_mm, machine[SEGMENT_ACCEL]))
+    ramp = int(product(accel, per_mm, table[SEGMENT_ACCEL]))
     ring[at + RAMP] = ramp if ramp else 1
     cruise = int(product(nominal, factor, _ONE))
     ring[at + CRUISE] = cruise if cruise else 1
@@ -207,21 +207,21 @@ def ratios(ring: ptr32, at: int, motors: int) -> int:
 
 
 @micropython.viper
-def join(machine: ptr32, ring: ptr32, flow: ptr32) -> int:
+def join(table: ptr32, ring: ptr32, flow: ptr32) -> int:
     """Put the block that has been made at HEAD into the ring."""
     size = flow[ROW_SIZE]
     head = flow[HEAD]
     at = head * size
-    junction = int(turn(machine, ring[at + DIRS]))
+    junction = int(turn(table, ring[at + DIRS]))
     if head == flow[TAIL]:
         junction = 0  # from rest
     ring[at + JUNCTION_SQR] = junction
     ring[at + ENTRY_SQR] = 0
     limit_entry(ring, flow, head)
-    axes = machine[AXES]
+    axes = table[AXES]
     target = LIMITS + TARGET * axes
     for i in range(axes):
-        machine[target + axes + i] = machine[target + i]
+        table[target + axes + i] = table[target + i]
     head += 1
     flow[HEAD] = head if head < flow[ROWS] else 0
     reverse_pass(ring, flow, 0)
@@ -246,7 +246,7 @@ def limit_entry(ring: ptr32, flow: ptr32, row: int) -> int:
 @micropython.viper
 def plan(
     target: ptr32,
-    machine: ptr32,
+    table: ptr32,
     ring: ptr32,
     flow: ptr32,
     flags: int,
@@ -260,10 +260,10 @@ def plan(
     """
     at = flow[ROWS] if flags & SYSTEM_MOTION else flow[HEAD]
     at *= flow[ROW_SIZE]
-    to_steps(target, machine)
-    if int(measure(machine, ring, at)) == 0:
+    to_steps(target, table)
+    if int(measure(table, ring, at)) == 0:
         return 0
-    limit(machine, ring, at)
+    limit(table, ring, at)
     ring[at + FLAGS] = flags
     ring[at + LINE] = line
     ring[at + POWER] = power
@@ -272,12 +272,12 @@ def plan(
     elif flags & INVERSE_TIME:
         rate = int(mul(rate, ring[at + LENGTH]))
     ring[at + RATE] = rate
-    schedule(machine, ring, at)
-    ratios(ring, at, machine[MOTOR_COUNT])
+    schedule(table, ring, at)
+    ratios(ring, at, table[MOTOR_COUNT])
     if flags & SYSTEM_MOTION:
         flow[SYSTEM] = 1
     else:
-        join(machine, ring, flow)
+        join(table, ring, flow)
     return 1
 
 

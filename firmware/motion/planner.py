@@ -75,18 +75,18 @@ class Planner:
         self._state = state
         self.ring = array("i", (0 for _ in range(size * (blocks + 1))))
         self.flow = array("i", (0 for _ in range(layout.FLOW_LENGTH + 2 * motors)))
-        self.machine = array("i", (0 for _ in range(layout.machine_length(axes, motors))))
+        self.table = array("i", (0 for _ in range(layout.table_length(axes, motors))))
         self.flow[layout.ROW_SIZE] = size
         self.flow[ROWS] = blocks
-        self.machine[layout.AXES] = axes
-        self.machine[layout.MOTOR_COUNT] = motors
+        self.table[layout.AXES] = axes
+        self.table[layout.MOTOR_COUNT] = motors
         for i in range(motors):
-            self.machine[layout.LIMITS + layout.MOVES * axes + i] = moves[i]
+            self.table[layout.LIMITS + layout.MOVES * axes + i] = moves[i]
         # Spindle speed of each block in rpm, as programmed; the interrupt has no use for it.
         self.speeds = vector(blocks + 1)
-        # Where the last block ends, in steps; part of the machine's table.
+        # Where the last block ends, in steps; part of the table.
         at = layout.LIMITS + layout.POSITION * axes
-        self.position = memoryview(self.machine)[at : at + axes]
+        self.position = memoryview(self.table)[at : at + axes]
         self._steps_per_mm = vector(axes)
         self._feed = 0.0  # the last one in mm/min, and the same as a real in mm/s
         self._feed_real = 0
@@ -97,7 +97,7 @@ class Planner:
         self, settings: "Settings", tick_hz: int, segment_log2: int, step_hz: int
     ) -> None:
         """Take over rates, accelerations and resolution. step_hz: what the engine can make."""
-        machine = self.machine
+        table = self.table
         fastest_sqr = 0.0
         for i in range(self.axes):
             resolution = min(settings.steps_per_mm[i] or 1.0, _FINEST)
@@ -105,21 +105,21 @@ class Planner:
             acceleration = settings.acceleration[i] / 3600
             fastest_sqr += rate * rate
             at = layout.LIMITS + 3 * i
-            machine[at] = reals.real(1 / resolution)
-            machine[at + 1] = reals.real(rate)
-            machine[at + 2] = reals.real(acceleration)
+            table[at] = reals.real(1 / resolution)
+            table[at + 1] = reals.real(rate)
+            table[at + 2] = reals.real(acceleration)
             self._steps_per_mm[i] = resolution
         at = layout.LIMITS + layout.RESOLUTION * self.axes
-        copy(self._steps_per_mm, memoryview(machine)[at:], self.axes)
+        copy(self._steps_per_mm, memoryview(table)[at:], self.axes)
         scale = (1 << 30) / (fastest_sqr or 1.0)
-        machine[layout.ROOT_SCALE] = reals.real(scale**-0.5)
+        table[layout.ROOT_SCALE] = reals.real(scale**-0.5)
         seconds = (1 << segment_log2) / tick_hz
-        machine[layout.SQR_SCALE] = reals.real(scale)
-        machine[layout.JUNCTION] = reals.real(65536.0 * settings.junction_deviation_mm * scale)
-        machine[layout.SEGMENT_RATE] = reals.real(seconds * 262144)
-        machine[layout.SEGMENT_ACCEL] = reals.real(seconds * seconds * 262144)
-        machine[layout.SEGMENT_LOG2] = segment_log2
-        machine[layout.SLOWEST] = reals.real(_SLOWEST_MM_S)
+        table[layout.SQR_SCALE] = reals.real(scale)
+        table[layout.JUNCTION] = reals.real(65536.0 * settings.junction_deviation_mm * scale)
+        table[layout.SEGMENT_RATE] = reals.real(seconds * 262144)
+        table[layout.SEGMENT_ACCEL] = reals.real(seconds * seconds * 262144)
+        table[layout.SEGMENT_LOG2] = segment_log2
+        table[layout.SLOWEST] = reals.real(_SLOWEST_MM_S)
 
     def free(self) -> int:
         """Blocks that can still be added."""
@@ -160,7 +160,7 @@ class Planner:
             self._feed_real = reals.real(move.feed / 60)
         if not plan_kernel.plan(
             target,
-            self.machine,
+            self.table,
             self.ring,
             self.flow,
             flags,
@@ -187,11 +187,11 @@ class Planner:
     def override(self) -> None:
         """Work out every block anew after an override has changed."""
         flow = self.flow
-        self.machine[layout.FEED_PERCENT] = self._state.feed_override
-        self.machine[layout.RAPID_PERCENT] = self._state.rapid_override
+        self.table[layout.FEED_PERCENT] = self._state.feed_override
+        self.table[layout.RAPID_PERCENT] = self._state.rapid_override
         at = flow[TAIL]
         while at != flow[HEAD]:
-            plan_kernel.schedule(self.machine, self.ring, at * flow[layout.ROW_SIZE])
+            plan_kernel.schedule(self.table, self.ring, at * flow[layout.ROW_SIZE])
             if at != flow[TAIL]:
                 plan_kernel.limit_entry(self.ring, flow, at)
             at = (at + 1) % flow[ROWS]

@@ -316,7 +316,7 @@ def spread(flow: ptr32, ring: ptr32, row: ptr32, motors: int) -> int:
 
 
 @micropython.viper
-def power(flow: ptr32, ring: ptr32, machine: ptr32) -> int:
+def power(flow: ptr32, ring: ptr32, table: ptr32) -> int:
     """Spindle power of the segment just made, of a block whose power follows speed."""
     at = flow[AT]
     full = ring[at + POWER]
@@ -325,16 +325,16 @@ def power(flow: ptr32, ring: ptr32, machine: ptr32) -> int:
         full = int(times(full, int(share(flow[NOW], rate))))
     if full == 0:
         return 0
-    if full <= machine[POWER_FLOOR]:
+    if full <= table[POWER_FLOOR]:
         return 1
-    full = ((full - machine[POWER_FLOOR]) >> 6) + 1
-    return full if full < machine[POWER_MAX] else machine[POWER_MAX]
+    full = ((full - table[POWER_FLOOR]) >> 6) + 1
+    return full if full < table[POWER_MAX] else table[POWER_MAX]
 
 
 @micropython.viper
-def fill(flow: ptr32, ring: ptr32, machine: ptr32, row: ptr32) -> int:
+def fill(flow: ptr32, ring: ptr32, table: ptr32, row: ptr32) -> int:
     """Make the next segment. Returns 0 where nothing is to move: no block, or held at rest."""
-    motors = machine[MOTOR_COUNT]
+    motors = table[MOTOR_COUNT]
     if flow[LOADED] == 0:
         if flow[HOLD] and flow[CARRY] == 0:
             return 0
@@ -352,8 +352,8 @@ def fill(flow: ptr32, ring: ptr32, machine: ptr32, row: ptr32) -> int:
                 break
             flow[LEFT] = flow[LEFT] + 131072
             span += 131072
-        going = int(proceed(flow, ring, machine[ROOT_SCALE]))
-    steps = int(close(flow, row, (span - flow[LEFT]) >> (17 - machine[SEGMENT_LOG2])))
+        going = int(proceed(flow, ring, table[ROOT_SCALE]))
+    steps = int(close(flow, row, (span - flow[LEFT]) >> (17 - table[SEGMENT_LOG2])))
     if steps == 0 and going and flow[HOLD] and flow[NOW] == 0:
         return 0  # at rest, less than a step further
     flow[ADVANCE] = steps << 18
@@ -361,7 +361,7 @@ def fill(flow: ptr32, ring: ptr32, machine: ptr32, row: ptr32) -> int:
     row[ROW_DIRS] = ring[at + DIRS]
     row[ROW_POWER] = ring[at + POWER]
     if ring[at + FLAGS] & DYNAMIC:
-        row[ROW_POWER] = int(power(flow, ring, machine))
+        row[ROW_POWER] = int(power(flow, ring, table))
     spread(flow, ring, row, motors)
     if going == 0:
         flow[CARRY] = int(ratio(flow[NOW], ring[at + FACTOR]))

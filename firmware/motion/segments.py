@@ -27,7 +27,7 @@ class Segments:
         self._planner = planner
         self._flow = planner.flow
         self._ring = planner.ring
-        self._machine = planner.machine
+        self._table = planner.table
         self._saved: "array[int] | None" = None
 
     @micropython.viper
@@ -39,8 +39,8 @@ class Segments:
         """
         flow = ptr32(self._flow)
         ring = ptr32(self._ring)
-        machine = ptr32(self._machine)
-        return int(fill(flow, ring, machine, row))
+        table = ptr32(self._table)
+        return int(fill(flow, ring, table, row))
 
     def hold(self, on: bool) -> None:
         """Slow down and come to rest; or go on."""

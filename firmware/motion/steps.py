@@ -23,21 +23,21 @@ from motion.reals import LIMIT, pack, square_root
 
 
 @micropython.viper
-def to_steps(target: ptr32, machine: ptr32) -> int:
-    """Round mm times steps/mm to whole steps, halves away from zero, into TARGET of the machine.
+def to_steps(target: ptr32, table: ptr32) -> int:
+    """Round mm times steps/mm to whole steps, halves away from zero, into TARGET of the table.
 
     mm and steps/mm are single precision, seen as integers; the product is
     rounded to single precision first, as Grbl's is. Returns 0 where an axis
     leaves +-2**29 steps.
     """
     inside = 1
-    axes = machine[AXES]
+    axes = table[AXES]
     resolution = LIMITS + RESOLUTION * axes
     signs = ptr8(target)
     for i in range(axes):
         a = target[i] & 0x3FFFFFFF
         high = (signs[4 * i + 3] & 0x40) << 24
-        b = machine[resolution + i]
+        b = table[resolution + i]
         exponent = ((a + high) >> 23) + (b >> 23) - 254
         a = (a & 0x7FFFFF) | 0x800000
         b = (b & 0x7FFFFF) | 0x800000
@@ -63,7 +63,7 @@ def to_steps(target: ptr32, machine: ptr32) -> int:
             product = 0
         if signs[4 * i + 3] & 0x80:
             product = 0 - product
-        machine[resolution + axes + i] = 0x20000000 + product
+        table[resolution + axes + i] = 0x20000000 + product
     return inside
 
 
@@ -81,25 +81,25 @@ def motor_steps(places: ptr32, at: int, axes: int, moves: int) -> int:
 
 
 @micropython.viper
-def measure(machine: ptr32, ring: ptr32, at: int) -> int:
+def measure(table: ptr32, ring: ptr32, at: int) -> int:
     """Begin a block, from POSITION to TARGET: steps, directions, length in mm. Returns EVENTS.
 
     As in Grbl, length is that of the motors' way, one per axis. Their distances (reals) are left
-    in the table of the machine for limit().
+    in the table for limit().
     """
-    axes = machine[AXES]
+    axes = table[AXES]
     distance = LIMITS + 5 * axes
     target = LIMITS + TARGET * axes
     moves = LIMITS + MOVES * axes
     top = 0
     dirs = 0
     events = 0
-    for i in range(machine[MOTOR_COUNT]):
-        does = machine[moves + i]
+    for i in range(table[MOTOR_COUNT]):
+        does = table[moves + i]
         if does == 1 << i:
-            steps = machine[target + i] - machine[target + axes + i]
+            steps = table[target + i] - table[target + axes + i]
         else:
-            steps = int(motor_steps(machine, target, axes, does))
+            steps = int(motor_steps(table, target, axes, does))
         if steps < 0:
             dirs |= 1 << i
             steps = 0 - steps
@@ -113,7 +113,7 @@ def measure(machine: ptr32, ring: ptr32, at: int) -> int:
             while mantissa >= LIMIT:
                 mantissa >>= 1
                 exponent += 1
-            mm_per_step = machine[LIMITS + 3 * i]
+            mm_per_step = table[LIMITS + 3 * i]
             mantissa *= mm_per_step & 32767
             exponent += mm_per_step >> 15
             while mantissa >= LIMIT:
@@ -123,10 +123,10 @@ def measure(machine: ptr32, ring: ptr32, at: int) -> int:
                 top = exponent
             if steps > events:
                 events = steps
-        machine[distance + i] = (exponent << 15) + mantissa
+        table[distance + i] = (exponent << 15) + mantissa
     squares = 0
     for i in range(axes):
-        mantissa = machine[distance + i]
+        mantissa = table[distance + i]
         if mantissa:
             shift = top - (mantissa >> 15) + 1
             mantissa = (mantissa & 32767) >> shift if shift < 15 else 0

@@ -95,7 +95,7 @@ class Controller:
             engine.segment_log2,
             engine.max_step_hz(settings.step_pulse_us),
         )
-        self.spindle.configure(settings, self.planner.machine)
+        self.spindle.configure(settings, self.planner.table)
         # Of all of them, a reset does the rest.
         if settings.changed == 21:
             self.port.hear_limits(bool(settings.hard_limits))

@@ -257,7 +257,7 @@ class Report:
         self._engine.position(steps)
         if planner.kinematics:
             planner.kinematics.to_axes(steps)
-        divide(steps, planner.machine, self._resolution, self._mm, self._axes)
+        divide(steps, planner.table, self._resolution, self._mm, self._axes)
 
     def _lengths(self, name: bytes, mm: "array[float]") -> None:
         """Axis values."""
