@@ -299,7 +299,7 @@ class Store(Protocol):
     """Text lines kept over power-off, by name."""
 
     def load(self, name: str) -> list[str] | None:
-        """None where nothing valid is kept under that name."""
+        """No lines where there never were any under that name, None where they are lost."""
 
     def save(self, name: str, lines: Iterable[str]) -> None:
         """Replace at once or not at all."""

@@ -75,13 +75,39 @@ def test_what_is_saved_is_loaded_and_the_copy_before_it_kept(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     store = attach(monkeypatch, Flash(), fresh=True)
-    assert store.load("settings") is None
     store.save("settings", OLD)
     store.save("settings", NEW)
     assert store.load("settings") == NEW
     with flash_store.open("/settings.txt", "w") as file:  # type: ignore[attr-defined]
         file.write("$0=")
     assert store.load("settings") == OLD
+
+
+def test_what_was_never_kept_is_told_from_what_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    store = attach(monkeypatch, Flash(), fresh=True)
+    assert store.load("settings") == []
+    store.save("settings", OLD)
+    with flash_store.open("/settings.txt", "w") as file:  # type: ignore[attr-defined]
+        file.write("$0=")
+    assert store.load("settings") is None
+    assert store.load("startup") == []
+
+
+def test_a_power_cut_in_the_first_write_leaves_a_new_board_or_the_settings(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    blank = Flash()
+    attach(monkeypatch, blank, fresh=True)
+    image = bytes(blank.buffer)
+    chip = Flash(image)
+    attach(monkeypatch, chip).save("settings", OLD)
+    found = []
+    for whole, (_, data) in enumerate([*chip.log, (0, b"")]):
+        for torn in sorted({0, 1, len(data) // 2, max(len(data) - 1, 0)}):
+            left = Flash(cut(image, chip.log, whole, torn))
+            found.append(attach(monkeypatch, left).load("settings"))
+    assert [] in found and OLD in found
+    assert all(lines in ([], OLD) for lines in found)
 
 
 def test_a_power_cut_at_any_write_leaves_the_old_or_the_new(
@@ -135,7 +161,7 @@ def test_a_write_is_told_of_even_where_it_fails(
     told: list[str] = []
     store = FlashStore("/")
     store.before, store.after = lambda: told.append("before"), lambda: told.append("after")
-    assert store.load("settings") is None and told == []
+    assert store.load("settings") == [] and told == []
     if full:
         monkeypatch.setattr(flash_store, "open", lambda *_: FullFile(), raising=False)
         with pytest.raises(OSError, match="28"):

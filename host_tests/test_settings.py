@@ -222,6 +222,31 @@ def test_any_damage_to_what_is_kept_ends_in_a_start(lines: "list[str]") -> None:
     assert any(line.startswith("Grbl 1.1h") for line in boot(machine))
 
 
+class NewStore(MemoryStore):
+    """Nothing has ever been kept: no copy is spoilt, there is none."""
+
+    def load(self, name: str) -> "list[str] | None":
+        return self.files.get(name, [])
+
+
+def test_a_new_board_has_the_factorys_settings_and_says_so_once_behind_its_welcome() -> None:
+    machine = Machine(watched=False)
+    machine.rig.store = store = NewStore()
+    told = "[MSG:First start: factory settings]"
+    assert boot(machine) == ["", "Grbl 1.1h ['$' for help]", told]
+    assert "$110=500" in store.files["settings"], "they are written"
+    machine = Machine(watched=False)
+    machine.rig.store = store
+    assert boot(machine) == ["", "Grbl 1.1h ['$' for help]"]
+
+
+def test_a_reset_does_not_say_again_that_a_board_is_new() -> None:
+    machine = Machine(watched=False)
+    machine.rig.store = NewStore()
+    machine.play(["$I", "\x18"])
+    assert sum("First start" in line for line in machine.received) == 1
+
+
 def test_intact_settings_are_not_spoken_of() -> None:
     assert boot(Machine({110: 700})) == ["", "Grbl 1.1h ['$' for help]"]
 

@@ -120,6 +120,7 @@ MSG_PROGRAM_END = "Pgm End"
 MSG_RESTORE_DEFAULTS = "Restoring defaults"
 MSG_SPINDLE_RESTORE = "Restoring spindle"
 MSG_SLEEP = "Sleeping"
+MSG_FIRST_START = "First start: factory settings"
 MSG_NOT_KEPT = "Flash is full or worn: not kept"
 
 # What tells builds apart: `ugrbl build` writes it here, and `ugrbl decode` looks for its map.

@@ -144,6 +144,7 @@ class Settings:
         self._unknown: "list[str]" = []
         self._callbacks: "list[Callable[[], None]]" = []
         self.changed = ALL
+        self.is_new = False  # nothing has ever been kept: until that is told of
 
     # Whom a change concerns
 
@@ -159,11 +160,12 @@ class Settings:
     # Keeping
 
     def load(self) -> bool:
-        """Read what is kept; False where there was nothing valid and defaults were restored."""
+        """Read what is kept; False where it is lost and defaults were restored."""
         lines = self._store.load(self.file)
-        if lines is None:
+        if not lines:
             self.restore()
-            return False
+            self.is_new = lines is not None
+            return self.is_new
         self._set_defaults()
         self._unknown = []
         try:

@@ -21,7 +21,8 @@ class Saves:
         self._due: "dict[str, list[str]]" = {}
 
     def load(self, name: str) -> "list[str] | None":
-        """The lines kept under that name; None where nothing valid is."""
+        """The lines kept under that name: none where there never were any, None where they are
+        lost."""
         return self._store.load(name)
 
     def save(self, name: str, lines: "Iterable[str]") -> None:

@@ -27,6 +27,14 @@ def _nothing() -> None:
     """Where nobody has to be told."""
 
 
+def _is_there(path: str) -> bool:
+    try:
+        with open(path):
+            return True
+    except OSError:
+        return False
+
+
 class FlashStore:
     """A Store. folder: where the files are, with a slash at its end.
 
@@ -39,12 +47,15 @@ class FlashStore:
         self.after: "Callable[[], None]" = _nothing
 
     def load(self, name: str) -> "list[str] | None":
-        """The lines kept under that name; None where no copy of them is whole."""
+        """The lines kept under that name: none where there never were any, None where no copy
+        of them is whole."""
+        path = self._folder + name
         for kind in (_NOW, _NEW, _OLD):
-            lines = self._read(self._folder + name + kind)
+            lines = self._read(path + kind)
             if lines is not None:
                 return lines
-        return None
+        # Of a first save that a power cut has ended there is a part of the new file only.
+        return None if _is_there(path + _NOW) or _is_there(path + _OLD) else []
 
     def save(self, name: str, lines: "Iterable[str]") -> None:
         """Replace the lines at once or not at all. Raises OSError where flash is full or worn."""

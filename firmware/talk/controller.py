@@ -110,7 +110,7 @@ class Controller:
         """Take in what is kept, and hear of what comes. Then protocol.run() is its life."""
         self.engine.attach(self.segments.next, self.spindle.set_power, self.spindle.rest)
         if not self._loads(self.settings.load):
-            # As Grbl: say so, show what holds now.
+            # As Grbl with an erased memory: say so, show what holds now.
             self.report.error(errors.SETTING_READ_FAIL)
             self._loads(self.coords.restore)
             self.commands.show_settings()
@@ -204,6 +204,9 @@ class Controller:
     def _greet(self) -> None:
         state = self.state
         self.report.banner()
+        if self.settings.is_new:  # no error: senders stop at it
+            self.settings.is_new = False
+            self.report.message(errors.MSG_FIRST_START)
         if self.settings.hard_limits and self.inputs.limits():
             state.enter(st.ALARM)
             self.report.message(errors.MSG_CHECK_LIMITS)

@@ -70,8 +70,8 @@ class Board:
         return self
 
     def settled(self) -> "Board":
-        """Run until the startup lines of a first start are through; returns self."""
-        self.wait_for(">:error:7\r\n>:error:7\r\n")
+        """Run until a first start is through; returns self."""
+        self.wait_for("[MSG:First start: factory settings]\r\n")
         self.ask("")
         return self
 

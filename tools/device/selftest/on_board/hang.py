@@ -77,7 +77,7 @@ def hang():
 
 drivers_off()
 hear_nothing()
-FlashStore.load = lambda *_: None  # factory settings, and nothing is kept
+FlashStore.load = lambda *_: []  # factory settings, and nothing is kept
 FlashStore.save = lambda *_: None
 protocol.Protocol.pump = pump
 lines.LineReader.__init__ = make_reader
