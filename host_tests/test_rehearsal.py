@@ -63,6 +63,18 @@ def test_lines_for_a_machine_at_rest_are_no_errors(here: stage.Stage) -> None:
     assert result.errors == [(4, "error:20")]
 
 
+def test_a_machine_of_four_axes_is_rehearsed_with_four() -> None:
+    rows = [(base, 3, value) for base, value in ((100, 250), (110, 3000), (120, 300), (130, 100))]
+    settings = [*MACHINE, *(f"${base + axis}={value}.000" for base, axis, value in rows)]
+    here = stage.read([*settings, "[G54:-50.000,-40.000,-30.000,-20.000]"])
+    here.place = [-20.0, -20.0, -5.0, -60.0]
+    job = Job(["G21", "G0 A-10", "G0 A-79", "G0 A-81"], here.commands(), axes=4)
+    result, line = check(job)
+    assert not result.errors and (result.stopped, line) == ("ALARM:2", 4)
+    three = Job(["G0 A-10"], here.commands())
+    assert check(three)[0].errors == [(1, "error:20")]
+
+
 # Which line it was
 
 

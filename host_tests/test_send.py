@@ -1,6 +1,7 @@
 """`ugrbl send`, against a small stand-in for Grbl on a real pseudo-terminal."""
 
 import os
+import sys
 import threading
 import time
 import tty
@@ -362,6 +363,21 @@ def test_what_the_simulator_refuses_is_not_sent(grbl: FakeGrbl, tmp_path: Path) 
     assert "line 2" in done.output and "--no-check" in done.output
 
 
+@pytest.mark.parametrize(
+    ("options", "word", "sent"),
+    [("V", "M7", False), ("VM", "M7", True), ("V", "M56", False), ("VR", "M56", True)],
+)
+def test_the_check_knows_what_the_machine_was_built_with(
+    options: str, word: str, sent: bool, tmp_path: Path
+) -> None:
+    grbl = FakeGrbl(options=f"{options},15,128")
+    grbl.start()
+    done = send_file(grbl, tmp_path, f"G0 X1\n{word}\n")
+    grbl.stop()
+    assert (word.encode() in grbl.lines) == sent, done.output
+    assert done.exit_code == (0 if sent else 1)
+
+
 def test_keep_going_sends_what_the_simulator_refuses(grbl: FakeGrbl, tmp_path: Path) -> None:
     done = send_file(grbl, tmp_path, "G0 X1\nG64\nG0 X2\n", "--keep-going")
     assert done.exit_code == 1 and grbl.lines[-1] == b"G0 X2"
@@ -442,6 +458,35 @@ def test_overrides_by_keys_go_to_grbl_1_1_only(grbl: FakeGrbl, view: Watcher) ->
 def test_keys_of_arrows_are_no_commands() -> None:
     assert keys.commands("\x1b[A+\x1bOB-\x1b") == b"\x91\x92"
     assert keys.commands(" ~q") == b"!~"
+
+
+class WindowsConsole:
+    """msvcrt: a key at a time, and two reads for arrows and function keys."""
+
+    def __init__(self, pressed: str) -> None:
+        self.pressed = list(pressed)
+
+    def kbhit(self) -> bool:
+        return bool(self.pressed)
+
+    def getwch(self) -> str:
+        return self.pressed.pop(0)
+
+
+@pytest.mark.parametrize(
+    ("pressed", "sent"),
+    [(" +", b"!\x91"), ("\xe0H\xe0M", b""), ("\0<\0=\0>-", b"\x92"), ("\r", b"~"), ("", b"")],
+)
+def test_keys_on_windows(pressed: str, sent: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """F2 to F4 are a zero and then < = >, which alone are commands."""
+    monkeypatch.setattr(keys.sys, "platform", "win32")
+    monkeypatch.setattr(keys.sys.stdin, "isatty", lambda: True, raising=False)
+    monkeypatch.setitem(sys.modules, "msvcrt", WindowsConsole(pressed))
+    with keys.Keys() as listening:
+        assert listening.commands() == sent
+        assert listening.commands() == b"", "all that was pressed has been read"
+    with keys.Keys(listen=False) as deaf:
+        assert deaf.commands() == b""
 
 
 def test_a_machine_that_goes_to_sleep_ends_it(

@@ -30,6 +30,8 @@ HELP = (
     "keys: space holds, ~ or Enter goes on, + - > < 0 feed, 1 2 3 rapids 25 50 100 %, "
     "* / = spindle, Ctrl-C holds and asks"
 )
+# Of a Windows console arrow and function keys come as one of these and the sign of another key.
+_TWO_READS = ("\0", "\xe0")
 # What arrow and function keys send holds signs of other keys.
 _SEQUENCE = re.compile(r"\x1b(?:[\[O][0-9;]*[A-Za-z~])?")
 
@@ -70,10 +72,22 @@ class Keys:
         if sys.platform == "win32":
             import msvcrt
 
-            return msvcrt.getwch() if self._listen and msvcrt.kbhit() else ""
+            return _read_console(msvcrt) if self._listen else ""
         if self._saved is None or not select.select([sys.stdin], [], [], 0)[0]:
             return ""
         return os.read(sys.stdin.fileno(), 64).decode("latin-1")
+
+
+def _read_console(msvcrt: Any) -> str:
+    """The keys pressed in a Windows console since, without those that take two reads."""
+    keys = ""
+    while msvcrt.kbhit():
+        key = msvcrt.getwch()
+        if key in _TWO_READS:
+            msvcrt.getwch()
+        else:
+            keys += key
+    return keys
 
 
 def commands(keys: str) -> bytes:

@@ -17,14 +17,13 @@ from ..grbl import gcode_file
 from ..grbl.messages import meaning
 from ..grbl.settings_file import Firmware
 from ..run import rehearsal
-from ..run.machine import DEFAULT_BOARD
+from ..run.machine import DEFAULT_AXES, DEFAULT_BOARD
 from ..run.rehearsal import Forecast, Rehearsal
 from . import keys
 from .screen import Screen, show_errors
 
 # How long it may take to find out which line was being made.
 _PATIENCE_S = 20.0
-_SIM_AXES = 3
 # Alarms after which Grbl hears nothing but a reset.
 _DEAD = ("ALARM:1:", "ALARM:2:")
 
@@ -57,6 +56,7 @@ class Job:
         self._connection = connection
         self._console = console
         self._here = Stage()
+        self._letters = ""  # of its options
         self._rehearsal: Rehearsal | None = None
         self._lead = 0  # lines that lead up to the program
 
@@ -104,16 +104,24 @@ class Job:
         self._here = stage.look(self._connection)
         if not self._here.place:
             return "the machine does not tell where it is: $10=1 lets it"
-        axes = self._here.axes()
-        if axes > _SIM_AXES and self._options.board is None:
-            return f"the machine has {axes} axes; name a board like it with --board"
+        if self._here.axes() > DEFAULT_AXES and self._options.from_line > 1:
+            return "it brings X, Y and Z back to their places, and the machine has more axes"
+        if self._options.board is None:
+            self._letters = found.options.partition(",")[0]
         return ""
 
     def _rehearsal_job(self) -> rehearsal.Job:
         options = self._options
         lines = [line.data.decode("latin-1") for line in program(self._lines)]
         ask_at = options.from_line if options.from_line > 1 else 0
-        return rehearsal.Job(lines, self._here.commands(), options.board or DEFAULT_BOARD, ask_at)
+        return rehearsal.Job(
+            lines,
+            self._here.commands(),
+            options.board or DEFAULT_BOARD,
+            ask_at,
+            letters=self._letters,
+            axes=DEFAULT_AXES if options.board else max(self._here.axes(), DEFAULT_AXES),
+        )
 
     def _check(self, job: rehearsal.Job) -> None:
         with self._console.status("checking …") as status:

@@ -15,8 +15,8 @@ _MM_PER_INCH = 25.4
 # Where reports have WPos only, WCO comes in every tenth.
 _PLACE_S = 3.0
 # What decides where a program may go, and how long it takes. Not homing's and inputs' own.
-_SETTINGS = (11, 12, 30, 31, 32, *range(100, 103), *range(110, 113), *range(120, 123))
-_TRAVEL = range(130, 133)
+_SETTINGS = (11, 12, 30, 31, 32, *range(100, 106), *range(110, 116), *range(120, 126))
+_TRAVEL = range(130, 136)
 _HOMING, _SOFT_LIMITS, _INCHES = 22, 20, 13
 _SETTING = re.compile(r"\$(\d+)=([\d.]+)")
 _OFFSET = re.compile(r"\[(G5[4-9]|G28|G30|G92|TLO):([-\d.,]+)\]")
@@ -48,7 +48,7 @@ class Stage:
 
     def work_offset(self) -> list[float]:
         """What the machine position has more than the work position."""
-        total = [0.0, 0.0, 0.0]
+        total = [0.0] * self._count()
         for name in (self.system(), "G92"):
             total = [a + b for a, b in zip(total, self._offset(name), strict=True)]
         total[2] += self.tool_length()
@@ -102,7 +102,10 @@ class Stage:
         return next((word for word in self.modes if word in SYSTEMS), SYSTEMS[0])
 
     def _offset(self, name: str) -> list[float]:
-        return (self.offsets.get(name, []) + [0.0, 0.0, 0.0])[:3]
+        return (self.offsets.get(name, []) + [0.0] * len(AXES))[: self._count()]
+
+    def _count(self) -> int:
+        return max(self.axes(), 3)
 
 
 def look(connection: Connection) -> Stage:
@@ -110,7 +113,7 @@ def look(connection: Connection) -> Stage:
     replies = [reply for line in ("$$", "$#", "$G") for reply in connection.ask(line)]
     connection.wait_for(lambda line: bool(connection.place()), _PLACE_S)
     stage = read(replies)
-    stage.place = [at * stage.unit_mm() for at in connection.place()[:3]]
+    stage.place = [at * stage.unit_mm() for at in connection.place()]
     return stage
 
 
@@ -131,4 +134,4 @@ def read(replies: Iterable[str]) -> Stage:
 
 def axis_words(place: Sequence[float]) -> str:
     """`X1.000 Y2.000 Z3.000`."""
-    return " ".join(f"{letter}{mm:.3f}" for letter, mm in zip(AXES, place[:3], strict=False))
+    return " ".join(f"{letter}{mm:.3f}" for letter, mm in zip(AXES, place, strict=False))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from .. import paths
@@ -14,6 +15,9 @@ if TYPE_CHECKING:
     from ..sim.rig import Rig
 
 DEFAULT_BOARD = "sim"
+DEFAULT_AXES = 3
+# Options that decide what a program may say and where it may go, by their letters in $I.
+_OPTIONS = {"M": "MIST", "R": "OVERRIDE_CONTROL", "C": "COREXY", "Z": "FORCE_SET_ORIGIN"}
 
 
 class UntimedLink:
@@ -43,17 +47,20 @@ def build(
     *,
     blank: bool = False,
     coarse: int = 1,
+    letters: str = "",
+    axes: int = DEFAULT_AXES,
 ) -> "Rig":
     """A rig with that board, with the settings of a new machine that has once been started.
 
     link: makes the Link; settings: the file that keeps them, if any; blank: with an erased
-    memory instead; coarse: see Rig. ValueError for a file that cannot be one.
+    memory instead; coarse: see Rig; letters, axes: of a machine that it is to be like.
+    ValueError for a file that cannot be one.
     """
     paths.use_firmware()
     from ..sim.replay import factory_store
     from ..sim.rig import MemoryStore, Rig
 
-    module = load_board(board)
+    module = _like(load_board(board), letters, axes)
     store = MemoryStore() if blank else factory_store(module)
     if settings is None:
         return Rig(module, store, link, coarse)
@@ -63,6 +70,17 @@ def build(
     except SettingsError as error:
         raise ValueError(f"{settings} is left as it is: {error}") from error
     return Rig(module, kept, link, coarse)
+
+
+def _like(board: Any, letters: str, axes: int) -> Any:
+    """A board with options of another machine, by their letters in $I, and as many axes."""
+    options = {name: True for letter, name in _OPTIONS.items() if letter in letters}
+    if not options and axes == DEFAULT_AXES:
+        return board
+    made = ModuleType(f"{board.__name__}+{letters}{axes}")
+    vars(made).update({name: value for name, value in vars(board).items() if name[:2] != "__"})
+    vars(made).update(options, STEP=tuple(range(axes)))
+    return made
 
 
 def _check_values(board: Any, lines: Iterable[str]) -> None:

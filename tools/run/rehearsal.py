@@ -13,7 +13,7 @@ import sys
 import threading
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from math import dist, inf
 from typing import TYPE_CHECKING, Any
 
@@ -99,13 +99,18 @@ def _distance(place: Sequence[float], begin: Sequence[float], end: Sequence[floa
 
 @dataclass
 class Job:
-    """What is to be rehearsed. ask_at: line before which modes and offsets are asked for."""
+    """What is to be rehearsed. ask_at: line before which modes and offsets are asked for.
+
+    letters, axes: of the machine that it is for, as $I and $$ tell, where no board is named.
+    """
 
     lines: list[str]  # in Latin-1
     commands: list[str]
     board: str = machine.DEFAULT_BOARD
     ask_at: int = 0
     check: bool = False
+    letters: str = ""
+    axes: int = machine.DEFAULT_AXES
 
 
 class _Watcher(Recorder):
@@ -172,7 +177,9 @@ def rehearse(job: Job, progress: Callable[[int], None] | None = None) -> tuple[R
         yield None
         watcher.stop_clock(link.news)
 
-    rig = machine.build(job.board, lambda rig: _Link(rig, script))
+    rig = machine.build(
+        job.board, lambda rig: _Link(rig, script), letters=job.letters, axes=job.axes
+    )
     watcher = _Watcher(rig)
     begun = rig.now
     machine.run(rig)
@@ -205,7 +212,7 @@ def check(job: Job, progress: Callable[[int], None] | None = None) -> tuple[Resu
     Lines beginning with $ are for a machine that is not in check mode, and left out.
     """
     lines = ["" if line.lstrip().startswith("$") else line for line in job.lines]
-    result, _ = rehearse(Job(lines, job.commands, job.board, check=True), progress)
+    result, _ = rehearse(replace(job, lines=lines, ask_at=0, check=True), progress)
     return result, result.other_output[-1][0] if result.stopped and result.other_output else 0
 
 
