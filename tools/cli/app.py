@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from .. import __version__, paths
 from ..run.machine import DEFAULT_BOARD
 from . import (
     build,
@@ -39,6 +40,31 @@ app.command("ports")(ports.command)
 app.command("send", epilog=send.EXAMPLES)(send.command)
 app.command("selftest", epilog=selftest.EXAMPLES)(selftest.command)
 app.add_typer(settings.app, name="settings")
+
+
+def _tell_version(wanted: bool) -> None:
+    if not wanted:
+        return
+    paths.use_firmware()
+    from talk import report
+
+    print(f"ugrbl {__version__}, firmware {report.BUILD}: Grbl {report.VERSION}")
+    raise typer.Exit
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version",
+            callback=_tell_version,
+            is_eager=True,
+            help="Say which this is, and which Grbl it is like.",
+        ),
+    ] = False,
+) -> None:
+    """Grbl for microcontrollers in MicroPython: simulate, send, look, set up."""
 
 
 class Speed(str, Enum):

@@ -11,7 +11,8 @@ from ..boardfile.board_check import notes
 from ..boardfile.files import board_file, load_for_build
 from ..compiling import build, maps
 from ..compiling.build import BuildError
-from .outputs import check_outputs, save_json
+from ..device.deploy import ARCHS
+from .outputs import check_outputs, save_json, words
 
 EXAMPLES = "Examples:  ugrbl build --board rpi_pico   ·   ugrbl build --arch armv7emsp --json -"
 _ARCH = "armv6m"
@@ -58,9 +59,12 @@ def command(
 
     folder = out or _FOLDER / (Path(board).stem if board else arch)
     try:
-        check_outputs(json_file)
         if folder.exists() and not folder.is_dir():
             raise BuildError(f"{folder} is no folder")
+        if arch not in ARCHS[1:]:
+            raise BuildError(f"{arch} is no processor: one of {', '.join(ARCHS[1:])}")
+        described = load_for_build(board_file(board)) if board else None
+        check_outputs(json_file, folder / "main.mpy", maps.beside(folder))
         if board:
             made = build.for_board(board_file(board), progress, debug)
         else:
@@ -69,8 +73,8 @@ def command(
         maps.save(made.map, maps.beside(folder))
     except (BuildError, OSError, ValueError) as error:
         raise failed(error) from error
-    if board:
-        for text in notes(load_for_build(board_file(board))):
+    if described:
+        for text in notes(described):
             console.print(f"[yellow]note[/]: {escape(text)}", highlight=False, soft_wrap=True)
     text = f"{made.bytes:7} bytes in all, in {folder}; build {made.map['id']}"
     console.print(text, highlight=False, soft_wrap=True)
@@ -83,6 +87,6 @@ def command(
 
 def failed(why: Exception) -> typer.Exit:
     """Say why on stderr, a problem on each line; raise what this returns."""
-    for line in str(why).splitlines():
+    for line in words(why).splitlines():
         Console(stderr=True).print(f"[red]{escape(line)}", highlight=False, soft_wrap=True)
     return typer.Exit(1)

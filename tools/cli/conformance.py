@@ -12,8 +12,11 @@ from rich.markup import escape
 from rich.table import Column, Table
 
 from ..boardfile.files import load_board
+from ..device.connection import BAUD, SendError, open_port
 from ..replay.conformance import Outcome, Results, run_folder, run_port
-from .outputs import check_outputs, save_json
+from .outputs import check_outputs, failed, save_json
+
+_READ_S = 0.002
 
 
 def _side_by_side(outcome: Outcome) -> Iterator[tuple[str, str, str]]:
@@ -106,12 +109,14 @@ def command(
         check_outputs(json_file)
         if board is not None:
             load_board(board)
-        results = run_port(folder, port, only) if port else run_folder(folder, python, only, board)
+        if port:
+            results = run_port(folder, open_port(port, BAUD, _READ_S), only)
+        else:
+            results = run_folder(folder, python, only, board)
         if json_file:
             save_json(results.as_json(), json_file)
-    except (ValueError, OSError) as error:
-        Console(stderr=True).print(f"[red]{escape(str(error))}", highlight=False)
-        raise typer.Exit(1) from error
+    except (ValueError, OSError, SendError) as error:
+        raise failed(error) from error
     show(results, Console(stderr=str(json_file) == "-"))
     if not results.ok():
         raise typer.Exit(1)

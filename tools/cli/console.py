@@ -1,13 +1,11 @@
 """The command `ugrbl console`."""
 
 import asyncio
-
-import typer
-from rich.console import Console
-from rich.markup import escape
+import sys
 
 from ..device.connection import BAUD, ONLY_RESET, Connection, SendError
 from .desk import Desk
+from .outputs import failed
 from .ports import Baud, Port, choose
 
 EXAMPLES = "Examples:  ugrbl console   ·   ugrbl console --port /dev/ttyACM0"
@@ -24,6 +22,8 @@ def command(
     """
     from .terminal import Terminal
 
+    if not sys.stdin.isatty():
+        raise failed("the console wants a terminal; `ugrbl send -` takes lines from stdin")
     try:
         connection = Connection(choose(port), baud)
         desk = Desk(connection, print)
@@ -35,5 +35,4 @@ def command(
             desk.leave()
             connection.close()
     except SendError as error:
-        Console(stderr=True).print(f"[red]{escape(str(error))}", highlight=False)
-        raise typer.Exit(1) from error
+        raise failed(error) from error

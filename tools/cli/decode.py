@@ -1,6 +1,5 @@
 """The command `ugrbl decode`."""
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,6 +10,7 @@ from rich.markup import escape
 from ..compiling import maps
 from ..compiling.decode import build_of, decode
 from ..compiling.maps import MapError
+from ..grbl.gcode_file import NotText, check_text, name_of, read_bytes, split_lines
 
 EXAMPLES = (
     "Examples:  ugrbl decode fault.txt   ·   ugrbl decode < log   ·   "
@@ -20,7 +20,10 @@ EXAMPLES = (
 
 def command(
     file: Annotated[
-        Path, typer.Argument(metavar="[FILE]", help="What the board has told; - is stdin.")
+        Path,
+        typer.Argument(
+            metavar="[FILE]", readable=False, help="What the board has told; - is stdin."
+        ),
     ] = Path("-"),
     map_file: Annotated[
         Path | None,
@@ -35,13 +38,23 @@ def command(
     lines of each function are told.
     """
     try:
-        text = sys.stdin.read() if str(file) == "-" else file.read_text("utf-8", "replace")
+        text = _told(file)
         map_ = _map(build_of(text), map_file)
     except (OSError, MapError) as error:
         Console(stderr=True).print(f"[red]{escape(str(error))}", highlight=False, soft_wrap=True)
         raise typer.Exit(1) from error
     for line in decode(text, map_):
         typer.echo(line)
+
+
+def _told(file: Path) -> str:
+    """What the board has told. A log may hold a damaged letter; a picture is no log."""
+    data = read_bytes(file)
+    try:
+        check_text(split_lines(data) or [b"?"], name_of(file))
+    except NotText as error:
+        raise OSError(f"{name_of(file)} cannot be read: it is no text") from error
+    return data.decode("utf-8", "replace")
 
 
 def _map(number: str, file: Path | None) -> dict[str, Any]:

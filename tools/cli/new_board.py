@@ -1,6 +1,7 @@
 """The command `ugrbl new-board`."""
 
 import sys
+from keyword import iskeyword
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +14,7 @@ from ..boardfile import board_check, files, new_board
 from ..boardfile.chips import CHIPS, Chip
 from ..boardfile.new_board import ITEMS, Board, BoardError, Item, Pins
 from ..grbl.settings_file import as_line
-from .outputs import check_outputs, save_json
+from .outputs import check_outputs, failed, save_json
 from .screen import summary
 
 EXAMPLES = (
@@ -69,6 +70,8 @@ def command(
     try:
         if not name.isidentifier():
             raise BoardError(f"{name}: letters, digits and _ make a name, and no digit first")
+        if iskeyword(name):
+            raise BoardError(f"{name} is a word of Python's: name it otherwise")
         check_outputs(json_file, file)
         if file.exists() and not force:
             raise BoardError(f"{file} is there already; --force replaces it")
@@ -80,8 +83,7 @@ def command(
         new_board.check(board)
         _write(board, file)
     except (BoardError, OSError, ValueError) as error:
-        Console(stderr=True).print(f"[red]{escape(str(error))}", highlight=False)
-        raise typer.Exit(1) from error
+        raise failed(error) from error
     _show(console, board, file)
     if json_file:
         save_json({"file": str(file), "pins": board.pins, "defaults": board.defaults}, json_file)

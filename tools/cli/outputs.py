@@ -21,11 +21,14 @@ def check_outputs(
 ) -> None:
     """Make the folders of files to be written. OSError or ValueError where one cannot be.
 
-    plot: one that is a drawing; keep: files that are read and never to be written over.
+    plot: one that is a drawing; keep: files that are read and never to be written over. `-` is
+    stdout.
     """
-    if plot and plot.suffix.lower() not in PICTURES:
+    if plot and str(plot) != STDIN and plot.suffix.lower() not in PICTURES:
         raise ValueError(f"{plot}: it can be {', '.join(PICTURES)}")
-    keep = tuple(keep)
+    keep, named = tuple(keep), [file for file in (*files, plot) if file]
+    if twice := [file for file in named if named.count(file) > 1]:
+        raise ValueError(f"{twice[0]} is named twice: what is written there last would be all")
     for file in (*files, plot):
         if file is not None and str(file) != "-":
             if file.exists() and any(file.samefile(one) for one in keep if one and one.exists()):
@@ -51,7 +54,7 @@ def check_output(*files: Path | None) -> None:
     """End the command before its work where a file could not be written after it."""
     try:
         check_outputs(*files)
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise failed(error) from error
 
 
@@ -81,5 +84,12 @@ def save_text(text: str, file: Path) -> None:
 
 def failed(why: object) -> typer.Exit:
     """Say why on stderr; raise what this returns."""
-    Console(stderr=True).print(f"[red]{escape(str(why))}", highlight=False)
+    Console(stderr=True).print(f"[red]{escape(words(why))}", highlight=False)
     return typer.Exit(1)
+
+
+def words(why: object) -> str:
+    """What went wrong as people say it, without the number of the system's error."""
+    if isinstance(why, OSError) and why.strerror:
+        return f"{why.filename}: {why.strerror}" if why.filename else why.strerror
+    return str(why)

@@ -6,14 +6,13 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 
 from ..draw import plot
 from ..draw.job import Job, describe, from_file, run_job, short, verdict
-from ..grbl.gcode_file import read_program
+from ..grbl.gcode_file import name_of, read_program
 from ..grbl.settings_file import as_line
 from ..run import machine
-from .outputs import check_outputs, save_json
+from .outputs import check_outputs, failed, save_json
 from .screen import Screen, show_errors, summary
 
 EXAMPLES = (
@@ -24,11 +23,16 @@ EXAMPLES = (
 
 def command(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", exists=True, dir_okay=False, help="G-code program.")
+        Path, typer.Argument(metavar="FILE", readable=False, help="G-code program; - is stdin.")
     ],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="FILE", help=".html, .png or .svg. [default: .html]"),
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help=".html, .png or .svg; - is stdout. [default: .html]",
+        ),
     ] = None,
     settings: Annotated[
         Path | None,
@@ -51,8 +55,9 @@ def command(
     With --set it is drawn a second time, under those settings, and the time saved is told. The
     exit code is 1 where the program has errors; what could be done of it is drawn all the same.
     """
-    console = Console(stderr=str(json_file) == "-")
-    target = out or Path(file.stem + ".html")
+    console = Console(stderr="-" in (str(json_file), str(out)))
+    name = name_of(file)
+    target = out or Path(Path(name).stem + ".html")
     try:
         check_outputs(json_file, plot=target, keep=(file, settings))
         jobs = _jobs(console, file, settings, what_if or (), board)
@@ -61,12 +66,11 @@ def command(
             extra = describe([as_line(text) for text in what_if or ()])
             words = f"{extra}: {verdict(*jobs)}"
         console.print("Drawing …")
-        plot.save(jobs, file.name, words, target)
+        plot.save(jobs, name, words, target)
         if json_file:
             save_json({"jobs": [job.as_json() for job in jobs], "verdict": words}, json_file)
     except (ValueError, OSError) as error:
-        Console(stderr=True).print(f"[red]{escape(str(error))}", highlight=False)
-        raise typer.Exit(1) from error
+        raise failed(error) from error
     _tell(console, jobs, words, target)
     if jobs[0].result.errors:
         raise typer.Exit(1)
@@ -83,7 +87,7 @@ def _jobs(
         runs.append((" ".join(extra), [*base, *extra]))
     jobs = []
     for name, chosen in runs:
-        with Screen(console, f"{file.name}, {name}", len(lines)) as screen:
+        with Screen(console, f"{name_of(file)}, {name}", len(lines)) as screen:
             jobs.append(run_job(name, lines, chosen, board, screen.progress))
             screen.progress(jobs[-1].result.lines)
         if jobs[-1].result.stopped:

@@ -7,18 +7,17 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 
 from ..draw import plot
 from ..draw.job import from_file, job_of
 from ..draw.motion_trace import MotionTrace, trace_program
-from ..grbl.gcode_file import read_program
+from ..grbl.gcode_file import name_of, read_program
 from ..grbl.messages import meaning
 from ..grbl.settings_file import as_line
 from ..run import machine
 from ..run.program import Result, run_program
 from ..run.recorder import Recorder
-from .outputs import check_outputs, save_json
+from .outputs import check_outputs, failed, save_json
 from .screen import Screen, show_errors, show_problems, summary, totals_rows
 
 EXAMPLES = (
@@ -32,7 +31,7 @@ _Runner = Callable[..., tuple[Result, Recorder]]
 
 def command(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", exists=True, dir_okay=False, help="G-code program.")
+        Path, typer.Argument(metavar="FILE", readable=False, help="G-code program; - is stdin.")
     ],
     settings: Annotated[
         Path | None,
@@ -46,7 +45,7 @@ def command(
     ] = False,
     picture: Annotated[
         Path | None,
-        typer.Option("--plot", metavar="FILE", help="Draw it there: .html, .png or .svg."),
+        typer.Option("--plot", metavar="FILE", help="Draw it: .html, .png or .svg; - is stdout."),
     ] = None,
     json_file: Annotated[
         Path | None,
@@ -61,7 +60,8 @@ def command(
     Where the program pauses (M0, or a hold in its text) it is told to go on. The exit code is 0
     if it came to its end; with --check, only if there were no errors either.
     """
-    console = Console(stderr=str(json_file) == "-")
+    console = Console(stderr="-" in (str(json_file), str(picture)))
+    name = name_of(file)
     try:
         check_outputs(json_file, plot=picture, keep=(file, settings))
         lines = read_program(file)
@@ -69,7 +69,7 @@ def command(
         chosen = from_file(settings) if settings else []
         chosen += [as_line(text) for text in setting or ()]
         begun = time.monotonic()
-        with Screen(console, file.name, len(lines)) as screen:
+        with Screen(console, name, len(lines)) as screen:
             run: _Runner = trace_program if picture else run_program
             result, recorder = run(
                 lines, board=board, settings=chosen, check=check, progress=screen.progress
@@ -78,11 +78,11 @@ def command(
         _tell(console, result, recorder, lines, time.monotonic() - begun)
         if picture and isinstance(recorder, MotionTrace):
             job = job_of("as it is", lines, chosen, board, result, recorder)
-            plot.save([job], file.name, "", picture)
+            plot.save([job], name, "", picture)
         if json_file:
             save_json(result.as_json(), json_file)
     except (ValueError, OSError) as error:
-        raise _failed(error) from error
+        raise failed(error) from error
     _judge(result, check, acting)
 
 
@@ -104,16 +104,11 @@ def _tell(
 def _judge(result: Result, check: bool, acting: bool) -> None:
     """End with the exit code that is due. acting: bytes of the program act at once."""
     if result.stopped:
-        why = meaning(result.stopped) if result.stopped.startswith("ALARM:") else ""
-        raise _failed(": ".join(filter(None, ["could not finish", result.stopped, why])))
+        reply = result.stopped.rpartition(" ")[2]
+        why = meaning(reply) if reply.startswith(("ALARM:", "error:")) else ""
+        raise failed(": ".join(filter(None, ["could not finish", result.stopped, why])))
     if result.resets:
         numbers = ", ".join(map(str, result.resets))
-        raise _failed(f"line {numbers}: Ctrl-X is a reset: what was planned before it is lost")
+        raise failed(f"line {numbers}: Ctrl-X is a reset: what was planned before it is lost")
     if check and (result.errors or acting):
         raise typer.Exit(1)
-
-
-def _failed(why: object) -> typer.Exit:
-    """Say why on stderr; raise what this returns."""
-    Console(stderr=True).print(f"[red]{escape(str(why))}", highlight=False)
-    return typer.Exit(1)

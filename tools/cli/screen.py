@@ -12,7 +12,7 @@ from rich.table import Table
 
 from ..device.connection import state_of
 from ..device.send import Choice
-from ..grbl.gcode_file import problems, text
+from ..grbl.gcode_file import problems, shown
 from ..grbl.messages import meaning
 from ..run.recorder import Totals
 from .keys import Keys
@@ -74,10 +74,10 @@ class Screen:
         left = self._seconds_left(answered)
         if found := _OVERRIDES.search(status):
             self._overrides = "" if found[1] == "100,100,100" else f"  {found[1]} %"
-        shown = brief(status) + self._overrides
+        state = brief(status) + self._overrides
         if left is not None and state_of(status) != "Idle":
-            shown += f"  {clock(left)[:-4]} left"
-        self._progress.update(self._task, completed=answered, state=escape(shown))
+            state += f"  {clock(left)[:-4]} left"
+        self._progress.update(self._task, completed=answered, state=escape(state))
 
     def message(self, words: str) -> None:
         """A line above the bar."""
@@ -125,10 +125,11 @@ def show_errors(
 ) -> None:
     """Each error with its line and its meaning; the first of very many."""
     for number, reply in errors[:_MOST_ERRORS]:
-        shown = escape(text(lines[number - 1]))
+        line = escape(shown(lines[number - 1]))
         console.print(
-            f"line {number}: [b]{shown}[/b]\n    {reply}: {escape(meaning(reply))}",
+            f"line {number}: [b]{line}[/b]\n    {reply}: {escape(meaning(reply))}",
             highlight=False,
+            soft_wrap=True,
         )
     if len(errors) > _MOST_ERRORS:
         console.print(f"… and {len(errors) - _MOST_ERRORS} more errors")

@@ -6,11 +6,11 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.markup import escape
 
 from ..device.connection import BAUD, Connection, SendError
 from ..device.from_line import CannotEnter
 from ..grbl import gcode_file
+from .outputs import failed
 from .ports import Baud, Port, choose
 from .screen import show_problems
 from .send_job import Job, Options, Stopped
@@ -31,7 +31,7 @@ class Mode(str, Enum):
 def command(
     file: Annotated[
         Path,
-        typer.Argument(metavar="FILE", help="Program; - is stdin."),
+        typer.Argument(metavar="FILE", readable=False, help="Program; - is stdin."),
     ],
     port: Port = None,
     baud: Baud = BAUD,
@@ -69,7 +69,7 @@ def command(
     nothing was refused.
     """
     console = Console()
-    name = "stdin" if str(file) == gcode_file.STDIN else file.name
+    name = gcode_file.name_of(file)
     by_line = mode is Mode.LINE
     options = Options(name, board, check_first, by_line, keep_going, from_line, yes)
     try:
@@ -80,19 +80,13 @@ def command(
         finally:
             connection.close()
     except OSError as error:
-        raise _failed(f"what happens cannot be shown: {error.strerror}") from error
+        raise failed(f"what happens cannot be shown: {error.strerror}") from error
     except (SendError, Stopped, CannotEnter, ValueError) as error:
-        raise _failed(error) from error
+        raise failed(error) from error
     if report.signal:
         raise typer.Exit(128 + report.signal)
     if not report.ok():
         raise typer.Exit(1)
-
-
-def _failed(why: object) -> typer.Exit:
-    """Say why on stderr; raise what this returns."""
-    Console(stderr=True).print(f"[red]{escape(str(why))}", highlight=False)
-    return typer.Exit(1)
 
 
 def _read(file: Path, options: Options, console: Console) -> list[bytes]:
@@ -100,7 +94,7 @@ def _read(file: Path, options: Options, console: Console) -> list[bytes]:
     try:
         lines = gcode_file.read_lines(file)
     except OSError as error:
-        raise Stopped(f"{options.name} cannot be read: {error.strerror}") from error
+        raise Stopped(str(error)) from error
     gcode_file.check_text(lines, options.name)
     if options.from_line > len(lines):
         raise Stopped(f"{options.name} has {len(lines)} lines only")

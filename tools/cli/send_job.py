@@ -185,7 +185,7 @@ class Job:
         Console(stderr=True).print(f"[red]stopped: {escape(report.stopped)}", highlight=False)
         if reached := self._reached(report):
             self._say(
-                f"line {reached} was being made: {gcode_file.text(self._lines[reached - 1])}"
+                f"line {reached} was being made: {gcode_file.shown(self._lines[reached - 1])}"
             )
             self._say(f"line {report.line} was answered last; to go on: --from-line {reached}")
         else:

@@ -1,6 +1,5 @@
 """`ugrbl settings`: a machine's settings as a file, and back."""
 
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
@@ -16,7 +15,15 @@ from ..device import settings_sync as sync
 from ..device.connection import BAUD, Connection, SendError
 from ..grbl.gcode_file import STDIN
 from ..grbl.messages import meaning as reply_meaning
-from ..grbl.settings_file import Change, Settings, SettingsError, changes, check_fit, meaning
+from ..grbl.settings_file import (
+    Change,
+    Settings,
+    SettingsError,
+    changes,
+    check_fit,
+    meaning,
+    read_settings,
+)
 from .outputs import check_output, failed, save_json, save_text
 from .ports import Baud, Port, choose
 
@@ -24,7 +31,12 @@ app = typer.Typer(no_args_is_help=True, help="Pull, compare, push and restore se
 
 File = Annotated[
     Path,
-    typer.Argument(metavar="FILE", allow_dash=True, help="Lines of $n=v; - is stdin or stdout."),
+    typer.Argument(
+        metavar="FILE",
+        allow_dash=True,
+        readable=False,
+        help="Lines of $n=v; - is stdin or stdout.",
+    ),
 ]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
 AnyVersion = Annotated[
@@ -68,6 +80,7 @@ def diff(
 ) -> None:
     """Show what a push of the file would change. The exit code is 1 if that is anything."""
     wanted = _read(file)
+    check_output(json_file)
     with _machine(port, baud) as connection:
         machine = sync.pull(connection)
         check_fit(wanted, machine, any_version, complete=False)
@@ -96,7 +109,8 @@ def push(
 @app.command(epilog=_EXAMPLE.format("restore router.settings.before"))
 def restore(
     file: Annotated[
-        Path | None, typer.Argument(metavar="FILE", dir_okay=False, help="As pulled, complete.")
+        Path | None,
+        typer.Argument(metavar="FILE", readable=False, help="As pulled, complete; - is stdin."),
     ] = None,
     port: Port = None,
     baud: Baud = BAUD,
@@ -113,6 +127,7 @@ def restore(
     """
     if (file is None) != factory:
         raise failed("say one of both: a file that was pulled, or --factory")
+    check_output(Path("factory.before") if factory else None, json_file)
     if file:
         _write(file, port, baud, yes, any_version, json_file, complete=True)
         return
@@ -121,7 +136,6 @@ def restore(
         if not yes and not typer.confirm("Restore the factory's settings?"):
             raise failed("nothing has been changed")
         kept = Path("factory.before")
-        check_output(kept, json_file)
         _keep(before, kept, "before a restore to the factory's")
         sync.factory(connection)
         done = changes(before.values, sync.pull(connection).values)
@@ -183,13 +197,9 @@ def _push(
 
 def _read(file: Path) -> Settings:
     try:
-        if str(file) == STDIN:
-            return Settings.read(sys.stdin.read())
-        return Settings.read(file.read_text(encoding="utf-8"))
+        return read_settings(file)
     except SettingsError as error:
-        raise failed(f"{file}: {error}") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise failed(f"{file} cannot be read: {error}") from error
+        raise failed(error) from error
 
 
 def _keep(settings: Settings, file: Path, why: str) -> None:

@@ -1,7 +1,7 @@
 """`ugrbl sim`: the firmware behind a pseudo-terminal, on TCP, or on stdin and stdout."""
 
 import signal
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, cast
@@ -15,6 +15,7 @@ from ..run import machine
 from ..run.live import LiveLink
 from ..run.program import Result
 from ..run.recorder import Recorder
+from .outputs import save_json
 
 if TYPE_CHECKING:
     from ..run.pty_link import Pty, Stdio
@@ -60,7 +61,7 @@ def simulate(options: Options) -> None:
     finally:
         wire.close()
     if options.report:
-        recorder.totals().save(options.report)
+        save_json(asdict(recorder.totals()), options.report)
     if options.plot and isinstance(recorder, MotionTrace):
         _draw(options, rig, recorder)
 

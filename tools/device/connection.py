@@ -9,6 +9,7 @@ import os
 import re
 import time
 from collections.abc import Callable
+from typing import Any
 
 import serial
 
@@ -28,6 +29,8 @@ _BUFFER = re.compile(r"\|Bf:(\d+),(\d+)")
 _PLACE = re.compile(r"[|,]([MW])Pos:(-?[\d.]+(?:,-?[\d.]+)*)")
 _WORK = re.compile(r"[|,]WPos:(-?[\d.]+(?:,-?[\d.]+)*)")
 _OFFSET = re.compile(r"\|WCO:(-?[\d.]+(?:,-?[\d.]+)*)")
+_OF_A_NETWORK = ("socket", "rfc2217")
+_HOST_AND_PORT = re.compile(r"://[^/?]+:\d+")
 ONLY_RESET = "after ALARM:1 or ALARM:2 it hears nothing but a reset (Ctrl-X)"
 # States in which Grbl reads no lines, and those in which it stands still for good.
 _DEAF = ("Hold", "Door", "Sleep")
@@ -38,16 +41,21 @@ class SendError(Exception):
     """What is asked for cannot be done, or not to its end; the text says why."""
 
 
+def open_port(port: str, baud: int, read_s: float) -> Any:
+    """A serial port, or what a URL names, for nobody else. read_s: how long it waits for bytes."""
+    try:
+        return serial.serial_for_url(
+            port, baud, timeout=read_s, write_timeout=_WRITE_S, exclusive=True
+        )
+    except (OSError, ValueError) as error:
+        raise SendError(_why_not(port, error)) from error
+
+
 class Connection:
     """Lines from and bytes to a Grbl."""
 
     def __init__(self, port: str, baud: int = BAUD) -> None:
-        try:
-            self._serial = serial.serial_for_url(
-                port, baud, timeout=_READ_S, write_timeout=_WRITE_S, exclusive=True
-            )
-        except (OSError, ValueError) as error:
-            raise SendError(_why_not(port, error)) from error
+        self._serial = open_port(port, baud, _READ_S)
         self._text = ""
         self.window = WINDOW
         self.blocks = BLOCKS
@@ -221,6 +229,9 @@ def way_out(state: str) -> str:
 
 def _why_not(port: str, error: Exception) -> str:
     """Why a port cannot be opened, and what may help."""
+    if port.partition("://")[0] in _OF_A_NETWORK and not _HOST_AND_PORT.search(port):
+        kind = port.partition("://")[0]
+        return f"cannot open {port}: {kind}:// wants a host and a port: {kind}://HOST:PORT"
     number = getattr(error, "errno", None)
     text = f"cannot open {port}: {os.strerror(number) if number else error}"
     if number == errno.ENOENT or "FileNotFound" in text:

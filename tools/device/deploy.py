@@ -20,7 +20,7 @@ LIST = "deployed.sha256"
 _KINDS = (".py", ".mpy")
 
 # sys.implementation._mpy: what the numbers above its low 10 bits mean.
-_ARCHS = (
+ARCHS = (
     "no machine code at all",
     *("x86", "x64", "armv6", "armv6m", "armv7m", "armv7em", "armv7emsp", "armv7emdp"),
     *("xtensa", "xtensawin", "rv32imc", "rv64imc"),
@@ -159,7 +159,7 @@ def check_fit(about: About, made: Build) -> None:
     if too_old:
         raise DeployError(too_old, checkup.NEW_MICROPYTHON)
     arch = about.mpy >> 10 & 0xF
-    found = _ARCHS[arch] if arch < len(_ARCHS) else f"code number {arch}"
+    found = ARCHS[arch] if arch < len(ARCHS) else f"code number {arch}"
     if found != made.arch:
         todo = "choose the board that is plugged in: --board, or the port that it is at: --port"
         raise DeployError(

@@ -24,7 +24,7 @@ from ..grbl.gcode_file import (
     comment,
     harmless,
     is_answer,
-    text,
+    shown,
     without_comments,
 )
 from ..grbl.messages import meaning
@@ -93,7 +93,7 @@ class View(Protocol):
 
 def program(lines: Iterable[bytes]) -> list[Line]:
     """Lines of a file, made ready: nothing in their comments acts on the way."""
-    return [Line(number, harmless(line), text(line)) for number, line in enumerate(lines, 1)]
+    return [Line(number, harmless(line), shown(line)) for number, line in enumerate(lines, 1)]
 
 
 class _Mute:

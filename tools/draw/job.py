@@ -7,7 +7,7 @@ from typing import Any
 
 from ..boardfile.files import load_board
 from ..grbl.messages import meaning as reply_meaning
-from ..grbl.settings_file import Settings, SettingsError, meaning
+from ..grbl.settings_file import SettingsError, meaning, read_settings
 from ..run import machine
 from ..run.program import Result
 from .motion_trace import LETTERS, Motion, MotionTrace, trace_program
@@ -59,9 +59,9 @@ def by_letter(values: Iterable[float]) -> dict[str, float]:
 def from_file(file: Path) -> list[str]:
     """The settings in a file of `ugrbl settings pull`, as lines for a machine on paper."""
     try:
-        settings = Settings.read(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, SettingsError) as error:
-        raise ValueError(f"{file}: {error}") from error
+        settings = read_settings(file)
+    except SettingsError as error:
+        raise ValueError(str(error)) from error
     kept = sorted(settings.values.items())
     return [f"${number}={value}" for number, value in kept if number not in _WITHOUT]
 

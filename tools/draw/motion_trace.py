@@ -59,7 +59,7 @@ class Motion:
     @property
     def seconds(self) -> Column:
         """How long each segment took."""
-        return np.diff(np.frombuffer(self.time_s), prepend=self.time_s[0])
+        return np.diff(np.frombuffer(self.time_s), prepend=self.time_s[:1])
 
     @property
     def lines(self) -> NDArray[np.int32]:

@@ -17,6 +17,9 @@ STDIN = "-"
 # A doubled CR before the LF, as broken conversions leave it, ends one line and not two.
 _LINE_END = re.compile(rb"\r*\n|\r")
 _REALTIME = re.compile(rb"[?~!\x18\x80-\xff]")
+# What no editor writes. Paper tapes of old machines begin and end with some (DC1 to DC4).
+_NO_TEXT = re.compile(rb"[\0-\x08\x0e-\x10\x15-\x17\x19\x1b-\x1f]")
+_SHOWN = 120
 # As Grbl reads them: a comment in parentheses may be left open, and ; ends a line outside of them.
 _COMMENT = re.compile(rb"\([^)]*\)?|;.*", re.DOTALL)
 _MARK = b"\xef\xbb\xbf"  # how some editors begin a file in UTF-8
@@ -50,10 +53,22 @@ def split_lines(data: bytes) -> list[bytes]:
     return lines
 
 
+def name_of(path: Path) -> str:
+    """What people call a program."""
+    return "stdin" if str(path) == STDIN else path.name
+
+
+def read_bytes(path: Path) -> bytes:
+    """What is in a file, `-` is stdin. OSError says in words why it cannot be read."""
+    try:
+        return sys.stdin.buffer.read() if str(path) == STDIN else path.read_bytes()
+    except OSError as error:
+        raise OSError(f"{path} cannot be read: {error.strerror}") from error
+
+
 def read_lines(path: Path) -> list[bytes]:
     """The lines of a program file, `-` is stdin; line n of the file is element n - 1."""
-    data = sys.stdin.buffer.read() if str(path) == STDIN else path.read_bytes()
-    return split_lines(data.removeprefix(_MARK))
+    return split_lines(read_bytes(path).removeprefix(_MARK))
 
 
 def check_text(lines: Sequence[bytes], name: str) -> None:
@@ -61,14 +76,14 @@ def check_text(lines: Sequence[bytes], name: str) -> None:
     if not any(line.strip() for line in lines):
         raise NotText(f"{name} is empty: there is nothing to do")
     for number, line in enumerate(lines, 1):
-        if b"\0" in line:
+        if _NO_TEXT.search(line):
             raise NotText(f"{name} is no G-code: line {number} holds bytes that are no text")
 
 
 def read_program(path: Path) -> list[bytes]:
     """As read_lines(); ValueError where there is nothing to run, or what is there is no text."""
     lines = read_lines(path)
-    check_text(lines, path.name)
+    check_text(lines, name_of(path))
     return lines
 
 
@@ -101,6 +116,12 @@ def text(line: bytes) -> str:
         return line.decode("utf-8").strip()
     except UnicodeDecodeError:
         return line.decode("latin-1").strip()
+
+
+def shown(line: bytes) -> str:
+    """As text(), cut where a line is long."""
+    whole = text(line)
+    return whole if len(whole) <= _SHOWN else f"{whole[:_SHOWN]} …"
 
 
 def problems(lines: Iterable[bytes]) -> list[Problem]:

@@ -8,10 +8,12 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 from .. import paths
 from .comments import setting_comments
+from .gcode_file import name_of, read_bytes
 
 AXES = "XYZABC"
 
@@ -21,6 +23,7 @@ _VERSION = re.compile(r"\[(?:VER:)?(\d+\.\d+)(\w*)\.(\d+):([^\]]*)\]")
 _OPTIONS = re.compile(r"\[OPT:([^\]]*)\]")
 # Bytes that act even in a comment; what is said of settings goes without them.
 _NO_COMMENT = str.maketrans({"?": ".", "!": ".", "~": "-", "`": None})
+_MARK = "\ufeff"  # how some editors begin a file in UTF-8
 # Grbl computes in single precision.
 _SAME = 1e-6
 _SHOWN = 0.0006
@@ -80,6 +83,7 @@ class Settings:
     @classmethod
     def read(cls, text: str) -> "Settings":
         """Read a file, or the answers to $I and $$. SettingsError names a line that is wrong."""
+        text = text.removeprefix(_MARK)
         settings = cls(Firmware.read(text.splitlines()))
         for number, line in enumerate(text.splitlines(), 1):
             match = SETTING.fullmatch(line.strip())
@@ -97,6 +101,22 @@ class Settings:
         for number, value in sorted(self.values.items()):
             lines.append(f"{f'${number}={value}':{width}} {_comment(number)}".rstrip())
         return "\n".join(lines) + "\n"
+
+
+def read_settings(file: Path) -> Settings:
+    """The settings in a file, `-` is stdin. SettingsError says what is wrong with it."""
+    name = name_of(file)
+    try:
+        settings = Settings.read(read_bytes(file).decode("utf-8"))
+    except OSError as error:
+        raise SettingsError(str(error)) from error
+    except UnicodeDecodeError as error:
+        raise SettingsError(f"{name} cannot be read: it is no text") from error
+    except SettingsError as error:
+        raise SettingsError(f"{name}: {error}") from error
+    if not settings.values:
+        raise SettingsError(f"{name}: it holds no settings, lines of $n=v")
+    return settings
 
 
 class Change(NamedTuple):

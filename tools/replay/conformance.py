@@ -265,18 +265,13 @@ def run_folder(
 # A real machine on a serial port
 
 
-def run_port(folder: Path, port: str, only: str | None = None) -> Results:
-    """Replay on a real device what needs nothing but its serial port."""
-    from serial import SerialException
-
+def run_port(folder: Path, port: Any, only: str | None = None) -> Results:
+    """Replay on a real device what needs nothing but its serial port, which is open."""
     from .serial_replay import SerialReplay, needs_a_bench
 
     results = Results("port")
     jobs = recordings.load(folder, only, None)
-    try:
-        device = SerialReplay(port)
-    except SerialException as error:
-        raise OSError(f"{port}: {error}") from error
+    device = SerialReplay(port)
     for job in jobs:
         for _, case in job.cases:
             reason = _skip(case) or needs_a_bench(case)

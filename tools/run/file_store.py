@@ -52,7 +52,7 @@ class FileStore:
         kept = {**self._kept, _SETTINGS if name.startswith(_SETTINGS) else name: list(lines)}
         if self._there() != self._text:
             raise OSError(f"{self._path} has been changed by somebody else: it is left alone")
-        before = "" if self._text is None else self._text.decode("utf-8")
+        before = "" if self._text is None else _decoded(self._text)
         text = "".join(f"{line}\n" for line in _written(before, kept, self._firmware)).encode()
         _replace(self._path, text)
         self._kept, self._text = kept, text
@@ -62,11 +62,13 @@ class FileStore:
             return self._path.read_bytes()
         except FileNotFoundError:
             return None
+        except OSError as error:
+            raise OSError(f"{self._path} cannot be read: {error.strerror}") from error
 
 
 def _decoded(data: bytes) -> str:
     try:
-        return data.decode("utf-8")
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise SettingsError("it is no text") from error
 

@@ -27,16 +27,20 @@ class Pty(Wire):
         self._link: Path | None = None
 
     def link(self, place: Path) -> None:
-        """Put a symlink to it there. FileExistsError where there is anything that is not ours.
+        """Put a symlink to it there. OSError where it cannot be, or anything is that is not ours.
 
         A link of a simulator that was killed is replaced.
         """
+        if not place.parent.is_dir():
+            raise OSError(f"{place} cannot be made: there is no folder {place.parent}")
         if self._is_left_behind(place):
             place.unlink()
         try:
             place.symlink_to(self._target())
         except FileExistsError as error:
             raise FileExistsError(f"{place} is there already; it is left as it is") from error
+        except OSError as error:
+            raise OSError(f"{place} cannot be made: {error.strerror}") from error
         self._link = place
 
     def close(self) -> None:

@@ -28,7 +28,11 @@ class Tcp(Wire):
     def __init__(self, host: str, port: int) -> None:
         super().__init__()
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        self._listener = socket.create_server((host, port), family=family, backlog=1)
+        try:
+            self._listener = socket.create_server((host, port), family=family, backlog=1)
+        except OSError as error:
+            why = (error.strerror or str(error)).partition(" (")[0]
+            raise OSError(f"{host}:{port} cannot be listened at: {why}") from error
         self._listener.setblocking(False)
         self._sender: socket.socket | None = None
         self.name = f"{host}:{self._listener.getsockname()[1]}"

@@ -1,0 +1,202 @@
+"""What a newcomer gives the commands: each says what is wrong and what to do, and ends with 1."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+from ugrbl.cli.app import app
+from ugrbl.grbl.gcode_file import NotText, check_text
+
+_GOOD = "G21 G90\nG1 X1 F300\n"
+_JPEG = b"\xff\xd8\xff\xe0\x01\x02hello\n"
+_ENVIRONMENT = {**os.environ, "UGRBL_VIPER": "fast", "COLUMNS": "200"}
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Files of a newcomer."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+    (tmp_path / "good.nc").write_text(_GOOD)
+    (tmp_path / "photo.nc").write_bytes(_JPEG)
+    (tmp_path / "empty").write_bytes(b"")
+    (tmp_path / "photo").write_bytes(_JPEG)
+    (tmp_path / "folder").mkdir()
+    return tmp_path
+
+
+def ugrbl(*words: str, stdin: "str | None" = None) -> Result:
+    return CliRunner().invoke(app, words, input=stdin)
+
+
+WRONG = [
+    ("run missing.nc", "missing.nc cannot be read: No such file"),
+    ("plot folder", "folder cannot be read: Is a directory"),
+    ("send missing.nc --port x", "missing.nc cannot be read: No such file"),
+    ("run photo.nc", "photo.nc is no G-code: line 1"),
+    ("plot photo.nc", "photo.nc is no G-code: line 1"),
+    ("send photo.nc --port x", "photo.nc is no G-code: line 1"),
+    ("run -", "stdin is empty"),
+    ("run good.nc --settings missing", "missing cannot be read: No such file"),
+    ("plot good.nc --settings folder", "folder cannot be read: Is a directory"),
+    ("run good.nc --settings photo", "photo cannot be read: it is no text"),
+    ("run good.nc --settings empty", "empty: it holds no settings, lines of $n=v"),
+    ("run good.nc --set 0=1", "error:6: The step pulse"),
+    ("run good.nc --plot x.html --json x.html", "x.html is named twice"),
+    ("plot good.nc -o - --json -", "- is named twice"),
+    ("settings diff missing --port x", "missing cannot be read: No such file"),
+    ("settings push photo --port x", "photo cannot be read: it is no text"),
+    ("settings push empty --port x", "empty: it holds no settings"),
+    ("settings diff good.settings --port x --json folder", "folder is a folder"),
+    ("sim --stdio --settings folder", "folder cannot be read: Is a directory"),
+    ("sim --port nowhere/link", "nowhere/link cannot be made: there is no folder nowhere"),
+    ("sim --tcp 192.0.2.1:80", "192.0.2.1:80 cannot be listened at: Cannot assign"),
+    ("sim --stdio --board good.nc", "no board 'good.nc'"),
+    ("new-board class --chip pico --no-ask", "class is a word of Python's"),
+    ("conformance RECORDINGS --port missing", "cannot open missing: No such file"),
+    ("conformance RECORDINGS --port socket://", "cannot open socket://: "),
+    ("decode missing", "missing cannot be read: No such file"),
+    ("decode folder", "folder cannot be read: Is a directory"),
+    ("decode photo", "photo cannot be read: it is no text"),
+    ("build --arch nonsense", "nonsense is no processor: one of x86, "),
+    ("build --board rpi_pico --out good.nc/x", "good.nc is no folder"),
+    ("send good.nc --port socket://", "socket:// wants a host and a port: socket://HOST:PORT"),
+    ("console --port x", "the console wants a terminal"),
+]
+
+
+@pytest.mark.parametrize(("words", "why"), WRONG, ids=[words for words, _ in WRONG])
+def test_what_is_wrong_is_said_in_words(words: str, why: str, folder: Path) -> None:
+    recordings = folder / "recordings"
+    if "RECORDINGS" in words:
+        recordings.mkdir()
+        case = {"name": "?", "init": "defaults", "setup": [], "steps": [], "tags": []}
+        (recordings / "jog.json").write_text(json.dumps([case]))
+    (folder / "good.settings").write_text("$110=600\n")
+    done = ugrbl(*words.replace("RECORDINGS", str(recordings)).split(), stdin="")
+    assert done.exit_code == 1 and isinstance(done.exception, SystemExit), done.output
+    assert "".join(why.split()) in "".join(done.output.split())
+    assert "Errno" not in done.output and "Traceback" not in done.output
+    assert "compiled" not in done.output and "bytes in all" not in done.output, "before the work"
+
+
+def test_control_characters_of_paper_tape_are_text_and_others_are_not() -> None:
+    check_text([b"\x12%\x14", b"G0 X1\x1a", b"\x18"], "tape.nc")
+    for byte in b"\0\x01\x08\x0e\x1b\x1f":
+        with pytest.raises(NotText, match=r"tape.nc is no G-code: line 2"):
+            check_text([b"G21", b"G0" + bytes([byte])], "tape.nc")
+
+
+def test_a_very_long_line_is_not_shown_whole(folder: Path) -> None:
+    (folder / "long.nc").write_text("G21\nG1 X" + "1" * 5000 + "\n")
+    done = ugrbl("run", "long.nc")
+    assert "line 2: G1 X111" in done.output and "error:11" in done.output
+    assert done.output.count("1" * 100) == 1, "a part of it"
+
+
+@pytest.mark.parametrize("command", ["run", "plot"])
+def test_a_program_comes_on_stdin_and_what_came_of_it_goes_to_stdout(
+    command: str, folder: Path
+) -> None:
+    done = ugrbl(command, "-", "--json", "-", stdin=_GOOD)
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    result = result if command == "run" else result["jobs"][0]
+    assert result["bounds_mm"]["X"][1] == pytest.approx(1) if command == "run" else result
+    assert "stdin" in done.stderr
+    assert (folder / "stdin.html").exists() == (command == "plot")
+    assert not (folder / "-").exists() and not (folder / "-.html").exists()
+
+
+def test_a_page_goes_to_stdout(folder: Path) -> None:
+    done = ugrbl("plot", "good.nc", "-o", "-")
+    assert done.exit_code == 0 and done.stdout.startswith("<!") and done.stdout.count("<html") == 1
+    assert not (folder / "-").exists()
+
+
+def test_a_simulator_that_moved_nothing_draws_and_reports_all_the_same(folder: Path) -> None:
+    command = [sys.executable, "-m", "ugrbl.cli", "sim", "--stdio", "--report", "-"]
+    done = subprocess.run(
+        [*command, "--plot", "p.html"],
+        input="",
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env=_ENVIRONMENT,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert (folder / "p.html").read_text().startswith("<!")
+    assert json.loads(done.stdout[done.stdout.index("{") :])["time_s"] == 0
+    assert not (folder / "-").exists()
+
+
+def test_a_file_of_windows_with_a_mark_is_settings_and_stays_so(folder: Path) -> None:
+    file = folder / "win.settings"
+    file.write_bytes(b"\xef\xbb\xbf$110=1000\r\n$120=50 ; mine\r\n")
+    done = ugrbl("run", "good.nc", "--settings", "win.settings", "--json", "-")
+    assert done.exit_code == 0, done.output
+    said = subprocess.run(
+        [sys.executable, "-m", "ugrbl.cli", "sim", "--stdio", "--settings", "win.settings"],
+        input="$110=1200\n$$\n",
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env=_ENVIRONMENT,
+        check=False,
+    ).stdout
+    assert "$110=1200.000" in said and "$120=50.000" in said
+    kept = file.read_text(encoding="utf-8-sig")
+    assert kept.count("$110=") == 1 and "$110=1200" in kept and "$120=50 ; mine" in kept
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+@pytest.mark.parametrize("words", ["run good.nc", "plot good.nc", "run good.nc --json -"])
+def test_a_full_disk_is_told_in_words(words: str) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "ugrbl.cli", *words.split()],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=60,
+            env=_ENVIRONMENT,
+            check=False,
+        )
+    assert done.returncode == 1
+    assert "No space left" in done.stderr
+    assert "Errno" not in done.stderr and "Traceback" not in done.stderr
+
+
+def test_the_version_is_told() -> None:
+    done = ugrbl("--version")
+    assert done.exit_code == 0 and done.output.startswith("ugrbl ")
+    assert "Grbl 1.1h" in done.output
+
+
+def test_where_there_are_no_terminals_as_on_windows_programs_run() -> None:
+    code = (
+        "import sys, serial, serial.rfc2217;"  # theirs is another there
+        "sys.modules.update(termios=None, tty=None, pty=None, fcntl=None);"
+        "from ugrbl.cli.app import app; app(sys.argv[1:])"
+    )
+    for words, code_wanted in (["run", "good.nc"], 0), (["sim"], 1):
+        done = subprocess.run(
+            [sys.executable, "-c", code, *words],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            env=_ENVIRONMENT,
+            check=False,
+        )
+        assert done.returncode == code_wanted, done.stderr
+    assert "use --tcp" in done.stderr
+
+
+def test_a_program_on_stdin_may_begin_with_a_mark() -> None:
+    done = CliRunner().invoke(app, ["run", "-"], input=b"\xef\xbb\xbfG0 X1\r\n")
+    assert done.exit_code == 0 and "errors" in done.output and "error:" not in done.output
