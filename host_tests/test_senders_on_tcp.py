@@ -1,0 +1,162 @@
+"""The beginning of a day with UGS and with Candle, over TCP, as far as their code tells of it.
+
+Neither can run here. What they send, how long they wait, and what they make of what comes is
+known from their sources (UGS: GrblController, GrblControllerInitializer, GrblUtils; Candle:
+frmmain, telnetconnection); what is here is written anew.
+"""
+
+import os
+import re
+import socket
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+_ENVIRONMENT = {**os.environ, "UGRBL_VIPER": "fast"}
+_BANNER = re.compile(r"Grbl \d\.\d[a-z]")
+
+
+class Wire:
+    """A TCP connection to a simulator of its own, with all that has come by line and time."""
+
+    def __init__(self, folder: Path, settings: str) -> None:
+        file = folder / "machine.settings"
+        file.write_text(settings)
+        command = [sys.executable, "-m", "ugrbl.cli", "sim", "--speed", "max", "--tcp", "0"]
+        self.process = subprocess.Popen(
+            [*command, "--settings", str(file)],
+            stdout=subprocess.PIPE,
+            env=_ENVIRONMENT,
+            text=True,
+        )
+        assert self.process.stdout
+        place = self.process.stdout.readline().rpartition(":")[2]
+        time.sleep(0.2)
+        self._socket = socket.create_connection(("127.0.0.1", int(place)))
+        self.begun = time.monotonic()
+        self.lines: list[str] = []
+        self.times: list[float] = []
+        self._rest = ""
+
+    def send(self, data: bytes) -> None:
+        self._socket.sendall(data)
+
+    def listen(self, seconds: float, done: Callable[..., bool] = lambda: False) -> bool:
+        """Take in what comes, for so long, or until it is done; returns whether it is."""
+        until = time.monotonic() + seconds
+        while not done():
+            left = until - time.monotonic()
+            if left <= 0:
+                return False
+            self._socket.settimeout(left)
+            try:
+                self._rest += self._socket.recv(4096).decode("latin-1")
+            except TimeoutError:
+                continue
+            *lines, self._rest = self._rest.split("\r\n")
+            self.lines += [line for line in lines if line]
+            self.times += [time.monotonic() - self.begun] * (len(self.lines) - len(self.times))
+        return True
+
+    def ask(self, line: bytes, seconds: float) -> list[str]:
+        """What comes for a line, its answer last; within so many seconds."""
+        before = len(self.lines)
+        self.send(line)
+        assert self.listen(seconds, lambda: self.lines[before:][-1:] in (["ok"], ["error:9"]))
+        return self.lines[before:]
+
+    def banners(self) -> list[float]:
+        """When a welcome came, each time."""
+        return [at for at, line in zip(self.times, self.lines) if _BANNER.match(line)]
+
+    def close(self) -> None:
+        self._socket.close()
+        self.process.terminate()
+        self.process.communicate()
+
+
+@pytest.fixture
+def wire(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Wire]:
+    made = Wire(tmp_path, getattr(request, "param", "$110=3000\n$120=500\n"))
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize(
+    ("wire", "state"), [("$110=3000\n", "Idle"), ("$22=1\n", "Alarm")], indirect=["wire"]
+)
+def test_ugs_begins_once_and_learns_all_it_needs(wire: Wire, state: str) -> None:
+    """A welcome makes it begin, unless it has noted that it has: by itself, soon after opening.
+    Then it is silent for 2 s, asks for the state ten times at most, is silent for 2 s, and takes
+    no more than 2 s for each answer.
+    """
+    wire.listen(2.0)
+    asked = 0
+    while not (reports := [line for line in wire.lines if line.startswith("<")]):
+        assert asked < 10, "it gives up"
+        wire.send(b"?")
+        asked += 1
+        wire.listen(1.0, lambda: any(line.startswith("<") for line in wire.lines))
+    assert re.match(rf"<{state}\|MPos:[-\d.,]+\|FS:\d+,\d+", reports[0])
+    if state == "Alarm":
+        assert wire.ask(b"\n", 2.0)[-1] == "ok", "or it would reset the machine and begin anew"
+    wire.listen(2.0)
+    version = wire.ask(b"$I\n", 2.0)
+    assert re.match(r"\[VER:1\.1h\.\d{8}:", version[0]) and version[1].startswith("[OPT:V")
+    settings = wire.ask(b"$$\n", 2.0)[:-1]
+    assert len(settings) == 34 and all(re.match(r"\$\d+=[\d.]+$", line) for line in settings)
+    assert wire.ask(b"$G\n", 2.0)[0].startswith("[GC:G0 G54 ")
+    (welcomed,) = wire.banners()
+    assert 0.2 < welcomed < 2.0, "after it has begun, and before it asks"
+    assert not [line for line in wire.lines if line.startswith("error")]
+
+
+def test_candle_begins_with_its_reset_and_streams(wire: Wire) -> None:
+    """A second after it has connected it resets, and ignores all but the welcome until then. A
+    `?` is sent when the last one has been answered. Of a line's reply it makes one text, which
+    ends where "ok" or "error" stands.
+    """
+    wire.listen(1.0)
+    wire.lines.clear()
+    wire.times.clear()
+    wire.send(b"\x18")
+    assert wire.listen(3.0, lambda: bool(wire.banners()))
+    reply = "; ".join(wire.ask(b"$$\n", 2.0))
+    assert len(re.findall(r"\$(\d+)\=([^;]+)\; ", reply)) == 34
+    assert re.search(r"G54:", "; ".join(wire.ask(b"$#\n", 2.0)))
+    lines = [f"G91G1X0.{n % 9 + 1}Y0.1F1200\n".encode() for n in range(200)]
+    _stream(wire, lines)
+    wire.send(b"?")
+    wire.listen(1.0, lambda: wire.lines[-1].startswith("<"))
+    assert re.search(r"MPos:([^,]*),([^,]*),([^,>|]*)", wire.lines[-1])
+    assert not wire.banners(), "the one behind the reset was the last"
+
+
+def _stream(wire: Wire, lines: list[bytes]) -> None:
+    """Lines with no more than 127 bytes under way, and reports between their answers."""
+    under_way: deque[int] = deque()
+    sent = answered = looked = 0
+    asked = time.monotonic()
+    wire.lines.clear()
+    wire.times.clear()
+    while answered < len(lines):
+        while sent < len(lines) and sum(under_way) + len(lines[sent]) <= 127:
+            wire.send(lines[sent])
+            under_way.append(len(lines[sent]))
+            sent += 1
+        if time.monotonic() - asked > 0.04:
+            asked = time.monotonic()
+            wire.send(b"?")
+        assert wire.listen(5.0, lambda seen=looked: len(wire.lines) > seen), "it stands still"
+        for line in wire.lines[looked:]:
+            assert line.startswith("<") or line == "ok", line
+            if line == "ok":
+                under_way.popleft()
+                answered += 1
+        looked = len(wire.lines)
+    assert not under_way
