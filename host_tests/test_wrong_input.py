@@ -172,6 +172,14 @@ def test_a_full_disk_is_told_in_words(words: str) -> None:
     assert "Errno" not in done.stderr and "Traceback" not in done.stderr
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+@pytest.mark.parametrize("name", ["full.html", "full.png", "full.json"])
+def test_a_full_disk_is_told_with_the_file(name: str, folder: Path) -> None:
+    (folder / name).symlink_to("/dev/full")
+    done = ugrbl("run", "good.nc", "--json" if name.endswith("json") else "--plot", name)
+    assert done.exit_code == 1 and f"{name} cannot be written: No space left" in done.output
+
+
 def test_the_version_is_told() -> None:
     done = ugrbl("--version")
     assert done.exit_code == 0 and done.output.startswith("ugrbl ")

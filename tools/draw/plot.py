@@ -9,17 +9,26 @@ from .job import Job
 
 
 def save(jobs: Sequence[Job], title: str, words: str, file: Path) -> None:
-    """Draw the jobs beside each other; the file's suffix says how. `-` is a page on stdout."""
-    suffix = file.suffix.lower()
+    """Draw the jobs beside each other; the file's suffix says how. `-` is a page on stdout.
+
+    OSError says in words why it cannot be written.
+    """
     if str(file) == STDIN:
-        from .page import page
+        sys.stdout.write(_page(jobs, title, words))
+        return
+    suffix = file.suffix.lower()
+    try:
+        if suffix == ".html":
+            file.write_text(_page(jobs, title, words), encoding="utf-8")
+        else:
+            from .image import draw
 
-        sys.stdout.write(page(jobs, title, words))
-    elif suffix == ".html":
-        from .page import page
+            draw(jobs, title, words, suffix == ".svg").savefig(file, format=suffix[1:])
+    except OSError as error:
+        raise OSError(f"{file} cannot be written: {error.strerror}") from error
 
-        file.write_text(page(jobs, title, words), encoding="utf-8")
-    else:
-        from .image import draw
 
-        draw(jobs, title, words, suffix == ".svg").savefig(file, format=suffix[1:])
+def _page(jobs: Sequence[Job], title: str, words: str) -> str:
+    from .page import page
+
+    return page(jobs, title, words)
