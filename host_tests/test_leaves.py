@@ -315,11 +315,11 @@ def test_kernels_plan_and_make_the_same_segments(tmp_path: Path) -> None:
     assert results[0] == results[1] and len(results[0]) > 500
 
 
-def _moves(plan_kernel: Any, segments: Any, machine: Any, ring: Any, flow: Any) -> "Iterator[Any]":
+def _moves(plan_kernel: Any, segments: Any, table: Any, ring: Any, flow: Any) -> "Iterator[Any]":
     """Random moves, holds and segments: all results, and memory as it is after each."""
     head, tail, hold, rows, loaded, now = 2, 3, 4, 1, 6, 8
     rng = random.Random(7)
-    itself = SimpleNamespace(_flow=flow, _ring=ring, _machine=machine)
+    itself = SimpleNamespace(_flow=flow, _ring=ring, _table=table)
     places = array("f", (0, 0, 0))
     row = array("i", [0] * 12)
     for _ in range(400):
@@ -328,12 +328,12 @@ def _moves(plan_kernel: Any, segments: Any, machine: Any, ring: Any, flow: Any) 
                 places[i] += rng.choice((0, 0.05, -0.1, 3, -0.7)) * rng.random()
             flags = rng.choice((0, 0, 1, 4, 0x40))
             speed = rng.choice((0x194000 + 0x8000 * rng.randrange(8), 0x19D000))
-            yield plan_kernel.plan(places, machine, ring, flow, flags, 1, 3000, speed)
+            yield plan_kernel.plan(places, table, ring, flow, flags, 1, 3000, speed)
         if rng.random() < 0.05:
             flow[hold] ^= 1
         for _ in range(rng.choice((0, 1, 1, 3, 30))):
             yield segments.Segments.next(itself, row), list(row)
-        yield list(machine), list(ring), list(flow)
+        yield list(table), list(ring), list(flow)
         if flow[hold] and not (flow[loaded] and flow[now]):
             flow[hold] = 0
 
