@@ -1,5 +1,6 @@
 """Board files: every one there is is good, and every mistake is named."""
 
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -112,6 +113,19 @@ def test_a_board_is_data_only(name: str) -> None:
 def test_a_mistake_is_named(changes: "dict[str, Any]", said: str) -> None:
     found = problems(board(**changes))
     assert (said in found[0] and len(found) == 1) if said else found == []
+
+
+def test_an_extra_that_reaches_into_the_firmware_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "greedy.py").write_text(
+        "from base.errors import GrblError\nimport extras.api, time\ndef install(cnc): pass\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert problems(board(EXTRAS=("greedy",))) == [
+        "EXTRAS: greedy imports base.errors, which no board has under that name: what an extra "
+        "needs, `cnc` has"
+    ]
 
 
 def test_pins_that_have_a_say_at_start_are_told_of() -> None:

@@ -17,6 +17,8 @@ from .options import BY_NAME, INVERTIBLE, PIN, PIN_OR_PINS
 # How an extra of the user's own reads a name of the board file.
 _READ = re.compile(r"""\b(?:option\(|getattr\(\s*board,\s*)"([A-Z]\w*)"|\bboard\.([A-Z]\w*)""")
 
+_IMPORTED = re.compile(r"^ *(?:from|import) +([\w.]+)", re.MULTILINE)
+
 # Pins that new_board does not ask for.
 _OTHERS = {"REPL_PIN": "the button for MicroPython's prompt"}
 _NEEDED_AXES = 3
@@ -188,13 +190,27 @@ def _inputs(board: ModuleType, chip: Chip) -> Iterator[str]:
 
 def _names_of_extras(board: ModuleType) -> set[str]:
     """What modules of the user's own read."""
-    found: set[str] = set()
-    for name in getattr(board, "EXTRAS", ()):
-        spec = importlib.util.find_spec(name)
-        if spec and spec.origin:
-            matches = _READ.findall(Path(spec.origin).read_text(encoding="utf-8"))
-            found.update(one or other for one, other in matches)
-    return found
+    matches = [match for text in _own_extras(board).values() for match in _READ.findall(text)]
+    return {one or other for one, other in matches}
+
+
+def _own_extras(board: ModuleType) -> dict[str, str]:
+    """The modules of the user's own, as they are written, by name."""
+    specs = {name: importlib.util.find_spec(name) for name in getattr(board, "EXTRAS", ())}
+    files = {name: Path(spec.origin) for name, spec in specs.items() if spec and spec.origin}
+    return {name: file.read_text(encoding="utf-8") for name, file in files.items()}
+
+
+def _imports_of_extras(board: ModuleType) -> Iterator[str]:
+    """Modules of the firmware have these names in the sources; on a board a package is one."""
+    packages = {path.name for path in paths.FIRMWARE.iterdir() if path.is_dir()} - {"extras"}
+    for name, text in _own_extras(board).items():
+        for module in _IMPORTED.findall(text):
+            if module.partition(".")[0] in packages:
+                yield (
+                    f"EXTRAS: {name} imports {module}, which no board has under that name: what "
+                    "an extra needs, `cnc` has"
+                )
 
 
 def _wires(board: ModuleType) -> Iterator[str]:
@@ -228,6 +244,8 @@ def _firmware(board: ModuleType) -> Iterator[str]:
         yield str(error)
     except ImportError as error:
         yield f"EXTRAS: {error}: it is to lie beside the board file"
+    else:
+        yield from _imports_of_extras(board)
 
 
 def _defaults(board: ModuleType) -> Iterator[str]:
