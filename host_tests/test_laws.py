@@ -6,7 +6,18 @@ from math import cos, pi, sin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from laws import Bench, Limits, check_pulses, check_segments, check_spacing, pulses, some, uneven
+from laws import (
+    Bench,
+    Limits,
+    check_plan,
+    check_pulses,
+    check_segments,
+    check_spacing,
+    pulses,
+    some,
+    uneven,
+)
+from motion import layout
 from motion.kinematics import COREXY
 from rig_bench import Machine
 from ugrbl.sim.engine import Switch
@@ -186,6 +197,55 @@ def test_random_programs_keep_every_law(limits: Limits, program) -> None:
             arguments[0] = place
         getattr(bench, name)(*arguments)
     bench.check()
+
+
+# Far ahead
+
+steps = st.floats(-0.3, 0.3).map(lambda x: round(x, 3))
+ways = st.lists(st.tuples(steps, steps, st.sampled_from([300.0, 6000.0, 0.0])), max_size=60)
+
+
+def walk(way):
+    """Where moves of these lengths lead."""
+    x = y = 0.0
+    for dx, dy, feed in way:
+        x, y = x + dx, y + dy
+        yield (x, y, 0.0), feed
+
+
+@some(20)
+@given(ways)
+def test_what_is_planned_several_at_once_is_what_is_planned_one_by_one(way) -> None:
+    at_once, singly = Bench(blocks=64), Bench(blocks=64)
+    for place, feed in walk([(0.1, 0.0, 6000.0)] * 30 + way):
+        at_once.line(place, feed)
+        check_plan(at_once.watch)
+        singly.line(place, feed)
+        singly.planner.catch_up()
+    at_once.planner.catch_up()
+    assert at_once.planner.ring == singly.planner.ring
+
+
+@some(20)
+@given(ways, st.integers(1, 40))
+def test_a_long_ring_that_is_filled_as_it_empties_keeps_every_law(way, each: int) -> None:
+    bench = Bench(blocks=64)
+    for i, (place, feed) in enumerate(walk([(0.1, 0.0, 6000.0)] * 40 + way)):
+        bench.line(place, feed)
+        check_plan(bench.watch)
+        if i > 25 and i % each == 0:
+            bench.pull()
+    bench.check()
+
+
+def test_a_long_ring_is_not_gone_back_over_for_each_line() -> None:
+    """While speeding up, each new line would change all entries behind it."""
+    bench = Bench(blocks=64)
+    passes = 0
+    for place, feed in walk([(0.1, 0.0, 6000.0)] * 60):
+        bench.line(place, feed)
+        passes += bench.planner.flow[layout.UNPLANNED] == 0
+    assert passes == 15 + (60 - 15) // 4
 
 
 # The whole machine

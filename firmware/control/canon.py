@@ -197,6 +197,7 @@ class Canon:
 
     def auto_start(self) -> None:
         """Whatever is planned is to move."""
+        self.planner.catch_up()
         if self._state.run == st.IDLE and not self.planner.empty():
             self._state.post(st.CYCLE_START)
 

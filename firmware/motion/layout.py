@@ -82,8 +82,9 @@ BRAKE_FROM = const(18)  # braking from this speed to that takes so many whole st
 BRAKE_TO = const(19)
 BRAKE_WAY = const(20)
 BRAKE_UNIT = const(21)  # or, where this is 18, so much in 2**-18 step
-MOTORS = const(22)  # per motor: steps still to go; phase, 2**18 is a step
-FLOW_LENGTH = const(22)
+UNPLANNED = const(22)  # the main loop's: blocks that reverse_pass() has not seen yet
+MOTORS = const(23)  # per motor: steps still to go; phase, 2**18 is a step
+FLOW_LENGTH = const(23)
 
 # Flags of a block that the kernels look at; planner.py has the others.
 RAPID_MOTION = const(0x01)

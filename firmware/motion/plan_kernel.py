@@ -50,6 +50,7 @@ from motion.layout import (
     SYSTEM_MOTION,
     TAIL,
     TARGET,
+    UNPLANNED,
 )
 from motion.reals import (
     BIAS,
@@ -66,6 +67,12 @@ from motion.reals import (
 from motion.steps import measure, to_steps
 
 _ONE = const(0x194000)  # the real 1
+
+# Where more blocks than that wait, going back over all of them for each new one would take longer
+# than the rest of its planning. So it is done for several at once: a new one's entry is 0 until
+# then, which keeps every promise.
+_NEAR = const(16)
+_AT_ONCE = const(4)
 
 
 @micropython.viper
@@ -224,7 +231,12 @@ def join(table: ptr32, ring: ptr32, flow: ptr32) -> int:
         table[target + axes + i] = table[target + i]
     head += 1
     flow[HEAD] = head if head < flow[ROWS] else 0
-    reverse_pass(ring, flow, 0)
+    flow[UNPLANNED] += 1
+    waiting = head - flow[TAIL]
+    if waiting < 0:
+        waiting += flow[ROWS]
+    if waiting < _NEAR or flow[UNPLANNED] >= _AT_ONCE:
+        reverse_pass(ring, flow, 0)
     return 0
 
 
@@ -285,9 +297,9 @@ def plan(
 def reverse_pass(ring: ptr32, flow: ptr32, everything: int) -> int:
     """Raise the blocks' entry speeds to what they can brake from by the end of the last one.
 
-    Works from the newest block back and stops where nothing changes, unless
-    everything is to be done. The block at the tail is being executed: its
-    entry is history. Returns how many blocks were looked at.
+    Works from the newest block back, past all that are new, and stops where
+    nothing changes, unless everything is to be done. The block at the tail is
+    being executed: its entry is history. Returns how many blocks were looked at.
     """
     size = flow[ROW_SIZE]
     head = flow[HEAD]
@@ -303,8 +315,9 @@ def reverse_pass(ring: ptr32, flow: ptr32, everything: int) -> int:
         if entry > ring[at + MAX_ENTRY_SQR]:
             entry = ring[at + MAX_ENTRY_SQR]
         seen += 1
-        if entry == ring[at + ENTRY_SQR] and everything == 0 and seen > 1:
+        if entry == ring[at + ENTRY_SQR] and everything == 0 and seen > flow[UNPLANNED]:
             break
         ring[at + ENTRY_SQR] = entry
         exit_sqr = entry
+    flow[UNPLANNED] = 0
     return seen

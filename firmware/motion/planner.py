@@ -15,7 +15,7 @@ from base.f32 import copy, f32, vector, whole
 from micropython import const
 
 from motion import layout, plan_kernel, reals
-from motion.layout import AT, FLAGS, HEAD, LINE, LOADED, ROWS, SYSTEM, TAIL
+from motion.layout import AT, FLAGS, HEAD, LINE, LOADED, ROWS, SYSTEM, TAIL, UNPLANNED
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -184,6 +184,11 @@ class Planner:
             position[i] = before[i]
         return planned
 
+    def catch_up(self) -> None:
+        """Plan what has been added and not been seen to yet: see plan_kernel.join()."""
+        if self.flow[UNPLANNED]:
+            plan_kernel.reverse_pass(self.ring, self.flow, 0)
+
     def override(self) -> None:
         """Work out every block anew after an override has changed."""
         flow = self.flow
@@ -214,7 +219,7 @@ class Planner:
         """Forget all blocks. Only while the engine is stopped."""
         flow = self.flow
         flow[TAIL] = flow[HEAD]
-        for i in (layout.HOLD, SYSTEM, LOADED, layout.NOW, layout.CARRY):
+        for i in (layout.HOLD, SYSTEM, LOADED, layout.NOW, layout.CARRY, UNPLANNED):
             flow[i] = 0
 
     # Steps of motors and places in mm
