@@ -20,11 +20,14 @@ SETTINGS = (
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
     made = Board(uf2, {"board.py": BOARD})
-    made.boot().wait_for("[MSG:Emergency stop]")  # nothing is wired: it is open
+    said = made.boot().wait_for("[MSG:Emergency stop]")  # nothing is wired: it is open
+    assert "[MSG:First start: factory settings]" in said
     made.pico.drive(ESTOP, 0)
     made.ask("$X")
+    made.forget()
     made.send("\x18")
-    made.settled()
+    made.wait_for("Grbl 1.1h")
+    made.ask("")
     for setting in SETTINGS:
         assert made.ask(setting) == "ok\r\n"
     made.pico.record([*STEP, *DIR, SPINDLE_PWM])
