@@ -30,5 +30,7 @@ NO_PULL_UP = (35, 39)
 # less than two steps.
 MAX_STEP_RATE_HZ = 5000
 
+# Small moves at high speed want a long look ahead; there is memory for it.
+PLANNER_BLOCKS = 64
 RX_BYTES = 128
 PWM_MAX = 1000

@@ -24,5 +24,7 @@ NO_PULL_UP = ()
 # for a moment every 8 ms at this rate.
 MAX_STEP_RATE_HZ = 5000
 
+# Small moves at high speed want a long look ahead; there is memory for it.
+PLANNER_BLOCKS = 64
 RX_BYTES = 128
 PWM_MAX = 1000

@@ -26,5 +26,7 @@ NO_PULL_UP = (34, 35, 36)
 # With pulses of up to 16 us, two frames; steps then come 24 us apart.
 MAX_STEP_RATE_HZ = 41_666
 
+# Small moves at high speed want a long look ahead; there is memory for it.
+PLANNER_BLOCKS = 64
 RX_BYTES = 128
 PWM_MAX = 1000

@@ -170,7 +170,7 @@ def test_another_engine_is_one_line_of_a_board_file(tmp_path: Path) -> None:
 )
 def test_a_board_says_who_makes_its_pulses(board: str, who: str, tmp_path: Path) -> None:
     said = boot(board, tmp_path, [*_GREETING, ("$I=my mill\n", "ok"), ("$I\n", "ok")])
-    assert f":Grbl {who} MYMILL]\n[OPT:V,15,128]\n" in said
+    assert f":Grbl {who} MYMILL]\n[OPT:V,63,128]\n" in said
 
 
 _REFUSED: Talk = [("", "MSG"), ("?", "MSG")]
