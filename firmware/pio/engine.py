@@ -30,6 +30,7 @@ from pio.hub import Memory, append, feed, look
 from pio.layout import (
     AHEAD,
     ASKED,
+    CLOCK,
     CUT,
     EARLY,
     FAULT,
@@ -42,7 +43,7 @@ from pio.layout import (
     RAISED,
     RUNNING,
 )
-from pio.registers import CLEAR, CLOCK
+from pio.registers import CLEAR
 from pio.stops import arm, call, halt, position, trouble
 
 TYPE_CHECKING = const(False)
@@ -62,7 +63,7 @@ _MOST = const(2)  # segments made in one interrupt
 _WAITING = const(10)  # rows that may wait; the others may still be looked at
 
 
-# fault(): in the order of stops.RAISED and those behind it.
+# fault(): in the order of layout.RAISED and those behind it.
 _FAULTS = (
     "",
     "the pulse engine's interrupt has failed",

@@ -28,6 +28,7 @@ from pio.layout import (
     BEATS,
     BEGUN,
     BUSY,
+    CLOCK,
     CLOCK_AT,
     CLOCKED,
     CUT,
@@ -81,7 +82,6 @@ from pio.pulses import (
 from pio.registers import (
     ADDR,
     CLEAR,
-    CLOCK,
     COUNT_TRIGGER,
     CTRL,
     DISABLE,

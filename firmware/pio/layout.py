@@ -9,6 +9,7 @@ from micropython import const
 HALF_TICKS_PER_US = const(25)
 ROWS = const(16)  # segments made, and not yet played
 LAST_ROW = const(15)
+CLOCK = const(3)  # the clock's machine, of PIO 1
 
 # First the engine's state …
 RUNNING = const(0)  # machines are enabled

@@ -5,7 +5,7 @@ RP2040 datasheet, 3.7 (PIO), 2.5.7 (DMA), 2.1.2 (aliases); the RP2350 has them i
 
 from micropython import const
 
-# A PIO's registers, in words.
+# A PIO's.
 CTRL = const(0)
 FDEBUG = const(2)
 FLEVEL = const(3)
@@ -29,5 +29,3 @@ DISABLE = const(32)
 
 # In FDEBUG, from the bit of the first machine on: a word has come to a FIFO that was full.
 TXOVER = const(16)
-
-CLOCK = const(3)  # the clock's machine

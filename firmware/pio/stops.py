@@ -16,6 +16,7 @@ from pio.layout import (
     BEGUN,
     BEHIND,
     BUSY,
+    CLOCK,
     CUT,
     DMA,
     END_US,
@@ -47,7 +48,6 @@ from pio.pulses import END, FROZEN, LANE, PLACE, SENT, places, undone
 from pio.registers import (
     ADDR,
     CLEAR,
-    CLOCK,
     COUNT,
     CTRL,
     DISABLE,
@@ -61,7 +61,7 @@ from pio.registers import (
     TXOVER,
 )
 
-# Registers of a PIO and of DMA, in words; instructions that are forced into a machine.
+# Instructions that are forced into a machine.
 _SAVE_X = const(0xA0C1)
 _PUSH = const(0x8000)
 _FIFO = const(4)  # words it holds
