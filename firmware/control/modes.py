@@ -40,12 +40,12 @@ class Modes:
 
     position: "array[float]"  # the parser's
     feed: float
+    spindle_rpm: float
     tool: int
 
     def __init__(self, axes: int) -> None:
         self.modal = Modal()
         self.position = vector(axes)
-        self.speed = vector(1)  # of the spindle; an array, which the fast path can write
         self.reset()
 
     def reset(self) -> None:
@@ -54,15 +54,6 @@ class Modes:
         self.feed = 0.0
         self.spindle_rpm = 0.0
         self.tool = 0
-
-    @property
-    def spindle_rpm(self) -> float:
-        """Speed of the spindle, rpm."""
-        return self.speed[0]
-
-    @spindle_rpm.setter
-    def spindle_rpm(self, rpm: float) -> None:
-        self.speed[0] = rpm
 
     def accessory_flags(self) -> int:
         """Spindle and coolant as flags of a planner block."""

@@ -7,11 +7,9 @@ synchronises first (canon.py).
 
 from array import array
 
-import micropython
-from base.f32 import copy, f32, vector
+from base.f32 import f32
 from micropython import const
 from motion import layout
-from motion.layout import POWER_PER_RPM, RPM_MAX
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -26,25 +24,6 @@ _TURNING = const(0x30)
 
 # Least power of a spindle that turns.
 _MIN_POWER = const(1)
-
-
-@micropython.viper
-def dynamic_power(rpm: ptr32, at: int, table: ptr32) -> int:
-    """What a DYNAMIC block carries for rpm[at], a float that is not negative: see layout.POWER.
-
-    The product of speed and power per rpm is exact, and cut to a whole number.
-    """
-    speed = rpm[at] if rpm[at] < table[RPM_MAX] else table[RPM_MAX]
-    slope = table[POWER_PER_RPM]
-    if speed == 0 or slope == 0:
-        return 0
-    shift = 276 - (speed >> 23) - (slope >> 23)
-    a = (speed & 0x7FFFFF) | 0x800000
-    b = (slope & 0x7FFFFF) | 0x800000
-    middle = (a >> 12) * (b & 0xFFF) + (a & 0xFFF) * (b >> 12)
-    low = (a & 0xFFF) * (b & 0xFFF) + ((middle & 0xFFF) << 12)
-    product = (a >> 12) * (b >> 12) + (middle >> 12) + (low >> 24)
-    return product >> shift if shift < 31 else 0
 
 
 class Spindle:
@@ -63,7 +42,6 @@ class Spindle:
         self._asked_override = 0
         self._answered_rpm = 0.0
         self._answered_power = 0
-        self._rpm = vector(2)
         self.laser = False
         self._reversed = False  # M4; in laser mode power follows the speed then
 
@@ -76,12 +54,8 @@ class Spindle:
         span = f32(self._max_rpm - self._min_rpm)
         full = self._port.pwm_max
         self._gradient = f32((full - _MIN_POWER) / span) if span > 0 else 0.0
-        self._table = table
         table[layout.POWER_FLOOR] = int(self._min_rpm * self._gradient * 64)
         table[layout.POWER_MAX] = full
-        self._rpm[0] = self._max_rpm
-        self._rpm[1] = 64 * self._gradient
-        copy(self._rpm, memoryview(table)[RPM_MAX:], 2)
 
     def power(self, rpm: float) -> int:
         """Power for a programmed speed, override included; tells the state what speed that is."""
@@ -118,8 +92,9 @@ class Spindle:
         if not flags & layout.DYNAMIC:
             return self.power(rpm)
         percent = self._state.spindle_override
-        self._rpm[0] = rpm if percent == 100 else rpm * percent / 100
-        return dynamic_power(self._rpm, 0, self._table)
+        if percent != 100:
+            rpm = rpm * percent / 100
+        return int(min(rpm, self._max_rpm) * self._gradient * 64)
 
     def turn(self, direction: int, rpm: float) -> None:
         """Set direction and speed now. In laser mode a reversed spindle begins with no power."""

@@ -13,11 +13,10 @@ import micropython
 from base import state as st
 from base.f32 import copy, vector
 from control.canon import FULL, OUTSIDE, judge
-from control.spindle import dynamic_power
 from micropython import const
 from motion import layout, reals
 from motion import planner as plan
-from motion.layout import DYNAMIC, HEAD
+from motion.layout import HEAD
 from motion.plan_kernel import plan as plan_block
 
 from language import block as b
@@ -68,8 +67,7 @@ _UNTOLD = const(0x3FFFFFFF)
 VALUES = const(11)
 INCHES = const(20)
 _CHANGES = const(21)  # as they were counted when this was known
-_AS_ASKED = const(22)  # the speed of the spindle is not overridden
-OFFSETS = const(23)
+OFFSETS = const(22)
 
 
 @micropython.viper
@@ -170,44 +168,40 @@ def follow(
     ring: ptr32,
     flow: ptr32,
     speeds: ptr32,
-    speed: ptr32,
     changes: ptr32,
+    rpm: ptr32,
+    new_power: object,
 ) -> int:
-    """Plan a line that does no more than move, with another power of a beam that follows the speed
-    at the most, and has nothing in its way.
+    """Plan a line that does no more than move, with another power of the beam at the most, and has
+    nothing in its way. new_power: says what the spindle makes of rpm.
 
-    Returns 1 then; otherwise 0, and nothing has changed.
+    Returns 1 then; otherwise 0, and nothing has changed but S, which whoever goes on with the line
+    sets as well.
     """
     if known[AXES] == 0 or known[_POWER] == _UNTOLD or known[_CHANGES] != changes[0]:
         return 0
     seen = int(read(text, length, known))
     if seen == 0 or seen & (_NEWS - HAS_S):
         return 0
-    power = known[_POWER]
-    rpm = known[_RPM]
-    if seen & HAS_S:
-        if known[_FLAGS] & DYNAMIC == 0 or known[_AS_ASKED] == 0:
-            return 0
-        power = int(dynamic_power(known, VALUES + _S, table))
-        rpm = known[VALUES + _S]
     place(known, seen, position, target)
     found = int(judge(target, travel, flow))
     if found & OUTSIDE and known[LIMITED]:
         return 0
+    if known[DRY] == 0 and found & FULL:
+        return 0
+    if seen & HAS_S:
+        rpm[0] = known[VALUES + _S]
+        known[_RPM] = rpm[0]
+        known[_POWER] = int(new_power())  # type: ignore[operator]
     if known[DRY] == 0:
-        if found & FULL:
-            return 0
         at = flow[HEAD]
         line = int(line_number(known, seen))
         flags = known[_FLAGS]
+        power = known[_POWER]
         rate = known[_RATE]
         if int(plan_block(target, table, ring, flow, flags, line, power, rate)) == 0:
             return 0
-        speeds[at] = rpm
-    if seen & HAS_S:
-        known[_POWER] = power
-        known[_RPM] = rpm
-        speed[0] = rpm
+        speeds[at] = known[_RPM]
     copy(target, position, known[AXES])
     return 1
 
@@ -268,8 +262,9 @@ class FastPath:
             ring: "array[int]" = planner.ring,
             flow: "array[int]" = planner.flow,
             speeds: "array[float]" = planner.speeds,
-            speed: "array[float]" = self._modes.speed,
             changes: "array[int]" = self._state.changes,
+            rpm: "array[float]" = self._float,
+            new_power: "Callable[[], int]" = self._new_power,
         ) -> int:
             return follow(
                 line,
@@ -282,8 +277,9 @@ class FastPath:
                 ring,
                 flow,
                 speeds,
-                speed,
                 changes,
+                rpm,
+                new_power,
             )
 
         return follow_line
@@ -308,7 +304,6 @@ class FastPath:
             known[LIMITED] = self._settings.soft_limits
             known[DRY] = self._state.run == st.CHECK
             known[LASER] = self._spindle.laser
-            known[_AS_ASKED] = self._state.spindle_override == 100
             self._set()
 
     def _keep_offsets(self) -> None:
@@ -333,8 +328,6 @@ class FastPath:
         move.flags = modes.accessory_flags()
         if seeks:
             move.flags |= layout.RAPID_MOTION
-        if known[LASER] and move.flags & plan.SPINDLE_CCW:
-            move.flags |= DYNAMIC
         known[_POWER] = _UNTOLD
 
     def execute(self, line: bytearray, length: int) -> bool:
@@ -348,14 +341,18 @@ class FastPath:
         if seen & _NEWS:
             self._take_news(seen)
         # Go where the line says.
-        if not self._move.flags & layout.RAPID_MOTION:
-            self._move.spindle_rpm = self._modes.spindle_rpm  # which follow() may have changed
         self._move.line_number = line_number(known, seen)
         place(known, seen, self._modes.position, self._target)
         self._canon.line(self._target, self._move)
         copy(self._target, self._modes.position, len(self._modes.position))
         self._asked = True
         return True
+
+    def _new_power(self) -> int:
+        """A line that goes the shortest way has another S: what the spindle makes of it."""
+        known = self._known
+        rpm = self._modes.spindle_rpm = self._move.spindle_rpm = self._float[0]
+        return 0 if known[DRY] else self._spindle.block_power(known[_FLAGS], rpm)
 
     def _take_news(self, seen: int) -> None:
         """A line changes motion mode, feed rate, or a laser's power."""

@@ -48,9 +48,7 @@ SLOWEST = const(9)  # real, mm/s: no block is slower
 FEED_PERCENT = const(10)  # overrides
 RAPID_PERCENT = const(11)
 ROOT_SCALE = const(12)  # real: mm/s per root of a scaled speed squared
-RPM_MAX = const(13)  # bits of a float: a DYNAMIC block has no more,
-POWER_PER_RPM = const(14)  # and this power, in 1/64, for each rpm
-LIMITS = const(15)  # three reals per axis: mm per step, mm/s, mm/s2
+LIMITS = const(13)  # three reals per axis: mm per step, mm/s, mm/s2
 # Behind the limits, one of each per axis: direction of the last block, of the present one, its
 # distances; and, so many times the axes behind the limits:
 RESOLUTION = const(6)  # steps/mm, bits of a float
