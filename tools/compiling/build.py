@@ -91,7 +91,7 @@ def needed(board: ModuleType) -> list[str]:
     """The modules that a board has a use for, as sources() has them."""
     there = {module(source): source for source in sources()}
     # Without imports of constants: a module that has nothing else stays behind.
-    written = inline(texts())
+    written = _in_place(tuple(texts().items()))
     found: dict[str, str] = {}
     extras = _extras(board)
     left = [module(START), *extras]
@@ -185,6 +185,11 @@ def compile_texts(
 def prepared_firmware(debug: bool = False) -> Shortened:
     """All modules as they are compiled, with what tells this build from others in them."""
     return _prepared(tuple(texts().items()), debug)
+
+
+@lru_cache(2)
+def _in_place(modules: tuple[tuple[str, str], ...]) -> dict[str, str]:
+    return inline(dict(modules))
 
 
 @lru_cache(2)
