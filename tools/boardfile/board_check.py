@@ -1,5 +1,6 @@
 """What is wrong with a board file: judged from its data, before anything is on a board."""
 
+import ast
 import difflib
 import importlib.util
 import re
@@ -16,8 +17,6 @@ from .options import BY_NAME, INVERTIBLE, PIN, PIN_OR_PINS
 
 # How an extra of the user's own reads a name of the board file.
 _READ = re.compile(r"""\b(?:option\(|getattr\(\s*board,\s*)"([A-Z]\w*)"|\bboard\.([A-Z]\w*)""")
-
-_IMPORTED = re.compile(r"^ *(?:from|import) +([\w.]+)", re.MULTILINE)
 
 # Pins that new_board does not ask for.
 _OTHERS = {"REPL_PIN": "the button for MicroPython's prompt"}
@@ -46,6 +45,15 @@ def notes(board: ModuleType) -> list[str]:
     behind = ("STEP", "DIR", "ENABLE") if _has_registers(board) else ()
     held = [(name, pin) for name, pins in _held(board) for pin in pins if name not in behind]
     return [f"{name}: pin {pin} {chip.odd[pin]}" for name, pin in held if pin in chip.odd]
+
+
+def imports(text: str) -> Iterator[str]:
+    """Modules that a Python file imports, as it says them. SyntaxError where it is none."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield "." * node.level + (node.module or "")
 
 
 def is_simulated(board: ModuleType) -> bool:
@@ -205,7 +213,7 @@ def _imports_of_extras(board: ModuleType) -> Iterator[str]:
     """Modules of the firmware have these names in the sources; on a board a package is one."""
     packages = {path.name for path in paths.FIRMWARE.iterdir() if path.is_dir()} - {"extras"}
     for name, text in _own_extras(board).items():
-        for module in _IMPORTED.findall(text):
+        for module in imports(text):
             if module.partition(".")[0] in packages:
                 yield (
                     f"EXTRAS: {name} imports {module}, which no board has under that name: what "

@@ -1,16 +1,14 @@
 """Board files: where one is, and what it says, by its name or its path."""
 
-import ast
 import importlib.util
 import sys
-from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from .. import paths
-from .board_check import is_simulated, problems
+from .board_check import imports, is_simulated, problems
 
 
 class BoardFileError(ValueError):
@@ -71,7 +69,7 @@ def load(file: Path) -> ModuleType:
 def load_for_build(file: Path) -> ModuleType:
     """A board that can be built for; BoardFileError says everything that is wrong with it."""
     try:
-        imports = list(_imports(ast.parse(file.read_text(encoding="utf-8"))))
+        imported = list(imports(file.read_text(encoding="utf-8")))
         board = load(file)
     except (SyntaxError, UnicodeDecodeError) as error:
         raise BoardFileError(f"{file} is no Python file: {error}") from error
@@ -80,16 +78,10 @@ def load_for_build(file: Path) -> ModuleType:
     if is_simulated(board):
         raise BoardFileError(f"{file.stem} is a machine of the simulator: it has no pins")
     found = [f"{file.name}: {problem}" for problem in problems(board)]
-    if imports:
-        found.append(f"{file.name}: it imports {imports[0]}, and is alone on the board: copy that")
+    if imported:
+        found.append(
+            f"{file.name}: it imports {imported[0]}, and is alone on the board: copy that"
+        )
     if found:
         raise BoardFileError(*found)
     return board
-
-
-def _imports(tree: ast.Module) -> Iterator[str]:
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            yield "." * node.level + (node.module or "")
