@@ -3,6 +3,7 @@
 from array import array
 from types import SimpleNamespace
 
+import pytest
 from base.errors import GrblError
 from boot import wiring
 from hypothesis import example, given, settings
@@ -131,6 +132,19 @@ def test_the_short_path_does_what_the_long_one_does(lines: "list[str]", laser: b
     short, long = Bench(laser, True), Bench(laser, False)
     for line in lines:
         assert short.tell(line) == long.tell(line), line
+
+
+@pytest.mark.parametrize("override", [100, 50])
+@pytest.mark.parametrize("beam", ["M3", "M4"])
+def test_another_power_of_the_beam_takes_the_short_path(beam: str, override: int) -> None:
+    bench = Bench(True, True)
+    bench.machine.state.spindle_override = override
+    for text in (f"{beam}S100F300", "G1X1", "X2"):
+        bench.tell(text)
+    plain = bench.machine.interpreter.fast
+    for text in (b"X3S50", b"X4S0", b"X5S1000"):
+        assert plain.follow(bytearray(text + b"\0"), len(text)) == 1
+    assert bench.machine.modes.spindle_rpm == 1000
 
 
 def test_lines_after_the_second_of_their_kind_take_the_short_path() -> None:
