@@ -119,6 +119,18 @@ def test_a_mistake_is_named(changes: "dict[str, Any]", said: str) -> None:
     assert (said in found[0] and len(found) == 1) if said else found == []
 
 
+@pytest.mark.parametrize("text", ["def install(cnc:\n", "1 / 0\n"])
+def test_an_extra_that_fails_is_told_of(
+    text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "broken.py").write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (said,) = problems(board(EXTRAS=("broken",)))
+    assert said.startswith(
+        ("EXTRAS: a module fails: SyntaxError: ", "EXTRAS: a module fails: Zero")
+    )
+
+
 def test_an_extra_that_reaches_into_the_firmware_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -124,7 +124,7 @@ def _pins_of_extras(board: ModuleType) -> tuple[str, ...]:
 
     try:
         return guests.pins(board)
-    except (ImportError, ValueError, TypeError):
+    except Exception:  # whatever a module of the user's own raises
         return ()  # _values() and _firmware() say it
 
 
@@ -252,6 +252,8 @@ def _firmware(board: ModuleType) -> Iterator[str]:
         yield str(error)
     except ImportError as error:
         yield f"EXTRAS: {error}: it is to lie beside the board file"
+    except Exception as error:
+        yield f"EXTRAS: a module fails: {type(error).__name__}: {error}"
     else:
         yield from _imports_of_extras(board)
 
