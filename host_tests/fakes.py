@@ -287,7 +287,7 @@ class FakeStore:
         self._full = full
 
     def load(self, name: str) -> "list[str] | None":
-        return self.files.get(name)
+        return self.files.get(name, [])
 
     def save(self, name: str, lines: "Iterable[str]") -> None:
         if name in self._full:

