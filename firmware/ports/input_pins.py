@@ -153,7 +153,9 @@ class PortInputs:
             pin.irq().trigger(0)
             if self._quiet and self._debounce_ms and pin is not self._estop:
                 return
-            self._listener.on_controls(self._seen_by(pin))  # before anything else is looked at
+            seen = self._seen_by(pin)
+            self._controls_seen |= seen  # also where the listener fails
+            self._listener.on_controls(seen)  # before the other inputs are looked at
             self._controls_seen = self.controls()
             if not self._quiet:
                 self._quiet = True
