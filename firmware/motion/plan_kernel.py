@@ -56,6 +56,7 @@ from motion.reals import (
     BIAS,
     HIGHEST,
     LIMIT,
+    ONE,
     SMALLEST,
     div,
     mul,
@@ -65,8 +66,6 @@ from motion.reals import (
     square_root,
 )
 from motion.steps import measure, to_steps
-
-_ONE = const(0x194000)  # the real 1
 
 # Where more blocks than that wait, going back over all of them for each new one would take longer
 # than the rest of its planning. So it is done for several at once: a new one's entry is 0 until
@@ -182,9 +181,9 @@ def schedule(table: ptr32, ring: ptr32, at: int) -> int:
     ring[at + FACTOR] = factor
     ramp = int(product(accel, per_mm, table[SEGMENT_ACCEL]))
     ring[at + RAMP] = ramp if ramp else 1
-    cruise = int(product(nominal, factor, _ONE))
+    cruise = int(product(nominal, factor, ONE))
     ring[at + CRUISE] = cruise if cruise else 1
-    ring[at + PROGRAMMED] = cruise if rate == nominal else int(product(rate, factor, _ONE))
+    ring[at + PROGRAMMED] = cruise if rate == nominal else int(product(rate, factor, ONE))
     ring[at + NOMINAL_SQR] = int(product(nominal, nominal, scale))
     ring[at + DELTA_SQR] = int(product(accel + LIMIT, ring[at + LENGTH], scale))  # twice
     return 0

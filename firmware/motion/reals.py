@@ -15,6 +15,7 @@ SMALLEST = const(16384)  # a mantissa has 15 bits
 LIMIT = const(32768)
 BIAS = const(64)  # the exponent of whole numbers
 HIGHEST = const(0x3FFFFFFF)
+ONE = const(0x194000)  # the real 1
 
 
 def real(x: float) -> int:

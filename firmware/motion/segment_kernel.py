@@ -55,9 +55,8 @@ from motion.layout import (
     WHOLE,
 )
 from motion.ramps import after, braking, share, times
-from motion.reals import BIAS, HIGHEST, product, ratio, square_root
+from motion.reals import BIAS, HIGHEST, ONE, product, ratio, square_root
 
-_ONE = const(0x194000)  # the real 1
 _LEAST = const(0x50000)  # a segment covers 1.25 steps, where the block reaches that far,
 _LONGEST = const(0x8000000)  # or lasts as long as 1024 full ones
 _HAIR = const(0x800)  # ahead of the truth, so that rounding does not cost the last step of a hold
@@ -72,7 +71,7 @@ def load(flow: ptr32, ring: ptr32, motors: int) -> int:
         return 0
     at *= flow[ROW_SIZE]
     flow[AT] = at
-    speed = int(product(flow[CARRY], ring[at + FACTOR], _ONE))
+    speed = int(product(flow[CARRY], ring[at + FACTOR], ONE))
     cruise = ring[at + CRUISE]
     if speed < cruise and speed + (cruise >> 9) >= cruise:
         speed = cruise  # what rounding took off between blocks
