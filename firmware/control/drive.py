@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 _FOR_EVER = const(255)
 # The engine may be running on its own.
-_MOTION = const(0x38)  # RUN | HOLD | JOG
+_MOTION = const(st.RUN | st.HOLD | st.JOG)
 _PATIENCE = const(3)  # times that motion may be set going in vain
 
 

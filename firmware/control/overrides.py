@@ -40,7 +40,7 @@ _LOWEST = const(10)
 _HIGHEST = const(200)
 
 # States in which blocks are being executed, or wait for it.
-_MOTION = const(0x38)  # RUN | HOLD | JOG
+_MOTION = const(st.RUN | st.HOLD | st.JOG)
 
 
 class Overrides:

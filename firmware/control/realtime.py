@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _SOFT_RESET = const(0x18)
 _JOG_CANCEL = const(0x85)
-_HOLDS = const(0xD0)  # HOLD | DOOR | SLEEP
+_HOLDS = const(st.HOLD | st.DOOR | st.SLEEP)
 
 
 class Realtime:

@@ -11,8 +11,11 @@ not be the second half of a step. Called in the engine's turns; nothing here all
 """
 
 import micropython
+from base.times import MASK, NEGATIVE
 from micropython import const
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
+
+from esp_chip.i2s_layout import BEFORE, BEGAN, MADE, NOWHERE, NUMBER, PLAYING, SENT
 
 FRAMES = const(256)  # of a buffer: DMA_BUF_LEN_IN_I2S_FRAMES of MicroPython's machine_i2s.c
 FRAME_LOG2 = const(4)  # ticks of a frame
@@ -41,21 +44,6 @@ ROW_END = const(4)  # tick at which the row ends
 LOCKED = const(5)  # mask of axes that stand still
 ENABLE = const(6)  # the enable output, for the next buffer
 TIMING_LENGTH = const(7)
-
-# Of the engine's state, and of what it remembers of a buffer: see i2s.py.
-_PLAYING = const(3)
-_BEGAN = const(4)
-_MADE = const(6)
-_SENT = const(7)
-_NUMBER = const(0)
-
-# Slots that are none.
-BEFORE = const(1000)
-NOWHERE = const(-2000)
-
-# Times are in us modulo 2**30; a difference from there on is a negative one.
-_TICKS_MASK = const(0x3FFFFFFF)
-_NEGATIVE = const(0x20000000)
 
 
 @micropython.viper
@@ -253,27 +241,27 @@ def count(frames: ptr32, until: int, timing: ptr32, lanes: ptr32, steps: ptr32) 
 @micropython.viper
 def follow(state: ptr32, now: int, buffer_us: int) -> int:
     """See which buffer is being played. Returns for how long it has been, in us."""
-    passed = (now - state[_BEGAN]) & _TICKS_MASK
-    if passed > _NEGATIVE:
+    passed = (now - state[BEGAN]) & MASK
+    if passed > NEGATIVE:
         return 0  # asked before a turn, answered behind it
     while passed >= buffer_us:
         passed -= buffer_us
-        state[_BEGAN] = (state[_BEGAN] + buffer_us) & _TICKS_MASK
-        state[_PLAYING] = state[_PLAYING] + 1
+        state[BEGAN] = (state[BEGAN] + buffer_us) & MASK
+        state[PLAYING] = state[PLAYING] + 1
     return passed
 
 
 @micropython.viper
 def find(state: ptr32, notes: ptr32, slots: int, size: int) -> int:
     """Slot of the buffer being played; where zeros are, the next one's less BEFORE."""
-    sent = state[_SENT]
+    sent = state[SENT]
     first = sent - slots + 1
     if first < 0:
         first = 0
     for k in range(first, sent):
-        number = notes[(k % slots) * size + _NUMBER]
-        if number == state[_PLAYING]:
+        number = notes[(k % slots) * size + NUMBER]
+        if number == state[PLAYING]:
             return k % slots
-        if number > state[_PLAYING]:
+        if number > state[PLAYING]:
             return k % slots - BEFORE
-    return sent % slots - BEFORE if sent < state[_MADE] else NOWHERE
+    return sent % slots - BEFORE if sent < state[MADE] else NOWHERE

@@ -28,57 +28,51 @@ import time
 from array import array
 
 import machine
+from base.times import MASK
 from micropython import const
 from motion.layout import ROW_POWER, row_length
 
 from esp_chip import frames
-from esp_chip.frames import LANE, LEFT, PLACE
+from esp_chip.frames import FRAMES, LANE, LEFT, PLACE
+from esp_chip.i2s_layout import (
+    BEFORE,
+    BEGAN,
+    DRY,
+    HALT,
+    LAST,
+    LATEST,
+    MADE,
+    MOVED,
+    MOVES,
+    MOVING,
+    NOTE,
+    NOWHERE,
+    NUMBER,
+    PAUSE,
+    PLAYING,
+    POWER,
+    PULLING,
+    ROW,
+    SENT,
+    STALE,
+    START,
+    STATE_LENGTH,
+    STOPPED,
+    TAKEN,
+    TOLD,
+    WRITTEN,
+)
 from esp_chip.stream import BYTES, Stream
-from esp_chip.turns import Turns
+from esp_chip.turns import LOST_US, SETUP_US, Turns
 
-_FRAMES = const(256)
 _HIGHEST_OUTPUT = const(29)  # bit 30: the highest one that makes a small integer
 _TURN_MS = const(4)
 _SPARE = const(2)  # buffers of DMA's ring that are left free
 _DEPTH_AT_REST = const(5)
 # So close to the end of a DMA buffer it is not certain which one a word would go to, in us.
 _DOUBT = const(300)
-_SETUP_US = const(10)
 # A locked axis goes back to its place at so many steps a second, without a ramp.
 _BACK_HZ = const(1000)
-_LOST_US = const(500_000)  # so long without taking a buffer, the stream takes none any more
-
-# State.
-_HALT = const(0)  # hands off: the main loop, or a stop, is at work
-_PULLING = const(1)  # there may be more segments
-_ROW = const(2)  # a row is being rendered
-_PLAYING = const(3)  # number of the buffer being played,
-_BEGAN = const(4)  # and when that began, in us
-_WRITTEN = const(5)  # the number that the next buffer handed over will have
-_MADE = const(6)  # buffers filled since power-up
-_SENT = const(7)  # and handed over
-_MOVED = const(8)  # how many there had been with the last one of motion
-_LAST = const(9)  # number of the last one of motion that was handed over
-_PAUSE = const(10)  # a buffer without steps has to come first
-_TOLD = const(11)  # spindle power told last
-_DRY = const(12)  # how often the stream has run dry while the machine moved
-_LATEST = const(13)  # spindle power of the newest row, which is the last one in the end
-_STOPPED = const(14)  # until arm()
-_MOVING = const(15)  # the machine is not at rest
-_STALE = const(16)  # flash has been written to since the stream was opened
-_TAKEN = const(17)  # when the stream has taken a buffer last, in us
-_STATE_LENGTH = const(18)
-
-# What is remembered of a buffer; behind these, per axis, the position as it begins.
-_NUMBER = const(0)
-_START = const(1)  # its first word, without steps
-_POWER = const(2)  # spindle power as it is played; -1: not known
-_MOVES = const(3)  # it is part of a motion
-_NOTE = const(4)
-
-_BEFORE = const(1000)
-_NOWHERE = const(-2000)
-_TICKS_MASK = const(0x3FFFFFFF)  # times are in us modulo 2**30
 
 
 class I2sEngine(Turns):
@@ -110,7 +104,7 @@ class I2sEngine(Turns):
         self._buffer_us = self._stream.buffer_us
         self.tick_hz = rate_hz << frames.FRAME_LOG2
         self._enable_bit = 2 << enable
-        self._state = array("i", (0 for _ in range(_STATE_LENGTH)))
+        self._state = array("i", (0 for _ in range(STATE_LENGTH)))
         self._timing = array("i", (0 for _ in range(frames.TIMING_LENGTH)))
         self._timing[frames.AXES] = axes
         self._lanes = array("i", (0 for _ in range(LANE * axes)))
@@ -124,13 +118,13 @@ class I2sEngine(Turns):
         whole = memoryview(self._memory)
         self._ring = [whole[BYTES * k : BYTES * (k + 1)] for k in range(self._slots)]
         self._pause = bytearray(BYTES)
-        self._size = _NOTE + axes
+        self._size = NOTE + axes
         self._notes = array("i", (0 for _ in range(self._size * self._slots)))
         # Of axes that are, or were, locked: where, and how far they have gone since then.
         self._locked_at, self._owed, self._steps = [
             array("i", (0 for _ in range(axes))) for _ in range(3)
         ]
-        self._state[_STOPPED] = 1
+        self._state[STOPPED] = 1
         self.enable(1)  # off
         self._timer = machine.Timer(0)
         self.configure(10, 0, 0)
@@ -140,14 +134,14 @@ class I2sEngine(Turns):
 
     def _open(self) -> None:
         state = self._state
-        state[_BEGAN] = self._stream.open() & _TICKS_MASK
-        state[_PLAYING] = 0
-        state[_WRITTEN] = self._buffers
-        state[_LAST] = -1
-        state[_PAUSE] = 1
-        state[_STALE] = 0
+        state[BEGAN] = self._stream.open() & MASK
+        state[PLAYING] = 0
+        state[WRITTEN] = self._buffers
+        state[LAST] = -1
+        state[PAUSE] = 1
+        state[STALE] = 0
         for slot in range(self._slots):  # numbers begin anew
-            self._notes[slot * self._size + _NUMBER] = -1
+            self._notes[slot * self._size + NUMBER] = -1
 
     # The StepEngine seam
 
@@ -165,7 +159,7 @@ class I2sEngine(Turns):
         """
         timing = self._timing
         timing[frames.PULSE] = self._frames_of(pulse_us)
-        timing[frames.SETUP] = self._frames_of(_SETUP_US)
+        timing[frames.SETUP] = self._frames_of(SETUP_US)
         for i in range(self._axes):
             self._lanes[LANE * i + frames.INVERT] = dir_invert >> i & 1
         frames.settle(timing, self._lanes)
@@ -176,7 +170,7 @@ class I2sEngine(Turns):
 
     def flash_written(self) -> None:
         """The stream cannot be relied upon any more. At rest only."""
-        self._state[_STALE] = 1
+        self._state[STALE] = 1
 
     def arm(self) -> None:
         """Motion is possible again, after power-up or stop()."""
@@ -184,34 +178,34 @@ class I2sEngine(Turns):
             self.flash_written()
             self._why = None
         self._timing[frames.LOCKED] = 0
-        self._state[_STOPPED] = 0
+        self._state[STOPPED] = 0
 
     def start(self) -> None:
         """Begin to pull, in the timer's next turn. A stopped engine stays so."""
         state = self._state
-        if state[_STOPPED] or state[_PULLING]:
+        if state[STOPPED] or state[PULLING]:
             return
-        if state[_STALE] and not state[_MOVING]:
-            state[_HALT] = 1
+        if state[STALE] and not state[MOVING]:
+            state[HALT] = 1
             self._stream.close()
             self._renew()
-            state[_HALT] = 0
-        state[_TAKEN] = time.ticks_us() & _TICKS_MASK
-        state[_TOLD] = state[_LATEST] = -1
-        state[_PULLING] = 1
-        state[_MOVING] = 1
+            state[HALT] = 0
+        state[TAKEN] = time.ticks_us() & MASK
+        state[TOLD] = state[LATEST] = -1
+        state[PULLING] = 1
+        state[MOVING] = 1
 
     def stop(self) -> None:
         """At once, until arm(); safe in a soft interrupt; queued steps and locks are dropped."""
         self._halt()
-        self._state[_MOVING] = 0
+        self._state[MOVING] = 0
 
     def _halt(self) -> None:
         state, lanes, steps = self._state, self._lanes, self._steps
-        halted = state[_HALT]  # by what this has interrupted
-        state[_STOPPED] = state[_HALT] = 1
-        state[_LATEST] = -1
-        if state[_MOVING] or state[_PULLING]:
+        halted = state[HALT]  # by what this has interrupted
+        state[STOPPED] = state[HALT] = 1
+        state[LATEST] = -1
+        if state[MOVING] or state[PULLING]:
             now = time.ticks_us()
             try:
                 self._stream.close()
@@ -224,16 +218,16 @@ class I2sEngine(Turns):
         for i in range(self._axes):
             locked = self._timing[frames.LOCKED] >> i & 1
             self._owed[i] = lanes[LANE * i + PLACE] - self._locked_at[i] if locked else 0
-        state[_PULLING] = 0
-        state[_ROW] = 0
+        state[PULLING] = 0
+        state[ROW] = 0
         self._timing[frames.LOCKED] = 0
-        state[_MOVING] = 1
-        state[_HALT] = halted
+        state[MOVING] = 1
+        state[HALT] = halted
 
     def _renew(self) -> None:
         """Forget what has not been played, and begin a new stream."""
         state = self._state
-        state[_SENT] = state[_MOVED] = state[_MADE]
+        state[SENT] = state[MOVED] = state[MADE]
         frames.settle(self._timing, self._lanes)
         self._open()
 
@@ -243,23 +237,23 @@ class I2sEngine(Turns):
         What DMA has been handed goes on too; its steps are taken back before the next motion.
         """
         timing = self._timing
-        self._state[_HALT] = 1
+        self._state[HALT] = 1
         self.position(self._steps)
         for i in range(self._axes):
             if motors >> i & 1 and not timing[frames.LOCKED] >> i & 1:
                 self._locked_at[i] = self._steps[i]
                 self._lanes[LANE * i + LEFT] = 0
         timing[frames.LOCKED] = timing[frames.LOCKED] | motors
-        self._state[_HALT] = 0
+        self._state[HALT] = 0
 
     def idle(self) -> bool:
         """Nothing is moving and nothing is queued in hardware, as the last turn has seen it."""
-        return not self._state[_MOVING]
+        return not self._state[MOVING]
 
     def _behind(self) -> bool:
         state = self._state
-        late = time.ticks_diff(time.ticks_us(), state[_TAKEN])
-        return bool(state[_MOVING]) and late > _LOST_US
+        late = time.ticks_diff(time.ticks_us(), state[TAKEN])
+        return bool(state[MOVING]) and late > LOST_US
 
     def position(self, steps: "array[int]") -> None:
         """Copy the steps really made, per motor, to the frame; those to be taken back are not."""
@@ -269,127 +263,127 @@ class I2sEngine(Turns):
         state, axes = self._state, self._axes
         passed = frames.follow(state, now, self._buffer_us)
         slot = frames.find(state, self._notes, self._slots, self._size)
-        note = (slot if slot >= 0 else slot + _BEFORE) * self._size + _NOTE
+        note = (slot if slot >= 0 else slot + BEFORE) * self._size + NOTE
         for i in range(axes):
-            place = self._lanes[LANE * i + PLACE] if slot == _NOWHERE else self._notes[note + i]
+            place = self._lanes[LANE * i + PLACE] if slot == NOWHERE else self._notes[note + i]
             steps[i] = place - self._owed[i]
         if slot >= 0:
-            until = passed * _FRAMES // self._buffer_us + 1
+            until = passed * FRAMES // self._buffer_us + 1
             frames.count(self._ring[slot], until, self._timing, self._lanes, steps)
 
     def set_position(self, steps: "array[int]") -> None:
         """Name the present place. At rest only."""
-        self._state[_HALT] = 1
+        self._state[HALT] = 1
         for i in range(self._axes):
             place = steps[i] + self._owed[i]
             self._lanes[LANE * i + PLACE] = place
             # What has been played at rest counts from there too.
             for slot in range(self._slots):
-                self._notes[slot * self._size + _NOTE + i] = place
-        self._state[_HALT] = 0
+                self._notes[slot * self._size + NOTE + i] = place
+        self._state[HALT] = 0
 
     def times_dry(self) -> int:
         """How often the machine has had to pause because the engine came too late."""
-        return self._state[_DRY]
+        return self._state[DRY]
 
     # The timer's turns: no other soft interrupt comes in between
 
     def _go_on(self) -> None:
         state = self._state
-        if state[_HALT]:
+        if state[HALT]:
             return
-        if state[_STOPPED]:  # the stop may have come into start()
-            state[_PULLING] = state[_MOVING] = 0
+        if state[STOPPED]:  # the stop may have come into start()
+            state[PULLING] = state[MOVING] = 0
         passed = frames.follow(state, time.ticks_us(), self._buffer_us)
         self._tell_power()
-        if state[_WRITTEN] <= state[_PLAYING] + 1:
+        if state[WRITTEN] <= state[PLAYING] + 1:
             if passed < _DOUBT or passed > self._buffer_us - _DOUBT:
                 return
             # The stream has run dry, or may have.
-            state[_WRITTEN] = state[_PLAYING] + 1
-            state[_PAUSE] = 1
-            if state[_PULLING] or state[_MOVED] > state[_SENT]:
-                state[_DRY] += 1
-        depth = self._buffers - _SPARE if state[_PULLING] else _DEPTH_AT_REST
-        while state[_WRITTEN] - state[_PLAYING] < depth:
-            if state[_MADE] == state[_SENT]:
+            state[WRITTEN] = state[PLAYING] + 1
+            state[PAUSE] = 1
+            if state[PULLING] or state[MOVED] > state[SENT]:
+                state[DRY] += 1
+        depth = self._buffers - _SPARE if state[PULLING] else _DEPTH_AT_REST
+        while state[WRITTEN] - state[PLAYING] < depth:
+            if state[MADE] == state[SENT]:
                 self._make()
-            if not (self._send_pause() if state[_PAUSE] else self._send()):
+            if not (self._send_pause() if state[PAUSE] else self._send()):
                 return
-            state[_TAKEN] = time.ticks_us() & _TICKS_MASK
+            state[TAKEN] = time.ticks_us() & MASK
 
     def _tell_power(self) -> None:
         slot = frames.find(self._state, self._notes, self._slots, self._size)
         # Not at rest: whoever has seen us idle may have turned the spindle.
-        if slot >= 0 and self._notes[slot * self._size + _MOVES]:
-            self._tell(self._notes[slot * self._size + _POWER])
+        if slot >= 0 and self._notes[slot * self._size + MOVES]:
+            self._tell(self._notes[slot * self._size + POWER])
         self._look_for_rest()
 
     def _look_for_rest(self) -> None:
         """All has been played: power is the last row's then, or what whoever hears of it says."""
         state = self._state
-        played = state[_MOVED] <= state[_SENT] and state[_LAST] < state[_PLAYING]
-        if state[_MOVING] and not state[_PULLING] and played:
-            self._tell(state[_LATEST])
-            state[_MOVING] = 0
+        played = state[MOVED] <= state[SENT] and state[LAST] < state[PLAYING]
+        if state[MOVING] and not state[PULLING] and played:
+            self._tell(state[LATEST])
+            state[MOVING] = 0
             self._on_rest()
 
     def _tell(self, power: int) -> None:
-        if power >= 0 and power != self._state[_TOLD]:
-            self._state[_TOLD] = power
+        if power >= 0 and power != self._state[TOLD]:
+            self._state[TOLD] = power
             self._on_power(power)
 
     def _make(self) -> None:
         """Fill the next buffer of our ring."""
         state, timing, lanes = self._state, self._timing, self._lanes
-        row, slot = self._row, state[_MADE] % self._slots
+        row, slot = self._row, state[MADE] % self._slots
         note = slot * self._size
         buffer, notes = self._ring[slot], self._notes
         for i in range(self._axes):
-            notes[note + _NOTE + i] = lanes[LANE * i + PLACE]
-        notes[note + _START] = frames.begin_buffer(buffer, timing, lanes)
-        notes[note + _POWER] = state[_LATEST]
-        notes[note + _MOVES] = state[_PULLING]
-        if state[_PULLING]:
-            state[_MOVED] = state[_MADE] + 1
-            if not state[_ROW]:
+            notes[note + NOTE + i] = lanes[LANE * i + PLACE]
+        notes[note + START] = frames.begin_buffer(buffer, timing, lanes)
+        notes[note + POWER] = state[LATEST]
+        notes[note + MOVES] = state[PULLING]
+        if state[PULLING]:
+            state[MOVED] = state[MADE] + 1
+            if not state[ROW]:
                 timing[frames.ROW_END] = 0
                 if frames.take_back(row, self._owed, self._axes, self.tick_hz // _BACK_HZ):
                     late = frames.lateness(row, timing, lanes)
                     frames.begin_row(buffer, row, timing, lanes, late)
-                    state[_ROW] = 1
-            while not state[_ROW] or frames.render(buffer, timing, lanes):
+                    state[ROW] = 1
+            while not state[ROW] or frames.render(buffer, timing, lanes):
                 if not self._next_segment(row):
-                    state[_PULLING] = 0
-                    state[_ROW] = 0
+                    state[PULLING] = 0
+                    state[ROW] = 0
                     break
                 late = frames.lateness(row, timing, lanes)
                 frames.begin_row(buffer, row, timing, lanes, late)
-                state[_ROW] = 1
-                notes[note + _POWER] = state[_LATEST] = row[ROW_POWER]
+                state[ROW] = 1
+                notes[note + POWER] = state[LATEST] = row[ROW_POWER]
         frames.end_buffer(timing, lanes)
-        state[_MADE] += 1
+        state[MADE] += 1
 
     def _send_pause(self) -> bool:
         """Behind zeros, and before anything steps: directions as they are to be."""
         state = self._state
-        frames.blank(self._pause, self._notes[state[_SENT] % self._slots * self._size + _START])
+        frames.blank(self._pause, self._notes[state[SENT] % self._slots * self._size + START])
         if not self._stream.write(self._pause):
             return False
-        state[_PAUSE] = 0
-        state[_WRITTEN] += 1
+        state[PAUSE] = 0
+        state[WRITTEN] += 1
         return True
 
     def _send(self) -> bool:
         """Hand over the buffer that is waiting. Returns False where there is no room yet."""
         state = self._state
-        slot = state[_SENT] % self._slots
+        slot = state[SENT] % self._slots
         if not self._stream.write(self._ring[slot]):
             return False
         note = slot * self._size
-        self._notes[note + _NUMBER] = state[_WRITTEN]
-        if self._notes[note + _MOVES]:
-            state[_LAST] = state[_WRITTEN]
-        state[_WRITTEN] += 1
-        state[_SENT] += 1
+        self._notes[note + NUMBER] = state[WRITTEN]
+        if self._notes[note + MOVES]:
+            state[LAST] = state[WRITTEN]
+        state[WRITTEN] += 1
+        state[SENT] += 1
         return True

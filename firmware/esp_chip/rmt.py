@@ -27,13 +27,14 @@ from array import array
 
 import machine
 import micropython
+from base.times import MASK, NEGATIVE
 from micropython import const
 from motion.layout import ROW_POWER, row_length
 
 from esp_chip import trains
 from esp_chip.channel import RESOLUTION_HZ, Channel, most_steps
 from esp_chip.trains import made
-from esp_chip.turns import Turns
+from esp_chip.turns import LOST_US, SETUP_US, Turns
 
 _HIGHEST_HZ = const(20_000)
 _SHORTEST_US = const(6_000)  # what a channel holds lasts so long at the highest rate
@@ -48,13 +49,9 @@ _FROM_REST_US = const(2_000)
 _GUARD_US = const(20)
 # So long before write_pulses() returns the hardware has begun, about.
 _RETURN_US = const(10)
-_SETUP_US = const(10)
 # What write_pulses() takes, before it has been measured: us, and per duration in 1/8 us.
 _CALL_US = const(150)
 _CALL_EIGHTHS = const(2)
-
-# So long after it was due a train will not come any more.
-_LOST_US = const(500_000)
 
 # State.
 _HALT = const(0)  # stopped, until arm()
@@ -79,10 +76,6 @@ _START = const(3)  # and when the channel was started
 _LEVEL = const(4)  # of the direction pin, before $3; -1: unknown
 _CALL = const(5)  # what write_pulses() takes, besides the durations
 
-# Times are in us modulo 2**30.
-_MASK = const(0x3FFFFFFF)
-_NEGATIVE = const(0x20000000)
-
 
 @micropython.viper
 def _place(lanes: ptr32, axis: int, playing: ptr32, now: int) -> int:
@@ -91,8 +84,8 @@ def _place(lanes: ptr32, axis: int, playing: ptr32, now: int) -> int:
     place = lanes[lane + _PLACE]
     if lanes[lane + _COUNT] == 0:
         return place
-    passed = (now - lanes[lane + _START]) & _MASK
-    if passed >= _NEGATIVE:
+    passed = (now - lanes[lane + _START]) & MASK
+    if passed >= NEGATIVE:
         return place
     steps = int(made(playing, lanes[lane + _COUNT], passed))
     return place - steps if lanes[lane + _BACK] else place + steps
@@ -166,10 +159,10 @@ class RmtEngine(Turns):
             state[_TOLD] = -1
             now = time.ticks_us()
             rest = time.ticks_diff(state[_FREE], now)  # of a train that was cut off
-            if not 0 < rest < _LOST_US:
-                state[_FREE] = now & _MASK
-            state[_DUE] = (state[_FREE] + _FROM_REST_US) & _MASK
-            self._powers[0] = _MASK
+            if not 0 < rest < LOST_US:
+                state[_FREE] = now & MASK
+            state[_DUE] = (state[_FREE] + _FROM_REST_US) & MASK
+            self._powers[0] = MASK
             state[_RUNNING] = 1
             self._timer.init(mode=machine.Timer.PERIODIC, period=1, callback=self._turn)
 
@@ -216,7 +209,7 @@ class RmtEngine(Turns):
     def _behind(self) -> bool:
         state = self._state
         late = time.ticks_diff(time.ticks_us(), state[_DUE])
-        return bool(state[_RUNNING]) and late > _LOST_US
+        return bool(state[_RUNNING]) and late > LOST_US
 
     def position(self, steps: "array[int]") -> None:
         """Copy the steps really made, per motor, by the clock."""
@@ -300,7 +293,7 @@ class RmtEngine(Turns):
         for k in range(trains.ROWS):
             at = (timing[trains.FIRST] + k) % trains.ROWS * self._size
             valid = k < timing[trains.TAKEN] or (k == 0 and timing[trains.PART])
-            self._next_powers[2 * k] = at_us if valid else _MASK
+            self._next_powers[2 * k] = at_us if valid else MASK
             self._next_powers[2 * k + 1] = rows[at + ROW_POWER]
             at_us += rows[at]
 
@@ -312,7 +305,7 @@ class RmtEngine(Turns):
             if self._powers[2 * k] > passed:
                 break
             power = self._powers[2 * k + 1]
-        if power < _MASK and power != state[_TOLD]:
+        if power < MASK and power != state[_TOLD]:
             state[_TOLD] = power
             self._on_power(power)
 
@@ -342,7 +335,7 @@ class RmtEngine(Turns):
                 if lanes[lane + _LEVEL] != back:
                     lanes[lane + _LEVEL] = back
                     self._direction[i].value(back ^ (self._dir_invert >> i & 1))
-                    setup = _SETUP_US
+                    setup = SETUP_US
         # The train begins when it is due, or when the slowest start allows.
         now = time.ticks_us()
         due_in = time.ticks_diff(state[_DUE], now)
@@ -353,14 +346,14 @@ class RmtEngine(Turns):
                 ready_in += self._call_us(i)
                 late = max(late, ready_in - due_in - self._next[i][0])
         state[_GAP] = max(state[_GAP], late)
-        state[_BEGAN] = (state[_DUE] + late) & _MASK
+        state[_BEGAN] = (state[_DUE] + late) & MASK
         state[_FREE] = state[_BEGAN]
         self._playing, self._next = self._next, self._playing
         self._powers, self._next_powers = self._next_powers, self._powers
         for i in range(self._axes):
             if self._counts[i]:
                 self._start_channel(i)
-        state[_DUE] = (state[_BEGAN] + self._timing[trains.LENGTH]) & _MASK
+        state[_DUE] = (state[_BEGAN] + self._timing[trains.LENGTH]) & MASK
         state[_READY] = 0
         state[_TRAINS] += 1
 
@@ -380,10 +373,10 @@ class RmtEngine(Turns):
         pulses[0] = playing[0] = min(max(lead, 1), _PULSE_MAX)
         self._channels[axis].play(pulses)
         took = time.ticks_diff(time.ticks_us(), before)
-        lanes[lane + _START] = (before + took - _RETURN_US) & _MASK
+        lanes[lane + _START] = (before + took - _RETURN_US) & MASK
         lanes[lane + _COUNT] = count
         state[_SKEW] = max(state[_SKEW], abs(took - call))
         lanes[lane + _CALL] = min(max(lanes[lane + _CALL] + (took - call) // 2, 20), 1000)
-        end = (before + took + trains.lasts(playing, count) + _GUARD_US) & _MASK
+        end = (before + took + trains.lasts(playing, count) + _GUARD_US) & MASK
         if time.ticks_diff(end, state[_FREE]) > 0:
             state[_FREE] = end

@@ -11,9 +11,10 @@ import time
 import machine
 from micropython import const
 
+from esp_chip.frames import FRAMES
+
 _PORT = const(0)
 BYTES = const(1024)  # of a buffer
-FRAMES = const(256)
 
 
 class Stream:

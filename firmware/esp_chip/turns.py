@@ -16,6 +16,12 @@ if TYPE_CHECKING:
     from interfaces import NextSegment
 
 
+# Direction is there so long before a step.
+SETUP_US = const(10)
+# What has not come so long after it was due, a train or a buffer that DMA takes, never will.
+LOST_US = const(500_000)
+
+
 def _nothing() -> None:
     """Nobody has to be told."""
 

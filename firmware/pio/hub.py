@@ -10,6 +10,7 @@ from array import array
 
 import machine
 import micropython
+from base.times import MASK, NEGATIVE
 from micropython import const
 from motion.layout import (
     KEEP_POWER,
@@ -47,8 +48,6 @@ from pio.layout import (
     LOCKED,
     LOST,
     MADE,
-    MASK,
-    NEGATIVE,
     NVIC,
     PIO0,
     PIO1,

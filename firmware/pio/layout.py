@@ -51,10 +51,6 @@ LENGTH = const(ROW + ROWS + 2)
 # ends; and where it begins, per axis.
 ROW_EXTRA = const(3)
 
-# Times are in us modulo 2**30; a difference from there on is a negative one.
-MASK = const(0x3FFFFFFF)
-NEGATIVE = const(0x20000000)
-
 # What may be wrong: trouble().
 RAISED = const(1)  # the interrupt has met an exception
 LOST = const(2)  # a word has come to a FIFO that was full

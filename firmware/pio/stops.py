@@ -6,6 +6,7 @@ not be divided is done with all these interrupts held back, for some microsecond
 """
 
 import micropython
+from base.times import MASK, NEGATIVE
 from micropython import const
 from motion.layout import ROW_AXES, ROW_STRIDE
 
@@ -30,8 +31,6 @@ from pio.layout import (
     LOCKED,
     LOST,
     MADE,
-    MASK,
-    NEGATIVE,
     NVIC,
     PIO0,
     PIO1,

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _CTRL_A = const(1)
-_CTRL_C = const(3)
+CTRL_C = const(3)
 _CR = const(13)
 _PATIENCE = const(3)  # times Ctrl-C
 
@@ -26,7 +26,7 @@ def _follow(buf: ptr8, count: int, interrupts: int) -> int:
     """How many times in a row there was Ctrl-C; -1 - i where byte i asks for the prompt."""
     for i in range(count):
         byte = buf[i]
-        if byte == _CTRL_C:
+        if byte == CTRL_C:
             interrupts += 1
         elif byte == _CTRL_A and interrupts:
             interrupts = _PATIENCE
@@ -52,7 +52,7 @@ class Escape:
         self._interrupts = max(found, 0)
         if found < 0 and self.at_rest():
             at = -1 - found
-            if buf[at] == _CTRL_C:
+            if buf[at] == CTRL_C:
                 at += 1  # or it would interrupt what is to come
             self._close()
             if at < count:

@@ -22,3 +22,9 @@ JUST = const(1)
 
 # MicroPython's struct ringbuf_t: address, size : 16, iget : 16, iput : 16.
 RING_BYTES = const(512)
+
+# What is read at once at the most: so many pieces of 64 bytes hold all that may have arrived.
+PIECES = const(16)
+# How long a write may take: MicroPython gives a host that does not read up when nothing has gone
+# for 500 ms, and a packet or two may go before.
+WRITE_MS = const(1000)

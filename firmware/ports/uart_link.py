@@ -12,21 +12,16 @@ import sys
 import micropython
 from micropython import const
 
-from ports.escape import Escape
-from ports.link_memory import AWAY, STOPPED, TURNED
+from ports.escape import CTRL_C, Escape
+from ports.link_memory import AWAY, PIECES, STOPPED, TURNED, WRITE_MS
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
 
-_CTRL_C = const(3)
 # What a UART's own memory takes without waiting; soft interrupts come in between.
 _PIECE = const(64)
-_PIECES = const(16)  # hold all that may have arrived
-
-# How long one write may take: native USB waits for a host that does not read.
-_WRITE_MS = const(1000)
 
 
 class UartLink:
@@ -72,7 +67,7 @@ class UartLink:
     def discard(self) -> None:
         """Drop what has arrived. MicroPython keeps less than 1 kB; more may follow."""
         piece = bytearray(_PIECE)
-        for _ in range(_PIECES):
+        for _ in range(PIECES):
             self.read_into(piece)
 
     def _waiting(self) -> bool:
@@ -90,10 +85,10 @@ class UartLink:
             self._send(whole[at : at + _PIECE])
 
     def _send(self, piece: "bytes | bytearray | memoryview") -> None:
-        self.shared[AWAY] = -_WRITE_MS
+        self.shared[AWAY] = -WRITE_MS
         self._out.write(piece)
         self.shared[AWAY] = 0
 
     def close(self) -> None:
         """Ctrl-C interrupts again."""
-        micropython.kbd_intr(_CTRL_C)
+        micropython.kbd_intr(CTRL_C)

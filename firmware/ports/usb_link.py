@@ -25,7 +25,7 @@ import machine
 import micropython
 from micropython import const
 
-from ports.escape import Escape
+from ports.escape import CTRL_C, Escape
 from ports.link_memory import (
     AWAY,
     DTR,
@@ -35,6 +35,7 @@ from ports.link_memory import (
     LENGTH,
     LINE,
     OPENED,
+    PIECES,
     REMEMBERED,
     RING,
     RING_BYTES,
@@ -42,6 +43,7 @@ from ports.link_memory import (
     TAKING,
     TURNED,
     USED,
+    WRITE_MS,
 )
 
 TYPE_CHECKING = const(False)
@@ -53,7 +55,6 @@ if TYPE_CHECKING:
 for _module in (array, binascii, io, machine, os, select, time):
     sys.modules[_module.__name__] = _module
 
-_CTRL_C = const(3)
 _CTRL_X = const(24)
 
 # A host that does not read for so long is taken for absent, and is not waited for any more.
@@ -69,14 +70,8 @@ _OUT_BYTES = const(64)
 _QUIET_TURNS = const(3)
 _ANSWER = const(16)
 
-_PIECES = const(16)  # of 64 bytes hold all that may have arrived
-
 # With a count of bytes: there is more to see to.
 _NOTE = const(0x100)
-
-# A write to a host that does not read: MicroPython gives up when nothing has gone for 500 ms, and
-# a packet or two may go before.
-_WRITE_MS = const(1000)
 
 # The last request of the host, in the memory of RP2040's and RP2350's USB: requests that tell
 # of the port being open or not (its DTR), that come with opening alone, and that the cable has
@@ -105,7 +100,7 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
     while get != put and count < room:
         c = data[get]
         buf[count] = c
-        if c <= _CTRL_C:
+        if c <= CTRL_C:
             at[ESCAPES] = 1
         get = (get + 1) & (RING_BYTES - 1)
         count += 1
@@ -289,7 +284,7 @@ class UsbLink:
     def discard(self) -> None:
         """Drop what has arrived. MicroPython and its USB keep less than 1 kB; more may follow."""
         piece = bytearray(64)
-        for _ in range(_PIECES):
+        for _ in range(PIECES):
             self.read_into(piece)
 
     def _flush(self) -> None:
@@ -304,7 +299,7 @@ class UsbLink:
         if self._deaf and not self._sendable.poll(0):
             return
         since = time.ticks_ms()
-        self._at[AWAY] = -_WRITE_MS
+        self._at[AWAY] = -WRITE_MS
         self._out.write(data, length)
         self._at[AWAY] = 0
         self._deaf = time.ticks_diff(time.ticks_ms(), since) >= _DEAF_MS
@@ -312,4 +307,4 @@ class UsbLink:
     def close(self) -> None:
         """Send what is left; Ctrl-C interrupts again."""
         self._flush()
-        micropython.kbd_intr(_CTRL_C)
+        micropython.kbd_intr(CTRL_C)

@@ -31,7 +31,7 @@ _BUILD_INFO = "build"
 STARTUP_LINES = const(2)
 _HIGHEST_SETTING = const(255)
 _AXES = b"XYZ"
-_BUSY = const(0x18)  # RUN | HOLD
+_BUSY = const(st.RUN | st.HOLD)
 _JOG = const(74)  # $J
 _AT_ANY_TIME = b"\0$GCX"
 

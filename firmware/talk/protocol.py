@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from talk.lines import LineReader
     from talk.report import Report
 
-_LOCKED = const(0x21)  # ALARM | JOG
+_LOCKED = const(st.ALARM | st.JOG)
 _DEAF_MS = const(500)  # nothing is answered for so long behind an alarm
 
 

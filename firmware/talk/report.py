@@ -60,7 +60,7 @@ _OVERRIDE_IDLE = const(10)
 _OVERRIDE_BUSY = const(20)
 _LONGEST = const(216)  # status report, and 12 bytes for write()
 _VALUES = const(3)  # at once, in a form
-_MOVING = const(0x7C)  # HOMING | RUN | HOLD | JOG | DOOR
+_MOVING = const(st.HOMING | st.RUN | st.HOLD | st.JOG | st.DOOR)
 
 
 class Report:
