@@ -149,6 +149,7 @@ import gc
 import micropython
 from array import array
 from control.coords import Coords
+from control.inputs import Inputs
 from motion.planner import Planner
 from talk.report import Report
 from motion.segments import Segments
@@ -159,6 +160,8 @@ class Store:
 class Settings:
     report_mask = 3
     report_inches = 0
+    limit_invert = 0
+    probe_invert = 0
     steps_per_mm = array("f", [250.0, 80.0, 4000.0])
     max_rate = array("f", [3000.0, 5000.0, 500.0])
     acceleration = array("f", [360000.0, 3600000.0, 36000.0])
@@ -195,7 +198,9 @@ planner.configure(settings, 13107200, 17, 90909)
 segments = Segments(planner)
 planner.flow[9] = 56 << 15 | 0x4321
 report = Report(machine, state, settings, coords, 3, False)
-report.connect(machine, planner, segments, machine, machine, machine, machine.free, None)
+report.configure()
+inputs = Inputs(machine, settings, 3, False)
+report.connect(machine, planner, segments, inputs, machine, machine, machine.free, None)
 
 def taken(wco, ov):
     state.wco_countdown, state.override_countdown = wco, ov
@@ -213,6 +218,7 @@ print(taken(5, 5), bytes(machine.text[:machine.length]).decode().strip())
 print(taken(5, 0), bytes(machine.text[:machine.length]).decode().strip())
 print(taken(0, 5), bytes(machine.text[:machine.length]).decode().strip())
 settings.report_mask = 2
+report.configure()
 print(taken(5, 5), bytes(machine.text[:machine.length]).decode().strip())
 """
 

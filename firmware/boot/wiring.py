@@ -256,6 +256,7 @@ def _connect(machine: Controller) -> None:
         machine.configure,
         machine.inputs.configure,
         machine.canon.configure,
+        machine.report.configure,
         machine.state.change,
     ):
         machine.settings.on_change(callback)

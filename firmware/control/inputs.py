@@ -4,7 +4,7 @@ The port says which pins are pulled to ground; $5 and $6 say what that means, of
 board file.
 """
 
-from base.controls import DOOR
+from base.controls import DOOR, HOLD, RESET, START
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -35,9 +35,16 @@ class Inputs:
         """Mask of axes whose limit switch is hit."""
         return self._port.limits() ^ self._limit_invert
 
-    def controls(self) -> int:
-        """Mask of control inputs that are active."""
-        return self._port.controls()
+    def closed(self) -> int:
+        """All that is closed, a bit each: probe, limits of four axes, door, reset, hold, start."""
+        port = self._port
+        closed = ((port.limits() ^ self._limit_invert) & self._all) << 1
+        if port.probe() != self._probe_invert:
+            closed |= 1
+        controls = port.controls()
+        if controls:
+            closed |= (controls & DOOR) << 2 | (controls & (RESET | HOLD | START)) << 6
+        return closed
 
     def estop(self) -> bool:
         """The emergency stop is pressed; never so where there is none."""

@@ -256,10 +256,12 @@ def _arm(pins: "Iterable[Pin | None]", edges: int) -> None:
             pin.irq().trigger(edges)
 
 
+@micropython.native
 def _mask(pins: "list[Pin | None] | tuple[Pin | None, ...]") -> int:
     mask = 0
-    for bit in range(len(pins)):
-        pin = pins[bit]
-        if pin and pin.value() == 0:
-            mask |= 1 << bit
+    bit = 1
+    for pin in pins:
+        if pin and not pin():
+            mask |= bit
+        bit <<= 1
     return mask

@@ -112,9 +112,9 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
 
 @micropython.viper
 def _keep(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
-    """Put an answer behind those that wait to be sent. Returns 0 where it may not wait."""
+    """Put an answer behind those that wait to be sent. Returns 0 where there is no room."""
     length = at[LENGTH]
-    if count > _ANSWER or length + count > _OUT_BYTES:
+    if length + count > _OUT_BYTES:
         return 0
     for i in range(count):
         out[length + i] = data[i]
@@ -222,11 +222,13 @@ class UsbLink:
         at, keep, waiting = self._at, _keep, self._waiting_out
 
         def write(data: "bytes | bytearray | memoryview") -> None:
-            if keep(at, waiting, data, len(data)):
-                return
-            self._flush()
-            if not keep(at, waiting, data, len(data)):
-                self._send(data, len(data))
+            count = len(data)
+            if count > _ANSWER:
+                self._flush()
+                self._send(data, count)
+            elif not keep(at, waiting, data, count):
+                self._flush()
+                keep(at, waiting, data, count)
 
         return write
 

@@ -85,7 +85,10 @@ def write(form: ptr8, out: ptr8, ints: ptr32, singles: ptr32) -> int:
             at = end + 12
             c = at
             while number or decimals >= 0:
-                rest = number // 10
+                if number < 0 or number > 43689:
+                    rest = number // 10
+                else:  # the same in a tenth of the chip's time
+                    rest = (number * 26215) >> 18
                 digit = number - 10 * rest
                 if number < 0:
                     rest = 214748364  # Grbl's 32 bits end with 2147483648

@@ -9,7 +9,6 @@ from array import array
 
 from base import errors
 from base import state as st
-from base.controls import DOOR, HOLD, RESET, START
 from base.f32 import INCH_PER_MM, copy, f32, vector
 from control.coords import NAMES
 from micropython import const
@@ -88,7 +87,6 @@ class Report:
         self._coords = coords
         self._axes = axes
         self._line_numbers = line_numbers
-        self._all = (1 << axes) - 1
         # A status report, and what it is made of.
         self._text = bytearray(_LONGEST)
         self._sent = 0  # the length of the last one, and its piece of the buffer
@@ -98,7 +96,6 @@ class Report:
         self._offset = vector(max(axes, 3))
         self._shown = vector(axes + 1)
         self._resolution = LIMITS + RESOLUTION * axes
-        self._form = b"#3,#3,#3,#3\0"[-3 * axes :]
 
     def connect(
         self,
@@ -121,6 +118,19 @@ class Report:
         self._coolant = coolant
         self._rx_free = rx_free
         self._position = position
+
+    def configure(self) -> None:
+        """Take over $10 and $13: forms of digits.write(), which end with a 0."""
+        settings = self._settings
+        self._form = b"#3,#3,#3,#3\0"[-3 * self._axes :]
+        self._speed_form = b"|FS:#0,#0\0"
+        if settings.report_inches:
+            self._form = self._form.replace(b"3", b"4")
+            self._speed_form = b"|FS:#1,#0\0"
+        name = b"|MPos:" if settings.report_mask & _REPORT_MPOS else b"|WPos:"
+        self._place_form = name + self._form
+        if settings.report_mask & _REPORT_BUFFERS:
+            self._place_form = self._place_form[:-1] + b"|Bf:%,%\0"
 
     # Answers
 
@@ -223,31 +233,32 @@ class Report:
 
     def status(self) -> "memoryview":
         """The answer to ?, to be sent before there is another."""
-        mask = self._settings.report_mask
+        state, settings = self._state, self._settings
+        mask = settings.report_mask
         text, ints, mm = self._text, self._ints, self._mm
         self._begin()
-        if mask & _REPORT_MPOS:
-            self._lengths(b"|MPos:\0", mm)
-        else:
+        if not mask & _REPORT_MPOS:
             add(self._work_offset(), MINUS, mm, self._axes)
-            self._lengths(b"|WPos:\0", mm)
         if mask & _REPORT_BUFFERS:
             ints[VALUES] = self._planner.free()
             ints[VALUES + 1] = self._rx_free()
-            write(b"|Bf:%,%\0", text, ints, mm)
+        write(self._place_form, text, ints, self._in_inches(mm) if settings.report_inches else mm)
         if self._line_numbers:
             ints[VALUES] = self._planner.line_number()
             if ints[VALUES]:
                 write(b"|Ln:%\0", text, ints, mm)
         self._speeds()
-        pins = self._pins()
-        if pins:
-            ints[VALUES] = pins
+        ints[VALUES] = self._inputs.closed()
+        if ints[VALUES]:
             write(b"|Pn:?P?X?Y?Z?A?D?R?H?S\0", text, ints, mm)
-        self._extras(text, ints)
+        if state.wco_countdown > 0 and state.override_countdown > 0:  # as nearly always
+            state.wco_countdown -= 1
+            state.override_countdown -= 1
+        else:
+            self._extras(text, ints)
         return self._finish()
 
-    # Its parts: forms of digits.write(), which end with a 0
+    # Its parts
 
     def _begin(self) -> None:
         """State and, not written yet, machine position."""
@@ -263,11 +274,9 @@ class Report:
         """Axis values."""
         text, ints = self._text, self._ints
         write(name, text, ints, mm)
-        form = self._form
         if self._settings.report_inches:
-            form = form.replace(b"3", b"4")
             mm = self._in_inches(mm)
-        write(form, text, ints, mm)
+        write(self._form, text, ints, mm)
 
     def _in_inches(self, mm: "array[float]") -> "array[float]":
         for i in range(self._axes):
@@ -314,31 +323,17 @@ class Report:
     def _speeds(self) -> None:
         """Feed rate and spindle speed."""
         state, segments, shown = self._state, self._segments, self._shown
-        form = b"|FS:#0,#0\0"
         shown[0] = 0.0
         shown[1] = state.spindle_rpm
         if state.run & _MOVING:
-            shown[0] = segments.whole_rate()
+            if self._settings.report_inches:
+                shown[0] = segments.rate_mm_min() * INCH_PER_MM
+            else:
+                shown[0] = segments.whole_rate()
             rpm = segments.dynamic_rpm()
             if rpm is not None:
                 shown[1] = rpm
-        if self._settings.report_inches:
-            form = b"|FS:#1,#0\0"
-            if state.run & _MOVING:
-                shown[0] = segments.rate_mm_min() * INCH_PER_MM
-        write(form, self._text, self._ints, shown)
-
-    def _pins(self) -> int:
-        """Probe, limits of four axes, door, reset, hold, start: a bit each."""
-        inputs = self._inputs
-        pins = 1 if inputs.probe() else 0
-        limits = inputs.limits()
-        if limits:
-            pins |= (limits & self._all) << 1
-        controls = inputs.controls()
-        if controls:
-            pins |= (controls & DOOR) << 2 | (controls & (RESET | HOLD | START)) << 6
-        return pins
+        write(self._speed_form, self._text, self._ints, shown)
 
     def _extras(self, text: bytearray, ints: "array[int]") -> None:
         """WCO: now and then, Ov: and A: now and then but not with it."""

@@ -146,6 +146,9 @@ class Pin:
         if value is not None:
             self.value(value)
 
+    def __call__(self) -> int:
+        return self.value()
+
     def value(self, level: "int | None" = None) -> int:
         if level is None:
             return self.level

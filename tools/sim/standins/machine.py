@@ -119,6 +119,9 @@ class Pin:
         level = PWM.outputs[self.id].shape() if pwm else 65535 * self.level
         return (level, 65535 - level, 0, 65535)[control >> _OUTOVER & 3]
 
+    def __call__(self) -> int:
+        return self.value()
+
     def value(self, level: "int | None" = None) -> int:
         if level is not None:
             self.level = 1 if level else 0
