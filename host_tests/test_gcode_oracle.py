@@ -85,7 +85,7 @@ def everything(machine: Machine) -> "dict[str, Any]":
     controller: Any = machine.rig.controller
     modes, coords, planner = controller.modes, controller.coords, controller.planner
     found: dict[str, Any] = {
-        "modes": vars(modes.modal).copy(),
+        "modes": list(modes.modal),
         "feed": modes.feed,
         "speed": modes.spindle_rpm,
         "tool": modes.tool,

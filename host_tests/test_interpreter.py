@@ -98,14 +98,14 @@ def test_a_jog_out_of_the_travel_is_refused() -> None:
     assert refused.value.code == errors.TRAVEL_EXCEEDED and paper.canon.asked == []
 
 
-@pytest.mark.parametrize("row", ["GROUP_1, 'motion', 81", "GROUP_0, None, 81"])
+@pytest.mark.parametrize("row", ["GROUP_1, MOTION, 81", "GROUP_0, NOWHERE, 81"])
 def test_a_row_without_a_behaviour_is_found_at_import(row: str) -> None:
     """It would be a probing move, or nothing."""
     program = (
         f"import sys; sys.path[:0] = [{str(STANDINS)!r}, {str(FIRMWARE)!r}]\n"
         "import language.interpreter; del sys.modules['language.interpreter']\n"
         "from language.block import *\n"
-        f"G_WORDS[81] = ({row}, AXES_MOTION)\n"
+        f"add_word(81, {row}, AXES_MOTION)\n"
         "import language.interpreter\n"
     )
     done = subprocess.run(

@@ -5,6 +5,7 @@ from array import array
 
 import pytest
 from base.f32 import f32, vector
+from base.singles import MINUS, add, divide
 from base.state import State
 from hypothesis import example, given
 from hypothesis import strategies as some
@@ -13,7 +14,6 @@ from motion import layout, reals
 from motion.planner import Planner
 from motion.segments import Segments
 from talk.digits import END, VALUES, scaled, write
-from talk.singles import MINUS, add, divide
 from test_f32 import printed
 from ugrbl.paths import FIRMWARE
 

@@ -6,9 +6,10 @@ from math import isfinite
 
 import pytest
 from base.f32 import MM_PER_INCH
+from base.singles import add_single, to_mm
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
-from language.words import Words, add_single, bare, scan, to_mm
+from language.words import Words, bare, scan
 from oracle import read_number, read_words, single
 
 

@@ -3,6 +3,7 @@
 import sys
 from array import array
 
+from base import singles
 from base.f32 import vector
 from base.state import State
 from language import fast_path, words
@@ -65,7 +66,7 @@ def print_words(dice):
         bits = bytes(array("f", [values[i] for i in range(count & 255)]))
         print(text, count, list(bits))
         one, other = array("f", [values[0]]), array("f", [values[1 % (count & 255)]])
-        words.add_single(one, 0, other, 0)
+        singles.add_single(one, 0, other, 0)
         print(
             list(bytes(other)), fast_path.read(bytearray(text.encode() + b"\0"), len(text), known)
         )

@@ -5,7 +5,8 @@ Sole owner of G54-G59, G28 and G30 (kept), G92 and tool length (not kept).
 
 from array import array
 
-from base.f32 import f32, vector
+from base.f32 import copy, vector
+from base.singles import add
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -22,7 +23,7 @@ NAMES = ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30")
 
 
 class Coords:
-    """All offsets. offsets(i) for what the parser adds to axis i."""
+    """All offsets."""
 
     def __init__(self, store: "Store", axes: int, length_axis: int) -> None:
         self._store = store
@@ -32,6 +33,7 @@ class Coords:
         self.active = 0  # keep-name: esp32.RMT has active(), too
         self.g92 = vector(axes)
         self.tool_length = 0.0
+        self._zero = vector(max(axes, length_axis + 1))
 
     def load(self) -> bool:
         """Read what is kept; False, and zero, where there was nothing valid."""
@@ -80,9 +82,9 @@ class Coords:
         self.systems[index][:] = values
         self._save()
 
-    def work_offset(self, axis: int) -> float:
-        """What machine position has more than work position."""
-        offset = f32(self.systems[self.active][axis] + self.g92[axis])
-        if axis == self.length_axis:
-            offset = f32(offset + self.tool_length)
-        return offset
+    def zero(self, system: int) -> "array[float]":
+        """Where work in that system begins, with G92, without tool length. Until asked again."""
+        zero, axes = self._zero, self._axes
+        copy(self.systems[system], zero, axes)
+        add(self.g92, 0, zero, axes)
+        return zero

@@ -4,35 +4,25 @@ The interpreter writes it; an override switches coolant. Who holds, parks or res
 was wanted here. Lengths are mm in machine coordinates, rates mm/min, speeds rpm.
 """
 
+from array import array
+
 from base.f32 import vector
 from micropython import const
 from motion.planner import COOLANT_SHIFT
 
-TYPE_CHECKING = const(False)
-if TYPE_CHECKING:
-    from array import array
-
-
-class Modal:
-    """The modal state, or what a block would make of it. The values are in language/block.py."""
-
-    def __init__(self) -> None:
-        self.motion = 0
-        self.plane = 0
-        self.relative = 0
-        self.inverse_time = 0
-        self.inches = 0
-        self.tool_length = 0
-        self.system = 0
-        self.program_flow = 0
-        self.spindle = 0
-        self.coolant = 0
-        self.override_control = 1
-
-    def copy(self, other: "Modal") -> None:
-        """Become equal to another."""
-        for name, value in other.__dict__.items():
-            setattr(self, name, value)
+# What is in force, by its place in Modes.modal; the values are in language/block.py.
+MOTION = const(0)
+PLANE = const(1)
+RELATIVE = const(2)
+INVERSE_TIME = const(3)
+INCHES = const(4)
+TOOL_LENGTH = const(5)
+SYSTEM = const(6)
+PROGRAM_FLOW = const(7)
+SPINDLE = const(8)
+COOLANT = const(9)
+OVERRIDE_CONTROL = const(10)
+MODAL_LENGTH = const(11)
 
 
 class Modes:
@@ -44,17 +34,19 @@ class Modes:
     tool: int
 
     def __init__(self, axes: int) -> None:
-        self.modal = Modal()
+        self.modal = array("i", (0 for _ in range(MODAL_LENGTH)))
         self.position = vector(axes)
         self.reset()
 
     def reset(self) -> None:
         """Those of a fresh start. The position stays."""
-        self.modal.copy(Modal())
+        for i in range(MODAL_LENGTH):
+            self.modal[i] = 0
+        self.modal[OVERRIDE_CONTROL] = 1
         self.feed = 0.0
         self.spindle_rpm = 0.0
         self.tool = 0
 
     def accessory_flags(self) -> int:
         """Spindle and coolant as flags of a planner block."""
-        return self.modal.spindle | self.modal.coolant << COOLANT_SHIFT
+        return self.modal[SPINDLE] | self.modal[COOLANT] << COOLANT_SHIFT

@@ -4,6 +4,7 @@ from base import state as st
 from micropython import const
 
 from control.coolant import FLOOD, MIST
+from control.modes import COOLANT, SPINDLE
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ class Overrides:
         state = self._state
         state.change()
         if state.run == st.IDLE:
-            self._spindle.turn(self._modes.modal.spindle, self._modes.spindle_rpm)
+            self._spindle.turn(self._modes.modal[SPINDLE], self._modes.spindle_rpm)
         elif state.run & _MOTION:
             state.update_spindle = True
             self._planner.each_power(self._spindle.block_power)
@@ -106,9 +107,9 @@ class Overrides:
         toggled = (FLOOD if flood & 1 else 0) | (MIST if mist & 1 and self._has_mist else 0)
         if not toggled or state.run not in (st.IDLE, st.RUN, st.HOLD, st.JOG):
             return
-        self._modes.modal.coolant ^= toggled
+        self._modes.modal[COOLANT] ^= toggled
         state.change()
-        self._coolant.set(self._modes.modal.coolant)
+        self._coolant.set(self._modes.modal[COOLANT])
 
     def stop_spindle(self) -> None:
         """Spindle stop override: toggles, and only while held."""

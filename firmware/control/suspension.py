@@ -16,6 +16,8 @@ from micropython import const
 from motion import layout
 from motion import planner as plan
 
+from control.modes import COOLANT, SPINDLE
+
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -138,11 +140,11 @@ class Suspension:
         stopping = state.stop_override
         if stopping & st.STOP_INITIATE:
             state.stop_override = 0
-            if self._modes.modal.spindle:
+            if self._modes.modal[SPINDLE]:
                 self._spindle.turn(0, 0.0)
                 state.stop_override = st.STOP_ENABLED
         elif stopping & (st.STOP_RESTORE | st.STOP_RESTORE_CYCLE):
-            if self._modes.modal.spindle:
+            if self._modes.modal[SPINDLE]:
                 self._voice.message(errors.MSG_SPINDLE_RESTORE)
                 self._restore_spindle()
             if stopping & st.STOP_RESTORE_CYCLE:
@@ -200,11 +202,11 @@ class Suspension:
         if self._parks and self._may_park() and self._target[_PARK_AXIS] <= _PARK_TARGET_MM:
             self._target[_PARK_AXIS] = self._waypoint
             yield from self._park_move(self._target, _PARK_RATE, False)
-        if self._modes.modal.spindle and not self._interrupted():
+        if self._modes.modal[SPINDLE] and not self._interrupted():
             self._restore_spindle()
             if not self._spindle.laser:
                 yield from self._pause(_SPINDLE_DELAY_MS)
-        if self._modes.modal.coolant and not self._interrupted():
+        if self._modes.modal[COOLANT] and not self._interrupted():
             self._coolant.set(self._flags >> plan.COOLANT_SHIFT & 3)
             yield from self._pause(_COOLANT_DELAY_MS)
         if self._parks and self._may_park() and not self._interrupted():

@@ -9,6 +9,7 @@ from base import errors
 from base import state as st
 from base.errors import GrblError
 from base.f32 import whole
+from control.modes import MOTION
 from language import block as b
 from language.words import Words
 from micropython import const
@@ -86,11 +87,11 @@ class Cnc:
         """An M word, on a line of its own: call gets the numbers behind the letters, in the order
         of `letters`; lower case may be missing, and is None then. It runs when motion has come to
         its end. ValueError where Grbl has the word."""
-        self._add(_M, number, number in b.M_WORDS, call, letters)
+        self._add(_M, number, b.is_known(_M, number), call, letters)
 
     def add_g(self, number: float, call: "Callable[..., object]", letters: str = "") -> None:
         """The same for a G word: 81, or 81.1."""
-        self._add(_G, whole(number * _NUMBER + 0.5), whole(number) in b.G_WORDS, call, letters)
+        self._add(_G, whole(number * _NUMBER + 0.5), b.is_known(_G, whole(number)), call, letters)
 
     def _add(
         self, letter: int, number: int, taken: bool, call: "Callable[..., object]", letters: str
@@ -192,7 +193,7 @@ class Cnc:
 
         def go(block: "b.Block", move: "Any") -> None:
             usual_go(block, move)
-            if block.modal.motion <= b.CCW_ARC:
+            if block.ints[MOTION] <= b.CCW_ARC:
                 canon.finish()
                 call()
 

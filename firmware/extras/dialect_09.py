@@ -8,10 +8,10 @@ machine is the same. A board asks for it with DIALECT = "0.9".
 from base import state as st
 from base.errors import ALARM_PROBE_FAIL_CONTACT, ALARM_PROBE_FAIL_INITIAL
 from base.settings import INT
+from base.singles import MINUS, add
 from micropython import const
 from talk.digits import VALUES, number, write
 from talk.report import BUILD, Report
-from talk.singles import MINUS, add
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:

@@ -17,6 +17,7 @@ door turns it back, and it is made once the door is closed.
 from base import state as st
 from base.settings import BOOL
 from control import spindle as sp
+from control.modes import SPINDLE
 from control.spindle import Spindle
 from micropython import const
 
@@ -221,7 +222,7 @@ class Punch(Spindle):
     def strike(self) -> None:
         """A line of motion has been planned: a stroke behind it, if the punch is armed."""
         state, machine = self._state, self._machine
-        if not machine.modes.modal.spindle or state.run == st.CHECK:
+        if not machine.modes.modal[SPINDLE] or state.run == st.CHECK:
             return
         machine.canon.synchronise()
         while True:

@@ -5,12 +5,40 @@ take in word after word. Refuses what is wrong with words as such: unknown
 ones, two of a group, one repeated. Touches nothing but itself.
 """
 
-from base import errors
-from base.errors import GrblError
-from base.f32 import f32, vector, whole
-from control.modes import Modal
+from array import array
+
+import micropython
+from base.errors import (
+    BAD_NUMBER_FORMAT,
+    EXPECTED_COMMAND_LETTER,
+    GCODE_AXIS_COMMAND_CONFLICT,
+    GCODE_COMMAND_VALUE_NOT_INTEGER,
+    GCODE_MAX_VALUE_EXCEEDED,
+    GCODE_MODAL_GROUP_VIOLATION,
+    GCODE_UNSUPPORTED_COMMAND,
+    GCODE_WORD_REPEATED,
+    NEGATIVE_VALUE,
+    GrblError,
+)
+from base.f32 import copy, vector
+from control.modes import (
+    COOLANT,
+    INCHES,
+    INVERSE_TIME,
+    MODAL_LENGTH,
+    MOTION,
+    OVERRIDE_CONTROL,
+    PLANE,
+    PROGRAM_FLOW,
+    RELATIVE,
+    SPINDLE,
+    SYSTEM,
+    TOOL_LENGTH,
+)
 from micropython import const
 from motion.arcs import Arc
+
+from language.words import LETTER_EXPECTED, code, count
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -26,7 +54,6 @@ PROBE_TOWARD = const(158)  # G38.2
 PROBE_TOWARD_NO_ALARM = const(168)
 PROBE_AWAY = const(178)
 PROBE_AWAY_NO_ALARM = const(188)
-CUTTING = (LINEAR, CW_ARC, CCW_ARC)
 
 # Non-modal commands.
 NO_ACTION = const(0)
@@ -52,7 +79,26 @@ AXES_NON_MODAL = const(1)
 AXES_MOTION = const(2)
 AXES_TOOL_LENGTH = const(3)
 
-# Modal groups, as bits of `commands`. Names are the standard's.
+# A block: the modal state as the line would make it, and behind that, by place in Block.ints:
+COMMANDS = const(MODAL_LENGTH)  # mask of the modal groups that the line has words of
+WORDS = const(MODAL_LENGTH + 1)  # mask of its value words
+NON_MODAL = const(MODAL_LENGTH + 2)
+CLAIM = const(MODAL_LENGTH + 3)  # who uses the axis words
+L = const(MODAL_LENGTH + 4)  # whole numbers: of L and T the lowest byte
+N = const(MODAL_LENGTH + 5)
+T = const(MODAL_LENGTH + 6)
+_HIGHEST_TOOL = const(MODAL_LENGTH + 7)  # bits of a float
+_LENGTH = const(MODAL_LENGTH + 8)
+
+# The other numbers of a line, by place in Block.singles; axis words are in Block.xyz.
+I = const(0)  # noqa: E741 (the letter of the word); J and K behind it
+F = const(3)
+P = const(6)
+R = const(7)
+S = const(8)
+_SINGLES = const(10)
+
+# Modal groups, as bits of COMMANDS. Names are the standard's.
 GROUP_0 = const(0x0001)  # non-modal
 GROUP_1 = const(0x0002)  # motion
 GROUP_2 = const(0x0004)  # plane
@@ -69,74 +115,8 @@ GROUP_M7 = const(0x1000)  # spindle
 GROUP_M8 = const(0x2000)  # coolant
 GROUP_M9 = const(0x4000)  # override control
 
-# G number -> modal group, attribute of Modal it sets, if any, value, who claims the axis words.
-G_WORDS = {  # attribute-names: column 1
-    0: (GROUP_1, "motion", SEEK, AXES_MOTION),
-    1: (GROUP_1, "motion", LINEAR, AXES_MOTION),
-    2: (GROUP_1, "motion", CW_ARC, AXES_MOTION),
-    3: (GROUP_1, "motion", CCW_ARC, AXES_MOTION),
-    4: (GROUP_0, None, DWELL, AXES_UNCLAIMED),
-    10: (GROUP_0, None, SET_COORDS, AXES_NON_MODAL),
-    17: (GROUP_2, "plane", 0, AXES_UNCLAIMED),
-    18: (GROUP_2, "plane", 1, AXES_UNCLAIMED),
-    19: (GROUP_2, "plane", 2, AXES_UNCLAIMED),
-    20: (GROUP_6, "inches", 1, AXES_UNCLAIMED),
-    21: (GROUP_6, "inches", 0, AXES_UNCLAIMED),
-    28: (GROUP_0, None, GO_G28, AXES_NON_MODAL),
-    30: (GROUP_0, None, GO_G30, AXES_NON_MODAL),
-    38: (GROUP_1, "motion", 38, AXES_MOTION),
-    40: (GROUP_7, None, 0, AXES_UNCLAIMED),
-    43: (GROUP_8, "tool_length", 1, AXES_TOOL_LENGTH),
-    49: (GROUP_8, "tool_length", 0, AXES_TOOL_LENGTH),
-    53: (GROUP_0, None, ABSOLUTE_OVERRIDE, AXES_UNCLAIMED),
-    54: (GROUP_12, "system", 0, AXES_UNCLAIMED),
-    55: (GROUP_12, "system", 1, AXES_UNCLAIMED),
-    56: (GROUP_12, "system", 2, AXES_UNCLAIMED),
-    57: (GROUP_12, "system", 3, AXES_UNCLAIMED),
-    58: (GROUP_12, "system", 4, AXES_UNCLAIMED),
-    59: (GROUP_12, "system", 5, AXES_UNCLAIMED),
-    61: (GROUP_13, None, 0, AXES_UNCLAIMED),
-    80: (GROUP_1, "motion", NO_MOTION, AXES_UNCLAIMED),
-    90: (GROUP_3, "relative", 0, AXES_UNCLAIMED),
-    91: (GROUP_3, "relative", 1, AXES_UNCLAIMED),
-    92: (GROUP_0, None, SET_G92, AXES_NON_MODAL),
-    93: (GROUP_5, "inverse_time", 1, AXES_UNCLAIMED),
-    94: (GROUP_5, "inverse_time", 0, AXES_UNCLAIMED),
-}
-
-# G number -> the decimals it may have besides none, a bit for each tenth. Others are unsupported,
-# where with any other G number they are malformed.
-_G_DECIMALS = {
-    28: 0b10,
-    30: 0b10,
-    38: 0b111100,
-    43: 0b10,
-    61: 0,
-    90: 0,
-    91: 0b10,
-    92: 0b10,
-}
-_WANTS_DECIMALS = (38, 43)
-
-# M number -> modal group, attribute of Modal, value.
-M_WORDS = {  # attribute-names: column 1
-    0: (GROUP_M4, "program_flow", PAUSED),
-    1: (GROUP_M4, "program_flow", RUNNING),  # optional stop: there is no switch for it
-    2: (GROUP_M4, "program_flow", END_M2),
-    30: (GROUP_M4, "program_flow", END_M30),
-    3: (GROUP_M7, "spindle", 0x10),
-    4: (GROUP_M7, "spindle", 0x20),
-    5: (GROUP_M7, "spindle", 0),
-    7: (GROUP_M8, "coolant", 2),
-    8: (GROUP_M8, "coolant", 1),
-    9: (GROUP_M8, "coolant", 0),
-    56: (GROUP_M9, "override_control", 1),
-}
-_M_MIST = const(7)
-_M_OVERRIDE_CONTROL = const(56)
-
-# Value words, as bits of `values` in Block. X, Y, Z, A come first, one bit per axis.
-_VALUE_LETTERS = b"XYZAIJKFLNPRST"
+# Value words, as bits of WORDS. X, Y, Z, A come first, one bit per axis.
+VALUE_LETTERS = b"XYZAIJKFLNPRST"
 AXIS_WORDS = const(0x000F)
 WORD_I = const(0x0010)
 WORD_IJK = const(0x0070)
@@ -148,9 +128,218 @@ WORD_R = const(0x0800)
 WORD_S = const(0x1000)
 WORD_T = const(0x2000)
 _NOT_NEGATIVE = const(0x3680)  # F, N, P, S, T
+_COUNTS = const(0x2300)  # L, N, T
+_BIT_A = const(3)
+_BIT_I = const(4)
+_BIT_L = const(8)
+_BIT_N = const(9)
+_BIT_T = const(13)
 HIGHEST_TOOL = const(255)
-_BEYOND = 2147483648.0
-_MANY = const(100000000)  # more than any line number
+
+# The dictionary, in bytes, for take(): the number of a word's row by its code, G words first and
+# M words behind; the bit of each letter from A on; then rows.
+_M = const(100)
+_INDEXED = const(160)
+_NO_LETTER = const(255)
+ROWS = const(186)
+ROW = const(6)
+_PLACE = const(0)  # in Modes.modal; NOWHERE: none
+SETTING = const(1)  # what is put there, or in NON_MODAL
+_CLAIM = const(2)  # who claims the axis words
+_DECIMALS = const(3)  # those it may have besides none, a bit for each tenth
+GROUP = const(4)  # two bytes
+NOWHERE = const(255)
+# Besides the tenths in _DECIMALS: others are unsupported, where with any other G number they are
+# malformed; and one of them must be there.
+_OTHERS = const(0x80)
+_ONE = const(0x40)
+_TENTHS = const(0x3F)
+
+dictionary = bytearray(_INDEXED) + b"\xff" * 26
+
+
+def add_word(
+    at: int, group: int, place: int, setting: int, claim: int = AXES_UNCLAIMED, decimals: int = 0
+) -> None:
+    """Put a word into the dictionary: a G number, or an M number behind _M."""
+    dictionary[at] = 1 + (len(dictionary) - ROWS) // ROW
+    for byte in (place, setting, claim, decimals, group & 255, group >> 8):
+        dictionary.append(byte)
+
+
+# Calls, for constants that hold more than a number would stay in memory.
+add_word(0, GROUP_1, MOTION, SEEK, AXES_MOTION)
+add_word(1, GROUP_1, MOTION, LINEAR, AXES_MOTION)
+add_word(2, GROUP_1, MOTION, CW_ARC, AXES_MOTION)
+add_word(3, GROUP_1, MOTION, CCW_ARC, AXES_MOTION)
+add_word(4, GROUP_0, NOWHERE, DWELL)
+add_word(10, GROUP_0, NOWHERE, SET_COORDS, AXES_NON_MODAL)
+add_word(17, GROUP_2, PLANE, 0)
+add_word(18, GROUP_2, PLANE, 1)
+add_word(19, GROUP_2, PLANE, 2)
+add_word(20, GROUP_6, INCHES, 1)
+add_word(21, GROUP_6, INCHES, 0)
+add_word(28, GROUP_0, NOWHERE, GO_G28, AXES_NON_MODAL, _OTHERS | 0b10)
+add_word(30, GROUP_0, NOWHERE, GO_G30, AXES_NON_MODAL, _OTHERS | 0b10)
+add_word(38, GROUP_1, MOTION, 38, AXES_MOTION, _OTHERS | _ONE | 0b111100)
+add_word(40, GROUP_7, NOWHERE, 0)
+add_word(43, GROUP_8, TOOL_LENGTH, 1, AXES_TOOL_LENGTH, _OTHERS | _ONE | 0b10)
+add_word(49, GROUP_8, TOOL_LENGTH, 0, AXES_TOOL_LENGTH)
+add_word(53, GROUP_0, NOWHERE, ABSOLUTE_OVERRIDE)
+add_word(54, GROUP_12, SYSTEM, 0)
+add_word(55, GROUP_12, SYSTEM, 1)
+add_word(56, GROUP_12, SYSTEM, 2)
+add_word(57, GROUP_12, SYSTEM, 3)
+add_word(58, GROUP_12, SYSTEM, 4)
+add_word(59, GROUP_12, SYSTEM, 5)
+add_word(61, GROUP_13, NOWHERE, 0, AXES_UNCLAIMED, _OTHERS)
+add_word(80, GROUP_1, MOTION, NO_MOTION)
+add_word(90, GROUP_3, RELATIVE, 0, AXES_UNCLAIMED, _OTHERS)
+add_word(91, GROUP_3, RELATIVE, 1, AXES_UNCLAIMED, _OTHERS | 0b10)
+add_word(92, GROUP_0, NOWHERE, SET_G92, AXES_NON_MODAL, _OTHERS | 0b10)
+add_word(93, GROUP_5, INVERSE_TIME, 1)
+add_word(94, GROUP_5, INVERSE_TIME, 0)
+add_word(_M + 0, GROUP_M4, PROGRAM_FLOW, PAUSED)
+add_word(_M + 1, GROUP_M4, PROGRAM_FLOW, RUNNING)  # optional stop: there is no switch for it
+add_word(_M + 2, GROUP_M4, PROGRAM_FLOW, END_M2)
+add_word(_M + 30, GROUP_M4, PROGRAM_FLOW, END_M30)
+add_word(_M + 3, GROUP_M7, SPINDLE, 0x10)
+add_word(_M + 4, GROUP_M7, SPINDLE, 0x20)
+add_word(_M + 5, GROUP_M7, SPINDLE, 0)
+add_word(_M + 7, GROUP_M8, COOLANT, 2)
+add_word(_M + 8, GROUP_M8, COOLANT, 1)
+add_word(_M + 9, GROUP_M8, COOLANT, 0)
+add_word(_M + 56, GROUP_M9, OVERRIDE_CONTROL, 1)
+for _bit in range(len(VALUE_LETTERS)):
+    dictionary[_INDEXED + VALUE_LETTERS[_bit] - 65] = _bit
+_MIST = const(_M + 7)
+_OVERRIDE = const(_M + 56)
+
+
+def is_known(letter: int, number: int) -> bool:
+    """Whether Grbl has a G or M word of that number, with decimals or without."""
+    at = number + _M if letter == 77 else number
+    return at < (_INDEXED if letter == 77 else _M) and dictionary[at] > 0
+
+
+@micropython.viper
+def begin(modal: ptr32, ints: ptr32, xyz: ptr32, singles: ptr32, axes: int) -> int:
+    """Forget the last line; start from that modal state."""
+    copy(modal, ints, MODAL_LENGTH)
+    for i in range(MODAL_LENGTH, _HIGHEST_TOOL):
+        ints[i] = 0
+    for i in range(axes):
+        xyz[i] = 0
+    for i in range(_SINGLES):
+        singles[i] = 0
+    return 0
+
+
+@micropython.viper
+def take_code(letter: int, number: int, words: ptr8, ints: ptr32) -> int:
+    """Take in a G or M word: hundredths << 8 | whole part. Returns what is wrong with it."""
+    hundredths = number >> 8
+    number &= 255
+    at = number
+    if letter == 77:
+        if hundredths:
+            return GCODE_COMMAND_VALUE_NOT_INTEGER
+        at += _M
+    if at >= (_INDEXED if letter == 77 else _M) or words[at] == 0:
+        return GCODE_UNSUPPORTED_COMMAND
+    at = ROWS - ROW + ROW * words[at]
+    group = words[at + GROUP] | (words[at + GROUP + 1] << 8)
+    place = words[at + _PLACE]
+    setting = words[at + SETTING]
+    claim = words[at + _CLAIM]
+    decimals = words[at + _DECIMALS]
+    stores = 1 if claim == AXES_NON_MODAL and hundredths else 0  # G28.1, G30.1, G92.1
+    if claim and stores == 0:
+        if ints[CLAIM]:
+            return GCODE_AXIS_COMMAND_CONFLICT
+        ints[CLAIM] = claim
+    if (hundredths and decimals & _OTHERS) or decimals & _ONE:
+        tenth = hundredths // 10
+        if hundredths != 10 * tenth or tenth > 7 or ((decimals & _TENTHS) >> tenth) & 1 == 0:
+            return GCODE_UNSUPPORTED_COMMAND
+        if number == 91:
+            group = GROUP_4  # G91.1: arc distance is always relative
+            place = NOWHERE
+        elif number == 38:
+            setting += hundredths + 100
+        elif stores:
+            setting += hundredths
+    elif hundredths and number != 49:
+        return GCODE_COMMAND_VALUE_NOT_INTEGER
+    if group == GROUP_0:
+        ints[NON_MODAL] = setting
+    elif place != NOWHERE:
+        if group == GROUP_M8 and setting:
+            setting |= ints[COOLANT]  # M7 and M8 add up
+        ints[place] = setting
+    if ints[COMMANDS] & group:
+        return GCODE_MODAL_GROUP_VIOLATION
+    ints[COMMANDS] = ints[COMMANDS] | group
+    return 0
+
+
+@micropython.viper
+def take_value(
+    letter: int, values: ptr32, i: int, words: ptr8, ints: ptr32, xyz: ptr32, singles: ptr32
+) -> int:
+    """Take in a word that is a value. Returns what is wrong with it."""
+    bit = words[_INDEXED + letter - 65]
+    if bit == _NO_LETTER:
+        return GCODE_UNSUPPORTED_COMMAND
+    top = ptr8(values)[4 * i + 3]
+    negative = top >> 7
+    if bit == _BIT_T and negative == 0 and values[i] > ints[_HIGHEST_TOOL]:
+        return GCODE_MAX_VALUE_EXCEEDED
+    if bit <= _BIT_A:
+        xyz[bit] = values[i]
+    else:
+        singles[bit - _BIT_I] = values[i]
+    if (_COUNTS >> bit) & 1:
+        at = L if bit == _BIT_L else T
+        if bit == _BIT_N:
+            at = N
+        number = int(count(values, i))
+        ints[at] = number if bit == _BIT_N else number & 255
+    if (ints[WORDS] >> bit) & 1:
+        return GCODE_WORD_REPEATED
+    if negative and (_NOT_NEGATIVE >> bit) & 1 and (values[i] & 0x3FFFFFFF) | (top & 0x40):
+        return NEGATIVE_VALUE
+    ints[WORDS] = ints[WORDS] | (1 << bit)
+    return 0
+
+
+@micropython.viper
+def take(
+    letters: ptr8,
+    values: ptr32,
+    how_many: int,
+    words: ptr8,
+    ints: ptr32,
+    xyz: ptr32,
+    singles: ptr32,
+    odd: object,
+) -> int:
+    """Take in words, in their order. Returns what is wrong with the first that is, or 0.
+
+    odd: says what code() does not.
+    """
+    for i in range(how_many):
+        letter = letters[i]
+        if letter == 71 or letter == 77:  # noqa: PLR1714 (a viper cannot ask `in`)
+            number = int(code(values, i))
+            if number < 0:
+                number = int(odd(i))  # type: ignore[operator]
+            wrong = int(take_code(letter, number, words, ints))
+        else:
+            wrong = int(take_value(letter, values, i, words, ints, xyz, singles))
+        if wrong:
+            return wrong
+    return 0
 
 
 class Block:
@@ -163,141 +352,34 @@ class Block:
         has_override_control: bool,
         highest_tool: int = HIGHEST_TOOL,
     ) -> None:
-        self._highest_tool = highest_tool
-        self.modal = Modal()
+        self.ints = array("i", (0 for _ in range(_LENGTH)))
         self.xyz = vector(axes)
-        self.ijk = vector(3)
+        self.singles = vector(_SINGLES)
         # What the checks find: the arc, and what G10, G28 and G30 are to keep or go to.
         self.arc = Arc()
         self.stored = vector(axes)
+        self.index = 0  # of the coordinate system that G10 writes
         self._axes = axes
-        self._unsupported_m = set()
+        self._words = bytearray(dictionary)
         if not has_mist:
-            self._unsupported_m.add(_M_MIST)
+            self._words[_MIST] = 0
         if not has_override_control:
-            self._unsupported_m.add(_M_OVERRIDE_CONTROL)
-        self._values = {}
-        for i in range(len(_VALUE_LETTERS)):
-            self._values[_VALUE_LETTERS[i]] = 1 << i
-        for i in range(axes, 4):
-            del self._values[_VALUE_LETTERS[i]]
-        self.begin(self.modal)
+            self._words[_OVERRIDE] = 0
+        for i in range(axes, _BIT_I):
+            self._words[_INDEXED + VALUE_LETTERS[i] - 65] = _NO_LETTER
+        self.singles[0] = highest_tool
+        copy(self.singles, memoryview(self.ints)[_HIGHEST_TOOL:], 1)
 
-    def begin(self, modal: "Modal") -> None:
-        """Forget the last line; start from that modal state."""
-        if modal is not self.modal:
-            self.modal.copy(modal)
-        self.commands = 0
-        self.values = 0
-        self.non_modal = NO_ACTION
-        self.claim = AXES_UNCLAIMED
-        for i in range(self._axes):
-            self.xyz[i] = 0.0
-        for i in range(3):
-            self.ijk[i] = 0.0
-        self.f = 0.0
-        self.l = 0
-        self.n = 0
-        self.p = 0.0
-        self.r = 0.0
-        self.s = 0.0
-        self.t = 0
-
-    def take(self, words: "Words") -> None:
-        """Take in all words, in their order. Raises GrblError for the first that is wrong."""
-        for i in range(words.count):
-            letter = words.letters[i]
-            value = words.values[i]
-            if letter == 71:  # G
-                self._take_g(value)
-            elif letter == 77:  # M
-                self._take_m(value)
-            else:
-                self._take_value(letter, value)
-        if words.fault == 1:
-            raise GrblError(errors.EXPECTED_COMMAND_LETTER)
-        if words.fault:
-            raise GrblError(errors.BAD_NUMBER_FORMAT)
-
-    def _take_g(self, value: float) -> None:
-        # The whole part is a byte; the rest, larger numbers included, counts as hundredths.
-        code = whole(value) & 255
-        hundredths = _round(100 * f32(value - code))
-        row = G_WORDS.get(code)
-        if row is None:
-            raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
-        group, name, setting, claim = row
-        is_store = claim == AXES_NON_MODAL and hundredths != 0  # G28.1, G30.1, G92.1
-        if claim and not is_store:
-            if self.claim:
-                raise GrblError(errors.GCODE_AXIS_COMMAND_CONFLICT)
-            self.claim = claim
-        if (hundredths and code in _G_DECIMALS) or code in _WANTS_DECIMALS:
-            if hundredths % 10 or not _G_DECIMALS[code] >> hundredths // 10 & 1:
-                raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
-            if code == 91:
-                group, name = GROUP_4, None  # G91.1: arc distance is always relative
-            elif code == 38:
-                setting += hundredths + 100
-            elif is_store:
-                setting += hundredths
-        elif hundredths and code != 49:
-            raise GrblError(errors.GCODE_COMMAND_VALUE_NOT_INTEGER)
-        if group == GROUP_0:
-            self.non_modal = setting
-        elif name:
-            setattr(self.modal, name, setting)
-        self._claim_group(group)
-
-    def _take_m(self, value: float) -> None:
-        code = whole(value) & 255
-        if _round(100 * f32(value - code)):
-            raise GrblError(errors.GCODE_COMMAND_VALUE_NOT_INTEGER)
-        row = M_WORDS.get(code)
-        if row is None or code in self._unsupported_m:
-            raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
-        group, name, setting = row
-        if group == GROUP_M8 and setting:
-            setting |= self.modal.coolant  # M7 and M8 add up
-        setattr(self.modal, name, setting)
-        self._claim_group(group)
-
-    def _claim_group(self, group: int) -> None:
-        if self.commands & group:
-            raise GrblError(errors.GCODE_MODAL_GROUP_VIOLATION)
-        self.commands |= group
-
-    def _take_value(self, letter: int, value: float) -> None:
-        bit = self._values.get(letter)
-        if bit is None:
-            raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
-        if bit == WORD_T and value > self._highest_tool:
-            raise GrblError(errors.GCODE_MAX_VALUE_EXCEEDED)
-        self._assign(letter, bit, value)
-        if self.values & bit:
-            raise GrblError(errors.GCODE_WORD_REPEATED)
-        if bit & _NOT_NEGATIVE and value < 0:
-            raise GrblError(errors.NEGATIVE_VALUE)
-        self.values |= bit
-
-    def _assign(self, letter: int, bit: int, value: float) -> None:
-        if bit & AXIS_WORDS:
-            self.xyz[letter - 88 if letter >= 88 else 3] = value
-        elif bit & WORD_IJK:
-            self.ijk[letter - 73] = value
-        elif bit == WORD_L:
-            self.l = whole(value) & 255
-        elif bit == WORD_N:
-            self.n = whole(min(value, _MANY))
-        elif bit == WORD_T:
-            self.t = whole(value) & 255
-        else:
-            setattr(self, chr(letter + 32), value)
-
-
-def _round(x: float) -> int:
-    """To the nearest whole number, halves away from zero, in 16 bits without sign."""
-    x = f32(x)
-    if abs(x) >= _BEYOND:
-        return 0xFFFF
-    return (whole(x + 0.5) if x >= 0 else -whole(0.5 - x)) & 0xFFFF
+    def take(self, words: "Words", modal: "array[int]") -> None:
+        """Start from that modal state, and take in all words, in their order. Raises GrblError
+        for the first that is wrong."""
+        ints, xyz, singles = self.ints, self.xyz, self.singles
+        begin(modal, ints, xyz, singles, self._axes)
+        wrong = take(
+            *(words.letters, words.values, words.count, self._words, ints, xyz, singles, words.odd)
+        )
+        if words.fault and not wrong:
+            is_letter = words.fault == LETTER_EXPECTED
+            wrong = EXPECTED_COMMAND_LETTER if is_letter else BAD_NUMBER_FORMAT
+        if wrong:
+            raise GrblError(wrong)

@@ -7,10 +7,22 @@ which decides the number that a block with two faults gets.
 
 import math
 
+import micropython
 from base import errors
 from base.errors import GrblError
 from base.f32 import MM_PER_INCH, f32, whole
+from base.singles import add_single
 from control.coords import G28, G30, SYSTEMS
+from control.modes import (
+    INCHES,
+    INVERSE_TIME,
+    MOTION,
+    OVERRIDE_CONTROL,
+    PLANE,
+    RELATIVE,
+    SYSTEM,
+    TOOL_LENGTH,
+)
 from micropython import const
 
 from language import block as b
@@ -36,31 +48,35 @@ _ARC_WORST = 0.5
 
 def check(modes: "Modes", coords: "Coords", block: "Block", jog: bool) -> None:
     """Refuse the block with GrblError, or leave it ready to be executed."""
-    if block.values & b.AXIS_WORDS and not block.claim:
-        block.claim = b.AXES_MOTION
-    if block.values & b.WORD_N and block.n > _HIGHEST_LINE:
+    ints, singles = block.ints, block.singles
+    words = ints[b.WORDS]
+    axis_words = words & b.AXIS_WORDS
+    if axis_words and not ints[b.CLAIM]:
+        ints[b.CLAIM] = b.AXES_MOTION
+    if ints[b.N] > _HIGHEST_LINE:
         raise GrblError(errors.GCODE_INVALID_LINE_NUMBER)
     _feed(modes, block, jog)
-    if not block.values & b.WORD_S:
-        block.s = modes.spindle_rpm
-    if block.commands & b.GROUP_M9:
+    if not words & b.WORD_S:
+        singles[b.S] = modes.spindle_rpm
+    unused = words & ~b.WORD_N
+    if ints[b.COMMANDS] & b.GROUP_M9:
         _override_control(block)
-    unused = block.values & ~b.WORD_N
-    if block.non_modal == b.DWELL:
-        if not block.values & b.WORD_P:
+        unused &= ~b.WORD_P
+    if ints[b.NON_MODAL] == b.DWELL:
+        if not words & b.WORD_P:
             raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
         unused &= ~b.WORD_P
-    if block.modal.inches:
+    if ints[INCHES]:
         _to_mm(block.xyz)
-    if block.claim == b.AXES_TOOL_LENGTH and block.modal.tool_length:
-        if block.values & b.AXIS_WORDS != 1 << coords.length_axis:
+    claim = ints[b.CLAIM]
+    if claim == b.AXES_TOOL_LENGTH and ints[TOOL_LENGTH]:
+        if axis_words != 1 << coords.length_axis:
             raise GrblError(errors.GCODE_G43_DYNAMIC_AXIS_ERROR)
-    if block.commands & b.GROUP_M9:
-        unused &= ~b.WORD_P
-    unused &= ~_non_modal(modes, coords, block)
+    if claim or ints[b.NON_MODAL]:
+        unused &= ~_non_modal(modes, coords, block)
     unused &= ~_motion(modes, block)
     unused &= ~(b.WORD_F if jog else b.WORD_F | b.WORD_S | b.WORD_T)
-    if block.claim:
+    if ints[b.CLAIM]:
         unused &= ~b.AXIS_WORDS
     if unused:
         raise GrblError(errors.GCODE_UNUSED_WORDS)
@@ -74,80 +90,84 @@ def _to_mm(values: "array[float]") -> None:
 
 
 def _feed(modes: "Modes", block: "Block", jog: bool) -> None:
-    has_f = block.values & b.WORD_F
-    modal = block.modal
+    ints, singles = block.ints, block.singles
+    has_f = ints[b.WORDS] & b.WORD_F
     if jog:
         if not has_f:
             raise GrblError(errors.GCODE_UNDEFINED_FEED_RATE)
-        if modal.inches:
-            block.f = f32(block.f * MM_PER_INCH)
-    elif modal.inverse_time:
-        cuts = block.claim == b.AXES_MOTION and modal.motion not in (b.NO_MOTION, b.SEEK)
+        if ints[INCHES]:
+            singles[b.F] *= MM_PER_INCH
+    elif ints[INVERSE_TIME]:
+        cuts = ints[b.CLAIM] == b.AXES_MOTION and ints[MOTION] not in (b.NO_MOTION, b.SEEK)
         if cuts and not has_f:
             raise GrblError(errors.GCODE_UNDEFINED_FEED_RATE)
-    elif not modes.modal.inverse_time:
+    elif not modes.modal[INVERSE_TIME]:
         if not has_f:
-            block.f = modes.feed
-        elif modal.inches:
-            block.f = f32(block.f * MM_PER_INCH)
+            singles[b.F] = modes.feed
+        elif ints[INCHES]:
+            singles[b.F] *= MM_PER_INCH
 
 
 def _override_control(block: "Block") -> None:
     """M56 P0 takes parking out of action, M56 or M56 P1 puts it back."""
-    block.modal.override_control = 1
-    if block.values & b.WORD_P and block.p == 0:
-        block.modal.override_control = 0
+    ints = block.ints
+    off = ints[b.WORDS] & b.WORD_P and block.singles[b.P] == 0
+    ints[OVERRIDE_CONTROL] = 0 if off else 1
 
 
 def _non_modal(modes: "Modes", coords: "Coords", block: "Block") -> int:
     """Check group 0 and compute targets; returns the value words it used."""
-    command = block.non_modal
+    ints = block.ints
+    command = ints[b.NON_MODAL]
+    axis_words = ints[b.WORDS] & b.AXIS_WORDS
     if command == b.SET_COORDS:
         return _set_coords(modes, coords, block)
     if command == b.SET_G92:
-        if not block.values & b.AXIS_WORDS:
+        if not axis_words:
             raise GrblError(errors.GCODE_NO_AXIS_WORDS)
-        _offset_at(modes, coords, block, coords.systems[block.modal.system], coords.g92, block.xyz)
+        _offset_at(modes, coords, block, coords.systems[ints[SYSTEM]], coords.g92, block.xyz)
         return 0
-    if block.claim != b.AXES_TOOL_LENGTH and block.values & b.AXIS_WORDS:
+    if ints[b.CLAIM] != b.AXES_TOOL_LENGTH and axis_words:
         _target(modes, coords, block)
     if command in (b.GO_G28, b.GO_G30):
         _stored(modes, coords, block)
-    elif command == b.ABSOLUTE_OVERRIDE and block.modal.motion not in (b.SEEK, b.LINEAR):
+    elif command == b.ABSOLUTE_OVERRIDE and ints[MOTION] not in (b.SEEK, b.LINEAR):
         raise GrblError(errors.GCODE_G53_INVALID_MOTION_MODE)
     return 0
 
 
 def _stored(modes: "Modes", coords: "Coords", block: "Block") -> None:
     """Where G28 or G30 is to go."""
-    stored = coords.systems[G28 if block.non_modal == b.GO_G28 else G30]
-    axis_words = block.values & b.AXIS_WORDS
+    ints = block.ints
+    stored = coords.systems[G28 if ints[b.NON_MODAL] == b.GO_G28 else G30]
+    axis_words = ints[b.WORDS] & b.AXIS_WORDS
     if not axis_words:
-        block.claim = b.AXES_UNCLAIMED
+        ints[b.CLAIM] = b.AXES_UNCLAIMED
     for i in range(len(modes.position)):
         here = axis_words and not axis_words >> i & 1
         block.stored[i] = modes.position[i] if here else stored[i]
 
 
 def _set_coords(modes: "Modes", coords: "Coords", block: "Block") -> int:
-    """G10 L2 and L20: the new offsets go to block.stored, the system's index to block.p."""
-    if not block.values & b.AXIS_WORDS:
+    """G10 L2 and L20: the new offsets go to block.stored, the system's index to block.index."""
+    ints = block.ints
+    words = ints[b.WORDS]
+    if not words & b.AXIS_WORDS:
         raise GrblError(errors.GCODE_NO_AXIS_WORDS)
-    if not block.values & (b.WORD_P | b.WORD_L):
+    if not words & (b.WORD_P | b.WORD_L):
         raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
-    system = whole(block.p) & 255
+    system = whole(block.singles[b.P]) & 255
     if system > SYSTEMS:
         raise GrblError(errors.GCODE_UNSUPPORTED_COORD_SYS)
-    if block.l != 20 and (block.l != 2 or block.values & b.WORD_R):
+    if ints[b.L] != 20 and (ints[b.L] != 2 or words & b.WORD_R):
         raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
-    index = system - 1 if system else block.modal.system
-    block.p = index
-    stored = coords.systems[index]
-    if block.l == 20:
+    block.index = system - 1 if system else ints[SYSTEM]
+    stored = coords.systems[block.index]
+    if ints[b.L] == 20:
         _offset_at(modes, coords, block, coords.g92, stored, block.stored)
     else:
         for i in range(len(modes.position)):
-            block.stored[i] = block.xyz[i] if block.values >> i & 1 else stored[i]
+            block.stored[i] = block.xyz[i] if words >> i & 1 else stored[i]
     return b.WORD_P | b.WORD_L
 
 
@@ -161,7 +181,7 @@ def _offset_at(
 ) -> None:
     """The offset which, beside the other one, makes the present place read as programmed."""
     for i in range(len(modes.position)):
-        if block.values >> i & 1:
+        if block.ints[b.WORDS] >> i & 1:
             offset = f32(f32(modes.position[i] - other[i]) - block.xyz[i])
             if i == coords.length_axis:
                 offset -= coords.tool_length
@@ -172,40 +192,49 @@ def _offset_at(
 
 def _target(modes: "Modes", coords: "Coords", block: "Block") -> None:
     """Axis words become a target in machine coordinates; axes without a word stay."""
-    system = coords.systems[block.modal.system]
-    xyz = block.xyz
-    for i in range(len(modes.position)):
-        if not block.values >> i & 1:
-            xyz[i] = modes.position[i]
-        elif block.non_modal == b.ABSOLUTE_OVERRIDE:
-            pass
-        elif block.modal.relative:
-            xyz[i] += modes.position[i]
-        else:
-            xyz[i] += f32(system[i] + coords.g92[i])
-            if i == coords.length_axis:
-                xyz[i] += coords.tool_length
+    ints, xyz, position = block.ints, block.xyz, modes.position
+    axes = len(position)
+    offset = position
+    if not ints[RELATIVE]:
+        offset = coords.zero(ints[SYSTEM])
+    place(ints, offset, position, xyz, axes)
+    if coords.tool_length and not ints[RELATIVE] and ints[b.NON_MODAL] != b.ABSOLUTE_OVERRIDE:
+        if ints[b.WORDS] >> coords.length_axis & 1:
+            xyz[coords.length_axis] += coords.tool_length
+
+
+@micropython.viper
+def place(ints: ptr32, offset: ptr32, position: ptr32, xyz: ptr32, axes: int) -> int:
+    """Add the offset to axis words, but for G53; axes without a word stay where they are."""
+    words = ints[b.WORDS]
+    for i in range(axes):
+        if (words >> i) & 1 == 0:
+            xyz[i] = position[i]
+        elif ints[b.NON_MODAL] != b.ABSOLUTE_OVERRIDE:
+            add_single(offset, i, xyz, i)
+    return 0
 
 
 def _motion(modes: "Modes", block: "Block") -> int:
     """Check group 1; returns the value words it used."""
-    motion = block.modal.motion
-    axis_words = block.values & b.AXIS_WORDS
+    ints = block.ints
+    motion = ints[MOTION]
+    axis_words = ints[b.WORDS] & b.AXIS_WORDS
     if motion == b.NO_MOTION:
         if axis_words:
             raise GrblError(errors.GCODE_AXIS_WORDS_EXIST)
         return 0
-    if block.claim != b.AXES_MOTION:
+    if ints[b.CLAIM] != b.AXES_MOTION:
         return 0
     if motion == b.SEEK:
         if not axis_words:
-            block.claim = b.AXES_UNCLAIMED
+            ints[b.CLAIM] = b.AXES_UNCLAIMED
         return 0
-    if block.f == 0:
+    if block.singles[b.F] == 0:
         raise GrblError(errors.GCODE_UNDEFINED_FEED_RATE)
     if motion == b.LINEAR:
         if not axis_words:
-            block.claim = b.AXES_UNCLAIMED
+            ints[b.CLAIM] = b.AXES_UNCLAIMED
         return 0
     if not axis_words:
         raise GrblError(errors.GCODE_NO_AXIS_WORDS)
@@ -225,25 +254,28 @@ def _same(one: "array[float]", other: "array[float]") -> bool:
 
 def _arc(modes: "Modes", block: "Block") -> int:
     """Find centre and radius of an arc; returns the value words it used."""
-    arc = block.arc
-    arc.plane = PLANES[block.modal.plane]
-    arc.clockwise = block.modal.motion == b.CW_ARC
+    arc, ints, singles = block.arc, block.ints, block.singles
+    xyz, position = block.xyz, modes.position
+    words = ints[b.WORDS]
+    arc.plane = PLANES[ints[PLANE]]
+    arc.clockwise = ints[MOTION] == b.CW_ARC
     a, c, _ = arc.plane
-    if not block.values & (1 << a | 1 << c):
+    if not words & (1 << a | 1 << c):
         raise GrblError(errors.GCODE_NO_AXIS_WORDS_IN_PLANE)
-    x = f32(block.xyz[a] - modes.position[a])
-    y = f32(block.xyz[c] - modes.position[c])
-    if block.values & b.WORD_R:
-        if _same(modes.position, block.xyz):
+    x = f32(xyz[a] - position[a])
+    y = f32(xyz[c] - position[c])
+    if words & b.WORD_R:
+        if _same(position, xyz):
             raise GrblError(errors.GCODE_INVALID_TARGET)
         _by_radius(block, arc, x, y)
         return b.WORD_R
-    if not block.values & (b.WORD_I << a | b.WORD_I << c):
+    if not words & (b.WORD_I << a | b.WORD_I << c):
         raise GrblError(errors.GCODE_NO_OFFSETS_IN_PLANE)
-    if block.modal.inches:
-        _to_mm(block.ijk)
-    arc.centre_0 = block.ijk[a]
-    arc.centre_1 = block.ijk[c]
+    arc.centre_0 = singles[b.I + a]
+    arc.centre_1 = singles[b.I + c]
+    if ints[INCHES]:
+        arc.centre_0 = f32(arc.centre_0 * MM_PER_INCH)
+        arc.centre_1 = f32(arc.centre_1 * MM_PER_INCH)
     to_target = _hypot(f32(x - arc.centre_0), f32(y - arc.centre_1))
     arc.radius = _hypot(arc.centre_0, arc.centre_1)
     off = abs(f32(to_target - arc.radius))
@@ -262,8 +294,8 @@ def _by_radius(block: "Block", arc: "Arc", x: float, y: float) -> None:
     It lies on the chord's perpendicular bisector, left of the way for a
     counterclockwise arc of less than half a circle. R < 0 asks for the longer arc.
     """
-    radius = block.r
-    if block.modal.inches:
+    radius = block.singles[b.R]
+    if block.ints[INCHES]:
         radius = f32(radius * MM_PER_INCH)
     squared = f32(f32(f32(4.0 * f32(radius * radius)) - f32(x * x)) - f32(y * y))
     if squared < 0:
@@ -278,5 +310,7 @@ def _by_radius(block: "Block", arc: "Arc", x: float, y: float) -> None:
 
 def _jog(block: "Block") -> None:
     allowed = b.GROUP_0 | b.GROUP_3 | b.GROUP_6
-    if block.commands & ~allowed or block.non_modal not in (b.NO_ACTION, b.ABSOLUTE_OVERRIDE):
+    ints = block.ints
+    is_move = ints[b.NON_MODAL] in (b.NO_ACTION, b.ABSOLUTE_OVERRIDE)
+    if ints[b.COMMANDS] & ~allowed or not is_move:
         raise GrblError(errors.INVALID_JOG_COMMAND)

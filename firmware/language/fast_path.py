@@ -12,7 +12,9 @@ from array import array
 import micropython
 from base import state as st
 from base.f32 import copy, vector
+from base.singles import add_single, to_mm
 from control.canon import FULL, OUTSIDE, judge
+from control.modes import INCHES, INVERSE_TIME, MOTION, RELATIVE
 from micropython import const
 from motion import layout, reals
 from motion import planner as plan
@@ -20,7 +22,7 @@ from motion.layout import HEAD
 from motion.plan_kernel import plan as plan_block
 
 from language import block as b
-from language.words import add_single, number, to_mm
+from language.words import number
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -53,7 +55,7 @@ MODE = const(1)
 LASER = const(2)
 FEED = const(3)
 # whether places are relative, travel is limited, nothing is to move,
-RELATIVE = const(4)
+IS_RELATIVE = const(4)
 LIMITED = const(5)
 DRY = const(6)
 # what the planner is told: flags, spindle power (or UNTOLD: none of it is known yet), rate (a
@@ -65,7 +67,7 @@ _RPM = const(10)
 _UNTOLD = const(0x3FFFFFFF)
 # the line's numbers, by their bit; whether they are inches; what is added to places, per axis.
 VALUES = const(11)
-INCHES = const(20)
+IN_INCHES = const(20)
 _CHANGES = const(21)  # as they were counted when this was known
 OFFSETS = const(22)
 
@@ -121,7 +123,7 @@ def read(text: ptr8, length: int, known: ptr32) -> int:
     mode = mode or known[MODE]
     rate = known[FEED]
     if seen & HAS_F:
-        if known[VALUES + _F] == rate and known[INCHES] == 0:
+        if known[VALUES + _F] == rate and known[IN_INCHES] == 0:
             seen ^= HAS_F
         rate = known[VALUES + _F]
     if mode == HAS_G1:
@@ -135,9 +137,9 @@ def place(known: ptr32, seen: int, position: ptr32, target: ptr32) -> int:
     for i in range(known[AXES]):
         if (seen >> i) & 1:
             target[i] = known[VALUES + i]
-            if known[INCHES]:
+            if known[IN_INCHES]:
                 to_mm(target, i)
-            if known[RELATIVE]:
+            if known[IS_RELATIVE]:
                 add_single(position, i, target, i)
             elif known[OFFSETS + i]:
                 add_single(known, OFFSETS + i, target, i)
@@ -213,6 +215,14 @@ def put(source: ptr32, at: int, target: ptr32, to: int) -> int:
     return 0
 
 
+@micropython.viper
+def copy_to(source: ptr32, target: ptr32, to: int, count: int) -> int:
+    """Copy the bits of floats to a place in target."""
+    for i in range(count):
+        target[to + i] = source[i]
+    return 0
+
+
 class FastPath:
     """The short path of an interpreter.
 
@@ -242,6 +252,7 @@ class FastPath:
         self._target = vector(axes)
         self._float = vector(1)
         self._known = array("i", (0 for _ in range(OFFSETS + axes)))
+        self._known[_RATE] = reals.real(0.0)
         self._asked = False  # the last line was one of these
         self.follow = self._make_follow()
 
@@ -286,29 +297,25 @@ class FastPath:
 
     def look(self) -> None:
         """A line went the long way: see whether those that only move have a shorter one now."""
-        modes = self._modes
+        modes, coords, known = self._modes, self._coords, self._known
         modal = modes.modal
-        known = self._known
         self._asked = False
         known[_CHANGES] = self._state.changes[0]
-        is_plain = (
-            not (modal.inverse_time or modes.tool)
-            and modal.motion in (b.SEEK, b.LINEAR)
-            and self._coords.tool_length == 0
-        )
-        known[AXES] = len(modes.position) if is_plain else 0
-        if is_plain:
-            self._keep_offsets()
-            known[RELATIVE] = modal.relative
-            known[INCHES] = modal.inches
+        known[AXES] = 0
+        if (
+            modal[MOTION] <= b.LINEAR
+            and not (modal[INVERSE_TIME] or modes.tool)
+            and coords.tool_length == 0
+        ):
+            axes = len(modes.position)
+            known[AXES] = axes
+            copy_to(coords.zero(coords.active), known, OFFSETS, axes)
+            known[IS_RELATIVE] = modal[RELATIVE]
+            known[IN_INCHES] = modal[INCHES]
             known[LIMITED] = self._settings.soft_limits
             known[DRY] = self._state.run == st.CHECK
             known[LASER] = self._spindle.laser
             self._set()
-
-    def _keep_offsets(self) -> None:
-        for i in range(len(self._modes.position)):
-            self._keep(OFFSETS + i, self._coords.work_offset(i))
 
     def _keep(self, at: int, value: float) -> None:
         self._float[0] = value
@@ -319,11 +326,12 @@ class FastPath:
         modes = self._modes
         move = self._move
         known = self._known
-        seeks = modes.modal.motion == b.SEEK
+        seeks = modes.modal[MOTION] == b.SEEK
         known[MODE] = HAS_G0 if seeks else HAS_G1
         self._keep(FEED, modes.feed)
-        known[_RATE] = reals.real(modes.feed / 60)
-        move.feed = modes.feed
+        if move.feed != modes.feed:
+            move.feed = modes.feed
+            known[_RATE] = reals.real(modes.feed / 60)
         move.spindle_rpm = 0.0 if seeks and known[LASER] else modes.spindle_rpm
         move.flags = modes.accessory_flags()
         if seeks:
@@ -364,11 +372,11 @@ class FastPath:
             known[_POWER] = _UNTOLD
         if seen & HAS_F:
             put(known, VALUES + _F, self._float, 0)
-            if known[INCHES]:
+            if known[IN_INCHES]:
                 to_mm(self._float, 0)
             modes.feed = self._float[0]
         if seen & (HAS_G0 | HAS_G1):
-            modes.modal.motion = b.SEEK if seen & HAS_G0 else b.LINEAR
+            modes.modal[MOTION] = b.SEEK if seen & HAS_G0 else b.LINEAR
         if seen & _NEWS != HAS_S:
             self._set()
 

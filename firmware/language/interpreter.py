@@ -7,10 +7,27 @@ what is in force (control/modes.py), but for overrides. Order and meaning: NIST
 RS274NGC v3, table 8, as Grbl 1.1 reads it.
 """
 
+from array import array
+
 from base import errors
 from base import state as st
 from base.errors import GrblError
+from base.f32 import copy
 from control.coords import G28, G30
+from control.modes import (
+    COOLANT,
+    INCHES,
+    INVERSE_TIME,
+    MODAL_LENGTH,
+    MOTION,
+    OVERRIDE_CONTROL,
+    PLANE,
+    PROGRAM_FLOW,
+    RELATIVE,
+    SPINDLE,
+    SYSTEM,
+    TOOL_LENGTH,
+)
 from micropython import const
 from motion import layout
 from motion import planner as plan
@@ -39,18 +56,24 @@ _DARK = const(1)  # not a cutting motion
 _IN_MOTION = const(2)  # S goes with the motion
 _SYNC = const(4)  # the beam changes though nothing moves
 
-# What go() and _non_modal() are there for: a row that they know nothing of is found here,
+_CUTS = const(1 << b.LINEAR | 1 << b.CW_ARC | 1 << b.CCW_ARC)  # mask of motions
+# Groups of words that take more than a look at the modal state.
+_ACCESSORIES = const(b.GROUP_M7 | b.GROUP_M8 | b.GROUP_M9)
+_OFFSETS = const(b.GROUP_8 | b.GROUP_12)
+
+# What go() and _non_modal() are there for: a word that they know nothing of is found here,
 # on a desktop; a board has no assertions.
 _PROBE = const(38)  # .2 to .5
-assert {row[2] for row in b.G_WORDS.values() if row[0] == b.GROUP_1} == {
-    b.SEEK,
-    b.LINEAR,
-    b.CW_ARC,
-    b.CCW_ARC,
-    _PROBE,
-    b.NO_MOTION,
-}, "a motion without a behaviour"
-assert {row[2] for row in b.G_WORDS.values() if row[0] == b.GROUP_0} == {
+assert {
+    b.dictionary[row + b.SETTING]
+    for row in range(b.ROWS, len(b.dictionary), b.ROW)
+    if b.dictionary[row + b.GROUP] == b.GROUP_1
+} == {b.SEEK, b.LINEAR, b.CW_ARC, b.CCW_ARC, _PROBE, b.NO_MOTION}, "a motion without a behaviour"
+assert {
+    b.dictionary[row + b.SETTING]
+    for row in range(b.ROWS, len(b.dictionary), b.ROW)
+    if b.dictionary[row + b.GROUP] == b.GROUP_0
+} == {
     b.DWELL,
     b.SET_COORDS,
     b.GO_G28,
@@ -86,6 +109,7 @@ class Interpreter:
         self._voice = voice
         self._block = block
         self._words = Words()
+        self._jog_modal = array("i", (0 for _ in range(MODAL_LENGTH)))
         self._move = plan.Move()
         self._line_numbers = line_numbers
         self.fast = FastPath(modes, coords, state, settings, canon, spindle)
@@ -93,11 +117,10 @@ class Interpreter:
     def execute(self, line: bytearray, length: int) -> None:
         """Interpret line[:length], which a 0 follows. Raises GrblError where it is refused."""
         if not self.fast.execute(line, length):
-            block = self._block
+            block, modes = self._block, self._modes
             self._words.read(line, 0, length)
-            block.begin(self._modes.modal)
-            block.take(self._words)
-            checks.check(self._modes, self._coords, block, False)
+            block.take(self._words, modes.modal)
+            checks.check(modes, self._coords, block, False)
             self._apply(block)
             self.fast.look()
         self._canon.finish()
@@ -105,21 +128,21 @@ class Interpreter:
 
     def jog(self, line: bytearray, length: int) -> None:
         """Interpret a "$J=" line. The modal state stays as it is."""
-        block = self._block
+        block, modes = self._block, self._modes
         self._words.read(line, _JOG_START, length)
-        block.begin(self._modes.modal)
-        block.modal.motion = b.LINEAR
-        block.modal.inverse_time = 0
-        block.take(self._words)
-        checks.check(self._modes, self._coords, block, True)
+        copy(modes.modal, self._jog_modal, MODAL_LENGTH)
+        self._jog_modal[MOTION] = b.LINEAR
+        self._jog_modal[INVERSE_TIME] = 0
+        block.take(self._words, self._jog_modal)
+        checks.check(modes, self._coords, block, True)
         if self._settings.soft_limits and self._canon.outside(block.xyz):
             raise GrblError(errors.TRAVEL_EXCEEDED)
         move = self._begin_move(block)
-        move.feed = block.f
-        move.flags = layout.NO_FEED_OVERRIDE | self._modes.accessory_flags()
-        move.spindle_rpm = self._modes.spindle_rpm
+        move.feed = block.singles[b.F]
+        move.flags = layout.NO_FEED_OVERRIDE | modes.accessory_flags()
+        move.spindle_rpm = modes.spindle_rpm
         self._canon.jog(block.xyz, move)
-        self._modes.position[:] = block.xyz
+        modes.position[:] = block.xyz
         self._canon.finish()
 
     # Step four: execution
@@ -128,80 +151,86 @@ class Interpreter:
         move = self._move
         move.clear()
         if self._line_numbers:
-            move.line_number = block.n
+            move.line_number = block.ints[b.N]
         return move
 
     def _apply(self, block: "Block") -> None:
         """Execute a checked block, in the standard's order."""
-        new = block.modal
-        modal = self._modes.modal
+        modes, new = self._modes, block.ints
+        modal = modes.modal
         move = self._begin_move(block)
-        beam = self._beam(block)
-        modal.inverse_time = new.inverse_time
-        if new.inverse_time:
-            move.flags |= layout.INVERSE_TIME
-        self._modes.feed = move.feed = block.f
-        self._set_speed(block, beam)
+        beam = self._beam(block) if self._spindle.laser else 0
+        modal[INVERSE_TIME] = new[INVERSE_TIME]
+        if new[INVERSE_TIME]:
+            move.flags = layout.INVERSE_TIME
+        modes.feed = move.feed = block.singles[b.F]
+        if modes.spindle_rpm != block.singles[b.S] or beam & _SYNC:
+            self._set_speed(block, beam)
         if not beam & _DARK:
-            move.spindle_rpm = self._modes.spindle_rpm
-        self._modes.tool = block.t
-        if modal.spindle != new.spindle:
-            self._canon.spin(new.spindle, move.spindle_rpm)
-            modal.spindle = new.spindle
-        if modal.coolant != new.coolant:
-            self._canon.cool(new.coolant)
-            modal.coolant = new.coolant
-        move.flags |= self._modes.accessory_flags()
-        if modal.override_control != new.override_control:
-            modal.override_control = new.override_control
-            self._canon.control_overrides(bool(new.override_control))
-        if block.non_modal == b.DWELL:
-            self._canon.dwell(block.p)
-        modal.plane = new.plane
-        modal.inches = new.inches
-        if self._set_offsets(block):
+            move.spindle_rpm = modes.spindle_rpm
+        modes.tool = new[b.T]
+        if new[b.COMMANDS] & _ACCESSORIES:
+            self._set_accessories(new, move)
+        move.flags |= modes.accessory_flags()
+        command = new[b.NON_MODAL]
+        if command == b.DWELL:
+            self._canon.dwell(block.singles[b.P])
+        modal[PLANE] = new[PLANE]
+        modal[INCHES] = new[INCHES]
+        if new[b.COMMANDS] & _OFFSETS and self._set_offsets(block):
             self._offsets_changed()
-        modal.relative = new.relative
-        if block.non_modal != b.NO_ACTION:
+        modal[RELATIVE] = new[RELATIVE]
+        if command != b.NO_ACTION:
             self._non_modal(block, move)
-        modal.motion = new.motion
-        if block.claim == b.AXES_MOTION and modal.motion != b.NO_MOTION:
+        modal[MOTION] = new[MOTION]
+        if new[b.CLAIM] == b.AXES_MOTION and new[MOTION] != b.NO_MOTION:
             self.go(block, move)
-        self._control_program(new.program_flow)
+        if new[PROGRAM_FLOW] != b.RUNNING:
+            self._control_program(new[PROGRAM_FLOW])
 
     def _beam(self, block: "Block") -> int:
         """Laser mode: what the block means for the beam."""
-        if not self._spindle.laser:
-            return 0
-        beam = 0 if block.modal.motion in b.CUTTING else _DARK
-        if block.values & b.AXIS_WORDS and block.claim == b.AXES_MOTION:
+        ints, modal = block.ints, self._modes.modal
+        beam = 0 if _CUTS >> ints[MOTION] & 1 else _DARK
+        if ints[b.WORDS] & b.AXIS_WORDS and ints[b.CLAIM] == b.AXES_MOTION:
             return beam | _IN_MOTION
-        if self._modes.modal.spindle == plan.SPINDLE_CW:
-            was_cutting = self._modes.modal.motion in b.CUTTING
-            if was_cutting == bool(beam & _DARK):
+        if modal[SPINDLE] == plan.SPINDLE_CW:
+            was_cutting = _CUTS >> modal[MOTION] & 1
+            if bool(was_cutting) == bool(beam & _DARK):
                 beam |= _SYNC
         return beam
 
     def _set_speed(self, block: "Block", beam: int) -> None:
-        if self._modes.spindle_rpm == block.s and not beam & _SYNC:
-            return
-        if self._modes.modal.spindle and not beam & _IN_MOTION:
-            self._canon.spin(self._modes.modal.spindle, 0.0 if beam & _DARK else block.s)
-        self._modes.spindle_rpm = block.s
+        modes, speed = self._modes, block.singles[b.S]
+        if modes.modal[SPINDLE] and not beam & _IN_MOTION:
+            self._canon.spin(modes.modal[SPINDLE], 0.0 if beam & _DARK else speed)
+        modes.spindle_rpm = speed
+
+    def _set_accessories(self, new: "array[int]", move: "plan.Move") -> None:
+        """M words of spindle, coolant and override control."""
+        canon, modal = self._canon, self._modes.modal
+        if modal[SPINDLE] != new[SPINDLE]:
+            canon.spin(new[SPINDLE], move.spindle_rpm)
+            modal[SPINDLE] = new[SPINDLE]
+        if modal[COOLANT] != new[COOLANT]:
+            canon.cool(new[COOLANT])
+            modal[COOLANT] = new[COOLANT]
+        if modal[OVERRIDE_CONTROL] != new[OVERRIDE_CONTROL]:
+            modal[OVERRIDE_CONTROL] = new[OVERRIDE_CONTROL]
+            canon.control_overrides(bool(new[OVERRIDE_CONTROL]))
 
     def _set_offsets(self, block: "Block") -> bool:
         """Returns whether work is somewhere else now."""
         changed = False
-        modal = self._modes.modal
-        coords = self._coords
-        if block.claim == b.AXES_TOOL_LENGTH:
-            modal.tool_length = block.modal.tool_length
-            length = block.xyz[coords.length_axis] if modal.tool_length else 0.0
+        modal, new, coords = self._modes.modal, block.ints, self._coords
+        if new[b.CLAIM] == b.AXES_TOOL_LENGTH:
+            modal[TOOL_LENGTH] = new[TOOL_LENGTH]
+            length = block.xyz[coords.length_axis] if modal[TOOL_LENGTH] else 0.0
             if coords.tool_length != length:
                 coords.tool_length = length
                 changed = True
-        if modal.system != block.modal.system:
-            modal.system = coords.active = block.modal.system
+        if modal[SYSTEM] != new[SYSTEM]:
+            modal[SYSTEM] = coords.active = new[SYSTEM]
             changed = True
         return changed
 
@@ -211,26 +240,25 @@ class Interpreter:
         self._state.wco_countdown = 0
 
     def _non_modal(self, block: "Block", move: "plan.Move") -> None:
-        command = block.non_modal
-        coords = self._coords
+        command = block.ints[b.NON_MODAL]
+        coords, modes = self._coords, self._modes
         if command == b.SET_COORDS:
-            index = int(block.p)
             self._canon.synchronise()  # what is kept is written at rest only
-            coords.write(index, self._block.stored)
-            if index == self._modes.modal.system:
+            coords.write(block.index, block.stored)
+            if block.index == modes.modal[SYSTEM]:
                 self._offsets_changed()
         elif command in (b.GO_G28, b.GO_G30):
             move.flags |= layout.RAPID_MOTION
-            if block.claim:
+            if block.ints[b.CLAIM]:
                 self._canon.line(block.xyz, move)
-            self._canon.line(self._block.stored, move)
-            self._modes.position[:] = self._block.stored
+            self._canon.line(block.stored, move)
+            modes.position[:] = block.stored
         elif command == b.SET_G28:
             self._canon.synchronise()
-            coords.write(G28, self._modes.position)
+            coords.write(G28, modes.position)
         elif command == b.SET_G30:
             self._canon.synchronise()
-            coords.write(G30, self._modes.position)
+            coords.write(G30, modes.position)
         elif command == b.SET_G92:
             coords.g92[:] = block.xyz
             self._offsets_changed()
@@ -241,36 +269,35 @@ class Interpreter:
 
     def go(self, block: "Block", move: "plan.Move") -> None:
         """Make the motion of a block."""
-        motion = self._modes.modal.motion
+        modes = self._modes
+        motion = modes.modal[MOTION]
         if motion == b.LINEAR:
             self._canon.line(block.xyz, move)
         elif motion == b.SEEK:
             move.flags |= layout.RAPID_MOTION
             self._canon.line(block.xyz, move)
         elif motion in (b.CW_ARC, b.CCW_ARC):
-            self._canon.arc(self._modes.position, block.xyz, self._block.arc, move)
+            self._canon.arc(modes.position, block.xyz, block.arc, move)
         else:
             move.flags |= layout.NO_FEED_OVERRIDE
             away = motion in (b.PROBE_AWAY, b.PROBE_AWAY_NO_ALARM)
             alarms = motion in (b.PROBE_TOWARD, b.PROBE_AWAY)
             if not self._seek.probe(block.xyz, move, away, alarms):
                 return  # the position has been seen to, or has not changed
-        self._modes.position[:] = block.xyz
+        modes.position[:] = block.xyz
 
     def _control_program(self, flow: int) -> None:
-        """Let it go on, pause it, or end it."""
-        if flow == b.RUNNING:
-            return
+        """Pause it, or end it."""
         self._canon.synchronise()
         if flow == b.PAUSED:
             self._canon.pause_program()
             return
         modal = self._modes.modal
-        modal.motion = b.LINEAR
-        modal.plane = modal.relative = modal.inverse_time = 0
-        modal.system = self._coords.active = 0
-        modal.spindle = modal.coolant = 0
-        modal.override_control = 1
+        modal[MOTION] = b.LINEAR
+        modal[PLANE] = modal[RELATIVE] = modal[INVERSE_TIME] = 0
+        modal[SYSTEM] = self._coords.active = 0
+        modal[SPINDLE] = modal[COOLANT] = 0
+        modal[OVERRIDE_CONTROL] = 1
         self._canon.end_program()
         if self._state.run != st.CHECK:
             self._offsets_changed()

@@ -9,8 +9,10 @@ interpreter, its fast path and commands; it knows no meaning of any letter.
 from array import array
 
 import micropython
+from base.f32 import f32, whole
 from micropython import const
 
+_BEYOND = 2147483648.0
 _LONGEST = const(79)  # characters of a line
 
 # What scan() found wrong, above the count of words.
@@ -133,79 +135,44 @@ def scan(text: ptr8, span: int, letters: ptr8, values: ptr32) -> int:
 
 
 @micropython.viper
-def to_mm(values: ptr32, at: int) -> int:
-    """Make the inches in values[at] millimetres: times 25.4, all in single precision."""
-    exponent = (values[at] >> 23) & 255
-    if exponent == 0:
-        return 0
-    number = (values[at] & 0x7FFFFF) | 0x800000
-    middle = (number >> 12) * 0x333 + (number & 0xFFF) * 0xCB3
-    low = (number & 0xFFF) * 0x333 + ((middle & 0xFFF) << 12)
-    number = (number >> 12) * 0xCB3 + (middle >> 12) + (low >> 24)
-    low &= 0xFFFFFF
-    exponent += 5
-    if number < 1 << 23:
-        number = (number << 1) | (low >> 23)
-        low = (low << 1) & 0xFFFFFF
-        exponent -= 1
-    if low > 0x800000 or (low == 0x800000 and number & 1):
-        number += 1
-    if number >> 24:
-        number >>= 1
-        exponent += 1
-    if exponent > 254:
-        exponent = 255  # infinite
-        number = 0
-    sign = ptr8(values)[4 * at + 3] & 128
-    values[at] = (exponent << 23) | (number & 0x7FFFFF)
-    ptr8(values)[4 * at + 3] = ptr8(values)[4 * at + 3] | sign
-    return 0
+def code(values: ptr32, i: int) -> int:
+    """The number of a G or M word: whole part, and hundredths << 8, to the nearest.
+
+    -1 where it is negative, 256 or more, or next to nothing: see Words.odd().
+    """
+    exponent = (values[i] >> 23) & 255
+    if ptr8(values)[4 * i + 3] & 128 or exponent > 134:
+        return -1
+    if exponent < 120:
+        return -1 if exponent else 0
+    number = (values[i] & 0x7FFFFF) | 0x800000
+    shift = 150 - exponent
+    part = number >> shift
+    number = (number & ((1 << shift) - 1)) * 100
+    drop = 0
+    while number >> drop >= 1 << 24:
+        drop += 1
+    if drop:
+        number += (1 << (drop - 1)) - 1 + ((number >> drop) & 1)  # to nearest, halves to even
+        number >>= drop
+        shift -= drop
+    return (((number + (1 << (shift - 1))) >> shift) << 8) | part
 
 
 @micropython.viper
-def add_single(a: ptr32, i: int, b: ptr32, j: int) -> int:
-    """Make b[j] the sum of a[i] and b[j], all bits of single-precision floats, rounded to even."""
-    sign_a = ptr8(a)[4 * i + 3] >> 7
-    sign_b = ptr8(b)[4 * j + 3] >> 7
-    x = (a[i] & 0x3FFFFFFF) | ((ptr8(a)[4 * i + 3] & 64) << 24)
-    y = (b[j] & 0x3FFFFFFF) | ((ptr8(b)[4 * j + 3] & 64) << 24)
-    if x < y:
-        shift = x
-        x = y
-        y = shift
-        shift = sign_a
-        sign_a = sign_b
-        sign_b = shift
-    exponent = x >> 23
-    shift = exponent - (y >> 23)
-    if y >> 23 and shift < 27:
-        # Three more bits, the last one sticky, are enough to round as if all were there.
-        y = ((y & 0x7FFFFF) | 0x800000) << 3
-        rest = y & ((1 << shift) - 1)
-        y = (y >> shift) | (1 if rest else 0)
-        x = ((x & 0x7FFFFF) | 0x800000) << 3
-        x = x + y if sign_a == sign_b else x - y
-        if x == 0:
-            exponent = 0
-            sign_a = 0
-        while x and x < 1 << 26:
-            x <<= 1
-            exponent -= 1
-        if x >= 1 << 27:
-            x = (x >> 1) | (x & 1)
-            exponent += 1
-        rest = x & 7
-        x >>= 3
-        if rest > 4 or (rest == 4 and x & 1):
-            x += 1
-        if x >> 24:
-            x >>= 1
-            exponent += 1
-        x = (exponent << 23) | (x & 0x7FFFFF)
-    b[j] = x
-    if sign_a:
-        ptr8(b)[4 * j + 3] = ptr8(b)[4 * j + 3] | 128
-    return 0
+def count(values: ptr32, i: int) -> int:
+    """A value without its fraction; a hundred millions where it is larger than half of that."""
+    exponent = (values[i] >> 23) & 255
+    number = (values[i] & 0x7FFFFF) | 0x800000
+    if exponent < 127:
+        number = 0
+    elif exponent > 152:
+        number = 100000000
+    elif exponent > 150:
+        number <<= exponent - 150
+    else:
+        number >>= 150 - exponent
+    return 0 - number if ptr8(values)[4 * i + 3] & 128 else number
 
 
 class Words:
@@ -217,12 +184,23 @@ class Words:
         self.values = array("f", (0.0 for _ in range(most)))
         self.count = 0
         self.fault = 0
+        self.odd = self._odd  # taking a method as a value allocates
 
     def read(self, text: bytearray, start: int, end: int) -> None:
         """Read text[start:end], which a 0 follows. fault tells what is wrong behind the words."""
         found = scan(text, end << 8 | start, self.letters, self.values)
         self.count = found & 255
         self.fault = found >> 8
+
+    def _odd(self, i: int) -> int:
+        """As code(), of any number: the whole part is a byte; the rest counts as hundredths."""
+        value = self.values[i]
+        number = whole(value) & 255
+        hundredths = f32(100 * f32(value - number))
+        if abs(hundredths) >= _BEYOND:
+            return 0xFFFF00 | number
+        rounded = whole(hundredths + 0.5) if hundredths >= 0 else -whole(0.5 - hundredths)
+        return (rounded & 0xFFFF) << 8 | number
 
 
 _bare = array("f", (0.0,))

@@ -5,6 +5,7 @@ from base import state as st
 from base.errors import GrblError
 from base.f32 import whole
 from control.coolant import FLOOD, MIST
+from control.modes import COOLANT, INCHES, INVERSE_TIME, MOTION, PLANE, RELATIVE, SPINDLE, SYSTEM
 from language.block import NO_MOTION
 from language.words import bare
 from micropython import const
@@ -165,19 +166,19 @@ class Commands:
     def modes(self) -> str:
         """What is in force, in words."""
         modes, modal, report = self._modes, self._modes.modal, self._report
-        motion = modal.motion
+        motion = modal[MOTION]
         words = ["G%d" % motion if motion <= NO_MOTION else "G38.%d" % ((motion - 138) // 10)]
-        words.append("G%d" % (54 + modal.system))
-        words.append("G%d" % (17 + modal.plane))
-        words.append("G%d" % (20 if modal.inches else 21))
-        words.append("G%d" % (91 if modal.relative else 90))
-        words.append("G%d" % (93 if modal.inverse_time else 94))
-        numbers = [(5, 3, 4)[modal.spindle >> 4]]
-        if modal.coolant & MIST:
+        words.append("G%d" % (54 + modal[SYSTEM]))
+        words.append("G%d" % (17 + modal[PLANE]))
+        words.append("G%d" % (20 if modal[INCHES] else 21))
+        words.append("G%d" % (91 if modal[RELATIVE] else 90))
+        words.append("G%d" % (93 if modal[INVERSE_TIME] else 94))
+        numbers = [(5, 3, 4)[modal[SPINDLE] >> 4]]
+        if modal[COOLANT] & MIST:
             numbers.append(7)
-        if modal.coolant & FLOOD:
+        if modal[COOLANT] & FLOOD:
             numbers.append(8)
-        if not modal.coolant:
+        if not modal[COOLANT]:
             numbers.append(9)
         if self._override_control and self._state.override_control:
             numbers.append(56)

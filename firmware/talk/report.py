@@ -9,13 +9,13 @@ from array import array
 
 from base import errors
 from base import state as st
-from base.f32 import INCH_PER_MM, copy, f32, vector
+from base.f32 import INCH_PER_MM, f32, vector
+from base.singles import MINUS, add, divide
 from control.coords import NAMES
 from micropython import const
 from motion.layout import LIMITS, RESOLUTION
 
 from talk.digits import END, VALUES, number, write
-from talk.singles import MINUS, add, divide
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -93,7 +93,6 @@ class Report:
         self._piece = memoryview(self._text)
         self._ints = array("i", bytes(4 * (VALUES + _VALUES)))
         self._mm = vector(axes)
-        self._offset = vector(max(axes, 3))
         self._shown = vector(axes + 1)
         self._resolution = LIMITS + RESOLUTION * axes
 
@@ -312,9 +311,8 @@ class Report:
 
     def _work_offset(self) -> "array[float]":
         """What machine position has more than work position."""
-        coords, axes, offset = self._coords, self._axes, self._offset
-        copy(coords.systems[coords.active], offset, axes)
-        add(coords.g92, 0, offset, axes)
+        coords = self._coords
+        offset = coords.zero(coords.active)
         if coords.tool_length:
             i = coords.length_axis
             offset[i] = f32(offset[i] + coords.tool_length)

@@ -222,14 +222,13 @@ def short_path():
 def long_way():
     line = bytearray(b"G90G1X10.04Y10.03F9000\\0")
     text = words.Words()
-    own, modal = block.Block(3, False, False), modes.Modal()
+    own, modal = block.Block(3, False, False), modes.Modes(3).modal
     machine = found[interpreter.Interpreter]
     places = found[modes.Modes], found[coords.Coords]
 
     def take():
         text.read(line, 0, 22)
-        own.begin(modal)
-        own.take(text)
+        own.take(text, modal)
 
     def check():
         take()

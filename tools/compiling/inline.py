@@ -7,6 +7,7 @@ the names were: nothing else changes, and no line moves. CPython does the same w
 """
 
 import ast
+import copy
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
@@ -24,25 +25,49 @@ def inline(sources: Mapping[str, str], keep: bool = False) -> dict[str, str]:
     """The modules, by name, with each other's public constants in place. keep: they stay where
     they are defined, too, for programs that are not among these modules."""
     trees = {name: ast.parse(text) for name, text in sources.items()}
-    known = {name: _public(tree) for name, tree in trees.items()}
+    known: dict[str, Constants] = {name: {} for name in trees}
+    while True:  # a constant may be made of another module's
+        found = {name: _public(tree, known) for name, tree in trees.items()}
+        if found == known:
+            break
+        known = found
     return {
         name: _apply(text, list(_edits(trees[name], known[name], known, keep)))
         for name, text in sources.items()
     }
 
 
-def _public(tree: ast.Module) -> Constants:
+def _public(tree: ast.Module, known: Mapping[str, Constants]) -> Constants:
     """Constants that a module defines, once and for all, for others too."""
-    values: Constants = {}
+    own: Constants = {}
+    values, modules = _imported(tree, known)
     for statement in tree.body:
         name, value = _definition(statement)
         if name and value is not None:
             try:
-                values[name] = _evaluate(value, values)
+                own[name] = values[name] = _evaluate(value, values, modules)
             except (KeyError, ValueError):
                 continue
     stored = [node.id for node in _names(tree, ast.Store)]
-    return {n: v for n, v in values.items() if n[0] != "_" and stored.count(n) == 1}
+    return {n: v for n, v in own.items() if n[0] != "_" and stored.count(n) == 1}
+
+
+def _imported(
+    tree: ast.Module, known: Mapping[str, Constants]
+) -> tuple[Constants, dict[str, Constants]]:
+    """Constants, and modules with constants, by the names that a module imports them under."""
+    names: Constants = {}
+    modules: dict[str, Constants] = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            modules.update((n.asname or n.name, known.get(n.name, {})) for n in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            constants = known.get(node.module, {})
+            for n in node.names:
+                modules[n.asname or n.name] = known.get(f"{node.module}.{n.name}", {})
+                if n.name in constants:
+                    names[n.asname or n.name] = constants[n.name]
+    return names, modules
 
 
 def _definition(statement: ast.stmt) -> tuple[str, ast.expr | None]:
@@ -53,16 +78,30 @@ def _definition(statement: ast.stmt) -> tuple[str, ast.expr | None]:
     return "", None
 
 
-def _evaluate(node: ast.expr, known: Constants) -> int:
+def _evaluate(node: ast.expr, known: Constants, modules: Mapping[str, Constants]) -> int:
     """An integer out of integers; ValueError or KeyError where it is not."""
+    node = _WithoutModules(modules).visit(copy.deepcopy(node))
     for name in _names(node, ast.Load):
         known[name.id]
     if any(isinstance(part, ast.Call | ast.Attribute | ast.Subscript) for part in ast.walk(node)):
         raise ValueError
-    value = eval(compile(ast.Expression(node), "", "eval"), {"__builtins__": {}}, dict(known))
+    expression = ast.fix_missing_locations(ast.Expression(node))
+    value = eval(compile(expression, "", "eval"), {"__builtins__": {}}, dict(known))
     if type(value) is not int:
         raise ValueError
     return value
+
+
+class _WithoutModules(ast.NodeTransformer):
+    """Numbers in place of `module.NAME`; KeyError where that is no constant."""
+
+    def __init__(self, modules: Mapping[str, Constants]) -> None:
+        self._modules = modules
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
+        if isinstance(node.value, ast.Name):
+            return ast.Constant(self._modules[node.value.id][node.attr])
+        return node
 
 
 def _names(tree: ast.AST, context: type[ast.expr_context]) -> Iterator[ast.Name]:
@@ -74,25 +113,25 @@ def _names(tree: ast.AST, context: type[ast.expr_context]) -> Iterator[ast.Name]
 def _edits(
     tree: ast.Module, own: Constants, known: Mapping[str, Constants], keep: bool
 ) -> Iterator[_Edit]:
-    here = dict(own)
-    modules: dict[str, str] = {}
     stored = {node.id for node in _names(tree, ast.Store)}
     stored |= {node.arg for node in ast.walk(tree) if isinstance(node, ast.arg)}
+    names, modules = _imported(tree, known)
+    here = own | {n: v for n, v in names.items() if n not in stored}
     for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            modules.update((n.asname or n.name, n.name) for n in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            modules.update((n.asname or n.name, f"{node.module}.{n.name}") for n in node.names)
-            constants = known.get(node.module, {})
-            gone = [n for n in node.names if n.name in constants and n.name not in stored]
-            here.update((n.asname or n.name, constants[n.name]) for n in gone)
+        if isinstance(node, ast.ImportFrom) and node.module:
+            gone = [n for n in node.names if _is_gone(n, known.get(node.module, {}), stored)]
             if gone:
                 yield _Edit(node, _import(node, gone))
     for statement in tree.body:
-        if not keep and _definition(statement)[0] in own:
-            yield _Edit(statement, "pass")
-    seen = {a: known[m] for a, m in modules.items() if m in known and a not in stored}
+        name, value = _definition(statement)
+        if name in own and value is not None:
+            yield _Edit(value, _literal(own[name])) if keep else _Edit(statement, "pass")
+    seen = {alias: constants for alias, constants in modules.items() if alias not in stored}
     yield from _uses(tree, here, seen)
+
+
+def _is_gone(name: ast.alias, constants: Constants, stored: set[str]) -> bool:
+    return name.name in constants and name.name not in stored
 
 
 def _import(node: ast.ImportFrom, gone: list[ast.alias]) -> str:

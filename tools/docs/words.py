@@ -1,12 +1,18 @@
 """Tables of what can be sent: G and M words, $ commands, real-time bytes."""
 
 import re
+from array import array
+from collections.abc import Iterable
 from functools import cache
+from typing import TYPE_CHECKING
 
 from .. import paths
 from ..grbl.comments import source
 from . import meanings
 from .markdown import table
+
+if TYPE_CHECKING:
+    from language.block import Block
 
 _GROUP = re.compile(r"^GROUP_\w+ = const\((0x\w+)\)  # (.*)$", re.MULTILINE)
 _COMMAND = re.compile(r"^ +\d+: self\.\w+,  # (\$\S+)$", re.MULTILINE)
@@ -17,52 +23,64 @@ def _group_names() -> dict[int, str]:
     return {int(bit, 16): name for bit, name in _GROUP.findall(source("language/block"))}
 
 
-def _group(word: str) -> str:
-    """The modal group that the interpreter puts a word in."""
-    from control.modes import Modal
+def _taken(word: str, modal: "array[int]") -> "Block | None":
+    """What the interpreter makes of a word in that modal state; None where it refuses it."""
+    from base.errors import GrblError
     from language.block import Block
     from language.words import Words
 
     words = Words()
     words.read(bytearray(word.encode() + b"\0"), 0, len(word))
     block = Block(3, has_mist=True, has_override_control=True)
-    block.begin(Modal())
-    block.take(words)
-    return _group_names()[block.commands]
+    try:
+        block.take(words, modal)
+    except GrblError:
+        return None
+    return block
+
+
+def _at_reset() -> "array[int]":
+    from control.modes import Modes
+
+    return Modes(3).modal
+
+
+def _known(words: "Iterable[str]") -> list[str]:
+    paths.use_firmware()
+    modal = _at_reset()
+    return [word for word in words if _taken(word, modal)]
+
+
+def _group(word: str) -> str:
+    """The modal group that the interpreter puts a word in."""
+    from language.block import COMMANDS
+
+    block = _taken(word, _at_reset())
+    assert block
+    return _group_names()[block.ints[COMMANDS]]
 
 
 def g_words() -> list[str]:
     """Every G word that the interpreter knows, in order."""
-    paths.use_firmware()
-    from language import block
-
-    found = []
-    for number in block.G_WORDS:
-        if number not in block._WANTS_DECIMALS:
-            found.append(f"G{number}")
-        tenths = block._G_DECIMALS.get(number, 0)
-        found += [f"G{number}.{part}" for part in range(10) if tenths >> part & 1]
-    return found
+    tenths = ("", *(f".{tenth}" for tenth in range(1, 10)))
+    words = [f"G{number}{tenth}" for number in range(100) for tenth in tenths]
+    return [word for word in _known(words) if not word.startswith("G49.")]  # as Grbl: a G49
 
 
 def m_words() -> list[str]:
     """Every M word that the interpreter knows, options of the board included."""
-    paths.use_firmware()
-    from language import block
-
-    return [f"M{number}" for number in block.M_WORDS]
+    return _known(f"M{number}" for number in range(256))
 
 
 def _at_start(word: str) -> bool:
     """A mode that a reset puts in force."""
-    from control.modes import Modal
-    from language.block import G_WORDS, GROUP_M4, M_WORDS
+    from control.modes import MODAL_LENGTH, PROGRAM_FLOW
 
-    if "." in word:
-        return False
-    rows = G_WORDS if word[0] == "G" else M_WORDS
-    group, name, value, *_ = rows[int(word[1:])]
-    return bool(name) and group != GROUP_M4 and getattr(Modal(), str(name)) == value
+    other = array("i", [99] * MODAL_LENGTH)
+    block = _taken(word, other)
+    assert block
+    set_to = {i: block.ints[i] for i in range(MODAL_LENGTH) if block.ints[i] != other[i]}
+    return any(i != PROGRAM_FLOW and _at_reset()[i] == value for i, value in set_to.items())
 
 
 def _words_table(words: list[str], said: dict[str, str]) -> str:
