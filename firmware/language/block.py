@@ -20,7 +20,7 @@ from base.errors import (
     NEGATIVE_VALUE,
     GrblError,
 )
-from base.f32 import copy, vector
+from base.f32 import copy, f32, vector, whole
 from control.modes import (
     COOLANT,
     INCHES,
@@ -38,11 +38,9 @@ from control.modes import (
 from micropython import const
 from motion.arcs import Arc
 
-from language.words import LETTER_EXPECTED, code, count
+from language.words import LETTER_EXPECTED, Words
 
-TYPE_CHECKING = const(False)
-if TYPE_CHECKING:
-    from language.words import Words
+_BEYOND = 2147483648.0
 
 # Motion modes: the G number, for the probes G38.n the same with n * 10 + 100 added.
 SEEK = const(0)
@@ -84,19 +82,19 @@ COMMANDS = const(MODAL_LENGTH)  # mask of the modal groups that the line has wor
 WORDS = const(MODAL_LENGTH + 1)  # mask of its value words
 NON_MODAL = const(MODAL_LENGTH + 2)
 CLAIM = const(MODAL_LENGTH + 3)  # who uses the axis words
-L = const(MODAL_LENGTH + 4)  # whole numbers: of L and T the lowest byte
-N = const(MODAL_LENGTH + 5)
-T = const(MODAL_LENGTH + 6)
-_HIGHEST_TOOL = const(MODAL_LENGTH + 7)  # bits of a float
-_LENGTH = const(MODAL_LENGTH + 8)
+_LENGTH = const(MODAL_LENGTH + 4)
 
-# The other numbers of a line, by place in Block.singles; axis words are in Block.xyz.
+# The numbers of a line, by place in Block.singles; axis words are in Block.xyz.
 I = const(0)  # noqa: E741 (the letter of the word); J and K behind it
 F = const(3)
+L = const(4)
+N = const(5)
 P = const(6)
 R = const(7)
 S = const(8)
+T = const(9)
 _SINGLES = const(10)
+_HIGHEST_TOOL = const(10)
 
 # Modal groups, as bits of COMMANDS. Names are the standard's.
 GROUP_0 = const(0x0001)  # non-modal
@@ -128,11 +126,8 @@ WORD_R = const(0x0800)
 WORD_S = const(0x1000)
 WORD_T = const(0x2000)
 _NOT_NEGATIVE = const(0x3680)  # F, N, P, S, T
-_COUNTS = const(0x2300)  # L, N, T
 _BIT_A = const(3)
 _BIT_I = const(4)
-_BIT_L = const(8)
-_BIT_N = const(9)
 _BIT_T = const(13)
 HIGHEST_TOOL = const(255)
 
@@ -143,10 +138,10 @@ _INDEXED = const(160)
 _NO_LETTER = const(255)
 ROWS = const(186)
 ROW = const(6)
-_PLACE = const(0)  # in Modes.modal; NOWHERE: none
+# The place in Modes.modal is first; NOWHERE: none.
 SETTING = const(1)  # what is put there, or in NON_MODAL
 _CLAIM = const(2)  # who claims the axis words
-_DECIMALS = const(3)  # those it may have besides none, a bit for each tenth
+_DECIMALS = const(3)  # those it may have besides none, a bit for each tenth from 1 on
 GROUP = const(4)  # two bytes
 NOWHERE = const(255)
 # Besides the tenths in _DECIMALS: others are unsupported, where with any other G number they are
@@ -163,8 +158,7 @@ def add_word(
 ) -> None:
     """Put a word into the dictionary: a G number, or an M number behind _M."""
     dictionary[at] = 1 + (len(dictionary) - ROWS) // ROW
-    for byte in (place, setting, claim, decimals, group & 255, group >> 8):
-        dictionary.append(byte)
+    dictionary.extend(bytes((place, setting, claim, decimals, group & 255, group >> 8)))
 
 
 # Calls, for constants that hold more than a number would stay in memory.
@@ -222,60 +216,33 @@ def is_known(letter: int, number: int) -> bool:
     return at < (_INDEXED if letter == 77 else _M) and dictionary[at] > 0
 
 
-@micropython.viper
-def begin(modal: ptr32, ints: ptr32, xyz: ptr32, singles: ptr32, axes: int) -> int:
-    """Forget the last line; start from that modal state."""
-    copy(modal, ints, MODAL_LENGTH)
-    for i in range(MODAL_LENGTH, _HIGHEST_TOOL):
-        ints[i] = 0
-    for i in range(axes):
-        xyz[i] = 0
-    for i in range(_SINGLES):
-        singles[i] = 0
-    return 0
+# What a block begins with, besides the modal state.
+_NOTHING = array("i", (0 for _ in range(_LENGTH)))
 
 
 @micropython.viper
-def take_code(letter: int, number: int, words: ptr8, ints: ptr32) -> int:
-    """Take in a G or M word: hundredths << 8 | whole part. Returns what is wrong with it."""
-    hundredths = number >> 8
-    number &= 255
-    at = number
-    if letter == 77:
-        if hundredths:
-            return GCODE_COMMAND_VALUE_NOT_INTEGER
-        at += _M
-    if at >= (_INDEXED if letter == 77 else _M) or words[at] == 0:
-        return GCODE_UNSUPPORTED_COMMAND
-    at = ROWS - ROW + ROW * words[at]
-    group = words[at + GROUP] | (words[at + GROUP + 1] << 8)
-    place = words[at + _PLACE]
-    setting = words[at + SETTING]
-    claim = words[at + _CLAIM]
-    decimals = words[at + _DECIMALS]
-    stores = 1 if claim == AXES_NON_MODAL and hundredths else 0  # G28.1, G30.1, G92.1
-    if claim and stores == 0:
+def byte(value: int, top: int) -> int:
+    """The float as a number from 0 to 255; 256 where it is none. top: its last byte."""
+    exponent = (value >> 23) & 255
+    if top > 127 or exponent > 134 or (exponent < 127 and exponent):
+        return 256
+    number = ((value & 0x7FFFFF) | 0x800000) if exponent else 0
+    shift = (150 - exponent) & 31
+    return number >> shift if (number >> shift) << shift == number else 256
+
+
+@micropython.viper
+def enter(place: int, setting: int, claim: int, group: int, ints: ptr32) -> int:
+    """Take in a G or M word by what the dictionary says of it. Returns what is wrong with it."""
+    if claim:
         if ints[CLAIM]:
             return GCODE_AXIS_COMMAND_CONFLICT
         ints[CLAIM] = claim
-    if (hundredths and decimals & _OTHERS) or decimals & _ONE:
-        tenth = hundredths // 10
-        if hundredths != 10 * tenth or tenth > 7 or ((decimals & _TENTHS) >> tenth) & 1 == 0:
-            return GCODE_UNSUPPORTED_COMMAND
-        if number == 91:
-            group = GROUP_4  # G91.1: arc distance is always relative
-            place = NOWHERE
-        elif number == 38:
-            setting += hundredths + 100
-        elif stores:
-            setting += hundredths
-    elif hundredths and number != 49:
-        return GCODE_COMMAND_VALUE_NOT_INTEGER
     if group == GROUP_0:
         ints[NON_MODAL] = setting
     elif place != NOWHERE:
         if group == GROUP_M8 and setting:
-            setting |= ints[COOLANT]  # M7 and M8 add up
+            setting |= ints[place]  # M7 and M8 add up
         ints[place] = setting
     if ints[COMMANDS] & group:
         return GCODE_MODAL_GROUP_VIOLATION
@@ -284,62 +251,56 @@ def take_code(letter: int, number: int, words: ptr8, ints: ptr32) -> int:
 
 
 @micropython.viper
-def take_value(
-    letter: int, values: ptr32, i: int, words: ptr8, ints: ptr32, xyz: ptr32, singles: ptr32
-) -> int:
-    """Take in a word that is a value. Returns what is wrong with it."""
-    bit = words[_INDEXED + letter - 65]
-    if bit == _NO_LETTER:
-        return GCODE_UNSUPPORTED_COMMAND
-    top = ptr8(values)[4 * i + 3]
-    negative = top >> 7
-    if bit == _BIT_T and negative == 0 and values[i] > ints[_HIGHEST_TOOL]:
-        return GCODE_MAX_VALUE_EXCEEDED
-    if bit <= _BIT_A:
-        xyz[bit] = values[i]
-    else:
-        singles[bit - _BIT_I] = values[i]
-    if (_COUNTS >> bit) & 1:
-        at = L if bit == _BIT_L else T
-        if bit == _BIT_N:
-            at = N
-        number = int(count(values, i))
-        ints[at] = number if bit == _BIT_N else number & 255
-    if (ints[WORDS] >> bit) & 1:
-        return GCODE_WORD_REPEATED
-    if negative and (_NOT_NEGATIVE >> bit) & 1 and (values[i] & 0x3FFFFFFF) | (top & 0x40):
-        return NEGATIVE_VALUE
-    ints[WORDS] = ints[WORDS] | (1 << bit)
-    return 0
-
-
-@micropython.viper
 def take(
     letters: ptr8,
     values: ptr32,
-    how_many: int,
+    count: int,
     words: ptr8,
     ints: ptr32,
     xyz: ptr32,
     singles: ptr32,
-    odd: object,
+    take_odd: object,
 ) -> int:
     """Take in words, in their order. Returns what is wrong with the first that is, or 0.
 
-    odd: says what code() does not.
+    take_odd: takes in a G or M word with a number that is no byte, or that lacks decimals.
     """
-    for i in range(how_many):
+    wrong = 0
+    i = 0
+    while i < count and wrong == 0:
         letter = letters[i]
+        value = values[i]
+        top = ptr8(values)[4 * i + 3]
         if letter == 71 or letter == 77:  # noqa: PLR1714 (a viper cannot ask `in`)
-            number = int(code(values, i))
-            if number < 0:
-                number = int(odd(i))  # type: ignore[operator]
-            wrong = int(take_code(letter, number, words, ints))
+            at = int(byte(value, top))
+            if letter == 77:
+                at += _M
+            row = 0
+            if at < (_INDEXED if letter == 77 else _M):
+                row = ROWS - ROW + ROW * words[at]
+            if row < ROWS or words[row + _DECIMALS] & _ONE:
+                wrong = int(take_odd(i))  # type: ignore[operator]
+            else:
+                setting = words[row + SETTING]
+                group = words[row + GROUP] | (words[row + GROUP + 1] << 8)
+                wrong = int(enter(words[row], setting, words[row + _CLAIM], group, ints))
         else:
-            wrong = int(take_value(letter, values, i, words, ints, xyz, singles))
-        if wrong:
-            return wrong
-    return 0
+            bit = words[_INDEXED + letter - 65]
+            if bit == _NO_LETTER:
+                return GCODE_UNSUPPORTED_COMMAND
+            if bit <= _BIT_A:
+                xyz[bit] = value
+            else:
+                singles[bit - _BIT_I] = value
+            if bit == _BIT_T and top < 128 and value > singles[_HIGHEST_TOOL]:
+                wrong = GCODE_MAX_VALUE_EXCEEDED
+            elif (ints[WORDS] >> bit) & 1:
+                wrong = GCODE_WORD_REPEATED
+            elif (_NOT_NEGATIVE >> bit) & 1 and top > 127 and (top > 128 or value & 0xFFFFFF):
+                wrong = NEGATIVE_VALUE
+            ints[WORDS] = ints[WORDS] | (1 << bit)
+        i += 1
+    return wrong
 
 
 class Block:
@@ -352,34 +313,89 @@ class Block:
         has_override_control: bool,
         highest_tool: int = HIGHEST_TOOL,
     ) -> None:
-        self.ints = array("i", (0 for _ in range(_LENGTH)))
+        self.ints = array("i", _NOTHING)
         self.xyz = vector(axes)
-        self.singles = vector(_SINGLES)
+        self.singles = vector(_SINGLES + 1)
+        self.singles[_HIGHEST_TOOL] = highest_tool
         # What the checks find: the arc, and what G10, G28 and G30 are to keep or go to.
         self.arc = Arc()
         self.stored = vector(axes)
         self.index = 0  # of the coordinate system that G10 writes
-        self._axes = axes
-        self._words = bytearray(dictionary)
+        self._words = Words()
+        self._dictionary = bytearray(dictionary)
         if not has_mist:
-            self._words[_MIST] = 0
+            self._dictionary[_MIST] = 0
         if not has_override_control:
-            self._words[_OVERRIDE] = 0
+            self._dictionary[_OVERRIDE] = 0
         for i in range(axes, _BIT_I):
-            self._words[_INDEXED + VALUE_LETTERS[i] - 65] = _NO_LETTER
-        self.singles[0] = highest_tool
-        copy(self.singles, memoryview(self.ints)[_HIGHEST_TOOL:], 1)
+            self._dictionary[_INDEXED + VALUE_LETTERS[i] - 65] = _NO_LETTER
+        self._odd = self._take_odd  # taking a method as a value allocates
 
-    def take(self, words: "Words", modal: "array[int]") -> None:
-        """Start from that modal state, and take in all words, in their order. Raises GrblError
-        for the first that is wrong."""
-        ints, xyz, singles = self.ints, self.xyz, self.singles
-        begin(modal, ints, xyz, singles, self._axes)
+    @micropython.native  # its call frame is on the stack then, not on the heap
+    def read(self, line: bytearray, start: int, end: int, modal: "array[int]") -> None:
+        """Start from that modal state, and take in the words of line[start:end], which a 0
+        follows, in their order. Raises GrblError for the first that is wrong."""
+        words, ints, singles = self._words, self.ints, self.singles
+        words.read(line, start, end)
+        copy(_NOTHING, self.xyz, len(self.xyz))
+        copy(_NOTHING, singles, _SINGLES)
+        copy(_NOTHING, ints, _LENGTH)
+        copy(modal, ints, MODAL_LENGTH)
         wrong = take(
-            *(words.letters, words.values, words.count, self._words, ints, xyz, singles, words.odd)
+            words.letters,
+            words.values,
+            words.count,
+            self._dictionary,
+            ints,
+            self.xyz,
+            singles,
+            self._odd,
         )
         if words.fault and not wrong:
             is_letter = words.fault == LETTER_EXPECTED
             wrong = EXPECTED_COMMAND_LETTER if is_letter else BAD_NUMBER_FORMAT
         if wrong:
             raise GrblError(wrong)
+
+    def _take_odd(self, i: int) -> int:
+        """Take in a G or M word of any number. Returns what is wrong with it."""
+        words = self._dictionary
+        # The whole part is a byte; the rest, larger numbers included, counts as hundredths.
+        value = self._words.values[i]
+        number = whole(value) & 255
+        hundredths = _round(100 * f32(value - number))
+        at, end = number, _M
+        if self._words.letters[i] == 77:
+            if hundredths:
+                return GCODE_COMMAND_VALUE_NOT_INTEGER
+            at, end = number + _M, _INDEXED
+        if at >= end or not words[at]:
+            return GCODE_UNSUPPORTED_COMMAND
+        return self._enter_odd(words[ROWS - ROW + ROW * words[at] :], number, hundredths)
+
+    def _enter_odd(self, row: bytearray, number: int, hundredths: int) -> int:
+        place, setting, claim, decimals = row[0], row[SETTING], row[_CLAIM], row[_DECIMALS]
+        group = row[GROUP] | row[GROUP + 1] << 8
+        if hundredths and claim == AXES_NON_MODAL:  # G28.1, G30.1, G92.1
+            claim = AXES_UNCLAIMED
+            setting += hundredths
+        if claim and self.ints[CLAIM]:
+            return GCODE_AXIS_COMMAND_CONFLICT
+        if (hundredths and decimals & _OTHERS) or decimals & _ONE:
+            if hundredths % 10 or not (decimals & _TENTHS) >> hundredths // 10 & 1:
+                return GCODE_UNSUPPORTED_COMMAND
+            if number == 91:
+                group, place = GROUP_4, NOWHERE  # G91.1: arc distance is always relative
+            elif number == 38:
+                setting += hundredths + 100
+        elif hundredths and number != 49:
+            return GCODE_COMMAND_VALUE_NOT_INTEGER
+        return enter(place, setting, claim, group, self.ints)
+
+
+def _round(x: float) -> int:
+    """To the nearest whole number, halves away from zero, in 16 bits without sign."""
+    x = f32(x)
+    if abs(x) >= _BEYOND:
+        return 0xFFFF
+    return (whole(x + 0.5) if x >= 0 else -whole(0.5 - x)) & 0xFFFF

@@ -7,11 +7,10 @@ which decides the number that a block with two faults gets.
 
 import math
 
-import micropython
 from base import errors
 from base.errors import GrblError
 from base.f32 import MM_PER_INCH, f32, whole
-from base.singles import add_single
+from base.singles import add
 from control.coords import G28, G30, SYSTEMS
 from control.modes import (
     INCHES,
@@ -53,7 +52,7 @@ def check(modes: "Modes", coords: "Coords", block: "Block", jog: bool) -> None:
     axis_words = words & b.AXIS_WORDS
     if axis_words and not ints[b.CLAIM]:
         ints[b.CLAIM] = b.AXES_MOTION
-    if ints[b.N] > _HIGHEST_LINE:
+    if singles[b.N] > _HIGHEST_LINE:
         raise GrblError(errors.GCODE_INVALID_LINE_NUMBER)
     _feed(modes, block, jog)
     if not words & b.WORD_S:
@@ -159,11 +158,12 @@ def _set_coords(modes: "Modes", coords: "Coords", block: "Block") -> int:
     system = whole(block.singles[b.P]) & 255
     if system > SYSTEMS:
         raise GrblError(errors.GCODE_UNSUPPORTED_COORD_SYS)
-    if ints[b.L] != 20 and (ints[b.L] != 2 or words & b.WORD_R):
+    kind = whole(block.singles[b.L]) & 255
+    if kind != 20 and (kind != 2 or words & b.WORD_R):
         raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
     block.index = system - 1 if system else ints[SYSTEM]
     stored = coords.systems[block.index]
-    if ints[b.L] == 20:
+    if kind == 20:
         _offset_at(modes, coords, block, coords.g92, stored, block.stored)
     else:
         for i in range(len(modes.position)):
@@ -193,26 +193,17 @@ def _offset_at(
 def _target(modes: "Modes", coords: "Coords", block: "Block") -> None:
     """Axis words become a target in machine coordinates; axes without a word stay."""
     ints, xyz, position = block.ints, block.xyz, modes.position
-    axes = len(position)
-    offset = position
-    if not ints[RELATIVE]:
-        offset = coords.zero(ints[SYSTEM])
-    place(ints, offset, position, xyz, axes)
-    if coords.tool_length and not ints[RELATIVE] and ints[b.NON_MODAL] != b.ABSOLUTE_OVERRIDE:
-        if ints[b.WORDS] >> coords.length_axis & 1:
-            xyz[coords.length_axis] += coords.tool_length
-
-
-@micropython.viper
-def place(ints: ptr32, offset: ptr32, position: ptr32, xyz: ptr32, axes: int) -> int:
-    """Add the offset to axis words, but for G53; axes without a word stay where they are."""
+    if ints[b.NON_MODAL] != b.ABSOLUTE_OVERRIDE:
+        if ints[RELATIVE]:
+            add(position, 0, xyz, len(position))
+        else:
+            add(coords.zero(ints[SYSTEM]), 0, xyz, len(position))
+            if coords.tool_length:
+                xyz[coords.length_axis] += coords.tool_length
     words = ints[b.WORDS]
-    for i in range(axes):
-        if (words >> i) & 1 == 0:
+    for i in range(len(position)):
+        if not words >> i & 1:
             xyz[i] = position[i]
-        elif ints[b.NON_MODAL] != b.ABSOLUTE_OVERRIDE:
-            add_single(offset, i, xyz, i)
-    return 0
 
 
 def _motion(modes: "Modes", block: "Block") -> int:

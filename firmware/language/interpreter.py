@@ -12,7 +12,7 @@ from array import array
 from base import errors
 from base import state as st
 from base.errors import GrblError
-from base.f32 import copy
+from base.f32 import copy, whole
 from control.coords import G28, G30
 from control.modes import (
     COOLANT,
@@ -35,7 +35,6 @@ from motion import planner as plan
 from language import block as b
 from language import checks
 from language.fast_path import FastPath
-from language.words import Words
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -68,7 +67,14 @@ assert {
     b.dictionary[row + b.SETTING]
     for row in range(b.ROWS, len(b.dictionary), b.ROW)
     if b.dictionary[row + b.GROUP] == b.GROUP_1
-} == {b.SEEK, b.LINEAR, b.CW_ARC, b.CCW_ARC, _PROBE, b.NO_MOTION}, "a motion without a behaviour"
+} == {
+    b.SEEK,
+    b.LINEAR,
+    b.CW_ARC,
+    b.CCW_ARC,
+    _PROBE,
+    b.NO_MOTION,
+}, "a motion without a behaviour"
 assert {
     b.dictionary[row + b.SETTING]
     for row in range(b.ROWS, len(b.dictionary), b.ROW)
@@ -108,7 +114,6 @@ class Interpreter:
         self._spindle = spindle
         self._voice = voice
         self._block = block
-        self._words = Words()
         self._jog_modal = array("i", (0 for _ in range(MODAL_LENGTH)))
         self._move = plan.Move()
         self._line_numbers = line_numbers
@@ -118,8 +123,7 @@ class Interpreter:
         """Interpret line[:length], which a 0 follows. Raises GrblError where it is refused."""
         if not self.fast.execute(line, length):
             block, modes = self._block, self._modes
-            self._words.read(line, 0, length)
-            block.take(self._words, modes.modal)
+            block.read(line, 0, length, modes.modal)
             checks.check(modes, self._coords, block, False)
             self._apply(block)
             self.fast.look()
@@ -129,11 +133,10 @@ class Interpreter:
     def jog(self, line: bytearray, length: int) -> None:
         """Interpret a "$J=" line. The modal state stays as it is."""
         block, modes = self._block, self._modes
-        self._words.read(line, _JOG_START, length)
         copy(modes.modal, self._jog_modal, MODAL_LENGTH)
         self._jog_modal[MOTION] = b.LINEAR
         self._jog_modal[INVERSE_TIME] = 0
-        block.take(self._words, self._jog_modal)
+        block.read(line, _JOG_START, length, self._jog_modal)
         checks.check(modes, self._coords, block, True)
         if self._settings.soft_limits and self._canon.outside(block.xyz):
             raise GrblError(errors.TRAVEL_EXCEEDED)
@@ -151,7 +154,7 @@ class Interpreter:
         move = self._move
         move.clear()
         if self._line_numbers:
-            move.line_number = block.ints[b.N]
+            move.line_number = whole(block.singles[b.N])
         return move
 
     def _apply(self, block: "Block") -> None:
@@ -168,7 +171,7 @@ class Interpreter:
             self._set_speed(block, beam)
         if not beam & _DARK:
             move.spindle_rpm = modes.spindle_rpm
-        modes.tool = new[b.T]
+        modes.tool = whole(block.singles[b.T]) & 255
         if new[b.COMMANDS] & _ACCESSORIES:
             self._set_accessories(new, move)
         move.flags |= modes.accessory_flags()

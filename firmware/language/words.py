@@ -9,10 +9,8 @@ interpreter, its fast path and commands; it knows no meaning of any letter.
 from array import array
 
 import micropython
-from base.f32 import f32, whole
 from micropython import const
 
-_BEYOND = 2147483648.0
 _LONGEST = const(79)  # characters of a line
 
 # What scan() found wrong, above the count of words.
@@ -134,47 +132,6 @@ def scan(text: ptr8, span: int, letters: ptr8, values: ptr32) -> int:
     return count
 
 
-@micropython.viper
-def code(values: ptr32, i: int) -> int:
-    """The number of a G or M word: whole part, and hundredths << 8, to the nearest.
-
-    -1 where it is negative, 256 or more, or next to nothing: see Words.odd().
-    """
-    exponent = (values[i] >> 23) & 255
-    if ptr8(values)[4 * i + 3] & 128 or exponent > 134:
-        return -1
-    if exponent < 120:
-        return -1 if exponent else 0
-    number = (values[i] & 0x7FFFFF) | 0x800000
-    shift = 150 - exponent
-    part = number >> shift
-    number = (number & ((1 << shift) - 1)) * 100
-    drop = 0
-    while number >> drop >= 1 << 24:
-        drop += 1
-    if drop:
-        number += (1 << (drop - 1)) - 1 + ((number >> drop) & 1)  # to nearest, halves to even
-        number >>= drop
-        shift -= drop
-    return (((number + (1 << (shift - 1))) >> shift) << 8) | part
-
-
-@micropython.viper
-def count(values: ptr32, i: int) -> int:
-    """A value without its fraction; a hundred millions where it is larger than half of that."""
-    exponent = (values[i] >> 23) & 255
-    number = (values[i] & 0x7FFFFF) | 0x800000
-    if exponent < 127:
-        number = 0
-    elif exponent > 152:
-        number = 100000000
-    elif exponent > 150:
-        number <<= exponent - 150
-    else:
-        number >>= 150 - exponent
-    return 0 - number if ptr8(values)[4 * i + 3] & 128 else number
-
-
 class Words:
     """The words of one line. letters[i] is a character code, values[i] its number."""
 
@@ -184,23 +141,12 @@ class Words:
         self.values = array("f", (0.0 for _ in range(most)))
         self.count = 0
         self.fault = 0
-        self.odd = self._odd  # taking a method as a value allocates
 
     def read(self, text: bytearray, start: int, end: int) -> None:
         """Read text[start:end], which a 0 follows. fault tells what is wrong behind the words."""
         found = scan(text, end << 8 | start, self.letters, self.values)
         self.count = found & 255
         self.fault = found >> 8
-
-    def _odd(self, i: int) -> int:
-        """As code(), of any number: the whole part is a byte; the rest counts as hundredths."""
-        value = self.values[i]
-        number = whole(value) & 255
-        hundredths = f32(100 * f32(value - number))
-        if abs(hundredths) >= _BEYOND:
-            return 0xFFFF00 | number
-        rounded = whole(hundredths + 0.5) if hundredths >= 0 else -whole(0.5 - hundredths)
-        return (rounded & 0xFFFF) << 8 | number
 
 
 _bare = array("f", (0.0,))

@@ -221,14 +221,12 @@ def short_path():
 
 def long_way():
     line = bytearray(b"G90G1X10.04Y10.03F9000\\0")
-    text = words.Words()
     own, modal = block.Block(3, False, False), modes.Modes(3).modal
     machine = found[interpreter.Interpreter]
     places = found[modes.Modes], found[coords.Coords]
 
     def take():
-        text.read(line, 0, 22)
-        own.take(text, modal)
+        own.read(line, 0, 22, modal)
 
     def check():
         take()

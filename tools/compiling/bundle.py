@@ -22,7 +22,7 @@ from .short_names import SHORT
 _FORGET = "forget"
 # Of extras a user has one, or none, or his own. The rows of block's tables are objects, each of
 # which a collection has to keep in mind while it looks at a module's: it has room for 64.
-_APART = ("extras", "language.block")
+_APART = ("extras",)
 
 
 class Bundles(NamedTuple):

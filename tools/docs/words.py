@@ -27,13 +27,10 @@ def _taken(word: str, modal: "array[int]") -> "Block | None":
     """What the interpreter makes of a word in that modal state; None where it refuses it."""
     from base.errors import GrblError
     from language.block import Block
-    from language.words import Words
 
-    words = Words()
-    words.read(bytearray(word.encode() + b"\0"), 0, len(word))
     block = Block(3, has_mist=True, has_override_control=True)
     try:
-        block.take(words, modal)
+        block.read(bytearray(word.encode() + b"\0"), 0, len(word), modal)
     except GrblError:
         return None
     return block
