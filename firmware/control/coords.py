@@ -17,6 +17,7 @@ SYSTEMS = const(6)
 G28 = const(6)
 G30 = const(7)
 _COUNT = const(8)
+_NONE = const(-1)
 _FILE = "coords"
 
 NAMES = ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30")
@@ -33,7 +34,9 @@ class Coords:
         self.active = 0  # keep-name: esp32.RMT has active(), too
         self.g92 = vector(axes)
         self.tool_length = 0.0
+        # What zero() has worked out last, and for which system.
         self._zero = vector(max(axes, length_axis + 1))
+        self._zero_of = _NONE
 
     def load(self) -> bool:
         """Read what is kept; False, and zero, where there was nothing valid."""
@@ -44,6 +47,7 @@ class Coords:
         return True
 
     def _parse(self, lines: "list[str]") -> bool:
+        self._zero_of = _NONE
         for line in lines:
             name, _, values = line.partition("=")
             if name not in NAMES:
@@ -68,23 +72,37 @@ class Coords:
         for system in self.systems:
             for i in range(self._axes):
                 system[i] = 0.0
+        self._zero_of = _NONE
         self._save()
 
     def clear(self) -> None:
         """What a reset forgets: the active system, G92 and tool length."""
         self.active = 0
         self.tool_length = 0.0
+        self.clear_g92()
+
+    def clear_g92(self) -> None:
+        """G92.1: work begins where its system does."""
         for i in range(self._axes):
             self.g92[i] = 0.0
+        self._zero_of = _NONE
+
+    def set_g92(self, values: "array[float]") -> None:
+        """G92: work begins so far from where its system does."""
+        self.g92[:] = values
+        self._zero_of = _NONE
 
     def write(self, index: int, values: "array[float]") -> None:
         """Set and keep a system, or G28, G30."""
         self.systems[index][:] = values
+        self._zero_of = _NONE
         self._save()
 
     def zero(self, system: int) -> "array[float]":
-        """Where work in that system begins, with G92, without tool length. Until asked again."""
-        zero, axes = self._zero, self._axes
-        copy(self.systems[system], zero, axes)
-        add(self.g92, 0, zero, axes)
+        """Where work in that system begins, with G92, without tool length. Not to be changed."""
+        zero = self._zero
+        if system != self._zero_of:
+            self._zero_of = system
+            copy(self.systems[system], zero, self._axes)
+            add(self.g92, 0, zero, self._axes)
         return zero

@@ -23,6 +23,8 @@ SPINDLE = const(8)
 COOLANT = const(9)
 OVERRIDE_CONTROL = const(10)
 MODAL_LENGTH = const(11)
+# Behind them there is room for what a block has besides (language/block.py); here it stays 0.
+MODAL_ROOM = const(15)
 
 
 class Modes:
@@ -34,7 +36,7 @@ class Modes:
     tool: int
 
     def __init__(self, axes: int) -> None:
-        self.modal = array("i", (0 for _ in range(MODAL_LENGTH)))
+        self.modal = array("i", (0 for _ in range(MODAL_ROOM)))
         self.position = vector(axes)
         self.reset()
 

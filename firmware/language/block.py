@@ -26,6 +26,7 @@ from control.modes import (
     INCHES,
     INVERSE_TIME,
     MODAL_LENGTH,
+    MODAL_ROOM,
     MOTION,
     OVERRIDE_CONTROL,
     PLANE,
@@ -82,7 +83,6 @@ COMMANDS = const(MODAL_LENGTH)  # mask of the modal groups that the line has wor
 WORDS = const(MODAL_LENGTH + 1)  # mask of its value words
 NON_MODAL = const(MODAL_LENGTH + 2)
 CLAIM = const(MODAL_LENGTH + 3)  # who uses the axis words
-_LENGTH = const(MODAL_LENGTH + 4)
 
 # The numbers of a line, by place in Block.singles; axis words are in Block.xyz.
 I = const(0)  # noqa: E741 (the letter of the word); J and K behind it
@@ -216,8 +216,7 @@ def is_known(letter: int, number: int) -> bool:
     return at < (_INDEXED if letter == 77 else _M) and dictionary[at] > 0
 
 
-# What a block begins with, besides the modal state.
-_NOTHING = array("i", (0 for _ in range(_LENGTH)))
+_NOTHING = array("i", (0 for _ in range(_SINGLES)))
 
 
 @micropython.viper
@@ -313,7 +312,7 @@ class Block:
         has_override_control: bool,
         highest_tool: int = HIGHEST_TOOL,
     ) -> None:
-        self.ints = array("i", _NOTHING)
+        self.ints = array("i", (0 for _ in range(MODAL_ROOM)))
         self.xyz = vector(axes)
         self.singles = vector(_SINGLES + 1)
         self.singles[_HIGHEST_TOOL] = highest_tool
@@ -331,7 +330,6 @@ class Block:
             self._dictionary[_INDEXED + VALUE_LETTERS[i] - 65] = _NO_LETTER
         self._odd = self._take_odd  # taking a method as a value allocates
 
-    @micropython.native  # its call frame is on the stack then, not on the heap
     def read(self, line: bytearray, start: int, end: int, modal: "array[int]") -> None:
         """Start from that modal state, and take in the words of line[start:end], which a 0
         follows, in their order. Raises GrblError for the first that is wrong."""
@@ -339,8 +337,7 @@ class Block:
         words.read(line, start, end)
         copy(_NOTHING, self.xyz, len(self.xyz))
         copy(_NOTHING, singles, _SINGLES)
-        copy(_NOTHING, ints, _LENGTH)
-        copy(modal, ints, MODAL_LENGTH)
+        copy(modal, ints, MODAL_ROOM)
         wrong = take(
             words.letters,
             words.values,

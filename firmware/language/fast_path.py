@@ -215,14 +215,6 @@ def put(source: ptr32, at: int, target: ptr32, to: int) -> int:
     return 0
 
 
-@micropython.viper
-def copy_to(source: ptr32, target: ptr32, to: int, count: int) -> int:
-    """Copy the bits of floats to a place in target."""
-    for i in range(count):
-        target[to + i] = source[i]
-    return 0
-
-
 class FastPath:
     """The short path of an interpreter.
 
@@ -252,6 +244,7 @@ class FastPath:
         self._target = vector(axes)
         self._float = vector(1)
         self._known = array("i", (0 for _ in range(OFFSETS + axes)))
+        self._offsets = memoryview(self._known)[OFFSETS:]
         self._known[_RATE] = reals.real(0.0)
         self._asked = False  # the last line was one of these
         self.follow = self._make_follow()
@@ -309,7 +302,7 @@ class FastPath:
         ):
             axes = len(modes.position)
             known[AXES] = axes
-            copy_to(coords.zero(coords.active), known, OFFSETS, axes)
+            copy(coords.zero(coords.active), self._offsets, axes)
             known[IS_RELATIVE] = modal[RELATIVE]
             known[IN_INCHES] = modal[INCHES]
             known[LIMITED] = self._settings.soft_limits

@@ -114,7 +114,7 @@ class Interpreter:
         self._spindle = spindle
         self._voice = voice
         self._block = block
-        self._jog_modal = array("i", (0 for _ in range(MODAL_LENGTH)))
+        self._jog_modal = array("i", modes.modal)
         self._move = plan.Move()
         self._line_numbers = line_numbers
         self.fast = FastPath(modes, coords, state, settings, canon, spindle)
@@ -263,11 +263,10 @@ class Interpreter:
             self._canon.synchronise()
             coords.write(G30, modes.position)
         elif command == b.SET_G92:
-            coords.g92[:] = block.xyz
+            coords.set_g92(block.xyz)
             self._offsets_changed()
         elif command == b.RESET_G92:
-            for i in range(len(coords.g92)):
-                coords.g92[i] = 0.0
+            coords.clear_g92()
             self._offsets_changed()
 
     def go(self, block: "Block", move: "plan.Move") -> None:

@@ -9,7 +9,7 @@ from array import array
 
 from base import errors
 from base import state as st
-from base.f32 import INCH_PER_MM, f32, vector
+from base.f32 import INCH_PER_MM, copy, f32, vector
 from base.singles import MINUS, add, divide
 from control.coords import NAMES
 from micropython import const
@@ -93,6 +93,7 @@ class Report:
         self._piece = memoryview(self._text)
         self._ints = array("i", bytes(4 * (VALUES + _VALUES)))
         self._mm = vector(axes)
+        self._offset = vector(max(axes, 3))
         self._shown = vector(axes + 1)
         self._resolution = LIMITS + RESOLUTION * axes
 
@@ -311,8 +312,8 @@ class Report:
 
     def _work_offset(self) -> "array[float]":
         """What machine position has more than work position."""
-        coords = self._coords
-        offset = coords.zero(coords.active)
+        coords, offset = self._coords, self._offset
+        copy(coords.zero(coords.active), offset, self._axes)
         if coords.tool_length:
             i = coords.length_axis
             offset[i] = f32(offset[i] + coords.tool_length)
