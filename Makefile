@@ -51,7 +51,7 @@ torture-board: $(EMULATOR)  ## stops at random instants on an emulated Pico: INJ
 bench: $(VENV)  ## the firmware's speed on this desktop
 	$(BIN)/python host_tests/bench/bench_desktop.py
 
-bench-board: $(VENV)  ## and on a board: at PORT, or emulated with the image UGRBL_UF2
+bench-board: $(EMULATOR)  ## and on a board: at PORT, or emulated with the image UGRBL_UF2
 	PORT=$(PORT) $(BIN)/python host_tests/bench/bench_board.py
 
 test-senders: $(VENV)  ## real senders, installed into ~/.cache/ugrbl-senders, at the simulator
@@ -76,6 +76,6 @@ $(TYPESHED): $(VENV) $(wildcard host_tests/typeshed/*)
 	$(BIN)/python host_tests/typeshed/merge.py $(@D)
 	@touch $@
 
-$(EMULATOR): $(VENV) host_tests/emulator/compile_emulator.py
+$(EMULATOR): $(VENV) host_tests/emulator/compile_emulator.py host_tests/emulator/xip_cache.pyx
 	$(BIN)/python host_tests/emulator/compile_emulator.py $(@D)
 	@touch $@

@@ -1,21 +1,25 @@
 """`make bench-board`: what a board can do, as a table. UGRBL_UF2 names an image, or PORT a board.
 
-    bench_board.py [PART]...        all parts, or those named
+    bench_board.py [--columns plain,cache] [PART]...        all parts, or those named
 
 Emulated times are those of the emulated chip; on hardware those of a sender are this computer's,
-USB included. A real board is given the benchmark's commands at its prompt, and gets its program
-and settings back; it moves its axes, so motors are better off. What has to be looked at from
-power-up on or at the pins is left out there.
+USB included. An emulated board is measured twice: as the emulator is, in which flash takes no
+time, and with a model of the chip's flash cache (host_tests/emulator/xip.py), by which the core
+waits for what is not in it. A real board is given the benchmark's commands at its prompt, and
+gets its program and settings back; it moves its axes, so motors are better off. What has to be
+looked at from power-up on or at the pins is left out there.
 """
 
+import argparse
 import os
 import resource
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 _HERE = Path(__file__).resolve().parent
 sys.path[:0] = [
+    str(Path(sys.prefix) / "emulator"),  # compiled, three times as fast
     str(_HERE),
     str(_HERE.parent / "emulator"),
     str(_HERE.parent.parent / "tools" / "sim" / "standins"),
@@ -24,9 +28,10 @@ sys.path[:0] = [
 
 import pins  # noqa: E402
 import talking  # noqa: E402
-from bench_setup import Bench  # noqa: E402
+import xip  # noqa: E402
+from bench_setup import Bench, Counts  # noqa: E402
 from calibration import calibration  # noqa: E402
-from rows import Row  # noqa: E402
+from rows import Row, head, text  # noqa: E402
 
 _Part = Callable[[Bench], Iterator[Row]]
 
@@ -47,24 +52,65 @@ _PARTS: "dict[str, _Part]" = {
 _EMULATED_ONLY = ("boot", "hold", "rates")
 
 
+_PLAIN, _CACHE = "plain", "cache"
+
+
+def _benches(port: str, uf2: str, columns: "Sequence[str]") -> "list[Bench]":
+    """One for each column. Exits where there can be none."""
+    if port:
+        return [Bench(port=port)]
+    if not uf2:
+        sys.exit("which board? UGRBL_UF2=RPI_PICO-….uf2 make bench-board, or PORT=/dev/ttyACM0")
+    if _CACHE in columns and not xip.is_there():
+        print("the model of the flash cache is not compiled: make compiled-emulator")
+        columns = [_PLAIN]
+    return [Bench(Path(uf2), cache=column == _CACHE) for column in columns]
+
+
+def _measure(name: str, benches: "list[Bench]") -> "Iterator[Sequence[Row]]":
+    """A part's rows, and what its columns waited for flash."""
+    before = [bench.counts() for bench in benches]
+    yield from zip(*(_PARTS[name](bench) for bench in benches), strict=True)
+    if any(bench.cache for bench in benches):
+        yield from zip(*(_waits(name, *x) for x in zip(before, (b.counts() for b in benches))))
+
+
+def _waits(name: str, before: Counts, after: Counts) -> "Iterator[Row]":
+    hits, misses, stalled, cycles = (b - a for a, b in zip(before, after))
+    reads = hits + misses
+    yield Row(f"{name}: reads of flash", reads / 1e6, "millions")
+    yield Row(f"{name}: not in the cache", 100 * misses / max(reads, 1), "%")
+    yield Row(f"{name}: cycles that wait for flash", 100 * stalled / max(cycles, 1), "%")
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="What a board can do, as a table.")
+    parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(_PARTS))
+    parser.add_argument("--columns", default=f"{_PLAIN},{_CACHE}", help="plain, cache or both")
+    asked = parser.parse_args()
+    unknown = [name for name in asked.parts if name not in _PARTS]
+    if unknown:
+        parser.error(f"no part {', '.join(unknown)}; there are {', '.join(_PARTS)}")
+    return asked
+
+
 def main() -> None:
     """Print rows as they come."""
-    port, uf2 = os.environ.get("PORT", ""), os.environ.get("UGRBL_UF2", "")
-    names = sys.argv[1:] or list(_PARTS)
-    unknown = ", ".join(name for name in names if name not in _PARTS)
-    if unknown:
-        sys.exit(f"no part {unknown}; there are {', '.join(_PARTS)}")
-    if not port and not uf2:
-        sys.exit("which board? UGRBL_UF2=RPI_PICO-….uf2 make bench-board, or PORT=/dev/ttyACM0")
-    bench = Bench(port=port) if port else Bench(Path(uf2))
-    print("emulated" if bench.emulated else f"on hardware, at {port}")
-    for name in names:
-        if not bench.emulated and name in _EMULATED_ONLY:
+    asked = _arguments()
+    port = os.environ.get("PORT", "")
+    benches = _benches(port, os.environ.get("UGRBL_UF2", ""), asked.columns.split(","))
+    if port:
+        print(f"on hardware, at {port}")
+    else:
+        print(head([_CACHE if bench.cache else "emulated" for bench in benches]))
+    for name in asked.parts or _PARTS:
+        if port and name in _EMULATED_ONLY:
             print(f"{name}: emulated boards only")
             continue
-        for row in _PARTS[name](bench):
-            print(row.text(), flush=True)
-    bench.close()
+        for rows in _measure(name, benches):
+            print(text(rows), flush=True)
+    for bench in benches:
+        bench.close()
     used = resource.getrusage(resource.RUSAGE_SELF)
     print(f"{used.ru_utime + used.ru_stime:.0f} s of this computer's processor")
 

@@ -1,7 +1,9 @@
 """The board that is measured: started anew, or given other commands, where a part wants that."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import prompt
 from emulated import Board, firmware
@@ -9,26 +11,45 @@ from streaming import SETTINGS, idle
 from wire import EmulatedWire, SerialWire, Talk
 
 
+class Counts(NamedTuple):
+    """Reads of flash, and cycles of the core: waiting, and all together."""
+
+    hits: int
+    misses: int
+    stalled_cycles: int
+    cycles: int
+
+
 @dataclass
 class Bench:
-    """uf2: the image for an emulated Pico, or port: where a real board is."""
+    """uf2: the image for an emulated Pico, or port: where a real board is. cache: with the model
+    of the flash cache (host_tests/emulator/xip.py)."""
 
     uf2: "Path | None" = None
     port: str = ""
+    cache: bool = False
     _talks: "dict[bytes, Talk]" = field(default_factory=dict)
     _wire: "SerialWire | None" = None
     _runs: bool = True  # a real board's firmware; else it is at the prompt
     _settings: "list[str]" = field(default_factory=list)
+    _caches: "list[Any]" = field(default_factory=list)
 
     @property
     def emulated(self) -> bool:
         """Whether time is the chip's, and pins can be looked at."""
         return self.uf2 is not None
 
-    def board(self) -> Board:
-        """A new emulated board with the firmware as it is, not started."""
+    def board(self, changes: "Mapping[str, bytes | None] | None" = None) -> Board:
+        """A new emulated board with the firmware as it is, but for the changes; not started."""
         assert self.uf2
-        return Board(self.uf2)
+        board = Board(self.uf2, changes, self.cache)
+        if self.cache:
+            self._caches.append(board.pico.mcu.cache)
+        return board
+
+    def counts(self) -> "Counts":
+        """What all caches have counted."""
+        return Counts(*(sum(getattr(x, name) for x in self._caches) for name in Counts._fields))
 
     def talk(self, main: bytes) -> Talk:
         """A board with these commands, set up and at rest."""
@@ -47,7 +68,7 @@ class Bench:
     def bare(self) -> Talk:
         """At MicroPython's raw prompt, emulated: without our firmware."""
         if self.uf2:
-            board = Board(self.uf2, dict.fromkeys(firmware()))
+            board = self.board(dict.fromkeys(firmware()))
             assert board.pico.run_until(lambda: board.pico.usb.connected > 0, 3_000_000)
             talk = Talk(EmulatedWire(board))
             prompt.begin_bare(talk)
@@ -64,8 +85,7 @@ class Bench:
                 talk.ask(line)
 
     def _emulated(self, main: bytes) -> Talk:
-        assert self.uf2
-        return Talk(EmulatedWire(Board(self.uf2, {"main.py": main}).boot().settled()))
+        return Talk(EmulatedWire(self.board({"main.py": main}).boot().settled()))
 
     def _real(self, main: bytes) -> Talk:
         talk = self._at_prompt()

@@ -1,6 +1,7 @@
 """Rows of the table, and what Grbl 1.1h does on its own chip beside them."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,18 +33,29 @@ _GRBL: "dict[str, tuple[tuple[str, ...], Any, str]]" = {
 
 
 class Row(NamedTuple):
-    """A line of the table. grbl: a key of the figures above, if there is one."""
+    """One figure of the table. grbl: a key of the figures above, if there is one."""
 
     name: str
     figure: float
     unit: str = ""
     grbl: str = ""
 
-    def text(self) -> str:
-        """As it is printed."""
-        figure = f"{self.figure:.0f}" if abs(self.figure) >= 1000 else f"{self.figure:.2f}"
-        beside = f"Grbl {grbl(self.grbl)}" if self.grbl else ""
-        return f"{self.name:<48}{figure:>9} {self.unit:<8} {beside}".rstrip()
+
+def text(rows: "Sequence[Row]") -> str:
+    """What was measured in one way or more, as a line of the table."""
+    first = rows[0]
+    figures = "".join(f"{_figure(row):>9}" for row in rows)
+    beside = f"Grbl {grbl(first.grbl)}" if first.grbl else ""
+    return f"{first.name:<48}{figures} {first.unit:<8} {beside}".rstrip()
+
+
+def head(columns: "Sequence[str]") -> str:
+    """What stands above them."""
+    return " " * 48 + "".join(f"{column:>9}" for column in columns)
+
+
+def _figure(row: Row) -> str:
+    return f"{row.figure:.0f}" if abs(row.figure) >= 1000 else f"{row.figure:.2f}"
 
 
 def grbl(key: str) -> str:

@@ -1,8 +1,9 @@
 """Compile rp2040py for this Python alone: three times as fast as it is installed.
 
 Usage: compile_emulator.py OUTPUT. The libraries in its wheel fit every Python, and pay for that at
-every call; their C sources lie beside them. Where there is no C compiler all stays as it is, and
-the tests say in their first lines which of the two runs.
+every call; their C sources lie beside them. The model of the flash cache (xip_cache.pyx), which
+is built on their declarations, is compiled beside them. Where there is no C compiler all stays as
+it is, and the tests say in their first lines which of the two runs.
 """
 
 import shlex
@@ -15,6 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 _PACKAGE = "rp2040py"
+_CACHE = Path(__file__).with_name("xip_cache.pyx")
 
 
 def _compile(source: Path) -> None:
@@ -28,11 +30,21 @@ def _compile(source: Path) -> None:
     )
 
 
+def _translate(output: Path) -> Path:
+    """The model of the cache as C. Raises CalledProcessError."""
+    source = output / _CACHE.with_suffix(".c").name
+    command = [sys.executable, "-m", "cython", "-I", str(output), str(_CACHE), "-o", str(source)]
+    subprocess.run(command, check=True)
+    return source
+
+
 def main(output: Path) -> None:
-    """A copy of the package there; none where it cannot be compiled."""
+    """A copy of the package there, and the cache; none where they cannot be compiled."""
     copy = output / _PACKAGE
     shutil.rmtree(copy, ignore_errors=True)
     output.mkdir(parents=True, exist_ok=True)
+    for made in output.glob(f"{_CACHE.stem}.*"):
+        made.unlink()
     found = find_spec(_PACKAGE)
     if found is None or found.origin is None or sysconfig.get_config_var("LDSHARED") is None:
         print("the emulator is not compiled: no rp2040py, or no word on how Python was compiled")
@@ -42,7 +54,7 @@ def main(output: Path) -> None:
         library.unlink()
     try:
         with ThreadPoolExecutor() as pool:
-            list(pool.map(_compile, copy.glob("native/*.c")))
+            list(pool.map(_compile, [*copy.glob("native/*.c"), _translate(output)]))
     except (OSError, subprocess.CalledProcessError) as error:
         shutil.rmtree(copy)
         print(f"the emulator is not compiled, and slower: {error}")

@@ -56,11 +56,18 @@ def altered(old: str, new: str) -> "Mapping[str, bytes]":
 
 
 class Board:
-    """A Pico with the firmware on it. changes: files in place of, or besides, the usual ones."""
+    """A Pico with the firmware on it. changes: files in place of, or besides, the usual ones.
+    cache: with the model of the flash cache (xip.py)."""
 
-    def __init__(self, uf2: Path, changes: "Mapping[str, bytes | None] | None" = None) -> None:
+    def __init__(
+        self,
+        uf2: Path,
+        changes: "Mapping[str, bytes | None] | None" = None,
+        cache: bool = False,
+    ) -> None:
         files = {**firmware(), **(changes or {})}
-        self.pico = Pico(uf2, {name: data for name, data in files.items() if data is not None})
+        there = {name: data for name, data in files.items() if data is not None}
+        self.pico = Pico(uf2, there, cache)
         for pin in INPUTS:
             self.pico.drive(pin, 1)
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import xip
 from littlefs import LittleFS, UserContext
 from rp2040py.boards import BOARDS, FlashLayout
 from rp2040py.device import MicroPythonDevice
@@ -204,21 +205,25 @@ def _never_write_off() -> bool:
     return False
 
 
-def _make_device(uf2: Path) -> MicroPythonDevice:
+def _make_device(uf2: Path, cache: bool) -> MicroPythonDevice:
     theirs = chip.RPPIO
     if not _never_write_off():
         chip.RPPIO = _Pio
     try:
-        return MicroPythonDevice(board=replace(BOARDS["pico"], image=uf2, layout=LAYOUT))
+        board = replace(BOARDS["pico"], image=uf2, layout=LAYOUT)
+        return MicroPythonDevice(board=replace(board, mcu=xip.chip()) if cache else board)
     finally:
         chip.RPPIO = theirs
 
 
 class Pico:
-    """The board. files: what is on its file system at first power-up, by path."""
+    """The board. files: what is on its file system at first power-up, by path. cache: flash that
+    is not in the chip's cache takes time (xip.py)."""
 
-    def __init__(self, uf2: Path, files: Mapping[str, bytes] | None = None) -> None:
-        self.device = _make_device(uf2)
+    def __init__(
+        self, uf2: Path, files: Mapping[str, bytes] | None = None, cache: bool = False
+    ) -> None:
+        self.device = _make_device(uf2, cache)
         self.simulator = self.device.simulator
         self.mcu = self.device.mcu
         self.clock = self.simulator.clock
