@@ -2,12 +2,20 @@
 
 A few lines of our own do the same operations as theirs, at MicroPython's prompt without our
 firmware, and `measured / published` is told: below 1 the emulator is faster than a real chip. All
-boards are RP2040 at 125 MHz. Their MicroPython is older than 1.28, in which more of interpreter
-and memory management runs from flash, and programs full of float objects have become slower on
-real boards too: the score of bm_chaos fell from 213 in 2023 (GEORGE) to 154 in 2026
-(github.com/micropython/micropython/pull/19352). So a ratio says how far times are to be trusted,
-version and emulator together. Of viper code we know no published figure; its instructions are
-counted by the emulator as those of the interpreter are.
+boards are RP2040 at 125 MHz. Their MicroPython is older than 1.28, in which interpreter and memory
+management run from flash because of an error in a linker script, and from RAM in those before and
+after (LINKER). So with 1.28 and the model of the flash cache (host_tests/emulator/xip.py) ratios
+have to be above 1: the loops 1.14 to 1.54. With an image of 1.23.0, SHAO's, built here, they are
+0.93 to 0.99 with the model and without, for a loop whose interpreter is in RAM hardly misses.
+
+So the loops do not tell what a miss costs; LINKER does. Twelve programs of tests/perf_bench become
+faster on a Pico W when the interpreter goes to RAM: by 13 % in the mean, 29 % at most. With the
+model and two images of 1.28 that differ in that line alone they do by 13 % at 30 cycles a miss, by
+17 % at 40 and 21 % at 50; at 40 each is 9 % beside its real figure (root mean square), for which
+code shares a line of the cache is another matter in each image. NANO's score of bm_chaos, with
+the interpreter in flash, is 154; with the model 171, 154 and 140. Which way is given up makes no
+difference (random: 17 %). Of viper code we know no published figure; it lies in RAM, and its
+instructions are counted by the emulator as those of the interpreter are.
 
     SHAO    github.com/shaoziyang/micropython_benchmarks, README.md at 46c413b (2025-06-25), row
             RP2040, MicroPython v1.23.0, 125 MHz: ms for 10000 turns of `C = p[1] + p[2]` and the
@@ -18,6 +26,8 @@ counted by the emulator as those of the interpreter are.
             length and compared (sine, cosine, root, methods). core_locals 28.30, count 8: as many
             objects, 8 rounds of getattr and setattr each, with 141 names of which 83 differ. Ours:
             250, and 1 object.
+    LINKER  github.com/micropython/micropython/pull/19370, description of 2026-06-23.
+    NANO    github.com/micropython/micropython/pull/19352, description of 2026-06-18.
 """
 
 from collections.abc import Iterator

@@ -27,6 +27,7 @@ cdef enum:
     LINE_BITS = 3
     TAG_SHIFT = 13  # what remains above the bits of a line and of a set
     FLUSH_CYCLES = 1024
+    WAIT_STEP = 8  # cycles of waiting at a time
     NOT_ALLOCATING = 1  # in the alias, bits 24 and 25 of an address
     NOT_CACHED = 2
     FLASH_ALIASES = 0x10 >> 2  # 0x10 to 0x13, by the uppermost six bits
@@ -44,7 +45,7 @@ cdef class Cache:
     cdef unsigned short _tags[SETS][WAYS]
     cdef unsigned char _halves[SETS][WAYS]  # of a line, a bit each: those that are valid
     cdef unsigned char _older[SETS]  # the way that was used longer ago
-    cdef long long _due  # cycles that the core has still to wait
+    cdef readonly long long due  # cycles that the core has still to wait
 
     def __init__(self):
         self.enabled = True
@@ -52,7 +53,7 @@ cdef class Cache:
     def flush(self) -> None:
         """Nothing is at hand any more."""
         memset(self._halves, 0, sizeof(self._halves))
-        self._due += FLUSH_CYCLES
+        self.due += FLUSH_CYCLES
 
     cdef int _way(self, unsigned int line, unsigned int tag) noexcept:
         """Where a line is, or -1."""
@@ -82,7 +83,7 @@ cdef class Cache:
             self.hits += 1
         else:
             self.misses += 1
-            self._due += self.miss_cycles
+            self.due += self.miss_cycles
             if alias & NOT_ALLOCATING or not self.enabled:
                 return
             if way < 0:
@@ -138,18 +139,22 @@ cdef class CachedChip(RP2040):
 
 @cython.final
 cdef class CachedCore(CortexM0Core):
-    """Its core: an instruction lasts longer by what it waited for flash."""
+    """Its core: behind an instruction it waits for the flash that this has read."""
 
     cpdef int execute_instruction(self) except -1:
+        """The next instruction; or some of the cycles that the last one has still to wait, for
+        PIO, interrupts and clock follow behind each return."""
         cdef CachedChip chip = <CachedChip> self.rp2040
         cdef Cache cache = chip.cache
-        cdef long long cycles
-        chip._runs = True
-        cycles = CortexM0Core.execute_instruction(self)
-        chip._runs = False
-        self.cycles += cache._due
-        cycles += cache._due
-        cache.stalled_cycles += cache._due
-        cache._due = 0
+        cdef int cycles
+        if cache.due > 0:
+            cycles = <int> min(cache.due, WAIT_STEP)
+            cache.due -= cycles
+            cache.stalled_cycles += cycles
+            self.cycles += cycles
+        else:
+            chip._runs = True
+            cycles = CortexM0Core.execute_instruction(self)
+            chip._runs = False
         cache.cycles += cycles
-        return <int> cycles
+        return cycles
