@@ -15,6 +15,7 @@ fills the ring with 12 short moves, three times over. A line that goes the long 
 whole, less the two before. The machine is in check mode meanwhile, and reset afterwards.
 """
 
+from control import modes
 from language import fast_path
 from ugrbl.device.selftest import program
 
@@ -111,27 +112,28 @@ acts[b"LATER"] = later
 
 # $STAGE: see above.
 _STAGES = """
+import array
+
 block = module("language", "block")
 checks = module("language", "checks")
 interpreter = module("language", "interpreter")
 lines = module("talk", "lines")
 fast_path = module("language", "fast_path")
 protocol = module("talk", "protocol")
-words = module("language", "words")
 coords = module("control", "coords")
 modes = module("control", "modes")
 keep(interpreter.Interpreter, "execute")
 keep(modes.Modes, "reset")
 keep(coords.Coords, "clear")
 keep(protocol.Protocol, "run")
-AXES, FEED, LIMITED, DRY = %d, %d, %d, %d
+AXES, FEED, LIMITED, DRY, MODAL_ROOM = %d, %d, %d, %d, %d
 follow = fast_path.follow
 known = []
 
 # A board lets go of what has made its objects; here some are made once more.
 whole = [
     (thing, dict(thing.__dict__))
-    for thing in (lines, lines.LineReader, words, words.Words, block, block.Block)
+    for thing in (lines, lines.LineReader, block, block.Block)
 ]
 
 
@@ -221,7 +223,7 @@ def short_path():
 
 def long_way():
     line = bytearray(b"G90G1X10.04Y10.03F9000\\0")
-    own, modal = block.Block(3, False, False), modes.Modes(3).modal
+    own, modal = block.Block(3, False, False), array.array("i", (0 for _ in range(MODAL_ROOM)))
     machine = found[interpreter.Interpreter]
     places = found[modes.Modes], found[coords.Coords]
 
@@ -262,7 +264,7 @@ def stages(_):
 
 
 acts[b"STAGE"] = stages
-""" % (fast_path.AXES, fast_path.FEED, fast_path.LIMITED, fast_path.DRY)
+""" % (fast_path.AXES, fast_path.FEED, fast_path.LIMITED, fast_path.DRY, modes.MODAL_ROOM)
 
 # $GAP: the longest time from one look at the link to the next since it was asked last, us.
 _GAPS = """
