@@ -41,9 +41,9 @@ class Loop:
 
 
 def test_what_has_come_is_read_piece_by_piece() -> None:
-    loop = Loop(b"G1X1F100\n" * 20)
+    loop = Loop(b"G1X1F100\n" * 40)
     loop.protocol.pump()
-    assert loop.fed == (b"G1X1F100\n" * 20)[:64] and len(loop.link.unread) == 180 - 64
+    assert loop.fed == (b"G1X1F100\n" * 40)[:256] and len(loop.link.unread) == 360 - 256
 
 
 def test_behind_the_reset_of_a_pin_what_was_sent_before_is_dropped() -> None:
