@@ -46,7 +46,7 @@ def test_reals_compare_as_integers_do(x: float, y: float) -> None:
 
 def test_nothing_is_zero() -> None:
     assert real(0.0) == reals.pack(0, 64) == reals.mul(0, real(2.0)) == 0
-    assert reals.div(0, real(2.0)) == reals.product(0, real(1.0), real(9.0)) == 0
+    assert reals.product(0, real(1.0), real(9.0)) == 0
 
 
 @given(positive, st.integers(40, 90))
@@ -55,10 +55,9 @@ def test_packing_keeps_fifteen_bits(n: int, exponent: int) -> None:
 
 
 @given(floats, floats)
-def test_products_and_quotients_are_near(x: float, y: float) -> None:
+def test_products_are_near(x: float, y: float) -> None:
     a, b = real(x), real(y)
     assert near(value(reals.mul(a, b)), value(a) * value(b))
-    assert near(value(reals.div(a, b)), value(a) / value(b))
 
 
 @given(words, floats)
@@ -68,8 +67,7 @@ def test_ratios_are_near(n: int, x: float) -> None:
 
 @given(floats)
 def test_results_are_normal(x: float) -> None:
-    for r in (reals.mul(real(x), real(3.0)), reals.div(real(x), real(3.0))):
-        assert 16384 <= r % 32768
+    assert 16384 <= reals.mul(real(x), real(3.0)) % 32768
 
 
 @given(words)

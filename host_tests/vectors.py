@@ -39,7 +39,6 @@ def print_reals(dice):
         part = dice.below(131073)
         print(
             reals.mul(a, b),
-            reals.div(a, b),
             reals.ratio(n, b),
             reals.product(a, b, b),
             reals.square_root(n),

@@ -22,15 +22,15 @@ RATE = const(6)  # real, mm/s as programmed
 RAPID = const(7)  # real, mm/s: what its axes allow
 ACCEL = const(8)  # real, mm/s2: what its axes allow
 NOMINAL = const(9)  # real, mm/s, overrides included
-NOMINAL_SQR = const(10)
-ENTRY_SQR = const(11)  # the planner's promise: from here, it can always stop in time
-MAX_ENTRY_SQR = const(12)
-JUNCTION_SQR = const(13)
-DELTA_SQR = const(14)  # how much speed squared can change over the block
-FACTOR = const(15)  # real: block speed units per (mm/s)
-RAMP = const(16)  # acceleration in block speed units per segment
-CRUISE = const(17)  # nominal speed in block speed units
-PROGRAMMED = const(18)  # rate as programmed in block speed units
+ENTRY_SQR = const(10)  # the planner's promise: from here, it can always stop in time
+MAX_ENTRY_SQR = const(11)
+JUNCTION_SQR = const(12)
+FACTOR = const(13)  # real: block speed units per (mm/s)
+RAMP = const(14)  # acceleration in block speed units per segment
+CRUISE = const(15)  # nominal speed in block speed units
+PROGRAMMED = const(16)  # rate as programmed in block speed units
+NOMINAL_SQR = const(17)
+DELTA_SQR = const(18)  # how much speed squared can change over the block
 STEPS = const(19)  # per motor, without sign; behind them, per motor, steps * 2**29 / EVENTS
 
 
@@ -45,8 +45,8 @@ SEGMENT_LOG2 = const(6)  # a full segment is 2**SEGMENT_LOG2 ticks, 17 at the mo
 POWER_FLOOR = const(7)  # spindle power, in 1/64, up to which a DYNAMIC block gets the least power
 POWER_MAX = const(8)  # spindle power at the most
 SLOWEST = const(9)  # real, mm/s: no block is slower
-FEED_PERCENT = const(10)  # overrides
-RAPID_PERCENT = const(11)
+FEED_OVERRIDE = const(10)  # reals: as parts of 1
+RAPID_OVERRIDE = const(11)
 ROOT_SCALE = const(12)  # real: mm/s per root of a scaled speed squared
 LIMITS = const(13)  # three reals per axis: mm per step, mm/s, mm/s2
 # Behind the limits, one of each per axis: direction of the last block, of the present one, its

@@ -18,7 +18,7 @@ from motion.layout import (
     ENTRY_SQR,
     EVENTS,
     FACTOR,
-    FEED_PERCENT,
+    FEED_OVERRIDE,
     FLAGS,
     HEAD,
     INVERSE_TIME,
@@ -37,7 +37,7 @@ from motion.layout import (
     RAMP,
     RAPID,
     RAPID_MOTION,
-    RAPID_PERCENT,
+    RAPID_OVERRIDE,
     RATE,
     ROW_SIZE,
     ROWS,
@@ -58,7 +58,6 @@ from motion.reals import (
     LIMIT,
     ONE,
     SMALLEST,
-    div,
     mul,
     pack,
     product,
@@ -154,8 +153,12 @@ def turn(table: ptr32, dirs: int) -> int:
         return HIGHEST
     if squares >= 0x3FFFFC00:
         return 0
-    change = int(square_root(squares))
-    cosine = int(square_root(0x3FFFFFFF - squares)) >> 1
+    cosine = 0
+    for _ in range(2):
+        change = cosine
+        cosine = int(square_root(squares))
+        squares = 0x3FFFFFFF - squares
+    cosine >>= 1
     shape = (((cosine * (16384 + cosine)) >> 14) << 15) // change
     return int(product(int(pack(shape, BIAS - 15)), least, table[JUNCTION]))
 
@@ -166,26 +169,38 @@ def schedule(table: ptr32, ring: ptr32, at: int) -> int:
     flags = ring[at + FLAGS]
     rate = ring[at + RATE]
     nominal = rate
-    percent = table[RAPID_PERCENT] if flags & RAPID_MOTION else table[FEED_PERCENT]
-    if percent != 100 and not flags & NO_FEED_OVERRIDE:
-        nominal = int(div(int(mul(nominal, int(pack(percent, BIAS)))), int(pack(100, BIAS))))
+    override = table[RAPID_OVERRIDE] if flags & RAPID_MOTION else table[FEED_OVERRIDE]
+    if override != ONE and not flags & NO_FEED_OVERRIDE:
+        nominal = int(mul(nominal, override))
     if nominal > ring[at + RAPID]:
         nominal = ring[at + RAPID]
     if nominal < table[SLOWEST]:
         nominal = table[SLOWEST]
     ring[at + NOMINAL] = nominal
     accel = ring[at + ACCEL]
-    scale = table[SQR_SCALE]
     per_mm = int(ratio(ring[at + EVENTS], ring[at + LENGTH]))
     factor = int(mul(per_mm, table[SEGMENT_RATE]))
     ring[at + FACTOR] = factor
-    ramp = int(product(accel, per_mm, table[SEGMENT_ACCEL]))
-    ring[at + RAMP] = ramp if ramp else 1
-    cruise = int(product(nominal, factor, ONE))
-    ring[at + CRUISE] = cruise if cruise else 1
-    ring[at + PROGRAMMED] = cruise if rate == nominal else int(product(rate, factor, ONE))
-    ring[at + NOMINAL_SQR] = int(product(nominal, nominal, scale))
-    ring[at + DELTA_SQR] = int(product(accel + LIMIT, ring[at + LENGTH], scale))  # twice
+    # Five products that stand one behind the other, and one place in the code for all of them.
+    a = accel
+    b = per_mm
+    c = table[SEGMENT_ACCEL]
+    for to in range(RAMP, RAMP + 5):
+        number = int(product(a, b, c))
+        if to <= CRUISE and number == 0:
+            number = 1
+        ring[at + to] = number
+        if to < PROGRAMMED:
+            a = nominal if to == RAMP else rate
+            b = factor
+            c = ONE
+        elif to == PROGRAMMED:
+            a = nominal
+            b = nominal
+            c = table[SQR_SCALE]
+        else:
+            a = accel + LIMIT  # twice
+            b = ring[at + LENGTH]
     return 0
 
 

@@ -192,8 +192,8 @@ class Planner:
     def override(self) -> None:
         """Work out every block anew after an override has changed."""
         flow = self.flow
-        self.table[layout.FEED_PERCENT] = self._state.feed_override
-        self.table[layout.RAPID_PERCENT] = self._state.rapid_override
+        self.table[layout.FEED_OVERRIDE] = reals.real(self._state.feed_override / 100)
+        self.table[layout.RAPID_OVERRIDE] = reals.real(self._state.rapid_override / 100)
         at = flow[TAIL]
         while at != flow[HEAD]:
             plan_kernel.schedule(self.table, self.ring, at * flow[layout.ROW_SIZE])

@@ -58,19 +58,6 @@ def mul(a: int, b: int) -> int:
     return (exponent << 15) + mantissa
 
 
-@micropython.viper
-def div(a: int, b: int) -> int:
-    """The quotient of two reals; b is not 0."""
-    mantissa = ((a & 32767) << 15) // (b & 32767)
-    if mantissa == 0:
-        return 0
-    exponent = (a >> 15) - (b >> 15) + BIAS - 15
-    if mantissa >= LIMIT:
-        mantissa >>= 1
-        exponent += 1
-    return (exponent << 15) + mantissa
-
-
 # inline: always, for it runs several times for each block and segment
 @micropython.viper
 def ratio(n: int, b: int) -> int:
@@ -91,6 +78,7 @@ def ratio(n: int, b: int) -> int:
     return ((exponent - (b >> 15)) << 15) + n
 
 
+# inline: always, for it runs several times for each block and segment
 @micropython.viper
 def square_root(n: int) -> int:
     """The integer square root."""
