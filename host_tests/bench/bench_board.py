@@ -42,6 +42,7 @@ _PARTS: "dict[str, _Part]" = {
     "queries": talking.queries,
     "lines": talking.lines,
     "special": talking.special_lines,
+    "chords": talking.chords,
     "share": pins.share,
     "hold": pins.hold,
     "rates": pins.rates,

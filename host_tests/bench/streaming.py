@@ -40,6 +40,17 @@ def arcs(count: int) -> "Iterator[str]":
         yield f"G2X{12 + 2 * k}Y10I1J0F9000"
 
 
+# So many chords does a circle of 5 mm take with this tolerance, and such an acceleration lets the
+# machine go through them faster than they can be planned.
+CIRCLE = ("$12=0.00005", "$120=50000", "$121=50000")
+CIRCLE_CHORDS = 702
+
+
+def circles(count: int) -> "list[str]":
+    """Whole circles of 5 mm radius; CIRCLE_CHORDS chords each, where the settings are CIRCLE."""
+    return ["G2X10Y10I5J0F30000"] * count
+
+
 def comments(count: int) -> "Iterator[str]":
     """Lines of 22 characters, their end counted, that say nothing: what any line costs."""
     return (f"({k:05}: say nothing.)" for k in range(count))

@@ -7,8 +7,11 @@ from bench_setup import Bench, inside, reset, set_up
 from on_board import GAPS, MAIN, STAGES
 from rows import Row
 from streaming import (
+    CIRCLE,
+    CIRCLE_CHORDS,
     Streamed,
     arcs,
+    circles,
     comments,
     figures,
     idle,
@@ -121,6 +124,10 @@ def lines(bench: Bench) -> Iterator[Row]:
     talk.ask("$C")
     made = stream(talk, list(short_moves(200)), _BLOCKS)
     yield Row("short moves, check mode", made.lines_s, "lines/s", "checked")
+    _leave_check(talk)
+
+
+def _leave_check(talk: Talk) -> None:
     talk.wire.send(b"$C\n")
     talk.wait(b"Grbl")
     talk.pause_us(20_000)
@@ -149,6 +156,23 @@ def special_lines(bench: Bench) -> Iterator[Row]:
     idle(talk)
     talk.ask("M5")
     talk.ask("$32=0")
+
+
+def chords(bench: Bench) -> Iterator[Row]:
+    """Circles of many chords, in motion and in check mode; only the firmware limits them."""
+    talk = bench.talk(MAIN)
+    for line in CIRCLE:
+        talk.ask(line)
+    _at_start(talk)
+    made = stream(talk, circles(3), _BLOCKS)
+    yield Row("chords of circles", made.lines_s * CIRCLE_CHORDS, "chords/s")
+    idle(talk)
+    talk.ask("$C")
+    made = stream(talk, circles(3), _BLOCKS)
+    yield Row("chords of circles, check mode", made.lines_s * CIRCLE_CHORDS, "chords/s")
+    _leave_check(talk)
+    talk.ask("$12=0.002")
+    set_up(talk)
 
 
 def stages(bench: Bench) -> Iterator[Row]:
