@@ -200,8 +200,10 @@ class Watch:
         self.planner = planner
         self._rows: dict[int, Block] = {}
         self._line, self._system_line = planner.line, planner.system_line
+        self._chords = planner.chords
         self._next = segments.next
         planner.line = self.line  # type: ignore[method-assign]
+        planner.chords = self.chords  # type: ignore[method-assign]
         planner.system_line = self.system_line  # type: ignore[method-assign]
         segments.next = self.next
 
@@ -209,6 +211,16 @@ class Watch:
         """Stand in for Planner.line."""
         at = self.planner.flow[layout.HEAD]
         return self._note(at, self._line(target, move, power))
+
+    def chords(self, *asked: Any) -> int:
+        """Stand in for Planner.chords."""
+        at = self.planner.flow[layout.HEAD]
+        found = self._chords(*asked)
+        while at != self.planner.flow[layout.HEAD]:
+            self._keep(at)
+            at = (at + 1) % self.planner.flow[layout.ROWS]
+        check_plan(self)
+        return found
 
     def watch_plain(self, plain: FastPath) -> None:
         """See the blocks of the short path too."""
@@ -229,11 +241,14 @@ class Watch:
 
     def _note(self, at: int, planned: bool) -> bool:
         if planned:
-            block = self._block(at)
-            self._rows[at] = block
-            self.planned.append(block)
+            self._keep(at)
             check_plan(self)
         return planned
+
+    def _keep(self, at: int) -> None:
+        block = self._block(at)
+        self._rows[at] = block
+        self.planned.append(block)
 
     def row(self, at: int) -> "array[int]":
         """A row of the ring."""

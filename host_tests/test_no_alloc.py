@@ -12,7 +12,7 @@ _BENCH = """
 import gc
 from array import array
 
-from motion import layout, plan_kernel
+from motion import arcs, layout, plan_kernel
 from talk import lines
 import micropython
 from control import canon
@@ -76,6 +76,12 @@ there = array("i", [3, 0, 1000, 2000, 300])
 known = array("i", [0] * (fast_path.OFFSETS + 3))
 known[fast_path.AXES], known[fast_path.MODE], known[fast_path.FEED] = 3, fast_path.HAS_G1, 7
 known[fast_path.OFFSETS] = 7
+arc = arcs.Arc()
+arc.radius = arc.centre_0 = 5.0
+course = array("i", [0] * arcs.course_length(3))
+for axis in range(3):
+    arcs.limit(course, axis, -arcs.FARTHEST, arcs.FARTHEST)
+arc.lay(vector(3), vector(3), 0.00002, planner.steps_per_mm, course)
 reader = lines.LineReader(128, 79, lambda byte: None)
 received = bytearray(b"G1 X1 (a comment) ? y2\\n")
 """
@@ -93,6 +99,8 @@ _PROVED = {
     "judge": "canon.judge(target, there, flow)",
     "follow": "fast_path.follow(short, len(short) - 1, known, here, target, there, table, ring, "
     "flow, planner.speeds, state.changes, here, None)",
+    "chords": "planner.chords(course, move, 0, True)",
+    "chords in check mode": "planner.chords(course, move, 0, False)",
     "feed": "reader.feed(received, len(received))",
     "take": "reader.take()",
 }

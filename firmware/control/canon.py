@@ -14,11 +14,11 @@ from array import array
 import micropython
 from base import errors
 from base import state as st
-from base.f32 import copy, f32, vector, whole
+from base.f32 import copy, f32, whole
 from micropython import const
-from motion import layout
+from motion import arcs, layout
 from motion import planner as plan
-from motion.layout import HEAD, ROWS, TAIL
+from motion.plan_kernel import FULL, OUTSIDE, full
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -37,11 +37,7 @@ if TYPE_CHECKING:
 _DWELL_TICK_MS = const(50)
 _DWELL_TICKS_PER_S = const(20)
 
-# What judge() finds (mask).
-OUTSIDE = const(1)
-FULL = const(2)
-
-# What it is told: how many axes, a mask of those whose travel lies above 0; floats: travel.
+# What judge() is told: how many axes, a mask of those whose travel lies above 0; floats: travel.
 _AXES = const(0)
 _POSITIVE = const(1)
 _TRAVEL = const(2)
@@ -58,10 +54,7 @@ def judge(target: ptr32, travel: ptr32, flow: ptr32) -> int:
             above = (signs[4 * i + 3] >> 7) ^ 1
             if mm > travel[_TRAVEL + i] or above != (travel[_POSITIVE] >> i) & 1:
                 found = OUTSIDE
-    following = flow[HEAD] + 1
-    if following == flow[ROWS]:
-        following = 0
-    return found | FULL if following == flow[TAIL] else found
+    return found | int(full(flow))
 
 
 class Canon:
@@ -86,13 +79,12 @@ class Canon:
         self._drive = drive
         self._port = port
         self._positive_origin = positive_origin
-        self._point = vector(planner.axes)
         self.travel = array("i", (planner.axes, 0) + (0,) * planner.axes)
         self._flow = planner.flow
         self.power = 0  # of the spindle, as the last line has it
-        # The move asked for: how many lines it takes, how many of them are still to be made.
-        self._lines = 0
-        self._left = 0
+        # The move asked for: a line, and the chords of an arc in front of it.
+        self._asked = False
+        self._course = array("i", (0 for _ in range(arcs.course_length(planner.axes))))
         self._is_jog = False
 
     def connect(self, service: "Callable[[], None]") -> None:
@@ -105,6 +97,12 @@ class Canon:
         travel = self.travel
         travel[_POSITIVE] = settings.homing_dir_invert if self._positive_origin else 0
         copy(settings.max_travel, memoryview(travel)[_TRAVEL:], self.planner.axes)
+        for i in range(self.planner.axes):
+            least, greatest = -arcs.FARTHEST, arcs.FARTHEST
+            if settings.soft_limits:
+                steps = settings.max_travel[i] * self.planner.steps_per_mm[i] + 0.5
+                least, greatest = (0, steps) if travel[_POSITIVE] >> i & 1 else (-steps, 0)
+            arcs.limit(self._course, i, least, greatest)
 
     # Moves
 
@@ -113,45 +111,64 @@ class Canon:
         self.finish()
         self._target = target
         self._move = move
-        self._lines = self._left = 1
+        self._asked = True
 
     def finish(self) -> None:
         """Make what has been asked for."""
         state = self._state
-        while self._left:
-            move = self._move
-            target = self._next_target()
-            found = judge(target, self.travel, self._flow)
-            if found & OUTSIDE and self._settings.soft_limits and state.run != st.JOG:
-                self._soft_limit()
-            if state.run == st.CHECK:
-                continue
-            self.service()
-            while found & FULL:
-                self.auto_start()
-                self.service()
-                found = judge(target, self.travel, self._flow)
-            self.power = self._power(move)
-            if not self.planner.line(target, move, self.power) and self._spindle.laser:
-                # A laser's S takes effect even where there is no way to go.
-                if move.flags & plan.SPINDLE_CW:
-                    self.spin(plan.SPINDLE_CW, move.spindle_rpm)
+        if self._course[arcs.LEFT]:
+            self._plan_chords()
+        if self._asked:
+            self._asked = False
+            self._plan_line(self._target, self._move)
         if self._is_jog:
             self._is_jog = False
             if state.run == st.IDLE and not self.planner.empty():
                 self._drive.start(st.JOG)
 
-    def _next_target(self) -> "array[float]":
-        """Where the next of the lines asked for ends."""
-        self._left -= 1
-        if self._left == 0:
-            return self._target
-        self._arc.point(self._lines - self._left, self._point)
-        return self._point
+    def _plan_line(self, target: "array[float]", move: "Move") -> None:
+        state = self._state
+        found = judge(target, self.travel, self._flow)
+        if found & OUTSIDE and self._settings.soft_limits and state.run != st.JOG:
+            self._soft_limit()
+        if state.run == st.CHECK:
+            return
+        self.service()
+        while found & FULL:
+            self.auto_start()
+            self.service()
+            found = judge(target, self.travel, self._flow)
+        self.power = self._power(move)
+        if not self.planner.line(target, move, self.power):
+            self._stay(move)
+
+    def _plan_chords(self) -> None:
+        """All of an arc but its last chord, which is a line to its target."""
+        state, move, course = self._state, self._move, self._course
+        moves = state.run != st.CHECK
+        known = -1
+        while course[arcs.LEFT]:
+            self.service()
+            if moves and known != state.changes[0]:
+                known = state.changes[0]
+                self.power = self._power(move)
+            found = self.planner.chords(course, move, self.power, moves)
+            if found == OUTSIDE:
+                self._soft_limit()
+            elif found == FULL:
+                self.auto_start()
+            elif found:
+                self._stay(move)
+
+    def _stay(self, move: "Move") -> None:
+        """There was no way to go. A laser's S takes effect all the same."""
+        if self._spindle.laser and move.flags & plan.SPINDLE_CW:
+            self.spin(plan.SPINDLE_CW, move.spindle_rpm)
 
     def forget(self) -> None:
         """Nothing has been asked for."""
-        self._left = 0
+        self._asked = False
+        self._course[arcs.LEFT] = 0
         self._is_jog = False
 
     def jog(self, target: "array[float]", move: "Move") -> None:
@@ -169,17 +186,13 @@ class Canon:
 
     def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
         """An arc, or helix, as chords within $12 of it. Made by finish()."""
-        self.finish()
-        angle = arc.sweep(start, target)
-        chords = arc.chords(angle, self._settings.arc_tolerance_mm)
+        self.line(target, move)
+        tolerance, steps_per_mm = self._settings.arc_tolerance_mm, self.planner.steps_per_mm
+        chords = arc.lay(start, target, tolerance, steps_per_mm, self._course)
         if chords and move.flags & layout.INVERSE_TIME:
             # Its time is shared out among the chords, whose rate counts from here on.
             move.feed *= chords
             move.flags &= ~layout.INVERSE_TIME
-        arc.begin(start, target, chords, angle)
-        self._arc = arc
-        self.line(target, move)
-        self._lines = self._left = max(chords, 1)
 
     def dwell(self, seconds: float) -> None:
         """Stand still; hold and reset work meanwhile."""

@@ -13,12 +13,13 @@ import micropython
 from base import state as st
 from base.f32 import copy, vector
 from base.singles import add_single, to_mm
-from control.canon import FULL, OUTSIDE, judge
+from control.canon import judge
 from control.modes import INCHES, INVERSE_TIME, MOTION, RELATIVE
 from micropython import const
 from motion import layout, reals
 from motion import planner as plan
 from motion.layout import HEAD
+from motion.plan_kernel import FULL, OUTSIDE
 from motion.plan_kernel import plan as plan_block
 
 from language import block as b

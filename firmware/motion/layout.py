@@ -90,6 +90,7 @@ SYSTEM_MOTION = const(0x02)  # homing and parking: from rest, to rest, outside t
 NO_FEED_OVERRIDE = const(0x04)
 INVERSE_TIME = const(0x08)  # RATE is per block, not per mm
 DYNAMIC = const(0x40)  # spindle power follows speed (laser, M4)
+PLACED = const(0x80)  # its TARGET stands in the table
 
 # A row that goes to the pulse engine: a segment.
 ROW_TICKS = const(0)  # how long it lasts

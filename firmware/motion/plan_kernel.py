@@ -32,6 +32,7 @@ from motion.layout import (
     NO_FEED_OVERRIDE,
     NOMINAL,
     NOMINAL_SQR,
+    PLACED,
     POWER,
     PROGRAMMED,
     RAMP,
@@ -71,6 +72,19 @@ from motion.steps import measure, to_steps
 # then, which keeps every promise.
 _NEAR = const(16)
 _AT_ONCE = const(4)
+
+# What may stand against a block (mask).
+OUTSIDE = const(1)
+FULL = const(2)
+
+
+@micropython.viper
+def full(flow: ptr32) -> int:
+    """FULL, where the ring has no room."""
+    following = flow[HEAD] + 1
+    if following == flow[ROWS]:
+        following = 0
+    return FULL if following == flow[TAIL] else 0
 
 
 @micropython.viper
@@ -282,11 +296,13 @@ def plan(
 ) -> int:
     """Add a block from POSITION to target, in mm. Returns 0 where it has no steps.
 
-    rate: real, mm/s, or 1/s with INVERSE_TIME. There has to be room.
+    flags: with PLACED, TARGET is known already. rate: real, mm/s, or 1/s with INVERSE_TIME. There
+    has to be room.
     """
     at = flow[ROWS] if flags & SYSTEM_MOTION else flow[HEAD]
     at *= flow[ROW_SIZE]
-    to_steps(target, table)
+    if not flags & PLACED:
+        to_steps(target, table)
     if int(measure(table, ring, at)) == 0:
         return 0
     limit(table, ring, at)

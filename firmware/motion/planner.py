@@ -10,11 +10,10 @@ per block but the floats of its caller.
 
 from array import array
 
-import micropython
 from base.f32 import copy, f32, vector, whole
 from micropython import const
 
-from motion import layout, plan_kernel, reals
+from motion import arcs, layout, plan_kernel, reals
 from motion.layout import AT, FLAGS, HEAD, LINE, LOADED, ROWS, SYSTEM, TAIL, UNPLANNED
 
 TYPE_CHECKING = const(False)
@@ -44,10 +43,7 @@ class Move:
     """
 
     def __init__(self) -> None:
-        self.feed = 0.0
-        self.flags = 0
-        self.spindle_rpm = 0.0
-        self.line_number = 0
+        self.clear()
 
     def clear(self) -> None:
         """As new."""
@@ -82,12 +78,13 @@ class Planner:
         self.table[layout.MOTOR_COUNT] = motors
         for i in range(motors):
             self.table[layout.LIMITS + layout.MOVES * axes + i] = moves[i]
-        # Spindle speed of each block in rpm, as programmed; the interrupt has no use for it.
-        self.speeds = vector(blocks + 1)
+        # Spindle speed of each block in rpm, as programmed, and of an arc's chords; the interrupt
+        # has no use for it.
+        self.speeds = vector(blocks + 2)
         # Where the last block ends, in steps; part of the table.
         at = layout.LIMITS + layout.POSITION * axes
         self.position = memoryview(self.table)[at : at + axes]
-        self._steps_per_mm = vector(axes)
+        self.steps_per_mm = vector(axes)
         self._feed = 0.0  # the last one in mm/min, and the same as a real in mm/s
         self._feed_real = 0
         for i in range(axes):
@@ -108,9 +105,9 @@ class Planner:
             table[at] = reals.real(1 / resolution)
             table[at + 1] = reals.real(rate)
             table[at + 2] = reals.real(acceleration)
-            self._steps_per_mm[i] = resolution
+            self.steps_per_mm[i] = resolution
         at = layout.LIMITS + layout.RESOLUTION * self.axes
-        copy(self._steps_per_mm, memoryview(table)[at:], self.axes)
+        copy(self.steps_per_mm, memoryview(table)[at:], self.axes)
         scale = (1 << 30) / (fastest_sqr or 1.0)
         table[layout.ROOT_SCALE] = reals.real(scale**-0.5)
         seconds = (1 << segment_log2) / tick_hz
@@ -147,7 +144,6 @@ class Planner:
             return 0
         return self.ring[self.flow[TAIL] * self.flow[layout.ROW_SIZE] + LINE]
 
-    @micropython.native  # its call frame is on the stack then, not on the heap
     def line(self, target: "array[float]", move: "Move", power: int) -> bool:
         """Add a straight line to target. There must be room. Returns False where it has no steps.
 
@@ -156,8 +152,7 @@ class Planner:
         flags = move.flags
         head = self.flow[HEAD]
         if move.feed != self._feed:
-            self._feed = move.feed
-            self._feed_real = reals.real(move.feed / 60)
+            self._set_feed(move.feed)
         if not plan_kernel.plan(
             target,
             self.table,
@@ -172,16 +167,38 @@ class Planner:
         self.speeds[self.flow[ROWS] if flags & layout.SYSTEM_MOTION else head] = move.spindle_rpm
         return True
 
+    def _set_feed(self, feed: float) -> None:
+        self._feed = feed
+        self._feed_real = reals.real(feed / 60)
+
+    def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
+        """Add some chords of an arc, or pass them over where nothing moves. Returns what it has
+        come upon: see arcs.follow()."""
+        if move.feed != self._feed:
+            self._set_feed(move.feed)
+        self.speeds[self.flow[ROWS] + 1] = move.spindle_rpm
+        return arcs.follow(
+            course,
+            self.table,
+            self.ring,
+            self.flow,
+            self.speeds,
+            move.flags | layout.PLACED if moves else 0,
+            move.line_number,
+            power,
+            self._feed_real,
+        )
+
     def system_line(
         self, target: "array[float]", move: "Move", power: int, start: "array[int]"
     ) -> bool:
         """A move of the system's own from start, in steps: from rest to rest, beside the ring."""
-        position = self.position
-        before = list(position)
+        # Where the next block leads may be known by now: TARGET, with POSITION behind it.
+        places = memoryview(self.table)[layout.LIMITS + layout.TARGET * self.axes :]
+        before = array("i", places[: 2 * self.axes])
         self.sync_motors(start)
         planned = Planner.line(self, target, move, power)
-        for i in range(self.axes):
-            position[i] = before[i]
+        copy(before, places, 2 * self.axes)
         return planned
 
     def catch_up(self) -> None:
@@ -231,11 +248,11 @@ class Planner:
     def to_mm(self, motors: "array[int]", mm: "array[float]") -> None:
         """Where the motors' steps are, in mm."""
         for i in range(self.axes):
-            mm[i] = f32(self.axis_steps(motors, i)) / self._steps_per_mm[i]
+            mm[i] = f32(self.axis_steps(motors, i)) / self.steps_per_mm[i]
 
     def set_axis(self, motors: "array[int]", axis: int, mm: float) -> None:
         """Change the motors' steps so that the axis stands there."""
-        product = f32(mm * self._steps_per_mm[axis])
+        product = f32(mm * self.steps_per_mm[axis])
         steps = whole(product + 0.5) if product >= 0 else -whole(0.5 - product)
         if self.kinematics:
             self.kinematics.set_axis(motors, axis, steps)

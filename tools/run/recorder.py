@@ -97,6 +97,7 @@ class Recorder:
         self._planner = controller.planner
         self._settings = controller.settings
         self._plan = replace_method(self._planner, "line", self._line)
+        self._chords = replace_method(self._planner, "chords", self._follow_arc)
         self._follow_plain = replace_method(controller.interpreter.fast, "follow", self._follow)
 
     def _by_letter(self, values: Sequence[_Value]) -> dict[str, _Value]:
@@ -113,12 +114,24 @@ class Recorder:
 
     def _follow(self, line: bytearray, length: int) -> int:
         """Stand in for Plain.follow, which adds to the ring by itself."""
-        head = self._layout.HEAD
-        row = self._planner.flow[head]
+        row = self._planner.flow[self._layout.HEAD]
         done: int = self._follow_plain(line, length)
-        if self._planner.flow[head] != row:
-            self._note(row)
+        self._note_from(row)
         return done
+
+    def _follow_arc(self, *asked: Any) -> int:
+        """Stand in for Planner.chords."""
+        row = self._planner.flow[self._layout.HEAD]
+        found: int = self._chords(*asked)
+        self._note_from(row)
+        return found
+
+    def _note_from(self, row: int) -> None:
+        """The rows of the ring from that one on have been planned."""
+        layout, flow = self._layout, self._planner.flow
+        while row != flow[layout.HEAD]:
+            self._note(row)
+            row = (row + 1) % flow[layout.ROWS]
 
     def _note(self, row: int) -> None:
         """A row of the ring has been planned."""

@@ -1,0 +1,293 @@
+"""Arcs: their chords end where they should, however many, and the link is looked at meanwhile."""
+
+from array import array
+from collections.abc import Iterator
+from math import atan2, cos, hypot, pi, sin
+from typing import NamedTuple
+
+import pytest
+from base import state as run
+from base.f32 import f32, vector
+from boot import wiring
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from language.checks import PLANES
+from motion import arcs, layout
+from motion.arcs import Arc
+from ugrbl.run import machine
+from ugrbl.run.program import ProgramLink
+
+# What a place may be off, but for half a step: this part of the radius, which an angle in single
+# precision leaves open over a circle; of the way from 0, which is rounded to single precision; and
+# some units of the course.
+_TURN = 6e-7
+_ROUNDED = 2.0**-24
+_UNITS = 16 * 2.0**-29
+
+tolerances = st.sampled_from([0.002, 0.00005, 0.1])
+planes = st.sampled_from(PLANES)
+
+
+class Way(NamedTuple):
+    """An arc in doubles. sweep: in radians; shift: what the axes besides the plane go."""
+
+    radius: float
+    begin: float
+    sweep: float
+    centre: "tuple[float, float]" = (0.0, 0.0)
+    shift: "tuple[float, ...]" = (0.0,)
+    plane: "tuple[int, int, int]" = PLANES[0]
+    clockwise: bool = False
+    steps: "tuple[float, float]" = (1.0, 1.0)  # what a mm of other axes has besides those of X
+
+
+class Course:
+    """The course of a way: its own places, and where they should be."""
+
+    def __init__(self, way: Way, tolerance: float) -> None:
+        self.axes = 2 + len(way.shift)
+        reach = 2 * max(map(abs, (*way.centre, *way.shift, way.radius))) + way.radius
+        steps = min(1e6 / reach, 1e7)
+        self._steps_per_mm = array("f", [steps] * self.axes)
+        for i, times in enumerate(way.steps, 1):
+            self._steps_per_mm[i] *= times
+        self._start, self._target = vector(self.axes), vector(self.axes)
+        self._arc = arc = Arc()
+        arc.plane, arc.clockwise = way.plane, way.clockwise
+        self._lay_ends(way)
+        arc.radius = f32(hypot(arc.centre_0, arc.centre_1))
+        self._course = array("i", [0] * arcs.course_length(self.axes))
+        for i in range(self.axes):
+            arcs.limit(self._course, i, -arcs.FARTHEST, arcs.FARTHEST)
+        self.chords = arc.lay(
+            self._start, self._target, tolerance, self._steps_per_mm, self._course
+        )
+        self.left = self._course[arcs.LEFT]
+
+    def _lay_ends(self, way: Way) -> None:
+        first, second, _ = way.plane
+        sweep = -way.sweep if way.clockwise else way.sweep
+        for ends, angle in ((self._start, way.begin), (self._target, way.begin + sweep)):
+            ends[first] = way.centre[0] + way.radius * cos(angle)
+            ends[second] = way.centre[1] + way.radius * sin(angle)
+        if way.sweep > 2 * pi - 1e-3:
+            self._target[:] = self._start
+        for i, shift in zip(self.others(), way.shift, strict=True):
+            self._target[i] = self._start[i] + shift
+        self._arc.centre_0 = f32(way.centre[0] - self._start[first])
+        self._arc.centre_1 = f32(way.centre[1] - self._start[second])
+
+    def others(self) -> "list[int]":
+        """The axes that are not in the plane."""
+        return [i for i in range(self.axes) if i not in self._arc.plane[:2]]
+
+    def made(self) -> "Iterator[list[float]]":
+        """Where chords end, all but the last."""
+        table = array("i", [0] * layout.table_length(self.axes, self.axes))
+        table[layout.AXES] = self.axes
+        for _ in range(self.left):
+            assert arcs.advance(self._course, table) == 0
+            steps = table[layout.LIMITS + layout.TARGET * self.axes :][: self.axes]
+            yield [(n - arcs.FAR) / r for n, r in zip(steps, self._steps_per_mm, strict=True)]
+
+    def exact(self) -> "Iterator[list[float]]":
+        """The same in doubles, each from the beginning of the arc."""
+        arc, start, target = self._arc, self._start, self._target
+        first, second, _ = arc.plane
+        x, y = -arc.centre_0, -arc.centre_1
+        to_x = target[first] - start[first] + x
+        to_y = target[second] - start[second] + y
+        sweep = atan2(x * to_y - y * to_x, x * to_x + y * to_y)
+        if arc.clockwise:
+            sweep -= 2 * pi if sweep >= -5e-7 else 0
+        else:
+            sweep += 2 * pi if sweep <= 5e-7 else 0
+        for k in range(1, self.chords):
+            part = k / self.chords
+            angle = part * sweep
+            place = [s + part * (t - s) for s, t in zip(start, target, strict=True)]
+            place[first] = start[first] + arc.centre_0 + x * cos(angle) - y * sin(angle)
+            place[second] = start[second] + arc.centre_1 + x * sin(angle) + y * cos(angle)
+            yield place
+
+    def check(self) -> None:
+        """Each place is where it should be."""
+        reach = 5 * self._arc.radius + sum(map(abs, [*self._start, *self._target]))
+        allowed = _TURN * self._arc.radius + _ROUNDED * reach + _UNITS * (1 + reach)
+        most = [allowed + 0.5 / steps for steps in self._steps_per_mm]
+        for made, exact in zip(self.made(), self.exact(), strict=True):
+            assert all(abs(m - e) <= a for m, e, a in zip(made, exact, most, strict=True))
+
+
+# Where chords end
+
+
+@pytest.mark.parametrize("plane", PLANES)
+@pytest.mark.parametrize("clockwise", [False, True])
+@pytest.mark.parametrize("radius", [0.01, 0.3, 7.0, 150.0, 1000.0])
+def test_chords_of_a_circle_end_on_it(
+    radius: float, clockwise: bool, plane: "tuple[int, int, int]"
+) -> None:
+    way = Way(radius, 0.7, 2 * pi, (-3.0, 2.0 * radius), (12.3,), plane, clockwise)
+    course = Course(way, 0.002)
+    assert course.chords >= 3 and course.left == course.chords - 1
+    course.check()
+
+
+@pytest.mark.parametrize("clockwise", [False, True])
+def test_an_error_does_not_grow_with_the_number_of_chords(clockwise: bool) -> None:
+    course = Course(Way(400.0, 2.0, 2 * pi, clockwise=clockwise), 1e-6)
+    assert course.chords > 44_000
+    course.check()
+
+
+ways = st.builds(
+    Way,
+    st.floats(-2, 3).map(lambda power: 10.0**power),
+    st.floats(0, 2 * pi),
+    st.floats(0.01, 6.28),
+    st.tuples(st.floats(-500, 500), st.floats(-500, 500)),
+    st.tuples(st.floats(-50, 50), st.floats(-1, 1)),
+    planes,
+    st.booleans(),
+    st.tuples(st.floats(0.01, 100), st.floats(0.01, 100)),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(ways, tolerances)
+@example(Way(0.00201, 0.0, 2 * pi), 0.002)
+@example(Way(0.00101, 0.3, 5.99), 0.002)
+def test_places_of_any_arc_are_those_of_doubles(way: Way, tolerance: float) -> None:
+    Course(way, tolerance).check()
+
+
+@pytest.mark.parametrize("far", [1e7, 3e38, float("inf"), float("nan")])
+def test_an_arc_that_no_unit_has_room_for_is_one_line(far: float) -> None:
+    arc = Arc()
+    arc.centre_0, arc.radius = 5.0, 5.0
+    course = array("i", [0] * arcs.course_length(3))
+    steps_per_mm = array("f", (250, 250, 250))
+    assert arc.lay(vector(3), array("f", (10, 0, far)), 0.002, steps_per_mm, course) == 0
+    assert course[arcs.LEFT] == 0
+
+
+# In the machine
+
+
+class Bench:
+    """A machine that plans and never moves: blocks are taken out of its ring by who waits."""
+
+    def __init__(self, takes: int = 15, axes: int = 3, **changed: float) -> None:
+        rig = machine.build("sim", lambda rig: ProgramLink(rig, lambda _: iter(())), axes=axes)
+        self.machine = made = wiring.build(rig.board, rig.link, rig.port, rig.engine, rig.store)
+        made.settings.load()
+        for name, value in changed.items():
+            setattr(made.settings, name, value)
+        made.configure()
+        made.planner.override()
+        made.canon.service = self._service
+        self._takes = takes
+        self.blocks: "list[list[int]]" = []
+        self.each: "list[int]" = []  # how many were planned between two services
+        self._seen = 0
+
+    def _service(self) -> None:
+        planner = self.machine.planner
+        flow = planner.flow
+        waiting = (flow[layout.HEAD] - flow[layout.TAIL]) % flow[layout.ROWS]
+        self.each.append(len(self.blocks) + waiting - self._seen)
+        self._seen = len(self.blocks) + waiting
+        for _ in range(self._takes if planner.full() else 0):
+            self._take()
+
+    def _take(self) -> None:
+        planner = self.machine.planner
+        flow, size = planner.flow, planner.flow[layout.ROW_SIZE]
+        if not planner.empty():
+            row = planner.ring[flow[layout.TAIL] * size :][:size]
+            steps = row[layout.STEPS : layout.STEPS + planner.axes]
+            dirs = row[layout.DIRS]
+            self.blocks.append([-n if dirs >> i & 1 else n for i, n in enumerate(steps)])
+            flow[layout.TAIL] = (flow[layout.TAIL] + 1) % flow[layout.ROWS]
+
+    def tell(self, *lines: str) -> "Bench":
+        """Have lines executed and everything planned taken out."""
+        for text in lines:
+            self.machine.interpreter.execute(bytearray(text.encode() + b"\0"), len(text))
+        while not self.machine.planner.empty():
+            self._take()
+        return self
+
+    def place(self) -> "list[int]":
+        """Where the blocks lead, in steps."""
+        return [sum(steps) for steps in zip(*self.blocks, strict=True)]
+
+
+@pytest.mark.parametrize("text", ["G2X3.643Y1.508I2J0Z0.7", "G3X-1Y2R-3", "G18G2X1.5Z0.25R-3"])
+def test_the_last_chord_ends_at_the_target(text: str) -> None:
+    bench, line = Bench(), Bench()
+    bench.tell("G1F500X0.111Y0.222", text)
+    target = list(bench.machine.modes.position)
+    assert len(bench.blocks) > 5
+    line.tell("G1F500X%.9gY%.9gZ%.9g" % tuple(target))
+    assert bench.place() == line.place()
+
+
+@pytest.mark.parametrize("takes", [1, 2, 15])
+def test_a_chord_that_has_to_wait_is_not_lost(takes: int) -> None:
+    lines = ("F500", "G3X-2Y0Z1I-1", "G2X0R2")
+    assert Bench(takes=takes).tell(*lines).blocks == Bench(takes=7).tell(*lines).blocks
+
+
+def test_chords_are_no_longer_in_sequence_than_the_link_can_wait() -> None:
+    bench = Bench().tell("F500", "G3X0I-20")
+    assert len(bench.blocks) > 200
+    assert max(bench.each) == 8
+
+
+def test_check_mode_waits_for_the_link_as_often_and_plans_nothing() -> None:
+    bench = Bench()
+    bench.machine.state.enter(run.CHECK)
+    bench.tell("F500", "G3X0I-20")
+    assert not bench.blocks
+    assert len(bench.each) > 25
+
+
+def test_a_fourth_axis_goes_evenly() -> None:
+    bench = Bench(axes=4).tell("F500", "G1A5", "G3X0I-2A6")
+    turned = [steps[3] for steps in bench.blocks[1:]]
+    assert len(turned) > 20
+    assert max(turned) - min(turned) <= 1
+
+
+def test_the_time_of_an_inverse_time_arc_is_shared_out() -> None:
+    bench = Bench()
+    bench.tell("G93", "G3X-4I-2F2")
+    assert abs(bench.machine.planner._feed - 2 * len(bench.blocks)) < 0.001
+
+
+def test_a_spindle_override_counts_from_the_next_chords_on() -> None:
+    bench = Bench(laser_mode=1)
+    powers = set()
+    service, planner = bench.machine.canon.service, bench.machine.planner
+
+    def override() -> None:
+        service()
+        if len(bench.each) == 20:
+            bench.machine.state.spindle_override = 50
+            bench.machine.state.change()
+        at = (planner.flow[layout.HEAD] - 1) % planner.flow[layout.ROWS]
+        powers.add(planner.ring[at * planner.flow[layout.ROW_SIZE] + layout.POWER])
+
+    bench.machine.canon.service = override
+    bench.tell("F500M3S500", "G3X0I-20")
+    assert len(powers - {0}) == 2
+
+
+def test_a_beam_takes_its_power_where_chords_have_no_steps() -> None:
+    bench = Bench(laser_mode=1, arc_tolerance_mm=0.0000001)
+    spun: "list[float]" = []
+    bench.machine.canon.spin = lambda direction, rpm: spun.append(rpm)  # type: ignore[method-assign]
+    bench.tell("F500M3S500", "G3X0I-0.01")
+    assert 500.0 in spun
