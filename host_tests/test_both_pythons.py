@@ -23,7 +23,7 @@ def cpython(*arguments: object) -> str:
 
 
 @needs_micropython
-@pytest.mark.parametrize("part", ["reals", "words", "blocks"])
+@pytest.mark.parametrize("part", ["reals", "words", "blocks", "arcs"])
 def test_both_pythons_compute_the_same_integers(part: str) -> None:
     here, there = cpython(part), run_micropython(VECTORS, part, paths=PATHS)
     for number, (one, other) in enumerate(zip(here.splitlines(), there.splitlines(), strict=True)):

@@ -7,7 +7,7 @@ from base import singles
 from base.f32 import vector
 from base.state import State
 from language import fast_path, words
-from motion import layout, ramps, reals
+from motion import arcs, layout, ramps, reals
 from motion.kinematics import COREXY, Kinematics
 from motion.layout import ROWS
 from motion.planner import Move, Planner
@@ -110,9 +110,38 @@ def print_blocks(dice):
         print(list(planner.flow), planner.flow[ROWS])
 
 
+def print_arcs(dice):
+    """Steps of chords, in any plane, with helices, for scales of many sizes."""
+    course, table = array("i", [0] * arcs.course_length(4)), array("i", [0] * 60)
+    table[layout.AXES] = 4
+    start, target = vector(4), vector(4)
+    arc = arcs.Arc()
+    for axis in range(4):
+        arcs.limit(course, axis, -1.0e6, 2.0e6)
+    for _ in range(150):
+        arc.plane = dice.any(((0, 1, 2), (2, 0, 1), (1, 2, 0)))
+        arc.clockwise = dice.below(2) == 1
+        steps_per_mm = array("f", [dice.any((5.0, 80.0, 250.0, 3200.0)) for _ in range(4)])
+        for i in range(4):
+            start[i] = target[i] = 0.25 * (dice.below(4000) - 2000)
+            if i not in arc.plane[:2]:
+                target[i] += 0.125 * (dice.below(200) - 100)
+        arc.centre_0, arc.centre_1 = dice.any(((3.0, 4.0), (-0.25, 0.0), (60.0, -80.0)))
+        arc.radius = (arc.centre_0 * arc.centre_0 + arc.centre_1 * arc.centre_1) ** 0.5
+        print(arc.lay(start, target, dice.any((0.002, 0.1)), steps_per_mm, course))
+        for _ in range(min(course[arcs.LEFT], 20)):
+            outside = arcs.advance(course, table)
+            print(outside, list(table[layout.LIMITS + 4 * layout.TARGET :][:4]))
+
+
 def main():
     """Print the part named on the command line."""
-    parts = {"reals": print_reals, "words": print_words, "blocks": print_blocks}
+    parts = {
+        "reals": print_reals,
+        "words": print_words,
+        "blocks": print_blocks,
+        "arcs": print_arcs,
+    }
     parts[sys.argv[1]](Dice(4711))
 
 

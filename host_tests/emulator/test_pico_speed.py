@@ -1,6 +1,7 @@
 """Speed on the emulated Pico does not get worse by more than a tenth, nor does memory per line."""
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,15 @@ sys.path.append(str(Path(__file__).parent.parent / "bench"))
 
 from bench_setup import inside, set_up
 from on_board import MAIN
-from streaming import idle, raster, short_moves, stream
+from streaming import (
+    CIRCLE,
+    CIRCLE_CHORDS,
+    circles,
+    idle,
+    raster,
+    short_moves,
+    stream,
+)
 from wire import EmulatedWire, Talk
 
 pytestmark = pytest.mark.xdist_group("pico speed")
@@ -18,6 +27,7 @@ pytestmark = pytest.mark.xdist_group("pico speed")
 # What `make bench-board` has measured.
 _STREAMED = 1150  # lines/s, 1200 asked
 _CHECKED = 2150  # lines/s
+_CHORDS = 2650  # a second
 _WORSE = 0.9
 _RASTER_BYTES = 256  # of heap for a line with a new S; lines that only move have none
 _MORE = 1.1
@@ -63,6 +73,32 @@ def test_lines_leave_no_more_on_the_heap_than_ever(
     fewer = _left(talk, lines[:24])
     idle(talk)
     assert (_left(talk, lines[24:72]) - fewer) / 24 <= _MORE * most + _ROUNDED
+
+
+@pytest.fixture
+def circling(talk: Talk) -> "Iterator[Talk]":
+    """Settings of circles, meanwhile."""
+    idle(talk)
+    for line in ("M5", "$32=0", *CIRCLE, "G90G0X10Y10"):
+        talk.ask(line)
+    idle(talk)
+    yield talk
+    idle(talk)
+    talk.ask("$12=0.002")
+    set_up(talk)
+
+
+def test_chords_are_planned_as_fast_as_ever(circling: Talk) -> None:
+    chords_s = stream(circling, circles(2), 15).lines_s * CIRCLE_CHORDS
+    assert chords_s >= _WORSE * _CHORDS
+
+
+def test_chords_leave_nothing_on_the_heap(circling: Talk) -> None:
+    many = _left(circling, circles(1))
+    idle(circling)
+    circling.ask("$12=0.002")
+    fewer = _left(circling, circles(1))
+    assert (many - fewer) / CIRCLE_CHORDS <= 1
 
 
 def test_check_mode_is_as_fast_as_ever(talk: Talk) -> None:
