@@ -268,7 +268,6 @@ def join(table: ptr32, ring: ptr32, flow: ptr32) -> int:
     return 0
 
 
-# inline: always, for it runs once for each block
 @micropython.viper
 def limit_entry(ring: ptr32, flow: ptr32, row: int) -> int:
     """No block is entered faster than it, the one before, or the corner between them allow."""

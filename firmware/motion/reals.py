@@ -45,7 +45,6 @@ def pack(mantissa: int, exponent: int) -> int:
     return (exponent << 15) + mantissa
 
 
-# inline: always, for it runs several times for each block and segment
 @micropython.viper
 def mul(a: int, b: int) -> int:
     """The product of two reals."""
