@@ -131,12 +131,12 @@ _BIT_I = const(4)
 _BIT_T = const(13)
 HIGHEST_TOOL = const(255)
 
-# The dictionary, in bytes, for take(): the number of a word's row by its code, G words first and
-# M words behind; the bit of each letter from A on; then rows.
+# The dictionary, in bytes, for take(). Its index, of which each block has its own, for boards
+# differ: the number of a word's row by its code, M words behind G words; then the bit of each
+# letter from A on.
 _M = const(100)
 _INDEXED = const(160)
 _NO_LETTER = const(255)
-ROWS = const(186)
 ROW = const(6)
 # The place in Modes.modal is first; NOWHERE: none.
 SETTING = const(1)  # what is put there, or in NON_MODAL
@@ -144,20 +144,20 @@ _CLAIM = const(2)  # who claims the axis words
 _DECIMALS = const(3)  # those it may have besides none, a bit for each tenth from 1 on
 GROUP = const(4)  # two bytes
 NOWHERE = const(255)
-# Besides the tenths in _DECIMALS: others are unsupported, where with any other G number they are
-# malformed; and one of them must be there.
+# Besides the tenths: others are unsupported, which elsewhere are malformed; one must be there.
 _OTHERS = const(0x80)
 _ONE = const(0x40)
 _TENTHS = const(0x3F)
 
-dictionary = bytearray(_INDEXED) + b"\xff" * 26
+index = bytearray(_INDEXED) + b"\xff" * 26
+dictionary = bytearray(ROW)  # the first row is no word's
 
 
 def add_word(
     at: int, group: int, place: int, setting: int, claim: int = AXES_UNCLAIMED, decimals: int = 0
 ) -> None:
     """Put a word into the dictionary: a G number, or an M number behind _M."""
-    dictionary[at] = 1 + (len(dictionary) - ROWS) // ROW
+    index[at] = len(dictionary) // ROW
     dictionary.extend(bytes((place, setting, claim, decimals, group & 255, group >> 8)))
 
 
@@ -205,7 +205,7 @@ add_word(_M + 8, GROUP_M8, COOLANT, 1)
 add_word(_M + 9, GROUP_M8, COOLANT, 0)
 add_word(_M + 56, GROUP_M9, OVERRIDE_CONTROL, 1)
 for _bit in range(len(VALUE_LETTERS)):
-    dictionary[_INDEXED + VALUE_LETTERS[_bit] - 65] = _bit
+    index[_INDEXED + VALUE_LETTERS[_bit] - 65] = _bit
 _MIST = const(_M + 7)
 _OVERRIDE = const(_M + 56)
 
@@ -213,7 +213,7 @@ _OVERRIDE = const(_M + 56)
 def is_known(letter: int, number: int) -> bool:
     """Whether Grbl has a G or M word of that number, with decimals or without."""
     at = number + _M if letter == 77 else number
-    return at < (_INDEXED if letter == 77 else _M) and dictionary[at] > 0
+    return at < (_INDEXED if letter == 77 else _M) and index[at] > 0
 
 
 _NOTHING = array("i", (0 for _ in range(_SINGLES)))
@@ -254,6 +254,7 @@ def take(
     letters: ptr8,
     values: ptr32,
     count: int,
+    at: ptr8,
     words: ptr8,
     ints: ptr32,
     xyz: ptr32,
@@ -262,7 +263,7 @@ def take(
 ) -> int:
     """Take in words, in their order. Returns what is wrong with the first that is, or 0.
 
-    take_odd: takes in a G or M word with a number that is no byte, or that lacks decimals.
+    at: an index. take_odd: takes in a G or M word whose number is no byte, or lacks decimals.
     """
     wrong = 0
     i = 0
@@ -271,20 +272,20 @@ def take(
         value = values[i]
         top = ptr8(values)[4 * i + 3]
         if letter == 71 or letter == 77:  # noqa: PLR1714 (a viper cannot ask `in`)
-            at = int(byte(value, top))
+            code = int(byte(value, top))
             if letter == 77:
-                at += _M
+                code += _M
             row = 0
-            if at < (_INDEXED if letter == 77 else _M):
-                row = ROWS - ROW + ROW * words[at]
-            if row < ROWS or words[row + _DECIMALS] & _ONE:
+            if code < (_INDEXED if letter == 77 else _M):
+                row = ROW * at[code]
+            if row == 0 or words[row + _DECIMALS] & _ONE:
                 wrong = int(take_odd(i))  # type: ignore[operator]
             else:
                 setting = words[row + SETTING]
                 group = words[row + GROUP] | (words[row + GROUP + 1] << 8)
                 wrong = int(enter(words[row], setting, words[row + _CLAIM], group, ints))
         else:
-            bit = words[_INDEXED + letter - 65]
+            bit = at[_INDEXED + letter - 65]
             if bit == _NO_LETTER:
                 return GCODE_UNSUPPORTED_COMMAND
             if bit <= _BIT_A:
@@ -321,13 +322,13 @@ class Block:
         self.stored = vector(axes)
         self.index = 0  # of the coordinate system that G10 writes
         self._words = Words()
-        self._dictionary = bytearray(dictionary)
+        self._index = bytearray(index)
         if not has_mist:
-            self._dictionary[_MIST] = 0
+            self._index[_MIST] = 0
         if not has_override_control:
-            self._dictionary[_OVERRIDE] = 0
+            self._index[_OVERRIDE] = 0
         for i in range(axes, _BIT_I):
-            self._dictionary[_INDEXED + VALUE_LETTERS[i] - 65] = _NO_LETTER
+            self._index[_INDEXED + VALUE_LETTERS[i] - 65] = _NO_LETTER
         self._odd = self._take_odd  # taking a method as a value allocates
 
     def read(self, line: bytearray, start: int, end: int, modal: "array[int]") -> None:
@@ -342,7 +343,8 @@ class Block:
             words.letters,
             words.values,
             words.count,
-            self._dictionary,
+            self._index,
+            dictionary,
             ints,
             self.xyz,
             singles,
@@ -356,7 +358,6 @@ class Block:
 
     def _take_odd(self, i: int) -> int:
         """Take in a G or M word of any number. Returns what is wrong with it."""
-        words = self._dictionary
         # The whole part is a byte; the rest, larger numbers included, counts as hundredths.
         value = self._words.values[i]
         number = whole(value) & 255
@@ -366,9 +367,10 @@ class Block:
             if hundredths:
                 return GCODE_COMMAND_VALUE_NOT_INTEGER
             at, end = number + _M, _INDEXED
-        if at >= end or not words[at]:
+        row = self._index[at] if at < end else 0
+        if not row:
             return GCODE_UNSUPPORTED_COMMAND
-        return self._enter_odd(words[ROWS - ROW + ROW * words[at] :], number, hundredths)
+        return self._enter_odd(dictionary[ROW * row :], number, hundredths)
 
     def _enter_odd(self, row: bytearray, number: int, hundredths: int) -> int:
         place, setting, claim, decimals = row[0], row[SETTING], row[_CLAIM], row[_DECIMALS]

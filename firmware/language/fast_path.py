@@ -209,13 +209,6 @@ def follow(
     return 1
 
 
-@micropython.viper
-def put(source: ptr32, at: int, target: ptr32, to: int) -> int:
-    """Copy the bits of one float."""
-    target[to] = source[at]
-    return 0
-
-
 class FastPath:
     """The short path of an interpreter.
 
@@ -313,7 +306,7 @@ class FastPath:
 
     def _keep(self, at: int, value: float) -> None:
         self._float[0] = value
-        put(self._float, 0, self._known, at)
+        copy(self._float, memoryview(self._known)[at:], 1)
 
     def _set(self) -> None:
         """How lines move from now on, unless they say otherwise."""
@@ -361,11 +354,11 @@ class FastPath:
         modes = self._modes
         known = self._known
         if seen & HAS_S:
-            put(known, VALUES + _S, self._float, 0)
+            copy(memoryview(known)[VALUES + _S :], self._float, 1)
             modes.spindle_rpm = self._move.spindle_rpm = self._float[0]
             known[_POWER] = _UNTOLD
         if seen & HAS_F:
-            put(known, VALUES + _F, self._float, 0)
+            copy(memoryview(known)[VALUES + _F :], self._float, 1)
             if known[IN_INCHES]:
                 to_mm(self._float, 0)
             modes.feed = self._float[0]

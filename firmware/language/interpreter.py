@@ -65,7 +65,7 @@ _OFFSETS = const(b.GROUP_8 | b.GROUP_12)
 _PROBE = const(38)  # .2 to .5
 assert {
     b.dictionary[row + b.SETTING]
-    for row in range(b.ROWS, len(b.dictionary), b.ROW)
+    for row in range(b.ROW, len(b.dictionary), b.ROW)
     if b.dictionary[row + b.GROUP] == b.GROUP_1
 } == {
     b.SEEK,
@@ -77,7 +77,7 @@ assert {
 }, "a motion without a behaviour"
 assert {
     b.dictionary[row + b.SETTING]
-    for row in range(b.ROWS, len(b.dictionary), b.ROW)
+    for row in range(b.ROW, len(b.dictionary), b.ROW)
     if b.dictionary[row + b.GROUP] == b.GROUP_0
 } == {
     b.DWELL,

@@ -93,8 +93,7 @@ class Report:
         self._piece = memoryview(self._text)
         self._ints = array("i", bytes(4 * (VALUES + _VALUES)))
         self._mm = vector(axes)
-        self._offset = vector(max(axes, 3))
-        self._shown = vector(axes + 1)
+        self._shown = vector(axes + 1)  # what is worked out to be written
         self._resolution = LIMITS + RESOLUTION * axes
 
     def connect(
@@ -312,7 +311,7 @@ class Report:
 
     def _work_offset(self) -> "array[float]":
         """What machine position has more than work position."""
-        coords, offset = self._coords, self._offset
+        coords, offset = self._coords, self._shown
         copy(coords.zero(coords.active), offset, self._axes)
         if coords.tool_length:
             i = coords.length_axis

@@ -71,9 +71,9 @@ def m_words() -> list[str]:
 
 def _at_start(word: str) -> bool:
     """A mode that a reset puts in force."""
-    from control.modes import MODAL_LENGTH, PROGRAM_FLOW
+    from control.modes import MODAL_LENGTH, MODAL_ROOM, PROGRAM_FLOW
 
-    other = array("i", [99] * MODAL_LENGTH)
+    other = array("i", [99] * MODAL_LENGTH + [0] * (MODAL_ROOM - MODAL_LENGTH))
     block = _taken(word, other)
     assert block
     set_to = {i: block.ints[i] for i in range(MODAL_LENGTH) if block.ints[i] != other[i]}
