@@ -36,7 +36,7 @@ class Way(NamedTuple):
     sweep: float
     centre: "tuple[float, float]" = (0.0, 0.0)
     shift: "tuple[float, ...]" = (0.0,)
-    plane: "tuple[int, int, int]" = PLANES[0]
+    plane: "tuple[int, int]" = PLANES[0]
     clockwise: bool = False
     steps: "tuple[float, float]" = (1.0, 1.0)  # what a mm of other axes has besides those of X
 
@@ -65,7 +65,7 @@ class Course:
         self.left = self._course[arcs.LEFT]
 
     def _lay_ends(self, way: Way) -> None:
-        first, second, _ = way.plane
+        first, second = way.plane
         sweep = -way.sweep if way.clockwise else way.sweep
         for ends, angle in ((self._start, way.begin), (self._target, way.begin + sweep)):
             ends[first] = way.centre[0] + way.radius * cos(angle)
@@ -93,7 +93,7 @@ class Course:
     def exact(self) -> "Iterator[list[float]]":
         """The same in doubles, each from the beginning of the arc."""
         arc, start, target = self._arc, self._start, self._target
-        first, second, _ = arc.plane
+        first, second = arc.plane
         x, y = -arc.centre_0, -arc.centre_1
         to_x = target[first] - start[first] + x
         to_y = target[second] - start[second] + y

@@ -119,12 +119,12 @@ def print_arcs(dice):
     for axis in range(4):
         arcs.limit(course, axis, -1.0e6, 2.0e6)
     for _ in range(150):
-        arc.plane = dice.any(((0, 1, 2), (2, 0, 1), (1, 2, 0)))
+        arc.plane = dice.any(((0, 1), (2, 0), (1, 2)))
         arc.clockwise = dice.below(2) == 1
         steps_per_mm = array("f", [dice.any((5.0, 80.0, 250.0, 3200.0)) for _ in range(4)])
         for i in range(4):
             start[i] = target[i] = 0.25 * (dice.below(4000) - 2000)
-            if i not in arc.plane[:2]:
+            if i not in arc.plane:
                 target[i] += 0.125 * (dice.below(200) - 100)
         arc.centre_0, arc.centre_1 = dice.any(((3.0, 4.0), (-0.25, 0.0), (60.0, -80.0)))
         arc.radius = (arc.centre_0 * arc.centre_0 + arc.centre_1 * arc.centre_1) ** 0.5

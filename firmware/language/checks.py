@@ -37,8 +37,7 @@ if TYPE_CHECKING:
     from language.block import Block
 
 _HIGHEST_LINE = const(10000000)
-# The axes of G17, G18, G19, and the one across.
-PLANES = ((0, 1, 2), (2, 0, 1), (1, 2, 0))
+PLANES = ((0, 1), (2, 0), (1, 2))  # the axes of G17, G18, G19
 # A target may be so far off an arc's circle: mm, or that part of the radius up to _WORST mm.
 _ARC_CLOSE = 0.005
 _ARC_PART = 0.001
@@ -250,7 +249,7 @@ def _arc(modes: "Modes", block: "Block") -> int:
     words = ints[b.WORDS]
     arc.plane = PLANES[ints[PLANE]]
     arc.clockwise = ints[MOTION] == b.CW_ARC
-    a, c, _ = arc.plane
+    a, c = arc.plane
     if not words & (1 << a | 1 << c):
         raise GrblError(errors.GCODE_NO_AXIS_WORDS_IN_PLANE)
     x = f32(xyz[a] - position[a])

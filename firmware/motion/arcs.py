@@ -155,14 +155,14 @@ def follow(
 
 
 class Arc:
-    """Geometry of one arc. plane: its two axes and the one across, in that order.
+    """Geometry of one arc. plane: its two axes.
 
     centre: offset of the centre from the start, in the plane; the radius is the
     parser's, so that a helix's end does not bend it.
     """
 
     def __init__(self) -> None:
-        self.plane = (0, 1, 2)
+        self.plane = (0, 1)
         self.clockwise = False
         self.radius = 0.0
         self.centre_0 = 0.0
@@ -195,7 +195,7 @@ class Arc:
 
     def _sweep(self, start: "array[float]", target: "array[float]") -> float:
         """The angle travelled, in radians."""
-        a, b, _ = self.plane
+        a, b = self.plane
         from_0, from_1 = -self.centre_0, -self.centre_1
         to_0 = target[a] - start[a] - self.centre_0
         to_1 = target[b] - start[b] - self.centre_1
@@ -234,7 +234,7 @@ class Arc:
     ) -> float:
         """Put places where the arc begins, and where they go. Returns how many times as many units
         of the one axis of the plane are a mm as of the other."""
-        a, b, _ = self.plane
+        a, b = self.plane
         ratio = 1.0
         for i in range(len(start)):
             bits = math.frexp(scale / steps_per_mm[i])[1]

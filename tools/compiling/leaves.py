@@ -29,8 +29,8 @@ from .marks import Key, Marks
 from .modules import Module
 
 # Nodes of a syntax tree that are worth their room at every call. A call takes about 50 bytes; 60
-# nodes in its place 250. On a Pico: 40 in place of 60 saves 0.7 kB, and costs 19 us a line.
-_SMALL = 40
+# nodes in its place 250. On a Pico: 34 in place of 40 saves 1 kB, and costs 15 us a line.
+_SMALL = 34
 # Types of locals that may share a name.
 _SHARED = {"int", *forms.POINTERS}
 
