@@ -279,7 +279,7 @@ def test_most_calls_of_the_firmware_are_gone() -> None:
     defined = re.compile(r"@micropython\.viper\n\s*def ")
     left = sum(len(defined.findall(text)) for text in after.values())
     assert left < 0.7 * sum(len(defined.findall(text)) for text in before.values())
-    assert not {"fill", "share", "load"} & set(calls(after["motion.segments"], "next"))
+    assert not {"fill", "approach", "load"} & set(calls(after["motion.segments"], "next"))
 
 
 @pytest.mark.parametrize("arch", ["armv6m", "armv7emsp", "xtensawin"])
