@@ -83,6 +83,7 @@ COMMANDS = const(MODAL_LENGTH)  # mask of the modal groups that the line has wor
 WORDS = const(MODAL_LENGTH + 1)  # mask of its value words
 NON_MODAL = const(MODAL_LENGTH + 2)
 CLAIM = const(MODAL_LENGTH + 3)  # who uses the axis words
+assert CLAIM < MODAL_ROOM, "there is no room behind the modal state"
 
 # The numbers of a line, by place in Block.singles; axis words are in Block.xyz.
 I = const(0)  # noqa: E741 (the letter of the word); J and K behind it
@@ -161,7 +162,7 @@ def add_word(
     dictionary.extend(bytes((place, setting, claim, decimals, group & 255, group >> 8)))
 
 
-# Calls, for constants that hold more than a number would stay in memory.
+# By calls, for rows that are constants would stay in memory beside their copy.
 add_word(0, GROUP_1, MOTION, SEEK, AXES_MOTION)
 add_word(1, GROUP_1, MOTION, LINEAR, AXES_MOTION)
 add_word(2, GROUP_1, MOTION, CW_ARC, AXES_MOTION)
@@ -206,8 +207,6 @@ add_word(_M + 9, GROUP_M8, COOLANT, 0)
 add_word(_M + 56, GROUP_M9, OVERRIDE_CONTROL, 1)
 for _bit in range(len(VALUE_LETTERS)):
     index[_INDEXED + VALUE_LETTERS[_bit] - 65] = _bit
-_MIST = const(_M + 7)
-_OVERRIDE = const(_M + 56)
 
 
 def is_known(letter: int, number: int) -> bool:
@@ -324,9 +323,9 @@ class Block:
         self._words = Words()
         self._index = bytearray(index)
         if not has_mist:
-            self._index[_MIST] = 0
+            self._index[_M + 7] = 0
         if not has_override_control:
-            self._index[_OVERRIDE] = 0
+            self._index[_M + 56] = 0
         for i in range(axes, _BIT_I):
             self._index[_INDEXED + VALUE_LETTERS[i] - 65] = _NO_LETTER
         self._odd = self._take_odd  # taking a method as a value allocates
