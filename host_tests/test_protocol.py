@@ -22,7 +22,9 @@ class Loop:
         self.seen: "list[bytes]" = []  # what was unread at each start
         self.drive: Any = SimpleNamespace(by_pin=by_pin)
         self._restarts = restarts
-        reader: Any = SimpleNamespace(feed=self._feed, take=None, line=bytearray(80))
+        reader: Any = SimpleNamespace(
+            feed=self._feed, take=None, line=bytearray(80), free=lambda: 255
+        )
         fast = SimpleNamespace(follow=None)
         nobody: Any = SimpleNamespace(finish=None, fast=fast)
         self.protocol = Protocol(
@@ -40,10 +42,10 @@ class Loop:
         raise Abort
 
 
-def test_what_has_come_is_read_piece_by_piece() -> None:
-    loop = Loop(b"G1X1F100\n" * 40)
+def test_what_has_come_is_read_piece_by_piece_of_half_the_ring() -> None:
+    loop = Loop(b"G1X1F100\n" * 20)
     loop.protocol.pump()
-    assert loop.fed == (b"G1X1F100\n" * 40)[:256] and len(loop.link.unread) == 360 - 256
+    assert loop.fed == (b"G1X1F100\n" * 20)[:127] and len(loop.link.unread) == 180 - 127
 
 
 def test_behind_the_reset_of_a_pin_what_was_sent_before_is_dropped() -> None:

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 _LOCKED = const(st.ALARM | st.JOG)
 _DEAF_MS = const(500)  # nothing is answered for so long behind an alarm
-_READ_BYTES = const(256)  # all that a sender may have sent ahead: no ? waits behind it
 
 
 class Protocol:
@@ -64,7 +63,8 @@ class Protocol:
         self._canon = canon
         self._restart = restart
         self._echoes = echoes
-        self._buffer = bytearray(_READ_BYTES)
+        # Much at once, for a ? is not to wait behind lines; but a line longer than the ring passes.
+        self._buffer = bytearray(reader.free() // 2)
         self._read_into = link.read_into
         self._feed = reader.feed
 
