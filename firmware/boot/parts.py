@@ -43,10 +43,9 @@ _LOOP_MS = const(250)
 # What $I says where Ctrl-X is not heard before the main loop reads; `ugrbl doctor` knows it.
 _SLOW_RESET = " slow-reset"
 
-# Methods that make objects, or begin so, in a class or a module; and what is made also later.
+# Methods that make objects, or begin so, in a class or a module.
 MAKERS = ("__init__", "connect")
 MAKER = "_make_"  # keep-prefix: methods are looked for by it
-MADE_AGAIN = ("Modal",)
 
 
 # Engines and links: a build takes the imports of those that the board file names.
@@ -281,7 +280,7 @@ def _forget_makers(parts: "Iterable[object]") -> None:
 
 def _forget_maker(kind: type) -> None:
     """Of a class of ours, of those that it is made of, and of its module."""
-    if "__module__" in kind.__dict__ and kind.__name__ not in MADE_AGAIN:
+    if "__module__" in kind.__dict__:
         for thing in (kind, sys.modules[kind.__module__]):
             for name in list(thing.__dict__):
                 if name in MAKERS or name.startswith(MAKER):
