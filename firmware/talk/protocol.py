@@ -63,7 +63,7 @@ class Protocol:
         self._canon = canon
         self._restart = restart
         self._echoes = echoes
-        # Much at once, for a ? is not to wait behind lines; but a line longer than the ring passes.
+        # Much at once, for a ? is not to wait behind lines; a line longer than the ring passes.
         self._buffer = bytearray(reader.free() // 2)
         self._read_into = link.read_into
         self._feed = reader.feed
