@@ -2,7 +2,7 @@
 
 import struct
 
-from base.f32 import INCH_PER_MM, MM_PER_INCH, f32, vector
+from base.f32 import INCH_PER_MM, f32, vector
 from hypothesis import given
 from hypothesis import strategies as st
 from talk.digits import number
@@ -38,7 +38,7 @@ def test_numbers_are_rounded_to_single_precision(x: float) -> None:
 
 
 def test_constants_are_single_precision() -> None:
-    assert single(MM_PER_INCH) == MM_PER_INCH
+    assert single(f32(25.4)) == f32(25.4)
     assert single(INCH_PER_MM) == INCH_PER_MM
 
 

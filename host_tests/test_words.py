@@ -5,7 +5,7 @@ from array import array
 from math import isfinite
 
 import pytest
-from base.f32 import MM_PER_INCH
+from base.f32 import f32
 from base.singles import add_single, to_mm
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
@@ -99,7 +99,7 @@ def test_an_offset_is_added_as_in_single_precision(value: float, offset: float) 
 @example(1.0000001)
 def test_inches_become_millimetres_as_in_single_precision(value: float) -> None:
     inches = array("f", [value])
-    expected = single(inches[0] * MM_PER_INCH)
+    expected = single(inches[0] * f32(25.4))
     to_mm(inches, 0)
     assert bits(inches[0]) == bits(expected)
 

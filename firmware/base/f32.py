@@ -29,7 +29,6 @@ def vector(axes: int) -> "array[float]":
     return array("f", (0.0 for _ in range(axes)))
 
 
-MM_PER_INCH = f32(25.4)
 INCH_PER_MM = f32(0.0393701)
 
 

@@ -9,8 +9,8 @@ import math
 
 from base import errors
 from base.errors import GrblError
-from base.f32 import MM_PER_INCH, f32, whole
-from base.singles import add
+from base.f32 import f32, whole
+from base.singles import add, to_mm
 from control.coords import G28, G30, SYSTEMS
 from control.modes import (
     INCHES,
@@ -65,7 +65,8 @@ def check(modes: "Modes", coords: "Coords", block: "Block", jog: bool) -> None:
             raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
         unused &= ~b.WORD_P
     if ints[INCHES]:
-        _to_mm(block.xyz)
+        for i in range(len(block.xyz)):
+            to_mm(block.xyz, i)
     claim = ints[b.CLAIM]
     if claim == b.AXES_TOOL_LENGTH and ints[TOOL_LENGTH]:
         if axis_words != 1 << coords.length_axis:
@@ -82,11 +83,6 @@ def check(modes: "Modes", coords: "Coords", block: "Block", jog: bool) -> None:
         _jog(block)
 
 
-def _to_mm(values: "array[float]") -> None:
-    for i in range(len(values)):
-        values[i] = values[i] * MM_PER_INCH
-
-
 def _feed(modes: "Modes", block: "Block", jog: bool) -> None:
     ints, singles = block.ints, block.singles
     has_f = ints[b.WORDS] & b.WORD_F
@@ -94,7 +90,7 @@ def _feed(modes: "Modes", block: "Block", jog: bool) -> None:
         if not has_f:
             raise GrblError(errors.GCODE_UNDEFINED_FEED_RATE)
         if ints[INCHES]:
-            singles[b.F] *= MM_PER_INCH
+            to_mm(singles, b.F)
     elif ints[INVERSE_TIME]:
         cuts = ints[b.CLAIM] == b.AXES_MOTION and ints[MOTION] not in (b.NO_MOTION, b.SEEK)
         if cuts and not has_f:
@@ -103,7 +99,7 @@ def _feed(modes: "Modes", block: "Block", jog: bool) -> None:
         if not has_f:
             singles[b.F] = modes.feed
         elif ints[INCHES]:
-            singles[b.F] *= MM_PER_INCH
+            to_mm(singles, b.F)
 
 
 def _override_control(block: "Block") -> None:
@@ -261,11 +257,11 @@ def _arc(modes: "Modes", block: "Block") -> int:
         return b.WORD_R
     if not words & (b.WORD_I << a | b.WORD_I << c):
         raise GrblError(errors.GCODE_NO_OFFSETS_IN_PLANE)
+    if ints[INCHES]:
+        to_mm(singles, b.I + a)
+        to_mm(singles, b.I + c)
     arc.centre_0 = singles[b.I + a]
     arc.centre_1 = singles[b.I + c]
-    if ints[INCHES]:
-        arc.centre_0 = f32(arc.centre_0 * MM_PER_INCH)
-        arc.centre_1 = f32(arc.centre_1 * MM_PER_INCH)
     to_target = _hypot(f32(x - arc.centre_0), f32(y - arc.centre_1))
     arc.radius = _hypot(arc.centre_0, arc.centre_1)
     off = abs(f32(to_target - arc.radius))
@@ -284,9 +280,9 @@ def _by_radius(block: "Block", arc: "Arc", x: float, y: float) -> None:
     It lies on the chord's perpendicular bisector, left of the way for a
     counterclockwise arc of less than half a circle. R < 0 asks for the longer arc.
     """
-    radius = block.singles[b.R]
     if block.ints[INCHES]:
-        radius = f32(radius * MM_PER_INCH)
+        to_mm(block.singles, b.R)
+    radius = block.singles[b.R]
     squared = f32(f32(f32(4.0 * f32(radius * radius)) - f32(x * x)) - f32(y * y))
     if squared < 0:
         raise GrblError(errors.GCODE_ARC_RADIUS_ERROR)
