@@ -16,7 +16,7 @@ from base.singles import add_single, to_mm
 from control.canon import judge
 from control.modes import INCHES, INVERSE_TIME, MOTION, RELATIVE
 from micropython import const
-from motion import layout, reals
+from motion import layout
 from motion import planner as plan
 from motion.layout import HEAD
 from motion.plan_kernel import FULL, OUTSIDE
@@ -239,7 +239,6 @@ class FastPath:
         self._float = vector(1)
         self._known = array("i", (0 for _ in range(OFFSETS + axes)))
         self._offsets = memoryview(self._known)[OFFSETS:]
-        self._known[_RATE] = reals.real(0.0)
         self._asked = False  # the last line was one of these
         self.follow = self._make_follow()
 
@@ -316,9 +315,8 @@ class FastPath:
         seeks = modes.modal[MOTION] == b.SEEK
         known[MODE] = HAS_G0 if seeks else HAS_G1
         self._keep(FEED, modes.feed)
-        if move.feed != modes.feed:
-            move.feed = modes.feed
-            known[_RATE] = reals.real(modes.feed / 60)
+        move.feed = modes.feed
+        known[_RATE] = self._canon.planner.rate(modes.feed)
         move.spindle_rpm = 0.0 if seeks and known[LASER] else modes.spindle_rpm
         move.flags = modes.accessory_flags()
         if seeks:

@@ -85,7 +85,8 @@ class Planner:
         at = layout.LIMITS + layout.POSITION * axes
         self.position = memoryview(self.table)[at : at + axes]
         self.steps_per_mm = vector(axes)
-        self._feed = 0.0  # the last one in mm/min, and the same as a real in mm/s
+        # The last feed in mm/min, and the same as a real in mm/s.
+        self._feed = 0.0
         self._feed_real = 0
         for i in range(axes):
             self.position[i] = _BIAS
@@ -151,8 +152,6 @@ class Planner:
         """
         flags = move.flags
         head = self.flow[HEAD]
-        if move.feed != self._feed:
-            self._set_feed(move.feed)
         if not plan_kernel.plan(
             target,
             self.table,
@@ -161,21 +160,22 @@ class Planner:
             flags,
             move.line_number,
             power,
-            self._feed_real,
+            self.rate(move.feed),
         ):
             return False
         self.speeds[self.flow[ROWS] if flags & layout.SYSTEM_MOTION else head] = move.spindle_rpm
         return True
 
-    def _set_feed(self, feed: float) -> None:
-        self._feed = feed
-        self._feed_real = reals.real(feed / 60)
+    def rate(self, feed: float) -> int:
+        """A feed in mm/min as a real in mm/s."""
+        if feed != self._feed:
+            self._feed = feed
+            self._feed_real = reals.real(feed / 60)
+        return self._feed_real
 
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
         """Add some chords of an arc, or pass them over where nothing moves. Returns what it has
         come upon: see arcs.follow()."""
-        if move.feed != self._feed:
-            self._set_feed(move.feed)
         self.speeds[self.flow[ROWS] + 1] = move.spindle_rpm
         return arcs.follow(
             course,
@@ -186,7 +186,7 @@ class Planner:
             move.flags | layout.PLACED if moves else 0,
             move.line_number,
             power,
-            self._feed_real,
+            self.rate(move.feed),
         )
 
     def system_line(
