@@ -232,7 +232,7 @@ class Report:
 
     def status(self) -> "memoryview":
         """The answer to ?, to be sent before there is another."""
-        state, settings = self._state, self._settings
+        settings = self._settings
         mask = settings.report_mask
         text, ints, mm = self._text, self._ints, self._mm
         self._begin()
@@ -250,11 +250,7 @@ class Report:
         ints[VALUES] = self._inputs.closed()
         if ints[VALUES]:
             write(b"|Pn:?P?X?Y?Z?A?D?R?H?S\0", text, ints, mm)
-        if state.wco_countdown > 0 and state.override_countdown > 0:  # as nearly always
-            state.wco_countdown -= 1
-            state.override_countdown -= 1
-        else:
-            self._extras(text, ints)
+        self._extras(text, ints)
         return self._finish()
 
     # Its parts
