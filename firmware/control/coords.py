@@ -40,6 +40,7 @@ class Coords:
 
     def load(self) -> bool:
         """Read what is kept; False, and zero, where there was nothing valid."""
+        self._zero_of = _NONE
         lines = self._store.load(_FILE)
         if lines is None or not self._parse(lines):
             self.restore()
@@ -47,7 +48,6 @@ class Coords:
         return True
 
     def _parse(self, lines: "list[str]") -> bool:
-        self._zero_of = _NONE
         for line in lines:
             name, _, values = line.partition("=")
             if name not in NAMES:
@@ -62,6 +62,7 @@ class Coords:
         return True
 
     def _save(self) -> None:
+        self._zero_of = _NONE
         lines = []
         for i in range(_COUNT):
             lines.append(NAMES[i] + "=" + ",".join(["%.9g" % x for x in self.systems[i]]))
@@ -72,7 +73,6 @@ class Coords:
         for system in self.systems:
             for i in range(self._axes):
                 system[i] = 0.0
-        self._zero_of = _NONE
         self._save()
 
     def clear(self) -> None:
@@ -83,9 +83,7 @@ class Coords:
 
     def clear_g92(self) -> None:
         """G92.1: work begins where its system does."""
-        for i in range(self._axes):
-            self.g92[i] = 0.0
-        self._zero_of = _NONE
+        self.set_g92(vector(self._axes))
 
     def set_g92(self, values: "array[float]") -> None:
         """G92: work begins so far from where its system does."""
@@ -95,7 +93,6 @@ class Coords:
     def write(self, index: int, values: "array[float]") -> None:
         """Set and keep a system, or G28, G30."""
         self.systems[index][:] = values
-        self._zero_of = _NONE
         self._save()
 
     def zero(self, system: int) -> "array[float]":
