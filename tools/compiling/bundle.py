@@ -20,8 +20,7 @@ from .short_names import SHORT
 
 # Who calls this with the name of a module lets go of it: merged, it would stay in memory.
 _FORGET = "forget"
-# Of extras a user has one, or none, or his own. The rows of block's tables are objects, each of
-# which a collection has to keep in mind while it looks at a module's: it has room for 64.
+# Of extras a user has one, or none, or his own.
 _APART = ("extras",)
 
 
