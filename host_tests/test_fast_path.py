@@ -46,7 +46,7 @@ def test_a_plain_line_holds_nothing_that_could_be_wrong(
     known = array("i", [0] * (OFFSETS + 4))
     known[AXES], known[MODE], known[LASER], known[FEED] = 4, mode, laser, bits(feed)
     seen = read(bytearray(text.encode() + b"\0"), len(text), known)
-    if not seen:
+    if seen <= 0:
         return
     found, fault = read_words(text)
     letters = [letter for letter, _ in found]
@@ -83,6 +83,8 @@ class Bench:
         self.machine.configure()
         self.machine.planner.override()
         self.machine.canon.service = self.machine.planner.clear  # whoever waits finds room
+        if not short:
+            vars(self.machine.interpreter.fast)["execute"] = lambda _line, _length: False
 
     def tell(self, text: str) -> object:
         """Everything that comes of a line."""
@@ -94,8 +96,6 @@ class Bench:
                 gcode.execute(line, len(text))
         except GrblError as refusal:
             fault = refusal.code
-        if not self._short:
-            self.machine.state.change()
         row = [] if planner.empty() else list(planner.row() or ())
         modes = self.machine.modes
         found = (fault, list(modes.position), modes.feed, modes.spindle_rpm, modes.tool, row)

@@ -133,7 +133,8 @@ class Canon:
             self._soft_limit()
         if state.run == st.CHECK:
             return
-        self.service()
+        if state.pending[st.ANY] or state.suspend:
+            self.service()
         while found & FULL:
             self.auto_start()
             self.service()

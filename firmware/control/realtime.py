@@ -101,9 +101,10 @@ class Realtime:
         if state.pending[st.RESET]:
             raise Abort  # it has come since
         if state.pending[st.STATUS_REPORT]:
-            self._voice.send(self._voice.status())
+            report = self._voice.status()
             self._drive.pump()
-            state.pending[st.STATUS_REPORT] = 0  # what was asked meanwhile has been answered too
+            state.pending[st.STATUS_REPORT] = 0  # what was asked meanwhile is answered, too
+            self._voice.send(report)
         held = self._holds()
         if state.take(st.CYCLE_START) and not held:
             self._cycle_start()

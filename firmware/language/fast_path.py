@@ -2,9 +2,10 @@
 """The fast path: lines that do no more than move, from text to a planner block in one go.
 
 Nearly all lines of a program are G0 or G1 with places, and now and then F, S or N. What else they
-depend on stays the same until another kind of line comes, or State.changes counts on: look()
+depend on stays the same until another kind of line comes, or State.changes counts on: _look()
 works it out once, into a table of integers. Such a line then is one call of follow(). Whatever
 is less simple is for the interpreter, and what follow() does means the same as what that does.
+Behind lines of another kind nothing is known, until one comes that only moves.
 """
 
 from array import array
@@ -43,6 +44,7 @@ HAS_G0 = const(0x40)  # G0, which was not in force
 HAS_G1 = const(0x80)
 HAS_N = const(0x100)
 _NEWS = const(0xF0)
+ODD = const(-1)  # what is none of those, whatever is in force
 _F = const(4)  # the same as bit numbers
 _S = const(5)
 _G0 = const(6)
@@ -75,7 +77,7 @@ OFFSETS = const(22)
 
 @micropython.viper
 def read(text: ptr8, length: int, known: ptr32) -> int:
-    """What a line holds if it does no more than move; 0 if it does, or if a word is wrong.
+    """What a line holds if it does no more than move; ODD or 0 if it does, or if a word is wrong.
 
     Such have G0 and G1, X to Z and A, F, N and S, each once at the most, the last three not
     negative. Returns a mask of axes and of what is new, the public names above.
@@ -98,7 +100,9 @@ def read(text: ptr8, length: int, known: ptr32) -> int:
             bit = _S
         elif letter == 78:  # N
             bit = _N
-        pos = int(number(text, pos + 1, known, VALUES + bit)) if bit < _NO_LETTER else 0
+        if bit == _NO_LETTER:
+            return ODD
+        pos = int(number(text, pos + 1, known, VALUES + bit))
         if pos == 0:
             return 0
         value = known[VALUES + bit]
@@ -108,7 +112,7 @@ def read(text: ptr8, length: int, known: ptr32) -> int:
             if value == 0x3F800000:  # the float 1
                 bit += 1
             elif value:
-                return 0
+                return ODD
         elif bit > 3 and signs[4 * (VALUES + bit) + 3] & 128:
             return 0
         elif bit == _N and value >> 7 >= 0x96312D:  # ten million
@@ -184,7 +188,7 @@ def follow(
     if known[AXES] == 0 or known[_POWER] == _UNTOLD or known[_CHANGES] != changes[0]:
         return 0
     seen = int(read(text, length, known))
-    if seen == 0 or seen & (_NEWS - HAS_S):
+    if seen <= 0 or seen & (_NEWS - HAS_S):
         return 0
     place(known, seen, position, target)
     found = int(judge(target, travel, flow))
@@ -281,11 +285,15 @@ class FastPath:
 
         return follow_line
 
-    def look(self) -> None:
-        """A line went the long way: see whether those that only move have a shorter one now."""
+    def forget(self) -> None:
+        """A line went the long way: what was known may be so no more."""
+        self._known[AXES] = 0
+        self._asked = False
+
+    def _look(self) -> None:
+        """See whether lines that only move may go the shorter way now."""
         modes, coords, known = self._modes, self._coords, self._known
         modal = modes.modal
-        self._asked = False
         known[_CHANGES] = self._state.changes[0]
         known[AXES] = 0
         if (
@@ -327,9 +335,11 @@ class FastPath:
         """Execute a line that does no more than move; False where it does, and nothing has
         changed."""
         known = self._known
-        is_known = known[AXES] and known[_CHANGES] == self._state.changes[0]
-        seen = read(line, length, known) if is_known else 0
-        if not seen:
+        seen = read(line, length, known)
+        if seen != ODD and not (known[AXES] and known[_CHANGES] == self._state.changes[0]):
+            self._look()
+            seen = read(line, length, known)
+        if seen <= 0:
             return False
         if seen & _NEWS:
             self._take_news(seen)

@@ -126,7 +126,7 @@ class Interpreter:
             block.read(line, 0, length, modes.modal)
             checks.check(modes, self._coords, block, False)
             self._apply(block)
-            self.fast.look()
+            self.fast.forget()
         self._canon.finish()
         self.fast.tell()
 

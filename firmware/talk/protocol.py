@@ -129,6 +129,7 @@ class Protocol:
                         except (GrblError, OSError, Abort) as reason:
                             self._refuse(reason, b"")
                         else:
+                            pump()
                             write(ok)
             except Abort:
                 self._tell_alarm()

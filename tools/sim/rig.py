@@ -106,6 +106,7 @@ class Rig:
                 self.controller = wiring.build(
                     self.board, self.link, self.port, self.engine, self.store
                 )
+                self._give_reports_time()
                 if self.on_built:
                     self.on_built()
                 self.controller.power_up()
@@ -116,6 +117,19 @@ class Rig:
                 self.link.power_off()
             if not self._cycle:
                 return
+
+    def _give_reports_time(self) -> None:
+        """A status report takes its time before it is sent: what is asked meanwhile is answered."""
+        report = self.controller.report
+        status = report.status
+
+        def made() -> memoryview:
+            text = status()
+            self.pass_time(self.now + self.answer_ticks)
+            return text
+
+        if self.answer_ticks:
+            vars(report)["status"] = made
 
     def cycle_power(self) -> None:
         """Called by the script: the firmware starts anew, memory kept, once the script yields."""
