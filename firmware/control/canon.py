@@ -108,7 +108,8 @@ class Canon:
 
     def line(self, target: "array[float]", move: "Move") -> None:
         """A straight line: rapid or feed, by the move's flags. Made by finish()."""
-        self.finish()
+        if self._asked:
+            self.finish()
         self._target = target
         self._move = move
         self._asked = True

@@ -7,6 +7,7 @@ which decides the number that a block with two faults gets.
 
 import math
 
+import micropython
 from base import errors
 from base.errors import GrblError
 from base.f32 import f32, whole
@@ -71,8 +72,10 @@ def check(modes: "Modes", coords: "Coords", block: "Block", jog: bool) -> None:
     if claim == b.AXES_TOOL_LENGTH and ints[TOOL_LENGTH]:
         if axis_words != 1 << coords.length_axis:
             raise GrblError(errors.GCODE_G43_DYNAMIC_AXIS_ERROR)
-    if claim or ints[b.NON_MODAL]:
+    if ints[b.NON_MODAL]:
         unused &= ~_non_modal(modes, coords, block)
+    elif axis_words and claim != b.AXES_TOOL_LENGTH:
+        _target(modes, coords, block)
     unused &= ~_motion(modes, block)
     unused &= ~(b.WORD_F if jog else b.WORD_F | b.WORD_S | b.WORD_T)
     if ints[b.CLAIM]:
@@ -195,10 +198,16 @@ def _target(modes: "Modes", coords: "Coords", block: "Block") -> None:
             add(coords.zero(ints[SYSTEM]), 0, xyz, len(position))
             if coords.tool_length:
                 xyz[coords.length_axis] += coords.tool_length
-    words = ints[b.WORDS]
-    for i in range(len(position)):
-        if not words >> i & 1:
+    stay(position, xyz, ints[b.WORDS], len(position))
+
+
+@micropython.viper
+def stay(position: ptr32, xyz: ptr32, words: int, axes: int) -> int:
+    """Axes without a word, a bit of words each, stay at their position."""
+    for i in range(axes):
+        if (words >> i) & 1 == 0:
             xyz[i] = position[i]
+    return 0
 
 
 def _motion(modes: "Modes", block: "Block") -> int:

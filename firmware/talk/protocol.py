@@ -129,7 +129,9 @@ class Protocol:
                         except (GrblError, OSError, Abort) as reason:
                             self._refuse(reason, b"")
                         else:
-                            pump()
+                            every_other = not every_other
+                            if every_other:
+                                pump()
                             write(ok)
             except Abort:
                 self._tell_alarm()
