@@ -26,6 +26,8 @@ FLOOD = 21
 MIST = True
 MIST_PIN = 23
 
+# Small moves at high speed want a long look ahead.
+PLANNER_BLOCKS = 64
 RX_BYTES = 255
 PWM_MAX = 1000
 

@@ -31,6 +31,8 @@ CONTROL_DEBOUNCE_MS = 20
 # Spindle controllers that turn PWM into 0 to 10 V like it slow.
 PWM_HZ = 1000
 
+# Small moves at high speed want a long look ahead.
+PLANNER_BLOCKS = 64
 RX_BYTES = 255
 PWM_MAX = 1000
 DEFAULTS = {0: 5}

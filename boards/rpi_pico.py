@@ -22,5 +22,7 @@ FLOOD = 18
 # Held to ground at power-up: MicroPython's prompt in place of the machine.
 REPL_PIN = 22
 
+# Small moves at high speed want a long look ahead.
+PLANNER_BLOCKS = 64
 RX_BYTES = 255
 PWM_MAX = 1000

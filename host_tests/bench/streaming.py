@@ -68,7 +68,7 @@ class Streamed:
 
 
 def stream(talk: Talk, lines: "list[str]", blocks: int, query_every_us: float = 0) -> Streamed:
-    """Send lines by character counting; the first tenth is not counted."""
+    """Send lines by character counting; those with which the planner fills up are not counted."""
     wire = talk.wire
     under_way: deque[int] = deque()
     answered = sent = 0
@@ -78,7 +78,7 @@ def stream(talk: Talk, lines: "list[str]", blocks: int, query_every_us: float = 
     latencies: list[float] = []
     first: list[float] = []
     waiting = blocks
-    skip = len(lines) // 10
+    skip = min(len(lines) // 10 + blocks, len(lines) // 2)
     wire.received.clear()
     while answered < len(lines):
         while sent < len(lines) and sum(under_way) + len(lines[sent]) + 1 <= WINDOW:

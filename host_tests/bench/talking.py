@@ -24,7 +24,7 @@ from wire import EmulatedWire, Talk
 
 _ASKED = 700  # short moves per second
 _TOO_MUCH = 1200  # the same where the firmware is to be the limit
-_BLOCKS = 15
+_BLOCKS = 63
 _QUERY_US = 40_000
 
 
@@ -113,16 +113,16 @@ def lines(bench: Bench) -> Iterator[Row]:
     """Streams of short moves, by character counting."""
     talk = bench.talk(MAIN)
     _at_start(talk)
-    made = stream(talk, list(short_moves(200, _ASKED)), _BLOCKS, query_every_us=_QUERY_US)
+    made = stream(talk, list(short_moves(250, _ASKED)), _BLOCKS, query_every_us=_QUERY_US)
     yield Row(f"short moves, {_ASKED} asked, ? every 40 ms", made.lines_s, "lines/s", "streamed")
     yield Row("least blocks in the planner then", made.waiting)
     yield from _queried(made)
     _at_start(talk)
-    made = stream(talk, list(short_moves(200, _TOO_MUCH)), _BLOCKS)
+    made = stream(talk, list(short_moves(250, _TOO_MUCH)), _BLOCKS)
     yield Row(f"short moves, {_TOO_MUCH} asked", made.lines_s, "lines/s", "streamed")
     idle(talk)
     talk.ask("$C")
-    made = stream(talk, list(short_moves(200)), _BLOCKS)
+    made = stream(talk, list(short_moves(250)), _BLOCKS)
     yield Row("short moves, check mode", made.lines_s, "lines/s", "checked")
     _leave_check(talk)
 
@@ -148,7 +148,7 @@ def special_lines(bench: Bench) -> Iterator[Row]:
     for line in ("$32=1", "M4S0", "G90G1X10Y10F9000"):
         talk.ask(line)
     idle(talk)
-    made = stream(talk, list(raster(120)), _BLOCKS)
+    made = stream(talk, list(raster(180)), _BLOCKS)
     yield Row("raster, G1 X S in M4", made.lines_s, "lines/s")
     _at_start(talk)
     made = stream(talk, list(arcs(8)), _BLOCKS)
