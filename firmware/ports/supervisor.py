@@ -12,6 +12,7 @@ A write to flash, and one to a host that does not read, may take longer: they sa
 import sys
 
 import micropython
+from base.times import NEGATIVE
 from machine import Timer
 from micropython import const
 
@@ -31,19 +32,6 @@ _SOFT_TIMER = const(3)  # 0 is the engine's, 1 and 2 the port's
 _FAILED = const(-1)
 
 
-@micropython.viper
-def count(shared: ptr32, beat_ms: int) -> int:
-    """One beat more. Returns for how many ms the main loop has been away; 0: it has turned."""
-    if shared[TURNED]:
-        shared[TURNED] = 0
-        shared[AWAY] = 0
-        return 0
-    shared[AWAY] += beat_ms
-    if shared[AWAY] == 0:
-        shared[AWAY] = 1  # it has been away for all of what it was allowed
-    return shared[AWAY]
-
-
 class Supervisor:
     """Watches over a link, an engine and a port. limit_ms: how long the main loop may be away."""
 
@@ -53,7 +41,8 @@ class Supervisor:
         self._shared = link.shared
         self._look = link.look
         link.come_back = self.tell
-        self._halt = (port.kill, engine.stop)  # in this order
+        self._kill = port.kill
+        self._stop = engine.stop
         self._limit_ms = limit_ms
         hard = sys.platform == "rp2"
         self._beat_ms = _HARD_MS if hard else _SOFT_MS
@@ -76,26 +65,44 @@ class Supervisor:
         """The main loop may be away for so much longer, this time."""
         self._shared[AWAY] = -ms
 
-    def _beat(self, _timer: object) -> None:
-        """Interrupt. Catches all, for MicroPython would not call it again."""
-        shared = self._shared
+    @micropython.viper
+    def _beat(self, _timer: object) -> int:
+        """Interrupt. Catches all, for MicroPython would not call it again.
+
+        Kernel and all: as bytecode it took twice the time, at every beat.
+        """
+        shared = ptr32(self._shared)
+        away = 0
         try:
-            count(shared, self._beat_ms)
-            away = shared[AWAY]  # not what viper returns: 64 bits have no sign there
-            if away < self._limit_ms:
-                if away == 0 and self._feed:
+            if shared[TURNED]:
+                shared[TURNED] = 0
+                shared[AWAY] = 0
+            else:
+                shared[AWAY] += int(self._beat_ms)
+                if shared[AWAY] == 0:
+                    shared[AWAY] = 1  # it has been away for all of what it was allowed
+            if shared[AWAY] & NEGATIVE == 0 and shared[AWAY] >= int(self._limit_ms):
+                away = shared[AWAY]
+                shared[STOPPED] = away
+            else:
+                if shared[AWAY] == 0 and self._feed:
                     self._feed()
-                if self._look and self._look():
-                    self._on_reset()
-                return
-            shared[STOPPED] = away
-        except BaseException:
+                if self._look:
+                    if int(self._look()):
+                        self._on_reset()
+        except:  # noqa: E722
+            away = 1
             shared[STOPPED] = _FAILED
-        for stop in self._halt:
+        if away:
             try:
-                stop()
-            except BaseException:
+                self._kill()
+            except:  # noqa: E722
                 shared[STOPPED] = _FAILED
+            try:
+                self._stop()
+            except:  # noqa: E722
+                shared[STOPPED] = _FAILED
+        return 0
 
     def tell(self) -> None:
         """The main loop is back. Raises RuntimeError, which says why the machine was stopped."""

@@ -119,7 +119,7 @@ class Rig:
                 return
 
     def _give_reports_time(self) -> None:
-        """A status report takes its time before it is sent: what is asked meanwhile is answered."""
+        """A status report takes its time to make: what is asked meanwhile is answered by it."""
         report = self.controller.report
         status = report.status
 
