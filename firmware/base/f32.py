@@ -3,7 +3,7 @@
 
 A board computes in single precision by itself; the desktop has doubles. Where
 a reply or a step count depends on rounding, each result goes through f32(),
-which costs a board nothing worth naming.
+which `ugrbl build` leaves out.
 """
 
 from array import array
