@@ -75,6 +75,7 @@ class ProgramLink(machine.UntimedLink):
         self._unanswered: deque[tuple[int, int]] = deque()  # line number, bytes
         self._unanswered_bytes = 0
         self._alone = False  # what was sent last is to be answered before anything else is sent
+        self._full = False  # the next line does not fit, until another is answered
         self._last = 0  # line answered last
         self._out = bytearray()
         self._in = ""
@@ -86,11 +87,11 @@ class ProgramLink(machine.UntimedLink):
 
     def read_into(self, buf: bytearray) -> int:
         """The next lines; time passes where the firmware has no use for any."""
-        if self._greeted and not self._out:
+        if self._greeted and not self._out and not self._full:
             self._fetch()
         if not self._out:
             self._looks += 1
-            if self._looks > _LOOKS:
+            if self._looks > _LOOKS or self._waits_for_room():
                 self._pass_time()
             return 0
         self._looks = 0
@@ -118,6 +119,7 @@ class ProgramLink(machine.UntimedLink):
                 self._answer(line)
         elif line.startswith("Grbl "):
             self._greeted = True
+            self._full = False
             self._unanswered.clear()
             self._unanswered_bytes = 0
         elif line:
@@ -126,6 +128,7 @@ class ProgramLink(machine.UntimedLink):
     def _answer(self, line: str) -> None:
         self._last, length = self._unanswered.popleft()
         self._unanswered_bytes -= length
+        self._full = False
         if self._last == 0:
             self.replies.append(line)
             return
@@ -154,6 +157,7 @@ class ProgramLink(machine.UntimedLink):
         while self._step is not None or self.at_rest():
             if self._step is not None:
                 if not self._fits(self._step[1]):
+                    self._full = True
                     return
                 self._send(*self._step)
             try:
@@ -178,6 +182,7 @@ class ProgramLink(machine.UntimedLink):
 
     def stop(self, why: str) -> None:
         """Send nothing more."""
+        self._full = False
         if not self.result.stopped:
             self.result.stopped = why
 
@@ -191,6 +196,20 @@ class ProgramLink(machine.UntimedLink):
         return rig.controller.state.run in (state.IDLE, state.CHECK, state.ALARM)
 
     # Time
+
+    def _waits_for_room(self) -> bool:
+        """Nothing can happen before the motors have made a block."""
+        from base import state
+        from motion.layout import HEAD, ROWS, TAIL
+
+        controller = self.rig.controller
+        flow, machine = controller.planner.flow, controller.state
+        return (
+            (flow[HEAD] + 1 - flow[TAIL]) % flow[ROWS] == 0
+            and machine.run == state.RUN
+            and not (machine.suspend or machine.pending[state.ANY])
+            and self.rig.moving()
+        )
 
     def _pass_time(self) -> None:
         from base import state

@@ -136,11 +136,12 @@ class Recorder:
     def _note(self, row: int) -> None:
         """A row of the ring has been planned."""
         layout = self._layout
-        at = row * self._planner.flow[layout.ROW_SIZE]
-        steps = self._planner.ring[at + layout.STEPS :][: len(self._axes)]
-        dirs = self._planner.ring[at + layout.DIRS]
-        for i in self._axes:
-            self._planned[i] += steps[i]
+        at = row * self._planner.flow[layout.ROW_SIZE] + layout.STEPS
+        steps = self._planner.ring[at : at + len(self._axes)]
+        dirs = self._planner.ring[at - layout.STEPS + layout.DIRS]
+        planned = self._planned
+        for i, count in enumerate(steps):
+            planned[i] += count
         self._mm_per_step = [1 / (resolution or 1.0) for resolution in self._settings.steps_per_mm]
         signed = [-n if dirs >> i & 1 else n for i, n in enumerate(steps)]
         self._distance_mm += hypot(*self._to_mm(signed))
@@ -152,10 +153,10 @@ class Recorder:
             self._begun = start
         self._ended = start + row[layout.ROW_TICKS]
         dirs = row[layout.ROW_DIRS] ^ self._rig.engine.dir_invert  # as the firmware means them
-        for i in self._axes:
-            count = row[layout.ROW_AXES + layout.ROW_STRIDE * i]
-            self._made[i] += count
-            self._place[i] += -count if dirs >> i & 1 else count
+        made, place = self._made, self._place
+        for i, count in enumerate(row[layout.ROW_AXES :: layout.ROW_STRIDE]):
+            made[i] += count
+            place[i] += -count if dirs >> i & 1 else count
         at = self._to_mm(self._place)
         self._extend(at)
         self._moved(start, row, at)

@@ -275,16 +275,33 @@ class SimEngine:
     def _finish(self, ticks: int) -> None:
         """Account for the steps made in the running segment, which ends after `ticks`."""
         row = self._queue[self._head]
+        if ticks == row[ROW_TICKS] and not self._locked:
+            self._add_whole(row, ticks)
+        else:
+            self._cut(row, ticks)
+        row[ROW_TICKS] = ticks
+        if self.trace:
+            self.trace(self._start, row)
+
+    def _add_whole(self, row: "array[int]", ticks: int) -> None:
+        """A segment has been made to its end."""
+        dirs, physical = row[ROW_DIRS], self._physical
+        for i in range(self._axes):
+            base = ROW_AXES + ROW_STRIDE * i
+            made = row[base]
+            if made:
+                if row[base + 2] > ticks:
+                    made = steps_until(row, base, ticks)
+                physical[i] += -made if dirs >> i & 1 else made
+
+    def _cut(self, row: "array[int]", ticks: int) -> None:
+        """A segment ends early, or without the steps of a motor: it has only those made."""
         for i in range(self._axes):
             base = ROW_AXES + ROW_STRIDE * i
             made = self._made(row, i, ticks)
             self._physical[i] += made
-            if ticks < row[ROW_TICKS] or self._locked:
-                row[base + 2] = step_tick(row, base, abs(made) - 1) if made else 0
-                row[base] = abs(made)
-        row[ROW_TICKS] = ticks
-        if self.trace:
-            self.trace(self._start, row)
+            row[base + 2] = step_tick(row, base, abs(made) - 1) if made else 0
+            row[base] = abs(made)
 
     def _split(self) -> None:
         """Cut the running segment in two at this moment: a lock acts on what is left of it."""
