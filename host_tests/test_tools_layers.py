@@ -15,7 +15,7 @@ ROOMS: "dict[str, tuple[str, ...]]" = {
     "sim": (),
     "boardfile": ("grbl", "sim"),
     "compiling": ("boardfile",),
-    "run": ("grbl", "sim", "boardfile"),
+    "run": ("grbl", "sim", "boardfile", "compiling"),
     "draw": ("grbl", "sim", "boardfile", "run"),
     "replay": ("boardfile", "compiling"),
     "device": ("grbl", "boardfile", "compiling", "run"),

@@ -1,7 +1,8 @@
 """`make bench`: how fast the firmware runs on this desktop, as ratios within one run.
 
 Times of a shared machine mean little by themselves; so a plain Python loop is timed before and
-after, and figures are told beside it: a line costs so many turns of that loop.
+after, and figures are told beside it: a line costs so many turns of that loop. Kernels
+are compiled where there is a C compiler; UGRBL_VIPER=fast runs them as Python.
 """
 
 from statistics import median
@@ -15,8 +16,10 @@ _RUNS = 3
 _SETTINGS = ("$110=5000", "$111=5000", "$112=2000", "$120=500", "$121=500", "$122=300")
 _SHORT = [
     b"G91 F1200",
-    *(b"G1X0.0%dY0.0%dF12%02d" % (3 + i % 5, 6 - i % 5, i % 100) for i in range(6000)),
+    *(b"G1X0.0%dY0.0%d" % (3 + i % 5, 6 - i % 5) for i in range(50_000)),
 ]
+# A new feed rate on each of them.
+_FEEDS = [line + b"F12%02d" % (i % 100) for i, line in enumerate(_SHORT[1:6001])]
 
 
 def _loop_s() -> float:
@@ -42,12 +45,14 @@ def _measure(name: str, lines: "list[bytes]", check: bool = False) -> str:
         )
     line, turns, speed = (median(column) for column in zip(*figures, strict=True))
     real = "" if check else f"{speed:8.1f} times real time"
-    return f"{name:<22}{1 / line:8.0f} lines/s {turns:8.0f} loop turns a line{real}"
+    return f"{name:<24}{1 / line:8.0f} lines/s {turns:8.0f} loop turns a line{real}"
 
 
 def main() -> None:
     badge = (EXAMPLES / "badge.nc").read_bytes().splitlines()
     print(_measure("short moves", _SHORT))
+    print(_measure("the same, check mode", _SHORT, check=True))
+    print(_measure("each with a new F", [_SHORT[0], *_FEEDS]))
     print(_measure("badge.nc", badge))
     print(_measure("badge.nc, check mode", badge, check=True))
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from .. import paths
 from ..boardfile.files import load_board
+from ..compiling import kernels
 from ..grbl.messages import meaning
 from ..grbl.settings_file import Firmware, SettingsError
 from .file_store import FileStore
@@ -57,6 +58,7 @@ def build(
     ValueError for a file that cannot be one.
     """
     paths.use_firmware()
+    kernels.use()
     from ..sim.replay import factory_store
     from ..sim.rig import MemoryStore, Rig
 

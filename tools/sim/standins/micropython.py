@@ -4,7 +4,8 @@ Checked (the default): whatever would wrap or go wrong in silence on the board r
 outside signed 32 bits, division by zero, shift counts outside 0..31, floats, negative indices.
 Literals of 2**30 and more are heap objects there: refused, unless written int(literal).
 
-Fast (UGRBL_VIPER=fast, or VIPER = "fast" here before the firmware is imported): casts only.
+Fast (UGRBL_VIPER=fast, or VIPER = "fast" here before the firmware is imported): casts only. Then
+`compiled` may have the function ready made (compiling/kernels.py): it raises in the same places.
 
 Pointers are memoryviews: ptr32 holds signed words, ptr16 and ptr8 unsigned ones. An index past the
 end, or a value that does not fit, raises in both modes. What is not modelled does not exist.
@@ -25,6 +26,8 @@ _Value = TypeVar("_Value")
 _Result = TypeVar("_Result")
 
 VIPER = os.environ.get("UGRBL_VIPER", "checked")
+# In the fast mode, asked for each function by module and name: the same, compiled; or None.
+compiled: "Callable[[str, str], Any] | None" = None
 
 _WORD_LIMIT = 1 << 31
 _SMALL_INT_LIMIT = 1 << 30
@@ -58,6 +61,8 @@ def kbd_intr(char: int, /) -> None:
 def viper(function: Callable[..., _Result], /) -> Callable[..., _Result]:
     """Compile function anew: pointer casts at entry and, unless VIPER is "fast", all checks."""
     plain = cast(FunctionType, function)
+    if VIPER == "fast" and compiled and (made := compiled(plain.__module__, plain.__qualname__)):
+        return cast("Callable[..., _Result]", made)
     node = _definition(plain)
     _check_signature(plain, node)
     casts, checks = _POINTER_CASTS, {} if VIPER == "fast" else _INT_CHECKS
@@ -70,6 +75,10 @@ def viper(function: Callable[..., _Result], /) -> Callable[..., _Result]:
         if _type(argument) in entry
     ]
     return cast("Callable[..., _Result]", _compile(plain, node))
+
+
+# Views that are kept, by id: as good as what they show.
+kept_views: dict[int, memoryview] = {}
 
 
 class _Pointer:
@@ -85,12 +94,22 @@ class _Pointer:
         view = self.views.get(id(memory))
         if view is None:
             view = memoryview(memory).cast("B").cast(cast(Any, self._code))
-            if isinstance(memory, (array, bytearray)):
-                if len(self.views) >= _VIEWS_KEPT:
-                    self.views.clear()
+            is_kept = kept_views.get(id(memory)) is memory
+            if is_kept or isinstance(memory, (array, bytearray)):
+                if len(kept_views) >= _VIEWS_KEPT:
+                    _forget_views()
+                if is_kept:
+                    kept_views[id(memory)] = memory
                 # The view too: one viper function may hand its pointer to another.
-                self.views[id(memory)] = self.views[id(view)] = view
+                self.views[id(memory)] = self.views[id(view)] = kept_views[id(view)] = view
         return view
+
+
+def _forget_views() -> None:
+    """All at once, for a view may be known by the id of another."""
+    kept_views.clear()
+    for pointer in _POINTERS.values():
+        pointer.views.clear()
 
 
 class _Registers:

@@ -1,0 +1,217 @@
+"""Kernels compiled for the desktop do what the same functions do as Python, and raise where they
+do; without a C compiler nothing is missing."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from array import array
+from pathlib import Path
+
+import pytest
+from test_both_pythons import PATHS, STANDINS
+from ugrbl.compiling import build, kernels, native
+from ugrbl.paths import EXAMPLES
+
+needs_compiler = pytest.mark.skipif(
+    os.name != "posix" or not shutil.which(os.environ.get("CC", "cc").split()[0]),
+    reason="no C compiler",
+)
+
+# Segments of a program, every one, and what was answered.
+_TRACE = """
+import hashlib, json, sys
+from ugrbl.run.program import watch_program
+from ugrbl.run.recorder import Recorder
+
+class Watcher(Recorder):
+    rows = hashlib.sha256()
+    def _segment(self, start, row):
+        self.rows.update(b"%d %s" % (start, row.tobytes()))
+        super()._segment(start, row)
+
+lines = sys.stdin.buffer.read().splitlines()
+result, watcher = watch_program(lines, Watcher, "sim", ["$32=1"], None)
+from motion.segment_kernel import fill
+print(json.dumps([result.as_json(), watcher.rows.hexdigest(), fill.__name__]))
+"""
+_MIXED = b"""\
+G20 G91 G17 M4 S300
+G1 X.5 Y.25 F20
+X.01 S900
+X.01 S0
+G2 X.3 Y0 I.15 J0
+G21 G90
+G3 X2 Y2 Z1 R30 F900
+(a comment) g1x1.00001y-3e ; refused
+N17 G0 X0 Y0 Z0
+G4 P.1
+M5
+G38.2 X1
+"""
+
+
+def run(program: bytes, folder: Path, **environment: str) -> "tuple[object, str, str]":
+    """What comes of it in a process of its own: the result, its segments, a kernel's name."""
+    inherited = {name: v for name, v in os.environ.items() if name != "UGRBL_VIPER"}
+    done = subprocess.run(
+        [sys.executable, "-c", _TRACE],
+        input=program,
+        capture_output=True,
+        check=False,
+        env={**inherited, "UGRBL_MAPS": str(folder / "maps"), **environment},
+    )
+    assert done.returncode == 0, done.stderr.decode()
+    result, segments, name = json.loads(done.stdout)
+    return result, segments, name
+
+
+@pytest.fixture(scope="session")
+def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the library; made by the first run."""
+    folder = tmp_path_factory.mktemp("native")
+    run(b"G0X1\n", folder)
+    return folder
+
+
+@needs_compiler
+@pytest.mark.parametrize("program", [_MIXED, (EXAMPLES / "badge.nc").read_bytes()[:20_000]])
+def test_compiled_kernels_make_the_same_segments(compiled: Path, program: bytes) -> None:
+    *fast, name = run(program, compiled)
+    *plain, plain_name = run(program, compiled, UGRBL_VIPER="fast")
+    assert fast == plain
+    assert (name, plain_name) == ("<lambda>", "fill")
+
+
+@needs_compiler
+@pytest.mark.parametrize("part", ["reals", "words", "blocks", "arcs"])
+def test_compiled_kernels_compute_the_same_integers(compiled: Path, part: str) -> None:
+    paths = [str(STANDINS), *map(str, PATHS)]
+    start = f"""\
+import sys
+sys.path[:0] = {paths}
+sys.argv[1:] = [{part!r}]
+from ugrbl.compiling import kernels
+import micropython
+micropython.VIPER = "fast"
+kernels.use()
+import vectors
+vectors.main()
+"""
+    inherited = {name: v for name, v in os.environ.items() if name != "UGRBL_VIPER"}
+    said = []
+    for environment in ({}, {"UGRBL_VIPER": "fast"}):
+        done = subprocess.run(
+            [sys.executable, "-c", start],
+            capture_output=True,
+            text=True,
+            check=False,
+            env={**inherited, "UGRBL_MAPS": str(compiled / "maps"), **environment},
+        )
+        assert done.returncode == 0, done.stderr
+        said.append(done.stdout)
+    assert said[0] == said[1]
+    assert len(said[0].splitlines()) > 300
+
+
+def library(folder: Path, text: str) -> "dict[tuple[str, str], kernels.Kernel]":
+    """Kernels of a made-up module."""
+    c, made = folder / "made.c", folder / "made.so"
+    c.write_text(native.in_c({"base.made": "import micropython\n" + text}))
+    command = [os.environ.get("CC", "cc"), *kernels._FLAGS, "-o", str(made), str(c)]
+    subprocess.run(command, check=True)
+    return kernels._bound(made)
+
+
+_FAULTS = """
+@micropython.viper
+def at(p: ptr32, i: int) -> int:
+    return p[i]
+
+@micropython.viper
+def put(p: ptr16, i: int, value: int) -> int:
+    p[i] = value
+    return 0
+
+@micropython.viper
+def share(a: int, b: int) -> int:
+    return a // b
+
+@micropython.viper
+def shift(a: int, b: int) -> int:
+    return a >> b
+
+@micropython.viper
+def ask(who: object) -> int:
+    answer = int(who(7))
+    return answer + 1
+
+@micropython.viper
+def mixed(p: ptr32, k: int, a: int) -> int:
+    q = ptr8(p)
+    p[k] += a
+    q[4] |= 1
+    total = 0
+    for i in range(1, 4):
+        if i == 2:
+            continue
+        total = total * 10 + i
+    return (total or a) + (a and k) + ((0 - a) % 7) + ((0 - a) // 7) + (not a)
+"""
+
+
+@needs_compiler
+def test_what_would_go_wrong_in_silence_raises(tmp_path: Path) -> None:
+    made = {name: kernel for (_, name), kernel in library(tmp_path, _FAULTS).items()}
+    words, halves = array("i", [5, 6]), array("H", [0, 0])
+    assert made["at"](words, 1) == 6
+    for index in (2, -1):
+        with pytest.raises(IndexError):
+            made["at"](words, index)
+    made["put"](halves, 1, 0xFFFF)
+    for value in (-1, 0x10000):
+        with pytest.raises(OverflowError):
+            made["put"](halves, 1, value)
+    assert halves[1] == 0xFFFF
+    assert made["share"](-7, 2) == -4
+    with pytest.raises(ZeroDivisionError):
+        made["share"](1, 0)
+    assert made["shift"](-5, 1) == -3
+    with pytest.raises(OverflowError):
+        made["shift"](1, 32)
+    with pytest.raises(KeyError):
+        made["ask"]({}.__getitem__)
+    assert made["ask"]({7: 8}.__getitem__) == 9
+    assert made["mixed"](words, 1, 3) == 13 + 1 + 4 - 1
+    assert list(words) == [5, 9]
+    assert made["at"](memoryview(words)[1:], 0) == 9
+
+
+def test_every_kernel_is_translated() -> None:
+    listed = set(re.findall(r'^ +"(\S+) (\S+)', native.in_c(build.texts()), re.MULTILINE))
+    assert {("motion.plan_kernel", "plan"), ("language.fast_path", "follow")} <= listed
+    assert len(listed) > 40
+
+
+def test_a_form_that_is_not_known_is_refused() -> None:
+    text = "@micropython.viper\ndef f(a: int) -> int:\n    return strange(a)\n"
+    with pytest.raises(native.NotForC, match=r"strange\(a\)"):
+        native.in_c({"base.made": text})
+
+
+def test_without_a_compiler_the_same_runs_as_python(tmp_path: Path) -> None:
+    name = run(b"G0X1\n", tmp_path, CC="no-such-compiler")[2]
+    assert name == "fill"
+    assert not (tmp_path / "kernels").exists()
+
+
+def test_a_compiler_that_fails_is_asked_once(tmp_path: Path) -> None:
+    failing = tmp_path / "cc"
+    failing.write_text(f"#!/bin/sh\necho >> {tmp_path}/asked\necho no headers >&2\nexit 1\n")
+    failing.chmod(0o755)
+    for _ in range(2):
+        assert run(b"G0X1\n", tmp_path, CC=str(failing))[2] == "fill"
+    assert (tmp_path / "asked").read_text() == "\n"
+    assert "no headers" in next((tmp_path / "kernels").glob("*.log")).read_text()

@@ -1,0 +1,167 @@
+"""Kernels compiled on this computer, where it has a C compiler: kept, and used by the simulator.
+
+The C text (native.py) follows from the sources that are here, and so does the name under which
+its library lies in the user's folder: there is none that is out of date. Where something is in
+the way, the stand-in for `micropython` runs the same functions as Python.
+"""
+
+import ctypes
+import hashlib
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from .. import paths
+from . import build, maps, native
+
+_FLAGS = ("-O2", "-fwrapv", "-fPIC", "-shared", "-w")
+_ON_A_MAC = ("-Wl,-undefined,dynamic_lookup",)  # of Python's own functions
+_TRANSLATOR = ("native.py", "forms.py", "inline.py", "modules.py")
+_PATIENCE_S = 120
+_MOST_LIBRARIES = 10  # of 80 kB each
+_MOST_KEPT = 1000
+
+Kernel = Callable[..., int]
+
+
+def use() -> None:
+    """Have the firmware's kernels compiled, from the next import of a module of it on.
+
+    UGRBL_VIPER in the environment wants them as Python.
+    """
+    if "UGRBL_VIPER" in os.environ:
+        return
+    import micropython
+
+    library = find()
+    if library is not None:
+        found = _bound(library)
+        micropython.compiled = lambda module, name: found.get((module, name))
+
+
+def find() -> Path | None:
+    """The library of the kernels that are here; made, if need be. None where that cannot be."""
+    compiler = shlex.split(os.environ.get("CC", "cc"))
+    if os.name != "posix" or not compiler:
+        return None
+    library = maps.folder().with_name("kernels") / f"{_digest(compiler)}.so"
+    failed = library.with_suffix(".log")
+    if not library.exists() and not failed.exists() and shutil.which(compiler[0]):
+        library.parent.mkdir(parents=True, exist_ok=True)
+        if why := _make(compiler, library):
+            failed.write_text(why, encoding="utf-8")  # once is enough
+        _tidy(library.parent)
+    return library if library.exists() else None
+
+
+def _tidy(folder: Path) -> None:
+    """Those of sources that were here long ago go."""
+    files = sorted(folder.glob("*.*"), key=lambda file: file.stat().st_mtime)
+    for old in files[:-_MOST_LIBRARIES]:
+        old.unlink(missing_ok=True)
+
+
+def _digest(compiler: list[str]) -> str:
+    digest = hashlib.sha256(f"{compiler} {_FLAGS} {platform.machine()} {sys.version}".encode())
+    for ours in _TRANSLATOR:
+        digest.update((paths.TOOLS / "compiling" / ours).read_bytes())
+    for source in build.sources():
+        digest.update((paths.FIRMWARE / source).read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _make(compiler: list[str], library: Path) -> str:
+    """Compile them. Returns what is in the way."""
+    with TemporaryDirectory(dir=library.parent) as folder:
+        text, made = Path(folder, "kernels.c"), Path(folder, "kernels.so")
+        try:
+            text.write_text(native.in_c(build.texts()), encoding="utf-8")
+        except native.NotForC as form:
+            return f"the translator does not know {form}\n"
+        flags = (*_FLAGS, *(_ON_A_MAC if sys.platform == "darwin" else ()))
+        command = [*compiler, *flags, "-o", str(made), str(text)]
+        try:
+            done = subprocess.run(command, capture_output=True, timeout=_PATIENCE_S, check=False)
+        except (OSError, subprocess.SubprocessError) as error:
+            return f"{shlex.join(command)}\n{error}\n"
+        if done.returncode or not made.exists():
+            return f"{shlex.join(command)}\n{done.stderr.decode(errors='replace')}"
+        made.replace(library)
+        return ""
+
+
+@lru_cache(1)
+def _bound(library: Path) -> dict[tuple[str, str], Kernel]:
+    """The kernels, by module and name, as Python calls them."""
+    # It holds Python's lock, and raises what a kernel has noted.
+    handle = ctypes.PyDLL(str(library))
+    listed = ctypes.string_at(ctypes.addressof(ctypes.c_char.in_dll(handle, "kernels"))).decode()
+    found = {}
+    for line in listed.splitlines():
+        module, name, *types = line.split()
+        function = getattr(handle, f"use_{native.c_name(module, name)}")
+        found[module, name] = _kernel(function, types)
+    return found
+
+
+class _Memory(ctypes.Structure):
+    """A pointer as the C text has it."""
+
+    _fields_ = (("at", ctypes.c_void_p), ("length", ctypes.c_int64))
+
+
+class _Pointer:
+    """Where buffers lie, for a pointer to so many bytes. Those of arrays are kept."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self.known: dict[int, int] = {}  # by id: where their _Memory is
+        self._kept: list[object] = []
+        self._before: list[object] = []
+
+    def __call__(self, memory: Any) -> Any:
+        """What a kernel is handed for a buffer that is not known."""
+        from micropython import kept_views
+
+        length = memoryview(memory).nbytes
+        try:
+            start = ctypes.c_char.from_buffer(memory)
+        except TypeError:  # nothing can be written there: a copy does as well
+            start = ctypes.c_char.from_buffer(bytearray(memory))
+        at = _Memory(ctypes.addressof(start), length // self._size)
+        if not isinstance(memory, memoryview) or kept_views.get(id(memory)) is memory:
+            if len(self._kept) >= _MOST_KEPT:
+                # Another argument of this call may be one of them.
+                self._before, self._kept = self._kept, []
+                self.known.clear()
+            self._kept.append((memory, start, at))
+            self.known[id(memory)] = ctypes.addressof(at)
+        return ctypes.byref(at)
+
+
+_POINTERS = {"ptr8": _Pointer(1), "ptr16": _Pointer(2), "ptr32": _Pointer(4)}
+_TYPES = {"object": ctypes.py_object, **dict.fromkeys(_POINTERS, ctypes.c_void_p)}
+
+
+def _kernel(function: Any, types: list[str]) -> Kernel:
+    """What Python calls: buffers become pointers on the way."""
+    function.restype = ctypes.c_int64
+    function.argtypes = [_TYPES.get(type, ctypes.c_int64) for type in types]
+    names = [f"a{i}" for i in range(len(types))]
+    handed = ", ".join(
+        f"known_{type}(id({name})) or {type}({name})" if type in _POINTERS else name
+        for name, type in zip(names, types, strict=True)
+    )
+    helpers: dict[str, Any] = {"function": function, "id": id, **_POINTERS}
+    helpers.update({f"known_{type}": pointer.known.get for type, pointer in _POINTERS.items()})
+    text = f"lambda {', '.join(helpers)}: lambda {', '.join(names)}: function({handed})"
+    made: Kernel = eval(text)(**helpers)
+    return made
