@@ -242,6 +242,23 @@ def test_who_says_nothing_of_a_stack_gets_no_row() -> None:
     assert checkup.stack(["[VER:1.1h.20261121:]", "[MSG:Stack: ]", "ok"]) == []
 
 
+@pytest.mark.parametrize(
+    ("told", "verdict", "words"),
+    [
+        ("0", OK, "no program was held up"),
+        ("1", NOTE, "motion stopped once for want of lines"),
+        ("12", NOTE, "motion stopped 12 times for want of lines"),
+    ],
+)
+def test_programs_that_were_held_up_are_told_with_the_next_step(
+    told: str, verdict: str, words: str
+) -> None:
+    (finding,) = checkup.drains(["[VER:1.1h.20261121:]", f"[MSG:Drains: {told}]", "ok"])
+    assert finding.verdict == verdict and words in finding.text
+    assert ("ugrbl run" in finding.todo) == (verdict == NOTE)
+    assert checkup.drains(["[VER:1.1h.20261121:]", "ok"]) == []
+
+
 class Asked:
     """A connection that refuses, and remembers what it was asked."""
 

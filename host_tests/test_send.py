@@ -38,6 +38,7 @@ class FakeGrbl(threading.Thread):
         self.state = state
         self.old = old
         self._braking = 0
+        self.drains: list[int] = []  # of the reports to come; the last one stays
         self.lines: list[bytes] = []
         self.realtime = b""
         self.most_waiting = 0
@@ -83,7 +84,10 @@ class FakeGrbl(threading.Thread):
         if self.old:
             self.say(f"<{self.state},MPos:{place},WPos:{place}>")
         else:
-            self.say(f"<{self.state}|MPos:{place}|FS:0,0>")
+            drains = self.drains[0] if self.drains else 0
+            del self.drains[: len(self.drains) > 1]
+            told = f"|Dr:{drains}" if drains else ""
+            self.say(f"<{self.state}|MPos:{place}|FS:0,0{told}>")
 
     def _command(self, byte: bytes) -> None:
         self.realtime += byte
@@ -165,6 +169,14 @@ def listing(*lines: bytes) -> list[Line]:
 
 def ready_program(count: int) -> list[Line]:
     return ready(program(count))
+
+
+@pytest.mark.parametrize(("told", "drains"), [([], 0), ([4], 0), ([4, 5, 7], 3), ([0, 1], 1)])
+def test_stops_for_want_of_lines_are_those_of_this_program(
+    grbl: FakeGrbl, connection: Connection, view: Watcher, told: list[int], drains: int
+) -> None:
+    grbl.drains = told
+    assert Stream(connection, ready_program(300), view).run().drains == drains
 
 
 def test_every_line_is_sent_and_answered(
@@ -340,6 +352,13 @@ def test_letters_in_comments_arrive_as_ascii_and_nothing_acts(
     assert grbl.lines[-2:] == [b"(A O a.)", b"G0 X1 ; Grosse."]
     assert grbl.realtime == b""
     assert "line 1: 'Ä'" in done.output
+
+
+def test_stops_for_want_of_lines_are_told_with_what_to_do(grbl: FakeGrbl, tmp_path: Path) -> None:
+    grbl.drains = list(range(1000))
+    done = send_file(grbl, tmp_path, "G0 X1\n" * 400, "--no-check", "--mode", "line")
+    words = " ".join(done.output.split())
+    assert "for want of lines meanwhile: `ugrbl run FILE --board NAME` names lines" in words
 
 
 def test_a_byte_that_acts_outside_of_comments_is_refused_before_anything_is_sent(

@@ -26,8 +26,9 @@ def names(board: "ModuleType") -> "list[str]":
     option = board.__dict__.get  # getattr() would keep the names for good
     dialect = _known("DIALECT", option("DIALECT", "1.1"), _DIALECTS)
     tool = _known("TOOL", option("TOOL", "spindle"), _TOOLS)
+    drains = "extras.drains" if option("COUNT_DRAINS", False) else ""
     own: "tuple[str, ...]" = option("EXTRAS", ())
-    return [name for name in (dialect, tool) + own if name]
+    return [name for name in (dialect, tool, drains) + own if name]
 
 
 def _known(option: str, word: str, known: "dict[str, str]") -> str:

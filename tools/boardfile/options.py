@@ -259,6 +259,10 @@ OPTIONS = (
         words=engines.tools,
     ),
     Option(
+        *("COUNT_DRAINS", SWITCH, False),
+        "Counts how often a program was held up for want of lines: `$I+`, and `Dr:` in reports.",
+    ),
+    Option(
         *("EXTRAS", NAMES, ()),
         "Modules of your own beside board.py, by name: see docs/extending.md.",
     ),

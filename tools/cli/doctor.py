@@ -84,7 +84,7 @@ class Doctor:
         self.add(checkup.firmware(settings.firmware, _our_build()))
         self.add(*checkup.link(settings.firmware))
         health = _health(connection, settings.firmware)
-        self.add(*checkup.stack(health), *checkup.faults(health))
+        self.add(*checkup.stack(health), *checkup.drains(health), *checkup.faults(health))
         self._state(connection)
         values = _numbers(settings)
         self.add(*checkup.settings(values, settings.firmware))

@@ -172,6 +172,8 @@ class Job:
             screen.progress(report.answered, f"<{report.state}>")
         done = max(0, report.answered - self._lead)
         self._say(f"{done} lines, {len(report.errors)} errors")
+        if report.drains > 0:
+            self._say(f"{checkup.held_up(report.drains, 'meanwhile')}: {checkup.WHY_DRAINED}")
         return report
 
     def _seconds_left(self, done: int) -> float | None:

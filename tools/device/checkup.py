@@ -24,6 +24,7 @@ _LONG_RAMP_S = 2.0
 NEW_MICROPYTHON = "put MicroPython 1.28 on the board: micropython.org/download"
 _STACK = re.compile(r"\[MSG:Stack: (\d+) of (\d+) bytes used\]")
 _STACK_SPARE = 1024
+_DRAINS = re.compile(r"\[MSG:Drains: (\d+)\]")
 # What the firmware calls itself besides where it has to read USB the plain way.
 _SLOW_RESET = "slow-reset"
 
@@ -91,6 +92,28 @@ def stack(replies: Iterable[str]) -> list[Finding]:
     todo = "report it with what the machine was doing, and run the firmware without changes of "
     todo += "your own: an interrupt that finds no room stops the machine"
     return [Finding("C stack", NOTE, f"{text}: less than 1 kB is free", todo)]
+
+
+def drains(replies: Iterable[str]) -> list[Finding]:
+    """What `$I+` says of programs held up; nothing where the board does not count."""
+    told = [int(match[1]) for match in map(_DRAINS.fullmatch, replies) if match]
+    if not told:
+        return []
+    if not told[-1]:
+        return [Finding("drains", OK, "no program was held up for want of lines since power-up")]
+    return [Finding("drains", NOTE, held_up(told[-1], "since power-up"), WHY_DRAINED)]
+
+
+def held_up(times: int, when: str) -> str:
+    """So many drains, in words."""
+    return f"motion stopped {'once' if times == 1 else f'{times} times'} for want of lines {when}"
+
+
+WHY_DRAINED = (
+    "`ugrbl run FILE --board NAME` names lines that come faster than a board takes them; where "
+    "there are none the sender is late: let it count characters (not wait for each ok), and the "
+    "computer neither sleep nor share a USB hub"
+)
 
 
 def fault(told: str) -> Finding:

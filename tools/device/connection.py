@@ -25,6 +25,7 @@ _WRITE_S = 5.0
 # An Arduino that resets when its port is opened says nothing for a second or two.
 _START_S = 5.0
 _OPTIONS = re.compile(r"\[OPT:[^,]*,(\d+),(\d+)\]")
+_DRAINS = re.compile(r"\|Dr:(\d+)")
 _BUFFER = re.compile(r"\|Bf:(\d+),(\d+)")
 _PLACE = re.compile(r"[|,]([MW])Pos:(-?[\d.]+(?:,-?[\d.]+)*)")
 _WORK = re.compile(r"[|,]WPos:(-?[\d.]+(?:,-?[\d.]+)*)")
@@ -121,6 +122,12 @@ class Connection:
         """How many blocks of the planner are not made yet, where the status report tells."""
         found = _BUFFER.search(self.status)
         return self.blocks - int(found[1]) if found else None
+
+    def drains(self) -> int:
+        """How often motion has stopped for want of lines, as the last status report tells; 0 where
+        the board does not count."""
+        found = _DRAINS.search(self.status)
+        return int(found[1]) if found else 0
 
     def at_rest(self) -> bool:
         """Whether the machine stands still, by its last report.

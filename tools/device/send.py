@@ -64,6 +64,7 @@ class Report:
     stopped: str = ""  # why it did not come to its end, if it did not
     signal: int = 0  # that ended it
     lost: bool = False  # the machine cannot be reached any more
+    drains: int = 0  # motion stopped so often for want of lines, where the board counts that
     # Of the machine, at last; the place and the blocks not made are those before a reset.
     state: str = ""
     place: list[float] = field(default_factory=list)
@@ -137,6 +138,7 @@ class Stream:
         self._sent = 0
         self._unanswered: deque[int] = deque()  # their lengths
         self._polled = 0.0
+        self._drains_before: int | None = None
         self._rests = 0  # status reports in a row, behind the last answer, that say it is at rest
         self._why_hold = ""
         self._asking = False
@@ -259,6 +261,9 @@ class Stream:
             self._why_hold = f"{name} was refused"
 
     def _note_place(self) -> None:
+        if self._drains_before is None:
+            self._drains_before = self._connection.drains()
+        self.report.drains = self._connection.drains() - self._drains_before
         self.report.state = self._connection.state() or self.report.state
         if place := self._connection.place():
             self.report.place = place

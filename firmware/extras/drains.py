@@ -1,0 +1,91 @@
+"""Drains: how often motion came to rest in the middle of a program, for want of lines.
+
+A stop counts where motion goes on within a second, and nobody has asked for it: no hold, no dwell,
+no word that waits for motion to end. `$I+` tells the number since power-up, and status reports do
+as soon as there is one: `Dr:2`. A board asks for it with COUNT_DRAINS = True.
+"""
+
+from base import state as st
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from typing import Any
+
+    from extras.api import Cnc
+
+_AGAIN_MS = const(1000)  # who goes on later has had something else to do
+
+
+class Drains:
+    """Counts them, put around the machine's stops and starts."""
+
+    def __init__(self, cnc: "Cnc") -> None:
+        self.count = 0
+        machine = cnc.machine
+        self._cnc = cnc
+        self._state = machine.state
+        self._port = machine.port
+        self._stopped = False  # motion has come to its end, nobody had held it,
+        self._since_ms = 0  # and that was then
+        self._asked = False  # somebody waits for its end
+        self._release = machine.drive.release
+        self._synchronise = machine.canon.synchronise
+        self._probe = machine.seek.probe
+        self._health = machine.commands.health
+        machine.drive.release = self._rests  # type: ignore[method-assign]
+        machine.canon.synchronise = self._waits  # type: ignore[method-assign]
+        machine.seek.probe = self._probes  # type: ignore[assignment, method-assign]
+
+    def _rests(self) -> None:
+        """Stand in for Drive.release: the engine has nothing left to do."""
+        state = self._state
+        self._stopped = state.run == st.RUN and not state.holding
+        self._since_ms = self._port.ticks_ms()
+        self._release()
+
+    def _waits(self) -> None:
+        """Stand in for Canon.synchronise, within which motion may have been started."""
+        self._synchronise()
+        self._asked = True
+
+    def _probes(self, *asked: "Any") -> bool:
+        """Stand in for Seek.probe, whose motion ends by itself."""
+        found: bool = self._probe(*asked)
+        self._asked = True
+        return found
+
+    def starts(self) -> None:
+        """The machine has been set in motion."""
+        again = self._stopped and not self._asked and self._state.run == st.RUN
+        if again and self._port.elapsed_ms(self._since_ms) < _AGAIN_MS:
+            self.count += 1
+        self._stopped = self._asked = False
+
+    def begins(self) -> None:
+        """Power-up or a reset: what stopped has been forgotten."""
+        self._stopped = self._asked = False
+        commands = self._cnc.machine.commands
+        if commands.health != self._tell:  # power-up has given it to the commands, at last
+            self._health = commands.health
+            commands.health = self._tell
+
+    def _tell(self) -> str:
+        """What $I+ says besides."""
+        drains = "Drains: %d" % self.count
+        if self._health is None:
+            return drains
+        self._cnc.message(drains)
+        return self._health()
+
+    def field(self) -> str:
+        """A status report's."""
+        return "Dr:%d" % self.count if self.count else ""
+
+
+def install(cnc: "Cnc") -> None:
+    """Have them counted."""
+    drains = Drains(cnc)
+    cnc.behind_start(drains.starts)
+    cnc.behind_reset(drains.begins)
+    cnc.add_field(drains.field)
