@@ -4,6 +4,7 @@ The sender is on the USB socket that is the S3's own, not on the UART's. All pin
 the DevKitC-1, with or without octal PSRAM. Never ran on hardware.
 """
 
+CHIP = "esp32s3"
 MPY_ARCH = "xtensawin"
 ENGINE = "rmt"
 LINK = "uart"  # stdin and stdout are the native USB, which makes the sender wait

@@ -28,6 +28,12 @@ def short_moves(count: int, lines_s: float = 3000) -> "Iterator[str]":
         yield f"G1X{x:06.3f}Y{y:06.3f}F{lines_s * _MOVE_MM * 60:.0f}"
 
 
+def new_feeds(count: int) -> "Iterator[str]":
+    """Short moves, each with another feed rate than the one before."""
+    for k, line in enumerate(short_moves(count)):
+        yield f"{line[:-4]}{9000 - k % 2}"
+
+
 def raster(count: int) -> "Iterator[str]":
     """A laser's line of an image: 0.1 mm per dot."""
     for k in range(count):

@@ -15,6 +15,7 @@ from streaming import (
     comments,
     figures,
     idle,
+    new_feeds,
     query_idle_us,
     raster,
     short_moves,
@@ -143,13 +144,16 @@ def _queried(made: Streamed) -> Iterator[Row]:
 
 
 def special_lines(bench: Bench) -> Iterator[Row]:
-    """A laser's raster, and arcs."""
+    """A laser's raster, moves with a new feed rate each, and arcs."""
     talk = bench.talk(MAIN)
     for line in ("$32=1", "M4S0", "G90G1X10Y10F9000"):
         talk.ask(line)
     idle(talk)
     made = stream(talk, list(raster(180)), _BLOCKS)
     yield Row("raster, G1 X S in M4", made.lines_s, "lines/s")
+    _at_start(talk)
+    made = stream(talk, list(new_feeds(120)), _BLOCKS)
+    yield Row("short moves, a new F each", made.lines_s, "lines/s")
     _at_start(talk)
     made = stream(talk, list(arcs(8)), _BLOCKS)
     yield Row("half circles of 1 mm", made.lines_s, "lines/s")

@@ -15,8 +15,8 @@ from ..grbl.gcode_file import name_of, read_program
 from ..grbl.messages import meaning
 from ..grbl.settings_file import as_line
 from ..run import machine
+from ..run.pace import Paced, Stretch
 from ..run.program import Result, run_program
-from ..run.recorder import Recorder
 from .outputs import check_outputs, failed, save_json
 from .screen import Screen, show_errors, show_problems, summary, totals_rows
 
@@ -26,7 +26,7 @@ EXAMPLES = (
 )
 
 
-_Runner = Callable[..., tuple[Result, Recorder]]
+_Runner = Callable[..., tuple[Result, Paced]]
 
 
 def command(
@@ -75,30 +75,70 @@ def command(
                 lines, board=board, settings=chosen, check=check, progress=screen.progress
             )
             screen.progress(result.lines)
-        _tell(console, result, recorder, lines, time.monotonic() - begun)
+        seconds = time.monotonic() - begun
+        late = recorder.starves(lines)
+        _tell(console, result, recorder, lines, late, seconds)
         if picture and isinstance(recorder, MotionTrace):
             job = job_of("as it is", lines, chosen, board, result, recorder)
             plot.save([job], name, "", picture)
         if json_file:
-            save_json(result.as_json(), json_file)
+            too_fast = [stretch.as_json() for stretch in late]
+            save_json({**result.as_json(), "too_fast": too_fast}, json_file)
     except (ValueError, OSError) as error:
         raise failed(error) from error
     _judge(result, check, acting)
 
 
 def _tell(
-    console: Console, result: Result, recorder: Recorder, lines: Sequence[bytes], seconds: float
+    console: Console,
+    result: Result,
+    recorder: Paced,
+    lines: Sequence[bytes],
+    late: Sequence[Stretch],
+    seconds: float,
 ) -> None:
     """What came of it."""
     show_errors(console, result.errors, lines)
     for number in result.pauses:
         console.print(f"line {number}: paused; told to go on", highlight=False)
+    whose = recorder.intake().whose
+    if late:
+        console.print(_too_fast(late, whose), highlight=False, markup=False)
     speed = f"{seconds:.1f} s, {result.lines / seconds:.0f} lines/s"
     rows = [("lines", str(result.lines)), ("errors", str(len(result.errors)))]
     if recorder.marks:
         rows.append(("holes punched", str(len(recorder.marks))))
-    rows += [*totals_rows(result.totals), ("ended in", result.final_state), ("computed in", speed)]
+    rows += totals_rows(result.totals)
+    if result.totals.distance_mm:
+        rows.append(("lines in time", f"{'no' if late else 'yes'}, for {whose}"))
+    rows += [("ended in", result.final_state), ("computed in", speed)]
     console.print(summary(rows))
+
+
+# What to do, by the kind of lines (boardfile/rates.py), besides going slower.
+_KINDS = {
+    "plain": ("short moves", "longer moves"),
+    "power": ("moves with a new S each", "fewer pixels per mm"),
+    "feed": ("moves with a new F, or G0 and G1 in turn", "F said only where it changes"),
+    "long_way_ms": ("lines that are no plain moves", "modes said only where they change"),
+    "no_words_ms": ("comments and empty lines", "a program without them"),
+    "chords": ("chords of arcs", "a coarser arc tolerance ($12)"),
+}
+
+
+def _too_fast(late: Sequence[Stretch], whose: str) -> str:
+    """The worst stretch of lines that come too fast for the board, and what to do."""
+    worst = late[0]
+    what, instead = _KINDS[worst.kind]
+    others = {1: "", 2: ", and at one more place"}.get(
+        len(late), f", and at {len(late) - 1} more places"
+    )
+    lost = sum(stretch.lost_s for stretch in late)
+    return (
+        f"lines {worst.first} to {worst.last} come too fast: {worst.needed:.0f} a second, mostly "
+        f"{what}, of which {whose} takes {worst.taken:.0f}. Motion will falter there{others}, and "
+        f"take about {lost:.1f} s longer. A feed of {worst.feed} % would do, or {instead}."
+    )
 
 
 def _judge(result: Result, check: bool, acting: bool) -> None:

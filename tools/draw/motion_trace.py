@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..run import machine
+from ..run.pace import Paced
 from ..run.program import Result, watch_program
-from ..run.recorder import Recorder, replace_method
+from ..run.recorder import replace_method
 
 if TYPE_CHECKING:
     from ..sim.rig import Rig
@@ -98,7 +99,7 @@ def _view(column: "array[float] | array[int]") -> "NDArray[np.float32]":
     return np.frombuffer(column, column.typecode)
 
 
-class MotionTrace(Recorder):
+class MotionTrace(Paced):
     """A Recorder that also knows how fast the firmware meant each segment to be.
 
     Speeds come from the segments' maker and not from the steps: at 250 steps/mm, the steps of

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..grbl.gcode_file import CYCLE_START, RESET, has_realtime, is_answer
 from . import machine
+from .pace import Paced
 from .recorder import Recorder, Totals
 
 if TYPE_CHECKING:
@@ -241,13 +242,13 @@ def run_program(
     settings: Sequence[str] = (),
     check: bool = False,
     progress: Callable[[int], None] | None = None,
-) -> tuple[Result, Recorder]:
+) -> tuple[Result, Paced]:
     """Run a program on a machine fresh from the factory. settings: lines such as `$110=6000`.
 
     progress is told, now and then, how many lines have been sent.
     """
     commands = (*settings, *(["$C"] if check else []))
-    return watch_program(lines, Recorder, board, commands, progress)
+    return watch_program(lines, Paced, board, commands, progress)
 
 
 def watch_program(

@@ -1,0 +1,210 @@
+"""Whether a board takes a program's lines as fast as its motors make them.
+
+The simulator's sender is never late, so what it makes is the motion as planned: how long each line
+takes there is held against how long a board has to do with it (boardfile/rates.py).
+"""
+
+import re
+from array import array
+from collections import defaultdict, deque
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from ..boardfile.rates import Intake, intake
+from ..grbl.gcode_file import without_comments
+from .recorder import Recorder, replace_method
+
+if TYPE_CHECKING:
+    from ..sim.rig import Rig
+
+_WORD = re.compile(rb"([A-Z])([-+]?[\d.]*)")
+_AXES = frozenset(b"XYZA")
+_LETTERS = _AXES | frozenset(b"GFSN")
+_NO_WORDS, _PLAIN, _POWER, _FEED, _LONG_WAY = (
+    "no_words_ms",
+    "plain",
+    "power",
+    "feed",
+    "long_way_ms",
+)
+_CHORDS = "chords"
+# What is worth a word, and how many lines in time may stand between two that are late.
+_LEAST_S = 0.05
+_APART = 100
+
+
+@dataclass
+class Stretch:
+    """Lines, from 1, that come too fast. lost_s: how long the motors wait for them."""
+
+    first: int
+    last: int
+    needed: float  # lines/s
+    taken: float
+    lost_s: float
+    kind: str  # of the lines that take most: a field of Rates
+    feed: int  # percent of the feed rate that would do
+
+    def as_json(self) -> dict[str, Any]:
+        """As `ugrbl run --json` writes it."""
+        return asdict(self)
+
+
+class Paced(Recorder):
+    """A Recorder that also knows how long each line moves, and in how many blocks."""
+
+    def __init__(self, rig: "Rig") -> None:
+        super().__init__(rig)
+        self.ticks = array("q", [0])  # by line
+        self.blocks = array("i", [0])
+        self.from_rest: set[int] = set()  # lines before which motion had come to its end
+        self._line_of_block: dict[int, int] = {}  # by its row in the ring
+        self._line_of_row: dict[int, int] = {}  # of the engine's
+        self._end = -1
+
+    def _attach(self) -> None:
+        super()._attach()
+        segments = self._rig.controller.segments
+        self._make_segment = replace_method(segments, "next", self._follow_segment)
+
+    def _note(self, row: int) -> None:
+        super()._note(row)
+        line = self._rig.link.now_at()
+        self._line_of_block[row] = line
+        missing = line + 1 - len(self.blocks)
+        if missing > 0:
+            self.ticks.extend([0] * missing)
+            self.blocks.extend([0] * missing)
+        self.blocks[line] += 1
+
+    def _follow_segment(self, row: "array[int]") -> int:
+        """Stand in for Segments.next."""
+        made = int(self._make_segment(row))
+        if made:
+            flow, layout = self._planner.flow, self._layout
+            block = flow[layout.AT] // flow[layout.ROW_SIZE]
+            self._line_of_row[id(row)] = self._line_of_block.get(block, 0)
+        return made
+
+    def _segment(self, start: int, row: "array[int]") -> None:
+        super()._segment(start, row)
+        line = self._line_of_row.get(id(row), 0)
+        self.ticks[line] += row[self._layout.ROW_TICKS]
+        if start != self._end:
+            self.from_rest.add(line)
+        self._end = start + row[self._layout.ROW_TICKS]
+
+    def intake(self) -> Intake:
+        """What the board of this machine takes in."""
+        return intake(self._rig.board)
+
+    def starves(self, lines: Sequence[bytes]) -> list[Stretch]:
+        """Where the board of this machine would be too slow for the program, the worst first."""
+        taken = self.intake()
+        kinds = list(_kinds(lines, bool(self._rig.controller.settings.laser_mode)))
+        late = self._late(lines, kinds, taken)
+        found = [self._stretch(part, late, lines, kinds, taken) for part in _parts(late)]
+        return sorted(
+            (one for one in found if one.lost_s >= _LEAST_S), key=lambda one: -one.lost_s
+        )
+
+    def _late(
+        self, lines: Sequence[bytes], kinds: Sequence[str], taken: Intake
+    ) -> dict[int, float]:
+        """Seconds by line that motion would wait for it, with a ring of as many blocks."""
+        hz = self._rig.engine.tick_hz
+        made: deque[float] = deque(maxlen=self._planner.flow[self._layout.ROWS] - 1)
+        chord_s = 1 / taken.rates.chords
+        late: dict[int, float] = {}
+        now = end = 0.0
+        for number in range(1, min(len(self.blocks), len(lines) + 1)):
+            now += _cost_s(lines[number - 1], kinds[number - 1], taken)
+            blocks = self.blocks[number]
+            for block in range(blocks):
+                now += chord_s if block else 0.0
+                if len(made) == made.maxlen:
+                    now = max(now, made[0])  # when there is room
+                if block == 0 and number in self.from_rest:
+                    now = end = max(now, end)
+                elif now > end:
+                    late[number] = late.get(number, 0.0) + now - end
+                    end = now
+                end += self.ticks[number] / hz / blocks
+                made.append(end)
+        return late
+
+    def _stretch(
+        self,
+        part: tuple[int, int],
+        late: dict[int, float],
+        lines: Sequence[bytes],
+        kinds: Sequence[str],
+        taken: Intake,
+    ) -> Stretch:
+        numbers = range(part[0], part[1] + 1)
+        moved_s = sum(self.ticks[n] for n in numbers) / self._rig.engine.tick_hz
+        costs: defaultdict[str, float] = defaultdict(float)
+        for n in numbers:
+            kind = kinds[n - 1]
+            costs[kind] += _cost_s(lines[n - 1], kind, taken)
+            if self.blocks[n] > 1:
+                costs[_CHORDS] += (self.blocks[n] - 1) / taken.rates.chords
+        took_s = sum(costs.values())
+        return Stretch(
+            *part,
+            round(len(numbers) / max(moved_s, 1e-6), 1),
+            round(len(numbers) / took_s, 1),
+            round(sum(late.get(n, 0.0) for n in numbers), 3),
+            max(costs, key=lambda kind: costs[kind]),
+            int(100 * moved_s / took_s),
+        )
+
+
+def _cost_s(line: bytes, kind: str, taken: Intake) -> float:
+    """What a board has to do with a line; the link is busy with it meanwhile."""
+    link_s = (len(line) + 1) / taken.bytes_s if taken.bytes_s else 0.0
+    return max(link_s, taken.rates.line_s(kind))
+
+
+def _parts(late: dict[int, float]) -> Iterator[tuple[int, int]]:
+    """First and last line of each stretch in which lines are late."""
+    first = last = 0
+    for number in late:
+        if first and number > last + _APART:
+            yield first, last
+            first = 0
+        first = first or number
+        last = number
+    if first:
+        yield first, last
+
+
+def _kinds(lines: Sequence[bytes], laser: bool) -> Iterator[str]:
+    """Which way each line takes through the firmware (language/fast_path.py)."""
+    motion = feed = b""
+    known = False  # the line before was a plain move, too
+    for line in lines:
+        text = without_comments(line).upper().replace(b" ", b"").replace(b"\t", b"")
+        words = _WORD.findall(text)
+        if not text:
+            yield _NO_WORDS
+            continue
+        letters = {letter[0] for letter, _ in words}
+        wanted = [value.lstrip(b"0") or b"0" for letter, value in words if letter == b"G"]
+        speed = next((value for letter, value in words if letter == b"F"), feed)
+        mode = next((value for value in wanted if value in (b"0", b"1", b"2", b"3")), motion)
+        is_plain = (
+            letters <= _LETTERS
+            and letters & _AXES
+            and mode in (b"0", b"1")
+            and wanted in ([], [mode])
+            and (83 not in letters or (laser and mode == b"1"))
+        )
+        if not is_plain:
+            yield _LONG_WAY
+        elif not known or (mode, speed) != (motion, feed):
+            yield _FEED
+        else:
+            yield _POWER if 83 in letters else _PLAIN
+        known, motion, feed = bool(is_plain), mode, speed
