@@ -207,6 +207,20 @@ def test_without_a_compiler_the_same_runs_as_python(tmp_path: Path) -> None:
     assert not (tmp_path / "kernels").exists()
 
 
+def test_without_a_place_to_keep_it_the_same_runs_as_python(tmp_path: Path) -> None:
+    (tmp_path / "kernels").write_text("a file where the folder would be")
+    assert run(b"G0X1\n", tmp_path)[2] == "fill"
+
+
+@needs_compiler
+def test_a_library_that_is_none_is_left_alone(tmp_path: Path) -> None:
+    run(b"G0X1\n", tmp_path)
+    (library,) = (tmp_path / "kernels").glob("*.so")
+    library.write_bytes(b"cut short")
+    assert run(b"G0X1\n", tmp_path)[2] == "fill"
+
+
+@needs_compiler
 def test_a_compiler_that_fails_is_asked_once(tmp_path: Path) -> None:
     failing = tmp_path / "cc"
     failing.write_text(f"#!/bin/sh\necho >> {tmp_path}/asked\necho no headers >&2\nexit 1\n")

@@ -41,10 +41,12 @@ def use() -> None:
         return
     import micropython
 
-    library = find()
-    if library is not None:
-        found = _bound(library)
-        micropython.compiled = lambda module, name: found.get((module, name))
+    try:
+        library = find()
+        found = _bound(library) if library else {}
+    except OSError:  # no place to keep it, or it cannot be loaded from there
+        found = {}
+    micropython.compiled = lambda module, name: found.get((module, name))
 
 
 def find() -> Path | None:

@@ -149,8 +149,8 @@ class _Function:
         listed, handed = [], []
         for name, type in self._parameters.items():
             star = "*" if type in _BITS else ""
-            listed.append(f"{_c_type(type)} {star}{name}")
-            handed.append(star + name)
+            listed.append(f"{_c_type(type)} {star}{name}_")
+            handed.append(f"{star}{name}_")
         outer = f"int64_t use_{self._name}({', '.join(listed)})"
         inner = "\n    ".join(lines)
         return (
