@@ -57,6 +57,7 @@ def command(
 ) -> None:
     """Run a program in virtual time and say how long it takes, how far it goes, what is wrong.
 
+    Lines that would come too fast for a board are named, with what to do.
     Where the program pauses (M0, or a hold in its text) it is told to go on. The exit code is 0
     if it came to its end; with --check, only if there were no errors either.
     """
