@@ -188,8 +188,8 @@ class Cnc:
     def behind_line(self, call: "Callable[[], object]") -> None:
         """Called when a line has asked for a motion of G0 to G3, and it has been planned."""
         machine = self._machine
-        interpreter, canon, state = machine.interpreter, machine.canon, machine.state
-        usual_go, usual_execute = interpreter.go, interpreter.execute
+        interpreter, canon = machine.interpreter, machine.canon
+        usual_go = interpreter.go
 
         def go(block: "b.Block", move: "Any") -> None:
             usual_go(block, move)
@@ -197,12 +197,9 @@ class Cnc:
                 canon.finish()
                 call()
 
-        def execute(line: bytearray, length: int) -> None:
-            usual_execute(line, length)
-            state.change()  # the next one is not to take the short way, past this
-
         interpreter.go = go  # type: ignore[method-assign]
-        interpreter.execute = execute  # type: ignore[method-assign]
+        interpreter.fast.is_open = False  # no line is to take the short way, past this
+        interpreter.fast.forget()
 
     def behind_reset(self, call: "Callable[[], object]") -> None:
         """Called behind the welcome, after power-up and every reset."""

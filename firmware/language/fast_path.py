@@ -214,7 +214,7 @@ def follow(
 
 
 class FastPath:
-    """The short path of an interpreter.
+    """The short path of an interpreter. is_open: lines may take it.
 
     follow(line, length) plans a line that says nothing new, and returns 1; or it returns 0, and
     has done nothing. execute() takes what is new, too, and waits for room.
@@ -244,6 +244,7 @@ class FastPath:
         self._known = array("i", (0 for _ in range(OFFSETS + axes)))
         self._offsets = memoryview(self._known)[OFFSETS:]
         self._asked = False  # the last line was one of these
+        self.is_open = True
         self.follow = self._make_follow()
 
     def _make_follow(self) -> "Callable[[bytearray, int], int]":
@@ -297,7 +298,8 @@ class FastPath:
         known[_CHANGES] = self._state.changes[0]
         known[AXES] = 0
         if (
-            modal[MOTION] <= b.LINEAR
+            self.is_open
+            and modal[MOTION] <= b.LINEAR
             and not (modal[INVERSE_TIME] or modes.tool)
             and coords.tool_length == 0
         ):
