@@ -129,9 +129,7 @@ class Protocol:
                         except (GrblError, OSError, Abort) as reason:
                             self._refuse(reason, b"")
                         else:
-                            every_other = not every_other
-                            if every_other:
-                                pump()
+                            pump()
                             write(ok)
             except Abort:
                 self._tell_alarm()
