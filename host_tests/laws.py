@@ -287,7 +287,8 @@ class Watch:
         """Stand in for Segments.next."""
         flow = self.planner.flow
         loaded = flow[layout.LOADED]
-        at_rest = flow[layout.NOW if loaded else layout.CARRY] == 0
+        speed = layout.REACHED if flow[layout.SLICES] else layout.NOW
+        at_rest = flow[speed if loaded else layout.CARRY] == 0
         left = self._left() if loaded else 0
         spare = flow[layout.SPARE] if loaded else 0
         row[ROW_TICKS] = 0
@@ -306,7 +307,7 @@ class Watch:
         if row[ROW_TICKS] and time:
             distance = ((left or block.events << 18) - self._left()) / 2**18
             distance *= block.length / block.events
-            speed = flow[layout.NOW] / real(self.row(at)[layout.FACTOR])
+            speed = flow[layout.REACHED] / real(self.row(at)[layout.FACTOR])
             piece = Piece(block, distance, time / self.tick_hz, speed, ended, at_rest, segment)
             self.pieces.append(piece)
         return found
@@ -314,7 +315,7 @@ class Watch:
     def _left(self) -> int:
         """What the profile has still to go, in 2**-18 steps of the longest axis."""
         flow = self.planner.flow
-        return (flow[layout.WHOLE] << 18) + flow[layout.FRACTION]
+        return (flow[layout.WHOLE] << 18) + flow[layout.FRACTION] + flow[layout.ADVANCE]
 
 
 class Bench:

@@ -217,7 +217,7 @@ def test_rmt_takes_the_pins_away_while_the_channels_play_on(engine: str) -> None
     made.run(100)
     made.engine.stop()
     stopped = clock.us
-    assert max(channel.trains[-1][3] for channel in esp32.RMT.channels) > stopped + 3000
+    assert max(channel.trains[-1][3] for channel in esp32.RMT.channels) > stopped + 1500
     made.engine.advance(made.engine.now + 50_000)
     assert all(us <= stopped for us, *_ in made.steps)
 

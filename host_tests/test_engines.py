@@ -377,7 +377,7 @@ def test_power_at_rest_is_the_last_segments(engine: str) -> None:
 
         def with_power(row: "array[int]", inner: Any = inner, planned: Any = planned) -> int:
             found: int = inner(row)
-            row[ROW_POWER] = 900 - 7 * len(planned)
+            row[ROW_POWER] = 9000 - 7 * len(planned)
             planned.extend([row[ROW_POWER]] * found)
             return found
 

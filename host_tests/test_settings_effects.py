@@ -8,7 +8,7 @@ import math
 import re
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from statistics import median
+from itertools import accumulate
 from types import SimpleNamespace
 from typing import Any
 
@@ -130,7 +130,14 @@ class Bench:
     def speed_mm_min(self, rows: "Sequence[tuple[int, array[int]]]", axis: int) -> int:
         """The speed that an axis has for most of the time, to 5 mm/min."""
         base = ROW_AXES + ROW_STRIDE * axis
-        per_tick = median(row[base] / row[ROW_TICKS] for _, row in rows if row[ROW_TICKS])
+        rates = sorted(
+            (row[base] / row[ROW_TICKS], row[ROW_TICKS]) for _, row in rows if row[ROW_TICKS]
+        )
+        half = sum(ticks for _, ticks in rates) / 2
+        passed = accumulate(ticks for _, ticks in rates)
+        per_tick = next(
+            rate for (rate, _), ticks in zip(rates, passed, strict=True) if ticks >= half
+        )
         return 5 * round(per_tick * _TICKS_PER_MS * 60_000 / _PER_MM / 5)
 
     def legs(self) -> "list[list[tuple[int, array[int]]]]":

@@ -137,7 +137,7 @@ def test_a_rate_is_rounded_as_it_was_printed(carry: int, now: int) -> None:
     if rate < 2**31:
         assert str(segments.whole_rate()) == printed(rate, 0)
     planner.flow[layout.LOADED] = 1
-    planner.flow[layout.NOW] = now
+    planner.flow[layout.REACHED] = now
     planner.ring[layout.FACTOR] = reals.real(1 / 7)
     assert str(segments.whole_rate()) == printed(segments.rate_mm_min(), 0)
 

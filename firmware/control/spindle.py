@@ -86,7 +86,7 @@ class Spindle:
         return int(f32(f32(rpm - self._min_rpm) * self._gradient)) + _MIN_POWER
 
     def block_power(self, flags: int, rpm: float) -> int:
-        """What a planner block with these flags carries: see segment_kernel.power()."""
+        """What a planner block with these flags carries: see slice_kernel.power()."""
         if not flags & _TURNING:
             return 0
         if not flags & layout.DYNAMIC:

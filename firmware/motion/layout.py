@@ -48,7 +48,8 @@ SLOWEST = const(9)  # real, mm/s: no block is slower
 FEED_OVERRIDE = const(10)  # reals: as parts of 1
 RAPID_OVERRIDE = const(11)
 ROOT_SCALE = const(12)  # real: mm/s per root of a scaled speed squared
-LIMITS = const(13)  # three reals per axis: mm per step, mm/s, mm/s2
+SLICE = const(13)  # how long a row is where the speed changes, in 2**-17 of a full segment
+LIMITS = const(14)  # three reals per axis: mm per step, mm/s, mm/s2
 # Behind the limits, one of each per axis: direction of the last block, of the present one, its
 # distances; and, so many times the axes behind the limits:
 RESOLUTION = const(6)  # steps/mm, bits of a float
@@ -66,23 +67,29 @@ HOLD = const(4)  # the main loop's: come to rest, and stay
 SYSTEM = const(5)  # 1: run the system's own block and no other; 2: that is done
 LOADED = const(6)  # the interrupt's from here on
 AT = const(7)  # where in the ring the loaded block begins
-NOW = const(8)  # speed in block speed units
+NOW = const(8)  # speed in block speed units, at the end of the segment planned
 CARRY = const(9)  # real, mm/s: speed between blocks
 LEAVE = const(10)  # speed at which to leave the block
 LEAVE_SQR = const(11)  # the same as the planner put it
 WHOLE = const(12)  # steps of the longest axis still to go,
 FRACTION = const(13)  # and 2**-18 of one
 PARTIAL = const(14)  # distance come since the last step of the longest axis, in 2**-18 step,
-SPARE = const(15)  # and its time, in ticks: both go into the next segment
-ADVANCE = const(16)  # distance of the segment being made,
+SPARE = const(15)  # and its time, in ticks: both go into the next row
+ADVANCE = const(16)  # distance of the segment planned that is in no row yet,
 LEFT = const(17)  # and what it still lacks of a full one, in 2**-17
 BRAKE_FROM = const(18)  # braking from this speed to that takes so many whole steps,
 BRAKE_TO = const(19)
 BRAKE_WAY = const(20)
 BRAKE_UNIT = const(21)  # or, where this is 18, so much in 2**-18 step
 UNPLANNED = const(22)  # the main loop's: blocks that reverse_pass() has not seen yet
-MOTORS = const(23)  # per motor: steps still to go; phase, 2**18 is a step
-FLOW_LENGTH = const(23)
+SLICES = const(23)  # rows that the segment planned has still to be cut into, at the most;
+TIME = const(24)  # they last so long, in 2**-17 of a full one,
+REACHED = const(25)  # and begin at this speed, with which the last row has ended
+PIECE = const(26)  # where its piece stands that is being cut
+WAY = const(27)  # distance of the piece being planned
+PIECES = const(28)  # per piece of the segment: how long, to which speed
+MOTORS = const(36)  # per motor: steps still to go; phase, 2**18 is a step
+FLOW_LENGTH = const(36)
 
 # Flags of a block that the kernels look at; planner.py has the others.
 RAPID_MOTION = const(0x01)
@@ -92,7 +99,7 @@ INVERSE_TIME = const(0x08)  # RATE is per block, not per mm
 DYNAMIC = const(0x40)  # spindle power follows speed (laser, M4)
 PLACED = const(0x80)  # its TARGET stands in the table
 
-# A row that goes to the pulse engine: a segment.
+# A row that goes to the pulse engine: a segment, or a slice of it.
 ROW_TICKS = const(0)  # how long it lasts
 ROW_DIRS = const(1)  # mask of motors that turn backwards
 ROW_POWER = const(2)  # spindle power, or KEEP_POWER

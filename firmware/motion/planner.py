@@ -32,6 +32,8 @@ SPINDLE_MASK = const(0x30)
 ACCESSORY_MASK = const(0x330)
 
 _BIAS = const(0x20000000)
+# Where the speed changes, a segment is cut into so many, of a millisecond and more.
+_SLICES = const(8)
 _SLOWEST_MM_S = 1 / 60
 _FINEST = 1e8  # steps/mm: no division by nothing, whatever $100 is
 
@@ -117,6 +119,7 @@ class Planner:
         table[layout.SEGMENT_RATE] = reals.real(seconds * 262144)
         table[layout.SEGMENT_ACCEL] = reals.real(seconds * seconds * 262144)
         table[layout.SEGMENT_LOG2] = segment_log2
+        table[layout.SLICE] = 131072 // max(min(int(seconds * 1000), _SLICES), 1)
         table[layout.SLOWEST] = reals.real(_SLOWEST_MM_S)
 
     def free(self) -> int:
@@ -236,7 +239,7 @@ class Planner:
         """Forget all blocks. Only while the engine is stopped."""
         flow = self.flow
         flow[TAIL] = flow[HEAD]
-        for i in (layout.HOLD, SYSTEM, LOADED, layout.NOW, layout.CARRY, UNPLANNED):
+        for i in (layout.HOLD, SYSTEM, LOADED, layout.NOW, layout.CARRY, layout.SLICES, UNPLANNED):
             flow[i] = 0
 
     # Steps of motors and places in mm

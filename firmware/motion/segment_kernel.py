@@ -34,32 +34,33 @@ from motion.layout import (
     MOTORS,
     NOW,
     PARTIAL,
+    PIECE,
+    PIECES,
     POWER,
-    POWER_FLOOR,
-    POWER_MAX,
-    PROGRAMMED,
     RAMP,
+    REACHED,
     ROOT_SCALE,
-    ROW_AXES,
     ROW_DIRS,
     ROW_POWER,
     ROW_SIZE,
-    ROW_STRIDE,
-    ROW_TICKS,
     ROWS,
     SEGMENT_LOG2,
+    SLICE,
+    SLICES,
     SPARE,
     STEPS,
     SYSTEM,
     TAIL,
+    TIME,
+    WAY,
     WHOLE,
 )
 from motion.ramps import after, braking, share, times
 from motion.reals import BIAS, HIGHEST, ONE, product, ratio, square_root
+from motion.slice_kernel import HAIR, cut, power, slices, spread
 
 _LEAST = const(0x50000)  # a segment covers 1.25 steps, where the block reaches that far,
 _LONGEST = const(0x8000000)  # or lasts as long as 1024 full ones
-_HAIR = const(0x800)  # ahead of the truth, so that rounding does not cost the last step of a hold
 _SPLINTER = const(64)  # a segment is not filled up with pieces as short as that, in 2**-17
 
 
@@ -80,7 +81,7 @@ def load(flow: ptr32, ring: ptr32, motors: int) -> int:
     flow[LEAVE_SQR] = 0
     flow[WHOLE] = ring[at + EVENTS]
     flow[FRACTION] = 0
-    flow[PARTIAL] = _HAIR
+    flow[PARTIAL] = HAIR
     flow[BRAKE_FROM] = 0
     flow[SPARE] = 0
     for i in range(motors):
@@ -113,7 +114,10 @@ def look_ahead(flow: ptr32, ring: ptr32, scale: int) -> int:
 
 @micropython.viper
 def approach(flow: ptr32, ramp: int, goal: int, room: int) -> int:
-    """The next piece speeds up, or slows down, by ramp to a goal, as far as there is room."""
+    """The next piece speeds up, or slows down, by ramp to a goal, as far as there is room.
+
+    Leaves its end in NOW and WAY. Returns how long it takes, in 2**-17 of a full segment.
+    """
     speed = flow[NOW]
     down = 1 if goal < speed else 0
     part = int(share(speed - goal if down else goal - speed, ramp))
@@ -130,7 +134,9 @@ def approach(flow: ptr32, ramp: int, goal: int, room: int) -> int:
         end = goal
     if part < 0:
         part = int(share(room, (speed + end) >> 1))
-    return int(piece(flow, end, distance, part))
+    flow[NOW] = end
+    flow[WAY] = distance
+    return part
 
 
 @micropython.viper
@@ -138,7 +144,7 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
     """The next piece brakes so as to leave the block, rest ahead, at the speed planned.
 
     The rate of braking follows from what is left of the way, so that rounding
-    never adds up; it stays within a sixteenth of the ramp.
+    never adds up; it stays within a sixteenth of the ramp. As approach().
     """
     speed = flow[NOW]
     left = flow[LEFT]
@@ -166,19 +172,27 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
             if end < leave:
                 end = leave
             left = int(share(rest, (speed + end) >> 1))
-    return int(piece(flow, end, distance, left))
+    flow[NOW] = end
+    flow[WAY] = distance
+    return left
 
 
-# inline: always, for it runs several times for each block and segment
 @micropython.viper
-def piece(flow: ptr32, end: int, distance: int, part: int) -> int:
-    """Add a piece to the segment being made. part: its duration in 2**-17 of a full segment."""
+def piece(flow: ptr32, part: int) -> int:
+    """Add a piece to the segment planned. part: its duration in 2**-17 of a full segment."""
     if part > flow[LEFT]:
         part = flow[LEFT]
     flow[LEFT] = flow[LEFT] - part
-    flow[NOW] = end
-    flow[ADVANCE] = flow[ADVANCE] + distance
-    distance = flow[FRACTION] - distance
+    at = flow[PIECE]
+    if at == MOTORS:
+        at -= 2  # whatever comes behind is taken for one
+    else:
+        flow[at] = 0
+        flow[PIECE] = at + 2
+    flow[at] = flow[at] + part
+    flow[at + 1] = flow[NOW]
+    flow[ADVANCE] = flow[ADVANCE] + flow[WAY]
+    distance = flow[FRACTION] - flow[WAY]
     if distance < 0:
         steps = (0 - distance + 0x3FFFF) >> 18
         distance += steps << 18
@@ -233,114 +247,31 @@ def proceed(flow: ptr32, ring: ptr32, scale: int) -> int:
                 slack = (slack + 1) >> 1
             if slack < rest:
                 room = slack
-    if due:
-        return int(brake(flow, ramp, leave, rest))
-    if speed != top:
-        return int(approach(flow, ramp, top, room))
     part = flow[LEFT]
-    distance = speed if part == 131072 else int(times(speed, part))
-    if room <= distance:
-        distance = room
-        part = int(share(room, speed))
-    return int(piece(flow, speed, distance, part))
+    if due:
+        part = int(brake(flow, ramp, leave, rest))
+    elif speed != top:
+        part = int(approach(flow, ramp, top, room))
+    else:
+        flow[WAY] = speed if part == 131072 else int(times(speed, part))
+        if room <= flow[WAY]:
+            flow[WAY] = room
+            part = int(share(room, speed))
+    return int(piece(flow, part))
 
 
 @micropython.viper
-def close(flow: ptr32, row: ptr32, ticks: int) -> int:
-    """End the segment with a step of the longest axis: whole steps, and the time they take.
-
-    What is left over, distance and time, goes into the next segment. So every
-    interval of a segment is the same, and at a constant speed every interval
-    of a block. Returns the steps.
-    """
-    distance = flow[PARTIAL] + flow[ADVANCE]
-    ticks += flow[SPARE]
-    steps = distance >> 18
-    rest = distance & 0x3FFFF
-    flow[PARTIAL] = rest
-    flow[SPARE] = 0
-    if rest > _HAIR and steps:
-        part = int(share(steps << 18, distance))
-        whole_ticks = (((ticks >> 15) * part) >> 2) + (((ticks & 32767) * (part >> 2)) >> 15)
-        flow[SPARE] = ticks - whole_ticks
-        ticks = whole_ticks
-    row[ROW_TICKS] = ticks if ticks else 1
-    return steps
-
-
-@micropython.viper
-def spread(flow: ptr32, ring: ptr32, row: ptr32, motors: int) -> int:
-    """Lay the segment's steps out in time: per motor how many, when the first and the last.
-
-    A motor's phase runs on from segment to segment, so that at a constant
-    speed its steps are evenly spaced. The block's last segment makes what is
-    left to make.
-    """
-    high = flow[ADVANCE] >> 15
-    low = flow[ADVANCE] & 32767
-    ticks = row[ROW_TICKS]
-    ratios = flow[AT] + STEPS + motors
-    last = flow[WHOLE] == 0 and flow[FRACTION] == 0
-    long = 0
-    while ticks >> long >= 1 << 18:
-        long += 1
-    for i in range(motors):
-        ratio = ring[ratios + i]
-        phase = flow[MOTORS + 2 * i + 1]
-        middle = high * (ratio & 32767) + low * (ratio >> 15) + ((low * (ratio & 32767)) >> 15)
-        gain = ((high * (ratio >> 15)) << 1) + (middle >> 14)
-        steps = (phase + gain) >> 18
-        left = flow[MOTORS + 2 * i]
-        if last or steps > left:
-            steps = left
-        at = ROW_AXES + ROW_STRIDE * i
-        row[at] = steps
-        flow[MOTORS + 2 * i] = left - steps
-        flow[MOTORS + 2 * i + 1] = (phase + gain) & 0x3FFFF
-        scale = 0
-        while gain >= 1 << 21:
-            gain >>= 1
-            scale += 1
-        for k in range(2 if steps else 0):
-            part = (((steps if k else 1) << 18) - phase) >> scale
-            if part < gain:
-                coarse = (ticks >> long >> 9) * part
-                quotient = coarse // gain
-                rest = ((coarse - quotient * gain) << 9) + ((ticks >> long) & 511) * part
-                part = ((quotient << 9) + (rest + (gain >> 1)) // gain) << long
-            else:
-                part = ticks
-            row[at + 1 + k] = part
-    return 0
-
-
-@micropython.viper
-def power(flow: ptr32, ring: ptr32, table: ptr32) -> int:
-    """Spindle power of the segment just made, of a block whose power follows speed."""
-    at = flow[AT]
-    full = ring[at + POWER]
-    rate = ring[at + PROGRAMMED]
-    if flow[NOW] < rate:
-        full = int(times(full, int(share(flow[NOW], rate))))
-    if full == 0:
-        return 0
-    if full <= table[POWER_FLOOR]:
-        return 1
-    full = ((full - table[POWER_FLOOR]) >> 6) + 1
-    return full if full < table[POWER_MAX] else table[POWER_MAX]
-
-
-@micropython.viper
-def fill(flow: ptr32, ring: ptr32, table: ptr32, row: ptr32) -> int:
-    """Make the next segment. Returns 0 where nothing is to move: no block, or held at rest."""
-    motors = table[MOTOR_COUNT]
+def plan(flow: ptr32, ring: ptr32, table: ptr32) -> int:
+    """Plan the next segment. Returns 0 where nothing is to move: no block, or held at rest."""
     if flow[LOADED] == 0:
         if flow[HOLD] and flow[CARRY] == 0:
             return 0
-        if int(load(flow, ring, motors)) == 0:
+        if int(load(flow, ring, table[MOTOR_COUNT])) == 0:
             return 0
     elif flow[HOLD] and flow[NOW] == 0:
         return 0
+    flow[REACHED] = flow[NOW]
+    flow[PIECE] = PIECES
     flow[LEFT] = 131072
     flow[ADVANCE] = 0
     span = 131072
@@ -352,16 +283,27 @@ def fill(flow: ptr32, ring: ptr32, table: ptr32, row: ptr32) -> int:
             flow[LEFT] = flow[LEFT] + 131072
             span += 131072
         going = int(proceed(flow, ring, table[ROOT_SCALE]))
-    steps = int(close(flow, row, (span - flow[LEFT]) >> (17 - table[SEGMENT_LOG2])))
+    flow[TIME] = span - flow[LEFT]
+    flow[SLICES] = int(slices(flow, table[SLICE], ring[flow[AT] + FLAGS] & DYNAMIC))
+    flow[PIECE] = PIECES
+    return 1
+
+
+@micropython.viper
+def fill(flow: ptr32, ring: ptr32, table: ptr32, row: ptr32) -> int:
+    """Make the next row. Returns 0 where nothing is to move."""
+    if flow[SLICES] == 0 and int(plan(flow, ring, table)) == 0:
+        return 0
+    steps = int(cut(flow, row, table[SEGMENT_LOG2]))
+    going = flow[SLICES] or flow[WHOLE] or flow[FRACTION]
     if steps == 0 and going and flow[HOLD] and flow[NOW] == 0:
         return 0  # at rest, less than a step further
-    flow[ADVANCE] = steps << 18
     at = flow[AT]
     row[ROW_DIRS] = ring[at + DIRS]
     row[ROW_POWER] = ring[at + POWER]
     if ring[at + FLAGS] & DYNAMIC:
         row[ROW_POWER] = int(power(flow, ring, table))
-    spread(flow, ring, row, motors)
+    spread(flow, ring, row, table[MOTOR_COUNT], steps)
     if going == 0:
         flow[CARRY] = int(ratio(flow[NOW], ring[at + FACTOR]))
         flow[LOADED] = 0

@@ -10,7 +10,7 @@ from base.f32 import f32
 from micropython import const
 
 from motion import layout, reals
-from motion.layout import AT, CARRY, HOLD, LOADED, NOW
+from motion.layout import AT, CARRY, HOLD, LOADED, NOW, REACHED
 from motion.segment_kernel import fill
 
 TYPE_CHECKING = const(False)
@@ -72,7 +72,7 @@ class Segments:
         self._saved = None
 
     def rate_mm_min(self) -> float:
-        """The speed planned up to now."""
+        """The speed up to which rows have been made."""
         return reals.value(self._rate()) * 60
 
     def whole_rate(self) -> int:
@@ -88,7 +88,7 @@ class Segments:
         """It is a real, in mm/s."""
         flow = self._flow
         if flow[LOADED]:
-            return reals.ratio(flow[NOW], self._ring[flow[AT] + layout.FACTOR])
+            return reals.ratio(flow[REACHED], self._ring[flow[AT] + layout.FACTOR])
         return flow[CARRY]
 
     def dynamic_rpm(self) -> "float | None":
@@ -97,4 +97,4 @@ class Segments:
         if not flow[LOADED] or not self._ring[flow[AT] + layout.FLAGS] & layout.DYNAMIC:
             return None
         rate = self._ring[flow[AT] + layout.PROGRAMMED]
-        return f32(self._planner.speed_rpm() * flow[NOW] / rate) if rate else 0.0
+        return f32(self._planner.speed_rpm() * flow[REACHED] / rate) if rate else 0.0

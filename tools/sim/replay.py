@@ -69,7 +69,7 @@ class _Case:
     def __init__(self, case: "Json", board: "ModuleType") -> None:
         self.case = case
         self.blank = case["init"] == "blank"
-        self.rig = Rig(board, MemoryStore() if self.blank else factory_store(board))
+        self.rig = Rig(board, MemoryStore() if self.blank else factory_store(board), full=True)
         self.sender = Sender(self.rig)
         self.place = array("i", self.rig.scratch)
         self.result: "Json" = {"setup": [], "steps": []}
@@ -234,7 +234,7 @@ class _Motion:
 
     def __init__(self, record: "Json", board: "ModuleType") -> None:
         self.record = record
-        self.rig = Rig(board, factory_store(board))
+        self.rig = Rig(board, factory_store(board), full=True)
         self.sender = Sender(self.rig)
         axes = len(self.rig.scratch)
         self.trace = _Trace(axes, self.rig.engine.tick_hz, record["samples"]["dt_ms"])

@@ -11,6 +11,7 @@ from array import array
 from boot import wiring
 
 from .engine import SimEngine
+from .full_segments import FullSegments
 from .link import SimLink
 from .port import SimPort
 from .punch import PunchEngine, PunchPort
@@ -51,8 +52,9 @@ class MemoryStore:
 class Rig:
     """One simulated machine. board: a module as in boards/; store: a Store; link: makes a Link.
 
-    coarse: full segments are so many times as long as Grbl's 10 ms. Steps are the same, and take
-    as long all together; what is between the ends of a segment is less exact, and there are fewer.
+    full: segments are not cut into slices, as Grbl's are not. coarse: nor are they, and full ones
+    are so many times as long as Grbl's 10 ms. Steps are the same, and take as long all together;
+    what is between the ends of a segment is less exact, and there are fewer.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class Rig:
         store: "Store | None" = None,
         link: "Callable[[Rig], Any]" = SimLink,
         coarse: int = 1,
+        full: bool = False,
     ) -> None:
         axes = len(board.STEP)
         self.board = board
@@ -69,6 +72,7 @@ class Rig:
         engine = PunchEngine if has_punch else SimEngine
         self.engine = engine(axes, getattr(board, "SEGMENT_QUEUE", _SEGMENT_QUEUE))
         self.engine.tick_hz = SimEngine.tick_hz // coarse
+        self._full = full or coarse > 1
         self.ticks_per_ms = self.engine.tick_hz / 1000
         self.scratch = array("i", [0] * axes)
         self.loop_ticks = int(getattr(board, "LOOP_US", 0) * self.ticks_per_ms / 1000)
@@ -107,6 +111,8 @@ class Rig:
                     self.board, self.link, self.port, self.engine, self.store
                 )
                 self._give_reports_time()
+                if self._full:
+                    FullSegments(self.controller).attach()
                 if self.on_built:
                     self.on_built()
                 self.controller.power_up()

@@ -1,0 +1,93 @@
+"""Segments as Grbl makes them: the slices of each put together again, its steps even.
+
+Recordings of real Grbl are compared with these: they tell no more of a ramp than the mean speed of
+10 ms, and Grbl hears of a hold no more often. Runs under both Pythons.
+"""
+
+from array import array
+
+from motion.layout import (
+    AT,
+    LOADED,
+    MOTORS,
+    PARTIAL,
+    ROW_AXES,
+    ROW_POWER,
+    ROW_STRIDE,
+    ROW_TICKS,
+    SLICES,
+    SPARE,
+)
+from motion.slice_kernel import HAIR
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from talk.controller import Controller
+
+_STEP = 1 << 18
+_HALF_STEP = 1 << 17
+
+
+class FullSegments:
+    """Stands between a controller's segments and its engine."""
+
+    def __init__(self, controller: "Controller") -> None:
+        self._flow = controller.planner.flow
+        self._next = controller.segments.next
+        self._motors = controller.planner.motors
+        self._spares: "dict[int, int]" = {}  # SPARE, as one row would leave it, by block
+        self._segments = controller.segments
+
+    def attach(self) -> None:
+        """Be what the engine asks; before power_up()."""
+        self._segments.next = self.next  # type: ignore[method-assign]
+
+    def next(self, row: "array[int]") -> int:
+        """As Segments.next()."""
+        flow = self._flow
+        fresh = not flow[LOADED]
+        phases = [_HALF_STEP] * self._motors if fresh else self._phases()
+        before = 0 if fresh else flow[SPARE]
+        found = self._next(row)
+        if found:
+            while flow[SLICES]:
+                self._add(row)
+            row[ROW_TICKS] += flow[SPARE] - before
+            self._close(row, fresh)
+            self._space(row, phases)
+        elif not flow[SPARE]:
+            self._spares.clear()
+        return found
+
+    def _phases(self) -> "list[int]":
+        return [self._flow[MOTORS + 2 * i + 1] for i in range(self._motors)]
+
+    def _add(self, row: "array[int]") -> None:
+        """The next slice."""
+        slice = array("i", row)
+        self._next(slice)
+        row[ROW_TICKS] += slice[ROW_TICKS]
+        row[ROW_POWER] = slice[ROW_POWER]
+        for at in range(ROW_AXES, len(row), ROW_STRIDE):
+            row[at] += slice[at]
+
+    def _close(self, row: "array[int]", fresh: bool) -> None:
+        """End it with a step: what is left over of the time follows from its mean speed."""
+        flow = self._flow
+        ticks = row[ROW_TICKS] + (0 if fresh else self._spares.get(flow[AT], 0))
+        steps = max(row[at] for at in range(ROW_AXES, len(row), ROW_STRIDE))
+        spare = 0
+        if steps and flow[PARTIAL] > HAIR:
+            spare = ticks - ticks * steps * _STEP // (steps * _STEP + flow[PARTIAL])
+        self._spares[flow[AT]] = spare
+        row[ROW_TICKS] = max(ticks - spare, 1)
+
+    def _space(self, row: "array[int]", before: "list[int]") -> None:
+        """The first and the last step of each motor, by how far it has come."""
+        after = self._phases()
+        ticks = row[ROW_TICKS]
+        for i in range(self._motors):
+            at = ROW_AXES + ROW_STRIDE * i
+            come = row[at] * _STEP + after[i] - before[i]
+            for k, step in ((1, 1), (2, row[at])) if row[at] else ():
+                row[at + k] = min((step * _STEP - before[i]) * ticks // max(come, 1), ticks)
