@@ -79,6 +79,9 @@ class Canon(Protocol):
     travel: array[int]  # and what it looks at first: see canon.judge()
     power: int  # of the spindle, as the last line has it
 
+    def power_of(self, move: Move) -> int:
+        """Spindle power of a planner block: in laser mode M4 makes it follow speed."""
+
     def line(self, target: array[float], move: Move) -> None:
         """A straight line: rapid or feed, by the move's flags. Made by finish()."""
 

@@ -154,6 +154,8 @@ def test_lines_after_the_second_of_their_kind_take_the_short_path() -> None:
     plain = bench.machine.interpreter.fast
     assert isinstance(plain, FastPath)
     assert plain.follow(bytearray(b"X3Y1N5\0"), 6) == 1
-    assert plain.follow(bytearray(b"X3F501\0"), 6) == 0
+    for text in (b"X4F501", b"G0X5", b"X6", b"G1X7F502", b"X8F503N6"):
+        assert plain.follow(bytearray(text + b"\0"), len(text)) == 1
+    assert bench.machine.modes.feed == 503
     bench.machine.state.change()
-    assert plain.follow(bytearray(b"X4\0"), 2) == 0
+    assert plain.follow(bytearray(b"X9\0"), 2) == 0

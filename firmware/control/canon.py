@@ -140,7 +140,7 @@ class Canon:
             self.auto_start()
             self.service()
             found = judge(target, self.travel, self._flow)
-        self.power = self._power(move)
+        self.power = self.power_of(move)
         if not self.planner.line(target, move, self.power):
             self._stay(move)
 
@@ -153,7 +153,7 @@ class Canon:
             self.service()
             if moves and known != state.changes[0]:
                 known = state.changes[0]
-                self.power = self._power(move)
+                self.power = self.power_of(move)
             found = self.planner.chords(course, move, self.power, moves)
             if found == OUTSIDE:
                 self._soft_limit()
@@ -178,7 +178,7 @@ class Canon:
         self.line(target, move)
         self._is_jog = True
 
-    def _power(self, move: "Move") -> int:
+    def power_of(self, move: "Move") -> int:
         """Spindle power of a planner block: in laser mode M4 makes it follow speed."""
         if not move.flags & plan.SPINDLE_MASK:
             return 0

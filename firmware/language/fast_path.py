@@ -177,18 +177,18 @@ def follow(
     speeds: ptr32,
     changes: ptr32,
     rpm: ptr32,
-    new_power: object,
+    take_news: object,
 ) -> int:
-    """Plan a line that does no more than move, with another power of the beam at the most, and has
-    nothing in its way. new_power: says what the spindle makes of rpm.
+    """Plan a line that does no more than move and has nothing in its way. take_news: sees to what
+    is new in it, and says what the spindle makes of that.
 
-    Returns 1 then; otherwise 0, and nothing has changed but S, which whoever goes on with the line
-    sets as well.
+    Returns 1 then; otherwise 0, and nothing has changed but what is new, which whoever goes on
+    with the line sees to as well.
     """
     if known[AXES] == 0 or known[_POWER] == _UNTOLD or known[_CHANGES] != changes[0]:
         return 0
     seen = int(read(text, length, known))
-    if seen <= 0 or seen & (_NEWS - HAS_S):
+    if seen <= 0:
         return 0
     place(known, seen, position, target)
     found = int(judge(target, travel, flow))
@@ -199,7 +199,8 @@ def follow(
     if seen & HAS_S:
         rpm[0] = known[VALUES + _S]
         known[_RPM] = rpm[0]
-        known[_POWER] = int(new_power())  # type: ignore[operator]
+    if seen & _NEWS:
+        known[_POWER] = int(take_news(seen))  # type: ignore[operator]
     if known[DRY] == 0:
         at = flow[HEAD]
         line = int(line_number(known, seen))
@@ -216,8 +217,8 @@ def follow(
 class FastPath:
     """The short path of an interpreter. is_open: lines may take it.
 
-    follow(line, length) plans a line that says nothing new, and returns 1; or it returns 0, and
-    has done nothing. execute() takes what is new, too, and waits for room.
+    follow(line, length) plans a line, and returns 1; or it returns 0, and has done nothing that
+    execute() would not do, which waits for room.
     """
 
     follow: "Callable[[bytearray, int], int]"
@@ -266,7 +267,7 @@ class FastPath:
             speeds: "array[float]" = planner.speeds,
             changes: "array[int]" = self._state.changes,
             rpm: "array[float]" = self._float,
-            new_power: "Callable[[], int]" = self._new_power,
+            take_news: "Callable[[int], int]" = self._follow_news,
         ) -> int:
             return follow(
                 line,
@@ -281,7 +282,7 @@ class FastPath:
                 speeds,
                 changes,
                 rpm,
-                new_power,
+                take_news,
             )
 
         return follow_line
@@ -353,11 +354,17 @@ class FastPath:
         self._asked = True
         return True
 
-    def _new_power(self) -> int:
-        """A line that goes the shortest way has another S: what the spindle makes of it."""
-        known = self._known
-        rpm = self._modes.spindle_rpm = self._move.spindle_rpm = self._float[0]
-        return 0 if known[DRY] else self._spindle.block_power(known[_FLAGS], rpm)
+    def _follow_news(self, seen: int) -> int:
+        """A line that goes the shortest way has something new. Returns the power for it."""
+        known, move = self._known, self._move
+        if seen & _NEWS == HAS_S:
+            rpm = self._modes.spindle_rpm = move.spindle_rpm = self._float[0]
+            return 0 if known[DRY] else self._spindle.block_power(known[_FLAGS], rpm)
+        self._take_news(seen)
+        power = 0 if known[DRY] else self._canon.power_of(move)
+        known[_FLAGS] = move.flags
+        self._keep(_RPM, move.spindle_rpm)
+        return power
 
     def _take_news(self, seen: int) -> None:
         """A line changes motion mode, feed rate, or a laser's power."""
