@@ -6,7 +6,7 @@ An implementation need not inherit from these: mypy checks each one where
 
 from array import array
 from collections.abc import Callable, Iterable, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 from control.spindle import Spindle
 from extras.api import Cnc
@@ -69,6 +69,18 @@ class StepEngine(Protocol):
 
     def set_position(self, steps: array[int]) -> None:
         """Name the present place. At rest only."""
+
+class BeamEngine(StepEngine, Protocol):
+    """An engine that changes the power of a beam: see motion/beam.py."""
+
+    beam: array[int]  # what is known of the beam
+    levels: Any  # its ring of them, integers
+
+    def scale(self, power_max: int) -> None:
+        """The PWM has another frequency: set the level of full power anew. At rest only."""
+
+    def put_out(self) -> object:
+        """No level comes to the pin any more until motion begins anew. Safe in an interrupt."""
 
 class Canon(Protocol):
     """The canonical machining functions: what the language may ask of the machine. Targets are
@@ -153,6 +165,12 @@ class InputListener(Protocol):
     def on_fault(self) -> None:
         """A callback has raised; kill() has been called."""
 
+class Pwm(Protocol):
+    """What makes the pulses of the spindle's power: machine.PWM."""
+
+    def freq(self, hz: int = ..., /) -> int:
+        """How many there are in a second; hz: so many, at once, each as large a part as before."""
+
 class Port(Protocol):
     """Pins that are not steps, and the clock."""
 
@@ -160,6 +178,10 @@ class Port(Protocol):
     limit_invert: int  # limits() where no switch is hit; Inputs sets it
     estop: Callable[[], bool] | None  # whether the emergency stop is pressed; None: not wired
     fault: str  # what is wrong with the inputs, in words; "" as long as nothing is
+
+    @property
+    def pwm(self) -> Pwm | None:
+        """Power of spindle or laser; None: there is no such output."""
 
     def attach(self, listener: InputListener) -> None:
         """Who is called, in interrupt context, when an input changes."""
@@ -241,6 +263,8 @@ class Options(Protocol):
     spindle: type[Spindle]  # or a tool that is told the same
     reads: tuple[int, int, int]  # talk/lines.py
     highest_tool: int
+    line_length: int  # characters of a line
+    defaults: dict[int, float]  # settings that differ from Grbl's
 
 class Extra(Protocol):
     """A module of extras/, or a user's. It may have PINS: what it calls pins in the board file;

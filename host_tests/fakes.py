@@ -161,6 +161,7 @@ class FakePort:
     raises when it is asked for."""
 
     pwm_max = 1000
+    pwm = None
 
     def __init__(self, asked: "Asked | None" = None, fails: str = "") -> None:
         self.asked: Asked = [] if asked is None else asked

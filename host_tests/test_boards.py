@@ -104,7 +104,7 @@ def test_a_board_is_data_only(name: str) -> None:
         ({"ENGINE": "i2s", "MPY_ARCH": "xtensawin", "CHIP": "esp32"}, "ENABLE is missing"),
         ({"DIALECT": "0.7"}, "DIALECT: '0.7' is not one of 1.1, 0.9, 0.9i, 0.9j"),
         ({"DIALECT": 0.9}, 'DIALECT is 0.9 and wants quotation marks: "0.9"'),
-        ({"TOOL": "hammer"}, "TOOL: 'hammer' is not one of spindle, punch"),
+        ({"TOOL": "hammer"}, "TOOL: 'hammer' is not one of spindle, laser, punch"),
         ({"TOOL": "punch", "PUNCH_UP": 20}, "no pin for PUNCH_DOWN, PUNCH_DOWN_SENSOR, PUNCH_UP_"),
         ({"DIR": None}, "DIR is missing"),
         ({"DIR": None, "ENGINE": "sim"}, ""),

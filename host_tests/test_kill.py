@@ -61,13 +61,13 @@ class Bench:
         pin = esp_bench.esp_machine.Pin(number)
         if number != OUTPUTS["SPINDLE_PWM"]:
             return 0xFFFF * int(pin.level)
-        return int(self.port._pwm.duty) ^ (0xFFFF if self.port._pwm.invert else 0)
+        return int(self.port.pwm.duty) ^ (0xFFFF if self.port.pwm.invert else 0)
 
 
 def let_pass(us: int) -> None:
     """Time on the stand-in of an RP2."""
     for output in machine.PWM.outputs.values():
-        if us * output.freq >= 1_000_000:
+        if us * output.frequency >= 1_000_000:
             output.wrap()
 
 
@@ -231,7 +231,7 @@ def test_a_callback_that_fails_kills_the_tool_and_tells(chip: str, pin: int) -> 
     pins(pin).drive(0)
     assert told == ["A pin's callback has failed"]
     port.spindle(True, 700)
-    assert (machine.Pin(16).pad() if chip == "rp2" else port._pwm.duty) == 0
+    assert (machine.Pin(16).pad() if chip == "rp2" else port.pwm.duty) == 0
 
 
 def test_a_timer_s_callback_that_fails_tells_too() -> None:

@@ -21,7 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from laws import Bench, Limits
 from motion.layout import KEEP_POWER, ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS
-from pio import hub, layout, programs, pulses
+from pio import beam_program, hub, layout, programs, pulses
 from pio.engine import PioEngine
 from test_engines import _play_words
 from ugrbl.boardfile.files import load_board
@@ -1061,3 +1061,41 @@ def test_registers_of_the_rp2350_are_where_its_data_sheet_has_them(
         inverted = {STEP[0], DIR[2]}
         for pin in (*STEP, *DIR):  # GPIOn_CTRL, OUTOVER in bits 13:12
             assert registers[0x40028004 + 8 * pin] == 6 | (pin in inverted) << 12
+
+
+# The beam
+
+
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 1), st.integers(0, 5), st.integers(0, 200)),
+        min_size=1,
+        max_size=12,
+    ),
+    st.integers(38, 130),
+)
+@settings(max_examples=30, deadline=None)
+def test_the_beams_machine_plays_words_in_the_times_of_steps(
+    words: "list[tuple[int, int, int]]", pulse: int
+) -> None:
+    """Where a step rises, a change of power comes a tick later; and so to the end."""
+    motor = pio_model.PioModel(programs.stepper, [(2, 3)])
+    beam = pio_model.PioModel(beam_program.beam, [None])
+    fifo = beam._pio.machines[0].rx_fifo
+    changes = []
+    for model in (motor, beam):
+        model.waiting[0] += [word(*one) for one in words]
+        model.load_isr(0, pulse - 3)
+        model.start()
+    for _ in range(sum(9 + (steps or 1) * (delay + pulse + 9) for _, steps, delay in words)):
+        motor.run(1)
+        beam.run(1)
+        assert fifo.item_count <= 1
+        if fifo.item_count:
+            changes.append(beam.now - 1)  # edges are noted before their tick is counted
+            fifo.pull()
+    assert [tick - 1 for tick in changes] == [
+        tick for tick, pin, level in motor.edges if (pin, level) == (2, 1)
+    ]
+    assert len(changes) == sum(steps for _, steps, _ in words)
+    assert motor.unread(0) == beam.unread(0) == 0

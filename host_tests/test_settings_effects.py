@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from base.settings import _AXIS, _TABLE
 from extras.dialect_09 import _SETTINGS as settings_09
+from extras.laser import _SETTINGS as laser_settings
 from extras.punch import _SETTINGS as punch_settings
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 from ugrbl.boardfile.files import load_board
@@ -359,6 +360,12 @@ def _punch(bench: Bench) -> Iterator[Any]:
     return (*bench.levels, controller.spindle.is_up())
 
 
+def _pwm_hz(bench: Bench) -> Iterator[Any]:
+    """What the port has been told: its own tests show what comes of it at the pin."""
+    yield bench.rig.now
+    return bench.port.pwm.freq()
+
+
 _EFFECTS: "list[Row]" = [
     # number, another value, defaults besides, how it is seen, the default's effect, the other's
     (0, 7, {}, _handed(0), 10, 7),
@@ -401,6 +408,9 @@ _PUNCH_EFFECTS: "list[Row]" = [
     (33, 1, {}, _punch, (0, 1, True), (0, 1, False)),
 ]
 
+# Of a laser.
+_LASER_EFFECTS: "list[Row]" = [(33, 20000, {}, _pwm_hz, 5000, 20000)]
+
 
 def test_every_setting_is_seen() -> None:
     table = [
@@ -411,6 +421,7 @@ def test_every_setting_is_seen() -> None:
     assert sorted(number for number, *_ in _EFFECTS) == table
     punch = [number for number, *_ in punch_settings]
     assert [number for number, *_ in _PUNCH_EFFECTS] == punch
+    assert [row[0] for row in _LASER_EFFECTS] == [row[0] for row in laser_settings]
 
 
 def _tell(bench: Bench, row: "Row") -> None:
@@ -446,6 +457,11 @@ def test_a_setting_has_its_effect_whatever_has_set_it(row: "Row") -> None:
 @pytest.mark.parametrize("row", _PUNCH_EFFECTS, ids=[f"${row[0]}" for row in _PUNCH_EFFECTS])
 def test_so_has_one_of_a_punch(row: "Row") -> None:
     _tell(Bench({}, "sim_punch"), row)
+
+
+@pytest.mark.parametrize("row", _LASER_EFFECTS, ids=[f"${row[0]}" for row in _LASER_EFFECTS])
+def test_so_has_one_of_a_laser(row: "Row") -> None:
+    _tell(Bench({}, "sim_laser"), row)
 
 
 def test_so_has_the_form_of_reports_of_grbl_09() -> None:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 INT = const(0)  # whole, 0 to 255: larger numbers wrap
 BOOL = const(1)
 _FLOAT = const(2)
-_RPM = const(3)  # a float, shown without decimals
+WHOLE = const(3)  # a float, shown without decimals
 _AXIS = const(4)  # a float per axis: number + axis
 
 # In place of a number: all of them.
@@ -77,9 +77,9 @@ _TABLE = (  # attribute-names: column 1
     # Homing switch pull-off distance. Way back from the switch, far enough to open it.
     (27, "homing_pull_off_mm", _FLOAT, 1.0, "millimeters"),
     # Maximum spindle speed. The speed at full power.
-    (30, "max_rpm", _RPM, 1000.0, "RPM"),
+    (30, "max_rpm", WHOLE, 1000.0, "RPM"),
     # Minimum spindle speed. The speed at least power.
-    (31, "min_rpm", _RPM, 0.0, "RPM"),
+    (31, "min_rpm", WHOLE, 0.0, "RPM"),
     # Laser mode. S changes without stopping; M4 power follows the speed; G0 is dark.
     (32, "laser_mode", BOOL, 0, "boolean"),
     # Steps per millimetre, one value per axis.

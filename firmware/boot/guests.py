@@ -18,7 +18,7 @@ _DIALECTS = {
     "0.9i": "extras.dialect_09",
     "0.9j": "extras.dialect_09",
 }
-_TOOLS = {"spindle": "", "punch": "extras.punch"}
+_TOOLS = {"spindle": "", "laser": "extras.laser", "punch": "extras.punch"}
 
 
 def names(board: "ModuleType") -> "list[str]":
@@ -26,9 +26,10 @@ def names(board: "ModuleType") -> "list[str]":
     option = board.__dict__.get  # getattr() would keep the names for good
     dialect = _known("DIALECT", option("DIALECT", "1.1"), _DIALECTS)
     tool = _known("TOOL", option("TOOL", "spindle"), _TOOLS)
+    clusters = "extras.clusters" if option("CLUSTERS", False) else ""
     drains = "extras.drains" if option("COUNT_DRAINS", False) else ""
     own: "tuple[str, ...]" = option("EXTRAS", ())
-    return [name for name in (dialect, tool, drains) + own if name]
+    return [name for name in (dialect, tool, clusters, drains) + own if name]
 
 
 def _known(option: str, word: str, known: "dict[str, str]") -> str:

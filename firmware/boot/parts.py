@@ -59,7 +59,15 @@ def pio(board: "ModuleType", link: "BoardLink") -> "Hardware":
 
     option = board.__dict__.get  # getattr() would keep the names for good
     hold_us, setup_us = option("DIR_HOLD_US", 2), option("DIR_SETUP_US", 5)
-    engine = PioEngine(board.STEP, board.DIR, hold_us, setup_us)
+    pins = board.STEP, board.DIR, hold_us, setup_us
+    # A PIO has four machines.
+    if option("TOOL", "spindle") == "laser" and len(board.STEP) < 4:
+        from pio.beam import BeamEngine
+
+        engine: PioEngine = BeamEngine(*pins, board.SPINDLE_PWM)
+        forget("pio.beam_program")
+    else:
+        engine = PioEngine(*pins)
     port = GpioPort(board)
     engine.on_fault = port.kill
     forget("rp2")  # with our programs, which it has made, nearly 2 kB

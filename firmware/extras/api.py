@@ -35,7 +35,7 @@ class Cnc:
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
         self._words: "dict[tuple[int, int], Word]" = {}
-        self._read = Words()
+        self._read = Words(len(machine.reader.line))
 
     # What there is
 
@@ -76,6 +76,18 @@ class Cnc:
         told = getattr(self._machine.report, "words", None)
         if told is not None and words:
             told.update(words)
+
+    def check_setting(self, number: int, check: "Callable[[float], object]") -> None:
+        """Called with what the setting is to be, before it is: GrblError refuses it."""
+        settings: "Any" = self._machine.settings
+        usual = settings.set
+
+        def set_checked(which: int, amount: float) -> None:
+            if which == number:
+                check(amount)
+            usual(which, amount)
+
+        settings.set = set_checked
 
     def add_alarms(self, words: "dict[int, str]") -> None:
         """What Grbl 0.9, which has no numbers for them, says of alarms."""

@@ -57,7 +57,7 @@ from motion.layout import (
 )
 from motion.ramps import after, braking, share, times
 from motion.reals import BIAS, HIGHEST, ONE, product, ratio, square_root
-from motion.slice_kernel import HAIR, cut, power, slices, spread
+from motion.slice_kernel import HAIR, cut, dimmed, slices, speed_share, spread
 
 _LEAST = const(0x50000)  # a segment covers 1.25 steps, where the block reaches that far,
 _LONGEST = const(0x8000000)  # or lasts as long as 1024 full ones
@@ -302,7 +302,7 @@ def fill(flow: ptr32, ring: ptr32, table: ptr32, row: ptr32) -> int:
     row[ROW_DIRS] = ring[at + DIRS]
     row[ROW_POWER] = ring[at + POWER]
     if ring[at + FLAGS] & DYNAMIC:
-        row[ROW_POWER] = int(power(flow, ring, table))
+        row[ROW_POWER] = int(dimmed(table, row[ROW_POWER], int(speed_share(flow, ring))))
     spread(flow, ring, row, table[MOTOR_COUNT], steps)
     if going == 0:
         flow[CARRY] = int(ratio(flow[NOW], ring[at + FACTOR]))

@@ -17,7 +17,6 @@ from motion.layout import (
     PARTIAL,
     PIECE,
     PIECES,
-    POWER,
     POWER_FLOOR,
     POWER_MAX,
     PROGRAMMED,
@@ -171,13 +170,18 @@ def spread(flow: ptr32, ring: ptr32, row: ptr32, motors: int, events: int) -> in
 
 
 @micropython.viper
-def power(flow: ptr32, ring: ptr32, table: ptr32) -> int:
-    """Spindle power of the row just made, of a block whose power follows speed."""
-    at = flow[AT]
-    full = ring[at + POWER]
-    rate = ring[at + PROGRAMMED]
-    if flow[REACHED] < rate:
-        full = int(times(full, int(share(flow[REACHED], rate))))
+def speed_share(flow: ptr32, ring: ptr32) -> int:
+    """The part of the programmed rate, in 2**-17, that the row just made has come to."""
+    return int(share(flow[REACHED], ring[flow[AT] + PROGRAMMED]))
+
+
+# inline: always, for it runs for every dot of a laser (beam.py)
+@micropython.viper
+def dimmed(table: ptr32, full: int, part: int) -> int:
+    """Spindle power at a part of the programmed rate, where power follows speed; full: at all of
+    it, in 1/64."""
+    if part < 131072:
+        full = int(times(full, part))
     if full == 0:
         return 0
     if full <= table[POWER_FLOOR]:

@@ -31,6 +31,7 @@ from pio.layout import (
     AHEAD,
     ASKED,
     CLOCK,
+    CLOCK_AT,
     CUT,
     EARLY,
     FAULT,
@@ -42,6 +43,7 @@ from pio.layout import (
     PIO1,
     RAISED,
     RUNNING,
+    STARTS,
 )
 from pio.registers import CLEAR
 from pio.stops import arm, call, halt, position, trouble
@@ -95,6 +97,7 @@ class PioEngine:
         direction: "tuple[int, ...]",
         hold_us: int = 2,
         setup_us: int = 5,
+        more_lanes: int = 0,
     ) -> None:
         if machine.freq() % _TICK_HZ:
             raise ValueError("the processor's clock is no multiple of 12.5 MHz")
@@ -105,10 +108,11 @@ class PioEngine:
         self._setup_us = setup_us
         self._pin_control = 0x40028004 if rp2350 else 0x40014004
         self._invert_shift = 12 if rp2350 else 8
-        self._memory = Memory(len(step), rp2350)
+        lanes = len(step) + more_lanes
+        self._memory = Memory(lanes, rp2350)
         self._hub = self._memory.hub
         self._rows = self._memory.rows
-        self._machines = [self._make_machine(i) for i in range(len(step))]
+        self._machines = [self._make_lane(i) for i in range(lanes)]
         # A board forgets both modules once the engine is there.
         import rp2
 
@@ -116,23 +120,28 @@ class PioEngine:
 
         self._pio1 = rp2.PIO(1)
         self._clock = rp2.StateMachine(4 + CLOCK, programs.clock, freq=_TICK_HZ)
-        self._memory.programs_at(
-            programs.stepper[1] + programs.NEXT, programs.clock[2] + programs.CLOCK_PULL
-        )
+        self._hub[CLOCK_AT] = programs.clock[2] + programs.CLOCK_PULL
+        for i in range(lanes):
+            self._hub[STARTS + i] = programs.stepper[1] + programs.NEXT
         self.on_fault: "Callable[[], object]" = lambda: None
 
-    def _make_machine(self, axis: int) -> "tuple[rp2.StateMachine, rp2.DMA]":
+    def _make_machine(self, axis: int) -> "rp2.StateMachine":
         import rp2
 
         from pio import programs
 
-        stepper = rp2.StateMachine(
+        return rp2.StateMachine(
             axis,
             programs.stepper,
             freq=_TICK_HZ,
             set_base=machine.Pin(self._step[axis]),
             out_base=machine.Pin(self._direction[axis]),
         )
+
+    def _make_lane(self, axis: int) -> "tuple[rp2.StateMachine, rp2.DMA]":
+        import rp2
+
+        stepper = self._make_machine(axis)
         channel = rp2.DMA()
         control = channel.pack_ctrl(
             size=2, inc_write=False, ring_size=pulses.RING_LOG2 + 2, treq_sel=axis

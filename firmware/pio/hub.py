@@ -48,6 +48,7 @@ from pio.layout import (
     LOCKED,
     LOST,
     MADE,
+    MOTORS,
     NVIC,
     PIO0,
     PIO1,
@@ -57,7 +58,7 @@ from pio.layout import (
     ROW_EXTRA,
     ROWS,
     RUNNING,
-    STEPPER_AT,
+    STARTS,
     TIMER,
     TIMING,
     WHOLE,
@@ -221,7 +222,7 @@ def _prepare(hub: ptr32) -> int:
     for i in range(axes):
         pio[INSTR + SM * i] = _STEP_LOW
     for i in range(axes):
-        pio[INSTR + SM * i] = hub[STEPPER_AT]  # jump there
+        pio[INSTR + SM * i] = hub[STARTS + i]  # jump there
     clock[INSTR + SM * CLOCK] = hub[CLOCK_AT] - 1
     hub[END_US] = 0
     hub[END_REST] = 0
@@ -358,7 +359,7 @@ class Memory:
         # The rings lie at multiples of their size: DMA wraps around within address bits.
         ring = 4 << pulses.RING_LOG2
         self._rings = bytearray(ring * (axes + 1))
-        self.timing[pulses.AXES] = hub[AXES] = axes
+        self.timing[pulses.AXES] = hub[AXES] = hub[MOTORS] = axes
         hub[HALT] = 1
         hub[BEGUN] = -1
         hub[LANES] = _address(self.lanes)
@@ -384,8 +385,3 @@ class Memory:
         """A lane's words go through this DMA channel."""
         self.hub[DMA + axis] = at = _DMA_AT + 0x40 * channel
         machine.mem32[at + _CREDITS] = 0  # counted anew: the FIFO is empty
-
-    def programs_at(self, stepper: int, clock: int) -> None:
-        """Where in the PIOs their machines pull new words."""
-        self.hub[STEPPER_AT] = stepper
-        self.hub[CLOCK_AT] = clock

@@ -33,8 +33,8 @@ TIMER = const(16)
 NVIC = const(17)
 RIVALS = const(18)  # masks: interrupts in which the engine is stopped, and its own;
 BUSY = const(19)  # a channel has words to move
-STEPPER_AT = const(20)  # where steppers wait for a word
-CLOCK_AT = const(21)  # where the clock does
+MOTORS = const(20)  # lanes whose steps are those of motors
+CLOCK_AT = const(21)  # where the clock waits for a word
 DMA = const(22)  # a channel per lane
 # … and memory.
 LANES = const(26)
@@ -45,7 +45,8 @@ WHOLE = const(30)  # a long segment, made in pieces
 ROW = const(31)  # a row per segment
 FAULT = const(ROW + ROWS)  # what has gone wrong (stops.py), until arm()
 ASKED = const(ROW + ROWS + 1)  # start() waits for the interrupt
-LENGTH = const(ROW + ROWS + 2)
+STARTS = const(ROW + ROWS + 2)  # where each lane's machine waits for a word
+LENGTH = const(ROW + ROWS + 6)
 
 # Behind a segment's row: when it begins, us and half ticks; the clock's word with which it
 # ends; and where it begins, per axis.

@@ -54,7 +54,7 @@ class GpioPort(PortPins):
         self._pads = array("i", [0] * _PADS_LENGTH)
         self._all_bits = _ALL_BITS << (_OUTOVER_2350 if _is_rp2350() else _OUTOVER)
         self._hold()
-        _raise_priority()
+        _make_urgent()
 
     def _hold(self) -> None:
         """See which pads kill() is to hold, and at which level."""
@@ -62,7 +62,7 @@ class GpioPort(PortPins):
         if _is_rp2350():
             control, shift = _CONTROL_2350, _OUTOVER_2350
         held = [(number, level) for number, _, level in self._tools]
-        if self._pwm:
+        if self.pwm:
             held.insert(0, (self._pwm_number, self._pwm_off))
         i = 1
         for number, level in held:
@@ -89,7 +89,8 @@ class GpioPort(PortPins):
         """What has been killed is off, and obeys again."""
         if self._pads[0]:
             self.safe()
-            time.sleep_us(self._pwm_period_us)  # a new width counts from the next pulse on
+            if self.pwm:  # a new width counts from the next pulse on
+                time.sleep_us(1_000_000 // self.pwm.freq() + 1)
             _release(self._pads, self._all_bits)
 
     def rest(self, levels: int) -> None:
@@ -118,7 +119,7 @@ def _release(pads: ptr32, bits: int) -> int:
     return 0
 
 
-def _raise_priority() -> None:
+def _make_urgent() -> None:
     """Interrupts of pins before all others."""
     number = 21 if _is_rp2350() else 13
     address = _PRIORITIES + number // 4 * 4

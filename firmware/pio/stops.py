@@ -31,6 +31,7 @@ from pio.layout import (
     LOCKED,
     LOST,
     MADE,
+    MOTORS,
     NVIC,
     PIO0,
     PIO1,
@@ -38,7 +39,7 @@ from pio.layout import (
     ROW,
     ROW_EXTRA,
     RUNNING,
-    STEPPER_AT,
+    STARTS,
     TIMER,
     UNHEARD,
     WORDS,
@@ -90,7 +91,7 @@ def _settle(hub: ptr32, axis: int) -> int:
     left = dma[COUNT] if busy else 0
     if patience == 0:
         hub[FAULT] = JAMMED
-    at = pio[ADDR + SM * axis] - hub[STEPPER_AT]
+    at = pio[ADDR + SM * axis] - hub[STARTS + axis]
     pio[INSTR + SM * axis] = _PUSH
     sent = lanes[LANE * axis + SENT]
     x = pio[RXF + axis]
@@ -181,12 +182,12 @@ def trouble(hub: ptr32) -> int:
 @micropython.viper
 def position(hub: ptr32, steps: ptr32) -> int:
     """Where the motors are now."""
-    axes = hub[AXES]
+    motors = hub[MOTORS]
     lanes = ptr32(hub[LANES])
-    begins = ROW_AXES + ROW_STRIDE * axes
+    begins = ROW_AXES + ROW_STRIDE * hub[AXES]
     locked = hub[LOCKED]  # now, for stop() may come in between
     if hub[RUNNING] == 0:
-        for i in range(axes):
+        for i in range(motors):
             steps[i] = lanes[LANE * i + END]
     else:
         now = ptr32(hub[TIMER])[0] & MASK
@@ -202,8 +203,8 @@ def position(hub: ptr32, steps: ptr32) -> int:
             if passed > 1 << 20:
                 passed = 1 << 20  # or the product wraps; no row is that long
             tick = (passed * HALF_TICKS_PER_US - row[begins + 1]) >> 1
-        places(row, tick, int(row) + 4 * (begins + ROW_EXTRA), steps, axes)  # type: ignore[call-overload]
-    for i in range(axes):
+        places(row, tick, int(row) + 4 * (begins + ROW_EXTRA), steps, motors)  # type: ignore[call-overload]
+    for i in range(motors):
         if (locked >> i) & 1:
             steps[i] = lanes[LANE * i + FROZEN]
     return 0

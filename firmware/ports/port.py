@@ -47,10 +47,9 @@ class PortPins(PortInputs):
         self._flood_off, self._mist_off = off[3:]
         self._pwm_number: "int | None" = option("SPINDLE_PWM", None)
         hz: int = option("PWM_HZ", 5000)
-        self._pwm_period_us = 1_000_000 // hz + 1
         self.pwm_max: int = option("PWM_MAX", 1000)
         pwm = _make_output(self._pwm_number, self._pwm_off)
-        self._pwm = pwm and PWM(pwm, freq=hz, duty_u16=0, invert=self._pwm_off)
+        self.pwm = PWM(pwm, freq=hz, duty_u16=0, invert=self._pwm_off) if pwm else None
         self._spindle_on = self._make_tool(option("SPINDLE_ON", None), self._spindle_off)
         self._flood = self._make_tool(option("FLOOD", None), self._flood_off)
         self._mist = self._make_tool(option("MIST_PIN", None), self._mist_off)
@@ -79,8 +78,8 @@ class PortPins(PortInputs):
 
     def spindle(self, on: bool, power: int) -> None:
         """Spindle output: enable, and PWM power 0..pwm_max. May be called in an interrupt."""
-        if self._pwm:
-            self._pwm.duty_u16(power * _FULL // self.pwm_max)
+        if self.pwm:
+            self.pwm.duty_u16(power * _FULL // self.pwm_max)
         if self._spindle_on:
             self._spindle_on.value(on != self._spindle_off)
         if self._killed:
@@ -110,8 +109,8 @@ class PortPins(PortInputs):
 
     def safe(self) -> None:
         """What could do harm off; motors stay as they are: an axis that drops is no safer."""
-        if self._pwm:
-            self._pwm.duty_u16(0)
+        if self.pwm:
+            self.pwm.duty_u16(0)
         for _, pin, level in self._tools:
             pin.value(level)
 

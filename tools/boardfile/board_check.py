@@ -226,6 +226,9 @@ def _wires(board: ModuleType) -> Iterator[str]:
     for option, name in (("SAFETY_DOOR", "door"), ("MIST", "mist")):
         if getattr(board, option, False) and not _wired(board, name):
             yield f"{option} is set and there is no pin for the {name}"
+    has_power = getattr(board, "SPINDLE_PWM", None) is not None
+    if getattr(board, "TOOL", "spindle") == "laser" and not has_power:
+        yield "TOOL = laser: there is no pin for SPINDLE_PWM"
     for name in getattr(board, "INVERT", ()):
         if name in INVERTIBLE and getattr(board, name, None) is None:
             yield f"INVERT: there is no pin for {name}"

@@ -255,12 +255,14 @@ OPTIONS = (
     ),
     Option(
         *("TOOL", WORD, "spindle"),
-        "What works on the material: a spindle, a laser too, or a punch, see docs/punch.md.",
+        "What works on the material: a spindle; or see docs/laser.md, or docs/punch.md.",
         words=engines.tools,
     ),
     Option(
         *("COUNT_DRAINS", SWITCH, False),
         "Counts how often a program was held up for want of lines: `$I+`, and `Dr:` in reports.",
+        *("CLUSTERS", SWITCH, False),
+        "Lines may hold S0:0:875:0, up to 16 powers, and 160 characters: see docs/laser.md.",
     ),
     Option(
         *("EXTRAS", NAMES, ()),

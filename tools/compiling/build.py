@@ -37,9 +37,12 @@ Progress = Callable[[str, int], None]
 
 # Where engines and links are made, a function for each, which bears its name.
 _PARTS = ("boot.parts", "boot.parts_esp")
-# Modules that an option asks for by being on. All others go on a board if one that goes there
+# Modules that an option asks for by a value. All others go on a board if one that goes there
 # imports them, where it makes an engine or link: the board's.
-_SWITCHED = {"motion.kinematics": "COREXY"}
+_SWITCHED: dict[str, tuple[str, object]] = {
+    "motion.kinematics": ("COREXY", True),
+    "pio.beam": ("TOOL", "laser"),
+}
 # What extras are handed; who has none has no use for it.
 _EXTRAS_API = "extras.api"
 # Brings modules into memory one by one, in an order of its own: there they stay apart.
@@ -97,7 +100,8 @@ def needed(board: ModuleType) -> list[str]:
     left = [module(START), *extras]
     while left:
         name = left.pop()
-        off = name in _SWITCHED and not getattr(board, _SWITCHED[name], False)
+        option, wanted = _SWITCHED.get(name, ("", None))
+        off = name in _SWITCHED and getattr(board, option, None) != wanted
         if name in there and name not in found and not off and (extras or name != _EXTRAS_API):
             found[name] = there[name]
             tree = ast.parse(written[name])

@@ -19,11 +19,23 @@ ESTOP = "estop"
 CONTROLS_WITH_DOOR = ("reset", "", "start", "hold")
 
 
+class SimPwm:
+    """The frequency of its spindle's output."""
+
+    def __init__(self, hz: int) -> None:
+        self._hz = hz
+
+    def freq(self, hz: int = 0) -> int:
+        self._hz = hz or self._hz
+        return self._hz
+
+
 class SimPort:
     """A Port whose pins are attributes. Closed means pulled to ground."""
 
     def __init__(self, rig: "Clock", board: "ModuleType") -> None:
         self.pwm_max = board.PWM_MAX
+        self.pwm = SimPwm(getattr(board, "PWM_HZ", 5000))
         self._controls = CONTROLS_WITH_DOOR if getattr(board, "SAFETY_DOOR", False) else CONTROLS
         # The direction's pin says that the spindle is on.
         self._enables: bool = getattr(board, "SPINDLE_ENABLE_PIN", False)

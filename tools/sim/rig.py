@@ -12,6 +12,7 @@ from boot import wiring
 
 from .engine import SimEngine
 from .full_segments import FullSegments
+from .laser import SimBeamEngine
 from .link import SimLink
 from .port import SimPort
 from .punch import PunchEngine, PunchPort
@@ -68,8 +69,9 @@ class Rig:
         axes = len(board.STEP)
         self.board = board
         self.store: "Any" = MemoryStore() if store is None else store
-        has_punch = getattr(board, "TOOL", "spindle") == "punch"
-        engine = PunchEngine if has_punch else SimEngine
+        tool = getattr(board, "TOOL", "spindle")
+        has_punch = tool == "punch"
+        engine = {"punch": PunchEngine, "laser": SimBeamEngine}.get(tool, SimEngine)
         self.engine = engine(axes, getattr(board, "SEGMENT_QUEUE", _SEGMENT_QUEUE))
         self.engine.tick_hz = SimEngine.tick_hz // coarse
         self._full = full or coarse > 1
@@ -82,6 +84,8 @@ class Rig:
         self.answer_ticks = int(getattr(board, "ANSWER_US", 0) * self.ticks_per_ms / 1000)
         self.port = (PunchPort if has_punch else SimPort)(self, board)
         self.engine.pins_changed = self.port.update
+        if isinstance(self.engine, SimBeamEngine):
+            self.engine.burning = lambda: self.port.spindle_pwm
         self.link: "Any" = link(self)
         self.controller: "Controller"  # once run() has built it
         self.on_built: "Callable[[], None] | None" = (
@@ -111,7 +115,7 @@ class Rig:
                     self.board, self.link, self.port, self.engine, self.store
                 )
                 self._give_reports_time()
-                if self._full:
+                if self._full and not isinstance(self.engine, SimBeamEngine):
                     FullSegments(self.controller).attach()
                 if self.on_built:
                     self.on_built()

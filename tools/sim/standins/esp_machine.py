@@ -186,14 +186,19 @@ class PWM:
     def __init__(
         self, dest: Pin, *, freq: int, duty_u16: int = 0, invert: "bool | int" = False
     ) -> None:
-        if not 0 < freq <= 40_000_000:
-            raise ValueError("frequency must be from 1Hz to 40MHz")
-        self.frequency = freq
+        self.freq(freq)
         self.pin = dest
         self.invert = invert
         mem32.connect(dest.id, _LEDC_SIGNAL)
         PWM.outputs[dest.id] = self
         self.duty_u16(duty_u16)
+
+    def freq(self, hz: int = 0) -> int:
+        if hz:
+            if not 0 < hz <= 40_000_000:
+                raise ValueError("frequency must be from 1Hz to 40MHz")
+            self.frequency = hz
+        return self.frequency
 
     def duty_u16(self, duty: int) -> None:
         if not 0 <= duty <= 65535:

@@ -158,15 +158,19 @@ class Pin:
                 raise
 
 
+def _checked(hz: int) -> int:
+    if not 8 <= hz <= 62_500_000:
+        raise ValueError("freq out of range")
+    return hz
+
+
 class PWM:
     """A pulse width; one per pin. A new one counts from the next pulse on: see wrap()."""
 
     outputs: dict[int, "PWM"] = {}
 
     def __init__(self, pin: Pin, *, freq: int, duty_u16: int, invert: int = 0) -> None:
-        if not 8 <= freq <= 62_500_000:
-            raise ValueError("freq out of range")
-        self.freq = freq
+        self.frequency = _checked(freq)
         self.duty = self.playing = duty_u16
         self.invert = invert
         PWM.outputs[pin.id] = self
@@ -179,6 +183,11 @@ class PWM:
     def wrap(self) -> None:
         """A pulse ends."""
         self.playing = self.duty
+
+    def freq(self, hz: int = 0) -> int:
+        if hz:
+            self.frequency = _checked(hz)
+        return self.frequency
 
     def duty_u16(self, duty: int) -> None:
         if not 0 <= duty <= 65535:

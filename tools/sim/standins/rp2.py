@@ -176,17 +176,26 @@ class DMA:
         self,
         *,
         size: int = 2,
+        inc_read: bool = True,
         inc_write: bool = True,
         ring_size: int = 0,
         ring_sel: bool = False,
         treq_sel: int = 63,
+        chain_to: int = -1,
         irq_quiet: bool = True,
     ) -> int:
-        for value, limit in ((size, 4), (ring_size, 16), (treq_sel, 64)):
+        chain_to = self.channel if chain_to < 0 else chain_to
+        for value, limit in ((size, 4), (ring_size, 16), (treq_sel, 64), (chain_to, 12)):
             if not 0 <= value < limit:
                 raise ValueError("bad field value")
-        flags = int(irq_quiet) << 21 | int(ring_sel) << 10 | int(inc_write) << 5 | 0x11
-        return flags | treq_sel << 15 | self.channel << 11 | ring_size << 6 | size << 2
+        flags = (
+            int(irq_quiet) << 21
+            | int(ring_sel) << 10
+            | int(inc_write) << 5
+            | int(inc_read) << 4
+            | 1
+        )
+        return flags | treq_sel << 15 | chain_to << 11 | ring_size << 6 | size << 2
 
-    def config(self, *, read: object, write: object, ctrl: int) -> None:
-        self.configured = {"read": read, "write": write, "ctrl": ctrl}
+    def config(self, *, read: object, write: object, ctrl: int = 0, count: int = 0) -> None:
+        self.configured = {"read": read, "write": write, "count": count, "ctrl": ctrl}

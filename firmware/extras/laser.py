@@ -1,0 +1,177 @@
+# mypy: disable-error-code=arg-type
+"""The laser: what a beam wants besides what every spindle has.
+
+$33 is the frequency of the pulses that power is made of, with grblHAL's number and meaning; the
+board file's PWM_HZ is its default. A spindle's controller wants a certain one; a beam draws a
+raster the better, the more pulses fall on a dot.
+
+Where the engine can, power changes at the step where it belongs, by hardware: motion/beam.py says
+where in each segment, and no interrupt sets it.
+"""
+
+from array import array
+
+import micropython
+from base.errors import INVALID_STATEMENT, GrblError
+from base.f32 import whole
+from base.settings import ALL, WHOLE
+from control.spindle import Spindle
+from micropython import const
+from motion import beam as bm
+from motion.beam import mark
+from motion.layout import AT, EVENTS, LOADED, MOTORS, ROW_SIZE, STEPS
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from types import ModuleType
+    from typing import Any
+
+    from base.settings import Rows
+    from base.state import State
+    from interfaces import BeamEngine, NextSegment, Options, Port
+    from motion.planner import Planner
+
+    from extras.api import Cnc
+
+_SETTINGS: "Rows" = (  # attribute-names: column 1
+    # Spindle PWM frequency. Pulses a second of the output that power is made of: 10 to 100000.
+    (33, "pwm_hz", WHOLE, 5000.0, "Hz"),
+)
+_NUMBER = const(33)
+# What every chip's PWM can do with a thousand steps of power, or nearly.
+_LOWEST_HZ = const(10)
+_HIGHEST_HZ = const(100_000)
+
+
+class Laser(Spindle):
+    """A spindle whose engine changes its power while the machine moves."""
+
+    def __init__(self, port: "Port", state: "State", enable_by_direction: bool) -> None:
+        super().__init__(port, state, enable_by_direction)
+        self._beam = array("i", (bm.UNKNOWN for _ in range(bm.LENGTH)))
+        self._engine: "Any" = None
+
+    def connect(
+        self,
+        engine: "BeamEngine",
+        planner: "Planner",
+        usual_next: "NextSegment",
+        clusters: "array[int]",
+    ) -> None:
+        """Say what works on the beam: at rest, this; in motion, the engine."""
+        self._usual_next = usual_next
+        self._engine = engine
+        self._beam = engine.beam
+        self._levels = engine.levels
+        self._flow = planner.flow
+        self._ring = planner.ring
+        self._table = planner.table
+        self._clusters = clusters
+
+    @micropython.viper
+    def next(self, row: object) -> int:
+        """As segments.Segments.next(), with the changes of power that come in the segment."""
+        if int(self._usual_next(row)) == 0:
+            return 0
+        flow = ptr32(self._flow)
+        ring = ptr32(self._ring)
+        table = ptr32(self._table)
+        beam = ptr32(self._beam)
+        mark(flow, ring, table, ptr32(row), beam, ptr32(self._levels), ptr32(self._clusters))
+        return 1
+
+    def take_up(self) -> bool:
+        """Motion begins: a dot that a hold has cut in two goes on as it was. Power that follows
+        speed begins with none."""
+        flow, ring = self._flow, self._ring
+        at = flow[AT]
+        own = at // flow[ROW_SIZE] * self._beam[bm.ROW]
+        count = self._clusters[own]
+        if count and flow[LOADED] and not self._reversed and self._engine.idle():
+            events = ring[at + EVENTS]
+            longest = 0
+            while ring[at + STEPS + longest] != events:
+                longest += 1
+            parts = min(count, events)
+            begun = ((events - flow[MOTORS + 2 * longest]) * parts + events - 1) // events
+            if begun:
+                self.set_power(self._clusters[own + 1 + (begun - 1) * count // parts])
+        return True
+
+    def set_power(self, power: int) -> None:
+        """Power at rest; of segments, where no engine changes it. Safe in an interrupt."""
+        self._power = power
+        self._port.spindle(power != 0, power)
+
+    def rest(self) -> None:
+        """Motion has come to its end: what hardware has made is known from now on. Interrupt."""
+        beam = self._beam
+        if self._reversed and self.laser:
+            self.set_power(0)
+        elif beam[bm.LEVEL] >= 0:
+            self.set_power(beam[bm.LEVEL])
+        beam[bm.LEVEL] = bm.UNKNOWN
+
+    def stop(self) -> None:
+        """Off, at once, whatever is still on its way to the pin; safe in an interrupt."""
+        if self._engine:
+            self._engine.put_out()
+        super().stop()
+
+    def burn(self, clusters: "array[int]") -> None:
+        """Say where the dots of each block are."""
+        self._clusters = clusters
+
+    def slope(self) -> "tuple[float, float, float]":
+        """S of full power, S of the least, and power per S between them: $30 and $31."""
+        return self._max_rpm, self._min_rpm, self._gradient
+
+    def direction(self) -> int:
+        """OFF, CW or CCW."""
+        if self._beam[bm.LEVEL] >= 0:
+            self._power = self._beam[bm.LEVEL]
+        return super().direction()
+
+
+def prepare(options: "Options", board: "ModuleType") -> None:
+    """Before the machine is made. Raises ValueError where the board file cannot be."""
+    option = board.__dict__.get
+    hz: int = option("PWM_HZ", 5000)
+    if not _LOWEST_HZ <= hz <= _HIGHEST_HZ:
+        raise ValueError("TOOL = laser: PWM_HZ is %d to %d" % (_LOWEST_HZ, _HIGHEST_HZ))
+    if option("SPINDLE_ON", None) is not None:
+        raise ValueError("TOOL = laser: SPINDLE_ON would not follow the beam")
+    options.defaults = dict(options.defaults)
+    options.defaults.setdefault(_NUMBER, hz)
+    options.spindle = Laser
+
+
+def install(cnc: "Cnc") -> None:
+    """Its setting, and its part in every segment. Raises ValueError where there is no output."""
+    machine = cnc.machine
+    pwm = machine.port.pwm
+    if not pwm:
+        raise ValueError("TOOL = laser: the board file names no pin for SPINDLE_PWM")
+    settings: "Any" = machine.settings
+    engine: "Any" = machine.engine
+    laser: "Any" = machine.spindle
+    has_beam = hasattr(engine, "beam")
+    if has_beam:
+        laser.connect(engine, machine.planner, machine.segments.next, array("i", (0,)))
+        machine.segments.next = laser.next  # type: ignore[method-assign]
+        cnc.before_motion(laser.take_up)
+
+    def configure() -> None:
+        if settings.changed in (_NUMBER, ALL):
+            pwm.freq(min(max(whole(settings.pwm_hz), _LOWEST_HZ), _HIGHEST_HZ))
+            if has_beam:
+                engine.scale(machine.port.pwm_max)
+
+    cnc.add_settings(_SETTINGS)
+    cnc.check_setting(_NUMBER, _check)
+    settings.on_change(configure)
+
+
+def _check(hz: float) -> None:
+    if not _LOWEST_HZ <= hz <= _HIGHEST_HZ:
+        raise GrblError(INVALID_STATEMENT)

@@ -1,0 +1,132 @@
+"""The laser: its setting, and the power that S stands for."""
+
+from array import array
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from base.state import State
+from boot.options import Options
+from control.spindle import CW, Spindle
+from esp_bench import esp_machine, gpio_esp, reset_stand_ins
+from fakes import FakePort
+from motion import layout
+from test_settings_effects import Bench
+from ugrbl.boardfile.board_check import problems
+from ugrbl.boardfile.files import load_board
+
+# Power of an Uno, of 255, for S between $31 and $30: recorded from Grbl (spindle_coolant_laser).
+_RECORDED = [
+    # S, $30, $31, power
+    *((1, 1000, 0, 1), (3, 1000, 0, 1), (4, 1000, 0, 2), (127, 255, 0, 127), (128, 255, 0, 128)),
+    *((254, 255, 0, 254), (1, 12000, 500, 1), (500, 12000, 500, 1), (501, 12000, 500, 1)),
+    *((6250, 12000, 500, 127), (11999, 12000, 500, 254), (7, 7, 1, 255), (4, 7, 1, 128)),
+]
+
+
+def made(most: float, least: float, full: int) -> Spindle:
+    """A spindle with that $30 and $31, on a port with so many steps of power."""
+    port = FakePort()
+    port.pwm_max = full
+    spindle = Spindle(port, State(), False)
+    settings: Any = SimpleNamespace(max_rpm=most, min_rpm=least, laser_mode=0)
+    spindle.configure(settings, array("i", [0] * layout.table_length(3, 3)))
+    return spindle
+
+
+@pytest.mark.parametrize(("rpm", "most", "least", "power"), _RECORDED)
+def test_power_is_grbls_where_full_power_is(
+    rpm: float, most: float, least: float, power: int
+) -> None:
+    assert made(most, least, 255).power(rpm) == power
+
+
+@pytest.mark.parametrize(("rpm", "most", "least", "power"), _RECORDED)
+def test_a_board_with_finer_steps_has_the_same_power_within_one_of_grbls(
+    rpm: float, most: float, least: float, power: int
+) -> None:
+    assert abs(made(most, least, 1000).power(rpm) * 255 / 1000 - power) <= 1
+
+
+def test_s_without_m3_and_m4_is_no_power() -> None:
+    spindle = made(1000, 0, 1000)
+    assert spindle.block_power(0, 500) == 0
+    assert spindle.block_power(CW, 500) == 500
+
+
+# $33
+
+
+def talk(bench: Bench, *lines: str) -> "list[list[str]]":
+    """What the machine answers to each."""
+    said = []
+
+    def script() -> Iterator[Any]:
+        for line in lines:
+            said.append((yield from bench.say(line + "\n", "ok")))
+
+    bench.run(script())
+    return said
+
+
+@pytest.mark.parametrize("hz", [0, 9.9, 100_001, 1e9])
+def test_a_frequency_out_of_range_is_refused_and_nothing_has_changed(hz: float) -> None:
+    bench = Bench({}, "sim_laser")
+    refused, listed = talk(bench, f"$33={hz:f}", "$$")
+    assert refused == ["error:3"]
+    assert "$33=5000" in listed and bench.port.pwm.freq() == 5000
+    assert not any(
+        "$33=" in line for line in bench.rig.store.files["settings"] if "5000" not in line
+    )
+
+
+@pytest.mark.parametrize("hz", [10, 100_000])
+def test_the_limits_of_the_frequency_are_taken(hz: int) -> None:
+    bench = Bench({}, "sim_laser")
+    assert talk(bench, f"$33={hz}") == [["ok"]]
+    assert bench.port.pwm.freq() == hz
+
+
+def test_a_board_without_a_laser_has_no_such_setting() -> None:
+    bench = Bench({})
+    refused, listed = talk(bench, "$33=5000", "$$")
+    assert refused == ["error:3"]
+    assert not any(line.startswith("$33") for line in listed)
+
+
+def test_a_kept_frequency_that_no_chip_makes_is_the_nearest_one() -> None:
+    bench = Bench({}, "sim_laser")
+    bench.rig.store.files["settings"] = ["$33=7"]
+    talk(bench)
+    assert bench.port.pwm.freq() == 10
+
+
+def test_the_board_files_frequency_is_the_default() -> None:
+    options = Options(load_board("pico_laser"))
+    assert options.defaults == {32: 1, 33: load_board("pico_laser").PWM_HZ}
+    assert load_board("pico_laser").DEFAULTS == {32: 1}
+
+
+def test_an_esp32_takes_it_at_once_with_power_as_it_is() -> None:
+    reset_stand_ins()
+    port = gpio_esp.EspPort(SimpleNamespace(SPINDLE_PWM=16, PWM_MAX=1000))
+    port.spindle(True, 250)
+    output = esp_machine.PWM.outputs[16]
+    port.pwm.freq(20_000)
+    assert (output.frequency, output.duty) == (20_000, 250 * 65535 // 1000)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"PWM_HZ": 5}, "TOOL = laser: PWM_HZ is 10 to 100000"),
+        ({"SPINDLE_PWM": None}, "TOOL = laser: there is no pin for SPINDLE_PWM"),
+    ],
+)
+def test_a_board_file_that_cannot_be_is_told_of(changes: "dict[str, Any]", said: str) -> None:
+    assert problems(load_board_with(**changes)) == [said]
+
+
+def load_board_with(**changes: Any) -> Any:
+    return SimpleNamespace(**{**vars(load_board("pico_laser")), **changes})

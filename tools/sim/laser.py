@@ -1,0 +1,96 @@
+"""A pulse engine whose beam changes power at the step where it belongs, as a board's does."""
+
+from array import array
+from collections import deque
+
+from motion import beam as bm
+from motion.layout import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS, row_length
+
+from .engine import SimEngine, step_tick, steps_until
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+class SimBeamEngine(SimEngine):
+    """SimEngine that plays a segment in pieces: each begins where the power changes."""
+
+    def __init__(self, axes: int, depth: int = 3, segment_log2: int = 17) -> None:
+        super().__init__(axes, depth, segment_log2)
+        self.beam = array("i", [0] * bm.LENGTH)
+        self.beam[bm.BOTH] = 1
+        self.beam[bm.LEVEL] = bm.UNKNOWN
+        self.levels = array("i", [0] * (bm.LEVELS_MASK + 1))
+        self._whole = array("i", [0] * row_length(axes + 1))
+        self._pieces: "deque[array[int]]" = deque()
+        self._taken = 0  # levels
+        self._level = 0
+        self.burning: "Callable[[], int]" = int  # the power at rest
+
+    # The seam of a beam
+
+    def scale(self, power_max: int) -> None:
+        """A level is the power itself."""
+        self.beam[bm.FULL] = bm.full(power_max, power_max)
+
+    def put_out(self) -> None:
+        """Nothing is on its way that power() would not tell of."""
+
+    # The StepEngine seam
+
+    def arm(self) -> None:
+        super().arm()
+        self._taken = self.beam[bm.COUNT]
+
+    def start(self) -> None:
+        if not self._running and not self._stopped:
+            self.beam[bm.LEVEL] = bm.UNKNOWN
+            self._level = self.burning()
+        super().start()
+
+    def stop(self) -> None:
+        super().stop()
+        self._pieces.clear()
+
+    # The simulator's side
+
+    def _refill(self) -> None:
+        size = len(self._queue)
+        while self._held < size:
+            if not self._pieces and self._next_segment(self._whole):
+                self._cut()
+            if not self._pieces:
+                break
+            self._queue[(self._head + self._held) % size] = self._pieces.popleft()
+            self._held += 1
+
+    def _cut(self) -> None:
+        """The segment, in pieces."""
+        row, base = self._whole, ROW_AXES + ROW_STRIDE * self._axes
+        row[ROW_DIRS] ^= self.dir_invert  # as the pins have it
+        begin = 0
+        for k in range(row[base]):
+            tick = min(step_tick(row, base, k), row[ROW_TICKS])
+            self._piece(begin, tick)
+            begin = tick
+            self._level = self.levels[self._taken & bm.LEVELS_MASK]
+            self._taken += 1
+        self._piece(begin, row[ROW_TICKS])
+
+    def _piece(self, begin: int, end: int) -> None:
+        """From behind one tick up to the other, steps there included."""
+        if begin == end:
+            return
+        row = self._whole
+        made = array("i", row[: row_length(self._axes)])
+        made[ROW_TICKS], made[ROW_POWER] = end - begin, self._level
+        for i in range(self._axes):
+            base = ROW_AXES + ROW_STRIDE * i
+            before = steps_until(row, base, begin) if begin else 0
+            steps = steps_until(row, base, end) - before
+            made[base] = steps
+            if steps:
+                made[base + 1] = step_tick(row, base, before) - begin
+                made[base + 2] = step_tick(row, base, before + steps - 1) - begin
+        self._pieces.append(made)
