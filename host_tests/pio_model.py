@@ -271,8 +271,8 @@ class PioChip(_Chip):
 
         for module in (engine, hub, pulses, stops):
             patch.setattr(module, "ptr32", ptr32, raising=False)
-        patch.setattr(hub, "_array", self._array)
-        patch.setattr(hub, "_address", self._address)
+        patch.setattr(hub, "_make_array", self._array)
+        patch.setattr(hub, "_make_address", self._address)
         patch.setattr(machine, "mem32", _Registers(self))
         patch.setattr(rp2.StateMachine, "machines", {})
         patch.setattr(rp2.PIO, "handlers", {})

@@ -162,6 +162,13 @@ def test_a_board_gets_what_it_can_use() -> None:
         "esp_chip/pins.py",
     } < rmt and "esp_chip/i2s.py" not in rmt
     assert needed(TOOL="punch") - pico == {"extras/api.py", "extras/punch.py"}
+    laser = needed(TOOL="laser") - pico
+    assert laser == {
+        *("extras/api.py", "extras/laser.py", "motion/beam.py"),
+        *("pio/beam.py", "pio/beam_program.py"),
+    }
+    clusters = {"extras/clusters.py", "language/clusters.py"}
+    assert needed(TOOL="laser", CLUSTERS=True) - pico - laser == clusters
     assert needed(DIALECT="0.9") - pico == {"extras/api.py", "extras/dialect_09.py"}
 
 
@@ -170,8 +177,9 @@ def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() ->
     every: set[str] = set()
     for engine in engines.engines():
         for link in engines.links():
-            words = {"TOOL": "punch", "DIALECT": "0.9", "COREXY": True}
-            every |= needed(ENGINE=engine, LINK=link, **words)
+            for tool in ("punch", "laser"):
+                words = {"TOOL": tool, "DIALECT": "0.9", "COREXY": True, "CLUSTERS": True}
+                every |= needed(ENGINE=engine, LINK=link, **words)
     left = {build.module(source) for source in set(build.sources()) - every}
     trees = [ast.parse(text) for text in inline(build.texts()).values()]
     assert not any(left.intersection(build._imported(tree)) for tree in trees)

@@ -6,6 +6,7 @@ once the machine is built: a board forgets this module then.
 
 from control.spindle import Spindle
 from language.block import HIGHEST_TOOL
+from language.words import LINE_LENGTH
 from micropython import const
 from talk.lines import READS
 from talk.report import Report
@@ -46,6 +47,7 @@ class Options:
         self.spindle: "type[Spindle]" = Spindle
         self.reads = READS  # which bytes are taken off a line
         self.highest_tool = HIGHEST_TOOL
+        self.line_length = LINE_LENGTH
         for extra in self.extras:
             if hasattr(extra, "prepare"):
                 extra.prepare(self, board)

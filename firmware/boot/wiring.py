@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
     from interfaces import Link, Port, StepEngine, Store
 
-_LINE_LENGTH = const(79)
-
 
 def build(
     board: "ModuleType", link: "Link", port: "Port", engine: "StepEngine", store: "Store"
@@ -192,6 +190,7 @@ def _make_language(machine: Controller, options: Options) -> None:
             options.mist,
             options.override_control,
             options.highest_tool,
+            options.line_length,
         ),
         options.line_numbers,
     )
@@ -217,7 +216,7 @@ def _make_talk(machine: Controller, options: Options, link: "Link") -> None:
     )
     machine.reader = LineReader(
         options.rx_bytes,
-        _LINE_LENGTH,
+        options.line_length,
         machine.realtime.post,
         options.reads,
     )

@@ -39,7 +39,7 @@ from control.modes import (
 from micropython import const
 from motion.arcs import Arc
 
-from language.words import LETTER_EXPECTED, Words
+from language.words import LETTER_EXPECTED, LINE_LENGTH, Words
 
 _BEYOND = 2147483648.0
 
@@ -311,6 +311,7 @@ class Block:
         has_mist: bool,
         has_override_control: bool,
         highest_tool: int = HIGHEST_TOOL,
+        longest: int = LINE_LENGTH,
     ) -> None:
         self.ints = array("i", (0 for _ in range(MODAL_ROOM)))
         self.xyz = vector(axes)
@@ -320,7 +321,7 @@ class Block:
         self.arc = Arc()
         self.stored = vector(axes)
         self.index = 0  # of the coordinate system that G10 writes
-        self._words = Words()
+        self._words = Words(longest)
         self._index = bytearray(index)
         if not has_mist:
             self._index[_M + 7] = 0

@@ -11,7 +11,7 @@ from array import array
 import micropython
 from micropython import const
 
-_LONGEST = const(79)  # characters of a line
+LINE_LENGTH = const(79)  # characters, as Grbl has them
 
 # What scan() found wrong, above the count of words.
 LETTER_EXPECTED = const(1)
@@ -135,7 +135,7 @@ def scan(text: ptr8, span: int, letters: ptr8, values: ptr32) -> int:
 class Words:
     """The words of one line. letters[i] is a character code, values[i] its number."""
 
-    def __init__(self, longest: int = _LONGEST) -> None:
+    def __init__(self, longest: int = LINE_LENGTH) -> None:
         most = longest // 2 + 1
         self.letters = bytearray(most)
         self.values = array("f", (0.0 for _ in range(most)))

@@ -69,13 +69,13 @@ def reach(row: ptr32, base: int, whole: int, over: int, parts: int) -> int:
     of one, into its segment. A step is made half way to the next place of a motor."""
     gaps = row[base] - 1
     tick = row[base + 1]
+    gap = row[ROW_TICKS]
     if gaps > 0:
         span = row[base + 2] - tick
         gap = span // gaps
         longer = span - gap * gaps
         tick += gap * whole + (whole if whole < longer else longer)
-        tick += gap * (2 * over - parts) // (2 * parts)
-    return tick
+    return tick + gap // (2 * parts) * (2 * over - parts)
 
 
 # inline: always, for it runs for every dot

@@ -44,6 +44,7 @@ from pio.layout import (
     RAISED,
     RUNNING,
     STARTS,
+    WORDS,
 )
 from pio.registers import CLEAR
 from pio.stops import arm, call, halt, position, trouble
@@ -146,7 +147,8 @@ class PioEngine:
         control = channel.pack_ctrl(
             size=2, inc_write=False, ring_size=pulses.RING_LOG2 + 2, treq_sel=axis
         )
-        channel.config(read=self._memory.ring(axis), write=stepper, ctrl=control)
+        ring = self._hub[WORDS] + (4 * axis << pulses.RING_LOG2)
+        channel.config(read=ring, write=stepper, ctrl=control)
         self._memory.connect(axis, channel.channel)
         return stepper, channel
 

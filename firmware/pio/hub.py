@@ -337,11 +337,11 @@ def _launch(hub: ptr32, fed: int) -> int:
 
 
 @micropython.viper
-def _address(memory: ptr8) -> int:
+def _make_address(memory: ptr8) -> int:
     return int(memory)  # type: ignore[call-overload, no-any-return]
 
 
-def _array(length: int) -> "array[int]":
+def _make_array(length: int) -> "array[int]":
     return array("i", (0 for _ in range(length)))
 
 
@@ -350,25 +350,25 @@ class Memory:
 
     def __init__(self, axes: int, rp2350: bool) -> None:
         length = row_length(axes)
-        self.hub = hub = _array(LENGTH)
-        self.lanes = _array(LANE * axes)
-        self.timing = _array(pulses.TIMING_LENGTH)
-        self.rows = [_array(length + ROW_EXTRA + axes) for _ in range(ROWS)]
-        self._clocked = _array(_CLOCK_FIFO)
-        self._whole = _array(length)
+        self.hub = hub = _make_array(LENGTH)
+        self.lanes = _make_array(LANE * axes)
+        self.timing = _make_array(pulses.TIMING_LENGTH)
+        self.rows = [_make_array(length + ROW_EXTRA + axes) for _ in range(ROWS)]
+        self._clocked = _make_array(_CLOCK_FIFO)
+        self._whole = _make_array(length)
         # The rings lie at multiples of their size: DMA wraps around within address bits.
         ring = 4 << pulses.RING_LOG2
         self._rings = bytearray(ring * (axes + 1))
         self.timing[pulses.AXES] = hub[AXES] = hub[MOTORS] = axes
         hub[HALT] = 1
         hub[BEGUN] = -1
-        hub[LANES] = _address(self.lanes)
-        hub[WORDS] = (_address(self._rings) + ring - 1) // ring * ring
-        hub[TIMING] = _address(self.timing)
-        hub[CLOCKED] = _address(self._clocked)
-        hub[WHOLE] = _address(self._whole)
+        hub[LANES] = _make_address(self.lanes)
+        hub[WORDS] = (_make_address(self._rings) + ring - 1) // ring * ring
+        hub[TIMING] = _make_address(self.timing)
+        hub[CLOCKED] = _make_address(self._clocked)
+        hub[WHOLE] = _make_address(self._whole)
         for i, row in enumerate(self.rows):
-            hub[ROW + i] = _address(row)
+            hub[ROW + i] = _make_address(row)
         hub[PIO0] = 0x50200000
         hub[PIO1] = 0x50300000
         hub[TIMER] = 0x400B0028 if rp2350 else 0x40054028
@@ -376,10 +376,6 @@ class Memory:
         # IO_IRQ_BANK0, PIO1_IRQ_0, and the timer's four.
         hub[RIVALS] = 1 << 21 | 1 << 17 | 15 if rp2350 else 1 << 13 | 1 << 9 | 15
         hub[BUSY] = 1 << (26 if rp2350 else 24)
-
-    def ring(self, axis: int) -> int:
-        """Address of a lane's ring."""
-        return self.hub[WORDS] + (4 * axis << pulses.RING_LOG2)
 
     def connect(self, axis: int, channel: int) -> None:
         """A lane's words go through this DMA channel."""

@@ -42,6 +42,7 @@ _PARTS: "dict[str, _Part]" = {
     "queries": talking.queries,
     "lines": talking.lines,
     "special": talking.special_lines,
+    "clusters": talking.clusters,
     "chords": talking.chords,
     "share": pins.share,
     "hold": pins.hold,
@@ -50,7 +51,7 @@ _PARTS: "dict[str, _Part]" = {
     "gaps": talking.gaps,
     "calibration": calibration,
 }
-_EMULATED_ONLY = ("boot", "hold", "rates")
+_EMULATED_ONLY = ("boot", "clusters", "hold", "rates")
 
 
 _PLAIN, _CACHE = "plain", "cache"

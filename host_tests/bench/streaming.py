@@ -40,6 +40,17 @@ def raster(count: int) -> "Iterator[str]":
         yield f"G1X{10 + 0.1 * (k + 1):.1f}S{100 + 37 * (k % 9)}"
 
 
+CLUSTER = 16  # dots in a line
+CLUSTERS = ("$30=1000", "$32=1", "$110=30000", "$120=5000")
+
+
+def clusters(count: int) -> "Iterator[str]":
+    """A laser's line of an image: dots of 0.01 mm, 16 of them in a line of text."""
+    for k in range(count):
+        powers = ":".join(str(100 + 53 * (k + i) % 900) for i in range(CLUSTER))
+        yield f"X0.16S{powers}"
+
+
 def arcs(count: int) -> "Iterator[str]":
     """Half circles of 1 mm radius, twelve chords or more each."""
     for k in range(count):

@@ -3,12 +3,17 @@
 from collections.abc import Iterator
 
 import prompt
+import streaming
 from bench_setup import Bench, inside, reset, set_up
+from emulated import files_of
 from on_board import GAPS, MAIN, STAGES
 from rows import Row
 from streaming import (
     CIRCLE,
     CIRCLE_CHORDS,
+    CLUSTER,
+    CLUSTERS,
+    SETTINGS,
     Streamed,
     arcs,
     circles,
@@ -160,6 +165,18 @@ def special_lines(bench: Bench) -> Iterator[Row]:
     idle(talk)
     talk.ask("M5")
     talk.ask("$32=0")
+
+
+def clusters(bench: Bench) -> Iterator[Row]:
+    """A laser's dots, 16 in a line: a board of its own, which asks for them."""
+    if not bench.emulated:
+        return
+    talk = Talk(EmulatedWire(bench.board(files_of("pico_laser")).boot().settled()))
+    for line in (*SETTINGS, *CLUSTERS, "G91G1F9000M4S0"):
+        talk.ask(line)
+    made = stream(talk, list(streaming.clusters(150)), _BLOCKS)
+    yield Row("clusters of 16 dots, M4", made.lines_s, "lines/s")
+    yield Row("dots of clusters, M4", made.lines_s * CLUSTER, "dots/s")
 
 
 def chords(bench: Bench) -> Iterator[Row]:

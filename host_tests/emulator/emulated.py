@@ -38,6 +38,13 @@ def firmware() -> "Mapping[str, bytes]":
     return build.for_board(BOARDS / "rpi_pico.py").files
 
 
+@cache
+def files_of(board: str) -> "Mapping[str, bytes | None]":
+    """What makes one of our boards of what is on a Pico: changes for Board()."""
+    files = build.for_board(BOARDS / f"{board}.py").files
+    return {**dict.fromkeys(firmware()), **files}
+
+
 def altered(old: str, new: str) -> "Mapping[str, bytes]":
     """The same, where one text in one of its sources reads otherwise."""
     read = build._text

@@ -32,8 +32,8 @@ _PARTS = (
     *("boot", "memory", "heap", "queries", "lines", "special", "chords"),
     *("share", "hold", "gaps"),
 )
-_FAR = ("rates",)  # on a board of its own: the way back from where the others end is long
-_CACHED = ("lines", "special", "chords")
+_FAR = ("rates", "clusters")  # on boards of their own: from where the others end it is far
+_CACHED = ("lines", "special", "clusters", "chords")
 
 _LONG = [f"interrupt's share, {x}" for x in ("1 axis, 1 kHz", "1 axis, 100 kHz", "3 axes, 70 kHz")]
 # The rows of the table by their beginning, and what each of their figures is in the benchmark: in
@@ -50,6 +50,7 @@ _ROWS: "dict[str, tuple[float, Sequence[str]]]" = {
     "short moves in check mode": (1, ["short moves, check mode"]),
     "a laser's raster": (1, ["raster, G1 X S in M4"]),
     "short moves with a new F": (1, ["short moves, a new F each"]),
+    "clusters of 16 dots": (1, ["dots of clusters, M4"]),
     "half circles of 1 mm": (1, ["half circles of 1 mm"]),
     "circles of 702 chords": (1, ["chords of circles", "chords of circles, check mode"]),
     "`?` to the end": (1, ["? at rest, whole answer, mean"]),
@@ -140,7 +141,12 @@ def test_the_table_holds(uf2: Path) -> None:
 
 _STREAMS = (
     *("the same without `?`", "short moves in check mode", "a laser's raster"),
-    *("short moves with a new F", "half circles of 1 mm", "circles of 702 chords"),
+    *(
+        "short moves with a new F",
+        "clusters of 16 dots",
+        "half circles of 1 mm",
+        "circles of 702 chords",
+    ),
 )
 
 

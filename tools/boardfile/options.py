@@ -261,6 +261,8 @@ OPTIONS = (
     Option(
         *("COUNT_DRAINS", SWITCH, False),
         "Counts how often a program was held up for want of lines: `$I+`, and `Dr:` in reports.",
+    ),
+    Option(
         *("CLUSTERS", SWITCH, False),
         "Lines may hold S0:0:875:0, up to 16 powers, and 160 characters: see docs/laser.md.",
     ),

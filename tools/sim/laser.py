@@ -59,13 +59,13 @@ class SimBeamEngine(SimEngine):
         size = len(self._queue)
         while self._held < size:
             if not self._pieces and self._next_segment(self._whole):
-                self._cut()
+                self._take_apart()
             if not self._pieces:
                 break
             self._queue[(self._head + self._held) % size] = self._pieces.popleft()
             self._held += 1
 
-    def _cut(self) -> None:
+    def _take_apart(self) -> None:
         """The segment, in pieces."""
         row, base = self._whole, ROW_AXES + ROW_STRIDE * self._axes
         row[ROW_DIRS] ^= self.dir_invert  # as the pins have it

@@ -1,0 +1,287 @@
+"""The laser on the emulated Pico: what its pin does."""
+
+from bisect import bisect
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from emulated import DIR, FOUND, LIMIT, RESET, SPINDLE_PWM, STEP, Board, files_of, steps
+from rp2040py.peripherals.pwm import CHN_CC, RPPWM
+
+pytestmark = pytest.mark.xdist_group("pico laser")
+
+
+@pytest.fixture(scope="module")
+def machine(uf2: Path) -> Board:
+    made = Board(uf2, files_of("pico_laser")).boot().settled()
+    made.pico.record([SPINDLE_PWM])
+    made.ask("G1 F100")
+    return made
+
+
+def pulses(machine: Board, us: float) -> "list[tuple[float, float]]":
+    """(from one to the next, length) of the pin's pulses, both in us, for so long."""
+    machine.pico.edges.clear()
+    machine.pico.run_us(us)
+    edges = [edge for edge in machine.pico.edges if edge.pin == SPINDLE_PWM]
+    # The emulator's pin flickers for no time at all where a pulse's length has been set anew.
+    highs = [(a.ns, b.ns - a.ns) for a, b in pairwise(edges) if a.level and b.ns > a.ns]
+    return [((b - a) / 1000, high / 1000) for (a, high), (b, _) in pairwise(highs)]
+
+
+@pytest.mark.parametrize("hz", [5_000, 50_000, 100_000, 20_000])
+def test_the_frequency_is_that_of_the_pin_at_once_with_the_same_power(
+    machine: Board, hz: int
+) -> None:
+    machine.ask("M3 S250")
+    machine.ask(f"$33={hz}")
+    us = 1e6 / hz
+    machine.pico.run_us(2 * us)
+    seen = pulses(machine, 12 * us)
+    assert len(seen) >= 9
+    for period, high in seen:
+        assert abs(period - us) < 0.1 and abs(high - us / 4) < 0.1
+    machine.ask("M5")
+
+
+def test_it_is_kept_over_a_power_cut(machine: Board, uf2: Path) -> None:
+    machine.ask("$33=40000")
+    second = Board(uf2, files_of("pico_laser"))
+    second.pico.put_file_system(machine.pico.flash_image())
+    second.boot()
+    assert "$33=40000\r\n" in second.ask("$$")
+    second.pico.record([SPINDLE_PWM])
+    second.ask("G1 F100 M3 S250")
+    seen = pulses(second, 300)
+    assert len(seen) >= 9 and all(abs(period - 25) < 0.1 for period, _ in seen)
+
+
+# Power while it moves
+
+
+class Beam:
+    """What is written to where the PWM compares, and where the motors are then."""
+
+    def __init__(self, machine: Board) -> None:
+        self.changes: list[tuple[float, int]] = []  # us, level
+        pico = machine.pico
+        (pwm,) = (part for part in vars(pico.mcu).values() if isinstance(part, RPPWM))
+        channel = pwm.channels[SPINDLE_PWM // 2 & 7]
+        usual = channel.write_register
+
+        def write_register(offset: int, value: int) -> None:
+            if offset == CHN_CC:
+                self.changes.append((pico.us, value & 0xFFFF))
+            usual(offset, value)
+
+        channel.write_register = write_register
+
+
+@pytest.fixture(scope="module")
+def beam(machine: Board) -> Beam:
+    machine.pico.record([SPINDLE_PWM, *STEP, *DIR])
+    for setting in ("$0=3", "$33=20000", "$110=6000", "$111=6000", "$120=5000", "$121=5000"):
+        machine.ask(setting)
+    return Beam(machine)
+
+
+def places(machine: Board, beam: Beam) -> "list[tuple[float, int]]":
+    """(step of X, level): each change, counted in steps; a step is made half way."""
+    times = [us for us, _ in steps(machine.pico.edges, 0)]
+    found = []
+    for us, level in beam.changes:
+        k = bisect(times, us)
+        if 0 < k < len(times):
+            found.append((k - 0.5 + (us - times[k - 1]) / (times[k] - times[k - 1]), level))
+    return found
+
+
+def fire(machine: Board, beam: Beam, *lines: str) -> None:
+    """Move, and note what changes."""
+    machine.until_idle()
+    machine.pico.edges.clear()
+    beam.changes.clear()
+    machine.forget()
+    machine.send("".join(line + "\n" for line in lines))
+
+
+@pytest.mark.parametrize("per_mm", [80, 250])
+@pytest.mark.parametrize("mode", ["M3", "M4"])
+def test_power_changes_at_its_step_at_100_mm_s(
+    machine: Board, beam: Beam, per_mm: int, mode: str
+) -> None:
+    """The table of docs/laser.md: how far from its place, in steps, a change comes at the most."""
+    machine.ask(f"$100={per_mm}")
+    machine.forget()
+    machine.send("\x18")
+    machine.wait_for("for help]")
+    for line in ("$X", f"G91 G1 F6000 {mode} S0"):
+        machine.ask(line)
+    lines = ["X2", *(f"X0.8S0:300:{875 - 100 * k}:100" for k in range(4)), "X0.8S1000", "X2S0"]
+    fire(machine, beam, *lines)
+    machine.pico.run_until(lambda: machine.said.count("ok\r\n") == len(lines), 5_000_000)
+    assert machine.said.count("ok\r\n") == len(lines)
+    machine.until_idle()
+    found = [place for place in places(machine, beam) if 2 * per_mm - 9 < place[0] < 6.1 * per_mm]
+    powers = [s for k in range(4) for s in (0, 300, 875 - 100 * k, 100)] + [1000]
+    levels = [level for _, level in found[:17]]
+    exact = 0 if mode == "M3" else 9
+    assert levels == pytest.approx([6250 * s // 1000 for s in powers], abs=exact)
+    far = [abs(place - (2 + 0.2 * k) * per_mm) for k, (place, _) in enumerate(found[:17])]
+    print(f"{per_mm} steps/mm, {mode}: {max(far):.3f} steps from their places at the most")
+    assert max(far) < 0.05
+
+
+def running(machine: Board, beam: Beam, mode: str) -> None:
+    """It burns, in the middle of clusters."""
+    machine.forget()
+    machine.send("\x18")
+    machine.wait_for("for help]")
+    for line in ("$X", f"G91 G1 F3000 {mode} S0"):
+        machine.ask(line)
+    fire(machine, beam, *["X1S1000:900:800:700:600:500"] * 4)
+    machine.pico.run_us(45_000)
+    assert beam.changes and beam.changes[-1][1] >= 500
+
+
+STOPS = {
+    "reset": lambda machine: machine.send("\x18"),
+    "limit": lambda machine: machine.pico.drive(LIMIT[0], 0),
+    "button": lambda machine: machine.pico.drive(RESET, 0),
+}
+
+
+@pytest.mark.parametrize("mode", ["M3", "M4"])
+@pytest.mark.parametrize("stop", STOPS)
+def test_whatever_stops_it_the_beam_goes_out_and_stays_so(
+    machine: Board, beam: Beam, stop: str, mode: str
+) -> None:
+    machine.ask("$21=1")
+    running(machine, beam, mode)
+    STOPS[stop](machine)
+    machine.pico.run_us(1_500)
+    machine.pico.edges.clear()
+    machine.pico.run_us(60_000)
+    assert not [edge for edge in machine.pico.edges if edge.pin == SPINDLE_PWM]
+    assert machine.pico.mcu.gpio[SPINDLE_PWM].value.name == "LOW"
+    machine.pico.drive(LIMIT[0], 1)
+    machine.pico.drive(RESET, 1)
+    machine.pico.run_us(700_000)
+    machine.send("\x18")
+    machine.pico.run_us(50_000)
+    machine.ask("$21=0")
+    # Behind it dots are in step with motion as before.
+    running(machine, beam, mode)
+    machine.until_idle()
+    assert beam.changes[-1][1] == (0 if mode == "M4" else 3125)
+
+
+@pytest.mark.parametrize("mode", ["M3", "M4"])
+def test_a_hold_is_dark_and_dots_go_on_behind_it(machine: Board, beam: Beam, mode: str) -> None:
+    running(machine, beam, mode)
+    machine.send("!")
+    machine.pico.run_us(300_000)
+    assert machine.status()["state"] == "Hold:0"
+    assert machine.pico.mcu.gpio[SPINDLE_PWM].value.name == "LOW" and beam.changes[-1][1] == 0
+    held = len(steps(machine.pico.edges, 0))
+    machine.send("~")
+    machine.until_idle()
+    assert len(steps(machine.pico.edges, 0)) == 4 * 250 > held
+    found = [level for place, level in places(machine, beam) if level % 625 == 0]
+    if mode == "M3":
+        assert found[-11:] == ([6250, 5625, 5000, 4375, 3750, 3125] * 2)[1:]
+
+
+@pytest.fixture(scope="module")
+def other(uf2: Path) -> "tuple[Board, Beam]":
+    """One with commands of our own."""
+    machine = Board(uf2, {**files_of("pico_laser"), "main.py": MAIN}).boot().settled()
+    machine.pico.record([SPINDLE_PWM, *STEP, *DIR])
+    for setting in ("$0=3", "$110=6000", "$120=5000"):
+        machine.ask(setting)
+    return machine, Beam(machine)
+
+
+def test_a_laser_that_is_put_out_in_motion_is_dark_and_the_motion_goes_on(
+    other: "tuple[Board, Beam]",
+) -> None:
+    """As nothing of ours does it today."""
+    machine, beam = other
+    running(machine, beam, "M3")
+    machine.ask("$OUT")
+    machine.pico.run_us(200)
+    machine.pico.edges.clear()
+    changed = len(beam.changes)
+    machine.pico.run_us(20_000)
+    assert len(steps(machine.pico.edges, 0)) > 100 and len(beam.changes) == changed
+    assert machine.pico.mcu.gpio[SPINDLE_PWM].value.name == "LOW"
+    machine.until_idle()
+    running(machine, beam, "M3")
+    machine.until_idle()
+
+
+@pytest.mark.parametrize("mode", ["M3", "M4"])
+def test_where_the_interrupt_comes_too_late_no_dot_is_lost(
+    other: "tuple[Board, Beam]", mode: str
+) -> None:
+    """Motors and beam wait, together, and go on together; at rest M4 is dark."""
+    machine, beam = other
+    running(machine, beam, mode)
+    machine.ask("$DEAF")
+    machine.until_idle()
+    gaps = [b - a for (a, _), (b, _) in pairwise(steps(machine.pico.edges, 0))]
+    assert max(gaps) > 10_000 and len(gaps) == 4 * 250 - 1
+    levels = [level for _, level in beam.changes]
+    if mode == "M3":
+        assert levels == [6250, 5625, 5000, 4375, 3750, 3125] * 4 + [3125]
+    assert levels[-1] == (0 if mode == "M4" else 3125)
+
+
+MAIN = (
+    FOUND
+    + b"""
+import time
+
+from boot import power_up
+from machine import disable_irq, enable_irq
+
+import extras
+
+commands = module("talk", "commands")
+usual = commands.Commands.whose
+
+usual_power = extras.Laser.set_power
+seen = [None]
+
+
+def set_power(self, power):
+    seen[0] = self
+    usual_power(self, power)
+
+
+extras.Laser.set_power = set_power
+
+
+def deaf():
+    state = disable_irq()
+    since = time.ticks_us()
+    while time.ticks_diff(time.ticks_us(), since) < 30000:
+        pass
+    enable_irq(state)
+
+
+def whose(self, line, length):
+    what = bytes(line[1:length])
+    if what == b"OUT":
+        extras.Laser.stop(seen[0])
+    elif what == b"DEAF":
+        deaf()
+    else:
+        return usual(self, line, length)
+    return lambda line, length: None
+
+
+commands.Commands.whose = whose
+power_up.live(power_up.build())
+"""
+)

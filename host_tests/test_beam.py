@@ -1,0 +1,328 @@
+"""The beam: power changes where it belongs, whatever the machine does on its way.
+
+Each step that the simulated machine makes is noted with the power it was made at, and held to the
+dots that the program asks for. That hardware changes power when it is told to is shown on the
+emulated Pico (emulator/test_pico_laser.py), and here for the program of its machine.
+"""
+
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from language import clusters
+from motion import layout
+from motion.layout import ROW_AXES, ROW_DIRS, ROW_POWER
+from test_laser import made
+from test_settings_effects import Bench
+
+# A machine that is quick for what it burns.
+_SETTINGS = {32: 1, 110: 6000, 111: 6000, 120: 800, 121: 800}
+_PER_MM = 250
+_FULL = 1000  # of power, and of S
+
+
+@dataclass
+class Burnt:
+    """What a program has burnt. steps: power of each step of X, in their order."""
+
+    steps: "list[int]" = field(default_factory=list)
+    said: "list[str]" = field(default_factory=list)
+    at_rest: int = 0
+    place: int = 0
+    ways: "list[int]" = field(default_factory=list)  # of X, a sign per step
+
+
+def burn(
+    *lines: str, before: str = "G91G1F3000M3S0", events: "list[tuple[float, str]] | None" = None
+) -> Burnt:
+    """Run lines; events: bytes sent meanwhile, each so many ms behind the one before."""
+    bench, burnt = Bench(_SETTINGS, "sim_laser"), Burnt()
+    base = ROW_AXES
+
+    def trace(_start: int, row: "array[int]") -> None:
+        sign = -1 if row[ROW_DIRS] & 1 else 1
+        burnt.steps += [row[ROW_POWER]] * row[base]
+        burnt.ways += [sign] * row[base]
+
+    def script() -> Iterator[Any]:
+        assert (yield from bench.say(before + "\n", "ok")) == ["ok"]
+        bench.rig.engine.trace = trace
+        text = "".join(line + "\n" for line in lines)
+        if events is None:
+            burnt.said = yield from bench.say(text, "stream")
+        else:
+            bench.rig.link.send(text.encode())
+            yield bench.rig.moving
+            for ms, byte in events:
+                yield bench.rig.ms(ms)
+                bench.rig.link.send(byte.encode("latin-1"))
+        yield from bench.say("", "idle")
+        burnt.at_rest = bench.port.spindle_pwm
+        burnt.place = bench.place()[0]
+
+    bench.run(script())
+    return burnt
+
+
+def dot_of(step: int, steps: int, dots: "list[int]") -> "set[int]":
+    """The powers that a step, from 0, of a line may be made at: those within half a step."""
+    places = (step, step + 0.5, step + 1)  # it is made half way
+    return {dots[min(int(place * len(dots) / steps), len(dots) - 1)] for place in places}
+
+
+def cluster(mm: float, dots: "list[int]") -> str:
+    return f"X{mm:.3f}S" + ":".join(map(str, dots))
+
+
+def held(burnt: Burnt, lines: "list[tuple[float, list[int]]]") -> None:
+    """Every step has the power of its dot, to half a step."""
+    at = 0
+    for mm, dots in lines:
+        steps = abs(round(mm * _PER_MM))
+        for step in range(steps):
+            power = burnt.steps[at + step]
+            assert power in dot_of(step, steps, dots), (mm, dots, step)
+        at += steps
+    assert len(burnt.steps) == at
+
+
+_dots = st.lists(st.sampled_from((0, 1, 250, 600, 1000)), min_size=2, max_size=16)
+_lines = st.lists(st.tuples(st.sampled_from((0.4, 0.8, 1.6, 0.02, 2.5)), _dots), max_size=6)
+
+
+@given(_lines, st.sampled_from((300, 3000, 6000)))
+@settings(max_examples=25, deadline=None)
+@example([(0.02, [1000, 0] * 8), (0.8, [1, 250])], 6000)  # more dots than steps
+@example([(1.6, [0, 1000] * 8)] * 3, 6000)
+def test_every_dot_is_burnt_where_it_belongs(
+    lines: "list[tuple[float, list[int]]]", feed: int
+) -> None:
+    burnt = burn(*(cluster(*line) for line in lines), before=f"G91G1F{feed}M3S0")
+    assert burnt.said == ["ok"] * len(lines)
+    held(burnt, lines)
+
+
+@given(_lines.filter(bool))
+@settings(max_examples=10, deadline=None)
+def test_the_dots_of_a_line_get_the_energy_they_are_to_have(
+    lines: "list[tuple[float, list[int]]]",
+) -> None:
+    """Added up over steps, which at a constant power of M3 are equal lengths."""
+    burnt = burn(*(cluster(*line) for line in lines))
+    wanted = sum(abs(round(mm * _PER_MM)) * sum(dots) / len(dots) for mm, dots in lines)
+    edges = sum(len(dots) for _, dots in lines)
+    assert abs(sum(burnt.steps) - wanted) <= _FULL * edges
+
+
+_HOLDS = st.lists(st.tuples(st.integers(2, 40), st.sampled_from("!\x91\x92\x93\x94")), max_size=4)
+
+
+@given(_HOLDS)
+@settings(max_examples=15, deadline=None)
+@example([(20, "!"), (20, "!")])
+def test_holds_and_overrides_move_no_dot(events: "list[tuple[int, str]]") -> None:
+    lines = [(1.6, [0, 1000, 250, 600]), (0.8, [1000, 0]), (1.6, [100 * k for k in range(10)])]
+    going = [pair for ms, byte in events for pair in ((ms, byte), (150, "~"))]
+    burnt = burn(*(cluster(*line) for line in lines), events=[*going, (300, "~")])
+    held(burnt, lines)
+    assert burnt.place == sum(round(mm * _PER_MM) for mm, _ in lines)
+
+
+def test_a_laser_in_hold_is_dark_and_the_dots_go_on_behind_it() -> None:
+    lines = [(1.6, [1000, 900]), (1.6, [800, 700])]
+    bench = Bench(_SETTINGS, "sim_laser")
+
+    def script() -> Iterator[Any]:
+        yield from bench.say("G91G1F3000M3S0\n", "ok")
+        bench.rig.link.send("".join(cluster(*line) + "\n" for line in lines).encode())
+        yield bench.rig.moving
+        yield bench.rig.ms(25)
+        yield from bench.say("!", "idle")
+        assert bench.port.spindle_pwm == 0 and not bench.rig.moving()
+        yield from bench.say("~", "idle")
+        assert bench.port.spindle_pwm == 700
+
+    bench.run(script())
+
+
+# Where power follows speed
+
+
+def test_the_dots_of_m4_follow_the_speed() -> None:
+    """At the programmed speed a dot has its power; where it is slower, as much less."""
+    burnt = burn("X2S0", cluster(4, [1000, 500]), "X2S0", before="G91G1F3000M4S0")
+    first, second = burnt.steps[500:1000], burnt.steps[1000:1500]
+    assert set(first[1:]) == {1000} and set(second[1:]) == {500}
+    slow = burn(cluster(4, [1000, 500]), before="G91G1F6000M4S0").steps
+    assert slow[:50] == sorted(slow[:50]) and slow[10] < 500 < slow[400]
+    assert slow[-50:] == sorted(slow[-50:], reverse=True) and slow[-1] < 250
+    assert burnt.at_rest == 0
+
+
+def test_a_laser_that_follows_the_speed_is_dark_at_rest_and_one_that_does_not_goes_on() -> None:
+    assert burn(cluster(1, [100, 300]), before="G91G1F3000M4S0").at_rest == 0
+    assert burn(cluster(1, [100, 300]), before="G91G1F3000M3S0").at_rest == 300
+
+
+def test_an_override_of_the_spindle_weighs_dots_anew() -> None:
+    """Those of the blocks that wait, too."""
+    lines = [(2.5, [1000, 500])] * 3
+    burnt = burn(*(cluster(*line) for line in lines), events=[(5, "\x9b" * 5)])
+    assert burnt.steps[0] == 1000 and 500 not in burnt.steps[:600]
+    assert set(burnt.steps[-600:]) == {500, 250} and burnt.at_rest == 250
+    burnt = burn("X1S5", cluster(2.5, [1000, 500]), events=[(2, "\x9b" * 5)])
+    assert set(burnt.steps[-300:]) == {250}
+
+
+# Plain lines
+
+
+@given(st.lists(st.tuples(st.sampled_from((0.4, 1.2, -0.8)), st.integers(0, 1000)), min_size=1))
+@settings(max_examples=15, deadline=None)
+def test_every_step_of_a_plain_line_has_its_power(lines: "list[tuple[float, int]]") -> None:
+    lines = lines[:8]
+    burnt = burn(*(f"X{mm}S{power}" for mm, power in lines))
+    held(burnt, [(mm, [power]) for mm, power in lines])
+    assert burnt.at_rest == lines[-1][1]
+
+
+# Lines that hold a cluster
+
+
+def talk(*lines: str, before: str = "G91G1F3000M3S0") -> "list[list[str]]":
+    """What the machine answers to each."""
+    bench, said = Bench(_SETTINGS, "sim_laser"), []
+
+    def script() -> Iterator[Any]:
+        for line in (before, *lines):
+            said.append((yield from bench.say(line + "\n", "idle")))
+
+    bench.run(script())
+    return said[1:]
+
+
+@pytest.mark.parametrize(
+    ("line", "answer"),
+    [
+        ("X1S1:2", "ok"),
+        ("N7X1S.5:2.25:1000", "ok"),
+        ("G1X1Y1F600S" + ":".join("5" * 16), "ok"),
+        ("X1S9999:5", "ok"),  # full power, as S9999
+        ("X1S1:", "error:2"),
+        ("X1S:1", "error:2"),
+        ("X1S1::2", "error:2"),
+        ("X1:2S1", "error:2"),
+        ("X:", "error:2"),
+        ("X1S1:-2", "error:4"),
+        ("X1S" + ":".join("5" * 17), "error:38"),
+        ("S1:2", "error:20"),
+        ("G0X1S1:2", "error:20"),
+        ("G2X1R1S1:2", "error:20"),
+        ("M4X1S1:2", "error:20"),
+        ("G93X1F9S1:2", "error:20"),
+        ("X1S1:2S3", "error:20"),
+    ],
+)
+def test_a_line_with_a_cluster_is_answered_once_and_one_that_is_refused_changes_nothing(
+    line: str, answer: str
+) -> None:
+    before, said, after = talk("$G", line, "$G")
+    assert said == [answer]
+    assert (before == after) == (answer != "ok")
+
+
+def test_a_cluster_out_of_travel_is_the_alarm_of_any_line() -> None:
+    (said,) = talk("X-5S1:2", before="$20=0")
+    assert said == ["error:20"]  # G0 is in force
+
+
+def test_without_laser_mode_there_are_no_clusters() -> None:
+    assert talk("X1S1:2", before="$32=0") == [["error:20"]]
+
+
+def test_behind_a_cluster_s_is_its_last() -> None:
+    burnt = burn(cluster(1, [100, 300]), "X1")
+    assert set(burnt.steps[250:]) == {300}
+
+
+def test_check_mode_takes_clusters_and_burns_nothing() -> None:
+    assert talk("$C", "X1S1:2", "X1S1:", "X1S5:6")[1:] == [["ok"], ["error:2"], ["ok"]]
+
+
+def test_without_m3_and_m4_there_is_no_power() -> None:
+    assert set(burn(cluster(1, [100, 300]), before="G91G1F3000M5").steps) == {0}
+
+
+def test_lines_with_and_without_clusters_go_together() -> None:
+    lines = [(0.8, [0, 1000]), (0.8, [250]), (0.8, [1, 600, 250]), (0.4, [1000])] * 4
+    burnt = burn(*(cluster(*line) for line in lines))
+    held(burnt, lines)
+
+
+def test_a_reset_forgets_the_dots_of_the_lines_that_it_forgets() -> None:
+    bench = Bench(_SETTINGS, "sim_laser")
+    powers: list[int] = []
+
+    def script() -> Iterator[Any]:
+        yield from bench.say("G91G1F3000M3S0\n", "ok")
+        bench.rig.link.send("".join(cluster(1.6, [1000, 900]) + "\n" for _ in range(5)).encode())
+        yield bench.rig.moving
+        yield bench.rig.ms(25)
+        yield from bench.say("\x18", "banner")
+        assert bench.port.spindle_pwm == 0
+        yield from bench.say("$X\n", "ok")
+        bench.rig.engine.trace = lambda _, row: powers.append(row[ROW_POWER])
+        yield from bench.say("G91G1F3000M3S7\n" + "X0.4\n" * 8, "stream")
+        yield from bench.say("", "idle")
+
+    bench.run(script())
+    assert set(powers) <= {0, 7}
+
+
+def test_a_longer_line_than_grbls_is_taken_and_one_that_is_too_long_is_not() -> None:
+    values = ":".join(["123.25"] * 16)
+    assert talk("X1S" + values, "X1" + "S1" * 90) == [["ok"], ["error:11"]]
+
+
+def test_a_board_without_clusters_knows_none() -> None:
+    bench = Bench(_SETTINGS)
+    said: list[list[str]] = []
+
+    def script() -> Iterator[Any]:
+        for line in ("G91G1F3000M3S0", "X1S1:2"):
+            said.append((yield from bench.say(line + "\n", "ok")))
+
+    bench.run(script())
+    assert said == [["ok"], ["error:1"]]
+
+
+# What S means
+
+
+@given(
+    st.lists(st.floats(0, 2000, width=32), min_size=1, max_size=16),
+    st.sampled_from((1000, 255, 12000, 1)),
+    st.sampled_from((0, 1, 30.5, 1000)),
+    st.sampled_from((1000, 255, 16383)),
+    st.booleans(),
+)
+@settings(max_examples=300, deadline=None)
+def test_a_dot_has_the_power_that_s_has(
+    values: "list[float]", most: float, least: float, full: int, dynamic: bool
+) -> None:
+    spindle = made(most, least, full)
+    spindle.laser = True
+    floats = array("f", (spindle._max_rpm, spindle._min_rpm, spindle._gradient))
+    scale = array("i", [*array("i", floats.tobytes()), full, dynamic])
+    powers, speeds = array("i", [0] * 34), array("f", [0] * 32)
+    clusters.store(array("f", values), len(values), scale, powers, speeds, 1)
+    assert powers[17] == len(values)
+    assert list(speeds[16:][: len(values)]) == list(array("f", values))
+    flags = 0x20 | (layout.DYNAMIC if dynamic else 0)
+    for value, power in zip(array("f", values), powers[18:], strict=False):
+        due = spindle.block_power(flags, value)
+        assert abs(power - due) <= (1 if dynamic else 0)
