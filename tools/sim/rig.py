@@ -139,7 +139,7 @@ class Rig:
             return text
 
         if self.answer_ticks:
-            vars(report)["status"] = made
+            report.status = made  # type: ignore[method-assign]
 
     def cycle_power(self) -> None:
         """Called by the script: the firmware starts anew, memory kept, once the script yields."""
