@@ -243,14 +243,14 @@ MAIN = (
 import time
 
 from boot import power_up
+from extras import laser
 from machine import disable_irq, enable_irq
 
-import extras
 
 commands = module("talk", "commands")
 usual = commands.Commands.whose
 
-usual_power = extras.Laser.set_power
+usual_power = laser.Laser.set_power
 seen = [None]
 
 
@@ -259,7 +259,7 @@ def set_power(self, power):
     usual_power(self, power)
 
 
-extras.Laser.set_power = set_power
+laser.Laser.set_power = set_power
 
 
 def deaf():
@@ -273,7 +273,7 @@ def deaf():
 def whose(self, line, length):
     what = bytes(line[1:length])
     if what == b"OUT":
-        extras.Laser.stop(seen[0])
+        laser.Laser.stop(seen[0])
     elif what == b"DEAF":
         deaf()
     else:
