@@ -41,7 +41,8 @@ def slices(flow: ptr32, slice: int, dynamic: int) -> int:
     takes that none changes the speed by more than a thirty-second, if they are long enough. Their
     power is one, too: where that follows speed they are short whenever the speed changes.
     """
-    slow = fast = flow[REACHED]
+    slow = flow[REACHED]
+    fast = slow
     at = PIECES
     while at < flow[PIECE]:
         at += 2

@@ -134,6 +134,7 @@ def test_power_changes_at_its_step_at_100_mm_s(
 
 def running(machine: Board, beam: Beam, mode: str) -> None:
     """It burns, in the middle of clusters."""
+    machine.ask("$100=250")
     machine.forget()
     machine.send("\x18")
     machine.wait_for("for help]")
