@@ -133,13 +133,13 @@ def test_a_rate_is_rounded_as_it_was_printed(carry: int, now: int) -> None:
     planner = Planner(3, 4, None, State())
     segments = Segments(planner)
     planner.flow[layout.CARRY] = carry
-    rate = segments.rate_mm_min()
+    rate = 60 * reals.value(segments.rate())
     if rate < 2**31:
-        assert str(segments.whole_rate()) == printed(rate, 0)
+        assert str(reals.per_minute(segments.rate())) == printed(rate, 0)
     planner.flow[layout.LOADED] = 1
     planner.flow[layout.REACHED] = now
     planner.ring[layout.FACTOR] = reals.real(1 / 7)
-    assert str(segments.whole_rate()) == printed(segments.rate_mm_min(), 0)
+    assert str(reals.per_minute(segments.rate())) == printed(60 * reals.value(segments.rate()), 0)
 
 
 # Memory

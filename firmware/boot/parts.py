@@ -181,7 +181,7 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
     for owner in (machine, machine.interpreter, engine, link):
         _forget_makers(owner.__dict__.values())
     del sys.modules["board"]
-    watch.start(feed, machine.drive.reset)
+    watch.start(feed, machine.drive.note_reset)
     return parts
 
 

@@ -77,13 +77,13 @@ class Drive:
             self._port.kill()
         finally:
             self._engine.stop()
-        self._note_reset(0)
+        self.note_reset(0)
 
     # Interrupts of pins come through these: as native code, and without reset() in between, they
     # need half the stack. Where one of them raises, the port's callback sees to the rest.
 
     @micropython.native
-    def _note_reset(self, alarm: int) -> None:
+    def note_reset(self, alarm: int) -> None:
         """All has been stopped: what for, where that is an alarm, and that a reset is due."""
         state = self._state
         if not state.pending[st.RESET]:
@@ -104,7 +104,7 @@ class Drive:
         if heard and state.alarm == 0:
             self._port.kill()
             self._engine.stop()
-            self._note_reset(errors.ALARM_HARD_LIMIT)
+            self.note_reset(errors.ALARM_HARD_LIMIT)
             self.by_pin = True
 
     @micropython.native
@@ -115,7 +115,7 @@ class Drive:
         if active & RESET or emergency:
             self._port.kill()
             self._engine.stop()
-            self._note_reset(errors.ALARM_EMERGENCY_STOP if emergency else 0)
+            self.note_reset(errors.ALARM_EMERGENCY_STOP if emergency else 0)
             self.by_pin = True
         if active & HOLD:
             state.post(st.FEED_HOLD)

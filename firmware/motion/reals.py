@@ -31,6 +31,15 @@ def value(r: int) -> float:
     return float(r % LIMIT) * 2.0 ** (r // LIMIT - BIAS)
 
 
+def per_minute(r: int) -> int:
+    """60 times the real r, rounded, a half up."""
+    twice = r % LIMIT * 120
+    shift = BIAS - r // LIMIT
+    if shift <= 0:
+        return twice << -shift >> 1
+    return ((twice >> shift) + 1) >> 1
+
+
 @micropython.viper
 def pack(mantissa: int, exponent: int) -> int:
     """The real mantissa * 2**(exponent - 64) of any mantissa."""

@@ -261,14 +261,19 @@ def proceed(flow: ptr32, ring: ptr32, scale: int) -> int:
 
 
 @micropython.viper
+def is_due(flow: ptr32, ring: ptr32, motors: int) -> int:
+    """Whether there is a segment to plan: a block, and it is not held at rest."""
+    if flow[LOADED]:
+        return 0 if flow[HOLD] and flow[NOW] == 0 else 1
+    if flow[HOLD] and flow[CARRY] == 0:
+        return 0
+    return int(load(flow, ring, motors))
+
+
+@micropython.viper
 def plan(flow: ptr32, ring: ptr32, table: ptr32) -> int:
-    """Plan the next segment. Returns 0 where nothing is to move: no block, or held at rest."""
-    if flow[LOADED] == 0:
-        if flow[HOLD] and flow[CARRY] == 0:
-            return 0
-        if int(load(flow, ring, table[MOTOR_COUNT])) == 0:
-            return 0
-    elif flow[HOLD] and flow[NOW] == 0:
+    """Plan the next segment. Returns 0 where nothing is to move."""
+    if int(is_due(flow, ring, table[MOTOR_COUNT])) == 0:
         return 0
     flow[REACHED] = flow[NOW]
     flow[PIECE] = PIECES
@@ -292,8 +297,9 @@ def plan(flow: ptr32, ring: ptr32, table: ptr32) -> int:
 @micropython.viper
 def fill(flow: ptr32, ring: ptr32, table: ptr32, row: ptr32) -> int:
     """Make the next row. Returns 0 where nothing is to move."""
-    if flow[SLICES] == 0 and int(plan(flow, ring, table)) == 0:
-        return 0
+    if flow[SLICES] == 0:
+        if int(plan(flow, ring, table)) == 0:
+            return 0
     steps = int(cut(flow, row, table[SEGMENT_LOG2]))
     going = flow[SLICES] or flow[WHOLE] or flow[FRACTION]
     if steps == 0 and going and flow[HOLD] and flow[NOW] == 0:

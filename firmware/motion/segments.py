@@ -9,8 +9,9 @@ import micropython
 from base.f32 import f32
 from micropython import const
 
-from motion import layout, reals
-from motion.layout import AT, CARRY, HOLD, LOADED, NOW, REACHED
+from motion import layout
+from motion.layout import AT, CARRY, FACTOR, HOLD, LOADED, NOW, REACHED
+from motion.reals import ratio
 from motion.segment_kernel import fill
 
 TYPE_CHECKING = const(False)
@@ -71,24 +72,14 @@ class Segments:
         """Forget the block in progress. Only while the engine is stopped."""
         self._saved = None
 
-    def rate_mm_min(self) -> float:
-        """The speed up to which rows have been made."""
-        return reals.value(self._rate()) * 60
-
-    def whole_rate(self) -> int:
-        """The same speed, rounded, half a mm/min up."""
-        rate = self._rate()
-        twice = rate % reals.LIMIT * 120
-        shift = reals.BIAS - rate // reals.LIMIT
-        if shift <= 0:
-            return twice << -shift >> 1
-        return ((twice >> shift) + 1) >> 1
-
-    def _rate(self) -> int:
-        """It is a real, in mm/s."""
-        flow = self._flow
+    @micropython.viper
+    def rate(self) -> int:
+        """The speed up to which rows have been made: a real, in mm/s. A kernel, for who asks has
+        used much of the stack."""
+        flow = ptr32(self._flow)
         if flow[LOADED]:
-            return reals.ratio(flow[REACHED], self._ring[flow[AT] + layout.FACTOR])
+            ring = ptr32(self._ring)
+            return int(ratio(flow[REACHED], ring[flow[AT] + FACTOR]))
         return flow[CARRY]
 
     def dynamic_rpm(self) -> "float | None":

@@ -48,8 +48,9 @@ class Supervisor:
         self._beat_ms = _HARD_MS if hard else _SOFT_MS
         self._timer = Timer(-1 if hard else _SOFT_TIMER)
 
-    def start(self, feed: "Callable[[], None] | None", on_reset: "Callable[[], None]") -> None:
+    def start(self, feed: "Callable[[], None] | None", on_reset: "Callable[[int], None]") -> None:
         """Watch from now on. feed: the watchdog's; on_reset: hears of Ctrl-X, in the interrupt,
+        when tool and motors have been stopped, with no alarm (0),
         while the main loop does not listen."""
         self._feed = feed
         self._on_reset = on_reset
@@ -72,7 +73,8 @@ class Supervisor:
         Kernel and all: as bytecode it took twice the time, at every beat.
         """
         shared = ptr32(self._shared)
-        away = 0
+        stops = 0
+        resets = 0
         try:
             if shared[TURNED]:
                 shared[TURNED] = 0
@@ -82,24 +84,28 @@ class Supervisor:
                 if shared[AWAY] == 0:
                     shared[AWAY] = 1  # it has been away for all of what it was allowed
             if shared[AWAY] & NEGATIVE == 0 and shared[AWAY] >= int(self._limit_ms):
-                away = shared[AWAY]
-                shared[STOPPED] = away
+                stops = 1
+                shared[STOPPED] = shared[AWAY]
             else:
                 if shared[AWAY] == 0 and self._feed:
                     self._feed()
                 if self._look:
-                    if int(self._look()):
-                        self._on_reset()
+                    resets = int(self._look())
         except:  # noqa: E722
-            away = 1
+            stops = 1
             shared[STOPPED] = _FAILED
-        if away:
+        if stops or resets:
             try:
                 self._kill()
             except:  # noqa: E722
                 shared[STOPPED] = _FAILED
             try:
                 self._stop()
+            except:  # noqa: E722
+                shared[STOPPED] = _FAILED
+        if resets:
+            try:
+                self._on_reset(0)
             except:  # noqa: E722
                 shared[STOPPED] = _FAILED
         return 0

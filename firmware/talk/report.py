@@ -13,6 +13,7 @@ from base.f32 import INCH_PER_MM, copy, f32, vector
 from base.singles import MINUS, add, divide
 from control.coords import NAMES
 from micropython import const
+from motion import reals
 from motion.layout import LIMITS, RESOLUTION
 
 from talk.digits import END, VALUES, number, write
@@ -321,9 +322,9 @@ class Report:
         shown[1] = state.spindle_rpm
         if state.run & _MOVING:
             if self._settings.report_inches:
-                shown[0] = segments.rate_mm_min() * INCH_PER_MM
+                shown[0] = reals.value(segments.rate()) * 60 * INCH_PER_MM
             else:
-                shown[0] = segments.whole_rate()
+                shown[0] = reals.per_minute(segments.rate())
             rpm = segments.dynamic_rpm()
             if rpm is not None:
                 shown[1] = rpm
