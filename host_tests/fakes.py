@@ -45,6 +45,9 @@ class FakeCanon:
         self.power = 0
         self.too_far = 1000.0
 
+    def power_of(self, move: Move) -> int:
+        return self.power
+
     def line(self, target: "array[float]", move: Move) -> None:
         how = "rapid" if move.flags & RAPID_MOTION else f"line F{move.feed:g}"
         self.asked.append(f"{how} {place(target)}")

@@ -217,13 +217,20 @@ def put_together(placed: "dict[str, str]", board: Path) -> Bundles:
     return bundle({name: placed[name] for name in needed})
 
 
+def has_more_than_imports(text: str) -> bool:
+    passed_over = (ast.Import, ast.ImportFrom, ast.Expr, ast.Pass)
+    return not all(isinstance(part, passed_over) for part in ast.parse(text).body)
+
+
 @pytest.mark.parametrize("board", _BOARDS, ids=lambda file: file.stem)
 def test_of_each_board_every_module_goes_somewhere(placed: "dict[str, str]", board: Path) -> None:
     needed = [build.module(source) for source in build.needed(load_for_build(board))]
     made = put_together(placed, board)
     merged = {meaning.module for names in made.origins.values() for meaning in names.values()}
     apart = set(made.texts) - set(made.origins)
-    assert merged | apart == set(needed) and not merged & apart
+    # Of some nothing is left: all their functions have been put where they are called.
+    left = {name for name in needed if has_more_than_imports(placed[name])}
+    assert merged | apart == left and not merged & apart
     assert {"boot.power_up", "boot.parts", "boot.wiring", "ports.pin_check"} <= apart
     assert {"motion.plan_kernel", "talk.report", "language.interpreter"} <= merged
 

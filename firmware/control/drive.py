@@ -191,7 +191,7 @@ class Drive:
         self._state.holding = False
         self._segments.hold(False)
         self.settling = False
-        self.power(True)
+        self._port.enable(self._settings.enable_invert)  # as power(True), without its frame
         self.moving = True
         self._engine.start()
 
