@@ -15,7 +15,10 @@ from boot import guests
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from array import array
     from types import ModuleType
+
+BLOCKS = const(16)  # as many as Grbl has
 
 
 class Options:
@@ -26,7 +29,8 @@ class Options:
 
         self.axes: int = len(option("STEP", ()))
         self.engine: str = option("ENGINE", "")
-        self.blocks: int = option("PLANNER_BLOCKS", 16)
+        self.blocks: int = option("PLANNER_BLOCKS", BLOCKS)
+        self.ring: "array[int] | None" = None  # for so many
         self.rx_bytes: int = option("RX_BYTES", 128)
         self.defaults: "dict[int, float]" = option("DEFAULTS", {})
         self.corexy: bool = option("COREXY", False)

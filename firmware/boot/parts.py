@@ -6,13 +6,18 @@ board forgets this module once the machine is there: it has no use for it then.
 
 import gc
 import sys
+from array import array
 
 from micropython import const
+from motion.layout import STEPS
+
+from boot.options import BLOCKS
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from types import ModuleType
+    from typing import Any
 
     from interfaces import BoardLink, BoardPort, StepEngine
     from ports.supervisor import Supervisor
@@ -157,6 +162,8 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
     try:
         sys.path[:] = [folder for folder in path if folder != _USERS]
         import board
+
+        ring = _room_for_blocks(board.__dict__.get)  # the biggest first, before there are holes
         from ports.supervisor import Supervisor
 
         link = _link(getattr(board, "LINK", "usb"))
@@ -165,7 +172,7 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
             link.close()
             return None
         watch = Supervisor(link, engine, port, getattr(board, "LOOP_MS", _LOOP_MS))
-        machine = _build(board, link, port, engine, watch)
+        machine = _build(board, link, port, engine, watch, ring)
     except Exception as fault:
         if port:
             port.safe()
@@ -243,12 +250,19 @@ def make(board: "ModuleType", link: "BoardLink") -> "Hardware":
     return maker(board, link)
 
 
+def _room_for_blocks(option: "Callable[..., Any]") -> "array[int]":
+    """The planner's ring."""
+    integers = STEPS + 2 * len(option("STEP", ()))
+    return array("i", bytes(4 * integers * (option("PLANNER_BLOCKS", BLOCKS) + 1)))
+
+
 def _build(
     board: "ModuleType",
     link: "BoardLink",
     port: "BoardPort",
     engine: "StepEngine",
     watch: "Supervisor",
+    ring: "array[int]",
 ) -> "Controller":
     from ports.flash_store import FlashStore
 
@@ -256,7 +270,7 @@ def _build(
     from boot import wiring
 
     store = FlashStore()
-    machine = wiring.build(board, link, port, engine, store)
+    machine = wiring.build(board, link, port, engine, store, ring)
     forget("boot.wiring")  # with these, 5 kB that nobody needs any more
     forget("boot.options")
     forget("boot.guests")

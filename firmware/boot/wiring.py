@@ -31,16 +31,23 @@ from boot.options import Options
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from array import array
     from types import ModuleType
 
     from interfaces import Link, Port, StepEngine, Store
 
 
 def build(
-    board: "ModuleType", link: "Link", port: "Port", engine: "StepEngine", store: "Store"
+    board: "ModuleType",
+    link: "Link",
+    port: "Port",
+    engine: "StepEngine",
+    store: "Store",
+    ring: "array[int] | None" = None,
 ) -> Controller:
-    """Make a machine of a board file and its hardware."""
+    """Make a machine of a board file and its hardware. ring: the planner's, if it is there."""
     options = Options(board)
+    options.ring = ring
     machine = Controller(options.axes)
     machine.port = port
     machine.engine = engine
@@ -74,7 +81,7 @@ def _make_basics(machine: Controller, options: Options) -> None:
     machine.settings.max_step_hz = options.max_step_hz
     machine.coords = Coords(machine.saves, axes, TOOL_LENGTH)
     machine.modes = Modes(axes)
-    machine.planner = Planner(axes, options.blocks, kinematics, state)
+    machine.planner = Planner(axes, options.blocks, kinematics, state, options.ring)
     machine.segments = Segments(machine.planner)
     machine.spindle = options.spindle(port, state, options.enable_pin)
     machine.coolant = Coolant(port, state)

@@ -58,11 +58,17 @@ class Move:
 class Planner:
     """The ring. `flow` is what it shares with the interrupt; see layout.py.
 
-    kinematics: None where each motor moves the axis of its own number.
+    kinematics: None where each motor moves the axis of its own number. ring: room for it, all
+    0, if that has been made in advance.
     """
 
     def __init__(
-        self, axes: int, blocks: int, kinematics: "Kinematics | None", state: "State"
+        self,
+        axes: int,
+        blocks: int,
+        kinematics: "Kinematics | None",
+        state: "State",
+        ring: "array[int] | None" = None,
     ) -> None:
         moves = kinematics.moves if kinematics else [1 << i for i in range(axes)]
         motors = len(moves)
@@ -71,7 +77,10 @@ class Planner:
         self.motors = motors
         self.kinematics = kinematics
         self._state = state
-        self.ring = array("i", (0 for _ in range(size * (blocks + 1))))
+        length = size * (blocks + 1)
+        if ring is None or len(ring) != length:
+            ring = array("i", bytes(4 * length))
+        self.ring = ring
         self.flow = array("i", (0 for _ in range(layout.FLOW_LENGTH + 2 * motors)))
         self.table = array("i", (0 for _ in range(layout.table_length(axes, motors))))
         self.flow[layout.ROW_SIZE] = size
