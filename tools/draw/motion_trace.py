@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from motion import reals
 from numpy.typing import NDArray
 
 from ..run import machine
@@ -157,7 +156,7 @@ class MotionTrace(Paced):
         made = int(self._next(row))
         if made:
             at = self._planner.flow[self._layout.AT]
-            self._plans[id(row)] = (reals.value(self._segments.rate()), self._blocks.get(at, 0))
+            self._plans[id(row)] = (self._value(self._segments.rate()), self._blocks.get(at, 0))
         return made
 
     def _moved(self, start: int, row: "array[int]", at: Sequence[float]) -> None:
