@@ -434,7 +434,7 @@ def test_a_board_without_its_pins_is_refused_in_words() -> None:
     board = SimpleNamespace(TOOL="punch", PUNCH_UP=3, PUNCH_DOWN=0)
     with pytest.raises(ValueError, match="no pin for PUNCH_DOWN_SENSOR, PUNCH_UP_SENSOR"):
         Options(board)
-    with pytest.raises(ValueError, match="TOOL is spindle or punch, not saw"):
+    with pytest.raises(ValueError, match="TOOL is spindle, laser or punch, not saw"):
         Options(SimpleNamespace(TOOL="saw"))
 
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from array import array
     from types import ModuleType
 
-BLOCKS = const(16)  # as many as Grbl has
-
 
 class Options:
     """What wiring.py wants to know. Raises ValueError where an extra cannot be."""
@@ -29,7 +27,7 @@ class Options:
 
         self.axes: int = len(option("STEP", ()))
         self.engine: str = option("ENGINE", "")
-        self.blocks: int = option("PLANNER_BLOCKS", BLOCKS)
+        self.blocks: int = option("PLANNER_BLOCKS", 16)
         self.ring: "array[int] | None" = None  # for so many
         self.rx_bytes: int = option("RX_BYTES", 128)
         self.defaults: "dict[int, float]" = option("DEFAULTS", {})

@@ -11,8 +11,6 @@ from array import array
 from micropython import const
 from motion.layout import STEPS
 
-from boot.options import BLOCKS
-
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -253,7 +251,7 @@ def make(board: "ModuleType", link: "BoardLink") -> "Hardware":
 def _room_for_blocks(option: "Callable[..., Any]") -> "array[int]":
     """The planner's ring."""
     integers = STEPS + 2 * len(option("STEP", ()))
-    return array("i", bytes(4 * integers * (option("PLANNER_BLOCKS", BLOCKS) + 1)))
+    return array("i", bytes(4 * integers * (option("PLANNER_BLOCKS", 16) + 1)))
 
 
 def _build(

@@ -64,7 +64,6 @@ def gather(line: ptr8, length: int, text: ptr8, values: ptr32) -> int:
     return count << 8 | to
 
 
-# inline: always, for bits of a float are no small integer, and would be an object each
 @micropython.viper
 def times(a: int, b: int, shift: int) -> int:
     """The whole part of the product, rounded to single precision, of two floats above 0, as bits;
@@ -93,7 +92,6 @@ def times(a: int, b: int, shift: int) -> int:
     return high
 
 
-# inline: always, for bits of a float are no small integer, and would be an object each
 @micropython.viper
 def less(a: int, b: int) -> int:
     """The difference, as bits and rounded, of two floats, as bits, the first one being greater."""
@@ -120,7 +118,6 @@ def less(a: int, b: int) -> int:
     return exponent << 23 | (a & 0x7FFFFF)
 
 
-# inline: always, for bits of a float are no small integer, and would be an object each
 @micropython.viper
 def weigh(value: int, scale: ptr32) -> int:
     """The power of S, a float as bits: what spindle.Spindle.block_power() says of it."""

@@ -18,13 +18,12 @@ from .leaves import leaves
 from .order import order
 from .prune import prune
 from .shorten import Shortened, shorten
-from .singles import singles
 
 
 def prepared(sources: Mapping[str, str], debug: bool = False) -> Shortened:
     """The modules, by name, as they are to be compiled. debug: names stay as they are."""
     found = marks.read(sources)
-    texts = prune(leaves(singles(inline(sources)), found))
+    texts = prune(leaves(inline(sources), found))
     return Shortened(texts, {}, {}, {}, {}) if debug else shorten(texts, found)
 
 

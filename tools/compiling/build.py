@@ -21,10 +21,12 @@ from . import prepared, put_together, symbols
 from .inline import inline
 from .scopes import NotUnderstood
 from .shorten import Shortened
+from .singles import singles
 
 # Without assertions and line numbers, which would take memory: tracebacks name functions.
 _OPTIMIZED = "-O3"
 _DEBUG = "-O0"
+_OF_DESKTOPS = "x64"  # whose MicroPython has floats of double precision
 # MicroPython runs main.py at start, and never main.mpy: this one stays as it is.
 START = "main.py"
 BOARD = "board.py"
@@ -264,6 +266,8 @@ def _compile(name: str, text: str, arch: str, debug: bool) -> bytes:
     """A module in MicroPython's own format."""
     with TemporaryDirectory() as folder:
         file = Path(folder) / "module.py"
+        if arch != _OF_DESKTOPS:
+            text = singles(text)
         file.write_text(text, encoding="utf-8")
         # Tracebacks tell the module, which has its name in memory anyway, not the file.
         told = ["-s", name, "-o", "-"]

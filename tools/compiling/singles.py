@@ -6,17 +6,12 @@ and is to be a float.
 """
 
 import ast
-from collections.abc import Mapping
 
 _ROUND = "f32"
 
 
-def singles(sources: Mapping[str, str]) -> dict[str, str]:
-    """The modules, by name, without calls that do nothing on a board. No line moves."""
-    return {name: _without_calls(text) for name, text in sources.items()}
-
-
-def _without_calls(text: str) -> str:
+def singles(text: str) -> str:
+    """A module without calls that do nothing on a board. No line moves."""
     calls = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)]
     places = [(node.lineno, node.col_offset) for node in calls if _is_in_vain(node)]
     lines = [line.encode() for line in text.splitlines(keepends=True)]

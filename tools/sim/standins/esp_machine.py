@@ -193,11 +193,11 @@ class PWM:
         PWM.outputs[dest.id] = self
         self.duty_u16(duty_u16)
 
-    def freq(self, hz: int = 0) -> int:
-        if hz:
-            if not 0 < hz <= 40_000_000:
+    def freq(self, value: int = 0) -> int:
+        if value:
+            if not 0 < value <= 40_000_000:
                 raise ValueError("frequency must be from 1Hz to 40MHz")
-            self.frequency = hz
+            self.frequency = value
         return self.frequency
 
     def duty_u16(self, duty: int) -> None:

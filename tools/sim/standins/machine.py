@@ -184,9 +184,9 @@ class PWM:
         """A pulse ends."""
         self.playing = self.duty
 
-    def freq(self, hz: int = 0) -> int:
-        if hz:
-            self.frequency = _checked(hz)
+    def freq(self, value: int = 0) -> int:
+        if value:
+            self.frequency = _checked(value)
         return self.frequency
 
     def duty_u16(self, duty: int) -> None:
