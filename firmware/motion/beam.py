@@ -78,7 +78,6 @@ def reach(row: ptr32, base: int, whole: int, over: int, parts: int) -> int:
     return tick + gap // (2 * parts) * (2 * over - parts)
 
 
-# inline: always, for it runs for every dot
 @micropython.viper
 def emit(beam: ptr32, levels: ptr32, power: int) -> int:
     """A change of power: its level goes into the ring."""

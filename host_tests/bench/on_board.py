@@ -126,7 +126,7 @@ keep(interpreter.Interpreter, "execute")
 keep(modes.Modes, "reset")
 keep(coords.Coords, "clear")
 keep(protocol.Protocol, "run")
-AXES, FEED, LIMITED, DRY, MODAL_ROOM = %d, %d, %d, %d, %d
+AXES, LIMITED, DRY, MODAL_ROOM = %d, %d, %d, %d
 follow = fast_path.follow
 known = []
 
@@ -199,12 +199,11 @@ def short_path():
     texts = moves(0)
     now[AXES] = 0
     call = each(follow, texts, *rest)
-    now[AXES] = len(rest[1])
-    feed, limited, dry = now[FEED], now[LIMITED], now[DRY]
-    now[FEED] = feed ^ 256
+    limited, dry = now[LIMITED], now[DRY]
+    now[AXES] = 1  # it has read the line when it finds that there is no Y
     expect(0, texts, rest)
     read = each(follow, texts, *rest)
-    now[FEED] = feed
+    now[AXES] = len(rest[1])
     now[LIMITED] = 1
     expect(0, texts, rest)
     judged = each(follow, texts, *rest)
@@ -266,7 +265,7 @@ def stages(_):
 
 
 acts[b"STAGE"] = stages
-""" % (fast_path.AXES, fast_path.FEED, fast_path.LIMITED, fast_path.DRY, modes.MODAL_ROOM)
+""" % (fast_path.AXES, fast_path.LIMITED, fast_path.DRY, modes.MODAL_ROOM)
 
 # $GAP: the longest time from one look at the link to the next since it was asked last, us.
 _GAPS = """
