@@ -96,6 +96,7 @@ class Protocol:
         echoes = self._echoes
         finish = self._saves.finish
         every_other = False
+        room = len(self._buffer)
         while True:
             try:
                 if self._drive.by_pin:  # what is unread was sent before the reset
@@ -129,7 +130,8 @@ class Protocol:
                         except (GrblError, OSError, Abort) as reason:
                             self._refuse(reason, b"")
                         else:
-                            pump()
+                            if reader.free() >= room:  # who counts nothing must not overrun it
+                                pump()
                             write(ok)
             except Abort:
                 self._tell_alarm()
