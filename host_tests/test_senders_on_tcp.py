@@ -76,6 +76,11 @@ class Wire:
         """When a welcome came, each time."""
         return [at for at, line in zip(self.times, self.lines) if _BANNER.match(line)]
 
+    def forget(self) -> None:
+        """Lets go of the lines that have come."""
+        self.lines.clear()
+        self.times.clear()
+
     def close(self) -> None:
         self._socket.close()
         self.process.terminate()
@@ -128,15 +133,15 @@ def test_candle_begins_with_its_reset_and_streams(wire: Wire) -> None:
         wire.listen(0.1)
         assert sum(line.startswith("<Idle|MPos:") for line in wire.lines) == count + 1
     wire.send(b"$G\n?")
-    wire.lines.clear()
-    wire.times.clear()
+    wire.forget()
     wire.send(b"\x18")
     assert wire.listen(3.0, lambda: bool(wire.banners()))
+    wire.forget()  # also what the reset came too late for
     wire.send(b"$$\n$#\n")  # in one piece
     assert wire.listen(2.0, lambda: wire.lines.count("ok") == 2)
     settings, offsets, _ = "; ".join(wire.lines).split("ok")
     assert len(re.findall(r"\$(\d+)\=([^;]+)\; ", settings)) == 34 and "G54:" in offsets
-    wire.lines.clear()
+    wire.forget()
     wire.send(b"S100\n$G\n")
     assert wire.listen(2.0, lambda: wire.lines.count("ok") == 2)
     lines = [f"G91G1X0.{n % 9 + 1}Y0.1F1200\n".encode() for n in range(200)]
@@ -152,8 +157,7 @@ def _stream(wire: Wire, lines: list[bytes]) -> None:
     under_way: deque[int] = deque()
     sent = answered = looked = 0
     asked = time.monotonic()
-    wire.lines.clear()
-    wire.times.clear()
+    wire.forget()
     while answered < len(lines):
         while sent < len(lines) and sum(under_way) + len(lines[sent]) <= 127:
             wire.send(lines[sent])
