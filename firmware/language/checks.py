@@ -72,10 +72,16 @@ def check(modes: "Modes", coords: "Coords", block: "Block", jog: bool) -> None:
     if claim == b.AXES_TOOL_LENGTH and ints[TOOL_LENGTH]:
         if axis_words != 1 << coords.length_axis:
             raise GrblError(errors.GCODE_G43_DYNAMIC_AXIS_ERROR)
-    if ints[b.NON_MODAL]:
-        unused &= ~_non_modal(modes, coords, block)
-    elif axis_words and claim != b.AXES_TOOL_LENGTH:
-        _target(modes, coords, block)
+    command = ints[b.NON_MODAL]
+    if command == b.SET_COORDS:
+        unused &= ~_set_coords(modes, coords, block)
+    elif command == b.SET_G92:
+        _set_g92(modes, coords, block)
+    else:
+        if axis_words and claim != b.AXES_TOOL_LENGTH:
+            _target(modes, coords, block)
+        if command:
+            _place(modes, coords, block)
     unused &= ~_motion(modes, block)
     unused &= ~(b.WORD_F if jog else b.WORD_F | b.WORD_S | b.WORD_T)
     if ints[b.CLAIM]:
@@ -112,25 +118,21 @@ def _override_control(block: "Block") -> None:
     ints[OVERRIDE_CONTROL] = 0 if off else 1
 
 
-def _non_modal(modes: "Modes", coords: "Coords", block: "Block") -> int:
-    """Check group 0 and compute targets; returns the value words it used."""
+def _set_g92(modes: "Modes", coords: "Coords", block: "Block") -> None:
+    """G92: the new offsets go to block.xyz."""
     ints = block.ints
-    command = ints[b.NON_MODAL]
-    axis_words = ints[b.WORDS] & b.AXIS_WORDS
-    if command == b.SET_COORDS:
-        return _set_coords(modes, coords, block)
-    if command == b.SET_G92:
-        if not axis_words:
-            raise GrblError(errors.GCODE_NO_AXIS_WORDS)
-        _offset_at(modes, coords, block, coords.systems[ints[SYSTEM]], coords.g92, block.xyz)
-        return 0
-    if ints[b.CLAIM] != b.AXES_TOOL_LENGTH and axis_words:
-        _target(modes, coords, block)
+    if not ints[b.WORDS] & b.AXIS_WORDS:
+        raise GrblError(errors.GCODE_NO_AXIS_WORDS)
+    _offset_at(modes, coords, block, coords.systems[ints[SYSTEM]], coords.g92, block.xyz)
+
+
+def _place(modes: "Modes", coords: "Coords", block: "Block") -> None:
+    """Where G28 or G30 is to go, and whether G53 can go where it says."""
+    command = block.ints[b.NON_MODAL]
     if command in (b.GO_G28, b.GO_G30):
         _stored(modes, coords, block)
-    elif command == b.ABSOLUTE_OVERRIDE and ints[MOTION] not in (b.SEEK, b.LINEAR):
+    elif command == b.ABSOLUTE_OVERRIDE and block.ints[MOTION] not in (b.SEEK, b.LINEAR):
         raise GrblError(errors.GCODE_G53_INVALID_MOTION_MODE)
-    return 0
 
 
 def _stored(modes: "Modes", coords: "Coords", block: "Block") -> None:
