@@ -23,7 +23,16 @@ from motion import beam as bm
 from pio import pulses
 from pio.engine import PioEngine
 from pio.layout import MOTORS, RUNNING, STARTS
-from pio.registers import COUNT_TRIGGER, READ
+from pio.registers import (
+    COUNT_TRIGGER,
+    CREDITS,
+    DMA_AT,
+    DMA_EACH,
+    PIO0_AT,
+    READ,
+    RXF,
+    WRITE,
+)
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -36,12 +45,8 @@ _COMPARE = const(0x0C)  # of both its pins
 _TOP = const(0x10)
 _BOTH = const(0x10001)
 
-_DMA_AT = const(0x50000000)
-_WRITE = const(1)
-_CREDITS = const(0x800)
 _RX = const(4)  # requests of PIO 0's machines that have said something begin here
 _UNPACED = const(63)
-_FIFO = const(0x50200020)  # what the first machine says
 _BYTES = const(1024)  # of the ring of levels, which lies at a multiple of it
 
 
@@ -83,12 +88,12 @@ class BeamEngine(PioEngine):
         import rp2
 
         taker, mover = rp2.DMA(), rp2.DMA()
-        taker_at, mover_at = (_DMA_AT + 0x40 * one.channel for one in (taker, mover))
+        taker_at, mover_at = (DMA_AT + DMA_EACH * one.channel for one in (taker, mover))
         self._taker, self._mover, self._mover_at = taker, mover, mover_at
         # Two rings, for one of them lies as it has to; where is asked of the channels.
         room, nothing = (array("i", (0 for _ in range(n))) for n in (_BYTES // 2, 1))
         mover.config(read=room, write=nothing)
-        at, self._nowhere = (machine.mem32[mover_at + 4 * n] for n in (READ, _WRITE))
+        at, self._nowhere = (machine.mem32[mover_at + 4 * n] for n in (READ, WRITE))
         self._ring = (at + _BYTES - 1) // _BYTES * _BYTES
         first = (self._ring - at) // 4
         self.levels = memoryview(room)[first : first + _BYTES // 4]
@@ -96,7 +101,7 @@ class BeamEngine(PioEngine):
         control = taker.pack_ctrl(
             size=2, inc_read=False, inc_write=False, treq_sel=_RX + lane, chain_to=mover.channel
         )
-        taker.config(read=_FIFO + 4 * lane, write=self._nowhere, count=1, ctrl=control)
+        taker.config(read=PIO0_AT + 4 * (RXF + lane), write=self._nowhere, count=1, ctrl=control)
         control = mover.pack_ctrl(
             size=2,
             inc_write=False,
@@ -105,7 +110,7 @@ class BeamEngine(PioEngine):
             chain_to=taker.channel,
         )
         mover.config(read=self._ring, write=self._nowhere, count=1, ctrl=control)
-        machine.mem32[taker_at + _CREDITS] = 0
+        machine.mem32[taker_at + 4 * CREDITS] = 0
         machine.mem32[taker_at + 4 * COUNT_TRIGGER] = 1
 
     def configure(self, pulse_us: int, step_invert: int, dir_invert: int) -> None:
@@ -127,11 +132,11 @@ class BeamEngine(PioEngine):
         """Begin to pull, where the engine had run out of segments: a beam that is out may burn."""
         if not self._hub[RUNNING]:
             self.beam[bm.LEVEL] = bm.UNKNOWN
-            machine.mem32[self._mover_at + 4 * _WRITE] = self._slice + _COMPARE
+            machine.mem32[self._mover_at + 4 * WRITE] = self._slice + _COMPARE
         super().start()
 
     @micropython.viper
     def put_out(self) -> int:
         """No level comes to the pin any more, until motion begins anew. Safe in an interrupt."""
-        ptr32(self._mover_at)[_WRITE] = int(self._nowhere)
+        ptr32(self._mover_at)[WRITE] = int(self._nowhere)
         return 0

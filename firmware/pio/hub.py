@@ -83,13 +83,18 @@ from pio.registers import (
     ADDR,
     CLEAR,
     COUNT_TRIGGER,
+    CREDITS,
     CTRL,
     DISABLE,
+    DMA_AT,
+    DMA_EACH,
     FDEBUG,
     FLEVEL,
     INSTR,
     PADOUT,
     PINCTRL,
+    PIO0_AT,
+    PIO1_AT,
     READ,
     SET,
     SM,
@@ -103,9 +108,6 @@ _LEAD = const(40_000)
 _CLOCK_FIFO = const(4)
 # Words handed over later than that before the last ones end might come too late, in us.
 _MARGIN = const(20)
-
-_DMA_AT = const(0x50000000)
-_CREDITS = const(0x800)  # how many words a channel believes that its FIFO has room for
 
 # Instructions that are forced into a machine.
 _PULL = const(0x8080)
@@ -369,8 +371,8 @@ class Memory:
         hub[WHOLE] = _make_address(self._whole)
         for i, row in enumerate(self.rows):
             hub[ROW + i] = _make_address(row)
-        hub[PIO0] = 0x50200000
-        hub[PIO1] = 0x50300000
+        hub[PIO0] = PIO0_AT
+        hub[PIO1] = PIO1_AT
         hub[TIMER] = 0x400B0028 if rp2350 else 0x40054028
         hub[NVIC] = 0xE000E100 - (1 << 32)
         # IO_IRQ_BANK0, PIO1_IRQ_0, and the timer's four.
@@ -379,5 +381,5 @@ class Memory:
 
     def connect(self, axis: int, channel: int) -> None:
         """A lane's words go through this DMA channel."""
-        self.hub[DMA + axis] = at = _DMA_AT + 0x40 * channel
-        machine.mem32[at + _CREDITS] = 0  # counted anew: the FIFO is empty
+        self.hub[DMA + axis] = at = DMA_AT + DMA_EACH * channel
+        machine.mem32[at + 4 * CREDITS] = 0  # counted anew: the FIFO is empty

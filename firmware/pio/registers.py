@@ -5,7 +5,9 @@ RP2040 datasheet, 3.7 (PIO), 2.5.7 (DMA), 2.1.2 (aliases); the RP2350 has them i
 
 from micropython import const
 
-# A PIO's.
+# A PIO's; where the two stand.
+PIO0_AT = const(0x50200000)
+PIO1_AT = const(0x50300000)
 CTRL = const(0)
 FDEBUG = const(2)
 FLEVEL = const(3)
@@ -20,11 +22,16 @@ SM = const(6)  # from one machine to the next
 SET = const(0x800)  # the same register, where ones set bits,
 CLEAR = const(0xC00)  # and where they clear them
 
-# A DMA channel's, and the interrupt controller's.
+# Where the first DMA channel's stand, and bytes from one to the next; what each has, and the
+# interrupt controller.
+DMA_AT = const(0x50000000)
+DMA_EACH = const(0x40)
 READ = const(0)
+WRITE = const(1)
 COUNT = const(2)
 STATUS = const(3)
 COUNT_TRIGGER = const(7)
+CREDITS = const(0x200)  # how many words a channel believes that its FIFO has room for
 DISABLE = const(32)
 
 # In FDEBUG, from the bit of the first machine on: a word has come to a FIFO that was full.
