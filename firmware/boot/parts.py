@@ -6,16 +6,15 @@ board forgets this module once the machine is there: it has no use for it then.
 
 import gc
 import sys
-from array import array
 
 from micropython import const
-from motion.layout import STEPS
+from motion import layout
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from array import array
     from collections.abc import Callable, Iterable
     from types import ModuleType
-    from typing import Any
 
     from interfaces import BoardLink, BoardPort, StepEngine
     from ports.supervisor import Supervisor
@@ -161,7 +160,9 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
         sys.path[:] = [folder for folder in path if folder != _USERS]
         import board
 
-        ring = _room_for_blocks(board.__dict__.get)  # the biggest first, before there are holes
+        option = board.__dict__.get
+        # The biggest first, before there are holes.
+        ring = layout.ring(len(option("STEP", ())), option("PLANNER_BLOCKS", 16))
         from ports.supervisor import Supervisor
 
         link = _link(getattr(board, "LINK", "usb"))
@@ -246,12 +247,6 @@ def make(board: "ModuleType", link: "BoardLink") -> "Hardware":
     finds no room on an ESP32."""
     maker, _, _, _, _ = _ENGINES[board.ENGINE]
     return maker(board, link)
-
-
-def _room_for_blocks(option: "Callable[..., Any]") -> "array[int]":
-    """The planner's ring."""
-    integers = STEPS + 2 * len(option("STEP", ()))
-    return array("i", bytes(4 * integers * (option("PLANNER_BLOCKS", 16) + 1)))
 
 
 def _build(

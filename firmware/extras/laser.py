@@ -19,7 +19,7 @@ from control.spindle import Spindle
 from micropython import const
 from motion import beam as bm
 from motion.beam import mark
-from motion.layout import AT, EVENTS, LOADED, MOTORS, ROW_SIZE, STEPS
+from motion.layout import AT, EVENTS, LOADED, MOTORS, ROW_SIZE
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -89,13 +89,11 @@ class Laser(Spindle):
         count = self._clusters[own]
         if count and flow[LOADED] and not self._reversed and self._engine.idle():
             events = ring[at + EVENTS]
-            longest = 0
-            while ring[at + STEPS + longest] != events:
-                longest += 1
             parts = min(count, events)
-            begun = ((events - flow[MOTORS + 2 * longest]) * parts + events - 1) // events
-            if begun:
-                self.set_power(self._clusters[own + 1 + (begun - 1) * count // parts])
+            done = events - flow[MOTORS + 2 * bm.leader(ring, at)]
+            dot = bm.begun(done, events, parts) - 1
+            if dot >= 0:
+                self.set_power(self._clusters[own + 1 + dot * count // parts])
         return True
 
     def set_power(self, power: int) -> None:

@@ -110,6 +110,21 @@ def lay(table: ptr32, row: ptr32, beam: ptr32, number: int, first: int, last: in
 
 
 @micropython.viper
+def leader(ring: ptr32, at: int) -> int:
+    """The motor with the most steps in the block at ring[at]: each of its steps is an event."""
+    motor = 0
+    while ring[at + STEPS + motor] != ring[at + EVENTS]:
+        motor += 1
+    return motor
+
+
+@micropython.viper
+def begun(done: int, events: int, parts: int) -> int:
+    """How many of the dots that share the events have begun, when so many are done."""
+    return (done * parts + events - 1) // events
+
+
+@micropython.viper
 def dots(
     flow: ptr32,
     ring: ptr32,
@@ -129,14 +144,12 @@ def dots(
     events = ring[at + EVENTS]
     count = clusters[own]
     parts = count if count < events else events
-    longest = 0
-    while ring[at + STEPS + longest] != events:
-        longest += 1
-    base = ROW_AXES + ROW_STRIDE * longest
-    done = events - flow[MOTORS + 2 * longest]
+    motor = int(leader(ring, at))
+    base = ROW_AXES + ROW_STRIDE * motor
+    done = events - flow[MOTORS + 2 * motor]
     before = done - row[base]
-    dot = (before * parts + events - 1) // events
-    number = (done * parts + events - 1) // events - dot
+    dot = int(begun(before, events, parts))
+    number = int(begun(done, events, parts)) - dot
     first = 0
     last = 0
     if number:

@@ -9,6 +9,8 @@ of the highest speed any move can have. Within a block speeds are in units of 2*
 longest axis per full segment. A real is a positive number in one integer: see reals.py.
 """
 
+from array import array
+
 from micropython import const
 
 # One row of the planner's ring: a block.
@@ -112,6 +114,11 @@ KEEP_POWER = const(0x3FFFFFFF)
 def block_length(motors: int) -> int:
     """Integers in a row of the planner's ring."""
     return STEPS + 2 * motors
+
+
+def ring(motors: int, blocks: int) -> "array[int]":
+    """The planner's ring, empty: so many blocks, and the system's own behind them."""
+    return array("i", bytes(4 * block_length(motors) * (blocks + 1)))
 
 
 def table_length(axes: int, motors: int) -> int:

@@ -77,9 +77,8 @@ class Planner:
         self.motors = motors
         self.kinematics = kinematics
         self._state = state
-        length = size * (blocks + 1)
-        if ring is None or len(ring) != length:
-            ring = array("i", bytes(4 * length))
+        if ring is None or len(ring) != size * (blocks + 1):
+            ring = layout.ring(motors, blocks)
         self.ring = ring
         self.flow = array("i", (0 for _ in range(layout.FLOW_LENGTH + 2 * motors)))
         self.table = array("i", (0 for _ in range(layout.table_length(axes, motors))))
