@@ -191,7 +191,7 @@ class Drive:
         self._state.holding = False
         self._segments.hold(False)
         self.settling = False
-        self._port.enable(self._settings.enable_invert)  # as power(True), without its frame
+        self.power(True)
         self.moving = True
         self._engine.start()
 

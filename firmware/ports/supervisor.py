@@ -49,9 +49,9 @@ class Supervisor:
         self._timer = Timer(-1 if hard else _SOFT_TIMER)
 
     def start(self, feed: "Callable[[], None] | None", on_reset: "Callable[[int], None]") -> None:
-        """Watch from now on. feed: the watchdog's; on_reset: hears of Ctrl-X, in the interrupt,
-        when tool and motors have been stopped, with no alarm (0),
-        while the main loop does not listen."""
+        """Watch from now on. feed: the watchdog's; on_reset: hears of a Ctrl-X that came while the
+        main loop does not listen, in the interrupt, when tool and motors have been stopped, with
+        no alarm (0)."""
         self._feed = feed
         self._on_reset = on_reset
         self.allow(0)
