@@ -39,7 +39,8 @@ HAIR = const(0x800)  # ahead of the truth, so that rounding does not cost the la
 def slices(flow: ptr32, slice: int, dynamic: int) -> int:
     """How many rows the segment planned is to be, for the steps of a row are even: as many as it
     takes that none changes the speed by more than a thirty-second, if they are long enough. Their
-    power is one, too: where that follows speed they are short whenever the speed changes.
+    power is one, too: where that follows speed they are short whenever the speed changes, and no
+    longer than a millisecond.
     """
     slow = flow[REACHED]
     fast = slow
@@ -53,6 +54,8 @@ def slices(flow: ptr32, slice: int, dynamic: int) -> int:
             fast = speed
     if flow[TIME] > 131072:
         return 1  # it is so long for the sake of one step
+    if dynamic:
+        slice -= slice >> 2
     count = (flow[TIME] + (slice >> 1)) // slice or 1
     slight = fast >> (8 if dynamic else 5)
     while count > 1 and fast - slow <= slight * (count >> 1):
