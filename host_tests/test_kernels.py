@@ -2,6 +2,7 @@
 
 import struct
 from array import array
+from fractions import Fraction
 from math import isqrt
 
 import pytest
@@ -37,6 +38,14 @@ def near(got: float, expected: float, part: float = _PRECISION) -> bool:
 @given(floats)
 def test_a_real_is_the_nearest_below(x: float) -> None:
     assert x * (1 - 2**-14) < value(real(x)) <= x
+
+
+@given(st.one_of(st.just(0.0), st.floats(0.001, 1e9)))
+def test_a_rate_per_minute_is_the_nearest_below_per_second(feed: float) -> None:
+    bits = array("i", array("f", (feed,)).tobytes())
+    exact = Fraction(single(feed)) / 60
+    got = Fraction(value(reals.per_second(bits, 0)))
+    assert got <= exact <= got * (1 + Fraction(1, 2**14))
 
 
 @given(floats, floats)

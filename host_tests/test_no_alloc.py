@@ -49,6 +49,7 @@ planner = Planner(3, 16, None, state)
 planner.configure(Settings, 13107200, 17, 90909)
 planner.override()
 segments = Segments(planner)
+rate = planner.rate(3000.0)
 flow, ring, table = planner.flow, planner.ring, planner.table
 row = array("i", [0] * layout.row_length(3))
 move = Move()
@@ -87,7 +88,7 @@ received = bytearray(b"G1 X1 (a comment) ? y2\\n")
 """
 
 _PROVED = {
-    "plan": "plan_kernel.plan(target, table, ring, flow, 0, 0, 0, planner._feed_real)",
+    "plan": "plan_kernel.plan(target, table, ring, flow, 0, 0, 0, rate)",
     "schedule": "plan_kernel.schedule(table, ring, 0)",
     "limit_entry": "plan_kernel.limit_entry(ring, flow, 2)",
     "reverse_pass": "plan_kernel.reverse_pass(ring, flow, 1)",

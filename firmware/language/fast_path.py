@@ -22,6 +22,7 @@ from motion import planner as plan
 from motion.layout import HEAD
 from motion.plan_kernel import FULL, OUTSIDE
 from motion.plan_kernel import plan as plan_block
+from motion.reals import per_second
 
 from language import block as b
 from language.words import number
@@ -176,11 +177,11 @@ def follow(
     flow: ptr32,
     speeds: ptr32,
     changes: ptr32,
-    rpm: ptr32,
+    new: ptr32,
     take_news: object,
 ) -> int:
     """Plan a line that does no more than move and has nothing in its way. take_news: sees to what
-    is new in it, and says what the spindle makes of that.
+    is new in it, and says what the spindle makes of that; new: S or else F of such a line.
 
     Returns 1 then; otherwise 0, and nothing has changed but what is new, which whoever goes on
     with the line sees to as well.
@@ -196,10 +197,10 @@ def follow(
         return 0
     if known[DRY] == 0 and found & FULL:
         return 0
-    if seen & HAS_S:
-        rpm[0] = known[VALUES + _S]
-        known[_RPM] = rpm[0]
     if seen & _NEWS:
+        if seen & HAS_S:
+            known[_RPM] = known[VALUES + _S]
+        new[0] = known[VALUES + (_S if seen & HAS_S else _F)]
         known[_POWER] = int(take_news(seen))  # type: ignore[operator]
     if known[DRY] == 0:
         at = flow[HEAD]
@@ -266,7 +267,7 @@ class FastPath:
             flow: "array[int]" = planner.flow,
             speeds: "array[float]" = planner.speeds,
             changes: "array[int]" = self._state.changes,
-            rpm: "array[float]" = self._float,
+            new: "array[float]" = self._float,
             take_news: "Callable[[int], int]" = self._follow_news,
         ) -> int:
             return follow(
@@ -281,7 +282,7 @@ class FastPath:
                 flow,
                 speeds,
                 changes,
-                rpm,
+                new,
                 take_news,
             )
 
@@ -360,6 +361,11 @@ class FastPath:
         if seen & _NEWS == HAS_S:
             rpm = self._modes.spindle_rpm = move.spindle_rpm = self._float[0]
             return 0 if known[DRY] else self._spindle.block_power(known[_FLAGS], rpm)
+        if seen & _NEWS == HAS_F and not known[IN_INCHES]:
+            self._modes.feed = move.feed = self._float[0]
+            known[FEED] = known[VALUES + _F]
+            known[_RATE] = per_second(known, FEED)
+            return known[_POWER]
         self._take_news(seen)
         power = 0 if known[DRY] else self._canon.power_of(move)
         known[_FLAGS] = move.flags

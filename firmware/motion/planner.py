@@ -95,9 +95,7 @@ class Planner:
         at = layout.LIMITS + layout.POSITION * axes
         self.position = memoryview(self.table)[at : at + axes]
         self.steps_per_mm = vector(axes)
-        # The last feed in mm/min, and the same as a real in mm/s.
-        self._feed = 0.0
-        self._feed_real = 0
+        self._feed = vector(1)
         for i in range(axes):
             self.position[i] = _BIAS
 
@@ -179,10 +177,8 @@ class Planner:
 
     def rate(self, feed: float) -> int:
         """A feed in mm/min as a real in mm/s."""
-        if feed != self._feed:
-            self._feed = feed
-            self._feed_real = reals.real(feed / 60)
-        return self._feed_real
+        self._feed[0] = feed
+        return reals.per_second(self._feed, 0)
 
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
         """Add some chords of an arc, or pass them over where nothing moves. Returns what it has

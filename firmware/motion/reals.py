@@ -41,6 +41,16 @@ def per_minute(r: int) -> int:
 
 
 @micropython.viper
+def per_second(rate: ptr32, at: int) -> int:
+    """The real nearest below a sixtieth of a float that is not negative: its bits are rate[at]."""
+    bits = rate[at]
+    if bits == 0:
+        return 0
+    # Between 2**17 and 2**19, where the bits had 24.
+    return int(pack(((bits & 0x7FFFFF) | 0x800000) // 60, (bits >> 23) - 150 + BIAS))
+
+
+@micropython.viper
 def pack(mantissa: int, exponent: int) -> int:
     """The real mantissa * 2**(exponent - 64) of any mantissa."""
     if mantissa == 0:
