@@ -130,9 +130,9 @@ class Protocol:
                         except (GrblError, OSError, Abort) as reason:
                             self._refuse(reason, b"")
                         else:
+                            write(ok)
                             if reader.free() >= room:  # who counts nothing must not overrun it
                                 pump()
-                            write(ok)
             except Abort:
                 self._tell_alarm()
 

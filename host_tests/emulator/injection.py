@@ -35,7 +35,7 @@ _WITHIN_US = 90_000
 _SENDER_US = 200  # between two looks of the sender at what has been answered
 _WATCHED_US = 15_000  # behind a stop
 _SETTLED_US = 600_000
-_IDLE_US = 500_000
+_IDLE_US = 1_500_000  # 64 blocks that each begin and end at rest
 _RX_BYTES = 64
 
 

@@ -329,7 +329,7 @@ def test_two_kilobytes_are_left_in_streams_of_arcs(
 
 def test_the_firmware_says_what_is_seen_from_outside(machine: Board, stack: Stack) -> None:
     stack.paint()
-    stream(machine, ARCS, 1, 23)
+    stream(machine, (f"{ARCS[0]}F3000", ARCS[1]), 1, 23)
     said = machine.ask("$I+").partition("[MSG:Stack: ")[2].partition(" of 8192 bytes used]")[0]
     assert abs(int(said) - stack.used()) <= 64
 
