@@ -130,9 +130,11 @@ class Protocol:
                         except (GrblError, OSError, Abort) as reason:
                             self._refuse(reason, b"")
                         else:
-                            write(ok)
-                            if reader.free() >= room:  # who counts nothing must not overrun it
-                                pump()
+                            try:
+                                if reader.free() >= room:  # who counts nothing must not overrun it
+                                    pump()
+                            finally:  # a loop that was away is told of there: no fault of the line
+                                write(ok)
             except Abort:
                 self._tell_alarm()
 
