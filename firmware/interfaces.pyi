@@ -265,6 +265,7 @@ class Options(Protocol):
     highest_tool: int
     line_length: int  # characters of a line
     defaults: dict[int, float]  # settings that differ from Grbl's
+    custom: tuple[str, ...]  # the user's own modules
 
 class Extra(Protocol):
     """A module of extras/, or a user's. It may have PINS: what it calls pins in the board file;

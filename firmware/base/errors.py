@@ -106,6 +106,9 @@ ALARM_HOMING_FAIL_DUAL_APPROACH = const(10)
 ALARM_INTERNAL = const(16)
 # The emergency stop was pressed. Not one of Grbl's.
 ALARM_EMERGENCY_STOP = const(17)
+# A handler of custom.py has failed: the message before it names file and line. Position is kept.
+# Not one of Grbl's.
+ALARM_CUSTOM = const(32)
 
 # Messages, as they stand in [MSG:…]. None may contain "ok" or "error".
 MSG_CRITICAL_EVENT = "Reset to continue"

@@ -3,6 +3,8 @@
 Imported at start and forgotten again.
 """
 
+import os
+
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -10,6 +12,8 @@ if TYPE_CHECKING:
     from types import ModuleType
 
     from interfaces import Extra
+
+CUSTOM = "extras.custom"  # who reads the user's own modules
 
 # Words that ask for an extra of ours, and its module; the first of each asks for none.
 _DIALECTS = {
@@ -40,9 +44,29 @@ def _known(option: str, word: str, known: "dict[str, str]") -> str:
     return known[word]
 
 
+def customs(board: "ModuleType") -> "tuple[str, ...]":
+    """The user's own modules that are there: a file of that name, or those of a folder."""
+    name: str = board.__dict__.get("CUSTOM", "custom")
+    if not name:
+        return ()
+    try:
+        os.stat(name + ".py")
+        return (name,)
+    except OSError:
+        pass
+    try:
+        files = sorted(os.listdir(name))
+    except OSError:
+        return ()
+    return tuple([name + "." + file[:-3] for file in files if file.endswith(".py")])
+
+
 def modules(board: "ModuleType") -> "list[Extra]":
     """The modules themselves."""
-    return [__import__(name, None, None, ("install",)) for name in names(board)]
+    found = names(board)
+    if customs(board):
+        found.append(CUSTOM)
+    return [__import__(name, None, None, ("install",)) for name in found]
 
 
 def pins(board: "ModuleType") -> "tuple[str, ...]":

@@ -44,6 +44,7 @@ class Options:
         self.max_step_hz: int = option("MAX_STEP_RATE_HZ", 0)
         self.echo: bool = option("ECHO", False)
         # What an extra may have otherwise, before the machine is made: prepare().
+        self.custom = guests.customs(board)
         self.extras = guests.modules(board)
         self.report: "type[Report]" = Report
         self.spindle: "type[Spindle]" = Spindle

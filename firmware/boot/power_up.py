@@ -6,11 +6,9 @@ stops the motors, switches spindle and coolant off, and says so in one line; the
 alarm then, until a soft reset.
 """
 
-import io
-import sys
-
 from base import errors
 from base import state as st
+from base.faults import harmless, trace
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -23,7 +21,6 @@ if TYPE_CHECKING:
 _RESET = const(0x18)
 _QUESTION = const(0x3F)
 _DOLLAR = const(0x24)
-_LONGEST = const(120)
 
 
 def build() -> "Parts | None":
@@ -41,15 +38,16 @@ def live(parts: "Parts | None") -> "Controller | None":
     if parts is None:
         return None
     machine, link, port, engine, watch = parts
-    fault: "Exception | None" = None
+    fault: "BaseException | None" = None
     while True:
         try:
             if fault:
                 _alarm(machine, link, fault)
             machine.power_up()
             machine.protocol.run()
-        except KeyboardInterrupt:
-            fault = None
+        except KeyboardInterrupt as stop:
+            # Ctrl-X, if it has ended what would not come back; else the prompt is asked for.
+            fault = stop if watch.take() else None
         except Exception as unforeseen:
             fault = unforeseen
         port.safe()
@@ -63,7 +61,7 @@ def live(parts: "Parts | None") -> "Controller | None":
     return machine
 
 
-def _alarm(machine: "Controller", link: "BoardLink", fault: Exception) -> None:
+def _alarm(machine: "Controller", link: "BoardLink", fault: BaseException) -> None:
     """Say what has happened, again to who begins a $-command; then wait for a soft reset."""
     machine.state.alarm = 0
     machine.state.enter(st.ALARM)
@@ -103,22 +101,8 @@ def _line(text: str) -> bytes:
     return ("[MSG:%s]\r\n" % text).encode()
 
 
-def _text(fault: Exception) -> str:
+def _text(fault: BaseException) -> str:
     """What happened, where, and in which build."""
-    out = io.StringIO()
-    sys.print_exception(fault, out)
-    lines = out.getvalue().strip().split("\n")
+    lines = trace(fault)
     place = lines[-2].strip() if len(lines) > 1 else ""
-    return "%s (%s)" % (_harmless("%s %s" % (lines[-1], place)), errors.BUILD_ID)
-
-
-def _harmless(text: str) -> str:
-    """The text without what senders take for an answer ("ok", "error") or for a message's end."""
-    clean = ""
-    for c in text[:_LONGEST]:
-        if clean[-1:] in ("o", "O") and c in ("k", "K"):
-            clean += "-"
-        clean += c if " " <= c <= "~" and c not in "[]" else " "
-    for word in ("Error", "error", "ERROR"):
-        clean = clean.replace(word, "Err")
-    return clean
+    return "%s (%s)" % (harmless("%s %s" % (lines[-1], place)), errors.BUILD_ID)

@@ -131,7 +131,7 @@ class Canon:
         state = self._state
         found = judge(target, self.travel, self._flow)
         if found & OUTSIDE and self._settings.soft_limits and state.run != st.JOG:
-            self._soft_limit()
+            self.give_up(errors.ALARM_SOFT_LIMIT)
         if state.run == st.CHECK:
             return
         if state.pending[st.ANY] or state.suspend:
@@ -156,7 +156,7 @@ class Canon:
                 self.power = self.power_of(move)
             found = self.planner.chords(course, move, self.power, moves)
             if found == OUTSIDE:
-                self._soft_limit()
+                self.give_up(errors.ALARM_SOFT_LIMIT)
             elif found == FULL:
                 self.auto_start()
             elif found:
@@ -265,21 +265,21 @@ class Canon:
             self._state.post(st.FEED_HOLD)
             self.service()
 
-    # Soft limits
+    # Limits
 
     def outside(self, target: "array[float]") -> bool:
         """The target lies outside the machine's travel."""
         return bool(judge(target, self.travel, self._flow) & OUTSIDE)
 
-    def _soft_limit(self) -> None:
+    def give_up(self, alarm: int) -> None:
         """Come to rest where position is certain, then alarm and reset."""
         state = self._state
-        state.soft_limit = True
-        if state.run == st.RUN:
+        state.soft_limit = True  # a hold ends in Idle then
+        if state.run & (st.RUN | st.JOG):
             state.post(st.FEED_HOLD)
             self.service()
             while state.run != st.IDLE:
                 self.service()
         self._drive.reset()
-        state.alarm = errors.ALARM_SOFT_LIMIT
+        state.alarm = alarm
         self.service()

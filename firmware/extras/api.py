@@ -22,11 +22,13 @@ if TYPE_CHECKING:
     from base.settings import Rows
     from talk.controller import Controller
 
-    Word = tuple[Callable[..., object], str]
+    Word = tuple[Callable[..., object], str, bool]
 
-_G = const(71)
-_M = const(77)
-_NUMBER = const(10)  # G words by tenths: G38.2 is 382
+_NUMBER = const(10)  # words by tenths: G38.2 is 382
+
+
+def _key(letter: str, number: float) -> "tuple[str, int]":
+    return letter, whole(number * _NUMBER + 0.5)
 
 
 class Cnc:
@@ -34,7 +36,7 @@ class Cnc:
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
-        self._words: "dict[tuple[int, int], Word]" = {}
+        self._words: "dict[tuple[str, int], Word]" = {}
         self._read = Words(len(machine.reader.line))
 
     # What there is
@@ -95,24 +97,37 @@ class Cnc:
         if told is not None:
             told.update(words)
 
-    def add_m(self, number: int, call: "Callable[..., object]", letters: str = "") -> None:
+    def add_m(
+        self, number: int, call: "Callable[..., object]", letters: str = "", sync: bool = True
+    ) -> None:
         """An M word, on a line of its own: call gets the numbers behind the letters, in the order
         of `letters`; lower case may be missing, and is None then. It runs when motion has come to
-        its end. ValueError where Grbl has the word."""
-        self._add(_M, number, b.is_known(_M, number), call, letters)
+        its end, or with sync=False while it goes on. ValueError where the word is taken."""
+        self._add("M", number, call, letters, sync)
 
-    def add_g(self, number: float, call: "Callable[..., object]", letters: str = "") -> None:
+    def add_g(
+        self, number: float, call: "Callable[..., object]", letters: str = "", sync: bool = True
+    ) -> None:
         """The same for a G word: 81, or 81.1."""
-        self._add(_G, whole(number * _NUMBER + 0.5), b.is_known(_G, whole(number)), call, letters)
+        self._add("G", number, call, letters, sync)
+
+    def is_taken(self, letter: str, number: float) -> bool:
+        """Whether Grbl, or somebody else, has that G or M word."""
+        return b.is_known(ord(letter), whole(number)) or _key(letter, number) in self._words
 
     def _add(
-        self, letter: int, number: int, taken: bool, call: "Callable[..., object]", letters: str
+        self,
+        letter: str,
+        number: float,
+        call: "Callable[..., object]",
+        letters: str,
+        sync: bool,
     ) -> None:
-        if taken or (letter, number) in self._words:
-            raise ValueError("%s%d is taken" % (chr(letter), number))
+        if self.is_taken(letter, number):
+            raise ValueError("%s%s is taken" % (letter, number))
         if not self._words:
             self._put_around_lines()
-        self._words[(letter, number)] = call, letters
+        self._words[_key(letter, number)] = call, letters, sync
 
     def without_commands(self, letters: bytes) -> None:
         """$ commands with these letters are not there any more."""
@@ -213,6 +228,17 @@ class Cnc:
         interpreter.fast.is_open = False  # no line is to take the short way, past this
         interpreter.fast.forget()
 
+    def before_lines(self, call: "Callable[[], object]") -> None:
+        """Called between two lines: whenever none waits, and when something has been posted."""
+        realtime = self._machine.realtime
+        usual = realtime.run
+
+        def run() -> None:
+            usual()
+            call()
+
+        realtime.run = run  # type: ignore[method-assign]
+
     def behind_reset(self, call: "Callable[[], object]") -> None:
         """Called behind the welcome, after power-up and every reset."""
         report = self._machine.report
@@ -245,19 +271,20 @@ class Cnc:
         words.read(line, 0, length)
         for i in range(words.count):
             letter, value = words.letters[i], words.values[i]
-            key = whole(value * _NUMBER + 0.5) if letter == _G else whole(value)
-            if (letter, key) in self._words:
-                return self._words[(letter, key)]
+            key = _key(chr(letter), value)
+            if key in self._words:
+                return self._words[key]
         return None
 
     def _call(self, word: "Word") -> None:
         """Check the line, wait for motion to end, and do what the word says."""
-        call, letters = word
+        call, letters, sync = word
         there = self._arguments(letters)
         missing = [c for c in letters if c == c.upper() and there.get(c) is None]
         if missing:
             raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
-        self._machine.canon.synchronise()
+        if sync:
+            self._machine.canon.synchronise()
         if self._machine.state.run != st.CHECK:
             call(*[there.get(c.upper()) for c in letters])
 

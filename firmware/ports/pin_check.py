@@ -20,6 +20,8 @@ def check(board: "ModuleType", motors: "tuple[str, ...]", others: "tuple[str, ..
     used: "dict[int, str]" = {}
     for name in list(motors) + _NAMES.split() + list(others):
         value = board.__dict__.get(name)  # getattr() would keep the names for good
+        if isinstance(value, dict):
+            value = tuple(value.values())
         for pin in value if isinstance(value, tuple) else (value,):
             if pin is None:
                 continue

@@ -30,6 +30,7 @@ _SOFT_MS = const(50)
 _SOFT_TIMER = const(3)  # 0 is the engine's, 1 and 2 the port's
 
 _FAILED = const(-1)
+_CTRL_X = const(24)
 
 
 class Supervisor:
@@ -94,6 +95,8 @@ class Supervisor:
         except:  # noqa: E722
             stops = 1
             shared[STOPPED] = _FAILED
+        if stops:
+            micropython.kbd_intr(_CTRL_X)  # which ends what does not come back by itself
         if stops or resets:
             try:
                 self._kill()
@@ -110,10 +113,17 @@ class Supervisor:
                 shared[STOPPED] = _FAILED
         return 0
 
-    def tell(self) -> None:
-        """The main loop is back. Raises RuntimeError, which says why the machine was stopped."""
+    def take(self) -> int:
+        """The main loop is back. Returns for how long it was away, in ms, if the machine has been
+        stopped for that."""
+        micropython.kbd_intr(-1)
         away = self._shared[STOPPED]
         self._shared[STOPPED] = 0
+        return away
+
+    def tell(self) -> None:
+        """The main loop is back. Raises RuntimeError, which says why the machine was stopped."""
+        away = self.take()
         if away == _FAILED:
             raise RuntimeError("the timer's interrupt has failed")
         raise RuntimeError("the main loop was away for %d ms" % away)

@@ -125,7 +125,7 @@ class Controller:
     def _loads(self, load: "Callable[[], bool | None]") -> "bool | None":
         """Read something that is kept, or begin to keep it."""
         whole = load()
-        self._keep()
+        self.keep()
         return whole
 
     def at_rest(self) -> bool:
@@ -169,11 +169,11 @@ class Controller:
         """What a soft reset does, and power-up at last. Raises Abort where another one comes."""
         self._reset()
         self.drive.wait_settled()
-        self._keep()  # what a reset has cut short
+        self.keep()  # what a reset has cut short
         self._greet()
 
-    def _keep(self) -> None:
-        """Write what is due. What cannot be kept is as it has to be, until power off."""
+    def keep(self) -> None:
+        """Write what is due, at rest. What cannot be kept is as it has to be, until power off."""
         try:
             self.saves.finish()
         except OSError:

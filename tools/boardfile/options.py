@@ -39,6 +39,12 @@ def _are_values(value: Any) -> bool:
     )
 
 
+def _are_named_pins(value: Any) -> bool:
+    return isinstance(value, dict) and all(
+        isinstance(name, str) and type(pin) is int for name, pin in value.items()
+    )
+
+
 _PARENTHESES = "and wants parentheses and commas: (2, 3, 4)"
 PIN = Kind("pin", _is_pin, ": pins are numbers")
 PINS = Kind("pins", _are_pins, _PARENTHESES)
@@ -47,6 +53,7 @@ COUNT = Kind("whole number", lambda value: type(value) is int, ": it is a whole 
 SWITCH = Kind("True or False", lambda value: type(value) is bool, ": it is True or False")
 WORD = Kind("word", lambda value: isinstance(value, str), 'and wants quotation marks: "{}"')
 NAMES = Kind("names", _are_names, 'and wants parentheses and a comma: ("FLOOD",)')
+NAMED_PINS = Kind("{name: pin}", _are_named_pins, 'and not of the form {{"vacuum": 20}}')
 VALUES = Kind("{number: value}", _are_values, "and not of the form {100: 800.0}")
 
 # The default of an option without which there is no machine, or no such engine or tool.
@@ -270,6 +277,12 @@ OPTIONS = (
         *("EXTRAS", NAMES, ()),
         "Modules of your own beside board.py, by name: see docs/extending.md.",
     ),
+    Option(
+        *("CUSTOM", WORD, "custom"),
+        "The name of your own Python on the board, NAME.py or a folder: see docs/custom.md.",
+    ),
+    Option(*("OUTPUTS", NAMED_PINS, {}), "Outputs for custom.py, by name; off after a reset."),
+    Option(*("INPUTS", NAMED_PINS, {}), "Inputs for custom.py, by name; they close to ground."),
     Option("PUNCH_DOWN", PIN, NEEDED, "Actuator that moves the punch down: see docs/punch.md."),
     Option("PUNCH_UP", PIN, NEEDED, "Actuator that moves the punch up."),
     Option("PUNCH_DOWN_SENSOR", PIN, NEEDED, "Sensor of the punch being down."),

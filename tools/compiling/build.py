@@ -115,7 +115,8 @@ def _extras(board: ModuleType) -> list[str]:
     paths.use_firmware()
     from boot import guests
 
-    return guests.names(board)
+    own = getattr(board, "CUSTOM", options.BY_NAME["CUSTOM"].default)
+    return guests.names(board) + ([guests.CUSTOM] if own else [])
 
 
 def module(source: str) -> str:

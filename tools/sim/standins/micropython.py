@@ -16,11 +16,13 @@ import builtins
 import copy
 import linecache
 import os
+import sys
+import traceback
 from array import array
 from collections.abc import Callable
 from functools import lru_cache
 from types import FunctionType
-from typing import Any, NoReturn, TypeVar, cast
+from typing import Any, NoReturn, TextIO, TypeVar, cast
 
 _Value = TypeVar("_Value")
 _Result = TypeVar("_Result")
@@ -49,8 +51,17 @@ def alloc_emergency_exception_buf(size: int, /) -> None:
 
 
 def stack_use() -> int:
-    """How much of the C stack is in use."""
-    raise NotImplementedError("a desktop's stack says nothing of a board's")
+    """How much of the C stack is in use: a desktop's has room for whatever a board does."""
+    return 0
+
+
+def _print_exception(fault: BaseException, file: TextIO | None = None) -> None:
+    """What MicroPython's sys has besides."""
+    traceback.print_exception(fault, file=file)
+
+
+if not hasattr(sys, "print_exception"):
+    sys.print_exception = _print_exception  # type: ignore[attr-defined]
 
 
 def kbd_intr(char: int, /) -> None:

@@ -1,0 +1,334 @@
+"""Happenings: where the events of custom.py come from, and when their handlers have their turn.
+
+Only what somebody has asked for is put around the machine. An event whose handlers may move waits
+until the line that has brought it about is through, or the loop between two lines; what runs
+beside motion has its turn wherever the loop waits.
+"""
+
+from base import state as st
+from control import coolant
+from control import spindle as sp
+from micropython import const
+from motion.layout import HEAD, ROWS, TAIL
+
+from extras import handlers
+from extras.operator import Place
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from array import array
+    from collections.abc import Callable
+    from typing import Any
+
+    from motion.planner import Move
+
+    from extras.api import Cnc
+    from extras.custom import Custom
+    from extras.handlers import Function
+
+    Handler = tuple[str, Function]  # what it is called, and itself
+
+_MOST_DUE = const(16)
+_HOME = const(72)  # $H
+_UNLOCK = const(88)  # $X
+_M6 = const(6)
+_SPINDLE = {sp.OFF: "M5", sp.CW: "M3", sp.CCW: "M4"}
+_STATES = {
+    st.IDLE: "Idle",
+    st.ALARM: "Alarm",
+    st.CHECK: "Check",
+    st.HOMING: "Home",
+    st.RUN: "Run",
+    st.HOLD: "Hold",
+    st.JOG: "Jog",
+    st.DOOR: "Door",
+    st.SLEEP: "Sleep",
+}
+
+
+class Happenings:
+    """The events, and who is to hear of each."""
+
+    def __init__(self, cnc: "Cnc", custom: "Custom") -> None:
+        self._cnc = cnc
+        self._machine = cnc.machine
+        self._state = cnc.machine.state
+        self._custom = custom
+        self._handlers: "dict[str, list[Handler]]" = {}
+        self._inputs: "list[list[Any]]" = []  # name, what it is called, function, closed
+        self._timers: "list[list[Any]]" = []  # milliseconds, since when, name, function
+        # What has happened and has not been heard of: by those that may move, by the others.
+        self._due: "list[tuple[str, tuple[Any, ...]]]" = []
+        self._beside: "list[tuple[str, tuple[Any, ...]]]" = []
+        self._is_beside = False
+        self._has_started = False
+        self._run = cnc.machine.state.run
+        self._tool = 0
+        self._pause: "Callable[[], None] | None" = None  # a program's, which is due
+        self._field = ""
+        self._changed = bytearray(1)
+        # Words that wait for blocks planned before them: how many, and what they say.
+        self._marks: "list[list[Any]]" = []
+        self._tail = 0
+
+    def add(self, kind: str, key: "Any", what: str, function: "Function") -> None:
+        """Somebody wants to hear of that."""
+        if kind == handlers.EVERY:
+            self._timers.append([key, self._machine.port.ticks_ms(), what, function])
+        elif kind == handlers.INPUT:
+            self._inputs.append([key, what, function, self._custom.operator.pin(key)])
+        else:
+            self._handlers.setdefault(kind, []).append((what, function))
+
+    def _happen(self, name: str, *values: "Any") -> None:
+        if name not in self._handlers or self._state.run == st.CHECK:
+            return
+        due = self._due if name in handlers.MOVING else self._beside
+        if len(due) < _MOST_DUE:
+            due.append((name, values))
+        self._state.pending[st.ANY] = 1  # the loop looks at it between two lines
+
+    # Having their turn
+
+    def settle(self) -> None:
+        """Those that may move hear of what has happened. Between two lines only."""
+        while self._due:
+            name, values = self._due.pop(0)
+            self._machine.canon.synchronise()
+            for what, function in self._handlers[name]:
+                self._custom.run(what, function, True, values)
+
+    def turn(self) -> None:
+        """Those that run beside motion hear of what has happened, where there is room."""
+        self._notice()
+        if self._is_beside or not self._custom.has_room():
+            return
+        self._is_beside = True
+        try:
+            while self._beside:
+                name, values = self._beside.pop(0)
+                found = [
+                    self._custom.run(what, function, False, values)
+                    for what, function in self._handlers[name]
+                ]
+                if name == handlers.REPORT:
+                    self._field = "|".join([text for text in found if text])
+            self._turn_timers()
+            self._turn_marks()
+        finally:
+            self._is_beside = False
+
+    def _turn_timers(self) -> None:
+        port = self._machine.port
+        for timer in self._timers:
+            ms, since, what, function = timer
+            if port.elapsed_ms(since) >= ms:
+                timer[1] = port.ticks_ms()
+                self._custom.run(what, function, False)
+
+    def _notice(self) -> None:
+        """See what has happened that nobody else tells."""
+        run = self._state.run
+        if run != self._run:
+            self._happen("state_change", _STATES[self._run], _STATES[run])
+            self._run = run
+        if self._changed[0]:
+            self._changed[0] = 0
+            for each in self._inputs:
+                closed = self._custom.operator.pin(each[0])
+                if closed != each[3]:
+                    each[3] = closed
+                    self._beside.append((each[0], (closed,)))
+
+    # Words that go with the blocks planned before them
+
+    def defer(self, what: str, function: "Function", given: "dict[str, Any]") -> None:
+        """Run the handler when the blocks that wait now have been made."""
+        flow = self._machine.planner.flow
+        self._machine.canon.finish()
+        self._machine.canon.auto_start()
+        self._pass_marks()
+        self._marks.append([(flow[HEAD] - flow[TAIL]) % flow[ROWS], what, function, given])
+        self.turn()
+
+    def _pass_marks(self) -> None:
+        """Blocks have been made since: so many fewer are waited for."""
+        flow = self._machine.planner.flow
+        passed = (flow[TAIL] - self._tail) % flow[ROWS]
+        self._tail = flow[TAIL]
+        for mark in self._marks:
+            mark[0] = max(0, mark[0] - passed)
+
+    def _turn_marks(self) -> None:
+        if self._marks:
+            self._pass_marks()
+            self._state.pending[st.ANY] = 1  # look again behind the next line, whatever it is
+        while self._marks and self._marks[0][0] == 0:
+            _, what, function, given = self._marks.pop(0)
+            self._custom.run(what, function, False, (), given)
+
+    # Put around the machine
+
+    def connect(self) -> None:
+        """Put around the machine what somebody wants to hear of."""
+        heard = self._handlers
+        self._around_turns()
+        if any(name in heard for name in handlers.MOVING):
+            self._around_lines()
+        self._cnc.behind_reset(self._greeted)
+        if "after_homing" in heard or "after_unlock" in heard:
+            self._around_commands()
+        if "tool_change" in heard:
+            self._cnc.add_m(_M6, self._change_tool, "t")
+        if "probe_done" in heard:
+            self._around_probe()
+        if "spindle" in heard or "coolant" in heard or "program_done" in heard:
+            self._around_accessories()
+        if "program_paused" in heard:
+            self._around_pause()
+        if "alarm" in heard:
+            self._around_alarm()
+        if handlers.REPORT in heard:
+            self._cnc.add_field(self._report)
+        if self._inputs:
+            self._machine.port.watch_pins(self._on_change)
+
+    def _around_turns(self) -> None:
+        realtime = self._machine.realtime
+        usual = realtime.events
+
+        def events() -> None:
+            usual()
+            self.turn()
+
+        realtime.events = events  # type: ignore[method-assign]
+
+    def _around_lines(self) -> None:
+        """What a line has brought about is heard of before the next."""
+        interpreter, modes = self._machine.interpreter, self._machine.modes
+        usual = interpreter.execute
+
+        def execute(line: bytearray, length: int) -> None:
+            usual(line, length)
+            if modes.tool != self._tool:
+                self._tool = modes.tool
+                self._happen("tool_select", modes.tool)
+            if self._due:
+                self.settle()
+            if self._pause:
+                pause, self._pause = self._pause, None
+                pause()
+
+        interpreter.execute = execute  # type: ignore[method-assign]
+        self._cnc.before_lines(self.settle)
+
+    def _greeted(self) -> None:
+        self._tool = 0
+        self._pause = None
+        for waiting in (self._due, self._beside, self._marks):
+            waiting.clear()
+        self._happen("after_reset" if self._has_started else "startup")
+        self._has_started = True
+
+    def _around_commands(self) -> None:
+        commands, state = self._machine.commands, self._state
+        usual = commands.whose
+
+        def whose(line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
+            execute = usual(line, length)
+            key, was = line[1], state.run
+            if key not in (_HOME, _UNLOCK):
+                return execute
+
+            def execute_and_tell(line: bytearray, length: int) -> None:
+                execute(line, length)
+                if key == _HOME and not state.alarm:
+                    self._happen("after_homing")
+                elif was == st.ALARM and state.run == st.IDLE:
+                    self._happen("after_unlock")
+                self.settle()
+
+            return execute_and_tell
+
+        commands.whose = whose  # type: ignore[method-assign]
+
+    def _change_tool(self, tool: "float | None") -> None:
+        """M6, with T on its line or before it."""
+        modes = self._machine.modes
+        if tool is not None:
+            modes.tool = int(tool)
+        if modes.tool != self._tool:
+            self._tool = modes.tool
+            self._happen("tool_select", modes.tool)
+        self._happen("tool_change", modes.tool)
+        self.settle()
+
+    def _around_probe(self) -> None:
+        seek, state = self._machine.seek, self._state
+        usual = seek.probe
+
+        def probe(target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
+            found = usual(target, move, away, alarms)
+            place = Place(seek.probe_position()) if state.probe_succeeded else None
+            self._happen("probe_done", place)
+            return found
+
+        seek.probe = probe  # type: ignore[method-assign]
+
+    def _around_accessories(self) -> None:
+        canon = self._machine.canon
+        usual_spin, usual_cool, usual_end = canon.spin, canon.cool, canon.end_program
+
+        def spin(direction: int, rpm: float) -> None:
+            usual_spin(direction, rpm)
+            self._happen("spindle", _SPINDLE[direction], rpm if direction else 0.0)
+
+        def cool(mask: int) -> None:
+            usual_cool(mask)
+            self._happen("coolant", bool(mask & coolant.FLOOD), bool(mask & coolant.MIST))
+
+        def end_program() -> None:
+            usual_end()
+            self._happen("spindle", "M5", 0.0)
+            self._happen("coolant", False, False)
+            self._happen("program_done")
+
+        canon.spin = spin  # type: ignore[method-assign]
+        canon.cool = cool  # type: ignore[method-assign]
+        canon.end_program = end_program  # type: ignore[method-assign]
+
+    def _around_pause(self) -> None:
+        """M0: its handlers come before the machine holds."""
+        canon = self._machine.canon
+        usual = canon.pause_program
+
+        def pause_program() -> None:
+            if self._custom.is_running:
+                usual()
+            else:
+                self._pause = usual
+                self._happen("program_paused")
+
+        canon.pause_program = pause_program  # type: ignore[method-assign]
+
+    def _around_alarm(self) -> None:
+        report = self._machine.report
+        usual = report.alarm
+
+        def alarm(code: int) -> None:
+            usual(code)
+            self._happen("alarm", code)
+
+        report.alarm = alarm  # type: ignore[method-assign]
+
+    def _report(self) -> str:
+        """The field as its handlers made it last; they make it anew behind the report."""
+        self._happen(handlers.REPORT)
+        return self._field
+
+    # Inputs
+
+    def _on_change(self) -> None:
+        """Interrupt."""
+        self._changed[0] = 1
+        self._state.pending[st.ANY] = 1
