@@ -22,7 +22,7 @@ from array import array
 from collections.abc import Callable
 from functools import lru_cache
 from types import FunctionType
-from typing import Any, NoReturn, TextIO, TypeVar, cast
+from typing import Any, NoReturn, TypeVar, cast
 
 _Value = TypeVar("_Value")
 _Result = TypeVar("_Result")
@@ -55,13 +55,13 @@ def stack_use() -> int:
     return 0
 
 
-def _print_exception(fault: BaseException, file: TextIO | None = None) -> None:
+def _print_exception(fault: BaseException, file: Any = None) -> None:
     """What MicroPython's sys has besides."""
     traceback.print_exception(fault, file=file)
 
 
 if not hasattr(sys, "print_exception"):
-    sys.print_exception = _print_exception  # type: ignore[attr-defined]
+    sys.print_exception = _print_exception
 
 
 def kbd_intr(char: int, /) -> None:
