@@ -13,9 +13,10 @@ CLASSES = {
     for node in tree.body
     if isinstance(node, ast.ClassDef)
 }
-# Here all is done while the machine is built; a stream for the prompt is no part of the machine.
+# Here all is done while the machine is built; a stream for the prompt is no part of the machine,
+# nor is what handlers of custom.py are given.
 BUILDING = {"boot.parts", "boot.parts_esp", "boot.wiring"}
-APART = {"_Pusher"}
+APART = {"_Pusher", "Place", "Saved"}
 # What extras do and ask for then.
 INSTALLING = {"prepare", "install", "add_pins"}
 

@@ -3,8 +3,6 @@
 Imported at start and forgotten again.
 """
 
-import os
-
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -46,19 +44,9 @@ def _known(option: str, word: str, known: "dict[str, str]") -> str:
 
 def customs(board: "ModuleType") -> "tuple[str, ...]":
     """The user's own modules that are there: a file of that name, or those of a folder."""
-    name: str = board.__dict__.get("CUSTOM", "custom")
-    if not name:
-        return ()
-    try:
-        os.stat(name + ".py")
-        return (name,)
-    except OSError:
-        pass
-    try:
-        files = sorted(os.listdir(name))
-    except OSError:
-        return ()
-    return tuple([name + "." + file[:-3] for file in files if file.endswith(".py")])
+    from ports import user_files
+
+    return user_files.modules(board.__dict__.get("CUSTOM", "custom"))
 
 
 def modules(board: "ModuleType") -> "list[Extra]":

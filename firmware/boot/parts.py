@@ -267,6 +267,7 @@ def _build(
     forget("boot.wiring")  # with these, 5 kB that nobody needs any more
     forget("boot.options")
     forget("boot.guests")
+    forget("ports.user_files")
     if link.is_slow:
         machine.report.identity += _SLOW_RESET
     written = getattr(engine, "flash_written", None)

@@ -3,26 +3,20 @@
 It is read at start, as source, and notes its handlers down (handlers.py). They run in the main
 loop only: those that may move where motion has come to its end, between two lines; the others
 beside motion, wherever the loop waits and the stack has room. Interrupts know nothing of them.
-What a handler is handed is an Operator; where events come from stands in happenings.py.
 
-A handler that raises stops the machine. Motion comes to its end, or to rest where the handler ran
-beside it; then all is off, as after a reset, and the machine is in alarm.
+How one is run, and what becomes of it, stands in runner.py; where events come from, in
+happenings.py; what a handler is handed, in machine_operator.py.
 """
 
-import gc
 import sys
 
-import micropython
-from base import errors
-from base import state as st
-from base.errors import Abort, GrblError
-from base.faults import harmless, trace
+from base.faults import harmless
 from micropython import const
-from motion.layout import HEAD, ROWS, TAIL
 
 from extras import handlers
 from extras.happenings import Happenings
-from extras.operator import Operator, Stopped
+from extras.machine_operator import Operator
+from extras.runner import Runner
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -36,14 +30,6 @@ if TYPE_CHECKING:
 
 PINS = ("OUTPUTS", "INPUTS")
 _API = "ugrbl"  # the name by which custom.py knows handlers.py
-_TRACE = "custom"  # under which the last traceback is kept
-_SLOW_MS = const(20)  # a handler that takes longer without service is told of
-# So much of the stack may be in use where a handler begins that runs beside motion: interrupts
-# and its own calls want the rest.
-_STACK_BYTES = const(3072)
-# A collection takes 30 ms: it comes after so many handlers, where as many blocks wait, or none.
-_CALLS = const(32)
-_BLOCKS = const(8)
 
 _found: "dict[str, Any]" = {}
 
@@ -63,7 +49,9 @@ def install(cnc: "Cnc") -> None:
     if outputs or inputs:
         port.add_pins(tuple(outputs.values()), tuple(inputs.values()))
         port.rest(0)
-    custom = Custom(cnc, Operator(cnc.machine, outputs, inputs))
+    operator = Operator(cnc.machine, outputs, inputs)
+    runner = Runner(cnc, operator, _found["modules"])
+    custom = Custom(cnc, runner, Happenings(cnc, runner))
     try:
         custom.take(_read(_found["modules"]))
     except Exception as fault:
@@ -75,7 +63,7 @@ def install(cnc: "Cnc") -> None:
 def _read(modules: "tuple[str, ...]") -> "list[Note]":
     """Import the user's modules; returns what they have noted down."""
     there = sys.modules.get(_API)
-    sys.modules[_API] = handlers
+    sys.modules[_API] = handlers.api  # type: ignore[assignment]
     handlers.take()
     try:
         for name in modules:
@@ -98,17 +86,13 @@ def _title(kind: str, key: "Any") -> str:
 
 
 class Custom:
-    """The handlers, and how each is run. operator: what they are handed."""
+    """What the user's modules have noted down, taken up or left out."""
 
-    def __init__(self, cnc: "Cnc", operator: Operator) -> None:
+    def __init__(self, cnc: "Cnc", runner: Runner, happenings: Happenings) -> None:
         self._cnc = cnc
+        self._happenings = happenings
         self._machine = cnc.machine
-        self.operator = operator
-        self.is_running = False  # a handler
-        self._words: "list[str]" = []  # what there is, for $I
-        self._slow: "list[str]" = []  # who has been told of
-        self._fault = ""  # of a handler beside motion: the machine is to stop
-        self._calls = 0
+        self._runner = runner
 
     def take(self, notes: "list[Note]") -> None:
         """Take up what has been noted, all or nothing. ValueError where something is taken."""
@@ -119,26 +103,26 @@ class Custom:
                     raise ValueError("%s%s is taken" % (kind, key))
                 seen.append((kind, key))
             elif kind == handlers.INPUT:
-                self.operator.pin(key)  # which says that there is none
-        happenings = Happenings(self._cnc, self)
+                self._runner.operator.pin(key)  # which says that there is none
+        names = []
         for kind, key, letters, sync, function in notes:
             what = _title(kind, key)
             if kind in (handlers.M, handlers.G):
-                call = self._word(what, letters, sync, function, happenings)
+                call = self._word(what, letters, sync, function)
                 add = self._cnc.add_m if kind == handlers.M else self._cnc.add_g
                 add(key, call, letters, sync)
             else:
-                happenings.add(kind, key, what, function)
-            self._words.append(what)
-        happenings.connect()
-        self._cnc.behind_reset(self._begin)
-        self._cnc.before_lines(self.turn)
-        self._tell_build("Custom: " + ", ".join(self._words))
+                self._happenings.add(kind, key, what, function)
+            names.append(what)
+        self._happenings.attach()
+        self._cnc.behind_reset(self._runner.begin)
+        self._cnc.before_lines(self._runner.turn)
+        self._tell_build("Custom: " + ", ".join(names))
 
     def drop(self, fault: Exception) -> None:
         """The machine is the plain one."""
         handlers.take()
-        text = "Custom left out: " + self._text(fault)
+        text = "Custom left out: " + self._runner.text(fault)
         self._cnc.behind_reset(lambda: self._cnc.message(text))
         self._tell_build(text)
 
@@ -153,118 +137,14 @@ class Custom:
 
         report.build_info = build_info  # type: ignore[method-assign]
 
-    def _begin(self) -> None:
-        """Power-up or a reset."""
-        self._fault = ""
-        self.operator.forget()
-
-    # Running a handler
-
-    def _word(
-        self, what: str, letters: str, sync: bool, function: "Function", happenings: Happenings
-    ) -> "Function":
+    def _word(self, what: str, letters: str, sync: bool, function: "Function") -> "Function":
         names = [c.upper() for c in letters]
 
         def call(*numbers: "float | None") -> None:
             given = {n: x for n, x in zip(names, numbers) if x is not None}
             if sync:
-                self.run(what, function, True, (), given)
+                self._runner.run(what, function, True, (), given)
             else:
-                happenings.defer(what, function, given)
+                self._happenings.defer(what, function, given)
 
         return call
-
-    def run(
-        self,
-        what: str,
-        function: "Function",
-        may_move: bool,
-        values: "tuple[Any, ...]" = (),
-        given: "dict[str, Any] | None" = None,
-    ) -> "Any":
-        """Run a handler; returns what it returns. Raises GrblError where it refuses its line, and
-        Abort where the machine has been stopped."""
-        operator, state = self.operator, self._machine.state
-        outer = operator.begin(may_move)
-        was_running, self.is_running = self.is_running, True
-        try:
-            found = function(operator, *values, **(given or {}))
-            operator.look()
-            return found
-        except Abort:
-            raise
-        except Stopped:
-            return None  # the line's end tells of the alarm
-        except handlers.Refuse as reason:
-            self._cnc.message(harmless(str(reason)))
-            raise GrblError(errors.INVALID_STATEMENT)
-        except Exception as fault:
-            if state.pending[st.RESET]:
-                raise Abort
-            self._fail(what, fault, may_move)
-        finally:
-            operator.may_move = outer
-            self.is_running = was_running
-            operator.rested()
-            self._calls += 1
-            self._tell_slow(what)
-        return None
-
-    def _tell_slow(self, what: str) -> None:
-        slow_ms, self.operator.slow_ms = self.operator.slow_ms, 0
-        if slow_ms > _SLOW_MS and what not in self._slow:
-            self._slow.append(what)
-            self._cnc.message("%s took %d ms: nothing else was heard" % (what, slow_ms))
-
-    def has_room(self) -> bool:
-        """The stack has room for a handler beside motion."""
-        return micropython.stack_use() < _STACK_BYTES
-
-    # Failing
-
-    def _text(self, fault: BaseException) -> str:
-        """The last line of the user's own, and what has happened there."""
-        lines = trace(fault)
-        place = ""
-        for line in [line.strip() for line in lines]:
-            if line.startswith('File "') and self._is_own(line[6:].split('"')[0]):
-                place = line.replace("\\", "/").split('"')[1].split("/")[-1]
-                place += line.split('"')[2] + ": "
-        return place + lines[-1]
-
-    def _is_own(self, file: str) -> bool:
-        name = file.replace("\\", "/").rsplit(".", 1)[0]
-        return any(
-            (name == module or name.endswith("/" + module))
-            for module in [m.replace(".", "/") for m in _found["modules"]]
-        )
-
-    def _fail(self, what: str, fault: Exception, may_move: bool) -> None:
-        """A handler has failed: say so, and stop the machine."""
-        machine = self._machine
-        text = harmless("%s: %s" % (what, self._text(fault)))
-        machine.commands.fault = text
-        machine.saves.save(_TRACE, trace(fault))
-        machine.report.message(text)
-        if may_move:
-            machine.canon.synchronise()
-            machine.canon.give_up(errors.ALARM_CUSTOM)
-        self._fault = text
-        machine.state.pending[st.ANY] = 1  # the loop sees to it between two lines
-
-    # The main loop's turn, between two lines
-
-    def turn(self) -> None:
-        """Stop the machine if something has failed; write what is to be kept; make room."""
-        machine = self._machine
-        if self._fault:
-            machine.canon.give_up(errors.ALARM_CUSTOM)
-        at_rest = machine.at_rest()
-        if self.operator.keep.is_due and at_rest and not machine.reader.waiting():
-            self.operator.keep.write()
-            machine.keep()
-        if self._calls >= _CALLS:
-            flow = machine.planner.flow
-            if at_rest or (flow[HEAD] - flow[TAIL]) % flow[ROWS] >= _BLOCKS:
-                self._calls = 0
-                gc.collect()

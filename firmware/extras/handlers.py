@@ -51,7 +51,7 @@ class Refused(Exception):
 
     def __init__(self, number: int, line: str) -> None:
         super().__init__("refused with %d: %s" % (number, line))
-        self.number = number  # keep-name: custom.py asks for it
+        self.number = number
 
 
 class Refuse(Exception):
@@ -68,7 +68,7 @@ def _note(kind: str, key: "Any", letters: str, sync: bool) -> "Callable[[Functio
 
 def mcode(
     number: int,
-    letters: str = "",  # keep-name: custom.py may say letters=
+    letters: str = "",
     sync: bool = True,  # keep-name: custom.py may say sync=
 ) -> "Callable[[Function], Function]":
     """An M word. letters: its parameters by name; upper case has to be there, lower case may be.
@@ -107,6 +107,22 @@ class On:
 
 
 on = On()
+
+
+class Api:
+    """What custom.py imports from: an object with these names, for a board's modules are bundled
+    and have none of their own."""
+
+    def __init__(self) -> None:
+        self.mcode = mcode
+        self.gcode = gcode
+        self.every = every
+        self.on = on
+        self.Refused = Refused
+        self.Refuse = Refuse
+
+
+api = Api()
 
 
 def take() -> "list[Note]":

@@ -12,7 +12,7 @@ from micropython import const
 from motion.layout import HEAD, ROWS, TAIL
 
 from extras import handlers
-from extras.operator import Place
+from extras.machine_operator import Place
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from motion.planner import Move
 
     from extras.api import Cnc
-    from extras.custom import Custom
     from extras.handlers import Function
+    from extras.runner import Runner
 
     Handler = tuple[str, Function]  # what it is called, and itself
 
@@ -49,11 +49,11 @@ _STATES = {
 class Happenings:
     """The events, and who is to hear of each."""
 
-    def __init__(self, cnc: "Cnc", custom: "Custom") -> None:
+    def __init__(self, cnc: "Cnc", runner: "Runner") -> None:
         self._cnc = cnc
         self._machine = cnc.machine
         self._state = cnc.machine.state
-        self._custom = custom
+        self._runner = runner
         self._handlers: "dict[str, list[Handler]]" = {}
         self._inputs: "list[list[Any]]" = []  # name, what it is called, function, closed
         self._timers: "list[list[Any]]" = []  # milliseconds, since when, name, function
@@ -76,7 +76,7 @@ class Happenings:
         if kind == handlers.EVERY:
             self._timers.append([key, self._machine.port.ticks_ms(), what, function])
         elif kind == handlers.INPUT:
-            self._inputs.append([key, what, function, self._custom.operator.pin(key)])
+            self._inputs.append([key, what, function, self._runner.operator.pin(key)])
         else:
             self._handlers.setdefault(kind, []).append((what, function))
 
@@ -96,19 +96,19 @@ class Happenings:
             name, values = self._due.pop(0)
             self._machine.canon.synchronise()
             for what, function in self._handlers[name]:
-                self._custom.run(what, function, True, values)
+                self._runner.run(what, function, True, values)
 
     def turn(self) -> None:
         """Those that run beside motion hear of what has happened, where there is room."""
         self._notice()
-        if self._is_beside or not self._custom.has_room():
+        if self._is_beside or not self._runner.has_room():
             return
         self._is_beside = True
         try:
             while self._beside:
                 name, values = self._beside.pop(0)
                 found = [
-                    self._custom.run(what, function, False, values)
+                    self._runner.run(what, function, False, values)
                     for what, function in self._handlers[name]
                 ]
                 if name == handlers.REPORT:
@@ -124,7 +124,7 @@ class Happenings:
             ms, since, what, function = timer
             if port.elapsed_ms(since) >= ms:
                 timer[1] = port.ticks_ms()
-                self._custom.run(what, function, False)
+                self._runner.run(what, function, False)
 
     def _notice(self) -> None:
         """See what has happened that nobody else tells."""
@@ -135,7 +135,7 @@ class Happenings:
         if self._changed[0]:
             self._changed[0] = 0
             for each in self._inputs:
-                closed = self._custom.operator.pin(each[0])
+                closed = self._runner.operator.pin(each[0])
                 if closed != each[3]:
                     each[3] = closed
                     self._beside.append((each[0], (closed,)))
@@ -165,11 +165,11 @@ class Happenings:
             self._state.pending[st.ANY] = 1  # look again behind the next line, whatever it is
         while self._marks and self._marks[0][0] == 0:
             _, what, function, given = self._marks.pop(0)
-            self._custom.run(what, function, False, (), given)
+            self._runner.run(what, function, False, (), given)
 
     # Put around the machine
 
-    def connect(self) -> None:
+    def attach(self) -> None:
         """Put around the machine what somebody wants to hear of."""
         heard = self._handlers
         self._around_turns()
@@ -303,7 +303,7 @@ class Happenings:
         usual = canon.pause_program
 
         def pause_program() -> None:
-            if self._custom.is_running:
+            if self._runner.is_running:
                 usual()
             else:
                 self._pause = usual

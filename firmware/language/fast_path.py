@@ -5,7 +5,6 @@ Nearly all lines of a program are G0 or G1 with places, and now and then F, S or
 depend on stays the same until another kind of line comes, or State.changes counts on: _look()
 works it out once, into a table of integers. Such a line then is one call of follow(). Whatever
 is less simple is for the interpreter, and what follow() does means the same as what that does.
-Behind lines of another kind nothing is known, until one comes that only moves.
 """
 
 from array import array
@@ -79,7 +78,6 @@ OFFSETS = const(22)
 @micropython.viper
 def read(text: ptr8, length: int, known: ptr32) -> int:
     """What a line holds if it does no more than move; ODD or 0 if it does, or if a word is wrong.
-
     Such have G0 and G1, X to Z and A, F, N and S, each once at the most, the last three not
     negative. Returns a mask of axes and of what is new, the public names above.
     """
@@ -178,13 +176,12 @@ def follow(
     speeds: ptr32,
     changes: ptr32,
     new: ptr32,
-    take_news: object,
+    news: object,
 ) -> int:
-    """Plan a line that does no more than move and has nothing in its way. take_news: sees to what
-    is new in it, and says what the spindle makes of that; new: S or else F of such a line.
+    """Plan a line that does no more than move and has nothing in its way. Returns 1; or 0, and
+    nothing has changed but what is new, to which whoever goes on with the line sees as well.
 
-    Returns 1 then; otherwise 0, and nothing has changed but what is new, which whoever goes on
-    with the line sees to as well.
+    news: sees to what is new, and says what the spindle makes of it; new: S then, or else F.
     """
     if known[AXES] == 0 or known[_POWER] == _UNTOLD or known[_CHANGES] != changes[0]:
         return 0
@@ -201,7 +198,7 @@ def follow(
         if seen & HAS_S:
             known[_RPM] = known[VALUES + _S]
         new[0] = known[VALUES + (_S if seen & HAS_S else _F)]
-        known[_POWER] = int(take_news(seen))  # type: ignore[operator]
+        known[_POWER] = int(news(seen))  # type: ignore[operator]
     if known[DRY] == 0:
         at = flow[HEAD]
         line = int(line_number(known, seen))
@@ -250,8 +247,7 @@ class FastPath:
         self.follow = self._make_follow()
 
     def _make_follow(self) -> "Callable[[bytearray, int], int]":
-        """What follow() needs is at hand there: no look-up, and no closure, whose call frame of
-        so many variables would be on the heap."""
+        """What follow() needs is at hand: no look-up, no closure, whose frame is on the heap."""
         planner = self._canon.planner
 
         @micropython.native
@@ -268,7 +264,7 @@ class FastPath:
             speeds: "array[float]" = planner.speeds,
             changes: "array[int]" = self._state.changes,
             new: "array[float]" = self._float,
-            take_news: "Callable[[int], int]" = self._follow_news,
+            news: "Callable[[int], int]" = self._follow_news,
         ) -> int:
             return follow(
                 line,
@@ -283,7 +279,7 @@ class FastPath:
                 speeds,
                 changes,
                 new,
-                take_news,
+                news,
             )
 
         return follow_line
@@ -319,6 +315,11 @@ class FastPath:
         self._float[0] = value
         copy(self._float, memoryview(self._known)[at:], 1)
 
+    def _set_rate(self, feed: float) -> None:
+        self._move.feed = feed
+        self._keep(FEED, feed)
+        self._known[_RATE] = per_second(self._known, FEED)
+
     def _set(self) -> None:
         """How lines move from now on, unless they say otherwise."""
         modes = self._modes
@@ -326,9 +327,7 @@ class FastPath:
         known = self._known
         seeks = modes.modal[MOTION] == b.SEEK
         known[MODE] = HAS_G0 if seeks else HAS_G1
-        self._keep(FEED, modes.feed)
-        move.feed = modes.feed
-        known[_RATE] = self._canon.planner.rate(modes.feed)
+        self._set_rate(modes.feed)
         move.spindle_rpm = 0.0 if seeks and known[LASER] else modes.spindle_rpm
         move.flags = modes.accessory_flags()
         if seeks:
@@ -362,9 +361,8 @@ class FastPath:
             rpm = self._modes.spindle_rpm = move.spindle_rpm = self._float[0]
             return 0 if known[DRY] else self._spindle.block_power(known[_FLAGS], rpm)
         if seen & _NEWS == HAS_F and not known[IN_INCHES]:
-            self._modes.feed = move.feed = self._float[0]
-            known[FEED] = known[VALUES + _F]
-            known[_RATE] = per_second(known, FEED)
+            self._modes.feed = self._float[0]
+            self._set_rate(self._float[0])
             return known[_POWER]
         self._take_news(seen)
         power = 0 if known[DRY] else self._canon.power_of(move)

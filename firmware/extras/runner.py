@@ -1,0 +1,145 @@
+"""Runner: runs a handler of custom.py, and sees to what becomes of it.
+
+A handler that raises stops the machine. Motion comes to its end, or to rest where the handler ran
+beside it; then all is off, as after a reset, and the machine is in alarm.
+"""
+
+import gc
+
+import micropython
+from base import errors
+from base import state as st
+from base.errors import Abort, GrblError
+from base.faults import harmless, trace
+from micropython import const
+from motion.layout import HEAD, ROWS, TAIL
+
+from extras import handlers
+from extras.machine_operator import Operator, Stopped
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from typing import Any
+
+    from extras.api import Cnc
+    from extras.handlers import Function
+
+_TRACE = "custom"  # under which the last traceback is kept
+_SLOW_MS = const(20)  # a handler that takes longer without service is told of
+# So much of the stack may be in use where a handler begins that runs beside motion: interrupts
+# and its own calls want the rest.
+_STACK_BYTES = const(3072)
+# A collection takes 30 ms: it comes after so many handlers, where as many blocks wait, or none.
+_CALLS = const(32)
+_BLOCKS = const(8)
+
+
+class Runner:
+    """Runs handlers. operator: what they are handed; modules: the user's, by name."""
+
+    def __init__(self, cnc: "Cnc", operator: Operator, modules: "tuple[str, ...]") -> None:
+        self._cnc = cnc
+        self._machine = cnc.machine
+        self.operator = operator
+        self._modules = [module.replace(".", "/") for module in modules]
+        self.is_running = False  # a handler
+        self._slow: "list[str]" = []  # who has been told of
+        self._fault = ""  # of a handler beside motion: the machine is to stop
+        self._calls = 0
+
+    def begin(self) -> None:
+        """Power-up or a reset."""
+        self._fault = ""
+        self.operator.forget()
+
+    def run(
+        self,
+        what: str,
+        function: "Function",
+        may_move: bool,
+        values: "tuple[Any, ...]" = (),
+        given: "dict[str, Any] | None" = None,
+    ) -> "Any":
+        """Run a handler; returns what it returns. Raises GrblError where it refuses its line, and
+        Abort where the machine has been stopped."""
+        operator, state = self.operator, self._machine.state
+        outer = operator.begin(may_move)
+        was_running, self.is_running = self.is_running, True
+        try:
+            found = function(operator, *values, **(given or {}))
+            operator.look()
+            return found
+        except Abort:
+            raise
+        except Stopped:
+            return None  # the line's end tells of the alarm
+        except handlers.Refuse as reason:
+            self._cnc.message(harmless(str(reason)))
+            raise GrblError(errors.INVALID_STATEMENT)
+        except Exception as fault:
+            if state.pending[st.RESET]:
+                raise Abort
+            self._fail(what, fault, may_move)
+        finally:
+            operator.may_move = outer
+            self.is_running = was_running
+            operator.rested()
+            self._calls += 1
+            self._tell_slow(what)
+        return None
+
+    def _tell_slow(self, what: str) -> None:
+        slow_ms, self.operator.slow_ms = self.operator.slow_ms, 0
+        if slow_ms > _SLOW_MS and what not in self._slow:
+            self._slow.append(what)
+            self._cnc.message("%s: %d ms without a call of m" % (what, slow_ms))
+
+    def has_room(self) -> bool:
+        """The stack has room for a handler beside motion."""
+        return micropython.stack_use() < _STACK_BYTES
+
+    # Failing
+
+    def text(self, fault: BaseException) -> str:
+        """The last line of the user's own, and what has happened there."""
+        lines = trace(fault)
+        place = ""
+        for line in [line.strip() for line in lines]:
+            if line.startswith('File "') and self._is_own(line[6:].split('"')[0]):
+                place = line.replace("\\", "/").split('"')[1].split("/")[-1]
+                place += line.split('"')[2] + ": "
+        return place + lines[-1]
+
+    def _is_own(self, file: str) -> bool:
+        name = file.replace("\\", "/").rsplit(".", 1)[0]
+        return any((name == module or name.endswith("/" + module)) for module in self._modules)
+
+    def _fail(self, what: str, fault: Exception, may_move: bool) -> None:
+        """A handler has failed: say so, and stop the machine."""
+        machine = self._machine
+        text = harmless("%s: %s" % (what, self.text(fault)))
+        machine.commands.fault = text
+        machine.saves.save(_TRACE, trace(fault))
+        machine.report.message(text)
+        if may_move:
+            machine.canon.synchronise()
+            machine.canon.give_up(errors.ALARM_CUSTOM)
+        self._fault = text
+        machine.state.pending[st.ANY] = 1  # the loop sees to it between two lines
+
+    # The main loop's turn, between two lines
+
+    def turn(self) -> None:
+        """Stop the machine if something has failed; write what is to be kept; make room."""
+        machine = self._machine
+        if self._fault:
+            machine.canon.give_up(errors.ALARM_CUSTOM)
+        at_rest = machine.at_rest()
+        if self.operator.keep.is_due and at_rest and not machine.reader.waiting():
+            self.operator.keep.write()
+            machine.keep()
+        if self._calls >= _CALLS:
+            flow = machine.planner.flow
+            if at_rest or (flow[HEAD] - flow[TAIL]) % flow[ROWS] >= _BLOCKS:
+                self._calls = 0
+                gc.collect()
