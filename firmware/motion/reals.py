@@ -46,8 +46,12 @@ def per_second(rate: ptr32, at: int) -> int:
     bits = rate[at]
     if bits == 0:
         return 0
-    # Between 2**17 and 2**19, where the bits had 24.
-    return int(pack(((bits & 0x7FFFFF) | 0x800000) // 60, (bits >> 23) - 150 + BIAS))
+    mantissa = (((bits & 0x7FFFFF) | 0x800000) // 60) >> 3  # from 17476 to 34952
+    exponent = (bits >> 23) - 147 + BIAS
+    if mantissa >= LIMIT:
+        mantissa >>= 1
+        exponent += 1
+    return (exponent << 15) + mantissa
 
 
 @micropython.viper

@@ -6,7 +6,7 @@ a board needs of a package is written into one module, in the order of its impor
 itself, `motion/__init__.mpy`. What its parts want from each other is there without an import.
 
 Modules that are forgotten after start stay apart, which the sources say (_FORGET), and so do
-those of _APART and what main.py imports. Where two parts mean different things by a name, one
+those of ON_REQUEST and what main.py imports. Where two parts mean different things by a name, one
 has its module's name behind it. What is not understood here is refused.
 """
 
@@ -15,13 +15,12 @@ import copy
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
+from .scan import ON_REQUEST
 from .scopes import CONST, Meaning, Module, NotUnderstood, Ours, Rewriter
 from .short_names import SHORT
 
 # Who calls this with the name of a module lets go of it: merged, it would stay in memory.
 _FORGET = "forget"
-# Of extras a user has one, or none, or his own.
-_APART = ("extras",)
 
 
 class Bundles(NamedTuple):
@@ -56,7 +55,7 @@ def _apart(sources: Mapping[str, str]) -> Iterator[str]:
     """Modules that are not merged."""
     for name, text in sources.items():
         tree = ast.parse(text)
-        if name in _APART or name.partition(".")[0] in _APART:
+        if name.partition(".")[0] in ON_REQUEST:
             yield name
         if "." not in name:  # main.py, which stays as it is
             yield name

@@ -4,6 +4,9 @@ import ast
 import re
 from collections.abc import Collection, Iterable, Iterator
 
+# Packages of which a board has a module or two, or none.
+ON_REQUEST = ("extras",)
+
 
 def root(node: ast.expr) -> str:
     """`a` of `a.b().c[d]`; an empty text where there is no name."""

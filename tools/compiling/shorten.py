@@ -147,6 +147,7 @@ class _Survey:
         self._stored: set[str] = set()
         self._alone: dict[str, set[str]] = defaultdict(set)  # classes that say self.name
         self._private: set[ast.FunctionDef] = set()  # methods that only their class calls
+        self._common: set[str] = set()  # in modules that every board has
         self._seen: set[str] = set()  # attributes of something else than self
         self._inner: set[str] = set()
         self._bases: dict[str, set[str]] = defaultdict(set)
@@ -160,7 +161,10 @@ class _Survey:
             self._inner |= set(scan.inside(tree))
             classes = (node for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
             self._private |= {m for c in classes for m in scan.private_methods(c, marks.prefixes)}
-            used |= set(scan.identifiers(tree))
+            identifiers = set(scan.identifiers(tree))
+            used |= identifiers
+            if module.partition(".")[0] not in scan.ON_REQUEST:
+                self._common |= identifiers
             self._read(tree, self._aliases(tree), "")
             for _, name in mk.names(module, tree, marks):
                 self._stored.add(name)
@@ -225,7 +229,8 @@ class _Survey:
         """The short name of each variable, in capitals, that modules have for one another."""
         names = self._public & self.asked - self.kept - self._foreign - self._inner - self._seen
         names -= {*self._alone, *self._named}
-        capitals = sorted(name for name in names if name == name.upper() and len(name) > _LETTERS)
+        capitals = [name for name in names if name == name.upper() and len(name) > _LETTERS]
+        capitals.sort(key=lambda name: (name not in self._common, name))
         return dict(zip(capitals, self.free[: _PARAMETERS - 1 : -1]))
 
     def attributes(self) -> dict[str, str]:
@@ -241,8 +246,12 @@ class _Survey:
         found: dict[str, str] = {}
         taken: dict[str, set[str]] = defaultdict(set)
         everywhere = set(self._bases) | {self._family(kind) for kind in self._bases}
-        # Those that may be of any object first, then by how much there is to gain.
-        for name in sorted(homes, key=lambda n: (n not in self._seen, -len(homes[n]), n)):
+        # Those that every board has first, of these such as may be of any object, then by how much
+        # there is to gain.
+        for name in sorted(
+            homes,
+            key=lambda n: (n not in self._common, n not in self._seen, -len(homes[n]), n),
+        ):
             kinds = everywhere if name in self._seen else homes[name]
             short = next((s for s in self.free if not any(s in taken[k] for k in kinds)), None)
             if short:
