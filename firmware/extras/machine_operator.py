@@ -2,12 +2,12 @@
 
 Lengths are mm, rates mm/min, times seconds. Whatever waits lets `?`, `!`, `~` and Ctrl-X work. A
 handler that runs beside motion may neither move nor wait. Every call looks first whether a reset
-has come, and raises Abort then: a handler that has swallowed it once comes no further.
+has come: a handler that has swallowed it once comes no further.
 """
 
 from base import errors
 from base import state as st
-from base.errors import Abort, GrblError
+from base.errors import GrblError
 from base.f32 import vector
 from base.faults import harmless
 from control.coords import NAMES
@@ -28,8 +28,9 @@ if TYPE_CHECKING:
 _COOLANT = const(SPINDLE + 1)
 
 
-class Stopped(Exception):
-    """There is an alarm: the handler has come to its end, and the machine says why."""
+class Stopped(BaseException):
+    """There is an alarm, or a reset: the handler has come to its end. No Exception, for a handler
+    that catches those is to end, too."""
 
 
 class Place:
@@ -122,9 +123,7 @@ class Operator:
     def look(self) -> None:
         """See how long a handler has taken, and whether it is to end."""
         self.slow_ms = max(self.slow_ms, self._machine.port.elapsed_ms(self._since_ms))
-        if self._state.pending[st.RESET]:
-            raise Abort
-        if self._state.alarm:
+        if self._state.pending[st.RESET] or self._state.alarm:
             raise Stopped
 
     def _wait(self) -> None:

@@ -72,6 +72,8 @@ class Runner:
         except Abort:
             raise
         except Stopped:
+            if state.pending[st.RESET]:
+                raise Abort
             return None  # the line's end tells of the alarm
         except handlers.Refuse as reason:
             self._cnc.message(harmless(str(reason)))

@@ -116,6 +116,7 @@ class Supervisor:
     def take(self) -> int:
         """The main loop is back. Returns for how long it was away, in ms, if the machine has been
         stopped for that."""
+        self._shared[TURNED] = 1
         micropython.kbd_intr(-1)
         away = self._shared[STOPPED]
         self._shared[STOPPED] = 0

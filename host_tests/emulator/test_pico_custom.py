@@ -1,0 +1,166 @@
+"""custom.py on the emulated Pico: put there as a file, and nothing it does can lose a step."""
+
+import re
+from pathlib import Path
+
+import pytest
+from emulated import SPINDLE_PWM, STEP, Board, Odometer
+
+pytestmark = pytest.mark.xdist_group("pico custom")
+
+CUSTOM = b"""
+import time
+from ugrbl import mcode, on, every, Refuse
+
+seen = []
+
+@mcode(100, "Pq")
+def vacuum(m, P, Q=0):
+    if P > 1:
+        raise Refuse("P is 0 or 1")
+    m.message("P%g Q%g at %s" % (P, Q, m.position()))
+
+@mcode(101)
+def fails(m):
+    m.g("G91 G0 X0.4")
+    return 1 // 0
+
+@mcode(102)
+def loops(m):
+    while True:
+        pass
+
+@mcode(103)
+def takes_memory(m):
+    kept = []
+    while True:
+        kept.append(bytearray(1000))
+
+@mcode(104)
+def swallows(m):
+    while True:
+        try:
+            m.wait(0.01)
+        except Exception:
+            pass
+
+@mcode(105)
+def calls_itself(m):
+    calls_itself(m)
+
+@on.tool_change
+def change(m, tool):
+    with m.saved():
+        m.g("G91 G0 Z0.4")
+        m.keep["tool"] = tool
+
+@on.state_change
+def tell(m, old, new):
+    seen.append(new)
+    if len(seen) > 8:
+        seen.pop(0)
+
+@every(20)
+def look(m):
+    [n for n in range(40)]
+
+@on.report
+def field(m):
+    return "Tc:%d" % m.keep.get("tool", 0)
+"""
+
+
+def board(uf2: Path) -> Board:
+    return Board(uf2, {"custom.py": CUSTOM}).boot().settled()
+
+
+@pytest.fixture(scope="module")
+def machine(uf2: Path) -> Board:
+    made = board(uf2)
+    made.pico.record([*STEP, SPINDLE_PWM])
+    return made
+
+
+@pytest.fixture
+def ready(machine: Board) -> "Board":
+    """In Idle, whatever was before."""
+    machine.forget()
+    machine.send("\x18")
+    machine.wait_for("Grbl 1.1h")
+    machine.ask("$X")
+    return machine
+
+
+def test_it_is_read_at_start_and_leaves_room(machine: Board) -> None:
+    said = machine.ask("$I")
+    assert "[MSG:Custom: M100, M101, M102" in said and "on.report]" in said
+
+
+def test_words_are_called_with_their_numbers_where_motion_has_ended(ready: Board) -> None:
+    ready.ask("G91 G1 X0.8 F600")
+    said = ready.ask("M100 P1")
+    assert re.search(r"\[MSG:P1 Q0 at \([\d.-]+, [\d.-]+, [\d.-]+\)\]\r\nok", said)
+    assert ready.status()["state"] == "Idle"
+    assert "[MSG:P is 0 or 1]\r\nerror:3" in ready.ask("M100 P2", "error:3\r\n")
+    assert ready.ask("M100 X1", "error:36\r\n")
+
+
+def test_a_tool_change_is_kept_over_a_power_cut_and_shown(ready: Board, uf2: Path) -> None:
+    before = [float(mm) for mm in ready.status()["MPos"].split(",")]
+    ready.ask("G90")
+    ready.ask("T7 M6")
+    ready.until_idle()
+    after = [float(mm) for mm in ready.status()["MPos"].split(",")]
+    assert after[2] - before[2] == pytest.approx(0.4) and "G90" in ready.ask("$G")
+    ready.pico.run_us(600_000)
+    ready.status()
+    assert ready.status()["Tc"] == "7"
+    second = Board(uf2)
+    second.pico.put_file_system(ready.pico.flash_image())
+    second.boot()
+    second.status()
+    second.pico.run_us(50_000)
+    assert second.status()["Tc"] == "7"
+
+
+def test_a_failure_loses_no_step_and_tells_file_and_line(ready: Board) -> None:
+    odometer = Odometer(ready.pico)
+    before = odometer.read()
+    said = ready.ask("M101", "Grbl 1.1h")
+    message = re.search(r"\[MSG:(M101: custom.py, line \d+, in fails: ZeroDivisionErr.*)\]", said)
+    assert message and "ALARM:32" in said
+    assert [b - a for a, b in zip(before, odometer.read())] == [100, 0, 0]
+    assert message[1] in ready.ask("$I+")
+
+
+@pytest.mark.parametrize(("line", "name"), [("M103", "takes_memory"), ("M105", "calls_itself")])
+def test_memory_or_stack_used_up_is_a_failure_like_others(
+    ready: Board, line: str, name: str
+) -> None:
+    said = ready.ask(line, "Grbl 1.1h", 20_000_000)
+    assert re.search(rf"\[MSG:{line}: custom.py, line \d+, in {name}: \w+", said)
+    ready.ask("$X")
+    assert "P1 Q0" in ready.ask("M100 P1")
+
+
+def test_a_reset_ends_a_handler_that_swallows_it(ready: Board) -> None:
+    ready.forget()
+    ready.send("M104\n")
+    ready.pico.run_us(200_000)
+    ready.send("\x18")
+    ready.wait_for("Grbl 1.1h")
+
+
+def test_a_loop_is_stopped_and_ended_by_a_reset_and_told_of(ready: Board) -> None:
+    ready.ask("M3 S500")
+    ready.forget()
+    ready.send("M102\n")
+    ready.pico.run_us(400_000)
+    ready.pico.edges.clear()
+    ready.send("\x18")
+    ready.wait_for("ALARM:16")
+    ready.wait_for("in loops")
+    assert not ready.pico.edges, "the spindle was off long before"
+    ready.forget()
+    ready.send("\x18")
+    ready.wait_for("Grbl 1.1h")
