@@ -261,7 +261,9 @@ class Cnc:
             if word is None:
                 usual(line, length)
             else:
-                self._call(word)
+                numbers = self._numbers(word)
+                if self._machine.state.run != st.CHECK:
+                    word[0](*numbers)
 
         interpreter.execute = execute  # type: ignore[method-assign]
 
@@ -276,17 +278,16 @@ class Cnc:
                 return self._words[key]
         return None
 
-    def _call(self, word: "Word") -> None:
-        """Check the line, wait for motion to end, and do what the word says."""
-        call, letters, sync = word
+    def _numbers(self, word: "Word") -> "list[float | None]":
+        """Check the line, and wait for motion to end where the word wants that."""
+        _, letters, sync = word
         there = self._arguments(letters)
         missing = [c for c in letters if c == c.upper() and there.get(c) is None]
         if missing:
             raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
         if sync:
             self._machine.canon.synchronise()
-        if self._machine.state.run != st.CHECK:
-            call(*[there.get(c.upper()) for c in letters])
+        return [there.get(c.upper()) for c in letters]
 
     def _arguments(self, letters: str) -> "dict[str, float]":
         """The numbers of the line by letter. GrblError where one is not wanted, or twice."""

@@ -116,7 +116,7 @@ class Custom:
             names.append(what)
         self._happenings.attach()
         self._cnc.behind_reset(self._runner.begin)
-        self._cnc.before_lines(self._runner.turn)
+        self._cnc.before_lines(self._happenings.between_lines)
         self._tell_build("Custom: " + ", ".join(names))
 
     def drop(self, fault: Exception) -> None:

@@ -5,6 +5,7 @@ until the line that has brought it about is through, or the loop between two lin
 beside motion has its turn wherever the loop waits.
 """
 
+import micropython
 from base import state as st
 from control import coolant
 from control import spindle as sp
@@ -29,6 +30,9 @@ if TYPE_CHECKING:
     Handler = tuple[str, Function]  # what it is called, and itself
 
 _MOST_DUE = const(16)
+# So much of the stack may be in use where a handler begins that runs beside motion: interrupts
+# and its own calls want the rest.
+_STACK_BYTES = const(3328)
 _HOME = const(72)  # $H
 _UNLOCK = const(88)  # $X
 _M6 = const(6)
@@ -90,6 +94,12 @@ class Happenings:
 
     # Having their turn
 
+    def between_lines(self) -> None:
+        """The main loop's turn, between two lines."""
+        if self._due:
+            self.settle()
+        self._runner.turn()
+
     def settle(self) -> None:
         """Those that may move hear of what has happened. Between two lines only."""
         while self._due:
@@ -101,7 +111,7 @@ class Happenings:
     def turn(self) -> None:
         """Those that run beside motion hear of what has happened, where there is room."""
         self._notice()
-        if self._is_beside or not self._runner.has_room():
+        if self._is_beside or micropython.stack_use() > _STACK_BYTES:
             return
         self._is_beside = True
         try:
@@ -220,7 +230,6 @@ class Happenings:
                 pause()
 
         interpreter.execute = execute  # type: ignore[method-assign]
-        self._cnc.before_lines(self.settle)
 
     def _greeted(self) -> None:
         self._tool = 0

@@ -6,7 +6,6 @@ beside it; then all is off, as after a reset, and the machine is in alarm.
 
 import gc
 
-import micropython
 from base import errors
 from base import state as st
 from base.errors import Abort, GrblError
@@ -26,9 +25,6 @@ if TYPE_CHECKING:
 
 _TRACE = "custom"  # under which the last traceback is kept
 _SLOW_MS = const(20)  # a handler that takes longer without service is told of
-# So much of the stack may be in use where a handler begins that runs beside motion: interrupts
-# and its own calls want the rest.
-_STACK_BYTES = const(3072)
 # A collection takes 30 ms: it comes after so many handlers, where as many blocks wait, or none.
 _CALLS = const(32)
 _BLOCKS = const(8)
@@ -95,10 +91,6 @@ class Runner:
         if slow_ms > _SLOW_MS and what not in self._slow:
             self._slow.append(what)
             self._cnc.message("%s: %d ms without a call of m" % (what, slow_ms))
-
-    def has_room(self) -> bool:
-        """The stack has room for a handler beside motion."""
-        return micropython.stack_use() < _STACK_BYTES
 
     # Failing
 
