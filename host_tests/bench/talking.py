@@ -154,10 +154,10 @@ def special_lines(bench: Bench) -> Iterator[Row]:
     for line in ("$32=1", "M4S0", "G90G1X10Y10F9000"):
         talk.ask(line)
     idle(talk)
-    made = stream(talk, list(raster(180)), _BLOCKS)
+    made = stream(talk, list(raster(300)), _BLOCKS)
     yield Row("raster, G1 X S in M4", made.lines_s, "lines/s")
     _at_start(talk)
-    made = stream(talk, list(new_feeds(120)), _BLOCKS)
+    made = stream(talk, list(new_feeds(300)), _BLOCKS)
     yield Row("short moves, a new F each", made.lines_s, "lines/s")
     _at_start(talk)
     made = stream(talk, list(arcs(8)), _BLOCKS)
