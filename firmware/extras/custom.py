@@ -117,12 +117,12 @@ class Custom:
         self._happenings.attach()
         self._cnc.behind_reset(self._runner.begin)
         self._cnc.before_lines(self._happenings.between_lines)
-        self._tell_build("Custom: " + ", ".join(names))
+        self._tell_build(harmless("Custom: " + ", ".join(names)))
 
     def drop(self, fault: Exception) -> None:
         """The machine is the plain one."""
         handlers.take()
-        text = "Custom left out: " + self._runner.text(fault)
+        text = harmless("Custom left out: " + self._runner.text(fault))
         self._cnc.behind_reset(lambda: self._cnc.message(text))
         self._tell_build(text)
 
@@ -133,7 +133,7 @@ class Custom:
 
         def build_info(info: str, options: str) -> None:
             usual(info, options)
-            report.message(harmless(text))
+            report.message(text)
 
         report.build_info = build_info  # type: ignore[method-assign]
 

@@ -6,7 +6,9 @@ beside motion has its turn wherever the loop waits.
 """
 
 import micropython
+from base import errors
 from base import state as st
+from base.errors import GrblError
 from control import coolant
 from control import spindle as sp
 from micropython import const
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
     Handler = tuple[str, Function]  # what it is called, and itself
 
+_INPUT = "input "  # in front of an input's name
 _MOST_DUE = const(16)
 # So much of the stack may be in use where a handler begins that runs beside motion: interrupts
 # and its own calls want the rest.
@@ -36,6 +39,7 @@ _STACK_BYTES = const(3328)
 _HOME = const(72)  # $H
 _UNLOCK = const(88)  # $X
 _M6 = const(6)
+_HIGHEST_TOOL = const(255)
 _SPINDLE = {sp.OFF: "M5", sp.CW: "M3", sp.CCW: "M4"}
 _STATES = {
     st.IDLE: "Idle",
@@ -59,7 +63,7 @@ class Happenings:
         self._state = cnc.machine.state
         self._runner = runner
         self._handlers: "dict[str, list[Handler]]" = {}
-        self._inputs: "list[list[Any]]" = []  # name, what it is called, function, closed
+        self._inputs: "dict[str, bool]" = {}  # by name: whether it was closed
         self._timers: "list[list[Any]]" = []  # milliseconds, since when, name, function
         # What has happened and has not been heard of: by those that may move, by the others.
         self._due: "list[tuple[str, tuple[Any, ...]]]" = []
@@ -67,7 +71,6 @@ class Happenings:
         self._is_beside = False
         self._has_started = False
         self._run = cnc.machine.state.run
-        self._tool = 0
         self._pause: "Callable[[], None] | None" = None  # a program's, which is due
         self._field = ""
         self._changed = bytearray(1)
@@ -80,7 +83,8 @@ class Happenings:
         if kind == handlers.EVERY:
             self._timers.append([key, self._machine.port.ticks_ms(), what, function])
         elif kind == handlers.INPUT:
-            self._inputs.append([key, what, function, self._runner.operator.pin(key)])
+            self._inputs[key] = self._runner.operator.pin(key)
+            self._handlers.setdefault(_INPUT + key, []).append((what, function))
         else:
             self._handlers.setdefault(kind, []).append((what, function))
 
@@ -144,11 +148,11 @@ class Happenings:
             self._run = run
         if self._changed[0]:
             self._changed[0] = 0
-            for each in self._inputs:
-                closed = self._runner.operator.pin(each[0])
-                if closed != each[3]:
-                    each[3] = closed
-                    self._beside.append((each[0], (closed,)))
+            for name, was_closed in self._inputs.items():
+                closed = self._runner.operator.pin(name)
+                if closed != was_closed:
+                    self._inputs[name] = closed
+                    self._happen(_INPUT + name, closed)
 
     # Words that go with the blocks planned before them
 
@@ -183,8 +187,7 @@ class Happenings:
         """Put around the machine what somebody wants to hear of."""
         heard = self._handlers
         self._around_turns()
-        if any(name in heard for name in handlers.MOVING):
-            self._around_lines()
+        self._around_lines()
         self._cnc.behind_reset(self._greeted)
         if "after_homing" in heard or "after_unlock" in heard:
             self._around_commands()
@@ -220,9 +223,8 @@ class Happenings:
 
         def execute(line: bytearray, length: int) -> None:
             usual(line, length)
-            if modes.tool != self._tool:
-                self._tool = modes.tool
-                self._happen("tool_select", modes.tool)
+            if line.find(b"T", 0, length) >= 0:
+                self._select(modes.tool)  # which Grbl forgets with the next line
             if self._due:
                 self.settle()
             if self._pause:
@@ -231,8 +233,13 @@ class Happenings:
 
         interpreter.execute = execute  # type: ignore[method-assign]
 
+    def _select(self, tool: int) -> None:
+        """T, on a line of its own or with others."""
+        if tool != self._runner.operator.tool:
+            self._runner.operator.tool = tool
+            self._happen("tool_select", tool)
+
     def _greeted(self) -> None:
-        self._tool = 0
         self._pause = None
         for waiting in (self._due, self._beside, self._marks):
             waiting.clear()
@@ -263,13 +270,11 @@ class Happenings:
 
     def _change_tool(self, tool: "float | None") -> None:
         """M6, with T on its line or before it."""
-        modes = self._machine.modes
         if tool is not None:
-            modes.tool = int(tool)
-        if modes.tool != self._tool:
-            self._tool = modes.tool
-            self._happen("tool_select", modes.tool)
-        self._happen("tool_change", modes.tool)
+            if not 0 <= tool <= _HIGHEST_TOOL:
+                raise GrblError(errors.GCODE_MAX_VALUE_EXCEEDED)
+            self._select(int(tool))
+        self._happen("tool_change", self._runner.operator.tool)
         self.settle()
 
     def _around_probe(self) -> None:

@@ -105,6 +105,7 @@ class Operator:
         self._since_ms = 0
         self.slow_ms = 0  # the longest that a handler has taken without a call of these
         self.may_move = False  # the handler that runs now
+        self.tool = 0  # keep-name: custom.py may say m.tool; the one selected last, T
         self.keep = Keep(machine.saves)
 
     # For custom.py's keeper
@@ -280,11 +281,6 @@ class Operator:
     def modes(self) -> "list[str]":
         """The words that $G says."""
         return self._machine.commands.modes().split(" ")
-
-    @property
-    def tool(self) -> int:
-        """The tool selected, T."""
-        return self._machine.modes.tool
 
     # Pins
 

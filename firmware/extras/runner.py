@@ -41,6 +41,7 @@ class Runner:
         self.is_running = False  # a handler
         self._slow: "list[str]" = []  # who has been told of
         self._fault = ""  # of a handler beside motion: the machine is to stop
+        self._out: "list[Function]" = []  # failed beside motion: it would again, at every turn
         self._calls = 0
 
     def begin(self) -> None:
@@ -59,6 +60,8 @@ class Runner:
         """Run a handler; returns what it returns. Raises GrblError where it refuses its line, and
         Abort where the machine has been stopped."""
         operator, state = self.operator, self._machine.state
+        if function in self._out:
+            return None
         outer = operator.begin(may_move)
         was_running, self.is_running = self.is_running, True
         try:
@@ -77,6 +80,8 @@ class Runner:
         except Exception as fault:
             if state.pending[st.RESET]:
                 raise Abort
+            if not may_move:
+                self._out.append(function)
             self._fail(what, fault, may_move)
         finally:
             operator.may_move = outer
@@ -118,6 +123,7 @@ class Runner:
         if may_move:
             machine.canon.synchronise()
             machine.canon.give_up(errors.ALARM_CUSTOM)
+        machine.report.message(what + " is left out until power-up")
         self._fault = text
         machine.state.pending[st.ANY] = 1  # the loop sees to it between two lines
 

@@ -1,0 +1,382 @@
+"""custom.py: the user's own Python around a machine that cannot be brought out of step by it."""
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from base import errors
+from ugrbl.boardfile.files import load_board
+from ugrbl.sim.replay import factory_store
+from ugrbl.sim.rig import Rig
+from ugrbl.sim.sender import Sender
+
+_STEPS_PER_MM = 250
+_PINS = {"OUTPUTS": {"vacuum": 20, "air": 21}, "INPUTS": {"sensor": 22}}
+
+
+class Bench:
+    """A machine with that text as custom.py, and someone who talks to it. heard: what its
+    handlers have put into the list of that name; mm: where the motors are in the end, by the
+    steps that were made; outputs, power: what is on."""
+
+    def __init__(self, folder: Path, name: str, text: str) -> None:
+        (folder / f"{name}.py").write_text(text)
+        board = ModuleType("board")
+        vars(board).update(vars(load_board("sim")), CUSTOM=name, **_PINS)
+        self.store = factory_store(load_board("sim"))
+        self.rig = Rig(board, self.store)
+        self._name = name
+        self.sender = Sender(self.rig)
+        self.sender.allow(3_600_000)
+
+    @property
+    def heard(self) -> "list[Any]":
+        return list(sys.modules[self._name].heard)
+
+    def say(self, *talk: "tuple[str, str] | Callable[[], object]") -> "list[list[str]]":
+        """What comes back of each text: (text, what to wait for); or something to do."""
+        said: list[list[str]] = []
+
+        def script() -> Iterator[Any]:
+            yield from self.sender.wait("banner", "")
+            yield self.rig.ms(100)
+            self.greeting = self.sender.take()
+            for each in talk:
+                if callable(each):
+                    each()
+                    continue
+                yield from self.sender.wait(each[1], each[0])
+                said.append(self.sender.take())
+            steps = self.rig.scratch
+            self.rig.engine.position(steps)
+            self.mm = [step / _STEPS_PER_MM for step in steps]
+            self.outputs = self.rig.port.own_outputs
+            self.power = self.rig.port.spindle_pwm
+
+        self.rig.run(script())
+        return said
+
+
+def lines(*texts: str) -> "list[tuple[str, str]]":
+    return [(text + "\n", "ok") for text in texts]
+
+
+_count = iter(range(10**9))
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> "Callable[[str], Bench]":
+    """Makes one: each with a module of its own name."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    def make(text: str) -> Bench:
+        head = "from ugrbl import mcode, gcode, on, every, Refuse, Refused\nheard = []\n"
+        return Bench(tmp_path, f"custom_{next(_count)}", head + text)
+
+    return make
+
+
+Make = Callable[[str], Bench]
+
+
+# What is read
+
+
+def test_words_get_their_numbers_by_name_where_motion_has_ended(bench: Make) -> None:
+    made = bench(
+        """
+@mcode(100, "Pq")
+def vacuum(m, P, Q=7):
+    heard.append((P, Q, m.position().x))
+@gcode(81.1)
+def g(m):
+    heard.append("81.1")
+"""
+    )
+    assert made.say(*lines("G0X5", "M100 P2", "N7 m100 p1.5 q3", "G81.1"))[1:] == [["ok"]] * 3
+    assert made.heard == [(2.0, 7, 5.0), (1.5, 3.0, 5.0), "81.1"]
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("def x(:", "SyntaxErr"),
+        ("1 / 0", "line 3, in <module>: ZeroDivisionErr"),
+        ("@mcode(3)\ndef spindle(m): pass", "M3 is taken"),
+        ("@gcode(0)\ndef rapid(m): pass", "G0 is taken"),
+        ("@mcode(100)\ndef a(m): pass\n@mcode(100)\ndef b(m): pass", "M100 is taken"),
+        ("@on.nothing\ndef a(m): pass", "there is no event on.nothing"),
+        ('@on.input("door")\ndef a(m, closed): pass', "names no input door"),
+        ("@every(0)\ndef a(m): pass", "every: 0 is no number of milliseconds"),
+        ("import nowhere_at_all", "nowhere_at_all"),
+    ],
+)
+def test_a_file_that_cannot_be_gives_the_plain_machine_and_says_why(
+    bench: Make, text: str, reason: str
+) -> None:
+    made = bench("@mcode(199)\ndef first(m): heard.append(1)\n" + text)
+    said = made.say(("G0X1\n", "idle"), *lines("M199", "$I"))
+    told = [line for line in made.greeting if line.startswith("[MSG:Custom left out: ")]
+    assert len(told) == 1 and reason in told[0].replace("line 5", "line 3")
+    assert said[:2] == [["ok"], [f"error:{errors.GCODE_UNSUPPORTED_COMMAND}"]]
+    assert told[0] in said[2]
+    assert "ok" not in told[0] and "error" not in told[0].lower()
+
+
+def test_check_mode_looks_at_words_and_runs_nothing(bench: Make) -> None:
+    made = bench('@mcode(100, "P")\ndef a(m, P): heard.append(P)\n@on.spindle\ndef s(m, *_): 1/0')
+    said = made.say(*lines("$C", "M100P1", "M3S100", "M100", "M101P1"))
+    assert [answer[-1] for answer in said] == ["ok", "ok", "ok", "error:28", "error:20"]
+    assert made.heard == []
+
+
+# Events
+
+
+def test_every_event_is_heard_with_its_values(bench: Make) -> None:
+    names = (
+        "startup after_reset after_unlock after_homing state_change tool_select tool_change "
+        "probe_done spindle coolant program_paused program_done alarm"
+    ).split()
+    made = bench(
+        "".join(
+            f"@on.{name}\ndef h_{name}(m, *values): heard.append(({name!r}, *map(str, values)))\n"
+            for name in names
+        )
+    )
+    made.say(
+        *lines("T4", "T5M6", "M3S200", "M8", "M5", "G38.3Z-1F500"),
+        ("$J=G91X1F900\n", "idle"),
+        ("M0\n", "ms 200"),
+        ("~", "idle"),
+        ("M30\n", "ok"),
+        ("\x18", "idle"),
+        ("$22=1\n", "ok"),
+        ("G38.2X-1F500\n", "ms 2000"),
+        ("$X\n", "ok"),
+    )
+    moving = [one for one in made.heard if one[0] not in ("state_change", "alarm")]
+    assert moving == [
+        ("startup",),
+        ("tool_select", "4"),
+        ("tool_select", "5"),
+        ("tool_change", "5"),
+        ("spindle", "M3", "200.0"),
+        ("coolant", "True", "False"),
+        ("spindle", "M5", "0.0"),
+        ("probe_done", "None"),
+        ("program_paused",),
+        ("spindle", "M5", "0.0"),
+        ("coolant", "False", "False"),
+        ("program_done",),
+        ("after_reset",),
+        ("probe_done", "None"),
+        ("after_unlock",),
+    ]
+    assert ("alarm", "5") in made.heard
+    assert ("state_change", "Idle", "Jog") in made.heard
+    assert ("state_change", "Idle", "Hold") in made.heard
+
+
+def test_a_line_waits_for_the_handlers_of_the_one_before(bench: Make) -> None:
+    made = bench(
+        """
+@on.spindle
+def delay(m, word, rpm):
+    m.wait(0.5)
+    heard.append(("on", m.position().x))
+"""
+    )
+    made.say(("G0X1\nM3S100\nG0X2\n", "idle"))
+    assert made.heard == [("on", 1.0)] and made.mm[0] == 2
+
+
+def test_a_word_may_go_with_the_blocks_before_it_while_motion_goes_on(bench: Make) -> None:
+    made = bench(
+        """
+@mcode(62, "P", sync=False)
+def on_(m, P):
+    m.out("vacuum", P)
+    heard.append((m.position().x, m.modes()[0]))
+"""
+    )
+    moves = "".join(f"G1X{x}F500\n" for x in (1, 2))
+    made.say(("G91\n", "ok"), (moves + "M62P1\n" + "G1X3\nG1X1\n", "idle"))
+    ((at, _),) = made.heard
+    assert abs(at - 3) < 0.5 and made.mm[0] == 7 and made.outputs == 1
+
+
+def test_inputs_and_timers_are_heard_and_a_report_has_a_field(bench: Make) -> None:
+    made = bench(
+        """
+@on.input("sensor")
+def sensor(m, closed):
+    heard.append(closed)
+ticks = [0]
+@every(50)
+def tick(m):
+    ticks[0] += 1
+@on.report
+def field(m):
+    return "Tk:%d" % ticks[0]
+"""
+    )
+    push = made.rig.port.push
+    said = made.say(
+        *lines("G4P1"),
+        lambda: push({"pin_22": True}),
+        ("", "ms 100"),
+        lambda: push({"pin_22": False}),
+        ("", "ms 100"),
+        ("?", "ms 20"),
+        ("?", "ms 20"),
+    )
+    assert made.heard == [True, False]
+    assert 18 <= int(said[-1][0].partition("Tk:")[2].rstrip(">")) <= 40
+
+
+# What fails
+
+
+def failing(kind: str) -> str:
+    return f"""
+calls = [0]
+@mcode(100)
+def word(m):
+    m.g("G91 G0 X3")
+    {kind}
+@every(10)
+def beside(m):
+    calls[0] += 1
+    if m.tool == 9 and m.position().y > 2:
+        {kind}
+"""
+
+
+@pytest.mark.parametrize(
+    "kind", ["1 / 0", "raise ValueError('ok error')", "m.g('G1 X1 Y')", "heard[5]", "nothing()"]
+)
+def test_a_failing_word_lets_motion_end_and_alarms_with_file_and_line(
+    bench: Make, kind: str
+) -> None:
+    made = bench(failing(kind))
+    made.say(("M3S100\n", "ok"), ("M100\n", "ms 3000"), ("?", "ms 20"))
+    assert made.mm[0] == 3 and not made.power
+    text = "\n".join(map(str, made.sender.take()))
+    assert not text
+
+
+def test_the_message_of_a_failure_is_no_answer_and_names_the_line(bench: Make) -> None:
+    made = bench(failing("raise ValueError('ok error')"))
+    (said,) = made.say(("M100\n", "ms 3000"))
+    (message,) = [line for line in said if line.startswith("[MSG:M100: custom_")]
+    assert "line 8, in word" in message and "ok" not in message and "error" not in message
+    assert said.index(message) < said.index("ALARM:32") < said.index("[MSG:'$H'|'$X' to unlock]")
+    assert "custom" in made.rig.store.files and "ValueError" in made.rig.store.files["custom"][-1]
+
+
+def test_a_failure_beside_motion_comes_to_rest_and_loses_nothing(bench: Make) -> None:
+    made = bench(failing("1 / 0"))
+    said = made.say(("T9\n", "ok"), ("G1Y9F500\n", "ms 5000"), ("$X\n", "ok"), ("?", "ms 20"))
+    assert "ALARM:32" in said[1] and 2 < made.mm[1] < 3
+    told = said[3][0].partition("MPos:")[2].split("|")[0].split(",")
+    assert [float(mm) for mm in told] == pytest.approx(made.mm, abs=0.001)
+
+
+@pytest.mark.parametrize("call", ['m.g("G0X1")', "m.wait(1)", 'm.ask("?")', "m.wait_motion()"])
+def test_who_runs_beside_motion_may_neither_move_nor_wait(bench: Make, call: str) -> None:
+    made = bench(f"@on.state_change\ndef s(m, old, new):\n    if new == 'Run':\n        {call}")
+    (said,) = made.say(("G0X5\n", "ms 3000"))
+    assert "ALARM:32" in said and any("neither move nor wait" in line for line in said)
+
+
+def test_a_refusal_refuses_its_line_and_nothing_else(bench: Make) -> None:
+    made = bench('@mcode(100)\ndef a(m): raise Refuse("close the door")')
+    said = made.say(*lines("M100", "G0X1"))
+    assert said == [["[MSG:close the door]", "error:3"], ["ok"]]
+
+
+def test_a_slow_handler_is_told_of_once(bench: Make) -> None:
+    made = bench(
+        """
+@every(100)
+def slow(m):
+    rig.pass_time(rig.ms(30))
+"""
+    )
+
+    def give() -> None:
+        sys.modules[made._name].rig = made.rig  # type: ignore[attr-defined]
+
+    made.rig.on_built = give
+    said = made.say(("", "ms 1000"))
+    told = made.greeting + said[0]
+    assert [line for line in told if "every 100: 30 ms without" in line] == [
+        "[MSG:every 100: 30 ms without a call of m]"
+    ]
+
+
+# Reset at any time
+
+
+@pytest.mark.parametrize("after_ms", [*range(0, 1500, 70)])
+def test_a_reset_ends_a_handler_wherever_it_is(bench: Make, after_ms: int) -> None:
+    made = bench(
+        """
+@mcode(100)
+def long(m):
+    with m.saved():
+        m.g("G91 G1 X1 F900")
+        try:
+            m.wait(0.3)
+        except Exception:
+            pass
+        m.out("vacuum", 1)
+        m.g("G1 X-1")
+        m.wait_for("sensor", seconds=0.4)
+        m.ask("Go on?")
+    heard.append("end")
+"""
+    )
+    said = made.say(
+        ("M100\n", f"ms {after_ms}"),
+        ("\x18", "ms 1500"),
+        ("$X\n", "ok"),
+        ("G91G1X2F900\n", "idle"),
+    )
+    assert "Grbl 1.1h" in str(said[1]) and made.heard == []
+    assert made.outputs == 0, "a reset sets outputs to rest"
+    report = made.mm[0]
+    assert said[3] == ["ok"] and -0.1 < report - 2 < 1.1
+
+
+# Kept
+
+
+def test_values_are_written_at_rest_and_survive_a_power_cut(bench: Make) -> None:
+    made = bench(
+        """
+@mcode(100, "P")
+def keep(m, P):
+    m.keep["number"] = P
+    m.keep["text"] = "a b"
+@mcode(101)
+def tell(m):
+    heard.append((m.keep["number"], m.keep["text"], "no" in m.keep, m.keep.get("no", 5)))
+"""
+    )
+    made.say(("M100P3\nG1X9F500\n", "ms 300"))
+    assert "keep" not in made.rig.store.files, "it moves"
+    made.say(("M100P4\n", "ok"), ("", "ms 50"), lambda: made.rig.cycle_power())
+    made.say(*lines("M101"))
+    assert made.heard[-1] == (4.0, "a b", False, 5)
+
+
+def test_keep_takes_numbers_and_texts_only(bench: Make) -> None:
+    made = bench('@mcode(100)\ndef a(m): m.keep["x"] = [1]')
+    (said,) = made.say(("M100\n", "ms 500"))
+    assert any("neither a number nor a text" in line for line in said)
