@@ -14,6 +14,7 @@ from ugrbl.sim.rig import Rig
 from ugrbl.sim.sender import Sender
 
 _STEPS_PER_MM = 250
+_STOPPING_MM = 500**2 / 3600 / 2 / 10 + 0.5  # from F500, with 10 mm/s2
 _PINS = {"OUTPUTS": {"vacuum": 20, "air": 21}, "INPUTS": {"sensor": 22}}
 
 
@@ -282,7 +283,7 @@ def test_the_message_of_a_failure_is_no_answer_and_names_the_line(bench: Make) -
 def test_a_failure_beside_motion_comes_to_rest_and_loses_nothing(bench: Make) -> None:
     made = bench(failing("1 / 0"))
     said = made.say(("T9\n", "ok"), ("G1Y9F500\n", "ms 5000"), ("$X\n", "ok"), ("?", "ms 20"))
-    assert "ALARM:32" in said[1] and 2 < made.mm[1] < 3
+    assert "ALARM:32" in said[1] and 2 < made.mm[1] < 2 + _STOPPING_MM
     told = said[3][0].partition("MPos:")[2].split("|")[0].split(",")
     assert [float(mm) for mm in told] == pytest.approx(made.mm, abs=0.001)
 
@@ -298,6 +299,12 @@ def test_a_refusal_refuses_its_line_and_nothing_else(bench: Make) -> None:
     made = bench('@mcode(100)\ndef a(m): raise Refuse("close the door")')
     said = made.say(*lines("M100", "G0X1"))
     assert said == [["[MSG:close the door]", "error:3"], ["ok"]]
+
+
+def test_who_runs_beside_motion_has_no_line_to_refuse(bench: Make) -> None:
+    made = bench('@every(10)\ndef a(m):\n    if m.position().x > 1: raise Refuse("no")')
+    said = made.say(("G1X9F500\nG1X0\n", "ms 3000"))
+    assert "ALARM:32" in said[0] and not [line for line in said[0] if "error" in line]
 
 
 def test_a_slow_handler_is_told_of_once(bench: Make) -> None:
@@ -371,7 +378,7 @@ def tell(m):
     )
     made.say(("M100P3\nG1X9F500\n", "ms 300"))
     assert "keep" not in made.rig.store.files, "it moves"
-    made.say(("M100P4\n", "ok"), ("", "ms 50"), lambda: made.rig.cycle_power())
+    made.say(("M100P4\n", "ok"), ("", "ms 50"), made.rig.cycle_power)
     made.say(*lines("M101"))
     assert made.heard[-1] == (4.0, "a b", False, 5)
 

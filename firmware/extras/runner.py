@@ -57,7 +57,7 @@ class Runner:
         values: "tuple[Any, ...]" = (),
         given: "dict[str, Any] | None" = None,
     ) -> "Any":
-        """Run a handler; returns what it returns. Raises GrblError where it refuses its line, and
+        """Run a handler; returns what it returns. given: of a word, its parameters. Raises GrblError where it refuses its line, and
         Abort where the machine has been stopped."""
         operator, state = self.operator, self._machine.state
         if function in self._out:
@@ -74,12 +74,12 @@ class Runner:
             if state.pending[st.RESET]:
                 raise Abort
             return None  # the line's end tells of the alarm
-        except handlers.Refuse as reason:
-            self._cnc.message(harmless(str(reason)))
-            raise GrblError(errors.INVALID_STATEMENT)
         except Exception as fault:
             if state.pending[st.RESET]:
                 raise Abort
+            if isinstance(fault, handlers.Refuse) and given is not None and may_move:
+                self._cnc.message(harmless(str(fault)))
+                raise GrblError(errors.INVALID_STATEMENT)
             if not may_move:
                 self._out.append(function)
             self._fail(what, fault, may_move)
