@@ -57,8 +57,8 @@ class Runner:
         values: "tuple[Any, ...]" = (),
         given: "dict[str, Any] | None" = None,
     ) -> "Any":
-        """Run a handler; returns what it returns. given: of a word, its parameters. Raises GrblError where it refuses its line, and
-        Abort where the machine has been stopped."""
+        """Run a handler; returns what it returns. given: of a word, its parameters. Raises
+        GrblError where that refuses its line, and Abort where the machine has been stopped."""
         operator, state = self.operator, self._machine.state
         if function in self._out:
             return None
