@@ -22,6 +22,8 @@ _DIALECTS = {
 }
 _TOOLS = {"spindle": "", "laser": "extras.laser", "punch": "extras.punch"}
 
+_customs: "dict[str, tuple[str, ...]]" = {}  # what has been found, for it is asked more than once
+
 
 def names(board: "ModuleType") -> "list[str]":
     """Modules by their names. Raises ValueError where a word asks for none there is."""
@@ -44,9 +46,12 @@ def _known(option: str, word: str, known: "dict[str, str]") -> str:
 
 def customs(board: "ModuleType") -> "tuple[str, ...]":
     """The user's own modules that are there: a file of that name, or those of a folder."""
-    from ports import user_files
+    name: str = board.__dict__.get("CUSTOM", "custom")
+    if name not in _customs:
+        from ports import user_files
 
-    return user_files.modules(board.__dict__.get("CUSTOM", "custom"))
+        _customs[name] = user_files.modules(name)
+    return _customs[name]
 
 
 def modules(board: "ModuleType") -> "list[Extra]":

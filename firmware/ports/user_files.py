@@ -5,15 +5,11 @@ import os
 
 def modules(name: str) -> "tuple[str, ...]":
     """The module NAME.py, or those of the folder NAME; none where neither is there."""
-    if not name:
-        return ()
-    try:
-        os.stat(name + ".py")
+    folder, _, last = name.rpartition("/")
+    there = os.listdir(folder or ".") if name else ()
+    if last + ".py" in there:
         return (name,)
-    except OSError:
-        pass
-    try:
-        files = sorted(os.listdir(name))
-    except OSError:
+    if last not in there:
         return ()
+    files = sorted(os.listdir(name))
     return tuple([name + "." + file[:-3] for file in files if file.endswith(".py")])
