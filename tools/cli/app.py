@@ -24,6 +24,7 @@ from . import (
     send,
     settings,
 )
+from .custom_options import Custom, Inputs, around
 from .outputs import check_outputs, failed
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
@@ -110,8 +111,13 @@ def sim(
     plot: Annotated[
         Path | None, typer.Option(metavar="FILE", help="At the end, draw the tool's path there.")
     ] = None,
+    custom: Custom = None,
+    inputs: Inputs = None,
 ) -> None:
-    """Run the firmware behind a pseudo-terminal, or on TCP, that any sender can open."""
+    """Run the firmware behind a pseudo-terminal, or on TCP, that any sender can open.
+
+    At the terminal where it runs, type an input's name to push it: probe, limit_x, start …
+    """
     from .simulate import Options, simulate
 
     try:
@@ -128,6 +134,7 @@ def sim(
             tcp=tcp,
             rfc2217=rfc2217,
             blank=blank,
+            around=around(board, custom, inputs),
         )
         simulate(options)
     except (ValueError, OSError) as error:

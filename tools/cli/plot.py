@@ -12,6 +12,7 @@ from ..draw.job import Job, describe, from_file, run_job, short, verdict
 from ..grbl.gcode_file import name_of, read_program
 from ..grbl.settings_file import as_line
 from ..run import machine
+from .custom_options import Custom, Inputs, around, why_stopped
 from .outputs import check_outputs, failed, save_json
 from .screen import Screen, show_errors, summary
 
@@ -49,6 +50,8 @@ def command(
     board: Annotated[str, typer.Option(metavar="NAME", help="Machine: a file of boards/.")] = (
         machine.DEFAULT_BOARD
     ),
+    custom: Custom = None,
+    inputs: Inputs = None,
 ) -> None:
     """Draw what a program will do: its path, coloured by speed; speed, acceleration, step rates.
 
@@ -60,7 +63,9 @@ def command(
     target = out or Path(Path(name).stem + ".html")
     try:
         check_outputs(json_file, plot=target, keep=(file, settings))
-        jobs = _jobs(console, file, settings, what_if or (), board)
+        jobs = _jobs(
+            console, file, settings, what_if or (), board, around(board, custom, inputs)
+        )
         words = ""
         if len(jobs) > 1:
             extra = describe([as_line(text) for text in what_if or ()])
@@ -77,7 +82,12 @@ def command(
 
 
 def _jobs(
-    console: Console, file: Path, settings: Path | None, what_if: Sequence[str], board: str
+    console: Console,
+    file: Path,
+    settings: Path | None,
+    what_if: Sequence[str],
+    board: str,
+    around: machine.Around,
 ) -> list[Job]:
     lines = read_program(file)
     base = from_file(settings) if settings else []
@@ -88,10 +98,10 @@ def _jobs(
     jobs = []
     for name, chosen in runs:
         with Screen(console, f"{name_of(file)}, {name}", len(lines)) as screen:
-            jobs.append(run_job(name, lines, chosen, board, screen.progress))
+            jobs.append(run_job(name, lines, chosen, board, screen.progress, around))
             screen.progress(jobs[-1].result.lines)
         if jobs[-1].result.stopped:
-            raise ValueError(f"could not finish: {jobs[-1].result.stopped}")
+            raise ValueError(f"could not finish: {why_stopped(jobs[-1].result)}")
     show_errors(console, jobs[0].result.errors, lines)
     return jobs
 

@@ -12,13 +12,20 @@ from ..draw import plot
 from ..draw.job import from_file, job_of
 from ..draw.motion_trace import MotionTrace, trace_program
 from ..grbl.gcode_file import name_of, read_program
-from ..grbl.messages import meaning
 from ..grbl.settings_file import as_line
 from ..run import machine
 from ..run.pace import Paced, Stretch
 from ..run.program import Result, run_program
+from .custom_options import Custom, Inputs, around, why_stopped
 from .outputs import check_outputs, failed, save_json
-from .screen import Screen, show_errors, show_problems, summary, totals_rows
+from .screen import (
+    Screen,
+    show_errors,
+    show_messages,
+    show_problems,
+    summary,
+    totals_rows,
+)
 
 EXAMPLES = (
     "Examples:  ugrbl run badge.nc   ·   ugrbl run badge.nc --check"
@@ -54,6 +61,8 @@ def command(
     board: Annotated[
         str, typer.Option(metavar="NAME", help="Machine: a file of boards/, or a path.")
     ] = machine.DEFAULT_BOARD,
+    custom: Custom = None,
+    inputs: Inputs = None,
 ) -> None:
     """Run a program in virtual time and say how long it takes, how far it goes, what is wrong.
 
@@ -73,7 +82,12 @@ def command(
         with Screen(console, name, len(lines)) as screen:
             run: _Runner = trace_program if picture else run_program
             result, recorder = run(
-                lines, board=board, settings=chosen, check=check, progress=screen.progress
+                lines,
+                board=board,
+                settings=chosen,
+                check=check,
+                progress=screen.progress,
+                around=around(board, custom, inputs),
             )
             screen.progress(result.lines)
         seconds = time.monotonic() - begun
@@ -100,6 +114,9 @@ def _tell(
 ) -> None:
     """What came of it."""
     show_errors(console, result.errors, lines)
+    show_messages(console, result.other_output)
+    for number, output, on in result.switched:
+        console.print(f"line {number}: {output} {'on' if on else 'off'}", highlight=False)
     for number in result.pauses:
         console.print(f"line {number}: paused; told to go on", highlight=False)
     whose = recorder.intake().whose
@@ -145,9 +162,7 @@ def _too_fast(late: Sequence[Stretch], whose: str) -> str:
 def _judge(result: Result, check: bool, acting: bool) -> None:
     """End with the exit code that is due. acting: bytes of the program act at once."""
     if result.stopped:
-        reply = result.stopped.rpartition(" ")[2]
-        why = meaning(reply) if reply.startswith(("ALARM:", "error:")) else ""
-        raise failed(": ".join(filter(None, ["could not finish", result.stopped, why])))
+        raise failed(f"could not finish: {why_stopped(result)}")
     if result.resets:
         numbers = ", ".join(map(str, result.resets))
         raise failed(f"line {numbers}: Ctrl-X is a reset: what was planned before it is lost")

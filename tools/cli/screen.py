@@ -135,6 +135,13 @@ def show_errors(
         console.print(f"… and {len(errors) - _MOST_ERRORS} more errors")
 
 
+def show_messages(console: Console, output: Sequence[tuple[int, str]]) -> None:
+    """What the machine has told its sender besides answers, by line."""
+    for number, line in output:
+        if line.startswith("[MSG:"):
+            console.print(f"line {number}: {line[5:-1]}", highlight=False, markup=False)
+
+
 def show_problems(console: Console, lines: Sequence[bytes]) -> bool:
     """Tell of bytes that act at once. Returns whether some stand outside of comments."""
     found = problems(lines)

@@ -1,6 +1,7 @@
 """`ugrbl sim`: the firmware behind a pseudo-terminal, on TCP, or on stdin and stdout."""
 
 import signal
+import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import FrameType
@@ -15,6 +16,7 @@ from ..run import machine
 from ..run.live import LiveLink
 from ..run.program import Result
 from ..run.recorder import Recorder
+from .buttons import Buttons
 from .outputs import save_json
 
 if TYPE_CHECKING:
@@ -38,6 +40,7 @@ class Options:
     tcp: str | None = None
     rfc2217: bool = False
     blank: bool = False
+    around: machine.Around = machine.NOTHING
 
 
 def simulate(options: Options) -> None:
@@ -49,6 +52,7 @@ def simulate(options: Options) -> None:
             lambda rig: LiveLink(rig, wire, options.fast),
             options.settings,
             blank=options.blank,
+            around=options.around,
         )
         if options.switches:
             from ..sim import switches
@@ -57,6 +61,8 @@ def simulate(options: Options) -> None:
         recorder = (MotionTrace if options.plot else Recorder)(rig)
         _stop_on_signals(rig.link)
         _publish(wire, options.link)
+        if not options.stdio:
+            _hear_person(rig)
         machine.run(rig)
     finally:
         wire.close()
@@ -97,6 +103,18 @@ def _publish(wire: "Pty | Tcp | Stdio", link: Path | None) -> None:
         wire.link(link)  # type: ignore[union-attr]  # a Pty, see _wire()
     if name:
         Console().print(f"Grbl is at {link or name}", highlight=False, soft_wrap=True)
+
+
+def _hear_person(rig: "Rig") -> None:
+    """Whoever sits at the terminal can push inputs; with custom.py a pipe can, too."""
+    if sys.stdin is None or not (sys.stdin.isatty() or rig.guest):
+        return
+    buttons = Buttons(rig.inputs, Console())
+    rig.link.turn = buttons.turn
+    if rig.guest:
+        rig.guest.told = buttons.say
+        rig.guest.switched = lambda name, on: buttons.say(f"{name} {'on' if on else 'off'}")
+    buttons.listen()
 
 
 def _stop_on_signals(link: LiveLink) -> None:

@@ -72,9 +72,12 @@ def run_job(
     settings: Sequence[str],
     board: str = machine.DEFAULT_BOARD,
     progress: Callable[[int], None] | None = None,
+    around: machine.Around = machine.NOTHING,
 ) -> Job:
     """Run it. ValueError where a setting is refused."""
-    result, trace = trace_program(lines, board=board, settings=settings, progress=progress)
+    result, trace = trace_program(
+        lines, board=board, settings=settings, progress=progress, around=around
+    )
     if " was refused with " in result.stopped:
         reply = result.stopped.rpartition(" ")[2]
         raise ValueError(f"{result.stopped}: {reply_meaning(reply)}")

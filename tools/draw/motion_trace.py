@@ -190,6 +190,7 @@ def trace_program(
     settings: Sequence[str] = (),
     check: bool = False,
     progress: Callable[[int], None] | None = None,
+    around: machine.Around = machine.NOTHING,
 ) -> tuple[Result, MotionTrace]:
     """Run a program as run.run_program does, and follow every segment.
 
@@ -197,4 +198,4 @@ def trace_program(
     """
     commands = (*settings, *(["$C"] if check else []))
     coarse = _COARSE if len(lines) > _MANY_LINES else 1
-    return watch_program(lines, MotionTrace, board, commands, progress, coarse)
+    return watch_program(lines, MotionTrace, board, commands, progress, coarse, around)

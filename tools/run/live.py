@@ -6,6 +6,7 @@ returns when bytes have come or the time is over, `closed` says that no more
 will ever come.
 """
 
+from collections.abc import Callable
 from time import monotonic
 from typing import TYPE_CHECKING, Protocol
 
@@ -23,6 +24,10 @@ _PIECES = 16  # hold all that a board would have taken
 _PATIENCE_S = 0.01
 _AT_REST_S = 0.02
 _MOVING_S = 0.001
+
+
+def _nothing() -> None:
+    """Where nobody has to be told."""
 
 
 class Wire(Protocol):
@@ -50,6 +55,7 @@ class LiveLink(UntimedLink):
         self._rig = rig
         self._wire = wire
         self._fast = fast
+        self.turn: Callable[[], None] = _nothing  # called whenever the firmware reads
         self.stopping = False  # set, from a signal handler too, to end the simulation
         self._greeted = False  # with the first banner; nothing is heard before
         self._looks = 0
@@ -63,6 +69,9 @@ class LiveLink(UntimedLink):
         """What has come; time passes where nothing has."""
         if self.stopping:
             self._rig.power_off()
+        self.turn()
+        if self._rig.inputs:
+            self._rig.inputs.turn()
         if not self._fast:
             self._follow_wall()
         data = self._wire.read(len(buf)) if self._greeted else b""

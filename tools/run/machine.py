@@ -1,16 +1,20 @@
 """A simulated machine for the commands: its board by name, its place to keep settings."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from .. import paths
+from ..boardfile.board_check import is_simulated
 from ..boardfile.files import load_board
 from ..compiling import kernels
 from ..grbl.messages import meaning
 from ..grbl.settings_file import Firmware, SettingsError
 from .file_store import FileStore
+from .inputs import Inputs, Rule
+from .own_python import INPUT_CALLS, NAME, OUTPUT_CALLS, OwnPython, read
 
 if TYPE_CHECKING:
     from ..sim.rig import Rig
@@ -19,6 +23,27 @@ DEFAULT_BOARD = "sim"
 DEFAULT_AXES = 3
 # Options that decide what a program may say and where it may go, by their letters in $I.
 _OPTIONS = {"M": "MIST", "R": "OVERRIDE_CONTROL", "C": "COREXY", "Z": "FORCE_SET_ORIGIN"}
+
+
+@dataclass(frozen=True)
+class Around:
+    """What is around a machine. custom: the user's own Python; rules: who pushes its inputs;
+    others_ms: inputs without a rule change when they have been waited for so long."""
+
+    custom: "OwnPython | None" = None
+    rules: "tuple[Rule, ...]" = ()
+    others_ms: "int | None" = None
+
+
+NOTHING = Around()
+
+
+def around(board: str, custom: Path | None, rules: "Iterable[Rule]" = ()) -> Around:
+    """The user's own Python, if any, by the name that it has on that board. OwnPythonError."""
+    if custom is None:
+        return Around(rules=tuple(rules))
+    name = getattr(load_board(board), "CUSTOM", "") or NAME
+    return Around(read(custom, name), tuple(rules))
 
 
 class UntimedLink:
@@ -50,6 +75,7 @@ def build(
     coarse: int = 1,
     letters: str = "",
     axes: int = DEFAULT_AXES,
+    around: Around = NOTHING,
 ) -> "Rig":
     """A rig with that board, with the settings of a new machine that has once been started.
 
@@ -63,15 +89,45 @@ def build(
     from ..sim.rig import MemoryStore, Rig
 
     module = _like(load_board(board), letters, axes)
-    store = MemoryStore() if blank else factory_store(module)
-    if settings is None:
-        return Rig(module, store, link, coarse)
-    try:
-        kept = FileStore(settings, store.files, firmware(module))
-        _check_values(module, kept.load("settings") or ())
-    except SettingsError as error:
-        raise ValueError(f"{settings} is left as it is: {error}") from error
-    return Rig(module, kept, link, coarse)
+    if getattr(module, "CUSTOM", ""):  # whatever lies where this is run is not meant
+        module = _copy(module, module.__name__, CUSTOM="")
+    store: Any = MemoryStore() if blank else factory_store(module)
+    if settings is not None:
+        try:
+            kept = FileStore(settings, store.files, firmware(module))
+            _check_values(module, kept.load("settings") or ())
+        except SettingsError as error:
+            raise ValueError(f"{settings} is left as it is: {error}") from error
+        store = kept
+    return _with(around, module, lambda board: Rig(board, store, link, coarse))
+
+
+def _with(around: Around, board: Any, make: "Callable[[Any], Rig]") -> "Rig":
+    """A rig with what is to be around it."""
+    if around.custom is None:
+        rig = make(board)
+        rig.inputs = Inputs(rig, around.rules, around.others_ms)
+        return rig
+    from .guest import invite
+
+    copy = _copy(board, board.__name__, **assumed_pins(board, around.custom))
+    guest = invite(copy, around.custom)
+    rig = make(copy)
+    guest.inputs = rig.inputs = Inputs(rig, around.rules, around.others_ms)
+    rig.guest = guest
+    return rig
+
+
+def assumed_pins(board: Any, custom: OwnPython) -> dict[str, dict[str, int]]:
+    """OUTPUTS and INPUTS as a machine of the simulator may have them: those asked for."""
+    if not is_simulated(board) or hasattr(board, "OUTPUTS") or hasattr(board, "INPUTS"):
+        return {}
+    outputs = sorted({name for _, _, name in custom.strings_given_to(*OUTPUT_CALLS)})
+    inputs = sorted({name for _, _, name in custom.strings_given_to(*INPUT_CALLS)})
+    return {
+        "OUTPUTS": {name: pin for pin, name in enumerate(outputs)},
+        "INPUTS": {name: pin for pin, name in enumerate(inputs, len(outputs))},
+    }
 
 
 def _like(board: Any, letters: str, axes: int) -> Any:
@@ -79,9 +135,15 @@ def _like(board: Any, letters: str, axes: int) -> Any:
     options = {name: True for letter, name in _OPTIONS.items() if letter in letters}
     if not options and axes == DEFAULT_AXES:
         return board
-    made = ModuleType(f"{board.__name__}+{letters}{axes}")
+    name = f"{board.__name__}+{letters}{axes}"
+    return _copy(board, name, **options, STEP=tuple(range(axes)))
+
+
+def _copy(board: Any, name: str, **options: Any) -> Any:
+    """The board under another name, with other options."""
+    made = ModuleType(name)
     vars(made).update({name: value for name, value in vars(board).items() if name[:2] != "__"})
-    vars(made).update(options, STEP=tuple(range(axes)))
+    vars(made).update(options)
     return made
 
 

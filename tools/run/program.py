@@ -26,6 +26,8 @@ _RESUME_MS = 500
 _PROGRESS_LINES = 100
 # Nothing moved and nothing was answered for so long: it never will be.
 _STALLED_MS = 6 * 3600 * 1000
+# And a handler of the user's own that waits for so long without a word waits in vain.
+_WAITING_MS = 10 * 60 * 1000
 
 
 @dataclass
@@ -39,6 +41,8 @@ class Result:
     pauses: list[int] = field(default_factory=list)
     resets: list[int] = field(default_factory=list)  # lines with a Ctrl-X
     stopped: str = ""  # why it could not finish, if it could not
+    switched: list[tuple[int, str, bool]] = field(default_factory=list)  # outputs of custom.py
+    faults: list[str] = field(default_factory=list)  # how handlers of custom.py have failed
     totals: Totals = field(default_factory=Totals)
 
     def as_json(self) -> dict[str, Any]:
@@ -52,6 +56,8 @@ class Result:
             "pauses": self.pauses,
             "resets": self.resets,
             "stopped": self.stopped,
+            "switched": self.switched,
+            "faults": self.faults,
         }
 
 
@@ -149,6 +155,10 @@ class ProgramLink(machine.UntimedLink):
         """The line of the program that is being interpreted; 0 for none of it."""
         return self._unanswered[0][0] if self._unanswered else self._last
 
+    def note_output(self, name: str, on: bool) -> None:
+        """A handler has switched an output that the board names."""
+        self.result.switched.append((self.now_at(), name, on))
+
     # What goes out
 
     def _fetch(self) -> None:
@@ -226,7 +236,17 @@ class ProgramLink(machine.UntimedLink):
             self.stop("asleep ($SLP)")
         elif rig.now - self.news > _STALLED_MS * rig.ticks_per_ms:
             self.stop("nothing happens any more")
+        elif rig.guest and rig.guest.running:
+            self._watch_handler(rig.guest.running[-1])
         rig.skip()
+        if rig.inputs:
+            rig.inputs.turn()
+
+    def _watch_handler(self, what: str) -> None:
+        """Nothing moves while it runs."""
+        if self.rig.now - self.news > _WAITING_MS * self.rig.ticks_per_ms:
+            minutes = _WAITING_MS // 60_000
+            self.stop(f"{what} has waited for {minutes} minutes: what for does never come here")
 
     def _resume(self) -> None:
         self._out += CYCLE_START
@@ -242,13 +262,14 @@ def run_program(
     settings: Sequence[str] = (),
     check: bool = False,
     progress: Callable[[int], None] | None = None,
+    around: machine.Around = machine.NOTHING,
 ) -> tuple[Result, Paced]:
     """Run a program on a machine fresh from the factory. settings: lines such as `$110=6000`.
 
     progress is told, now and then, how many lines have been sent.
     """
     commands = (*settings, *(["$C"] if check else []))
-    return watch_program(lines, Paced, board, commands, progress)
+    return watch_program(lines, Paced, board, commands, progress, around=around)
 
 
 def watch_program(
@@ -258,6 +279,7 @@ def watch_program(
     commands: Sequence[str],
     progress: Callable[[int], None] | None,
     coarse: int = 1,
+    around: machine.Around = machine.NOTHING,
 ) -> tuple[Result, _Watcher]:
     """Run a program, after commands that have to be accepted, with somebody made to watch.
 
@@ -279,11 +301,14 @@ def watch_program(
         yield None
         link.result.final_state = next((r for r in link.replies if r.startswith("[G")), "")
 
-    rig = machine.build(board, lambda rig: ProgramLink(rig, script), coarse=coarse)
+    rig = machine.build(board, lambda rig: ProgramLink(rig, script), coarse=coarse, around=around)
+    if rig.guest:
+        rig.guest.in_vain, rig.guest.switched = rig.link.stop, rig.link.note_output
     watching = watcher(rig)
     machine.run(rig)
     result: Result = rig.link.result
     result.totals = watching.totals()
+    result.faults = rig.guest.faults if rig.guest else []
     return result, watching
 
 

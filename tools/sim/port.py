@@ -160,6 +160,14 @@ class SimPort:
         self._pushed.update(pins)
         self.update()
 
+    def is_closed(self, pin: str) -> bool:
+        """As the firmware would see it now."""
+        return pin in self._closed
+
+    def awaits_probe(self) -> "bool | None":
+        """The level at which the probe stops motion; None where nobody is probing."""
+        return self._contact_level if self._on_contact else None
+
     def update(self) -> None:
         """Look at every switch again and raise the interrupts of what has changed."""
         engine = self._rig.engine

@@ -1,4 +1,5 @@
-"""Limit switches at both ends of each axis' travel, so that a simulated machine can be homed."""
+"""Switches of a simulated machine: at both ends of each axis' travel, so that it can be homed, and
+wherever somebody wants one."""
 
 from .engine import Switch
 from .port import LIMITS
@@ -27,6 +28,23 @@ class EndSwitch(Switch):
         half_mm = (settings.max_travel[self.axis] + _SPARE_MM) / 2
         steps = int(half_mm * settings.steps_per_mm[self.axis])
         return steps if self.above else -steps
+
+    @steps.setter
+    def steps(self, steps: int) -> None:
+        """Settings say where it is."""
+
+
+class PlaceSwitch(Switch):
+    """Closed from a place on: above it, or below. mm: from where the machine begins."""
+
+    def __init__(self, rig: "Rig", pin: str, axis: int, above: bool, mm: float) -> None:
+        super().__init__(pin, axis, above, 0)
+        self._rig = rig
+        self._mm = mm
+
+    @property
+    def steps(self) -> int:
+        return int(self._mm * self._rig.controller.settings.steps_per_mm[self.axis])
 
     @steps.setter
     def steps(self, steps: int) -> None:

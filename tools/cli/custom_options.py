@@ -1,0 +1,43 @@
+"""Options of the commands that simulate: the user's own Python, and who pushes its inputs."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..grbl.messages import meaning
+from ..run import inputs, machine
+from ..run.program import Result
+
+Custom = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="Your own Python for the board, a .py file or a folder of them."
+    ),
+]
+Inputs = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--input",
+        metavar="NAME=WHEN",
+        help="Who pushes an input: on, off, at a place (probe=Z-30), or when it has been waited "
+        "for so long (2s).",
+    ),
+]
+# A probing motion that nothing has touched.
+_HELP = {"ALARM:5": " Say where the probe touches: --input probe=Z-30"}
+
+
+def around(board: str, custom: Path | None, rules: "list[str] | None") -> machine.Around:
+    """What these options ask for. ValueError where that cannot be."""
+    return machine.around(board, custom, [inputs.rule(text) for text in rules or ()])
+
+
+def why_stopped(result: Result) -> str:
+    """In words: of the handler that failed, where one did; of an alarm, and what helps."""
+    if result.faults:
+        return result.faults[-1]
+    reply = result.stopped.rpartition(" ")[2]
+    known = meaning(reply) if reply.startswith(("ALARM:", "error:")) else ""
+    help_ = _HELP.get(reply, "")
+    return ": ".join(filter(None, [result.stopped, known])) + help_

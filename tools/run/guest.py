@@ -1,0 +1,222 @@
+"""The user's own Python as a guest of one simulated machine: imported, and watched as it runs.
+
+What the firmware has for it (extras/custom.py) does the work; here is what a board has no room
+for: where its files are, which handlers have run, what they wait for, and how each has failed.
+To be imported when the firmware can be.
+"""
+
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from importlib.machinery import ModuleSpec
+from importlib.util import spec_from_loader
+from types import ModuleType
+from typing import Any
+
+from base.errors import Abort
+from boot import guests
+from extras import custom, handlers
+from extras.custom import Custom
+from extras.operator import Operator, Stopped
+
+from .own_python import OwnPython, OwnPythonError
+
+_GUEST = "_guest"  # under which a board has it
+
+
+class Guest:
+    """What is known of it. examine: sees what has been noted down, before it is taken up."""
+
+    def __init__(self, own: OwnPython) -> None:
+        self.own = own
+        self.files = {str(module.file): module for module in own.modules.values()}
+        self.notes: list[Any] = []
+        self.examine: "Callable[[Any, list[Any]], None] | None" = None
+        self.running: list[str] = []  # handlers, the innermost last
+        self.ran: list[str] = []  # handlers that came to their end, or failed
+        self.faults: list[str] = []
+        self.inputs: Any = None
+        self.in_vain: "Callable[[str], None] | None" = None  # told of a wait that nobody ends
+        self.told: "Callable[[str], None] | None" = None  # of a wait for a person
+        self.switched: "Callable[[str, bool], None] | None" = None  # told of an output
+
+    def at(self, fault: BaseException) -> str:
+        """What has happened, with the last line of the user's own before it."""
+        place = ""
+        for frame in traceback.extract_tb(fault.__traceback__):
+            if frame.filename in self.files:
+                place = f"{frame.filename}, line {frame.lineno}: "
+        return f"{place}{type(fault).__name__}: {fault}".removesuffix(": ")
+
+    def trace(self, fault: BaseException) -> list[str]:
+        """The traceback from the user's first line on."""
+        frames = traceback.extract_tb(fault.__traceback__)
+        first = next((i for i, f in enumerate(frames) if f.filename in self.files), len(frames))
+        return [
+            line.rstrip()
+            for line in (
+                *traceback.format_list(frames[first:]),
+                *traceback.format_exception_only(type(fault), fault),
+            )
+        ]
+
+    def waits(self, name: str, closed: bool, seconds: "float | None", is_so: bool) -> None:
+        """A handler waits for an input."""
+        may_come = self.inputs.await_(name, closed)
+        if is_so or seconds is not None:
+            return
+        what, state = self.running[-1], "close" if closed else "open"
+        if self.told:
+            self.told(f"{what} waits for the input {name} to {state}")
+        elif self.in_vain and not may_come:
+            way = "on" if closed else "off"
+            self.in_vain(
+                f"{what} waits for the input {name} to {state}, and nobody is there to do that: "
+                f"--input {name}={way}, or {name}=2s for two seconds later"
+            )
+
+
+class _Importer:
+    """What import finds a guest's files by: a finder and a loader. Nothing is kept of them."""
+
+    guest: "Guest | None" = None
+
+    def find_spec(
+        self, name: str, path: "Sequence[str] | None" = None, target: "ModuleType | None" = None
+    ) -> "ModuleSpec | None":
+        """The user's files come before any other's of these names."""
+        if self.guest is None:
+            return None
+        modules = self.guest.own.modules
+        if name in modules:
+            return spec_from_loader(name, self, origin=str(modules[name].file))  # type: ignore[arg-type]
+        if any(there.startswith(name + ".") for there in modules):
+            return spec_from_loader(name, self, is_package=True)  # type: ignore[arg-type]
+        return None
+
+    def create_module(self, spec: ModuleSpec) -> None:
+        """As usual."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Compiled anew: what Python keeps in __pycache__ is not made."""
+        assert self.guest
+        found = self.guest.own.modules.get(module.__name__)
+        if found:
+            module.__file__ = str(found.file)
+            code = compile(found.source, str(found.file), "exec", dont_inherit=True)
+            exec(code, vars(module))
+
+
+class WatchedOperator(Operator):
+    """Tells its guest what handlers wait for."""
+
+    guest: Guest
+
+    def out(self, name: str, on: Any) -> None:
+        """As on the board."""
+        super().out(name, on)
+        if self.guest.switched:
+            self.guest.switched(name, bool(on))
+
+    def wait_for(
+        self, name: str, closed: bool = True, seconds: "float | None" = None
+    ) -> bool:
+        """As on the board."""
+        self.guest.waits(name, closed, seconds, self.pin(name) == closed)
+        try:
+            return super().wait_for(name, closed, seconds)
+        finally:
+            self.guest.inputs.has_come()
+
+
+class WatchedCustom(Custom):
+    """Tells its guest which handlers run, and how they fail. What cannot be taken up is an
+    OwnPythonError: nobody wants to simulate a machine without it."""
+
+    def __init__(self, cnc: Any, operator: Operator) -> None:
+        assert _importer.guest and isinstance(operator, WatchedOperator)
+        self._guest = operator.guest = _importer.guest
+        super().__init__(cnc, operator)
+
+    def take(self, notes: list[Any]) -> None:
+        """Examined first."""
+        self._guest.notes = notes
+        if self._guest.examine:
+            self._guest.examine(self._cnc, notes)
+        super().take(notes)
+
+    def drop(self, fault: Exception) -> None:
+        """With what can be said of it."""
+        handlers.take()
+        if isinstance(fault, OwnPythonError):
+            raise fault
+        text = self._guest.at(fault)
+        place = "" if ", line " in text else f"{self._guest.own.path}: "
+        raise OwnPythonError(place + text) from fault
+
+    def run(
+        self,
+        what: str,
+        function: "Callable[..., Any]",
+        may_move: bool,
+        values: "tuple[Any, ...]" = (),
+        given: "dict[str, Any] | None" = None,
+    ) -> Any:
+        """Noted."""
+        guest = self._guest
+        guest.running.append(what)
+
+        def noted(*arguments: Any, **named: Any) -> Any:
+            try:
+                return function(*arguments, **named)
+            except (Abort, Stopped, handlers.Refuse):
+                raise
+            except KeyboardInterrupt as fault:
+                guest.faults.append(f"{what}: {guest.at(fault)}")
+                raise
+
+        try:
+            return super().run(what, noted, may_move, values, given)
+        finally:
+            guest.running.pop()
+            guest.ran.append(what)
+
+    def _fail(self, what: str, fault: Exception, may_move: bool) -> None:
+        self._guest.faults.append(f"{what}: {self._guest.at(fault)}")
+        super()._fail(what, fault, may_move)
+
+    def _is_own(self, file: str) -> bool:
+        return file in self._guest.files
+
+
+_importer = _Importer()
+_usual_customs = guests.customs
+
+
+def _customs(board: ModuleType) -> "tuple[str, ...]":
+    """In the place of guests.customs: what is read is on this computer."""
+    guest: "Guest | None" = board.__dict__.get(_GUEST)
+    _importer.guest = guest
+    if guest is None:
+        return _usual_customs(board)
+    for name in (guest.own.name, *guest.own.modules):
+        sys.modules.pop(name, None)
+    return tuple(guest.own.modules)
+
+
+def _prepare() -> None:
+    """Once: have the firmware use what watches."""
+    if _importer not in sys.meta_path:
+        sys.meta_path.insert(0, _importer)  # type: ignore[arg-type]
+        guests.customs = _customs
+        custom.Custom = WatchedCustom  # type: ignore[misc]
+        custom.Operator = WatchedOperator  # type: ignore[misc]
+
+
+def invite(board: ModuleType, own: OwnPython) -> Guest:
+    """Have a machine of that board read it. The board is changed: let it be a copy."""
+    _prepare()
+    guest = Guest(own)
+    vars(board)[_GUEST] = guest
+    return guest
+

@@ -1,0 +1,149 @@
+"""Inputs of a simulated machine: who pushes them, and by which name.
+
+`--input NAME=WHEN`: on, or off; Z-30: closed while the machine is at Z-30 or beyond; 2s: it
+changes when a handler, or a probing motion, has waited for it for so long.
+"""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ..sim.engine import Switch
+    from ..sim.rig import Rig
+
+PROBE = "probe"
+DOOR = "door"
+_AXES = "XYZA"
+_PLACE = re.compile(r"([XYZA])([<>]?)(-?\d+(?:\.\d*)?)", re.IGNORECASE)
+_TIME = re.compile(r"(\d+(?:\.\d*)?)(ms|s)")
+_WHEN = "on, off, a place (Z-30) or a time (2s)"
+
+
+@dataclass(frozen=True)
+class Rule:
+    """When an input closes. axis: -1 where it hangs on no place; wait_ms: None where it waits for
+    nobody."""
+
+    name: str
+    closed: bool = False
+    axis: int = -1
+    mm: float = 0.0
+    above: bool = False
+    wait_ms: "int | None" = None
+
+
+def rule(text: str) -> Rule:
+    """A rule of the command line. ValueError where it is none."""
+    name, equals, when = (part.strip() for part in text.partition("="))
+    if not name or not equals:
+        raise ValueError(f"--input {text}: say NAME=WHEN, WHEN being {_WHEN}")
+    if when in ("on", "off"):
+        return Rule(name, closed=when == "on")
+    if found := _TIME.fullmatch(when):
+        scale = 1 if found[2] == "ms" else 1000
+        return Rule(name, wait_ms=int(float(found[1]) * scale))
+    found = _PLACE.fullmatch(when)
+    if not found:
+        raise ValueError(f"--input {text}: WHEN is {_WHEN}")
+    mm = float(found[3])
+    if not found[2] and not mm:
+        raise ValueError(f"--input {text}: on which side of it? {found[1]}<0 or {found[1]}>0")
+    above = found[2] == ">" if found[2] else mm > 0
+    return Rule(name, axis=_AXES.index(found[1].upper()), mm=mm, above=above)
+
+
+def names(rig: "Rig") -> dict[str, str]:
+    """What a person may push, by the name to say; and what the simulator calls it."""
+    from ..sim import port
+
+    axes = len(rig.board.STEP)
+    found = {name: f"pin_{pin}" for name, pin in getattr(rig.board, "INPUTS", {}).items()}
+    for name in (PROBE, *port.LIMITS[:axes], *port.CONTROLS):
+        found.setdefault(name, name)
+    if getattr(rig.board, "SAFETY_DOOR", False):
+        found.setdefault(DOOR, found.pop("hold"))  # whose place it takes, as on an Uno
+    if rig.port.estop:
+        found.setdefault(port.ESTOP, port.ESTOP)
+    return found
+
+
+class Inputs:
+    """The inputs of one rig, pushed by rules and by hand. ValueError for a name there is not."""
+
+    def __init__(self, rig: "Rig", rules: Iterable[Rule] = (), others_ms: "int | None" = None):
+        self._rig = rig
+        self.names = names(rig)
+        self._waits: dict[str, int] = {}
+        if others_ms is not None:
+            self._waits = dict.fromkeys(self.names, others_ms)
+        self._ruled: set[str] = set(self._waits)
+        self._awaited: "tuple[str, bool, int] | None" = None  # name, closed, since when
+        self._probing_since: "int | None" = None
+        for each in sorted(rules, key=lambda one: one.axis):  # places last: they want a machine
+            self._add(each)
+
+    def _add(self, each: Rule) -> None:
+        if each.name not in self.names:
+            raise ValueError(f"there is no input {each.name}; there are {', '.join(self.names)}")
+        self._ruled.add(each.name)
+        self._waits.pop(each.name, None)
+        if each.wait_ms is not None:
+            self._waits[each.name] = each.wait_ms
+        elif each.axis >= 0:
+            self._rig.engine.switches.append(self._switch(each))
+        else:
+            self.push(each.name, each.closed)
+
+    def _switch(self, each: Rule) -> "Switch":
+        from ..sim.switches import PlaceSwitch
+
+        if each.axis >= len(self._rig.board.STEP):
+            raise ValueError(f"{each.name}: this machine has no axis {_AXES[each.axis]}")
+        if getattr(self._rig.board, "COREXY", False) and each.axis < len("XY"):
+            raise ValueError(f"{each.name}: motors A and B move X and Y together: say a place of Z")
+        return PlaceSwitch(self._rig, self.names[each.name], each.axis, each.above, each.mm)
+
+    # By hand
+
+    def is_closed(self, name: str) -> bool:
+        """As it is now."""
+        return self._rig.port.is_closed(self.names[name])
+
+    def push(self, name: str, closed: bool) -> None:
+        """Close it, or open it."""
+        self._rig.port.push({self.names[name]: closed})
+
+    # By waiting
+
+    def await_(self, name: str, closed: bool) -> bool:
+        """Somebody waits for that. Returns whether it may ever come."""
+        self._awaited = name, closed, self._rig.port.ticks_ms()
+        return name in self._ruled or name not in self.names
+
+    def has_come(self) -> None:
+        """Nobody waits any more."""
+        self._awaited = None
+
+    def turn(self) -> None:
+        """Time has passed: push what has been waited for long enough."""
+        port = self._rig.port
+        if self._awaited:
+            name, closed, since = self._awaited
+            if name in self._waits and port.elapsed_ms(since) >= self._waits[name]:
+                self.push(name, closed)
+        if PROBE in self._waits:
+            self._turn_probe()
+
+    def _turn_probe(self) -> None:
+        port = self._rig.port
+        level = port.awaits_probe()
+        if level is None or not self._rig.moving():
+            if self._probing_since is not None:
+                self._probing_since = None
+                self.push(PROBE, False)
+        elif self._probing_since is None:
+            self._probing_since = port.ticks_ms()
+        elif port.elapsed_ms(self._probing_since) >= self._waits[PROBE]:
+            self.push(PROBE, level)

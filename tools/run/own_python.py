@@ -1,0 +1,104 @@
+"""The user's own Python, custom.py or a folder of such files, as it lies on this computer.
+
+It is read once, and compiled to see that it can be. On the board it has another name, that of the
+board's option CUSTOM, and so it has in the simulator, where it is imported by this name and from
+here: nothing is written beside it, and a file called math.py is in nobody's way.
+"""
+
+import ast
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+NAME = "custom"  # on the board, where its file says nothing
+# What asks for a pin by its name.
+OUTPUT_CALLS = ("out",)
+INPUT_CALLS = ("pin", "wait_for", "input")
+
+
+class OwnPythonError(ValueError):
+    """It cannot be read or compiled, or fails when it is imported: file, line and reason."""
+
+
+@dataclass(frozen=True)
+class Module:
+    """One file. path: relative to the folder, or the file's own name."""
+
+    file: Path
+    source: bytes
+    tree: ast.Module = field(compare=False, repr=False)
+
+
+@dataclass(frozen=True)
+class OwnPython:
+    """A file, or a folder of them. modules: by what they are imported as."""
+
+    path: Path
+    name: str
+    modules: "dict[str, Module]"
+
+    @property
+    def is_folder(self) -> bool:
+        """Several files, which may import one another."""
+        return self.name not in self.modules
+
+    @property
+    def files(self) -> "dict[str, bytes]":
+        """What belongs on the board, by path."""
+        return {
+            f"{name.replace('.', '/')}.py": module.source for name, module in self.modules.items()
+        }
+
+    def strings_given_to(self, *methods: str) -> "Iterator[tuple[Module, int, str]]":
+        """Texts that stand as first argument of calls of these: `m.out("vacuum", 1)`."""
+        for module in self.modules.values():
+            for node in ast.walk(module.tree):
+                if (
+                    isinstance(node, ast.Call)
+                    and isinstance(node.func, ast.Attribute)
+                    and node.func.attr in methods
+                    and node.args
+                    and isinstance(node.args[0], ast.Constant)
+                    and isinstance(node.args[0].value, str)
+                ):
+                    yield module, node.lineno, node.args[0].value
+
+
+def read(path: Path, name: str = NAME) -> OwnPython:
+    """The file or folder, compiled. OwnPythonError in one sentence where that cannot be."""
+    if path.is_dir():
+        files = sorted(file for file in path.glob("*.py") if file.name[0] != ".")
+        if not files:
+            raise OwnPythonError(f"{path}: there is no .py file in this folder")
+        if path / "__init__.py" in files:
+            raise OwnPythonError(
+                f"{path / '__init__.py'}: a folder of handlers has none, the board reads each file"
+            )
+        return OwnPython(path, name, {f"{name}.{file.stem}": _module(file) for file in files})
+    if path.suffix != ".py":
+        there = "is no Python file: its name ends in .py" if path.exists() else "is not there"
+        raise OwnPythonError(f"{path} {there}")
+    return OwnPython(path, name, {name: _module(path)})
+
+
+def _module(file: Path) -> Module:
+    try:
+        source = file.read_bytes()
+    except OSError as error:
+        raise OwnPythonError(f"{file} cannot be read: {error.strerror}") from error
+    return Module(file, source, _compiled(file, source))
+
+
+def _compiled(file: Path, source: bytes) -> ast.Module:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # "\d" is for its author's editor to tell of
+            compile(source, str(file), "exec", dont_inherit=True)
+            return ast.parse(source, str(file))
+    except SyntaxError as error:
+        line = f", line {error.lineno}" if error.lineno else ""
+        shown = f": {error.text.strip()}" if error.text and error.text.strip() else ""
+        raise OwnPythonError(f"{file}{line}: {error.msg}{shown}") from error
+    except ValueError as error:  # a byte 0, say
+        raise OwnPythonError(f"{file} is no Python file: {error}") from error
