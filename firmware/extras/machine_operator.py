@@ -134,8 +134,8 @@ class Operator:
         self.look()
 
     def _end(self) -> None:
+        self.rested()  # what was waited for was not the handler's own
         self.look()
-        self.rested()
 
     def forget(self) -> None:
         """A reset has set all outputs to rest."""
@@ -248,6 +248,7 @@ class Operator:
         """Tell the sender something, and hold until cycle start (~)."""
         self._wait()
         self._machine.canon.synchronise()
+        self.rested()
         self.message(text)
         self._machine.canon.pause_program()
         self._end()

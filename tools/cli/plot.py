@@ -63,9 +63,7 @@ def command(
     target = out or Path(Path(name).stem + ".html")
     try:
         check_outputs(json_file, plot=target, keep=(file, settings))
-        jobs = _jobs(
-            console, file, settings, what_if or (), board, around(board, custom, inputs)
-        )
+        jobs = _jobs(console, file, settings, what_if or (), board, around(board, custom, inputs))
         words = ""
         if len(jobs) > 1:
             extra = describe([as_line(text) for text in what_if or ()])

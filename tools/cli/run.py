@@ -75,6 +75,7 @@ def command(
     try:
         check_outputs(json_file, plot=picture, keep=(file, settings))
         lines = read_program(file)
+        surroundings = around(board, custom, inputs)
         acting = show_problems(console, lines)
         chosen = from_file(settings) if settings else []
         chosen += [as_line(text) for text in setting or ()]
@@ -87,7 +88,7 @@ def command(
                 settings=chosen,
                 check=check,
                 progress=screen.progress,
-                around=around(board, custom, inputs),
+                around=surroundings,
             )
             screen.progress(result.lines)
         seconds = time.monotonic() - begun

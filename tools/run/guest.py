@@ -13,11 +13,11 @@ from importlib.util import spec_from_loader
 from types import ModuleType
 from typing import Any
 
-from base.errors import Abort
 from boot import guests
 from extras import custom, handlers
 from extras.custom import Custom
-from extras.operator import Operator, Stopped
+from extras.machine_operator import Operator
+from extras.runner import Runner
 
 from .own_python import OwnPython, OwnPythonError
 
@@ -35,6 +35,7 @@ class Guest:
         self.running: list[str] = []  # handlers, the innermost last
         self.ran: list[str] = []  # handlers that came to their end, or failed
         self.faults: list[str] = []
+        self.interrupted = ""  # the handler that Ctrl-C has ended
         self.inputs: Any = None
         self.in_vain: "Callable[[str], None] | None" = None  # told of a wait that nobody ends
         self.told: "Callable[[str], None] | None" = None  # of a wait for a person
@@ -47,18 +48,6 @@ class Guest:
             if frame.filename in self.files:
                 place = f"{frame.filename}, line {frame.lineno}: "
         return f"{place}{type(fault).__name__}: {fault}".removesuffix(": ")
-
-    def trace(self, fault: BaseException) -> list[str]:
-        """The traceback from the user's first line on."""
-        frames = traceback.extract_tb(fault.__traceback__)
-        first = next((i for i, f in enumerate(frames) if f.filename in self.files), len(frames))
-        return [
-            line.rstrip()
-            for line in (
-                *traceback.format_list(frames[first:]),
-                *traceback.format_exception_only(type(fault), fault),
-            )
-        ]
 
     def waits(self, name: str, closed: bool, seconds: "float | None", is_so: bool) -> None:
         """A handler waits for an input."""
@@ -118,9 +107,7 @@ class WatchedOperator(Operator):
         if self.guest.switched:
             self.guest.switched(name, bool(on))
 
-    def wait_for(
-        self, name: str, closed: bool = True, seconds: "float | None" = None
-    ) -> bool:
+    def wait_for(self, name: str, closed: bool = True, seconds: "float | None" = None) -> bool:
         """As on the board."""
         self.guest.waits(name, closed, seconds, self.pin(name) == closed)
         try:
@@ -129,14 +116,49 @@ class WatchedOperator(Operator):
             self.guest.inputs.has_come()
 
 
-class WatchedCustom(Custom):
-    """Tells its guest which handlers run, and how they fail. What cannot be taken up is an
-    OwnPythonError: nobody wants to simulate a machine without it."""
+class WatchedRunner(Runner):
+    """Tells its guest which handlers run, and how they fail."""
 
-    def __init__(self, cnc: Any, operator: Operator) -> None:
-        assert _importer.guest and isinstance(operator, WatchedOperator)
-        self._guest = operator.guest = _importer.guest
-        super().__init__(cnc, operator)
+    guest: Guest
+
+    def run(
+        self,
+        what: str,
+        function: "Callable[..., Any]",
+        may_move: bool,
+        values: "tuple[Any, ...]" = (),
+        given: "dict[str, Any] | None" = None,
+    ) -> Any:
+        """Noted."""
+        guest = self.guest
+        guest.running.append(what)
+        try:
+            return super().run(what, function, may_move, values, given)
+        except KeyboardInterrupt as stop:
+            guest.interrupted = f"{what}: {guest.at(stop)}"
+            raise
+        finally:
+            guest.running.pop()
+            guest.ran.append(what)
+
+    def _fail(self, what: str, fault: Exception, may_move: bool) -> None:
+        self.guest.faults.append(f"{what}: {self.guest.at(fault)}")
+        super()._fail(what, fault, may_move)
+
+    def _is_own(self, file: str) -> bool:
+        return file in self.guest.files
+
+
+class WatchedCustom(Custom):
+    """Has its guest see what is taken up. What cannot be is an OwnPythonError: nobody wants to
+    simulate a machine without it."""
+
+    def __init__(self, cnc: Any, runner: Runner, happenings: Any) -> None:
+        guest = _importer.guest
+        assert guest and isinstance(runner, WatchedRunner)
+        assert isinstance(runner.operator, WatchedOperator)
+        self._guest = runner.guest = runner.operator.guest = guest
+        super().__init__(cnc, runner, happenings)
 
     def take(self, notes: list[Any]) -> None:
         """Examined first."""
@@ -153,40 +175,6 @@ class WatchedCustom(Custom):
         text = self._guest.at(fault)
         place = "" if ", line " in text else f"{self._guest.own.path}: "
         raise OwnPythonError(place + text) from fault
-
-    def run(
-        self,
-        what: str,
-        function: "Callable[..., Any]",
-        may_move: bool,
-        values: "tuple[Any, ...]" = (),
-        given: "dict[str, Any] | None" = None,
-    ) -> Any:
-        """Noted."""
-        guest = self._guest
-        guest.running.append(what)
-
-        def noted(*arguments: Any, **named: Any) -> Any:
-            try:
-                return function(*arguments, **named)
-            except (Abort, Stopped, handlers.Refuse):
-                raise
-            except KeyboardInterrupt as fault:
-                guest.faults.append(f"{what}: {guest.at(fault)}")
-                raise
-
-        try:
-            return super().run(what, noted, may_move, values, given)
-        finally:
-            guest.running.pop()
-            guest.ran.append(what)
-
-    def _fail(self, what: str, fault: Exception, may_move: bool) -> None:
-        self._guest.faults.append(f"{what}: {self._guest.at(fault)}")
-        super()._fail(what, fault, may_move)
-
-    def _is_own(self, file: str) -> bool:
-        return file in self._guest.files
 
 
 _importer = _Importer()
@@ -207,10 +195,10 @@ def _customs(board: ModuleType) -> "tuple[str, ...]":
 def _prepare() -> None:
     """Once: have the firmware use what watches."""
     if _importer not in sys.meta_path:
-        sys.meta_path.insert(0, _importer)  # type: ignore[arg-type]
+        sys.meta_path.insert(0, _importer)
         guests.customs = _customs
-        custom.Custom = WatchedCustom  # type: ignore[misc]
-        custom.Operator = WatchedOperator  # type: ignore[misc]
+        watching = (WatchedCustom, WatchedOperator, WatchedRunner)
+        vars(custom).update(zip(("Custom", "Operator", "Runner"), watching, strict=True))
 
 
 def invite(board: ModuleType, own: OwnPython) -> Guest:
@@ -219,4 +207,3 @@ def invite(board: ModuleType, own: OwnPython) -> Guest:
     guest = Guest(own)
     vars(board)[_GUEST] = guest
     return guest
-

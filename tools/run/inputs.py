@@ -102,7 +102,7 @@ class Inputs:
         if each.axis >= len(self._rig.board.STEP):
             raise ValueError(f"{each.name}: this machine has no axis {_AXES[each.axis]}")
         if getattr(self._rig.board, "COREXY", False) and each.axis < len("XY"):
-            raise ValueError(f"{each.name}: motors A and B move X and Y together: say a place of Z")
+            raise ValueError(f"{each.name}: motors A and B move both: say a place of Z")
         return PlaceSwitch(self._rig, self.names[each.name], each.axis, each.above, each.mm)
 
     # By hand
