@@ -68,6 +68,7 @@ def _read(modules: "tuple[str, ...]") -> "list[Note]":
     try:
         for name in modules:
             sys.modules.pop(name, None)
+        for name in modules:  # they may import one another
             __import__(name)
     finally:
         sys.modules.pop(_API)

@@ -13,6 +13,7 @@ from . import (
     build,
     conformance,
     console,
+    custom,
     decode,
     deploy,
     doctor,
@@ -24,7 +25,7 @@ from . import (
     send,
     settings,
 )
-from .custom_options import Custom, Inputs, around
+from .custom_options import CustomFile, Inputs, around
 from .outputs import check_outputs, failed
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
@@ -40,6 +41,7 @@ app.command("run", epilog=run.EXAMPLES)(run.command)
 app.command("ports")(ports.command)
 app.command("send", epilog=send.EXAMPLES)(send.command)
 app.command("selftest", epilog=selftest.EXAMPLES)(selftest.command)
+app.add_typer(custom.app, name="custom")
 app.add_typer(settings.app, name="settings")
 
 
@@ -111,7 +113,7 @@ def sim(
     plot: Annotated[
         Path | None, typer.Option(metavar="FILE", help="At the end, draw the tool's path there.")
     ] = None,
-    custom: Custom = None,
+    custom_file: CustomFile = None,
     inputs: Inputs = None,
 ) -> None:
     """Run the firmware behind a pseudo-terminal, or on TCP, that any sender can open.
@@ -134,7 +136,7 @@ def sim(
             tcp=tcp,
             rfc2217=rfc2217,
             blank=blank,
-            around=around(board, custom, inputs),
+            around=around(board, custom_file, inputs),
         )
         simulate(options)
     except (ValueError, OSError) as error:

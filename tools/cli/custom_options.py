@@ -9,10 +9,12 @@ from ..grbl.messages import meaning
 from ..run import inputs, machine
 from ..run.program import Result
 
-Custom = Annotated[
+CustomFile = Annotated[
     Path | None,
     typer.Option(
-        metavar="FILE", help="Your own Python for the board, a .py file or a folder of them."
+        "--custom",
+        metavar="FILE",
+        help="Your own Python for the board: a .py file, or a folder.",
     ),
 ]
 Inputs = Annotated[

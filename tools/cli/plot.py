@@ -12,7 +12,7 @@ from ..draw.job import Job, describe, from_file, run_job, short, verdict
 from ..grbl.gcode_file import name_of, read_program
 from ..grbl.settings_file import as_line
 from ..run import machine
-from .custom_options import Custom, Inputs, around, why_stopped
+from .custom_options import CustomFile, Inputs, around, why_stopped
 from .outputs import check_outputs, failed, save_json
 from .screen import Screen, show_errors, summary
 
@@ -50,7 +50,7 @@ def command(
     board: Annotated[str, typer.Option(metavar="NAME", help="Machine: a file of boards/.")] = (
         machine.DEFAULT_BOARD
     ),
-    custom: Custom = None,
+    custom: CustomFile = None,
     inputs: Inputs = None,
 ) -> None:
     """Draw what a program will do: its path, coloured by speed; speed, acceleration, step rates.

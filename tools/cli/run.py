@@ -16,7 +16,7 @@ from ..grbl.settings_file import as_line
 from ..run import machine
 from ..run.pace import Paced, Stretch
 from ..run.program import Result, run_program
-from .custom_options import Custom, Inputs, around, why_stopped
+from .custom_options import CustomFile, Inputs, around, why_stopped
 from .outputs import check_outputs, failed, save_json
 from .screen import (
     Screen,
@@ -61,7 +61,7 @@ def command(
     board: Annotated[
         str, typer.Option(metavar="NAME", help="Machine: a file of boards/, or a path.")
     ] = machine.DEFAULT_BOARD,
-    custom: Custom = None,
+    custom: CustomFile = None,
     inputs: Inputs = None,
 ) -> None:
     """Run a program in virtual time and say how long it takes, how far it goes, what is wrong.

@@ -4,6 +4,8 @@ import ast
 import hashlib
 import importlib
 import json
+import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -283,6 +285,20 @@ def _compile(name: str, text: str, arch: str, debug: bool) -> bytes:
     if done.returncode:
         raise BuildError(f"{name} cannot be compiled: {done.stderr.decode().strip()}")
     return done.stdout
+
+
+def refusal(source: bytes) -> "tuple[int, str] | None":
+    """Line and reason for which MicroPython's compiler refuses a file; None where it does not."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "module.py"
+        file.write_bytes(source)
+        command = [_mpy_cross(), "-o", os.devnull, str(file)]
+        done = subprocess.run(command, capture_output=True, check=False)
+    if not done.returncode:
+        return None
+    told = done.stderr.decode(errors="replace").strip()
+    line = re.findall(r", line (\d+)", told)
+    return int(line[-1]) if line else 0, told.splitlines()[-1] if told else "it is refused"
 
 
 def _mpy_cross() -> str:

@@ -43,11 +43,15 @@ class Guest:
 
     def at(self, fault: BaseException) -> str:
         """What has happened, with the last line of the user's own before it."""
+        return f"{self.place(fault)}{type(fault).__name__}: {fault}".removesuffix(": ")
+
+    def place(self, fault: BaseException) -> str:
+        """That line, or nothing."""
         place = ""
         for frame in traceback.extract_tb(fault.__traceback__):
             if frame.filename in self.files:
                 place = f"{frame.filename}, line {frame.lineno}: "
-        return f"{place}{type(fault).__name__}: {fault}".removesuffix(": ")
+        return place
 
     def waits(self, name: str, closed: bool, seconds: "float | None", is_so: bool) -> None:
         """A handler waits for an input."""
@@ -135,7 +139,7 @@ class WatchedRunner(Runner):
         try:
             return super().run(what, function, may_move, values, given)
         except KeyboardInterrupt as stop:
-            guest.interrupted = f"{what}: {guest.at(stop)}"
+            guest.interrupted = f"{what}: {guest.place(stop)}".removesuffix(": ")
             raise
         finally:
             guest.running.pop()

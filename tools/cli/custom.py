@@ -1,0 +1,102 @@
+"""`ugrbl custom`: the user's own Python, checked and put on a board."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from ..run import custom_check, custom_try, machine
+from ..run.custom_check import Verdict
+from ..run.machine import Around
+from ..run.own_python import OwnPython
+from .custom_options import Inputs, around
+from .outputs import check_output, failed, save_json
+
+app = typer.Typer(
+    no_args_is_help=True, help="Your own Python on the board: check, push, pull, edit, remove it."
+)
+
+File = Annotated[
+    Path,
+    typer.Argument(metavar="FILE", readable=False, help="A .py file, or a folder of them."),
+]
+Board = Annotated[
+    str, typer.Option(metavar="NAME", help="A file of boards/, or a path: it names the pins.")
+]
+Json = Annotated[
+    Path | None,
+    typer.Option("--json", metavar="FILE", help="Write the result there; - is stdout."),
+]
+_EXAMPLE = "\n\nExample:  ugrbl custom {}"
+
+
+@app.command(epilog=_EXAMPLE.format("check custom.py --board my_router.py"))
+def check(
+    file: File,
+    board: Board = machine.DEFAULT_BOARD,
+    inputs: Inputs = None,
+    json_file: Json = None,
+) -> None:
+    """Say what is in it and what is wrong with it, and let each handler run in the simulator.
+
+    Looks at words, letters and parameters, names of pins, imports, and what MicroPython's compiler
+    says. In the dry run letters are 1, and inputs come when they are waited for. The exit code is
+    1 if something is wrong.
+    """
+    check_output(json_file)
+    console = Console(stderr=str(json_file) == "-")
+    try:
+        surroundings = around(board, file, inputs)
+        verdict = judge(console, board, surroundings)
+    except (ValueError, OSError) as error:
+        raise failed(error) from error
+    if json_file:
+        save_json(verdict.as_json(), json_file)
+    if not verdict.is_good:
+        raise typer.Exit(1)
+
+
+def judge(console: Console, board: str, surroundings: Around) -> Verdict:
+    """Check it and tell what has been found."""
+    own = _own(surroundings)
+    with console.status(f"looking at {own.path} …"):
+        verdict, notes = custom_check.check(own, board, surroundings)
+        custom_try.try_all(notes, board, surroundings, verdict)
+    _tell(console, own, verdict, board)
+    return verdict
+
+
+def _own(surroundings: Around) -> OwnPython:
+    assert surroundings.custom
+    return surroundings.custom
+
+
+def _tell(console: Console, own: OwnPython, verdict: Verdict, board: str) -> None:
+    def say(mark: str, text: str, end: str = "") -> None:
+        console.print(f"{mark}{escape(text)}{end}", highlight=False, soft_wrap=True)
+
+    for problem in verdict.problems:
+        say("[red]BAD [/] ", problem)
+    for what, said, well in verdict.tried:
+        say(
+            "[green]ok  [/] " if well else "[red]BAD [/] ", said if not well else f"{what}: {said}"
+        )
+    for note in verdict.notes + _assumed(own, board):
+        say("[yellow]note[/] ", note)
+    count = len(verdict.handlers)
+    bad = len(verdict.problems) + sum(not well for _, _, well in verdict.tried)
+    words = f"{own.path}: {count} handler{'s' * (count != 1)}, " if count else f"{own.path}: "
+    say("[b]", words + (f"{bad} wrong" if bad else "all is well"), "[/b]")
+
+
+def _assumed(own: OwnPython, board: str) -> list[str]:
+    """Pins that only the simulator has."""
+    from ..boardfile.files import load_board
+
+    pins: dict[str, Any] = machine.assumed_pins(load_board(board), own)
+    named = [name for names in pins.values() for name in names]
+    if not named:
+        return []
+    return [f"pins are taken as there: {', '.join(named)}; --board NAME looks at a board's own"]

@@ -1,0 +1,248 @@
+"""The user's own Python, judged before it is on a board: what it asks for, and what is wrong.
+
+What can be read off it is: names of pins, imports, what MicroPython's compiler does not take.
+Then it is imported as the board would, and each handler's word and parameters are looked at. What
+only shows when a handler runs, custom_try.py finds.
+"""
+
+import ast
+import inspect
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..boardfile.board_check import is_simulated
+from ..boardfile.files import load_board
+from ..compiling import build
+from ..compiling.build import BuildError
+from . import machine
+from .machine import Around
+from .own_python import INPUT_CALLS, OUTPUT_CALLS, Module, OwnPython, OwnPythonError
+from .program import ProgramLink
+
+# What MicroPython 1.28 has on both kinds of chips (built in and frozen), and on one of them.
+ON_BOARDS = frozenset(
+    "_asyncio _onewire _thread aioble array asyncio binascii bluetooth builtins cmath collections "
+    "cryptolib deflate dht ds18x20 errno framebuf gc hashlib heapq io json machine marshal math "
+    "micropython mip neopixel network ntptime onewire openamp os platform random re requests "
+    "select socket ssl struct sys time tls uctypes urequests vfs weakref webrepl websocket".split()
+)
+ON_ONE_CHIP = {
+    "pio": frozenset("_rp2 lwip rp2".split()),
+    "esp": frozenset(
+        "_espnow aioespnow apa106 btree esp esp32 espnow logging senml umqtt upysh".split()
+    ),
+}
+API = "ugrbl"
+# What an event hands its handlers, besides m.
+_VALUES: dict[str, tuple[object, ...]] = {
+    "state_change": ("Idle", "Run"),
+    "alarm": (5,),
+    "tool_select": (1,),
+    "tool_change": (1,),
+    "probe_done": (None,),
+    "spindle": ("M3", 1000.0),
+    "coolant": (True, False),
+    "input": (True,),
+}
+_LETTERS = "ABCDEFHIJKLOPQRSTUVWXYZ"  # G and M are words of their own, N is the line's number
+
+
+@dataclass
+class Verdict:
+    """What a check has found. handlers: what there is, by title; tried: each, and what came of it;
+    notes: what could not be looked at."""
+
+    handlers: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    tried: list[tuple[str, str, bool]] = field(default_factory=list)  # title, words, well
+
+    @property
+    def is_good(self) -> bool:
+        """Nothing is wrong with it."""
+        return not self.problems and all(well for _, _, well in self.tried)
+
+    def as_json(self) -> dict[str, Any]:
+        """For other programs."""
+        tried = [{"handler": what, "said": said, "ok": well} for what, said, well in self.tried]
+        return {**vars(self), "tried": tried, "ok": self.is_good}
+
+
+def read_off(own: OwnPython, board: Any, verdict: Verdict) -> None:
+    """What can be said without running any of it."""
+    for module in own.modules.values():
+        verdict.problems += _syntax(module, verdict)
+        verdict.problems += _imports(own, module, board)
+    given = {**vars(board), **machine.assumed_pins(board, own)}
+    for calls, option, kind in (
+        (OUTPUT_CALLS, "OUTPUTS", "output"),
+        (INPUT_CALLS, "INPUTS", "input"),
+    ):
+        names = given.get(option, {})
+        for module, line, name in own.strings_given_to(*calls):
+            if name not in names:
+                known = f"there are {', '.join(names)}" if names else f"{option} names none"
+                verdict.problems.append(
+                    f"{module.file}, line {line}: the board file names no {kind} {name}; {known}"
+                )
+
+
+def _syntax(module: Module, verdict: Verdict) -> Iterator[str]:
+    """What Python takes, and MicroPython does not."""
+    try:
+        refused = build.refusal(module.source)
+    except BuildError as error:
+        verdict.notes = [f"not seen by MicroPython's compiler: {error}"]
+        return
+    if refused:
+        line, reason = refused
+        yield f"{module.file}, line {line}: MicroPython says: {reason}{_why(module, line)}"
+
+
+def _why(module: Module, line: int) -> str:
+    """What it does not know, where that is easy to see."""
+    for node in ast.walk(module.tree):
+        if isinstance(node, ast.stmt) and node.lineno == line and type(node).__name__ == "Match":
+            return ": it has no match"
+        if isinstance(node, ast.FunctionDef) and node.args.posonlyargs and node.lineno == line:
+            return ": it has no / among parameters"
+    return ""
+
+
+def _imports(own: OwnPython, module: Module, board: Any) -> Iterator[str]:
+    """Modules that a board has not."""
+    engine = getattr(board, "ENGINE", "")
+    chip = ON_ONE_CHIP["esp" if engine in ("rmt", "i2s") else "pio"]
+    if is_simulated(board):
+        chip = frozenset().union(*ON_ONE_CHIP.values())
+    for node in ast.walk(module.tree):
+        names: list[str] = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [node.module or ""] if not node.level else []
+            if node.level and not own.is_folder:
+                yield f"{module.file}, line {node.lineno}: there is nothing beside a single file"
+        for name in names:
+            first = name.partition(".")[0]
+            if first not in ON_BOARDS | chip and first not in (API, own.name, "ugrbl"):
+                yield f"{module.file}, line {node.lineno}: no board has a module {name}"
+
+
+# What it has noted down
+
+
+def take_up(own: OwnPython, board: str, around: Around, verdict: Verdict) -> "Sequence[Any]":
+    """Have the simulator import it; returns the notes where nothing is wrong with them."""
+    rig = machine.build(board, lambda rig: ProgramLink(rig, lambda link: iter(())), around=around)
+    rig.guest.examine = lambda cnc, notes: _examine(own, cnc, notes, verdict)
+    try:
+        machine.run(rig)
+    except OwnPythonError as error:
+        if not verdict.problems:
+            verdict.problems.append(str(error))
+        return ()
+    if not rig.guest.notes:
+        verdict.problems.append(f"{own.path}: no handler in it: @mcode, @gcode, @on…, @every")
+    return tuple(rig.guest.notes)
+
+
+def title(note: Any) -> str:
+    """`M100 P [Q]`, `on.tool_change`, `every 50`."""
+    kind, key, letters, sync, _ = note
+    if kind in "MG":
+        words = [c if c.isupper() else f"[{c.upper()}]" for c in letters]
+        return " ".join([f"{kind}{key}", *words]) + ("" if sync else ", beside motion")
+    if kind == "every":
+        return f"every {key} ms"
+    return f"on.input({key})" if kind == "input" else f"on.{kind}"
+
+
+def _examine(own: OwnPython, cnc: Any, notes: "list[Any]", verdict: Verdict) -> None:
+    seen: dict[tuple[str, Any], str] = {}
+    for note in notes:
+        kind, key, letters, _, function = note
+        verdict.handlers.append(title(note))
+        where = _place(function)
+        found = [*_word(cnc, kind, key, letters)] if kind in "MG" else []
+        if kind in "MG" and (kind, key) in seen:
+            found.append(f"{kind}{key} stands twice: {seen[kind, key]}")
+        seen.setdefault((kind, key), where)
+        found += _parameters(kind, letters, function)
+        verdict.problems += [f"{where}: {problem}" for problem in found]
+    if verdict.problems:
+        raise OwnPythonError(verdict.problems[0])
+
+
+def _place(function: "Callable[..., Any]") -> str:
+    code = getattr(inspect.unwrap(function), "__code__", None)
+    return f"{code.co_filename}, line {code.co_firstlineno}" if code else repr(function)
+
+
+def _word(cnc: Any, letter: str, number: Any, letters: Any) -> Iterator[str]:
+    word = f"{letter}{number}"
+    is_number = isinstance(number, int | float) and not isinstance(number, bool)
+    if not is_number or number < 0 or (letter == "M" and number != int(number)):
+        whole = "a whole number" if letter == "M" else "a number such as 81 or 81.1"
+        yield f"{word}: {whole} stands behind {letter}"
+    elif abs(number * 10 - round(number * 10)) > 1e-6:
+        yield f"{word}: words have tenths at the most"
+    elif cnc.is_taken(letter, number):
+        yield f"{word} is Grbl's own, or another extra's"
+    if not isinstance(letters, str):
+        yield f'{word}: its letters are a text: "Pq"'
+        return
+    for c in letters:
+        if c.upper() not in _LETTERS:
+            yield f"{word}: {c!r} cannot be a parameter: letters are, but G, M and N"
+    for c in {c for c in letters.upper() if letters.upper().count(c) > 1}:
+        yield f"{word}: {c} stands twice in {letters!r}"
+
+
+def _parameters(kind: str, letters: Any, function: "Callable[..., Any]") -> Iterator[str]:
+    """The parameters of the function against what it will be called with."""
+    if inspect.isgeneratorfunction(function):
+        yield f"{function.__name__} has a yield: none of it would run. Whoever waits just waits"
+        return
+    if inspect.iscoroutinefunction(function):
+        yield f"{function.__name__} is async: none of it would run"
+        return
+    there = inspect.signature(function).parameters
+    if not there:
+        yield f"{function.__name__}() takes no m: it is handed the machine first"
+        return
+    if kind in "MG":
+        yield from _letters(str(letters), there, function.__name__)
+        return
+    values = _VALUES.get(kind, ())
+    try:
+        inspect.signature(function).bind(None, *values)
+    except TypeError as error:
+        count = len(values)
+        given = "m alone" if not count else f"m and {count} value{'s' * (count > 1)}"
+        yield f"{function.__name__}() gets {given}: {error}"
+
+
+def _letters(letters: str, there: Any, name: str) -> Iterator[str]:
+    _, *others = there.values()
+    takes_all = any(each.kind is each.VAR_KEYWORD for each in others)
+    named = {each.name: each for each in others if each.kind is not each.VAR_KEYWORD}
+    for c in letters:
+        each = named.pop(c.upper(), None)
+        if each is None and not takes_all:
+            low = f": it is called {c.upper()}, not {c.lower()}" if c.lower() in named else ""
+            yield f"{name}() has no parameter {c.upper()}{low}"
+        elif each is not None and c.islower() and each.default is each.empty:
+            yield f"{name}(): {c.upper()} may be missing and has no default: {c.upper()}=0"
+    for each in named.values():
+        if each.default is each.empty and each.kind is not each.VAR_POSITIONAL:
+            yield f"{name}(): nobody gives it {each.name}; its letters are {letters!r}"
+
+
+def check(own: OwnPython, board: str, around: Around) -> "tuple[Verdict, Sequence[Any]]":
+    """All that can be said before a handler runs, and the notes of what could run."""
+    verdict = Verdict()
+    read_off(own, load_board(board), verdict)
+    notes = () if verdict.problems else take_up(own, board, around, verdict)
+    return verdict, notes

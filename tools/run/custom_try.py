@@ -1,0 +1,153 @@
+"""A dry run of each handler in the simulator: with a line or an event that brings it about.
+
+Words get 1 for each letter, once those that must be there, once all. An input that a handler
+waits for changes after a moment, and so does the probe. Nothing else is like the real machine: a
+handler that asks more of it may fail here, and says where.
+"""
+
+import _thread
+import threading
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from . import machine
+from .custom_check import Verdict, title
+from .machine import Around
+from .own_python import OwnPythonError
+from .program import ProgramLink, Step
+
+if TYPE_CHECKING:
+    from ..sim.rig import Rig
+
+_WAIT_MS = 200  # an input is waited for
+_LONGEST_S = 20.0  # by the clock of the wall: a handler that loops has no end
+_MOVE = b"G21 G91 G1 X1 F600"
+_PROBE = b"G21 G91 G38.2 Z-5 F200"
+_HOMING = (b"$22=1", b"$H")
+_BROKEN_OFF = (*(_MOVE,) * 20, b"\x18")  # more than are planned: it moves when the reset comes
+_SHORT = b"G4 P0.2"
+# What brings an event about.
+_LINES: dict[str, tuple[bytes, ...]] = {
+    "startup": (_SHORT,),
+    "after_homing": _HOMING,
+    "after_reset": (b"\x18", _SHORT),
+    "after_unlock": (*_BROKEN_OFF, b"$X", _SHORT),
+    "state_change": (_MOVE,),
+    "tool_select": (b"T1",),
+    "tool_change": (b"T1", b"M6"),
+    "probe_done": (_PROBE,),
+    "spindle": (b"M3 S1000", b"M5"),
+    "coolant": (b"M8", b"M9"),
+    "program_paused": (b"M0",),
+    "program_done": (b"M30",),
+    "alarm": (*_BROKEN_OFF, _SHORT),
+    "report": (b"?", _SHORT, b"?", _SHORT),
+}
+
+
+class TryLink(ProgramLink):
+    """Goes on behind an alarm, which may be what is asked for."""
+
+    def stop(self, why: str) -> None:
+        """Alarms do not."""
+        if not why.startswith("ALARM:"):
+            super().stop(why)
+
+
+def try_all(notes: Sequence[Any], board: str, around: Around, verdict: Verdict) -> None:
+    """Each on a machine of its own."""
+    patient = replace(around, others_ms=_WAIT_MS)
+    for note in notes:
+        said, well = _try(note, board, patient)
+        verdict.tried.append((title(note), said, well))
+
+
+def _try(note: Any, board: str, around: Around) -> tuple[str, bool]:
+    """What came of it in words, and whether that is well."""
+    kind, key, letters, _, _ = note
+    what = title(note).partition(" ")[0] if kind in "MG" else _called(kind, key)
+    runs = _words(what, letters) if kind in "MG" else [_event(kind, key)]
+    said = ""
+    for lines in runs:
+        rig = _rig(lines, kind, key, board, around)
+        try:
+            stopped = _run(rig, what)
+        except OwnPythonError as error:
+            return str(error), False
+        told = [text[5:-1] for _, text in rig.link.result.other_output if text[:5] == "[MSG:"]
+        faults = [fault for fault in rig.guest.faults if fault.startswith(f"{what}: ")]
+        if stopped or faults or rig.link.result.stopped:
+            return (faults or [stopped or rig.link.result.stopped])[0], False
+        if what not in rig.guest.ran:
+            return "not tried: could not be brought about here", True
+        refused = [reply for _, reply in rig.link.result.errors]
+        said = f"refuses its line: {told[-1] if told else refused[0]}" if refused else said
+    return said or "runs", True
+
+
+def _called(kind: str, key: Any) -> str:
+    """As the firmware calls it."""
+    if kind == "every":
+        return f"every {key}"
+    return f"on.input({key})" if kind == "input" else f"on.{kind}"
+
+
+def _words(word: str, letters: str) -> list[tuple[bytes, ...]]:
+    """Programs: with the letters that must be there, and with all."""
+    must = "".join(f" {c}1" for c in letters if c.isupper())
+    every = "".join(f" {c.upper()}1" for c in letters)
+    lines = [f"{word}{given}".encode() for given in dict.fromkeys((must, every))]
+    return [(line, _SHORT) for line in lines]
+
+
+def _event(kind: str, key: Any) -> tuple[bytes, ...]:
+    if kind == "every":
+        return (f"G4 P{3 * key / 1000:.3f}".encode(), _SHORT)
+    return _LINES.get(kind, (_SHORT,))
+
+
+def _rig(lines: Sequence[bytes], kind: str, key: Any, board: str, around: Around) -> "Rig":
+    def script(link: ProgramLink) -> Iterator[Step]:
+        from base import state
+
+        if link.rig.controller.state.run == state.ALARM:
+            yield 0, b"$X"
+        for number, line in enumerate(lines, 1):
+            yield number, line
+        yield None
+        if kind == "input":
+            for closed in (True, False):
+                link.rig.inputs.push(key, closed)
+                yield 1, _SHORT
+                yield None
+
+    rig = machine.build(board, lambda rig: TryLink(rig, script), around=around)
+    rig.guest.in_vain = rig.link.stop
+    if kind == "after_homing" and not getattr(rig.board, "COREXY", False):
+        from ..sim import switches
+
+        switches.fit(rig)
+    return rig
+
+
+def _run(rig: "Rig", what: str) -> str:
+    """Run it, not for longer than one waits. Returns why it was ended, if it was."""
+    is_late = threading.Event()
+
+    def interrupt() -> None:
+        is_late.set()
+        _thread.interrupt_main()
+
+    watch = threading.Timer(_LONGEST_S, interrupt)
+    watch.daemon = True
+    watch.start()
+    try:
+        machine.run(rig)
+    except KeyboardInterrupt:
+        if not is_late.is_set():
+            raise  # somebody's, who wants no more of it
+        return f"{rig.guest.interrupted or what}: no end of it within {_LONGEST_S:g} s"
+    finally:
+        watch.cancel()
+    return ""
