@@ -16,10 +16,11 @@ from micropython import const
 from extras import handlers
 from extras.happenings import Happenings
 from extras.machine_operator import Operator
-from extras.runner import Runner
+from extras.runner import TRACE, Runner
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from types import ModuleType
     from typing import Any
 
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 PINS = ("OUTPUTS", "INPUTS")
 _API = "ugrbl"  # the name by which custom.py knows handlers.py
+
+_INFO = b"$I+"
 
 _found: "dict[str, Any]" = {}
 
@@ -137,6 +140,27 @@ class Custom:
             report.message(text)
 
         report.build_info = build_info  # type: ignore[method-assign]
+        self._around_info()
+
+    def _around_info(self) -> None:
+        """$I+ ends with the last traceback that was kept, for `ugrbl doctor`."""
+        machine = self._machine
+        commands = machine.commands
+        usual = commands.whose
+
+        def whose(line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
+            execute = usual(line, length)
+            if bytes(line[:length]) != _INFO:
+                return execute
+
+            def execute_and_tell(line: bytearray, length: int) -> None:
+                execute(line, length)
+                for text in machine.saves.load(TRACE) or ():
+                    machine.report.message("Trace: " + harmless(text))
+
+            return execute_and_tell
+
+        commands.whose = whose  # type: ignore[method-assign]
 
     def _word(self, what: str, letters: str, sync: bool, function: "Function") -> "Function":
         names = [c.upper() for c in letters]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from extras.api import Cnc
     from extras.handlers import Function
 
-_TRACE = "custom"  # under which the last traceback is kept
+TRACE = "custom"  # under which the last traceback is kept
 _SLOW_MS = const(20)  # a handler that takes longer without service is told of
 # A collection takes 30 ms: it comes after so many handlers, where as many blocks wait, or none.
 _CALLS = const(32)
@@ -118,7 +118,7 @@ class Runner:
         machine = self._machine
         text = harmless("%s: %s" % (what, self.text(fault)))
         machine.commands.fault = text
-        machine.saves.save(_TRACE, trace(fault))
+        machine.saves.save(TRACE, trace(fault))
         machine.report.message(text)
         if may_move:
             machine.canon.synchronise()

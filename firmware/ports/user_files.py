@@ -10,6 +10,8 @@ def modules(name: str) -> "tuple[str, ...]":
     if last + ".py" in there:
         return (name,)
     if last not in there:
-        return ()
+        if last + ".whole" not in there:
+            return ()
+        os.rename(name + ".whole", name)  # `ugrbl custom push` was cut between two renamings
     files = sorted(os.listdir(name))
     return tuple([name + "." + file[:-3] for file in files if file.endswith(".py")])

@@ -13,7 +13,7 @@ from . import (
     build,
     conformance,
     console,
-    custom,
+    custom_board,
     decode,
     deploy,
     doctor,
@@ -41,7 +41,7 @@ app.command("run", epilog=run.EXAMPLES)(run.command)
 app.command("ports")(ports.command)
 app.command("send", epilog=send.EXAMPLES)(send.command)
 app.command("selftest", epilog=selftest.EXAMPLES)(selftest.command)
-app.add_typer(custom.app, name="custom")
+app.add_typer(custom_board.app, name="custom")
 app.add_typer(settings.app, name="settings")
 
 

@@ -85,6 +85,7 @@ class Doctor:
         self.add(*checkup.link(settings.firmware))
         health = _health(connection, settings.firmware)
         self.add(*checkup.stack(health), *checkup.drains(health), *checkup.faults(health))
+        self.add(*checkup.custom(health))
         self._state(connection)
         values = _numbers(settings)
         self.add(*checkup.settings(values, settings.firmware))

@@ -1,7 +1,7 @@
 """What may be wrong with a machine, in words: judged from what it says of itself."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 from ..boardfile import engines
@@ -22,6 +22,10 @@ _STOCK = {100: 250.0, 110: 500.0, 120: 10.0, 130: 200.0}
 _LONG_RAMP_S = 2.0
 
 NEW_MICROPYTHON = "put MicroPython 1.28 on the board: micropython.org/download"
+# What the firmware says of the user's own Python.
+_TRACE = "[MSG:Trace: "
+_LEFT_OUT = "[MSG:Custom left out: "
+_OF_HANDLER = re.compile(r"\[MSG:Last fault: (M\d+|G[\d.]+|on\.\w+(?:\([^)]*\))?|every \d+): ")
 _STACK = re.compile(r"\[MSG:Stack: (\d+) of (\d+) bytes used\]")
 _STACK_SPARE = 1024
 _DRAINS = re.compile(r"\[MSG:Drains: (\d+)\]")
@@ -133,7 +137,31 @@ def fault(told: str) -> Finding:
 
 def faults(replies: Iterable[str]) -> list[Finding]:
     """What the answer to `$I+` says of the last fault since power-up."""
-    return [fault(reply) for reply in replies if reply.startswith("[MSG:Last fault: ")]
+    told = [reply for reply in replies if reply.startswith("[MSG:Last fault: ")]
+    return [fault(reply) for reply in told if not _OF_HANDLER.match(reply)]
+
+
+def custom(replies: Sequence[str]) -> list[Finding]:
+    """What the answer to `$I+` says of the user's own Python: that it was left out, and the
+    traceback of the handler that has failed last, before power-up perhaps."""
+    found = []
+    for reply in replies:
+        if reply.startswith(_LEFT_OUT):
+            todo = "mend it: ugrbl custom edit; the machine is the plain one until then"
+            found.append(Finding("custom.py", BAD, _errors(reply[len(_LEFT_OUT) : -1]), todo))
+    trace = [_errors(reply[len(_TRACE) : -1]) for reply in replies if reply.startswith(_TRACE)]
+    if trace:
+        who = [_OF_HANDLER.match(reply) for reply in replies]
+        names = "".join(f"{match[1]} has failed\n" for match in who if match)
+        todo = "mend it: ugrbl custom edit; a push makes this go away"
+        found.append(Finding("custom.py", NOTE, names + "\n".join(trace), todo))
+    return found
+
+
+def _errors(text: str) -> str:
+    """As Python says it: the firmware keeps the word from senders, who would take it for an
+    answer."""
+    return re.sub(r"Err\b", "Error", text)
 
 
 def too_old(engine: str, chip: str, version: str) -> str:

@@ -48,6 +48,20 @@ _ABOUT = """(
     os.uname()[4],
 )"""
 _FREE = "(gc.collect(), gc.mem_free())[1] if globals().get('machine') else -1"
+_NAMES = (
+    "[e[0] for e in os.ilistdir({folder!r})] if {folder!r}[1:] in ('', *os.listdir('/')) else []"
+)
+_TRY_BOARD = """
+try:
+    import board
+except ImportError:
+    board = None
+"""
+_OPTIONS = """{
+    "CUSTOM": getattr(board, "CUSTOM", "custom"),
+    "OUTPUTS": getattr(board, "OUTPUTS", {}),
+    "INPUTS": getattr(board, "INPUTS", {}),
+} if board else None"""
 _FILES = """
 import binascii, hashlib, os
 def checksum(path):
@@ -84,6 +98,7 @@ class MpremoteDevice:
         self._transport.exec_raw = functools.partial(self._transport.exec_raw, timeout=_RAW_S)
         self._port = port
         self._heard = b""
+        self.told: list[str] = []  # messages of $I, behind a restart
 
     def close(self) -> None:
         """Give the port back."""
@@ -168,6 +183,25 @@ class MpremoteDevice:
         with self._mended(), contextlib.suppress(FileExistsError):
             self._transport.fs_mkdir(f"/{path}")
 
+    def names(self, folder: str) -> list[str]:
+        """All that is in a folder; nothing where there is none."""
+        self._run("import os")
+        found: list[str] = self._evaluate(_NAMES.format(folder=f"/{folder}"))
+        return found
+
+    def rename(self, pairs: "Iterable[tuple[str, str]]") -> None:
+        """One behind the other, by the board itself: a cable pulled out does not part them."""
+        steps = "".join(f"os.rename({f'/{old}'!r}, {f'/{new}'!r})\n" for old, new in pairs)
+        self._run(f"import os\n{steps}")
+
+    def options(self) -> dict[str, Any]:
+        """What its board file says of custom.py."""
+        self._run(_TRY_BOARD)
+        found: dict[str, Any] | None = self._evaluate(_OPTIONS)
+        if found is None:
+            raise DeployError("there is no board.py on it", "put the firmware there: ugrbl deploy")
+        return found
+
     # Out
 
     def restart(self) -> Running:
@@ -176,6 +210,7 @@ class MpremoteDevice:
             self._leave_raw()
             banner = self._start()
             build = self._build()
+            self.told = [text.decode("latin-1") for text in _MESSAGE.findall(self._heard)]
             return Running(banner, build, self._free_bytes())
 
     def _start(self) -> str:

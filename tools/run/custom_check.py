@@ -7,7 +7,7 @@ only shows when a handler runs, custom_try.py finds.
 
 import ast
 import inspect
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -75,17 +75,24 @@ def read_off(own: OwnPython, board: Any, verdict: Verdict) -> None:
         verdict.problems += _syntax(module, verdict)
         verdict.problems += _imports(own, module, board)
     given = {**vars(board), **machine.assumed_pins(board, own)}
-    for calls, option, kind in (
-        (OUTPUT_CALLS, "OUTPUTS", "output"),
-        (INPUT_CALLS, "INPUTS", "input"),
+    verdict.problems += unknown_pins(own, given.get("OUTPUTS", {}), given.get("INPUTS", {}))
+
+
+def unknown_pins(own: OwnPython, outputs: Collection[str], inputs: Collection[str]) -> list[str]:
+    """Names of pins that the board file does not have."""
+    found = []
+    for calls, option, names in (
+        (OUTPUT_CALLS, "OUTPUTS", outputs),
+        (INPUT_CALLS, "INPUTS", inputs),
     ):
-        names = given.get(option, {})
+        known = f"there are {', '.join(names)}" if names else f"{option} names none"
         for module, line, name in own.strings_given_to(*calls):
             if name not in names:
-                known = f"there are {', '.join(names)}" if names else f"{option} names none"
-                verdict.problems.append(
-                    f"{module.file}, line {line}: the board file names no {kind} {name}; {known}"
+                what = f"{option[:-1].lower()} {name}"
+                found.append(
+                    f"{module.file}, line {line}: the board file names no {what}; {known}"
                 )
+    return found
 
 
 def _syntax(module: Module, verdict: Verdict) -> Iterator[str]:
@@ -116,18 +123,21 @@ def _imports(own: OwnPython, module: Module, board: Any) -> Iterator[str]:
     chip = ON_ONE_CHIP["esp" if engine in ("rmt", "i2s") else "pio"]
     if is_simulated(board):
         chip = frozenset().union(*ON_ONE_CHIP.values())
-    for node in ast.walk(module.tree):
-        names: list[str] = []
+    for line, name in _imported(module.tree):
+        first = name.partition(".")[0]
+        if not first and not own.is_folder:
+            yield f"{module.file}, line {line}: nothing goes to the board with a single file"
+        elif first and first not in ON_BOARDS | chip | {API, own.name}:
+            yield f"{module.file}, line {line}: no board has a module {name}"
+
+
+def _imported(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Line and name of what is imported; "" for what lies beside."""
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
+            yield from ((node.lineno, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            names = [node.module or ""] if not node.level else []
-            if node.level and not own.is_folder:
-                yield f"{module.file}, line {node.lineno}: there is nothing beside a single file"
-        for name in names:
-            first = name.partition(".")[0]
-            if first not in ON_BOARDS | chip and first not in (API, own.name, "ugrbl"):
-                yield f"{module.file}, line {node.lineno}: no board has a module {name}"
+            yield node.lineno, "" if node.level else node.module or ""
 
 
 # What it has noted down

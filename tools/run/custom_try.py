@@ -41,7 +41,7 @@ _LINES: dict[str, tuple[bytes, ...]] = {
     "coolant": (b"M8", b"M9"),
     "program_paused": (b"M0",),
     "program_done": (b"M30",),
-    "alarm": (*_BROKEN_OFF, _SHORT),
+    "alarm": (_PROBE, _SHORT),  # with a probe that is closed before: ALARM:4
     "report": (b"?", _SHORT, b"?", _SHORT),
 }
 
@@ -113,6 +113,7 @@ def _rig(lines: Sequence[bytes], kind: str, key: Any, board: str, around: Around
 
         if link.rig.controller.state.run == state.ALARM:
             yield 0, b"$X"
+        link.rig.inputs.push("probe", kind == "alarm")
         for number, line in enumerate(lines, 1):
             yield number, line
         yield None

@@ -1,0 +1,278 @@
+"""`ugrbl custom` at a board: push, pull, edit and remove."""
+
+import os
+import shlex
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from ..compiling.build import digest
+from ..device import custom_shelf as shelves
+from ..device.connection import SendError
+from ..device.custom_shelf import Shelf
+from ..device.deploy import DeployError
+from ..run import custom_check, machine
+from ..run.own_python import OwnPython, OwnPythonError
+from . import ports
+from .custom import Board, File, app, judge
+from .custom_options import Inputs, around
+from .deploy import Bar
+from .outputs import failed
+from .ports import Port
+
+__all__ = ["app"]  # with the commands that need no board
+
+Anyway = Annotated[bool, typer.Option("--anyway", help="Even if a handler fails in the dry run.")]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
+_EXAMPLE = "\n\nExample:  ugrbl custom {}"
+_NEW = '''"""My own words for the machine: see docs/custom.md of ugrbl."""
+
+from ugrbl import mcode
+
+
+@mcode(100)
+def hello(m):
+    m.message("hello, I am at %s" % m.position())
+'''
+
+
+@app.command(epilog=_EXAMPLE.format("push custom.py --port /dev/ttyACM0"))
+def push(
+    file: File,
+    port: Port = None,
+    board: Board = machine.DEFAULT_BOARD,
+    inputs: Inputs = None,
+    anyway: Anyway = False,
+) -> None:
+    """Check it, put it on the board in the place of what is there, and start the board anew.
+
+    The machine has to stand still (Idle or Alarm); it starts as after power-up: home it, or set
+    its zero again. Whatever breaks off half way, the old file is there, or the new one.
+    """
+    console = Console()
+    with _told():
+        own = _judged(console, file, board, inputs, anyway)
+        where = ports.choose(port)
+        _push(console, where, own)
+
+
+def _judged(
+    console: Console, file: Path, board: str, inputs: "list[str] | None", anyway: bool
+) -> OwnPython:
+    """What has passed the check. Ends the command where it has not."""
+    surroundings = around(board, file, inputs)
+    verdict = judge(console, board, surroundings)
+    if verdict.problems or not (verdict.is_good or anyway):
+        todo = "" if verdict.problems else "; --anyway does, if only the dry run is to blame"
+        raise failed(f"nothing has been put on a board{todo}")
+    assert surroundings.custom
+    return surroundings.custom
+
+
+def _push(console: Console, port: str, own: OwnPython) -> None:
+    with _shelf(port) as shelf:
+        options = shelf.options()
+        name = shelves.name_of(options)
+        files = renamed(own, name)
+        wrong = custom_check.unknown_pins(own, options["OUTPUTS"], options["INPUTS"])
+        if wrong:
+            shelf.restart()
+            raise DeployError(
+                "\n".join(wrong), "name the pin in the board file, and deploy it; nothing was put"
+            )
+        with Bar(console) as bar:
+            bar.begin(len(files), sum(map(len, files.values())))
+            shelves.push(shelf, name, files, bar.written)
+        shelf.restart()
+        _tell_start(console, f"{', '.join(files)} at {port}", shelf.told)
+
+
+def renamed(own: OwnPython, name: str) -> dict[str, bytes]:
+    """Its files, by the name that this board reads."""
+    if own.is_folder and name != own.name:
+        lines = [str(m.file) for m in own.modules.values() if f"{own.name}.".encode() in m.source]
+        if lines:
+            raise DeployError(
+                f"this board reads the folder {name}, and {lines[0]} speaks of {own.name}",
+                f"write {name} there, or check and push with --board and its board file",
+            )
+    return {path.replace(own.name, name, 1): content for path, content in own.files.items()}
+
+
+def _tell_start(console: Console, what: str, told: "list[str]") -> None:
+    """What the firmware says of it. Ends the command where it has left it out."""
+    for text in told:
+        if text.startswith("Custom: "):
+            console.print(
+                f"[green]ok  [/] {escape(what)}: {escape(text[8:])}",
+                highlight=False,
+                soft_wrap=True,
+            )
+            return
+        if text.startswith("Custom left out: "):
+            raise DeployError(
+                f"{what}: the board has it, and leaves it out: {text[17:]}",
+                "mend it and push it again, or take it away: ugrbl custom remove",
+            )
+    raise DeployError(
+        f"{what}: the board has it, and its firmware does not know of it",
+        "put the firmware of today there: ugrbl deploy",
+    )
+
+
+@app.command(epilog=_EXAMPLE.format("pull mine.py --port /dev/ttyACM0"))
+def pull(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A .py file, or a folder.")],
+    port: Port = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
+) -> None:
+    """Fetch what is on the board, and start the board anew."""
+    with _told():
+        if file.exists() and not force:
+            raise DeployError(f"{file} is there already", "--force replaces it")
+        where = ports.choose(port)
+        found = _fetch(where)
+        if not found:
+            raise DeployError(f"there is none on the board at {where}", "ugrbl custom push FILE")
+        made = keep(found, file)
+        Console().print(f"{made} is what is at {where}", highlight=False, soft_wrap=True)
+
+
+def _fetch(port: str) -> dict[str, bytes]:
+    with _shelf(port) as shelf:
+        name = shelves.name_of(shelf.options())
+        found = shelves.pull(shelf, name)
+        shelf.restart()
+        return found
+
+
+def keep(found: Mapping[str, bytes], file: Path) -> Path:
+    """Write it as a file, or as a folder of files, and say where it is."""
+    if len(found) == 1 and "/" not in next(iter(found)):
+        if file.is_dir():
+            file /= next(iter(found))
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(next(iter(found.values())))
+        return file
+    if file.suffix == ".py":
+        raise DeployError(f"on the board there is a folder: {file} cannot be one", "name a folder")
+    file.mkdir(parents=True, exist_ok=True)
+    for path, content in found.items():
+        (file / path.rpartition("/")[2]).write_bytes(content)
+    return file
+
+
+@app.command(epilog=_EXAMPLE.format("edit --port /dev/ttyACM0"))
+def edit(
+    port: Port = None,
+    board: Board = machine.DEFAULT_BOARD,
+    inputs: Inputs = None,
+    anyway: Anyway = False,
+) -> None:
+    """Open what is on the board in $EDITOR, and push it if you have changed it.
+
+    Where there is none a first one is there to be changed.
+    """
+    with _told():
+        editor = shlex.split(os.environ.get("VISUAL") or os.environ.get("EDITOR") or "")
+        if not editor:
+            raise DeployError("no editor is known", "say which: export EDITOR=nano")
+        where = ports.choose(port)
+        found = _fetch(where) or {"custom.py": _NEW.encode()}
+        folder = Path(tempfile.mkdtemp(prefix="ugrbl-custom-"))
+        is_single = all("/" not in path for path in found)
+        copy = keep(found, folder / ("custom.py" if is_single else "custom"))
+        try:
+            done = _edit(Console(), editor, copy, where, board, inputs, anyway)
+        except (typer.Exit, Exception):
+            text = f"your copy is {copy}: push it when it is right"
+            Console(stderr=True).print(text, highlight=False, soft_wrap=True)
+            raise
+        shutil.rmtree(folder)
+        if not done:
+            Console().print("nothing was changed", highlight=False)
+
+
+def _edit(
+    console: Console,
+    editor: "list[str]",
+    copy: Path,
+    port: str,
+    board: str,
+    inputs: "list[str] | None",
+    anyway: bool,
+) -> bool:
+    """Have it edited and pushed; returns whether it was changed."""
+    before = _digests(copy)
+    try:
+        subprocess.run([*editor, str(copy)], check=True)
+    except (OSError, subprocess.CalledProcessError) as error:
+        raise DeployError(
+            f"the editor {editor[0]} failed: {error}", "nothing was pushed"
+        ) from error
+    if _digests(copy) == before:
+        return False
+    _push(console, port, _judged(console, copy, board, inputs, anyway))
+    return True
+
+
+def _digests(copy: Path) -> dict[str, str]:
+    files = [copy] if copy.is_file() else sorted(copy.rglob("*.py"))
+    return {str(file): digest(file.read_bytes()) for file in files}
+
+
+@app.command(epilog=_EXAMPLE.format("remove --port /dev/ttyACM0"))
+def remove(port: Port = None, yes: Yes = False) -> None:
+    """Take it off the board, and start the plain machine."""
+    with _told():
+        where = ports.choose(port)
+        if not yes and not typer.confirm(f"Take your Python off the board at {where}?"):
+            raise typer.Exit(1)
+        with _shelf(where) as shelf:
+            there = shelves.remove(shelf, shelves.name_of(shelf.options()))
+            shelf.restart()
+        text = "is off the board" if there else "was not on the board"
+        Console().print(f"custom.py {text} at {where}", highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def _shelf(port: str) -> "Iterator[Shelf]":
+    """A board at its prompt."""
+    from ..device.deploy_device import MpremoteDevice  # which needs a moment to be imported
+
+    shelf: Any = MpremoteDevice(port)
+    try:
+        shelf.enter()
+        yield shelf
+    finally:
+        shelf.close()
+
+
+@contextmanager
+def _told() -> "Iterator[None]":
+    """What goes wrong, in words, and what helps."""
+    try:
+        yield
+    except DeployError as error:
+        raise _failed(str(error), error.todo) from error
+    except (SendError, OwnPythonError, ValueError, OSError) as error:
+        raise failed(error) from error
+    except KeyboardInterrupt as error:
+        todo = "see what is on the board: ugrbl custom pull; unplug it if nothing answers"
+        raise _failed("stopped half way", todo) from error
+
+
+def _failed(why: str, todo: str) -> typer.Exit:
+    console = Console(stderr=True)
+    console.print(f"[red]{escape(why)}", highlight=False, soft_wrap=True)
+    if todo:
+        console.print(f"  -> {escape(todo)}", highlight=False, soft_wrap=True)
+    return typer.Exit(1)
