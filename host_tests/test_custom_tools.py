@@ -144,10 +144,11 @@ def test_an_input_that_is_closed_from_the_start_is_not_waited_for() -> None:
     assert code == 0 and found["time_s"] < 0.1
 
 
-def test_whoever_polls_an_input_for_ever_is_stopped() -> None:
+def test_whoever_polls_an_input_for_ever_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ugrbl.run.program._WAITING_MS", 60_000)
     text = "from ugrbl import mcode\n@mcode(101)\ndef f(m):\n    while not m.pin('part'):\n"
     code, _, done = ran("M101\n", text + "        m.wait(1)\n")
-    assert code == 1 and "M101 has waited for 10 minutes" in done.stderr
+    assert code == 1 and "M101 has waited for 1 minute" in done.stderr
 
 
 def test_a_handler_that_fails_is_told_with_file_and_line() -> None:
@@ -172,7 +173,7 @@ BROKEN = {
     VACUUM.replace("@mcode(100, ", "@gcode(1, ").replace("mcode", "gcode"): "G1 is taken",
     "from ugrbl import on\n@on.lunch\ndef f(m): pass\n": "there is no event on.lunch",
     "from ugrbl import no_such_word\n": "cannot import name 'no_such_word'",
-    "\0": "is no Python file",
+    "x = '\0'\n": "null bytes",
 }
 
 
@@ -274,7 +275,8 @@ def test_a_custom_file_that_happens_to_lie_there_is_not_read() -> None:
 def test_a_person_pushes_the_input_that_a_handler_waits_for(tmp_path: Path) -> None:
     from test_sim_pty import Sim
 
-    written(FEEDER)
+    again = '    m.wait_for("part", closed'
+    written(FEEDER.replace(again, f"    m.message('there')\n{again}"))
     read, write = os.pipe()
     stdin = os.dup(0)
     os.dup2(read, 0)
@@ -289,6 +291,7 @@ def test_a_person_pushes_the_input_that_a_handler_waits_for(tmp_path: Path) -> N
             sender.send(b"?")
             sender.wait("<")
             os.write(write, b"nonsense\npart\n")
+            sender.wait("there")
             os.write(write, b"part off\n")
             sender.wait("ok")
     finally:
@@ -351,7 +354,8 @@ def test_a_handler_without_an_end_is_told(monkeypatch: pytest.MonkeyPatch) -> No
 
 WRONG = [
     ("@mcode(3)\ndef f(m): pass", "M3 is Grbl's own"),
-    ("@mcode(100)\ndef f(m): pass\n@mcode(100)\ndef g(m): pass", "M100 stands twice: mine.py, line 2"),
+    ("@mcode(9)\ndef f(m): pass", "M9 is Grbl's own"),
+    ("@mcode(100)\ndef f(m): 1\n@mcode(100)\ndef g(m): 1", "M100 stands twice: mine.py, line 2"),
     ("@mcode(100.5)\ndef f(m): pass", "M100.5: a whole number stands behind M"),
     ("@mcode(-1)\ndef f(m): pass", "M-1: a whole number stands behind M"),
     ("@mcode('x')\ndef f(m): pass", "Mx: a whole number stands behind M"),

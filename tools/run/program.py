@@ -246,7 +246,8 @@ class ProgramLink(machine.UntimedLink):
         """Nothing moves while it runs."""
         if self.rig.now - self.news > _WAITING_MS * self.rig.ticks_per_ms:
             minutes = _WAITING_MS // 60_000
-            self.stop(f"{what} has waited for {minutes} minutes: what for does never come here")
+            long = f"{minutes} minute{'s' * (minutes > 1)}"
+            self.stop(f"{what} has waited for {long}: what for does never come here")
 
     def _resume(self) -> None:
         self._out += CYCLE_START
