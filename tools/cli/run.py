@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -81,15 +80,10 @@ def command(
         chosen = from_file(settings) if settings else []
         chosen += [as_line(text) for text in setting or ()]
         begun = time.monotonic()
-        run: _Runner = partial(
-            trace_program if picture else run_program,
-            board=board,
-            settings=chosen,
-            check=check,
-            around=surroundings,
-        )
+        run: _Runner = trace_program if picture else run_program
+        asked = {"board": board, "settings": chosen, "check": check, "around": surroundings}
         with Screen(console, name, len(lines)) as screen:
-            result, recorder = run(lines, progress=screen.progress)
+            result, recorder = run(lines, progress=screen.progress, **asked)
             screen.progress(result.lines)
         seconds = time.monotonic() - begun
         late = recorder.starves(lines)

@@ -25,7 +25,8 @@ ON_BOARDS = frozenset(
     "_asyncio _onewire _thread aioble array asyncio binascii bluetooth builtins cmath collections "
     "cryptolib deflate dht ds18x20 errno framebuf gc hashlib heapq io json machine marshal math "
     "micropython mip neopixel network ntptime onewire openamp os platform random re requests "
-    "select socket ssl string struct sys time tls uctypes urequests vfs weakref webrepl websocket".split()
+    "select socket ssl string struct sys time tls uctypes urequests vfs weakref webrepl "
+    "websocket".split()
 )
 ON_ONE_CHIP = {
     "pio": frozenset("_rp2 lwip rp2".split()),
