@@ -186,7 +186,7 @@ class MpremoteDevice:
     def names(self, folder: str) -> list[str]:
         """All that is in a folder; nothing where there is none."""
         self._run("import os")
-        found: list[str] = self._evaluate(_NAMES.format(folder=f"/{folder}"))
+        found: list[str] = self._evaluate(_NAMES.format(folder=folder))
         return found
 
     def rename(self, pairs: "Iterable[tuple[str, str]]") -> None:
