@@ -48,9 +48,7 @@ _ABOUT = """(
     os.uname()[4],
 )"""
 _FREE = "(gc.collect(), gc.mem_free())[1] if globals().get('machine') else -1"
-_NAMES = (
-    "[e[0] for e in os.ilistdir({folder!r})] if {folder!r}[1:] in ('', *os.listdir('/')) else []"
-)
+_NAMES = "os.listdir('/{folder}') if {folder!r} in [''] + os.listdir('/') else []"
 _TRY_BOARD = """
 try:
     import board
