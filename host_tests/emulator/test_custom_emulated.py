@@ -61,3 +61,26 @@ def test_a_file_is_pushed_runs_fails_and_goes(uf2: Path, tmp_path: Path) -> None
         assert done.returncode == 0, done.stdout + done.stderr
         with grbl(port) as machine:
             assert "error:20" in ask(machine, "M100 P1")
+
+
+def test_a_folder_takes_the_place_of_a_file_and_of_a_folder(uf2: Path, tmp_path: Path) -> None:
+    made = build.for_board(_BOARD)
+    made.files["custom.py"] = b"1 / 0\n"
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "a.py").write_text("def hello(m):\n    m.message('hello')\n")
+    text = "from ugrbl import mcode\nfrom custom.a import hello\nmcode(100)(hello)\n"
+    (mine / "b.py").write_text(text)
+    with pico(uf2, tmp_path, made) as port:
+        with grbl(port) as machine:
+            left_out = "[MSG:Custom left out: custom.py, line 1: ZeroDivisionErr: divide by zero]"
+            assert left_out in [line.replace(", in <module>", "") for line in ask(machine, "$I")]
+        for word in (100, 101):
+            (mine / "b.py").write_text(text.replace("100", str(word)))
+            done = ugrbl("custom", "push", mine, "--port", port)
+            assert done.returncode == 0, done.stdout + done.stderr
+        with grbl(port) as machine:
+            assert "[MSG:hello]" in ask(machine, "M101")
+        there = ugrbl("custom", "pull", tmp_path / "got", "--port", port)
+        assert there.returncode == 0, there.stderr
+        assert sorted(file.name for file in (tmp_path / "got").iterdir()) == ["a.py", "b.py"]
