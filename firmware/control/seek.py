@@ -70,6 +70,7 @@ class Seek:
         self._target = vector(planner.axes)
         self._move = plan.Move()
         self.probe_steps = array("i", (0 for _ in range(motors)))
+        self.is_probing = False  # a probing move is under way
 
     # Probing (G38.2 to G38.5)
 
@@ -90,10 +91,14 @@ class Seek:
         self._canon.line(target, move)
         self._canon.finish()
         self._port.watch_probe(self._on_contact, self._inputs.contact_level(away))
-        state.post(st.CYCLE_START)
-        self._canon.service()
-        while state.run != st.IDLE:
+        self.is_probing = True
+        try:
+            state.post(st.CYCLE_START)
             self._canon.service()
+            while state.run != st.IDLE:
+                self._canon.service()
+        finally:
+            self.is_probing = False
         self._port.watch_probe(None, False)
         if self._contact:
             state.probe_succeeded = True

@@ -8,14 +8,15 @@ beside motion has its turn wherever the loop waits.
 import micropython
 from base import errors
 from base import state as st
-from base.errors import GrblError
+from base.errors import Abort, GrblError
 from control import coolant
 from control import spindle as sp
 from micropython import const
 from motion.layout import HEAD, ROWS, TAIL
 
 from extras import handlers
-from extras.machine_operator import Place
+from extras.machine_operator import STATES
+from extras.places import Place
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -41,17 +42,6 @@ _UNLOCK = const(88)  # $X
 _M6 = const(6)
 _HIGHEST_TOOL = const(255)
 _SPINDLE = {sp.OFF: "M5", sp.CW: "M3", sp.CCW: "M4"}
-_STATES = {
-    st.IDLE: "Idle",
-    st.ALARM: "Alarm",
-    st.CHECK: "Check",
-    st.HOMING: "Home",
-    st.RUN: "Run",
-    st.HOLD: "Hold",
-    st.JOG: "Jog",
-    st.DOOR: "Door",
-    st.SLEEP: "Sleep",
-}
 
 
 class Happenings:
@@ -101,8 +91,18 @@ class Happenings:
     def between_lines(self) -> None:
         """The main loop's turn, between two lines."""
         if self._due:
-            self.settle()
+            self._settle_between()
         self._runner.turn()
+        self._runner.operator.turn()
+
+    def _settle_between(self) -> None:
+        """Nobody waits for an answer; of an alarm the loop tells behind an Abort."""
+        try:
+            self.settle()
+        except GrblError:
+            return  # its handler refuses, and has said why
+        if self._state.alarm and not self._state.pending[st.RESET]:
+            raise Abort
 
     def settle(self) -> None:
         """Those that may move hear of what has happened. Between two lines only."""
@@ -144,7 +144,7 @@ class Happenings:
         """See what has happened that nobody else tells."""
         run = self._state.run
         if run != self._run:
-            self._happen("state_change", _STATES[self._run], _STATES[run])
+            self._happen("state_change", STATES[self._run], STATES[run])
             self._run = run
         if self._changed[0]:
             self._changed[0] = 0

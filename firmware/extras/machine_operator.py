@@ -11,84 +11,40 @@ from base.errors import GrblError
 from base.f32 import vector
 from base.faults import harmless
 from control.coords import NAMES
-from control.modes import MODAL_LENGTH, SPINDLE, SYSTEM
+from control.modes import INCHES
 from micropython import const
 
+from extras.gcode_text import clean, words_of
 from extras.handlers import Refused
 from extras.keep import Keep
+from extras.places import Place, Saved
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from array import array
     from collections.abc import Callable
     from typing import Any
 
     from talk.controller import Controller
 
-_COOLANT = const(SPINDLE + 1)
+STATES = {
+    st.IDLE: "Idle",
+    st.ALARM: "Alarm",
+    st.CHECK: "Check",
+    st.HOMING: "Home",
+    st.RUN: "Run",
+    st.HOLD: "Hold",
+    st.JOG: "Jog",
+    st.DOOR: "Door",
+    st.SLEEP: "Sleep",
+}
+_MM_PER_INCH = 25.4
+_LETTERS = "XYZA"
+_MOST_JOGS = const(4)  # asked for and not begun
 
 
 class Stopped(BaseException):
     """There is an alarm, or a reset: the handler has come to its end. No Exception, for a handler
     that catches those is to end, too."""
-
-
-class Place:
-    """A place: x, y, z and, where there is one, a; or place[0] and so on."""
-
-    def __init__(self, mm: "array[float]") -> None:
-        self._mm = [mm[i] for i in range(len(mm))]
-
-    def __getitem__(self, axis: int) -> float:
-        return self._mm[axis]
-
-    def __repr__(self) -> str:
-        return "(%s)" % ", ".join(["%.3f" % mm for mm in self._mm])
-
-    @property
-    def x(self) -> float:
-        return self._mm[0]
-
-    @property
-    def y(self) -> float:
-        return self._mm[1]
-
-    @property
-    def z(self) -> float:
-        return self._mm[2]
-
-    @property
-    def a(self) -> float:
-        return self._mm[3]
-
-
-class Saved:
-    """Modes, feed and offsets as they were, behind a with statement. Spindle and coolant are what
-    the machine does, and stay."""
-
-    def __init__(self, machine: "Controller") -> None:
-        self._machine = machine
-
-    def __enter__(self) -> None:
-        modes, coords = self._machine.modes, self._machine.coords
-        self._modal = list(modes.modal)
-        self._feed, self._rpm = modes.feed, modes.spindle_rpm
-        self._length, self._g92 = coords.tool_length, coords.g92[:]
-
-    def __exit__(self, *fault: object) -> None:
-        machine = self._machine
-        modes, coords = machine.modes, machine.coords
-        if machine.state.pending[st.RESET]:
-            return  # which has modes of its own
-        for i in range(MODAL_LENGTH):
-            if i not in (SPINDLE, _COOLANT):
-                modes.modal[i] = self._modal[i]
-        coords.active = modes.modal[SYSTEM]
-        modes.feed, modes.spindle_rpm = self._feed, self._rpm
-        coords.tool_length = self._length
-        coords.set_g92(self._g92)
-        machine.state.wco_countdown = 0
-        machine.interpreter.fast.forget()
 
 
 class Operator:
@@ -107,6 +63,8 @@ class Operator:
         self.may_move = False  # the handler that runs now
         self.tool = 0  # keep-name: custom.py may say m.tool; the one selected last, T
         self.keep = Keep(machine.saves)
+        self._open: "list[Saved]" = []  # what is to be put back
+        self._jogs: "list[str]" = []  # asked for and not begun
 
     # For custom.py's keeper
 
@@ -122,10 +80,10 @@ class Operator:
         self._since_ms = self._machine.port.ticks_ms()
 
     def look(self) -> None:
-        """See how long a handler has taken, and whether it is to end."""
-        self.slow_ms = max(self.slow_ms, self._machine.port.elapsed_ms(self._since_ms))
+        """See whether a handler is to end, and how long it has taken."""
         if self._state.pending[st.RESET] or self._state.alarm:
             raise Stopped
+        self.slow_ms = max(self.slow_ms, self._machine.port.elapsed_ms(self._since_ms))
 
     def _wait(self) -> None:
         """What follows moves or waits. RuntimeError where the handler may not."""
@@ -140,37 +98,62 @@ class Operator:
     def forget(self) -> None:
         """A reset has set all outputs to rest."""
         self._levels = 0
+        self._open.clear()
+        self._jogs.clear()
+
+    def turn(self) -> None:
+        """Begin the jogs that have been asked for. Between two lines only."""
+        machine, state = self._machine, self._state
+        while self._jogs:
+            if state.run == st.IDLE and not machine.planner.empty():
+                return  # a line that has not begun
+            code = self._jogs.pop(0).encode()
+            if state.run in (st.IDLE, st.JOG):
+                try:
+                    machine.interpreter.jog(bytearray(code + b"\0"), len(code))
+                except GrblError as reason:
+                    self.message("The jog is refused with %d" % reason.code)
 
     # Motion
 
     def g(self, text: str) -> None:
-        """Execute G-code, a line or several. Raises Refused with Grbl's number."""
+        """Execute G-code, a line or several, in the modes in force. Raises Refused with Grbl's
+        number."""
         for line in text.split("\n"):
-            self._wait()
-            if self._state.run == st.ALARM:
-                raise Refused(errors.SYSTEM_GC_LOCK, line)
-            code = _clean(line)
-            if len(code) > 1:
-                try:
-                    self._machine.interpreter.execute(code, len(code) - 1)
-                except GrblError as reason:
-                    raise Refused(reason.code, line) from reason
-            self._end()
+            self._line(line, line)
+
+    def _line(self, line: str, told: str) -> None:
+        """Execute a line. told: what it is called where it is refused."""
+        machine = self._machine
+        self._wait()
+        if self._state.run == st.ALARM:
+            raise Refused(errors.SYSTEM_GC_LOCK, told)
+        code = clean(line)
+        if len(code) > len(machine.reader.line):
+            raise Refused(errors.OVERFLOW, told)
+        if len(code) > 1:
+            try:
+                machine.interpreter.execute(code, len(code) - 1)
+            except GrblError as reason:
+                self.rested()
+                raise Refused(reason.code, told) from reason
+        self._end()
 
     def saved(self) -> Saved:
-        """with m.saved(): modes, feed and offsets are put back behind it."""
-        return Saved(self._machine)
+        """with m.saved(): millimetres, absolute, XY plane and mm/min within it (G21 G90 G17 G94);
+        modes, feed and offsets are put back behind it."""
+        return Saved(self._machine, True, self._open)
 
     def probe(
         self,
         words: str,
         must: bool = True,  # keep-name: custom.py may say must=
     ) -> "Place | None":
-        """Move until the probe touches: words as behind G38.2, with G53 in machine coordinates.
+        """Move until the probe touches: words as behind G38.2, with G53 mm in machine coordinates.
         Returns where it touched, in machine coordinates. must: no contact is ALARM:5; otherwise
-        None is returned."""
+        None is returned. One that touches already is ALARM:4, before anything moves."""
         self._wait()
-        with self.saved():
+        with Saved(self._machine, False, self._open):
             self.g("G38.%d%s" % (2 if must else 3, self._in_work(words)))
         if not self._state.probe_succeeded:
             return None
@@ -178,19 +161,52 @@ class Operator:
 
     def _in_work(self, words: str) -> str:
         """The words without a G53: places as they read in work coordinates."""
-        text = _clean(words)[:-1].decode()
+        text = clean(words)[:-1].decode()
         if "G53" not in text:
             return text
-        machine = self._machine
         self.g("G21G90")
-        coords = machine.coords
-        zero = list(coords.zero(coords.active))
-        zero[coords.length_axis] += coords.tool_length
         found = ""
-        for letter, number in _words(text.replace("G53", "")):
-            axis = "XYZA".find(letter)
-            found += "%s%.4f" % (letter, number if axis < 0 else number - zero[axis])
+        for letter, number in words_of(text.replace("G53", "")):
+            axis = _LETTERS.find(letter)
+            if axis < 0 and letter != "F":
+                raise ValueError("m.probe: only axes and F go with G53, not %s" % letter)
+            found += "%s%.4f" % (letter, number if axis < 0 else number - self._zero(axis))
         return found
+
+    def _zero(self, axis: int) -> float:
+        """Where work begins, in machine coordinates, tool length included."""
+        coords = self._machine.coords
+        length = coords.tool_length if axis == coords.length_axis else 0.0
+        return coords.zero(coords.active)[axis] + length
+
+    def touches(self) -> bool:
+        """Whether the probe touches now."""
+        return self._machine.inputs.probe()
+
+    def probing(self) -> bool:
+        """Whether a probing move is under way."""
+        return self._machine.seek.is_probing
+
+    def set_work(self, at: Place, words: str) -> None:
+        """From now on that place is called so in work coordinates: "Z0", "X-3 Y-3", mm. Kept, as
+        G10 L2 does it."""
+        axes = ""
+        for letter, number in words_of(clean(words)[:-1].decode()):
+            axis = _LETTERS.index(letter)
+            beyond = self._zero(axis) - self._machine.coords.systems[self._system()][axis]
+            axes += "%s%.4f" % (letter, at[axis] - number - beyond)
+        with self.saved():
+            self.g("G10L2P0" + axes)
+
+    def _system(self) -> int:
+        return self._machine.coords.active
+
+    def set_length(self, mm: float) -> None:
+        """The tool is so long, as G43.1 says it; holds until a reset, or G49."""
+        with self.saved():
+            self.g("G43.1%s%.4f" % (_LETTERS[self._machine.coords.length_axis], mm))
+            for saved in self._open:
+                saved.keep_length()
 
     def home(self, axes: str = "") -> None:
         """Home the machine, as $H does; axes: one letter where the board can do that."""
@@ -213,8 +229,41 @@ class Operator:
     def run(self, file: str) -> None:
         """Execute a file of G-code that is on the board."""
         with open(file) as lines:
-            for line in lines:
-                self.g(line.rstrip())
+            for number, line in enumerate(lines, 1):
+                self._line(line, "%s:%d: %s" % (file, number, line.rstrip()))
+
+    # Motion that is asked for, also beside other motion
+
+    def jog(self, axis: str, mm: float, rate: float) -> bool:
+        """Jog an axis by so many mm, at mm/min, as soon as no line is being executed. False, and
+        nothing, where the machine neither stands still nor jogs, or has enough to do."""
+        self.look()
+        if self._state.run not in (st.IDLE, st.JOG) or len(self._jogs) >= _MOST_JOGS:
+            return False
+        self._jogs.append("$J=G21G91%s%.4fF%.1f" % (axis.upper(), mm, rate))
+        self._state.pending[st.ANY] = 1
+        return True
+
+    def end_jog(self) -> None:
+        """Come to rest, and forget what was asked for."""
+        self._jogs.clear()
+        if self._state.run == st.JOG:
+            self._state.post(st.CANCEL_MOTION)
+
+    def hold(self) -> None:
+        """Come to rest, as with `!`; `~` goes on."""
+        self.look()
+        self._state.post(st.FEED_HOLD)
+
+    def stop(self, text: str) -> None:
+        """Say why; come to rest where the position is certain; all off, and ALARM:32. The handler
+        ends here."""
+        machine, state = self._machine, self._state
+        self.message(text)
+        while state.run == st.HOLD and state.holding:
+            machine.drive.pump()
+            machine.realtime.events()
+        machine.canon.give_up(errors.ALARM_CUSTOM)
 
     # Waiting
 
@@ -263,16 +312,16 @@ class Operator:
 
     def work(self) -> Place:
         """The same in work coordinates."""
-        machine = self._machine
-        coords = machine.coords
-        mm = vector(machine.planner.axes)
-        machine.position(mm)
-        zero = coords.zero(coords.active)
+        mm = vector(self._machine.planner.axes)
+        self._machine.position(mm)
         for i in range(len(mm)):
-            mm[i] -= zero[i]
-            if i == coords.length_axis:
-                mm[i] -= coords.tool_length
+            mm[i] -= self._zero(i)
         return Place(mm)
+
+    def mm(self, length: float) -> float:
+        """A length as the program has it, in inches where G20 holds, in mm."""
+        modal = self._open[0].modal if self._open else self._machine.modes.modal
+        return length * _MM_PER_INCH if modal[INCHES] else length
 
     def offset(self, name: str) -> Place:
         """G54 to G59, G28, G30 or G92, in machine coordinates."""
@@ -283,14 +332,31 @@ class Operator:
         """The words that $G says."""
         return self._machine.commands.modes().split(" ")
 
+    @property
+    def state(self) -> str:
+        """What `?` says first: Idle, Run, Hold, Alarm and so on."""
+        return STATES[self._state.run]
+
+    @property
+    def is_laser(self) -> bool:
+        """Laser mode, $32."""
+        return self._machine.spindle.laser
+
     # Pins
 
     def out(self, name: str, on: "Any") -> None:
-        """Switch an output that the board file names."""
+        """Switch an output that the board file names. Off it goes also where the handler has to
+        end, so that a finally can do it."""
         bit = 1 << _index(self._outputs, name, "output")
-        self.look()
+        if on:
+            self.look()
         self._levels = self._levels | bit if on else self._levels & ~bit
         self._machine.port.drive(self._levels)
+        self.look()
+
+    def is_on(self, name: str) -> bool:
+        """Whether an output that the board file names has been switched on."""
+        return bool(self._levels >> _index(self._outputs, name, "output") & 1)
 
     def pin(self, name: str) -> bool:
         """Whether an input that the board file names is closed: pulled to ground."""
@@ -303,31 +369,6 @@ class Operator:
         """Tell the sender something, as [MSG:text]."""
         self.look()
         self._machine.report.message(harmless(text))
-
-
-def _clean(line: str) -> bytearray:
-    """As lines come from the reader: upper case, no spaces, no comments; a 0 follows."""
-    code = ""
-    within = False
-    for c in line.upper():
-        if c == ";":
-            break
-        if c in "()":
-            within = c == "("
-        elif c > " " and c != "/" and not within:
-            code += c
-    return bytearray(code.encode() + b"\0")
-
-
-def _words(text: str) -> "list[tuple[str, float]]":
-    """Letters and numbers. ValueError where there is none."""
-    found = []
-    start = 0
-    for end in range(1, len(text) + 1):
-        if end == len(text) or "A" <= text[end] <= "Z":
-            found.append((text[start], float(text[start + 1 : end])))
-            start = end
-    return found
 
 
 def _index(names: "list[str]", name: str, kind: str) -> int:

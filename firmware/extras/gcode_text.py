@@ -1,0 +1,26 @@
+"""G-code as handlers of custom.py write it: made ready for the interpreter, or cut into words."""
+
+
+def clean(line: str) -> bytearray:
+    """As lines come from the reader: upper case, no spaces, no comments; a 0 follows."""
+    code = ""
+    within = False
+    for c in line.upper():
+        if c == ";":
+            break
+        if c in "()":
+            within = c == "("
+        elif c > " " and c != "/" and not within:
+            code += c
+    return bytearray(code.encode() + b"\0")
+
+
+def words_of(text: str) -> "list[tuple[str, float]]":
+    """Letters and numbers. ValueError where there is none."""
+    found = []
+    start = 0
+    for end in range(1, len(text) + 1):
+        if end == len(text) or "A" <= text[end] <= "Z":
+            found.append((text[start], float(text[start + 1 : end])))
+            start = end
+    return found
