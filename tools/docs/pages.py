@@ -8,13 +8,12 @@ import re
 from collections.abc import Callable
 
 from .. import paths
-from . import house, machines, words
+from . import custom, house, machines, words
 
 ROOT = paths.FIRMWARE.parent
 DOCS = ROOT / "docs"
-PAGES = tuple(
-    DOCS / f"{name}.md" for name in ("reference", "boards", "conformance", "architecture")
-)
+_NAMES = ("reference", "boards", "conformance", "architecture", "custom")
+PAGES = tuple(DOCS / f"{name}.md" for name in _NAMES)
 
 _MARKED = re.compile(r"(<!-- begin: ([\w-]+) -->\n).*?(<!-- end: \2 -->)", re.DOTALL)
 
@@ -32,6 +31,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "differences": machines.differences_table,
     "modules": house.folders_table,
     "rooms": house.rooms_table,
+    "operator": custom.operator_table,
 }
 
 
