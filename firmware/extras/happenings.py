@@ -109,8 +109,9 @@ class Happenings:
         while self._due:
             name, values = self._due.pop(0)
             self._machine.canon.synchronise()
+            word: "dict[str, Any] | None" = {} if name == "tool_change" else None  # M6
             for what, function in self._handlers[name]:
-                self._runner.run(what, function, True, values)
+                self._runner.run(what, function, True, values, word)
 
     def turn(self) -> None:
         """Those that run beside motion hear of what has happened, where there is room."""
