@@ -788,3 +788,176 @@ def test_a_pendant_leaves_a_program_alone(shop: Make) -> None:
 
     made.run(script())
     assert made.place() == (20, 0, 0)
+
+
+# A rack
+
+_RACK = {
+    "OUTPUTS": {"drawbar": 20, "blow": 21},
+    "INPUTS": {"tool_in": 10, "open": 11, "air": 12},
+}
+
+
+class Rack:
+    """Pockets with tools, a cone and a drawbar, as they behave. stuck: the drawbar does not move;
+    lengths: where each tool touches the sensor."""
+
+    def __init__(self, shop: Shop) -> None:
+        self.shop = shop
+        self.pockets = set(range(1, 9))
+        self.tool = 0
+        self.stuck = False
+        self.lengths = {tool: -30.0 - tool for tool in range(1, 9)}
+        self.changes: "list[str]" = []
+        shop.close("air")
+        shop.rig.engine.switches.append(Solid(shop, self._touches))
+        shop.rig.port.drive = self._around(shop.rig.port.drive)  # type: ignore[method-assign]
+
+    def _touches(self, x: float, y: float, z: float) -> bool:
+        return bool(self.tool) and (x, y) == (180, 300) and z <= self.lengths[self.tool]
+
+    def _around(self, drive: "Callable[[int], None]") -> "Callable[[int], None]":
+        def driven(levels: int) -> None:
+            drive(levels)
+            self.look()
+
+        return driven
+
+    def pocket(self) -> int:
+        """In which the cone stands; 0: in none."""
+        x, y, z = self.shop.place()
+        return round((x - 20) / 40) + 1 if y == 300 and z == -80 else 0
+
+    def look(self) -> None:
+        """What the drawbar does with the tool."""
+        is_open = self.shop.is_on("drawbar") and not self.stuck
+        pocket = self.pocket()
+        if is_open and self.tool and pocket:
+            assert pocket not in self.pockets, "two tools in a pocket"
+            self.pockets.add(pocket)
+            self.changes.append("-%d" % self.tool)
+            self.tool = 0
+        elif is_open and self.tool:
+            raise AssertionError("a tool has fallen")
+        elif not is_open and not self.tool and pocket in self.pockets:
+            self.pockets.remove(pocket)
+            self.tool = pocket
+            self.changes.append("+%d" % pocket)
+        for name, closed in (("open", is_open), ("tool_in", self.tool > 0)):
+            pushed = self.shop.rig.port._pushed
+            if pushed.get("pin_%d" % _RACK["INPUTS"][name], False) != closed:
+                self.shop.close(name, closed)
+
+
+def test_tools_go_to_their_pockets_and_are_measured(shop: Make) -> None:
+    made = shop("rack", **_RACK)
+    rack = Rack(made)
+    seen: list[Any] = []
+
+    def script() -> "Iterator[Any]":
+        for line in ("G20 G91", "T3 M6", "M3 S500", "G0 Y-1", "T8", "G0 Y-1", "M6", "M6", "T0 M6"):
+            yield from made.send(line)
+            if line == "M6":
+                seen.append((made.rig.port.spindle_on, made.place()[2]))
+                seen.extend((yield from made.send("$#"))[-2:-1])
+        seen.extend((yield from made.send("$G"))[:1])
+
+    made.run(script())
+    assert made.messages == [] and set(made.answers) == {"ok"}
+    assert rack.changes == ["+3", "-3", "+8", "-8"] and rack.pockets == set(range(1, 9))
+    assert seen[0] == (False, -1) and "G20 G91" in seen[-1]
+    assert [entry[0] for entry in made.book].count("drawbar") == 8
+
+
+def test_what_speaks_against_a_change_is_said_before_anything_moves(shop: Make) -> None:
+    made = shop("rack", **_RACK)
+    Rack(made)
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("T9 M6")
+        made.close("air", False)
+        yield from made.send("T1 M6")
+        made.close("air")
+        made.close("open")
+        yield from made.send("T1 M6")
+        made.close("open", False)
+        made.close("tool_in")
+        yield from made.send("T1 M6")
+        yield from made.send("M61 Q9")
+        yield from made.send("M61 Q0")
+        made.rig.port.push({"probe": True})
+        yield from made.send("M61 Q4")
+        yield from made.send("T1 M6")
+
+    made.run(script())
+    assert made.answers == ["error:3"] * 6 + ["ok", "error:3"]
+    words = ("1 to 8", "no air", "stands open", "has a tool", "M61 Q9", "M61 Q0", "is pressed")
+    assert all(word in message for word, message in zip(words, made.messages, strict=True))
+    assert made.place() == (0, 0, 0) and made.book == []
+
+
+def test_a_drawbar_that_is_stuck_stops_the_change(shop: Make) -> None:
+    made = shop("rack", **_RACK)
+    rack = Rack(made)
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("T2 M6")
+        rack.stuck = True
+        yield from made.send("T5 M6\n", "ms 1")
+        yield from made.until("Alarm")
+        yield made.rig.ms(1500)
+
+    made.run(script())
+    assert made.messages[0] == "The drawbar does not open" and "ALARM:32" in made.answers
+    assert rack.changes == ["+2"] and not made.is_on("drawbar") and made.place()[2] == -80
+
+
+def test_an_empty_pocket_and_a_broken_tool_are_told_of(shop: Make) -> None:
+    made = shop("rack", **_RACK)
+    rack = Rack(made)
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("T2 M6")
+        yield from made.send("T0 M6")
+        rack.lengths[2] -= 3
+        yield from made.start("T2 M6")
+        yield from made.start("~", "Idle")
+        yield from made.send("T0 M6")
+        rack.pockets.remove(7)
+        yield from made.send("T7 M6\n", "ms 1")
+        yield from made.until("Alarm")
+
+    made.run(script())
+    assert made.messages[0].startswith("Tool 2 is 3.00 mm shorter")
+    assert made.messages[1] == "No tool in pocket 7" and not made.is_on("drawbar")
+
+
+def test_a_reset_at_any_time_of_a_change_drops_no_tool(shop: Make) -> None:
+    for ms in range(200, 14_000, 1300):
+        made = shop("rack", **_RACK)
+        rack = Rack(made)
+
+        def script(made: Shop = made, rack: Rack = rack, ms: int = ms) -> "Iterator[Any]":
+            yield from made.send("T2 M6")
+            yield from made.send("T5 M6\n", "ms %d" % ms)
+            yield from made.send("\x18", "banner")
+            rack.look()
+            assert not made.is_on("drawbar") and not made.rig.port.own_outputs
+            yield made.rig.ms(700)
+            yield from made.send("$X")
+            yield from made.send("M61 Q%d" % rack.tool)
+            yield from made.send("$J=G91 Z20 F3000")  # off the sensor, if it is there
+            yield from made.until("Idle")
+            yield from made.send("T1 M6")
+
+        made.run(script())
+        assert made.answers[-2:] == ["ok", "ok"], (ms, made.messages)
+        assert rack.tool == 1 and rack.pockets == set(range(2, 9)), (ms, rack.changes)
+
+
+def test_a_spindle_without_a_tool_does_not_turn(shop: Make) -> None:
+    made = shop("rack", **_RACK)
+    Rack(made)
+    made.say("M3 S100")
+    assert "M3 without a tool" in made.messages and "ALARM:32" in made.answers
+    assert not made.rig.port.spindle_on

@@ -345,11 +345,14 @@ class Operator:
     # Pins
 
     def out(self, name: str, on: "Any") -> None:
-        """Switch an output that the board file names. Off it goes also where the handler has to
-        end, so that a finally can do it."""
+        """Switch an output that the board file names, behind what the handler has asked the machine
+        to move. Off it goes also where the handler has to end, so that a finally can do it."""
         bit = 1 << _index(self._outputs, name, "output")
         if on:
             self.look()
+        if self.may_move and not (self._state.pending[st.RESET] or self._state.alarm):
+            self._machine.canon.synchronise()
+            self.rested()
         self._levels = self._levels | bit if on else self._levels & ~bit
         self._machine.port.drive(self._levels)
         self.look()
