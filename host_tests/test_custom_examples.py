@@ -814,7 +814,7 @@ class Rack:
         shop.rig.port.drive = self._around(shop.rig.port.drive)  # type: ignore[method-assign]
 
     def _touches(self, x: float, y: float, z: float) -> bool:
-        return bool(self.tool) and (x, y) == (180, 300) and z <= self.lengths[self.tool]
+        return bool(self.tool) and (x, y) == (360, 300) and z <= self.lengths[self.tool]
 
     def _around(self, drive: "Callable[[int], None]") -> "Callable[[int], None]":
         def driven(levels: int) -> None:
@@ -933,7 +933,7 @@ def test_an_empty_pocket_and_a_broken_tool_are_told_of(shop: Make) -> None:
 
 
 def test_a_reset_at_any_time_of_a_change_drops_no_tool(shop: Make) -> None:
-    for ms in range(200, 14_000, 1300):
+    for ms in range(200, 17_000, 1200):
         made = shop("rack", **_RACK)
         rack = Rack(made)
 

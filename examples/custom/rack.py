@@ -11,7 +11,7 @@ from ugrbl import Refuse, mcode, on
 TOOLS = 8
 FIRST_X, FIRST_Y, PITCH = 20.0, 300.0, 40.0  # pockets stand along X; machine coordinates, as all
 TOP, ABOVE, IN_POCKET = -1.0, -60.0, -80.0  # Z: clear of all; a tool over its pocket; in it
-SENSOR, LOWEST = "X180 Y300", -75  # where a tool must have touched
+SENSOR, LOWEST = "X360 Y300", -75  # where a tool must have touched
 SLOW, SPIN_DOWN_S, AIR_S, BLOW_S = 600, 6, 2, 0.4
 BROKEN_MM = 0.5  # so much shorter than last time a tool is not to be
 
