@@ -242,8 +242,9 @@ class Happenings:
 
     def _greeted(self) -> None:
         self._pause = None
-        for waiting in (self._due, self._beside, self._marks):
-            waiting.clear()
+        self._due.clear()
+        self._marks.clear()
+        self._beside = [each for each in self._beside if each[0] == "alarm"]
         self._happen("after_reset" if self._has_started else "startup")
         self._has_started = True
 

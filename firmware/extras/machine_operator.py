@@ -257,8 +257,10 @@ class Operator:
 
     def stop(self, text: str) -> None:
         """Say why; come to rest where the position is certain; all off, and ALARM:32. The handler
-        ends here."""
+        ends here. In alarm it only does that."""
         machine, state = self._machine, self._state
+        if state.run == st.ALARM:
+            raise Stopped
         self.message(text)
         while state.run == st.HOLD and state.holding:
             machine.drive.pump()
@@ -345,8 +347,8 @@ class Operator:
     # Pins
 
     def out(self, name: str, on: "Any") -> None:
-        """Switch an output that the board file names, behind what the handler has asked the machine
-        to move. Off it goes also where the handler has to end, so that a finally can do it."""
+        """Switch an output that the board file names, behind what the handler has moved. Off it
+        goes also where the handler has to end, so that a finally can do it."""
         bit = 1 << _index(self._outputs, name, "output")
         if on:
             self.look()
