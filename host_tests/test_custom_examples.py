@@ -1072,3 +1072,41 @@ def test_a_reset_stops_the_inverter(inverter: Shop) -> None:
 
     inverter.run(script())
     assert Inverter.last.word == 1
+
+
+# A tangential knife
+
+
+def knife(shop: Make, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
+    """A machine with a fourth axis, what it cuts, and the places at the ends of all segments."""
+    made = shop("knife", STEP=(0, 1, 2, 3), settings={113: 6000, 123: 500})
+    way: "list[tuple[float, ...]]" = []
+    made.rig.engine.trace = lambda start, row: way.append(made.place())
+    assert made.say(*lines) == ["ok"] * len(lines), made.messages
+    return made, way
+
+
+def test_the_blade_turns_the_way_it_cuts_and_lifts_at_corners(shop: Make) -> None:
+    _, way = knife(shop, "G0 Z5", "G101 X20 Y0", "G101 Y20", "G101 X0", "G100")
+    down = [place for place in way if place[2] < 1.9]
+    for (x, y, z, a), (x1, y1, z1, a1) in zip(down, down[1:], strict=False):
+        if (x, y) != (x1, y1) and z == z1 == -1.5:
+            assert a == a1 and a == pytest.approx(0 if y1 == y == 0 else 90 if x1 == x else 180)
+    assert {round(place[3]) for place in down} == {0, 90, 180}
+    assert way[-1] == pytest.approx((0, 20, 2, 180), abs=0.01)
+    turning = [p for p, q in zip(way, way[1:], strict=False) if p[3] != q[3]]
+    assert turning and all(place[2] >= 1.9 for place in turning)
+
+
+def test_a_curve_is_cut_without_stopping_and_without_a_lift(shop: Make) -> None:
+    lines = ["G101 X%d Y%.3f" % (10 * i, i * i / 4) for i in range(1, 9)]
+    made, way = knife(shop, "G0 Z5", *lines)
+    cutting = way[next(i for i, place in enumerate(way) if place[2] == -1.5) :]
+    assert all(place[2] == -1.5 for place in cutting) and made.rig.engine.starts <= 3
+    assert made.place()[3] == pytest.approx(20.56, abs=0.01)
+
+
+def test_a_knife_reads_inches_and_refuses_relative_places(shop: Make) -> None:
+    made, _ = knife(shop, "G20", "G101 X1", "G100")
+    assert made.place()[0] == pytest.approx(25.4, abs=0.01)
+    assert made.say("G91", "G101 X1") == ["ok", "error:3"]

@@ -114,7 +114,7 @@ class Custom:
             if kind in (handlers.M, handlers.G):
                 call = self._word(what, letters, sync, function)
                 add = self._cnc.add_m if kind == handlers.M else self._cnc.add_g
-                add(key, call, letters, sync)
+                add(key, call, letters, bool(sync))
             else:
                 self._happenings.add(kind, key, what, function)
             names.append(what)
@@ -162,14 +162,16 @@ class Custom:
 
         commands.whose = whose  # type: ignore[method-assign]
 
-    def _word(self, what: str, letters: str, sync: bool, function: "Function") -> "Function":
+    def _word(
+        self, what: str, letters: str, sync: "bool | None", function: "Function"
+    ) -> "Function":
         names = [c.upper() for c in letters]
 
         def call(*numbers: "float | None") -> None:
             given = {n: x for n, x in zip(names, numbers) if x is not None}
-            if sync:
-                self._runner.run(what, function, True, (), given)
-            else:
+            if sync is False:
                 self._happenings.defer(what, function, given)
+            else:
+                self._runner.run(what, function, True, (), given)
 
         return call

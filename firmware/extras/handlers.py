@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from typing import Any
 
     Function = Callable[..., Any]
-    # Kind, what of that kind, the letters of a word, whether it waits for motion to end.
-    Note = tuple[str, Any, str, bool, Function]
+    # Kind, what of that kind, the letters of a word, whether it waits for motion (see mcode).
+    Note = tuple[str, Any, str, bool | None, Function]
 
 # Kinds of notes that are no events.
 M = "M"
@@ -58,7 +58,7 @@ class Refuse(Exception):
     """Raised by a handler: its own line is not to be; the sender is told the text, and refused."""
 
 
-def _note(kind: str, key: "Any", letters: str, sync: bool) -> "Callable[[Function], Function]":
+def _note(kind: str, key: "Any", letters: str, sync: "bool | None") -> "Callable[[Function], Function]":
     def note(function: "Function") -> "Function":
         _notes.append((kind, key, letters, sync, function))
         return function
@@ -69,18 +69,19 @@ def _note(kind: str, key: "Any", letters: str, sync: bool) -> "Callable[[Functio
 def mcode(
     number: int,
     letters: str = "",
-    sync: bool = True,  # keep-name: custom.py may say sync=
+    sync: "bool | None" = True,  # keep-name: custom.py may say sync=
 ) -> "Callable[[Function], Function]":
     """An M word. letters: its parameters by name; upper case has to be there, lower case may be.
     sync: the handler runs when motion has come to its end; False: when the blocks planned before
-    it have, and motion goes on."""
+    it have, and motion goes on; None: as its line is read, ahead of motion, for words that become
+    other G-code: what it has m.g() plan joins what is planned."""
     return _note(M, number, letters, sync)
 
 
 def gcode(
     number: float,
     letters: str = "",
-    sync: bool = True,
+    sync: "bool | None" = True,
 ) -> "Callable[[Function], Function]":
     """The same for a G word: 81, or 81.1."""
     return _note(G, number, letters, sync)

@@ -320,6 +320,14 @@ class Operator:
             mm[i] -= self._zero(i)
         return Place(mm)
 
+    def target(self) -> Place:
+        """Where the lines read so far lead to, in work coordinates."""
+        mm = self._machine.modes.position
+        place = vector(len(mm))
+        for i in range(len(mm)):
+            place[i] = mm[i] - self._zero(i)
+        return Place(place)
+
     def mm(self, length: float) -> float:
         """A length as the program has it, in inches where G20 holds, in mm."""
         modal = self._open[0].modal if self._open else self._machine.modes.modal
