@@ -1110,3 +1110,33 @@ def test_a_knife_reads_inches_and_refuses_relative_places(shop: Make) -> None:
     made, _ = knife(shop, "G20", "G101 X1", "G100")
     assert made.place()[0] == pytest.approx(25.4, abs=0.01)
     assert made.say("G91", "G101 X1") == ["ok", "error:3"]
+
+
+# A height map
+
+
+def wavy(x: float, y: float) -> float:
+    """The work: a plane that is tilted and twisted, which a grid describes exactly."""
+    return -6 + 0.02 * x - 0.03 * y + 0.001 * x * y
+
+
+def test_a_cut_follows_the_map_also_behind_power_off(shop: Make) -> None:
+    made = shop("height_map")
+    made.rig.engine.switches.append(Solid(made, lambda x, y, z: z <= wavy(x, y)))
+    assert made.say("G20", "M118 X1.5748 Y0.7874 Q0.3937") == ["ok", "ok"], made.messages
+    assert offset(made, "G54")[2] == pytest.approx(-6, abs=0.03)
+    made.power_up(made.rig.store)
+    way: "list[tuple[float, ...]]" = []
+    made.rig.engine.trace = lambda start, row: way.append(made.place())
+    assert made.say("G102 Z-0.1 F300", "G102 X40 Y20 F3000", "G102 X0 F3000") == ["ok"] * 3
+    cutting = way[next(i for i, place in enumerate(way) if place[0] > 0.1) :]
+    assert len(cutting) > 50 and made.place()[:2] == (0, 20)
+    for x, y, z in cutting:
+        assert z == pytest.approx(wavy(x, y) - 0.1, abs=0.06)
+
+
+def test_a_map_is_refused_in_words(shop: Make) -> None:
+    made = shop("height_map")
+    lines = ("M118 X10 Y10 Q0", "M118 X10 Y10 Q20", "M118 X90 Y90 Q1", "G102 X5 F100")
+    assert made.say(*lines, "M3 S100", "M118 X10 Y10 Q5") == ["error:3"] * 4 + ["ok", "error:3"]
+    assert made.place() == (0, 0, 0) and len(made.messages) == 5

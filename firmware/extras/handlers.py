@@ -58,7 +58,9 @@ class Refuse(Exception):
     """Raised by a handler: its own line is not to be; the sender is told the text, and refused."""
 
 
-def _note(kind: str, key: "Any", letters: str, sync: "bool | None") -> "Callable[[Function], Function]":
+def _note(
+    kind: str, key: "Any", letters: str, sync: "bool | None"
+) -> "Callable[[Function], Function]":
     def note(function: "Function") -> "Function":
         _notes.append((kind, key, letters, sync, function))
         return function
