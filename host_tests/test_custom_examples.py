@@ -3,6 +3,7 @@
 The simulated machine begins at 0, the upper end of its Z; 250 steps are a millimetre.
 """
 
+import itertools
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -1089,12 +1090,12 @@ def knife(shop: Make, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
 def test_the_blade_turns_the_way_it_cuts_and_lifts_at_corners(shop: Make) -> None:
     _, way = knife(shop, "G0 Z5", "G101 X20 Y0", "G101 Y20", "G101 X0", "G100")
     down = [place for place in way if place[2] < 1.9]
-    for (x, y, z, a), (x1, y1, z1, a1) in zip(down, down[1:], strict=False):
+    for (x, y, z, a), (x1, y1, z1, a1) in itertools.pairwise(down):
         if (x, y) != (x1, y1) and z == z1 == -1.5:
             assert a == a1 and a == pytest.approx(0 if y1 == y == 0 else 90 if x1 == x else 180)
     assert {round(place[3]) for place in down} == {0, 90, 180}
     assert way[-1] == pytest.approx((0, 20, 2, 180), abs=0.01)
-    turning = [p for p, q in zip(way, way[1:], strict=False) if p[3] != q[3]]
+    turning = [p for p, q in itertools.pairwise(way) if p[3] != q[3]]
     assert turning and all(place[2] >= 1.9 for place in turning)
 
 

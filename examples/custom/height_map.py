@@ -1,7 +1,7 @@
 """A height map: M118 X60 Y40 Q10 probes the work each 10 mm, G102 X Y Z F cuts over it as G1 does.
 
-M118 begins in the front left corner, over the work; X and Y are how far it goes, Q the grid's width,
-in the program's units. Z0 is the work's height in that corner afterwards. The map is kept.
+M118 begins in the front left corner, over the work; X and Y are how far it goes, Q the grid's
+width, in the program's units. Z0 is the work's height in that corner afterwards. The map is kept.
 """
 
 from ugrbl import Refuse, gcode, mcode
