@@ -128,3 +128,19 @@ def test_attributes_and_named_arguments_are_on_a_board() -> None:
 def test_every_call_says_what_it_does() -> None:
     methods = list(operator_methods())
     assert len(methods) > 20 and all(map(ast.get_docstring, methods))
+
+
+def test_a_failure_beside_motion_stops_it_at_once_also_where_no_line_ends(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The loop waits for room in the planner, within a line."""
+    text = "from ugrbl import on\n\n\n@on.input('part')\ndef fail(m, closed):\n    1 / 0\n"
+    made = shop(monkeypatch, tmp_path, text)
+
+    def script() -> Any:
+        yield from made.send("G1 X200 F1000\n" + "Y100\nY0\n" * 15, "ms 1000")
+        made.close("part")
+        yield from made.until("Alarm")
+
+    made.run(script())
+    assert "ALARM:32" in made.answers and made.place()[0] < 19

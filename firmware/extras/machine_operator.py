@@ -258,10 +258,14 @@ class Operator:
     def stop(self, text: str) -> None:
         """Say why; come to rest where the position is certain; all off, and ALARM:32. The handler
         ends here. In alarm it only does that."""
-        machine, state = self._machine, self._state
-        if state.run == st.ALARM:
+        if self._state.run == st.ALARM:
             raise Stopped
         self.message(text)
+        self.halt()
+
+    def halt(self) -> None:
+        """Come to rest, wherever the loop waits now; all off, and the alarm. Raises Abort."""
+        machine, state = self._machine, self._state
         while state.run == st.HOLD and state.holding:
             machine.drive.pump()
             machine.realtime.events()

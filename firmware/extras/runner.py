@@ -40,13 +40,11 @@ class Runner:
         self._modules = [module.replace(".", "/") for module in modules]
         self.is_running = False  # a handler
         self._slow: "list[str]" = []  # who has been told of
-        self._fault = ""  # of a handler beside motion: the machine is to stop
         self._out: "list[Function]" = []  # failed beside motion: it would again, at every turn
         self._calls = 0
 
     def begin(self) -> None:
         """Power-up or a reset."""
-        self._fault = ""
         self.operator.forget()
 
     def run(
@@ -122,18 +120,15 @@ class Runner:
         machine.report.message(text)
         if may_move:
             machine.canon.synchronise()
-            machine.canon.give_up(errors.ALARM_CUSTOM)
-        machine.report.message(what + " is left out until power-up")
-        self._fault = text
-        machine.state.pending[st.ANY] = 1  # the loop sees to it between two lines
+        else:
+            machine.report.message(what + " is left out until power-up")
+        self.operator.halt()
 
     # The main loop's turn, between two lines
 
     def turn(self) -> None:
-        """Stop the machine if something has failed; write what is to be kept; make room."""
+        """Write what is to be kept; make room."""
         machine = self._machine
-        if self._fault:
-            machine.canon.give_up(errors.ALARM_CUSTOM)
         at_rest = machine.at_rest()
         if self.operator.keep.is_due and at_rest and not machine.reader.waiting():
             self.operator.keep.write()

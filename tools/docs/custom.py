@@ -9,6 +9,7 @@ from .markdown import table
 _OPERATOR = paths.FIRMWARE / "extras" / "machine_operator.py"
 # What custom.py is not handed m for: those above this line are its keeper's.
 _FIRST = "# Motion"
+_KEEPERS = ("halt",)
 
 
 def operator_table() -> str:
@@ -30,7 +31,7 @@ def operator_methods() -> Iterator[ast.FunctionDef]:
         if isinstance(node, ast.ClassDef) and node.name == "Operator":
             for method in node.body:
                 if isinstance(method, ast.FunctionDef) and method.lineno > first:
-                    if not method.name.startswith("_"):
+                    if not method.name.startswith("_") and method.name not in _KEEPERS:
                         yield method
 
 
