@@ -92,9 +92,9 @@ def test_it_says_which_lines_are_in_the_way(
         (b"N20 g1 x1 (dot)", b"G1X0F100", "plain"),
         (b"G01X1F100", b"G1X0F100", "plain"),
         (b"X1S5", b"G1X0F100", "power"),
-        (b"G0X1", b"G1X0F100", "feed"),
+        (b"G0X1", b"G1X0F100", "long_way_ms"),
         (b"X1F101", b"G1X0F100", "feed"),
-        (b"X1", b"M3", "feed"),  # the first behind another kind of line
+        (b"X1", b"M3", "long_way_ms"),  # the first behind another kind of line
         (b"G0X1S5", b"G0X0", "long_way_ms"),
         (b"G2X1I5", b"G1X0F100", "long_way_ms"),
         (b"G91X1", b"G1X0F100", "long_way_ms"),

@@ -108,7 +108,7 @@ ALARM_INTERNAL = const(16)
 ALARM_EMERGENCY_STOP = const(17)
 # A handler of custom.py has failed: the message before it names file and line. Position is kept.
 # Not one of Grbl's.
-ALARM_CUSTOM = const(32)
+ALARM_CUSTOM = const(34)
 
 # Messages, as they stand in [MSG:…]. None may contain "ok" or "error".
 MSG_CRITICAL_EVENT = "Reset to continue"

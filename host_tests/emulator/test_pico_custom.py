@@ -128,7 +128,7 @@ def test_a_failure_loses_no_step_and_tells_file_and_line(ready: Board) -> None:
     before = odometer.read()
     said = ready.ask("M101", "Grbl 1.1h")
     message = re.search(r"\[MSG:(M101: custom.py, line \d+, in fails: ZeroDivisionErr.*)\]", said)
-    assert message and "ALARM:32" in said
+    assert message and "ALARM:34" in said
     assert [b - a for a, b in zip(before, odometer.read())] == [100, 0, 0]
     assert message[1] in ready.ask("$I+")
 

@@ -14,8 +14,8 @@ class Rates(NamedTuple):
 
     plain: float  # lines/s: short moves that say nothing new
     power: float  # lines/s: the same with a new S each, in laser mode
-    feed: float  # lines/s: the same with a new F each, or G0 and G1 in turn
-    long_way_ms: float  # a line that is no plain move
+    feed: float  # lines/s: the same with a new F each
+    long_way_ms: float  # a line that is no plain move, or the first of its kind
     no_words_ms: float  # a comment, or an empty line
     chords: float  # a second, of arcs
 
@@ -25,7 +25,7 @@ class Rates(NamedTuple):
         return figure / 1000 if kind.endswith("_ms") else 1 / figure
 
 
-PICO = Rates(plain=970, power=730, feed=345, long_way_ms=2.4, no_words_ms=0.35, chords=2440)
+PICO = Rates(plain=990, power=800, feed=645, long_way_ms=2.4, no_words_ms=0.35, chords=2385)
 _MEASURED = "RP2040"
 # What an ESP32's serial port carries.
 _UART_BYTES_S = 115_200 / 10

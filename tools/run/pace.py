@@ -201,9 +201,9 @@ def _kinds(lines: Sequence[bytes], laser: bool) -> Iterator[str]:
             and wanted in ([], [mode])
             and (83 not in letters or (laser and mode == b"1"))
         )
-        if not is_plain:
+        if not is_plain or not known or mode != motion:
             yield _LONG_WAY
-        elif not known or (mode, speed) != (motion, feed):
+        elif speed != feed:
             yield _FEED
         else:
             yield _POWER if 83 in letters else _PLAIN
