@@ -80,7 +80,7 @@ def test_a_failure_is_told_as_the_page_quotes_it(
     made.say("M100")
     assert "[MSG:M100: custom.py, line 7, in fail: …]" in _PAGE
     assert made.messages[0].startswith("M100: custom.py, line 7, in fail: ZeroDivision")
-    assert "ALARM:32" in made.answers and made.place()[0] == 1
+    assert "ALARM:34" in made.answers and made.place()[0] == 1
 
 
 def test_the_page_lists_every_event_and_who_may_move() -> None:
@@ -143,4 +143,4 @@ def test_a_failure_beside_motion_stops_it_at_once_also_where_no_line_ends(
         yield from made.until("Alarm")
 
     made.run(script())
-    assert "ALARM:32" in made.answers and made.place()[0] < 19
+    assert "ALARM:34" in made.answers and made.place()[0] < 19

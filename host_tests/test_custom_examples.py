@@ -560,7 +560,7 @@ def test_a_guarded_probe_stops_what_runs_into_something(shop: Make, line: str) -
     assert "MPos:%.3f," % seen[0][0] in seen[2]
     assert seen[3][0] == pytest.approx(seen[0][0] - 30)
     assert made.messages[0].startswith("The probe has run into something at (20.")
-    assert "ALARM:32" in made.answers
+    assert "ALARM:34" in made.answers
 
 
 def test_a_guarded_probe_probes_and_is_pulled_back(shop: Make) -> None:
@@ -568,7 +568,7 @@ def test_a_guarded_probe_probes_and_is_pulled_back(shop: Make) -> None:
     made.switch(0, True, 20)
     lines = ("M114 P1", "G0 X10", "G38.2 X50 F300", "G0 X5", "G38.2 X50 F300", "G0 X0", "M114 P0")
     assert made.say(*lines, "G0 X30") == ["ok"] * 8
-    assert made.place()[0] == 30 and "ALARM:32" not in made.answers
+    assert made.place()[0] == 30 and "ALARM:34" not in made.answers
 
 
 def test_no_rapid_before_a_probing_move_is_unguarded(shop: Make) -> None:
@@ -582,13 +582,13 @@ def test_no_rapid_before_a_probing_move_is_unguarded(shop: Make) -> None:
         yield from made.until("Alarm")
 
     made.run(script())
-    assert "ALARM:32" in made.answers and 20 <= made.place()[0] < 25 and made.place()[2] == 0
+    assert "ALARM:34" in made.answers and 20 <= made.place()[0] < 25 and made.place()[2] == 0
 
 
 def test_a_spindle_does_not_turn_with_a_probe_in_it(shop: Make) -> None:
     made = shop("guard")
     assert made.say("M3 S100", "M114 P1", "M5", "M114 P1", "M3") == ["ok", "error:3"] + ["ok"] * 3
-    assert made.answers[-1] == "ok" and "ALARM:32" in made.answers
+    assert made.answers[-1] == "ok" and "ALARM:34" in made.answers
     assert not made.rig.port.spindle_on
 
 
@@ -910,7 +910,7 @@ def test_a_drawbar_that_is_stuck_stops_the_change(shop: Make) -> None:
         yield made.rig.ms(1500)
 
     made.run(script())
-    assert made.messages[0] == "The drawbar does not open" and "ALARM:32" in made.answers
+    assert made.messages[0] == "The drawbar does not open" and "ALARM:34" in made.answers
     assert rack.changes == ["+2"] and not made.is_on("drawbar") and made.place()[2] == -80
 
 
@@ -961,7 +961,7 @@ def test_a_spindle_without_a_tool_does_not_turn(shop: Make) -> None:
     made = shop("rack", **_RACK)
     Rack(made)
     made.say("M3 S100")
-    assert "M3 without a tool" in made.messages and "ALARM:32" in made.answers
+    assert "M3 without a tool" in made.messages and "ALARM:34" in made.answers
     assert not made.rig.port.spindle_on
 
 
@@ -1049,7 +1049,7 @@ def test_an_inverter_that_falls_silent_stops_the_machine(inverter: Shop) -> None
 
     inverter.run(script())
     assert "The inverter does not answer" in inverter.messages
-    assert "ALARM:32" in inverter.answers and inverter.place()[0] < 30
+    assert "ALARM:34" in inverter.answers and inverter.place()[0] < 30
     assert not inverter.rig.port.spindle_on
     assert Inverter.last.word == 1, (inverter.messages, inverter.answers)
 

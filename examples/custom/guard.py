@@ -1,7 +1,7 @@
 """A guard for a touch probe: M114 P1 while one is in the spindle, M114 P0 without.
 
 What it touches while no probing move is under way brings the machine to rest within the probe's
-give, as ALARM:32 that keeps the position, if rapids are slow enough for that: $110 and $120.
+give, as ALARM:34 that keeps the position, if rapids are slow enough for that: $110 and $120.
 Unlock, and jog away. The spindle does not turn with it.
 """
 

@@ -256,7 +256,7 @@ class Operator:
         self._state.post(st.FEED_HOLD)
 
     def stop(self, text: str) -> None:
-        """Say why; come to rest where the position is certain; all off, and ALARM:32. The handler
+        """Say why; come to rest where the position is certain; all off, and ALARM:34. The handler
         ends here. In alarm it only does that."""
         if self._state.run == st.ALARM:
             raise Stopped

@@ -164,3 +164,32 @@ def test_a_loop_is_stopped_and_ended_by_a_reset_and_told_of(ready: Board) -> Non
     ready.forget()
     ready.send("\x18")
     ready.wait_for("Grbl 1.1h")
+
+
+def test_what_fails_beside_arcs_that_are_streamed_comes_to_rest_and_loses_no_step(
+    uf2: Path,
+) -> None:
+    beside = b"""
+@every(5)
+def beside(m):
+    if m.position().z > 0.3:
+        return [1][1]
+"""
+    machine = Board(uf2, {"custom.py": CUSTOM + beside}).boot().settled()
+    machine.pico.record(STEP)
+    for line in ("$0=3", "$120=4000", "$121=4000", "$122=4000", "$110=3000", "$111=3000"):
+        machine.ask(line)
+    odometer = Odometer(machine.pico)
+    machine.ask("G91")
+    machine.forget()
+    machine.send("G2X1Y0I0.5J0Z0.2F3000\nG3X-1Y0I-0.5J0Z0.2\n" * 2)
+    said = machine.wait_for("Grbl 1.1h", 5_000_000)
+    assert re.search(r"\[MSG:every 5: custom.py, line \d+, in beside: IndexErr", said)
+    assert "ALARM:34" in said and "ALARM:16" not in said
+    made = odometer.read()
+    assert 0.3 * 250 < made[2] < 0.6 * 250
+    machine.ask("$X")
+    told = [float(mm) * 250 for mm in machine.status()["MPos"].split(",")]
+    assert told == pytest.approx(made, abs=0.3)
+    stack = re.search(r"Stack: (\d+) of", machine.ask("$I+"))
+    assert stack and int(stack[1]) <= 8192 - 1024
