@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from emulated import SPINDLE_PWM, STEP, Board, Odometer
+from emulated import DIR, SPINDLE_PWM, STEP, Board, Odometer
 
 pytestmark = pytest.mark.xdist_group("pico custom")
 
@@ -77,7 +77,7 @@ def board(uf2: Path) -> Board:
 @pytest.fixture(scope="module")
 def machine(uf2: Path) -> Board:
     made = board(uf2)
-    made.pico.record([*STEP, SPINDLE_PWM])
+    made.pico.record([*STEP, *DIR, SPINDLE_PWM])
     return made
 
 
@@ -176,7 +176,7 @@ def beside(m):
         return [1][1]
 """
     machine = Board(uf2, {"custom.py": CUSTOM + beside}).boot().settled()
-    machine.pico.record(STEP)
+    machine.pico.record([*STEP, *DIR])
     for line in ("$0=3", "$120=4000", "$121=4000", "$122=4000", "$110=3000", "$111=3000"):
         machine.ask(line)
     odometer = Odometer(machine.pico)
