@@ -27,7 +27,7 @@ INT = const(0)  # whole, 0 to 255: larger numbers wrap
 BOOL = const(1)
 _FLOAT = const(2)
 WHOLE = const(3)  # a float, shown without decimals
-_AXIS = const(4)  # a float per axis: number + axis
+AXIS = const(4)  # a float per axis: number + axis
 
 # In place of a number: all of them.
 ALL = const(-1)
@@ -83,13 +83,13 @@ _TABLE = (  # attribute-names: column 1
     # Laser mode. S changes without stopping; M4 power follows the speed; G0 is dark.
     (32, "laser_mode", BOOL, 0, "boolean"),
     # Steps per millimetre, one value per axis.
-    (100, "steps_per_mm", _AXIS, 250.0, "step/mm"),
+    (100, "steps_per_mm", AXIS, 250.0, "step/mm"),
     # Maximum rate, one value per axis.
-    (110, "max_rate", _AXIS, 500.0, "mm/min"),
+    (110, "max_rate", AXIS, 500.0, "mm/min"),
     # Acceleration, one value per axis.
-    (120, "acceleration", _AXIS, 10.0, "mm/sec^2"),
+    (120, "acceleration", AXIS, 10.0, "mm/sec^2"),
     # Maximum travel, one value per axis, from the homing switch.
-    (130, "max_travel", _AXIS, 200.0, "millimeters"),
+    (130, "max_travel", AXIS, 200.0, "millimeters"),
 )
 _BEYOND = 3.5e38  # single precision
 
@@ -219,16 +219,16 @@ class Settings:
     def _numbers(self) -> "list[tuple[int, tuple[int, str, int, float, str]]]":
         numbers = []
         for row in self.rows:
-            for axis in range(self._axes if row[2] == _AXIS else 1):
+            for axis in range(self._axes if row[2] == AXIS else 1):
                 numbers.append((row[0] + axis, row))
         return numbers
 
     def _decimals(self, row: "Row") -> int:
-        return 3 if row[2] in (_FLOAT, _AXIS) else 0
+        return 3 if row[2] in (_FLOAT, AXIS) else 0
 
     def _shown(self, number: int, row: "Row") -> float:
         amount: float = getattr(self, row[1])
-        if row[2] == _AXIS:
+        if row[2] == AXIS:
             amount = getattr(self, row[1])[number - row[0]]
             if row[0] == _ACCELERATION:
                 amount = f32(amount / _PER_SECOND_SQR)
@@ -236,13 +236,13 @@ class Settings:
 
     def _set_defaults(self) -> None:
         for row in self.rows:
-            if row[2] == _AXIS:
+            if row[2] == AXIS:
                 setattr(self, row[1], array("f", (0.0 for _ in range(self._axes))))
-            for axis in range(self._axes if row[2] == _AXIS else 1):
+            for axis in range(self._axes if row[2] == AXIS else 1):
                 self._store_value(row, axis, self._board_defaults.get(row[0] + axis, row[3]))
 
     def _store_value(self, row: "Row", axis: int, amount: float) -> None:
-        if row[2] == _AXIS:
+        if row[2] == AXIS:
             if row[0] == _ACCELERATION:
                 amount = amount * _PER_SECOND_SQR
             getattr(self, row[1])[axis] = amount
@@ -257,7 +257,7 @@ class Settings:
         """The row of a number, and which axis it is of. GrblError where there is none."""
         for row in self.rows:
             axis = number - row[0]
-            if axis == 0 or (row[2] == _AXIS and 0 < axis < self._axes):
+            if axis == 0 or (row[2] == AXIS and 0 < axis < self._axes):
                 return row, axis
         raise GrblError(errors.INVALID_STATEMENT)
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _STARTUP = "startup"
 _BUILD_INFO = "build"
 STARTUP_LINES = const(2)
-_HIGHEST_SETTING = const(255)
+_HIGHEST_SETTING = const(999)  # Grbl's end at 255, an extra's here
 _AXES = b"XYZ"
 _BUSY = const(st.RUN | st.HOLD)
 _JOG = const(74)  # $J
@@ -311,4 +311,4 @@ class Commands:
         if line[at] != 0 or number > _HIGHEST_SETTING:
             raise GrblError(errors.INVALID_STATEMENT)
         self._canon.synchronise()  # what is planned was planned with what holds now
-        self._settings.set(int(number) & 255, value)
+        self._settings.set(int(number), value)

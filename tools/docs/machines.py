@@ -22,7 +22,7 @@ def settings_table() -> str:
     comments = setting_comments()
     rows = []
     for number, _, kind, default, unit in settings._TABLE:
-        axes = range(3 if kind == settings._AXIS else 1)
+        axes = range(3 if kind == settings.AXIS else 1)
         names = " ".join(f"`${number + axis}`" for axis in axes)
         rows.append((names, f"{default:g}", unit, as_code(comments[number])))
     return table(("Setting", "Default", "Unit", "Meaning"), rows)

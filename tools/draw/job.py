@@ -117,7 +117,7 @@ def _defaults(board: str) -> dict[int, float]:
     given = getattr(load_board(board), "DEFAULTS", {})
     values = {}
     for number, _, kind, default, _ in settings._TABLE:
-        for axis in range(len(LETTERS) if kind == settings._AXIS else 1):
+        for axis in range(len(LETTERS) if kind == settings.AXIS else 1):
             values[number + axis] = float(given.get(number + axis, default))
     return values
 

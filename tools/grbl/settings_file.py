@@ -154,7 +154,7 @@ def _table() -> dict[int, Meaning]:
     table = {}
     for number, _, kind, _, unit in settings._TABLE:
         name, _, text = comments[number].translate(_NO_COMMENT).partition(". ")
-        if kind == settings._AXIS:
+        if kind == settings.AXIS:
             for axis, letter in enumerate(AXES):
                 table[number + axis] = Meaning(f"{name.split(',')[0]} {letter}", text, unit)
         else:
