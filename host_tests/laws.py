@@ -163,6 +163,7 @@ class Piece:
     ends_block: bool
     from_rest: bool
     segment: "Segment | None"
+    unit: float  # mm to which its way is told, where jerk is limited; else 0
 
     @property
     def mean(self) -> float:
@@ -174,7 +175,8 @@ class Piece:
 
     def grain(self, hz: int) -> float:
         """What ticks, 2**-18 of a step, and braking of a part of a step leave open of its mean."""
-        ticks = (self.distance * 2 / self.time / hz + self.block.step * 4 / 2**18) / self.time
+        told = self.block.step * 4 / 2**18 + self.unit * 2
+        ticks = (self.distance * 2 / self.time / hz + told) / self.time
         return ticks + self.block.braked(_STEP_PART)
 
 
@@ -308,7 +310,9 @@ class Watch:
             distance = ((left or block.events << 18) - self._left()) / 2**18
             distance *= block.length / block.events
             speed = flow[layout.REACHED] / real(self.row(at)[layout.FACTOR])
-            piece = Piece(block, distance, time / self.tick_hz, speed, ended, at_rest, segment)
+            unit = 2**-16 if self.planner.table[layout.GENTLE] else 0.0
+            seconds = time / self.tick_hz
+            piece = Piece(block, distance, seconds, speed, ended, at_rest, segment, unit)
             self.pieces.append(piece)
         return found
 
@@ -401,6 +405,8 @@ def check_plan(watch: Watch) -> None:
         assert entry <= min(nominals) * PROMISE_SLACK + _least(watch), "faster than nominal"
         corner = before.junction(block)
         assert entry <= corner * JUNCTION_SLACK + _least(watch), "corner too fast"
+        if watch.planner.table[layout.GENTLE]:
+            continue  # where jerk is limited corners are slower
         slower = before.junction(block, -1) / JUNCTION_SLACK
         junction = watch.promise(row, layout.JUNCTION_SQR)
         assert junction >= min(slower, watch.top()) - _least(watch), "corner too slow"

@@ -3,6 +3,7 @@
 from array import array
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from types import ModuleType
 from typing import Any
 
 from base import state as st
@@ -26,10 +27,10 @@ class Machine:
     def __init__(
         self,
         settings: "dict[int, float] | None" = None,
-        board: str = "sim",
+        board: "str | ModuleType" = "sim",
         watched: bool = True,
     ) -> None:
-        module = load_board(board)
+        module = load_board(board) if isinstance(board, str) else board
         store = factory_store(module)
         store.files["settings"] += [f"${n}={value}" for n, value in (settings or {}).items()]
         self.rig = Rig(module, store)

@@ -169,6 +169,8 @@ def test_a_board_gets_what_it_can_use() -> None:
     }
     clusters = {"extras/clusters.py", "language/clusters.py"}
     assert needed(TOOL="laser", CLUSTERS=True) - pico - laser == clusters
+    jerk = {"extras/jerk.py", "motion/jerk_kernel.py", "motion/jerk_plan.py"}
+    assert needed(JERK=True) - pico - {"extras/api.py"} == jerk
     assert needed(DIALECT="0.9") - pico == {"extras/api.py", "extras/dialect_09.py"}
 
 
@@ -179,6 +181,7 @@ def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() ->
         for link in engines.links():
             for tool in ("punch", "laser"):
                 words = {"TOOL": tool, "DIALECT": "0.9", "COREXY": True, "CLUSTERS": True}
+                words["JERK"] = True
                 every |= needed(ENGINE=engine, LINK=link, **words)
     left = {build.module(source) for source in set(build.sources()) - every}
     trees = [ast.parse(text) for text in inline(build.texts()).values()]

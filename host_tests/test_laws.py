@@ -165,7 +165,7 @@ def test_steps_are_even_across_the_joints_of_a_straight_line(pieces: int) -> Non
 
 # Random programs
 
-limits = st.builds(
+any_limits = st.builds(
     Limits,
     st.tuples(*[st.sampled_from([40.0, 80.0, 250.0, 800.0, 26.667])] * 3),
     st.tuples(*[st.sampled_from([100.0, 500.0, 3000.0, 20_000.0])] * 3),
@@ -187,7 +187,7 @@ actions = st.one_of(
 
 
 @some(40)
-@given(limits, st.lists(actions, min_size=5, max_size=30))
+@given(any_limits, st.lists(actions, min_size=5, max_size=30))
 def test_random_programs_keep_every_law(limits: Limits, program) -> None:
     bench = Bench(limits)
     place = (0.0, 0.0, 0.0)

@@ -121,6 +121,33 @@ print(allocates(make), flow[layout.TAIL] > 2)
 """
 
 
+_JERK = """
+from extras.jerk import Jerk
+from motion import jerk_plan
+
+jerk = Jerk(planner, state, segments.next)
+jerk.limit([100.0, 1000.0, 10.0], [2000.0, 20000.0, 500.0], 0.01)
+plan()
+move.flags = 64
+
+
+def make():
+    made = 0
+    for k in range(400):
+        if k == 60:
+            segments.hold(True)
+        if k == 120:
+            segments.hold(False)
+        made += jerk.next(row)
+    planner.catch_up()
+    jerk_plan.reschedule(table, ring, flow)
+    return made
+
+
+print(allocates(make), flow[layout.TAIL] > 5)
+"""
+
+
 def test_what_allocates_is_found() -> None:
     control = 'x = 1.0\nprint(allocates(lambda: x + 1.5), allocates(lambda: "%d" % 7))'
     assert run_micropython(_BENCH + control, paths=[FIRMWARE]).split() == ["True", "True"]
@@ -134,3 +161,7 @@ def test_a_kernel_allocates_nothing(call: str) -> None:
 
 def test_segments_are_made_without_allocating_through_blocks_and_holds() -> None:
     assert run_micropython(_BENCH + _SEGMENTS, paths=[FIRMWARE]).split() == ["False", "True"]
+
+
+def test_segments_are_made_without_allocating_where_jerk_is_limited() -> None:
+    assert run_micropython(_BENCH + _JERK, paths=[FIRMWARE]).split() == ["False", "True"]

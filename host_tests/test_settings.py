@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from base import settings as module
 from base.errors import GrblError
-from base.settings import _AXIS, _TABLE, ALL, Settings
+from base.settings import _TABLE, ALL, AXIS, Settings
 from hypothesis import given
 from hypothesis import strategies as st
 from rig_bench import Machine
@@ -51,7 +51,7 @@ def test_rows_and_annotations_agree() -> None:
     kinds = {name: str(kind) for name, kind in Settings.__annotations__.items()}
     assert list(kinds) == [name for _, name, *_ in _TABLE]
     for _, name, kind, *_ in _TABLE:
-        assert ("array" in kinds[name]) == (kind == _AXIS)
+        assert ("array" in kinds[name]) == (kind == AXIS)
 
 
 def test_numbers_rise_and_are_used_once() -> None:

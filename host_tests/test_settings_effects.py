@@ -13,7 +13,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from base.settings import _AXIS, _TABLE
+from base.settings import _TABLE, AXIS
 from extras.dialect_09 import _SETTINGS as settings_09
 from extras.laser import _SETTINGS as laser_settings
 from extras.punch import _SETTINGS as punch_settings
@@ -416,7 +416,7 @@ def test_every_setting_is_seen() -> None:
     table = [
         number + axis
         for number, _, kind, *_ in _TABLE
-        for axis in range(len(_AXES) if kind == _AXIS else 1)
+        for axis in range(len(_AXES) if kind == AXIS else 1)
     ]
     assert sorted(number for number, *_ in _EFFECTS) == table
     punch = [number for number, *_ in punch_settings]

@@ -30,10 +30,12 @@ def names(board: "ModuleType") -> "list[str]":
     option = board.__dict__.get  # getattr() would keep the names for good
     dialect = _known("DIALECT", option("DIALECT", "1.1"), _DIALECTS)
     tool = _known("TOOL", option("TOOL", "spindle"), _TOOLS)
+    jerk = "extras.jerk" if option("JERK", False) else ""
     clusters = "extras.clusters" if option("CLUSTERS", False) else ""
     drains = "extras.drains" if option("COUNT_DRAINS", False) else ""
+    # In this order: a laser's part in each row comes behind that of jerk.
     own: "tuple[str, ...]" = option("EXTRAS", ())
-    return [name for name in (dialect, tool, clusters, drains) + own if name]
+    return [name for name in (dialect, jerk, tool, clusters, drains) + own if name]
 
 
 def _known(option: str, word: str, known: "dict[str, str]") -> str:

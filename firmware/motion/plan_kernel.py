@@ -20,6 +20,7 @@ from motion.layout import (
     FACTOR,
     FEED_OVERRIDE,
     FLAGS,
+    GENTLE,
     HEAD,
     INVERSE_TIME,
     JUNCTION,
@@ -70,8 +71,8 @@ from motion.steps import measure, to_steps
 # Where more blocks than that wait, going back over all of them for each new one would take longer
 # than the rest of its planning. So it is done for several at once: a new one's entry is 0 until
 # then, which keeps every promise.
-_NEAR = const(16)
-_AT_ONCE = const(4)
+NEAR = const(16)
+AT_ONCE = const(4)
 
 # What may stand against a block (mask).
 OUTSIDE = const(1)
@@ -253,6 +254,8 @@ def join(table: ptr32, ring: ptr32, flow: ptr32) -> int:
     ring[at + JUNCTION_SQR] = junction
     ring[at + ENTRY_SQR] = 0
     limit_entry(ring, flow, head)
+    if table[GENTLE]:
+        ring[at + MAX_ENTRY_SQR] = 0  # until jerk_plan.settle() has seen to it
     axes = table[AXES]
     target = LIMITS + TARGET * axes
     for i in range(axes):
@@ -263,7 +266,7 @@ def join(table: ptr32, ring: ptr32, flow: ptr32) -> int:
     waiting = head - flow[TAIL]
     if waiting < 0:
         waiting += flow[ROWS]
-    if waiting < _NEAR or flow[UNPLANNED] >= _AT_ONCE:
+    if waiting < NEAR or flow[UNPLANNED] >= AT_ONCE:
         reverse_pass(ring, flow, 0)
     return 0
 

@@ -177,7 +177,9 @@ class Odometer:
         return list(self._steps)
 
 
-def planned(lines: "Sequence[str]", settings: "Sequence[str]") -> "list[list[tuple[float, int]]]":
+def planned(
+    lines: "Sequence[str]", settings: "Sequence[str]", board: str = "sim"
+) -> "list[list[tuple[float, int]]]":
     """The same of a program in the simulator."""
 
     def script(link: ProgramLink) -> "Iterator[tuple[int, bytes] | None]":
@@ -196,7 +198,7 @@ def planned(lines: "Sequence[str]", settings: "Sequence[str]") -> "list[list[tup
                 track.append(((start + step_tick(row, base, k)) * us, sign))
 
     tracks: list[list[tuple[float, int]]] = [[], [], []]
-    rig = machine.build("sim", lambda rig: ProgramLink(rig, script))
+    rig = machine.build(board, lambda rig: ProgramLink(rig, script))
     us = 1e6 / rig.engine.tick_hz
     rig.engine.trace = trace
     machine.run(rig)

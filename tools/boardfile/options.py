@@ -270,6 +270,10 @@ OPTIONS = (
         "Counts how often a program was held up for want of lines: `$I+`, and `Dr:` in reports.",
     ),
     Option(
+        *("JERK", SWITCH, False),
+        "Jerk can be limited while it runs, per axis: see docs/jerk.md.",
+    ),
+    Option(
         *("CLUSTERS", SWITCH, False),
         "Lines may hold S0:0:875:0, up to 16 powers, and 160 characters: see docs/laser.md.",
     ),

@@ -1,0 +1,73 @@
+"""A limit of jerk on the emulated Pico: the steps are those of the simulator, at their times."""
+
+from pathlib import Path
+
+import emulated
+import pytest
+from emulated import STEP, Board, steps
+from test_pico_motion import PROGRAM, SETTINGS, moved
+from ugrbl.compiling import build
+from ugrbl.paths import BOARDS
+
+pytestmark = pytest.mark.xdist_group("pico jerk")
+
+_LIMITS = (*SETTINGS, "$800=20000", "$801=20000", "$802=8000")
+
+
+@pytest.fixture(scope="module")
+def board_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("boards") / "pico_jerk.py"
+    file.write_text((BOARDS / "rpi_pico.py").read_text() + "JERK = True\n")
+    return file
+
+
+@pytest.fixture(scope="module")
+def machine(uf2: Path, board_file: Path) -> Board:
+    files = build.for_board(board_file).files
+    made = Board(uf2, {**dict.fromkeys(emulated.firmware()), **files}).boot().settled()
+    for setting in _LIMITS:
+        assert made.ask(setting).endswith("ok\r\n")
+    made.pico.record([*STEP, *emulated.DIR])
+    return made
+
+
+def test_steps_are_those_planned(machine: Board, board_file: Path) -> None:
+    """The simulator's segments are shorter by a twentieth, and its average is of as many. So is
+    each stop: times differ by that."""
+    made = moved(machine, [*PROGRAM, "G4P.01"])  # which waits for its end
+    planned = emulated.planned(PROGRAM, _LIMITS, str(board_file))
+    for real, due in zip(made, planned, strict=True):
+        assert [sign for _, sign in real] == [sign for _, sign in due]
+    took, due_us = (
+        max(axis[-1][0] for axis in tracks) - min(axis[0][0] for axis in tracks)
+        for tracks in (made, planned)
+    )
+    assert took == pytest.approx(due_us, rel=0.06)
+
+
+def test_a_move_speeds_up_as_slowly_as_it_is_told_to(machine: Board) -> None:
+    """In its first 50 ms, for acceleration grows by half of what is allowed: 10000 mm/s3."""
+    (track, _, _) = moved(machine, ["G91 G0 X20", "G4P.01"])
+    start = track[0][0]
+    for number, (us, _) in enumerate(track[:60]):
+        if us - start < 45_000:
+            seconds = (us - start) / 1e6 + 0.016  # from rest to the first step, and one segment
+            assert (number + 0.5) / 80 <= 10_000 * seconds**3 / 6 * 1.1
+
+
+def test_a_hold_and_a_reset_leave_it_where_its_steps_are(machine: Board) -> None:
+    machine.until_idle()
+    before = [float(x) for x in machine.status()["MPos"].split(",")]
+    machine.pico.edges.clear()
+    machine.ask("G91 G1 X20 Y3 F3000")
+    machine.pico.run_us(150_000)
+    machine.send(b"!")
+    machine.pico.run_us(400_000)
+    assert machine.status()["state"] == "Hold:0"
+    machine.send(b"\x18")
+    machine.pico.run_us(200_000)
+    made = [sum(sign for _, sign in steps(machine.pico.edges, axis)) for axis in range(3)]
+    after = [float(x) for x in machine.status()["MPos"].split(",")]
+    assert made[0] > 100
+    for axis, per_mm in enumerate((80, 80, 400)):
+        assert after[axis] - before[axis] == pytest.approx(made[axis] / per_mm, abs=0.002)

@@ -1,0 +1,545 @@
+"""A limit of jerk: acceleration comes and goes over a time, and every other law still holds."""
+
+from array import array
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import accumulate
+from math import inf
+from types import ModuleType
+from typing import Any
+
+import pytest
+from extras.jerk import Jerk
+from hypothesis import given
+from hypothesis import strategies as st
+from laws import (
+    SEGMENT_LOG2,
+    TICK_HZ,
+    Bench,
+    Block,
+    Limits,
+    Watch,
+    check_pulses,
+    check_segments,
+    real,
+    some,
+)
+from micropython_runner import needs_micropython, run_micropython
+from motion import layout
+from motion.kinematics import COREXY
+from motion.layout import DYNAMIC
+from motion.planner import Move
+from rig_bench import Machine
+from test_laws import (
+    actions,
+    any_limits,
+    blocks,
+    check_position,
+    circle,
+    events,
+    fast,
+    harmless,
+    jogs,
+    machines,
+    plunges,
+    reversals,
+    single_steps,
+    slow,
+    staircase,
+    zigzag,
+)
+from ugrbl.boardfile.files import load_board
+from ugrbl.paths import FIRMWARE
+from ugrbl.sim.engine import Switch
+
+# Accelerations are told in 14 bits, steps as in largest_jerk(), and braking for a place may be
+# harder by a sixteenth (segment_kernel.brake).
+JERK_SLACK = 1.15
+# As in laws.py.
+_END_PART = 1 / 20
+
+
+class JerkBench(Bench):
+    """Planner and segments, with jerk limited; 0 is no limit."""
+
+    def __init__(
+        self,
+        limits: Limits,
+        jerk: Sequence[float],
+        blocks: int = 16,
+        tick_hz: int = TICK_HZ,
+        segment_log2: int = SEGMENT_LOG2,
+    ) -> None:
+        super().__init__(limits, blocks, tick_hz, segment_log2)
+        self.jerk = tuple(jerk)
+        self.smoother = Jerk(self.planner, self.state, self.watch._next)
+        self.watch._next = self.smoother.next
+        self.slot_s = (1 << segment_log2) / tick_hz
+        self.smoother.limit(list(limits.acceleration), list(jerk), self.slot_s)
+
+    def finish(self) -> None:
+        """Let everything planned happen."""
+        self.planner.catch_up()
+        super().finish()
+
+    @property
+    def slots(self) -> int:
+        """Segments that speed is averaged over."""
+        return self.smoother._line[layout.SLOTS]
+
+    @property
+    def time_s(self) -> float:
+        """The same in seconds."""
+        return self.slots * self.slot_s
+
+    def check(self) -> None:
+        """All laws, and that of jerk."""
+        super().check()
+        if self.slots:
+            assert largest_jerk(self) <= JERK_SLACK
+
+
+class Course:
+    """Where on its way the machine is, by time: mm and seconds."""
+
+    def __init__(self, watch: Watch) -> None:
+        self._pieces = watch.pieces
+        self._times = [0.0, *accumulate(piece.time for piece in watch.pieces)]
+        self._ways = [0.0, *accumulate(piece.distance for piece in watch.pieces)]
+        self.end = self._times[-1]
+        self.all = list(dict.fromkeys(piece.block for piece in watch.pieces))
+
+    def at(self, time: float) -> float:
+        if time >= self.end:
+            return self._ways[-1]
+        if time <= 0:
+            return 0.0
+        i = bisect_right(self._times, time) - 1
+        piece, since = self._pieces[i], time - self._times[i]
+        begin = 2 * piece.mean - piece.speed
+        return self._ways[i] + begin * since + (piece.speed - begin) * since**2 / 2 / piece.time
+
+    def blocks(self, begin: float, end: float) -> "list[Block]":
+        """Those that it is on between these times."""
+        first = max(bisect_right(self._times, begin) - 1, 0)
+        last = bisect_right(self._times, end)
+        return [piece.block for piece in self._pieces[first:last]]
+
+
+def allowed(block: Block, jerk: Sequence[float]) -> float:
+    """Jerk along a block, mm/s3."""
+    return block.limits.along(block.unit, [j or inf for j in jerk])
+
+
+def largest_jerk(bench: "JerkBench") -> float:
+    """The third difference of ways, as a part of what the axes allow.
+
+    Over times in which steps can tell it: a tenth of one changes it by a tenth, and in which
+    coming to rest from the speed that is braked in a part of a step does not count.
+    """
+    course = Course(bench.watch)
+    told = [(8 * block.step / allowed(block, bench.jerk)) ** (1 / 3) for block in course.all]
+    window = max([2 * bench.slot_s, *told])
+    worst = 0.0
+    time = -3 * window
+    while time < course.end:
+        a, b, c, d = (course.at(time + i * window) for i in range(4))
+        if blocks := course.blocks(time, time + 3 * window):
+            found = abs(d - 3 * c + 3 * b - a) / window**3
+            found -= max(block.braked(_END_PART) for block in blocks) / bench.time_s / window
+            worst = max(worst, found / max(allowed(block, bench.jerk) for block in blocks))
+        time += window / 4
+    return worst
+
+
+programs = pytest.mark.parametrize(
+    "program", [zigzag, staircase, reversals, plunges, slow, single_steps]
+)
+jerks = pytest.mark.parametrize("jerk", [(2000.0,) * 3, (30_000.0, 30_000.0, 4000.0)])
+
+
+@programs
+@jerks
+@pytest.mark.parametrize("limits", [Limits(), fast], ids=["factory", "fast"])
+def test_examples_keep_every_law(program, limits: Limits, jerk) -> None:
+    bench = JerkBench(limits, jerk)
+    program(bench)
+    bench.check()
+
+
+@programs
+def test_corexy_keeps_every_law_of_its_motors(program) -> None:
+    bench = JerkBench(replace(fast, moves=COREXY), (20_000.0,) * 3)
+    program(bench)
+    bench.check()
+
+
+@pytest.mark.parametrize("chords", [24, 300])
+def test_a_circle_of_chords_keeps_every_law(chords: int) -> None:
+    bench = JerkBench(fast, (20_000.0,) * 3)
+    circle(bench, 4.0, chords, 2400)
+    bench.check()
+
+
+@pytest.mark.parametrize("segment_log2", [12, 14, 17])
+def test_coarse_ticks_and_short_segments_keep_every_law(segment_log2: int) -> None:
+    bench = JerkBench(fast, (20_000.0,) * 3, 16, 1_000_000, segment_log2)
+    zigzag(bench)
+    bench.check()
+
+
+@pytest.mark.parametrize("after", [1, 7, 20, 33, 40, 61, 90])
+def test_a_hold_at_any_moment_keeps_every_law(after: int) -> None:
+    bench = JerkBench(fast, (20_000.0,) * 3)
+    zigzag(bench)
+    bench.pull(after)
+    bench.hold()
+    bench.check()
+
+
+@pytest.mark.parametrize("after", [1, 7, 20, 33, 40])
+def test_a_hold_that_is_let_go_before_it_stands_keeps_every_law(after: int) -> None:
+    bench = JerkBench(fast, (20_000.0,) * 3)
+    zigzag(bench)
+    bench.pull(40)
+    bench.segments.hold(True)
+    bench.pull(after)
+    bench.segments.hold(False)
+    bench.check()
+
+
+@pytest.mark.parametrize("feed", [10, 200])
+@pytest.mark.parametrize("after", [1, 7, 20, 40])
+def test_an_override_at_any_moment_keeps_every_law(feed: int, after: int) -> None:
+    bench = JerkBench(fast, (20_000.0,) * 3)
+    zigzag(bench)
+    bench.pull(after)
+    bench.override(feed)
+    bench.pull(after)
+    bench.override(100)
+    bench.check()
+
+
+@pytest.mark.parametrize("after", [1, 3, 10, 30, 55, 80])
+def test_what_is_cleared_in_motion_leaves_nothing_in_the_line(after: int) -> None:
+    """As a reset does, and a probe's contact: the engine stops, and planning begins anew."""
+    bench = JerkBench(fast, (20_000.0,) * 3)
+    bench.line((3, 1, 0), 2000)
+    bench.line((3, 4, 0), 2000)
+    bench.pull(after)
+    bench.planner.clear()
+    assert not bench.pull()
+    fresh = JerkBench(fast, (20_000.0,) * 3)
+    for one in (bench, fresh):
+        one.planner.sync_motors(array("i", (0, 0, 0)))
+        made = len(one.watch.made)
+        one._row = array("i", [0] * layout.row_length(3))
+        zigzag(one)
+        one.finish()
+        one.rows = [segment.row for segment in one.watch.made[made:]]
+    assert bench.rows == fresh.rows
+
+
+@some(40)
+@given(
+    any_limits,
+    st.tuples(*[st.sampled_from([0.0, 100.0, 2000.0, 50_000.0, 1e6])] * 3),
+    st.lists(actions, min_size=5, max_size=30),
+)
+def test_random_programs_keep_every_law(limits: Limits, jerk, program) -> None:
+    bench = JerkBench(limits, jerk)
+    place = (0.0, 0.0, 0.0)
+    for name, *arguments in program:
+        if name == "line":
+            place = tuple(a + b for a, b in zip(place, arguments[0], strict=True))
+            arguments[0] = place
+        getattr(bench, name)(*arguments)
+    bench.check()
+
+
+@pytest.mark.parametrize("after", [9, 40, 77])
+def test_parking_goes_away_and_comes_back_between_two_halves_of_a_block(after: int) -> None:
+    bench = JerkBench(fast, (20_000.0,) * 3)
+    zigzag(bench)
+    bench.pull(after)
+    bench.segments.hold(True)
+    bench.finish()
+    made = bench.watch.made
+    stood = [sum(s.axis(i)[0] for s in made) for i in range(3)]
+    move, start = Move(), array("i", stood)
+    move.flags = layout.SYSTEM_MOTION | layout.RAPID_MOTION
+    bench.segments.begin_system()
+    bench.segments.hold(False)
+    for place in ((1.0, 2.0, 3.0), (0.0, 0.0, 0.0)):
+        assert bench.planner.system_line(array("f", place), move, 0, start)
+        bench.finish()
+        assert bench.planner.flow[layout.SYSTEM] == 2
+        start[:] = array("i", [round(250 * x) for x in place])
+    bench.segments.end_system()
+    bench.check()
+
+
+@pytest.mark.parametrize("per_mm", [5.0, 26.667, 250.0, 20_000.0, 300_000.0])
+@pytest.mark.parametrize("feed", [1, 30])
+def test_slow_motion_and_any_resolution_keep_every_law(per_mm: float, feed: int) -> None:
+    bench = JerkBench(Limits((per_mm,) * 3, (300.0,) * 3, (50.0,) * 3), (2000.0,) * 3)
+    way = max(0.02, 3 / per_mm)
+    bench.line((way, 0, 0), feed)
+    bench.line((2 * way, way / 3, 0), feed)
+    bench.check()
+
+
+def test_a_way_too_long_for_the_line_is_entered_and_left_at_rest() -> None:
+    bench = JerkBench(Limits((1.0,) * 3, (600_000.0,) * 3, (5000.0,) * 3), (100_000.0,) * 3)
+    for place in (100.0, 20_000.0, 20_200.0):
+        bench.line((place, 0, 0), 0)
+    queue = bench.watch.queue()
+    assert [row[layout.ENTRY_SQR] for _, row in queue] == [0, 0, 0]
+    bench.finish()
+    assert sum(segment.axis(0)[0] for segment in bench.watch.made) == 20_200
+
+
+_ROWS = """
+from array import array
+
+from base.state import State
+from extras.jerk import Jerk
+from motion import layout
+from motion.planner import Move, Planner
+from motion.segments import Segments
+
+
+class Settings:
+    steps_per_mm = array("f", [250.0, 80.0, 4000.0])
+    max_rate = array("f", [3000.0, 5000.0, 500.0])
+    acceleration = array("f", [360000.0, 3600000.0, 36000.0])
+    junction_deviation_mm = 0.01
+
+
+state = State()
+planner = Planner(3, 16, None, state)
+planner.configure(Settings, 13107200, 17, 90909)
+segments = Segments(planner)
+jerk = Jerk(planner, state, segments.next)
+jerk.limit([100.0, 1000.0, 10.0], [2000.0, 20000.0, 500.0], 0.01)
+planner.override()
+row = array("i", [0] * layout.row_length(3))
+move = Move()
+seen = 0
+for i in range(40):
+    target = array("f", [0.7 * (i % 5), 0.11 * i, -0.01 * (i // 9)])
+    move.feed = 900.0 if i % 7 else 200.0
+    planner.line(target, move, 0)
+    while planner.full() or (i == 39 and not planner.empty()):
+        segments.hold(seen % 97 > 80)
+        jerk.next(row)
+        for number in row:
+            seen = (seen * 31 + number) & 0xFFFFFF
+print(seen)
+"""
+
+
+@needs_micropython
+def test_both_pythons_make_the_same_rows(capsys: pytest.CaptureFixture[str]) -> None:
+    exec(_ROWS, {})
+    assert run_micropython(_ROWS, paths=[FIRMWARE]) == capsys.readouterr().out
+
+
+# What it costs
+
+
+def duration(limits: Limits, jerk: float, program) -> "tuple[float, JerkBench]":
+    bench = JerkBench(limits, (jerk,) * 3)
+    program(bench)
+    bench.finish()
+    last = bench.watch.made[-1]
+    return (last.start + last.ticks) / TICK_HZ, bench
+
+
+@pytest.mark.parametrize("jerk", [5000.0, 20_000.0, 100_000.0])
+def test_each_stop_takes_longer_by_the_time_of_the_average_and_a_segment_at_most(jerk) -> None:
+    def stops(bench: Bench) -> None:
+        for i in range(6):
+            bench.line((20.0 * ((i + 1) % 2), 0, 0))
+
+    limits = Limits((250.0,) * 3, (6000.0,) * 3, (1000.0,) * 3)
+    plain, _ = duration(limits, 0, stops)
+    gentle, bench = duration(limits, jerk, stops)
+    assert bench.time_s == pytest.approx(2 * 1000 / jerk, abs=bench.slot_s)
+    assert 0 <= (gentle - plain) / 6 - bench.time_s <= bench.slot_s * 1.01
+
+
+def test_a_curve_of_short_lines_takes_no_longer_but_for_its_ends() -> None:
+    def curve(bench: Bench) -> None:
+        circle(bench, 20.0, 600, 2400)
+
+    limits = Limits((250.0,) * 3, (6000.0,) * 3, (1000.0,) * 3)
+    plain, _ = duration(limits, 0, curve)
+    gentle, bench = duration(limits, 40_000.0, curve)
+    assert gentle - plain <= bench.time_s + bench.slot_s * 1.01
+
+
+def test_where_the_average_would_be_too_long_acceleration_is_less() -> None:
+    limits = Limits((250.0,) * 3, (6000.0,) * 3, (1000.0,) * 3)
+    bench = JerkBench(limits, (100.0,) * 3)
+    bench.line((20, 0, 0))
+    bench.check()
+    assert bench.slots == 64
+    row = bench.planner.ring[: bench.planner.flow[layout.ROW_SIZE]]
+    assert real(row[layout.ACCEL]) == pytest.approx(100.0 * 0.64 / 2, rel=1e-3)
+
+
+@pytest.mark.parametrize("blocks", [3, 64])
+def test_a_short_ring_and_a_long_one_keep_every_law(blocks: int) -> None:
+    bench = JerkBench(fast, (20_000.0,) * 3, blocks)
+    circle(bench, 4.0, 300, 2400)
+    bench.check()
+
+
+def test_power_follows_the_speed_of_what_is_made() -> None:
+    bench = JerkBench(fast, (20_000.0,) * 3)
+    bench.planner.table[layout.POWER_MAX] = 1000
+    bench.line((6.0, 2.0, 0.0), 2400, DYNAMIC)
+    for at in range(bench.planner.flow[layout.ROW_SIZE]):
+        if at == layout.POWER:
+            bench.planner.ring[at] = 1000 << 6
+    bench.finish()
+    pieces = [piece for piece in bench.watch.pieces if piece.segment]
+    assert max(piece.segment.row[layout.ROW_POWER] for piece in pieces) == 1000
+    for piece in pieces:
+        assert piece.segment.row[layout.ROW_POWER] == pytest.approx(piece.speed / 40 * 1000, abs=2)
+
+
+@pytest.mark.parametrize("left", range(0, 200, 7))
+def test_a_slot_that_was_not_used_up_makes_the_next_no_longer(left: int) -> None:
+    """What a piece leaves of it, as little as it is, would be time that no ramp is told of."""
+    bench = JerkBench(fast, (20_000.0,) * 3)
+    bench.line((3, 1, 0), 2000)
+    bench.line((6, 1, 0), 2000)
+    bench.pull(9)
+    bench.segments.hold(True)
+    bench.finish()
+    bench.smoother._line[layout.LEFT] = left
+    bench.segments.hold(False)
+    bench.check()
+
+
+# The whole machine
+
+
+def board(**words: Any) -> ModuleType:
+    """The simulator with a limit of jerk, and what else is wanted."""
+    made = ModuleType("board")
+    vars(made).update({**vars(load_board("sim_jerk")), **words})
+    return made
+
+
+LIMITED = {800: 20_000.0, 801: 20_000.0, 802: 5000.0}
+
+
+def played(machine: Machine, lines: "list[str]", bytes_: "list[tuple[int, str]]") -> Any:
+    machine.play(lines, bytes_)
+    return machine.rows, machine.received
+
+
+JOB = [
+    "G21G91F2000",
+    "G1X5Y1",
+    "G1X.1",
+    "G1X.1Y.02",
+    "G2X3I1.5F900",
+    "G0Z-2",
+    "G1X-8F3000",
+    "$J=X1F500",
+]
+EVENTS = [(150, "!"), (500, "~"), (600, "\x91"), (900, "?"), (1200, "\x92")]
+
+
+def test_a_board_that_does_not_limit_it_moves_as_one_that_cannot() -> None:
+    settings = {110: 3000.0, 111: 3000.0, 120: 200.0, 121: 200.0}
+    assert played(Machine(settings, board()), JOB, EVENTS) == played(
+        Machine(settings), JOB, EVENTS
+    )
+
+
+def test_a_limit_that_is_taken_back_leaves_nothing_behind() -> None:
+    lines = [*JOB, "G1X5Y1", "G4P0"]
+    plain, limited = Machine(None, board()), Machine(None, board())
+    plain.play(["$800=0", *lines])
+    limited.play(["$800=9000", "G91G1X.1F300", "G1X-.1", "$800=0", *lines])
+    rows = [row for _, row in plain.rows]
+    assert [row for _, row in limited.rows][-len(rows) :] == rows
+
+
+def test_a_long_ring_is_streamed_through_to_its_last_line() -> None:
+    lines = [f"G1X{0.05 * (1 + i % 2):.2f}Y0.05F900" for i in range(200)]
+    machine = Machine(LIMITED, board(PLANNER_BLOCKS=64))
+    machine.play(["G21G91", *lines], [(700, "?"), (900, "!"), (1500, "~")])
+    check_segments(machine.watch)
+    check_pulses(machine.watch, machine.rows)
+    check_position(machine)
+
+
+def test_a_limit_is_a_setting_per_axis_and_kept() -> None:
+    machine = Machine(None, board())
+    machine.play(["$800=9000", "$802=1500.5", "$801=-1", "$$"])
+    told = [line for line in machine.received if line.startswith("$80")]
+    assert told == ["$800=9000.000", "$801=0.000", "$802=1500.500"]
+    assert "error:4" in machine.received
+
+
+@some(15)
+@given(machines, st.lists(blocks, min_size=4, max_size=16), events(harmless))
+def test_nothing_is_lost_through_holds_and_overrides(settings_, lines, bytes_) -> None:
+    machine = Machine({**settings_, **LIMITED}, board())
+    machine.play(["G21G91F500", *lines], bytes_)
+    check_segments(machine.watch)
+    check_pulses(machine.watch, machine.rows)
+    check_position(machine)
+
+
+@some(15)
+@given(
+    machines, st.lists(blocks, min_size=2, max_size=12), events(st.sampled_from("!~?\x18\x84\x91"))
+)
+def test_position_is_known_through_resets_and_doors(settings_, lines, bytes_) -> None:
+    machine = Machine({**settings_, **LIMITED}, board(SAFETY_DOOR=True))
+    machine.play(["G21G91F500", *lines], bytes_)
+    check_position(machine)
+
+
+@some(15)
+@given(machines, st.lists(jogs, min_size=2, max_size=6), events(st.sampled_from("\x85!?~")))
+def test_position_is_known_through_jog_cancels(settings_, lines, bytes_) -> None:
+    machine = Machine({**settings_, **LIMITED}, board())
+    machine.play(lines, bytes_)
+    check_segments(machine.watch)
+    check_position(machine)
+
+
+def test_homing_ends_where_it_ends_without_and_moves_go_on_from_there() -> None:
+    places = []
+    for limited in ({}, LIMITED):
+        settings = {22: 1, 24: 150.0, 25: 1200.0, 26: 5, 27: 0.5, 110: 3000.0, 120: 200.0}
+        machine = Machine({**settings, **limited}, board())
+        for axis, pin in enumerate(("limit_x", "limit_y", "limit_z")):
+            machine.rig.engine.switches.append(Switch(pin, axis, True, 500 + 200 * axis, 0))
+        machine.play(["$H", "G91G1X-2Y-1F800", "$H", "G1X-1F500"])
+        places.append((machine.reported(), machine.physical()))
+    assert places[0] == places[1]
+
+
+def test_a_probe_in_motion_stops_later_by_the_lag_and_what_follows_is_made_whole() -> None:
+    feed_mm_s = 10.0
+    places = []
+    for limited in ({}, LIMITED):
+        machine = Machine({110: 3000.0, 120: 200.0, **limited}, board())
+        machine.rig.engine.switches.append(Switch("probe", 0, True, 700, 0))
+        machine.play(["G91", "G38.2X10F600", "G1X2F900", "G1Y1"])
+        assert "[PRB:2.800,0.000,0.000:1]" in machine.received
+        check_position(machine)
+        places.append(machine.physical())
+    later_mm = (places[1][0] - places[0][0]) / 250
+    assert 0 < later_mm <= feed_mm_s * (2 * 200 / LIMITED[800] + 0.01)
+    assert places[1][1] == places[0][1] == 250
