@@ -5,6 +5,7 @@ it lets cnc.service() have a turn now and then. The machine itself knows nothing
 are put around what it does, so a board without any pays nothing.
 """
 
+import micropython
 from base import errors
 from base import state as st
 from base.errors import GrblError
@@ -256,6 +257,7 @@ class Cnc:
         interpreter = self._machine.interpreter
         usual = interpreter.execute
 
+        @micropython.native
         def execute(line: bytearray, length: int) -> None:
             word = self._find(line, length)
             if word is None:

@@ -36,7 +36,7 @@ _INPUT = "input "  # in front of an input's name
 _MOST_DUE = const(16)
 # So much of the stack may be in use where a handler begins that runs beside motion: interrupts
 # and its own calls want the rest.
-_STACK_BYTES = const(3328)
+_STACK_BYTES = const(3712)
 _HOME = const(72)  # $H
 _UNLOCK = const(88)  # $X
 _M6 = const(6)
@@ -113,6 +113,7 @@ class Happenings:
             for what, function in self._handlers[name]:
                 self._runner.run(what, function, True, values, word)
 
+    @micropython.native
     def turn(self) -> None:
         """Those that run beside motion hear of what has happened, where there is room."""
         self._notice()
@@ -211,6 +212,7 @@ class Happenings:
         realtime = self._machine.realtime
         usual = realtime.events
 
+        @micropython.native  # needs half the stack, here and in all that handlers run within
         def events() -> None:
             usual()
             self.turn()
@@ -222,6 +224,7 @@ class Happenings:
         interpreter, modes = self._machine.interpreter, self._machine.modes
         usual = interpreter.execute
 
+        @micropython.native
         def execute(line: bytearray, length: int) -> None:
             usual(line, length)
             if line.find(b"T", 0, length) >= 0:

@@ -5,6 +5,7 @@ handler that runs beside motion may neither move nor wait. Every call looks firs
 has come: a handler that has swallowed it once comes no further.
 """
 
+import micropython
 from base import errors
 from base import state as st
 from base.errors import GrblError
@@ -273,6 +274,7 @@ class Operator:
 
     # Waiting
 
+    @micropython.native  # a handler that runs beside it wants stack
     def wait(self, seconds: float) -> None:
         """Let time pass; motion goes on."""
         self._until(lambda: False, seconds)
@@ -286,6 +288,7 @@ class Operator:
         """Wait for an input to close, or to open; False where it has not within so long."""
         return self._until(lambda: self.pin(name) == closed, seconds)
 
+    @micropython.native
     def _until(self, done: "Callable[[], bool]", seconds: "float | None") -> bool:
         self._wait()
         machine = self._machine

@@ -6,6 +6,7 @@ beside it; then all is off, as after a reset, and the machine is in alarm.
 
 import gc
 
+import micropython
 from base import errors
 from base import state as st
 from base.errors import Abort, GrblError
@@ -47,6 +48,7 @@ class Runner:
         """Power-up or a reset."""
         self.operator.forget()
 
+    @micropython.native  # needs half the stack
     def run(
         self,
         what: str,
@@ -66,14 +68,12 @@ class Runner:
             found = function(operator, *values, **(given or {}))
             operator.look()
             return found
-        except Abort:
-            raise
         except Stopped:
             if state.pending[st.RESET]:
                 raise Abort
             return None  # the line's end tells of the alarm
         except Exception as fault:
-            if state.pending[st.RESET]:
+            if isinstance(fault, Abort) or state.pending[st.RESET]:
                 raise Abort
             if isinstance(fault, handlers.Refuse) and given is not None and may_move:
                 self._cnc.message(harmless(str(fault)))
