@@ -136,7 +136,7 @@ def test_a_board_gets_every_module_its_modules_import(name: str) -> None:
 def needed(**words: "str | bool") -> set[str]:
     board = load_board("rpi_pico")
     made = type(board)("made")
-    vars(made).update({**vars(board), **words})
+    vars(made).update({**vars(board), "CUSTOM": "", **words})
     return set(build.needed(made))
 
 
@@ -162,6 +162,9 @@ def test_a_board_gets_what_it_can_use() -> None:
         "esp_chip/pins.py",
     } < rmt and "esp_chip/i2s.py" not in rmt
     assert needed(TOOL="punch") - pico == {"extras/api.py", "extras/punch.py"}
+    custom = needed(CUSTOM="custom") - pico  # which is the default
+    assert {"extras/api.py", "extras/custom.py", "extras/machine_operator.py"} < custom
+    assert all(name.startswith("extras/") for name in custom)
     laser = needed(TOOL="laser") - pico
     assert laser == {
         *("extras/api.py", "extras/laser.py", "motion/beam.py"),
