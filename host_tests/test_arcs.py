@@ -264,7 +264,7 @@ def test_a_fourth_axis_goes_evenly() -> None:
 def test_the_time_of_an_inverse_time_arc_is_shared_out() -> None:
     bench = Bench()
     bench.tell("G93", "G3X-4I-2F2")
-    assert abs(bench.machine.planner._feed - 2 * len(bench.blocks)) < 0.001
+    assert abs(bench.machine.planner._feed[0] - 2 * len(bench.blocks)) < 0.001
 
 
 def test_a_spindle_override_counts_from_the_next_chords_on() -> None:
