@@ -241,7 +241,7 @@ def test_what_is_cleared_in_motion_leaves_nothing_in_the_line(after: int) -> Non
     assert bench.rows == fresh.rows
 
 
-@some(40)
+@some(10)
 @given(
     any_limits,
     st.tuples(*[st.sampled_from([0.0, 100.0, 2000.0, 50_000.0, 1e6])] * 3),
@@ -489,7 +489,7 @@ def test_a_limit_is_a_setting_per_axis_and_kept() -> None:
     assert "error:4" in machine.received
 
 
-@some(15)
+@some(4)
 @given(machines, st.lists(blocks, min_size=4, max_size=16), events(harmless))
 def test_nothing_is_lost_through_holds_and_overrides(settings_, lines, bytes_) -> None:
     machine = Machine({**settings_, **LIMITED}, board())
@@ -499,7 +499,7 @@ def test_nothing_is_lost_through_holds_and_overrides(settings_, lines, bytes_) -
     check_position(machine)
 
 
-@some(15)
+@some(4)
 @given(
     machines, st.lists(blocks, min_size=2, max_size=12), events(st.sampled_from("!~?\x18\x84\x91"))
 )
@@ -509,7 +509,7 @@ def test_position_is_known_through_resets_and_doors(settings_, lines, bytes_) ->
     check_position(machine)
 
 
-@some(15)
+@some(4)
 @given(machines, st.lists(jogs, min_size=2, max_size=6), events(st.sampled_from("\x85!?~")))
 def test_position_is_known_through_jog_cancels(settings_, lines, bytes_) -> None:
     machine = Machine({**settings_, **LIMITED}, board())
