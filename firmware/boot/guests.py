@@ -22,8 +22,6 @@ _DIALECTS = {
 }
 _TOOLS = {"spindle": "", "laser": "extras.laser", "punch": "extras.punch"}
 
-_customs: "dict[str, tuple[str, ...]]" = {}  # what has been found, for it is asked more than once
-
 
 def names(board: "ModuleType") -> "list[str]":
     """Modules by their names. Raises ValueError where a word asks for none there is."""
@@ -48,12 +46,9 @@ def _known(option: str, word: str, known: "dict[str, str]") -> str:
 
 def customs(board: "ModuleType") -> "tuple[str, ...]":
     """The user's own modules that are there: a file of that name, or those of a folder."""
-    name: str = board.__dict__.get("CUSTOM", "custom")
-    if name not in _customs:
-        from ports import user_files
+    from ports import user_files
 
-        _customs[name] = user_files.modules(name)
-    return _customs[name]
+    return user_files.modules(board.__dict__.get("CUSTOM", "custom"))
 
 
 def modules(board: "ModuleType") -> "list[Extra]":
