@@ -95,6 +95,8 @@ class Seek:
         try:
             state.post(st.CYCLE_START)
             self._canon.service()
+            if self._contact and state.run == st.RUN:  # before it began
+                state.post(st.CANCEL_MOTION)
             while state.run != st.IDLE:
                 self._canon.service()
         finally:
@@ -131,7 +133,8 @@ class Seek:
         """Interrupt: the place counts, to the step."""
         self._engine.position(self.probe_steps)
         self._contact = True
-        self._state.post(st.CANCEL_MOTION)
+        if self._state.run == st.RUN:  # what does not move yet cannot be held
+            self._state.post(st.CANCEL_MOTION)
 
     def _report_probe(self) -> None:
         self._planner.to_mm(self.probe_steps, self._target)
