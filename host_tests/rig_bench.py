@@ -139,7 +139,7 @@ class Machine:
     def rest(self) -> Iterator[Any]:
         """Come to rest, and report."""
         rig = self.rig
-        yield rig.ms(100)  # a reset on its way would take the question with it
+        yield rig.ms(700)  # a reset on its way, or an alarm's silence, would take the question
         while not self.idle():
             self._go_on()
             yield rig.ms(20)
