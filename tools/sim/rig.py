@@ -67,7 +67,8 @@ class Rig:
         full: bool = False,
     ) -> None:
         axes = len(board.STEP)
-        vars(board).setdefault("CUSTOM", "")  # whatever lies where this is run
+        if not hasattr(board, "CUSTOM"):
+            board.CUSTOM = ""  # whatever lies where this is run
         self.board = board
         self.store: "Any" = MemoryStore() if store is None else store
         tool = getattr(board, "TOOL", "spindle")
