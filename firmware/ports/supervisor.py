@@ -95,8 +95,6 @@ class Supervisor:
         except:  # noqa: E722
             stops = 1
             shared[STOPPED] = _FAILED
-        if stops:
-            micropython.kbd_intr(_CTRL_X)  # which ends what does not come back by itself
         if stops or resets:
             try:
                 self._kill()
@@ -111,6 +109,8 @@ class Supervisor:
                 self._on_reset(0)
             except:  # noqa: E722
                 shared[STOPPED] = _FAILED
+        if stops:
+            micropython.kbd_intr(_CTRL_X)  # which ends what does not come back by itself
         return 0
 
     def take(self) -> int:
