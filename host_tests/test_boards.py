@@ -80,6 +80,8 @@ def test_a_board_is_data_only(name: str) -> None:
         ({"SAFETY_DOOR": True}, "SAFETY_DOOR is set and there is no pin for the door"),
         ({"PWM_MAX": 65535}, "PWM_MAX is 65535: it is 16383 at the most"),
         ({"ESTOP": 14}, "HOLD: pin 14 is ESTOP already"),
+        ({"OUTPUTS": {"vacuum": 2}}, "OUTPUTS: pin 2 is STEP already"),
+        ({"OUTPUTS": {"lamp": 27}, "INPUTS": {"door": 27}}, "INPUTS: pin 27 is OUTPUTS already"),
         ({"INVERT": "FLOOD"}, "INVERT is 'FLOOD' and wants parentheses and a comma"),
         ({"INVERT": ("ENABLE",)}, "INVERT: 'ENABLE' is not one of SPINDLE_PWM, SPINDLE_ON"),
         ({"INVERT": ("FLOOD",)}, "INVERT: there is no pin for FLOOD"),

@@ -20,6 +20,7 @@ from ugrbl.boardfile.options import (
     BY_NAME,
     COUNT,
     INVERTIBLE,
+    NAMED_PINS,
     NEEDED,
     OPTIONS,
     PIN,
@@ -133,7 +134,7 @@ def test_a_row_is_whole(option: Option) -> None:
 
 
 def test_what_is_checked_to_be_a_pin_is_one_in_the_table() -> None:
-    kinds = (PIN, PINS, PIN_OR_PINS)
+    kinds = (PIN, PINS, PIN_OR_PINS, NAMED_PINS)
     pins = {option.name for option in OPTIONS if option.kind in kinds} - {"NO_PULL_UP"}
     named = {name for engine in engines.engines().values() for name in engine.pins}
     named |= {*pin_check._NAMES.split(), *(name for name in pins if name.startswith("PUNCH_"))}

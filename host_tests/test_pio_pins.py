@@ -291,6 +291,8 @@ def test_the_watchdog_is_stopped_for_the_repl() -> None:
         ({"CONTROL": (13, 9, None, None)}, "CONTROL: pin 9 is LIMIT already"),
         ({"FLOOD": -1}, "FLOOD: there is no pin -1"),
         ({"ESTOP": 9}, "ESTOP: pin 9 is LIMIT already"),
+        ({"INPUTS": {"door": 9}}, "INPUTS: pin 9 is LIMIT already"),
+        ({"OUTPUTS": {"lamp": 30}}, "OUTPUTS: there is no pin 30"),
         ({"CONTROL_INVERT": 8}, "CONTROL_INVERT: there is no input of value 8"),
     ],
 )

@@ -51,17 +51,14 @@ def customs(board: "ModuleType") -> "tuple[str, ...]":
     return user_files.modules(board.__dict__.get("CUSTOM", "custom"))
 
 
-def modules(board: "ModuleType") -> "list[Extra]":
-    """The modules themselves."""
-    found = names(board)
-    if customs(board):
-        found.append(CUSTOM)
-    return [__import__(name, None, None, ("install",)) for name in found]
+def modules(asked: "list[str]") -> "list[Extra]":
+    """The modules themselves, by their names."""
+    return [__import__(name, None, None, ("install",)) for name in asked]
 
 
 def pins(board: "ModuleType") -> "tuple[str, ...]":
     """What they call pins in the board file."""
     found: "tuple[str, ...]" = ()
-    for module in modules(board):
+    for module in modules(names(board)):
         found += getattr(module, "PINS", ())
     return found

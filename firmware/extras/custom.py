@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from extras.api import Cnc
     from extras.handlers import Function, Note
 
-PINS = ("OUTPUTS", "INPUTS")
 _API = "ugrbl"  # the name by which custom.py knows handlers.py
 
 _INFO = b"$I+"

@@ -7,8 +7,12 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from types import ModuleType
 
-# Names that stand for pins of the chip, or for tuples of them, on every board; None is not wired.
-_NAMES = "LIMIT PROBE CONTROL ESTOP REPL_PIN SPINDLE_PWM SPINDLE_DIR SPINDLE_ON FLOOD MIST_PIN"
+# Names that stand for pins of the chip, for tuples of them, or for those of custom.py by name, on
+# every board; None is not wired.
+_NAMES = (
+    "LIMIT PROBE CONTROL ESTOP REPL_PIN SPINDLE_PWM SPINDLE_DIR SPINDLE_ON FLOOD MIST_PIN "
+    "OUTPUTS INPUTS"
+)
 
 
 def check(board: "ModuleType", motors: "tuple[str, ...]", others: "tuple[str, ...]" = ()) -> None:

@@ -19,7 +19,11 @@ from .options import BY_NAME, INVERTIBLE, PIN, PIN_OR_PINS
 _READ = re.compile(r"""\b(?:option\(|getattr\(\s*board,\s*)"([A-Z]\w*)"|\bboard\.([A-Z]\w*)""")
 
 # Pins that new_board does not ask for.
-_OTHERS = {"REPL_PIN": "the button for MicroPython's prompt"}
+_OTHERS = {
+    "REPL_PIN": "the button for MicroPython's prompt",
+    "OUTPUTS": "outputs for custom.py",
+    "INPUTS": "inputs for custom.py",
+}
 _NEEDED_AXES = 3
 
 
@@ -135,6 +139,8 @@ def _others(board: ModuleType) -> dict[str, str]:
 
 
 def _as_tuple(value: Any) -> tuple[Any, ...]:
+    if isinstance(value, dict):  # pins by name
+        return tuple(value.values())
     return value if isinstance(value, tuple) else (value,)
 
 
