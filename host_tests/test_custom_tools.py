@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -342,7 +343,12 @@ def test_a_handler_that_refuses_its_line_is_no_fault() -> None:
     assert code == 0 and found["tried"][0]["said"] == "refuses its line: not now"
 
 
-def test_a_handler_without_an_end_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("usual", [signal.default_int_handler, signal.SIG_DFL, signal.SIG_IGN])
+def test_a_handler_without_an_end_is_told(
+    usual: "signal.Handlers", monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    before = signal.signal(signal.SIGINT, usual)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     monkeypatch.setattr("ugrbl.run.custom_try._LONGEST_S", 1.0)
     code, found = checked(
         "from ugrbl import mcode\n@mcode(100)\ndef f(m):\n    while 1:\n        1\n"

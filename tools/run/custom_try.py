@@ -6,6 +6,7 @@ handler that asks more of it may fail here, and says where.
 """
 
 import _thread
+import signal
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -135,11 +136,18 @@ def _rig(lines: Sequence[bytes], kind: str, key: Any, board: str, around: Around
 def _run(rig: "Rig", what: str) -> str:
     """Run it, not for longer than one waits. Returns why it was ended, if it was."""
     is_late = threading.Event()
+    usual = signal.getsignal(signal.SIGINT)
 
     def interrupt() -> None:
         is_late.set()
         _thread.interrupt_main()
 
+    def on_interrupt(number: int, frame: Any) -> None:
+        if is_late.is_set() or usual is not signal.SIG_IGN:
+            raise KeyboardInterrupt
+
+    # Otherwise nothing would interrupt what a shell has begun in the background.
+    signal.signal(signal.SIGINT, on_interrupt)
     watch = threading.Timer(_LONGEST_S, interrupt)
     watch.daemon = True
     watch.start()
@@ -151,4 +159,5 @@ def _run(rig: "Rig", what: str) -> str:
         return f"{rig.guest.interrupted or what}: no end of it within {_LONGEST_S:g} s"
     finally:
         watch.cancel()
+        signal.signal(signal.SIGINT, usual)
     return ""
