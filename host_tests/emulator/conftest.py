@@ -26,6 +26,13 @@ def pytest_report_header() -> str:
     return "" if _IS_COMPILED else "emulated Pico: slow; `make compiled-emulator` makes it faster"
 
 
+def pytest_collection_modifyitems(items: "list[pytest.Item]") -> None:
+    """A second of the board's takes a minute here, and some tests want many."""
+    for item in items:
+        if Path(__file__).parent in item.path.parents:
+            item.add_marker(pytest.mark.timeout(0))
+
+
 @pytest.fixture(scope="session")
 def uf2() -> Path:
     """MicroPython for the Pico."""
