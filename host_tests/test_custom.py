@@ -8,6 +8,10 @@ from typing import Any
 
 import pytest
 from base import errors
+from extras.gcode_text import clean
+from hypothesis import given
+from hypothesis import strategies as some
+from talk.lines import LineReader
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
@@ -135,7 +139,25 @@ def test_check_mode_looks_at_words_and_runs_nothing(bench: Make) -> None:
     assert made.heard == []
 
 
+@given(some.text("gGxX10.;() /$-\t", max_size=60))
+def test_a_handlers_line_is_read_as_a_senders(text: str) -> None:
+    reader = LineReader(128, 80, lambda _: None)
+    reader.feed(bytearray(text.encode() + b"\n"), len(text) + 1)
+    length = reader.take() >> 2
+    assert clean(text) == reader.line[:length] + b"\0"
+
+
 # Events
+
+
+def test_the_t_of_a_word_selects_no_tool(bench: Make) -> None:
+    made = bench(
+        '@mcode(100, "T")\ndef word(m, T): heard.append(("word", m.tool, T))\n'
+        "@on.tool_select\ndef select(m, tool): heard.append(tool)\n"
+        "@on.tool_change\ndef change(m, tool): heard.append(('change', tool))\n"
+    )
+    made.say(*lines("T4", "T5M6", "M100T7", "G1X1F500", "M6"))
+    assert made.heard == [4, 5, ("change", 5), ("word", 5, 7.0), ("change", 5)]
 
 
 def test_every_event_is_heard_with_its_values(bench: Make) -> None:

@@ -70,7 +70,6 @@ class Seek:
         self._target = vector(planner.axes)
         self._move = plan.Move()
         self.probe_steps = array("i", (0 for _ in range(motors)))
-        self.is_probing = False  # a probing move is under way
 
     # Probing (G38.2 to G38.5)
 
@@ -91,16 +90,12 @@ class Seek:
         self._canon.line(target, move)
         self._canon.finish()
         self._port.watch_probe(self._on_contact, self._inputs.contact_level(away))
-        self.is_probing = True
-        try:
-            state.post(st.CYCLE_START)
+        state.post(st.CYCLE_START)
+        self._canon.service()
+        if self._contact and state.run == st.RUN:  # before it began
+            state.post(st.CANCEL_MOTION)
+        while state.run != st.IDLE:
             self._canon.service()
-            if self._contact and state.run == st.RUN:  # before it began
-                state.post(st.CANCEL_MOTION)
-            while state.run != st.IDLE:
-                self._canon.service()
-        finally:
-            self.is_probing = False
         self._port.watch_probe(None, False)
         if self._contact:
             state.probe_succeeded = True

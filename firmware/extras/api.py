@@ -32,6 +32,14 @@ def _key(letter: str, number: float) -> "tuple[str, int]":
     return letter, whole(number * _NUMBER + 0.5)
 
 
+def _in_turn(usual: "Callable[[], object]", call: "Callable[[], object]") -> "Callable[[], None]":
+    def both() -> None:
+        usual()
+        call()
+
+    return both
+
+
 class Cnc:
     """The machine, for an extra. Numbers are those of Grbl: mm, mm/min, rpm."""
 
@@ -152,6 +160,26 @@ class Cnc:
 
         commands.whose = whose  # type: ignore[method-assign]
 
+    def behind_command(self, name: bytes, call: "Callable[[int], object]") -> None:
+        """Called when a $ command with this behind the $ has been executed, with the state that
+        the machine was in before (base/state.py)."""
+        commands, state = self._machine.commands, self._machine.state
+        usual = commands.whose
+
+        def whose(line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
+            execute = usual(line, length)
+            if bytes(line[1 : 1 + len(name)]) != name:
+                return execute
+            was = state.run
+
+            def execute_and_tell(line: bytearray, length: int) -> None:
+                execute(line, length)
+                call(was)
+
+            return execute_and_tell
+
+        commands.whose = whose  # type: ignore[method-assign]
+
     def add_field(self, field: "Callable[[], str]") -> None:
         """A field of the status report: what it returns, `Xx:1` say, or an empty text."""
         report = self._machine.report
@@ -232,24 +260,12 @@ class Cnc:
     def before_lines(self, call: "Callable[[], object]") -> None:
         """Called between two lines: whenever none waits, and when something has been posted."""
         realtime = self._machine.realtime
-        usual = realtime.run
-
-        def run() -> None:
-            usual()
-            call()
-
-        realtime.run = run  # type: ignore[method-assign]
+        realtime.run = _in_turn(realtime.run, call)  # type: ignore[method-assign]
 
     def behind_reset(self, call: "Callable[[], object]") -> None:
         """Called behind the welcome, after power-up and every reset."""
         report = self._machine.report
-        usual = report.banner
-
-        def banner() -> None:
-            usual()
-            call()
-
-        report.banner = banner  # type: ignore[method-assign]
+        report.banner = _in_turn(report.banner, call)  # type: ignore[method-assign]
 
     # Lines with words of ours
 

@@ -10,7 +10,7 @@ happenings.py; what a handler is handed, in machine_operator.py.
 
 import sys
 
-from base.faults import harmless
+from base.faults import harmless, trace
 from micropython import const
 
 from extras import handlers
@@ -20,7 +20,6 @@ from extras.runner import TRACE, Runner
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from types import ModuleType
     from typing import Any
 
@@ -30,8 +29,6 @@ if TYPE_CHECKING:
     from extras.handlers import Function, Note
 
 _API = "ugrbl"  # the name by which custom.py knows handlers.py
-
-_INFO = b"$I+"
 
 _found: "dict[str, Any]" = {}
 
@@ -107,25 +104,24 @@ class Custom:
                 seen.append((kind, key))
             elif kind == handlers.INPUT:
                 self._runner.operator.pin(key)  # which says that there is none
-        names = []
+        for kind, key, _, _, function in notes:
+            if kind not in (handlers.M, handlers.G):
+                self._happenings.add(kind, key, _title(kind, key), function)
+        self._happenings.attach()
         for kind, key, letters, sync, function in notes:
-            what = _title(kind, key)
             if kind in (handlers.M, handlers.G):
-                call = self._word(what, letters, sync, function)
+                call = self._word(_title(kind, key), letters, sync, function)
                 add = self._cnc.add_m if kind == handlers.M else self._cnc.add_g
                 add(key, call, letters, bool(sync))
-            else:
-                self._happenings.add(kind, key, what, function)
-            names.append(what)
-        self._happenings.attach()
-        self._cnc.behind_reset(self._runner.begin)
+        names = [_title(note[0], note[1]) for note in notes]
+        self._cnc.behind_reset(self._runner.operator.forget)
         self._cnc.before_lines(self._happenings.between_lines)
         self._tell_build(harmless("Custom: " + ", ".join(names)))
 
     def drop(self, fault: Exception) -> None:
         """The machine is the plain one."""
         handlers.take()
-        text = harmless("Custom left out: " + self._runner.text(fault))
+        text = harmless("Custom left out: " + self._runner.text(trace(fault)))
         self._cnc.behind_reset(lambda: self._cnc.message(text))
         self._tell_build(text)
 
@@ -139,27 +135,12 @@ class Custom:
             report.message(text)
 
         report.build_info = build_info  # type: ignore[method-assign]
-        self._around_info()
+        self._cnc.behind_command(b"I+", self._tell_trace)
 
-    def _around_info(self) -> None:
+    def _tell_trace(self, was: int) -> None:
         """$I+ ends with the last traceback that was kept, for `ugrbl doctor`."""
-        machine = self._machine
-        commands = machine.commands
-        usual = commands.whose
-
-        def whose(line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
-            execute = usual(line, length)
-            if bytes(line[:length]) != _INFO:
-                return execute
-
-            def execute_and_tell(line: bytearray, length: int) -> None:
-                execute(line, length)
-                for text in machine.saves.load(TRACE) or ():
-                    machine.report.message("Trace: " + harmless(text))
-
-            return execute_and_tell
-
-        commands.whose = whose  # type: ignore[method-assign]
+        for text in self._machine.saves.load(TRACE) or ():
+            self._machine.report.message("Trace: " + harmless(text))
 
     def _word(
         self, what: str, letters: str, sync: "bool | None", function: "Function"

@@ -6,11 +6,13 @@ def clean(line: str) -> bytearray:
     code = ""
     within = False
     for c in line.upper():
-        if c == ";":
+        if within:
+            within = c != ")"
+        elif c == ";":
             break
-        if c in "()":
-            within = c == "("
-        elif c > " " and c != "/" and not within:
+        elif c == "(":
+            within = True
+        elif c > " " and c != "/":
             code += c
     return bytearray(code.encode() + b"\0")
 

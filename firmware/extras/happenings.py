@@ -11,6 +11,7 @@ from base import state as st
 from base.errors import Abort, GrblError
 from control import coolant
 from control import spindle as sp
+from language.block import HIGHEST_TOOL
 from micropython import const
 from motion.layout import HEAD, ROWS, TAIL
 
@@ -37,10 +38,7 @@ _MOST_DUE = const(16)
 # So much of the stack may be in use where a handler begins that runs beside motion: interrupts
 # and its own calls want the rest.
 _STACK_BYTES = const(3712)
-_HOME = const(72)  # $H
-_UNLOCK = const(88)  # $X
 _M6 = const(6)
-_HIGHEST_TOOL = const(255)
 _SPINDLE = {sp.OFF: "M5", sp.CW: "M3", sp.CCW: "M4"}
 
 
@@ -192,7 +190,8 @@ class Happenings:
         self._around_lines()
         self._cnc.behind_reset(self._greeted)
         if "after_homing" in heard or "after_unlock" in heard:
-            self._around_commands()
+            self._cnc.behind_command(b"H", self._homed)
+            self._cnc.behind_command(b"X", self._unlocked)
         if "tool_change" in heard:
             self._cnc.add_m(_M6, self._change_tool, "t")
         if "probe_done" in heard:
@@ -220,7 +219,8 @@ class Happenings:
         realtime.events = events  # type: ignore[method-assign]
 
     def _around_lines(self) -> None:
-        """What a line has brought about is heard of before the next."""
+        """What a line has brought about is heard of before the next. Lines with words of
+        custom.py do not come here: a T there is not the spindle's."""
         interpreter, modes = self._machine.interpreter, self._machine.modes
         usual = interpreter.execute
 
@@ -251,32 +251,20 @@ class Happenings:
         self._happen("after_reset" if self._has_started else "startup")
         self._has_started = True
 
-    def _around_commands(self) -> None:
-        commands, state = self._machine.commands, self._state
-        usual = commands.whose
+    def _homed(self, was: int) -> None:
+        if not self._state.alarm:
+            self._happen("after_homing")
+            self.settle()
 
-        def whose(line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
-            execute = usual(line, length)
-            key, was = line[1], state.run
-            if key not in (_HOME, _UNLOCK):
-                return execute
-
-            def execute_and_tell(line: bytearray, length: int) -> None:
-                execute(line, length)
-                if key == _HOME and not state.alarm:
-                    self._happen("after_homing")
-                elif was == st.ALARM and state.run == st.IDLE:
-                    self._happen("after_unlock")
-                self.settle()
-
-            return execute_and_tell
-
-        commands.whose = whose  # type: ignore[method-assign]
+    def _unlocked(self, was: int) -> None:
+        if was == st.ALARM and self._state.run == st.IDLE:
+            self._happen("after_unlock")
+            self.settle()
 
     def _change_tool(self, tool: "float | None") -> None:
         """M6, with T on its line or before it."""
         if tool is not None:
-            if not 0 <= tool <= _HIGHEST_TOOL:
+            if not 0 <= tool <= HIGHEST_TOOL:
                 raise GrblError(errors.GCODE_MAX_VALUE_EXCEEDED)
             self._select(int(tool))
         self._happen("tool_change", self._runner.operator.tool)

@@ -22,6 +22,7 @@ from extras.places import Place, Saved
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from array import array
     from collections.abc import Callable
     from typing import Any
 
@@ -66,6 +67,19 @@ class Operator:
         self.keep = Keep(machine.saves)
         self._open: "list[Saved]" = []  # what is to be put back
         self._jogs: "list[str]" = []  # asked for and not begun
+        self._is_probing = False
+        self._around_probing()
+
+    def _around_probing(self) -> None:
+        """Somebody watches the probe, or nobody: see whether it is probing."""
+        port = self._machine.port
+        usual = port.watch_probe
+
+        def watch_probe(on_contact: "Callable[[], None] | None", closed: bool) -> None:
+            usual(on_contact, closed)
+            self._is_probing = on_contact is not None
+
+        port.watch_probe = watch_probe  # type: ignore[method-assign]
 
     # For custom.py's keeper
 
@@ -186,21 +200,19 @@ class Operator:
 
     def probing(self) -> bool:
         """Whether a probing move is under way."""
-        return self._machine.seek.is_probing
+        return self._is_probing
 
     def set_work(self, at: Place, words: str) -> None:
         """From now on that place is called so in work coordinates: "Z0", "X-3 Y-3", mm. Kept, as
         G10 L2 does it."""
+        coords = self._machine.coords
         axes = ""
         for letter, number in words_of(clean(words)[:-1].decode()):
             axis = _LETTERS.index(letter)
-            beyond = self._zero(axis) - self._machine.coords.systems[self._system()][axis]
+            beyond = self._zero(axis) - coords.systems[coords.active][axis]
             axes += "%s%.4f" % (letter, at[axis] - number - beyond)
         with self.saved():
             self.g("G10L2P0" + axes)
-
-    def _system(self) -> int:
-        return self._machine.coords.active
 
     def set_length(self, mm: float) -> None:
         """The tool is so long, as G43.1 says it; holds until a reset, or G49."""
@@ -321,17 +333,15 @@ class Operator:
 
     def work(self) -> Place:
         """The same in work coordinates."""
-        mm = vector(self._machine.planner.axes)
-        self._machine.position(mm)
-        for i in range(len(mm)):
-            mm[i] -= self._zero(i)
-        return Place(mm)
+        return self._of_work(self.position())
 
     def target(self) -> Place:
         """Where the lines read so far lead to, in work coordinates."""
-        mm = self._machine.modes.position
-        place = vector(len(mm))
-        for i in range(len(mm)):
+        return self._of_work(self._machine.modes.position)
+
+    def _of_work(self, mm: "Place | array[float]") -> Place:
+        place = vector(self._machine.planner.axes)
+        for i in range(len(place)):
             place[i] = mm[i] - self._zero(i)
         return Place(place)
 

@@ -44,10 +44,6 @@ class Runner:
         self._out: "list[Function]" = []  # failed beside motion: it would again, at every turn
         self._calls = 0
 
-    def begin(self) -> None:
-        """Power-up or a reset."""
-        self.operator.forget()
-
     @micropython.native  # needs half the stack
     def run(
         self,
@@ -97,9 +93,8 @@ class Runner:
 
     # Failing
 
-    def text(self, fault: BaseException) -> str:
-        """The last line of the user's own, and what has happened there."""
-        lines = trace(fault)
+    def text(self, lines: "list[str]") -> str:
+        """Of a traceback: the last line of the user's own, and what has happened there."""
         place = ""
         for line in [line.strip() for line in lines]:
             if line.startswith('File "') and self._is_own(line[6:].split('"')[0]):
@@ -114,9 +109,10 @@ class Runner:
     def _fail(self, what: str, fault: Exception, may_move: bool) -> None:
         """A handler has failed: say so, and stop the machine."""
         machine = self._machine
-        text = harmless("%s: %s" % (what, self.text(fault)))
+        lines = trace(fault)
+        text = harmless("%s: %s" % (what, self.text(lines)))
         machine.commands.fault = text
-        machine.saves.save(TRACE, trace(fault))
+        machine.saves.save(TRACE, lines)
         machine.report.message(text)
         if may_move:
             machine.canon.synchronise()
