@@ -229,6 +229,9 @@ class Port(Protocol):
     def drive(self, levels: int) -> None:
         """Levels of the outputs of add_pins(), a bit each. May be called in an interrupt."""
 
+    def pulse(self, index: int, hz: int, duty: int) -> None:
+        """Have that output make pulses: hz in a second, on for duty / 65535 of the time."""
+
     def rest(self, levels: int) -> None:
         """The levels that kill() sets."""
 

@@ -224,6 +224,9 @@ class FakePort:
     def drive(self, levels: int) -> None:
         self._note(f"drive {levels}")
 
+    def pulse(self, index: int, hz: int, duty: int) -> None:
+        self._note(f"pulse {index} {hz} {duty}")
+
     def rest(self, levels: int) -> None:
         self._note(f"rest {levels}")
 

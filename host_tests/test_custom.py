@@ -150,6 +150,36 @@ def test_a_handlers_line_is_read_as_a_senders(text: str) -> None:
 # Events
 
 
+def test_pulses_are_as_wide_as_asked_for_and_end_with_a_reset(bench: Make) -> None:
+    made = bench(
+        "@mcode(100, 'P')\ndef share(m, P): m.pwm('vacuum', P, hz=500)\n"
+        "@mcode(101, 'P')\ndef turn(m, P): m.servo('air', P); heard.append(m.is_on('air'))\n"
+        "@mcode(102, 'P')\ndef switch(m, P): m.out('vacuum', P)\n"
+    )
+    port = made.rig.port
+    seen: list[Any] = []
+
+    def see() -> None:
+        seen.append(dict(port.own_pulses))
+
+    said = made.say(
+        *lines("M100P0.5", "M101P1500"),
+        see,
+        *lines("M102P1", "M101P0"),
+        see,
+        *lines("M100P0.25", "M100P1.5", "?"),
+        see,
+        ("\x18", "idle"),
+        *lines("$X", "M102P1"),
+        see,
+    )
+    assert seen[0] == {0: (500, 32768), 1: (50, 4915)} and made.heard == [True, False]
+    assert seen[1] == {0: (500, 65535), 1: (50, 0)}
+    assert seen[2] == {}, "what has failed leaves nothing on"
+    assert "a share from 0 to 1" in "".join(said[5]) and said[5][1] == "ALARM:34"
+    assert seen[3] == {0: (500, 65535)} and made.outputs == 1
+
+
 def test_the_t_of_a_word_selects_no_tool(bench: Make) -> None:
     made = bench(
         '@mcode(100, "T")\ndef word(m, T): heard.append(("word", m.tool, T))\n'

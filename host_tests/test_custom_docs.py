@@ -107,7 +107,9 @@ def public(text: str) -> "set[str]":
 _NAMED = (ast.FunctionDef, ast.ClassDef)
 
 
-@pytest.mark.parametrize("module", ["handlers", "machine_operator", "places", "keep"])
+@pytest.mark.parametrize(
+    "module", ["handlers", "machine_operator", "operator_pins", "places", "keep"]
+)
 def test_every_public_name_is_on_a_board(module: str) -> None:
     written = (paths.FIRMWARE / "extras" / f"{module}.py").read_text(encoding="utf-8")
     shipped = build.prepared_firmware().texts[f"extras.{module}"]
@@ -122,6 +124,7 @@ def test_attributes_and_named_arguments_are_on_a_board() -> None:
     assert "self.keep = " in shipped["extras.machine_operator"]
     for name in ("must", "closed", "seconds"):
         assert re.search(rf"\b{name}: ", shipped["extras.machine_operator"])
+    assert re.search(r"\bhz: ", shipped["extras.operator_pins"])
     assert re.search(r"\bsync: ", shipped["extras.handlers"])
 
 

@@ -21,7 +21,7 @@ from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import MemoryStore, Rig
 from ugrbl.sim.sender import Sender, TooLong
 
-_SESSIONS = int(os.environ.get("UGRBL_TORTURE", "64"))
+_SESSIONS = int(os.environ.get("UGRBL_TORTURE", "24"))
 _PARTS = 8
 _STEPS_PER_MM = 250
 _CUSTOM = """

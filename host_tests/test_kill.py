@@ -59,9 +59,10 @@ class Bench:
         if self.chip == "rp2":
             return machine.Pin(number).pad()
         pin = esp_bench.esp_machine.Pin(number)
-        if number != OUTPUTS["SPINDLE_PWM"]:
+        pwm = esp_bench.esp_machine.PWM.outputs.get(number)
+        if not pwm:
             return 0xFFFF * int(pin.level)
-        return int(self.port.pwm.duty) ^ (0xFFFF if self.port.pwm.invert else 0)
+        return int(pwm.duty) ^ (0xFFFF if pwm.invert else 0)
 
 
 def let_pass(us: int) -> None:
@@ -105,6 +106,11 @@ def interrupted(work: "Callable[[], object]", at: int, interrupt: "Callable[[], 
     return count > at
 
 
+def work_of(what: str) -> "Callable[[Any], object]":
+    """That, or pulses at an output of an extra."""
+    return WORK[what] if what in WORK else lambda port: port.pulse(0, 5000, 30000)
+
+
 def kill_everywhere(bench: "Callable[[], Bench]", work: "Callable[[Any], object]") -> int:
     """How many places there were; after each the tools are off, and on again when revived."""
     at = 0
@@ -128,12 +134,12 @@ def kill_everywhere(bench: "Callable[[], Bench]", work: "Callable[[Any], object]
 
 
 @pytest.mark.parametrize("inverted", POLARITIES, ids=len)
-@pytest.mark.parametrize("what", WORK)
+@pytest.mark.parametrize("what", [*WORK, "pulse"])
 @pytest.mark.parametrize("chip", ["rp2", "esp"])
 def test_nothing_that_is_interrupted_switches_a_tool_on(
     chip: str, what: str, inverted: "tuple[str, ...]"
 ) -> None:
-    assert kill_everywhere(lambda: Bench(chip, inverted), WORK[what]) > 20
+    assert kill_everywhere(lambda: Bench(chip, inverted), work_of(what)) > 20
 
 
 @pytest.mark.parametrize("what", WORK)
@@ -193,6 +199,58 @@ def test_pads_are_held_by_the_registers_of_the_chip(
         assert machine.mem32[control + 8 * pin] == others[pin] | forced << shift
     port.revive()
     assert {pin: machine.mem32[control + 8 * pin] for pin in range(30)} == others
+
+
+def test_a_board_with_many_outputs_holds_them_all() -> None:
+    port = gpio.GpioPort(board(**OUTPUTS))
+    pins = (0, 1, 21, 22, 26, 27)
+    port.add_pins(pins, ())
+    port.rest(0b000010)
+    port.drive(0b111111)
+    port.kill()
+    assert [machine.Pin(pin).pad() for pin in pins] == [0, 0xFFFF, 0, 0, 0, 0]
+    port.drive(0b111101)
+    assert [machine.Pin(pin).pad() for pin in pins] == [0, 0xFFFF, 0, 0, 0, 0]
+
+
+def test_a_slow_pulse_is_over_when_its_output_obeys_again() -> None:
+    port = gpio.GpioPort(board(**OUTPUTS))
+    port.add_pins((21,), ())
+    port.rest(0)
+    port.pulse(0, 50, 30000)
+    let_pass(20_000)
+    assert machine.Pin(21).pad() == 30000
+    port.kill()
+    port.revive()
+    assert machine.Pin(21).pad() == 0
+
+
+@pytest.mark.parametrize(
+    ("pin", "other", "hz", "can_be"),
+    [
+        (20, 21, 50, True),  # both of slice 2
+        (20, 21, 60, False),
+        (20, 22, 60, True),
+        (4, 20, 50, False),  # one and the same output of a slice
+        (17, None, 50, False),  # the neighbour of the spindle's
+        (17, None, 5000, True),
+        (0, None, 5000, False),
+    ],
+)
+def test_pins_that_share_pulses_are_told_of(
+    pin: int, other: "int | None", hz: int, can_be: bool
+) -> None:
+    port = gpio.GpioPort(board(SPINDLE_PWM=16, SPINDLE_DIR=None, FLOOD=None))
+    port.add_pins((pin,) if other is None else (pin, other), ())
+    port.rest(0)
+    if other is not None:
+        port.pulse(1, 50, 100)
+    if can_be:
+        port.pulse(0, hz, 200)
+        port.pulse(0, hz, 300)
+    else:
+        with pytest.raises(ValueError, match="cannot have other pulses than pin"):
+            port.pulse(0, hz, 200)
 
 
 # Callbacks that fail

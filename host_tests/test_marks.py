@@ -57,7 +57,8 @@ def test_every_name_kept_would_be_short_and_is_anothers_too(found: Marks) -> Non
     free = made.names
     for name, reason in found.kept.items():
         if reason.startswith("custom.py may say"):  # a parameter
-            text = made.texts["extras.handlers"] + made.texts["extras.machine_operator"]
+            rooms = ("handlers", "machine_operator", "operator_pins")
+            text = "".join(made.texts[f"extras.{room}"] for room in rooms)
             assert not re.search(rf"\b{name}: .+ = ", text), f"{name} needs no mark ({reason})"
             continue
         assert name in free, f"{name} needs no mark ({reason})"

@@ -23,13 +23,22 @@ if TYPE_CHECKING:
     from base.settings import Rows
     from talk.controller import Controller
 
-    Word = tuple[Callable[..., object], str, bool]
+    # What to call, the letters of its numbers, whether it waits, all letters its line may have.
+    Word = tuple[Callable[..., object], str, bool, str]
+    # Letter and tenths of a word, G38.2 is 382, and of its L, where that belongs to it, or 0.
+    Key = tuple[str, int, int]
 
-_NUMBER = const(10)  # words by tenths: G38.2 is 382
+_G10 = const(100)  # in tenths
+_GRBLS_L = (2, 20)
 
 
-def _key(letter: str, number: float) -> "tuple[str, int]":
-    return letter, whole(number * _NUMBER + 0.5)
+def _key(letter: str, number: "float | str") -> "Key":
+    plain, _, its_l = str(number).partition(" L")
+    return letter, _tenths(float(plain)), _tenths(float(its_l or 0))
+
+
+def _tenths(number: float) -> int:
+    return whole(number * 10 + 0.5)
 
 
 def _in_turn(usual: "Callable[[], object]", call: "Callable[[], object]") -> "Callable[[], None]":
@@ -45,7 +54,7 @@ class Cnc:
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
-        self._words: "dict[tuple[str, int], Word]" = {}
+        self._words: "dict[Key, Word]" = {}
         self._read = Words(len(machine.reader.line))
 
     # What there is
@@ -115,19 +124,27 @@ class Cnc:
         self._add("M", number, call, letters, sync)
 
     def add_g(
-        self, number: float, call: "Callable[..., object]", letters: str = "", sync: bool = True
+        self,
+        number: "float | str",
+        call: "Callable[..., object]",
+        letters: str = "",
+        sync: bool = True,
     ) -> None:
-        """The same for a G word: 81, or 81.1."""
+        """The same for a G word: 81, 81.1, or with an L that Grbl has no use for, "10 L1"."""
         self._add("G", number, call, letters, sync)
 
-    def is_taken(self, letter: str, number: float) -> bool:
+    def is_taken(self, letter: str, number: "float | str") -> bool:
         """Whether Grbl, or somebody else, has that G or M word."""
-        return b.is_known(ord(letter), whole(number)) or _key(letter, number) in self._words
+        key = _key(letter, number)
+        if key in self._words:
+            return True
+        is_free = key[1] == _G10 and key[2] and key[2] // 10 not in _GRBLS_L
+        return b.is_known(ord(letter), key[1] // 10, key[1] % 10) and not is_free
 
     def _add(
         self,
         letter: str,
-        number: float,
+        number: "float | str",
         call: "Callable[..., object]",
         letters: str,
         sync: bool,
@@ -136,7 +153,8 @@ class Cnc:
             raise ValueError("%s%s is taken" % (letter, number))
         if not self._words:
             self._put_around_lines()
-        self._words[_key(letter, number)] = call, letters, sync
+        key = _key(letter, number)
+        self._words[key] = call, letters, sync, letters.upper() + ("NL" if key[2] else "N")
 
     def without_commands(self, letters: bytes) -> None:
         """$ commands with these letters are not there any more."""
@@ -289,17 +307,20 @@ class Cnc:
         """The word of ours that a line has, if there is one."""
         words = self._read
         words.read(line, 0, length)
-        for i in range(words.count):
-            letter, value = words.letters[i], words.values[i]
-            key = _key(chr(letter), value)
-            if key in self._words:
-                return self._words[key]
+        count = words.count
+        at = words.letters.find(b"L", 0, count)
+        its_l = _tenths(words.values[at]) if at >= 0 else 0
+        for i in range(count):
+            letter, tenths = chr(words.letters[i]), _tenths(words.values[i])
+            word = self._words.get((letter, tenths, its_l)) or self._words.get((letter, tenths, 0))
+            if word:
+                return word
         return None
 
     def _numbers(self, word: "Word") -> "list[float | None]":
         """Check the line, and wait for motion to end where the word wants that."""
-        _, letters, sync = word
-        there = self._arguments(letters)
+        _, letters, sync, allowed = word
+        there = self._arguments(allowed)
         missing = [c for c in letters if c == c.upper() and there.get(c) is None]
         if missing:
             raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
@@ -307,7 +328,7 @@ class Cnc:
             self._machine.canon.synchronise()
         return [there.get(c.upper()) for c in letters]
 
-    def _arguments(self, letters: str) -> "dict[str, float]":
+    def _arguments(self, allowed: str) -> "dict[str, float]":
         """The numbers of the line by letter. GrblError where one is not wanted, or twice."""
         words = self._read
         found: "dict[str, float]" = {}
@@ -318,7 +339,7 @@ class Cnc:
                 own += 1
             elif letter in found:
                 raise GrblError(errors.GCODE_WORD_REPEATED)
-            elif letter != "N" and letter not in letters.upper():
+            elif letter not in allowed:
                 raise GrblError(errors.GCODE_UNUSED_WORDS)
             else:
                 found[letter] = value

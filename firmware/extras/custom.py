@@ -76,7 +76,7 @@ def _read(modules: "tuple[str, ...]") -> "list[Note]":
     return handlers.take()
 
 
-def _title(kind: str, key: "Any") -> str:
+def title(kind: str, key: "Any") -> str:
     """What a handler is called in messages: M100, on.spindle, on.input(door), every 50."""
     if kind in (handlers.M, handlers.G):
         return "%s%s" % (kind, key)
@@ -106,14 +106,14 @@ class Custom:
                 self._runner.operator.pin(key)  # which says that there is none
         for kind, key, _, _, function in notes:
             if kind not in (handlers.M, handlers.G):
-                self._happenings.add(kind, key, _title(kind, key), function)
+                self._happenings.add(kind, key, title(kind, key), function)
         self._happenings.attach()
         for kind, key, letters, sync, function in notes:
             if kind in (handlers.M, handlers.G):
-                call = self._word(_title(kind, key), letters, sync, function)
+                call = self._word(title(kind, key), letters, sync, function)
                 add = self._cnc.add_m if kind == handlers.M else self._cnc.add_g
                 add(key, call, letters, bool(sync))
-        names = [_title(note[0], note[1]) for note in notes]
+        names = [title(note[0], note[1]) for note in notes]
         self._cnc.behind_reset(self._runner.operator.forget)
         self._cnc.before_lines(self._happenings.between_lines)
         self._tell_build(harmless("Custom: " + ", ".join(names)))

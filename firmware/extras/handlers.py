@@ -81,11 +81,11 @@ def mcode(
 
 
 def gcode(
-    number: float,
+    number: "float | str",
     letters: str = "",
     sync: "bool | None" = True,
 ) -> "Callable[[Function], Function]":
-    """The same for a G word: 81, or 81.1."""
+    """The same for a G word: 81, 81.1, or with an L that Grbl has no use for, "10 L1"."""
     return _note(G, number, letters, sync)
 
 

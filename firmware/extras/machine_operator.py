@@ -18,13 +18,13 @@ from micropython import const
 from extras.gcode_text import clean, words_of
 from extras.handlers import Refused
 from extras.keep import Keep
+from extras.operator_pins import PinOperator, Stopped
 from extras.places import Place, Saved
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from array import array
     from collections.abc import Callable
-    from typing import Any
 
     from talk.controller import Controller
 
@@ -44,25 +44,13 @@ _LETTERS = "XYZA"
 _MOST_JOGS = const(4)  # asked for and not begun
 
 
-class Stopped(BaseException):
-    """There is an alarm, or a reset: the handler has come to its end. No Exception, for a handler
-    that catches those is to end, too."""
-
-
-class Operator:
+class Operator(PinOperator):
     """What there is to ask. outputs, inputs: pins by the names of the board file."""
 
     def __init__(
         self, machine: "Controller", outputs: "dict[str, int]", inputs: "dict[str, int]"
     ) -> None:
-        self._machine = machine
-        self._state = machine.state
-        self._outputs = list(outputs)
-        self._inputs = list(inputs)
-        self._levels = 0
-        self._since_ms = 0
-        self.slow_ms = 0  # the longest that a handler has taken without a call of these
-        self.may_move = False  # the handler that runs now
+        super().__init__(machine, outputs, inputs)
         self.tool = 0  # keep-name: custom.py may say m.tool; the one selected last, T
         self.keep = Keep(machine.saves)
         self._open: "list[Saved]" = []  # what is to be put back
@@ -83,23 +71,6 @@ class Operator:
 
     # For custom.py's keeper
 
-    def begin(self, may_move: bool) -> bool:
-        """A handler begins. Returns whether the one that it interrupts may move."""
-        outer = self.may_move
-        self.may_move = may_move
-        self.rested()
-        return outer
-
-    def rested(self) -> None:
-        """From now on time counts as the handler's own."""
-        self._since_ms = self._machine.port.ticks_ms()
-
-    def look(self) -> None:
-        """See whether a handler is to end, and how long it has taken."""
-        if self._state.pending[st.RESET] or self._state.alarm:
-            raise Stopped
-        self.slow_ms = max(self.slow_ms, self._machine.port.elapsed_ms(self._since_ms))
-
     def _wait(self) -> None:
         """What follows moves or waits. RuntimeError where the handler may not."""
         if not self.may_move:
@@ -111,8 +82,8 @@ class Operator:
         self.look()
 
     def forget(self) -> None:
-        """A reset has set all outputs to rest."""
-        self._levels = 0
+        """A reset has ended all that was asked for."""
+        super().forget()
         self._open.clear()
         self._jogs.clear()
 
@@ -369,39 +340,9 @@ class Operator:
         """Laser mode, $32."""
         return self._machine.spindle.laser
 
-    # Pins
-
-    def out(self, name: str, on: "Any") -> None:
-        """Switch an output that the board file names, behind what the handler has moved. Off it
-        goes also where the handler has to end, so that a finally can do it."""
-        bit = 1 << _index(self._outputs, name, "output")
-        if on:
-            self.look()
-        if self.may_move and not (self._state.pending[st.RESET] or self._state.alarm):
-            self._machine.canon.synchronise()
-            self.rested()
-        self._levels = self._levels | bit if on else self._levels & ~bit
-        self._machine.port.drive(self._levels)
-        self.look()
-
-    def is_on(self, name: str) -> bool:
-        """Whether an output that the board file names has been switched on."""
-        return bool(self._levels >> _index(self._outputs, name, "output") & 1)
-
-    def pin(self, name: str) -> bool:
-        """Whether an input that the board file names is closed: pulled to ground."""
-        bit = _index(self._inputs, name, "input")
-        return not self._machine.port.sense() >> bit & 1
-
     # Words
 
     def message(self, text: str) -> None:
         """Tell the sender something, as [MSG:text]."""
         self.look()
         self._machine.report.message(harmless(text))
-
-
-def _index(names: "list[str]", name: str, kind: str) -> int:
-    if name not in names:
-        raise ValueError("the board file names no %s %s" % (kind, name))
-    return names.index(name)

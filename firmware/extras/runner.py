@@ -15,7 +15,7 @@ from micropython import const
 from motion.layout import HEAD, ROWS, TAIL
 
 from extras import handlers
-from extras.machine_operator import Operator, Stopped
+from extras.operator_pins import Stopped
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
     from extras.handlers import Function
+    from extras.machine_operator import Operator
 
 TRACE = "custom"  # under which the last traceback is kept
 _SLOW_MS = const(20)  # a handler that takes longer without service is told of
@@ -34,7 +35,7 @@ _BLOCKS = const(8)
 class Runner:
     """Runs handlers. operator: what they are handed; modules: the user's, by name."""
 
-    def __init__(self, cnc: "Cnc", operator: Operator, modules: "tuple[str, ...]") -> None:
+    def __init__(self, cnc: "Cnc", operator: "Operator", modules: "tuple[str, ...]") -> None:
         self._cnc = cnc
         self._machine = cnc.machine
         self.operator = operator

@@ -209,10 +209,15 @@ for _bit in range(len(VALUE_LETTERS)):
     index[_INDEXED + VALUE_LETTERS[_bit] - 65] = _bit
 
 
-def is_known(letter: int, number: int) -> bool:
-    """Whether Grbl has a G or M word of that number, with decimals or without."""
+def is_known(letter: int, number: int, tenth: int = 0) -> bool:
+    """Whether Grbl has that G or M word, or knows why it is malformed."""
     at = number + _M if letter == 77 else number
-    return at < (_INDEXED if letter == 77 else _M) and index[at] > 0
+    if at >= (_INDEXED if letter == 77 else _M) or index[at] == 0:
+        return False
+    decimals = dictionary[index[at] * ROW + _DECIMALS]
+    if tenth == 0:
+        return decimals & _ONE == 0
+    return decimals & _OTHERS == 0 or decimals & _TENTHS & 1 << tenth - 1 > 0
 
 
 _NOTHING = array("i", (0 for _ in range(_SINGLES)))

@@ -41,7 +41,7 @@ _OUTOVER = const(8)
 _OUTOVER_2350 = const(12)
 _FORCED = const(2)
 _ALL_BITS = const(3)
-_PADS_LENGTH = const(16)  # seven outputs: power, on, direction, flood, mist, two of an extra
+_SLICES = const(0xF)  # pins that differ above these bits share their pulses
 
 
 class GpioPort(PortPins):
@@ -51,7 +51,7 @@ class GpioPort(PortPins):
         enables = getattr(board, "ENABLE", None)
         super().__init__(board, (Timer(), Timer()), enables, True)
         # What kill() writes: whether it has, then pairs of an address and bits, then 0.
-        self._pads = array("i", [0] * _PADS_LENGTH)
+        self._pads = array("i", [0, 0])
         self._all_bits = _ALL_BITS << (_OUTOVER_2350 if _is_rp2350() else _OUTOVER)
         self._hold()
         _make_urgent()
@@ -64,11 +64,10 @@ class GpioPort(PortPins):
         held = [(number, level) for number, _, level in self._tools]
         if self.pwm:
             held.insert(0, (self._pwm_number, self._pwm_off))
-        i = 1
+        pads = [self._pads[0]]
         for number, level in held:
-            self._pads[i + 1] = (_FORCED | level) << shift
-            self._pads[i] = control + _CONTROL_STEP * number
-            i += 2
+            pads += [control + _CONTROL_STEP * number, (_FORCED | level) << shift]
+        self._pads = array("i", pads + [0])
 
     @micropython.viper
     def kill(self) -> int:
@@ -89,9 +88,26 @@ class GpioPort(PortPins):
         """What has been killed is off, and obeys again."""
         if self._pads[0]:
             self.safe()
-            if self.pwm:  # a new width counts from the next pulse on
-                time.sleep_us(1_000_000 // self.pwm.freq() + 1)
+            for pwm in [self.pwm] + self._own_pwm:
+                if pwm:  # a new width counts from the next pulse on
+                    time.sleep_us(1_000_000 // pwm.freq() + 1)
             _release(self._pads, self._all_bits)
+
+    def pulse(self, index: int, hz: int, duty: int) -> None:
+        """As PortPins has it. Two pins of one slice have one frequency, and of sixteen one each
+        the same pulses."""
+        own = self._own_numbers[index]
+        others = list(zip(self._own_numbers, self._own_pwm)) + [(self._pwm_number, self.pwm)]
+        for number, pwm in others:
+            if pwm is None or number is None or number == own or (number ^ own) & _SLICES > 1:
+                continue
+            if pwm.freq() != hz or (number ^ own) & 1 == 0:
+                raise ValueError("pin %d cannot have other pulses than pin %d" % (own, number))
+        if self._own_pwm[index] is None:
+            super().pulse(index, hz, 0)
+            if self._pads[0]:  # a pad that is given to the PWM is not held any more
+                self.kill()
+        super().pulse(index, hz, duty)
 
     def rest(self, levels: int) -> None:
         """The levels of an extra's outputs that kill() sets."""

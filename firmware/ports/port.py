@@ -37,6 +37,7 @@ class PortPins(PortInputs):
         self._killed = False
         # What kill() switches off: number, pin, and level when off. PWM is apart.
         self._tools: "list[tuple[int, Pin, int]]" = []
+        self._own_pwm: "list[PWM | None]" = []
         self._make_outputs(board)
 
     def _make_outputs(self, board: "ModuleType") -> None:
@@ -111,6 +112,9 @@ class PortPins(PortInputs):
         """What could do harm off; motors stay as they are: an axis that drops is no safer."""
         if self.pwm:
             self.pwm.duty_u16(0)
+        for pwm in self._own_pwm:
+            if pwm:
+                pwm.duty_u16(0)
         for _, pin, level in self._tools:
             pin.value(level)
 
@@ -130,12 +134,25 @@ class PortPins(PortInputs):
         """Outputs that drive() sets, inputs that sense() reads."""
         self._own_numbers = outputs
         self._own = [Pin(pin, Pin.OUT, value=0) for pin in outputs]
+        self._own_pwm = [None] * len(outputs)
         self._sensors = [self._make_input(pin) for pin in inputs]
 
     def drive(self, levels: int) -> None:
         """Levels of those outputs, a bit each. May be called in an interrupt."""
         for i in range(len(self._own)):
             self._own[i].value(levels >> i & 1)
+        if self._killed:
+            self.safe()
+
+    def pulse(self, index: int, hz: int, duty: int) -> None:
+        """That output makes pulses from now on, and drive() leaves it alone: hz in a second, on
+        for duty / 65535 of the time; 0 is off. ValueError where it cannot."""
+        pwm = self._own_pwm[index]
+        if pwm is None:
+            pwm = self._own_pwm[index] = PWM(self._own[index], freq=hz, duty_u16=0)
+        elif pwm.freq() != hz:
+            pwm.freq(hz)
+        pwm.duty_u16(duty)
         if self._killed:
             self.safe()
 

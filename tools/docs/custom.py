@@ -6,9 +6,8 @@ from collections.abc import Iterator
 from .. import paths
 from .markdown import table
 
-_OPERATOR = paths.FIRMWARE / "extras" / "machine_operator.py"
-# What custom.py is not handed m for: those above this line are its keeper's.
-_FIRST = "# Motion"
+# The operator, and what it has from below. What stands above the line is for custom.py's keeper.
+_OPERATOR = {"machine_operator": "# Motion", "operator_pins": "# Pins"}
 _KEEPERS = ("halt",)
 
 
@@ -25,19 +24,18 @@ def operator_table() -> str:
 
 def operator_methods() -> Iterator[ast.FunctionDef]:
     """Those that a handler may call."""
-    text = _OPERATOR.read_text(encoding="utf-8")
-    first = text[: text.index(_FIRST)].count("\n")
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.ClassDef) and node.name == "Operator":
-            for method in node.body:
-                if isinstance(method, ast.FunctionDef) and method.lineno > first:
-                    if not method.name.startswith("_") and method.name not in _KEEPERS:
-                        yield method
+    for module, line in _OPERATOR.items():
+        text = (paths.FIRMWARE / "extras" / f"{module}.py").read_text(encoding="utf-8")
+        first = text[: text.index(line)].count("\n")
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef) and node.col_offset and node.lineno > first:
+                if node.name[0] != "_" and node.name not in _KEEPERS:
+                    yield node
 
 
 def _call(method: ast.FunctionDef) -> str:
-    if method.decorator_list:
-        return method.name  # a property
+    if "property" in map(ast.unparse, method.decorator_list):
+        return method.name
     names = [argument.arg for argument in method.args.args[1:]]
     defaults = [ast.unparse(default) for default in method.args.defaults]
     plain = names[: len(names) - len(defaults)]

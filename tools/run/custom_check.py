@@ -7,6 +7,7 @@ only shows when a handler runs, custom_try.py finds.
 
 import ast
 import inspect
+import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -159,15 +160,20 @@ def take_up(own: OwnPython, board: str, around: Around, verdict: Verdict) -> "Se
     return tuple(rig.guest.notes)
 
 
+def called(note: Any) -> str:
+    """As the firmware calls it: `M100`, `on.tool_change`, `every 50`."""
+    from extras.custom import title
+
+    return str(title(note[0], note[1]))
+
+
 def title(note: Any) -> str:
-    """`M100 P [Q]`, `on.tool_change`, `every 50`."""
-    kind, key, letters, sync, _ = note
+    """With more of it: `M100 P [Q]`, `on.tool_change`, `every 50 ms`."""
+    kind, _, letters, sync, _ = note
     if kind in "MG":
         words = [c if c.isupper() else f"[{c.upper()}]" for c in letters]
-        return " ".join([f"{kind}{key}", *words]) + ("" if sync else ", beside motion")
-    if kind == "every":
-        return f"every {key} ms"
-    return f"on.input({key})" if kind == "input" else f"on.{kind}"
+        return " ".join([called(note), *words]) + ("" if sync else ", beside motion")
+    return called(note) + (" ms" if kind == "every" else "")
 
 
 def _examine(own: OwnPython, cnc: Any, notes: "list[Any]", verdict: Verdict) -> None:
@@ -193,13 +199,16 @@ def _place(function: "Callable[..., Any]") -> str:
 
 def _word(cnc: Any, letter: str, number: Any, letters: Any) -> Iterator[str]:
     word = f"{letter}{number}"
-    is_number = isinstance(number, int | float) and not isinstance(number, bool)
+    if letter == "G" and re.fullmatch(r"\d+(\.\d)? L\d+", str(number)):
+        number, is_number = float(str(number).split(" ")[0]), True
+    else:
+        is_number = isinstance(number, int | float) and not isinstance(number, bool)
     if not is_number or number < 0 or (letter == "M" and number != int(number)):
         whole = "a whole number" if letter == "M" else "a number such as 81 or 81.1"
         yield f"{word}: {whole} stands behind {letter}"
     elif abs(number * 10 - round(number * 10)) > 1e-6:
         yield f"{word}: words have tenths at the most"
-    elif cnc.is_taken(letter, number):
+    elif cnc.is_taken(letter, word[1:]):
         yield f"{word} is Grbl's own, or another extra's"
     if not isinstance(letters, str):
         yield f'{word}: its letters are a text: "Pq"'

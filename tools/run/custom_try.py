@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from . import machine
-from .custom_check import Verdict, title
+from .custom_check import Verdict, called, title
 from .machine import Around
 from .own_python import OwnPythonError
 from .program import ProgramLink, Step
@@ -67,7 +67,7 @@ def try_all(notes: Sequence[Any], board: str, around: Around, verdict: Verdict) 
 def _try(note: Any, board: str, around: Around) -> tuple[str, bool]:
     """What came of it in words, and whether that is well."""
     kind, key, letters, _, _ = note
-    what = title(note).partition(" ")[0] if kind in "MG" else _called(kind, key)
+    what = called(note)
     runs = _words(what, letters) if kind in "MG" else [_event(kind, key)]
     said = ""
     for lines in runs:
@@ -85,13 +85,6 @@ def _try(note: Any, board: str, around: Around) -> tuple[str, bool]:
         refused = [reply for _, reply in rig.link.result.errors]
         said = f"refuses its line: {told[-1] if told else refused[0]}" if refused else said
     return said or "runs", True
-
-
-def _called(kind: str, key: Any) -> str:
-    """As the firmware calls it."""
-    if kind == "every":
-        return f"every {key}"
-    return f"on.input({key})" if kind == "input" else f"on.{kind}"
 
 
 def _words(word: str, letters: str) -> list[tuple[bytes, ...]]:

@@ -111,6 +111,12 @@ class WatchedOperator(Operator):
         if self.guest.switched:
             self.guest.switched(name, bool(on))
 
+    def pwm(self, name: str, share: float, hz: int = 1000) -> None:
+        """As on the board."""
+        super().pwm(name, share, hz)
+        if self.guest.switched:
+            self.guest.switched(name, share > 0)
+
     def wait_for(self, name: str, closed: bool = True, seconds: "float | None" = None) -> bool:
         """As on the board."""
         self.guest.waits(name, closed, seconds, self.pin(name) == closed)
@@ -182,13 +188,17 @@ class WatchedCustom(Custom):
 
 
 _importer = _Importer()
+_PLAIN = Custom, Operator, Runner
+_WATCHING = WatchedCustom, WatchedOperator, WatchedRunner
 _usual_customs = guests.customs
 
 
 def _customs(board: ModuleType) -> "tuple[str, ...]":
-    """In the place of guests.customs: what is read is on this computer."""
+    """In the place of guests.customs: what is read is on this computer, and watched."""
     guest: "Guest | None" = board.__dict__.get(_GUEST)
     _importer.guest = guest
+    names = ("Custom", "Operator", "Runner")
+    vars(custom).update(zip(names, _PLAIN if guest is None else _WATCHING, strict=True))
     if guest is None:
         return _usual_customs(board)
     for name in (guest.own.name, *guest.own.modules):
@@ -197,12 +207,10 @@ def _customs(board: ModuleType) -> "tuple[str, ...]":
 
 
 def _prepare() -> None:
-    """Once: have the firmware use what watches."""
+    """Once: have the firmware ask here what there is to read."""
     if _importer not in sys.meta_path:
         sys.meta_path.insert(0, _importer)
         guests.customs = _customs
-        watching = (WatchedCustom, WatchedOperator, WatchedRunner)
-        vars(custom).update(zip(("Custom", "Operator", "Runner"), watching, strict=True))
 
 
 def invite(board: ModuleType, own: OwnPython) -> Guest:

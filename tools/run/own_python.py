@@ -13,7 +13,7 @@ from pathlib import Path
 
 NAME = "custom"  # on the board, where its file says nothing
 # What asks for a pin by its name.
-OUTPUT_CALLS = ("out",)
+OUTPUT_CALLS = ("out", "pwm", "servo")
 INPUT_CALLS = ("pin", "wait_for", "input")
 
 

@@ -55,6 +55,7 @@ class SimPort:
         self._killed = False
         # Pins of an extra: levels of outputs, those of kill(), names of inputs as for push().
         self.own_outputs = self._rest = 0
+        self.own_pulses: "dict[int, tuple[int, int]]" = {}  # Hz and duty, by output
         self._own_inputs: "tuple[str, ...]" = ()
         self._on_change: "Callable[[], None] | None" = None
         self.limit_invert = 0
@@ -86,6 +87,7 @@ class SimPort:
         self.spindle_on = False
         self.spindle_pwm = self.flood = self.mist = 0
         self.own_outputs = self._rest
+        self.own_pulses.clear()
         if self._enables:
             self.spindle_dir = 0
 
@@ -128,6 +130,13 @@ class SimPort:
 
     def drive(self, levels: int) -> None:
         self.own_outputs = levels
+        if self._killed:
+            self._switch_off()
+
+    def pulse(self, index: int, hz: int, duty: int) -> None:
+        self.own_pulses[index] = hz, duty
+        bit = 1 << index
+        self.own_outputs = self.own_outputs | bit if duty else self.own_outputs & ~bit
         if self._killed:
             self._switch_off()
 
