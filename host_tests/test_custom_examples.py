@@ -1113,6 +1113,138 @@ def test_a_knife_reads_inches_and_refuses_relative_places(shop: Make) -> None:
     assert made.say("G91", "G101 X1") == ["ok", "error:3"]
 
 
+# An oscillating blade
+
+
+def swinging(shop: Make, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
+    options = {"OUTPUTS": {"blade": 18}, "settings": {113: 6000, 123: 500}}
+    made = shop("oscillating", STEP=(0, 1, 2, 3), **options)
+    way: "list[tuple[float, ...]]" = []
+    made.rig.engine.trace = lambda start, row: way.append(made.place())
+    assert made.say(*lines) == ["ok"] * len(lines), made.messages
+    return made, way
+
+
+def test_a_blade_cuts_corners_whole_and_is_out_where_it_turns(shop: Make) -> None:
+    made, way = swinging(shop, "G0 Z5", "G0 X5 Y5", "G111 X25", "G111 Y15", "G110")
+    down = [place for place in way if place[2] == -4]
+    first = [x for x, y, z, a in down if a == 0]
+    second = [y for x, y, z, a in down if round(a) == 90]
+    assert (min(first), max(first)) == pytest.approx((4.4, 25.6), abs=0.01)
+    assert (min(second), max(second)) == pytest.approx((4.4, 15.6), abs=0.01)
+    turning = [p for p, q in itertools.pairwise(way) if p[3] != q[3]]
+    assert turning and all(place[2] >= 2.99 for place in turning)
+    assert way[-1] == pytest.approx((25, 15.6, 3, 90), abs=0.01)
+    (on, is_on, at), (off, is_off, out) = made.book
+    assert (is_on, is_off) == (True, False) and at[2] == 5 and out[2] == 3
+
+
+def test_a_straight_line_of_several_lifts_no_blade(shop: Make) -> None:
+    lines = ["G111 X%d Y%.2f" % (10 * i, 0.2 * i) for i in range(1, 6)]
+    made, way = swinging(shop, "G0 Z5", *lines)
+    cutting = way[next(i for i, place in enumerate(way) if place[2] == -4) :]
+    assert all(place[2] == -4 for place in cutting) and made.is_on("blade")
+    assert made.say("\x18", "$X") and not made.is_on("blade")
+
+
+def test_a_blade_refuses_relative_places(shop: Make) -> None:
+    made, _ = swinging(shop, "G90")
+    assert made.say("G91", "G111 X1") == ["ok", "error:3"] and not made.is_on("blade")
+
+
+# Outputs and inputs by numbers
+
+_NUMBERED = {
+    "OUTPUTS": {"air": 18, "lamp": 19, "fan": 20},
+    "INPUTS": {"part": 21, "door": 22},
+}
+
+
+def test_outputs_switch_with_the_motion_before_them_or_behind_it(shop: Make) -> None:
+    made = shop("digital_io", **_NUMBERED)
+    lines = ("G1 X5 F1500", "M62 P0", "X10", "M63 P0", "X15", "M64 P1", "X20", "M65 P1")
+    assert made.say(*lines) == ["ok"] * 8
+    assert [(name, on) for name, on, _ in made.book] == [
+        ("air", True),
+        ("air", False),
+        ("lamp", True),
+        ("lamp", False),
+    ]
+    places = [at[0] for _, _, at in made.book]
+    assert places[2:] == [15, 20], "they wait"
+    ahead = [place - at for place, at in zip((5, 10), places)]
+    assert all(0 <= mm <= 0.06 * 25 for mm in ahead), "motion goes on"
+
+
+def test_an_input_is_waited_for_by_its_number(shop: Make) -> None:
+    made = shop("digital_io", **_NUMBERED)
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("M66 P0 L3 Q2\n", "ms 500")
+        made.close("part")
+        yield from made.answered(1)
+        yield from made.send("M66 P0 L1 Q1\n", "ms 100")  # closed already: it has to open first
+        made.close("part", False)
+        yield made.rig.ms(100)
+        made.close("part")
+        yield from made.answered(2)
+        yield from made.send("M66 P1")
+        yield from made.send("M66 P1 L3 Q0.5")
+
+    made.run(script())
+    assert made.answers == ["ok"] * 4
+    assert made.messages == ["M66 P0: 1", "M66 P0: 1", "M66 P1: 0", "M66 P1: nothing for 0.5 s"]
+
+
+def test_widths_and_numbers_that_nobody_has(shop: Make) -> None:
+    made = shop("digital_io", **_NUMBERED)
+    assert made.say("M68 E2 Q0.25") == ["ok"]
+    assert made.rig.port.own_pulses == {2: (1000, 16384)}
+    assert made.say("M64 P3", "M66 P0 L3", "M66 P2", "M64 P0.5") == ["error:3"] * 4
+    assert made.messages[0] == "P and E go from 0 to 2"
+
+
+# A tool table
+
+
+def test_lengths_are_entered_taken_and_kept(shop: Make) -> None:
+    made = shop("tool_table")
+    assert made.say("G10 L1 P2 Z-12.5", "G20", "G10 L1 P3 Z-1", "G21", "G4 P0.1") == ["ok"] * 5
+    made.power_up(made.rig.store)
+    assert made.say("G43 H3", "G0 Z0") == ["ok"] * 2 and made.place()[2] == -25.4
+    made.power_up(made.rig.store)
+    assert made.say("G43 H2 Z-5") == ["ok"] and made.place()[2] == -17.5
+    refused = ("G43 H4", "G43", "G10 L1 P0 Z1", "G10 L1 P2", "G10 L3 P1 Z0")
+    assert made.say("G49", *refused, "G10 L20 P1 Z0") == (
+        ["ok"] + ["error:3"] * 3 + ["error:28", "error:20", "ok"]
+    )
+    assert made.messages[0] == "tool 4 has no length: G10 L1 P4 Z and the length"
+
+
+def test_a_tool_is_put_in_once_and_its_length_holds(shop: Make) -> None:
+    made = shop("tool_table")
+    told: "list[str]" = []
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("G10 L1 P2 Z-12.5")
+        yield from made.send("M3 S100")
+        yield from made.start("T2 M6")
+        assert made.place() == (3, 3, -1) and made.rig.port.spindle_pwm == 0
+        yield from made.send("~", "ms 100")
+        yield from made.send("T2 M6")  # it is in
+        yield from made.send("G53 G0 Z-3")
+        yield from made.send("T3 M6")
+        told.extend((yield from made.send("$#")))
+
+    made.run(script())
+    assert made.answers[-5:] == ["ok"] * 3 + ["error:3", "ok"] and made.place()[2] == -3
+    assert made.messages == [
+        "put in tool 2",
+        "tool 3 has no length: G10 L1 P3 Z and the length",
+    ]
+    assert "[TLO:-12.500]" in told
+
+
 # A height map
 
 

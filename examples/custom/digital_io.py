@@ -1,0 +1,49 @@
+"""M62 to M68: outputs and inputs by numbers, as LinuxCNC has them.
+
+M62 P and M63 P switch an output as the motion before them ends (at most 60 ms too early), and
+motion goes on; M64 and M65 wait for motion. M66 P L Q waits for an input, Q seconds at the most: L0 not at all, L1 until it
+closes, L2 until it opens, L3 and L4 the same where it is so already. M67 E Q and M68 E Q set the
+width of pulses, Q from 0 to 1. Numbers count from 0, through these names of the board file:
+"""
+
+from ugrbl import Refuse, mcode
+
+OUTPUTS = ("air", "lamp", "fan")
+INPUTS = ("part", "door")
+HZ = 1000  # of M67 and M68
+
+
+def named(names, number):
+    if number not in range(len(names)):
+        raise Refuse("P and E go from 0 to %d" % (len(names) - 1))
+    return names[int(number)]
+
+
+@mcode(62, "P", sync=False)
+@mcode(64, "P")
+def on(m, P):
+    m.out(named(OUTPUTS, P), True)
+
+
+@mcode(63, "P", sync=False)
+@mcode(65, "P")
+def off(m, P):
+    m.out(named(OUTPUTS, P), False)
+
+
+@mcode(66, "Plq")
+def wait(m, P, L=0, Q=0):
+    name = named(INPUTS, P)
+    if L not in range(5) or (L and not Q):
+        raise Refuse("M66: L is 0 to 4, and wants Q, the seconds to wait")
+    closed = L in (1, 3)
+    if L in (1, 2) and m.pin(name) == closed:  # an edge: the other level comes first
+        m.wait_for(name, not closed, Q)
+    came = L == 0 or m.wait_for(name, closed, Q)
+    m.message("M66 P%d: %s" % (P, int(m.pin(name)) if came else "nothing for %g s" % Q))
+
+
+@mcode(67, "EQ", sync=False)
+@mcode(68, "EQ")
+def share(m, E, Q):
+    m.pwm(named(OUTPUTS, E), Q, HZ)
