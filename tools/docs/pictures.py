@@ -25,13 +25,23 @@ class Picture(NamedTuple):
         return f"ugrbl {self.words} --plot build/{self.name}"
 
 
+_FAST = "--set 110=6000 --set 111=6000 --set 112=3000 --set 120=500 --set 121=500 --set 122=300"
 PICTURES = (
     Picture(
         "badge.png",
-        "run examples/badge.nc --set 110=6000 --set 111=6000 --set 112=3000"
-        " --set 120=500 --set 121=500 --set 122=300",
+        f"run examples/badge.nc {_FAST}",
     ),
     Picture("punch.png", "run examples/punch.nc --board sim_punch"),
+    Picture(
+        "blade.png",
+        "run examples/blade.nc --board sim_xyza --custom examples/custom/oscillating.py"
+        f" {_FAST} --set 113=6000 --set 123=500",
+    ),
+    Picture(
+        "height_map.png",
+        "run examples/height_map.nc --custom examples/custom/height_map.py --input probe=Z-8"
+        f" {_FAST}",
+    ),
 )
 
 

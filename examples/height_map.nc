@@ -1,0 +1,12 @@
+(the work is probed, then cut over: examples/custom/height_map.py)
+G21 G90
+G0 X10 Y10 Z-5
+M118 X60 Y40 Q10
+G0 Z5
+G102 X0 Y0 Z-1 F1500
+G102 X60 Y0 Z-1 F1500
+G102 X60 Y40 Z-1 F1500
+G102 X0 Y40 Z-1 F1500
+G102 X0 Y0 Z-1 F1500
+G0 Z10
+M30
