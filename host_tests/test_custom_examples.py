@@ -1135,7 +1135,7 @@ def test_a_blade_cuts_corners_whole_and_is_out_where_it_turns(shop: Make) -> Non
     turning = [p for p, q in itertools.pairwise(way) if p[3] != q[3]]
     assert turning and all(place[2] >= 2.99 for place in turning)
     assert way[-1] == pytest.approx((25, 15.6, 3, 90), abs=0.01)
-    (on, is_on, at), (off, is_off, out) = made.book
+    (_, is_on, at), (_, is_off, out) = made.book
     assert (is_on, is_off) == (True, False) and at[2] == 5 and out[2] == 3
 
 

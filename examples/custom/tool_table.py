@@ -1,8 +1,8 @@
 """A tool table: G10 L1 P3 Z-12.5 enters tool 3, G43 H3 takes its length, M6 has it put in.
 
-G43 alone takes the length of the tool that is in, and G49 takes it away. What is entered, and which
-tool is in, is kept over power-off. M6 without a length for its tool is refused; it ends with the
-length in force. G43 H3 Z5 goes on to Z5, in the mode that holds, G0 or G1.
+G43 alone takes the length of the tool that is in, and G49 takes it away. What is entered, and
+which tool is in, is kept over power-off. M6 without a length for its tool is refused; it ends with
+the length in force. G43 H3 Z5 goes on to Z5, in the mode that holds, G0 or G1.
 """
 
 from ugrbl import Refuse, gcode, on

@@ -15,6 +15,7 @@ pytestmark = pytest.mark.xdist_group("pico custom")
 
 _PATIENCE = {"UGRBL_PATIENCE": "10", "COLUMNS": "200"}
 _BOARD = files.board_file("rpi_pico")
+_EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "custom"
 _FILE = """\
 from ugrbl import mcode
 
@@ -84,3 +85,36 @@ def test_a_folder_takes_the_place_of_a_file_and_of_a_folder(uf2: Path, tmp_path:
         there = ugrbl("custom", "pull", tmp_path / "got", "--port", port)
         assert there.returncode == 0, there.stderr
         assert sorted(file.name for file in (tmp_path / "got").iterdir()) == ["a.py", "b.py"]
+
+
+def test_three_of_the_examples_do_what_they_say(uf2: Path, tmp_path: Path) -> None:
+    board = tmp_path / "router.py"
+    pins = 'OUTPUTS = {"air": 20, "lamp": 21, "fan": 26}\nINPUTS = {"part": 27, "door": 28}\n'
+    board.write_text(_BOARD.read_text() + "\n" + pins)
+    talks = {
+        "digital_io": {
+            "M64 P1": ["ok"],
+            "M66 P0": ["[MSG:M66 P0: 0]", "ok"],
+            "M66 P1 L3 Q0.1": ["[MSG:M66 P1: nothing for 0.1 s]", "ok"],
+            "M68 E2 Q0.5": ["ok"],
+            "M64 P7": ["[MSG:P and E go from 0 to 2]", "error:3"],
+        },
+        "tool_table": {
+            "G10 L1 P2 Z-12.5": ["ok"],
+            "G43 H2": ["ok"],
+            "$#": ["[TLO:-12.500]"],
+            "G43 H3": ["[MSG:tool 3 has no length: G10 L1 P3 Z and the length]", "error:3"],
+        },
+        "counter": {"M120 Q2": ["ok"], "M30": ["ok"], "M121": ["ok"], "M2": ["ok"]},
+    }
+    with pico(uf2, tmp_path, build.for_board(board)) as port:
+        for example, talk in talks.items():
+            file = _EXAMPLES / f"{example}.py"
+            done = ugrbl("custom", "push", file, "--port", port, "--board", board)
+            assert done.returncode == 0, done.stdout + done.stderr
+            with grbl(port) as machine:
+                for line, answers in talk.items():
+                    heard = ask(machine, line)
+                    assert [said for said in answers if said not in heard] == [], (line, heard)
+                reports = [line for line in ask(machine, "?") if line[0] == "<"]
+        assert "|Pn:1,2" in reports[-1]

@@ -4,7 +4,8 @@ import re
 from pathlib import Path
 
 import pytest
-from emulated import DIR, SPINDLE_PWM, STEP, Board, Odometer
+from emulated import BOARDS, DIR, SPINDLE_PWM, STEP, Board, Odometer, firmware
+from ugrbl.compiling import build
 
 pytestmark = pytest.mark.xdist_group("pico custom")
 
@@ -193,3 +194,46 @@ def beside(m):
     assert told == pytest.approx(made, abs=0.3)
     stack = re.search(r"Stack: (\d+) of", machine.ask("$I+"))
     assert stack and int(stack[1]) <= 8192 - 1024
+
+
+def test_outputs_switch_and_make_pulses_until_a_reset(uf2: Path, tmp_path: Path) -> None:
+    """As many as a stack light has: all of them are held when the tool is."""
+    pins = {"red": 20, "lamp": 21, "fan": 26, "horn": 27}
+    file = tmp_path / "light.py"
+    file.write_text((BOARDS / "rpi_pico.py").read_text() + f"\nOUTPUTS = {pins}\n")
+    words = b"""
+from ugrbl import mcode
+
+@mcode(110, "P")
+def switch(m, P):
+    m.out("red", P)
+    m.out("horn", P)
+
+@mcode(111, "P")
+def share(m, P):
+    m.pwm("fan", P, 5000)
+"""
+    files = {**dict.fromkeys(firmware()), **build.for_board(file).files, "custom.py": words}
+    machine = Board(uf2, files).boot().settled()
+    machine.pico.record(list(pins.values()))
+    machine.ask("M110 P1")
+    machine.ask("M111 P0.25")
+    machine.pico.run_us(1000)
+    assert {edge.pin for edge in machine.pico.edges if edge.level} == {20, 26, 27}
+    machine.pico.edges.clear()
+    machine.pico.run_us(2000)
+    ups = [edge.ns for edge in machine.pico.edges if edge.level]
+    downs = [edge.ns for edge in machine.pico.edges if not edge.level]
+    assert len(ups) == pytest.approx(10, abs=1)
+    lengths = [down - up for up, down in zip(ups, downs[downs[0] < ups[0] :])]
+    assert lengths == pytest.approx([50_000] * len(lengths), abs=100)
+    machine.forget()
+    machine.send("\x18")
+    machine.wait_for("Grbl 1.1h")
+    machine.pico.edges.clear()
+    machine.pico.run_us(2000)
+    assert not machine.pico.edges, "all are off"
+    machine.ask("M110 P1")
+    machine.ask("M111 P1")
+    machine.pico.run_us(1000)
+    assert {edge.pin for edge in machine.pico.edges if edge.level} == {20, 26, 27}
