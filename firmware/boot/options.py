@@ -15,7 +15,6 @@ from boot import guests
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from array import array
     from types import ModuleType
 
 
@@ -28,7 +27,6 @@ class Options:
         self.axes: int = len(option("STEP", ()))
         self.engine: str = option("ENGINE", "")
         self.blocks: int = option("PLANNER_BLOCKS", 16)
-        self.ring: "array[int] | None" = None  # for so many
         self.rx_bytes: int = option("RX_BYTES", 128)
         self.defaults: "dict[int, float]" = option("DEFAULTS", {})
         self.corexy: bool = option("COREXY", False)

@@ -47,12 +47,11 @@ def build(
 ) -> Controller:
     """Make a machine of a board file and its hardware. ring: the planner's, if it is there."""
     options = Options(board)
-    options.ring = ring
     machine = Controller(options.axes)
     machine.port = port
     machine.engine = engine
     machine.saves = Saves(store)
-    _make_basics(machine, options)
+    _make_basics(machine, options, ring)
     _make_reports(machine, options, link)
     _make_motion(machine, options)
     _make_states(machine, options)
@@ -68,7 +67,7 @@ def build(
     return machine
 
 
-def _make_basics(machine: Controller, options: Options) -> None:
+def _make_basics(machine: Controller, options: Options, ring: "array[int] | None") -> None:
     """What the machine is, what it has planned, what it switches."""
     axes, port, state = options.axes, machine.port, State()
     kinematics: "Kinematics | None" = None
@@ -81,7 +80,7 @@ def _make_basics(machine: Controller, options: Options) -> None:
     machine.settings.max_step_hz = options.max_step_hz
     machine.coords = Coords(machine.saves, axes, TOOL_LENGTH)
     machine.modes = Modes(axes)
-    machine.planner = Planner(axes, options.blocks, kinematics, state, options.ring)
+    machine.planner = Planner(axes, options.blocks, kinematics, state, ring)
     machine.segments = Segments(machine.planner)
     machine.spindle = options.spindle(port, state, options.enable_pin)
     machine.coolant = Coolant(port, state)

@@ -1,11 +1,18 @@
 """custom.py on the emulated Pico: put there as a file, and nothing it does can lose a step."""
 
 import re
+import sys
 from pathlib import Path
 
 import pytest
 from emulated import BOARDS, DIR, SPINDLE_PWM, STEP, Board, Odometer, firmware
 from ugrbl.compiling import build
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "bench"))
+
+from bench_setup import set_up
+from streaming import short_moves, stream
+from wire import EmulatedWire, Talk
 
 pytestmark = pytest.mark.xdist_group("pico custom")
 
@@ -237,3 +244,18 @@ def share(m, P):
     machine.ask("M111 P1")
     machine.pico.run_us(1000)
     assert {edge.pin for edge in machine.pico.edges if edge.level} == {20, 26, 27}
+
+
+def lines_s(uf2: Path, words: "bytes | None") -> float:
+    """Short moves that a board with such a custom.py takes in a second."""
+    talk = Talk(EmulatedWire(Board(uf2, {"custom.py": words}).boot().settled()))
+    set_up(talk)
+    return stream(talk, list(short_moves(700)), 63).lines_s
+
+
+def test_what_is_not_used_costs_nothing_and_a_handler_its_own_time(uf2: Path) -> None:
+    plain = lines_s(uf2, None)
+    word = b"from ugrbl import mcode\n@mcode(100)\ndef f(m): pass\n"
+    assert lines_s(uf2, word) > 0.99 * plain
+    timer = b"import time\nfrom ugrbl import every\n@every(50)\ndef f(m): time.sleep_us(1000)\n"
+    assert lines_s(uf2, timer) > 0.97 * plain  # 2 % are its own
