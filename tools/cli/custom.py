@@ -12,7 +12,7 @@ from ..run.custom_check import Verdict
 from ..run.machine import Around
 from ..run.own_python import OwnPython
 from .custom_options import Inputs, around
-from .outputs import check_output, failed, save_json
+from .outputs import Json, check_output, failed, save_json
 
 app = typer.Typer(
     no_args_is_help=True, help="Your own Python on the board: check, push, pull, edit, remove it."
@@ -24,10 +24,6 @@ File = Annotated[
 ]
 Board = Annotated[
     str, typer.Option(metavar="NAME", help="A file of boards/, or a path: it names the pins.")
-]
-Json = Annotated[
-    Path | None,
-    typer.Option("--json", metavar="FILE", help="Write the result there; - is stdout."),
 ]
 _EXAMPLE = "\n\nExample:  ugrbl custom {}"
 

@@ -17,7 +17,7 @@ from ..device.connection import SendError
 from ..device.deploy import DeployError, Result, deploy
 from . import ports
 from .build import DEBUG_COST, Debug
-from .outputs import save_json
+from .outputs import Json, save_json
 from .screen import summary
 
 EXAMPLES = (
@@ -76,10 +76,7 @@ def command(
         bool, typer.Option("--replace", help="Even if its board.py or main.py is yours.")
     ] = False,
     debug: Debug = False,
-    json_file: Annotated[
-        Path | None,
-        typer.Option("--json", metavar="FILE", help="Write the result there; - is stdout."),
-    ] = None,
+    json_file: Json = None,
 ) -> None:
     """Put the firmware on a board that has MicroPython, and start it.
 

@@ -5,6 +5,7 @@ import os
 import sys
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -12,6 +13,10 @@ from rich.markup import escape
 
 from ..grbl.gcode_file import STDIN
 
+Json = Annotated[
+    Path | None,
+    typer.Option("--json", metavar="FILE", help="Write the result there; - is stdout."),
+]
 # What a path or a job can be drawn as.
 PICTURES = (".html", ".png", ".svg")
 

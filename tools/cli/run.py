@@ -17,7 +17,7 @@ from ..run import machine
 from ..run.pace import Paced, Stretch
 from ..run.program import Result, run_program
 from .custom_options import CustomFile, Inputs, around, why_stopped
-from .outputs import check_outputs, failed, save_json
+from .outputs import Json, check_outputs, failed, save_json
 from .screen import (
     Screen,
     show_errors,
@@ -54,10 +54,7 @@ def command(
         Path | None,
         typer.Option("--plot", metavar="FILE", help="Draw it: .html, .png or .svg; - is stdout."),
     ] = None,
-    json_file: Annotated[
-        Path | None,
-        typer.Option("--json", metavar="FILE", help="Write the result there; - is stdout."),
-    ] = None,
+    json_file: Json = None,
     board: Annotated[
         str, typer.Option(metavar="NAME", help="Machine: a file of boards/, or a path.")
     ] = machine.DEFAULT_BOARD,

@@ -24,7 +24,7 @@ from ..grbl.settings_file import (
     meaning,
     read_settings,
 )
-from .outputs import check_output, failed, save_json, save_text
+from .outputs import Json, check_output, failed, save_json, save_text
 from .ports import Baud, Port, choose
 
 app = typer.Typer(no_args_is_help=True, help="Pull, compare, push and restore settings.")
@@ -41,10 +41,6 @@ File = Annotated[
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
 AnyVersion = Annotated[
     bool, typer.Option("--any-version", help="Even if it is for another Grbl, or does not say.")
-]
-Json = Annotated[
-    Path | None,
-    typer.Option("--json", metavar="FILE", help="Write the result there; - is stdout."),
 ]
 _EXAMPLE = "\n\nExample:  ugrbl settings {} --port /dev/ttyACM0"
 
