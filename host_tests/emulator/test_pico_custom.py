@@ -247,10 +247,11 @@ def share(m, P):
 
 
 def lines_s(uf2: Path, words: "bytes | None") -> float:
-    """Short moves that a board with such a custom.py takes in a second."""
+    """Short moves that a board with such a custom.py checks in a second: it never waits."""
     talk = Talk(EmulatedWire(Board(uf2, {"custom.py": words}).boot().settled()))
     set_up(talk)
-    return stream(talk, list(short_moves(700)), 63).lines_s
+    talk.ask("$C")
+    return stream(talk, list(short_moves(500)), 15).lines_s
 
 
 def test_what_is_not_used_costs_nothing_and_a_handler_its_own_time(uf2: Path) -> None:
