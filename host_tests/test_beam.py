@@ -316,13 +316,12 @@ def test_a_dot_has_the_power_that_s_has(
 ) -> None:
     spindle = made(most, least, full)
     spindle.laser = True
-    floats = array("f", (spindle._max_rpm, spindle._min_rpm, spindle._gradient))
-    scale = array("i", [*array("i", floats.tobytes()), full, dynamic])
+    flags = 0x20 | (layout.DYNAMIC if dynamic else 0)
+    spindle.block_power(flags, 0)  # it knows of the override now
+    scale = spindle._state.spindle
     powers, speeds = array("i", [0] * 34), array("f", [0] * 32)
-    clusters.store(array("f", values), len(values), scale, powers, speeds, 1)
+    clusters.store(array("f", values), len(values), scale, flags, powers, speeds, 1)
     assert powers[17] == len(values)
     assert list(speeds[16:][: len(values)]) == list(array("f", values))
-    flags = 0x20 | (layout.DYNAMIC if dynamic else 0)
     for value, power in zip(array("f", values), powers[18:], strict=False):
-        due = spindle.block_power(flags, value)
-        assert abs(power - due) <= (1 if dynamic else 0)
+        assert power == spindle.block_power(flags, value)

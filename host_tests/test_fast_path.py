@@ -5,7 +5,9 @@ from types import SimpleNamespace
 
 import pytest
 from base.errors import GrblError
+from base.state import RPM
 from boot import wiring
+from control import modes as modal
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from language.fast_path import (
@@ -72,14 +74,15 @@ def test_a_plain_line_holds_nothing_that_could_be_wrong(
 class Bench:
     """A machine that is told lines and never moves: what it plans is looked at, and forgotten."""
 
-    def __init__(self, laser: bool, short: bool) -> None:
+    def __init__(self, laser: bool, short: bool, most: float = 1000.0, least: float = 0.0) -> None:
         self._short = short
 
         rig = machine.build("sim", lambda rig: ProgramLink(rig, lambda _link: iter(())))
         board = SimpleNamespace(**{**vars(rig.board), "LINE_NUMBERS": True})
         self.machine = wiring.build(board, rig.link, rig.port, rig.engine, rig.store)
         self.machine.settings.load()
-        self.machine.settings.laser_mode = int(laser)
+        settings = self.machine.settings
+        settings.laser_mode, settings.max_rpm, settings.min_rpm = int(laser), most, least
         self.machine.configure()
         self.machine.planner.override()
         self.machine.canon.service = self.machine.planner.clear  # whoever waits finds room
@@ -98,13 +101,13 @@ class Bench:
             fault = refusal.code
         row = [] if planner.empty() else list(planner.row() or ())
         modes = self.machine.modes
-        found = (fault, list(modes.position), modes.feed, modes.spindle_rpm, modes.tool, row)
+        found = (fault, list(modes.position), list(modes.rates), modes.tool, row)
         speed = planner.speeds[planner.flow[layout.TAIL]] if row else 0
         rest = (
             self.machine.commands.modes(),
             list(planner.position),
             speed,
-            self.machine.state.spindle_rpm,
+            self.machine.state.spindle[RPM],
         )
         planner.clear()
         return found, rest
@@ -144,7 +147,39 @@ def test_another_power_of_the_beam_takes_the_short_path(beam: str, override: int
     plain = bench.machine.interpreter.fast
     for text in (b"X3S50", b"X4S0", b"X5S1000"):
         assert plain.follow(bytearray(text + b"\0"), len(text)) == 1
-    assert bench.machine.modes.spindle_rpm == 1000
+    assert bench.machine.modes.rates[modal.RPM] == 1000
+
+
+speeds = st.decimals(0, 13000, places=3).map(lambda x: format(x, "f"))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.sampled_from((1000.0, 255.0, 12000.0, 1.0)),
+    st.sampled_from((0.0, 1.0, 30.5, 1000.0)),
+    st.integers(10, 200),
+    st.booleans(),
+    st.lists(st.one_of(speeds, st.just("0")), min_size=1, max_size=6),
+)
+def test_the_short_path_gives_the_beam_the_power_that_the_spindle_says(
+    most: float, least: float, override: int, follows: bool, powers: "list[str]"
+) -> None:
+    bench = Bench(True, True, most, least)
+    machine, planner = bench.machine, bench.machine.planner
+    machine.state.spindle_override = override
+    for text in (f"{'M4' if follows else 'M3'}S1F300", "G1X1", "X2"):
+        bench.tell(text)
+    for i, power in enumerate(powers):
+        text = f"X{3 + i}S{power}".encode()
+        assert machine.interpreter.fast.follow(bytearray(text + b"\0"), len(text)) == 1
+        row, speed = list(planner.row() or ()), machine.state.spindle[RPM]
+        rpm = machine.modes.rates[modal.RPM]
+        assert rpm == pytest.approx(float(power), rel=1e-6)
+        assert planner.speeds[planner.flow[layout.TAIL]] == rpm
+        due = machine.spindle.block_power(row[layout.FLAGS], rpm)
+        assert row[layout.POWER] == due
+        assert machine.state.spindle[RPM] == speed
+        planner.clear()
 
 
 def test_lines_after_the_second_of_their_kind_take_the_short_path() -> None:
@@ -156,6 +191,6 @@ def test_lines_after_the_second_of_their_kind_take_the_short_path() -> None:
     assert plain.follow(bytearray(b"X3Y1N5\0"), 6) == 1
     for text in (b"X4F501", b"G0X5", b"X6", b"G1X7F502", b"X8F503N6"):
         assert plain.follow(bytearray(text + b"\0"), len(text)) == 1
-    assert bench.machine.modes.feed == 503
+    assert bench.machine.modes.rates[modal.FEED] == 503
     bench.machine.state.change()
     assert plain.follow(bytearray(b"X9\0"), 2) == 0

@@ -86,8 +86,7 @@ def everything(machine: Machine) -> "dict[str, Any]":
     modes, coords, planner = controller.modes, controller.coords, controller.planner
     found: dict[str, Any] = {
         "modes": list(modes.modal),
-        "feed": modes.feed,
-        "speed": modes.spindle_rpm,
+        "rates": list(modes.rates),
         "tool": modes.tool,
         "position": list(modes.position),
         "systems": [list(system) for system in coords.systems],
@@ -108,7 +107,7 @@ def check_equal(machine: Machine, oracle: Oracle) -> None:
     modes, coords = controller.modes, controller.coords
     told = controller.commands.modes()
     assert told[: told.index(" F")] == oracle.modes()
-    assert (modes.feed, modes.spindle_rpm) == (oracle.feed, oracle.speed)
+    assert list(modes.rates) == [oracle.feed, oracle.speed]
     assert list(modes.position) == list(oracle.position.values())
     numbers = (54, 55, 56, 57, 58, 59, 28, 30)
     assert [list(s) for s in coords.systems] == [

@@ -84,7 +84,7 @@ def test_a_line_that_is_refused_asks_for_nothing(line: str) -> None:
     with pytest.raises(GrblError):
         paper.does(line)
     assert paper.canon.asked == []
-    assert list(paper.modes.position) == [0, 0, 0] and paper.modes.feed == 0
+    assert list(paper.modes.position) == [0, 0, 0] and paper.modes.rates[0] == 0
 
 
 def test_a_jog_out_of_the_travel_is_refused() -> None:

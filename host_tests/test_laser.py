@@ -6,11 +6,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from base.state import State
+from base.state import RPM, State
 from boot.options import Options
-from control.spindle import CW, Spindle
+from control.spindle import CCW, CW, Spindle
 from esp_bench import esp_machine, gpio_esp, reset_stand_ins
 from fakes import FakePort
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 from motion import layout
 from test_settings_effects import Bench
 from ugrbl.boardfile.board_check import problems
@@ -53,6 +55,56 @@ def test_s_without_m3_and_m4_is_no_power() -> None:
     spindle = made(1000, 0, 1000)
     assert spindle.block_power(0, 500) == 0
     assert spindle.block_power(CW, 500) == 500
+
+
+def single(x: float) -> float:
+    """X rounded to single precision."""
+    return array("f", [x])[0]
+
+
+def due(
+    flags: int, rpm: float, most: float, least: float, full: int, percent: int
+) -> "tuple[int, float | None]":
+    """Power and speed as Grbl works them out, step by step in single precision."""
+    span = single(most - least)
+    gradient = single((full - 1) / span) if span > 0 else 0.0
+    if gradient * most >= 1 << 23:
+        gradient = 0.0
+    rpm = single(rpm * single(single(0.01) * percent))
+    if flags & layout.DYNAMIC:
+        return int(single(min(rpm, most) * gradient) * 64), None
+    if least >= most or rpm >= most:
+        return full, most
+    if rpm <= least:
+        return (1, least) if rpm else (0, 0.0)
+    return int(single(single(rpm - least) * gradient)) + 1, rpm
+
+
+@given(
+    st.one_of(st.floats(0.125, 2000, width=32), st.integers(0, 20000), st.just(2.0**120)),
+    st.floats(1, 30000, width=32),
+    st.one_of(st.just(0.0), st.floats(0.125, 30000, width=32)),
+    st.sampled_from((1000, 255, 16383)),
+    st.integers(10, 200),
+    st.booleans(),
+)
+@settings(max_examples=500, deadline=None)
+@example(-0.0, 1000, 0, 1000, 100, False)
+@example(-0.0, 1000, 0, 1000, 50, True)
+@example(500, 1000, 1000, 255, 100, True)
+@example(1000, 1000, 999.9999389648438, 1000, 100, True)
+@example(1000, 1000, 999.875, 1000, 100, True)
+def test_power_is_worked_out_as_in_single_precision(
+    rpm: float, most: float, least: float, full: int, percent: int, follows: bool
+) -> None:
+    spindle = made(most, least, full)
+    state = spindle._state
+    state.spindle_override = percent
+    state.spindle[RPM] = -1
+    flags = CCW | layout.DYNAMIC if follows else CW
+    power, speed = due(flags, rpm, most, least, full, percent)
+    assert spindle.block_power(flags, rpm) == power
+    assert state.spindle[RPM] == (-1 if speed is None else speed)
 
 
 # $33

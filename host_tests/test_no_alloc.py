@@ -72,7 +72,9 @@ letters = bytearray(128)
 values = array("f", [0.0] * 128)
 short = bytearray(b"G1X-12.345Y0.25N7\\0")
 line = words.Words()
+dot = bytearray(b"X-12.345S500F300\\0")
 here = vector(3)
+rates = vector(2)
 there = array("i", [3, 0, 1000, 2000, 300])
 known = array("i", [0] * (fast_path.OFFSETS + 3))
 known[fast_path.AXES], known[fast_path.MODE], known[fast_path.FEED] = 3, fast_path.HAS_G1, 7
@@ -99,7 +101,9 @@ _PROVED = {
     "line_number": "fast_path.line_number(known, fast_path.HAS_N)",
     "judge": "canon.judge(target, there, flow)",
     "follow": "fast_path.follow(short, len(short) - 1, known, here, target, there, table, ring, "
-    "flow, planner.speeds, state.changes, here, None)",
+    "flow, planner.speeds, state.changes, rates, state.spindle, None)",
+    "follow with a new S": "fast_path.follow(dot, len(dot) - 1, known, here, target, there, "
+    "table, ring, flow, planner.speeds, state.changes, rates, state.spindle, None)",
     "chords": "planner.chords(course, move, 0, True)",
     "chords in check mode": "planner.chords(course, move, 0, False)",
     "feed": "reader.feed(received, len(received))",

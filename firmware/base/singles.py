@@ -4,6 +4,8 @@
 A float of MicroPython is a piece of memory, and takes longer to make than all that is done here.
 """
 
+from array import array
+
 import micropython
 from micropython import const
 
@@ -58,18 +60,29 @@ def divide(numbers: ptr32, divisors: ptr32, at: int, quotients: ptr32, count: in
     return 0
 
 
+_INCH_MM = array("f", (25.4,))
+
+
+def to_mm(values: "array[float]", at: int) -> None:
+    """Make the inches in values[at] millimetres."""
+    multiply(values, at, _INCH_MM, 0)
+
+
 @micropython.viper
-def to_mm(values: ptr32, at: int) -> int:
-    """Make the inches in values[at] millimetres: times 25.4, all in single precision."""
+def multiply(values: ptr32, at: int, factors: ptr32, of: int) -> int:
+    """Make values[at] its product with factors[of], above 0, all bits of single-precision floats,
+    rounded to even."""
     exponent = (values[at] >> 23) & 255
     if exponent == 0:
         return 0
+    factor = factors[of]
+    exponent += (factor >> 23) - 126
+    factor = (factor & 0x7FFFFF) | 0x800000
     number = (values[at] & 0x7FFFFF) | 0x800000
-    middle = (number >> 12) * 0x333 + (number & 0xFFF) * 0xCB3
-    low = (number & 0xFFF) * 0x333 + ((middle & 0xFFF) << 12)
-    number = (number >> 12) * 0xCB3 + (middle >> 12) + (low >> 24)
+    middle = (number >> 12) * (factor & 0xFFF) + (number & 0xFFF) * (factor >> 12)
+    low = (number & 0xFFF) * (factor & 0xFFF) + ((middle & 0xFFF) << 12)
+    number = (number >> 12) * (factor >> 12) + (middle >> 12) + (low >> 24)
     low &= 0xFFFFFF
-    exponent += 5
     if number < 1 << 23:
         number = (number << 1) | (low >> 23)
         low = (low << 1) & 0xFFFFFF
@@ -81,6 +94,9 @@ def to_mm(values: ptr32, at: int) -> int:
         exponent += 1
     if exponent > 254:
         exponent = 255  # infinite
+        number = 0
+    elif exponent < 1:
+        exponent = 0  # too small for a board
         number = 0
     sign = ptr8(values)[4 * at + 3] & 128
     values[at] = (exponent << 23) | (number & 0x7FFFFF)

@@ -65,6 +65,11 @@ OVERRIDE = const(8)  # one at least of those that follow:
 OVERRIDES = const(9)
 ANY = const(27)  # something has been posted since posted() was asked last
 
+# State.spindle: what control/spindle.py makes power of; and the speed that it is told, overridden
+# and limited.
+RPM = const(1)
+SPINDLE_LENGTH = const(9)
+
 FIRST_OVERRIDE_BYTE = const(0x90)
 LAST_OVERRIDE_BYTE = const(0xA1)
 # The other real-time bytes, and what they ask for; a soft reset, 0x18, is none of these.
@@ -87,6 +92,7 @@ class State:
         self.run = IDLE  # enter() writes it
         # Counts on with every change of what the fast path of lines depends on.
         self.changes = array("i", (0,))
+        self.spindle = array("f", (0.0 for _ in range(SPINDLE_LENGTH)))
         self.clear()
 
     def enter(self, run: int) -> None:
@@ -137,7 +143,7 @@ class State:
         self.rapid_override = 100
         self.spindle_override = 100
         self.override_control = True  # M56: parking is enabled
-        self.spindle_rpm = 0.0
+        self.spindle[RPM] = 0.0
         self.probe_succeeded = False
         self.wco_countdown = 0  # status reports until WCO: is shown again
         self.override_countdown = 0  # and Ov:

@@ -26,18 +26,21 @@ MODAL_LENGTH = const(11)
 # Behind them there is room for what a block has besides (language/block.py); here it stays 0.
 MODAL_ROOM = const(15)
 
+# By its place in Modes.rates.
+FEED = const(0)
+RPM = const(1)
+
 
 class Modes:
     """Modal state, position, feed, speed and tool."""
 
     position: "array[float]"  # the parser's
-    feed: float
-    spindle_rpm: float
     tool: int
 
     def __init__(self, axes: int) -> None:
         self.modal = array("i", (0 for _ in range(MODAL_ROOM)))
         self.position = vector(axes)
+        self.rates = vector(2)
         self.reset()
 
     def reset(self) -> None:
@@ -45,8 +48,7 @@ class Modes:
         for i in range(MODAL_LENGTH):
             self.modal[i] = 0
         self.modal[OVERRIDE_CONTROL] = 1
-        self.feed = 0.0
-        self.spindle_rpm = 0.0
+        self.rates[FEED] = self.rates[RPM] = 0.0
         self.tool = 0
 
     def accessory_flags(self) -> int:

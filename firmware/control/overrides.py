@@ -4,7 +4,7 @@ from base import state as st
 from micropython import const
 
 from control.coolant import FLOOD, MIST
-from control.modes import COOLANT, SPINDLE
+from control.modes import COOLANT, RPM, SPINDLE
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class Overrides:
         state = self._state
         state.change()
         if state.run == st.IDLE:
-            self._spindle.turn(self._modes.modal[SPINDLE], self._modes.spindle_rpm)
+            self._spindle.turn(self._modes.modal[SPINDLE], self._modes.rates[RPM])
         elif state.run & _MOTION:
             state.update_spindle = True
             self._planner.each_power(self._spindle.block_power)

@@ -203,7 +203,7 @@ class Seek:
         planner.clear()
         planner.system_line(self._target, move, 0, self._steps)
         self._drive.start(st.HOMING)
-        self._state.spindle_rpm = 0.0  # these moves have no power
+        self._state.spindle[st.RPM] = 0.0  # these moves have no power
         searching = axes
         while searching:
             if approach:

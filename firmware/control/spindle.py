@@ -1,3 +1,4 @@
+# mypy: disable-error-code=arg-type
 """Spindle and laser: from a speed in rpm to power at the pin.
 
 The interrupt sets power per segment while the machine moves (set_power);
@@ -5,14 +6,17 @@ everything else goes through turn(). Never waits: whoever changes the spindle
 synchronises first (canon.py).
 """
 
-from array import array
-
-from base.f32 import f32
+import micropython
+from base.f32 import copy, f32
+from base.singles import add_single, multiply
+from base.state import RPM
 from micropython import const
 from motion import layout
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from array import array
+
     from base.settings import Settings
     from base.state import State
     from interfaces import Port
@@ -24,6 +28,56 @@ _TURNING = const(0x30)
 
 # Least power of a spindle that turns.
 _MIN_POWER = const(1)
+
+# State.spindle, besides RPM: S, of which power is made; the override, as a part of 1;
+ASKED = const(0)
+_OVERRIDE = const(2)
+# $30; $31, and the same below 0; full power, a whole number; power per S above $31, and in 1/64.
+HIGHEST = const(3)
+_LOWEST = const(4)
+_LESS = const(5)
+_FULL = const(6)
+_GRADIENT = const(7)
+_FINE = const(8)
+_ONE = const(0x3F800000)  # the float 1
+_STEEPEST = 8388608.0  # power for all of S, if $31 were far below: 64 times as much has 30 bits
+
+
+@micropython.viper
+def weigh(scale: ptr32, flags: int) -> int:
+    """What a planner block with these flags carries of scale[ASKED]: see slice_kernel.dimmed().
+
+    scale: State.spindle, whose RPM then says what speed that is, but where it follows motion.
+    """
+    if not flags & _TURNING:
+        return 0
+    if scale[_OVERRIDE] != _ONE:
+        multiply(scale, ASKED, scale, _OVERRIDE)
+    rpm = scale[ASKED]
+    highest = scale[HIGHEST]
+    least = 0
+    if flags & layout.DYNAMIC:
+        if rpm > highest:
+            scale[ASKED] = highest
+        multiply(scale, ASKED, scale, _FINE)
+    else:
+        lowest = scale[_LOWEST]
+        if rpm >= highest or lowest >= highest:
+            scale[RPM] = highest
+            return scale[_FULL]
+        if rpm <= lowest:
+            scale[RPM] = lowest if rpm > 0 else 0
+            return _MIN_POWER if rpm > 0 else 0
+        scale[RPM] = rpm
+        add_single(scale, _LESS, scale, ASKED)
+        multiply(scale, ASKED, scale, _GRADIENT)
+        least = _MIN_POWER
+    rpm = scale[ASKED]
+    shift = 150 - (rpm >> 23)
+    rpm = (rpm & 0x7FFFFF) | 0x800000
+    if shift < 0:
+        return rpm << (0 - shift)
+    return least + (rpm >> shift if shift < 25 else 0)
 
 
 class Spindle:
@@ -37,70 +91,43 @@ class Spindle:
         self._power = 0
         self._direction = CW  # of the pin
         self._enabled = False
-        # What power() was asked last, and what it said: most blocks ask the same again.
-        self._asked_rpm = -1.0
-        self._asked_override = 0
-        self._answered_rpm = 0.0
-        self._answered_power = 0
         self.laser = False
         self._reversed = False  # M4; in laser mode power follows the speed then
 
     def configure(self, settings: "Settings", table: "array[int]") -> None:
         """Take over $30, $31 and $32. table: the planner's, for the kernels."""
-        self._asked_rpm = -1.0
-        self._max_rpm = settings.max_rpm
-        self._min_rpm = settings.min_rpm
         self.laser = bool(settings.laser_mode)
-        span = f32(self._max_rpm - self._min_rpm)
-        full = self._port.pwm_max
-        self._gradient = f32((full - _MIN_POWER) / span) if span > 0 else 0.0
-        table[layout.POWER_FLOOR] = int(self._min_rpm * self._gradient * 64)
+        scale, full = self._state.spindle, self._port.pwm_max
+        span = f32(settings.max_rpm - settings.min_rpm)
+        gradient = f32((full - _MIN_POWER) / span) if span > 0 else 0.0
+        if settings.max_rpm * gradient >= _STEEPEST:
+            gradient = 0.0  # $30 and $31 are as good as equal
+        scale[HIGHEST] = settings.max_rpm
+        scale[_LOWEST] = settings.min_rpm
+        scale[_LESS] = -settings.min_rpm
+        scale[_GRADIENT] = gradient
+        scale[_FINE] = gradient * 64
+        table[layout.POWER_FLOOR] = int(settings.min_rpm * gradient * 64)
         table[layout.POWER_MAX] = full
+        copy(memoryview(table)[layout.POWER_MAX :], memoryview(scale)[_FULL:], 1)
 
     def power(self, rpm: float) -> int:
         """Power for a programmed speed, override included; tells the state what speed that is."""
-        state = self._state
-        if rpm == self._asked_rpm and state.spindle_override == self._asked_override:
-            state.spindle_rpm = self._answered_rpm
-            return self._answered_power
-        self._asked_rpm = rpm
-        self._asked_override = state.spindle_override
-        self._answered_power = self._work_out(rpm)
-        self._answered_rpm = state.spindle_rpm
-        return self._answered_power
-
-    def _work_out(self, rpm: float) -> int:
-        state = self._state
-        rpm = f32(rpm * f32(f32(0.01) * state.spindle_override))
-        full = self._port.pwm_max
-        if self._min_rpm >= self._max_rpm or rpm >= self._max_rpm:
-            state.spindle_rpm = self._max_rpm
-            return full
-        if rpm <= self._min_rpm:
-            if rpm == 0:
-                state.spindle_rpm = 0.0
-                return 0
-            state.spindle_rpm = self._min_rpm
-            return _MIN_POWER
-        state.spindle_rpm = rpm
-        return int(f32(f32(rpm - self._min_rpm) * self._gradient)) + _MIN_POWER
+        return self.block_power(CW, rpm)
 
     def block_power(self, flags: int, rpm: float) -> int:
-        """What a planner block with these flags carries: see slice_kernel.power()."""
-        if not flags & _TURNING:
-            return 0
-        if not flags & layout.DYNAMIC:
-            return self.power(rpm)
-        percent = self._state.spindle_override
-        if percent != 100:
-            rpm = rpm * percent / 100
-        return int(min(rpm, self._max_rpm) * self._gradient * 64)
+        """What a planner block with these flags carries: see weigh()."""
+        state = self._state
+        scale = state.spindle
+        scale[ASKED] = rpm
+        scale[_OVERRIDE] = f32(f32(0.01) * state.spindle_override)
+        return weigh(scale, flags)
 
     def turn(self, direction: int, rpm: float) -> None:
         """Set direction and speed now. In laser mode a reversed spindle begins with no power."""
         self._reversed = direction == CCW
         if direction == OFF:
-            self._state.spindle_rpm = 0.0
+            self._state.spindle[RPM] = 0.0
             self.stop()
         else:
             self._direction = CW if self._has_enable else direction

@@ -16,7 +16,7 @@ from micropython import const
 from motion import layout
 from motion import planner as plan
 
-from control.modes import COOLANT, SPINDLE
+from control.modes import COOLANT, RPM, SPINDLE
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ class Suspension:
         row = self._planner.row()
         if row is None:
             self._flags = self._modes.accessory_flags()
-            self._rpm = self._modes.spindle_rpm
+            self._rpm = self._modes.rates[RPM]
         else:
             self._flags = row[layout.FLAGS]
             self._rpm = self._planner.speeds[self._planner.flow[layout.TAIL]]

@@ -9,7 +9,6 @@ from array import array
 
 import micropython
 from base.errors import GCODE_UNSUPPORTED_COMMAND, GrblError
-from base.f32 import copy
 from control import spindle as sp
 from control.modes import SPINDLE
 from language import clusters as words
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
     from types import ModuleType
     from typing import Any
 
-    from base.state import State
     from interfaces import Options
     from motion.planner import Move
     from talk.controller import Controller
@@ -44,8 +42,6 @@ class Clusters:
         self.powers = array("i", (0 for _ in range(ROOM * blocks)))
         # S of each dot: an override of the spindle weighs it anew.
         self._speeds = array("f", (0.0 for _ in range(MOST * blocks)))
-        self._scale = array("i", (0 for _ in range(words.SCALE_LENGTH)))
-        self._floats = array("f", (0.0, 0.0, 0.0))
         self._values = array("f", (0.0 for _ in range(MOST)))
         self._text = bytearray(_LINE_LENGTH + 1)
         self._waiting = 0  # dots of a line that is on its long way to the planner
@@ -58,14 +54,6 @@ class Clusters:
         planner.line = self.line  # type: ignore[method-assign]
         planner.clear = self.clear  # type: ignore[method-assign]
         planner.each_power = self.each_power  # type: ignore[method-assign]
-
-    def configure(self) -> None:
-        """Take over $30 and $31."""
-        spindle: "Any" = self._machine.spindle
-        floats = self._floats
-        floats[0], floats[1], floats[2] = spindle.slope()
-        copy(floats, self._scale, 3)
-        self._scale[words.FULL] = self._machine.port.pwm_max
 
     # Lines
 
@@ -82,22 +70,21 @@ class Clusters:
             usual: "Callable[[bytearray, int], int]" = usual,
             text: bytearray = self._text,
             values: "array[float]" = self._values,
-            scale: "array[int]" = self._scale,
+            scale: "array[float]" = machine.state.spindle,
             powers: "array[int]" = self.powers,
             speeds: "array[float]" = self._speeds,
             flow: "array[int]" = machine.planner.flow,
             modal: "array[int]" = machine.modes.modal,
-            state: "State" = machine.state,
         ) -> int:
             found = words.gather(line, length, text, values)
             if found == 0:
                 return usual(line, length)
             turning = modal[SPINDLE]
-            if found < 0 or not turning or state.spindle_override != 100:
+            if found < 0 or not turning:
                 return 0
-            scale[words.DYNAMIC] = turning & sp.CCW
             head = flow[HEAD]
-            words.store(values, found >> 8, scale, powers, speeds, head)
+            flags = turning | DYNAMIC if turning == sp.CCW else turning
+            words.store(values, found >> 8, scale, flags, powers, speeds, head)
             planned = usual(text, found & 255)
             if flow[HEAD] == head:
                 powers[ROOM * head] = 0
@@ -127,17 +114,14 @@ class Clusters:
 
     def _put(self, count: int, block: int) -> None:
         """A block that is going to be planned has these dots; it has none without M3 and M4."""
-        machine, scale = self._machine, self._scale
-        turning = machine.modes.modal[SPINDLE]
-        if not turning:
+        machine = self._machine
+        flags = machine.modes.modal[SPINDLE]
+        if not flags:
             count = 0
-        scale[words.DYNAMIC] = turning & sp.CCW
-        words.store(self._values, count, scale, self.powers, self._speeds, block)
-        if machine.state.spindle_override != 100:
-            flags = machine.modes.accessory_flags()
-            if turning == sp.CCW:
-                flags |= DYNAMIC
-            self._weigh(machine.spindle.block_power, flags, block)
+        elif flags == sp.CCW:
+            flags |= DYNAMIC
+        scale = machine.state.spindle
+        words.store(self._values, count, scale, flags, self.powers, self._speeds, block)
 
     def _weigh(self, power: "Any", flags: int, block: int) -> None:
         for i in range(self.powers[ROOM * block]):
@@ -191,4 +175,3 @@ def install(cnc: "Cnc") -> None:
     laser: "Any" = machine.spindle
     engine.beam[ROW] = ROOM
     laser.burn(clusters.powers)
-    machine.settings.on_change(clusters.configure)

@@ -120,10 +120,6 @@ class Laser(Spindle):
         """Say where the dots of each block are."""
         self._clusters = clusters
 
-    def slope(self) -> "tuple[float, float, float]":
-        """S of full power, S of the least, and power per S between them: $30 and $31."""
-        return self._max_rpm, self._min_rpm, self._gradient
-
     def direction(self) -> int:
         """OFF, CW or CCW."""
         if self._beam[bm.LEVEL] >= 0:

@@ -1,6 +1,7 @@
 """Places, and modes to be put back: what an operator hands out to handlers of custom.py."""
 
 from base import state as st
+from base.f32 import copy
 from control.modes import (
     INCHES,
     INVERSE_TIME,
@@ -65,7 +66,7 @@ class Saved:
     def __enter__(self) -> None:
         modes, coords = self._machine.modes, self._machine.coords
         self.modal = list(modes.modal)
-        self._feed, self._rpm = modes.feed, modes.spindle_rpm
+        self._rates = modes.rates[:]
         self._length, self._g92 = coords.tool_length, coords.g92[:]
         self._within.append(self)
         if self._usual:
@@ -88,7 +89,7 @@ class Saved:
             if i not in (SPINDLE, _COOLANT):
                 modes.modal[i] = self.modal[i]
         coords.active = modes.modal[SYSTEM]
-        modes.feed, modes.spindle_rpm = self._feed, self._rpm
+        copy(self._rates, modes.rates, 2)
         coords.tool_length = self._length
         coords.set_g92(self._g92)
         machine.state.wco_countdown = 0

@@ -97,19 +97,13 @@ class Punch(Spindle):
     def configure(self, settings: "Settings", table: "array[int]") -> None:
         """Take over $30 to $33."""
         super().configure(settings, table)
+        for i in range(sp.HIGHEST, st.SPINDLE_LENGTH):  # there is no speed, and no power of any
+            self._state.spindle[i] = 0.0
         inverts = [getattr(settings, row[1]) for row in _SETTINGS]
         self._down_invert, self._up_invert = inverts[:2]
         self._sensor_invert = inverts[2] * _DOWN | inverts[3] * _UP
         self._port.rest(self._down_invert | (1 ^ self._up_invert) << 1)
         self._drive(False)
-
-    def power(self, rpm: float) -> int:
-        """There is no speed."""
-        return 0
-
-    def block_power(self, flags: int, rpm: float) -> int:
-        """Nor does a motion carry one."""
-        return 0
 
     def turn(self, direction: int, rpm: float) -> None:
         """Arm or disarm. Disarmed, it is up, or the machine is in alarm: so after a reset, too."""

@@ -14,12 +14,14 @@ from base.f32 import f32, whole
 from base.singles import add, to_mm
 from control.coords import G28, G30, SYSTEMS
 from control.modes import (
+    FEED,
     INCHES,
     INVERSE_TIME,
     MOTION,
     OVERRIDE_CONTROL,
     PLANE,
     RELATIVE,
+    RPM,
     SYSTEM,
     TOOL_LENGTH,
 )
@@ -56,7 +58,7 @@ def check(modes: "Modes", coords: "Coords", block: "Block", jog: bool) -> None:
         raise GrblError(errors.GCODE_INVALID_LINE_NUMBER)
     _feed(modes, block, jog)
     if not words & b.WORD_S:
-        singles[b.S] = modes.spindle_rpm
+        singles[b.S] = modes.rates[RPM]
     unused = words & ~b.WORD_N
     if ints[b.COMMANDS] & b.GROUP_M9:
         _override_control(block)
@@ -106,7 +108,7 @@ def _feed(modes: "Modes", block: "Block", jog: bool) -> None:
             raise GrblError(errors.GCODE_UNDEFINED_FEED_RATE)
     elif not modes.modal[INVERSE_TIME]:
         if not has_f:
-            singles[b.F] = modes.feed
+            singles[b.F] = modes.rates[FEED]
         elif ints[INCHES]:
             to_mm(singles, b.F)
 

@@ -12,9 +12,11 @@ from array import array
 import micropython
 from base import state as st
 from base.f32 import copy, vector
-from base.singles import add_single, to_mm
+from base.singles import add_single, multiply, to_mm
+from control import modes as md
 from control.canon import judge
 from control.modes import INCHES, INVERSE_TIME, MOTION, RELATIVE
+from control.spindle import ASKED, weigh
 from micropython import const
 from motion import layout
 from motion import planner as plan
@@ -43,6 +45,7 @@ HAS_S = const(0x20)
 HAS_G0 = const(0x40)  # G0, which was not in force
 HAS_G1 = const(0x80)
 HAS_N = const(0x100)
+_MODES = const(0xC0)
 _NEWS = const(0xF0)
 ODD = const(-1)  # what is none of those, whatever is in force
 _F = const(4)  # the same as bit numbers
@@ -52,27 +55,28 @@ _N = const(8)
 _NO_LETTER = const(9)
 
 # What is known: how many axes there are (0: nothing is known), the motion in force (HAS_G0 or
-# HAS_G1), whether S goes with cutting motion, the feed rate (bits of a float),
+# HAS_G1), whether S goes with cutting motion, feed rate and spindle speed (bits of floats),
 AXES = const(0)
 MODE = const(1)
 LASER = const(2)
 FEED = const(3)
+_RPM = const(4)
 # whether places are relative, travel is limited, nothing is to move,
-IS_RELATIVE = const(4)
-LIMITED = const(5)
-DRY = const(6)
-# what the planner is told: flags, spindle power (or UNTOLD: none of it is known yet), rate (a
-# real), spindle speed (bits of a float),
-_FLAGS = const(7)
-_POWER = const(8)
-_RATE = const(9)
-_RPM = const(10)
+IS_RELATIVE = const(5)
+LIMITED = const(6)
+DRY = const(7)
+# what the planner is told: flags, spindle power (UNTOLD: none of it is known yet), rate: a real;
+_FLAGS = const(8)
+_POWER = const(9)
+_RATE = const(10)
 _UNTOLD = const(0x3FFFFFFF)
 # the line's numbers, by their bit; whether they are inches; what is added to places, per axis.
 VALUES = const(11)
 IN_INCHES = const(20)
 _CHANGES = const(21)  # as they were counted when this was known
-OFFSETS = const(22)
+_LACKS = const(22)  # whether the move lacks what is new
+_INCH_MM = const(23)
+OFFSETS = const(24)
 
 
 @micropython.viper
@@ -106,7 +110,7 @@ def read(text: ptr8, length: int, known: ptr32) -> int:
             return 0
         value = known[VALUES + bit]
         if bit == _G0:
-            if seen & (HAS_G0 | HAS_G1):
+            if seen & _MODES:
                 return 0
             if value == 0x3F800000:  # the float 1
                 bit += 1
@@ -121,7 +125,7 @@ def read(text: ptr8, length: int, known: ptr32) -> int:
         seen |= 1 << bit
     if seen & 15 == 0 or (seen & 15) >> known[AXES]:
         return 0
-    mode = seen & (HAS_G0 | HAS_G1)
+    mode = seen & _MODES
     if mode == known[MODE]:
         seen ^= mode
     mode = mode or known[MODE]
@@ -142,7 +146,7 @@ def place(known: ptr32, seen: int, position: ptr32, target: ptr32) -> int:
         if (seen >> i) & 1:
             target[i] = known[VALUES + i]
             if known[IN_INCHES]:
-                to_mm(target, i)
+                multiply(target, i, known, _INCH_MM)
             if known[IS_RELATIVE]:
                 add_single(position, i, target, i)
             elif known[OFFSETS + i]:
@@ -175,13 +179,14 @@ def follow(
     flow: ptr32,
     speeds: ptr32,
     changes: ptr32,
-    new: ptr32,
+    rates: ptr32,
+    scale: ptr32,
     news: object,
 ) -> int:
     """Plan a line that does no more than move and has nothing in its way. Returns 1; or 0, and
     nothing has changed but what is new, to which whoever goes on with the line sees as well.
 
-    news: sees to what is new, and says what the spindle makes of it; new: S then, or else F.
+    news: sees to what is new but rare, and says what the spindle makes of it.
     """
     if known[AXES] == 0 or known[_POWER] == _UNTOLD or known[_CHANGES] != changes[0]:
         return 0
@@ -195,10 +200,20 @@ def follow(
     if known[DRY] == 0 and found & FULL:
         return 0
     if seen & _NEWS:
-        if seen & HAS_S:
-            known[_RPM] = known[VALUES + _S]
-        new[0] = known[VALUES + (_S if seen & HAS_S else _F)]
-        known[_POWER] = int(news(seen))  # type: ignore[operator]
+        if seen & _MODES or (seen & HAS_F and known[IN_INCHES]):
+            known[_POWER] = int(news(seen))  # type: ignore[operator]
+        else:
+            known[_LACKS] = 1
+            if seen & HAS_F:
+                known[FEED] = known[VALUES + _F]
+                rates[md.FEED] = known[FEED]
+                known[_RATE] = int(per_second(known, FEED))
+            if seen & HAS_S:
+                known[_RPM] = known[VALUES + _S]
+                rates[md.RPM] = known[_RPM]
+                scale[ASKED] = known[_RPM]
+                if known[DRY] == 0:
+                    known[_POWER] = int(weigh(scale, known[_FLAGS]))
     if known[DRY] == 0:
         at = flow[HEAD]
         line = int(line_number(known, seen))
@@ -239,9 +254,9 @@ class FastPath:
         axes = len(modes.position)
         self._move = plan.Move()
         self._target = vector(axes)
-        self._float = vector(1)
         self._known = array("i", (0 for _ in range(OFFSETS + axes)))
         self._offsets = memoryview(self._known)[OFFSETS:]
+        self._known[_INCH_MM] = 0x41CB3333  # the float 25.4
         self._asked = False  # the last line was one of these
         self.is_open = True
         self.follow = self._make_follow()
@@ -263,7 +278,8 @@ class FastPath:
             flow: "array[int]" = planner.flow,
             speeds: "array[float]" = planner.speeds,
             changes: "array[int]" = self._state.changes,
-            new: "array[float]" = self._float,
+            rates: "array[float]" = self._modes.rates,
+            scale: "array[float]" = self._state.spindle,
             news: "Callable[[int], int]" = self._follow_news,
         ) -> int:
             return follow(
@@ -278,7 +294,8 @@ class FastPath:
                 flow,
                 speeds,
                 changes,
-                new,
+                rates,
+                scale,
                 news,
             )
 
@@ -311,27 +328,19 @@ class FastPath:
             known[LASER] = self._spindle.laser
             self._set()
 
-    def _keep(self, at: int, value: float) -> None:
-        self._float[0] = value
-        copy(self._float, memoryview(self._known)[at:], 1)
-
-    def _set_rate(self, feed: float) -> None:
-        self._move.feed = feed
-        self._keep(FEED, feed)
-        self._known[_RATE] = per_second(self._known, FEED)
-
     def _set(self) -> None:
         """How lines move from now on, unless they say otherwise."""
-        modes = self._modes
-        move = self._move
-        known = self._known
+        modes, move, known = self._modes, self._move, self._known
         seeks = modes.modal[MOTION] == b.SEEK
         known[MODE] = HAS_G0 if seeks else HAS_G1
-        self._set_rate(modes.feed)
-        move.spindle_rpm = 0.0 if seeks and known[LASER] else modes.spindle_rpm
-        move.flags = modes.accessory_flags()
-        if seeks:
-            move.flags |= layout.RAPID_MOTION
+        copy(modes.rates, memoryview(known)[FEED:], 2)
+        known[_RATE] = per_second(known, FEED)
+        move.feed, move.spindle_rpm = modes.rates
+        if seeks and known[LASER]:
+            known[_RPM] = 0
+            move.spindle_rpm = 0.0
+        known[_LACKS] = 0
+        move.flags = modes.accessory_flags() | (layout.RAPID_MOTION if seeks else 0)
         known[_POWER] = _UNTOLD
 
     def execute(self, line: bytearray, length: int) -> bool:
@@ -344,7 +353,7 @@ class FastPath:
             seen = read(line, length, known)
         if seen <= 0:
             return False
-        if seen & _NEWS:
+        if seen & _NEWS or known[_LACKS]:
             self._take_news(seen)
         # Go where the line says.
         self._move.line_number = line_number(known, seen)
@@ -357,44 +366,27 @@ class FastPath:
     def _follow_news(self, seen: int) -> int:
         """A line that goes the shortest way has something new. Returns the power for it."""
         known, move = self._known, self._move
-        if seen & _NEWS == HAS_S:
-            rpm = self._modes.spindle_rpm = move.spindle_rpm = self._float[0]
-            return 0 if known[DRY] else self._spindle.block_power(known[_FLAGS], rpm)
-        if seen & _NEWS == HAS_F and not known[IN_INCHES]:
-            self._modes.feed = self._float[0]
-            self._set_rate(self._float[0])
-            return known[_POWER]
         self._take_news(seen)
         power = 0 if known[DRY] else self._canon.power_of(move)
         known[_FLAGS] = move.flags
-        self._keep(_RPM, move.spindle_rpm)
         return power
 
     def _take_news(self, seen: int) -> None:
         """A line changes motion mode, feed rate, or a laser's power."""
-        modes = self._modes
-        known = self._known
-        if seen & HAS_S:
-            copy(memoryview(known)[VALUES + _S :], self._float, 1)
-            modes.spindle_rpm = self._move.spindle_rpm = self._float[0]
-            known[_POWER] = _UNTOLD
-        if seen & HAS_F:
-            copy(memoryview(known)[VALUES + _F :], self._float, 1)
-            if known[IN_INCHES]:
-                to_mm(self._float, 0)
-            modes.feed = self._float[0]
-        if seen & (HAS_G0 | HAS_G1):
+        modes, known = self._modes, self._known
+        for i in range(2):
+            if seen >> (_F + i) & 1:
+                copy(memoryview(known)[VALUES + _F + i :], memoryview(modes.rates)[i:], 1)
+        if seen & HAS_F and known[IN_INCHES]:
+            to_mm(modes.rates, md.FEED)
+        if seen & _MODES:
             modes.modal[MOTION] = b.SEEK if seen & HAS_G0 else b.LINEAR
-        if seen & _NEWS != HAS_S:
-            self._set()
+        self._set()
 
     def tell(self) -> None:
         """A line has been planned: if it only moves, the next ones are like that."""
-        move = self._move
         known = self._known
-        if not self._asked or known[_POWER] != _UNTOLD:
-            return
-        self._asked = False
-        known[_FLAGS] = move.flags
-        self._keep(_RPM, move.spindle_rpm)
-        known[_POWER] = 0 if known[DRY] else self._canon.power
+        if self._asked and known[_POWER] == _UNTOLD:
+            self._asked = False
+            known[_FLAGS] = self._move.flags
+            known[_POWER] = 0 if known[DRY] else self._canon.power

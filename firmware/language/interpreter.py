@@ -16,6 +16,7 @@ from base.f32 import copy, whole
 from control.coords import G28, G30
 from control.modes import (
     COOLANT,
+    FEED,
     INCHES,
     INVERSE_TIME,
     MODAL_LENGTH,
@@ -24,6 +25,7 @@ from control.modes import (
     PLANE,
     PROGRAM_FLOW,
     RELATIVE,
+    RPM,
     SPINDLE,
     SYSTEM,
     TOOL_LENGTH,
@@ -143,7 +145,7 @@ class Interpreter:
         move = self._begin_move(block)
         move.feed = block.singles[b.F]
         move.flags = layout.NO_FEED_OVERRIDE | modes.accessory_flags()
-        move.spindle_rpm = modes.spindle_rpm
+        move.spindle_rpm = modes.rates[RPM]
         self._canon.jog(block.xyz, move)
         modes.position[:] = block.xyz
         self._canon.finish()
@@ -166,11 +168,11 @@ class Interpreter:
         modal[INVERSE_TIME] = new[INVERSE_TIME]
         if new[INVERSE_TIME]:
             move.flags = layout.INVERSE_TIME
-        modes.feed = move.feed = block.singles[b.F]
-        if modes.spindle_rpm != block.singles[b.S] or beam & _SYNC:
+        modes.rates[FEED] = move.feed = block.singles[b.F]
+        if modes.rates[RPM] != block.singles[b.S] or beam & _SYNC:
             self._set_speed(block, beam)
         if not beam & _DARK:
-            move.spindle_rpm = modes.spindle_rpm
+            move.spindle_rpm = modes.rates[RPM]
         modes.tool = whole(block.singles[b.T]) & 255
         if new[b.COMMANDS] & _ACCESSORIES:
             self._set_accessories(new, move)
@@ -207,7 +209,7 @@ class Interpreter:
         modes, speed = self._modes, block.singles[b.S]
         if modes.modal[SPINDLE] and not beam & _IN_MOTION:
             self._canon.spin(modes.modal[SPINDLE], 0.0 if beam & _DARK else speed)
-        modes.spindle_rpm = speed
+        modes.rates[RPM] = speed
 
     def _set_accessories(self, new: "array[int]", move: "plan.Move") -> None:
         """M words of spindle, coolant and override control."""

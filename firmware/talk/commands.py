@@ -5,7 +5,18 @@ from base import state as st
 from base.errors import GrblError
 from base.f32 import whole
 from control.coolant import FLOOD, MIST
-from control.modes import COOLANT, INCHES, INVERSE_TIME, MOTION, PLANE, RELATIVE, SPINDLE, SYSTEM
+from control.modes import (
+    COOLANT,
+    FEED,
+    INCHES,
+    INVERSE_TIME,
+    MOTION,
+    PLANE,
+    RELATIVE,
+    RPM,
+    SPINDLE,
+    SYSTEM,
+)
 from language.block import NO_MOTION
 from language.words import bare
 from micropython import const
@@ -183,8 +194,8 @@ class Commands:
         if self._override_control and self._state.override_control:
             numbers.append(56)
         words += ["M%d" % number for number in numbers]
-        words += ["T%d" % modes.tool, "F" + report.rate(modes.feed)]
-        return " ".join(words) + " S" + report.speed(modes.spindle_rpm)
+        words += ["T%d" % modes.tool, "F" + report.rate(modes.rates[FEED])]
+        return " ".join(words) + " S" + report.speed(modes.rates[RPM])
 
     def _check_mode(self, _line: bytearray, _length: int) -> None:
         state = self._state

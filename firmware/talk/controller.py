@@ -5,7 +5,7 @@ from array import array
 from base import errors
 from base import state as st
 from control import spindle as sp
-from control.modes import SPINDLE
+from control.modes import RPM, SPINDLE
 from micropython import const
 
 # A save erases six sectors of flash at the most, each in 400 ms.
@@ -152,7 +152,7 @@ class Controller:
         def before() -> None:
             nonlocal lit
             allow(_FLASH_MS)
-            lit = spindle.laser and modes.modal[SPINDLE] == sp.CW and state.spindle_rpm > 0
+            lit = spindle.laser and modes.modal[SPINDLE] == sp.CW and state.spindle[st.RPM] > 0
             if lit:
                 spindle.stop()
 
@@ -161,7 +161,7 @@ class Controller:
                 written()
             allow(0)
             if lit and not state.pending[st.RESET]:
-                spindle.turn(sp.CW, modes.spindle_rpm)
+                spindle.turn(sp.CW, modes.rates[RPM])
 
         return before, after
 

@@ -318,8 +318,8 @@ class Report:
     def _speeds(self) -> None:
         """Feed rate and spindle speed."""
         state, segments, shown = self._state, self._segments, self._shown
+        copy(state.spindle, shown, 2)  # RPM is behind the place of the feed rate
         shown[0] = 0.0
-        shown[1] = state.spindle_rpm
         if state.run & _MOVING:
             if self._settings.report_inches:
                 shown[0] = reals.value(segments.rate()) * 60 * INCH_PER_MM
