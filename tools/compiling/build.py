@@ -21,6 +21,8 @@ from ..boardfile import engines, options
 from ..boardfile.files import load_for_build
 from . import prepared, put_together, symbols
 from .inline import inline
+from .mpy import rewritten
+from .peephole import shorter
 from .scopes import NotUnderstood
 from .shorten import Shortened
 from .singles import singles
@@ -28,6 +30,7 @@ from .singles import singles
 # Without assertions and line numbers, which would take memory: tracebacks name functions.
 _OPTIMIZED = "-O3"
 _DEBUG = "-O0"
+_WITH_SHORTER_CODE = "armv6m"
 _OF_DESKTOPS = "x64"  # whose MicroPython has floats of double precision
 # MicroPython runs main.py at start, and never main.mpy: this one stays as it is.
 START = "main.py"
@@ -284,7 +287,7 @@ def _compile(name: str, text: str, arch: str, debug: bool) -> bytes:
         done = subprocess.run(command, capture_output=True, check=False)
     if done.returncode:
         raise BuildError(f"{name} cannot be compiled: {done.stderr.decode().strip()}")
-    return done.stdout
+    return rewritten(done.stdout, shorter) if arch == _WITH_SHORTER_CODE else done.stdout
 
 
 def refusal(source: bytes) -> "tuple[int, str] | None":
