@@ -61,7 +61,7 @@ def test_every_table_has_its_place():
 
 
 def test_every_code_is_in_the_reference():
-    from language import block
+    from extras.api import is_grbls
 
     found = words.g_words() + words.m_words()
     numbers = {(word[0], int(word[1:].partition(".")[0])) for word in found}
@@ -69,7 +69,7 @@ def test_every_code_is_in_the_reference():
         (letter, number)
         for letter in "GM"
         for number in range(256)
-        if any(block.is_known(ord(letter), number, tenth) for tenth in range(10))
+        if any(is_grbls(letter, 10 * number + tenth) for tenth in range(10))
     }
     assert missing(found, reference()) == []
 

@@ -41,6 +41,17 @@ def _tenths(number: float) -> int:
     return whole(number * 10 + 0.5)
 
 
+def is_grbls(letter: str, tenths: int) -> bool:
+    """Whether Grbl has that G or M word, or knows how it is malformed."""
+    number = tenths // 10
+    if letter == "G" and number >= b.M_WORDS:
+        return False
+    decimals = b.decimals_of(number + b.M_WORDS if letter == "M" else number)
+    if decimals < 0 or tenths % 10 == 0:
+        return decimals >= 0 and decimals & b.NEEDED == 0
+    return decimals & b.OTHERS == 0 or decimals & b.TENTHS & 1 << tenths % 10 - 1 > 0
+
+
 def _in_turn(usual: "Callable[[], object]", call: "Callable[[], object]") -> "Callable[[], None]":
     def both() -> None:
         usual()
@@ -139,7 +150,7 @@ class Cnc:
         if key in self._words:
             return True
         is_free = key[1] == _G10 and key[2] and key[2] // 10 not in _GRBLS_L
-        return b.is_known(ord(letter), key[1] // 10, key[1] % 10) and not is_free
+        return is_grbls(letter, key[1]) and not is_free
 
     def _add(
         self,

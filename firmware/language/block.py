@@ -135,7 +135,7 @@ HIGHEST_TOOL = const(255)
 # The dictionary, in bytes, for take(). Its index, of which each block has its own, for boards
 # differ: the number of a word's row by its code, M words behind G words; then the bit of each
 # letter from A on.
-_M = const(100)
+M_WORDS = const(100)
 _INDEXED = const(160)
 _NO_LETTER = const(255)
 ROW = const(6)
@@ -146,9 +146,9 @@ _DECIMALS = const(3)  # those it may have besides none, a bit for each tenth fro
 GROUP = const(4)  # two bytes
 NOWHERE = const(255)
 # Besides the tenths: others are unsupported, which elsewhere are malformed; one must be there.
-_OTHERS = const(0x80)
-_ONE = const(0x40)
-_TENTHS = const(0x3F)
+OTHERS = const(0x80)
+NEEDED = const(0x40)
+TENTHS = const(0x3F)
 
 index = bytearray(_INDEXED) + b"\xff" * 26
 dictionary = bytearray(ROW)  # the first row is no word's
@@ -157,7 +157,7 @@ dictionary = bytearray(ROW)  # the first row is no word's
 def add_word(
     at: int, group: int, place: int, setting: int, claim: int = AXES_UNCLAIMED, decimals: int = 0
 ) -> None:
-    """Put a word into the dictionary: a G number, or an M number behind _M."""
+    """Put a word into the dictionary: a G number, or an M number behind M_WORDS."""
     index[at] = len(dictionary) // ROW
     dictionary.extend(bytes((place, setting, claim, decimals, group & 255, group >> 8)))
 
@@ -174,11 +174,11 @@ add_word(18, GROUP_2, PLANE, 1)
 add_word(19, GROUP_2, PLANE, 2)
 add_word(20, GROUP_6, INCHES, 1)
 add_word(21, GROUP_6, INCHES, 0)
-add_word(28, GROUP_0, NOWHERE, GO_G28, AXES_NON_MODAL, _OTHERS | 0b10)
-add_word(30, GROUP_0, NOWHERE, GO_G30, AXES_NON_MODAL, _OTHERS | 0b10)
-add_word(38, GROUP_1, MOTION, 38, AXES_MOTION, _OTHERS | _ONE | 0b111100)
+add_word(28, GROUP_0, NOWHERE, GO_G28, AXES_NON_MODAL, OTHERS | 0b10)
+add_word(30, GROUP_0, NOWHERE, GO_G30, AXES_NON_MODAL, OTHERS | 0b10)
+add_word(38, GROUP_1, MOTION, 38, AXES_MOTION, OTHERS | NEEDED | 0b111100)
 add_word(40, GROUP_7, NOWHERE, 0)
-add_word(43, GROUP_8, TOOL_LENGTH, 1, AXES_TOOL_LENGTH, _OTHERS | _ONE | 0b10)
+add_word(43, GROUP_8, TOOL_LENGTH, 1, AXES_TOOL_LENGTH, OTHERS | NEEDED | 0b10)
 add_word(49, GROUP_8, TOOL_LENGTH, 0, AXES_TOOL_LENGTH)
 add_word(53, GROUP_0, NOWHERE, ABSOLUTE_OVERRIDE)
 add_word(54, GROUP_12, SYSTEM, 0)
@@ -187,37 +187,32 @@ add_word(56, GROUP_12, SYSTEM, 2)
 add_word(57, GROUP_12, SYSTEM, 3)
 add_word(58, GROUP_12, SYSTEM, 4)
 add_word(59, GROUP_12, SYSTEM, 5)
-add_word(61, GROUP_13, NOWHERE, 0, AXES_UNCLAIMED, _OTHERS)
+add_word(61, GROUP_13, NOWHERE, 0, AXES_UNCLAIMED, OTHERS)
 add_word(80, GROUP_1, MOTION, NO_MOTION)
-add_word(90, GROUP_3, RELATIVE, 0, AXES_UNCLAIMED, _OTHERS)
-add_word(91, GROUP_3, RELATIVE, 1, AXES_UNCLAIMED, _OTHERS | 0b10)
-add_word(92, GROUP_0, NOWHERE, SET_G92, AXES_NON_MODAL, _OTHERS | 0b10)
+add_word(90, GROUP_3, RELATIVE, 0, AXES_UNCLAIMED, OTHERS)
+add_word(91, GROUP_3, RELATIVE, 1, AXES_UNCLAIMED, OTHERS | 0b10)
+add_word(92, GROUP_0, NOWHERE, SET_G92, AXES_NON_MODAL, OTHERS | 0b10)
 add_word(93, GROUP_5, INVERSE_TIME, 1)
 add_word(94, GROUP_5, INVERSE_TIME, 0)
-add_word(_M + 0, GROUP_M4, PROGRAM_FLOW, PAUSED)
-add_word(_M + 1, GROUP_M4, PROGRAM_FLOW, RUNNING)  # optional stop: there is no switch for it
-add_word(_M + 2, GROUP_M4, PROGRAM_FLOW, END_M2)
-add_word(_M + 30, GROUP_M4, PROGRAM_FLOW, END_M30)
-add_word(_M + 3, GROUP_M7, SPINDLE, 0x10)
-add_word(_M + 4, GROUP_M7, SPINDLE, 0x20)
-add_word(_M + 5, GROUP_M7, SPINDLE, 0)
-add_word(_M + 7, GROUP_M8, COOLANT, 2)
-add_word(_M + 8, GROUP_M8, COOLANT, 1)
-add_word(_M + 9, GROUP_M8, COOLANT, 0)
-add_word(_M + 56, GROUP_M9, OVERRIDE_CONTROL, 1)
+add_word(M_WORDS + 0, GROUP_M4, PROGRAM_FLOW, PAUSED)
+add_word(M_WORDS + 1, GROUP_M4, PROGRAM_FLOW, RUNNING)  # optional stop: there is no switch for it
+add_word(M_WORDS + 2, GROUP_M4, PROGRAM_FLOW, END_M2)
+add_word(M_WORDS + 30, GROUP_M4, PROGRAM_FLOW, END_M30)
+add_word(M_WORDS + 3, GROUP_M7, SPINDLE, 0x10)
+add_word(M_WORDS + 4, GROUP_M7, SPINDLE, 0x20)
+add_word(M_WORDS + 5, GROUP_M7, SPINDLE, 0)
+add_word(M_WORDS + 7, GROUP_M8, COOLANT, 2)
+add_word(M_WORDS + 8, GROUP_M8, COOLANT, 1)
+add_word(M_WORDS + 9, GROUP_M8, COOLANT, 0)
+add_word(M_WORDS + 56, GROUP_M9, OVERRIDE_CONTROL, 1)
 for _bit in range(len(VALUE_LETTERS)):
     index[_INDEXED + VALUE_LETTERS[_bit] - 65] = _bit
 
 
-def is_known(letter: int, number: int, tenth: int = 0) -> bool:
-    """Whether Grbl has that G or M word, or knows why it is malformed."""
-    at = number + _M if letter == 77 else number
-    if at >= (_INDEXED if letter == 77 else _M) or index[at] == 0:
-        return False
-    decimals = dictionary[index[at] * ROW + _DECIMALS]
-    if tenth == 0:
-        return decimals & _ONE == 0
-    return decimals & _OTHERS == 0 or decimals & _TENTHS & 1 << tenth - 1 > 0
+def decimals_of(at: int) -> int:
+    """A word's decimals in the dictionary, -1 if there is no such word; at as for add_word()."""
+    row = index[at] if at < _INDEXED else 0
+    return dictionary[row * ROW + _DECIMALS] if row else -1
 
 
 _NOTHING = array("i", (0 for _ in range(_SINGLES)))
@@ -278,11 +273,11 @@ def take(
         if letter == 71 or letter == 77:  # noqa: PLR1714 (a viper cannot ask `in`)
             code = int(byte(value, top))
             if letter == 77:
-                code += _M
+                code += M_WORDS
             row = 0
-            if code < (_INDEXED if letter == 77 else _M):
+            if code < (_INDEXED if letter == 77 else M_WORDS):
                 row = ROW * at[code]
-            if row == 0 or words[row + _DECIMALS] & _ONE:
+            if row == 0 or words[row + _DECIMALS] & NEEDED:
                 wrong = int(take_odd(i))  # type: ignore[operator]
             else:
                 setting = words[row + SETTING]
@@ -329,9 +324,9 @@ class Block:
         self._words = Words(longest)
         self._index = bytearray(index)
         if not has_mist:
-            self._index[_M + 7] = 0
+            self._index[M_WORDS + 7] = 0
         if not has_override_control:
-            self._index[_M + 56] = 0
+            self._index[M_WORDS + 56] = 0
         for i in range(axes, _BIT_I):
             self._index[_INDEXED + VALUE_LETTERS[i] - 65] = _NO_LETTER
         self._odd = self._take_odd  # taking a method as a value allocates
@@ -367,11 +362,11 @@ class Block:
         value = self._words.values[i]
         number = whole(value) & 255
         hundredths = _round(100 * f32(value - number))
-        at, end = number, _M
+        at, end = number, M_WORDS
         if self._words.letters[i] == 77:
             if hundredths:
                 return GCODE_COMMAND_VALUE_NOT_INTEGER
-            at, end = number + _M, _INDEXED
+            at, end = number + M_WORDS, _INDEXED
         row = self._index[at] if at < end else 0
         if not row:
             return GCODE_UNSUPPORTED_COMMAND
@@ -385,8 +380,8 @@ class Block:
             setting += hundredths
         if claim and self.ints[CLAIM]:
             return GCODE_AXIS_COMMAND_CONFLICT
-        if (hundredths and decimals & _OTHERS) or decimals & _ONE:
-            if hundredths % 10 or not (decimals & _TENTHS) >> hundredths // 10 & 1:
+        if (hundredths and decimals & OTHERS) or decimals & NEEDED:
+            if hundredths % 10 or not (decimals & TENTHS) >> hundredths // 10 & 1:
                 return GCODE_UNSUPPORTED_COMMAND
             if number == 91:
                 group, place = GROUP_4, NOWHERE  # G91.1: arc distance is always relative
