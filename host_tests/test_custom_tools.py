@@ -366,6 +366,8 @@ WRONG = [
     ("@mcode(100.5)\ndef f(m): pass", "M100.5: a whole number stands behind M"),
     ("@mcode(-1)\ndef f(m): pass", "M-1: a whole number stands behind M"),
     ("@mcode('x')\ndef f(m): pass", "Mx: a whole number stands behind M"),
+    ("@gcode('10 L2', 'P')\ndef f(m, P): pass", "G10 L2 is Grbl's own"),
+    ("@gcode('10L1')\ndef f(m): pass", 'or "10 L1", stands behind G'),
     ("@gcode(81.15)\ndef f(m): pass", "G81.15: words have tenths at the most"),
     ("@mcode(100, 'M')\ndef f(m, M): pass", "'M' cannot be a parameter"),
     ("@mcode(100, 'PP')\ndef f(m, P): pass", "P stands twice in 'PP'"),

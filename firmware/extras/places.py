@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from talk.controller import Controller
 
 _COOLANT = const(SPINDLE + 1)
+_A = const(3)
 # G17, G90, G94 and G21: what lines of a handler are read in.
 _USUAL = (PLANE, RELATIVE, INVERSE_TIME, INCHES)
 
@@ -50,7 +51,9 @@ class Place:
 
     @property
     def a(self) -> float:
-        return self._mm[3]
+        if len(self._mm) <= _A:
+            raise ValueError("the machine has no axis A")
+        return self._mm[_A]
 
 
 class Saved:

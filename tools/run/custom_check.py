@@ -47,6 +47,7 @@ _VALUES: dict[str, tuple[object, ...]] = {
     "coolant": (True, False),
     "input": (True,),
 }
+_WHEN = {True: "", False: ", beside motion", None: ", ahead of motion"}
 _LETTERS = "ABCDEFHIJKLOPQRSTUVWXYZ"  # G and M are words of their own, N is the line's number
 
 
@@ -172,7 +173,7 @@ def title(note: Any) -> str:
     kind, _, letters, sync, _ = note
     if kind in "MG":
         words = [c if c.isupper() else f"[{c.upper()}]" for c in letters]
-        return " ".join([called(note), *words]) + ("" if sync else ", beside motion")
+        return " ".join([called(note), *words]) + _WHEN[sync]
     return called(note) + (" ms" if kind == "every" else "")
 
 
@@ -204,7 +205,7 @@ def _word(cnc: Any, letter: str, number: Any, letters: Any) -> Iterator[str]:
     else:
         is_number = isinstance(number, int | float) and not isinstance(number, bool)
     if not is_number or number < 0 or (letter == "M" and number != int(number)):
-        whole = "a whole number" if letter == "M" else "a number such as 81 or 81.1"
+        whole = "a whole number" if letter == "M" else 'a number such as 81 or 81.1, or "10 L1",'
         yield f"{word}: {whole} stands behind {letter}"
     elif abs(number * 10 - round(number * 10)) > 1e-6:
         yield f"{word}: words have tenths at the most"
