@@ -107,7 +107,7 @@ class Custom:
         for kind, key, _, _, function in notes:
             if kind not in (handlers.M, handlers.G):
                 self._happenings.add(kind, key, title(kind, key), function)
-        self._happenings.attach()
+        self._happenings.attach(any(note[3] is False for note in notes))
         for kind, key, letters, sync, function in notes:
             if kind in (handlers.M, handlers.G):
                 call = self._word(title(kind, key), letters, sync, function)

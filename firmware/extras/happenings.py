@@ -86,6 +86,7 @@ class Happenings:
 
     # Having their turn
 
+    @micropython.native
     def between_lines(self) -> None:
         """The main loop's turn, between two lines."""
         if self._due:
@@ -183,10 +184,12 @@ class Happenings:
 
     # Put around the machine
 
-    def attach(self) -> None:
-        """Put around the machine what somebody wants to hear of."""
+    def attach(self, beside: bool) -> None:
+        """Put around the machine what somebody wants to hear of. beside: handlers that run beside
+        motion."""
         heard = self._handlers
-        self._around_turns()
+        if beside:
+            self._around_turns()
         self._around_lines()
         self._cnc.behind_reset(self._greeted)
         if "after_homing" in heard or "after_unlock" in heard:

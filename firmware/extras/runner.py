@@ -125,13 +125,12 @@ class Runner:
 
     def turn(self) -> None:
         """Write what is to be kept; make room."""
-        machine = self._machine
-        at_rest = machine.at_rest()
-        if self.operator.keep.is_due and at_rest and not machine.reader.waiting():
-            self.operator.keep.write()
+        machine, keep = self._machine, self.operator.keep
+        if keep.is_due and machine.at_rest() and not machine.reader.waiting():
+            keep.write()
             machine.keep()
         if self._calls >= _CALLS:
             flow = machine.planner.flow
-            if at_rest or (flow[HEAD] - flow[TAIL]) % flow[ROWS] >= _BLOCKS:
+            if machine.at_rest() or (flow[HEAD] - flow[TAIL]) % flow[ROWS] >= _BLOCKS:
                 self._calls = 0
                 gc.collect()
