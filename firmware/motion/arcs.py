@@ -218,11 +218,17 @@ class Arc:
         """Units per mm, half of those that there is room for. 0 where places are too far for whole
         steps, or are no numbers."""
         reach = 1 + 5 * self.radius  # a place, on its way, is up to three radii from its start
+        finest = coarsest = steps_per_mm[0]
         for i in range(len(start)):
             reach += abs(start[i]) + abs(target[i])
-        if not reach * max(steps_per_mm) < FARTHEST:
+            resolution = steps_per_mm[i]
+            if resolution > finest:
+                finest = resolution
+            elif resolution < coarsest:
+                coarsest = resolution
+        if not reach * finest < FARTHEST:
             return 0.0
-        return min(FARTHEST / reach, min(steps_per_mm) * _FINEST)
+        return min(FARTHEST / reach, coarsest * _FINEST)
 
     def _place(
         self,
@@ -237,17 +243,19 @@ class Arc:
         a, b = self.plane
         ratio = 1.0
         for i in range(len(start)):
-            bits = math.frexp(scale / steps_per_mm[i])[1]
-            per_mm = steps_per_mm[i] * (1 << bits)
+            resolution = steps_per_mm[i]
+            bits = math.frexp(scale / resolution)[1]
+            per_mm = resolution * (1 << bits)
             at = _FIRST + _STRIDE * i
             place = int(start[i] * per_mm)
             course[at] = FAR + place + (1 << bits >> 1)
             course[at + _REST] = 0
             course[at + _BITS] = bits
             course[at + _WAY] = 1 << _WAY_BIAS
-            if i not in (a, b):
-                way = int(target[i] * per_mm) - place
-                course[at + _WAY] += (way << course[_SHIFT]) // (course[LEFT] + 1)
+            if i != a and i != b:  # noqa: PLR1714 (it would make a tuple)
+                if target[i] != start[i]:  # else no integer of more than 30 bits is made
+                    way = int(target[i] * per_mm) - place
+                    course[at + _WAY] += (way << course[_SHIFT]) // (course[LEFT] + 1)
                 continue
             centre = self.centre_0 if i == a else self.centre_1
             course[at + _CENTRE] = course[at] + int(centre * per_mm)

@@ -7,22 +7,31 @@ and written as often, and in the same order.
 """
 
 from collections import Counter
-from collections.abc import Set as AbstractSet
 from functools import lru_cache
 
 from . import thumb
-from .thumb import BRANCH, FLAGS, JUMP, NOP, NotUnderstood, Op, effects
+from .known import Block, moved
+from .thumb import (
+    ADDRESS,
+    BRANCH,
+    COMPARE,
+    FLAGS,
+    JUMP,
+    LOAD,
+    LOOKS,
+    LOW_MOVE,
+    MOVE,
+    NOP,
+    SET,
+    NotUnderstood,
+    Op,
+    effects,
+)
 
 _SLOT = 17  # live: bits of registers, flags, and from this one on the stack's slots
-_STORE, _LOAD, _ADDRESS = 0x9000, 0x9800, 0xA800  # of a slot; the register is in bits 8 to 10
-_SET, _COMPARE, _ADD, _SUBTRACT = 0x2000, 0x2800, 0x3000, 0x3800  # with a number, the same
-_MOVE = 0x4600
-_LOW_MOVE = 0xFFC0  # mask of a move between the registers 0 to 7
 _EQUAL = BRANCH
 # Arithmetic of two registers, by its number.
 _AND, _EOR, _NEG, _ORR, _MUL, _MVN = 0, 1, 9, 12, 13, 15
-_LOOKS = (8, 10, 11)
-_SHIFTS = {2: 0x0000, 3: 0x0800, 4: 0x1000}  # by a register, and by a number
 
 
 @lru_cache(1024)
@@ -41,11 +50,11 @@ def slot_effects(op: Op) -> "tuple[int, int]":
     reads, writes = effects(op)
     slot = 1 << _SLOT + (op.code & 0xFF)
     match op.code & 0xF800 if op.value is None else 0:
-        case 0x9000:
+        case thumb.STORE:
             writes |= slot
-        case 0x9800:
+        case thumb.LOAD:
             reads |= slot
-        case 0xA800:
+        case thumb.ADDRESS:
             reads |= (1 << _SLOT + 256) - slot
     return reads, writes
 
@@ -84,7 +93,7 @@ class _Function:
         self._clear()
         while before != self._count():
             before = self._count()
-            _Block(self._ops, self._aimed).follow()
+            Block(self._ops, self._aimed).follow()
             self._clear()
             self._look()
             for i in range(len(self._ops)):
@@ -202,15 +211,15 @@ class _Function:
         branch, no, out, yes, compare, last = self._ops[i : i + 6]
         if not (branch.branches and branch.target is yes and out.code == JUMP):
             return
-        if out.target is not compare or compare.code != _COMPARE or not last.branches:
+        if out.target is not compare or compare.code != COMPARE or not last.branches:
             return
-        if (no.code, yes.code) not in ((_SET, _SET | 1), (_SET | 1, _SET)):
+        if (no.code, yes.code) not in ((SET, SET | 1), (SET | 1, SET)):
             return
         if last.code & 0xFE00 != _EQUAL or last in self._aimed or self._after[i + 5] & (1 | FLAGS):
             return
         if self._aims[yes] != 1 or self._aims[compare] != 1:
             return
-        is_one = yes.code == _SET | 1
+        is_one = yes.code == SET | 1
         if is_one == (last.code == _EQUAL):  # it branches where it is 0, or by the contrary
             branch.code ^= 0x100
         branch.target = last.target
@@ -220,7 +229,7 @@ class _Function:
     def _move(self, i: int) -> None:
         """A result that is moved on goes there at once."""
         op, move = self._ops[i : i + 2]
-        source, to = _moved(move)
+        source, to = moved(move)
         if to < 0 or self._after[i + 1] >> source & 1:
             return
         field = _result(op)
@@ -231,15 +240,15 @@ class _Function:
     def _move_behind(self, i: int) -> None:
         """The same, where it is made of what the register has had before."""
         first, op, move = self._ops[i : i + 3]
-        source, to = _moved(move)
-        begin, place = _moved(first)
+        source, to = moved(move)
+        begin, place = moved(first)
         if to < 0 or place != source or begin < 0 or self._after[i + 2] >> source & 1:
             return
         if 0x3000 <= op.code < 0x4000 and op.code >> 8 & 7 == source:
             op.code += (to - source) << 8
         elif op.code & 0xFC00 == 0x4000 and op.code & 7 == source:
             operation, other = op.code >> 6 & 15, op.code >> 3 & 7
-            if operation in (*_LOOKS, _NEG, _MVN) or other == source:
+            if operation in (*LOOKS, _NEG, _MVN) or other == source:
                 return
             if other == to:
                 if operation not in (_AND, _EOR, _ORR, _MUL):
@@ -251,148 +260,29 @@ class _Function:
             op.code += to - source
         else:
             return
-        first.code = _MOVE | begin << 3 | to
+        first.code = NOP if begin == to else MOVE | begin << 3 | to
         _drop(move)
 
     def _compare(self, i: int) -> None:
         """A comparison with 0 behind an instruction whose result has been compared with it."""
         op, compare, branch = self._ops[i : i + 3]
-        if compare.code & 0xF8FF != _COMPARE or branch.code & 0xFE00 != _EQUAL:
+        if compare.code & 0xF8FF != COMPARE or branch.code & 0xFE00 != _EQUAL:
             return
         if op.value is None and op.code < 0x4400 and self._after[i + 2] & FLAGS == 0:
             if effects(op)[1] == FLAGS | 1 << (compare.code >> 8 & 7):
                 _drop(compare)
 
 
-class _Block:
-    """Goes along the instructions, and knows what registers hold."""
-
-    def __init__(self, ops: "list[Op]", aimed: "AbstractSet[Op]") -> None:
-        self._ops = ops
-        self._aimed = aimed
-        self._shares = any(op.code & 0xF800 == _ADDRESS and op.value is None for op in ops)
-        self._forget()
-
-    def _forget(self) -> None:
-        self._copies: dict[int, int] = {}  # the register that holds the same
-        self._numbers: dict[int, int] = {}
-        self._slots: dict[int, int] = {}
-
-    def follow(self) -> None:
-        """From the first to the last."""
-        for op in self._ops:
-            if op in self._aimed:
-                self._forget()
-            if op.value is None and op.target is None:
-                self._simplify(op)
-            self._note(op)
-
-    def _simplify(self, op: Op) -> None:
-        if op.code & 0xF800 == _LOAD:
-            register = op.code >> 8 & 7
-            for holder, slot in self._slots.items():
-                if slot == op.code & 0xFF and holder < 8:
-                    op.code = NOP if holder == register else _MOVE | holder << 3 | register
-                    return
-            return
-        for field in _reads(op.code):
-            register = op.code >> field & 7
-            op.code += (self._copies.get(register, register) - register) << field
-        self._put_number(op)
-
-    def _put_number(self, op: Op) -> None:
-        """A number into an instruction that can hold it."""
-        code, numbers = op.code, self._numbers
-        low, middle, high = code & 7, code >> 3 & 7, code >> 6 & 7
-        if code & 0xFFC0 == 0x4280 and middle in numbers:
-            op.code = _COMPARE | low << 8 | numbers[middle]
-        elif code & 0xFC00 == 0x4000 and (code >> 6 & 15) in _SHIFTS:
-            if 0 < numbers.get(middle, 0) < 32:
-                op.code = _SHIFTS[code >> 6 & 15] | numbers[middle] << 6 | low << 3 | low
-        elif code & 0xFC00 in (0x1800, 0x1C00) and code < 0x1C00:
-            subtracts = code >> 9 & 1
-            if not subtracts and middle in numbers and high not in numbers:
-                middle, high = high, middle
-            if high in numbers:
-                if low == middle:
-                    op.code = (_SUBTRACT if subtracts else _ADD) | low << 8 | numbers[high]
-                elif numbers[high] < 8:
-                    op.code = 0x1C00 | subtracts << 9 | numbers[high] << 6 | middle << 3 | low
-
-    def _note(self, op: Op) -> None:
-        writes = effects(op)[1]
-        source, to = _moved(op)
-        for register in range(15):
-            if writes >> register & 1 and not (to == register and source == to):
-                self._lose(register)
-        register, slot = op.code >> 8 & 7, op.code & 0xFF
-        if op.value is not None:
-            return
-        if op.calls or (self._shares and _stores(op)):
-            self._slots.clear()
-        if to >= 0 and source != to:
-            self._copies[to] = self._copies.get(source, source)
-            for known in (self._numbers, self._slots):
-                if source in known:
-                    known[to] = known[source]
-        elif op.code & 0xF800 == _SET:
-            self._numbers[register] = slot
-        elif op.code & 0xF800 == _LOAD:
-            self._slots[register] = slot
-        elif op.code & 0xF800 == _STORE:
-            self._slots = {r: s for r, s in self._slots.items() if s != slot}
-            self._slots[register] = slot
-
-    def _lose(self, register: int) -> None:
-        self._copies = {
-            to: source for to, source in self._copies.items() if register not in (to, source)
-        }
-        self._numbers.pop(register, None)
-        self._slots.pop(register, None)
-
-
 def _drop(op: Op) -> None:
     op.code, op.target, op.value = NOP, None, None
-
-
-def _moved(op: Op) -> "tuple[int, int]":
-    """From which register to which it moves, both of the lower eight; or -1."""
-    if op.value is None and op.code & _LOW_MOVE == _MOVE:
-        return op.code >> 3 & 7, op.code & 7
-    return -1, -1
-
-
-def _stores(op: Op) -> bool:
-    """Whether it writes to memory that is not a slot."""
-    code = op.code
-    return 0x5000 <= code < 0x5600 or (0x6000 <= code < 0x9000 and not code & 0x800)
-
-
-def _reads(code: int) -> "tuple[int, ...]":
-    """Where the registers stand that an instruction reads and does not change."""
-    if code < 0x1800:
-        return (3,)
-    if code < 0x2000:
-        return (3,) if code & 0x400 else (3, 6)
-    if code & 0xF800 in (_COMPARE, _STORE):
-        return (8,)
-    if code & 0xFC00 == 0x4000:
-        return (0, 3) if code >> 6 & 15 in _LOOKS else (3,)
-    if code & _LOW_MOVE == _MOVE:
-        return (3,)
-    if 0x5000 <= code < 0x6000:
-        return (0, 3, 6) if code < 0x5600 else (3, 6)
-    if 0x6000 <= code < 0x9000:
-        return (3,) if code & 0x800 else (0, 3)
-    return ()
 
 
 def _result(op: Op) -> int:
     """Where the register stands that an instruction writes and does not read; -1: nowhere."""
     code = op.code
-    if op.value is not None or code & 0xF800 in (_SET, _LOAD, _ADDRESS):
+    if op.value is not None or code & 0xF800 in (SET, LOAD, ADDRESS):
         return 8
-    if code < 0x2000 or code & _LOW_MOVE == _MOVE:
+    if code < 0x2000 or code & LOW_MOVE == MOVE:
         return 0
     if code & 0xFC00 == 0x4000:
         return 0 if code >> 6 & 15 in (_NEG, _MVN) else -1

@@ -20,7 +20,13 @@ NOP = 0xBF00
 JUMP = 0xE000
 BRANCH = 0xD000  # with a condition, in four bits
 LOAD_CONSTANT = 0x4800
-_ADD_PC = 0x4478  # the address of a label: an exception's
+# A slot of the stack, and a number: the register is in bits 8 to 10.
+STORE, LOAD, ADDRESS = 0x9000, 0x9800, 0xA800
+SET, COMPARE, ADD, SUBTRACT = 0x2000, 0x2800, 0x3000, 0x3800
+MOVE = 0x4600
+LOW_MOVE = 0xFFC0  # mask of a move between the registers 0 to 7
+LOOKS = (8, 10, 11)  # arithmetic of two registers that only sets flags, by its number
+
 _JUMP_FAR = 0x448F  # add pc, r1
 _OVER_WORD = 0xE001
 _FURTHEST_JUMP = 2046
