@@ -183,9 +183,10 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
         machine.commands.health = watch_health()
     feed = port.watch(getattr(board, "WATCHDOG_MS", _WATCHDOG_MS))
     parts = machine, link, port, engine, watch
-    _forget_makers(parts)
+    made: "list[object]" = list(parts)
     for owner in (machine, machine.interpreter, engine, link):
-        _forget_makers(owner.__dict__.values())
+        made.extend(owner.__dict__.values())
+    _forget_makers(made)
     del sys.modules["board"]
     watch.start(feed, machine.drive.note_reset)
     return parts
@@ -289,17 +290,21 @@ def forget(module: str) -> None:
 
 
 def _forget_makers(parts: "Iterable[object]") -> None:
-    """Let go of what has made these: there is one of each, for good."""
-    for part in parts:
-        _forget_maker(type(part))
+    """Let go of what has made these: there is one of each, for good. Of their classes, of those
+    that these are made of, and of their modules, each of which has many."""
+    left = [type(part) for part in parts]
+    seen: "set[object]" = set()
+    while left:
+        kind = left.pop()
+        if "__module__" in kind.__dict__:
+            left.extend(kind.__bases__)
+            for thing in (kind, sys.modules[kind.__module__]):
+                if thing not in seen:
+                    seen.add(thing)
+                    _forget_in(thing)
 
 
-def _forget_maker(kind: type) -> None:
-    """Of a class of ours, of those that it is made of, and of its module."""
-    if "__module__" in kind.__dict__:
-        for thing in (kind, sys.modules[kind.__module__]):
-            for name in list(thing.__dict__):
-                if name in MAKERS or name.startswith(MAKER):
-                    setattr(thing, name, None)  # what is deleted stays in memory, in its place
-        for base in kind.__bases__:
-            _forget_maker(base)
+def _forget_in(thing: object) -> None:
+    for name in list(thing.__dict__):
+        if name in MAKERS or name.startswith(MAKER):
+            setattr(thing, name, None)  # what is deleted stays in memory, in its place
