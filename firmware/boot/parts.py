@@ -8,7 +8,6 @@ import gc
 import sys
 
 from micropython import const
-from motion import layout
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -161,11 +160,13 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
         import board
 
         option = board.__dict__.get
+        link = _link(getattr(board, "LINK", "usb"))  # to tell by what is wrong
+        from motion import layout
+
         # The biggest first, before there are holes.
         ring = layout.ring(len(option("STEP", ())), option("PLANNER_BLOCKS", 16))
         from ports.supervisor import Supervisor
 
-        link = _link(getattr(board, "LINK", "usb"))
         engine, port, watch_health = _hardware(board, link)
         if port.held(getattr(board, "REPL_PIN", None)):
             link.close()
