@@ -1078,9 +1078,11 @@ def test_a_reset_stops_the_inverter(inverter: Shop) -> None:
 # A tangential knife
 
 
-def knife(shop: Make, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
+def knife(
+    shop: Make, *lines: str, name: str = "knife", **options: Any
+) -> "tuple[Shop, list[tuple[float, ...]]]":
     """A machine with a fourth axis, what it cuts, and the places at the ends of all segments."""
-    made = shop("knife", STEP=(0, 1, 2, 3), settings={113: 6000, 123: 500})
+    made = shop(name, STEP=(0, 1, 2, 3), settings={113: 6000, 123: 500}, **options)
     way: "list[tuple[float, ...]]" = []
     made.rig.engine.trace = lambda start, row: way.append(made.place())
     assert made.say(*lines) == ["ok"] * len(lines), made.messages
@@ -1117,12 +1119,7 @@ def test_a_knife_reads_inches_and_refuses_relative_places(shop: Make) -> None:
 
 
 def swinging(shop: Make, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
-    options = {"OUTPUTS": {"blade": 18}, "settings": {113: 6000, 123: 500}}
-    made = shop("oscillating", STEP=(0, 1, 2, 3), **options)
-    way: "list[tuple[float, ...]]" = []
-    made.rig.engine.trace = lambda start, row: way.append(made.place())
-    assert made.say(*lines) == ["ok"] * len(lines), made.messages
-    return made, way
+    return knife(shop, *lines, name="oscillating", OUTPUTS={"blade": 18})
 
 
 def test_a_blade_cuts_corners_whole_and_is_out_where_it_turns(shop: Make) -> None:
