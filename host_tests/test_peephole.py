@@ -8,7 +8,7 @@ from ugrbl.boardfile.files import board_file
 from ugrbl.compiling import build, peephole, thumb
 
 _STEPS = 3000
-_RUNS = 40
+_RUNS = 15
 
 
 @pytest.fixture(scope="module")
