@@ -68,7 +68,7 @@ def test_a_dwell_or_the_begin_of_a_program_is_no_delay() -> None:
     ("lines", "kind", "settings"),
     [
         ([b"G91F30000", *[b"G1X0.15"] * 600], "plain", FAST),
-        ([b"G91", *[b"G1X0.15F%d" % (9000 + k % 2) for k in range(600)]], "feed", FAST),
+        ([b"G91", *[b"G1X0.1F%d" % (9000 + k % 2) for k in range(600)]], "feed", FAST),
         ([b"G91F9000", *[b"G1G91G94X0.15"] * 400], "long_way_ms", FAST),
         ([b"F9000", b"G91", *[b"G1X0.3", *[b"(nothing)"] * 9] * 99], "no_words_ms", FAST),
         (
@@ -160,7 +160,7 @@ def streamed_s(lines: "list[bytes]", answer_us: int) -> float:
 
 
 def test_motion_takes_longer_by_about_what_is_told() -> None:
-    lines = raster(9000)
+    lines = raster(12000)
     told = sum(stretch.lost_s for stretch in stretches(lines, LASER, "rpi_pico2"))
     delay = streamed_s(lines, round(1e6 / PICO.power)) - streamed_s(lines, 0)
     assert told > 0.2 and delay == pytest.approx(told, rel=0.2)
