@@ -1078,15 +1078,19 @@ def test_a_reset_stops_the_inverter(inverter: Shop) -> None:
 # A tangential knife
 
 
-def knife(
-    shop: Make, *lines: str, name: str = "knife", **options: Any
-) -> "tuple[Shop, list[tuple[float, ...]]]":
-    """A machine with a fourth axis, what it cuts, and the places at the ends of all segments."""
-    made = shop(name, STEP=(0, 1, 2, 3), settings={113: 6000, 123: 500}, **options)
+_TURNING: "dict[str, Any]" = {"STEP": (0, 1, 2, 3), "settings": {113: 6000, 123: 500}}
+
+
+def cut(made: Shop, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
+    """A machine, what it cuts, and the places at the ends of all segments."""
     way: "list[tuple[float, ...]]" = []
     made.rig.engine.trace = lambda start, row: way.append(made.place())
     assert made.say(*lines) == ["ok"] * len(lines), made.messages
     return made, way
+
+
+def knife(shop: Make, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
+    return cut(shop("knife", **_TURNING), *lines)
 
 
 def test_the_blade_turns_the_way_it_cuts_and_lifts_at_corners(shop: Make) -> None:
@@ -1119,7 +1123,7 @@ def test_a_knife_reads_inches_and_refuses_relative_places(shop: Make) -> None:
 
 
 def swinging(shop: Make, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
-    return knife(shop, *lines, name="oscillating", OUTPUTS={"blade": 18})
+    return cut(shop("oscillating", OUTPUTS={"blade": 18}, **_TURNING), *lines)
 
 
 def test_a_blade_cuts_corners_whole_and_is_out_where_it_turns(shop: Make) -> None:
