@@ -96,23 +96,24 @@ class Custom:
 
     def take(self, notes: "list[Note]") -> None:
         """Take up what has been noted, all or nothing. ValueError where something is taken."""
+        kinds = (handlers.M, handlers.G)
+        words = [note for note in notes if note[0] in kinds]
+        events = [note for note in notes if note[0] not in kinds]
         seen: "list[tuple[str, Any]]" = []
-        for kind, key, _, _, _ in notes:
-            if kind in (handlers.M, handlers.G):
-                if (kind, key) in seen or self._cnc.is_taken(kind, key):
-                    raise ValueError("%s%s is taken" % (kind, key))
-                seen.append((kind, key))
-            elif kind == handlers.INPUT:
+        for kind, key, _, _, _ in words:
+            if (kind, key) in seen or self._cnc.is_taken(kind, key):
+                raise ValueError("%s%s is taken" % (kind, key))
+            seen.append((kind, key))
+        for kind, key, _, _, _ in events:
+            if kind == handlers.INPUT:
                 self._runner.operator.pin(key)  # which says that there is none
-        for kind, key, _, _, function in notes:
-            if kind not in (handlers.M, handlers.G):
-                self._happenings.add(kind, key, title(kind, key), function)
+        for kind, key, _, _, function in events:
+            self._happenings.add(kind, key, title(kind, key), function)
         self._happenings.attach(any(note[3] is False for note in notes))
-        for kind, key, letters, sync, function in notes:
-            if kind in (handlers.M, handlers.G):
-                call = self._word(title(kind, key), letters, sync, function)
-                add = self._cnc.add_m if kind == handlers.M else self._cnc.add_g
-                add(key, call, letters, bool(sync))
+        for kind, key, letters, sync, function in words:
+            call = self._word(title(kind, key), letters, sync, function)
+            add = self._cnc.add_m if kind == handlers.M else self._cnc.add_g
+            add(key, call, letters, bool(sync))
         names = [title(note[0], note[1]) for note in notes]
         self._cnc.behind_reset(self._runner.operator.forget)
         self._cnc.before_lines(self._happenings.between_lines)

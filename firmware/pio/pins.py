@@ -12,7 +12,7 @@ from array import array
 
 import machine
 import micropython
-from machine import Timer
+from machine import PWM, Timer
 from micropython import const
 from ports.port import PortPins
 
@@ -93,9 +93,8 @@ class GpioPort(PortPins):
                     time.sleep_us(1_000_000 // pwm.freq() + 1)
             _release(self._pads, self._all_bits)
 
-    def pulse(self, index: int, hz: int, duty: int) -> None:
-        """As PortPins has it. Two pins of one slice have one frequency, and of sixteen one each
-        the same pulses."""
+    def _begin_pulses(self, index: int, hz: int) -> PWM:
+        """Two pins of one slice have one frequency, and of sixteen one each the same pulses."""
         own = self._own_numbers[index]
         others = list(zip(self._own_numbers, self._own_pwm)) + [(self._pwm_number, self.pwm)]
         for number, pwm in others:
@@ -103,11 +102,10 @@ class GpioPort(PortPins):
                 continue
             if pwm.freq() != hz or (number ^ own) & 1 == 0:
                 raise ValueError("pin %d cannot have other pulses than pin %d" % (own, number))
-        if self._own_pwm[index] is None:
-            super().pulse(index, hz, 0)
-            if self._pads[0]:  # a pad that is given to the PWM is not held any more
-                self.kill()
-        super().pulse(index, hz, duty)
+        pwm = super()._begin_pulses(index, hz)
+        if self._pads[0]:  # a pad that is given to the PWM is not held any more
+            self.kill()
+        return pwm
 
     def rest(self, levels: int) -> None:
         """The levels of an extra's outputs that kill() sets."""

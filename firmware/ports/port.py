@@ -148,13 +148,20 @@ class PortPins(PortInputs):
         """That output makes pulses from now on, and drive() leaves it alone: hz in a second, on
         for duty / 65535 of the time; 0 is off. ValueError where it cannot."""
         pwm = self._own_pwm[index]
-        if pwm is None:
-            pwm = self._own_pwm[index] = PWM(self._own[index], freq=hz, duty_u16=0)
-        elif pwm.freq() != hz:
-            pwm.freq(hz)
+        if pwm is None or pwm.freq() != hz:
+            pwm = self._begin_pulses(index, hz)
         pwm.duty_u16(duty)
         if self._killed:
             self.safe()
+
+    def _begin_pulses(self, index: int, hz: int) -> PWM:
+        """An output's pulses begin, or become as many as that."""
+        pwm = self._own_pwm[index]
+        if pwm is None:
+            pwm = self._own_pwm[index] = PWM(self._own[index], freq=hz, duty_u16=0)
+        else:
+            pwm.freq(hz)
+        return pwm
 
     def rest(self, levels: int) -> None:
         """The levels that kill() sets."""
