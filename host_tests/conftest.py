@@ -13,6 +13,8 @@ _HERE = Path(__file__).parent
 sys.path[:0] = [str(_HERE.parent / "tools" / "sim" / "standins"), str(_HERE.parent / "firmware")]
 # Said aloud, so that no tool under test switches the checks off for the tests after it.
 os.environ.setdefault("UGRBL_VIPER", "checked")
+# So wide that no line breaks, however long the name of a test's folder is.
+os.environ["COLUMNS"] = "500"
 
 settings.register_profile("ci", deadline=None, max_examples=50)
 settings.register_profile("thorough", deadline=None, max_examples=2000)

@@ -364,7 +364,7 @@ def test_a_slow_handler_is_told_of_once(bench: Make) -> None:
         """
 @every(100)
 def slow(m):
-    rig.pass_time(rig.ms(30))
+    rig.pass_time(rig.ms(60))
 """
     )
 
@@ -374,8 +374,8 @@ def slow(m):
     made.rig.on_built = give
     said = made.say(("", "ms 1000"))
     told = made.greeting + said[0]
-    assert [line for line in told if "every 100: 30 ms without" in line] == [
-        "[MSG:every 100: 30 ms without a call of m]"
+    assert [line for line in told if "every 100: 60 ms without" in line] == [
+        "[MSG:every 100: 60 ms without a call of m]"
     ]
 
 

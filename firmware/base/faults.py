@@ -6,6 +6,16 @@ import sys
 from micropython import const
 
 _LONGEST = const(120)
+# What senders look for, and what is said instead.
+_TOLD = (
+    ("ok", "o-k"),
+    ("oK", "o-K"),
+    ("Ok", "O-k"),
+    ("OK", "O-K"),
+    ("Error", "Err"),
+    ("error", "Err"),
+    ("ERROR", "Err"),
+)
 
 
 def trace(fault: BaseException) -> "list[str]":
@@ -17,11 +27,12 @@ def trace(fault: BaseException) -> "list[str]":
 
 def harmless(text: str) -> str:
     """The text without what senders take for an answer ("ok", "error") or for a message's end."""
-    clean = ""
-    for c in text[:_LONGEST]:
-        if clean[-1:] in ("o", "O") and c in ("k", "K"):
-            clean += "-"
-        clean += c if " " <= c <= "~" and c not in "[]" else " "
-    for word in ("Error", "error", "ERROR"):
-        clean = clean.replace(word, "Err")
-    return clean
+    clean = bytearray(text[:_LONGEST].encode())
+    for i in range(len(clean)):
+        if not 32 <= clean[i] < 127 or clean[i] in b"[]":
+            clean[i] = 32
+    text = clean.decode()
+    for word, told in _TOLD:
+        if word in text:
+            text = text.replace(word, told)
+    return text

@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from extras.machine_operator import Operator
 
 TRACE = "custom"  # under which the last traceback is kept
-_SLOW_MS = const(20)  # a handler that takes longer without service is told of
-# A collection takes 30 ms: it comes after so many handlers, where as many blocks wait, or none.
+# A handler that takes longer without service is told of: 20 ms of its own, and a collection's 30.
+_SLOW_MS = const(50)
+# That comes after so many handlers, where as many blocks wait, or none.
 _CALLS = const(32)
 _BLOCKS = const(8)
 
