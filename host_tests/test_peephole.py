@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 from thumb_model import FAR, Run
 from ugrbl.boardfile.files import board_file
-from ugrbl.compiling import build, peephole, thumb
+from ugrbl.compiling import build, mpy, peephole, thumb
 
 _STEPS = 3000
 _RUNS = 15
@@ -16,12 +16,15 @@ def functions() -> "list[bytes]":
     """All that a Pico and a laser on one have, as the compiler made them."""
     found: list[bytes] = []
 
-    def seen(code: bytes) -> bytes:
+    def seen(code: bytes, _place: int) -> bytes:
         found.append(code)
         return code
 
+    def linked(compiled: "dict[str, bytes]", _texts: object) -> "dict[str, bytes]":
+        return {name: mpy.rewritten(module, seen) for name, module in compiled.items()}
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(build, "shorter", seen)
+        patch.setattr(build, "linked", linked)
         for board in ("rpi_pico", "pico_laser"):
             build.for_board(board_file(board))
     return list(dict.fromkeys(found))

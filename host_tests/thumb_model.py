@@ -12,7 +12,7 @@ from typing import Any
 _STACK = 0x2000_0000
 _STACK_WORDS = 1024
 _ENTRY = 0x2000_0000 + 4 * 900  # of the stack pointer
-_CODE = 0x3000_0000
+CODE = 0x3000_0000
 _END = 0xFFFF_FFFE  # where the function returns to
 _MASK = 0xFFFFFFFF
 FAR = 0xFA12FA12  # in register 1 behind a far jump: there is nothing in it
@@ -31,7 +31,7 @@ class Run:
         self._stack = bytearray(struct.pack(f"<{_STACK_WORDS}I", *start))
         self._r = [self._any() for _ in range(16)]
         self._r[0] = 0x1000_0000  # the function itself
-        self._r[13], self._r[14], self._r[15] = _ENTRY, _END | 1, _CODE
+        self._r[13], self._r[14], self._r[15] = _ENTRY, _END | 1, CODE
         self._n = self._z = self._c = self._v = 0
 
     def _any(self) -> int:
@@ -44,7 +44,7 @@ class Run:
         while steps and self._r[15] != _END:
             steps -= 1
             at = self._r[15]
-            word = struct.unpack_from("<H", self._code, at - _CODE)[0]
+            word = struct.unpack_from("<H", self._code, at - CODE)[0]
             self._r[15] = at + 2
             self._one(word, at)
         if self._r[15] == _END:
@@ -54,8 +54,8 @@ class Run:
     # Memory
 
     def _load(self, at: int, size: int, signed: bool = False) -> int:
-        if _CODE <= at < _CODE + len(self._code):
-            return int.from_bytes(self._code[at - _CODE : at - _CODE + size], "little")
+        if CODE <= at < CODE + len(self._code):
+            return int.from_bytes(self._code[at - CODE : at - CODE + size], "little")
         if _STACK <= at < _STACK + 4 * _STACK_WORDS:
             at -= _STACK
             return int.from_bytes(self._stack[at : at + size], "little", signed=signed) & _MASK
@@ -99,6 +99,10 @@ class Run:
             self._r[13] += -4 * (word & 0x7F) if word & 0x80 else 4 * (word & 0x7F)
         elif word & 0xFF00 == 0xB200:
             self._extend(word)
+        elif word & 0xF800 == 0xF000:  # the first half of a call to another place of this code
+            self._r[14] = self._r[15] + 2 | 1
+            far = struct.unpack_from("<H", self._code, self._r[15] - CODE)[0]
+            self._r[15] = at + 4 + ((word & 0x7FF ^ 0x400) - 0x400 << 12) + ((far & 0x7FF) << 1)
         elif word & 0xF600 == 0xB400:
             self._push_or_pop(word)
         elif word & 0xF000 == 0xD000:

@@ -20,9 +20,8 @@ from .. import __version__, paths
 from ..boardfile import engines, options
 from ..boardfile.files import load_for_build
 from . import prepared, put_together, symbols
+from .direct import linked
 from .inline import inline
-from .mpy import rewritten
-from .peephole import shorter
 from .scopes import NotUnderstood
 from .shorten import Shortened
 from .singles import singles
@@ -182,14 +181,21 @@ def compile_texts(
 ) -> Build:
     """What has been prepared, without a map."""
     made = Build(arch)
-    for name, text in sorted(prepared_texts.items()):
+    compiled = {
+        name: _compile(name, text, arch, debug)
+        for name, text in prepared_texts.items()
+        if name != module(START)
+    }
+    if arch == _WITH_SHORTER_CODE:
+        compiled = linked(compiled, prepared_texts)
+    for name in sorted(prepared_texts):
         folder, _, file = name.rpartition(".")
         path = f"{folder}/{file}.mpy" if folder else f"{name}/{PACKAGE}.mpy"
         if name == module(START):
             path = START
             made.files[path] = _text(START).encode()
         else:
-            made.files[path] = _compile(name, text, arch, debug)
+            made.files[path] = compiled[name]
         progress(path, len(made.files[path]))
     return made
 
@@ -287,7 +293,7 @@ def _compile(name: str, text: str, arch: str, debug: bool) -> bytes:
         done = subprocess.run(command, capture_output=True, check=False)
     if done.returncode:
         raise BuildError(f"{name} cannot be compiled: {done.stderr.decode().strip()}")
-    return rewritten(done.stdout, shorter) if arch == _WITH_SHORTER_CODE else done.stdout
+    return done.stdout
 
 
 def refusal(source: bytes) -> "tuple[int, str] | None":

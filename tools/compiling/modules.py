@@ -17,7 +17,7 @@ class Module:
         self.functions = {f.name: f for f in forms.vipers(self.tree, methods=False)}
         self.imported: dict[str, Key] = {}
         self.taken = {n.id for n in ast.walk(self.tree) if isinstance(n, ast.Name)}
-        self._aliases: dict[str, str] = {}  # of modules
+        self.aliases: dict[str, str] = {}  # of modules
         numbers = {n: forms.literal(v) for n, v in forms.constants(self.tree).items()}
         for function in forms.vipers(self.tree, methods=True):
             hidden = forms.local_names(function)
@@ -25,11 +25,11 @@ class Module:
             function.body = forms.renamed(function.body, here)
         for node in ast.walk(self.tree):
             if isinstance(node, ast.Import):
-                self._aliases.update((n.asname or n.name, n.name) for n in node.names)
+                self.aliases.update((n.asname or n.name, n.name) for n in node.names)
             elif isinstance(node, ast.ImportFrom) and node.module:
                 for n in node.names:
                     self.imported[n.asname or n.name] = (node.module, n.name)
-                    self._aliases[n.asname or n.name] = f"{node.module}.{n.name}"
+                    self.aliases[n.asname or n.name] = f"{node.module}.{n.name}"
 
     def means(self, name: str) -> Key | None:
         """The function that a global name may stand for."""
@@ -46,7 +46,7 @@ class Module:
                     if meant := self.means(name):
                         yield meant
                 case ast.Attribute(ast.Name(alias), name):
-                    yield self._aliases.get(alias, ""), name
+                    yield self.aliases.get(alias, ""), name
             if isinstance(child, ast.FunctionDef):
                 yield from self._uses(child, hidden | forms.local_names(child))
             else:

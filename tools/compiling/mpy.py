@@ -2,7 +2,9 @@
 
 from collections.abc import Callable, Iterator
 
-Rewrite = Callable[[bytes], bytes]
+# Is told a function's code, and which of the module's own viper functions it is; APART: none.
+Rewrite = Callable[[bytes, int], bytes]
+APART = -1
 
 _HEAD = 4  # mark, version, flags, bits of a small integer
 # What a function is, in the last bits of its length.
@@ -23,7 +25,26 @@ def rewritten(compiled: bytes, rewrite: Rewrite) -> bytes:
     """The module with what rewrite() makes of each function's code."""
     reader = _Reader(compiled)
     reader.pass_tables()
-    return compiled[: reader.at] + b"".join(reader.function(rewrite))
+    return compiled[: reader.at] + b"".join(reader.module(rewrite))
+
+
+def vipers(compiled: bytes) -> "list[bytes]":
+    """The code of the module's own viper functions, in their order."""
+    found: dict[int, bytes] = {}
+
+    def seen(code: bytes, place: int) -> bytes:
+        found[place] = code
+        return code
+
+    rewritten(compiled, seen)
+    return [found[place] for place in sorted(found.keys() - {APART})]
+
+
+def names(compiled: bytes) -> "list[str]":
+    """The names that code has numbers for; "" for MicroPython's own."""
+    reader = _Reader(compiled)
+    reader.pass_tables()
+    return reader.names
 
 
 def number(value: int) -> bytes:
@@ -38,19 +59,24 @@ class _Reader:
     def __init__(self, compiled: bytes) -> None:
         self._compiled = compiled
         self.at = _HEAD
+        self.names: list[str] = []
+        self._vipers = 0  # of the module's own
 
     def pass_tables(self) -> None:
         """Names, and constants."""
         names, constants = self._number(), self._number()
         for _ in range(names):
             length = self._number()
-            if not length & 1:  # else it is one of MicroPython's own
-                self._take((length >> 1) + 1)
+            is_rom = length & 1
+            self.names.append("" if is_rom else self._take((length >> 1) + 1)[:-1].decode())
         for _ in range(constants):
             self._pass_constant()
 
-    def function(self, rewrite: Rewrite) -> Iterator[bytes]:
-        """A function, and those within it."""
+    def module(self, rewrite: Rewrite) -> Iterator[bytes]:
+        """The module as a function, and those within it."""
+        return self._function(rewrite, 0)
+
+    def _function(self, rewrite: Rewrite, depth: int) -> Iterator[bytes]:
         head = self._number()
         kind = head & _KINDS
         code = self._take(head >> _KIND_BITS)
@@ -62,7 +88,9 @@ class _Reader:
             flags = self._number()
             if flags & _VIPER_SECTIONS:
                 raise ValueError("native code that is linked from elsewhere")
-            code, behind = rewrite(code), number(flags)
+            place = self._vipers if depth == 1 else APART
+            self._vipers += depth == 1
+            code, behind = rewrite(code, place), number(flags)
         elif kind != _BYTECODE:
             raise ValueError("inline assembler")
         yield number(len(code) << _KIND_BITS | head & (_KINDS | _HAS_CHILDREN))
@@ -71,7 +99,7 @@ class _Reader:
             children = self._number()
             yield number(children)
             for _ in range(children):
-                yield from self.function(rewrite)
+                yield from self._function(rewrite, depth + 1)
 
     def _pass_constant(self) -> None:
         kind = self._take(1)[0]
@@ -97,6 +125,6 @@ class _Reader:
 def _native(code: bytes, prelude: int, rewrite: Rewrite) -> "tuple[bytes, bytes]":
     """Code and prelude, and where this begins."""
     if not (code[prelude] & 128 and code[prelude + 1] & _GENERATOR):
-        made = rewrite(code[:prelude])
+        made = rewrite(code[:prelude], APART)
         code, prelude = made + code[prelude:], len(made)
     return code, number(prelude)

@@ -25,6 +25,7 @@ from .thumb import (
     SET,
     NotUnderstood,
     Op,
+    drop,
     effects,
 )
 
@@ -38,10 +39,15 @@ _AND, _EOR, _NEG, _ORR, _MUL, _MVN = 0, 1, 9, 12, 13, 15
 def shorter(code: bytes) -> bytes:
     """The code of a function; as it is, where it is not understood."""
     try:
-        made = thumb.write(_Function(thumb.read(code)).shortened())
+        made = shortened(thumb.read(code))
     except NotUnderstood:
         return code
     return made if len(made) < len(code) else code
+
+
+def shortened(ops: "list[Op]") -> bytes:
+    """The code of these instructions. Raises NotUnderstood where it is not."""
+    return thumb.write(_Function(ops).shortened())
 
 
 def slot_effects(op: Op) -> "tuple[int, int]":
@@ -134,12 +140,12 @@ class _Function:
         if op.target.code == JUMP and far and far is not op.target:
             op.target = far
         if op.target is self._next(i):
-            _drop(op)
+            drop(op)
         elif op.branches and i + 2 < len(ops) and ops[i + 1].code == JUMP:
             if op.target is ops[i + 2] and ops[i + 1] not in self._aimed:
                 op.code ^= 0x100
                 op.target = ops[i + 1].target
-                _drop(ops[i + 1])
+                drop(ops[i + 1])
 
     def _next(self, i: int) -> "Op | None":
         return self._ops[i + 1] if i + 1 < len(self._ops) else None
@@ -161,7 +167,7 @@ class _Function:
                     raise NotUnderstood("no end")
         for i, op in enumerate(self._ops):
             if i not in reached:
-                _drop(op)
+                drop(op)
 
     def _remove(self) -> None:
         """Those that do nothing; whoever jumps there goes to the next."""
@@ -190,7 +196,7 @@ class _Function:
     def _drop_dead(self) -> None:
         for op, after in zip(self._ops, self._after):
             if _is_private(op) and not slot_effects(op)[1] & after:
-                _drop(op)
+                drop(op)
 
     def _join(self, i: int) -> None:
         """Some instructions in a row, none but the first of which is jumped to."""
@@ -224,7 +230,7 @@ class _Function:
             branch.code ^= 0x100
         branch.target = last.target
         for op in (no, out, yes, compare, last):
-            _drop(op)
+            drop(op)
 
     def _move(self, i: int) -> None:
         """A result that is moved on goes there at once."""
@@ -235,7 +241,7 @@ class _Function:
         field = _result(op)
         if field >= 0 and op.code >> field & 7 == source:
             op.code += (to - source) << field
-            _drop(move)
+            drop(move)
 
     def _move_behind(self, i: int) -> None:
         """The same, where it is made of what the register has had before."""
@@ -254,14 +260,14 @@ class _Function:
                 if operation not in (_AND, _EOR, _ORR, _MUL):
                     return
                 op.code = op.code & 0xFFC0 | begin << 3 | to
-                _drop(first)
-                _drop(move)
+                drop(first)
+                drop(move)
                 return
             op.code += to - source
         else:
             return
         first.code = NOP if begin == to else MOVE | begin << 3 | to
-        _drop(move)
+        drop(move)
 
     def _compare(self, i: int) -> None:
         """A comparison with 0 behind an instruction whose result has been compared with it."""
@@ -270,11 +276,7 @@ class _Function:
             return
         if op.value is None and op.code < 0x4400 and self._after[i + 2] & FLAGS == 0:
             if effects(op)[1] == FLAGS | 1 << (compare.code >> 8 & 7):
-                _drop(compare)
-
-
-def _drop(op: Op) -> None:
-    op.code, op.target, op.value = NOP, None, None
+                drop(compare)
 
 
 def _result(op: Op) -> int:

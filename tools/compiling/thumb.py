@@ -63,6 +63,11 @@ class Op:
         return self.code & 0xFF87 == 0x4780
 
 
+def drop(op: Op) -> None:
+    """Have it do nothing."""
+    op.code, op.target, op.value = NOP, None, None
+
+
 def read(code: bytes) -> "list[Op]":
     """The instructions of a function."""
     words = struct.unpack(f"<{len(code) // 2}H", code)
