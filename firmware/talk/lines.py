@@ -139,10 +139,9 @@ def _make_kinds(first: int, extra: int) -> bytearray:
 class LineReader:
     """The ring and the line being put together. size: bytes of the ring; longest: of a line.
 
-    take() goes on with the line: length * 4 + LINE once it is complete, followed by a 0.
+    take() goes on with the line: length * 4 + LINE once it is complete, followed by a 0. The
+    loop calls clean() itself, with memory() and the line.
     """
-
-    take: "Callable[[], int]"
 
     def __init__(
         self,
@@ -156,16 +155,14 @@ class LineReader:
         self._ring = bytearray(size + 1)
         self._at = array("i", (size + 1, 0, 0, 0, longest, reads[2], 0))
         self._kinds = _make_kinds(reads[0], reads[1])
-        self.take = self._make_take()
 
-    def _make_take(self) -> "Callable[[], int]":
-        """A closure: it finds what it needs without a look-up."""
-        ring, at, line, kinds, go_on = self._ring, self._at, self.line, self._kinds, clean
+    def take(self) -> int:
+        """Go on with the line."""
+        return clean(self._ring, self._at, self.line, self._kinds)
 
-        def take() -> int:
-            return go_on(ring, at, line, kinds)
-
-        return take
+    def memory(self) -> "tuple[bytearray, array[int], bytearray]":
+        """The ring, where the reader is, and kinds of bytes: clean()'s."""
+        return self._ring, self._at, self._kinds
 
     def feed(self, data: bytearray, count: int) -> None:
         """Accept received bytes. Those that do not fit are lost: the sender has miscounted."""

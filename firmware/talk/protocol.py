@@ -10,7 +10,7 @@ from base import state as st
 from base.errors import Abort, GrblError
 from micropython import const
 
-from talk.lines import LINE, NOTHING
+from talk.lines import LINE, NOTHING, clean
 from talk.report import OK
 
 TYPE_CHECKING = const(False)
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 _LOCKED = const(st.ALARM | st.JOG)
 _DEAF_MS = const(500)  # nothing is answered for so long behind an alarm
+_BOTH = OK + OK
 
 
 class Protocol:
@@ -84,19 +85,22 @@ class Protocol:
             self._realtime.suspended()
 
     def run(self) -> None:
-        """Execute lines for ever; a reset begins anew. The stack is short: no frame to spare."""
+        """Execute lines for ever; a reset begins anew. The stack is short: no frame to spare.
+
+        Lines that follow() has done are answered in twos, where another one is there already."""
         reader = self._reader
         state = self._state
         pending = state.pending
-        take = reader.take
         line = reader.line
+        ring, at, kinds = reader.memory()
+        go_on = clean
         follow = self._interpreter.fast.follow
-        write, ok = self._link.write, OK  # what report.ok() does
-        pump = self.pump
+        write, ok, both = self._link.write, OK, _BOTH  # what report.ok() does
+        read_into, buffer, feed = self._read_into, self._buffer, self._feed
         echoes = self._echoes
         finish = self._saves.finish
-        every_other = False
-        room = len(self._buffer)
+        is_owed = False
+        room = len(buffer)
         while True:
             try:
                 if self._drive.by_pin:  # what is unread was sent before the reset
@@ -104,24 +108,32 @@ class Protocol:
                     self._link.discard()
                 self._restart()
                 while True:
-                    found = take()
-                    if found == NOTHING:
-                        pump()
-                        if not reader.waiting():
-                            self._canon.auto_start()
+                    found = go_on(ring, at, line, kinds)
+                    if found & LINE == 0 or pending[st.ANY] or state.suspend:
+                        if is_owed:
+                            is_owed = False
+                            write(ok)
+                        if found == NOTHING:
+                            self.pump()
+                            if not reader.waiting():
+                                self._canon.auto_start()
                         self._realtime.run()
-                        continue
-                    if pending[st.ANY] or state.suspend:
-                        self._realtime.run()
+                        if found == NOTHING:
+                            continue
                     length = found >> 2
                     if found & LINE == 0:
                         self._report.error(errors.OVERFLOW)
                     elif state.run & _LOCKED == 0 and not echoes and follow(line, length):
-                        write(ok)
-                        every_other = not every_other
-                        if every_other:
-                            pump()
+                        is_owed = not is_owed
+                        if not is_owed:
+                            write(both)
+                            count = read_into(buffer)  # as pump() does
+                            if count:
+                                feed(buffer, count)
                     else:
+                        if is_owed:
+                            is_owed = False
+                            write(ok)
                         try:  # as in execute()
                             self._whose(line, length)(line, length)
                             finish()
@@ -132,10 +144,13 @@ class Protocol:
                         else:
                             try:
                                 if reader.free() >= room:  # who counts nothing must not overrun it
-                                    pump()
+                                    self.pump()
                             finally:  # a loop that was away is told of there: no fault of the line
                                 write(ok)
             except Abort:
+                if is_owed:
+                    is_owed = False
+                    write(ok)
                 self._tell_alarm()
 
     def execute(self, line: bytearray, length: int, before: bytes) -> None:
