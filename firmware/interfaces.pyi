@@ -106,6 +106,9 @@ class Canon(Protocol):
     def finish(self) -> None:
         """Make what has been asked for."""
 
+    def wait_for_room(self) -> None:
+        """Wait until another block can be planned. Raises Abort after a reset."""
+
     def synchronise(self) -> None:
         """Wait until everything planned has been done."""
 

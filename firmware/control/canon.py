@@ -136,13 +136,17 @@ class Canon:
             return
         if state.pending[st.ANY] or state.suspend:
             self.service()
-        while found & FULL:
-            self.auto_start()
-            self.service()
-            found = judge(target, self.travel, self._flow)
+        if found & FULL:
+            self.wait_for_room()
         self.power = self.power_of(move)
         if not self.planner.line(target, move, self.power):
             self._stay(move)
+
+    def wait_for_room(self) -> None:
+        """Wait until another block can be planned."""
+        while self.planner.full():
+            self.auto_start()
+            self.service()
 
     def _plan_chords(self) -> None:
         """All of an arc but its last chord, which is a line to its target."""

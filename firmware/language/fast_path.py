@@ -76,7 +76,8 @@ IN_INCHES = const(20)
 _CHANGES = const(21)  # as they were counted when this was known
 _LACKS = const(22)  # whether the move lacks what is new
 _INCH_MM = const(23)
-OFFSETS = const(24)
+_WAITS = const(24)  # whether room is all that the last line has lacked
+OFFSETS = const(25)
 
 
 @micropython.viper
@@ -198,6 +199,7 @@ def follow(
     if found & OUTSIDE and known[LIMITED]:
         return 0
     if known[DRY] == 0 and found & FULL:
+        known[_WAITS] = 1
         return 0
     if seen & _NEWS:
         if seen & _MODES or (seen & HAS_F and known[IN_INCHES]):
@@ -347,6 +349,11 @@ class FastPath:
         """Execute a line that does no more than move; False where it does, and nothing has
         changed."""
         known = self._known
+        if known[_WAITS]:
+            known[_WAITS] = 0
+            self._canon.wait_for_room()
+            if self.follow(line, length):
+                return True
         seen = read(line, length, known)
         if seen != ODD and not (known[AXES] and known[_CHANGES] == self._state.changes[0]):
             self._look()

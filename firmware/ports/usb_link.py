@@ -65,8 +65,10 @@ _DEAF_MS = const(250)
 _GREET_MS = const(300)
 
 # Answers of a line wait for others, up to so many bytes, and until nothing has come for so many
-# turns: to send takes USB as long as a line takes to be read. What is longer is sent at once.
-_OUT_BYTES = const(64)
+# turns: to send takes USB as long as a line takes to be read. What is longer is sent at once, with
+# those that wait.
+_ANSWERS_BYTES = const(64)
+_OUT_BYTES = const(192)
 _QUIET_TURNS = const(3)
 _ANSWER = const(16)
 
@@ -114,7 +116,7 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
 def _keep(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
     """Put an answer behind those that wait to be sent. Returns 0 where there is no room."""
     length = at[LENGTH]
-    if length + count > _OUT_BYTES:
+    if length + count > (_ANSWERS_BYTES if count <= _ANSWER else _OUT_BYTES):
         return 0
     for i in range(count):
         out[length + i] = data[i]
@@ -223,12 +225,12 @@ class UsbLink:
 
         def write(data: "bytes | bytearray | memoryview") -> None:
             count = len(data)
+            if not keep(at, waiting, data, count):
+                self._flush()
+                if not keep(at, waiting, data, count):
+                    self._send(data, count)
             if count > _ANSWER:
                 self._flush()
-                self._send(data, count)
-            elif not keep(at, waiting, data, count):
-                self._flush()
-                keep(at, waiting, data, count)
 
         return write
 
