@@ -61,6 +61,9 @@ class FakeCanon:
     def finish(self) -> None:
         """Every line ends with one: it is not noted."""
 
+    def wait_for_room(self) -> None:
+        self.asked.append("room")
+
     def synchronise(self) -> None:
         self.asked.append("synchronise")
 
