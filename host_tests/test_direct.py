@@ -38,6 +38,7 @@ def outer(to: ptr32, from_: ptr8, count: int) -> int:
         many(to, at, -1, 255, thing, 256)
     return int(two(at, count))
 """
+_PLACES = 11  # where one of them calls another
 _NAMES = ("two", "store", "many", "outer")
 
 _OBJECTS = 0x1000_0000
@@ -54,6 +55,7 @@ class Board(Run):
         super().__init__(b"", seed)
         self._names = mpy.names(compiled)
         self.calls: "list[str]" = []  # that go by way of MicroPython
+        self.looked_up: "list[str]" = []
         self._memory[_OBJECTS + 0x800 + 4], self._memory[_OBJECTS + 0x900] = 0, 1
         context = _OBJECTS + 0x900
         self._memory |= {
@@ -95,8 +97,8 @@ class Board(Run):
             case where if where == _SWAP:
                 self._r[0] = 0
             case where if where == _LOOK_UP:
-                name = self._names[a]
-                self._r[0] = self._objects.get(name, 2 * 21 + 1)
+                self.looked_up.append(self._names[a])
+                self._r[0] = self._objects.get(self._names[a], 2 * 21 + 1)
             case where:
                 assert where == _CALL, hex(where)
                 self.calls.append(next(n for n, at in self._objects.items() if at == a))
@@ -120,6 +122,8 @@ def test_functions_that_call_one_another_do_the_same(compiled: bytes, seed: int)
     (before, due), (after, made) = found
     assert made == due and len(due[1]) > 25
     assert len(before.calls) > 50 and not after.calls
+    functions = [name for name in after.looked_up if name in _NAMES]
+    assert len(functions) == _PLACES, "each looks up once"
 
 
 def test_who_has_objects_to_give_is_taken_as_before(compiled: bytes) -> None:

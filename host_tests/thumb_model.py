@@ -72,6 +72,10 @@ class Run:
 
     def _store(self, at: int, size: int, value: int) -> None:
         value &= (1 << 8 * size) - 1
+        if CODE <= at < CODE + len(self._code):
+            at -= CODE
+            self._code = self._code[:at] + value.to_bytes(size, "little") + self._code[at + size :]
+            return
         if _STACK <= at < _STACK + 4 * _STACK_WORDS:
             self._stack[at - _STACK : at - _STACK + size] = value.to_bytes(size, "little")
             return
@@ -93,6 +97,8 @@ class Run:
             self._r[word >> 8 & 7] = self._load((at + 4 & ~3) + 4 * (word & 0xFF), 4)
         elif word < 0xA000:
             self._access(word)
+        elif word & 0xF800 == 0xA000:
+            self._r[word >> 8 & 7] = (at + 4 & ~3) + 4 * (word & 0xFF)
         elif word & 0xF800 == 0xA800:
             self._r[word >> 8 & 7] = self._r[13] + 4 * (word & 0xFF)
         elif word & 0xFF00 == 0xB000:

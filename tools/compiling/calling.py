@@ -9,6 +9,9 @@ from typing import NamedTuple
 from .peephole import live_before
 from .thumb import (
     ADDRESS,
+    BRANCH,
+    CELL,
+    COMPARE,
     JUMP,
     LOAD,
     LOAD_CONSTANT,
@@ -45,6 +48,8 @@ _CODE_OF = 0x68C1  # ldr r1, [r0, #12]
 _NAME = 0x8830  # ldrh r0, [r6, #…]
 _FAR_NAME = [0x4630, 0x3000, 0x8FC0]  # mov r0, r6; adds r0, #…; ldrh r0, [r0, #62]
 _ADD_R1 = 0x3100
+_ADDRESS_R1, _STORE_THERE = 0xA100, 0x6008  # add r1, pc, #…; str r0, [r1]
+_NOT_EQUAL = 0x100
 _GIVEN = ADDRESS | _R2  # the first argument's slot, for a call
 _BOXING = 5  # instructions that make an object of an argument
 # How a larger constant is made in register 2.
@@ -175,7 +180,21 @@ def redirect(ops: "list[Op]", entry_of: "Callable[[int], Entry | None]") -> int:
         if _codes(ops[at + 3 : at + 5]) == [_CALL, _BLX_R3] and ops[at].code & 0xFF00 == _GIVEN
     ]
     live = live_before(ops) if calls else []
-    return sum(_Call(ops, at, entry_of).redirect(live[at + 5]) for at in calls)
+    made = [call for at in calls if (call := _Call(ops, at, entry_of)).redirect(live[at + 5])]
+    for place in sorted((call.look_up for call in made), reverse=True):
+        _look_up_once(ops, *place)
+    return len(made)
+
+
+def _look_up_once(ops: "list[Op]", begin: int, end: int) -> None:
+    """What these instructions find is kept in the code itself, which lies in memory."""
+    cell = Op(CELL)
+    known = [Op(LOAD_CONSTANT, cell=cell), Op(COMPARE), Op(BRANCH | _NOT_EQUAL, target=ops[end])]
+    for op in ops:
+        if op.target is ops[begin]:
+            op.target = known[0]
+    ops[end:end] = [Op(_ADDRESS_R1, cell=cell), Op(_STORE_THERE), cell]
+    ops[begin:begin] = known
 
 
 class _Call:
@@ -188,6 +207,7 @@ class _Call:
         self._at = at
         self._entry_of = entry_of
         self._slot = ops[at].code & 0xFF
+        self.look_up = (0, 0)  # where the function is looked up
 
     def redirect(self, live: int) -> bool:
         """Whether it goes to a second entry now. live: what is read behind it."""
@@ -223,9 +243,10 @@ class _Call:
         while not effects(ops[place - 1])[1] & 1:  # it may have waited in its register
             place -= 1
         *name, look_up, call = _codes(ops[place - 5 : place])
-        number = _number(name)
+        number, length = _number(name)
         if (look_up, call) != (_LOOK_UP, _BLX_R3) or number < 0:
             return None
+        self.look_up = (place - 2 - length, place)
         entry = self._entry_of(number)
         return entry if entry and len(entry.objects) == count & 0xFF else None
 
@@ -263,13 +284,14 @@ class _Call:
         return found
 
 
-def _number(codes: "list[int]") -> int:
-    """Of the name that these instructions load; -1: they do not."""
+def _number(codes: "list[int]") -> "tuple[int, int]":
+    """Of the name that these instructions load, the number, -1 where they do not; and how many
+    do."""
     if codes[-1] & 0xF83F == _NAME:
-        return codes[-1] >> 6 & 31
+        return codes[-1] >> 6 & 31, 1
     if [codes[0], codes[1] & 0xFF00, codes[2]] == _FAR_NAME:
-        return (codes[1] & 0xFF) // 2 + 31
-    return -1
+        return (codes[1] & 0xFF) // 2 + 31, len(_FAR_NAME)
+    return -1, 0
 
 
 def _changes(code: int) -> bool:

@@ -17,6 +17,8 @@ _CALL_READS = 0xF | ALL & 0xF0  # arguments, and whatever an exception goes back
 _CALL_WRITES = 0xF | LR | FLAGS
 
 NOP = 0xBF00
+# A word of the function's own in the middle of its code, 0 at first, and a jump around it.
+CELL = 0x1E002
 JUMP = 0xE000
 BRANCH = 0xD000  # with a condition, in four bits
 LOAD_CONSTANT = 0x4800
@@ -33,6 +35,7 @@ _FURTHEST_JUMP = 2046
 _FURTHEST_BRANCH = 254
 _FURTHEST_POOL = 1020
 _FAR = 10  # bytes of a jump or constant that does not reach
+_CELL_BYTES = 8  # of a cell, with what is around it
 
 
 class NotUnderstood(ValueError):
@@ -41,11 +44,13 @@ class NotUnderstood(ValueError):
 
 @dataclass(eq=False)
 class Op:
-    """An instruction. target: of a jump or branch; value: the constant it loads."""
+    """An instruction. target: of a jump or branch; value: the constant it loads; cell: the word
+    that it loads, or whose address."""
 
     code: int
     target: "Op | None" = None
     value: "int | None" = None
+    cell: "Op | None" = None
 
     @property
     def jumps(self) -> bool:
@@ -136,7 +141,7 @@ def effects(op: Op) -> "tuple[int, int]":
         return middle | (0 if loads else low), low if loads else 0
     if code < 0xA000:
         return (0, eight) if code & 0x800 else (eight, 0)
-    if code & 0xF800 == 0xA800:
+    if code < 0xB000:
         return 0, eight
     return _rest(op)
 
@@ -167,7 +172,7 @@ def _rest(op: Op) -> "tuple[int, int]":
     code = op.code
     if op.branches:
         return FLAGS, 0
-    if code in (JUMP, NOP) or code & 0xFF00 == 0xB000:
+    if code in (JUMP, NOP, CELL) or code & 0xFF00 == 0xB000:
         return 0, 0
     if code & 0xFF00 == 0xB200:  # sxth and the like
         return 1 << (code >> 3 & 7), 1 << (code & 7)
@@ -193,7 +198,7 @@ class _Layout:
 
     def __init__(self, ops: "Sequence[Op]") -> None:
         self._ops = ops
-        self._size = {op: _FAR + 2 * op.branches if _is_wide(op) else 2 for op in ops}
+        self._size = {op: _most(op) for op in ops}
         self._at: dict[Op, int] = {}
         self._end = 0
 
@@ -227,7 +232,7 @@ class _Layout:
         if op.value is not None:
             return 2 if self._pool[op.value] - self._at[op] <= _FURTHEST_POOL else _FAR
         if op.target is None:
-            return 2
+            return _CELL_BYTES if op.code == CELL else 2
         way = abs(self._at[op.target] - self._at[op] - 4)
         if op.branches:
             return 2 if way <= _FURTHEST_BRANCH else 4 if way < _FURTHEST_JUMP else _FAR + 2
@@ -239,6 +244,10 @@ class _Layout:
             if size == 2:
                 return _words(op.code | (self._pool[op.value] - (at + 4 & -4)) // 4)
             return _aligned(at, [op.code, _OVER_WORD + (at & 2 == 0)], op.value)
+        if op.cell:
+            return _words(op.code | ((self._at[op.cell] + 4 & -4) - (at + 4 & -4)) // 4)
+        if op.code == CELL:
+            return _words(JUMP | 2, *((0, 0, NOP) if at & 2 else (NOP, 0, 0)))
         if op.target is None:
             return _words(op.code)
         way = self._at[op.target] - at - 4
@@ -249,8 +258,10 @@ class _Layout:
         return _words((op.code ^ 0x100) | (size - 4) // 2) + _jump(at + 2, way - 2, size - 2)
 
 
-def _is_wide(op: Op) -> bool:
-    return op.target is not None or op.value is not None
+def _most(op: Op) -> int:
+    if op.target is not None or op.value is not None:
+        return _FAR + 2 * op.branches
+    return _CELL_BYTES if op.code == CELL else 2
 
 
 def _jump(at: int, way: int, size: int) -> bytes:
