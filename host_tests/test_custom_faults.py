@@ -11,6 +11,7 @@ import pytest
 from base import errors
 from base import state as st
 from boot import power_up
+from micropython_runner import needs_micropython, placed_firmware, run_micropython
 from test_custom import Bench, lines
 from typer.testing import CliRunner
 from ugrbl.cli.app import app
@@ -413,3 +414,32 @@ def test_check_takes_who_looks_at_the_state_behind_a_reset(tmp_path: Path) -> No
     look = "if m.state == 'Idle': m.set_length(3)"
     file.write_text(f"from ugrbl import on\n@on.after_reset\ndef a(m):\n    {look}\n")
     assert CliRunner().invoke(app, ["custom", "check", str(file)]).exit_code == 0
+
+
+# As MicroPython has it
+
+_ON_MICROPYTHON = """
+import json
+from extras.keep import Keep
+class Saves:
+    def load(self, name): return ['["v", nan]', '5', '[["x"], 3]', '["u"', '["a", 8]']
+    def save(self, name, lines): print(sorted(lines))
+keep = Keep(Saves())
+keep["true"] = True
+for name, value in (("n", float("nan")), ("i", -float("inf")), ((1, 2), 3)):
+    try:
+        keep[name] = value
+    except (TypeError, ValueError) as fault:
+        print(fault)
+keep.write()
+"""
+
+
+@needs_micropython
+def test_what_is_kept_can_be_read_again_by_micropython() -> None:
+    assert run_micropython(_ON_MICROPYTHON, paths=[placed_firmware()]).splitlines() == [
+        "keep: n is not finite",
+        "keep: i is not finite",
+        "keep: (1, 2) is no text",
+        """['["a", 8]', '["true", 1]']""",
+    ]
