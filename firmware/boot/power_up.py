@@ -48,7 +48,7 @@ def live(parts: "Parts | None") -> "Controller | None":
         except KeyboardInterrupt as stop:
             # Ctrl-X, if it has ended what would not come back; else the prompt is asked for.
             fault = stop if watch.take() else None
-        except Exception as unforeseen:
+        except (Exception, SystemExit) as unforeseen:  # sys.exit() would leave motors running
             fault = unforeseen
         port.safe()
         engine.stop()

@@ -32,7 +32,8 @@ _G10 = const(100)  # in tenths
 _GRBLS_L = (2, 20)
 
 
-def _key(letter: str, number: "float | str") -> "Key":
+def word_of(letter: str, number: "float | str") -> "Key":
+    """A word by what tells it from others: 81, 81.0 and "81" are one. ValueError for no number."""
     plain, _, its_l = str(number).partition(" L")
     return letter, _tenths(float(plain)), _tenths(float(its_l or 0))
 
@@ -146,7 +147,7 @@ class Cnc:
 
     def is_taken(self, letter: str, number: "float | str") -> bool:
         """Whether Grbl, or somebody else, has that G or M word."""
-        key = _key(letter, number)
+        key = word_of(letter, number)
         if key in self._words:
             return True
         is_free = key[1] == _G10 and key[2] and key[2] // 10 not in _GRBLS_L
@@ -164,7 +165,7 @@ class Cnc:
             raise ValueError("%s%s is taken" % (letter, number))
         if not self._words:
             self._put_around_lines()
-        key = _key(letter, number)
+        key = word_of(letter, number)
         self._words[key] = call, letters, sync, letters.upper() + ("NL" if key[2] else "N")
 
     def without_commands(self, letters: bytes) -> None:

@@ -14,6 +14,7 @@ from base.faults import harmless, trace
 from micropython import const
 
 from extras import handlers
+from extras.api import word_of
 from extras.happenings import Happenings
 from extras.machine_operator import Operator
 from extras.runner import TRACE, Runner
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
     from interfaces import Options
 
-    from extras.api import Cnc
+    from extras.api import Cnc, Key
     from extras.handlers import Function, Note
 
 _API = "ugrbl"  # the name by which custom.py knows handlers.py
@@ -53,10 +54,10 @@ def install(cnc: "Cnc") -> None:
     custom = Custom(cnc, runner, Happenings(cnc, runner))
     try:
         custom.take(_read(_found["modules"]))
-    except Exception as fault:
-        custom.drop(fault)
     except KeyboardInterrupt:
         custom.drop(RuntimeError("Ctrl-C while it was read"))
+    except BaseException as fault:  # sys.exit(), too
+        custom.drop(fault)
 
 
 def _read(modules: "tuple[str, ...]") -> "list[Note]":
@@ -95,15 +96,20 @@ class Custom:
         self._runner = runner
 
     def take(self, notes: "list[Note]") -> None:
-        """Take up what has been noted, all or nothing. ValueError where something is taken."""
+        """Take up what has been noted, all or nothing: what is wrong is found before anything is
+        put around the machine. ValueError where something is taken, TypeError for letters that
+        are no text."""
         kinds = (handlers.M, handlers.G)
         words = [note for note in notes if note[0] in kinds]
         events = [note for note in notes if note[0] not in kinds]
-        seen: "list[tuple[str, Any]]" = []
-        for kind, key, _, _, _ in words:
-            if (kind, key) in seen or self._cnc.is_taken(kind, key):
+        changes = [("M", 6, "t")] if "tool_change" in [note[0] for note in events] else []
+        seen: "list[Key]" = []
+        for kind, key, letters in changes + [note[:3] for note in words]:
+            if word_of(kind, key) in seen or self._cnc.is_taken(kind, key):
                 raise ValueError("%s%s is taken" % (kind, key))
-            seen.append((kind, key))
+            if not isinstance(letters, str):
+                raise TypeError("%s%s: its letters are no text" % (kind, key))
+            seen.append(word_of(kind, key))
         for kind, key, _, _, _ in events:
             if kind == handlers.INPUT:
                 self._runner.operator.pin(key)  # which says that there is none
@@ -119,7 +125,7 @@ class Custom:
         self._cnc.before_lines(self._happenings.between_lines)
         self._tell_build(harmless("Custom: " + ", ".join(names)))
 
-    def drop(self, fault: Exception) -> None:
+    def drop(self, fault: BaseException) -> None:
         """The machine is the plain one."""
         handlers.take()
         text = harmless("Custom left out: " + self._runner.text(trace(fault)))

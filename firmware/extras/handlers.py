@@ -61,11 +61,20 @@ class Refuse(Exception):
 def _note(
     kind: str, key: "Any", letters: str, sync: "bool | None"
 ) -> "Callable[[Function], Function]":
+    if sync is not True and sync is not False and sync is not None:
+        raise TypeError("sync is True, False or None, not %r" % (sync,))
+
     def note(function: "Function") -> "Function":
         _notes.append((kind, key, letters, sync, function))
         return function
 
     return note
+
+
+def _refuse_bare(argument: "Any", example: str) -> None:
+    """A decorator without parentheses gets the function, which would vanish."""
+    if callable(argument):
+        raise TypeError("write @" + example)
 
 
 def mcode(
@@ -77,6 +86,7 @@ def mcode(
     sync: the handler runs when motion has come to its end; False: when the blocks planned before
     it have, and motion goes on; None: as its line is read, ahead of motion, for words that become
     other G-code: what it has m.g() plan joins what is planned."""
+    _refuse_bare(number, "mcode(100)")
     return _note(M, number, letters, sync)
 
 
@@ -86,11 +96,13 @@ def gcode(
     sync: "bool | None" = True,
 ) -> "Callable[[Function], Function]":
     """The same for a G word: 81, 81.1, or with an L that Grbl has no use for, "10 L1"."""
+    _refuse_bare(number, "gcode(101)")
     return _note(G, number, letters, sync)
 
 
 def every(ms: int) -> "Callable[[Function], Function]":
     """Called again and again, not more often than once in so many milliseconds."""
+    _refuse_bare(ms, "every(50)")
     if ms < 1:
         raise ValueError("every: %r is no number of milliseconds" % ms)
     return _note(EVERY, ms, "", False)
@@ -106,6 +118,7 @@ class On:
 
     def input(self, name: str) -> "Callable[[Function], Function]":
         """The input that the board file calls so has changed."""
+        _refuse_bare(name, 'on.input("name")')
         return _note(INPUT, name, "", False)
 
 

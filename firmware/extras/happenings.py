@@ -9,6 +9,7 @@ import micropython
 from base import errors
 from base import state as st
 from base.errors import Abort, GrblError
+from base.faults import harmless
 from control import coolant
 from control import spindle as sp
 from language.block import HIGHEST_TOOL
@@ -39,7 +40,18 @@ _MOST_DUE = const(16)
 # and its own calls want the rest.
 _STACK_BYTES = const(3712)
 _M6 = const(6)
+_GREETINGS = ("startup", "after_reset")
+# No alarm, or that of a sender who has reset the machine as it moved.
+_SENDERS = (0, errors.ALARM_ABORT_CYCLE, errors.ALARM_HOMING_FAIL_RESET)
 _SPINDLE = {sp.OFF: "M5", sp.CW: "M3", sp.CCW: "M4"}
+
+
+def _field(found: "Any") -> str:
+    """What a handler of on.report has returned, without what ends a report; nothing where it is
+    neither text nor number."""
+    if not isinstance(found, (str, int, float)):
+        return ""
+    return harmless(str(found)).replace("<", " ").replace(">", " ")
 
 
 class Happenings:
@@ -62,6 +74,9 @@ class Happenings:
         self._pause: "Callable[[], None] | None" = None  # a program's, which is due
         self._field = ""
         self._changed = bytearray(1)
+        # Who has failed behind a welcome; whether that has brought about the one that comes.
+        self._failed: "list[Function]" = []
+        self._has_failed = False
         # Words that wait for blocks planned before them: how many, and what they say.
         self._marks: "list[list[Any]]" = []
         self._tail = 0
@@ -77,7 +92,11 @@ class Happenings:
             self._handlers.setdefault(kind, []).append((what, function))
 
     def _happen(self, name: str, *values: "Any") -> None:
-        if name not in self._handlers or self._state.run == st.CHECK:
+        if self._state.run != st.CHECK:
+            self._put(name, *values)
+
+    def _put(self, name: str, *values: "Any") -> None:
+        if name not in self._handlers:
             return
         due = self._due if name in handlers.MOVING else self._beside
         if len(due) < _MOST_DUE:
@@ -110,11 +129,29 @@ class Happenings:
             self._machine.canon.synchronise()
             word: "dict[str, Any] | None" = {} if name == "tool_change" else None  # M6
             for what, function in self._handlers[name]:
-                self._runner.run(what, function, True, values, word)
+                if name in _GREETINGS:
+                    self._greet(what, function)
+                else:
+                    self._runner.run(what, function, True, values, word)
+
+    def _greet(self, what: str, function: "Function") -> None:
+        """Behind a welcome. Who brings another one about is not asked again behind that: there
+        would be no end of it, and no way to unlock the machine."""
+        if function in self._failed:
+            return
+        try:
+            self._runner.run(what, function, True)
+        finally:
+            if self._state.alarm not in _SENDERS:
+                self._failed.append(function)
+                self._has_failed = True
 
     @micropython.native
     def turn(self) -> None:
-        """Those that run beside motion hear of what has happened, where there is room."""
+        """Those that run beside motion hear of what has happened, where there is room. In check
+        mode nobody does; what has changed meanwhile is heard of behind it."""
+        if self._state.run == st.CHECK:
+            return
         self._notice()
         if self._is_beside or micropython.stack_use() > _STACK_BYTES:
             return
@@ -127,7 +164,7 @@ class Happenings:
                     for what, function in self._handlers[name]
                 ]
                 if name == handlers.REPORT:
-                    self._field = "|".join([text for text in found if text])
+                    self._field = "|".join([text for text in map(_field, found) if text])
             self._turn_timers()
             self._turn_marks()
         finally:
@@ -158,7 +195,9 @@ class Happenings:
     # Words that go with the blocks planned before them
 
     def defer(self, what: str, function: "Function", given: "dict[str, Any]") -> None:
-        """Run the handler when the blocks that wait now have been made."""
+        """Run the handler when the blocks that wait now have been made. GrblError where it is
+        left out."""
+        self._runner.refuse_left_out(what, function)
         flow = self._machine.planner.flow
         self._machine.canon.finish()
         self._machine.canon.auto_start()
@@ -242,7 +281,7 @@ class Happenings:
 
     def _select(self, tool: int) -> None:
         """T, on a line of its own or with others."""
-        if tool != self._runner.operator.tool:
+        if tool != self._runner.operator.tool and self._state.run != st.CHECK:
             self._runner.operator.tool = tool
             self._happen("tool_select", tool)
 
@@ -251,7 +290,11 @@ class Happenings:
         self._due.clear()
         self._marks.clear()
         self._beside = [each for each in self._beside if each[0] == "alarm"]
-        self._happen("after_reset" if self._has_started else "startup")
+        if not self._has_failed:
+            self._failed.clear()
+        self._has_failed = False
+        # Also where check mode has been left: the reset has taken the tool's length with it.
+        self._put("after_reset" if self._has_started else "startup")
         self._has_started = True
 
     def _homed(self, was: int) -> None:

@@ -27,10 +27,15 @@ class Keep:
 
     def _read(self) -> "dict[str, Any]":
         if self._values is None:
-            self._values = {}
+            values = {}
             for line in self._saves.load(_FILE) or ():
-                name, value = json.loads(line)
-                self._values[name] = value
+                try:
+                    name, value = json.loads(line)
+                except (ValueError, TypeError):
+                    continue  # damaged: the others are as they were
+                if isinstance(name, str):
+                    values[name] = value
+            self._values = values
         return self._values
 
     def __getitem__(self, name: str) -> "Any":
@@ -44,7 +49,14 @@ class Keep:
         return self._read().get(name, default)
 
     def __setitem__(self, name: str, value: "Any") -> None:
-        """TypeError where it is neither a number nor a text."""
+        """TypeError where it is neither a number nor a text, or its name is no text; ValueError
+        for a number without end. True and False are kept as 1 and 0."""
+        if isinstance(value, bool):
+            value = int(value)  # no int to MicroPython
+        if not isinstance(name, str):
+            raise TypeError("keep: %r is no text" % (name,))
+        if isinstance(value, float) and value - value != 0:  # inf, nan: nobody could read them
+            raise ValueError("keep: %s is not finite" % name)
         if not isinstance(value, (int, float, str)):
             raise TypeError("keep: %s is neither a number nor a text" % name)
         values = self._read()

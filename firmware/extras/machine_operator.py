@@ -88,8 +88,11 @@ class Operator(PinOperator):
         self._jogs.clear()
 
     def turn(self) -> None:
-        """Begin the jogs that have been asked for. Between two lines only."""
+        """Begin the jogs that have been asked for. Between two lines only. A line that has come
+        goes first: in Jog it would be refused; and behind it nobody wants them any more."""
         machine, state = self._machine, self._state
+        if self._jogs and machine.reader.has_line():
+            self._jogs.clear()
         while self._jogs:
             if state.run == st.IDLE and not machine.planner.empty():
                 return  # a line that has not begun
@@ -219,10 +222,13 @@ class Operator(PinOperator):
     # Motion that is asked for, also beside other motion
 
     def jog(self, axis: str, mm: float, rate: float) -> bool:
-        """Jog an axis by so many mm, at mm/min, as soon as no line is being executed. False, and
-        nothing, where the machine neither stands still nor jogs, or has enough to do."""
+        """Jog an axis by so many mm, at mm/min. False, and nothing, where the machine neither
+        stands still nor jogs, or has enough to do, or a line waits or, beside motion, is being
+        executed. A line that comes before the jog begins goes first, and the jog is forgotten."""
         self.look()
-        if self._state.run not in (st.IDLE, st.JOG) or len(self._jogs) >= _MOST_JOGS:
+        reader = self._machine.reader
+        is_late = reader.waiting() if self.may_move else reader.has_line()
+        if is_late or self._state.run not in (st.IDLE, st.JOG) or len(self._jogs) >= _MOST_JOGS:
             return False
         self._jogs.append("$J=G21G91%s%.4fF%.1f" % (axis.upper(), mm, rate))
         self._state.pending[st.ANY] = 1

@@ -81,13 +81,14 @@ class PinOperator:
         self,
         name: str,
         share: float,
-        hz: int = 1000,  # keep-name: custom.py may say hz=
+        hz: float = 1000,  # keep-name: custom.py may say hz=
     ) -> None:
         """Have an output make pulses, hz of them in a second, on for that share of the time, from
         0 to 1. For the rest it is as m.out()."""
         if not (0 <= share <= 1 and _LOWEST_HZ <= hz <= _HIGHEST_HZ):
             raise ValueError("m.pwm: a share from 0 to 1, at 20 to 40000 Hz")
         index = _index(self._outputs, name, "output")
+        hz = whole(hz + 0.5)  # the numbers of a line are floats, which PWM does not take
         self._set_level(index, share > 0)
         self._machine.port.pulse(index, hz, whole(share * _ALWAYS + 0.5))
         self._hz[index] = hz

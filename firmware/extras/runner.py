@@ -58,7 +58,7 @@ class Runner:
         """Run a handler; returns what it returns. given: of a word, its parameters. Raises
         GrblError where that refuses its line, and Abort where the machine has been stopped."""
         operator, state = self.operator, self._machine.state
-        if function in self._out:
+        if function in self._out and not may_move:
             return None
         outer = operator.begin(may_move)
         was_running, self.is_running = self.is_running, True
@@ -70,7 +70,9 @@ class Runner:
             if state.pending[st.RESET]:
                 raise Abort
             return None  # the line's end tells of the alarm
-        except Exception as fault:
+        except KeyboardInterrupt as stop:
+            raise stop  # native code wants the name
+        except BaseException as fault:  # sys.exit() is no way out of the machine
             if isinstance(fault, Abort) or state.pending[st.RESET]:
                 raise Abort
             if isinstance(fault, handlers.Refuse) and given is not None and may_move:
@@ -108,7 +110,7 @@ class Runner:
         name = file.replace("\\", "/").rsplit(".", 1)[0]
         return any((name == module or name.endswith("/" + module)) for module in self._modules)
 
-    def _fail(self, what: str, fault: Exception, may_move: bool) -> None:
+    def _fail(self, what: str, fault: BaseException, may_move: bool) -> None:
         """A handler has failed: say so, and stop the machine."""
         machine = self._machine
         lines = trace(fault)
@@ -119,8 +121,18 @@ class Runner:
         if may_move:
             machine.canon.synchronise()
         else:
-            machine.report.message(what + " is left out until power-up")
+            self._tell_left_out(what)
         self.operator.halt()
+
+    def _tell_left_out(self, what: str) -> None:
+        self._cnc.message(what + " is left out until power-up")
+
+    def refuse_left_out(self, what: str, function: "Function") -> None:
+        """GrblError where a word's handler beside motion is left out: the sender would take its
+        line as done."""
+        if function in self._out:
+            self._tell_left_out(what)
+            raise GrblError(errors.INVALID_STATEMENT)
 
     # The main loop's turn, between two lines
 

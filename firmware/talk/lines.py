@@ -180,6 +180,11 @@ class LineReader:
         """Bytes have come that take() has not seen."""
         return self._at[_HEAD] != self._at[_TAIL]
 
+    def has_line(self) -> bool:
+        """A line has been taken, or is on its way: take() has not come to an empty ring since."""
+        at = self._at
+        return at[_HEAD] != at[_TAIL] or at[_LENGTH] > 0 or at[_SKIPPING] > 0
+
     def clear(self) -> None:
         """Forget everything received, the line in progress too."""
         self._at[_TAIL] = self._at[_HEAD]

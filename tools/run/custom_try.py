@@ -28,12 +28,14 @@ _PROBE = b"G21 G91 G38.2 Z-5 F200"
 _HOMING = (b"$22=1", b"$H")
 _BROKEN_OFF = (*(_MOVE,) * 20, b"\x18")  # more than are planned: it moves when the reset comes
 _SHORT = b"G4 P0.2"
+_UNLOCKED = (*_BROKEN_OFF, b"$X", _SHORT)
+_IN_ALARM = ": in Alarm, behind a reset in motion; look at m.state before m.g"
 # What brings an event about.
 LINES: dict[str, tuple[bytes, ...]] = {
     "startup": (_SHORT,),
     "after_homing": _HOMING,
     "after_reset": (b"\x18", _SHORT),
-    "after_unlock": (*_BROKEN_OFF, b"$X", _SHORT),
+    "after_unlock": _UNLOCKED,
     "state_change": (_MOVE,),
     "tool_select": (b"T1",),
     "tool_change": (b"T1", b"M6"),
@@ -68,7 +70,7 @@ def _try(note: Any, board: str, around: Around) -> tuple[str, bool]:
     """What came of it in words, and whether that is well."""
     kind, key, letters, _, _ = note
     what = called(note)
-    runs = _words(what, letters) if kind in "MG" else [_event(kind, key)]
+    runs = _words(what, letters) if kind in "MG" else _events(kind, key)
     said = ""
     for lines in runs:
         rig = _rig(lines, kind, key, board, around)
@@ -79,7 +81,8 @@ def _try(note: Any, board: str, around: Around) -> tuple[str, bool]:
         told = [text[5:-1] for _, text in rig.link.result.other_output if text[:5] == "[MSG:"]
         faults = [fault for fault in rig.guest.faults if fault.startswith(f"{what}: ")]
         if stopped or faults or rig.link.result.stopped:
-            return (faults or [stopped or rig.link.result.stopped])[0], False
+            why = (faults or [stopped or rig.link.result.stopped])[0]
+            return why + (_IN_ALARM if lines is _UNLOCKED and kind == "after_reset" else ""), False
         if what not in rig.guest.ran:
             return "not tried: could not be brought about here", True
         refused = [reply for _, reply in rig.link.result.errors]
@@ -95,10 +98,12 @@ def _words(word: str, letters: str) -> list[tuple[bytes, ...]]:
     return [(line, _SHORT) for line in lines]
 
 
-def _event(kind: str, key: Any) -> tuple[bytes, ...]:
+def _events(kind: str, key: Any) -> list[tuple[bytes, ...]]:
+    """Programs: what comes behind a reset comes behind one that is an alarm, too."""
     if kind == "every":
-        return (f"G4 P{3 * key / 1000:.3f}".encode(), _SHORT)
-    return LINES.get(kind, (_SHORT,))
+        return [(f"G4 P{3 * key / 1000:.3f}".encode(), _SHORT)]
+    lines = LINES.get(kind, (_SHORT,))
+    return [lines, _UNLOCKED] if kind == "after_reset" else [lines]
 
 
 def _rig(lines: Sequence[bytes], kind: str, key: Any, board: str, around: Around) -> "Rig":

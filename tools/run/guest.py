@@ -111,7 +111,7 @@ class WatchedOperator(Operator):
         if self.guest.switched:
             self.guest.switched(name, bool(on))
 
-    def pwm(self, name: str, share: float, hz: int = 1000) -> None:
+    def pwm(self, name: str, share: float, hz: float = 1000) -> None:
         """As on the board."""
         super().pwm(name, share, hz)
         if self.guest.switched:
@@ -143,7 +143,10 @@ class WatchedRunner(Runner):
         guest = self.guest
         guest.running.append(what)
         try:
-            return super().run(what, function, may_move, values, given)
+            found = super().run(what, function, may_move, values, given)
+            if what == "on.report" and not isinstance(found, str | None):
+                guest.faults.append(f"{what}: it returns {found!r}, and not a text or None")
+            return found
         except KeyboardInterrupt as stop:
             guest.interrupted = f"{what}: {guest.place(stop)}".removesuffix(": ")
             raise
@@ -151,7 +154,7 @@ class WatchedRunner(Runner):
             guest.running.pop()
             guest.ran.append(what)
 
-    def _fail(self, what: str, fault: Exception, may_move: bool) -> None:
+    def _fail(self, what: str, fault: BaseException, may_move: bool) -> None:
         self.guest.faults.append(f"{what}: {self.guest.at(fault)}")
         super()._fail(what, fault, may_move)
 
@@ -177,7 +180,7 @@ class WatchedCustom(Custom):
             self._guest.examine(self._cnc, notes)
         super().take(notes)
 
-    def drop(self, fault: Exception) -> None:
+    def drop(self, fault: BaseException) -> None:
         """With what can be said of it."""
         handlers.take()
         if isinstance(fault, OwnPythonError):

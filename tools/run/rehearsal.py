@@ -256,7 +256,7 @@ def main() -> None:
 
     def needed(line: int) -> None:
         if os.getppid() != parent:
-            sys.exit("who has asked for it is gone")
+            raise KeyboardInterrupt("who has asked for it is gone")
 
     _, forecast = rehearse(Job(**json.load(sys.stdin)), needed)
     json.dump(asdict(forecast), sys.stdout)

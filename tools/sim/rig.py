@@ -33,8 +33,9 @@ _SEGMENT_QUEUE = 5
 _POLL_MS = 1  # while nothing else is due, the firmware's loop turns this often
 
 
-class PowerOff(BaseException):
-    """Unwinds the firmware when the script ends or cycles the power."""
+class PowerOff(KeyboardInterrupt):
+    """Unwinds the firmware when the script ends or cycles the power. As Ctrl-C on a board it is
+    nothing that the user's own Python has done."""
 
 
 class MemoryStore:

@@ -1,0 +1,445 @@
+"""custom.py: what fails, and what is odd, does no harm and has an end."""
+
+import sys
+from collections.abc import Callable, Iterator
+from itertools import count
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from base import errors
+from base import state as st
+from boot import power_up
+from micropython_runner import needs_micropython, placed_firmware, run_micropython
+from test_custom import Bench, lines
+from typer.testing import CliRunner
+from ugrbl.cli.app import app
+
+Make = Callable[[str], Bench]
+
+_count = count()
+_REFUSED = f"error:{errors.INVALID_STATEMENT}"
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
+    """Makes one: each with a module of its own name."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    def make(text: str) -> Bench:
+        head = "import sys\nfrom ugrbl import mcode, gcode, on, every, Refuse\nheard = []\n"
+        return Bench(tmp_path, f"custom_faults_{next(_count)}", head + text)
+
+    return make
+
+
+def length(said: "list[str]") -> str:
+    """The tool's, as $# says it."""
+    return next(line for line in said if line.startswith("[TLO:"))
+
+
+# Check mode
+
+_LENGTH = """
+@mcode(99)
+def measure(m): m.set_length(12.5)
+@on.after_reset
+def restore(m): m.set_length(12.5); heard.append(m.state)
+"""
+
+
+@pytest.mark.parametrize("leave", ["$C\n", "\x18"])
+def test_who_leaves_check_mode_has_the_tools_length_again(bench: Make, leave: str) -> None:
+    made = bench(_LENGTH)
+    said = made.say(*lines("M99", "$C", "G1X1F500"), (leave, "ms 300"), *lines("$#", "G0X1"))
+    assert length(said[4]) == "[TLO:12.500]" and said[5] == ["ok"]
+    assert made.heard == ["Idle"]
+
+
+def test_a_line_right_behind_check_mode_meets_the_length(bench: Make) -> None:
+    made = bench(_LENGTH)
+    said = made.say(*lines("$C"), ("$C\n", "banner"), ("$#\n", "ok"))
+    assert length(said[2]) == "[TLO:12.500]"
+
+
+def test_in_check_mode_no_handler_runs_at_all(bench: Make) -> None:
+    made = bench(
+        """
+@every(20)
+def tick(m): heard.append("tick"); m.out("vacuum", 1)
+@on.input("sensor")
+def sensor(m, closed): heard.append(closed)
+@on.state_change
+def change(m, was, now): heard.append(now)
+@on.report
+def field(m): heard.append("report"); return "Tk:1"
+@on.tool_select
+def select(m, tool): heard.append(tool)
+@mcode(100)
+def tool(m): heard.append(m.tool)
+"""
+    )
+    module: Any = sys.modules
+    seen: list[Any] = []
+
+    def forget() -> None:
+        module[made._name].heard.clear()
+
+    def see() -> None:
+        seen.extend(made.heard)
+
+    def close() -> None:
+        made.rig.port.push({"pin_22": True})
+
+    made.say(
+        *lines("$C"),
+        forget,
+        close,
+        *lines("T7", "M3S100", "M100"),
+        ("?", "ms 500"),
+        see,
+        ("$C\n", "ms 300"),
+        *lines("M100"),
+    )
+    assert seen == [], "within check mode"
+    assert True in made.heard, "what has changed meanwhile is heard of behind it"
+    assert made.heard[-1] != 7 and 0 in made.heard, "no tool has been selected"
+
+
+# Behind a welcome
+
+
+@pytest.mark.parametrize(
+    "body", ["m.g('G21 G90')", "1 / 0", "m.stop('no')", "m.home()", "raise Refuse('no')"]
+)
+@pytest.mark.parametrize("events", ["@on.after_reset", "@on.startup\n@on.after_reset"])
+def test_who_fails_behind_a_reset_is_one_alarm_and_the_machine_can_be_unlocked(
+    bench: Make, body: str, events: str
+) -> None:
+    made = bench(f"{events}\ndef a(m): {body}")
+    said = made.say(
+        ("", "ms 2000"),
+        *lines("$22=0", "$X"),
+        ("G1X9F500\n", "ms 500"),
+        ("\x18", "ms 3000"),
+        ("?", "ms 50"),
+        *lines("$X", "G0X0"),
+    )
+    at_start, behind = (made.greeting + said[0]).count("ALARM:34"), said[4].count("ALARM:34")
+    assert at_start == ("startup" in events and "m.g" not in body)
+    assert behind == ("stop" not in body), "m.stop() does no more in alarm"
+    assert said[5][0].startswith("<Alarm") and said[6][-1] == said[7][0] == "ok"
+
+
+def test_homing_that_fails_behind_a_reset_is_not_tried_for_ever(bench: Make) -> None:
+    made = bench("@on.after_reset\ndef a(m): heard.append(1); m.home()")
+    said = made.say(
+        *lines("$22=1", "$X"),
+        ("\x18", "ms 120000"),
+        ("?", "ms 50"),
+        ("$X\n", "ok"),
+        ("?", "ms 50"),
+    )
+    assert len([line for line in said[2] if line.startswith("ALARM")]) == 1
+    assert said[3][0].startswith("<Alarm") and said[5][0].startswith("<Idle")
+    assert made.heard == [1]
+
+
+def test_the_others_behind_a_reset_have_their_turn_all_the_same(bench: Make) -> None:
+    made = bench(
+        "@on.after_reset\ndef a(m): heard.append('a'); m.g('G21')\n"
+        "@on.after_reset\ndef b(m): heard.append('b')\n"
+    )
+    made.say(("G1X9F500\n", "ms 500"), ("\x18", "ms 3000"))
+    assert made.heard == ["a", "b"]
+
+
+def test_who_has_failed_behind_a_reset_is_asked_again_behind_the_next(bench: Make) -> None:
+    made = bench(
+        "@on.after_reset\ndef a(m):\n    heard.append(m.state)\n    if len(heard) < 2: 1 / 0\n"
+    )
+    made.say(("\x18", "ms 2000"), *lines("$X"), ("\x18", "ms 500"))
+    assert made.heard == ["Idle", "Idle"]
+
+
+def test_a_senders_reset_within_its_turn_gives_it_another(bench: Make) -> None:
+    made = bench("@on.after_reset\ndef a(m): heard.append(m.state); m.wait(1)")
+    made.say(("\x18", "ms 300"), ("\x18", "ms 3000"))
+    assert made.heard == ["Idle", "Idle"]
+
+
+# sys.exit()
+
+
+@pytest.mark.parametrize("way", ["sys.exit()", "raise SystemExit", "raise BaseException('x')"])
+@pytest.mark.parametrize("event", ["@mcode(100)", "@every(20)", "@mcode(100, '', False)"])
+def test_sys_exit_in_a_handler_is_a_failure_as_any_other(
+    bench: Make, way: str, event: str
+) -> None:
+    made = bench(f"@mcode(1000)\ndef on_(m): m.out('vacuum', 1)\n{event}\ndef a(m):\n    {way}")
+    said = made.say(("M3S500\nM100\n", "ms 3000"), *lines("$X"), ("G0X1\n", "idle"))
+    told = made.greeting + said[0]
+    assert "ALARM:34" in told and any("custom_faults" in line for line in told)
+    assert not made.power and made.outputs == 0 and said[-1] == ["ok"] and made.mm[0] == 1
+
+
+@pytest.mark.parametrize("way", ["sys.exit()", "raise BaseException('x')"])
+def test_sys_exit_at_the_top_of_the_file_gives_the_plain_machine(bench: Make, way: str) -> None:
+    made = bench(f"@mcode(100)\ndef a(m): pass\n{way}")
+    said = made.say(*lines("M100", "G0X1"))
+    assert any(line.startswith("[MSG:Custom left out: ") for line in made.greeting)
+    assert said == [["error:20"], ["ok"]]
+
+
+def test_sys_exit_anywhere_stops_the_motors_and_is_an_alarm() -> None:
+    did: list[str] = []
+    fates: Iterator[BaseException] = iter([SystemExit(), KeyboardInterrupt()])
+
+    def run() -> None:
+        raise next(fates)
+
+    def note(what: str) -> "Callable[..., None]":
+        return lambda *_: did.append(what)
+
+    wire = SimpleNamespace(
+        write=lambda data: did.append(bytes(data).decode().split(" ")[0]),
+        close=note("close"),
+        read_into=lambda buf: buf.__setitem__(0, 0x18) or 1,
+    )
+    machine = SimpleNamespace(
+        power_up=note("up"),
+        protocol=SimpleNamespace(run=run),
+        state=st.State(),
+        commands=SimpleNamespace(fault=""),
+    )
+    port = SimpleNamespace(safe=note("safe"), watch=note("watch"))
+    watch = SimpleNamespace(take=lambda: False, close=note("unwatch"))
+    parts: Any = (machine, wire, port, SimpleNamespace(stop=note("stop")), watch)
+    power_up.live(parts)
+    assert did[:3] == ["up", "safe", "stop"]
+    assert did[3] == f"ALARM:{errors.ALARM_INTERNAL}\r\n" and did[4] == "[MSG:SystemExit"
+
+
+# Reports
+
+
+@pytest.mark.parametrize(
+    ("returned", "field"),
+    [
+        ("5", "|5>"),
+        ("'Tk:1>\\r\\nok'", "|Tk:1   o-k>"),
+        ("'<Idle|Tk:[2]'", "| Idle|Tk: 2 >"),
+        ("None", ""),
+        ("['a']", ""),
+        ("object()", ""),
+        ("''", ""),
+    ],
+)
+def test_whatever_a_report_is_given_it_stays_one_line(
+    bench: Make, returned: str, field: str
+) -> None:
+    made = bench(f"@on.report\ndef r(m): return {returned}")
+    said = made.say(("?", "ms 50"), ("?", "ms 50"), *lines("G0X1"))
+    assert len(said[1]) == 1 and said[1][0].endswith(field or ">") and said[2] == ["ok"]
+    assert ("|Ov:" in said[1][0]) or field or said[1][0].count("|") <= 3
+
+
+# Kept
+
+
+_KEEP = """
+@mcode(100)
+def a(m): m.keep["a"] = 1
+@mcode(101)
+def b(m): m.keep[{name}] = {value}
+@mcode(102)
+def c(m): heard.append((m.keep.get("a"), m.keep.get("v")))
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("'v'", "float('nan')", "v is not finite"),
+        ("'v'", "-float('inf')", "v is not finite"),
+        ("(1, 2)", "3", "(1, 2) is no text"),
+        ("7", "3", "7 is no text"),
+    ],
+)
+def test_a_value_that_could_not_be_read_again_is_not_kept(
+    bench: Make, name: str, value: str, reason: str
+) -> None:
+    made = bench(_KEEP.format(name=name, value=value))
+    said = made.say(*lines("M100"), ("M101\n", "ms 2000"), *lines("$X", "M102"))
+    assert any(reason in line for line in said[1]) and made.heard == [(1, None)]
+    assert made.rig.store.files["keep"] == ['["a", 1]']
+
+
+def test_true_is_kept_as_1(bench: Make) -> None:
+    made = bench(_KEEP.format(name="'v'", value="True"))
+    made.say(*lines("M101", "M102"), ("", "ms 50"))
+    assert made.rig.store.files["keep"] == ['["v", 1]']
+
+
+def test_a_kept_value_that_is_damaged_takes_no_other_with_it(bench: Make) -> None:
+    made = bench(_KEEP.format(name="'v'", value="2"))
+    damaged = ['["v", nan]', "5", '[["x"], 3]', '["u"', '["a", 8]', '["w", 9]']
+    made.rig.store.files["keep"] = damaged
+    made.say(*lines("M102", "M102", "M101"), ("", "ms 50"))
+    assert made.heard == [(8, None), (8, None)]
+    assert made.rig.store.files["keep"] == ['["a", 8]', '["w", 9]', '["v", 2]']
+
+
+# Left out
+
+
+def test_a_word_beside_motion_that_is_left_out_is_refused(bench: Make) -> None:
+    made = bench(
+        "@mcode(62, 'P', sync=False)\ndef a(m, P):\n    if P == 5: 1 / 0\n    m.out('vacuum', P)\n"
+    )
+    said = made.say(("M62P5\n", "ms 2000"), *lines("$X", "M62P1"))
+    assert "ALARM:34" in said[0]
+    assert said[2] == ["[MSG:M62 is left out until power-up]", _REFUSED] and made.outputs == 0
+
+
+def test_who_has_failed_beside_motion_still_is_a_word_that_waits_for_it(bench: Make) -> None:
+    made = bench(
+        "@every(20)\n@mcode(100)\n"
+        "def a(m):\n    m.g('G91 G0 X3')\n    heard.append(m.target().x)\n"
+    )
+    said = made.say(("", "ms 2000"), *lines("$X", "M100"))
+    assert "ALARM:34" in made.greeting + said[0]
+    assert said[2] == ["ok"] and made.heard == [3.0]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "@mcode(6)\ndef a(m): pass\n@on.tool_change\ndef b(m, tool): heard.append(tool)",
+        "@gcode(81)\ndef a(m): pass\n@gcode('81')\ndef b(m): pass",
+        "@gcode(81)\ndef a(m): pass\n@gcode(81.0)\ndef b(m): pass",
+        "@mcode(100)\ndef a(m): pass\n@mcode(101, ['P', 'q'])\ndef b(m, P): pass",
+        "@mcode(100)\ndef a(m): pass\n@mcode('x')\ndef b(m, P): pass",
+        "@mcode(100)\ndef a(m): pass\n@mcode\ndef b(m): pass",
+        "@mcode(100)\ndef a(m): pass\n@gcode\ndef b(m): pass",
+        "@mcode(100)\ndef a(m): pass\n@every\ndef b(m): pass",
+        "@mcode(100)\ndef a(m): pass\n@on.input\ndef b(m, closed): pass",
+        "@mcode(100)\ndef a(m): pass\n@mcode(101, sync=0)\ndef b(m): pass",
+        "@mcode(100)\ndef a(m): pass\n@mcode(101, sync='no')\ndef b(m): pass",
+    ],
+)
+def test_what_is_left_out_is_left_out_whole(bench: Make, text: str) -> None:
+    others = (
+        "@on.spindle\ndef s(m, *_): heard.append('s')\n@every(20)\ndef e(m): heard.append(1)\n"
+    )
+    made = bench(others + text)
+    said = made.say(*lines("M100", "G81", "M101", "M6", "M3S100"), ("", "ms 100"))
+    assert [answer[-1] for answer in said[:4]] == ["error:20"] * 4
+    assert len([line for line in made.greeting if "Custom left out: " in line]) == 1
+    assert made._name not in sys.modules or made.heard == []
+
+
+def test_who_forgets_the_parentheses_is_told_how_it_is_written(bench: Make) -> None:
+    made = bench("@mcode\ndef a(m): pass\n@mcode(100)\ndef b(m): pass")
+    made.say(*lines("G0X1"))
+    assert any("write @mcode(100)" in line for line in made.greeting)
+
+
+def test_pulses_may_be_as_many_as_a_line_says(bench: Make) -> None:
+    made = bench("@mcode(100, 'Q')\ndef a(m, Q): m.pwm('vacuum', 0.5, hz=Q)")
+    pulses: list[Any] = []
+    made.say(*lines("M100Q499.6"), lambda: pulses.append(dict(made.rig.port.own_pulses)))
+    assert pulses == [{0: (500, 32768)}] and isinstance(pulses[0][0][0], int)
+
+
+# Jogs
+
+_JOG = """
+@on.input("sensor")
+def sensor(m, closed):
+    if closed: heard.append(m.jog("x", 1, 500))
+"""
+
+
+@pytest.mark.parametrize("at_ms", [*range(0, 600, 60), 440, 460, 485, 499])
+def test_no_line_is_lost_to_a_jog(bench: Make, at_ms: int) -> None:
+    made = bench(_JOG)
+
+    def close() -> None:
+        made.rig.port.push({"pin_22": True})
+
+    program = "G4P0.5\nG1X5F500\nG1X3\nM5\n"
+    said = made.say((program, f"ms {at_ms}"), close, ("", "ms 4000"))
+    assert [*said[0], *said[1]] == ["ok"] * 4 and made.mm[0] == 3
+    assert made.heard == [False]
+
+
+def test_at_rest_a_jog_begins_at_once(bench: Make) -> None:
+    made = bench(_JOG)
+    made.say(("G0X2\n", "idle"), lambda: made.rig.port.push({"pin_22": True}), ("", "ms 2000"))
+    assert made.heard == [True] and made.mm[0] == 3
+
+
+def test_a_line_that_has_come_makes_a_jog_forgotten(bench: Make) -> None:
+    made = bench('@mcode(100)\ndef a(m): heard.append(m.jog("x", 9, 500))')
+    said = made.say(("M100\nG0Y1\n", "idle"), *lines("M100"), ("", "ms 3000"))
+    assert said[0] == ["ok", "ok"] and made.heard == [False, True] and made.mm[:2] == [9, 1]
+
+
+# What `custom check` finds of it
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("@on.after_reset\ndef a(m): m.g('G21')", "refused with 9: G21: in Alarm, behind a reset"),
+        ("@on.report\ndef a(m): return 5", "on.report: it returns 5, and not a text or None"),
+        ("@mcode(100)\ndef a(m): sys.exit()", "mine.py, line 3: SystemExit"),
+        ("sys.exit()", "mine.py, line 2: SystemExit"),
+        ("@mcode\ndef a(m): pass", "mine.py, line 2: TypeError: write @mcode(100)"),
+        ("@mcode(100, sync='no')\ndef a(m): pass", "sync is True, False or None, not 'no'"),
+    ],
+)
+def test_check_tells_of_it_before_it_is_on_a_board(tmp_path: Path, text: str, told: str) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text("import sys; from ugrbl import mcode, on\n" + text)
+    done = CliRunner().invoke(app, ["custom", "check", str(file)], env={"COLUMNS": "500"})
+    assert done.exit_code == 1 and "BAD" in done.output and told in done.output
+
+
+def test_check_takes_who_looks_at_the_state_behind_a_reset(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    look = "if m.state == 'Idle': m.set_length(3)"
+    file.write_text(f"from ugrbl import on\n@on.after_reset\ndef a(m):\n    {look}\n")
+    assert CliRunner().invoke(app, ["custom", "check", str(file)]).exit_code == 0
+
+
+# As MicroPython has it
+
+_ON_MICROPYTHON = """
+import json
+from extras.keep import Keep
+class Saves:
+    def load(self, name): return ['["v", nan]', '5', '[["x"], 3]', '["u"', '["a", 8]']
+    def save(self, name, lines): print(sorted(lines))
+keep = Keep(Saves())
+keep["true"] = True
+for name, value in (("n", float("nan")), ("i", -float("inf")), ((1, 2), 3)):
+    try:
+        keep[name] = value
+    except (TypeError, ValueError) as fault:
+        print(fault)
+keep.write()
+"""
+
+
+@needs_micropython
+def test_what_is_kept_can_be_read_again_by_micropython() -> None:
+    assert run_micropython(_ON_MICROPYTHON, paths=[placed_firmware()]).splitlines() == [
+        "keep: n is not finite",
+        "keep: i is not finite",
+        "keep: (1, 2) is no text",
+        """['["a", 8]', '["true", 1]']""",
+    ]
