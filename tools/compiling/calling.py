@@ -147,18 +147,20 @@ def _front(types: "list[int]", table: int) -> bytes:
     """Code that takes objects, makes values of them on the stack, calls what is behind it with
     these, and returns its result as an object."""
     room = len(types) + (len(types) + 1) % 2  # with the registers, a multiple of 8 bytes
-    words = [0xB5B1, _ROOM | room, 0x6847, 0x68FF, table, 0x461D]
-    # cmp r2, #0; bne; cmp r1, #…; beq: else the counts, and what it takes, to who says so.
+    # push {r0, r4, r5, r7, lr}; room; MicroPython's table to register 7, the arguments to 5
+    words = [0xB5B1, _ROOM | room, _TABLES[0], _TABLES[2], table, _ARGUMENTS[2]]
+    # cmp r2, #0; bne; cmp r1, #…; beq over what tells of a wrong count: it is given the counts,
+    # and the right one, and does not return.
     words += [0x2A00, 0xD101, 0x2900 | len(types), 0xD000 | 6]
-    words += [0x4608, 0x4611, 0x4A00, 0x463B, 0x3334, 0x6FDB, 0x4798]
+    words += [*_ARGUMENTS[:2], 0x4A00, 0x463B, 0x3334, 0x6FDB, _BLX_R3]
     constant = words.index(0x4A00)
     for i, kind in enumerate(types):
         words.append(_ARGUMENT | i << 6)
         if kind:
             words += [SET | _R1 | kind, _FROM_OBJECT, _BLX_R3]
         words.append(STORE | i)
-    words += [0x466B, LOAD | room]
-    call = len(words)
+    words += [0x466B, LOAD | room]  # mov r3, sp; the function itself to register 0
+    call = len(words)  # bl, two half words; at the end, pop {r1, r4, r5, r7, pc}
     words += [0, 0, SET | _R1 | _INT, _TO_OBJECT, _BLX_R3, _ROOM_BACK | room, 0xBDB2]
     words += [NOP] * (len(words) % 2)
     words[constant] |= (len(words) - (constant + 2 & -2)) // 2
