@@ -29,7 +29,7 @@ from streaming import (
 from wire import EmulatedWire, Talk
 
 _ASKED = 700  # short moves per second
-_TOO_MUCH = 1600  # the same where the firmware is to be the limit
+_TOO_MUCH = 2400  # the same where the firmware is to be the limit
 _BLOCKS = 63
 _QUERY_US = 40_000
 

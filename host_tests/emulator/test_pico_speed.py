@@ -46,7 +46,7 @@ _ROWS: "dict[str, tuple[float, Sequence[str]]]" = {
             ["short moves, 700 asked, ? every 40 ms", "", "least blocks in the planner then", ""],
         ),
     ),
-    "the same without `?`": (1, ["short moves, 1600 asked", ""]),
+    "the same without `?`": (1, ["short moves, 2400 asked", ""]),
     "short moves in check mode": (1, ["short moves, check mode"]),
     "a laser's raster": (1, ["raster, G1 X S in M4"]),
     "short moves with a new F": (1, ["short moves, a new F each"]),
