@@ -10,6 +10,8 @@ from rich.console import Console
 from ..device.connection import BAUD, Connection, SendError
 from ..device.from_line import CannotEnter
 from ..grbl import gcode_file
+from ..run.machine import DEFAULT_BOARD
+from .custom_options import CustomFile, Inputs, around
 from .outputs import failed
 from .ports import Baud, Port, choose
 from .screen import show_problems
@@ -59,20 +61,25 @@ def command(
     board: Annotated[
         str | None, typer.Option(metavar="NAME", help="Board that the simulator is, for --check.")
     ] = None,
+    custom: CustomFile = None,
+    inputs: Inputs = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before it starts.")] = False,
 ) -> None:
     """Stream a program to a Grbl.
 
-    The simulator checks it first. Where the machine refuses a line, it is held and you are asked;
-    without a terminal the job ends. Ctrl-C, a closed terminal and SIGTERM hold the machine first.
-    Keys: space holds, ~ goes on, + and - change the feed. The exit code is 0 if all was done and
-    nothing was refused.
+    The simulator checks it first; with --custom it knows your own words, too. Where the machine
+    refuses a line, it is held and you are asked; without a terminal the job ends. Ctrl-C, a closed
+    terminal and SIGTERM hold the machine first. Keys: space holds, ~ goes on, + and - change the
+    feed. The exit code is 0 if all was done and nothing was refused.
     """
     console = Console()
     name = gcode_file.name_of(file)
     by_line = mode is Mode.LINE
-    options = Options(name, board, check_first, by_line, keep_going, from_line, yes)
+    options = Options(
+        name, board, check_first, by_line, keep_going, from_line, yes, custom, tuple(inputs or ())
+    )
     try:
+        around(board or DEFAULT_BOARD, custom, inputs)  # before anything is asked of a machine
         lines = _read(file, options, console)
         connection = Connection(choose(port), baud)
         try:

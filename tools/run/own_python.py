@@ -50,6 +50,14 @@ class OwnPython:
             f"{name.replace('.', '/')}.py": module.source for name, module in self.modules.items()
         }
 
+    def has_attribute(self, name: str) -> bool:
+        """Whether an attribute of that name is read or written anywhere: `m.keep`."""
+        return any(
+            isinstance(node, ast.Attribute) and node.attr == name
+            for module in self.modules.values()
+            for node in ast.walk(module.tree)
+        )
+
     def strings_given_to(self, *methods: str) -> "Iterator[tuple[Module, int, str]]":
         """Texts that stand as first argument of calls of these: `m.out("vacuum", 1)`."""
         for module in self.modules.values():
