@@ -739,3 +739,53 @@ def test_source_that_is_no_text_is_refused() -> None:
     Path("mine.py").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(OwnPythonError):
         own_python.read(Path("mine.py"))
+
+
+# What is read is not written over
+
+
+def _board_file() -> str:
+    return written(
+        (Path(custom_board.__file__).parents[2] / "boards/rpi_pico.py").read_text(), "b.py"
+    )
+
+
+@pytest.mark.parametrize(
+    ("command", "spared"),
+    [
+        ("custom check k.py --json k.py", "k.py"),
+        ("custom check k.py --json link.py", "k.py"),
+        ("custom check kf --json kf/a.py", "kf/a.py"),
+        ("custom check k.py --board b.py --json b.py", "b.py"),
+        ("run k.nc --json k.nc", "k.nc"),
+        ("run k.nc --custom k.py --json k.py", "k.py"),
+        ("run k.nc --board b.py --json b.py", "b.py"),
+        ("plot k.nc --custom kf -o k.svg --json kf/a.py", "kf/a.py"),
+        ("plot k.html", "k.html"),
+        ("sim --stdio --custom k.py --report k.py", "k.py"),
+        ("sim --stdio --settings k.set --report k.set", "k.set"),
+        ("build --board ./b.py --json ./b.py -o made", "b.py"),
+        ("deploy --board ./b.py --port nowhere --json ./b.py", "b.py"),
+        ("settings diff k.set --port nowhere --json k.set", "k.set"),
+        ("settings push k.set --port nowhere --json k.set", "k.set"),
+    ],
+)
+def test_a_file_that_is_read_is_not_written_over(command: str, spared: str) -> None:
+    _board_file()
+    for name in ("k.py", "kf/a.py"):
+        written(VACUUM, name)
+    for name in ("k.nc", "k.html"):
+        written("G21\n", name)
+    written("$110=600\n", "k.set")
+    Path("link.py").symlink_to("k.py")
+    before = Path(spared).read_text()
+    done = ugrbl(*command.split(), stdin="")
+    assert done.exit_code == 1 and "is what is read" in done.stderr, done.output
+    assert Path(spared).read_text() == before
+
+
+def test_a_result_goes_beside_what_is_read_and_over_an_older_one() -> None:
+    written(VACUUM, "kf/a.py")
+    for _ in range(2):
+        assert ugrbl("custom", "check", "kf", "--json", "kf/found.json").exit_code == 0
+    assert json.loads(Path("kf/found.json").read_text())["ok"]

@@ -41,7 +41,7 @@ def check(
     says. In the dry run letters are 1, and inputs come when they are waited for. The exit code is
     1 if something is wrong.
     """
-    check_output(json_file)
+    check_output(json_file, given=locals())
     console = Console(stderr=str(json_file) == "-")
     try:
         surroundings = around(board, file, inputs)
