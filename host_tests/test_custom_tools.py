@@ -350,7 +350,7 @@ def test_a_handler_without_an_end_is_told(
 ) -> None:
     before = signal.signal(signal.SIGINT, usual)
     request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
-    monkeypatch.setattr("ugrbl.run.custom_try._LONGEST_S", 1.0)
+    monkeypatch.setattr("ugrbl.run.watch.LONGEST_S", 1.0)
     code, found = checked(
         "from ugrbl import mcode\n@mcode(100)\ndef f(m):\n    while 1:\n        1\n"
     )
@@ -408,6 +408,87 @@ def test_pins_that_the_board_does_not_name_are_told() -> None:
 def test_a_board_of_the_simulator_has_the_pins_asked_for_and_says_so() -> None:
     done = ugrbl("custom", "check", written(VACUUM))
     assert "pins are taken as there: vacuum; --board NAME" in done.stdout
+
+
+def test_a_file_that_is_never_read_to_its_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ugrbl.run.watch.LONGEST_S", 1.0)
+    code, found = checked("from ugrbl import mcode\nwhile True:\n    pass\n")
+    assert code == 1 and not found["tried"]
+    assert "mine.py: no end of reading it within 1 s" in found["problems"][0]
+
+
+def test_a_print_would_go_among_the_answers() -> None:
+    code, found = checked(VACUUM + "    print('ok')\n")
+    assert code == 1
+    assert found["problems"] == [
+        "mine.py, line 7: print() goes among the answers to the sender: m.message(text) tells it "
+        "something"
+    ]
+    log = "import io\nlog = io.StringIO()\n"
+    assert checked(log + VACUUM + "    print('ok', file=log)\n")[0] == 0
+
+
+BUSES = """\
+import time
+from machine import ADC, I2C, PWM, RTC, SPI, UART, Pin, Timer, unique_id
+from ugrbl import mcode
+
+bus, wire, chips = UART(1, baudrate=9600), I2C(0, freq=400_000), SPI(0)
+lamp = Pin(25, Pin.OUT)
+beep = PWM(Pin(9))
+began = time.ticks_ms()
+
+@mcode(100)
+def look(m):
+    lamp.on()
+    lamp.toggle()
+    beep.freq(440)
+    beep.duty_u16(30_000)
+    assert lamp() == 0 and beep.duty_u16() == 30_000
+    assert bus.write(b"abc") == 3 and bus.read() is None and not bus.any()
+    assert wire.readfrom(0x20, 2) == b"\\0\\0" and wire.writeto(0x20, b"ab") == 2
+    assert chips.read(1) == b"\\0" and ADC(26).read_u16() == 0
+    time.sleep_ms(2)
+    assert 0 < time.ticks_diff(time.ticks_ms(), began) < 60_000
+    assert len(unique_id()) == 8 and RTC().datetime()[0] > 2000
+"""
+
+
+def test_hardware_that_is_not_there_does_nothing_and_reads_as_nothing() -> None:
+    code, found = checked(BUSES)
+    assert code == 0, found
+    assert [said for _, said, _ in map(dict.values, found["tried"])] == ["runs"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "import neopixel\n",
+        "from machine import lightsleep\n",
+        "import machine\nmachine.bootloader()\n",
+        "import micropython\nmicropython.mem_info()\n",
+        "from machine import Pin\nPin(4).low()\n",
+        "import gc\ngc.mem_free()\n",
+    ],
+)
+def test_what_only_boards_have_cannot_be_tried_here_and_is_not_wrong(text: str) -> None:
+    code, found = checked(text + VACUUM)
+    assert code == 1 and not found["problems"] and not found["tried"]
+    assert "boards have it, the simulator does not" in found["untried"][0]
+    said = ugrbl("custom", "check", "mine.py").stdout
+    assert "note cannot be tried here: mine.py, line " in said and "mine.py: not tried" in said
+
+
+def test_what_only_boards_have_in_a_handler_leaves_that_one_untried() -> None:
+    code, found = checked(VACUUM + "@mcode(101)\ndef f(m):\n    import neopixel\n")
+    assert code == 0
+    assert "not tried: M101: mine.py, line 9: ModuleNotFoundError" in found["tried"][1]["said"]
+
+
+def test_mistakes_with_ones_own_names_are_no_want_of_the_simulator() -> None:
+    for text in ("m.nothing\n", "None.x\n", "import nothing_at_all\n", "[].x\n"):
+        code, found = checked(text + VACUUM)
+        assert code == 1 and found["problems"] and not found["untried"]
 
 
 def test_without_micropythons_compiler_that_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -579,6 +660,14 @@ def test_push_of_a_file_that_fails_disturbs_no_board(shelf: FakeShelf) -> None:
     shelf.says = ["Custom: M102"]
     done = ugrbl("custom", "push", "mine.py", "--port", "x", "--anyway")
     assert done.exit_code == 0 and shelf.disk["custom.py"] == FAILING.encode()
+
+
+def test_push_anyway_takes_what_only_boards_have(shelf: FakeShelf) -> None:
+    written("import neopixel\n" + VACUUM)
+    done = ugrbl("custom", "push", "mine.py", "--port", "x")
+    assert done.exit_code == 1 and "--anyway" in done.stderr and shelf.log == []
+    done = ugrbl("custom", "push", "mine.py", "--port", "x", "--anyway")
+    assert done.exit_code == 0 and b"neopixel" in shelf.disk["custom.py"]
 
 
 def test_push_anyway_is_no_way_for_what_cannot_be_read(shelf: FakeShelf) -> None:

@@ -30,7 +30,7 @@ from .ports import Port
 
 __all__ = ["app"]  # with the commands that need no board
 
-Anyway = Annotated[bool, typer.Option("--anyway", help="Even if a handler fails in the dry run.")]
+Anyway = Annotated[bool, typer.Option("--anyway", help="Even if it fails in the dry run only.")]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
 _EXAMPLE = "\n\nExample:  ugrbl custom {}"
 _NEW = '''"""My own words for the machine: see docs/custom.md of ugrbl."""

@@ -21,6 +21,10 @@ class OwnPythonError(ValueError):
     """It cannot be read or compiled, or fails when it is imported: file, line and reason."""
 
 
+class LackError(OwnPythonError):
+    """It asks for something that boards have, and the simulator does not."""
+
+
 @dataclass(frozen=True)
 class Module:
     """One file. path: relative to the folder, or the file's own name."""
