@@ -12,6 +12,7 @@ import pytest
 from sim_bench import Bench
 from test_layers import BUILT_IN, EXTENSIBLE, FROZEN
 from typer.testing import CliRunner, Result
+from ugrbl.boardfile.options import BY_NAME
 from ugrbl.cli import custom_board
 from ugrbl.cli.app import app
 from ugrbl.device import checkup, custom_shelf
@@ -45,6 +46,13 @@ from ugrbl import mcode
 def feed(m):
     m.wait_for("part")
     m.wait_for("part", closed=False)
+"""
+PLAIN = """\
+from ugrbl import mcode
+
+@mcode(100)
+def hello(m):
+    m.message("hello")
 """
 FAILING = """\
 from ugrbl import mcode
@@ -828,6 +836,41 @@ def test_source_that_is_no_text_is_refused() -> None:
     Path("mine.py").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(OwnPythonError):
         own_python.read(Path("mine.py"))
+
+
+# Names of the board file
+
+
+@pytest.mark.parametrize(
+    "name", ["main", "boot", "board", "../x", "my file", "talk", "x.py", "if"]
+)
+def test_a_name_that_something_else_has_on_the_board_is_refused(
+    name: str, shelf: FakeShelf
+) -> None:
+    text = Path(_board_file()).read_text()
+    Path("b.py").write_text(f"{text}\nCUSTOM = {name!r}\n")
+    done = ugrbl("build", "--board", "b.py", "-o", "made")
+    assert done.exit_code == 1 and f"CUSTOM is {name!r}: it is the name of a file" in done.stderr
+    shelf.board["CUSTOM"] = name  # of a firmware that did not look at it
+    done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
+    assert done.exit_code == 1 and "mend the board file" in done.stderr
+    assert list(shelf.disk) == ["board.py"]
+
+
+def test_names_of_ones_own_and_none_are_taken() -> None:
+    for name in ("macros", "custom", ""):
+        assert not BY_NAME["CUSTOM"].problem(name)
+
+
+def test_pins_without_names_are_told_with_the_form_as_it_is_written() -> None:
+    assert BY_NAME["OUTPUTS"].problem(20) == 'OUTPUTS is 20 and not of the form {"vacuum": 20}'
+
+
+def test_a_board_that_new_board_has_written_is_found_by_its_file_name() -> None:
+    done = ugrbl("custom", "check", written(PLAIN), "--board", "rpi_pico.py")
+    assert done.exit_code == 0, done.output
+    done = ugrbl("custom", "check", "mine.py", "--board", "my_router.py")
+    assert "there is no file my_router.py here, nor in boards/: see ugrbl new-board" in done.stderr
 
 
 # What is read is not written over
