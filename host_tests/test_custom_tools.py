@@ -118,6 +118,14 @@ def test_a_tool_change_is_proved_with_question_probe_and_picture() -> None:
     assert "39" in Path("change.html").read_text()
 
 
+def test_steps_that_a_probe_has_stopped_are_not_told_as_lost() -> None:
+    code, found, done = ran("G21\nT1 M6\nG1 X2 F600\n", CHANGE, "--input", "probe=Z-30")
+    assert code == 0 and found["steps_probed"]["X"] == 0 < found["steps_probed"]["Z"]
+    made, planned = found["steps_made"]["Z"], found["steps_planned"]["Z"]
+    assert f"{planned} commanded, {made} made: stopped by the probe" in done.stdout
+    assert "!=" not in done.stdout and "commanded = " in done.stdout
+
+
 def test_a_drawing_has_the_moves_of_handlers() -> None:
     Path("job.nc").write_text("T1 M6\n")
     written(CHANGE)
@@ -769,6 +777,17 @@ def test_edit_without_a_change_pushes_nothing(
     done = ugrbl("custom", "edit", "--port", "x")
     assert done.exit_code == 0 and "nothing was changed" in done.stdout
     assert not any(line.startswith("write") for line in shelf.log)
+
+
+def test_an_editor_that_is_no_command_is_told_with_what_to_do(
+    shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("VISUAL", raising=False)
+    monkeypatch.setenv("EDITOR", '"')
+    done = ugrbl("custom", "edit", "--port", "x")
+    assert done.exit_code == 1 and shelf.log == []
+    assert '$VISUAL or $EDITOR is ": No closing quotation' in done.stderr
+    assert "export EDITOR=nano" in done.stderr
 
 
 def test_what_was_edited_and_is_wrong_is_not_lost(
