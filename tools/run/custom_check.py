@@ -19,7 +19,7 @@ from ..compiling.build import BuildError
 from . import machine, watch
 from .board_modules import ON_BOARDS, ON_ONE_CHIP
 from .machine import Around
-from .own_python import INPUT_CALLS, OUTPUT_CALLS, LackError, Module, OwnPython, OwnPythonError
+from .own_python import LackError, Module, OwnPython, OwnPythonError
 from .program import ProgramLink
 
 API = "ugrbl"
@@ -73,12 +73,12 @@ def read_off(own: OwnPython, board: Any, verdict: Verdict) -> None:
 def unknown_pins(own: OwnPython, outputs: Collection[str], inputs: Collection[str]) -> list[str]:
     """Names of pins that the board file does not have."""
     found = []
-    for calls, option, names in (
-        (OUTPUT_CALLS, "OUTPUTS", outputs),
-        (INPUT_CALLS, "INPUTS", inputs),
+    for asked, option, names in (
+        (own.outputs(), "OUTPUTS", outputs),
+        (own.inputs(), "INPUTS", inputs),
     ):
         known = f"there are {', '.join(names)}" if names else f"{option} names none"
-        for module, line, name in own.strings_given_to(*calls):
+        for module, line, name in asked:
             if name not in names:
                 what = f"{option[:-1].lower()} {name}"
                 found.append(
