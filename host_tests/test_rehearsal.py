@@ -230,7 +230,7 @@ def test_behind_a_probe_of_ones_own_the_place_is_where_it_touched(
     _, found = rehearse(own(here, tmp_path, ["M100 P1", "G21"], "probe=Z-12"))
     assert not found.refused and not found.stopped
     assert -13 < found.at_place[2] < -12 and found.outputs_on == ["vacuum"]
-    assert "[MSG:Custom: M100, M101]" in found.at_line
+    assert found.own == "M100, M101"
 
 
 def test_what_a_handler_prints_is_not_in_the_forecasts_way(

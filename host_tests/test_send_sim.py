@@ -335,12 +335,14 @@ def test_from_a_line_on_own_words_lead_where_their_file_says(
     assert place(own_bench)[1] == [6.0, 4.0, 5.0]
 
 
-def test_from_a_line_on_the_file_is_that_of_the_machine(own_bench: Bench, tmp_path: Path) -> None:
+@pytest.mark.parametrize("words", [[], ["--no-check", "--from-line", "4", "--yes"]])
+def test_a_file_that_is_not_the_machines_is_not_rehearsed_for_it(
+    own_bench: Bench, tmp_path: Path, words: list[str]
+) -> None:
     other = tmp_path / "other.py"
     other.write_text(OWN.replace("tool_change", "tool_select"))
-    words = ("--no-check", "--from-line", "4", "--yes", "--custom", str(other))
-    code, text = Send(own_bench, tmp_path, OWN_CUTS, *words).end()
-    said = "is not what the machine has: that has G101, M100, on.tool_change"
+    code, text = Send(own_bench, tmp_path, OWN_CUTS, *words, "--custom", str(other)).end()
+    said = "is not what the machine has: G101, M100, on.tool_change there, G101, M100, on.tool_s"
     assert code == 1 and said in " ".join(text.split())
     assert place(own_bench) == ("Idle", [0.0, 0.0, 0.0])
 

@@ -138,6 +138,7 @@ class Job:
             result, line = rehearsal.check(
                 job, lambda done: status.update(f"checking: line {done} …")
             )
+        self._check_file(result.own)
         errors = [one for one in result.errors if not self._is_own(*one)]
         self._tell_unknown(
             [number for number, reply in result.errors if (number, reply) not in errors]
@@ -189,11 +190,14 @@ class Job:
             else:
                 continue
             raise Stopped(f"{why}; where the tool is behind it is not known: {todo}")
-        there = OwnWords.read(forecast.at_line).text
-        if self._options.custom and there != self._own.text:
+        self._check_file(forecast.own)
+
+    def _check_file(self, own: str) -> None:
+        """Stopped, where the machine has another Python than has been rehearsed. own: names."""
+        if self._options.custom and own != self._own.text:
             raise Stopped(
-                f"{self._options.custom} is not what the machine has: that has "
-                f"{self._own.text or 'none'} ({there} here)"
+                f"{self._options.custom} is not what the machine has: "
+                f"{self._own.text or 'nothing'} there, {own} here; nothing was sent"
             )
 
     def _cautions(self, way: Approach) -> list[str]:

@@ -13,6 +13,7 @@ from importlib.util import spec_from_loader
 from types import ModuleType
 from typing import Any
 
+from base.faults import harmless
 from boot import guests
 from extras import custom, handlers
 from extras.custom import Custom
@@ -22,6 +23,7 @@ from extras.runner import Runner
 from . import board_modules
 from .own_python import LackError, OwnPython, OwnPythonError
 
+_TOLD = "Custom: "
 _GUEST = "_guest"  # under which a board has it
 
 
@@ -42,6 +44,11 @@ class Guest:
         self.in_vain: "Callable[[str], None] | None" = None  # told of a wait that nobody ends
         self.told: "Callable[[str], None] | None" = None  # of a wait for a person
         self.switched: "Callable[[str, bool], None] | None" = None  # told of an output
+
+    def told_names(self) -> str:
+        """Its handlers, as $I has them behind `Custom: `."""
+        names = [custom.title(note[0], note[1]) for note in self.notes]
+        return harmless(_TOLD + ", ".join(names))[len(_TOLD) :]
 
     def at(self, fault: BaseException) -> str:
         """What has happened, with the last line of the user's own before it."""

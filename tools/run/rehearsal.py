@@ -41,9 +41,10 @@ class Forecast:
     start: list[float] = field(default_factory=list)
     total_s: float = 0.0
     stopped: str = ""  # why it knows no more
-    at_line: list[str] = field(default_factory=list)  # $G, $# and $I before the line asked for
+    at_line: list[str] = field(default_factory=list)  # $G and $# before the line asked for
     at_place: list[float] = field(default_factory=list)  # where it rests there
     refused: list[int] = field(default_factory=list)  # lines
+    own: str = ""  # the handlers of custom.py, as $I names them
     outputs_on: list[str] = field(default_factory=list)  # by custom.py, before the line asked for
 
     def seconds_left(self, line: int) -> float | None:
@@ -206,7 +207,8 @@ def rehearse(job: Job, progress: Callable[[int], None] | None = None) -> tuple[R
     begun = rig.now
     machine.run(rig)
     link: _Link = rig.link
-    link.result.faults = rig.guest.faults if rig.guest else []
+    if rig.guest:
+        link.result.faults, link.result.own = rig.guest.faults, rig.guest.told_names()
     return link.result, _forecast(watcher, link, begun)
 
 
@@ -218,8 +220,8 @@ def _ask(link: ProgramLink, watcher: _Watcher) -> Iterator[Step]:
         name for name, on in {name: on for _, name, on in link.result.switched}.items() if on
     ]
     link.replies.clear()
-    for question in (b"$G", b"$#", b"$I"):
-        yield 0, question
+    yield 0, b"$G"
+    yield 0, b"$#"
     yield None
     forecast.at_line = [reply for reply in link.replies if reply.startswith("[")]
 
@@ -230,6 +232,7 @@ def _forecast(watcher: _Watcher, link: _Link, begun: int) -> Forecast:
     hz = link.rig.engine.tick_hz
     forecast.answered_s = [round((tick - begun) / hz, 3) for tick in link.answered]
     forecast.total_s = round(watcher.totals().time_s, 3)
+    forecast.own = link.result.own
     forecast.refused = [line for line, _ in link.result.errors]
     forecast.stopped = link.result.stopped and (link.result.faults or [link.result.stopped])[-1]
     return forecast
