@@ -290,6 +290,8 @@ def test_own_words_and_events_of_a_line_are_found(line: bytes, word: str, handle
     own_words = OwnWords.read(INFO)
     assert (own_words.word_in(line), own_words.handler_of(line)) == (word, handler)
     assert OwnWords.read(INFO[:1]).handler_of(line) == ""
+    of_09 = [line.replace("MSG:", "") for line in INFO]
+    assert OwnWords.read(of_09).text == own_words.text
 
 
 def test_of_a_list_that_is_cut_the_last_word_and_the_missing_are_not_known() -> None:

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 from .gcode_file import without_comments
 
-_TOLD = "[MSG:Custom: "
+_TOLD = re.compile(r"\[(?:MSG:)?Custom: (.*)\]")  # without MSG: in the dialect 0.9
 # The firmware cuts what it tells; of what is cut off nothing is known.
 _LONGEST = 120 - len("Custom: ")
 _WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
@@ -37,8 +37,8 @@ class OwnWords:
     @classmethod
     def read(cls, lines: Iterable[str]) -> "OwnWords":
         """Out of the answer to $I; nothing where none is told of."""
-        told = (line[len(_TOLD) : -1] for line in lines if line.startswith(_TOLD))
-        return cls(next(told, ""))
+        found = (match[1] for line in lines if (match := _TOLD.fullmatch(line)))
+        return cls(next(found, ""))
 
     def word_in(self, line: bytes) -> str:
         """The first of its words on a line, M6 where it changes tools; "" where none is."""
