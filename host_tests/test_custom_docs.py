@@ -9,7 +9,9 @@ from typing import Any
 import pytest
 from extras import handlers
 from test_custom_examples import Shop
+from typer.testing import CliRunner
 from ugrbl import paths
+from ugrbl.cli.app import app
 from ugrbl.compiling import build
 from ugrbl.docs.custom import operator_methods
 
@@ -93,6 +95,20 @@ def test_the_page_lists_every_event_and_who_may_move() -> None:
 def test_the_page_lists_every_example() -> None:
     listed = re.findall(r"^\| `(\w+\.py)` \|", _PAGE, re.MULTILINE)
     assert sorted(listed) == sorted(f.name for f in (_ROOT / "examples" / "custom").glob("*.py"))
+
+
+@pytest.mark.parametrize(
+    "file", sorted((_ROOT / "examples" / "custom").glob("*.py")), ids=lambda file: file.stem
+)
+def test_every_example_is_well_by_the_command_at_its_head(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(file.parent)
+    said = re.search(r"^Checked by: ugrbl (.*)$", file.read_text(), re.MULTILINE)
+    words = said[1].split() if said else ["custom", "check", file.name]
+    assert words[:3] == ["custom", "check", file.name]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
 
 
 # Names on a board

@@ -12,6 +12,7 @@ import pytest
 from sim_bench import Bench
 from test_layers import BUILT_IN, EXTENSIBLE, FROZEN
 from typer.testing import CliRunner, Result
+from ugrbl.boardfile.options import BY_NAME
 from ugrbl.cli import custom_board
 from ugrbl.cli.app import app
 from ugrbl.device import checkup, custom_shelf
@@ -45,6 +46,13 @@ from ugrbl import mcode
 def feed(m):
     m.wait_for("part")
     m.wait_for("part", closed=False)
+"""
+PLAIN = """\
+from ugrbl import mcode
+
+@mcode(100)
+def hello(m):
+    m.message("hello")
 """
 FAILING = """\
 from ugrbl import mcode
@@ -108,6 +116,14 @@ def test_a_tool_change_is_proved_with_question_probe_and_picture() -> None:
     assert -31.5 < found["bounds_mm"]["Z"][0] < -30
     assert found["final_position_mm"]["X"] == 20
     assert "39" in Path("change.html").read_text()
+
+
+def test_steps_that_a_probe_has_stopped_are_not_told_as_lost() -> None:
+    code, found, done = ran("G21\nT1 M6\nG1 X2 F600\n", CHANGE, "--input", "probe=Z-30")
+    assert code == 0 and found["steps_probed"]["X"] == 0 < found["steps_probed"]["Z"]
+    made, planned = found["steps_made"]["Z"], found["steps_planned"]["Z"]
+    assert f"{planned} commanded, {made} made: stopped by the probe" in done.stdout
+    assert "!=" not in done.stdout and "commanded = " in done.stdout
 
 
 def test_a_drawing_has_the_moves_of_handlers() -> None:
@@ -350,7 +366,7 @@ def test_a_handler_without_an_end_is_told(
 ) -> None:
     before = signal.signal(signal.SIGINT, usual)
     request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
-    monkeypatch.setattr("ugrbl.run.custom_try._LONGEST_S", 1.0)
+    monkeypatch.setattr("ugrbl.run.watch.LONGEST_S", 1.0)
     code, found = checked(
         "from ugrbl import mcode\n@mcode(100)\ndef f(m):\n    while 1:\n        1\n"
     )
@@ -408,6 +424,87 @@ def test_pins_that_the_board_does_not_name_are_told() -> None:
 def test_a_board_of_the_simulator_has_the_pins_asked_for_and_says_so() -> None:
     done = ugrbl("custom", "check", written(VACUUM))
     assert "pins are taken as there: vacuum; --board NAME" in done.stdout
+
+
+def test_a_file_that_is_never_read_to_its_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ugrbl.run.watch.LONGEST_S", 1.0)
+    code, found = checked("from ugrbl import mcode\nwhile True:\n    pass\n")
+    assert code == 1 and not found["tried"]
+    assert "mine.py: no end of reading it within 1 s" in found["problems"][0]
+
+
+def test_a_print_would_go_among_the_answers() -> None:
+    code, found = checked(VACUUM + "    print('ok')\n")
+    assert code == 1
+    assert found["problems"] == [
+        "mine.py, line 7: print() goes among the answers to the sender: m.message(text) tells it "
+        "something"
+    ]
+    log = "import io\nlog = io.StringIO()\n"
+    assert checked(log + VACUUM + "    print('ok', file=log)\n")[0] == 0
+
+
+BUSES = """\
+import time
+from machine import ADC, I2C, PWM, RTC, SPI, UART, Pin, Timer, unique_id
+from ugrbl import mcode
+
+bus, wire, chips = UART(1, baudrate=9600), I2C(0, freq=400_000), SPI(0)
+lamp = Pin(25, Pin.OUT)
+beep = PWM(Pin(9))
+began = time.ticks_ms()
+
+@mcode(100)
+def look(m):
+    lamp.on()
+    lamp.toggle()
+    beep.freq(440)
+    beep.duty_u16(30_000)
+    assert lamp() == 0 and beep.duty_u16() == 30_000
+    assert bus.write(b"abc") == 3 and bus.read() is None and not bus.any()
+    assert wire.readfrom(0x20, 2) == b"\\0\\0" and wire.writeto(0x20, b"ab") == 2
+    assert chips.read(1) == b"\\0" and ADC(26).read_u16() == 0
+    time.sleep_ms(2)
+    assert 0 < time.ticks_diff(time.ticks_ms(), began) < 60_000
+    assert len(unique_id()) == 8 and RTC().datetime()[0] > 2000
+"""
+
+
+def test_hardware_that_is_not_there_does_nothing_and_reads_as_nothing() -> None:
+    code, found = checked(BUSES)
+    assert code == 0, found
+    assert [said for _, said, _ in map(dict.values, found["tried"])] == ["runs"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "import neopixel\n",
+        "from machine import lightsleep\n",
+        "import machine\nmachine.bootloader()\n",
+        "import micropython\nmicropython.mem_info()\n",
+        "from machine import Pin\nPin(4).low()\n",
+        "import gc\ngc.mem_free()\n",
+    ],
+)
+def test_what_only_boards_have_cannot_be_tried_here_and_is_not_wrong(text: str) -> None:
+    code, found = checked(text + VACUUM)
+    assert code == 1 and not found["problems"] and not found["tried"]
+    assert "boards have it, the simulator does not" in found["untried"][0]
+    said = ugrbl("custom", "check", "mine.py").stdout
+    assert "note cannot be tried here: mine.py, line " in said and "mine.py: not tried" in said
+
+
+def test_what_only_boards_have_in_a_handler_leaves_that_one_untried() -> None:
+    code, found = checked(VACUUM + "@mcode(101)\ndef f(m):\n    import neopixel\n")
+    assert code == 0
+    assert "not tried: M101: mine.py, line 9: ModuleNotFoundError" in found["tried"][1]["said"]
+
+
+def test_mistakes_with_ones_own_names_are_no_want_of_the_simulator() -> None:
+    for text in ("m.nothing\n", "None.x\n", "import nothing_at_all\n", "[].x\n"):
+        code, found = checked(text + VACUUM)
+        assert code == 1 and found["problems"] and not found["untried"]
 
 
 def test_without_micropythons_compiler_that_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -581,6 +678,14 @@ def test_push_of_a_file_that_fails_disturbs_no_board(shelf: FakeShelf) -> None:
     assert done.exit_code == 0 and shelf.disk["custom.py"] == FAILING.encode()
 
 
+def test_push_anyway_takes_what_only_boards_have(shelf: FakeShelf) -> None:
+    written("import neopixel\n" + VACUUM)
+    done = ugrbl("custom", "push", "mine.py", "--port", "x")
+    assert done.exit_code == 1 and "--anyway" in done.stderr and shelf.log == []
+    done = ugrbl("custom", "push", "mine.py", "--port", "x", "--anyway")
+    assert done.exit_code == 0 and b"neopixel" in shelf.disk["custom.py"]
+
+
 def test_push_anyway_is_no_way_for_what_cannot_be_read(shelf: FakeShelf) -> None:
     done = ugrbl("custom", "push", written("@mcode(3\n"), "--port", "x", "--anyway")
     assert done.exit_code == 1 and shelf.log == [] and "mine.py, line 1" in done.stderr
@@ -674,6 +779,17 @@ def test_edit_without_a_change_pushes_nothing(
     assert not any(line.startswith("write") for line in shelf.log)
 
 
+def test_an_editor_that_is_no_command_is_told_with_what_to_do(
+    shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("VISUAL", raising=False)
+    monkeypatch.setenv("EDITOR", '"')
+    done = ugrbl("custom", "edit", "--port", "x")
+    assert done.exit_code == 1 and shelf.log == []
+    assert '$VISUAL or $EDITOR is ": No closing quotation' in done.stderr
+    assert "export EDITOR=nano" in done.stderr
+
+
 def test_what_was_edited_and_is_wrong_is_not_lost(
     shelf: FakeShelf, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -739,3 +855,88 @@ def test_source_that_is_no_text_is_refused() -> None:
     Path("mine.py").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(OwnPythonError):
         own_python.read(Path("mine.py"))
+
+
+# Names of the board file
+
+
+@pytest.mark.parametrize(
+    "name", ["main", "boot", "board", "../x", "my file", "talk", "x.py", "if"]
+)
+def test_a_name_that_something_else_has_on_the_board_is_refused(
+    name: str, shelf: FakeShelf
+) -> None:
+    text = Path(_board_file()).read_text()
+    Path("b.py").write_text(f"{text}\nCUSTOM = {name!r}\n")
+    done = ugrbl("build", "--board", "b.py", "-o", "made")
+    assert done.exit_code == 1 and f"CUSTOM is {name!r}: it is the name of a file" in done.stderr
+    shelf.board["CUSTOM"] = name  # of a firmware that did not look at it
+    done = ugrbl("custom", "push", written(VACUUM), "--port", "x")
+    assert done.exit_code == 1 and "mend the board file" in done.stderr
+    assert list(shelf.disk) == ["board.py"]
+
+
+def test_names_of_ones_own_and_none_are_taken() -> None:
+    for name in ("macros", "custom", ""):
+        assert not BY_NAME["CUSTOM"].problem(name)
+
+
+def test_pins_without_names_are_told_with_the_form_as_it_is_written() -> None:
+    assert BY_NAME["OUTPUTS"].problem(20) == 'OUTPUTS is 20 and not of the form {"vacuum": 20}'
+
+
+def test_a_board_that_new_board_has_written_is_found_by_its_file_name() -> None:
+    done = ugrbl("custom", "check", written(PLAIN), "--board", "rpi_pico.py")
+    assert done.exit_code == 0, done.output
+    done = ugrbl("custom", "check", "mine.py", "--board", "my_router.py")
+    assert "there is no file my_router.py here, nor in boards/: see ugrbl new-board" in done.stderr
+
+
+# What is read is not written over
+
+
+def _board_file() -> str:
+    return written(
+        (Path(custom_board.__file__).parents[2] / "boards/rpi_pico.py").read_text(), "b.py"
+    )
+
+
+@pytest.mark.parametrize(
+    ("command", "spared"),
+    [
+        ("custom check k.py --json k.py", "k.py"),
+        ("custom check k.py --json link.py", "k.py"),
+        ("custom check kf --json kf/a.py", "kf/a.py"),
+        ("custom check k.py --board b.py --json b.py", "b.py"),
+        ("run k.nc --json k.nc", "k.nc"),
+        ("run k.nc --custom k.py --json k.py", "k.py"),
+        ("run k.nc --board b.py --json b.py", "b.py"),
+        ("plot k.nc --custom kf -o k.svg --json kf/a.py", "kf/a.py"),
+        ("plot k.html", "k.html"),
+        ("sim --stdio --custom k.py --report k.py", "k.py"),
+        ("sim --stdio --settings k.set --report k.set", "k.set"),
+        ("build --board ./b.py --json ./b.py -o made", "b.py"),
+        ("deploy --board ./b.py --port nowhere --json ./b.py", "b.py"),
+        ("settings diff k.set --port nowhere --json k.set", "k.set"),
+        ("settings push k.set --port nowhere --json k.set", "k.set"),
+    ],
+)
+def test_a_file_that_is_read_is_not_written_over(command: str, spared: str) -> None:
+    _board_file()
+    for name in ("k.py", "kf/a.py"):
+        written(VACUUM, name)
+    for name in ("k.nc", "k.html"):
+        written("G21\n", name)
+    written("$110=600\n", "k.set")
+    Path("link.py").symlink_to("k.py")
+    before = Path(spared).read_text()
+    done = ugrbl(*command.split(), stdin="")
+    assert done.exit_code == 1 and "is what is read" in done.stderr, done.output
+    assert Path(spared).read_text() == before
+
+
+def test_a_result_goes_beside_what_is_read_and_over_an_older_one() -> None:
+    written(VACUUM, "kf/a.py")
+    for _ in range(2):
+        assert ugrbl("custom", "check", "kf", "--json", "kf/found.json").exit_code == 0
+    assert json.loads(Path("kf/found.json").read_text())["ok"]

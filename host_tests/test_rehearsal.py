@@ -1,8 +1,11 @@
 """Rehearsals: a machine's state in the simulator, which line is made when, the way to a line."""
 
+from pathlib import Path
+
 import pytest
 from ugrbl.device import stage
 from ugrbl.device.from_line import CannotEnter, approach
+from ugrbl.grbl.own_words import OwnWords
 from ugrbl.run.rehearsal import Forecast, Job, Rehearsal, check, rehearse
 
 _BY_AXIS = ((100, 250), (110, 3000), (120, 300), (130, 100))
@@ -195,3 +198,104 @@ def test_what_cannot_be_simulated_cannot_be_passed(here: stage.Stage) -> None:
     _, found = rehearse(Job(lines, here.commands(), ask_at=3))
     with pytest.raises(CannotEnter, match="ALARM"):
         approach([line.encode() for line in lines], 3, found, here)
+
+
+# The machine's own Python
+
+
+OWN = """\
+from ugrbl import mcode, on
+
+@mcode(100, "P")
+def down(m, P):
+    print("no JSON")
+    m.out("vacuum", P)
+    m.probe("G53 Z-30 F300")
+
+@mcode(101)
+def late(m):
+    m.wait_for("part")
+"""
+
+
+def own(here: stage.Stage, folder: Path, lines: list[str], *inputs: str) -> Job:
+    (folder / "mine.py").write_text(OWN)
+    commands = here.commands()
+    return Job(lines, commands, custom=str(folder / "mine.py"), inputs=[*inputs], ask_at=2)
+
+
+def test_behind_a_probe_of_ones_own_the_place_is_where_it_touched(
+    here: stage.Stage, tmp_path: Path
+) -> None:
+    _, found = rehearse(own(here, tmp_path, ["M100 P1", "G21"], "probe=Z-12"))
+    assert not found.refused and not found.stopped
+    assert -13 < found.at_place[2] < -12 and found.outputs_on == ["vacuum"]
+    assert found.own == "M100, M101"
+
+
+def test_what_a_handler_prints_is_not_in_the_forecasts_way(
+    here: stage.Stage, tmp_path: Path
+) -> None:
+    running = Rehearsal(own(here, tmp_path, ["M100 P0", "G64"], "probe=Z-12"))
+    found = running.wait()
+    running.close()
+    assert found and found.refused == [2]
+
+
+def test_a_wait_that_nobody_ends_stops_the_rehearsal_in_words(
+    here: stage.Stage, tmp_path: Path
+) -> None:
+    _, found = rehearse(own(here, tmp_path, ["M101", "G0 X1"]))
+    assert "--input part=on" in found.stopped
+
+
+def test_python_that_is_none_stops_the_rehearsal_in_words(
+    here: stage.Stage, tmp_path: Path
+) -> None:
+    job = own(here, tmp_path, ["M101"])
+    (tmp_path / "mine.py").write_text("1 / 0")
+    running = Rehearsal(job)
+    found = running.wait()
+    running.close()
+    assert found and "ZeroDivisionError" in found.stopped
+
+
+# Words that $I names
+
+
+INFO = [
+    "[OPT:V,15,128]",
+    "[MSG:Custom: M100, G10 L1, G81.1, on.tool_change, on.spindle, every 50]",
+]
+
+
+@pytest.mark.parametrize(
+    ("line", "word", "handler"),
+    [
+        (b"N5 m0100p1", "M100", "M100"),
+        (b"G10 P1 L1 Z3", "G10 L1", "G10 L1"),
+        (b"G10 L2 P1 Z3", "", ""),
+        (b"G81.1", "G81.1", "G81.1"),
+        (b"G81", "", ""),
+        (b"T1 M06", "M6", "M6"),
+        (b"(M100) G0 X1 ; M6", "", ""),
+        (b"M3", "", "on.spindle"),
+        (b"G1 X1 S300", "", "on.spindle"),
+        (b"M30", "", "on.spindle"),
+        (b"M8", "", ""),
+        (b"T1", "", ""),
+    ],
+)
+def test_own_words_and_events_of_a_line_are_found(line: bytes, word: str, handler: str) -> None:
+    own_words = OwnWords.read(INFO)
+    assert (own_words.word_in(line), own_words.handler_of(line)) == (word, handler)
+    assert OwnWords.read(INFO[:1]).handler_of(line) == ""
+    of_09 = [line.replace("MSG:", "") for line in INFO]
+    assert OwnWords.read(of_09).text == own_words.text
+
+
+def test_of_a_list_that_is_cut_the_last_word_and_the_missing_are_not_known() -> None:
+    text = ", ".join(f"M{n}" for n in range(100, 140))[:112]
+    found = OwnWords.read([f"[MSG:Custom: {text}]"])
+    assert found.is_cut and found.word_in(b"M110") and not found.word_in(b"M" + text[-2:].encode())
+    assert found.handler_of(b"M8") == "on.coolant"

@@ -257,6 +257,111 @@ def test_from_a_line_on_modes_tool_and_place_are_rebuilt(bench: Bench, tmp_path:
     assert sent[-2:] == [b"X0.8", b"Z0.2"]
 
 
+OWN = """\
+from ugrbl import gcode, mcode, on
+
+@gcode(101, "xy", sync=None)
+def cut(m, X=0, Y=0):
+    m.g("G1 X%g Y%g" % (X, Y))
+
+@mcode(100, "P")
+def vacuum(m, P):
+    m.out("vacuum", P)
+
+@on.tool_change
+def change(m, tool):
+    m.message("tool %d" % tool)
+"""
+OWN_CUTS = [
+    *("G21 G90", "G0 Z5", "M100 P1", "T1 M6", "M3 S1000", "G1 Z-1 F900"),
+    *("G101 X5 Y2", "G101 X5 Y4", "G1 X6 Y4", "G0 Z5"),
+]
+
+
+@pytest.fixture
+def own_bench(tmp_path: Path) -> Iterator[Bench]:
+    """A machine with Python of its own, which lies in mine.py."""
+    (tmp_path / "mine.py").write_text(OWN)
+    running = Bench(tmp_path, "--custom", str(tmp_path / "mine.py"), settings=SETTINGS)
+    unlock(running)
+    yield running
+    running.kill()
+
+
+def test_the_machines_own_words_are_not_known_here_and_no_refusal(
+    own_bench: Bench, tmp_path: Path
+) -> None:
+    code, text = Send(own_bench, tmp_path, OWN_CUTS).end()
+    assert code == 0, text
+    assert "not known here: line 3, M100, and 3 more lines; --custom FILE rehearses them" in text
+    assert place(own_bench)[1] == [6.0, 4.0, 5.0]
+
+
+def test_a_line_that_no_machine_has_is_refused_beside_its_own_words(
+    own_bench: Bench, tmp_path: Path
+) -> None:
+    code, text = Send(own_bench, tmp_path, [*OWN_CUTS, "M102"]).end()
+    assert code == 1 and "line 11: M102" in text and "1 line would be refused" in text
+    assert place(own_bench) == ("Idle", [0.0, 0.0, 0.0])
+
+
+def test_the_machines_own_words_are_rehearsed_with_their_file(
+    own_bench: Bench, tmp_path: Path
+) -> None:
+    code, text = Send(own_bench, tmp_path, OWN_CUTS, "--custom", str(tmp_path / "mine.py")).end()
+    assert code == 0 and "not known" not in text, text
+
+
+@pytest.mark.parametrize("check", ["--check", "--no-check"])
+def test_from_a_line_on_nothing_begins_where_own_words_may_have_moved(
+    own_bench: Bench, tmp_path: Path, check: str
+) -> None:
+    words = (check, "--from-line", "9", "--yes")
+    code, text = Send(own_bench, tmp_path, OWN_CUTS, *words).end()
+    assert code == 1 and "--custom FILE" in text
+    assert "line 3 is not known to the simulator: M100 P1" in text
+    assert place(own_bench) == ("Idle", [0.0, 0.0, 0.0])
+    assert b"G53" not in own_bench.wire(">")
+
+
+def test_from_a_line_on_own_words_lead_where_their_file_says(
+    own_bench: Bench, tmp_path: Path
+) -> None:
+    words = ("--from-line", "9", "--yes", "--custom", str(tmp_path / "mine.py"))
+    code, text = Send(own_bench, tmp_path, OWN_CUTS, *words).end()
+    assert code == 0, text
+    assert "across to X5.000 Y4.000" in text and "note: vacuum is on by then" in text
+    assert b"G53 G0 X5.000 Y4.000" in own_bench.wire(">")
+    assert place(own_bench)[1] == [6.0, 4.0, 5.0]
+
+
+@pytest.mark.parametrize("words", [[], ["--no-check", "--from-line", "4", "--yes"]])
+def test_a_file_that_is_not_the_machines_is_not_rehearsed_for_it(
+    own_bench: Bench, tmp_path: Path, words: list[str]
+) -> None:
+    other = tmp_path / "other.py"
+    other.write_text(OWN.replace("tool_change", "tool_select"))
+    code, text = Send(own_bench, tmp_path, OWN_CUTS, *words, "--custom", str(other)).end()
+    said = "is not what the machine has: G101, M100, on.tool_change there, G101, M100, on.tool_s"
+    assert code == 1 and said in " ".join(text.split())
+    assert place(own_bench) == ("Idle", [0.0, 0.0, 0.0])
+
+
+def test_from_a_line_on_nothing_begins_behind_a_refused_line(bench: Bench, tmp_path: Path) -> None:
+    lines = [*STAIRS[:5], "G64", *STAIRS[5:9]]
+    words = ("--no-check", "--from-line", "8", "--yes")
+    code, text = Send(bench, tmp_path, lines, *words).end()
+    assert code == 1 and "line 6 is not known to the simulator: G64" in text
+    assert place(bench) == ("Idle", [0.0, 0.0, 0.0])
+
+
+def test_a_file_of_ones_own_that_cannot_be_read_is_told_before_the_machine_is_asked(
+    bench: Bench, tmp_path: Path
+) -> None:
+    code, text = Send(bench, tmp_path, STAIRS, "--custom", str(tmp_path / "none.py")).end()
+    assert code == 1 and "none.py cannot be read" in text and "Traceback" not in text
+
+
 def test_from_a_line_on_nothing_moves_unasked(bench: Bench, tmp_path: Path) -> None:
     code, text = Send(bench, tmp_path, STAIRS, "--from-line", "50").end()
     assert code == 1 and "--yes" in text

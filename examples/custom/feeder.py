@@ -2,6 +2,8 @@
 
 OUTPUTS = {"feeder": 20}, INPUTS = {"part": 21, "jam": 22} in the board file. The job waits until a
 part lies still at the sensor; where none comes it holds, and asks for somebody.
+
+Checked by: ugrbl custom check feeder.py --input part=500ms
 """
 
 from ugrbl import Refuse, mcode

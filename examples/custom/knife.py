@@ -2,6 +2,8 @@
 
 Axis A is the blade's angle in degrees, 0 along X. Where the way turns more than a little the blade
 comes out, turns, and goes in again; else it turns as it cuts, and nothing stops. G100 ends a cut.
+
+Checked by: ugrbl custom check knife.py --board sim_xyza
 """
 
 from math import atan2, pi

@@ -3,6 +3,8 @@
 OUTPUTS = {"blade": 18} in the board file: it swings before it goes in, and stands still behind
 G110, which ends a cut. Axis A turns it, in degrees, 0 along X. A blade cuts its full depth only
 behind its point: at a corner it goes on a little, and begins as much before the next line.
+
+Checked by: ugrbl custom check oscillating.py --board sim_xyza
 """
 
 from math import atan2, cos, pi, sin

@@ -25,13 +25,19 @@ def boards() -> list[str]:
 
 
 def board_file(name: str) -> Path:
-    """Where a board file is: a name out of boards/, or a path. BoardFileError if none is there."""
+    """Where a board file is: a name out of boards/, or a path. BoardFileError if none is there.
+
+    A file name alone, as `ugrbl new-board` tells it, is looked for here and then in boards/.
+    """
     file = Path(name)
     if file.suffix != ".py":
         _check_name(name)
         file = paths.BOARDS / f"{name}.py"
+    if not file.is_file() and file.name == name and file.stem in boards():
+        file = paths.BOARDS / name
     if not file.is_file():
-        raise BoardFileError(f"there is no file {file}")
+        where = " here, nor in boards/: see ugrbl new-board" if file.name == name else ""
+        raise BoardFileError(f"there is no file {file}{where}")
     return file
 
 

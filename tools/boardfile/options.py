@@ -7,8 +7,10 @@ docs/reference.md is made of it.
 """
 
 from collections.abc import Callable, Iterable
+from keyword import iskeyword
 from typing import Any, NamedTuple
 
+from .. import paths
 from . import engines
 from .chips import ARCHS, CHIPS
 
@@ -45,6 +47,18 @@ def _are_named_pins(value: Any) -> bool:
     )
 
 
+def _is_module(value: Any) -> bool:
+    """A module of its user's own; "" is none."""
+    if not isinstance(value, str):
+        return False
+    return not value or (value.isidentifier() and not iskeyword(value) and value not in _taken())
+
+
+def _taken() -> set[str]:
+    """What lies on a board besides, or is imported by that name."""
+    return {"boot", "board", "ugrbl"} | {file.stem for file in paths.FIRMWARE.iterdir()}
+
+
 _PARENTHESES = "and wants parentheses and commas: (2, 3, 4)"
 PIN = Kind("pin", _is_pin, ": pins are numbers")
 PINS = Kind("pins", _are_pins, _PARENTHESES)
@@ -52,8 +66,13 @@ PIN_OR_PINS = Kind("pin, or pins", lambda value: _is_pin(value) or _are_pins(val
 COUNT = Kind("whole number", lambda value: type(value) is int, ": it is a whole number")
 SWITCH = Kind("True or False", lambda value: type(value) is bool, ": it is True or False")
 WORD = Kind("word", lambda value: isinstance(value, str), 'and wants quotation marks: "{}"')
+MODULE = Kind(
+    "name",
+    _is_module,
+    ": it is the name of a file without .py, and none of the firmware's own",
+)
 NAMES = Kind("names", _are_names, 'and wants parentheses and a comma: ("FLOOD",)')
-NAMED_PINS = Kind("{name: pin}", _are_named_pins, 'and not of the form {{"vacuum": 20}}')
+NAMED_PINS = Kind("{name: pin}", _are_named_pins, 'and not of the form {"vacuum": 20}')
 VALUES = Kind("{number: value}", _are_values, "and not of the form {100: 800.0}")
 
 # The default of an option without which there is no machine, or no such engine or tool.
@@ -282,7 +301,7 @@ OPTIONS = (
         "Modules of your own beside board.py, by name: see docs/extending.md.",
     ),
     Option(
-        *("CUSTOM", WORD, "custom"),
+        *("CUSTOM", MODULE, "custom"),
         "The name of your own Python on the board, NAME.py or a folder: see docs/custom.md.",
     ),
     Option(*("OUTPUTS", NAMED_PINS, {}), "Outputs for custom.py, by name; off after a reset."),

@@ -123,7 +123,7 @@ def sim(
     from .simulate import Options, simulate
 
     try:
-        check_outputs(report, plot=plot, keep=(settings,))
+        check_outputs(report, plot=plot, given=locals())
         options = Options(
             board=board,
             link=port,

@@ -64,7 +64,7 @@ def command(
         if arch not in ARCHS[1:]:
             raise BuildError(f"{arch} is no processor: one of {', '.join(ARCHS[1:])}")
         described = load_for_build(board_file(board)) if board else None
-        check_outputs(json_file, folder / "main.mpy", maps.beside(folder))
+        check_outputs(json_file, folder / "main.mpy", maps.beside(folder), given=locals())
         if board:
             made = build.for_board(board_file(board), progress, debug)
         else:

@@ -106,7 +106,7 @@ def command(
     if not folder.is_dir():
         raise typer.BadParameter(f"no folder {folder}")
     try:
-        check_outputs(json_file)
+        check_outputs(json_file, given=locals())
         if board is not None:
             load_board(board)
         if port:

@@ -39,9 +39,9 @@ def check(
 
     Looks at words, letters and parameters, names of pins, imports, and what MicroPython's compiler
     says. In the dry run letters are 1, and inputs come when they are waited for. The exit code is
-    1 if something is wrong.
+    1 if something is wrong, or if the file wants what the simulator does not have.
     """
-    check_output(json_file)
+    check_output(json_file, given=locals())
     console = Console(stderr=str(json_file) == "-")
     try:
         surroundings = around(board, file, inputs)
@@ -79,12 +79,18 @@ def _tell(console: Console, own: OwnPython, verdict: Verdict, board: str) -> Non
         say(
             "[green]ok  [/] " if well else "[red]BAD [/] ", said if not well else f"{what}: {said}"
         )
+    for lack in verdict.untried:
+        say("[yellow]note[/] ", f"cannot be tried here: {lack}")
     for note in verdict.notes + _assumed(own, board):
         say("[yellow]note[/] ", note)
     count = len(verdict.handlers)
     bad = len(verdict.problems) + sum(not well for _, _, well in verdict.tried)
     words = f"{own.path}: {count} handler{'s' * (count != 1)}, " if count else f"{own.path}: "
-    say("[b]", words + (f"{bad} wrong" if bad else "all is well"), "[/b]")
+    if bad:
+        words += f"{bad} wrong"
+    else:
+        words += "not tried" if verdict.untried else "all is well"
+    say("[b]", words, "[/b]")
 
 
 def _assumed(own: OwnPython, board: str) -> list[str]:

@@ -30,7 +30,7 @@ from .ports import Port
 
 __all__ = ["app"]  # with the commands that need no board
 
-Anyway = Annotated[bool, typer.Option("--anyway", help="Even if a handler fails in the dry run.")]
+Anyway = Annotated[bool, typer.Option("--anyway", help="Even if it fails in the dry run only.")]
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
 _EXAMPLE = "\n\nExample:  ugrbl custom {}"
 _NEW = '''"""My own words for the machine: see docs/custom.md of ugrbl."""
@@ -182,9 +182,7 @@ def edit(
     Where there is none a first one is there to be changed.
     """
     with _told():
-        editor = shlex.split(os.environ.get("VISUAL") or os.environ.get("EDITOR") or "")
-        if not editor:
-            raise DeployError("no editor is known", "say which: export EDITOR=nano")
+        editor = _editor()
         where = ports.choose(port)
         found = _fetch(where) or {"custom.py": _NEW.encode()}
         folder = Path(tempfile.mkdtemp(prefix="ugrbl-custom-"))
@@ -199,6 +197,19 @@ def edit(
         shutil.rmtree(folder)
         if not done:
             Console().print("nothing was changed", highlight=False)
+
+
+def _editor() -> list[str]:
+    """The words of $VISUAL or $EDITOR. DeployError where there are none."""
+    said = os.environ.get("VISUAL") or os.environ.get("EDITOR") or ""
+    todo = "say which: export EDITOR=nano"
+    try:
+        words = shlex.split(said)
+    except ValueError as error:
+        raise DeployError(f"$VISUAL or $EDITOR is {said}: {error}", todo) from error
+    if not words:
+        raise DeployError("no editor is known", todo)
+    return words
 
 
 def _edit(

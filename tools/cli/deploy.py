@@ -17,7 +17,7 @@ from ..device.connection import SendError
 from ..device.deploy import DeployError, Result, deploy
 from . import ports
 from .build import DEBUG_COST, Debug
-from .outputs import Json, save_json
+from .outputs import Json, check_output, save_json
 from .screen import summary
 
 EXAMPLES = (
@@ -87,6 +87,7 @@ def command(
     board: deploy refuses then. A machine that moves is not disturbed. The exit
     code is 1 if it could not be done.
     """
+    check_output(json_file, given=locals())
     console = Console(stderr=str(json_file) == "-")
     try:
         file = board_file(board)

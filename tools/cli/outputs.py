@@ -3,7 +3,7 @@
 import json
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from ..boardfile.files import BoardFileError, board_file
 from ..grbl.gcode_file import STDIN
 
 Json = Annotated[
@@ -21,24 +22,47 @@ Json = Annotated[
 PICTURES = (".html", ".png", ".svg")
 
 
+_BOARD = "board"  # the parameter of commands that is a name, or a path
+
+
 def check_outputs(
-    *files: Path | None, plot: Path | None = None, keep: Iterable[Path | None] = ()
+    *files: Path | None, plot: Path | None = None, given: Mapping[str, object] | None = None
 ) -> None:
     """Make the folders of files to be written. OSError or ValueError where one cannot be.
 
-    plot: one that is a drawing; keep: files that are read and never to be written over. `-` is
-    stdout.
+    plot: one that is a drawing; given: the command's parameters by name, its locals(): what is
+    not among those to write is read, and never written over. `-` is stdout.
     """
     if plot and str(plot) != STDIN and plot.suffix.lower() not in PICTURES:
         raise ValueError(f"{plot}: it can be {', '.join(PICTURES)}")
-    keep, named = tuple(keep), [file for file in (*files, plot) if file]
+    named = [file for file in (*files, plot) if file]
     if twice := [file for file in named if named.count(file) > 1]:
         raise ValueError(f"{twice[0]} is named twice: what is written there last would be all")
-    for file in (*files, plot):
-        if file is not None and str(file) != "-":
-            if file.exists() and any(file.samefile(one) for one in keep if one and one.exists()):
+    others = {name: value for name, value in (given or {}).items() if not _is_one(value, named)}
+    keep = [file for file in _read(others) if file.exists()]
+    for file in named:
+        if str(file) != STDIN:
+            if file.exists() and any(map(file.samefile, keep)):
                 raise ValueError(f"{file} is what is read: it is not written over")
             _check(file)
+
+
+def _is_one(value: object, files: list[Path]) -> bool:
+    """The very object: a file that is read may have the same name as one that is written."""
+    return any(value is file for file in files)
+
+
+def _read(given: Mapping[str, object]) -> Iterator[Path]:
+    """Files that a command has been given to read, the Python files of folders too."""
+    for name, value in given.items():
+        if name == _BOARD and isinstance(value, str):
+            try:
+                yield board_file(value)
+            except BoardFileError:
+                continue  # which the command says, in its turn
+        elif isinstance(value, Path):
+            yield value
+            yield from value.glob("*.py")
 
 
 def _check(file: Path) -> None:
@@ -55,10 +79,10 @@ def _check(file: Path) -> None:
         raise PermissionError(f"{file} cannot be written: permission denied")
 
 
-def check_output(*files: Path | None) -> None:
+def check_output(*files: Path | None, given: Mapping[str, object] | None = None) -> None:
     """End the command before its work where a file could not be written after it."""
     try:
-        check_outputs(*files)
+        check_outputs(*files, given=given)
     except (OSError, ValueError) as error:
         raise failed(error) from error
 

@@ -62,7 +62,7 @@ def command(
     name = name_of(file)
     target = out or Path(Path(name).stem + ".html")
     try:
-        check_outputs(json_file, plot=target, keep=(file, settings))
+        check_outputs(json_file, plot=target, given=locals())
         jobs = _jobs(console, file, settings, what_if or (), board, around(board, custom, inputs))
         words = ""
         if len(jobs) > 1:

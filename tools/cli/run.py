@@ -70,7 +70,7 @@ def command(
     console = Console(stderr="-" in (str(json_file), str(picture)))
     name = name_of(file)
     try:
-        check_outputs(json_file, plot=picture, keep=(file, settings))
+        check_outputs(json_file, plot=picture, given=locals())
         lines = read_program(file)
         surroundings = around(board, custom, inputs)
         acting = show_problems(console, lines)

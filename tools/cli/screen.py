@@ -176,11 +176,17 @@ def totals_rows(totals: Totals) -> list[tuple[str, str]]:
     ]
     for axis, made in totals.steps_made.items():
         planned = totals.steps_planned[axis]
-        sign = "=" if planned == made else "!="
-        rows.append((f"steps {axis}", f"{planned} commanded {sign} {made} made"))
+        rows.append((f"steps {axis}", _steps(planned, made, totals.steps_probed.get(axis, 0))))
     for axis, (low, high) in totals.bounds_mm.items():
         rows.append((f"travel {axis}", f"{low:.3f} to {high:.3f} mm"))
     return rows
+
+
+def _steps(planned: int, made: int, probed: int) -> str:
+    """What became of them. probed: not made, for the probe has touched."""
+    if probed and planned == made + probed:
+        return f"{planned} commanded, {made} made: stopped by the probe"
+    return f"{planned} commanded {'=' if planned == made else '!='} {made} made"
 
 
 def clock(seconds: float) -> str:

@@ -9,7 +9,10 @@ from rich.console import Console
 
 from ..device.connection import BAUD, Connection, SendError
 from ..device.from_line import CannotEnter
+from ..device.send import Report
 from ..grbl import gcode_file
+from ..run.machine import DEFAULT_BOARD
+from .custom_options import CustomFile, Inputs, around
 from .outputs import failed
 from .ports import Baud, Port, choose
 from .screen import show_problems
@@ -59,34 +62,44 @@ def command(
     board: Annotated[
         str | None, typer.Option(metavar="NAME", help="Board that the simulator is, for --check.")
     ] = None,
+    custom: CustomFile = None,
+    inputs: Inputs = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before it starts.")] = False,
 ) -> None:
     """Stream a program to a Grbl.
 
-    The simulator checks it first. Where the machine refuses a line, it is held and you are asked;
-    without a terminal the job ends. Ctrl-C, a closed terminal and SIGTERM hold the machine first.
-    Keys: space holds, ~ goes on, + and - change the feed. The exit code is 0 if all was done and
-    nothing was refused.
+    The simulator checks it first; with --custom it knows your own words, too. Where the machine
+    refuses a line, it is held and you are asked; without a terminal the job ends. Ctrl-C, a closed
+    terminal and SIGTERM hold the machine first. Keys: space holds, ~ goes on, + and - change the
+    feed. The exit code is 0 if all was done and nothing was refused.
     """
-    console = Console()
     name = gcode_file.name_of(file)
     by_line = mode is Mode.LINE
-    options = Options(name, board, check_first, by_line, keep_going, from_line, yes)
+    whose = custom, tuple(inputs or ())
+    options = Options(name, board, check_first, by_line, keep_going, from_line, yes, *whose)
+    report = _send(file, options, port, baud)
+    if report.signal:
+        raise typer.Exit(128 + report.signal)
+    if not report.ok():
+        raise typer.Exit(1)
+
+
+def _send(file: Path, options: Options, port: str | None, baud: int) -> Report:
+    """How it went. Ends the command where nothing can be sent."""
+    console = Console()
     try:
+        # Before anything is asked of a machine.
+        around(options.board or DEFAULT_BOARD, options.custom, list(options.inputs))
         lines = _read(file, options, console)
         connection = Connection(choose(port), baud)
         try:
-            report = Job(lines, options, connection, console).run()
+            return Job(lines, options, connection, console).run()
         finally:
             connection.close()
     except OSError as error:
         raise failed(f"what happens cannot be shown: {error.strerror}") from error
     except (SendError, Stopped, CannotEnter, ValueError) as error:
         raise failed(error) from error
-    if report.signal:
-        raise typer.Exit(128 + report.signal)
-    if not report.ok():
-        raise typer.Exit(1)
 
 
 def _read(file: Path, options: Options, console: Console) -> list[bytes]:

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import typer
 from rich.console import Console
@@ -10,13 +11,14 @@ from rich.markup import escape
 
 from ..device import checkup, stage
 from ..device.connection import Connection, way_out
-from ..device.from_line import approach
+from ..device.from_line import Approach, approach
 from ..device.send import Line, Report, Stream, program, stopping_signals
 from ..device.stage import Stage
 from ..grbl import gcode_file
 from ..grbl.messages import meaning
+from ..grbl.own_words import OwnWords
 from ..grbl.settings_file import Firmware
-from ..run import rehearsal
+from ..run import own_python, rehearsal
 from ..run.machine import DEFAULT_AXES, DEFAULT_BOARD
 from ..run.rehearsal import Forecast, Rehearsal
 from . import keys
@@ -24,6 +26,8 @@ from .screen import Screen, show_errors
 
 # How long it may take to find out which line was being made.
 _PATIENCE_S = 20.0
+# Grbl's answer to a word that it does not have.
+_UNKNOWN = "error:20"
 # Alarms after which Grbl hears nothing but a reset.
 _DEAD = ("ALARM:1:", "ALARM:2:")
 
@@ -39,6 +43,8 @@ class Options:
     keep_going: bool = False
     from_line: int = 1
     yes: bool = False
+    custom: Path | None = None
+    inputs: tuple[str, ...] = ()
 
 
 class Stopped(Exception):
@@ -57,6 +63,7 @@ class Job:
         self._console = console
         self._here = Stage()
         self._letters = ""  # of its options
+        self._own = OwnWords()
         self._rehearsal: Rehearsal | None = None
         self._lead = 0  # lines that lead up to the program
 
@@ -99,6 +106,7 @@ class Job:
         if state != "Idle":
             return f"the machine is in {state}"
         found = Firmware.read(self._connection.info)
+        self._own = OwnWords.read(self._connection.info)
         if checkup.is_relative(found):
             return f"{found.name} is a relative of Grbl, and takes what the simulator does not"
         self._here = stage.look(self._connection)
@@ -121,6 +129,8 @@ class Job:
             ask_at,
             letters=self._letters,
             axes=DEFAULT_AXES if options.board else max(self._here.axes(), DEFAULT_AXES),
+            custom=str(options.custom or ""),
+            inputs=list(options.inputs),
         )
 
     def _check(self, job: rehearsal.Job) -> None:
@@ -128,8 +138,13 @@ class Job:
             result, line = rehearsal.check(
                 job, lambda done: status.update(f"checking: line {done} …")
             )
-        show_errors(self._console, result.errors, self._lines)
-        found = len(result.errors)
+        self._check_file(result.own)
+        errors = [one for one in result.errors if not self._is_own(*one)]
+        self._tell_unknown(
+            [number for number, reply in result.errors if (number, reply) not in errors]
+        )
+        show_errors(self._console, errors, self._lines)
+        found = len(errors)
         if result.stopped:
             found += 1
             why = meaning(result.stopped) if result.stopped.startswith("ALARM:") else ""
@@ -140,6 +155,62 @@ class Job:
         if not self._confirm(f"{words}. Send it nevertheless?"):
             raise Stopped(f"{words}; nothing was sent (--no-check sends it)")
 
+    def _is_own(self, number: int, reply: str) -> bool:
+        """The simulator refuses a line for a word that the machine has, or may have."""
+        line = self._lines[number - 1]
+        return reply == _UNKNOWN and (self._own.is_cut or bool(self._own.word_in(line)))
+
+    def _tell_unknown(self, numbers: Sequence[int]) -> None:
+        """Lines with words of the machine's own, which are no errors."""
+        if not numbers:
+            return
+        word = self._own.word_in(self._lines[numbers[0] - 1])
+        what = f"line {numbers[0]}, {word or gcode_file.shown(self._lines[numbers[0] - 1])}"
+        more = len(numbers) - 1
+        what += f", and {more} more line{'s' * (more > 1)}" if more else ""
+        self._say(f"not known here: {what}; {self._todo('them' if more else 'it')}")
+
+    def _todo(self, what: str = "it") -> str:
+        """What helps where the simulator does not know words of the machine's own."""
+        if self._options.custom:
+            return f"{self._options.custom} does not have {what}"
+        return f"--custom FILE rehearses {what}"
+
+    def _check_place(self, forecast: Forecast) -> None:
+        """Stopped, where the lines before that to begin with may have moved unseen."""
+        for number in range(1, self._options.from_line):
+            line = self._lines[number - 1]
+            handler = self._own.handler_of(line)
+            if number in forecast.refused:
+                known = handler or self._own.is_cut
+                todo = self._todo() if known else "take it out if the machine refuses it, too"
+                why = f"line {number} is not known to the simulator: {gcode_file.shown(line)}"
+            elif handler and not self._options.custom:
+                why, todo = f"line {number} has the machine run {handler}", self._todo()
+            else:
+                continue
+            raise Stopped(f"{why}; where the tool is behind it is not known: {todo}")
+        self._check_file(forecast.own)
+
+    def _check_file(self, own: str) -> None:
+        """Stopped, where the machine has another Python than has been rehearsed. own: names."""
+        if self._options.custom and own != self._own.text:
+            raise Stopped(
+                f"{self._options.custom} is not what the machine has: "
+                f"{self._own.text or 'nothing'} there, {own} here; nothing was sent"
+            )
+
+    def _cautions(self, way: Approach) -> list[str]:
+        """What the machine's own Python has to do with the way."""
+        found = list(way.cautions)
+        for line in way.lines:
+            if handler := self._own.handler_of(line.data):
+                found.append(f"{handler} is run on the way, by {line.text}")
+        custom = self._options.custom
+        if custom and own_python.read(custom).has_attribute("keep"):
+            found.append(f"{custom} reads what is kept (m.keep): the simulator began with none")
+        return found
+
     def _approach(self, running: Rehearsal) -> list[Line]:
         """The way to the line to begin with, if the user agrees."""
         number = self._options.from_line
@@ -148,10 +219,11 @@ class Job:
         if forecast is None:
             raise Stopped("the simulator has failed")
         way = approach(self._lines, number, forecast, self._here)
+        self._check_place(forecast)
         self._say(f"before line {number}, the machine goes")
         for words in way.words:
             self._say(f"  {words}")
-        for words in way.cautions:
+        for words in self._cautions(way):
             self._say(f"  note: {words}")
         if not self._options.yes and not self._confirm("Is the way free, and all of this right?"):
             raise Stopped("nothing was sent (--yes does not ask)")
@@ -209,11 +281,16 @@ class Job:
         forecast: Forecast | None = None
         if self._rehearsal and report.place and report.place_line:
             forecast = self._rehearsal.wait(_PATIENCE_S)
-        if forecast is None:
+        if forecast is None or self._is_unseen(report.place_line or 0):
             return None
         place = [at * self._here.unit_mm() for at in report.place]
         line = report.place_line
         return forecast.line_at(line, place, self._connection.blocks, report.blocks_left)
+
+    def _is_unseen(self, last: int) -> bool:
+        """Up to that line, or the one behind it, the machine may have moved as nobody knows."""
+        lines = self._lines[: last + 1]
+        return not self._options.custom and any(map(self._own.handler_of, lines))
 
     def _say(self, words: str) -> None:
         try:

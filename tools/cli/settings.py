@@ -76,7 +76,7 @@ def diff(
 ) -> None:
     """Show what a push of the file would change. The exit code is 1 if that is anything."""
     wanted = _read(file)
-    check_output(json_file)
+    check_output(json_file, given=locals())
     with _machine(port, baud) as connection:
         machine = sync.pull(connection)
         check_fit(wanted, machine, any_version, complete=False)
@@ -153,7 +153,7 @@ def _write(
     if from_stdin and not yes:
         raise failed("settings from stdin leave nobody to ask: say --yes")
     kept = Path("settings.before") if from_stdin else file.with_name(file.name + ".before")
-    check_output(kept, json_file)
+    check_output(kept, json_file, given=locals())
     console = Console(stderr=True)
     with _machine(port, baud) as connection:
         machine = sync.pull(connection)

@@ -9,6 +9,7 @@ next start does the second one (firmware/ports/user_files.py).
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Protocol
 
+from ..boardfile.options import BY_NAME
 from .deploy import DeployError, Running
 
 # Under which the firmware keeps the last traceback, and the endings of what it keeps.
@@ -54,6 +55,10 @@ class Shelf(Protocol):
 def name_of(options: Mapping[str, Any]) -> str:
     """What the board reads. DeployError where it is to read none."""
     name: str = options["CUSTOM"]
+    if problem := BY_NAME["CUSTOM"].problem(name):
+        raise DeployError(
+            f"its board file says what cannot be: {problem}", "mend the board file, and deploy it"
+        )
     if not name:
         raise DeployError(
             'its board file says CUSTOM = "": it reads none',

@@ -40,13 +40,15 @@ def approach(lines: Sequence[bytes], number: int, forecast: Forecast, here: Stag
     if forecast.stopped:
         raise CannotEnter(f"the lines before cannot be simulated: {forecast.stopped}")
     there = read(forecast.at_line)
-    place = forecast.place_before(number)
+    place = forecast.at_place
     _check_motion(lines[number - 1], number, there.modes)
     way = _Way(here, there, place, max(forecast.highest_mm(number), here.place[2]))
     steps = [step for step in way.steps() if step[0]]
     made = [Line(0, text.encode("ascii"), text) for text, _ in steps]
     words = [said for _, said in steps if said]
-    return Approach(made, words, _cautions(lines[: number - 1], here, there))
+    cautions = _cautions(lines[: number - 1], here, there)
+    cautions += [f"{name} is on by then: see that it is" for name in forecast.outputs_on]
+    return Approach(made, words, cautions)
 
 
 def _check_motion(line: bytes, number: int, modes: Sequence[str]) -> None:

@@ -16,25 +16,12 @@ from ..boardfile.board_check import is_simulated
 from ..boardfile.files import load_board
 from ..compiling import build
 from ..compiling.build import BuildError
-from . import machine
+from . import machine, watch
+from .board_modules import ON_BOARDS, ON_ONE_CHIP
 from .machine import Around
-from .own_python import INPUT_CALLS, OUTPUT_CALLS, Module, OwnPython, OwnPythonError
+from .own_python import LackError, Module, OwnPython, OwnPythonError
 from .program import ProgramLink
 
-# What MicroPython 1.28 has on both kinds of chips (built in and frozen), and on one of them.
-ON_BOARDS = frozenset(
-    "_asyncio _onewire _thread aioble array asyncio binascii bluetooth builtins cmath collections "
-    "cryptolib deflate dht ds18x20 errno framebuf gc hashlib heapq io json machine marshal math "
-    "micropython mip neopixel network ntptime onewire openamp os platform random re requests "
-    "select socket ssl string struct sys time tls uctypes urequests vfs weakref webrepl "
-    "websocket".split()
-)
-ON_ONE_CHIP = {
-    "pio": frozenset("_rp2 lwip rp2".split()),
-    "esp": frozenset(
-        "_espnow aioespnow apa106 btree esp esp32 espnow logging senml umqtt upysh".split()
-    ),
-}
 API = "ugrbl"
 # What an event hands its handlers, besides m.
 _VALUES: dict[str, tuple[object, ...]] = {
@@ -54,17 +41,18 @@ _LETTERS = "ABCDEFHIJKLOPQRSTUVWXYZ"  # G and M are words of their own, N is the
 @dataclass
 class Verdict:
     """What a check has found. handlers: what there is, by title; tried: each, and what came of it;
-    notes: what could not be looked at."""
+    notes: what could not be looked at; untried: why none of it could be tried here."""
 
     handlers: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    untried: list[str] = field(default_factory=list)
     tried: list[tuple[str, str, bool]] = field(default_factory=list)  # title, words, well
 
     @property
     def is_good(self) -> bool:
-        """Nothing is wrong with it."""
-        return not self.problems and all(well for _, _, well in self.tried)
+        """Nothing is wrong with it, and it could be tried."""
+        return not self.problems and not self.untried and all(well for _, _, well in self.tried)
 
     def as_json(self) -> dict[str, Any]:
         """For other programs."""
@@ -77,6 +65,7 @@ def read_off(own: OwnPython, board: Any, verdict: Verdict) -> None:
     for module in own.modules.values():
         verdict.problems += _syntax(module, verdict)
         verdict.problems += _imports(own, module, board)
+        verdict.problems += _prints(module)
     given = {**vars(board), **machine.assumed_pins(board, own)}
     verdict.problems += unknown_pins(own, given.get("OUTPUTS", {}), given.get("INPUTS", {}))
 
@@ -84,12 +73,12 @@ def read_off(own: OwnPython, board: Any, verdict: Verdict) -> None:
 def unknown_pins(own: OwnPython, outputs: Collection[str], inputs: Collection[str]) -> list[str]:
     """Names of pins that the board file does not have."""
     found = []
-    for calls, option, names in (
-        (OUTPUT_CALLS, "OUTPUTS", outputs),
-        (INPUT_CALLS, "INPUTS", inputs),
+    for asked, option, names in (
+        (own.outputs(), "OUTPUTS", outputs),
+        (own.inputs(), "INPUTS", inputs),
     ):
         known = f"there are {', '.join(names)}" if names else f"{option} names none"
-        for module, line, name in own.strings_given_to(*calls):
+        for module, line, name in asked:
             if name not in names:
                 what = f"{option[:-1].lower()} {name}"
                 found.append(
@@ -134,6 +123,18 @@ def _imports(own: OwnPython, module: Module, board: Any) -> Iterator[str]:
             yield f"{module.file}, line {line}: no board has a module {name}"
 
 
+def _prints(module: Module) -> Iterator[str]:
+    """What would go among the answers to the sender."""
+    for node in ast.walk(module.tree):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            to_file = any(keyword.arg == "file" for keyword in node.keywords)
+            if node.func.id == "print" and not to_file:
+                yield (
+                    f"{module.file}, line {node.lineno}: print() goes among the answers to the "
+                    "sender: m.message(text) tells it something"
+                )
+
+
 def _imported(tree: ast.Module) -> Iterator[tuple[int, str]]:
     """Line and name of what is imported; "" for what lies beside."""
     for node in ast.walk(tree):
@@ -151,7 +152,15 @@ def take_up(own: OwnPython, board: str, around: Around, verdict: Verdict) -> "Se
     rig = machine.build(board, lambda rig: ProgramLink(rig, lambda link: iter(())), around=around)
     rig.guest.examine = lambda cnc, notes: _examine(own, cnc, notes, verdict)
     try:
-        machine.run(rig)
+        if watch.is_late(lambda: machine.run(rig)):
+            verdict.problems.append(
+                f"{own.path}: no end of reading it within {watch.LONGEST_S:g} s: what stands "
+                "outside of handlers runs once, at start"
+            )
+            return ()
+    except LackError as error:
+        verdict.untried.append(str(error))
+        return ()
     except OwnPythonError as error:
         if not verdict.problems:
             verdict.problems.append(str(error))

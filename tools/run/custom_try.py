@@ -5,14 +5,11 @@ waits for changes after a moment, and so does the probe. Nothing else is like th
 handler that asks more of it may fail here, and says where.
 """
 
-import _thread
-import signal
-import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from . import machine
+from . import machine, watch
 from .custom_check import Verdict, called, title
 from .machine import Around
 from .own_python import OwnPythonError
@@ -22,7 +19,6 @@ if TYPE_CHECKING:
     from ..sim.rig import Rig
 
 _WAIT_MS = 200  # an input is waited for
-_LONGEST_S = 20.0  # by the clock of the wall: a handler that loops has no end
 _MOVE = b"G21 G91 G1 X1 F600"
 _PROBE = b"G21 G91 G38.2 Z-5 F200"
 _HOMING = (b"$22=1", b"$H")
@@ -80,6 +76,8 @@ def _try(note: Any, board: str, around: Around) -> tuple[str, bool]:
             return str(error), False
         told = [text[5:-1] for _, text in rig.link.result.other_output if text[:5] == "[MSG:"]
         faults = [fault for fault in rig.guest.faults if fault.startswith(f"{what}: ")]
+        if lacks := [fault for fault in faults if fault in rig.guest.lacks]:
+            return f"not tried: {lacks[0]}: boards have it, the simulator does not", True
         if stopped or faults or rig.link.result.stopped:
             why = (faults or [stopped or rig.link.result.stopped])[0]
             return why + (_IN_ALARM if lines is _UNLOCKED and kind == "after_reset" else ""), False
@@ -133,29 +131,6 @@ def _rig(lines: Sequence[bytes], kind: str, key: Any, board: str, around: Around
 
 def _run(rig: "Rig", what: str) -> str:
     """Run it, not for longer than one waits. Returns why it was ended, if it was."""
-    is_late = threading.Event()
-    usual = signal.getsignal(signal.SIGINT)
-
-    def interrupt() -> None:
-        is_late.set()
-        _thread.interrupt_main()
-
-    def on_interrupt(number: int, frame: Any) -> None:
-        if is_late.is_set() or usual is not signal.SIG_IGN:
-            raise KeyboardInterrupt
-
-    # Otherwise nothing would interrupt what a shell has begun in the background.
-    signal.signal(signal.SIGINT, on_interrupt)
-    watch = threading.Timer(_LONGEST_S, interrupt)
-    watch.daemon = True
-    watch.start()
-    try:
-        machine.run(rig)
-    except KeyboardInterrupt:
-        if not is_late.is_set():
-            raise  # somebody's, who wants no more of it
-        return f"{rig.guest.interrupted or what}: no end of it within {_LONGEST_S:g} s"
-    finally:
-        watch.cancel()
-        signal.signal(signal.SIGINT, usual)
+    if watch.is_late(lambda: machine.run(rig)):
+        return f"{rig.guest.interrupted or what}: no end of it within {watch.LONGEST_S:g} s"
     return ""

@@ -13,14 +13,17 @@ from importlib.util import spec_from_loader
 from types import ModuleType
 from typing import Any
 
+from base.faults import harmless
 from boot import guests
 from extras import custom, handlers
 from extras.custom import Custom
 from extras.machine_operator import Operator
 from extras.runner import Runner
 
-from .own_python import OwnPython, OwnPythonError
+from . import board_modules
+from .own_python import LackError, OwnPython, OwnPythonError
 
+_TOLD = "Custom: "
 _GUEST = "_guest"  # under which a board has it
 
 
@@ -35,11 +38,17 @@ class Guest:
         self.running: list[str] = []  # handlers, the innermost last
         self.ran: list[str] = []  # handlers that came to their end, or failed
         self.faults: list[str] = []
+        self.lacks: list[str] = []  # those faults that are for want of what boards have
         self.interrupted = ""  # the handler that Ctrl-C has ended
         self.inputs: Any = None
         self.in_vain: "Callable[[str], None] | None" = None  # told of a wait that nobody ends
         self.told: "Callable[[str], None] | None" = None  # of a wait for a person
         self.switched: "Callable[[str, bool], None] | None" = None  # told of an output
+
+    def told_names(self) -> str:
+        """Its handlers, as $I has them behind `Custom: `."""
+        names = [custom.title(note[0], note[1]) for note in self.notes]
+        return harmless(_TOLD + ", ".join(names))[len(_TOLD) :]
 
     def at(self, fault: BaseException) -> str:
         """What has happened, with the last line of the user's own before it."""
@@ -156,6 +165,8 @@ class WatchedRunner(Runner):
 
     def _fail(self, what: str, fault: BaseException, may_move: bool) -> None:
         self.guest.faults.append(f"{what}: {self.guest.at(fault)}")
+        if board_modules.is_lacking(fault):
+            self.guest.lacks.append(self.guest.faults[-1])
         super()._fail(what, fault, may_move)
 
     def _is_own(self, file: str) -> bool:
@@ -187,6 +198,8 @@ class WatchedCustom(Custom):
             raise fault
         text = self._guest.at(fault)
         place = "" if ", line " in text else f"{self._guest.own.path}: "
+        if board_modules.is_lacking(fault):
+            raise LackError(f"{place}{text}: boards have it, the simulator does not") from fault
         raise OwnPythonError(place + text) from fault
 
 
@@ -210,7 +223,8 @@ def _customs(board: ModuleType) -> "tuple[str, ...]":
 
 
 def _prepare() -> None:
-    """Once: have the firmware ask here what there is to read."""
+    """Once: have the firmware ask here what there is to read, and find the board's modules."""
+    board_modules.complete()
     if _importer not in sys.meta_path:
         sys.meta_path.insert(0, _importer)
         guests.customs = _customs

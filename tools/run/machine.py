@@ -14,7 +14,7 @@ from ..grbl.messages import meaning
 from ..grbl.settings_file import Firmware, SettingsError
 from .file_store import FileStore
 from .inputs import Inputs, Rule
-from .own_python import INPUT_CALLS, NAME, OUTPUT_CALLS, OwnPython, read
+from .own_python import NAME, OwnPython, read
 
 if TYPE_CHECKING:
     from ..sim.rig import Rig
@@ -122,8 +122,8 @@ def assumed_pins(board: Any, custom: OwnPython) -> dict[str, dict[str, int]]:
     """OUTPUTS and INPUTS as a machine of the simulator may have them: those asked for."""
     if not is_simulated(board) or hasattr(board, "OUTPUTS") or hasattr(board, "INPUTS"):
         return {}
-    outputs = sorted({name for _, _, name in custom.strings_given_to(*OUTPUT_CALLS)})
-    inputs = sorted({name for _, _, name in custom.strings_given_to(*INPUT_CALLS)})
+    outputs = sorted({name for _, _, name in custom.outputs()})
+    inputs = sorted({name for _, _, name in custom.inputs()})
     return {
         "OUTPUTS": {name: pin for pin, name in enumerate(outputs)},
         "INPUTS": {name: pin for pin, name in enumerate(inputs, len(outputs))},

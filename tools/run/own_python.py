@@ -12,13 +12,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 NAME = "custom"  # on the board, where its file says nothing
-# What asks for a pin by its name.
-OUTPUT_CALLS = ("out", "pwm", "servo")
-INPUT_CALLS = ("pin", "wait_for", "input")
+# What asks for a pin by its name, and a tuple of such names.
+OUTPUT_CALLS, OUTPUT_NAMES = ("out", "pwm", "servo"), "OUTPUTS"
+INPUT_CALLS, INPUT_NAMES = ("pin", "wait_for", "input"), "INPUTS"
 
 
 class OwnPythonError(ValueError):
     """It cannot be read or compiled, or fails when it is imported: file, line and reason."""
+
+
+class LackError(OwnPythonError):
+    """It asks for something that boards have, and the simulator does not."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,35 @@ class OwnPython:
             f"{name.replace('.', '/')}.py": module.source for name, module in self.modules.items()
         }
 
-    def strings_given_to(self, *methods: str) -> "Iterator[tuple[Module, int, str]]":
+    def has_attribute(self, name: str) -> bool:
+        """Whether an attribute of that name is read or written anywhere: `m.keep`."""
+        return any(
+            isinstance(node, ast.Attribute) and node.attr == name
+            for module in self.modules.values()
+            for node in ast.walk(module.tree)
+        )
+
+    def outputs(self) -> "Iterator[tuple[Module, int, str]]":
+        """Names of outputs, where they stand."""
+        yield from self._strings_given_to(*OUTPUT_CALLS)
+        yield from self._strings_in(OUTPUT_NAMES)
+
+    def inputs(self) -> "Iterator[tuple[Module, int, str]]":
+        """Names of inputs, where they stand."""
+        yield from self._strings_given_to(*INPUT_CALLS)
+        yield from self._strings_in(INPUT_NAMES)
+
+    def _strings_in(self, name: str) -> "Iterator[tuple[Module, int, str]]":
+        """Texts of a tuple of that name: `OUTPUTS = ("air", "lamp")`."""
+        for module in self.modules.values():
+            for node in module.tree.body:
+                if isinstance(node, ast.Assign) and isinstance(node.value, ast.Tuple):
+                    if any(isinstance(to, ast.Name) and to.id == name for to in node.targets):
+                        for each in node.value.elts:
+                            if isinstance(each, ast.Constant) and isinstance(each.value, str):
+                                yield module, each.lineno, each.value
+
+    def _strings_given_to(self, *methods: str) -> "Iterator[tuple[Module, int, str]]":
         """Texts that stand as first argument of calls of these: `m.out("vacuum", 1)`."""
         for module in self.modules.values():
             for node in ast.walk(module.tree):

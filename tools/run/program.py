@@ -43,6 +43,7 @@ class Result:
     stopped: str = ""  # why it could not finish, if it could not
     switched: list[tuple[int, str, bool]] = field(default_factory=list)  # outputs of custom.py
     faults: list[str] = field(default_factory=list)  # how handlers of custom.py have failed
+    own: str = ""  # the handlers of custom.py, as $I names them
     totals: Totals = field(default_factory=Totals)
 
     def as_json(self) -> dict[str, Any]:

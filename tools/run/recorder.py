@@ -27,6 +27,7 @@ class Totals:
     steps_made: dict[str, int] = field(default_factory=dict)
     bounds_mm: dict[str, tuple[float, float]] = field(default_factory=dict)
     final_position_mm: dict[str, float] = field(default_factory=dict)
+    steps_probed: dict[str, int] = field(default_factory=dict)  # left out, for the probe touched
 
     def save(self, path: Path) -> None:
         """Write them as JSON."""
@@ -54,6 +55,9 @@ class Recorder:
         self._corexy = getattr(rig.board, "COREXY", False)
         self._planned = [0 for _ in self._axes]
         self._made = [0 for _ in self._axes]
+        self._probed = [0 for _ in self._axes]  # planned, and not made behind a probe's contact
+        self._before_probe: list[int] | None = None  # planned and not made, for other reasons
+        self._is_probing = False
         self._distance_mm = 0.0
         self._place = [0 for _ in self._axes]  # steps per motor, as the firmware counts
         self._mm_per_step = [0.0 for _ in self._axes]
@@ -89,6 +93,7 @@ class Recorder:
             self._by_letter(self._made),
             self._by_letter([(round(low, 4), round(high, 4)) for low, high in bounds]),
             self._by_letter([round(mm, 4) for mm in self._to_mm(self._place)]),
+            self._by_letter(self._probed),
         )
 
     def _attach(self) -> None:
@@ -98,7 +103,21 @@ class Recorder:
         self._settings = controller.settings
         self._plan = replace_method(self._planner, "line", self._line)
         self._chords = replace_method(self._planner, "chords", self._follow_arc)
+        self._probe = replace_method(controller.seek, "probe", self._watch_probe)
         self._follow_plain = replace_method(controller.interpreter.fast, "follow", self._follow)
+
+    def _watch_probe(self, *asked: Any) -> bool:
+        """Stand in for Seek.probe, which comes to rest before it plans its motion."""
+        self._is_probing, self._before_probe = True, None
+        done: bool = self._probe(*asked)
+        self._is_probing = False
+        if self._before_probe is not None:
+            left = zip(self._not_made(), self._before_probe, strict=True)
+            self._probed = [n + a - b for n, (a, b) in zip(self._probed, left, strict=True)]
+        return done
+
+    def _not_made(self) -> list[int]:
+        return [a - b for a, b in zip(self._planned, self._made, strict=True)]
 
     def _by_letter(self, values: Sequence[_Value]) -> dict[str, _Value]:
         return dict(zip(_LETTERS, values, strict=False))
@@ -138,6 +157,8 @@ class Recorder:
         layout = self._layout
         at = row * self._planner.flow[layout.ROW_SIZE] + layout.STEPS
         steps = self._planner.ring[at : at + len(self._axes)]
+        if self._is_probing and self._before_probe is None:
+            self._before_probe = self._not_made()
         dirs = self._planner.ring[at - layout.STEPS + layout.DIRS]
         planned = self._planned
         for i, count in enumerate(steps):

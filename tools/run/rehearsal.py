@@ -15,9 +15,11 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from math import dist, inf
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from . import machine
+from . import inputs, machine
+from .own_python import OwnPythonError
 from .program import ProgramLink, Result, Step
 from .recorder import Recorder
 
@@ -40,6 +42,10 @@ class Forecast:
     total_s: float = 0.0
     stopped: str = ""  # why it knows no more
     at_line: list[str] = field(default_factory=list)  # $G and $# before the line asked for
+    at_place: list[float] = field(default_factory=list)  # where it rests there
+    refused: list[int] = field(default_factory=list)  # lines
+    own: str = ""  # the handlers of custom.py, as $I names them
+    outputs_on: list[str] = field(default_factory=list)  # by custom.py, before the line asked for
 
     def seconds_left(self, line: int) -> float | None:
         """How long it takes from the moment on at which a line is answered."""
@@ -70,10 +76,6 @@ class Forecast:
             return None
         return self.block_line[best]
 
-    def place_before(self, line: int) -> list[float]:
-        """Where the tool is when that line begins."""
-        return self._begin(bisect_left(self.block_line, line))
-
     def highest_mm(self, line: int) -> float:
         """The highest Z up to there: high enough to get everywhere."""
         return max(end[2] for end in [self.start, *self.block_end[: self.blocks_before(line)]])
@@ -102,6 +104,7 @@ class Job:
     """What is to be rehearsed. ask_at: line before which modes and offsets are asked for.
 
     letters, axes: of the machine that it is for, as $I and $$ tell, where no board is named.
+    custom: the user's own Python, a path; inputs: who pushes its inputs, as --input says it.
     """
 
     lines: list[str]  # in Latin-1
@@ -111,6 +114,13 @@ class Job:
     check: bool = False
     letters: str = ""
     axes: int = machine.DEFAULT_AXES
+    custom: str = ""
+    inputs: list[str] = field(default_factory=list)
+
+    def around(self) -> machine.Around:
+        """What is around the machine. ValueError where that cannot be."""
+        rules = [inputs.rule(text) for text in self.inputs]
+        return machine.around(self.board, Path(self.custom) if self.custom else None, rules)
 
 
 class _Watcher(Recorder):
@@ -132,6 +142,10 @@ class _Watcher(Recorder):
         if self._watching and row != self._planner.flow[self._layout.ROWS]:
             self.forecast.block_line.append(self._rig.link.now_at())
             self.forecast.block_end.append(self._planned_place())
+
+    def ask_place(self) -> None:
+        """Note where it rests: not where the last block ends, if that was a probe's."""
+        self.forecast.at_place = self._planned_place()
 
     def _planned_place(self) -> list[float]:
         """Where the last block ends."""
@@ -157,7 +171,10 @@ class _Link(ProgramLink):
 
 
 def rehearse(job: Job, progress: Callable[[int], None] | None = None) -> tuple[Result, Forecast]:
-    """Run a job. A command for the stage that the simulator refuses is left out."""
+    """Run a job. A command for the stage that the simulator refuses is left out.
+
+    OwnPythonError where the user's own Python cannot be taken up.
+    """
 
     def script(link: ProgramLink) -> Iterator[Step]:
         from base import state
@@ -170,7 +187,7 @@ def rehearse(job: Job, progress: Callable[[int], None] | None = None) -> tuple[R
         watcher.begin()
         for number, line in enumerate(job.lines, 1):
             if number == job.ask_at:
-                yield from _ask(link, watcher.forecast)
+                yield from _ask(link, watcher)
             yield number, line.encode("latin-1")
             if progress and number % _PROGRESS_LINES == 0:
                 progress(number)
@@ -178,17 +195,30 @@ def rehearse(job: Job, progress: Callable[[int], None] | None = None) -> tuple[R
         watcher.stop_clock(link.news)
 
     rig = machine.build(
-        job.board, lambda rig: _Link(rig, script), letters=job.letters, axes=job.axes
+        job.board,
+        lambda rig: _Link(rig, script),
+        letters=job.letters,
+        axes=job.axes,
+        around=job.around(),
     )
+    if rig.guest:
+        rig.guest.in_vain, rig.guest.switched = rig.link.stop, rig.link.note_output
     watcher = _Watcher(rig)
     begun = rig.now
     machine.run(rig)
     link: _Link = rig.link
+    if rig.guest:
+        link.result.faults, link.result.own = rig.guest.faults, rig.guest.told_names()
     return link.result, _forecast(watcher, link, begun)
 
 
-def _ask(link: ProgramLink, forecast: Forecast) -> Iterator[Step]:
+def _ask(link: ProgramLink, watcher: _Watcher) -> Iterator[Step]:
     yield None
+    forecast = watcher.forecast
+    watcher.ask_place()
+    forecast.outputs_on = [
+        name for name, on in {name: on for _, name, on in link.result.switched}.items() if on
+    ]
     link.replies.clear()
     yield 0, b"$G"
     yield 0, b"$#"
@@ -202,7 +232,9 @@ def _forecast(watcher: _Watcher, link: _Link, begun: int) -> Forecast:
     hz = link.rig.engine.tick_hz
     forecast.answered_s = [round((tick - begun) / hz, 3) for tick in link.answered]
     forecast.total_s = round(watcher.totals().time_s, 3)
-    forecast.stopped = link.result.stopped
+    forecast.own = link.result.own
+    forecast.refused = [line for line, _ in link.result.errors]
+    forecast.stopped = link.result.stopped and (link.result.faults or [link.result.stopped])[-1]
     return forecast
 
 
@@ -258,8 +290,13 @@ def main() -> None:
         if os.getppid() != parent:
             raise KeyboardInterrupt("who has asked for it is gone")
 
-    _, forecast = rehearse(Job(**json.load(sys.stdin)), needed)
-    json.dump(asdict(forecast), sys.stdout)
+    out = sys.stdout
+    sys.stdout = sys.stderr  # for what a handler prints
+    try:
+        _, forecast = rehearse(Job(**json.load(sys.stdin)), needed)
+    except OwnPythonError as error:
+        forecast = Forecast(stopped=str(error))
+    json.dump(asdict(forecast), out)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,19 @@
 """The RP2040's `machine` module for CPython: pins, PWM and timers that a test looks at and drives.
 
 What is not modelled does not exist; what the board refuses is refused. Nothing happens by
-itself: a test drives inputs and lets timers expire. The ESP32's is esp_machine.py.
+itself: a test drives inputs and lets timers expire. The ESP32's is esp_machine.py. What only the
+user's own Python has use for is in peripherals.py, and does nothing.
 """
 
 from collections.abc import Callable
 from typing import Any
+
+import peripherals
+
+ADC, RTC, UART = peripherals.ADC, peripherals.RTC, peripherals.UART
+I2C, SoftI2C = peripherals.I2C, peripherals.SoftI2C
+SPI, SoftSPI = peripherals.SPI, peripherals.SoftSPI
+reset_cause, unique_id = peripherals.reset_cause, peripherals.unique_id
 
 _PINS = 30
 
@@ -71,7 +79,7 @@ class Pin:
     Edges of a pin whose trigger is 0 are lost. A handler that raises is not called again.
     """
 
-    IN, OUT = 0, 1
+    IN, OUT, OPEN_DRAIN = 0, 1, 2
     PULL_UP, PULL_DOWN = 1, 2
     IRQ_FALLING, IRQ_RISING = 4, 8
 
@@ -119,8 +127,17 @@ class Pin:
         level = PWM.outputs[self.id].shape() if pwm else 65535 * self.level
         return (level, 65535 - level, 0, 65535)[control >> _OUTOVER & 3]
 
-    def __call__(self) -> int:
-        return self.value()
+    def __call__(self, level: "int | None" = None) -> int:
+        return self.value(level)
+
+    def on(self) -> None:
+        self.value(1)
+
+    def off(self) -> None:
+        self.value(0)
+
+    def toggle(self) -> None:
+        self.value(not self.level)
 
     def value(self, level: "int | None" = None) -> int:
         if level is not None:
@@ -169,7 +186,7 @@ class PWM:
 
     outputs: dict[int, "PWM"] = {}
 
-    def __init__(self, pin: Pin, *, freq: int, duty_u16: int, invert: int = 0) -> None:
+    def __init__(self, pin: Pin, *, freq: int = 1907, duty_u16: int = 0, invert: int = 0) -> None:
         self.frequency = _checked(freq)
         self.duty = self.playing = duty_u16
         self.invert = invert
@@ -189,10 +206,18 @@ class PWM:
             self.frequency = _checked(value)
         return self.frequency
 
-    def duty_u16(self, duty: int) -> None:
-        if not 0 <= duty <= 65535:
-            raise ValueError("duty out of range")
-        self.duty = duty
+    def duty_u16(self, duty: "int | None" = None) -> int:
+        if duty is not None:
+            if not 0 <= duty <= 65535:
+                raise ValueError("duty out of range")
+            self.duty = duty
+        return self.duty
+
+    def duty_ns(self, ns: int) -> None:
+        self.duty_u16(min(65535, ns * self.frequency * 65535 // 1_000_000_000))
+
+    def deinit(self) -> None:
+        self.duty_u16(0)
 
 
 class Timer:

@@ -1,0 +1,142 @@
+"""What else `machine` has on a board, for the user's own Python: nothing is wired to it.
+
+Whoever writes is told that it has been written; whoever reads gets nothing, or zeros. The firmware
+uses none of it.
+"""
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+
+class _Inert:
+    """Takes any parameters, and does nothing."""
+
+    def __init__(self, *_: "Any", **__: "Any") -> None:
+        pass
+
+    def init(self, *_: "Any", **__: "Any") -> None:
+        pass
+
+    def deinit(self) -> None:
+        pass
+
+
+class UART(_Inert):
+    """A serial port on which nobody answers."""
+
+    INV_TX, INV_RX, RTS, CTS, IRQ_RXIDLE = 1, 2, 2, 1, 64
+
+    def any(self) -> int:
+        return 0
+
+    def read(self, count: int = -1, /) -> "bytes | None":
+        return None
+
+    def readline(self) -> "bytes | None":
+        return None
+
+    def readinto(self, buf: bytearray, count: int = -1, /) -> "int | None":
+        return None
+
+    def write(self, data: "bytes | bytearray | memoryview | str", /) -> int:
+        return len(data)
+
+    def flush(self) -> None:
+        pass
+
+    def txdone(self) -> bool:
+        return True
+
+    def sendbreak(self) -> None:
+        pass
+
+    def irq(self, *_: "Any", **__: "Any") -> None:
+        pass
+
+
+class I2C(_Inert):
+    """A bus whose addresses take all, and read as zeros; a scan finds none."""
+
+    def scan(self) -> "list[int]":
+        return []
+
+    def readfrom(self, addr: int, nbytes: int, stop: bool = True, /) -> bytes:
+        return bytes(nbytes)
+
+    def readfrom_into(self, addr: int, buf: bytearray, stop: bool = True, /) -> None:
+        buf[:] = bytes(len(buf))
+
+    def writeto(self, addr: int, buf: bytes, stop: bool = True, /) -> int:
+        return len(buf)
+
+    def writevto(self, addr: int, vector: "Any", stop: bool = True, /) -> int:
+        return sum(map(len, vector))
+
+    def readfrom_mem(self, addr: int, memaddr: int, nbytes: int, *, addrsize: int = 8) -> bytes:
+        return bytes(nbytes)
+
+    def readfrom_mem_into(
+        self, addr: int, memaddr: int, buf: bytearray, *, addrsize: int = 8
+    ) -> None:
+        buf[:] = bytes(len(buf))
+
+    def writeto_mem(self, addr: int, memaddr: int, buf: bytes, *, addrsize: int = 8) -> None:
+        pass
+
+
+class SoftI2C(I2C):
+    """The same on any pins."""
+
+
+class SPI(_Inert):
+    """A bus that reads as zeros."""
+
+    MSB, LSB = 0, 1
+
+    def read(self, nbytes: int, write: int = 0, /) -> bytes:
+        return bytes(nbytes)
+
+    def readinto(self, buf: bytearray, write: int = 0, /) -> None:
+        buf[:] = bytes(len(buf))
+
+    def write(self, buf: bytes, /) -> None:
+        pass
+
+    def write_readinto(self, write_buf: bytes, read_buf: bytearray, /) -> None:
+        read_buf[:] = bytes(len(read_buf))
+
+
+class SoftSPI(SPI):
+    """The same on any pins."""
+
+
+class ADC(_Inert):
+    """An analog input at 0 V."""
+
+    ATTN_0DB, ATTN_2_5DB, ATTN_6DB, ATTN_11DB = range(4)
+    CORE_TEMP = 4
+
+    def read_u16(self) -> int:
+        return 0
+
+    def read_uv(self) -> int:
+        return 0
+
+    def read(self) -> int:
+        return 0
+
+
+class RTC(_Inert):
+    """A clock that nobody has set."""
+
+    def datetime(self, when: "Any" = None, /) -> "Any":
+        return None if when else (2021, 1, 1, 4, 0, 0, 0, 0)
+
+
+def unique_id() -> bytes:
+    return bytes(8)
+
+
+def reset_cause() -> int:
+    return 1  # PWRON_RESET
