@@ -8,7 +8,6 @@ import esp_bench
 import machine
 import pytest
 from pio import pins as gpio
-from ports import port as gpio_port
 from punch_pins import Punch
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.rig import Rig
@@ -23,13 +22,14 @@ def board() -> ModuleType:
 class Machine(Rig):
     """A simulated machine with a real board's port."""
 
-    def __init__(self, make: "Callable[[ModuleType], Any]", module: Any, pins: Any) -> None:
+    def __init__(self, make: "Callable[[ModuleType], Any]", pins: Any) -> None:
         made = board()
         super().__init__(made)
         self.port = make(made)
         self.port.power_off = lambda: None
         self.punch = Punch(made, pins, lambda: self.now * 1000 // int(self.ticks_per_ms))
-        module.time = SimpleNamespace(ticks_ms=self._ticks_ms, ticks_diff=lambda a, b: a - b)
+        ticks = SimpleNamespace(ticks_ms=self._ticks_ms, ticks_diff=lambda a, b: a - b)
+        type(self.port).ticks_ms.__globals__["time"] = ticks
 
     def _ticks_ms(self) -> int:
         self.punch.turn()
@@ -56,12 +56,13 @@ def rig(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Mach
     if request.param == "pio":
         monkeypatch.setattr(gpio, "_is_rp2350", lambda: False)
         monkeypatch.setattr(machine.Pin, "pins", {})
-        monkeypatch.setattr(gpio_port, "time", None)
+        # Of the very module that the class is of: other tests may have brought in another.
+        monkeypatch.setitem(gpio.GpioPort.ticks_ms.__globals__, "time", None)
         monkeypatch.setattr(gpio, "time", SimpleNamespace(sleep_us=lambda us: None))
-        return Machine(gpio.GpioPort, gpio_port, machine.Pin)
+        return Machine(gpio.GpioPort, machine.Pin)
     esp_bench.reset_stand_ins()
-    monkeypatch.setattr(esp_bench.gpio_port, "time", None)
-    return Machine(esp_bench.gpio_esp.EspPort, esp_bench.gpio_port, esp_bench.esp_machine.Pin)
+    monkeypatch.setitem(esp_bench.gpio_esp.EspPort.ticks_ms.__globals__, "time", None)
+    return Machine(esp_bench.gpio_esp.EspPort, esp_bench.esp_machine.Pin)
 
 
 def test_each_motion_ends_with_a_stroke(rig: Machine) -> None:
