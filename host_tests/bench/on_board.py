@@ -269,18 +269,19 @@ acts[b"STAGE"] = stages
 
 # $GAP: the longest time from one look at the link to the next since it was asked last, us.
 _GAPS = """
-protocol = module("talk", "protocol")
+import board
+
 gaps = [0, 0]
 
 
 def watched(look):
-    def look_and_note(self):
+    def look_and_note(*arguments):
         now = time.ticks_us()
         gap = time.ticks_diff(now, gaps[0])
         if gap > gaps[1]:
             gaps[1] = gap
         gaps[0] = now
-        look(self)
+        return look(*arguments)
 
     return look_and_note
 
@@ -291,8 +292,13 @@ def longest(_):
     return (gap,)
 
 
-for way in ("pump", "service"):
-    setattr(protocol.Protocol, way, watched(getattr(protocol.Protocol, way)))
+if getattr(board, "LINK", "usb") == "usb":
+    link = module("ports", "usb_link").UsbLink
+    make = link._make_read_into
+    link._make_read_into = lambda self: watched(make(self))
+else:
+    link = module("ports", "uart_link").UartLink
+    link.read_into = watched(link.read_into)
 acts[b"GAP"] = longest
 """
 
