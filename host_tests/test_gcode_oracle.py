@@ -201,7 +201,7 @@ def play(machine: Machine, data: bytes) -> bool:
             yield rig.ms(40)
             while not machine.idle() and rig.now < until:
                 yield rig.ms(40)
-        yield rig.ms(500)
+        yield rig.ms(1500)  # behind an alarm nothing is said for half a second
         at_rest.append(machine.idle())
 
     at_rest: list[bool] = []
@@ -218,6 +218,7 @@ def answers(machine: Machine) -> int:
 @given(noise)
 @example(b"$RST=*\n\x18?$$\n")
 @example(b"$RST=#\n")
+@example(b"G21G17G38.2X1F100")
 @example(b"$N0=G0X1\n\x18\n")
 @example(b"$SLP\n?\x18\n")
 @example(b"(" + bytes(range(128, 256)) + b")\n")

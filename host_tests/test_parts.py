@@ -27,32 +27,6 @@ def test_an_engine_is_refused_below_its_version_and_not_from_there_on(
         assert word not in why.lower()
 
 
-@pytest.mark.parametrize(
-    ("code", "begins", "is_known"),
-    [
-        (0x2000_4000, 0xB5FE, True),
-        (0x2008_0010, 0xB5B1, True),
-        (0x2000_4000, 0x0000, False),
-        (0x1003_0000, 0xB5FE, False),
-    ],
-)
-def test_a_micropython_that_keeps_functions_otherwise_is_refused_before_it_is_called(
-    monkeypatch: pytest.MonkeyPatch, code: int, begins: int, is_known: bool
-) -> None:
-    class Words:
-        def __getitem__(self, address: int) -> int:
-            return code
-
-    memory = SimpleNamespace(mem32=Words(), mem16={code: begins})
-    monkeypatch.setitem(sys.modules, "machine", memory)  # type: ignore[arg-type]
-    monkeypatch.setattr(parts, "sys", SimpleNamespace(platform="rp2"))
-    if is_known:
-        parts._check_calls()
-    else:
-        with pytest.raises(RuntimeError, match="another MicroPython"):
-            parts._check_calls()
-
-
 def board(engine: str, *left_out: str) -> ModuleType:
     made = ModuleType("board")
     names = {"ENGINE": engine, "STEP": (1,), "DIR": (2,), "ENABLE": 3, "I2S": (4, 5, 6)}

@@ -23,7 +23,10 @@ class Loop:
         self.drive: Any = SimpleNamespace(by_pin=by_pin)
         self._restarts = restarts
         reader: Any = SimpleNamespace(
-            feed=self._feed, take=None, line=bytearray(80), free=lambda: 255
+            feed=self._feed,
+            memory=lambda: (None, None, None),
+            line=bytearray(80),
+            free=lambda: 255,
         )
         fast = SimpleNamespace(follow=None)
         nobody: Any = SimpleNamespace(finish=None, fast=fast)

@@ -17,7 +17,7 @@ import serial
 
 _PATIENCE_S = 15.0
 _COMMAND = [sys.executable, "-m", "ugrbl.cli"]
-_ENVIRONMENT = {**os.environ, "UGRBL_VIPER": "fast", "COLUMNS": "120"}
+_ENVIRONMENT = {**os.environ, "UGRBL_VIPER": "fast"}
 
 
 def ugrbl(*words: object) -> subprocess.CompletedProcess[str]:

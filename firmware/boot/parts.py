@@ -41,12 +41,6 @@ _WATCHDOG_MS = const(5000)
 # most; who has more to do, in main.py say, reads the link in between.
 _LOOP_MS = const(250)
 
-# Where a function's object has the address of its code, in memory; what viper code begins with,
-# as the compiler leaves it and where it has two entries.
-_CODE_AT = const(12)
-_RAM = const(0x20)
-_BEGINNINGS = (0xB5FE, 0xB5B1)
-
 # What $I says where Ctrl-X is not heard before the main loop reads; `ugrbl doctor` knows it.
 _SLOW_RESET = " slow-reset"
 
@@ -165,7 +159,6 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
         sys.path[:] = [folder for folder in path if folder != _USERS]
         import board
 
-        _check_calls()
         option = board.__dict__.get
         link = _link(getattr(board, "LINK", "usb"))  # to tell by what is wrong
         from motion import layout
@@ -198,18 +191,6 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
     del sys.modules["board"]
     watch.start(feed, machine.drive.note_reset)
     return parts
-
-
-def _check_calls() -> None:
-    """Compiled code calls functions where MicroPython keeps theirs (tools/compiling/direct.py).
-    Raises RuntimeError where this one keeps it elsewhere, before there is such a call."""
-    if sys.platform == "rp2":
-        import machine
-        from base.f32 import copy
-
-        code = machine.mem32[id(copy) + _CODE_AT]
-        if code >> 24 != _RAM or machine.mem16[code] not in _BEGINNINGS:
-            raise RuntimeError("compiled for another MicroPython: put 1.28 on the board")
 
 
 def _link(kind: str) -> "BoardLink":

@@ -85,22 +85,16 @@ class Protocol:
             self._realtime.suspended()
 
     def run(self) -> None:
-        """Execute lines for ever; a reset begins anew. The stack is short: no frame to spare.
-
-        Lines that follow() has done are answered in twos, where another one is there already."""
-        reader = self._reader
-        state = self._state
-        pending = state.pending
-        line = reader.line
-        ring, at, kinds = reader.memory()
-        go_on = clean
+        """Execute lines for ever; a reset begins anew. The stack is short: no frame to spare."""
+        reader, state = self._reader, self._state
+        pending, line = state.pending, reader.line
+        (ring, at, kinds), go_on = reader.memory(), clean
         follow = self._interpreter.fast.follow
         write, ok, both = self._link.write, OK, _BOTH  # what report.ok() does
         read_into, buffer, feed = self._read_into, self._buffer, self._feed
-        echoes = self._echoes
-        finish = self._saves.finish
-        is_owed = False
+        echoes, finish = self._echoes, self._saves.finish
         room = len(buffer)
+        is_owed = False  # lines that follow() has done are answered in twos, if there are two
         while True:
             try:
                 if self._drive.by_pin:  # what is unread was sent before the reset
@@ -127,9 +121,7 @@ class Protocol:
                         is_owed = not is_owed
                         if not is_owed:
                             write(both)
-                            count = read_into(buffer)  # as pump() does
-                            if count:
-                                feed(buffer, count)
+                            feed(buffer, read_into(buffer))  # as pump() does
                     else:
                         if is_owed:
                             is_owed = False

@@ -292,12 +292,12 @@ def longest(_):
     return (gap,)
 
 
-if getattr(board, "LINK", "usb") == "usb":
-    link = module("ports", "usb_link").UsbLink
+kind = getattr(board, "LINK", "usb")
+link = getattr(module("ports", kind + "_link"), {"usb": "UsbLink", "uart": "UartLink"}[kind])
+if kind == "usb":
     make = link._make_read_into
     link._make_read_into = lambda self: watched(make(self))
 else:
-    link = module("ports", "uart_link").UartLink
     link.read_into = watched(link.read_into)
 acts[b"GAP"] = longest
 """

@@ -42,9 +42,9 @@ def check_outputs(
     keep = [file for file in _read(others) if file.exists()]
     for file in named:
         if str(file) != STDIN:
+            _check(file)
             if file.exists() and any(map(file.samefile, keep)):
                 raise ValueError(f"{file} is what is read: it is not written over")
-            _check(file)
 
 
 def _is_one(value: object, files: list[Path]) -> bool:
