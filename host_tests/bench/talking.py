@@ -160,7 +160,7 @@ def special_lines(bench: Bench) -> Iterator[Row]:
     made = stream(talk, list(new_feeds(300)), _BLOCKS)
     yield Row("short moves, a new F each", made.lines_s, "lines/s")
     _at_start(talk)
-    made = stream(talk, list(arcs(8)), _BLOCKS)
+    made = stream(talk, list(arcs(24)), _BLOCKS)
     yield Row("half circles of 1 mm", made.lines_s, "lines/s")
     idle(talk)
     talk.ask("M5")
