@@ -12,6 +12,7 @@ What is changed are the few sequences that the compiler writes for calls, argume
 
 import ast
 from collections.abc import Mapping
+from functools import lru_cache
 
 from . import forms, mpy, thumb
 from .calling import Divided, Entry, redirect
@@ -38,37 +39,49 @@ class _Program:
         for name, module in modules.items():
             code = mpy.vipers(compiled[name])
             for function, each in zip(module.functions, code, strict=True):
-                if (name, function) in called:
-                    self._divide((name, function), each)
-
-    def _divide(self, key: Key, code: bytes) -> None:
-        try:
-            divided = Divided(code)
-            shortened(divided.ops)  # or it could not be written
-        except NotUnderstood:
-            return
-        self._entries[key] = divided.entry
+                if (name, function) in called and (entry := _entry(each)):
+                    self._entries[name, function] = entry
 
     def module(self, name: str) -> bytes:
         """One of them, rewritten."""
-        module, names = self._modules[name], mpy.names(self._compiled[name])
-        functions = list(module.functions)
-
-        def entry_of(number: int) -> "Entry | None":
-            return self._entries.get(module.means(names[number]) or ("", ""))
+        module, functions = self._modules[name], list(self._modules[name].functions)
+        meant = map(module.means, mpy.names(self._compiled[name]))
+        entries = tuple(self._entries.get(key) if key else None for key in meant)
 
         def rewrite(code: bytes, place: int) -> bytes:
-            if place != mpy.APART and (name, functions[place]) in self._entries:
-                divided = Divided(code)
-                redirect(divided.ops, entry_of)
-                return divided.front + shortened(divided.ops)
-            try:
-                ops = thumb.read(code)
-                return shortened(ops) if redirect(ops, entry_of) else shorter(code)
-            except NotUnderstood:
-                return code
+            has_two = place != mpy.APART and (name, functions[place]) in self._entries
+            return _rewritten(code, entries, has_two)
 
         return mpy.rewritten(self._compiled[name], rewrite)
+
+
+# Kept from build to build: boards have most functions in common.
+
+
+@lru_cache(1024)
+def _entry(code: bytes) -> "Entry | None":
+    """The second entry that a function can have."""
+    try:
+        divided = Divided(code)
+        shortened(divided.ops)  # or it could not be written
+    except NotUnderstood:
+        return None
+    return divided.entry
+
+
+@lru_cache(4096)
+def _rewritten(code: bytes, entries: "tuple[Entry | None, ...]", has_two: bool) -> bytes:
+    """A function's code. entries: of what it may call, by the numbers of names; has_two: it is to
+    have a second one itself."""
+    if has_two:
+        divided = Divided(code)
+        redirect(divided.ops, entries.__getitem__)
+        return divided.front + shortened(divided.ops)
+    try:
+        ops = thumb.read(code)
+        return shortened(ops) if redirect(ops, entries.__getitem__) else shorter(code)
+    except NotUnderstood:
+        return code
 
 
 def _called(modules: "Mapping[str, Module]") -> "set[Key]":
