@@ -85,6 +85,13 @@ def squares(count: int) -> list[str]:
     return ["G21 G91 F1000", *(["G1 X1", "Y1", "X-1", "Y-1"] * count)]
 
 
+def test_each_line_of_many_has_its_own_block() -> None:
+    other = {7: "M8", 8: "(a comment)", 10: "", 12: "$", 45: "G4 P0.1"}
+    lines = ["G21 G91 F600", *(other.get(n, f"G1 X{(-1) ** n}") for n in range(2, 70))]
+    _, found = rehearse(Job(lines, []))
+    assert found.block_line == [n for n in range(2, 70) if n not in other]
+
+
 def test_the_line_is_found_by_its_place(here: stage.Stage) -> None:
     found = forecast(here, ["G21 G91 F1000", *(f"G1 X-{n}" for n in range(1, 9))])
     x = -20.0 - 1 - 2 - 1.5  # in the middle of X3

@@ -136,6 +136,8 @@ class Recorder:
         row = self._planner.flow[self._layout.HEAD]
         done: int = self._follow_plain(line, length)
         self._note_from(row)
+        if done:
+            self._rig.link.line_done()
         return done
 
     def _follow_arc(self, *asked: Any) -> int:
