@@ -12,6 +12,7 @@ from extras.gcode_text import clean
 from hypothesis import given
 from hypothesis import strategies as some
 from talk.lines import LineReader
+from talk.lines import clean as read_line
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
@@ -143,7 +144,7 @@ def test_check_mode_looks_at_words_and_runs_nothing(bench: Make) -> None:
 def test_a_handlers_line_is_read_as_a_senders(text: str) -> None:
     reader = LineReader(128, 80, lambda _: None)
     reader.feed(bytearray(text.encode() + b"\n"), len(text) + 1)
-    length = reader.take() >> 2
+    length = read_line(*reader.memory()) >> 2
     assert clean(text) == reader.line[:length] + b"\0"
 
 

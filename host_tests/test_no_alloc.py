@@ -86,6 +86,7 @@ for axis in range(3):
     arcs.limit(course, axis, -arcs.FARTHEST, arcs.FARTHEST)
 arc.lay(vector(3), vector(3), 0.00002, planner.steps_per_mm, course)
 reader = lines.LineReader(128, 79, lambda byte: None)
+heard, at, typed, kinds = reader.memory()
 received = bytearray(b"G1 X1 (a comment) ? y2\\n")
 """
 
@@ -107,7 +108,7 @@ _PROVED = {
     "chords": "planner.chords(course, move, 0, True)",
     "chords in check mode": "planner.chords(course, move, 0, False)",
     "feed": "reader.feed(received, len(received))",
-    "take": "reader.take()",
+    "clean": "lines.clean(heard, at, typed, kinds)",
 }
 
 _SEGMENTS = """

@@ -24,8 +24,7 @@ class Loop:
         self._restarts = restarts
         reader: Any = SimpleNamespace(
             feed=self._feed,
-            memory=lambda: (None, None, None),
-            line=bytearray(80),
+            memory=lambda: (None, None, bytearray(80), None),
             free=lambda: 255,
         )
         fast = SimpleNamespace(follow=None)

@@ -27,10 +27,10 @@ def trace(fault: BaseException) -> "list[str]":
 
 def harmless(text: str) -> str:
     """The text without what senders take for an answer ("ok", "error") or for a message's end."""
-    clean = bytearray(text[:_LONGEST].encode())
-    for i in range(len(clean)):
-        if not 32 <= clean[i] < 127 or clean[i] in b"[]":
-            clean[i] = 32
+    clean = bytearray()
+    for byte in text[:_LONGEST].encode("utf-8", "surrogatepass"):
+        if byte & 0xC0 != 0x80:  # a letter has one that is not so, its first
+            clean.append(byte if 32 <= byte < 127 and byte not in b"[]" else 32)
     text = clean.decode()
     for word, told in _TOLD:
         if word in text:

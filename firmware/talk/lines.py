@@ -14,7 +14,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-# What take() found: below the length of the line, times 4.
+# What clean() found: below the length of the line, times 4.
 NOTHING = const(0)
 LINE = const(1)
 TOO_LONG = const(2)
@@ -139,8 +139,7 @@ def _make_kinds(first: int, extra: int) -> bytearray:
 class LineReader:
     """The ring and the line being put together. size: bytes of the ring; longest: of a line.
 
-    take() goes on with the line: length * 4 + LINE once it is complete, followed by a 0. The
-    loop calls clean() itself, with memory() and the line.
+    clean(*memory()) goes on with the line: length * 4 + LINE once it is complete, followed by a 0.
     """
 
     def __init__(
@@ -156,13 +155,9 @@ class LineReader:
         self._at = array("i", (size + 1, 0, 0, 0, longest, reads[2], 0))
         self._kinds = _make_kinds(reads[0], reads[1])
 
-    def take(self) -> int:
-        """Go on with the line."""
-        return clean(self._ring, self._at, self.line, self._kinds)
-
-    def memory(self) -> "tuple[bytearray, array[int], bytearray]":
-        """The ring, where the reader is, and kinds of bytes: clean()'s."""
-        return self._ring, self._at, self._kinds
+    def memory(self) -> "tuple[bytearray, array[int], bytearray, bytearray]":
+        """What clean() works on: the ring, where the reader is, the line, and kinds of bytes."""
+        return self._ring, self._at, self.line, self._kinds
 
     def feed(self, data: bytearray, count: int) -> None:
         """Accept received bytes. Those that do not fit are lost: the sender has miscounted."""
@@ -177,11 +172,11 @@ class LineReader:
         return at[_SIZE] - 1 - (at[_HEAD] - at[_TAIL]) % at[_SIZE]
 
     def waiting(self) -> bool:
-        """Bytes have come that take() has not seen."""
+        """Bytes have come that clean() has not seen."""
         return self._at[_HEAD] != self._at[_TAIL]
 
     def has_line(self) -> bool:
-        """A line has been taken, or is on its way: take() has not come to an empty ring since."""
+        """A line has been found, or is on its way: clean() has not come to an empty ring since."""
         at = self._at
         return at[_HEAD] != at[_TAIL] or at[_LENGTH] > 0 or at[_SKIPPING] > 0
 

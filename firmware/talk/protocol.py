@@ -87,8 +87,8 @@ class Protocol:
     def run(self) -> None:
         """Execute lines for ever; a reset begins anew. The stack is short: no frame to spare."""
         reader, state = self._reader, self._state
-        pending, line = state.pending, reader.line
-        (ring, at, kinds), go_on = reader.memory(), clean
+        pending, go_on = state.pending, clean
+        ring, at, line, kinds = reader.memory()
         follow = self._interpreter.fast.follow
         write, ok, both = self._link.write, OK, _BOTH  # what report.ok() does
         read_into, buffer, feed = self._read_into, self._buffer, self._feed
