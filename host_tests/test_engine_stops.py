@@ -158,6 +158,18 @@ def test_what_fails_while_a_fault_is_mended_keeps_nothing_from_stopping(
     assert "OS" in made.engine.fault()
 
 
+@pytest.mark.parametrize("before_us", range(10_000, 600_000, 59_000))
+@pytest.mark.parametrize("engine", ESP)
+def test_motion_begins_at_once_also_right_before_the_clock_wraps(
+    engine: str, before_us: int
+) -> None:
+    clock.us += -(clock.us + before_us) & 0x3FFFFFFF
+    made = make(engine, "diagonal")
+    made.engine.start()
+    made.run(150)
+    assert made.steps
+
+
 @pytest.mark.parametrize("engine", ESP)
 def test_motion_that_does_not_go_on_is_a_fault(engine: str) -> None:
     made = make(engine, "diagonal")

@@ -65,7 +65,8 @@ _TOLD = const(7)  # spindle power told last
 _GAP = const(8)  # longest time that motion had to stand still for, in us,
 _SKEW = const(9)  # most that a channel was started too early or late by,
 _TRAINS = const(10)  # and how many trains there were
-_STATE_LENGTH = const(11)
+_CUT = const(11)  # a train was cut off: its channels may still be at work
+_STATE_LENGTH = const(12)
 
 # Lanes: integers per axis.
 _LANE = const(6)
@@ -158,9 +159,10 @@ class RmtEngine(Turns):
         if not state[_RUNNING]:
             state[_TOLD] = -1
             now = time.ticks_us()
-            rest = time.ticks_diff(state[_FREE], now)  # of a train that was cut off
-            if not 0 < rest < LOST_US:
+            rest = time.ticks_diff(state[_FREE], now)
+            if not (state[_CUT] and 0 < rest < LOST_US):
                 state[_FREE] = now & MASK
+            state[_CUT] = 0
             state[_DUE] = (state[_FREE] + _FROM_REST_US) & MASK
             self._powers[0] = MASK
             state[_RUNNING] = 1
@@ -175,6 +177,7 @@ class RmtEngine(Turns):
         state, timing = self._state, self._timing
         state[_HALT] = 1
         self._cut_off((1 << self._axes) - 1)
+        state[_CUT] = 1
         state[_RUNNING] = 1
         state[_PULLING] = 0
         state[_READY] = 0
