@@ -199,6 +199,7 @@ class Watch:
         self.planned: list[Block] = []
         self.made: list[Segment] = []
         self.pieces: list[Piece] = []
+        self.rests: set[int] = set()  # it came to rest for a hold behind so many segments
         self.planner = planner
         self._rows: dict[int, Block] = {}
         self._line, self._system_line = planner.line, planner.system_line
@@ -371,6 +372,7 @@ class Bench:
         """Hold, come to rest, go on."""
         self.segments.hold(True)
         self.finish()
+        self.watch.rests.add(len(self.watch.made))
         self.segments.hold(False)
 
     def finish(self) -> None:
@@ -533,10 +535,10 @@ def check_even(watch: Watch) -> None:
     pieces = iter(watch.pieces)
     stretch: list[Segment] = []
     steady = None
-    for segment in watch.made:
+    for at, segment in enumerate(watch.made):
         piece = next(p for p in pieces if p.segment is segment)
         same = steady and steady.block is piece.block and near(piece.mean, steady.speed, 1e-4)
-        if not same:
+        if not same or at in watch.rests:
             _check_stretch(stretch)
             stretch = []
         stretch.append(segment)
