@@ -10,18 +10,8 @@ from boot import wiring
 from control import modes as modal
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from language.fast_path import (
-    AXES,
-    FEED,
-    HAS_G0,
-    HAS_G1,
-    LASER,
-    MODE,
-    OFFSETS,
-    VALUES,
-    FastPath,
-    read,
-)
+from language.fast_kernel import AXES, FEED, HAS_G0, HAS_G1, LASER, MODE, OFFSETS, VALUES, read
+from language.fast_path import FastPath
 from motion import layout
 from oracle import read_words
 from test_words import bits, pieces

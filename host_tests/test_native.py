@@ -191,7 +191,7 @@ def test_what_would_go_wrong_in_silence_raises(tmp_path: Path) -> None:
 
 def test_every_kernel_is_translated() -> None:
     listed = set(re.findall(r'^ +"(\S+) (\S+)', native.in_c(build.texts()), re.MULTILINE))
-    assert {("motion.plan_kernel", "plan"), ("language.fast_path", "follow")} <= listed
+    assert {("motion.plan_kernel", "plan"), ("language.fast_kernel", "follow")} <= listed
     assert len(listed) > 40
 
 

@@ -16,7 +16,7 @@ from motion import arcs, layout, plan_kernel
 from talk import lines
 import micropython
 from control import canon
-from language import fast_path
+from language import fast_kernel
 from language import words
 from base.f32 import vector
 from motion.planner import Move, Planner
@@ -76,9 +76,10 @@ dot = bytearray(b"X-12.345S500F300\\0")
 here = vector(3)
 rates = vector(2)
 there = array("i", [3, 0, 1000, 2000, 300])
-known = array("i", [0] * (fast_path.OFFSETS + 3))
-known[fast_path.AXES], known[fast_path.MODE], known[fast_path.FEED] = 3, fast_path.HAS_G1, 7
-known[fast_path.OFFSETS] = 7
+known = array("i", [0] * (fast_kernel.OFFSETS + 3))
+known[fast_kernel.AXES], known[fast_kernel.MODE] = 3, fast_kernel.HAS_G1
+known[fast_kernel.FEED] = 7
+known[fast_kernel.OFFSETS] = 7
 arc = arcs.Arc()
 arc.radius = arc.centre_0 = 5.0
 course = array("i", [0] * arcs.course_length(3))
@@ -97,13 +98,13 @@ _PROVED = {
     "reverse_pass": "plan_kernel.reverse_pass(ring, flow, 1)",
     "scan": "words.scan(text, end, letters, values)",
     "read": "line.read(short, 0, len(short) - 1)",
-    "fast_path.read": "fast_path.read(short, len(short) - 1, known)",
-    "place": "fast_path.place(known, 7, here, target)",
-    "line_number": "fast_path.line_number(known, fast_path.HAS_N)",
+    "fast_kernel.read": "fast_kernel.read(short, len(short) - 1, known)",
+    "place": "fast_kernel.place(known, 7, here, target)",
+    "line_number": "fast_kernel.line_number(known, fast_kernel.HAS_N)",
     "judge": "canon.judge(target, there, flow)",
-    "follow": "fast_path.follow(short, len(short) - 1, known, here, target, there, table, ring, "
+    "follow": "fast_kernel.follow(short, len(short) - 1, known, here, target, there, table, ring, "
     "flow, planner.speeds, state.changes, rates, state.spindle, None)",
-    "follow with a new S": "fast_path.follow(dot, len(dot) - 1, known, here, target, there, "
+    "follow with a new S": "fast_kernel.follow(dot, len(dot) - 1, known, here, target, there, "
     "table, ring, flow, planner.speeds, state.changes, rates, state.spindle, None)",
     "chords": "planner.chords(course, move, 0, True)",
     "chords in check mode": "planner.chords(course, move, 0, False)",

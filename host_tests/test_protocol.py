@@ -24,10 +24,11 @@ class Loop:
         self._restarts = restarts
         reader: Any = SimpleNamespace(
             feed=self._feed,
+            post=None,
             memory=lambda: (None, None, bytearray(80), None),
             free=lambda: 255,
         )
-        fast = SimpleNamespace(follow=None)
+        fast = SimpleNamespace(follow=None, plain=None, memory=())
         nobody: Any = SimpleNamespace(finish=None, fast=fast)
         self.protocol = Protocol(
             *(self.link, State(), reader, nobody, nobody, nobody, self.drive),

@@ -6,7 +6,7 @@ from array import array
 from base import singles
 from base.f32 import vector
 from base.state import State
-from language import fast_path, words
+from language import fast_kernel, words
 from motion import arcs, layout, ramps, reals
 from motion.kinematics import COREXY, Kinematics
 from motion.layout import ROWS
@@ -52,8 +52,12 @@ def print_reals(dice):
 def print_words(dice):
     """Numbers of any length, read into the bits of floats."""
     letters, values = bytearray(128), array("f", [0.0] * 128)
-    known = array("i", [0] * (fast_path.OFFSETS + 3))
-    known[fast_path.AXES], known[fast_path.MODE], known[fast_path.FEED] = 3, fast_path.HAS_G1, 500
+    known = array("i", [0] * (fast_kernel.OFFSETS + 3))
+    known[fast_kernel.AXES], known[fast_kernel.MODE], known[fast_kernel.FEED] = (
+        3,
+        fast_kernel.HAS_G1,
+        500,
+    )
     for _ in range(1500):
         text = ""
         for _ in range(1 + dice.below(5)):
@@ -67,7 +71,8 @@ def print_words(dice):
         one, other = array("f", [values[0]]), array("f", [values[1 % (count & 255)]])
         singles.add_single(one, 0, other, 0)
         print(
-            list(bytes(other)), fast_path.read(bytearray(text.encode() + b"\0"), len(text), known)
+            list(bytes(other)),
+            fast_kernel.read(bytearray(text.encode() + b"\0"), len(text), known),
         )
 
 

@@ -119,6 +119,16 @@ def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
     return length << 2 | found if found else NOTHING
 
 
+@micropython.viper
+def feed(data: ptr8, count: int, ring: ptr8, at: ptr32, kinds: ptr8, post: object) -> int:
+    """Accept received bytes; post is called with those that are real-time."""
+    i = int(fill_ring(data, count << 16, ring, at, kinds))
+    while i < count:
+        post(data[i])  # type: ignore[operator]
+        i = int(fill_ring(data, count << 16 | (i + 1), ring, at, kinds))
+    return i
+
+
 def _make_kinds(first: int, extra: int) -> bytearray:
     """What to do with each byte. Real-time bytes: from first on, and extra, besides the usual."""
     kinds = bytearray(256)
@@ -161,10 +171,7 @@ class LineReader:
 
     def feed(self, data: bytearray, count: int) -> None:
         """Accept received bytes. Those that do not fit are lost: the sender has miscounted."""
-        i = fill_ring(data, count << 16, self._ring, self._at, self._kinds)
-        while i < count:
-            self.post(data[i])
-            i = fill_ring(data, count << 16 | (i + 1), self._ring, self._at, self._kinds)
+        feed(data, count, self._ring, self._at, self._kinds, self.post)
 
     def free(self) -> int:
         """Bytes that may still be sent."""

@@ -11,6 +11,7 @@ from base.errors import Abort, GrblError
 from micropython import const
 
 from talk.lines import LINE, NOTHING, clean
+from talk.quick_lines import OWED, needs, take_quick
 from talk.report import OK
 
 TYPE_CHECKING = const(False)
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 
 _LOCKED = const(st.ALARM | st.JOG)
 _DEAF_MS = const(500)  # nothing is answered for so long behind an alarm
-_BOTH = OK + OK
 
 
 class Protocol:
@@ -86,15 +86,11 @@ class Protocol:
 
     def run(self) -> None:
         """Execute lines for ever; a reset begins anew. The stack is short: no frame to spare."""
-        reader, state = self._reader, self._state
-        pending, go_on = state.pending, clean
-        ring, at, line, kinds = reader.memory()
-        follow = self._interpreter.fast.follow
-        write, ok, both = self._link.write, OK, _BOTH  # what report.ok() does
-        read_into, buffer, feed = self._read_into, self._buffer, self._feed
-        echoes, finish = self._echoes, self._saves.finish
-        room = len(buffer)
-        is_owed = False  # lines that follow() has done are answered in twos, if there are two
+        reader, state, pending = self._reader, self._state, self._state.pending
+        fast, write, finish = self._interpreter.fast, self._link.write, self._saves.finish
+        memory, plan, others = needs(reader, fast, pending, self._link, self._buffer)
+        heard, at, line, kinds = memory
+        echoes, room = self._echoes, len(self._buffer)
         while True:
             try:
                 if self._drive.by_pin:  # what is unread was sent before the reset
@@ -102,47 +98,39 @@ class Protocol:
                     self._link.discard()
                 self._restart()
                 while True:
-                    found = go_on(ring, at, line, kinds)
+                    if echoes or state.suspend or state.run & _LOCKED:
+                        found = clean(heard, at, line, kinds)
+                    else:
+                        found = take_quick(memory, plan, others)
+                        if found & OWED:
+                            write(OK)
+                        found >>= 1
                     if found & LINE == 0 or pending[st.ANY] or state.suspend:
-                        if is_owed:
-                            is_owed = False
-                            write(ok)
-                        if found == NOTHING:
+                        if found == NOTHING and not pending[st.ANY]:
                             self.pump()
                             if not reader.waiting():
                                 self._canon.auto_start()
                         self._realtime.run()
                         if found == NOTHING:
                             continue
-                    length = found >> 2
                     if found & LINE == 0:
                         self._report.error(errors.OVERFLOW)
-                    elif state.run & _LOCKED == 0 and not echoes and follow(line, length):
-                        is_owed = not is_owed
-                        if not is_owed:
-                            write(both)
-                            feed(buffer, read_into(buffer))  # as pump() does
+                        continue
+                    length = found >> 2
+                    try:  # as in execute()
+                        self._whose(line, length)(line, length)
+                        finish()
+                        if state.alarm and not pending[st.RESET]:
+                            self._tell_alarm()
+                    except (GrblError, OSError, Abort) as reason:
+                        self._refuse(reason, b"")
                     else:
-                        if is_owed:
-                            is_owed = False
-                            write(ok)
-                        try:  # as in execute()
-                            self._whose(line, length)(line, length)
-                            finish()
-                            if state.alarm and not pending[st.RESET]:
-                                self._tell_alarm()
-                        except (GrblError, OSError, Abort) as reason:
-                            self._refuse(reason, b"")
-                        else:
-                            try:
-                                if reader.free() >= room:  # who counts nothing must not overrun it
-                                    self.pump()
-                            finally:  # a loop that was away is told of there: no fault of the line
-                                write(ok)
+                        try:
+                            if reader.free() >= room:  # who counts nothing must not overrun it
+                                self.pump()
+                        finally:  # a loop that was away is told of there: no fault of the line
+                            write(OK)
             except Abort:
-                if is_owed:
-                    is_owed = False
-                    write(ok)
                 self._tell_alarm()
 
     def execute(self, line: bytearray, length: int, before: bytes) -> None:

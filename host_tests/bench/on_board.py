@@ -16,7 +16,7 @@ whole, less the two before. The machine is in check mode meanwhile, and reset af
 """
 
 from control import modes
-from language import fast_path
+from language import fast_kernel
 from ugrbl.device.selftest import program
 
 _START = """
@@ -118,7 +118,7 @@ block = module("language", "block")
 checks = module("language", "checks")
 interpreter = module("language", "interpreter")
 lines = module("talk", "lines")
-fast_path = module("language", "fast_path")
+fast_kernel = module("language", "fast_kernel")
 protocol = module("talk", "protocol")
 coords = module("control", "coords")
 modes = module("control", "modes")
@@ -127,8 +127,7 @@ keep(modes.Modes, "reset")
 keep(coords.Coords, "clear")
 keep(protocol.Protocol, "run")
 AXES, LIMITED, DRY, MODAL_ROOM = %d, %d, %d, %d
-follow = fast_path.follow
-known = []
+follow = fast_kernel.follow
 
 # A board lets go of what has made its objects; here some are made once more.
 whole = [
@@ -142,15 +141,6 @@ def restore():
         for name, value in members.items():
             if getattr(thing, name, value) is None:
                 setattr(thing, name, value)
-
-
-def seen(line, length, *rest):
-    fast_path.follow = follow
-    known.append(rest)
-    return follow(line, length, *rest)
-
-
-fast_path.follow = seen
 
 
 def nothing(*_):
@@ -194,7 +184,7 @@ def expect(value, texts, rest):
 
 
 def short_path():
-    rest = known[0]
+    rest = found[interpreter.Interpreter].fast.memory
     now = rest[0]
     texts = moves(0)
     now[AXES] = 0
@@ -266,7 +256,7 @@ def stages(_):
 
 
 acts[b"STAGE"] = stages
-""" % (fast_path.AXES, fast_path.LIMITED, fast_path.DRY, modes.MODAL_ROOM)
+""" % (fast_kernel.AXES, fast_kernel.LIMITED, fast_kernel.DRY, modes.MODAL_ROOM)
 
 # $GAP: the longest time from one look at the link to the next since it was asked last, us.
 _GAPS = """

@@ -94,6 +94,7 @@ def in_c(sources: Mapping[str, str]) -> str:
         _Function(module, function)
         for module in (Module(name, text) for name, text in texts.items() if _is_plain(name))
         for function in module.functions.values()
+        if not _hands_on(function)
     ]
     listed = "".join([f'    "{f.listed()}\\n"\n' for f in functions])
     pointers = [_POINTER.format(bits=bits, type=_C_TYPES[bits]) for bits in _BITS.values()]
@@ -109,6 +110,16 @@ def c_name(module: str, name: str) -> str:
 
 def _is_plain(module: str) -> bool:
     return module.partition(".")[0] in _LAYERS
+
+
+def _hands_on(function: ast.FunctionDef) -> bool:
+    """It does more with objects than to call them: that stays Python."""
+    objects = {
+        arg.arg for arg in function.args.args if forms.annotation(arg.annotation) == "object"
+    }
+    named = [node for node in ast.walk(function) if isinstance(node, ast.Name)]
+    called = [node.func for node in ast.walk(function) if isinstance(node, ast.Call)]
+    return any(node.id in objects and node not in called for node in named)
 
 
 class _Function:

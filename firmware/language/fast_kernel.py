@@ -1,0 +1,209 @@
+# mypy: disable-error-code=arg-type
+"""The fast path's kernel: from a line's text to a block of the planner, in integers.
+
+Everything here is viper: it allocates nothing. What a line depends on besides its text stands in
+one table of integers, which fast_path.py keeps. Called by the main loop only.
+"""
+
+import micropython
+from base.f32 import copy
+from base.singles import add_single, multiply
+from control import modes as md
+from control.canon import judge
+from control.spindle import ASKED, weigh
+from micropython import const
+from motion.layout import HEAD
+from motion.plan_kernel import FULL, OUTSIDE
+from motion.plan_kernel import plan as plan_block
+from motion.reals import per_second
+
+from language.words import number
+
+# What read() found: bits of its mask. Bits 0 to 3 are X, Y, Z and A.
+HAS_F = const(0x10)  # another feed rate than before
+HAS_S = const(0x20)
+HAS_G0 = const(0x40)  # G0, which was not in force
+HAS_G1 = const(0x80)
+HAS_N = const(0x100)
+MODES = const(0xC0)
+NEWS = const(0xF0)
+ODD = const(-1)  # what is none of those, whatever is in force
+F = const(4)  # the same as bit numbers
+_S = const(5)
+_G0 = const(6)
+_N = const(8)
+_NO_LETTER = const(9)
+
+# What is known: how many axes there are (0: nothing is known), the motion in force (HAS_G0 or
+# HAS_G1), whether S goes with cutting motion, feed rate and spindle speed (bits of floats),
+AXES = const(0)
+MODE = const(1)
+LASER = const(2)
+FEED = const(3)
+RPM = const(4)
+# whether places are relative, travel is limited, nothing is to move,
+IS_RELATIVE = const(5)
+LIMITED = const(6)
+DRY = const(7)
+# what the planner is told: flags, spindle power (UNTOLD: none of it is known yet), rate: a real;
+FLAGS = const(8)
+POWER = const(9)
+RATE = const(10)
+UNTOLD = const(0x3FFFFFFF)
+# the line's numbers, by their bit; whether they are inches; what is added to places, per axis.
+VALUES = const(11)
+IN_INCHES = const(20)
+CHANGES = const(21)  # as they were counted when this was known
+LACKS = const(22)  # whether the move lacks what is new
+INCH_MM = const(23)
+WAITS = const(24)  # whether room is all that the last line has lacked
+OFFSETS = const(25)
+
+
+@micropython.viper
+def read(text: ptr8, length: int, known: ptr32) -> int:
+    """What a line holds if it does no more than move; ODD or 0 if it does, or if a word is wrong.
+    Such have G0 and G1, X to Z and A, F, N and S, each once at the most, the last three not
+    negative. Returns a mask of axes and of what is new, the public names above.
+    """
+    signs = ptr8(known)
+    pos = 0
+    seen = 0
+    while pos < length:
+        letter = text[pos]
+        bit = _NO_LETTER
+        if letter == 71:  # G
+            bit = _G0
+        elif letter >= 88 and letter <= 90:  # X, Y, Z
+            bit = letter - 88
+        elif letter == 65:  # A
+            bit = 3
+        elif letter == 70:  # F
+            bit = F
+        elif letter == 83:  # S
+            bit = _S
+        elif letter == 78:  # N
+            bit = _N
+        if bit == _NO_LETTER:
+            return ODD
+        pos = int(number(text, pos + 1, known, VALUES + bit))
+        if pos == 0:
+            return 0
+        value = known[VALUES + bit]
+        if bit == _G0:
+            if seen & MODES:
+                return 0
+            if value == 0x3F800000:  # the float 1
+                bit += 1
+            elif value:
+                return ODD
+        elif bit > 3 and signs[4 * (VALUES + bit) + 3] & 128:
+            return 0
+        elif bit == _N and value >> 7 >= 0x96312D:  # ten million
+            return 0
+        if (seen >> bit) & 1:
+            return 0
+        seen |= 1 << bit
+    if seen & 15 == 0 or (seen & 15) >> known[AXES]:
+        return 0
+    mode = seen & MODES
+    if mode == known[MODE]:
+        seen ^= mode
+    mode = mode or known[MODE]
+    rate = known[FEED]
+    if seen & HAS_F:
+        if known[VALUES + F] == rate and known[IN_INCHES] == 0:
+            seen ^= HAS_F
+        rate = known[VALUES + F]
+    if mode == HAS_G1:
+        return seen if rate and (known[LASER] or not seen & HAS_S) else 0
+    return 0 if seen & HAS_S else seen
+
+
+@micropython.viper
+def place(known: ptr32, seen: int, position: ptr32, target: ptr32) -> int:
+    """Put the places of a line that has been read, offsets added, into target."""
+    for i in range(known[AXES]):
+        if (seen >> i) & 1:
+            target[i] = known[VALUES + i]
+            if known[IN_INCHES]:
+                multiply(target, i, known, INCH_MM)
+            if known[IS_RELATIVE]:
+                add_single(position, i, target, i)
+            elif known[OFFSETS + i]:
+                add_single(known, OFFSETS + i, target, i)
+        else:
+            target[i] = position[i]
+    return 0
+
+
+@micropython.viper
+def line_number(known: ptr32, seen: int) -> int:
+    """N of a line that has been read; 0 if it has none."""
+    if not seen & HAS_N:
+        return 0
+    value = known[VALUES + _N]
+    exponent = value >> 23
+    return ((value & 0x7FFFFF) | 0x800000) >> (150 - exponent) if exponent >= 127 else 0
+
+
+@micropython.viper
+def follow(
+    text: ptr8,
+    length: int,
+    known: ptr32,
+    position: ptr32,
+    target: ptr32,
+    travel: ptr32,
+    table: ptr32,
+    ring: ptr32,
+    flow: ptr32,
+    speeds: ptr32,
+    changes: ptr32,
+    rates: ptr32,
+    scale: ptr32,
+    news: object,
+) -> int:
+    """Plan a line that does no more than move and has nothing in its way. Returns 1; or 0, and
+    nothing has changed but what is new, to which whoever goes on with the line sees as well.
+
+    news: sees to what is new but rare, and says what the spindle makes of it.
+    """
+    if known[AXES] == 0 or known[POWER] == UNTOLD or known[CHANGES] != changes[0]:
+        return 0
+    seen = int(read(text, length, known))
+    if seen <= 0:
+        return 0
+    place(known, seen, position, target)
+    found = int(judge(target, travel, flow))
+    if found & OUTSIDE and known[LIMITED]:
+        return 0
+    if known[DRY] == 0 and found & FULL:
+        known[WAITS] = 1
+        return 0
+    if seen & NEWS:
+        if seen & MODES or (seen & HAS_F and known[IN_INCHES]):
+            known[POWER] = int(news(seen))  # type: ignore[operator]
+        else:
+            known[LACKS] = 1
+            if seen & HAS_F:
+                known[FEED] = known[VALUES + F]
+                rates[md.FEED] = known[FEED]
+                known[RATE] = int(per_second(known, FEED))
+            if seen & HAS_S:
+                known[RPM] = known[VALUES + _S]
+                rates[md.RPM] = known[RPM]
+                scale[ASKED] = known[RPM]
+                if known[DRY] == 0:
+                    known[POWER] = int(weigh(scale, known[FLAGS]))
+    if known[DRY] == 0:
+        at = flow[HEAD]
+        line = int(line_number(known, seen))
+        flags = known[FLAGS]
+        power = known[POWER]
+        rate = known[RATE]
+        if int(plan_block(target, table, ring, flow, flags, line, power, rate)) == 0:
+            return 0
+        speeds[at] = known[RPM]
+    copy(target, position, known[AXES])
+    return 1

@@ -1,0 +1,133 @@
+# mypy: disable-error-code="arg-type, operator"
+"""Quick lines: those that do no more than move, one behind the other, in one call.
+
+From received bytes to blocks of the planner and their answers nothing is looked up by its name and
+no number is made an object. All other lines are the loop's (protocol.py).
+"""
+
+import micropython
+from base.state import ANY
+from language.fast_kernel import follow
+from micropython import const
+
+from talk.lines import LINE, clean, feed
+from talk.report import OK
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from typing import Any
+
+    from interfaces import Link
+    from language.fast_path import FastPath
+
+    from talk.lines import LineReader
+
+# What take_quick() returns: what clean() has found at last, which is not done, times 2; and
+OWED = const(1)  # the line before that is done, and not answered
+
+
+def needs(
+    reader: "LineReader", fast: "FastPath", pending: bytearray, link: "Link", buffer: bytearray
+) -> "tuple[tuple[Any, ...], ...]":
+    """What take_quick() is called with. buffer: what the link is read into."""
+    other = None if fast.follow is fast.plain else fast.follow  # an extra may have put one there
+    others = pending, other, link.read_into, buffer, reader.post, link.write, OK + OK
+    return reader.memory(), fast.memory, others
+
+
+@micropython.native
+def take_quick(
+    reader: "tuple[Any, ...]", fast: "tuple[Any, ...]", others: "tuple[Any, ...]"
+) -> int:
+    """Do lines up to one that does more than move, or none, or something that is posted."""
+    heard, at, line, kinds = reader
+    known, position, target, travel, table, ring, flow, speeds, changes, rates, scale, news = fast
+    pending, other, read_into, buffer, post, write, both = others
+    return _take(
+        heard,
+        at,
+        line,
+        kinds,
+        pending,
+        other,
+        read_into,
+        buffer,
+        post,
+        write,
+        both,
+        known,
+        position,
+        target,
+        travel,
+        table,
+        ring,
+        flow,
+        speeds,
+        changes,
+        rates,
+        scale,
+        news,
+    )
+
+
+@micropython.viper
+def _take(
+    heard: ptr8,
+    at: ptr32,
+    line: object,
+    kinds: ptr8,
+    pending: ptr8,
+    other: object,
+    read_into: object,
+    buffer: object,
+    post: object,
+    write: object,
+    both: object,
+    known: ptr32,
+    position: ptr32,
+    target: ptr32,
+    travel: ptr32,
+    table: ptr32,
+    ring: ptr32,
+    flow: ptr32,
+    speeds: ptr32,
+    changes: ptr32,
+    rates: ptr32,
+    scale: ptr32,
+    news: object,
+) -> int:
+    """Answers go out in twos: to write takes as long as a third of a line."""
+    text = ptr8(line)
+    data = ptr8(buffer)
+    owed = 0
+    while pending[ANY] == 0:
+        found = int(clean(heard, at, text, kinds))
+        done = found & LINE
+        if done and other:
+            done = int(other(line, found >> 2))
+        elif done:
+            done = int(
+                follow(
+                    text,
+                    found >> 2,
+                    known,
+                    position,
+                    target,
+                    travel,
+                    table,
+                    ring,
+                    flow,
+                    speeds,
+                    changes,
+                    rates,
+                    scale,
+                    news,
+                )
+            )
+        if done == 0:
+            return found << 1 | owed
+        owed ^= OWED
+        if owed == 0:
+            write(both)
+            feed(data, int(read_into(buffer)), heard, at, kinds, post)
+    return owed
