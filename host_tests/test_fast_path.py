@@ -182,5 +182,7 @@ def test_lines_after_the_second_of_their_kind_take_the_short_path() -> None:
     for text in (b"X4F501", b"G0X5", b"X6", b"G1X7F502", b"X8F503N6"):
         assert plain.follow(bytearray(text + b"\0"), len(text)) == 1
     assert bench.machine.modes.rates[modal.FEED] == 503
+    planned = bench.machine.planner.free()
+    assert plain.follow(bytearray(b"\0"), 0) == 1 and bench.machine.planner.free() == planned
     bench.machine.state.change()
     assert plain.follow(bytearray(b"X9\0"), 2) == 0

@@ -36,7 +36,8 @@ _INT = 2  # types, as that table's functions have them
 # come its names and that table; how many arguments there are, and where: register 5.
 _PUSH, _ROOM, _ROOM_BACK = 0xB5FE, 0xB080, 0xB000
 _TABLES = [0x6847, 0x68BE, 0x68FF]
-_TABLE = 0x683F  # and the number that the last has among the module's objects
+# And the number that the last has among the module's objects, if it is below 32 or not:
+_TABLE, _FAR_TABLE, _FAR_TABLE_END = 0x683F, 0x3700, 0x6FFF
 _ARGUMENTS = [0x4608, 0x4611, 0x461D]
 _ARGUMENT = 0x6828  # ldr r0, [r5, #…]
 _TO_R4, _TO_R5 = MOVE | 4, MOVE | 5  # the latter of the last one
@@ -88,11 +89,12 @@ class Divided:
         ops = self.ops
         found = _codes(ops)
         tables = 1 + (found[1] & 0xFF80 == _ROOM)
-        begin = tables + len(_TABLES) + 1
-        self._table = found[begin - 1]
-        if found[0] != _PUSH or found[tables : begin - 1] != _TABLES:
+        table = tables + len(_TABLES)
+        if found[0] != _PUSH or found[tables:table] != _TABLES:
             raise NotUnderstood("its beginning")
-        if self._table & 0xF83F != _TABLE:
+        begin = table + 1 + (found[table] & 0xFF00 == _FAR_TABLE)
+        self._table = found[table:begin]
+        if self._table[0] & 0xF83F != _TABLE and self._table[1:] != [_FAR_TABLE_END]:
             raise NotUnderstood("where the table is")
         begin += found[begin] & 0xFF00 == STORE
         jumps = [op.target for op in ops[begin:] if op.code == JUMP][:2]
@@ -143,12 +145,12 @@ class Divided:
             raise NotUnderstood("no result")
 
 
-def _front(types: "list[int]", table: int) -> bytes:
+def _front(types: "list[int]", table: "list[int]") -> bytes:
     """Code that takes objects, makes values of them on the stack, calls what is behind it with
     these, and returns its result as an object."""
     room = len(types) + (len(types) + 1) % 2  # with the registers, a multiple of 8 bytes
     # push {r0, r4, r5, r7, lr}; room; MicroPython's table to register 7, the arguments to 5
-    words = [0xB5B1, _ROOM | room, _TABLES[0], _TABLES[2], table, _ARGUMENTS[2]]
+    words = [0xB5B1, _ROOM | room, _TABLES[0], _TABLES[2], *table, _ARGUMENTS[2]]
     # cmp r2, #0; bne; cmp r1, #…; beq over what tells of a wrong count: it is given the counts,
     # and the right one, and does not return.
     words += [0x2A00, 0xD101, 0x2900 | len(types), 0xD000 | 6]
