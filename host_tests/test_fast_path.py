@@ -86,7 +86,8 @@ class Bench:
         fault = 0
         try:
             if not (self._short and gcode.fast.follow(line, len(text))):
-                gcode.execute(line, len(text))
+                if text:  # of an empty line no interpreter hears
+                    gcode.execute(line, len(text))
         except GrblError as refusal:
             fault = refusal.code
         row = [] if planner.empty() else list(planner.row() or ())

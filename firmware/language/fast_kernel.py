@@ -164,12 +164,9 @@ def follow(
     scale: ptr32,
     news: object,
 ) -> int:
-    """Plan a line that does no more than move and has nothing in its way; an empty one is done.
-    Returns 1; or 0, and nothing has changed but what is new, to which whoever goes on with the
-    line sees as well.
-
-    news: sees to what is new but rare, and says what the spindle makes of it.
-    """
+    """Plan a line that does no more than move and has nothing in its way. Returns 1; or 0, and
+    nothing has changed but what is new, to which whoever goes on with the line sees as well.
+    news: sees to what is new but rare, and says what the spindle makes of it."""
     if length == 0:
         return 1
     if known[AXES] == 0 or known[POWER] == UNTOLD or known[CHANGES] != changes[0]:

@@ -106,13 +106,18 @@ class Protocol:
                             write(OK)
                         found >>= 1
                     if found & LINE == 0 or pending[st.ANY] or state.suspend:
-                        if found == NOTHING and not pending[st.ANY]:
+                        if found == NOTHING:
                             self.pump()
                             if not reader.waiting():
                                 self._canon.auto_start()
                         self._realtime.run()
                         if found == NOTHING:
                             continue
+                        # What has been posted has come before a line that may be a quick one.
+                        if found & LINE and not (echoes or state.run & _LOCKED):
+                            if fast.follow(line, found >> 2):
+                                write(OK)
+                                continue
                     if found & LINE == 0:
                         self._report.error(errors.OVERFLOW)
                         continue

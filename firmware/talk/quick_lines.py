@@ -39,7 +39,7 @@ def needs(
 def take_quick(
     reader: "tuple[Any, ...]", fast: "tuple[Any, ...]", others: "tuple[Any, ...]"
 ) -> int:
-    """Do lines up to one that does more than move, or none, or something that is posted."""
+    """Do lines up to one that does more than move, or none, or until something is posted."""
     heard, at, line, kinds = reader
     known, position, target, travel, table, ring, flow, speeds, changes, rates, scale, news = fast
     pending, other, read_into, buffer, post, write, both = others
@@ -100,9 +100,9 @@ def _take(
     text = ptr8(line)
     data = ptr8(buffer)
     owed = 0
-    while pending[ANY] == 0:
+    while True:
         found = int(clean(heard, at, text, kinds))
-        done = found & LINE
+        done = 0 if pending[ANY] else found & LINE
         if done and other:
             done = int(other(line, found >> 2))
         elif done:
@@ -130,4 +130,3 @@ def _take(
         if owed == 0:
             write(both)
             feed(data, int(read_into(buffer)), heard, at, kinds, post)
-    return owed
