@@ -71,6 +71,23 @@ def take_quick(
 
 
 @micropython.viper
+def _hear(
+    pending: ptr8,
+    read_into: object,
+    buffer: object,
+    heard: ptr8,
+    at: ptr32,
+    kinds: ptr8,
+    post: object,
+) -> int:
+    """Take in what has arrived. Returns whether it is for us to go on with."""
+    count = int(read_into(buffer))
+    if count:
+        feed(ptr8(buffer), count, heard, at, kinds, post)
+    return 0 if pending[ANY] else count
+
+
+@micropython.viper
 def _take(
     heard: ptr8,
     at: ptr32,
@@ -98,7 +115,6 @@ def _take(
 ) -> int:
     """Answers go out in twos: to write takes as long as a third of a line."""
     text = ptr8(line)
-    data = ptr8(buffer)
     owed = 0
     while True:
         found = int(clean(heard, at, text, kinds))
@@ -124,9 +140,10 @@ def _take(
                     news,
                 )
             )
-        if done == 0:
+        if done:
+            owed ^= OWED
+            if owed == 0:
+                write(both)
+                _hear(pending, read_into, buffer, heard, at, kinds, post)
+        elif found or owed or int(_hear(pending, read_into, buffer, heard, at, kinds, post)) == 0:
             return found << 1 | owed
-        owed ^= OWED
-        if owed == 0:
-            write(both)
-            feed(data, int(read_into(buffer)), heard, at, kinds, post)
