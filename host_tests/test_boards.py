@@ -146,6 +146,17 @@ def test_an_extra_that_reaches_into_the_firmware_is_refused(
     ]
 
 
+def test_an_extra_and_the_users_own_module_have_names_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine.py").write_text("def install(cnc): pass\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert problems(board(EXTRAS=("mine",), CUSTOM="mine")) == [
+        "CUSTOM is 'mine': EXTRAS has a module of that name"
+    ]
+    assert not problems(board(EXTRAS=("mine",)))
+
+
 def test_pins_that_have_a_say_at_start_are_told_of() -> None:
     told = notes(load_board("esp32_devkit"))
     enable = next(text for text in told if text.startswith("ENABLE: pin 12 "))

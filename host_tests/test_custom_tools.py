@@ -502,7 +502,8 @@ def test_what_only_boards_have_in_a_handler_leaves_that_one_untried() -> None:
 
 
 def test_mistakes_with_ones_own_names_are_no_want_of_the_simulator() -> None:
-    for text in ("m.nothing\n", "None.x\n", "import nothing_at_all\n", "[].x\n"):
+    of_modules = ("import time\ntime.slepp(1)\n", "from math import squareroot\n")
+    for text in ("m.nothing\n", "None.x\n", "import nothing_at_all\n", "[].x\n", *of_modules):
         code, found = checked(text + VACUUM)
         assert code == 1 and found["problems"] and not found["untried"]
 

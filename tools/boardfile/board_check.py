@@ -215,6 +215,13 @@ def _own_extras(board: ModuleType) -> dict[str, str]:
     return {name: file.read_text(encoding="utf-8") for name, file in files.items()}
 
 
+def _name_of_custom(board: ModuleType) -> Iterator[str]:
+    """What an extra is called, the user's own module cannot be."""
+    name = getattr(board, "CUSTOM", "")
+    if name and name in getattr(board, "EXTRAS", ()):
+        yield f"CUSTOM is {name!r}: EXTRAS has a module of that name"
+
+
 def _imports_of_extras(board: ModuleType) -> Iterator[str]:
     """Modules of the firmware have these names in the sources; on a board a package is one."""
     packages = {path.name for path in paths.FIRMWARE.iterdir() if path.is_dir()} - {"extras"}
@@ -265,6 +272,7 @@ def _firmware(board: ModuleType) -> Iterator[str]:
         yield f"EXTRAS: a module fails: {type(error).__name__}: {error}"
     else:
         yield from _imports_of_extras(board)
+        yield from _name_of_custom(board)
 
 
 def _defaults(board: ModuleType) -> Iterator[str]:
