@@ -100,16 +100,16 @@ class Protocol:
                 while True:
                     if echoes or state.suspend or state.run & _LOCKED:
                         found = clean(heard, at, line, kinds)
+                        if found == NOTHING:
+                            self.pump()
                     else:
                         found = take_quick(memory, plan, others)
                         if found & OWED:
                             write(OK)
                         found >>= 1
                     if found & LINE == 0 or pending[st.ANY] or state.suspend:
-                        if found == NOTHING:
-                            self.pump()
-                            if not reader.waiting():
-                                self._canon.auto_start()
+                        if found == NOTHING and not reader.waiting():
+                            self._canon.auto_start()
                         self._realtime.run()
                         if found == NOTHING:
                             continue
