@@ -366,6 +366,15 @@ def test_methods_can_be_viper():
         Counter().twice(2**30)
 
 
+def test_objects_can_be_taken_apart():
+    @viper
+    def difference(pair: object) -> int:
+        one, other = pair
+        return int(one) - int(other)
+
+    assert difference((7, 3)) == 4
+
+
 def test_fast_mode_casts_pointers_and_checks_nothing(monkeypatch):
     monkeypatch.setattr(micropython, "VIPER", "fast")
 

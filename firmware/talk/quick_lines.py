@@ -1,4 +1,4 @@
-# mypy: disable-error-code="arg-type, operator"
+# mypy: disable-error-code="arg-type, has-type, misc, operator"
 """Quick lines: those that do no more than move, one behind the other, in one call.
 
 From received bytes to blocks of the planner and their answers nothing is looked up by its name and
@@ -10,7 +10,7 @@ from base.state import ANY
 from language.fast_kernel import follow
 from micropython import const
 
-from talk.lines import LINE, clean, feed
+from talk.lines import LINE, NOTHING, clean, feed
 from talk.report import OK
 
 TYPE_CHECKING = const(False)
@@ -28,33 +28,30 @@ OWED = const(1)  # the line before that is done, and not answered
 
 def needs(
     reader: "LineReader", fast: "FastPath", pending: bytearray, link: "Link", buffer: bytearray
-) -> "tuple[tuple[Any, ...], ...]":
+) -> "tuple[Any, ...]":
     """What take_quick() is called with. buffer: what the link is read into."""
     other = None if fast.follow is fast.plain else fast.follow  # an extra may have put one there
-    others = pending, other, link.read_into, buffer, reader.post, link.write, OK + OK
-    return reader.memory(), fast.memory, others
+    others = other, link.read_into, buffer, reader.post, link.write, OK, OK + OK
+    return reader.memory(), pending, fast.memory, others
 
 
 @micropython.native
 def take_quick(
-    reader: "tuple[Any, ...]", fast: "tuple[Any, ...]", others: "tuple[Any, ...]"
+    reader: "tuple[Any, ...]",
+    pending: bytearray,
+    fast: "tuple[Any, ...]",
+    others: "tuple[Any, ...]",
 ) -> int:
     """Do lines up to one that does more than move, or none, or until something is posted."""
     heard, at, line, kinds = reader
     known, position, target, travel, table, ring, flow, speeds, changes, rates, scale, news = fast
-    pending, other, read_into, buffer, post, write, both = others
     return _take(
         heard,
         at,
         line,
         kinds,
         pending,
-        other,
-        read_into,
-        buffer,
-        post,
-        write,
-        both,
+        others,
         known,
         position,
         target,
@@ -71,35 +68,13 @@ def take_quick(
 
 
 @micropython.viper
-def _hear(
-    pending: ptr8,
-    read_into: object,
-    buffer: object,
-    heard: ptr8,
-    at: ptr32,
-    kinds: ptr8,
-    post: object,
-) -> int:
-    """Take in what has arrived. Returns whether it is for us to go on with."""
-    count = int(read_into(buffer))
-    if count:
-        feed(ptr8(buffer), count, heard, at, kinds, post)
-    return 0 if pending[ANY] else count
-
-
-@micropython.viper
 def _take(
     heard: ptr8,
     at: ptr32,
     line: object,
     kinds: ptr8,
     pending: ptr8,
-    other: object,
-    read_into: object,
-    buffer: object,
-    post: object,
-    write: object,
-    both: object,
+    others: object,
     known: ptr32,
     position: ptr32,
     target: ptr32,
@@ -114,6 +89,7 @@ def _take(
     news: object,
 ) -> int:
     """Answers go out in twos: to write takes as long as a third of a line."""
+    other, read_into, buffer, post, write, one, both = others
     text = ptr8(line)
     owed = 0
     while True:
@@ -145,5 +121,25 @@ def _take(
             if owed == 0:
                 write(both)
                 _hear(pending, read_into, buffer, heard, at, kinds, post)
-        elif found or owed or int(_hear(pending, read_into, buffer, heard, at, kinds, post)) == 0:
+        elif owed and found == NOTHING:
+            write(one)
+            owed = 0
+        elif found or int(_hear(pending, read_into, buffer, heard, at, kinds, post)) == 0:
             return found << 1 | owed
+
+
+@micropython.viper
+def _hear(
+    pending: ptr8,
+    read_into: object,
+    buffer: object,
+    heard: ptr8,
+    at: ptr32,
+    kinds: ptr8,
+    post: object,
+) -> int:
+    """Take in what has arrived. Returns whether it is for us to go on with."""
+    count = int(read_into(buffer))
+    if count:
+        feed(ptr8(buffer), count, heard, at, kinds, post)
+    return 0 if pending[ANY] else count

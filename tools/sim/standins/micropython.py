@@ -177,7 +177,8 @@ class _Checks(ast.NodeTransformer):
         self._function = function
 
     def visit(self, node: ast.AST) -> Any:
-        if isinstance(node, self._REFUSED):
+        takes_apart = isinstance(node, ast.Tuple) and isinstance(node.ctx, ast.Store)
+        if isinstance(node, self._REFUSED) and not takes_apart:
             _refuse(self._function, f"{type(node).__name__} is not for viper", node)
         return super().visit(node)
 
