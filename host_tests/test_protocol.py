@@ -28,7 +28,7 @@ class Loop:
             memory=lambda: (None, None, bytearray(80), None),
             free=lambda: 255,
         )
-        fast = SimpleNamespace(follow=None, plain=None, memory=())
+        fast = SimpleNamespace(follow=None, plain=None, memory=tuple)
         nobody: Any = SimpleNamespace(finish=None, fast=fast)
         self.protocol = Protocol(
             *(self.link, State(), reader, nobody, nobody, nobody, self.drive),

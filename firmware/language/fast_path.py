@@ -26,6 +26,7 @@ from language.fast_kernel import follow, line_number, place, read
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from typing import Any
 
     from base.settings import Settings
     from base.state import State
@@ -40,7 +41,7 @@ class FastPath:
 
     follow(line, length) plans a line, and returns 1; or it returns 0, and has done nothing that
     execute() would not do, which waits for room. An extra may put another in its place; plain is
-    our own, and memory what the kernel's follow() is called with behind the line.
+    our own.
     """
 
     follow: "Callable[[bytearray, int], int]"
@@ -69,7 +70,7 @@ class FastPath:
         self._asked = False  # the last line was one of these
         self.is_open = True
         planner = canon.planner
-        self.memory = (
+        self._memory = (
             self._known,
             modes.position,
             self._target,
@@ -85,10 +86,14 @@ class FastPath:
         )
         self.follow = self.plain = self._follow
 
+    def memory(self) -> "tuple[Any, ...]":
+        """What the kernel's follow() is called with behind the line."""
+        return self._memory
+
     @micropython.native
     def _follow(self, line: bytearray, length: int) -> int:
         """A call with all that follow() needs."""
-        memory = self.memory
+        memory = self._memory
         known, position, target, travel, table, ring, flow, speeds, changes, rates, scale, news = (
             memory
         )

@@ -69,7 +69,7 @@ _GREET_MS = const(300)
 # those that wait.
 _ANSWERS_BYTES = const(64)
 _OUT_BYTES = const(192)
-_QUIET_TURNS = const(3)
+_QUIET_TURNS = const(2)
 _ANSWER = const(16)
 
 # With a count of bytes: there is more to see to.

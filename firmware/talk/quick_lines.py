@@ -32,7 +32,7 @@ def needs(
     """What take_quick() is called with. buffer: what the link is read into."""
     other = None if fast.follow is fast.plain else fast.follow  # an extra may have put one there
     others = other, link.read_into, buffer, reader.post, link.write, OK, OK + OK
-    return reader.memory(), pending, fast.memory, others
+    return reader.memory(), pending, fast.memory(), others
 
 
 @micropython.native

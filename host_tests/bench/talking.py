@@ -197,21 +197,20 @@ def chords(bench: Bench) -> Iterator[Row]:
 
 
 def stages(bench: Bench) -> Iterator[Row]:
-    """Microseconds of a line's stages, as on_board.py says. Receive: USB, the link, the ring and
-    the loop, which is what a comment costs from end to end less its cleaning, the vain call of
-    the short path and the answer. The sum without planning is to be held against a line in check
-    mode, which has a look at the link more in every other line."""
+    """Microseconds of a line's stages, as on_board.py says. Receive and answer: USB, the link, the
+    ring and the loop, which is what a comment costs from end to end less its cleaning. The sum
+    without planning is to be held against a line in check mode."""
     talk = bench.talk(STAGES)
     total_us = 1e6 / stream(talk, list(comments(150)), _BLOCKS).lines_s
     idle(talk)
     talk.ask("$C")
     checked_us = 1e6 / stream(talk, list(short_moves(150)), _BLOCKS).lines_s
-    call, read, judged, moved, plan, *more = (x / 10 for x in inside(talk, "$STAGE"))
-    taken, checked, executed, clean, comment, answer = more
+    _, read, judged, moved, plan, *more = (x / 10 for x in inside(talk, "$STAGE"))
+    taken, checked, executed, clean, comment = more
     reset(talk)
     yield Row("a comment, from end to end", total_us, "us", "empty")
-    short = (total_us - comment - call, clean, read, judged, call + moved, answer, plan)
-    names = ("receive", "clean", "words", "check", "execute", "answer", "plan")
+    short = (total_us - comment, clean, read, judged, moved, plan)
+    names = ("receive and answer", "clean", "words", "check", "execute", "plan")
     for name, us in zip(names, short):
         yield Row(f"a plain line: {name}", us, "us")
     yield Row("a plain line: sum without plan", sum(short[:-1]), "us")

@@ -18,8 +18,8 @@ BETWEEN_MS = 150  # lines given
 TOLD_MS = 200  # how often the state is told while it hangs
 
 lines = module("talk", "lines")
-protocol = module("talk", "protocol")
-usual_pump = protocol.Protocol.pump
+realtime = module("control", "realtime")
+usual_run = realtime.Realtime.run
 usual_making = lines.LineReader.__init__
 readers = []
 program = list(CONFIG["program"])
@@ -32,9 +32,9 @@ def make_reader(self, *rest, **named):
     readers.append(self)
 
 
-def pump(self):
-    """What a sender would send, then nothing for ever."""
-    usual_pump(self)
+def run(self):
+    """The loop has nothing to read: what a sender would send, then nothing for ever."""
+    usual_run(self)
     if not readers or time.ticks_diff(time.ticks_ms(), given[0]) < BETWEEN_MS:
         return
     given[0] = time.ticks_ms()
@@ -79,7 +79,7 @@ drivers_off()
 hear_nothing()
 FlashStore.load = lambda *_: []  # factory settings, and nothing is kept
 FlashStore.save = lambda *_: None
-protocol.Protocol.pump = pump
+realtime.Realtime.run = run
 lines.LineReader.__init__ = make_reader
 parts = power_up.build()
 watch()
