@@ -151,11 +151,13 @@ def _queried(made: Streamed) -> Iterator[Row]:
 def special_lines(bench: Bench) -> Iterator[Row]:
     """A laser's raster, moves with a new feed rate each, and arcs."""
     talk = bench.talk(MAIN)
-    for line in ("$32=1", "M4S0", "G90G1X10Y10F9000"):
+    for line in ("$32=1", "$120=20000", "M4S0", "G90G1X10Y10F15000"):  # 2500 dots/s, soon
         talk.ask(line)
     idle(talk)
     made = stream(talk, list(raster(300)), _BLOCKS)
     yield Row("raster, G1 X S in M4", made.lines_s, "lines/s")
+    idle(talk)
+    talk.ask("$120=5000")
     _at_start(talk)
     made = stream(talk, list(new_feeds(300)), _BLOCKS)
     yield Row("short moves, a new F each", made.lines_s, "lines/s")
