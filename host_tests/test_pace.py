@@ -23,8 +23,8 @@ from ugrbl.sim.sender import Sender
 SPEED = (Path(__file__).parents[1] / "docs" / "speed.md").read_text(encoding="utf-8")
 FAST = [f"${n + axis}={v}" for n, v in ((110, 30_000), (120, 5000)) for axis in range(3)]
 LASER = [*FAST, "$32=1", "$30=1000"]
-FEED = 12_000
-ASKED = 2000  # dots a second, at that feed
+FEED = 15_000
+ASKED = 2500  # dots a second, at that feed
 
 
 def raster(feed: int, rows: int = 1, dots: int = 600) -> "list[bytes]":
@@ -69,8 +69,8 @@ def test_a_dwell_or_the_begin_of_a_program_is_no_delay() -> None:
 @pytest.mark.parametrize(
     ("lines", "kind", "settings"),
     [
-        ([b"G91F30000", *[b"G1X0.15"] * 600], "plain", FAST),
-        ([b"G91", *[b"G1X0.1F%d" % (9000 + k % 2) for k in range(600)]], "feed", FAST),
+        ([b"G91F30000", *[b"G1X0.1"] * 600], "plain", FAST),
+        ([b"G91", *[b"G1X0.1F%d" % (15_000 + k % 2) for k in range(600)]], "feed", FAST),
         ([b"G91F9000", *[b"G1G91G94X0.15"] * 400], "long_way_ms", FAST),
         ([b"F9000", b"G91", *[b"G1X0.3", *[b"(nothing)"] * 9] * 99], "no_words_ms", FAST),
         (
@@ -197,7 +197,7 @@ def test_run_says_where_motion_will_falter_and_what_to_do(tmp_path: Path) -> Non
     done = ugrbl("run", file, "--board", "rpi_pico2", "--json", told, *settings)
     words = " ".join(done.stdout.split())
     assert done.returncode == 0
-    assert re.search(r"lines \d+ to \d+ come too fast: [12]\d\d\d a second, mostly moves", words)
+    assert re.search(r"lines \d+ to \d+ come too fast: [23]\d\d\d a second, mostly moves", words)
     assert "fewer pixels per mm" in words and "lines in time │ no, for a Pico" in words
     (one, *_) = json.loads(told.read_text())["too_fast"]
     assert one["kind"] == "power" and one["lost_s"] > 0.1

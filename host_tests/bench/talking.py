@@ -222,10 +222,14 @@ def stages(bench: Bench) -> Iterator[Row]:
 
 
 def gaps(bench: Bench) -> Iterator[Row]:
-    """The longest time from one look at the link to the next, while lines stream; a collection
-    that falls in counts."""
+    """The longest time from one look at the link to the next, while lines stream: without a
+    collection, and with so many arcs that there is one."""
     talk = bench.talk(GAPS)
-    for name, sent in (("short moves", list(short_moves(120))), ("half circles", list(arcs(6)))):
+    for name, sent in (
+        ("short moves", list(short_moves(120))),
+        ("half circles", list(arcs(6))),
+        ("half circles and a collection", list(arcs(56))),
+    ):
         _at_start(talk)
         inside(talk, "$GAP")
         stream(talk, sent, _BLOCKS, query_every_us=_QUERY_US)

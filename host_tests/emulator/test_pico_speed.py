@@ -68,7 +68,11 @@ _ROWS: "dict[str, tuple[float, Sequence[str]]]" = {
         *(1e-3, [f"power-up to welcome, {start}" for start in ("first start", "settings kept")]),
     ),
     "longest gap": (
-        *(1, [f"longest gap between services, {x}" for x in ("short moves", "half circles")]),
+        1,
+        [
+            f"longest gap between services, {x}"
+            for x in ("short moves", "half circles", "half circles and a collection")
+        ],
     ),
     "memory of a plain line": (
         *(1, [f"heap per line, {x}" for x in ("G1 X Y", "G1 X S in M4", "half circle of 1 mm")]),
