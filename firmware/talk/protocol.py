@@ -88,7 +88,7 @@ class Protocol:
         """Execute lines for ever; a reset begins anew. The stack is short: no frame to spare."""
         reader, state, pending = self._reader, self._state, self._state.pending
         fast, write, finish = self._interpreter.fast, self._link.write, self._saves.finish
-        memory, _, plan, others = needs(reader, fast, pending, self._link, self._buffer)
+        memory, plan, others = needs(reader, fast, self._link, self._buffer)
         heard, at, line, kinds = memory
         echoes, room = self._echoes, len(self._buffer)
         while True:
@@ -103,7 +103,7 @@ class Protocol:
                         if found == NOTHING:
                             self.pump()
                     else:
-                        found = take_quick(memory, pending, plan, others)
+                        found = take_quick(pending, memory, plan, others)
                         if found & OWED:
                             write(OK)
                         found >>= 1

@@ -27,18 +27,18 @@ OWED = const(1)  # the line before that is done, and not answered
 
 
 def needs(
-    reader: "LineReader", fast: "FastPath", pending: bytearray, link: "Link", buffer: bytearray
-) -> "tuple[Any, ...]":
-    """What take_quick() is called with. buffer: what the link is read into."""
+    reader: "LineReader", fast: "FastPath", link: "Link", buffer: bytearray
+) -> "tuple[tuple[Any, ...], ...]":
+    """What take_quick() is called with besides what is posted. buffer: for what is received."""
     other = None if fast.follow is fast.plain else fast.follow  # an extra may have put one there
     others = other, link.read_into, buffer, reader.post, link.write, OK, OK + OK
-    return reader.memory(), pending, fast.memory(), others
+    return reader.memory(), fast.memory(), others
 
 
 @micropython.native
 def take_quick(
-    reader: "tuple[Any, ...]",
     pending: bytearray,
+    reader: "tuple[Any, ...]",
     fast: "tuple[Any, ...]",
     others: "tuple[Any, ...]",
 ) -> int:
