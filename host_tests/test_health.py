@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from base import faults
 from base.state import ALARM, State
 from boot import power_up
 from pio import stack
@@ -79,6 +80,11 @@ class Wire:
         piece = self._pieces.pop(0)
         buf[: len(piece)] = piece
         return len(piece)
+
+
+def test_what_is_told_of_a_fault_is_no_answer_and_has_a_space_for_each_odd_letter() -> None:
+    told = faults.harmless("añb error [x] ok \ud800 z\n")
+    assert told == "a b Err  x  o-k   z "
 
 
 def test_a_fault_is_told_again_to_who_asks_and_kept_for_afterwards(
