@@ -11,7 +11,7 @@ from base.errors import Abort, GrblError
 from micropython import const
 
 from talk.lines import LINE, NOTHING, clean
-from talk.quick_lines import OWED, needs, take_quick
+from talk.quick_lines import needs, take_quick
 from talk.report import OK
 
 TYPE_CHECKING = const(False)
@@ -104,9 +104,6 @@ class Protocol:
                             self.pump()
                     else:
                         found = take_quick(pending, memory, plan, others)
-                        if found & OWED:
-                            write(OK)
-                        found >>= 1
                     if found & LINE == 0 or pending[st.ANY] or state.suspend:
                         if found == NOTHING and not reader.waiting():
                             self._canon.auto_start()
@@ -114,10 +111,10 @@ class Protocol:
                         if found == NOTHING:
                             continue
                         # What has been posted has come before a line that may be a quick one.
-                        if found & LINE and not (echoes or state.run & _LOCKED):
-                            if fast.follow(line, found >> 2):
-                                write(OK)
-                                continue
+                        is_open = found & LINE and not (echoes or state.run & _LOCKED)
+                        if is_open and fast.follow(line, found >> 2):
+                            write(OK)
+                            continue
                     if found & LINE == 0:
                         self._report.error(errors.OVERFLOW)
                         continue

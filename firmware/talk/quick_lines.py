@@ -10,7 +10,7 @@ from base.state import ANY
 from language.fast_kernel import follow
 from micropython import const
 
-from talk.lines import LINE, NOTHING, clean, feed
+from talk.lines import LINE, clean, feed
 from talk.report import OK
 
 TYPE_CHECKING = const(False)
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from language.fast_path import FastPath
 
     from talk.lines import LineReader
-
-# What take_quick() returns: what clean() has found at last, which is not done, times 2; and
-OWED = const(1)  # the line before that is done, and not answered
 
 
 def needs(
@@ -42,7 +39,8 @@ def take_quick(
     fast: "tuple[Any, ...]",
     others: "tuple[Any, ...]",
 ) -> int:
-    """Do lines up to one that does more than move, or none, or until something is posted."""
+    """Do lines up to one that does more than move, or none, or until something is posted. Returns
+    what clean() has found at last, which is not done."""
     heard, at, line, kinds = reader
     known, position, target, travel, table, ring, flow, speeds, changes, rates, scale, news = fast
     return _take(
@@ -117,15 +115,16 @@ def _take(
                 )
             )
         if done:
-            owed ^= OWED
+            owed ^= 1
             if owed == 0:
                 write(both)
                 _hear(pending, read_into, buffer, heard, at, kinds, post)
-        elif owed and found == NOTHING:
-            write(one)
-            owed = 0
-        elif found or int(_hear(pending, read_into, buffer, heard, at, kinds, post)) == 0:
-            return found << 1 | owed
+        else:
+            if owed:
+                write(one)
+                owed = 0
+            if found or int(_hear(pending, read_into, buffer, heard, at, kinds, post)) == 0:
+                return found
 
 
 @micropython.viper
