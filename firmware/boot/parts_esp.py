@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 # Modules with compiled code, the largest first.
 _COMPILED = (
     "motion.segment_kernel motion.plan_kernel language.words talk.lines talk.digits motion.steps "
-    "motion.ramps motion.reals base.singles motion.planner control.canon talk.protocol "
-    "language.fast_kernel"
+    "motion.ramps motion.reals base.singles motion.planner control.canon talk.quick_lines "
+    "language.fast_path"
 )
 
 
