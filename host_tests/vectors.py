@@ -53,11 +53,8 @@ def print_words(dice):
     """Numbers of any length, read into the bits of floats."""
     letters, values = bytearray(128), array("f", [0.0] * 128)
     known = array("i", [0] * (fast_kernel.OFFSETS + 3))
-    known[fast_kernel.AXES], known[fast_kernel.MODE], known[fast_kernel.FEED] = (
-        3,
-        fast_kernel.HAS_G1,
-        500,
-    )
+    known[fast_kernel.AXES], known[fast_kernel.MODE] = 3, fast_kernel.HAS_G1
+    known[fast_kernel.FEED] = 500
     for _ in range(1500):
         text = ""
         for _ in range(1 + dice.below(5)):

@@ -6,10 +6,10 @@ only names of modules, classes, functions and methods are used: `ugrbl build` ke
 
 `$STAGE` times the stages of a line, each in a loop with ticks_us, less the same loop with a
 function that does nothing; a figure is in 0.1 us. The short path is one call that does several
-stages, so it is called with what it knows (the arrays of the machine itself, seen at a line's
-passing) changed in such a way that it goes so far and no further: nothing is known (what a call
-costs); a feed rate other than the line's (it has read the words); travel limited to nowhere (it
-has put the place in and judged it); nothing is to move (all but planning); and as it is. Planning
+stages, so it is called with what it knows (the arrays of the machine itself) changed in such a way
+that it goes so far and no further: nothing is known (what a call costs, which is taken off); a
+feed rate other than the line's (it has read the words); travel limited to nowhere (it has put the
+place in and judged it); nothing is to move (all but planning); and as it is. Planning
 fills the ring with 12 short moves, three times over. A line that goes the long way,
 "G90G1X10.04Y10.03F9000", is taken apart into its words and put in a Block, checked, and executed
 whole, less the two before. The machine is in check mode meanwhile, and reset afterwards.
@@ -207,7 +207,7 @@ def short_path():
     found[planner.Planner].clear()
     now[DRY] = dry
     now[AXES] = 0
-    return call, read - call, judged - read, moved - judged, whole // 3 - moved
+    return read - call, judged - read, moved - judged, whole // 3 - moved
 
 
 def long_way():

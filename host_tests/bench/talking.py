@@ -207,7 +207,7 @@ def stages(bench: Bench) -> Iterator[Row]:
     idle(talk)
     talk.ask("$C")
     checked_us = 1e6 / stream(talk, list(short_moves(150)), _BLOCKS).lines_s
-    _, read, judged, moved, plan, *more = (x / 10 for x in inside(talk, "$STAGE"))
+    read, judged, moved, plan, *more = (x / 10 for x in inside(talk, "$STAGE"))
     taken, checked, executed, clean, comment = more
     reset(talk)
     yield Row("a comment, from end to end", total_us, "us", "empty")
