@@ -14,6 +14,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from as_users import as_users
+
 _PATIENCE_S = 20.0
 _HERE = Path(__file__).resolve().parent
 
@@ -54,7 +56,7 @@ class Bench:
             command,
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
-            env={**os.environ, "UGRBL_VIPER": "fast"},
+            env=as_users(),
             text=True,
         )
         until = time.monotonic() + _PATIENCE_S

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from as_users import as_users
 from sim_bench import Bench
 from ugrbl.cli.desk import JOG_CANCEL, Desk, explained
 from ugrbl.device.connection import Connection
@@ -183,7 +184,7 @@ def test_meanings() -> None:
 
 def test_the_terminal_shows_state_lines_and_jogs(bench: Bench, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "ugrbl.cli", "console", "--port", str(bench.port)]
-    environment = {**os.environ, "HOME": str(tmp_path), "TERM": "xterm", "UGRBL_VIPER": "fast"}
+    environment = as_users(HOME=str(tmp_path), TERM="xterm")
     pid, master = pty.fork()
     if pid == 0:
         fcntl.ioctl(0, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 160, 0, 0))

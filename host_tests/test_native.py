@@ -149,6 +149,11 @@ def ask(who: object) -> int:
     return answer + 1
 
 @micropython.viper
+def say(who: object) -> int:
+    who(7)
+    return 1
+
+@micropython.viper
 def mixed(p: ptr32, k: int, a: int) -> int:
     q = ptr8(p)
     p[k] += a
@@ -184,6 +189,11 @@ def test_what_would_go_wrong_in_silence_raises(tmp_path: Path) -> None:
     with pytest.raises(KeyError):
         made["ask"]({}.__getitem__)
     assert made["ask"]({7: 8}.__getitem__) == 9
+    heard: list[int] = []
+    assert made["say"](heard.append) == 1
+    assert heard == [7]
+    with pytest.raises(KeyError):
+        made["say"]({}.__getitem__)
     assert made["mixed"](words, 1, 3) == 13 + 1 + 4 - 1
     assert list(words) == [5, 9]
     assert made["at"](memoryview(words)[1:], 0) == 9

@@ -1,12 +1,12 @@
 """`ugrbl run`: programs through the firmware in virtual time."""
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from as_users import as_users
 from typer.testing import CliRunner
 from ugrbl import paths
 from ugrbl.boardfile.files import boards
@@ -27,7 +27,7 @@ def run(text: str, *settings: str, **options: bool) -> Result:
 
 def ugrbl(*arguments: object) -> subprocess.CompletedProcess[str]:
     """The command in a process of its own, as a user runs it."""
-    environment = {**os.environ, "UGRBL_VIPER": "fast", "COLUMNS": "120"}
+    environment = as_users(COLUMNS="120")
     command = [sys.executable, "-m", "ugrbl.cli", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
 

@@ -12,15 +12,19 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from as_users import as_users
 from sim_bench import Bench
 from ugrbl.device.connection import Connection
 
 _PATIENCE_S = 40.0
-_ENVIRONMENT = {**os.environ, "UGRBL_VIPER": "fast", "COLUMNS": "120", "TERM": "dumb"}
 # Short enough that the planner's 15 blocks are no long way, slow enough for a finger.
 SETTINGS = {1: 255, 110: 2000, 111: 2000, 112: 2000, 120: 200, 121: 200, 122: 200}
 # Line n ends at X n/2: 15 mm a second.
 STAIRS = ["G21 G90 F900", *(f"G1 X{n / 2:g}" for n in range(2, 400))]
+
+
+def _environment(terminal: str = "dumb") -> "dict[str, str]":
+    return as_users(COLUMNS="120", TERM=terminal)
 
 
 @pytest.fixture
@@ -60,9 +64,7 @@ class Send:
         if terminal:
             pid, self.master = pty.fork()
             if pid == 0:
-                os.execve(
-                    sys.executable, command, {**_ENVIRONMENT, "TERM": "dumb" if dumb else "xterm"}
-                )
+                os.execve(sys.executable, command, _environment("dumb" if dumb else "xterm"))
             self.pid = pid
             return
         self.process = subprocess.Popen(
@@ -70,7 +72,7 @@ class Send:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
-            env=_ENVIRONMENT,
+            env=_environment(),
             text=True,
         )
         self.pid = self.process.pid
@@ -383,7 +385,7 @@ def test_a_program_from_stdin(bench: Bench, tmp_path: Path) -> None:
         input="G21 G90\nG1 X2 F900\n",
         capture_output=True,
         text=True,
-        env=_ENVIRONMENT,
+        env=_environment(),
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -425,7 +427,7 @@ def test_a_full_disk_begins_no_job_and_ends_none(
             stdout=full,
             stderr=subprocess.PIPE,
             text=True,
-            env=_ENVIRONMENT,
+            env=_environment(),
             check=False,
         )
     assert "No space left" in done.stderr and "Traceback" not in done.stderr

@@ -7,7 +7,6 @@ frmmain, telnetconnection), and of Candle from what it was seen to say; what is 
 anew.
 """
 
-import os
 import re
 import socket
 import subprocess
@@ -18,8 +17,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from as_users import as_users
 
-_ENVIRONMENT = {**os.environ, "UGRBL_VIPER": "fast"}
 _BANNER = re.compile(r"Grbl \d\.\d[a-z]")
 
 
@@ -33,7 +32,7 @@ class Wire:
         self.process = subprocess.Popen(
             [*command, "--settings", str(file)],
             stdout=subprocess.PIPE,
-            env=_ENVIRONMENT,
+            env=as_users(),
             text=True,
         )
         assert self.process.stdout

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 import serial
+from as_users import as_users
 
 _PATIENCE_S = 15.0
 _COMMAND = [sys.executable, "-m", "ugrbl.cli"]
-_ENVIRONMENT = {**os.environ, "UGRBL_VIPER": "fast"}
 
 
 def ugrbl(*words: object) -> subprocess.CompletedProcess[str]:
@@ -27,7 +27,7 @@ def ugrbl(*words: object) -> subprocess.CompletedProcess[str]:
         command,
         capture_output=True,
         text=True,
-        env=_ENVIRONMENT,
+        env=as_users(),
         stdin=subprocess.DEVNULL,
         timeout=60,
         check=False,
@@ -40,9 +40,7 @@ class Sim:
     def __init__(self, folder: Path, *arguments: str) -> None:
         self.port = folder / "grbl"
         command = [*_COMMAND, "sim", "--port", str(self.port), *arguments]
-        self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, env=_ENVIRONMENT, text=True
-        )
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, env=as_users(), text=True)
         until = time.monotonic() + _PATIENCE_S
         while not self.port.is_symlink():
             assert self.process.poll() is None and time.monotonic() < until, "no simulator"
@@ -316,7 +314,7 @@ def test_the_link_of_a_simulator_that_was_killed_is_replaced(tmp_path: Path) -> 
     killed.port.unlink()
     killed.port.symlink_to("/dev/./pts/9999999")
     process = subprocess.Popen(
-        [*_COMMAND, "sim", "--port", str(killed.port)], stdout=subprocess.PIPE, env=_ENVIRONMENT
+        [*_COMMAND, "sim", "--port", str(killed.port)], stdout=subprocess.PIPE, env=as_users()
     )
     assert process.stdout and str(killed.port).encode() in process.stdout.readline()
     assert killed.port.exists()
@@ -360,9 +358,7 @@ class TcpSim:
 
     def __init__(self, *arguments: str) -> None:
         command = [*_COMMAND, "sim", "--speed", "max", "--tcp", *(arguments or ("0",))]
-        self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, env=_ENVIRONMENT, text=True
-        )
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, env=as_users(), text=True)
         assert self.process.stdout
         self.place = self.process.stdout.readline().rpartition(" ")[2].strip()
 
@@ -529,7 +525,7 @@ def test_stdio_ends_with_its_input_when_all_is_done() -> None:
         [*_COMMAND, "sim", "--stdio", "--speed", "max"],
         input=b"G91 G0 X3\n?\nG4P1\n$G\n",
         capture_output=True,
-        env=_ENVIRONMENT,
+        env=as_users(),
         timeout=60,
         check=False,
     )
@@ -542,7 +538,7 @@ def test_the_demonstration_ends_well(tmp_path: Path) -> None:
     done = subprocess.run(
         [*_COMMAND, "demo"],
         cwd=tmp_path,
-        env=_ENVIRONMENT,
+        env=as_users(),
         capture_output=True,
         text=True,
         timeout=300,

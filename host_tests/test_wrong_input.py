@@ -1,19 +1,18 @@
 """What a newcomer gives the commands: each says what is wrong and what to do, and ends with 1."""
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from as_users import as_users
 from typer.testing import CliRunner, Result
 from ugrbl.cli.app import app
 from ugrbl.grbl.gcode_file import NotText, check_text
 
 _GOOD = "G21 G90\nG1 X1 F300\n"
 _JPEG = b"\xff\xd8\xff\xe0\x01\x02hello\n"
-_ENVIRONMENT = {**os.environ, "UGRBL_VIPER": "fast", "COLUMNS": "200"}
 
 
 @pytest.fixture(autouse=True)
@@ -126,7 +125,7 @@ def test_a_simulator_that_moved_nothing_draws_and_reports_all_the_same(folder: P
         capture_output=True,
         text=True,
         timeout=60,
-        env=_ENVIRONMENT,
+        env=as_users(COLUMNS="200"),
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -146,7 +145,7 @@ def test_a_file_of_windows_with_a_mark_is_settings_and_stays_so(folder: Path) ->
         capture_output=True,
         text=True,
         timeout=60,
-        env=_ENVIRONMENT,
+        env=as_users(COLUMNS="200"),
         check=False,
     ).stdout
     assert "$110=1200.000" in said and "$120=50.000" in said
@@ -164,7 +163,7 @@ def test_a_full_disk_is_told_in_words(words: str) -> None:
             stderr=subprocess.PIPE,
             text=True,
             timeout=60,
-            env=_ENVIRONMENT,
+            env=as_users(COLUMNS="200"),
             check=False,
         )
     assert done.returncode == 1
@@ -198,7 +197,7 @@ def test_where_there_are_no_terminals_as_on_windows_programs_run() -> None:
             capture_output=True,
             text=True,
             timeout=60,
-            env=_ENVIRONMENT,
+            env=as_users(COLUMNS="200"),
             check=False,
         )
         assert done.returncode == code_wanted, done.stderr

@@ -35,6 +35,10 @@ static int64_t call(void *function, const char *format, int64_t argument) {
     Py_DecRef(made);
     return value;
 }
+static void tell(void *function, const char *format, int64_t argument) {
+    void *made = PyObject_CallFunction(function, format, (long long)argument);
+    if (made) Py_DecRef(made);
+}
 static int64_t fault(void *kind, const char *why) { PyErr_SetString(kind, why); return 0; }
 static inline int64_t quotient(int64_t a, int64_t b) {
     if (!b) return fault(PyExc_ZeroDivisionError, "division by zero");
@@ -202,6 +206,9 @@ class _Function:
                 yield f"{self._access('set', place, 'v')}; }}"
             case ast.Return(value):
                 yield f"return {self._expression(value) if value else 0};"
+            case ast.Expr(ast.Call(called, arguments)) if self._is_object(called):
+                # What it returns need be no number.
+                yield f"tell({self._handed(node, called, arguments)});"
             case ast.Expr(value):
                 yield f"(void){self._expression(value)};"
             case ast.If(test, body, orelse):
@@ -291,6 +298,8 @@ class _Function:
         raise self._refuse(node)
 
     def _call(self, node: ast.Call, name: str, arguments: "list[ast.expr]") -> str:
+        if self._is_object(node.func):
+            return f"call({self._handed(node, node.func, arguments)})"
         handed = [self._expression(argument) for argument in arguments]
         if name == "int":
             return handed[0]
@@ -298,15 +307,19 @@ class _Function:
             to, of = _BITS[name], _BITS[self._pointer_type(arguments[0])]
             memory = handed[0]
             return f"((ptr{to}){{(void *){memory}.at, {memory}.length * {of} / {to}}})"
-        if self._types.get(name) == "object":
-            if len(handed) > 1:
-                raise self._refuse(node)
-            form = '"L"' if handed else '""'
-            return f"call({name}_, {form}, {handed[0] if handed else 0})"
         meant = self._module.means(name)
         if meant is None or not _is_plain(meant[0]):
             raise self._refuse(node)
         return f"{c_name(*meant)}({', '.join(handed)})"
+
+    def _handed(self, node: ast.AST, called: ast.expr, arguments: "list[ast.expr]") -> str:
+        """An object that is called, and the number it is called with, if any."""
+        match [self._expression(argument) for argument in (called, *arguments)]:
+            case [function]:
+                return f'{function}, "", 0'
+            case [function, number]:
+                return f'{function}, "L", {number}'
+        raise self._refuse(node)
 
 
 def _c_type(type: str) -> str:
