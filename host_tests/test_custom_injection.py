@@ -1,13 +1,18 @@
 """Whatever a handler of custom.py does wrong, and whenever: no step is lost, all ends in words.
 
-A session with handlers of all kinds is played; at one call of m that some handler makes, chosen by
-number, something happens: an exception, a reset, a feed hold, no memory. UGRBL_TORTURE names how
-many sessions there are to be.
+A session with handlers of all kinds is played. At one call of m that some handler makes, chosen by
+number, something happens: an exception, no memory, a reset, one that is swallowed, a feed hold, a
+loop, a time without any call; or the file is cut short, as where it is being put there. Or power
+fails while values are written to flash, at any byte. UGRBL_TORTURE names how many sessions there
+are to be.
 """
 
+import json
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from random import Random
 from types import ModuleType
@@ -16,12 +21,13 @@ from typing import Any
 import pytest
 from base import state as st
 from extras.machine_operator import Operator
+from test_flash_store import Flash, attach, cut
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.replay import factory_store
-from ugrbl.sim.rig import MemoryStore, Rig
+from ugrbl.sim.rig import PowerOff, Rig
 from ugrbl.sim.sender import Sender, TooLong
 
-_SESSIONS = int(os.environ.get("UGRBL_TORTURE", "24"))
+_SESSIONS = int(os.environ.get("UGRBL_TORTURE", "27"))
 _PARTS = 8
 _STEPS_PER_MM = 250
 _CUSTOM = """
@@ -41,6 +47,10 @@ def moves(m, P=1):
 @mcode(101, sync=False)
 def passes(m):
     m.out("air", m.position().x > 1)
+
+@mcode(102)
+def tells(m):
+    m.message("kept %d" % m.keep.get("count", 0))
 
 @on.tool_change
 def change(m, tool):
@@ -67,53 +77,148 @@ _LINES = (
 )
 
 
+_LOOK = Operator.look  # what each call of m begins or ends with
+
+
 class Injected(Exception):
     """What a handler may do wrong."""
 
 
-def _raises(_machine: Any) -> None:
+def _raises(_session: "Session", _operator: Operator) -> None:
     raise Injected("at that call")
 
 
-def _has_no_memory(_machine: Any) -> None:
+def _has_no_memory(_session: "Session", _operator: Operator) -> None:
     raise MemoryError("memory allocation failed")
 
 
-def _is_reset(machine: Any) -> None:
-    machine.drive.reset()
+def _is_reset(session: "Session", operator: Operator) -> None:
+    session.rig.controller.drive.reset()
+    _LOOK(operator)
 
 
-def _is_held(machine: Any) -> None:
-    machine.state.post(st.FEED_HOLD)
+def _swallows_the_reset(session: "Session", operator: Operator) -> None:
+    with suppress(Exception):
+        _is_reset(session, operator)
 
 
-_KINDS: "tuple[Callable[[Any], None], ...]" = (_raises, _has_no_memory, _is_reset, _is_held)
+def _is_held(session: "Session", _operator: Operator) -> None:
+    session.rig.controller.state.post(st.FEED_HOLD)
+
+
+def _loops(_session: "Session", operator: Operator) -> None:
+    while True:
+        operator.wait(0.01)
+
+
+def _is_slow(session: "Session", _operator: Operator) -> None:
+    session.rig.pass_time(session.rig.ms(60))
+
+
+def _is_cut_short(session: "Session", _operator: Operator) -> None:
+    session.file.write_text(_CUSTOM[: session.random.randrange(len(_CUSTOM))])
+
+
+# None: power fails.
+_KINDS: "tuple[Callable[[Session, Operator], None] | None, ...]" = (
+    *(_raises, _has_no_memory, _is_reset, _swallows_the_reset, _is_held, _loops, _is_slow),
+    *(_is_cut_short, None),
+)
+_FAILS = (_raises, _has_no_memory)
+
+
+class Shelf:
+    """A Store on a flash chip. Power fails within the save of the user's values of that number."""
+
+    def __init__(self, rig: Rig, monkeypatch: pytest.MonkeyPatch, at: int, random: Random) -> None:
+        self.saves = 0
+        self.may_hold = {0}  # counts, any of which is right
+        self.has_failed = False
+        self._rig = rig
+        self._monkeypatch = monkeypatch
+        self._at = at
+        self._random = random
+        self._put_in(_image())
+
+    def _put_in(self, image: bytes) -> None:
+        self._flash = Flash(image)
+        self._store = attach(self._monkeypatch, self._flash)
+
+    def load(self, name: str) -> "list[str] | None":
+        return self._store.load(name)
+
+    def save(self, name: str, lines: "Iterable[str]") -> None:
+        kept = list(lines)
+        before = bytes(self._flash.buffer)
+        self._flash.log.clear()
+        self._store.save(name, kept)
+        if name != "keep":
+            return
+        count = {value for _, value in map(json.loads, kept)}
+        self.saves += 1
+        if self.saves != self._at:
+            self.may_hold = count
+            return
+        self.may_hold |= count
+        log = self._flash.log
+        whole = self._random.randrange(len(log))
+        torn = self._random.randrange(len(log[whole][1]) + 1)
+        self._put_in(cut(before, log, whole, torn))
+        self.has_failed = True
+        self._rig.cycle_power()
+        raise PowerOff
+
+
+@lru_cache
+def _image() -> bytes:
+    """A chip with the simulator's settings, some of them quicker."""
+    kept = {name: list(lines) for name, lines in factory_store(load_board("sim")).files.items()}
+    rates = {110: 3000, 111: 3000, 112: 3000, 120: 500, 121: 500, 122: 500}
+    others = [line for line in kept["settings"] if int(line[1:].split("=")[0]) not in rates]
+    kept["settings"] = others + [f"${number}={value}" for number, value in rates.items()]
+    flash = Flash()
+    with pytest.MonkeyPatch.context() as patched:
+        store = attach(patched, flash, fresh=True)
+        for name, lines in kept.items():
+            store.save(name, lines)
+    return bytes(flash.buffer)
 
 
 class Session:
-    """One of them: the call of that number is the one. call 0: none is, and all are counted."""
+    """One of them: the call, or the save, of that number is the one. at 0: none is, and all are
+    counted."""
 
-    def __init__(self, board: ModuleType, store: MemoryStore, call: int, kind: int) -> None:
-        self.rig = Rig(board, store)
+    def __init__(
+        self, board: ModuleType, monkeypatch: pytest.MonkeyPatch, file: Path, seed: int, at: int
+    ) -> None:
+        self.random = Random(seed)
+        self.inject = _KINDS[seed % len(_KINDS)]
+        self.file = file
+        file.write_text(_CUSTOM)
+        self.rig = Rig(board)
+        self.rig.store = self.shelf = Shelf(
+            self.rig, monkeypatch, 0 if self.inject else at, self.random
+        )
         self.sender = Sender(self.rig)
         self.sender.allow(60_000)
         self.calls = 0
         self.is_injected = False
-        self._call = call
-        self._inject = _KINDS[kind]
+        self._is_done = False
+        self._call = at if self.inject else 0
         self.said: list[str] = []
 
     def play(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """From power-up to a last move behind all, with all laws looked at."""
-        usual = Operator.look
 
         def look(operator: Operator) -> None:
-            if not sys._getframe(1).f_code.co_filename.endswith("runner.py"):  # a handler's own
+            whose = sys._getframe(1).f_code.co_filename
+            if not self._is_done and not whose.endswith("runner.py"):  # a handler's own
                 self.calls += 1
-                if self.calls == self._call:
+                if self.calls == self._call and self.inject:
                     self.is_injected = True
-                    self._inject(self.rig.controller)
-            usual(operator)
+                    self.inject(self, operator)
+                    return
+            _LOOK(operator)
 
         with monkeypatch.context() as patched:
             patched.setattr(Operator, "look", look)
@@ -128,11 +233,24 @@ class Session:
                 break
         if self._is_over():
             yield from wait("ms 1500", "")
-        self._call = 0
+        self._is_done = True
         yield from wait("ms 600", "\x18")
         self.said += self.sender.take()
         port = self.rig.port
         assert (port.own_outputs, port.spindle_pwm) == (0, 0), "something is on behind a reset"
+        yield from self._go_on()
+        yield from wait("ms 100", "M102\n")
+        assert self.sender.take() in [[f"[MSG:kept {n}]", "ok"] for n in self.shelf.may_hold]
+        if self.inject is _is_cut_short:
+            self.rig.cycle_power()
+            yield from wait("banner", "")
+            yield from wait("ms 100", "")
+            self.said += self.sender.take()
+            yield from self._go_on()
+
+    def _go_on(self) -> "Iterator[Any]":
+        """A move that is made whole, and told where it ends."""
+        wait = self.sender.wait
         yield from wait("ms 100", "$X\n")
         before = self._steps()
         yield from wait("idle", "G91G1X2Y-1F3000\n")
@@ -154,6 +272,17 @@ class Session:
             raise AssertionError(f"{line} has no end: {self.said}") from None
         self.said += self.sender.take()
 
+    def look_at_words(self) -> None:
+        """What has failed was told with file and line, and what was slow with its name."""
+        told = [line for line in self.said if self.file.name in line]
+        if self.inject in _FAILS:
+            assert any(f"{self.file.name}, line " in line for line in told), "no file and line"
+            assert not [line for line in self.said if line.startswith("error:")]
+        if self.inject is _is_slow:
+            assert any("ms without a call of m" in line for line in self.said)
+        if self.inject is _is_cut_short and not _is_python(self.file.read_text()):
+            assert told, "a file that cannot be read"
+
     def _is_over(self) -> bool:
         return any(text.startswith(("ALARM", "Grbl")) for text in self.said[3:])
 
@@ -162,9 +291,16 @@ class Session:
         return list(self.rig.scratch)
 
 
+def _is_python(text: str) -> bool:
+    try:
+        compile(text, "", "exec")
+    except SyntaxError:
+        return False
+    return True
+
+
 @pytest.fixture
 def board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    (tmp_path / "custom_injected.py").write_text(_CUSTOM)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
@@ -174,30 +310,22 @@ def board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return made
 
 
-def _store() -> MemoryStore:
-    store = factory_store(load_board("sim"))
-    made = MemoryStore()
-    made.files.update(store.files)
-    rates = {110: 3000, 111: 3000, 112: 3000, 120: 500, 121: 500, 122: 500}
-    kept = [line for line in made.files["settings"] if int(line[1:].split("=")[0]) not in rates]
-    made.files["settings"] = kept + [f"${number}={value}" for number, value in rates.items()]
-    return made
-
-
 @pytest.mark.parametrize("part", range(_PARTS))
 def test_no_step_is_lost_and_all_ends_in_words(
-    board: ModuleType, monkeypatch: pytest.MonkeyPatch, part: int
+    board: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, part: int
 ) -> None:
-    whole = Session(board, _store(), 0, 0)
+    file = tmp_path / f"{board.CUSTOM}.py"
+    whole = Session(board, monkeypatch, file, 0, 0)
     whole.play(monkeypatch)
-    calls = whole.calls
-    assert calls > 100 and not any("ALARM" in line for line in whole.said)
+    assert whole.calls > 100 and not any("ALARM" in line for line in whole.said)
+    assert whole.shelf.saves == 2
     for number in range(part, _SESSIONS, _PARTS):
-        random = Random(number)
-        kind = number % len(_KINDS)
-        session = Session(board, _store(), random.randint(1, calls), kind)
-        session.play(monkeypatch)
-        if kind < 2 and session.is_injected:
-            told = [line for line in session.said if "custom_injected.py, line " in line]
-            assert told, f"session {number}: no file and line in {session.said}"
-            assert not [line for line in session.said if line.startswith("error:")]
+        is_call = _KINDS[number % len(_KINDS)] is not None
+        at = Random(number).randint(1, whole.calls if is_call else whole.shelf.saves)
+        session = Session(board, monkeypatch, file, number, at)
+        try:
+            session.play(monkeypatch)
+            assert session.is_injected or session.shelf.has_failed
+            session.look_at_words()
+        except AssertionError as failed:
+            raise AssertionError(f"session {number}: {failed} {session.said}") from failed
