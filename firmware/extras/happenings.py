@@ -150,9 +150,11 @@ class Happenings:
     def turn(self) -> None:
         """Those that run beside motion hear of what has happened, where there is room. In check
         mode nobody does; what has changed meanwhile is heard of behind it."""
-        if self._state.run == st.CHECK:
+        run = self._state.run
+        if run == st.CHECK:
             return
-        self._notice()
+        if run != self._run or self._changed[0]:
+            self._notice()
         if self._is_beside or micropython.stack_use() > _STACK_BYTES:
             return
         self._is_beside = True
@@ -165,8 +167,10 @@ class Happenings:
                 ]
                 if name == handlers.REPORT:
                     self._field = "|".join([text for text in map(_field, found) if text])
-            self._turn_timers()
-            self._turn_marks()
+            if self._timers:
+                self._turn_timers()
+            if self._marks:
+                self._turn_marks()
         finally:
             self._is_beside = False
 
@@ -214,9 +218,8 @@ class Happenings:
             mark[0] = max(0, mark[0] - passed)
 
     def _turn_marks(self) -> None:
-        if self._marks:
-            self._pass_marks()
-            self._state.pending[st.ANY] = 1  # look again behind the next line, whatever it is
+        self._pass_marks()
+        self._state.pending[st.ANY] = 1  # look again behind the next line, whatever it is
         while self._marks and self._marks[0][0] == 0:
             _, what, function, given = self._marks.pop(0)
             self._runner.run(what, function, False, (), given)

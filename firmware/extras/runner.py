@@ -29,7 +29,7 @@ TRACE = "custom"  # under which the last traceback is kept
 # A handler that takes longer without service is told of: 20 ms of its own, and a collection's 30.
 _SLOW_MS = const(50)
 # That comes after so many handlers, where as many blocks wait, or none.
-_CALLS = const(32)
+_CALLS = const(64)
 _BLOCKS = const(8)
 
 

@@ -120,6 +120,13 @@ def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
 
 
 @micropython.viper
+def room(at: ptr32) -> int:
+    """Bytes that fit into the ring."""
+    used = at[_HEAD] - at[_TAIL]
+    return at[_SIZE] - 1 - (used + at[_SIZE] if used < 0 else used)
+
+
+@micropython.viper
 def feed(data: ptr8, count: int, ring: ptr8, at: ptr32, kinds: ptr8, post: object) -> int:
     """Accept received bytes; post is called with those that are real-time."""
     i = int(fill_ring(data, count << 16, ring, at, kinds))
@@ -175,8 +182,7 @@ class LineReader:
 
     def free(self) -> int:
         """Bytes that may still be sent."""
-        at = self._at
-        return at[_SIZE] - 1 - (at[_HEAD] - at[_TAIL]) % at[_SIZE]
+        return room(self._at)
 
     def waiting(self) -> bool:
         """Bytes have come that clean() has not seen."""

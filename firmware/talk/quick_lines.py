@@ -10,7 +10,7 @@ from base.state import ANY
 from language.fast_kernel import follow
 from micropython import const
 
-from talk.lines import LINE, clean, feed
+from talk.lines import LINE, NOTHING, clean, feed, room
 from talk.report import OK
 
 TYPE_CHECKING = const(False)
@@ -22,13 +22,18 @@ if TYPE_CHECKING:
 
     from talk.lines import LineReader
 
+# Behind so many lines the loop has its turn, however many wait: motion is watched there, and
+# whoever has been put around it waits for that.
+_LINES = const(16)
+
 
 def needs(
     reader: "LineReader", fast: "FastPath", link: "Link", buffer: bytearray
 ) -> "tuple[tuple[Any, ...], ...]":
     """What take_quick() is called with besides what is posted. buffer: for what is received."""
     other = None if fast.follow is fast.plain else fast.follow  # an extra may have put one there
-    others = other, link.read_into, buffer, reader.post, link.write, OK, OK + OK
+    read_into, write = link.read_into, link.write
+    others = other, read_into, buffer, len(buffer), reader.post, write, OK, OK + OK
     return reader.memory(), fast.memory(), others
 
 
@@ -39,8 +44,8 @@ def take_quick(
     fast: "tuple[Any, ...]",
     others: "tuple[Any, ...]",
 ) -> int:
-    """Do lines up to one that does more than move, or none, or until something is posted. Returns
-    what clean() has found at last, which is not done."""
+    """Do lines up to one that does more than move, or none, or until something is posted, or for
+    as long as the loop may wait. Returns what clean() has found at last, which is not done."""
     heard, at, line, kinds = reader
     known, position, target, travel, table, ring, flow, speeds, changes, rates, scale, news = fast
     return _take(
@@ -87,10 +92,12 @@ def _take(
     news: object,
 ) -> int:
     """Answers go out in twos: to write takes as long as a third of a line."""
-    other, read_into, buffer, post, write, one, both = others
+    other, read_into, buffer, length, post, write, one, both = others
     text = ptr8(line)
+    piece = int(length)
     owed = 0
-    while True:
+    left = _LINES
+    while left:
         found = int(clean(heard, at, text, kinds))
         done = 0 if pending[ANY] else found & LINE
         if done and other:
@@ -115,16 +122,21 @@ def _take(
                 )
             )
         if done:
+            left -= 1
             owed ^= 1
             if owed == 0:
                 write(both)
-                _hear(pending, read_into, buffer, heard, at, kinds, post)
+                if int(room(at)) >= piece:  # who counts nothing must not overrun it
+                    _hear(pending, read_into, buffer, heard, at, kinds, post)
         else:
             if owed:
                 write(one)
                 owed = 0
             if found or int(_hear(pending, read_into, buffer, heard, at, kinds, post)) == 0:
                 return found
+    if owed:
+        write(one)
+    return NOTHING
 
 
 @micropython.viper
