@@ -1197,6 +1197,24 @@ def test_an_input_is_waited_for_by_its_number(shop: Make) -> None:
     assert made.messages == ["M66 P0: 1", "M66 P0: 1", "M66 P1: 0", "M66 P1: nothing for 0.5 s"]
 
 
+def test_an_analog_input_is_told_of(shop: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = shop("digital_io", **_NUMBERED)
+    read: list[object] = []
+
+    class Adc:
+        def __init__(self, pin: object) -> None:
+            read.append(pin)
+
+        def read_u16(self) -> int:
+            return 0x4000
+
+    monkeypatch.setattr("machine.ADC", Adc)
+    assert made.say("M66 E1 L0") == ["ok"]
+    assert made.messages == ["M66 E1: 0.250"] and len(read) == 1
+    assert made.say("M66 E2", "M66 E0 P0", "M66 E0 L3 Q1", "M66") == ["error:3"] * 4
+    assert made.messages[1:] == ["P and E go from 0 to 1", *["M66: P, or E with L0"] * 3]
+
+
 def test_widths_and_numbers_that_nobody_has(shop: Make) -> None:
     made = shop("digital_io", **_NUMBERED)
     assert made.say("M68 E2 Q0.25") == ["ok"]

@@ -102,8 +102,9 @@ def _swallows_the_reset(session: "Session", operator: Operator) -> None:
         _is_reset(session, operator)
 
 
-def _is_held(session: "Session", _operator: Operator) -> None:
+def _is_held(session: "Session", operator: Operator) -> None:
     session.rig.controller.state.post(st.FEED_HOLD)
+    _LOOK(operator)
 
 
 def _loops(_session: "Session", operator: Operator) -> None:
@@ -111,12 +112,14 @@ def _loops(_session: "Session", operator: Operator) -> None:
         operator.wait(0.01)
 
 
-def _is_slow(session: "Session", _operator: Operator) -> None:
+def _is_slow(session: "Session", operator: Operator) -> None:
     session.rig.pass_time(session.rig.ms(60))
+    _LOOK(operator)
 
 
-def _is_cut_short(session: "Session", _operator: Operator) -> None:
+def _is_cut_short(session: "Session", operator: Operator) -> None:
     session.file.write_text(_CUSTOM[: session.random.randrange(len(_CUSTOM))])
+    _LOOK(operator)
 
 
 # None: power fails.

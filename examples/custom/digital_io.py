@@ -3,14 +3,17 @@
 M62 P and M63 P switch an output as the motion before them ends (at most 60 ms too early), and
 motion goes on; M64 and M65 wait for motion. M66 P L Q waits for an input, Q seconds at the most:
 L0 not at all, L1 until it closes, L2 until it opens, L3 and L4 the same where it is so already.
+M66 E tells the voltage of an analog input, from 0 to 1.
 M67 E Q and M68 E Q set the width of pulses, Q from 0 to 1. Numbers count from 0, through these
-names of the board file:
+names of the board file and pins of the ADC:
 """
 
+from machine import ADC, Pin
 from ugrbl import Refuse, mcode
 
 OUTPUTS = ("air", "lamp", "fan")
 INPUTS = ("part", "door")
+ANALOG = (26, 27)
 HZ = 1000  # of M67 and M68
 
 
@@ -32,8 +35,14 @@ def off(m, P):
     m.out(named(OUTPUTS, P), False)
 
 
-@mcode(66, "Plq")
-def wait(m, P, L=0, Q=0):
+@mcode(66, "pelq")
+def wait(m, P=None, E=None, L=0, Q=0):
+    if (P is None) == (E is None) or (L and P is None):
+        raise Refuse("M66: P, or E with L0")
+    if P is None:
+        voltage = ADC(Pin(named(ANALOG, E))).read_u16() / 65535
+        m.message("M66 E%d: %.3f" % (E, voltage))
+        return
     name = named(INPUTS, P)
     if L not in range(5) or (L and not Q):
         raise Refuse("M66: L is 0 to 4, and wants Q, the seconds to wait")
