@@ -253,6 +253,15 @@ def test_pins_that_share_pulses_are_told_of(
             port.pulse(0, hz, 200)
 
 
+def test_pulses_that_the_chip_meets_nearly_are_shared_all_the_same() -> None:
+    port = gpio.GpioPort(board(SPINDLE_PWM=16, SPINDLE_DIR=None, FLOOD=None))
+    port.add_pins((20, 21), ())
+    port.rest(0)
+    for index in (0, 1, 0):
+        port.pulse(index, 39_999, 100)
+    assert machine.PWM.outputs[20].freq() == 40_000
+
+
 # Callbacks that fail
 
 

@@ -96,11 +96,13 @@ class GpioPort(PortPins):
     def _begin_pulses(self, index: int, hz: int) -> PWM:
         """Two pins of one slice have one frequency, and of sixteen one each the same pulses."""
         own = self._own_numbers[index]
-        others = list(zip(self._own_numbers, self._own_pwm)) + [(self._pwm_number, self.pwm)]
-        for number, pwm in others:
-            if pwm is None or number is None or number == own or (number ^ own) & _SLICES > 1:
+        others: "list[tuple[int | None, int]]" = list(zip(self._own_numbers, self._own_hz))
+        if self.pwm:
+            others.append((self._pwm_number, self.pwm.freq()))
+        for number, its_hz in others:
+            if not its_hz or number is None or number == own or (number ^ own) & _SLICES > 1:
                 continue
-            if pwm.freq() != hz or (number ^ own) & 1 == 0:
+            if its_hz != hz or (number ^ own) & 1 == 0:
                 raise ValueError("pin %d cannot have other pulses than pin %d" % (own, number))
         pwm = super()._begin_pulses(index, hz)
         if self._pads[0]:  # a pad that is given to the PWM is not held any more

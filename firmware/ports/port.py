@@ -38,6 +38,7 @@ class PortPins(PortInputs):
         # What kill() switches off: number, pin, and level when off. PWM is apart.
         self._tools: "list[tuple[int, Pin, int]]" = []
         self._own_pwm: "list[PWM | None]" = []
+        self._own_hz: "list[int]" = []  # as asked for, which PWM meets to the nearest it can
         self._make_outputs(board)
 
     def _make_outputs(self, board: "ModuleType") -> None:
@@ -135,6 +136,7 @@ class PortPins(PortInputs):
         self._own_numbers = outputs
         self._own = [Pin(pin, Pin.OUT, value=0) for pin in outputs]
         self._own_pwm = [None] * len(outputs)
+        self._own_hz = [0] * len(outputs)
         self._sensors = [self._make_input(pin) for pin in inputs]
 
     def drive(self, levels: int) -> None:
@@ -148,8 +150,9 @@ class PortPins(PortInputs):
         """That output makes pulses from now on, and drive() leaves it alone: hz in a second, on
         for duty / 65535 of the time; 0 is off. ValueError where it cannot."""
         pwm = self._own_pwm[index]
-        if pwm is None or pwm.freq() != hz:
+        if pwm is None or self._own_hz[index] != hz:
             pwm = self._begin_pulses(index, hz)
+            self._own_hz[index] = hz
         pwm.duty_u16(duty)
         if self._killed:
             self.safe()

@@ -181,6 +181,9 @@ def _checked(hz: int) -> int:
     return hz
 
 
+_CLOCK_HZ = 125_000_000
+
+
 class PWM:
     """A pulse width; one per pin. A new one counts from the next pulse on: see wrap()."""
 
@@ -202,9 +205,11 @@ class PWM:
         self.playing = self.duty
 
     def freq(self, value: int = 0) -> int:
+        """Told is the whole number next to what the chip makes of it, at 125 MHz."""
         if value:
             self.frequency = _checked(value)
-        return self.frequency
+        counts = round(_CLOCK_HZ / self.frequency)
+        return round(_CLOCK_HZ / counts)
 
     def duty_u16(self, duty: "int | None" = None) -> int:
         if duty is not None:
