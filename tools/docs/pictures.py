@@ -38,6 +38,11 @@ PICTURES = (
         f" {_FAST} --set 113=6000 --set 123=500",
     ),
     Picture(
+        "knife.png",
+        "run examples/knife.nc --board sim_xyza --custom examples/custom/knife.py"
+        f" {_FAST} --set 113=6000 --set 123=500 --set 133=400",
+    ),
+    Picture(
         "height_map.png",
         "run examples/height_map.nc --custom examples/custom/height_map.py --input probe=Z-8"
         f" {_FAST}",
