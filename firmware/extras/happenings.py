@@ -9,6 +9,7 @@ import micropython
 from base import errors
 from base import state as st
 from base.errors import Abort, GrblError
+from base.f32 import vector
 from base.faults import harmless
 from control import coolant
 from control import spindle as sp
@@ -40,6 +41,7 @@ _MOST_DUE = const(16)
 # and its own calls want the rest.
 _STACK_BYTES = const(3712)
 _M6 = const(6)
+_FAR = const(1_000_000)  # mm: nowhere a machine may be
 _GREETINGS = ("startup", "after_reset")
 # No alarm, or that of a sender who has reset the machine as it moved.
 _SENDERS = (0, errors.ALARM_ABORT_CYCLE, errors.ALARM_HOMING_FAIL_RESET)
@@ -77,8 +79,10 @@ class Happenings:
         # Who has failed behind a welcome; whether that has brought about the one that comes.
         self._failed: "list[Function]" = []
         self._has_failed = False
-        # Words that wait for blocks planned before them: how many, and what they say.
+        # Words that wait for blocks planned before them: how many, where those end, how far away
+        # that was when last looked at, and what they say.
         self._marks: "list[list[Any]]" = []
+        self._mm = vector(len(cnc.machine.modes.position))
         self._tail = 0
 
     def add(self, kind: str, key: "Any", what: str, function: "Function") -> None:
@@ -206,7 +210,9 @@ class Happenings:
         self._machine.canon.finish()
         self._machine.canon.auto_start()
         self._pass_marks()
-        self._marks.append([(flow[HEAD] - flow[TAIL]) % flow[ROWS], what, function, given])
+        blocks = (flow[HEAD] - flow[TAIL]) % flow[ROWS]
+        place = tuple(self._machine.modes.position)
+        self._marks.append([blocks, place, _FAR, what, function, given])
         self.turn()
 
     def _pass_marks(self) -> None:
@@ -220,9 +226,18 @@ class Happenings:
     def _turn_marks(self) -> None:
         self._pass_marks()
         self._state.pending[st.ANY] = 1  # look again behind the next line, whatever it is
-        while self._marks and self._marks[0][0] == 0:
-            _, what, function, given = self._marks.pop(0)
+        while self._marks and self._marks[0][0] == 0 and self._is_made(self._marks[0]):
+            what, function, given = self._marks.pop(0)[3:]
             self._runner.run(what, function, False, (), given)
+
+    def _is_made(self, mark: "list[Any]") -> bool:
+        """Motion, of which the engine has had the last piece, has come to the place of a mark: it
+        moves away from there, or not at all."""
+        machine, mm = self._machine, self._mm
+        machine.position(mm)
+        away = max([abs(a - b) for a, b in zip(mark[1], mm)])
+        before, mark[2] = mark[2], away
+        return away > before or machine.engine.idle()
 
     # Put around the machine
 
