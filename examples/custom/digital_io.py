@@ -3,8 +3,8 @@
 M62 P and M63 P switch an output as the motion before them ends, and that behind them goes on; M64
 and M65 wait for motion. M66 P L Q waits for an input, Q seconds at the most: L0 not at all, L1
 until it closes, L2 until it opens, L3 and L4 the same where it is so already. M66 E tells the
-voltage of an analog input, from 0 to 1. M67 E Q and M68 E Q set the width of pulses, Q from 0 to 1.
-Numbers count from 0, through these names of the board file and pins of the ADC:
+voltage of an analog input, from 0 to 1. M67 E Q and M68 E Q set the width of pulses, Q from 0 to
+1. Numbers count from 0, through these names of the board file and pins of the ADC:
 """
 
 from machine import ADC, Pin
