@@ -32,6 +32,7 @@ class Loop:
         reader: Any = SimpleNamespace(
             feed=self._feed,
             post=None,
+            line=bytearray(80),
             memory=lambda: (None, None, bytearray(80), None),
             free=lambda: 255,
         )

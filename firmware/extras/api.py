@@ -54,6 +54,7 @@ def is_grbls(letter: str, tenths: int) -> bool:
 
 
 def _in_turn(usual: "Callable[[], object]", call: "Callable[[], object]") -> "Callable[[], None]":
+    @micropython.native
     def both() -> None:
         usual()
         call()

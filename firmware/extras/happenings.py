@@ -9,16 +9,15 @@ import micropython
 from base import errors
 from base import state as st
 from base.errors import Abort, GrblError
-from base.f32 import vector
 from base.faults import harmless
 from control import coolant
 from control import spindle as sp
 from language.block import HIGHEST_TOOL
 from micropython import const
-from motion.layout import HEAD, ROWS, TAIL
 
 from extras import handlers
 from extras.machine_operator import STATES
+from extras.marks import Marks
 from extras.places import Place
 
 TYPE_CHECKING = const(False)
@@ -41,7 +40,6 @@ _MOST_DUE = const(16)
 # and its own calls want the rest.
 _STACK_BYTES = const(3712)
 _M6 = const(6)
-_FAR = const(1_000_000)  # mm: nowhere a machine may be
 _GREETINGS = ("startup", "after_reset")
 # No alarm, or that of a sender who has reset the machine as it moved.
 _SENDERS = (0, errors.ALARM_ABORT_CYCLE, errors.ALARM_HOMING_FAIL_RESET)
@@ -79,11 +77,7 @@ class Happenings:
         # Who has failed behind a welcome; whether that has brought about the one that comes.
         self._failed: "list[Function]" = []
         self._has_failed = False
-        # Words that wait for blocks planned before them: how many, where those end, how far away
-        # that was when last looked at, and what they say.
-        self._marks: "list[list[Any]]" = []
-        self._mm = vector(len(cnc.machine.modes.position))
-        self._tail = 0
+        self._marks = Marks(cnc.machine, runner)
 
     def add(self, kind: str, key: "Any", what: str, function: "Function") -> None:
         """Somebody wants to hear of that."""
@@ -114,8 +108,8 @@ class Happenings:
         """The main loop's turn, between two lines."""
         if self._due:
             self._settle_between()
-        self._runner.turn()
-        self._runner.operator.turn()
+        if self._runner.has_run:
+            self._runner.turn()
 
     def _settle_between(self) -> None:
         """Nobody waits for an answer; of an alarm the loop tells behind an Abort."""
@@ -173,8 +167,8 @@ class Happenings:
                     self._field = "|".join([text for text in map(_field, found) if text])
             if self._timers:
                 self._turn_timers()
-            if self._marks:
-                self._turn_marks()
+            if self._marks.waiting:
+                self._marks.turn()
         finally:
             self._is_beside = False
 
@@ -200,44 +194,12 @@ class Happenings:
                     self._inputs[name] = closed
                     self._happen(_INPUT + name, closed)
 
-    # Words that go with the blocks planned before them
-
     def defer(self, what: str, function: "Function", given: "dict[str, Any]") -> None:
         """Run the handler when the blocks that wait now have been made. GrblError where it is
         left out."""
         self._runner.refuse_left_out(what, function)
-        flow = self._machine.planner.flow
-        self._machine.canon.finish()
-        self._machine.canon.auto_start()
-        self._pass_marks()
-        blocks = (flow[HEAD] - flow[TAIL]) % flow[ROWS]
-        place = tuple(self._machine.modes.position)
-        self._marks.append([blocks, place, _FAR, what, function, given])
+        self._marks.add(what, function, given)
         self.turn()
-
-    def _pass_marks(self) -> None:
-        """Blocks have been made since: so many fewer are waited for."""
-        flow = self._machine.planner.flow
-        passed = (flow[TAIL] - self._tail) % flow[ROWS]
-        self._tail = flow[TAIL]
-        for mark in self._marks:
-            mark[0] = max(0, mark[0] - passed)
-
-    def _turn_marks(self) -> None:
-        self._pass_marks()
-        self._state.pending[st.ANY] = 1  # look again behind the next line, whatever it is
-        while self._marks and self._marks[0][0] == 0 and self._is_made(self._marks[0]):
-            what, function, given = self._marks.pop(0)[3:]
-            self._runner.run(what, function, False, (), given)
-
-    def _is_made(self, mark: "list[Any]") -> bool:
-        """Motion, of which the engine has had the last piece, has come to the place of a mark: it
-        moves away from there, or not at all."""
-        machine, mm = self._machine, self._mm
-        machine.position(mm)
-        away = max([abs(a - b) for a, b in zip(mark[1], mm)])
-        before, mark[2] = mark[2], away
-        return away > before or machine.engine.idle()
 
     # Put around the machine
 
@@ -306,7 +268,7 @@ class Happenings:
     def _greeted(self) -> None:
         self._pause = None
         self._due.clear()
-        self._marks.clear()
+        self._marks.waiting.clear()
         self._beside = [each for each in self._beside if each[0] == "alarm"]
         if not self._has_failed:
             self._failed.clear()

@@ -87,6 +87,10 @@ class Operator(PinOperator):
         self._open.clear()
         self._jogs.clear()
 
+    def has_jogs(self) -> bool:
+        """Jogs have been asked for that have not begun."""
+        return bool(self._jogs)
+
     def turn(self) -> None:
         """Begin the jogs that have been asked for. Between two lines only. A line that has come
         goes first: in Jog it would be refused; and behind it nobody wants them any more."""

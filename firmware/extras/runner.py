@@ -45,6 +45,7 @@ class Runner:
         self._slow: "list[str]" = []  # who has been told of
         self._out: "list[Function]" = []  # failed beside motion: it would again, at every turn
         self._calls = 0
+        self.has_run = False  # there may be something to do for turn()
 
     @micropython.native  # needs half the stack
     def run(
@@ -86,6 +87,7 @@ class Runner:
             self.is_running = was_running
             operator.rested()
             self._calls += 1
+            self.has_run = True
             self._tell_slow(what)
         return None
 
@@ -137,8 +139,9 @@ class Runner:
     # The main loop's turn, between two lines
 
     def turn(self) -> None:
-        """Write what is to be kept; make room."""
-        machine, keep = self._machine, self.operator.keep
+        """Write what is to be kept; make room; begin jogs that have been asked for."""
+        machine, operator = self._machine, self.operator
+        keep = operator.keep
         if keep.is_due and machine.at_rest() and not machine.reader.waiting():
             keep.write()
             machine.keep()
@@ -147,3 +150,5 @@ class Runner:
             if machine.at_rest() or (flow[HEAD] - flow[TAIL]) % flow[ROWS] >= _BLOCKS:
                 self._calls = 0
                 gc.collect()
+        operator.turn()
+        self.has_run = keep.is_due or self._calls >= _CALLS or operator.has_jogs()

@@ -46,32 +46,6 @@ READS = (0x80, 0x84, _OVERFLOW)
 
 
 @micropython.viper
-def fill_ring(data: ptr8, span: int, ring: ptr8, at: ptr32, kinds: ptr8) -> int:
-    """Move data[start:count], span = count << 16 | start, into the ring, up to a real-time byte.
-
-    Returns where that is, or count. Bytes that find no room are lost.
-    """
-    count = span >> 16
-    i = span & 0xFFFF
-    head = at[_HEAD]
-    tail = at[_TAIL]
-    size = at[_SIZE]
-    while i < count:
-        c = data[i]
-        if kinds[c] == _REALTIME:
-            break
-        following = head + 1
-        if following == size:
-            following = 0
-        if following != tail:
-            ring[head] = c
-            head = following
-        i += 1
-    at[_HEAD] = head
-    return i
-
-
-@micropython.viper
 def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
     """Go on with the line: upper case, no spaces, comments, control characters, slashes."""
     tail = at[_TAIL]
@@ -123,17 +97,32 @@ def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
 def room(at: ptr32) -> int:
     """Bytes that fit into the ring."""
     used = at[_HEAD] - at[_TAIL]
-    return at[_SIZE] - 1 - (used + at[_SIZE] if used < 0 else used)
+    if used < 0:
+        used += at[_SIZE]
+    return at[_SIZE] - 1 - used
 
 
 @micropython.viper
 def feed(data: ptr8, count: int, ring: ptr8, at: ptr32, kinds: ptr8, post: object) -> int:
-    """Accept received bytes; post is called with those that are real-time."""
-    i = int(fill_ring(data, count << 16, ring, at, kinds))
-    while i < count:
-        post(data[i])  # type: ignore[operator]
-        i = int(fill_ring(data, count << 16 | (i + 1), ring, at, kinds))
-    return i
+    """Move received bytes into the ring; post is called with those that are real-time. Bytes that
+    find no room are lost."""
+    head = at[_HEAD]
+    tail = at[_TAIL]
+    size = at[_SIZE]
+    for i in range(count):
+        c = data[i]
+        if kinds[c] == _REALTIME:
+            at[_HEAD] = head
+            post(c)  # type: ignore[operator]
+        else:
+            following = head + 1
+            if following == size:
+                following = 0
+            if following != tail:
+                ring[head] = c
+                head = following
+    at[_HEAD] = head
+    return 0
 
 
 def _make_kinds(first: int, extra: int) -> bytearray:

@@ -1,4 +1,4 @@
-# mypy: disable-error-code="arg-type, has-type, misc, operator"
+# mypy: disable-error-code="arg-type, call-overload, has-type, misc, operator"
 """Quick lines: those that do no more than move, one behind the other, in one call.
 
 From received bytes to blocks of the planner and their answers nothing is looked up by its name and
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from talk.lines import LineReader
 
 # Behind so many lines the loop has its turn, however many wait: motion is watched there, and
-# whoever has been put around it waits for that.
+# whoever has been put around it waits for that. An even number.
 _LINES = const(16)
 
 
@@ -33,7 +33,8 @@ def needs(
     """What take_quick() is called with besides what is posted. buffer: for what is received."""
     other = None if fast.follow is fast.plain else fast.follow  # an extra may have put one there
     read_into, write = link.read_into, link.write
-    others = other, read_into, buffer, len(buffer), reader.post, write, OK, OK + OK
+    line, size = reader.line, len(buffer)
+    others = other, line, read_into, buffer, size, reader.post, write, OK, OK + OK
     return reader.memory(), fast.memory(), others
 
 
@@ -74,7 +75,7 @@ def take_quick(
 def _take(
     heard: ptr8,
     at: ptr32,
-    line: object,
+    text: ptr8,
     kinds: ptr8,
     pending: ptr8,
     others: object,
@@ -91,11 +92,9 @@ def _take(
     scale: ptr32,
     news: object,
 ) -> int:
-    """Answers go out in twos: to write takes as long as a third of a line."""
-    other, read_into, buffer, length, post, write, one, both = others
-    text = ptr8(line)
-    piece = int(length)
-    owed = 0
+    """Answers go out in twos, for to write takes as long as a third of a line: one is owed where
+    an odd number is left."""
+    other, line, read_into, buffer, size, post, write, one, both = others
     left = _LINES
     while left:
         found = int(clean(heard, at, text, kinds))
@@ -123,19 +122,15 @@ def _take(
             )
         if done:
             left -= 1
-            owed ^= 1
-            if owed == 0:
+            if left & 1 == 0:
                 write(both)
-                if int(room(at)) >= piece:  # who counts nothing must not overrun it
-                    _hear(pending, read_into, buffer, heard, at, kinds, post)
+                _hear(pending, read_into, buffer, size, heard, at, kinds, post)
         else:
-            if owed:
+            if left & 1:
                 write(one)
-                owed = 0
-            if found or int(_hear(pending, read_into, buffer, heard, at, kinds, post)) == 0:
+                left -= 1
+            if found or int(_hear(pending, read_into, buffer, size, heard, at, kinds, post)) == 0:
                 return found
-    if owed:
-        write(one)
     return NOTHING
 
 
@@ -144,13 +139,15 @@ def _hear(
     pending: ptr8,
     read_into: object,
     buffer: object,
+    size: object,
     heard: ptr8,
     at: ptr32,
     kinds: ptr8,
     post: object,
 ) -> int:
-    """Take in what has arrived. Returns whether it is for us to go on with."""
-    count = int(read_into(buffer))
+    """Take in what has arrived, if all of it fits: who counts nothing must not overrun the ring.
+    size: the buffer's. Returns whether it is for us to go on with."""
+    count = int(read_into(buffer)) if int(room(at)) >= int(size) else 0
     if count:
         feed(ptr8(buffer), count, heard, at, kinds, post)
     return 0 if pending[ANY] else count
