@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from extras.machine_operator import Operator
 
 TRACE = "custom"  # under which the last traceback is kept
-# A handler that takes longer without service is told of: 20 ms of its own, and a collection's 30.
-_SLOW_MS = const(50)
+# A handler that takes so long without service is told of, be it that garbage is collected in it.
+_SLOW_MS = const(20)
 # That comes after so many handlers, where as many blocks wait, or none.
 _CALLS = const(64)
 _BLOCKS = const(8)
@@ -93,7 +93,7 @@ class Runner:
 
     def _tell_slow(self, what: str) -> None:
         slow_ms, self.operator.slow_ms = self.operator.slow_ms, 0
-        if slow_ms > _SLOW_MS and what not in self._slow:
+        if slow_ms >= _SLOW_MS and what not in self._slow:
             self._slow.append(what)
             self._cnc.message("%s: %d ms without a call of m" % (what, slow_ms))
 
