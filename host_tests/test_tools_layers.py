@@ -19,6 +19,7 @@ ROOMS: "dict[str, tuple[str, ...]]" = {
     "draw": ("grbl", "sim", "boardfile", "run"),
     "replay": ("boardfile", "compiling"),
     "device": ("grbl", "boardfile", "compiling", "run"),
+    "image": ("boardfile", "compiling", "run", "device"),
     "docs": ("grbl", "boardfile", "replay"),
 }
 ROOMS["cli"] = tuple(ROOMS)

@@ -24,6 +24,7 @@ from . import (
     selftest,
     send,
     settings,
+    uf2,
 )
 from .custom_options import CustomFile, Inputs, around
 from .outputs import check_outputs, failed
@@ -40,6 +41,7 @@ app.command("plot", epilog=plot.EXAMPLES)(plot.command)
 app.command("run", epilog=run.EXAMPLES)(run.command)
 app.command("ports")(ports.command)
 app.command("send", epilog=send.EXAMPLES)(send.command)
+app.command("uf2", epilog=uf2.EXAMPLES)(uf2.command)
 app.command("selftest", epilog=selftest.EXAMPLES)(selftest.command)
 app.add_typer(custom_board.app, name="custom")
 app.add_typer(settings.app, name="settings")

@@ -230,7 +230,7 @@ def _carry_out(device: Device, made: Build, todo: Plan, has_start: bool, view: V
     for path in order:
         view.file(path)
         _write(device, path, made.files[path], view)
-    _write(device, LIST, _list(made).encode(), None)
+    _write(device, LIST, listing(made), None)
     _write(device, START, made.files[START], view if START in todo.copy else None)
 
 
@@ -257,8 +257,10 @@ def checksums(made: Build) -> dict[str, str]:
     return {path: digest(content) for path, content in made.files.items()}
 
 
-def _list(made: Build) -> str:
-    return "".join(f"{checksum}  {path}\n" for path, checksum in sorted(checksums(made).items()))
+def listing(made: Build) -> bytes:
+    """What LIST holds behind it."""
+    rows = (f"{checksum}  {path}\n" for path, checksum in sorted(checksums(made).items()))
+    return "".join(rows).encode()
 
 
 def _read_list(device: Device, there: Mapping[str, str]) -> dict[str, str]:

@@ -11,13 +11,16 @@ from ..boardfile.board_check import is_simulated
 from ..boardfile.files import load_board
 from ..compiling import kernels
 from ..grbl.messages import meaning
-from ..grbl.settings_file import Firmware, SettingsError
+from ..grbl.settings_file import Firmware, SettingsError, read_settings
 from .file_store import FileStore
 from .inputs import Inputs, Rule
 from .own_python import NAME, OwnPython, read
 
 if TYPE_CHECKING:
-    from ..sim.rig import Rig
+    from base.settings import Settings
+    from talk.controller import Controller
+
+    from ..sim.rig import MemoryStore, Rig
 
 DEFAULT_BOARD = "sim"
 DEFAULT_AXES = 3
@@ -155,15 +158,40 @@ def _check_values(board: Any, lines: Iterable[str]) -> None:
 
     What it reads from its own memory it takes unseen. Settings that it does not have are kept.
     """
-    from base import errors
-    from base.errors import GrblError
+    _take(_controller(board)[0].settings, lines)
+
+
+def kept_settings(board: str, file: Path) -> tuple[str, list[str]]:
+    """What the machine of that board keeps where its settings are those of a file: under which
+    name, and the lines. SettingsError for a file that is none, or holds what it would not take."""
+    paths.use_firmware()
+    found = read_settings(file).values
+    controller, store = _controller(_copy(load_board(board), board, CUSTOM=""))
+    try:
+        _take(controller.settings, [f"${number}={value}" for number, value in found.items()])
+    except SettingsError as error:
+        raise SettingsError(f"{file}: {error}") from error
+    controller.saves.finish()
+    return controller.settings.file, store.files[controller.settings.file]
+
+
+def _controller(board: Any) -> "tuple[Controller, MemoryStore]":
+    """A machine with a new memory, which has not been started."""
     from boot import wiring
 
     from ..sim.rig import Rig
 
     rig = Rig(board)
-    settings = wiring.build(board, rig.link, rig.port, rig.engine, rig.store).settings
-    settings.load()
+    controller = wiring.build(board, rig.link, rig.port, rig.engine, rig.store)
+    controller.settings.load()
+    return controller, rig.store
+
+
+def _take(settings: "Settings", lines: Iterable[str]) -> None:
+    """Set them, in whatever order they can be. SettingsError where some cannot."""
+    from base import errors
+    from base.errors import GrblError
+
     left = list(lines)
     while left:
         refused = []

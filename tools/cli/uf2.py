@@ -1,0 +1,112 @@
+"""The command `ugrbl uf2`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from ..boardfile.files import BoardFileError, board_file
+from ..compiling import build
+from ..compiling.build import Build, BuildError
+from ..grbl.settings_file import SettingsError
+from ..image import contents
+from ..image.binary_info import About
+from ..image.uf2 import CHIPS, Flash, Uf2Error
+from .build import DEBUG_COST, Debug
+from .custom import judge
+from .custom_options import CustomFile, around
+from .outputs import check_output, failed
+from .screen import summary
+
+EXAMPLES = (
+    "Examples:  ugrbl uf2 --board rpi_pico --micropython RPI_PICO-20260406-v1.28.0.uf2   ·"
+    "   ugrbl uf2 --board my_router.py --micropython RPI_PICO.uf2 --settings my.settings"
+    " --custom custom.py -o router.uf2"
+)
+_DOWNLOAD = "micropython.org/download has it for each board, as a .uf2 file"
+_DRIVES = {"RP2040": "RPI-RP2", "RP2350": "RP2350"}
+
+
+def command(
+    board: Annotated[
+        str, typer.Option(metavar="NAME", help="A file of boards/, or a path: my_router.py.")
+    ],
+    micropython: Annotated[
+        Path,
+        typer.Option(metavar="FILE", readable=False, help=f"MicroPython: {_DOWNLOAD}."),
+    ],
+    settings: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", readable=False, help="As `ugrbl settings pull` writes it."),
+    ] = None,
+    custom: CustomFile = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="By default build/BOARD.uf2."),
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """Make one file with MicroPython, the firmware and what belongs to it, for a board with RP2040
+    or RP2350 to be dragged onto.
+
+    The board needs nothing before. It begins anew with what is in the file: whatever was kept on
+    it, settings and files of yours, is lost. Later, `ugrbl deploy` brings it up to date and leaves
+    those alone.
+    """
+    console = Console()
+    file = out or Path("build") / f"{Path(board).stem}.uf2"
+    try:
+        check_output(file, given=locals())
+        made = build.for_board(board_file(board), debug=debug)
+        flash = contents.read(micropython)
+        about = _about(micropython, flash, made)
+        own = _own(console, board, custom)
+        files = contents.files(made, board, settings, own)
+        whole = contents.join(flash, about, files)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(whole)
+    except (BoardFileError, BuildError) as error:
+        raise failed("\n".join(error.problems)) from error
+    except (ValueError, SettingsError, OSError) as error:
+        raise failed(error) from error
+    _show(console, file, about, files, CHIPS[flash.family])
+    if debug:
+        console.print(f"names and line numbers stay: they take {DEBUG_COST}", highlight=False)
+
+
+def _about(micropython: Path, flash: Flash, made: Build) -> About:
+    try:
+        return contents.micropython(flash, made)
+    except Uf2Error as error:
+        raise Uf2Error(f"{micropython}: {error}") from error
+
+
+def _own(console: Console, board: str, custom: Path | None) -> dict[str, bytes]:
+    """The user's own Python, once it has passed the check."""
+    if custom is None:
+        return {}
+    surroundings = around(board, custom, None)
+    if not judge(console, board, surroundings).is_good:
+        raise failed("nothing has been made")
+    assert surroundings.custom
+    return surroundings.custom.files
+
+
+def _show(console: Console, file: Path, about: About, files: dict[str, bytes], chip: str) -> None:
+    size = sum(map(len, files.values()))
+    console.print(
+        summary(
+            [
+                ("file", f"{file}, {file.stat().st_size // 1024} kB"),
+                ("MicroPython", f"{about.version}, for {chip}"),
+                ("files", f"{len(files)}, {size} bytes of {about.size}"),
+            ]
+        )
+    )
+    console.print(
+        f"Hold BOOTSEL while you plug the board in, and drag the file onto {_DRIVES[chip]}."
+        " What the board has kept is lost then.",
+        highlight=False,
+        soft_wrap=True,
+    )

@@ -1,0 +1,58 @@
+"""Binary info: what a program for RP2040 or RP2350 says of itself, for tools that look into it.
+
+Near its beginning stand two marks, and between them where a list of pointers lies, each to a type,
+a tag, and what belongs to it (pico-sdk, src/common/pico_binary_info).
+"""
+
+import struct
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from .uf2 import Flash, Uf2Error
+
+_XIP = 0x10000000  # where flash is seen
+_MARKS = (0x7188EBF2, 0xE71AA390)
+_SEARCHED = 4096  # bytes; 256 behind the boot stage on RP2040, 1 KiB on RP2350
+_MOST = 1000  # entries
+_ID_AND_STRING, _BLOCK_DEVICE = 6, 7
+_NAME, _VERSION = 0x02031C86, 0x11A9BC3A
+
+
+class About(NamedTuple):
+    """What a MicroPython says. start, size: of its file system, an address and bytes."""
+
+    name: str
+    version: str
+    start: int
+    size: int
+
+
+def about(flash: Flash) -> About:
+    """Uf2Error where it is no MicroPython with a file system in flash."""
+    texts: dict[int, str] = {}
+    devices: list[tuple[int, int]] = []
+    for entry in _entries(flash):
+        kind, _tag = struct.unpack("<2H", flash.read(entry, 4))
+        if kind == _ID_AND_STRING:
+            number, pointer = struct.unpack("<2I", flash.read(entry + 4, 8))
+            texts[number] = flash.read(pointer, 64).split(b"\0")[0].decode("ascii", "replace")
+        elif kind == _BLOCK_DEVICE:
+            devices.append(struct.unpack("<2I", flash.read(entry + 8, 8)))
+    if texts.get(_NAME) != "MicroPython" or not devices:
+        raise Uf2Error(
+            "it is no MicroPython with a file system: micropython.org/download has some"
+        )
+    start, size = devices[0]
+    if flash.end > start:
+        raise Uf2Error("something lies in the file system already: take MicroPython as it comes")
+    return About(texts[_NAME], texts.get(_VERSION, ""), start, size)
+
+
+def _entries(flash: Flash) -> Iterator[int]:
+    words = struct.unpack(f"<{_SEARCHED // 4}I", flash.read(_XIP, _SEARCHED))
+    for i in range(len(words) - 4):
+        if (words[i], words[i + 4]) == _MARKS:
+            first, end = words[i + 1], words[i + 2]
+            for at in range(first, min(end, first + 4 * _MOST), 4):
+                yield from struct.unpack("<I", flash.read(at, 4))
+            return

@@ -1,0 +1,75 @@
+"""The file system of a board, as MicroPython makes it on RP2040 and RP2350: littlefs."""
+
+from collections.abc import Mapping
+from pathlib import PurePosixPath
+from typing import Any
+
+from littlefs import LittleFS, LittleFSError, UserContext
+
+from .uf2 import SECTOR, Uf2Error
+
+_PROG_SIZE = 256
+_DISK_VERSION = 0x00020000  # which every MicroPython reads
+
+
+class _Chip(UserContext):
+    """Flash that remembers which blocks somebody has looked at."""
+
+    def __init__(self, size: int) -> None:
+        super().__init__(size)
+        self.seen: set[int] = set()
+
+    def read(self, cfg: Any, block: int, off: int, size: int) -> bytearray:
+        """Called by littlefs."""
+        self.seen.add(block)
+        found: bytearray = super().read(cfg, block, off, size)
+        return found
+
+
+def make(files: Mapping[str, bytes], size: int) -> dict[int, bytes]:
+    """A file system of so many bytes with these files, by path: its sectors, by their place in it.
+    Uf2Error where they do not fit.
+
+    Those that nobody ever looks at are not among them. Blank ones are: of the two blocks of each
+    folder littlefs takes the newer, and that would be what an older file system has left.
+    """
+    chip = _Chip(size)
+    disk = _littlefs(chip)
+    disk.format()
+    disk.mount()
+    name = ""
+    try:
+        for name, content in files.items():
+            folder = PurePosixPath(name).parent
+            if folder.name:
+                disk.makedirs(str(folder), exist_ok=True)
+            with disk.open(name, "wb") as file:
+                file.write(content)
+    except LittleFSError as error:
+        raise Uf2Error(f"{name} does not fit into the {size // 1024} KiB of flash") from error
+    disk.unmount()
+    chip.seen.clear()
+    _look_at_all(_littlefs(chip))
+    image = bytes(chip.buffer)
+    return {at: image[at : at + SECTOR] for at in sorted(SECTOR * block for block in chip.seen)}
+
+
+def _littlefs(chip: _Chip) -> LittleFS:
+    return LittleFS(
+        context=chip,
+        block_size=SECTOR,
+        block_count=len(chip.buffer) // SECTOR,
+        prog_size=_PROG_SIZE,
+        read_size=_PROG_SIZE,
+        disk_version=_DISK_VERSION,
+        mount=False,
+    )
+
+
+def _look_at_all(disk: LittleFS) -> None:
+    disk.mount()
+    for folder, _, names in disk.walk("/"):
+        for name in names:
+            with disk.open(f"{folder.rstrip('/')}/{name}", "rb") as file:
+                file.read()
+    disk.unmount()
