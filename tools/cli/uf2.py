@@ -58,8 +58,8 @@ def command(
     file = out or Path("build") / f"{Path(board).stem}.uf2"
     try:
         check_output(file, given=locals())
-        made = build.for_board(board_file(board), debug=debug)
         flash = contents.read(micropython)
+        made = build.for_board(board_file(board), debug=debug)
         about = _about(micropython, flash, made)
         own = _own(console, board, custom)
         files = contents.files(made, board, settings, own)

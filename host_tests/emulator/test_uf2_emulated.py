@@ -1,0 +1,47 @@
+"""One file is dragged onto an emulated Pico that holds something else, and it is a controller."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import uf2_model
+from emulated import Board
+from test_uf2 import garbage, read_back
+from ugrbl.boardfile.files import board_file
+from ugrbl.compiling.build import for_board
+
+pytestmark = pytest.mark.xdist_group("uf2 emulated")
+
+_CUSTOM = """
+from ugrbl import mcode
+@mcode(100)
+def hello(m):
+    m.message("hello")
+"""
+
+
+def test_a_dragged_file_boots_to_the_welcome_with_all_that_is_in_it(
+    uf2: Path, tmp_path: Path
+) -> None:
+    settings, custom, file = (tmp_path / name for name in ("my.settings", "custom.py", "all.uf2"))
+    settings.write_text("$110=4321\n")
+    custom.write_text(_CUSTOM)
+    command = [sys.executable, "-m", "ugrbl.cli", "uf2", "--board", "rpi_pico", "-o", str(file)]
+    command += ["--micropython", str(uf2), "--settings", str(settings), "--custom", str(custom)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    board = Board(uf2)
+    flash = garbage(2 << 20)
+    uf2_model.load(flash, file.read_bytes())
+    board.pico.mcu.flash[: len(flash)] = flash
+    files = read_back(board.pico.flash_image())
+    firmware = for_board(board_file("rpi_pico")).files
+    assert {name: files[name] for name in firmware} == firmware
+    board.boot()
+    assert "First start" not in board.said
+    assert "$110=4321" in board.ask("$$")
+    assert "[MSG:hello]" in board.ask("M100")
+    board.ask("G91G1X1F1000")
+    board.until_idle()
+    assert board.status()["MPos"] == "1.000,0.000,0.000"

@@ -1,0 +1,309 @@
+"""One file for a board: the boot ROM makes of it what is in it, and nothing else."""
+
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from random import Random
+
+import pytest
+import uf2_model
+from hypothesis import given
+from hypothesis import strategies as some
+from ports.flash_store import FlashStore
+from typer.testing import CliRunner
+from uf2_model import BASE
+from ugrbl.cli.app import app
+from ugrbl.compiling.build import Build
+from ugrbl.image import binary_info, contents, file_system, uf2
+from ugrbl.image.uf2 import PAGE, RP2040, RP2350, SECTOR, Flash, Uf2Error
+
+littlefs = pytest.importorskip("littlefs")
+
+_MIB = 1 << 20
+_START, _SIZE = BASE + 0xA0000, 0x160000
+
+
+def garbage(size: int, seed: int = 1) -> bytearray:
+    return bytearray(Random(seed).randbytes(size))
+
+
+def program(name: str = "MicroPython", version: str = "v1.28.0", devices: int = 1) -> Flash:
+    """A MicroPython, as far as it speaks of itself."""
+    texts = {0x02031C86: name, 0x11A9BC3A: version}
+    at, data, entries = BASE + 0x3000, b"", []
+    for number, text in texts.items():
+        entries.append(at + len(data))
+        data += struct.pack("<2H2I", 6, 0x5052, number, at + len(data) + 12)
+        data += text.encode().ljust(32, b"\0")
+    for _ in range(devices):
+        entries.append(at + len(data))
+        data += struct.pack("<2H4IH2x", 7, 0x504D, 0, _START, _SIZE, 0, 0)
+    head = b"\0" * 0x110 + struct.pack(
+        "<5I", 0x7188EBF2, BASE + 0x2000, BASE + 0x2000 + 4 * len(entries), 0, 0xE71AA390
+    )
+    image = head.ljust(0x2000, b"\1") + struct.pack(f"<{len(entries)}I", *entries)
+    image = image.ljust(0x3000, b"\2") + data
+    pages = range(0, len(image), PAGE)
+    return Flash(
+        RP2040, {BASE + page: image[page : page + PAGE].ljust(PAGE, b"\3") for page in pages}
+    )
+
+
+# Blocks
+
+
+@given(some.dictionaries(some.integers(0, 600), some.binary(min_size=PAGE, max_size=PAGE)))
+def test_the_rom_leaves_what_is_in_the_file_and_touches_no_other_sector(
+    pages: "dict[int, bytes]",
+) -> None:
+    flash = Flash(RP2040, {BASE + PAGE * n: page for n, page in pages.items()})
+    before = garbage(_MIB // 4)
+    chip = bytearray(before)
+    uf2_model.load(chip, uf2.write(flash))
+    for sector in range(0, len(chip), SECTOR):
+        numbers = range(sector // PAGE, (sector + SECTOR) // PAGE)
+        wanted = b"".join(pages.get(number, b"\xff" * PAGE) for number in numbers)
+        touched = any(number in pages for number in numbers)
+        assert chip[sector : sector + SECTOR] == (
+            wanted if touched else before[sector : sector + SECTOR]
+        )
+
+
+def test_a_file_that_is_only_put_behind_another_is_wrecked() -> None:
+    """What the model is for: 20 pages, and then those of a sector elsewhere."""
+    pages = {BASE + PAGE * n: bytes([n]) * PAGE for n in (*range(20), *range(160, 176))}
+    data = b"".join(
+        struct.pack("<8I", 0, 0, 0, address, PAGE, number, len(pages), RP2040)
+        + page.ljust(480, b"\0")
+        for number, (address, page) in enumerate(pages.items())
+    )
+    chip = garbage(_MIB // 4)
+    uf2_model.load(chip, data)
+    assert any(chip[at - BASE : at - BASE + PAGE] != page for at, page in pages.items())
+
+
+def test_what_is_written_is_read_again_with_the_blocks_of_others_in_front() -> None:
+    first = uf2.write(Flash(RP2350, {0x10FFFF00: b"\x11" * PAGE}))[:512]
+    foreign = first[:28] + (0xE48BFF57).to_bytes(4, "little") + first[32:]
+    flash = uf2.read(foreign + uf2.write(program()))
+    assert flash.others == [foreign] and flash.family == RP2040
+    assert uf2.write(flash)[:512] == foreign
+    assert flash.read(BASE + 0x110, 4) == (0x7188EBF2).to_bytes(4, "little")
+    assert uf2.read(uf2.write(flash)) == flash
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"", "no UF2 file"),
+        (b"x" * 511, "blocks of 512"),
+        (b"x" * 1024, "block 0 is damaged"),
+        (uf2.write(program())[:-4] + b"none", "is damaged"),
+        (uf2.write(Flash(0xADA52840, {0: b"\0" * PAGE})), "not for one of RP2040 and RP2350"),
+        (uf2.write(program()) + uf2.write(Flash(RP2350, program().pages)), "not for one of"),
+    ],
+)
+def test_what_is_no_file_for_these_chips_is_told(data: bytes, said: str) -> None:
+    with pytest.raises(Uf2Error, match=said):
+        uf2.read(data)
+
+
+# What it says of itself
+
+
+def test_a_micropython_says_where_its_file_system_is() -> None:
+    assert binary_info.about(program()) == ("MicroPython", "v1.28.0", _START, _SIZE)
+
+
+@pytest.mark.parametrize(
+    ("flash", "said"),
+    [
+        (Flash(RP2040), "no MicroPython"),
+        (program(name="CircuitPython"), "no MicroPython"),
+        (program(devices=0), "no MicroPython with a file system"),
+    ],
+)
+def test_other_programs_are_told(flash: Flash, said: str) -> None:
+    with pytest.raises(Uf2Error, match=said):
+        binary_info.about(flash)
+
+
+def test_what_has_a_file_system_already_is_told() -> None:
+    flash = program()
+    flash.put(_START, bytes(SECTOR))
+    with pytest.raises(Uf2Error, match="lies in the file system already"):
+        binary_info.about(flash)
+
+
+# The file system
+
+
+def read_back(image: bytes) -> "dict[str, bytes]":
+    """All its files."""
+    context = littlefs.UserContext(len(image))
+    context.buffer[:] = image
+    disk = littlefs.LittleFS(
+        context=context, block_size=SECTOR, block_count=len(image) // SECTOR, mount=True
+    )
+    found = {}
+    for folder, _, names in disk.walk("/"):
+        for name in names:
+            path = f"{folder.rstrip('/')}/{name}"
+            with disk.open(path, "rb") as file:
+                found[path[1:]] = file.read()
+    return found
+
+
+def used_chip(size: int, seed: int) -> bytearray:
+    """A file system that somebody has worked with for long: each block has been written."""
+    random = Random(seed)
+    context = littlefs.UserContext(size)
+    disk = littlefs.LittleFS(context=context, block_size=SECTOR, block_count=size // SECTOR)
+    for k in range(400):
+        folder = f"old{random.randrange(6)}"
+        disk.makedirs(folder, exist_ok=True)
+        with disk.open(f"{folder}/{random.randrange(4)}.py", "wb") as file:
+            file.write(random.randbytes(random.randrange(9000)))
+        if k % 7 == 0:
+            disk.remove(f"{folder}/{disk.listdir(folder)[0]}")
+    return bytearray(context.buffer)
+
+
+def dragged_before(files: "Mapping[str, bytes]", size: int, random: Random) -> bytearray:
+    """One that came by such a file, and has been worked with."""
+    old = bytearray(size)
+    overlay(old, files)
+    context = littlefs.UserContext(size)
+    context.buffer[:] = old
+    disk = littlefs.LittleFS(context=context, block_size=SECTOR, block_count=size // SECTOR)
+    for k in range(300):
+        name = random.choice(sorted(files))
+        with disk.open(name if k % 3 else name + str(k % 5), "wb") as file:
+            file.write(random.randbytes(random.randrange(3000)))
+    return bytearray(context.buffer)
+
+
+def overlay(chip: bytearray, files: "Mapping[str, bytes]") -> None:
+    """What a drag does to it."""
+    for place, sector in file_system.make(files, len(chip)).items():
+        chip[place : place + SECTOR] = sector
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_over_an_older_file_system_there_are_the_new_files_alone(seed: int) -> None:
+    random = Random(seed)
+    files = {f"pack{n % 5}/module{n}.mpy": random.randbytes(200 * n) for n in range(25)}
+    files["main.py"] = b"import main"
+    size = 120 * SECTOR
+    for old in (
+        garbage(size, seed),
+        used_chip(size, seed),
+        dragged_before(files, size, random),
+    ):
+        overlay(old, files)
+        assert read_back(bytes(old)) == files
+
+
+def test_what_does_not_fit_is_named() -> None:
+    with pytest.raises(Uf2Error, match=r"b\.py does not fit into the 40 KiB"):
+        file_system.make({"a.py": bytes(9000), "b.py": bytes(40000)}, 10 * SECTOR)
+
+
+# The whole
+
+
+def made(**files: bytes) -> Build:
+    return Build("armv6m", {"main.py": b"main", "motion/__init__.mpy": b"M\6", **files}, "pio")
+
+
+def after_a_drag(data: bytes) -> "tuple[bytes, Mapping[str, bytes]]":
+    """Flash, and the files in it."""
+    chip = used_chip(2 * _MIB, 3)
+    uf2_model.load(chip, data)
+    start = _START - BASE
+    return bytes(chip), read_back(bytes(chip[start : start + _SIZE]))
+
+
+def test_a_drag_leaves_micropython_and_what_a_deployment_would(tmp_path: Path) -> None:
+    settings = tmp_path / "my.settings"
+    settings.write_text("; mine\n$110=4321\n$32=1\n")
+    flash = program()
+    about = contents.micropython(flash, made())
+    files = contents.files(made(), "rpi_pico", settings, {"custom.py": b"# mine"})
+    chip, found = after_a_drag(contents.join(flash, about, files))
+    assert all(chip[at - BASE : at - BASE + PAGE] == page for at, page in flash.pages.items())
+    assert found == files and found["custom.py"] == b"# mine"
+    assert found["deployed.sha256"].decode().splitlines()[0].endswith("  main.py")
+    (tmp_path / "settings.txt").write_bytes(found["settings.txt"])
+    lines = FlashStore(f"{tmp_path}/").load("settings")
+    assert lines and {"$110=4321", "$32=1", "$0=10"} <= set(lines)
+
+
+@pytest.mark.parametrize(
+    ("flash", "arch", "engine", "said"),
+    [
+        (program(), "armv7emsp", "pio", "is for RP2040; the board file is for RP2350"),
+        (program(), "xtensawin", "rmt", "the board file is for ESP32"),
+        (program(version="v1.22.2"), "armv6m", "pio", "v1.22.2 is too old: put MicroPython"),
+        (program(version=""), "armv6m", "pio", "too old"),
+    ],
+)
+def test_a_micropython_for_another_board_is_told(
+    flash: Flash, arch: str, engine: str, said: str
+) -> None:
+    with pytest.raises(Uf2Error, match=said):
+        contents.micropython(flash, Build(arch, {}, engine))
+
+
+# The command
+
+
+@pytest.fixture
+def micropython(tmp_path: Path) -> Path:
+    file = tmp_path / "RPI_PICO.uf2"
+    file.write_bytes(uf2.write(program()))
+    return file
+
+
+def test_the_command_makes_the_file_and_says_where_to_drag_it(
+    micropython: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "new" / "router.uf2"
+    done = run("--micropython", str(micropython), "-o", str(out))
+    assert done.exit_code == 0, done.output
+    assert "drag the file onto RPI-RP2" in done.output and "v1.28.0, for RP2040" in done.output
+    _, found = after_a_drag(out.read_bytes())
+    assert {"main.py", "board.py", "deployed.sha256", "pio/__init__.mpy"} <= found.keys()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--micropython nowhere.uf2", "nowhere.uf2: No such file"),
+        ("--micropython bad.settings", "bad.settings: it is no UF2 file"),
+        ("--micropython RPI_PICO.uf2 --settings nowhere", "nowhere cannot be read"),
+        ("--micropython RPI_PICO.uf2 --settings bad.settings", "$0=1: error:6"),
+        ("--micropython RPI_PICO.uf2 --custom bad.settings", "bad.settings is no Python file"),
+        ("--micropython RPI_PICO.uf2 --custom bad.py", "nothing has been made"),
+        ("--micropython RPI_PICO.uf2 -o RPI_PICO.uf2", "not written over"),
+        ("--micropython RPI_PICO.uf2 -o bad.py/x.uf2", "bad.py"),
+        ("--micropython RPI_PICO.uf2 --board rpi_pico2", "RPI_PICO.uf2: it is for RP2040"),
+        ("--micropython RPI_PICO.uf2 --board toaster", "no board 'toaster'"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence_and_no_file(
+    words: str, said: str, micropython: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.settings").write_text("$0=1\n")
+    (tmp_path / "bad.py").write_text("from ugrbl import mcode\n@mcode(3)\ndef f(m): pass\n")
+    before = {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
+    done = run(*words.split())
+    assert done.exit_code == 1 and said in done.output, done.output
+    assert "Traceback" not in done.output and not isinstance(done.exception, KeyError)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
+
+
+def run(*words: str):
+    board = () if "--board" in words else ("--board", "rpi_pico")
+    return CliRunner().invoke(app, ["uf2", *board, *words])

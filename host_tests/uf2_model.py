@@ -1,0 +1,28 @@
+"""The RP2040's boot ROM as far as it writes UF2 files to flash, and a chip for it to write to.
+
+As bootrom's virtual_disk.c: blocks of a family are told by their numbers. At the first block of
+each 16 that comes, the sector of that block's address is erased, and at no other. To program can
+only clear bits.
+"""
+
+import struct
+
+BASE = 0x10000000
+PAGE, SECTOR = 256, 4096
+_RP2040 = 0xE48BFF56
+
+
+def load(flash: bytearray, data: bytes) -> None:
+    """Drag the file onto the chip with that flash."""
+    erased: set[int] = set()
+    for at in range(0, len(data), 512):
+        _, _, _, address, size, number, _, family = struct.unpack_from("<8I", data, at)
+        if family != _RP2040:
+            continue
+        place = address - BASE
+        if number // 16 not in erased:
+            erased.add(number // 16)
+            sector = place - place % SECTOR
+            flash[sector : sector + SECTOR] = b"\xff" * SECTOR
+        for i in range(size):
+            flash[place + i] &= data[at + 32 + i]
