@@ -101,6 +101,8 @@ class Clusters:
         if found < 0:
             raise GrblError(-found)
         interpreter = self._machine.interpreter
+        if interpreter.fast.again(line, length):
+            return
         if not interpreter.fast.execute(self._text, found & 255):
             raise GrblError(GCODE_UNSUPPORTED_COMMAND)
         self._waiting = found >> 8

@@ -142,7 +142,7 @@ class Runner:
         """Write what is to be kept; make room; begin jogs that have been asked for."""
         machine, operator = self._machine, self.operator
         keep = operator.keep
-        if keep.is_due and machine.at_rest() and not machine.reader.waiting():
+        if keep.is_due and machine.at_rest() and not machine.reader.has_line():
             keep.write()
             machine.keep()
         if self._calls >= _CALLS:

@@ -160,11 +160,8 @@ class FastPath:
         """Execute a line that does no more than move; False where it does, and nothing has
         changed."""
         known = self._known
-        if known[fk.WAITS]:
-            known[fk.WAITS] = 0
-            self._canon.wait_for_room()
-            if self.follow(line, length):
-                return True
+        if self.again(line, length):
+            return True
         seen = read(line, length, known)
         if seen != fk.ODD and not (known[fk.AXES] and known[fk.CHANGES] == self._state.changes[0]):
             self._look()
@@ -180,6 +177,14 @@ class FastPath:
         copy(self._target, self._modes.position, len(self._modes.position))
         self._asked = True
         return True
+
+    def again(self, line: bytearray, length: int) -> int:
+        """Once more with the line that lacked nothing but room, behind a wait for that."""
+        if not self._known[fk.WAITS]:
+            return 0
+        self._known[fk.WAITS] = 0
+        self._canon.wait_for_room()
+        return self.follow(line, length)
 
     def _follow_news(self, seen: int) -> int:
         """A line that goes the shortest way has something new. Returns the power for it."""

@@ -104,17 +104,17 @@ class Protocol:
                             self.pump()
                     else:
                         found = take_quick(pending, memory, plan, others)
-                    if found & LINE == 0 or pending[st.ANY] or state.suspend:
-                        if found == NOTHING and not reader.waiting():
-                            self._canon.auto_start()
-                        self._realtime.run()
-                        if found == NOTHING:
-                            continue
-                        # What has been posted has come before a line that may be a quick one.
-                        is_open = found & LINE and not (echoes or state.run & _LOCKED)
-                        if is_open and fast.follow(line, found >> 2):
-                            write(OK)
-                            continue
+                    posted = pending[st.ANY] or state.suspend
+                    if found == NOTHING and not reader.waiting():
+                        self._canon.auto_start()
+                    self._realtime.run()
+                    if found == NOTHING:
+                        continue
+                    # What has been posted has come before a line that may be a quick one.
+                    is_open = posted and found & LINE and not (echoes or state.run & _LOCKED)
+                    if is_open and fast.follow(line, found >> 2):
+                        write(OK)
+                        continue
                     if found & LINE == 0:
                         self._report.error(errors.OVERFLOW)
                         continue

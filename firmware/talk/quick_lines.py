@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 # Behind so many lines the loop has its turn, however many wait: motion is watched there, and
 # whoever has been put around it waits for that. An even number.
 _LINES = const(16)
+_SHORT = const(16)  # bytes that are read where there is not room for all that may come
 
 
 def needs(
@@ -32,10 +33,8 @@ def needs(
 ) -> "tuple[tuple[Any, ...], ...]":
     """What take_quick() is called with besides what is posted. buffer: for what is received."""
     other = None if fast.follow is fast.plain else fast.follow  # an extra may have put one there
-    read_into, write = link.read_into, link.write
-    line, size = reader.line, len(buffer)
-    others = other, line, read_into, buffer, size, reader.post, write, OK, OK + OK
-    return reader.memory(), fast.memory(), others
+    hears = link.read_into, reader.post, buffer, len(buffer), bytearray(_SHORT)
+    return reader.memory(), fast.memory(), (other, reader.line, link.write, OK, OK + OK, hears)
 
 
 @micropython.native
@@ -94,7 +93,7 @@ def _take(
 ) -> int:
     """Answers go out in twos, for to write takes as long as a third of a line: one is owed where
     an odd number is left."""
-    other, line, read_into, buffer, size, post, write, one, both = others
+    other, line, write, one, both, hears = others
     left = _LINES
     while left:
         found = int(clean(heard, at, text, kinds))
@@ -124,30 +123,25 @@ def _take(
             left -= 1
             if left & 1 == 0:
                 write(both)
-                _hear(pending, read_into, buffer, size, heard, at, kinds, post)
+                _hear(pending, hears, heard, at, kinds)
         else:
             if left & 1:
                 write(one)
-                left -= 1
-            if found or int(_hear(pending, read_into, buffer, size, heard, at, kinds, post)) == 0:
+            left = (left - 1) & -2  # bytes without the end of a line count as one
+            if found or int(_hear(pending, hears, heard, at, kinds)) == 0:
                 return found
     return NOTHING
 
 
 @micropython.viper
-def _hear(
-    pending: ptr8,
-    read_into: object,
-    buffer: object,
-    size: object,
-    heard: ptr8,
-    at: ptr32,
-    kinds: ptr8,
-    post: object,
-) -> int:
-    """Take in what has arrived, if all of it fits: who counts nothing must not overrun the ring.
-    size: the buffer's. Returns whether it is for us to go on with."""
-    count = int(read_into(buffer)) if int(room(at)) >= int(size) else 0
+def _hear(pending: ptr8, hears: object, heard: ptr8, at: ptr32, kinds: ptr8) -> int:
+    """Take in what has arrived, as much as fits: who counts nothing must not overrun the ring.
+    Returns whether it is for us to go on with."""
+    read_into, post, buffer, size, short = hears
+    free = int(room(at))
+    if free < int(size):
+        buffer = short
+    count = int(read_into(buffer)) if free >= _SHORT else 0
     if count:
         feed(ptr8(buffer), count, heard, at, kinds, post)
     return 0 if pending[ANY] else count
