@@ -106,6 +106,15 @@ def test_every_dot_is_burnt_where_it_belongs(
     held(burnt, lines)
 
 
+@pytest.mark.parametrize("plain", [False, True])
+def test_dots_are_kept_by_lines_that_wait_for_room_in_the_planner(plain: bool) -> None:
+    lines = [(0.8, [0, 10 * k, 500, 1000 - 10 * k]) for k in range(60)]
+    between = ["X0.8S300"] if plain else []
+    burnt = burn(*(text for line in lines for text in (cluster(*line), *between)))
+    assert set(burnt.said) == {"ok"}
+    held(burnt, [part for line in lines for part in (line, (0.8, [300]))[: 1 + plain]])
+
+
 @given(_lines.filter(bool))
 @settings(max_examples=10, deadline=None)
 def test_the_dots_of_a_line_get_the_energy_they_are_to_have(

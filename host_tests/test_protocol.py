@@ -81,55 +81,108 @@ def test_behind_other_resets_the_next_line_is_kept_also_where_a_fault_came_in_be
     assert loop.link.unread == b"G1X1\n"
 
 
-def _fast_link(rig: Rig) -> SimLink:
-    """All that is sent is there at once, and waits, as USB has it."""
-    ticks_s = rig.engine.tick_hz
-    return SimLink(rig, 10 * ticks_s, 10 * ticks_s)
+class FastLink(SimLink):
+    """All that is sent is there at once, and waits, as USB has it. reads: how often that was."""
+
+    def __init__(self, rig: Rig) -> None:
+        super().__init__(rig, 10 * rig.engine.tick_hz, 10 * rig.engine.tick_hz)
+        self.reads = 0
+
+    def read_into(self, buf: bytearray) -> int:
+        self.reads += 1
+        return super().read_into(buf)
 
 
 class Turns:
-    """A simulated machine in check mode that notes at which line each turn of the loop came."""
+    """A simulated machine that notes at each turn of the loop how many lines had been answered and
+    how often the link had been read."""
 
     def __init__(self) -> None:
         self.at: "list[int]" = []
+        self.reads: "list[int]" = []
         self.answers: "list[str]" = []
-        self._rig = Rig(load_board("sim"), factory_store(load_board("sim")), _fast_link)
-        self._sender = Sender(self._rig)
-        self._sender.allow(60_000)
-        self._rig.on_built = self._built
+        self.rig = Rig(load_board("sim"), factory_store(load_board("sim")), FastLink)
+        self.sender = Sender(self.rig)
+        self.sender.allow(60_000)
+        self.rig.on_built = self._built
 
     def _built(self) -> None:
-        realtime = self._rig.controller.realtime
+        realtime = self.rig.controller.realtime
         usual = realtime.events
 
         def events() -> None:
-            self.at.append(self._count())
+            self.sender.poll()
+            self.at.append(self.sender.answers)
+            self.reads.append(self.rig.link.reads)
             usual()
 
         realtime.events = events  # type: ignore[method-assign]
 
-    def _count(self) -> int:
-        self._sender.poll()
-        return self._sender.answers
-
-    def play(self, lines: "list[str]") -> None:
-        """Have them all answered, as fast as they can be sent."""
+    def play(self, text: str) -> None:
+        """Have it all answered, as fast as it can be sent, in check mode."""
 
         def script() -> "Iterator[Any]":
-            yield from self._sender.wait("banner", "")
-            yield from self._sender.wait("ok", "$C\n")
-            self._sender.take()
-            self.at.clear()
-            yield from self._sender.wait("ok", "".join(line + "\n" for line in lines))
-            self.answers = self._sender.take()
+            yield from self.sender.wait("banner", "")
+            yield from self.sender.wait("ok", "$C\n")
+            self.sender.take()
+            self.at[:], self.reads[:] = [0], [self.rig.link.reads]
+            yield from self.sender.wait("ok", text)
+            self.answers = self.sender.take()
 
-        self._rig.run(script())
+        self.rig.run(script())
 
 
-def test_the_loop_has_its_turns_while_quick_lines_are_streamed() -> None:
+def most(counts: "list[int]") -> int:
+    """From one turn to the next."""
+    return max(b - a for a, b in itertools.pairwise(counts))
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        [f"X{k % 2}.{k % 7}" for k in range(600)],
+        ["G90"] * 200,
+        ["F600", "X0", "(nothing)", ""] * 100,
+        ([f"X{k}" for k in range(15)] + ["G90"]) * 20,
+    ],
+)
+def test_the_loop_has_its_turns_whatever_lines_are_streamed(lines: "list[str]") -> None:
     machine = Turns()
-    machine.play(["G1X1F3000", *(f"X{k % 2}.{k % 7}" for k in range(600))])
-    assert machine.answers == ["ok"] * 601
-    between = [b - a for a, b in itertools.pairwise(machine.at)]
-    assert max(between) <= 18, "lines without a look at what else there is"
-    assert len(between) < 200, "quick lines are not one by one the loop's"
+    machine.play("".join(line + "\n" for line in ["G1X1F3000", *lines]))
+    assert machine.answers == ["ok"] * (len(lines) + 1)
+    assert most(machine.at) <= 18, "lines without a look at what else there is"
+
+
+def test_quick_lines_are_not_one_by_one_the_loops() -> None:
+    machine = Turns()
+    machine.play("G1X1F3000\n" + "X1\nX2\n" * 300)
+    assert len(machine.at) < 200
+
+
+def test_the_loop_has_its_turns_among_bytes_that_end_no_line() -> None:
+    machine = Turns()
+    machine.play("G1X1F3000\n(" + "x" * 20_000 + ")\n")
+    assert machine.answers == ["ok"] * 2
+    assert most(machine.reads) <= 17
+
+
+@pytest.mark.parametrize("line", ["G90", "F600", "(nothing)", "X50"])
+def test_a_laser_is_dark_in_a_hold_whatever_lines_come(line: str) -> None:
+    """Behind the 25 ms of $1, as without any."""
+    machine = Turns()
+    sender, rig = machine.sender, machine.rig
+    lit_ms: "list[float]" = []
+
+    def script() -> "Iterator[Any]":
+        yield from sender.wait("banner", "")
+        for text in ("$32=1", "M3S500", "G1X50F600"):
+            yield from sender.wait("ok", text + "\n")
+        yield rig.ms(500)
+        rig.link.send(("!" + (line + "\n") * 2000).encode())
+        yield lambda: not rig.moving()
+        since = rig.now
+        yield lambda: rig.port.spindle_pwm == 0 or rig.now > since + rig.ticks_per_ms * 500
+        lit_ms.append((rig.now - since) / rig.ticks_per_ms)
+
+    rig.run(script())
+    assert lit_ms[0] < 60
