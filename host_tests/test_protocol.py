@@ -36,7 +36,7 @@ class Loop:
             memory=lambda: (None, None, bytearray(80), None),
             free=lambda: 255,
         )
-        fast = SimpleNamespace(follow=None, plain=None, memory=tuple)
+        fast = SimpleNamespace(follow=None, plain=None, memory=lambda: ([0] * 25,))
         nobody: Any = SimpleNamespace(finish=None, fast=fast)
         self.protocol = Protocol(
             *(self.link, State(), reader, nobody, nobody, nobody, self.drive),

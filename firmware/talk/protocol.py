@@ -8,6 +8,7 @@ code waits.
 from base import errors
 from base import state as st
 from base.errors import Abort, GrblError
+from language.fast_kernel import WAITS
 from micropython import const
 
 from talk.lines import LINE, NOTHING, clean
@@ -90,6 +91,7 @@ class Protocol:
         fast, write, finish = self._interpreter.fast, self._link.write, self._saves.finish
         memory, plan, others = needs(reader, fast, self._link, self._buffer)
         heard, at, line, kinds = memory
+        known = plan[0]
         echoes, room = self._echoes, len(self._buffer)
         while True:
             try:
@@ -97,6 +99,7 @@ class Protocol:
                     self._drive.by_pin = False
                     self._link.discard()
                 self._restart()
+                known[WAITS] = 0
                 while True:
                     if echoes or state.suspend or state.run & _LOCKED:
                         found = clean(heard, at, line, kinds)
@@ -105,16 +108,18 @@ class Protocol:
                     else:
                         found = take_quick(pending, memory, plan, others)
                     posted = pending[st.ANY] or state.suspend
-                    if found == NOTHING and not reader.waiting():
-                        self._canon.auto_start()
-                    self._realtime.run()
-                    if found == NOTHING:
-                        continue
-                    # What has been posted has come before a line that may be a quick one.
-                    is_open = posted and found & LINE and not (echoes or state.run & _LOCKED)
-                    if is_open and fast.follow(line, found >> 2):
-                        write(OK)
-                        continue
+                    # A line that waits for room gives everybody a turn there.
+                    if posted or found & LINE == 0 or not known[WAITS]:
+                        if found == NOTHING and not reader.waiting():
+                            self._canon.auto_start()
+                        self._realtime.run()
+                        if found == NOTHING:
+                            continue
+                        # What has been posted has come before a line that may be a quick one.
+                        is_open = posted and found & LINE and not (echoes or state.run & _LOCKED)
+                        if is_open and fast.follow(line, found >> 2):
+                            write(OK)
+                            continue
                     if found & LINE == 0:
                         self._report.error(errors.OVERFLOW)
                         continue
