@@ -289,7 +289,7 @@ class Cnc:
         interpreter.fast.forget()
 
     def before_lines(self, call: "Callable[[], object]") -> None:
-        """Called between two lines: whenever none waits, and when something has been posted."""
+        """Called at the loop's turns, between two lines; the next may have been found already."""
         realtime = self._machine.realtime
         realtime.run = _in_turn(realtime.run, call)  # type: ignore[method-assign]
 
