@@ -47,12 +47,12 @@ def command(
     ] = None,
     debug: Debug = False,
 ) -> None:
-    """Make one file with MicroPython, the firmware and what belongs to it, for a board with RP2040
-    or RP2350 to be dragged onto.
+    """Make one file for a board with RP2040 or RP2350, to be dragged onto it.
 
-    The board needs nothing before. It begins anew with what is in the file: whatever was kept on
-    it, settings and files of yours, is lost. Later, `ugrbl deploy` brings it up to date and leaves
-    those alone.
+    In it are MicroPython, the firmware, the board file, and, if asked for,
+    settings and your own Python. The board needs nothing before, and begins
+    anew: settings and files that were kept on it are lost. Later, `ugrbl
+    deploy` brings it up to date and leaves those alone.
     """
     console = Console()
     file = out or Path("build") / f"{Path(board).stem}.uf2"
