@@ -11,6 +11,7 @@ from array import array
 from pathlib import Path
 
 import pytest
+from as_users import as_users
 from test_both_pythons import PATHS, STANDINS
 from ugrbl.compiling import build, kernels, native
 from ugrbl.paths import EXAMPLES
@@ -55,13 +56,12 @@ G38.2 X1
 
 def run(program: bytes, folder: Path, **environment: str) -> "tuple[object, str, str]":
     """What comes of it in a process of its own: the result, its segments, a kernel's name."""
-    inherited = {name: v for name, v in os.environ.items() if name != "UGRBL_VIPER"}
     done = subprocess.run(
         [sys.executable, "-c", _TRACE],
         input=program,
         capture_output=True,
         check=False,
-        env={**inherited, "UGRBL_MAPS": str(folder / "maps"), **environment},
+        env=as_users(UGRBL_MAPS=str(folder / "maps"), **environment),
     )
     assert done.returncode == 0, done.stderr.decode()
     result, segments, name = json.loads(done.stdout)
@@ -100,7 +100,6 @@ kernels.use()
 import vectors
 vectors.main()
 """
-    inherited = {name: v for name, v in os.environ.items() if name != "UGRBL_VIPER"}
     said = []
     for environment in ({}, {"UGRBL_VIPER": "fast"}):
         done = subprocess.run(
@@ -108,7 +107,7 @@ vectors.main()
             capture_output=True,
             text=True,
             check=False,
-            env={**inherited, "UGRBL_MAPS": str(compiled / "maps"), **environment},
+            env=as_users(UGRBL_MAPS=str(compiled / "maps"), **environment),
         )
         assert done.returncode == 0, done.stderr
         said.append(done.stdout)

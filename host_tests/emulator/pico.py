@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import xip
-from littlefs import LittleFS, UserContext
 from rp2040py.boards import BOARDS, FlashLayout
 from rp2040py.device import MicroPythonDevice
 from rp2040py.execute_batch import execute_batch
@@ -21,11 +20,10 @@ from rp2040py.memory_map import FLASH_START_ADDRESS
 from rp2040py.native import _pio as compiled_pio
 from rp2040py.native import _rp2040 as chip
 from rp2040py.peripherals.pio import RPPIO
+from ugrbl.image.file_system import make as sectors_of
 
 # Where MicroPython 1.28 keeps its file system in the Pico's 2 MB.
 LAYOUT = FlashLayout(fs_start=0xA0000, fs_blockcount=352, fs_blocksize=4096)
-_PROG_SIZE = 256
-_DISK_VERSION = 0x00020000
 
 _NS_PER_US = 1000
 _NS_PER_CYCLE = 8
@@ -57,31 +55,11 @@ class Edge(NamedTuple):
 
 
 def file_system(files: Mapping[str, bytes]) -> bytes:
-    """A littlefs image for the board with these files, by path."""
-    context = UserContext(LAYOUT.fs_blocksize * LAYOUT.fs_blockcount)
-    disk = _littlefs(context, mount=False)
-    disk.format()
-    disk.mount()
-    for name, content in files.items():
-        folder = str(Path(name).parent)
-        if folder != ".":
-            disk.makedirs(folder, exist_ok=True)
-        with disk.open(name, "wb") as file:
-            file.write(content)
-    disk.unmount()
-    return bytes(context.buffer)
-
-
-def _littlefs(context: UserContext, mount: bool) -> LittleFS:
-    return LittleFS(
-        context=context,
-        block_size=LAYOUT.fs_blocksize,
-        block_count=LAYOUT.fs_blockcount,
-        prog_size=_PROG_SIZE,
-        read_size=_PROG_SIZE,
-        disk_version=_DISK_VERSION,
-        mount=mount,
-    )
+    """A littlefs image for the board with these files, by path. Uf2Error where they do not fit."""
+    image = bytearray(b"\xff" * (LAYOUT.fs_blocksize * LAYOUT.fs_blockcount))
+    for place, sector in sectors_of(files, len(image)).items():
+        image[place : place + len(sector)] = sector
+    return bytes(image)
 
 
 class _Usb:

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 from emulated import ENABLE, FOUND, SPINDLE_PWM, STEP, Board, firmware, steps
-from littlefs.errors import LittleFSError
 from pico import LAYOUT, file_system
 from ugrbl.compiling import build
+from ugrbl.image.uf2 import Uf2Error
 
 pytestmark = pytest.mark.xdist_group("pico faults")
 
@@ -205,7 +205,7 @@ def fillers() -> "dict[str, bytes]":
             try:
                 file_system({**firmware(), **files, **_parts(name, size, count)})
                 fits = count
-            except LittleFSError:
+            except Uf2Error:
                 too_many = count
         files |= _parts(name, size, fits)
     return files
