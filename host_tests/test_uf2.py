@@ -228,9 +228,10 @@ def test_a_drag_leaves_micropython_and_what_a_deployment_would(tmp_path: Path) -
     settings = tmp_path / "my.settings"
     settings.write_text("; mine\n$110=4321\n$32=1\n")
     flash = program()
-    about = contents.micropython(flash, made())
+    theirs = contents.MicroPython(tmp_path / "theirs.uf2", flash, binary_info.about(flash))
+    contents.check_fit(theirs, made())
     files = contents.files(made(), "rpi_pico", settings, {"custom.py": b"# mine"})
-    chip, found = after_a_drag(contents.join(flash, about, files))
+    chip, found = after_a_drag(contents.join(theirs, files))
     assert all(chip[at - BASE : at - BASE + PAGE] == page for at, page in flash.pages.items())
     assert found == files and found["custom.py"] == b"# mine"
     assert found["deployed.sha256"].decode().splitlines()[0].endswith("  main.py")
@@ -251,8 +252,9 @@ def test_a_drag_leaves_micropython_and_what_a_deployment_would(tmp_path: Path) -
 def test_a_micropython_for_another_board_is_told(
     flash: Flash, arch: str, engine: str, said: str
 ) -> None:
+    theirs = contents.MicroPython(Path("theirs.uf2"), flash, binary_info.about(flash))
     with pytest.raises(Uf2Error, match=said):
-        contents.micropython(flash, Build(arch, {}, engine))
+        contents.check_fit(theirs, Build(arch, {}, engine))
 
 
 # The command

@@ -8,11 +8,10 @@ from rich.console import Console
 
 from ..boardfile.files import BoardFileError, board_file
 from ..compiling import build
-from ..compiling.build import Build, BuildError
+from ..compiling.build import BuildError
 from ..grbl.settings_file import SettingsError
 from ..image import contents
-from ..image.binary_info import About
-from ..image.uf2 import CHIPS, Flash, Uf2Error
+from ..image.contents import MicroPython
 from .build import DEBUG_COST, Debug
 from .custom import judge
 from .custom_options import CustomFile, around
@@ -58,28 +57,19 @@ def command(
     file = out or Path("build") / f"{Path(board).stem}.uf2"
     try:
         check_output(file, given=locals())
-        flash = contents.read(micropython)
+        theirs = contents.read(micropython)
         made = build.for_board(board_file(board), debug=debug)
-        about = _about(micropython, flash, made)
+        contents.check_fit(theirs, made)
         own = _own(console, board, custom)
         files = contents.files(made, board, settings, own)
-        whole = contents.join(flash, about, files)
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(whole)
+        file.write_bytes(contents.join(theirs, files))
     except (BoardFileError, BuildError) as error:
         raise failed("\n".join(error.problems)) from error
     except (ValueError, SettingsError, OSError) as error:
         raise failed(error) from error
-    _show(console, file, about, files, CHIPS[flash.family])
+    _show(console, file, theirs, files)
     if debug:
         console.print(f"names and line numbers stay: they take {DEBUG_COST}", highlight=False)
-
-
-def _about(micropython: Path, flash: Flash, made: Build) -> About:
-    try:
-        return contents.micropython(flash, made)
-    except Uf2Error as error:
-        raise Uf2Error(f"{micropython}: {error}") from error
 
 
 def _own(console: Console, board: str, custom: Path | None) -> dict[str, bytes]:
@@ -93,7 +83,8 @@ def _own(console: Console, board: str, custom: Path | None) -> dict[str, bytes]:
     return surroundings.custom.files
 
 
-def _show(console: Console, file: Path, about: About, files: dict[str, bytes], chip: str) -> None:
+def _show(console: Console, file: Path, micropython: MicroPython, files: dict[str, bytes]) -> None:
+    about, chip = micropython.about, micropython.chip
     size = sum(map(len, files.values()))
     console.print(
         summary(

@@ -169,8 +169,13 @@ def too_old(engine: str, chip: str, version: str) -> str:
     use_firmware()
     from boot import parts
 
-    numbers = tuple(int(number) for number in re.findall(r"\d+", version)[:2])
+    numbers = release(version)
     return parts.too_old(engine, chip, numbers) if engine and len(numbers) == 2 else ""
+
+
+def release(version: str) -> tuple[int, ...]:
+    """The first two numbers of a version, `v1.28.0`; fewer where it has not so many."""
+    return tuple(int(number) for number in re.findall(r"\d+", version)[:2])
 
 
 def micropython(chip: str, version: str) -> list[Finding]:

@@ -1,13 +1,13 @@
 """What one file for a board holds: MicroPython, and the file system as a deployment leaves it."""
 
-import re
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 from ..boardfile import chips
 from ..compiling.build import Build
-from ..device.checkup import NEW_MICROPYTHON, too_old
+from ..device.checkup import NEW_MICROPYTHON, release, too_old
 from ..device.deploy import LIST, listing
 from ..paths import use_firmware
 from ..run.machine import kept_settings
@@ -19,27 +19,43 @@ from .uf2 import Flash, Uf2Error
 _OLDEST = (1, 23)
 
 
-def read(file: Path) -> Flash:
-    """The flash of a file. Uf2Error, with its name, where it is none; OSError."""
+class MicroPython(NamedTuple):
+    """One that comes as a file."""
+
+    file: Path
+    flash: Flash
+    about: About
+
+    @property
+    def chip(self) -> str:
+        """What it is for."""
+        return uf2.CHIPS[self.flash.family]
+
+
+def read(file: Path) -> MicroPython:
+    """What is in a file. Uf2Error, with its name, where that is none; OSError."""
     try:
-        return uf2.read(file.read_bytes())
+        flash = uf2.read(file.read_bytes())
+        return MicroPython(file, flash, binary_info.about(flash))
     except Uf2Error as error:
         raise Uf2Error(f"{file}: {error}") from error
 
 
-def micropython(flash: Flash, made: Build) -> About:
-    """What the MicroPython says of itself. Uf2Error where the board cannot run with it."""
-    chip = uf2.CHIPS[flash.family]
+def check_fit(micropython: MicroPython, made: Build) -> None:
+    """Uf2Error where the board cannot run with it."""
+    if why := _misfit(micropython, made):
+        raise Uf2Error(f"{micropython.file}: {why}")
+
+
+def _misfit(micropython: MicroPython, made: Build) -> str:
+    chip, version = micropython.chip, micropython.about.version
     wanted = chips.processors(made.arch)
     if chip not in wanted:
-        raise Uf2Error(f"it is for {chip}; the board file is for {' or '.join(wanted)}")
-    about = binary_info.about(flash)
-    numbers = tuple(int(number) for number in re.findall(r"\d+", about.version)[:2])
-    if numbers < _OLDEST:
-        raise Uf2Error(f"MicroPython {about.version} is too old: {NEW_MICROPYTHON}")
-    if why := too_old(made.engine, chip, about.version):
-        raise Uf2Error(f"{why}: {NEW_MICROPYTHON}")
-    return about
+        return f"it is for {chip}; the board file is for {' or '.join(wanted)}"
+    if release(version) < _OLDEST:
+        return f"MicroPython {version} is too old: {NEW_MICROPYTHON}"
+    why = too_old(made.engine, chip, version)
+    return f"{why}: {NEW_MICROPYTHON}" if why else ""
 
 
 def files(
@@ -53,8 +69,9 @@ def files(
     return found
 
 
-def join(flash: Flash, about: About, files: Mapping[str, bytes]) -> bytes:
+def join(micropython: MicroPython, files: Mapping[str, bytes]) -> bytes:
     """MicroPython with that file system, as a UF2 file. Uf2Error where it does not fit."""
+    _, flash, about = micropython
     whole = Flash(flash.family, dict(flash.pages), flash.others)
     for place, sector in file_system.make(files, about.size).items():
         whole.put(about.start + place, sector)
