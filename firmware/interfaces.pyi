@@ -214,6 +214,9 @@ class Port(Protocol):
     def probe(self) -> bool:
         """The probe input is pulled to ground."""
 
+    def levels(self) -> int:
+        """All of these at once: base.controls says which bit is whose."""
+
     def enable(self, level: int) -> None:
         """Level of the motor drivers' enable pin."""
 

@@ -8,6 +8,7 @@ from array import array
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
+from base.controls import LIMITS_AT, PROBE_AT
 from base.state import State
 from motion.layout import RAPID_MOTION
 from motion.planner import Move, Planner
@@ -208,6 +209,10 @@ class FakePort:
 
     def probe(self) -> bool:
         return self.touches
+
+    def levels(self) -> int:
+        limits = self.closed_limits << LIMITS_AT
+        return self.active_controls | self.touches << PROBE_AT | limits
 
     def enable(self, level: int) -> None:
         self._note(f"enable {level}")

@@ -162,6 +162,7 @@ class Settings:
     report_inches = 0
     limit_invert = 0
     probe_invert = 0
+    laser_mode = 0
     steps_per_mm = array("f", [250.0, 80.0, 4000.0])
     max_rate = array("f", [3000.0, 5000.0, 500.0])
     acceleration = array("f", [360000.0, 3600000.0, 36000.0])
@@ -176,11 +177,8 @@ class Machine:
     def position(self, steps):
         steps[0] = 1234
         steps[1] = -56790
-    def probe(self):
-        return True
-    def limits(self):
-        return 5
-    controls = limits
+    def levels(self):
+        return 5 << 6 | 1 << 5 | 5
     def direction(self):
         return 16
     def free(self):

@@ -63,7 +63,7 @@ SLEEP_REQUEST = const(7)
 OVERRIDE = const(8)  # one at least of those that follow:
 # Real-time bytes 0x90 to 0xA1, in their order.
 OVERRIDES = const(9)
-ANY = const(27)  # something has been posted since posted() was asked last
+ANY = const(27)  # something has been posted that realtime.py has not looked at
 
 # State.spindle: what control/spindle.py makes power of; and the speed that it is told, overridden
 # and limited.
@@ -115,13 +115,6 @@ class State:
     def count(self, event: int) -> None:
         """Ask for something once more than it has been asked for."""
         self.pending[event] = min(self.pending[event] + 1, 255)
-
-    def posted(self) -> bool:
-        """Whether anything has been posted since this was asked last."""
-        if self.pending[ANY]:
-            self.pending[ANY] = 0
-            return True
-        return False
 
     def take(self, event: int) -> int:
         """How often that was asked for, once where it was posted; it is not any more."""

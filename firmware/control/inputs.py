@@ -4,7 +4,7 @@ The port says which pins are pulled to ground; $5 and $6 say what that means, of
 board file.
 """
 
-from base.controls import DOOR, HOLD, RESET, START
+from base.controls import DOOR, HOLD, LIMITS_AT, PROBE_AT, RESET, START
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -23,12 +23,15 @@ class Inputs:
         self.has_door = has_door
         self._limit_invert = 0
         self._probe_invert = False
+        self._inverted = 0  # as in Port.levels()
+        self._watched = self._all << LIMITS_AT | 1 << PROBE_AT | DOOR | START | HOLD | RESET
 
     def configure(self) -> None:
         """Take over $5 and $6."""
         settings = self._settings
         self._limit_invert = self._all if settings.limit_invert else 0
         self._probe_invert = bool(settings.probe_invert)
+        self._inverted = self._limit_invert << LIMITS_AT | self._probe_invert << PROBE_AT
         self._port.limit_invert = self._limit_invert
 
     def limits(self) -> int:
@@ -37,14 +40,10 @@ class Inputs:
 
     def closed(self) -> int:
         """All that is closed, a bit each: probe, limits of four axes, door, reset, hold, start."""
-        port = self._port
-        closed = ((port.limits() ^ self._limit_invert) & self._all) << 1
-        if port.probe() != self._probe_invert:
-            closed |= 1
-        controls = port.controls()
-        if controls:
-            closed |= (controls & DOOR) << 2 | (controls & (RESET | HOLD | START)) << 6
-        return closed
+        levels = (self._port.levels() ^ self._inverted) & self._watched
+        if not levels:
+            return 0  # as nearly always
+        return levels >> PROBE_AT | (levels & DOOR) << 2 | (levels & (RESET | HOLD | START)) << 6
 
     def estop(self) -> bool:
         """The emergency stop is pressed; never so where there is none."""

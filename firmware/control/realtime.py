@@ -58,16 +58,15 @@ class Realtime:
 
     def post(self, byte: int) -> None:
         """A real-time byte has been received. Unknown ones vanish."""
-        if byte == _SOFT_RESET:
+        state = self._state
+        if byte in st.EVENTS:
+            if byte != _JOG_CANCEL or state.run & st.JOG:
+                state.pending[st.EVENTS[byte]] = state.pending[st.ANY] = 1
+        elif byte == _SOFT_RESET:
             self._drive.reset()
-        elif byte == _JOG_CANCEL:
-            if self._state.run & st.JOG:
-                self._state.post(st.CANCEL_MOTION)
-        elif byte in st.EVENTS:
-            self._state.post(st.EVENTS[byte])
         elif st.FIRST_OVERRIDE_BYTE <= byte <= st.LAST_OVERRIDE_BYTE:
-            self._state.count(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
-            self._state.post(st.OVERRIDE)
+            state.count(st.OVERRIDES + byte - st.FIRST_OVERRIDE_BYTE)
+            state.post(st.OVERRIDE)
 
     # What answers, in the main loop
 
@@ -87,24 +86,27 @@ class Realtime:
 
     def events(self) -> None:
         """As run(), but does not wait for a suspension to end."""
-        state = self._state
-        drive = self._drive
+        state, drive = self._state, self._drive
+        pending = state.pending
         if self._estop and self._estop():
             drive.emergency()
-        if not (state.pending[st.ANY] or drive.settling or drive.moving):
+        if not (pending[st.ANY] or drive.settling or drive.moving):
             return  # as nearly always
-        if state.pending[st.RESET]:
+        if pending[st.RESET]:
             raise Abort  # behind which the loop tells of an alarm
         drive.turn()
-        if not state.posted():
+        if not pending[st.ANY]:
             return
-        if state.pending[st.RESET]:
+        pending[st.ANY] = 0
+        if pending[st.RESET]:
             raise Abort  # it has come since
-        if state.pending[st.STATUS_REPORT]:
+        if pending[st.STATUS_REPORT]:
             report = self._voice.status()
-            self._drive.pump()
-            state.pending[st.STATUS_REPORT] = 0  # what was asked meanwhile is answered, too
+            drive.pump()
+            pending[st.STATUS_REPORT] = 0  # what was asked meanwhile is answered, too
             self._voice.send(report)
+            if not any(pending):
+                return
         held = self._holds()
         if state.take(st.CYCLE_START) and not held:
             self._cycle_start()

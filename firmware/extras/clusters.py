@@ -93,7 +93,7 @@ class Clusters:
         return follow
 
     def execute(self, line: bytearray, length: int) -> None:
-        """The long way, for lines that have to wait for room, or say something new besides."""
+        """The long way, for lines that say something new besides."""
         found = words.gather(line, length, self._text, self._values)
         if found == 0:
             self._usual_execute(line, length)
@@ -101,8 +101,6 @@ class Clusters:
         if found < 0:
             raise GrblError(-found)
         interpreter = self._machine.interpreter
-        if interpreter.fast.again(line, length):
-            return
         if not interpreter.fast.execute(self._text, found & 255):
             raise GrblError(GCODE_UNSUPPORTED_COMMAND)
         self._waiting = found >> 8

@@ -204,11 +204,9 @@ class Report09(Report):
 
     # The status report
 
-    def status(self) -> "memoryview":
-        """The answer to ?, to be sent before there is another."""
+    def _fields(self, text: bytearray, ints: "array[int]", mm: "array[float]") -> None:
+        """All behind the state. mm: machine position, not written yet."""
         mask = self._settings.report_mask
-        text, ints, mm = self._text, self._ints, self._mm
-        self._begin()
         if mask & _MACHINE_POSITION:
             self._lengths(b",MPos:\0", mm)
         if mask & _WORK_POSITION:
@@ -225,20 +223,18 @@ class Report09(Report):
             write(b",Lim:\0", text, ints, mm)
             for i in range(self._axes):
                 self._number(b"%\0", limits >> (self._axes - 1 - i) & 1)
-        return self._finish()
 
     def _number(self, form: bytes, value: int) -> None:
         self._ints[VALUES] = value
         write(form, self._text, self._ints, self._mm)
 
-    def _state_name(self) -> bytes:
+    def _suspended(self) -> bytes:
+        """The name of a state that is none of _STATES."""
         state = self._state
         suspend = state.suspend
         if state.run == st.DOOR and (suspend & st.DOOR_AJAR or not suspend & st.RETRACT_COMPLETE):
             return b"<Door\0"
-        if state.run & (st.HOLD | st.DOOR):
-            return b"<Hold\0"  # behind a closed door, too
-        return super()._state_name()
+        return b"<Hold\0"  # behind a closed door, too
 
 
 class Report09i(Report09):

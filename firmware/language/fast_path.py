@@ -160,8 +160,6 @@ class FastPath:
         """Execute a line that does no more than move; False where it does, and nothing has
         changed."""
         known = self._known
-        if self.again(line, length):
-            return True
         seen = read(line, length, known)
         if seen != fk.ODD and not (known[fk.AXES] and known[fk.CHANGES] == self._state.changes[0]):
             self._look()
@@ -179,9 +177,7 @@ class FastPath:
         return True
 
     def again(self, line: bytearray, length: int) -> int:
-        """Once more with the line that lacked nothing but room, behind a wait for that."""
-        if not self._known[fk.WAITS]:
-            return 0
+        """Once more with the line that lacked nothing but room (WAITS), behind a wait for that."""
         self._known[fk.WAITS] = 0
         self._canon.wait_for_room()
         return self.follow(line, length)

@@ -130,11 +130,13 @@ class Planner:
 
     def free(self) -> int:
         """Blocks that can still be added."""
-        return (self.flow[TAIL] - self.flow[HEAD] - 1) % self.flow[ROWS]
+        flow = self.flow
+        return (flow[TAIL] - flow[HEAD] - 1) % flow[ROWS]
 
     def full(self) -> bool:
         """No block can be added."""
-        return self.free() == 0
+        flow = self.flow
+        return (flow[HEAD] + 1 - flow[TAIL]) % flow[ROWS] == 0
 
     def empty(self) -> bool:
         """No block is waiting or being executed; its last segments may still be under way."""

@@ -7,7 +7,7 @@ milliseconds and looked at again then, so that interference does not starve the 
 """
 
 import micropython
-from base.controls import EMERGENCY_STOP
+from base.controls import EMERGENCY_STOP, PROBE_AT
 from machine import Pin, Timer
 from micropython import const
 
@@ -65,6 +65,9 @@ class PortInputs:
         self._buttons = list(self._controls)
         self._buttons.append(self._estop)
         self._probe = self._make_input(option("PROBE", None))
+        # As levels() has them.
+        without = [None] * (PROBE_AT - len(self._controls))
+        self._inputs = self._controls + without + [self._probe] + self._limits
 
     def _make_input(self, pin: "int | None") -> "Pin | None":
         if pin is None:
@@ -230,6 +233,10 @@ class PortInputs:
     def probe(self) -> bool:
         """The probe input is pulled to ground."""
         return self._probe is not None and self._probe.value() == 0
+
+    def levels(self) -> int:
+        """All of these at once: base.controls says which bit is whose."""
+        return _mask(self._inputs) ^ self._control_invert
 
     # Inputs of extras
 

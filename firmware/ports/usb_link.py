@@ -228,10 +228,13 @@ class UsbLink:
             count = len(data)
             if not keep(at, waiting, data, count):
                 self._flush()
-                if not keep(at, waiting, data, count):
+                if count > _ANSWER:
                     self._send(data, count)
-            if count > _ANSWER:
-                self._flush()
+                else:
+                    keep(at, waiting, data, count)
+            elif count > _ANSWER:
+                self._turns, length, at[LENGTH] = 0, at[LENGTH], 0
+                self._send(waiting, length)
 
         return write
 

@@ -124,9 +124,10 @@ class Protocol:
                         self._report.error(errors.OVERFLOW)
                         continue
                     length = found >> 2
-                    try:  # as in execute()
-                        self._whose(line, length)(line, length)
-                        finish()
+                    try:  # as in execute(), but for a line that has only waited for room
+                        if not (known[WAITS] and fast.again(line, length)):
+                            self._whose(line, length)(line, length)
+                            finish()
                         if state.alarm and not pending[st.RESET]:
                             self._tell_alarm()
                     except (GrblError, OSError, Abort) as reason:

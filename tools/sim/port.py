@@ -1,6 +1,6 @@
 """Pins of the simulated machine: outputs to look at, inputs to push, switches that close."""
 
-from base.controls import EMERGENCY_STOP
+from base.controls import EMERGENCY_STOP, LIMITS_AT, PROBE_AT
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -104,6 +104,9 @@ class SimPort:
 
     def probe(self) -> bool:
         return "probe" in self._closed
+
+    def levels(self) -> int:
+        return self.controls() | self.probe() << PROBE_AT | self.limits() << LIMITS_AT
 
     def enable(self, level: int) -> None:
         self.enable_pin = level
