@@ -233,8 +233,7 @@ class UsbLink:
                 else:
                     keep(at, waiting, data, count)
             elif count > _ANSWER:
-                self._turns, length, at[LENGTH] = 0, at[LENGTH], 0
-                self._send(waiting, length)
+                self._flush()
 
         return write
 
