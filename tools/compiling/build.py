@@ -22,6 +22,7 @@ from ..boardfile.files import load_for_build
 from . import prepared, put_together, symbols
 from .direct import linked
 from .inline import inline
+from .pairs import pairs
 from .scopes import NotUnderstood
 from .shorten import Shortened
 from .singles import singles
@@ -280,6 +281,7 @@ def _compile(name: str, text: str, arch: str, debug: bool) -> bytes:
         file = Path(folder) / "module.py"
         if arch != _OF_DESKTOPS:
             text = singles(text)
+        text = pairs(text)
         file.write_text(text, encoding="utf-8")
         # Tracebacks tell the module, which has its name in memory anyway, not the file.
         told = ["-s", name, "-o", "-"]
