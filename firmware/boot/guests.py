@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     from interfaces import Extra
 
-CUSTOM = "extras.custom"  # who reads the user's own modules
-
 # Words that ask for an extra of ours, and its module; the first of each asks for none.
 _DIALECTS = {
     "1.1": "",
@@ -23,17 +21,22 @@ _DIALECTS = {
 _TOOLS = {"spindle": "", "laser": "extras.laser", "punch": "extras.punch"}
 
 
-def names(board: "ModuleType") -> "list[str]":
-    """Modules by their names. Raises ValueError where a word asks for none there is."""
+def names(board: "ModuleType", with_custom: bool) -> "list[str]":
+    """Modules by their names; with_custom: the user has modules of his own. Raises ValueError
+    where a word asks for none there is."""
     option = board.__dict__.get  # getattr() would keep the names for good
     dialect = _known("DIALECT", option("DIALECT", "1.1"), _DIALECTS)
     tool = _known("TOOL", option("TOOL", "spindle"), _TOOLS)
     jerk = "extras.jerk" if option("JERK", False) else ""
     clusters = "extras.clusters" if option("CLUSTERS", False) else ""
     drains = "extras.drains" if option("COUNT_DRAINS", False) else ""
-    # In this order: a laser's part in each row comes behind that of jerk.
     own: "tuple[str, ...]" = option("EXTRAS", ())
-    return [name for name in (dialect, jerk, tool, clusters, drains) + own if name]
+    custom = "extras.custom" if with_custom else ""
+    lenient = "extras.lenient" if option("LENIENT", False) else ""
+    # In this order: a laser's part in each row comes behind that of jerk, and what the user's own
+    # take is theirs.
+    asked = (dialect, jerk, tool, clusters, drains) + own + (custom, lenient)
+    return [name for name in asked if name]
 
 
 def _known(option: str, word: str, known: "dict[str, str]") -> str:
@@ -59,6 +62,6 @@ def modules(asked: "list[str]") -> "list[Extra]":
 def pins(board: "ModuleType") -> "tuple[str, ...]":
     """What they call pins in the board file."""
     found: "tuple[str, ...]" = ()
-    for module in modules(names(board)):
+    for module in modules(names(board, False)):
         found += getattr(module, "PINS", ())
     return found

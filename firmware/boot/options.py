@@ -43,8 +43,7 @@ class Options:
         self.echo: bool = option("ECHO", False)
         # What an extra may have otherwise, before the machine is made: prepare().
         self.custom = guests.customs(board)
-        asked = guests.names(board) + ([guests.CUSTOM] if self.custom else [])
-        self.extras = guests.modules(asked)
+        self.extras = guests.modules(guests.names(board, bool(self.custom)))
         self.report: "type[Report]" = Report
         self.spindle: "type[Spindle]" = Spindle
         self.reads = READS  # which bytes are taken off a line

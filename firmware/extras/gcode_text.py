@@ -19,10 +19,15 @@ def clean(line: str) -> bytearray:
 
 def words_of(text: str) -> "list[tuple[str, float]]":
     """Letters and numbers. ValueError where there is none."""
+    return [(letter, float(number)) for letter, number in as_written(text)]
+
+
+def as_written(text: str) -> "list[tuple[str, str]]":
+    """Letters and what stands behind each, up to the next."""
     found = []
     start = 0
     for end in range(1, len(text) + 1):
         if end == len(text) or "A" <= text[end] <= "Z":
-            found.append((text[start], float(text[start + 1 : end])))
+            found.append((text[start], text[start + 1 : end]))
             start = end
     return found

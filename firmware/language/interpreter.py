@@ -115,7 +115,7 @@ class Interpreter:
         self._seek = seek
         self._spindle = spindle
         self._voice = voice
-        self._block = block
+        self.block = block
         self._jog_modal = array("i", modes.modal)
         self._move = plan.Move()
         self._line_numbers = line_numbers
@@ -124,7 +124,7 @@ class Interpreter:
     def execute(self, line: bytearray, length: int) -> None:
         """Interpret line[:length], which a 0 follows. Raises GrblError where it is refused."""
         if not self.fast.execute(line, length):
-            block, modes = self._block, self._modes
+            block, modes = self.block, self._modes
             block.read(line, 0, length, modes.modal)
             checks.check(modes, self._coords, block, False)
             self._apply(block)
@@ -134,7 +134,7 @@ class Interpreter:
 
     def jog(self, line: bytearray, length: int) -> None:
         """Interpret a "$J=" line. The modal state stays as it is."""
-        block, modes = self._block, self._modes
+        block, modes = self.block, self._modes
         copy(modes.modal, self._jog_modal, MODAL_LENGTH)
         self._jog_modal[MOTION] = b.LINEAR
         self._jog_modal[INVERSE_TIME] = 0

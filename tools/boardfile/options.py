@@ -289,6 +289,10 @@ OPTIONS = (
         "Counts how often a program was held up for want of lines: `$I+`, and `Dr:` in reports.",
     ),
     Option(
+        *("LENIENT", SWITCH, False),
+        "Takes words of other controllers, drilling cycles among them: see docs/lenient.md.",
+    ),
+    Option(
         *("JERK", SWITCH, False),
         "Jerk can be limited while it runs, per axis: see docs/jerk.md.",
     ),

@@ -121,7 +121,7 @@ def _extras(board: ModuleType) -> list[str]:
     from boot import guests
 
     own = getattr(board, "CUSTOM", options.BY_NAME["CUSTOM"].default)
-    return guests.names(board) + ([guests.CUSTOM] if own else [])
+    return guests.names(board, bool(own))
 
 
 def module(source: str) -> str:

@@ -1,0 +1,288 @@
+"""Drilling cycles: G73, G81, G82, G83, G85, G89 with G98 and G99, as the NIST standard has them.
+
+A line of a cycle becomes lines of Grbl's own words, which are checked and executed as if they had
+been sent. R, Z, Q and P hold for the lines that follow, up to another motion or G80. Where G91
+holds, R counts from where the tool was when the first of them began, Z from R. Behind G80 the
+motion holds that held before. Source: NISTIR 6556, 3.5.16; G73 and the way back of G83 to R are
+LinuxCNC's.
+"""
+
+from base import errors
+from base.errors import GrblError
+from control.modes import INCHES, INVERSE_TIME, MOTION, PLANE, RELATIVE, SYSTEM
+from language import block as b
+from language.checks import PLANES
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from talk.controller import Controller
+
+    # Letter, number as it is written, and of G and M words that in tenths.
+    Word = tuple[str, str, int]
+
+_G73 = const(730)
+_G83 = const(830)
+_G85 = const(850)
+_G89 = const(890)
+# By the number in tenths: letters that have to be there besides R and Z, and those that may.
+CYCLES = {
+    _G73: ("Q", "P"),
+    810: ("", ""),
+    820: ("P", ""),
+    _G83: ("Q", "P"),
+    _G85: ("", ""),
+    _G89: ("P", ""),
+}
+MOTIONS = (0, 10, 20, 30, 382, 383, 384, 385)
+# Others whose axis words are not those of a hole, G80 among them.
+_CLAIMS = MOTIONS + (100, 280, 281, 300, 301, 431, 530, 800, 920, 921)
+_LETTERS = "XYZ"
+_OWN = "XYZRQPL"
+# So far from the bottom a drill that has been lifted stops on its way back.
+_GAP_MM = 0.254
+_GAP_INCH = 0.01
+_MM_PER_INCH = 25.4
+_LEAST = 0.0001  # a last bit that is thinner is drilled with the one above it
+
+
+def has(words: "list[Word]", letter: str, *tenths: int) -> bool:
+    """Whether one of these G or M words is there, or that letter at all."""
+    for word in words:
+        if word[0] == letter and (not tenths or word[2] in tenths):
+            return True
+    return False
+
+
+def joined(words: "list[Word]") -> str:
+    """Words as a line."""
+    return "".join([letter + number for letter, number, _ in words])
+
+
+class Holes:
+    """What a line of a cycle asks for, in the units of the program. Numbers that the program gives
+    stay as they are written there."""
+
+    cycle: int
+    kept: "dict[str, str]"  # what holds for the next lines, too
+    to_r: bool
+    first: str  # the line, without what is the cycle's
+    letter: str  # of the axis that drills
+    now: float  # where that is
+    begun_mm: float  # and where it was when the first cycle began, in machine coordinates
+    r: str
+    bottom: str
+    end: str
+    gap: float
+    places: "Iterator[str]"
+
+    def lines(self) -> "Iterator[str]":
+        """All of it, hole by hole."""
+        r = "G0" + self.letter + self.r
+        deep = self.now
+        if deep < float(self.r):
+            yield r
+            deep = float(self.r)
+        for place in self.places:
+            if place:
+                yield "G0" + place
+            if deep != float(self.r):
+                yield r
+            yield from self._hole()
+            deep = float(self.end)
+
+    def _hole(self) -> "Iterator[str]":
+        feed, rapid = "G1" + self.letter, "G0" + self.letter
+        if self.cycle in (_G73, _G83):
+            yield from self._pecks(feed, rapid)
+        yield feed + self.bottom
+        if "P" in self.kept:
+            yield "G4P" + self.kept["P"]
+        yield (feed if self.cycle in (_G85, _G89) else rapid) + self.end
+
+    def _pecks(self, feed: str, rapid: str) -> "Iterator[str]":
+        """Down to all depths but the last, and up from each to clear the chips."""
+        top, bottom, q = float(self.r), float(self.bottom), float(self.kept["Q"])
+        count = 1
+        while top - count * q - bottom > _LEAST:
+            depth = top - count * q
+            yield feed + _text(depth)
+            if self.cycle == _G83:
+                yield rapid + self.r
+            yield rapid + _text(min(top, depth + self.gap))
+            count += 1
+
+
+class Drilling:
+    """cycle: the one that is in force, in tenths, or 0. to_r: G99 is.
+
+    run executes a line; check refuses it, or leaves it in the interpreter's block.
+    """
+
+    def __init__(
+        self, machine: "Controller", run: "Callable[[str], None]", check: "Callable[[str], None]"
+    ) -> None:
+        self._machine = machine
+        self._run = run
+        self._check = check
+        self.cycle = 0
+        self._motion = 0  # the one that held before
+        self._begun_mm = 0.0  # and where the axis that drills was, in machine coordinates
+        self._was_open = True  # lines were free to take the fast path
+        self.forget()
+
+    def forget(self) -> None:
+        """As after a reset."""
+        self.to_r = False
+        self.end(False)
+
+    def repeats(self, words: "list[Word]") -> bool:
+        """Another place for the cycle that is in force."""
+        if not self.cycle or has(words, "G", *_CLAIMS) or has(words, "G", *CYCLES):
+            return False
+        return any(has(words, letter) for letter in _LETTERS)
+
+    def end(self, with_motion: bool) -> None:
+        """No cycle is in force any more; with_motion: the motion is, that was before."""
+        interpreter = self._machine.interpreter
+        if self.cycle:
+            interpreter.fast.is_open = self._was_open
+            interpreter.fast.forget()
+            if with_motion:
+                self._machine.modes.modal[MOTION] = self._motion
+        self.cycle = 0
+        self._kept: "dict[str, str]" = {}
+
+    def make(self, holes: Holes) -> None:
+        """Execute what plan() has found."""
+        interpreter, modal = self._machine.interpreter, self._machine.modes.modal
+        self._run(holes.first)
+        if not self.cycle:
+            self._motion = modal[MOTION]
+            self._was_open = interpreter.fast.is_open
+            interpreter.fast.is_open = False  # a line with no more than places is no move
+            interpreter.fast.forget()
+        self.cycle, self._kept, self.to_r = holes.cycle, holes.kept, holes.to_r
+        self._begun_mm = holes.begun_mm
+        relative, modal[RELATIVE] = modal[RELATIVE], 0
+        try:
+            for line in holes.lines():
+                self._run(line)
+        finally:
+            modal[RELATIVE] = relative
+
+    # All checks
+
+    def plan(self, words: "list[Word]", to_r: bool) -> Holes:
+        """What a line comes to. GrblError where it cannot be."""
+        holes = Holes()
+        holes.to_r = to_r
+        holes.cycle, given, others = self._split(words)
+        holes.first = joined(others)
+        self._check(holes.first)
+        self._check_others()
+        across = PLANES[self._machine.interpreter.block.ints[PLANE]]
+        axis = 3 - across[0] - across[1]
+        holes.letter = _LETTERS[axis]
+        holes.kept = dict(self._kept) if holes.cycle == self.cycle else {}
+        for letter in "RQP" + holes.letter:
+            if letter in given:
+                holes.kept[letter] = given[letter]
+        _check_numbers(holes, given)
+        self._place(holes, axis)
+        places = [(given[_LETTERS[i]], self._now(i), i) for i in across if _LETTERS[i] in given]
+        holes.places = self._places(places, int(float(given.get("L", "1"))))
+        return holes
+
+    def _split(self, words: "list[Word]") -> "tuple[int, dict[str, str], list[Word]]":
+        """The cycle, its words by letter, and all others."""
+        cycle = self.cycle
+        is_named = False
+        given: "dict[str, str]" = {}
+        others = []
+        for word in words:
+            letter, number, tenths = word
+            if letter == "G" and tenths in CYCLES:
+                if is_named:
+                    raise GrblError(errors.GCODE_MODAL_GROUP_VIOLATION)
+                cycle, is_named = tenths, True
+            elif letter not in _OWN:
+                others.append(word)
+            elif letter in given:
+                raise GrblError(errors.GCODE_WORD_REPEATED)
+            else:
+                given[letter] = number
+        if not any(letter in given for letter in _LETTERS):
+            raise GrblError(errors.GCODE_NO_AXIS_WORDS)
+        return cycle, given, others
+
+    def _check_others(self) -> None:
+        """No word that moves, or ends a program, stands beside a cycle, and there is a feed."""
+        block = self._machine.interpreter.block
+        if block.ints[b.COMMANDS] & (b.GROUP_0 | b.GROUP_1 | b.GROUP_M4):
+            raise GrblError(errors.GCODE_MODAL_GROUP_VIOLATION)
+        if block.ints[b.CLAIM]:
+            raise GrblError(errors.GCODE_AXIS_COMMAND_CONFLICT)
+        if block.ints[INVERSE_TIME] or not block.singles[b.F]:
+            raise GrblError(errors.GCODE_UNDEFINED_FEED_RATE)
+
+    def _place(self, holes: Holes, axis: int) -> None:
+        """How deep the holes are, and what is above them."""
+        ints = self._machine.interpreter.block.ints
+        holes.gap = _GAP_INCH if ints[INCHES] else _GAP_MM
+        holes.begun_mm = self._begun_mm if self.cycle else self._machine.modes.position[axis]
+        holes.now = self._now(axis)
+        begun = self._at(axis, holes.begun_mm)
+        holes.r, holes.bottom = holes.kept["R"], holes.kept[holes.letter]
+        if ints[RELATIVE]:
+            holes.r = _text(begun + float(holes.r))
+            holes.bottom = _text(float(holes.r) + float(holes.bottom))
+        if float(holes.bottom) > float(holes.r):
+            raise GrblError(errors.GCODE_INVALID_TARGET)
+        holes.end = holes.r if holes.to_r or begun <= float(holes.r) else _text(begun)
+
+    def _places(self, given: "list[tuple[str, float, int]]", times: int) -> "Iterator[str]":
+        """Words of each place. given: numbers as they are written, places now, and axes."""
+        relative = self._machine.interpreter.block.ints[RELATIVE]
+        return (
+            "".join(
+                [
+                    _LETTERS[i] + (_text(now + count * float(number)) if relative else number)
+                    for number, now, i in given
+                ]
+            )
+            for count in range(1, times + 1)
+        )
+
+    def _now(self, axis: int) -> float:
+        return self._at(axis, self._machine.modes.position[axis])
+
+    def _at(self, axis: int, mm: float) -> float:
+        """A place in machine coordinates as the program would say it, on the line in the block."""
+        coords, ints = self._machine.coords, self._machine.interpreter.block.ints
+        mm -= coords.zero(ints[SYSTEM])[axis]
+        if axis == coords.length_axis:
+            mm -= coords.tool_length
+        return mm / _MM_PER_INCH if ints[INCHES] else mm
+
+
+def _check_numbers(holes: Holes, given: "dict[str, str]") -> None:
+    needed, possible = CYCLES[holes.cycle]
+    kept = holes.kept
+    for letter in "R" + holes.letter + needed:
+        if letter not in kept:
+            raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
+    for letter in "QP":
+        if letter in given and letter not in needed + possible:
+            raise GrblError(errors.GCODE_UNUSED_WORDS)
+    times = float(given.get("L", "1"))
+    if times != int(times):
+        raise GrblError(errors.GCODE_COMMAND_VALUE_NOT_INTEGER)
+    if times < 1 or float(kept.get("Q", "1")) <= 0 or float(kept.get("P", "0")) < 0:
+        raise GrblError(errors.NEGATIVE_VALUE)
+
+
+def _text(number: float) -> str:
+    return ("%.5f" % number).rstrip("0")

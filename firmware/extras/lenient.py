@@ -1,0 +1,211 @@
+"""Lenient: words of other controllers, accepted where leaving them out does no harm.
+
+A line that Grbl refuses is looked at once more. What says nothing that this machine could do is
+left out; M6 becomes a pause, G73 to G89 drilling (drilling.py). Each such word is named once in a
+[MSG:]. Every other line goes its way as it is. A board asks for it with LENIENT = True.
+"""
+
+from base import state as st
+from base.errors import GrblError
+from control.modes import SPINDLE
+from language import checks
+from micropython import const
+
+from extras.api import word_of
+from extras.drilling import CYCLES, MOTIONS, Drilling, has, joined
+from extras.gcode_text import as_written
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    from boot.options import Options
+
+    from extras.api import Cnc
+    from extras.drilling import Word
+
+# What is said of each.
+_WORDS = {
+    "%": "the mark of a tape is passed over",
+    "O": "the number of a program is passed over",
+    "G43": "lengths of tools are not kept here: zero Z with each tool",
+    "G49": "passed over, for there is no tool length",
+    "G4 S": "a dwell of so many seconds",
+    "G61.1": "passed over",
+    "G64": "passed over: $11 says how fast corners are taken",
+    "G80": "passed over beside another motion",
+    "G98": "cycles end where the first of them began",
+    "G99": "cycles end at R",
+    "M6": "a pause with the spindle off, and ~ goes on",
+}
+_CYCLE = "a drilling cycle"
+# In tenths.
+_G4 = const(40)
+_G43 = const(430)
+_G49 = const(490)
+_G61_1 = const(611)
+_G64 = const(640)
+_G80 = const(800)
+_G98 = const(980)
+_G99 = const(990)
+_M6 = const(60)
+_HAVE_P = (_G4, 100) + tuple(CYCLES)  # beside these, P and Q are not those of G64
+_ENDS = (20, 300)  # M2, M30
+
+
+class Lenient:
+    """Stands around the interpreter."""
+
+    def __init__(self, cnc: "Cnc") -> None:
+        machine = cnc.machine
+        self._cnc = cnc
+        self._machine = machine
+        self._usual = machine.interpreter.execute
+        self._drilling = Drilling(machine, self._run, self._check)
+        self._told: "list[str]" = []
+        self._tool = "0"
+        machine.interpreter.execute = self.execute  # type: ignore[method-assign]
+        cnc.behind_reset(self._forget)
+
+    def _forget(self) -> None:
+        self._told.clear()
+        self._drilling.forget()
+
+    def execute(self, line: bytearray, length: int) -> None:
+        """As Interpreter.execute()."""
+        drilling = self._drilling
+        words = (_words(line, length) if drilling.cycle else None) or []
+        if drilling.repeats(words):
+            drilling.make(drilling.plan(words, drilling.to_r))
+            return
+        try:
+            self._usual(line, length)
+        except GrblError:
+            if not self._execute_rest(line, length):
+                raise
+        if has(words, "G", *MOTIONS) or has(words, "M", *_ENDS):
+            drilling.end(False)
+        elif has(words, "G", _G80):
+            drilling.end(True)
+        if line.find(b"T", 0, length) >= 0:
+            self._note_tool(_words(line, length) or [])
+
+    def _note_tool(self, words: "list[Word]") -> None:
+        for letter, number, _ in words:
+            if letter == "T":
+                self._tool = number
+
+    def _check(self, text: str) -> None:
+        """Refuse a line with GrblError, or leave it in the interpreter's block."""
+        machine = self._machine
+        block, modes = machine.interpreter.block, machine.modes
+        line = bytearray(text.encode() + b"\0")
+        block.read(line, 0, len(line) - 1, modes.modal)
+        checks.check(modes, machine.coords, block, False)
+
+    def _run(self, text: str) -> None:
+        line = bytearray(text.encode() + b"\0")
+        self._usual(line, len(line) - 1)
+
+    # A line that has been refused
+
+    def _execute_rest(self, line: bytearray, length: int) -> bool:
+        """Execute it without what does nothing here; False where there is no such thing."""
+        words = _words(line, length)
+        if words is None:
+            return False
+        names = ["%"] if line.find(b"%", 0, length) >= 0 else []
+        left = self._without(words, names)
+        drilling = self._drilling
+        to_r = has(words, "G", _G99) or (drilling.to_r and not has(words, "G", _G98))
+        if has(left, "G", *CYCLES):
+            if "M6" in names:
+                return False
+            lines = drilling.plan(left, to_r)
+            names += ["G" + number for letter, number, tenths in left if tenths in CYCLES]
+            self._tell(names)
+            drilling.make(lines)
+        elif names:
+            self._check(joined(left))
+            self._tell(names)
+            if "M6" in names:
+                self._pause(words)
+            self._run(joined(left))
+            drilling.to_r = to_r
+        return bool(names)
+
+    def _without(self, words: "list[Word]", names: "list[str]") -> "list[Word]":
+        """What is left; names gets those of what is not."""
+        left = []
+        for word in words:
+            name = self._name(word, words)
+            if name:
+                names.append(name)
+            if name == "G4 S":
+                left.append(("P", word[1], word[2]))
+            elif not name:
+                left.append(word)
+        return left
+
+    def _name(self, word: "Word", words: "list[Word]") -> str:
+        """Why this word may be left out: a key of _WORDS, or nothing."""
+        letter, _, tenths = word
+        if letter == "O":  # beside other words it is a subroutine of LinuxCNC's
+            return "O" if all(other[0] in "NO" for other in words) else ""
+        if letter == "H":
+            return "G43" if has(words, "G", _G43) else ""
+        if letter in "PQ":
+            return "G64" if has(words, "G", _G64) and not has(words, "G", *_HAVE_P) else ""
+        if letter == "S":
+            return "G4 S" if has(words, "G", _G4) and not has(words, "P") else ""
+        if letter == "M":
+            return "M6" if tenths == _M6 and not self._cnc.is_taken("M", 6) else ""
+        return self._name_g(tenths, words) if letter == "G" else ""
+
+    def _name_g(self, tenths: int, words: "list[Word]") -> str:
+        if tenths == _G43:
+            return "G43"
+        if tenths == _G49:
+            return "" if self._machine.coords.tool_length else "G49"
+        if tenths == _G80:
+            return "G80" if has(words, "G", *MOTIONS) else ""
+        if tenths in (_G61_1, _G64, _G98, _G99) and not self._cnc.is_taken("G", tenths / 10):
+            return "G61.1" if tenths == _G61_1 else "G%d" % (tenths // 10)
+        return ""
+
+    def _tell(self, names: "list[str]") -> None:
+        for name in names:
+            if name not in self._told:
+                self._told.append(name)
+                self._cnc.message("%s: %s" % (name, _WORDS.get(name, _CYCLE)))
+
+    def _pause(self, words: "list[Word]") -> None:
+        """For the tool that this line names, or one before it."""
+        self._note_tool(words)
+        if self._machine.modes.modal[SPINDLE]:
+            self._run("M5")
+        if self._machine.state.run != st.CHECK:
+            self._machine.canon.synchronise()
+            self._cnc.message("Tool %s, then ~" % self._tool)
+        self._run("M0")
+
+
+def _words(line: bytearray, length: int) -> "list[Word] | None":
+    """The words of a line, without marks of tapes; None where it does not consist of words."""
+    try:
+        return [
+            (letter, number, word_of(letter, number)[1])
+            for letter, number in as_written(line[:length].decode().strip("%"))
+        ]
+    except ValueError:
+        return None
+
+
+def prepare(options: "Options", board: "ModuleType") -> None:
+    """Before the machine is made: numbers of tools may be of any size."""
+    options.highest_tool = 1 << 31
+
+
+def install(cnc: "Cnc") -> None:
+    """Behind all other extras: their words are theirs."""
+    Lenient(cnc)
