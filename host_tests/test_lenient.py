@@ -2,12 +2,16 @@
 
 import json
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
+from extras.api import Cnc
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from ugrbl.boardfile.files import load_board
 from ugrbl.grbl.gcode_file import read_lines
 from ugrbl.paths import BOARDS
@@ -27,9 +31,9 @@ needs_programs = pytest.mark.skipif(not _GRBL, reason=f"{_EXPECTED} is not there
 class Bench:
     """A machine that is lenient, or not, and all that it says and plans."""
 
-    def __init__(self, *, lenient: bool = True) -> None:
+    def __init__(self, *, lenient: bool = True, extras: "tuple[str, ...]" = ()) -> None:
         board = ModuleType("board")
-        vars(board).update(vars(load_board("sim")), LENIENT=lenient)
+        vars(board).update(vars(load_board("sim")), LENIENT=lenient, EXTRAS=extras)
         self.rig = Rig(board, factory_store(load_board("sim")))
         self.rig.on_built = self._listen
         self.sender = Sender(self.rig)
@@ -193,7 +197,6 @@ def test_m6_waits_for_the_user_with_the_spindle_off() -> None:
 
 # Drilling
 
-
 AT = ("G0 Z10", "G0 X1 Y1")
 
 
@@ -309,6 +312,46 @@ def test_a_reset_ends_a_cycle() -> None:
     assert bench.moves[-1][0] == "rapid" and bench.moves[-1][1] == 7
 
 
+_WORDS = st.sampled_from(
+    "G0 G1 G4 G17 G18 G20 G21 G28 G43 G43.1 G49 G53 G61.1 G64 G73 G80 G81 G83 G90 G91 G92 G98 G99 "
+    "M0 M3 M5 M6 M30 T2 T300 N5 O7 H1 F300 S.2 P.1 Q.5 L2 X1 X-2 Y3 Z-1 Z.5 R2 R-3 I1 % G".split()
+)
+_LINES = st.lists(st.lists(_WORDS, min_size=1, max_size=6).map(" ".join), max_size=12)
+
+
+@given(_LINES)
+@settings(max_examples=60, deadline=None)
+def test_every_line_is_done_or_refused_without_effect(lines: "list[str]") -> None:
+    bench = Bench()
+    asked = [text for line in lines for text in ("$G", line, "$G")]
+    said = bench.say(*asked, "$G")
+    for line, before, answer, behind in zip(lines, said[::3], said[1::3], said[2::3]):
+        assert answer[-1] == "ok" or re.fullmatch(r"error:\d+", answer[-1]), (line, answer)
+        if answer[-1] != "ok":
+            assert answer[:-1] == [], (line, answer)
+            assert before == behind, line
+
+
+# With extras that have such words themselves
+
+
+def test_words_of_others_are_theirs(monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[Any] = []
+
+    def install(cnc: Cnc) -> None:
+        cnc.add_m(6, heard.append, "t")
+        cnc.add_g(81, lambda x: heard.append(("hole", x)), "X")
+
+    extra = ModuleType("mine")
+    extra.install = install  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "mine", extra)
+    bench = Bench(extras=("mine",))
+    said = bench.say("T3 M6", "G81 X2", "G81 X2 Y1", "T3 M6 G64", "G82 X1 Z-1 R1 P0 F900", "X2")
+    assert heard == [3.0, ("hole", 2.0)]
+    assert [each[-1] for each in said] == ["ok", "ok", "error:36", "error:20", "ok", "ok"]
+    assert len(bench.moves) == 7 and not any("[MSG:M6" in text for each in said for text in each)
+
+
 # Programs
 
 
@@ -364,7 +407,7 @@ _SMALL = (
     "vcarve_fengrave.tap",
     "vectric_deer.tap",
 )
-_LINES = 100  # of each; what is behind them are plain moves
+_FIRST = 100  # of each; what is behind them are plain moves
 # What a user of Grbl changes by hand, drilling apart.
 _BY_HAND = (
     (r"^(N\d+)? *%|^O\d+.*", ""),
@@ -414,6 +457,6 @@ def _drilled(drill: "dict[str, str]", words: "dict[str, str]") -> "Iterator[str]
 @needs_programs
 @pytest.mark.parametrize("name", _SMALL)
 def test_they_move_as_a_copy_cleaned_by_hand(name: str, board: str) -> None:
-    lines = read_lines(_PROGRAMS / name)[:_LINES]
+    lines = read_lines(_PROGRAMS / name)[:_FIRST]
     as_it_is = [line.decode("latin-1") for line in lines]
     assert motion(as_it_is, board) == motion(by_hand(lines), "rpi_pico")

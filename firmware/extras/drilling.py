@@ -127,6 +127,7 @@ class Drilling:
         self._machine = machine
         self._run = run
         self._check = check
+        self._holes = Holes()  # what plan() has found last
         self.cycle = 0
         self._motion = 0  # the one that held before
         self._begun_mm = 0.0  # and where the axis that drills was, in machine coordinates
@@ -177,7 +178,7 @@ class Drilling:
 
     def plan(self, words: "list[Word]", to_r: bool) -> Holes:
         """What a line comes to. GrblError where it cannot be."""
-        holes = Holes()
+        holes = self._holes
         holes.to_r = to_r
         holes.cycle, given, others = self._split(words)
         holes.first = joined(others)

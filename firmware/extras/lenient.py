@@ -19,7 +19,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from types import ModuleType
 
-    from boot.options import Options
+    from interfaces import Options
 
     from extras.api import Cnc
     from extras.drilling import Word
@@ -119,10 +119,11 @@ class Lenient:
         drilling = self._drilling
         to_r = has(words, "G", _G99) or (drilling.to_r and not has(words, "G", _G98))
         if has(left, "G", *CYCLES):
-            if "M6" in names:
+            cycles = [word[1] for word in left if word[0] == "G" and word[2] in CYCLES]
+            if "M6" in names or any(self._cnc.is_taken("G", number) for number in cycles):
                 return False
             lines = drilling.plan(left, to_r)
-            names += ["G" + number for letter, number, tenths in left if tenths in CYCLES]
+            names += ["G" + number for number in cycles]
             self._tell(names)
             drilling.make(lines)
         elif names:
