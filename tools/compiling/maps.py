@@ -1,7 +1,7 @@
 """Maps of builds (compiling/symbols.py): kept, and found when a board tells of a fault.
 
 A map lies beside what `ugrbl build` has made, and in a folder of this user's for each deployment.
-For the firmware that is here none is needed: it is made anew.
+For the firmware that is here none is needed: it is made anew, or comes with the package.
 """
 
 import json
@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 
 import typer
 
-from . import build, symbols
+from . import build, stock, symbols
 
 SUFFIX = ".map.json"
 # Where `ugrbl build` writes by default.
 _BUILT = Path("build")
+_HERE = "the firmware that is here"
 _MOST = 50  # maps of 100 kB each
 # Says where maps are kept, where it is not in the user's folder.
 _VARIABLE = "UGRBL_MAPS"
@@ -76,16 +77,19 @@ def find(number: str) -> Found:
         map_ = _readable(file)
         if map_.get("id") == number:
             return Found(map_, str(file))
+    compiled = stock.map_of(build.texts())
+    if compiled.get("id") == number:
+        return Found(compiled, _HERE)
     for debug in (False, True):
         made = build.prepared_firmware(debug)
         if made.id == number:
-            return Found(of(debug), "the firmware that is here")
+            return Found(of(debug), _HERE)
     known = sorted({str(_readable(file).get("id", "")) for file in there} - {""})
     others = f", and maps of {', '.join(known)}" if known else ""
+    here = compiled.get("id") or build.prepared_firmware().id
     raise MapError(
-        f"there is no map of the build {number}: here is the firmware "
-        f"{build.prepared_firmware().id}{others}; on the computer that built it the map lies "
-        f"beside its folder (build/*{SUFFIX}): --map FILE"
+        f"there is no map of the build {number}: here is the firmware {here}{others}; on the "
+        f"computer that built it the map lies beside its folder (build/*{SUFFIX}): --map FILE"
     )
 
 
