@@ -10,7 +10,7 @@ VENV := .venv/installed
 TYPESHED := .venv/typeshed/merged
 EMULATOR := .venv/emulator/compiled
 
-.PHONY: run test check fmt lint types build deploy clean compiled-emulator test-emulator test-senders torture torture-board bench bench-board docs pictures
+.PHONY: run test check fmt lint types build deploy dist clean compiled-emulator test-emulator test-senders torture torture-board bench bench-board docs pictures
 
 run: $(VENV)  ## a demonstration in the simulator
 	$(BIN)/ugrbl demo
@@ -36,6 +36,9 @@ build: $(VENV)  ## firmware for BOARD, or all of it for MPY_ARCH, into build/; b
 
 deploy: $(VENV)  ## firmware for BOARD onto the board at PORT, or at the only one there is
 	$(BIN)/ugrbl deploy --board $(or $(BOARD),$(error which board? make deploy BOARD=rpi_pico)) $(if $(PORT),--port $(PORT))
+
+dist: $(VENV)  ## the package, with the firmware compiled for every chip, into dist/
+	$(BIN)/python -m build --no-isolation
 
 compiled-emulator: $(EMULATOR)  ## the emulated Pico three times as fast, where there is a C compiler
 

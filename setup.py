@@ -1,8 +1,13 @@
-"""What pyproject.toml cannot say: which folders beside tools/ travel in the package."""
+"""What pyproject.toml cannot say: what is in the package beside tools/, some of it compiled."""
 
+import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 from setuptools import setup
+from setuptools.command.build_py import build_py
 
 FOLDERS = {
     "ugrbl": "tools",
@@ -22,5 +27,23 @@ def package_dir() -> dict[str, str]:
     return found
 
 
+class WithCompiledFirmware(build_py):
+    """Whoever has the package needs no compiler: see tools/compiling/stock.py."""
+
+    def run(self) -> None:
+        # Else what an older build has left there would be in the package, too.
+        shutil.rmtree(Path(self.build_lib, "ugrbl"), ignore_errors=True)
+        super().run()
+        if not self.editable_mode:
+            where = os.pathsep.join([self.build_lib, os.environ.get("PYTHONPATH", "")])
+            command = [sys.executable, "-m", "ugrbl.compiling.fill_stock"]
+            subprocess.run(command, check=True, env={**os.environ, "PYTHONPATH": where})
+
+
 found = package_dir()
-setup(packages=list(found), package_dir=found, package_data={"": ["*"]})
+setup(
+    packages=list(found),
+    package_dir=found,
+    package_data={"": ["*"]},
+    cmdclass={"build_py": WithCompiledFirmware},
+)
