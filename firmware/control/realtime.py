@@ -94,19 +94,19 @@ class Realtime:
             return  # as nearly always
         if pending[st.RESET]:
             raise Abort  # behind which the loop tells of an alarm
+        if pending[st.STATUS_REPORT]:
+            report = self._voice.status()
+            drive.pump()
+            pending[st.STATUS_REPORT] = 0  # what was asked meanwhile is answered, too
+            self._voice.send(report)
         drive.turn()
         if not pending[st.ANY]:
             return
         pending[st.ANY] = 0
         if pending[st.RESET]:
             raise Abort  # it has come since
-        if pending[st.STATUS_REPORT]:
-            report = self._voice.status()
-            drive.pump()
-            pending[st.STATUS_REPORT] = 0  # what was asked meanwhile is answered, too
-            self._voice.send(report)
-            if not any(pending):
-                return
+        if not any(pending):
+            return
         held = self._holds()
         if state.take(st.CYCLE_START) and not held:
             self._cycle_start()
