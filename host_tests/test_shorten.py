@@ -123,6 +123,25 @@ def test_what_is_ours_alone_is_short() -> None:
     assert after == shorten(SOURCES).texts
 
 
+def test_an_extra_takes_no_short_name_from_what_every_board_has() -> None:
+    """Not even where its attributes are called as variables are, that every board has."""
+    count = len(SHORT)
+    common = [f"every_{i}" for i in range(count)]
+    own = [f"rare_{i}" for i in range(count)]
+    usual = "class Usual:\n    def __init__(self):\n" + "".join(
+        f"        self.{name} = 0\n" for name in common
+    )
+    usual += "def f():\n" + "".join(f"    {name} = 0\n" for name in own)
+    extra = "class Extra:\n    def __init__(self):\n" + "".join(
+        f"        self.{name} = 0\n" for name in own
+    )
+    extra += "def g(one):\n" + "".join(f"    one.{name} = 1\n" for name in own)
+    alone = shorten({"base.usual": usual}).names
+    beside = shorten({"base.usual": usual, "extras.extra": extra}).names
+    assert len(alone) > count // 2
+    assert {name: short for name, short in beside.items() if name in common} == alone
+
+
 def test_no_object_has_two_attributes_of_one_name() -> None:
     after = shorten(SOURCES).texts["parts"]
     stored = [

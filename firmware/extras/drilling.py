@@ -74,7 +74,7 @@ class Holes:
     begun_mm: float  # and where it was when the first cycle began, in machine coordinates
     r: str
     bottom: str
-    end: str
+    above: str  # where it ends
     gap: float
     places: "Iterator[str]"
 
@@ -91,7 +91,7 @@ class Holes:
             if deep != float(self.r):
                 yield r
             yield from self._hole()
-            deep = float(self.end)
+            deep = float(self.above)
 
     def _hole(self) -> "Iterator[str]":
         feed, rapid = "G1" + self.letter, "G0" + self.letter
@@ -100,7 +100,7 @@ class Holes:
         yield feed + self.bottom
         if "P" in self.kept:
             yield "G4P" + self.kept["P"]
-        yield (feed if self.cycle in (_G85, _G89) else rapid) + self.end
+        yield (feed if self.cycle in (_G85, _G89) else rapid) + self.above
 
     def _pecks(self, feed: str, rapid: str) -> "Iterator[str]":
         """Down to all depths but the last, and up from each to clear the chips."""
@@ -137,7 +137,7 @@ class Drilling:
     def forget(self) -> None:
         """As after a reset."""
         self.to_r = False
-        self.end(False)
+        self.stop(False)
 
     def repeats(self, words: "list[Word]") -> bool:
         """Another place for the cycle that is in force."""
@@ -145,7 +145,7 @@ class Drilling:
             return False
         return any(has(words, letter) for letter in _LETTERS)
 
-    def end(self, with_motion: bool) -> None:
+    def stop(self, with_motion: bool) -> None:
         """No cycle is in force any more; with_motion: the motion is, that was before."""
         interpreter = self._machine.interpreter
         if self.cycle:
@@ -242,7 +242,7 @@ class Drilling:
             holes.bottom = _text(float(holes.r) + float(holes.bottom))
         if float(holes.bottom) > float(holes.r):
             raise GrblError(errors.GCODE_INVALID_TARGET)
-        holes.end = holes.r if holes.to_r or begun <= float(holes.r) else _text(begun)
+        holes.above = holes.r if holes.to_r or begun <= float(holes.r) else _text(begun)
 
     def _places(self, given: "list[tuple[str, float, int]]", times: int) -> "Iterator[str]":
         """Words of each place. given: numbers as they are written, places now, and axes."""

@@ -84,9 +84,9 @@ class Lenient:
             if not self._execute_rest(line, length):
                 raise
         if has(words, "G", *MOTIONS) or has(words, "M", *_ENDS):
-            drilling.end(False)
+            drilling.stop(False)
         elif has(words, "G", _G80):
-            drilling.end(True)
+            drilling.stop(True)
         if line.find(b"T", 0, length) >= 0:
             self._note_tool(_words(line, length) or [])
 

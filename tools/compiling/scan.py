@@ -90,6 +90,13 @@ def loaded(node: ast.ClassDef) -> set[str]:
     return found
 
 
+def asked(tree: ast.Module) -> Iterator[str]:
+    """What objects are asked for."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute):
+            yield node.attr
+
+
 def identifiers(tree: ast.AST) -> Iterator[str]:
     """Every name there is."""
     for node in ast.walk(tree):

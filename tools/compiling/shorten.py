@@ -148,6 +148,7 @@ class _Survey:
         self._alone: dict[str, set[str]] = defaultdict(set)  # classes that say self.name
         self._private: set[ast.FunctionDef] = set()  # methods that only their class calls
         self._common: set[str] = set()  # in modules that every board has
+        self._asked_by_all: set[str] = set()  # attributes in those
         self._seen: set[str] = set()  # attributes of something else than self
         self._inner: set[str] = set()
         self._bases: dict[str, set[str]] = defaultdict(set)
@@ -165,6 +166,7 @@ class _Survey:
             used |= identifiers
             if module.partition(".")[0] not in scan.ON_REQUEST:
                 self._common |= identifiers
+                self._asked_by_all |= set(scan.asked(tree))
             self._read(tree, self._aliases(tree), "")
             for _, name in mk.names(module, tree, marks):
                 self._stored.add(name)
@@ -250,7 +252,7 @@ class _Survey:
         # there is to gain.
         for name in sorted(
             homes,
-            key=lambda n: (n not in self._common, n not in self._seen, -len(homes[n]), n),
+            key=lambda n: (n not in self._asked_by_all, n not in self._seen, -len(homes[n]), n),
         ):
             kinds = everywhere if name in self._seen else homes[name]
             short = next((s for s in self.free if not any(s in taken[k] for k in kinds)), None)
