@@ -295,6 +295,7 @@ def test_a_cycle_drills_as_the_standard_has_it(
         ("G81 X1 Z-1 R1 F100 G4 P1", 28),
         ("G84 X1 Z-1 R1 F100", 20),
         ("G81 X Z-1 R1 F100", 20),
+        ("G81 X1_0 Z-1 R1 F100", 20),
         ("T1 M6 G81 X1 Z-1 R1 F100", 20),
     ],
 )
@@ -304,6 +305,13 @@ def test_a_cycle_that_cannot_be_is_refused_and_changes_nothing(line: str, error:
     assert said[1] == [f"error:{error}"]
     assert said[0] == said[2]
     assert [move[0] for move in bench.moves] == ["rapid"] * 2
+
+
+def test_the_end_of_a_program_ends_g99_with_the_cycle() -> None:
+    hole = "G81 X5 Z-2 R2 F1000"
+    bench = Bench()
+    bench.say(*AT, "G99 " + hole, "M2", "G0 Z10", hole)
+    assert [move[3] for move in bench.moves[-7:]] == [-2, 2, 10, 10, 2, -2, 10]
 
 
 def test_a_reset_ends_a_cycle() -> None:
@@ -341,14 +349,17 @@ def test_words_of_others_are_theirs(monkeypatch: pytest.MonkeyPatch) -> None:
     def install(cnc: Cnc) -> None:
         cnc.add_m(6, heard.append, "t")
         cnc.add_g(81, lambda x: heard.append(("hole", x)), "X")
+        cnc.add_m(100, heard.append, "X")
 
     extra = ModuleType("mine")
     extra.install = install  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "mine", extra)
     bench = Bench(extras=("mine",))
-    said = bench.say("T3 M6", "G81 X2", "G81 X2 Y1", "T3 M6 G64", "G82 X1 Z-1 R1 P0 F900", "X2")
-    assert heard == [3.0, ("hole", 2.0)]
-    assert [each[-1] for each in said] == ["ok", "ok", "error:36", "error:20", "ok", "ok"]
+    said = bench.say(
+        "T3 M6", "G81 X2", "G81 X2 Y1", "T3 M6 G64", "G82 X1 Z-1 R1 P0 F900", "X2", "M100 X7"
+    )
+    assert heard == [3.0, ("hole", 2.0), 7.0]
+    assert [each[-1] for each in said] == ["ok", "ok", "error:36", "error:20", "ok", "ok", "ok"]
     assert len(bench.moves) == 7 and not any("[MSG:M6" in text for each in said for text in each)
 
 

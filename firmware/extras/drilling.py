@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from talk.controller import Controller
 
-    # Letter, number as it is written, and of G and M words that in tenths.
+    # Letter, number as it is written, and of G and M words that in tenths, else -1.
     Word = tuple[str, str, int]
 
 _G73 = const(730)

@@ -11,7 +11,7 @@ from control.modes import SPINDLE
 from language import checks
 from micropython import const
 
-from extras.api import word_of
+from extras.api import is_grbls, word_of
 from extras.drilling import CYCLES, MOTIONS, Drilling, has, joined
 from extras.gcode_text import as_written
 
@@ -51,6 +51,8 @@ _G99 = const(990)
 _M6 = const(60)
 _HAVE_P = (_G4, 100) + tuple(CYCLES)  # beside these, P and Q are not those of G64
 _ENDS = (20, 300)  # M2, M30
+_NONE = const(-1)
+_NUMBER = "0123456789.+-"
 
 
 class Lenient:
@@ -74,8 +76,9 @@ class Lenient:
     def execute(self, line: bytearray, length: int) -> None:
         """As Interpreter.execute()."""
         drilling = self._drilling
-        words = (_words(line, length) if drilling.cycle else None) or []
-        if drilling.repeats(words):
+        is_watched = drilling.cycle or drilling.to_r
+        words = (_words(line, length) if is_watched else None) or []
+        if drilling.repeats(words) and not self._is_others(words):
             drilling.make(drilling.plan(words, drilling.to_r))
             return
         try:
@@ -83,12 +86,21 @@ class Lenient:
         except GrblError:
             if not self._execute_rest(line, length):
                 raise
-        if has(words, "G", *MOTIONS) or has(words, "M", *_ENDS):
+        if has(words, "M", *_ENDS):
+            drilling.forget()
+        elif has(words, "G", *MOTIONS):
             drilling.stop(False)
         elif has(words, "G", _G80):
             drilling.stop(True)
         if line.find(b"T", 0, length) >= 0:
             self._note_tool(_words(line, length) or [])
+
+    def _is_others(self, words: "list[Word]") -> bool:
+        """Whether a word of another extra is there."""
+        for letter, number, tenths in words:
+            if tenths >= 0 and not is_grbls(letter, tenths) and self._cnc.is_taken(letter, number):
+                return True
+        return False
 
     def _note_tool(self, words: "list[Word]") -> None:
         for letter, number, _ in words:
@@ -193,13 +205,16 @@ class Lenient:
 
 def _words(line: bytearray, length: int) -> "list[Word] | None":
     """The words of a line, without marks of tapes; None where it does not consist of words."""
-    try:
-        return [
-            (letter, number, word_of(letter, number)[1])
-            for letter, number in as_written(line[:length].decode().strip("%"))
-        ]
-    except ValueError:
-        return None
+    found = []
+    for letter, number in as_written(line[:length].decode().strip("%")):
+        if not "A" <= letter <= "Z" or any(c not in _NUMBER for c in number):
+            return None
+        try:
+            value = float(number)
+        except ValueError:
+            return None
+        found.append((letter, number, word_of(letter, value)[1] if letter in "GM" else _NONE))
+    return found
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
