@@ -9,6 +9,8 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from base import errors
+from base.errors import GrblError
 from extras.api import Cnc
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -307,6 +309,76 @@ def test_a_cycle_that_cannot_be_is_refused_and_changes_nothing(line: str, error:
     assert [move[0] for move in bench.moves] == ["rapid"] * 2
 
 
+HOLE = "G81 X5 Y5 Z-2 R2 F600"
+
+
+@pytest.mark.parametrize(
+    ("line", "error"),
+    [
+        ("G20 X1", 28),  # R and Z were mm
+        ("G91 X1", 28),  # and places
+        ("G18 X6 Y-3", 28),
+        ("G53 Z-1", 30),
+        ("X6 Q1", 36),
+        ("X6 P", 2),
+        ("G98 G99 X6", 21),
+    ],
+)
+def test_numbers_that_would_mean_something_else_do_not_hold(line: str, error: int) -> None:
+    bench = Bench()
+    said = bench.say(*AT, HOLE, "$G", line, "$G", "X6")
+    assert said[4] == [f"error:{error}"] and said[3] == said[5]
+    assert [move[1:] for move in bench.moves[-4:]] == [(6, 5, z) for z in (10, 2, -2, 10)]
+
+
+@pytest.mark.parametrize("word", ["G98", "G99", "G43 H1", "G64", "N5", "%"])
+def test_words_that_are_passed_over_may_stand_beside_a_place(word: str) -> None:
+    bench = Bench()
+    line = f"X6{word}" if word == "%" else f"{word} X6"
+    said = bench.say(*AT, HOLE, line)
+    assert said[-1][-1] == "ok"
+    end = 2 if word == "G99" else 10
+    assert [move[1:] for move in bench.moves[-4:]] == [(6, 5, z) for z in (10, 2, -2, end)]
+
+
+def test_another_plane_begins_anew() -> None:
+    bench = Bench()
+    bench.say(*AT, HOLE, "G18 X6 Y-3 R4")
+    assert [move[1:] for move in bench.moves[-3:]] == [(6, 4, 10), (6, -3, 10), (6, 5, 10)]
+
+
+def test_pecks_that_are_no_steps_are_refused() -> None:
+    assert answers(*AT, "G83 X5 Z-10 R2 Q0.0000001 F100")[-1] == "error:4"
+
+
+def test_a_reset_is_heard_in_check_mode_however_many_holes_there_are() -> None:
+    bench = Bench()
+    said: list[str] = []
+
+    def script() -> Iterator[Any]:
+        yield from bench.sender.wait("banner", "")
+        yield from bench.sender.wait("ok", "$C\n")
+        yield from bench.sender.wait("ms 500", "G81 X5 Z-10 R2 F100 L9999999\n")
+        yield from bench.sender.wait("report", "?")
+        said.extend(bench.sender.take())
+        yield from bench.sender.wait("banner", "\x18")
+
+    bench.rig.run(script())
+    assert said[-1].startswith("<Check")
+
+
+def test_m6_names_the_tool_of_a_place_before_it_and_none_behind_a_reset() -> None:
+    said = Bench().say(*AT, HOLE, "X6 T3", "M6", "T7", "G4 P0", "\x18", "M6")
+    told = [text for each in said for text in each if text.startswith("[MSG:Tool")]
+    assert told == ["[MSG:Tool 3, then ~]", "[MSG:Tool 0, then ~]"]
+
+
+@pytest.mark.parametrize("line", ["G43 H2", "G43 G43.1 Z5", "M3 G4 S3"])
+def test_what_is_not_nothing_is_not_passed_over(line: str) -> None:
+    said = Bench().say("G43.1 Z3", "$G", line, "$G")
+    assert said[2][-1].startswith("error:") and said[1] == said[3]
+
+
 def test_the_end_of_a_program_ends_g99_with_the_cycle() -> None:
     hole = "G81 X5 Z-2 R2 F1000"
     bench = Bench()
@@ -359,8 +431,51 @@ def test_words_of_others_are_theirs(monkeypatch: pytest.MonkeyPatch) -> None:
         "T3 M6", "G81 X2", "G81 X2 Y1", "T3 M6 G64", "G82 X1 Z-1 R1 P0 F900", "X2", "M100 X7"
     )
     assert heard == [3.0, ("hole", 2.0), 7.0]
-    assert [each[-1] for each in said] == ["ok", "ok", "error:36", "error:20", "ok", "ok", "ok"]
+    assert [each[-1] for each in said] == ["ok", "ok", "error:36", "error:21", "ok", "ok", "ok"]
     assert len(bench.moves) == 7 and not any("[MSG:M6" in text for each in said for text in each)
+
+
+def test_what_handlers_execute_is_no_part_of_a_cycle(monkeypatch: pytest.MonkeyPatch) -> None:
+    def install(cnc: Cnc) -> None:
+        interpreter = cnc.machine.interpreter
+
+        def lower() -> None:
+            for text in (b"G53G0Z-1\0", b"G53G0Z20\0"):
+                interpreter.execute(bytearray(text), len(text) - 1)
+
+        def refuse(_tool: float) -> None:
+            raise GrblError(errors.NEGATIVE_VALUE)
+
+        cnc.add_m(100, lower)
+        cnc.add_g(43, refuse, "H")
+
+    extra = ModuleType("mine")
+    extra.install = install  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "mine", extra)
+    bench = Bench(extras=("mine",))
+    said = bench.say(*AT, HOLE, "M100", "X7", "G43 H1", "G0 G43 H1 Z5")
+    assert [move[1:] for move in bench.moves[-4:]] == [(7, 5, z) for z in (20, 2, -2, 10)]
+    assert [each[-1] for each in said[-2:]] == ["error:4", "error:36"]
+
+
+def test_holes_begin_where_a_handler_has_left_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    def install(cnc: Cnc) -> None:
+        interpreter = cnc.machine.interpreter
+        usual = interpreter.execute
+
+        def execute(line: bytearray, length: int) -> None:
+            usual(line, length)
+            if line[:2] == b"T4":
+                usual(bytearray(b"G53G0Z-2\0"), 8)
+
+        interpreter.execute = execute  # type: ignore[method-assign]
+
+    extra = ModuleType("mine")
+    extra.install = install  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "mine", extra)
+    bench = Bench(extras=("mine",))
+    bench.say("G0 Z10", "T4 G81 X8 Z-5 R3 F600")
+    assert [move[3] for move in bench.moves] == [10, -2, 3, 3, -5, 3]
 
 
 # Programs

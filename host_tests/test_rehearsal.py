@@ -192,6 +192,14 @@ def test_an_arc_that_goes_on_cannot_be_begun_with(here: stage.Stage) -> None:
     assert way(here, 7)[-1].startswith("G1 ")
 
 
+def test_a_drilling_cycle_that_goes_on_cannot_be_begun_with(here: stage.Stage) -> None:
+    lines = [b"G21 G90", b"G0 Z10", b"G99 G81 X5 Y5 Z-2 R2 F100", b"X10", b"G80", b"G0 X20"]
+    found = forecast(here, ["G21 G90", "G0 Z10", "G0 X5", "X10"], ask_at=4)
+    with pytest.raises(CannotEnter, match="line 4 goes on with the drilling cycle of line 3"):
+        approach(lines, 4, found, here)
+    assert approach(lines, 6, found, here).lines
+
+
 def test_what_only_the_user_can_know_is_said(here: stage.Stage) -> None:
     lines = [b"G91", b"G10 L2 P2 X1", b"G92 X0", *PART]
     found = forecast(here, [line.decode() for line in lines], ask_at=9)

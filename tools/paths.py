@@ -11,6 +11,7 @@ _ROOT = _HERE if _INSTALLED else _HERE.parent
 TOOLS = _HERE
 FIRMWARE = _ROOT / "firmware"
 BOARDS = _ROOT / "boards"
+OWN_BOARDS = Path() if _INSTALLED else BOARDS  # where a new one is written
 EXAMPLES = _ROOT / "examples"
 COMPILED = _HERE / "compiled"  # the firmware, in an installed package only
 STANDINS = _HERE / "sim" / "standins"  # for the modules that only a board has

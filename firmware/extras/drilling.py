@@ -1,7 +1,8 @@
 """Drilling cycles: G73, G81, G82, G83, G85, G89 with G98 and G99, as the NIST standard has them.
 
 A line of a cycle becomes lines of Grbl's own words, which are checked and executed as if they had
-been sent. R, Z, Q and P hold for the lines that follow, up to another motion or G80. Where G91
+been sent. R, Z, Q and P hold for the lines that follow, up to another motion or cycle, or G80, and
+up to another plane, unit or distance mode, in which they would mean something else. Where G91
 holds, R counts from where the tool was when the first of them began, Z from R. Behind G80 the
 motion holds that held before. Source: NISTIR 6556, 3.5.16; G73 and the way back of G83 to R are
 LinuxCNC's.
@@ -45,6 +46,7 @@ _OWN = "XYZRQPL"
 _GAP_MM = 0.254
 _GAP_INCH = 0.01
 _MM_PER_INCH = 25.4
+_LEAST_Q = 0.001
 _LEAST = 0.0001  # a last bit that is thinner is drilled with the one above it
 
 
@@ -68,7 +70,9 @@ class Holes:
     cycle: int
     kept: "dict[str, str]"  # what holds for the next lines, too
     to_r: bool
-    first: str  # the line, without what is the cycle's
+    first: str  # the line, without what is the cycle's,
+    own: "list[Word]"  # and that
+    manner: "tuple[int, int, int]"  # axis, inches, relative: numbers hold while it is the same
     letter: str  # of the axis that drills
     now: float  # where that is
     begun_mm: float  # and where it was when the first cycle began, in machine coordinates
@@ -131,6 +135,7 @@ class Drilling:
         self.cycle = 0
         self._motion = 0  # the one that held before
         self._begun_mm = 0.0  # and where the axis that drills was, in machine coordinates
+        self._manner = (0, 0, 0)
         self._was_open = True  # lines were free to take the fast path
         self.forget()
 
@@ -158,18 +163,23 @@ class Drilling:
 
     def make(self, holes: Holes) -> None:
         """Execute what plan() has found."""
-        interpreter, modal = self._machine.interpreter, self._machine.modes.modal
+        interpreter, modes = self._machine.interpreter, self._machine.modes
+        modal = modes.modal
+        before = list(modes.position)
         self._run(holes.first)
+        if list(modes.position) != before:  # a handler of another extra has moved the machine
+            self.plan(holes.own, holes.to_r)
         if not self.cycle:
             self._motion = modal[MOTION]
             self._was_open = interpreter.fast.is_open
             interpreter.fast.is_open = False  # a line with no more than places is no move
             interpreter.fast.forget()
         self.cycle, self._kept, self.to_r = holes.cycle, holes.kept, holes.to_r
-        self._begun_mm = holes.begun_mm
+        self._begun_mm, self._manner = holes.begun_mm, holes.manner
         relative, modal[RELATIVE] = modal[RELATIVE], 0
         try:
             for line in holes.lines():
+                self._machine.protocol.service()
                 self._run(line)
         finally:
             modal[RELATIVE] = relative
@@ -182,12 +192,16 @@ class Drilling:
         holes.to_r = to_r
         holes.cycle, given, others = self._split(words)
         holes.first = joined(others)
+        holes.own = [word for word in words if word not in others]
         self._check(holes.first)
         self._check_others()
-        across = PLANES[self._machine.interpreter.block.ints[PLANE]]
+        ints = self._machine.interpreter.block.ints
+        across = PLANES[ints[PLANE]]
         axis = 3 - across[0] - across[1]
         holes.letter = _LETTERS[axis]
-        holes.kept = dict(self._kept) if holes.cycle == self.cycle else {}
+        holes.manner = axis, ints[INCHES], ints[RELATIVE]
+        goes_on = holes.cycle == self.cycle and holes.manner == self._manner
+        holes.kept = dict(self._kept) if goes_on else {}
         for letter in "RQP" + holes.letter:
             if letter in given:
                 holes.kept[letter] = given[letter]
@@ -233,7 +247,8 @@ class Drilling:
         """How deep the holes are, and what is above them."""
         ints = self._machine.interpreter.block.ints
         holes.gap = _GAP_INCH if ints[INCHES] else _GAP_MM
-        holes.begun_mm = self._begun_mm if self.cycle else self._machine.modes.position[axis]
+        has_begun = self.cycle and axis == self._manner[0]
+        holes.begun_mm = self._begun_mm if has_begun else self._machine.modes.position[axis]
         holes.now = self._now(axis)
         begun = self._at(axis, holes.begun_mm)
         holes.r, holes.bottom = holes.kept["R"], holes.kept[holes.letter]
@@ -281,7 +296,7 @@ def _check_numbers(holes: Holes, given: "dict[str, str]") -> None:
     times = float(given.get("L", "1"))
     if times != int(times):
         raise GrblError(errors.GCODE_COMMAND_VALUE_NOT_INTEGER)
-    if times < 1 or float(kept.get("Q", "1")) <= 0 or float(kept.get("P", "0")) < 0:
+    if times < 1 or float(kept.get("Q", "1")) < _LEAST_Q or float(kept.get("P", "0")) < 0:
         raise GrblError(errors.NEGATIVE_VALUE)
 
 

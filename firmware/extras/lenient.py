@@ -6,7 +6,11 @@ left out; M6 becomes a pause, G73 to G89 drilling (drilling.py). Each such word 
 """
 
 from base import state as st
-from base.errors import GrblError
+from base.errors import (
+    GCODE_G53_INVALID_MOTION_MODE,
+    GCODE_MODAL_GROUP_VIOLATION,
+    GrblError,
+)
 from control.modes import SPINDLE
 from language import checks
 from micropython import const
@@ -42,7 +46,9 @@ _CYCLE = "a drilling cycle"
 # In tenths.
 _G4 = const(40)
 _G43 = const(430)
+_G43_1 = const(431)
 _G49 = const(490)
+_G53 = const(530)
 _G61_1 = const(611)
 _G64 = const(640)
 _G80 = const(800)
@@ -50,6 +56,7 @@ _G98 = const(980)
 _G99 = const(990)
 _M6 = const(60)
 _HAVE_P = (_G4, 100) + tuple(CYCLES)  # beside these, P and Q are not those of G64
+_TURNING = (30, 40)  # M3, M4: beside them S is a speed
 _ENDS = (20, 300)  # M2, M30
 _NONE = const(-1)
 _NUMBER = "0123456789.+-"
@@ -66,34 +73,49 @@ class Lenient:
         self._drilling = Drilling(machine, self._run, self._check)
         self._told: "list[str]" = []
         self._tool = "0"
+        self._is_within = False  # a line, others
         machine.interpreter.execute = self.execute  # type: ignore[method-assign]
         cnc.behind_reset(self._forget)
 
     def _forget(self) -> None:
         self._told.clear()
+        self._tool = "0"
+        self._is_within = False
         self._drilling.forget()
 
     def execute(self, line: bytearray, length: int) -> None:
-        """As Interpreter.execute()."""
+        """As Interpreter.execute(). What a handler of another extra has executed within a line is
+        its own: it neither repeats a cycle nor ends it."""
+        if self._is_within:
+            self._usual(line, length)
+            return
+        self._is_within = True
+        try:
+            self._execute(line, length)
+        finally:
+            self._is_within = False
+
+    def _execute(self, line: bytearray, length: int) -> None:
         drilling = self._drilling
-        is_watched = drilling.cycle or drilling.to_r
+        is_watched = drilling.cycle or drilling.to_r or line.find(b"T", 0, length) >= 0
         words = (_words(line, length) if is_watched else None) or []
         if drilling.repeats(words) and not self._is_others(words):
-            drilling.make(drilling.plan(words, drilling.to_r))
-            return
-        try:
-            self._usual(line, length)
-        except GrblError:
-            if not self._execute_rest(line, length):
-                raise
+            self._execute_rest(line, length)
+        else:
+            if drilling.cycle and has(words, "G", _G53) and not has(words, "G", *MOTIONS):
+                raise GrblError(GCODE_G53_INVALID_MOTION_MODE)
+            try:
+                self._usual(line, length)
+            except GrblError:
+                if not self._execute_rest(line, length):
+                    raise
+        self._note_tool(words)
         if has(words, "M", *_ENDS):
             drilling.forget()
         elif has(words, "G", *MOTIONS):
             drilling.stop(False)
         elif has(words, "G", _G80):
             drilling.stop(True)
-        if line.find(b"T", 0, length) >= 0:
-            self._note_tool(_words(line, length) or [])
 
     def _is_others(self, words: "list[Word]") -> bool:
         """Whether a word of another extra is there."""
@@ -124,21 +146,23 @@ class Lenient:
     def _execute_rest(self, line: bytearray, length: int) -> bool:
         """Execute it without what does nothing here; False where there is no such thing."""
         words = _words(line, length)
-        if words is None:
+        if words is None or self._is_others(words):
             return False
+        if has(words, "G", _G98) and has(words, "G", _G99):
+            raise GrblError(GCODE_MODAL_GROUP_VIOLATION)
         names = ["%"] if line.find(b"%", 0, length) >= 0 else []
         left = self._without(words, names)
         drilling = self._drilling
         to_r = has(words, "G", _G99) or (drilling.to_r and not has(words, "G", _G98))
-        if has(left, "G", *CYCLES):
-            cycles = [word[1] for word in left if word[0] == "G" and word[2] in CYCLES]
-            if "M6" in names or any(self._cnc.is_taken("G", number) for number in cycles):
+        cycles = ["G" + word[1] for word in left if word[0] == "G" and word[2] in CYCLES]
+        if cycles or drilling.repeats(left):
+            if "M6" in names:
                 return False
-            lines = drilling.plan(left, to_r)
-            names += ["G" + number for number in cycles]
-            self._tell(names)
-            drilling.make(lines)
-        elif names:
+            holes = drilling.plan(left, to_r)
+            self._tell(names + cycles)
+            drilling.make(holes)
+            return True
+        if names:
             self._check(joined(left))
             self._tell(names)
             if "M6" in names:
@@ -166,23 +190,23 @@ class Lenient:
         if letter == "O":  # beside other words it is a subroutine of LinuxCNC's
             return "O" if all(other[0] in "NO" for other in words) else ""
         if letter == "H":
-            return "G43" if has(words, "G", _G43) else ""
+            return self._name_g(_G43, words) if has(words, "G", _G43) else ""
         if letter in "PQ":
             return "G64" if has(words, "G", _G64) and not has(words, "G", *_HAVE_P) else ""
         if letter == "S":
-            return "G4 S" if has(words, "G", _G4) and not has(words, "P") else ""
+            is_speed = has(words, "P") or has(words, "M", *_TURNING)
+            return "G4 S" if has(words, "G", _G4) and not is_speed else ""
         if letter == "M":
-            return "M6" if tenths == _M6 and not self._cnc.is_taken("M", 6) else ""
+            return "M6" if tenths == _M6 else ""
         return self._name_g(tenths, words) if letter == "G" else ""
 
     def _name_g(self, tenths: int, words: "list[Word]") -> str:
-        if tenths == _G43:
-            return "G43"
-        if tenths == _G49:
-            return "" if self._machine.coords.tool_length else "G49"
+        if tenths in (_G43, _G49):
+            holds = self._machine.coords.tool_length or has(words, "G", _G43_1)
+            return "" if holds else "G%d" % (tenths // 10)
         if tenths == _G80:
             return "G80" if has(words, "G", *MOTIONS) else ""
-        if tenths in (_G61_1, _G64, _G98, _G99) and not self._cnc.is_taken("G", tenths / 10):
+        if tenths in (_G61_1, _G64, _G98, _G99):
             return "G61.1" if tenths == _G61_1 else "G%d" % (tenths // 10)
         return ""
 

@@ -64,7 +64,7 @@ def command(
     """
     asking = sys.stdin.isatty() if ask is None else ask
     console = Console(stderr=str(json_file) == "-")
-    file = out or paths.BOARDS
+    file = out or paths.OWN_BOARDS
     if file.is_dir():
         file /= f"{name}.py"
     try:

@@ -252,7 +252,12 @@ class _Survey:
         # there is to gain.
         for name in sorted(
             homes,
-            key=lambda n: (n not in self._asked_by_all, n not in self._seen, -len(homes[n]), n),
+            key=lambda n: (
+                n not in self._asked_by_all,
+                n not in self._seen,
+                -len(homes[n]),
+                n[::-1],
+            ),
         ):
             kinds = everywhere if name in self._seen else homes[name]
             short = next((s for s in self.free if not any(s in taken[k] for k in kinds)), None)

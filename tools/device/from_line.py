@@ -17,6 +17,8 @@ _SPIN_UP_S = 4
 _SLOW_MM_MIN = 100.0
 _NEAR_MM = 0.001
 _MOTION = re.compile(rb"G0*[0123](?![\d.])")
+_CYCLE = re.compile(rb"G(?:73|8[1-9])(?!\d)")
+_CYCLE_ENDS = re.compile(rb"G(?:0*[0123]|80|38)(?!\d)|M0*(?:2|30)(?!\d)")
 _RELATIVE = re.compile(rb"G91(?![\d.])")
 _ORIGIN = re.compile(rb"G92(?![\d.])|G10L20")
 _TOOL = re.compile(rb"T\d|M0*6(?!\d)")
@@ -42,6 +44,7 @@ def approach(lines: Sequence[bytes], number: int, forecast: Forecast, here: Stag
     there = read(forecast.at_line)
     place = forecast.at_place
     _check_motion(lines[number - 1], number, there.modes)
+    _check_cycle(lines, number)
     way = _Way(here, there, place, max(forecast.highest_mm(number), here.place[2]))
     steps = [step for step in way.steps() if step[0]]
     made = [Line(0, text.encode("ascii"), text) for text, _ in steps]
@@ -57,6 +60,20 @@ def _check_motion(line: bytes, number: int, modes: Sequence[str]) -> None:
     if arc and not _MOTION.search(_code(line)):
         text = f"line {number} goes on with {arc} of a line before"
         raise CannotEnter(f"{text}: begin with a line that names its motion (G0 to G3)")
+
+
+def _check_cycle(lines: Sequence[bytes], number: int) -> None:
+    """Nor can a drilling cycle: depth, height and way back are those of its first line."""
+    begun = 0
+    for at, line in enumerate(lines[: number - 1], 1):
+        code = _code(line)
+        if _CYCLE.search(code):
+            begun = begun or at
+        elif _CYCLE_ENDS.search(code):
+            begun = 0
+    if begun and not _CYCLE_ENDS.search(_code(lines[number - 1])):
+        text = f"line {number} goes on with the drilling cycle of line {begun}"
+        raise CannotEnter(f"{text}: begin there, or behind its end")
 
 
 class _Way:
