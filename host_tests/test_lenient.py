@@ -322,6 +322,7 @@ HOLE = "G81 X5 Y5 Z-2 R2 F600"
         ("X6 Q1", 36),
         ("X6 P", 2),
         ("G98 G99 X6", 21),
+        ("M6 X6", 20),
     ],
 )
 def test_numbers_that_would_mean_something_else_do_not_hold(line: str, error: int) -> None:

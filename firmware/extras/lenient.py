@@ -9,6 +9,7 @@ from base import state as st
 from base.errors import (
     GCODE_G53_INVALID_MOTION_MODE,
     GCODE_MODAL_GROUP_VIOLATION,
+    GCODE_UNSUPPORTED_COMMAND,
     GrblError,
 )
 from control.modes import SPINDLE
@@ -100,7 +101,8 @@ class Lenient:
         is_watched = drilling.cycle or drilling.to_r or line.find(b"T", 0, length) >= 0
         words = (_words(line, length) if is_watched else None) or []
         if drilling.repeats(words) and not self._is_others(words):
-            self._execute_rest(line, length)
+            if not self._execute_rest(line, length):
+                raise GrblError(GCODE_UNSUPPORTED_COMMAND)
         else:
             if drilling.cycle and has(words, "G", _G53) and not has(words, "G", *MOTIONS):
                 raise GrblError(GCODE_G53_INVALID_MOTION_MODE)
