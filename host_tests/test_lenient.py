@@ -3,7 +3,7 @@
 import json
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -416,6 +416,14 @@ def test_every_line_is_done_or_refused_without_effect(lines: "list[str]") -> Non
 # With extras that have such words themselves
 
 
+def beside(install: "Callable[[Cnc], None]", monkeypatch: pytest.MonkeyPatch) -> Bench:
+    """A lenient machine with an extra."""
+    extra = ModuleType("mine")
+    extra.install = install  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "mine", extra)
+    return Bench(extras=("mine",))
+
+
 def test_words_of_others_are_theirs(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[Any] = []
 
@@ -424,10 +432,7 @@ def test_words_of_others_are_theirs(monkeypatch: pytest.MonkeyPatch) -> None:
         cnc.add_g(81, lambda x: heard.append(("hole", x)), "X")
         cnc.add_m(100, heard.append, "X")
 
-    extra = ModuleType("mine")
-    extra.install = install  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "mine", extra)
-    bench = Bench(extras=("mine",))
+    bench = beside(install, monkeypatch)
     said = bench.say(
         "T3 M6", "G81 X2", "G81 X2 Y1", "T3 M6 G64", "G82 X1 Z-1 R1 P0 F900", "X2", "M100 X7"
     )
@@ -450,10 +455,7 @@ def test_what_handlers_execute_is_no_part_of_a_cycle(monkeypatch: pytest.MonkeyP
         cnc.add_m(100, lower)
         cnc.add_g(43, refuse, "H")
 
-    extra = ModuleType("mine")
-    extra.install = install  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "mine", extra)
-    bench = Bench(extras=("mine",))
+    bench = beside(install, monkeypatch)
     said = bench.say(*AT, HOLE, "M100", "X7", "G43 H1", "G0 G43 H1 Z5")
     assert [move[1:] for move in bench.moves[-4:]] == [(7, 5, z) for z in (20, 2, -2, 10)]
     assert [each[-1] for each in said[-2:]] == ["error:4", "error:36"]
@@ -471,10 +473,7 @@ def test_holes_begin_where_a_handler_has_left_the_machine(monkeypatch: pytest.Mo
 
         interpreter.execute = execute  # type: ignore[method-assign]
 
-    extra = ModuleType("mine")
-    extra.install = install  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "mine", extra)
-    bench = Bench(extras=("mine",))
+    bench = beside(install, monkeypatch)
     bench.say("G0 Z10", "T4 G81 X8 Z-5 R3 F600")
     assert [move[3] for move in bench.moves] == [10, -2, 3, 3, -5, 3]
 

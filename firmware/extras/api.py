@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from base.settings import Rows
+    from control.coords import Coords
     from talk.controller import Controller
 
     # What to call, the letters of its numbers, whether it waits, all letters its line may have.
@@ -51,6 +52,12 @@ def is_grbls(letter: str, tenths: int) -> bool:
     if decimals < 0 or tenths % 10 == 0:
         return decimals >= 0 and decimals & b.NEEDED == 0
     return decimals & b.OTHERS == 0 or decimals & b.TENTHS & 1 << tenths % 10 - 1 > 0
+
+
+def work_zero(coords: "Coords", system: int, axis: int) -> float:
+    """Where work in that system begins, in machine coordinates, tool length included."""
+    length = coords.tool_length if axis == coords.length_axis else 0.0
+    return coords.zero(system)[axis] + length
 
 
 def _in_turn(usual: "Callable[[], object]", call: "Callable[[], object]") -> "Callable[[], None]":
@@ -153,6 +160,10 @@ class Cnc:
             return True
         is_free = key[1] == _G10 and key[2] and key[2] // 10 not in _GRBLS_L
         return is_grbls(letter, key[1]) and not is_free
+
+    def has_word(self, line: bytearray, length: int) -> bool:
+        """Whether a line, which a 0 follows, has a word that was added."""
+        return self._find(line, length) is not None
 
     def _add(
         self,

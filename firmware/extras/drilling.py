@@ -15,6 +15,8 @@ from language import block as b
 from language.checks import PLANES
 from micropython import const
 
+from extras.api import work_zero
+
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -278,9 +280,7 @@ class Drilling:
     def _at(self, axis: int, mm: float) -> float:
         """A place in machine coordinates as the program would say it, on the line in the block."""
         coords, ints = self._machine.coords, self._machine.interpreter.block.ints
-        mm -= coords.zero(ints[SYSTEM])[axis]
-        if axis == coords.length_axis:
-            mm -= coords.tool_length
+        mm -= work_zero(coords, ints[SYSTEM], axis)
         return mm / _MM_PER_INCH if ints[INCHES] else mm
 
 

@@ -9,14 +9,13 @@ from base import state as st
 from base.errors import (
     GCODE_G53_INVALID_MOTION_MODE,
     GCODE_MODAL_GROUP_VIOLATION,
-    GCODE_UNSUPPORTED_COMMAND,
     GrblError,
 )
 from control.modes import SPINDLE
 from language import checks
 from micropython import const
 
-from extras.api import is_grbls, word_of
+from extras.api import word_of
 from extras.drilling import CYCLES, MOTIONS, Drilling, has, joined
 from extras.gcode_text import as_written
 
@@ -81,7 +80,6 @@ class Lenient:
     def _forget(self) -> None:
         self._told.clear()
         self._tool = "0"
-        self._is_within = False
         self._drilling.forget()
 
     def execute(self, line: bytearray, length: int) -> None:
@@ -100,16 +98,13 @@ class Lenient:
         drilling = self._drilling
         is_watched = drilling.cycle or drilling.to_r or line.find(b"T", 0, length) >= 0
         words = (_words(line, length) if is_watched else None) or []
-        if drilling.repeats(words) and not self._is_others(words):
-            if not self._execute_rest(line, length):
-                raise GrblError(GCODE_UNSUPPORTED_COMMAND)
-        else:
+        if not (drilling.repeats(words) and self._execute_rest(line, length, words)):
             if drilling.cycle and has(words, "G", _G53) and not has(words, "G", *MOTIONS):
                 raise GrblError(GCODE_G53_INVALID_MOTION_MODE)
             try:
                 self._usual(line, length)
             except GrblError:
-                if not self._execute_rest(line, length):
+                if not self._execute_rest(line, length, words or _words(line, length)):
                     raise
         self._note_tool(words)
         if has(words, "M", *_ENDS):
@@ -118,13 +113,6 @@ class Lenient:
             drilling.stop(False)
         elif has(words, "G", _G80):
             drilling.stop(True)
-
-    def _is_others(self, words: "list[Word]") -> bool:
-        """Whether a word of another extra is there."""
-        for letter, number, tenths in words:
-            if tenths >= 0 and not is_grbls(letter, tenths) and self._cnc.is_taken(letter, number):
-                return True
-        return False
 
     def _note_tool(self, words: "list[Word]") -> None:
         for letter, number, _ in words:
@@ -145,10 +133,10 @@ class Lenient:
 
     # A line that has been refused
 
-    def _execute_rest(self, line: bytearray, length: int) -> bool:
-        """Execute it without what does nothing here; False where there is no such thing."""
-        words = _words(line, length)
-        if words is None or self._is_others(words):
+    def _execute_rest(self, line: bytearray, length: int, words: "list[Word] | None") -> bool:
+        """Execute it without what does nothing here; False where there is no such thing, or where
+        it is another extra's."""
+        if words is None or self._cnc.has_word(line, length):
             return False
         if has(words, "G", _G98) and has(words, "G", _G99):
             raise GrblError(GCODE_MODAL_GROUP_VIOLATION)

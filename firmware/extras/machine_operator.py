@@ -15,6 +15,7 @@ from control.coords import NAMES
 from control.modes import INCHES
 from micropython import const
 
+from extras.api import work_zero
 from extras.gcode_text import clean, words_of
 from extras.handlers import Refused
 from extras.keep import Keep
@@ -169,8 +170,7 @@ class Operator(PinOperator):
     def _zero(self, axis: int) -> float:
         """Where work begins, in machine coordinates, tool length included."""
         coords = self._machine.coords
-        length = coords.tool_length if axis == coords.length_axis else 0.0
-        return coords.zero(coords.active)[axis] + length
+        return work_zero(coords, coords.active, axis)
 
     def touches(self) -> bool:
         """Whether the probe touches now."""
