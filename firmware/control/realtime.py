@@ -61,6 +61,7 @@ class Realtime:
         state = self._state
         if byte in st.EVENTS:
             if byte != _JOG_CANCEL or state.run & st.JOG:
+                # As State.post(), whose frame a ? would wait for.
                 state.pending[st.EVENTS[byte]] = state.pending[st.ANY] = 1
         elif byte == _SOFT_RESET:
             self._drive.reset()

@@ -134,7 +134,7 @@ class Planner:
         return (flow[TAIL] - flow[HEAD] - 1) % flow[ROWS]
 
     def full(self) -> bool:
-        """No block can be added."""
+        """No block can be added. Asked at every turn of who waits, and so not by free()."""
         flow = self.flow
         return (flow[HEAD] + 1 - flow[TAIL]) % flow[ROWS] == 0
 

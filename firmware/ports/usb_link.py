@@ -228,11 +228,9 @@ class UsbLink:
             count = len(data)
             if not keep(at, waiting, data, count):
                 self._flush()
-                if count > _ANSWER:
+                if not keep(at, waiting, data, count):
                     self._send(data, count)
-                else:
-                    keep(at, waiting, data, count)
-            elif count > _ANSWER:
+            if count > _ANSWER:
                 self._flush()
 
         return write
