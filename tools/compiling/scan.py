@@ -90,8 +90,8 @@ def loaded(node: ast.ClassDef) -> set[str]:
     return found
 
 
-def asked(tree: ast.Module) -> Iterator[str]:
-    """What objects are asked for."""
+def attributes(tree: ast.Module) -> Iterator[str]:
+    """What objects are asked for, and given."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute):
             yield node.attr
