@@ -340,3 +340,6 @@ class Store(Protocol):
 
     def save(self, name: str, lines: Iterable[str]) -> None:
         """Replace at once or not at all."""
+
+    def around(self, write: Callable[[], None]) -> None:
+        """Write something else where lines are kept, with all that has to be around it."""

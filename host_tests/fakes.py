@@ -309,6 +309,9 @@ class FakeStore:
             raise OSError(28)
         self.files[name] = list(lines)
 
+    def around(self, write: "Callable[[], None]") -> None:
+        write()
+
 
 if TYPE_CHECKING:
     _canon: Canon = FakeCanon()

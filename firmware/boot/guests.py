@@ -32,10 +32,11 @@ def names(board: "ModuleType", with_custom: bool) -> "list[str]":
     drains = "extras.drains" if option("COUNT_DRAINS", False) else ""
     own: "tuple[str, ...]" = option("EXTRAS", ())
     custom = "extras.custom" if with_custom else ""
+    jobs = "extras.jobs" if option("JOBS", "") else ""
     lenient = "extras.lenient" if option("LENIENT", False) else ""
     # In this order: a laser's part in each row comes behind that of jerk, and what the user's own
     # take is theirs.
-    asked = (dialect, jerk, tool, clusters, drains) + own + (custom, lenient)
+    asked = (dialect, jerk, tool, clusters, drains, jobs) + own + (custom, lenient)
     return [name for name in asked if name]
 
 

@@ -88,6 +88,10 @@ class Cnc:
         """One turn of whoever waits. Raises Abort after a reset: let it pass."""
         self._machine.protocol.service()
 
+    def tell(self, line: bytes) -> None:
+        """Tell the sender something in a form of its own."""
+        self._machine.report.send(line + b"\r\n")
+
     def message(self, text: str) -> None:
         """Tell the sender something, as [MSG:text]."""
         self._machine.report.message(text)
@@ -184,9 +188,14 @@ class Cnc:
         """$ commands with these letters are not there any more."""
         self._machine.commands.without = letters
 
-    def add_command(self, name: bytes, call: "Callable[[bytes], object]") -> None:
-        """A $ command, by what stands behind the $; call gets what follows. It is taken in Idle
-        and in Alarm. GrblError refuses the line."""
+    def add_command(
+        self,
+        name: bytes,
+        call: "Callable[[bytes], object]",
+        states: "tuple[int, ...]" = (st.IDLE, st.ALARM),
+    ) -> None:
+        """A $ command, by what stands behind the $; call gets what follows. It is taken in these
+        states. GrblError refuses the line."""
         commands, state = self._machine.commands, self._machine.state
         usual = commands.whose
 
@@ -196,7 +205,7 @@ class Cnc:
         def whose(line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
             if bytes(line[1 : 1 + len(name)]) != name:
                 return usual(line, length)
-            if state.run not in (st.IDLE, st.ALARM):
+            if state.run not in states:
                 raise GrblError(errors.IDLE_ERROR)
             return execute
 
@@ -228,10 +237,11 @@ class Cnc:
         usual = report.status
 
         def status() -> "memoryview":
-            told, text = bytes(usual()), field()
-            if text:
-                told = told[:-3] + b"|" + text.encode() + told[-3:]  # >\r\n
-            return memoryview(told)
+            text = field()
+            if not text:
+                return usual()
+            told = bytes(usual())
+            return memoryview(told[:-3] + b"|" + text.encode() + told[-3:])  # >\r\n
 
         report.status = status  # type: ignore[method-assign]
 
@@ -303,6 +313,24 @@ class Cnc:
         """Called at the loop's turns, between two lines; the next may have been found already."""
         realtime = self._machine.realtime
         realtime.run = _in_turn(realtime.run, call)  # type: ignore[method-assign]
+
+    def behind_program(self, call: "Callable[[], object]") -> None:
+        """Called when M2 or M30 has ended a program."""
+        canon = self._machine.canon
+        canon.end_program = _in_turn(canon.end_program, call)  # type: ignore[method-assign]
+
+    def behind_controls(self, call: "Callable[[int], object]") -> None:
+        """Called when a control input has changed, with the mask of base/controls.py. Interrupt:
+        no memory, and next to no stack."""
+        drive = self._machine.drive
+        usual = drive.on_controls
+
+        @micropython.native
+        def on_controls(active: int) -> None:
+            usual(active)
+            call(active)
+
+        drive.on_controls = on_controls  # type: ignore[method-assign]
 
     def behind_reset(self, call: "Callable[[], object]") -> None:
         """Called behind the welcome, after power-up and every reset."""

@@ -34,7 +34,7 @@ _COMPLETE = const(8)  # the line has been found: the next one begins
 
 # Kinds of bytes.
 _AS_IT_IS = const(0)
-_REALTIME = const(1)
+REALTIME = const(1)
 _END = const(2)
 _NOTHING = const(3)
 _COMMENT = const(4)
@@ -111,7 +111,7 @@ def feed(data: ptr8, count: int, ring: ptr8, at: ptr32, kinds: ptr8, post: objec
     size = at[_SIZE]
     for i in range(count):
         c = data[i]
-        if kinds[c] == _REALTIME:
+        if kinds[c] == REALTIME:
             at[_HEAD] = head
             post(c)  # type: ignore[operator]
         else:
@@ -130,7 +130,7 @@ def _make_kinds(first: int, extra: int) -> bytearray:
     kinds = bytearray(256)
     for c in range(256):
         if c >= first or c == extra or c in b"\x18?~!":
-            kinds[c] = _REALTIME
+            kinds[c] = REALTIME
         elif c in b"\r\n":
             kinds[c] = _END
         elif c in b"(;":

@@ -53,7 +53,6 @@ class Protocol:
         restart: "Callable[[], None]",
         echoes: bool,
     ) -> None:
-        self._link = link
         self._state = state
         self._reader = reader
         self._report = report
@@ -67,8 +66,13 @@ class Protocol:
         self._echoes = echoes
         # Much at once, for a ? is not to wait behind lines; a line longer than the ring passes.
         self._buffer = bytearray(reader.free() // 2)
-        self._read_into = link.read_into
         self._feed = reader.feed
+        self.connect(link)
+
+    def connect(self, link: "Link") -> None:
+        """Say who sends lines and is answered. Before run()."""
+        self.link = link
+        self._read_into = link.read_into
 
     def pump(self) -> None:
         """Take in what has arrived."""
@@ -88,8 +92,8 @@ class Protocol:
     def run(self) -> None:
         """Execute lines for ever; a reset begins anew. The stack is short: no frame to spare."""
         reader, state, pending = self._reader, self._state, self._state.pending
-        fast, write, finish = self._interpreter.fast, self._link.write, self._saves.finish
-        memory, plan, others = needs(reader, fast, self._link, self._buffer)
+        fast, write, finish = self._interpreter.fast, self.link.write, self._saves.finish
+        memory, plan, others = needs(reader, fast, self.link, self._buffer)
         heard, at, line, kinds = memory
         known = plan[0]
         echoes, room = self._echoes, len(self._buffer)
@@ -97,7 +101,7 @@ class Protocol:
             try:
                 if self._drive.by_pin:  # what is unread was sent before the reset
                     self._drive.by_pin = False
-                    self._link.discard()
+                    self.link.discard()
                 self._restart()
                 known[WAITS] = 0
                 while True:
@@ -150,8 +154,8 @@ class Protocol:
         except (GrblError, OSError, Abort) as reason:
             self._refuse(reason, before)
         else:
-            self._link.write(before)
-            self._report.ok()
+            self.link.write(before)
+            self.link.write(OK)
 
     def _whose(self, line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
         """Who is to execute the line. Raises GrblError where nobody is."""
@@ -192,13 +196,13 @@ class Protocol:
         if isinstance(reason, OSError):
             self._report.message(errors.MSG_NOT_KEPT)  # it holds until the power goes
         if before:
-            self._link.write(before)
+            self.link.write(before)
         if isinstance(reason, GrblError):
             self._report.error(reason.code)
         elif isinstance(reason, OSError):
             self._report.error(errors.SETTING_READ_FAIL)
         else:
-            self._report.ok()  # the line was accepted; a reset cut it short
+            self.link.write(OK)  # the line was accepted; a reset cut it short
             raise reason
 
 

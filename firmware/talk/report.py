@@ -134,10 +134,6 @@ class Report:
 
     # Answers
 
-    def ok(self) -> None:
-        """The line was accepted."""
-        self._link.write(OK)
-
     def error(self, code: int) -> None:
         """The line was refused."""
         self._link.write(_ERROR % code)

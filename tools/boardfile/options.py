@@ -293,6 +293,10 @@ OPTIONS = (
         "Takes words of other controllers, drilling cycles among them: see docs/lenient.md.",
     ),
     Option(
+        *("JOBS", WORD, ""),
+        'The folder of programs that live on the board, "jobs" say: see docs/jobs.md.',
+    ),
+    Option(
         *("JERK", SWITCH, False),
         "Jerk can be limited while it runs, per axis: see docs/jerk.md.",
     ),

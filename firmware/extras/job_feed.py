@@ -1,0 +1,293 @@
+# mypy: disable-error-code="arg-type, call-overload, operator"
+"""Feed: a sender within the board, which streams a file to the machine's own loop.
+
+It stands between the loop and its link. While a job runs, the loop reads the file, as much as its
+ring has room for, and its answers are counted, not sent. So a job goes the way of any lines, as
+fast as they. Meanwhile real-time commands of the sender act, `$G` is answered, and his other lines are
+refused. Files lie in flash, and to read that takes no time from interrupts.
+"""
+
+from array import array
+
+import micropython
+from base import errors
+from base import state as st
+from micropython import const
+from motion import layout
+from talk.lines import REALTIME
+from talk.report import OK
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import IO
+
+    from talk.controller import Controller
+
+_BLOCK = const(512)
+_HEARD = const(32)
+_OWED = const(32)
+# A hold is noted in flash where not more of the stack is in use: a file system wants much of it.
+_STACK_BYTES = const(2560)
+# What is planned as made may still be in the engine for so long.
+_MADE_MS = const(40)
+
+# What the kernels know.
+_LINE = const(0)  # lines that have been answered
+_NOTED = const(1)  # rows of the planner's ring in front of this one are known by their lines
+_FROM = const(2)  # the next byte of the block,
+_LEFT = const(3)  # and how many there are
+_LAST = const(4)  # the last byte that was handed out
+
+_NEWLINE = const(10)
+_RETURN = const(13)
+_DOLLAR = const(36)
+_G = const(71)
+_O = const(111)  # of ok
+_STARTUP = const(62)  # ">", in front of what has become of a line at startup
+
+
+@micropython.viper
+def _deliver(block: ptr8, at: ptr32, buf: ptr8, room: int, kinds: ptr8) -> int:
+    """Move up to so many bytes of the file into buf. Nothing in it is a real-time command, and
+    the end of a line is one byte."""
+    start = at[_FROM]
+    left = at[_LEFT]
+    if room > left:
+        room = left
+    c = at[_LAST]
+    for i in range(room):
+        c = block[start + i]
+        buf[i] = 32 if kinds[c] == REALTIME or c == _RETURN else c
+    at[_LAST] = c
+    at[_FROM] = start + room
+    at[_LEFT] = left - room
+    return room
+
+
+@micropython.viper
+def _note(at: ptr32, lines: ptr32, flow: ptr32, answers: int) -> int:
+    """So many lines more have been answered, one or two: whose blocks those planned since are.
+    Where two have made one block it is taken for the first's. Returns the line."""
+    row = at[_NOTED]
+    head = flow[layout.HEAD]
+    rows = flow[layout.ROWS]
+    line = at[_LINE] + 1
+    at[_LINE] += answers
+    while row != head:
+        lines[row] = line
+        line = at[_LINE]
+        row += 1
+        if row == rows:
+            row = 0
+    at[_NOTED] = row
+    return line
+
+
+class Feed:
+    """A Link for the loop. on_refusal: called with Grbl's number where a line of the file is
+    refused; on_hold: where motion is held, once it is known at which line."""
+
+    def __init__(
+        self,
+        machine: "Controller",
+        on_refusal: "Callable[[int], object]",
+        on_hold: "Callable[[], object]",
+    ) -> None:
+        self._machine = machine
+        self._link = machine.protocol.link
+        self._read = self._link.read_into
+        self._write = self._link.write
+        self._error = machine.report.error
+        self._on_refusal = on_refusal
+        self._on_hold = on_hold
+        self._reader = machine.reader
+        _, _, _, self._kinds = machine.reader.memory()
+        self._flow = machine.planner.flow
+        self._lines = array("i", bytes(4 * self._flow[layout.ROWS]))
+        self._at = array("i", bytes(20))
+        self._block = bytearray(_BLOCK)
+        self._heard = bytearray(_HEARD)
+        self._said = bytearray(len(machine.reader.line))  # the sender's line, so far
+        self._said_length = 0
+        self._owed = bytearray(_OWED)  # answers to lines of his
+        self._owed_count = 0
+        self._file: "IO[bytes] | None" = None
+        self._size = self._read_bytes = 0
+        self._is_startup = False
+        self._since = self._made = self._before = self._held = 0
+        self.fault: "OSError | None" = None
+        self.is_on = False
+        machine.protocol.connect(self)
+        machine.report.error = self._refuse  # type: ignore[method-assign]
+
+    # The link seam
+
+    @micropython.native
+    def read_into(self, buf: bytearray) -> int:
+        """What has arrived; of the file, while a job runs."""
+        if not self.is_on:
+            return self._read(buf)
+        count = self._read(self._heard)
+        if count:
+            self._hear(count)
+        port = self._machine.port
+        if port.elapsed_ms(self._since) >= _MADE_MS:
+            self._since = port.ticks_ms()
+            self._before, self._made = self._made, self._being_made()
+            if self._machine.state.suspend & st.HOLD_COMPLETE:
+                self._hold()
+        if self._at[_LEFT] == 0 and not (self._file and self._fetch()):
+            return 0
+        room = min(len(buf), self._reader.free())
+        return _deliver(self._block, self._at, buf, room, self._kinds)
+
+    @micropython.native
+    def write(self, data: "bytes | bytearray | memoryview") -> None:
+        """An answer: counted where it is to a line of the file. What becomes of startup lines,
+        behind $H, is for the sender."""
+        if not self.is_on or data[0] != _O or self._is_startup:
+            self._is_startup = data[0] == _STARTUP
+            self._write(data)
+        else:
+            _note(self._at, self._lines, self._flow, len(data) >> 2)
+
+    def _refuse(self, code: int) -> None:
+        """Stand in for Report.error."""
+        if self.is_on and not self._is_startup:
+            self._on_refusal(code)
+        else:
+            self._is_startup = False
+            self._error(code)
+
+    def discard(self) -> None:
+        """Drop what has arrived and has not been read."""
+        self._link.discard()
+
+    # The file
+
+    def start(self, file: "IO[bytes]", size: int, line: int = 0) -> None:
+        """Have a file read from where it stands on, so many lines behind its beginning. Only
+        where the ring is empty."""
+        at = self._at
+        at[_LINE] = line
+        at[_NOTED] = self._flow[layout.HEAD]
+        at[_LEFT] = 0
+        at[_LAST] = _NEWLINE
+        self._file, self._size, self._read_bytes = file, size, 0
+        self._made = self._before = line + 1
+        self._held = 0
+        self._since = self._machine.port.ticks_ms()
+        self.fault = None
+        self.is_on = True
+
+    def cut(self) -> None:
+        """Nothing more is read, nor taken of what has been."""
+        if self._file:
+            self._file.close()
+            self._file = None
+        self._at[_LEFT] = 0
+        self._reader.clear()
+
+    def stop(self) -> None:
+        """The loop hears the sender again. Lines of his that are not answered yet are, and what
+        he has said of one more comes in front of its rest."""
+        self.cut()
+        self.answer()
+        self.is_on = False
+        if self._said_length:
+            self._reader.feed(self._said, min(self._said_length, len(self._said)))
+            self._said_length = 0
+
+    def drop(self) -> None:
+        """As stop(), behind a reset: what the sender has said before is forgotten."""
+        self._said_length = self._owed_count = 0
+        self.stop()
+
+    def has_ended(self) -> bool:
+        """All lines have been taken."""
+        return not (self._file or self._at[_LEFT] or self._reader.has_line())
+
+    def line(self) -> int:
+        """The last line that has been answered."""
+        return self._at[_LINE]
+
+    def made(self) -> int:
+        """The line whose motion is being made; or was, some 40 to 80 ms ago."""
+        return self._before
+
+    def _hold(self) -> None:
+        at_rest = self._before == self._made != self._held
+        if at_rest and micropython.stack_use() < _STACK_BYTES:
+            self._held = self._made
+            self._on_hold()
+
+    def _being_made(self) -> int:
+        flow = self._flow
+        tail = flow[layout.TAIL]
+        return self._at[_LINE] + 1 if tail == flow[layout.HEAD] else self._lines[tail]
+
+    def percent(self) -> float:
+        """How much of the file has been read."""
+        return 100 * self._read_bytes / self._size if self._size else 100.0
+
+    def _fetch(self) -> int:
+        """The next block of the file; at its end, the end of its last line."""
+        at, file = self._at, self._file
+        assert file
+        at[_FROM] = 0
+        try:
+            at[_LEFT] = file.readinto(self._block)  # type: ignore[attr-defined]
+        except OSError as fault:
+            self.fault = fault
+        self._read_bytes += at[_LEFT]
+        if at[_LEFT] == 0:
+            file.close()
+            self._file = None
+            if at[_LAST] != _NEWLINE:
+                self._block[0] = _NEWLINE
+                at[_LEFT] = 1
+        return at[_LEFT]
+
+    # The sender, meanwhile
+
+    def _hear(self, count: int) -> None:
+        for i in range(count):
+            c = self._heard[i]
+            if self._kinds[c] == REALTIME:
+                self._reader.post(c)
+            elif c in b"\r\n":
+                self._owe()
+                self._said_length = 0
+            else:
+                if self._said_length < len(self._said):
+                    self._said[self._said_length] = c
+                self._said_length += 1
+
+    def _owe(self) -> None:
+        """The sender's line is complete: what it is answered with, at the loop's next turn."""
+        line = bytes(self._said[: self._said_length]).upper().strip()
+        answer = 0
+        if line == b"$G":
+            answer = _G
+        elif line:
+            answer = errors.IDLE_ERROR if line[0] == _DOLLAR else errors.SYSTEM_GC_LOCK
+        if self._owed_count == _OWED:
+            self._error(errors.OVERFLOW)  # who sends so much does not count answers
+            return
+        self._owed[self._owed_count] = answer
+        self._owed_count += 1
+        self._machine.state.pending[st.ANY] = 1  # or the loop takes line after line
+
+    def answer(self) -> None:
+        """Answer what the sender has said. At a turn of the loop."""
+        machine = self._machine
+        for i in range(self._owed_count):
+            answer = self._owed[i]
+            if answer not in (0, _G):
+                self._error(answer)
+                continue
+            if answer:
+                machine.report.modes(machine.commands.modes())
+            self._write(OK)
+        self._owed_count = 0

@@ -1,0 +1,414 @@
+"""Jobs: programs that live on the board, and run without a computer."""
+
+import base64
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from base.controls import START
+from ugrbl.boardfile.files import load_board
+from ugrbl.sim.replay import factory_store
+from ugrbl.sim.rig import MemoryStore, Rig
+from ugrbl.sim.sender import Sender
+
+Script = Callable[["Bench"], Iterator[Any]]
+
+_PIECE = 2048
+_LINE = 256
+
+
+class Bench:
+    """A machine with a folder of jobs, and a sender."""
+
+    def __init__(self, folder: Path, store: "MemoryStore | None" = None, **options: Any) -> None:
+        board = ModuleType("board")
+        vars(board).update(vars(load_board("sim")), JOBS=str(folder / "jobs"), **options)
+        self.folder = folder / "jobs"
+        self.store = store or factory_store(load_board("sim"))
+        self.rig = Rig(board, self.store)
+        self.sender = Sender(self.rig)
+        self.sender.allow(36_000_000)
+        self.steps: list[int] = []  # at last
+        self.moves: list[tuple[float, ...]] = []  # targets planned
+        self.rig.on_built = self._listen
+
+    def _listen(self) -> None:
+        machine = self.rig.controller
+        machine.interpreter.fast.is_open = False  # or not all moves would come past here
+        planner = machine.planner
+        usual = planner.line
+
+        def line(target: Any, move: Any, power: int) -> bool:
+            self.moves.append(tuple(round(mm, 3) for mm in target))
+            return usual(target, move, power)
+
+        planner.line = line  # type: ignore[method-assign]
+
+    def put(self, name: str, *lines: str, end: str = "\n") -> None:
+        """A file, as if it had been sent."""
+        self.folder.mkdir(exist_ok=True)
+        (self.folder / name).write_bytes("".join(line + end for line in lines).encode())
+
+    def run(self, script: Script) -> list[str]:
+        """What the machine says while the script runs, its welcome behind the line with its
+        version."""
+        said: list[str] = []
+
+        def all_of_it() -> Iterator[Any]:
+            yield from self.sender.wait("banner", "")
+            yield self.rig.ms(100)
+            yield from script(self)
+            said.extend(self.sender.take())
+            self.rig.engine.position(self.rig.scratch)
+            self.steps = list(self.rig.scratch)
+
+        self.rig.run(all_of_it())
+        return [line for line in said if line and not line.startswith("Grbl ")]
+
+    def kept(self) -> list[str]:
+        """What is noted of the job."""
+        return self.store.files.get("job", [])
+
+
+def say(*lines: str, wait_s: float = 60) -> Script:
+    """Each line behind the answer to the one before, and time for a job to end."""
+
+    def script(bench: Bench) -> Iterator[Any]:
+        for line in lines:
+            yield from bench.sender.wait("ok", line + "\n")
+        yield bench.rig.ms(1000 * wait_s)
+
+    return script
+
+
+def streamed(folder: Path, lines: Sequence[str]) -> list[int]:
+    """The steps at last where a sender streams those lines."""
+    bench = Bench(folder)
+    bench.run(say(*lines))
+    return bench.steps
+
+
+PROGRAM = ("G21G91", "G1X10F1200 (really? {~!}: 5\xb5m)", "", "Y5 ; done!", "Z-1")
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_job_does_what_its_lines_do_that_are_streamed(tmp_path: Path, end: str) -> None:
+    bench = Bench(tmp_path)
+    bench.put("CUBE.NC", *PROGRAM, end=end)
+    said = bench.run(say("$F=cube.nc"))
+    assert said == ["ok", "[MSG:Job CUBE.NC: begins]", "[MSG:Job CUBE.NC: done, 5 lines]"]
+    assert bench.steps == streamed(tmp_path, ("G21G91", "G1X10F1200", "Y5", "Z-1"))
+    assert bench.kept() == []
+
+
+def test_a_last_line_without_an_end_is_done(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("A.NC", "G0X1")
+    (bench.folder / "A.NC").write_bytes(b"G0X1\nG0X2")
+    assert bench.run(say("$F=A.NC"))[-1] == "[MSG:Job A.NC: done, 2 lines]"
+    assert bench.moves[-1][0] == 2
+
+
+def test_what_is_behind_the_end_of_the_program_is_not_done(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("A.NC", "G0X1", "M30", "%", "G0X9")
+    said = bench.run(say("$F=A.NC"))
+    assert said[-2:] == ["[MSG:Pgm End]", "[MSG:Job A.NC: done, 2 lines]"]
+    assert bench.moves[-1][0] == 1
+
+
+def test_jobs_are_listed_shown_and_deleted(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("B.NC", "G0X1")
+    bench.put("a.nc", "G0X2", "G0X3")
+    bench.put(".hidden", "G0X9")
+    said = bench.run(say("$F", "$F<=A.NC", "$FD=A.NC", "$F", wait_s=0))
+    files = ["[FILE:/B.NC|SIZE:5]", "[FILE:/a.nc|SIZE:10]"]
+    told = [line for line in said if not line.startswith("[MSG:Room for ")]
+    assert told == [*files, "ok", "G0X2\nG0X3\n", "ok", "ok", files[0], "ok"]
+
+
+def test_words_of_fluidnc_do_the_same(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("B.NC", "G0X1")
+    lines = ("$SD/List", "$LocalFS/Show=B.NC", "$LocalFS/Run=B.NC", "$SD/Delete=B.NC", "$SD/Run")
+    said = bench.run(say(*lines[:3]))
+    assert said[0] == "[FILE:/B.NC|SIZE:5]"
+    assert said[-1] == "[MSG:Job B.NC: done, 1 lines]"
+    assert bench.run(say(*lines[3:]))[-2:] == ["ok", "error:3"]
+    assert not list(bench.folder.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("line", "answer"),
+    [
+        ("$F=NONE.NC", "[MSG:There is no job NONE.NC: $F lists them]"),
+        ("$FD=BOOK.NC", "[MSG:There is no job BOO-K.NC: $F lists them]"),
+        ("$F<=", "[MSG:There is no job : $F lists them]"),
+        ("$FX=A.NC", ""),
+        ("$FA", ""),
+        ("$SD/Format=1", ""),
+    ],
+)
+def test_what_cannot_be_is_refused_in_words(tmp_path: Path, line: str, answer: str) -> None:
+    said = Bench(tmp_path).run(say(line, wait_s=0))
+    assert said[-1] == "error:3"
+    assert said[:-1] == ([answer] if answer else [])
+
+
+# What goes wrong, and who comes between
+
+
+def test_a_refused_line_ends_the_job_with_its_number_and_the_tool_off(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("A.NC", "M3S1000", "G91", "G1X5F1200", "G1X5", "G5 X1", "G1X90")
+    said = bench.run(say("$F=A.NC", "$G"))
+    assert "[MSG:Job A.NC: line 5 is refused with 20]" in said
+    assert bench.moves[-1][0] == 10
+    assert bench.rig.port.spindle_pwm == 0
+    assert bench.kept() == ["A.NC", "5"]
+
+
+def test_an_alarm_refuses_a_job(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("A.NC", "G0X1")
+    assert bench.run(say("$22=1", "$RST=#", wait_s=0))
+    assert bench.run(say("$F=A.NC"))[-1] == "error:9"
+    assert bench.moves == []
+
+
+def test_a_job_in_check_mode_moves_nothing(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("A.NC", "G0X10", "G1X20F100")
+    said = bench.run(say("$C", "$F=A.NC"))
+    assert said[-1] == "[MSG:Job A.NC: done, 2 lines]"
+    assert bench.steps == [0, 0, 0]
+
+
+LONG = ("G91", *["G1X1F600"] * 40)  # of 100 ms each
+
+
+def test_a_sender_hears_how_far_it_is_and_his_lines_are_refused(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("A.NC", *LONG)
+
+    def script(bench: Bench) -> Iterator[Any]:
+        yield from bench.sender.wait("ok", "$F=A.NC\n")
+        yield bench.rig.ms(1000)
+        bench.sender.take()
+        yield from bench.sender.wait("report", "?")
+        assert "|SD:100.0,/A.NC>" in bench.sender.lines[0]  # all is in the ring
+        bench.sender.take()
+        yield from bench.sender.wait("ok", "$G\n\n$$\nG0X99\n$J=G91X1F100\n")
+        told = bench.sender.take()
+        assert told[0].startswith("[GC:G1 ")
+        assert told[1:] == ["ok", "ok", "error:8", "error:9", "error:8"]
+        bench.rig.link.send(b"G1 X")  # goes on behind the job
+        yield bench.rig.ms(9000)
+        yield from bench.sender.wait("ok", "7F600\n")
+        yield bench.rig.ms(3000)
+
+    said = bench.run(script)
+    assert said == ["[MSG:Job A.NC: done, 41 lines]", "ok"]
+    assert bench.moves[-1][0] == 47
+
+
+def test_a_line_of_the_sender_behind_its_order_comes_first(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("A.NC", "G0X5")
+
+    def script(bench: Bench) -> Iterator[Any]:
+        yield from bench.sender.wait("ok", "$F=A.NC\nG0Y1\n")
+        yield bench.rig.ms(5000)
+
+    assert bench.run(script)[-1] == "[MSG:Job A.NC: done, 1 lines]"
+    assert bench.moves == [(0, 1, 0), (5, 1, 0)]
+
+
+def test_a_hold_keeps_the_line_and_a_cycle_start_goes_on(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("A.NC", *LONG)
+
+    def script(bench: Bench) -> Iterator[Any]:
+        yield from bench.sender.wait("ok", "$F=A.NC\n")
+        yield bench.rig.ms(1650)
+        bench.rig.link.send(b"!")
+        yield bench.rig.ms(1000)
+        bench.rig.engine.position(bench.rig.scratch)
+        line = int(bench.rig.scratch[0] / 250) + 2  # behind G91, and counted from 1
+        assert bench.kept() == ["A.NC", str(line)]
+        bench.rig.link.send(b"~")
+        yield bench.rig.ms(9000)
+
+    assert bench.run(script)[-1] == "[MSG:Job A.NC: done, 41 lines]"
+    assert bench.steps[0] == 40 * 250
+    assert bench.kept() == []
+
+
+def test_a_reset_ends_the_job_and_tells_where(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("A.NC", *LONG)
+
+    def script(bench: Bench) -> Iterator[Any]:
+        yield from bench.sender.wait("ok", "$F=A.NC\n")
+        yield bench.rig.ms(1650)
+        yield from bench.sender.wait("banner", "\x18")
+        yield bench.rig.ms(3000)
+        yield from bench.sender.wait("ok", "$X\n")
+
+    said = bench.run(script)
+    assert "ALARM:3" in said
+    assert said[-1] == "ok" and said.count("ok") == 2
+    line = bench.steps[0] // 250 + 2
+    assert bench.kept()[0] == "A.NC"
+    assert line - 1 <= int(bench.kept()[1]) <= line
+    assert f"[MSG:Job A.NC: stopped at line {bench.kept()[1]}]" in said
+
+
+def test_a_power_cut_is_told_of_when_the_power_is_back(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("A.NC", *LONG)
+    bench.run(say("$F=A.NC", wait_s=1))
+    assert bench.kept() == ["A.NC", "1"]
+    said = Bench(tmp_path, bench.store).run(say("$G", wait_s=0))
+    assert said[0] == "[MSG:Job A.NC: did not come to its end; last noted: line 1]"
+
+
+def test_the_start_button_runs_its_job_at_rest_and_only_then(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("A.NC", "G91", "G0X5")
+
+    def press(bench: Bench) -> Iterator[Any]:
+        for _ in range(2):
+            bench.rig.controller.drive.on_controls(START)
+            yield bench.rig.ms(100)
+        yield bench.rig.ms(5000)
+
+    assert bench.run(press) == []
+    said = bench.run(say("$FB", "$FB=A.NC", "$FB", wait_s=0))
+    assert said == [
+        "[MSG:Start button: no job]",
+        *("ok", "ok"),
+        "[MSG:Start button: A.NC]",
+        "ok",
+    ]
+    assert bench.run(press)[-1] == "[MSG:Job A.NC: done, 2 lines]"
+    assert len(bench.moves) == 1
+    assert bench.run(say("$FB=", "$FB", wait_s=0))[1] == "[MSG:Start button: no job]"
+
+
+# Files that come over the line
+
+
+def lines_of(piece: bytes) -> list[bytes]:
+    return [base64.b64encode(piece[at : at + _LINE]) + b"\n" for at in range(0, len(piece), _LINE)]
+
+
+def push(name: str, data: bytes, checksum: "int | None" = None, cut: int = -1) -> Script:
+    """Send a file as `ugrbl job push` does; cut: the power goes behind so many bytes of it."""
+
+    def script(bench: Bench) -> Iterator[Any]:
+        sender = bench.sender
+        crc = zlib.crc32(data) if checksum is None else checksum
+        bench.rig.link.send(f"$FU={name},{len(data)},{crc:x}\n".encode())
+        for at in range(0, len(data), _PIECE):
+            asked = f"[FU:{at}]"
+            yield from sender.until(lambda asked=asked: asked in sender.lines or sender.answers)
+            for line in lines_of(data[at : at + _PIECE]):
+                if 0 <= cut - at < _PIECE:
+                    bench.rig.link.send(line[: cut - at])
+                    yield bench.rig.ms(100)
+                    return
+                bench.rig.link.send(line)
+        yield from sender.until(lambda: sender.answers > 0)
+        yield bench.rig.ms(100)
+
+    return script
+
+
+DATA = bytes(range(256)) * 20 + b"G0X1\n"
+
+
+def test_a_file_comes_over_the_line_byte_by_byte(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    said = bench.run(push("new.nc", DATA))
+    assert said == ["[FU:0]", "[FU:2048]", "[FU:4096]", "ok"]
+    assert [file.name for file in bench.folder.iterdir()] == ["NEW.NC"]
+    assert (bench.folder / "NEW.NC").read_bytes() == DATA
+
+
+@pytest.mark.parametrize("cut", [0, 1, 100, 2047, 2048, 4096, 5000])
+def test_a_power_cut_leaves_the_old_file(tmp_path: Path, cut: int) -> None:
+    bench = Bench(tmp_path)
+    bench.put("NEW.NC", "G0X9")
+    bench.run(push("NEW.NC", DATA, cut=cut))
+    again = Bench(tmp_path)
+    files = again.run(say("$F", wait_s=0))
+    assert files[0] == "[FILE:/NEW.NC|SIZE:5]" and files[1].startswith("[MSG:Room for ")
+    assert again.run(push("NEW.NC", DATA))[-1] == "ok"
+    assert [file.name for file in bench.folder.iterdir()] == ["NEW.NC"]
+
+
+def test_another_checksum_leaves_the_old_file(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("NEW.NC", "G0X9")
+    said = bench.run(push("NEW.NC", DATA, checksum=1))
+    assert said[-2:] == ["[MSG:Not taken: its checksum is another]", "error:3"]
+    assert [file.read_text() for file in bench.folder.iterdir()] == ["G0X9\n"]
+
+
+def test_a_sender_that_goes_silent_is_not_waited_for(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+
+    def script(bench: Bench) -> Iterator[Any]:
+        yield from bench.sender.wait("ok", "$FU=A.NC,5000,0\n")
+        yield from bench.sender.wait("ok", "$G\n")
+
+    said = bench.run(script)
+    assert said[1:3] == ["[MSG:Not taken: it broke off]", "error:3"]
+    assert list(bench.folder.iterdir()) == []
+
+
+def test_a_reset_ends_the_transfer(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+
+    def script(bench: Bench) -> Iterator[Any]:
+        bench.rig.link.send(b"$FU=A.NC,5000,0\n")
+        yield bench.rig.ms(500)
+        bench.rig.link.send(b"?")
+        yield bench.rig.ms(500)
+        yield from bench.sender.wait("banner", "\x18")
+        yield from bench.sender.wait("ok", "$G\n")
+
+    said = bench.run(script)
+    assert said[0] == "[FU:0]" and said[1].startswith("<Idle|")
+    assert list(bench.folder.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("order", "why"),
+    [
+        ("A.NC,0,0", "[MSG:A.NC: 0 bytes, and there is room for "),
+        ("A.NC,-5,0", "[MSG:A.NC: -5 bytes, and there is room for "),
+        ("A.NC,999999999999999,0", "[MSG:A.NC: 999999999999999 bytes, and there is room for "),
+        (".A,5,0", "[MSG:A job is called so: "),
+        ("A.PART,5,0", "[MSG:A job is called so: "),
+        ("A@3,5,0", "[MSG:A job is called so: "),
+        ("ABCDEFGHIJKLMNOPQRSTUVWXYZ1234567,5,0", "[MSG:A job is called so: "),
+    ],
+)
+def test_what_cannot_be_taken_is_refused_before_anything_is_done(
+    tmp_path: Path, order: str, why: str
+) -> None:
+    bench = Bench(tmp_path)
+    said = bench.run(say(f"$FU={order}", wait_s=0))
+    assert said[0].startswith(why) and said[1:] == ["error:3"]
+    assert not bench.folder.exists()
+
+
+@pytest.mark.parametrize("order", ["", "A.NC", "A.NC,5", "A.NC,5,X", "A.NC,X,5"])
+def test_an_order_without_its_numbers_is_refused(tmp_path: Path, order: str) -> None:
+    assert Bench(tmp_path).run(say(f"$FU={order}", wait_s=0)) == ["error:2"]
