@@ -6,7 +6,7 @@ An implementation need not inherit from these: mypy checks each one where
 
 from array import array
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Protocol
+from typing import IO, Any, Protocol
 
 from control.spindle import Spindle
 from extras.api import Cnc
@@ -265,6 +265,42 @@ class BoardPort(Port, Protocol):
     def watch(self, timeout_ms: int) -> Callable[[], None] | None:
         """Make the chip start anew where the result is not called for so long; 0: no more."""
 
+class JobFiles(Protocol):
+    """Programs that live on the board, by name. What cannot be done is an OSError."""
+
+    def connect(self, around: Callable[[Callable[[], None]], None]) -> None:
+        """Say how flash is written: around() calls what does it."""
+
+    def is_name(self, name: str) -> bool:
+        """Whether a program may be called so."""
+
+    def files(self) -> list[tuple[str, int]]:
+        """Names and sizes in bytes, in order."""
+
+    def size(self, name: str) -> int:
+        """Bytes; -1 where there is none of that name."""
+
+    def open(self, name: str) -> IO[bytes]:
+        """To be read."""
+
+    def room_kb(self) -> int:
+        """What still fits."""
+
+    def delete(self, name: str) -> None:
+        """Take one away."""
+
+    def begin(self, name: str) -> IO[bytes]:
+        """Where to write what is to be called so."""
+
+    def append(self, file: IO[bytes], piece: bytes) -> None:
+        """Write the next piece."""
+
+    def finish(self, name: str, file: IO[bytes], checksum: int) -> bool:
+        """Have it take its place at once; False where its CRC-32 is another: the old one stays."""
+
+    def drop(self, name: str, file: IO[bytes]) -> None:
+        """What has come is not wanted."""
+
 class Options(Protocol):
     """What an extra's prepare() may have otherwise, before the machine is made."""
 
@@ -275,6 +311,7 @@ class Options(Protocol):
     line_length: int  # characters of a line
     defaults: dict[int, float]  # settings that differ from Grbl's
     custom: tuple[str, ...]  # the user's own modules
+    job_files: JobFiles | None  # programs that live on the board
 
 class Extra(Protocol):
     """A module of extras/, or a user's. It may have PINS: what it calls pins in the board file;

@@ -161,20 +161,33 @@ def test_a_board_gets_what_it_can_use() -> None:
         "esp_chip/trains.py",
         "esp_chip/pins.py",
     } < rmt and "esp_chip/i2s.py" not in rmt
-    assert needed(TOOL="punch") - pico == {"extras/api.py", "extras/punch.py"}
+    assert needed(TOOL="punch") - pico == {
+        "extras/api.py",
+        "extras/own_words.py",
+        "extras/punch.py",
+    }
     custom = needed(CUSTOM="custom") - pico  # which is the default
-    assert {"extras/api.py", "extras/custom.py", "extras/machine_operator.py"} < custom
+    assert {
+        "extras/api.py",
+        "extras/own_words.py",
+        "extras/custom.py",
+        "extras/machine_operator.py",
+    } < custom
     assert all(name.startswith("extras/") for name in custom)
     laser = needed(TOOL="laser") - pico
     assert laser == {
-        *("extras/api.py", "extras/laser.py", "motion/beam.py"),
+        *("extras/api.py", "extras/own_words.py", "extras/laser.py", "motion/beam.py"),
         *("pio/beam.py", "pio/beam_program.py"),
     }
     clusters = {"extras/clusters.py", "language/clusters.py"}
     assert needed(TOOL="laser", CLUSTERS=True) - pico - laser == clusters
     jerk = {"extras/jerk.py", "motion/jerk_kernel.py", "motion/jerk_plan.py"}
-    assert needed(JERK=True) - pico - {"extras/api.py"} == jerk
-    assert needed(DIALECT="0.9") - pico == {"extras/api.py", "extras/dialect_09.py"}
+    assert needed(JERK=True) - pico - {"extras/api.py", "extras/own_words.py"} == jerk
+    assert needed(DIALECT="0.9") - pico == {
+        "extras/api.py",
+        "extras/own_words.py",
+        "extras/dialect_09.py",
+    }
 
 
 def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() -> None:

@@ -61,7 +61,7 @@ def test_every_table_has_its_place():
 
 
 def test_every_code_is_in_the_reference():
-    from extras.api import is_grbls
+    from extras.own_words import is_grbls
 
     found = words.g_words() + words.m_words()
     numbers = {(word[0], int(word[1:].partition(".")[0])) for word in found}

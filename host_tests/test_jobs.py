@@ -9,7 +9,9 @@ from typing import Any
 
 import pytest
 from base.controls import START
+from base.state import HOLD
 from ugrbl.boardfile.files import load_board
+from ugrbl.sim import switches
 from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import MemoryStore, Rig
 from ugrbl.sim.sender import Sender
@@ -33,19 +35,31 @@ class Bench:
         self.sender.allow(36_000_000)
         self.steps: list[int] = []  # at last
         self.moves: list[tuple[float, ...]] = []  # targets planned
+        self.log: list[tuple[int, Any]] = []  # all that moves are made of, by lines of the job
         self.rig.on_built = self._listen
 
     def _listen(self) -> None:
         machine = self.rig.controller
         machine.interpreter.fast.is_open = False  # or not all moves would come past here
-        planner = machine.planner
-        usual = planner.line
+        planner, canon = machine.planner, machine.canon
+        usual_line, usual_arc = planner.line, canon.arc
+        link: Any = machine.protocol.link
+
+        def note(*what: Any) -> None:
+            self.log.append((link.line() + 1 if link.is_on else 0, what))
 
         def line(target: Any, move: Any, power: int) -> bool:
             self.moves.append(tuple(round(mm, 3) for mm in target))
-            return usual(target, move, power)
+            flags = move.flags, move.feed, move.spindle_rpm
+            note(flags, power, tuple(target), tuple(planner.position))
+            return usual_line(target, move, power)
+
+        def arc(start: Any, target: Any, arc: Any, move: Any) -> None:
+            note(move.flags, move.feed, tuple(start), tuple(target), sorted(vars(arc).items()))
+            usual_arc(start, target, arc, move)
 
         planner.line = line  # type: ignore[method-assign]
+        canon.arc = arc  # type: ignore[method-assign]
 
     def put(self, name: str, *lines: str, end: str = "\n") -> None:
         """A file, as if it had been sent."""
@@ -68,6 +82,10 @@ class Bench:
         self.rig.run(all_of_it())
         return [line for line in said if line and not line.startswith("Grbl ")]
 
+    def behind(self, line: int) -> list[tuple[int, Any]]:
+        """The log from a line of the job on."""
+        return [entry for entry in self.log if entry[0] >= line]
+
     def kept(self) -> list[str]:
         """What is noted of the job."""
         return self.store.files.get("job", [])
@@ -77,9 +95,30 @@ def say(*lines: str, wait_s: float = 60) -> Script:
     """Each line behind the answer to the one before, and time for a job to end."""
 
     def script(bench: Bench) -> Iterator[Any]:
+        sender = bench.sender
         for line in lines:
-            yield from bench.sender.wait("ok", line + "\n")
+            before = sender.answers
+            bench.rig.link.send(line.encode() + b"\n")
+            yield from sender.until(lambda before=before: sender.answers > before)
         yield bench.rig.ms(1000 * wait_s)
+
+    return script
+
+
+def to_its_end(*lines: str) -> Script:
+    """As say(), but no longer than the job that the last line asks for."""
+
+    def has_ended(text: str) -> bool:
+        return text.startswith("[MSG:Job ") and not (" begins" in text or " goes on at " in text)
+
+    def script(bench: Bench) -> Iterator[Any]:
+        sender = bench.sender
+        yield from say(*lines, wait_s=0)(bench)
+        while not any(map(has_ended, sender.lines)):
+            if bench.rig.controller.state.run == HOLD:
+                bench.rig.link.send(b"~")  # M0, or M6 of a lenient board
+            yield bench.rig.ms(50)
+            sender.poll()
 
     return script
 
@@ -169,7 +208,7 @@ def test_a_refused_line_ends_the_job_with_its_number_and_the_tool_off(tmp_path: 
     assert "[MSG:Job A.NC: line 5 is refused with 20]" in said
     assert bench.moves[-1][0] == 10
     assert bench.rig.port.spindle_pwm == 0
-    assert bench.kept() == ["A.NC", "5"]
+    assert bench.kept()[:2] == ["A.NC", "5"]
 
 
 def test_an_alarm_refuses_a_job(tmp_path: Path) -> None:
@@ -239,7 +278,7 @@ def test_a_hold_keeps_the_line_and_a_cycle_start_goes_on(tmp_path: Path) -> None
         yield bench.rig.ms(1000)
         bench.rig.engine.position(bench.rig.scratch)
         line = int(bench.rig.scratch[0] / 250) + 2  # behind G91, and counted from 1
-        assert bench.kept() == ["A.NC", str(line)]
+        assert bench.kept()[:2] == ["A.NC", str(line)]
         bench.rig.link.send(b"~")
         yield bench.rig.ms(9000)
 
@@ -272,7 +311,7 @@ def test_a_power_cut_is_told_of_when_the_power_is_back(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", *LONG)
     bench.run(say("$F=A.NC", wait_s=1))
-    assert bench.kept() == ["A.NC", "1"]
+    assert bench.kept()[:2] == ["A.NC", "1"]
     said = Bench(tmp_path, bench.store).run(say("$G", wait_s=0))
     assert said[0] == "[MSG:Job A.NC: did not come to its end; last noted: line 1]"
 
@@ -412,3 +451,59 @@ def test_what_cannot_be_taken_is_refused_before_anything_is_done(
 @pytest.mark.parametrize("order", ["", "A.NC", "A.NC,5", "A.NC,5,X", "A.NC,X,5"])
 def test_an_order_without_its_numbers_is_refused(tmp_path: Path, order: str) -> None:
     assert Bench(tmp_path).run(say(f"$FU={order}", wait_s=0)) == ["error:2"]
+
+
+# Going on in the middle
+
+FAST = ("$110=6000", "$111=6000", "$112=6000", "$120=2000", "$121=2000", "$122=2000")
+HOMED = ("$22=1", "$24=300", "$25=3000", "$27=5", "$130=40", "$131=40", "$132=40", "$H")
+
+
+def homed(bench: Bench) -> Bench:
+    """With switches at both ends, and settings that let it home."""
+    listen = bench.rig.on_built
+
+    def on_built() -> None:
+        if listen:
+            listen()
+        if not bench.rig.engine.switches:
+            switches.fit(bench.rig)
+
+    bench.rig.on_built = on_built
+    return bench
+
+
+def test_a_job_is_not_entered_in_its_middle_before_the_machine_is_homed(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("A.NC", *PROGRAM)
+    said = bench.run(say("$F=A.NC@3", wait_s=1))
+    assert said == ["[MSG:Job A.NC: to go on in its middle, home first ($H)]", "error:3"]
+    assert bench.moves == []
+
+
+ROUTER = (
+    "G21 G90 G54",
+    "G0 X0 Y0 Z-10",
+    "M3 S1000",
+    "G0 X-100 Y-50",
+    "G1 Z-30 F600",
+    "G91 G1 X-20",
+    "Y-20",
+    "X20",
+    "G90 G2 X-100 Y-50 I0 J10",
+    "G0 Z-10",
+    "M30",
+)
+
+
+@pytest.mark.parametrize("line", range(2, 12))
+def test_it_goes_on_at_a_line_as_if_all_before_it_had_been_done(tmp_path: Path, line: int) -> None:
+    whole = homed(Bench(tmp_path))
+    whole.put("A.NC", *ROUTER)
+    whole.run(to_its_end(*FAST, *HOMED, "$F=A.NC"))
+    part = homed(Bench(tmp_path))
+    said = part.run(to_its_end(*FAST, *HOMED, f"$F=A.NC@{line}"))
+    assert f"[MSG:Job A.NC: goes on at line {line}]" in said
+    assert said[-1] == "[MSG:Job A.NC: done, 11 lines]"
+    assert part.steps == whole.steps
+    assert part.behind(line) == whole.behind(line)

@@ -17,6 +17,17 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from types import ModuleType
 
+    from ports.job_files import JobFiles
+
+
+def _make_job_files(folder: str) -> "JobFiles | None":
+    """Programs that live on the board, where it has a place for them."""
+    if not folder:
+        return None
+    from ports.job_files import JobFiles
+
+    return JobFiles(folder)
+
 
 class Options:
     """What wiring.py wants to know. Raises ValueError where an extra cannot be."""
@@ -43,6 +54,7 @@ class Options:
         self.echo: bool = option("ECHO", False)
         # What an extra may have otherwise, before the machine is made: prepare().
         self.custom = guests.customs(board)
+        self.job_files = _make_job_files(option("JOBS", ""))
         self.extras = guests.modules(guests.names(board, bool(self.custom)))
         self.report: "type[Report]" = Report
         self.spindle: "type[Spindle]" = Spindle

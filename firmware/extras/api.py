@@ -9,11 +9,11 @@ import micropython
 from base import errors
 from base import state as st
 from base.errors import GrblError
-from base.f32 import whole
 from control.modes import MOTION
 from language import block as b
-from language.words import Words
 from micropython import const
+
+from extras.own_words import OwnWords
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -23,35 +23,6 @@ if TYPE_CHECKING:
     from base.settings import Rows
     from control.coords import Coords
     from talk.controller import Controller
-
-    # What to call, the letters of its numbers, whether it waits, all letters its line may have.
-    Word = tuple[Callable[..., object], str, bool, str]
-    # Letter and tenths of a word, G38.2 is 382, and of its L, where that belongs to it, or 0.
-    Key = tuple[str, int, int]
-
-_G10 = const(100)  # in tenths
-_GRBLS_L = (2, 20)
-
-
-def word_of(letter: str, number: "float | str") -> "Key":
-    """A word by what tells it from others: 81, 81.0 and "81" are one. ValueError for no number."""
-    plain, _, its_l = str(number).partition(" L")
-    return letter, _tenths(float(plain)), _tenths(float(its_l or 0))
-
-
-def _tenths(number: float) -> int:
-    return whole(number * 10 + 0.5)
-
-
-def is_grbls(letter: str, tenths: int) -> bool:
-    """Whether Grbl has that G or M word, or knows how it is malformed."""
-    number = tenths // 10
-    if letter == "G" and number >= b.M_WORDS:
-        return False
-    decimals = b.decimals_of(number + b.M_WORDS if letter == "M" else number)
-    if decimals < 0 or tenths % 10 == 0:
-        return decimals >= 0 and decimals & b.NEEDED == 0
-    return decimals & b.OTHERS == 0 or decimals & b.TENTHS & 1 << tenths % 10 - 1 > 0
 
 
 def work_zero(coords: "Coords", system: int, axis: int) -> float:
@@ -74,8 +45,9 @@ class Cnc:
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
-        self._words: "dict[Key, Word]" = {}
-        self._read = Words(len(machine.reader.line))
+        self._words = OwnWords(machine)
+        # Whoever knows why a program cannot be entered in its middle now says it; "" where it can.
+        self.entries: "list[Callable[[], str]]" = []
 
     # What there is
 
@@ -145,7 +117,7 @@ class Cnc:
         """An M word, on a line of its own: call gets the numbers behind the letters, in the order
         of `letters`; lower case may be missing, and is None then. It runs when motion has come to
         its end, or with sync=False while it goes on. ValueError where the word is taken."""
-        self._add("M", number, call, letters, sync)
+        self._words.add("M", number, call, letters, sync)
 
     def add_g(
         self,
@@ -155,34 +127,15 @@ class Cnc:
         sync: bool = True,
     ) -> None:
         """The same for a G word: 81, 81.1, or with an L that Grbl has no use for, "10 L1"."""
-        self._add("G", number, call, letters, sync)
+        self._words.add("G", number, call, letters, sync)
 
     def is_taken(self, letter: str, number: "float | str") -> bool:
         """Whether Grbl, or somebody else, has that G or M word."""
-        key = word_of(letter, number)
-        if key in self._words:
-            return True
-        is_free = key[1] == _G10 and key[2] and key[2] // 10 not in _GRBLS_L
-        return is_grbls(letter, key[1]) and not is_free
+        return self._words.is_taken(letter, number)
 
     def has_word(self, line: bytearray, length: int) -> bool:
         """Whether a line, which a 0 follows, has a word that was added."""
-        return self._find(line, length) is not None
-
-    def _add(
-        self,
-        letter: str,
-        number: "float | str",
-        call: "Callable[..., object]",
-        letters: str,
-        sync: bool,
-    ) -> None:
-        if self.is_taken(letter, number):
-            raise ValueError("%s%s is taken" % (letter, number))
-        if not self._words:
-            self._put_around_lines()
-        key = word_of(letter, number)
-        self._words[key] = call, letters, sync, letters.upper() + ("NL" if key[2] else "N")
+        return self._words.find(line, length) is not None
 
     def without_commands(self, letters: bytes) -> None:
         """$ commands with these letters are not there any more."""
@@ -332,71 +285,18 @@ class Cnc:
 
         drive.on_controls = on_controls  # type: ignore[method-assign]
 
+    def behind_alarm(self, call: "Callable[[int], object]") -> None:
+        """Called with its number when an alarm has been told. Nothing moves."""
+        report = self._machine.report
+        usual = report.alarm
+
+        def alarm(code: int) -> None:
+            usual(code)
+            call(code)
+
+        report.alarm = alarm  # type: ignore[method-assign]
+
     def behind_reset(self, call: "Callable[[], object]") -> None:
         """Called behind the welcome, after power-up and every reset."""
         report = self._machine.report
         report.banner = _in_turn(report.banner, call)  # type: ignore[method-assign]
-
-    # Lines with words of ours
-
-    def _put_around_lines(self) -> None:
-        interpreter = self._machine.interpreter
-        usual = interpreter.execute
-
-        @micropython.native
-        def execute(line: bytearray, length: int) -> None:
-            word = self._find(line, length)
-            if word is None:
-                usual(line, length)
-            else:
-                numbers = self._numbers(word)
-                if self._machine.state.run != st.CHECK:
-                    word[0](*numbers)
-
-        interpreter.execute = execute  # type: ignore[method-assign]
-
-    def _find(self, line: bytearray, length: int) -> "Word | None":
-        """The word of ours that a line has, if there is one."""
-        words = self._read
-        words.read(line, 0, length)
-        count = words.count
-        at = words.letters.find(b"L", 0, count)
-        its_l = _tenths(words.values[at]) if at >= 0 else 0
-        for i in range(count):
-            letter, tenths = chr(words.letters[i]), _tenths(words.values[i])
-            word = self._words.get((letter, tenths, its_l)) or self._words.get((letter, tenths, 0))
-            if word:
-                return word
-        return None
-
-    def _numbers(self, word: "Word") -> "list[float | None]":
-        """Check the line, and wait for motion to end where the word wants that."""
-        _, letters, sync, allowed = word
-        there = self._arguments(allowed)
-        missing = [c for c in letters if c == c.upper() and there.get(c) is None]
-        if missing:
-            raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
-        if sync:
-            self._machine.canon.synchronise()
-        return [there.get(c.upper()) for c in letters]
-
-    def _arguments(self, allowed: str) -> "dict[str, float]":
-        """The numbers of the line by letter. GrblError where one is not wanted, or twice."""
-        words = self._read
-        found: "dict[str, float]" = {}
-        own = 0
-        for i in range(words.count):
-            letter, value = chr(words.letters[i]), words.values[i]
-            if letter in "GM":
-                own += 1
-            elif letter in found:
-                raise GrblError(errors.GCODE_WORD_REPEATED)
-            elif letter not in allowed:
-                raise GrblError(errors.GCODE_UNUSED_WORDS)
-            else:
-                found[letter] = value
-        if words.fault:
-            raise GrblError(errors.BAD_NUMBER_FORMAT)
-        if own != 1:
-            raise GrblError(errors.GCODE_MODAL_GROUP_VIOLATION)
-        return found

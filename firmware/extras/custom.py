@@ -14,9 +14,9 @@ from base.faults import harmless, trace
 from micropython import const
 
 from extras import handlers
-from extras.api import word_of
 from extras.happenings import Happenings
 from extras.machine_operator import Operator
+from extras.own_words import word_of
 from extras.runner import TRACE, Runner
 
 TYPE_CHECKING = const(False)
@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 
     from interfaces import Options
 
-    from extras.api import Cnc, Key
+    from extras.api import Cnc
     from extras.handlers import Function, Note
+    from extras.own_words import Key
 
 _API = "ugrbl"  # the name by which custom.py knows handlers.py
 

@@ -3,8 +3,8 @@
 
 It stands between the loop and its link. While a job runs, the loop reads the file, as much as its
 ring has room for, and its answers are counted, not sent. So a job goes the way of any lines, as
-fast as they. Meanwhile real-time commands of the sender act, `$G` is answered, and his other lines are
-refused. Files lie in flash, and to read that takes no time from interrupts.
+fast as they. Meanwhile real-time commands of the sender act, `$G` is answered, and his other
+lines are refused. Files lie in flash, and to read that takes no time from interrupts.
 """
 
 from array import array
@@ -33,7 +33,7 @@ _STACK_BYTES = const(2560)
 _MADE_MS = const(40)
 
 # What the kernels know.
-_LINE = const(0)  # lines that have been answered
+_ANSWERED = const(0)  # lines that have been answered
 _NOTED = const(1)  # rows of the planner's ring in front of this one are known by their lines
 _FROM = const(2)  # the next byte of the block,
 _LEFT = const(3)  # and how many there are
@@ -72,11 +72,11 @@ def _note(at: ptr32, lines: ptr32, flow: ptr32, answers: int) -> int:
     row = at[_NOTED]
     head = flow[layout.HEAD]
     rows = flow[layout.ROWS]
-    line = at[_LINE] + 1
-    at[_LINE] += answers
+    line = at[_ANSWERED] + 1
+    at[_ANSWERED] += answers
     while row != head:
         lines[row] = line
-        line = at[_LINE]
+        line = at[_ANSWERED]
         row += 1
         if row == rows:
             row = 0
@@ -167,14 +167,14 @@ class Feed:
     # The file
 
     def start(self, file: "IO[bytes]", size: int, line: int = 0) -> None:
-        """Have a file read from where it stands on, so many lines behind its beginning. Only
-        where the ring is empty."""
+        """Have a file of so many bytes read from where it stands on, so many lines behind its
+        beginning. Only where the ring is empty."""
         at = self._at
-        at[_LINE] = line
+        at[_ANSWERED] = line
         at[_NOTED] = self._flow[layout.HEAD]
         at[_LEFT] = 0
         at[_LAST] = _NEWLINE
-        self._file, self._size, self._read_bytes = file, size, 0
+        self._file, self._size, self._read_bytes = file, size, file.tell()
         self._made = self._before = line + 1
         self._held = 0
         self._since = self._machine.port.ticks_ms()
@@ -210,7 +210,7 @@ class Feed:
 
     def line(self) -> int:
         """The last line that has been answered."""
-        return self._at[_LINE]
+        return self._at[_ANSWERED]
 
     def made(self) -> int:
         """The line whose motion is being made; or was, some 40 to 80 ms ago."""
@@ -225,7 +225,7 @@ class Feed:
     def _being_made(self) -> int:
         flow = self._flow
         tail = flow[layout.TAIL]
-        return self._at[_LINE] + 1 if tail == flow[layout.HEAD] else self._lines[tail]
+        return self._at[_ANSWERED] + 1 if tail == flow[layout.HEAD] else self._lines[tail]
 
     def percent(self) -> float:
         """How much of the file has been read."""

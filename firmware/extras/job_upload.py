@@ -9,78 +9,97 @@ import binascii
 
 from base import errors
 from base.errors import GrblError
+from base.faults import harmless
 from micropython import const
 from talk.lines import LINE, TOO_LONG, LineReader, clean
 
-from extras.job_shelf import shown
-
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from typing import IO
+    from interfaces import JobFiles
 
     from extras.api import Cnc
-    from extras.job_shelf import Shelf
 
 _PIECE = const(2048)
-_LINE_BYTES = const(344)  # 256 of the file
-_RING = const(512)
 _READ = const(128)
 _SILENCE_MS = const(5000)
 _DRAIN_MS = const(300)
-_BASE64_KINDS = b"/abcdefghijklmnopqrstuvwxyz"
+_LOWER_CASE = b"abcdefghijklmnopqrstuvwxyz"
+_SLASH = const(47)
 _AS_IT_IS = const(0)
 
 
-def receive(cnc: "Cnc", shelf: "Shelf", name: str, size: int, checksum: int) -> None:
-    """Take a file and put it on the shelf. GrblError where it does not come whole, OSError where
-    flash does not take it: what was there is as it was."""
-    upload = _Upload(cnc, size)
-    file = shelf.begin(name)
-    try:
-        upload.run(shelf, file)
-    except BaseException:
-        shelf.drop(name, file)
-        raise
-    if not shelf.finish(name, file, checksum):
-        raise upload.refusal("its checksum is another")
+class Upload:
+    """Takes files. reader: nobody else's meanwhile."""
 
-
-class _Upload:
-    """What has come, and what is still to come."""
-
-    def __init__(self, cnc: "Cnc", size: int) -> None:
-        self._cnc = cnc
+    def __init__(self, cnc: "Cnc", files: "JobFiles", reader: LineReader) -> None:
         machine = cnc.machine
+        self._cnc = cnc
         self._machine = machine
+        self._files = files
         self._link = machine.protocol.link
-        self._size = size
-        self._done = 0
         self._buffer = bytearray(_READ)
-        self._reader = LineReader(_RING, _LINE_BYTES, machine.reader.post)
-        self._memory = self._reader.memory()
-        _, _, self._line, kinds = self._memory
-        kinds[:] = machine.reader.memory()[3]
-        for c in _BASE64_KINDS:
-            kinds[c] = _AS_IT_IS
+        self._reader = reader
 
-    def run(self, shelf: "Shelf", file: "IO[bytes]") -> None:
-        """Take piece after piece."""
-        while self._done < self._size:
-            self._cnc.tell(b"[FU:%d]" % self._done)
-            piece = self._piece(min(_PIECE, self._size - self._done))
-            shelf.append(file, piece)
-            self._done += len(piece)
+    def take(self, order: str) -> None:
+        """NAME,SIZE,CRC: take that file. GrblError where it cannot be taken, before anything is
+        done, or does not come whole; OSError where flash does not hold it: what was there is as
+        it was. CRC: its CRC-32 in hexadecimal digits."""
+        name, _, rest = order.partition(",")
+        size_text, _, checksum_text = rest.partition(",")
+        try:
+            size, checksum = int(size_text), int(checksum_text, 16)
+        except ValueError:
+            raise GrblError(errors.BAD_NUMBER_FORMAT)
+        self._check(name, size)
+        self._reader.clear()
+        kinds = self._reader.memory()[3]
+        before = bytes(kinds)
+        for c in _LOWER_CASE:
+            kinds[c] = _AS_IT_IS
+        kinds[_SLASH] = _AS_IT_IS
+        try:
+            self._take(name, size, checksum)
+        finally:
+            kinds[:] = before
+
+    def _check(self, name: str, size: int) -> None:
+        if not self._files.is_name(name):
+            self._refuse("A job is called so: letters, digits, . _ -, at most 32")
+        room_kb = self._files.room_kb()
+        if size <= 0 or size > room_kb * 1024:
+            text = "%s: %d bytes, and there is room for %d kB"
+            self._refuse(text % (harmless(name), size, room_kb))
+
+    def _refuse(self, why: str) -> None:
+        self._cnc.message(why)
+        raise GrblError(errors.INVALID_STATEMENT)
+
+    def _take(self, name: str, size: int, checksum: int) -> None:
+        files = self._files
+        file = files.begin(name)
+        try:
+            done = 0
+            while done < size:
+                self._cnc.tell(b"[FU:%d]" % done)
+                piece = self._piece(min(_PIECE, size - done))
+                files.append(file, piece)
+                done += len(piece)
+        except BaseException:
+            files.drop(name, file)
+            raise
+        if not files.finish(name, file, checksum):
+            self._drain("its checksum is another")
 
     def _piece(self, size: int) -> bytes:
         piece = b""
         while len(piece) < size:
             length = self._next_line()
             try:
-                piece += binascii.a2b_base64(bytes(self._line[:length]))
+                piece += binascii.a2b_base64(bytes(self._reader.line[:length]))
             except ValueError:
-                raise self.refusal("it came damaged")
+                self._drain("it came damaged")
         if len(piece) > size:
-            raise self.refusal("more came than was told")
+            self._drain("more came than was told")
         return piece
 
     def _next_line(self) -> int:
@@ -93,39 +112,19 @@ class _Upload:
                 self._reader.feed(self._buffer, count)
                 since = port.ticks_ms()
             self._machine.realtime.events()
-            found = clean(*self._memory)
+            found = clean(*self._reader.memory())
             if found & LINE and found >> 2:
                 return found >> 2
             if found & TOO_LONG:
-                raise self.refusal("it came damaged")
+                self._drain("it came damaged")
             if port.elapsed_ms(since) > _SILENCE_MS:
-                raise self.refusal("it broke off")
+                self._drain("it broke off")
 
-    def refusal(self, why: str) -> GrblError:
+    def _drain(self, why: str) -> None:
         """Say so; what is still on its way is not to be taken for commands."""
         port = self._machine.port
         since = port.ticks_ms()
         while port.elapsed_ms(since) < _DRAIN_MS:
             if self._link.read_into(self._buffer):
                 since = port.ticks_ms()
-        self._cnc.message("Not taken: " + why)
-        return GrblError(errors.INVALID_STATEMENT)
-
-
-def order(text: str) -> "tuple[str, int, int]":
-    """NAME,SIZE,CRC: the file's name, how long it is, and its CRC-32 in hexadecimal digits.
-    GrblError where that is not what it says."""
-    name, _, rest = text.partition(",")
-    size, _, checksum = rest.partition(",")
-    try:
-        return name, int(size), int(checksum, 16)
-    except ValueError:
-        raise GrblError(errors.BAD_NUMBER_FORMAT)
-
-
-def check(cnc: "Cnc", shelf: "Shelf", name: str, size: int) -> None:
-    """GrblError where it cannot be taken, before anything is done."""
-    room_kb = shelf.room_kb()
-    if size <= 0 or size > room_kb * 1024:
-        cnc.message("%s: %d bytes, and there is room for %d kB" % (shown(name), size, room_kb))
-        raise GrblError(errors.INVALID_STATEMENT)
+        self._refuse("Not taken: " + why)

@@ -2,54 +2,70 @@
 
 $F lists them, $F=NAME runs one, $F<=NAME shows it, $FD=NAME deletes it, as grblHAL has it; and
 $SD/List, $SD/Run=, $LocalFS/… as FluidNC. $FU=NAME,SIZE,CRC takes one (job_upload.py), $FB=NAME
-gives it to the start button. Which job runs, and where it was held or stopped, is noted in flash
-at rest. A board asks for it with JOBS = "jobs", the name of the folder.
+gives it to the start button, and $F=NAME@LINE goes on in its middle (job_entry.py). Which job
+runs, and where it was held or stopped, is noted in flash at rest: $F=@ goes on there. A board asks
+for it with JOBS = "jobs", the name of the folder.
 """
+
+import io
 
 import micropython
 from base import errors
 from base import state as st
 from base.controls import START
 from base.errors import GrblError
+from base.faults import harmless
 from micropython import const
+from talk.lines import LineReader
 
-from extras import job_upload
+from extras.job_entry import Entry, NoWay
 from extras.job_feed import Feed
-from extras.job_shelf import Shelf, is_name, shown
+from extras.job_upload import Upload
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from types import ModuleType
+    from typing import IO
 
-    from interfaces import Options
+    from interfaces import JobFiles, Options
 
     from extras.api import Cnc
 
-# Under which is kept: the job that runs and a line of it; the start button's.
+# Under which is kept: the job that runs, a line of it, where the tool was before the first; the
+# start button's.
 _JOURNAL = "job"
+_JOURNAL_LINES = const(3)
 _BUTTON = "button"
 # FluidNC's words behind $SD/ and $LocalFS/, and ours behind $F.
 _FLUIDNC = {b"LIST": b"", b"RUN": b"=", b"SHOW": b"<=", b"DELETE": b"D="}
 _STATES = (st.IDLE, st.ALARM, st.CHECK)
 _SHOWN_BYTES = const(128)
+# A reader for what is neither the sender's line nor the job's.
+_READ_AHEAD = const(512)
+_LONGEST = const(344)  # 256 bytes in base64
 
-_found = {"folder": ""}
+_found: "dict[str, JobFiles | None]" = {}
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
     """Where they are."""
-    _found["folder"] = board.__dict__["JOBS"]
+    _found["files"] = options.job_files
 
 
 def install(cnc: "Cnc") -> None:
     """Put jobs beside the sender."""
-    jobs = Jobs(cnc, Shelf(_found["folder"], cnc.machine.saves))
+    files = _found["files"]
+    assert files
+    files.connect(cnc.machine.saves.around)
+    jobs = Jobs(cnc, files)
     cnc.add_command(b"F", jobs.command, _STATES)
     cnc.add_command(b"SD", jobs.fluidnc, _STATES)
     cnc.add_command(b"LOCALFS", jobs.fluidnc, _STATES)
     cnc.add_field(jobs.field)
     cnc.before_lines(jobs.turn)
     cnc.behind_reset(jobs.begin_anew)
+    cnc.behind_alarm(jobs.alarm)
+    cnc.behind_command(b"H\0", jobs.home)  # of all axes: a line ends with a 0
     cnc.behind_program(jobs.program_ends)
     cnc.behind_controls(jobs.press)
 
@@ -57,13 +73,20 @@ def install(cnc: "Cnc") -> None:
 class Jobs:
     """The job that runs, or is to, and the commands."""
 
-    def __init__(self, cnc: "Cnc", shelf: Shelf) -> None:
+    def __init__(self, cnc: "Cnc", files: "JobFiles") -> None:
         self._cnc = cnc
         self._machine = cnc.machine
-        self._shelf = shelf
+        self._files = files
+        reader = LineReader(_READ_AHEAD, _LONGEST, cnc.machine.reader.post)
         self._feed = Feed(cnc.machine, self._refuse, self._note_line)
+        self._entry = Entry(cnc, reader)
+        self._upload = Upload(cnc, files, reader)
         self._name = ""  # what runs
-        self._due = ""  # what is to, once the loop has no line of the sender left
+        self._start = ""  # where the tool was before it
+        self._due = ""  # what is to, once the loop has no line of the sender left,
+        self._due_line = 1  # and from which line on
+        self._rest: "IO[bytes] | None" = None  # of the file, while the tool is on its way there
+        self._is_homed = False
         self._refused = 0  # Grbl's number for the line that has ended it
         self._pressed = bytearray(1)  # the start button has been
         self._has_started = False  # the firmware
@@ -92,9 +115,9 @@ class Jobs:
         elif verb == b"<":
             self._show(self._known(name))
         elif verb == b"D":
-            self._shelf.delete(self._known(name))
+            self._files.delete(self._known(name))
         elif verb == b"U":
-            self._take(name)
+            self._upload.take(name)
         elif verb == b"B":
             self._give_button(name)
         else:
@@ -102,18 +125,18 @@ class Jobs:
 
     def _known(self, name: str) -> str:
         """A name; GrblError where there is no such job."""
-        if self._shelf.size(name) < 0:
-            self._cnc.message("There is no job %s: $F lists them" % shown(name))
+        if self._files.size(name) < 0:
+            self._cnc.message("There is no job %s: $F lists them" % harmless(name))
             raise GrblError(errors.INVALID_STATEMENT)
         return name
 
     def _list(self) -> None:
-        for name, size in self._shelf.files():
+        for name, size in self._files.files():
             self._cnc.tell(b"[FILE:/%s|SIZE:%d]" % (name.encode(), size))
-        self._cnc.message("Room for %d kB" % self._shelf.room_kb())
+        self._cnc.message("Room for %d kB" % self._files.room_kb())
 
     def _show(self, name: str) -> None:
-        with self._shelf.open(name) as file:
+        with self._files.open(name) as file:
             while True:
                 piece = file.read(_SHOWN_BYTES)
                 if not piece:
@@ -122,17 +145,9 @@ class Jobs:
                 self._cnc.service()
         self._machine.report.send(b"\r\n")
 
-    def _take(self, text: str) -> None:
-        name, size, checksum = job_upload.order(text)
-        if not is_name(name):
-            self._cnc.message("A job is called so: letters, digits, . _ -, at most 32")
-            raise GrblError(errors.INVALID_STATEMENT)
-        job_upload.check(self._cnc, self._shelf, name, size)
-        job_upload.receive(self._cnc, self._shelf, name, size, checksum)
-
     def _tell_button(self) -> None:
         name = self._kept(_BUTTON)
-        self._cnc.message("Start button: " + (shown(name[0]) if name else "no job"))
+        self._cnc.message("Start button: " + (harmless(name[0]) if name else "no job"))
 
     def _give_button(self, name: str) -> None:
         self._machine.saves.save(_BUTTON, [self._known(name)] if name else [])
@@ -143,7 +158,25 @@ class Jobs:
     def _run(self, name: str) -> None:
         if self._machine.state.run == st.ALARM:
             raise GrblError(errors.SYSTEM_GC_LOCK)
-        self._due = self._known(name)
+        name, at, number = name.partition("@")
+        if at and not number:
+            name, number = self._noted(name)
+        line = int(number) if number.isdigit() else 1 - len(at)
+        if line < 1:
+            raise GrblError(errors.BAD_NUMBER_FORMAT)
+        name = self._known(name)
+        if line > 1 and not self._is_homed:
+            self._tell(name, "to go on in its middle, home first ($H)")
+            raise GrblError(errors.INVALID_STATEMENT)
+        self._due, self._due_line = name, line
+
+    def _noted(self, name: str) -> "tuple[str, str]":
+        """The job that has not come to its end, and a line of it."""
+        kept = self._kept(_JOURNAL)
+        if len(kept) < _JOURNAL_LINES or name not in ("", kept[0]):
+            self._cnc.message("No job is noted" + (" of that name" if name else ""))
+            raise GrblError(errors.INVALID_STATEMENT)
+        return kept[0], kept[1]
 
     # What runs
 
@@ -167,25 +200,66 @@ class Jobs:
     def _begin(self) -> None:
         name, self._due = self._due, ""
         try:
-            file = self._shelf.open(name)
+            file = self._files.open(name)
         except OSError:
             self._tell(name, "cannot be read")
             return
         self._name, self._refused = name, 0
+        if self._due_line > 1:
+            self._enter(file, self._due_line)
+            return
+        self._start = ",".join(["%.4f" % mm for mm in self._machine.modes.position])
         self._note(1)
         self._tell(name, "begins")
-        self._feed.start(file, self._shelf.size(name))
+        self._feed.start(file, self._files.size(name))
+
+    def _enter(self, file: "IO[bytes]", line: int) -> None:
+        """Have the tool led to that line."""
+        kept = self._kept(_JOURNAL)
+        self._start = kept[2] if len(kept) == _JOURNAL_LINES and kept[0] == self._name else ""
+        places = [float(mm) for mm in self._start.split(",")] if self._start else None
+        try:
+            self._entry.find(file, line, places)
+        except NoWay as why:
+            file.close()
+            self._tell(self._name, str(why))
+            return
+        except BaseException:
+            file.close()
+            raise
+        self._rest = file
+        way = [text for text in self._entry.way() if text]
+        self._tell(self._name, "goes on at line %d" % line)
+        lines = io.BytesIO(("\n".join(way) + "\n").encode())
+        self._feed.start(lines, self._files.size(self._name), line - 1 - len(way))
+
+    def _arrive(self, file: "IO[bytes]") -> None:
+        """The tool is there: the file's lines come."""
+        self._rest = None
+        line = self._feed.line()
+        self._feed.stop()
+        try:
+            self._entry.arrive()
+        except NoWay as why:
+            file.close()
+            self._tell(self._name, str(why))
+            return
+        self._note(line + 1)
+        self._feed.start(file, self._files.size(self._name), line)
 
     def _start_by_button(self) -> None:
         name = self._kept(_BUTTON)
         is_idle = self._machine.state.run == st.IDLE and not (self._feed.is_on or self._due)
-        if name and is_idle and self._is_free() and self._shelf.size(name[0]) >= 0:
+        if name and is_idle and self._is_free() and self._files.size(name[0]) >= 0:
             self._due = name[0]
 
     def _go_on(self) -> None:
         feed = self._feed
         feed.answer()
         if feed.has_ended() and self._is_free():
+            if self._rest and not self._refused:
+                self._arrive(self._rest)
+                return
             line = feed.line()
             feed.stop()
             if self._refused or feed.fault:
@@ -204,14 +278,35 @@ class Jobs:
         machine = self._machine
         if machine.state.run == st.IDLE:
             machine.interpreter.execute(bytearray(b"M5M9\0"), 4)
-        self._note(line)
         why = "is refused with %d" % self._refused if self._refused else "cannot be read"
+        if self._rest:
+            self._close_rest()
+            self._tell(self._name, "the way there " + why)
+            return
+        self._note(line)
         self._tell(self._name, "line %d %s" % (line, why))
+
+    def _close_rest(self) -> None:
+        if self._rest:
+            self._rest.close()
+            self._rest = None
 
     def program_ends(self) -> None:
         """M2 or M30: what is behind it is not done."""
+        self._entry.has_ended = True
         if self._feed.is_on:
             self._feed.cut()
+
+    def home(self, _was: int) -> None:
+        """$H has been done, or has failed."""
+        state = self._machine.state
+        self._is_homed = state.run == st.IDLE and not state.alarm
+
+    def alarm(self, _code: int) -> None:
+        """The place may not be what it is held for; and who sees to that may switch off."""
+        self._is_homed = False
+        if self._feed.is_on:
+            self._note_line()
 
     def begin_anew(self) -> None:
         """Behind power-up or a reset: what ran has come to its end."""
@@ -220,11 +315,15 @@ class Jobs:
         if self._feed.is_on:
             line = self._feed.made()
             self._feed.drop()
-            self._note(line)
-            self._tell(self._name, "stopped at line %d" % line)
+            if self._rest:
+                self._close_rest()
+                self._tell(self._name, "stopped on the way")
+            else:
+                self._note(line)
+                self._tell(self._name, "stopped at line %d" % line)
         elif not self._has_started:
             kept = self._kept(_JOURNAL)
-            if len(kept) > 1:
+            if len(kept) == _JOURNAL_LINES:
                 self._tell(kept[0], "did not come to its end; last noted: line " + kept[1])
         self._has_started = True
 
@@ -243,13 +342,15 @@ class Jobs:
         return "SD:%.1f,/%s" % (self._feed.percent(), self._name)
 
     def _tell(self, name: str, what: str) -> None:
-        self._cnc.message("Job %s: %s" % (shown(name), what))
+        self._cnc.message("Job %s: %s" % (harmless(name), what))
 
     def _note_line(self) -> None:
         """Motion is held."""
-        self._note(self._feed.made())
+        if not self._rest:
+            self._note(self._feed.made())
 
     def _note(self, line: int) -> None:
         """Keep where the job is; 0: it is done."""
-        self._machine.saves.save(_JOURNAL, [self._name, str(line)] if line else [])
+        kept = [self._name, str(line), self._start] if line else []
+        self._machine.saves.save(_JOURNAL, kept)
         self._machine.keep()

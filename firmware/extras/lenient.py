@@ -15,9 +15,9 @@ from control.modes import SPINDLE
 from language import checks
 from micropython import const
 
-from extras.api import word_of
 from extras.drilling import CYCLES, MOTIONS, Drilling, has, joined
 from extras.gcode_text import as_written
+from extras.own_words import word_of
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -76,11 +76,15 @@ class Lenient:
         self._is_within = False  # a line, others
         machine.interpreter.execute = self.execute  # type: ignore[method-assign]
         cnc.behind_reset(self._forget)
+        cnc.entries.append(self._why_no_entry)
 
     def _forget(self) -> None:
         self._told.clear()
         self._tool = "0"
         self._drilling.forget()
+
+    def _why_no_entry(self) -> str:
+        return "it goes on with a drilling cycle" if self._drilling.cycle else ""
 
     def execute(self, line: bytearray, length: int) -> None:
         """As Interpreter.execute(). What a handler of another extra has executed within a line is

@@ -45,10 +45,11 @@ Progress = Callable[[str, int], None]
 
 # Where engines and links are made, a function for each, which bears its name.
 _PARTS = ("boot.parts", "boot.parts_esp")
-# Modules that an option asks for by a value. All others go on a board if one that goes there
-# imports them, where it makes an engine or link: the board's.
+# Modules that an option asks for by a value; True: by any that is not nothing. All others go on a
+# board if one that goes there imports them, where it makes an engine or link: the board's.
 _SWITCHED: dict[str, tuple[str, object]] = {
     "motion.kinematics": ("COREXY", True),
+    "ports.job_files": ("JOBS", True),
     "pio.beam": ("TOOL", "laser"),
 }
 # What extras are handed; who has none has no use for it.
@@ -108,13 +109,22 @@ def needed(board: ModuleType) -> list[str]:
     left = [module(START), *extras]
     while left:
         name = left.pop()
-        option, wanted = _SWITCHED.get(name, ("", None))
-        off = name in _SWITCHED and getattr(board, option, None) != wanted
-        if name in there and name not in found and not off and (extras or name != _EXTRAS_API):
+        if (
+            name in there
+            and name not in found
+            and not _is_off(board, name)
+            and (extras or name != _EXTRAS_API)
+        ):
             found[name] = there[name]
             without = _others(board) if name in _PARTS else set()
             left += _asked(written[name], frozenset(without))
     return sorted(found.values())
+
+
+def _is_off(board: ModuleType, name: str) -> bool:
+    option, wanted = _SWITCHED.get(name, ("", None))
+    value = getattr(board, option, None)
+    return name in _SWITCHED and (bool(value) if wanted is True else value) != wanted
 
 
 def modules_of(board: "ModuleType | None" = None) -> list[str]:

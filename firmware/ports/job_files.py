@@ -1,4 +1,4 @@
-"""Shelf: programs that are kept on the board, in a folder of its flash.
+"""Job files: programs that are kept on the board, in a folder of its flash.
 
 Names are as lines bring them, in capitals: letters, digits, and `.`, `_`, `-`. A file that comes
 over the line is written beside the old one, read back, and takes its place in one step: a power
@@ -8,14 +8,12 @@ cut leaves the old file or the new.
 import binascii
 import os
 
-from base.faults import harmless
 from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from typing import IO
-
-    from control.saves import Saves
 
 _NEW = ".PART"
 _LONGEST = const(32)  # name
@@ -27,19 +25,21 @@ _SPARE_KB = const(32)
 _PIECE = const(512)
 
 
-def is_name(name: str) -> bool:
-    """Whether a file may be called so."""
+def _is_name(name: str) -> bool:
     if not 0 < len(name) <= _LONGEST or name[0] == "." or name.endswith(_NEW):
         return False
     return all("A" <= c <= "Z" or "0" <= c <= "9" or ord(c) in _OTHERS for c in name)
 
 
-class Shelf:
-    """The folder. saves: whose flash it is in."""
+class JobFiles:
+    """The folder."""
 
-    def __init__(self, folder: str, saves: "Saves") -> None:
+    def __init__(self, folder: str) -> None:
         self._folder = folder
-        self._saves = saves
+
+    def connect(self, around: "Callable[[Callable[[], None]], None]") -> None:
+        """Say how flash is written: around() calls what does it."""
+        self._around = around
 
     def _path(self, name: str) -> str:
         return self._folder + "/" + name
@@ -51,13 +51,17 @@ class Shelf:
                 return there
         return ""
 
+    def is_name(self, name: str) -> bool:
+        """Whether a file may be called so."""
+        return _is_name(name)
+
     def files(self) -> "list[tuple[str, int]]":
         """Names and sizes, in order."""
         try:
             names = sorted(os.listdir(self._folder))
         except OSError:
             return []  # nothing has ever been put there
-        found = [name for name in names if is_name(name.upper())]
+        found = [name for name in names if _is_name(name.upper())]
         return [(name, self._size(name)) for name in found]
 
     def _size(self, name: str) -> int:
@@ -82,7 +86,7 @@ class Shelf:
 
     def delete(self, name: str) -> None:
         """Take a file away. OSError where that cannot be."""
-        self._saves.around(lambda: os.remove(self._path(self._found(name) or name)))
+        self._around(lambda: os.remove(self._path(self._found(name) or name)))
 
     # A file that comes in pieces
 
@@ -98,7 +102,7 @@ class Shelf:
                     os.remove(self._path(left))
             made.append(open(self._path(name + _NEW), "wb"))
 
-        self._saves.around(make)
+        self._around(make)
         return made[0]
 
     def _is_there(self) -> bool:
@@ -108,16 +112,16 @@ class Shelf:
         except OSError:
             return False
 
-    def append(self, file: "IO[bytes]", piece: "bytes | bytearray | memoryview") -> None:
+    def append(self, file: "IO[bytes]", piece: bytes) -> None:
         """Write the next piece. OSError where there is no room."""
-        self._saves.around(lambda: _write(file, piece))
+        self._around(lambda: _write(file, piece))
 
     def finish(self, name: str, file: "IO[bytes]", checksum: int) -> bool:
         """Have it take its place; False where it is not what was sent, which leaves the old."""
-        self._saves.around(file.close)
+        self._around(file.close)
         new = self._path(name + _NEW)
         if self._checksum(new) != checksum:
-            self._saves.around(lambda: os.remove(new))
+            self._around(lambda: os.remove(new))
             return False
         old = self._found(name)
 
@@ -126,7 +130,7 @@ class Shelf:
             if old and old != name:  # in other capitals
                 os.remove(self._path(old))
 
-        self._saves.around(put)
+        self._around(put)
         return True
 
     def drop(self, name: str, file: "IO[bytes]") -> None:
@@ -136,7 +140,7 @@ class Shelf:
             file.close()
             os.remove(self._path(name + _NEW))
 
-        self._saves.around(remove)
+        self._around(remove)
 
     def _checksum(self, path: str) -> int:
         checksum = 0
@@ -148,11 +152,6 @@ class Shelf:
                 checksum = binascii.crc32(piece, checksum)
 
 
-def _write(file: "IO[bytes]", piece: "bytes | bytearray | memoryview") -> None:
+def _write(file: "IO[bytes]", piece: bytes) -> None:
     file.write(piece)
     file.flush()
-
-
-def shown(name: str) -> str:
-    """A name in a message."""
-    return harmless(name)
