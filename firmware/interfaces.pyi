@@ -292,7 +292,7 @@ class JobFiles(Protocol):
     def begin(self, name: str) -> IO[bytes]:
         """Where to write what is to be called so."""
 
-    def append(self, file: IO[bytes], piece: bytes) -> None:
+    def append(self, file: IO[bytes], piece: bytes | bytearray) -> None:
         """Write the next piece."""
 
     def finish(self, name: str, file: IO[bytes], checksum: int) -> bool:

@@ -1,6 +1,6 @@
 """Jobs: programs that live on the board, and run without a computer."""
 
-import base64
+import random
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -11,6 +11,7 @@ import pytest
 from base.controls import START
 from base.state import HOLD
 from ugrbl.boardfile.files import load_board
+from ugrbl.device import jobs
 from ugrbl.sim import switches
 from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import MemoryStore, Rig
@@ -19,7 +20,6 @@ from ugrbl.sim.sender import Sender
 Script = Callable[["Bench"], Iterator[Any]]
 
 _PIECE = 2048
-_LINE = 256
 
 
 class Bench:
@@ -342,10 +342,6 @@ def test_the_start_button_runs_its_job_at_rest_and_only_then(tmp_path: Path) -> 
 # Files that come over the line
 
 
-def lines_of(piece: bytes) -> list[bytes]:
-    return [base64.b64encode(piece[at : at + _LINE]) + b"\n" for at in range(0, len(piece), _LINE)]
-
-
 def push(name: str, data: bytes, checksum: "int | None" = None, cut: int = -1) -> Script:
     """Send a file as `ugrbl job push` does; cut: the power goes behind so many bytes of it."""
 
@@ -356,19 +352,19 @@ def push(name: str, data: bytes, checksum: "int | None" = None, cut: int = -1) -
         for at in range(0, len(data), _PIECE):
             asked = f"[FU:{at}]"
             yield from sender.until(lambda asked=asked: asked in sender.lines or sender.answers)
-            for line in lines_of(data[at : at + _PIECE]):
-                if 0 <= cut - at < _PIECE:
-                    bench.rig.link.send(line[: cut - at])
-                    yield bench.rig.ms(100)
-                    return
-                bench.rig.link.send(line)
+            sent = b"".join(jobs._lines(data[at : at + _PIECE])) + b"\n"
+            if 0 <= cut - at < _PIECE:
+                bench.rig.link.send(sent[: cut - at])
+                yield bench.rig.ms(100)
+                return
+            bench.rig.link.send(sent)
         yield from sender.until(lambda: sender.answers > 0)
         yield bench.rig.ms(100)
 
     return script
 
 
-DATA = bytes(range(256)) * 20 + b"G0X1\n"
+DATA = random.Random(1).randbytes(5000) + b"G0X1\n" * 25
 
 
 def test_a_file_comes_over_the_line_byte_by_byte(tmp_path: Path) -> None:

@@ -1,12 +1,15 @@
 """Upload: a file that comes over the sender's line, while real-time commands act as ever.
 
-It comes as lines of base64, for nothing in them is a real-time command, in pieces of 2 kB: flash
-stops the processor while it is written, and so the next one waits until `[FU:n]` says that n
-bytes are there. `[FU:0]` asks for the first.
+It comes in pieces of 2 kB, for flash stops the processor while it is written: the next one waits
+until `[FU:n]` says that n bytes are there; `[FU:0]` asks for the first. A piece is deflated, for a
+byte on its way costs 10 us and more, and then made lines of base64, for nothing in them is a
+real-time command. An empty line ends it.
 """
 
 import binascii
+import io
 
+import deflate
 from base import errors
 from base.errors import GrblError
 from base.faults import harmless
@@ -20,6 +23,8 @@ if TYPE_CHECKING:
     from extras.api import Cnc
 
 _PIECE = const(2048)
+_LINE_BYTES = const(256)  # packed, of a line
+_WINDOW_LOG2 = const(10)
 _READ = const(128)
 _SILENCE_MS = const(5000)
 _DRAIN_MS = const(300)
@@ -90,17 +95,23 @@ class Upload:
         if not files.finish(name, file, checksum):
             self._drain("its checksum is another")
 
-    def _piece(self, size: int) -> bytes:
-        piece = b""
-        while len(piece) < size:
-            length = self._next_line()
-            try:
-                piece += binascii.a2b_base64(bytes(self._reader.line[:length]))
-            except ValueError:
-                self._drain("it came damaged")
-        if len(piece) > size:
-            self._drain("more came than was told")
+    def _piece(self, size: int) -> bytearray:
+        piece = bytearray(size)
+        if self._unpack(piece) != size:
+            self._drain("it came damaged")
         return piece
+
+    def _unpack(self, piece: bytearray) -> int:
+        """Fill the piece with what comes up to an empty line. Returns how many bytes that were."""
+        packed = b""
+        length = self._next_line()
+        try:
+            while length and len(packed) <= _PIECE + _LINE_BYTES:
+                packed += binascii.a2b_base64(bytes(self._reader.line[:length]))
+                length = self._next_line()
+            return deflate.DeflateIO(io.BytesIO(packed), deflate.RAW, _WINDOW_LOG2).readinto(piece)
+        except (ValueError, OSError, EOFError):
+            return 0
 
     def _next_line(self) -> int:
         """The length of the next line. Raises Abort after a reset."""
@@ -113,7 +124,7 @@ class Upload:
                 since = port.ticks_ms()
             self._machine.realtime.events()
             found = clean(*self._reader.memory())
-            if found & LINE and found >> 2:
+            if found & LINE:
                 return found >> 2
             if found & TOO_LONG:
                 self._drain("it came damaged")

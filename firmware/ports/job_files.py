@@ -112,9 +112,13 @@ class JobFiles:
         except OSError:
             return False
 
-    def append(self, file: "IO[bytes]", piece: bytes) -> None:
+    def append(self, file: "IO[bytes]", piece: "bytes | bytearray") -> None:
         """Write the next piece. OSError where there is no room."""
-        self._around(lambda: _write(file, piece))
+
+        def write() -> None:
+            file.write(piece)
+
+        self._around(write)
 
     def finish(self, name: str, file: "IO[bytes]", checksum: int) -> bool:
         """Have it take its place; False where it is not what was sent, which leaves the old."""
@@ -150,8 +154,3 @@ class JobFiles:
                 if not piece:
                     return checksum
                 checksum = binascii.crc32(piece, checksum)
-
-
-def _write(file: "IO[bytes]", piece: bytes) -> None:
-    file.write(piece)
-    file.flush()

@@ -86,10 +86,12 @@ _SET_CONFIGURATION = const(0x0900)
 
 @micropython.viper
 def _take(at: ptr32, buf: ptr8, room: int) -> int:
-    """Move up to `room` bytes that the ring holds into buf.
+    """Move up to `room` bytes that the ring holds into buf, and fewer than NOTE.
 
     Returns how many, and NOTE where UsbLink._note() is to see to something.
     """
+    if room >= _NOTE:
+        room = _NOTE - 1
     at[TAKING] = 1
     at[TURNED] = 1
     shorts = ptr16(at[RING])

@@ -17,6 +17,7 @@ from . import (
     decode,
     deploy,
     doctor,
+    job,
     new_board,
     plot,
     ports,
@@ -44,6 +45,7 @@ app.command("send", epilog=send.EXAMPLES)(send.command)
 app.command("uf2", epilog=uf2.EXAMPLES)(uf2.command)
 app.command("selftest", epilog=selftest.EXAMPLES)(selftest.command)
 app.add_typer(custom_board.app, name="custom")
+app.add_typer(job.app, name="job")
 app.add_typer(settings.app, name="settings")
 
 

@@ -1,13 +1,17 @@
 """Serial ports, and which of them may have a Grbl behind them."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Annotated, NamedTuple
 
 import typer
 from rich.console import Console
 from serial.tools import list_ports
 
-from ..device.connection import SendError
+from ..device.connection import Connection, SendError
+from ..device.settings_sync import connect
+from .outputs import failed
 
 # Options of all commands that talk to a machine.
 Port = Annotated[
@@ -79,3 +83,16 @@ def choose(port: str | None) -> str:
         which = ", ".join(f"{one.port} ({one.what})" for one in found)
         raise SendError(f"there are several: {which}; say which with --port")
     return found[0].port
+
+
+@contextmanager
+def connected(port: str | None, baud: int) -> Iterator[Connection]:
+    """A Grbl to talk to; what goes wrong with it ends the command with the reason."""
+    try:
+        connection = connect(choose(port), baud)
+        try:
+            yield connection
+        finally:
+            connection.close()
+    except SendError as error:
+        raise failed(error) from error

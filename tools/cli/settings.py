@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from ..device import settings_sync as sync
-from ..device.connection import BAUD, Connection, SendError
+from ..device.connection import BAUD, Connection
 from ..grbl.gcode_file import STDIN
 from ..grbl.messages import meaning as reply_meaning
 from ..grbl.settings_file import (
@@ -25,7 +25,7 @@ from ..grbl.settings_file import (
     read_settings,
 )
 from .outputs import Json, check_output, failed, save_json, save_text
-from .ports import Baud, Port, choose
+from .ports import Baud, Port, connected
 
 app = typer.Typer(no_args_is_help=True, help="Pull, compare, push and restore settings.")
 
@@ -246,10 +246,7 @@ def _save_json(
 def _machine(port: str | None, baud: int) -> Iterator[Connection]:
     """A Grbl to talk to; what goes wrong with it ends the command with the reason."""
     try:
-        connection = sync.connect(choose(port), baud)
-        try:
+        with connected(port, baud) as connection:
             yield connection
-        finally:
-            connection.close()
-    except (SendError, SettingsError) as error:
+    except SettingsError as error:
         raise failed(error) from error

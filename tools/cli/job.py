@@ -1,0 +1,139 @@
+"""`ugrbl job`: programs that live on a board, and run without a computer."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from ..device import jobs
+from ..device.connection import BAUD
+from .outputs import failed
+from .ports import Baud, Port, connected
+
+app = typer.Typer(no_args_is_help=True, help="Programs that live on a board: docs/jobs.md.")
+
+Name = Annotated[str, typer.Argument(metavar="NAME", help="As `ugrbl job list` shows it.")]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask.")]
+_EXAMPLE = "\n\nExample:  ugrbl job {} --port /dev/ttyACM0"
+
+
+@app.command(epilog=_EXAMPLE.format("push part.nc"))
+def push(
+    file: Annotated[Path, typer.Argument(metavar="FILE", readable=False, help="The program.")],
+    port: Port = None,
+    baud: Baud = BAUD,
+    name: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Its name there; not said: the same."),
+    ] = None,
+) -> None:
+    """Put a program on a board, over the line that senders use.
+
+    One of the same name is replaced when the new one is there whole.
+    """
+    try:
+        called, data = jobs.name_of(name or file.name), file.read_bytes()
+    except (ValueError, OSError) as error:
+        raise failed(error) from error
+    console = Console()
+    with connected(port, baud) as connection, Progress(console=console, transient=True) as bar:
+        task = bar.add_task(called, total=len(data))
+        jobs.push(connection, called, data, lambda done: bar.update(task, completed=done))
+    _say(f"{called} is on the board: {len(data)} bytes; `ugrbl job run {called}` runs it")
+
+
+@app.command("list", epilog=_EXAMPLE.format("list"))
+def list_jobs(port: Port = None, baud: Baud = BAUD) -> None:
+    """Show which programs a board has, and how much room is left."""
+    with connected(port, baud) as connection:
+        files, room = jobs.files(connection)
+    if files:
+        table = Table("name", "bytes", box=None, pad_edge=False)
+        for one in files:
+            table.add_row(one.name, str(one.size))
+        Console().print(table)
+    _say(room)
+
+
+@app.command(epilog=_EXAMPLE.format("show PART.NC"))
+def show(name: Name, port: Port = None, baud: Baud = BAUD) -> None:
+    """Print a program that is on a board."""
+    with connected(port, baud) as connection:
+        print(jobs.show(connection, _called(name)), end="")
+
+
+@app.command(epilog=_EXAMPLE.format("delete PART.NC"))
+def delete(name: Name, port: Port = None, baud: Baud = BAUD, yes: Yes = False) -> None:
+    """Take a program off a board."""
+    called = _called(name)
+    with connected(port, baud) as connection:
+        if not yes and not typer.confirm(f"Delete {called} from the board?"):
+            raise failed("nothing has been changed")
+        jobs.delete(connection, called)
+    _say(f"{called} is not on the board any more")
+
+
+@app.command(epilog=_EXAMPLE.format("run PART.NC"))
+def run(name: Name, port: Port = None, baud: Baud = BAUD) -> None:
+    """Have a board run a program of its own. It goes on without this computer.
+
+    Status reports of the machine tell how far it is: any sender shows them,
+    holds it and stops it; so does `ugrbl console`.
+    """
+    with connected(port, baud) as connection:
+        _say(jobs.start(connection, _called(name)))
+
+
+@app.command(epilog=_EXAMPLE.format("resume PART.NC --line 1200"))
+def resume(
+    name: Annotated[
+        str, typer.Argument(metavar="[NAME]", help="Not said: the one that has not ended.")
+    ] = "",
+    line: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=1, help="Not said: where it was held or stopped last."),
+    ] = None,
+    port: Port = None,
+    baud: Baud = BAUD,
+    yes: Yes = False,
+) -> None:
+    """Go on in the middle of a program that is on a board. Home the machine first.
+
+    With the tool off it goes up and across to where the line begins; there
+    the spindle starts, and the tool goes down at the feed rate.
+    """
+    if line and not name:
+        raise failed("--line wants the name of the program")
+    called = _called(name) if name else ""
+    what = f"line {line} of {called}" if line else f"{called or 'the program'}, where it stopped"
+    with connected(port, baud) as connection:
+        if not yes and not typer.confirm(f"The tool will move to {what}. Is it the right tool?"):
+            raise failed("nothing has moved")
+        _say(jobs.start(connection, called, f"@{line or ''}"))
+
+
+@app.command(epilog=_EXAMPLE.format("button PART.NC"))
+def button(
+    name: Annotated[str, typer.Argument(metavar="[NAME]", help="Not said: none.")] = "",
+    port: Port = None,
+    baud: Baud = BAUD,
+) -> None:
+    """Give a program to the board's start button, which runs it where nothing else does."""
+    called = _called(name) if name else ""
+    with connected(port, baud) as connection:
+        jobs.button(connection, called)
+    _say(f"the start button runs {called or 'no program'}")
+
+
+def _called(name: str) -> str:
+    try:
+        return jobs.name_of(name)
+    except ValueError as error:
+        raise failed(error) from error
+
+
+def _say(words: str) -> None:
+    Console().print(words, highlight=False, markup=False, soft_wrap=True)

@@ -1,0 +1,137 @@
+"""Jobs on a board: sent there, listed, shown, started and deleted, over the sender's line."""
+
+import base64
+import re
+import time
+import zlib
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+from ..grbl.gcode_file import is_answer
+from ..grbl.messages import meaning
+from .connection import Connection, SendError, way_out
+
+# As firmware/extras/job_upload.py takes them: bytes of a piece, and of a line when it is packed.
+_PIECE = 2048
+_LINE = 256
+_WINDOW_LOG2 = 10
+_SILENCE_S = 12.0  # longer than a board takes to find flash for a piece
+_BEGUN_S = 600.0  # for a way through a long program in check mode
+_NAME = re.compile(r"[A-Z0-9_-][A-Z0-9._-]{0,31}")
+_FILE = re.compile(r"\[FILE:/(.*)\|SIZE:(\d+)\]")
+_MESSAGE = re.compile(r"\[MSG:(.*)\]")
+NO_JOBS = (
+    "this machine keeps no jobs: on a board with ugrbl its file wants the line"
+    ' JOBS = "jobs", and `ugrbl deploy` puts that there'
+)
+
+
+class File(NamedTuple):
+    """A job."""
+
+    name: str
+    size: int
+
+
+def name_of(text: str) -> str:
+    """What a file is called on a board. ValueError where it cannot be."""
+    name = text.upper()
+    if not _NAME.fullmatch(name) or name.endswith(".PART"):
+        words = "letters, digits, . _ -, 32 at most, and no dot at the beginning"
+        raise ValueError(f"{text} is no name for a job ({words}): --name gives it another")
+    return name
+
+
+def push(connection: Connection, name: str, data: bytes, progress: Callable[[int], None]) -> None:
+    """Put a file there; progress is told how many bytes are. SendError where it is not taken: what
+    was there by that name is as it was."""
+    if not data:
+        raise SendError("an empty file is no job")
+    connection.write(f"$FU={name},{len(data)},{zlib.crc32(data):x}\n".encode())
+    heard = _Heard(connection)
+    for at in range(0, len(data), _PIECE):
+        heard.until(f"[FU:{at}]")
+        progress(at)
+        connection.write(b"".join(_lines(data[at : at + _PIECE])) + b"\n")
+    heard.until("ok")
+    progress(len(data))
+
+
+def _lines(piece: bytes) -> Iterator[bytes]:
+    packing = zlib.compressobj(9, zlib.DEFLATED, -_WINDOW_LOG2)
+    packed = packing.compress(piece) + packing.flush()
+    for at in range(0, len(packed), _LINE):
+        yield base64.b64encode(packed[at : at + _LINE]) + b"\n"
+
+
+def files(connection: Connection) -> tuple[list[File], str]:
+    """All there are, and how much room is left, in words."""
+    said = _ask(connection, "$F")
+    found = [File(match[1], int(match[2])) for line in said if (match := _FILE.fullmatch(line))]
+    return found, next((match[1] for line in said if (match := _MESSAGE.fullmatch(line))), "")
+
+
+def show(connection: Connection, name: str) -> str:
+    """The text of a job."""
+    return "\r\n".join(_ask(connection, f"$F<={name}")[:-1])
+
+
+def delete(connection: Connection, name: str) -> None:
+    """Take it away."""
+    _ask(connection, f"$FD={name}")
+
+
+def button(connection: Connection, name: str) -> None:
+    """Give it to the start button; no name takes that away."""
+    _ask(connection, f"$FB={name}")
+
+
+def start(connection: Connection, name: str, line: str = "") -> str:
+    """Run it, from a line on, or with "@" from where it was noted last. Returns what the machine
+    says of it, once it has begun."""
+    _ask(connection, f"$F={name}{line}")
+    until = time.monotonic() + _BEGUN_S
+    while time.monotonic() < until:
+        for text in connection.lines():
+            match = _MESSAGE.fullmatch(text)
+            if match and match[1].startswith("Job "):
+                return match[1]
+    raise SendError("the machine does not say that the job has begun")
+
+
+def _ask(connection: Connection, line: str) -> list[str]:
+    """The answer, without status reports, which would come in the middle of a file."""
+    connection.write(line.encode() + b"\n")
+    return _Heard(connection).until("ok")
+
+
+class _Heard:
+    """What the machine says."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._lines: list[str] = []
+
+    def until(self, wanted: str) -> list[str]:
+        """All up to that line; SendError with what it says where it refuses, or nothing comes."""
+        since = time.monotonic()
+        seen: list[str] = []
+        while time.monotonic() - since < _SILENCE_S:
+            if more := self._connection.lines():
+                since = time.monotonic()
+                self._lines += [line for line in more if not line.startswith("<")]
+            while self._lines:
+                seen.append(self._lines.pop(0))
+                if seen[-1] == wanted:
+                    return seen
+                if is_answer(seen[-1]):
+                    raise SendError(_why(seen))
+        state = self._connection.state()
+        raise SendError(f"the machine does not answer in {state}: {way_out(state)}")
+
+
+def _why(seen: list[str]) -> str:
+    said = [match[1] for line in seen if (match := _MESSAGE.fullmatch(line))]
+    if said:
+        return said[-1]
+    return NO_JOBS if seen[-1] in ("error:3", "error:2") else f"{seen[-1]}: {meaning(seen[-1])}"

@@ -1,0 +1,25 @@
+"""MicroPython's deflate: what there is of it, by zlib."""
+
+import io
+import zlib
+
+RAW = 1
+
+
+class DeflateIO:
+    """Reads what a stream has packed."""
+
+    def __init__(self, stream: io.BytesIO, packing: int, window_log2: int) -> None:
+        assert packing == RAW
+        unpacking = zlib.decompressobj(-window_log2)
+        try:
+            self._left = unpacking.decompress(stream.read())
+        except zlib.error as fault:
+            raise OSError(22) from fault
+
+    def readinto(self, buf: bytearray) -> int:
+        """Fill it; returns how many bytes there were."""
+        count = min(len(buf), len(self._left))
+        buf[:count] = self._left[:count]
+        self._left = self._left[count:]
+        return count
