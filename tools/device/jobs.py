@@ -17,6 +17,8 @@ _LINE = 256
 _WINDOW_LOG2 = 10
 _SILENCE_S = 12.0  # longer than a board takes to find flash for a piece
 _BEGUN_S = 600.0  # for a way through a long program in check mode
+_FIRST_S = 0.5  # in which its first lines are refused, if they are
+_REFUSED = re.compile(r"refused with (\d+)")
 _NAME = re.compile(r"[A-Z0-9_-][A-Z0-9._-]{0,31}")
 _FILE = re.compile(r"\[FILE:/(.*)\|SIZE:(\d+)\]")
 _MESSAGE = re.compile(r"\[MSG:(.*)\]")
@@ -88,15 +90,23 @@ def button(connection: Connection, name: str) -> None:
 
 def start(connection: Connection, name: str, line: str = "") -> str:
     """Run it, from a line on, or with "@" from where it was noted last. Returns what the machine
-    says of it, once it has begun."""
+    says of it, once it has begun and has not ended at once."""
     _ask(connection, f"$F={name}{line}")
+    said: list[str] = []
     until = time.monotonic() + _BEGUN_S
     while time.monotonic() < until:
         for text in connection.lines():
             match = _MESSAGE.fullmatch(text)
             if match and match[1].startswith("Job "):
-                return match[1]
-    raise SendError("the machine does not say that the job has begun")
+                said.append(_REFUSED.sub(_with_meaning, match[1]))
+                until = time.monotonic() + _FIRST_S
+    if not said:
+        raise SendError("the machine does not say that the job has begun")
+    return "\n".join(said)
+
+
+def _with_meaning(refused: re.Match[str]) -> str:
+    return f"{refused[0]}: {meaning(f'error:{refused[1]}')}"
 
 
 def _ask(connection: Connection, line: str) -> list[str]:

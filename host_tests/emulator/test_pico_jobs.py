@@ -1,0 +1,142 @@
+"""Jobs on the emulated Pico: from one file dragged there to a program that goes on behind a power
+cut."""
+
+import math
+import subprocess
+import sys
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+import uf2_model
+from emulated import BOARDS, DIR, HOLD, LIMIT, STEP, Board, steps
+from test_uf2 import garbage, read_back
+from ugrbl.device import jobs
+
+pytestmark = pytest.mark.xdist_group("pico jobs")
+
+_PIECE = 2048
+_KB_PER_S = 50
+_SETTINGS = (
+    *[f"${number + axis}={value}" for axis in range(3) for number, value in ((100, 100),)],
+    *[f"${number + axis}={value}" for axis in range(3) for number, value in ((110, 6000),)],
+    *[f"${number + axis}=500" for axis in range(3) for number in (120, 130)],
+    *("$22=1", "$23=0", "$24=300", "$25=3000", "$26=5", "$27=1"),
+)
+# Two turns up a spiral staircase, in the negative: homing has set its zero above.
+_JOB = (
+    "G21 G90 G54",
+    "M3 S1000",
+    *[
+        f"G1 X{-3 - i % 7 * 0.3:.2f} Y{-2 - i % 5 * 0.4:.2f} Z{-2 - i * 0.01:.2f} F1500"
+        for i in range(60)
+    ],
+    "G0 Z-1.5",
+    "M5",
+)
+
+
+def push(machine: Board, name: str, data: bytes) -> float:
+    """Send a file as `ugrbl job push` does. Returns how many us it takes."""
+    machine.forget()
+    begun = machine.pico.us
+    machine.send(f"$FU={name},{len(data)},{zlib.crc32(data):x}\n")
+    for at in range(0, len(data), _PIECE):
+        machine.wait_for(f"[FU:{at}]\r\n", 10_000_000)
+        machine.send(b"".join(jobs._lines(data[at : at + _PIECE])) + b"\n")
+    machine.wait_for("ok\r\n", 10_000_000)
+    return machine.pico.us - begun
+
+
+def home(machine: Board) -> None:
+    """Its switches are 2 mm up and away from where it is now."""
+    at = [0, 0, 0]
+    first = len(machine.pico.edges)
+
+    def follow() -> None:
+        for axis in range(3):
+            at[axis] = sum(sign for _, sign in steps(machine.pico.edges[first:], axis))
+            machine.pico.drive(LIMIT[axis], 0 if at[axis] >= 200 else 1)
+        if not is_done:
+            machine.pico.at_us(2_000, follow)
+
+    is_done: list[bool] = []
+    follow()
+    machine.ask("$H", limit_us=20_000_000)
+    is_done.append(True)
+
+
+def made(tmp_path: Path, uf2: Path) -> bytes:
+    """Flash with what `ugrbl uf2` makes for a board with jobs, dragged onto something else."""
+    board, settings, file = (tmp_path / name for name in ("my.py", "my.settings", "all.uf2"))
+    board.write_text((BOARDS / "rpi_pico.py").read_text() + '\nJOBS = "jobs"\n')
+    settings.write_text("".join(f"{line}\n" for line in _SETTINGS))
+    command = [sys.executable, "-m", "ugrbl.cli", "uf2", "--board", str(board), "-o", str(file)]
+    command += ["--micropython", str(uf2), "--settings", str(settings)]
+    subprocess.run(command, capture_output=True, text=True, check=True)
+    flash = garbage(2 << 20)
+    uf2_model.load(flash, file.read_bytes())
+    return bytes(flash)
+
+
+def powered(uf2: Path, flash: bytes) -> Board:
+    """A Pico with that in its flash, as it says hello."""
+    machine = Board(uf2)
+    machine.pico.mcu.flash[: len(flash)] = flash
+    machine.pico.record([*STEP, *DIR])
+    return machine.boot()
+
+
+def places(machine: Board) -> Sequence[str]:
+    return machine.status()["MPos"].split(",")
+
+
+def test_from_a_dragged_file_to_a_job_that_goes_on_behind_a_power_cut(
+    uf2: Path, tmp_path: Path
+) -> None:
+    machine = powered(uf2, made(tmp_path, uf2))
+    data = "".join(f"{line}\n" for line in _JOB).encode()
+    machine.ask("$X")
+    push(machine, "STAIRS.NC", data)
+    home(machine)
+    machine.forget()
+    machine.send("$F=stairs.nc\n")
+    machine.wait_for("Job STAIRS.NC: begins")
+    machine.pico.run_us(900_000)
+    report = machine.status()
+    assert report["state"] == "Run" and report["SD"].endswith(",/STAIRS.NC")
+    # The power goes: what watches it pulls the hold input, and there is a little left.
+    machine.pico.drive(HOLD, 0)
+    machine.pico.run_us(600_000)
+    flash = bytes(machine.pico.flash_image())
+
+    machine = powered(uf2, flash)
+    told = machine.wait_for("[MSG:Job STAIRS.NC: did not come to its end; last noted: line ")
+    machine.wait_for("]\r\n")
+    line = int(machine.said.partition("last noted: line ")[2].partition("]")[0])
+    assert 5 < line < 60, told
+    home(machine)
+    first = len(machine.pico.edges)
+    machine.forget()
+    machine.send("$F=@\n")
+    machine.wait_for(f"Job STAIRS.NC: goes on at line {line}")
+    machine.wait_for("Job STAIRS.NC: done, 64 lines", 60_000_000)
+    assert places(machine) == [*places_of(_JOB[61]), "-1.500"]
+    assert machine.pico.edges[first:]
+    assert read_back(machine.pico.flash_image())["jobs/STAIRS.NC"] == data
+
+
+def places_of(line: str) -> list[str]:
+    return [f"{float(word[1:]):.3f}" for word in line.split() if word[0] in "XY"]
+
+
+def test_a_file_comes_at_fifty_kilobytes_a_second(uf2: Path, tmp_path: Path) -> None:
+    machine = powered(uf2, made(tmp_path, uf2))
+    turns = [i / 100 for i in range(1200)]
+    lines = [f"G1X{50 * math.cos(at):.3f}Y{50 * math.sin(at):.3f}F1500" for at in turns]
+    data = "\n".join(lines).encode()
+    machine.ask("$X")
+    rate = len(data) / push(machine, "BIG.NC", data) * 1000
+    assert rate >= _KB_PER_S
+    assert read_back(machine.pico.flash_image())["jobs/BIG.NC"] == data

@@ -1,0 +1,108 @@
+"""`ugrbl job`, at a simulator on a pseudo-terminal."""
+
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from sim_bench import Bench
+from typer.testing import CliRunner, Result
+from ugrbl.cli.app import app
+from ugrbl.paths import BOARDS
+
+_PROGRAM = "G21 G91\nG1 X1 F600\n; done? not yet!\nG1 X-1\n"
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    """A machine that keeps jobs."""
+    folder = tmp_path_factory.mktemp("sim")
+    board = folder / "my.py"
+    board.write_text((BOARDS / "rpi_pico.py").read_text() + f'\nJOBS = "{folder / "jobs"}"\n')
+    running = Bench(folder, "--speed", "max", "--board", str(board))
+    yield running
+    running.kill()
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    running = Bench(tmp_path_factory.mktemp("sim"), "--speed", "max")
+    yield running
+    running.kill()
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    made = tmp_path / "part.nc"
+    made.write_text(_PROGRAM)
+    return made
+
+
+def ugrbl(bench: Bench, *words: object, answer: str = "") -> Result:
+    command = ["job", *map(str, words), "--port", str(bench.port)]
+    return CliRunner().invoke(app, command, input=answer)
+
+
+def test_a_program_is_sent_listed_shown_run_and_deleted(bench: Bench, file: Path) -> None:
+    assert ugrbl(bench, "push", file).exit_code == 0
+    assert f"PART.NC  {len(_PROGRAM)}" in ugrbl(bench, "list").output
+    assert ugrbl(bench, "show", "part.nc").output == _PROGRAM
+    done = ugrbl(bench, "run", "PART.NC")
+    assert (done.exit_code, done.output) == (0, "Job PART.NC: begins\n")
+    until = time.monotonic() + 10
+    while ugrbl(bench, "list").exit_code:  # refused as long as the job runs
+        assert time.monotonic() < until
+    assert "nothing has been changed" in ugrbl(bench, "delete", "PART.NC", answer="n\n").output
+    assert ugrbl(bench, "delete", "PART.NC", "--yes").exit_code == 0
+    assert "PART.NC" not in ugrbl(bench, "list").output
+
+
+def test_a_program_that_is_refused_at_once_is_told_of(bench: Bench, tmp_path: Path) -> None:
+    (tmp_path / "bad.nc").write_text("G21\nG5 X1\n")
+    assert ugrbl(bench, "push", tmp_path / "bad.nc").exit_code == 0
+    said = ugrbl(bench, "run", "BAD.NC").output
+    assert "Job BAD.NC: line 2 is refused with 20: " in said
+
+
+def test_a_big_program_comes_whole(bench: Bench, tmp_path: Path) -> None:
+    big = tmp_path / "big.nc"
+    big.write_bytes(os.urandom(9000) + b"\nG0X1\n" * 1000)
+    assert ugrbl(bench, "push", big, "--name", "b-1.nc").exit_code == 0
+    assert f"B-1.NC  {big.stat().st_size}" in ugrbl(bench, "list").output
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("run", "NONE.NC"), "There is no job NONE.NC"),
+        (("show", "NONE.NC"), "There is no job NONE.NC"),
+        (("resume", "--yes"), "No job is noted"),
+        (("resume", "--line", "5", "--yes"), "--line wants the name of the program"),
+        (("resume", "NONE.NC", "--yes", "--line", "5"), "There is no job NONE.NC"),
+        (("button", "NONE.NC"), "There is no job NONE.NC"),
+        (("run", "a b"), "a b is no name for a job"),
+        (("push", "/nowhere/part.nc"), "No such file"),
+        (("push", "/etc/hostname", "--name", "x" * 33), "is no name for a job"),
+    ],
+)
+def test_what_cannot_be_is_a_sentence(bench: Bench, words: "tuple[str, ...]", why: str) -> None:
+    done = ugrbl(bench, *words)
+    assert done.exit_code != 0 and why in done.output
+
+
+def test_an_empty_file_is_no_job(bench: Bench, tmp_path: Path) -> None:
+    (tmp_path / "a.nc").touch()
+    done = ugrbl(bench, "push", tmp_path / "a.nc")
+    assert done.exit_code == 1 and "an empty file is no job" in done.output
+
+
+@pytest.mark.parametrize("words", [("list",), ("run", "A.NC"), ("delete", "A.NC", "--yes")])
+def test_a_machine_without_jobs_says_what_it_wants(plain: Bench, words: "tuple[str, ...]") -> None:
+    done = ugrbl(plain, *words)
+    assert done.exit_code == 1 and 'JOBS = "jobs"' in done.output
+
+
+def test_a_program_is_pushed_to_no_machine_without_jobs(plain: Bench, file: Path) -> None:
+    done = ugrbl(plain, "push", file)
+    assert done.exit_code == 1 and 'JOBS = "jobs"' in done.output
