@@ -197,7 +197,7 @@ def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() ->
         for link in engines.links():
             for tool in ("punch", "laser"):
                 words = {"TOOL": tool, "DIALECT": "0.9", "COREXY": True, "CLUSTERS": True}
-                words |= {"JERK": True, "CUSTOM": "custom", "LENIENT": True}
+                words |= {"JERK": True, "CUSTOM": "custom", "LENIENT": True, "JOBS": "jobs"}
                 every |= needed(ENGINE=engine, LINK=link, **words)
     left = {build.module(source) for source in set(build.sources()) - every}
     trees = [ast.parse(text) for text in inline(build.texts()).values()]

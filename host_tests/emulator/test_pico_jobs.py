@@ -109,7 +109,7 @@ def test_from_a_dragged_file_to_a_job_that_goes_on_behind_a_power_cut(
     # The power goes: what watches it pulls the hold input, and there is a little left.
     machine.pico.drive(HOLD, 0)
     machine.pico.run_us(600_000)
-    flash = bytes(machine.pico.flash_image())
+    flash = bytes(machine.pico.mcu.flash)
 
     machine = powered(uf2, flash)
     told = machine.wait_for("[MSG:Job STAIRS.NC: did not come to its end; last noted: line ")

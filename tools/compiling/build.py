@@ -109,12 +109,8 @@ def needed(board: ModuleType) -> list[str]:
     left = [module(START), *extras]
     while left:
         name = left.pop()
-        if (
-            name in there
-            and name not in found
-            and not _is_off(board, name)
-            and (extras or name != _EXTRAS_API)
-        ):
+        off = _is_off(board, name) or (name == _EXTRAS_API and not extras)
+        if name in there and name not in found and not off:
             found[name] = there[name]
             without = _others(board) if name in _PARTS else set()
             left += _asked(written[name], frozenset(without))
