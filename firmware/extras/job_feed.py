@@ -26,9 +26,10 @@ if TYPE_CHECKING:
 
 _BLOCK = const(512)
 _HEARD = const(32)
+_FEW = const(12)  # blocks: as many as a piece of the file may make
 _OWED = const(32)
 # A hold is noted in flash where not more of the stack is in use: a file system wants much of it.
-_STACK_BYTES = const(2560)
+_STACK_BYTES = const(2816)
 # What is planned as made may still be in the engine for so long.
 _MADE_MS = const(40)
 
@@ -38,6 +39,7 @@ _NOTED = const(1)  # rows of the planner's ring in front of this one are known b
 _FROM = const(2)  # the next byte of the block,
 _LEFT = const(3)  # and how many there are
 _LAST = const(4)  # the last byte that was handed out
+_ROOM = const(5)  # of the ring, where nothing is in it
 
 _NEWLINE = const(10)
 _RETURN = const(13)
@@ -48,21 +50,39 @@ _STARTUP = const(62)  # ">", in front of what has become of a line at startup
 
 
 @micropython.viper
-def _deliver(block: ptr8, at: ptr32, buf: ptr8, room: int, kinds: ptr8) -> int:
-    """Move up to so many bytes of the file into buf. Nothing in it is a real-time command, and
-    the end of a line is one byte."""
+def _deliver(
+    block: ptr8, at: ptr32, buf: ptr8, size: int, room: int, kinds: ptr8, flow: ptr32
+) -> int:
+    """Move bytes of the file into buf, as many as its size and the ring's room allow. Nothing in
+    it is a real-time command, and the end of a line is one byte.
+
+    Where few blocks are free it is no more lines than those, once the last have been taken: so
+    lines do not wait within the interpreter, and a hold finds the stack nearly empty.
+    """
+    free = flow[layout.TAIL] - flow[layout.HEAD] - 1
+    if free < 0:
+        free += flow[layout.ROWS]
+    if free < _FEW and (free == 0 or room < at[_ROOM]):
+        return 0
     start = at[_FROM]
     left = at[_LEFT]
+    if room > size:
+        room = size
     if room > left:
         room = left
-    c = at[_LAST]
-    for i in range(room):
-        c = block[start + i]
-        buf[i] = 32 if kinds[c] == REALTIME or c == _RETURN else c
-    at[_LAST] = c
-    at[_FROM] = start + room
-    at[_LEFT] = left - room
-    return room
+    count = 0
+    while count < room:
+        c = block[start + count]
+        buf[count] = 32 if kinds[c] == REALTIME or c == _RETURN else c
+        at[_LAST] = c
+        count += 1
+        if c == _NEWLINE:
+            free -= 1
+            if free == 0:
+                room = count
+    at[_FROM] = start + count
+    at[_LEFT] = left - count
+    return count
 
 
 @micropython.viper
@@ -105,7 +125,8 @@ class Feed:
         _, _, _, self._kinds = machine.reader.memory()
         self._flow = machine.planner.flow
         self._lines = array("i", bytes(4 * self._flow[layout.ROWS]))
-        self._at = array("i", bytes(20))
+        self._at = array("i", bytes(24))
+        self._at[_ROOM] = self._reader.free()
         self._block = bytearray(_BLOCK)
         self._heard = bytearray(_HEARD)
         self._said = bytearray(len(machine.reader.line))  # the sender's line, so far
@@ -139,8 +160,8 @@ class Feed:
                 self._hold()
         if self._at[_LEFT] == 0 and not (self._file and self._fetch()):
             return 0
-        room = min(len(buf), self._reader.free())
-        return _deliver(self._block, self._at, buf, room, self._kinds)
+        room = self._reader.free()
+        return _deliver(self._block, self._at, buf, len(buf), room, self._kinds, self._flow)
 
     @micropython.native
     def write(self, data: "bytes | bytearray | memoryview") -> None:

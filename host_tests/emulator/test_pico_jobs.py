@@ -5,12 +5,11 @@ import math
 import subprocess
 import sys
 import zlib
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 import uf2_model
-from emulated import BOARDS, DIR, HOLD, LIMIT, STEP, Board, steps
+from emulated import BOARDS, DIR, HOLD, LIMIT, STEP, Board, Odometer
 from test_uf2 import garbage, read_back
 from ugrbl.device import jobs
 
@@ -30,7 +29,7 @@ _JOB = (
     "M3 S1000",
     *[
         f"G1 X{-3 - i % 7 * 0.3:.2f} Y{-2 - i % 5 * 0.4:.2f} Z{-2 - i * 0.01:.2f} F1500"
-        for i in range(60)
+        for i in range(160)
     ],
     "G0 Z-1.5",
     "M5",
@@ -51,20 +50,19 @@ def push(machine: Board, name: str, data: bytes) -> float:
 
 def home(machine: Board) -> None:
     """Its switches are 2 mm up and away from where it is now."""
-    at = [0, 0, 0]
-    first = len(machine.pico.edges)
+    odometer = Odometer(machine.pico)
+    is_done: list[bool] = []
 
     def follow() -> None:
-        for axis in range(3):
-            at[axis] = sum(sign for _, sign in steps(machine.pico.edges[first:], axis))
-            machine.pico.drive(LIMIT[axis], 0 if at[axis] >= 200 else 1)
+        for axis, at in enumerate(odometer.read()):
+            machine.pico.drive(LIMIT[axis], 0 if at >= 200 else 1)
         if not is_done:
             machine.pico.at_us(2_000, follow)
 
-    is_done: list[bool] = []
     follow()
     machine.ask("$H", limit_us=20_000_000)
     is_done.append(True)
+    machine.pico.run_us(3_000)
 
 
 def made(tmp_path: Path, uf2: Path) -> bytes:
@@ -86,10 +84,6 @@ def powered(uf2: Path, flash: bytes) -> Board:
     machine.pico.mcu.flash[: len(flash)] = flash
     machine.pico.record([*STEP, *DIR])
     return machine.boot()
-
-
-def places(machine: Board) -> Sequence[str]:
-    return machine.status()["MPos"].split(",")
 
 
 def test_from_a_dragged_file_to_a_job_that_goes_on_behind_a_power_cut(
@@ -115,20 +109,21 @@ def test_from_a_dragged_file_to_a_job_that_goes_on_behind_a_power_cut(
     told = machine.wait_for("[MSG:Job STAIRS.NC: did not come to its end; last noted: line ")
     machine.wait_for("]\r\n")
     line = int(machine.said.partition("last noted: line ")[2].partition("]")[0])
-    assert 5 < line < 60, told
+    assert 5 < line < 100, told
     home(machine)
-    first = len(machine.pico.edges)
+    odometer = Odometer(machine.pico)
     machine.forget()
     machine.send("$F=@\n")
     machine.wait_for(f"Job STAIRS.NC: goes on at line {line}")
-    machine.wait_for("Job STAIRS.NC: done, 64 lines", 60_000_000)
-    assert places(machine) == [*places_of(_JOB[61]), "-1.500"]
-    assert machine.pico.edges[first:]
+    machine.wait_for("Job STAIRS.NC: done, 164 lines", 60_000_000)
+    places = [round(100 * mm) for mm in (*place_of(_JOB[161]), -1.5)]
+    assert odometer.read() == [place + 100 for place in places]  # homing ends at -1 mm
     assert read_back(machine.pico.flash_image())["jobs/STAIRS.NC"] == data
 
 
-def places_of(line: str) -> list[str]:
-    return [f"{float(word[1:]):.3f}" for word in line.split() if word[0] in "XY"]
+def place_of(line: str) -> list[float]:
+    """X and Y."""
+    return [float(word[1:]) for word in line.split() if word[0] in "XY"]
 
 
 def test_a_file_comes_at_fifty_kilobytes_a_second(uf2: Path, tmp_path: Path) -> None:
