@@ -159,12 +159,14 @@ class Happenings:
         try:
             while self._beside:
                 name, values = self._beside.pop(0)
-                found = [
-                    self._runner.run(what, function, False, values)
-                    for what, function in self._handlers[name]
-                ]
+                fields = []
+                for what, function in self._handlers[name]:
+                    found = self._runner.run(what, function, False, values)
+                    text = _field(found) if name == handlers.REPORT else ""
+                    if text:
+                        fields.append(text)
                 if name == handlers.REPORT:
-                    self._field = "|".join([text for text in map(_field, found) if text])
+                    self._field = "|".join(fields)
             if self._timers:
                 self._turn_timers()
             if self._marks.waiting:

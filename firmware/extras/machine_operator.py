@@ -45,6 +45,10 @@ _LETTERS = "XYZA"
 _MOST_JOGS = const(4)  # asked for and not begun
 
 
+def _never() -> bool:
+    return False
+
+
 class Operator(PinOperator):
     """What there is to ask. outputs, inputs: pins by the names of the board file."""
 
@@ -270,7 +274,7 @@ class Operator(PinOperator):
     @micropython.native  # a handler that runs beside it wants stack
     def wait(self, seconds: float) -> None:
         """Let time pass; motion goes on."""
-        self._until(lambda: False, seconds)
+        self._until(_never, seconds)
 
     def wait_for(
         self,
