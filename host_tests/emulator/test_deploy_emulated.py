@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from ugrbl.boardfile import files
 from ugrbl.compiling import build
+from ugrbl.compiling.folder import save
 from ugrbl.device.connection import Connection
 from ugrbl.grbl.gcode_file import is_answer
 
@@ -33,7 +34,7 @@ def pico(uf2: Path, folder: Path, files: "build.Build | None" = None) -> "Iterat
     link, there = folder / "pico", folder / "there"
     there.mkdir()
     if files:
-        build.save(files, there)
+        save(files, there)
     command = [sys.executable, str(_HERE / "pty_bridge.py"), str(uf2), str(link), str(there)]
     bridge = subprocess.Popen(command)
     try:

