@@ -8,10 +8,11 @@ from rich.console import Console
 
 from ..boardfile.files import BoardFileError, board_file
 from ..compiling import build
-from ..compiling.build import BuildError
+from ..compiling.build import START, BuildError
 from ..grbl.settings_file import SettingsError
 from ..image import contents
 from ..image.contents import MicroPython
+from ..image.uf2 import Uf2Error
 from .build import DEBUG_COST, Debug
 from .custom import judge
 from .custom_options import CustomFile, around
@@ -24,6 +25,10 @@ EXAMPLES = (
     " --custom custom.py -o router.uf2"
 )
 _DOWNLOAD = "micropython.org/download has it for each board, as a .uf2 file"
+_STAYS = (
+    " What the board has kept stays; firmware that was deployed there too, and goes before what is"
+    " frozen: `ugrbl deploy` takes it away."
+)
 _DRIVES = {"RP2040": "RPI-RP2", "RP2350": "RP2350"}
 
 
@@ -40,6 +45,10 @@ def command(
         typer.Option(metavar="FILE", readable=False, help="As `ugrbl settings pull` writes it."),
     ] = None,
     custom: CustomFile = None,
+    keep: Annotated[
+        bool,
+        typer.Option("--keep", help="No file system: what a board has kept stays. See below."),
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", metavar="FILE", help="By default build/BOARD.uf2."),
@@ -52,6 +61,9 @@ def command(
     settings and your own Python. The board needs nothing before, and begins
     anew: settings and files that were kept on it are lost. Later, `ugrbl
     deploy` brings it up to date and leaves those alone.
+
+    So does a file made with --keep, which wants a MicroPython that has this
+    firmware frozen in (docs/boards.md): nothing else is in it.
     """
     console = Console()
     file = out or Path("build") / f"{Path(board).stem}.uf2"
@@ -60,9 +72,15 @@ def command(
         theirs = contents.read(micropython)
         made = build.for_board(board_file(board), debug=debug)
         contents.check_fit(theirs, made)
-        own = _own(console, board, custom)
-        files = contents.files(made, board, settings, own)
-        file.write_bytes(contents.join(theirs, files))
+        files: dict[str, bytes] = {}
+        if keep:
+            _check_nothing_else(settings or custom)
+            data = contents.frozen_only(theirs, made)
+        else:
+            own = _own(console, board, custom)
+            files = contents.files(made, board, settings, own, theirs.frozen)
+            data = contents.join(theirs, files)
+        file.write_bytes(data)
     except (BoardFileError, BuildError) as error:
         raise failed("\n".join(error.problems)) from error
     except (ValueError, SettingsError, OSError) as error:
@@ -70,6 +88,11 @@ def command(
     _show(console, file, theirs, files)
     if debug:
         console.print(f"names and line numbers stay: they take {DEBUG_COST}", highlight=False)
+
+
+def _check_nothing_else(wanted: Path | None) -> None:
+    if wanted:
+        raise Uf2Error(f"with --keep there is no place for {wanted}: what the board has stays")
 
 
 def _own(console: Console, board: str, custom: Path | None) -> dict[str, bytes]:
@@ -91,13 +114,22 @@ def _show(console: Console, file: Path, micropython: MicroPython, files: dict[st
             [
                 ("file", f"{file}, {file.stat().st_size // 1024} kB"),
                 ("MicroPython", f"{about.version}, for {chip}"),
-                ("files", f"{len(files)}, {size} bytes of {about.size}"),
+                *_frozen(micropython, files),
+                ("files", f"{len(files)}, {size} bytes of {about.size}" if files else "none"),
             ]
         )
     )
+    then = " What the board has kept is lost then." if files else _STAYS
     console.print(
-        f"Hold BOOTSEL while you plug the board in, and drag the file onto {_DRIVES[chip]}."
-        " What the board has kept is lost then.",
+        f"Hold BOOTSEL while you plug the board in, and drag the file onto {_DRIVES[chip]}.{then}",
         highlight=False,
         soft_wrap=True,
     )
+
+
+def _frozen(micropython: MicroPython, files: dict[str, bytes]) -> list[tuple[str, str]]:
+    """Which firmware runs, where there may be two."""
+    if not (frozen := micropython.frozen):
+        return []
+    before = "; the files go before it" if START in files else ", which runs"
+    return [("frozen", f"build {frozen.build}{before}")]

@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..boardfile import chips
+from ..compiling import freeze
 from ..compiling.build import Build
+from ..compiling.freeze import Frozen
 from ..device.checkup import NEW_MICROPYTHON, release, too_old
 from ..device.deploy import LIST, listing
 from ..paths import use_firmware
@@ -30,6 +32,12 @@ class MicroPython(NamedTuple):
     def chip(self) -> str:
         """What it is for."""
         return uf2.CHIPS[self.flash.family]
+
+    @property
+    def frozen(self) -> "Frozen | None":
+        """Our firmware, if it is frozen into it."""
+        program = self.flash.read(self.flash.start, self.flash.end - self.flash.start)
+        return freeze.read(program.decode("latin-1"))
 
 
 def read(file: Path) -> MicroPython:
@@ -58,11 +66,36 @@ def _misfit(micropython: MicroPython, made: Build) -> str:
     return f"{why}: {NEW_MICROPYTHON}" if why else ""
 
 
+def frozen_only(micropython: MicroPython, made: Build) -> bytes:
+    """MicroPython as it is, as a UF2 file, with the firmware of this build frozen in. Uf2Error
+    where that is not so."""
+    if why := _lacking(micropython.frozen, made):
+        raise Uf2Error(f"{micropython.file}: {why}")
+    return uf2.write(micropython.flash)
+
+
+def _lacking(frozen: "Frozen | None", made: Build) -> str:
+    if frozen is None:
+        return (
+            "the firmware is not frozen into it, and would have to go where settings are kept: "
+            "`ugrbl deploy` brings it up to date and keeps them; how to freeze it is told in "
+            "docs/boards.md"
+        )
+    why = frozen.lacks(made)
+    return f"{why}: build MicroPython anew, for this board" if why else ""
+
+
 def files(
-    made: Build, board: str, settings: Path | None, custom: Mapping[str, bytes]
+    made: Build,
+    board: str,
+    settings: Path | None,
+    custom: Mapping[str, bytes],
+    frozen: "Frozen | None" = None,
 ) -> dict[str, bytes]:
-    """The file system, by path. SettingsError where the machine would not take them."""
-    found = {**made.files, **custom, LIST: listing(made)}
+    """The file system, by path. frozen: what its MicroPython has of the firmware. SettingsError
+    where the machine would not take them."""
+    left = freeze.beside(made, frozen)
+    found = {**left.files, **custom, LIST: listing(left)}
     if settings:
         name, lines = kept_settings(board, settings)
         found.update(_as_kept(name, lines))

@@ -39,6 +39,11 @@ class Flash:
     others: list[bytes] = field(default_factory=list)
 
     @property
+    def start(self) -> int:
+        """The address of the first page."""
+        return min(self.pages, default=0)
+
+    @property
     def end(self) -> int:
         """The address behind the last page."""
         return max(self.pages, default=-PAGE) + PAGE
