@@ -135,6 +135,7 @@ def _deploy(console: Console, port: str, made: Build, replace: bool) -> Result:
 def _show(console: Console, result: Result, port: str) -> None:
     rows = [
         ("board", f"{result.micropython}, at {port}"),
+        *_frozen(result),
         ("copied", f"{_files(len(result.copied))}, {result.bytes} bytes"),
         ("unchanged", _files(result.unchanged)),
     ]
@@ -144,6 +145,14 @@ def _show(console: Console, result: Result, port: str) -> None:
     if result.free_bytes is not None:
         rows.append(("free memory", f"{result.free_bytes} bytes, while it runs"))
     console.print(summary([*rows, ("took", f"{result.seconds:g} s")]))
+
+
+def _frozen(result: Result) -> list[tuple[str, str]]:
+    """Which firmware runs, where there are two."""
+    if not result.frozen:
+        return []
+    runs = "runs" if result.runs_frozen else "does not run: files go before it"
+    return [("frozen", f"build {result.frozen}, which {runs}")]
 
 
 def _files(count: int) -> str:

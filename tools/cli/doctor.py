@@ -84,6 +84,7 @@ class Doctor:
         self.add(checkup.firmware(settings.firmware, _our_build()))
         self.add(*checkup.link(settings.firmware))
         health = _health(connection, settings.firmware)
+        self.add(*checkup.frozen(health))
         self.add(*checkup.stack(health), *checkup.drains(health), *checkup.faults(health))
         self.add(*checkup.custom(health))
         self._state(connection)

@@ -26,6 +26,7 @@ NEW_MICROPYTHON = "put MicroPython 1.28 on the board: micropython.org/download"
 _TRACE = "[MSG:Trace: "
 _LEFT_OUT = "[MSG:Custom left out: "
 _OF_HANDLER = re.compile(r"\[MSG:Last fault: (M\d+|G[\d.]+|on\.\w+(?:\([^)]*\))?|every \d+): ")
+_FROZEN = re.compile(r"\[MSG:Build: \w+, frozen\]")
 _STACK = re.compile(r"\[MSG:Stack: (\d+) of (\d+) bytes used\]")
 _STACK_SPARE = 1024
 _DRAINS = re.compile(r"\[MSG:Drains: (\d+)\]")
@@ -82,6 +83,16 @@ def link(found: Firmware) -> list[Finding]:
     text = "this MicroPython keeps what comes over USB in a place we do not know: Ctrl-X is heard "
     text += "at the firmware's next turn only, and the welcome is not sent when a port opens"
     return [Finding("USB", NOTE, text, NEW_MICROPYTHON)]
+
+
+def frozen(replies: Iterable[str]) -> list[Finding]:
+    """Where the firmware is, by `$I+`, if it is no file."""
+    if not any(_FROZEN.fullmatch(reply) for reply in replies):
+        return []
+    text = (
+        "it is a part of the board's MicroPython: `ugrbl uf2 --keep` makes a file that updates it"
+    )
+    return [Finding("frozen", OK, text)]
 
 
 def stack(replies: Iterable[str]) -> list[Finding]:

@@ -11,8 +11,9 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 from ..boardfile import chips
-from ..compiling import build
+from ..compiling import build, freeze
 from ..compiling.build import BOARD, START, Build, digest
+from ..compiling.freeze import Frozen
 from . import checkup
 
 # Checksums and paths, as sha256sum writes them.
@@ -37,11 +38,13 @@ class DeployError(Exception):
 
 
 class About(NamedTuple):
-    """What a MicroPython says of itself. mpy: its sys.implementation._mpy, 0 without."""
+    """What a MicroPython says of itself. mpy: its sys.implementation._mpy, 0 without; frozen: what
+    it has of our firmware."""
 
     mpy: int
     version: str
     machine: str
+    frozen: Frozen | None = None
 
 
 class Running(NamedTuple):
@@ -106,9 +109,12 @@ class Plan(NamedTuple):
 
 @dataclass
 class Result:
-    """What was done. seconds: without compiling."""
+    """What was done. seconds: without compiling; frozen: the build that is frozen in, if one is;
+    runs_frozen: it is what runs."""
 
     micropython: str = ""
+    frozen: str = ""
+    runs_frozen: bool = False
     copied: list[str] = field(default_factory=list)
     removed: list[str] = field(default_factory=list)
     unchanged: int = 0
@@ -189,8 +195,8 @@ def check_yours(made: Build, there: Mapping[str, str], before: Mapping[str, str]
 def deploy(device: Device, made: Build, view: View, replace: bool = False) -> Result:
     """Bring the board up to date and start it. Nothing is changed before all checks have passed.
 
-    Without main.py, which goes first and comes last, a board starts with MicroPython's prompt: one
-    that was left half way does not move.
+    Without main.py, which goes first and comes last, a board starts with MicroPython's prompt, or
+    with what is frozen into it: one that was left half way runs no half of a firmware.
     """
     since = time.monotonic()
     device.enter()
@@ -200,6 +206,7 @@ def deploy(device: Device, made: Build, view: View, replace: bool = False) -> Re
     before = _read_list(device, there)
     if not replace:
         check_yours(made, there, before)
+    made = freeze.beside(made, about.frozen)
     todo = plan(made, there, before)
     if todo.copy or todo.remove or before != checksums(made):
         try:
@@ -209,6 +216,8 @@ def deploy(device: Device, made: Build, view: View, replace: bool = False) -> Re
     running = device.restart()
     return Result(
         f"MicroPython {about.version} on {about.machine}",
+        about.frozen.build if about.frozen else "",
+        START not in made.files,
         todo.copy,
         todo.remove,
         len(todo.same),
@@ -223,7 +232,8 @@ def _carry_out(device: Device, made: Build, todo: Plan, has_start: bool, view: V
     if has_start:
         device.remove(START)
     for path in todo.remove:
-        device.remove(path)
+        if path != START:
+            device.remove(path)
     order = [path for path in todo.copy if path != START]
     for folder in sorted({path.rpartition("/")[0] for path in order} - {""}):
         device.make_folder(folder)
@@ -231,7 +241,8 @@ def _carry_out(device: Device, made: Build, todo: Plan, has_start: bool, view: V
         view.file(path)
         _write(device, path, made.files[path], view)
     _write(device, LIST, listing(made), None)
-    _write(device, START, made.files[START], view if START in todo.copy else None)
+    if START in made.files:  # else it is frozen
+        _write(device, START, made.files[START], view if START in todo.copy else None)
 
 
 def _write(device: Device, path: str, content: bytes, view: View | None) -> None:

@@ -13,6 +13,7 @@ import serial
 from mpremote.transport import TransportError  # type: ignore[import-untyped]
 from mpremote.transport_serial import SerialTransport  # type: ignore[import-untyped]
 
+from ..compiling import freeze
 from .connection import Connection, SendError, way_out
 from .deploy import LIST, About, DeployError, Running
 
@@ -46,7 +47,17 @@ _ABOUT = """(
     getattr(sys.implementation, "_mpy", 0),
     ".".join(map(str, sys.implementation[1][:3])),
     os.uname()[4],
+    frozen,
 )"""
+# The firmware that is frozen in, whatever files there are.
+_FROZEN = """
+path, sys.path[:] = sys.path[:], [".frozen"]
+try:
+    from base.frozen import ABOUT as frozen
+except ImportError:
+    frozen = ""
+sys.path[:] = path
+"""
 _FREE = "(gc.collect(), gc.mem_free())[1] if globals().get('machine') else -1"
 _NAMES = "os.listdir('/{folder}') if {folder!r} in [''] + os.listdir('/') else []"
 _TRY_BOARD = """
@@ -139,8 +150,9 @@ class MpremoteDevice:
 
     def about(self) -> About:
         """Version and processor."""
-        self._run("import os, sys")
-        return About(*self._evaluate(_ABOUT))
+        self._run("import os, sys" + _FROZEN)
+        mpy, version, machine, frozen = self._evaluate(_ABOUT)
+        return About(mpy, version, machine, freeze.read(frozen))
 
     # Files
 
