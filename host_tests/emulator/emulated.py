@@ -8,8 +8,10 @@ from unittest.mock import patch
 
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE
 from pico import Edge, Pico
-from ugrbl.compiling import build
+from ugrbl.compiling import build, freeze
+from ugrbl.compiling.freeze import Frozen
 from ugrbl.device.selftest import program
+from ugrbl.image import contents
 from ugrbl.paths import BOARDS
 from ugrbl.run import machine
 from ugrbl.run.program import ProgramLink
@@ -33,9 +35,15 @@ _ANSWER_US = 2_000_000
 
 
 @cache
-def firmware() -> "Mapping[str, bytes]":
-    """What `ugrbl deploy` puts on a Pico, by path."""
-    return build.for_board(BOARDS / "rpi_pico.py").files
+def firmware(frozen: "Frozen | None" = None) -> "Mapping[str, bytes]":
+    """What `ugrbl deploy` puts on a Pico, by path. frozen: what its MicroPython has of it."""
+    return freeze.beside(build.for_board(BOARDS / "rpi_pico.py"), frozen).files
+
+
+@cache
+def frozen_in(uf2: Path) -> "Frozen | None":
+    """Our firmware in that image."""
+    return contents.read(uf2).frozen
 
 
 @cache
@@ -72,7 +80,7 @@ class Board:
         changes: "Mapping[str, bytes | None] | None" = None,
         cache: bool = False,
     ) -> None:
-        files = {**firmware(), **(changes or {})}
+        files = {**firmware(frozen_in(uf2)), **(changes or {})}
         there = {name: data for name, data in files.items() if data is not None}
         self.pico = Pico(uf2, there, cache)
         for pin in INPUTS:

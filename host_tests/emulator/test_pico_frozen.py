@@ -1,0 +1,96 @@
+"""A MicroPython with the firmware frozen in: UGRBL_FROZEN_UF2 says where that is.
+
+It is built with manifest.py (docs/boards.md) for boards/rpi_pico.py, of the sources here.
+"""
+
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+import uf2_model
+from emulated import Board, firmware, frozen_in
+from ugrbl.compiling.build import for_board
+from ugrbl.paths import BOARDS
+
+pytestmark = pytest.mark.xdist_group("frozen")
+
+_FREE = "import gc\ngc.collect()\nprint(gc.mem_free())"
+_CUSTOM = b"""
+from ugrbl import mcode
+@mcode(100)
+def hello(m):
+    m.message("hello")
+"""
+
+
+@pytest.fixture(scope="module")
+def frozen_uf2() -> Path:
+    named = os.environ.get("UGRBL_FROZEN_UF2", "")
+    if not named:
+        pytest.skip("UGRBL_FROZEN_UF2 names no image: docs/boards.md tells how to build it")
+    frozen = frozen_in(Path(named))
+    why = frozen.lacks(for_board(BOARDS / "rpi_pico.py")) if frozen else "nothing is frozen in"
+    if why:
+        pytest.skip(f"UGRBL_FROZEN_UF2: {why}")
+    return Path(named)
+
+
+def where(board: Board) -> str:
+    """What the firmware tells of itself."""
+    return board.ask("$I+").partition("[MSG:Build: ")[2].partition("]")[0]
+
+
+def test_it_starts_with_the_board_file_alone_and_takes_lines(frozen_uf2: Path) -> None:
+    board = Board(frozen_uf2).boot().settled()
+    assert where(board).endswith(", frozen")
+    board.pico.record([2, 5])
+    for k in range(40):
+        board.ask(f"G1X{k % 2}F3000")
+    board.ask("G0X4.5")
+    board.until_idle()
+    assert board.status()["MPos"] == "4.500,0.000,0.000"
+    assert sum(edge.pin == 2 and edge.level for edge in board.pico.edges) == 250 * (39 + 3.5)
+    assert int(board.python(_FREE)) > 150_000
+
+
+def test_a_limit_switch_stops_it(frozen_uf2: Path) -> None:
+    board = Board(frozen_uf2).boot().settled()
+    board.ask("$21=1")
+    board.ask("G1X50F1200")
+    board.pico.run_us(200_000)
+    board.pico.drive(9, 0)
+    board.wait_for("ALARM:1")
+
+
+def test_what_a_board_has_kept_outlives_an_update(frozen_uf2: Path, tmp_path: Path) -> None:
+    old = Board(frozen_uf2, {"custom.py": _CUSTOM}).boot().settled()
+    old.ask("$110=4321")
+    old.ask("G10L2P1X7")
+    out = tmp_path / "update.uf2"
+    command = [sys.executable, "-m", "ugrbl.cli", "uf2", "--board", "rpi_pico", "--keep"]
+    command += ["--micropython", str(frozen_uf2), "-o", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    flash = bytearray(old.pico.mcu.flash[: 2 << 20])
+    begin = flash.index(b"ugrbl frozen: ")
+    flash[begin : begin + 64] = bytes(64)  # it was an older one
+    uf2_model.load(flash, out.read_bytes())
+    new = Board(frozen_uf2)
+    new.pico.mcu.flash[: len(flash)] = flash
+    new.boot()
+    assert "First start" not in new.said
+    assert "$110=4321" in new.ask("$$") and "[G54:7.000," in new.ask("$#")
+    assert "[MSG:hello]" in new.ask("M100")
+
+
+@pytest.mark.parametrize(
+    ("left", "is_frozen"), [(firmware(), False), ({"motion/__init__.mpy": b"half"}, True)]
+)
+def test_files_run_in_its_place_where_a_deployment_was_whole(
+    frozen_uf2: Path, left: "Mapping[str, bytes]", is_frozen: bool
+) -> None:
+    board = Board(frozen_uf2, left).boot().settled()
+    assert where(board).endswith(", frozen") == is_frozen
