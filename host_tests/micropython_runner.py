@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
-from ugrbl.compiling import build
+from ugrbl.compiling.folder import place
 from ugrbl.paths import FIRMWARE
 
 # Beside the interpreter of the venv; sys.executable is not resolved, it may be a link out of it.
@@ -21,7 +21,7 @@ needs_micropython = pytest.mark.skipif(MICROPYTHON is None, reason="no desktop M
 @cache
 def _placed() -> "TemporaryDirectory[str]":
     folder = TemporaryDirectory(prefix="ugrbl-")
-    build.place(Path(folder.name))
+    place(Path(folder.name))
     return folder
 
 

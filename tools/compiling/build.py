@@ -283,14 +283,6 @@ def _put_together(modules: tuple[tuple[str, str], ...]) -> Bundles:
     return put_together(dict(modules), dict(modules))
 
 
-def place(folder: Path) -> None:
-    """Write the sources there as a desktop's MicroPython runs them: constants in place."""
-    for name, text in inline(texts(), keep=True).items():
-        file = folder / f"{name.replace('.', '/')}.py"
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text, encoding="utf-8")
-
-
 def _text(source: str) -> str:
     return (paths.FIRMWARE / source).read_text(encoding="utf-8")
 
@@ -313,11 +305,6 @@ def for_board(
         progress(path, len(made.files[path]))
     made.own = (BOARD, *own)
     return made
-
-
-def folders(made: Build) -> list[str]:
-    """Where files of the firmware are, on this board or another; its root is an empty text."""
-    return sorted({path.rpartition("/")[0] for path in (*made.files, *sources())})
 
 
 # Boards have most modules in common.

@@ -1,10 +1,11 @@
-"""A build as a folder: for mip, and for whoever builds MicroPython with it (manifest.py)."""
+"""A build as a folder: for mip, for whoever builds MicroPython with it, and for the desktop's."""
 
 import json
 from pathlib import Path
 
 from .. import __version__
-from .build import START, Build, folders
+from .build import START, Build, sources, texts
+from .inline import inline
 
 _PACKAGE_LIST = "package.json"
 
@@ -42,3 +43,16 @@ def save_to_freeze(made: Build, folder: Path) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
         if not file.is_file() or file.read_bytes() != content:
             file.write_bytes(content)
+
+
+def folders(made: Build) -> list[str]:
+    """Where files of the firmware are, on this board or another; its root is an empty text."""
+    return sorted({path.rpartition("/")[0] for path in (*made.files, *sources())})
+
+
+def place(folder: Path) -> None:
+    """Write the sources there as a desktop's MicroPython runs them: constants in place."""
+    for name, text in inline(texts(), keep=True).items():
+        file = folder / f"{name.replace('.', '/')}.py"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Protocol
 from ..boardfile import chips
 from ..compiling import build, freeze
 from ..compiling.build import BOARD, START, Build, digest
+from ..compiling.folder import folders
 from ..compiling.freeze import Frozen
 from . import checkup
 
@@ -202,7 +203,7 @@ def deploy(device: Device, made: Build, view: View, replace: bool = False) -> Re
     device.enter()
     about = device.about()
     check_fit(about, made)
-    there = device.files(build.folders(made))
+    there = device.files(folders(made))
     before = _read_list(device, there)
     if not replace:
         check_yours(made, there, before)

@@ -21,7 +21,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ..compiling import build
+from ..compiling.folder import place
 from . import recordings
 from .compare import Json, judge_case, trouble
 from .compare_motion import judge_motion
@@ -125,7 +125,7 @@ def _environment(python: str, program: Path) -> Iterator[dict[str, str]]:
         yield dict(os.environ)
         return
     with TemporaryDirectory(prefix="ugrbl-") as folder:
-        build.place(Path(folder))
+        place(Path(folder))
         yield {**os.environ, "UGRBL_FIRMWARE": folder}
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def set_path() -> None:
     """Find firmware, boards and simulator; under CPython the stand-ins as well. UGRBL_FIRMWARE:
-    what MicroPython runs in place of the sources (compiling/build.place())."""
+    what MicroPython runs in place of the sources (compiling/folder.place())."""
     here = sys.argv[0].rsplit("/", 1)[0] if "/" in sys.argv[0] else "."
     tools = here + "/.."
     try:
