@@ -47,12 +47,13 @@ def test_it_starts_with_the_board_file_alone_and_takes_lines(frozen_uf2: Path) -
     board = Board(frozen_uf2).boot().settled()
     assert where(board).endswith(", frozen")
     board.pico.record([2, 5])
-    for k in range(40):
-        board.ask(f"G1X{k % 2}F3000")
+    board.ask("$120=1000")
+    for k in range(20):
+        board.ask(f"G1X{k % 2}F6000")
     board.ask("G0X4.5")
     board.until_idle()
     assert board.status()["MPos"] == "4.500,0.000,0.000"
-    assert sum(edge.pin == 2 and edge.level for edge in board.pico.edges) == 250 * (39 + 3.5)
+    assert sum(edge.pin == 2 and edge.level for edge in board.pico.edges) == 250 * (19 + 3.5)
     assert int(board.python(_FREE)) > 150_000
 
 
