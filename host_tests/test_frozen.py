@@ -18,11 +18,12 @@ from test_uf2 import run as ugrbl_uf2
 from typer.testing import CliRunner
 from uf2_model import BASE, load
 from ugrbl.boardfile.files import board_file
+from ugrbl.cli import deploy as cli_deploy
 from ugrbl.cli.app import app
 from ugrbl.compiling import build, decode, freeze, mpy, to_freeze
 from ugrbl.compiling.freeze import Frozen, NotFrozen
 from ugrbl.device import checkup
-from ugrbl.device.deploy import LIST, DeployError
+from ugrbl.device.deploy import LIST, DeployError, Result
 from ugrbl.image import uf2
 from ugrbl.image.uf2 import PAGE, Flash
 
@@ -342,6 +343,13 @@ def test_other_firmware_than_what_is_frozen_goes_there_as_files(made: build.Buil
     result = put(board, made)
     assert (result.frozen, result.runs_frozen) == ("01234567", False)
     assert {*made.files} < {*board.disk} and board.writes()[-1] == "main.py"
+
+
+@pytest.mark.parametrize(("runs", "said"), [(True, "which runs"), (False, "files go before it")])
+def test_deploy_says_which_firmware_runs(runs: bool, said: str) -> None:
+    ((name, text),) = cli_deploy._frozen(Result(frozen="12ab34cd", runs_frozen=runs))
+    assert name == "frozen" and "build 12ab34cd" in text and said in text
+    assert cli_deploy._frozen(Result()) == []
 
 
 def test_somebody_elses_main_py_is_not_lost_to_what_is_frozen(

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 import uf2_model
 from emulated import Board, firmware, frozen_in
+from test_deploy_emulated import deploy, pico
 from ugrbl.compiling.build import for_board
 from ugrbl.paths import BOARDS
 
@@ -85,6 +86,18 @@ def test_what_a_board_has_kept_outlives_an_update(frozen_uf2: Path, tmp_path: Pa
     assert "First start" not in new.said
     assert "$110=4321" in new.ask("$$") and "[G54:7.000," in new.ask("$#")
     assert "[MSG:hello]" in new.ask("M100")
+
+
+def test_a_deployment_takes_firmware_away_that_lies_there_as_files(
+    frozen_uf2: Path, tmp_path: Path
+) -> None:
+    made = for_board(BOARDS / "rpi_pico.py")
+    with pico(frozen_uf2, tmp_path, made) as port:
+        code, done = deploy(port)
+    assert code == 0, done
+    assert done["runs_frozen"] and done["copied"] == []
+    assert sorted(done["removed"]) == sorted(made.files.keys() - {"board.py"})
+    assert done["free_bytes"] > 150_000
 
 
 @pytest.mark.parametrize(
