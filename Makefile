@@ -42,7 +42,7 @@ dist: $(VENV)  ## the package, with the firmware compiled for every chip, into d
 
 compiled-emulator: $(EMULATOR)  ## the emulated Pico three times as fast, where there is a C compiler
 
-test-emulator: $(EMULATOR)  ## on an emulated Pico; UGRBL_UF2 names MicroPython's image for it
+test-emulator: $(EMULATOR)  ## on an emulated Pico; UGRBL_UF2 names MicroPython's image for it, UGRBL_FROZEN_UF2 one with the firmware in
 	$(BIN)/pytest -q -rs -n auto --dist loadgroup host_tests/emulator
 
 torture: $(VENV)  ## stops at every bytecode, and random sessions: SEEDS of them, minutes to hours

@@ -76,10 +76,11 @@ def test_all_native_code_of_a_pico_has_its_length_in_front(name: str) -> None:
     assert all((jump, length + 4) == (0xE000, size) for jump, length, size in heads)
 
 
-def test_a_native_function_with_another_within_is_refused() -> None:
-    """The inner one would be native, too, and stay in flash."""
-    text = "import micropython\n@micropython.native\ndef f(a):\n    return [x for x in a]\n"
-    with pytest.raises(NotFrozen, match="f is native code, and has a function within"):
+@pytest.mark.parametrize("inside", ["[x for x in a]", "lambda: a", "any(x for x in a)", "(yield)"])
+def test_a_native_function_with_another_within_is_refused(inside: str) -> None:
+    """The inner one would be native, too, and stay in flash; and so would a generator."""
+    text = f"import micropython\n@micropython.native\ndef f(a):\n    return {inside}\n"
+    with pytest.raises(NotFrozen, match="f is native code with a function or a yield within"):
         freeze.decorated(text)
 
 

@@ -37,11 +37,11 @@ _NOTHING = "nothing"
 _ABOUT = re.compile(_MARK + r"([0-9a-f]{8})((?: [\w.]+)+)")
 _JUMP_OVER = 0xE000  # the next half word
 
-_Function = ast.FunctionDef | ast.AsyncFunctionDef
-_FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
-
-
-_INSIDE = (ast.Lambda, ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp, *_FUNCTIONS)
+# What makes a function of its own within another, or a generator of it.
+_INSIDE = (
+    *(ast.Lambda, ast.ListComp, ast.SetComp, ast.DictComp, ast.GeneratorExp),
+    *(ast.FunctionDef, ast.AsyncFunctionDef, ast.Yield, ast.YieldFrom, ast.Await),
+)
 
 
 class NotFrozen(ValueError):
@@ -50,17 +50,19 @@ class NotFrozen(ValueError):
 
 def decorated(text: str) -> str:
     """A module whose native functions come into memory. NotFrozen where one has functions within
-    that would not: those are native, too."""
+    that would not, for those are native, too; or is a generator."""
     tree = ast.parse(text)
     if not (functions := [*_native(tree)]):
         return text
     for function in functions:
         inside = {node for node in ast.walk(function) if isinstance(node, _INSIDE)}
         if inside - {*functions}:
-            raise NotFrozen(f"{function.name} is native code, and has a function within")
+            raise NotFrozen(f"{function.name} is native code with a function or a yield within")
         # The last one, for it wants the function itself.
         function.decorator_list.insert(-1, ast.Name(_DECORATOR, ast.Load()))
-    tree.body.insert(0, ast.ImportFrom(HELPER, [ast.alias(_DECORATOR)], 0))
+    # Behind documentation, or what gives names their places (order.py).
+    first = int(isinstance(tree.body[0], ast.Expr))
+    tree.body.insert(first, ast.ImportFrom(HELPER, [ast.alias(_DECORATOR)], 0))
     return ast.unparse(ast.fix_missing_locations(tree)) + "\n"
 
 
@@ -110,9 +112,9 @@ def read(text: str) -> "Frozen | None":
     return Frozen(found[1], frozenset(found[2].split())) if found else None
 
 
-def _native(tree: ast.Module) -> Iterator[_Function]:
+def _native(tree: ast.Module) -> Iterator[ast.FunctionDef]:
     for node in ast.walk(tree):
-        if isinstance(node, _Function):
+        if isinstance(node, ast.FunctionDef):
             decorators = [ast.unparse(each) for each in node.decorator_list]
             if decorators and decorators[-1] in _NATIVE:
                 yield node

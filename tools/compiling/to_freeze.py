@@ -34,7 +34,7 @@ def for_board(
     code = build.compiled(board.MPY_ARCH, texts, debug, told=_file)
     made = Build(board.MPY_ARCH, {}, board.ENGINE, described, frozenset(modules))
     for name in sorted(code):
-        path = str(Path(_file(name)).with_suffix(".mpy").as_posix())
+        path = _file(name).removesuffix(".py") + ".mpy"
         made.files[path] = freeze.with_lengths(code[name]) if moved else code[name]
         progress(path, len(made.files[path]))
     return made
