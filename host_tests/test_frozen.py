@@ -166,7 +166,12 @@ def manifest(
     monkeypatch.chdir(_ROOT)
     monkeypatch.delenv("UGRBL_BOARD", raising=False)
 
-    def run(command: "list[str]", **_: object) -> "subprocess.CompletedProcess[str]":
+    usual: Any = subprocess.run
+
+    def run(command: "list[str]", **how: Any) -> "subprocess.CompletedProcess[str]":
+        if "--frozen" not in command:  # mpy-cross, which that command asks
+            found: subprocess.CompletedProcess[str] = usual(command, **how)
+            return found
         folder = command.index("--out") + 1
         command[folder] = str(tmp_path / Path(command[folder]).relative_to(_ROOT))
         done = CliRunner().invoke(app, command[1:])
