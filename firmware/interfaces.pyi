@@ -268,9 +268,6 @@ class BoardPort(Port, Protocol):
 class JobFiles(Protocol):
     """Programs that live on the board, by name. What cannot be done is an OSError."""
 
-    def connect(self, around: Callable[[Callable[[], None]], None]) -> None:
-        """Say how flash is written: around() calls what does it."""
-
     def is_name(self, name: str) -> bool:
         """Whether a program may be called so."""
 
@@ -377,6 +374,3 @@ class Store(Protocol):
 
     def save(self, name: str, lines: Iterable[str]) -> None:
         """Replace at once or not at all."""
-
-    def around(self, write: Callable[[], None]) -> None:
-        """Write something else where lines are kept, with all that has to be around it."""

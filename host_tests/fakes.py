@@ -309,9 +309,6 @@ class FakeStore:
             raise OSError(28)
         self.files[name] = list(lines)
 
-    def around(self, write: "Callable[[], None]") -> None:
-        write()
-
 
 if TYPE_CHECKING:
     _canon: Canon = FakeCanon()

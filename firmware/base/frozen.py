@@ -4,8 +4,12 @@ Only such a build has this module (tools/compiling/freeze.py); it puts in_memory
 function of native code.
 """
 
+from array import array
+
 import uctypes
 from micropython import const
+
+from base import errors
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -13,6 +17,7 @@ if TYPE_CHECKING:
 
 # What is frozen, as the build has it: the tools look for this in MicroPython's file, too.
 ABOUT = "ugrbl frozen: nothing"
+errors.WHERE = ", frozen"
 
 # Where a function's object has the address of its code, and a closure's that of the function.
 _CODE_AT = const(12)
@@ -26,11 +31,11 @@ def in_memory(function: "Callable[..., object]") -> "Callable[..., object]":
     (tools/compiling/direct.py), and words that code looks up may lie where they cannot be read."""
     at = id(function)
     if type(function).__name__ == "closure":
-        at = int.from_bytes(uctypes.bytearray_at(at + _FUNCTION_AT, _ADDRESS), "little")
+        at = array("I", uctypes.bytearray_at(at + _FUNCTION_AT, _ADDRESS))[0]
     place = uctypes.bytearray_at(at + _CODE_AT, _ADDRESS)
-    there = int.from_bytes(place, "little")
+    there = array("I", place)[0]
     head = uctypes.bytearray_at(there, _HEAD)
     code = bytearray(head[2] | head[3] << 8)
     code[:] = uctypes.bytearray_at(there + _HEAD, len(code))
-    place[:] = uctypes.addressof(code).to_bytes(_ADDRESS, "little")
+    place[:] = bytes(array("I", (uctypes.addressof(code),)))
     return function

@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 # Words that ask for an extra of ours, and its module; the first of each asks for none.
 _DIALECTS = {
     "1.1": "",
-    "0.9": "extras.dialect_09",
-    "0.9i": "extras.dialect_09",
-    "0.9j": "extras.dialect_09",
+    "0.9": "dialect_09",
+    "0.9i": "dialect_09",
+    "0.9j": "dialect_09",
 }
-_TOOLS = {"spindle": "", "laser": "extras.laser", "punch": "extras.punch"}
+_TOOLS = {"spindle": "", "laser": "laser", "punch": "punch"}
 
 
 def names(board: "ModuleType", with_custom: bool) -> "list[str]":
@@ -27,17 +27,21 @@ def names(board: "ModuleType", with_custom: bool) -> "list[str]":
     option = board.__dict__.get  # getattr() would keep the names for good
     dialect = _known("DIALECT", option("DIALECT", "1.1"), _DIALECTS)
     tool = _known("TOOL", option("TOOL", "spindle"), _TOOLS)
-    jerk = "extras.jerk" if option("JERK", False) else ""
-    clusters = "extras.clusters" if option("CLUSTERS", False) else ""
-    drains = "extras.drains" if option("COUNT_DRAINS", False) else ""
+    jerk = "jerk" if option("JERK", False) else ""
+    clusters = "clusters" if option("CLUSTERS", False) else ""
+    drains = "drains" if option("COUNT_DRAINS", False) else ""
     own: "tuple[str, ...]" = option("EXTRAS", ())
-    custom = "extras.custom" if with_custom else ""
-    jobs = "extras.jobs" if option("JOBS", "") else ""
-    lenient = "extras.lenient" if option("LENIENT", False) else ""
+    custom = "custom" if with_custom else ""
+    jobs = "jobs" if option("JOBS", "") else ""
+    lenient = "lenient" if option("LENIENT", False) else ""
     # In this order: a laser's part in each row comes behind that of jerk, and what the user's own
     # take is theirs.
-    asked = (dialect, jerk, tool, clusters, drains, jobs) + own + (custom, lenient)
-    return [name for name in asked if name]
+    ours = dialect, jerk, tool, clusters, drains, jobs
+    return _ours(ours) + list(own) + _ours((custom, lenient))
+
+
+def _ours(names: "tuple[str, ...]") -> "list[str]":
+    return ["extras." + name for name in names if name]
 
 
 def _known(option: str, word: str, known: "dict[str, str]") -> str:

@@ -58,6 +58,8 @@ def build(
     _make_language(machine, options)
     _make_talk(machine, options, link)
     _connect(machine)
+    if options.job_files:
+        options.job_files.connect(store)
     if options.extras:
         from extras.api import Cnc
 

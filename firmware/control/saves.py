@@ -8,7 +8,7 @@ from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Iterable
 
     from interfaces import Store
 
@@ -41,7 +41,3 @@ class Saves:
                 failed = reason
         if failed:
             raise failed
-
-    def around(self, write: "Callable[[], None]") -> None:
-        """Write something else to flash, at rest, with all that has to be around it."""
-        self._store.around(write)

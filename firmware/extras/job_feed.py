@@ -139,7 +139,8 @@ class Feed:
         self._since = self._made = self._before = self._held = 0
         self.fault: "OSError | None" = None
         self.is_on = False
-        machine.protocol.connect(self)
+        machine.protocol.link = self
+        machine.protocol.read_into = self.read_into
         machine.report.error = self._refuse  # type: ignore[method-assign]
 
     # The link seam

@@ -56,7 +56,6 @@ def install(cnc: "Cnc") -> None:
     """Put jobs beside the sender."""
     files = _found["files"]
     assert files
-    files.connect(cnc.machine.saves.around)
     jobs = Jobs(cnc, files)
     cnc.add_command(b"F", jobs.command, _STATES)
     cnc.add_command(b"SD", jobs.fluidnc, _STATES)
@@ -161,7 +160,10 @@ class Jobs:
         name, at, number = name.partition("@")
         if at and not number:
             name, number = self._noted(name)
-        line = int(number) if number.isdigit() else 1 - len(at)
+        try:
+            line = int(number or "1")
+        except ValueError:
+            line = 0
         if line < 1:
             raise GrblError(errors.BAD_NUMBER_FORMAT)
         name = self._known(name)

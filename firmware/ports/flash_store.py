@@ -60,13 +60,9 @@ class FlashStore:
     def save(self, name: str, lines: "Iterable[str]") -> None:
         """Replace the lines at once or not at all. Raises OSError where flash is full or worn."""
         kept = list(lines)
-        self.around(lambda: self._write(self._folder + name, kept))
-
-    def around(self, write: "Callable[[], None]") -> None:
-        """Write something to flash, with all that has to be around it."""
         self.before()
         try:
-            write()
+            self._write(self._folder + name, kept)
         finally:
             self.after()
 

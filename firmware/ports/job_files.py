@@ -13,11 +13,13 @@ from micropython import const
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from typing import IO
+    from typing import IO, Any
+
+    from interfaces import Store
 
 _NEW = ".PART"
 _LONGEST = const(32)  # name
-_OTHERS = b"._-"
+_OTHERS = "._-"
 _SIZE_AT = const(6)  # in what os.stat() returns
 _KB = const(1024)
 # A file system wants some of its own, and settings are to find room after all.
@@ -28,7 +30,11 @@ _PIECE = const(512)
 def _is_name(name: str) -> bool:
     if not 0 < len(name) <= _LONGEST or name[0] == "." or name.endswith(_NEW):
         return False
-    return all("A" <= c <= "Z" or "0" <= c <= "9" or ord(c) in _OTHERS for c in name)
+    return all("A" <= c <= "Z" or "0" <= c <= "9" or c in _OTHERS for c in name)
+
+
+def _nothing() -> None:
+    """On a desktop nothing has to be."""
 
 
 class JobFiles:
@@ -37,9 +43,16 @@ class JobFiles:
     def __init__(self, folder: str) -> None:
         self._folder = folder
 
-    def connect(self, around: "Callable[[Callable[[], None]], None]") -> None:
-        """Say how flash is written: around() calls what does it."""
-        self._around = around
+    def connect(self, store: "Store") -> None:
+        """Flash is written with all that the store has around its own writing."""
+        self._store: "Any" = store
+
+    def _around(self, write: "Callable[[], None]") -> None:
+        getattr(self._store, "before", _nothing)()
+        try:
+            write()
+        finally:
+            getattr(self._store, "after", _nothing)()
 
     def _path(self, name: str) -> str:
         return self._folder + "/" + name

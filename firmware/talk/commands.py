@@ -1,7 +1,5 @@
 """The $ commands: one method each, found by a table."""
 
-import sys
-
 from base import errors
 from base import state as st
 from base.errors import GrblError
@@ -48,10 +46,6 @@ _AXES = b"XYZ"
 _BUSY = const(st.RUN | st.HOLD)
 _JOG = const(74)  # $J
 _AT_ANY_TIME = b"\0$GCX"
-
-
-def _where() -> str:
-    return ", frozen" if "base.frozen" in sys.modules else ""
 
 
 class Commands:
@@ -267,7 +261,7 @@ class Commands:
             self._report.build_info(kept[0] if kept else "", self._options)
             if is_long:
                 message = self._report.message
-                message("Build: " + errors.BUILD_ID + _where())
+                message("Build: " + errors.BUILD_ID + errors.WHERE)
                 if self.health:
                     message(self.health())
                 if self.fault:

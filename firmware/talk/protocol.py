@@ -67,22 +67,19 @@ class Protocol:
         # Much at once, for a ? is not to wait behind lines; a line longer than the ring passes.
         self._buffer = bytearray(reader.free() // 2)
         self._feed = reader.feed
-        self.connect(link)
-
-    def connect(self, link: "Link") -> None:
-        """Say who sends lines and is answered. Before run()."""
+        # An extra may put itself here before run().
         self.link = link
-        self._read_into = link.read_into
+        self.read_into = link.read_into
 
     def pump(self) -> None:
         """Take in what has arrived."""
-        count = self._read_into(self._buffer)
+        count = self.read_into(self._buffer)
         if count:
             self._feed(self._buffer, count)
 
     def service(self) -> None:
         """One turn of whoever waits. Raises Abort after a reset."""
-        count = self._read_into(self._buffer)  # as pump() does, without its frame
+        count = self.read_into(self._buffer)  # as pump() does, without its frame
         if count:
             self._feed(self._buffer, count)
         self._realtime.events()

@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable, Iterator
 
 # Packages of which a board has a module or two, or none.
 ON_REQUEST = ("extras",)
+_NAME = re.compile(r"[\w.]+")
 
 
 def root(node: ast.expr) -> str:
@@ -98,8 +99,10 @@ def attributes(tree: ast.Module) -> Iterator[str]:
 
 
 def identifiers(tree: ast.AST) -> Iterator[str]:
-    """Every name there is."""
+    """Every name there is, and texts that may be one: of a single word, or with dots."""
     for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and not _NAME.fullmatch(str(node.value)):
+            continue
         for _, value in ast.iter_fields(node):
             for part in value if isinstance(value, list) else (value,):
                 if isinstance(part, str):

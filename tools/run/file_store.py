@@ -8,7 +8,7 @@ not understood, or that somebody else has changed meanwhile, is never written ov
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -56,10 +56,6 @@ class FileStore:
         text = "".join(f"{line}\n" for line in _written(before, kept, self._firmware)).encode()
         _replace(self._path, text)
         self._kept, self._text = kept, text
-
-    def around(self, write: Callable[[], None]) -> None:
-        """Write something else: nothing has to be around it."""
-        write()
 
     def _there(self) -> bytes | None:
         try:

@@ -50,9 +50,6 @@ class MemoryStore:
     def save(self, name: str, lines: "Iterable[str]") -> None:
         self.files[name] = list(lines)
 
-    def around(self, write: "Callable[[], None]") -> None:
-        write()
-
 
 class Rig:
     """One simulated machine. board: a module as in boards/; store: a Store; link: makes a Link.
