@@ -503,3 +503,157 @@ def test_it_goes_on_at_a_line_as_if_all_before_it_had_been_done(tmp_path: Path, 
     assert said[-1] == "[MSG:Job A.NC: done, 11 lines]"
     assert part.steps == whole.steps
     assert part.behind(line) == whole.behind(line)
+
+
+# What somebody found who tried it
+
+
+def test_the_button_starts_from_the_beginning_whatever_was_asked_before(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("A.NC", "G91", "G0X5", "G0Y5")
+
+    def script(bench: Bench) -> Iterator[Any]:
+        yield from say("$FB=A.NC", wait_s=0)(bench)
+        machine = bench.rig.controller
+        for state in (HOLD,):
+            bench.rig.link.send(b"!")
+            yield bench.rig.ms(300)
+            assert machine.state.run == state
+            machine.drive.on_controls(START)  # ends the hold, and no more
+            yield bench.rig.ms(3000)
+        assert bench.moves == []
+        bench.rig.link.send(b"G4P0.5\n")
+        yield bench.rig.ms(200)
+        machine.drive.on_controls(START)
+        yield bench.rig.ms(3000)
+        assert bench.moves == []
+        machine.drive.on_controls(START)
+        yield bench.rig.ms(3000)
+
+    assert bench.run(script)[-1] == "[MSG:Job A.NC: done, 3 lines]"
+    assert bench.moves == [(5, 0, 0), (5, 5, 0)]
+
+
+@pytest.mark.parametrize("byte", [b"!", b"\x84"])
+def test_a_hold_while_the_way_is_looked_for_keeps_the_tool_where_it_is(
+    tmp_path: Path, byte: bytes
+) -> None:
+    bench = homed(Bench(tmp_path))
+    bench.put("A.NC", "G21", "M3S800", *["G4P0"] * 3000, "G0X-9")
+
+    def script(bench: Bench) -> Iterator[Any]:
+        yield from say(*FAST, *HOMED, wait_s=0)(bench)
+        bench.moves.clear()
+        bench.rig.link.send(b"$F=A.NC@3000\n")
+        yield bench.rig.ms(20)
+        bench.rig.link.send(byte)
+        yield bench.rig.ms(20_000)
+
+    assert "[MSG:Job A.NC: it was held meanwhile]" in bench.run(script)
+    assert bench.moves == [] and bench.rig.port.spindle_pwm == 0
+
+
+def test_it_goes_on_with_what_was_in_force_where_it_began(tmp_path: Path) -> None:
+    bench = homed(Bench(tmp_path))
+    bench.put("A.NC", "G0X1", "G1Y1F6000", "G0X2", *["G1X9F60", "G1X8"] * 9)
+
+    def script(bench: Bench) -> Iterator[Any]:
+        setup = ("G10L2P2X-9Y-9Z-9", "G55", "G43.1Z3", "$F=A.NC")
+        yield from say(*FAST, *HOMED, *setup, wait_s=4)(bench)
+        bench.rig.link.send(b"!")
+        yield bench.rig.ms(2000)
+        yield from bench.sender.wait("banner", "\x18")
+        bench.moves.clear()
+        yield from say("$H", "$F=@", wait_s=20)(bench)
+        assert bench.kept()[1] == "4"
+        assert bench.moves[0][0] == -5  # up, from the switch
+        assert bench.moves[1] == (-7, -8, -5)  # across to X2 Y1 of G55
+        assert bench.moves[-1][0] in (0, -1)
+
+    said = bench.run(script)
+    assert any("goes on at line" in text for text in said), said
+
+
+@pytest.mark.parametrize("line", ["$H", "$J=G91X1F100", "$C", "$SLP"])
+def test_commands_before_the_line_leave_no_way(tmp_path: Path, line: str) -> None:
+    bench = homed(Bench(tmp_path))
+    bench.put("A.NC", "G21", line, "G0X-9")
+    said = bench.run(to_its_end(*FAST, *HOMED, "$F=A.NC@3"))
+    assert said[-1] == "[MSG:Job A.NC: line 2 is no G-code: what it does is not known]"
+
+
+def test_who_opens_the_port_in_a_dwell_is_not_greeted(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("A.NC", "M3S700", "G4P2", "G0X1", "M5")
+
+    def script(bench: Bench) -> Iterator[Any]:
+        yield from say("$F=A.NC", wait_s=1)(bench)
+        bench.rig.controller.welcome()
+        yield bench.rig.ms(5000)
+
+    assert bench.run(script)[-1] == "[MSG:Job A.NC: done, 4 lines]"
+
+
+def test_a_refused_way_leaves_modes_and_offsets_as_they_were_and_the_tool_off(
+    tmp_path: Path,
+) -> None:
+    bench = homed(Bench(tmp_path))
+    bench.put("A.NC", "G20G91G92X1", "G43.1Z2", "G54", "G5")
+    modes = ("G55", "M3S500", "F77", "$G", "$#")
+    said = bench.run(say(*FAST, *HOMED, *modes, "$F=A.NC@9", "$G", "$#", wait_s=5))
+    before, after = [text for text in said if text.startswith("[GC:")]
+    assert after == before.replace("M3", "M5")
+    for name in ("[G92:", "[TLO:"):
+        first, second = [text for text in said if text.startswith(name)]
+        assert first == second
+    assert bench.rig.port.spindle_pwm == 0
+
+
+def test_a_failed_probe_in_a_job_switches_the_tool_off(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("A.NC", "M3S900", "G91G38.2Z-1F600", "G0X1")
+    said = bench.run(say("$F=A.NC"))
+    assert "ALARM:5" in said
+    assert bench.rig.port.spindle_pwm == 0 and bench.steps[0] == 0
+
+
+def test_a_check_keeps_what_is_noted(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("A.NC", *LONG)
+    bench.run(say("$F=A.NC", wait_s=1))
+    kept = bench.kept()
+    Bench(tmp_path, bench.store).run(say("$C", "$F=A.NC"))
+    assert bench.kept() == kept
+
+
+def test_another_file_of_that_name_is_not_gone_on_with(tmp_path: Path) -> None:
+    bench = homed(Bench(tmp_path))
+    bench.put("A.NC", *LONG)
+    bench.run(say("$F=A.NC", wait_s=1))
+    bench.put("A.NC", "G0X1", "G0X2")
+    again = homed(Bench(tmp_path, bench.store))
+    said = again.run(say(*FAST, *HOMED, "$F=@", wait_s=5))
+    assert said[-1] == "[MSG:Job A.NC: it is another file than the one that was noted]"
+
+
+def test_a_job_does_not_start_jobs(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("A.NC", "G0X1", "$F=A.NC")
+    assert bench.run(say("$F=A.NC"))[-1] == "[MSG:Job A.NC: line 2 is refused with 8]"
+
+
+def test_a_sender_that_only_asks_for_the_state_does_not_keep_a_transfer_open(
+    tmp_path: Path,
+) -> None:
+    bench = Bench(tmp_path)
+
+    def script(bench: Bench) -> Iterator[Any]:
+        bench.rig.link.send(b"$FU=A.NC,5000,0\nzzzz*\n\n")
+        for _ in range(60):
+            bench.rig.link.send(b"?")
+            yield bench.rig.ms(100)
+
+    said = bench.run(script)
+    assert "[MSG:Not taken: it came damaged]" in said and "error:3" in said
+    reports = [text for text in said if text.startswith("<")]
+    assert len(reports) > 50

@@ -9,14 +9,16 @@ comes as if all before it had been done.
 from array import array
 
 from base import state as st
+from base.controls import HOLD
 from base.errors import GrblError
-from base.f32 import copy, f32, vector, whole
+from base.f32 import f32, whole
 from control.modes import (
     COOLANT,
     FEED,
     INVERSE_TIME,
     MODAL_LENGTH,
     MOTION,
+    OVERRIDE_CONTROL,
     RPM,
     SPINDLE,
     SYSTEM,
@@ -28,8 +30,9 @@ from talk.lines import LINE, clean, feed
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from typing import IO
+    from typing import IO, Any
 
+    from talk.controller import Controller
     from talk.lines import LineReader
 
     from extras.api import Cnc
@@ -37,6 +40,9 @@ if TYPE_CHECKING:
 _PIECE = const(255)
 _LINES = const(16)  # between two looks at real-time commands
 _DOLLAR = const(36)
+_ZERO = const(48)
+_NINE = const(57)
+_HOLD_IN_CLOSED = const(HOLD << 6)  # of Inputs.closed()
 _SLOW_MM_MIN = 100.0
 _SPIN_UP_S = const(4)
 _Z = const(2)
@@ -48,6 +54,29 @@ class NoWay(Exception):
     """A line that nobody can begin with; its text says why."""
 
 
+def in_force(machine: "Controller") -> "list[Any]":
+    """The place, and all that a program can have set: what put() takes."""
+    modes, coords = machine.modes, machine.coords
+    modal = list(modes.modal[:MODAL_LENGTH])
+    offsets = [list(coords.g92), coords.tool_length]
+    return [list(modes.position), modal, list(modes.rates), modes.tool, *offsets]
+
+
+def put(machine: "Controller", found: "list[Any]") -> None:
+    """Put it in force; spindle and coolant are what they are."""
+    modes, coords, state = machine.modes, machine.coords, machine.state
+    place, modal, rates, modes.tool, g92, coords.tool_length = found
+    modes.position[:] = array("f", place)
+    modes.rates[:] = array("f", rates)
+    for i in range(MODAL_LENGTH):
+        modes.modal[i] = modal[i]
+    coords.active = modal[SYSTEM]
+    coords.set_g92(array("f", g92))
+    state.override_control = bool(modal[OVERRIDE_CONTROL])
+    state.wco_countdown = 0
+    machine.interpreter.fast.forget()
+
+
 class Entry:
     """The way to one line, and what is in force there."""
 
@@ -57,39 +86,37 @@ class Entry:
         self._machine = machine
         self._reader = reader
         self._longest = len(machine.reader.line) - 1
-        self._place = vector(machine.planner.axes)
-        self._modal = array("i", bytes(4 * MODAL_LENGTH))
-        self._rates = vector(2)
-        self._g92 = vector(machine.planner.axes)
-        self._tool = 0
-        self._length = 0.0
+        self._there: "list[Any]" = []
         self._highest = 0.0
         self.has_ended = False  # the program, in front of the line
 
-    def find(self, file: "IO[bytes]", line: int, start: "list[float] | None") -> None:
-        """Run what is before the line in check mode; the file is left at that line. start: where
-        the tool was before the first, else where it is. NoWay where it cannot be known."""
+    def find(self, file: "IO[bytes]", line: int, start: "list[Any]") -> None:
+        """Run what is before the line in check mode; the file is left at that line. start: what
+        was in force before the first. All is as before then. NoWay where it cannot be known."""
         machine = self._machine
-        coords, modes, state = machine.coords, machine.modes, machine.state
+        coords, state = machine.coords, machine.state
+        before = in_force(machine)
         write, coords.write = coords.write, _leave  # type: ignore[assignment,method-assign]
         self.has_ended = False
-        here = modes.position[_Z]
-        if start:
-            modes.position[:] = array("f", start)
+        self._highest = machine.modes.position[_Z]
         state.enter(st.CHECK)
         try:
-            self._highest = here
+            put(machine, start)
             self._rehearse(file, line)
-            self._take()
+            for why in self._cnc.entries:
+                if why():
+                    raise NoWay(why())
+            self._there = in_force(machine)
         finally:
             coords.write = write  # type: ignore[method-assign]
             if state.run == st.CHECK:
                 state.enter(st.IDLE)
-            modes.reset()
-            coords.active = 0
-            state.wco_countdown = 0
+            put(machine, before)
             machine.resync()
-            machine.interpreter.fast.forget()
+        if machine.reader.has_line():
+            raise NoWay("there were other lines meanwhile")
+        if machine.inputs.door_open() or machine.inputs.closed() & _HOLD_IN_CLOSED:
+            raise NoWay("hold or door is closed")
 
     def _rehearse(self, file: "IO[bytes]", line: int) -> None:
         self._reader.clear()
@@ -101,7 +128,7 @@ class Entry:
                 raise NoWay("line %d is too long" % number)
             self._do(self._reader.line, found >> 2, number)
             if number % _LINES == 0:
-                self._cnc.service()
+                self._look()
         if not file.read(1):
             raise NoWay("there are only %d lines" % (line - 1))
         file.seek(-1, 1)
@@ -121,10 +148,23 @@ class Entry:
             found = clean(*memory)
         return found
 
+    def _look(self) -> None:
+        """Real-time commands act; check mode would lose those that hold the machine."""
+        machine = self._machine
+        machine.protocol.pump()
+        pending = machine.state.pending
+        if pending[st.FEED_HOLD] or pending[st.SAFETY_DOOR] or pending[st.SLEEP_REQUEST]:
+            raise NoWay("it was held meanwhile")
+        machine.realtime.events()
+
     def _do(self, line: bytearray, length: int, number: int) -> None:
         machine = self._machine
-        if length == 0 or line[0] == _DOLLAR:
+        if length == 0:
             return
+        if line[0] == _DOLLAR:
+            if _ZERO <= line[1] <= _NINE:
+                return  # a setting, which is kept
+            raise NoWay("line %d is no G-code: what it does is not known" % number)
         if self._cnc.has_word(line, length):
             raise NoWay("line %d has a word of another kind: what it does is not known" % number)
         try:
@@ -139,43 +179,25 @@ class Entry:
         if modes.position[_Z] > self._highest:
             self._highest = modes.position[_Z]
 
-    def _take(self) -> None:
-        """Note what is in force now."""
-        for why in self._cnc.entries:
-            if why():
-                raise NoWay(why())
-        modes, coords = self._machine.modes, self._machine.coords
-        copy(modes.position, self._place, len(self._place))
-        copy(modes.rates, self._rates, 2)
-        copy(coords.g92, self._g92, len(self._g92))
-        for i in range(MODAL_LENGTH):
-            self._modal[i] = modes.modal[i]
-        self._tool = modes.tool
-        self._length = coords.tool_length
-
     # The way there
 
     def way(self) -> "list[str]":
         """Lines that lead there."""
-        spindle, coolant = self._modal[SPINDLE], _COOLANTS[self._modal[COOLANT]]
+        place, modal, rates, _, _, _ = self._there
+        spindle, coolant = modal[SPINDLE], _COOLANTS[modal[COOLANT]]
         turn = ""
         if spindle:
-            turn = "M%dS%.3f" % (3 if spindle == SPINDLE_CW else 4, self._rates[RPM])
-        up, across = self._go("G0", _Z, self._highest), "G53G0"
-        for axis in range(len(self._place)):
+            turn = "M%dS%.3f" % (3 if spindle == SPINDLE_CW else 4, rates[RPM])
+        up, down, across = self._word(_Z, self._highest), self._word(_Z, place[_Z]), ""
+        for axis in range(len(place)):
             if axis != _Z:
-                across += self._word(axis, self._place[axis])
+                across += self._word(axis, place[axis])
+        begin = ["G21G90G94M5M9", "G53G0" + up, "G53G0" + across]
         if self._machine.spindle.laser:  # stays dark behind G0
-            return ["G21G90G94M5M9", up, across, self._go("G0", _Z), coolant, turn]
+            return begin + ["G53G0" + down, coolant, turn]
+        feed = _SLOW_MM_MIN if modal[INVERSE_TIME] or rates[FEED] <= 0 else rates[FEED]
         dwell = "G4P%d" % _SPIN_UP_S if turn else ""
-        return ["G21G90G94M5M9", up, across, turn, coolant, dwell, self._go("G1", _Z)]
-
-    def _go(self, motion: str, axis: int, mm: "float | None" = None) -> str:
-        feed = self._rates[FEED]
-        if self._modal[INVERSE_TIME] or feed <= 0:
-            feed = _SLOW_MM_MIN
-        word = self._word(axis, self._place[axis] if mm is None else mm)
-        return "G53" + motion + word + ("F%.3f" % feed if motion == "G1" else "")
+        return begin + [turn, coolant, dwell, "G53G1%sF%.3f" % (down, feed)]
 
     def _word(self, axis: int, mm: float) -> str:
         """The middle of the step that the place is rounded to, so that it is this one exactly."""
@@ -190,21 +212,11 @@ class Entry:
 
     def arrive(self) -> None:
         """The tool is there: put in force what is. NoWay where it is not."""
-        machine = self._machine
-        modes, coords = machine.modes, machine.coords
-        for axis in range(len(self._place)):
-            if self._steps(axis, modes.position[axis]) != self._steps(axis, self._place[axis]):
+        place, here = self._there[0], self._machine.modes.position
+        for axis in range(len(place)):
+            if self._steps(axis, here[axis]) != self._steps(axis, place[axis]):
                 raise NoWay("the way has not led there")
-        copy(self._place, modes.position, len(self._place))
-        copy(self._rates, modes.rates, 2)
-        for i in range(MODAL_LENGTH):
-            modes.modal[i] = self._modal[i]
-        modes.tool = self._tool
-        coords.active = self._modal[SYSTEM]
-        coords.tool_length = self._length
-        coords.set_g92(self._g92)
-        machine.state.wco_countdown = 0
-        machine.interpreter.fast.forget()
+        put(self._machine, self._there)
 
 
 def _pass_over(_byte: int) -> None:

@@ -251,7 +251,7 @@ class Feed:
 
     def percent(self) -> float:
         """How much of the file has been read."""
-        return 100 * self._read_bytes / self._size if self._size else 100.0
+        return min(100 * self._read_bytes / (self._size or 1), 100.0)
 
     def _fetch(self) -> int:
         """The next block of the file; at its end, the end of its last line."""

@@ -118,11 +118,8 @@ class Upload:
         port = self._machine.port
         since = port.ticks_ms()
         while True:
-            count = self._link.read_into(self._buffer)
-            if count:
-                self._reader.feed(self._buffer, count)
+            if self._hear():
                 since = port.ticks_ms()
-            self._machine.realtime.events()
             found = clean(*self._reader.memory())
             if found & LINE:
                 return found >> 2
@@ -131,11 +128,21 @@ class Upload:
             if port.elapsed_ms(since) > _SILENCE_MS:
                 self._drain("it broke off")
 
+    def _hear(self) -> bool:
+        """Take in what has come; real-time commands act. Returns whether there was more."""
+        reader, free = self._reader, self._reader.free()
+        count = self._link.read_into(self._buffer)
+        if count:
+            reader.feed(self._buffer, count)
+        self._machine.realtime.events()
+        return reader.free() != free
+
     def _drain(self, why: str) -> None:
         """Say so; what is still on its way is not to be taken for commands."""
         port = self._machine.port
-        since = port.ticks_ms()
-        while port.elapsed_ms(since) < _DRAIN_MS:
-            if self._link.read_into(self._buffer):
+        begun = since = port.ticks_ms()
+        while port.elapsed_ms(since) < _DRAIN_MS and port.elapsed_ms(begun) < _SILENCE_MS:
+            if self._hear():
                 since = port.ticks_ms()
+            self._reader.clear()
         self._refuse("Not taken: " + why)

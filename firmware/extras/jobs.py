@@ -8,6 +8,7 @@ for it with JOBS = "jobs", the name of the folder.
 """
 
 import io
+import json
 
 import micropython
 from base import errors
@@ -15,24 +16,25 @@ from base import state as st
 from base.controls import START
 from base.errors import GrblError
 from base.faults import harmless
+from control.modes import COOLANT, SPINDLE
 from micropython import const
 from talk.lines import LineReader
 
-from extras.job_entry import Entry, NoWay
+from extras.job_entry import Entry, NoWay, in_force
 from extras.job_feed import Feed
 from extras.job_upload import Upload
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from types import ModuleType
-    from typing import IO
+    from typing import IO, Any
 
     from interfaces import JobFiles, Options
 
     from extras.api import Cnc
 
-# Under which is kept: the job that runs, a line of it, where the tool was before the first; the
-# start button's.
+# Under which is kept: the job that runs, a line of it, its size and what was in force before it;
+# the start button's.
 _JOURNAL = "job"
 _JOURNAL_LINES = const(3)
 _BUTTON = "button"
@@ -40,6 +42,7 @@ _BUTTON = "button"
 _FLUIDNC = {b"LIST": b"", b"RUN": b"=", b"SHOW": b"<=", b"DELETE": b"D="}
 _STATES = (st.IDLE, st.ALARM, st.CHECK)
 _SHOWN_BYTES = const(128)
+_PRESSED_MS = const(50)  # later, something else has been going on
 # A reader for what is neither the sender's line nor the job's.
 _READ_AHEAD = const(512)
 _LONGEST = const(344)  # 256 bytes in base64
@@ -78,12 +81,15 @@ class Jobs:
         self._files = files
         reader = LineReader(_READ_AHEAD, _LONGEST, cnc.machine.reader.post)
         self._feed = Feed(cnc.machine, self._refuse, self._note_line)
+        self._at_rest = cnc.machine.at_rest
+        cnc.machine.at_rest = self._is_quiet  # type: ignore[method-assign]
         self._entry = Entry(cnc, reader)
         self._upload = Upload(cnc, files, reader)
         self._name = ""  # what runs
-        self._start = ""  # where the tool was before it
+        self._start: "list[Any]" = []  # its size, and what was in force before it
+        self._pressed_ms = 0
         self._due = ""  # what is to, once the loop has no line of the sender left,
-        self._due_line = 1  # and from which line on
+        self._due_line = 0  # and from which line on; 0: all of it
         self._rest: "IO[bytes] | None" = None  # of the file, while the tool is on its way there
         self._is_homed = False
         self._refused = 0  # Grbl's number for the line that has ended it
@@ -101,6 +107,10 @@ class Jobs:
 
     def command(self, words: bytes) -> None:
         """What stands behind $F."""
+        if self._feed.is_on:  # a line of the job's own
+            raise GrblError(errors.IDLE_ERROR)
+        if words[:1] in (b"D", b"U", b"B"):
+            self._machine.canon.synchronise()  # flash is written at rest
         verb, equals, rest = words.partition(b"=")
         name = rest.decode()
         if not words:
@@ -161,13 +171,13 @@ class Jobs:
         if at and not number:
             name, number = self._noted(name)
         try:
-            line = int(number or "1")
+            line = int(number) if at else 0
         except ValueError:
-            line = 0
-        if line < 1:
+            line = -1
+        if line < 0 or (at and line == 0):
             raise GrblError(errors.BAD_NUMBER_FORMAT)
         name = self._known(name)
-        if line > 1 and not self._is_homed:
+        if at and not self._is_homed:
             self._tell(name, "to go on in its middle, home first ($H)")
             raise GrblError(errors.INVALID_STATEMENT)
         self._due, self._due_line = name, line
@@ -187,7 +197,8 @@ class Jobs:
         """A turn of the loop, between two lines."""
         if self._pressed[0]:
             self._pressed[0] = 0
-            self._start_by_button()
+            if self._machine.port.elapsed_ms(self._pressed_ms) < _PRESSED_MS:
+                self._start_by_button()
         if self._feed.is_on:
             self._go_on()
         elif self._due and self._is_free():
@@ -196,8 +207,12 @@ class Jobs:
     def _is_free(self) -> bool:
         """Nothing moves or is going to, and the sender has said nothing that is not done."""
         machine = self._machine
-        at_rest = machine.at_rest() or machine.state.run == st.CHECK
+        at_rest = self._at_rest() or machine.state.run == st.CHECK
         return at_rest and not machine.reader.has_line()
+
+    def _is_quiet(self) -> bool:
+        """Stand in for Controller.at_rest(): a job that waits, in a dwell say, is none."""
+        return self._at_rest() and not self._feed.is_on
 
     def _begin(self) -> None:
         name, self._due = self._due, ""
@@ -207,21 +222,28 @@ class Jobs:
             self._tell(name, "cannot be read")
             return
         self._name, self._refused = name, 0
-        if self._due_line > 1:
-            self._enter(file, self._due_line)
+        size = self._files.size(name)
+        if self._due_line:
+            self._enter(file, size, self._due_line)
             return
-        self._start = ",".join(["%.4f" % mm for mm in self._machine.modes.position])
+        self._start = [size, in_force(self._machine)]
         self._note(1)
         self._tell(name, "begins")
-        self._feed.start(file, self._files.size(name))
+        self._feed.start(file, size)
 
-    def _enter(self, file: "IO[bytes]", line: int) -> None:
+    def _enter(self, file: "IO[bytes]", size: int, line: int) -> None:
         """Have the tool led to that line."""
         kept = self._kept(_JOURNAL)
-        self._start = kept[2] if len(kept) == _JOURNAL_LINES and kept[0] == self._name else ""
-        places = [float(mm) for mm in self._start.split(",")] if self._start else None
+        self._start = [size, in_force(self._machine)]
         try:
-            self._entry.find(file, line, places)
+            if self._machine.state.run != st.IDLE or not self._is_homed:
+                raise NoWay("the machine is not homed, or not idle")
+            if len(kept) == _JOURNAL_LINES and kept[0] == self._name:
+                self._start = json.loads(kept[2])
+                if self._start[0] != size:
+                    raise NoWay("it is another file than the one that was noted")
+            self._tool_off()
+            self._entry.find(file, line, self._start[1])
         except NoWay as why:
             file.close()
             self._tell(self._name, str(why))
@@ -233,7 +255,7 @@ class Jobs:
         way = [text for text in self._entry.way() if text]
         self._tell(self._name, "goes on at line %d" % line)
         lines = io.BytesIO(("\n".join(way) + "\n").encode())
-        self._feed.start(lines, self._files.size(self._name), line - 1 - len(way))
+        self._feed.start(lines, size, line - 1 - len(way))
 
     def _arrive(self, file: "IO[bytes]") -> None:
         """The tool is there: the file's lines come."""
@@ -247,13 +269,13 @@ class Jobs:
             self._tell(self._name, str(why))
             return
         self._note(line + 1)
-        self._feed.start(file, self._files.size(self._name), line)
+        self._feed.start(file, self._start[0], line)
 
     def _start_by_button(self) -> None:
         name = self._kept(_BUTTON)
         is_idle = self._machine.state.run == st.IDLE and not (self._feed.is_on or self._due)
         if name and is_idle and self._is_free() and self._files.size(name[0]) >= 0:
-            self._due = name[0]
+            self._due, self._due_line = name[0], 0
 
     def _go_on(self) -> None:
         feed = self._feed
@@ -277,9 +299,7 @@ class Jobs:
 
     def _tell_refusal(self, line: int) -> None:
         """What was planned before has been made: tool off, and say where the program stands."""
-        machine = self._machine
-        if machine.state.run == st.IDLE:
-            machine.interpreter.execute(bytearray(b"M5M9\0"), 4)
+        self._tool_off()
         why = "is refused with %d" % self._refused if self._refused else "cannot be read"
         if self._rest:
             self._close_rest()
@@ -287,6 +307,14 @@ class Jobs:
             return
         self._note(line)
         self._tell(self._name, "line %d %s" % (line, why))
+
+    def _tool_off(self) -> None:
+        """Whatever the state is. Nothing moves."""
+        machine = self._machine
+        machine.spindle.turn(0, 0.0)
+        machine.coolant.set(0)
+        machine.modes.modal[SPINDLE] = machine.modes.modal[COOLANT] = 0
+        machine.interpreter.fast.forget()
 
     def _close_rest(self) -> None:
         if self._rest:
@@ -307,6 +335,7 @@ class Jobs:
     def alarm(self, _code: int) -> None:
         """The place may not be what it is held for; and who sees to that may switch off."""
         self._is_homed = False
+        self._due = ""
         if self._feed.is_on:
             self._note_line()
 
@@ -323,7 +352,9 @@ class Jobs:
             else:
                 self._note(line)
                 self._tell(self._name, "stopped at line %d" % line)
-        elif not self._has_started:
+        else:
+            self._close_rest()
+        if not self._has_started:
             kept = self._kept(_JOURNAL)
             if len(kept) == _JOURNAL_LINES:
                 self._tell(kept[0], "did not come to its end; last noted: line " + kept[1])
@@ -331,8 +362,10 @@ class Jobs:
 
     @micropython.native
     def press(self, active: int) -> None:
-        """A control input has changed. Interrupt."""
-        if active & START:
+        """A control input has changed. Interrupt. Who ends something else starts no job."""
+        state = self._machine.state
+        if active & START and state.run == st.IDLE and not state.suspend:
+            self._pressed_ms = self._machine.port.ticks_ms()
             self._pressed[0] = 1
 
     # What is told and kept
@@ -353,6 +386,8 @@ class Jobs:
 
     def _note(self, line: int) -> None:
         """Keep where the job is; 0: it is done."""
-        kept = [self._name, str(line), self._start] if line else []
+        if self._machine.state.run == st.CHECK:
+            return  # which has made nothing
+        kept = [self._name, str(line), json.dumps(self._start)] if line else []
         self._machine.saves.save(_JOURNAL, kept)
         self._machine.keep()
