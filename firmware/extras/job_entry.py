@@ -58,8 +58,8 @@ def in_force(machine: "Controller") -> "list[Any]":
     """The place, and all that a program can have set: what put() takes."""
     modes, coords = machine.modes, machine.coords
     modal = list(modes.modal[:MODAL_LENGTH])
-    offsets = [list(coords.g92), coords.tool_length]
-    return [list(modes.position), modal, list(modes.rates), modes.tool, *offsets]
+    place, rates, g92 = list(modes.position), list(modes.rates), list(coords.g92)
+    return [place, modal, rates, modes.tool, g92, coords.tool_length]
 
 
 def put(machine: "Controller", found: "list[Any]") -> None:

@@ -48,8 +48,8 @@ def push(machine: Board, name: str, data: bytes) -> float:
     return machine.pico.us - begun
 
 
-def home(machine: Board) -> None:
-    """Its switches are 2 mm up and away from where it is now."""
+def home(machine: Board) -> Odometer:
+    """Its switches are 2 mm up and away from where it is now, from where the odometer counts."""
     odometer = Odometer(machine.pico)
     is_done: list[bool] = []
 
@@ -63,6 +63,7 @@ def home(machine: Board) -> None:
     machine.ask("$H", limit_us=20_000_000)
     is_done.append(True)
     machine.pico.run_us(3_000)
+    return odometer
 
 
 def made(tmp_path: Path, uf2: Path) -> bytes:
@@ -110,14 +111,13 @@ def test_from_a_dragged_file_to_a_job_that_goes_on_behind_a_power_cut(
     machine.wait_for("]\r\n")
     line = int(machine.said.partition("last noted: line ")[2].partition("]")[0])
     assert 5 < line < 100, told
-    home(machine)
-    odometer = Odometer(machine.pico)
+    odometer = home(machine)
     machine.forget()
     machine.send("$F=@\n")
     machine.wait_for(f"Job STAIRS.NC: goes on at line {line}")
     machine.wait_for("Job STAIRS.NC: done, 164 lines", 60_000_000)
     places = [round(100 * mm) for mm in (*place_of(_JOB[161]), -1.5)]
-    assert odometer.read() == [place + 100 for place in places]  # homing ends at -1 mm
+    assert odometer.read() == [place + 200 for place in places]  # the switches are at 0
     assert read_back(machine.pico.flash_image())["jobs/STAIRS.NC"] == data
 
 
