@@ -51,6 +51,19 @@ class MemoryStore:
         self.files[name] = list(lines)
 
 
+class _Board:
+    """A board's own words, as its module has them."""
+
+
+def _without_custom(board: "Any") -> "Any":
+    """A copy of it that reads no Python of the user's, whatever lies where this is run."""
+    made = _Board()
+    for name, value in dict(board.__dict__, CUSTOM="").items():
+        if name[:2] != "__":
+            setattr(made, name, value)
+    return made
+
+
 class Rig:
     """One simulated machine. board: a module as in boards/; store: a Store; link: makes a Link.
 
@@ -68,9 +81,7 @@ class Rig:
         full: bool = False,
     ) -> None:
         axes = len(board.STEP)
-        if not hasattr(board, "CUSTOM"):
-            board.CUSTOM = ""  # whatever lies where this is run
-        self.board = board
+        self.board = board if hasattr(board, "CUSTOM") else _without_custom(board)
         self.store: "Any" = MemoryStore() if store is None else store
         tool = getattr(board, "TOOL", "spindle")
         has_punch = tool == "punch"
