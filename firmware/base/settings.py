@@ -91,7 +91,7 @@ _TABLE = (  # attribute-names: column 1
     # Maximum travel, one value per axis, from the homing switch.
     (130, "max_travel", AXIS, 200.0, "millimeters"),
 )
-_BEYOND = float("inf")  # beyond single precision
+_BEYOND = float("3.5e38")  # single precision; as a number it could not be frozen
 
 # Held in these units inside, as single-precision Grbl does, and shown in the row's.
 _ACCELERATION = const(120)

@@ -164,6 +164,11 @@ class Jobs:
     def _kept(self, what: str) -> "list[str]":
         return self._machine.saves.load(what) or []
 
+    def _journal(self) -> "list[str]":
+        """What is kept of the job that has not come to its end; empty where there is none."""
+        kept = self._kept(_JOURNAL)
+        return kept if len(kept) == _JOURNAL_LINES else []
+
     def _run(self, name: str) -> None:
         if self._machine.state.run == st.ALARM:
             raise GrblError(errors.SYSTEM_GC_LOCK)
@@ -184,8 +189,8 @@ class Jobs:
 
     def _noted(self, name: str) -> "tuple[str, str]":
         """The job that has not come to its end, and a line of it."""
-        kept = self._kept(_JOURNAL)
-        if len(kept) < _JOURNAL_LINES or name not in ("", kept[0]):
+        kept = self._journal()
+        if not kept or name not in ("", kept[0]):
             self._cnc.message("No job is noted" + (" of that name" if name else ""))
             raise GrblError(errors.INVALID_STATEMENT)
         return kept[0], kept[1]
@@ -233,12 +238,12 @@ class Jobs:
 
     def _enter(self, file: "IO[bytes]", size: int, line: int) -> None:
         """Have the tool led to that line."""
-        kept = self._kept(_JOURNAL)
+        kept = self._journal()
         self._start = [size, in_force(self._machine)]
         try:
             if self._machine.state.run != st.IDLE or not self._is_homed:
                 raise NoWay("the machine is not homed, or not idle")
-            if len(kept) == _JOURNAL_LINES and kept[0] == self._name:
+            if kept and kept[0] == self._name:
                 self._start = json.loads(kept[2])
                 if self._start[0] != size:
                     raise NoWay("it is another file than the one that was noted")
@@ -355,8 +360,8 @@ class Jobs:
         else:
             self._close_rest()
         if not self._has_started:
-            kept = self._kept(_JOURNAL)
-            if len(kept) == _JOURNAL_LINES:
+            kept = self._journal()
+            if kept:
                 self._tell(kept[0], "did not come to its end; last noted: line " + kept[1])
         self._has_started = True
 

@@ -27,12 +27,6 @@ _SPARE_KB = const(32)
 _PIECE = const(512)
 
 
-def _is_name(name: str) -> bool:
-    if not 0 < len(name) <= _LONGEST or name[0] == "." or name.endswith(_NEW):
-        return False
-    return all("A" <= c <= "Z" or "0" <= c <= "9" or c in _OTHERS for c in name)
-
-
 def _nothing() -> None:
     """On a desktop nothing has to be."""
 
@@ -47,10 +41,10 @@ class JobFiles:
         """Flash is written with all that the store has around its own writing."""
         self._store: "Any" = store
 
-    def _around(self, write: "Callable[[], None]") -> None:
+    def _around(self, write: "Callable[[], Any]") -> "Any":
         getattr(self._store, "before", _nothing)()
         try:
-            write()
+            return write()
         finally:
             getattr(self._store, "after", _nothing)()
 
@@ -66,7 +60,9 @@ class JobFiles:
 
     def is_name(self, name: str) -> bool:
         """Whether a file may be called so."""
-        return _is_name(name)
+        if not 0 < len(name) <= _LONGEST or name[0] == "." or name.endswith(_NEW):
+            return False
+        return all("A" <= c <= "Z" or "0" <= c <= "9" or c in _OTHERS for c in name)
 
     def files(self) -> "list[tuple[str, int]]":
         """Names and sizes, in order."""
@@ -74,7 +70,7 @@ class JobFiles:
             names = sorted(os.listdir(self._folder))
         except OSError:
             return []  # nothing has ever been put there
-        found = [name for name in names if _is_name(name.upper())]
+        found = [name for name in names if self.is_name(name.upper())]
         return [(name, self._size(name)) for name in found]
 
     def _size(self, name: str) -> int:
@@ -105,18 +101,17 @@ class JobFiles:
 
     def begin(self, name: str) -> "IO[bytes]":
         """Where to write what is to be called so. OSError where that cannot be."""
-        made: "list[IO[bytes]]" = []
 
-        def make() -> None:
+        def make() -> "IO[bytes]":
             if not self._is_there():
                 os.mkdir(self._folder)
             for left in os.listdir(self._folder):
                 if left.endswith(_NEW):  # of a transfer that a power cut has ended
                     os.remove(self._path(left))
-            made.append(open(self._path(name + _NEW), "wb"))
+            return open(self._path(name + _NEW), "wb")
 
-        self._around(make)
-        return made[0]
+        made: "IO[bytes]" = self._around(make)
+        return made
 
     def _is_there(self) -> bool:
         try:
@@ -127,11 +122,7 @@ class JobFiles:
 
     def append(self, file: "IO[bytes]", piece: "bytes | bytearray") -> None:
         """Write the next piece. OSError where there is no room."""
-
-        def write() -> None:
-            file.write(piece)
-
-        self._around(write)
+        self._around(lambda: file.write(piece))
 
     def finish(self, name: str, file: "IO[bytes]", checksum: int) -> bool:
         """Have it take its place; False where it is not what was sent, which leaves the old."""
