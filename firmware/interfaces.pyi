@@ -268,6 +268,12 @@ class BoardPort(Port, Protocol):
 class JobFiles(Protocol):
     """Programs that live on the board, by name. What cannot be done is an OSError."""
 
+    def mount(self) -> None:
+        """See to it that they can be reached. None may be open."""
+
+    def lose(self) -> bool:
+        """Behind an OSError: mount() begins anew. Returns whether they can be taken out."""
+
     def is_name(self, name: str) -> bool:
         """Whether a program may be called so."""
 
@@ -297,6 +303,17 @@ class JobFiles(Protocol):
 
     def drop(self, name: str, file: IO[bytes]) -> None:
         """What has come is not wanted."""
+
+class Card(Protocol):
+    """A folder that can be taken out."""
+
+    folder: str
+
+    def mount(self) -> None:
+        """Have what is in the holder now in its folder; OSError where that cannot be."""
+
+    def unmount(self) -> None:
+        """Forget what was known of it."""
 
 class Options(Protocol):
     """What an extra's prepare() may have otherwise, before the machine is made."""

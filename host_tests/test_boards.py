@@ -113,6 +113,12 @@ def test_a_board_is_data_only(name: str) -> None:
         ({"ENGINE": "sim", "LOOP_US": "200"}, "LOOP_US is '200': it is a whole number"),
         ({"CHIP": "pico2"}, "CHIP 'pico2' has MPY_ARCH 'armv7emsp'"),
         ({"MIST": 1}, "MIST is 1: it is True or False"),
+        ({"SD_CARD": (26, 27, 28, 21), "JOBS": "jobs"}, ""),
+        ({"SD_CARD": (26, 27, 28, 14), "JOBS": "jobs"}, "SD_CARD: pin 14 is HOLD already"),
+        ({"SD_CARD": (26, 27, 28, 21)}, 'SD_CARD: it is for jobs, and JOBS = "jobs" is not'),
+        ({"SD_CARD": (26, 27, 28), "JOBS": "jobs"}, "SD_CARD wants four pins: clock, to the"),
+        ({"SD_CARD": (26, 27, 20, 21), "JOBS": "jobs"}, "SD_CARD: 26, 27, 20 are not SCK, TX"),
+        ({"SD_CARD": (26, 28, 27, 21), "JOBS": "jobs"}, "SD_CARD: 26, 28, 27 are not SCK, TX"),
         ({"EXTRAS": ("nowhere",)}, "EXTRAS: No module named 'nowhere'"),
     ],
 )

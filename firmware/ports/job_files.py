@@ -1,8 +1,9 @@
-"""Job files: programs that are kept on the board, in a folder of its flash.
+"""Job files: programs that are kept on the board, in a folder of its flash, or on an SD card.
 
 Names are as lines bring them, in capitals: letters, digits, and `.`, `_`, `-`. A file that comes
 over the line is written beside the old one, read back, and takes its place in one step: a power
-cut leaves the old file or the new.
+cut leaves the old file or the new. A card's file system has no such step, so the old one is put
+aside, and put back where the new one is not there.
 """
 
 import binascii
@@ -15,12 +16,16 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import IO, Any
 
-    from interfaces import Store
+    from interfaces import Card, Store
 
 _NEW = ".PART"
+_OLD = ".OLD" + _NEW
 _LONGEST = const(32)  # name
 _OTHERS = "._-"
-_SIZE_AT = const(6)  # in what os.stat() returns
+# In what os.stat() returns; a folder has this mode.
+_MODE_AT = const(0)
+_SIZE_AT = const(6)
+_FOLDER = const(0x4000)
 _KB = const(1024)
 # A file system wants some of its own, and settings are to find room after all.
 _SPARE_KB = const(32)
@@ -37,9 +42,25 @@ class JobFiles:
     def __init__(self, folder: str) -> None:
         self._folder = folder
 
-    def connect(self, store: "Store") -> None:
-        """Flash is written with all that the store has around its own writing."""
+    def connect(self, store: "Store", card: "Card | None") -> None:
+        """Flash is written with all that the store has around its own writing. card: they are
+        there and not in flash."""
         self._store: "Any" = store
+        self._card = card
+        if card:
+            self._folder = card.folder
+
+    def mount(self) -> None:
+        """Have the card there that is in its holder now, if they are on one. OSError where it
+        cannot be read. Only where none is open."""
+        if self._card:
+            self._around(self._card.mount)
+
+    def lose(self) -> bool:
+        """Behind an OSError: look for the card anew next time. Returns whether they are on one."""
+        if self._card:
+            self._card.unmount()
+        return self._card is not None
 
     def _around(self, write: "Callable[[], Any]") -> "Any":
         getattr(self._store, "before", _nothing)()
@@ -51,12 +72,12 @@ class JobFiles:
     def _path(self, name: str) -> str:
         return self._folder + "/" + name
 
-    def _found(self, name: str) -> str:
-        """The name as it is written, whatever its capitals; "" where there is none."""
-        for there, _ in self.files():
+    def _found(self, name: str) -> "tuple[str, int]":
+        """The name as it is written, whatever its capitals, and bytes; "" and -1 without one."""
+        for there, size in self.files():
             if there.upper() == name:
-                return there
-        return ""
+                return there, size
+        return "", -1
 
     def is_name(self, name: str) -> bool:
         """Whether a file may be called so."""
@@ -69,33 +90,47 @@ class JobFiles:
         try:
             names = sorted(os.listdir(self._folder))
         except OSError:
+            if self._card:
+                raise
             return []  # nothing has ever been put there
-        found = [name for name in names if self.is_name(name.upper())]
-        return [(name, self._size(name)) for name in found]
+        found = []
+        for name in [self._put_back(name, names) for name in names]:
+            if self.is_name(name.upper()):
+                about: "Any" = os.stat(self._path(name))
+                if not about[_MODE_AT] & _FOLDER:
+                    found.append((name, int(about[_SIZE_AT])))
+        return found
 
-    def _size(self, name: str) -> int:
-        return int(os.stat(self._path(name))[_SIZE_AT])
+    def _put_back(self, name: str, names: "list[str]") -> str:
+        """Where a power cut has come before another has taken its place, give a file its name
+        again. Returns what is called so now."""
+        whole = name[: -len(_OLD)]
+        if name != whole + _OLD or whole in names:
+            return name
+        self._around(lambda: os.rename(self._path(name), self._path(whole)))
+        return whole
 
     def size(self, name: str) -> int:
         """Bytes; -1 where there is none of that name."""
-        found = self._found(name)
-        return self._size(found) if found else -1
+        return self._found(name)[1]
 
     def open(self, name: str) -> "IO[bytes]":
         """To be read. OSError where there is none, or it cannot be."""
-        return open(self._path(self._found(name) or name), "rb")
+        return open(self._path(self._found(name)[0] or name), "rb")
 
     def room_kb(self) -> int:
         """What still fits."""
         try:
             found = os.statvfs(self._folder)
         except OSError:
+            if self._card:
+                raise
             found = os.statvfs(".")
         return max(found[0] * found[3] // _KB - _SPARE_KB, 0)
 
     def delete(self, name: str) -> None:
         """Take a file away. OSError where that cannot be."""
-        self._around(lambda: os.remove(self._path(self._found(name) or name)))
+        self._around(lambda: os.remove(self._path(self._found(name)[0] or name)))
 
     # A file that comes in pieces
 
@@ -105,6 +140,7 @@ class JobFiles:
         def make() -> "IO[bytes]":
             if not self._is_there():
                 os.mkdir(self._folder)
+            self.files()  # puts back what is to be
             for left in os.listdir(self._folder):
                 if left.endswith(_NEW):  # of a transfer that a power cut has ended
                     os.remove(self._path(left))
@@ -131,12 +167,15 @@ class JobFiles:
         if self._checksum(new) != checksum:
             self._around(lambda: os.remove(new))
             return False
-        old = self._found(name)
+        old, _ = self._found(name)
+        aside = old and (old != name or self._card is not None)
 
         def put() -> None:
+            if aside:
+                os.rename(self._path(old), self._path(name + _OLD))
             os.rename(new, self._path(name))
-            if old and old != name:  # in other capitals
-                os.remove(self._path(old))
+            if aside:
+                os.remove(self._path(name + _OLD))
 
         self._around(put)
         return True

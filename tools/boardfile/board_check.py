@@ -26,6 +26,11 @@ _OTHERS = {
 }
 _NEEDED_AXES = 3
 
+# Pins of an SPI: what is left by 4 of its clock, what it sends at, what it reads at; by turns one
+# SPI has so many of them, and the other.
+_SPI = (2, 3, 0)
+_SPI_LOG2 = 3
+
 
 def problems(board: ModuleType) -> list[str]:
     """Every problem in words: what and why. None for a good board."""
@@ -37,7 +42,7 @@ def problems(board: ModuleType) -> list[str]:
         return found
     check = _inputs if _has_registers(board) else _pins
     pins = min((list(check(board, chip)) for chip in _chips(board)), key=len)
-    return [*pins, *_wires(board), *(values or _firmware(board)), *_defaults(board)]
+    return [*pins, *_wires(board), *_card(board), *(values or _firmware(board)), *_defaults(board)]
 
 
 def notes(board: ModuleType) -> list[str]:
@@ -249,6 +254,22 @@ def _wires(board: ModuleType) -> Iterator[str]:
     for bit, name in enumerate(CONTROLS):
         if inverted >> bit & 1 and held[bit : bit + 1] in ((), (None,)):
             yield f"CONTROL_INVERT: there is no pin for {name}, and open means pressed"
+
+
+def _card(board: ModuleType) -> Iterator[str]:
+    """Where an SD card cannot be: RP2040 and RP2350 have two SPIs, with pins of their own."""
+    pins = getattr(board, "SD_CARD", ())
+    if not pins:
+        return
+    if not getattr(board, "JOBS", ""):
+        yield 'SD_CARD: it is for jobs, and JOBS = "jobs" is not there'
+    if len(pins) != len(_SPI) + 1 or None in pins:
+        yield "SD_CARD wants four pins: clock, to the card, from the card, select"
+    elif board.ENGINE == "pio":
+        used = {(pin >> _SPI_LOG2) % 2 for pin in pins[: len(_SPI)]}
+        if len(used) > 1 or any(pin % 4 != rest for pin, rest in zip(pins, _SPI, strict=False)):
+            which = ", ".join(map(str, pins[: len(_SPI)]))
+            yield f"SD_CARD: {which} are not SCK, TX and RX of one SPI, as 10, 11, 12 are"
 
 
 def _wired(board: ModuleType, name: str) -> bool:

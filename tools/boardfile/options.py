@@ -297,6 +297,10 @@ OPTIONS = (
         'The folder of programs that live on the board, "jobs" say: see docs/jobs.md.',
     ),
     Option(
+        *("SD_CARD", PINS, ()),
+        "An SD card's pins, SPI: clock, to the card, from it, select. Programs live there then.",
+    ),
+    Option(
         *("JERK", SWITCH, False),
         "Jerk can be limited while it runs, per axis: see docs/jerk.md.",
     ),

@@ -48,6 +48,7 @@ _PARTS = ("boot.parts", "boot.parts_esp")
 _SWITCHED: dict[str, tuple[str, object]] = {
     "motion.kinematics": ("COREXY", True),
     "ports.job_files": ("JOBS", True),
+    "ports.sd_card": ("SD_CARD", True),
     "pio.beam": ("TOOL", "laser"),
 }
 # What extras are handed; who has none has no use for it.

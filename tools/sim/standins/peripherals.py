@@ -97,10 +97,10 @@ class SPI(_Inert):
     def read(self, nbytes: int, write: int = 0, /) -> bytes:
         return bytes(nbytes)
 
-    def readinto(self, buf: bytearray, write: int = 0, /) -> None:
+    def readinto(self, buf: "bytearray | memoryview", write: int = 0, /) -> None:
         buf[:] = bytes(len(buf))
 
-    def write(self, buf: bytes, /) -> None:
+    def write(self, buf: "bytes | bytearray | memoryview", /) -> None:
         pass
 
     def write_readinto(self, write_buf: bytes, read_buf: bytearray, /) -> None:

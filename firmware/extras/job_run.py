@@ -1,0 +1,280 @@
+"""Job run: the job that runs, or is to, from its first line to its last or to what ends it.
+
+Which runs, and where it was held or stopped, is noted in flash at rest.
+"""
+
+import io
+import json
+
+import micropython
+from base import state as st
+from base.controls import START
+from base.faults import harmless
+from control.modes import COOLANT, SPINDLE
+from micropython import const
+
+from extras.job_entry import Entry, NoWay, in_force
+from extras.job_feed import Feed
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from typing import IO, Any
+
+    from interfaces import JobFiles
+    from talk.lines import LineReader
+
+    from extras.api import Cnc
+
+# Under which is kept: the job that runs, a line of it, its size and what was in force before it;
+# the start button's.
+_JOURNAL = "job"
+_JOURNAL_LINES = const(3)
+BUTTON = "button"
+_PRESSED_MS = const(50)  # later, something else has been going on
+
+
+class JobRun:
+    """The job. reader: nobody else's while it runs."""
+
+    def __init__(self, cnc: "Cnc", files: "JobFiles", reader: "LineReader") -> None:
+        self._cnc = cnc
+        self._machine = cnc.machine
+        self._files = files
+        self._feed = Feed(cnc.machine, self._refuse, self._note_line)
+        self._at_rest = cnc.machine.at_rest
+        cnc.machine.at_rest = self._is_quiet  # type: ignore[method-assign]
+        self._entry = Entry(cnc, reader)
+        self._name = ""  # what runs
+        self._start: "list[Any]" = []  # its size, and what was in force before it
+        self._pressed_ms = 0
+        self._due = ""  # what is to, once the loop has no line of the sender left,
+        self._due_line = 0  # and from which line on; 0: all of it
+        self._rest: "IO[bytes] | None" = None  # of the file, while the tool is on its way there
+        self.is_homed = False
+        self._refused = 0  # Grbl's number for the line that has ended it
+        self._pressed = bytearray(1)  # the start button has been
+        self._has_started = False  # the firmware
+
+    def is_on(self) -> bool:
+        """A job runs."""
+        return self._feed.is_on
+
+    def ask_for(self, name: str, line: int) -> None:
+        """Have one run, once the sender has nothing more to say; from a line on, or 0: all."""
+        self._due, self._due_line = name, line
+
+    @micropython.native
+    def turn(self) -> None:
+        """A turn of the loop, between two lines."""
+        if self._pressed[0]:
+            self._pressed[0] = 0
+            if self._machine.port.elapsed_ms(self._pressed_ms) < _PRESSED_MS:
+                self._start_by_button()
+        if self._feed.is_on:
+            self._go_on()
+        elif self._due and self._is_free():
+            self._begin()
+
+    def _is_free(self) -> bool:
+        """Nothing moves or is going to, and the sender has said nothing that is not done."""
+        machine = self._machine
+        at_rest = self._at_rest() or machine.state.run == st.CHECK
+        return at_rest and not machine.reader.has_line()
+
+    def _is_quiet(self) -> bool:
+        """Stand in for Controller.at_rest(): a job that waits, in a dwell say, is none."""
+        return self._at_rest() and not self._feed.is_on
+
+    def _begin(self) -> None:
+        name, self._due = self._due, ""
+        try:
+            file = self._files.open(name)
+            size = self._files.size(name)
+        except OSError:
+            self.tell(name, "cannot be read")
+            return
+        self._name, self._refused = name, 0
+        if self._due_line:
+            self._enter(file, size, self._due_line)
+            return
+        self._start = [size, in_force(self._machine)]
+        self._note(1)
+        self.tell(name, "begins")
+        self._feed.start(file, size)
+
+    def _enter(self, file: "IO[bytes]", size: int, line: int) -> None:
+        """Have the tool led to that line."""
+        kept = self.journal()
+        self._start = [size, in_force(self._machine)]
+        try:
+            if self._machine.state.run != st.IDLE or not self.is_homed:
+                raise NoWay("the machine is not homed, or not idle")
+            if kept and kept[0] == self._name:
+                self._start = json.loads(kept[2])
+                if self._start[0] != size:
+                    raise NoWay("it is another file than the one that was noted")
+            self._tool_off()
+            self._entry.find(file, line, self._start[1])
+        except (NoWay, OSError) as why:
+            file.close()
+            self.tell(self._name, str(why) if isinstance(why, NoWay) else "cannot be read")
+            return
+        except BaseException:
+            file.close()
+            raise
+        self._rest = file
+        way = [text for text in self._entry.way() if text]
+        self.tell(self._name, "goes on at line %d" % line)
+        lines = io.BytesIO(("\n".join(way) + "\n").encode())
+        self._feed.start(lines, size, line - 1 - len(way))
+
+    def _arrive(self, file: "IO[bytes]") -> None:
+        """The tool is there: the file's lines come."""
+        self._rest = None
+        line = self._feed.line()
+        self._feed.stop()
+        try:
+            self._entry.arrive()
+        except NoWay as why:
+            file.close()
+            self.tell(self._name, str(why))
+            return
+        self._note(line + 1)
+        self._feed.start(file, self._start[0], line)
+
+    def _start_by_button(self) -> None:
+        name = self.kept(BUTTON)
+        is_idle = self._machine.state.run == st.IDLE and not (self._feed.is_on or self._due)
+        if name and is_idle and self._is_free():
+            try:
+                self._files.mount()
+                if self._files.size(name[0]) >= 0:
+                    self.ask_for(name[0], 0)
+            except OSError:
+                self._files.lose()
+                self.tell(name[0], "there is no card to read it from")
+
+    def _go_on(self) -> None:
+        feed = self._feed
+        feed.answer()
+        if feed.has_ended() and self._is_free():
+            if self._rest and not self._refused:
+                self._arrive(self._rest)
+                return
+            line = feed.line()
+            feed.stop()
+            if self._refused or feed.fault:
+                self._tell_refusal(line + 1)
+            else:
+                self._note(0)
+                self.tell(self._name, "done, %d lines" % line)
+
+    def _refuse(self, code: int) -> None:
+        """A line of the file is refused: nothing behind it is done."""
+        self._refused = code
+        self._feed.cut()
+
+    def _tell_refusal(self, line: int) -> None:
+        """What was planned before has been made: tool off, and say where the program stands."""
+        self._tool_off()
+        why = "is refused with %d" % self._refused if self._refused else "cannot be read"
+        if self._rest:
+            self._close_rest()
+            self.tell(self._name, "the way there " + why)
+            return
+        self._note(line)
+        self.tell(self._name, "line %d %s" % (line, why))
+
+    def _tool_off(self) -> None:
+        """Whatever the state is. Nothing moves."""
+        machine = self._machine
+        machine.spindle.turn(0, 0.0)
+        machine.coolant.set(0)
+        machine.modes.modal[SPINDLE] = machine.modes.modal[COOLANT] = 0
+        machine.interpreter.fast.forget()
+
+    def _close_rest(self) -> None:
+        if self._rest:
+            self._rest.close()
+            self._rest = None
+
+    def program_ends(self) -> None:
+        """M2 or M30: what is behind it is not done."""
+        self._entry.has_ended = True
+        if self._feed.is_on:
+            self._feed.cut()
+
+    def home(self, _was: int) -> None:
+        """$H has been done, or has failed."""
+        state = self._machine.state
+        self.is_homed = state.run == st.IDLE and not state.alarm
+
+    def alarm(self, _code: int) -> None:
+        """The place may not be what it is held for; and who sees to that may switch off."""
+        self.is_homed = False
+        self._due = ""
+        if self._feed.is_on:
+            self._note_line()
+
+    def begin_anew(self) -> None:
+        """Behind power-up or a reset: what ran has come to its end."""
+        self._due = ""
+        self._pressed[0] = 0
+        if self._feed.is_on:
+            line = self._feed.made()
+            self._feed.drop()
+            if self._rest:
+                self._close_rest()
+                self.tell(self._name, "stopped on the way")
+            else:
+                self._note(line)
+                self.tell(self._name, "stopped at line %d" % line)
+        else:
+            self._close_rest()
+        if not self._has_started:
+            kept = self.journal()
+            if kept:
+                self.tell(kept[0], "did not come to its end; last noted: line " + kept[1])
+        self._has_started = True
+
+    @micropython.native
+    def press(self, active: int) -> None:
+        """A control input has changed. Interrupt. Who ends something else starts no job."""
+        state = self._machine.state
+        if active & START and state.run == st.IDLE and not state.suspend:
+            self._pressed_ms = self._machine.port.ticks_ms()
+            self._pressed[0] = 1
+
+    # What is told and kept
+
+    def field(self) -> str:
+        """A status report's."""
+        if not self._feed.is_on:
+            return ""
+        return "SD:%.1f,/%s" % (self._feed.percent(), self._name)
+
+    def tell(self, name: str, what: str) -> None:
+        """A message of a job."""
+        self._cnc.message("Job %s: %s" % (harmless(name), what))
+
+    def kept(self, what: str) -> "list[str]":
+        """Lines that are in flash under that word."""
+        return self._machine.saves.load(what) or []
+
+    def journal(self) -> "list[str]":
+        """What is kept of the job that has not come to its end; empty where there is none."""
+        kept = self.kept(_JOURNAL)
+        return kept if len(kept) == _JOURNAL_LINES else []
+
+    def _note_line(self) -> None:
+        """Motion is held."""
+        if not self._rest:
+            self._note(self._feed.made())
+
+    def _note(self, line: int) -> None:
+        """Keep where the job is; 0: it is done."""
+        if self._machine.state.run == st.CHECK:
+            return  # which has made nothing
+        kept = [self._name, str(line), json.dumps(self._start)] if line else []
+        self._machine.saves.save(_JOURNAL, kept)
+        self._machine.keep()

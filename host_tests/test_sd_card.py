@@ -1,0 +1,233 @@
+"""Blocks of an SD card: whatever happens on the wire they are right, or it says so in time."""
+
+import errno
+from array import array
+from collections.abc import Iterator
+from random import Random
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ports import sd_blocks
+from ports.link_memory import REMEMBERED
+from ports.sd_blocks import SdBlocks
+from sd_model import BLOCK, SdCard
+
+_PINS = (10, 11, 12, 13)
+_BLOCKS = 1024
+_LOOP_MS = 250  # what the supervisor allows the main loop in motion
+
+
+class Bench:
+    """A card on a bus whose bytes take their time. out_at: taken out at that byte."""
+
+    def __init__(self, is_large: bool = True) -> None:
+        content = Random(1).randbytes(_BLOCKS * BLOCK)
+        self.card = SdCard(bytearray(content), is_large)
+        self.us = 0.0
+        self.hz = 0
+        self.bytes = 0
+        self.out_at = -1
+        bench = self
+
+        class Pin:
+            IN, OUT, PULL_UP = range(3)
+
+            def __init__(self, id: int, *_: object, **__: object) -> None:
+                self.id = id
+
+            def __call__(self, level: int) -> None:
+                assert self.id == _PINS[-1]
+                bench.card.select(not level)
+
+        class Bus:
+            def __init__(self, number: int, **_: object) -> None:
+                assert number == 1  # on pins 10 to 13
+
+            def init(self, *, baudrate: int) -> None:
+                bench.hz = baudrate
+
+            def write(self, data: bytes) -> None:
+                for byte in bytes(data):
+                    bench.exchange(byte)
+
+            def readinto(self, into: bytearray, byte: int) -> None:
+                for at in range(len(into)):
+                    into[at] = bench.exchange(byte)
+
+            def read(self, count: int, byte: int) -> bytes:
+                return bytes(bench.exchange(byte) for _ in range(count))
+
+        self.pin, self.bus = Pin, Bus
+
+    def exchange(self, byte: int) -> int:
+        self.us += 8e6 / self.hz + 1
+        self.bytes += 1
+        if self.bytes == self.out_at:
+            self.card.is_in = False
+        return self.card.exchange(byte)
+
+    def driver(self) -> SdBlocks:
+        made = SdBlocks(_PINS, array("i", [0] * REMEMBERED))
+        made.begin()
+        return made
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    yield from _wired(Bench(), monkeypatch)
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    yield from _wired(Bench(is_large=False), monkeypatch)
+
+
+def _wired(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    monkeypatch.setattr(sd_blocks, "SPI", bench.bus)
+    monkeypatch.setattr(sd_blocks, "Pin", bench.pin)
+    monkeypatch.setattr(sd_blocks.time, "ticks_ms", lambda: int(bench.us / 1000), raising=False)
+    monkeypatch.setattr(sd_blocks.time, "ticks_diff", lambda a, b: a - b, raising=False)
+    yield bench
+
+
+def block_of(bench: Bench, number: int, count: int = 1) -> bytes:
+    return bytes(bench.card.image[number * BLOCK : (number + count) * BLOCK])
+
+
+@pytest.mark.parametrize("kind", ["bench", "small"])
+def test_what_is_written_is_there_and_is_read(kind: str, request: pytest.FixtureRequest) -> None:
+    bench: Bench = request.getfixturevalue(kind)
+    driver = bench.driver()
+    assert driver.ioctl(4, 0) == _BLOCKS and driver.ioctl(5, 0) == BLOCK
+    data = Random(2).randbytes(3 * BLOCK)
+    driver.writeblocks(7, data)
+    assert block_of(bench, 7, 3) == data
+    into = bytearray(5 * BLOCK)
+    driver.readblocks(6, into)
+    assert into == block_of(bench, 6, 5)
+    assert bench.card.written == 3
+
+
+def test_it_begins_slowly_and_goes_on_fast(bench: Bench) -> None:
+    speeds: list[int] = []
+    exchange = bench.exchange
+    bench.exchange = lambda byte: speeds.append(bench.hz) or exchange(byte)  # type: ignore
+    driver = bench.driver()
+    assert set(speeds) == {400_000}
+    speeds.clear()
+    driver.readblocks(0, bytearray(BLOCK))
+    assert set(speeds) == {12_000_000}
+
+
+@given(where=st.integers(0, BLOCK * 8 - 1), number=st.integers(0, _BLOCKS - 1))
+@settings(max_examples=50, deadline=None)
+def test_a_bit_that_is_read_wrong_is_read_again(where: int, number: int) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        for bench in _wired(Bench(), patch):
+            driver = bench.driver()
+            bench.card.damage = once(bench, where)
+            into = bytearray(BLOCK)
+            driver.readblocks(number, into)
+            assert into == block_of(bench, number)
+            assert bench.card.read == 2
+
+
+def once(bench: Bench, where: int) -> Any:
+    def damage(block: bytes) -> bytes:
+        bench.card.damage = lambda whole: whole
+        wrong = bytearray(block)
+        wrong[where >> 3] ^= 1 << (where & 7)
+        return bytes(wrong)
+
+    return damage
+
+
+def test_what_is_read_wrong_each_time_is_a_fault(bench: Bench) -> None:
+    driver = bench.driver()
+    bench.card.damage = lambda block: bytes([block[0] ^ 1]) + block[1:]
+    with pytest.raises(OSError) as fault:
+        driver.readblocks(0, bytearray(BLOCK))
+    assert fault.value.args[0] == errno.EIO
+
+
+def test_a_block_that_does_not_arrive_whole_is_written_again(bench: Bench) -> None:
+    driver = bench.driver()
+    bench.card.refuse = 2
+    driver.writeblocks(3, bytes(BLOCK))
+    assert block_of(bench, 3) == bytes(BLOCK)
+    bench.card.refuse = 3
+    with pytest.raises(OSError):
+        driver.writeblocks(4, bytes(BLOCK))
+
+
+def test_behind_the_last_block_is_nothing(bench: Bench) -> None:
+    driver = bench.driver()
+    with pytest.raises(OSError):
+        driver.readblocks(_BLOCKS, bytearray(BLOCK))
+
+
+def test_an_empty_holder_is_told_in_time(bench: Bench) -> None:
+    bench.card.is_in = False
+    with pytest.raises(OSError):
+        bench.driver()
+    assert bench.us < _LOOP_MS * 1000
+
+
+@pytest.mark.parametrize("out_at", range(0, 560, 7))
+def test_a_card_taken_out_at_any_byte_is_a_fault_and_no_wrong_block(
+    bench: Bench, out_at: int
+) -> None:
+    driver = bench.driver()
+    bench.bytes, bench.out_at = 0, out_at + 1
+    since = bench.us
+    into = bytearray(BLOCK)
+    try:
+        driver.readblocks(9, into)
+    except OSError:
+        pass
+    else:  # it was over already
+        assert into == block_of(bench, 9) and bench.bytes < out_at + 20
+    assert bench.us - since < _LOOP_MS * 1000
+    bench.card.is_in = False
+    assert not driver.is_there()
+
+
+def test_another_card_is_not_taken_for_the_one_before(bench: Bench) -> None:
+    driver = bench.driver()
+    assert driver.is_there()
+    bench.card.power_off()
+    assert not driver.is_there()
+    driver.begin()
+    assert driver.is_there()
+
+
+def test_behind_the_end_nothing_is_written_nor_raised(bench: Bench) -> None:
+    """A file left open writes as it is collected: to no other card."""
+    driver = bench.driver()
+    driver.end()
+    before, count = bytes(bench.card.image), bench.bytes
+    assert driver.writeblocks(0, bytes(BLOCK)) == -errno.EIO
+    assert driver.readblocks(0, bytearray(BLOCK)) == -errno.EIO
+    assert bytes(bench.card.image) == before and bench.bytes == count
+    driver.begin()
+    assert driver.writeblocks(0, bytes(BLOCK)) == 0
+
+
+def test_a_block_that_never_comes_takes_a_tenth_of_a_second(bench: Bench) -> None:
+    driver = bench.driver()
+    bench.card.damage = lambda block: None
+    since = bench.us
+    with pytest.raises(OSError) as fault:
+        driver.readblocks(0, bytearray(BLOCK))
+    assert fault.value.args[0] == errno.ETIMEDOUT
+    assert 100_000 <= bench.us - since < 150_000
+
+
+def test_a_card_that_stays_busy_is_a_fault(bench: Bench) -> None:
+    driver = bench.driver()
+    bench.card.busy = 1_000_000
+    with pytest.raises(OSError) as fault:
+        driver.writeblocks(0, bytes(BLOCK))
+    assert fault.value.args[0] == errno.ETIMEDOUT
