@@ -4,7 +4,6 @@ Usage: fat_image.py IMAGE make BLOCKS FOLDER, or IMAGE read FOLDER: files of a f
 image, those of an image into a folder.
 """
 
-import errno
 import os
 import sys
 
@@ -14,27 +13,28 @@ BLOCK = 512
 
 
 class Blocks:
-    """Of an image in memory. cut_at: the power goes as that block is to be written: nothing more
-    is, not by a file either that is left open, and is collected later."""
+    """Of an image in memory. cut_at: the power goes as that block is to be written; nothing more
+    is, and a file left open, which is collected later, is not told."""
 
     def __init__(self, image: bytearray, cut_at: int = -1) -> None:
         self.image = image
         self.cut_at = cut_at
         self.written = 0
+        self.is_dead = False
 
     def readblocks(self, number: int, into: bytearray) -> None:
         into[:] = self.image[number * BLOCK : number * BLOCK + len(into)]
 
-    def writeblocks(self, number: int, data: bytearray) -> int:
-        if self.written == self.cut_at:
-            return -errno.EIO  # the heap may be locked
+    def writeblocks(self, number: int, data: bytearray) -> None:
+        if self.is_dead:
+            return
         for at in range(0, len(data), BLOCK):
             if self.written == self.cut_at:
-                return -errno.EIO
+                self.is_dead = True
+                raise OSError(5)
             self.written += 1
             place = number * BLOCK + at
             self.image[place : place + BLOCK] = data[at : at + BLOCK]
-        return 0
 
     def ioctl(self, what: int, _argument: int) -> int:
         return {4: len(self.image) // BLOCK, 5: BLOCK}.get(what, 0)

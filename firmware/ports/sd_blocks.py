@@ -103,8 +103,8 @@ class SdBlocks:
         self._bus.init(baudrate=_HZ)
 
     def end(self) -> None:
-        """Have no blocks any more, whoever still asks: a file left open does as it is collected,
-        where nothing may be allocated nor raised."""
+        """Have no blocks any more, and say nothing of it: who still asks is a file left open, as it
+        is collected, and a fault there would be written to the sender."""
         self._count = 0
 
     def is_there(self) -> bool:
@@ -116,25 +116,23 @@ class SdBlocks:
 
     # As MicroPython calls them
 
-    def readblocks(self, number: int, into: "bytearray | memoryview") -> int:
-        """Fill what is given with blocks, from one on. Returns 0; -EIO where there are none."""
+    def readblocks(self, number: int, into: "bytearray | memoryview") -> None:
+        """Fill what is given with blocks, from one on."""
         if not self._count:
-            return -errno.EIO
+            return
         view = memoryview(into)
         for at in range(0, len(view), _BLOCK):
             self._read(_READ, number << self._shift, view[at : at + _BLOCK])
             number += 1
-        return 0
 
-    def writeblocks(self, number: int, data: "bytes | bytearray | memoryview") -> int:
-        """Write whole blocks, the same way."""
+    def writeblocks(self, number: int, data: "bytes | bytearray | memoryview") -> None:
+        """Write whole blocks."""
         if not self._count:
-            return -errno.EIO
+            return
         view = memoryview(data)
         for at in range(0, len(view), _BLOCK):
             self._write(number << self._shift, view[at : at + _BLOCK])
             number += 1
-        return 0
 
     def ioctl(self, what: int, _argument: int) -> int:
         """How many blocks there are, and how long they are; all else is done anyway."""
