@@ -23,7 +23,8 @@ class Blocks:
         self.is_dead = False
 
     def readblocks(self, number: int, into: bytearray) -> None:
-        into[:] = self.image[number * BLOCK : number * BLOCK + len(into)]
+        if not self.is_dead:
+            into[:] = self.image[number * BLOCK : number * BLOCK + len(into)]
 
     def writeblocks(self, number: int, data: bytearray) -> None:
         if self.is_dead:
@@ -37,7 +38,9 @@ class Blocks:
             self.image[place : place + BLOCK] = data[at : at + BLOCK]
 
     def ioctl(self, what: int, _argument: int) -> int:
-        return {4: len(self.image) // BLOCK, 5: BLOCK}.get(what, 0)
+        if what == 4:
+            return len(self.image) // BLOCK
+        return BLOCK if what == 5 else 0
 
 
 def _copy(names: "list[str]", source: str, target: str) -> None:

@@ -103,8 +103,8 @@ class SdBlocks:
         self._bus.init(baudrate=_HZ)
 
     def end(self) -> None:
-        """Have no blocks any more, and say nothing of it: who still asks is a file left open, as it
-        is collected, and a fault there would be written to the sender."""
+        """Have no blocks any more, and say nothing of it. Who still asks is a file left open, as
+        it is collected, and a fault there would be written to the sender."""
         self._count = 0
 
     def is_there(self) -> bool:
