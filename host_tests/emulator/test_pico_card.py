@@ -1,0 +1,118 @@
+"""Jobs on an SD card, at a bus of the emulated Pico."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from emulated import BOARDS, DIR, SPINDLE_PWM, STEP, Board, Odometer, firmware
+from micropython_runner import needs_micropython, run_micropython
+from sd_model import SdCard
+from test_pico_jobs import push
+from ugrbl.compiling import build
+
+pytestmark = [pytest.mark.xdist_group("pico card"), needs_micropython]
+
+_SCRIPT = Path(__file__).parent.parent / "fat_image.py"
+_BLOCKS = 8192
+_BUS, _PINS = 1, (26, 27, 28, 21)
+_SETTINGS = ("$100=100", "$101=100", "$110=6000", "$111=6000", "$120=500", "$121=500")
+_LINES = 150
+_TEXT = "".join(f"G1X{i % 7 * 0.3:.2f}Y{i % 5 * 0.4:.2f}F3000 (line {i})\n" for i in range(_LINES))
+_JOB = f"M3S500\n{_TEXT}M5\n".encode()
+
+
+def card_with(tmp_path: Path, files: "dict[str, bytes]") -> SdCard:
+    """As a computer leaves it."""
+    folder, image = tmp_path / "files", tmp_path / "card"
+    folder.mkdir()
+    for name, data in files.items():
+        (folder / name).write_bytes(data)
+    run_micropython(_SCRIPT, image, "make", _BLOCKS, folder, heapsize="32M")
+    return SdCard(bytearray(image.read_bytes()))
+
+
+def files_on(tmp_path: Path, card: SdCard) -> "dict[str, bytes]":
+    """What a computer finds there."""
+    folder, image = tmp_path / "found", tmp_path / "card"
+    folder.mkdir()
+    image.write_bytes(card.image)
+    run_micropython(_SCRIPT, image, "read", folder, heapsize="32M")
+    return {file.name: file.read_bytes() for file in folder.iterdir()}
+
+
+def wired(uf2: Path, tmp_path: Path, card: SdCard) -> Board:
+    """A Pico with a holder, and that in it. A byte takes as long as its clock says."""
+    file = tmp_path / "my.py"
+    text = (BOARDS / "rpi_pico.py").read_text()
+    file.write_text(f'{text}\nJOBS = "jobs"\nSD_CARD = {_PINS}\n')
+    machine = Board(uf2, {**dict.fromkeys(firmware()), **build.for_board(file).files})
+    machine.pico.record([*STEP, *DIR, SPINDLE_PWM])
+    bus, clock = machine.pico.mcu.spi[_BUS], machine.pico.clock
+    came: list[int] = []
+    done = clock.create_alarm(lambda: bus.complete_transmit(came.pop()))
+
+    def transmit(byte: int) -> None:
+        came.append(card.exchange(byte))
+        done.schedule(8e9 / bus.clock_frequency)
+
+    bus.on_transmit = transmit
+    machine.pico.mcu.gpio[_PINS[-1]].add_listener(selects(card))
+    machine.boot().settled()
+    for setting in _SETTINGS:
+        machine.ask(setting)
+    return machine
+
+
+def selects(card: SdCard) -> "Callable[[object, object], None]":
+    def on_change(new: object, _old: object) -> None:
+        card.select(new.name == "LOW")
+
+    return on_change
+
+
+def test_a_job_runs_from_a_card_as_its_lines_say(uf2: Path, tmp_path: Path) -> None:
+    card = card_with(tmp_path, {"part.nc": _JOB, "a name.nc": b"", "other.txt": b"1"})
+    machine = wired(uf2, tmp_path, card)
+    said = machine.ask("$F")
+    assert f"[FILE:/part.nc|SIZE:{len(_JOB)}]" in said and "other.txt" in said
+    assert "a name" not in said and "Room for " in said
+    odometer = Odometer(machine.pico)
+    machine.forget()
+    machine.send("$F=part.nc\n")
+    machine.wait_for(f"Job PART.NC: done, {_LINES + 2} lines", 60_000_000)
+    last = _TEXT.splitlines()[-1]
+    x, y = (float(last.partition(axis)[2][:4]) for axis in "XY")
+    assert odometer.read() == [round(100 * x), round(100 * y), 0]
+
+
+def test_a_card_taken_out_stops_the_job_and_another_runs(uf2: Path, tmp_path: Path) -> None:
+    card = card_with(tmp_path, {"part.nc": _JOB})
+    machine = wired(uf2, tmp_path, card)
+    machine.send("$F=part.nc\n")
+    machine.wait_for("Job PART.NC: begins")
+    machine.pico.run_us(300_000)
+    card.is_in = False
+    machine.wait_for("cannot be read", 20_000_000)
+    assert machine.status()["state"] == "Idle"
+    machine.pico.run_us(1_000)
+    machine.pico.edges.clear()
+    machine.pico.run_us(20_000)
+    assert not machine.pico.edges, "the spindle is on"
+    assert "SD card: none is there" in machine.ask("$F", "error:3\r\n")
+    card.power_off()
+    card.is_in = True
+    assert "/part.nc" in machine.ask("$F")
+
+
+def test_a_file_that_comes_over_the_line_is_one_a_computer_reads(
+    uf2: Path, tmp_path: Path
+) -> None:
+    card = card_with(tmp_path, {"part.nc": b"G4P0\n"})
+    machine = wired(uf2, tmp_path, card)
+    rate = len(_JOB) / push(machine, "PART.NC", _JOB) * 1000
+    assert rate >= 20, "kB/s"
+    card.damage = lambda block: bytes([block[0] ^ 16]) + block[1:] if card.read % 3 else block
+    assert files_on(tmp_path, card) == {"PART.NC": _JOB}
+    machine.forget()
+    machine.send("$C\n$F=PART.NC\n")
+    machine.wait_for(f"done, {_LINES + 2} lines", 20_000_000)
