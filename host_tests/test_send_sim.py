@@ -365,7 +365,7 @@ def test_a_file_of_ones_own_that_cannot_be_read_is_told_before_the_machine_is_as
 
 
 def test_from_a_line_on_nothing_moves_unasked(bench: Bench, tmp_path: Path) -> None:
-    code, text = Send(bench, tmp_path, STAIRS, "--from-line", "50").end()
+    code, text = Send(bench, tmp_path, STAIRS, "--from", "50").end()
     assert code == 1 and "--yes" in text
     assert place(bench) == ("Idle", [0.0, 0.0, 0.0])
 

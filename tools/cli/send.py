@@ -54,6 +54,8 @@ def command(
     from_line: Annotated[
         int,
         typer.Option(
+            "--from-line",
+            "--from",
             metavar="N",
             min=1,
             help="Begin there, with the modes and the place of the lines before.",
