@@ -28,8 +28,10 @@ _BLOCK = const(512)
 _HEARD = const(32)
 _FEW = const(12)  # blocks: as many as a piece of the file may make
 _OWED = const(32)
-# A hold is noted in flash where not more of the stack is in use: a file system wants much of it.
-_STACK_BYTES = const(2816)
+# A file system wants much of the stack. So a hold is noted, and the file read on, only where not
+# more of it is in use than at the beginning of the job and so many bytes.
+_TO_NOTE = const(960)
+_TO_READ = const(1400)
 # What is planned as made may still be in the engine for so long.
 _MADE_MS = const(40)
 
@@ -136,7 +138,7 @@ class Feed:
         self._file: "IO[bytes] | None" = None
         self._size = self._read_bytes = 0
         self._is_startup = False
-        self._since = self._made = self._before = self._held = 0
+        self._since = self._made = self._before = self._held = self._depth = 0
         self.fault: "OSError | None" = None
         self.is_on = False
         machine.protocol.link = self
@@ -200,6 +202,7 @@ class Feed:
         self._made = self._before = line + 1
         self._held = 0
         self._since = self._machine.port.ticks_ms()
+        self._depth = micropython.stack_use()
         self.fault = None
         self.is_on = True
 
@@ -240,9 +243,12 @@ class Feed:
 
     def _hold(self) -> None:
         at_rest = self._before == self._made != self._held
-        if at_rest and micropython.stack_use() < _STACK_BYTES:
+        if at_rest and self._has_stack(_TO_NOTE):
             self._held = self._made
             self._on_hold()
+
+    def _has_stack(self, more: int) -> bool:
+        return micropython.stack_use() - self._depth < more
 
     def _being_made(self) -> int:
         flow = self._flow
@@ -254,9 +260,12 @@ class Feed:
         return min(100 * self._read_bytes / (self._size or 1), 100.0)
 
     def _fetch(self) -> int:
-        """The next block of the file; at its end, the end of its last line."""
+        """The next block of the file, where it can be read now; at its end, that of its last line.
+        Returns how many bytes."""
         at, file = self._at, self._file
         assert file
+        if not self._has_stack(_TO_READ):
+            return 0
         at[_FROM] = 0
         try:
             at[_LEFT] = file.readinto(self._block)  # type: ignore[attr-defined]
