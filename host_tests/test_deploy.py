@@ -184,6 +184,11 @@ def test_a_board_gets_what_it_can_use() -> None:
     assert needed(TOOL="laser", CLUSTERS=True) - pico - laser == clusters
     jerk = {"extras/jerk.py", "motion/jerk_kernel.py", "motion/jerk_plan.py"}
     assert needed(JERK=True) - pico - {"extras/api.py", "extras/own_words.py"} == jerk
+    jobs = needed(JOBS="jobs")
+    assert needed(JOBS="jobs", SD_CARD=(10, 11, 12, 13)) - jobs == {
+        "ports/sd_blocks.py",
+        "ports/sd_card.py",
+    }
     assert needed(DIALECT="0.9") - pico == {
         "extras/api.py",
         "extras/own_words.py",
@@ -199,6 +204,7 @@ def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() ->
             for tool in ("punch", "laser"):
                 words = {"TOOL": tool, "DIALECT": "0.9", "COREXY": True, "CLUSTERS": True}
                 words |= {"JERK": True, "CUSTOM": "custom", "LENIENT": True, "JOBS": "jobs"}
+                words |= {"SD_CARD": (10, 11, 12, 13)}
                 every |= needed(ENGINE=engine, LINK=link, **words)
     left = {build.module(source) for source in set(build.sources()) - every}
     trees = [ast.parse(text) for text in inline(build.texts()).values()]
