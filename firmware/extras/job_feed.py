@@ -30,8 +30,8 @@ _FEW = const(12)  # blocks: as many as a piece of the file may make
 _OWED = const(32)
 # A file system wants much of the stack. So a hold is noted, and the file read on, only where not
 # more of it is in use than at the beginning of the job and so many bytes.
-_TO_NOTE = const(960)
-_TO_READ = const(1400)
+_TO_NOTE = const(1216)
+_TO_READ = const(1664)
 # What is planned as made may still be in the engine for so long.
 _MADE_MS = const(40)
 
