@@ -8,6 +8,7 @@ from emulated import BOARDS, DIR, SPINDLE_PWM, STEP, Board, Odometer, firmware
 from micropython_runner import needs_micropython, run_micropython
 from sd_model import SdCard
 from test_pico_jobs import push
+from test_pico_stack import RESERVE, SIZE, Stack
 from ugrbl.compiling import build
 
 pytestmark = [pytest.mark.xdist_group("pico card"), needs_micropython]
@@ -76,13 +77,15 @@ def test_a_job_runs_from_a_card_as_its_lines_say(uf2: Path, tmp_path: Path) -> N
     said = machine.ask("$F")
     assert f"[FILE:/part.nc|SIZE:{len(_JOB)}]" in said and "other.txt" in said
     assert "a name" not in said and "Room for " in said
-    odometer = Odometer(machine.pico)
+    odometer, stack = Odometer(machine.pico), Stack(machine)
+    stack.paint()
     machine.forget()
     machine.send("$F=part.nc\n")
     machine.wait_for(f"Job PART.NC: done, {_LINES + 2} lines", 60_000_000)
     last = _TEXT.splitlines()[-1]
     x, y = (float(last.partition(axis)[2][:4]) for axis in "XY")
     assert odometer.read() == [round(100 * x), round(100 * y), 0]
+    assert stack.used() <= SIZE - RESERVE
 
 
 def test_a_card_taken_out_stops_the_job_and_another_runs(uf2: Path, tmp_path: Path) -> None:
