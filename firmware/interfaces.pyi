@@ -268,6 +268,8 @@ class BoardPort(Port, Protocol):
 class JobFiles(Protocol):
     """Programs that live on the board, by name. What cannot be done is an OSError."""
 
+    turn: Callable[[], object]  # called while files are gone through
+
     def mount(self) -> None:
         """See to it that they can be reached. None may be open."""
 
@@ -299,7 +301,7 @@ class JobFiles(Protocol):
         """Write the next piece."""
 
     def finish(self, name: str, file: IO[bytes], checksum: int) -> bool:
-        """Have it take its place at once; False where its CRC-32 is another: the old one stays."""
+        """Have it take its place ; False where its CRC-32 is another: the old one stays."""
 
     def drop(self, name: str, file: IO[bytes]) -> None:
         """What has come is not wanted."""
@@ -308,12 +310,16 @@ class Card(Protocol):
     """A folder that can be taken out."""
 
     folder: str
+    shared: array[int]  # with the supervisor, see ports/supervisor.py
 
     def mount(self) -> None:
         """Have what is in the holder now in its folder; OSError where that cannot be."""
 
     def unmount(self) -> None:
         """Forget what was known of it."""
+
+    def check(self) -> None:
+        """OSError where something could not be read or written since."""
 
 class Options(Protocol):
     """What an extra's prepare() may have otherwise, before the machine is made."""

@@ -13,29 +13,36 @@ BLOCK = 512
 
 
 class Blocks:
-    """Of an image in memory. cut_at: the power goes as that block is to be written; nothing more
-    is, and a file left open, which is collected later, is not told."""
+    """Of an image in memory. fault_at: that block is not read or written any more, nor any behind
+    it. As those of a card do, they take what comes behind end(), and do nothing."""
 
-    def __init__(self, image: bytearray, cut_at: int = -1) -> None:
+    def __init__(self, image: bytearray) -> None:
         self.image = image
-        self.cut_at = cut_at
-        self.written = 0
-        self.is_dead = False
+        self.fault_at = -1
+        self.done = 0
+        self.is_faulty = self._has_ended = False
 
-    def readblocks(self, number: int, into: bytearray) -> None:
-        if not self.is_dead:
-            into[:] = self.image[number * BLOCK : number * BLOCK + len(into)]
+    def end(self) -> None:
+        """Whoever still asks is not told."""
+        self._has_ended = True
 
-    def writeblocks(self, number: int, data: bytearray) -> None:
-        if self.is_dead:
-            return
-        for at in range(0, len(data), BLOCK):
-            if self.written == self.cut_at:
-                self.is_dead = True
-                raise OSError(5)
-            self.written += 1
-            place = number * BLOCK + at
-            self.image[place : place + BLOCK] = data[at : at + BLOCK]
+    def readblocks(self, number: int, into: bytearray) -> int:
+        if self._has_ended or self._is_refused(len(into)):
+            return 0 if self._has_ended else -5
+        into[:] = self.image[number * BLOCK : number * BLOCK + len(into)]
+        return 0
+
+    def writeblocks(self, number: int, data: bytearray) -> int:
+        if self._has_ended or self._is_refused(len(data)):
+            return 0 if self._has_ended else -5
+        self.image[number * BLOCK : number * BLOCK + len(data)] = data
+        return 0
+
+    def _is_refused(self, length: int) -> bool:
+        if 0 <= self.fault_at <= self.done:
+            self.is_faulty = True
+        self.done += length // BLOCK
+        return self.is_faulty
 
     def ioctl(self, what: int, _argument: int) -> int:
         if what == 4:

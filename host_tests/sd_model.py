@@ -37,7 +37,8 @@ def sum16(data: bytes) -> int:
 
 class SdCard:
     """A card. is_large: addresses count blocks. damage: what becomes of a block on its way to who
-    reads it, or None: it never comes; refuse: blocks to write that come damaged."""
+    reads it, or None: it never comes; refuse: blocks to write that come damaged; has_no_sums: it
+    knows no checksums."""
 
     def __init__(self, image: bytearray, is_large: bool = True) -> None:
         self.image = image
@@ -45,6 +46,7 @@ class SdCard:
         self.is_in = True
         self.damage: Callable[[bytes], bytes | None] = lambda block: block
         self.refuse = 0
+        self.has_no_sums = False
         self.busy = _BUSY
         self.read = self.written = 0  # blocks
         self.select(False)
@@ -58,6 +60,7 @@ class SdCard:
         self._out: deque[int] = deque()
         self._in = bytearray()
         self._writes: int | None = None
+        self._has_waited = False
 
     def select(self, is_selected: bool) -> None:
         """The line of its own; what it was saying ends."""
@@ -100,6 +103,8 @@ class SdCard:
             return b""
         if number == 8 and self.is_large:
             return bytes([idle]) + command[1:5]
+        if number == 59 and self.has_no_sums:
+            return bytes([idle | _ILLEGAL])
         if number == 59:
             self._has_sums = bool(argument & 1)
             return bytes([idle])
@@ -110,8 +115,6 @@ class SdCard:
             self._begins -= 1
             self._is_awake = self._begins <= 0 and (not self.is_large or bool(argument >> 30))
             return bytes([0 if self._is_awake else _IDLE])
-        if number == 58 and self.is_large:
-            return bytes([idle, 0xC0, 0xFF, 0x80, 0x00])
         if not self._is_awake:
             return bytes([_IDLE | _ILLEGAL])
         return self._answer_awake(number, argument)
@@ -129,7 +132,7 @@ class SdCard:
         if at % BLOCK or at >= len(self.image):
             return bytes([_BAD_ADDRESS])
         if number == 24:
-            self._writes = at
+            self._writes, self._has_waited = at, False
             return b"\0"
         self.read += 1
         return b"\0" + self._block(bytes(self.image[at : at + BLOCK]))
@@ -141,8 +144,9 @@ class SdCard:
         return bytes([_HIGH] * _DELAY + [_START]) + came + sum16(data).to_bytes(2, "big")
 
     def _receive(self, byte: int) -> None:
-        """A block comes."""
-        if not self._in and byte != _START:
+        """A block comes, behind a byte at least."""
+        has_waited, self._has_waited = self._has_waited, True
+        if not self._in and (byte != _START or not has_waited):
             return
         self._in.append(byte)
         if len(self._in) < 1 + BLOCK + 2:

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from base.controls import START
 from base.state import HOLD
+from ports.job_files import JobFiles
 from ugrbl.boardfile.files import load_board
 from ugrbl.device import jobs
 from ugrbl.sim import switches
@@ -199,6 +200,34 @@ def test_what_cannot_be_is_refused_in_words(tmp_path: Path, line: str, answer: s
 
 
 # What goes wrong, and who comes between
+
+
+class Torn:
+    """A file on a card that is taken out behind its first block."""
+
+    def __init__(self, file: Any) -> None:
+        self._file = file
+        self.tell, self.close = file.tell, file.close
+
+    def readinto(self, block: bytearray) -> int:
+        if self._file.tell():
+            raise OSError(5)
+        return int(self._file.readinto(block))
+
+
+def test_half_a_line_is_not_done_where_the_rest_cannot_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else Z would go to 1, and not to 15."""
+    usual = JobFiles.open
+    monkeypatch.setattr(JobFiles, "open", lambda files, name: Torn(usual(files, name)))
+    bench = Bench(tmp_path)
+    block, line = 512, "G0X10Z15"
+    before = "G0X5" + "(" + "-" * (block - len("G0X5()\n" + line) + 1) + ")"
+    bench.put("A.NC", before, line, "G0X20", "M30")
+    assert bench.run(say("M3S500", "$F=A.NC"))[-1] == "[MSG:Job A.NC: line 2 cannot be read]"
+    assert [place[0] for place in bench.moves] == [5]
+    assert bench.rig.port.spindle_pwm == 0
 
 
 def test_a_refused_line_ends_the_job_with_its_number_and_the_tool_off(tmp_path: Path) -> None:
@@ -430,7 +459,6 @@ def test_a_reset_ends_the_transfer(tmp_path: Path) -> None:
         ("A.NC,-5,0", "[MSG:A.NC: -5 bytes, and there is room for "),
         ("A.NC,999999999999999,0", "[MSG:A.NC: 999999999999999 bytes, and there is room for "),
         (".A,5,0", "[MSG:A job is called so: "),
-        ("A.PART,5,0", "[MSG:A job is called so: "),
         ("A@3,5,0", "[MSG:A job is called so: "),
         ("ABCDEFGHIJKLMNOPQRSTUVWXYZ1234567,5,0", "[MSG:A job is called so: "),
     ],

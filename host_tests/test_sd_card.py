@@ -147,9 +147,14 @@ def once(bench: Bench, where: int) -> Any:
 def test_what_is_read_wrong_each_time_is_a_fault(bench: Bench) -> None:
     driver = bench.driver()
     bench.card.damage = lambda block: bytes([block[0] ^ 1]) + block[1:]
-    with pytest.raises(OSError) as fault:
-        driver.readblocks(0, bytearray(BLOCK))
-    assert fault.value.args[0] == errno.EIO
+    assert driver.readblocks(0, bytearray(BLOCK)) == -errno.EIO
+    # What the file system knows of it is half by then: nothing goes on until it is mounted anew.
+    bench.card.damage = lambda block: block
+    assert driver.is_faulty and not driver.is_there()
+    count = bench.bytes
+    assert driver.readblocks(0, bytearray(BLOCK)) == -errno.EIO
+    assert driver.writeblocks(0, bytes(BLOCK)) == -errno.EIO
+    assert bench.bytes == count
 
 
 def test_a_block_that_does_not_arrive_whole_is_written_again(bench: Bench) -> None:
@@ -158,14 +163,34 @@ def test_a_block_that_does_not_arrive_whole_is_written_again(bench: Bench) -> No
     driver.writeblocks(3, bytes(BLOCK))
     assert block_of(bench, 3) == bytes(BLOCK)
     bench.card.refuse = 3
-    with pytest.raises(OSError):
-        driver.writeblocks(4, bytes(BLOCK))
+    assert driver.writeblocks(4, bytes(BLOCK)) == -errno.EIO
 
 
 def test_behind_the_last_block_is_nothing(bench: Bench) -> None:
-    driver = bench.driver()
+    assert bench.driver().readblocks(_BLOCKS, bytearray(BLOCK)) == -errno.EIO
+
+
+def test_an_order_that_is_not_heard_is_given_again(bench: Bench) -> None:
+    """A board that starts anew finds the card in the middle of a block, say."""
+    exchange, heard = bench.exchange, 0
+
+    def deaf_at_first(byte: int) -> int:
+        nonlocal heard
+        heard += 1
+        return exchange(byte) if not 10 < heard < 30 else bench_silence(exchange, byte)
+
+    def bench_silence(exchange: Any, byte: int) -> int:
+        exchange(0xFF)
+        return 0xFF
+
+    bench.exchange = deaf_at_first  # type: ignore[method-assign]
+    assert bench.driver().is_there()
+
+
+def test_without_checksums_no_card_is_taken(bench: Bench) -> None:
+    bench.card.has_no_sums = True
     with pytest.raises(OSError):
-        driver.readblocks(_BLOCKS, bytearray(BLOCK))
+        bench.driver()
 
 
 def test_an_empty_holder_is_told_in_time(bench: Bench) -> None:
@@ -183,11 +208,7 @@ def test_a_card_taken_out_at_any_byte_is_a_fault_and_no_wrong_block(
     bench.bytes, bench.out_at = 0, out_at + 1
     since = bench.us
     into = bytearray(BLOCK)
-    try:
-        driver.readblocks(9, into)
-    except OSError:
-        pass
-    else:  # it was over already
+    if driver.readblocks(9, into) == 0:  # it was over already
         assert into == block_of(bench, 9) and bench.bytes < out_at + 20
     assert bench.us - since < _LOOP_MS * 1000
     bench.card.is_in = False
@@ -220,15 +241,21 @@ def test_a_block_that_never_comes_takes_a_tenth_of_a_second(bench: Bench) -> Non
     driver = bench.driver()
     bench.card.damage = lambda block: None
     since = bench.us
-    with pytest.raises(OSError) as fault:
-        driver.readblocks(0, bytearray(BLOCK))
-    assert fault.value.args[0] == errno.ETIMEDOUT
+    assert driver.readblocks(0, bytearray(BLOCK)) == -errno.EIO
     assert 100_000 <= bench.us - since < 150_000
+
+
+def test_a_card_that_holds_the_line_low_does_so_too(bench: Bench) -> None:
+    driver = bench.driver()
+    bench.card.exchange = lambda byte: 0  # type: ignore[method-assign]
+    since = bench.us
+    assert driver.readblocks(0, bytearray(BLOCK)) == -errno.EIO
+    assert bench.us - since < 150_000
 
 
 def test_a_card_that_stays_busy_is_a_fault(bench: Bench) -> None:
     driver = bench.driver()
     bench.card.busy = 1_000_000
-    with pytest.raises(OSError) as fault:
-        driver.writeblocks(0, bytes(BLOCK))
-    assert fault.value.args[0] == errno.ETIMEDOUT
+    since = bench.us
+    assert driver.writeblocks(0, bytes(BLOCK)) == -errno.EIO
+    assert 500_000 <= bench.us - since < 600_000

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from ports.job_files import JobFiles
 
 
-def _make_job_files(folder: str) -> "JobFiles | None":
+def _make_job_files(board: "ModuleType") -> "JobFiles | None":
     """Programs that live on the board, where it has a place for them."""
-    if not folder:
+    if not board.__dict__.get("JOBS", ""):
         return None
-    from ports.job_files import JobFiles
+    from ports import job_files
 
-    return JobFiles(folder)
+    return job_files.of_board(board)
 
 
 class Options:
@@ -54,7 +54,7 @@ class Options:
         self.echo: bool = option("ECHO", False)
         # What an extra may have otherwise, before the machine is made: prepare().
         self.custom = guests.customs(board)
-        self.job_files = _make_job_files(option("JOBS", ""))
+        self.job_files = _make_job_files(board)
         self.extras = guests.modules(guests.names(board, bool(self.custom)))
         self.report: "type[Report]" = Report
         self.spindle: "type[Spindle]" = Spindle

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from types import ModuleType
 
-    from interfaces import BoardLink, BoardPort, Card, StepEngine
+    from interfaces import BoardLink, BoardPort, StepEngine
     from ports.supervisor import Supervisor
     from talk.controller import Controller
 
@@ -251,17 +251,6 @@ def make(board: "ModuleType", link: "BoardLink") -> "Hardware":
     return maker(board, link)
 
 
-def _card(board: "ModuleType", link: "BoardLink") -> "Card | None":
-    """Where jobs are, if not in flash."""
-    option = board.__dict__.get
-    pins = option("SD_CARD", ())
-    if not pins:
-        return None
-    from ports.sd_card import SdCard
-
-    return SdCard("/" + option("JOBS", ""), pins, link.shared)
-
-
 def _build(
     board: "ModuleType",
     link: "BoardLink",
@@ -276,7 +265,7 @@ def _build(
     from boot import wiring
 
     store = FlashStore()
-    machine = wiring.build(board, link, port, engine, store, ring, _card(board, link))
+    machine = wiring.build(board, link, port, engine, store, ring)
     forget("boot.wiring")  # with these, 5 kB that nobody needs any more
     forget("boot.options")
     forget("boot.guests")

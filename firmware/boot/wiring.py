@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from array import array
     from types import ModuleType
 
-    from interfaces import Card, Link, Port, StepEngine, Store
+    from interfaces import Link, Port, StepEngine, Store
 
 
 def build(
@@ -44,10 +44,8 @@ def build(
     engine: "StepEngine",
     store: "Store",
     ring: "array[int] | None" = None,
-    card: "Card | None" = None,
 ) -> Controller:
-    """Make a machine of a board file and its hardware. ring: the planner's, if it is there; card:
-    where jobs are."""
+    """Make a machine of a board file and its hardware. ring: the planner's, if it is there."""
     options = Options(board)
     machine = Controller(options.axes)
     machine.port = port
@@ -61,7 +59,7 @@ def build(
     _make_talk(machine, options, link)
     _connect(machine)
     if options.job_files:
-        options.job_files.connect(store, card)
+        options.job_files.connect(store, link)
     if options.extras:
         from extras.api import Cnc
 

@@ -271,6 +271,8 @@ class Feed:
             at[_LEFT] = file.readinto(self._block)  # type: ignore[attr-defined]
         except OSError as fault:
             self.fault = fault
+            self.cut()  # what has come of a line is none
+            return 0
         self._read_bytes += at[_LEFT]
         if at[_LEFT] == 0:
             file.close()

@@ -88,9 +88,11 @@ class JobRun:
     def _begin(self) -> None:
         name, self._due = self._due, ""
         try:
-            file = self._files.open(name)
+            self._files.mount()
             size = self._files.size(name)
+            file = self._files.open(name)
         except OSError:
+            self._files.lose()
             self.tell(name, "cannot be read")
             return
         self._name, self._refused = name, 0
@@ -117,6 +119,8 @@ class JobRun:
             self._entry.find(file, line, self._start[1])
         except (NoWay, OSError) as why:
             file.close()
+            if not isinstance(why, NoWay):
+                self._files.lose()
             self.tell(self._name, str(why) if isinstance(why, NoWay) else "cannot be read")
             return
         except BaseException:
@@ -178,6 +182,8 @@ class JobRun:
         """What was planned before has been made: tool off, and say where the program stands."""
         self._tool_off()
         why = "is refused with %d" % self._refused if self._refused else "cannot be read"
+        if not self._refused:
+            self._files.lose()
         if self._rest:
             self._close_rest()
             self.tell(self._name, "the way there " + why)

@@ -47,6 +47,7 @@ def install(cnc: "Cnc") -> None:
     """Put jobs beside the sender."""
     files = _found["files"]
     assert files
+    files.turn = cnc.service
     reader = LineReader(_READ_AHEAD, _LONGEST, cnc.machine.reader.post)
     run = JobRun(cnc, files, reader)
     jobs = Jobs(cnc, files, run, Upload(cnc, files, reader))
@@ -86,7 +87,8 @@ class Jobs:
         if words[:1] in (b"D", b"U", b"B"):
             self._machine.canon.synchronise()  # flash is written at rest
         try:
-            self._files.mount()
+            if words[:1] != b"B":
+                self._files.mount()
             self._do(words)
         except OSError:
             if not self._files.lose():
@@ -143,6 +145,8 @@ class Jobs:
         self._cnc.message("Start button: " + (harmless(name[0]) if name else "no job"))
 
     def _give_button(self, name: str) -> None:
+        if name:
+            self._files.mount()
         self._machine.saves.save(BUTTON, [self._known(name)] if name else [])
 
     def _start(self, name: str) -> None:

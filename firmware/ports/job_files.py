@@ -1,9 +1,10 @@
 """Job files: programs that are kept on the board, in a folder of its flash, or on an SD card.
 
 Names are as lines bring them, in capitals: letters, digits, and `.`, `_`, `-`. A file that comes
-over the line is written beside the old one, read back, and takes its place in one step: a power
-cut leaves the old file or the new. A card's file system has no such step, so the old one is put
-aside, and put back where the new one is not there.
+over the line is written beside the old one, read back, and takes its place: a power cut leaves the
+old file or the new. In flash that is one step. On a card it is a copy, begun anew behind a cut:
+FAT's renaming, cut short, leaves two names for the same blocks, and who takes away one of them
+spoils the other.
 """
 
 import binascii
@@ -14,14 +15,16 @@ from micropython import const
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from types import ModuleType
     from typing import IO, Any
 
-    from interfaces import Card, Store
+    from interfaces import Card, Link, Store
 
-_NEW = ".PART"
-_OLD = ".OLD" + _NEW
+# Behind the name of a file: it comes; it has come whole, and is to be copied. No job is called so.
+_NEW = "~NEW"
+_WHOLE = "~WHOLE"
+_SIGNS = b"ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._-"
 _LONGEST = const(32)  # name
-_OTHERS = "._-"
 # In what os.stat() returns; a folder has this mode.
 _MODE_AT = const(0)
 _SIZE_AT = const(6)
@@ -32,29 +35,59 @@ _SPARE_KB = const(32)
 _PIECE = const(512)
 
 
+def of_board(board: "ModuleType") -> "JobFiles | None":
+    """Those of a board file: in its folder JOBS, or where that is, on the card at SD_CARD."""
+    option = board.__dict__.get
+    folder, pins = option("JOBS", ""), option("SD_CARD", ())
+    if not folder:
+        return None
+    if not pins:
+        return JobFiles(folder)
+    from ports.sd_card import SdCard
+
+    return JobFiles(folder, SdCard("/" + folder, pins))
+
+
 def _nothing() -> None:
     """On a desktop nothing has to be."""
 
 
+def _called(name: bytes) -> str:
+    """What a file of that name is called as a job; "" where none is. Names that computers write
+    have whatever signs."""
+    upper = name.upper()
+    fits = 0 < len(upper) <= _LONGEST and upper[:1] != b"." and all(c in _SIGNS for c in upper)
+    return upper.decode() if fits else ""
+
+
 class JobFiles:
-    """The folder."""
+    """The folder. card: what is mounted there, and can be taken out."""
 
-    def __init__(self, folder: str) -> None:
+    def __init__(self, folder: str, card: "Card | None" = None) -> None:
         self._folder = folder
-
-    def connect(self, store: "Store", card: "Card | None") -> None:
-        """Flash is written with all that the store has around its own writing. card: they are
-        there and not in flash."""
-        self._store: "Any" = store
         self._card = card
-        if card:
-            self._folder = card.folder
+        # Called again and again while files are gone through.
+        self.turn: "Callable[[], object]" = _nothing
+
+    def connect(self, store: "Store", link: "Link") -> None:
+        """Flash is written with all that the store has around its own writing; a card tells the
+        supervisor that it answers. In the simulator they are in the folder, card or not."""
+        self._store: "Any" = store
+        shared = getattr(link, "shared", None)
+        if self._card and shared is not None:
+            self._card.shared = shared
+            self._folder = self._card.folder
+        else:
+            self._card = None
 
     def mount(self) -> None:
         """Have the card there that is in its holder now, if they are on one. OSError where it
         cannot be read. Only where none is open."""
         if self._card:
             self._around(self._card.mount)
+            for name in self._names():
+                if name.endswith(_WHOLE.encode()):
+                    self._copy(name[: -len(_WHOLE)].decode())
 
     def lose(self) -> bool:
         """Behind an OSError: look for the card anew next time. Returns whether they are on one."""
@@ -62,91 +95,94 @@ class JobFiles:
             self._card.unmount()
         return self._card is not None
 
-    def _around(self, write: "Callable[[], Any]") -> "Any":
+    def _around(self, work: "Callable[[], Any]") -> "Any":
         getattr(self._store, "before", _nothing)()
         try:
-            return write()
+            return work()
         finally:
             getattr(self._store, "after", _nothing)()
 
     def _path(self, name: str) -> str:
         return self._folder + "/" + name
 
-    def _found(self, name: str) -> "tuple[str, int]":
-        """The name as it is written, whatever its capitals, and bytes; "" and -1 without one."""
-        for there, size in self.files():
-            if there.upper() == name:
-                return there, size
-        return "", -1
-
-    def is_name(self, name: str) -> bool:
-        """Whether a file may be called so."""
-        if not 0 < len(name) <= _LONGEST or name[0] == "." or name.endswith(_NEW):
-            return False
-        return all("A" <= c <= "Z" or "0" <= c <= "9" or c in _OTHERS for c in name)
-
-    def files(self) -> "list[tuple[str, int]]":
-        """Names and sizes, in order."""
+    def _names(self) -> "list[bytes]":
+        """Of all there is, in order."""
         try:
-            names = sorted(os.listdir(self._folder))
+            names = self._around(lambda: os.listdir(self._folder.encode()))
         except OSError:
             if self._card:
                 raise
             return []  # nothing has ever been put there
-        found = []
-        for name in [self._put_back(name, names) for name in names]:
-            if self.is_name(name.upper()):
-                about: "Any" = os.stat(self._path(name))
-                if not about[_MODE_AT] & _FOLDER:
-                    found.append((name, int(about[_SIZE_AT])))
-        return found
+        if self._card:
+            self._card.check()  # a list that cannot be read ends early
+        return sorted(names)
 
-    def _put_back(self, name: str, names: "list[str]") -> str:
-        """Where a power cut has come before another has taken its place, give a file its name
-        again. Returns what is called so now."""
-        whole = name[: -len(_OLD)]
-        if name != whole + _OLD or whole in names:
-            return name
-        self._around(lambda: os.rename(self._path(name), self._path(whole)))
-        return whole
+    def _found(self, name: str) -> str:
+        """The name as it is written, whatever its capitals; "" where there is none."""
+        for there in self._names():
+            if _called(there) == name and self._size(there.decode()) >= 0:
+                return there.decode()
+        return ""
+
+    def _size(self, name: str) -> int:
+        """Bytes; -1 for a folder."""
+        about: "Any" = os.stat(self._path(name))
+        return -1 if about[_MODE_AT] & _FOLDER else int(about[_SIZE_AT])
+
+    def is_name(self, name: str) -> bool:
+        """Whether a file may be called so."""
+        return _called(name.encode()) == name
+
+    def files(self) -> "list[tuple[str, int]]":
+        """Names and sizes, in order."""
+        found = []
+        for name in [there.decode() for there in self._names() if _called(there)]:
+            self.turn()
+            size = self._size(name)
+            if size >= 0:
+                found.append((name, size))
+        return found
 
     def size(self, name: str) -> int:
         """Bytes; -1 where there is none of that name."""
-        return self._found(name)[1]
+        found = self._found(name)
+        return self._size(found) if found else -1
 
     def open(self, name: str) -> "IO[bytes]":
         """To be read. OSError where there is none, or it cannot be."""
-        return open(self._path(self._found(name)[0] or name), "rb")
+        return open(self._path(self._found(name) or name), "rb")
 
     def room_kb(self) -> int:
-        """What still fits."""
+        """What still fits; on a card a file comes and is copied."""
+        if self._card:
+            found = self._around(lambda: os.statvfs(self._folder))
+            return int(max(found[0] * found[3] // _KB - _SPARE_KB, 0)) >> 1
         try:
             found = os.statvfs(self._folder)
         except OSError:
-            if self._card:
-                raise
             found = os.statvfs(".")
-        return max(found[0] * found[3] // _KB - _SPARE_KB, 0)
+        return int(max(found[0] * found[3] // _KB - _SPARE_KB, 0))
 
     def delete(self, name: str) -> None:
         """Take a file away. OSError where that cannot be."""
-        self._around(lambda: os.remove(self._path(self._found(name)[0] or name)))
+        self._remove(self._found(name) or name)
+
+    def _remove(self, name: str) -> None:
+        self._around(lambda: os.remove(self._path(name)))
 
     # A file that comes in pieces
 
     def begin(self, name: str) -> "IO[bytes]":
         """Where to write what is to be called so. OSError where that cannot be."""
+        if not self._is_there():
+            self._around(lambda: os.mkdir(self._folder))
+        for left in self._names():
+            if left.endswith(_NEW.encode()):  # of a transfer that a power cut has ended
+                self._remove(left.decode())
+        return self._open_new(name + _NEW)
 
-        def make() -> "IO[bytes]":
-            if not self._is_there():
-                os.mkdir(self._folder)
-            self.files()  # puts back what is to be
-            for left in os.listdir(self._folder):
-                if left.endswith(_NEW):  # of a transfer that a power cut has ended
-                    os.remove(self._path(left))
-            return open(self._path(name + _NEW), "wb")
-
-        made: "IO[bytes]" = self._around(make)
+    def _open_new(self, name: str) -> "IO[bytes]":
+        made: "IO[bytes]" = self._around(lambda: open(self._path(name), "wb"))
         return made
 
     def _is_there(self) -> bool:
@@ -163,37 +199,49 @@ class JobFiles:
     def finish(self, name: str, file: "IO[bytes]", checksum: int) -> bool:
         """Have it take its place; False where it is not what was sent, which leaves the old."""
         self._around(file.close)
-        new = self._path(name + _NEW)
-        if self._checksum(new) != checksum:
-            self._around(lambda: os.remove(new))
+        if self._checksum(self._path(name + _NEW)) != checksum:
+            self._remove(name + _NEW)
             return False
-        old, _ = self._found(name)
-        aside = old and (old != name or self._card is not None)
-
-        def put() -> None:
-            if aside:
-                os.rename(self._path(old), self._path(name + _OLD))
-            os.rename(new, self._path(name))
-            if aside:
-                os.remove(self._path(name + _OLD))
-
-        self._around(put)
+        if self._card:
+            self._around(self._open_new(name + _WHOLE).close)
+            self._copy(name)
+            return True
+        old = self._found(name)
+        self._around(lambda: os.rename(self._path(name + _NEW), self._path(name)))
+        if old and old != name:  # in other capitals
+            self._remove(old)
         return True
+
+    def _copy(self, name: str) -> None:
+        """What has come whole takes its place, now or behind a power cut."""
+        file = self._open_new(name)
+        try:
+            self._pieces(self._path(name + _NEW), lambda piece: self.append(file, piece))
+        finally:
+            self._around(file.close)
+        self._remove(name + _WHOLE)
+        self._remove(name + _NEW)
 
     def drop(self, name: str, file: "IO[bytes]") -> None:
         """What has come is not wanted."""
-
-        def remove() -> None:
-            file.close()
-            os.remove(self._path(name + _NEW))
-
-        self._around(remove)
+        self._around(file.close)
+        self._remove(name + _NEW)
 
     def _checksum(self, path: str) -> int:
         checksum = 0
+
+        def add(piece: bytes) -> None:
+            nonlocal checksum
+            checksum = binascii.crc32(piece, checksum)
+
+        self._pieces(path, add)
+        return checksum
+
+    def _pieces(self, path: str, use: "Callable[[bytes], None]") -> None:
         with open(path, "rb") as file:
             while True:
                 piece = file.read(_PIECE)
                 if not piece:
-                    return checksum
-                checksum = binascii.crc32(piece, checksum)
+                    return
+                use(piece)
+                self.turn()

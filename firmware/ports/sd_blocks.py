@@ -17,6 +17,7 @@ from ports.link_memory import TURNED
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from array import array
+    from collections.abc import Callable
 
 _BLOCK = const(512)
 _BLOCK_LOG2 = const(9)
@@ -32,11 +33,10 @@ _READ = const(17)
 _WRITE = const(24)
 _BEGIN = const(41)  # behind _APPLICATION
 _APPLICATION = const(55)
-_READ_OCR = const(58)
 _CHECKSUMS = const(59)
 
 _VOLTAGE = const(0x1AA)  # 2.7 to 3.6 V, and a pattern that comes back
-_LARGE = const(0x40000000)  # we know cards of more than 2 GB; so does the card, in its OCR
+_LARGE = const(0x40000000)  # we know cards of more than 2 GB
 _IDLE = const(1)
 _START = const(0xFE)  # of a block
 _ACCEPTED = const(5)
@@ -78,11 +78,8 @@ def _sum16(block: ptr8, count: int) -> int:
 
 
 class SdBlocks:
-    """What a file system is made on. pins: clock, to the card, from the card, select.
-
-    Whatever is asked is an OSError where there is no card, or it does not answer in time. shared:
-    with the supervisor, which hears of each block.
-    """
+    """What a file system is made on, from begin() to end(). pins: clock, to the card, from the
+    card, select; shared: with the supervisor, which hears of each block."""
 
     def __init__(self, pins: "tuple[int, ...]", shared: "array[int]") -> None:
         clock, to_card, from_card, select = pins
@@ -93,11 +90,14 @@ class SdBlocks:
         self._byte = bytearray(1)
         self._command = bytearray(6)
         self._sum = bytearray(2)
+        self._since = 0
         self._shift = 0  # from a block's number to its address
         self._count = 0
+        self.is_faulty = False  # something could not be read or written: all else cannot be either
 
     def begin(self) -> None:
-        """Wake the card that is in the holder now. Before, it has no blocks."""
+        """Wake the card that is in the holder now. OSError where there is none, or it does not
+        answer in time."""
         self._bus.init(baudrate=_BEGIN_HZ)
         self._wake()
         self._bus.init(baudrate=_HZ)
@@ -108,31 +108,22 @@ class SdBlocks:
         self._count = 0
 
     def is_there(self) -> bool:
-        """The card is the one that has been begun with: a new one does not answer so."""
+        """The card is the one that has been begun with, and well: a new one does not answer so."""
         try:
-            return self._status() == 0
+            return not self.is_faulty and self._status() == 0
         except OSError:
             return False
 
-    # As MicroPython calls them
+    # As MicroPython calls them: 0, or -EIO. Raised, a fault would pass by the file system, which
+    # would go on with half of what it knows.
 
-    def readblocks(self, number: int, into: "bytearray | memoryview") -> None:
+    def readblocks(self, number: int, into: "bytearray | memoryview") -> int:
         """Fill what is given with blocks, from one on."""
-        if not self._count:
-            return
-        view = memoryview(into)
-        for at in range(0, len(view), _BLOCK):
-            self._read(_READ, number << self._shift, view[at : at + _BLOCK])
-            number += 1
+        return self._each(self._read_block, number, into)
 
-    def writeblocks(self, number: int, data: "bytes | bytearray | memoryview") -> None:
+    def writeblocks(self, number: int, data: "bytes | bytearray | memoryview") -> int:
         """Write whole blocks."""
-        if not self._count:
-            return
-        view = memoryview(data)
-        for at in range(0, len(view), _BLOCK):
-            self._write(number << self._shift, view[at : at + _BLOCK])
-            number += 1
+        return self._each(self._write_block, number, data)
 
     def ioctl(self, what: int, _argument: int) -> int:
         """How many blocks there are, and how long they are; all else is done anyway."""
@@ -140,32 +131,60 @@ class SdBlocks:
             return self._count
         return _BLOCK if what == _SIZE else 0
 
+    def _each(
+        self,
+        do: "Callable[[int, memoryview], None]",
+        number: int,
+        data: "bytes | bytearray | memoryview",
+    ) -> int:
+        if not self._count:
+            return 0
+        if self.is_faulty:
+            return -errno.EIO
+        view = memoryview(data)
+        try:
+            for at in range(0, len(view), _BLOCK):
+                do(number << self._shift, view[at : at + _BLOCK])
+                number += 1
+        except OSError:
+            self.is_faulty = True
+            return -errno.EIO
+        return 0
+
     # The card's own words
 
     def _wake(self) -> None:
         self._bus.read(10, _HIGH)  # unselected: it wants 74 clocks
-        for _ in range(_TRIES):
-            if self._order(_GO_IDLE, 0) == _IDLE:
-                break
-        else:
-            raise OSError(errno.ENODEV)
+        self._reset()
         answer = bytearray(4)
         is_new = self._order(_INTERFACE, _VOLTAGE, answer) == _IDLE
         if is_new and answer[3] != _VOLTAGE & 0xFF:
             raise OSError(errno.ENODEV)
-        self._order(_CHECKSUMS, 1)
+        if self._order(_CHECKSUMS, 1) != _IDLE:
+            raise OSError(errno.EIO)
         since = time.ticks_ms()
         while True:
             self._order(_APPLICATION, 0)
             if self._order(_BEGIN, _LARGE if is_new else 0) == 0:
                 break
-            self._check_time(since, _BEGIN_MS)
-        is_large = is_new and self._order(_READ_OCR, 0, answer) == 0 and answer[0] << 24 & _LARGE
-        self._shift = 0 if is_large else _BLOCK_LOG2
-        self._order(_BLOCK_LENGTH, _BLOCK)
+            self._since = since
+            self._check_time(_BEGIN_MS)
         about = bytearray(16)
         self._read(_READ_CSD, 0, about)
         self._count = _blocks(about)
+        self._shift = 0 if about[0] >> 6 else _BLOCK_LOG2
+        self._order(_BLOCK_LENGTH, _BLOCK)
+
+    def _reset(self) -> None:
+        """Whatever it has been at: in the middle of a block it does not hear the first order."""
+        for _ in range(_TRIES):
+            try:
+                if self._order(_GO_IDLE, 0) == _IDLE:
+                    return
+            except OSError as fault:
+                if fault.args[0] != errno.ENODEV:
+                    raise
+        raise OSError(errno.ENODEV)
 
     def _status(self) -> int:
         """0: all is well."""
@@ -174,6 +193,7 @@ class SdBlocks:
 
     def _order(self, command: int, argument: int, more: "bytearray | None" = None) -> int:
         """Send a command without data; more: filled with what follows the answer, a byte."""
+        self._since = time.ticks_ms()
         self._select(0)
         try:
             answer = self._ask(command, argument)
@@ -183,8 +203,12 @@ class SdBlocks:
         finally:
             self._release()
 
+    def _read_block(self, address: int, into: memoryview) -> None:
+        self._read(_READ, address, into)
+
     def _read(self, command: int, argument: int, into: "bytearray | memoryview") -> None:
         """What a command brings."""
+        self._since = time.ticks_ms()
         for _ in range(_TRIES):
             self._select(0)
             try:
@@ -194,8 +218,9 @@ class SdBlocks:
                 self._release()
         raise OSError(errno.EIO)
 
-    def _write(self, address: int, block: memoryview) -> None:
+    def _write_block(self, address: int, block: memoryview) -> None:
         for _ in range(_TRIES):
+            self._since = time.ticks_ms()
             self._select(0)
             try:
                 is_written = self._ask(_WRITE, address) == 0 and self._give(block)
@@ -207,7 +232,7 @@ class SdBlocks:
 
     def _ask(self, command: int, argument: int) -> int:
         """Send a command to the card, which is selected; its answer, a byte of bits."""
-        self._wait()
+        self._wait(_READ_MS)
         words = self._command
         words[0] = 0x40 | command
         for at in range(1, 5):
@@ -222,10 +247,9 @@ class SdBlocks:
 
     def _take(self, into: "bytearray | memoryview") -> bool:
         """A block the card sends; False where its checksum is another, or it has none."""
-        since = time.ticks_ms()
         token = self._next()
         while token == _HIGH:
-            self._check_time(since, _READ_MS)
+            self._check_time(_READ_MS)
             token = self._next()
         if token != _START:
             return False
@@ -237,19 +261,20 @@ class SdBlocks:
         """Send it a block; False where it has not come as it was sent."""
         checksum = _sum16(block, len(block))
         self._sum[0], self._sum[1] = checksum >> 8, checksum & 0xFF
+        self._next()  # it wants a byte in between
         self._byte[0] = _START
         self._bus.write(self._byte)
         self._bus.write(block)
         self._bus.write(self._sum)
         answer = self._next() & 0x1F
-        self._wait()
+        self._since = time.ticks_ms()
+        self._wait(_BUSY_MS)
         return answer == _ACCEPTED
 
-    def _wait(self) -> None:
+    def _wait(self, limit_ms: int) -> None:
         """While it is busy."""
-        since = time.ticks_ms()
         while self._next() != _HIGH:
-            self._check_time(since, _BUSY_MS)
+            self._check_time(limit_ms)
 
     def _next(self) -> int:
         self._bus.readinto(self._byte, _HIGH)
@@ -260,9 +285,10 @@ class SdBlocks:
         self._next()  # it lets go of the line at a clock
         self._shared[TURNED] = 1
 
-    def _check_time(self, since: int, limit_ms: int) -> None:
+    def _check_time(self, limit_ms: int) -> None:
+        """OSError where what is done takes longer."""
         self._shared[TURNED] = 1
-        if time.ticks_diff(time.ticks_ms(), since) > limit_ms:
+        if time.ticks_diff(time.ticks_ms(), self._since) > limit_ms:
             raise OSError(errno.ETIMEDOUT)
 
 

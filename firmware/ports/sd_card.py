@@ -1,6 +1,6 @@
 """SD card: a folder that can be taken out."""
 
-import gc
+import errno
 import os
 
 import machine
@@ -17,47 +17,54 @@ _ESP32_SLOT = const(2)  # over SPI, as 3 is
 
 
 class SdCard:
-    """The card of a holder. pins: clock, to the card, from the card, select; shared: with the
-    supervisor."""
+    """The card of a holder. pins: clock, to the card, from the card, select."""
 
-    def __init__(self, folder: str, pins: "tuple[int, ...]", shared: "array[int]") -> None:
+    shared: "array[int]"  # with the supervisor
+
+    def __init__(self, folder: str, pins: "tuple[int, ...]") -> None:
         self.folder = folder
         self._pins = pins
-        self._esp32: "Any" = getattr(machine, "SDCard", None)  # MicroPython's own
-        self._blocks = None if self._esp32 else SdBlocks(pins, shared)
         self._mounted: "Any" = None
 
     def mount(self) -> None:
         """Have the card that is in the holder now in its folder. OSError where there is none, or
         none with a FAT file system. Only where no file of it is open."""
-        blocks = self._blocks
-        if self._mounted and blocks and blocks.is_there():
+        if isinstance(self._mounted, SdBlocks) and self._mounted.is_there():
             return
         self.unmount()
-        if blocks:
-            blocks.begin()
-        found = blocks or self._open()
+        blocks = self._begin()
         try:
-            os.mount(found, self.folder)
+            os.mount(blocks, self.folder)
         except OSError:
-            self._close(found)
+            _end(blocks)
             raise
-        self._mounted = found
+        self._mounted = blocks
 
     def unmount(self) -> None:
         """Forget what was known of it."""
-        found, self._mounted = self._mounted, None
-        if found:
+        blocks, self._mounted = self._mounted, None
+        if blocks:
             os.umount(self.folder)
-            self._close(found)
-            gc.collect()  # a file left open would be written to the next card else
+            _end(blocks)
 
-    def _open(self) -> "Any":
-        clock, to_card, from_card, select = [machine.Pin(pin) for pin in self._pins]
-        return self._esp32(slot=_ESP32_SLOT, sck=clock, mosi=to_card, miso=from_card, cs=select)
+    def check(self) -> None:
+        """OSError where something could not be read or written."""
+        if isinstance(self._mounted, SdBlocks) and self._mounted.is_faulty:
+            raise OSError(errno.EIO)
 
-    def _close(self, found: "Any") -> None:
-        if self._blocks:
-            self._blocks.end()
-        else:
-            found.deinit()
+    def _begin(self) -> "Any":
+        theirs: "Any" = getattr(machine, "SDCard", None)
+        if theirs:  # an ESP32's MicroPython has its own
+            clock, to_card, from_card, select = [machine.Pin(pin) for pin in self._pins]
+            return theirs(slot=_ESP32_SLOT, sck=clock, mosi=to_card, miso=from_card, cs=select)
+        blocks = SdBlocks(self._pins, self.shared)
+        blocks.begin()
+        return blocks
+
+
+def _end(blocks: "Any") -> None:
+    """A file that is still open writes to no other card."""
+    if isinstance(blocks, SdBlocks):
+        blocks.end()
+    else:
+        blocks.deinit()

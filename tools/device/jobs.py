@@ -16,6 +16,7 @@ _PIECE = 2048
 _LINE = 256
 _WINDOW_LOG2 = 10
 _SILENCE_S = 12.0  # longer than a board takes to find flash for a piece
+_LOOKED_THROUGH_PER_S = 50_000  # bytes of the file, once it is there: read again, and copied
 _BEGUN_S = 600.0  # for a way through a long program in check mode
 _FIRST_S = 0.5  # in which its first lines are refused, if they are
 _REFUSED = re.compile(r"refused with (\d+)")
@@ -38,7 +39,7 @@ class File(NamedTuple):
 def name_of(text: str) -> str:
     """What a file is called on a board. ValueError where it cannot be."""
     name = text.upper()
-    if not _NAME.fullmatch(name) or name.endswith(".PART"):
+    if not _NAME.fullmatch(name):
         words = "letters, digits, . _ -, 32 at most, and no dot at the beginning"
         raise ValueError(f"{text} is no name for a job ({words}): --name gives it another")
     return name
@@ -55,7 +56,7 @@ def push(connection: Connection, name: str, data: bytes, progress: Callable[[int
         heard.until(f"[FU:{at}]")
         progress(at)
         connection.write(b"".join(_lines(data[at : at + _PIECE])) + b"\n")
-    heard.until("ok")
+    heard.until("ok", _SILENCE_S + len(data) / _LOOKED_THROUGH_PER_S)
     progress(len(data))
 
 
@@ -122,11 +123,11 @@ class _Heard:
         self._connection = connection
         self._lines: list[str] = []
 
-    def until(self, wanted: str) -> list[str]:
+    def until(self, wanted: str, silence_s: float = _SILENCE_S) -> list[str]:
         """All up to that line; SendError with what it says where it refuses, or nothing comes."""
         since = time.monotonic()
         seen: list[str] = []
-        while time.monotonic() - since < _SILENCE_S:
+        while time.monotonic() - since < silence_s:
             if more := self._connection.lines():
                 since = time.monotonic()
                 self._lines += [line for line in more if not line.startswith("<")]
