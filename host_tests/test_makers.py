@@ -14,11 +14,11 @@ CLASSES = {
     if isinstance(node, ast.ClassDef)
 }
 # Here all is done while the machine is built; a stream for the prompt is no part of the machine,
-# nor is what handlers of custom.py are given.
+# nor is what handlers of custom.py are given, nor what a card that is put in is read by.
 BUILDING = {"boot.parts", "boot.parts_esp", "boot.wiring"}
-APART = {"_Pusher", "Place", "Saved"}
-# What extras do and ask for then.
-INSTALLING = {"prepare", "install", "add_pins"}
+APART = {"_Pusher", "Place", "Saved", "SdBlocks"}
+# What extras do and ask for then, and what options.py does.
+INSTALLING = {"prepare", "install", "add_pins", "of_board"}
 
 
 def is_maker(name: str) -> bool:
