@@ -42,8 +42,8 @@ class Bench:
                 bench.card.select(not level)
 
         class Bus:
-            def __init__(self, number: int, **_: object) -> None:
-                assert number == 1  # on pins 10 to 13
+            def __init__(self, number: int, *, sck: Pin, mosi: Pin, miso: Pin) -> None:
+                assert number == 1 and (sck.id, mosi.id, miso.id) == _PINS[:3]
 
             def init(self, *, baudrate: int) -> None:
                 bench.hz = baudrate

@@ -104,7 +104,7 @@ class OwnWords:
         at = words.letters.find(b"L", 0, count)
         its_l = _tenths(words.values[at]) if at >= 0 else 0
         for i in range(count):
-            letter, tenths = chr(words.letters[i]), _tenths(words.values[i])
+            letter, tenths = "%c" % words.letters[i], _tenths(words.values[i])
             word = self._words.get((letter, tenths, its_l)) or self._words.get((letter, tenths, 0))
             if word:
                 return word
@@ -127,7 +127,7 @@ class OwnWords:
         found: "dict[str, float]" = {}
         own = 0
         for i in range(words.count):
-            letter, value = chr(words.letters[i]), words.values[i]
+            letter, value = "%c" % words.letters[i], words.values[i]
             if letter in "GM":
                 own += 1
             elif letter in found:

