@@ -113,7 +113,7 @@ def test_a_file_that_comes_over_the_line_is_one_a_computer_reads(
     card = card_with(tmp_path, {"part.nc": b"G4P0\n"})
     machine = wired(uf2, tmp_path, card)
     rate = len(_JOB) / push(machine, "PART.NC", _JOB) * 1000
-    assert rate >= 20, "kB/s"
+    assert rate >= 15, "kB/s"
     card.damage = lambda block: bytes([block[0] ^ 16]) + block[1:] if card.read % 3 else block
     assert files_on(tmp_path, card) == {"PART.NC": _JOB}
     machine.forget()
