@@ -27,14 +27,18 @@ class Blocks:
         self._has_ended = True
 
     def readblocks(self, number: int, into: bytearray) -> int:
-        if self._has_ended or self._is_refused(len(into)):
-            return 0 if self._has_ended else -5
+        if self._has_ended:
+            return 0
+        if self._is_refused(len(into)):
+            return -5
         into[:] = self.image[number * BLOCK : number * BLOCK + len(into)]
         return 0
 
     def writeblocks(self, number: int, data: bytearray) -> int:
-        if self._has_ended or self._is_refused(len(data)):
-            return 0 if self._has_ended else -5
+        if self._has_ended:
+            return 0
+        if self._is_refused(len(data)):
+            return -5
         self.image[number * BLOCK : number * BLOCK + len(data)] = data
         return 0
 

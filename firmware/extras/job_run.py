@@ -89,8 +89,9 @@ class JobRun:
         name, self._due = self._due, ""
         try:
             self._files.mount()
-            size = self._files.size(name)
             file = self._files.open(name)
+            size = file.seek(0, 2)  # its end
+            file.seek(0)
         except OSError:
             self._files.lose()
             self.tell(name, "cannot be read")
@@ -117,11 +118,12 @@ class JobRun:
                     raise NoWay("it is another file than the one that was noted")
             self._tool_off()
             self._entry.find(file, line, self._start[1])
-        except (NoWay, OSError) as why:
-            file.close()
-            if not isinstance(why, NoWay):
-                self._files.lose()
-            self.tell(self._name, str(why) if isinstance(why, NoWay) else "cannot be read")
+        except NoWay as why:
+            self._give_up(file, str(why))
+            return
+        except OSError:
+            self._give_up(file, "cannot be read")
+            self._files.lose()
             return
         except BaseException:
             file.close()
@@ -140,11 +142,14 @@ class JobRun:
         try:
             self._entry.arrive()
         except NoWay as why:
-            file.close()
-            self.tell(self._name, str(why))
+            self._give_up(file, str(why))
             return
         self._note(line + 1)
         self._feed.start(file, self._start[0], line)
+
+    def _give_up(self, file: "IO[bytes]", why: str) -> None:
+        file.close()
+        self.tell(self._name, why)
 
     def _start_by_button(self) -> None:
         name = self.kept(BUTTON)
@@ -181,8 +186,10 @@ class JobRun:
     def _tell_refusal(self, line: int) -> None:
         """What was planned before has been made: tool off, and say where the program stands."""
         self._tool_off()
-        why = "is refused with %d" % self._refused if self._refused else "cannot be read"
-        if not self._refused:
+        if self._refused:
+            why = "is refused with %d" % self._refused
+        else:
+            why = "cannot be read"
             self._files.lose()
         if self._rest:
             self._close_rest()

@@ -29,6 +29,7 @@ PINS = ("SD_CARD",)
 
 # FluidNC's words behind $SD/ and $LocalFS/, and ours behind $F.
 _FLUIDNC = {b"LIST": b"", b"RUN": b"=", b"SHOW": b"<=", b"DELETE": b"D="}
+_WITHOUT_FILES = (b"B", b"B=")  # tells what the button runs, has it run nothing: in flash
 _STATES = (st.IDLE, st.ALARM, st.CHECK)
 _SHOWN_BYTES = const(128)
 # A reader for what is neither the sender's line nor the job's.
@@ -87,7 +88,7 @@ class Jobs:
         if words[:1] in (b"D", b"U", b"B"):
             self._machine.canon.synchronise()  # flash is written at rest
         try:
-            if words[:1] != b"B":
+            if words not in _WITHOUT_FILES:
                 self._files.mount()
             self._do(words)
         except OSError:
@@ -145,8 +146,6 @@ class Jobs:
         self._cnc.message("Start button: " + (harmless(name[0]) if name else "no job"))
 
     def _give_button(self, name: str) -> None:
-        if name:
-            self._files.mount()
         self._machine.saves.save(BUTTON, [self._known(name)] if name else [])
 
     def _start(self, name: str) -> None:

@@ -35,12 +35,10 @@ _SPARE_KB = const(32)
 _PIECE = const(512)
 
 
-def of_board(board: "ModuleType") -> "JobFiles | None":
-    """Those of a board file: in its folder JOBS, or where that is, on the card at SD_CARD."""
+def of_board(board: "ModuleType") -> "JobFiles":
+    """Those of a board file that names JOBS, their folder: in flash, or on the card at SD_CARD."""
     option = board.__dict__.get
     folder, pins = option("JOBS", ""), option("SD_CARD", ())
-    if not folder:
-        return None
     if not pins:
         return JobFiles(folder)
     from ports.sd_card import SdCard
@@ -117,12 +115,14 @@ class JobFiles:
             self._card.check()  # a list that cannot be read ends early
         return sorted(names)
 
-    def _found(self, name: str) -> str:
-        """The name as it is written, whatever its capitals; "" where there is none."""
+    def _found(self, name: str) -> "tuple[str, int]":
+        """The name as it is written, whatever its capitals, and bytes; "" and -1 without one."""
         for there in self._names():
-            if _called(there) == name and self._size(there.decode()) >= 0:
-                return there.decode()
-        return ""
+            if _called(there) == name:
+                size = self._size(there.decode())
+                if size >= 0:
+                    return there.decode(), size
+        return "", -1
 
     def _size(self, name: str) -> int:
         """Bytes; -1 for a folder."""
@@ -145,27 +145,26 @@ class JobFiles:
 
     def size(self, name: str) -> int:
         """Bytes; -1 where there is none of that name."""
-        found = self._found(name)
-        return self._size(found) if found else -1
+        return self._found(name)[1]
 
     def open(self, name: str) -> "IO[bytes]":
         """To be read. OSError where there is none, or it cannot be."""
-        return open(self._path(self._found(name) or name), "rb")
+        return open(self._path(self._found(name)[0] or name), "rb")
 
     def room_kb(self) -> int:
         """What still fits; on a card a file comes and is copied."""
-        if self._card:
-            found = self._around(lambda: os.statvfs(self._folder))
-            return int(max(found[0] * found[3] // _KB - _SPARE_KB, 0)) >> 1
         try:
-            found = os.statvfs(self._folder)
+            found = self._around(lambda: os.statvfs(self._folder))
         except OSError:
-            found = os.statvfs(".")
-        return int(max(found[0] * found[3] // _KB - _SPARE_KB, 0))
+            if self._card:
+                raise
+            found = os.statvfs(".")  # nothing has ever been put there
+        room_kb: int = max(found[0] * found[3] // _KB - _SPARE_KB, 0)
+        return room_kb // 2 if self._card else room_kb
 
     def delete(self, name: str) -> None:
         """Take a file away. OSError where that cannot be."""
-        self._remove(self._found(name) or name)
+        self._remove(self._found(name)[0] or name)
 
     def _remove(self, name: str) -> None:
         self._around(lambda: os.remove(self._path(name)))
@@ -179,9 +178,9 @@ class JobFiles:
         for left in self._names():
             if left.endswith(_NEW.encode()):  # of a transfer that a power cut has ended
                 self._remove(left.decode())
-        return self._open_new(name + _NEW)
+        return self._create(name + _NEW)
 
-    def _open_new(self, name: str) -> "IO[bytes]":
+    def _create(self, name: str) -> "IO[bytes]":
         made: "IO[bytes]" = self._around(lambda: open(self._path(name), "wb"))
         return made
 
@@ -203,10 +202,10 @@ class JobFiles:
             self._remove(name + _NEW)
             return False
         if self._card:
-            self._around(self._open_new(name + _WHOLE).close)
+            self._around(self._create(name + _WHOLE).close)
             self._copy(name)
             return True
-        old = self._found(name)
+        old, _ = self._found(name)
         self._around(lambda: os.rename(self._path(name + _NEW), self._path(name)))
         if old and old != name:  # in other capitals
             self._remove(old)
@@ -214,7 +213,7 @@ class JobFiles:
 
     def _copy(self, name: str) -> None:
         """What has come whole takes its place, now or behind a power cut."""
-        file = self._open_new(name)
+        file = self._create(name)
         try:
             self._pieces(self._path(name + _NEW), lambda piece: self.append(file, piece))
         finally:
