@@ -8,6 +8,9 @@ from array import array
 from collections.abc import Callable, Iterable, Sequence
 from typing import IO, Any, Protocol
 
+from base.settings import Settings
+from control.inputs import Inputs
+from control.seek import Seek
 from control.spindle import Spindle
 from extras.api import Cnc
 from motion.arcs import Arc
@@ -68,7 +71,7 @@ class StepEngine(Protocol):
         """Copy the steps really made, per motor: the only truth."""
 
     def set_position(self, steps: array[int]) -> None:
-        """Name the present place. At rest only."""
+        """Name the present place, also of motors that are locked. At rest only."""
 
 class BeamEngine(StepEngine, Protocol):
     """An engine that changes the power of a beam: see motion/beam.py."""
@@ -152,8 +155,8 @@ class Kinematics(Protocol):
     def set_axis(self, motors: array[int], axis: int, steps: int) -> None:
         """Change the steps of an axis' motors so that it stands there, and no other axis moves."""
 
-    def motors_of(self, axes: int) -> int:
-        """The motors (a mask) that move any of these axes (a mask): they stop at its switch."""
+    def stopped_by(self, switches: int) -> int:
+        """The motors (a mask) that stop at these limit switches (a mask)."""
 
 class InputListener(Protocol):
     """Who hears of a port's inputs, in interrupt context. An object, and not three callables:
@@ -324,6 +327,11 @@ class Card(Protocol):
 class Options(Protocol):
     """What an extra's prepare() may have otherwise, before the machine is made."""
 
+    axes: int
+    kinematics: Kinematics | None  # None: each motor moves the axis of its own number
+    settings: type[Settings]
+    inputs: type[Inputs]
+    seek: type[Seek]
     report: type[Report]  # or one that speaks another dialect
     spindle: type[Spindle]  # or a tool that is told the same
     reads: tuple[int, int, int]  # talk/lines.py

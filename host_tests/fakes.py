@@ -159,8 +159,8 @@ class FakeKinematics:
     def set_axis(self, motors: "array[int]", axis: int, steps: int) -> None:
         motors[self._motor[axis]] = steps
 
-    def motors_of(self, axes: int) -> int:
-        return sum(1 << motor for axis, motor in enumerate(self._motor) if axes >> axis & 1)
+    def stopped_by(self, switches: int) -> int:
+        return sum(1 << motor for axis, motor in enumerate(self._motor) if switches >> axis & 1)
 
 
 class FakePort:

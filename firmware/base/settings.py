@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 INT = const(0)  # whole, 0 to 255: larger numbers wrap
 BOOL = const(1)
-_FLOAT = const(2)
-WHOLE = const(3)  # a float, shown without decimals
+WHOLE = const(2)  # a float, shown without decimals
+FLOAT = const(3)
 AXIS = const(4)  # a float per axis: number + axis
 
 # In place of a number: all of them.
@@ -55,9 +55,9 @@ _TABLE = (  # attribute-names: column 1
     # Status report options. 1: machine position rather than work position; 2: buffer state.
     (10, "report_mask", INT, 1, "mask"),
     # Junction deviation. How far a corner may be rounded in thought; more makes corners faster.
-    (11, "junction_deviation_mm", _FLOAT, 0.010, "millimeters"),
+    (11, "junction_deviation_mm", FLOAT, 0.010, "millimeters"),
     # Arc tolerance. How far the chords of an arc may stray from it.
-    (12, "arc_tolerance_mm", _FLOAT, 0.002, "millimeters"),
+    (12, "arc_tolerance_mm", FLOAT, 0.002, "millimeters"),
     # Report in inches. Positions and rates in reports, not in settings.
     (13, "report_inches", BOOL, 0, "boolean"),
     # Soft limits. Refuse motion outside the travel of $130-$132. Needs homing.
@@ -69,13 +69,13 @@ _TABLE = (  # attribute-names: column 1
     # Homing direction invert. One bit per axis; set: the switch is at the negative end.
     (23, "homing_dir_invert", INT, 0, "mask"),
     # Homing locate feed rate. The slow approach that counts.
-    (24, "homing_feed", _FLOAT, 25.0, "mm/min"),
+    (24, "homing_feed", FLOAT, 25.0, "mm/min"),
     # Homing search seek rate. The fast approach that finds the switch.
-    (25, "homing_seek", _FLOAT, 500.0, "mm/min"),
+    (25, "homing_seek", FLOAT, 500.0, "mm/min"),
     # Homing switch debounce delay. Rest between the moves of homing.
     (26, "homing_debounce_ms", INT, 250, "milliseconds"),
     # Homing switch pull-off distance. Way back from the switch, far enough to open it.
-    (27, "homing_pull_off_mm", _FLOAT, 1.0, "millimeters"),
+    (27, "homing_pull_off_mm", FLOAT, 1.0, "millimeters"),
     # Maximum spindle speed. The speed at full power.
     (30, "max_rpm", WHOLE, 1000.0, "RPM"),
     # Minimum spindle speed. The speed at least power.
@@ -181,13 +181,15 @@ class Settings:
         """Take over a kept line. Raises ValueError where it is not one that was ever written."""
         number, _, amount = line.partition("=")
         key, value = int(number[1:]), float(amount)
-        if not 0 <= value < _BEYOND:
+        if not abs(value) < _BEYOND:
             raise ValueError(line)
         try:
             row, axis = self.row(key)
         except GrblError:
-            self._unknown.append(line)  # another firmware's
+            self._unknown.append(line)  # another firmware's, or another board's
         else:
+            if value < 0:
+                raise ValueError(line)
             self._store_value(row, axis, value)
 
     def save(self) -> None:
@@ -224,7 +226,7 @@ class Settings:
         return numbers
 
     def _decimals(self, row: "Row") -> int:
-        return 3 if row[2] in (_FLOAT, AXIS) else 0
+        return 3 if row[2] > WHOLE else 0
 
     def _shown(self, number: int, row: "Row") -> float:
         amount: float = getattr(self, row[1])

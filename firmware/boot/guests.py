@@ -27,6 +27,7 @@ def names(board: "ModuleType", with_custom: bool) -> "list[str]":
     option = board.__dict__.get  # getattr() would keep the names for good
     dialect = _known("DIALECT", option("DIALECT", "1.1"), _DIALECTS)
     tool = _known("TOOL", option("TOOL", "spindle"), _TOOLS)
+    ganged = "ganged" if option("MOTORS", "") else ""
     jerk = "jerk" if option("JERK", False) else ""
     clusters = "clusters" if option("CLUSTERS", False) else ""
     drains = "drains" if option("COUNT_DRAINS", False) else ""
@@ -36,7 +37,7 @@ def names(board: "ModuleType", with_custom: bool) -> "list[str]":
     lenient = "lenient" if option("LENIENT", False) else ""
     # In this order: a laser's part in each row comes behind that of jerk, and what the user's own
     # take is theirs.
-    ours = dialect, jerk, tool, clusters, drains, jobs
+    ours = dialect, ganged, jerk, tool, clusters, drains, jobs
     return _ours(ours) + list(own) + _ours((custom, lenient))
 
 

@@ -4,6 +4,9 @@ All that one may say stands in tools/boardfile/options.py, with what it means. N
 once the machine is built: a board forgets this module then.
 """
 
+from base.settings import Settings
+from control.inputs import Inputs
+from control.seek import Seek
 from control.spindle import Spindle
 from language.block import HIGHEST_TOOL
 from language.words import LINE_LENGTH
@@ -17,7 +20,15 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from types import ModuleType
 
+    from interfaces import Kinematics
     from ports.job_files import JobFiles
+
+
+def _make_kinematics(axes: int) -> "Kinematics":
+    """Where motors move more than an axis each."""
+    from motion import kinematics
+
+    return kinematics.Kinematics(axes, kinematics.COREXY)
 
 
 def _make_job_files(board: "ModuleType") -> "JobFiles | None":
@@ -36,11 +47,13 @@ class Options:
         option = board.__dict__.get  # getattr() would keep the names for good
 
         self.axes: int = len(option("STEP", ()))
+        self.motors = self.axes
         self.engine: str = option("ENGINE", "")
         self.blocks: int = option("PLANNER_BLOCKS", 16)
         self.rx_bytes: int = option("RX_BYTES", 128)
         self.defaults: "dict[int, float]" = option("DEFAULTS", {})
         self.corexy: bool = option("COREXY", False)
+        self.kinematics = _make_kinematics(self.axes) if self.corexy else None
         self.door: bool = option("SAFETY_DOOR", False)
         self.parking: bool = option("PARKING", False)
         self.override_control: bool = option("OVERRIDE_CONTROL", False)
@@ -56,6 +69,9 @@ class Options:
         self.custom = guests.customs(board)
         self.job_files = _make_job_files(board)
         self.extras = guests.modules(guests.names(board, bool(self.custom)))
+        self.settings: "type[Settings]" = Settings
+        self.inputs: "type[Inputs]" = Inputs
+        self.seek: "type[Seek]" = Seek
         self.report: "type[Report]" = Report
         self.spindle: "type[Spindle]" = Spindle
         self.reads = READS  # which bytes are taken off a line

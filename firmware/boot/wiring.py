@@ -4,18 +4,15 @@ Nothing here is used once the machine is built: a board forgets this module then
 """
 
 from base.axes import TOOL_LENGTH
-from base.settings import Settings
 from base.state import State
 from control.canon import Canon
 from control.coolant import Coolant
 from control.coords import Coords
 from control.drive import Drive
-from control.inputs import Inputs
 from control.modes import Modes
 from control.overrides import Overrides
 from control.realtime import Realtime
 from control.saves import Saves
-from control.seek import Seek
 from control.suspension import Suspension
 from language.block import Block
 from language.interpreter import Interpreter
@@ -47,7 +44,7 @@ def build(
 ) -> Controller:
     """Make a machine of a board file and its hardware. ring: the planner's, if it is there."""
     options = Options(board)
-    machine = Controller(options.axes)
+    machine = Controller(options.motors)
     machine.port = port
     machine.engine = engine
     machine.saves = Saves(store)
@@ -72,21 +69,16 @@ def build(
 def _make_basics(machine: Controller, options: Options, ring: "array[int] | None") -> None:
     """What the machine is, what it has planned, what it switches."""
     axes, port, state = options.axes, machine.port, State()
-    kinematics: "Kinematics | None" = None
-    if options.corexy:
-        from motion.kinematics import COREXY, Kinematics
-
-        kinematics = Kinematics(axes, COREXY)
     machine.state = state
-    machine.settings = Settings(machine.saves, axes, options.defaults)
+    machine.settings = options.settings(machine.saves, axes, options.defaults)
     machine.settings.max_step_hz = options.max_step_hz
     machine.coords = Coords(machine.saves, axes, TOOL_LENGTH)
     machine.modes = Modes(axes)
-    machine.planner = Planner(axes, options.blocks, kinematics, state, ring)
+    machine.planner = Planner(axes, options.blocks, options.kinematics, state, ring)
     machine.segments = Segments(machine.planner)
     machine.spindle = options.spindle(port, state, options.enable_pin)
     machine.coolant = Coolant(port, state)
-    machine.inputs = Inputs(port, machine.settings, axes, options.door)
+    machine.inputs = options.inputs(port, machine.settings, axes, options.door)
 
 
 def _make_reports(machine: Controller, options: Options, link: "Link") -> None:
@@ -125,7 +117,7 @@ def _make_motion(machine: Controller, options: Options) -> None:
         machine.port,
         options.zero_origin,
     )
-    machine.seek = Seek(
+    machine.seek = options.seek(
         machine.state,
         machine.settings,
         machine.engine,

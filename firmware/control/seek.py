@@ -210,7 +210,7 @@ class Seek:
                 found = self._inputs.limits() & searching
                 if found:
                     searching &= ~found
-                    engine.lock(self._kinematics.motors_of(found) if self._kinematics else found)
+                    engine.lock(self._kinematics.stopped_by(found) if self._kinematics else found)
             if self._failed(approach, axes):
                 self._drive.reset()
                 self._canon.service()

@@ -272,9 +272,10 @@ class I2sEngine(Turns):
             frames.count(self._ring[slot], until, self._timing, self._lanes, steps)
 
     def set_position(self, steps: "array[int]") -> None:
-        """Name the present place. At rest only."""
+        """Name the present place, also of motors that are locked. At rest only."""
         self._state[HALT] = 1
         for i in range(self._axes):
+            self._locked_at[i] = steps[i]
             place = steps[i] + self._owed[i]
             self._lanes[LANE * i + PLACE] = place
             # What has been played at rest counts from there too.

@@ -220,7 +220,7 @@ class RmtEngine(Turns):
             steps[i] = _place(self._lanes, i, self._playing[i], time.ticks_us())
 
     def set_position(self, steps: "array[int]") -> None:
-        """Name the present place. At rest only."""
+        """Name the present place, also of motors that are locked. At rest only."""
         for i in range(self._axes):
             self._lanes[_LANE * i + _PLACE] = steps[i]
             self._lanes[_LANE * i + _COUNT] = 0

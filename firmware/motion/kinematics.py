@@ -23,16 +23,21 @@ COREXY = (0x003, 0x201)  # A makes x + y, B makes x - y
 
 
 class Kinematics:
-    """A machine's table. moves: what its first motors do."""
+    """A machine's table. moves: what its first motors do; alone: those (a mask) that stop at a
+    switch of their own, each of the motor's number."""
 
-    def __init__(self, axes: int, moves: "Sequence[int]") -> None:
+    def __init__(self, axes: int, moves: "Sequence[int]", alone: int = 0) -> None:
         self.moves = list(moves) + [1 << i for i in range(len(moves), axes)]
+        self.alone = alone
         self._axes = range(axes)
         self._motors = range(len(self.moves))
         self._places = array("i", bytes(8 * axes))  # behind the axes' stand zeros
 
     def axis_steps(self, motors: "array[int]", axis: int) -> int:
-        """Steps of an axis: the mean of what its motors have made, towards 0."""
+        """Steps of an axis: the mean of what its motors have made, towards 0. Of several that only
+        move this axis, the first says it."""
+        if self.moves[axis] == 1 << axis:
+            return motors[axis]
         total = count = 0
         for i in self._motors:
             moves = self.moves[i] >> axis
@@ -66,6 +71,11 @@ class Kinematics:
             if (self.moves[i] | self.moves[i] >> REVERSE) & axes:
                 mask |= 1 << i
         return mask
+
+    def stopped_by(self, switches: int) -> int:
+        """The motors (a mask) that stop at these switches (a mask): an axis', where they have none
+        of their own."""
+        return self.motors_of(switches & ~self.alone) | switches & self.alone
 
     def _find(self, motors: "array[int]") -> None:
         """Where the axes are, into places."""

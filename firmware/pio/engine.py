@@ -217,11 +217,13 @@ class PioEngine:
         position(self._hub, steps)
 
     def set_position(self, steps: "array[int]") -> None:
-        """Name the present place. At rest only."""
+        """Name the present place, also of motors that are locked. At rest only."""
         lanes = self._memory.lanes
         for i in range(len(self._step)):
             at = pulses.LANE * i
-            lanes[at + pulses.END] = lanes[at + pulses.PLACE] = steps[i]
+            lanes[at + pulses.END] = lanes[at + pulses.PLACE] = lanes[at + pulses.FROZEN] = steps[
+                i
+            ]
 
     @micropython.viper
     def _turn(self, _source: object) -> int:

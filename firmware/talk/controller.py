@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 class Controller:
-    """The machine, made by wiring.build(). axes: how many motors it has."""
+    """The machine, made by wiring.build(). motors: how many it has."""
 
     port: "Port"
     engine: "StepEngine"
@@ -67,8 +67,8 @@ class Controller:
     reader: "LineReader"
     protocol: "Protocol"
 
-    def __init__(self, axes: int) -> None:
-        self._steps = array("i", (0 for _ in range(axes)))
+    def __init__(self, motors: int) -> None:
+        self._steps = array("i", (0 for _ in range(motors)))
 
     # Positions: machine (steps really made) -> planner -> parser
 

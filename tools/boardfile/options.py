@@ -141,9 +141,13 @@ OPTIONS = (
     # Motors.
     Option(
         *("STEP", PINS, NEEDED),
-        "Step pins, one per axis: how many there are is how many axes the machine has.",
+        "Step pins, one per motor: how many there are is how many axes the machine has.",
     ),
-    Option("DIR", PINS, NEEDED, "Direction pins, one per axis."),
+    Option("DIR", PINS, NEEDED, "Direction pins, one per motor."),
+    Option(
+        *("MOTORS", WORD, ""),
+        'The axis of each motor, where one has two: "XYZY". See docs/ganged.md.',
+    ),
     Option(
         *("ENABLE", PIN_OR_PINS, None),
         'Enable of the motor drivers: one for all, or a tuple of them. ENGINE "i2s" needs it.',
@@ -169,7 +173,7 @@ OPTIONS = (
     ),
     Option("COREXY", SWITCH, False, "Motors A and B move X and Y together (CoreXY)."),
     # Inputs.
-    Option("LIMIT", PINS, (), "Limit switches to ground, one pin per axis."),
+    Option("LIMIT", PINS, (), "Limit switches to ground, one pin per motor, or axis."),
     Option(
         *("LIMIT_DEBOUNCE_MS", COUNT, 0),
         "A limit switch counts if it is closed so many ms after an edge; a machine goes on "

@@ -43,13 +43,14 @@ Progress = Callable[[str, int], None]
 
 # Where engines and links are made, a function for each, which bears its name.
 _PARTS = ("boot.parts", "boot.parts_esp")
-# Modules that an option asks for by a value; True: by any that is not nothing. All others go on a
-# board if one that goes there imports them, where it makes an engine or link: the board's.
-_SWITCHED: dict[str, tuple[str, object]] = {
-    "motion.kinematics": ("COREXY", True),
-    "ports.job_files": ("JOBS", True),
-    "ports.sd_card": ("SD_CARD", True),
-    "pio.beam": ("TOOL", "laser"),
+# Modules that one of these options asks for by a value; True: by any that is not nothing. All
+# others go on a board if one that goes there imports them, where it makes an engine or link: the
+# board's.
+_SWITCHED: dict[str, tuple[tuple[str, ...], object]] = {
+    "motion.kinematics": (("COREXY", "MOTORS"), True),
+    "ports.job_files": (("JOBS",), True),
+    "ports.sd_card": (("SD_CARD",), True),
+    "pio.beam": (("TOOL",), "laser"),
 }
 # What extras are handed; who has none has no use for it.
 _EXTRAS_API = "extras.api"
@@ -120,9 +121,10 @@ def needed(board: ModuleType) -> list[str]:
 
 
 def _is_off(board: ModuleType, name: str) -> bool:
-    option, wanted = _SWITCHED.get(name, ("", None))
-    value = getattr(board, option, None)
-    return name in _SWITCHED and (bool(value) if wanted is True else value) != wanted
+    asking, wanted = _SWITCHED.get(name, ((), None))
+    values = [getattr(board, option, None) for option in asking]
+    found = [bool(value) if wanted is True else value for value in values]
+    return name in _SWITCHED and wanted not in found
 
 
 def modules_of(board: "ModuleType | None" = None) -> list[str]:

@@ -218,7 +218,7 @@ class _Survey:
         self, value: ast.expr, name: str, modules: Mapping[str, bool], inside: str
     ) -> None:
         root = scan.root(value)
-        if isinstance(value, ast.Name) and root == "self" and inside:
+        if inside and ast.unparse(value) in ("self", "super()"):
             self._alone[name].add(inside)
         elif root in modules:
             self.asked.add(name)

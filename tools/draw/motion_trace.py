@@ -108,13 +108,14 @@ class MotionTrace(Paced):
 
     def __init__(self, rig: "Rig") -> None:
         super().__init__(rig)
-        per_motor, per_axis = ([_column("f") for _ in self._axes] for _ in range(2))
+        per_motor = [_column("f") for _ in self._motors]
+        per_axis = [_column("f") for _ in self._axes]
         self.motion = Motion(steps_per_mm=per_motor, share=per_axis)
         self._begun_at = 0
         self._blocks: dict[int, int] = {}  # of the trace, by the row of the planner's ring
         self._plans: dict[int, tuple[float, int]] = {}  # speed and block, by the segment's row
         self._port = rig.port
-        self._add_block(0, False, [0.0 for _ in self._axes])
+        self._add_block(0, False, [0.0 for _ in self._motors])
 
     def start_clock(self) -> None:
         """The work begins now; what was before is forgotten."""
@@ -135,7 +136,7 @@ class MotionTrace(Paced):
         layout, ring = self._layout, self._planner.ring
         at = row * self._planner.flow[layout.ROW_SIZE]
         length = self._value(ring[at + layout.LENGTH]) or 1.0
-        steps = ring[at + layout.STEPS : at + layout.STEPS + len(self._axes)]
+        steps = ring[at + layout.STEPS : at + layout.STEPS + len(self._motors)]
         dirs, flags = ring[at + layout.DIRS], ring[at + layout.FLAGS]
         per_mm = [(-n if dirs >> i & 1 else n) / length for i, n in enumerate(steps)]
         self._blocks[at] = len(self.motion.line)

@@ -58,9 +58,8 @@ def names(rig: "Rig") -> dict[str, str]:
     """What a person may push, by the name to say; and what the simulator calls it."""
     from ..sim import port
 
-    axes = len(rig.board.STEP)
     found = {name: f"pin_{pin}" for name, pin in getattr(rig.board, "INPUTS", {}).items()}
-    for name in (PROBE, *port.LIMITS[:axes], *port.CONTROLS):
+    for name in (PROBE, *rig.port.limit_names, *port.CONTROLS):
         found.setdefault(name, name)
     if getattr(rig.board, "SAFETY_DOOR", False):
         found.setdefault(DOOR, found.pop("hold"))  # whose place it takes, as on an Uno
@@ -97,9 +96,10 @@ class Inputs:
             self.push(each.name, each.closed)
 
     def _switch(self, each: Rule) -> "Switch":
+        from ..sim import motors
         from ..sim.switches import PlaceSwitch
 
-        if each.axis >= len(self._rig.board.STEP):
+        if each.axis >= motors.axes(self._rig.board):
             raise ValueError(f"{each.name}: this machine has no axis {_AXES[each.axis]}")
         if getattr(self._rig.board, "COREXY", False) and each.axis < len("XY"):
             raise ValueError(f"{each.name}: motors A and B move both: say a place of Z")

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
 _Value = TypeVar("_Value")
 
-_LETTERS = "XYZABC"
-
 
 @dataclass
 class Totals:
@@ -49,17 +47,21 @@ class Recorder:
     def __init__(self, rig: "Rig") -> None:
         from motion import layout
 
+        from ..sim import motors
+
         self._rig = rig
         self._layout = layout
-        self._axes = range(len(rig.board.STEP))
+        self._motors = range(len(rig.board.STEP))
+        self._names = motors.names(rig.board)
+        self._axes = range(motors.axes(rig.board))
         self._corexy = getattr(rig.board, "COREXY", False)
-        self._planned = [0 for _ in self._axes]
-        self._made = [0 for _ in self._axes]
-        self._probed = [0 for _ in self._axes]  # planned, and not made behind a probe's contact
+        self._planned = [0 for _ in self._motors]
+        self._made = [0 for _ in self._motors]
+        self._probed = [0 for _ in self._motors]  # planned, and not made behind a probe's contact
         self._before_probe: list[int] | None = None  # planned and not made, for other reasons
         self._is_probing = False
         self._distance_mm = 0.0
-        self._place = [0 for _ in self._axes]  # steps per motor, as the firmware counts
+        self._place = [0 for _ in self._motors]  # steps per motor, as the firmware counts
         self._mm_per_step = [0.0 for _ in self._axes]
         self._low = [0.0 for _ in self._axes]
         self._high = [0.0 for _ in self._axes]
@@ -120,7 +122,7 @@ class Recorder:
         return [a - b for a, b in zip(self._planned, self._made, strict=True)]
 
     def _by_letter(self, values: Sequence[_Value]) -> dict[str, _Value]:
-        return dict(zip(_LETTERS, values, strict=False))
+        return dict(zip(self._names, values, strict=False))
 
     def _line(self, target: Any, move: Any, power: int) -> bool:
         """Stand in for Planner.line: what it adds to its ring is what will be stepped."""
@@ -158,7 +160,7 @@ class Recorder:
         """A row of the ring has been planned."""
         layout = self._layout
         at = row * self._planner.flow[layout.ROW_SIZE] + layout.STEPS
-        steps = self._planner.ring[at : at + len(self._axes)]
+        steps = self._planner.ring[at : at + len(self._motors)]
         if self._is_probing and self._before_probe is None:
             self._before_probe = self._not_made()
         dirs = self._planner.ring[at - layout.STEPS + layout.DIRS]
@@ -217,7 +219,8 @@ class Recorder:
         steps: Sequence[float] = motors
         if self._corexy:
             steps = [(motors[0] + motors[1]) / 2, (motors[0] - motors[1]) / 2, *motors[2:]]
-        return [n * mm for n, mm in zip(steps, self._mm_per_step, strict=True)]
+        # A second motor of an axis makes no way of its own.
+        return [n * mm for n, mm in zip(steps, self._mm_per_step, strict=False)]
 
 
 def replace_method(owner: object, name: str, stand_in: object) -> Any:

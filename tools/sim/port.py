@@ -2,6 +2,8 @@
 
 from base.controls import EMERGENCY_STOP, LIMITS_AT, PROBE_AT
 
+from . import motors
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -11,12 +13,22 @@ if TYPE_CHECKING:
 
     from .seams import Clock
 
-# Names of the inputs in recordings, in the bit order of Port.limits() and Port.controls().
-LIMITS = ("limit_x", "limit_y", "limit_z", "limit_a")
+# Names of the inputs in recordings, in the bit order of Port.controls().
 CONTROLS = ("reset", "hold", "start")
 ESTOP = "estop"
 # On an Uno with a safety door, the door takes the place of the hold button.
 CONTROLS_WITH_DOOR = ("reset", "", "start", "hold")
+
+
+def limit_names(board: "ModuleType") -> "tuple[str, ...]":
+    """Limit inputs as recordings call them, in the bit order of Port.limits(): limit_x; "" where a
+    second motor has none."""
+    names = ["limit_" + name.lower() for name in motors.names(board)]
+    wired = getattr(board, "LIMIT", ())
+    for motor in range(motors.axes(board), len(names)):
+        if motor >= len(wired) or wired[motor] is None:
+            names[motor] = ""
+    return tuple(names)
 
 
 class SimPwm:
@@ -36,6 +48,7 @@ class SimPort:
     def __init__(self, rig: "Clock", board: "ModuleType") -> None:
         self.pwm_max = board.PWM_MAX
         self.pwm = SimPwm(getattr(board, "PWM_HZ", 5000))
+        self.limit_names = limit_names(board)
         self._controls = CONTROLS_WITH_DOOR if getattr(board, "SAFETY_DOOR", False) else CONTROLS
         # The direction's pin says that the spindle is on.
         self._enables: bool = getattr(board, "SPINDLE_ENABLE_PIN", False)
@@ -97,7 +110,7 @@ class SimPort:
         self._look_at_probe()
 
     def limits(self) -> int:
-        return self._mask(LIMITS)
+        return self._mask(self.limit_names)
 
     def controls(self) -> int:
         return self._mask(self._controls)
@@ -195,7 +208,11 @@ class SimPort:
             self._look_at_probe()
         if self._on_change and any(name in changed for name in self._own_inputs):
             self._on_change()
-        if self._listener and self._hears_limits and any(name in changed for name in LIMITS):
+        if (
+            self._listener
+            and self._hears_limits
+            and any(name in changed for name in self.limit_names)
+        ):
             self._listener.on_limits()
         buttons = any(name in changed for name in self._controls)
         if self._listener and (buttons or ESTOP in changed):

@@ -1,8 +1,8 @@
 """Switches of a simulated machine: at both ends of each axis' travel, so that it can be homed, and
 wherever somebody wants one."""
 
+from . import motors
 from .engine import Switch
-from .port import LIMITS
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -18,15 +18,16 @@ class EndSwitch(Switch):
     The machine begins in the middle of its travel.
     """
 
-    def __init__(self, rig: "Rig", axis: int, above: bool) -> None:
-        super().__init__(LIMITS[axis], axis, above, 0)
+    def __init__(self, rig: "Rig", motor: int, above: bool) -> None:
+        super().__init__(rig.port.limit_names[motor], motor, above, 0)
         self._rig = rig
+        self._of = "XYZABC".index(motors.letters(rig.board)[motor])
 
     @property
     def steps(self) -> int:
         settings = self._rig.controller.settings
-        half_mm = (settings.max_travel[self.axis] + _SPARE_MM) / 2
-        steps = int(half_mm * settings.steps_per_mm[self.axis])
+        half_mm = (settings.max_travel[self._of] + _SPARE_MM) / 2
+        steps = int(half_mm * settings.steps_per_mm[self._of])
         return steps if self.above else -steps
 
     @steps.setter
@@ -55,5 +56,6 @@ def fit(rig: "Rig") -> None:
     """Give a machine its switches. ValueError where its motors do not move an axis each."""
     if getattr(rig.board, "COREXY", False):
         raise ValueError("no switches here: motors A and B move X and Y together")
-    for axis in range(len(rig.board.STEP)):
-        rig.engine.switches += [EndSwitch(rig, axis, True), EndSwitch(rig, axis, False)]
+    for motor in range(len(rig.board.STEP)):
+        if rig.port.limit_names[motor]:
+            rig.engine.switches += [EndSwitch(rig, motor, True), EndSwitch(rig, motor, False)]
