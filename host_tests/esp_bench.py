@@ -51,8 +51,9 @@ i2s, rmt, esp_start, gpio_esp, gpio_port = _load()
 esp_machine.I2S.recording = True
 
 # As on the boards: outputs of the shift registers, pins.
-I2S_STEP, I2S_DIR, I2S_ENABLE = (1, 5, 3), (2, 6, 4), 0
-RMT_STEP, RMT_DIR = (26, 25, 17), (16, 27, 14)
+# Of six motors; a machine has the first of them.
+I2S_STEP, I2S_DIR, I2S_ENABLE = (1, 5, 3, 7, 9, 11), (2, 6, 4, 8, 10, 12), 0
+RMT_STEP, RMT_DIR = (26, 25, 17, 18, 19, 21), (16, 27, 14, 22, 23, 13)
 
 Step = tuple[int, int, int]  # us, axis, +1 or -1
 
@@ -103,7 +104,8 @@ class I2sPins:
 
     def make(self) -> Any:
         """The engine."""
-        return i2s.I2sEngine(I2S_STEP, I2S_DIR, I2S_ENABLE, (16, 17, 21))
+        motors = len(self.levels)
+        return i2s.I2sEngine(I2S_STEP[:motors], I2S_DIR[:motors], I2S_ENABLE, (16, 17, 21))
 
     def outputs(self) -> int:
         """All outputs."""
@@ -163,7 +165,8 @@ class RmtPins:
 
     def make(self) -> Any:
         """The engine."""
-        return rmt.RmtEngine(RMT_STEP, RMT_DIR)
+        motors = len(self.levels)
+        return rmt.RmtEngine(RMT_STEP[:motors], RMT_DIR[:motors])
 
     def run(self, until: int) -> "list[Step]":
         """The steps up to a time."""

@@ -1,18 +1,32 @@
 """Two motors on an axis: how they home, square themselves, and are all alive afterwards."""
 
+import os
+import random
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+from extras import ganged
+from motion.kinematics import COREXY, Kinematics
 from rig_bench import Machine
+from ugrbl.boardfile import board_check
+from ugrbl.boardfile.files import load_board
+from ugrbl.compiling import build
 from ugrbl.sim.engine import Switch
 
 _STEPS_PER_MM = 250
-# Switches at the upper ends, in steps from where power comes on.
-_AT = 2500
+_PULL_OFF_MM = 1
+# Where the switches close, in steps from where power comes on; they are at the upper ends.
+_AT = 800
+_DEAD = 1 << 28
+_GANTRIES = int(os.environ.get("UGRBL_TORTURE", "40"))
 SETTINGS = {
     1: 255,
     22: 1,
-    24: 300,
+    24: 100,
     25: 3000,
     26: 5,
-    27: 1,
+    27: _PULL_OFF_MM,
     110: 3000,
     111: 3000,
     112: 3000,
@@ -20,25 +34,230 @@ SETTINGS = {
     121: 400,
     122: 400,
 }
+_RESET = "\x18"
+
+
+def board(**options: Any) -> ModuleType:
+    """sim_ganged with other options."""
+    made = ModuleType("board")
+    made.__dict__.update({**vars(load_board("sim_ganged")), **options})
+    return made
 
 
 class Gantry(Machine):
-    """A machine with a switch at the end of each motor's way: the second of Y is `racked` steps
-    further away from its own than the first."""
+    """A machine on which the second motor of Y is `racked` steps further away from its switch than
+    the first. switches: where those of the motors close, of which one may be dead."""
 
-    def __init__(self, racked: int = 0, settings: "dict[int, float] | None" = None) -> None:
-        super().__init__({**SETTINGS, **(settings or {})}, "sim_ganged", watched=False)
-        for motor, pin in enumerate(("limit_x", "limit_y", "limit_z", "limit_y2")):
-            at = _AT + (racked if motor == 3 else 0)
-            self.rig.engine.switches.append(Switch(pin, motor, True, at))
+    def __init__(
+        self,
+        racked: int = 0,
+        settings: "dict[int, float] | None" = None,
+        switches: "dict[str, int] | None" = None,
+        **options: Any,
+    ) -> None:
+        super().__init__({**SETTINGS, **(settings or {})}, board(**options), watched=False)
+        self.at = {"limit_x": _AT, "limit_y": _AT, "limit_z": _AT, "limit_y2": _AT + racked}
+        self.at.update(switches or {})
+        for motor, (pin, at) in enumerate(self.at.items()):
+            if pin in self.rig.port.limit_names:
+                self.rig.engine.switches.append(Switch(pin, motor, True, at))
+        self.rig.port.update()
 
-    def say(self, *lines: str) -> "list[str]":
-        self.play(lines)
+    def told(self, *lines: str, at_ms: "tuple[tuple[int, str], ...]" = ()) -> "list[str]":
+        """Play them from power-up; all that has been said."""
+        self.play(lines, at_ms)
         return self.received
 
 
-if __name__ == "__main__":
-    for racked in (0, 100, -300):
-        g = Gantry(racked, {171: 0.2})
-        print(g.say("$$", "$H", "?", "G91 G0 Y-2"))
-        print(g.physical())
+def assert_alive(gantry: Gantry) -> None:
+    """Whatever went wrong: behind a reset every motor of an axis makes every step asked for."""
+    before = gantry.physical()
+    gantry.received.clear()
+    gantry.play([_RESET, "$X", "G91", "G1 X-1 Y-2 Z-3 F3000"])
+    made = [at - was for at, was in zip(gantry.physical(), before, strict=True)]
+    assert made == [-250, -500, -750, -500], gantry.received
+
+
+# Homing
+
+
+def test_each_motor_stops_at_its_own_switch() -> None:
+    gantry = Gantry(racked=300)
+    told = gantry.told("$H")
+    assert "ok" in told and not any("ALARM" in line for line in told)
+    _, y, _, y2 = gantry.physical()
+    assert abs(y - (_AT - _PULL_OFF_MM * _STEPS_PER_MM)) <= 1
+    assert abs(y2 - y - 300) <= 1
+    assert gantry.reported() == [-1.0, -1.0, -1.0]
+
+
+def test_gantries_end_square_within_a_step_whatever_the_offset() -> None:
+    """UGRBL_TORTURE=1000: so many of them."""
+    chance = random.Random(19)
+    for _ in range(_GANTRIES):
+        racked, offset = chance.randint(-600, 600), round(chance.uniform(-3, 3), 3)
+        seek = chance.choice((600, 1500, 3000))
+        negative = chance.random() < 0.5
+        gantry = Gantry(racked, {25: seek, 171: offset, 23: 2 if negative else 0})
+        if negative:  # the switch of Y is at the other end
+            for switch in gantry.rig.engine.switches:
+                if switch.axis in (1, 3):
+                    switch.above, switch.steps = False, -switch.steps
+        told = gantry.told("$H")
+        case = f"racked {racked}, $171={offset}, $25={seek}, $23={negative}: {told}"
+        assert not any("ALARM" in line for line in told[2:]), case
+        _, y, _, y2 = gantry.physical()
+        further = racked - round(offset * _STEPS_PER_MM)
+        assert abs(y2 - y - (-further if negative else further)) <= 1, case
+
+
+@pytest.mark.parametrize("offset", [0.5, -0.5])
+def test_an_offset_moves_the_motor_that_is_to_be_further_away(offset: float) -> None:
+    gantry = Gantry(0, {171: offset})
+    gantry.told("$H", "G90 G53 G0 Y-4")
+    _, y, _, y2 = gantry.physical()
+    assert abs(y - y2 - offset * _STEPS_PER_MM) <= 1
+    there = _AT - 4 * _STEPS_PER_MM  # as one says it who has seen the first at its switch
+    assert abs(max(y, y2) - there) <= 1
+
+
+def test_one_axis_alone_is_squared_too() -> None:
+    gantry = Gantry(200, SINGLE_AXIS_HOMING=True)
+    gantry.told("$HY")
+    x, y, _, y2 = gantry.physical()
+    assert x == 0 and abs(y2 - y - 200) <= 1
+
+
+def test_without_a_second_switch_both_home_as_one() -> None:
+    gantry = Gantry(0, LIMIT=(0, 1, 2, None))
+    told = gantry.told("$H", "$$")
+    _, y, _, y2 = gantry.physical()
+    assert y == y2 and abs(y - (_AT - _STEPS_PER_MM)) <= 1
+    assert "$8=0" in told and not any(line.startswith(("$17", "$347=")) for line in told)
+
+
+# What goes wrong
+
+
+@pytest.mark.parametrize(
+    ("switches", "alarm"),
+    [
+        ({"limit_y2": _DEAD}, "ALARM:10"),
+        ({"limit_y": _DEAD}, "ALARM:10"),
+        ({"limit_y": _DEAD, "limit_y2": _DEAD}, "ALARM:9"),
+        ({"limit_y2": _AT + 11 * _STEPS_PER_MM}, "ALARM:10"),  # 10 mm are 5 % of 200
+    ],
+    ids=["second dead", "first dead", "both dead", "racked too far"],
+)
+def test_a_switch_that_is_not_found_is_an_alarm(switches: "dict[str, int]", alarm: str) -> None:
+    gantry = Gantry(0, {130: 200, 131: 20}, switches)
+    told = gantry.told("$H")
+    assert [line for line in told if line.startswith("ALARM")] == [alarm]
+    at = gantry.physical()
+    if alarm == "ALARM:10":
+        assert 2450 <= abs(at[1] - at[3]) <= 2600, "10 mm, and what passes until it is seen"
+    assert_alive(gantry)
+
+
+@pytest.mark.parametrize(
+    ("settings", "mm"),
+    [({130: 10}, 2.5), ({130: 1000}, 25), ({130: 200, 347: 1.5}, 3), ({130: 10, 348: 1}, 1)],
+)
+def test_how_far_one_may_look_alone_is_set(settings: "dict[int, float]", mm: float) -> None:
+    gantry = Gantry(0, {131: 60, **settings}, {"limit_y2": _DEAD})
+    gantry.told("$H")
+    _, y, _, y2 = gantry.physical()
+    assert mm * _STEPS_PER_MM < y2 - y < (mm + 0.5) * _STEPS_PER_MM
+
+
+@pytest.mark.parametrize("ms", range(60, 3200, 170))
+@pytest.mark.parametrize("stop", [_RESET, "door"])
+def test_all_motors_are_alive_behind_a_stop_at_any_time(ms: int, stop: str) -> None:
+    door = stop == "door"
+    gantry = Gantry(400, {171: 0.7}, SAFETY_DOOR=door)
+    gantry.told("$H", at_ms=((ms, "\x84" if door else _RESET),))
+    assert_alive(gantry)
+
+
+def test_a_closed_switch_at_the_start_is_refused_in_words() -> None:
+    gantry = Gantry(0, {}, {"limit_y2": -5})
+    told = gantry.told("$H", at_ms=((1000, _RESET),))
+    at = told.index("[MSG:Y: move off the closed limit switch first]")
+    assert told[at + 1 : at + 3] == ["ok", "ALARM:1"]  # as Grbl with two switches on an input
+    assert gantry.physical() == [0, 0, 0, 0]
+
+
+def test_either_switch_is_told_and_stops_the_machine() -> None:
+    gantry = Gantry(0, {22: 0, 21: 1}, {"limit_y": 2000})
+    told = gantry.told("G91 G1 Y8 F3000", at_ms=((2000, _RESET),))
+    assert "ALARM:1" in told
+    assert [line for line in told if "|Pn:Y|" in line]
+    assert gantry.physical()[3] < _AT + 100
+
+
+def test_switches_may_be_contacts_that_open() -> None:
+    """$5: the input of a motor that has none must not count as open."""
+    gantry = Gantry(0, {5: 1, 22: 0}, LIMIT=(0, 1, 2, None))
+    gantry.rig.port.push(dict.fromkeys(gantry.rig.port.limit_names[:3], True))
+    assert not [line for line in gantry.told("") if "Pn:" in line]
+
+
+# Settings
+
+
+def test_the_second_motor_turns_as_the_settings_say() -> None:
+    for inverted, ganged_inverted, pins in ((0, 0, 0), (2, 0, 0b1010), (2, 2, 0b0010)):
+        gantry = Gantry(0, {3: inverted, 8: ganged_inverted, 22: 0})
+        gantry.told("G91 G1 Y1 F3000")
+        assert gantry.rig.engine.dir_invert == pins
+        ways = [-1 if pins >> motor & 1 else 1 for motor in (1, 3)]
+        assert [gantry.physical()[motor] for motor in (1, 3)] == [250 * way for way in ways]
+
+
+def test_an_offset_may_be_negative_and_is_kept() -> None:
+    gantry = Gantry()
+    told = gantry.told("$171=-0.75", "$171=11", "$170=-1", "$100=-1", "$171=x")
+    assert [line for line in told if line == "ok" or "error" in line] == [
+        *("ok", "error:3", "error:4", "error:4", "error:2")
+    ]
+    gantry.received.clear()
+    assert "$171=-0.750" in gantry.told("$$")
+
+
+def test_what_a_gantry_has_kept_does_no_harm_on_another_board() -> None:
+    machine = Machine({171: -0.5, 8: 2, 110: 777}, watched=False)
+    machine.play(["$$"])
+    assert "$110=777.000" in machine.received and not any("$171" in x for x in machine.received)
+
+
+# Board files
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"MOTORS": "XYZ"}, "MOTORS has 3 letters, and STEP 4 pins"),
+        ({"MOTORS": "XZYY"}, "MOTORS: XYZ first, then second motors: XYZY"),
+        ({"MOTORS": "XYZB"}, "MOTORS: XYZA first, then second motors: XYZY"),
+        ({"MOTORS": "XYZYY", "STEP": (0, 1, 2, 3, 4)}, "MOTORS: Y has more than two"),
+        ({"LIMIT": (0, None, 2, 3)}, "LIMIT: Y has its second switch only"),
+        ({"COREXY": True}, "MOTORS: Y of a CoreXY has no second motor"),
+    ],
+)
+def test_what_cannot_be_is_told(options: "dict[str, Any]", why: str) -> None:
+    assert board_check.problems(board(**options)) == [why]
+
+
+def test_z_of_a_corexy_may_have_two() -> None:
+    options: Any = SimpleNamespace(kinematics=Kinematics(3, COREXY))
+    ganged.prepare(options, board(MOTORS="XYZZ"))
+    assert options.axes == 3
+    assert options.kinematics.moves == [*COREXY, 4, 4]
+    assert [options.kinematics.stopped_by(1 << i) for i in range(4)] == [3, 3, 4, 8]
+
+
+def test_a_board_without_second_motors_has_nothing_of_it() -> None:
+    assert "extras.ganged" not in build.modules_of(load_board("rpi_pico"))
+    assert "motion.kinematics" not in build.modules_of(load_board("rpi_pico"))
+    modules = build.modules_of(load_board("pico_gantry"))
+    assert {"extras.ganged", "motion.kinematics"} <= set(modules)

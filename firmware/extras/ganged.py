@@ -53,7 +53,7 @@ _OFFSETS: "Rows" = (  # attribute-names: column 1
     (173, "square_a_mm", FLOAT, 0.0, "millimeters"),
 )
 _MOST_OFFSET_MM = const(10)
-_FIRST_OFFSET = const(170)
+_MOTORS_OF_AN_AXIS = const(2)
 
 
 class GangedSettings(Settings):
@@ -156,30 +156,40 @@ class GangedSeek(Seek):
         super()._set_origin(axes)
 
 
-def prepare(options: "Options", board: "ModuleType") -> None:
-    """Which motor goes with which axis. ValueError where that cannot be."""
-    option = board.__dict__.get
-    letters: str = option("MOTORS", "")
-    limits: "tuple[int | None, ...]" = option("LIMIT", ())
-    motors = len(option("STEP", ()))
+def count_axes(letters: str, motors: int) -> int:
+    """How many axes there are, of so many motors with these letters. ValueError where that cannot
+    be."""
     axes = len(set(letters))
     if len(letters) != motors:
         raise ValueError("MOTORS has %d letters, and STEP %d pins" % (len(letters), motors))
     if letters[:axes] != LETTERS[:axes]:
         raise ValueError("MOTORS: %s first, then second motors: XYZY" % LETTERS[:axes])
-    moves, alone = [1 << axis for axis in range(axes)], 0
-    first = options.kinematics.moves if options.kinematics else moves
-    for motor in range(axes, motors):
+    for letter in letters:
+        if letters.count(letter) > _MOTORS_OF_AN_AXIS:
+            raise ValueError("MOTORS: %s has more than two" % letter)
+    return axes
+
+
+def prepare(options: "Options", board: "ModuleType") -> None:
+    """Which motor goes with which axis. ValueError where that cannot be."""
+    option = board.__dict__.get
+    letters: str = option("MOTORS", "")
+    limits: "tuple[int | None, ...]" = option("LIMIT", ())
+    options.axes = axes = count_axes(letters, len(option("STEP", ())))
+    moves = [1 << axis for axis in range(axes)]
+    if options.kinematics:
+        moves = list(options.kinematics.moves)[:axes]
+    alone = 0
+    for motor in range(axes, len(letters)):
         axis = LETTERS.index(letters[motor])
-        if letters[axes:motor].count(letters[motor]) or first[axis] != 1 << axis:
-            raise ValueError("MOTORS: %s cannot have that many" % letters[motor])
+        if moves[axis] != 1 << axis:
+            raise ValueError("MOTORS: %s of a CoreXY has no second motor" % letters[motor])
         moves.append(1 << axis)
         if len(limits) > motor and limits[motor] is not None:
             if limits[axis] is None:
                 raise ValueError("LIMIT: %s has its second switch only" % letters[motor])
             alone |= 1 << axis | 1 << motor
-    options.axes = axes
-    options.kinematics = Kinematics(axes, list(first[:axes]) + moves[axes:], alone)
+    options.kinematics = Kinematics(axes, moves, alone)
     options.settings, options.inputs, options.seek = GangedSettings, GangedInputs, GangedSeek
 
 

@@ -10,9 +10,10 @@ from types import ModuleType
 from typing import Any
 
 from .. import paths
+from ..sim import motors
 from .chips import CHIPS, Chip, on_their_own
 from .engines import SIMULATOR, engines
-from .new_board import AXES, CONTROLS, ITEMS, Board, BoardError, check_item
+from .new_board import AXES, CONTROLS, FEWEST_AXES, ITEMS, Board, BoardError, check_item
 from .options import BY_NAME, INVERTIBLE, PIN, PIN_OR_PINS
 
 # How an extra of the user's own reads a name of the board file.
@@ -24,7 +25,6 @@ _OTHERS = {
     "OUTPUTS": "outputs for custom.py",
     "INPUTS": "inputs for custom.py",
 }
-_NEEDED_AXES = 3
 
 # Pins of an SPI: what is left by 4 of its clock, what it sends at, what it reads at; by turns one
 # SPI has so many of them, and the other.
@@ -164,12 +164,13 @@ def _held(board: ModuleType) -> Iterator[tuple[str, tuple[int, ...]]]:
 
 def _pins(board: ModuleType, chip: Chip) -> Iterator[str]:
     """No pin twice, pins that exist, as many as the engine needs."""
-    if len(board.STEP) < _NEEDED_AXES:
-        yield f"STEP wants {_NEEDED_AXES} pins, for {AXES[:_NEEDED_AXES]}"
+    letters = motors.letters(board)
+    if motors.count_axes(letters) < FEWEST_AXES:
+        yield f"STEP wants {FEWEST_AXES} pins, for {AXES[:FEWEST_AXES]}"
     if len(getattr(board, "CONTROL", (None,) * 4)) != len(CONTROLS):
         yield "CONTROL wants four entries, for reset, hold, start and door; None where not wired"
     items = {item.name: item for item in ITEMS}
-    known = Board(board.__name__, chip)
+    known = Board(board.__name__, chip, getattr(board, "MOTORS", ""))
     for name, pins in _held(board):
         # An enable per driver is as good as one for all.
         if name in items and not (name == "ENABLE" and len(pins) > 1):
@@ -200,7 +201,7 @@ def _inputs(board: ModuleType, chip: Chip) -> Iterator[str]:
     for pin in sorted(set(outputs)):
         if outputs.count(pin) > 1:
             yield f"output {pin} of the shift registers has two uses"
-    known = Board(board.__name__, chip, {"I2S": board.I2S})
+    known = Board(board.__name__, chip, pins={"I2S": board.I2S})
     for name, pins in _held(board):
         if name not in ("STEP", "DIR", "ENABLE"):
             yield from _loose(known, name, pins)
@@ -304,7 +305,8 @@ def _defaults(board: ModuleType) -> Iterator[str]:
     from ..grbl.messages import meaning
     from ..sim.rig import MemoryStore
 
-    settings = Settings(MemoryStore(), len(board.STEP), {})
+    axes = motors.count_axes(motors.letters(board))
+    settings = Settings(MemoryStore(), axes, {})
     settings.load()
     for number, value in getattr(board, "DEFAULTS", {}).items():
         try:

@@ -4,10 +4,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from .. import paths
+from ..sim import motors
 from . import engines
 from .chips import Chip
 
 AXES = "XYZA"
+FEWEST_AXES = 3
 
 Pins = tuple[int, ...]
 
@@ -24,10 +27,10 @@ class Item(NamedTuple):
 
 # In the order of the file, and of the questions.
 ITEMS = (
-    Item("STEP", "step pulses, a pin per axis", per_axis=True, needed=True, output=True),
-    Item("DIR", "directions, a pin per axis", per_axis=True, needed=True, output=True),
+    Item("STEP", "step pulses, a pin per motor", per_axis=True, needed=True, output=True),
+    Item("DIR", "directions, a pin per motor", per_axis=True, needed=True, output=True),
     Item("ENABLE", "enable of the motor drivers, all together", output=True),
-    Item("LIMIT", "limit switches, a pin per axis", per_axis=True),
+    Item("LIMIT", "limit switches, a pin per axis or motor", per_axis=True),
     Item("PROBE", "probe"),
     Item("RESET", "reset button"),
     Item("HOLD", "hold button"),
@@ -57,6 +60,7 @@ class Board:
 
     title: str
     chip: Chip
+    motors: str = ""  # the axis of each, where one has two
     pins: dict[str, Pins] = field(default_factory=dict)
     defaults: dict[int, float] = field(default_factory=dict)
 
@@ -65,6 +69,8 @@ class Board:
         lines = [f'"""{self.title}: {self.chip.title}."""', ""]
         lines += [f'MPY_ARCH = "{self.chip.mpy_arch}"', f'ENGINE = "{self.chip.engine}"']
         lines += [f'LINK = "{self.chip.link}"', ""]
+        if self.motors:
+            lines.append(f'MOTORS = "{self.motors}"  # the axis of each motor')
         for item in ITEMS:
             if item.name == CONTROLS[0]:
                 lines += self._controls()
@@ -98,10 +104,11 @@ class Board:
 
     def wiring(self) -> Iterator[tuple[int, str]]:
         """Every pin in use, and what is connected to it."""
+        names = motors.names(self.motors or AXES)
         for item in ITEMS:
-            for axis, pin in enumerate(self.pins.get(item.name, ())):
+            for motor, pin in enumerate(self.pins.get(item.name, ())):
                 what = item.question.partition(",")[0]
-                yield pin, f"{what} {AXES[axis]}" if item.per_axis else what
+                yield pin, f"{what} {names[motor]}" if item.per_axis else what
 
 
 def _tuple(pins: Sequence[int]) -> str:
@@ -125,12 +132,16 @@ def check_item(board: Board, item: Item, pins: Pins) -> None:
         if item.needed:
             raise BoardError(f"{item.name} is needed")
         return
-    axes = len(board.pins.get("STEP", pins))
-    wanted = axes if item.per_axis else 1
+    count = len(board.pins.get("STEP", pins)) if item.per_axis else 1
+    # A second motor need not have a switch.
+    wanted = {count, motors.count_axes(board.motors) or count} if item.name == "LIMIT" else {count}
     if item.name == "STEP" and len(pins) > board.chip.most_axes:
-        raise BoardError(f"{board.chip.engine} has pulses for {board.chip.most_axes} axes at most")
-    if len(pins) != wanted:
-        raise BoardError(f"{item.name} wants {wanted} pin{'s' * (wanted > 1)}, not {len(pins)}")
+        raise BoardError(
+            f"{board.chip.engine} has pulses for {board.chip.most_axes} motors at most"
+        )
+    if len(pins) not in wanted:
+        many = " or ".join(map(str, sorted(wanted)))
+        raise BoardError(f"{item.name} wants {many} pin{'s' * (many != '1')}, not {len(pins)}")
     used = {p: name for name, held in board.pins.items() if name != item.name for p in held}
     for count, pin in enumerate(pins):
         if pin not in board.chip.pins:
@@ -143,25 +154,37 @@ def check_item(board: Board, item: Item, pins: Pins) -> None:
             raise BoardError(f"{item.name} names pin {pin} twice")
 
 
+def check_motors(board: Board, letters: str) -> None:
+    """BoardError where these cannot be the axes of the motors that have step pins."""
+    paths.use_firmware()
+    from extras.ganged import count_axes
+
+    try:
+        count_axes(letters, len(board.pins["STEP"]))
+    except ValueError as error:
+        raise BoardError(str(error)) from error
+
+
 def check(board: Board) -> None:
     """BoardError for the first thing that is wrong with the whole of it."""
     if not board.title.isprintable() or set(board.title) & set('"\\'):
         raise BoardError("the title is one line without quotation marks and backslashes")
     for item in ITEMS:
         check_item(board, item, board.pins.get(item.name, ()))
+    if board.motors:
+        check_motors(board, board.motors)
     _check_defaults(board)
 
 
 def _check_defaults(board: Board) -> None:
-    from .. import paths
-
     paths.use_firmware()
     from base.errors import GrblError
     from base.settings import Settings
 
     from ..sim.rig import MemoryStore
 
-    settings = Settings(MemoryStore(), len(board.pins["STEP"]), {})
+    axes = motors.count_axes(board.motors) or len(board.pins["STEP"])
+    settings = Settings(MemoryStore(), axes, {})
     settings.load()
     for number, value in board.defaults.items():
         try:

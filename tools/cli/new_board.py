@@ -41,6 +41,10 @@ def command(
     pin: Annotated[
         list[str] | None, typer.Option(metavar="WHAT=PINS", help=f"WHAT: {_NAMES}.")
     ] = None,
+    motors: Annotated[
+        str | None,
+        typer.Option(metavar="LETTERS", help="The axis of each motor: XYZY has two on Y."),
+    ] = None,
     setting: Annotated[
         list[str] | None, typer.Option("--set", metavar="N=V", help="A default: 100=800.")
     ] = None,
@@ -79,6 +83,8 @@ def command(
         board = Board(title or name.replace("_", " ").capitalize(), _chip(console, chip, asking))
         for item in ITEMS:
             board.pins[item.name] = _one(console, board, item, given.get(item.name), asking)
+            if item.name == "STEP":
+                board.motors = _motors(console, board, motors, asking)
         board.defaults = _defaults(setting or [])
         new_board.check(board)
         _write(board, file)
@@ -128,6 +134,23 @@ def _one(console: Console, board: Board, item: Item, text: str | None, asking: b
             new_board.check_item(board, item, pins)
             return pins
         except BoardError as error:
+            console.print(f"[yellow]{escape(str(error))}", highlight=False)
+
+
+def _motors(console: Console, board: Board, text: str | None, asking: bool) -> str:
+    """The axis of each motor; "" where each has its own, as with three there is no question."""
+    own = new_board.AXES[: len(board.pins["STEP"])]
+    if text is None and (not asking or len(own) <= new_board.FEWEST_AXES):
+        return ""
+    while True:
+        question = "The axis of each motor, XYZY for two on Y"
+        letters = (typer.prompt(question, default=own) if text is None else text).upper()
+        try:
+            new_board.check_motors(board, letters)
+            return "" if letters == own else letters
+        except BoardError as error:
+            if text is not None:
+                raise
             console.print(f"[yellow]{escape(str(error))}", highlight=False)
 
 

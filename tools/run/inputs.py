@@ -99,7 +99,7 @@ class Inputs:
         from ..sim import motors
         from ..sim.switches import PlaceSwitch
 
-        if each.axis >= motors.axes(self._rig.board):
+        if each.axis >= motors.count_axes(motors.letters(self._rig.board)):
             raise ValueError(f"{each.name}: this machine has no axis {_AXES[each.axis]}")
         if getattr(self._rig.board, "COREXY", False) and each.axis < len("XY"):
             raise ValueError(f"{each.name}: motors A and B move both: say a place of Z")

@@ -52,8 +52,9 @@ class Recorder:
         self._rig = rig
         self._layout = layout
         self._motors = range(len(rig.board.STEP))
-        self._names = motors.names(rig.board)
-        self._axes = range(motors.axes(rig.board))
+        letters = motors.letters(rig.board)
+        self._names = motors.names(letters)
+        self._axes = range(motors.count_axes(letters))
         self._corexy = getattr(rig.board, "COREXY", False)
         self._planned = [0 for _ in self._motors]
         self._made = [0 for _ in self._motors]

@@ -4,21 +4,20 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-_LETTERS = "XYZABC"
+LETTERS = "XYZABC"
 
 
 def letters(board: "Any") -> str:
     """The axis of each motor: XYZY."""
-    return getattr(board, "MOTORS", "") or _LETTERS[: len(board.STEP)]
+    return getattr(board, "MOTORS", "") or LETTERS[: len(board.STEP)]
 
 
-def axes(board: "Any") -> int:
-    """How many axes there are; their motors come first."""
-    return len(set(letters(board)))
+def count_axes(of_motors: str) -> int:
+    """How many axes these are; their motors come first."""
+    return len(set(of_motors))
 
 
-def names(board: "Any") -> "tuple[str, ...]":
+def names(of_motors: str) -> "tuple[str, ...]":
     """X, Y, Z and, of a second motor, Y2."""
-    found = letters(board)
-    count = axes(board)
-    return tuple([found[i] if i < count else found[i] + "2" for i in range(len(found))])
+    axes = count_axes(of_motors)
+    return tuple([letter if i < axes else letter + "2" for i, letter in enumerate(of_motors)])

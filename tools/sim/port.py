@@ -23,9 +23,10 @@ CONTROLS_WITH_DOOR = ("reset", "", "start", "hold")
 def limit_names(board: "ModuleType") -> "tuple[str, ...]":
     """Limit inputs as recordings call them, in the bit order of Port.limits(): limit_x; "" where a
     second motor has none."""
-    names = ["limit_" + name.lower() for name in motors.names(board)]
+    letters = motors.letters(board)
+    names = ["limit_" + name.lower() for name in motors.names(letters)]
     wired = getattr(board, "LIMIT", ())
-    for motor in range(motors.axes(board), len(names)):
+    for motor in range(motors.count_axes(letters), len(names)):
         if motor >= len(wired) or wired[motor] is None:
             names[motor] = ""
     return tuple(names)
