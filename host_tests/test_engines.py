@@ -342,6 +342,28 @@ def test_a_locked_axis_stands_still_and_the_others_arrive(engine: str) -> None:
 
 
 @pytest.mark.parametrize("engine", WHOLE)
+def test_a_motor_locked_at_rest_stays_and_keeps_the_name_of_its_place(engine: str) -> None:
+    made = make(engine, "two on Y")
+    made.engine.lock(0b0010)
+    made.engine.set_position(array("i", [70, 80, 90, 100]))
+    made.go()
+    total = [sum(sign for _, sign in steps) for steps in planned(made)]
+    assert made.places() == [total[0], 0, total[2], total[3]] and total[3]
+    named = [70 + total[0], 80, 90 + total[2], 100 + total[3]]
+    assert made.position() == named
+    made.engine.stop()
+    made.engine.arm()
+    assert made.position() == named
+    before = made.places()
+    made.bench.planner.clear()
+    made.bench.line((1.0, 1.0, 1.0), 600.0)
+    made.bench.line((2.0, 2.0, 2.0), 600.0)
+    made.go()
+    gone = [at - was for at, was in zip(made.places(), before, strict=True)]
+    assert gone[1] == gone[3] and gone[1], "alive again"
+
+
+@pytest.mark.parametrize("engine", WHOLE)
 def test_a_hold_comes_to_rest_within_what_is_stated_and_loses_nothing(engine: str) -> None:
     made = make(engine, "diagonal")
     made.engine.start()

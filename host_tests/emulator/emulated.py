@@ -166,21 +166,24 @@ def steps(edges: "list[Edge]", axis: int) -> "list[tuple[float, int]]":
 
 
 class Odometer:
-    """Steps made on every axis since then, out of the recorded edges and the levels of DIR."""
+    """Steps made by every motor since then, out of the recorded edges and the levels of DIR."""
 
-    def __init__(self, pico: Pico) -> None:
+    def __init__(
+        self, pico: Pico, step: "tuple[int, ...]" = STEP, direction: "tuple[int, ...]" = DIR
+    ) -> None:
         self._pico = pico
-        self._signs = [1, 1, 1]
-        self._steps = [0, 0, 0]
+        self._step, self._direction = step, direction
+        self._signs = [1 for _ in step]
+        self._steps = [0 for _ in step]
 
     def read(self) -> "list[int]":
         """Take in the edges there are, and clear them."""
         for edge in self._pico.edges:
-            if edge.pin in DIR:
-                self._signs[DIR.index(edge.pin)] = -1 if edge.level else 1
-            elif edge.pin in STEP and edge.level:
-                axis = STEP.index(edge.pin)
-                self._steps[axis] += self._signs[axis]
+            if edge.pin in self._direction:
+                self._signs[self._direction.index(edge.pin)] = -1 if edge.level else 1
+            elif edge.pin in self._step and edge.level:
+                motor = self._step.index(edge.pin)
+                self._steps[motor] += self._signs[motor]
         self._pico.edges.clear()
         return list(self._steps)
 

@@ -1,0 +1,106 @@
+"""Two motors on an axis of the emulated Pico: squared at their switches, alive behind a stop."""
+
+from pathlib import Path
+
+import pytest
+from emulated import Board, Odometer, files_of
+from pico import Edge
+from test_pico_stack import RESERVE, SIZE, Stack
+from test_pico_talk import MAIN, free
+from ugrbl.boardfile.files import load_board
+
+pytestmark = pytest.mark.xdist_group("pico ganged")
+
+_BOARD = load_board("pico_gantry")
+_SETTINGS = (
+    *[f"${number + axis}={value}" for axis in range(3) for number, value in ((100, 100),)],
+    *[f"${number + axis}={value}" for axis in range(3) for number, value in ((110, 6000),)],
+    *[f"${number + axis}={value}" for axis in range(3) for number, value in ((120, 500),)],
+    *("$22=1", "$23=0", "$24=100", "$25=1200", "$26=5", "$27=0.5", "$171=0.3"),
+)
+# Where the switches close, in steps from where the machine begins: the second of Y later.
+_AT = (100, 100, 100, 160)
+_OFFSET = 30  # $171, in steps
+_HEAP = 95_000
+_TICK_NS = 80
+
+
+class Gantry:
+    """The board, and switches that close where its motors are."""
+
+    def __init__(self, uf2: Path) -> None:
+        files = {**files_of("pico_gantry"), "main.py": MAIN}
+        self.machine = Board(uf2, files)
+        for pin in _BOARD.LIMIT:
+            self.machine.pico.drive(pin, 1)
+        self.machine.pico.record([*_BOARD.STEP, *_BOARD.DIR])
+        self.machine.boot().settled()
+        self.odometer = Odometer(self.machine.pico, _BOARD.STEP, _BOARD.DIR)
+        self.edges: list[Edge] = []
+        for setting in _SETTINGS:
+            assert self.machine.ask(setting).endswith("ok\r\n"), setting
+        self._follow()
+
+    def _follow(self) -> None:
+        self.edges += self.machine.pico.edges
+        for pin, at, closes in zip(_BOARD.LIMIT, self.odometer.read(), _AT, strict=True):
+            self.machine.pico.drive(pin, 0 if at >= closes else 1)
+        self.machine.pico.at_us(1_000, self._follow)
+
+    def assert_alive(self) -> None:
+        """Every motor makes every step asked for."""
+        machine = self.machine
+        machine.pico.run_us(2_000)
+        before = self.odometer.read()
+        machine.ask("G91 F3000")
+        machine.ask("G1 X-1 Y-1.5 Z-2")
+        machine.ask("G4P.01")
+        machine.pico.run_us(2_000)
+        made = [at - was for at, was in zip(self.odometer.read(), before, strict=True)]
+        assert made == [-100, -150, -200, -150]
+
+
+@pytest.fixture(scope="module")
+def gantry(uf2: Path) -> Gantry:
+    return Gantry(uf2)
+
+
+def test_it_ends_square_at_its_two_switches(gantry: Gantry) -> None:
+    machine = gantry.machine
+    stack = Stack(machine)
+    stack.paint()
+    machine.ask("$H", limit_us=20_000_000)
+    assert stack.used() <= SIZE - RESERVE
+    _, y, _, y2 = gantry.odometer.read()
+    assert abs(y - (_AT[1] - 50)) <= 1
+    assert abs(y2 - y - (_AT[3] - _AT[1] - _OFFSET)) <= 1
+    assert machine.status()["MPos"] == "-0.500,-0.500,-0.500"
+    gantry.assert_alive()
+
+
+def test_both_motors_of_an_axis_step_at_the_same_time(gantry: Gantry) -> None:
+    gantry.edges.clear()
+    gantry.assert_alive()
+    y, y2 = (
+        [edge.ns for edge in gantry.edges if edge.pin == _BOARD.STEP[motor] and edge.level]
+        for motor in (1, 3)
+    )
+    assert len(y) == len(y2) == 150
+    assert max(abs(a - b) for a, b in zip(y, y2, strict=True)) <= _TICK_NS
+
+
+@pytest.mark.parametrize("ms", [150, 420, 700])
+def test_behind_a_reset_in_the_middle_all_motors_are_alive(gantry: Gantry, ms: int) -> None:
+    machine = gantry.machine
+    machine.forget()
+    machine.send("$H\n")
+    machine.pico.run_us(ms * 1000)
+    machine.send("\x18")
+    machine.wait_for("ALARM:6")
+    machine.wait_for("Grbl 1.1h")
+    machine.ask("$X")
+    gantry.assert_alive()
+
+
+def test_ninety_five_kilobytes_of_heap_are_free(gantry: Gantry) -> None:
+    assert free(gantry.machine) >= _HEAP
