@@ -28,6 +28,7 @@ def names(board: "ModuleType", with_custom: bool) -> "list[str]":
     dialect = _known("DIALECT", option("DIALECT", "1.1"), _DIALECTS)
     tool = _known("TOOL", option("TOOL", "spindle"), _TOOLS)
     ganged = "ganged" if option("MOTORS", "") else ""
+    home_order = "home_order" if option("HOMING", ()) else ""
     jerk = "jerk" if option("JERK", False) else ""
     clusters = "clusters" if option("CLUSTERS", False) else ""
     drains = "drains" if option("COUNT_DRAINS", False) else ""
@@ -37,7 +38,7 @@ def names(board: "ModuleType", with_custom: bool) -> "list[str]":
     lenient = "lenient" if option("LENIENT", False) else ""
     # In this order: a laser's part in each row comes behind that of jerk, and what the user's own
     # take is theirs.
-    ours = dialect, ganged, jerk, tool, clusters, drains, jobs
+    ours = dialect, ganged, home_order, jerk, tool, clusters, drains, jobs
     return _ours(ours) + list(own) + _ours((custom, lenient))
 
 

@@ -146,7 +146,7 @@ OPTIONS = (
     Option("DIR", PINS, NEEDED, "Direction pins, one per motor."),
     Option(
         *("MOTORS", WORD, ""),
-        'The axis of each motor, where one has two: "XYZY". See docs/ganged.md.',
+        'The axis of each motor, where one has two: "XYZY". See docs/motors.md.',
     ),
     Option(
         *("ENABLE", PIN_OR_PINS, None),
@@ -264,6 +264,10 @@ OPTIONS = (
     Option(
         *("FORCE_SET_ORIGIN", SWITCH, False),
         "Homing sets 0 at the switch's pull-off; travel is positive where $23 is set.",
+    ),
+    Option(
+        *("HOMING", NAMES, ()),
+        'What $H homes, in order: ("Z", "XY"). Brings $44 to $49, see docs/motors.md.',
     ),
     Option("SINGLE_AXIS_HOMING", SWITCH, False, "$HX, $HY and $HZ home one axis."),
     Option("ECHO", SWITCH, False, "Every line is echoed as it was understood, for debugging."),

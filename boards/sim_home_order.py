@@ -1,0 +1,5 @@
+"""The simulator without a switch on Z: X and Y are homed, one after the other ($44 to $49)."""
+
+from boards.sim import *  # noqa: F403
+
+HOMING = ("X", "Y")

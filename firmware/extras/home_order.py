@@ -1,0 +1,80 @@
+"""Which axes $H homes, in which order and which together: HOMING = ("Z", "XY") in the board file.
+
+$44 to $49 say it while it runs, as in grblHAL: a mask of axes each, one after the other. What is
+in none of them is not homed: a laser without a switch on Z asks for HOMING = ("XY",). Where all
+are 0 the order is Grbl's own.
+"""
+
+from base import errors
+from base.axes import LETTERS
+from base.errors import GrblError
+from base.settings import INT
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    from base.settings import Rows
+    from interfaces import Options
+
+    from extras.api import Cnc
+
+_FIRST = const(44)
+_CYCLES: "Rows" = (  # attribute-names: column 1
+    # Homing cycle 1. The axes that are homed first, together: X = 1, Y = 2, Z = 4; 0: none.
+    (44, "home_first", INT, 0, "mask"),
+    # Homing cycle 2.
+    (45, "home_second", INT, 0, "mask"),
+    # Homing cycle 3.
+    (46, "home_third", INT, 0, "mask"),
+    # Homing cycle 4.
+    (47, "home_fourth", INT, 0, "mask"),
+    # Homing cycle 5.
+    (48, "home_fifth", INT, 0, "mask"),
+    # Homing cycle 6.
+    (49, "home_sixth", INT, 0, "mask"),
+)
+
+
+def prepare(options: "Options", board: "ModuleType") -> None:
+    """What the board file says holds as long as the settings say nothing else. ValueError where it
+    cannot be."""
+    words: "tuple[str, ...]" = board.__dict__["HOMING"]
+    if len(words) > len(_CYCLES):
+        raise ValueError("HOMING has %d parts: there may be %d" % (len(words), len(_CYCLES)))
+    masks = {}
+    seen = 0
+    for i, word in enumerate(words):
+        mask = 0
+        for letter in word:
+            axis = LETTERS[: options.axes].find(letter)
+            if axis < 0 or seen >> axis & 1:
+                raise ValueError("HOMING: %s is no axis, or there twice" % letter)
+            seen |= 1 << axis
+            mask |= 1 << axis
+        masks[_FIRST + i] = float(mask)
+    masks.update(options.defaults)
+    options.defaults = masks
+
+
+def install(cnc: "Cnc") -> None:
+    """Have $H go by them. Where only one axis is asked for ($HX) there is nothing to order."""
+    seek, settings = cnc.machine.seek, cnc.machine.settings
+    all_axes = (1 << cnc.machine.planner.axes) - 1
+    usual = seek.home
+
+    def home(axes: int) -> bool:
+        cycles = [getattr(settings, row[1]) for row in _CYCLES]
+        if axes or not any(cycles):
+            return usual(axes)
+        return all(usual(mask) for mask in cycles if mask)
+
+    def check(mask: float) -> None:
+        if not mask <= all_axes:
+            raise GrblError(errors.INVALID_STATEMENT)
+
+    seek.home = home  # type: ignore[method-assign]
+    cnc.add_settings(_CYCLES)
+    for row in _CYCLES:
+        cnc.check_setting(row[0], check)

@@ -1,0 +1,100 @@
+"""Which axes $H homes, and in which order."""
+
+from types import ModuleType
+from typing import Any
+
+import pytest
+from rig_bench import Machine
+from ugrbl.boardfile import board_check
+from ugrbl.boardfile.files import load_board
+from ugrbl.sim.engine import Switch
+
+_AT = 800
+_SETTINGS = {
+    22: 1,
+    24: 300,
+    25: 3000,
+    26: 5,
+    27: 1,
+    **{number + axis: value for number, value in ((110, 3000), (120, 400)) for axis in range(3)},
+}
+
+
+def homed(
+    settings: "dict[int, float] | None" = None, command: str = "$H", **options: Any
+) -> "tuple[Machine, list[str]]":
+    """A machine behind $H, and its axes in the order in which they met their switches."""
+    board = ModuleType("board")
+    board.__dict__.update({**vars(load_board("sim_home_order")), **options})
+    machine = Machine({**_SETTINGS, **(settings or {})}, board, watched=False)
+    found: list[str] = []
+    for axis, letter in enumerate("XYZ"):
+        machine.rig.engine.switches.append(Switch(f"limit_{letter.lower()}", axis, True, _AT))
+    update = machine.rig.port.update
+
+    def look() -> None:
+        update()
+        for letter in "XYZ":
+            if machine.rig.port.is_closed(f"limit_{letter.lower()}") and letter not in found:
+                found.append(letter)
+
+    machine.rig.engine.pins_changed = look
+    machine.play([command])
+    return machine, found
+
+
+def test_axes_are_homed_one_after_the_other_and_those_not_named_are_not() -> None:
+    machine, order = homed()
+    assert order == ["X", "Y"]
+    assert machine.reported() == [-1, -1, 0]
+    assert machine.physical()[2] == 0
+
+
+@pytest.mark.parametrize(
+    ("masks", "order"),
+    [
+        ((4, 1, 2), "ZXY"),
+        ((2, 0, 4, 0, 0, 1), "YZX"),
+        ((3, 4), "XYZ"),
+        ((0, 0), "ZXY"),  # none: Grbl's own
+    ],
+)
+def test_settings_say_it_while_it_runs(masks: "tuple[int, ...]", order: str) -> None:
+    settings = {44 + i: (masks + (0,) * 6)[i] for i in range(6)}
+    machine, found = homed(settings)
+    assert "".join(found) == order
+    assert machine.reported() == [-1, -1, -1]
+
+
+def test_one_axis_asked_for_is_homed_alone() -> None:
+    machine, order = homed(command="$HZ", SINGLE_AXIS_HOMING=True)
+    assert order == ["Z"] and machine.reported() == [0, 0, -1]
+
+
+def test_what_fails_ends_it() -> None:
+    machine, order = homed({130: 1}, HOMING=("X", "YZ"))
+    assert "ALARM:9" in machine.received and order == []
+    assert machine.physical()[1:] == [0, 0]
+
+
+def test_settings_are_masks_of_axes() -> None:
+    machine = Machine(board="sim_home_order", watched=False)
+    machine.play(["$44=8", "$45=7", "$44=-1", "$$"])
+    said = machine.received
+    assert [x for x in said if x == "ok" or "error" in x] == ["error:3", "ok", "error:4", "ok"]
+    assert "$44=1" in said and "$45=7" in said and "$49=0" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("XX",), "HOMING: X is no axis, or there twice"),
+        (("A",), "HOMING: A is no axis, or there twice"),
+        (("x",), "HOMING: x is no axis, or there twice"),
+        (("X",) * 7, "HOMING has 7 parts: there may be 6"),
+    ],
+)
+def test_what_cannot_be_is_told(words: "tuple[str, ...]", why: str) -> None:
+    board = ModuleType("board")
+    board.__dict__.update({**vars(load_board("sim")), "HOMING": words})
+    assert board_check.problems(board) == [why]
