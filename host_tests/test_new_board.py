@@ -125,7 +125,7 @@ def test_questions_are_asked_until_the_answers_fit(file: Path) -> None:
         ((*_PICO, "--title", 'my "best"'), "without quotation marks"),
         (
             ("--chip", "rp2040", "--pin", "step=0,1,2,3,4", "--pin", "dir=5,6,7,8,9"),
-            "pio has pulses for 4 axes at most",
+            "pio has pulses for 4 motors at most",
         ),
         (
             ("--chip", "esp32", "--pin", "step=34,13,14", "--pin", "dir=25,26,27"),
