@@ -159,6 +159,53 @@ def test_a_switch_that_is_not_found_is_an_alarm(switches: "dict[str, int]", alar
     assert_alive(gantry)
 
 
+def test_one_that_is_tried_again_racks_no_further() -> None:
+    """Until it is straightened by hand, and the board starts anew."""
+    gantry = Gantry(0, {}, {"limit_y2": _DEAD})
+
+    def script() -> Any:
+        yield from gantry.start()
+        for _ in range(4):
+            gantry.rig.link.send(b"$H\n")
+            yield gantry.rig.ms(12_000)
+            gantry.rig.link.send(b"$X\nG91 G1 Y-6 F3000\n")
+            yield gantry.rig.ms(3_000)
+        gantry.take()
+
+    gantry.run(script())
+    at = gantry.physical()
+    assert gantry.received.count("ALARM:10") == 4
+    assert 2500 < abs(at[1] - at[3]) <= 2600, "10 mm"
+
+
+@pytest.mark.parametrize("offset", [6, -6])
+def test_an_offset_beyond_what_may_be_racked_homes_again_and_again(offset: float) -> None:
+    gantry = Gantry(0, {171: offset, 130: 100})
+    told = gantry.told("$H", "G91 G1 Y-2 F3000", "$H", "G1 Y-2", "$H")
+    assert not any("ALARM" in line for line in told[2:])
+    _, y, _, y2 = gantry.physical()
+    assert abs(y - y2 - offset * _STEPS_PER_MM) <= 1
+
+
+@pytest.mark.parametrize("ms", range(1150, 1700, 50))
+def test_what_only_seems_to_be_a_switch_does_not_leave_it_racked(ms: int) -> None:
+    gantry = Gantry()
+
+    def script() -> Any:
+        yield from gantry.start()
+        gantry.rig.link.send(b"$H\n")
+        yield gantry.rig.ms(ms)
+        gantry.rig.port.push({"limit_y2": True})
+        yield gantry.rig.ms(2)
+        gantry.rig.port.push({"limit_y2": False})
+        yield gantry.rig.ms(6000)
+        gantry.take()
+
+    gantry.run(script())
+    _, y, _, y2 = gantry.physical()
+    assert "ALARM:9" in gantry.received or abs(y - y2) <= 1, gantry.received
+
+
 @pytest.mark.parametrize(
     ("settings", "mm"),
     [({130: 10}, 2.5), ({130: 1000}, 25), ({130: 200, 347: 1.5}, 3), ({130: 10, 348: 1}, 1)],
@@ -214,6 +261,30 @@ def test_the_second_motor_turns_as_the_settings_say() -> None:
         assert [gantry.physical()[motor] for motor in (1, 3)] == [250 * way for way in ways]
 
 
+def test_second_motors_are_never_turned_round_alone() -> None:
+    """Not for a moment: it would be a step of theirs."""
+    gantry = Gantry(0, {2: 2, 3: 2, 8: 2, 22: 0})
+    handed: "list[tuple[int, int]]" = []
+    configure = gantry.rig.engine.configure
+
+    def note(pulse_us: int, step_invert: int, dir_invert: int) -> None:
+        handed.append((step_invert, dir_invert))
+        configure(pulse_us, step_invert, dir_invert)
+
+    gantry.rig.engine.configure = note  # type: ignore[method-assign]
+    told = gantry.told("$10=3", "$2=255", "$3=0", "$2=0", "$$")
+    assert handed == [(0b1010, 0b0010)] * 2 + [(0b1111, 0b0010), (0b1111, 0b1000), (0, 0b1000)]
+    assert "$2=0" in told and "$3=0" in told and "$8=2" in told
+
+
+@pytest.mark.parametrize("kept", ["-11", "500", "-nan", "x"])
+def test_a_kept_offset_that_cannot_be_is_lost_with_the_others(kept: str) -> None:
+    gantry = Gantry()
+    gantry.rig.store.files["settings"].append(f"$171={kept}")
+    told = gantry.told("$$")
+    assert "error:7" in told and "$171=0.000" in told
+
+
 def test_an_offset_may_be_negative_and_is_kept() -> None:
     gantry = Gantry()
     told = gantry.told("$171=-0.75", "$171=11", "$170=-1", "$100=-1", "$171=x")
@@ -240,6 +311,8 @@ def test_what_a_gantry_has_kept_does_no_harm_on_another_board() -> None:
         ({"MOTORS": "XZYY"}, "MOTORS: XYZ first, then second motors: XYZY"),
         ({"MOTORS": "XYZB"}, "MOTORS: XYZA first, then second motors: XYZY"),
         ({"MOTORS": "XYZYY", "STEP": (0, 1, 2, 3, 4)}, "MOTORS: Y has more than two"),
+        ({"MOTORS": "XYXY"}, "MOTORS: XYZ first, then second motors: XYZY"),
+        ({"DEFAULTS": {171: 500}}, "DEFAULTS: $171 is 10 mm at the most"),
         ({"LIMIT": (0, None, 2, 3)}, "LIMIT: Y has its second switch only"),
         ({"COREXY": True}, "MOTORS: Y of a CoreXY has no second motor"),
     ],
@@ -249,7 +322,7 @@ def test_what_cannot_be_is_told(options: "dict[str, Any]", why: str) -> None:
 
 
 def test_z_of_a_corexy_may_have_two() -> None:
-    options: Any = SimpleNamespace(kinematics=Kinematics(3, COREXY))
+    options: Any = SimpleNamespace(kinematics=Kinematics(3, COREXY), defaults={})
     ganged.prepare(options, board(MOTORS="XYZZ"))
     assert options.axes == 3
     assert options.kinematics.moves == [*COREXY, 4, 4]

@@ -187,6 +187,11 @@ def test_a_file_of_unknown_origin_can_be_pushed_on_demand(bench: Bench, tmp_path
     assert ugrbl(bench, "push", file, "--yes", "--any-version").exit_code == 0
 
 
+def test_offsets_may_be_negative() -> None:
+    assert Settings.read("$171=-0.5\n").values == {171: "-0.5"}
+    assert meaning(171).name == "Y squaring offset"
+
+
 @pytest.mark.parametrize(
     ("text", "why"),
     [

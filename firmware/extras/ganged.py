@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from types import ModuleType
     from typing import Any
 
-    from base.settings import Rows
+    from base.settings import Row, Rows
     from interfaces import Options
 
     from extras.api import Cnc
@@ -45,26 +45,33 @@ _OFFSETS: "Rows" = (  # attribute-names: column 1
     # X squaring offset. The second motor goes so much further away from its switch than the first;
     # negative: the first.
     (170, "square_x_mm", FLOAT, 0.0, "millimeters"),
-    # Y squaring offset.
+    # Y squaring offset. As $170.
     (171, "square_y_mm", FLOAT, 0.0, "millimeters"),
-    # Z squaring offset.
+    # Z squaring offset. As $170.
     (172, "square_z_mm", FLOAT, 0.0, "millimeters"),
-    # A squaring offset.
+    # A squaring offset. As $170.
     (173, "square_a_mm", FLOAT, 0.0, "millimeters"),
 )
 _MOST_OFFSET_MM = const(10)
 _MOTORS_OF_AN_AXIS = const(2)
+_FEWEST_AXES = const(3)
+_MASKS = (2, 3)
 
 
 class GangedSettings(Settings):
-    """Settings, of which the squaring offsets may be negative."""
+    """Settings, of which the squaring offsets may be negative. $2 and $3 are of axes; what engines
+    are handed has a bit for each motor."""
+
+    pairs: "Pairs" = ()
 
     def _read(self, line: str) -> None:
-        number, _, amount = line.partition("=-")
-        if amount and self._is_offset(int(number[1:])):
-            self._assign(int(number[1:]), -float(amount))
-        else:
+        number, _, amount = line.partition("=")
+        if not self._is_offset(int(number[1:])):
             super()._read(line)
+        elif abs(float(amount)) <= _MOST_OFFSET_MM:
+            self._assign(int(number[1:]), float(amount))
+        else:
+            raise ValueError(line)
 
     def _assign(self, number: int, amount: float) -> None:
         if not self._is_offset(number):
@@ -77,6 +84,26 @@ class GangedSettings(Settings):
 
     def _is_offset(self, number: int) -> bool:
         return any(row[0] == number for row in self.rows if row in _OFFSETS)
+
+    def _announce(self, number: int) -> None:
+        self.step_invert = self._of_motors(self.step_invert, 0)
+        self.dir_invert = self._of_motors(
+            self.dir_invert,
+            self.ganged_dir_invert,  # type: ignore[attr-defined]
+        )
+        super()._announce(number)
+
+    def _of_motors(self, axes: int, turned: int) -> int:
+        """A bit for each motor, of a mask of axes; second ones the other way where turned."""
+        axes &= (1 << self._axes) - 1
+        motors = axes
+        for axis, motor in self.pairs:
+            motors |= ((axes ^ turned) >> axis & 1) << motor
+        return motors
+
+    def _shown(self, number: int, row: "Row") -> float:
+        amount = super()._shown(number, row)
+        return int(amount) & (1 << self._axes) - 1 if number in _MASKS else amount
 
 
 class GangedInputs(Inputs):
@@ -101,9 +128,16 @@ class GangedInputs(Inputs):
 
 
 class GangedSeek(Seek):
-    """Homing that squares."""
+    """Homing that squares. How far a pair is racked is told by the steps of its motors, which only
+    homing makes unequal: also behind one that has failed, until one succeeds or the board starts
+    anew."""
 
     pairs: "Pairs" = ()
+
+    def connect(self, pairs: "Pairs") -> None:
+        """Say which motors have a switch each."""
+        self.pairs = pairs
+        self._racked = [0 for _ in pairs]  # steps, up to where the present phase begins
 
     def home(self, axes: int) -> bool:
         """As Seek.home(). Refused where a switch of an axis that squares is closed: nobody knows
@@ -123,36 +157,55 @@ class GangedSeek(Seek):
                 axes |= 1 << motor
         super()._home(axes)
 
+    def _home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
+        """Before motors pull off, switches that have stopped them are still closed: what has only
+        seemed so would leave the axis racked."""
+        closed = self._inputs.limits()
+        for i, (axis, motor) in enumerate(self.pairs):
+            if axes >> axis & 1:
+                self._racked[i] += self._difference(axis, motor)
+                if not approach and not closed >> axis & closed >> motor & 1:
+                    self._state.alarm = errors.ALARM_HOMING_FAIL_APPROACH
+                    self._drive.reset()
+                    self._canon.service()  # which raises Abort
+        super()._home_phase(axes, approach, travel, rate)
+
+    def _difference(self, axis: int, motor: int) -> int:
+        """By how many steps the first motor of an axis has gone further than the second."""
+        self._engine.position(self._steps)
+        return self._steps[axis] - self._steps[motor]
+
     def _failed(self, approach: bool, axes: int) -> bool:
         if super()._failed(approach, axes) or not approach:
             return self._state.alarm != 0
-        made = self._steps
-        self._engine.position(made)
-        for axis, motor in self.pairs:
-            resolution = self._planner.steps_per_mm[axis]
-            racked = abs(made[axis] - made[motor])
-            if axes >> axis & 1 and racked > self._most_mm(axis) * resolution:
-                self._state.alarm = errors.ALARM_HOMING_FAIL_DUAL_APPROACH
+        for i, (axis, motor) in enumerate(self.pairs):
+            if axes >> axis & 1:
+                racked = abs(self._racked[i] + self._difference(axis, motor))
+                if racked > self._most_mm(axis) * self._planner.steps_per_mm[axis]:
+                    self._state.alarm = errors.ALARM_HOMING_FAIL_DUAL_APPROACH
         return self._state.alarm != 0
 
     def _most_mm(self, axis: int) -> float:
         """How far one motor may look for its switch alone."""
-        settings = self._settings
+        settings: "Any" = self._settings
         across = settings.max_travel[Y if axis == X else X]
-        most = across * settings.racking_percent / 100  # type: ignore[attr-defined]
-        most = max(most, settings.racking_least_mm)  # type: ignore[attr-defined]
-        return min(most, settings.racking_most_mm)  # type: ignore[attr-defined, no-any-return]
+        most: float = max(across * settings.racking_percent / 100, settings.racking_least_mm)
+        most = min(most, settings.racking_most_mm)
+        return most + abs(self._offset_mm(axis))  # which has made it so
+
+    def _offset_mm(self, axis: int) -> float:
+        offset: float = getattr(self._settings, _OFFSETS[axis][1])
+        return offset
 
     def _set_origin(self, axes: int) -> None:
-        settings = self._settings
-        for axis, motor in self.pairs:
+        for i, (axis, motor) in enumerate(self.pairs):
             if axes >> axis & 1:
-                offset: float = getattr(settings, _OFFSETS[axis][1])
+                offset = self._offset_mm(axis)
+                both = 1 << axis | 1 << motor
                 if offset:
                     self._engine.lock(1 << (axis if offset > 0 else motor))
-                    self._home_phase(
-                        1 << axis | 1 << motor, False, abs(offset), settings.homing_feed
-                    )
+                    super()._home_phase(both, False, abs(offset), self._settings.homing_feed)
+                self._racked[i] = 0
         super()._set_origin(axes)
 
 
@@ -162,7 +215,8 @@ def count_axes(letters: str, motors: int) -> int:
     axes = len(set(letters))
     if len(letters) != motors:
         raise ValueError("MOTORS has %d letters, and STEP %d pins" % (len(letters), motors))
-    if letters[:axes] != LETTERS[:axes]:
+    if axes < _FEWEST_AXES or letters[:axes] != LETTERS[:axes]:
+        axes = max(axes, _FEWEST_AXES)
         raise ValueError("MOTORS: %s first, then second motors: XYZY" % LETTERS[:axes])
     for letter in letters:
         if letters.count(letter) > _MOTORS_OF_AN_AXIS:
@@ -189,6 +243,9 @@ def prepare(options: "Options", board: "ModuleType") -> None:
             if limits[axis] is None:
                 raise ValueError("LIMIT: %s has its second switch only" % letters[motor])
             alone |= 1 << axis | 1 << motor
+    for row in _OFFSETS:
+        if not abs(options.defaults.get(row[0], 0.0)) <= _MOST_OFFSET_MM:
+            raise ValueError("DEFAULTS: $%d is %d mm at the most" % (row[0], _MOST_OFFSET_MM))
     options.kinematics = Kinematics(axes, moves, alone)
     options.settings, options.inputs, options.seek = GangedSettings, GangedInputs, GangedSeek
 
@@ -196,27 +253,16 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 def install(cnc: "Cnc") -> None:
     """Have the second motors turn as the settings say, and square the axes that can be."""
     machine: "Any" = cnc.machine
-    settings, engine, planner = machine.settings, machine.engine, machine.planner
+    settings, planner = machine.settings, machine.planner
     kinematics, axes = planner.kinematics, planner.axes
     pairs: "Pairs" = ()
     for motor in range(axes, planner.motors):
         pairs += ((kinematics.moves.index(kinematics.moves[motor]), motor),)
     squared = tuple([pair for pair in pairs if kinematics.alone >> pair[1] & 1])
+    settings.pairs = pairs
     machine.inputs.add(squared)
-    machine.seek.pairs = squared
+    machine.seek.connect(squared)
     cnc.add_settings(_INVERT)
     if squared:
         cnc.add_settings(_SQUARING)
         cnc.add_settings(tuple([_OFFSETS[axis] for axis, _ in squared]))
-
-    def configure() -> None:
-        """The motors' pins, once more, for $2 and $3 are of axes."""
-        mask = (1 << axes) - 1
-        step, direction = settings.step_invert & mask, settings.dir_invert & mask
-        turned = direction ^ settings.ganged_dir_invert
-        for axis, motor in pairs:
-            step |= (step >> axis & 1) << motor
-            direction |= (turned >> axis & 1) << motor
-        engine.configure(settings.step_pulse_us, step, direction)
-
-    settings.on_change(configure)

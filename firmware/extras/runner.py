@@ -115,6 +115,9 @@ class Runner:
     def _fail(self, what: str, fault: BaseException, may_move: bool) -> None:
         """A handler has failed: say so, and stop the machine."""
         machine = self._machine
+        # An interrupt that has come upon a full stack is taken away by MicroPython.
+        machine.port.attach(machine.drive)
+        machine.port.hear_limits(bool(machine.settings.hard_limits))
         lines = trace(fault)
         text = harmless("%s: %s" % (what, self.text(lines)))
         machine.commands.fault = text

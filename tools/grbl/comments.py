@@ -4,7 +4,8 @@ import ast
 
 from .. import paths
 
-_SETTINGS = "base/settings"
+# Behind what a table of settings begins with.
+_MARK = "# attribute-names: column 1"
 
 
 def source(module: str) -> str:
@@ -25,15 +26,16 @@ def above(module: str, line: int, what: str) -> str:
     return " ".join(words)
 
 
-def setting_comments() -> dict[int, str]:
-    """What is said above each row of the settings' table; ValueError if one has no comment."""
-    for node in ast.parse(source(_SETTINGS)).body:
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "_TABLE":
-            rows = [(ast.literal_eval(row.elts[0]), row.lineno) for row in _tuples(node.value)]
-            return {number: above(_SETTINGS, at, f"${number}") for number, at in rows}
-    raise ValueError(f"{_SETTINGS}.py has no _TABLE")
-
-
-def _tuples(rows: ast.expr) -> list[ast.Tuple]:
-    assert isinstance(rows, ast.Tuple)
-    return [row for row in rows.elts if isinstance(row, ast.Tuple)]
+def setting_comments(module: str = "base/settings") -> dict[int, str]:
+    """What is said above each row of a module's tables of settings; ValueError if one has no
+    comment."""
+    lines = source(module).splitlines()
+    found: dict[int, str] = {}
+    for node in ast.parse(source(module)).body:
+        if isinstance(node, ast.Assign | ast.AnnAssign) and lines[node.lineno - 1].endswith(_MARK):
+            assert isinstance(node.value, ast.Tuple)
+            for row in node.value.elts:
+                assert isinstance(row, ast.Tuple)
+                number = ast.literal_eval(row.elts[0])
+                found[number] = above(module, row.lineno, f"${number}")
+    return found

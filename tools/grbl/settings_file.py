@@ -8,6 +8,8 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import chain
+from math import isfinite
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +18,7 @@ from .comments import setting_comments
 from .gcode_file import name_of, read_bytes
 
 AXES = "XYZABC"
+_SIGNED = range(170, 180)  # squaring offsets
 
 # A setting with what may stand behind it: number and value.
 SETTING = re.compile(r"\$(\d+)\s*=\s*([^;( ]*)\s*(?:[;(].*)?")
@@ -134,7 +137,7 @@ class Change(NamedTuple):
 
 def _take(values: dict[int, str], line: int, number: int, value: str) -> None:
     try:
-        good = float(value) >= 0
+        good = isfinite(float(value)) and (float(value) >= 0 or number in _SIGNED)
     except ValueError:
         good = False
     if not good:
@@ -146,13 +149,20 @@ def _take(values: dict[int, str], line: int, number: int, value: str) -> None:
 
 @cache
 def _table() -> dict[int, Meaning]:
-    """Every setting of the firmware, axis by axis."""
+    """Every setting of the firmware, axis by axis, with those of extras that no other has."""
     paths.use_firmware()
     from base import settings
+    from extras import ganged, home_order, jerk
 
-    comments = setting_comments()
+    tables = {
+        "base/settings": settings._TABLE,
+        "extras/ganged": (*ganged._INVERT, *ganged._SQUARING, *ganged._OFFSETS),
+        "extras/home_order": home_order._CYCLES,
+        "extras/jerk": jerk._SETTINGS,
+    }
+    comments = {n: text for module in tables for n, text in setting_comments(module).items()}
     table = {}
-    for number, _, kind, _, unit in settings._TABLE:
+    for number, _, kind, _, unit in chain(*tables.values()):
         name, _, text = comments[number].translate(_NO_COMMENT).partition(". ")
         if kind == settings.AXIS:
             for axis, letter in enumerate(AXES):
