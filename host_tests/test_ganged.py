@@ -1,7 +1,9 @@
 """Two motors on an axis: how they home, square themselves, and are all alive afterwards."""
 
+import json
 import os
 import random
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -9,9 +11,12 @@ import pytest
 from extras import ganged
 from motion.kinematics import COREXY, Kinematics
 from rig_bench import Machine
+from typer.testing import CliRunner
 from ugrbl.boardfile import board_check
-from ugrbl.boardfile.files import load_board
+from ugrbl.boardfile.files import load, load_board
+from ugrbl.cli.app import app
 from ugrbl.compiling import build
+from ugrbl.paths import BOARDS
 from ugrbl.sim.engine import Switch
 
 _STEPS_PER_MM = 250
@@ -319,6 +324,50 @@ def test_what_a_gantry_has_kept_does_no_harm_on_another_board() -> None:
 )
 def test_what_cannot_be_is_told(options: "dict[str, Any]", why: str) -> None:
     assert board_check.problems(board(**options)) == [why]
+
+
+def test_a_second_motor_of_a_real_board_need_not_have_a_switch(tmp_path: Path) -> None:
+    text = (BOARDS / "pico_gantry.py").read_text()
+    without = tmp_path / "without.py"
+    without.write_text(text.replace("(9, 10, 11, 21)", "(9, 10, 11, None)"))
+    assert board_check.problems(load(without)) == []
+    file = tmp_path / "made.py"
+    words = ["new-board", "made", "--chip", "pico", "--motors", "xyzy", "-o", str(file)]
+    words += ["--pin", "step=2,3,4,19", "--pin", "dir=5,6,7,20", "--pin", "limit=9,10,11,none"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    made: Any = load(file)
+    assert (made.MOTORS, made.LIMIT) == ("XYZY", (9, 10, 11, None))
+
+
+@pytest.mark.parametrize(
+    ("name", "pins", "why"),
+    [
+        ("DIR", (2, 6, 4), "DIR wants 4 pins, not 3"),
+        ("LIMIT", (36, 35, 34, 39, 33), "LIMIT wants 4 pins, not 5"),
+    ],
+)
+def test_motors_behind_shift_registers_are_counted_too(
+    name: str, pins: "tuple[int, ...]", why: str
+) -> None:
+    made = ModuleType("board")
+    four = {"MOTORS": "XYZY", "STEP": (1, 5, 3, 9), "DIR": (2, 6, 4, 10)}
+    made.__dict__.update({**vars(load_board("mks_dlc32")), **four, name: pins})
+    assert why in board_check.problems(made)
+
+
+def test_a_switch_of_a_second_motor_can_be_put_where_one_likes(tmp_path: Path) -> None:
+    program = tmp_path / "h.nc"
+    program.write_text("$H\n")
+    words = ["run", str(program), "--board", "sim_ganged", "--json", str(tmp_path / "out.json")]
+    for setting in ("22=1", "24=100", "25=3000", "26=5", "111=3000", "121=400"):
+        words += ["--set", setting]
+    for place in ("limit_x=X2", "limit_z=Z2", "limit_y=Y2", "limit_y2=Y3"):
+        words += ["--input", place]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    steps = json.loads((tmp_path / "out.json").read_text())["steps_made"]
+    assert abs(steps["Y2"] - steps["Y"] - _STEPS_PER_MM) <= 2
 
 
 def test_z_of_a_corexy_may_have_two() -> None:

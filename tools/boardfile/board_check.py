@@ -187,6 +187,8 @@ def _pins(board: ModuleType, chip: Chip) -> Iterator[str]:
 def _loose(known: Board, name: str, pins: tuple[int, ...]) -> Iterator[str]:
     used = {pin: other for other, held in known.pins.items() for pin in held}
     for count, pin in enumerate(pins):
+        if pin is None:
+            continue
         if pin not in known.chip.pins:
             yield f"{name}: {known.chip.title} has no pin {pin} to connect to"
         elif pin in used:
@@ -201,6 +203,10 @@ def _inputs(board: ModuleType, chip: Chip) -> Iterator[str]:
     for pin in sorted(set(outputs)):
         if outputs.count(pin) > 1:
             yield f"output {pin} of the shift registers has two uses"
+    for name in ("DIR", "LIMIT"):
+        count = len(getattr(board, name, ()))
+        if count and (count > len(board.STEP) or (name == "DIR" and count < len(board.STEP))):
+            yield f"{name} wants {len(board.STEP)} pins, not {count}"
     known = Board(board.__name__, chip, pins={"I2S": board.I2S})
     for name, pins in _held(board):
         if name not in ("STEP", "DIR", "ENABLE"):

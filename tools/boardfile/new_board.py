@@ -12,7 +12,7 @@ from .chips import Chip
 AXES = "XYZA"
 FEWEST_AXES = 3
 
-Pins = tuple[int, ...]
+Pins = tuple[int | None, ...]  # None: not wired
 
 
 class Item(NamedTuple):
@@ -108,17 +108,22 @@ class Board:
         for item in ITEMS:
             for motor, pin in enumerate(self.pins.get(item.name, ())):
                 what = item.question.partition(",")[0]
+                if pin is None:
+                    continue
                 yield pin, f"{what} {names[motor]}" if item.per_axis else what
 
 
-def _tuple(pins: Sequence[int]) -> str:
+def _tuple(pins: Sequence[int | None]) -> str:
     return f"({', '.join(map(str, pins))}{',' if len(pins) == 1 else ''})"
 
 
 def read_pins(text: str) -> Pins:
-    """`2 3 4`, `2,3,4` or `GP2 GP3 GP4`."""
-    pins = []
+    """`2 3 4`, `2,3,4` or `GP2 GP3 GP4`; `None` where there is none."""
+    pins: list[int | None] = []
     for word in text.replace(",", " ").split():
+        if word.lower() == "none":
+            pins.append(None)
+            continue
         digits = word.upper().removeprefix("GPIO").removeprefix("GP").removeprefix("IO")
         if not digits.isdigit():
             raise BoardError(f"{word} is no pin: write its GPIO number")
@@ -144,6 +149,10 @@ def check_item(board: Board, item: Item, pins: Pins) -> None:
         raise BoardError(f"{item.name} wants {many} pin{'s' * (many != '1')}, not {len(pins)}")
     used = {p: name for name, held in board.pins.items() if name != item.name for p in held}
     for count, pin in enumerate(pins):
+        if pin is None:
+            if item.name != "LIMIT":
+                raise BoardError(f"{item.name}: None is for limit switches that are not there")
+            continue
         if pin not in board.chip.pins:
             raise BoardError(f"{item.name}: {board.chip.title} has no pin {pin} to connect to")
         if item.output and pin in board.chip.inputs_only:

@@ -36,16 +36,20 @@ class EndSwitch(Switch):
 
 
 class PlaceSwitch(Switch):
-    """Closed from a place on: above it, or below. mm: from where the machine begins."""
+    """Closed from a place on: above it, or below. mm: from where the machine begins. The limit
+    switch of a second motor goes with that."""
 
     def __init__(self, rig: "Rig", pin: str, axis: int, above: bool, mm: float) -> None:
-        super().__init__(pin, axis, above, 0)
+        names, letters = rig.port.limit_names, motors.letters(rig.board)
+        own = names.index(pin) if pin in names else axis
+        super().__init__(pin, own if letters[own] == letters[axis] else axis, above, 0)
         self._rig = rig
+        self._of = axis
         self._mm = mm
 
     @property
     def steps(self) -> int:
-        return int(self._mm * self._rig.controller.settings.steps_per_mm[self.axis])
+        return int(self._mm * self._rig.controller.settings.steps_per_mm[self._of])
 
     @steps.setter
     def steps(self, steps: int) -> None:
