@@ -54,6 +54,7 @@ MAKER = "_make_"  # keep-prefix: methods are looked for by it
 
 def pio(board: "ModuleType", link: "BoardLink") -> "Hardware":
     """State machines of a PIO."""
+    from pio import stack
     from pio.engine import PioEngine
     from pio.pins import GpioPort
 
@@ -72,19 +73,7 @@ def pio(board: "ModuleType", link: "BoardLink") -> "Hardware":
     engine.on_fault = port.kill
     forget("rp2")  # with our programs, which it has made, nearly 2 kB
     forget("pio.programs")
-    return engine, port, _watch_stack
-
-
-def _watch_stack() -> "Callable[[], str]":
-    """The user's Python, if there is some, leaves more of the stack to interrupts."""
-    from pio import stack
-
-    if "extras.custom" in sys.modules:
-        from pio import stack_room
-
-        stack_room.leave()
-        forget("pio.stack_room")
-    return stack.watch()
+    return engine, port, stack.watch
 
 
 def rmt(board: "ModuleType", link: "BoardLink") -> "Hardware":

@@ -37,15 +37,14 @@ def _untouched(words: ptr32, count: int) -> int:
     return i
 
 
-def find_top() -> int:
-    """Where it begins."""
-    return _TOP_2350 if "RP2350" in sys.implementation._machine else _TOP
+def _bottom() -> int:
+    return (_TOP_2350 if "RP2350" in sys.implementation._machine else _TOP) - SIZE
 
 
 def paint() -> None:
     """Begin anew: what lies below the present depth has not been used."""
     free = SIZE - micropython.stack_use() - _CALLS
-    _fill(find_top() - SIZE, free // 4)
+    _fill(_bottom(), free // 4)
 
 
 def watch() -> "Callable[[], str]":
@@ -56,7 +55,7 @@ def watch() -> "Callable[[], str]":
 
 def used() -> int:
     """Bytes of the stack that have been used at most since paint()."""
-    return SIZE - 4 * _untouched(find_top() - SIZE, SIZE // 4)
+    return SIZE - 4 * _untouched(_bottom(), SIZE // 4)
 
 
 def report() -> str:

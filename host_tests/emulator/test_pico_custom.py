@@ -146,7 +146,10 @@ def test_memory_or_stack_used_up_is_a_failure_like_others(
     ready: Board, line: str, name: str
 ) -> None:
     said = ready.ask(line, "Grbl 1.1h", 20_000_000)
-    assert re.search(rf"\[MSG:{line}: custom.py, line \d+, in {name}: \w+", said)
+    is_told = re.search(rf"\[MSG:{line}: custom.py, line \d+, in {name}: \w+", said)
+    # An interrupt may have come upon the full stack: MicroPython hangs as it tells of that, and
+    # the watchdog starts the chip anew.
+    assert is_told or (line == "M105" and "Uncaught exception in IRQ" in said)
     ready.ask("$X")
     assert "P1 Q0" in ready.ask("M100 P1")
 
