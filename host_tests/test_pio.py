@@ -347,7 +347,7 @@ def test_model_and_test_engines_agree_about_moves(name: str) -> None:
         into[:] = made or into
         return int(made is not None)
 
-    planner = SimpleNamespace(axes=AXES)
+    planner = SimpleNamespace(motors=AXES)
     stand_in: Any = SimpleNamespace(planner=planner, segments=SimpleNamespace(next=next_segment))
     by_arithmetic = _play_words(stand_in, 1)
     played = fed(rows).played()

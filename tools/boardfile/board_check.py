@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import Any
 
 from .. import paths
-from ..sim import motors
+from ..sim import motor_names
 from .chips import CHIPS, Chip, on_their_own
 from .engines import SIMULATOR, engines
 from .new_board import AXES, CONTROLS, FEWEST_AXES, ITEMS, Board, BoardError, check_item
@@ -164,8 +164,8 @@ def _held(board: ModuleType) -> Iterator[tuple[str, tuple[int, ...]]]:
 
 def _pins(board: ModuleType, chip: Chip) -> Iterator[str]:
     """No pin twice, pins that exist, as many as the engine needs."""
-    letters = motors.letters(board)
-    if motors.count_axes(letters) < FEWEST_AXES:
+    letters = motor_names.letters(board)
+    if motor_names.count_axes(letters) < FEWEST_AXES:
         yield f"STEP wants {FEWEST_AXES} pins, for {AXES[:FEWEST_AXES]}"
     if len(getattr(board, "CONTROL", (None,) * 4)) != len(CONTROLS):
         yield "CONTROL wants four entries, for reset, hold, start and door; None where not wired"
@@ -311,7 +311,7 @@ def _defaults(board: ModuleType) -> Iterator[str]:
     from ..grbl.messages import meaning
     from ..sim.rig import MemoryStore
 
-    axes = motors.count_axes(motors.letters(board))
+    axes = motor_names.count_axes(motor_names.letters(board))
     settings = Settings(MemoryStore(), axes, {})
     settings.load()
     for number, value in getattr(board, "DEFAULTS", {}).items():

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from .. import paths
-from ..sim import motors
+from ..sim import motor_names
 from . import engines
 from .chips import Chip
 
@@ -104,7 +104,7 @@ class Board:
 
     def wiring(self) -> Iterator[tuple[int, str]]:
         """Every pin in use, and what is connected to it."""
-        names = motors.names(self.motors or AXES)
+        names = motor_names.names(self.motors or AXES)
         for item in ITEMS:
             for motor, pin in enumerate(self.pins.get(item.name, ())):
                 what = item.question.partition(",")[0]
@@ -139,7 +139,9 @@ def check_item(board: Board, item: Item, pins: Pins) -> None:
         return
     count = len(board.pins.get("STEP", pins)) if item.per_axis else 1
     # A second motor need not have a switch.
-    wanted = {count, motors.count_axes(board.motors) or count} if item.name == "LIMIT" else {count}
+    wanted = (
+        {count, motor_names.count_axes(board.motors) or count} if item.name == "LIMIT" else {count}
+    )
     if item.name == "STEP" and len(pins) > board.chip.most_axes:
         raise BoardError(
             f"{board.chip.engine} has pulses for {board.chip.most_axes} motors at most"
@@ -192,7 +194,7 @@ def _check_defaults(board: Board) -> None:
 
     from ..sim.rig import MemoryStore
 
-    axes = motors.count_axes(board.motors) or len(board.pins["STEP"])
+    axes = motor_names.count_axes(board.motors) or len(board.pins["STEP"])
     settings = Settings(MemoryStore(), axes, {})
     settings.load()
     for number, value in board.defaults.items():

@@ -79,12 +79,8 @@ def command(
         check_outputs(json_file, file)
         if file.exists() and not force:
             raise BoardError(f"{file} is there already; --force replaces it")
-        given = _given(pin or [])
         board = Board(title or name.replace("_", " ").capitalize(), _chip(console, chip, asking))
-        for item in ITEMS:
-            board.pins[item.name] = _one(console, board, item, given.get(item.name), asking)
-            if item.name == "STEP":
-                board.motors = _motors(console, board, motors, asking)
+        _wire(console, board, _given(pin or []), motors, asking)
         board.defaults = _defaults(setting or [])
         new_board.check(board)
         _write(board, file)
@@ -92,7 +88,18 @@ def command(
         raise failed(error) from error
     _show(console, board, file)
     if json_file:
-        save_json({"file": str(file), "pins": board.pins, "defaults": board.defaults}, json_file)
+        found = {"pins": board.pins, "motors": board.motors, "defaults": board.defaults}
+        save_json({"file": str(file), **found}, json_file)
+
+
+def _wire(
+    console: Console, board: Board, given: dict[str, str], motors: str | None, asking: bool
+) -> None:
+    """Every pin, and behind those of steps what their motors move."""
+    for item in ITEMS:
+        board.pins[item.name] = _one(console, board, item, given.get(item.name), asking)
+        if item.name == "STEP":
+            board.motors = _motors(console, board, motors, asking)
 
 
 def _given(words: list[str]) -> dict[str, str]:

@@ -96,10 +96,10 @@ class Inputs:
             self.push(each.name, each.closed)
 
     def _switch(self, each: Rule) -> "Switch":
-        from ..sim import motors
+        from ..sim import motor_names
         from ..sim.switches import PlaceSwitch
 
-        if each.axis >= motors.count_axes(motors.letters(self._rig.board)):
+        if each.axis >= motor_names.count_axes(motor_names.letters(self._rig.board)):
             raise ValueError(f"{each.name}: this machine has no axis {_AXES[each.axis]}")
         if getattr(self._rig.board, "COREXY", False) and each.axis < len("XY"):
             raise ValueError(f"{each.name}: motors A and B move both: say a place of Z")

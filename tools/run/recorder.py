@@ -47,14 +47,14 @@ class Recorder:
     def __init__(self, rig: "Rig") -> None:
         from motion import layout
 
-        from ..sim import motors
+        from ..sim import motor_names
 
         self._rig = rig
         self._layout = layout
         self._motors = range(len(rig.board.STEP))
-        letters = motors.letters(rig.board)
-        self._names = motors.names(letters)
-        self._axes = range(motors.count_axes(letters))
+        letters = motor_names.letters(rig.board)
+        self._names = motor_names.names(letters)
+        self._axes = range(motor_names.count_axes(letters))
         self._corexy = getattr(rig.board, "COREXY", False)
         self._planned = [0 for _ in self._motors]
         self._made = [0 for _ in self._motors]

@@ -2,7 +2,7 @@
 
 from base.controls import EMERGENCY_STOP, LIMITS_AT, PROBE_AT
 
-from . import motors
+from . import motor_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -23,10 +23,10 @@ CONTROLS_WITH_DOOR = ("reset", "", "start", "hold")
 def limit_names(board: "ModuleType") -> "tuple[str, ...]":
     """Limit inputs as recordings call them, in the bit order of Port.limits(): limit_x; "" where a
     second motor has none."""
-    letters = motors.letters(board)
-    names = ["limit_" + name.lower() for name in motors.names(letters)]
+    letters = motor_names.letters(board)
+    names = ["limit_" + name.lower() for name in motor_names.names(letters)]
     wired = getattr(board, "LIMIT", ())
-    for motor in range(motors.count_axes(letters), len(names)):
+    for motor in range(motor_names.count_axes(letters), len(names)):
         if motor >= len(wired) or wired[motor] is None:
             names[motor] = ""
     return tuple(names)

@@ -1,7 +1,7 @@
 """Switches of a simulated machine: at both ends of each axis' travel, so that it can be homed, and
 wherever somebody wants one."""
 
-from . import motors
+from . import motor_names
 from .engine import Switch
 
 TYPE_CHECKING = False
@@ -21,7 +21,7 @@ class EndSwitch(Switch):
     def __init__(self, rig: "Rig", motor: int, above: bool) -> None:
         super().__init__(rig.port.limit_names[motor], motor, above, 0)
         self._rig = rig
-        self._of = motors.LETTERS.index(motors.letters(rig.board)[motor])
+        self._of = motor_names.LETTERS.index(motor_names.letters(rig.board)[motor])
 
     @property
     def steps(self) -> int:
@@ -40,7 +40,7 @@ class PlaceSwitch(Switch):
     switch of a second motor goes with that."""
 
     def __init__(self, rig: "Rig", pin: str, axis: int, above: bool, mm: float) -> None:
-        names, letters = rig.port.limit_names, motors.letters(rig.board)
+        names, letters = rig.port.limit_names, motor_names.letters(rig.board)
         own = names.index(pin) if pin in names else axis
         super().__init__(pin, own if letters[own] == letters[axis] else axis, above, 0)
         self._rig = rig
