@@ -16,6 +16,8 @@ from test_uf2 import after_a_drag, program, read_back, used_chip
 from test_uf2 import run as ugrbl_uf2
 from typer.testing import CliRunner
 from uf2_model import BASE, load
+from ugrbl import paths
+from ugrbl.boardfile import board_check
 from ugrbl.boardfile.files import board_file
 from ugrbl.cli import deploy as cli_deploy
 from ugrbl.cli.app import app
@@ -363,3 +365,11 @@ def test_somebody_elses_main_py_is_not_lost_to_what_is_frozen(
         put(board, made)
     put(board, made, replace=True)
     assert "main.py" not in board.disk
+
+
+def test_the_helper_wants_nothing_that_is_still_being_imported() -> None:
+    """It is there before all others, in whose first lines it stands."""
+    text = (paths.FIRMWARE / "base" / "frozen.py").read_text()
+    packages = {path.name for path in paths.FIRMWARE.iterdir() if path.is_dir()}
+    found = {name.partition(".")[0] for name in board_check.imports(text)}
+    assert not found & packages

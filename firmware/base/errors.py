@@ -128,8 +128,6 @@ MSG_NOT_KEPT = "Flash is full or worn: not kept"
 
 # What tells builds apart: `ugrbl build` writes it here, and `ugrbl decode` looks for its map.
 BUILD_ID = "--------"
-# And where it lies, if not in files: base/frozen.py says so.
-WHERE = ""
 
 
 class GrblError(Exception):

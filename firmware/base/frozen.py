@@ -9,15 +9,12 @@ from array import array
 import uctypes
 from micropython import const
 
-from base import errors
-
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 # What is frozen, as the build has it: the tools look for this in MicroPython's file, too.
 ABOUT = "ugrbl frozen: nothing"
-errors.WHERE = ", frozen"
 
 # Where a function's object has the address of its code, and a closure's that of the function.
 _CODE_AT = const(12)

@@ -1,5 +1,7 @@
 """The $ commands: one method each, found by a table."""
 
+import sys
+
 from base import errors
 from base import state as st
 from base.errors import GrblError
@@ -261,7 +263,8 @@ class Commands:
             self._report.build_info(kept[0] if kept else "", self._options)
             if is_long:
                 message = self._report.message
-                message("Build: " + errors.BUILD_ID + errors.WHERE)
+                where = ", frozen" if "base.frozen" in sys.modules else ""
+                message("Build: " + errors.BUILD_ID + where)
                 if self.health:
                     message(self.health())
                 if self.fault:
