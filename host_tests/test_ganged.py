@@ -17,6 +17,7 @@ from ugrbl.boardfile.files import load, load_board
 from ugrbl.cli.app import app
 from ugrbl.compiling import build
 from ugrbl.paths import BOARDS
+from ugrbl.run import inputs
 from ugrbl.sim.engine import Switch
 
 _STEPS_PER_MM = 250
@@ -368,6 +369,11 @@ def test_a_switch_of_a_second_motor_can_be_put_where_one_likes(tmp_path: Path) -
     assert done.exit_code == 0, done.output
     steps = json.loads((tmp_path / "out.json").read_text())["steps_made"]
     assert abs(steps["Y2"] - steps["Y"] - _STEPS_PER_MM) <= 2
+
+
+def test_a_switch_that_is_not_there_is_no_input_to_push() -> None:
+    names = inputs.names(Gantry(0, LIMIT=(0, 1, 2, None)).rig)
+    assert list(names) == ["probe", "limit_x", "limit_y", "limit_z", "reset", "hold", "start"]
 
 
 def test_z_of_a_corexy_may_have_two() -> None:

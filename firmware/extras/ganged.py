@@ -63,27 +63,26 @@ class GangedSettings(Settings):
     are handed has a bit for each motor."""
 
     pairs: "Pairs" = ()
+    offsets: "tuple[int, ...]" = ()  # their numbers
 
     def _read(self, line: str) -> None:
         number, _, amount = line.partition("=")
-        if not self._is_offset(int(number[1:])):
+        if int(number[1:]) not in self.offsets:
             super()._read(line)
-        elif abs(float(amount)) <= _MOST_OFFSET_MM:
+            return
+        try:
             self._assign(int(number[1:]), float(amount))
-        else:
+        except GrblError:
             raise ValueError(line)
 
     def _assign(self, number: int, amount: float) -> None:
-        if not self._is_offset(number):
+        if number not in self.offsets:
             super()._assign(number, amount)
             return
         if not abs(amount) <= _MOST_OFFSET_MM:
             raise GrblError(errors.INVALID_STATEMENT)
         row, axis = self.row(number)
         self._store_value(row, axis, amount)
-
-    def _is_offset(self, number: int) -> bool:
-        return any(row[0] == number for row in self.rows if row in _OFFSETS)
 
     def _announce(self, number: int) -> None:
         self.step_invert = self._of_motors(self.step_invert, 0)
@@ -264,5 +263,6 @@ def install(cnc: "Cnc") -> None:
     machine.seek.connect(squared)
     cnc.add_settings(_INVERT)
     if squared:
-        cnc.add_settings(_SQUARING)
-        cnc.add_settings(tuple([_OFFSETS[axis] for axis, _ in squared]))
+        rows = tuple([_OFFSETS[axis] for axis, _ in squared])
+        settings.offsets = tuple([row[0] for row in rows])
+        cnc.add_settings(_SQUARING + rows)

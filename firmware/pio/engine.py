@@ -220,10 +220,8 @@ class PioEngine:
         """Name the present place, also of motors that are locked. At rest only."""
         lanes = self._memory.lanes
         for i in range(len(self._step)):
-            at = pulses.LANE * i
-            lanes[at + pulses.END] = lanes[at + pulses.PLACE] = lanes[at + pulses.FROZEN] = steps[
-                i
-            ]
+            at, here = pulses.LANE * i, steps[i]
+            lanes[at + pulses.END] = lanes[at + pulses.PLACE] = lanes[at + pulses.FROZEN] = here
 
     @micropython.viper
     def _turn(self, _source: object) -> int:

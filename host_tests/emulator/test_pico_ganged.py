@@ -13,9 +13,11 @@ pytestmark = pytest.mark.xdist_group("pico ganged")
 
 _BOARD = load_board("pico_gantry")
 _SETTINGS = (
-    *[f"${number + axis}={value}" for axis in range(3) for number, value in ((100, 100),)],
-    *[f"${number + axis}={value}" for axis in range(3) for number, value in ((110, 6000),)],
-    *[f"${number + axis}={value}" for axis in range(3) for number, value in ((120, 500),)],
+    *[
+        f"${number + axis}={value}"
+        for number, value in ((100, 100), (110, 6000), (120, 500))
+        for axis in range(3)
+    ],
     *("$22=1", "$23=0", "$24=100", "$25=1200", "$26=5", "$27=0.5", "$171=0.3"),
 )
 # Where the switches close, in steps from where the machine begins: the second of Y later.

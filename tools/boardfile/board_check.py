@@ -164,8 +164,7 @@ def _held(board: ModuleType) -> Iterator[tuple[str, tuple[int, ...]]]:
 
 def _pins(board: ModuleType, chip: Chip) -> Iterator[str]:
     """No pin twice, pins that exist, as many as the engine needs."""
-    letters = motor_names.letters(board)
-    if motor_names.count_axes(letters) < FEWEST_AXES:
+    if motor_names.axes_of(board) < FEWEST_AXES:
         yield f"STEP wants {FEWEST_AXES} pins, for {AXES[:FEWEST_AXES]}"
     if len(getattr(board, "CONTROL", (None,) * 4)) != len(CONTROLS):
         yield "CONTROL wants four entries, for reset, hold, start and door; None where not wired"
@@ -311,8 +310,7 @@ def _defaults(board: ModuleType) -> Iterator[str]:
     from ..grbl.messages import meaning
     from ..sim.rig import MemoryStore
 
-    axes = motor_names.count_axes(motor_names.letters(board))
-    settings = Settings(MemoryStore(), axes, {})
+    settings = Settings(MemoryStore(), motor_names.axes_of(board), {})
     settings.load()
     for number, value in getattr(board, "DEFAULTS", {}).items():
         try:

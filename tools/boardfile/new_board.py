@@ -64,6 +64,11 @@ class Board:
     pins: dict[str, Pins] = field(default_factory=dict)
     defaults: dict[int, float] = field(default_factory=dict)
 
+    @property
+    def axes(self) -> int:
+        """How many there are; 0 before there are step pins."""
+        return motor_names.count_axes(self.motors) or len(self.pins.get("STEP", ()))
+
     def text(self) -> str:
         """The board file."""
         lines = [f'"""{self.title}: {self.chip.title}."""', ""]
@@ -139,9 +144,7 @@ def check_item(board: Board, item: Item, pins: Pins) -> None:
         return
     count = len(board.pins.get("STEP", pins)) if item.per_axis else 1
     # A second motor need not have a switch.
-    wanted = (
-        {count, motor_names.count_axes(board.motors) or count} if item.name == "LIMIT" else {count}
-    )
+    wanted = {count, board.axes or count} if item.name == "LIMIT" else {count}
     if item.name == "STEP" and len(pins) > board.chip.most_axes:
         raise BoardError(
             f"{board.chip.engine} has pulses for {board.chip.most_axes} motors at most"
@@ -194,8 +197,7 @@ def _check_defaults(board: Board) -> None:
 
     from ..sim.rig import MemoryStore
 
-    axes = motor_names.count_axes(board.motors) or len(board.pins["STEP"])
-    settings = Settings(MemoryStore(), axes, {})
+    settings = Settings(MemoryStore(), board.axes, {})
     settings.load()
     for number, value in board.defaults.items():
         try:

@@ -59,7 +59,8 @@ def names(rig: "Rig") -> dict[str, str]:
     from ..sim import port
 
     found = {name: f"pin_{pin}" for name, pin in getattr(rig.board, "INPUTS", {}).items()}
-    for name in (PROBE, *rig.port.limit_names, *port.CONTROLS):
+    limits = filter(None, rig.port.limit_names)  # "" is a motor without one
+    for name in (PROBE, *limits, *port.CONTROLS):
         found.setdefault(name, name)
     if getattr(rig.board, "SAFETY_DOOR", False):
         found.setdefault(DOOR, found.pop("hold"))  # whose place it takes, as on an Uno
@@ -99,7 +100,7 @@ class Inputs:
         from ..sim import motor_names
         from ..sim.switches import PlaceSwitch
 
-        if each.axis >= motor_names.count_axes(motor_names.letters(self._rig.board)):
+        if each.axis >= motor_names.axes_of(self._rig.board):
             raise ValueError(f"{each.name}: this machine has no axis {_AXES[each.axis]}")
         if getattr(self._rig.board, "COREXY", False) and each.axis < len("XY"):
             raise ValueError(f"{each.name}: motors A and B move both: say a place of Z")

@@ -52,9 +52,8 @@ class Recorder:
         self._rig = rig
         self._layout = layout
         self._motors = range(len(rig.board.STEP))
-        letters = motor_names.letters(rig.board)
-        self._names = motor_names.names(letters)
-        self._axes = range(motor_names.count_axes(letters))
+        self._names = motor_names.names(motor_names.letters(rig.board))
+        self._axes = range(motor_names.axes_of(rig.board))
         self._corexy = getattr(rig.board, "COREXY", False)
         self._planned = [0 for _ in self._motors]
         self._made = [0 for _ in self._motors]

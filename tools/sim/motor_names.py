@@ -17,6 +17,11 @@ def count_axes(of_motors: str) -> int:
     return len(set(of_motors))
 
 
+def axes_of(board: "Any") -> int:
+    """The same of a board file."""
+    return count_axes(letters(board))
+
+
 def names(of_motors: str) -> "tuple[str, ...]":
     """X, Y, Z and, of a second motor, Y2."""
     axes = count_axes(of_motors)

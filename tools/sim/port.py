@@ -23,10 +23,9 @@ CONTROLS_WITH_DOOR = ("reset", "", "start", "hold")
 def limit_names(board: "ModuleType") -> "tuple[str, ...]":
     """Limit inputs as recordings call them, in the bit order of Port.limits(): limit_x; "" where a
     second motor has none."""
-    letters = motor_names.letters(board)
-    names = ["limit_" + name.lower() for name in motor_names.names(letters)]
+    names = ["limit_" + name.lower() for name in motor_names.names(motor_names.letters(board))]
     wired = getattr(board, "LIMIT", ())
-    for motor in range(motor_names.count_axes(letters), len(names)):
+    for motor in range(motor_names.axes_of(board), len(names)):
         if motor >= len(wired) or wired[motor] is None:
             names[motor] = ""
     return tuple(names)

@@ -21,13 +21,13 @@ class EndSwitch(Switch):
     def __init__(self, rig: "Rig", motor: int, above: bool) -> None:
         super().__init__(rig.port.limit_names[motor], motor, above, 0)
         self._rig = rig
-        self._of = motor_names.LETTERS.index(motor_names.letters(rig.board)[motor])
+        self._number = motor_names.LETTERS.index(motor_names.letters(rig.board)[motor])
 
     @property
     def steps(self) -> int:
         settings = self._rig.controller.settings
-        half_mm = (settings.max_travel[self._of] + _SPARE_MM) / 2
-        steps = int(half_mm * settings.steps_per_mm[self._of])
+        half_mm = (settings.max_travel[self._number] + _SPARE_MM) / 2
+        steps = int(half_mm * settings.steps_per_mm[self._number])
         return steps if self.above else -steps
 
     @steps.setter
@@ -44,12 +44,12 @@ class PlaceSwitch(Switch):
         own = names.index(pin) if pin in names else axis
         super().__init__(pin, own if letters[own] == letters[axis] else axis, above, 0)
         self._rig = rig
-        self._of = axis
+        self._number = axis  # whose settings say how far a step goes
         self._mm = mm
 
     @property
     def steps(self) -> int:
-        return int(self._mm * self._rig.controller.settings.steps_per_mm[self._of])
+        return int(self._mm * self._rig.controller.settings.steps_per_mm[self._number])
 
     @steps.setter
     def steps(self, steps: int) -> None:
