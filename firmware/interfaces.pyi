@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import IO, Any, Protocol
 
 from base.settings import Settings
+from control.canon import Canon as MachineCanon
 from control.inputs import Inputs
 from control.seek import Seek
 from control.spindle import Spindle
@@ -332,6 +333,8 @@ class Options(Protocol):
     settings: type[Settings]
     inputs: type[Inputs]
     seek: type[Seek]
+    planner: type[Planner]
+    canon: type[MachineCanon]
     report: type[Report]  # or one that speaks another dialect
     spindle: type[Spindle]  # or a tool that is told the same
     reads: tuple[int, int, int]  # talk/lines.py

@@ -35,23 +35,23 @@ def test_a_plain_line_holds_nothing_that_could_be_wrong(
     text: str, modes: "tuple[int, bool, float]"
 ) -> None:
     mode, laser, feed = modes
-    known = array("i", [0] * (OFFSETS + 4))
-    known[AXES], known[MODE], known[LASER], known[FEED] = 4, mode, laser, bits(feed)
+    known = array("i", [0] * (OFFSETS + 6))
+    known[AXES], known[MODE], known[LASER], known[FEED] = 6, mode, laser, bits(feed)
     seen = read(bytearray(text.encode() + b"\0"), len(text), known)
     if seen <= 0:
         return
     found, fault = read_words(text)
     letters = [letter for letter, _ in found]
     assert not fault
-    assert set(letters) & set("XYZA")
+    assert set(letters) & set("XYZABC")
     assert len(set(letters)) == len(letters)
-    assert set(letters) <= set("GXYZAFNS")
+    assert set(letters) <= set("GXYZABCFNS")
     for letter, value in found:
-        bit = {"F": 4, "S": 5, "N": 8, "A": 3, "G": 6 + int(value)}.get(letter)
+        bit = {"F": 0, "S": 1, "N": 2, "G": 3 + int(value)}.get(letter)
         assert letter != "G" or value in (0, 1)
         assert letter not in "FNS" or value >= 0
         assert letter != "N" or value < 10_000_000
-        bit = ord(letter) - ord("X") if bit is None else bit
+        bit = "XYZABC".index(letter) + 5 if bit is None else bit
         is_new = {"F": value != feed, "G": bit and 1 << bit != mode}.get(letter, True)
         assert seen >> bit & 1 == is_new
         assert letter == "G" or known[VALUES + bit] & 0xFFFFFFFF == bits(value)

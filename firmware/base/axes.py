@@ -1,8 +1,7 @@
-"""Axes: their letters and the order in which they stand everywhere."""
+"""Axes: their numbers, in the order in which they stand everywhere."""
 
 from micropython import const
 
-LETTERS = "XYZA"
 X = const(0)
 Y = const(1)
 Z = const(2)

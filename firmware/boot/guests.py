@@ -29,16 +29,17 @@ def names(board: "ModuleType", with_custom: bool) -> "list[str]":
     tool = _known("TOOL", option("TOOL", "spindle"), _TOOLS)
     ganged = "ganged" if option("MOTORS", "") else ""
     home_order = "home_order" if option("HOMING", ()) else ""
-    jerk = "jerk" if option("JERK", False) else ""
-    clusters = "clusters" if option("CLUSTERS", False) else ""
     drains = "drains" if option("COUNT_DRAINS", False) else ""
     own: "tuple[str, ...]" = option("EXTRAS", ())
     custom = "custom" if with_custom else ""
-    jobs = "jobs" if option("JOBS", "") else ""
-    lenient = "lenient" if option("LENIENT", False) else ""
-    # In this order: a laser's part in each row comes behind that of jerk, and what the user's own
-    # take is theirs.
-    ours = dialect, ganged, home_order, jerk, tool, clusters, drains, jobs
+    # Those that have their option's name.
+    rotary, jerk, clusters, jobs, lenient = [
+        word.lower() if option(word) else ""
+        for word in ("ROTARY", "JERK", "CLUSTERS", "JOBS", "LENIENT")
+    ]
+    # In this order: which axes are homed comes before when; a laser's part in each row is behind
+    # that of jerk; and what the user's own take is theirs.
+    ours = dialect, ganged, rotary, home_order, jerk, tool, clusters, drains, jobs
     return _ours(ours) + list(own) + _ours((custom, lenient))
 
 

@@ -5,12 +5,14 @@ once the machine is built: a board forgets this module then.
 """
 
 from base.settings import Settings
+from control.canon import Canon
 from control.inputs import Inputs
 from control.seek import Seek
 from control.spindle import Spindle
 from language.block import HIGHEST_TOOL
 from language.words import LINE_LENGTH
 from micropython import const
+from motion.planner import Planner
 from talk.lines import READS
 from talk.report import Report
 
@@ -72,6 +74,8 @@ class Options:
         self.settings: "type[Settings]" = Settings
         self.inputs: "type[Inputs]" = Inputs
         self.seek: "type[Seek]" = Seek
+        self.planner: "type[Planner]" = Planner
+        self.canon: "type[Canon]" = Canon
         self.report: "type[Report]" = Report
         self.spindle: "type[Spindle]" = Spindle
         self.reads = READS  # which bytes are taken off a line

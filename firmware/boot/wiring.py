@@ -5,7 +5,6 @@ Nothing here is used once the machine is built: a board forgets this module then
 
 from base.axes import TOOL_LENGTH
 from base.state import State
-from control.canon import Canon
 from control.coolant import Coolant
 from control.coords import Coords
 from control.drive import Drive
@@ -17,7 +16,6 @@ from control.suspension import Suspension
 from language.block import Block
 from language.interpreter import Interpreter
 from micropython import const
-from motion.planner import Planner
 from motion.segments import Segments
 from talk.commands import Commands
 from talk.controller import Controller
@@ -74,7 +72,7 @@ def _make_basics(machine: Controller, options: Options, ring: "array[int] | None
     machine.settings.max_step_hz = options.max_step_hz
     machine.coords = Coords(machine.saves, axes, TOOL_LENGTH)
     machine.modes = Modes(axes)
-    machine.planner = Planner(axes, options.blocks, options.kinematics, state, ring)
+    machine.planner = options.planner(axes, options.blocks, options.kinematics, state, ring)
     machine.segments = Segments(machine.planner)
     machine.spindle = options.spindle(port, state, options.enable_pin)
     machine.coolant = Coolant(port, state)
@@ -107,7 +105,7 @@ def _make_motion(machine: Controller, options: Options) -> None:
         machine.port,
         machine.report,
     )
-    machine.canon = Canon(
+    machine.canon = options.canon(
         machine.state,
         machine.settings,
         machine.planner,

@@ -37,10 +37,12 @@ if TYPE_CHECKING:
 _DWELL_TICK_MS = const(50)
 _DWELL_TICKS_PER_S = const(20)
 
-# What judge() is told: how many axes, a mask of those whose travel lies above 0; floats: travel.
+# What judge() is told: how many axes; a mask of those that may not go above 0, and behind BELOW
+# of those that may not go below it; floats: travel.
 _AXES = const(0)
-_POSITIVE = const(1)
-_TRAVEL = const(2)
+SHUT = const(1)
+TRAVEL = const(2)
+BELOW = const(8)
 
 
 @micropython.viper
@@ -51,8 +53,8 @@ def judge(target: ptr32, travel: ptr32, flow: ptr32) -> int:
     for i in range(travel[_AXES]):
         mm = (target[i] & 0x3FFFFFFF) | ((signs[4 * i + 3] & 0x40) << 24)
         if mm:
-            above = (signs[4 * i + 3] >> 7) ^ 1
-            if mm > travel[_TRAVEL + i] or above != (travel[_POSITIVE] >> i) & 1:
+            side = i + ((signs[4 * i + 3] >> 7) << 3)
+            if mm > travel[TRAVEL + i] or (travel[SHUT] >> side) & 1:
                 found = OUTSIDE
     return found | int(full(flow))
 
@@ -95,13 +97,14 @@ class Canon:
         """Take over $23, $130 and the others of travel."""
         settings = self._settings
         travel = self.travel
-        travel[_POSITIVE] = settings.homing_dir_invert if self._positive_origin else 0
-        copy(settings.max_travel, memoryview(travel)[_TRAVEL:], self.planner.axes)
+        positive = settings.homing_dir_invert if self._positive_origin else 0
+        travel[SHUT] = 255 - positive | positive << BELOW
+        copy(settings.max_travel, memoryview(travel)[TRAVEL:], self.planner.axes)
         for i in range(self.planner.axes):
             least, greatest = -arcs.FARTHEST, arcs.FARTHEST
             if settings.soft_limits:
                 steps = settings.max_travel[i] * self.planner.steps_per_mm[i] + 0.5
-                least, greatest = (0, steps) if travel[_POSITIVE] >> i & 1 else (-steps, 0)
+                least, greatest = (0, steps) if positive >> i & 1 else (-steps, 0)
             arcs.limit(self._course, i, least, greatest)
 
     # Moves

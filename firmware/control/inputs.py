@@ -39,11 +39,11 @@ class Inputs:
         return self._port.limits() ^ self._limit_invert
 
     def closed(self) -> int:
-        """All that is closed, a bit each: probe, limits of four axes, door, reset, hold, start."""
+        """All that is closed, a bit each: probe, limits of six axes, door, reset, hold, start."""
         levels = (self._port.levels() ^ self._inverted) & self._watched
         if not levels:
             return 0  # as nearly always
-        return levels >> PROBE_AT | (levels & DOOR) << 2 | (levels & (RESET | HOLD | START)) << 6
+        return levels >> PROBE_AT | (levels & DOOR) << 4 | (levels & (RESET | HOLD | START)) << 8
 
     def estop(self) -> bool:
         """The emergency stop is pressed; never so where there is none."""

@@ -170,7 +170,7 @@ class Report09(Report):
         if words[-1] == ":":
             words += "{:08b}".format(int(value))
         elif key // 10 in _AXIS_SETTINGS:
-            words = "xyza"[key % 10] + _AXIS_SETTINGS[key // 10]
+            words = "xyzabc"[key % 10] + _AXIS_SETTINGS[key // 10]
         self._line("$%d=%s (%s)" % (key, number(value, decimals), words))
 
     def startup_run(self, text: str) -> bytes:

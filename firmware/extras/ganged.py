@@ -7,13 +7,15 @@ Numbers of settings are grblHAL's, that of the alarm for a switch not found in t
 """
 
 from base import errors
-from base.axes import LETTERS, X, Y
+from base.axes import X, Y
 from base.errors import GrblError
 from base.settings import FLOAT, INT, Settings
 from control.inputs import Inputs
 from control.seek import Seek
 from micropython import const
 from motion.kinematics import Kinematics
+
+from extras.letters import LETTERS
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -51,6 +53,10 @@ _OFFSETS: "Rows" = (  # attribute-names: column 1
     (172, "square_z_mm", FLOAT, 0.0, "millimeters"),
     # A squaring offset. As $170.
     (173, "square_a_mm", FLOAT, 0.0, "millimeters"),
+    # B squaring offset. As $170.
+    (174, "square_b_mm", FLOAT, 0.0, "millimeters"),
+    # C squaring offset. As $170.
+    (175, "square_c_mm", FLOAT, 0.0, "millimeters"),
 )
 _MOST_OFFSET_MM = const(10)
 _MOTORS_OF_AN_AXIS = const(2)

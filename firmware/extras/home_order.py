@@ -6,10 +6,11 @@ are 0 the order is Grbl's own.
 """
 
 from base import errors
-from base.axes import LETTERS
 from base.errors import GrblError
 from base.settings import INT
 from micropython import const
+
+from extras.letters import LETTERS
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:

@@ -28,6 +28,8 @@ from micropython import const
 from motion.planner import SPINDLE_CW
 from talk.lines import LINE, clean, feed
 
+from extras.letters import LETTERS
+
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from typing import IO, Any
@@ -42,11 +44,10 @@ _LINES = const(16)  # between two looks at real-time commands
 _DOLLAR = const(36)
 _ZERO = const(48)
 _NINE = const(57)
-_HOLD_IN_CLOSED = const(HOLD << 6)  # of Inputs.closed()
+_HOLD_IN_CLOSED = const(HOLD << 8)  # of Inputs.closed()
 _SLOW_MM_MIN = 100.0
 _SPIN_UP_S = const(4)
 _Z = const(2)
-_LETTERS = "XYZA"
 _COOLANTS = ("", "M8", "M7", "M7M8")  # by their mask
 
 
@@ -201,7 +202,7 @@ class Entry:
 
     def _word(self, axis: int, mm: float) -> str:
         """The middle of the step that the place is rounded to, so that it is this one exactly."""
-        return "%s%.5f" % (_LETTERS[axis], self._steps(axis, mm) / self._resolution(axis))
+        return "%s%.5f" % (LETTERS[axis], self._steps(axis, mm) / self._resolution(axis))
 
     def _resolution(self, axis: int) -> float:
         return self._machine.planner.steps_per_mm[axis]

@@ -19,6 +19,7 @@ from extras.api import work_zero
 from extras.gcode_text import clean, words_of
 from extras.handlers import Refused
 from extras.keep import Keep
+from extras.letters import LETTERS
 from extras.operator_pins import PinOperator, Stopped
 from extras.places import Place, Saved
 
@@ -41,7 +42,6 @@ STATES = {
     st.SLEEP: "Sleep",
 }
 _MM_PER_INCH = 25.4
-_LETTERS = "XYZA"
 _MOST_JOGS = const(4)  # asked for and not begun
 
 
@@ -165,7 +165,7 @@ class Operator(PinOperator):
         self.g("G21G90")
         found = ""
         for letter, number in words_of(text.replace("G53", "")):
-            axis = _LETTERS.find(letter)
+            axis = LETTERS.find(letter)
             if axis < 0 and letter != "F":
                 raise ValueError("m.probe: only axes and F go with G53, not %s" % letter)
             found += "%s%.4f" % (letter, number if axis < 0 else number - self._zero(axis))
@@ -190,7 +190,7 @@ class Operator(PinOperator):
         coords = self._machine.coords
         axes = ""
         for letter, number in words_of(clean(words)[:-1].decode()):
-            axis = _LETTERS.index(letter)
+            axis = LETTERS.index(letter)
             beyond = self._zero(axis) - coords.systems[coords.active][axis]
             axes += "%s%.4f" % (letter, at[axis] - number - beyond)
         with self.saved():
@@ -199,7 +199,7 @@ class Operator(PinOperator):
     def set_length(self, mm: float) -> None:
         """The tool is so long, as G43.1 says it; holds until a reset, or G49."""
         with self.saved():
-            self.g("G43.1%s%.4f" % (_LETTERS[self._machine.coords.length_axis], mm))
+            self.g("G43.1%s%.4f" % (LETTERS[self._machine.coords.length_axis], mm))
             for saved in self._open:
                 saved.keep_length()
 

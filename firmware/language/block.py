@@ -1,8 +1,7 @@
 """Block: the words of one line, taken in and given their places.
 
-Step one and two of the interpreter: begin with a copy of the modal state, then
-take in word after word. Refuses what is wrong with words as such: unknown
-ones, two of a group, one repeated. Touches nothing but itself.
+Step one and two of the interpreter: begin with a copy of the modal state, then take in word after
+word. Refuses what is wrong with words as such: unknown ones, two of a group, one repeated.
 """
 
 from array import array
@@ -114,22 +113,22 @@ GROUP_M7 = const(0x1000)  # spindle
 GROUP_M8 = const(0x2000)  # coolant
 GROUP_M9 = const(0x4000)  # override control
 
-# Value words, as bits of WORDS. X, Y, Z, A come first, one bit per axis.
-VALUE_LETTERS = b"XYZAIJKFLNPRST"
-AXIS_WORDS = const(0x000F)
-WORD_I = const(0x0010)
-WORD_IJK = const(0x0070)
-WORD_F = const(0x0080)
-WORD_L = const(0x0100)
-WORD_N = const(0x0200)
-WORD_P = const(0x0400)
-WORD_R = const(0x0800)
-WORD_S = const(0x1000)
-WORD_T = const(0x2000)
-_NOT_NEGATIVE = const(0x3680)  # F, N, P, S, T
-_BIT_A = const(3)
-_BIT_I = const(4)
-_BIT_T = const(13)
+# Value words, as bits of WORDS. X, Y, Z, A, B, C come first, one bit per axis.
+VALUE_LETTERS = b"XYZABCIJKFLNPRST"
+AXIS_WORDS = const(0x003F)
+WORD_I = const(0x0040)
+WORD_IJK = const(0x01C0)
+WORD_F = const(0x0200)
+WORD_L = const(0x0400)
+WORD_N = const(0x0800)
+WORD_P = const(0x1000)
+WORD_R = const(0x2000)
+WORD_S = const(0x4000)
+WORD_T = const(0x8000)
+_NOT_NEGATIVE = const(0xDA00)  # F, N, P, S, T
+_BIT_C = const(5)
+_BIT_I = const(6)
+_BIT_T = const(15)
 HIGHEST_TOOL = const(255)
 
 # The dictionary, in bytes, for take(). Its index, of which each block has its own, for boards
@@ -287,7 +286,7 @@ def take(
             bit = at[_INDEXED + letter - 65]
             if bit == _NO_LETTER:
                 return GCODE_UNSUPPORTED_COMMAND
-            if bit <= _BIT_A:
+            if bit <= _BIT_C:
                 xyz[bit] = value
             else:
                 singles[bit - _BIT_I] = value
@@ -315,6 +314,7 @@ class Block:
     ) -> None:
         self.ints = array("i", (0 for _ in range(MODAL_ROOM)))
         self.xyz = vector(axes)
+        self.lengths = range(axes)  # of its axes, those in mm or inches
         self.singles = vector(_SINGLES + 1)
         self.singles[_HIGHEST_TOOL] = highest_tool
         # What the checks find: the arc, and what G10, G28 and G30 are to keep or go to.

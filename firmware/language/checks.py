@@ -68,7 +68,7 @@ def check(modes: "Modes", coords: "Coords", block: "Block", jog: bool) -> None:
             raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
         unused &= ~b.WORD_P
     if ints[INCHES]:
-        for i in range(len(block.xyz)):
+        for i in block.lengths:
             to_mm(block.xyz, i)
     claim = ints[b.CLAIM]
     if claim == b.AXES_TOOL_LENGTH and ints[TOOL_LENGTH]:

@@ -7,7 +7,7 @@ one table of integers, which fast_path.py keeps. Called by the main loop only.
 
 import micropython
 from base.f32 import copy
-from base.singles import add_single, multiply
+from base.singles import add_single, to_mm
 from control import modes as md
 from control.canon import judge
 from control.spindle import ASKED, weigh
@@ -19,20 +19,21 @@ from motion.reals import per_second
 
 from language.words import number
 
-# What read() found: bits of its mask. Bits 0 to 3 are X, Y, Z and A.
-HAS_F = const(0x10)  # another feed rate than before
-HAS_S = const(0x20)
-HAS_G0 = const(0x40)  # G0, which was not in force
-HAS_G1 = const(0x80)
-HAS_N = const(0x100)
-MODES = const(0xC0)
-NEWS = const(0xF0)
+# What read() found: bits of its mask. Behind these are X, Y, Z, A, B and C.
+HAS_F = const(0x01)  # another feed rate than before
+HAS_S = const(0x02)
+HAS_N = const(0x04)
+HAS_G0 = const(0x08)  # G0, which was not in force
+HAS_G1 = const(0x10)
+MODES = const(0x18)
+NEWS = const(0x1B)
 ODD = const(-1)  # what is none of those, whatever is in force
-F = const(4)  # the same as bit numbers
-_S = const(5)
-_G0 = const(6)
-_N = const(8)
-_NO_LETTER = const(9)
+F = const(0)  # the same as bit numbers
+_S = const(1)
+_N = const(2)
+_G0 = const(3)
+X = const(5)
+_NO_LETTER = const(11)
 
 # What is known: how many axes there are (0: nothing is known), the motion in force (HAS_G0 or
 # HAS_G1), whether S goes with cutting motion, feed rate and spindle speed (bits of floats),
@@ -52,18 +53,18 @@ RATE = const(10)
 UNTOLD = const(0x3FFFFFFF)
 # the line's numbers, by their bit; whether they are inches; what is added to places, per axis.
 VALUES = const(11)
-IN_INCHES = const(20)
-CHANGES = const(21)  # as they were counted when this was known
-LACKS = const(22)  # whether the move lacks what is new
-INCH_MM = const(23)
-WAITS = const(24)  # whether room is all that the last line has lacked
-OFFSETS = const(25)
+_PLACES = const(VALUES + X)
+IN_INCHES = const(22)
+CHANGES = const(23)  # as they were counted when this was known
+LACKS = const(24)  # whether the move lacks what is new
+WAITS = const(25)  # whether room is all that the last line has lacked
+OFFSETS = const(26)
 
 
 @micropython.viper
 def read(text: ptr8, length: int, known: ptr32) -> int:
     """What a line holds if it does no more than move; ODD or 0 if it does, or if a word is wrong.
-    Such have G0 and G1, X to Z and A, F, N and S, each once at the most, the last three not
+    Such have G0 and G1, X to Z and A to C, F, N and S, each once at the most, the last three not
     negative. Returns a mask of axes and of what is new, the public names above.
     """
     signs = ptr8(known)
@@ -75,9 +76,9 @@ def read(text: ptr8, length: int, known: ptr32) -> int:
         if letter == 71:  # G
             bit = _G0
         elif letter >= 88 and letter <= 90:  # X, Y, Z
-            bit = letter - 88
-        elif letter == 65:  # A
-            bit = 3
+            bit = letter - 83
+        elif letter >= 65 and letter <= 67:  # A, B, C
+            bit = letter - 57
         elif letter == 70:  # F
             bit = F
         elif letter == 83:  # S
@@ -97,14 +98,14 @@ def read(text: ptr8, length: int, known: ptr32) -> int:
                 bit += 1
             elif value:
                 return ODD
-        elif bit > 3 and signs[4 * (VALUES + bit) + 3] & 128:
+        elif bit < X and signs[4 * (VALUES + bit) + 3] & 128:
             return 0
         elif bit == _N and value >> 7 >= 0x96312D:  # ten million
             return 0
         if (seen >> bit) & 1:
             return 0
         seen |= 1 << bit
-    if seen & 15 == 0 or (seen & 15) >> known[AXES]:
+    if seen < 1 << X or seen >> (X + known[AXES]):
         return 0
     mode = seen & MODES
     if mode == known[MODE]:
@@ -124,10 +125,10 @@ def read(text: ptr8, length: int, known: ptr32) -> int:
 def place(known: ptr32, seen: int, position: ptr32, target: ptr32) -> int:
     """Put the places of a line that has been read, offsets added, into target."""
     for i in range(known[AXES]):
-        if (seen >> i) & 1:
-            target[i] = known[VALUES + i]
+        if (seen >> (X + i)) & 1:
+            target[i] = known[_PLACES + i]
             if known[IN_INCHES]:
-                multiply(target, i, known, INCH_MM)
+                to_mm(target, i)
             if known[IS_RELATIVE]:
                 add_single(position, i, target, i)
             elif known[OFFSETS + i]:

@@ -66,7 +66,6 @@ class FastPath:
         self._target = vector(axes)
         self._known = array("i", (0 for _ in range(fk.OFFSETS + axes)))
         self._offsets = memoryview(self._known)[fk.OFFSETS :]
-        self._known[fk.INCH_MM] = 0x41CB3333  # the float 25.4
         self._asked = False  # the last line was one of these
         self.is_open = True
         planner = canon.planner
@@ -194,7 +193,7 @@ class FastPath:
         """A line changes motion mode, feed rate, or a laser's power."""
         modes, known = self._modes, self._known
         for i in range(2):
-            if seen >> (fk.F + i) & 1:
+            if seen >> i & 1:
                 copy(memoryview(known)[fk.VALUES + fk.F + i :], memoryview(modes.rates)[i:], 1)
         if seen & fk.HAS_F and known[fk.IN_INCHES]:
             to_mm(modes.rates, md.FEED)

@@ -177,7 +177,7 @@ class Arc:
         course: "array[int]",
     ) -> int:
         """Lay its course. Returns how many chords it takes; 0 and 1 mean a straight line."""
-        angle = self._sweep(start, target)
+        angle = self.sweep(start, target)
         chords = self._count(angle, tolerance)
         scale = self._scale(start, target, steps_per_mm)
         course[LEFT] = course[_KNOWN] = 0
@@ -193,7 +193,7 @@ class Arc:
             course[_SHEARS + 1] = FAR + int(f32(sine / ratio) * 2.0 ** (28 + shift))
         return chords if scale else 0
 
-    def _sweep(self, start: "array[float]", target: "array[float]") -> float:
+    def sweep(self, start: "array[float]", target: "array[float]") -> float:
         """The angle travelled, in radians."""
         a, b = self.plane
         from_0, from_1 = -self.centre_0, -self.centre_1

@@ -32,6 +32,7 @@ SPINDLE_MASK = const(0x30)
 ACCESSORY_MASK = const(0x330)
 
 _BIAS = const(0x20000000)
+_NO_DIRECTION = const(0x4000)  # see plan_kernel.limit()
 # Where the speed changes, a segment is cut into so many, of a millisecond and more.
 _SLICES = const(8)
 _SLOWEST_MM_S = 1 / 60
@@ -98,6 +99,7 @@ class Planner:
         self._feed = vector(1)
         for i in range(axes):
             self.position[i] = _BIAS
+            self.table[layout.LIMITS + 3 * axes + i] = _NO_DIRECTION
 
     def configure(
         self, settings: "Settings", tick_hz: int, segment_log2: int, step_hz: int

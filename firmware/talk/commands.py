@@ -44,7 +44,6 @@ _STARTUP = "startup"
 _BUILD_INFO = "build"
 STARTUP_LINES = const(2)
 _HIGHEST_SETTING = const(999)  # Grbl's end at 255, an extra's here
-_AXES = b"XYZ"
 _BUSY = const(st.RUN | st.HOLD)
 _JOG = const(74)  # $J
 _AT_ANY_TIME = b"\0$GCX"
@@ -238,8 +237,8 @@ class Commands:
             raise GrblError(errors.CHECK_DOOR)
         axes = 0
         if length > 2:
-            at = _AXES.find(line[2:3]) if length == 3 and self._single_axis_homing else -1
-            if at < 0:
+            at = b"XYZABC".find(line[2:3], 0, len(self._modes.position))
+            if at < 0 or length > 3 or not self._single_axis_homing:
                 raise GrblError(errors.INVALID_STATEMENT)
             axes = 1 << at
         self._state.enter(st.HOMING)

@@ -58,7 +58,9 @@ _WCO_IDLE = const(10)
 _WCO_BUSY = const(30)
 _OVERRIDE_IDLE = const(10)
 _OVERRIDE_BUSY = const(20)
-_LONGEST = const(216)  # status report, and 12 bytes for write()
+# A status report, and 12 bytes for write(): what is of no axis, and per axis place and offset.
+_LONGEST = const(112)
+_PER_AXIS = const(26)
 _VALUES = const(3)  # at once, in a form
 _MOVING = const(st.HOMING | st.RUN | st.HOLD | st.JOG | st.DOOR)
 
@@ -89,7 +91,7 @@ class Report:
         self._axes = axes
         self._line_numbers = line_numbers
         # A status report, and what it is made of.
-        self._text = bytearray(_LONGEST)
+        self._text = bytearray(_LONGEST + _PER_AXIS * axes)
         self._sent = 0  # the length of the last one, and its piece of the buffer
         self._piece = memoryview(self._text)
         self._ints = array("i", bytes(4 * (VALUES + _VALUES)))
@@ -122,7 +124,7 @@ class Report:
     def configure(self) -> None:
         """Take over $10 and $13: forms of digits.write(), which end with a 0."""
         settings = self._settings
-        self._form = b"#3,#3,#3,#3\0"[-3 * self._axes :]
+        self._form = (b",#3" * self._axes)[1:] + b"\0"
         self._speed_form = b"|FS:#0,#0\0"
         if settings.report_inches:
             self._form = self._form.replace(b"3", b"4")
@@ -258,7 +260,7 @@ class Report:
         if mask & _REPORT_BUFFERS:
             ints[VALUES] = planner.free()
             ints[VALUES + 1] = self._rx_free()
-        write(self._place_form, text, ints, self._in_inches(mm) if inches else mm)
+        write(self._place_form, text, ints, self.in_inches(mm) if inches else mm)
         if self._line_numbers:
             ints[VALUES] = planner.line_number()
             if ints[VALUES]:
@@ -271,7 +273,7 @@ class Report:
         closed = self._inputs.closed()
         if closed:
             ints[VALUES] = closed
-            write(b"|Pn:?P?X?Y?Z?A?D?R?H?S\0", text, ints, mm)
+            write(b"|Pn:?P?X?Y?Z?A?B?C?D?R?H?S\0", text, ints, mm)
         if state.wco_countdown and state.override_countdown:
             state.wco_countdown -= 1
             state.override_countdown -= 1
@@ -283,10 +285,11 @@ class Report:
         text, ints = self._text, self._ints
         write(name, text, ints, mm)
         if self._settings.report_inches:
-            mm = self._in_inches(mm)
+            mm = self.in_inches(mm)
         write(self._form, text, ints, mm)
 
-    def _in_inches(self, mm: "array[float]") -> "array[float]":
+    def in_inches(self, mm: "array[float]") -> "array[float]":
+        """Places in inches, of which there is one array."""
         for i in range(self._axes):
             self._shown[i] = mm[i] * INCH_PER_MM
         return self._shown

@@ -13,7 +13,7 @@ from .. import paths
 from ..sim import motor_names
 from .chips import CHIPS, Chip, on_their_own
 from .engines import SIMULATOR, engines
-from .new_board import AXES, CONTROLS, FEWEST_AXES, ITEMS, Board, BoardError, check_item
+from .new_board import CONTROLS, FEWEST_AXES, ITEMS, Board, BoardError, check_item
 from .options import BY_NAME, INVERTIBLE, PIN, PIN_OR_PINS
 
 # How an extra of the user's own reads a name of the board file.
@@ -165,7 +165,7 @@ def _held(board: ModuleType) -> Iterator[tuple[str, tuple[int, ...]]]:
 def _pins(board: ModuleType, chip: Chip) -> Iterator[str]:
     """No pin twice, pins that exist, as many as the engine needs."""
     if motor_names.axes_of(board) < FEWEST_AXES:
-        yield f"STEP wants {FEWEST_AXES} pins, for {AXES[:FEWEST_AXES]}"
+        yield f"STEP wants {FEWEST_AXES} pins, for {motor_names.LETTERS[:FEWEST_AXES]}"
     if len(getattr(board, "CONTROL", (None,) * 4)) != len(CONTROLS):
         yield "CONTROL wants four entries, for reset, hold, start and door; None where not wired"
     items = {item.name: item for item in ITEMS}

@@ -9,7 +9,6 @@ from ..sim import motor_names
 from . import engines
 from .chips import Chip
 
-AXES = "XYZA"
 FEWEST_AXES = 3
 
 Pins = tuple[int | None, ...]  # None: not wired
@@ -109,7 +108,7 @@ class Board:
 
     def wiring(self) -> Iterator[tuple[int, str]]:
         """Every pin in use, and what is connected to it."""
-        names = motor_names.names(self.motors or AXES)
+        names = motor_names.names(self.motors or motor_names.LETTERS)
         for item in ITEMS:
             for motor, pin in enumerate(self.pins.get(item.name, ())):
                 what = item.question.partition(",")[0]

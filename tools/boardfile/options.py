@@ -266,6 +266,10 @@ OPTIONS = (
         "Homing sets 0 at the switch's pull-off; travel is positive where $23 is set.",
     ),
     Option(
+        *("ROTARY", WORD, ""),
+        'Axes that turn, "A" or "AC": degrees in place of mm. See docs/motors.md.',
+    ),
+    Option(
         *("HOMING", NAMES, ()),
         'What $H homes, in order: ("Z", "XY"). Brings $44 to $49, see docs/motors.md.',
     ),

@@ -14,6 +14,7 @@ from ..boardfile import board_check, files, new_board
 from ..boardfile.chips import CHIPS, Chip
 from ..boardfile.new_board import ITEMS, Board, BoardError, Item, Pins
 from ..grbl.settings_file import as_line
+from ..sim import motor_names
 from .outputs import check_outputs, failed, save_json
 from .screen import summary
 
@@ -146,7 +147,7 @@ def _one(console: Console, board: Board, item: Item, text: str | None, asking: b
 
 def _motors(console: Console, board: Board, text: str | None, asking: bool) -> str:
     """The axis of each motor; "" where each has its own, as with three there is no question."""
-    own = new_board.AXES[: len(board.pins["STEP"])]
+    own = motor_names.LETTERS[: len(board.pins["STEP"])]
     if text is None and (not asking or len(own) <= new_board.FEWEST_AXES):
         return ""
     while True:

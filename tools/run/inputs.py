@@ -9,14 +9,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from ..sim.motor_names import LETTERS
+
 if TYPE_CHECKING:
     from ..sim.engine import Switch
     from ..sim.rig import Rig
 
 PROBE = "probe"
 DOOR = "door"
-_AXES = "XYZA"
-_PLACE = re.compile(r"([XYZA])([<>]?)(-?\d+(?:\.\d*)?)", re.IGNORECASE)
+_PLACE = re.compile(rf"([{LETTERS}])([<>]?)(-?\d+(?:\.\d*)?)", re.IGNORECASE)
 _TIME = re.compile(r"(\d+(?:\.\d*)?)(ms|s)")
 _WHEN = "on, off, a place (Z-30) or a time (2s)"
 
@@ -51,7 +52,7 @@ def rule(text: str) -> Rule:
     if not found[2] and not mm:
         raise ValueError(f"--input {text}: on which side of it? {found[1]}<0 or {found[1]}>0")
     above = found[2] == ">" if found[2] else mm > 0
-    return Rule(name, axis=_AXES.index(found[1].upper()), mm=mm, above=above)
+    return Rule(name, axis=LETTERS.index(found[1].upper()), mm=mm, above=above)
 
 
 def names(rig: "Rig") -> dict[str, str]:
@@ -101,7 +102,7 @@ class Inputs:
         from ..sim.switches import PlaceSwitch
 
         if each.axis >= motor_names.axes_of(self._rig.board):
-            raise ValueError(f"{each.name}: this machine has no axis {_AXES[each.axis]}")
+            raise ValueError(f"{each.name}: this machine has no axis {LETTERS[each.axis]}")
         if getattr(self._rig.board, "COREXY", False) and each.axis < len("XY"):
             raise ValueError(f"{each.name}: motors A and B move both: say a place of Z")
         return PlaceSwitch(self._rig, self.names[each.name], each.axis, each.above, each.mm)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ..sim.rig import Rig
 
 _WORD = re.compile(rb"([A-Z])([-+]?[\d.]*)")
-_AXES = frozenset(b"XYZA")
+_AXES = frozenset(b"XYZABC")
 _LETTERS = _AXES | frozenset(b"GFSN")
 _NO_WORDS, _PLAIN, _POWER, _FEED, _LONG_WAY = (
     "no_words_ms",

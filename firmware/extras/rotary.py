@@ -1,0 +1,231 @@
+"""Rotary axes: ROTARY = "A" in the board file. Where Grbl says mm, theirs are degrees.
+
+As NIST RS274NGC has them: a feed rate is that of X, Y and Z, in whose time the others come to
+their places; where only rotary axes move it is degrees per minute. No number of theirs is ever in
+inches. Travel 0 ($133 for A) means that the axis turns for ever. One without a limit switch stays
+where it is when the machine is homed.
+"""
+
+import math
+from array import array
+
+import micropython
+from base.axes import Z
+from base.f32 import copy
+from control.canon import BELOW, SHUT, TRAVEL, Canon
+from control.modes import INCHES
+from micropython import const
+from motion import arcs, layout, reals
+from motion.planner import Planner
+
+from extras.letters import LETTERS
+from extras.rotary_kernel import follow_turning, names_any, stretch
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import ModuleType
+    from typing import Any
+
+    from interfaces import Options
+    from language.block import Block
+    from motion.arcs import Arc
+    from motion.planner import Move
+
+    from extras.api import Cnc
+
+_FIRST = const(3)  # X, Y and Z are no rotary axes
+_TURN = 360.0
+_FAR = array("f", (3e38,))
+_INCH_PER_MM = 1 / 25.4
+# A line of these has no feed rate of its program's, or one that is of all its axes.
+_ITS_OWN_RATE = const(layout.RAPID_MOTION | layout.SYSTEM_MOTION | layout.INVERSE_TIME)
+
+
+class RotaryPlanner(Planner):
+    """A planner whose feed rates are those of the linear axes. What it plans knows of no
+    difference: rates and accelerations are along the way of all axes."""
+
+    linear = 0  # mask of axes
+    on_arc = reals.ONE  # how many times as long as its arc a helix is
+    block: "Block"
+
+    _times = reals.ONE
+
+    def line(self, target: "array[float]", move: "Move", power: int) -> bool:
+        """As Planner.line()."""
+        if not move.flags & _ITS_OWN_RATE:
+            times = stretch(target, self.table, self.ring, self.flow, self.linear)
+            if times == 0:
+                in_inches = self.block.ints[INCHES]
+                times = reals.real(_INCH_PER_MM) if in_inches else reals.ONE
+            self._times = times
+        planned = super().line(target, move, power)
+        self._times = reals.ONE
+        return planned
+
+    def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
+        """As Planner.chords()."""
+        if not move.flags & _ITS_OWN_RATE:
+            self._times = self.on_arc
+        found = super().chords(course, move, power, moves)
+        self._times = reals.ONE
+        return found
+
+    def rate(self, feed: float) -> int:
+        """As Planner.rate(), along the way of all axes."""
+        return reals.mul(super().rate(feed), self._times)
+
+
+class RotaryCanon(Canon):
+    """Functions of a machine with rotary axes."""
+
+    axes: "tuple[int, ...]" = ()
+    planner: "RotaryPlanner"
+
+    def configure(self) -> None:
+        """As Canon.configure(); axes without an end to their travel."""
+        super().configure()
+        for axis in self.endless():
+            self.travel[SHUT] &= ~(1 << axis | 1 << axis + BELOW)
+            copy(_FAR, memoryview(self.travel)[TRAVEL + axis :], 1)
+            arcs.limit(self._course, axis, -arcs.FARTHEST, arcs.FARTHEST)
+
+    def endless(self) -> "list[int]":
+        """Axes that turn for ever."""
+        return [axis for axis in self.axes if not self._settings.max_travel[axis]]
+
+    def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
+        """As Canon.arc(); but the time of G93 is kept to."""
+        timed = move.flags & layout.INVERSE_TIME
+        super().arc(start, target, arc, move)
+        move.flags |= timed
+        way = turns = 0.0
+        for i in range(len(start)):
+            if i in self.axes:
+                turns += (target[i] - start[i]) ** 2
+            elif i not in arc.plane:
+                way += (target[i] - start[i]) ** 2
+        way += (arc.radius * arc.sweep(start, target)) ** 2
+        self.planner.on_arc = reals.real(math.sqrt(1 + turns / way)) if way else reals.ONE
+
+
+def mask_of(letters: str, axes: int) -> int:
+    """The axes (a mask) that these letters are. ValueError where one cannot be."""
+    mask = 0
+    for letter in letters:
+        axis = LETTERS[:axes].find(letter)
+        if axis < _FIRST or mask >> axis & 1:
+            raise ValueError("ROTARY: %s is none of A, B, C here, or there twice" % letter)
+        mask |= 1 << axis
+    return mask
+
+
+_found: "dict[str, int]" = {}
+
+
+def prepare(options: "Options", board: "ModuleType") -> None:
+    """What a machine with rotary axes is made of. ValueError where they cannot be."""
+    option = board.__dict__.get
+    _found["rotary"] = rotary = mask_of(option("ROTARY", ""), options.axes)
+    limits: "tuple[int | None, ...]" = option("LIMIT", ())
+    for axis in range(min(len(limits), options.axes)):
+        if limits[axis] is not None:
+            rotary &= ~(1 << axis)
+    _found["without_switch"] = rotary
+    options.planner, options.canon = RotaryPlanner, RotaryCanon
+
+
+def install(cnc: "Cnc") -> None:
+    """Have the rotary axes homed, read and shown as such."""
+    machine: "Any" = cnc.machine
+    planner, canon, block = machine.planner, machine.canon, machine.interpreter.block
+    everything = (1 << planner.axes) - 1
+    rotary = _found["rotary"]
+    planner.linear = everything & ~rotary
+    planner.block = block
+    canon.axes = tuple([axis for axis in range(planner.axes) if rotary >> axis & 1])
+    block.lengths = [axis for axis in range(planner.axes) if not rotary >> axis & 1]
+    _home(machine, everything & ~_found["without_switch"])
+    _show(machine.report, canon.axes)
+    _read(machine, rotary)
+
+
+def _home(machine: "Any", homed: int) -> None:
+    """$H leaves axes without a switch alone. The switch of one without an end is searched for as
+    long as it takes to turn one and a half times: it has travel meanwhile."""
+    seek, settings, canon = machine.seek, machine.settings, machine.canon
+    usual: "Callable[[int], bool]" = seek.home
+
+    def home(axes: int) -> bool:
+        if axes == 0:
+            return home(1 << Z) and home(homed & ~(1 << Z))
+        endless = [axis for axis in canon.endless() if axes >> axis & 1]
+        for axis in endless:
+            settings.max_travel[axis] = _TURN
+        try:
+            return usual(axes)
+        finally:
+            for axis in endless:
+                settings.max_travel[axis] = 0.0
+
+    seek.home = home
+
+
+def _show(report: "Any", rotary: "tuple[int, ...]") -> None:
+    """Degrees stay degrees where reports are in inches."""
+    usual: "Callable[[array[float]], array[float]]" = report.in_inches
+
+    def in_inches(mm: "array[float]") -> "array[float]":
+        kept = [mm[axis] for axis in rotary]
+        shown = usual(mm)
+        for i in range(len(rotary)):
+            shown[rotary[i]] = kept[i]
+        return shown
+
+    report.in_inches = in_inches
+
+
+def _read(machine: "Any", rotary: int) -> None:
+    """Lines with words of rotary axes go a way of their own; in inches, the interpreter's."""
+    modal, fast = machine.modes.modal, machine.interpreter.fast
+    usual_follow: "Callable[[bytearray, int], int]" = fast.follow
+    usual_execute: "Callable[[bytearray, int], bool]" = fast.execute
+    letters, linear, memory = rotary >> _FIRST, machine.planner.linear, fast.memory()
+
+    @micropython.native
+    def follow(
+        line: bytearray,
+        length: int,
+        usual: "Callable[[bytearray, int], int]" = usual_follow,
+        names: "Callable[..., int]" = names_any,
+        letters: int = letters,
+        turning: "Callable[..., int]" = follow_turning,
+        memory: "tuple[Any, ...]" = memory,
+        linear: int = linear,
+    ) -> int:
+        if not names(line, length, letters):
+            return usual(line, length)
+        known, position, target, travel, table, ring, flow, speeds, changes, rates, _, _ = memory
+        return turning(
+            line,
+            length,
+            known,
+            position,
+            target,
+            travel,
+            table,
+            ring,
+            flow,
+            speeds,
+            changes,
+            rates,
+            linear,
+        )
+
+    def execute(line: bytearray, length: int) -> bool:
+        if modal[INCHES] and names_any(line, length, letters):
+            return False
+        return usual_execute(line, length)
+
+    fast.follow, fast.execute = follow, execute

@@ -1,0 +1,302 @@
+"""Six axes, and those that turn: what their numbers mean, how fast they go, where they end."""
+
+import math
+from collections.abc import Sequence
+from types import ModuleType
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rig_bench import Machine
+from ugrbl.boardfile import board_check
+from ugrbl.boardfile.files import load_board
+from ugrbl.sim.engine import Switch
+
+_PER_MM = 250
+_SWIFT = {
+    **{110 + i: 60000.0 for i in range(6)},
+    **{120 + i: 100000.0 for i in range(6)},
+}
+_ANSWERS = ("ok", "error:", "ALARM:", "[MSG:")
+
+
+def board(axes: int = 4, **options: Any) -> ModuleType:
+    """sim_rotary with so many axes and other options."""
+    made = ModuleType("board")
+    made.__dict__.update({**vars(load_board("sim_rotary")), "DEFAULTS": {}})
+    made.__dict__.update({"STEP": tuple(range(axes)), **options})
+    return made
+
+
+def played(
+    lines: Sequence[str],
+    settings: "dict[int, float] | None" = None,
+    axes: int = 4,
+    events: "Sequence[tuple[int, str]]" = (),
+    **options: Any,
+) -> Machine:
+    """A machine behind these lines."""
+    machine = Machine({**_SWIFT, **(settings or {})}, board(axes, **options))
+    machine.play(lines, events)
+    return machine
+
+
+def seconds(machine: Machine) -> float:
+    """How long it has moved, from the first row to the end of the last."""
+    engine = machine.rig.engine
+    first = machine.rows[0][0]
+    start, row = machine.rows[-1]
+    return float(start + row[0] - first) / engine.tick_hz
+
+
+def places(machine: Machine) -> "list[float]":
+    """Where the motors are, in units of 250 steps."""
+    return [steps / _PER_MM for steps in machine.physical()]
+
+
+# Six axes
+
+
+def test_six_axes_go_where_their_words_say_by_lines_jogs_arcs_and_stored_places() -> None:
+    lines = ["G0X1Y2Z3A4B5C6", "G28.1", "G2X3I1A5B7C9F500", "$J=G91C-1B-2A-3F900", "G90"]
+    machine = played([*lines, "G28", "G92A0", "$#", "$$"], axes=6, ROTARY="")
+    assert places(machine) == [1, 2, 3, 4, 5, 6]
+    assert machine.reported() == [1, 2, 3, 4, 5, 6]
+    told = machine.received
+    assert "[G28:1.000,2.000,3.000,4.000,5.000,6.000]" in told
+    assert "[G92:0.000,0.000,0.000,4.000,0.000,0.000]" in told
+    assert {f"${n}" for n in range(100, 136) if n % 10 < 6} <= {x.split("=")[0] for x in told}
+
+
+@pytest.mark.parametrize("axes", [3, 4, 5, 6])
+def test_letters_of_axes_that_are_not_there_are_refused(axes: int) -> None:
+    lines = [f"G0{letter}1" for letter in "XYZABC"]
+    told = played(lines, axes=axes, ROTARY="").received
+    answers = [x for x in told if x.startswith(_ANSWERS)]
+    assert answers[:6] == ["ok"] * axes + ["error:20"] * (6 - axes)
+
+
+def test_limit_switches_of_all_six_are_told_by_their_letters() -> None:
+    machine = Machine(board=board(6, ROTARY=""))
+    names = [f"limit_{letter}" for letter in "xyzabc"]
+    machine.rig.engine.switches += [Switch(name, i, True, 0) for i, name in enumerate(names)]
+    machine.rig.port.update()
+    machine.play([])
+    assert any("|Pn:XYZABC" in line for line in machine.received)
+
+
+def test_one_of_six_axes_is_homed_alone() -> None:
+    settings = {22: 1, 24: 300, 25: 3000, 26: 5, 27: 1, **{110 + i: 3000.0 for i in range(6)}}
+    machine = Machine(
+        {**settings, **{120 + i: 400.0 for i in range(6)}},
+        board(6, ROTARY="", SINGLE_AXIS_HOMING=True),
+    )
+    machine.rig.engine.switches.append(Switch("limit_c", 5, True, 800))
+    machine.play(["$HC"])
+    assert machine.reported() == [0, 0, 0, 0, 0, -1]
+
+
+# Rotary axes: rates
+
+
+def test_a_feed_rate_is_that_of_the_linear_axes_whatever_turns_beside_them() -> None:
+    alone = seconds(played(["G1X10F600"]))
+    assert alone == pytest.approx(1, rel=0.01)
+    for line in ("G1X10A90F600", "G1X10A-100F600", "G1X6Y8A45F600"):
+        assert seconds(played([line])) == pytest.approx(1, rel=0.01), line
+
+
+@given(
+    st.lists(st.integers(-400, 400), min_size=3, max_size=3),
+    st.lists(st.integers(-4000, 4000), min_size=2, max_size=2),
+    st.integers(50, 900),
+)
+def test_a_line_takes_as_long_as_the_standard_has_it(
+    way: "list[int]", turn: "list[int]", feed: int
+) -> None:
+    x, y, z = (each / 50 for each in way)
+    a, b = (each / 50 for each in turn)
+    length = math.hypot(x, y, z) or math.hypot(a, b)
+    rates = [abs(each) / length for each in (x, y, z, a, b)] if length else [1000.0]
+    if length < 1 or max(rates) * feed > 50000:
+        return
+    line = f"G1X{x}Y{y}Z{z}A{a}B{b}F{feed}"
+    assert seconds(played([line], axes=5, ROTARY="AB")) == pytest.approx(
+        length / feed * 60, rel=0.01
+    )
+
+
+def test_a_rotary_axis_alone_goes_in_degrees_a_minute_also_in_inches() -> None:
+    for lines in (["G1A36F720"], ["G20", "G1A36F720"], ["$J=G20A36F720"], ["$J=A36F720"]):
+        machine = played(lines)
+        assert seconds(machine) == pytest.approx(3, rel=0.01), lines
+        assert places(machine) == [0, 0, 0, 36]
+
+
+def test_a_helix_that_turns_an_axis_takes_as_long_as_its_arc() -> None:
+    for turn in (0, 90, -300):
+        machine = played([f"G2X20I10A{turn}F600"])
+        assert seconds(machine) == pytest.approx(math.pi * 10 / 10, rel=0.01), turn
+        assert places(machine) == [20, 0, 0, turn]
+
+
+def test_inverse_time_is_kept_to_by_lines_and_arcs() -> None:
+    for line in ("G93G1X10A90F30", "G93G1A90F30", "G93G2X20I10A90F30", "G93G2X20I10F30"):
+        assert seconds(played([line])) == pytest.approx(2, rel=0.01), line
+
+
+def test_a_feed_override_counts_for_lines_that_turn() -> None:
+    machine = played(["G1X40A90F600"], events=[(0, "\x92")] * 5)
+    assert seconds(machine) == pytest.approx(8, rel=0.02)
+
+
+def test_lines_behind_one_that_turns_have_their_own_rate() -> None:
+    machine = played(["G1X10A360F600", "X20", "Y10", "G2X40I10A0", "G1X50"])
+    assert seconds(machine) == pytest.approx(4 + math.pi, rel=0.01)
+
+
+# Numbers
+
+
+def test_degrees_are_never_inches() -> None:
+    machine = played(["G20", "G0X1A90", "G91", "X1A90", "G90", "G10L20P1A10", "$13=1", "$#", "?"])
+    assert places(machine) == [50.8, 0, 0, 180]
+    assert machine.reported() == [2, 0, 0, 180]
+    assert any(line.startswith("[G54:0.0000,0.0000,0.0000,170.0000]") for line in machine.received)
+
+
+def test_offsets_in_reports_in_inches_are_degrees() -> None:
+    machine = played(["G10L2P1X25.4A90", "$13=1", *["?"] * 40])
+    offsets = {line.split("WCO:")[1] for line in machine.received if "WCO:" in line}
+    assert any(each.startswith("1.0000,0.0000,0.0000,90.0000") for each in offsets)
+
+
+# Travel
+
+
+def stopped(line: str, settings: "dict[int, float]") -> "list[str]":
+    """What is said to a line, and to a reset behind it."""
+    return played(["$X", line], settings, events=[(5000, "\x18")]).received
+
+
+_LIMITED = {20: 1, 22: 1, 130: 100, 131: 100, 132: 100, 133: 0}
+
+
+def test_an_axis_without_travel_turns_for_ever_and_others_do_not() -> None:
+    turning = [
+        "$X",
+        "G0A5000",
+        "G1A-5000X-1F60000",
+        "G2X-3I-1A900F6000",
+        "G4P0",
+        "$J=G90A-7000F60000",
+    ]
+    machine = played(turning, _LIMITED)
+    assert places(machine) == [-3, 0, 0, -7000]
+    assert not any("ALARM" in line or "error" in line for line in machine.received)
+    for line, why in (
+        ("G0A5X1", "ALARM:2"),
+        ("$J=A5X1F100", "error:15"),
+        ("G2X8I4A9F900", "ALARM:2"),
+    ):
+        assert why in stopped(line, _LIMITED), line
+
+
+def test_a_rotary_axis_with_travel_ends_there() -> None:
+    assert "ALARM:2" in stopped("G0A-91", {**_LIMITED, 133: 90})
+    assert "ALARM:2" not in stopped("G0A-89", {**_LIMITED, 133: 90})
+
+
+_HOMING = {
+    22: 1,
+    24: 300,
+    25: 3000,
+    26: 5,
+    27: 1,
+    133: 0,
+    **{110 + i: 3000.0 for i in range(4)},
+    **{120 + i: 400.0 for i in range(4)},
+}
+
+
+@pytest.mark.parametrize(
+    ("limit", "command", "homed"),
+    [
+        ((), "$H", [-1, -1, -1, 0]),
+        ((0, 1, 2, None), "$H", [-1, -1, -1, 0]),
+        ((0, 1, 2, 3), "$H", [-1, -1, -1, -1]),
+        ((), "$HA", [0, 0, 0, -1]),
+    ],
+)
+def test_axes_that_turn_are_homed_where_they_have_a_switch(
+    limit: "tuple[int | None, ...]", command: str, homed: "list[float]"
+) -> None:
+    machine = Machine(_HOMING, board(LIMIT=limit, SINGLE_AXIS_HOMING=True))
+    for axis, letter in enumerate("xyza"):
+        machine.rig.engine.switches.append(Switch(f"limit_{letter}", axis, True, 800))
+    machine.play([command])
+    assert machine.reported() == homed
+    controller: Any = machine.rig.controller
+    assert controller.settings.max_travel[3] == 0
+
+
+def test_homing_that_fails_leaves_travel_as_it_was() -> None:
+    machine = Machine(_HOMING, board(SINGLE_AXIS_HOMING=True))
+    machine.play(["$HA"])
+    assert "ALARM:9" in machine.received
+    controller: Any = machine.rig.controller
+    assert controller.settings.max_travel[3] == 0
+
+
+# Board files
+
+
+@pytest.mark.parametrize("word", ["X", "B", "AA", "a"])
+def test_what_cannot_turn_is_told(word: str) -> None:
+    why = f"ROTARY: {word[-1]} is none of A, B, C here, or there twice"
+    assert board_check.problems(board(ROTARY=word)) == [why]
+
+
+def test_a_board_without_rotary_axes_takes_them_for_millimetres() -> None:
+    machine = played(["G20", "G1X1A1F100"], ROTARY="")
+    assert places(machine) == [25.4, 0, 0, 25.4]
+    assert seconds(machine) == pytest.approx(math.hypot(25.4, 25.4) / 2540 * 60, rel=0.02)
+
+
+# The shortest way of a line
+
+_words = st.tuples(
+    st.sampled_from(["", "G0", "G1", "G91", "G90", "G20", "G21", "S5", "N7"]),
+    st.lists(st.sampled_from("XYZAB"), unique=True, max_size=4),
+    st.integers(-300, 300),
+    st.sampled_from(["", "", "F600", "F601", "F0"]),
+)
+
+
+@given(st.lists(_words, min_size=1, max_size=8))
+def test_the_shortest_way_of_a_line_plans_what_the_interpreter_does(
+    drawn: "list[tuple[str, list[str], int, str]]",
+) -> None:
+    lines = [
+        word + "".join(f"{letter}{(place + 40 * i) / 10}" for i, letter in enumerate(letters)) + f
+        for word, letters, place, f in drawn
+    ]
+    rows = []
+    for shortest in (True, False):
+        machine = Machine(_SWIFT, board(5))
+        built = machine.rig.on_built
+
+        def forget(
+            built: Any = built, machine: Machine = machine, shortest: bool = shortest
+        ) -> None:
+            fast = machine.rig.controller.interpreter.fast
+            if not shortest:
+                fast.follow = lambda line, length: 0
+                fast.execute = lambda line, length: False
+            built()
+
+        machine.rig.on_built = forget
+        machine.play(["G1X-3F500", *lines])
+        rows.append([list(row) for _, row in machine.rows])
+    assert rows[0] == rows[1]
