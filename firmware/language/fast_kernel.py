@@ -7,7 +7,7 @@ one table of integers, which fast_path.py keeps. Called by the main loop only.
 
 import micropython
 from base.f32 import copy
-from base.singles import add_single, to_mm
+from base.singles import add_single, multiply
 from control import modes as md
 from control.canon import judge
 from control.spindle import ASKED, weigh
@@ -57,8 +57,9 @@ _PLACES = const(VALUES + X)
 IN_INCHES = const(22)
 CHANGES = const(23)  # as they were counted when this was known
 LACKS = const(24)  # whether the move lacks what is new
-WAITS = const(25)  # whether room is all that the last line has lacked
-OFFSETS = const(26)
+INCH_MM = const(25)
+WAITS = const(26)  # whether room is all that the last line has lacked
+OFFSETS = const(27)
 
 
 @micropython.viper
@@ -128,7 +129,7 @@ def place(known: ptr32, seen: int, position: ptr32, target: ptr32) -> int:
         if (seen >> (X + i)) & 1:
             target[i] = known[_PLACES + i]
             if known[IN_INCHES]:
-                to_mm(target, i)
+                multiply(target, i, known, INCH_MM)
             if known[IS_RELATIVE]:
                 add_single(position, i, target, i)
             elif known[OFFSETS + i]:

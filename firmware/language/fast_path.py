@@ -66,6 +66,7 @@ class FastPath:
         self._target = vector(axes)
         self._known = array("i", (0 for _ in range(fk.OFFSETS + axes)))
         self._offsets = memoryview(self._known)[fk.OFFSETS :]
+        self._known[fk.INCH_MM] = 0x41CB3333  # the float 25.4
         self._asked = False  # the last line was one of these
         self.is_open = True
         planner = canon.planner
