@@ -8,6 +8,7 @@ import pytest
 from ugrbl.boardfile.board_check import notes, problems
 from ugrbl.boardfile.chips import CHIPS
 from ugrbl.boardfile.files import boards, load_board
+from ugrbl.sim.replay import factory_store
 
 REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
 
@@ -171,6 +172,13 @@ def test_pins_that_have_a_say_at_start_are_told_of() -> None:
     assert wrover == ["STEP", "DIR"]
     assert notes(load_board("rpi_pico")) == notes(load_board("sim")) == []
     assert not any("pin 0 " in text or "pin 5 " in text for text in notes(load_board("mks_dlc32")))
+
+
+def test_two_boards_of_one_name_start_with_their_own_settings() -> None:
+    for steps in (100.0, 80.0):
+        board = ModuleType("board")
+        board.__dict__.update({**vars(load_board("sim")), "DEFAULTS": {100: steps}})
+        assert f"$100={steps:g}" in factory_store(board).files["settings"]
 
 
 def test_an_engine_is_what_its_board_needs() -> None:
