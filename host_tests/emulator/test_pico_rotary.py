@@ -1,0 +1,82 @@
+"""An axis that turns, on an emulated Pico with four motors: its steps, its time, what it costs."""
+
+import random
+from pathlib import Path
+
+import emulated
+import pytest
+from emulated import Board, Odometer
+from test_pico_stack import RESERVE, SIZE, Stack
+from test_pico_talk import MAIN, free
+from ugrbl.boardfile.files import load_board
+from ugrbl.compiling import build
+from ugrbl.paths import BOARDS
+
+pytestmark = pytest.mark.xdist_group("pico rotary")
+
+_GANTRY = load_board("pico_gantry")
+_PER_UNIT = (80, 80, 400, 50)
+_SETTINGS = (
+    *(f"${100 + axis}={steps}" for axis, steps in enumerate(_PER_UNIT)),
+    *("$110=6000", "$111=6000", "$112=3000", "$113=60000"),
+    *("$120=1000", "$121=1000", "$122=1000", "$123=10000", "$133=0"),
+)
+_HEAP = 95_000
+
+
+@pytest.fixture(scope="module")
+def machine(uf2: Path, tmp_path_factory: pytest.TempPathFactory) -> Board:
+    """pico_gantry with a rotary axis in place of the second motor."""
+    file = tmp_path_factory.mktemp("boards") / "pico_rotary.py"
+    gantry = (BOARDS / "pico_gantry.py").read_text("utf-8")
+    assert 'MOTORS = "XYZY"' in gantry
+    file.write_text(gantry.replace('MOTORS = "XYZY"', 'ROTARY = "A"'), "utf-8")
+    files = build.for_board(file).files
+    made = Board(uf2, {**dict.fromkeys(emulated.firmware()), **files, "main.py": MAIN})
+    made.boot().settled()
+    for setting in _SETTINGS:
+        assert made.ask(setting).endswith("ok\r\n"), setting
+    made.pico.record([*_GANTRY.STEP, *_GANTRY.DIR])
+    return made
+
+
+@pytest.fixture(scope="module")
+def odometer(machine: Board) -> Odometer:
+    return Odometer(machine.pico, _GANTRY.STEP, _GANTRY.DIR)
+
+
+def test_a_line_takes_the_time_of_its_linear_axes(machine: Board, odometer: Odometer) -> None:
+    """10 mm at 10 mm/s, and 360 degrees meanwhile; the other way 45 degrees at 90 per second."""
+    for line, seconds in (("G91 G1 X10 A360 F600", 1.0), ("A-45 F5400", 0.5)):
+        odometer.read()
+        machine.ask(line)
+        machine.ask("G4P.01", limit_us=3_000_000)
+        turned = [e.ns for e in machine.pico.edges if e.pin == _GANTRY.STEP[3] and e.level]
+        assert (turned[-1] - turned[0]) / 1e9 == pytest.approx(seconds, rel=0.06)
+
+
+def test_every_step_is_made_within_the_stack_there_is(machine: Board, odometer: Odometer) -> None:
+    """Lines of the kernel and of the interpreter, helices, in mm and inches."""
+    chance = random.Random(19)
+    made = odometer.read()
+    stack = Stack(machine)
+    stack.paint()
+    machine.ask("G91 G1 F3000")
+    for _ in range(60):
+        way = [chance.randrange(-40, 41) * 5 for _ in _PER_UNIT]  # steps
+        words = [
+            f"{axis}{n / per:.4f}" for axis, n, per in zip("XYZA", way, _PER_UNIT, strict=True)
+        ]
+        kind = chance.randrange(3)
+        if kind == 2:
+            way[:3] = 160, 0, 0
+            words = ["G2X2Y0I1J0", words[3]]
+        machine.ask(("G1", "S100 G1", "")[kind] + "".join(words))
+        made = [at + n for at, n in zip(made, way, strict=True)]
+    machine.ask("G4P.01", limit_us=5_000_000)
+    assert stack.used() <= SIZE - RESERVE
+    assert odometer.read() == made
+
+
+def test_ninety_five_kilobytes_of_heap_are_free(machine: Board) -> None:
+    assert free(machine) >= _HEAP
