@@ -4,12 +4,15 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from motion.layout import ROW_AXES, ROW_STRIDE
 from rig_bench import Machine
 from ugrbl.boardfile import board_check
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.engine import Switch
 
 _AT = 800
+_PER_MM = 250
+_MANY = 10  # steps of a row, for a rate
 _SETTINGS = {
     22: 1,
     24: 300,
@@ -21,7 +24,10 @@ _SETTINGS = {
 
 
 def homed(
-    settings: "dict[int, float] | None" = None, command: str = "$H", **options: Any
+    settings: "dict[int, float] | None" = None,
+    command: str = "$H",
+    stop_ms: int = 0,
+    **options: Any,
 ) -> "tuple[Machine, list[str]]":
     """A machine behind $H, and its axes in the order in which they met their switches."""
     board = ModuleType("board")
@@ -39,7 +45,7 @@ def homed(
                 found.append(letter)
 
     machine.rig.engine.pins_changed = look
-    machine.play([command])
+    machine.play([command], [(stop_ms, "\x18")] if stop_ms else [])
     return machine, found
 
 
@@ -75,6 +81,37 @@ def test_what_fails_ends_it() -> None:
     machine, order = homed({130: 1}, HOMING=("X", "YZ"))
     assert "ALARM:9" in machine.received and order == []
     assert machine.physical()[1:] == [0, 0]
+
+
+def rates(machine: Machine) -> "list[float]":
+    """The highest of each motor, mm/min."""
+    found = [0.0, 0.0, 0.0]
+    for _, row in machine.rows:
+        for axis in range(3):
+            count, first, last = row[ROW_AXES + axis * ROW_STRIDE :][:3]
+            if count > _MANY:
+                gap = (last - first) / (count - 1) / machine.rig.engine.tick_hz
+                found[axis] = max(found[axis], 60 / gap / _PER_MM)
+    return found
+
+
+def test_each_axis_has_a_rate_of_its_own() -> None:
+    homing = ("Z", "X", "Y")
+    machine, _ = homed({190: 600, 192: 1200}, HOMING=homing)
+    assert rates(machine) == pytest.approx([600, 3000, 1200], rel=0.02)
+
+
+def test_axes_homed_together_go_at_the_slowest_rate_of_theirs() -> None:
+    machine, _ = homed({190: 600, 191: 900}, HOMING=("Z", "XY"))
+    assert rates(machine) == pytest.approx([600, 600, 3000], rel=0.02)
+
+
+@pytest.mark.parametrize("ms", [50, 400])
+def test_behind_a_reset_the_rates_are_the_usual_ones(ms: int) -> None:
+    machine, _ = homed({180: 60, 190: 600}, stop_ms=ms)
+    assert "ALARM:6" in machine.received
+    machine.play(["$X", "$$"])
+    assert {"$24=300.000", "$25=3000.000", "$180=60.000", "$190=600.000"} <= {*machine.received}
 
 
 def test_settings_are_masks_of_axes() -> None:

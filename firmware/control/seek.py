@@ -153,15 +153,16 @@ class Seek:
             state.alarm = errors.ALARM_HARD_LIMIT
             return False
         if axes:
-            self._home(axes)
+            self.find(axes)
         else:
-            self._home(1 << Z)
-            self._home(((1 << self._planner.axes) - 1) & ~(1 << Z))
+            self.find(1 << Z)
+            self.find(((1 << self._planner.axes) - 1) & ~(1 << Z))
         self._canon.service()
         self._resync()
         return True
 
-    def _home(self, axes: int) -> None:
+    def find(self, axes: int) -> None:
+        """Find the switches of these axes (a mask), all of them in the same moves."""
         settings = self._settings
         travel = 0.0
         count = 0

@@ -156,11 +156,11 @@ class GangedSeek(Seek):
                 return False
         return super().home(axes)
 
-    def _home(self, axes: int) -> None:
+    def find(self, axes: int) -> None:
         for axis, motor in self.pairs:
             if axes >> axis & 1:
                 axes |= 1 << motor
-        super()._home(axes)
+        super().find(axes)
 
     def _home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
         """Before motors pull off, switches that have stopped them are still closed: what has only

@@ -1,19 +1,21 @@
-"""Which axes $H homes, in which order and which together: HOMING = ("Z", "XY") in the board file.
+"""Which axes $H homes, in which order, which together and how fast: HOMING = ("Z", "XY") in the
+board file.
 
 $44 to $49 say it while it runs, as in grblHAL: a mask of axes each, one after the other. What is
 in none of them is not homed: a laser without a switch on Z asks for HOMING = ("XY",). Where all
-are 0 the order is Grbl's own.
+are 0 the order is Grbl's own. $180 and $190 are rates of each axis.
 """
 
 from base import errors
 from base.errors import GrblError
-from base.settings import INT
+from base.settings import AXIS, INT
 from micropython import const
 
 from extras.letters import LETTERS
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from array import array
     from types import ModuleType
 
     from base.settings import Rows
@@ -35,6 +37,13 @@ _CYCLES: "Rows" = (  # attribute-names: column 1
     (48, "home_fifth", INT, 0, "mask"),
     # Homing cycle 6.
     (49, "home_sixth", INT, 0, "mask"),
+)
+_RATES: "Rows" = (  # attribute-names: column 1
+    # Homing locate rate, one value per axis. In place of $24; 0: $24 holds. Axes that are homed
+    # together go at the slowest of theirs.
+    (180, "homing_feeds", AXIS, 0.0, "mm/min"),
+    # Homing search rate, one value per axis. As $180, in place of $25.
+    (190, "homing_seeks", AXIS, 0.0, "mm/min"),
 )
 
 
@@ -76,6 +85,29 @@ def install(cnc: "Cnc") -> None:
             raise GrblError(errors.INVALID_STATEMENT)
 
     seek.home = home  # type: ignore[method-assign]
-    cnc.add_settings(_CYCLES)
+    _have_rates(cnc)
+    cnc.add_settings(_CYCLES + _RATES)
     for row in _CYCLES:
         cnc.check_setting(row[0], check)
+
+
+def _have_rates(cnc: "Cnc") -> None:
+    """Have axes homed at rates of their own."""
+    seek, settings = cnc.machine.seek, cnc.machine.settings
+    usual = seek.find
+
+    def find(axes: int) -> None:
+        usual_feed, usual_seek = settings.homing_feed, settings.homing_seek
+        settings.homing_feed = _slowest(settings.homing_feeds, usual_feed, axes)
+        settings.homing_seek = _slowest(settings.homing_seeks, usual_seek, axes)
+        try:
+            usual(axes)
+        finally:
+            settings.homing_feed, settings.homing_seek = usual_feed, usual_seek
+
+    seek.find = find
+
+
+def _slowest(rates: "array[float]", usual: float, axes: int) -> float:
+    """Of these axes (a mask); the usual rate is that of those which have 0."""
+    return min([rates[i] or usual for i in range(len(rates)) if axes >> i & 1])

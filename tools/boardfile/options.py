@@ -271,7 +271,7 @@ OPTIONS = (
     ),
     Option(
         *("HOMING", NAMES, ()),
-        'What $H homes, in order: ("Z", "XY"). Brings $44 to $49, see docs/motors.md.',
+        'What $H homes, in order: ("Z", "XY"). Brings $44 and more, see docs/motors.md.',
     ),
     Option("SINGLE_AXIS_HOMING", SWITCH, False, "$HX, $HY and $HZ home one axis."),
     Option("ECHO", SWITCH, False, "Every line is echoed as it was understood, for debugging."),

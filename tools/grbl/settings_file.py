@@ -157,7 +157,7 @@ def _table() -> dict[int, Meaning]:
     tables = {
         "base/settings": settings._TABLE,
         "extras/ganged": (*ganged._INVERT, *ganged._SQUARING, *ganged._OFFSETS),
-        "extras/home_order": home_order._CYCLES,
+        "extras/home_order": home_order._CYCLES + home_order._RATES,
         "extras/jerk": jerk._SETTINGS,
     }
     comments = {n: text for module in tables for n, text in setting_comments(module).items()}
