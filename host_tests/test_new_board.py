@@ -89,6 +89,16 @@ def test_four_axes_are_possible(file: Path) -> None:
     assert len(load(file).STEP) == 4
 
 
+def test_an_axis_that_turns_is_asked_for(file: Path) -> None:
+    pins = ("--chip", "rp2040", "--pin", "step=0,1,2,3")
+    answers = ["", "X", "a", "4 5 6 7", *[""] * 13]
+    done = ugrbl("router", *pins, "--ask", "-o", file, answers="\n".join(answers) + "\n")
+    assert done.exit_code == 0, done.output
+    assert "X is none of A, B, C here" in done.output
+    board: Any = load(file)
+    assert board.ROTARY == "A"
+
+
 def test_questions_are_asked_until_the_answers_fit(file: Path) -> None:
     """As a user does, on a terminal."""
     answers = ["pico", "2 3 99", "2 3 4", "4 5 6", "5 6 7", "8", *[""] * 13]

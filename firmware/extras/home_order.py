@@ -16,7 +16,9 @@ from extras.letters import LETTERS
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from array import array
+    from collections.abc import Callable
     from types import ModuleType
+    from typing import Any
 
     from base.settings import Rows
     from interfaces import Options
@@ -93,8 +95,9 @@ def install(cnc: "Cnc") -> None:
 
 def _have_rates(cnc: "Cnc") -> None:
     """Have axes homed at rates of their own."""
-    seek, settings = cnc.machine.seek, cnc.machine.settings
-    usual = seek.find
+    machine: "Any" = cnc.machine
+    seek, settings = machine.seek, machine.settings
+    usual: "Callable[[int], None]" = seek.find
 
     def find(axes: int) -> None:
         usual_feed, usual_seek = settings.homing_feed, settings.homing_seek

@@ -60,6 +60,7 @@ class Board:
     title: str
     chip: Chip
     motors: str = ""  # the axis of each, where one has two
+    rotary: str = ""  # axes that turn
     pins: dict[str, Pins] = field(default_factory=dict)
     defaults: dict[int, float] = field(default_factory=dict)
 
@@ -75,6 +76,8 @@ class Board:
         lines += [f'LINK = "{self.chip.link}"', ""]
         if self.motors:
             lines.append(f'MOTORS = "{self.motors}"  # the axis of each motor')
+        if self.rotary:
+            lines.append(f'ROTARY = "{self.rotary}"  # axes that turn, in degrees')
         for item in ITEMS:
             if item.name == CONTROLS[0]:
                 lines += self._controls()
@@ -178,6 +181,17 @@ def check_motors(board: Board, letters: str) -> None:
         raise BoardError(str(error)) from error
 
 
+def check_rotary(board: Board, letters: str) -> None:
+    """BoardError where these cannot be axes that turn."""
+    paths.use_firmware()
+    from extras.rotary import mask_of
+
+    try:
+        mask_of(letters, board.axes)
+    except ValueError as error:
+        raise BoardError(str(error)) from error
+
+
 def check(board: Board) -> None:
     """BoardError for the first thing that is wrong with the whole of it."""
     if not board.title.isprintable() or set(board.title) & set('"\\'):
@@ -186,6 +200,7 @@ def check(board: Board) -> None:
         check_item(board, item, board.pins.get(item.name, ()))
     if board.motors:
         check_motors(board, board.motors)
+    check_rotary(board, board.rotary)
     _check_defaults(board)
 
 

@@ -1,9 +1,10 @@
 """The command `ugrbl new-board`."""
 
 import sys
+from collections.abc import Callable
 from keyword import iskeyword
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 from rich.console import Console
@@ -46,6 +47,10 @@ def command(
         str | None,
         typer.Option(metavar="LETTERS", help="The axis of each motor: XYZY has two on Y."),
     ] = None,
+    rotary: Annotated[
+        str | None,
+        typer.Option(metavar="LETTERS", help="Axes that turn, in degrees: A, or AC."),
+    ] = None,
     setting: Annotated[
         list[str] | None, typer.Option("--set", metavar="N=V", help="A default: 100=800.")
     ] = None,
@@ -81,7 +86,8 @@ def command(
         if file.exists() and not force:
             raise BoardError(f"{file} is there already; --force replaces it")
         board = Board(title or name.replace("_", " ").capitalize(), _chip(console, chip, asking))
-        _wire(console, board, _given(pin or []), motors, asking)
+        words = _Words(_given(pin or []), motors, rotary)
+        _wire(console, board, words, asking)
         board.defaults = _defaults(setting or [])
         new_board.check(board)
         _write(board, file)
@@ -89,18 +95,25 @@ def command(
         raise failed(error) from error
     _show(console, board, file)
     if json_file:
-        found = {"pins": board.pins, "motors": board.motors, "defaults": board.defaults}
-        save_json({"file": str(file), **found}, json_file)
+        found = {"pins": board.pins, "motors": board.motors, "rotary": board.rotary}
+        save_json({"file": str(file), **found, "defaults": board.defaults}, json_file)
 
 
-def _wire(
-    console: Console, board: Board, given: dict[str, str], motors: str | None, asking: bool
-) -> None:
+class _Words(NamedTuple):
+    """What was said by options."""
+
+    pins: dict[str, str]  # by name of the item
+    motors: str | None
+    rotary: str | None
+
+
+def _wire(console: Console, board: Board, said: _Words, asking: bool) -> None:
     """Every pin, and behind those of steps what their motors move."""
     for item in ITEMS:
-        board.pins[item.name] = _one(console, board, item, given.get(item.name), asking)
+        board.pins[item.name] = _one(console, board, item, said.pins.get(item.name), asking)
         if item.name == "STEP":
-            board.motors = _motors(console, board, motors, asking)
+            board.motors = _motors(console, board, said.motors, asking)
+            board.rotary = _rotary(console, board, said.rotary, asking)
 
 
 def _given(words: list[str]) -> dict[str, str]:
@@ -150,12 +163,36 @@ def _motors(console: Console, board: Board, text: str | None, asking: bool) -> s
     own = motor_names.LETTERS[: len(board.pins["STEP"])]
     if text is None and (not asking or len(own) <= new_board.FEWEST_AXES):
         return ""
+    question = "The axis of each motor, XYZY for two on Y"
+    letters = _letters(console, board, text, question, own, new_board.check_motors)
+    return "" if letters == own else letters
+
+
+def _rotary(console: Console, board: Board, text: str | None, asking: bool) -> str:
+    """Axes that turn; with X, Y and Z only there is no question."""
+    if text is None and (not asking or board.axes <= new_board.FEWEST_AXES):
+        return ""
+    question = "Axes that turn, A say, or nothing"
+    return _letters(console, board, text, question, "", new_board.check_rotary)
+
+
+def _letters(
+    console: Console,
+    board: Board,
+    text: str | None,
+    question: str,
+    default: str,
+    check: Callable[[Board, str], None],
+) -> str:
+    """From an option or from the user, who is asked until they fit."""
     while True:
-        question = "The axis of each motor, XYZY for two on Y"
-        letters = (typer.prompt(question, default=own) if text is None else text).upper()
+        letters = text
+        if letters is None:
+            letters = typer.prompt(question, default=default, show_default=bool(default))
+        letters = letters.upper()
         try:
-            new_board.check_motors(board, letters)
-            return "" if letters == own else letters
+            check(board, letters)
+            return letters
         except BoardError as error:
             if text is not None:
                 raise
