@@ -77,7 +77,7 @@ class Day:
         sender.send_immediately(plan["zero"])
         sender.hash_state_requested = True
         jogged = tuple(plan["jogged"])
-        self.until("zeroed", lambda: sender.settings_hash["G54"] == jogged)
+        self.until("zeroed", lambda: sender.settings_hash["G54"][:3] == jogged)
         result["zeroed"] = [a - b for a, b in zip(sender.cmpos, sender.settings_hash["G54"])]
 
         sender.set_feed_override(True)

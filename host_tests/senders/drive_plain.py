@@ -18,11 +18,12 @@ import serial
 _PATIENCE_S = 60.0
 _POLL_S = 0.1
 _WINDOW = 127
+_PLACE = r"-?\d+\.\d{3}(,-?\d+\.\d{3}){2,5}"
 _REPORT = re.compile(
     r"<(?P<state>Idle|Run|Hold:[01]|Jog|Alarm|Home|Check|Door:[0-3]|Sleep)"
-    r"\|MPos:(?P<mpos>-?\d+\.\d{3},-?\d+\.\d{3},-?\d+\.\d{3})"
+    rf"\|MPos:(?P<mpos>{_PLACE})"
     r"(\|Bf:\d+,\d+)?(\|Ln:\d+)?\|FS:\d+,\d+(\|Pn:[XYZPDHRS]+)?"
-    r"(\|WCO:(?P<wco>-?\d+\.\d{3},-?\d+\.\d{3},-?\d+\.\d{3}))?"
+    rf"(\|WCO:(?P<wco>{_PLACE}))?"
     r"(\|Ov:(?P<ov>\d+),\d+,\d+)?(\|A:[SCFM]+)?>"
 )
 _KNOWN = re.compile(
@@ -85,9 +86,9 @@ class Plain:
 
     def note(self, report: re.Match[str]) -> None:
         self.state = report["state"]
-        self.mpos = [float(mm) for mm in report["mpos"].split(",")]
+        self.mpos = [float(mm) for mm in report["mpos"].split(",")[:3]]
         if report["wco"]:
-            self.wco = [float(mm) for mm in report["wco"].split(",")]
+            self.wco = [float(mm) for mm in report["wco"].split(",")[:3]]
         if report["ov"]:
             self.result["override"].append(int(report["ov"]))
         if self.state not in self.result["states"][-1:]:

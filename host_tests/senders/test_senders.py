@@ -2,7 +2,8 @@
 
 Each comes to a locked machine, recognises Grbl 1.1, reads its settings, homes it, jogs, sets an
 offset, streams a program, overrides the feed, holds and resumes in the middle, and ends where it
-should, without having read a line it could make nothing of.
+should, without having read a line it could make nothing of. So they do at a machine with an axis
+that turns, which has more numbers for them everywhere.
 """
 
 import json
@@ -20,20 +21,25 @@ from sim_bench import SETTINGS, STEPS_PER_MM, SWITCH_STEPS, Bench
 
 _HERE = Path(__file__).resolve().parent
 _PATIENCE_S = 240
+_STEPS_PER_DEGREE = 100
+_TURNED = -45  # degrees, at the end
 
 
-def spiral() -> list[str]:
-    """Some seconds of short moves, an arc, a dwell; in work coordinates, back to X-5 Y-7 Z-1."""
+def spiral(turning: bool) -> list[str]:
+    """Some seconds of short moves, an arc, a dwell; in work coordinates, back to X-5 Y-7 Z-1.
+    turning: A goes with them, and back to A-45."""
     points = [
         (-0.4 * n * math.cos(n / 2) - 2, -0.4 * n * math.sin(n / 2) - 2) for n in range(1, 25)
     ]
-    lines = [f"G1 X{x:.3f} Y{y:.3f} F1200" for x, y in points]
+    angles = [f" A{n / 2}" if turning else "" for n in range(len(points))]
+    lines = [f"G1 X{x:.3f} Y{y:.3f}{a} F1200" for (x, y), a in zip(points, angles, strict=True)]
+    if turning:
+        lines += [f"G0 A{_TURNED}"]
     ending = ["G2 X-5 Y-7 R20 F1200", "G4 P0.1", "G0 X-5 Y-7", "G1 Z-1 F600"]
     return ["G21 G90 G94", "G17 G54", "G0 X0 Y0", *lines, *ending]
 
 
 PLAN: dict[str, Any] = {
-    "program": spiral(),
     "homed": [-1.0, -1.0, -1.0],
     "jog": "$J=G91 G21 X-10 Y-20 F3000",
     "jogged": [-11.0, -21.0, -1.0],
@@ -42,9 +48,14 @@ PLAN: dict[str, Any] = {
 }
 
 
+@pytest.fixture(params=["sim", "sim_rotary"])
+def board(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
-    running = Bench(tmp_path, settings=SETTINGS)
+def bench(tmp_path: Path, board: str) -> Iterator[Bench]:
+    running = Bench(tmp_path, "--board", board, settings=SETTINGS)
     yield running
     running.kill()
 
@@ -57,27 +68,28 @@ def available(install: Any) -> Path:
         pytest.skip(str(error))
 
 
-def live(bench: Bench, *command: object) -> Any:
+def live(bench: Bench, board: str, *command: object) -> Any:
     """Let a sender live through the day; returns what it noted."""
     folder = bench.port.parent
     plan, result = folder / "plan.json", folder / "result.json"
-    plan.write_text(json.dumps({**PLAN, "port": str(bench.port)}))
+    program = spiral(turning=board == "sim_rotary")
+    plan.write_text(json.dumps({**PLAN, "program": program, "port": str(bench.port)}))
     words = [str({"PLAN": plan, "RESULT": result}.get(str(word), word)) for word in command]
     done = subprocess.run(
         words, capture_output=True, text=True, timeout=_PATIENCE_S, cwd=folder, check=False
     )
     assert result.exists(), done.stdout[-2000:] + done.stderr[-4000:]
     noted = json.loads(result.read_text())
-    assert "failed" not in noted, (noted, done.stderr[-2000:])
+    assert noted.get("failed") is None, (noted, done.stderr[-2000:])
     return noted
 
 
-def judge(noted: Any, bench: Bench) -> None:
+def judge(noted: Any, bench: Bench, board: str) -> None:
     """What holds for every sender's day, by its own words and by the machine's."""
     assert noted["unparsed"] == []
     assert [text for text in noted["errors"] if "error" in text or "ALARM" in text] == []
     assert float(noted["settings"]["110"]) == SETTINGS[110]
-    assert len(noted["settings"]) == 34
+    assert len(noted["settings"]) == (38 if board == "sim_rotary" else 34)
     assert noted["homed"] == PLAN["homed"]
     assert noted["zeroed"] == [0, 0, 0]
     assert noted["held"] != PLAN["ended"]
@@ -88,47 +100,49 @@ def judge(noted: Any, bench: Bench) -> None:
     # From the switch, at machine position 0, by the motors' own count. Homing looks at its
     # switches as often as the computer lets it.
     switch = [SWITCH_STEPS + mm * STEPS_PER_MM for mm in PLAN["ended"]]
-    assert bench.stop() == pytest.approx(switch, abs=12)
+    place = bench.stop()
+    assert place[:3] == pytest.approx(switch, abs=12)
+    assert place[3:] == ([_TURNED * _STEPS_PER_DEGREE] if board == "sim_rotary" else [])
 
 
-def test_cncjs(bench: Bench) -> None:
+def test_cncjs(bench: Bench, board: str) -> None:
     home = available(cncjs)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         http_port = free.getsockname()[1]
-    noted = live(bench, "node", _HERE / "drive_cncjs.js", home, "PLAN", "RESULT", http_port)
+    noted = live(bench, board, "node", _HERE / "drive_cncjs.js", home, "PLAN", "RESULT", http_port)
     assert noted["controller"] == "Grbl"
     assert max(noted["override"]) == 120
     assert "Hold" in noted["states"]
-    judge(noted, bench)
+    judge(noted, bench, board)
 
 
-def test_bcnc(bench: Bench) -> None:
+def test_bcnc(bench: Bench, board: str) -> None:
     interpreter = available(python)
     has_tk = subprocess.run(
         [interpreter, "-c", "import tkinter"], check=False, capture_output=True
     )
     if has_tk.returncode:
         pytest.skip("bCNC needs Tk, and this Python has been built without it")
-    noted = live(bench, interpreter, _HERE / "drive_bcnc.py", "PLAN", "RESULT")
+    noted = live(bench, board, interpreter, _HERE / "drive_bcnc.py", "PLAN", "RESULT")
     assert noted["controller"] == "GRBL1"
     assert noted["version"] == "1.1h"
     assert max(noted["override"]) == 120
-    judge(noted, bench)
+    judge(noted, bench, board)
 
 
-def test_grbl_streamer(bench: Bench) -> None:
+def test_grbl_streamer(bench: Bench, board: str) -> None:
     interpreter = available(python)
-    noted = live(bench, interpreter, _HERE / "drive_grbl_streamer.py", "PLAN", "RESULT")
+    noted = live(bench, board, interpreter, _HERE / "drive_grbl_streamer.py", "PLAN", "RESULT")
     assert noted["version"] == "1.1h"
     assert 1500 in noted["override"]
-    judge(noted, bench)
+    judge(noted, bench, board)
 
 
 @pytest.mark.parametrize("mode", ["line", "count"])
-def test_a_plain_streamer(bench: Bench, mode: str) -> None:
-    noted = live(bench, sys.executable, _HERE / "drive_plain.py", mode, "PLAN", "RESULT")
+def test_a_plain_streamer(bench: Bench, board: str, mode: str) -> None:
+    noted = live(bench, board, sys.executable, _HERE / "drive_plain.py", mode, "PLAN", "RESULT")
     assert noted["version"] == "1.1h"
     assert max(noted["override"]) == 120
     assert "Hold:0" in noted["states"]
-    judge(noted, bench)
+    judge(noted, bench, board)
