@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -9,8 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rig_bench import Machine
+from typer.testing import CliRunner
 from ugrbl.boardfile import board_check
 from ugrbl.boardfile.files import load_board
+from ugrbl.cli.app import app
 from ugrbl.sim.engine import Switch
 
 _PER_MM = 250
@@ -300,3 +303,12 @@ def test_the_shortest_way_of_a_line_plans_what_the_interpreter_does(
         machine.play(["G1X-3F500", *lines])
         rows.append([list(row) for _, row in machine.rows])
     assert rows[0] == rows[1]
+
+
+def test_what_a_program_does_is_told_in_degrees_beside_mm(tmp_path: Path) -> None:
+    file = tmp_path / "turned.nc"
+    file.write_text("G1 X10 A90 F600\nA-45\n")
+    done = CliRunner().invoke(app, ["run", str(file), "--board", "sim_rotary"])
+    assert "travel A" in done.output and "-45.000 to 90.000 degrees" in done.output
+    assert "0.000 to 10.000 mm" in done.output
+    assert "distance" in done.output and " 10.0 mm" in done.output

@@ -123,7 +123,7 @@ def _tell(
     if recorder.marks:
         rows.append(("holes punched", str(len(recorder.marks))))
     rows += totals_rows(result.totals)
-    if result.totals.distance_mm:
+    if result.totals.time_s:
         rows.append(("lines in time", f"{'no' if late else 'yes'}, for {whose}"))
     rows += [("ended in", result.final_state), ("computed in", speed)]
     console.print(summary(rows))

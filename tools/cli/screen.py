@@ -178,7 +178,8 @@ def totals_rows(totals: Totals) -> list[tuple[str, str]]:
         planned = totals.steps_planned[axis]
         rows.append((f"steps {axis}", _steps(planned, made, totals.steps_probed.get(axis, 0))))
     for axis, (low, high) in totals.bounds_mm.items():
-        rows.append((f"travel {axis}", f"{low:.3f} to {high:.3f} mm"))
+        unit = "degrees" if axis in totals.rotary else "mm"
+        rows.append((f"travel {axis}", f"{low:.3f} to {high:.3f} {unit}"))
     return rows
 
 

@@ -26,6 +26,7 @@ class Totals:
     bounds_mm: dict[str, tuple[float, float]] = field(default_factory=dict)
     final_position_mm: dict[str, float] = field(default_factory=dict)
     steps_probed: dict[str, int] = field(default_factory=dict)  # left out, for the probe touched
+    rotary: str = ""  # axes of which mm are degrees; the distance is that of the others
 
     def save(self, path: Path) -> None:
         """Write them as JSON."""
@@ -54,6 +55,8 @@ class Recorder:
         self._motors = range(len(rig.board.STEP))
         self._names = motor_names.names(motor_names.letters(rig.board))
         self._axes = range(motor_names.axes_of(rig.board))
+        self._rotary: str = getattr(rig.board, "ROTARY", "")
+        self._linear = [i for i in self._axes if self._names[i] not in self._rotary]
         self._corexy = getattr(rig.board, "COREXY", False)
         self._planned = [0 for _ in self._motors]
         self._made = [0 for _ in self._motors]
@@ -96,6 +99,7 @@ class Recorder:
             self._by_letter([(round(low, 4), round(high, 4)) for low, high in bounds]),
             self._by_letter([round(mm, 4) for mm in self._to_mm(self._place)]),
             self._by_letter(self._probed),
+            self._rotary,
         )
 
     def _attach(self) -> None:
@@ -169,7 +173,8 @@ class Recorder:
             planned[i] += count
         self._mm_per_step = [1 / (resolution or 1.0) for resolution in self._settings.steps_per_mm]
         signed = [-n if dirs >> i & 1 else n for i, n in enumerate(steps)]
-        self._distance_mm += hypot(*self._to_mm(signed))
+        way = self._to_mm(signed)
+        self._distance_mm += hypot(*[way[axis] for axis in self._linear])
 
     def _segment(self, start: int, row: "array[int]") -> None:
         """Called by the engine for every segment played, with the steps really made."""
