@@ -52,7 +52,7 @@ esp_machine.I2S.recording = True
 
 # As on the boards: outputs of the shift registers, pins.
 # Of six motors; a machine has the first of them.
-I2S_STEP, I2S_DIR, I2S_ENABLE = (1, 5, 3, 7, 9, 11), (2, 6, 4, 8, 10, 12), 0
+I2S_STEP, I2S_DIR, I2S_ENABLE = (1, 5, 3, 7, 9, 11), (2, 6, 4, 8, 10, 12), (0, 13)
 RMT_STEP, RMT_DIR = (26, 25, 17, 18, 19, 21), (16, 27, 14, 22, 23, 13)
 
 Step = tuple[int, int, int]  # us, axis, +1 or -1

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from esp_bench import EspEngine, Step, clock
+from esp_bench import I2S_ENABLE, EspEngine, Step, clock
 from laws import Bench, Limits
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS, row_length
 from pio import pulses
@@ -528,13 +528,15 @@ def test_i2s_loses_nothing_where_it_comes_too_late() -> None:
 
 
 def test_i2s_says_when_the_motors_are_to_be_powered() -> None:
+    """At each of several drivers' enables."""
     made = Made("i2s", Limits())
+    enables = sum(1 << output for output in I2S_ENABLE)
     made.engine.real.enable(1)
     made.engine.advance(made.engine.now + 200_000)
-    assert made.engine.pins.outputs() & 1 == 1
+    assert made.engine.pins.outputs() & enables == enables
     made.engine.real.enable(0)
     made.engine.advance(made.engine.now + 100_000)
-    assert made.engine.pins.outputs() & 1 == 0
+    assert made.engine.pins.outputs() & enables == 0
 
 
 def test_i2s_keeps_its_highest_rate() -> None:

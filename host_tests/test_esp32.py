@@ -18,7 +18,7 @@ from ugrbl.paths import BOARDS, STANDINS
 
 _HERE = Path(__file__).parent
 _BOOT = _HERE / "esp_boot.py"
-_BOARDS = ("mks_dlc32", "esp32_devkit", "esp32_s3")
+_BOARDS = ("mks_dlc32", "mks_tinybee", "esp32_devkit", "esp32_s3")
 
 Talk = list[tuple[str, str]]
 _GREETING: Talk = [("", "Grbl "), ("$X\n", "ok")]

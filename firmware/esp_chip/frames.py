@@ -42,7 +42,7 @@ SETUP = const(2)  # frames from a change of direction to a step
 WORD = const(3)  # the direction outputs, as they are at the end of what has been filled
 ROW_END = const(4)  # tick at which the row ends
 LOCKED = const(5)  # mask of axes that stand still
-ENABLE = const(6)  # the enable output, for the next buffer
+ENABLE = const(6)  # the enable outputs, for the next buffer
 TIMING_LENGTH = const(7)
 
 

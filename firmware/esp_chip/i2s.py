@@ -76,7 +76,8 @@ _BACK_HZ = const(1000)
 
 
 class I2sEngine(Turns):
-    """The engine. step, direction: numbers of outputs per axis; enable: that of the drivers.
+    """The engine. step, direction: numbers of outputs per axis; enable: that of the drivers, or
+    those, which go together.
 
     pins: BCK, WS and DATA. rate_hz: frames per second, 256 of which last whole microseconds.
     buffers: of DMA's ring; all but two are filled ahead while the machine moves.
@@ -88,13 +89,14 @@ class I2sEngine(Turns):
         self,
         step: "tuple[int, ...]",
         direction: "tuple[int, ...]",
-        enable: int,
+        enable: "int | tuple[int, ...]",
         pins: "tuple[int, int, int]",
         rate_hz: int = 125_000,
         buffers: int = 16,
     ) -> None:
         super().__init__()
-        if max(step + direction + (enable,)) > _HIGHEST_OUTPUT:
+        enables = (enable,) if isinstance(enable, int) else enable
+        if max(step + direction + enables) > _HIGHEST_OUTPUT:
             raise ValueError("outputs have numbers from 0 to 29")
         axes = len(step)
         self._axes = axes
@@ -103,7 +105,7 @@ class I2sEngine(Turns):
         self._stream = Stream(pins, rate_hz, buffers)
         self._buffer_us = self._stream.buffer_us
         self.tick_hz = rate_hz << frames.FRAME_LOG2
-        self._enable_bit = 2 << enable
+        self._enable_bits = sum([2 << output for output in enables])
         self._state = array("i", (0 for _ in range(STATE_LENGTH)))
         self._timing = array("i", (0 for _ in range(frames.TIMING_LENGTH)))
         self._timing[frames.AXES] = axes
@@ -165,8 +167,8 @@ class I2sEngine(Turns):
         frames.settle(timing, self._lanes)
 
     def enable(self, level: int) -> None:
-        """Level of the motor drivers' enable output, from the next buffer on. For the port."""
-        self._timing[frames.ENABLE] = self._enable_bit if level else 0
+        """Level of the motor drivers' enable outputs, from the next buffer on. For the port."""
+        self._timing[frames.ENABLE] = self._enable_bits if level else 0
 
     def flash_written(self) -> None:
         """The stream cannot be relied upon any more. At rest only."""
