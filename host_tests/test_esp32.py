@@ -84,6 +84,14 @@ def test_the_firmware_boots_moves_and_stops_at_a_limit(board: str, tmp_path: Pat
     assert _MOVED + _HIT in said
 
 
+@pytest.mark.parametrize("line", ["", 'ROTARY = "A"'])
+def test_a_fourth_axis_has_pulses_of_its_own(line: str, tmp_path: Path) -> None:
+    talk = [*_GREETING, ("$103=80\n", "ok"), ("$113=2000\n", "ok")]
+    talk += [("G91 G1 X1 A-2 F600\n", "ok"), ("G4 P0.05\n", "ok"), ("?", ">"), ("$I\n", "ok")]
+    said = boot("esp32_four", tmp_path, talk, *filter(None, [line]))
+    assert "<Idle|MPos:1.000,0.000,0.000,-2.000|" in said and "rmt 5000Hz" in said
+
+
 @pytest.mark.parametrize("board", ["esp32_devkit", "mks_dlc32"])
 def test_a_main_loop_that_hangs_is_stopped_and_told_of(board: str, tmp_path: Path) -> None:
     hang: Talk = [
