@@ -277,7 +277,8 @@ def main() -> None:
     with open(folder + "/talk.json") as file:
         sender = Sender(wire, json.load(file))
     for pin in made.LIMIT + made.NO_PULL_UP:  # resistors outside
-        esp_machine.Pin(pin, esp_machine.Pin.IN).drive(1)
+        if pin is not None:
+            esp_machine.Pin(pin, esp_machine.Pin.IN).drive(1)
     if getattr(made, "PUNCH_UP", None):
         sender.punch = punch_pins.Punch(made, esp_machine.Pin, lambda: clock.us)
     if getattr(made, "RUN", None):
