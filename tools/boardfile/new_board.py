@@ -69,6 +69,15 @@ class Board:
         """How many there are; 0 before there are step pins."""
         return motor_names.count_axes(self.motors) or len(self.pins.get("STEP", ()))
 
+    def as_json(self) -> dict[str, object]:
+        """The answers, without title and chip."""
+        return {
+            "pins": self.pins,
+            "motors": self.motors,
+            "rotary": self.rotary,
+            "defaults": self.defaults,
+        }
+
     def text(self) -> str:
         """The board file."""
         lines = [f'"""{self.title}: {self.chip.title}."""', ""]

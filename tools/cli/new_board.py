@@ -78,10 +78,7 @@ def command(
     if file.is_dir():
         file /= f"{name}.py"
     try:
-        if not name.isidentifier():
-            raise BoardError(f"{name}: letters, digits and _ make a name, and no digit first")
-        if iskeyword(name):
-            raise BoardError(f"{name} is a word of Python's: name it otherwise")
+        _check_name(name)
         check_outputs(json_file, file)
         if file.exists() and not force:
             raise BoardError(f"{file} is there already; --force replaces it")
@@ -95,8 +92,15 @@ def command(
         raise failed(error) from error
     _show(console, board, file)
     if json_file:
-        found = {"pins": board.pins, "motors": board.motors, "rotary": board.rotary}
-        save_json({"file": str(file), **found, "defaults": board.defaults}, json_file)
+        save_json({"file": str(file), **board.as_json()}, json_file)
+
+
+def _check_name(name: str) -> None:
+    """BoardError where a module cannot be called so."""
+    if not name.isidentifier():
+        raise BoardError(f"{name}: letters, digits and _ make a name, and no digit first")
+    if iskeyword(name):
+        raise BoardError(f"{name} is a word of Python's: name it otherwise")
 
 
 class _Words(NamedTuple):
