@@ -26,8 +26,6 @@ from wire import EmulatedWire, Talk  # noqa: E402
 
 _DOCUMENT = (_HOST_TESTS.parent / "docs" / "speed.md").read_text(encoding="utf-8")
 _WORSE = 0.1
-# The worst of a run is that of its phase: it may have been so much better.
-_BETTER = 0.25
 _BYTES = 16  # a block of memory: what a line leaves is the mean of some lines
 # Of bench_board.py, in its order: those that rows are made of.
 _PARTS = (
@@ -123,8 +121,7 @@ def wrong(cell: str, row: str, found: "dict[str, float]", of: "Sequence[str]" = 
         if not name:
             continue
         got = found[name] * scale
-        share = _BETTER if name.endswith("worst") and got < figure else _WORSE
-        allowed = share * figure + (_BYTES if "bytes" in cell else half)
+        allowed = _WORSE * figure + (_BYTES if "bytes" in cell else half)
         if abs(got - figure) > allowed:
             faults.append(f"{name}: {figure:g} stated, {got:.4g} measured")
     return faults
