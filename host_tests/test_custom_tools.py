@@ -225,7 +225,7 @@ WRONG_WORDS = [
     ("--input part=on", "there is no input part; there are probe, limit_x"),
     ("--input probe=A1", "this machine has no axis A"),
     ("--input probe=Z0", "on which side of it? Z<0 or Z>0"),
-    ("--board sim_corexy --input probe=X10", "motors A and B move both"),
+    ("--board sim_corexy --input probe=X10", "motors move X and Y together"),
 ]
 
 

@@ -320,7 +320,7 @@ def test_what_a_gantry_has_kept_does_no_harm_on_another_board() -> None:
         ({"MOTORS": "XYXY"}, "MOTORS: XYZ first, then second motors: XYZY"),
         ({"DEFAULTS": {171: 500}}, "DEFAULTS: $171 is 10 mm at the most"),
         ({"LIMIT": (0, None, 2, 3)}, "LIMIT: Y has its second switch only"),
-        ({"COREXY": True}, "MOTORS: Y of a CoreXY has no second motor"),
+        ({"COREXY": True}, "MOTORS: Y shares its motor, and has no second"),
     ],
 )
 def test_what_cannot_be_is_told(options: "dict[str, Any]", why: str) -> None:

@@ -20,7 +20,14 @@ CARTESIAN: "tuple[int, ...]" = ()  # as a machine without a table: each motor mo
 # Two motors on Y: the second, behind one for each axis, stands the other way round.
 PAIR = (0x001, 0x002, 0x004, 0x200)
 PAIR_ALONGSIDE = (0x001, 0x002, 0x004, 0x002)
-TABLES = {"cartesian": CARTESIAN, "corexy": COREXY, "pair": PAIR, "alongside": PAIR_ALONGSIDE}
+COREXZ = (0x005, 0x002, 0x401)
+TABLES = {
+    "cartesian": CARTESIAN,
+    "corexy": COREXY,
+    "corexz": COREXZ,
+    "pair": PAIR,
+    "alongside": PAIR_ALONGSIDE,
+}
 
 each_table = pytest.mark.parametrize("moves", TABLES.values(), ids=TABLES)
 places = st.lists(st.integers(-(2**28), 2**28 - 1), min_size=3, max_size=3)
@@ -38,6 +45,7 @@ def motors_at(kinematics: Kinematics, place: Sequence[int]) -> "array[int]":
     [
         (CARTESIAN, [10, 3, 7]),
         (COREXY, [13, 7, 7]),
+        (COREXZ, [17, 3, 3]),
         (PAIR, [10, 3, 7, -3]),
         (PAIR_ALONGSIDE, [10, 3, 7, 3]),
     ],
@@ -89,6 +97,7 @@ def test_half_a_step_of_a_corexy_is_rounded_towards_0(a: int, b: int, x: int, y:
     [
         (CARTESIAN, [0b001, 0b010, 0b100]),
         (COREXY, [0b011, 0b011, 0b100]),  # one motor alone would move both axes
+        (COREXZ, [0b101, 0b010, 0b101]),
         (PAIR, [0b0001, 0b1010, 0b0100]),
         (PAIR_ALONGSIDE, [0b0001, 0b1010, 0b0100]),
     ],

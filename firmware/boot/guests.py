@@ -33,13 +33,14 @@ def names(board: "ModuleType", with_custom: bool) -> "list[str]":
     own: "tuple[str, ...]" = option("EXTRAS", ())
     custom = "custom" if with_custom else ""
     # Those that have their option's name.
-    rotary, jerk, clusters, jobs, lenient = [
+    moves, rotary, jerk, clusters, jobs, lenient = [
         word.lower() if option(word) else ""
-        for word in ("ROTARY", "JERK", "CLUSTERS", "JOBS", "LENIENT")
+        for word in ("MOVES", "ROTARY", "JERK", "CLUSTERS", "JOBS", "LENIENT")
     ]
-    # In this order: which axes are homed comes before when; a laser's part in each row is behind
-    # that of jerk; and what the user's own take is theirs.
-    ours = dialect, ganged, rotary, home_order, jerk, tool, clusters, drains, jobs
+    # In this order: second motors go with what the first do; which axes are homed comes before
+    # when; a laser's part in each row is behind that of jerk; and what the user's own take is
+    # theirs.
+    ours = dialect, moves, ganged, rotary, home_order, jerk, tool, clusters, drains, jobs
     return _ours(ours) + list(own) + _ours((custom, lenient))
 
 

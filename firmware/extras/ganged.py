@@ -242,7 +242,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     for motor in range(axes, len(letters)):
         axis = LETTERS.index(letters[motor])
         if moves[axis] != 1 << axis:
-            raise ValueError("MOTORS: %s of a CoreXY has no second motor" % letters[motor])
+            raise ValueError("MOTORS: %s shares its motor, and has no second" % letters[motor])
         moves.append(1 << axis)
         if len(limits) > motor and limits[motor] is not None:
             if limits[axis] is None:

@@ -172,6 +172,10 @@ OPTIONS = (
         "Highest step rate; $100-$112 that ask for more are refused with error:12. 0: none.",
     ),
     Option("COREXY", SWITCH, False, "Motors A and B move X and Y together (CoreXY)."),
+    Option(
+        *("MOVES", NAMES, ()),
+        'What each motor moves: ("X+Z", "Y", "X-Z") for a CoreXZ. See docs/motors.md.',
+    ),
     # Inputs.
     Option("LIMIT", PINS, (), "Limit switches to ground, one pin per motor, or axis."),
     Option(

@@ -122,9 +122,9 @@ def _rig(lines: Sequence[bytes], kind: str, key: Any, board: str, around: Around
 
     rig = machine.build(board, lambda rig: TryLink(rig, script), around=around)
     rig.guest.in_vain = rig.link.stop
-    if kind == "after_homing" and not getattr(rig.board, "COREXY", False):
-        from ..sim import switches
+    from ..sim import motor_names, switches
 
+    if kind == "after_homing" and not motor_names.shared(rig.board):
         switches.fit(rig)
     return rig
 

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from ..sim import motor_names
 from ..sim.motor_names import LETTERS
 
 if TYPE_CHECKING:
@@ -98,13 +99,14 @@ class Inputs:
             self.push(each.name, each.closed)
 
     def _switch(self, each: Rule) -> "Switch":
-        from ..sim import motor_names
         from ..sim.switches import PlaceSwitch
 
         if each.axis >= motor_names.axes_of(self._rig.board):
             raise ValueError(f"{each.name}: this machine has no axis {LETTERS[each.axis]}")
-        if getattr(self._rig.board, "COREXY", False) and each.axis < len("XY"):
-            raise ValueError(f"{each.name}: motors A and B move both: say a place of Z")
+        together = motor_names.shared(self._rig.board)
+        if LETTERS[each.axis] in together:
+            which = " and ".join(together)
+            raise ValueError(f"{each.name}: motors move {which} together: take another axis")
         return PlaceSwitch(self._rig, self.names[each.name], each.axis, each.above, each.mm)
 
     # By hand

@@ -57,7 +57,7 @@ class Recorder:
         self._axes = range(motor_names.axes_of(rig.board))
         self._rotary: str = getattr(rig.board, "ROTARY", "")
         self._linear = [i for i in self._axes if self._names[i] not in self._rotary]
-        self._corexy = getattr(rig.board, "COREXY", False)
+        self._moves: Sequence[int] = ()  # as in motion/kinematics.py; empty: an axis each
         self._planned = [0 for _ in self._motors]
         self._made = [0 for _ in self._motors]
         self._probed = [0 for _ in self._motors]  # planned, and not made behind a probe's contact
@@ -107,6 +107,8 @@ class Recorder:
         controller = self._rig.controller
         self._planner = controller.planner
         self._settings = controller.settings
+        kinematics = controller.planner.kinematics
+        self._moves = kinematics.moves if kinematics else ()
         self._plan = replace_method(self._planner, "line", self._line)
         self._chords = replace_method(self._planner, "chords", self._follow_arc)
         self._probe = replace_method(controller.seek, "probe", self._watch_probe)
@@ -222,10 +224,19 @@ class Recorder:
     def _to_mm(self, motors: Sequence[float]) -> list[float]:
         """Axes in mm from steps of motors."""
         steps: Sequence[float] = motors
-        if self._corexy:
-            steps = [(motors[0] + motors[1]) / 2, (motors[0] - motors[1]) / 2, *motors[2:]]
-        # A second motor of an axis makes no way of its own.
+        if self._moves:
+            steps = [self._axis_steps(motors, axis) for axis in range(len(self._mm_per_step))]
         return [n * mm for n, mm in zip(steps, self._mm_per_step, strict=False)]
+
+    def _axis_steps(self, motors: Sequence[float], axis: int) -> float:
+        """As motion/kinematics.py has it, and not in whole steps."""
+        from motion.layout import REVERSE
+
+        if self._moves[axis] == 1 << axis:
+            return motors[axis]  # a second motor makes no way of its own
+        ways = [(moves >> axis & 1) - (moves >> axis + REVERSE & 1) for moves in self._moves]
+        made = sum(way * steps for way, steps in zip(ways, motors, strict=True))
+        return made / sum(map(abs, ways))
 
 
 def replace_method(owner: object, name: str, stand_in: object) -> Any:

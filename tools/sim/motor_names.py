@@ -26,3 +26,11 @@ def names(of_motors: str) -> "tuple[str, ...]":
     """X, Y, Z and, of a second motor, Y2."""
     axes = count_axes(of_motors)
     return tuple([letter if i < axes else letter + "2" for i, letter in enumerate(of_motors)])
+
+
+def shared(board: "Any") -> str:
+    """Axes whose motors move others, too: XY of a CoreXY."""
+    if getattr(board, "COREXY", False):
+        return "XY"
+    words = [word.strip("+-") for word in getattr(board, "MOVES", ())]
+    return "".join([a for i, a in enumerate(LETTERS) if i < len(words) and words[i] != a])

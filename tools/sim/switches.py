@@ -58,8 +58,9 @@ class PlaceSwitch(Switch):
 
 def fit(rig: "Rig") -> None:
     """Give a machine its switches. ValueError where its motors do not move an axis each."""
-    if getattr(rig.board, "COREXY", False):
-        raise ValueError("no switches here: motors A and B move X and Y together")
+    together = motor_names.shared(rig.board)
+    if together:
+        raise ValueError("no switches here: motors move %s together" % " and ".join(together))
     for motor in range(len(rig.board.STEP)):
         if rig.port.limit_names[motor]:
             rig.engine.switches += [EndSwitch(rig, motor, True), EndSwitch(rig, motor, False)]
