@@ -269,6 +269,12 @@ class BoardPort(Port, Protocol):
     def watch(self, timeout_ms: int) -> Callable[[], None] | None:
         """Make the chip start anew where the result is not called for so long; 0: no more."""
 
+class DriverWire(Protocol):
+    """A serial line to motor drivers: ports/driver_wire.py."""
+
+    def exchange(self, request: bytes | bytearray, answer_bytes: int) -> bytes | None:
+        """Send, and return the answer, or what has come of it. None: the wire is broken."""
+
 class JobFiles(Protocol):
     """Programs that live on the board, by name. What cannot be done is an OSError."""
 
@@ -343,6 +349,7 @@ class Options(Protocol):
     defaults: dict[int, float]  # settings that differ from Grbl's
     custom: tuple[str, ...]  # the user's own modules
     job_files: JobFiles | None  # programs that live on the board
+    driver_wire: DriverWire | None  # to motor drivers that have one
 
 class Extra(Protocol):
     """A module of extras/, or a user's. It may have PINS: what it calls pins in the board file;

@@ -109,6 +109,9 @@ ALARM_EMERGENCY_STOP = const(17)
 # A handler of custom.py has failed: the message before it names file and line. Position is kept.
 # Not one of Grbl's.
 ALARM_CUSTOM = const(34)
+# A motor driver is hot, damaged, without supply, or does not answer: the message before it says
+# which. The machine's position is probably lost. Not one of Grbl's.
+ALARM_DRIVER = const(35)
 
 # Messages, as they stand in [MSG:…]. None may contain "ok" or "error".
 MSG_CRITICAL_EVENT = "Reset to continue"

@@ -33,14 +33,14 @@ def names(board: "ModuleType", with_custom: bool) -> "list[str]":
     own: "tuple[str, ...]" = option("EXTRAS", ())
     custom = "custom" if with_custom else ""
     # Those that have their option's name.
-    moves, rotary, jerk, clusters, jobs, lenient = [
+    moves, rotary, jerk, clusters, jobs, tmc2209, lenient = [
         word.lower() if option(word) else ""
-        for word in ("MOVES", "ROTARY", "JERK", "CLUSTERS", "JOBS", "LENIENT")
+        for word in ("MOVES", "ROTARY", "JERK", "CLUSTERS", "JOBS", "TMC2209", "LENIENT")
     ]
     # In this order: second motors go with what the first do; which axes are homed comes before
-    # when; a laser's part in each row is behind that of jerk; and what the user's own take is
-    # theirs.
-    ours = dialect, moves, ganged, rotary, home_order, jerk, tool, clusters, drains, jobs
+    # when, and before what drivers feel of it; a laser's part in each row is behind that of jerk;
+    # and what the user's own take is theirs.
+    ours = dialect, moves, ganged, rotary, home_order, tmc2209, jerk, tool, clusters, drains, jobs
     return _ours(ours) + list(own) + _ours((custom, lenient))
 
 

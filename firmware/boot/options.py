@@ -22,7 +22,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from types import ModuleType
 
-    from interfaces import Kinematics
+    from interfaces import DriverWire, Kinematics
     from ports.job_files import JobFiles
 
 
@@ -40,6 +40,15 @@ def _make_job_files(board: "ModuleType") -> "JobFiles | None":
     from ports import job_files
 
     return job_files.of_board(board)
+
+
+def _make_driver_wire(board: "ModuleType") -> "DriverWire | None":
+    """The serial line of motor drivers, where they have one."""
+    if not board.__dict__.get("TMC2209", ()):
+        return None
+    from ports import driver_wire
+
+    return driver_wire.of_board(board)
 
 
 class Options:
@@ -70,6 +79,7 @@ class Options:
         # What an extra may have otherwise, before the machine is made: prepare().
         self.custom = guests.customs(board)
         self.job_files = _make_job_files(board)
+        self.driver_wire = _make_driver_wire(board)
         self.extras = guests.modules(guests.names(board, bool(self.custom)))
         self.settings: "type[Settings]" = Settings
         self.inputs: "type[Inputs]" = Inputs

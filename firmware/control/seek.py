@@ -175,7 +175,7 @@ class Seek:
         rate = settings.homing_seek
         for phase in range(_PHASES):
             approach = phase % 2 == 0
-            self._home_phase(axes, approach, travel, rate * diagonal)
+            self.home_phase(axes, approach, travel, rate * diagonal)
             self._drive.wait_deaf(settings.homing_debounce_ms)
             if approach:
                 travel = settings.homing_pull_off_mm
@@ -185,7 +185,7 @@ class Seek:
                 rate = settings.homing_feed
         self._set_origin(axes)
 
-    def _home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
+    def home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
         """One move; ends when all switches were found, or with the way back done."""
         engine = self._engine
         planner = self._planner

@@ -162,7 +162,7 @@ class GangedSeek(Seek):
                 axes |= 1 << motor
         super().find(axes)
 
-    def _home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
+    def home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
         """Before motors pull off, switches that have stopped them are still closed: what has only
         seemed so would leave the axis racked."""
         closed = self._inputs.limits()
@@ -173,7 +173,7 @@ class GangedSeek(Seek):
                     self._state.alarm = errors.ALARM_HOMING_FAIL_APPROACH
                     self._drive.reset()
                     self._canon.service()  # which raises Abort
-        super()._home_phase(axes, approach, travel, rate)
+        super().home_phase(axes, approach, travel, rate)
 
     def _difference(self, axis: int, motor: int) -> int:
         """By how many steps the first motor of an axis has gone further than the second."""
@@ -209,7 +209,7 @@ class GangedSeek(Seek):
                 both = 1 << axis | 1 << motor
                 if offset:
                     self._engine.lock(1 << (axis if offset > 0 else motor))
-                    super()._home_phase(both, False, abs(offset), self._settings.homing_feed)
+                    super().home_phase(both, False, abs(offset), self._settings.homing_feed)
                 self._racked[i] = 0
         super()._set_origin(axes)
 

@@ -176,6 +176,17 @@ OPTIONS = (
         *("MOVES", NAMES, ()),
         'What each motor moves: ("X+Z", "Y", "X-Z") for a CoreXZ. See docs/motors.md.',
     ),
+    Option(
+        *("TMC2209", PINS, ()),
+        "Addresses of TMC2209 drivers, one per motor, 0 to 3: see docs/drivers.md.",
+    ),
+    Option("TMC_UART", PINS, (), "Pins of their serial line: TX, RX."),
+    Option(
+        *("TMC_SENSE_MOHM", COUNT, 110),
+        "Their sense resistors, thousandths of an ohm.",
+        low=10,
+        high=1000,
+    ),
     # Inputs.
     Option("LIMIT", PINS, (), "Limit switches to ground, one pin per motor, or axis."),
     Option(

@@ -50,6 +50,7 @@ _SWITCHED: dict[str, tuple[tuple[str, ...], object]] = {
     "motion.kinematics": (("COREXY", "MOTORS", "MOVES"), True),
     "ports.job_files": (("JOBS",), True),
     "ports.sd_card": (("SD_CARD",), True),
+    "ports.driver_wire": (("TMC2209",), True),
     "pio.beam": (("TOOL",), "laser"),
 }
 # What extras are handed; who has none has no use for it.

@@ -16,6 +16,7 @@ from .laser import SimBeamEngine
 from .link import SimLink
 from .port import SimPort
 from .punch import PunchEngine, PunchPort
+from .tmc2209 import DriverBus
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -90,6 +91,7 @@ class Rig:
         self.engine.tick_hz = SimEngine.tick_hz // coarse
         self._full = full or coarse > 1
         self.ticks_per_ms = self.engine.tick_hz / 1000
+        self.drivers = DriverBus(getattr(board, "TMC2209", ()), self.engine.idle)
         self.scratch = array("i", [0] * axes)
         self.loop_ticks = int(getattr(board, "LOOP_US", 0) * self.ticks_per_ms / 1000)
         start_ticks = int(getattr(board, "START_US", 0) * self.ticks_per_ms / 1000)
@@ -126,6 +128,7 @@ class Rig:
         self._wake = self.now
         while True:
             self._cycle = False
+            self.drivers.attach(getattr(self.board, "TMC_UART", ()))
             try:
                 self.controller = wiring.build(
                     self.board, self.link, self.port, self.engine, self.store

@@ -6,6 +6,7 @@ uses none of it.
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from typing import Any
 
 
@@ -23,24 +24,37 @@ class _Inert:
 
 
 class UART(_Inert):
-    """A serial port on which nobody answers."""
+    """A serial port. Nobody answers, unless the simulated machine has somebody at its pins."""
 
     INV_TX, INV_RX, RTS, CTS, IRQ_RXIDLE = 1, 2, 2, 1, 64
+    # Who answers, by the pins TX and RX: called with what is written, returns what comes in.
+    at: "dict[tuple[Any, Any], Callable[[bytes], bytes]]" = {}
+
+    def __init__(self, *_: "Any", **words: "Any") -> None:
+        self._answer = self.at.get((words.get("tx"), words.get("rx")))
+        self._arrived = b""
 
     def any(self) -> int:
-        return 0
+        return len(self._arrived)
 
     def read(self, count: int = -1, /) -> "bytes | None":
-        return None
+        end = len(self._arrived) if count < 0 else count
+        found, self._arrived = self._arrived[:end], self._arrived[end:]
+        return found or None
 
     def readline(self) -> "bytes | None":
-        return None
+        return self.read(self._arrived.find(b"\n") + 1 or -1)
 
-    def readinto(self, buf: bytearray, count: int = -1, /) -> "int | None":
-        return None
+    def readinto(self, buf: "bytearray | memoryview", count: int = -1, /) -> "int | None":
+        found = self.read(len(buf) if count < 0 else count) or b""
+        buf[: len(found)] = found
+        return len(found) or None
 
     def write(self, data: "bytes | bytearray | memoryview | str", /) -> int:
-        return len(data)
+        sent = data.encode() if isinstance(data, str) else bytes(data)
+        if self._answer:
+            self._arrived += self._answer(sent)
+        return len(sent)
 
     def flush(self) -> None:
         pass

@@ -1,0 +1,376 @@
+"""TMC2209 drivers: what they are told, what they say, and that nothing moves while one is unwell."""
+
+from collections.abc import Callable, Iterator, Sequence
+from types import ModuleType
+from typing import Any
+
+import pytest
+from extras.tmc2209_chip import checksum
+from hypothesis import given
+from hypothesis import strategies as st
+from rig_bench import Machine
+from ugrbl.boardfile import board_check
+from ugrbl.boardfile.files import load_board
+from ugrbl.sim import tmc2209 as model
+from ugrbl.sim.engine import Switch
+
+_HOMING = {22: 1, 24: 300, 25: 1500, 26: 5, 27: 1, **{110 + i: 3000.0 for i in range(3)}}
+
+
+def board(name: str = "sim_drivers", **options: Any) -> ModuleType:
+    """A board file with other options."""
+    made = ModuleType("board")
+    made.__dict__.update({**vars(load_board(name)), **options})
+    return made
+
+
+def machine(settings: "dict[int, float] | None" = None, **options: Any) -> Machine:
+    return Machine(settings or {}, board(**options))
+
+
+def driver(on: Machine, motor: int = 0) -> model.Driver:
+    return on.rig.drivers.drivers[motor]
+
+
+def talk(on: Machine, script: "Sequence[object]") -> "list[str]":
+    """Lines are sent, seconds pass, functions are called; returns all that is said."""
+    said: "list[str]" = []
+
+    def play() -> "Iterator[Any]":
+        yield from on.start()
+        for each in script:
+            if isinstance(each, str):
+                on.rig.link.send(f"{each}\n".encode())
+                yield on.rig.ms(300)
+            elif isinstance(each, float):
+                yield on.rig.ms(each * 1000)
+            elif callable(each):
+                each(on)
+        on.sender.poll()
+        said.extend(on.take())
+
+    on.run(play())
+    return said
+
+
+# Set up
+
+
+def test_each_driver_is_set_up_before_anything_moves() -> None:
+    on = machine({141: 800.0, 152: 64.0, 211: 25.0, 810: 4.0})
+    on.play(["G1X1Y1Z1F100"])
+    assert on.reported() == [1, 1, 1]
+    for motor, scale, hold, microsteps, spread in (
+        (0, 16, 8, 4, 0),
+        (1, 26, 7, 4, 0),
+        (2, 16, 8, 2, 4),
+    ):
+        found = driver(on, motor).registers
+        assert found[model.IHOLD_IRUN] & 0xFFFF == (scale - 1) << 8 | hold - 1, motor
+        assert found[model.CHOPCONF] >> 24 & 15 == microsteps
+        assert found[model.CHOPCONF] & 0xFFFF == 0x53  # the chopper's times are its maker's
+        assert found[model.GCONF] == 0x1C0 | spread
+        assert found[model.GSTAT] == 0
+
+
+@given(st.floats(50, 1700), st.integers(0, 100))
+def test_current_is_within_a_step_of_what_was_asked(milliamps: float, hold: int) -> None:
+    on = machine({140: milliamps, 210: float(hold)})
+    on.play([])
+    found = driver(on).registers
+    full = 0.18 if found[model.CHOPCONF] >> 17 & 1 else 0.325
+    step = full / 0.13 / 2**0.5 / 32 * 1000
+    run = found[model.IHOLD_IRUN] >> 8 & 31
+    assert abs((run + 1) * step - milliamps) <= step / 2 + 1
+    assert abs((found[model.IHOLD_IRUN] & 31) + 1 - (run + 1) * hold / 100) <= 1
+
+
+def test_a_setting_that_is_changed_reaches_its_driver() -> None:
+    on = machine()
+    on.play(["$150=32", "G1X1F100"])
+    assert driver(on).registers[model.CHOPCONF] >> 24 & 15 == 3
+
+
+def test_what_no_driver_can_do_is_refused_and_nothing_changes() -> None:
+    lines = ["$140=0", "$141=1800", "$150=10", "$152=512", "$210=101", "$200=256", "$155=3"]
+    on = machine()
+    on.play([*lines, "$$"])
+    assert on.received.count("error:3") == len(lines)
+    assert {"$141=500.000", "$152=16.000", "$210=50.000"} <= set(on.received)
+
+
+def test_settings_that_are_told_are_taken_again() -> None:
+    on = machine({140: 700.0, 150: 64.0})
+    on.play(["$$"])
+    lines = [line for line in on.received if line.startswith("$")]
+    on.play(lines)
+    assert not any("error" in line for line in on.received)
+
+
+def test_a_driver_that_is_left_alone_is_not_spoken_to() -> None:
+    on = machine({338: 5.0})
+    driver(on, 1).has_supply = False
+    on.play(["G1Y2F600"])
+    assert on.reported() == [0, 2, 0]
+    assert model.IHOLD_IRUN not in driver(on, 1).registers
+
+
+def test_nothing_is_on_the_wire_while_anything_moves() -> None:
+    on = machine(_HOMING)
+    fit(on)
+    on.play(["$H", "G1X-5F900", "G4P0.2", "G2X-10I-2.5", "$J=G91X-3F600", "G1Y-5", "$TMC"])
+    assert on.rig.drivers.datagrams > 50
+    assert on.rig.drivers.in_motion == 0
+
+
+# What goes wrong
+
+
+def _dead(on: Machine) -> None:
+    driver(on, 1).has_supply = False
+
+
+def _broken(on: Machine) -> None:
+    on.rig.drivers.is_broken = True
+
+
+def _spoilt(on: Machine) -> None:
+    on.rig.drivers.spoil = lambda answer: answer[:-1] + bytes((answer[-1] ^ 1,))
+
+
+def _short(on: Machine) -> None:
+    on.rig.drivers.spoil = lambda answer: answer[:5]
+
+
+def _another(on: Machine) -> None:
+    on.rig.drivers.spoil = lambda answer: answer[:2] + b"\x7f" + answer[3:]
+
+
+def _hot(on: Machine) -> None:
+    driver(on, 1).registers[model.DRV_STATUS] |= 3
+
+
+def _grounded(on: Machine) -> None:
+    driver(on, 1).registers[model.DRV_STATUS] |= 8
+
+
+def _shorted(on: Machine) -> None:
+    driver(on, 1).registers[model.DRV_STATUS] |= 0x20
+
+
+def _weak(on: Machine) -> None:
+    driver(on, 1).registers[model.GSTAT] |= 4
+    driver(on, 1).stuck = 4
+
+
+def _again(on: Machine) -> None:
+    driver(on, 1).switch_on()
+
+
+_TROUBLES: "list[tuple[Callable[[Machine], None], str]]" = [
+    (_dead, "Y: no answer"),
+    (_broken, "the wire is broken"),
+    (_spoilt, "a spoilt answer"),
+    (_short, "no answer"),
+    (_another, "a spoilt answer"),
+    (_hot, "Y: too hot"),
+    (_grounded, "Y: short circuit to ground"),
+    (_shorted, "Y: short circuit to supply"),
+    (_weak, "Y: its supply is too low"),
+    (_again, "Y: its supply has failed"),
+]
+
+
+@pytest.mark.parametrize(("trouble", "words"), _TROUBLES)
+def test_trouble_at_rest_is_an_alarm_in_words_told_once(
+    trouble: "Callable[[Machine], None]", words: str
+) -> None:
+    on = machine()
+    said = talk(on, ["G1X1F600", 1.0, trouble, 2.0])
+    assert said[0] == "ok"
+    assert any(words in line for line in said), said
+    assert said.count("ALARM:35") == 1
+    assert sum(words in line for line in said) <= 3  # once for each that has it
+
+
+@pytest.mark.parametrize(("trouble", "words"), _TROUBLES[:9])
+def test_nothing_moves_while_there_is_trouble(
+    trouble: "Callable[[Machine], None]", words: str
+) -> None:
+    on = machine(_HOMING)
+    trouble(on)
+    for line in ("G1X1F600", "$J=G91X1F600", "G38.3X2F100", "$H"):
+        said = talk(on, ["$X", 0.5, line, 1.0])
+        assert any(words in each for each in said), (line, said)
+        assert "ALARM:35" in said, line
+        assert on.physical() == [0, 0, 0]
+
+
+def test_a_supply_that_comes_on_later_is_no_alarm() -> None:
+    on = machine()
+    for each in on.rig.drivers.drivers:
+        each.has_supply = False
+
+    def supply(on: Machine) -> None:
+        for each in on.rig.drivers.drivers:
+            each.switch_on()
+
+    said = talk(on, [1.0, supply, 0.5, "G1X1F600", 0.5])
+    assert [line for line in said if "Motor" in line] == [
+        f"[MSG:Motor driver {name}: no answer: is the motors' supply on?]" for name in "XYZ"
+    ]
+    assert said[-1] == "ok"
+    assert driver(on).registers[model.GCONF] == 0x1C0
+
+
+def test_behind_an_alarm_a_driver_that_is_well_is_set_up_anew() -> None:
+    on = machine()
+    said = talk(on, ["G1X1F600", 1.0, _again, 1.0, "$X", 0.5, "G1X2F600", 1.0])
+    assert said[-1] == "ok"
+    assert driver(on, 1).registers[model.IHOLD_IRUN] > 0
+
+
+def test_one_spoilt_answer_is_asked_for_again() -> None:
+    on = machine()
+    once = [2]
+
+    def spoil(answer: bytes) -> bytes:
+        once[0] -= 1
+        return answer if once[0] < 0 else b"\0" * 8
+
+    def begin(on: Machine) -> None:
+        on.rig.drivers.spoil = spoil
+
+    assert not any("ALARM" in line for line in talk(on, [0.5, begin, 2.0]))
+    assert once[0] < 0
+
+
+def test_a_warm_driver_is_told_of_once_and_goes_on() -> None:
+    on = machine()
+
+    def warm(on: Machine) -> None:
+        driver(on).registers[model.DRV_STATUS] |= 1
+
+    said = talk(on, [0.5, warm, 2.0, "G1X1F600", 0.5])
+    assert said.count("[MSG:Motor driver X: warm]") == 1
+    assert said[-1] == "ok"
+
+
+# Homing without switches
+
+
+class Stall(Switch):
+    """DIAG: high beyond a place, as long as the driver has been told to feel it."""
+
+    driver: model.Driver
+    felt: "list[int]"
+
+    def closed(self, steps: int) -> bool:
+        threshold = self.driver.registers.get(model.SGTHRS, 0)
+        closed = super().closed(steps) and threshold > 0
+        if closed:
+            self.felt.append(threshold)
+        return closed
+
+
+def fit(on: Machine, above: int = 700) -> "list[int]":
+    """Put a wall at the end of each axis, felt by its driver; returns thresholds at work there."""
+    felt: "list[int]" = []
+    for motor, letter in enumerate("xyz"):
+        wall = Stall(f"limit_{letter}", motor, True, above)
+        wall.driver, wall.felt = driver(on, motor), felt
+        on.rig.engine.switches.append(wall)
+    return felt
+
+
+def test_axes_home_by_what_their_drivers_feel() -> None:
+    thresholds = {**{200 + i: 90.0 for i in range(3)}, **{220 + i: 70.0 for i in range(3)}}
+    on = machine({**_HOMING, **thresholds, 339: 7.0})
+    felt = fit(on)
+    on.play(["$H", "G1X-1F600"])
+    assert on.reported() == [-1, -1, -1]
+    assert set(felt) == {90, 70}
+    for motor in range(3):
+        assert driver(on, motor).registers[model.SGTHRS] == 0
+        assert driver(on, motor).registers[model.TCOOLTHRS] == 0
+
+
+def test_an_axis_that_spreads_is_quiet_while_it_feels() -> None:
+    on = machine({**_HOMING, 339: 7.0, 810: 7.0, 200: 9.0, 201: 9.0, 202: 9.0})
+    fit(on)
+    seen: "set[int]" = set()
+    usual = Stall.closed
+
+    def closed(self: Stall, steps: int) -> bool:
+        closed = usual(self, steps)
+        if closed:
+            seen.add(self.driver.registers[model.GCONF] & 4)
+        return closed
+
+    Stall.closed = closed  # type: ignore[method-assign]
+    try:
+        on.play(["$H", "G4P0.5"])
+    finally:
+        Stall.closed = usual  # type: ignore[method-assign]
+    assert seen == {0}
+    assert driver(on).registers[model.GCONF] & 4
+
+
+def test_an_axis_that_is_not_asked_to_feel_is_not_told_to() -> None:
+    on = machine({**_HOMING, 200: 90.0, 339: 2.0})
+    felt = fit(on)
+    on.play(["$H"])
+    assert "ALARM:9" in on.received
+    assert felt == []
+
+
+# The report
+
+
+def test_the_report_says_what_each_driver_says() -> None:
+    on = machine({152: 64.0, 810: 2.0})
+    said = talk(on, [1.0, _hot, "$TMC", 1.0, _broken, 1.0, "$TMC", "$TMCX"])
+    reports = [line for line in said if line.startswith("[TMC:")]
+    assert reports[0] == "[TMC:X|version:33|microsteps:16|mode:stealthChop|scale:1/32|state:good]"
+    assert "mode:spreadCycle" in reports[1]
+    assert reports[1].endswith("state:too hot]")
+    assert "microsteps:64" in reports[2]
+    assert reports[3:] == [f"[TMC:{name}|state:the wire is broken]" for name in "XYZ"]
+    assert "error:3" in said
+
+
+# Words and numbers
+
+
+@given(st.binary(min_size=1, max_size=12))
+def test_the_checksum_is_that_of_the_data_sheet(data: bytes) -> None:
+    assert checksum(data) == model.crc(data)
+
+
+def test_the_checksum_of_a_known_datagram() -> None:
+    assert checksum(bytes((5, 0, 0))) == 0x48  # as drivers of others send it
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"TMC2209": (0, 1)}, "TMC2209 has 2 addresses, and STEP 3 pins"),
+        ({"TMC2209": (0, 1, 4)}, "TMC2209: addresses are 0 to 3, each once"),
+        ({"TMC2209": (0, 1, 1)}, "TMC2209: addresses are 0 to 3, each once"),
+        ({"TMC_UART": (8,)}, "TMC_UART wants two pins: TX and RX"),
+        ({"DEFAULTS": {140: 9000.0}}, "DEFAULTS: $140=9000 is nothing a driver can do"),
+    ],
+)
+def test_a_board_file_that_cannot_be_says_why(options: "dict[str, Any]", why: str) -> None:
+    assert board_check.problems(board(**options)) == [why]
+
+
+def test_a_second_motor_has_its_axis_settings_and_a_name() -> None:
+    on = Machine(
+        {141: 900.0},
+        board("sim_ganged", TMC2209=(0, 1, 2, 3), TMC_UART=(8, 9)),
+    )
+    on.play(["G1X1F600", "$TMC"])
+    first, second = (driver(on, motor).registers[model.IHOLD_IRUN] for motor in (1, 3))
+    assert first == second
+    assert any(line.startswith("[TMC:Y2|") for line in on.received)

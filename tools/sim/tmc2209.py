@@ -1,0 +1,107 @@
+"""TMC2209 motor drivers on a wire, as the firmware meets them: datagrams in, datagrams out.
+
+Written from the data sheet, apart from the firmware's side of it. Motors go on as they are: what a
+driver does with its current, nobody sees here.
+"""
+
+import machine
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+GCONF, GSTAT, IFCNT, NODECONF, IOIN = 0x00, 0x01, 0x02, 0x03, 0x06
+IHOLD_IRUN, TCOOLTHRS, SGTHRS, CHOPCONF, DRV_STATUS = 0x10, 0x14, 0x40, 0x6C, 0x6F
+# What they begin with; those that can be read; and those that can be written.
+_BEGIN = {
+    GCONF: 0x101,
+    GSTAT: 1,
+    IOIN: 0x21 << 24,
+    CHOPCONF: 0x10000053,
+    DRV_STATUS: 0x80000000,
+}
+_READABLE = (GCONF, GSTAT, IFCNT, IOIN, CHOPCONF, DRV_STATUS)
+_WRITABLE = (GCONF, GSTAT, NODECONF, IHOLD_IRUN, 0x11, 0x13, TCOOLTHRS, SGTHRS, CHOPCONF)
+_READ_BYTES, _WRITE_BYTES = 4, 8
+
+
+def crc(data: bytes) -> int:
+    """The remainder by x^8 + x^2 + x + 1 of all bits, the lowest of each byte first."""
+    bits = [byte >> i & 1 for byte in data for i in range(8)] + [0] * 8
+    for i in range(len(bits) - 8):
+        if bits[i]:
+            for power in (8, 2, 1, 0):
+                bits[i + 8 - power] ^= 1
+    value = 0
+    for bit in bits[-8:]:
+        value = value * 2 + bit
+    return value
+
+
+class Driver:
+    """One of them. has_supply: its motors'; stuck: flags of GSTAT that come back when they are
+    cleared."""
+
+    def __init__(self, address: int) -> None:
+        self.address = address
+        self.registers: "dict[int, int]" = {}
+        self.stuck = 0
+        self.switch_on()
+
+    def switch_on(self) -> None:
+        """Its supply comes on."""
+        self.has_supply = True
+        self.registers = dict(_BEGIN)
+        self._writes = 0
+
+    def take(self, data: bytes) -> bytes:
+        """A datagram to this address; returns the answer, if there is one."""
+        register = data[2] & 0x7F
+        if not self.has_supply or data[0] & 0xF != 5 or crc(data[:-1]) != data[-1]:
+            return b""
+        if not data[2] & 0x80:
+            if len(data) != _READ_BYTES or register not in _READABLE:
+                return b""
+            value = self._writes & 0xFF if register == IFCNT else self.registers.get(register, 0)
+            answer = bytes((5, 0xFF, register)) + value.to_bytes(4, "big")
+            return answer + bytes((crc(answer),))
+        if len(data) == _WRITE_BYTES and register in _WRITABLE:
+            self._writes += 1
+            value = int.from_bytes(data[3:7], "big")
+            if register == GSTAT:  # ones clear
+                value = self.registers[GSTAT] & ~value | self.stuck
+            self.registers[register] = value
+        return b""
+
+
+class DriverBus:
+    """All of a machine, one per motor. spoil: what a test makes of an answer on its way;
+    is_broken: nothing comes back on the wire, not even what is sent."""
+
+    def __init__(self, addresses: "Sequence[int]", at_rest: "Callable[[], bool]") -> None:
+        self.drivers = [Driver(address) for address in addresses]
+        self.spoil: "Callable[[bytes], bytes] | None" = None
+        self.is_broken = False
+        self.datagrams = 0
+        self.in_motion = 0  # of these, while motors turned
+        self._at_rest = at_rest
+
+    def attach(self, pins: "Sequence[int]") -> None:
+        """Stand at these pins, TX and RX."""
+        if len(pins) == 2:
+            machine.UART.at[pins[0], pins[1]] = self.exchange
+
+    def exchange(self, data: bytes) -> bytes:
+        """What comes back: what was sent, and the answer behind it."""
+        self.datagrams += 1
+        if not self._at_rest():
+            self.in_motion += 1
+        if self.is_broken:
+            return b""
+        answer = b""
+        for driver in self.drivers:
+            if len(data) > 2 and data[1] == driver.address:
+                answer = driver.take(data)
+        if answer and self.spoil:
+            answer = self.spoil(answer)
+        return data + answer
