@@ -1,4 +1,4 @@
-"""TMC2209 drivers: what they are told, what they say, and that nothing moves while one is unwell."""
+"""TMC2209 drivers: what they are told and say, and that nothing moves while one is unwell."""
 
 from collections.abc import Callable, Iterator, Sequence
 from types import ModuleType
