@@ -16,6 +16,7 @@ _BOARD = load_board("btt_skr_pico")
 _UART = 1  # that of TMC_UART's pins
 _BIT_US = 1e6 / 115200
 _DELAY_BITS = 24
+_RECEIVED = 1 << 4  # in the UART's mask of interrupts
 _SETTINGS = (
     *("$110=6000", "$111=6000", "$112=3000", "$120=500", "$121=500", "$122=200"),
     *("$22=1", "$23=0", "$24=300", "$25=1200", "$26=5", "$27=0.5", "$5=1"),
@@ -33,6 +34,13 @@ class Wire:
         self._uart = pico.mcu.uart[_UART]
         self._sent = bytearray()
         self._uart.on_byte = self._on_byte
+        self._uart.check_interrupts = self._check_interrupts
+
+    def _check_interrupts(self) -> None:
+        """The emulator's transmitter, always empty, would interrupt for ever."""
+        uart = self._uart
+        uart._interrupt_status &= _RECEIVED
+        uart.rp2040.set_interrupt(uart.irq, bool(uart._interrupt_status & uart._interrupt_mask))
 
     def _on_byte(self, byte: int) -> None:
         self._sent.append(byte)
