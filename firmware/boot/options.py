@@ -26,31 +26,6 @@ if TYPE_CHECKING:
     from ports.job_files import JobFiles
 
 
-def _make_kinematics(axes: int) -> "Kinematics":
-    """Where motors move more than an axis each."""
-    from motion import kinematics
-
-    return kinematics.Kinematics(axes, kinematics.COREXY)
-
-
-def _make_job_files(board: "ModuleType") -> "JobFiles | None":
-    """Programs that live on the board, where it has a place for them."""
-    if not board.__dict__.get("JOBS", ""):
-        return None
-    from ports import job_files
-
-    return job_files.of_board(board)
-
-
-def _make_driver_wire(board: "ModuleType") -> "DriverWire | None":
-    """The serial line of motor drivers, where they have one."""
-    if not board.__dict__.get("TMC2209", ()):
-        return None
-    from ports import driver_wire
-
-    return driver_wire.of_board(board)
-
-
 class Options:
     """What wiring.py wants to know. Raises ValueError where an extra cannot be."""
 
@@ -64,7 +39,11 @@ class Options:
         self.rx_bytes: int = option("RX_BYTES", 128)
         self.defaults: "dict[int, float]" = option("DEFAULTS", {})
         self.corexy: bool = option("COREXY", False)
-        self.kinematics = _make_kinematics(self.axes) if self.corexy else None
+        self.kinematics: "Kinematics | None" = None
+        if self.corexy:
+            from motion import kinematics
+
+            self.kinematics = kinematics.Kinematics(self.axes, kinematics.COREXY)
         self.door: bool = option("SAFETY_DOOR", False)
         self.parking: bool = option("PARKING", False)
         self.override_control: bool = option("OVERRIDE_CONTROL", False)
@@ -78,8 +57,9 @@ class Options:
         self.echo: bool = option("ECHO", False)
         # What an extra may have otherwise, before the machine is made: prepare().
         self.custom = guests.customs(board)
-        self.job_files = _make_job_files(board)
-        self.driver_wire = _make_driver_wire(board)
+        self.job_files: "JobFiles | None" = None
+        self.driver_wire: "DriverWire | None" = None
+        self._hardware(board)
         self.extras = guests.modules(guests.names(board, bool(self.custom)))
         self.settings: "type[Settings]" = Settings
         self.inputs: "type[Inputs]" = Inputs
@@ -94,6 +74,18 @@ class Options:
         for extra in self.extras:
             if hasattr(extra, "prepare"):
                 extra.prepare(self, board)
+
+    def _hardware(self, board: "ModuleType") -> None:
+        """What extras are handed of it: where programs lie, and the line of motor drivers."""
+        option = board.__dict__.get
+        if option("JOBS", ""):
+            from ports import job_files
+
+            self.job_files = job_files.of_board(board)
+        if option("TMC2209", ()):
+            from ports import driver_wire
+
+            self.driver_wire = driver_wire.of_board(board)
 
     def identity(self) -> str:
         """What [VER:…] says of us: "Grbl" for senders, the rest for `ugrbl doctor`."""

@@ -95,21 +95,13 @@ class Cnc:
 
     def check_setting(self, number: int, check: "Callable[[float], object]") -> None:
         """Called with what the setting is to be, before it is: GrblError refuses it."""
-
-        def check_one(which: int, amount: float) -> None:
-            if which == number:
-                check(amount)
-
-        self.check_settings(check_one)
-
-    def check_settings(self, check: "Callable[[int, float], object]") -> None:
-        """The same for every setting: called with its number, too."""
         settings: "Any" = self._machine.settings
         usual = settings.set
 
-        def set_checked(number: int, amount: float) -> None:
-            check(number, amount)
-            usual(number, amount)
+        def set_checked(which: int, amount: float) -> None:
+            if which == number:
+                check(amount)
+            usual(which, amount)
 
         settings.set = set_checked
 

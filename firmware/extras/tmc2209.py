@@ -103,7 +103,7 @@ def install(cnc: "Cnc") -> None:
     chips = [Chip(wire, address, ohm) for address in _made["addresses"]]
     drivers = Drivers(cnc, chips, _names(_made["letters"], len(chips)), ohm)
     cnc.add_settings(_SETTINGS)
-    cnc.check_settings(drivers.check)
+    drivers.check_settings()
     machine.settings.on_change(drivers.configure)
     cnc.add_command(b"TMC", drivers.report)
     cnc.before_lines(drivers.turn)
@@ -146,10 +146,16 @@ class Drivers:
 
     # Settings
 
-    def check(self, number: int, amount: float) -> None:
-        """Refuse what no driver can do, with a GrblError."""
-        if not _can_be(number, amount, self._most_ma):
-            raise GrblError(errors.INVALID_STATEMENT)
+    def check_settings(self) -> None:
+        """Refuse what no driver can do, before it is set."""
+        usual = self._settings.set
+
+        def set_checked(number: int, amount: float) -> None:
+            if not _can_be(number, amount, self._most_ma):
+                raise GrblError(errors.INVALID_STATEMENT)
+            usual(number, amount)
+
+        self._settings.set = set_checked
 
     def configure(self) -> None:
         """Settings have changed: drivers are to be told of theirs."""
