@@ -31,6 +31,10 @@ def _are_pins(value: Any) -> bool:
     return isinstance(value, tuple) and all(map(_is_pin, value))
 
 
+def _are_numbers(value: Any) -> bool:
+    return isinstance(value, tuple) and all(type(number) is int for number in value)
+
+
 def _are_names(value: Any) -> bool:
     return isinstance(value, tuple) and all(isinstance(name, str) for name in value)
 
@@ -64,6 +68,7 @@ PIN = Kind("pin", _is_pin, ": pins are numbers")
 PINS = Kind("pins", _are_pins, _PARENTHESES)
 PIN_OR_PINS = Kind("pin, or pins", lambda value: _is_pin(value) or _are_pins(value), PIN.wants)
 COUNT = Kind("whole number", lambda value: type(value) is int, ": it is a whole number")
+NUMBERS = Kind("numbers", _are_numbers, _PARENTHESES)
 SWITCH = Kind("True or False", lambda value: type(value) is bool, ": it is True or False")
 WORD = Kind("word", lambda value: isinstance(value, str), 'and wants quotation marks: "{}"')
 MODULE = Kind(
@@ -177,7 +182,7 @@ OPTIONS = (
         'What each motor moves: ("X+Z", "Y", "X-Z") for a CoreXZ. See docs/motors.md.',
     ),
     Option(
-        *("TMC2209", PINS, ()),
+        *("TMC2209", NUMBERS, ()),
         "Addresses of TMC2209 drivers, one per motor, 0 to 3: see docs/drivers.md.",
     ),
     Option("TMC_UART", PINS, (), "Pins of their serial line: TX, RX."),
