@@ -128,7 +128,7 @@ SCENARIOS = (
     Scenario(
         "homing",
         "$H",
-        (Seek.home, Seek.find, Seek._home_phase, Seek._failed),
+        (Seek.home, Seek.find, Seek.home_phase, Seek._failed),
         {22: 1, 23: 7, 24: 600, 25: 1500, 26: 5, 27: 1},
         homes=True,
     ),
