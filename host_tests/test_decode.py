@@ -108,15 +108,15 @@ def test_a_debug_build_tells_names_and_its_map_the_very_line(
 @needs_micropython
 def test_the_map_is_found_by_the_build_that_the_message_tells(told: "dict[bool, str]") -> None:
     for debug, text in told.items():
-        assert build_of(text) == build.prepared_firmware(debug).id
+        assert build_of(text) == build.prepared_firmware(debug, "x64").id
         done = ugrbl("decode", told=text)
         assert done.exit_code == 0 and "motion/segments.py, line" in done.output
 
 
 def test_lines_of_a_debug_build_are_those_of_the_sources() -> None:
     """Statement by statement, wherever a pass has moved them."""
-    texts, made = build.texts(), build.prepared_firmware(debug=True)
-    modules = maps.of(debug=True)["modules"]
+    texts, made = build.texts(), build.prepared_firmware(True, "x64")
+    modules = maps.of(True, "x64")["modules"]
     moved = 0
     for module, text in texts.items():
         before, after = text.splitlines(), made.texts[module].splitlines()

@@ -14,6 +14,7 @@ import pytest
 from as_users import as_users
 from test_both_pythons import PATHS, STANDINS
 from ugrbl.compiling import build, kernels, native
+from ugrbl.compiling.c_text import NotForC
 from ugrbl.paths import EXAMPLES
 
 needs_compiler = pytest.mark.skipif(
@@ -206,7 +207,7 @@ def test_every_kernel_is_translated() -> None:
 
 def test_a_form_that_is_not_known_is_refused() -> None:
     text = "@micropython.viper\ndef f(a: int) -> int:\n    return strange(a)\n"
-    with pytest.raises(native.NotForC, match=r"strange\(a\)"):
+    with pytest.raises(NotForC, match=r"strange\(a\)"):
         native.in_c({"base.made": text})
 
 

@@ -24,8 +24,9 @@ _HEAD = const(4)  # bytes in front of the code: a jump over its length
 
 
 def in_memory(function: "Callable[..., object]") -> "Callable[..., object]":
-    """Have the function run from memory. In flash, calls could not remember whom they have found
-    (tools/compiling/direct.py), and words that code looks up may lie where they cannot be read."""
+    """Have the function run from memory. Kernels keep words of their own among their code
+    (tools/compiling/machine_code.py), and those that code looks up may lie where they cannot be
+    read in flash."""
     at = id(function)
     if type(function).__name__ == "closure":
         at = array("I", uctypes.bytearray_at(at + _FUNCTION_AT, _ADDRESS))[0]

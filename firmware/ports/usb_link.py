@@ -156,7 +156,6 @@ class UsbLink:
         if sys.platform == "rp2":
             from ports import usb_ring
 
-            usb_ring.check_calls()
             usb_ring.find(self._at, self._drain, _take)
         self.is_slow = self._at[RING] == 0
         self.look: "Callable[[], int] | None" = None if self.is_slow else self._look

@@ -7,7 +7,6 @@ program has the port open): in a struct that is known by its two pointers into i
 
 import array
 
-import machine
 import micropython
 from micropython import const
 
@@ -28,20 +27,6 @@ _TRIALS = (b"Where is the ring?", b"Here?")
 _FIFOS = const(4)
 _FIFO_WORDS_MOST = const(8)
 _LINE_STATE = const(5)  # byte
-
-
-# Where a function's object has the address of its code, in memory; what viper code begins with,
-# as the compiler leaves it and where it has two entries.
-_CODE_AT = const(12)
-_BEGINNINGS = (0xB5FE, 0xB5B1)
-
-
-def check_calls() -> None:
-    """Compiled code calls functions where MicroPython keeps theirs (tools/compiling/direct.py).
-    Raises RuntimeError where this one keeps it elsewhere, before there is such a call."""
-    code = machine.mem32[id(_find) + _CODE_AT]
-    if code >> 24 != _MEMORY >> 24 or machine.mem32[code] & 0xFFFF not in _BEGINNINGS:
-        raise RuntimeError("compiled for another MicroPython: put 1.28 on the board")
 
 
 @micropython.viper

@@ -21,10 +21,14 @@ from .prune import prune
 from .shorten import Shortened, shorten
 
 
-def prepared(sources: Mapping[str, str], debug: bool = False) -> Shortened:
-    """The modules, by name, as they are to be compiled. debug: names stay as they are."""
+def prepared(
+    sources: Mapping[str, str], debug: bool = False, with_leaves: bool = True
+) -> Shortened:
+    """The modules, by name, as they are to be compiled. debug: names stay as they are.
+    with_leaves: viper functions stand where they are called."""
     found = marks.read(sources)
-    texts = prune(leaves(inline(sources), found))
+    texts = inline(sources)
+    texts = prune(leaves(texts, found) if with_leaves else texts)
     return Shortened(texts, {}, {}, {}, {}) if debug else shorten(texts, found)
 
 

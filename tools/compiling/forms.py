@@ -199,6 +199,9 @@ class _Stores(ast.NodeVisitor):
         for target in node.targets:
             if isinstance(target, ast.Name):
                 self._found.setdefault(target.id, type_of(node.value, self._found))
+            elif isinstance(target, ast.Tuple):
+                names = (name.id for name in target.elts if isinstance(name, ast.Name))
+                self._found.update(dict.fromkeys(names, "object") | self._found)
 
     def visit_For(self, node: ast.For) -> None:
         is_range = isinstance(node.iter, ast.Call) and annotation(node.iter.func) == "range"
@@ -222,6 +225,9 @@ def type_of(node: ast.expr, known: Mapping[str, str]) -> str:
             return "int"
         case ast.UnaryOp(_, value) | ast.IfExp(body=value):
             return type_of(value, known)
+        case ast.BoolOp(values=[value, *others]):
+            kinds = {type_of(other, known) for other in others}
+            return kinds.pop() if kinds == {type_of(value, known)} else "object"
         case ast.BinOp(left, _, right) if type_of(left, known) == type_of(right, known) == "int":
             return "int"
     return "object"

@@ -20,11 +20,11 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from .. import paths
-from . import build, maps, native
+from . import build, c_text, maps, native
 
 _FLAGS = ("-O2", "-fwrapv", "-fPIC", "-shared", "-w")
 _ON_A_MAC = ("-Wl,-undefined,dynamic_lookup",)  # of Python's own functions
-_TRANSLATOR = ("native.py", "forms.py", "inline.py", "modules.py")
+_TRANSLATOR = ("native.py", "c_text.py", "forms.py", "inline.py", "modules.py")
 _PATIENCE_S = 120
 _MOST_LIBRARIES = 10  # of 80 kB each
 _MOST_KEPT = 1000
@@ -86,7 +86,7 @@ def _make(compiler: list[str], library: Path) -> str:
         text, made = Path(folder, "kernels.c"), Path(folder, "kernels.so")
         try:
             text.write_text(native.in_c(build.texts()), encoding="utf-8")
-        except native.NotForC as form:
+        except c_text.NotForC as form:
             return f"the translator does not know {form}\n"
         flags = (*_FLAGS, *(_ON_A_MAC if sys.platform == "darwin" else ()))
         command = [*compiler, *flags, "-o", str(made), str(text)]
@@ -109,7 +109,7 @@ def _bound(library: Path) -> dict[tuple[str, str], Kernel]:
     found = {}
     for line in listed.splitlines():
         module, name, *types = line.split()
-        function = getattr(handle, f"use_{native.c_name(module, name)}")
+        function = getattr(handle, f"use_{c_text.c_name(module, name)}")
         found[module, name] = _kernel(function, types)
     return found
 

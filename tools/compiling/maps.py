@@ -6,6 +6,7 @@ For the firmware that is here none is needed: it is made anew, or comes with the
 
 import json
 import os
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +18,8 @@ SUFFIX = ".map.json"
 # Where `ugrbl build` writes by default.
 _BUILT = Path("build")
 _HERE = "the firmware that is here"
+# One that has kernels as machine code, and one that has not: their texts differ.
+_PROCESSORS = ("armv6m", "xtensawin")
 _MOST = 50  # maps of 100 kB each
 # Says where maps are kept, where it is not in the user's folder.
 _VARIABLE = "UGRBL_MAPS"
@@ -77,25 +80,24 @@ def find(number: str) -> Found:
         map_ = _readable(file)
         if map_.get("id") == number:
             return Found(map_, str(file))
-    compiled = stock.map_of(build.texts())
-    if compiled.get("id") == number:
-        return Found(compiled, _HERE)
-    for debug in (False, True):
-        made = build.prepared_firmware(debug)
-        if made.id == number:
-            return Found(of(debug), _HERE)
+    compiled = stock.maps_of(build.texts())
+    if number in compiled:
+        return Found(compiled[number], _HERE)
+    for debug, arch in product((False, True), _PROCESSORS):
+        if build.prepared_firmware(debug, arch).id == number:
+            return Found(of(debug, arch), _HERE)
     known = sorted({str(_readable(file).get("id", "")) for file in there} - {""})
     others = f", and maps of {', '.join(known)}" if known else ""
-    here = compiled.get("id") or build.prepared_firmware().id
+    here = " and ".join(compiled) or build.prepared_firmware().id
     raise MapError(
         f"there is no map of the build {number}: here is the firmware {here}{others}; on the "
         f"computer that built it the map lies beside its folder (build/*{SUFFIX}): --map FILE"
     )
 
 
-def of(debug: bool) -> dict[str, Any]:
+def of(debug: bool, arch: str = "armv6m") -> dict[str, Any]:
     """The map of the firmware that is here."""
-    return symbols.describe(build.texts(), build.prepared_firmware(debug), debug)
+    return symbols.describe(build.texts(), build.prepared_firmware(debug, arch), debug)
 
 
 def _readable(file: Path) -> dict[str, Any]:

@@ -16,6 +16,7 @@ _HAS_CHILDREN = 4
 _KIND_BITS = 3
 _VIPER_SECTIONS = 0x70  # flags of code that is linked from elsewhere: it has data, too
 _GENERATOR = 0x40  # in a prelude's second byte, if it has one
+_TABLE = 0  # kinds of constants
 _TUPLE = 10
 _STR, _BYTES = 5, 6
 _WITHOUT_TEXT = 4  # kinds of constants up to this one: None, True …
@@ -47,6 +48,13 @@ def names(compiled: bytes) -> "list[str]":
     return reader.names
 
 
+def table_place(compiled: bytes) -> int:
+    """Among the module's constants, where MicroPython's table of functions is; -1: nowhere."""
+    reader = _Reader(compiled)
+    reader.pass_tables()
+    return reader.table
+
+
 def number(value: int) -> bytes:
     """A number of seven bits a byte, the highest first."""
     made = [value & 127]
@@ -60,6 +68,7 @@ class _Reader:
         self._compiled = compiled
         self.at = _HEAD
         self.names: list[str] = []
+        self.table = -1
         self._vipers = 0  # of the module's own
 
     def pass_tables(self) -> None:
@@ -69,7 +78,9 @@ class _Reader:
             length = self._number()
             is_rom = length & 1
             self.names.append("" if is_rom else self._take((length >> 1) + 1)[:-1].decode())
-        for _ in range(constants):
+        for place in range(constants):
+            if self._compiled[self.at] == _TABLE:
+                self.table = place
             self._pass_constant()
 
     def module(self, rewrite: Rewrite) -> Iterator[bytes]:

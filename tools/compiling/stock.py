@@ -3,9 +3,10 @@
 fill_stock.py makes it with the package: each file once, called by its digest, and an index, where
 
     sources   is the digest of what was compiled
-    map       is the map of all of it, see symbols.py
+    maps      has those of all of it by their id, see symbols.py
     cuts      are what boards have, each:
       arch      the processor
+      map       the id of its map
       modules   of the firmware that are in it
       bundles   what its map has besides; null where each module has a file of its own
       files     by their path on the board: their digests
@@ -49,14 +50,15 @@ def find(
         if cut["arch"] == arch and (wider or cut["modules"] == modules):
             wanted = [path for path in cut["files"] if not apart or path in apart]
             files = {path: (paths.COMPILED / cut["files"][path]).read_bytes() for path in wanted}
-            return files, {**index["map"], **({} if wider else {"bundles": cut["bundles"]})}
+            map_ = index["maps"][cut["map"]]
+            return files, {**map_, **({} if wider else {"bundles": cut["bundles"]})}
     raise NotThere(f"for {arch} with these options nothing is compiled already")
 
 
-def map_of(sources: Mapping[str, str]) -> dict[str, Any]:
-    """The map of all that is there of these sources; {} where nothing is."""
+def maps_of(sources: Mapping[str, str]) -> dict[str, Any]:
+    """The maps of all that is there of these sources, by their id."""
     try:
-        return dict(_index(sources)["map"])
+        return dict(_index(sources)["maps"])
     except NotThere:
         return {}
 
@@ -74,13 +76,16 @@ def _index(sources: Mapping[str, str]) -> dict[str, Any]:
 def save(sources: Mapping[str, str], cuts: Iterable[Cut]) -> None:
     """Write what has been compiled of these sources where the package has it."""
     paths.COMPILED.mkdir()
-    rows, map_ = [], {}
+    rows: list[dict[str, Any]] = []
+    maps: dict[str, Any] = {}
     for cut in cuts:
         map_ = dict(cut.map)
         bundles = map_.pop("bundles", None)
+        maps[map_["id"]] = map_
         files = {path: _put(content) for path, content in cut.files.items()}
-        rows.append({"arch": cut.arch, "modules": cut.modules, "bundles": bundles, "files": files})
-    index = {"sources": _digest(sources), "map": map_, "cuts": rows}
+        row = {"arch": cut.arch, "map": map_["id"], "modules": cut.modules}
+        rows.append({**row, "bundles": bundles, "files": files})
+    index = {"sources": _digest(sources), "maps": maps, "cuts": rows}
     (paths.COMPILED / _INDEX).write_text(json.dumps(index), encoding="utf-8")
 
 

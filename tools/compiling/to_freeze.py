@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..boardfile.files import load_for_build
-from . import build, freeze
+from . import build, compilers, freeze
 from .build import Build, BuildError, Progress
 
 # Processors whose native code is brought into memory. An ESP32 runs it where it lies.
@@ -20,9 +20,9 @@ def for_board(
 ) -> Build:
     """What the board of that file has a use for. BoardFileError before anything is compiled."""
     board: Any = load_for_build(file)
-    if not build.has_compiler():
-        raise BuildError(build.no_compiler("what is compiled already is not to be frozen"))
-    chosen, described = build.chosen_texts(board, debug)
+    if not compilers.are_there(board.MPY_ARCH):
+        raise BuildError(compilers.missing("what is compiled already is not to be frozen"))
+    chosen, described = build.chosen_texts(board.MPY_ARCH, board, debug)
     modules = build.modules_of(board)
     sources = build.texts()
     start = build.module(build.START)

@@ -14,8 +14,8 @@ from typing import Any
 
 from ..boardfile.board_check import is_simulated
 from ..boardfile.files import load_board
-from ..compiling import build
-from ..compiling.build import BuildError
+from ..compiling import compilers
+from ..compiling.compilers import CompilerError
 from . import machine, watch
 from .board_modules import ON_BOARDS, ON_ONE_CHIP
 from .machine import Around
@@ -90,8 +90,8 @@ def unknown_pins(own: OwnPython, outputs: Collection[str], inputs: Collection[st
 def _syntax(module: Module, verdict: Verdict) -> Iterator[str]:
     """What Python takes, and MicroPython does not."""
     try:
-        refused = build.refusal(module.source)
-    except BuildError as error:
+        refused = compilers.refusal(module.source)
+    except CompilerError as error:
         verdict.notes = [f"not seen by MicroPython's compiler: {error}"]
         return
     if refused:

@@ -1,0 +1,144 @@
+"""Machine code of kernels does what the same functions do as Python, wherever it lies."""
+
+import subprocess
+import sys
+from array import array
+
+import pytest
+from as_users import as_users
+from test_both_pythons import PATHS, STANDINS
+from ugrbl.compiling import machine_code
+
+pytest.importorskip("unicorn")
+if not machine_code.is_there():
+    pytest.skip("ziglang is not installed", allow_module_level=True)
+
+from arm_model import CODE, Board, c_of, kernels_of
+
+pytestmark = pytest.mark.xdist_group("machine code")
+
+
+@pytest.mark.parametrize("arch", machine_code.PROCESSORS)
+@pytest.mark.parametrize("part", ["reals", "words", "blocks", "arcs"])
+def test_machine_code_computes_the_same_integers(arch: str, part: str) -> None:
+    paths = [str(STANDINS), *map(str, PATHS)]
+    start = f"""\
+import sys
+sys.path[:0] = {paths}
+sys.argv[1:] = [{part!r}]
+import micropython
+micropython.VIPER = "fast"
+if {{there}}:
+    import arm_model
+    arm_model.use(arm_model.Board(*arm_model.kernels_of({arch!r}), {arch!r}))
+import vectors
+vectors.main()
+"""
+    said = []
+    for there in (True, False):
+        done = subprocess.run(
+            [sys.executable, "-c", start.replace("{there}", str(there))],
+            capture_output=True,
+            text=True,
+            check=False,
+            env=as_users(UGRBL_VIPER="fast"),
+        )
+        assert done.returncode == 0, done.stderr
+        said.append(done.stdout)
+    assert said[0] == said[1]
+    assert len(said[0].splitlines()) > 300
+
+
+_MADE = """
+@micropython.viper
+def share(a: int, b: int) -> int:
+    return a // b + 1000 * (a % b)
+
+@micropython.viper
+def wraps(a: int, b: int) -> int:
+    return (a * b) ^ (a << 3) ^ (a >> 5)
+
+@micropython.viper
+def mixed(p: ptr32, k: int, a: int) -> int:
+    q = ptr8(p)
+    h = ptr16(int(p) + 4)
+    p[k] += a
+    q[0] |= 1
+    h[1] = 0xFFFF
+    total = 0
+    for i in range(1, 4):
+        if i == 2:
+            continue
+        total = total * 10 + i
+    return (total or a) + (a and k) + (not a)
+
+@micropython.viper
+def through(p: ptr32, k: int) -> int:
+    return int(mixed(int(p) + 4, k, 3)) + int(share(7, 2))
+
+@micropython.viper
+def ask(who: object, a: int) -> int:
+    answer = int(who(a, 5))
+    who()
+    return answer + 1
+
+@micropython.viper
+def none() -> int:
+    return 0x7FFFFFFF
+"""
+
+
+@pytest.fixture(scope="module", params=[*machine_code.PROCESSORS])
+def made(request: pytest.FixtureRequest) -> Board:
+    """Made-up kernels."""
+    return Board(*c_of(_MADE), request.param)
+
+
+def test_what_viper_can_is_the_same_as_machine_code(made: Board) -> None:
+    for a, b, due in ((7, 2, 1003), (-7, 2, 996), (7, -2, -1004), (-7, -2, -997)):
+        assert made.call(("made", "share"), a, b) == due
+    a, b = 0x12345678, -0x7654321
+    wrapped = (a * b) ^ (a << 3) ^ (a >> 5)
+    assert made.call(("made", "wraps"), a, b) == (wrapped + 2**31) % 2**32 - 2**31
+    words = array("i", [6, 7, 8])
+    assert made.call(("made", "mixed"), words, 2, 3) == 13 + 2
+    assert list(words) == [7, 7 | -1 << 16, 11]
+    assert made.call(("made", "none")) == 0x7FFFFFFF
+
+
+def test_an_address_may_be_handed_for_a_pointer(made: Board) -> None:
+    words = array("i", [1, 2, 3])
+    assert made.call(("made", "through"), words, 1) == 13 + 1 + 1003
+    assert list(words) == [1, 3, 3 + 3 | -1 << 16]
+
+
+def test_an_object_is_called_with_objects(made: Board) -> None:
+    heard: list[tuple[int, ...]] = []
+
+    def who(*arguments: int) -> int:
+        heard.append(arguments)
+        return sum(arguments)
+
+    assert made.call(("made", "ask"), who, -(1 << 30) - 5) == -(1 << 30) + 1
+    assert heard == [(-(1 << 30) - 5, 5), ()]
+
+
+@pytest.mark.parametrize("arch", machine_code.PROCESSORS)
+def test_it_may_lie_anywhere(arch: str) -> None:
+    for moved in (16, 0x12340):
+        board = Board(*c_of(_MADE), arch, moved)
+        assert all(code >= CODE + moved for code in board.functions.values())
+        assert board.call(("made", "share"), 7, 2) == 1003
+
+
+def test_only_what_is_asked_for_is_there() -> None:
+    c, keys = kernels_of("armv6m")
+    fill = ("motion.segment_kernel", "fill")
+    part, whole = (len(machine_code.linked(c, "armv6m", tuple(each))) for each in ([fill], keys))
+    assert part < whole / 5
+    assert list(Board(c, [fill]).functions) == [fill]
+
+
+def test_what_the_compiler_refuses_is_told() -> None:
+    with pytest.raises(machine_code.CompilerError, match="share"):
+        machine_code.compiled("int share(void) { return missing; }", "armv6m")

@@ -1,0 +1,260 @@
+"""Kernels as machine code: a board's viper functions, compiled by way of C, all in one piece.
+
+MicroPython's own compiler keeps each local in memory and looks up each function that is called.
+LLVM, which comes as the package `ziglang`, makes code of the same functions that is a third as
+long and takes half the time. They see memory as before: as often, and in the same order, for every
+pointer is volatile; integers wrap at 32 bits.
+
+The piece is the code of one viper function, `start`, and may lie anywhere. It takes MicroPython's
+table of functions from its own object, makes an object of each kernel that others than kernels
+call, and returns a tuple of them. These objects are part of the piece: who holds `start` holds it.
+"""
+
+import ast
+import importlib.util
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from . import forms
+from .c_text import BITS, Function, c_name
+from .marks import Key
+from .modules import Module
+
+# The processors for which there is such code, by the name that MicroPython has for theirs.
+PROCESSORS = {"armv6m": "cortex_m0plus", "armv7emsp": "cortex_m33"}
+
+_TARGET = "thumb-freestanding-eabi"
+_FLAGS = (
+    "-Os",
+    "-std=gnu11",
+    "-ffreestanding",
+    "-fno-builtin",  # nothing becomes a call of memset()
+    "-fno-strict-aliasing",
+    "-fwrapv",
+    "-fpic",
+    "-fvisibility=hidden",
+    "-ffunction-sections",
+    "-fdata-sections",
+    "-fno-jump-tables",
+    "-fno-unwind-tables",
+    "-fno-asynchronous-unwind-tables",
+    "-Wno-everything",
+    "-Werror=int-conversion",
+    "-Werror=incompatible-pointer-types",
+)
+_LINKED = """\
+ENTRY(start)
+SECTIONS {{
+    . = 0;
+    .text : {{
+        KEEP(*(.text.start))
+        *(.text .text.* .rodata .rodata.*)
+        . = ALIGN(4);
+        exports_begin = .;
+        {exports}
+        exports_end = .;
+        *(.data .data.* .bss .bss.*)
+    }}
+    /DISCARD/ : {{ *(.ARM.exidx* .ARM.attributes .comment) }}
+}}
+"""
+
+# Places in MicroPython's table of functions, py/nativeglue.h; the last one is for code that is
+# linked from elsewhere, whose version is part of that of the file format.
+_HEAD = """\
+#include <stdint.h>
+typedef void *object;
+typedef volatile uint8_t *ptr8;
+typedef volatile uint16_t *ptr16;
+typedef volatile int32_t *ptr32;
+enum { INT = 2, POINTER = 4 };
+static struct {
+    object none, no, yes;
+    uint32_t (*from_object)(object, uint32_t);
+    object (*to_object)(uint32_t, uint32_t);
+    void *others_5[11];
+    _Bool (*is_true)(object);
+    void *others_17[2];
+    struct { void *type; uint32_t length; object items[]; } *(*new_tuple)(uint32_t, void *);
+    void *others_20[7];
+    object (*call)(object, uint32_t, const object *);
+    void *others_28[11];
+    void (*take_apart)(object, uint32_t, object *);
+    void *others_40[6];
+    int32_t (*quotient)(int32_t, int32_t);
+    int32_t (*modulo)(int32_t, int32_t);
+    void *others_48[33];
+    void *type_of_functions;
+} *python;
+struct function { void *type; uint32_t signature; uintptr_t code; };
+extern __attribute__((visibility("hidden"))) struct function exports_begin[], exports_end[];
+struct context { void *type, *globals, *names; void **objects; };
+struct itself { void *type; struct context *context; };
+
+#define quotient(a, b) python->quotient(a, b)
+#define modulo(a, b) python->modulo(a, b)
+#define left(a, n) ((a) << (n))
+#define right(a, n) ((a) >> (n))
+static int32_t number(object o) {
+    return (uintptr_t)o & 1 ? (int32_t)(intptr_t)o >> 1 : (int32_t)python->from_object(o, INT);
+}
+static void *memory(object o) {
+    return (void *)((uintptr_t)o & 1 ? (intptr_t)o >> 1 : python->from_object(o, POINTER));
+}
+static object boxed(int32_t value) {
+    int32_t small = value << 1;
+    return small >> 1 == value ? (object)(small | 1) : python->to_object(value, INT);
+}
+object start(const struct itself *self) {
+    uintptr_t base = (uintptr_t)start & ~(uintptr_t)1;
+    int32_t count = exports_end - exports_begin;
+    python = self->context->objects[0];
+    void *made = python->new_tuple(count, 0);
+    object *items = (object *)made + 2;
+    for (int32_t i = 0; i < count; i++) {
+        struct function *function = &exports_begin[i];
+        if (!function->type) function->code += base;
+        function->type = python->type_of_functions;
+        items[i] = function;
+    }
+    return made;
+}
+"""
+_EXPORT = """\
+static object use_{name}(uint32_t count, const object *given) {{
+    return boxed({name}({given}));
+}}
+__attribute__((section(".exports.{name}"), used))
+struct function export_{name} = {{0, {signature}, (uintptr_t)use_{name}}};
+"""
+
+
+class CompilerError(Exception):
+    """What the compiler says."""
+
+
+def in_c(modules: Mapping[str, Module], keys: "Sequence[Key]") -> str:
+    """The C text of these functions."""
+    functions = [_Function(modules, key) for key in keys]
+    declared = [f"static {f.head()};\n" for f in functions]
+    return "".join(
+        [_HEAD, *declared, *(part for f in functions for part in (f.body(), f.outer()))]
+    )
+
+
+def is_there() -> bool:
+    """Whether the compiler is installed."""
+    return importlib.util.find_spec("ziglang") is not None
+
+
+@lru_cache(4)
+def compiled(text: str, arch: str) -> bytes:
+    """An object file. CompilerError."""
+    with TemporaryDirectory() as folder:
+        source, made = Path(folder, "kernels.c"), Path(folder, "kernels.o")
+        source.write_text(text, encoding="utf-8")
+        target = ("-target", _TARGET, f"-mcpu={PROCESSORS[arch]}")
+        _zig("cc", *target, *_FLAGS, "-c", "-o", str(made), str(source))
+        return made.read_bytes()
+
+
+@lru_cache(100)
+def linked(text: str, arch: str, exports: "tuple[Key, ...]") -> bytes:
+    """The piece of code: objects of these functions, and all that they call. CompilerError."""
+    kept = [f"KEEP(*(.exports.{c_name(*key)}))" for key in exports]
+    with TemporaryDirectory() as folder:
+        made, script, whole, code = (
+            Path(folder, name) for name in ("kernels.o", "script", "kernels.elf", "kernels.bin")
+        )
+        made.write_bytes(compiled(text, arch))
+        script.write_text(_LINKED.format(exports="\n        ".join(kept)), encoding="utf-8")
+        _zig("ld.lld", "--gc-sections", "-T", str(script), "-o", str(whole), str(made))
+        _zig("objcopy", "-O", "binary", str(whole), str(code))
+        return code.read_bytes()
+
+
+def _zig(*arguments: str) -> None:
+    command = [sys.executable, "-m", "ziglang", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise CompilerError(done.stderr.strip())
+
+
+class _Function(Function):
+    """A function as a board has it."""
+
+    integer = "int32_t"
+    object = "object"
+    zero_pointer = "0"
+
+    def __init__(self, modules: Mapping[str, Module], key: Key) -> None:
+        self._modules = modules
+        super().__init__(modules[key[0]], modules[key[0]].functions[key[1]])
+
+    def outer(self) -> str:
+        """The one that MicroPython calls, and its object."""
+        taken = {"object": "given[{}]", **dict.fromkeys(BITS, "memory(given[{}])")}
+        types = self.parameters.values()
+        given = [taken.get(type, "number(given[{}])").format(i) for i, type in enumerate(types)]
+        signature = len(types) << 17 | len(types) << 1
+        return _EXPORT.format(name=self.name, given=", ".join(given), signature=signature)
+
+    def number(self, value: int) -> str:
+        return f"((int32_t){value & 0xFFFFFFFF}u)"
+
+    def load(self, bits: int, pointer: str, index: str) -> str:
+        return f"((int32_t){pointer}[{index}])"
+
+    def store(self, bits: int, pointer: str, index: str, value: str) -> str:
+        return f"{pointer}[{index}] = {value};"
+
+    def cast(self, type: str, node: ast.expr) -> str:
+        value = self.expression(node)
+        return f"((ptr{BITS[type]})memory({value}))" if self._is(node) else f"(({type}){value})"
+
+    def truth(self, node: ast.expr) -> str:
+        value = self.expression(node)
+        return f"python->is_true({value})" if self._is(node) else value
+
+    def knows(self, key: Key) -> bool:
+        return key[0] in self._modules and key[1] in self._modules[key[0]].functions
+
+    def handed(self, key: Key, arguments: "list[ast.expr]") -> "list[str]":
+        """An address may be handed for a pointer."""
+        parameters = self._modules[key[0]].functions[key[1]].args.args
+        types = [forms.annotation(parameter.annotation) for parameter in parameters]
+        return [
+            self.cast(type, each) if type in BITS else self.expression(each)
+            for type, each in zip(types, arguments, strict=True)
+        ]
+
+    def as_int(self, node: ast.expr) -> str:
+        value = self.expression(node)
+        if self._is(node):
+            return f"number({value})"
+        return f"((int32_t){value})" if self.type_of(node) in BITS else value
+
+    def call_object(self, node: ast.Call) -> str:
+        return f"number({self.tell_object(node)})"
+
+    def tell_object(self, node: ast.Call) -> str:
+        given = [
+            value if self._is(each) else f"boxed({value})"
+            for each, value in ((each, self.expression(each)) for each in node.args)
+        ]
+        array = f"(object[]){{{', '.join(given)}}}" if given else "0"
+        return f"python->call({self.expression(node.func)}, {len(given)}, {array})"
+
+    def _take_apart(self, node: ast.stmt, names: "list[ast.expr]", value: ast.expr) -> str:
+        """MicroPython hands out the last one first."""
+        targets = [self.expression(name) for name in reversed(names)]
+        parts = " ".join(f"{target} = parts[{i}];" for i, target in enumerate(targets))
+        taken = f"python->take_apart({self.expression(value)}, {len(targets)}, parts);"
+        return f"{{ object parts[{len(targets)}]; {taken} {parts} }}"
+
+    def _is(self, node: ast.expr) -> bool:
+        return self.type_of(node) == "object" and self.is_object(node)
