@@ -647,8 +647,9 @@ class Bed:
         if not self.waiting:
             return 0
         self.asked.append(self.chip.now)
+        row = pulses.ptr32(into)  # an address
         for i, value in enumerate(self.waiting.pop(0)):
-            into[i] = value
+            row[i] = value
         return 1
 
     def start(self, rows: "Iterable[array[int]]") -> "Bed":
@@ -1043,20 +1044,18 @@ def test_a_processor_clock_of_whole_ticks_is_demanded(
             assert [one.freq for one in machines] == [HZ] * (AXES + 1)
 
 
-def test_registers_of_the_rp2350_are_where_its_data_sheet_has_them(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_registers_of_the_rp2350_are_where_its_data_sheet_has_them() -> None:
     """Addresses only: there is no model of that chip. Its PIO 0 and 1 lie as the RP2040's."""
-    with a_bed():
+    with a_bed(), pytest.MonkeyPatch.context() as patch:
         memory = hub.Memory(AXES, True)
         timer, rivals, busy = layout.TIMER, layout.RIVALS, layout.BUSY
         assert memory.hub[timer] == 0x400B0000 + 0x28  # TIMER0, TIMERAWL
         # IO_IRQ_BANK0, PIO1_IRQ_0, TIMER0_IRQ_0 to 3
         assert memory.hub[rivals] == 1 << 21 | 1 << 17 | 0b1111
         assert memory.hub[busy] == 1 << 26  # CH0_CTRL_TRIG
-        monkeypatch.setattr(sys.implementation, "_machine", "Raspberry Pi Pico2 with RP2350")
+        patch.setattr(sys.implementation, "_machine", "Raspberry Pi Pico2 with RP2350")
         registers: dict[int, int] = {0x40028004 + 8 * pin: 6 for pin in (*STEP, *DIR)}
-        monkeypatch.setattr(machine, "mem32", registers)
+        patch.setattr(machine, "mem32", registers)
         PioEngine(STEP, DIR).configure(10, 0b001, 0b100)
         inverted = {STEP[0], DIR[2]}
         for pin in (*STEP, *DIR):  # GPIOn_CTRL, OUTOVER in bits 13:12

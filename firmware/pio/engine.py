@@ -23,21 +23,16 @@ import sys
 import machine
 import micropython
 from micropython import const
-from motion.layout import KEEP_POWER
 
 from pio import pulses
-from pio.hub import Memory, append, feed, look
+from pio.hub import Memory, turn
 from pio.layout import (
-    AHEAD,
     ASKED,
     CLOCK,
     CLOCK_AT,
-    CUT,
-    EARLY,
     FAULT,
     FED,
     HALT,
-    LAST_ROW,
     MADE,
     PIO0,
     PIO1,
@@ -59,12 +54,6 @@ if TYPE_CHECKING:
 
 _TICK_HZ = const(12_500_000)
 _SEGMENT_LOG2 = const(17)
-
-# So much is made ahead of the segment that runs, in ticks: what a hold has to wait for, besides.
-_LEAD = const(40_000)
-_MOST = const(2)  # segments made in one interrupt
-_WAITING = const(10)  # rows that may wait; the others may still be looked at
-
 
 # fault(): in the order of layout.RAISED and those behind it.
 _FAULTS = (
@@ -231,23 +220,7 @@ class PioEngine:
         if hub[HALT]:
             return 0
         try:
-            power = int(look(hub)) if hub[RUNNING] else KEEP_POWER
-            if power != KEEP_POWER:
-                self._on_power(power)
-            if hub[RUNNING] == 0 or hub[EARLY] <= 0:
-                if hub[MADE] != hub[FED]:
-                    feed(hub)
-                made = 0
-                while made < _MOST and hub[AHEAD] < _LEAD and hub[MADE] - hub[FED] < _WAITING:
-                    if hub[CUT] == 0:
-                        if int(self._next_segment(self._rows[hub[MADE] & LAST_ROW])) == 0:
-                            break
-                    append(hub)
-                    made += 1
-                if made:
-                    feed(hub)
-                if hub[RUNNING] == 0 and hub[HALT] == 0:
-                    self._on_rest()
+            turn(hub, self._next_segment, self._on_power, self._on_rest)
         except:  # noqa: E722
             hub[FAULT] = RAISED
         if hub[FAULT]:

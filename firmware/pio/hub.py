@@ -103,8 +103,11 @@ from pio.registers import (
     TXOVER,
 )
 
-# The clock calls so long before the end of a long segment, in ticks: time to make the next.
+# So much is made ahead of the segment that runs, in ticks: what a hold has to wait for, besides.
+# The clock calls so long before the end of a long segment.
 _LEAD = const(40_000)
+_MOST = const(2)  # segments made in one interrupt
+_WAITING = const(10)  # rows that may wait; the others may still be looked at
 _CLOCK_FIFO = const(4)
 # Words handed over later than that before the last ones end might come too late, in us.
 _MARGIN = const(20)
@@ -118,6 +121,29 @@ _STEP_LOW = const(0xE000)
 
 _CLOCK_SHIFT = const(24)
 _CLOCK_OVERHEAD = const(4)  # ticks of its loop besides the count
+
+
+@micropython.viper
+def turn(hub: ptr32, next_segment: object, on_power: object, on_rest: object) -> int:
+    """A segment has begun, or the engine is to start: keep the hardware busy."""
+    power = int(look(hub)) if hub[RUNNING] else KEEP_POWER
+    if power != KEEP_POWER:
+        on_power(power)  # type: ignore[operator]
+    if hub[RUNNING] == 0 or hub[EARLY] <= 0:
+        if hub[MADE] != hub[FED]:
+            feed(hub)
+        made = 0
+        while made < _MOST and hub[AHEAD] < _LEAD and hub[MADE] - hub[FED] < _WAITING:
+            if hub[CUT] == 0:
+                if int(next_segment(hub[ROW + (hub[MADE] & LAST_ROW)])) == 0:  # type: ignore[operator]
+                    break
+            append(hub)
+            made += 1
+        if made:
+            feed(hub)
+        if hub[RUNNING] == 0 and hub[HALT] == 0:
+            on_rest()  # type: ignore[operator]
+    return 0
 
 
 @micropython.viper
