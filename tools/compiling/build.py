@@ -13,6 +13,7 @@ from .. import paths
 from ..boardfile import engines, options
 from ..boardfile.files import load_for_build
 from . import compilers, kernel_module, machine_code, prepared, put_together, stock, symbols
+from .built_in import built_in
 from .bundle import Bundles
 from .inline import inline
 from .kernel_module import Apart
@@ -326,7 +327,7 @@ def for_board(
 @lru_cache(300)
 def _compile(name: str, text: str, arch: str, debug: bool) -> bytes:
     """A module in MicroPython's own format."""
-    written = pairs(singles(text) if arch != _OF_DESKTOPS else text)
+    written = pairs(singles(built_in(text)) if arch != _OF_DESKTOPS else text)
     try:
         return compilers.compiled(name, written, arch, debug)
     except compilers.CompilerError as error:
