@@ -15,7 +15,7 @@ from typing import Any
 import machine
 import pytest
 import rp2
-from pio import engine, hub, pulses, stops
+from pio import engine, hub, pulses, stops, turn
 from rp2040py.rp2040 import RP2040
 
 # The data sheet's addresses.
@@ -269,7 +269,7 @@ class PioChip(_Chip):
         def ptr32(memory: Any) -> Any:
             return Pointer(memory) if isinstance(memory, int) else plain(memory)
 
-        for module in (engine, hub, pulses, stops):
+        for module in (engine, hub, pulses, stops, turn):
             patch.setattr(module, "ptr32", ptr32, raising=False)
         patch.setattr(hub, "_make_array", self._array)
         patch.setattr(hub, "_make_address", self._address)

@@ -181,8 +181,6 @@ class Machine:
         return 5 << 6 | 1 << 5 | 5
     def direction(self):
         return 16
-    def free(self):
-        return 255
 
 machine = Machine()
 state = st.State()
@@ -194,11 +192,12 @@ coords.systems[0][0] = 10.5
 planner = Planner(3, 16, None, state)
 planner.configure(settings, 13107200, 17, 90909)
 segments = Segments(planner)
+reader = array("i", (256, 0, 0))  # as LineReader has them: size, head, tail
 planner.flow[9] = 56 << 15 | 0x4321
 report = Report(machine, state, settings, coords, 3, False)
-report.configure()
 inputs = Inputs(machine, settings, 3, False)
-report.connect(machine, planner, segments, inputs, machine, machine, machine.free, None)
+report.connect(machine, planner, segments, inputs, machine, machine, reader, None)
+report.configure()
 
 def taken(wco, ov):
     state.wco_countdown, state.override_countdown = wco, ov

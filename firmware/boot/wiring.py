@@ -243,7 +243,7 @@ def _connect(machine: Controller) -> None:
         machine.inputs,
         machine.spindle,
         machine.coolant,
-        machine.reader.free,
+        machine.reader.memory()[1],
         machine.position,
     )
     machine.drive.connect(machine.protocol.pump)

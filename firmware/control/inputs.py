@@ -18,6 +18,7 @@ class Inputs:
 
     def __init__(self, port: "Port", settings: "Settings", axes: int, has_door: bool) -> None:
         self._port = port
+        self._levels = port.levels
         self._settings = settings
         self._all = (1 << axes) - 1
         self.has_door = has_door
@@ -40,7 +41,7 @@ class Inputs:
 
     def closed(self) -> int:
         """All that is closed, a bit each: probe, limits of six axes, door, reset, hold, start."""
-        levels = (self._port.levels() ^ self._inverted) & self._watched
+        levels = (self._levels() ^ self._inverted) & self._watched
         if not levels:
             return 0  # as nearly always
         return levels >> PROBE_AT | (levels & DOOR) << 4 | (levels & (RESET | HOLD | START)) << 8

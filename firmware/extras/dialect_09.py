@@ -11,6 +11,7 @@ from base.settings import INT
 from base.singles import MINUS, add
 from micropython import const
 from talk.digits import VALUES, number, write
+from talk.lines import room
 from talk.report import BUILD, Report
 
 TYPE_CHECKING = const(False)
@@ -132,15 +133,20 @@ class Report09(Report):
         inputs: "Inputs",
         spindle: "Spindle",
         coolant: "Coolant",
-        rx_free: "Callable[[], int]",
+        reader: "array[int]",
         position: "Callable[[array[float]], None]",
     ) -> None:
         """As Report does. Buffers are empty yet: 0.9 counts what is in them."""
-        super().connect(engine, planner, segments, inputs, spindle, coolant, rx_free, position)
+        super().connect(engine, planner, segments, inputs, spindle, coolant, reader, position)
         self.words = _WORDS.copy()  # other extras may add to these
         self.alarms = _ALARMS.copy()
         self._blocks = planner.free()
-        self._rx_bytes = rx_free()
+        self._rx_bytes = room(reader)
+
+    def configure(self) -> None:
+        """Take over $10 and $13."""
+        super().configure()
+        self._usual_form = b""  # not in these words
 
     # Answers
 
@@ -204,7 +210,9 @@ class Report09(Report):
 
     # The status report
 
-    def _fields(self, text: bytearray, ints: "array[int]", mm: "array[float]") -> None:
+    def _fields(
+        self, text: bytearray, ints: "array[int]", mm: "array[float]", _closed: int
+    ) -> None:
         """All behind the state. mm: machine position, not written yet."""
         mask = self._settings.report_mask
         if mask & _MACHINE_POSITION:
@@ -215,7 +223,7 @@ class Report09(Report):
         if mask & _PLANNER_BLOCKS:
             self._number(b",Buf:%\0", self._blocks - self._planner.free())
         if mask & _RX_BYTES:
-            self._number(b",RX:%\0", self._rx_bytes - self._rx_free())
+            self._number(b",RX:%\0", self._rx_bytes - room(self._reader))
         if self._line_numbers:
             self._number(b",Ln:%\0", self._planner.line_number())
         if mask & _LIMITS:

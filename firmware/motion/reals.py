@@ -31,13 +31,14 @@ def value(r: int) -> float:
     return float(r % LIMIT) * 2.0 ** (r // LIMIT - BIAS)
 
 
+@micropython.viper
 def per_minute(r: int) -> int:
-    """60 times the real r, rounded, a half up."""
+    """60 times the real r, rounded, a half up; at most 30 bits."""
     twice = r % LIMIT * 120
     shift = BIAS - r // LIMIT
     if shift <= 0:
-        return twice << -shift >> 1
-    return ((twice >> shift) + 1) >> 1
+        return twice << (0 - shift if shift > -9 else 9) >> 1
+    return ((twice >> (shift if shift < 31 else 31)) + 1) >> 1
 
 
 @micropython.viper

@@ -25,7 +25,7 @@ import micropython
 from micropython import const
 
 from pio import pulses
-from pio.hub import Memory, turn
+from pio.hub import Memory
 from pio.layout import (
     ASKED,
     CLOCK,
@@ -43,6 +43,7 @@ from pio.layout import (
 )
 from pio.registers import CLEAR
 from pio.stops import arm, call, halt, position, trouble
+from pio.turn import turn
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:

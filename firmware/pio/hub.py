@@ -105,9 +105,7 @@ from pio.registers import (
 
 # So much is made ahead of the segment that runs, in ticks: what a hold has to wait for, besides.
 # The clock calls so long before the end of a long segment.
-_LEAD = const(40_000)
-_MOST = const(2)  # segments made in one interrupt
-_WAITING = const(10)  # rows that may wait; the others may still be looked at
+LEAD = const(40_000)
 _CLOCK_FIFO = const(4)
 # Words handed over later than that before the last ones end might come too late, in us.
 _MARGIN = const(20)
@@ -121,29 +119,6 @@ _STEP_LOW = const(0xE000)
 
 _CLOCK_SHIFT = const(24)
 _CLOCK_OVERHEAD = const(4)  # ticks of its loop besides the count
-
-
-@micropython.viper
-def turn(hub: ptr32, next_segment: object, on_power: object, on_rest: object) -> int:
-    """A segment has begun, or the engine is to start: keep the hardware busy."""
-    power = int(look(hub)) if hub[RUNNING] else KEEP_POWER
-    if power != KEEP_POWER:
-        on_power(power)  # type: ignore[operator]
-    if hub[RUNNING] == 0 or hub[EARLY] <= 0:
-        if hub[MADE] != hub[FED]:
-            feed(hub)
-        made = 0
-        while made < _MOST and hub[AHEAD] < _LEAD and hub[MADE] - hub[FED] < _WAITING:
-            if hub[CUT] == 0:
-                if int(next_segment(hub[ROW + (hub[MADE] & LAST_ROW)])) == 0:  # type: ignore[operator]
-                    break
-            append(hub)
-            made += 1
-        if made:
-            feed(hub)
-        if hub[RUNNING] == 0 and hub[HALT] == 0:
-            on_rest()  # type: ignore[operator]
-    return 0
 
 
 @micropython.viper
@@ -282,16 +257,16 @@ def feed(hub: ptr32) -> int:
     while fed != hub[MADE] and count < space:
         row = ptr32(hub[ROW + (fed & LAST_ROW)])
         ticks = row[ROW_TICKS]
-        long = ticks >= 2 * _LEAD
+        long = ticks >= 2 * LEAD
         if long and count + 1 == space:
             break
         late = int(convert(row, hub[LANES], hub[WORDS], hub[TIMING]))
         lasts = late + ticks
         clocked[count] = lasts - _CLOCK_OVERHEAD if lasts > _CLOCK_OVERHEAD else 0
         if long:
-            clocked[count] -= _LEAD
+            clocked[count] -= LEAD
             count += 1
-            clocked[count] = _LEAD - _CLOCK_OVERHEAD
+            clocked[count] = LEAD - _CLOCK_OVERHEAD
         rest = hub[END_REST] + 2 * late
         row[begins] = (hub[END_US] + rest // HALF_TICKS_PER_US) & MASK
         row[begins + 1] = rest % HALF_TICKS_PER_US

@@ -14,6 +14,7 @@ import machine
 import micropython
 from machine import PWM, Timer
 from micropython import const
+from ports.input_pins import NOT_WIRED
 from ports.port import PortPins
 
 TYPE_CHECKING = const(False)
@@ -41,6 +42,7 @@ _OUTOVER = const(8)
 _OUTOVER_2350 = const(12)
 _FORCED = const(2)
 _ALL_BITS = const(3)
+_GPIO_IN = const(0xD0000004)  # levels of pins 0 to 31
 _SLICES = const(0xF)  # pins that differ above these bits share their pulses
 
 
@@ -84,6 +86,11 @@ class GpioPort(PortPins):
             i += 2
         return 0
 
+    def levels(self) -> int:
+        """As PortInputs has them, out of the register of all pins at once."""
+        numbers = self._input_numbers
+        return _levels(_GPIO_IN - (1 << 32), numbers, len(numbers), self._control_invert)
+
     def revive(self) -> None:
         """What has been killed is off, and obeys again."""
         if self._pads[0]:
@@ -122,6 +129,16 @@ class GpioPort(PortPins):
         # MicroPython has no way to stop it; clearing the enabling bit is one.
         machine.mem32[(_WATCHDOG_2350 if _is_rp2350() else _WATCHDOG) + _CLEAR] = 1 << 30
         return None
+
+
+@micropython.viper
+def _levels(gpio_in: ptr32, pins: ptr8, count: int, inverted: int) -> int:
+    levels = gpio_in[0]
+    mask = 0
+    for i in range(count):
+        if pins[i] != NOT_WIRED and (levels >> pins[i]) & 1 == 0:
+            mask |= 1 << i
+    return mask ^ inverted
 
 
 @micropython.viper

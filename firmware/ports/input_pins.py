@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from interfaces import InputListener
 
 _BOTH_EDGES = Pin.IRQ_RISING | Pin.IRQ_FALLING
+NOT_WIRED = const(255)
 # For so long an input that has called is left in peace where the board file says nothing.
 _PEACE_MS = const(2)
 
@@ -68,6 +69,9 @@ class PortInputs:
         # As levels() has them.
         without = [None] * (PROBE_AT - len(self._controls))
         self._inputs = self._controls + without + [self._probe] + self._limits
+        numbers = list(option("CONTROL", ())) + without + [option("PROBE", None)]
+        numbers += option("LIMIT", ())
+        self._input_numbers = bytes(NOT_WIRED if n is None else n for n in numbers)
 
     def _make_input(self, pin: "int | None") -> "Pin | None":
         if pin is None:

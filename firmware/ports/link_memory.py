@@ -15,9 +15,11 @@ DTR = const(6)  # whether the port is open,
 USED = const(7)  # has been before,
 OPENED = const(8)  # and has been opened once more: JUST now, or a while ago,
 ESCAPES = const(9)  # whether bytes taken are such as ask for the prompt,
-FULL = const(10)  # whether the ring was so full that more may wait behind it, and
-LENGTH = const(11)  # how much waits to be sent.
-REMEMBERED = const(12)
+FULL = const(10)  # whether the ring was so full that more may wait behind it,
+LENGTH = const(11)  # how much waits to be sent,
+TURNS = const(12)  # for how many turns nothing has come since, and
+DEAF = const(13)  # whether the host has not read for so long that it is taken for absent.
+REMEMBERED = const(14)
 JUST = const(1)
 
 # MicroPython's struct ringbuf_t: address, size : 16, iget : 16, iput : 16.

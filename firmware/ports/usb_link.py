@@ -14,20 +14,17 @@ The way back to the REPL is escape.py's.
 """
 
 import array
-import binascii
-import io
-import os
 import select
 import sys
 import time
 
-import machine
 import micropython
 from micropython import const
 
 from ports.escape import CTRL_C, Escape
 from ports.link_memory import (
     AWAY,
+    DEAF,
     DTR,
     ESCAPES,
     FULL,
@@ -42,6 +39,7 @@ from ports.link_memory import (
     STOPPED,
     TAKING,
     TURNED,
+    TURNS,
     USED,
     WRITE_MS,
 )
@@ -50,10 +48,6 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
-
-# MicroPython looks for files of these names at every import, for 5 ms each, unless they are known.
-for _module in (array, binascii, io, machine, os, select, time):
-    sys.modules[_module.__name__] = _module
 
 _CTRL_X = const(24)
 
@@ -147,10 +141,9 @@ class UsbLink:
         self._arrived.register(sys.stdin, select.POLLIN)
         self._sendable: "Any" = select.poll()
         self._sendable.register(sys.stdout, select.POLLOUT)
-        self._deaf = False
         self._byte = bytearray(1)
         self._waiting_out = bytearray(_OUT_BYTES)
-        self._turns = self._since = 0
+        self._since = 0
         self._escape = Escape(self.close)
         self.shared = self._at = array.array("i", (0 for _ in range(REMEMBERED)))
         if sys.platform == "rp2":
@@ -160,6 +153,7 @@ class UsbLink:
         self.is_slow = self._at[RING] == 0
         self.look: "Callable[[], int] | None" = None if self.is_slow else self._look
         self.read_into = self._make_read_into()
+        self._send = self._make_send()
         self.write = self._make_write()
 
     def attach(self, at_rest: "Callable[[], bool]", on_open: "Callable[[], None]") -> None:
@@ -221,18 +215,36 @@ class UsbLink:
 
         return read_into
 
+    def _make_send(self) -> "Callable[[bytes | bytearray | memoryview, int], None]":
+        """The same, for what is to go now. A host that does not read is waited for once, then goes
+        without."""
+        at, out, sendable = self._at, self._out.write, self._sendable.poll
+        ticks_ms, ticks_diff = time.ticks_ms, time.ticks_diff
+
+        def send(data: "bytes | bytearray | memoryview", length: int) -> None:
+            if at[DEAF] and not sendable(0):
+                return
+            since = ticks_ms()
+            at[AWAY] = -WRITE_MS
+            out(data, length)
+            at[AWAY] = 0
+            at[DEAF] = ticks_diff(ticks_ms(), since) >= _DEAF_MS
+
+        return send
+
     def _make_write(self) -> "Callable[[bytes | bytearray | memoryview], None]":
         """The same, for answers."""
-        at, keep, waiting = self._at, _keep, self._waiting_out
+        at, keep, waiting, send = self._at, _keep, self._waiting_out, self._send
 
         def write(data: "bytes | bytearray | memoryview") -> None:
             count = len(data)
             if not keep(at, waiting, data, count):
                 self._flush()
                 if not keep(at, waiting, data, count):
-                    self._send(data, count)
-            if count > _ANSWER:
-                self._flush()
+                    send(data, count)
+            elif count > _ANSWER:
+                length, at[LENGTH] = at[LENGTH], 0
+                send(waiting, length)
 
         return write
 
@@ -248,10 +260,9 @@ class UsbLink:
             self._escape.listen(buf, count)
             return count
         if at[LENGTH]:
-            self._turns += 1
-            if self._turns >= _QUIET_TURNS:
-                self._turns, length, at[LENGTH] = 0, at[LENGTH], 0
-                self._send(self._waiting_out, length)
+            at[TURNS] += 1
+            if at[TURNS] >= _QUIET_TURNS:
+                self._flush()
         if at[FULL]:
             at[FULL] = 0
             self._waiting()  # to ask fills the ring
@@ -294,21 +305,10 @@ class UsbLink:
             self.read_into(piece)
 
     def _flush(self) -> None:
-        self._turns = 0
-        length = self._at[LENGTH]
+        at = self._at
+        length, at[LENGTH], at[TURNS] = at[LENGTH], 0, 0
         if length:
-            self._at[LENGTH] = 0
             self._send(self._waiting_out, length)
-
-    def _send(self, data: "bytes | bytearray | memoryview", length: int) -> None:
-        """A host that does not read is waited for once, then goes without."""
-        if self._deaf and not self._sendable.poll(0):
-            return
-        since = time.ticks_ms()
-        self._at[AWAY] = -WRITE_MS
-        self._out.write(data, length)
-        self._at[AWAY] = 0
-        self._deaf = time.ticks_diff(time.ticks_ms(), since) >= _DEAF_MS
 
     def close(self) -> None:
         """Send what is left; Ctrl-C interrupts again."""

@@ -103,6 +103,12 @@ def room(at: ptr32) -> int:
 
 
 @micropython.viper
+def waits(at: ptr32) -> int:
+    """Whether there are bytes in the ring."""
+    return 1 if at[_HEAD] != at[_TAIL] else 0
+
+
+@micropython.viper
 def feed(data: ptr8, count: int, ring: ptr8, at: ptr32, kinds: ptr8, post: object) -> int:
     """Move received bytes into the ring; post is called with those that are real-time. Bytes that
     find no room are lost."""

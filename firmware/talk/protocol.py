@@ -93,7 +93,7 @@ class Protocol:
         memory, plan, others = needs(reader, fast, self.link, self._buffer)
         heard, at, line, kinds = memory
         known = plan[0]
-        echoes, room = self._echoes, len(self._buffer)
+        echoes = self._echoes
         while True:
             try:
                 if self._drive.by_pin:  # what is unread was sent before the reset
@@ -111,7 +111,8 @@ class Protocol:
                     posted = pending[st.ANY] or state.suspend
                     # A line that waits for room gives everybody a turn there.
                     if posted or found & LINE == 0 or not known[WAITS]:
-                        if found == NOTHING and not reader.waiting():
+                        # What waits to move does so a turn later where somebody has asked.
+                        if found == NOTHING and not posted and not reader.waiting():
                             self._canon.auto_start()
                         self._realtime.run()
                         if found == NOTHING:
@@ -134,11 +135,7 @@ class Protocol:
                     except (GrblError, OSError, Abort) as reason:
                         self._refuse(reason, b"")
                     else:
-                        try:
-                            if reader.free() >= room:  # who counts nothing must not overrun it
-                                self.pump()
-                        finally:  # a loop that was away is told of there: no fault of the line
-                            write(OK)
+                        write(OK)
             except Abort:
                 self._tell_alarm()
 

@@ -10,7 +10,7 @@ from base.state import ANY
 from language.fast_kernel import follow
 from micropython import const
 
-from talk.lines import LINE, NOTHING, clean, feed, room
+from talk.lines import LINE, NOTHING, clean, feed, room, waits
 from talk.report import OK
 
 TYPE_CHECKING = const(False)
@@ -95,30 +95,18 @@ def _take(
     an odd number is left."""
     other, line, write, one, both, hears = others
     left = _LINES
+    if int(waits(at)):  # a ? is not to wait behind a line that is there
+        _hear(pending, hears, heard, at, kinds)
     while left:
         found = int(clean(heard, at, text, kinds))
         done = 0 if pending[ANY] else found & LINE
         if done and other:
             done = int(other(line, found >> 2))
         elif done:
-            done = int(
-                follow(
-                    text,
-                    found >> 2,
-                    known,
-                    position,
-                    target,
-                    travel,
-                    table,
-                    ring,
-                    flow,
-                    speeds,
-                    changes,
-                    rates,
-                    scale,
-                    news,
-                )
-            )
+            done = int(follow(
+                text, found >> 2, known, position, target, travel,
+                table, ring, flow, speeds, changes, rates, scale, news,
+            ))  # fmt: skip
         if done:
             left -= 1
             if left & 1 == 0:
@@ -128,7 +116,7 @@ def _take(
             if left & 1:
                 write(one)
             left = (left - 1) & -2  # bytes without the end of a line count as one
-            if found or int(_hear(pending, hears, heard, at, kinds)) == 0:
+            if found or pending[ANY] or int(_hear(pending, hears, heard, at, kinds)) == 0:
                 return found
     return NOTHING
 

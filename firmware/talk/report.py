@@ -10,13 +10,15 @@ from array import array
 from base import errors
 from base import state as st
 from base.f32 import INCH_PER_MM, copy, f32, vector
-from base.singles import MINUS, add, divide
+from base.singles import MINUS, add
 from control.coords import NAMES
 from micropython import const
 from motion import reals
 from motion.layout import LIMITS, RESOLUTION
 
 from talk.digits import END, VALUES, number, write
+from talk.fields import begin, usual
+from talk.lines import room
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -95,9 +97,8 @@ class Report:
         self._sent = 0  # the length of the last one, and its piece of the buffer
         self._piece = memoryview(self._text)
         self._ints = array("i", bytes(4 * (VALUES + _VALUES)))
-        self._mm = vector(axes)
+        self._mm = vector(axes + 1)  # and the spindle's speed
         self._shown = vector(axes + 1)  # what is worked out to be written
-        self._resolution = LIMITS + RESOLUTION * axes
 
     def connect(
         self,
@@ -107,18 +108,30 @@ class Report:
         inputs: "Inputs",
         spindle: "Spindle",
         coolant: "Coolant",
-        rx_free: "Callable[[], int]",
+        reader: "array[int]",
         position: "Callable[[array[float]], None]",
     ) -> None:
-        """Say whom a status report is to ask. position: copies the machine position in mm."""
+        """Say whom a status report is to ask. reader: where LineReader is in its ring; position:
+        copies the machine position in mm."""
         self._engine = engine
         self._planner = planner
-        self._steps = array("i", bytes(4 * planner.motors))
         self._segments = segments
         self._inputs = inputs
         self._spindle = spindle
         self._coolant = coolant
-        self._rx_free = rx_free
+        self._reader = reader
+        # What a report is made of, for each attribute that is looked up costs 5 us.
+        self._known = (
+            self._text,
+            self._ints,
+            self._mm,
+            array("i", bytes(4 * planner.motors)),
+            planner.table,
+            LIMITS + RESOLUTION * self._axes,
+            self._axes,
+            engine.position,
+            planner.kinematics,
+        )
         self._position = position
 
     def configure(self) -> None:
@@ -133,6 +146,13 @@ class Report:
         self._place_form = name + self._form
         if settings.report_mask & _REPORT_BUFFERS:
             self._place_form = self._place_form[:-1] + b"|Bf:%,%\0"
+        self._is_laser = settings.laser_mode
+        # All of it in one kernel, where nothing else is to be told; or nothing.
+        form = self._place_form[:-1] + b"|FS:%,#0>\r\n\0"
+        is_usual = settings.report_mask & _REPORT_MPOS and not settings.report_inches
+        self._usual_form = form if is_usual and not self._line_numbers else b""
+        planner, buffers = self._planner, settings.report_mask & _REPORT_BUFFERS
+        self._usual = planner.flow, planner.ring, self._reader, form, buffers
 
     # Answers
 
@@ -231,16 +251,28 @@ class Report:
 
     def status(self) -> "memoryview":
         """The answer to ?, to be sent before there is another."""
-        text, ints, mm = self._text, self._ints, self._mm
-        steps, planner = self._steps, self._planner
-        ints[END] = 0
-        write(_STATES.get(self._state.run) or self._suspended(), text, ints, mm)
-        self._engine.position(steps)
-        if planner.kinematics:
-            planner.kinematics.to_axes(steps)
-        divide(steps, planner.table, self._resolution, mm, self._axes)
-        self._fields(text, ints, mm)
-        end = write(b">\r\n\0", text, ints, mm)
+        state = self._state
+        text, ints, mm, steps, table, resolution, axes, position, kinematics = self._known
+        position(steps)
+        if kinematics:
+            kinematics.to_axes(steps)
+        run = state.run
+        name = _STATES.get(run) or self._suspended()
+        shown, turns = state.wco_countdown, state.override_countdown
+        closed = self._inputs.closed()
+        if shown and turns and not closed and self._usual_form:
+            state.wco_countdown, state.override_countdown = shown - 1, turns - 1
+            moves = run & _MOVING
+            spindle = self._beam() if moves and self._is_laser else state.spindle
+            flow, ring, reader, form, buffers = self._usual
+            end = usual(
+                name, form, text, ints, steps, table, resolution, mm, axes,
+                flow, ring, reader, spindle, buffers, moves,
+            )  # fmt: skip
+        else:
+            begin(name, text, ints, steps, table, resolution, mm, axes)
+            self._fields(text, ints, mm, closed)
+            end = write(b">\r\n\0", text, ints, mm)
         if end != self._sent:
             # A piece of a buffer is an object; most reports are as long as the last one.
             self._sent = end
@@ -249,28 +281,23 @@ class Report:
 
     # Its parts. Each call of one takes 40 us of the board's time.
 
-    def _fields(self, text: bytearray, ints: "array[int]", mm: "array[float]") -> None:
-        """All behind the state. mm: machine position, not written yet."""
-        state, planner, shown = self._state, self._planner, self._shown
-        settings = self._settings
-        inches = settings.report_inches
-        mask = settings.report_mask
+    def _fields(
+        self, text: bytearray, ints: "array[int]", mm: "array[float]", closed: int
+    ) -> None:
+        """All behind the state. mm: machine position, not written yet; closed: inputs."""
+        state, planner, settings = self._state, self._planner, self._settings
+        mask, inches, moves = settings.report_mask, settings.report_inches, state.run & _MOVING
         if not mask & _REPORT_MPOS:
             add(self._work_offset(), MINUS, mm, self._axes)
         if mask & _REPORT_BUFFERS:
             ints[VALUES] = planner.free()
-            ints[VALUES + 1] = self._rx_free()
+            ints[VALUES + 1] = room(self._reader)
         write(self._place_form, text, ints, self.in_inches(mm) if inches else mm)
         if self._line_numbers:
             ints[VALUES] = planner.line_number()
             if ints[VALUES]:
                 write(b"|Ln:%\0", text, ints, mm)
-        copy(state.spindle, shown, 2)  # RPM is behind the place of the feed rate
-        shown[0] = 0.0
-        if state.run & _MOVING:
-            self._speeds(shown, inches)
-        write(self._speed_form, text, ints, shown)
-        closed = self._inputs.closed()
+        self._speeds(text, ints, moves, inches)
         if closed:
             ints[VALUES] = closed
             write(b"|Pn:?P?X?Y?Z?A?B?C?D?R?H?S\0", text, ints, mm)
@@ -279,6 +306,25 @@ class Report:
             state.override_countdown -= 1
         else:
             self._extras(text, ints)
+
+    def _speeds(self, text: bytearray, ints: "array[int]", moves: int, inches: int) -> None:
+        """Feed rate and spindle speed."""
+        shown, rate = self._shown, self._segments.rate() if moves else 0
+        spindle = self._beam() if moves and self._is_laser else self._state.spindle
+        copy(spindle, shown, 2)  # RPM is behind the place of the feed rate
+        if inches:
+            shown[0] = reals.value(rate) * 60 * INCH_PER_MM
+        else:
+            shown[0] = reals.per_minute(rate)
+        write(self._speed_form, text, ints, shown)
+
+    def _beam(self) -> "array[float]":
+        """What tells the spindle's speed, where a laser's may follow the rate."""
+        rpm = self._segments.dynamic_rpm()
+        if rpm is None:
+            return self._state.spindle
+        self._shown[st.RPM] = rpm
+        return self._shown
 
     def _lengths(self, name: bytes, mm: "array[float]") -> None:
         """Axis values."""
@@ -319,18 +365,6 @@ class Report:
             i = coords.length_axis
             offset[i] = f32(offset[i] + coords.tool_length)
         return offset
-
-    def _speeds(self, shown: "array[float]", inches: int) -> None:
-        """Feed rate and spindle speed in motion."""
-        segments = self._segments
-        if inches:
-            shown[0] = reals.value(segments.rate()) * 60 * INCH_PER_MM
-        else:
-            shown[0] = reals.per_minute(segments.rate())
-        if self._settings.laser_mode:
-            rpm = segments.dynamic_rpm()
-            if rpm is not None:
-                shown[1] = rpm
 
     def _extras(self, text: bytearray, ints: "array[int]") -> None:
         """WCO: now and then, Ov: and A: now and then but not with it."""

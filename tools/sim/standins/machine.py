@@ -31,6 +31,7 @@ _ALIAS = 0x1000
 _CONTROL, _CONTROL_STEP = 0x40014004, 8
 _OUTOVER = 8  # a shift: 0 as it is, 1 inverted, 2 low, 3 high
 _FUNCTION_PWM, _FUNCTION_SIO = 4, 5
+_LEVELS = 0xD0000004  # of all pins, in SIO: read only
 
 
 class _Memory:
@@ -42,6 +43,8 @@ class _Memory:
     def __getitem__(self, address: int) -> int:
         if address % 4:
             raise ValueError("address not aligned")
+        if address & 0xFFFFFFFF == _LEVELS:
+            return sum(pin.value() << number for number, pin in Pin.pins.items())
         return self.words.get(address, 0)
 
     def __setitem__(self, address: int, value: int) -> None:

@@ -35,7 +35,9 @@ _WORD_LIMIT = 1 << 31
 _SMALL_INT_LIMIT = 1 << 30
 _WORD_BITS = 32
 _VIEWS_KEPT = 1000
-_REGISTERS = range(0x40000000, 0x50000000)  # of the chip's slow peripherals: `machine` has them
+# Registers of the chip's slow peripherals, and its pins' levels: `machine` has them.
+_REGISTERS = range(0x40000000, 0x50000000)
+_LEVELS = 0xD0000004 - (1 << _WORD_BITS)
 
 
 def const(value: _Value, /) -> _Value:
@@ -100,7 +102,7 @@ class _Pointer:
         self.views: dict[int, memoryview] = {}  # by id; a view keeps what it shows alive
 
     def __call__(self, memory: Any, /) -> Any:
-        if isinstance(memory, int) and memory in _REGISTERS:
+        if isinstance(memory, int) and (memory in _REGISTERS or memory == _LEVELS):
             return _Registers(memory)
         view = self.views.get(id(memory))
         if view is None:
