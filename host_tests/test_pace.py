@@ -156,7 +156,7 @@ def streamed_s(lines: "list[bytes]", answer_us: int) -> float:
         yield from sender.wait("stream", b"".join(line + b"\n" for line in lines).decode())
         yield from sender.wait("idle", "\n")
 
-    rig.link._rx_ticks = 1  # no wire is in the way
+    rig.link._rx_ticks = rig.link._tx_ticks = 1  # no wire is in the way
     rig.run(script())
     return (ticks[-1] - ticks[0]) / rig.engine.tick_hz
 

@@ -96,9 +96,10 @@ class Realtime:
         if pending[st.RESET]:
             raise Abort  # behind which the loop tells of an alarm
         if pending[st.STATUS_REPORT]:
-            self._voice.send(self._voice.status())
+            report = self._voice.status()
             drive.pump()
             pending[st.STATUS_REPORT] = 0  # what was asked meanwhile is answered, too
+            self._voice.send(report)
         drive.turn()
         if not pending[st.ANY]:
             return

@@ -203,8 +203,10 @@ class UsbLink:
             early.append(self._byte[0])
         return early
 
+    # These are called at every turn, and find what they need without a look-up. With arguments a
+    # closure has five values at the most: for more MicroPython takes memory at each call.
+
     def _make_read_into(self) -> "Callable[[bytearray], int]":
-        """A closure, for it is called at every turn: it finds what it needs without a look-up."""
         if self._at[RING] == 0:
             return self._read_plainly
         at, take, note = self._at, _take, self._note
@@ -218,17 +220,23 @@ class UsbLink:
     def _make_send(self) -> "Callable[[bytes | bytearray | memoryview, int], None]":
         """The same, for what is to go now. A host that does not read is waited for once, then goes
         without."""
-        at, out, sendable = self._at, self._out.write, self._sendable.poll
-        ticks_ms, ticks_diff = time.ticks_ms, time.ticks_diff
 
-        def send(data: "bytes | bytearray | memoryview", length: int) -> None:
+        def send(
+            data: "bytes | bytearray | memoryview",
+            length: int,
+            at: "array.array[int]" = self._at,
+            out: "Callable[[bytes | bytearray | memoryview, int], object]" = self._out.write,
+            sendable: "Callable[[int], object]" = self._sendable.poll,
+            now_ms: "Callable[[], int]" = time.ticks_ms,
+            passed_ms: "Callable[[int, int], int]" = time.ticks_diff,
+        ) -> None:
             if at[DEAF] and not sendable(0):
                 return
-            since = ticks_ms()
+            since = now_ms()
             at[AWAY] = -WRITE_MS
             out(data, length)
             at[AWAY] = 0
-            at[DEAF] = ticks_diff(ticks_ms(), since) >= _DEAF_MS
+            at[DEAF] = passed_ms(now_ms(), since) >= _DEAF_MS
 
         return send
 
@@ -239,7 +247,9 @@ class UsbLink:
         def write(data: "bytes | bytearray | memoryview") -> None:
             count = len(data)
             if not keep(at, waiting, data, count):
-                self._flush()
+                length, at[LENGTH] = at[LENGTH], 0
+                if length:
+                    send(waiting, length)
                 if not keep(at, waiting, data, count):
                     send(data, count)
             elif count > _ANSWER:

@@ -111,11 +111,12 @@ class Protocol:
                     posted = pending[st.ANY] or state.suspend
                     # A line that waits for room gives everybody a turn there.
                     if posted or found & LINE == 0 or not known[WAITS]:
-                        # What waits to move does so a turn later where somebody has asked.
-                        if found == NOTHING and not posted and not reader.waiting():
-                            self._canon.auto_start()
                         self._realtime.run()
                         if found == NOTHING:
+                            if pending[st.ANY]:  # whoever asks for every turn
+                                self.pump()
+                            if not reader.waiting():
+                                self._canon.auto_start()
                             continue
                         # What has been posted has come before a line that may be a quick one.
                         is_open = posted and found & LINE and not (echoes or state.run & _LOCKED)

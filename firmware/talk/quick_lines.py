@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 # Behind so many lines the loop has its turn, however many wait: motion is watched there, and
 # whoever has been put around it waits for that. An even number.
 _LINES = const(16)
-_SHORT = const(16)  # bytes that are read where there is not room for all that may come
+# Bytes that are read where there is not room for all that may come.
+_LONG = const(64)
+_SHORT = const(16)
 
 
 def needs(
@@ -33,7 +35,8 @@ def needs(
 ) -> "tuple[tuple[Any, ...], ...]":
     """What take_quick() is called with besides what is posted. buffer: for what is received."""
     other = None if fast.follow is fast.plain else fast.follow  # an extra may have put one there
-    hears = link.read_into, reader.post, buffer, len(buffer), bytearray(_SHORT)
+    long, short = bytearray(_LONG), bytearray(_SHORT)
+    hears = link.read_into, reader.post, len(buffer), buffer, long, short
     return reader.memory(), fast.memory(), (other, reader.line, link.write, OK, OK + OK, hears)
 
 
@@ -123,13 +126,22 @@ def _take(
 
 @micropython.viper
 def _hear(pending: ptr8, hears: object, heard: ptr8, at: ptr32, kinds: ptr8) -> int:
-    """Take in what has arrived, as much as fits: who counts nothing must not overrun the ring.
-    Returns whether it is for us to go on with."""
-    read_into, post, buffer, size, short = hears
+    """Take in what has arrived, as much as fits: who counts nothing must not overrun the ring, and
+    a ? that has come behind lines is not to wait for them. Returns whether it is for us to go on
+    with."""
+    read_into, post, size, piece, long, short = hears
     free = int(room(at))
-    if free < int(size):
-        buffer = short
-    count = int(read_into(buffer)) if free >= _SHORT else 0
-    if count:
-        feed(ptr8(buffer), count, heard, at, kinds, post)
+    count = 0
+    more = 1
+    while more and free >= _SHORT:
+        most = int(size)
+        if free < most:
+            piece = long if free >= _LONG else short
+            most = _LONG if free >= _LONG else _SHORT
+        read = int(read_into(piece))
+        if read:
+            feed(ptr8(piece), read, heard, at, kinds, post)
+        count += read
+        more = 1 if read == most and most <= _LONG else 0  # the end of what has come
+        free = int(room(at))
     return 0 if pending[ANY] else count
