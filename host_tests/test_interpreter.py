@@ -13,8 +13,13 @@ from base.state import State
 from control.coords import Coords
 from control.modes import Modes
 from fakes import FakeCanon, FakeStore, FakeVoice
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from language import interpreter
 from language.block import Block
 from language.interpreter import Interpreter
+from language.usual import ODD
+from test_gcode_oracle import lines
 from ugrbl.paths import FIRMWARE, STANDINS
 
 
@@ -105,6 +110,7 @@ def test_a_row_without_a_behaviour_is_found_at_import(row: str) -> None:
         f"import sys; sys.path[:0] = [{str(STANDINS)!r}, {str(FIRMWARE)!r}]\n"
         "import language.interpreter; del sys.modules['language.interpreter']\n"
         "from language.block import *\n"
+        "from language.block_layout import *\nfrom control.modes import *\n"
         f"add_word(81, {row}, AXES_MOTION)\n"
         "import language.interpreter\n"
     )
@@ -112,3 +118,28 @@ def test_a_row_without_a_behaviour_is_found_at_import(row: str) -> None:
         [sys.executable, "-c", program], capture_output=True, text=True, check=False
     )
     assert done.returncode == 1 and "without a behaviour" in done.stderr
+
+
+def outcome(paper: Paper, line: str) -> "tuple[object, ...]":
+    """What a line comes to: its fault, what it asks for, and what is in force behind it."""
+    try:
+        paper.does(line)
+        fault = 0
+    except GrblError as error:
+        fault = error.code
+    modes, coords = paper.modes, paper.coords
+    state = [list(x) for x in (modes.modal, modes.rates, modes.position, coords.g92)]
+    return fault, list(paper.canon.asked), state, modes.tool, coords.active, coords.tool_length
+
+
+@given(st.lists(lines, min_size=1, max_size=8), st.booleans())
+@settings(max_examples=200, deadline=None)
+def test_the_usual_checks_find_what_all_checks_find(program: "list[str]", inches: bool) -> None:
+    short, long = Paper(), Paper()
+    program = ["G20", *program] if inches else program
+    for line in program:
+        plain = line.upper().replace(" ", "")
+        found = outcome(short, plain)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(interpreter, "usual", lambda *_: ODD)
+            assert outcome(long, plain) == found, line

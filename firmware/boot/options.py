@@ -9,7 +9,7 @@ from control.canon import Canon
 from control.inputs import Inputs
 from control.seek import Seek
 from control.spindle import Spindle
-from language.block import HIGHEST_TOOL
+from language.block_layout import HIGHEST_TOOL
 from language.words import LINE_LENGTH
 from micropython import const
 from motion.planner import Planner

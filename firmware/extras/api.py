@@ -10,7 +10,7 @@ from base import errors
 from base import state as st
 from base.errors import GrblError
 from control.modes import MOTION
-from language import block as b
+from language import block_layout as b
 from micropython import const
 
 from extras.own_words import OwnWords
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from base.settings import Rows
     from control.coords import Coords
+    from language.block import Block
     from talk.controller import Controller
 
 
@@ -252,7 +253,7 @@ class Cnc:
         interpreter, canon = machine.interpreter, machine.canon
         usual_go = interpreter.go
 
-        def go(block: "b.Block", move: "Any") -> None:
+        def go(block: "Block", move: "Any") -> None:
             usual_go(block, move)
             if block.ints[MOTION] <= b.CCW_ARC:
                 canon.finish()

@@ -11,7 +11,7 @@ LinuxCNC's.
 from base import errors
 from base.errors import GrblError
 from control.modes import INCHES, INVERSE_TIME, MOTION, PLANE, RELATIVE, SYSTEM
-from language import block as b
+from language import block_layout as b
 from language.checks import PLANES
 from micropython import const
 

@@ -12,7 +12,7 @@ from base.errors import Abort, GrblError
 from base.faults import harmless
 from control import coolant
 from control import spindle as sp
-from language.block import HIGHEST_TOOL
+from language.block_layout import HIGHEST_TOOL
 from micropython import const
 
 from extras import handlers

@@ -23,7 +23,7 @@ from control.modes import (
     SPINDLE,
     SYSTEM,
 )
-from language.block import PROBE_TOWARD
+from language.block_layout import PROBE_TOWARD
 from micropython import const
 from motion.planner import SPINDLE_CW
 from talk.lines import LINE, clean, feed

@@ -8,7 +8,7 @@ from base import errors
 from base import state as st
 from base.errors import GrblError
 from base.f32 import whole
-from language import block as b
+from language import block
 from language.words import Words
 from micropython import const
 
@@ -40,12 +40,12 @@ def _tenths(number: float) -> int:
 def is_grbls(letter: str, tenths: int) -> bool:
     """Whether Grbl has that G or M word, or knows how it is malformed."""
     number = tenths // 10
-    if letter == "G" and number >= b.M_WORDS:
+    if letter == "G" and number >= block.M_WORDS:
         return False
-    decimals = b.decimals_of(number + b.M_WORDS if letter == "M" else number)
+    decimals = block.decimals_of(number + block.M_WORDS if letter == "M" else number)
     if decimals < 0 or tenths % 10 == 0:
-        return decimals >= 0 and decimals & b.NEEDED == 0
-    return decimals & b.OTHERS == 0 or decimals & b.TENTHS & 1 << tenths % 10 - 1 > 0
+        return decimals >= 0 and decimals & block.NEEDED == 0
+    return decimals & block.OTHERS == 0 or decimals & block.TENTHS & 1 << tenths % 10 - 1 > 0
 
 
 class OwnWords:

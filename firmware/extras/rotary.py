@@ -145,7 +145,7 @@ def install(cnc: "Cnc") -> None:
     planner.linear = everything & ~rotary
     planner.block = block
     canon.axes = tuple([axis for axis in range(planner.axes) if rotary >> axis & 1])
-    block.lengths = [axis for axis in range(planner.axes) if not rotary >> axis & 1]
+    block.lengths &= ~rotary
     _home(machine, everything & ~_found["without_switch"])
     _show(machine.report, canon.axes)
     _read(machine, rotary)

@@ -19,12 +19,11 @@ from base.errors import (
     NEGATIVE_VALUE,
     GrblError,
 )
-from base.f32 import copy, f32, vector, whole
+from base.f32 import f32, vector, whole
 from control.modes import (
     COOLANT,
     INCHES,
     INVERSE_TIME,
-    MODAL_LENGTH,
     MODAL_ROOM,
     MOTION,
     OVERRIDE_CONTROL,
@@ -38,98 +37,60 @@ from control.modes import (
 from micropython import const
 from motion.arcs import Arc
 
-from language.words import LETTER_EXPECTED, LINE_LENGTH, Words
+from language.block_layout import (
+    ABSOLUTE_OVERRIDE,
+    AXES_MOTION,
+    AXES_NON_MODAL,
+    AXES_TOOL_LENGTH,
+    AXES_UNCLAIMED,
+    CCW_ARC,
+    CLAIM,
+    COMMANDS,
+    CW_ARC,
+    DWELL,
+    END_M2,
+    END_M30,
+    GO_G28,
+    GO_G30,
+    GROUP_0,
+    GROUP_1,
+    GROUP_2,
+    GROUP_3,
+    GROUP_4,
+    GROUP_5,
+    GROUP_6,
+    GROUP_7,
+    GROUP_8,
+    GROUP_12,
+    GROUP_13,
+    GROUP_M4,
+    GROUP_M7,
+    GROUP_M8,
+    GROUP_M9,
+    HIGHEST_TOOL,
+    INCH_MM,
+    LINEAR,
+    NO_MOTION,
+    NON_MODAL,
+    PAUSED,
+    RUNNING,
+    SEEK,
+    SET_COORDS,
+    SET_G92,
+    SINGLES,
+    TOOL_LIMIT,
+    WORDS,
+)
+from language.words import LETTER_EXPECTED, LINE_LENGTH, Words, scan
 
 _BEYOND = 2147483648.0
 
-# Motion modes: the G number, for the probes G38.n the same with n * 10 + 100 added.
-SEEK = const(0)
-LINEAR = const(1)
-CW_ARC = const(2)
-CCW_ARC = const(3)
-NO_MOTION = const(80)
-PROBE_TOWARD = const(158)  # G38.2
-PROBE_TOWARD_NO_ALARM = const(168)
-PROBE_AWAY = const(178)
-PROBE_AWAY_NO_ALARM = const(188)
-
-# Non-modal commands.
-NO_ACTION = const(0)
-DWELL = const(4)
-SET_COORDS = const(10)
-GO_G28 = const(28)
-GO_G30 = const(30)
-SET_G28 = const(38)
-SET_G30 = const(40)
-ABSOLUTE_OVERRIDE = const(53)
-SET_G92 = const(92)
-RESET_G92 = const(102)
-
-# Program flow.
-RUNNING = const(0)
-PAUSED = const(1)
-END_M2 = const(2)
-END_M30 = const(30)
-
-# Who uses the axis words.
-AXES_UNCLAIMED = const(0)
-AXES_NON_MODAL = const(1)
-AXES_MOTION = const(2)
-AXES_TOOL_LENGTH = const(3)
-
-# A block: the modal state as the line would make it, and behind that, by place in Block.ints:
-COMMANDS = const(MODAL_LENGTH)  # mask of the modal groups that the line has words of
-WORDS = const(MODAL_LENGTH + 1)  # mask of its value words
-NON_MODAL = const(MODAL_LENGTH + 2)
-CLAIM = const(MODAL_LENGTH + 3)  # who uses the axis words
-assert CLAIM < MODAL_ROOM, "there is no room behind the modal state"
-
-# The numbers of a line, by place in Block.singles; axis words are in Block.xyz.
-I = const(0)  # noqa: E741 (the letter of the word); J and K behind it
-F = const(3)
-L = const(4)
-N = const(5)
-P = const(6)
-R = const(7)
-S = const(8)
-T = const(9)
-_SINGLES = const(10)
-_HIGHEST_TOOL = const(10)
-
-# Modal groups, as bits of COMMANDS. Names are the standard's.
-GROUP_0 = const(0x0001)  # non-modal
-GROUP_1 = const(0x0002)  # motion
-GROUP_2 = const(0x0004)  # plane
-GROUP_3 = const(0x0008)  # distance
-GROUP_4 = const(0x0010)  # arc distance
-GROUP_5 = const(0x0020)  # feed rate
-GROUP_6 = const(0x0040)  # units
-GROUP_7 = const(0x0080)  # cutter compensation
-GROUP_8 = const(0x0100)  # tool length
-GROUP_12 = const(0x0200)  # coordinate system
-GROUP_13 = const(0x0400)  # path control
-GROUP_M4 = const(0x0800)  # program flow
-GROUP_M7 = const(0x1000)  # spindle
-GROUP_M8 = const(0x2000)  # coolant
-GROUP_M9 = const(0x4000)  # override control
-
-# Value words, as bits of WORDS. X, Y, Z, A, B, C come first, one bit per axis.
+# Value words, in the order of their bits.
 VALUE_LETTERS = b"XYZABCIJKFLNPRST"
-AXIS_WORDS = const(0x003F)
-WORD_I = const(0x0040)
-WORD_IJK = const(0x01C0)
-WORD_F = const(0x0200)
-WORD_L = const(0x0400)
-WORD_N = const(0x0800)
-WORD_P = const(0x1000)
-WORD_R = const(0x2000)
-WORD_S = const(0x4000)
-WORD_T = const(0x8000)
 _NOT_NEGATIVE = const(0xDA00)  # F, N, P, S, T
 _BIT_C = const(5)
 _BIT_I = const(6)
 _BIT_T = const(15)
-HIGHEST_TOOL = const(255)
 
 # The dictionary, in bytes, for take(). Its index, of which each block has its own, for boards
 # differ: the number of a word's row by its code, M words behind G words; then the bit of each
@@ -214,9 +175,6 @@ def decimals_of(at: int) -> int:
     return dictionary[row * ROW + _DECIMALS] if row else -1
 
 
-_NOTHING = array("i", (0 for _ in range(_SINGLES)))
-
-
 @micropython.viper
 def byte(value: int, top: int) -> int:
     """The float as a number from 0 to 255; 256 where it is none. top: its last byte."""
@@ -290,7 +248,7 @@ def take(
                 xyz[bit] = value
             else:
                 singles[bit - _BIT_I] = value
-            if bit == _BIT_T and top < 128 and value > singles[_HIGHEST_TOOL]:
+            if bit == _BIT_T and top < 128 and value > singles[TOOL_LIMIT]:
                 wrong = GCODE_MAX_VALUE_EXCEEDED
             elif (ints[WORDS] >> bit) & 1:
                 wrong = GCODE_WORD_REPEATED
@@ -298,6 +256,37 @@ def take(
                 wrong = NEGATIVE_VALUE
             ints[WORDS] = ints[WORDS] | (1 << bit)
         i += 1
+    return wrong
+
+
+@micropython.viper
+def read(
+    line: ptr8,
+    span: int,
+    letters: ptr8,
+    values: ptr32,
+    at: ptr8,
+    words: ptr8,
+    modal: ptr32,
+    ints: ptr32,
+    xyz: ptr32,
+    axes: int,
+    singles: ptr32,
+    take_odd: object,
+) -> int:
+    """Start from a modal state, and take in the words of line[start:end], which a 0 follows, in
+    their order. span: end << 8 | start. Returns what is wrong with the first that is, or 0."""
+    found = int(scan(line, span, letters, values))
+    for i in range(axes):
+        xyz[i] = 0
+    for i in range(TOOL_LIMIT):
+        singles[i] = 0
+    for i in range(MODAL_ROOM):
+        ints[i] = modal[i]
+    wrong = int(take(letters, values, found & 255, at, words, ints, xyz, singles, take_odd))
+    fault = found >> 8
+    if fault and wrong == 0:
+        wrong = EXPECTED_COMMAND_LETTER if fault == LETTER_EXPECTED else BAD_NUMBER_FORMAT
     return wrong
 
 
@@ -314,9 +303,9 @@ class Block:
     ) -> None:
         self.ints = array("i", (0 for _ in range(MODAL_ROOM)))
         self.xyz = vector(axes)
-        self.lengths = range(axes)  # of its axes, those in mm or inches
-        self.singles = vector(_SINGLES + 1)
-        self.singles[_HIGHEST_TOOL] = highest_tool
+        self.lengths = (1 << axes) - 1  # of its axes, those in mm or inches: a mask
+        self.singles = vector(SINGLES)
+        self.singles[TOOL_LIMIT], self.singles[INCH_MM] = highest_tool, 25.4
         # What the checks find: the arc, and what G10, G28 and G30 are to keep or go to.
         self.arc = Arc()
         self.stored = vector(axes)
@@ -329,30 +318,26 @@ class Block:
             self._index[M_WORDS + 56] = 0
         for i in range(axes, _BIT_I):
             self._index[_INDEXED + VALUE_LETTERS[i] - 65] = _NO_LETTER
-        self._odd = self._take_odd  # taking a method as a value allocates
+        # What read() works on; to look each up costs 5 us, and to take a method as a value memory.
+        words = self._words
+        self._memory = (
+            words.letters,
+            words.values,
+            self._index,
+            self.ints,
+            self.xyz,
+            self.singles,
+            self._take_odd,
+        )
 
     def read(self, line: bytearray, start: int, end: int, modal: "array[int]") -> None:
         """Start from that modal state, and take in the words of line[start:end], which a 0
         follows, in their order. Raises GrblError for the first that is wrong."""
-        words, ints, singles = self._words, self.ints, self.singles
-        words.read(line, start, end)
-        copy(_NOTHING, self.xyz, len(self.xyz))
-        copy(_NOTHING, singles, _SINGLES)
-        copy(modal, ints, MODAL_ROOM)
-        wrong = take(
-            words.letters,
-            words.values,
-            words.count,
-            self._index,
-            dictionary,
-            ints,
-            self.xyz,
-            singles,
-            self._odd,
+        letters, values, index, ints, xyz, singles, odd = self._memory
+        span, axes = end << 8 | start, len(xyz)
+        wrong = read(
+            line, span, letters, values, index, dictionary, modal, ints, xyz, axes, singles, odd
         )
-        if words.fault and not wrong:
-            is_letter = words.fault == LETTER_EXPECTED
-            wrong = EXPECTED_COMMAND_LETTER if is_letter else BAD_NUMBER_FORMAT
         if wrong:
             raise GrblError(wrong)
 

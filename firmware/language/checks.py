@@ -7,7 +7,6 @@ which decides the number that a block with two faults gets.
 
 import math
 
-import micropython
 from base import errors
 from base.errors import GrblError
 from base.f32 import f32, whole
@@ -27,7 +26,8 @@ from control.modes import (
 )
 from micropython import const
 
-from language import block as b
+from language import block_layout as b
+from language.usual import stay
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -68,8 +68,9 @@ def check(modes: "Modes", coords: "Coords", block: "Block", jog: bool) -> None:
             raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
         unused &= ~b.WORD_P
     if ints[INCHES]:
-        for i in block.lengths:
-            to_mm(block.xyz, i)
+        for i in range(len(block.xyz)):
+            if block.lengths >> i & 1:
+                to_mm(block.xyz, i)
     claim = ints[b.CLAIM]
     if claim == b.AXES_TOOL_LENGTH and ints[TOOL_LENGTH]:
         if axis_words != 1 << coords.length_axis:
@@ -203,15 +204,6 @@ def _target(modes: "Modes", coords: "Coords", block: "Block") -> None:
             if coords.tool_length:
                 xyz[coords.length_axis] += coords.tool_length
     stay(position, xyz, ints[b.WORDS], len(position))
-
-
-@micropython.viper
-def stay(position: ptr32, xyz: ptr32, words: int, axes: int) -> int:
-    """Axes without a word, a bit of words each, stay at their position."""
-    for i in range(axes):
-        if (words >> i) & 1 == 0:
-            xyz[i] = position[i]
-    return 0
 
 
 def _motion(modes: "Modes", block: "Block") -> int:

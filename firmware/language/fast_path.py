@@ -19,7 +19,7 @@ from motion import layout
 from motion import planner as plan
 from motion.reals import per_second
 
-from language import block as b
+from language import block_layout as b
 from language import fast_kernel as fk
 from language.fast_kernel import follow, line_number, place, read
 

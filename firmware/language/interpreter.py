@@ -16,8 +16,6 @@ from base.f32 import copy, whole
 from control.coords import G28, G30
 from control.modes import (
     COOLANT,
-    FEED,
-    INCHES,
     INVERSE_TIME,
     MODAL_LENGTH,
     MOTION,
@@ -34,9 +32,11 @@ from micropython import const
 from motion import layout
 from motion import planner as plan
 
-from language import block as b
+from language import block as wd
+from language import block_layout as b
 from language import checks
 from language.fast_path import FastPath
+from language.usual import ACCESSORIES, ODD, OFFSETS, SPEED, TOOL, settle, usual
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -58,17 +58,14 @@ _IN_MOTION = const(2)  # S goes with the motion
 _SYNC = const(4)  # the beam changes though nothing moves
 
 _CUTS = const(1 << b.LINEAR | 1 << b.CW_ARC | 1 << b.CCW_ARC)  # mask of motions
-# Groups of words that take more than a look at the modal state.
-_ACCESSORIES = const(b.GROUP_M7 | b.GROUP_M8 | b.GROUP_M9)
-_OFFSETS = const(b.GROUP_8 | b.GROUP_12)
 
 # What go() and _non_modal() are there for: a word that they know nothing of is found here,
 # on a desktop; a board has no assertions.
 _PROBE = const(38)  # .2 to .5
 assert {
-    b.dictionary[row + b.SETTING]
-    for row in range(b.ROW, len(b.dictionary), b.ROW)
-    if b.dictionary[row + b.GROUP] == b.GROUP_1
+    wd.dictionary[row + wd.SETTING]
+    for row in range(wd.ROW, len(wd.dictionary), wd.ROW)
+    if wd.dictionary[row + wd.GROUP] == b.GROUP_1
 } == {
     b.SEEK,
     b.LINEAR,
@@ -78,9 +75,9 @@ assert {
     b.NO_MOTION,
 }, "a motion without a behaviour"
 assert {
-    b.dictionary[row + b.SETTING]
-    for row in range(b.ROW, len(b.dictionary), b.ROW)
-    if b.dictionary[row + b.GROUP] == b.GROUP_0
+    wd.dictionary[row + wd.SETTING]
+    for row in range(wd.ROW, len(wd.dictionary), wd.ROW)
+    if wd.dictionary[row + wd.GROUP] == b.GROUP_0
 } == {
     b.DWELL,
     b.SET_COORDS,
@@ -126,7 +123,7 @@ class Interpreter:
         if not self.fast.execute(line, length):
             block, modes = self.block, self._modes
             block.read(line, 0, length, modes.modal)
-            checks.check(modes, self._coords, block, False)
+            self.check(block)
             self._apply(block)
             self.fast.forget()
         self._canon.finish()
@@ -150,6 +147,23 @@ class Interpreter:
         modes.position[:] = block.xyz
         self._canon.finish()
 
+    # Step three: checks
+
+    def check(self, block: "Block") -> None:
+        """Refuse the block with GrblError, or leave it ready to be executed."""
+        modes, coords, ints = self._modes, self._coords, block.ints
+        xyz, position, zero = block.xyz, modes.position, coords.zero(ints[SYSTEM])
+        modal, rates, axes = modes.modal, modes.rates, len(xyz)
+        wrong = ODD
+        if not coords.tool_length:
+            wrong = usual(
+                ints, block.singles, xyz, position, zero, modal, rates, axes, block.lengths
+            )
+        if wrong == ODD:
+            checks.check(modes, coords, block, False)
+        elif wrong:
+            raise GrblError(wrong)
+
     # Step four: execution
 
     def _begin_move(self, block: "Block") -> "plan.Move":
@@ -161,33 +175,30 @@ class Interpreter:
 
     def _apply(self, block: "Block") -> None:
         """Execute a checked block, in the standard's order."""
-        modes, new = self._modes, block.ints
-        modal = modes.modal
+        modes, new, singles = self._modes, block.ints, block.singles
+        modal, rates = modes.modal, modes.rates
         move = self._begin_move(block)
         beam = self._beam(block) if self._spindle.laser else 0
-        modal[INVERSE_TIME] = new[INVERSE_TIME]
+        left = settle(new, singles, modal, rates)
+        move.feed = singles[b.F]
         if new[INVERSE_TIME]:
             move.flags = layout.INVERSE_TIME
-        modes.rates[FEED] = move.feed = block.singles[b.F]
-        if modes.rates[RPM] != block.singles[b.S] or beam & _SYNC:
+        if left & SPEED or beam & _SYNC:
             self._set_speed(block, beam)
         if not beam & _DARK:
-            move.spindle_rpm = modes.rates[RPM]
-        modes.tool = whole(block.singles[b.T]) & 255
-        if new[b.COMMANDS] & _ACCESSORIES:
+            move.spindle_rpm = rates[RPM]
+        if left & TOOL or modes.tool:
+            modes.tool = whole(singles[b.T]) & 255
+        if left & ACCESSORIES:
             self._set_accessories(new, move)
         move.flags |= modes.accessory_flags()
         command = new[b.NON_MODAL]
         if command == b.DWELL:
-            self._canon.dwell(block.singles[b.P])
-        modal[PLANE] = new[PLANE]
-        modal[INCHES] = new[INCHES]
-        if new[b.COMMANDS] & _OFFSETS and self._set_offsets(block):
+            self._canon.dwell(singles[b.P])
+        if left & OFFSETS and self._set_offsets(block):
             self._offsets_changed()
-        modal[RELATIVE] = new[RELATIVE]
         if command != b.NO_ACTION:
             self._non_modal(block, move)
-        modal[MOTION] = new[MOTION]
         if new[b.CLAIM] == b.AXES_MOTION and new[MOTION] != b.NO_MOTION:
             self.go(block, move)
         if new[PROGRAM_FLOW] != b.RUNNING:

@@ -19,7 +19,7 @@ from control.modes import (
     SPINDLE,
     SYSTEM,
 )
-from language.block import NO_MOTION
+from language.block_layout import NO_MOTION
 from language.words import bare
 from micropython import const
 

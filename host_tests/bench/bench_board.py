@@ -42,6 +42,7 @@ _PARTS: "dict[str, _Part]" = {
     "queries": talking.queries,
     "lines": talking.lines,
     "special": talking.special_lines,
+    "long": talking.long_lines,
     "clusters": talking.clusters,
     "chords": talking.chords,
     "share": pins.share,

@@ -115,18 +115,13 @@ _STAGES = """
 import array
 
 block = module("language", "block")
-checks = module("language", "checks")
 interpreter = module("language", "interpreter")
 lines = module("talk", "lines")
 fast_kernel = module("language", "fast_kernel")
 fast_path = module("language", "fast_path")
 protocol = module("talk", "protocol")
-coords = module("control", "coords")
-modes = module("control", "modes")
 keep(interpreter.Interpreter, "execute")
 keep(fast_path.FastPath, "memory")
-keep(modes.Modes, "reset")
-keep(coords.Coords, "clear")
 keep(protocol.Protocol, "run")
 AXES, LIMITED, DRY, MODAL_ROOM = %d, %d, %d, %d
 follow = fast_kernel.follow
@@ -214,14 +209,12 @@ def long_way():
     line = bytearray(b"G90G1X10.04Y10.03F9000\\0")
     own, modal = block.Block(3, False, False), array.array("i", (0 for _ in range(MODAL_ROOM)))
     machine = found[interpreter.Interpreter]
-    places = found[modes.Modes], found[coords.Coords]
-
     def take():
         own.read(line, 0, 22, modal)
 
     def check():
         take()
-        checks.check(*places, own, False)
+        machine.check(own)
 
     idle = again(nothing_0)
     taken = again(take) - idle

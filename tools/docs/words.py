@@ -20,7 +20,7 @@ _COMMAND = re.compile(r"^ +\d+: self\.\w+,  # (\$\S+)$", re.MULTILINE)
 
 @cache
 def _group_names() -> dict[int, str]:
-    return {int(bit, 16): name for bit, name in _GROUP.findall(source("language/block"))}
+    return {int(bit, 16): name for bit, name in _GROUP.findall(source("language/block_layout"))}
 
 
 def _taken(word: str, modal: "array[int]") -> "Block | None":
@@ -50,7 +50,7 @@ def _known(words: "Iterable[str]") -> list[str]:
 
 def _group(word: str) -> str:
     """The modal group that the interpreter puts a word in."""
-    from language.block import COMMANDS
+    from language.block_layout import COMMANDS
 
     block = _taken(word, _at_reset())
     assert block

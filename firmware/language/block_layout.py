@@ -1,0 +1,94 @@
+"""Block layout: what stands where in a block, and what its numbers mean.
+
+Constants only. A block is the modal state as its line would make it, and behind that what else the
+line asks for; its numbers are in arrays of their own.
+"""
+
+from control.modes import MODAL_LENGTH, MODAL_ROOM
+from micropython import const
+
+# Motion modes: the G number, for the probes G38.n the same with n * 10 + 100 added.
+SEEK = const(0)
+LINEAR = const(1)
+CW_ARC = const(2)
+CCW_ARC = const(3)
+NO_MOTION = const(80)
+PROBE_TOWARD = const(158)  # G38.2
+PROBE_TOWARD_NO_ALARM = const(168)
+PROBE_AWAY = const(178)
+PROBE_AWAY_NO_ALARM = const(188)
+
+# Non-modal commands.
+NO_ACTION = const(0)
+DWELL = const(4)
+SET_COORDS = const(10)
+GO_G28 = const(28)
+GO_G30 = const(30)
+SET_G28 = const(38)
+SET_G30 = const(40)
+ABSOLUTE_OVERRIDE = const(53)
+SET_G92 = const(92)
+RESET_G92 = const(102)
+
+# Program flow.
+RUNNING = const(0)
+PAUSED = const(1)
+END_M2 = const(2)
+END_M30 = const(30)
+
+# Who uses the axis words.
+AXES_UNCLAIMED = const(0)
+AXES_NON_MODAL = const(1)
+AXES_MOTION = const(2)
+AXES_TOOL_LENGTH = const(3)
+
+# A block: the modal state as the line would make it, and behind that, by place in Block.ints:
+COMMANDS = const(MODAL_LENGTH)  # mask of the modal groups that the line has words of
+WORDS = const(MODAL_LENGTH + 1)  # mask of its value words
+NON_MODAL = const(MODAL_LENGTH + 2)
+CLAIM = const(MODAL_LENGTH + 3)  # who uses the axis words
+assert CLAIM < MODAL_ROOM, "there is no room behind the modal state"
+
+# The numbers of a line, by place in Block.singles; axis words are in Block.xyz.
+I = const(0)  # noqa: E741 (the letter of the word); J and K behind it
+F = const(3)
+L = const(4)
+N = const(5)
+P = const(6)
+R = const(7)
+S = const(8)
+T = const(9)
+TOOL_LIMIT = const(10)  # behind them: the highest tool number there is,
+INCH_MM = const(11)  # and 25.4
+SINGLES = const(12)
+
+# Modal groups, as bits of COMMANDS. Names are the standard's.
+GROUP_0 = const(0x0001)  # non-modal
+GROUP_1 = const(0x0002)  # motion
+GROUP_2 = const(0x0004)  # plane
+GROUP_3 = const(0x0008)  # distance
+GROUP_4 = const(0x0010)  # arc distance
+GROUP_5 = const(0x0020)  # feed rate
+GROUP_6 = const(0x0040)  # units
+GROUP_7 = const(0x0080)  # cutter compensation
+GROUP_8 = const(0x0100)  # tool length
+GROUP_12 = const(0x0200)  # coordinate system
+GROUP_13 = const(0x0400)  # path control
+GROUP_M4 = const(0x0800)  # program flow
+GROUP_M7 = const(0x1000)  # spindle
+GROUP_M8 = const(0x2000)  # coolant
+GROUP_M9 = const(0x4000)  # override control
+
+# Value words, as bits of WORDS, in the order of block.VALUE_LETTERS: X, Y, Z, A, B, C come first,
+# one bit per axis.
+AXIS_WORDS = const(0x003F)
+WORD_I = const(0x0040)
+WORD_IJK = const(0x01C0)
+WORD_F = const(0x0200)
+WORD_L = const(0x0400)
+WORD_N = const(0x0800)
+WORD_P = const(0x1000)
+WORD_R = const(0x2000)
+WORD_S = const(0x4000)
+WORD_T = const(0x8000)
+HIGHEST_TOOL = const(255)

@@ -1,0 +1,168 @@
+# mypy: disable-error-code="arg-type, attr-defined"
+"""The usual block: checked and put in force by kernels, where it asks for nothing seldom.
+
+Modes, coordinate systems, motion in a line, feed, spindle, coolant, program flow: that is nearly
+every line which does more than move. What usual() does not know checks.py sees to; either way a
+block is the same behind it.
+"""
+
+import micropython
+from base.errors import (
+    GCODE_AXIS_WORDS_EXIST,
+    GCODE_INVALID_LINE_NUMBER,
+    GCODE_UNDEFINED_FEED_RATE,
+    GCODE_UNUSED_WORDS,
+    GCODE_VALUE_WORD_MISSING,
+)
+from base.singles import add, multiply
+from control.modes import (
+    FEED,
+    INCHES,
+    INVERSE_TIME,
+    MOTION,
+    PLANE,
+    RELATIVE,
+    RPM,
+)
+from micropython import const
+
+from language.block_layout import (
+    AXES_MOTION,
+    AXES_UNCLAIMED,
+    AXIS_WORDS,
+    CLAIM,
+    COMMANDS,
+    DWELL,
+    GROUP_8,
+    GROUP_12,
+    GROUP_M7,
+    GROUP_M8,
+    GROUP_M9,
+    INCH_MM,
+    LINEAR,
+    NO_MOTION,
+    NON_MODAL,
+    WORD_F,
+    WORD_N,
+    WORD_P,
+    WORD_S,
+    WORD_T,
+    WORDS,
+    F,
+    N,
+    S,
+    T,
+)
+
+ODD = const(-1)  # it asks for what is seldom
+
+# What is left to be done with a block, a bit each.
+SPEED = const(1)
+TOOL = const(2)
+ACCESSORIES = const(4)
+OFFSETS = const(8)
+
+
+@micropython.viper
+def usual(
+    ints: ptr32,
+    singles: ptr32,
+    xyz: ptr32,
+    position: ptr32,
+    zero: ptr32,
+    modal: ptr32,
+    rates: ptr32,
+    axes: int,
+    lengths: int,
+) -> int:
+    """Check a block as checks.check() does, and leave it ready. Returns what is wrong with it, 0,
+    or ODD where that has to see to it, and nothing has been changed. zero: of the block's system,
+    without tool length, which is none; lengths: a mask."""
+    words = ints[WORDS]
+    axis_words = words & AXIS_WORDS
+    command = ints[NON_MODAL]
+    motion = ints[MOTION]
+    claim = ints[CLAIM]
+    if axis_words and claim == AXES_UNCLAIMED:
+        claim = AXES_MOTION
+    if ints[COMMANDS] & (GROUP_M9 | GROUP_8) or (command and command != DWELL):
+        return ODD
+    if claim == AXES_MOTION:
+        if motion > LINEAR and motion != NO_MOTION:
+            return ODD
+    elif claim:
+        return ODD
+    if singles[N] > int(0x4B189680):  # the float 10,000,000
+        return GCODE_INVALID_LINE_NUMBER
+    if ints[INVERSE_TIME]:
+        if claim == AXES_MOTION and motion == LINEAR and words & WORD_F == 0:
+            return GCODE_UNDEFINED_FEED_RATE
+    elif modal[INVERSE_TIME] == 0:
+        if words & WORD_F == 0:
+            singles[F] = rates[FEED]
+        elif ints[INCHES]:
+            multiply(singles, F, singles, INCH_MM)
+    if words & WORD_S == 0:
+        singles[S] = rates[RPM]
+    unused = words & ~(WORD_N | WORD_F | WORD_S | WORD_T)
+    if command == DWELL:
+        if words & WORD_P == 0:
+            return GCODE_VALUE_WORD_MISSING
+        unused &= ~WORD_P
+    if axis_words:
+        if ints[INCHES]:
+            _in_mm(xyz, axes, lengths, singles)
+        add(position if ints[RELATIVE] else zero, 0, xyz, axes)
+        stay(position, xyz, words, axes)
+    if motion == NO_MOTION:
+        if axis_words:
+            return GCODE_AXIS_WORDS_EXIST
+    elif claim == AXES_MOTION:
+        if motion == LINEAR and singles[F] & int(0x7FFFFFFF) == 0:
+            return GCODE_UNDEFINED_FEED_RATE
+        if axis_words == 0:
+            claim = AXES_UNCLAIMED
+    if claim:
+        unused &= ~AXIS_WORDS
+    ints[CLAIM] = claim
+    return GCODE_UNUSED_WORDS if unused else 0
+
+
+@micropython.viper
+def _in_mm(xyz: ptr32, axes: int, lengths: int, singles: ptr32) -> int:
+    for i in range(axes):
+        if (lengths >> i) & 1:
+            multiply(xyz, i, singles, INCH_MM)
+    return 0
+
+
+@micropython.viper
+def stay(position: ptr32, xyz: ptr32, words: int, axes: int) -> int:
+    """Axes without a word, a bit of words each, stay at their position."""
+    for i in range(axes):
+        if (words >> i) & 1 == 0:
+            xyz[i] = position[i]
+    return 0
+
+
+@micropython.viper
+def settle(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32) -> int:
+    """Put in force what a checked block changes by itself: modes of how to read numbers and how to
+    move, and the feed rate. Returns what is left to be done."""
+    left = 0
+    if rates[RPM] != singles[S] and (rates[RPM] | singles[S]) & int(0x7FFFFFFF):
+        left = SPEED
+    if singles[T]:
+        left |= TOOL
+    commands = ints[COMMANDS]
+    if commands & (GROUP_M7 | GROUP_M8 | GROUP_M9):
+        left |= ACCESSORIES
+    if commands & (GROUP_8 | GROUP_12):
+        left |= OFFSETS
+    modal[INVERSE_TIME] = ints[INVERSE_TIME]
+    modal[PLANE] = ints[PLANE]
+    modal[INCHES] = ints[INCHES]
+    modal[RELATIVE] = ints[RELATIVE]
+    modal[MOTION] = ints[MOTION]
+    rates[FEED] = singles[F]
+    return left
