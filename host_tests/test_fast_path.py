@@ -104,6 +104,10 @@ class Bench:
         return found, rest
 
 
+in_force = ["G90", "G91", "G17", "G21", "G94", "G54", "G49", "G40", "G61", "M5", "M9", "M3"]
+repeated = st.one_of(
+    st.just(""), st.lists(st.sampled_from(in_force), min_size=1, max_size=3).map("".join)
+)
 simple = st.from_regex(r"(G[01])?(X-?[0-9]{1,2}\.[0-9]{0,3})?(Y-?[0-9]\.[0-9])?", fullmatch=True)
 other = st.sampled_from(
     "G91 G90 G20 G21 G92X1.1Y-3 G92.1 F300 S500 M3S200 M4 M5 T2 G43.1Z0.3 G49 G55 G54 G10L2P2X0.7 "
@@ -111,7 +115,9 @@ other = st.sampled_from(
 )
 tail = st.sampled_from(["", "", "", "F200", "F700", "S100", "N12", "S0", "Z1", "F0", "Z-0.0001"])
 program = st.lists(
-    st.one_of(*[st.tuples(simple, tail).map("".join)] * 4, other), min_size=4, max_size=25
+    st.one_of(*[st.tuples(repeated, simple, tail, repeated).map("".join)] * 4, other),
+    min_size=4,
+    max_size=25,
 )
 
 
@@ -121,6 +127,8 @@ program = st.lists(
 @example(["M4S100F300", "G1X1", "X2", "X2", "X3S5", "G0X4", "X5", "G1X6"], True)
 @example(["G20", "G1X1F20", "X2", "X-2.3F508", "X1Y0.333F20", "G0X4", "G91", "X-0.1"], False)
 @example(["G20", "G92X0.3", "G1X1F20", "X2", "X-2.3", "X0.1", "Y-0.0625", "Y0"], False)
+@example(["F300", "G1X1", "G90X2", "G90M5X3", "G90G90X4", "G17G21", "M5M9", "G91", "G91X1"], False)
+@example(["F300", "G1X1", "M3S5", "M3X2", "M3S6X2", "M5X3", "M3M3", "G93", "G90", "G1X4F2"], True)
 @example(["M3S100F300", "G1X1", "X2", "X2", "X3", "T3", "X4", "X5", "X6", "X7"], False)
 def test_the_short_path_does_what_the_long_one_does(lines: "list[str]", laser: bool) -> None:
     short, long = Bench(laser, True), Bench(laser, False)
@@ -185,5 +193,9 @@ def test_lines_after_the_second_of_their_kind_take_the_short_path() -> None:
     assert bench.machine.modes.rates[modal.FEED] == 503
     planned = bench.machine.planner.free()
     assert plain.follow(bytearray(b"\0"), 0) == 1 and bench.machine.planner.free() == planned
+    for text in (b"G90G21X9", b"G90G94", b"M5M9"):
+        assert plain.follow(bytearray(text + b"\0"), len(text)) == 1
+    for text in (b"G91X1", b"G90G90X1", b"M3", b"G55"):
+        assert plain.follow(bytearray(text + b"\0"), len(text)) == 0
     bench.machine.state.change()
     assert plain.follow(bytearray(b"X9\0"), 2) == 0

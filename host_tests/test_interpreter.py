@@ -13,7 +13,7 @@ from base.state import State
 from control.coords import Coords
 from control.modes import Modes
 from fakes import FakeCanon, FakeStore, FakeVoice
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from language import interpreter
 from language.block import Block
@@ -132,14 +132,17 @@ def outcome(paper: Paper, line: str) -> "tuple[object, ...]":
     return fault, list(paper.canon.asked), state, modes.tool, coords.active, coords.tool_length
 
 
-@given(st.lists(lines, min_size=1, max_size=8), st.booleans())
+@given(st.lists(st.tuples(st.booleans(), lines), min_size=1, max_size=8), st.booleans())
 @settings(max_examples=200, deadline=None)
-def test_the_usual_checks_find_what_all_checks_find(program: "list[str]", inches: bool) -> None:
+@example([(True, "G91X1F5"), (True, "X1"), (True, "X1S5F5"), (True, "F5"), (True, "G2X1F5")], True)
+def test_the_usual_checks_find_what_all_checks_find(
+    program: "list[tuple[bool, str]]", inches: bool
+) -> None:
     short, long = Paper(), Paper()
-    program = ["G20", *program] if inches else program
-    for line in program:
-        plain = line.upper().replace(" ", "")
+    for is_jog, line in [(False, "G20"), *program] if inches else program:
+        plain = "$J=" * is_jog + line.upper().replace(" ", "")
         found = outcome(short, plain)
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(interpreter, "usual", lambda *_: ODD)
+            patch.setattr(interpreter, "plain_jog", lambda *_: 0)
             assert outcome(long, plain) == found, line

@@ -140,7 +140,7 @@ class Cnc:
 
     def without_commands(self, letters: bytes) -> None:
         """$ commands with these letters are not there any more."""
-        self._machine.commands.without = letters
+        self._machine.commands.take_away(letters)
 
     def add_command(
         self,

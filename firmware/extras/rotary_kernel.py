@@ -17,7 +17,7 @@ from motion.plan_kernel import FULL, OUTSIDE, plan
 from motion.reals import BIAS, ONE, mul, pack, per_second, square_root
 from motion.steps import measure, to_steps
 
-_ODD_NEWS = const(fk.MODES | fk.HAS_S)
+_ODD_NEWS = const(fk.MODES | fk.HAS_S | fk.SAME)
 
 
 @micropython.viper

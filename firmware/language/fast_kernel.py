@@ -15,6 +15,7 @@ from micropython import const
 from motion.layout import HEAD
 from motion.plan_kernel import FULL, OUTSIDE
 from motion.plan_kernel import plan as plan_block
+from motion.planner import SPINDLE_CW
 from motion.reals import per_second
 
 from language.words import number
@@ -27,7 +28,8 @@ HAS_G0 = const(0x08)  # G0, which was not in force
 HAS_G1 = const(0x10)
 MODES = const(0x18)
 NEWS = const(0x1B)
-ODD = const(-1)  # what is none of those, whatever is in force
+SAME = const(0x20000000)  # nothing but words that are in force
+ODD = const(-1)  # what is none of those
 F = const(0)  # the same as bit numbers
 _S = const(1)
 _N = const(2)
@@ -59,23 +61,69 @@ CHANGES = const(23)  # as they were counted when this was known
 LACKS = const(24)  # whether the move lacks what is new
 INCH_MM = const(25)
 WAITS = const(26)  # whether room is all that the last line has lacked
-OFFSETS = const(27)
+# The words in force, one of each group: their numbers, M words behind G words. 0: none that a line
+# may repeat here.
+_IN_FORCE = const(27)
+_GROUPS = const(9)
+_M_WORDS = const(100)
+OFFSETS = const(_IN_FORCE + _GROUPS)
+
+
+@micropython.viper
+def set_in_force(known: ptr32, modal: ptr32) -> int:
+    """Note which words a line may have that change nothing."""
+    known[_IN_FORCE] = 17 + modal[md.PLANE]
+    known[_IN_FORCE + 1] = 20 if modal[md.INCHES] else 21
+    known[_IN_FORCE + 2] = 91 if modal[md.RELATIVE] else 90
+    known[_IN_FORCE + 3] = 0 if modal[md.INVERSE_TIME] else 94
+    known[_IN_FORCE + 4] = 54 + modal[md.SYSTEM]
+    known[_IN_FORCE + 5] = 40
+    known[_IN_FORCE + 6] = 61
+    word = _M_WORDS + 5
+    if modal[md.SPINDLE]:
+        word = _M_WORDS + (3 if modal[md.SPINDLE] == SPINDLE_CW else 4)
+    known[_IN_FORCE + 7] = word
+    known[_IN_FORCE + 8] = 0 if modal[md.COOLANT] else _M_WORDS + 9
+    return 0
+
+
+@micropython.viper
+def _group_in_force(known: ptr32, value: int, first: int) -> int:
+    """The group, a bit each, of a word that is in force; 0: it is not. value: the bits of its
+    number, a float."""
+    shift = 150 - (value >> 23)
+    if shift < 17 or shift > 23:  # not from 1 to 127
+        return 0
+    digits = (value & 0x7FFFFF) | 0x800000
+    word = digits >> shift
+    if word << shift != digits:
+        return 0
+    for group in range(_GROUPS):
+        if known[_IN_FORCE + group] == word + first:
+            return 1 << group
+    return 0
 
 
 @micropython.viper
 def read(text: ptr8, length: int, known: ptr32) -> int:
     """What a line holds if it does no more than move; ODD or 0 if it does, or if a word is wrong.
     Such have G0 and G1, X to Z and A to C, F, N and S, each once at the most, the last three not
-    negative. Returns a mask of axes and of what is new, the public names above.
+    negative, and words that are in force. Returns a mask of axes and of what is new, the public
+    names above.
     """
     signs = ptr8(known)
     pos = 0
     seen = 0
+    repeated = 0
     while pos < length:
         letter = text[pos]
         bit = _NO_LETTER
+        first = 0
         if letter == 71:  # G
             bit = _G0
+        elif letter == 77:  # M
+            bit = _G0
+            first = _M_WORDS
         elif letter >= 88 and letter <= 90:  # X, Y, Z
             bit = letter - 83
         elif letter >= 65 and letter <= 67:  # A, B, C
@@ -93,12 +141,16 @@ def read(text: ptr8, length: int, known: ptr32) -> int:
             return 0
         value = known[VALUES + bit]
         if bit == _G0:
+            if first or (value and value != 0x3F800000):  # the float 1
+                group = int(_group_in_force(known, value, first))
+                if group == 0 or repeated & group:
+                    return ODD
+                repeated |= group
+                continue
             if seen & MODES:
                 return 0
-            if value == 0x3F800000:  # the float 1
+            if value:
                 bit += 1
-            elif value:
-                return ODD
         elif bit < X and signs[4 * (VALUES + bit) + 3] & 128:
             return 0
         elif bit == _N and value >> 7 >= 0x96312D:  # ten million
@@ -106,6 +158,8 @@ def read(text: ptr8, length: int, known: ptr32) -> int:
         if (seen >> bit) & 1:
             return 0
         seen |= 1 << bit
+    if seen == 0 and repeated:
+        return SAME
     if seen < 1 << X or seen >> (X + known[AXES]):
         return 0
     mode = seen & MODES
@@ -174,6 +228,8 @@ def follow(
     if known[AXES] == 0 or known[POWER] == UNTOLD or known[CHANGES] != changes[0]:
         return 0
     seen = int(read(text, length, known))
+    if seen == SAME:
+        return 1
     if seen <= 0:
         return 0
     place(known, seen, position, target)

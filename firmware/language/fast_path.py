@@ -133,6 +133,7 @@ class FastPath:
         ):
             axes = len(modes.position)
             known[fk.AXES] = axes
+            fk.set_in_force(known, modal)
             copy(coords.zero(coords.active), self._offsets, axes)
             known[fk.IS_RELATIVE] = modal[RELATIVE]
             known[fk.IN_INCHES] = modal[INCHES]
@@ -157,13 +158,18 @@ class FastPath:
         known[fk.POWER] = fk.UNTOLD
 
     def execute(self, line: bytearray, length: int) -> bool:
-        """Execute a line that does no more than move; False where it does, and nothing has
-        changed."""
+        """Execute a line that does no more than move, or nothing; False where it does, and nothing
+        has changed."""
         known = self._known
+        if known[fk.AXES] == 0:
+            fk.set_in_force(known, self._modes.modal)
         seen = read(line, length, known)
         if seen != fk.ODD and not (known[fk.AXES] and known[fk.CHANGES] == self._state.changes[0]):
             self._look()
             seen = read(line, length, known)
+        if seen == fk.SAME:
+            self._asked = False
+            return known[fk.AXES] > 0
         if seen <= 0:
             return False
         if seen & fk.NEWS or known[fk.LACKS]:

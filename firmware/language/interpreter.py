@@ -36,7 +36,19 @@ from language import block as wd
 from language import block_layout as b
 from language import checks
 from language.fast_path import FastPath
-from language.usual import ACCESSORIES, ODD, OFFSETS, SPEED, TOOL, settle, usual
+from language.usual import (
+    ACCESSORIES,
+    COMMAND,
+    FLOW,
+    MOVE,
+    ODD,
+    OFFSETS,
+    SET_TOOL,
+    SPEED,
+    plain_jog,
+    settle,
+    usual,
+)
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -120,23 +132,30 @@ class Interpreter:
 
     def execute(self, line: bytearray, length: int) -> None:
         """Interpret line[:length], which a 0 follows. Raises GrblError where it is refused."""
-        if not self.fast.execute(line, length):
-            block, modes = self.block, self._modes
-            block.read(line, 0, length, modes.modal)
-            self.check(block)
-            self._apply(block)
-            self.fast.forget()
-        self._canon.finish()
-        self.fast.tell()
+        fast = self.fast
+        if fast.execute(line, length):
+            self._canon.finish()
+            fast.tell()
+            return
+        block, modal = self.block, self._modes.modal
+        block.read(line, 0, length, modal)
+        self.check(block, modal)
+        done = self._apply(block)
+        fast.forget()
+        if done:
+            self._canon.finish()
 
     def jog(self, line: bytearray, length: int) -> None:
         """Interpret a "$J=" line. The modal state stays as it is."""
-        block, modes = self.block, self._modes
-        copy(modes.modal, self._jog_modal, MODAL_LENGTH)
-        self._jog_modal[MOTION] = b.LINEAR
-        self._jog_modal[INVERSE_TIME] = 0
-        block.read(line, _JOG_START, length, self._jog_modal)
-        checks.check(modes, self._coords, block, True)
+        block, modes, modal = self.block, self._modes, self._jog_modal
+        copy(modes.modal, modal, MODAL_LENGTH)
+        modal[MOTION] = b.LINEAR
+        modal[INVERSE_TIME] = 0
+        block.read(line, _JOG_START, length, modal)
+        if plain_jog(block.ints):
+            self.check(block, modal)
+        else:
+            checks.check(modes, self._coords, block, True)
         if self._settings.soft_limits and self._canon.outside(block.xyz):
             raise GrblError(errors.TRAVEL_EXCEEDED)
         move = self._begin_move(block)
@@ -149,11 +168,11 @@ class Interpreter:
 
     # Step three: checks
 
-    def check(self, block: "Block") -> None:
-        """Refuse the block with GrblError, or leave it ready to be executed."""
+    def check(self, block: "Block", modal: "array[int]") -> None:
+        """Refuse the block with GrblError, or leave it ready to be executed. modal: in force."""
         modes, coords, ints = self._modes, self._coords, block.ints
         xyz, position, zero = block.xyz, modes.position, coords.zero(ints[SYSTEM])
-        modal, rates, axes = modes.modal, modes.rates, len(xyz)
+        rates, axes = modes.rates, len(xyz)
         wrong = ODD
         if not coords.tool_length:
             wrong = usual(
@@ -173,13 +192,16 @@ class Interpreter:
             move.line_number = whole(block.singles[b.N])
         return move
 
-    def _apply(self, block: "Block") -> None:
-        """Execute a checked block, in the standard's order."""
+    def _apply(self, block: "Block") -> int:
+        """Execute a checked block, in the standard's order. Returns 0 where it has only changed
+        modes."""
         modes, new, singles = self._modes, block.ints, block.singles
         modal, rates = modes.modal, modes.rates
-        move = self._begin_move(block)
         beam = self._beam(block) if self._spindle.laser else 0
         left = settle(new, singles, modal, rates)
+        if not (left or beam & _SYNC or modes.tool):
+            return 0
+        move = self._begin_move(block)
         move.feed = singles[b.F]
         if new[INVERSE_TIME]:
             move.flags = layout.INVERSE_TIME
@@ -187,22 +209,22 @@ class Interpreter:
             self._set_speed(block, beam)
         if not beam & _DARK:
             move.spindle_rpm = rates[RPM]
-        if left & TOOL or modes.tool:
+        if left & SET_TOOL or modes.tool:
             modes.tool = whole(singles[b.T]) & 255
         if left & ACCESSORIES:
             self._set_accessories(new, move)
         move.flags |= modes.accessory_flags()
-        command = new[b.NON_MODAL]
-        if command == b.DWELL:
+        if new[b.NON_MODAL] == b.DWELL:
             self._canon.dwell(singles[b.P])
         if left & OFFSETS and self._set_offsets(block):
             self._offsets_changed()
-        if command != b.NO_ACTION:
+        if left & COMMAND:
             self._non_modal(block, move)
-        if new[b.CLAIM] == b.AXES_MOTION and new[MOTION] != b.NO_MOTION:
+        if left & MOVE:
             self.go(block, move)
-        if new[PROGRAM_FLOW] != b.RUNNING:
+        if left & FLOW:
             self._control_program(new[PROGRAM_FLOW])
+        return 1
 
     def _beam(self, block: "Block") -> int:
         """Laser mode: what the block means for the beam."""

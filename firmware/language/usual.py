@@ -16,27 +16,32 @@ from base.errors import (
 )
 from base.singles import add, multiply
 from control.modes import (
+    COOLANT,
     FEED,
     INCHES,
     INVERSE_TIME,
     MOTION,
+    OVERRIDE_CONTROL,
     PLANE,
+    PROGRAM_FLOW,
     RELATIVE,
     RPM,
+    SPINDLE,
+    SYSTEM,
+    TOOL_LENGTH,
 )
 from micropython import const
 
 from language.block_layout import (
     AXES_MOTION,
+    AXES_TOOL_LENGTH,
     AXES_UNCLAIMED,
     AXIS_WORDS,
     CLAIM,
     COMMANDS,
     DWELL,
-    GROUP_8,
-    GROUP_12,
-    GROUP_M7,
-    GROUP_M8,
+    GROUP_3,
+    GROUP_6,
     GROUP_M9,
     INCH_MM,
     LINEAR,
@@ -58,9 +63,12 @@ ODD = const(-1)  # it asks for what is seldom
 
 # What is left to be done with a block, a bit each.
 SPEED = const(1)
-TOOL = const(2)
+SET_TOOL = const(2)
 ACCESSORIES = const(4)
 OFFSETS = const(8)
+COMMAND = const(16)  # one that is not modal
+MOVE = const(32)
+FLOW = const(64)
 
 
 @micropython.viper
@@ -85,10 +93,13 @@ def usual(
     claim = ints[CLAIM]
     if axis_words and claim == AXES_UNCLAIMED:
         claim = AXES_MOTION
-    if ints[COMMANDS] & (GROUP_M9 | GROUP_8) or (command and command != DWELL):
+    if ints[COMMANDS] & GROUP_M9 or (command and command != DWELL):
         return ODD
     if claim == AXES_MOTION:
         if motion > LINEAR and motion != NO_MOTION:
+            return ODD
+    elif claim == AXES_TOOL_LENGTH:
+        if axis_words or ints[TOOL_LENGTH]:
             return ODD
     elif claim:
         return ODD
@@ -129,6 +140,16 @@ def usual(
 
 
 @micropython.viper
+def plain_jog(ints: ptr32) -> int:
+    """Whether usual() may see to the block of a jog: a move with a feed rate, and modes of how to
+    read its numbers."""
+    words = ints[WORDS]
+    if words & WORD_F == 0 or words & ~(AXIS_WORDS | WORD_F | WORD_N) or ints[NON_MODAL]:
+        return 0
+    return 0 if ints[COMMANDS] & ~(GROUP_3 | GROUP_6) else 1
+
+
+@micropython.viper
 def _in_mm(xyz: ptr32, axes: int, lengths: int, singles: ptr32) -> int:
     for i in range(axes):
         if (lengths >> i) & 1:
@@ -153,12 +174,21 @@ def settle(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32) -> int:
     if rates[RPM] != singles[S] and (rates[RPM] | singles[S]) & int(0x7FFFFFFF):
         left = SPEED
     if singles[T]:
-        left |= TOOL
-    commands = ints[COMMANDS]
-    if commands & (GROUP_M7 | GROUP_M8 | GROUP_M9):
+        left |= SET_TOOL
+    if (
+        modal[SPINDLE] != ints[SPINDLE]
+        or modal[COOLANT] != ints[COOLANT]
+        or modal[OVERRIDE_CONTROL] != ints[OVERRIDE_CONTROL]
+    ):
         left |= ACCESSORIES
-    if commands & (GROUP_8 | GROUP_12):
+    if modal[SYSTEM] != ints[SYSTEM] or ints[CLAIM] == AXES_TOOL_LENGTH:
         left |= OFFSETS
+    if ints[NON_MODAL]:
+        left |= COMMAND
+    if ints[CLAIM] == AXES_MOTION and ints[MOTION] != NO_MOTION:
+        left |= MOVE
+    if ints[PROGRAM_FLOW]:
+        left |= FLOW
     modal[INVERSE_TIME] = ints[INVERSE_TIME]
     modal[PLANE] = ints[PLANE]
     modal[INCHES] = ints[INCHES]

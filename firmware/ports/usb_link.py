@@ -23,6 +23,7 @@ from micropython import const
 
 from ports.escape import CTRL_C, Escape
 from ports.link_memory import (
+    ASKED,
     AWAY,
     DEAF,
     DTR,
@@ -60,11 +61,13 @@ _GREET_MS = const(300)
 
 # Answers of a line wait for others, up to so many bytes, and until nothing has come for so many
 # turns: to send takes USB as long as a line takes to be read. What is longer is sent at once, with
-# those that wait.
+# those that wait, and so is the answer to a $ command, for whoever sends one waits for it.
 _ANSWERS_BYTES = const(64)
 _OUT_BYTES = const(192)
 _QUIET_TURNS = const(2)
 _ANSWER = const(16)
+_NOW = const(2)
+_DOLLAR = const(0x24)
 
 # With a count of bytes: there is more to see to.
 _NOTE = const(0x100)
@@ -100,6 +103,8 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
         buf[count] = c
         if c <= CTRL_C:
             at[ESCAPES] = 1
+        elif c == _DOLLAR:
+            at[ASKED] = 1
         get = (get + 1) & (RING_BYTES - 1)
         count += 1
     shorts[3] = get
@@ -110,14 +115,19 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
 
 @micropython.viper
 def _keep(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
-    """Put an answer behind those that wait to be sent. Returns 0 where there is no room."""
+    """Put an answer behind those that wait to be sent. Returns 0 where there is no room, and NOW
+    where they are to be sent."""
     length = at[LENGTH]
     if length + count > (_ANSWERS_BYTES if count <= _ANSWER else _OUT_BYTES):
         return 0
     for i in range(count):
         out[length + i] = data[i]
     at[LENGTH] = length + count
-    return 1
+    if count > _ANSWER:
+        return _NOW
+    asked = at[ASKED]
+    at[ASKED] = 0
+    return _NOW if asked else 1
 
 
 class UsbLink:
@@ -246,13 +256,15 @@ class UsbLink:
 
         def write(data: "bytes | bytearray | memoryview") -> None:
             count = len(data)
-            if not keep(at, waiting, data, count):
+            kept = keep(at, waiting, data, count)
+            if not kept:
                 length, at[LENGTH] = at[LENGTH], 0
                 if length:
                     send(waiting, length)
-                if not keep(at, waiting, data, count):
+                kept = keep(at, waiting, data, count)
+                if not kept:
                     send(data, count)
-            elif count > _ANSWER:
+            if kept == _NOW:
                 length, at[LENGTH] = at[LENGTH], 0
                 send(waiting, length)
 

@@ -52,8 +52,6 @@ _AT_ANY_TIME = b"\0$GCX"
 class Commands:
     """What lines beginning with $ do. options: the letters and numbers of [OPT:…]."""
 
-    without = b""  # letters of commands that an extra has taken away
-
     def __init__(
         self,
         state: "State",
@@ -140,15 +138,20 @@ class Commands:
     def whose(self, line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
         """Who executes a line beginning with $: the loop calls it, for the stack is short. Raises
         GrblError where it is refused."""
-        key = line[1]
-        if key in self.without:
-            key = 48  # no letter: taken for the number of a setting
-        if key in _AT_ANY_TIME:
+        execute = self._letters.get(line[1])
+        if execute and line[1] == _JOG:
+            return execute  # it sees to that itself, and is in a hurry
+        if execute and line[1] in _AT_ANY_TIME:
             if length > 2:
                 raise GrblError(errors.INVALID_STATEMENT)
-        elif key != _JOG and self._state.run not in (st.IDLE, st.ALARM):
+        elif self._state.run not in (st.IDLE, st.ALARM):
             raise GrblError(errors.IDLE_ERROR)
-        return self._letters.get(key, self._set)
+        return execute or self._set  # what is no letter is the number of a setting
+
+    def take_away(self, letters: bytes) -> None:
+        """Commands with these letters are not there any more."""
+        for letter in letters:
+            del self._letters[letter]
 
     def _jog(self, line: bytearray, length: int) -> None:
         if self._state.run not in (st.IDLE, st.JOG):

@@ -135,22 +135,23 @@ def lines(bench: Bench) -> Iterator[Row]:
 
 
 _LONG = (
-    ("modes and a move", ["G90G1X10.04Y10.03F9000", "G90G1X10.08Y10.06F9000"]),
-    ("modes alone", ["G17G21G90G94", "G40G54G49"]),
-    ("M words that change nothing", ["M5M9", "G90M5"]),
-    ("half circles", ["G2X12Y10I1J0F9000", "G3X10Y10I-1J0"]),
+    ("modes that change and a move", ["G91G1X0.04Y0.03F9000", "G90G1X10Y10F9000"]),
+    ("modes that change", ["G91G20", "G90G21"]),
+    ("words in force and a move", ["G90G1X10.04Y10.03F9000", "G90G1X10Y10F9000"]),
+    ("words in force", ["G17G21G90G94", "M5M9"]),
+    ("half a circle", ["G2X12Y10I1J0F9000", "G3X10Y10I-1J0"]),
 )
 _ASKED_FOR = ("$J=G91X0.01F3000", "$G", "$#", "$$")
 
 
 def long_lines(bench: Bench) -> Iterator[Row]:
-    """Lines that go the long way, streamed: milliseconds for each; and how long until an answer to
-    a line that asks for something has come whole."""
+    """Lines with modes, streamed: milliseconds for each; and how long until an answer to a line
+    that asks for something has come whole."""
     talk = bench.talk(MAIN)
     for name, lines in _LONG:
         _at_start(talk)
         made = stream(talk, lines * 30, _BLOCKS)
-        yield Row(f"the long way, {name}", 1000 / made.lines_s, "ms a line")
+        yield Row(f"a line with {name}", 1000 / made.lines_s, "ms a line")
         idle(talk)
     for line in _ASKED_FOR:
         times = []
