@@ -108,6 +108,7 @@ NOWHERE = const(255)
 # Besides the tenths: others are unsupported, which elsewhere are malformed; one must be there.
 OTHERS = const(0x80)
 NEEDED = const(0x40)
+assert CLAIM < MODAL_ROOM, "there is no room behind the modal state"
 TENTHS = const(0x3F)
 
 index = bytearray(_INDEXED) + b"\xff" * 26

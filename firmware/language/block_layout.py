@@ -4,7 +4,7 @@ Constants only. A block is the modal state as its line would make it, and behind
 line asks for; its numbers are in arrays of their own.
 """
 
-from control.modes import MODAL_LENGTH, MODAL_ROOM
+from control.modes import MODAL_LENGTH
 from micropython import const
 
 # Motion modes: the G number, for the probes G38.n the same with n * 10 + 100 added.
@@ -47,7 +47,6 @@ COMMANDS = const(MODAL_LENGTH)  # mask of the modal groups that the line has wor
 WORDS = const(MODAL_LENGTH + 1)  # mask of its value words
 NON_MODAL = const(MODAL_LENGTH + 2)
 CLAIM = const(MODAL_LENGTH + 3)  # who uses the axis words
-assert CLAIM < MODAL_ROOM, "there is no room behind the modal state"
 
 # The numbers of a line, by place in Block.singles; axis words are in Block.xyz.
 I = const(0)  # noqa: E741 (the letter of the word); J and K behind it

@@ -160,6 +160,12 @@ def read(text: ptr8, length: int, known: ptr32) -> int:
         seen |= 1 << bit
     if seen == 0 and repeated:
         return SAME
+    return int(_news(known, seen))
+
+
+@micropython.viper
+def _news(known: ptr32, seen: int) -> int:
+    """What is new of all that a line has; 0 where that does more than move."""
     if seen < 1 << X or seen >> (X + known[AXES]):
         return 0
     mode = seen & MODES
@@ -228,10 +234,8 @@ def follow(
     if known[AXES] == 0 or known[POWER] == UNTOLD or known[CHANGES] != changes[0]:
         return 0
     seen = int(read(text, length, known))
-    if seen == SAME:
-        return 1
-    if seen <= 0:
-        return 0
+    if seen <= 0 or seen == SAME:
+        return 1 if seen > 0 else 0
     place(known, seen, position, target)
     found = int(judge(target, travel, flow))
     if found & OUTSIDE and known[LIMITED]:

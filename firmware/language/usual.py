@@ -72,6 +72,21 @@ FLOW = const(64)
 
 
 @micropython.viper
+def _claim(ints: ptr32) -> int:
+    """Who uses the axis words; ODD where that is somebody seldom."""
+    claim = ints[CLAIM]
+    motion = ints[MOTION]
+    axis_words = ints[WORDS] & AXIS_WORDS
+    if axis_words and claim == AXES_UNCLAIMED:
+        claim = AXES_MOTION
+    if claim == AXES_MOTION:
+        return ODD if motion > LINEAR and motion != NO_MOTION else claim
+    if claim == AXES_TOOL_LENGTH:
+        return ODD if axis_words or ints[TOOL_LENGTH] else claim
+    return ODD if claim else claim
+
+
+@micropython.viper
 def usual(
     ints: ptr32,
     singles: ptr32,
@@ -90,18 +105,8 @@ def usual(
     axis_words = words & AXIS_WORDS
     command = ints[NON_MODAL]
     motion = ints[MOTION]
-    claim = ints[CLAIM]
-    if axis_words and claim == AXES_UNCLAIMED:
-        claim = AXES_MOTION
-    if ints[COMMANDS] & GROUP_M9 or (command and command != DWELL):
-        return ODD
-    if claim == AXES_MOTION:
-        if motion > LINEAR and motion != NO_MOTION:
-            return ODD
-    elif claim == AXES_TOOL_LENGTH:
-        if axis_words or ints[TOOL_LENGTH]:
-            return ODD
-    elif claim:
+    claim = int(_claim(ints))
+    if claim == ODD or ints[COMMANDS] & GROUP_M9 or (command and command != DWELL):
         return ODD
     if singles[N] > int(0x4B189680):  # the float 10,000,000
         return GCODE_INVALID_LINE_NUMBER
@@ -125,10 +130,9 @@ def usual(
             _in_mm(xyz, axes, lengths, singles)
         add(position if ints[RELATIVE] else zero, 0, xyz, axes)
         stay(position, xyz, words, axes)
-    if motion == NO_MOTION:
-        if axis_words:
-            return GCODE_AXIS_WORDS_EXIST
-    elif claim == AXES_MOTION:
+    if motion == NO_MOTION and axis_words:
+        return GCODE_AXIS_WORDS_EXIST
+    if motion <= LINEAR and claim == AXES_MOTION:
         if motion == LINEAR and singles[F] & int(0x7FFFFFFF) == 0:
             return GCODE_UNDEFINED_FEED_RATE
         if axis_words == 0:

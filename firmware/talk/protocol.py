@@ -100,7 +100,7 @@ class Protocol:
                     self._drive.by_pin = False
                     self.link.discard()
                 self._restart()
-                known[WAITS] = 0
+                known[WAITS] = asked = 0
                 while True:
                     if echoes or state.suspend or state.run & _LOCKED:
                         found = clean(heard, at, line, kinds)
@@ -111,12 +111,14 @@ class Protocol:
                     posted = pending[st.ANY] or state.suspend
                     # A line that waits for room gives everybody a turn there.
                     if posted or found & LINE == 0 or not known[WAITS]:
+                        # A ? comes first, once: it would wait for motion to be prepared.
+                        asked = pending[st.STATUS_REPORT] and not asked
+                        if found == NOTHING and not asked and not reader.waiting():
+                            self._canon.auto_start()
                         self._realtime.run()
                         if found == NOTHING:
                             if pending[st.ANY]:  # whoever asks for every turn
                                 self.pump()
-                            if not reader.waiting():
-                                self._canon.auto_start()
                             continue
                         # What has been posted has come before a line that may be a quick one.
                         is_open = posted and found & LINE and not (echoes or state.run & _LOCKED)

@@ -1,0 +1,38 @@
+"""Expatria PicoBOB: an RP2040 behind a five-axis parallel-port breakout ("Mach3 board").
+
+The numbers beside the pins are the breakout's. P10 is a reset, which stops tool and motors at
+once; for an emergency stop, whose contact opens, write ESTOP = 3 and no reset. P17 drives the
+relay while its jumper is on; the direction of a motor B is the same pin, so there are four motors
+at the most: for the fourth write MOTORS = "XYZA" or "XYZY", STEP = (17, 18, 19, 20),
+DIR = (9, 10, 11, 12) and a fourth LIMIT, None. Pins from the maker's README and pictures,
+github.com/Expatria-Technologies/PicoBOB. Never ran on hardware.
+"""
+
+CHIP = "rp2040"
+MPY_ARCH = "armv6m"
+ENGINE = "pio"
+LINK = "usb"
+
+STEP = (17, 18, 19)  # P2, P4, P6
+DIR = (9, 10, 11)  # P3, P5, P7
+ENABLE = 16  # P14
+LIMIT = (2, 1, 5)  # P12, P13, P15
+PROBE = 4  # P11
+# Reset, hold, start, door.
+CONTROL = (3, None, None, None)  # P10
+SPINDLE_PWM = 14  # P1, 0 to 10 V beside it
+SPINDLE_ON = 13  # P17, the relay
+
+# The breakout's inputs are opto-couplers on long wires: a contact counts when it has been at rest
+# for so long. Big drivers want their direction early, and long pulses.
+CONTROL_DEBOUNCE_MS = 20
+DIR_HOLD_US = 10
+DIR_SETUP_US = 10
+# Controllers that turn PWM into 0 to 10 V like it slow.
+PWM_HZ = 1000
+
+# Small moves at high speed want a long look ahead.
+PLANNER_BLOCKS = 64
+RX_BYTES = 255
+PWM_MAX = 1000
+DEFAULTS = {0: 5}
