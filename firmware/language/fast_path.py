@@ -167,10 +167,11 @@ class FastPath:
         if seen != fk.ODD and not (known[fk.AXES] and known[fk.CHANGES] == self._state.changes[0]):
             self._look()
             seen = read(line, length, known)
-        if seen == fk.SAME:
-            self._asked = False
-            return known[fk.AXES] > 0
-        if seen <= 0:
+        self._asked = False
+        if seen == fk.SAME and known[fk.AXES]:
+            return True
+        if seen <= 0 or seen == fk.SAME:
+            known[fk.AXES] = 0  # as forget(): behind the long way something else may be in force
             return False
         if seen & fk.NEWS or known[fk.LACKS]:
             self._take_news(seen)

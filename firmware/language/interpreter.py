@@ -140,9 +140,8 @@ class Interpreter:
         block, modal = self.block, self._modes.modal
         block.read(line, 0, length, modal)
         self.check(block, modal)
-        done = self._apply(block)
-        fast.forget()
-        if done:
+        if self._apply(block):
+            fast.forget()  # again: a handler of the user's own may have had lines executed
             self._canon.finish()
 
     def jog(self, line: bytearray, length: int) -> None:
@@ -159,7 +158,6 @@ class Interpreter:
         if self._settings.soft_limits and self._canon.outside(block.xyz):
             raise GrblError(errors.TRAVEL_EXCEEDED)
         move = self._begin_move(block)
-        move.feed = block.singles[b.F]
         move.flags = layout.NO_FEED_OVERRIDE | modes.accessory_flags()
         move.spindle_rpm = modes.rates[RPM]
         self._canon.jog(block.xyz, move)
@@ -186,10 +184,12 @@ class Interpreter:
     # Step four: execution
 
     def _begin_move(self, block: "Block") -> "plan.Move":
+        """The move of a block, with its feed rate, and nothing else said of it."""
         move = self._move
-        move.clear()
-        if self._line_numbers:
-            move.line_number = whole(block.singles[b.N])
+        move.feed = block.singles[b.F]
+        move.flags = 0
+        move.spindle_rpm = 0.0
+        move.line_number = whole(block.singles[b.N]) if self._line_numbers else 0
         return move
 
     def _apply(self, block: "Block") -> int:
@@ -202,7 +202,6 @@ class Interpreter:
         if not (left or beam & _SYNC or modes.tool):
             return 0
         move = self._begin_move(block)
-        move.feed = singles[b.F]
         if new[INVERSE_TIME]:
             move.flags = layout.INVERSE_TIME
         if left & SPEED or beam & _SYNC:

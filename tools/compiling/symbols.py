@@ -67,7 +67,7 @@ def functions(tree: ast.AST, prefix: str = "") -> Iterator[tuple[str, tuple[int,
             yield prefix + node.name, (node.lineno, node.end_lineno or node.lineno), node
         if isinstance(node, _Function | ast.ClassDef):
             yield from functions(node, f"{prefix}{node.name}.")
-        else:
+        elif not isinstance(node, ast.expr):  # which has none in it
             yield from functions(node, prefix)
 
 
