@@ -71,7 +71,18 @@ def test_a_dwell_or_the_begin_of_a_program_is_no_delay() -> None:
     [
         ([b"G91F30000", *[b"G1X0.1"] * 600], "plain", FAST),
         ([b"G91", *[b"G1X0.1F%d" % (15_000 + k % 2) for k in range(600)]], "feed", FAST),
-        ([b"G91F9000", *[b"G1G91G94X0.15"] * 400], "long_way_ms", FAST),
+        (
+            [
+                b"F9000",
+                *[
+                    line
+                    for x in range(3, 600, 3)
+                    for line in (b"G91G1X0.15", b"G90X%.1f" % (x / 10))
+                ],
+            ],
+            "long_way_ms",
+            FAST,
+        ),
         ([b"F9000", b"G91", *[b"G1X0.3", *[b"(nothing)"] * 9] * 99], "no_words_ms", FAST),
         (
             [b"F30000", *[b"G2X0Y0I5"] * 5],
@@ -100,6 +111,12 @@ def test_it_says_which_lines_are_in_the_way(
         (b"G0X1S5", b"G0X0", "long_way_ms"),
         (b"G2X1I5", b"G1X0F100", "long_way_ms"),
         (b"G91X1", b"G1X0F100", "long_way_ms"),
+        (b"G90X1M5", b"G1X0F100", "plain"),
+        (b"G01G90M05", b"G1X0F100", "long_way_ms"),
+        (b"G90M05", b"G1X0F100", "no_words_ms"),
+        (b"M9X1", b"M9", "plain"),
+        (b"M8X1", b"M8X0", "long_way_ms"),
+        (b"M3X1", b"M3X0", "long_way_ms"),  # the first behind another kind of line
         (b"S5", b"G1X0F100", "long_way_ms"),
         (b"; nothing", b"G1X0F100", "no_words_ms"),
     ],

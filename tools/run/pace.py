@@ -29,6 +29,16 @@ _NO_WORDS, _PLAIN, _POWER, _FEED, _LONG_WAY = (
     "long_way_ms",
 )
 _CHORDS = "chords"
+# Words of which one of each group is in force, and changes nothing where it is said again.
+_GROUPS = [
+    frozenset(group.split())
+    for group in (
+        *(b"G17 G18 G19", b"G20 G21", b"G40", b"G54 G55 G56 G57 G58 G59", b"G61"),
+        *(b"G90 G91", b"G93 G94", b"M3 M4 M5", b"M7 M8 M9"),
+    )
+]
+_AT_FIRST = frozenset(b"G17 G21 G40 G54 G61 G90 G94 M5 M9".split())
+_NEVER = frozenset(b"G93 M7 M8".split())  # such are looked at each time
 # What is worth a word, and how many lines in time may stand between two that are late.
 _LEAST_S = 0.05
 _APART = 100
@@ -184,10 +194,11 @@ def _kinds(lines: Sequence[bytes], laser: bool) -> Iterator[str]:
     """Which way each line takes through the firmware (language/fast_path.py)."""
     motion = feed = b""
     known = False  # the line before was a plain move, too
+    in_force = set(_AT_FIRST)
     for line in lines:
         text = without_comments(line).upper().replace(b" ", b"").replace(b"\t", b"")
-        words = _WORD.findall(text)
-        if not text:
+        words = list(_new(_WORD.findall(text), in_force))
+        if not text or (known and not words):
             yield _NO_WORDS
             continue
         letters = {letter[0] for letter, _ in words}
@@ -208,3 +219,17 @@ def _kinds(lines: Sequence[bytes], laser: bool) -> Iterator[str]:
         else:
             yield _POWER if 83 in letters else _PLAIN
         known, motion, feed = bool(is_plain), mode, speed
+
+
+def _new(
+    words: "list[tuple[bytes, bytes]]", in_force: set[bytes]
+) -> Iterator[tuple[bytes, bytes]]:
+    """Words that are not in force, which they are then."""
+    for letter, value in words:
+        word = letter + (value.lstrip(b"0") or b"0")
+        if word not in in_force - _NEVER:
+            yield letter, value
+        for group in _GROUPS:
+            if word in group:
+                in_force -= group
+                in_force.add(word)
