@@ -29,7 +29,7 @@ _WORSE = 0.1
 _BYTES = 16  # a block of memory: what a line leaves is the mean of some lines
 # Of bench_board.py, in its order: those that rows are made of.
 _PARTS = (
-    *("boot", "memory", "heap", "queries", "lines", "special", "chords"),
+    *("boot", "memory", "heap", "queries", "lines", "special", "long", "chords"),
     *("share", "hold", "gaps"),
 )
 _FAR = ("rates", "clusters")  # on boards of their own: from where the others end it is far
@@ -53,6 +53,19 @@ _ROWS: "dict[str, tuple[float, Sequence[str]]]" = {
     "clusters of 16 dots": (1, ["dots of clusters, M4"]),
     "half circles of 1 mm": (1, ["half circles of 1 mm"]),
     "circles of 702 chords": (1, ["chords of circles", "chords of circles, check mode"]),
+    "a line with words in force": (
+        *(1, ["a line with words in force", "a line with words in force and a move"]),
+    ),
+    "a line with modes that change": (
+        *(1, ["a line with modes that change", "a line with modes that change and a move"]),
+    ),
+    "`$J=G91X0.01F3000`": (
+        1,
+        [
+            f"{line} to the end of its answer, mean"
+            for line in ("$J=G91X0.01F3000", "$G", "$#", "$$")
+        ],
+    ),
     "`?` to the end": (1, ["? at rest, whole answer, mean"]),
     "the same while streaming": (
         *(1, ["? while streaming, whole answer, mean", "? while streaming, whole answer, worst"]),
