@@ -69,7 +69,7 @@ def test_a_dwell_or_the_begin_of_a_program_is_no_delay() -> None:
 @pytest.mark.parametrize(
     ("lines", "kind", "settings"),
     [
-        ([b"G91F30000", *[b"G1X0.1"] * 600], "plain", FAST),
+        ([b"G91F30000", *[b"G1X0.05"] * 1500], "plain", FAST),
         ([b"G91", *[b"G1X0.1F%d" % (15_000 + k % 2) for k in range(600)]], "feed", FAST),
         (
             [
@@ -179,7 +179,7 @@ def streamed_s(lines: "list[bytes]", answer_us: int) -> float:
 
 
 def test_motion_takes_longer_by_about_what_is_told() -> None:
-    lines = raster(FEED, dots=1200)
+    lines = raster(FEED, dots=1800)
     told = sum(stretch.lost_s for stretch in stretches(lines, LASER, "rpi_pico2"))
     delay = streamed_s(lines, round(1e6 / PICO.power)) - streamed_s(lines, 0)
     assert told > 0.2 and delay == pytest.approx(told, rel=0.2)
