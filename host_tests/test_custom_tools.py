@@ -152,7 +152,7 @@ def test_a_wait_that_nobody_ends_is_a_sentence_and_not_for_ever() -> None:
 def test_an_input_changes_when_it_has_been_waited_for_long_enough() -> None:
     code, found, _ = ran("M101\n", FEEDER, "--input", "part=2s")
     assert code == 0 and found["lines"] == 1
-    assert found["time_s"] == pytest.approx(4.0, abs=0.05)  # it closes, and opens
+    assert found["time_s"] == pytest.approx(4.0, abs=0.001)  # it closes, and opens
 
 
 def test_an_input_that_is_closed_from_the_start_is_not_waited_for() -> None:

@@ -225,7 +225,6 @@ def _read(machine: "Any", rotary: int) -> None:
 
     def execute(line: bytearray, length: int) -> bool:
         if modal[INCHES] and names_any(line, length, letters):
-            fast.forget()
             return False
         return usual_execute(line, length)
 

@@ -83,6 +83,8 @@ from language.block_layout import (
 )
 from language.words import LETTER_EXPECTED, LINE_LENGTH, Words, scan
 
+assert CLAIM < MODAL_ROOM, "there is no room behind the modal state"
+
 _BEYOND = 2147483648.0
 
 # Value words, in the order of their bits.
@@ -108,7 +110,6 @@ NOWHERE = const(255)
 # Besides the tenths: others are unsupported, which elsewhere are malformed; one must be there.
 OTHERS = const(0x80)
 NEEDED = const(0x40)
-assert CLAIM < MODAL_ROOM, "there is no room behind the modal state"
 TENTHS = const(0x3F)
 
 index = bytearray(_INDEXED) + b"\xff" * 26

@@ -27,7 +27,7 @@ from control.modes import (
 from micropython import const
 
 from language import block_layout as b
-from language.usual import stay
+from language.usual import in_mm, stay
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -68,9 +68,7 @@ def check(modes: "Modes", coords: "Coords", block: "Block", jog: bool) -> None:
             raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
         unused &= ~b.WORD_P
     if ints[INCHES]:
-        for i in range(len(block.xyz)):
-            if block.lengths >> i & 1:
-                to_mm(block.xyz, i)
+        in_mm(block.xyz, len(block.xyz), block.lengths, singles)
     claim = ints[b.CLAIM]
     if claim == b.AXES_TOOL_LENGTH and ints[TOOL_LENGTH]:
         if axis_words != 1 << coords.length_axis:

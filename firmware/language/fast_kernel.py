@@ -234,8 +234,10 @@ def follow(
     if known[AXES] == 0 or known[POWER] == UNTOLD or known[CHANGES] != changes[0]:
         return 0
     seen = int(read(text, length, known))
-    if seen <= 0 or seen == SAME:
-        return 1 if seen > 0 else 0
+    if seen == SAME:
+        return 1
+    if seen <= 0:
+        return 0
     place(known, seen, position, target)
     found = int(judge(target, travel, flow))
     if found & OUTSIDE and known[LIMITED]:
@@ -261,10 +263,9 @@ def follow(
     if known[DRY] == 0:
         at = flow[HEAD]
         line = int(line_number(known, seen))
-        flags = known[FLAGS]
         power = known[POWER]
         rate = known[RATE]
-        if int(plan_block(target, table, ring, flow, flags, line, power, rate)) == 0:
+        if int(plan_block(target, table, ring, flow, known[FLAGS], line, power, rate)) == 0:
             return 0
         speeds[at] = known[RPM]
     copy(target, position, known[AXES])

@@ -133,7 +133,6 @@ class FastPath:
         ):
             axes = len(modes.position)
             known[fk.AXES] = axes
-            fk.set_in_force(known, modal)
             copy(coords.zero(coords.active), self._offsets, axes)
             known[fk.IS_RELATIVE] = modal[RELATIVE]
             known[fk.IN_INCHES] = modal[INCHES]
@@ -161,17 +160,17 @@ class FastPath:
         """Execute a line that does no more than move, or nothing; False where it does, and nothing
         has changed."""
         known = self._known
-        if known[fk.AXES] == 0:
+        is_known = known[fk.AXES] and known[fk.CHANGES] == self._state.changes[0]
+        if not is_known:
             fk.set_in_force(known, self._modes.modal)
         seen = read(line, length, known)
-        if seen != fk.ODD and not (known[fk.AXES] and known[fk.CHANGES] == self._state.changes[0]):
+        if seen != fk.ODD and not is_known:
             self._look()
             seen = read(line, length, known)
-        self._asked = False
-        if seen == fk.SAME and known[fk.AXES]:
-            return True
-        if seen <= 0 or seen == fk.SAME:
-            known[fk.AXES] = 0  # as forget(): behind the long way something else may be in force
+        if seen == fk.SAME:
+            self._asked = False
+            return known[fk.AXES] > 0
+        if seen <= 0:
             return False
         if seen & fk.NEWS or known[fk.LACKS]:
             self._take_news(seen)

@@ -140,8 +140,9 @@ class Interpreter:
         block, modal = self.block, self._modes.modal
         block.read(line, 0, length, modal)
         self.check(block, modal)
-        if self._apply(block):
-            fast.forget()  # again: a handler of the user's own may have had lines executed
+        done = self._apply(block)
+        fast.forget()
+        if done:
             self._canon.finish()
 
     def jog(self, line: bytearray, length: int) -> None:

@@ -127,7 +127,7 @@ def usual(
         unused &= ~WORD_P
     if axis_words:
         if ints[INCHES]:
-            _in_mm(xyz, axes, lengths, singles)
+            in_mm(xyz, axes, lengths, singles)
         add(position if ints[RELATIVE] else zero, 0, xyz, axes)
         stay(position, xyz, words, axes)
     if motion == NO_MOTION and axis_words:
@@ -154,7 +154,8 @@ def plain_jog(ints: ptr32) -> int:
 
 
 @micropython.viper
-def _in_mm(xyz: ptr32, axes: int, lengths: int, singles: ptr32) -> int:
+def in_mm(xyz: ptr32, axes: int, lengths: int, singles: ptr32) -> int:
+    """Inches to mm, of the axes that are lengths: a mask. singles: a block's, which has 25.4."""
     for i in range(axes):
         if (lengths >> i) & 1:
             multiply(xyz, i, singles, INCH_MM)

@@ -151,7 +151,7 @@ class Commands:
     def take_away(self, letters: bytes) -> None:
         """Commands with these letters are not there any more."""
         for letter in letters:
-            del self._letters[letter]
+            self._letters.pop(letter, None)
 
     def _jog(self, line: bytearray, length: int) -> None:
         if self._state.run not in (st.IDLE, st.JOG):

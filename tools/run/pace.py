@@ -197,7 +197,7 @@ def _kinds(lines: Sequence[bytes], laser: bool) -> Iterator[str]:
     in_force = set(_AT_FIRST)
     for line in lines:
         text = without_comments(line).upper().replace(b" ", b"").replace(b"\t", b"")
-        words = list(_new(_WORD.findall(text), in_force))
+        words = _take_new(_WORD.findall(text), in_force)
         if not text or (known and not words):
             yield _NO_WORDS
             continue
@@ -221,15 +221,17 @@ def _kinds(lines: Sequence[bytes], laser: bool) -> Iterator[str]:
         known, motion, feed = bool(is_plain), mode, speed
 
 
-def _new(
+def _take_new(
     words: "list[tuple[bytes, bytes]]", in_force: set[bytes]
-) -> Iterator[tuple[bytes, bytes]]:
-    """Words that are not in force, which they are then."""
+) -> "list[tuple[bytes, bytes]]":
+    """Words that are not in force. They are behind this."""
+    new = []
     for letter, value in words:
         word = letter + (value.lstrip(b"0") or b"0")
-        if word not in in_force - _NEVER:
-            yield letter, value
+        if word in _NEVER or word not in in_force:
+            new.append((letter, value))
         for group in _GROUPS:
             if word in group:
                 in_force -= group
                 in_force.add(word)
+    return new
