@@ -328,6 +328,15 @@ def test_position_is_known_through_jog_cancels(settings_, lines, bytes_) -> None
     check_position(machine)
 
 
+@pytest.mark.parametrize("at_ms", range(600, 1200, 31))
+@pytest.mark.parametrize("stop", ("\x85", "!"))
+def test_motion_stopped_while_it_brakes_anyway_ends_at_rest(stop: str, at_ms: int) -> None:
+    machine = Machine({100: 320.0, 110: 3000.0, 120: 5.0})
+    machine.play(["$J=G91X2F2000"], [(at_ms, stop)])
+    check_segments(machine.watch)
+    check_position(machine)
+
+
 def test_a_program_goes_where_it_should() -> None:
     machine = Machine({110: 3000.0, 111: 3000.0, 120: 200.0, 121: 200.0})
     machine.play(["G90G1X3Y4F2000", "G2X5Y4I1", "G0X0Y0"], [(120, "!"), (900, "~")])

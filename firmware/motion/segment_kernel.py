@@ -221,12 +221,12 @@ def proceed(flow: ptr32, ring: ptr32, scale: int) -> int:
     rest = (flow[WHOLE] << 18) + flow[FRACTION] if unit else HIGHEST
     room = rest
     due = 0
+    leave = int(look_ahead(flow, ring, scale))
+    if leave > top:
+        leave = top
     if flow[HOLD]:
         top = 0
-    else:
-        leave = int(look_ahead(flow, ring, scale))
-        if leave > top:
-            leave = top
+    if top or leave == 0:  # a hold, too, ends where the block does, when both come to rest there
         slack = rest if unit else flow[WHOLE]
         if speed != leave:
             fast = speed if speed > leave else leave
