@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from typing import Any
 
 import pytest
@@ -59,6 +60,8 @@ class Files:
             return self.fs.open(path, mode)
         except littlefs.LittleFSError as error:
             raise OSError(path) from error
+        except FileNotFoundError as error:  # which has no number here
+            raise OSError(errno.ENOENT, path) from error
 
     def rename(self, old: str, new: str) -> None:
         self.fs.rename(old, new)

@@ -22,7 +22,7 @@ INSTALLING = {"prepare", "install", "add_pins", "of_board"}
 
 
 def is_maker(name: str) -> bool:
-    return name in parts.MAKERS or name.startswith(parts.MAKER)
+    return name in parts.MAKERS or parts.MAKER in name
 
 
 def is_building(name: str) -> bool:

@@ -44,7 +44,7 @@ _LOOP_MS = const(250)
 # What $I says where Ctrl-X is not heard before the main loop reads; `ugrbl doctor` knows it.
 _SLOW_RESET = " slow-reset"
 
-# Methods that make objects, or begin so, in a class or a module.
+# Methods that make objects, or have that in their names, in a class or a module.
 MAKERS = ("__init__", "connect")
 MAKER = "_make_"  # keep-prefix: methods are looked for by it
 
@@ -261,7 +261,6 @@ def _build(
 ) -> "Controller":
     from ports.flash_store import FlashStore
 
-    gc.collect()
     from boot import wiring
 
     store = FlashStore()
@@ -306,6 +305,7 @@ def _forget_makers(parts: "Iterable[object]") -> None:
 
 
 def _forget_in(thing: object) -> None:
-    for name in list(thing.__dict__):
-        if name in MAKERS or name.startswith(MAKER):
+    makers, maker = MAKERS, MAKER  # a thousand names are looked at
+    for name in thing.__dict__:
+        if maker in name or name in makers:
             setattr(thing, name, None)  # what is deleted stays in memory, in its place

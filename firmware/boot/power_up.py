@@ -6,6 +6,8 @@ stops the motors, switches spindle and coolant off, and says so in one line; the
 alarm then, until a soft reset.
 """
 
+import sys
+
 from base import errors
 from base import state as st
 from base.faults import harmless, trace
@@ -25,8 +27,11 @@ _DOLLAR = const(0x24)
 
 def build() -> "Parts | None":
     """Make the machine of board.py; None where there cannot be one, or the REPL is asked for."""
-    from boot import parts
-
+    try:
+        from boot import parts  # and with it all else
+    except Exception as fault:
+        _stay_without_parts(fault)
+        return None
     made = parts.build(_stay)
     parts.forget("boot.parts")
     return made
@@ -93,6 +98,17 @@ def _stay(link: "BoardLink | None", fault: Exception) -> None:
         while True:
             if link.read_into(buf):
                 link.write(line)
+    except KeyboardInterrupt:
+        return
+
+
+def _stay_without_parts(fault: Exception) -> None:
+    """The same where a file is missing or spoilt: only MicroPython's own link is there."""
+    line = _line(_text(fault)).decode().strip()
+    try:
+        while True:
+            print(line)
+            sys.stdin.read(1)
     except KeyboardInterrupt:
         return
 

@@ -59,6 +59,7 @@ class Drive:
         self.by_pin = False  # a switch or a button has asked for the reset that is due
         self.settling = False  # it stands still, and the motors are still powered ($1)
         self._since = 0
+        self._is_new = True  # power is on, and nothing can have moved
         # Where motion stood when it was set going again, and how often that was in vain.
         self._progress = -1
         self._futile = 0
@@ -190,7 +191,7 @@ class Drive:
         self._state.enter(run)
         self._state.holding = False
         self._segments.hold(False)
-        self.settling = False
+        self.settling = self._is_new = False
         self.power(True)
         self.moving = True
         self._engine.start()
@@ -222,9 +223,9 @@ class Drive:
             return
         delay = self._settings.idle_lock_ms
         stay = delay == _FOR_EVER and state.run not in (st.SLEEP, st.ALARM)
-        if not stay and self._port.elapsed_ms(self._since) < delay:
+        if not (stay or self._is_new) and self._port.elapsed_ms(self._since) < delay:
             return
-        self.settling = False
+        self.settling = self._is_new = False
         self.power(stay or state.run == st.HOMING)
         if state.run & _MOTION or state.system_motion or state.holding:
             state.post(st.CYCLE_STOP)

@@ -22,17 +22,11 @@ _NEW = ".new"
 _OLD = ".old"
 _CHECKSUM = "#crc32="
 
+_NO_SUCH_FILE = const(2)  # ENOENT
+
 
 def _nothing() -> None:
     """Where nobody has to be told."""
-
-
-def _is_there(path: str) -> bool:
-    try:
-        with open(path):
-            return True
-    except OSError:
-        return False
 
 
 class FlashStore:
@@ -49,13 +43,14 @@ class FlashStore:
     def load(self, name: str) -> "list[str] | None":
         """The lines kept under that name: none where there never were any, None where no copy
         of them is whole."""
-        path = self._folder + name
+        lost = False
         for kind in (_NOW, _NEW, _OLD):
-            lines = self._read(path + kind)
+            lines, there = self._read(self._folder + name + kind)
             if lines is not None:
                 return lines
-        # Of a first save that a power cut has ended there is a part of the new file only.
-        return None if _is_there(path + _NOW) or _is_there(path + _OLD) else []
+            # Of a first save that a power cut has ended there is a part of the new file only.
+            lost = lost or (there and kind != _NEW)
+        return None if lost else []
 
     def save(self, name: str, lines: "Iterable[str]") -> None:
         """Replace the lines at once or not at all. Raises OSError where flash is full or worn."""
@@ -71,19 +66,20 @@ class FlashStore:
         with open(path + _NEW, "w") as file:
             file.write(text)
             file.write(_CHECKSUM + "%08x\n" % binascii.crc32(text.encode()))
-        if self._read(path + _NEW) != kept:
+        if self._read(path + _NEW)[0] != kept:
             raise OSError("flash does not keep what is written")
-        if self._read(path + _NOW) is not None:
+        if self._read(path + _NOW)[0] is not None:
             os.rename(path + _NOW, path + _OLD)
         os.rename(path + _NEW, path + _NOW)
 
-    def _read(self, path: str) -> "list[str] | None":
+    def _read(self, path: str) -> "tuple[list[str] | None, bool]":
+        """The lines of a file, None where it is not whole; and whether there is one."""
         try:
             with open(path) as file:
                 text = file.read()
-        except OSError:
-            return None
+        except OSError as reason:
+            return None, reason.errno != _NO_SUCH_FILE
         end = text.rfind(_CHECKSUM)
         if end < 0 or text[end:] != _CHECKSUM + "%08x\n" % binascii.crc32(text[:end].encode()):
-            return None
-        return text[:end].split("\n")[:-1]
+            return None, True
+        return text[:end].split("\n")[:-1], True

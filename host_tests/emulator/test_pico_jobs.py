@@ -21,7 +21,7 @@ _SETTINGS = (
     *[f"${number + axis}={value}" for axis in range(3) for number, value in ((100, 100),)],
     *[f"${number + axis}={value}" for axis in range(3) for number, value in ((110, 6000),)],
     *[f"${number + axis}=500" for axis in range(3) for number in (120, 130)],
-    *("$22=1", "$23=0", "$24=300", "$25=3000", "$26=5", "$27=1"),
+    *("$22=1", "$23=0", "$24=100", "$25=3000", "$26=5", "$27=1"),
 )
 # Two turns up a spiral staircase, in the negative: homing has set its zero above.
 _JOB = (

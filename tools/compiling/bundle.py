@@ -5,9 +5,11 @@ table of the names in its code, and its own name and its file's as texts: some 3
 a board needs of a package is written into one module, in the order of its imports: the package
 itself, `motion/__init__.mpy`. What its parts want from each other is there without an import.
 
-Modules that are forgotten after start stay apart, which the sources say (_FORGET), and so do
-those of ON_REQUEST and what main.py imports. Where two parts mean different things by a name, one
-has its module's name behind it. What is not understood here is refused.
+What is forgotten after start, which the sources say (_FORGET), is one module, too, for every file
+takes MicroPython milliseconds to find, and every name one more search: that which the others are
+forgotten in, and it goes as a whole. Those of ON_REQUEST and what main.py imports stay apart.
+Where two parts mean different things by a name, one has its module's name behind it. What is not
+understood here is refused.
 """
 
 import ast
@@ -15,12 +17,10 @@ import copy
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
-from .scan import ON_REQUEST
+from . import scan
+from .scan import FORGET, ON_REQUEST
 from .scopes import CONST, Meaning, Module, NotUnderstood, Ours, Rewriter
 from .short_names import SHORT
-
-# Who calls this with the name of a module lets go of it: merged, it would stay in memory.
-_FORGET = "forget"
 
 
 class Bundles(NamedTuple):
@@ -33,9 +33,10 @@ class Bundles(NamedTuple):
 
 def bundle(sources: Mapping[str, str]) -> Bundles:
     """One module for each package, and those that stay apart. Raises NotUnderstood."""
-    apart = set(_apart(sources))
+    trees = {name: ast.parse(text) for name, text in sources.items()}
+    homes = {name: name for name in _apart(trees)} | _of_start(trees)
     modules = {
-        name: Module(name, text, name if name in apart else name.partition(".")[0])
+        name: Module(name, text, homes.get(name, name.partition(".")[0]))
         for name, text in sources.items()
     }
     ours = Ours(modules)
@@ -47,14 +48,13 @@ def bundle(sources: Mapping[str, str]) -> Bundles:
     _ordered({name: unit.imported() for name, unit in units.items()}, "packages")
     return Bundles(
         {name: unit.text(units) for name, unit in units.items()},
-        {name: unit.origins() for name, unit in units.items() if name not in sources},
+        {name: unit.origins() for name, unit in units.items() if unit.parts != [name]},
     )
 
 
-def _apart(sources: Mapping[str, str]) -> Iterator[str]:
+def _apart(trees: Mapping[str, ast.Module]) -> Iterator[str]:
     """Modules that are not merged."""
-    for name, text in sources.items():
-        tree = ast.parse(text)
+    for name, tree in trees.items():
         if name.partition(".")[0] in ON_REQUEST:
             yield name
         if "." not in name:  # main.py, which stays as it is
@@ -62,13 +62,18 @@ def _apart(sources: Mapping[str, str]) -> Iterator[str]:
             for statement in tree.body:
                 if isinstance(statement, ast.ImportFrom):
                     yield from (f"{statement.module}.{alias.name}" for alias in statement.names)
-        for node in ast.walk(tree):
-            match node:
-                case ast.Call(
-                    ast.Name(call) | ast.Attribute(_, call), [ast.Constant(str(module))]
-                ):
-                    if call == _FORGET:
-                        yield module
+
+
+def _of_start(trees: Mapping[str, ast.Module]) -> dict[str, str]:
+    """Of modules that are forgotten: the one that they are part of, the last to be forgotten."""
+    by: dict[str, str] = {}
+    for name, tree in trees.items():
+        by |= {module: name for module in scan.named_in_calls(tree, FORGET) if module in trees}
+
+    def last(module: str) -> str:
+        return last(by[module]) if by[module] in by else module
+
+    return {module: last(module) for module in by}
 
 
 def _parts(ours: Ours) -> dict[str, list[Module]]:
@@ -113,6 +118,7 @@ class _Unit:
 
     def __init__(self, name: str, parts: list[Module], ours: Ours) -> None:
         self.name = name
+        self.parts = [part.name for part in parts]
         self.names: dict[Meaning, str] = {}
         self._parts = parts
         self._ours = ours

@@ -94,10 +94,11 @@ def _meant(kind: str, short: str, module: dict[str, Any], map_: dict[str, Any]) 
 def _places(told: "re.Match[str]", map_: dict[str, Any]) -> Iterator[Place]:
     """Which functions it may be: a short name may be of several classes, or be cut off."""
     module = _of_module(_module(told), map_)
-    if module:
+    bundle = map_.get("bundles", {}).get(_module(told), {})
+    if module and not bundle:
         yield from _in_module(told, told[3] or "", module)
     else:
-        yield from _in_bundle(told, map_)
+        yield from _in_bundle(told, bundle, map_)
 
 
 def _module(told: "re.Match[str]") -> str:
@@ -107,17 +108,20 @@ def _module(told: "re.Match[str]") -> str:
     return told[1].removesuffix(".py").removesuffix("/__init__").replace("/", ".")
 
 
-def _in_bundle(told: "re.Match[str]", map_: dict[str, Any]) -> Iterator[Place]:
-    """The same where a package is one module on the board (bundle.py)."""
+def _in_bundle(
+    told: "re.Match[str]", bundle: dict[str, Any], map_: dict[str, Any]
+) -> Iterator[Place]:
+    """The same where several modules are one on the board (bundle.py)."""
     package, function = _module(told), told[3] or ""
-    renamed = map_.get("bundles", {}).get(package, {}).get(function)
-    if renamed:
-        module, function = renamed
+    if function in bundle:
+        module, function = bundle[function]
         yield from _in_module(told, function, map_["modules"][module])
         return
+    parts = {module for module, _ in bundle.values()}
     for name, module in map_["modules"].items():
-        if name.startswith(package + ".") and _functions(function, module, [*module["functions"]]):
-            yield from _in_module(told, function, module)
+        if name in parts or (not parts and name.startswith(package + ".")):
+            if _functions(function, module, [*module["functions"]]):
+                yield from _in_module(told, function, module)
 
 
 def _in_module(told: "re.Match[str]", function: str, module: dict[str, Any]) -> Iterator[Place]:

@@ -6,6 +6,9 @@ from collections.abc import Collection, Iterable, Iterator
 
 # Packages of which a board has a module or two, or none.
 ON_REQUEST = ("extras",)
+# Who calls this with the name of a module lets go of it: merged with others that are needed, it
+# would stay in memory.
+FORGET = "forget"
 _NAME = re.compile(r"[\w.]+")
 
 
@@ -36,6 +39,15 @@ def asked_by_text(tree: ast.AST) -> Iterator[str]:
             case ast.Call(ast.Name(function), [_, ast.Constant(str(name)), *_]):
                 if function in ("getattr", "setattr", "hasattr", "delattr"):
                     yield name
+
+
+def named_in_calls(tree: ast.AST, function: str) -> Iterator[str]:
+    """Texts that a function or method of that name is called with, alone."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Call(ast.Name(call) | ast.Attribute(_, call), [ast.Constant(str(text))]):
+                if call == function:
+                    yield text
 
 
 def imports(tree: ast.AST) -> Iterator[str]:

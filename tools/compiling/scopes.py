@@ -234,6 +234,14 @@ class Rewriter(ast.NodeTransformer):
     def visit_Global(self, node: ast.Global) -> ast.stmt:
         raise self._refusal(node, "a function changes what is global")
 
+    def visit_Expr(self, node: ast.Expr) -> ast.stmt:
+        """A module that is written in this one goes with it, and not before."""
+        for name in scan.named_in_calls(node, scan.FORGET):
+            module = self._ours.modules.get(name)
+            if module and module.unit == self._module.unit:
+                return ast.Pass()
+        return ast.Expr(self.visit(node.value))
+
     # Imports of functions
 
     def visit_Import(self, node: ast.Import) -> ast.stmt:
