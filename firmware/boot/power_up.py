@@ -6,6 +6,7 @@ stops the motors, switches spindle and coolant off, and says so in one line; the
 alarm then, until a soft reset.
 """
 
+import select
 import sys
 
 from base import errors
@@ -105,9 +106,13 @@ def _stay(link: "BoardLink | None", fault: Exception) -> None:
 def _stay_without_parts(fault: Exception) -> None:
     """The same where a file is missing or spoilt: only MicroPython's own link is there."""
     line = _line(_text(fault)).decode().strip()
+    there = select.poll()
+    there.register(sys.stdin, select.POLLIN)
     try:
         while True:
             print(line)
+            while not there.poll():  # Ctrl-C ends it here, and what comes behind is the prompt's
+                pass
             sys.stdin.read(1)
     except KeyboardInterrupt:
         return
