@@ -6,8 +6,7 @@ stops the motors, switches spindle and coolant off, and says so in one line; the
 alarm then, until a soft reset.
 """
 
-import select
-import sys
+import time
 
 from base import errors
 from base import state as st
@@ -104,16 +103,13 @@ def _stay(link: "BoardLink | None", fault: Exception) -> None:
 
 
 def _stay_without_parts(fault: Exception) -> None:
-    """The same where a file is missing or spoilt: only MicroPython's own link is there."""
+    """The same where a file is missing or spoilt: nothing is there that hears who writes, so it is
+    told every second. What is typed is left to the prompt."""
     line = _line(_text(fault)).decode().strip()
-    there = select.poll()
-    there.register(sys.stdin, select.POLLIN)
     try:
         while True:
             print(line)
-            while not there.poll():  # Ctrl-C ends it here, and what comes behind is the prompt's
-                pass
-            sys.stdin.read(1)
+            time.sleep(1)
     except KeyboardInterrupt:
         return
 

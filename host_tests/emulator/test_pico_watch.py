@@ -210,7 +210,7 @@ def test_what_comes_while_flash_is_erased_is_heard_behind_it(machine: Board) -> 
 
 
 def test_without_the_control_lines_the_last_request_tells_of_a_port_that_opens(uf2: Path) -> None:
-    hidden = b"from ports import usb_ring\nusb_ring.find_line = lambda memory: 0\n"
+    hidden = b"from boot import parts\nparts.find_line = lambda memory: 0\n"
     machine = Board(uf2, {"main.py": hidden + _MAIN}).boot().settled()
     for orders in _REOPENED.values():
         if orders[0][-1] == 0:  # or the last request says that it is open
@@ -220,7 +220,7 @@ def test_without_the_control_lines_the_last_request_tells_of_a_port_that_opens(u
 
 
 def test_without_the_ring_it_talks_and_says_that_a_reset_is_heard_late(uf2: Path) -> None:
-    hidden = b"from ports import usb_ring\nusb_ring.find = lambda at, drain, take: None\n"
+    hidden = b"from boot import parts\nparts.find = lambda at, drain, take: None\n"
     machine = Board(uf2, {"main.py": hidden + _MAIN}).boot().settled()
     assert "[VER:1.1h." in machine.ask("$I") and " slow-reset]" in machine.said
     machine.pico.record([*STEP, SPINDLE_PWM])
