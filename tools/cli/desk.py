@@ -11,12 +11,20 @@ from collections import deque
 from collections.abc import Callable
 
 from ..device.connection import POLL_S, Connection, is_deaf, way_out
-from ..grbl.gcode_file import CYCLE_START, FEED_HOLD, RESET, STATUS, harmless, is_answer, problems
+from ..grbl.gcode_file import (
+    CYCLE_START,
+    FEED_HOLD,
+    JOG_CANCEL,
+    RESET,
+    STATUS,
+    harmless,
+    is_answer,
+    problems,
+)
 from ..grbl.messages import meaning
 from ..grbl.settings_file import meaning as setting_meaning
 from .keys import COMMANDS
 
-JOG_CANCEL = b"\x85"
 STEPS_MM = (0.01, 0.1, 1.0, 10.0)
 FEEDS_MM_MIN = (50, 100, 200, 500, 1000, 2000, 5000)
 # Axis and direction of each key that jogs.

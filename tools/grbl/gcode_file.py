@@ -12,6 +12,7 @@ STATUS = b"?"
 CYCLE_START = b"~"
 FEED_HOLD = b"!"
 RESET = b"\x18"
+JOG_CANCEL = b"\x85"
 STDIN = "-"
 
 # A doubled CR before the LF, as broken conversions leave it, ends one line and not two.
