@@ -1,6 +1,6 @@
 """A job: a program as it runs under some settings, ready to be drawn; two of them, compared."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,7 +62,12 @@ def from_file(file: Path) -> list[str]:
         settings = read_settings(file)
     except SettingsError as error:
         raise ValueError(str(error)) from error
-    kept = sorted(settings.values.items())
+    return on_paper(settings.values)
+
+
+def on_paper(values: Mapping[int, str]) -> list[str]:
+    """Settings by number, as lines for a machine that has no switches."""
+    kept = sorted(values.items())
     return [f"${number}={value}" for number, value in kept if number not in _WITHOUT]
 
 

@@ -187,11 +187,28 @@ def _controller(board: Any) -> "tuple[Controller, MemoryStore]":
     return controller, rig.store
 
 
+def taken(board: str, lines: Iterable[str]) -> list[str]:
+    """Of settings, lines such as `$110=6000`, those that the machine of that board has and takes,
+    in an order in which it does."""
+    paths.use_firmware()
+    controller, _ = _controller(_copy(load_board(board), board, CUSTOM=""))
+    return _set(controller.settings, lines)[0]
+
+
 def _take(settings: "Settings", lines: Iterable[str]) -> None:
     """Set them, in whatever order they can be. SettingsError where some cannot."""
+    _, refused = _set(settings, lines)
+    if refused:
+        raise SettingsError("; ".join(f"{line}: {why}: {meaning(why)}" for line, why in refused))
+
+
+def _set(settings: "Settings", lines: Iterable[str]) -> tuple[list[str], list[tuple[str, str]]]:
+    """Set them. Returns those that were taken, in their order, and those refused, with the
+    answer; what the machine does not have is among neither."""
     from base import errors
     from base.errors import GrblError
 
+    done: list[str] = []
     left = list(lines)
     while left:
         refused = []
@@ -199,14 +216,14 @@ def _take(settings: "Settings", lines: Iterable[str]) -> None:
             number, _, value = line[1:].partition("=")
             try:
                 settings.set(int(number), float(value))
+                done.append(line)
             except GrblError as error:
                 if error.args[0] != errors.INVALID_STATEMENT:
                     refused.append((line, f"error:{error.args[0]}"))
         if len(refused) == len(left):
-            raise SettingsError(
-                "; ".join(f"{line}: {why}: {meaning(why)}" for line, why in refused)
-            )
+            return done, refused
         left = [line for line, _ in refused]
+    return done, []
 
 
 def firmware(board: Any) -> Firmware:
