@@ -26,6 +26,7 @@ from . import (
     send,
     settings,
     uf2,
+    web,
 )
 from .custom_options import CustomFile, Inputs, around
 from .outputs import check_outputs, failed
@@ -43,6 +44,7 @@ app.command("run", epilog=run.EXAMPLES)(run.command)
 app.command("ports")(ports.command)
 app.command("send", epilog=send.EXAMPLES)(send.command)
 app.command("uf2", epilog=uf2.EXAMPLES)(uf2.command)
+app.command("web", epilog=web.EXAMPLES)(web.command)
 app.command("selftest", epilog=selftest.EXAMPLES)(selftest.command)
 app.add_typer(custom_board.app, name="custom")
 app.add_typer(job.app, name="job")

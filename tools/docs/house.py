@@ -10,7 +10,7 @@ from .markdown import table
 # From the ground up; the first line of main.py stands for what MicroPython starts.
 FOLDERS = "base motion control language talk ports pio esp_chip extras boot".split()
 # The rooms of the package on the desktop, each above those that it imports.
-ROOMS = "grbl sim boardfile compiling run draw replay device image docs cli".split()
+ROOMS = "grbl sim boardfile compiling run draw replay device image web docs cli".split()
 
 
 def imports() -> set[tuple[str, str]]:

@@ -1,0 +1,152 @@
+"""The command `ugrbl web`."""
+
+import asyncio
+import ipaddress
+import signal
+import socket
+import threading
+import webbrowser
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from ..boardfile.files import load_board
+from ..device.connection import BAUD, SendError
+from ..run import machine
+from .outputs import failed
+from .ports import Baud, Port, choose
+
+EXAMPLES = (
+    "Examples:  ugrbl web   ·   ugrbl web --port /dev/ttyACM0   ·   ugrbl web --sim"
+    "   ·   ugrbl web --host 0.0.0.0 --no-browser"
+)
+
+
+@dataclass
+class Options:
+    """What the command line asks for."""
+
+    port: str | None
+    baud: int
+    sim: bool
+    board: str
+    settings: Path | None
+    host: str
+    http: int
+    browser: bool
+
+
+def command(
+    port: Port = None,
+    baud: Baud = BAUD,
+    sim: Annotated[
+        bool, typer.Option("--sim", help="The simulator instead, with limit switches.")
+    ] = False,
+    board: Annotated[
+        str,
+        typer.Option(metavar="NAME", help="Machine of --sim, and of what is shown beforehand."),
+    ] = machine.DEFAULT_BOARD,
+    settings: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="With --sim: keeps them, as `ugrbl settings pull`."),
+    ] = None,
+    host: Annotated[
+        str, typer.Option(metavar="HOST", help="Address to listen at; 0.0.0.0: the network.")
+    ] = "127.0.0.1",
+    http: Annotated[
+        int, typer.Option(metavar="PORT", min=0, max=65535, help="Port of it; 0: any.")
+    ] = 8010,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
+) -> None:
+    """Serve a page that jogs the machine, sends jobs and shows everything.
+
+    Any number of browsers may watch; one drives. On the network, whoever has the address that is
+    printed, with its token, can move the machine. Ctrl-C ends it; a machine at work is held.
+    """
+    try:
+        options = Options(port, baud, sim, board, settings, host, http, browser)
+        _check(options)
+        asyncio.run(_serve(options))
+    except (SendError, ValueError, OSError) as error:
+        raise failed(error) from error
+
+
+def _check(options: Options) -> None:
+    """ValueError where something cannot be; before anything is opened."""
+    if options.sim and options.port:
+        raise ValueError("say one of --port and --sim")
+    if options.settings and not options.sim:
+        raise ValueError("--settings is for --sim: a board keeps its own")
+    load_board(options.board)
+
+
+async def _serve(options: Options) -> None:
+    """Until a signal comes."""
+    from ..web.access import Access
+    from ..web.board_link import SerialSource, Source
+    from ..web.server import Server
+    from ..web.simulator import Simulator
+
+    console = Console()
+    source: Source = SerialSource(lambda: choose(options.port), options.baud)
+    if options.sim:
+        source = Simulator(options.board, options.settings)
+
+    def log(text: str) -> None:
+        console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+    access = Access(options.host)
+    server = Server(source, access, options.board, log)
+    ended = _on_signals()
+    try:
+        port = await server.start(options.host, options.http)
+        address = _address(options.host, port, access.token)
+        log(f"{source.name} is at {address}")
+        if options.browser:
+            # Some browsers are programs that this would wait for.
+            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+        await ended.wait()
+    finally:
+        await server.stop()
+
+
+def _on_signals() -> asyncio.Event:
+    """Set by the first one; a second one ends everything at once."""
+    loop, ended = asyncio.get_running_loop(), asyncio.Event()
+
+    def end(number: int, frame: FrameType | None) -> None:
+        signal.signal(number, signal.default_int_handler)
+        loop.call_soon_threadsafe(ended.set)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, end)
+    return ended
+
+
+def _address(host: str, port: int, token: str) -> str:
+    """As a browser wants it."""
+    name = host.strip("[]")
+    try:
+        if ipaddress.ip_address(name).is_unspecified:
+            name = _own_address()
+    except ValueError:
+        return _url(name, port, token)  # a name
+    return _url(f"[{name}]" if ":" in name else name, port, token)
+
+
+def _url(name: str, port: int, token: str) -> str:
+    return f"http://{name}:{port}/" + (f"?token={token}" if token else "")
+
+
+def _own_address() -> str:
+    """By which others on the network come here."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # sends nothing, and chooses the way
+        except OSError:
+            return socket.gethostname()  # there is no network
+        return str(probe.getsockname()[0])

@@ -1,0 +1,81 @@
+"""Who may come in: pages of ours only, under a name of ours, and from outside with a token.
+
+Any page on the web may open a websocket to this computer, and a name of its own may lead here
+(DNS rebinding): neither may move a machine. Programs that are no browsers send no Origin; they
+could open the port as well.
+"""
+
+import hmac
+import ipaddress
+import secrets
+import socket
+from collections.abc import Mapping
+from urllib.parse import urlsplit
+
+_TOKEN_BYTES = 16
+
+
+class Access:
+    """What a request has to bring along for a server bound to host."""
+
+    def __init__(self, host: str) -> None:
+        self._bound = host.strip("[]").lower()
+        self._own_name = socket.gethostname().lower()
+        self.is_local = is_loopback(self._bound)
+        self.token = "" if self.is_local else secrets.token_urlsafe(_TOKEN_BYTES)
+
+    def refusal(self, headers: Mapping[str, str], query: Mapping[str, str]) -> str:
+        """Why a request is refused, in a sentence; "" where it is not."""
+        host = headers.get("Host", "")
+        if not self._is_own(_name(host)):
+            return (
+                f"this server is not called {host or 'nothing'}: use the address that it has "
+                "printed at its start"
+            )
+        origin = headers.get("Origin")
+        if origin is not None and _place(origin) != host.lower():
+            return (
+                f"a page of {origin} may not talk to a machine here: open the page of this server"
+            )
+        given = query.get("token", "")
+        if self.token and not hmac.compare_digest(given.encode(), self.token.encode()):
+            return "the token is missing or wrong: use the address that was printed at the start"
+        return ""
+
+    def _is_own(self, name: str) -> bool:
+        """Whether a browser may have come here by that name; a number is no name that leads
+        elsewhere today and here tomorrow."""
+        if is_loopback(name) or (name and name == self._bound):
+            return True
+        if self.is_local:
+            return False
+        return _is_number(name) or name.partition(".")[0] == self._own_name.partition(".")[0]
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this computer can come in there."""
+    return host == "localhost" or (_is_number(host) and ipaddress.ip_address(host).is_loopback)
+
+
+def _place(origin: str) -> str:
+    """Host and port of an Origin; "" where it has none, as `null`."""
+    try:
+        return urlsplit(origin).netloc.lower()
+    except ValueError:
+        return ""
+
+
+def _name(host: str) -> str:
+    """A Host without its port."""
+    try:
+        return urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return ""
+
+
+def _is_number(host: str) -> bool:
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return True

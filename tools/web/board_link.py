@@ -1,0 +1,216 @@
+"""A board at its port: bytes both ways, in threads of their own, so that no browser delays them.
+
+Where the plug is pulled, the port is tried again once a second, for ever.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from ..device.connection import BAUD, SendError, open_port
+
+_READ_S = 0.05
+_AGAIN_S = 1.0
+_READ_BYTES = 4096
+_WRITE_BYTES = 256
+# What a board gets at the end, a hold most of all, goes out within this time.
+_LAST_S = 1.0
+
+
+class Source(Protocol):
+    """Where the board is."""
+
+    name: str
+
+    def open(self) -> Any:
+        """A port of pyserial's. SendError where it cannot be opened."""
+
+    def close(self) -> None:
+        """It will not be opened again."""
+
+
+class SerialSource:
+    """A serial port. where: names it, or finds it; SendError where it cannot."""
+
+    name = ""
+
+    def __init__(self, where: Callable[[], str], baud: int = BAUD) -> None:
+        self._where = where
+        self._baud = baud
+
+    def open(self) -> Any:
+        """Open the port that is there now: a board that is plugged in anew may have another."""
+        self.name = self._where()
+        return open_port(self.name, self._baud, _READ_S)
+
+    def close(self) -> None:
+        """Nothing is left."""
+
+
+class BoardLink:
+    """Bytes to and from one board. heard gets what comes from it, changed is called where the
+    link breaks or is there again, log with a sentence: all from threads."""
+
+    def __init__(
+        self,
+        source: Source,
+        heard: Callable[[bytes], None],
+        changed: Callable[[], None],
+        log: Callable[[str], None],
+    ) -> None:
+        self._source = source
+        self._heard, self._changed, self._log = heard, changed, log
+        self._port: Any = None
+        self._closing = threading.Event()
+        self._news = threading.Condition()  # of what is to be written, and of the port
+        self._urgent = bytearray()
+        self._lines: deque[bytes] = deque()
+        self._writing = False
+        self._told = ""  # why it could not be opened, as last logged
+        self._threads = [
+            threading.Thread(target=work, name=f"board link, {work.__name__}", daemon=True)
+            for work in (self._read_on, self._write_on)
+        ]
+
+    @property
+    def name(self) -> str:
+        """The port, or `sim`."""
+        return self._source.name
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a board is there."""
+        return self._port is not None
+
+    def start(self) -> None:
+        """Open it for the first time, and begin. SendError where it cannot be opened."""
+        self._port = self._source.open()
+        for thread in self._threads:
+            thread.start()
+
+    def close(self) -> None:
+        """Send what is left to be sent, and give the port back."""
+        with self._news:
+            self._news.wait_for(self._is_empty, _LAST_S)
+            self._closing.set()
+            self._news.notify_all()
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join()
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+        self._source.close()
+
+    # To the board
+
+    def write_line(self, line: bytes) -> None:
+        """A whole line; lost where no board is there."""
+        with self._news:
+            if self._port is not None:
+                self._lines.append(line)
+                self._news.notify_all()
+
+    def write_now(self, byte: bytes) -> None:
+        """A real-time command, in front of lines that wait; lost where no board is there."""
+        with self._news:
+            if self._port is not None:
+                self._urgent += byte
+                self._news.notify_all()
+
+    def forget_lines(self) -> None:
+        """Lines that have not gone yet will not go."""
+        with self._news:
+            self._lines.clear()
+
+    def waiting(self) -> int:
+        """How many lines have not gone yet."""
+        return len(self._lines)
+
+    def _is_empty(self) -> bool:
+        idle = not (self._urgent or self._lines or self._writing)
+        return idle or self._port is None
+
+    def _write_on(self) -> None:
+        while True:
+            with self._news:
+                self._writing = False
+                self._news.notify_all()
+                self._news.wait_for(lambda: self._urgent or self._lines or self._closing.is_set())
+                if self._closing.is_set():
+                    return
+                data, port = self._next(), self._port
+                self._writing = True
+            if port is None:
+                continue
+            try:
+                port.write(data)
+            except (OSError, TypeError) as error:  # as where it is read
+                self._lose(port, error)
+
+    def _next(self) -> bytes:
+        if self._urgent:
+            data = bytes(self._urgent)
+            self._urgent.clear()
+            return data
+        data = self._lines.popleft()
+        while self._lines and len(data) + len(self._lines[0]) <= _WRITE_BYTES:
+            data += self._lines.popleft()
+        return data
+
+    # From the board
+
+    def _read_on(self) -> None:
+        while not self._closing.is_set():
+            port = self._port
+            if port is None:
+                self._open_again()
+                continue
+            try:
+                data = _read(port)
+            except (OSError, TypeError) as error:  # pyserial's own, where the port is closed
+                self._lose(port, error)
+                continue
+            if data:
+                self._heard(data)
+
+    def _open_again(self) -> None:
+        self._closing.wait(_AGAIN_S)
+        if self._closing.is_set():
+            return
+        try:
+            port = self._source.open()
+        except SendError as error:
+            if str(error) != self._told:
+                self._told = str(error)
+                self._log(f"{self._told}; it is tried again")
+            return
+        with self._news:
+            self._port, self._told = port, ""
+        self._log(f"{self.name} is there again")
+        self._changed()
+
+    def _lose(self, port: Any, error: Exception) -> None:
+        """The port has failed: what waits for it goes nowhere. Either thread may find it first."""
+        with self._news:
+            if self._port is not port:
+                return
+            self._port = None
+            self._lines.clear()
+            self._urgent.clear()
+        port.close()
+        self._log(f"{self.name}: the connection broke ({error}); it is tried again")
+        self._changed()
+
+
+def _read(port: Any) -> bytes:
+    """What there is; waits a moment for the first byte."""
+    data = bytes(port.read(1))
+    try:
+        while data and len(data) < _READ_BYTES and (more := port.in_waiting):
+            data += port.read(more)
+    except (OSError, TypeError):
+        if not data:
+            raise
+    return data  # what has gone wrong behind it, the next read finds as well

@@ -1,0 +1,233 @@
+"""Who watches a board and who drives it: every browser hears all, one of them is heard.
+
+All of it runs in the event loop, but for the board's threads, which call in with
+call_soon_threadsafe.
+"""
+
+import asyncio
+import json
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import Protocol
+
+from ..device.connection import state_of
+from ..grbl.gcode_file import FEED_HOLD, JOG_CANCEL, RESET
+from .framing import Framing
+
+# What a browser may leave unread: a job of 100,000 lines with all its answers and reports.
+_UNREAD_BYTES = 1_000_000
+_MESSAGE_BYTES = 65_536
+# A driver that sends more lines than a board takes is read no further meanwhile.
+_LINES_AHEAD = 2000
+_LOOK_S = 0.01
+_LONGEST_LINE = 1024
+
+
+class Board(Protocol):
+    """What the hub wants of a board, see board_link.py."""
+
+    @property
+    def name(self) -> str:
+        """Where it is."""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it is there."""
+
+    def write_line(self, line: bytes) -> None:
+        """A whole line."""
+
+    def write_now(self, byte: bytes) -> None:
+        """A byte that acts at once."""
+
+    def forget_lines(self) -> None:
+        """Those that have not gone yet."""
+
+    def waiting(self) -> int:
+        """How many these are."""
+
+
+class Socket(Protocol):
+    """A websocket, as aiohttp has it."""
+
+    async def send_bytes(self, data: bytes) -> None:
+        """A binary message."""
+
+    async def send_str(self, data: str) -> None:
+        """A text message."""
+
+
+class Browser:
+    """One websocket, with what is still to be sent to it. who: as the log names it; drop: ends
+    its connection at once."""
+
+    def __init__(self, socket: Socket, who: str, drop: Callable[[], None]) -> None:
+        self.who = who
+        self.drop = drop
+        self._socket = socket
+        self._parts: deque[bytes | str] = deque()
+        self._unread = 0
+        self._news = asyncio.Event()
+
+    def put(self, part: bytes | str) -> bool:
+        """To be sent. Returns whether there was room for it."""
+        if self._unread + len(part) > _UNREAD_BYTES:
+            return False
+        self._parts.append(part)
+        self._unread += len(part)
+        self._news.set()
+        return True
+
+    async def send_on(self) -> None:
+        """Send what there is, until the connection breaks (ConnectionError)."""
+        while True:
+            await self._news.wait()
+            self._news.clear()
+            while self._parts:
+                part = self._parts.popleft()
+                if isinstance(part, str):
+                    await self._socket.send_str(part)
+                    self._unread -= len(part)
+                else:
+                    data = self._joined(part)
+                    await self._socket.send_bytes(data)
+                    self._unread -= len(data)
+
+    def _joined(self, data: bytes) -> bytes:
+        """Bytes that wait behind one another are one message."""
+        parts = [data]
+        size = len(data)
+        while self._parts and isinstance(self._parts[0], bytes) and size < _MESSAGE_BYTES:
+            parts.append(self._parts.popleft())  # type: ignore[arg-type]  # it is bytes, see above
+            size += len(parts[-1])
+        return b"".join(parts)
+
+
+class LastState:
+    """The state in the last report that has gone by."""
+
+    def __init__(self) -> None:
+        self.state = ""
+        self._line = b""
+
+    def hear(self, data: bytes) -> None:
+        """Bytes from the board."""
+        *lines, rest = (self._line + data).split(b"\n")
+        self._line = rest[-_LONGEST_LINE:]
+        for line in lines:
+            if line.startswith(b"<"):
+                self.state = state_of(line.decode("latin-1")).partition(":")[0]
+            elif line.startswith(b"Grbl "):
+                self.forget()
+
+    def forget(self) -> None:
+        """It is not known any more."""
+        self.state = ""
+
+
+class Hub:
+    """The browsers of one board. log: says a sentence to whoever runs the server."""
+
+    def __init__(self, board: Board, log: Callable[[str], None]) -> None:
+        self._board = board
+        self._log = log
+        self._browsers: list[Browser] = []
+        self._driver: Browser | None = None
+        self._framing = Framing()
+        self._last = LastState()
+
+    # Browsers
+
+    def join(self, browser: Browser) -> None:
+        """One more; it drives where nobody does."""
+        self._browsers.append(browser)
+        if self._driver is None:
+            self._driver = browser
+        self._tell()
+
+    def leave(self, browser: Browser) -> None:
+        """Its connection has gone."""
+        if browser not in self._browsers:
+            return
+        self._browsers.remove(browser)
+        if browser is self._driver:
+            self._abandon("has gone")
+        self._tell()
+
+    def drive(self, browser: Browser, wanted: bool) -> None:
+        """It takes over, or gives it up."""
+        if wanted and browser is not self._driver:
+            self._forget()
+            self._driver = browser
+            self._log(f"{browser.who} drives now")
+        elif not wanted and browser is self._driver:
+            self._abandon("drives no more")
+        self._tell()
+
+    async def send(self, browser: Browser, data: bytes) -> None:
+        """Bytes of a browser: to the board where it drives, else nowhere. Waits for room."""
+        if browser is not self._driver:
+            return
+        for part, acts in self._framing.take(data):
+            if part == RESET:
+                self._board.forget_lines()  # else they would be done behind it
+            if acts:
+                self._board.write_now(part)
+            else:
+                self._board.write_line(part)
+        while self._board.waiting() > _LINES_AHEAD and browser is self._driver:
+            await asyncio.sleep(_LOOK_S)
+
+    def _abandon(self, how: str) -> None:
+        """Nobody drives any more. What moves, and was to be told more, is held."""
+        who = self._driver.who if self._driver else ""
+        self._driver = None
+        self._forget()
+        stop = {"Run": FEED_HOLD, "Jog": JOG_CANCEL}.get(self._last.state)
+        if stop is None or not self._board.is_open:
+            return
+        self._board.write_now(stop)
+        what = "held (!)" if stop == FEED_HOLD else "told to end its jog"
+        self._log(f"{who} {how}, and the machine was in {self._last.state}: it is {what}")
+        self._last.forget()  # so it is told once
+
+    def _forget(self) -> None:
+        """What the last driver has begun is not for the next one to end."""
+        self._framing.forget()
+        self._board.forget_lines()
+
+    # The board
+
+    def heard(self, data: bytes) -> None:
+        """Bytes from the board, for everybody."""
+        self._last.hear(data)
+        self._put(data, self._browsers)
+
+    def link_changed(self) -> None:
+        """The board has gone, or is there again."""
+        self._framing.forget()
+        self._last.forget()
+        self._tell()
+
+    def _tell(self) -> None:
+        """Say to each how things stand."""
+        for browser in tuple(self._browsers):
+            self._put(self._state_for(browser), [browser])
+
+    def _state_for(self, browser: Browser) -> str:
+        drivers = int(self._driver is not None)
+        return json.dumps(
+            {
+                "link": {"name": self._board.name, "open": self._board.is_open},
+                "driver": browser is self._driver,
+                "drivers": drivers,
+                "watchers": len(self._browsers) - drivers,
+            }
+        )
+
+    def _put(self, part: bytes | str, browsers: Iterable[Browser]) -> None:
+        for browser in tuple(browsers):
+            if not browser.put(part) and browser in self._browsers:
+                self._log(f"{browser.who} does not read what comes, and is let go")
+                browser.drop()
+                self.leave(browser)

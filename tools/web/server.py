@@ -1,0 +1,184 @@
+"""The server of the web page: HTTP and a websocket, between browsers and one board."""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from pathlib import Path
+
+from aiohttp import WSMessage, WSMsgType, web
+
+from .. import paths
+from .access import Access
+from .board_link import BoardLink, Source
+from .hub import Browser, Hub
+from .look import PROGRAM_BYTES
+from .looks import LONGEST_S, Looks
+
+PAGE = paths.TOOLS / "web" / "page" / "index.html"
+# JSON doubles what it has to escape, and settings come along.
+_BODY_BYTES = 2 * PROGRAM_BYTES + (1 << 20)
+_MESSAGE_BYTES = 1 << 20
+# A browser whose network has gone is known as gone after one and a half times that.
+_HEARTBEAT_S = 6.0
+_GOODBYE_S = 1.0
+_AWAY = 1001  # the code of a server that ends
+
+_Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+class Server:
+    """Serves one board. access: who may come in; board: its name, for simulations; log: a
+    sentence for whoever runs it."""
+
+    def __init__(
+        self,
+        source: Source,
+        access: Access,
+        board: str,
+        log: Callable[[str], None],
+        page: Path = PAGE,
+        longest_s: float = LONGEST_S,
+    ) -> None:
+        self._access = access
+        self._log = log
+        self._page = page
+        self._loop = asyncio.get_running_loop()
+        self._link = BoardLink(source, self._heard, self._changed, self._log_from_thread)
+        self._hub = Hub(self._link, log)
+        self._looks = Looks(board, log, longest_s)
+        self._sockets: set[web.WebSocketResponse] = set()
+        self._runner: web.AppRunner | None = None
+
+    async def start(self, host: str, port: int) -> int:
+        """Open the board and listen. Returns the port, which 0 leaves to the system.
+
+        SendError where the board cannot be opened, OSError where nothing can be listened at.
+        """
+        await self._loop.run_in_executor(None, self._link.start)
+        app = web.Application(middlewares=[self._guard], client_max_size=_BODY_BYTES)
+        app.router.add_get("/", self._get_page)
+        app.router.add_get("/ws", self._get_socket)
+        app.router.add_post("/api/look", self._post_look)
+        app.router.add_route("*", "/{rest:.*}", _nothing_here)
+        app.on_shutdown.append(self._say_goodbye)
+        self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=_GOODBYE_S)
+        await self._runner.setup()
+        await web.TCPSite(self._runner, host, port).start()
+        return int(self._runner.addresses[0][1])
+
+    async def stop(self) -> None:
+        """Let everybody go, then the board: a machine at work is held, as by a lost browser."""
+        self._looks.close()
+        if self._runner is not None:
+            await self._runner.cleanup()
+        await self._loop.run_in_executor(None, self._link.close)
+
+    # From the board's threads
+
+    def _heard(self, data: bytes) -> None:
+        self._loop.call_soon_threadsafe(self._hub.heard, data)
+
+    def _changed(self) -> None:
+        self._loop.call_soon_threadsafe(self._hub.link_changed)
+
+    def _log_from_thread(self, text: str) -> None:
+        self._loop.call_soon_threadsafe(self._log, text)
+
+    # Requests
+
+    @web.middleware
+    async def _guard(self, request: web.Request, handler: _Handler) -> web.StreamResponse:
+        refusal = self._access.refusal(request.headers, request.query)
+        if refusal:
+            return _sentence(403, refusal)
+        try:
+            return await handler(request)
+        except web.HTTPRequestEntityTooLarge:
+            return _sentence(413, f"a program has {PROGRAM_BYTES >> 20} MB at the most")
+
+    async def _get_page(self, request: web.Request) -> web.StreamResponse:
+        try:
+            text = self._page.read_text(encoding="utf-8")
+        except FileNotFoundError:
+            return _sentence(404, f"the page is missing, {self._page}: install ugrbl anew")
+        # Nobody else's page may hold ours in a frame and have its buttons clicked unseen.
+        sources = f"default-src 'self' 'unsafe-inline' data: blob:; connect-src 'self' ws://{request.host}"
+        return web.Response(
+            text=text,
+            content_type="text/html",
+            headers={
+                "Content-Security-Policy": f"{sources}; frame-ancestors 'none'",
+                "Referrer-Policy": "no-referrer",  # the address may hold the token
+                "Cache-Control": "no-cache",
+            },
+        )
+
+    async def _post_look(self, request: web.Request) -> web.StreamResponse:
+        answer = await self._looks.look(await request.read())
+        if answer.status != 200:
+            return _sentence(answer.status, answer.text)
+        return web.Response(text=answer.text, content_type="application/json")
+
+    async def _get_socket(self, request: web.Request) -> web.StreamResponse:
+        socket = web.WebSocketResponse(
+            heartbeat=_HEARTBEAT_S,
+            max_msg_size=_MESSAGE_BYTES,
+            compress=False,
+            timeout=_GOODBYE_S,
+        )
+        if not socket.can_prepare(request).ok:
+            return _sentence(400, "here a websocket is wanted: open / in a browser")
+        await socket.prepare(request)
+
+        def drop() -> None:
+            if request.transport is not None:
+                request.transport.abort()
+
+        browser = Browser(socket, f"browser {request.remote or ''}".strip(), drop)
+        self._sockets.add(socket)
+        sending = asyncio.create_task(_send_on(browser))
+        self._hub.join(browser)
+        try:
+            await self._listen(socket, browser)
+        finally:
+            self._hub.leave(browser)
+            self._sockets.discard(socket)
+            sending.cancel()
+        return socket
+
+    async def _listen(self, socket: web.WebSocketResponse, browser: Browser) -> None:
+        async for message in socket:
+            if message.type is WSMsgType.BINARY:
+                await self._hub.send(browser, message.data)
+            elif message.type is WSMsgType.TEXT:
+                self._take_words(browser, message)
+
+    def _take_words(self, browser: Browser, message: WSMessage) -> None:
+        try:
+            wanted = message.json()["drive"]
+        except (ValueError, TypeError, KeyError):
+            wanted = None
+        if not isinstance(wanted, bool):
+            self._log(
+                f'{browser.who} has sent what is not {{"drive": true}} or false: passed over'
+            )
+            return
+        self._hub.drive(browser, wanted)
+
+    async def _say_goodbye(self, app: web.Application) -> None:
+        """To all at once: whoever does not answer is not waited for by the others."""
+        goodbyes = [socket.close(code=_AWAY) for socket in tuple(self._sockets)]
+        await asyncio.gather(*goodbyes, return_exceptions=True)
+
+
+async def _send_on(browser: Browser) -> None:
+    with suppress(ConnectionError):  # the reading side hears of it, too
+        await browser.send_on()
+
+
+async def _nothing_here(request: web.Request) -> web.StreamResponse:
+    return _sentence(404, f"there is no {request.path} here: the page is at /")
+
+
+def _sentence(status: int, text: str) -> web.Response:
+    return web.Response(status=status, text=text + "\n")

@@ -1,0 +1,113 @@
+"""The simulator in a process of its own, so that it keeps real time whatever browsers ask for.
+
+Run as a program, this is that process: options as a line of JSON on stdin, its place on TCP as
+another on stdout. It ends with its stdin, and so with the server, however that ends.
+"""
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ..device.connection import BAUD, SendError, open_port
+from ..run import machine
+from ..run.live import LiveLink
+from ..run.tcp_link import LOOPBACK, Tcp
+
+_READ_S = 0.05
+_PATIENCE_S = 5.0
+
+
+class Simulator:
+    """A board in the place of one at a serial port. settings: the file that keeps them, if any.
+
+    It has limit switches at both ends of its travel where its motors move an axis each.
+    """
+
+    name = "sim"
+
+    def __init__(self, board: str, settings: Path | None = None) -> None:
+        self._options = {"board": board, "settings": str(settings) if settings else ""}
+        self._process: subprocess.Popen[str] | None = None
+        self._place = ""
+
+    def open(self) -> Any:
+        """Its port; it is started where it does not run. SendError where it cannot be."""
+        if self._process is None or self._process.poll() is not None:
+            self._start()
+        return open_port(f"socket://{self._place}", BAUD, _READ_S)
+
+    def close(self) -> None:
+        """End it."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        try:
+            process.communicate(timeout=_PATIENCE_S)  # which closes its stdin
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+
+    def _start(self) -> None:
+        self.close()
+        process = subprocess.Popen(
+            [sys.executable, "-m", f"{__package__}.simulator"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            encoding="utf-8",
+            start_new_session=True,  # Ctrl-C is for the server
+        )
+        assert process.stdin and process.stdout
+        try:
+            process.stdin.write(json.dumps(self._options) + "\n")
+            process.stdin.flush()
+            said = json.loads(process.stdout.readline() or "{}")
+        except (OSError, ValueError):
+            said = {}  # it has ended, or printed something else
+        self._process = process
+        if "place" not in said:
+            self.close()
+            raise SendError(said.get("refused", "the simulator ended before it had begun"))
+        self._place = said["place"]
+
+
+def main() -> None:
+    """Simulate in real time until stdin ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    options = json.loads(sys.stdin.readline())
+    out, sys.stdout = sys.stdout, sys.stderr  # for what anything else prints
+    wire = Tcp(LOOPBACK, 0)
+    try:
+        rig = _build(options, wire)
+    except (ValueError, OSError) as error:
+        print(json.dumps({"refused": str(error)}), file=out, flush=True)
+        return
+    print(json.dumps({"place": wire.name}), file=out, flush=True)
+    threading.Thread(target=_end_with_stdin, args=(rig.link,), daemon=True).start()
+    machine.run(rig)
+    wire.close()
+
+
+def _build(options: Mapping[str, str], wire: Tcp) -> Any:
+    """A rig on that wire, with switches. ValueError for a board or a file that cannot be."""
+    file = Path(options["settings"]) if options["settings"] else None
+    rig = machine.build(options["board"], lambda rig: LiveLink(rig, wire, fast=False), file)
+    from ..sim import motor_names, switches
+
+    if not motor_names.shared(rig.board):
+        switches.fit(rig)
+    return rig
+
+
+def _end_with_stdin(link: LiveLink) -> None:
+    sys.stdin.read()
+    link.stopping = True
+
+
+if __name__ == "__main__":
+    main()
