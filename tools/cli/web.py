@@ -76,12 +76,17 @@ def command(
 
 
 def _check(options: Options) -> None:
-    """ValueError where something cannot be; before anything is opened."""
+    """ValueError or SendError where something cannot be; before anything is opened."""
     if options.sim and options.port:
         raise ValueError("say one of --port and --sim")
     if options.settings and not options.sim:
         raise ValueError("--settings is for --sim: a board keeps its own")
     load_board(options.board)
+    if not options.sim:
+        try:
+            choose(options.port)
+        except SendError as error:
+            raise SendError(f"{error}; --sim simulates one") from error
 
 
 async def _serve(options: Options) -> None:

@@ -50,11 +50,10 @@ class Server:
         self._runner: web.AppRunner | None = None
 
     async def start(self, host: str, port: int) -> int:
-        """Open the board and listen. Returns the port, which 0 leaves to the system.
+        """Listen, and open the board. Returns the port, which 0 leaves to the system.
 
-        SendError where the board cannot be opened, OSError where nothing can be listened at.
+        OSError where nothing can be listened at, SendError where the board cannot be opened.
         """
-        await self._loop.run_in_executor(None, self._link.start)
         app = web.Application(middlewares=[self._guard], client_max_size=_BODY_BYTES)
         app.router.add_get("/", self._get_page)
         app.router.add_get("/ws", self._get_socket)
@@ -63,7 +62,12 @@ class Server:
         app.on_shutdown.append(self._say_goodbye)
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=_GOODBYE_S)
         await self._runner.setup()
-        await web.TCPSite(self._runner, host, port).start()
+        try:
+            await web.TCPSite(self._runner, host, port).start()
+        except OSError as error:
+            raise OSError(f"{host}:{port} cannot be listened at: {_why(error)}") from error
+        await self._loop.run_in_executor(None, self._link.start)
+        self._hub.link_changed()  # for a browser that was quicker
         return int(self._runner.addresses[0][1])
 
     async def stop(self) -> None:
@@ -174,6 +178,12 @@ class Server:
 async def _send_on(browser: Browser) -> None:
     with suppress(ConnectionError):  # the reading side hears of it, too
         await browser.send_on()
+
+
+def _why(error: OSError) -> str:
+    """Without what asyncio says before it."""
+    text = error.strerror or str(error)
+    return f"{text.rpartition(': ')[2]}; say another place with --host and --http"
 
 
 async def _nothing_here(request: web.Request) -> web.StreamResponse:

@@ -1,0 +1,188 @@
+"""The command `ugrbl web`, in a process of its own."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from as_users import as_users
+
+pytestmark = pytest.mark.xdist_group("web")
+
+_PATIENCE_S = 30.0
+
+
+class Web:
+    """A running server. address: as it has printed it."""
+
+    def __init__(self, *words: str, **environment: str) -> None:
+        command = [sys.executable, "-m", "ugrbl.cli", "web", "--http", "0", *words]
+        self.process = subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=as_users(PYTHONUNBUFFERED="1", **environment),
+            text=True,
+        )
+        assert self.process.stdout
+        self.said = self.process.stdout.readline()
+        assert " is at http://" in self.said, self.said + self.process.communicate()[0]
+        self.address = self.said.rpartition(" is at ")[2].strip()
+
+    def get(self, address: str) -> "tuple[int, str]":
+        try:
+            with urllib.request.urlopen(address, timeout=_PATIENCE_S) as got:
+                return got.status, got.read().decode()
+        except urllib.error.HTTPError as error:
+            return error.code, error.read().decode()
+
+    def stop(self, number: int = signal.SIGINT) -> str:
+        self.process.send_signal(number)
+        return self.process.communicate(timeout=_PATIENCE_S)[0]
+
+
+Start = Callable[..., Web]
+
+
+@pytest.fixture
+def web() -> Iterator[Start]:
+    running: "list[Web]" = []
+
+    def start(*words: str, **environment: str) -> Web:
+        running.append(Web(*words, **environment))
+        return running[-1]
+
+    yield start
+    for one in running:
+        one.process.kill()
+        one.process.communicate()
+
+
+def children(process: "subprocess.Popen[str]") -> "list[int]":
+    """The processes that it has started."""
+    files = list(Path(f"/proc/{process.pid}/task").glob("*/children"))
+    if not files:
+        pytest.skip("no /proc here that tells of children")
+    return [int(number) for file in files for number in file.read_text().split()]
+
+
+def wait_until_gone(number: int) -> None:
+    until = time.monotonic() + _PATIENCE_S
+    while Path(f"/proc/{number}/cmdline").exists():
+        if not Path(f"/proc/{number}/cmdline").read_bytes():
+            return  # a zombie, for nobody waits for it here
+        assert time.monotonic() < until, "it goes on"
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_and_its_simulator(number: int, web: Start) -> None:
+    running = web("--sim", "--no-browser")
+    assert running.said.startswith("sim is at http://127.0.0.1:")
+    (simulator,) = children(running.process)
+    assert running.stop(number) == ""
+    assert running.process.returncode == 0
+    wait_until_gone(simulator)
+
+
+def test_a_simulator_does_not_outlive_a_server_that_was_killed(web: Start) -> None:
+    running = web("--sim", "--no-browser")
+    (simulator,) = children(running.process)
+    running.process.kill()
+    wait_until_gone(simulator)
+
+
+def test_from_the_network_it_says_a_token(web: Start) -> None:
+    running = web("--sim", "--no-browser", "--host", "0.0.0.0")
+    bare, _, token = running.address.partition("?token=")
+    assert len(token) >= 20 and "0.0.0.0" not in bare
+    port = bare.rstrip("/").rpartition(":")[2]
+    status, said = running.get(f"http://127.0.0.1:{port}/")
+    assert status == 403 and "token" in said
+    assert running.get(f"http://127.0.0.1:{port}/?token={token}")[0] != 403
+
+
+def test_it_opens_a_browser(tmp_path: Path, web: Start) -> None:
+    seen = tmp_path / "seen"
+    browser = tmp_path / "browser"
+    browser.write_text(f'#!/bin/sh\necho "$1" > {seen}.new && mv {seen}.new {seen}\n')
+    browser.chmod(0o755)
+    running = web("--sim", BROWSER=str(browser))
+    until = time.monotonic() + _PATIENCE_S
+    while not seen.exists():
+        assert time.monotonic() < until, "no browser"
+        time.sleep(0.05)
+    assert seen.read_text().strip() == running.address
+
+
+def test_the_simulator_keeps_its_settings_in_a_file(tmp_path: Path, web: Start) -> None:
+    """Which is read at its start, and looked at with the same board."""
+    file = tmp_path / "mill.settings"
+    file.write_text("$110=3000\n")
+    running = web("--sim", "--no-browser", "--settings", str(file), "--board", "sim_xyza")
+    program = json.dumps({"program": "G21\nG0 A5\n"}).encode()
+    request = urllib.request.Request(f"{running.address}api/look", program)
+    with urllib.request.urlopen(request, timeout=_PATIENCE_S) as got:
+        found: Any = json.load(got)
+    assert found["problems"] == [], "that board has an axis A"
+    assert file.read_text().startswith("$110=3000\n")
+
+
+def refused(*words: str) -> str:
+    """What is said, with exit code 1."""
+    command = [sys.executable, "-m", "ugrbl.cli", "web", "--no-browser", *words]
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        env=as_users(COLUMNS="300"),
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 1 and not done.stdout, done.stdout
+    assert "Traceback" not in done.stderr and "Errno" not in done.stderr
+    return done.stderr
+
+
+def test_a_place_that_is_taken_is_told() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        said = refused("--sim", "--http", str(port))
+    assert f"127.0.0.1:{port} cannot be listened at" in said and "in use" in said
+    assert "--http" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        ("--sim --port x", "say one of --port and --sim"),
+        ("--port x --settings y", "--settings is for --sim"),
+        ("--port missing", "cannot open missing: No such file"),
+        ("--sim --board toaster", "no board 'toaster'"),
+        ("--sim --settings FOLDER/photo", "photo"),
+        ("--sim --host 192.0.2.1 --http 0", "192.0.2.1:0 cannot be listened at"),
+        ("--sim --host no.such.invalid --http 0", "no.such.invalid:0 cannot be listened at"),
+    ],
+)
+def test_what_cannot_be_is_told_in_words(words: str, why: str, tmp_path: Path) -> None:
+    (tmp_path / "photo").write_bytes(b"\xff\xd8\xff\xe0")
+    assert why in refused(*words.replace("FOLDER", str(tmp_path)).split())
+
+
+def test_without_a_board_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    from typer.testing import CliRunner
+    from ugrbl.cli import ports
+    from ugrbl.cli.app import app
+
+    monkeypatch.setattr(ports, "find", list)
+    done = CliRunner().invoke(app, ["web", "--no-browser", "--http", "0"])
+    assert done.exit_code == 1
+    assert "no controller is plugged in" in done.output and "--sim" in done.output

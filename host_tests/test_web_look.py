@@ -1,0 +1,127 @@
+"""What `ugrbl web` says beforehand of a program."""
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ugrbl.run.program import run_program
+from ugrbl.web.look import MOST_POINTS, MOST_TIMES, PROGRAM_BYTES
+from web_client import FakeBoard, played, served
+
+pytestmark = pytest.mark.xdist_group("web")
+
+_SQUARE = "G21 G90\nG0 X10\nG1 Y10 F300\nX0\nY0\nM30\n"
+
+
+def look(folder: Path, *requests: Any, longest_s: float = 60.0) -> "list[tuple[int, Any]]":
+    """Posts them one after the other; returns status and answer of each."""
+    found = []
+
+    @played
+    async def ask() -> None:
+        async with served(FakeBoard(), folder, longest_s=longest_s) as site:
+            found.extend([await site.look(request) for request in requests])
+            assert not site.log
+
+    ask()
+    return found
+
+
+def test_time_way_and_lines_are_those_of_a_run(tmp_path: Path) -> None:
+    ((status, found),) = look(tmp_path, {"name": "square.nc", "program": _SQUARE})
+    assert status == 200
+    wanted, _ = run_program(_SQUARE.encode().splitlines())
+    assert found["seconds"] == pytest.approx(wanted.totals.time_s, abs=0.001)
+    assert (found["name"], found["lines"], found["problems"]) == ("square.nc", 6, [])
+    ends = {(x, y): (kind, line) for x, y, _, kind, line, _ in found["path"]}
+    assert ends[10, 0] == (0, 2) and ends[10, 10] == (1, 3) and ends[0, 10] == (1, 4)
+    assert found["path"][-1][:5] == [0, 0, 0, 1, 5]
+    assert all(200 < row[5] <= 301 for row in found["path"][1:] if row[3]), "mean speeds"
+    assert [line for line, _ in found["times"]] == [2, 3, 4, 5]
+    assert found["times"][-1][1] == pytest.approx(found["seconds"], abs=0.05)
+
+
+def test_the_machines_own_settings_hold_and_others_are_passed_over(tmp_path: Path) -> None:
+    quick = {"110": "6000", "111": "6000.000", "120": 500, "121": "500", "999": "1", "0": "1"}
+    odd = {"22": "1", "20": "1", "x": "1", "100": "many", "110": None, "²": "1"}
+    asked = [{"program": _SQUARE, "settings": settings} for settings in ({}, odd, quick)]
+    (_, plain), (_, same), (_, faster) = look(tmp_path, *asked)
+    assert same == plain
+    assert faster["seconds"] < plain["seconds"] - 1
+
+
+def test_lines_that_are_refused_are_named_with_their_meaning(tmp_path: Path) -> None:
+    ((status, found),) = look(tmp_path, {"program": "G64\nG1 X1\nG0 X1 ! (hm?)\nM3 (Ä)\n"})
+    assert status == 200
+    assert [(row["line"], row["code"]) for row in found["problems"]] == [(1, 20), (2, 22), (3, 0)]
+    assert found["problems"][0]["text"].startswith("error:20 - ")
+    assert "feed hold" in found["problems"][2]["text"]
+
+
+def test_a_program_that_ends_in_an_alarm_says_where(tmp_path: Path) -> None:
+    ((status, found),) = look(tmp_path, {"program": "G21\nG38.2 Z-5 F200\nG0 X5\n"})
+    assert status == 200
+    (problem,) = found["problems"]
+    assert (problem["line"], problem["code"]) == (2, 5)
+    assert problem["text"].startswith("ALARM:5 - ")
+
+
+def test_a_long_program_is_told_in_few_points(tmp_path: Path) -> None:
+    moves = "".join(f"G{n % 2} X{n % 3} Y{n % 7} F3000\n" for n in range(12_000))
+    settings = {"110": "20000", "111": "20000", "120": "9000", "121": "9000"}
+    ((status, found),) = look(tmp_path, {"program": moves, "settings": settings})
+    assert status == 200 and found["lines"] == 12_000
+    assert 1000 < len(found["times"]) <= MOST_TIMES
+    assert 1000 < len(found["path"]) <= MOST_POINTS
+    assert found["times"] == sorted(found["times"]) and found["times"][-1][0] == 12_000
+
+
+@pytest.mark.parametrize(
+    ("request_", "why"),
+    [
+        (b"{", "is no JSON"),
+        (b"\xff\xfe", "is no JSON"),
+        (b"[1]", "a JSON object is wanted"),
+        ({"name": "x.nc"}, "there is no program in it"),
+        ({"program": 7}, "there is no program in it"),
+        ({"program": "G0 X1", "settings": [1]}, '"settings" are by number'),
+        ({"name": "x.nc", "program": " \n"}, "x.nc is empty"),
+        ({"name": "x.nc", "program": "PK\x03\x04\n"}, "x.nc is no G-code"),
+        ({"program": "\ud800"}, ""),
+    ],
+)
+def test_what_is_no_program_is_refused_in_words(request_: Any, why: str, tmp_path: Path) -> None:
+    ((status, said),) = look(tmp_path, request_)
+    if why:
+        assert status == 400 and why in said and "Traceback" not in said
+    else:
+        assert status == 200
+
+
+def test_what_is_too_large_is_refused_in_words(tmp_path: Path) -> None:
+    program = {"program": "G0 X1\n" * (PROGRAM_BYTES // 6 + 1)}
+    body = b"x" * (2 * PROGRAM_BYTES + (2 << 20))
+    (one, said), (other, too) = look(tmp_path, program, body)
+    assert one == 400 and "larger than 32 MB" in said
+    assert other == 413 and "32 MB at the most" in too
+
+
+def test_a_look_that_takes_too_long_is_given_up(tmp_path: Path) -> None:
+    ((status, said),) = look(tmp_path, {"program": _SQUARE}, longest_s=0.05)
+    assert status == 504 and "within 0.05 s" in said
+
+
+@played
+async def test_the_newest_wins_and_bytes_go_on_meanwhile(tmp_path: Path) -> None:
+    board = FakeBoard()
+    long = {"program": "G1 F9000\n" + "X1\nX0\n" * 200_000}
+    async with served(board, tmp_path) as site:
+        page = await site.open()
+        first = asyncio.create_task(site.look(long))
+        await asyncio.sleep(1.0)
+        board.say(b"ok\r\n")
+        await page.wait("ok\r\n", seconds=1.0)
+        status, found = await site.look({"program": _SQUARE})
+        assert status == 200 and found["lines"] == 6
+        assert (await first)[0] == 409

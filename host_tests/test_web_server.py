@@ -1,0 +1,446 @@
+"""`ugrbl web`: browsers at one board, and who of them moves it."""
+
+import asyncio
+import json
+import os
+import subprocess
+import sys
+import tty
+from collections import deque
+from collections.abc import Iterator
+from pathlib import Path
+
+import aiohttp
+import pytest
+from as_users import as_users
+from ugrbl.run.program import run_program
+from ugrbl.web.board_link import SerialSource
+from ugrbl.web.framing import Framing
+from ugrbl.web.simulator import Simulator
+from web_client import HTML, FakeBoard, Page, Site, played, served, until
+
+pytestmark = pytest.mark.xdist_group("web")
+
+
+@pytest.fixture
+def board() -> FakeBoard:
+    return FakeBoard()
+
+
+# Bytes
+
+
+@played
+async def test_all_hear_the_board_and_its_driver_is_heard(tmp_path: Path) -> None:
+    async with served(Simulator("sim"), tmp_path) as site:
+        first, second = await site.open(), await site.open()
+        await first.told(link={"name": "sim", "open": True}, driver=True, drivers=1, watchers=1)
+        await second.told(driver=False, drivers=1, watchers=1)
+        assert "[GC:G0 G54 " in await first.ask("$G")
+        await first.send(b"?")
+        for page in (first, second):
+            assert "|MPos:0.000,0.000,0.000|" in await page.wait(">")
+
+
+@played
+async def test_bytes_of_a_watcher_are_dropped(board: FakeBoard, tmp_path: Path) -> None:
+    async with served(board, tmp_path) as site:
+        first, second = await site.open(), await site.open()
+        await second.send(b"G0 X5\n!\x18\x85")
+        await second.drive(True)  # behind it, so that it has been read
+        await second.told(driver=True)
+        await second.send(b"$G\n")
+        await board.wait_for(b"$G\n")
+        assert board.got == b"$G\n"
+        assert first.states[-1]["driver"] is False
+
+
+@played
+async def test_every_byte_a_board_can_say_comes_as_it_is(board: FakeBoard, tmp_path: Path) -> None:
+    async with served(board, tmp_path) as site:
+        page = await site.open()
+        said = bytes(range(256)) * 100
+        board.say(said)
+        await until(lambda: len(page.text) == len(said), "all of it")
+        assert page.text.encode("latin-1") == said
+
+
+def test_lines_go_whole_and_what_acts_overtakes_them() -> None:
+    framing = Framing()
+    assert list(framing.take(b"G1 X")) == []
+    assert list(framing.take(b"1?0!\r\n$G\nG9")) == [
+        (b"?", True),
+        (b"!", True),
+        (b"G1 X10\r", False),
+        (b"\n", False),
+        (b"$G\n", False),
+    ]
+    assert list(framing.take(b"0\x18G91\n\x85")) == [
+        (b"\x18", True),
+        (b"G91\n", False),
+        (b"\x85", True),
+    ]
+    framing.forget()
+    ((line, _),) = framing.take(b"(" + b"x" * 10_000 + b"\n")
+    assert len(line) <= 4097, "far more than any Grbl takes, so it is refused all the same"
+
+
+@played
+async def test_a_stop_overtakes_lines_that_the_board_has_not_taken(
+    board: FakeBoard, tmp_path: Path
+) -> None:
+    async with served(board, tmp_path) as site:
+        page = await site.open()
+        board.stuck = True
+        await page.send(b"G4 P1\n")
+        await asyncio.sleep(0.2)  # it is being written
+        await page.send(b"G1 X1\n" * 100 + b"!")
+        await page.send(b"\x18$X\n")
+        await asyncio.sleep(0.2)
+        board.stuck = False
+        await board.wait_for(b"$X\n")
+        assert board.got == b"G4 P1\n!\x18$X\n", "and what a reset comes behind is not done"
+
+
+# Drivers
+
+
+@played
+async def test_whoever_takes_over_drives_and_the_other_watches(
+    board: FakeBoard, tmp_path: Path
+) -> None:
+    async with served(board, tmp_path) as site:
+        first, second = await site.open(), await site.open()
+        await first.send(b"G91\nG1 X1")
+        await board.wait_for(b"G91\n")
+        await second.drive(True)
+        await first.told(driver=False, drivers=1, watchers=1)
+        await second.told(driver=True, drivers=1, watchers=1)
+        await first.send(b"0\n!")
+        await second.send(b"$G\n")
+        await board.wait_for(b"$G\n")
+        assert board.got == b"G91\n$G\n", "nor is half a line of the other's before it"
+        await second.drive(False)
+        for page in (first, second):
+            await page.told(driver=False, drivers=0, watchers=2)
+        third = await site.open()
+        await third.told(driver=True, drivers=1, watchers=2)
+
+
+@pytest.mark.parametrize("words", ["true", "{}", "[", '{"drive": 1}', '{"drive": "yes"}'])
+@played
+async def test_words_that_mean_nothing_are_passed_over(
+    words: str, board: FakeBoard, tmp_path: Path
+) -> None:
+    async with served(board, tmp_path) as site:
+        first, second = await site.open(), await site.open()
+        await second.socket.send_str(words)
+        await until(lambda: site.log, "log")
+        assert "passed over" in site.log[0]
+        await first.send(b"$G\n")
+        await board.wait_for(b"$G\n")
+
+
+LOSSES = ["closed", "crashed", "gave up", "server ended"]
+
+
+@pytest.mark.parametrize("how", LOSSES)
+@pytest.mark.parametrize(
+    ("state", "told"),
+    [("Run", b"!"), ("Jog", b"\x85"), ("Idle", b""), ("Hold:0", b""), ("Alarm", b"")],
+)
+@played
+async def test_a_machine_whose_driver_is_lost_is_told_to_stop_once(
+    how: str, state: str, told: bytes, board: FakeBoard, tmp_path: Path
+) -> None:
+    async with served(board, tmp_path) as site:
+        driver, watcher = await site.open(), await site.open()
+        board.say(f"<Run|MPos:0,0,0>\r\nok\r\n<{state}|MPos:0,0".encode())
+        board.say(b",0|FS:0,0>\r\nok\r\n<Idle|")  # half a report is none
+        await watcher.wait("<Idle|")
+        await driver.send(b"G1")
+        await _lose(how, site, driver)
+        if how != "server ended":
+            await watcher.told(drivers=0)
+            watcher.vanish()
+            await asyncio.sleep(0.1)
+            await (await site.open()).leave()
+            await asyncio.sleep(0.1)
+    assert board.got == told
+    assert any(state in line for line in site.log) == bool(told)
+
+
+async def _lose(how: str, site: Site, driver: Page) -> None:
+    if how == "closed":
+        await driver.leave()
+    elif how == "crashed":
+        driver.vanish()
+    elif how == "gave up":
+        await driver.drive(False)
+    else:
+        await site.server.stop()
+
+
+@played
+async def test_a_job_whose_driver_is_lost_is_held_and_goes_on_when_told(tmp_path: Path) -> None:
+    async with served(Simulator("sim"), tmp_path) as site:
+        driver, watcher = await site.open(), await site.open()
+        await driver.ask("G91")
+        await driver.ask("M3 S1000")
+        await driver.ask("G1 X20 F500")
+        await driver.report("Run")
+        driver.vanish()
+        await watcher.told(drivers=0)
+        assert "was in Run: it is held (!)" in site.log[-1]
+        await watcher.drive(True)
+        held = await watcher.report("Hold:0")
+        assert 0 <= float(held.partition("MPos:")[2].partition(",")[0]) < 20
+        await asyncio.sleep(0.3)
+        assert (await watcher.report()).partition("|FS")[0] == held.partition("|FS")[0]
+        await watcher.send(b"~")
+        assert "MPos:20.000," in await watcher.report("Idle")
+
+
+@played
+async def test_a_jog_whose_driver_is_lost_ends(tmp_path: Path) -> None:
+    async with served(Simulator("sim"), tmp_path) as site:
+        driver, watcher = await site.open(), await site.open()
+        await driver.ask("$J=G91 X100 F500")
+        await driver.report("Jog")
+        await driver.leave()
+        await watcher.told(drivers=0)
+        await watcher.drive(True)
+        ended = await watcher.report("Idle")
+        assert 0 < float(ended.partition("MPos:")[2].partition(",")[0]) < 50
+
+
+# The plug
+
+
+class PtyBoard:
+    """A port that can be pulled out, and put back in as another terminal."""
+
+    def __init__(self, link: Path) -> None:
+        self._link = link
+        self._master = -1
+        self.plug_in()
+
+    def plug_in(self) -> None:
+        self._master, slave = os.openpty()
+        tty.setraw(slave)
+        self._link.symlink_to(os.ttyname(slave))
+        os.close(slave)
+
+    def pull(self) -> None:
+        os.close(self._master)
+        self._link.unlink()
+
+    def say(self, data: bytes) -> None:
+        os.write(self._master, data)
+
+    def hear(self) -> bytes:
+        return os.read(self._master, 4096)
+
+
+@played
+async def test_a_pulled_plug_is_told_and_tried_again_and_browsers_stay(tmp_path: Path) -> None:
+    port = tmp_path / "ttyACM0"
+    plug = PtyBoard(port)
+    async with served(SerialSource(lambda: str(port)), tmp_path) as site:
+        pages = [await site.open(), await site.open()]
+        plug.say(b"<Run|MPos:0.000,0.000,0.000>\r\n")
+        await pages[1].wait(">")
+        plug.pull()
+        for page in pages:
+            await page.told(link={"name": str(port), "open": False})
+        await pages[0].send(b"G1 X100\n")  # is lost
+        await until(lambda: len(site.log) == 2, "log")
+        assert "broke" in site.log[0] and "plugged in?; it is tried again" in site.log[1]
+        plug.plug_in()
+        await pages[0].told(link={"name": str(port), "open": True}, driver=True)
+        await pages[0].send(b"?$G\n")
+        assert await asyncio.to_thread(plug.hear) in (b"?", b"?$G\n")
+        plug.say(b"ok\r\n")
+        for page in pages:
+            await page.wait("ok\r\n")
+        assert site.log[-1].endswith("is there again")
+
+
+@played
+async def test_a_simulator_that_was_killed_is_started_anew(tmp_path: Path) -> None:
+    simulator = Simulator("sim")
+    async with served(simulator, tmp_path) as site:
+        page = await site.open()
+        assert simulator._process
+        simulator._process.kill()
+        await page.told(link={"name": "sim", "open": False})
+        await page.told(link={"name": "sim", "open": True})
+        assert "[GC:" in await page.ask("$G")
+
+
+# Who may come in
+
+
+@played
+async def test_the_page_is_served_and_no_other_may_frame_it(
+    board: FakeBoard, tmp_path: Path
+) -> None:
+    async with served(board, tmp_path) as site:
+        async with site.session.get(site.address) as got:
+            assert (got.status, await got.text()) == (200, HTML)
+            assert "frame-ancestors 'none'" in got.headers["Content-Security-Policy"]
+        (tmp_path / "index.html").unlink()
+        status, said = await site.status("/")
+        assert status == 404 and "the page is missing" in said
+        status, said = await site.status("/ws")
+        assert status == 400 and "websocket" in said
+        assert await site.status("/etc/passwd") == (
+            404,
+            "there is no /etc/passwd here: the page is at /\n",
+        )
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "http://127.0.0.1:1", "http://localhost", "http://["]
+)
+@played
+async def test_pages_of_others_are_refused(origin: str, board: FakeBoard, tmp_path: Path) -> None:
+    async with served(board, tmp_path) as site:
+        for path, method in (("/ws", "GET"), ("/api/look", "POST")):
+            status, said = await site.status(path, method, Origin=origin)
+            assert status == 403 and "may not talk to a machine here" in said
+        with pytest.raises(aiohttp.WSServerHandshakeError, match="403"):
+            await site.open(Origin=origin)
+        await site.open(Origin=site.address)
+
+
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [
+        ("evil.example", 403),
+        ("127.0.0.1.evil.example", 403),
+        ("localhost.evil.example:80", 403),
+        ("192.168.1.7", 403),
+        ("[", 403),
+        ("localhost:8010", 200),
+        ("[::1]:8010", 200),
+        ("127.0.0.1", 200),
+    ],
+)
+@played
+async def test_names_that_are_not_ours_are_refused(
+    host: str, status: int, board: FakeBoard, tmp_path: Path
+) -> None:
+    async with served(board, tmp_path) as site:
+        found, said = await site.status("/", Host=host)
+        assert found == status
+        assert (host in said and "printed at its start" in said) == (status == 403)
+
+
+@played
+async def test_from_the_network_a_token_is_wanted(board: FakeBoard, tmp_path: Path) -> None:
+    async with served(board, tmp_path, host="0.0.0.0") as site:
+        token = site.access.token
+        assert len(token) >= 20
+        for wrong in ("", "?token=", "?token=x", f"?token={token}x", "?token=%C3%A4"):
+            for path, method in (("/", "GET"), ("/ws", "GET"), ("/api/look", "POST")):
+                status, said = await site.status(path + wrong, method)
+                assert status == 403 and "the token is missing or wrong" in said
+        assert await site.status(f"/?token={token}") == (200, HTML)
+        assert (await site.status(f"/?token={token}", Host="evil.example"))[0] == 403
+        await (await site.open(f"/ws?token={token}")).told(driver=True)
+
+
+def test_every_start_has_another_token() -> None:
+    from ugrbl.web.access import Access
+
+    assert Access("0.0.0.0").token != Access("0.0.0.0").token
+    assert not Access("localhost").token and not Access("::1").token
+
+
+# Many, and slow
+
+
+@played
+async def test_who_does_not_read_is_let_go_and_nobody_else_waits(
+    board: FakeBoard, tmp_path: Path
+) -> None:
+    async with served(board, tmp_path) as site:
+        slow, quick = await site.open(), await site.open()
+        transport = slow.socket._response.connection.transport
+        transport.pause_reading()
+        for _ in range(250):
+            board.say(b"x" * 65_535 + b"\n")
+            await asyncio.sleep(0.002)
+        board.say(b"end\r\n")
+        await quick.wait("end\r\n")
+        await quick.told(drivers=0, watchers=1)
+        assert site.log == ["browser 127.0.0.1 does not read what comes, and is let go"]
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Iterator["tuple[str, Path, subprocess.Popen[str]]"]:
+    """A simulator that tells its steps at the end: where it is, the file, the process."""
+    report = tmp_path / "report.json"
+    command = [sys.executable, "-m", "ugrbl.cli", "sim", "--tcp", "0", "--report", str(report)]
+    process = subprocess.Popen(
+        [*command, "--speed", "max"], stdout=subprocess.PIPE, env=as_users(), text=True
+    )
+    assert process.stdout
+    place = process.stdout.readline().rpartition(" ")[2].strip()
+    yield f"socket://{place}", report, process
+    process.kill()
+    process.wait()
+
+
+@played
+async def test_a_storm_of_reloads_and_slow_readers_changes_no_step(
+    recorded: "tuple[str, Path, subprocess.Popen[str]]", tmp_path: Path
+) -> None:
+    port, report, process = recorded
+    lines = [f"G1 X{n * 7 % 11} Y{n * 3 % 5} F{1000 + n % 9}".encode() for n in range(400)]
+    async with served(SerialSource(lambda: port), tmp_path) as site:
+        driver = await site.open()
+        await driver.ask("G21 G90")
+        storms = [asyncio.create_task(_reload(site, slow)) for slow in (True, False, False)]
+        await _stream(driver, lines)
+        await driver.report("Idle")
+        for storm in storms:
+            storm.cancel()
+        counts = await asyncio.gather(*storms, return_exceptions=True)
+        assert all(isinstance(count, asyncio.CancelledError) for count in counts)
+        assert not site.log
+    process.terminate()
+    process.communicate()
+    made = json.loads(report.read_text())
+    wanted, _ = run_program([b"G21 G90", *lines])
+    assert made["steps_made"] == wanted.totals.steps_made
+    assert made["final_position_mm"] == wanted.totals.final_position_mm
+
+
+async def _reload(site: Site, slow: bool) -> None:
+    """Come, send what is not heard, and go, again and again; slow: or stay and read nothing."""
+    while True:
+        page = await site.open()
+        await page.send(b"G0 X99\n!\x18" * 10)
+        if slow:
+            page.socket._response.connection.transport.pause_reading()
+            await asyncio.sleep(0.2)
+        page.vanish()
+        await asyncio.sleep(0)
+
+
+async def _stream(page: Page, lines: "list[bytes]") -> None:
+    """Keep 120 bytes under way, and ask for reports meanwhile."""
+    page.text = ""
+    under_way: deque[int] = deque()
+    answered = 0
+    for count, line in enumerate(lines):
+        while sum(under_way) + len(line) + 1 > 120:
+            await until(lambda: page.text.count("ok\r\n") > answered, "answer")  # noqa: B023
+            answered += 1
+            under_way.popleft()
+        await page.send(line + b"\n" + (b"?" if count % 10 == 0 else b""))
+        under_way.append(len(line) + 1)
+    await until(lambda: page.text.count("ok\r\n") == len(lines), "last answer")
+    assert "error" not in page.text and page.text.count("<") > len(lines) // 20
