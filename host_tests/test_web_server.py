@@ -214,6 +214,24 @@ async def test_a_jog_whose_driver_is_lost_ends(tmp_path: Path) -> None:
         assert 0 < float(ended.partition("MPos:")[2].partition(",")[0]) < 50
 
 
+@played
+async def test_the_simulator_can_be_homed(tmp_path: Path) -> None:
+    async with served(Simulator("sim"), tmp_path) as site:
+        page = await site.open()
+        fast = ("$25=3000", "$24=600", "$110=3000", "$111=3000", "$112=3000")
+        short = ("$120=500", "$121=500", "$122=500", "$130=8", "$131=8", "$132=8", "$22=1")
+        for setting in (*fast, *short):
+            assert (await page.ask(setting)).endswith("ok\r\n")
+        assert (await page.ask("$H")).endswith("ok\r\n")
+        assert "MPos:-1.000,-1.000,-1.000|" in await page.report("Idle")
+
+
+@played
+async def test_a_board_whose_motors_move_axes_together_has_no_switches(tmp_path: Path) -> None:
+    async with served(Simulator("sim_corexy"), tmp_path) as site:
+        assert (await (await site.open()).ask("G91 G0 X1")).endswith("ok\r\n")
+
+
 # The plug
 
 

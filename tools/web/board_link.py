@@ -146,7 +146,7 @@ class BoardLink:
                 continue
             try:
                 port.write(data)
-            except (OSError, TypeError) as error:  # as where it is read
+            except (OSError, TypeError, ValueError) as error:  # as where it is read
                 self._lose(port, error)
 
     def _next(self) -> bytes:
@@ -169,7 +169,7 @@ class BoardLink:
                 continue
             try:
                 data = _read(port)
-            except (OSError, TypeError) as error:  # pyserial's own, where the port is closed
+            except (OSError, TypeError, ValueError) as error:  # of a port that is closed, too
                 self._lose(port, error)
                 continue
             if data:
@@ -210,7 +210,7 @@ def _read(port: Any) -> bytes:
     try:
         while data and len(data) < _READ_BYTES and (more := port.in_waiting):
             data += port.read(more)
-    except (OSError, TypeError):
+    except (OSError, TypeError, ValueError):
         if not data:
             raise
     return data  # what has gone wrong behind it, the next read finds as well

@@ -5,7 +5,9 @@ another on stdout. It ends with its stdin, and so with the server, however that 
 """
 
 import json
+import select
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -13,13 +15,46 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..device.connection import BAUD, SendError, open_port
+from ..device.connection import SendError
 from ..run import machine
 from ..run.live import LiveLink
-from ..run.tcp_link import LOOPBACK, Tcp
+from ..run.tcp_link import LOOPBACK, Tcp, address
 
 _READ_S = 0.05
+_READ_BYTES = 4096
 _PATIENCE_S = 5.0
+
+
+class TcpPort:
+    """A TCP connection with as much of pyserial's Serial as board_link.py asks for. OSError where
+    it breaks, as there. (pyserial's own sends small messages late, and reads byte by byte.)"""
+
+    def __init__(self, place: str) -> None:
+        self._socket = socket.create_connection(address(place), _PATIENCE_S)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._come = b""
+
+    @property
+    def in_waiting(self) -> int:
+        """How many bytes are there already."""
+        return len(self._come)
+
+    def read(self, limit: int) -> bytes:
+        """So many at the most; waits a moment for the first."""
+        if not self._come and select.select([self._socket], [], [], _READ_S)[0]:
+            self._come = self._socket.recv(_READ_BYTES)
+            if not self._come:
+                raise ConnectionResetError("it has hung up")
+        data, self._come = self._come[:limit], self._come[limit:]
+        return data
+
+    def write(self, data: bytes) -> None:
+        """All of them."""
+        self._socket.sendall(data)
+
+    def close(self) -> None:
+        """Hang up."""
+        self._socket.close()
 
 
 class Simulator:
@@ -35,11 +70,14 @@ class Simulator:
         self._process: subprocess.Popen[str] | None = None
         self._place = ""
 
-    def open(self) -> Any:
+    def open(self) -> TcpPort:
         """Its port; it is started where it does not run. SendError where it cannot be."""
         if self._process is None or self._process.poll() is not None:
             self._start()
-        return open_port(f"socket://{self._place}", BAUD, _READ_S)
+        try:
+            return TcpPort(self._place)
+        except OSError as error:
+            raise SendError(f"the simulator does not answer: {error}") from error
 
     def close(self) -> None:
         """End it."""
