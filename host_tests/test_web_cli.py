@@ -83,7 +83,7 @@ def wait_until_gone(number: int) -> None:
         time.sleep(0.05)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_it_and_its_simulator(number: int, web: Start) -> None:
     running = web("--sim", "--no-browser")
     assert running.said.startswith("sim is at http://127.0.0.1:")

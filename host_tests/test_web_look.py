@@ -1,6 +1,8 @@
 """What `ugrbl web` says beforehand of a program."""
 
 import asyncio
+from itertools import pairwise
+from math import dist
 from pathlib import Path
 from typing import Any
 
@@ -37,14 +39,22 @@ def test_time_way_and_lines_are_those_of_a_run(tmp_path: Path) -> None:
     ends = {(x, y): (kind, line) for x, y, _, kind, line, _ in found["path"]}
     assert ends[10, 0] == (0, 2) and ends[10, 10] == (1, 3) and ends[0, 10] == (1, 4)
     assert found["path"][-1][:5] == [0, 0, 0, 1, 5]
-    assert all(200 < row[5] <= 301 for row in found["path"][1:] if row[3]), "mean speeds"
+    of_line_3 = [(a, b) for a, b in pairwise(found["path"]) if b[4] == 3]
+    assert all(0 < b[5] <= 301 for _, b in of_line_3)
+    took_s = sum(60 * dist(a[:3], b[:3]) / b[5] for a, b in of_line_3)
+    ends_s = dict(found["times"])
+    assert took_s == pytest.approx(ends_s[3] - ends_s[2], rel=0.02), "speeds are means"
     assert [line for line, _ in found["times"]] == [2, 3, 4, 5]
     assert found["times"][-1][1] == pytest.approx(found["seconds"], abs=0.05)
 
 
 def test_the_machines_own_settings_hold_and_others_are_passed_over(tmp_path: Path) -> None:
     quick = {"110": "6000", "111": "6000.000", "120": 500, "121": "500", "999": "1", "0": "1"}
-    odd = {"22": "1", "20": "1", "x": "1", "100": "many", "110": None, "²": "1"}
+    odd: dict[str, Any] = {"22": "1", "20": "1", "x": "1", "100": "many", "110": None, "²": "1"}
+    odd.update(
+        {"9" * 5000: "1", "101": "1e999", "102": 1e300, "111": "-1", "120": [], "121": "nan"}
+    )
+    odd.update({"12": "1e-9", "13": True, "999": "2e38", "": "1", " 112": "1"})
     asked = [{"program": _SQUARE, "settings": settings} for settings in ({}, odd, quick)]
     (_, plain), (_, same), (_, faster) = look(tmp_path, *asked)
     assert same == plain
@@ -82,7 +92,9 @@ def test_a_long_program_is_told_in_few_points(tmp_path: Path) -> None:
     [
         (b"{", "is no JSON"),
         (b"\xff\xfe", "is no JSON"),
-        (b"[1]", "a JSON object is wanted"),
+        (b'"\xff"', "is no JSON"),
+        (b"[" * 100_000, "is no JSON"),
+        (b"[1]", "is no JSON object"),
         ({"name": "x.nc"}, "there is no program in it"),
         ({"program": 7}, "there is no program in it"),
         ({"program": "G0 X1", "settings": [1]}, '"settings" are by number'),

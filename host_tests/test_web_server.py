@@ -14,6 +14,7 @@ import aiohttp
 import pytest
 from as_users import as_users
 from ugrbl.run.program import run_program
+from ugrbl.web import server
 from ugrbl.web.board_link import SerialSource
 from ugrbl.web.framing import Framing
 from ugrbl.web.simulator import Simulator
@@ -179,6 +180,20 @@ async def _lose(how: str, site: Site, driver: Page) -> None:
         await driver.drive(False)
     else:
         await site.server.stop()
+
+
+@played
+async def test_a_driver_whose_network_has_gone_is_lost_as_well(
+    board: FakeBoard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "_HEARTBEAT_S", 0.4)
+    async with served(board, tmp_path) as site:
+        driver, watcher = await site.open(), await site.open()
+        board.say(b"<Run|MPos:0,0,0>\r\n")
+        await driver.wait(">")
+        driver.go_deaf()  # so it answers no ping
+        await watcher.told(drivers=0, watchers=1)
+        await board.wait_for(b"!")
 
 
 @played
@@ -385,8 +400,7 @@ async def test_who_does_not_read_is_let_go_and_nobody_else_waits(
 ) -> None:
     async with served(board, tmp_path) as site:
         slow, quick = await site.open(), await site.open()
-        transport = slow.socket._response.connection.transport
-        transport.pause_reading()
+        slow.go_deaf()
         for _ in range(250):
             board.say(b"x" * 65_535 + b"\n")
             await asyncio.sleep(0.002)
@@ -442,7 +456,7 @@ async def _reload(site: Site, slow: bool) -> None:
         page = await site.open()
         await page.send(b"G0 X99\n!\x18" * 10)
         if slow:
-            page.socket._response.connection.transport.pause_reading()
+            page.go_deaf()
             await asyncio.sleep(0.2)
         page.vanish()
         await asyncio.sleep(0)

@@ -143,9 +143,16 @@ class Page:
 
     def vanish(self) -> None:
         """As by a crash."""
-        response = self.socket._response
-        assert response.connection and response.connection.transport
-        response.connection.transport.abort()
+        self._transport().abort()
+
+    def go_deaf(self) -> None:
+        """It reads nothing any more."""
+        self._transport().pause_reading()
+
+    def _transport(self) -> asyncio.Transport:
+        connection = self.socket._response.connection
+        assert connection and isinstance(connection.transport, asyncio.Transport)
+        return connection.transport
 
 
 class Site:

@@ -6,13 +6,13 @@ import signal
 import socket
 import threading
 import webbrowser
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from ..boardfile.files import load_board
 from ..device.connection import BAUD, SendError
@@ -96,13 +96,13 @@ async def _serve(options: Options) -> None:
     from ..web.server import Server
     from ..web.simulator import Simulator
 
-    console = Console()
     source: Source = SerialSource(lambda: choose(options.port), options.baud)
     if options.sim:
         source = Simulator(options.board, options.settings)
 
     def log(text: str) -> None:
-        console.print(text, highlight=False, markup=False, soft_wrap=True)
+        with suppress(OSError):  # of a terminal that was closed: the machine is held all the same
+            print(text, flush=True)
 
     access = Access(options.host)
     server = Server(source, access, options.board, log)
@@ -127,8 +127,9 @@ def _on_signals() -> asyncio.Event:
         signal.signal(number, signal.default_int_handler)
         loop.call_soon_threadsafe(ended.set)
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, end)
+    for number in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGINT)):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as by nohup
+            signal.signal(number, end)
     return ended
 
 

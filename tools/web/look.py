@@ -7,10 +7,10 @@ simulator has but one machine in a process.
 
 import json
 import os
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from math import isfinite
-from typing import Any, BinaryIO, NoReturn
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,9 @@ MOST_POINTS = 20_000
 # What is drawn is nowhere further from the path than this, as long as there are points enough.
 _TOLERANCE_MM = 0.01
 RAPID, FEED = 0, 1
+_NUMBER = re.compile("[0-9]{1,3}")  # of a setting
+_BEYOND = 3.4e38
+_DECIMALS = 4  # one more than a Grbl prints
 REFUSED = 3  # exit code: the answer is a sentence
 
 Rows = NDArray[np.int64]
@@ -53,6 +56,8 @@ def look(request: Mapping[str, Any], board: str) -> dict[str, Any]:
         settings=chosen,
         progress=_needed(),
     )
+    if " was refused with " in result.stopped:
+        raise Refused(f"the simulated machine does not take its settings: {result.stopped}")
     motion = trace.motion
     return {
         "name": name,
@@ -78,21 +83,23 @@ def _program(request: Mapping[str, Any]) -> tuple[str, list[bytes]]:
 
 
 def _settings(found: Any) -> dict[int, str]:
-    """Settings by number, those with a number for a value."""
+    """Settings by number, those that can be; what the machine takes of them is seen later."""
     if not isinstance(found, dict):
         raise Refused('"settings" are by number: {"110": "500.000"}')
     return {
-        int(number): str(value)
-        for number, value in found.items()
-        if number.isascii() and number.isdecimal() and _is_number(value)
+        int(number): f"{value:.{_DECIMALS}f}"
+        for number, text in found.items()
+        if _NUMBER.fullmatch(number) and (value := _value(text)) is not None
     }
 
 
-def _is_number(value: Any) -> bool:
+def _value(text: Any) -> float | None:
+    """A number, or text of one, that fits into the machine's single precision; else None."""
     try:
-        return isfinite(float(value))
+        value = float(text)
     except (TypeError, ValueError, OverflowError):
-        return False
+        return None
+    return value if abs(value) < _BEYOND else None
 
 
 # Answers
@@ -187,21 +194,22 @@ def main() -> None:
         os.nice(10)
     out, sys.stdout = sys.stdout.buffer, sys.stderr  # for what anything else prints
     try:
-        request = json.load(sys.stdin.buffer)
-        if not isinstance(request, dict):
-            raise Refused("a JSON object is wanted")
-        answer = look(request, sys.argv[1])
-    except json.JSONDecodeError as error:
-        _refuse(out, f"what was posted is no JSON: {error}")
+        answer = look(_request(sys.stdin.buffer.read()), sys.argv[1])
     except (Refused, gcode_file.NotText) as error:
-        _refuse(out, str(error))
+        out.write(str(error).encode())
+        out.flush()
+        sys.exit(REFUSED)
     out.write(json.dumps(answer, separators=(",", ":")).encode())
 
 
-def _refuse(out: BinaryIO, why: str) -> NoReturn:
-    out.write(why.encode())
-    out.flush()
-    sys.exit(REFUSED)
+def _request(body: bytes) -> dict[str, Any]:
+    try:
+        request = json.loads(body)
+    except (ValueError, RecursionError) as error:
+        raise Refused(f"what was posted is no JSON: {error}") from error
+    if not isinstance(request, dict):
+        raise Refused("what was posted is no JSON object")
+    return request
 
 
 if __name__ == "__main__":
