@@ -1,0 +1,201 @@
+"""What a browser needs of the world, for tests of the page: the page, and a wire to a simulator.
+
+A small HTTP server on this computer. `/` is the page; `/serial` a websocket that carries the bytes
+of a serial port, for a stand-in of navigator.serial; `/ws` the one of `ugrbl web`, as far as one
+browser needs it; `/api/look` answers what a test has put there.
+"""
+
+import base64
+import hashlib
+import json
+import struct
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from socket import SHUT_RDWR
+from typing import IO, Any
+
+from as_users import as_users
+
+PAGE = Path(__file__).parent.parent.parent / "tools" / "web" / "page" / "index.html"
+_GUID = "258EAFA5-E914-47DA-95CA-C5AB0DC85B11"  # RFC 6455
+_TEXT, _BINARY, _CLOSE = 1, 2, 8
+
+
+class Machine:
+    """`ugrbl sim --stdio` of its own; all that went in is kept."""
+
+    def __init__(self, settings: Path, *options: str) -> None:
+        command = [sys.executable, "-m", "ugrbl.cli", "sim", "--stdio", "--settings"]
+        self.process = subprocess.Popen(
+            [*command, str(settings), *options],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=as_users(),
+        )
+        self.sent = bytearray()
+        self.hears = True  # else what is sent gets nowhere
+        self._sinks: list[Socket] = []
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def write(self, data: bytes) -> None:
+        self.sent += data
+        assert self.process.stdin
+        if self.hears:
+            self.process.stdin.write(data)
+            self.process.stdin.flush()
+
+    def say(self, data: bytes) -> None:
+        """To all who listen, as if it came from the machine."""
+        for sink in list(self._sinks):
+            with suppress(OSError):
+                sink.send(_BINARY, data)
+
+    def attach(self, sink: "Socket") -> None:
+        self._sinks.append(sink)
+
+    def detach(self, sink: "Socket") -> None:
+        self._sinks.remove(sink)
+
+    def unplug(self) -> None:
+        """Whoever listens is cut off."""
+        for sink in list(self._sinks):
+            sink.close()
+
+    def lines(self) -> list[str]:
+        """What was sent, by line, without what acts at once."""
+        acts = bytes([0x18, *b"?!~", *range(0x80, 0x100)])
+        return self.sent.translate(None, acts).decode("ascii").split("\n")[:-1]
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.communicate()
+
+    def _read(self) -> None:
+        out: Any = self.process.stdout
+        while data := out.read1(4096):
+            self.say(data)
+
+
+class Socket:
+    """A websocket, on the server's side."""
+
+    def __init__(self, reader: IO[bytes], writer: Any) -> None:
+        self._reader = reader
+        self._writer = writer
+        self._lock = threading.Lock()
+
+    def send(self, kind: int, data: bytes) -> None:
+        size = len(data)
+        length = bytes([size]) if size < 126 else b"\x7e" + struct.pack(">H", size)
+        with self._lock:
+            self._writer.sendall(bytes([0x80 | kind]) + length + data)
+
+    def tell(self, news: dict[str, object]) -> None:
+        self.send(_TEXT, json.dumps(news).encode())
+
+    def receive(self) -> tuple[int, bytes]:
+        """Kind and content of the next message; _CLOSE at the end."""
+        head = self._reader.read(2)
+        if len(head) < 2:
+            return _CLOSE, b""
+        size = head[1] & 0x7F
+        if size >= 126:
+            size = int.from_bytes(self._reader.read(2 if size == 126 else 8), "big")
+        mask = self._reader.read(4)
+        data = self._reader.read(size)
+        return head[0] & 15, bytes(byte ^ mask[i % 4] for i, byte in enumerate(data))
+
+    def close(self) -> None:
+        with suppress(OSError):
+            self._writer.shutdown(SHUT_RDWR)
+
+
+class Bridge(ThreadingHTTPServer):
+    """The server. drives: whether a browser that connects to /ws drives at once."""
+
+    daemon_threads = True
+
+    def __init__(self, machine: Machine) -> None:
+        super().__init__(("127.0.0.1", 0), _Handler)
+        self.machine = machine
+        self.drives = True
+        self.look: dict[str, object] | None = None
+        self.looked: dict[str, Any] = {}  # what /api/look was asked last
+        self.asked_for: list[str] = []  # paths, with their queries
+        self.address = f"127.0.0.1:{self.server_address[1]}"
+        threading.Thread(target=self.serve_forever, daemon=True).start()
+
+    def handle_error(self, *_: object) -> None:
+        """A browser that has gone is no failure."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    server: Bridge
+
+    def log_message(self, *_: object) -> None:
+        """Nobody reads it."""
+
+    def do_GET(self) -> None:
+        self.server.asked_for.append(self.path)
+        path = self.path.partition("?")[0]
+        if path == "/":
+            self._answer("text/html; charset=utf-8", PAGE.read_bytes())
+        elif path in ("/serial", "/ws"):
+            self._websocket(path == "/ws")
+        else:
+            self.send_error(404)
+
+    def do_POST(self) -> None:
+        self.server.asked_for.append(self.path)
+        body = self.rfile.read(int(self.headers["Content-Length"]))
+        if self.path.partition("?")[0] != "/api/look" or self.server.look is None:
+            self.send_error(404)
+            return
+        self.server.looked = json.loads(body)
+        self._answer("application/json", json.dumps(self.server.look).encode())
+
+    def _answer(self, kind: str, body: bytes) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def _websocket(self, serves: bool) -> None:
+        key = self.headers["Sec-WebSocket-Key"] + _GUID
+        self.send_response(101)
+        self.send_header("Upgrade", "websocket")
+        self.send_header("Connection", "Upgrade")
+        accept = base64.b64encode(hashlib.sha1(key.encode()).digest()).decode()
+        self.send_header("Sec-WebSocket-Accept", accept)
+        self.end_headers()
+        self.wfile.flush()
+        self.close_connection = True
+        self._carry(Socket(self.rfile, self.connection), serves)
+
+    def _carry(self, socket: Socket, serves: bool) -> None:
+        """Bytes both ways until one side has gone. serves: as `ugrbl web` does."""
+        machine, drives = self.server.machine, self.server.drives or not serves
+        if serves:
+            socket.tell(_news(drives))
+        machine.attach(socket)
+        try:
+            while (message := socket.receive())[0] != _CLOSE:
+                kind, data = message
+                if kind == _TEXT:
+                    drives = json.loads(data)["drive"]
+                    socket.tell(_news(drives))
+                elif kind == _BINARY and drives:
+                    machine.write(data)
+        finally:
+            machine.detach(socket)
+
+
+def _news(drives: bool) -> dict[str, object]:
+    link = {"name": "sim", "open": True}
+    return {"link": link, "driver": drives, "drivers": 1, "watchers": 0 if drives else 1}
