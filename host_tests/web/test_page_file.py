@@ -1,4 +1,4 @@
-"""The page as a file: small, by itself, and with the firmware's own words. No browser is needed."""
+"""The page as a file: small, by itself, with the firmware's own words. It needs no browser."""
 
 import gzip
 import json
