@@ -9,8 +9,9 @@ from bridge import Bridge, Machine
 from browser import Person, browser, settings_file
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def opened() -> Iterator[Any]:
+    """Not longer: while it is there, asyncio has a loop that others must not find."""
     with browser() as made:
         yield made
 
