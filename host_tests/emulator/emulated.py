@@ -131,8 +131,10 @@ class Board:
         return {"state": state, **dict(field.split(":", 1) for field in fields)}
 
     def until_idle(self, limit_us: float = 10_000_000) -> None:
-        """Let the machine finish."""
+        """Let the machine finish. As with Grbl, a ? right behind an answer may be ahead of the
+        start of what the line has planned, so there is a pause before the first."""
         end = self.pico.us + limit_us
+        self.pico.run_us(5_000)
         while self.status()["state"] != "Idle":
             assert self.pico.us < end, f"not idle: {self.said}"
             self.pico.run_us(20_000)

@@ -522,6 +522,8 @@ def test_nothing_is_cut_off_on_a_phone(person_at, scheme):
     person.open_from_disk()
     person.connect("Alarm")
     person.machine.say(b"ALARM:9\r\n")
+    person.click("#tabs [data-tab=job]")
+    person.loads(f"(a comment {'that does not end ' * 9})\nG1 X99999.999 F100\n")
     for tab in ("machine", "job", "console", "settings", "offsets"):
         person.click(f"#tabs [data-tab={tab}]")
         person.pauses(0.2)
