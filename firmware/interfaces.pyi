@@ -110,6 +110,9 @@ class Canon(Protocol):
     def finish(self) -> None:
         """Make what has been asked for."""
 
+    def begin_jog(self) -> None:
+        """A jog has been planned: it starts at once, unless one is under way."""
+
     def wait_for_room(self) -> None:
         """Wait until another block can be planned. Raises Abort after a reset."""
 

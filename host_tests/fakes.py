@@ -59,6 +59,9 @@ class FakeCanon:
     def jog(self, target: "array[float]", move: Move) -> None:
         self.asked.append(f"jog F{move.feed:g} {place(target)}")
 
+    def begin_jog(self) -> None:
+        self.asked.append("begin jog")
+
     def finish(self) -> None:
         """Every line ends with one: it is not noted."""
 

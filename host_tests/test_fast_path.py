@@ -5,12 +5,24 @@ from types import SimpleNamespace
 
 import pytest
 from base.errors import GrblError
-from base.state import RPM
+from base.state import IDLE, RPM
 from boot import wiring
 from control import modes as modal
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from language.fast_kernel import AXES, FEED, HAS_G0, HAS_G1, LASER, MODE, OFFSETS, VALUES, read
+from language.fast_kernel import (
+    AXES,
+    CHANGED,
+    FEED,
+    HAS_G0,
+    HAS_G1,
+    LASER,
+    MODE,
+    OFFSETS,
+    SAME,
+    VALUES,
+    read,
+)
 from language.fast_path import FastPath
 from motion import layout
 from oracle import read_words
@@ -18,6 +30,7 @@ from test_words import bits, pieces
 from ugrbl.run import machine
 from ugrbl.run.program import ProgramLink
 
+MEANINGS = (20, 21, 90, 91)
 modes = st.tuples(st.sampled_from([HAS_G0, HAS_G1]), st.booleans(), st.sampled_from([0.0, 500.0]))
 
 
@@ -31,18 +44,29 @@ modes = st.tuples(st.sampled_from([HAS_G0, HAS_G1]), st.booleans(), st.sampled_f
 @example("G1X1S5", (HAS_G1, False, 500.0))
 @example("G00X-0F-0", (HAS_G0, False, 0.0))
 @example("[1", (HAS_G0, False, 0.0))
+@example("G20G1X1F500G91", (HAS_G1, False, 500.0))
+@example("G90G91X1", (HAS_G0, False, 0.0))
+@example("G21G90.1", (HAS_G0, False, 0.0))
+@example("G91G21", (HAS_G0, False, 0.0))
 def test_a_plain_line_holds_nothing_that_could_be_wrong(
     text: str, modes: "tuple[int, bool, float]"
 ) -> None:
     mode, laser, feed = modes
     known = array("i", [0] * (OFFSETS + 6))
     known[AXES], known[MODE], known[LASER], known[FEED] = 6, mode, laser, bits(feed)
-    seen = read(bytearray(text.encode() + b"\0"), len(text), known)
+    seen = read(bytearray(text.encode() + b"\0"), 0, len(text), known)
     if seen <= 0:
         return
-    found, fault = read_words(text)
+    words, fault = read_words(text)
+    meant = [value for letter, value in words if letter == "G" and value in MEANINGS]
+    assert bool(seen & CHANGED) == bool(meant)
+    assert len({value // 70 for value in meant}) == len(meant)
+    found = [word for word in words if word[0] != "G" or word[1] not in MEANINGS]
     letters = [letter for letter, _ in found]
     assert not fault
+    if seen & SAME:
+        assert not letters
+        return
     assert set(letters) & set("XYZABC")
     assert len(set(letters)) == len(letters)
     assert set(letters) <= set("GXYZABCFNS")
@@ -52,13 +76,14 @@ def test_a_plain_line_holds_nothing_that_could_be_wrong(
         assert letter not in "FNS" or value >= 0
         assert letter != "N" or value < 10_000_000
         bit = "XYZABC".index(letter) + 5 if bit is None else bit
-        is_new = {"F": value != feed, "G": bit and 1 << bit != mode}.get(letter, True)
+        other_feed = value != feed or 20 in meant
+        is_new = {"F": other_feed, "G": bit and 1 << bit != mode}.get(letter, True)
         assert seen >> bit & 1 == is_new
         assert letter == "G" or known[VALUES + bit] & 0xFFFFFFFF == bits(value)
-    words = dict(found)
-    cuts = words.get("G", mode == HAS_G1) == 1
-    assert words.get("F", feed) or not cuts
-    assert "S" not in words or (laser and cuts)
+    values = dict(found)
+    cuts = values.get("G", mode == HAS_G1) == 1
+    assert values.get("F", feed) or not cuts
+    assert "S" not in values or (laser and cuts)
 
 
 class Bench:
@@ -76,8 +101,10 @@ class Bench:
         self.machine.configure()
         self.machine.planner.override()
         self.machine.canon.service = self.machine.planner.clear  # whoever waits finds room
+        self.machine.drive.start = self.machine.state.enter  # type: ignore[method-assign]
         if not short:
-            vars(self.machine.interpreter.fast)["execute"] = lambda _line, _length: False
+            fast = vars(self.machine.interpreter.fast)
+            fast["execute"] = fast["jog"] = lambda _line, _length: False
 
     def tell(self, text: str) -> object:
         """Everything that comes of a line."""
@@ -85,7 +112,9 @@ class Bench:
         line = bytearray(text.encode() + b"\0")
         fault = 0
         try:
-            if not (self._short and gcode.fast.follow(line, len(text))):
+            if text.startswith("$J="):
+                gcode.jog(line, len(text))
+            elif not (self._short and gcode.fast.follow(line, len(text))):
                 if text:  # of an empty line no interpreter hears
                     gcode.execute(line, len(text))
         except GrblError as refusal:
@@ -99,23 +128,29 @@ class Bench:
             list(planner.position),
             speed,
             self.machine.state.spindle[RPM],
+            self.machine.state.run,
         )
         planner.clear()
+        self.machine.state.enter(IDLE)
         return found, rest
 
 
-in_force = ["G90", "G91", "G17", "G21", "G94", "G54", "G49", "G40", "G61", "M5", "M9", "M3"]
+in_force = ["G90", "G91", "G17", "G20", "G21", "G94", "G54", "G49", "G40", "G61", "M5", "M9", "M3"]
 repeated = st.one_of(
     st.just(""), st.lists(st.sampled_from(in_force), min_size=1, max_size=3).map("".join)
 )
 simple = st.from_regex(r"(G[01])?(X-?[0-9]{1,2}\.[0-9]{0,3})?(Y-?[0-9]\.[0-9])?", fullmatch=True)
+jog = st.from_regex(
+    r"\$J=(G2[01]|G9[01]|G53|G1|){0,2}(X-?[0-9]{0,3}\.?[0-9]?)?(Y1|Z-2\.5)?(N7|S5)?(F[0-9]{0,4})?G?",
+    fullmatch=True,
+)
 other = st.sampled_from(
     "G91 G90 G20 G21 G92X1.1Y-3 G92.1 F300 S500 M3S200 M4 M5 T2 G43.1Z0.3 G49 G55 G54 G10L2P2X0.7 "
     "G93 G94 G2X1Y1R5 G80 X1X2 M8 M9".split()
 )
 tail = st.sampled_from(["", "", "", "F200", "F700", "S100", "N12", "S0", "Z1", "F0", "Z-0.0001"])
 program = st.lists(
-    st.one_of(*[st.tuples(repeated, simple, tail, repeated).map("".join)] * 4, other),
+    st.one_of(*[st.tuples(repeated, simple, tail, repeated).map("".join)] * 4, other, jog),
     min_size=4,
     max_size=25,
 )
@@ -130,6 +165,10 @@ program = st.lists(
 @example(["F300", "G1X1", "G90X2", "G90M5X3", "G90G90X4", "G17G21", "M5M9", "G91", "G91X1"], False)
 @example(["F300", "G1X1", "M3S5", "M3X2", "M3S6X2", "M5X3", "M3M3", "G93", "G90", "G1X4F2"], True)
 @example(["M3S100F300", "G1X1", "X2", "X2", "X3", "T3", "X4", "X5", "X6", "X7"], False)
+@example(["F300", "G1X1", "X2", "G91G20X1", "G20", "X1F3", "G21G90X2F300", "G90G91"], False)
+@example(["G92X1", "$J=X1F50", "$J=G91X1F50", "G20", "$J=G21X2F5", "$J=X1F5", "$J=X1"], False)
+@example(["M4S9F5", "G1X1", "X1", "$J=X2F9", "X3S5", "$J=G20X1F9", "$J=X1F9S2", "M5"], True)
+@example(["$J=G1X1F9", "$J=X1F0", "$J=G20X1F0", "$J=G54X1F9", "$J=G90F9", "G93", "$J=X4F9"], False)
 def test_the_short_path_does_what_the_long_one_does(lines: "list[str]", laser: bool) -> None:
     short, long = Bench(laser, True), Bench(laser, False)
     for line in lines:
@@ -193,9 +232,9 @@ def test_lines_after_the_second_of_their_kind_take_the_short_path() -> None:
     assert bench.machine.modes.rates[modal.FEED] == 503
     planned = bench.machine.planner.free()
     assert plain.follow(bytearray(b"\0"), 0) == 1 and bench.machine.planner.free() == planned
-    for text in (b"G90G21X9", b"G90G94", b"M5M9"):
+    for text in (b"G90G21X9", b"G90G94", b"M5M9", b"G91X1", b"G20G90", b"G21"):
         assert plain.follow(bytearray(text + b"\0"), len(text)) == 1
-    for text in (b"G91X1", b"G90G90X1", b"M3", b"G55"):
+    for text in (b"G91G20X0", b"G90G90X1", b"M3", b"G55"):
         assert plain.follow(bytearray(text + b"\0"), len(text)) == 0
     bench.machine.state.change()
     assert plain.follow(bytearray(b"X9\0"), 2) == 0

@@ -98,7 +98,7 @@ _PROVED = {
     "reverse_pass": "plan_kernel.reverse_pass(ring, flow, 1)",
     "scan": "words.scan(text, end, letters, values)",
     "read": "line.read(short, 0, len(short) - 1)",
-    "fast_kernel.read": "fast_kernel.read(short, len(short) - 1, known)",
+    "fast_kernel.read": "fast_kernel.read(short, 0, len(short) - 1, known)",
     "place": "fast_kernel.place(known, 7, here, target)",
     "line_number": "fast_kernel.line_number(known, fast_kernel.HAS_N)",
     "judge": "canon.judge(target, there, flow)",

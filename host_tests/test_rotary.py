@@ -132,7 +132,15 @@ def test_a_line_takes_as_long_as_the_standard_has_it(
 
 
 def test_a_rotary_axis_alone_goes_in_degrees_a_minute_also_in_inches() -> None:
-    for lines in (["G1A36F720"], ["G20", "G1A36F720"], ["$J=G20A36F720"], ["$J=A36F720"]):
+    for lines in (
+        ["G1A36F720"],
+        ["G20", "G1A36F720"],
+        ["G1F9", "G20", "G21", "A36F720"],
+        ["G1F9", "G20", "G21A36F720"],
+        ["G1F9", "G90", "G20A36F720"],
+        ["$J=G20A36F720"],
+        ["$J=A36F720"],
+    ):
         machine = played(lines)
         assert seconds(machine) == pytest.approx(3, rel=0.01), lines
         assert places(machine) == [0, 0, 0, 36]

@@ -69,7 +69,7 @@ def print_words(dice):
         singles.add_single(one, 0, other, 0)
         print(
             list(bytes(other)),
-            fast_kernel.read(bytearray(text.encode() + b"\0"), len(text), known),
+            fast_kernel.read(bytearray(text.encode() + b"\0"), 0, len(text), known),
         )
 
 

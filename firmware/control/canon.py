@@ -119,7 +119,6 @@ class Canon:
 
     def finish(self) -> None:
         """Make what has been asked for."""
-        state = self._state
         if self._course[arcs.LEFT]:
             self._plan_chords()
         if self._asked:
@@ -127,8 +126,12 @@ class Canon:
             self._plan_line(self._target, self._move)
         if self._is_jog:
             self._is_jog = False
-            if state.run == st.IDLE and not self.planner.empty():
-                self._drive.start(st.JOG)
+            self.begin_jog()
+
+    def begin_jog(self) -> None:
+        """A jog has been planned: it starts at once, unless one is under way."""
+        if self._state.run == st.IDLE and not self.planner.empty():
+            self._drive.start(st.JOG)
 
     def _plan_line(self, target: "array[float]", move: "Move") -> None:
         state = self._state

@@ -59,6 +59,7 @@ class Drive:
         self.by_pin = False  # a switch or a button has asked for the reset that is due
         self.settling = False  # it stands still, and the motors are still powered ($1)
         self._since = 0
+        self._level = -1  # of the motors' enable output: none has been set
         self._is_new = True  # power is on, and nothing can have moved
         # Where motion stood when it was set going again, and how often that was in vain.
         self._progress = -1
@@ -241,4 +242,7 @@ class Drive:
 
     def power(self, on: bool) -> None:
         """Motors on or off ($4)."""
-        self._port.enable((0 if on else 1) ^ self._settings.enable_invert)
+        level = (0 if on else 1) ^ self._settings.enable_invert
+        if level != self._level:
+            self._level = level
+            self._port.enable(level)

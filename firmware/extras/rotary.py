@@ -14,6 +14,7 @@ from base.axes import Z
 from base.f32 import copy
 from control.canon import BELOW, SHUT, TRAVEL, Canon
 from control.modes import INCHES
+from language.fast_kernel import DEGREES
 from micropython import const
 from motion import arcs, layout, reals
 from motion.planner import Planner
@@ -188,10 +189,11 @@ def _show(report: "Any", rotary: "tuple[int, ...]") -> None:
 
 def _read(machine: "Any", rotary: int) -> None:
     """Lines with words of rotary axes go a way of their own; in inches, the interpreter's."""
-    modal, fast = machine.modes.modal, machine.interpreter.fast
+    fast, ints = machine.interpreter.fast, machine.interpreter.block.ints
     usual_follow: "Callable[[bytearray, int], int]" = fast.follow
     usual_execute: "Callable[[bytearray, int], bool]" = fast.execute
     letters, linear, memory = rotary >> _FIRST, machine.planner.linear, fast.memory()
+    memory[0][DEGREES] = rotary
 
     @micropython.native
     def follow(
@@ -224,8 +226,9 @@ def _read(machine: "Any", rotary: int) -> None:
         )
 
     def execute(line: bytearray, length: int) -> bool:
-        if modal[INCHES] and names_any(line, length, letters):
-            return False
-        return usual_execute(line, length)
+        is_short = usual_execute(line, length)
+        if is_short:
+            ints[INCHES] = 0  # what a rotary axis has not, on this way
+        return is_short
 
     fast.follow, fast.execute = follow, execute

@@ -17,7 +17,7 @@ from motion.plan_kernel import FULL, OUTSIDE, plan
 from motion.reals import BIAS, ONE, mul, pack, per_second, square_root
 from motion.steps import measure, to_steps
 
-_ODD_NEWS = const(fk.MODES | fk.HAS_S | fk.SAME)
+_ODD_NEWS = const(fk.MODES | fk.HAS_S | fk.CHANGED | fk.SAME)
 
 
 @micropython.viper
@@ -81,9 +81,9 @@ def follow_turning(
     interpreter: another motion mode or power, inches, check mode."""
     if known[fk.AXES] == 0 or known[fk.POWER] == fk.UNTOLD or known[fk.CHANGES] != changes[0]:
         return 0
-    if known[fk.IN_INCHES] or known[fk.DRY]:
+    if known[fk.DRY]:
         return 0
-    seen = int(read(text, length, known))
+    seen = int(read(text, 0, length, known))
     if seen <= 0 or seen & _ODD_NEWS:
         return 0
     place(known, seen, position, target)

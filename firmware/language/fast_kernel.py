@@ -28,7 +28,8 @@ HAS_G0 = const(0x08)  # G0, which was not in force
 HAS_G1 = const(0x10)
 MODES = const(0x18)
 NEWS = const(0x1B)
-SAME = const(0x20000000)  # nothing but words that are in force
+CHANGED = const(0x1000)  # how numbers are meant: G20 or G21, G90 or G91, which was not in force
+SAME = const(0x20000000)  # no move, and nothing besides that but words that are in force
 ODD = const(-1)  # what is none of those
 F = const(0)  # the same as bit numbers
 _S = const(1)
@@ -61,20 +62,31 @@ CHANGES = const(23)  # as they were counted when this was known
 LACKS = const(24)  # whether the move lacks what is new
 INCH_MM = const(25)
 WAITS = const(26)  # whether room is all that the last line has lacked
+# How the line itself means its numbers: in inches, relative.
+LINE_INCHES = const(27)
+LINE_RELATIVE = const(28)
+DEGREES = const(29)  # axes (a mask) whose numbers are no lengths: in inches they go the long way
 # The words in force, one of each group: their numbers, M words behind G words. 0: none that a line
 # may repeat here.
-_IN_FORCE = const(27)
+_IN_FORCE = const(30)
+_UNITS = const(1)
+_DISTANCE = const(2)
 _GROUPS = const(9)
 _M_WORDS = const(100)
 OFFSETS = const(_IN_FORCE + _GROUPS)
 
+_JOG_START = const(3)  # behind "$J="
+UNKNOWN = const(-1)  # what a jog depends on is not known, or not any more
+
 
 @micropython.viper
 def set_in_force(known: ptr32, modal: ptr32) -> int:
-    """Note which words a line may have that change nothing."""
+    """Note which words a line may have that change nothing, and how numbers are meant."""
+    known[IN_INCHES] = modal[md.INCHES]
+    known[IS_RELATIVE] = modal[md.RELATIVE]
     known[_IN_FORCE] = 17 + modal[md.PLANE]
-    known[_IN_FORCE + 1] = 20 if modal[md.INCHES] else 21
-    known[_IN_FORCE + 2] = 91 if modal[md.RELATIVE] else 90
+    known[_IN_FORCE + _UNITS] = 20 if modal[md.INCHES] else 21
+    known[_IN_FORCE + _DISTANCE] = 91 if modal[md.RELATIVE] else 90
     known[_IN_FORCE + 3] = 0 if modal[md.INVERSE_TIME] else 94
     known[_IN_FORCE + 4] = 54 + modal[md.SYSTEM]
     known[_IN_FORCE + 5] = 40
@@ -88,9 +100,9 @@ def set_in_force(known: ptr32, modal: ptr32) -> int:
 
 
 @micropython.viper
-def _group_in_force(known: ptr32, value: int, first: int) -> int:
-    """The group, a bit each, of a word that is in force; 0: it is not. value: the bits of its
-    number, a float."""
+def _group(known: ptr32, value: int, first: int) -> int:
+    """The group, a bit each, of a word that is in force, or with CHANGED of one that says how the
+    line's numbers are meant; 0: of any other. value: the bits of its number, a float."""
     shift = 150 - (value >> 23)
     if shift < 17 or shift > 23:  # not from 1 to 127
         return 0
@@ -101,18 +113,25 @@ def _group_in_force(known: ptr32, value: int, first: int) -> int:
     for group in range(_GROUPS):
         if known[_IN_FORCE + group] == word + first:
             return 1 << group
+    if first == 0 and word >> 1 == 10:  # 20 and 21
+        known[LINE_INCHES] = 21 - word
+        return CHANGED | 1 << _UNITS
+    if first == 0 and word >> 1 == 45:  # 90 and 91
+        known[LINE_RELATIVE] = word - 90
+        return CHANGED | 1 << _DISTANCE
     return 0
 
 
 @micropython.viper
-def read(text: ptr8, length: int, known: ptr32) -> int:
-    """What a line holds if it does no more than move; ODD or 0 if it does, or if a word is wrong.
-    Such have G0 and G1, X to Z and A to C, F, N and S, each once at the most, the last three not
-    negative, and words that are in force. Returns a mask of axes and of what is new, the public
-    names above.
+def read(text: ptr8, pos: int, length: int, known: ptr32) -> int:
+    """What a line, from pos on, holds if it does no more than move; ODD or 0 if it does, or if a
+    word is wrong. Such have G0 and G1, X to Z and A to C, F, N and S, each once at the most, the
+    last three not negative, words that are in force, and G20, G21, G90 and G91. Returns a mask of
+    axes and of what is new, the public names above.
     """
     signs = ptr8(known)
-    pos = 0
+    known[LINE_INCHES] = known[IN_INCHES]
+    known[LINE_RELATIVE] = known[IS_RELATIVE]
     seen = 0
     repeated = 0
     while pos < length:
@@ -142,8 +161,8 @@ def read(text: ptr8, length: int, known: ptr32) -> int:
         value = known[VALUES + bit]
         if bit == _G0:
             if first or (value and value != 0x3F800000):  # the float 1
-                group = int(_group_in_force(known, value, first))
-                if group == 0 or repeated & group:
+                group = int(_group(known, value, first))
+                if group == 0 or repeated & group & ~CHANGED:
                     return ODD
                 repeated |= group
                 continue
@@ -158,9 +177,11 @@ def read(text: ptr8, length: int, known: ptr32) -> int:
         if (seen >> bit) & 1:
             return 0
         seen |= 1 << bit
-    if seen == 0 and repeated:
-        return SAME
-    return int(_news(known, seen))
+    if seen:
+        seen = int(_news(known, seen))
+    elif repeated:
+        seen = SAME
+    return seen | repeated & CHANGED if seen else 0
 
 
 @micropython.viper
@@ -168,13 +189,15 @@ def _news(known: ptr32, seen: int) -> int:
     """What is new of all that a line has; 0 where that does more than move."""
     if seen < 1 << X or seen >> (X + known[AXES]):
         return 0
+    if known[LINE_INCHES] and seen >> X & known[DEGREES]:
+        return 0
     mode = seen & MODES
     if mode == known[MODE]:
         seen ^= mode
     mode = mode or known[MODE]
     rate = known[FEED]
     if seen & HAS_F:
-        if known[VALUES + F] == rate and known[IN_INCHES] == 0:
+        if known[VALUES + F] == rate and known[LINE_INCHES] == 0:
             seen ^= HAS_F
         rate = known[VALUES + F]
     if mode == HAS_G1:
@@ -188,9 +211,9 @@ def place(known: ptr32, seen: int, position: ptr32, target: ptr32) -> int:
     for i in range(known[AXES]):
         if (seen >> (X + i)) & 1:
             target[i] = known[_PLACES + i]
-            if known[IN_INCHES]:
+            if known[LINE_INCHES]:
                 multiply(target, i, known, INCH_MM)
-            if known[IS_RELATIVE]:
+            if known[LINE_RELATIVE]:
                 add_single(position, i, target, i)
             elif known[OFFSETS + i]:
                 add_single(known, OFFSETS + i, target, i)
@@ -233,11 +256,13 @@ def follow(
         return 1
     if known[AXES] == 0 or known[POWER] == UNTOLD or known[CHANGES] != changes[0]:
         return 0
-    seen = int(read(text, length, known))
-    if seen == SAME:
-        return 1
+    seen = int(read(text, 0, length, known))
     if seen <= 0:
         return 0
+    if seen & SAME:
+        if seen & CHANGED:
+            news(seen)  # type: ignore[operator]
+        return 1
     place(known, seen, position, target)
     found = int(judge(target, travel, flow))
     if found & OUTSIDE and known[LIMITED]:
@@ -245,8 +270,8 @@ def follow(
     if known[DRY] == 0 and found & FULL:
         known[WAITS] = 1
         return 0
-    if seen & NEWS:
-        if seen & MODES or (seen & HAS_F and known[IN_INCHES]):
+    if seen & (NEWS | CHANGED):
+        if seen & (MODES | CHANGED) or (seen & HAS_F and known[LINE_INCHES]):
             known[POWER] = int(news(seen))  # type: ignore[operator]
         else:
             known[LACKS] = 1
@@ -268,5 +293,43 @@ def follow(
         if int(plan_block(target, table, ring, flow, known[FLAGS], line, power, rate)) == 0:
             return 0
         speeds[at] = known[RPM]
+    copy(target, position, known[AXES])
+    return 1
+
+
+@micropython.viper
+def jog(
+    text: ptr8,
+    length: int,
+    known: ptr32,
+    position: ptr32,
+    target: ptr32,
+    travel: ptr32,
+    table: ptr32,
+    ring: ptr32,
+    flow: ptr32,
+    speeds: ptr32,
+    changes: ptr32,
+    rates: ptr32,
+) -> int:
+    """Plan a "$J=" line that is allowed and finds room. Returns 1; 0, and nothing has changed; or
+    UNKNOWN. known: a table of its own, without a motion mode, feed rate or power."""
+    if known[AXES] == 0 or known[CHANGES] != changes[0]:
+        return UNKNOWN
+    seen = int(read(text, _JOG_START, length, known))
+    if seen <= 0 or seen & (SAME | MODES | HAS_F) != HAS_F or known[VALUES + F] == 0:
+        return 0
+    place(known, seen, position, target)
+    found = int(judge(target, travel, flow))
+    if found & FULL or (found & OUTSIDE and known[LIMITED]):
+        return 0
+    if known[LINE_INCHES]:
+        multiply(known, VALUES + F, known, INCH_MM)
+    rate = int(per_second(known, VALUES + F))
+    at = flow[HEAD]
+    line = int(line_number(known, seen))
+    if int(plan_block(target, table, ring, flow, known[FLAGS], line, 0, rate)) == 0:
+        return 0
+    speeds[at] = rates[md.RPM]
     copy(target, position, known[AXES])
     return 1

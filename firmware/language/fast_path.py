@@ -13,7 +13,7 @@ from base import state as st
 from base.f32 import copy, vector
 from base.singles import to_mm
 from control import modes as md
-from control.modes import INCHES, INVERSE_TIME, MOTION, RELATIVE
+from control.modes import INCHES, INVERSE_TIME, MOTION, RELATIVE, SPINDLE
 from micropython import const
 from motion import layout
 from motion import planner as plan
@@ -21,7 +21,7 @@ from motion.reals import per_second
 
 from language import block_layout as b
 from language import fast_kernel as fk
-from language.fast_kernel import follow, line_number, place, read
+from language.fast_kernel import follow, jog, line_number, place, read
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -67,6 +67,7 @@ class FastPath:
         self._known = array("i", (0 for _ in range(fk.OFFSETS + axes)))
         self._offsets = memoryview(self._known)[fk.OFFSETS :]
         self._known[fk.INCH_MM] = 0x41CB3333  # the float 25.4
+        self._jogs = array("i", self._known)  # what jogs depend on: the same, but for modes
         self._asked = False  # the last line was one of these
         self.is_open = True
         planner = canon.planner
@@ -116,7 +117,7 @@ class FastPath:
 
     def forget(self) -> None:
         """A line went the long way: what was known may be so no more."""
-        self._known[fk.AXES] = 0
+        self._known[fk.AXES] = self._jogs[fk.AXES] = 0
         self._asked = False
 
     def _look(self) -> None:
@@ -134,8 +135,6 @@ class FastPath:
             axes = len(modes.position)
             known[fk.AXES] = axes
             copy(coords.zero(coords.active), self._offsets, axes)
-            known[fk.IS_RELATIVE] = modal[RELATIVE]
-            known[fk.IN_INCHES] = modal[INCHES]
             known[fk.LIMITED] = self._settings.soft_limits
             known[fk.DRY] = self._state.run == st.CHECK
             known[fk.LASER] = self._spindle.laser
@@ -163,15 +162,17 @@ class FastPath:
         is_known = known[fk.AXES] and known[fk.CHANGES] == self._state.changes[0]
         if not is_known:
             fk.set_in_force(known, self._modes.modal)
-        seen = read(line, length, known)
+        seen = read(line, 0, length, known)
         if seen != fk.ODD and not is_known:
             self._look()
-            seen = read(line, length, known)
-        if seen == fk.SAME:
-            self._asked = False
-            return known[fk.AXES] > 0
-        if seen <= 0:
+            seen = read(line, 0, length, known)
+        if seen <= 0 or not known[fk.AXES]:
             return False
+        if seen & fk.CHANGED:
+            self._take_meaning()
+        if seen & fk.SAME:
+            self._asked = False
+            return True
         if seen & fk.NEWS or known[fk.LACKS]:
             self._take_news(seen)
         # Go where the line says.
@@ -191,10 +192,22 @@ class FastPath:
     def _follow_news(self, seen: int) -> int:
         """A line that goes the shortest way has something new. Returns the power for it."""
         known, move = self._known, self._move
+        if seen & fk.CHANGED:
+            self._take_meaning()
+            if not seen & fk.NEWS:
+                return known[fk.POWER]
         self._take_news(seen)
         power = 0 if known[fk.DRY] else self._canon.power_of(move)
         known[fk.FLAGS] = move.flags
         return power
+
+    def _take_meaning(self) -> None:
+        """A line changes how numbers are meant."""
+        known, modal = self._known, self._modes.modal
+        modal[INCHES] = known[fk.LINE_INCHES]
+        modal[RELATIVE] = known[fk.LINE_RELATIVE]
+        fk.set_in_force(known, modal)
+        self._jogs[fk.AXES] = 0
 
     def _take_news(self, seen: int) -> None:
         """A line changes motion mode, feed rate, or a laser's power."""
@@ -207,6 +220,50 @@ class FastPath:
         if seen & fk.MODES:
             modes.modal[MOTION] = b.SEEK if seen & fk.HAS_G0 else b.LINEAR
         self._set()
+
+    def jog(self, line: bytearray, length: int) -> int:
+        """Plan a "$J=" line, and return 1; or 0, and nothing has been done."""
+        done = self._jog(line, length)
+        if done == fk.UNKNOWN:
+            self._look_at_jogs()
+            done = self._jog(line, length)
+        return 1 if done > 0 else 0
+
+    @micropython.native
+    def _jog(self, line: bytearray, length: int) -> int:
+        """A call with all that jog() needs."""
+        memory = self._memory
+        _, position, target, travel, table, ring, flow, speeds, changes, rates, _, _ = memory
+        known = self._jogs
+        return jog(
+            line,
+            length,
+            known,
+            position,
+            target,
+            travel,
+            table,
+            ring,
+            flow,
+            speeds,
+            changes,
+            rates,
+        )
+
+    def _look_at_jogs(self) -> None:
+        """See what jogs depend on. AXES stays 0 where they are not to go the shorter way."""
+        modes, coords, known = self._modes, self._coords, self._jogs
+        known[fk.AXES] = 0
+        turns = modes.modal[SPINDLE]
+        if self.follow is not self.plain or not self.is_open or coords.tool_length or turns:
+            return
+        known[fk.CHANGES] = self._state.changes[0]
+        known[fk.AXES] = axes = len(modes.position)
+        known[fk.IN_INCHES] = modes.modal[INCHES]
+        known[fk.IS_RELATIVE] = modes.modal[RELATIVE]
+        known[fk.LIMITED] = self._settings.soft_limits
+        copy(coords.zero(coords.active), memoryview(known)[fk.OFFSETS :], axes)
+        known[fk.FLAGS] = layout.NO_FEED_OVERRIDE | modes.accessory_flags()
 
     def tell(self) -> None:
         """A line has been planned: if it only moves, the next ones are like that."""

@@ -147,6 +147,9 @@ class Interpreter:
 
     def jog(self, line: bytearray, length: int) -> None:
         """Interpret a "$J=" line. The modal state stays as it is."""
+        if self.fast.jog(line, length):
+            self._canon.begin_jog()
+            return
         block, modes, modal = self.block, self._modes, self._jog_modal
         copy(modes.modal, modal, MODAL_LENGTH)
         modal[MOTION] = b.LINEAR

@@ -19,14 +19,15 @@ from control import modes
 from language import fast_kernel
 from ugrbl.device.selftest import program
 
+_FIRST = """
+from boot import power_up  # first, as in main.py: it sees to where memory is free
+"""
 _START = """
 power_up.live(power_up.build())
 """
 
 # Commands: `$NAME=number` answers with numbers in a message.
 _COMMANDS = """
-from boot import power_up  # first, as in main.py: it sees to where memory is free
-
 import gc
 import time
 
@@ -284,7 +285,8 @@ else:
 acts[b"GAP"] = longest
 """
 
-_BEGIN = program.found() + _COMMANDS
+_BEGIN = program.found() + _FIRST + _COMMANDS
+PLAIN = (program.found() + _FIRST + _START).encode()  # none of our commands
 MAIN = (_BEGIN + _COUNTS + _START).encode()
 STAGES = (_BEGIN + _STAGES + _START).encode()
 GAPS = (_BEGIN + _GAPS + _START).encode()

@@ -6,7 +6,7 @@ import prompt
 import streaming
 from bench_setup import Bench, inside, reset, set_up
 from emulated import files_of
-from on_board import GAPS, MAIN, STAGES
+from on_board import GAPS, MAIN, PLAIN, STAGES
 from rows import Row
 from streaming import (
     CIRCLE,
@@ -153,6 +153,7 @@ def long_lines(bench: Bench) -> Iterator[Row]:
         made = stream(talk, lines * 30, _BLOCKS)
         yield Row(f"a line with {name}", 1000 / made.lines_s, "ms a line")
         idle(talk)
+    talk = bench.talk(PLAIN)  # our commands look at every line that begins with $
     for line in _ASKED_FOR:
         times = []
         for _ in range(5):
