@@ -33,7 +33,8 @@ _RAM, _RAM_END = 0x20000000, 0x20042000
 
 _OUT_ENABLE = 0xE081  # set(pindirs, 1)
 _PULL, _LOAD_ISR = 0x8080, 0xA0C7  # pull(noblock), mov(isr, osr)
-_TXF_END = _PIO[0] + _TXF + 16
+_MACHINES = 4  # of a block
+_TXOVER = 16
 _TICK_NS = 80
 _CLOCK_FLAG = 1 << 3  # the clock is machine 3
 
@@ -155,8 +156,9 @@ class Channel:
         self.counted = True
         self.flight = 1
         self._chip = chip
-        self._number = number
-        self._fifo = chip.mcu.pio[0].machines[number].tx_fifo
+        block, own = divmod(number, _MACHINES)
+        self._put_at = _PIO[block] + _TXF + 4 * own
+        self._fifo = chip.mcu.pio[block].machines[own].tx_fifo
         self._level = 0  # of the FIFO, when last seen
         self._room = _FIFO
         self._flying: deque[tuple[int, int]] = deque()  # when it arrives, the word
@@ -197,7 +199,7 @@ class Channel:
         """A word comes to the FIFO; where that is full it is lost, and TXOVER says so."""
         self.look()
         self._level += not self._fifo.full
-        self._chip.mcu.write_uint32(_PIO[0] + _TXF + 4 * self._number, word)
+        self._chip.mcu.write_uint32(self._put_at, word)
 
     def look(self) -> None:
         """See what has been taken out."""
@@ -225,7 +227,8 @@ class PioChip(_Chip):
     """A chip with a PioEngine that runs on it. patch: until its end the engine is not on a board.
 
     The engine's own interrupt comes `latency` ticks late. Whatever the engine does with a
-    register takes a tick; the rest of its computing takes no time.
+    register takes a tick; the rest of its computing takes no time. So what begins at once in PIO 0
+    and PIO 1, a few cycles apart on a chip, is a tick apart here.
     """
 
     def __init__(
@@ -287,8 +290,12 @@ class PioChip(_Chip):
             self.load(block, made.program, at)
             pins = (made.set_base.id, made.out_base.id) if made.set_base else ()
             self.set_up(block, number % 4, made.program, at, pins)
-        for axis, (_, channel) in enumerate(self.engine._machines):
-            assert channel.channel == axis and channel.configured["ctrl"] >> 15 & 63 == axis
+        for axis, (made, channel) in enumerate(self.engine._machines):
+            block, own = divmod(axis, _MACHINES)
+            request = 8 * block + own  # DREQ_PIO0_TX0, DREQ_PIO1_TX0 and behind
+            assert channel.channel == axis
+            assert channel.configured["ctrl"] >> 15 & 63 == request
+            assert channel.configured["write"] is made is rp2.StateMachine.machines[axis]
             self.channels[axis].write(_DMA_READ, channel.configured["read"])
             self.channels[axis].write(_DMA_CONTROL, channel.configured["ctrl"])
 
@@ -329,7 +336,8 @@ class PioChip(_Chip):
             self._pins_may = address == _NVIC_ENABLE
         self.write(address, value)
         # An instruction forced into a machine at rest: the model looks at pins when one runs.
-        self.mcu.pio[0].check_changed_pins()
+        for block in self.mcu.pio:
+            block.check_changed_pins()
 
     def read(self, address: int) -> int:
         """A register."""
@@ -341,14 +349,21 @@ class PioChip(_Chip):
         address &= 0xFFFFFFFF
         if _DMA <= address < _DMA_END:
             self.channels[(address & 0x7FF) // _DMA_STRIDE].write(address & 0x83F, value)
-        elif _PIO[0] + _TXF <= address < _TXF_END:
-            self.channels[(address - _PIO[0] - _TXF) // 4].put(value & 0xFFFFFFFF)
+        elif channel := self._of_fifo(address):
+            channel.put(value & 0xFFFFFFFF)
         else:
             super().write(address, value)
 
+    def _of_fifo(self, address: int) -> "Channel | None":
+        for channel in self.channels:
+            if channel._put_at == address:
+                return channel
+        return None
+
     def lost(self) -> int:
-        """Machines whose FIFO has been given a word when it was full."""
-        return self.read(_PIO[0] + _FDEBUG) >> 16 & 15
+        """Machines whose FIFO has been given a word when it was full, those of PIO 1 behind."""
+        first, second = (self.read(at + _FDEBUG) >> _TXOVER & 15 for at in _PIO)
+        return first | second << _MACHINES
 
     # Time and interrupts
 

@@ -165,32 +165,43 @@ def test_steps_are_even_across_the_joints_of_a_straight_line(pieces: int) -> Non
 
 # Random programs
 
-any_limits = st.builds(
-    Limits,
-    st.tuples(*[st.sampled_from([40.0, 80.0, 250.0, 800.0, 26.667])] * 3),
-    st.tuples(*[st.sampled_from([100.0, 500.0, 3000.0, 20_000.0])] * 3),
-    st.tuples(*[st.sampled_from([5.0, 10.0, 200.0, 3000.0])] * 3),
-    st.sampled_from([0.001, 0.01, 0.05, 0.5]),
-    st.just(90_909),
-    st.sampled_from([(), COREXY, SECOND_Y]),
-)
-steps = st.one_of(
-    *[st.tuples(*[st.floats(-size, size)] * 3) for size in (0.02, 0.5, 4.0)],
-    st.tuples(st.floats(-5, 5), st.just(0.0), st.just(0.0)),
-)
-actions = st.one_of(
-    *[st.tuples(st.just("line"), steps, st.sampled_from([0, 30, 600, 2000, 9000]))] * 6,
-    st.tuples(st.just("pull"), st.integers(1, 9)),
-    st.tuples(st.just("hold")),
-    st.tuples(st.just("override"), st.integers(10, 200), st.sampled_from([25, 50, 100])),
-)
+
+def any_limits(axes: int):
+    def each(*values):
+        return st.tuples(*[st.sampled_from(values)] * axes)
+
+    return st.builds(
+        Limits,
+        each(40.0, 80.0, 250.0, 800.0, 26.667),
+        each(100.0, 500.0, 3000.0, 20_000.0),
+        each(5.0, 10.0, 200.0, 3000.0),
+        st.sampled_from([0.001, 0.01, 0.05, 0.5]),
+        st.just(90_909),
+        st.sampled_from([(), COREXY, SECOND_Y] if axes == len("XYZ") else [()]),
+    )
 
 
+def actions(axes: int):
+    steps = st.one_of(
+        *[st.tuples(*[st.floats(-size, size)] * axes) for size in (0.02, 0.5, 4.0)],
+        st.tuples(st.floats(-5, 5), *[st.just(0.0)] * (axes - 1)),
+    )
+    return st.one_of(
+        *[st.tuples(st.just("line"), steps, st.sampled_from([0, 30, 600, 2000, 9000]))] * 6,
+        st.tuples(st.just("pull"), st.integers(1, 9)),
+        st.tuples(st.just("hold")),
+        st.tuples(st.just("override"), st.integers(10, 200), st.sampled_from([25, 50, 100])),
+    )
+
+
+@pytest.mark.parametrize("axes", [3, 4, 5, 6])
 @some(40)
-@given(any_limits, st.lists(actions, min_size=5, max_size=30))
-def test_random_programs_keep_every_law(limits: Limits, program) -> None:
+@given(st.data())
+def test_random_programs_keep_every_law(axes: int, data) -> None:
+    limits = data.draw(any_limits(axes))
+    program = data.draw(st.lists(actions(axes), min_size=5, max_size=30))
     bench = Bench(limits)
-    place = (0.0, 0.0, 0.0)
+    place = (0.0,) * axes
     for name, *arguments in program:
         if name == "line":
             place = tuple(a + b for a, b in zip(place, arguments[0], strict=True))

@@ -19,33 +19,29 @@ import rp2
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pio import hub, programs
-from test_pio import AXES, DMA_READINGS, STEP, Bed, a_bed, reckon, rush, ticks, word
+from test_pio import AXES, DMA_READINGS, MOTORS, Bed, a_bed, reckon, rush, ticks, word
 
 pio_model = pytest.importorskip("pio_model", reason="rp2040py has no wheel for this platform")
 pioemu = pytest.importorskip("pioemu")
 
 _TXF, _INSTR, _PULL = 0x50200010, 0x502000D8, 0x8080
+_BLOCK = 0x100000  # from one PIO to the next
 _FIRMWARE = str(Path(hub.__file__).parent)
-
-
-def rises(bed: Bed) -> int:
-    """Steps seen so far, of all axes."""
-    return sum(pin in STEP and level for _, pin, level in bed.chip.edges)
 
 
 def check_stopped(bed: Bed, made: int) -> None:
     """Nothing steps any more, whatever happens; then all is well again."""
     bed.chip.run(1000)
-    assert rises(bed) == made
+    assert bed.rises() == made
     bed.engine.start()
     bed.chip.run(700)
-    assert rises(bed) == made, "a stopped engine has been started"
+    assert bed.rises() == made, "a stopped engine has been started"
     assert bed.engine.idle()
     assert bed.position() == bed.places()
     before = bed.places()
-    bed.again([array("i", [400, 0b101, 0, *(3, 0, 300) * AXES])]).finish()
+    bed.again([array("i", [400, 0b010101, 0, *(3, 0, 300) * bed.motors])]).finish()
     moved = [b - a for a, b in zip(before, bed.places(), strict=True)]
-    assert moved == [-3, 3, -3]
+    assert moved == [-3, 3, -3, 3, -3, 3][: bed.motors]
     assert bed.position() == bed.places()
     assert bed.engine.fault() == ""
 
@@ -53,22 +49,26 @@ def check_stopped(bed: Bed, made: int) -> None:
 # Stops
 
 
+@pytest.mark.parametrize("motors", MOTORS)
 @given(st.integers(0, 9000), st.integers(0, 900), DMA_READINGS)
-@settings(max_examples=60)
-def test_a_stop_at_any_instant_is_exact(after: int, latency: int, dma: "tuple[bool, int]") -> None:
-    with a_bed(latency=latency, counted=dma[0], flight=dma[1]) as bed:
-        bed.start(rush([0, 7, 5, 2]))
+@settings(max_examples=40)
+def test_a_stop_at_any_instant_is_exact(
+    motors: int, after: int, latency: int, dma: "tuple[bool, int]"
+) -> None:
+    with a_bed(latency=latency, counted=dma[0], flight=dma[1], motors=motors) as bed:
+        bed.start(rush([0, 63, 37, 26], motors=motors))
         bed.chip.run(after)
         bed.engine.stop()
-        check_stopped(bed, rises(bed))
+        check_stopped(bed, bed.rises())
 
 
+@pytest.mark.parametrize("motors", [3, 6])
 @pytest.mark.parametrize("counted", [True, False])
-def test_stops_without_end_lose_no_word(counted: bool) -> None:
+def test_stops_without_end_lose_no_word(counted: bool, motors: int) -> None:
     """Each leaves words in FIFOs, in DMA and between them; those are not to add up."""
-    with a_bed(counted=counted, flight=2) as bed:
+    with a_bed(counted=counted, flight=2, motors=motors) as bed:
         for k in range(40):
-            bed.again(rush([0, 7, 5])).chip.run(137 * k % 4001)
+            bed.again(rush([0, 63, 5], motors=motors)).chip.run(137 * k % 4001)
             bed.engine.stop()
             assert bed.position() == bed.places()
         assert bed.engine.fault() == ""
@@ -106,29 +106,33 @@ class Injector:
     def _stop(self) -> None:
         sys.settrace(None)
         self._bed.engine.stop()
-        self.made = rises(self._bed)
+        self.made = self._bed.rises()
         assert self._bed.position() == self._bed.places()
 
 
 @contextmanager
-def injected(opcodes: bool, at: "tuple[tuple[str, int], int] | None") -> "Iterator[Any]":
+def injected(
+    opcodes: bool, motors: int, at: "tuple[tuple[str, int], int] | None"
+) -> "Iterator[Any]":
     """A bed in motion, with a stop at that place; or all places that there are."""
-    with a_bed(latency=300) as bed:
+    with a_bed(latency=300, motors=motors) as bed:
         injector = Injector(bed, opcodes)
         injector.at = at
         before = sys.gettrace()
         sys.settrace(injector.trace)
         try:
-            bed.start(rush([0, 7, 5]))
+            bed.start(rush([0, 63, 5], motors=motors))
             bed.chip.run(7000)
         finally:
             sys.settrace(before)
         yield bed, injector
 
 
-def places(opcodes: bool, names: "Iterable[str]") -> "Iterator[tuple[tuple[str, int], int]]":
+def places(
+    opcodes: bool, motors: int, names: "Iterable[str]"
+) -> "Iterator[tuple[tuple[str, int], int]]":
     """Every place in these functions, the first and the last time that it comes."""
-    with injected(opcodes, None) as (bed, injector):
+    with injected(opcodes, motors, None) as (bed, injector):
         assert bed.finish().position() == bed.places()
     wanted = {key: count for key, count in injector.seen.items() if key[0] in names}
     assert {name for name, _ in wanted} == set(names)
@@ -139,38 +143,41 @@ def places(opcodes: bool, names: "Iterable[str]") -> "Iterator[tuple[tuple[str, 
 
 @pytest.mark.parametrize("name", ["start", "call", "_turn"])
 def test_a_stop_at_any_bytecode_is_final(name: str) -> None:
-    _check_injection(True, name)
+    _check_injection(True, AXES, name)
 
 
+@pytest.mark.parametrize("motors", [3, 6])
 @pytest.mark.parametrize(
-    "name", ["look", "append", "feed", "_prepare", "convert", "_hand_over", "_launch"]
+    "name", ["look", "append", "feed", "_prepare", "_load", "convert", "_hand_over", "_launch"]
 )
-def test_a_stop_at_any_line_is_final(name: str) -> None:
-    _check_injection(False, name)
+def test_a_stop_at_any_line_is_final(name: str, motors: int) -> None:
+    _check_injection(False, motors, name)
 
 
-def _check_injection(opcodes: bool, name: str) -> None:
+def _check_injection(opcodes: bool, motors: int, name: str) -> None:
     found = 0
-    for at in places(opcodes, [name]):
-        with injected(opcodes, at) as (bed, injector):
+    for at in places(opcodes, motors, [name]):
+        with injected(opcodes, motors, at) as (bed, injector):
             assert injector.made >= 0, f"no stop at {at}"
             check_stopped(bed, injector.made)
             found += 1
     assert found > 3
 
 
+@pytest.mark.parametrize("motors", [3, 6])
 @pytest.mark.parametrize("work", ["stop", "lock"])
-def test_the_engines_interrupt_may_come_into_a_stop(work: str) -> None:
+def test_the_engines_interrupt_may_come_into_a_stop(work: str, motors: int) -> None:
     """It comes before the main loop, and motion has just run dry: nothing is started anew."""
-    for after in range(1, 400, 2):
-        with a_bed(latency=10_000) as bed:
-            bed.start(rush([0, 0, 0, 0]))
-            bed.chip.run(14_500)  # the clock waits, the interrupt is due
-            made = rises(bed)
+    for after in range(1, 600, 2):
+        with a_bed(latency=10_000, motors=motors) as bed:
+            bed.start(rush([0, 0, 0, 0], motors=motors))
+            bed.chip.run(19_000)  # the clock waits, the interrupt is due
+            made = bed.rises()
+            assert made == sum(abs(steps) for steps in bed.position())
             before = bed.chip.accesses
-            bed.chip.preempt(after, lambda bed=bed: rp2.PIO.handlers[1][0](rp2.PIO(1)))
+            bed.chip.preempt(after, _interrupt(bed))
             bed.chip.interruptible(bed.engine.stop if work == "stop" else _lock_y(bed))
-            bed.chip._due = None
+            bed.chip._preempt = None
             done = bed.chip.accesses - before < after
             if work == "stop":
                 check_stopped(bed, made)
@@ -181,6 +188,16 @@ def test_the_engines_interrupt_may_come_into_a_stop(work: str) -> None:
             if done:
                 break
     assert done and after > 10
+
+
+def _interrupt(bed: Bed) -> "Callable[[], None]":
+    """The one that is due, now."""
+
+    def come() -> None:
+        bed.chip._due = None
+        rp2.PIO.handlers[1][0](rp2.PIO(1))
+
+    return come
 
 
 def _lock_y(bed: Bed) -> "Callable[[], None]":
@@ -229,14 +246,15 @@ def _fail(*_: object) -> int:
     raise RuntimeError("maximum recursion depth exceeded")
 
 
+@pytest.mark.parametrize("motors", [3, 6])
 @pytest.mark.parametrize("who", ["_next_segment", "_on_power", "_on_rest"])
 @pytest.mark.parametrize("deaf", [False, True])
-def test_an_exception_in_the_interrupt_stops_everything(who: str, deaf: bool) -> None:
+def test_an_exception_in_the_interrupt_stops_everything(who: str, deaf: bool, motors: int) -> None:
     """deaf: there is too little stack even for those who are to kill the tool."""
-    rows = rush([0] * 9)
+    rows = rush([0] * 9, motors=motors)
     for k, made in enumerate(rows):
         made[2] = k
-    with a_bed() as bed:
+    with a_bed(motors=motors) as bed:
         bed.start(rows)
         bed.chip.run(3500)
         assert bed.engine.fault() == ""
@@ -253,13 +271,16 @@ def test_an_exception_in_the_interrupt_stops_everything(who: str, deaf: bool) ->
         setattr(bed.engine, who, usual[0])
         bed.engine.on_fault = usual[1]
         bed.engine.stop()
-        check_stopped(bed, rises(bed))
+        check_stopped(bed, bed.rises())
 
 
-def test_machines_stop_even_where_the_stop_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("motors", [3, 6])
+def test_machines_stop_even_where_the_stop_fails(
+    monkeypatch: pytest.MonkeyPatch, motors: int
+) -> None:
     """No stack for any call: they are off at once, where they are is found out later."""
-    with a_bed() as bed:
-        bed.start(rush([0] * 9))
+    with a_bed(motors=motors) as bed:
+        bed.start(rush([0] * 9, motors=motors))
         bed.chip.run(1200)
         module = sys.modules[type(bed.engine).__module__]
         with monkeypatch.context() as here:
@@ -267,60 +288,63 @@ def test_machines_stop_even_where_the_stop_fails(monkeypatch: pytest.MonkeyPatch
             bed.engine.on_fault = _fail
             here.setattr(bed.engine, "_next_segment", _fail)
             bed.chip.run(9000)
-        made = rises(bed)
+        made = bed.rises()
         assert not bed.engine.idle()
         bed.chip.run(3000)
-        assert rises(bed) == made
+        assert bed.rises() == made
         assert "interrupt has failed" in bed.engine.fault()
         bed.engine.stop()
         check_stopped(bed, made)
 
 
-def test_a_word_too_many_is_noticed_before_anything_moves() -> None:
+@pytest.mark.parametrize(("motors", "lane"), [(3, 0), (6, 4)])
+def test_a_word_too_many_is_noticed_before_anything_moves(motors: int, lane: int) -> None:
     """Put by hand and taken by hand, as an engine of ours once did: DMA counts five places."""
-    with a_bed() as bed:
+    with a_bed(motors=motors) as bed:
         for register, value in ((_TXF, 122), (_INSTR, _PULL)):
-            bed.chip.write(register, value)
+            bed.chip.write(register + _BLOCK * (lane // 4), value)
         bed.chip.run(10)
-        assert bed.chip.channels[0].read(0x800) == 5
-        bed.start([made for ways in ([0, 7, 0, 7],) for made in rush(ways)])
+        assert bed.chip.channels[lane].read(0x800) == 5
+        bed.start(rush([0, 63, 0, 63], motors=motors))
         bed.chip.run(9000)
-        assert bed.chip.lost() == 1
+        assert bed.chip.lost() == 1 << lane
         assert "lost" in bed.engine.fault()
         bed.engine.stop()
-        made = rises(bed)
+        made = bed.rises()
         bed.engine.start()
         bed.chip.run(3000)
-        assert rises(bed) == made
+        assert bed.rises() == made
         bed.engine.arm()
         assert bed.engine.fault() == ""
         bed.faults.append(0)
 
 
-def test_a_lost_word_stops_the_engine_before_its_next_start() -> None:
-    with a_bed() as bed:
+@pytest.mark.parametrize(("motors", "lane"), [(3, 0), (6, 4)])
+def test_a_lost_word_stops_the_engine_before_its_next_start(motors: int, lane: int) -> None:
+    with a_bed(motors=motors) as bed:
         for _ in range(5):
-            bed.chip.write(_TXF, 0)
-        assert bed.chip.lost() == 1
-        bed.start(rush([0]))
+            bed.chip.write(_TXF + _BLOCK * (lane // 4), 0)
+        assert bed.chip.lost() == 1 << lane
+        bed.start(rush([0], motors=motors))
         bed.chip.run(3000)
-        assert bed.faults and not rises(bed)
+        assert bed.faults and not bed.rises()
         assert "lost" in bed.engine.fault()
         bed.engine.stop()
         bed.engine.arm()
         assert bed.engine.fault() == ""
 
 
-def test_dma_that_does_not_move_is_a_fault() -> None:
+@pytest.mark.parametrize(("motors", "lane"), [(3, 2), (6, 5)])
+def test_dma_that_does_not_move_is_a_fault(motors: int, lane: int) -> None:
     """No interrupt waits for it for ever."""
-    with a_bed() as bed:
-        bed.start(rush([0, 7, 5]))
+    with a_bed(motors=motors) as bed:
+        bed.start(rush([0, 63, 5], motors=motors))
         bed.chip.run(2000)
-        channel = bed.chip.channels[2]
+        channel = bed.chip.channels[lane]
         channel.advance = lambda: None  # type: ignore[method-assign]
         channel._left = 3
         bed.engine.stop()
-        bed.again(rush([0]))
+        bed.again(rush([0], motors=motors))
         bed.chip.run(4000)
         assert bed.faults and "DMA" in bed.engine.fault()
 
@@ -355,7 +379,7 @@ def test_motion_that_is_behind_its_schedule_is_a_fault(base_us: int) -> None:
         clock.tick(30_000_000)
         assert "behind" in bed.engine.fault()
         bed.engine.stop()
-        check_stopped(bed, rises(bed))
+        check_stopped(bed, bed.rises())
 
 
 def test_faults_are_told_without_a_word_that_senders_wait_for() -> None:

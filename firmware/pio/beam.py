@@ -22,7 +22,7 @@ from motion import beam as bm
 
 from pio import pulses
 from pio.engine import PioEngine
-from pio.layout import MOTORS, RUNNING, STARTS
+from pio.layout import MOTORS, RUNNING
 from pio.registers import (
     COUNT_TRIGGER,
     CREDITS,
@@ -62,8 +62,6 @@ class BeamEngine(PioEngine):
         power: int,
     ) -> None:
         super().__init__(step, direction, hold_us, setup_us, 1)
-        from pio.beam_program import beam
-
         base = _PWM_2350 if "RP2350" in sys.implementation._machine else _PWM
         self._slice = base + _SLICE * (power >> 1 & 7)
         # What motion/beam.py works on, and its ring of levels.
@@ -71,9 +69,7 @@ class BeamEngine(PioEngine):
         self.beam[bm.BOTH] = _BOTH
         self.beam[bm.LEVEL] = bm.UNKNOWN
         self._make_channels(len(step))
-        hub = self._hub
-        hub[MOTORS] = len(step)
-        hub[STARTS + len(step)] = beam[1]
+        self._hub[MOTORS] = len(step)
 
     def _make_machine(self, axis: int) -> "rp2.StateMachine":
         if axis < len(self._step):

@@ -1,12 +1,13 @@
 # mypy: disable-error-code=arg-type
 """PioEngine: pulses made by PIO state machines, fed by DMA, refilled by one hard interrupt.
 
-Each axis has a machine of PIO 0, which plays words (programs.py, pulses.py) out of a ring in
-memory. A clock, a machine of PIO 1, interrupts as each segment begins: spindle power is set,
-the next segments are made and handed over. All machines start in the same tick and stay
-together, for every lane's words fill the same time. DMA is handed counted words and ends with
-them: where the interrupt comes too late, the machines wait at `pull`, and when all have come
-to rest they are started together again. Nothing is lost or repeated.
+Each motor has a machine of PIO 0, the fifth and the sixth one of PIO 1, which plays words
+(programs.py, pulses.py) out of a ring in memory. A clock, the last machine of PIO 1, interrupts
+as each segment begins: spindle power is set, the next segments are made and handed over. All
+machines start within a tick (hub._launch) and stay together, for every lane's words fill the
+same time. DMA is handed counted words and ends with them: where the interrupt comes too late,
+the machines wait at `pull`, and when all have come to rest they are started together again.
+Nothing is lost or repeated.
 
 A stop holds until arm(): whatever it has interrupted goes on, and starts nothing. The interrupt
 lets no exception out, for MicroPython would never call it again: the machines are switched off,
@@ -34,11 +35,11 @@ from pio.layout import (
     FED,
     HALT,
     MADE,
+    OURS,
     PIO0,
     PIO1,
     RAISED,
     RUNNING,
-    STARTS,
     WORDS,
 )
 from pio.registers import CLEAR
@@ -112,8 +113,6 @@ class PioEngine:
         self._pio1 = rp2.PIO(1)
         self._clock = rp2.StateMachine(4 + CLOCK, programs.clock, freq=_TICK_HZ)
         self._hub[CLOCK_AT] = programs.clock[2] + programs.CLOCK_PULL
-        for i in range(lanes):
-            self._hub[STARTS + i] = programs.stepper[1] + programs.NEXT
         self.on_fault: "Callable[[], object]" = lambda: None
 
     def _make_machine(self, axis: int) -> "rp2.StateMachine":
@@ -135,7 +134,7 @@ class PioEngine:
         stepper = self._make_machine(axis)
         channel = rp2.DMA()
         control = channel.pack_ctrl(
-            size=2, inc_write=False, ring_size=pulses.RING_LOG2 + 2, treq_sel=axis
+            size=2, inc_write=False, ring_size=pulses.RING_LOG2 + 2, treq_sel=axis + (axis & 4)
         )
         ring = self._hub[WORDS] + (4 * axis << pulses.RING_LOG2)
         channel.config(read=ring, write=stepper, ctrl=control)
@@ -227,8 +226,8 @@ class PioEngine:
         if hub[FAULT]:
             # No calls up to here: the stack may be what there is too little of.
             hub[HALT] = 1
-            ptr32(hub[PIO0])[CLEAR] = 15
-            ptr32(hub[PIO1])[CLEAR] = 1 << CLOCK
+            ptr32(hub[PIO0])[CLEAR] = hub[OURS]
+            ptr32(hub[PIO1])[CLEAR] = hub[OURS + 1]
             try:
                 self.on_fault()
             except:  # noqa: E722

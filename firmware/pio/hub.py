@@ -28,6 +28,7 @@ from pio.layout import (
     AXES,
     BEATS,
     BEGUN,
+    BLOCK_LOG2,
     BUSY,
     CLOCK,
     CLOCK_AT,
@@ -41,15 +42,16 @@ from pio.layout import (
     FED,
     HALF_TICKS_PER_US,
     HALT,
+    IN_BLOCK,
     JAMMED,
     LANES,
     LAST_ROW,
-    LENGTH,
     LOCKED,
     LOST,
     MADE,
     MOTORS,
     NVIC,
+    OURS,
     PIO0,
     PIO1,
     POWER,
@@ -58,7 +60,6 @@ from pio.layout import (
     ROW_EXTRA,
     ROWS,
     RUNNING,
-    STARTS,
     TIMER,
     TIMING,
     WHOLE,
@@ -72,6 +73,7 @@ from pio.pulses import (
     KEEP,
     LANE,
     LONGEST,
+    MACHINE,
     PLACE,
     PULSE,
     RING_MASK,
@@ -88,9 +90,11 @@ from pio.registers import (
     DISABLE,
     DMA_AT,
     DMA_EACH,
+    EXECCTRL,
     FDEBUG,
     FLEVEL,
     INSTR,
+    MACHINES,
     PADOUT,
     PINCTRL,
     PIO0_AT,
@@ -118,6 +122,7 @@ _SHIFT_IN = const(0x4025)  # which go into ISR from below
 _STEP_LOW = const(0xE000)
 
 _CLOCK_SHIFT = const(24)
+_CLOCK_INSTR = const(MACHINES + SM * CLOCK + INSTR)
 _CLOCK_OVERHEAD = const(4)  # ticks of its loop besides the count
 
 
@@ -136,7 +141,7 @@ def look(hub: ptr32) -> int:
         hub[AHEAD] -= row[ROW_TICKS]
         power = row[ROW_POWER]
     hub[EARLY] = row[ends] - beat
-    if level == 0 and pio[ADDR + SM * CLOCK] == hub[CLOCK_AT]:
+    if level == 0 and pio[MACHINES + SM * CLOCK + ADDR] == hub[CLOCK_AT]:
         hub[RUNNING] = 0  # all words have been played
     if power == KEEP_POWER or power == hub[POWER]:
         return KEEP_POWER
@@ -168,17 +173,14 @@ def append(hub: ptr32) -> int:
 
 
 @micropython.viper
-def _load(pio: ptr32, axes: int, pulse: int) -> int:
-    """The length of a pulse into the machines' ISR, five bits at a time."""
-    for i in range(axes):
-        pio[INSTR + SM * i] = _CLEAR_ISR
+def _load(player: ptr32, pulse: int) -> int:
+    """The length of a pulse into a machine's ISR, five bits at a time."""
+    player[INSTR] = _CLEAR_ISR
     shift = 15
     while shift:
         shift -= 5
-        for i in range(axes):
-            pio[INSTR + SM * i] = _SET_X | ((pulse >> shift) & 31)
-        for i in range(axes):
-            pio[INSTR + SM * i] = _SHIFT_IN
+        player[INSTR] = _SET_X | ((pulse >> shift) & 31)
+        player[INSTR] = _SHIFT_IN
     return 0
 
 
@@ -198,35 +200,37 @@ def _prepare(hub: ptr32) -> int:
     patience = 1000
     while ((timer[0] & MASK) - hub[END_US]) & MASK <= timing[PULSE] // 12 + 1 and patience:
         patience -= 1  # the last pulses have their full length
-    pio[CTRL + CLEAR] = (1 << axes) - 1
-    clock[CTRL + CLEAR] = 1 << CLOCK
-    pio[CTRL + SET] = ((1 << axes) - 1) << 4  # restart
-    clock[CTRL + SET] = 16 << CLOCK
+    pio[CTRL + CLEAR] = hub[OURS]
+    clock[CTRL + CLEAR] = hub[OURS + 1]
+    pio[CTRL + SET] = hub[OURS] << 4  # restart
+    clock[CTRL + SET] = hub[OURS + 1] << 4
     while (clock[FLEVEL] >> _CLOCK_SHIFT) & 15:
-        clock[INSTR + SM * CLOCK] = _PULL
+        clock[_CLOCK_INSTR] = _PULL
     patience = 1000
     for i in range(axes):
+        player = ptr32(lanes[LANE * i + MACHINE])
+        pio = ptr32(hub[PIO0 + (i >> BLOCK_LOG2)])
         dma = ptr32(hub[DMA + i])
-        while (dma[STATUS] & hub[BUSY] or (pio[FLEVEL] >> (8 * i)) & 15) and patience:
-            pio[INSTR + SM * i] = _PULL
+        while (dma[STATUS] & hub[BUSY] or (pio[FLEVEL] >> 8 * (i & IN_BLOCK)) & 15) and patience:
+            player[INSTR] = _PULL
             patience -= 1
     if patience == 0:
         hub[FAULT] = JAMMED
         return 0
     for i in range(axes):
         ptr32(hub[DMA + i])[READ] = hub[WORDS] + 4 * (RING_MASK + 1) * i
-        lanes[LANE * i + HEAD] = 0
-        lanes[LANE * i + SENT] = 0
-        lanes[LANE * i + CARRY] = 0
+        lane = LANE * i
+        lanes[lane + HEAD] = 0
+        lanes[lane + SENT] = 0
+        lanes[lane + CARRY] = 0
+        player = ptr32(lanes[lane + MACHINE])
         # Words that have turned it may never have been played.
-        pin = pio[PINCTRL + SM * i] & 31
-        lanes[LANE * i + DIR] = (pio[PADOUT] >> pin) & 1
-    _load(pio, axes, timing[PULSE] - 3)
-    for i in range(axes):
-        pio[INSTR + SM * i] = _STEP_LOW
-    for i in range(axes):
-        pio[INSTR + SM * i] = hub[STARTS + i]  # jump there
-    clock[INSTR + SM * CLOCK] = hub[CLOCK_AT] - 1
+        levels = ptr32(hub[PIO0 + (i >> BLOCK_LOG2)])[PADOUT]
+        lanes[lane + DIR] = (levels >> (player[PINCTRL] & 31)) & 1
+        _load(player, timing[PULSE] - 3)
+        player[INSTR] = _STEP_LOW
+        player[INSTR] = (player[EXECCTRL] >> 7) & 31  # jump there
+    clock[_CLOCK_INSTR] = hub[CLOCK_AT] - 1
     hub[END_US] = 0
     hub[END_REST] = 0
     hub[POWER] = -1
@@ -292,8 +296,8 @@ def _hand_over(hub: ptr32, fed: int, count: int) -> int:
     clock = ptr32(hub[PIO1])
     following = ptr32(hub[ROW + (fed & LAST_ROW)])
     nvic[DISABLE] = hub[RIVALS]
-    over = ptr32(hub[PIO0])[FDEBUG] & ((1 << axes) - 1) << TXOVER
-    if over or (clock[FDEBUG] >> (TXOVER + CLOCK)) & 1:
+    over = (ptr32(hub[PIO0])[FDEBUG] >> TXOVER) & hub[OURS]
+    if over or (clock[FDEBUG] >> TXOVER) & hub[OURS + 1]:
         hub[FAULT] = LOST
     if hub[HALT] == 0 and hub[FAULT] == 0:
         for i in range(axes):
@@ -322,14 +326,20 @@ def _hand_over(hub: ptr32, fed: int, count: int) -> int:
 def _launch(hub: ptr32, fed: int) -> int:
     """All machines begin, in the same tick. Rows were timed from 0: tell them the time."""
     axes = hub[AXES]
-    pio = ptr32(hub[PIO0])
     for i in range(axes):
+        pio = ptr32(hub[PIO0 + (i >> BLOCK_LOG2)])
         patience = 100
-        while (pio[FLEVEL] >> (8 * i)) & 15 == 0 and patience:
+        while (pio[FLEVEL] >> 8 * (i & IN_BLOCK)) & 15 == 0 and patience:
             patience -= 1  # DMA puts the first word there
-    pio[CTRL + SET] = ((1 << axes) - 1) * 0x101  # enable, restart the divider
     now = ptr32(hub[TIMER])[0] & MASK
-    ptr32(hub[PIO1])[CTRL + SET] = 0x101 << CLOCK
+    first = hub[OURS] * 0x101  # enable, restart the divider
+    second = hub[OURS + 1] * 0x101
+    pio = ptr32(hub[PIO0] + 4 * (CTRL + SET))
+    clock = ptr32(hub[PIO1] + 4 * (CTRL + SET))
+    # Nothing comes between these two, for all that might is held back or comes no sooner than
+    # this interrupt ends: always nine cycles as they are compiled, and a tick has ten.
+    pio[0] = first
+    clock[0] = second
     for k in range(hub[FED], fed):
         row = ptr32(hub[ROW + (k & LAST_ROW)])
         begins = ROW_AXES + ROW_STRIDE * axes
@@ -353,7 +363,7 @@ class Memory:
 
     def __init__(self, axes: int, rp2350: bool) -> None:
         length = row_length(axes)
-        self.hub = hub = _make_array(LENGTH)
+        self.hub = hub = _make_array(DMA + axes)
         self.lanes = _make_array(LANE * axes)
         self.timing = _make_array(pulses.TIMING_LENGTH)
         self.rows = [_make_array(length + ROW_EXTRA + axes) for _ in range(ROWS)]
@@ -372,6 +382,9 @@ class Memory:
         hub[WHOLE] = _make_address(self._whole)
         for i, row in enumerate(self.rows):
             hub[ROW + i] = _make_address(row)
+        machines = (1 << axes) - 1
+        hub[OURS] = machines & 15
+        hub[OURS + 1] = machines >> 4 | 1 << CLOCK
         hub[PIO0] = PIO0_AT
         hub[PIO1] = PIO1_AT
         hub[TIMER] = 0x400B0028 if rp2350 else 0x40054028
@@ -382,5 +395,7 @@ class Memory:
 
     def connect(self, axis: int, channel: int) -> None:
         """A lane's words go through this DMA channel."""
+        first = self.hub[PIO0 + (axis >> BLOCK_LOG2)]
+        self.lanes[LANE * axis + MACHINE] = first + 4 * (MACHINES + SM * (axis & IN_BLOCK))
         self.hub[DMA + axis] = at = DMA_AT + DMA_EACH * channel
         machine.mem32[at + 4 * CREDITS] = 0  # counted anew: the FIFO is empty

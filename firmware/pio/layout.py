@@ -10,6 +10,9 @@ HALF_TICKS_PER_US = const(25)
 ROWS = const(16)  # segments made, and not yet played
 LAST_ROW = const(15)
 CLOCK = const(3)  # the clock's machine, of PIO 1
+# Lane 4 has the first machine of PIO 1, as MicroPython counts them.
+BLOCK_LOG2 = const(2)
+IN_BLOCK = const(3)
 
 # First the engine's state …
 RUNNING = const(0)  # machines are enabled
@@ -35,18 +38,17 @@ RIVALS = const(18)  # masks: interrupts in which the engine is stopped, and its 
 BUSY = const(19)  # a channel has words to move
 MOTORS = const(20)  # lanes whose steps are those of motors
 CLOCK_AT = const(21)  # where the clock waits for a word
-DMA = const(22)  # a channel per lane
+OURS = const(22)  # masks: the machines of PIO 0 and of PIO 1 that play our words
 # … and memory.
-LANES = const(26)
-WORDS = const(27)
-TIMING = const(28)
-CLOCKED = const(29)  # words for the clock
-WHOLE = const(30)  # a long segment, made in pieces
-ROW = const(31)  # a row per segment
+LANES = const(24)
+WORDS = const(25)
+TIMING = const(26)
+CLOCKED = const(27)  # words for the clock
+WHOLE = const(28)  # a long segment, made in pieces
+ROW = const(29)  # a row per segment
 FAULT = const(ROW + ROWS)  # what has gone wrong (stops.py), until arm()
 ASKED = const(ROW + ROWS + 1)  # start() waits for the interrupt
-STARTS = const(ROW + ROWS + 2)  # where each lane's machine waits for a word
-LENGTH = const(ROW + ROWS + 6)
+DMA = const(ROW + ROWS + 2)  # a channel per lane, which end the hub
 
 # Behind a segment's row: when it begins, us and half ticks; the clock's word with which it
 # ends; and where it begins, per axis.

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 # Lanes: integers per axis.
-LANE = const(7)
+LANE = const(8)
 CARRY = const(0)  # ticks from where the lane's words end to where the next segment begins
 DIR = const(1)  # level of the direction output
 HEAD = const(2)  # where in the ring the next word goes
@@ -26,6 +26,7 @@ SENT = const(3)  # up to where words have been handed to the hardware
 PLACE = const(4)  # position at the end of all segments made
 END = const(5)  # position at the end of all words sent
 FROZEN = const(6)  # position of a locked axis
+MACHINE = const(7)  # where the registers of its machine are
 
 # Words a lane's ring holds. A segment takes five at the most: wait before a reversal, first
 # step, long gaps, short gaps, rest.

@@ -15,12 +15,16 @@ TXF = const(4)
 RXF = const(8)
 IRQ_FORCE = const(13)
 PADOUT = const(15)  # levels of all pins
-ADDR = const(0x35)
-INSTR = const(0x36)
-PINCTRL = const(0x37)  # the direction pin in its lowest bits
-SM = const(6)  # from one machine to the next
+MACHINES = const(0x32)  # the first machine's begin here,
+SM = const(6)  # and those of the next so much further
 SET = const(0x800)  # the same register, where ones set bits,
 CLEAR = const(0xC00)  # and where they clear them
+
+# A machine's.
+EXECCTRL = const(1)  # where its program begins, from bit 7 on
+ADDR = const(3)
+INSTR = const(4)
+PINCTRL = const(5)  # the direction pin in its lowest bits
 
 # Where the first DMA channel's stand, and bytes from one to the next; what each has, and the
 # interrupt controller.

@@ -16,6 +16,7 @@ from pio.layout import (
     AXES,
     BEGUN,
     BEHIND,
+    BLOCK_LOG2,
     BUSY,
     CLOCK,
     CUT,
@@ -25,6 +26,7 @@ from pio.layout import (
     FED,
     HALF_TICKS_PER_US,
     HALT,
+    IN_BLOCK,
     JAMMED,
     LANES,
     LAST_ROW,
@@ -33,30 +35,30 @@ from pio.layout import (
     MADE,
     MOTORS,
     NVIC,
+    OURS,
     PIO0,
     PIO1,
     RIVALS,
     ROW,
     ROW_EXTRA,
     RUNNING,
-    STARTS,
     TIMER,
     UNHEARD,
     WORDS,
 )
-from pio.pulses import END, FROZEN, LANE, PLACE, SENT, places, undone
+from pio.pulses import END, FROZEN, LANE, MACHINE, PLACE, SENT, places, undone
 from pio.registers import (
     ADDR,
     CLEAR,
     COUNT,
     CTRL,
     DISABLE,
+    EXECCTRL,
     FDEBUG,
     FLEVEL,
     INSTR,
     IRQ_FORCE,
     RXF,
-    SM,
     STATUS,
     TXOVER,
 )
@@ -73,28 +75,30 @@ _PATIENCE_US = const(50_000)
 @micropython.viper
 def _settle(hub: ptr32, axis: int) -> int:
     """Where a machine just stopped has come to."""
-    pio = ptr32(hub[PIO0])
+    pio = ptr32(hub[PIO0 + (axis >> BLOCK_LOG2)])
+    number = axis & IN_BLOCK
     dma = ptr32(hub[DMA + axis])
     lanes = ptr32(hub[LANES])
+    player = ptr32(lanes[LANE * axis + MACHINE])
     end = lanes[LANE * axis + END]
     if hub[RUNNING] == 0:
         return end
-    pio[INSTR + SM * axis] = _SAVE_X
+    player[INSTR] = _SAVE_X
     # A word on its way is counted nowhere: wait until DMA has no more of them, or no room.
     busy = 1
     waiting = 0
     patience = 100
     while busy and waiting < _FIFO and patience:
         busy = dma[STATUS] & hub[BUSY]
-        waiting = (pio[FLEVEL] >> (8 * axis)) & 15
+        waiting = (pio[FLEVEL] >> 8 * number) & 15
         patience -= 1
     left = dma[COUNT] if busy else 0
     if patience == 0:
         hub[FAULT] = JAMMED
-    at = pio[ADDR + SM * axis] - hub[STARTS + axis]
-    pio[INSTR + SM * axis] = _PUSH
+    at = player[ADDR] - ((player[EXECCTRL] >> 7) & 31)
+    player[INSTR] = _PUSH
     sent = lanes[LANE * axis + SENT]
-    x = pio[RXF + axis]
+    x = pio[RXF + number]
     return end - int(undone(hub[WORDS], axis, sent, waiting + left, at, x))
 
 
@@ -109,9 +113,9 @@ def halt(hub: ptr32, which: int) -> int:
     nvic = ptr32(hub[NVIC])
     if which < 0:
         hub[HALT] = 1  # first of all: whoever comes in between starts nothing any more
-        ptr32(hub[PIO1])[CTRL + CLEAR] = 1 << CLOCK
     nvic[DISABLE] = hub[RIVALS]
-    ptr32(hub[PIO0])[CTRL + CLEAR] = which & ((1 << axes) - 1)
+    ptr32(hub[PIO0])[CTRL + CLEAR] = which & hub[OURS]
+    ptr32(hub[PIO1])[CTRL + CLEAR] = (which >> 4) & hub[OURS + 1]
     which &= -1 - hub[LOCKED]
     for i in range(axes):
         if (which >> i) & 1:
@@ -152,8 +156,8 @@ def arm(hub: ptr32) -> int:
     for i in range(axes):
         lanes[LANE * i + PLACE] = lanes[LANE * i + END]
     # Ones clear.
-    ptr32(hub[PIO0])[FDEBUG] = ((1 << axes) - 1) << TXOVER
-    ptr32(hub[PIO1])[FDEBUG] = 1 << (TXOVER + CLOCK)
+    ptr32(hub[PIO0])[FDEBUG] = hub[OURS] << TXOVER
+    ptr32(hub[PIO1])[FDEBUG] = hub[OURS + 1] << TXOVER
     hub[FAULT] = 0
     hub[ASKED] = 0
     hub[HALT] = 0
@@ -165,8 +169,8 @@ def trouble(hub: ptr32) -> int:
     """What is wrong, 0 if nothing is. For the main loop."""
     if hub[FAULT]:
         return hub[FAULT]
-    over = ptr32(hub[PIO0])[FDEBUG] & ((1 << hub[AXES]) - 1) << TXOVER
-    if over or (ptr32(hub[PIO1])[FDEBUG] >> (TXOVER + CLOCK)) & 1:
+    over = (ptr32(hub[PIO0])[FDEBUG] >> TXOVER) & hub[OURS]
+    if over or (ptr32(hub[PIO1])[FDEBUG] >> TXOVER) & hub[OURS + 1]:
         return LOST
     if hub[ASKED]:
         return UNHEARD
