@@ -1,11 +1,12 @@
 """Expatria PicoBOB: an RP2040 behind a five-axis parallel-port breakout ("Mach3 board").
 
 The numbers beside the pins are the breakout's. P10 is a reset, which stops tool and motors at
-once; for an emergency stop, whose contact opens, write ESTOP = 3 and no reset. P17 drives the
-relay while its jumper is on; the direction of a motor B is the same pin, so there are four motors
-at the most: for the fourth write MOTORS = "XYZA" or "XYZY", STEP = (17, 18, 19, 20),
-DIR = (9, 10, 11, 12) and a fourth LIMIT, None. Pins from the maker's README and pictures,
-github.com/Expatria-Technologies/PicoBOB. Never ran on hardware.
+once; for an emergency stop, whose contact opens, write ESTOP = 3 and no reset. For a fourth motor
+write MOTORS = "XYZA" or "XYZY", STEP = (17, 18, 19, 20), DIR = (9, 10, 11, 12) and a fourth LIMIT,
+None; for a fifth, "XYZAB" say, 21 and 13 behind them, None, and no SPINDLE_ON: P17 drives the
+relay while its jumper is on, and is the direction of motor B. Pins from the maker's README and
+pictures, github.com/Expatria-Technologies/PicoBOB; 21 from its map in grblHAL. Never ran on
+hardware.
 """
 
 CHIP = "rp2040"

@@ -76,7 +76,7 @@ def test_a_board_is_data_only(name: str) -> None:
         ({"ENABLE": (8, 4)}, "ENABLE: pin 4 is STEP already"),
         ({"DIR": (5, 6)}, "DIR wants 3 pins, not 2"),
         ({"STEP": (2, 3), "DIR": (5, 6), "LIMIT": None}, "STEP wants 3 pins, for XYZ"),
-        ({"STEP": (2, 3, 4, 8, 12)}, "pio has pulses for 4 motors at most"),
+        ({"STEP": (2, 3, 4, 8, 12, 20, 21)}, "pio has pulses for 6 motors at most"),
         ({"CONTROL": (14,)}, "CONTROL wants four entries"),
         ({"SAFETY_DOOR": True}, "SAFETY_DOOR is set and there is no pin for the door"),
         ({"PWM_MAX": 65535}, "PWM_MAX is 65535: it is 16383 at the most"),

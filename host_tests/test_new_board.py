@@ -134,8 +134,12 @@ def test_questions_are_asked_until_the_answers_fit(file: Path) -> None:
         ((*_PICO, "--set", "fast"), "fast is no setting"),
         ((*_PICO, "--title", 'my "best"'), "without quotation marks"),
         (
-            ("--chip", "rp2040", "--pin", "step=0,1,2,3,4", "--pin", "dir=5,6,7,8,9"),
-            "pio has pulses for 4 motors at most",
+            ("--chip", "rp2040", "--pin", "step=0,1,2,3,4,5,6", "--pin", "dir=7,8,9"),
+            "pio has pulses for 6 motors at most",
+        ),
+        (
+            ("--chip", "esp32", "--pin", "step=13,14,15,16,17", "--pin", "dir=25,26,27"),
+            "rmt has pulses for 4 motors at most",
         ),
         (
             ("--chip", "esp32", "--pin", "step=34,13,14", "--pin", "dir=25,26,27"),

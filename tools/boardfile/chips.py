@@ -15,7 +15,7 @@ class Chip(NamedTuple):
     pins: frozenset[int]  # that come out
     inputs_only: frozenset[int] = frozenset()
     odd: Mapping[int, str] = {}  # pins that work, with something to know
-    most_axes: int = 4
+    most_motors: int = 4
 
 
 _ESP32_ODD = {
@@ -40,6 +40,8 @@ _ESP32_S3_ODD = {
 }
 _PICO_PINS = frozenset(range(23)) | {26, 27, 28}
 _RP2_PINS = frozenset(range(30))
+# Four machines of PIO 0, and two of PIO 1, which has the clock too, and one for a radio.
+_RP2_MOTORS = 6
 _LED = {25: "is the LED"}
 _ESP32_PINS = frozenset(range(40)) - frozenset(range(6, 12)) - {20, 24, 28, 29, 30, 31, 37, 38}
 _ESP32_S3_PINS = frozenset(range(49)) - frozenset(range(22, 33))
@@ -52,27 +54,32 @@ CHIPS = {
         *("RP2040", "armv6m", "pio", "usb"),
         pins=_PICO_PINS | {25},
         odd=_LED,
+        most_motors=_RP2_MOTORS,
     ),
     "pico_w": Chip(
         "Raspberry Pi Pico W",
         *("RP2040", "armv6m", "pio", "usb"),
         pins=_PICO_PINS,
+        most_motors=_RP2_MOTORS,
     ),
     "pico2": Chip(
         "Raspberry Pi Pico 2",
         *("RP2350", "armv7emsp", "pio", "usb"),
         pins=_PICO_PINS | {25},
         odd=_LED,
+        most_motors=_RP2_MOTORS,
     ),
     "rp2040": Chip(
         "RP2040 on a board of its own",
         *("RP2040", "armv6m", "pio", "usb"),
         pins=_RP2_PINS,
+        most_motors=_RP2_MOTORS,
     ),
     "rp2350": Chip(
         "RP2350 on a board of its own",
         *("RP2350", "armv7emsp", "pio", "usb"),
         pins=_RP2_PINS,
+        most_motors=_RP2_MOTORS,
     ),
     "esp32": Chip(
         "ESP32",

@@ -156,9 +156,9 @@ def check_item(board: Board, item: Item, pins: Pins) -> None:
     count = len(board.pins.get("STEP", pins)) if item.per_axis else 1
     # A second motor need not have a switch.
     wanted = {count, board.axes or count} if item.name == "LIMIT" else {count}
-    if item.name == "STEP" and len(pins) > board.chip.most_axes:
+    if item.name == "STEP" and len(pins) > board.chip.most_motors:
         raise BoardError(
-            f"{board.chip.engine} has pulses for {board.chip.most_axes} motors at most"
+            f"{board.chip.engine} has pulses for {board.chip.most_motors} motors at most"
         )
     if len(pins) not in wanted:
         many = " or ".join(map(str, sorted(wanted)))

@@ -1,0 +1,224 @@
+"""Six motors on an emulated Pico, two of them on PIO 1: steps, stops, rates, and their cost."""
+
+import random
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import emulated
+import pytest
+from emulated import Board, Odometer, files_of
+from pico import Edge
+from test_pico_stack import RESERVE, SIZE, Stack
+from ugrbl.boardfile.files import load_board
+from ugrbl.compiling import build
+from ugrbl.paths import BOARDS
+
+sys.path.append(str(Path(__file__).parent.parent / "bench"))
+
+from on_board import MAIN
+
+pytestmark = pytest.mark.xdist_group("pico six")
+
+_SIX = load_board("pico_six")
+_LETTERS = "XYZABC"
+_PER_MM = 250
+_SETTINGS = (
+    *("$0=3", "$1=255"),
+    *(
+        f"${number + axis}={value}"
+        for number, value in ((100, _PER_MM), (110, 120_000), (120, 40_000))
+        for axis in range(6)
+    ),
+)
+_HEAP, _HEAP_OF_SIX = 95_000, 90_000
+_TICK_US = 0.08
+# The emulator notes an edge up to some instructions late.
+_SEEN_US = 0.3
+_MOVE_MM = 0.05
+_COUNTED_US = 35_000
+# What the interrupt of six motors may take of that of three.
+_DEARER = 1.5
+
+
+class Machine:
+    """The board, set up, with its motors' pins recorded."""
+
+    def __init__(self, board: Board) -> None:
+        self.board = board
+        for setting in _SETTINGS:
+            assert board.ask(setting).endswith("ok\r\n"), setting
+        board.pico.record([*_SIX.STEP, *_SIX.DIR])
+        self.odometer = Odometer(board.pico, _SIX.STEP, _SIX.DIR)
+
+    def rises(self, motor: int) -> "list[float]":
+        """When it has stepped, us."""
+        return _rises(self.board.pico.edges, motor)
+
+    def places(self) -> "list[float]":
+        """What the board reports, in steps."""
+        return [float(mm) * _PER_MM for mm in self.board.status()["MPos"].split(",")]
+
+
+def _rises(edges: "list[Edge]", motor: int) -> "list[float]":
+    return [edge.ns / 1000 for edge in edges if edge.pin == _SIX.STEP[motor] and edge.level]
+
+
+def _board(uf2: Path, files: "dict[str, bytes | None]") -> Board:
+    board = Board(uf2, {**files, "main.py": MAIN})
+    for pin in (*_SIX.LIMIT, _SIX.PROBE, *_SIX.CONTROL[:3], _SIX.REPL_PIN):
+        board.pico.drive(pin, 1)
+    return board.boot().settled()
+
+
+def _variant(uf2: Path, folder: Path, more: str) -> Board:
+    """The same board with another line in its file."""
+    file = folder / "pico_variant.py"
+    file.write_text((BOARDS / "pico_six.py").read_text("utf-8") + more, "utf-8")
+    return _board(uf2, {**dict.fromkeys(emulated.firmware()), **build.for_board(file).files})
+
+
+@pytest.fixture(scope="module")
+def machine(uf2: Path) -> Machine:
+    return Machine(_board(uf2, dict(files_of("pico_six"))))
+
+
+def test_every_motor_makes_every_step_of_random_lines(machine: Machine) -> None:
+    """Within the stack there is; the board reports the places that the pins have gone to."""
+    chance = random.Random(6)
+    board = machine.board
+    made = machine.odometer.read()
+    stack = Stack(board)
+    stack.paint()
+    board.ask("G91 G1 F6000")
+    for _ in range(50):
+        way = [chance.choice((0, chance.randrange(-200, 201))) for _ in _LETTERS]  # steps
+        words = "".join(f"{a}{n / _PER_MM:.3f}" for a, n in zip(_LETTERS, way, strict=True))
+        board.ask(chance.choice(("G1", "S100 G1", "")) + words)
+        made = [at + n for at, n in zip(made, way, strict=True)]
+    board.ask("G4P.01", limit_us=5_000_000)
+    assert stack.used() <= SIZE - RESERVE
+    assert machine.odometer.read() == made == machine.places()
+
+
+def test_motors_of_both_pios_step_in_the_same_tick(machine: Machine) -> None:
+    """First steps, last ones, and all between: the two blocks begin some cycles apart."""
+    board = machine.board
+    for _ in range(3):
+        machine.odometer.read()
+        board.ask("G91 G1 X2Y-2Z2A-2B2C-2 F9000")
+        board.ask("G4P.01", limit_us=3_000_000)
+        tracks = [machine.rises(motor) for motor in range(6)]
+        assert {len(track) for track in tracks} == {2 * _PER_MM}
+        for track in tracks[1:]:
+            apart = [abs(a - b) for a, b in zip(tracks[0], track, strict=True)]
+            assert max(apart) <= _TICK_US + _SEEN_US
+
+
+def test_six_motors_at_once_make_250_khz(machine: Machine) -> None:
+    board = machine.board
+    before = machine.odometer.read()
+    board.ask("G91 G1" + "".join(f"{letter}46" for letter in _LETTERS) + "F999999")
+    board.until_idle()
+    tracks = [machine.rises(motor) for motor in range(6)]
+    middle = (tracks[0][0] + tracks[0][-1]) / 2
+    for track in tracks:
+        gaps = [b - a for a, b in pairwise(track) if abs(a - middle) < 5_000]
+        assert 1e3 * len(gaps) / sum(gaps) == pytest.approx(249.97, abs=0.1)
+        assert min(gaps) >= 4 - _SEEN_US
+    after = machine.odometer.read()
+    assert [b - a for a, b in zip(before, after, strict=True)] == [46 * _PER_MM] * 6
+    assert machine.places() == after
+
+
+@pytest.mark.parametrize("ms", [3, 14.3, 26.1, 37.7, 55])
+def test_a_reset_stops_all_six_for_good_and_knows_where_they_are(
+    machine: Machine, ms: float
+) -> None:
+    """Wherever it falls; then all six are alive."""
+    board = machine.board
+    board.ask("G91 G1 F60000")
+    board.forget()
+    for way in (12, -12, 15):
+        board.send("".join(f"{letter}{way}" for letter in _LETTERS) + "\n")
+    board.pico.run_us(ms * 1000)
+    board.send("\x18")
+    board.wait_for("Grbl 1.1h")
+    at = machine.odometer.read()
+    board.pico.run_us(20_000)
+    assert machine.odometer.read() == at
+    board.ask("$X")
+    assert machine.places() == at
+    board.ask("G91 G1 F6000" + "".join(f"{a}{k / 10:.1f}" for k, a in enumerate(_LETTERS, 1)))
+    board.ask("G4P.01")
+    gone = [b - a for a, b in zip(at, machine.odometer.read(), strict=True)]
+    assert gone == [25 * k for k in range(1, 7)]
+
+
+@pytest.mark.parametrize("motor", [1, 3, 4, 5])
+def test_any_limit_switch_stops_all_six(machine: Machine, motor: int) -> None:
+    board = machine.board
+    board.ask("$21=1")
+    board.ask("G91 G1 F6000")
+    board.send("".join(f"{letter}3" for letter in _LETTERS) + "\n")
+    board.pico.run_us(15_000 + 700 * motor)
+    machine.odometer.read()
+    since = board.pico.us
+    board.pico.drive(_SIX.LIMIT[motor], 0)
+    board.wait_for("[MSG:Reset to continue]")
+    late = [us for k in range(6) for us in machine.rises(k) if us > since + 200]
+    board.pico.drive(_SIX.LIMIT[motor], 1)
+    assert late == []
+    board.send("\x18")
+    board.wait_for("Grbl 1.1h")
+    board.ask("$X")
+    board.ask("$21=0")
+    assert machine.places() == machine.odometer.read()
+
+
+def test_the_interrupt_of_six_takes_one_and_a_half_of_that_of_three(
+    machine: Machine, uf2: Path
+) -> None:
+    """300 short blocks a second in which every motor moves: what a loop on the board loses."""
+    three = Board(uf2, {"main.py": MAIN}).boot().settled()
+    for setting in _SETTINGS:
+        if int(setting[1:].partition("=")[0]) % 10 < 3:
+            three.ask(setting)
+    shares = [_share(board, axes) for board, axes in ((three, 3), (machine.board, 6))]
+    print(shares)
+    assert 0 < shares[1] <= _DEARER * shares[0]
+
+
+def _share(board: Board, axes: int) -> float:
+    (at_rest,) = _numbers(board.ask(f"$COUNT={_COUNTED_US}"))
+    board.ask("G91 G1 X1.5 F900")  # 0.1 s in which the short ones are planned
+    for k in range(14):
+        each = _MOVE_MM * (1 + k % 3) / 2 / axes**0.5
+        board.ask("".join(f"{letter}{each:.3f}" for letter in _LETTERS[:axes]))
+    (moving,) = _numbers(board.ask(f"$LATER={_COUNTED_US}"))
+    board.until_idle()
+    return 1 - moving / at_rest
+
+
+def _numbers(said: str) -> "list[int]":
+    return [int(n) for n in said.partition("[MSG:")[2].partition(".]")[0].split()]
+
+
+def test_ninety_five_kilobytes_of_heap_are_free_with_four_axes_and_a_pair(
+    uf2: Path, tmp_path: Path
+) -> None:
+    four = 'MOTORS = "XYZAY"\nSTEP, DIR, LIMIT = STEP[:5], DIR[:5], LIMIT[:5]\n'
+    board = _variant(uf2, tmp_path, four)
+    print(_free(board))
+    assert _free(board) >= _HEAP
+
+
+def test_ninety_kilobytes_are_free_with_six_axes(machine: Machine) -> None:
+    print(_free(machine.board))
+    assert _free(machine.board) >= _HEAP_OF_SIX
+
+
+def _free(board: Board) -> int:
+    """Bytes of its heap, behind a collection."""
+    board.ask("$COLLECT=1")
+    return _numbers(board.ask("$FREE"))[0]
