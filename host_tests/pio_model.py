@@ -361,9 +361,9 @@ class PioChip(_Chip):
         return None
 
     def lost(self) -> int:
-        """Machines whose FIFO has been given a word when it was full, those of PIO 1 behind."""
+        """Lanes whose machine's FIFO has been given a word when it was full."""
         first, second = (self.read(at + _FDEBUG) >> _TXOVER & 15 for at in _PIO)
-        return first | second << _MACHINES
+        return (first | second << _MACHINES) & (1 << len(self.channels)) - 1
 
     # Time and interrupts
 

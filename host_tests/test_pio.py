@@ -31,7 +31,7 @@ pio_model = pytest.importorskip("pio_model", reason="rp2040py has no wheel for t
 
 HZ = 12_500_000
 LOG2 = PioEngine.segment_log2
-_STEP, _DIR = (2, 4, 6, 8, 10, 12), (3, 5, 7, 9, 11, 13)
+_STEP, _DIR = (2, 4, 6, 8, 10, 12, 14), (3, 5, 7, 9, 11, 13, 15)
 AXES = 3
 STEP, DIR = _STEP[:AXES], _DIR[:AXES]
 MOTORS = (3, 4, 5, 6)  # that a chip may have; the fifth and the sixth are PIO 1's
@@ -867,13 +867,16 @@ def test_motion_after_a_stop_keeps_what_drivers_need(motors: int, data: Any) -> 
 
 @pytest.mark.parametrize("motors", MOTORS)
 def test_a_turn_that_a_stop_has_cut_off_is_made_anew(motors: int) -> None:
-    """The words had DIR turned already; the pin had not. Z's first step comes at once."""
+    """The words had DIR turned already; the pin had not. Z's first step comes at once. Behind a
+    stop at rest the last one alone turns back: it does not live on what others wait for."""
     back = (1 << motors) - 1
     with a_bed(motors=motors) as bed:
         bed.start(rush([0, back], motors=motors))
         bed.chip.run(2000)
         bed.engine.stop()
         bed.again(rush([back], motors=motors)).finish()
+        bed.engine.stop()
+        bed.again(rush([back >> 1], motors=motors)).finish()
         for seen in bed.drivers():
             assert {level for _, level in seen.steps} == {0, 1}
             assert seen.setup >= ticks(bed.timing[2])
@@ -1091,12 +1094,16 @@ def test_registers_of_the_rp2350_are_where_its_data_sheet_has_them() -> None:
         assert memory.hub[rivals] == 1 << 21 | 1 << 17 | 0b1111
         assert memory.hub[busy] == 1 << 26  # CH0_CTRL_TRIG
         patch.setattr(sys.implementation, "_machine", "Raspberry Pi Pico2 with RP2350")
-        registers: dict[int, int] = {0x40028004 + 8 * pin: 6 for pin in (*STEP, *DIR)}
+        pins = (*_STEP[:6], *_DIR[:6])
+        registers: dict[int, int] = {0x40028004 + 8 * pin: 6 for pin in pins}
         patch.setattr(machine, "mem32", registers)
-        PioEngine(STEP, DIR).configure(10, 0b001, 0b100)
-        inverted = {STEP[0], DIR[2]}
-        for pin in (*STEP, *DIR):  # GPIOn_CTRL, OUTOVER in bits 13:12
+        made = PioEngine(_STEP[:6], _DIR[:6])
+        made.configure(10, 0b100001, 0b000100)
+        inverted = {STEP[0], _STEP[5], DIR[2]}
+        for pin in pins:  # GPIOn_CTRL, OUTOVER in bits 13:12
             assert registers[0x40028004 + 8 * pin] == 6 | (pin in inverted) << 12
+        sixth = made._memory.lanes[pulses.LANE * 5 + pulses.MACHINE]
+        assert sixth == 0x50300000 + 0xE0  # PIO 1, SM1_CLKDIV
 
 
 # The beam

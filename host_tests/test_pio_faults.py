@@ -26,6 +26,9 @@ pioemu = pytest.importorskip("pioemu")
 
 _TXF, _INSTR, _PULL = 0x50200010, 0x502000D8, 0x8080
 _BLOCK = 0x100000  # from one PIO to the next
+_PIO1 = 0x50300000
+_FDEBUG, _FLEVEL, _INSTR_MEM, _TO_SET = 0x08, 0x0C, 0x48, 0x2000
+_SM2_TXF, _SM2_ADDR, _SM2_INSTR = 0x18, 0x104, 0x108
 _FIRMWARE = str(Path(hub.__file__).parent)
 
 
@@ -325,6 +328,7 @@ def test_a_lost_word_stops_the_engine_before_its_next_start(motors: int, lane: i
         for _ in range(5):
             bed.chip.write(_TXF + _BLOCK * (lane // 4), 0)
         assert bed.chip.lost() == 1 << lane
+        assert "lost" in bed.engine.fault()
         bed.start(rush([0], motors=motors))
         bed.chip.run(3000)
         assert bed.faults and not bed.rises()
@@ -395,6 +399,44 @@ def test_the_pulse_length_goes_into_a_machine_without_its_fifo() -> None:
             bed.start([array("i", [4 * gap, 0, 0, *(3, 0, 2 * gap) * AXES])]).finish()
             assert all(seen.pulses == {ticks(us)} for seen in bed.drivers())
             assert bed.chip.lost() == 0
+
+
+@pytest.mark.parametrize("motors", [3, 6])
+def test_what_others_have_in_pio_1_is_left_alone(motors: int) -> None:
+    """A radio's machine goes on behind stops, faults and starts, and its words are its own: also
+    one too many of them is."""
+    with a_bed(motors=motors) as bed:
+        loop = 31  # the last place of the PIO: an instruction that jumps to itself
+        bed.chip.write(_PIO1 + _INSTR_MEM + 4 * loop, loop)
+        bed.chip.write(_PIO1 + _SM2_INSTR, loop)
+        for _ in range(5):
+            bed.chip.write(_PIO1 + _SM2_TXF, 7)
+        bed.chip.write(_PIO1 + _TO_SET, 1 << 2)
+
+        def left_alone() -> bool:
+            runs = bed.chip.read(_PIO1) >> 2 & 1
+            full = bed.chip.read(_PIO1 + _FLEVEL) >> 16 & 15
+            over = bed.chip.read(_PIO1 + _FDEBUG) >> 18 & 1
+            return (runs, full, over, bed.chip.read(_PIO1 + _SM2_ADDR)) == (1, 4, 1, loop)
+
+        assert left_alone()
+        bed.start(rush([0, 63, 5], motors=motors)).finish()
+        assert left_alone() and bed.engine.fault() == ""
+        for k in range(5):
+            bed.again(rush([0, 63], motors=motors)).chip.run(900 * k)
+            bed.engine.lock(0b10)
+            bed.engine.stop()
+            assert left_alone()
+        bed.again(rush([0] * 9, motors=motors)).chip.run(300)
+        bed.engine._next_segment = _fail
+        bed.chip.run(20_000)
+        assert "interrupt has failed" in bed.engine.fault()
+        assert left_alone()
+
+
+def test_more_motors_than_there_are_machines_for_are_refused() -> None:
+    with pytest.raises(ValueError, match="6 motors at most"), a_bed(motors=7):
+        pass
 
 
 # A second opinion on the programs, by an emulator that is not the one of pio_model

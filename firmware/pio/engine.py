@@ -56,6 +56,7 @@ if TYPE_CHECKING:
 
 _TICK_HZ = const(12_500_000)
 _SEGMENT_LOG2 = const(17)
+_MOST = const(6)  # lanes: PIO 1 has a machine left, for a radio
 
 # fault(): in the order of layout.RAISED and those behind it.
 _FAULTS = (
@@ -101,6 +102,8 @@ class PioEngine:
         self._pin_control = 0x40028004 if rp2350 else 0x40014004
         self._invert_shift = 12 if rp2350 else 8
         lanes = len(step) + more_lanes
+        if lanes > _MOST:
+            raise ValueError("6 motors at most")
         self._memory = Memory(lanes, rp2350)
         self._hub = self._memory.hub
         self._rows = self._memory.rows

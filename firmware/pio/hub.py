@@ -200,10 +200,12 @@ def _prepare(hub: ptr32) -> int:
     patience = 1000
     while ((timer[0] & MASK) - hub[END_US]) & MASK <= timing[PULSE] // 12 + 1 and patience:
         patience -= 1  # the last pulses have their full length
-    pio[CTRL + CLEAR] = hub[OURS]
-    clock[CTRL + CLEAR] = hub[OURS + 1]
-    pio[CTRL + SET] = hub[OURS] << 4  # restart
-    clock[CTRL + SET] = hub[OURS + 1] << 4
+    first = hub[OURS]
+    second = hub[OURS + 1]
+    pio[CTRL + CLEAR] = first
+    clock[CTRL + CLEAR] = second
+    pio[CTRL + SET] = first << 4  # restart
+    clock[CTRL + SET] = second << 4
     while (clock[FLEVEL] >> _CLOCK_SHIFT) & 15:
         clock[_CLOCK_INSTR] = _PULL
     patience = 1000
@@ -297,7 +299,7 @@ def _hand_over(hub: ptr32, fed: int, count: int) -> int:
     following = ptr32(hub[ROW + (fed & LAST_ROW)])
     nvic[DISABLE] = hub[RIVALS]
     over = (ptr32(hub[PIO0])[FDEBUG] >> TXOVER) & hub[OURS]
-    if over or (clock[FDEBUG] >> TXOVER) & hub[OURS + 1]:
+    if over | (clock[FDEBUG] >> TXOVER) & hub[OURS + 1]:
         hub[FAULT] = LOST
     if hub[HALT] == 0 and hub[FAULT] == 0:
         for i in range(axes):
@@ -395,7 +397,7 @@ class Memory:
 
     def connect(self, axis: int, channel: int) -> None:
         """A lane's words go through this DMA channel."""
-        first = self.hub[PIO0 + (axis >> BLOCK_LOG2)]
-        self.lanes[LANE * axis + MACHINE] = first + 4 * (MACHINES + SM * (axis & IN_BLOCK))
+        pio = self.hub[PIO0 + (axis >> BLOCK_LOG2)]
+        self.lanes[LANE * axis + MACHINE] = pio + 4 * (MACHINES + SM * (axis & IN_BLOCK))
         self.hub[DMA + axis] = at = DMA_AT + DMA_EACH * channel
         machine.mem32[at + 4 * CREDITS] = 0  # counted anew: the FIFO is empty

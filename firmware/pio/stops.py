@@ -170,7 +170,7 @@ def trouble(hub: ptr32) -> int:
     if hub[FAULT]:
         return hub[FAULT]
     over = (ptr32(hub[PIO0])[FDEBUG] >> TXOVER) & hub[OURS]
-    if over or (ptr32(hub[PIO1])[FDEBUG] >> TXOVER) & hub[OURS + 1]:
+    if over | (ptr32(hub[PIO1])[FDEBUG] >> TXOVER) & hub[OURS + 1]:
         return LOST
     if hub[ASKED]:
         return UNHEARD
