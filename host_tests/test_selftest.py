@@ -283,6 +283,7 @@ REFUSED = {
         {"about_it": ESP32, "wired": WIRED_ESP._replace(engine="i2s")},
         "steps behind shift registers: no pin of the chip shows them",
     ),
+    "six motors": ({"wired": WIRED._replace(motors=6)}, "6 motors take machines of PIO 1"),
     "an engine of elsewhere": ({"about_it": ESP32, "wired": WIRED}, "ENGINE 'pio' is none"),
     "no PCNT": (
         {"about_it": ESP32, "wired": WIRED_ESP._replace(has_pcnt=False)},

@@ -44,9 +44,9 @@ class Emulated:
 
     def wiring(self) -> Wiring:
         said = self._board.python_again(WIRING + "print(wiring())")
-        engine, enable, pwm, has_pcnt = said.strip()[1:-1].split(", ")
+        engine, enable, pwm, has_pcnt, motors = said.strip()[1:-1].split(", ")
         assert has_pcnt == "False"
-        return Wiring(engine.strip("'"), int(enable), int(pwm))
+        return Wiring(engine.strip("'"), int(enable), int(pwm), False, int(motors))
 
     def run(self, script: str, heard: "Callable[[str], None]", seconds: float) -> str:
         self._send(script, lambda: self._board.said.count("\x04") >= 2, seconds)
@@ -77,7 +77,7 @@ def test_the_firmware_passes_all_that_can_be_shown_here(uf2: Path) -> None:
     machine = Board(uf2, _BOARD).boot().settled()
     board = Emulated(machine)
     chip, wiring = look(board)
-    assert (chip, wiring) == (program.RP2040, Wiring("pio", 8, 16))
+    assert (chip, wiring) == (program.RP2040, Wiring("pio", 8, 16, False, 3))
     machine.pico.erase_takes_us(_ERASE_US)
     rows: "dict[str, Row]" = {}
     check(board, chip, program.QUICK, True, 13, lambda row: rows.update({row.what: row}))

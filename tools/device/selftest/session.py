@@ -16,6 +16,9 @@ _MARK = "= "
 _CHECKS_S = 300.0
 _HANG_S = 20.0
 
+# Of an RP2: PIO 0 has machines for so many.
+_MOST_MOTORS = 4
+
 # What the board file says that decides what may be done.
 WIRING = """
 def wiring():
@@ -24,11 +27,12 @@ def wiring():
     except ImportError:
         return None
     said = [getattr(board, name, None) for name in ("ENGINE", "ENABLE", "SPINDLE_PWM")]
+    motors = len(getattr(board, "STEP", ()))
     try:
         from esp32 import PCNT
     except ImportError:
-        return said + [False]
-    return said + [True]
+        return said + [False, motors]
+    return said + [True, motors]
 """
 
 
@@ -39,6 +43,7 @@ class Wiring(NamedTuple):
     enable: Any
     spindle_pwm: int | None
     has_pcnt: bool = False  # pulse counters
+    motors: int = 0
 
 
 class Board(Protocol):
@@ -144,6 +149,11 @@ def _countable(about: About, wiring: Wiring, chip: AnyChip) -> None:
         )
     if wiring.engine != ("rmt" if isinstance(chip, Esp) else "pio"):
         raise DeployError(f"ENGINE {wiring.engine!r} is none that can be tested", "")
+    if not isinstance(chip, Esp) and wiring.motors > _MOST_MOTORS:
+        raise DeployError(
+            f"{wiring.motors} motors take machines of PIO 1, with which steps would be counted",
+            f"a board file with {_MOST_MOTORS} motors can be tested",
+        )
     if isinstance(chip, Esp) and not wiring.has_pcnt:
         raise DeployError(
             f"the MicroPython on {about.machine} has no esp32.PCNT: nothing on it can count steps",
