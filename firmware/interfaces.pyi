@@ -162,6 +162,24 @@ class Kinematics(Protocol):
     def stopped_by(self, switches: int) -> int:
         """The motors (a mask) that stop at these limit switches (a mask)."""
 
+class Geometry(Protocol):
+    """Kinematics of the user's own, a module beside the board file: extras/nonlinear.py.
+
+    Places are of the tool, in mm; joints one per motor, in units of their own.
+    """
+
+    START: Sequence[float]  # where the joints are at power-up,
+    HOME: Sequence[float]  # and when their switches close
+    TRAVEL: Sequence[float]  # how far it is to a switch, at the most
+    CENTRED: Sequence[int]  # axes whose travel goes to either side of 0
+    FASTEST: float  # mm/min: no motion is faster
+
+    def inverse(self, place: array[float], joints: array[float]) -> bool:
+        """Fill in the joints, which hold where they are before. False: out of reach."""
+
+    def forward(self, joints: array[float], place: array[float]) -> object:
+        """Fill in the place."""
+
 class InputListener(Protocol):
     """Who hears of a port's inputs, in interrupt context. An object, and not three callables:
     to call a method needs less stack than to call what has been taken from it."""

@@ -30,6 +30,7 @@ def names(board: "ModuleType", with_custom: bool) -> "list[str]":
     ganged = "ganged" if option("MOTORS", "") else ""
     home_order = "home_order" if option("HOMING", ()) else ""
     drains = "drains" if option("COUNT_DRAINS", False) else ""
+    nonlinear = "nonlinear" if option("KINEMATICS", "") else ""
     own: "tuple[str, ...]" = option("EXTRAS", ())
     custom = "custom" if with_custom else ""
     # Those that have their option's name.
@@ -40,7 +41,8 @@ def names(board: "ModuleType", with_custom: bool) -> "list[str]":
     # In this order: second motors go with what the first do; which axes are homed comes before
     # when, and before what drivers feel of it; a laser's part in each row is behind that of jerk;
     # and what the user's own take is theirs.
-    ours = dialect, moves, ganged, rotary, home_order, tmc2209, jerk, tool, clusters, drains, jobs
+    motion = nonlinear, moves, ganged, rotary, home_order, tmc2209, jerk
+    ours = (dialect,) + motion + (tool, clusters, drains, jobs)
     return _ours(ours) + list(own) + _ours((custom, lenient))
 
 

@@ -88,8 +88,8 @@ class Seek:
             return False
         self._contact = False
         self._canon.line(target, move)
-        self._canon.finish()
         self._port.watch_probe(self._on_contact, self._inputs.contact_level(away))
+        self._canon.finish()
         state.post(st.CYCLE_START)
         self._canon.service()
         if self._contact and state.run == st.RUN:  # before it began

@@ -219,9 +219,15 @@ def _names_of_extras(board: ModuleType) -> set[str]:
     return {one or other for one, other in matches}
 
 
+def own_modules(board: Any) -> tuple[str, ...]:
+    """The modules of the user's own that lie beside the board file, by name."""
+    kinematics = getattr(board, "KINEMATICS", "")
+    return (*getattr(board, "EXTRAS", ()), *((kinematics,) if kinematics else ()))
+
+
 def _own_extras(board: ModuleType) -> dict[str, str]:
     """The modules of the user's own, as they are written, by name."""
-    specs = {name: importlib.util.find_spec(name) for name in getattr(board, "EXTRAS", ())}
+    specs = {name: importlib.util.find_spec(name) for name in own_modules(board)}
     files = {name: Path(spec.origin) for name, spec in specs.items() if spec and spec.origin}
     return {name: file.read_text(encoding="utf-8") for name, file in files.items()}
 
@@ -229,7 +235,7 @@ def _own_extras(board: ModuleType) -> dict[str, str]:
 def _name_of_custom(board: ModuleType) -> Iterator[str]:
     """What an extra is called, the user's own module cannot be."""
     name = getattr(board, "CUSTOM", "")
-    if name and name in getattr(board, "EXTRAS", ()):
+    if name and name in own_modules(board):
         yield f"CUSTOM is {name!r}: EXTRAS has a module of that name"
 
 

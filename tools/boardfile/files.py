@@ -8,7 +8,7 @@ from types import ModuleType
 from typing import Any
 
 from .. import paths
-from .board_check import imports, is_simulated, problems
+from .board_check import imports, is_simulated, own_modules, problems
 
 
 class BoardFileError(ValueError):
@@ -67,8 +67,8 @@ def load(file: Path) -> ModuleType:
         raise BoardFileError(f"{file} is no Python file")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    if getattr(module, "EXTRAS", ()) and str(file.parent) not in sys.path:
-        sys.path.append(str(file.parent))  # where its extras are, as on the board
+    if own_modules(module) and str(file.parent) not in sys.path:
+        sys.path.append(str(file.parent))  # where these are, as on the board
     return module
 
 

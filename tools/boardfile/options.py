@@ -341,6 +341,10 @@ OPTIONS = (
         "Lines may hold S0:0:875:0, up to 16 powers, and 160 characters: see docs/laser.md.",
     ),
     Option(
+        *("KINEMATICS", MODULE, ""),
+        "Kinematics of your own, a module beside board.py, by name: see docs/kinematics.md.",
+    ),
+    Option(
         *("EXTRAS", NAMES, ()),
         "Modules of your own beside board.py, by name: see docs/extending.md.",
     ),

@@ -11,6 +11,7 @@ from typing import Any
 
 from .. import paths
 from ..boardfile import engines, options
+from ..boardfile.board_check import own_modules
 from ..boardfile.files import load_for_build
 from . import compilers, kernel_module, machine_code, prepared, put_together, stock, symbols
 from .built_in import built_in
@@ -315,7 +316,7 @@ def for_board(
     board: Any = load_for_build(file)
     made = compile_all(board.MPY_ARCH, board, progress, debug)
     made.engine = board.ENGINE
-    own = [f"{name}.py" for name in getattr(board, "EXTRAS", ())]
+    own = [f"{name}.py" for name in own_modules(board)]
     for path, source in ((BOARD, file), *((name, file.parent / name) for name in own)):
         made.files[path] = source.read_bytes()
         progress(path, len(made.files[path]))

@@ -1,6 +1,7 @@
 """Counts what a simulated machine was told to do and what its motors did."""
 
 import json
+from array import array
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from math import hypot
@@ -8,8 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
-    from array import array
-
     from ..sim.rig import Rig
 
 _Value = TypeVar("_Value")
@@ -58,6 +57,7 @@ class Recorder:
         self._rotary: str = getattr(rig.board, "ROTARY", "")
         self._linear = [i for i in self._axes if self._names[i] not in self._rotary]
         self._moves: Sequence[int] = ()  # as in motion/kinematics.py; empty: an axis each
+        self._nonlinear: Any = None  # or kinematics of the user's own: extras/nonlinear.py
         self._planned = [0 for _ in self._motors]
         self._made = [0 for _ in self._motors]
         self._probed = [0 for _ in self._motors]  # planned, and not made behind a probe's contact
@@ -109,6 +109,7 @@ class Recorder:
         self._settings = controller.settings
         kinematics = controller.planner.kinematics
         self._moves = kinematics.moves if kinematics else ()
+        self._nonlinear = kinematics if hasattr(kinematics, "place_of") else None
         self._plan = replace_method(self._planner, "line", self._line)
         self._chords = replace_method(self._planner, "chords", self._follow_arc)
         self._probe = replace_method(controller.seek, "probe", self._watch_probe)
@@ -164,6 +165,8 @@ class Recorder:
 
     def _note(self, row: int) -> None:
         """A row of the ring has been planned."""
+        from motion import reals
+
         layout = self._layout
         at = row * self._planner.flow[layout.ROW_SIZE] + layout.STEPS
         steps = self._planner.ring[at : at + len(self._motors)]
@@ -175,6 +178,9 @@ class Recorder:
             planned[i] += count
         self._mm_per_step = [1 / (resolution or 1.0) for resolution in self._settings.steps_per_mm]
         signed = [-n if dirs >> i & 1 else n for i, n in enumerate(steps)]
+        if self._nonlinear:
+            self._distance_mm += reals.value(self._planner.ring[at - layout.STEPS + layout.LENGTH])
+            return
         way = self._to_mm(signed)
         self._distance_mm += hypot(*[way[axis] for axis in self._linear])
 
@@ -223,6 +229,10 @@ class Recorder:
 
     def _to_mm(self, motors: Sequence[float]) -> list[float]:
         """Axes in mm from steps of motors."""
+        if self._nonlinear:
+            place = array("f", bytes(4 * len(self._axes)))
+            self._nonlinear.place_of(motors, place)
+            return list(place)
         steps: Sequence[float] = motors
         if self._moves:
             steps = [self._axis_steps(motors, axis) for axis in range(len(self._mm_per_step))]

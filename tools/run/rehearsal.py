@@ -153,8 +153,8 @@ class _Watcher(Recorder):
 
         controller = self._rig.controller
         steps = [position - planner._BIAS for position in controller.planner.position]
-        per_mm = controller.settings.steps_per_mm
-        return [round(n / (mm or 1.0), 4) for n, mm in zip(steps[:3], per_mm, strict=False)]
+        per_mm = controller.planner.steps_per_mm
+        return [round(n / mm, 4) for n, mm in zip(steps[:3], per_mm, strict=False)]
 
 
 class _Link(ProgramLink):
