@@ -70,7 +70,7 @@ def test_a_board_is_data_only(name: str) -> None:
         ({"DIR": (5, 6, 2)}, "DIR: pin 2 is STEP already"),
         ({"PROBE": 14}, "HOLD: pin 14 is PROBE already"),
         ({"REPL_PIN": 3}, "REPL_PIN: pin 3 is STEP already"),
-        ({"LIMIT": (9, 9, 11)}, "LIMIT names pin 9 twice"),
+        ({"LIMIT": (9, 9, 11)}, "LIMIT: X and Y share a pin and are homed together: write HOM"),
         ({"PROBE": 23}, "PROBE: Raspberry Pi Pico has no pin 23 to connect to"),
         ({"ENABLE": (8, 30)}, "ENABLE: Raspberry Pi Pico has no pin 30 to connect to"),
         ({"ENABLE": (8, 4)}, "ENABLE: pin 4 is STEP already"),

@@ -125,7 +125,10 @@ def test_questions_are_asked_until_the_answers_fit(file: Path) -> None:
         (("--pin", "step=1"), "which chip?"),
         ((*_PICO, "--pin", "limit=9,10"), "LIMIT wants 3 pins, not 2"),
         ((*_PICO, "--pin", "probe=2"), "PROBE: pin 2 is STEP already"),
-        ((*_PICO, "--pin", "limit=9,9,10"), "LIMIT names pin 9 twice"),
+        (
+            (*_PICO, "--pin", "limit=9,9,10"),
+            "LIMIT: X and Y share a pin and are homed together: write HOMING",
+        ),
         ((*_PICO, "--pin", "probe=23"), "has no pin 23"),
         ((*_PICO, "--pin", "probe=D2"), "D2 is no pin"),
         ((*_PICO, "--pin", "laser=2"), "it is one of step, dir"),

@@ -95,6 +95,16 @@ def test_a_switch_is_heard_at_once_in_a_hard_interrupt() -> None:
     assert all(Pin(pin).hard for pin in (9, 10, 11, 12, 13, 14, 15))
 
 
+def test_an_input_that_axes_share_is_told_for_each_and_heard_once() -> None:
+    port, heard = made(LIMIT=(9, 9, 11))
+    pin_check.check(board(LIMIT=(9, 9, 11)), MOTORS)
+    Pin(9).drive(0)
+    assert (port.limits(), heard.limits, Pin(9).calls) == (3, 1, 1)
+    Pin(9).drive(1)
+    port._limit_timer.expire()
+    assert (port.limits(), heard.limits) == (0, 2)
+
+
 def test_limits_are_heard_only_where_they_are_wanted() -> None:
     port, heard = made()
     port.hear_limits(False)

@@ -16,7 +16,7 @@ _NAMES = (
 
 
 def check(board: "ModuleType", motors: "tuple[str, ...]", others: "tuple[str, ...]" = ()) -> None:
-    """No pin twice, and none that the chip has not.
+    """No pin twice, but for limit switches that share one, and none that the chip has not.
 
     motors: the engine's names for pins. others: those of extras. Raises ValueError, which says
     where.
@@ -29,7 +29,7 @@ def check(board: "ModuleType", motors: "tuple[str, ...]", others: "tuple[str, ..
         for pin in value if isinstance(value, tuple) else (value,):
             if pin is None:
                 continue
-            if pin in used:
+            if pin in used and not name == used[pin] == "LIMIT":
                 raise ValueError("%s: pin %s is %s already" % (name, pin, used[pin]))
             used[pin] = name
             try:

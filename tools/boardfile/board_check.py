@@ -192,7 +192,7 @@ def _loose(known: Board, name: str, pins: tuple[int, ...]) -> Iterator[str]:
             yield f"{name}: {known.chip.title} has no pin {pin} to connect to"
         elif pin in used:
             yield f"{name}: pin {pin} is {used[pin]} already"
-        elif pin in pins[:count]:
+        elif pin in pins[:count] and name != "LIMIT":
             yield f"{name} names pin {pin} twice"
 
 

@@ -193,7 +193,12 @@ OPTIONS = (
         high=1000,
     ),
     # Inputs.
-    Option("LIMIT", PINS, (), "Limit switches to ground, one pin per motor, or axis."),
+    Option(
+        "LIMIT",
+        PINS,
+        (),
+        "Limit switches to ground, one pin per motor, or axis; axes may share one.",
+    ),
     Option(
         *("LIMIT_DEBOUNCE_MS", COUNT, 0),
         "A limit switch counts if it is closed so many ms after an edge; a machine goes on "

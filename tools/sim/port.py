@@ -31,6 +31,13 @@ def limit_names(board: "ModuleType") -> "tuple[str, ...]":
     return tuple(names)
 
 
+def shared_inputs(board: "ModuleType") -> "list[int]":
+    """Masks of limit inputs that are one and the same pin."""
+    wired = getattr(board, "LIMIT", ())
+    bits = {pin: [i for i, one in enumerate(wired) if one == pin] for pin in wired}
+    return [sum(1 << i for i in same) for pin, same in bits.items() if pin is not None]
+
+
 class SimPwm:
     """The frequency of its spindle's output."""
 
@@ -49,6 +56,7 @@ class SimPort:
         self.pwm_max = board.PWM_MAX
         self.pwm = SimPwm(getattr(board, "PWM_HZ", 5000))
         self.limit_names = limit_names(board)
+        self._shared = shared_inputs(board)
         self._controls = CONTROLS_WITH_DOOR if getattr(board, "SAFETY_DOOR", False) else CONTROLS
         # The direction's pin says that the spindle is on.
         self._enables: bool = getattr(board, "SPINDLE_ENABLE_PIN", False)
@@ -110,7 +118,11 @@ class SimPort:
         self._look_at_probe()
 
     def limits(self) -> int:
-        return self._mask(self.limit_names)
+        closed = self._mask(self.limit_names)
+        for mask in self._shared:
+            if closed & mask:
+                closed |= mask
+        return closed
 
     def controls(self) -> int:
         return self._mask(self._controls)
