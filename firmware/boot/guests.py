@@ -32,6 +32,7 @@ def names(board: "ModuleType", with_custom: bool) -> "list[str]":
     drains = "drains" if option("COUNT_DRAINS", False) else ""
     limits = [pin for pin in option("LIMIT", ()) if pin is not None]
     shared_limits = "shared_limits" if len(set(limits)) < len(limits) else ""
+    backlash = "backlash" if option("BACKLASH", False) else ""
     nonlinear = "nonlinear" if option("KINEMATICS", "") else ""
     own: "tuple[str, ...]" = option("EXTRAS", ())
     custom = "custom" if with_custom else ""
@@ -43,8 +44,8 @@ def names(board: "ModuleType", with_custom: bool) -> "list[str]":
     # In this order: second motors go with what the first do; which axes are homed comes before
     # when, that before who shares an input, and all before what drivers feel of it; a laser's part
     # in each row is behind that of jerk; and what the user's own take is theirs.
-    motion = nonlinear, moves, ganged, rotary, home_order, shared_limits, tmc2209, jerk
-    ours = (dialect,) + motion + (tool, clusters, drains, jobs)
+    axes = nonlinear, moves, ganged, backlash, rotary, home_order, shared_limits
+    ours = (dialect,) + axes + (tmc2209, jerk, tool, clusters, drains, jobs)
     return _ours(ours) + list(own) + _ours((custom, lenient))
 
 

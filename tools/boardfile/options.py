@@ -342,6 +342,10 @@ OPTIONS = (
         "Jerk can be limited while it runs, per axis: see docs/jerk.md.",
     ),
     Option(
+        *("BACKLASH", SWITCH, False),
+        "Slack is taken up where an axis turns round, by $160 and on: see docs/motors.md.",
+    ),
+    Option(
         *("CLUSTERS", SWITCH, False),
         "Lines may hold S0:0:875:0, up to 16 powers, and 160 characters: see docs/laser.md.",
     ),

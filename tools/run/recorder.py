@@ -112,6 +112,8 @@ class Recorder:
         self._nonlinear = kinematics if hasattr(kinematics, "place_of") else None
         self._plan = replace_method(self._planner, "line", self._line)
         self._chords = replace_method(self._planner, "chords", self._follow_arc)
+        if hasattr(self._planner, "take_up"):  # slack: extras/backlash.py
+            self._take_up = replace_method(self._planner, "take_up", self._turn)
         self._probe = replace_method(controller.seek, "probe", self._watch_probe)
         self._follow_plain = replace_method(controller.interpreter.fast, "follow", self._follow)
 
@@ -139,6 +141,13 @@ class Recorder:
             return False
         self._note(row)
         return True
+
+    def _turn(self, *asked: Any) -> bool:
+        """Stand in for BacklashPlanner.take_up."""
+        done: bool = self._take_up(*asked)
+        if done:
+            self._note(self._planner.flow[self._layout.ROWS])
+        return done
 
     def _follow(self, line: bytearray, length: int) -> int:
         """Stand in for Plain.follow, which adds to the ring by itself."""

@@ -1,0 +1,320 @@
+"""Backlash: BACKLASH = True in the board file, and $160, $161, $162 in mm, an axis each.
+
+Where an axis turns round, its motor first takes up the slack, alone and from rest to rest, at the
+axis' own rate and acceleration. A place is what the program means by it: that move is in no
+report, and motors stand beside it by what they have taken up. How much of the slack lies before
+an axis on its way up is known to the step, also where a reset has come in between; where homing
+has pulled off to, it is taken up. Numbers are grblHAL's.
+"""
+
+from array import array
+
+from base import errors
+from base import state as st
+from base.errors import GrblError
+from base.f32 import copy, vector
+from base.settings import AXIS
+from control.canon import Canon
+from micropython import const
+from motion import arcs, layout, plan_kernel
+from motion import planner as plan
+from motion.kinematics import Kinematics
+from motion.planner import Planner
+from motion.steps import to_steps
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import ModuleType
+    from typing import Any
+
+    from base.settings import Rows
+    from interfaces import Options
+    from motion.planner import Move
+
+    from extras.api import Cnc
+
+_SETTINGS: "Rows" = (  # attribute-names: column 1
+    # Backlash, one value per axis. So far a motor turns, where its axis turns round, before the
+    # axis moves; 0: nothing is taken up.
+    (160, "backlash_mm", AXIS, 0.0, "millimeters"),
+)
+_FIRST = const(160)
+_MOST_MM = const(5)
+_UNKNOWN = const(-1)  # nobody knows where in its slack the axis is
+_WORDS = ("COREXY", "MOVES", "KINEMATICS", "ROTARY", "JERK", "CLUSTERS", "PARKING")
+_LOOK = const(7)  # so many chords, and one, are planned without a look at the link: a mask
+
+
+class BacklashKinematics(Kinematics):
+    """Motors stand beside the place of their axis by its slack, in steps."""
+
+    def __init__(self, axes: int, moves: "list[int]", alone: int) -> None:
+        super().__init__(axes, moves, alone)
+        self.slack = array("i", bytes(4 * axes))
+        self.held = 0  # axes (a mask) that stay where they are while their motors take up slack,
+        self.stands = array("i", bytes(4 * axes))  # and that is here
+
+    def motor_of(self, motors: "array[int]", axis: int) -> int:
+        """Steps of an axis' motor, whatever of them is slack."""
+        return super().axis_steps(motors, axis)
+
+    def axis_steps(self, motors: "array[int]", axis: int) -> int:
+        """As Kinematics.axis_steps(): the place of the axis."""
+        if self.held >> axis & 1:
+            return self.stands[axis]
+        return self.motor_of(motors, axis) - self.slack[axis]
+
+    def set_axis(self, motors: "array[int]", axis: int, steps: int) -> None:
+        """As Kinematics.set_axis(): from here on the motor is where the axis is."""
+        self.slack[axis] = 0
+        super().set_axis(motors, axis, steps)
+
+
+class BacklashPlanner(Planner):
+    """A planner that can have motors take up slack."""
+
+    kinematics: "BacklashKinematics"
+    synced = False  # what was planned has been forgotten
+
+    def sync_motors(self, motors: "array[int]") -> None:
+        """As Planner.sync_motors()."""
+        super().sync_motors(motors)
+        self.synced = True
+
+    def take_up(self, ways: "array[int]", move: "Move", power: int) -> bool:
+        """A move of the system's own: so many steps per axis, as fast as they may."""
+        table = self.table
+        places = memoryview(table)[layout.LIMITS + layout.TARGET * self.axes :]
+        before = array("i", places[: 2 * self.axes])
+        for i in range(self.axes):
+            places[i] = places[self.axes + i] + ways[i]
+        flags = layout.SYSTEM_MOTION | layout.RAPID_MOTION | layout.NO_FEED_OVERRIDE
+        flags |= layout.PLACED | move.flags & plan.ACCESSORY_MASK
+        line = move.line_number
+        planned = plan_kernel.plan(self.speeds, table, self.ring, self.flow, flags, line, power, 0)
+        self.speeds[self.flow[layout.ROWS]] = move.spindle_rpm
+        copy(before, places, 2 * self.axes)
+        return bool(planned)
+
+
+class BacklashCanon(Canon):
+    """Functions of a machine with backlash. ahead: steps of slack before each axis on its way up,
+    of as many as there are."""
+
+    planner: "BacklashPlanner"
+    engine: "Any"
+    active = False  # slack of some axis is to be taken up
+
+    def __init__(self, *parts: "Any") -> None:
+        super().__init__(*parts)
+        axes = self.planner.axes
+        self.steps = array("i", bytes(4 * axes))
+        self.ahead = array("i", (_UNKNOWN for _ in range(axes)))
+        self._ways = array("i", bytes(4 * axes))
+        self._signs = array("i", bytes(4 * axes))
+        self._before = array("i", bytes(4 * self.planner.motors))
+        self._behind = array("i", bytes(4 * self.planner.motors))
+
+    def configure(self) -> None:
+        """As Canon.configure(); $160 and the others."""
+        super().configure()
+        settings: "Any" = self._settings
+        self.active = False
+        for i in range(self.planner.axes):
+            steps = int(settings.backlash_mm[i] * self.planner.steps_per_mm[i] + 0.5)
+            if steps:
+                self.active = True
+            if not self.steps[i]:
+                self.ahead[i] = _UNKNOWN  # nobody has counted
+            elif self.ahead[i] >= self.steps[i]:
+                self.ahead[i] = steps
+            elif self.ahead[i] > steps:
+                self.ahead[i] = _UNKNOWN
+            self.steps[i] = steps
+
+    def pulled_off(self, axis: int, upwards: bool) -> None:
+        """Homing has left the axis so, with its slack taken up."""
+        self.ahead[axis] = 0 if upwards else self.steps[axis]
+
+    def _plan_line(self, target: "array[float]", move: "Move") -> None:
+        """As Canon._plan_line()."""
+        state = self._state
+        if self.active and state.run != st.CHECK:
+            free = state.run == st.JOG or self._is_jog or not self._settings.soft_limits
+            if free or not self.outside(target):
+                to_steps(target, self.planner.table)
+                if not self._take_up(move):
+                    return
+        super()._plan_line(target, move)
+
+    def _plan_chords(self) -> None:
+        """As Canon._plan_chords(); one by one, for axes turn round in an arc."""
+        state, move, course, planner = self._state, self._move, self._course, self.planner
+        if not self.active or state.run == st.CHECK:
+            super()._plan_chords()
+            return
+        table, ring, flow, rate = planner.table, planner.ring, planner.flow, planner.rate
+        self.service()
+        while course[arcs.LEFT]:
+            if arcs.advance(course, table):
+                self.give_up(errors.ALARM_SOFT_LIMIT)
+            places = memoryview(table)[layout.LIMITS + layout.TARGET * planner.axes :]
+            target = array("i", places[: planner.axes])
+            self._take_up(move)
+            self.wait_for_room()
+            copy(target, places, planner.axes)
+            self.power, head = self.power_of(move), flow[layout.HEAD]
+            flags = move.flags | layout.PLACED
+            power, feed = self.power, rate(move.feed)
+            if plan_kernel.plan(course, table, ring, flow, flags, move.line_number, power, feed):
+                planner.speeds[head] = move.spindle_rpm
+            else:
+                self._stay(move)
+            course[arcs.LEFT] -= 1
+            if course[arcs.LEFT] & _LOOK == 0:
+                self.service()
+
+    def _take_up(self, move: "Move") -> bool:
+        """Take up slack before the way that the planner's table has. False: a jog has been
+        cancelled meanwhile."""
+        planner = self.planner
+        if not self._turns():
+            return True
+        planner.synced = False
+        while not planner.empty() or self._drive.moving:
+            self.auto_start()
+            self.service()
+        while self._slack_ahead() and not (self._is_jog and planner.synced):
+            self._move_motors(move)
+        return not (self._is_jog and planner.synced)
+
+    def _turns(self) -> bool:
+        """Which way the axes are to go; whether one of them has slack before it."""
+        table, axes = self.planner.table, self.planner.axes
+        target = layout.LIMITS + layout.TARGET * axes
+        for i in range(axes):
+            way = table[target + i] - table[target + axes + i]
+            self._signs[i] = sign = (way > 0) - (way < 0)
+            if sign and self.ahead[i] == _UNKNOWN:
+                self.ahead[i] = 0 if sign > 0 else self.steps[i]
+        return self._slack_ahead()
+
+    def _slack_ahead(self) -> bool:
+        """How far motors have to turn, into ways; whether any has to."""
+        found = False
+        for i in range(self.planner.axes):
+            sign = self._signs[i]
+            way = 0
+            if sign and self.ahead[i] != _UNKNOWN:
+                way = self.ahead[i] if sign > 0 else self.ahead[i] - self.steps[i]
+            self._ways[i] = way
+            found = found or way != 0
+        return found
+
+    def _move_motors(self, move: "Move") -> None:
+        """Have motors turn, at rest, and count what they have done. Hold and reset work meanwhile:
+        they may have done less."""
+        planner, kinematics, drive = self.planner, self.planner.kinematics, self._drive
+        axes = range(planner.axes)
+        power = 0 if self._spindle.laser else self.power_of(move)
+        self.engine.position(self._before)
+        for i in axes:
+            kinematics.stands[i] = kinematics.axis_steps(self._before, i)
+        planner.take_up(self._ways, move, power)
+        kinematics.held = sum([1 << i for i in axes if self._ways[i]])
+        try:
+            drive.start(st.JOG if self._is_jog else st.RUN)
+            while drive.moving:
+                self.service()
+        finally:
+            self.engine.position(self._behind)
+            for i in axes:
+                made = kinematics.motor_of(self._behind, i)
+                made -= kinematics.motor_of(self._before, i)
+                if self._ways[i]:
+                    self.ahead[i] -= made
+                    kinematics.slack[i] += made
+            kinematics.held = 0
+        planner.clear()
+
+
+def prepare(options: "Options", board: "ModuleType") -> None:
+    """What such a machine is made of. ValueError where that cannot be."""
+    for word in _WORDS:
+        if board.__dict__.get(word):
+            raise ValueError("BACKLASH and %s are not for the same machine" % word)
+    for i in range(options.axes):
+        if not 0 <= options.defaults.get(_FIRST + i, 0.0) <= _MOST_MM:
+            raise ValueError("DEFAULTS: $%d is %d mm at the most" % (_FIRST + i, _MOST_MM))
+    given: "Any" = options.kinematics
+    moves = given.moves if given else [1 << i for i in range(options.axes)]
+    alone = given.alone if given else 0
+    options.kinematics = BacklashKinematics(options.axes, moves, alone)
+    options.planner, options.canon = BacklashPlanner, BacklashCanon
+
+
+def _check(mm: float) -> None:
+    if not mm <= _MOST_MM:
+        raise GrblError(errors.INVALID_STATEMENT)
+
+
+def install(cnc: "Cnc") -> None:
+    """Have its settings, and every line go past it where slack is to be taken up."""
+    machine: "Any" = cnc.machine
+    canon, fast = machine.canon, machine.interpreter.fast
+    canon.engine = machine.engine
+    cnc.add_settings(_SETTINGS)
+    for i in range(machine.planner.axes):
+        cnc.check_setting(_FIRST + i, _check)
+    usual_follow: "Callable[[bytearray, int], int]" = fast.follow
+    usual_execute: "Callable[[bytearray, int], bool]" = fast.execute
+
+    def follow(line: bytearray, length: int) -> int:
+        return 0 if canon.active else usual_follow(line, length)
+
+    def execute(line: bytearray, length: int) -> bool:
+        return False if canon.active else usual_execute(line, length)
+
+    fast.follow, fast.execute = follow, execute
+    _home(machine)
+    _probe(machine)
+
+
+def _home(machine: "Any") -> None:
+    """Behind homing an axis has its slack on the side that it has pulled off from."""
+    canon, seek, settings = machine.canon, machine.seek, machine.settings
+    usual: "Callable[[int], None]" = seek.find
+
+    def find(axes: int) -> None:
+        for i in range(machine.planner.axes):
+            if axes >> i & 1:
+                canon.ahead[i] = _UNKNOWN
+        usual(axes)
+        for i in range(machine.planner.axes):
+            if axes >> i & 1:
+                canon.pulled_off(i, bool(settings.homing_dir_invert >> i & 1))
+
+    seek.find = find
+
+
+def _probe(machine: "Any") -> None:
+    """Where the probe has touched stays the same place, whichever slack is taken up later."""
+    seek, state, axes = machine.seek, machine.state, machine.planner.axes
+    place = vector(axes)
+    usual_probe, usual_forget = seek.probe, seek.forget_probe
+    usual_position: "Callable[[], array[float]]" = seek.probe_position
+
+    def probe(target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
+        reached: bool = usual_probe(target, move, away, alarms)
+        if state.run != st.CHECK and state.alarm != errors.ALARM_PROBE_FAIL_INITIAL:
+            copy(usual_position(), place, axes)
+        return reached
+
+    def forget() -> None:
+        usual_forget()
+        for i in range(axes):
+            place[i] = 0.0
+
+    seek.probe, seek.forget_probe = probe, forget
+    seek.probe_position = lambda: place
