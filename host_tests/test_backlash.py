@@ -3,14 +3,17 @@
 import random
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE
 from rig_bench import Machine
+from typer.testing import CliRunner
 from ugrbl.boardfile import board_check
 from ugrbl.boardfile.files import load_board
+from ugrbl.cli.app import app
 from ugrbl.compiling import build
 from ugrbl.sim.engine import Switch, step_tick
 
@@ -326,6 +329,16 @@ def test_settings_are_listed_and_kept_within_bounds() -> None:
 def test_what_does_not_go_with_it_is_refused_in_words(word: str) -> None:
     with pytest.raises(ValueError, match=f"BACKLASH and {word} are not for the same machine"):
         machine(**{word: True}).play([])
+
+
+def test_a_run_tells_of_axes_and_counts_what_motors_do(tmp_path: Path) -> None:
+    file = tmp_path / "back.nc"
+    file.write_text("G0X1\nG1X-2F900\nX0\n")
+    asked = ["run", str(file), "--board", "sim_backlash", "--set", "160=0.1"]
+    said = CliRunner().invoke(app, asked)
+    assert said.exit_code == 0, said.output
+    assert "1550 commanded = 1550 made" in said.output
+    assert "-2.000 to 1.000 mm" in said.output and "6.0 mm" in said.output
 
 
 def test_a_board_without_it_has_none_of_it() -> None:

@@ -57,6 +57,7 @@ class Recorder:
         self._rotary: str = getattr(rig.board, "ROTARY", "")
         self._linear = [i for i in self._axes if self._names[i] not in self._rotary]
         self._moves: Sequence[int] = ()  # as in motion/kinematics.py; empty: an axis each
+        self._slack: Any = None  # kinematics that know of slack: extras/backlash.py
         self._nonlinear: Any = None  # or kinematics of the user's own: extras/nonlinear.py
         self._planned = [0 for _ in self._motors]
         self._made = [0 for _ in self._motors]
@@ -97,7 +98,7 @@ class Recorder:
             self._by_letter(self._planned),
             self._by_letter(self._made),
             self._by_letter([(round(low, 4), round(high, 4)) for low, high in bounds]),
-            self._by_letter([round(mm, 4) for mm in self._to_mm(self._place)]),
+            self._by_letter([round(mm, 4) for mm in self._at()]),
             self._by_letter(self._probed),
             self._rotary,
         )
@@ -110,9 +111,10 @@ class Recorder:
         kinematics = controller.planner.kinematics
         self._moves = kinematics.moves if kinematics else ()
         self._nonlinear = kinematics if hasattr(kinematics, "place_of") else None
+        self._slack = kinematics if hasattr(kinematics, "slack") else None
         self._plan = replace_method(self._planner, "line", self._line)
         self._chords = replace_method(self._planner, "chords", self._follow_arc)
-        if hasattr(self._planner, "take_up"):  # slack: extras/backlash.py
+        if self._slack:
             self._take_up = replace_method(self._planner, "take_up", self._turn)
         self._probe = replace_method(controller.seek, "probe", self._watch_probe)
         self._follow_plain = replace_method(controller.interpreter.fast, "follow", self._follow)
@@ -145,8 +147,10 @@ class Recorder:
     def _turn(self, *asked: Any) -> bool:
         """Stand in for BacklashPlanner.take_up."""
         done: bool = self._take_up(*asked)
+        distance = self._distance_mm
         if done:
             self._note(self._planner.flow[self._layout.ROWS])
+        self._distance_mm = distance  # the tool has gone nowhere
         return done
 
     def _follow(self, line: bytearray, length: int) -> int:
@@ -204,7 +208,7 @@ class Recorder:
         for i, count in enumerate(row[layout.ROW_AXES :: layout.ROW_STRIDE]):
             made[i] += count
             place[i] += -count if dirs >> i & 1 else count
-        at = self._to_mm(self._place)
+        at = self._at()
         self._extend(at)
         self._moved(start, row, at)
 
@@ -213,14 +217,14 @@ class Recorder:
 
     def _mark(self) -> None:
         """The punch is down."""
-        self.marks.append(self._to_mm(self._place))
+        self.marks.append(self._at())
 
     def _rename(self, steps: "array[int]") -> None:
         """Stand in for StepEngine.set_position: the same place has another number from now on."""
         self._set_position(steps)
         if self._is_on:
             self._place = list(steps)
-            self._extend(self._to_mm(self._place))
+            self._extend(self._at())
 
     def _switch_off(self) -> None:
         """Stand in for SimEngine.power_off: a count that begins at 0 again is no way to 0."""
@@ -235,6 +239,14 @@ class Recorder:
                 low[i] = mm
             elif mm > high[i]:
                 high[i] = mm
+
+    def _at(self) -> list[float]:
+        """Where the axes are, in mm, whatever slack their motors have taken up."""
+        place = self._place
+        if self._slack:
+            steps = array("i", place)
+            place = [self._slack.axis_steps(steps, axis) for axis in self._axes]
+        return self._to_mm(place)
 
     def _to_mm(self, motors: Sequence[float]) -> list[float]:
         """Axes in mm from steps of motors."""
