@@ -148,6 +148,7 @@ class NonlinearPlanner(Planner):
         copy(self.place, self._place, self.axes)
         copy(self.joints, self._joints, self.axes)
         for i in range(self.axes):
+            self._slope[i] = 0.0  # what comes next begins from rest: it bends from nothing
             self.position[i] = _BIAS + math.floor(self.place[i] * _PER_MM + 0.5)
 
     # Blocks
@@ -186,7 +187,10 @@ class NonlinearPlanner(Planner):
             length = math.sqrt(sum([(target[i] - place[i]) ** 2 for i in range(self.axes)]))
         else:
             return False
-        return self._block(start, begin, end, length, move, power)
+        kept = array("f", self._slope), self._pace, self._length
+        planned = self._block(start, begin, end, length, move, power)
+        self._slope, self._pace, self._length = kept
+        return planned
 
     def _block(
         self,
