@@ -428,6 +428,56 @@ class BoardLink(Link, Protocol):
     def close(self) -> None:
         """Leave all to MicroPython's prompt."""
 
+class Access(Protocol):
+    """Which callers may do more than read: ports/access.py."""
+
+    secret: str  # who says it may,
+    allowed: list[str]  # and who calls from one of these addresses
+
+    def noise(self, count: int) -> bytes:
+        """So many bytes that nobody can guess."""
+
+class Connection(Protocol):
+    """One who has called over the network: MicroPython's socket, which never waits."""
+
+    def readinto(self, buf: bytearray, /) -> int | None:
+        """Move what has come into buf; None where nothing has, 0 where he has hung up."""
+
+    def write(self, data: bytes | bytearray | memoryview, /) -> int | None:
+        """Send as much as there is room for; None where there is none."""
+
+    def close(self) -> None:
+        """Hang up."""
+
+class Incoming(Protocol):
+    """Who calls over the network: ports/tcp.py."""
+
+    def next(self) -> tuple[Connection, str] | None:
+        """The next one, and his address; None where nobody calls."""
+
+    def close(self) -> None:
+        """Hear nobody any more."""
+
+class NetworkLink(Link, Protocol):
+    """A Link with a network beside the cable, as extras/net_access.py knows it."""
+
+    access: Access
+    ending: bool  # lines of one who has driven are not done yet
+    drop_half: Callable[[], None]  # the line that has begun is not wanted
+    status: Callable[[], str]  # what the radio says
+
+    def done(self) -> None:
+        """They are."""
+
+    def by_cable(self) -> bool:
+        """Who drives sits at the cable."""
+
+    def tell_cable(self, data: bytes) -> None:
+        """What nobody else is to read."""
+
+    def callers(self) -> int:
+        """How many are connected."""
+
 class Store(Protocol):
     """Text lines kept over power-off, by name."""
 

@@ -18,7 +18,7 @@ CLASSES = {
 BUILDING = {"boot.parts", "boot.parts_esp", "boot.wiring"}
 APART = {"_Pusher", "Place", "Saved", "SdBlocks"}
 # What extras do and ask for then, and what options.py does.
-INSTALLING = {"prepare", "install", "add_pins", "of_board"}
+INSTALLING = {"prepare", "install", "add_pins", "of_board", "beside"}
 
 
 def is_maker(name: str) -> bool:

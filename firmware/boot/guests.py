@@ -18,6 +18,7 @@ _DIALECTS = {
     "0.9i": "dialect_09",
     "0.9j": "dialect_09",
 }
+_NETWORKS = ("wifi", "uart_wifi")  # links
 _TOOLS = {"spindle": "", "laser": "laser", "punch": "punch"}
 
 
@@ -29,6 +30,7 @@ def names(board: "ModuleType", with_custom: bool) -> "list[str]":
     tool = _known("TOOL", option("TOOL", "spindle"), _TOOLS)
     ganged = "ganged" if option("MOTORS", "") else ""
     home_order = "home_order" if option("HOMING", ()) else ""
+    network = "net_access" if option("LINK", "usb") in _NETWORKS else ""
     drains = "drains" if option("COUNT_DRAINS", False) else ""
     limits = [pin for pin in option("LIMIT", ()) if pin is not None]
     shared_limits = "shared_limits" if len(set(limits)) < len(limits) else ""
@@ -41,11 +43,12 @@ def names(board: "ModuleType", with_custom: bool) -> "list[str]":
         word.lower() if option(word) else ""
         for word in ("MOVES", "ROTARY", "JERK", "CLUSTERS", "JOBS", "TMC2209", "LENIENT")
     ]
-    # In this order: second motors go with what the first do; which axes are homed comes before
-    # when, that before who shares an input, and all before what drivers feel of it; a laser's part
-    # in each row is behind that of jerk; and what the user's own take is theirs.
+    # In this order: the network is told of lines before others are; second motors go with what the
+    # first do; which axes are homed comes before when, that before who shares an input, and all
+    # before what drivers feel of it; a laser's part in each row is behind that of jerk; and what
+    # the user's own take is theirs.
     axes = nonlinear, moves, ganged, backlash, rotary, home_order, shared_limits
-    ours = (dialect,) + axes + (tmc2209, jerk, tool, clusters, drains, jobs)
+    ours = (network, dialect) + axes + (tmc2209, jerk, tool, clusters, drains, jobs)
     return _ours(ours) + list(own) + _ours((custom, lenient))
 
 

@@ -110,6 +110,27 @@ def uart() -> "BoardLink":
     return UartLink()
 
 
+def wifi() -> "BoardLink":
+    """The board's USB, and Wi-Fi: a Pico W."""
+    from ports import wifi as air
+    from ports.usb_link import UsbLink
+
+    link = air.beside(UsbLink())
+    forget("ports.usb_ring")
+    forget("ports.wifi")
+    return link
+
+
+def uart_wifi() -> "BoardLink":
+    """The same of an ESP32."""
+    from ports import wifi as air
+    from ports.uart_link import UartLink
+
+    link = air.beside(UartLink())
+    forget("ports.wifi")
+    return link
+
+
 # What a board file calls ENGINE: who makes it, with the pins that are not steps; what the board
 # file has to name; which of these names are pins of the chip; how many steps a second one axis can
 # expect where the board file does not say, for the tools; and per chip, as MicroPython calls it,
@@ -141,7 +162,12 @@ _ENGINES: "dict[str, Engine]" = {
     ),
 }
 # What a board file calls LINK: who makes it.
-_LINKS: "dict[str, Callable[[], BoardLink]]" = {"usb": usb, "uart": uart}
+_LINKS: "dict[str, Callable[[], BoardLink]]" = {
+    "usb": usb,
+    "uart": uart,
+    "wifi": wifi,
+    "uart_wifi": uart_wifi,
+}
 
 
 # The machine

@@ -21,21 +21,21 @@ TOO_LONG = const(2)
 
 # Where the reader is.
 _SIZE = const(0)  # of the ring
-_HEAD = const(1)
-_TAIL = const(2)
-_LENGTH = const(3)  # of the line so far
+HEAD = const(1)
+TAIL = const(2)
+LENGTH = const(3)  # of the line so far
 _LONGEST = const(4)
 _TOO_MUCH = const(5)
-_SKIPPING = const(6)  # mask:
+SKIPPING = const(6)  # mask:
 _IN_PARENTHESES = const(1)
 _AFTER_SEMICOLON = const(2)
 _OVERFLOW = const(4)
-_COMPLETE = const(8)  # the line has been found: the next one begins
+COMPLETE = const(8)  # the line has been found: the next one begins
 
 # Kinds of bytes.
 _AS_IT_IS = const(0)
 REALTIME = const(1)
-_END = const(2)
+END = const(2)
 _NOTHING = const(3)
 _COMMENT = const(4)
 _LOWER_CASE = const(5)
@@ -48,12 +48,12 @@ READS = (0x80, 0x84, _OVERFLOW)
 @micropython.viper
 def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
     """Go on with the line: upper case, no spaces, comments, control characters, slashes."""
-    tail = at[_TAIL]
-    head = at[_HEAD]
+    tail = at[TAIL]
+    head = at[HEAD]
     size = at[_SIZE]
-    length = at[_LENGTH]
-    skipping = at[_SKIPPING]
-    if skipping & _COMPLETE:
+    length = at[LENGTH]
+    skipping = at[SKIPPING]
+    if skipping & COMPLETE:
         length = 0
         skipping = 0
     room = 0 if skipping else at[_LONGEST]
@@ -67,7 +67,7 @@ def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
         if kind == _AS_IT_IS and length < room:
             line[length] = c
             length += 1
-        elif kind == _END:
+        elif kind == END:
             found = TOO_LONG if skipping & _OVERFLOW else LINE
         elif skipping:
             if c == 41 and skipping & _IN_PARENTHESES:
@@ -87,16 +87,16 @@ def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
             if skipping == 0:
                 found = TOO_LONG
     line[length] = 0
-    at[_TAIL] = tail
-    at[_LENGTH] = length
-    at[_SKIPPING] = _COMPLETE if found else skipping
+    at[TAIL] = tail
+    at[LENGTH] = length
+    at[SKIPPING] = COMPLETE if found else skipping
     return length << 2 | found if found else NOTHING
 
 
 @micropython.viper
 def room(at: ptr32) -> int:
     """Bytes that fit into the ring."""
-    used = at[_HEAD] - at[_TAIL]
+    used = at[HEAD] - at[TAIL]
     if used < 0:
         used += at[_SIZE]
     return at[_SIZE] - 1 - used
@@ -105,20 +105,20 @@ def room(at: ptr32) -> int:
 @micropython.viper
 def waits(at: ptr32) -> int:
     """Whether there are bytes in the ring."""
-    return 1 if at[_HEAD] != at[_TAIL] else 0
+    return 1 if at[HEAD] != at[TAIL] else 0
 
 
 @micropython.viper
 def feed(data: ptr8, count: int, ring: ptr8, at: ptr32, kinds: ptr8, post: object) -> int:
     """Move received bytes into the ring; post is called with those that are real-time. Bytes that
     find no room are lost."""
-    head = at[_HEAD]
-    tail = at[_TAIL]
+    head = at[HEAD]
+    tail = at[TAIL]
     size = at[_SIZE]
     for i in range(count):
         c = data[i]
         if kinds[c] == REALTIME:
-            at[_HEAD] = head
+            at[HEAD] = head
             post(c)  # type: ignore[operator]
         else:
             following = head + 1
@@ -127,7 +127,7 @@ def feed(data: ptr8, count: int, ring: ptr8, at: ptr32, kinds: ptr8, post: objec
             if following != tail:
                 ring[head] = c
                 head = following
-    at[_HEAD] = head
+    at[HEAD] = head
     return 0
 
 
@@ -138,7 +138,7 @@ def _make_kinds(first: int, extra: int) -> bytearray:
         if c >= first or c == extra or c in b"\x18?~!":
             kinds[c] = REALTIME
         elif c in b"\r\n":
-            kinds[c] = _END
+            kinds[c] = END
         elif c in b"(;":
             kinds[c] = _COMMENT
         elif c <= 32 or c == 47:
@@ -181,15 +181,15 @@ class LineReader:
 
     def waiting(self) -> bool:
         """Bytes have come that clean() has not seen."""
-        return self._at[_HEAD] != self._at[_TAIL]
+        return self._at[HEAD] != self._at[TAIL]
 
     def has_line(self) -> bool:
         """A line has been found, or is on its way: clean() has not come to an empty ring since."""
         at = self._at
-        return at[_HEAD] != at[_TAIL] or at[_LENGTH] > 0 or at[_SKIPPING] > 0
+        return at[HEAD] != at[TAIL] or at[LENGTH] > 0 or at[SKIPPING] > 0
 
     def clear(self) -> None:
         """Forget everything received, the line in progress too."""
-        self._at[_TAIL] = self._at[_HEAD]
-        self._at[_LENGTH] = 0
-        self._at[_SKIPPING] = 0
+        self._at[TAIL] = self._at[HEAD]
+        self._at[LENGTH] = 0
+        self._at[SKIPPING] = 0

@@ -140,7 +140,8 @@ OPTIONS = (
     ),
     Option(
         *("LINK", WORD, "usb"),
-        "Where the sender is. uart: UART 0 of an ESP32, or its native USB.",
+        "Where the sender is. uart: UART 0 of an ESP32, or its native USB. wifi: USB and network "
+        "of a Pico W; uart_wifi: of an ESP32. See docs/network.md.",
         words=engines.links,
     ),
     # Motors.

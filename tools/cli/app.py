@@ -27,6 +27,7 @@ from . import (
     settings,
     uf2,
     web,
+    wifi,
 )
 from .custom_options import CustomFile, Inputs, around
 from .outputs import check_outputs, failed
@@ -45,6 +46,7 @@ app.command("ports")(ports.command)
 app.command("send", epilog=send.EXAMPLES)(send.command)
 app.command("uf2", epilog=uf2.EXAMPLES)(uf2.command)
 app.command("web", epilog=web.EXAMPLES)(web.command)
+app.command("wifi", epilog=wifi.EXAMPLES)(wifi.command)
 app.command("selftest", epilog=selftest.EXAMPLES)(selftest.command)
 app.add_typer(custom_board.app, name="custom")
 app.add_typer(job.app, name="job")
@@ -85,6 +87,14 @@ class Speed(str, Enum):
 
 Board = Annotated[str, typer.Option(metavar="NAME", help="Machine: a file of boards/.")]
 
+Blank = Annotated[
+    bool, typer.Option("--blank", help="With an erased memory, as before the first start.")
+]
+Network = Annotated[
+    str | None,
+    typer.Option(metavar="[HOST:]PORT", help="Callers besides, as docs/network.md has them."),
+]
+
 
 @app.command()
 def sim(
@@ -107,9 +117,7 @@ def sim(
         Path | None,
         typer.Option(metavar="FILE", help="Keeps them between runs, as `ugrbl settings pull`."),
     ] = None,
-    blank: Annotated[
-        bool, typer.Option("--blank", help="With an erased memory, as before the first start.")
-    ] = False,
+    blank: Blank = False,
     switches: Annotated[
         bool, typer.Option("--switches", help="Limit switches at both ends of $130-$132, for $H.")
     ] = False,
@@ -119,6 +127,7 @@ def sim(
     plot: Annotated[
         Path | None, typer.Option(metavar="FILE", help="At the end, draw the tool's path there.")
     ] = None,
+    network: Network = None,
     custom_file: CustomFile = None,
     inputs: Inputs = None,
 ) -> None:
@@ -142,6 +151,7 @@ def sim(
             tcp=tcp,
             rfc2217=rfc2217,
             blank=blank,
+            network=network,
             around=around(board, custom_file, inputs),
         )
         simulate(options)

@@ -5,14 +5,17 @@ import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from rich.console import Console
 
+from .. import paths
+from ..boardfile.files import load_board
 from ..draw import plot
 from ..draw.job import job_of
 from ..draw.motion_trace import MotionTrace
 from ..run import machine
+from ..run.board_modules import complete
 from ..run.live import LiveLink
 from ..run.program import Result
 from ..run.recorder import Recorder
@@ -22,7 +25,12 @@ from .outputs import save_json
 if TYPE_CHECKING:
     from ..run.pty_link import Pty, Stdio
     from ..run.tcp_link import Tcp
+    from ..sim.network import HostCalls
     from ..sim.rig import Rig
+
+
+# Links that have one.
+_NETWORKS = ("wifi", "uart_wifi")
 
 
 @dataclass
@@ -40,16 +48,18 @@ class Options:
     tcp: str | None = None
     rfc2217: bool = False
     blank: bool = False
+    network: str | None = None
     around: machine.Around = machine.NOTHING
 
 
 def simulate(options: Options) -> None:
     """Run until a signal comes, or until stdin ends and all it asked for is done."""
     wire = _wire(options)
+    calls = _calls(options)
     try:
         rig = machine.build(
             options.board,
-            lambda rig: LiveLink(rig, wire, options.fast),
+            lambda rig: _link(rig, LiveLink(rig, wire, options.fast), calls),
             options.settings,
             blank=options.blank,
             around=options.around,
@@ -61,11 +71,15 @@ def simulate(options: Options) -> None:
         recorder = (MotionTrace if options.plot else Recorder)(rig)
         _stop_on_signals(rig.link)
         _publish(wire, options.link)
+        if calls:
+            _say(f"and on TCP at {calls.host}:{calls.port}")
         if not options.stdio:
             _hear_person(rig)
         machine.run(rig)
     finally:
         wire.close()
+        if calls:
+            calls.close()
     if options.report:
         save_json(asdict(recorder.totals()), options.report)
     if options.plot and isinstance(recorder, MotionTrace):
@@ -102,7 +116,36 @@ def _publish(wire: "Pty | Tcp | Stdio", link: Path | None) -> None:
     if link:
         wire.link(link)  # type: ignore[union-attr]  # a Pty, see _wire()
     if name:
-        Console().print(f"Grbl is at {link or name}", highlight=False, soft_wrap=True)
+        _say(f"Grbl is at {link or name}")
+
+
+def _say(text: str) -> None:
+    Console().print(text, highlight=False, soft_wrap=True)
+
+
+def _calls(options: Options) -> "HostCalls | None":
+    """Who calls over the network of a board that has one. ValueError where it has none."""
+    if options.network is None:
+        return None
+    from ..run.tcp_link import address
+
+    paths.use_firmware()
+    complete()
+    from ..sim.network import HostCalls
+
+    host, port = address(options.network)
+    if getattr(load_board(options.board), "LINK", "") not in _NETWORKS:
+        raise ValueError(f"{options.board} has no network; --board sim_wifi has one")
+    return HostCalls(host, port)
+
+
+def _link(rig: "Rig", cable: LiveLink, calls: "HostCalls | None") -> Any:
+    """The cable's, or the firmware's own around it."""
+    if calls is None:
+        return cable
+    from ..sim.network import RigLink
+
+    return RigLink(rig, cable, calls)
 
 
 def _hear_person(rig: "Rig") -> None:

@@ -1,0 +1,400 @@
+"""The sender at the cable or on the network: one drives, the others watch.
+
+Put around a link of the cable, whose way to the prompt stays. Who drives is read without a look at
+what he says; of the others each byte is looked at: `?` is answered to who asks, and a line may
+make its sender the one who drives. At the cable a hold and a reset act always.
+
+Who has not given the network's key, and does not call from an address that is allowed, may read
+and no more. It is said by `$NET/KEY=…`, and the address is trusted then until power-off.
+"""
+
+import time
+
+import micropython
+from base import errors
+from micropython import const
+
+from ports.access import MSG_TAKEN, OK, REFUSED, TAKEN, Access
+from ports.caller import Caller
+from ports.link_memory import PIECES
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from interfaces import BoardLink, Connection, Incoming
+
+_PLACES = const(3)  # callers at once
+_PIECE = const(64)
+_URGENT = const(16)
+_ROUND_MS = const(10)
+# Who drives may be followed by another, at rest, when he has said no line for so long.
+_SILENT_MS = const(5000)
+_STALE_MS = const(10000)  # and then his place is another caller's who has none
+_RADIO_MS = const(1000)
+
+_QUESTION = const(0x3F)
+_JOG_CANCEL = const(0x85)
+_STOPS = b"\x18!\x84\x85"
+_REALTIME = b"\x18!~"
+# What begins with these is told to all: messages, alarms, the welcome.
+_TO_ALL = b"[A\r"
+_REPORT = const(0x3C)
+_ANSWER = const(16)  # answers of lines wait for others that are as short
+_MSG_FULL = b"[MSG:Too many are connected]\r\n"
+
+
+class NetLink:
+    """A Link. cable: another. calls: who calls; None without a network. on_turn: as UartLink's."""
+
+    def __init__(self, cable: "BoardLink", calls: "Incoming | None") -> None:
+        self._cable = cable
+        self._calls = calls
+        self.shared = cable.shared
+        self.look = cable.look
+        self.is_slow = cable.is_slow
+        self.come_back: "Callable[[], None]" = lambda: None
+        self.on_turn: "Callable[[], None] | None" = None
+        self.access = Access()
+        # Called where the line that has begun is not wanted.
+        self.drop_half: "Callable[[], None]" = lambda: None
+        # The radio's, if there is one: called once a second, at rest or not; and what it says.
+        self.radio: "Callable[[bool], None] | None" = None
+        self.status: "Callable[[], str]" = lambda: "no network is set up"
+        self._at_rest: "Callable[[], bool]" = lambda: True
+        self._read = cable.read_into
+        self._write = cable.write
+        self._user = Caller()  # at the cable
+        self._user.trusted = True
+        self._callers = [Caller() for _ in range(_PLACES)]
+        self._all = [self._user] + self._callers
+        self._driver: "Caller | None" = self._user
+        # Only the cable: nothing has to be looked at. And nobody has spoken there.
+        self._is_plain = self._is_nobodys = True
+        # Another drives, and lines of the one before are not done yet: answers are nobody's, and
+        # lines wait.
+        self.ending = False
+        self._piece = bytearray(_PIECE)
+        self._urgent = bytearray(_URGENT)
+        self._urgent_count = 0
+        self._round_ms = self._radio_ms = time.ticks_ms()
+
+    # The Link seam
+
+    def attach(self, at_rest: "Callable[[], bool]", on_open: "Callable[[], None]") -> None:
+        """Say when the prompt may be asked for, and who greets."""
+        self._at_rest = at_rest
+        cable = self._cable
+        cable.come_back = self.come_back
+        if self.on_turn:
+            cable.on_turn = self.on_turn  # type: ignore[attr-defined]  # UartLink's
+        cable.attach(at_rest, on_open)
+
+    @micropython.native
+    def read_into(self, buf: bytearray) -> int:
+        """Move what has arrived into buf; return how many bytes."""
+        count = self._read(buf)
+        if self._is_plain:
+            if count:
+                self._user.asked = True  # has spoken: see _round()
+                return count
+            return self._turn(buf)
+        return self._sort(buf, count)
+
+    def write(self, data: "bytes | bytearray | memoryview") -> None:
+        """Send to whom it is for."""
+        if self._is_plain:
+            self._write(data)
+        elif len(data):
+            self._share(data)
+
+    def discard(self) -> None:
+        """Drop what has arrived: it was sent before a reset."""
+        self._cable.discard()
+        driver = self._driver
+        if driver:
+            driver.forget()
+            for _ in range(PIECES if driver.conn else 0):
+                driver.read(self._piece)
+        self._urgent_count = 0
+
+    def close(self) -> None:
+        """Leave the cable to MicroPython's prompt, and the network to nobody."""
+        for caller in self._callers:
+            caller.end()
+        if self._calls:
+            self._calls.close()
+            self._calls = None
+        self._driver = self._user
+        self._is_plain = True
+        self._cable.close()
+
+    # For extras/net_access.py
+
+    def by_cable(self) -> bool:
+        """Who drives sits at the cable."""
+        return self._driver is self._user
+
+    def tell_cable(self, data: bytes) -> None:
+        """What nobody else is to read."""
+        self._write(data)
+
+    def callers(self) -> int:
+        """How many are connected."""
+        return len([1 for caller in self._callers if caller.conn])
+
+    def done(self) -> None:
+        """Lines of the one who drove before are all done and answered."""
+        self.ending = False
+        self._settle()
+
+    def _settle(self) -> None:
+        if not self.ending and not self.callers():
+            user = self._user
+            if self._driver is None:
+                self._driver = user
+                self._is_nobodys = True
+            if self._driver is user and not (user.length or self._urgent_count):
+                self._is_plain = True
+                user.asked = False
+
+    # In
+
+    def _sort(self, buf: bytearray, count: int) -> int:
+        """count: what has come by the cable."""
+        driver, user = self._driver, self._user
+        if count:
+            now_ms = time.ticks_ms()
+            user.heard_ms = now_ms
+            if driver is user and not (self.ending or user.length):
+                return self._note(user, buf, count, now_ms)
+            self._sift(user, buf, count, now_ms)
+        elif driver and driver.conn:
+            count = self._read_driver(driver, buf)
+            if count:
+                return count
+        return self._turn(buf)
+
+    def _read_driver(self, driver: Caller, buf: bytearray) -> int:
+        """What is the machine's as it comes; 0 where it was none, or has been looked at."""
+        is_open = driver.trusted and not (self.ending or driver.length)
+        if not is_open and driver.ready and not driver.trusted:
+            return 0
+        piece = buf if is_open else self._piece
+        count = driver.read(piece)
+        if count < 0:
+            self._drop(driver)
+        elif count:
+            now_ms = time.ticks_ms()
+            driver.hear(now_ms)
+            if is_open:
+                return self._note(driver, buf, count, now_ms)
+            self._sift(driver, piece, count, now_ms)
+        elif not driver.send():
+            self._drop(driver)
+        return 0
+
+    def _note(self, driver: Caller, buf: bytearray, count: int, now_ms: int) -> int:
+        """What passes as it is. A lone ? is no line."""
+        if b"?" in buf[:count]:
+            driver.asked = True
+        if count > 1 or buf[0] != _QUESTION:
+            driver.spoke_ms = now_ms
+        return count
+
+    def _turn(self, buf: bytearray) -> int:
+        """What else there is to do; returns bytes that are in buf."""
+        now_ms = time.ticks_ms()
+        if time.ticks_diff(now_ms, self._round_ms) >= _ROUND_MS:
+            self._round_ms = now_ms
+            self._round(now_ms)
+        if self._is_plain:
+            return 0
+        count, self._urgent_count = self._urgent_count, 0
+        buf[:count] = self._urgent[:count]
+        driver = self._driver
+        if driver and driver.ready and not self.ending:
+            count = driver.pour(buf, count)
+            if not (driver.conn or driver.length):
+                self._settle()
+        return count
+
+    def _round(self, now_ms: int) -> None:
+        """Everybody who does not drive, and who calls."""
+        if self._is_plain and self._user.asked:
+            self._user.asked = self._is_nobodys = False
+            self._user.spoke_ms = now_ms
+        for caller in self._callers:
+            if not caller.conn:
+                continue
+            if caller is not self._driver:
+                count = caller.read(self._piece)
+                if count < 0:
+                    self._drop(caller)
+                    continue
+                if count:
+                    caller.hear(now_ms)
+                    self._sift(caller, self._piece, count, now_ms)
+            if not caller.send():
+                self._drop(caller)
+        called = self._calls.next() if self._calls else None
+        if called:
+            self._meet(called[0], called[1], now_ms)
+        if self.radio and time.ticks_diff(now_ms, self._radio_ms) >= _RADIO_MS:
+            self._radio_ms = now_ms
+            self.radio(self._at_rest())
+
+    def _meet(self, conn: "Connection", address: str, now_ms: int) -> None:
+        """Somebody has called."""
+        place = self._place(now_ms)
+        if place is None:
+            try:
+                conn.write(_MSG_FULL)
+            except OSError:
+                pass  # gone already: he is not let in anyhow
+            conn.close()
+            return
+        if self._is_plain:
+            self._is_plain = False
+            silent = time.ticks_diff(now_ms, self._user.spoke_ms) >= _SILENT_MS
+            if self._is_nobodys or (silent and self._at_rest()):
+                self._driver = None
+        place.begin(conn, address, address in self.access.allowed, now_ms)
+        place.put(b"\r\nGrbl 1.1h ['$' for help]\r\n")
+        if not place.send():
+            self._drop(place)
+
+    def _place(self, now_ms: int) -> "Caller | None":
+        """A free place; that of who has said nothing for longest where there is none."""
+        oldest = None
+        age = _STALE_MS
+        for caller in self._callers:
+            if not caller.conn:
+                return caller
+            silent = time.ticks_diff(now_ms, caller.heard_ms)
+            if silent > age:
+                oldest, age = caller, silent
+        if oldest:
+            self._drop(oldest)
+        return oldest
+
+    def _drop(self, caller: Caller) -> None:
+        """Hang up. Of who has driven: a jog ends, a line that has only begun is forgotten."""
+        caller.end()
+        if caller is self._driver:
+            self._leave(None)
+            self._urge(_JOG_CANCEL)
+        self._settle()
+
+    def _leave(self, driver: "Caller | None") -> None:
+        """Another drives from now on, or nobody."""
+        before, self._driver = self._driver, driver
+        self.ending = True
+        self.drop_half()
+        if before and before.conn:
+            before.forget()
+            before.put(MSG_TAKEN)
+
+    # What those say who do not drive, or not yet
+
+    def _sift(self, caller: Caller, data: bytearray, count: int, now_ms: int) -> None:
+        for i in range(count):
+            byte = data[i]
+            if byte == _QUESTION:
+                caller.asked = True
+                self._urge(byte)
+            elif byte >= 0x80 or byte in _REALTIME:
+                if self._may_act(caller, byte, now_ms):
+                    self._urge(byte)
+            elif byte in b"\r\n":
+                self._end_line(caller, byte, now_ms)
+            else:
+                caller.keep(byte)
+                if caller is self._driver and caller.trusted:
+                    caller.ready = caller.length
+
+    def _may_act(self, caller: Caller, byte: int, now_ms: int) -> bool:
+        """Whether a real-time command of his acts."""
+        if not caller.trusted:
+            return False
+        if caller is self._driver or (caller is self._user and byte in _STOPS):
+            return True
+        if self._driver and not self._driver.is_gone(now_ms):
+            return False
+        self._leave(caller)
+        return True
+
+    def _urge(self, byte: int) -> None:
+        """To be the machine's in front of all lines."""
+        if self._urgent_count < _URGENT and byte not in bytes(self._urgent[: self._urgent_count]):
+            self._urgent[self._urgent_count] = byte
+            self._urgent_count += 1
+
+    def _end_line(self, caller: Caller, byte: int, now_ms: int) -> None:
+        begins = caller.ready if caller is self._driver else 0
+        if caller is self._driver and caller.trusted:
+            caller.keep(byte)
+            caller.ready = caller.length
+            caller.spoke_ms = now_ms
+            return
+        line = bytes(caller.said[begins : caller.length]).upper()
+        line = line.replace(b" ", b"").replace(b"/", b"")
+        answer = b""
+        if caller.is_too_long:
+            answer = REFUSED % errors.OVERFLOW
+        elif caller is not self._user:
+            answer = self.access.answer(caller, line, now_ms)
+        if not answer and (caller is self._driver or (line and self._take(caller, now_ms))):
+            caller.keep(byte)
+            caller.ready = caller.length
+            caller.spoke_ms = now_ms
+        elif not answer:
+            answer = TAKEN if line else OK
+        if answer:
+            caller.length = begins
+            caller.is_too_long = False
+            self._say(caller, answer)
+
+    def _take(self, caller: Caller, now_ms: int) -> bool:
+        """Who has sent a line is to drive, if that may be."""
+        driver = self._driver
+        if driver and caller.trusted and driver.is_gone(now_ms):
+            driver = None
+        if driver:
+            holds = driver.trusted or not caller.trusted
+            silent = time.ticks_diff(now_ms, driver.spoke_ms) >= _SILENT_MS
+            if not self._at_rest() or (holds and not silent):
+                return False
+        elif not (caller.trusted or self._at_rest()):
+            return False
+        self._leave(caller)
+        return True
+
+    # Out
+
+    def _share(self, data: "bytes | bytearray | memoryview") -> None:
+        first = data[0]
+        if first == _REPORT:
+            self._report(data)
+        elif first in _TO_ALL:
+            self._write(data)
+            for caller in self._callers:
+                if caller.conn:
+                    self._say(caller, data)
+        elif self._driver and not self.ending:
+            self._say(self._driver, data)
+
+    def _report(self, data: "bytes | bytearray | memoryview") -> None:
+        """To those who have asked; to who drives where nobody has."""
+        asking = [caller for caller in self._all if caller.asked]
+        if not asking and self._driver:
+            asking.append(self._driver)
+        for caller in asking:
+            caller.asked = False
+            self._say(caller, data)
+
+    def _say(self, caller: Caller, data: "bytes | bytearray | memoryview") -> None:
+        if caller is self._user:
+            self._write(data)
+        elif caller.conn and not (caller.put(data) and (len(data) <= _ANSWER or caller.send())):
+            self._drop(caller)

@@ -1,0 +1,61 @@
+"""The radio of a Pico W or an ESP32: station of a network, or an access point of its own.
+
+Switched on before there is a machine, for that takes a second or two. Later nothing is waited for;
+a station that has lost its network calls for it again at rest only, for that takes some tens of
+milliseconds. MicroPython answers for the host name itself, as NAME.local (mDNS).
+"""
+
+import time
+
+import network
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from typing import Any
+
+_AGAIN_MS = const(15000)
+
+
+class Radio:
+    """name: of the network, password: empty for an open one."""
+
+    def __init__(self, name: bytes, password: bytes, host: str, is_station: bool) -> None:
+        network.hostname(host)
+        self._name = name
+        self._password = password
+        self._host = host
+        self._is_station = is_station
+        wlan: "Any" = network.WLAN
+        self._wlan: "Any" = wlan(wlan.IF_STA if is_station else wlan.IF_AP)
+        self._join: "Any" = self._wlan.connect
+        self._called_ms = time.ticks_ms()
+        if not is_station:
+            self._wlan.config(
+                ssid=name,
+                key=password,
+                security=wlan.SEC_WPA_WPA2 if password else wlan.SEC_OPEN,
+            )
+        self._wlan.active(True)
+        self._wlan.config(pm=wlan.PM_NONE)  # saving power makes each answer wait 100 ms
+        if is_station:
+            self._join(name, password)
+
+    def turn(self, at_rest: bool) -> None:
+        """See to it that there is a network."""
+        if not (self._is_station and at_rest) or self._wlan.isconnected():
+            return
+        now_ms = time.ticks_ms()
+        if time.ticks_diff(now_ms, self._called_ms) >= _AGAIN_MS:
+            self._called_ms = now_ms
+            try:
+                self._join(self._name, self._password)
+            except OSError:
+                return  # it is at it already
+
+    def status(self) -> str:
+        """What it is, in words, without its name or password."""
+        if self._is_station and not self._wlan.isconnected():
+            return "station, no network yet (%d), %s.local" % (self._wlan.status(), self._host)
+        kind = "station" if self._is_station else "access point"
+        return "%s, %s, %s.local" % (kind, self._wlan.ifconfig()[0], self._host)

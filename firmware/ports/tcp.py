@@ -1,0 +1,47 @@
+"""TCP by MicroPython's sockets, never waited for: who calls, and the bytes of who has called."""
+
+import select
+import socket
+
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from typing import Any
+
+    from interfaces import Connection
+
+# So many who call may wait to be seen to; lwIP has memory for five connections in all.
+_WAITING = const(2)
+_IPPROTO_TCP = const(6)
+
+
+class Calls:
+    """Listens at a port of every address that the board has. OSError where that cannot be."""
+
+    def __init__(self, port: int) -> None:
+        self._listener: "Any" = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._listener.bind(socket.getaddrinfo("0.0.0.0", port)[0][-1])
+        self._listener.listen(_WAITING)
+        self._listener.setblocking(False)
+        self._arrived: "Any" = select.poll()
+        self._arrived.register(self._listener, select.POLLIN)
+        self._no_delay: int = getattr(socket, "TCP_NODELAY", 0)  # desktops' MicroPython has none
+
+    def next(self) -> "tuple[Connection, str] | None":
+        """Who has called, and from which address; None where nobody has."""
+        for _ in self._arrived.ipoll(0):
+            try:
+                caller, address = self._listener.accept()
+                caller.setblocking(False)
+                if self._no_delay:
+                    caller.setsockopt(_IPPROTO_TCP, self._no_delay, 1)
+            except OSError:
+                return None  # gone again
+            return caller, str(address[0])
+        return None
+
+    def close(self) -> None:
+        """Hear nobody any more."""
+        self._listener.close()

@@ -1,0 +1,44 @@
+"""Wi-Fi beside the cable: the link of a board whose LINK is "wifi" or "uart_wifi".
+
+Imported at start and forgotten again. What `$NET` has had kept says which network that is; without
+a network, or where the radio fails, there is only the cable.
+"""
+
+import binascii
+
+from micropython import const
+
+from ports.flash_store import FlashStore
+from ports.net_link import NetLink
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from interfaces import BoardLink
+
+
+def beside(cable: "BoardLink") -> "BoardLink":
+    """The cable's link, with the network around it."""
+    kept: "dict[str, str]" = {}
+    for line in FlashStore().load("network") or []:
+        name, _, kept[name] = line.partition("=")
+    if not kept.get("SSID"):
+        return NetLink(cable, None)
+    try:
+        from ports import tcp
+        from ports.radio import Radio
+
+        radio = Radio(
+            binascii.unhexlify(kept["SSID"]),
+            binascii.unhexlify(kept.get("PASS", "")),
+            kept.get("HOST", "ugrbl"),
+            kept.get("MODE", "") != "ap",
+        )
+        link = NetLink(cable, tcp.Calls(int(kept.get("PORT", "23"))))
+    except (OSError, ValueError) as fault:
+        link = NetLink(cable, None)
+        why = "the radio fails: %s" % fault
+        link.status = lambda: why
+        return link
+    link.radio = radio.turn
+    link.status = radio.status
+    return link

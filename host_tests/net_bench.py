@@ -1,0 +1,158 @@
+"""A simulated machine with a network: callers in memory, or at real sockets."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from ugrbl.boardfile.files import load_board
+from ugrbl.run import board_modules
+from ugrbl.sim.link import SimLink
+from ugrbl.sim.network import HostCalls, RigLink
+from ugrbl.sim.replay import factory_store
+from ugrbl.sim.rig import Rig
+from ugrbl.sim.sender import Sender
+
+board_modules.complete()
+
+KEY = "23456789"
+Script = Callable[["NetBench"], Iterator[Any]]
+
+
+class Pipe:
+    """A connection in memory. room: bytes that are taken of what is sent, before who has called
+    reads on."""
+
+    def __init__(self) -> None:
+        self.unread = bytearray()  # by the machine
+        self.got = bytearray()
+        self.room = 1 << 20
+        self.is_closed = False  # by the machine
+        self.has_hung_up = False
+        self.is_broken = False
+
+    def readinto(self, buf: bytearray) -> "int | None":
+        if self.is_broken:
+            raise OSError(104)
+        count = min(len(buf), len(self.unread))
+        if not count:
+            return 0 if self.has_hung_up else None
+        buf[:count] = self.unread[:count]
+        del self.unread[:count]
+        return count
+
+    def write(self, data: "bytes | bytearray | memoryview") -> "int | None":
+        if self.is_broken:
+            raise OSError(104)
+        count = min(len(data), self.room)
+        self.room -= count
+        self.got += bytes(data[:count])
+        return count or None
+
+    def close(self) -> None:
+        self.is_closed = True
+
+    def send(self, text: "str | bytes") -> None:
+        self.unread += text.encode("latin-1") if isinstance(text, str) else text
+
+    def take(self) -> str:
+        """What has come since the last call."""
+        text = self.got.decode("latin-1")
+        self.got.clear()
+        return text
+
+
+class Door:
+    """Who calls in memory. more: another door, looked at where nobody waits at this one."""
+
+    def __init__(self, more: "HostCalls | None" = None) -> None:
+        self.waiting: list[tuple[Pipe, str]] = []
+        self.more = more
+
+    def next(self) -> Any:
+        if self.waiting:
+            return self.waiting.pop(0)
+        return self.more.next() if self.more else None
+
+    def close(self) -> None:
+        self.waiting.clear()
+
+
+class _Link(RigLink):
+    """What `driver` sends is an event, as what comes by the cable: the machine does not sleep."""
+
+    driver: "Pipe | None" = None
+
+    def next_event(self) -> "int | None":
+        if self.driver and self.driver.unread:
+            return int(self._rig.now)
+        at: "int | None" = self.cable.next_event()
+        return at
+
+
+class NetBench:
+    """A machine, its sender at the cable, and who calls. more: who calls besides, see Door."""
+
+    def __init__(
+        self, monkeypatch: Any, settings: "dict[int, float] | None" = None, more: Any = None
+    ) -> None:
+        board = load_board("sim_wifi")
+        store = factory_store(board)
+        store.files["settings"] += [f"${n}={value}" for n, value in (settings or {}).items()]
+        store.files["network"] = [f"KEY={KEY}", "ALLOW=10.0.0.9"]
+        self.door = Door(more)
+        self.store = store
+        self.rig: Any = None
+        monkeypatch.setattr("time.ticks_ms", self._now_ms)
+        self.rig = Rig(board, store, lambda rig: _Link(rig, SimLink(rig), self.door))
+        self.rig.engine.trace = lambda start, row: self.rows.append((start, tuple(row)))
+        self.rows: list[tuple[int, tuple[int, ...]]] = []
+        self.sender = Sender(self.rig)
+        self.sender.allow(36_000_000)
+
+    def _now_ms(self) -> int:
+        return int(self.rig.now / self.rig.ticks_per_ms) & 0x3FFFFFFF if self.rig else 0
+
+    def call(self, address: str = "10.0.0.9") -> Pipe:
+        """Somebody calls; 10.0.0.9 is allowed."""
+        pipe = Pipe()
+        self.door.waiting.append((pipe, address))
+        return pipe
+
+    def run(self, script: Script) -> None:
+        """What goes wrong in the script is raised here."""
+        failed: list[BaseException] = []
+
+        def guarded() -> Iterator[Any]:
+            try:
+                yield from self.sender.wait("banner", "")
+                self.sender.take()
+                yield from script(self)
+            except BaseException as fault:
+                failed.append(fault)
+
+        self.rig.run(guarded())
+        if failed:
+            raise failed[0]
+
+    def wait(self, ms: float) -> Iterator[Any]:
+        yield self.rig.ms(ms)
+
+    def until(self, condition: Callable[[], bool], ms: float = 60_000) -> Iterator[Any]:
+        """Time passes until that holds."""
+        end = self.rig.ms(ms)
+        while not condition():
+            assert self.rig.now < end, "it never comes to that"
+            yield self.rig.ms(1)
+
+    def ask(self, pipe: Pipe, text: str, ms: float = 30_000) -> Iterator[Any]:
+        """Send a line; its answers are what it returns."""
+        pipe.take()
+        pipe.send(text)
+        yield from self.until(
+            lambda: b"ok\r\n" in pipe.got or b"error:" in pipe.got or pipe.is_closed, ms
+        )
+        yield self.rig.ms(20)
+        return pipe.take()
+
+    def steps(self) -> list[int]:
+        self.rig.engine.physical(self.rig.scratch)
+        return list(self.rig.scratch)

@@ -1,0 +1,267 @@
+"""The law of the network: motion does not feel it.
+
+The record of all segments is the same, to the tick, whatever callers do who do not drive; and what
+the one who drives has sent before he was lost is done as if he were there.
+"""
+
+import random
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from net_bench import NetBench, Pipe
+from ugrbl.sim.network import HostCalls
+
+FAST = {
+    110: 3000,
+    111: 3000,
+    112: 3000,
+    120: 200,
+    121: 200,
+    122: 200,
+    21: 1,
+}
+PROGRAM = [
+    "G21G91F2400",
+    *(f"G1X{0.3 * (i % 5):.2f}Y{0.2 * (i % 3):.2f}" for i in range(60)),
+    "G2X2I1",
+    "M3S500",
+    "G1X5Y3F900",
+    "G4P0.05",
+    *(f"G1X-{0.2 * (i % 4):.2f}Z0.1" for i in range(40)),
+    "M5",
+]
+_WINDOW = 120
+_LATE_TICKS = 13_107  # one millisecond: as often the simulated loop turns
+_RUBBISH = (
+    b"\xff\xfb\x18\xff\xfd\x03",
+    b"G1X9F9000\n",
+    b"$J=G91X9F900\n!~\x18\x84\x85\x90\xa1",
+    b"$X\n$H\n$RST=*\n",
+    b"$NET/KEY=AAAAAAAA\n",
+    b"GET / HTTP/1.1\r\nHost: ugrbl\r\n\r\n",
+    b"?" * 300,
+    b"(" * 4000,
+    bytes(range(256)) * 8,
+    b"$$\n$G\n?",
+)
+
+
+class Storm:
+    """Callers at real sockets, and in memory from an address that is allowed: an act each time."""
+
+    def __init__(self, bench: NetBench, port: int, seed: int) -> None:
+        self.random = random.Random(seed)
+        self.bench = bench
+        self.port = port
+        self.open: list[Any] = []
+        self.acts = 0
+
+    def act(self) -> None:
+        self.acts += 1
+        self.random.choice((self.connect, self.connect, self.say, self.say, self.go, self.call))()
+
+    def connect(self) -> None:
+        """Reconnect, never reading: half-open, as far as anybody can see."""
+        made = socket.socket()
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)
+        made.setblocking(False)
+        made.connect_ex(("127.0.0.1", self.port))  # in time, where many are in front of it
+        self.open.append(made)
+        if len(self.open) > 12:
+            self.go()
+
+    def call(self) -> None:
+        self.open.append(self.bench.call())
+        self.open[-1].room = self.random.choice((0, 50, 5000))
+
+    def say(self) -> None:
+        if not self.open:
+            return
+        caller, text = self.random.choice(self.open), self.random.choice(_RUBBISH)
+        try:
+            caller.send(text)
+        except OSError:
+            self.open.remove(caller)
+
+    def go(self) -> None:
+        if not self.open:
+            return
+        caller = self.open.pop(self.random.randrange(len(self.open)))
+        if isinstance(caller, Pipe):
+            caller.is_broken, caller.has_hung_up = self.random.choice(((1, 0), (0, 1), (0, 0)))
+            return
+        if self.random.random() < 0.5:  # a reset, not an end
+            caller.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+        caller.close()
+
+    def end(self) -> None:
+        for caller in self.open:
+            if not isinstance(caller, Pipe):
+                caller.close()
+
+
+def stream(bench: NetBench, put: Any, answers: Any, events: "dict[int, str]") -> Iterator[Any]:
+    """Count characters as a sender does; events: bytes at their ms. Ends where nothing moves."""
+    left, sent = list(PROGRAM), []
+    begun, done = bench.rig.now, 0
+    due = [(bench.rig.ms(ms), what) for ms, what in sorted(events.items())]
+    while left or sent or due:
+        while due and due[0][0] <= bench.rig.now:
+            what = due.pop(0)[1]
+            if what == "limit":
+                bench.rig.port.push({"limit_x": True})
+                return
+            put(what)
+            if what == "\x18":
+                return
+        total = answers()
+        sent = sent[total - done :]
+        done = total
+        while left and sum(sent) + len(left[0]) + 1 <= _WINDOW:
+            line = left.pop(0) + "\n"
+            put(line)
+            sent.append(len(line))
+        assert bench.rig.now < begun + 60_000 * bench.rig.ticks_per_ms, "it does not end"
+        yield min(bench.rig.ms(1), due[0][0]) if due else bench.rig.ms(1)
+
+
+def record(
+    monkeypatch: pytest.MonkeyPatch,
+    events: "dict[int, str]",
+    *,
+    by_network: bool,
+    seed: "int | None",
+    each_ms: int = 2,
+) -> "tuple[Any, ...]":
+    """All segments of the program, where the motors stand, and the state; with a storm of that
+    seed, or none."""
+    real = HostCalls()
+    bench = NetBench(monkeypatch, FAST, real)
+    storm = Storm(bench, real.port, seed or 0)
+
+    def script(bench: NetBench) -> Iterator[Any]:
+        bench.rig.port.push({"limit_x": False})
+        if by_network:
+            driver = bench.call()
+            yield from bench.until(lambda: b"Grbl" in driver.got)
+            yield from bench.ask(driver, "G21\n")
+            bench.rig.link.driver = driver
+            got = driver.got
+            put, answers = driver.send, lambda: got.count(b"ok\r\n") + got.count(b"error:")
+        else:
+            heard: list[str] = []
+
+            def answers() -> int:
+                heard.extend(bench.sender.take())
+                return heard.count("ok")
+
+            def put(text: str) -> None:
+                bench.rig.link.cable.send(text.encode("latin-1"))
+
+        yield bench.rig.ms(100)
+        bench.rows.clear()
+        begun = bench.rig.now
+        running = stream(bench, put, answers, events)
+        for wake in running:
+            if seed is not None and int(bench.rig.now / bench.rig.ticks_per_ms) % each_ms == 0:
+                storm.act()
+            yield wake
+        for _ in range(3000):
+            if seed is not None and _ % each_ms == 0:
+                storm.act()
+            yield bench.rig.ms(1)
+        rows.extend((start - begun, row) for start, row in bench.rows)
+        state.append((bench.rig.controller.state.run, bench.steps()))
+
+    rows: list[Any] = []
+    state: list[Any] = []
+    bench.run(script)
+    storm.end()
+    real.close()
+    if seed is not None:
+        assert storm.acts > 500
+    return rows, state
+
+
+def ended(found: "tuple[Any, ...]") -> int:
+    """When the last segment was over, or cut short."""
+    start, row = found[0][-1]
+    return int(start + row[0])
+
+
+QUIET: "dict[Any, Any]" = {}
+
+
+def quiet(monkeypatch: pytest.MonkeyPatch, events: "dict[int, str]", by_network: bool) -> Any:
+    key = (*events.items(), by_network)
+    if key not in QUIET:
+        QUIET[key] = record(monkeypatch, events, by_network=by_network, seed=None)
+    return QUIET[key]
+
+
+EVENTS = [
+    {},
+    {150: "!", 700: "~", 800: "\x91", 900: "\x99"},
+    {333: "!", 1100: "~", 1500: "\x85"},
+    {410: "\x18"},
+    {275: "limit"},
+]
+
+
+@pytest.mark.parametrize("events", EVENTS, ids=["through", "held", "late", "reset", "limit"])
+@pytest.mark.parametrize("by_network", [False, True], ids=["cable", "network"])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_storm_of_callers_changes_no_segment(
+    monkeypatch: pytest.MonkeyPatch, events: "dict[int, str]", by_network: bool, seed: int
+) -> None:
+    usual = quiet(monkeypatch, events, by_network)
+    assert len(usual[0]) > 20
+    found = record(monkeypatch, events, by_network=by_network, seed=seed, each_ms=seed)
+    if "\x18" not in events.values():
+        assert found == usual
+        return
+    # It comes behind lines on a wire, and when those were sent is the sender's affair.
+    cut = min(len(found[0]), len(usual[0])) - 2
+    assert cut > 100 and found[0][:cut] == usual[0][:cut]
+    assert abs(ended(found) - ended(usual)) < _LATE_TICKS
+
+
+@pytest.mark.parametrize("lost_ms", [*range(0, 260, 13), 400, 700, 1100])
+@pytest.mark.parametrize("how", ["silent", "reset", "end"])
+def test_of_who_is_lost_all_whole_lines_are_done(
+    monkeypatch: pytest.MonkeyPatch, lost_ms: int, how: str
+) -> None:
+    """As if he had sent so many lines and no more."""
+
+    def run(lost: bool) -> "tuple[Any, ...]":
+        bench = NetBench(monkeypatch, FAST)
+
+        def script(bench: NetBench) -> Iterator[Any]:
+            driver = bench.call()
+            yield from bench.until(lambda: b"Grbl" in driver.got)
+            yield bench.rig.ms(100)
+            bench.rows.clear()
+            begun = bench.rig.now
+            got = driver.got
+            running = stream(bench, driver.send, lambda: got.count(b"ok\r\n"), {})
+            for wake in running:
+                if bench.rig.now >= begun + lost_ms * bench.rig.ticks_per_ms:
+                    break
+                yield wake
+            yield bench.rig.ms(12)  # what has been sent has come
+            if lost:
+                driver.send("G1X9F9")  # half a line
+                yield bench.rig.ms(12)
+                driver.is_broken, driver.has_hung_up = how == "reset", how == "end"
+            else:
+                yield bench.rig.ms(12)
+            yield bench.rig.ms(20_000)
+            out.append(([(at - begun, row) for at, row in bench.rows], bench.steps()))
+
+        out: list[Any] = []
+        bench.run(script)
+        return out[0]
+
+    assert run(True) == run(False)

@@ -1,0 +1,354 @@
+"""The network's link: who drives, who reads, what each is told, and who is let go."""
+
+import pytest
+from net_bench import KEY, NetBench, Pipe
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> NetBench:
+    return NetBench(monkeypatch)
+
+
+WELCOME = "\r\nGrbl 1.1h ['$' for help]\r\n"
+
+
+def connected(bench, pipe: Pipe):
+    yield from bench.until(lambda: WELCOME.encode() in pipe.got)
+    pipe.take()
+
+
+def test_who_calls_is_welcomed_and_drives_with_a_first_line(bench) -> None:
+    def script(bench):
+        pipe = bench.call()
+        yield from connected(bench, pipe)
+        answer = yield from bench.ask(pipe, "G1X2F600\n")
+        assert answer == "ok\r\n"
+        yield from bench.wait(3000)
+        pipe.send("?")
+        yield from bench.until(lambda: b">" in pipe.got)
+        assert "MPos:2.000,0.000" in pipe.take()
+        assert bench.sender.take() == []  # the cable has not asked
+
+    bench.run(script)
+    assert bench.steps() == [500, 0, 0]
+
+
+def test_a_sender_at_the_cable_is_answered_as_if_nobody_had_called(bench) -> None:
+    def script(bench):
+        pipe = bench.call()
+        yield from connected(bench, pipe)
+        yield from bench.sender.wait("ok", "$G\n")
+        lines = bench.sender.take()
+        assert lines[-1] == "ok" and lines[0].startswith("[GC:")
+        yield from bench.sender.wait("report", "?")
+        assert bench.sender.take()[0].startswith("<Idle")
+        yield from bench.wait(50)
+        heard = pipe.take()
+        assert "[GC:" in heard and "ok" not in heard and "<" not in heard
+
+    bench.run(script)
+
+
+def test_a_watcher_is_answered_his_question_and_nobody_else_is(bench) -> None:
+    def script(bench):
+        one, two = bench.call(), bench.call()
+        yield from connected(bench, one)
+        yield from connected(bench, two)
+        two.send("?")
+        yield from bench.until(lambda: two.got.count(b"<") == 1)
+        yield from bench.wait(50)
+        assert one.take() == "" and bench.sender.take() == []
+        assert two.take().startswith("<Idle|")
+
+    bench.run(script)
+
+
+@pytest.mark.parametrize("line", ["G1X1F100\n", "$H\n", "$J=G91X1F100\n", "$110=7\n", "$RST=*\n"])
+def test_without_the_key_nothing_is_done(bench, line: str) -> None:
+    def script(bench):
+        pipe = bench.call("10.0.0.1")
+        yield from connected(bench, pipe)
+        before = list(bench.store.files["settings"])
+        answer = yield from bench.ask(pipe, line)
+        assert answer.startswith("[MSG:Read only: ") and answer.endswith("error:9\r\n")
+        pipe.send("!\x18~\x84\x90")
+        yield from bench.wait(100)
+        assert bench.rig.controller.state.run == 0
+        assert bench.store.files["settings"] == before
+
+    bench.run(script)
+    assert bench.steps() == [0, 0, 0] and bench.rows == []
+
+
+def test_without_the_key_a_sender_comes_through_its_greeting(bench) -> None:
+    def script(bench):
+        pipe = bench.call("10.0.0.1")
+        yield from connected(bench, pipe)
+        answers = {}
+        for line in ("\n", "$I\n", "$$\n", "$G\n", "$#\n", "$N\n", "$\n"):
+            answers[line] = yield from bench.ask(pipe, line)
+            assert answers[line].endswith("ok\r\n"), (line, answers[line])
+        assert answers["$$\n"].count("$") == 34
+        assert "[VER:1.1h" in answers["$I\n"]
+
+    bench.run(script)
+
+
+def test_with_the_key_everything_is_done_also_when_the_sender_comes_back(bench) -> None:
+    def script(bench):
+        pipe = bench.call("10.0.0.1")
+        yield from connected(bench, pipe)
+        assert (yield from bench.ask(pipe, f"$net/key={KEY.lower()}\n")) == "ok\r\n"
+        assert (yield from bench.ask(pipe, "G1X1F600\n")) == "ok\r\n"
+        pipe.has_hung_up = True
+        again = bench.call("10.0.0.1")
+        yield from connected(bench, again)
+        assert (yield from bench.ask(again, "G1X2\n")) == "ok\r\n"
+        yield from bench.wait(2000)
+
+    bench.run(script)
+    assert bench.steps() == [500, 0, 0]
+    assert "10.0.0.1" not in "".join(bench.store.files["network"])
+
+
+def test_keys_cannot_be_tried_out(bench) -> None:
+    def script(bench):
+        pipe = bench.call("10.0.0.1")
+        yield from connected(bench, pipe)
+        answer = yield from bench.ask(pipe, "$NET/KEY=22222222\n")
+        assert answer == "[MSG:Wrong network key]\r\nerror:9\r\n"
+        answer = yield from bench.ask(pipe, f"$NET/KEY={KEY}\n")
+        assert answer.endswith("error:9\r\n")  # right, and too early
+        yield from bench.wait(1100)
+        assert (yield from bench.ask(pipe, f"$NET/KEY={KEY}\n")) == "ok\r\n"
+
+    bench.run(script)
+
+
+def test_a_machine_without_a_key_trusts_nobody(bench) -> None:
+    def script(bench):
+        bench.rig.link.access.secret = ""
+        pipe = bench.call("10.0.0.1")
+        yield from connected(bench, pipe)
+        assert (yield from bench.ask(pipe, "$NET/KEY=\n")).endswith("error:9\r\n")
+
+    bench.run(script)
+
+
+def test_lines_of_two_are_never_mixed(bench) -> None:
+    def script(bench):
+        one, two = bench.call(), bench.call()
+        yield from connected(bench, one)
+        yield from connected(bench, two)
+        assert (yield from bench.ask(one, "G1X5F300\n")) == "ok\r\n"
+        answer = yield from bench.ask(two, "G1Y5F300\n")
+        assert answer == "[MSG:Somebody else drives]\r\nerror:9\r\n"
+        two.send("!\x18")
+        yield from bench.sender.wait("ok", "G1Z5F300\n")
+        lines = bench.sender.take()
+        assert "[MSG:Somebody else drives]" in lines and lines[-1] == "error:9"
+        yield from bench.wait(3000)
+
+    bench.run(script)
+    assert bench.steps() == [1250, 0, 0]
+
+
+def test_at_rest_another_may_drive_when_the_first_has_been_silent(bench) -> None:
+    def script(bench):
+        one, two = bench.call(), bench.call()
+        yield from connected(bench, one)
+        yield from connected(bench, two)
+        assert (yield from bench.ask(one, "G1X1F600\n")) == "ok\r\n"
+        for _ in range(6):
+            one.send("?")  # it is there, and says no line
+            yield from bench.wait(1000)
+        one.take()
+        assert (yield from bench.ask(two, "G1X2\n")) == "ok\r\n"
+        assert "[MSG:Somebody else drives]" in one.take()
+        yield from bench.wait(1000)
+
+    bench.run(script)
+    assert bench.steps() == [500, 0, 0]
+
+
+@pytest.mark.parametrize("byte", ["!", "\x18", "\x84", "\x85"])
+def test_stops_act_at_the_cable_whoever_drives(bench, byte: str) -> None:
+    def script(bench):
+        pipe = bench.call()
+        yield from connected(bench, pipe)
+        line = "$J=G91X50F300\n" if byte == "\x85" else "G1X50F300\n"
+        assert (yield from bench.ask(pipe, line)) == "ok\r\n"
+        yield from bench.wait(500)
+        bench.rig.link.cable.send(byte.encode("latin-1"))
+        yield from bench.wait(1500)
+        assert not bench.rig.moving()
+
+    bench.run(script)
+    assert 0 < bench.steps()[0] < 12500
+
+
+def test_of_who_hangs_up_in_the_middle_of_a_line_the_line_is_forgotten(bench) -> None:
+    def script(bench):
+        one = bench.call()
+        yield from connected(bench, one)
+        assert (yield from bench.ask(one, "G1X1F600\n")) == "ok\r\n"
+        one.send("G1X2\nG1X9")
+        yield from bench.wait(30)
+        one.has_hung_up = True
+        two = bench.call()
+        yield from connected(bench, two)
+        assert (yield from bench.ask(two, "Y1\n")) == "ok\r\n"
+        yield from bench.wait(3000)
+
+    bench.run(script)
+    assert bench.steps() == [500, 250, 0]  # what was whole has been done
+
+
+def test_answers_to_one_who_has_gone_are_nobody_elses(bench) -> None:
+    def script(bench):
+        one = bench.call()
+        yield from connected(bench, one)
+        one.send("G4P2\nG1X1F600\nG1X2\n")
+        yield from bench.wait(100)
+        one.has_hung_up = True
+        yield from bench.wait(50)
+        two = bench.call()
+        yield from connected(bench, two)
+        two.send("G1X3\nG1X4\n?")
+        yield from bench.until(lambda: b"<" in two.got)  # at once
+        yield from bench.wait(4000)
+        assert two.take().count("ok\r\n") == 2
+
+    bench.run(script)
+    assert bench.steps() == [1000, 0, 0]
+
+
+def test_a_jog_ends_where_its_sender_goes_and_a_program_does_not(bench) -> None:
+    def script(bench):
+        one = bench.call()
+        yield from connected(bench, one)
+        assert (yield from bench.ask(one, "$J=G91X50F300\n")) == "ok\r\n"
+        yield from bench.wait(500)
+        one.is_broken = True
+        yield from bench.wait(1500)
+        assert not bench.rig.moving()
+        stopped = bench.steps()[0]
+        assert 0 < stopped < 5000
+        two = bench.call()
+        yield from connected(bench, two)
+        assert (yield from bench.ask(two, "G91G1X4F600\n")) == "ok\r\n"
+        two.is_broken = True
+        yield from bench.wait(3000)
+        assert bench.steps()[0] == stopped + 1000
+
+    bench.run(script)
+
+
+def test_who_comes_back_to_a_machine_in_motion_can_hold_it(bench) -> None:
+    def script(bench):
+        one = bench.call()
+        yield from connected(bench, one)
+        assert (yield from bench.ask(one, "G1X50F600\n")) == "ok\r\n"
+        yield from bench.wait(500)
+        # Wi-Fi is lost: nothing comes, and nothing tells of it.
+        two = bench.call()
+        yield from connected(bench, two)
+        two.send("!")
+        yield from bench.wait(100)
+        assert bench.rig.controller.state.run == 8  # one may be there still
+        yield from bench.wait(3000)
+        two.send("!")
+        yield from bench.wait(50)
+        two.send("?")
+        yield from bench.wait(300)
+        assert "<Hold" in two.take()
+
+    bench.run(script)
+    assert 0 < bench.steps()[0] < 12500
+
+
+def test_places_of_the_silent_are_given_to_who_calls(bench) -> None:
+    def script(bench):
+        silent = [bench.call() for _ in range(3)]
+        for pipe in silent:
+            yield from connected(bench, pipe)
+        late = bench.call()
+        yield from bench.until(lambda: late.is_closed)
+        assert late.take() == "[MSG:Too many are connected]\r\n"
+        yield from bench.wait(9000)
+        for pipe in silent[1:]:
+            pipe.send("?")
+        yield from bench.wait(2000)
+        again = bench.call()
+        yield from connected(bench, again)
+        assert [pipe.is_closed for pipe in silent] == [True, False, False]
+
+    bench.run(script)
+
+
+def test_who_does_not_read_is_let_go_and_nobody_waits_for_him(bench) -> None:
+    def script(bench):
+        pipe = bench.call()
+        yield from connected(bench, pipe)
+        pipe.room = 100
+        before = bench.rig.now
+        for _ in range(40):
+            pipe.send("$$\n")
+            yield from bench.wait(10)
+        yield from bench.until(lambda: pipe.is_closed, 5000)
+        assert bench.rig.now - before < bench.rig.ticks_per_ms * 3000
+        yield from bench.sender.wait("ok", "\n")
+
+    bench.run(script)
+
+
+def test_no_more_is_on_its_way_to_who_is_not_heard_of_than_there_is_memory_for(bench) -> None:
+    def script(bench):
+        pipe = bench.call()
+        yield from connected(bench, pipe)
+        for _ in range(100):
+            yield from bench.sender.wait("ok", "$G\n")  # told to all
+            yield from bench.wait(20)
+        assert pipe.is_closed and 800 < len(pipe.got) <= 3200
+
+    bench.run(script)
+
+
+def test_bytes_that_make_no_sense_do_nothing(bench) -> None:
+    def script(bench):
+        pipe = bench.call("10.0.0.1")
+        yield from connected(bench, pipe)
+        pipe.send(bytes(range(256)) * 40)
+        pipe.send(b"\xff\xfb\x18\xff\xfd\x03" * 50 + b"G" * 5000 + b"\n")
+        yield from bench.wait(3000)
+        assert (yield from bench.ask(pipe, "$G\n")).endswith("ok\r\n")
+        assert bench.rig.controller.state.run == 0
+
+    bench.run(script)
+    assert bench.rows == []
+
+
+def test_ctrl_c_leads_nobody_on_the_network_to_the_prompt(bench) -> None:
+    def script(bench):
+        pipe = bench.call()
+        yield from connected(bench, pipe)
+        assert (yield from bench.ask(pipe, "\x03\x03\x03\x01$G\n")).endswith("ok\r\n")
+
+    bench.run(script)
+
+
+def test_with_the_last_caller_gone_the_cable_is_read_without_a_look(bench) -> None:
+    def script(bench):
+        link = bench.rig.link
+        assert link._is_plain
+        pipe = bench.call()
+        yield from connected(bench, pipe)
+        assert not link._is_plain
+        assert (yield from bench.ask(pipe, "G1X1F600\n")) == "ok\r\n"
+        pipe.has_hung_up = True
+        yield from bench.until(lambda: link._is_plain)
+        yield from bench.sender.wait("ok", "G1X2\n")
+        yield from bench.wait(1000)
+
+    bench.run(script)
+    assert bench.steps() == [500, 0, 0]

@@ -1,0 +1,255 @@
+"""Wi-Fi: `ugrbl wifi`, `$NET` on the machine, and the radio."""
+
+import binascii
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import network
+import pytest
+from net_bench import KEY, NetBench
+from ports import wifi as air
+from ports.radio import Radio
+from typer.testing import CliRunner
+from ugrbl.cli.app import app
+from ugrbl.device import wifi
+from ugrbl.device.connection import SendError
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> NetBench:
+    return NetBench(monkeypatch)
+
+
+def asked(bench: NetBench, *lines: str) -> list[str]:
+    """What the machine answers at the cable."""
+    said: list[str] = []
+
+    def script(bench: NetBench) -> Iterator[Any]:
+        for line in lines:
+            yield from bench.sender.wait("ok", line + "\n")
+            said.extend(bench.sender.take())
+
+    bench.run(script)
+    return said
+
+
+def kept(bench: NetBench) -> dict[str, str]:
+    rows = (line.partition("=") for line in bench.store.files["network"])
+    return {name: value for name, _, value in rows}
+
+
+def test_what_the_tool_says_is_what_the_machine_keeps(bench: NetBench) -> None:
+    name, password = "Werk stätte/2,4", "a-Passw0rd!" * 5 + "öhm;("
+    wanted = wifi.Wanted(name, password, True, "Router-1", 2300, ("192.168.1.20", "10.0.0.2"))
+    lines = list(wifi.orders(wanted))
+    assert max(map(len, lines)) <= 79
+    said = asked(bench, *lines)
+    assert said.count("ok") == len(lines)
+    found = kept(bench)
+    assert binascii.unhexlify(found["SSID"]).decode() == name
+    assert binascii.unhexlify(found["PASS"]).decode() == password
+    assert (found["HOST"], found["PORT"], found["MODE"]) == ("router-1", "2300", "station")
+    assert found["ALLOW"] == "192.168.1.20,10.0.0.2" and found["KEY"] == KEY
+
+
+def test_nothing_that_the_machine_says_has_name_or_password(bench: NetBench) -> None:
+    secrets = ("Workshop", "Workshop".encode().hex().upper(), "hunter22", "68756E74")
+    lines = wifi.orders(wifi.Wanted("Workshop", "hunter22", True))
+    said = asked(bench, *lines, "$NET", "$$", "$I", "$I+", "$#", "$G", "$N", "$NET/PASS=1")
+    assert not [line for line in said for word in secrets if word in line]
+    assert KEY not in "".join(said)
+    for line in said:
+        assert line == "ok" or line.startswith("error:") or "ok" not in line.lower()
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "$NET/SSID=",
+        "$NET/SSID=4",
+        "$NET/SSID=XY",
+        "$NET/SSID=" + "41" * 33,
+        "$NET/PASS",
+        "$NET/MODE=AP",
+        "$NET/MODE=MESH",
+        "$NET/HOST=",
+        "$NET/HOST=-A",
+        "$NET/HOST=A.B",
+        "$NET/HOST=" + "A" * 32,
+        "$NET/PORT=0",
+        "$NET/PORT=65536",
+        "$NET/PORT=A",
+        "$NET/ALLOW=1.2.3",
+        "$NET/ALLOW=1.2.3.256",
+        "$NET/ALLOW=1.1.1.1,1.1.1.2,1.1.1.3,1.1.1.4,1.1.1.5",
+        "$NET/KEY=MINE",
+        "$NET/WHAT",
+    ],
+)
+def test_what_cannot_be_changes_nothing(bench: NetBench, line: str) -> None:
+    before = list(bench.store.files["network"])
+    said = asked(bench, line)
+    assert said[-1] == "error:3" and said[0].startswith("[MSG:")
+    assert bench.store.files["network"] == before
+
+
+def test_it_is_set_up_at_rest_only_and_at_the_cable_only(bench: NetBench) -> None:
+    before = list(bench.store.files["network"])
+
+    def script(bench: NetBench) -> Iterator[Any]:
+        pipe = bench.call()
+        yield from bench.until(lambda: b"Grbl" in pipe.got)
+        answer = yield from bench.ask(pipe, "$NET/HOST=evil\n")
+        assert answer.endswith("error:3\r\n")
+        assert (yield from bench.ask(pipe, "$NET\n")).startswith("[MSG:Network: ")
+        assert (yield from bench.ask(pipe, f"$NET/KEY={KEY}\n")) == "ok\r\n"
+        assert (yield from bench.ask(pipe, "G1X2F60\n")) == "ok\r\n"
+        answer = yield from bench.ask(pipe, "$NET/KEY=NEW\n")
+        assert answer.endswith("error:8\r\n")
+
+    bench.run(script)
+    assert bench.store.files["network"] == before
+
+
+def test_a_new_machine_makes_a_key_and_tells_it_at_the_cable_once(bench: NetBench) -> None:
+    del bench.store.files["network"]
+    heard: list[str] = []
+
+    def script(bench: NetBench) -> Iterator[Any]:
+        pipe = bench.call()
+        yield from bench.until(lambda: b"Grbl" in pipe.got)
+        pipe.send("\n")
+        bench.rig.link.cable.send(b"\x18")
+        yield from bench.wait(500)
+        heard.extend(bench.sender.take())
+        assert "key" not in pipe.take()
+
+    first = bench.sender.take
+    said: list[str] = []
+    bench.sender.take = lambda: said.extend(lines := first()) or lines  # type: ignore[method-assign, func-returns-value]
+    bench.run(script)
+    key = kept(bench)["KEY"]
+    assert len(key) == 8 and len(set(key)) > 2
+    assert [line for line in said if key in line] == [f"[MSG:Network key: {key}]"]
+
+
+def test_another_key_ends_what_the_old_one_allowed(bench: NetBench) -> None:
+    def script(bench: NetBench) -> Iterator[Any]:
+        pipe = bench.call("10.0.0.1")
+        yield from bench.until(lambda: b"Grbl" in pipe.got)
+        assert (yield from bench.ask(pipe, f"$NET/KEY={KEY}\n")) == "ok\r\n"
+        yield from bench.sender.wait("ok", "$NET/KEY=NEW\n")
+        said = bench.sender.take()
+        assert said[0].startswith("[MSG:Network key: ") and KEY not in said[0]
+        again = bench.call("10.0.0.1")
+        yield from bench.until(lambda: b"Grbl" in again.got)
+        assert (yield from bench.ask(again, f"$NET/KEY={KEY}\n")).endswith("error:9\r\n")
+
+    bench.run(script)
+
+
+# The tool
+
+
+class Board:
+    """A connection on paper."""
+
+    def __init__(self, *replies: str) -> None:
+        self.asked: list[str] = []
+        self.replies = list(replies)
+
+    def ask(self, line: str) -> list[str]:
+        self.asked.append(line)
+        return self.replies
+
+
+def test_a_board_without_a_network_is_named(bench: NetBench) -> None:
+    board: Any = Board("error:3")
+    with pytest.raises(SendError, match='LINK = "wifi"'):
+        wifi.status(board)
+    board = Board("[MSG:An address is no good]", "error:3")
+    with pytest.raises(SendError, match="An address is no good"):
+        wifi.set_up(board, ["$NET/ALLOW=x"])
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    [
+        wifi.Wanted(name="x" * 33),
+        wifi.Wanted(name=""),
+        wifi.Wanted(password="short"),
+        wifi.Wanted(password="x" * 64),
+        wifi.Wanted(host="a b"),
+    ],
+)
+def test_what_no_network_has_is_refused_in_words(wanted: wifi.Wanted) -> None:
+    with pytest.raises(ValueError, match=r"bytes|letters"):
+        list(wifi.orders(wanted))
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--open"], "--name"),
+        (["--access-point", "--open", "--name", "x"], "password"),
+        (["--off", "--name", "x"], "one of"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(words: list[str], why: str) -> None:
+    done = CliRunner().invoke(app, ["wifi", "--port", "/nowhere", *words])
+    assert done.exit_code and why in done.output and "Traceback" not in done.output
+
+
+# The radio
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
+    clock = SimpleNamespace(ms=0)
+    monkeypatch.setattr("time.ticks_ms", lambda: clock.ms)
+    monkeypatch.setattr(network, "in_reach", {b"Shop": b"secret12"})
+    return clock
+
+
+def test_a_station_calls_again_at_rest_only_and_not_all_the_time(clock: SimpleNamespace) -> None:
+    radio = Radio(b"Shop", b"secret12", "router", True)
+    assert network.hostname() == "router"
+    assert radio.status() == "station, 192.168.1.7, router.local"
+    network.in_reach.clear()
+    assert "no network yet (-2)" in radio.status()
+    for at_rest, calls in ((False, 1), (True, 5)):
+        for _ in range(60):
+            clock.ms += 1000
+            radio.turn(at_rest)
+        assert radio._wlan.calls == calls
+    network.in_reach[b"Shop"] = b"secret12"
+    for _ in range(60):
+        clock.ms += 1000
+        radio.turn(True)
+    assert radio._wlan.calls <= 6 and "192.168.1.7" in radio.status()
+
+
+def test_an_access_point_has_name_and_password(clock: SimpleNamespace) -> None:
+    radio = Radio(b"Own", b"secret12", "router", False)
+    told = radio._wlan.asked
+    assert (told["ssid"], told["key"]) == (b"Own", b"secret12")
+    assert told["security"] == network.WLAN.SEC_WPA_WPA2
+    radio.turn(True)
+    assert radio.status() == "access point, 192.168.4.1, router.local" and not radio._wlan.calls
+
+
+def test_without_a_network_or_with_a_radio_that_fails_there_is_the_cable(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    lines: list[str] = []
+    store = SimpleNamespace(load=lambda name: lines)
+    monkeypatch.setattr(air, "FlashStore", lambda: store)
+    cable: Any = SimpleNamespace(shared=[0, 0, 0], look=None, is_slow=False)
+    cable.read_into = cable.write = lambda data: 0
+    link: Any = air.beside(cable)
+    assert link._calls is None and link.status() == "no network is set up"
+    lines += ["SSID=4142", "PASS=", "PORT=x"]
+    link = air.beside(cable)
+    assert link._calls is None and link.status().startswith("the radio fails: ")
+    assert link.read_into(bytearray(16)) == 0

@@ -1,0 +1,84 @@
+"""`ugrbl wifi`: a board's network, set up over its cable."""
+
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from ..device import wifi
+from ..device.connection import BAUD
+from .outputs import failed
+from .ports import Baud, Port, connected
+
+EXAMPLES = """
+Examples:  ugrbl wifi   ·   ugrbl wifi --name Workshop   ·   ugrbl wifi --allow 192.168.1.20
+"""
+
+
+def command(
+    port: Port = None,
+    baud: Baud = BAUD,
+    name: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="The network to join; its password is asked for."),
+    ] = None,
+    open_: Annotated[bool, typer.Option("--open", help="It has no password.")] = False,
+    access_point: Annotated[
+        bool, typer.Option("--access-point", help="The board makes that network itself.")
+    ] = False,
+    host: Annotated[
+        str | None, typer.Option(metavar="NAME", help="The board is found as NAME.local.")
+    ] = None,
+    tcp: Annotated[
+        int | None, typer.Option(metavar="PORT", min=1, max=65535, help="In place of 23.")
+    ] = None,
+    allow: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ADDRESS", help="Needs no key; may be said four times."),
+    ] = None,
+    new_key: Annotated[
+        bool, typer.Option("--new-key", help="The old one is no good then.")
+    ] = False,
+    off: Annotated[bool, typer.Option("--off", help="Forget the network.")] = False,
+) -> None:
+    """Set a board's Wi-Fi up, over its cable; without options show how it is, and the key.
+
+    What is set up holds from the board's next start on. See docs/network.md.
+    """
+    if name is None and (open_ or access_point):
+        raise failed("--open and --access-point want the network's --name")
+    if open_ and access_point:
+        raise failed("a network of the board's own has a password: leave --open out")
+    if off and name is not None:
+        raise failed("say one of --off and --name")
+    password = _password(open_) if name is not None else None
+    wanted = wifi.Wanted(
+        name,
+        password,
+        None if name is None else not access_point,
+        host,
+        tcp,
+        None if allow is None else tuple(allow),
+    )
+    try:
+        lines = list(wifi.orders(wanted))
+    except ValueError as error:
+        raise failed(error) from error
+    with connected(port, baud) as connection:
+        wifi.set_up(connection, lines)
+        if off:
+            wifi.switch_off(connection)
+        key = wifi.key(connection, new_key)
+        now = wifi.status(connection)
+    console = Console()
+    if lines or off:
+        console.print("kept on the board; it holds when the board starts again", soft_wrap=True)
+    console.print(f"network: {now}", highlight=False, soft_wrap=True)
+    console.print(f"key:     {key}", highlight=False, soft_wrap=True)
+
+
+def _password(is_open: bool) -> str:
+    """The network's, which neither the shell's history nor the screen is to have."""
+    if is_open:
+        return ""
+    return str(typer.prompt("Password of that network", hide_input=True))

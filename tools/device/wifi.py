@@ -1,0 +1,101 @@
+"""The Wi-Fi of a board, set up over its cable by `$NET` (firmware/extras/net_access.py).
+
+Names and passwords go as hexadecimal digits, since a line of Grbl's has neither small letters nor
+spaces. Nothing that the board says has either.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from .connection import Connection, SendError
+
+_HOST = re.compile(r"[A-Za-z0-9][A-Za-z0-9-]{0,30}")
+_LONGEST_NAME = 32
+_SHORTEST_PASSWORD, _LONGEST_PASSWORD = 8, 63
+_PIECE = 32  # bytes of a password in one line
+_PREFIX = "[MSG:"
+_STATUS = "[MSG:Network: "
+_KEY = "[MSG:Network key: "
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is to be otherwise; None: as it is."""
+
+    name: str | None = None
+    password: str | None = None
+    is_station: bool | None = None
+    host: str | None = None
+    port: int | None = None
+    allowed: tuple[str, ...] | None = None
+
+
+def orders(wanted: Wanted) -> Iterator[str]:
+    """The lines that say so. ValueError where that cannot be."""
+    if wanted.name is not None:
+        yield "$NET/SSID=" + _hex("the network's name", wanted.name, 1, _LONGEST_NAME)
+    if wanted.password is not None:
+        fewest = _SHORTEST_PASSWORD if wanted.password else 0
+        digits = _hex("the password", wanted.password, fewest, _LONGEST_PASSWORD)
+        yield "$NET/PASS=" + digits[: 2 * _PIECE]
+        if digits[2 * _PIECE :]:
+            yield "$NET/PASS+" + digits[2 * _PIECE :]
+    if wanted.is_station is not None:
+        yield "$NET/MODE=" + ("STATION" if wanted.is_station else "AP")
+    if wanted.host is not None:
+        if not _HOST.fullmatch(wanted.host):
+            raise ValueError("the host's name has letters, digits and -, 31 at the most")
+        yield "$NET/HOST=" + wanted.host
+    if wanted.port is not None:
+        yield f"$NET/PORT={wanted.port}"
+    if wanted.allowed is not None:
+        yield "$NET/ALLOW=" + ",".join(wanted.allowed)
+
+
+def _hex(what: str, text: str, fewest: int, most: int) -> str:
+    data = text.encode()
+    if not fewest <= len(data) <= most:
+        raise ValueError(f"{what} has {len(data)} bytes, and may have {fewest} to {most}")
+    return data.hex().upper()
+
+
+def set_up(connection: Connection, lines: list[str]) -> None:
+    """Have the board keep it. SendError, with the board's own words, where it does not."""
+    for line in lines:
+        _ask(connection, line)
+
+
+def status(connection: Connection) -> str:
+    """What the board says of its network."""
+    return _told(_ask(connection, "$NET"), _STATUS)
+
+
+def key(connection: Connection, new: bool) -> str:
+    """The key that lets a sender do more than read. new: another one, from now on."""
+    return _told(_ask(connection, "$NET/KEY=NEW" if new else "$NET/KEY"), _KEY)
+
+
+def switch_off(connection: Connection) -> None:
+    """Have the board forget the network's name and password."""
+    _ask(connection, "$NET/OFF")
+
+
+def _told(replies: list[str], prefix: str) -> str:
+    for reply in replies:
+        if reply.startswith(prefix):
+            return reply[len(prefix) : -1]
+    raise SendError("the board answers in a way that this ugrbl does not know")
+
+
+def _ask(connection: Connection, line: str) -> list[str]:
+    replies = connection.ask(line)
+    if replies[-1] == "ok":
+        return replies
+    why = [reply[len(_PREFIX) : -1] for reply in replies if reply.startswith(_PREFIX)]
+    if why:
+        raise SendError(f"the board refuses it: {why[-1]}")
+    raise SendError(
+        f'the board has no $NET ({replies[-1]}): its board file wants LINK = "wifi", '
+        'or "uart_wifi" on an ESP32'
+    )

@@ -1,0 +1,76 @@
+"""Stand-in for MicroPython's network: a radio, and the networks that are in reach of it.
+
+A call of connect() is answered by the test, which puts a name and a password into `in_reach`; a
+network that is taken out of it is lost.
+"""
+
+_host = ["PicoW"]
+in_reach: "dict[bytes, bytes]" = {}
+
+_LONGEST_HOST = 32
+_IDLE = 0
+_NO_NETWORK = -2
+_WRONG_PASSWORD = -3
+_GOT_IP = 3
+
+
+def hostname(name: "str | None" = None) -> str:
+    """What others call this board by."""
+    if name is not None:
+        if len(name) > _LONGEST_HOST:
+            raise ValueError("hostname too long")
+        _host[0] = name
+    return _host[0]
+
+
+class WLAN:
+    """One of the radio's two sides."""
+
+    IF_STA = 0
+    IF_AP = 1
+    SEC_OPEN = 0
+    SEC_WPA_WPA2 = 0x00400006
+    PM_NONE = 16
+
+    def __init__(self, side: int) -> None:
+        self._side = side
+        self._active = False
+        self._wanted: "tuple[bytes, bytes] | None" = None
+        self.asked: "dict[str, object]" = {}  # what config() was told
+        self.calls = 0  # of connect()
+
+    def config(self, **asked: object) -> None:
+        """Set what the radio has by these names."""
+        unknown = asked.keys() - {"ssid", "key", "security", "pm"}
+        if unknown:
+            raise ValueError("unknown config param")
+        self.asked.update(asked)
+
+    def active(self, on: bool) -> None:
+        """Switch that side on or off."""
+        self._active = on
+
+    def connect(self, name: bytes, password: bytes) -> None:
+        """Call for a network; whether it has been found status() tells."""
+        if not self._active:
+            raise OSError("not active")
+        self.calls += 1
+        self._wanted = name, password
+
+    def status(self) -> int:
+        """What has become of it."""
+        if self._wanted is None:
+            return _IDLE
+        name, password = self._wanted
+        if name not in in_reach:
+            return _NO_NETWORK
+        return _GOT_IP if in_reach[name] == password else _WRONG_PASSWORD
+
+    def isconnected(self) -> bool:
+        """There is a network, and an address in it."""
+        return self._side == self.IF_AP or self.status() == _GOT_IP
+
+    def ifconfig(self) -> "tuple[str, str, str, str]":
+        """Address, mask, gateway, name server."""
+        here = "192.168.4.1" if self._side == self.IF_AP else "192.168.1.7"
+        return here, "255.255.255.0", "192.168.1.1", "192.168.1.1"
