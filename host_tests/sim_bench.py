@@ -8,11 +8,12 @@ import json
 import os
 import select
 import signal
+import socket
 import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from as_users import as_users
 
@@ -40,18 +41,34 @@ SETTINGS = {
 
 
 class Bench:
-    """A running simulator. settings: kept in it from the start, by number."""
+    """A running simulator. settings: kept in it from the start, by number. network: its cable is
+    nobody's, and who calls from this computer drives."""
 
-    def __init__(self, folder: Path, *arguments: str, settings: dict[int, float] = {}) -> None:  # noqa: B006
+    def __init__(
+        self,
+        folder: Path,
+        *arguments: str,
+        settings: dict[int, float] = {},  # noqa: B006
+        network: bool = False,
+    ) -> None:
         self.port = folder / "grbl"
+        self.url = str(self.port)
         self.wire_log = folder / "wire.jsonl"
         self._place = Path(f"{self.wire_log}.place")
         kept = folder / "settings.txt"
         if settings:
             lines = [f"${number}={value:g}\n" for number, value in settings.items()]
+            if network:
+                lines += [";[network] ALLOW=127.0.0.1\n", ";[network] KEY=23456789\n"]
             kept.write_text("".join(lines))
         command = [sys.executable, __file__, str(self.wire_log), "sim", "--port", str(self.port)]
         command += ["--settings", str(kept), *arguments]
+        if network:
+            with socket.socket() as free:
+                free.bind(("127.0.0.1", 0))
+                place = free.getsockname()[1]
+            self.url = f"socket://127.0.0.1:{place}"
+            command += ["--network", str(place)]
         self.process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
@@ -104,7 +121,10 @@ def serve(wire_log: Path, arguments: list[str]) -> None:
         return rig
 
     machine.build = fitted
-    _log(pty_link.Pty, wire_log)
+    out = wire_log.open("w", buffering=1)
+    _log(pty_link.Pty, out)
+    if "--network" in arguments:
+        _log_network(out)
     app(arguments, standalone_mode=False)
     rig = rigs[0]
     rig.engine.physical(rig.scratch)
@@ -134,25 +154,48 @@ def _listen(rig: Any) -> None:
     rig.link.read_into = read_into
 
 
-def _log(pty: Any, file: Path) -> None:
-    """Note what goes over the wire, with the time."""
-    out = file.open("w", buffering=1)
-    read, write = pty.read, pty.write
+def _note(out: TextIO, direction: str, data: bytes) -> None:
+    if data:
+        out.write(json.dumps([time.monotonic(), direction, data.decode("latin-1")]) + "\n")
 
-    def note(direction: str, data: bytes) -> None:
-        if data:
-            out.write(json.dumps([time.monotonic(), direction, data.decode("latin-1")]) + "\n")
+
+def _log(pty: Any, out: TextIO) -> None:
+    """Note what goes over the wire, with the time."""
+    read, write = pty.read, pty.write
 
     def logged_read(self: Any, limit: int) -> bytes:
         data: bytes = read(self, limit)
-        note(">", data)
+        _note(out, ">", data)
         return data
 
     def logged_write(self: Any, data: bytes) -> None:
-        note("<", data)
+        _note(out, "<", data)
         write(self, data)
 
     pty.read, pty.write = logged_read, logged_write
+
+
+def _log_network(out: TextIO) -> None:
+    """The same of connections."""
+    from ugrbl import paths
+
+    paths.use_firmware()
+    from ugrbl.sim import network
+
+    connection: Any = network.HostConnection
+    read, write = connection.readinto, connection.write
+
+    def logged_read(self: Any, buf: bytearray) -> "int | None":
+        count: "int | None" = read(self, buf)
+        _note(out, ">", bytes(buf[: count or 0]))
+        return count
+
+    def logged_write(self: Any, data: bytes) -> "int | None":
+        count: "int | None" = write(self, data)
+        _note(out, "<", bytes(data[: count or 0]))
+        return count
+
+    connection.readinto, connection.write = logged_read, logged_write
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import pytest
 from net_bench import KEY, NetBench, Pipe
+from ports.net_link import NetLink
 
 
 @pytest.fixture
@@ -274,7 +275,7 @@ def test_places_of_the_silent_are_given_to_who_calls(bench) -> None:
             yield from connected(bench, pipe)
         late = bench.call()
         yield from bench.until(lambda: late.is_closed)
-        assert late.take() == "[MSG:Too many are connected]\r\n"
+        assert late.take() == ""
         yield from bench.wait(9000)
         for pipe in silent[1:]:
             pipe.send("?")
@@ -352,3 +353,27 @@ def test_with_the_last_caller_gone_the_cable_is_read_without_a_look(bench) -> No
 
     bench.run(script)
     assert bench.steps() == [500, 0, 0]
+
+
+def test_who_opens_the_port_is_greeted_and_nobody_else(bench) -> None:
+    """The cable's own link tells of it, and asks for the welcome (ports/usb_link.py)."""
+
+    def script(bench):
+        pipe = bench.call()
+        yield from connected(bench, pipe)
+        machine, link = bench.rig.controller, bench.rig.link
+        NetLink.attach(link, machine.at_rest, machine.welcome)
+        usual = link._read
+
+        def read(buf: bytearray) -> int:
+            link._read = usual
+            link.cable.attached[1]()
+            return usual(buf)
+
+        link._read = read
+        yield from bench.wait(50)
+        assert WELCOME.strip() in bench.sender.take() and pipe.take() == ""
+        assert (yield from bench.ask(pipe, "$G\n")).endswith("ok\r\n")
+
+    bench.rig.link.cable.attach = lambda *asked: setattr(bench.rig.link.cable, "attached", asked)
+    bench.run(script)

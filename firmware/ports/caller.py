@@ -1,3 +1,4 @@
+# mypy: disable-error-code=arg-type
 """A caller: one of those who may drive the machine, at the cable or over the network.
 
 Nobody is ever waited for. What is to be sent is kept here, and goes in pieces that lwIP has room
@@ -9,12 +10,14 @@ what was sent before has arrived.
 
 import time
 
+import micropython
 from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from interfaces import Connection
 
+_QUESTION = const(0x3F)
 _SAID = const(128)  # as Grbl's receive buffer
 _OUT = const(512)
 _CREDIT = const(800)  # lwIP's segment
@@ -22,6 +25,15 @@ _CREDIT = const(800)  # lwIP's segment
 _GONE_MS = const(3000)
 _CREDIT_MS = const(250)  # then what was sent has arrived, where there is anybody
 _UNHEARD = const(2400)  # three callers fill 7200 of lwIP's 8000 bytes
+
+
+@micropython.viper
+def asks(data: ptr8, count: int) -> int:
+    """Whether there is a ? among the bytes."""
+    for i in range(count):
+        if data[i] == _QUESTION:
+            return 1
+    return 0
 
 
 class Caller:

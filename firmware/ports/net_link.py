@@ -15,7 +15,7 @@ from base import errors
 from micropython import const
 
 from ports.access import MSG_TAKEN, OK, REFUSED, TAKEN, Access
-from ports.caller import Caller
+from ports.caller import Caller, asks
 from ports.link_memory import PIECES
 
 TYPE_CHECKING = const(False)
@@ -41,7 +41,6 @@ _REALTIME = b"\x18!~"
 _TO_ALL = b"[A\r"
 _REPORT = const(0x3C)
 _ANSWER = const(16)  # answers of lines wait for others that are as short
-_MSG_FULL = b"[MSG:Too many are connected]\r\n"
 
 
 class NetLink:
@@ -71,8 +70,7 @@ class NetLink:
         self._driver: "Caller | None" = self._user
         # Only the cable: nothing has to be looked at. And nobody has spoken there.
         self._is_plain = self._is_nobodys = True
-        # Another drives, and lines of the one before are not done yet: answers are nobody's, and
-        # lines wait.
+        # Lines of one who has driven are not done yet: answers are nobody's, and lines wait.
         self.ending = False
         self._piece = bytearray(_PIECE)
         self._urgent = bytearray(_URGENT)
@@ -88,7 +86,13 @@ class NetLink:
         cable.come_back = self.come_back
         if self.on_turn:
             cable.on_turn = self.on_turn  # type: ignore[attr-defined]  # UartLink's
-        cable.attach(at_rest, on_open)
+
+        def greet() -> None:
+            is_plain, self._is_plain = self._is_plain, True  # nobody else has come anew
+            on_open()
+            self._is_plain = is_plain
+
+        cable.attach(at_rest, greet)
 
     @micropython.native
     def read_into(self, buf: bytearray) -> int:
@@ -165,7 +169,6 @@ class NetLink:
         driver, user = self._driver, self._user
         if count:
             now_ms = time.ticks_ms()
-            user.heard_ms = now_ms
             if driver is user and not (self.ending or user.length):
                 return self._note(user, buf, count, now_ms)
             self._sift(user, buf, count, now_ms)
@@ -196,7 +199,7 @@ class NetLink:
 
     def _note(self, driver: Caller, buf: bytearray, count: int, now_ms: int) -> int:
         """What passes as it is. A lone ? is no line."""
-        if b"?" in buf[:count]:
+        if asks(buf, count):
             driver.asked = True
         if count > 1 or buf[0] != _QUESTION:
             driver.spoke_ms = now_ms
@@ -211,7 +214,8 @@ class NetLink:
         if self._is_plain:
             return 0
         count, self._urgent_count = self._urgent_count, 0
-        buf[:count] = self._urgent[:count]
+        if count:
+            buf[:count] = self._urgent[:count]
         driver = self._driver
         if driver and driver.ready and not self.ending:
             count = driver.pour(buf, count)
@@ -248,10 +252,6 @@ class NetLink:
         """Somebody has called."""
         place = self._place(now_ms)
         if place is None:
-            try:
-                conn.write(_MSG_FULL)
-            except OSError:
-                pass  # gone already: he is not let in anyhow
             conn.close()
             return
         if self._is_plain:

@@ -39,7 +39,7 @@ class Plain:
     def __init__(self, plan: Any, by_line: bool) -> None:
         self.plan = plan
         self.window = 0 if by_line else _WINDOW
-        self.port = serial.Serial(plan["port"], 115200, timeout=0.01)
+        self.port = serial.serial_for_url(plan["port"], 115200, timeout=0.01)
         self.result: Any = {
             "unparsed": [],
             "errors": [],

@@ -60,6 +60,14 @@ def bench(tmp_path: Path, board: str) -> Iterator[Bench]:
     running.kill()
 
 
+@pytest.fixture
+def network(tmp_path: Path) -> Iterator[Bench]:
+    """A machine that senders call over TCP, by the link that a board with Wi-Fi has."""
+    running = Bench(tmp_path, "--board", "sim_wifi", settings=SETTINGS, network=True)
+    yield running
+    running.kill()
+
+
 def available(install: Any) -> Path:
     """Where a sender is; where it cannot be had, the test is skipped and says why."""
     try:
@@ -73,7 +81,7 @@ def live(bench: Bench, board: str, *command: object) -> Any:
     folder = bench.port.parent
     plan, result = folder / "plan.json", folder / "result.json"
     program = spiral(turning=board == "sim_rotary")
-    plan.write_text(json.dumps({**PLAN, "program": program, "port": str(bench.port)}))
+    plan.write_text(json.dumps({**PLAN, "program": program, "port": bench.url}))
     words = [str({"PLAN": plan, "RESULT": result}.get(str(word), word)) for word in command]
     done = subprocess.run(
         words, capture_output=True, text=True, timeout=_PATIENCE_S, cwd=folder, check=False
@@ -118,6 +126,14 @@ def test_cncjs(bench: Bench, board: str) -> None:
 
 
 def test_bcnc(bench: Bench, board: str) -> None:
+    a_day_with_bcnc(bench, board)
+
+
+def test_bcnc_over_the_network(network: Bench) -> None:
+    a_day_with_bcnc(network, "sim_wifi")
+
+
+def a_day_with_bcnc(bench: Bench, board: str) -> None:
     interpreter = available(python)
     has_tk = subprocess.run(
         [interpreter, "-c", "import tkinter"], check=False, capture_output=True
@@ -146,3 +162,9 @@ def test_a_plain_streamer(bench: Bench, board: str, mode: str) -> None:
     assert max(noted["override"]) == 120
     assert "Hold:0" in noted["states"]
     judge(noted, bench, board)
+
+
+@pytest.mark.parametrize("mode", ["line", "count"])
+def test_a_plain_streamer_over_the_network(network: Bench, mode: str) -> None:
+    command = sys.executable, _HERE / "drive_plain.py", mode, "PLAN", "RESULT"
+    judge(live(network, "sim_wifi", *command), network, "sim_wifi")
