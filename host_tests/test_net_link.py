@@ -377,3 +377,35 @@ def test_who_opens_the_port_is_greeted_and_nobody_else(bench) -> None:
 
     bench.rig.link.cable.attach = lambda *asked: setattr(bench.rig.link.cable, "attached", asked)
     bench.run(script)
+
+
+def test_who_is_let_go_in_the_middle_of_what_he_says_does_not_drive(bench) -> None:
+    def script(bench):
+        one, two = bench.call(), bench.call()
+        yield from connected(bench, one)
+        yield from connected(bench, two)
+        assert (yield from bench.ask(one, "G1X1F600\n")) == "ok\r\n"
+        two.room = 0
+        two.send("M8\n" * 19 + "M9\n")  # refused, as long as his memory lasts
+        yield from bench.until(lambda: two.is_closed)
+        yield from bench.wait(6000)
+        assert (yield from bench.ask(one, "G1X2\n")) == "ok\r\n"
+
+    bench.run(script)
+
+
+def test_lines_of_who_comes_while_others_are_done_are_all_done(bench) -> None:
+    def script(bench):
+        one = bench.call()
+        yield from connected(bench, one)
+        one.send("G4P1.5\n")
+        yield from bench.wait(100)
+        one.has_hung_up = True
+        two = bench.call()
+        yield from connected(bench, two)
+        two.send("G91\n" + "G1X0.1F600\n" * 11)  # 125 bytes, as who counts
+        yield from bench.wait(5000)
+        assert two.take().count("ok\r\n") == 12
+
+    bench.run(script)
+    assert bench.steps() == [275, 0, 0]

@@ -5,7 +5,7 @@ Nobody is ever waited for. What is to be sent is kept here, and goes in pieces t
 for: where its memory is full, MicroPython 1.28 waits up to ten seconds in a write, also for a
 socket that is not to block (extmod/modlwip.c, lwip_tcp_send). So no more is on its way to a caller
 than _CREDIT bytes at once and _UNHEARD in all, until something comes from him, which tells that
-what was sent before has arrived.
+what was sent before has arrived; and what is said in one turn goes in one piece.
 """
 
 import time
@@ -18,9 +18,11 @@ if TYPE_CHECKING:
     from interfaces import Connection
 
 _QUESTION = const(0x3F)
-_SAID = const(128)  # as Grbl's receive buffer
+_SAID = const(256)  # twice what a sender that counts has under way
+_PIECE = const(64)
 _OUT = const(512)
-_CREDIT = const(800)  # lwIP's segment
+_CREDIT = const(800)
+_SEGMENT = const(100)  # what a write counts for at the least: lwIP has 32 segments for all
 # Senders ask for a report a few times a second: who is silent for so long is not there.
 _GONE_MS = const(3000)
 _CREDIT_MS = const(250)  # then what was sent has arrived, where there is anybody
@@ -100,6 +102,10 @@ class Caller:
             return 0
         return count or -1
 
+    def has_room(self) -> bool:
+        """Whether more may be read. Who may only read waits for each of his lines to be done."""
+        return self.length <= _SAID - _PIECE if self.trusted else not self.ready
+
     def keep(self, byte: int) -> None:
         """One more byte of what he says."""
         if self.length < _SAID:
@@ -148,7 +154,8 @@ class Caller:
             return False
         self._waiting -= sent
         self._out[: self._waiting] = self._out[sent : sent + self._waiting]
-        self._credit -= sent
-        self._unheard += sent
+        cost = max(sent, _SEGMENT)
+        self._credit -= cost
+        self._unheard += cost
         self._sent_ms = now_ms
         return True

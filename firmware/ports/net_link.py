@@ -40,7 +40,6 @@ _REALTIME = b"\x18!~"
 # What begins with these is told to all: messages, alarms, the welcome.
 _TO_ALL = b"[A\r"
 _REPORT = const(0x3C)
-_ANSWER = const(16)  # answers of lines wait for others that are as short
 
 
 class NetLink:
@@ -150,7 +149,6 @@ class NetLink:
     def done(self) -> None:
         """Lines of the one who drove before are all done and answered."""
         self.ending = False
-        self._settle()
 
     def _settle(self) -> None:
         if not self.ending and not self.callers():
@@ -181,7 +179,7 @@ class NetLink:
     def _read_driver(self, driver: Caller, buf: bytearray) -> int:
         """What is the machine's as it comes; 0 where it was none, or has been looked at."""
         is_open = driver.trusted and not (self.ending or driver.length)
-        if not is_open and driver.ready and not driver.trusted:
+        if not is_open and not driver.has_room():
             return 0
         piece = buf if is_open else self._piece
         count = driver.read(piece)
@@ -218,9 +216,7 @@ class NetLink:
             buf[:count] = self._urgent[:count]
         driver = self._driver
         if driver and driver.ready and not self.ending:
-            count = driver.pour(buf, count)
-            if not (driver.conn or driver.length):
-                self._settle()
+            return driver.pour(buf, count)
         return count
 
     def _round(self, now_ms: int) -> None:
@@ -247,6 +243,8 @@ class NetLink:
         if self.radio and time.ticks_diff(now_ms, self._radio_ms) >= _RADIO_MS:
             self._radio_ms = now_ms
             self.radio(self._at_rest())
+        if not self._is_plain:
+            self._settle()
 
     def _meet(self, conn: "Connection", address: str, now_ms: int) -> None:
         """Somebody has called."""
@@ -284,7 +282,6 @@ class NetLink:
         if caller is self._driver:
             self._leave(None)
             self._urge(_JOG_CANCEL)
-        self._settle()
 
     def _leave(self, driver: "Caller | None") -> None:
         """Another drives from now on, or nobody."""
@@ -308,6 +305,8 @@ class NetLink:
                     self._urge(byte)
             elif byte in b"\r\n":
                 self._end_line(caller, byte, now_ms)
+                if not caller.conn and caller is not self._user:
+                    return  # he has been let go
             else:
                 caller.keep(byte)
                 if caller is self._driver and caller.trusted:
@@ -396,5 +395,5 @@ class NetLink:
     def _say(self, caller: Caller, data: "bytes | bytearray | memoryview") -> None:
         if caller is self._user:
             self._write(data)
-        elif caller.conn and not (caller.put(data) and (len(data) <= _ANSWER or caller.send())):
+        elif caller.conn and not caller.put(data):
             self._drop(caller)

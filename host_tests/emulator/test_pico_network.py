@@ -91,7 +91,8 @@ import ports
 
 store = ports.FlashStore()
 if not store.load("network"):
-    store.save("network", ["SSID=4142", "PASS=4142434445464748"])
+    store.save("network", ["SSID=4142", "PASS=4142434445464748", "KEY=23456789"])
+socket.says += [(0, b"G1X1F600\\n"), (1, b"$NET/KEY=23456789\\n"), (2, b"G1X2F600\\n")]
 power = power_up.build()
 commands = power[0].commands
 usual = commands.whose
@@ -101,9 +102,6 @@ def whose(line, length):
     if line[1] == 77:
         gc.collect()
         commands._report.message("free %d." % gc.mem_free())
-    elif line[1] == 84:
-        (key,) = [line[4:].encode() for line in store.load("network") if line[:4] == "KEY="]
-        socket.says += [(0, b"G1X1F600\\n"), (1, b"$NET/KEY=" + key + b"\\n"), (2, b"G1X2F600\\n")]
     elif line[1] == 85:
         commands._report.message("heard %s." % bytes(socket.heard))
     else:
@@ -124,27 +122,23 @@ def machine(uf2: Path) -> Board:
         "no_socket.py": _SOCKET,
         "main.py": _MAIN,
     }
-    board = Board(uf2, files).boot()
-    board.wait_for("[MSG:Network key: ")
-    return board.settled()
-
-
-def test_the_first_start_tells_the_key_at_the_cable(machine: Board) -> None:
-    assert "connected: 0" in machine.ask("$NET")
-    assert "station, 192.168.1.7, ugrbl.local" in machine.said
-
-
-def test_memory_is_left(machine: Board) -> None:
-    free = int(machine.ask("$M").partition("free ")[2].partition(".")[0])
-    print("free:", free)
-    assert free >= _HEAP
+    return Board(uf2, files).boot().settled()
 
 
 def test_who_calls_drives_with_the_key_only(machine: Board) -> None:
-    machine.ask("$T")
-    machine.pico.run_us(6_000_000)
+    """While he does, the cable asks and watches."""
+    assert "[MSG:Somebody else drives]" in machine.ask("G1X9F600", "error:9\r\n")
+    machine.pico.run_us(1_000_000)
     machine.forget()
     machine.send("?")
     assert "MPos:2.000,0.000,0.000" in machine.wait_for(">")
+
+
+def test_at_rest_the_cable_drives_again_and_memory_is_left(machine: Board) -> None:
+    machine.pico.run_us(4_500_000)
     heard = machine.ask("$U", "heard")
-    assert "Read only" in heard
+    assert "Read only: " in heard and "error:9" in heard
+    assert "station, 192.168.1.7, ugrbl.local; connected: 1" in machine.ask("$NET")
+    free = int(machine.ask("$M").partition("free ")[2].partition(".")[0])
+    print("free:", free)
+    assert free >= _HEAP
