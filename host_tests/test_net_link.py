@@ -409,3 +409,17 @@ def test_lines_of_who_comes_while_others_are_done_are_all_done(bench) -> None:
 
     bench.run(script)
     assert bench.steps() == [275, 0, 0]
+
+
+def test_a_long_answer_comes_whole(bench) -> None:
+    def script(bench):
+        pipe = bench.call()
+        yield from connected(bench, pipe)
+        machine = bench.rig.controller
+        usual = machine.commands.show_settings
+        machine.commands.show_settings = lambda: [usual() for _ in range(3)]
+        answer = yield from bench.ask(pipe, "$$\n")
+        assert answer.count("$") == 3 * 34 and answer.endswith("ok\r\n")
+        assert not pipe.is_closed
+
+    bench.run(script)

@@ -128,7 +128,7 @@ class Caller:
     def put(self, data: "bytes | bytearray | memoryview") -> bool:
         """Say something to him, soon. False where he takes too little: he is to go."""
         count = len(data)
-        if self._waiting + count > _OUT and not self.send():
+        if self._waiting + count > _OUT and not self.send(True):
             return False
         if self._waiting + count > _OUT:
             return False
@@ -136,15 +136,16 @@ class Caller:
         self._waiting += count
         return True
 
-    def send(self) -> bool:
-        """Have sent what waits, as far as it may be. False where he is gone, or takes nothing."""
+    def send(self, at_once: bool = False) -> bool:
+        """Have sent what waits, as far as it may be. at_once: there is no room for more of it.
+        False where he is gone, or takes nothing."""
         if not self._waiting or not self.conn:
             return True
         now_ms = time.ticks_ms()
         if self._credit <= 0:
             if self._unheard >= _UNHEARD:
                 return False
-            if time.ticks_diff(now_ms, self._sent_ms) < _CREDIT_MS:
+            if not at_once and time.ticks_diff(now_ms, self._sent_ms) < _CREDIT_MS:
                 return True
             self._credit = _CREDIT
         count = min(self._waiting, self._credit)
