@@ -125,20 +125,14 @@ def machine(uf2: Path) -> Board:
     return Board(uf2, files).boot().settled()
 
 
-def test_who_calls_drives_with_the_key_only(machine: Board) -> None:
-    """While he does, the cable asks and watches."""
-    assert "[MSG:Somebody else drives]" in machine.ask("G1X9F600", "error:9\r\n")
-    machine.pico.run_us(1_000_000)
-    machine.forget()
-    machine.send("?")
-    assert "MPos:2.000,0.000,0.000" in machine.wait_for(">")
-
-
-def test_at_rest_the_cable_drives_again_and_memory_is_left(machine: Board) -> None:
-    machine.pico.run_us(4_500_000)
-    heard = machine.ask("$U", "heard")
+def test_who_calls_drives_with_the_key_only_and_memory_is_left(machine: Board) -> None:
+    """He has said his lines while the machine started; the cable comes when he is silent."""
+    heard = machine.ask("$U")
     assert "Read only: " in heard and "error:9" in heard
     assert "station, 192.168.1.7, ugrbl.local; connected: 1" in machine.ask("$NET")
     free = int(machine.ask("$M").partition("free ")[2].partition(".")[0])
     print("free:", free)
     assert free >= _HEAP
+    machine.forget()
+    machine.send("?")
+    assert "MPos:2.000,0.000,0.000" in machine.wait_for(">")
