@@ -8,10 +8,12 @@ browser needs it; `/api/look` answers what a test has put there.
 import base64
 import hashlib
 import json
+import re
 import struct
 import subprocess
 import sys
 import threading
+import time
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -23,10 +25,12 @@ from as_users import as_users
 PAGE = Path(__file__).parent.parent.parent / "tools" / "web" / "page" / "index.html"
 _GUID = "258EAFA5-E914-47DA-95CA-C5AB0DC85B11"  # RFC 6455
 _TEXT, _BINARY, _CLOSE = 1, 2, 8
+_PATIENCE_S = 20.0
+_REPORT = re.compile(rb"<(\w+)[^|>]*\|MPos:([^|>]*)[^>]*?\|FS:(\d+)[^>]*>")
 
 
 class Machine:
-    """`ugrbl sim --stdio` of its own; all that went in is kept."""
+    """`ugrbl sim --stdio` of its own; all that went in and came out is kept."""
 
     def __init__(self, settings: Path, *options: str) -> None:
         command = [sys.executable, "-m", "ugrbl.cli", "sim", "--stdio", "--settings"]
@@ -37,6 +41,7 @@ class Machine:
             env=as_users(),
         )
         self.sent = bytearray()
+        self.said = bytearray()
         self.hears = True  # else what is sent gets nowhere
         self._sinks: list[Socket] = []
         threading.Thread(target=self._read, daemon=True).start()
@@ -70,6 +75,25 @@ class Machine:
         acts = bytes([0x18, *b"?!~", *range(0x80, 0x100)])
         return self.sent.translate(None, acts).decode("ascii").split("\n")[:-1]
 
+    def reports(self, since: int = 0) -> list[tuple[str, list[float], float]]:
+        """State, machine position in mm, and feed of each report; since: from that byte on."""
+        return [
+            (state.decode(), [float(mm) for mm in place.split(b",")], float(feed))
+            for state, place, feed in _REPORT.findall(self.said, since)
+        ]
+
+    def report(self, state: str = "") -> tuple[str, list[float], float]:
+        """The next one, asked for past the page; the first of that state, if one is said."""
+        until = time.monotonic() + _PATIENCE_S
+        while time.monotonic() < until:
+            before = len(self.said)
+            self.write(b"?")
+            for _ in range(20):
+                if found := [row for row in self.reports(before) if row[0].startswith(state)]:
+                    return found[0]
+                time.sleep(0.005)
+        raise AssertionError(f"never {state}")
+
     def close(self) -> None:
         self.process.kill()
         self.process.communicate()
@@ -77,6 +101,7 @@ class Machine:
     def _read(self) -> None:
         out: Any = self.process.stdout
         while data := out.read1(4096):
+            self.said += data
             self.say(data)
 
 

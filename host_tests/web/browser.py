@@ -4,7 +4,7 @@ import os
 import re
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -86,6 +86,16 @@ class Person:
         path.write_text(program)
         self.page.set_input_files("#job-file", str(path))
         self.reads("#job-name", name)
+
+    def crash(self) -> None:
+        """The tab is gone, in the middle of whatever it did."""
+        with self.page.expect_event("crash"), suppress(Exception):  # the crash is one for goto()
+            self.page.goto("chrome://crash", timeout=_LONG_MS)
+
+    def hang(self) -> None:
+        """The tab does nothing any more for a while."""
+        busy = "const end = Date.now() + 2000; while (Date.now() < end);"
+        self.page.evaluate(f"void setTimeout(() => {{ {busy} }})")
 
     def pauses(self, seconds: float) -> None:
         self.page.wait_for_timeout(1000 * seconds)

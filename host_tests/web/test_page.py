@@ -152,16 +152,90 @@ def test_a_tap_jogs_one_step_each_time(person):
     assert not sent_at_once(person.machine)
 
 
-def test_a_button_that_is_held_moves_until_it_is_let_go(person):
-    person.page.fill("#jog-feed", "1200")
-    person.press("[data-jog='Y-']")
-    person.sees("Jog")
-    person.pauses(0.6)
+# A jog, in mm/s, on a machine with 500 mm/s²; nobody asks for more than half a second of it.
+JOG_MM_S = 20.0
+BRAKE_MM = JOG_MM_S**2 / 2 / 500
+ASKED_MM = BRAKE_MM + JOG_MM_S * 0.5
+
+
+def hold_to_jog(person, button):
+    """Press it and wait until it moves at its full speed."""
+    person.page.fill("#jog-feed", f"{60 * JOG_MM_S:g}")
+    person.press(button)
+    person.waits(f"grbl.feed === {60 * JOG_MM_S:g}")
+
+
+def test_a_button_that_is_held_moves_without_slowing_until_it_is_let_go(person):
+    hold_to_jog(person, "[data-jog='Y-']")
+    begun = len(person.machine.said)
+    person.waits("grbl.machine[1] < -40")
+    feeds = [feed for _, _, feed in person.machine.reports(begun)]
+    assert len(feeds) > 4 and min(feeds) > 0.95 * 60 * JOG_MM_S
+    at = person.machine.report()[1][1]
     person.page.mouse.up()
-    there = person.shown_place()
-    assert -40 < there[1] < -5 and there[0] == 0
-    person.pauses(0.5)
-    assert person.place() == there
+    state, (x, y, _), _ = person.machine.report("Idle")
+    assert x == 0 and at - 0.2 * JOG_MM_S < y < at, "it ends at once"
+    pieces = [line for line in person.machine.lines() if line.startswith("$J")]
+    assert len(pieces) > 10
+    person.pauses(0.3)
+    assert person.machine.report() == (state, [x, y, 0], 0)
+
+
+LOSSES = {
+    "crashed": lambda person: person.crash(),
+    "hangs": lambda person: person.hang(),
+    "unplugged": lambda person: person.machine.unplug(),
+}
+
+
+@pytest.mark.parametrize("lost", LOSSES.values(), ids=LOSSES)
+def test_a_jog_stops_by_itself_where_nobody_asks_for_more(person, lost):
+    """Within the distance that docs/web.md states, whatever has become of the page."""
+    hold_to_jog(person, "[data-jog='X+']")
+    person.waits("grbl.machine[0] > 10")
+    lost(person)
+    at = person.machine.report()[1][0]
+    _, (x, _, _), _ = person.machine.report("Idle")
+    assert at < x < at + ASKED_MM
+    assert b"\x85" not in person.machine.sent, "no cancel has ended it"
+
+
+def test_a_jog_faster_than_the_axis_is_not_sent_ahead(person_at):
+    """Nor is one of a slow acceleration."""
+    person = person_at({110: "600", 120: "25"})
+    person.open_from_disk()
+    person.connect()
+    person.page.fill("#jog-feed", "9000")
+    person.press("[data-jog='X+']")
+    person.waits("grbl.feed === 600")
+    person.waits("grbl.machine[0] > 15")
+    person.crash()
+    at = person.machine.report()[1][0]
+    _, (x, _, _), _ = person.machine.report("Idle")
+    assert at < x < at + 10.0**2 / 2 / 25 + 10.0 * 0.5
+
+
+def test_the_other_way_at_once_begins_when_the_first_has_ended(person):
+    hold_to_jog(person, "[data-jog='X+']")
+    person.page.mouse.up()
+    person.press("[data-jog='X-']")
+    person.waits("grbl.machine[0] < -5")
+    person.page.mouse.up()
+    person.sees("Idle")
+
+
+def test_a_held_jog_that_is_refused_is_said_once(homer):
+    homer.click("#home")
+    homer.sees("Home")
+    homer.sees("Idle")
+    homer.types("$20=1")  # and the page does not know of it
+    homer.click("#tabs [data-tab=job]")
+    homer.page.fill("#jog-feed", "3000")
+    homer.press("[data-jog='X-']")
+    homer.reads("#notice-trouble", "error:15")
+    homer.pauses(0.5)
+    assert homer.machine.said.count(b"error:15") == 1
+    assert homer.machine.report()[0] == "Idle"
 
 
 @pytest.mark.parametrize("event", ["blur", "pagehide"])
