@@ -63,8 +63,9 @@ test-senders: $(VENV)  ## real senders, installed into ~/.cache/ugrbl-senders, a
 docs: $(VENV)  ## the tables in docs/ out of the firmware's own
 	$(BIN)/python -m ugrbl.docs
 
-pictures: $(VENV)  ## and the pictures, each by its command
+pictures: $(VENV)  ## and the pictures, each by its command, those of the page by its tests
 	$(BIN)/python -m ugrbl.docs --pictures
+	UGRBL_PICTURES=1 $(BIN)/pytest -q -rs host_tests/web/test_served_page.py
 
 clean:  ## all that is made, except .venv
 	rm -rf build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

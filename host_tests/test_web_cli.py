@@ -6,7 +6,6 @@ import socket
 import subprocess
 import sys
 import time
-import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,40 +13,9 @@ from typing import Any
 
 import pytest
 from as_users import as_users
+from web_process import PATIENCE_S, Web
 
 pytestmark = pytest.mark.xdist_group("web")
-
-_PATIENCE_S = 30.0
-
-
-class Web:
-    """A running server. address: as it has printed it."""
-
-    def __init__(self, *words: str, **environment: str) -> None:
-        command = [sys.executable, "-m", "ugrbl.cli", "web", "--http", "0", *words]
-        self.process = subprocess.Popen(
-            command,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            env=as_users(PYTHONUNBUFFERED="1", **environment),
-            text=True,
-        )
-        assert self.process.stdout
-        self.said = self.process.stdout.readline()
-        assert " is at http://" in self.said, self.said + self.process.communicate()[0]
-        self.address = self.said.rpartition(" is at ")[2].strip()
-
-    def get(self, address: str) -> "tuple[int, str]":
-        try:
-            with urllib.request.urlopen(address, timeout=_PATIENCE_S) as got:
-                return got.status, got.read().decode()
-        except urllib.error.HTTPError as error:
-            return error.code, error.read().decode()
-
-    def stop(self, number: int = signal.SIGINT) -> str:
-        self.process.send_signal(number)
-        return self.process.communicate(timeout=_PATIENCE_S)[0]
-
 
 Start = Callable[..., Web]
 
@@ -62,20 +30,11 @@ def web() -> Iterator[Start]:
 
     yield start
     for one in running:
-        one.process.kill()
-        one.process.communicate()
-
-
-def children(process: "subprocess.Popen[str]") -> "list[int]":
-    """The processes that it has started."""
-    files = list(Path(f"/proc/{process.pid}/task").glob("*/children"))
-    if not files:
-        pytest.skip("no /proc here that tells of children")
-    return [int(number) for file in files for number in file.read_text().split()]
+        one.close()
 
 
 def wait_until_gone(number: int) -> None:
-    until = time.monotonic() + _PATIENCE_S
+    until = time.monotonic() + PATIENCE_S
     while Path(f"/proc/{number}/cmdline").exists():
         if not Path(f"/proc/{number}/cmdline").read_bytes():
             return  # a zombie, for nobody waits for it here
@@ -87,7 +46,7 @@ def wait_until_gone(number: int) -> None:
 def test_a_signal_ends_it_and_its_simulator(number: int, web: Start) -> None:
     running = web("--sim", "--no-browser")
     assert running.said.startswith("sim is at http://127.0.0.1:")
-    (simulator,) = children(running.process)
+    (simulator,) = running.children()
     assert running.stop(number) == ""
     assert running.process.returncode == 0
     wait_until_gone(simulator)
@@ -95,7 +54,7 @@ def test_a_signal_ends_it_and_its_simulator(number: int, web: Start) -> None:
 
 def test_a_simulator_does_not_outlive_a_server_that_was_killed(web: Start) -> None:
     running = web("--sim", "--no-browser")
-    (simulator,) = children(running.process)
+    (simulator,) = running.children()
     running.process.kill()
     wait_until_gone(simulator)
 
@@ -116,7 +75,7 @@ def test_it_opens_a_browser(tmp_path: Path, web: Start) -> None:
     browser.write_text(f'#!/bin/sh\necho "$1" > {seen}.new && mv {seen}.new {seen}\n')
     browser.chmod(0o755)
     running = web("--sim", BROWSER=str(browser))
-    until = time.monotonic() + _PATIENCE_S
+    until = time.monotonic() + PATIENCE_S
     while not seen.exists():
         assert time.monotonic() < until, "no browser"
         time.sleep(0.05)
@@ -130,7 +89,7 @@ def test_the_simulator_keeps_its_settings_in_a_file(tmp_path: Path, web: Start) 
     running = web("--sim", "--no-browser", "--settings", str(file), "--board", "sim_xyza")
     program = json.dumps({"program": "G21\nG0 A5\n"}).encode()
     request = urllib.request.Request(f"{running.address}api/look", program)
-    with urllib.request.urlopen(request, timeout=_PATIENCE_S) as got:
+    with urllib.request.urlopen(request, timeout=PATIENCE_S) as got:
         found: Any = json.load(got)
     assert found["problems"] == [], "that board has an axis A"
     assert file.read_text().startswith("$110=3000\n")

@@ -57,6 +57,27 @@ async def test_bytes_of_a_watcher_are_dropped(board: FakeBoard, tmp_path: Path) 
 
 
 @played
+async def test_where_nobody_drives_who_watches_may_ask_and_no_more(
+    board: FakeBoard, tmp_path: Path
+) -> None:
+    async with served(board, tmp_path) as site:
+        first, second = await site.open(), await site.open()
+        await first.drive(False)
+        await second.told(drivers=0)
+        for data in (b"?", b"$G\n", b"!", b"?!", b"\x18", b"?"):
+            await second.send(data)
+        await second.send(b"?")
+        await board.wait_for(b"???")
+        await first.drive(True)
+        await first.told(driver=True)
+        await second.send(b"?")
+        await second.drive(True)  # behind it, so that it has been read
+        await second.told(driver=True)
+        await asyncio.sleep(0.1)
+        assert board.got == b"???"
+
+
+@played
 async def test_every_byte_a_board_can_say_comes_as_it_is(board: FakeBoard, tmp_path: Path) -> None:
     async with served(board, tmp_path) as site:
         page = await site.open()

@@ -207,20 +207,20 @@ class _Handler(BaseHTTPRequestHandler):
         """Bytes both ways until one side has gone. serves: as `ugrbl web` does."""
         machine, drives = self.server.machine, self.server.drives or not serves
         if serves:
-            socket.tell(_news(drives))
+            socket.tell(_news(drives, 1))
         machine.attach(socket)
         try:
             while (message := socket.receive())[0] != _CLOSE:
                 kind, data = message
                 if kind == _TEXT:
                     drives = json.loads(data)["drive"]
-                    socket.tell(_news(drives))
+                    socket.tell(_news(drives, int(drives)))
                 elif kind == _BINARY and drives:
                     machine.write(data)
         finally:
             machine.detach(socket)
 
 
-def _news(drives: bool) -> dict[str, object]:
+def _news(drives: bool, drivers: int) -> dict[str, object]:
     link = {"name": "sim", "open": True}
-    return {"link": link, "driver": drives, "drivers": 1, "watchers": 0 if drives else 1}
+    return {"link": link, "driver": drives, "drivers": drivers, "watchers": int(not drives)}

@@ -16,7 +16,7 @@ SETTINGS = {
     **dict.fromkeys((120, 121, 122), "500.000"),
 }
 _STAND_IN = Path(__file__).with_name("serial_stand_in.js")
-_LONG_MS = 15_000
+_LONG_MS = 30_000
 
 
 def chromium() -> str:
@@ -40,32 +40,16 @@ def browser() -> Iterator[Any]:
         opened.close()
 
 
-class Person:
-    """Somebody with the page before them, and a simulated machine behind it."""
+class Visitor:
+    """Somebody with the page before them."""
 
-    def __init__(self, page: Any, machine: Machine, bridge: Bridge, folder: Path) -> None:
+    def __init__(self, page: Any, folder: Path) -> None:
         self.page = page
-        self.machine = machine
-        self.bridge = bridge
         self.folder = folder
         self.faults: list[str] = []
         page.on("pageerror", lambda error: self.faults.append(str(error)))
 
     # What they do
-
-    def open_from_disk(self) -> None:
-        address = f'const ADDRESS = "{self.bridge.address}";\n'
-        self.page.add_init_script(address + _STAND_IN.read_text())
-        self.page.goto(PAGE.as_uri())
-
-    def connect(self, state: str = "Idle") -> None:
-        """By USB; until all is known that is shown."""
-        self.page.click("#connect")
-        self.sees(state)
-        self.waits("grbl.settled && grbl.modes.length && grbl.offsets.size && !grbl.linesUnderWay")
-
-    def open_served(self, query: str = "") -> None:
-        self.page.goto(f"http://{self.bridge.address}/{query}")
 
     def click(self, selector: str) -> None:
         self.page.click(selector, timeout=_LONG_MS)
@@ -105,6 +89,10 @@ class Person:
     def waits(self, condition: str) -> None:
         self.page.wait_for_function(f"() => {condition}", timeout=_LONG_MS)
 
+    def knows_all(self) -> None:
+        """Waits until the machine has answered what the page asks at first."""
+        self.waits("grbl.settled && grbl.modes.length && grbl.offsets.size && !grbl.linesUnderWay")
+
     def reads(self, selector: str, text: str) -> None:
         """Waits until it says so."""
         self.page.wait_for_function(
@@ -135,6 +123,29 @@ class Person:
 
     def log(self) -> str:
         return self.text("#log")
+
+
+class Person(Visitor):
+    """With a simulated machine behind it, on a wire that a test can see and cut."""
+
+    def __init__(self, page: Any, machine: Machine, bridge: Bridge, folder: Path) -> None:
+        super().__init__(page, folder)
+        self.machine = machine
+        self.bridge = bridge
+
+    def open_from_disk(self) -> None:
+        address = f'const ADDRESS = "{self.bridge.address}";\n'
+        self.page.add_init_script(address + _STAND_IN.read_text())
+        self.page.goto(PAGE.as_uri())
+
+    def connect(self, state: str = "Idle") -> None:
+        """By USB; until all is known that is shown."""
+        self.page.click("#connect")
+        self.sees(state)
+        self.knows_all()
+
+    def open_served(self, query: str = "") -> None:
+        self.page.goto(f"http://{self.bridge.address}/{query}")
 
 
 def _js(place: tuple[float, ...]) -> str:

@@ -563,7 +563,7 @@ def test_a_second_page_watches_until_it_takes_over(person_at):
     person.click("[data-jog='X+']")
     person.rests_at(1, 0, 0)
     person.click("#give")
-    person.reads("#notice-watch", "Another browser drives")
+    person.reads("#notice-watch", "Nobody drives")
 
 
 def test_stop_on_a_page_that_watches_takes_over_first(person_at):

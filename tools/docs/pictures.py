@@ -1,5 +1,9 @@
-"""The pictures in docs/pictures: drawn by a command, kept in fewer dots and colours."""
+"""The pictures in docs/pictures, kept in fewer dots and colours.
 
+Those of the tools are drawn by a command each, those of the page are taken by its tests.
+"""
+
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -9,8 +13,11 @@ from typing import NamedTuple
 from .pages import DOCS, ROOT
 
 FOLDER = DOCS / "pictures"
+MOST_BYTES = 100_000
 _WIDTH = 1200
 _COLOURS = 64
+_LOOK = (240, 206)  # dots in which two are compared
+_LIKE = 4.0  # of 255
 
 
 class Picture(NamedTuple):
@@ -50,20 +57,49 @@ PICTURES = (
 )
 
 
+# By host_tests/web/test_served_page.py.
+OF_THE_PAGE = ("page.png", "page_phone.png")
+
+
 def draw(picture: Picture, file: Path) -> None:
     """Draw it there, as it is kept. Raises CalledProcessError where the command fails."""
-    from PIL import Image
-
     with TemporaryDirectory() as folder:
         drawn = Path(folder) / picture.name
         command = [sys.executable, "-m", "ugrbl.cli", *picture.words.split(), "--plot", str(drawn)]
         subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
-        with Image.open(drawn) as image:
-            size = (_WIDTH, image.height * _WIDTH // image.width)
-            small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
-    few = small.quantize(_COLOURS, method=Image.Quantize.MAXCOVERAGE)
+        shrink(drawn, file)
+
+
+def shrink(drawn: Path, file: Path, greys: bool = False) -> None:
+    """Keep a picture there, in fewer dots and colours. greys: it has many of them."""
+    from PIL import Image
+
+    method = Image.Quantize.MEDIANCUT if greys else Image.Quantize.MAXCOVERAGE
+    with Image.open(drawn) as image:
+        width = min(_WIDTH, image.width)
+        size = (width, image.height * width // image.width)
+        small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+    few = small.quantize(_COLOURS * (1 + greys), method=method, dither=Image.Dither.NONE)
     file.parent.mkdir(exist_ok=True)
     few.save(file, optimize=True)
+
+
+def same(file: Path, other: Path) -> bool:
+    """Whether two pictures show the same: fonts may differ from one computer to the next, and
+    numbers from one run to the next; lines and colours may not."""
+    from PIL import Image, ImageChops, ImageStat
+
+    pair = []
+    for path in (file, other):
+        with Image.open(path) as image:
+            pair.append(image.convert("RGB").resize(_LOOK))
+    return max(ImageStat.Stat(ImageChops.difference(*pair)).mean) < _LIKE
+
+
+def renew(fresh: Path, kept: Path) -> None:
+    """Keep a fresh picture in the place of one that shows something else, or of none."""
+    if not kept.exists() or not same(fresh, kept):
+        shutil.copyfile(fresh, kept)
 
 
 def keep(picture: Picture) -> Path:

@@ -1,5 +1,7 @@
 """Who watches a board and who drives it: every browser hears all, one of them is heard.
 
+Where nobody drives, who watches may still ask how it stands: that moves nothing.
+
 All of it runs in the event loop, but for the board's threads, which call in with
 call_soon_threadsafe.
 """
@@ -11,7 +13,7 @@ from collections.abc import Callable, Iterable
 from typing import Protocol
 
 from ..device.connection import state_of
-from ..grbl.gcode_file import FEED_HOLD, JOG_CANCEL, RESET
+from ..grbl.gcode_file import FEED_HOLD, JOG_CANCEL, RESET, STATUS
 from .framing import Framing
 
 # What a browser may leave unread: a job of 100,000 lines with all its answers and reports.
@@ -166,6 +168,8 @@ class Hub:
 
     async def send(self, browser: Browser, data: bytes) -> None:
         """Bytes of a browser: to the board where it drives, else nowhere. Waits for room."""
+        if self._driver is None and data == STATUS:
+            self._board.write_now(STATUS)
         if browser is not self._driver:
             return
         for part, acts in self._framing.take(data):

@@ -1,0 +1,220 @@
+"""The page as people have it: `ugrbl web --sim` and a browser, from the first click to the last.
+
+With UGRBL_PICTURES=1 (`make pictures`) the pictures of the page in docs/pictures are kept anew.
+"""
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser import Visitor, settings_file
+from ugrbl import paths
+from ugrbl.docs import pictures
+from web_process import Web
+
+pytestmark = pytest.mark.xdist_group("page")
+
+MILL = {
+    **dict.fromkeys((110, 111, 112), "6000.000"),
+    **dict.fromkeys((130, 131, 132), "150.000"),
+    20: "1",
+    22: "1",
+    24: "600.000",
+    25: "6000.000",
+}
+EXAMPLE = paths.EXAMPLES / "badge.nc"
+FROM_LINE = 2300
+DESKTOP = {"width": 1200, "height": 800}
+PHONE = {"width": 390, "height": 844}
+Visit = Callable[..., Visitor]
+
+
+@pytest.fixture(scope="module")
+def web(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Web]:
+    """A mill with switches, for all tests here; it is where the one before has left it."""
+    file = settings_file(tmp_path_factory.mktemp("mill"), MILL)
+    running = Web("--sim", "--no-browser", "--settings", str(file))
+    yield running
+    running.close()
+
+
+@pytest.fixture
+def visit(opened: Any, web: Web, tmp_path: Path) -> Iterator[Visit]:
+    """Opens the page in a browser of its own."""
+    contexts: list[Any] = []
+    visitors: list[Visitor] = []
+
+    def come(address: str = "", **screen: Any) -> Visitor:
+        contexts.append(opened.new_context(**{"viewport": DESKTOP, **screen}))
+        visitors.append(Visitor(contexts[-1].new_page(), tmp_path))
+        visitors[-1].page.goto(address or web.address)
+        return visitors[-1]
+
+    yield come
+    for context in contexts:
+        context.close()
+    assert not [fault for visitor in visitors for fault in visitor.faults], "the script failed"
+
+
+def free(visitor: Visitor) -> Visitor:
+    """Out of whatever the test before has left, to Idle; its place is nowhere."""
+    visitor.waits("grbl.drives && grbl.state")
+    visitor.page.evaluate("grbl.reset()")
+    visitor.waits("grbl.settled && ['Idle', 'Alarm'].includes(grbl.state)")
+    if visitor.page.evaluate("grbl.state") == "Alarm":
+        visitor.click("#unlock")
+    visitor.sees("Idle")
+    visitor.knows_all()
+    return visitor
+
+
+def home(visitor: Visitor) -> None:
+    visitor.click("#home")
+    visitor.sees("Home")
+    visitor.sees("Idle")
+    visitor.waits("String(grbl.machine) === '-1,-1,-1'")
+
+
+def opens_example(visitor: Visitor) -> None:
+    visitor.page.set_input_files("#job-file", str(EXAMPLE))
+    visitor.reads("#job-words", "It takes 9:")
+
+
+def keep(visitor: Visitor, name: str) -> None:
+    """The picture of that name is what is seen now; in a rerun nothing changes for nothing."""
+    drawn = visitor.folder / name
+    visitor.page.screenshot(path=drawn)
+    fresh = visitor.folder / f"small-{name}"
+    pictures.shrink(drawn, fresh, greys=True)
+    assert fresh.stat().st_size < pictures.MOST_BYTES
+    if os.environ.get("UGRBL_PICTURES"):
+        pictures.renew(fresh, pictures.FOLDER / name)
+    assert pictures.same(fresh, pictures.FOLDER / name), "make pictures"
+
+
+def jog_to_the_corner(person: Visitor) -> None:
+    """Of the stock, from the switches, by taps; that is zero from then on."""
+    person.page.fill("#jog-feed", "6000")
+    for step, axes, times in ((50, "XY", 2), (10, "XY", 3), (10, "Z", 2)):
+        person.click(f"#steps >> text='{step}'")
+        for axis in axes * times:
+            person.click(f"[data-jog='{axis}-']")
+            person.waits("!grbl.linesUnderWay")
+    person.waits("grbl.state === 'Idle' && String(grbl.machine) === '-131,-131,-21'")
+    person.click("#zero-all")
+    person.rests_at(0, 0, 0)
+
+
+def test_the_example_is_run_from_the_first_click_to_the_last(visit: Visit, web: Web) -> None:
+    person = visit()
+    person.sees("Alarm")
+    person.reads("#state-words", "Locked")
+    home(person)
+    jog_to_the_corner(person)
+    opens_example(person)
+    person.reads("#job-words", "No problems")
+
+    person.click("#run")
+    person.sees("Run")
+    person.waits("job?.line > 20")
+    person.click("#hold")
+    person.reads("#state-words", "At rest")
+    held = person.place()
+    person.reads("#job-words", "Held: line ")
+    assert person.place() == held
+    person.click("#resume")
+    person.click("[aria-label='Feed +10 %']")
+    person.reads("#ov-feed", "110 %")
+    person.waits("job?.line > 25")
+
+    (simulator,) = web.children()
+    os.kill(simulator, signal.SIGKILL)  # the plug is pulled
+    person.reads("#notice-lost", "The job stopped behind line ")
+    person.reads("#notice-lost", "A spindle stays on")
+    person.sees("Not connected")
+    assert 25 < person.page.evaluate("job.line") < 100
+    person.sees("Alarm")  # it is there again, and has lost its place
+    assert not person.page.query_selector("#notice-lost")
+    home(person)
+    person.rests_at(130, 130, 20)  # by the zero that it has kept
+
+    person.page.fill("#from", str(FROM_LINE))
+    person.click("#run")
+    person.reads("#dialog", "spindle on: M3 S12000")
+    person.click("#dialog-yes")
+    person.waits(f"job?.line > {FROM_LINE + 15}")
+    keep(person, "page.png")
+    person.click("#end")
+    person.reads("#job-words", "it was ended; the position is kept")
+    person.sees("Idle")
+
+
+SLOW = "G21 G91\nG1 X-40 F600\nG1 X20\nG1 X20\n"
+
+
+def test_a_second_browser_watches_until_it_takes_over(visit: Visit) -> None:
+    first = free(visit())
+    home(first)
+    phone = visit(viewport=PHONE, color_scheme="dark", has_touch=True, is_mobile=True)
+    phone.reads("#notice-watch", "Another browser drives this machine")
+    assert not phone.page.is_enabled("[data-jog='X-']")
+    first.reads("#link-words", "1 watching")
+    first.click("[data-jog='X-']")
+    phone.waits("grbl.machine[0] === -2 && grbl.state === 'Idle'")
+    phone.click("#take")
+    phone.knows_all()
+    first.reads("#notice-watch", "Another browser drives this machine")
+    assert not first.page.is_enabled("#hold")
+    phone.page.tap("[data-jog='X+']")
+    phone.waits("String(grbl.machine) === '-1,-1,-1' && grbl.state === 'Idle'")
+    first.waits("String(grbl.machine) === '-1,-1,-1'")
+    keep(phone, "page_phone.png")
+
+
+def test_a_page_loaded_anew_in_a_job_finds_the_machine_held(visit: Visit) -> None:
+    person = free(visit())
+    home(person)
+    person.loads(SLOW)
+    person.reads("#job-words", "It takes 0:08 min")
+    person.click("#run")
+    person.waits("grbl.machine[0] < -3")
+    person.page.on("dialog", lambda dialog: dialog.accept())  # whether to leave
+    person.page.reload()
+    person.sees("Hold")
+    person.waits("grbl.drives")
+    at = person.page.evaluate("grbl.machine[0]")
+    assert -41 < at < -3
+    person.click("#resume")
+    person.sees("Run")
+    person.waits("grbl.state === 'Idle' && String(grbl.machine) === '-1,-1,-1'")
+
+
+def test_a_page_that_leaves_in_a_jog_ends_it(visit: Visit) -> None:
+    person, other = free(visit()), visit()
+    home(person)
+    person.press("[data-jog='X-']")
+    other.waits("grbl.state === 'Jog' && grbl.machine[0] < -3")
+    person.page.close()
+    other.sees("Idle")
+    assert -20 < other.page.evaluate("grbl.machine[0]") < -3
+
+
+def test_from_the_network_only_who_has_the_token_comes_in(visit: Visit) -> None:
+    guarded = Web("--sim", "--no-browser", "--host", "0.0.0.0")
+    try:
+        port = guarded.address.partition("?")[0].rstrip("/").rpartition(":")[2]
+        token = guarded.address.partition("?")[2]
+        stranger = visit(f"http://127.0.0.1:{port}/?token=guessed")
+        assert "the token is missing or wrong" in stranger.text("body")
+        owner = visit(f"http://127.0.0.1:{port}/?{token}")
+        owner.sees("Idle")
+        owner.knows_all()
+        owner.click("[data-jog='X+']")
+        owner.rests_at(1, 0, 0)
+        owner.loads("G21\nG1 X9 F600\n")
+        owner.reads("#job-words", "No problems")
+    finally:
+        guarded.close()
