@@ -61,6 +61,106 @@ def test_the_machines_own_settings_hold_and_others_are_passed_over(tmp_path: Pat
     assert faster["seconds"] < plain["seconds"] - 1
 
 
+STANDING = {
+    "place": [-50, -60, -5.5],
+    "offsets": {
+        "G54": [-100, -110, -30],
+        "G55": [-10, -20, 0],
+        "G28": [-5, -6, -7],
+        "G92": [1, 2, 3],
+        "TLO": [4],
+    },
+    "modes": "G0 G54 G17 G21 G90 G94 M5 M9 T0 F0 S0".split(),
+}
+
+
+def ends(found: Any) -> "dict[int, list[float]]":
+    """Where the motion of a line ends."""
+    return {line: [x, y, z] for x, y, z, _, line, _ in found["path"]}
+
+
+def test_a_program_runs_where_the_machine_stands_with_its_offsets(tmp_path: Path) -> None:
+    program = "G0 X10 Y0\nG0 Z1\nG55 X0 Y0\nG53 Z0\nG28\nG91 G0 X1\n"
+    ((status, found),) = look(tmp_path, {"program": program, **STANDING})
+    assert status == 200 and not found["problems"]
+    assert found["path"][0][:3] == [-50, -60, -5.5]
+    assert ends(found) == {
+        0: [-50, -60, -5.5],
+        1: [-100 + 1 + 10, -110 + 2, -5.5],
+        2: [-89, -108, -30 + 3 + 4 + 1],
+        3: [-10 + 1, -20 + 2, -22],
+        4: [-9, -18, 0],
+        5: [-5, -6, -7],
+        6: [-4, -6, -7],
+    }
+
+
+def test_time_counts_from_where_the_machine_stands(tmp_path: Path) -> None:
+    far = {"program": "G0 X0\n", "place": [-100, 0, 0]}
+    (_, near), (_, found) = look(tmp_path, {**far, "place": [-10, 0, 0]}, far)
+    assert found["seconds"] == pytest.approx(near["seconds"] + 90 / 500 * 60, abs=0.2)
+    assert found["times"] == [[1, pytest.approx(found["seconds"], abs=0.05)]]
+
+
+def test_modes_that_are_in_force_hold_for_a_program(tmp_path: Path) -> None:
+    modes = "G1 G55 G17 G20 G91 G94 M5 M9 T0 F600.5 S0".split()
+    request = {"program": "X1\nX1\n", "modes": modes, "offsets": {"G55": [3, 3, 3]}}
+    ((_, found),) = look(tmp_path, request)
+    assert not found["problems"], "G1 with a feed"
+    assert ends(found)[2][0] == pytest.approx(50.8, abs=0.005)
+    assert max(row[5] for row in found["path"]) == pytest.approx(500, abs=1), "$110"
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        {"place": "here", "offsets": [1], "modes": {}},
+        {"place": [None], "offsets": {"G54": "x", "G99": [1], "": []}, "modes": [7, "G64", "!"]},
+        {"place": [1e300], "offsets": {"G54": [float("nan")], "TLO": [], "G92": [[]]}},
+        {"place": [], "offsets": {"G54": [1e6, 0, 0]}, "modes": ["F1e9", "G1\nG0 X9", "$X"]},
+        {"options": 7, "modes": None, "place": None, "offsets": None},
+    ],
+)
+def test_what_makes_no_sense_of_how_it_stands_is_passed_over(odd: Any, tmp_path: Path) -> None:
+    (_, plain), (status, found) = look(tmp_path, {"program": _SQUARE}, {"program": _SQUARE, **odd})
+    assert status == 200 and found == plain
+
+
+def test_what_leaves_the_travel_is_said_beforehand(tmp_path: Path) -> None:
+    """The first line beyond each end, and how far it would be at the most."""
+    settings = {"20": "1", "22": "1", "130": "150", "131": "150", "132": "40"}
+    program = "G0 X60\nX120 Y10\nX130\nZ-1\nZ-20\nX0\n"
+    request = {**STANDING, "program": program, "settings": settings, "options": "VNM"}
+    (_, found), (_, off), (_, other) = look(
+        tmp_path,
+        request,
+        {**request, "settings": {**settings, "20": "0"}},
+        {**request, "settings": {**settings, "23": "1"}, "options": "VNZ"},
+    )
+    assert [(row["line"], row["code"]) for row in found["problems"]] == [(2, 2), (5, 2)]
+    assert found["problems"][0]["text"] == (
+        "ALARM:2 - X would go to 31.000 mm in machine coordinates, "
+        "and its travel ends at 0 ($20, $130)"
+    )
+    assert "Z would go to -43.000 mm" in found["problems"][1]["text"]
+    assert "ends at -40 ($20, $132)" in found["problems"][1]["text"]
+    assert found["seconds"] == off["seconds"] and not off["problems"]
+    assert [row["line"] for row in other["problems"]] == [1, 5], "X goes from 0 to 150 there"
+
+
+def test_what_is_said_to_leave_the_travel_is_what_the_machine_refuses() -> None:
+    """At the same line, by the firmware's own soft limits."""
+    from ugrbl.web.look import look as looked
+
+    program = "".join(f"G0 X{-10 * n}\nG2 X{-10 * n - 8} I-4 F900\n" for n in range(12))
+    settings = {"20": "1", "22": "1", "130": "94.5", "131": "50", "132": "50", "110": "6000"}
+    said = looked({"program": program, "settings": settings, "place": [0, -10, 0]}, "sim")
+    own = [f"${n}={settings[n]}" for n in ("22", "20", "130", "131", "132", "110")]
+    result, _ = run_program(program.encode().splitlines(), settings=[*own, "G90 G0 Y-10"])
+    assert result.stopped == "ALARM:2"
+    assert [row["line"] for row in said["problems"]] == [result.other_output[-1][0]] == [20]
+
+
 def test_lines_that_are_refused_are_named_with_their_meaning(tmp_path: Path) -> None:
     ((status, found),) = look(tmp_path, {"program": "G64\nG1 X1\nG0 X1 ! (hm?)\nM3 (Ä)\n"})
     assert status == 200

@@ -550,6 +550,52 @@ def test_served_it_connects_by_itself_and_passes_its_query_on(person_at):
     person.reads("#dialog", "There are problems")
 
 
+def test_a_program_is_looked_at_where_it_will_run_and_again_when_zero_is_moved(person_at):
+    person = person_at()
+    person.bridge.look = {
+        "seconds": 7.0,
+        "problems": [],
+        "lines": 1,
+        "times": [[1, 7]],
+        "path": [[-30, 0, 0, 0, 0, 0], [10, 0, 0, 0, 1, 500]],
+    }
+    person.open_served()
+    person.sees("Idle")
+    person.knows_all()
+    person.types("G10 L2 P1 X-30 Z1.5")
+    person.waits("String(grbl.work) === '30,0,-1.5' && !grbl.linesUnderWay")
+    person.loads("G0 X10\n")
+    person.reads("#job-words", "No problems. It takes 0:07 min")
+    person.reads("#extent", "X 0 … 40   Y 0 … 0   Z -1.5 … -1.5")  # in work coordinates
+    asked = person.bridge.looked
+    assert asked["place"] == [0, 0, 0] and asked["offsets"]["G54"] == [-30, 0, 1.5]
+    assert {"G54", "G21", "G90", "F0"} <= set(asked["modes"])
+    assert set(asked["offsets"]) == {*(f"G5{n}" for n in range(4, 10)), "G28", "G30", "G92", "TLO"}
+    person.click("#tabs [data-tab=job]")
+    person.click("[aria-label='Set X to zero here']")
+    person.waits("String(grbl.work) === '0,0,-1.5'")
+    person.reads("#extent", "X -30 … 10")
+    assert person.bridge.looked["offsets"]["G54"] == [0, 0, 1.5]
+    count = person.bridge.asked_for.count("/api/look")
+    person.pauses(1.5)
+    assert person.bridge.asked_for.count("/api/look") == count == 2, "not for nothing"
+
+
+def test_reports_in_inches_are_looked_at_in_millimetres(person_at):
+    person = person_at({13: "1"})
+    person.bridge.look = {"seconds": 1.0, "problems": [], "lines": 1, "times": [], "path": []}
+    person.open_served()
+    person.sees("Idle")
+    person.knows_all()
+    person.types("G21 G10 L2 P1 X25.4")
+    person.types("G1 F254")
+    person.waits("grbl.modes.includes('F10.0') && !grbl.linesUnderWay")
+    person.loads("G0 X10\n")
+    person.reads("#job-words", "It takes")
+    asked = person.bridge.looked
+    assert asked["offsets"]["G54"][0] == pytest.approx(25.4) and "F254" in asked["modes"]
+
+
 def test_a_second_page_watches_until_it_takes_over(person_at):
     person = person_at()
     person.bridge.drives = False

@@ -62,8 +62,8 @@ def visit(opened: Any, web: Web, tmp_path: Path) -> Iterator[Visit]:
 def free(visitor: Visitor) -> Visitor:
     """Out of whatever the test before has left, to Idle; its place is nowhere."""
     visitor.waits("grbl.drives && grbl.state")
-    visitor.page.evaluate("grbl.reset()")
-    visitor.waits("grbl.settled && ['Idle', 'Alarm'].includes(grbl.state)")
+    anew = "grbl.on('welcome', () => grbl.on('status', done)); grbl.reset()"
+    visitor.page.evaluate(f"new Promise((done) => {{ {anew} }}).then(() => 0)")
     if visitor.page.evaluate("grbl.state") == "Alarm":
         visitor.click("#unlock")
     visitor.sees("Idle")
@@ -73,8 +73,7 @@ def free(visitor: Visitor) -> Visitor:
 
 def home(visitor: Visitor) -> None:
     visitor.click("#home")
-    visitor.sees("Home")
-    visitor.sees("Idle")
+    visitor.waits("!grbl.linesUnderWay && grbl.state === 'Idle'")
     visitor.waits("String(grbl.machine) === '-1,-1,-1'")
 
 
@@ -153,6 +152,22 @@ def test_the_example_is_run_from_the_first_click_to_the_last(visit: Visit, web: 
 
 
 SLOW = "G21 G91\nG1 X-40 F600\nG1 X20\nG1 X20\n"
+
+
+def test_what_leaves_the_travel_is_said_before_it_is_run(visit: Visit) -> None:
+    """And after zero has been moved, so that it does not, no more."""
+    person = free(visit())
+    home(person)
+    person.click("#zero-all")
+    person.rests_at(0, 0, 0)
+    person.loads("G21 G90\nG0 X-10\nX-20 Y30\n")
+    person.reads("#problems", "Line 3 ALARM:2 - Y would go to 29.000 mm in machine coordinates")
+    person.reads("#job-words", "1 problem.")
+    person.types("G10 L20 P1 Y50")
+    person.click("#tabs [data-tab=job]")
+    person.reads("#job-words", "No problems.")
+    person.click("#run")
+    person.reads("#job-words", "Job done: nothing refused")
 
 
 def test_a_second_browser_watches_until_it_takes_over(visit: Visit) -> None:

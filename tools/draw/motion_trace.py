@@ -57,6 +57,12 @@ class Motion:
     def __len__(self) -> int:
         return len(self.time_s)
 
+    def forget(self) -> None:
+        """No segment has been, but for the blocks that they may be of."""
+        for column in (self.time_s, self.speed_mm_s, self.power, *self.place):
+            del column[:]
+        del self.block[:]
+
     @property
     def seconds(self) -> Column:
         """How long each segment took."""
@@ -120,6 +126,7 @@ class MotionTrace(Paced):
     def start_clock(self) -> None:
         """The work begins now; what was before is forgotten."""
         super().start_clock()
+        self.motion.forget()
         self._begun_at = self._rig.now
         self._add(0.0, 0.0, 0, self._to_mm(self._place))
 

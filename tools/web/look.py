@@ -22,6 +22,7 @@ from ..grbl import gcode_file
 from ..grbl.messages import meaning
 from ..run import machine
 from ..run.program import Result
+from . import standing
 
 PROGRAM_BYTES = 32 << 20
 MOST_TIMES = 2000
@@ -45,15 +46,16 @@ def look(request: Mapping[str, Any], board: str) -> dict[str, Any]:
     """What a request for /api/look is answered with. Refused where it is none.
 
     times: rows of line and of the seconds at which its motion ends; path: rows of X, Y, Z in mm,
-    kind of the stroke that ends there, its line, and its mean speed in mm/min.
+    machine coordinates, kind of the stroke that ends there, its line, and its mean speed in
+    mm/min. The machine stands as standing.py reads it, else at 0 without offsets.
     """
     name, lines = _program(request)
-    settings = on_paper(_settings(request.get("settings", {})))
-    chosen = machine.taken(board, settings)
+    settings = _settings(request.get("settings", {}))
+    chosen = machine.taken(board, on_paper(settings))
     result, trace = trace_program(
         [gcode_file.harmless(line) for line in lines],
         board=board,
-        settings=chosen,
+        settings=[*chosen, *standing.lines(request)],
         progress=_needed(),
     )
     if " was refused with " in result.stopped:
@@ -62,7 +64,7 @@ def look(request: Mapping[str, Any], board: str) -> dict[str, Any]:
     return {
         "name": name,
         "seconds": round(result.totals.time_s, 3),
-        "problems": _problems(lines, result),
+        "problems": _problems(lines, result, standing.beyond(motion, settings, request)),
         "lines": len(lines),
         "times": _times(motion),
         "path": _path(motion),
@@ -105,9 +107,13 @@ def _value(text: Any) -> float | None:
 # Answers
 
 
-def _problems(lines: Sequence[bytes], result: Result) -> list[dict[str, Any]]:
-    """Lines that are refused, or act at once, or at which the program ended; by line."""
+def _problems(
+    lines: Sequence[bytes], result: Result, beyond: Sequence[tuple[int, str]]
+) -> list[dict[str, Any]]:
+    """Lines that are refused, or act at once, or at which the program ended, or that go beyond
+    the travel; by line."""
     found = [_problem(number, f"{reply} - {meaning(reply)}") for number, reply in result.errors]
+    found += [_problem(*row) for row in beyond]
     found += [
         _problem(problem.line, problem.text)
         for problem in gcode_file.problems(lines)

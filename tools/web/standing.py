@@ -1,0 +1,123 @@
+"""How a machine stands before a program: place, offsets and modes, as a page has heard of them.
+
+Of X, Y and Z; in mm, machine coordinates. What of it makes no sense is passed over: it is a
+picture that is asked for, and a machine may know words that the simulated one does not.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from ..draw.motion_trace import LETTERS, Motion
+
+_SYSTEMS = ("G54", "G55", "G56", "G57", "G58", "G59")
+_KEPT = ("G28", "G30")  # places of their own
+_MODE = re.compile(r"G(?:[0-3]|80|1[7-9]|2[01]|9[0134])")
+_FEED = re.compile(r"F\d{1,6}(?:\.\d{1,3})?")
+_AXES = 3
+_FARTHEST_MM = 1e5
+_BEYOND_MM = 0.005  # less is the rounding of steps
+
+Place = tuple[float, ...]
+
+
+def lines(request: Mapping[str, Any]) -> list[str]:
+    """What brings a fresh machine there, by "place", "offsets" and "modes" of a request."""
+    offsets = _offsets(request.get("offsets"))
+    modes = [word for word in _words(request.get("modes")) if isinstance(word, str)]
+    system = next((word for word in modes if word in _SYSTEMS), _SYSTEMS[0])
+    place = _place(request.get("place")) or (0.0,) * _AXES
+    made = []
+    for name in _KEPT:
+        if name in offsets:
+            made += [_there(offsets[name]), f"{name}.1"]
+    for number, name in enumerate(_SYSTEMS, 1):
+        if name in offsets:
+            made.append(f"G21 G10 L2 P{number} {_axes(offsets[name])}")
+    made += [_there(place), system]
+    tool = offsets.get("TLO", (0.0,))[0]
+    if tool:
+        made.append(f"G21 G43.1 Z{tool:.4f}")
+    if "G92" in offsets:
+        shown = _shown(place, offsets.get(system), tool, offsets["G92"])
+        made.append(f"G21 G92 {_axes(shown)}")
+    made += [f"G21 G94 {word}" for word in modes if _FEED.fullmatch(word)]
+    kept = [word for word in modes if _MODE.fullmatch(word)]
+    return made + ([" ".join(kept)] if kept else [])
+
+
+def _there(place: Place) -> str:
+    return f"G21 G90 G53 G0 {_axes(place)}"
+
+
+def _axes(place: Place) -> str:
+    return " ".join(f"{letter}{mm:.4f}" for letter, mm in zip(LETTERS, place, strict=False))
+
+
+def _shown(place: Place, system: Place | None, tool: float, shift: Place) -> Place:
+    """What G92 has to say there for such a shift."""
+    zero = system or (0.0,) * _AXES
+    longer = (0.0, 0.0, tool)
+    return tuple(at - of - z - more for at, of, z, more in zip(place, zero, longer, shift))
+
+
+def _offsets(found: Any) -> dict[str, Place]:
+    """Those by name that are places, and are not 0."""
+    if not isinstance(found, dict):
+        return {}
+    places = {name: _place(numbers) for name, numbers in found.items()}
+    return {name: place for name, place in places.items() if place and any(place)}
+
+
+def _place(found: Any) -> Place | None:
+    """Numbers of the first axes; None where they are none."""
+    numbers = _words(found)[:_AXES]
+    if not numbers or not all(isinstance(n, int | float) for n in numbers):
+        return None
+    place = tuple(float(number) for number in numbers)
+    return place if all(isfinite(mm) and abs(mm) < _FARTHEST_MM for mm in place) else None
+
+
+def _words(found: Any) -> Sequence[Any]:
+    return found if isinstance(found, list) else ()
+
+
+# The end of the travel
+
+
+def beyond(
+    motion: Motion, settings: Mapping[int, str], request: Mapping[str, Any]
+) -> list[tuple[int, str]]:
+    """Where the machine's soft limits ($20=1) would end a program: the first line beyond each end
+    of an axis, with the answer. "options" of a request: the letters of `[OPT:`."""
+    if float(settings.get(20, 0)) != 1:
+        return []
+    positive = int(float(settings.get(23, 0))) if "Z" in str(request.get("options", "")) else 0
+    found = []
+    for axis, column in enumerate(motion.place[:_AXES]):
+        travel = float(settings.get(130 + axis, 0))
+        low, high = (0.0, travel) if positive >> axis & 1 else (-travel, 0.0)
+        if travel > 0:
+            found += _over(motion, np.frombuffer(column, np.float32), high, axis)
+            found += _over(motion, -np.frombuffer(column, np.float32), -low, axis, -1)
+    return sorted(found)
+
+
+def _over(
+    motion: Motion, places: Any, end: float, axis: int, sign: int = 1
+) -> list[tuple[int, str]]:
+    over = places > end + _BEYOND_MM
+    rows = np.flatnonzero(over & (motion.lines > 0))
+    if not len(rows):
+        return []
+    farthest, last = sign * float(places[rows].max()), sign * end + 0.0
+    return [
+        (
+            int(motion.lines[rows[0]]),
+            f"ALARM:2 - {LETTERS[axis]} would go to {farthest:.3f} mm in machine coordinates, and "
+            f"its travel ends at {last:g} ($20, ${130 + axis})",
+        )
+    ]
