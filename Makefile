@@ -60,7 +60,7 @@ bench-board: $(EMULATOR)  ## and on a board: at PORT, or emulated with the image
 test-senders: $(VENV)  ## real senders, installed into ~/.cache/ugrbl-senders, at the simulator
 	$(BIN)/pytest -q -rs host_tests/senders
 
-docs: $(VENV)  ## the tables in docs/ out of the firmware's own
+docs: $(VENV)  ## the tables in docs/, and the words of the page, out of the firmware's own
 	$(BIN)/python -m ugrbl.docs
 
 pictures: $(VENV)  ## and the pictures, each by its command, those of the page by its tests

@@ -492,6 +492,30 @@ def test_a_setting_is_changed_and_kept(person):
     assert person.page.input_value("[aria-label^='$0 ']") == "10"
 
 
+def test_settings_of_extras_have_their_meaning_unit_and_limits(person):
+    person.machine.say(b"$33=5000\r\n$170=-0.500\r\n$143=800.000\r\n$802=0.000\r\nok\r\n")
+    person.click("#tabs [data-tab=settings]")
+    for words in (
+        "Spindle PWM frequency, Hz",
+        "X squaring offset, millimeters",
+        "Motor current A, milliampere",
+        "Maximum jerk Z, mm/sec^3How fast acceleration may change; 0: at once. (0 or more)",
+        "Invert limit pins, booleanOff: switches pull their pins to ground when hit. (0 or 1)",
+    ):
+        person.reads("#settings", words)
+    person.machine.say(b"$30=0\r\n$33=1\r\nok\r\n")
+    person.reads("#settings", "Punch actuator down invert, boolean")
+
+
+@pytest.mark.parametrize(("number", "value"), [(5, "2"), (3, "256"), (1, "1.5"), (100, "-1")])
+def test_a_value_outside_of_a_settings_limits_is_not_sent(person, number, value):
+    person.click("#tabs [data-tab=settings]")
+    person.page.fill(f"[aria-label^='${number} ']", value)
+    person.page.keyboard.press("Enter")
+    person.reads("#settings-words", f"${number} may be 0 ")
+    assert not [line for line in person.machine.lines() if line.startswith(f"${number}=")]
+
+
 def test_nothing_is_asked_while_a_setting_is_written(person):
     person.machine.hears = False
     person.types("$110=2000")

@@ -1,4 +1,5 @@
-"""`python -m ugrbl.docs`: makes the tables in docs/ out of the firmware's own.
+"""`python -m ugrbl.docs`: makes the tables in docs/, and the words of the page in the browser, out
+of the firmware's own.
 
 What a table says of a row is the comment beside it in the firmware, or the words in meanings.py,
 without which it is not made. --pictures draws the pictures anew as well.
@@ -9,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from . import pages, pictures
+from . import browser, pages, pictures
 
 
 def main(
@@ -18,6 +19,7 @@ def main(
     """Bring the tables in docs/ up to date."""
     for page in pages.PAGES:
         _renew(page, pages.update(page.read_text(encoding="utf-8")))
+    _renew(browser.PAGE, browser.update(browser.PAGE.read_text(encoding="utf-8")))
     if draw:
         for picture in pictures.PICTURES:
             print(f"{pictures.keep(picture).name} has been drawn")

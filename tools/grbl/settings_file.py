@@ -8,14 +8,16 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from itertools import chain
 from math import isfinite
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from .. import paths
 from .comments import setting_comments
 from .gcode_file import name_of, read_bytes
+
+if TYPE_CHECKING:
+    from base.settings import Row, Rows
 
 AXES = "XYZABC"
 _SIGNED = range(170, 180)  # squaring offsets
@@ -37,11 +39,12 @@ class SettingsError(Exception):
 
 
 class Meaning(NamedTuple):
-    """What a setting is about. name is short, text says the rest."""
+    """What a setting is about. name is short, text says the rest; limits: what it may be."""
 
     name: str
     text: str
     unit: str
+    limits: str = ""
 
 
 @dataclass
@@ -148,27 +151,66 @@ def _take(values: dict[int, str], line: int, number: int, value: str) -> None:
 
 
 @cache
-def _table() -> dict[int, Meaning]:
-    """Every setting of the firmware, axis by axis, with those of extras that no other has."""
+def tables() -> dict[str, "Rows"]:
+    """The firmware's tables of settings by module, those of extras that no other has."""
     paths.use_firmware()
     from base import settings
-    from extras import ganged, home_order, jerk
+    from extras import ganged, home_order, jerk, tmc2209
 
-    tables = {
+    return {
         "base/settings": settings._TABLE,
         "extras/ganged": (*ganged._INVERT, *ganged._SQUARING, *ganged._OFFSETS),
         "extras/home_order": home_order._CYCLES + home_order._RATES,
         "extras/jerk": jerk._SETTINGS,
+        "extras/tmc2209": tmc2209._SETTINGS,
     }
-    comments = {n: text for module in tables for n, text in setting_comments(module).items()}
+
+
+def of_tool(name: str) -> "Rows":
+    """The rows of a "punch" or "laser" in the spindle's place, whose numbers others have, too."""
+    paths.use_firmware()
+    from extras import laser, punch
+
+    return {"laser": laser._SETTINGS, "punch": punch._SETTINGS}[name]
+
+
+def row_meaning(module: str, row: "Row") -> Meaning:
+    """What a row of a module's table is about, of all its axes where it has a value of each."""
+    number, _, kind, _, unit = row
+    comment = setting_comments(module)[number].translate(_NO_COMMENT)
+    name, _, text = comment.partition(". ")
+    if is_per_axis(row):
+        name, _, more = name.partition(", one value per axis")
+        more = more.strip(",. ").capitalize()  # from the homing switch
+        text = ". ".join(part for part in (more, text) if part)
+    return Meaning(name, text, unit, "any number" if number in _SIGNED else _limits(kind))
+
+
+def is_per_axis(row: "Row") -> bool:
+    """Whether it has a number for each axis."""
+    from base import settings
+
+    return row[2] == settings.AXIS
+
+
+def _limits(kind: int) -> str:
+    from base import settings
+
+    return {settings.INT: "0 to 255", settings.BOOL: "0 or 1"}.get(kind, "0 or more")
+
+
+@cache
+def _table() -> dict[int, Meaning]:
+    """Every setting of the firmware, axis by axis, with those of extras that no other has."""
     table = {}
-    for number, _, kind, _, unit in chain(*tables.values()):
-        name, _, text = comments[number].translate(_NO_COMMENT).partition(". ")
-        if kind == settings.AXIS:
-            for axis, letter in enumerate(AXES):
-                table[number + axis] = Meaning(f"{name.split(',')[0]} {letter}", text, unit)
-        else:
-            table[number] = Meaning(name, text, unit)
+    for module, rows in tables().items():
+        for row in rows:
+            said = row_meaning(module, row)
+            if is_per_axis(row):
+                for axis, letter in enumerate(AXES):
+                    table[row[0] + axis] = said._replace(name=f"{said.name} {letter}")
+            else:
+                table[row[0]] = said
     return table
 
 
@@ -186,10 +228,10 @@ def as_line(text: str) -> str:
 
 
 def _comment(number: int) -> str:
-    name, text, unit = meaning(number)
-    if not name:
+    said = meaning(number)
+    if not said.name:
         return ""
-    return f"; {name}, {unit}. {text}".strip()
+    return f"; {said.name}, {said.unit}. {said.text}".strip()
 
 
 def same(one: str, other: str) -> bool:

@@ -1,0 +1,53 @@
+"""The words of the page in the browser: what the firmware's numbers mean, as JSON in its file."""
+
+import json
+from typing import Any
+
+from .. import paths
+from ..grbl import messages, settings_file
+
+PAGE = paths.TOOLS / "web" / "page" / "index.html"
+_BEGIN = '<script type="application/json" id="words">\n'
+_END = "\n</script>"
+# $30 to $33 are others where a punch is in the spindle's place; $33 is a laser's frequency else.
+_TOOLS = {"laser": "extras/laser", "punch": "extras/punch"}
+
+
+def update(text: str) -> str:
+    """The page with its words as they are now."""
+    before, _, rest = text.partition(_BEGIN)
+    _, end, after = rest.partition(_END)
+    return before + _BEGIN + _as_json(words()) + end + after
+
+
+def words() -> dict[str, dict[str, Any]]:
+    """By kind, then by number: text of errors and alarms; of settings name, text, unit, limits,
+    and whether the number is the first of one for each axis."""
+    rows = {m: list(table) for m, table in settings_file.tables().items()}
+    found: dict[str, dict[str, Any]] = {
+        "errors": {str(number): text for number, text in messages.errors().items()},
+        "alarms": {str(number): text for number, text in messages.alarms().items()},
+        "settings": {
+            str(row[0]): _words(module, row) for module, table in rows.items() for row in table
+        },
+    }
+    for tool, module in _TOOLS.items():
+        table = settings_file.of_tool(tool)
+        found[tool] = {str(row[0]): _words(module, row) for row in table}
+    return found
+
+
+def _words(module: str, row: Any) -> list[Any]:
+    said = settings_file.row_meaning(module, row)
+    return [*said, *([True] if settings_file.is_per_axis(row) else [])]
+
+
+def _as_json(found: dict[str, dict[str, Any]]) -> str:
+    """A line for each number, so that a change is seen."""
+    parts = []
+    for kind, rows in found.items():
+        lines = [
+            f"{json.dumps(n)}: {json.dumps(row, ensure_ascii=False)}" for n, row in rows.items()
+        ]
+        parts.append(f"{json.dumps(kind)}: {{\n" + ",\n".join(lines) + "\n}")
+    return "{" + ",\n".join(parts) + "}"
