@@ -16,8 +16,29 @@ def opened() -> Iterator[Any]:
         yield made
 
 
+@pytest.fixture(scope="module")
+def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Machine]]:
+    """Makes machines of their own; the usual one starts while the test before waits for its."""
+    usual: list[Machine] = []
+
+    def start(settings: dict[int, str], *options: str) -> Machine:
+        return Machine(settings_file(tmp_path_factory.mktemp("machine"), settings), *options)
+
+    def make(settings: dict[int, str], *options: str) -> Machine:
+        if settings or options:
+            return start(settings, *options)
+        usual.append(start({}))
+        return usual.pop(0) if len(usual) > 1 else make({})
+
+    yield make
+    for machine in usual:
+        machine.close()
+
+
 @pytest.fixture
-def person_at(opened: Any, tmp_path: Path) -> Iterator[Callable[..., Person]]:
+def person_at(
+    opened: Any, machines: Callable[..., Machine], tmp_path: Path
+) -> Iterator[Callable[..., Person]]:
     """Makes a person: settings, options of the simulator, what kind of screen they have."""
     ends: list[Callable[[], object]] = []
     people: list[Person] = []
@@ -25,7 +46,7 @@ def person_at(opened: Any, tmp_path: Path) -> Iterator[Callable[..., Person]]:
     def make(
         settings: "dict[int, str] | None" = None, *options: str, on: "dict[str, Any] | None" = None
     ) -> Person:
-        machine = Machine(settings_file(tmp_path, settings or {}), *options)
+        machine = machines(settings or {}, *options)
         bridge = Bridge(machine)
         # Opened from disk the page may connect to nothing, the stand-in of the port too.
         usual = {"viewport": {"width": 1280, "height": 900}, "bypass_csp": True}
