@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from browser import sent_at_once
+from ugrbl.paths import BOARDS
 
 pytestmark = pytest.mark.xdist_group("page")
 
@@ -759,3 +760,62 @@ def test_the_path_is_turned_and_zoomed_without_a_fault(person):
     person.page.mouse.wheel(0, -300)
     person.click("#fit")
     assert re.search(r"X 0 … 40", person.text("#extent"))
+
+
+# Files on the board
+
+
+@pytest.fixture
+def keeper(person_at, tmp_path):
+    """At a board that keeps jobs."""
+    board = tmp_path / "my.py"
+    jobs = tmp_path / "jobs"
+    board.write_text((BOARDS / "rpi_pico.py").read_text() + f'\nJOBS = "{jobs}"\n')
+    made = person_at({20: "0"}, "--board", str(board))
+    made.open_from_disk()
+    made.connect()
+    return made
+
+
+PART = "G21 G91\n\n; done? not yet!\n(ok)\nG1 X3 F1200\nG1 X-1\n"
+
+
+def test_a_program_is_sent_to_the_board_opened_from_there_run_and_deleted(keeper):
+    long = PART + "".join(f"(line {n} {'x' * (n % 50)})\n" for n in range(200))
+    keeper.loads(long, "my part.nc")
+    keeper.click("#board-files")
+    keeper.reads("#files-words", "kB")
+    keeper.click("#upload")
+    keeper.reads("#files-words", "MY_PART.NC is on the board.")
+    assert (keeper.folder / "jobs" / "MY_PART.NC").read_text() == long
+    keeper.loads("G0 X1\n")
+    keeper.click("[aria-label='Open MY_PART.NC']")
+    keeper.reads("#job-name", "MY_PART.NC")
+    assert keeper.page.evaluate("program.lines") == long.splitlines()
+    keeper.click("[aria-label='Run MY_PART.NC on the board']")
+    keeper.reads("#dialog", "The board runs it by itself")
+    keeper.click("#dialog-yes")
+    keeper.rests_at(2, 0, 0)
+    keeper.click("[aria-label='Delete MY_PART.NC']")
+    keeper.click("#dialog-yes")
+    keeper.reads("#files-words", "MY_PART.NC is deleted.")
+    assert not list((keeper.folder / "jobs").glob("*.NC"))
+    assert not keeper.page.query_selector("#notice-trouble")
+
+
+def test_a_job_of_the_board_is_shown_with_its_progress(keeper):
+    (keeper.folder / "jobs").mkdir(exist_ok=True)
+    (keeper.folder / "jobs" / "LONG.NC").write_text("G21 G91 F600\n" + "G1 X1\nG1 X-1\n" * 20)
+    keeper.click("#board-files")
+    keeper.click("[aria-label='Run LONG.NC on the board']")
+    keeper.click("#dialog-yes")
+    keeper.reads("#job-words", "The board runs LONG.NC, ")
+    keeper.click("#stop")
+    keeper.sees("Alarm")
+
+
+def test_a_machine_that_keeps_no_files_says_so(person):
+    person.click("#board-files")
+    person.reads("#files-words", "This machine keeps no files.")
+    assert not person.page.is_visible("#upload")
+    assert not person.page.query_selector("#notice-trouble")
