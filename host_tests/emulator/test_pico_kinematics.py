@@ -1,0 +1,120 @@
+"""Kinematics of the user's own, and slack that is taken up, on an emulated Pico."""
+
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import emulated
+import pytest
+from emulated import DIR, STEP, Board, Odometer, steps
+from test_pico_talk import MAIN, free
+from ugrbl.boardfile.files import load
+from ugrbl.compiling import build
+from ugrbl.paths import BOARDS
+
+pytestmark = pytest.mark.xdist_group("pico kinematics")
+
+_EXAMPLES = Path(__file__).parent.parent.parent / "examples" / "kinematics"
+_HEAP = 90_000
+_CHORD_US = 16_000  # tried, and planned; 80 mm are 57 of them
+_TOLERANCE = 0.05
+
+
+def live(uf2: Path, file: Path, *settings: str) -> Board:
+    """A Pico with that board file, its pins recorded."""
+    files = build.for_board(file).files
+    made = Board(uf2, {**dict.fromkeys(emulated.firmware()), **files, "main.py": MAIN})
+    made.boot().settled()
+    for setting in settings:
+        assert made.ask(setting).endswith("ok\r\n"), setting
+    made.pico.record([*STEP, *DIR])
+    return made
+
+
+@pytest.fixture(scope="module")
+def scara(uf2: Path) -> Board:
+    return live(uf2, _EXAMPLES / "my_scara.py", f"$12={_TOLERANCE}", "$1=255")
+
+
+def arms() -> Any:
+    """examples/kinematics/scara.py."""
+    load(_EXAMPLES / "my_scara.py")
+    return sys.modules.get("scara") or __import__("scara")
+
+
+def test_a_line_is_straight_and_as_fast_as_it_is_told_to_be(scara: Board) -> None:
+    scara.ask("G1X-40Y120F1200")
+    scara.ask("G4P.01", limit_us=10_000_000)
+    begin = [float(x) for x in scara.status()["MPos"].split(",")]
+    assert begin == pytest.approx([-40, 120, 0], abs=0.1)
+    scara.pico.edges.clear()
+    scara.ask("X40")
+    scara.ask("G4P.01", limit_us=10_000_000)
+    per_degree = 44.444
+    model: Any = arms()
+    at = list(model.START)
+    assert model.inverse(begin, at)
+    edges = sorted(
+        (us, axis, way) for axis in range(3) for us, way in steps(scara.pico.edges, axis)
+    )
+    place = [0.0, 0.0, 0.0]
+    step_mm = 2 * math.radians(1 / per_degree) * 200  # of both arms, at the most
+    for _, axis, way in edges:
+        at[axis] += way / (per_degree if axis < 2 else 400)
+        model.forward(at, place)
+        assert abs(place[1] - 120) <= _TOLERANCE + step_mm
+    assert place == pytest.approx([40, 120, 0], abs=0.2)
+    seconds = (edges[-1][0] - edges[0][0]) / 1e6
+    assert seconds == pytest.approx(80 / 20, rel=0.06)
+
+
+def test_what_is_out_of_reach_is_refused_there_too(scara: Board) -> None:
+    before = scara.status()["MPos"]
+    assert "is out of reach]\r\nerror:33" in scara.ask("G1X0Y300F900", until="error:33\r\n")
+    assert scara.status()["MPos"] == before
+
+
+def test_chords_are_made_in_so_many_milliseconds_and_memory_is_left(scara: Board) -> None:
+    """Said in docs/kinematics.md."""
+    left = free(scara)
+    scara.ask("$12=0.002")
+    scara.ask("G1X-40Y120F6000")
+    scara.ask("G4P.01", limit_us=10_000_000)
+    begun = scara.pico.us
+    scara.ask("G1X40Y121F6000", limit_us=20_000_000)
+    assert (scara.pico.us - begun) / 57 < _CHORD_US
+    assert left >= _HEAP
+
+
+def test_slack_is_taken_up_to_the_step(uf2: Path, tmp_path: Path) -> None:
+    file = tmp_path / "pico_backlash.py"
+    file.write_text((BOARDS / "rpi_pico.py").read_text() + "BACKLASH = True\n")
+    machine = live(
+        uf2,
+        file,
+        "$100=80",
+        "$101=80",
+        "$160=0.1",
+        "$161=0.05",
+        "$110=3000",
+        "$111=3000",
+        "$1=255",
+    )
+    made = Odometer(machine.pico, STEP, DIR)
+    for line, motors in (
+        ("G0X1Y1", (1, 1)),
+        ("G1X0.5F900", (0.4, 1)),
+        ("G1X0Y0", (-0.1, -0.05)),
+        ("G2X0Y0I2J0", (-0.1, 0)),
+        ("G1X1Y-1", (1, -1.05)),
+    ):
+        machine.ask(line, limit_us=10_000_000)
+        machine.ask("G4P.01", limit_us=10_000_000)
+        per_mm = 80
+        found = made.read()
+        if line.startswith("G2"):
+            continue
+        assert found[:2] == [round(mm * per_mm) for mm in motors], line
+    place = [float(x) for x in machine.status()["MPos"].split(",")]
+    assert place == pytest.approx([1, -1, 0], abs=0.001)
