@@ -26,6 +26,7 @@ PAGE = Path(__file__).parent.parent.parent / "tools" / "web" / "page" / "index.h
 _GUID = "258EAFA5-E914-47DA-95CA-C5AB0DC85B11"  # RFC 6455
 _TEXT, _BINARY, _CLOSE = 1, 2, 8
 _PATIENCE_S = 20.0
+_COMPILED_S = 200.0
 _REPORT = re.compile(rb"<(\w+)[^|>]*\|MPos:([^|>]*)[^>]*?\|FS:(\d+)[^>]*>")
 
 
@@ -93,6 +94,13 @@ class Machine:
                     return found[0]
                 time.sleep(0.005)
         raise AssertionError(f"never {state}")
+
+    def waits_for(self, words: bytes) -> None:
+        """Until it has said that."""
+        until = time.monotonic() + _COMPILED_S
+        while words not in self.said:
+            assert time.monotonic() < until, f"never {words!r}"
+            time.sleep(0.05)
 
     def close(self) -> None:
         self.process.kill()

@@ -15,6 +15,9 @@ SETTINGS = {
     **dict.fromkeys((110, 111, 112), "3000.000"),
     **dict.fromkeys((120, 121, 122), "500.000"),
 }
+# A machine with switches, and a program that takes its time.
+HOMING = {22: "1", 25: "2000.000", 24: "500.000", 130: "30.000", 131: "30.000", 132: "30.000"}
+FAR = "G21 G90\nG1 X40 F600\nG1 Y20\nG1 X0\nG1 Y0\n"
 _STAND_IN = Path(__file__).with_name("serial_stand_in.js")
 _LONG_MS = 30_000
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from bridge import Bridge, Machine
-from browser import Person, browser, settings_file
+from browser import HOMING, Person, browser, settings_file
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +19,6 @@ def opened() -> Iterator[Any]:
 @pytest.fixture(scope="module")
 def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Machine]]:
     """Makes machines of their own; the usual one starts while the test before waits for its."""
-    usual: list[Machine] = []
 
     def start(settings: dict[int, str], *options: str) -> Machine:
         return Machine(settings_file(tmp_path_factory.mktemp("machine"), settings), *options)
@@ -28,7 +27,10 @@ def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[...,
         if settings or options:
             return start(settings, *options)
         usual.append(start({}))
-        return usual.pop(0) if len(usual) > 1 else make({})
+        return usual.pop(0)
+
+    usual = [start({})]
+    usual[0].waits_for(b"Grbl ")  # the first one has its kernels compiled, for all that follow
 
     yield make
     for machine in usual:
@@ -67,4 +69,13 @@ def person(person_at: Callable[..., Person]) -> Person:
     made = person_at()
     made.open_from_disk()
     made.connect()
+    return made
+
+
+@pytest.fixture
+def homer(person_at: Callable[..., Person]) -> Person:
+    """At a machine that has switches, and is locked until it is homed."""
+    made = person_at(HOMING, "--switches")
+    made.open_from_disk()
+    made.connect("Alarm")
     return made

@@ -182,8 +182,10 @@ def row_meaning(module: str, row: "Row") -> Meaning:
     if is_per_axis(row):
         name, _, more = name.partition(", one value per axis")
         more = more.strip(",. ").capitalize()  # from the homing switch
-        text = ". ".join(part for part in (more, text) if part)
-    return Meaning(name, text, unit, "any number" if number in _SIGNED else _limits(kind))
+        text = " ".join(part for part in (more and f"{more}.", text) if part)
+    return Meaning(
+        name.rstrip("."), text, unit, "any number" if number in _SIGNED else _limits(kind)
+    )
 
 
 def is_per_axis(row: "Row") -> bool:

@@ -1,0 +1,228 @@
+"""Programs at the page: sent from it, or kept on the board."""
+
+import pytest
+from browser import FAR, sent_at_once
+from ugrbl.paths import BOARDS
+
+pytestmark = pytest.mark.xdist_group("page jobs")
+
+
+# Jobs
+
+
+def test_a_job_with_a_hold_and_an_override_ends_at_the_right_place(person):
+    person.loads("G21 G90\nG1 X20 F1500\nG2 X0 Y0 R10\nG1 Z-3\nG1 X12.5 Y5\nM2\n")
+    person.click("#run")
+    person.sees("Run")
+    person.click("#hold")
+    person.reads("#state-words", "At rest")
+    person.reads("#job-words", "Held")
+    person.click("#resume")
+    person.click("[aria-label='Feed +10 %']")
+    person.reads("#ov-feed", "110 %")
+    person.reads("#job-words", "Job done: nothing refused")
+    person.rests_at(12.5, 5, -3)
+
+
+def test_modes_are_followed_while_a_job_runs(person):
+    person.loads("G21 G91\nM3 S500\nG1 X40 F600\n")
+    person.click("#run")
+    person.sees("Run")
+    person.reads("#modes", "G1 G54 G17 G21 G91 G94 M3 M9 T0 F600 S500")
+    person.click("#stop")
+
+
+def test_a_line_that_is_refused_holds_the_machine_and_is_named(person):
+    later = "".join(f"G1 X{i}\n" for i in range(20, 4, -1))
+    person.loads(f"G21 G90\nG1 X20 F2400\nG999\n{later}{later}G1 X5\n")
+    person.click("#run")
+    person.reads("#job-words", "Line 3 was refused. error:20: The block holds a word")
+    person.sees("Hold")
+    sent = person.machine.lines()
+    person.pauses(0.5)
+    assert person.machine.lines() == sent and len(sent) < 30
+    assert not person.page.is_enabled("#resume"), "how to go on is asked"
+    person.click("#go-on")
+    person.reads("#job-words", "Job done: 1 line refused")
+    person.rests_at(5, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("empty.nc", b"", "empty.nc is empty."),
+        (
+            "photo.png",
+            b"G0 X1\n\x89PNG\r\n\x1a\n\0\0",
+            "photo.png is no G-code: line 2",
+        ),
+    ],
+)
+def test_what_is_no_program_is_refused_in_words(person, name, content, words):
+    """And what was open stays."""
+    person.loads("G0 X1\n")
+    (person.folder / name).write_bytes(content)
+    person.page.set_input_files("#job-file", str(person.folder / name))
+    person.reads("#notice-trouble", words)
+    assert person.text("#job-name") == "job.nc, 1 lines"
+    person.loads("G0 X2 (f\u00fcr)\n", "other.nc")
+    assert not person.page.query_selector("#notice-trouble")
+
+
+def test_a_comment_in_another_code_page_is_no_reason_to_refuse(person):
+    (person.folder / "old.nc").write_bytes("G0 X1 (f\u00fcr)\n".encode("latin-1"))
+    person.page.set_input_files("#job-file", str(person.folder / "old.nc"))
+    person.reads("#job-name", "old.nc")
+    person.click("#run")
+    person.rests_at(1, 0, 0)
+
+
+def test_a_job_that_is_ended_keeps_the_position(person):
+    person.loads(FAR)
+    person.click("#run")
+    person.sees("Run")
+    person.pauses(1)
+    person.click("#end")
+    person.reads("#job-words", "it was ended; the position is kept")
+    person.sees("Idle")
+    assert person.shown_place()[0] > 1
+    assert sent_at_once(person.machine) == b"!\x18"
+
+
+def test_signs_that_act_at_once_do_not_leave_comments(person):
+    person.loads("G21 (wait! ~ really?)\n; what? ~!\nG0 X1 (ümlaut)\n")
+    person.click("#run")
+    person.reads("#job-words", "Job done: nothing refused")
+    assert {"G21", "G0 X1"} <= set(person.machine.lines())
+    assert not sent_at_once(person.machine)
+
+
+def test_a_sign_that_acts_at_once_in_the_code_is_not_sent(person):
+    person.loads("G21\nG0 X1!\n")
+    person.click("#run")
+    person.reads("#notice-trouble", "line 2: ! does not belong in a line")
+    assert not sent_at_once(person.machine)
+
+
+def test_ten_thousand_lines_stream_without_stalling(person_at):
+    person = person_at(None, "--speed", "max")
+    person.open_from_disk()
+    person.connect()
+    moves = "".join(f"G1 X{i % 100 / 10:.1f} Y{i % 70 / 10:.1f}\n" for i in range(10_000))
+    person.loads(f"G21 G90 F3000\n{moves}")
+    person.click("#run")
+    person.page.wait_for_function(
+        "document.getElementById('job-words').textContent.includes('done')", timeout=180_000
+    )
+    assert person.text("#job-words").startswith("Job done: nothing refused")
+    assert sum(line.startswith("G1") for line in person.machine.lines()) == 10_000
+    person.rests_at(9.9, 5.9, 0)
+
+
+def test_the_machine_checks_a_program_and_nothing_moves(person):
+    person.loads("G21 G90\nG1 X20 F600\nG999\nG1 X5\n")
+    person.click("#check")
+    person.reads("#problems", "Line 3 error:20")
+    person.sees("Idle")
+    assert person.shown_place() == [0, 0, 0]
+    assert person.machine.lines().count("$C") == 2
+
+
+def test_from_a_line_on_it_says_what_it_does_first_and_asks(person):
+    person.loads("G21 G90\nM3 S500\nG0 Z5\nG1 X20 F2400\nG1 Z-2\nG1 Y10\nG1 X0\nG0 Z5\nM5\n")
+    person.page.fill("#from", "6")
+    person.click("#run")
+    words = person.page.text_content("#dialog")
+    for said in ("up to Z5", "spindle on: M3 S500", "across to X20", "down to Z-2 at 2400 mm/min"):
+        assert said in words
+    assert not any(line.startswith("G0") for line in person.machine.lines()), "it asks first"
+    person.click("#dialog-yes")
+    person.reads("#job-words", "Job done: nothing refused")
+    lines = person.machine.lines()
+    first = lines.index("G21 G90 G94 M5")
+    assert lines[first + 1 : first + 7] == [
+        "G0 Z5",
+        "M3 S500",
+        "G4 P4",
+        "G0 X20",
+        "G1 Z-2 F2400",
+        "G1 G17 G21 G90 G94 S500",
+    ]
+    assert lines[first + 7] == "G1 Y10"
+    person.rests_at(0, 10, 5)
+
+
+@pytest.mark.parametrize(
+    ("program", "line", "words"),
+    [
+        ("G2 X10 I5 F100\nX0 I-5\n", 2, "goes on with G2 of a line before"),
+        ("G92 X5\nG0 X1\n", 2, "Line 1 sets offsets"),
+        ("G55\nG0 X1\n", 2, "The program is in G55 by then, and the machine in G54"),
+        ("G0 X1\n", 3, "has lines 1 to 1"),
+    ],
+)
+def test_a_line_that_nobody_can_begin_with_is_refused_in_words(person, program, line, words):
+    person.loads(program)
+    person.page.fill("#from", str(line))
+    person.click("#run")
+    person.reads("#notice-trouble", words)
+    assert "G21 G90 G94 M5" not in person.machine.lines()
+
+
+# Files on the board
+
+
+@pytest.fixture
+def keeper(person_at, tmp_path):
+    """At a board that keeps jobs."""
+    board = tmp_path / "my.py"
+    jobs = tmp_path / "jobs"
+    board.write_text((BOARDS / "rpi_pico.py").read_text() + f'\nJOBS = "{jobs}"\n')
+    made = person_at({20: "0"}, "--board", str(board))
+    made.open_from_disk()
+    made.connect()
+    return made
+
+
+PART = "G21 G91\n\n; done? not yet!\n(ok)\nG1 X3 F1200\nG1 X-1\n"
+
+
+def test_a_program_is_sent_to_the_board_opened_from_there_run_and_deleted(keeper):
+    long = PART + "".join(f"(line {n} {'x' * (n % 50)})\n" for n in range(200))
+    keeper.loads(long, "my part.nc")
+    keeper.click("#board-files")
+    keeper.reads("#files-words", "kB")
+    keeper.click("#upload")
+    keeper.reads("#files-words", "MY_PART.NC is on the board.")
+    assert (keeper.folder / "jobs" / "MY_PART.NC").read_text() == long
+    keeper.loads("G0 X1\n")
+    keeper.click("[aria-label='Open MY_PART.NC']")
+    keeper.reads("#job-name", "MY_PART.NC")
+    assert keeper.page.evaluate("program.lines") == long.splitlines()
+    keeper.click("[aria-label='Run MY_PART.NC on the board']")
+    keeper.reads("#dialog", "The board runs it by itself")
+    keeper.click("#dialog-yes")
+    keeper.rests_at(2, 0, 0)
+    keeper.click("[aria-label='Delete MY_PART.NC']")
+    keeper.click("#dialog-yes")
+    keeper.reads("#files-words", "MY_PART.NC is deleted.")
+    assert not list((keeper.folder / "jobs").glob("*.NC"))
+    assert not keeper.page.query_selector("#notice-trouble")
+
+
+def test_a_job_of_the_board_is_shown_with_its_progress(keeper):
+    (keeper.folder / "jobs").mkdir(exist_ok=True)
+    (keeper.folder / "jobs" / "LONG.NC").write_text("G21 G91 F600\n" + "G1 X1\nG1 X-1\n" * 20)
+    keeper.click("#board-files")
+    keeper.click("[aria-label='Run LONG.NC on the board']")
+    keeper.click("#dialog-yes")
+    keeper.reads("#job-words", "The board runs LONG.NC, ")
+    keeper.click("#stop")
+    keeper.sees("Alarm")
+
+
+def test_a_machine_that_keeps_no_files_says_so(person):
+    person.click("#board-files")
+    person.reads("#files-words", "This machine keeps no files.")
+    assert not person.page.is_visible("#upload")
+    assert not person.page.query_selector("#notice-trouble")

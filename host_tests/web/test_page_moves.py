@@ -1,0 +1,254 @@
+"""What moves the machine by hand, and what stops it, at the page."""
+
+import pytest
+from browser import FAR, sent_at_once
+
+pytestmark = pytest.mark.xdist_group("page moves")
+
+
+# Alarms
+
+
+def test_a_locked_machine_is_unlocked(homer):
+    assert "Locked" in homer.text("#state-words")
+    assert not homer.page.is_enabled("[data-jog='X+']")
+    homer.click("#unlock")
+    homer.sees("Idle")
+
+
+def test_homing_ends_at_the_pull_off(homer):
+    homer.click("#home")
+    homer.sees("Home")
+    homer.sees("Idle")
+    homer.page.click("#frame-machine")
+    homer.waits("document.querySelector('#axes .value').textContent === '-1.000'")
+    assert homer.place() == [-1, -1, -1]
+
+
+def test_a_reset_in_motion_ends_in_an_alarm_in_words(person):
+    person.loads(FAR)
+    person.click("#run")
+    person.sees("Run")
+    person.page.keyboard.press("Escape")
+    person.sees("Alarm")
+    person.reads("#notice-alarm", "ALARM:3: Reset while moving: steps may have been lost.")
+    person.reads("#notice-alarm", "What to do:")
+    person.reads("#job-words", "Job stopped behind line")
+    person.click("#unlock")
+    person.sees("Idle")
+    assert not person.page.query_selector("#notice-alarm")
+
+
+def test_stop_works_with_one_tap_while_the_button_is_still_down(person):
+    person.loads(FAR)
+    person.click("#run")
+    person.sees("Run")
+    person.press("#stop")
+    person.sees("Alarm")
+    person.page.mouse.up()
+    assert sent_at_once(person.machine) == b"\x18"
+
+
+def test_escape_in_a_field_stops_nothing(person):
+    person.click("#tabs [data-tab=console]")
+    person.page.focus("#line")
+    person.page.keyboard.press("Escape")
+    person.pauses(0.3)
+    assert not sent_at_once(person.machine)
+
+
+# Jogging
+
+
+def test_a_tap_jogs_one_step_each_time(person):
+    person.page.fill("#jog-feed", "3000")
+    person.click("#steps >> text='10'")
+    person.click("[data-jog='X+']")
+    person.rests_at(10, 0, 0)
+    person.click("#steps >> text='0.1'")
+    person.click("[data-jog='Z-']")
+    person.rests_at(10, 0, -0.1)
+    assert not sent_at_once(person.machine)
+
+
+# A jog, in mm/s, on a machine with 500 mm/s²; nobody asks for more than half a second of it.
+JOG_MM_S = 20.0
+BRAKE_MM = JOG_MM_S**2 / 2 / 500
+ASKED_MM = BRAKE_MM + JOG_MM_S * 0.5
+
+
+def hold_to_jog(person, button):
+    """Press it and wait until it moves at its full speed."""
+    person.page.fill("#jog-feed", f"{60 * JOG_MM_S:g}")
+    person.press(button)
+    person.waits(f"grbl.feed === {60 * JOG_MM_S:g}")
+
+
+def test_a_button_that_is_held_moves_without_slowing_until_it_is_let_go(person):
+    hold_to_jog(person, "[data-jog='Y-']")
+    begun = len(person.machine.said)
+    person.waits("grbl.machine[1] < -40")
+    feeds = [feed for _, _, feed in person.machine.reports(begun)]
+    assert len(feeds) > 4 and min(feeds) > 0.95 * 60 * JOG_MM_S
+    at = person.machine.report()[1][1]
+    person.page.mouse.up()
+    state, (x, y, _), _ = person.machine.report("Idle")
+    assert x == 0 and at - 0.2 * JOG_MM_S < y < at, "it ends at once"
+    pieces = [line for line in person.machine.lines() if line.startswith("$J")]
+    assert len(pieces) > 10
+    person.pauses(0.3)
+    assert person.machine.report() == (state, [x, y, 0], 0)
+
+
+LOSSES = {
+    "crashed": lambda person: person.crash(),
+    "hangs": lambda person: person.hang(),
+    "unplugged": lambda person: person.machine.unplug(),
+}
+
+
+@pytest.mark.parametrize("lost", LOSSES.values(), ids=LOSSES)
+def test_a_jog_stops_by_itself_where_nobody_asks_for_more(person, lost):
+    """Within the distance that docs/web.md states, whatever has become of the page."""
+    hold_to_jog(person, "[data-jog='X+']")
+    person.waits("grbl.machine[0] > 10")
+    lost(person)
+    at = person.machine.report()[1][0]
+    _, (x, _, _), _ = person.machine.report("Idle")
+    assert at < x < at + ASKED_MM
+    assert b"\x85" not in person.machine.sent, "no cancel has ended it"
+
+
+def test_a_jog_faster_than_the_axis_is_not_sent_ahead(person_at):
+    """Nor is one of a slow acceleration."""
+    person = person_at({110: "600", 120: "25"})
+    person.open_from_disk()
+    person.connect()
+    person.page.fill("#jog-feed", "9000")
+    person.press("[data-jog='X+']")
+    person.waits("grbl.feed === 600")
+    person.waits("grbl.machine[0] > 15")
+    person.crash()
+    at = person.machine.report()[1][0]
+    _, (x, _, _), _ = person.machine.report("Idle")
+    assert at < x < at + 10.0**2 / 2 / 25 + 10.0 * 0.5
+
+
+def test_the_other_way_at_once_begins_when_the_first_has_ended(person):
+    hold_to_jog(person, "[data-jog='X+']")
+    person.page.mouse.up()
+    person.press("[data-jog='X-']")
+    person.waits("grbl.machine[0] < -5")
+    person.page.mouse.up()
+    person.sees("Idle")
+
+
+def test_a_held_jog_that_is_refused_is_said_once(homer):
+    homer.click("#home")
+    homer.sees("Home")
+    homer.sees("Idle")
+    homer.types("$20=1")  # and the page does not know of it
+    homer.click("#tabs [data-tab=job]")
+    homer.page.fill("#jog-feed", "3000")
+    homer.press("[data-jog='X-']")
+    homer.reads("#notice-trouble", "error:15")
+    homer.pauses(0.5)
+    assert homer.machine.said.count(b"error:15") == 1
+    assert homer.machine.report()[0] == "Idle"
+
+
+@pytest.mark.parametrize("event", ["blur", "pagehide"])
+def test_a_page_that_is_left_stops_the_jog(person, event):
+    person.press("[data-jog='X+']")
+    person.sees("Jog")
+    person.page.evaluate(f"dispatchEvent(new Event('{event}'))")
+    there = person.shown_place()
+    assert 0 < there[0] < 40
+
+
+def test_a_lost_pointer_stops_the_jog(person):
+    person.press("[data-jog='X+']")
+    person.sees("Jog")
+    person.page.evaluate("""document.querySelector("[data-jog='X+']").releasePointerCapture(1)""")
+    assert 0 < person.shown_place()[0] < 40
+
+
+def test_arrow_keys_jog_only_when_they_are_switched_on(person):
+    person.page.keyboard.press("ArrowRight")
+    person.pauses(0.3)
+    assert not [line for line in person.machine.lines() if line.startswith("$J")]
+    person.click("#keys")
+    person.page.keyboard.press("ArrowRight")
+    person.rests_at(1, 0, 0)
+    person.page.keyboard.down("ArrowUp")
+    person.sees("Jog")
+    person.page.keyboard.up("ArrowUp")
+    assert person.shown_place()[1] > 1
+
+
+def test_a_cancel_before_the_jog_has_begun_is_said_again(person):
+    """A cancel that comes before the line is read is ignored; the jog must end all the same."""
+    person.page.evaluate("""{
+        jogger.press(0, 1);
+        setTimeout(() => jogger.release(), Jogger.HOLD_MS + 1);
+    }""")
+    person.pauses(0.6)
+    assert 0 <= person.shown_place()[0] < 20
+
+
+def test_a_jog_ends_before_soft_limits_do(homer):
+    homer.click("#home")
+    homer.sees("Home")
+    homer.sees("Idle")
+    homer.types("$20=1")
+    homer.types("$$")
+    homer.waits("grbl.setting(20) === 1")
+    homer.page.fill("#jog-feed", "3000")
+    homer.press("[data-jog='X-']")
+    homer.waits("grbl.machine[0] < -28 && grbl.state === 'Idle'")  # and held all the same
+    homer.page.mouse.up()
+    homer.page.click("#frame-machine")
+    assert homer.shown_place()[0] == pytest.approx(-29.99, abs=0.02)
+    assert not homer.page.query_selector("#notice-trouble")
+
+
+def test_zero_and_the_way_back_to_it(person):
+    person.page.fill("#jog-feed", "3000")
+    person.click("#steps >> text='10'")
+    person.click("[data-jog='X+']")
+    person.rests_at(10, 0, 0)
+    person.click("[aria-label='Set X to zero here']")
+    person.rests_at(0, 0, 0)
+    person.click("[data-jog='X+']")
+    person.click("[data-jog='Y+']")
+    person.rests_at(10, 10, 0)
+    person.click("#go-zero")
+    person.rests_at(0, 0, 0)
+    person.page.click("#frame-machine")
+    person.waits("document.querySelector('#axes .value').textContent === '10.000'")
+
+
+def test_reports_in_inches_are_shown_and_jogged_in_inches(person_at):
+    person = person_at({13: "1"})
+    person.open_from_disk()
+    person.connect()
+    person.reads("#steps", "in")
+    person.click("#steps >> text='0.1'")
+    person.click("[data-jog='X+']")
+    person.waits("document.querySelector('#axes .value').textContent === '0.1000'")
+    assert "in/min" in person.text("#feed")
+
+
+def test_by_keyboard_alone_it_jogs_and_stops(person):
+    person.page.fill("#jog-feed", "1200")
+    person.page.focus("[data-jog='X+']")
+    person.page.keyboard.press("Space")
+    person.rests_at(1, 0, 0)
+    person.page.keyboard.down("Enter")
+    person.waits("grbl.machine[0] > 5")
+    person.page.keyboard.up("Enter")
+    at = person.machine.report()[1][0]
+    assert person.machine.report("Idle")[1][0] < at + 4
+    person.page.focus("#tabs [data-tab=job]")
+    person.page.keyboard.press("ArrowRight")
+    assert person.page.is_visible("#log")
