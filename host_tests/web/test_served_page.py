@@ -111,6 +111,7 @@ def test_the_example_is_run_from_the_first_click_to_the_last(visit: Visit, web: 
     person = visit()
     person.sees("Alarm")
     person.reads("#state-words", "Locked")
+    person.knows_all()
     home(person)
     jog_to_the_corner(person)
     opens_example(person)
