@@ -17,7 +17,7 @@ from typing import Any, TextIO
 
 from as_users import as_users
 
-_PATIENCE_S = 20.0
+_PATIENCE_S = 60.0
 _HERE = Path(__file__).resolve().parent
 
 # Where the simulated machine's limit switches close, in steps from where it is switched on.
