@@ -6,10 +6,23 @@ from collections.abc import Collection, Iterable, Iterator
 
 # Packages of which a board has a module or two, or none.
 ON_REQUEST = ("extras",)
+# Modules that few boards have, of packages which all have.
+_SELDOM = tuple(
+    "ports." + name
+    for name in (
+        *("access", "caller", "driver_wire", "job_files", "net_link", "radio"),
+        *("sd_blocks", "sd_card", "tcp", "user_files", "wifi"),
+    )
+)
 # Who calls this with the name of a module lets go of it: merged with others that are needed, it
 # would stay in memory.
 FORGET = "forget"
 _NAME = re.compile(r"[\w.]+")
+
+
+def is_common(module: str) -> bool:
+    """Most boards have this module."""
+    return module.partition(".")[0] not in ON_REQUEST and module not in _SELDOM
 
 
 def root(node: ast.expr) -> str:

@@ -147,7 +147,7 @@ class _Survey:
         self._stored: set[str] = set()
         self._alone: dict[str, set[str]] = defaultdict(set)  # classes that say self.name
         self._private: set[ast.FunctionDef] = set()  # methods that only their class calls
-        self._common: set[str] = set()  # in modules that every board has
+        self._common: set[str] = set()  # in modules that most boards have
         self._common_attributes: set[str] = set()  # attributes in those
         self._seen: set[str] = set()  # attributes of something else than self
         self._inner: set[str] = set()
@@ -164,7 +164,7 @@ class _Survey:
             self._private |= {m for c in classes for m in scan.private_methods(c, marks.prefixes)}
             identifiers = set(scan.identifiers(tree))
             used |= identifiers
-            if module.partition(".")[0] not in scan.ON_REQUEST:
+            if scan.is_common(module):
                 self._common |= identifiers
                 self._common_attributes |= set(scan.attributes(tree))
             self._read(tree, self._aliases(tree), "")
