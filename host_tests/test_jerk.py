@@ -243,9 +243,9 @@ def test_what_is_cleared_in_motion_leaves_nothing_in_the_line(after: int) -> Non
 
 @some(10)
 @given(
-    any_limits,
+    any_limits(3),
     st.tuples(*[st.sampled_from([0.0, 100.0, 2000.0, 50_000.0, 1e6])] * 3),
-    st.lists(actions, min_size=5, max_size=30),
+    st.lists(actions(3), min_size=5, max_size=30),
 )
 def test_random_programs_keep_every_law(limits: Limits, jerk, program) -> None:
     bench = JerkBench(limits, jerk)

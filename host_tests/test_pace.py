@@ -73,12 +73,8 @@ def test_a_dwell_or_the_begin_of_a_program_is_no_delay() -> None:
         ([b"G91", *[b"G1X0.1F%d" % (15_000 + k % 2) for k in range(600)]], "feed", FAST),
         (
             [
-                b"F9000",
-                *[
-                    line
-                    for x in range(3, 600, 3)
-                    for line in (b"G91G1X0.15", b"G90X%.1f" % (x / 10))
-                ],
+                *(b"F9000", b"G91"),
+                *[line for _ in range(200) for line in (b"G18G1X0.15", b"G17X0.15")],
             ],
             "long_way_ms",
             FAST,
@@ -110,7 +106,9 @@ def test_it_says_which_lines_are_in_the_way(
         (b"X1", b"M3", "long_way_ms"),  # the first behind another kind of line
         (b"G0X1S5", b"G0X0", "long_way_ms"),
         (b"G2X1I5", b"G1X0F100", "long_way_ms"),
-        (b"G91X1", b"G1X0F100", "long_way_ms"),
+        (b"G91X1", b"G1X0F100", "feed"),
+        (b"G20G91", b"G1X0F100", "feed"),
+        (b"G18X1", b"G1X0F100", "long_way_ms"),
         (b"G90X1M5", b"G1X0F100", "plain"),
         (b"G01G90M05", b"G1X0F100", "long_way_ms"),
         (b"G90M05", b"G1X0F100", "no_words_ms"),
@@ -250,8 +248,8 @@ def test_rates_are_those_that_the_document_states(figure: float, row: str) -> No
     assert figure == cached(row)
 
 
-def test_the_long_way_is_that_of_modes_that_change_with_a_move() -> None:
-    assert cached("a line with modes that change", 1) == PICO.long_way_ms
+def test_the_long_way_is_that_of_another_plane_with_a_move() -> None:
+    assert cached("a line that goes the long way", 1) == PICO.long_way_ms
 
 
 def test_a_line_without_words_is_received_and_put_together() -> None:

@@ -121,12 +121,14 @@ def test_a_good_board_passes_what_can_be_shown(bench: "Callable[[str], Bench]", 
 
 
 def test_the_board_is_asked_for_its_counters(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "board", SimpleNamespace(ENGINE="rmt", ENABLE=12))
+    monkeypatch.setitem(
+        sys.modules, "board", SimpleNamespace(ENGINE="rmt", ENABLE=12, STEP=(1, 2, 3))
+    )
     for module, found in ((esp32, True), (SimpleNamespace(), False), (None, False)):
         monkeypatch.setitem(sys.modules, "esp32", module)
         names: dict[str, Any] = {}
         exec(WIRING, names)
-        assert names["wiring"]() == ["rmt", 12, None, found]
+        assert names["wiring"]() == ["rmt", 12, None, found, 3]
 
 
 def test_the_highest_rate_is_what_the_board_file_allows(

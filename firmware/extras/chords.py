@@ -27,7 +27,7 @@ _SPLINTER = 0.25
 # So many times the tolerance it may leave its way then, or nobody can go there.
 _SPOT = 2.0
 _LONGER = 2.0  # from one chord to the next, at the most
-_CAUTION = 0.9
+_CAUTION = 9 / 10
 _MOST_LOOKS = const(40)
 
 

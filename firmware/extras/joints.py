@@ -50,7 +50,7 @@ class NonlinearKinematics:
 
     def steps_of(self, joint: float, i: int) -> int:
         """Steps of a joint that is there."""
-        return math.floor((joint - self.start[i]) * self.resolution[i] + 0.5)
+        return int(((joint - self.start[i]) * self.resolution[i] + 0.5) // 1)
 
     def place_of(self, motors: "array[int]", place: "array[float]") -> None:
         """Where the tool is, in mm."""
@@ -60,13 +60,13 @@ class NonlinearKinematics:
     def axis_steps(self, motors: "array[int]", axis: int) -> int:
         """Where the tool is along an axis, in parts of a mm."""
         self.place_of(motors, self._place)
-        return math.floor(self._place[axis] * _PER_MM + 0.5)
+        return int((self._place[axis] * _PER_MM + 0.5) // 1)
 
     def to_axes(self, motors: "array[int]") -> None:
         """Put those where the steps of the motors are."""
         self.place_of(motors, self._place)
         for i in self._axes:
-            motors[i] = math.floor(self._place[i] * _PER_MM + 0.5)
+            motors[i] = int((self._place[i] * _PER_MM + 0.5) // 1)
 
     def set_axis(self, motors: "array[int]", axis: int, steps: int) -> None:
         """Change the steps of a joint: there is no axis that could be moved alone."""
@@ -149,7 +149,7 @@ class NonlinearPlanner(Planner):
         copy(self.joints, self._joints, self.axes)
         for i in range(self.axes):
             self._slope[i] = 0.0  # what comes next begins from rest: it bends from nothing
-            self.position[i] = _BIAS + math.floor(self.place[i] * _PER_MM + 0.5)
+            self.position[i] = _BIAS + int((self.place[i] * _PER_MM + 0.5) // 1)
 
     # Blocks
 
@@ -160,7 +160,7 @@ class NonlinearPlanner(Planner):
         copy(self.course.joints, self.joints, self.axes)
         at = layout.LIMITS + layout.TARGET * self.axes
         for i in range(self.axes):
-            self.table[at + i] = _BIAS + math.floor(target[i] * _PER_MM + 0.5)
+            self.table[at + i] = _BIAS + int((target[i] * _PER_MM + 0.5) // 1)
         length = math.sqrt(sum([(target[i] - self._place[i]) ** 2 for i in range(self.axes)]))
         if not self._block(self._at, self._joints, self.joints, length, move, power):
             return False

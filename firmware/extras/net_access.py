@@ -6,8 +6,6 @@ Names and passwords come as hexadecimal digits, for a line has neither small let
 they are told to nobody. docs/network.md has the words.
 """
 
-import binascii
-
 from base import errors
 from base.errors import GrblError
 from micropython import const
@@ -26,7 +24,9 @@ _FILE = "network"
 _KEY_LENGTH = const(8)
 # No letter that makes a word which senders take for an answer.
 _KEY_SIGNS = "23456789ABCDFGHJKLMNPQRSTVWXYZ"
-_HOST_SIGNS = "abcdefghijklmnopqrstuvwxyz0123456789-"
+_DIGITS = "0123456789"
+_LETTERS = "abcdefghijklmnopqrstuvwxyz"
+_HOST_SIGNS = _LETTERS + _DIGITS + "-"
 _LONGEST_HOST = const(31)
 _LONGEST_NAME = const(32)
 _SHORTEST_PASSWORD = const(8)
@@ -160,7 +160,7 @@ class Network:
 
     def _hex(self, text: str, fewest: int, most: int) -> str:
         try:
-            count = len(binascii.unhexlify(text))
+            count = len(bytes.fromhex(text))
         except ValueError:
             count = -1
         if not fewest <= count <= most:
@@ -168,19 +168,18 @@ class Network:
         return text
 
     def _host(self, text: str) -> str:
-        good = [letter for letter in text if letter in _HOST_SIGNS]
-        if not text or len(good) != len(text) or text[0] == "-" or len(text) > _LONGEST_HOST:
+        if not _is_of(text, _HOST_SIGNS) or text[0] == "-" or len(text) > _LONGEST_HOST:
             self._refuse("A host name has letters, digits and -, at most 31")
         return text
 
     def _port(self, text: str) -> str:
-        if not (text.isdigit() and 0 < int(text) <= _HIGHEST_PORT):
+        if not (_is_of(text, _DIGITS) and 0 < int(text) <= _HIGHEST_PORT):
             self._refuse("A port is a number from 1 to 65535")
         return text
 
     def _addresses(self, text: str) -> str:
         found = [one for one in text.split(",") if one]
-        if len(found) > _MOST_ADDRESSES or not all(map(_is_address, found)):
+        if len(found) > _MOST_ADDRESSES or not all(_is_address(one) for one in found):
             self._refuse("Addresses are as 192.168.1.20, four at the most, with commas between")
         return ",".join(found)
 
@@ -189,14 +188,20 @@ def _parted(text: str) -> "tuple[str, str, str]":
     """Name, sign and value of `NAME=VALUE`, `NAME+VALUE` or `NAME`."""
     for sign in "=+":
         name, found, value = text.partition(sign)
-        if found and name.isalpha():
+        if found and _is_of(name.lower(), _LETTERS):
             return name, sign, value
     return text, "", ""
 
 
+def _is_of(text: str, signs: str) -> bool:
+    """There is text, of no other signs. What Python has for it would take names of MicroPython's
+    that others are called by: compiling/shorten.py."""
+    return bool(text) and not [sign for sign in text if sign not in signs]
+
+
 def _is_address(text: str) -> bool:
     parts = text.split(".")
-    good = [part for part in parts if part.isdigit() and int(part) < 256]
+    good = [part for part in parts if _is_of(part, _DIGITS) and int(part) < 256]
     return len(good) == len(parts) == 4
 
 

@@ -26,21 +26,21 @@ _CYCLES = range(44, 50)  # $44 to $49 of home_order.py
 _found: "dict[int, list[int]]" = {}  # under 0: masks of axes that share an input
 
 
-def groups(limits: "tuple[int | None, ...]", axes: int, motors: str) -> "list[int]":
+def sharing(limits: "tuple[int | None, ...]", axes: int, motors: str) -> "list[int]":
     """Axes that share an input, a mask for each such input. ValueError where both motors of an
     axis do: that input says nothing of either."""
     found = []
     for pin in set(limits):
-        sharing = [i for i in range(len(limits)) if limits[i] == pin and pin is not None]
+        axes_of = [i for i in range(len(limits)) if limits[i] == pin and pin is not None]
         mask = 0
-        for i in sharing:
+        for i in axes_of:
             axis = LETTERS.find(motors[i]) if i >= axes else i
             if mask >> axis & 1:
                 letter = LETTERS[axis]
                 said = "LIMIT: both switches of %s are on pin %s: None for the second motor's"
                 raise ValueError(said % (letter, pin))
             mask |= 1 << axis
-        if len(sharing) > 1:
+        if len(axes_of) > 1:
             found.append(mask)
     return found
 
@@ -63,7 +63,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     """Who shares. ValueError where the order of homing does not go with it."""
     option = board.__dict__.get
     limits: "tuple[int | None, ...]" = option("LIMIT", ())
-    _found[0] = shared = groups(limits, options.axes, option("MOTORS", ""))
+    _found[0] = shared = sharing(limits, options.axes, option("MOTORS", ""))
     cycles = [int(options.defaults.get(number, 0)) for number in _CYCLES]
     for cycle in cycles if any(cycles) else grbl_order(options.axes):
         letters = clash(shared, cycle)

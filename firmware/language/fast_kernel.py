@@ -233,6 +233,23 @@ def line_number(known: ptr32, seen: int) -> int:
 
 
 @micropython.viper
+def _take_numbers(known: ptr32, seen: int, rates: ptr32, scale: ptr32) -> int:
+    """Another feed rate in mm/min, or power, is in force."""
+    known[LACKS] = 1
+    if seen & HAS_F:
+        known[FEED] = known[VALUES + F]
+        rates[md.FEED] = known[FEED]
+        known[RATE] = int(per_second(known, FEED))
+    if seen & HAS_S:
+        known[RPM] = known[VALUES + _S]
+        rates[md.RPM] = known[RPM]
+        scale[ASKED] = known[RPM]
+        if known[DRY] == 0:
+            known[POWER] = int(weigh(scale, known[FLAGS]))
+    return 0
+
+
+@micropython.viper
 def follow(
     text: ptr8,
     length: int,
@@ -274,17 +291,7 @@ def follow(
         if seen & (MODES | CHANGED) or (seen & HAS_F and known[LINE_INCHES]):
             known[POWER] = int(news(seen))  # type: ignore[operator]
         else:
-            known[LACKS] = 1
-            if seen & HAS_F:
-                known[FEED] = known[VALUES + F]
-                rates[md.FEED] = known[FEED]
-                known[RATE] = int(per_second(known, FEED))
-            if seen & HAS_S:
-                known[RPM] = known[VALUES + _S]
-                rates[md.RPM] = known[RPM]
-                scale[ASKED] = known[RPM]
-                if known[DRY] == 0:
-                    known[POWER] = int(weigh(scale, known[FLAGS]))
+            _take_numbers(known, seen, rates, scale)
     if known[DRY] == 0:
         at = flow[HEAD]
         line = int(line_number(known, seen))

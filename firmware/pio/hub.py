@@ -1,9 +1,8 @@
 # mypy: disable-error-code=arg-type
 """The hub: all that the PIO engine's interrupt works on, in one array, and the leaves that do.
 
-One array, for every argument of a viper call costs a microsecond. It holds the engine's state,
-the addresses of registers and the addresses of what else the engine keeps. What all of it does
-together is told in engine.py; nothing here allocates.
+One array, for every argument of a viper call costs a microsecond: the engine's state, addresses
+of registers and of what else it keeps. What all do is told in engine.py; nothing here allocates.
 """
 
 from array import array
@@ -121,7 +120,6 @@ _SET_X = const(0xE020)  # to five bits,
 _SHIFT_IN = const(0x4025)  # which go into ISR from below
 _STEP_LOW = const(0xE000)
 
-_CLOCK_SHIFT = const(24)
 _CLOCK_INSTR = const(MACHINES + SM * CLOCK + INSTR)
 _CLOCK_OVERHEAD = const(4)  # ticks of its loop besides the count
 
@@ -130,7 +128,7 @@ _CLOCK_OVERHEAD = const(4)  # ticks of its loop besides the count
 def look(hub: ptr32) -> int:
     """See how far the hardware is. Returns the power to set, or KEEP_POWER."""
     pio = ptr32(hub[PIO1])
-    level = (pio[FLEVEL] >> _CLOCK_SHIFT) & 15
+    level = (pio[FLEVEL] >> 8 * CLOCK) & 15
     beat = hub[BEATS] - level
     ends = ROW_AXES + ROW_STRIDE * hub[AXES] + 2
     row = ptr32(hub[ROW + (hub[BEGUN] & LAST_ROW)])
@@ -206,7 +204,7 @@ def _prepare(hub: ptr32) -> int:
     clock[CTRL + CLEAR] = second
     pio[CTRL + SET] = first << 4  # restart
     clock[CTRL + SET] = second << 4
-    while (clock[FLEVEL] >> _CLOCK_SHIFT) & 15:
+    while (clock[FLEVEL] >> 8 * CLOCK) & 15:
         clock[_CLOCK_INSTR] = _PULL
     patience = 1000
     for i in range(axes):
@@ -251,7 +249,7 @@ def feed(hub: ptr32) -> int:
         for i in range(axes):
             if ptr32(hub[DMA + i])[STATUS] & hub[BUSY] and (hub[LOCKED] >> i) & 1 == 0:
                 return 0
-        space -= (ptr32(hub[PIO1])[FLEVEL] >> _CLOCK_SHIFT) & 15
+        space -= (ptr32(hub[PIO1])[FLEVEL] >> 8 * CLOCK) & 15
         if space == 0:
             return 0
     else:
@@ -338,8 +336,7 @@ def _launch(hub: ptr32, fed: int) -> int:
     second = hub[OURS + 1] * 0x101
     pio = ptr32(hub[PIO0] + 4 * (CTRL + SET))
     clock = ptr32(hub[PIO1] + 4 * (CTRL + SET))
-    # Nothing comes between these two, for all that might is held back or comes no sooner than
-    # this interrupt ends: always nine cycles as they are compiled, and a tick has ten.
+    # Nothing comes in between (_hand_over): nine cycles as they are compiled, and a tick has ten.
     pio[0] = first
     clock[0] = second
     for k in range(hub[FED], fed):

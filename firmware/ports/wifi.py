@@ -4,8 +4,6 @@ Imported at start and forgotten again. What `$NET` has had kept says which netwo
 a network, or where the radio fails, there is only the cable.
 """
 
-import binascii
-
 from micropython import const
 
 from ports.flash_store import FlashStore
@@ -28,8 +26,8 @@ def beside(cable: "BoardLink") -> "BoardLink":
         from ports.radio import Radio
 
         radio = Radio(
-            binascii.unhexlify(kept["SSID"]),
-            binascii.unhexlify(kept.get("PASS", "")),
+            bytes.fromhex(kept["SSID"]),
+            bytes.fromhex(kept.get("PASS", "")),
             kept.get("HOST", "ugrbl"),
             kept.get("MODE", "") != "ap",
         )

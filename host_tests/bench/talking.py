@@ -135,6 +135,8 @@ def lines(bench: Bench) -> Iterator[Row]:
 
 
 _LONG = (
+    ("another plane and a move", ["G18G1X10.04Y10.03F9000", "G17G1X10Y10F9000"]),
+    ("another plane", ["G18", "G17"]),
     ("modes that change and a move", ["G91G1X0.04Y0.03F9000", "G90G1X10Y10F9000"]),
     ("modes that change", ["G91G20", "G90G21"]),
     ("words in force and a move", ["G90G1X10.04Y10.03F9000", "G90G1X10Y10F9000"]),

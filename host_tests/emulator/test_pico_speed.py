@@ -56,7 +56,10 @@ _ROWS: "dict[str, tuple[float, Sequence[str]]]" = {
     "a line with words in force": (
         *(1, ["a line with words in force", "a line with words in force and a move"]),
     ),
-    "a line with modes that change": (
+    "a line that goes the long way": (
+        *(1, ["a line with another plane", "a line with another plane and a move"]),
+    ),
+    "a line that changes how": (
         *(1, ["a line with modes that change", "a line with modes that change and a move"]),
     ),
     "`$J=G91X0.01F3000`": (

@@ -13,6 +13,8 @@ from ..boardfile.files import boards, load_board
 from ..boardfile.options import MODULE, OPTIONS, SWITCH, WORD, Option
 from . import build, stock
 
+_WIRELESS = {"usb": "wifi", "uart": "uart_wifi"}  # links, by that of the cable
+
 
 def main() -> None:
     """Compile, and write."""
@@ -52,9 +54,10 @@ def _others(option: Option) -> Iterable[object]:
 
 
 def _on(chip: Chip, wanted: dict[str, object]) -> ModuleType:
-    """A board with these options and that chip."""
+    """A board with these options and that chip, whose network is beside its own cable."""
     found = ModuleType("board")
-    vars(found).update(wanted, ENGINE=chip.engine, LINK=chip.link)
+    link = _WIRELESS[chip.link] if wanted.get("LINK") in _WIRELESS.values() else chip.link
+    vars(found).update(wanted, ENGINE=chip.engine, LINK=link)
     return found
 
 

@@ -37,6 +37,7 @@ _GROUPS = [
         *(b"G90 G91", b"G93 G94", b"M3 M4 M5", b"M7 M8 M9"),
     )
 ]
+_MEANINGS = frozenset(b"G20 G21 G90 G91".split())  # which a plain move may say anew
 _AT_FIRST = frozenset(b"G17 G21 G40 G54 G61 G90 G94 M5 M9".split())
 _NEVER = frozenset(b"G93 M7 M8".split())  # such are looked at each time
 # What is worth a word, and how many lines in time may stand between two that are late.
@@ -198,8 +199,10 @@ def _kinds(lines: Sequence[bytes], laser: bool) -> Iterator[str]:
     for line in lines:
         text = without_comments(line).upper().replace(b" ", b"").replace(b"\t", b"")
         words = _take_new(_WORD.findall(text), in_force)
+        meant = [word for word in words if b"".join(word) in _MEANINGS]
+        words = [word for word in words if word not in meant]
         if not text or (known and not words):
-            yield _NO_WORDS
+            yield _FEED if meant else _NO_WORDS
             continue
         letters = {letter[0] for letter, _ in words}
         wanted = [value.lstrip(b"0") or b"0" for letter, value in words if letter == b"G"]
@@ -214,8 +217,8 @@ def _kinds(lines: Sequence[bytes], laser: bool) -> Iterator[str]:
         )
         if not is_plain or not known or mode != motion:
             yield _LONG_WAY
-        elif speed != feed:
-            yield _FEED
+        elif speed != feed or meant:
+            yield _FEED  # or less
         else:
             yield _POWER if 83 in letters else _PLAIN
         known, motion, feed = bool(is_plain), mode, speed
