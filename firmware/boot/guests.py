@@ -39,15 +39,15 @@ def names(board: "ModuleType", with_custom: bool) -> "list[str]":
     own: "tuple[str, ...]" = option("EXTRAS", ())
     custom = "custom" if with_custom else ""
     # Those that have their option's name.
-    moves, rotary, jerk, clusters, jobs, tmc2209, lenient = [
+    moves, skew, rotary, jerk, clusters, jobs, tmc2209, lenient = [
         word.lower() if option(word) else ""
-        for word in ("MOVES", "ROTARY", "JERK", "CLUSTERS", "JOBS", "TMC2209", "LENIENT")
+        for word in ("MOVES", "SKEW", "ROTARY", "JERK", "CLUSTERS", "JOBS", "TMC2209", "LENIENT")
     ]
     # In this order: the network is told of lines before others are; second motors go with what the
     # first do; which axes are homed comes before when, that before who shares an input, and all
     # before what drivers feel of it; a laser's part in each row is behind that of jerk; and what
     # the user's own take is theirs.
-    axes = nonlinear, moves, ganged, backlash, rotary, home_order, shared_limits
+    axes = nonlinear, moves, ganged, backlash, skew, rotary, home_order, shared_limits
     ours = (network, dialect) + axes + (tmc2209, jerk, tool, clusters, drains, jobs)
     return _ours(ours) + list(own) + _ours((custom, lenient))
 

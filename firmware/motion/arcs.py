@@ -31,7 +31,7 @@ _SOME = const(7)  # so many chords, and one, are planned without a look at the l
 
 # A course: chords still to be made, all but the last; whether the place of the next is known;
 LEFT = const(0)
-_KNOWN = const(1)
+KNOWN = const(1)
 # where the plane's axes begin, in the order in which the arc turns; what its turn is made of,
 # in 2**-(28 + shift);
 _PLANE = const(2)
@@ -134,8 +134,8 @@ def follow(
     """
     found = 0
     while found == 0:
-        if course[_KNOWN] == 0:
-            course[_KNOWN] = 1
+        if course[KNOWN] == 0:
+            course[KNOWN] = 1
             if int(advance(course, table)):
                 return OUTSIDE
         if flags:
@@ -146,7 +146,7 @@ def follow(
                 speeds[at] = speeds[flow[ROWS] + 1]
             else:
                 found = NOWHERE
-        course[_KNOWN] = 0
+        course[KNOWN] = 0
         at = course[LEFT] - 1
         course[LEFT] = at
         if at & _SOME == 0:
@@ -180,7 +180,7 @@ class Arc:
         angle = self.sweep(start, target)
         chords = self._count(angle, tolerance)
         scale = self._scale(start, target, steps_per_mm)
-        course[LEFT] = course[_KNOWN] = 0
+        course[LEFT] = course[KNOWN] = 0
         if chords > 1 and scale:
             if angle > _WIDEST * chords:
                 chords *= 2

@@ -1,4 +1,4 @@
-"""Kinematics of the user's own, and slack that is taken up, on an emulated Pico."""
+"""Kinematics of the user's own, slack that is taken up, and skew, on an emulated Pico."""
 
 import math
 import sys
@@ -8,6 +8,7 @@ from typing import Any
 import emulated
 import pytest
 from emulated import DIR, STEP, Board, Odometer, steps
+from rig_bench import Machine
 from test_pico_talk import MAIN, free
 from ugrbl.boardfile.files import load
 from ugrbl.compiling import build
@@ -118,3 +119,26 @@ def test_slack_is_taken_up_to_the_step(uf2: Path, tmp_path: Path) -> None:
         assert found[:2] == [round(mm * per_mm) for mm in motors], line
     place = [float(x) for x in machine.status()["MPos"].split(",")]
     assert place == pytest.approx([1, -1, 0], abs=0.001)
+
+
+def test_motors_lean_to_the_step_as_in_the_simulator(uf2: Path, tmp_path: Path) -> None:
+    file = tmp_path / "pico_skew.py"
+    file.write_text((BOARDS / "rpi_pico.py").read_text() + "SKEW = True\n")
+    leaning = {110: 3000, 111: 3000, 112: 3000, 780: 100, 781: -50, 782: 30}
+    machine = live(uf2, file, *[f"${n}={value}" for n, value in leaning.items()], "$1=255")
+    made = Odometer(machine.pico, STEP, DIR)
+    beside = Machine({**leaning, 1: 255}, load(file), watched=False)
+    lines = [
+        "G1X4Y-7Z2F2000",
+        "X1.3Y.77",
+        "G2X1.3Y0.77I-2J3Z-1",
+        "G0X3",
+        "G18",
+        "Z2",
+    ]
+    for line in lines:
+        machine.ask(line, limit_us=10_000_000)
+        machine.ask("G4P.01", limit_us=10_000_000)
+    beside.play(lines)
+    assert list(made.read()) == beside.physical()
+    assert [float(x) for x in machine.status()["MPos"].split(",")] == beside.reported()

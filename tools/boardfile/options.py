@@ -346,6 +346,7 @@ OPTIONS = (
         *("BACKLASH", SWITCH, False),
         "Slack is taken up where an axis turns round, by $160 and on: see docs/motors.md.",
     ),
+    Option("SKEW", SWITCH, False, "Axes may lean, by $780, $781, $782: see docs/motors.md."),
     Option(
         *("CLUSTERS", SWITCH, False),
         "Lines may hold S0:0:875:0, up to 16 powers, and 160 characters: see docs/laser.md.",
@@ -379,10 +380,7 @@ OPTIONS = (
         "Simulator: segments that its pulses have ready.",
         low=1,
     ),
-    Option(
-        *("ANSWER_US", COUNT, 0),
-        "Simulator: so many us it works on a line.",
-    ),
+    Option("ANSWER_US", COUNT, 0, "Simulator: so many us it works on a line."),
     Option(
         *("LOOP_US", COUNT, 0),
         "Simulator: so many us a turn of its main loop takes while it moves.",

@@ -39,7 +39,7 @@ _PARTS = ("boot.parts", "boot.parts_esp")
 # others go on a board if one that goes there imports them, where it makes an engine or link: the
 # board's.
 _SWITCHED: dict[str, tuple[tuple[str, ...], object]] = {
-    "motion.kinematics": (("BACKLASH", "COREXY", "MOTORS", "MOVES"), True),
+    "motion.kinematics": (("BACKLASH", "COREXY", "MOTORS", "MOVES", "SKEW"), True),
     "ports.job_files": (("JOBS",), True),
     "ports.sd_card": (("SD_CARD",), True),
     "ports.driver_wire": (("TMC2209",), True),

@@ -57,7 +57,8 @@ class Recorder:
         self._rotary: str = getattr(rig.board, "ROTARY", "")
         self._linear = [i for i in self._axes if self._names[i] not in self._rotary]
         self._moves: Sequence[int] = ()  # as in motion/kinematics.py; empty: an axis each
-        self._slack: Any = None  # kinematics that know of slack: extras/backlash.py
+        # Kinematics whose motors stand beside their axes: extras/backlash.py, extras/skew.py.
+        self._beside: Any = None
         self._nonlinear: Any = None  # or kinematics of the user's own: extras/nonlinear.py
         self._planned = [0 for _ in self._motors]
         self._made = [0 for _ in self._motors]
@@ -111,10 +112,10 @@ class Recorder:
         kinematics = controller.planner.kinematics
         self._moves = kinematics.moves if kinematics else ()
         self._nonlinear = kinematics if hasattr(kinematics, "place_of") else None
-        self._slack = kinematics if hasattr(kinematics, "slack") else None
+        self._beside = kinematics if hasattr(kinematics, "motor_of") else None
         self._plan = replace_method(self._planner, "line", self._line)
         self._chords = replace_method(self._planner, "chords", self._follow_arc)
-        if self._slack:
+        if hasattr(self._planner, "take_up"):
             self._take_up = replace_method(self._planner, "take_up", self._turn)
         self._probe = replace_method(controller.seek, "probe", self._watch_probe)
         self._follow_plain = replace_method(controller.interpreter.fast, "follow", self._follow)
@@ -195,7 +196,16 @@ class Recorder:
             self._distance_mm += reals.value(self._planner.ring[at - layout.STEPS + layout.LENGTH])
             return
         way = self._to_mm(signed)
+        if hasattr(self._beside, "skew"):
+            self._lean(way)
         self._distance_mm += hypot(*[way[axis] for axis in self._linear])
+
+    def _lean(self, way: list[float]) -> None:
+        """Of motors that are not at right angles, the way of the tool."""
+        skew: Any = self._settings
+        _, y, z = way[:3]
+        way[0] += (skew.skew_xy * y + skew.skew_xz * z) / 1000
+        way[1] += skew.skew_yz * z / 1000
 
     def _segment(self, start: int, row: "array[int]") -> None:
         """Called by the engine for every segment played, with the steps really made."""
@@ -241,12 +251,11 @@ class Recorder:
                 high[i] = mm
 
     def _at(self) -> list[float]:
-        """Where the axes are, in mm, whatever slack their motors have taken up."""
-        place = self._place
-        if self._slack:
-            steps = array("i", place)
-            place = [self._slack.axis_steps(steps, axis) for axis in self._axes]
-        return self._to_mm(place)
+        """Where the axes are, in mm, wherever their motors stand beside that."""
+        if not self._beside:
+            return self._to_mm(self._place)
+        steps = array("i", self._place)
+        return [self._beside.axis_steps(steps, i) * mm for i, mm in enumerate(self._mm_per_step)]
 
     def _to_mm(self, motors: Sequence[float]) -> list[float]:
         """Axes in mm from steps of motors."""

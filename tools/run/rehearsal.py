@@ -11,6 +11,7 @@ import os
 import subprocess
 import sys
 import threading
+from array import array
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -150,10 +151,15 @@ class _Watcher(Recorder):
     def _planned_place(self) -> list[float]:
         """Where the last block ends."""
         from motion import planner
+        from motion.steps import motor_steps
 
-        controller = self._rig.controller
-        steps = [position - planner._BIAS for position in controller.planner.position]
-        per_mm = controller.planner.steps_per_mm
+        made = self._rig.controller.planner
+        steps = [position - planner._BIAS for position in made.position]
+        if hasattr(self._beside, "skew"):  # it plans places of motors
+            places = array("i", steps + [0 for _ in steps])
+            motors = [motor_steps(places, 0, made.axes, moves) for moves in self._moves]
+            steps = [self._beside.axis_steps(motors, i) for i in range(made.axes)]
+        per_mm = made.steps_per_mm
         return [round(n / mm, 4) for n, mm in zip(steps[:3], per_mm, strict=False)]
 
 
