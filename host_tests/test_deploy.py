@@ -206,7 +206,7 @@ def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() ->
                 words |= {"JERK": True, "CUSTOM": "custom", "LENIENT": True, "JOBS": "jobs"}
                 words |= {"SD_CARD": (10, 11, 12, 13), "MOTORS": "XYZZ", "HOMING": ("XY",)}
                 words |= {"ROTARY": "A", "TMC2209": (0, 2, 1), "BACKLASH": True}
-                words |= {"KINEMATICS": "scara", "LIMIT": (9, 9, 11)}
+                words |= {"KINEMATICS": "scara", "LIMIT": (9, 9, 11), "SKEW": True}
                 every |= needed(ENGINE=engine, LINK=link, **words)
     left = {build.module(source) for source in set(build.sources()) - every}
     trees = [ast.parse(text) for text in inline(build.texts()).values()]

@@ -91,7 +91,7 @@ class SkewKinematics(Kinematics):
         for i in range(len(factors)):
             bits = _FACTOR_BITS - math.frexp(factors[i])[1]
             bits = min(max(bits, kernel.FEWEST_BITS), kernel.MOST_BITS)
-            factor = math.floor(factors[i] * 2.0**bits + 0.5)
+            factor = int((factors[i] * 2.0**bits + 0.5) // 1)
             skew[2 * i], skew[2 * i + 1] = FAR + factor, bits
             self.active |= factor != 0
         return bytes(skew) != before

@@ -155,7 +155,7 @@ def tables() -> dict[str, "Rows"]:
     """The firmware's tables of settings by module, those of extras that no other has."""
     paths.use_firmware()
     from base import settings
-    from extras import backlash, ganged, home_order, jerk, tmc2209
+    from extras import backlash, ganged, home_order, jerk, skew, tmc2209
 
     return {
         "base/settings": settings._TABLE,
@@ -163,6 +163,7 @@ def tables() -> dict[str, "Rows"]:
         "extras/ganged": (*ganged._INVERT, *ganged._SQUARING, *ganged._OFFSETS),
         "extras/home_order": home_order._CYCLES + home_order._RATES,
         "extras/jerk": jerk._SETTINGS,
+        "extras/skew": skew._SETTINGS,
         "extras/tmc2209": tmc2209._SETTINGS,
     }
 
