@@ -9,7 +9,7 @@ from emulated import Board, files_of
 
 pytestmark = pytest.mark.xdist_group("pico network")
 
-_HEAP = 90_000  # of a Pico's, which has 41,672 bytes more of it than a Pico W
+_HEAP = 88_000  # of a Pico's, which has 41,672 bytes more of it than a Pico W
 
 _NETWORK = b"""
 def hostname(name):
