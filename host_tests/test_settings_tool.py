@@ -192,6 +192,12 @@ def test_offsets_may_be_negative() -> None:
     assert meaning(171).name == "Y squaring offset"
 
 
+@pytest.mark.parametrize("number", [780, 781, 782])
+def test_skew_may_be_negative(number: int) -> None:
+    assert Settings.read(f"${number}=-0.5\n").values == {number: "-0.5"}
+    assert meaning(number).limits == "any number"
+
+
 @pytest.mark.parametrize(
     ("text", "why"),
     [

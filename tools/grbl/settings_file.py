@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from base.settings import Row, Rows
 
 AXES = "XYZABC"
-_SIGNED = range(170, 180)  # squaring offsets
+_SIGNED = {*range(170, 180), 780, 781, 782}  # squaring offsets, skew
 
 # A setting with what may stand behind it: number and value.
 SETTING = re.compile(r"\$(\d+)\s*=\s*([^;( ]*)\s*(?:[;(].*)?")
