@@ -10,6 +10,7 @@ from array import array
 from base.f32 import copy, vector
 from micropython import const
 from motion import layout, plan_kernel, reals
+from motion.arcs import FAR
 from motion.planner import Planner
 
 from extras.chords import Chords
@@ -27,8 +28,20 @@ _PER_MM = 1000.0
 _SLOWEST_MM_S = 1e-6  # where motors turn nearly on the spot
 _STRAIGHT = 0.94  # cosine: joints that turn by more are at a corner, and not in a bend
 _UNIT = const(16384)
-_BIAS = const(0x20000000)
 _BEND_SHARE = 0.5  # share of a joint's acceleration that bends may take
+
+
+def _nearest(x: float) -> int:
+    return int((x + 0.5) // 1)
+
+
+def _parts(mm: float) -> int:
+    """As reports have it."""
+    return _nearest(mm * _PER_MM)
+
+
+def _distance(one: "array[float]", other: "array[float]") -> float:
+    return math.sqrt(sum([(other[i] - one[i]) ** 2 for i in range(len(one))]))
 
 
 class NonlinearKinematics:
@@ -50,7 +63,7 @@ class NonlinearKinematics:
 
     def steps_of(self, joint: float, i: int) -> int:
         """Steps of a joint that is there."""
-        return int(((joint - self.start[i]) * self.resolution[i] + 0.5) // 1)
+        return _nearest((joint - self.start[i]) * self.resolution[i])
 
     def place_of(self, motors: "array[int]", place: "array[float]") -> None:
         """Where the tool is, in mm."""
@@ -60,13 +73,13 @@ class NonlinearKinematics:
     def axis_steps(self, motors: "array[int]", axis: int) -> int:
         """Where the tool is along an axis, in parts of a mm."""
         self.place_of(motors, self._place)
-        return int((self._place[axis] * _PER_MM + 0.5) // 1)
+        return _parts(self._place[axis])
 
     def to_axes(self, motors: "array[int]") -> None:
         """Put those where the steps of the motors are."""
         self.place_of(motors, self._place)
         for i in self._axes:
-            motors[i] = int((self._place[i] * _PER_MM + 0.5) // 1)
+            motors[i] = _parts(self._place[i])
 
     def set_axis(self, motors: "array[int]", axis: int, steps: int) -> None:
         """Change the steps of a joint: there is no axis that could be moved alone."""
@@ -149,7 +162,7 @@ class NonlinearPlanner(Planner):
         copy(self.joints, self._joints, self.axes)
         for i in range(self.axes):
             self._slope[i] = 0.0  # what comes next begins from rest: it bends from nothing
-            self.position[i] = _BIAS + int((self.place[i] * _PER_MM + 0.5) // 1)
+            self.position[i] = FAR + _parts(self.place[i])
 
     # Blocks
 
@@ -160,8 +173,8 @@ class NonlinearPlanner(Planner):
         copy(self.course.joints, self.joints, self.axes)
         at = layout.LIMITS + layout.TARGET * self.axes
         for i in range(self.axes):
-            self.table[at + i] = _BIAS + int((target[i] * _PER_MM + 0.5) // 1)
-        length = math.sqrt(sum([(target[i] - self._place[i]) ** 2 for i in range(self.axes)]))
+            self.table[at + i] = FAR + _parts(target[i])
+        length = _distance(self._place, target)
         if not self._block(self._at, self._joints, self.joints, length, move, power):
             return False
         for i in range(self.axes):
@@ -180,11 +193,11 @@ class NonlinearPlanner(Planner):
         copy(begin, end, self.axes)
         if self.homing:
             copy(target, end, self.axes)
-            length = math.sqrt(sum([(end[i] - begin[i]) ** 2 for i in range(self.axes)]))
+            length = _distance(begin, end)
         elif self.kinematics.geometry.inverse(target, end):
             place = vector(self.axes)
             self.kinematics.geometry.forward(begin, place)
-            length = math.sqrt(sum([(target[i] - place[i]) ** 2 for i in range(self.axes)]))
+            length = _distance(place, target)
         else:
             return False
         kept = array("f", self._slope), self._pace, self._length
