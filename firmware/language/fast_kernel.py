@@ -75,7 +75,7 @@ _GROUPS = const(9)
 _M_WORDS = const(100)
 OFFSETS = const(_IN_FORCE + _GROUPS)
 
-_JOG_START = const(3)  # behind "$J="
+JOG_START = const(3)  # behind "$J="
 UNKNOWN = const(-1)  # what a jog depends on is not known, or not any more
 
 
@@ -323,7 +323,7 @@ def jog(
     UNKNOWN. known: a table of its own, without a motion mode, feed rate or power."""
     if known[AXES] == 0 or known[CHANGES] != changes[0]:
         return UNKNOWN
-    seen = int(read(text, _JOG_START, length, known))
+    seen = int(read(text, JOG_START, length, known))
     if seen <= 0 or seen & (SAME | MODES | HAS_F) != HAS_F or known[VALUES + F] == 0:
         return 0
     place(known, seen, position, target)

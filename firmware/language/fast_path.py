@@ -224,8 +224,7 @@ class FastPath:
     def jog(self, line: bytearray, length: int) -> int:
         """Plan a "$J=" line, and return 1; or 0, and nothing has been done."""
         done = self._jog(line, length)
-        if done == fk.UNKNOWN:
-            self._look_at_jogs()
+        if done == fk.UNKNOWN and self._look_at_jogs():
             done = self._jog(line, length)
         return 1 if done > 0 else 0
 
@@ -250,13 +249,13 @@ class FastPath:
             rates,
         )
 
-    def _look_at_jogs(self) -> None:
-        """See what jogs depend on. AXES stays 0 where they are not to go the shorter way."""
+    def _look_at_jogs(self) -> bool:
+        """See what jogs depend on. Returns whether they may go the shorter way."""
         modes, coords, known = self._modes, self._coords, self._jogs
         known[fk.AXES] = 0
         turns = modes.modal[SPINDLE]
         if self.follow is not self.plain or not self.is_open or coords.tool_length or turns:
-            return
+            return False
         known[fk.CHANGES] = self._state.changes[0]
         known[fk.AXES] = axes = len(modes.position)
         known[fk.IN_INCHES] = modes.modal[INCHES]
@@ -264,6 +263,7 @@ class FastPath:
         known[fk.LIMITED] = self._settings.soft_limits
         copy(coords.zero(coords.active), memoryview(known)[fk.OFFSETS :], axes)
         known[fk.FLAGS] = layout.NO_FEED_OVERRIDE | modes.accessory_flags()
+        return True
 
     def tell(self) -> None:
         """A line has been planned: if it only moves, the next ones are like that."""

@@ -35,6 +35,7 @@ from motion import planner as plan
 from language import block as wd
 from language import block_layout as b
 from language import checks
+from language.fast_kernel import JOG_START
 from language.fast_path import FastPath
 from language.usual import (
     ACCESSORIES,
@@ -61,8 +62,6 @@ if TYPE_CHECKING:
     from interfaces import Canon, Voice
 
     from language.block import Block
-
-_JOG_START = const(3)  # behind "$J="
 
 # Laser mode: what a block means for the beam (mask).
 _DARK = const(1)  # not a cutting motion
@@ -154,7 +153,7 @@ class Interpreter:
         copy(modes.modal, modal, MODAL_LENGTH)
         modal[MOTION] = b.LINEAR
         modal[INVERSE_TIME] = 0
-        block.read(line, _JOG_START, length, modal)
+        block.read(line, JOG_START, length, modal)
         if plain_jog(block.ints):
             self.check(block, modal)
         else:
