@@ -5,8 +5,9 @@ from typing import Any
 
 from ugrbl.boardfile.files import load_board
 from ugrbl.run import board_modules
+from ugrbl.run.tcp_link import HostCalls
 from ugrbl.sim.link import SimLink
-from ugrbl.sim.network import HostCalls, RigLink
+from ugrbl.sim.network import RigLink
 from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
 from ugrbl.sim.sender import Sender

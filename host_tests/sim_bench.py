@@ -177,12 +177,9 @@ def _log(pty: Any, out: TextIO) -> None:
 
 def _log_network(out: TextIO) -> None:
     """The same of connections."""
-    from ugrbl import paths
+    from ugrbl.run import tcp_link
 
-    paths.use_firmware()
-    from ugrbl.sim import network
-
-    connection: Any = network.HostConnection
+    connection: Any = tcp_link.HostConnection
     read, write = connection.readinto, connection.write
 
     def logged_read(self: Any, buf: bytearray) -> "int | None":

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from net_bench import NetBench, Pipe
-from ugrbl.sim.network import HostCalls
+from ugrbl.run.tcp_link import HostCalls
 
 FAST = {
     110: 3000,

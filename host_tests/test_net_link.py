@@ -18,10 +18,16 @@ def connected(bench, pipe: Pipe):
     pipe.take()
 
 
+def joined(bench):
+    """Somebody who has called, and has been welcomed."""
+    pipe = bench.call()
+    yield from connected(bench, pipe)
+    return pipe
+
+
 def test_who_calls_is_welcomed_and_drives_with_a_first_line(bench) -> None:
     def script(bench):
-        pipe = bench.call()
-        yield from connected(bench, pipe)
+        pipe = yield from joined(bench)
         answer = yield from bench.ask(pipe, "G1X2F600\n")
         assert answer == "ok\r\n"
         yield from bench.wait(3000)
@@ -36,8 +42,7 @@ def test_who_calls_is_welcomed_and_drives_with_a_first_line(bench) -> None:
 
 def test_a_sender_at_the_cable_is_answered_as_if_nobody_had_called(bench) -> None:
     def script(bench):
-        pipe = bench.call()
-        yield from connected(bench, pipe)
+        pipe = yield from joined(bench)
         yield from bench.sender.wait("ok", "$G\n")
         lines = bench.sender.take()
         assert lines[-1] == "ok" and lines[0].startswith("[GC:")
@@ -175,8 +180,7 @@ def test_at_rest_another_may_drive_when_the_first_has_been_silent(bench) -> None
 @pytest.mark.parametrize("byte", ["!", "\x18", "\x84", "\x85"])
 def test_stops_act_at_the_cable_whoever_drives(bench, byte: str) -> None:
     def script(bench):
-        pipe = bench.call()
-        yield from connected(bench, pipe)
+        pipe = yield from joined(bench)
         line = "$J=G91X50F300\n" if byte == "\x85" else "G1X50F300\n"
         assert (yield from bench.ask(pipe, line)) == "ok\r\n"
         yield from bench.wait(500)
@@ -190,14 +194,12 @@ def test_stops_act_at_the_cable_whoever_drives(bench, byte: str) -> None:
 
 def test_of_who_hangs_up_in_the_middle_of_a_line_the_line_is_forgotten(bench) -> None:
     def script(bench):
-        one = bench.call()
-        yield from connected(bench, one)
+        one = yield from joined(bench)
         assert (yield from bench.ask(one, "G1X1F600\n")) == "ok\r\n"
         one.send("G1X2\nG1X9")
         yield from bench.wait(30)
         one.has_hung_up = True
-        two = bench.call()
-        yield from connected(bench, two)
+        two = yield from joined(bench)
         assert (yield from bench.ask(two, "Y1\n")) == "ok\r\n"
         yield from bench.wait(3000)
 
@@ -207,14 +209,12 @@ def test_of_who_hangs_up_in_the_middle_of_a_line_the_line_is_forgotten(bench) ->
 
 def test_answers_to_one_who_has_gone_are_nobody_elses(bench) -> None:
     def script(bench):
-        one = bench.call()
-        yield from connected(bench, one)
+        one = yield from joined(bench)
         one.send("G4P2\nG1X1F600\nG1X2\n")
         yield from bench.wait(100)
         one.has_hung_up = True
         yield from bench.wait(50)
-        two = bench.call()
-        yield from connected(bench, two)
+        two = yield from joined(bench)
         two.send("G1X3\nG1X4\n?")
         yield from bench.until(lambda: b"<" in two.got)  # at once
         yield from bench.wait(4000)
@@ -226,8 +226,7 @@ def test_answers_to_one_who_has_gone_are_nobody_elses(bench) -> None:
 
 def test_a_jog_ends_where_its_sender_goes_and_a_program_does_not(bench) -> None:
     def script(bench):
-        one = bench.call()
-        yield from connected(bench, one)
+        one = yield from joined(bench)
         assert (yield from bench.ask(one, "$J=G91X50F300\n")) == "ok\r\n"
         yield from bench.wait(500)
         one.is_broken = True
@@ -235,8 +234,7 @@ def test_a_jog_ends_where_its_sender_goes_and_a_program_does_not(bench) -> None:
         assert not bench.rig.moving()
         stopped = bench.steps()[0]
         assert 0 < stopped < 5000
-        two = bench.call()
-        yield from connected(bench, two)
+        two = yield from joined(bench)
         assert (yield from bench.ask(two, "G91G1X4F600\n")) == "ok\r\n"
         two.is_broken = True
         yield from bench.wait(3000)
@@ -247,13 +245,11 @@ def test_a_jog_ends_where_its_sender_goes_and_a_program_does_not(bench) -> None:
 
 def test_who_comes_back_to_a_machine_in_motion_can_hold_it(bench) -> None:
     def script(bench):
-        one = bench.call()
-        yield from connected(bench, one)
+        one = yield from joined(bench)
         assert (yield from bench.ask(one, "G1X50F600\n")) == "ok\r\n"
         yield from bench.wait(500)
         # Wi-Fi is lost: nothing comes, and nothing tells of it.
-        two = bench.call()
-        yield from connected(bench, two)
+        two = yield from joined(bench)
         two.send("!")
         yield from bench.wait(100)
         assert bench.rig.controller.state.run == 8  # one may be there still
@@ -280,8 +276,7 @@ def test_places_of_the_silent_are_given_to_who_calls(bench) -> None:
         for pipe in silent[1:]:
             pipe.send("?")
         yield from bench.wait(2000)
-        again = bench.call()
-        yield from connected(bench, again)
+        yield from joined(bench)
         assert [pipe.is_closed for pipe in silent] == [True, False, False]
 
     bench.run(script)
@@ -289,8 +284,7 @@ def test_places_of_the_silent_are_given_to_who_calls(bench) -> None:
 
 def test_who_does_not_read_is_let_go_and_nobody_waits_for_him(bench) -> None:
     def script(bench):
-        pipe = bench.call()
-        yield from connected(bench, pipe)
+        pipe = yield from joined(bench)
         pipe.room = 100
         before = bench.rig.now
         for _ in range(40):
@@ -305,8 +299,7 @@ def test_who_does_not_read_is_let_go_and_nobody_waits_for_him(bench) -> None:
 
 def test_no_more_is_on_its_way_to_who_is_not_heard_of_than_there_is_memory_for(bench) -> None:
     def script(bench):
-        pipe = bench.call()
-        yield from connected(bench, pipe)
+        pipe = yield from joined(bench)
         for _ in range(100):
             yield from bench.sender.wait("ok", "$G\n")  # told to all
             yield from bench.wait(20)
@@ -331,8 +324,7 @@ def test_bytes_that_make_no_sense_do_nothing(bench) -> None:
 
 def test_ctrl_c_leads_nobody_on_the_network_to_the_prompt(bench) -> None:
     def script(bench):
-        pipe = bench.call()
-        yield from connected(bench, pipe)
+        pipe = yield from joined(bench)
         assert (yield from bench.ask(pipe, "\x03\x03\x03\x01$G\n")).endswith("ok\r\n")
 
     bench.run(script)
@@ -342,8 +334,7 @@ def test_with_the_last_caller_gone_the_cable_is_read_without_a_look(bench) -> No
     def script(bench):
         link = bench.rig.link
         assert link._is_plain
-        pipe = bench.call()
-        yield from connected(bench, pipe)
+        pipe = yield from joined(bench)
         assert not link._is_plain
         assert (yield from bench.ask(pipe, "G1X1F600\n")) == "ok\r\n"
         pipe.has_hung_up = True
@@ -359,8 +350,7 @@ def test_who_opens_the_port_is_greeted_and_nobody_else(bench) -> None:
     """The cable's own link tells of it, and asks for the welcome (ports/usb_link.py)."""
 
     def script(bench):
-        pipe = bench.call()
-        yield from connected(bench, pipe)
+        pipe = yield from joined(bench)
         machine, link = bench.rig.controller, bench.rig.link
         NetLink.attach(link, machine.at_rest, machine.welcome)
         usual = link._read
@@ -398,13 +388,11 @@ def test_who_is_let_go_in_the_middle_of_what_he_says_does_not_drive(bench) -> No
 
 def test_lines_of_who_comes_while_others_are_done_are_all_done(bench) -> None:
     def script(bench):
-        one = bench.call()
-        yield from connected(bench, one)
+        one = yield from joined(bench)
         one.send("G4P1.5\n")
         yield from bench.wait(100)
         one.has_hung_up = True
-        two = bench.call()
-        yield from connected(bench, two)
+        two = yield from joined(bench)
         two.send("G91\n" + "G1X0.1F600\n" * 11)  # 125 bytes, as who counts
         yield from bench.wait(5000)
         assert two.take().count("ok\r\n") == 12
@@ -415,8 +403,7 @@ def test_lines_of_who_comes_while_others_are_done_are_all_done(bench) -> None:
 
 def test_a_long_answer_comes_whole(bench) -> None:
     def script(bench):
-        pipe = bench.call()
-        yield from connected(bench, pipe)
+        pipe = yield from joined(bench)
         machine = bench.rig.controller
         usual = machine.commands.show_settings
         machine.commands.show_settings = lambda: [usual() for _ in range(3)]

@@ -114,6 +114,12 @@ class Caller:
         else:
             self.is_too_long = True
 
+    def end_line(self, byte: int, now_ms: int) -> None:
+        """A line of his is whole, and is the machine's."""
+        self.keep(byte)
+        self.ready = self.length
+        self.spoke_ms = now_ms
+
     def pour(self, buf: bytearray, at: int) -> int:
         """Move what may be the machine's into buf, from there on. Returns where it ends."""
         count = min(self.ready, len(buf) - at)

@@ -332,9 +332,7 @@ class NetLink:
     def _end_line(self, caller: Caller, byte: int, now_ms: int) -> None:
         begins = caller.ready if caller is self._driver else 0
         if caller is self._driver and caller.trusted:
-            caller.keep(byte)
-            caller.ready = caller.length
-            caller.spoke_ms = now_ms
+            caller.end_line(byte, now_ms)
             return
         line = bytes(caller.said[begins : caller.length]).upper()
         line = line.replace(b" ", b"").replace(b"/", b"")
@@ -344,9 +342,7 @@ class NetLink:
         elif caller is not self._user:
             answer = self.access.answer(caller, line, now_ms)
         if not answer and (caller is self._driver or (line and self._take(caller, now_ms))):
-            caller.keep(byte)
-            caller.ready = caller.length
-            caller.spoke_ms = now_ms
+            caller.end_line(byte, now_ms)
         elif not answer:
             answer = TAKEN if line else OK
         if answer:

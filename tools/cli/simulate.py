@@ -24,8 +24,7 @@ from .outputs import save_json
 
 if TYPE_CHECKING:
     from ..run.pty_link import Pty, Stdio
-    from ..run.tcp_link import Tcp
-    from ..sim.network import HostCalls
+    from ..run.tcp_link import HostCalls, Tcp
     from ..sim.rig import Rig
 
 
@@ -127,11 +126,7 @@ def _calls(options: Options) -> "HostCalls | None":
     """Who calls over the network of a board that has one. ValueError where it has none."""
     if options.network is None:
         return None
-    from ..run.tcp_link import address
-
-    paths.use_firmware()
-    complete()
-    from ..sim.network import HostCalls
+    from ..run.tcp_link import HostCalls, address
 
     host, port = address(options.network)
     if getattr(load_board(options.board), "LINK", "") not in _NETWORKS:
@@ -143,6 +138,8 @@ def _link(rig: "Rig", cable: LiveLink, calls: "HostCalls | None") -> Any:
     """The cable's, or the firmware's own around it."""
     if calls is None:
         return cable
+    paths.use_firmware()
+    complete()
     from ..sim.network import RigLink
 
     return RigLink(rig, cable, calls)

@@ -1,4 +1,5 @@
-"""A wire to the simulator over TCP, for senders that cannot open a pseudo-terminal."""
+"""The simulator over TCP: a wire for senders that cannot open a pseudo-terminal, and the sockets
+of a board's network."""
 
 import select
 import socket
@@ -22,18 +23,25 @@ def address(text: str) -> tuple[str, int]:
     return host.strip("[]") or LOOPBACK, int(port)
 
 
+def listener(host: str, port: int, backlog: int | None = None) -> socket.socket:
+    """Listens there, and never waits. backlog: so many callers wait to be seen to. OSError where
+    that cannot be."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        made = socket.create_server((host, port), family=family, backlog=backlog)
+    except OSError as error:
+        why = (error.strerror or str(error)).partition(" (")[0]
+        raise OSError(f"{host}:{port} cannot be listened at: {why}") from error
+    made.setblocking(False)
+    return made
+
+
 class Tcp(Wire):
     """Listens; one sender at a time: another one waits until it has hung up."""
 
     def __init__(self, host: str, port: int) -> None:
         super().__init__()
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        try:
-            self._listener = socket.create_server((host, port), family=family, backlog=1)
-        except OSError as error:
-            why = (error.strerror or str(error)).partition(" (")[0]
-            raise OSError(f"{host}:{port} cannot be listened at: {why}") from error
-        self._listener.setblocking(False)
+        self._listener = listener(host, port, backlog=1)
         self._sender: socket.socket | None = None
         self.name = f"{host}:{self._listener.getsockname()[1]}"
 
@@ -109,3 +117,51 @@ class Rfc2217(Tcp):
     def _negotiate(self, data: bytes) -> None:
         with suppress(OSError):  # a sender that does not read, or has gone
             self._put(data)
+
+
+class HostConnection:
+    """A socket as MicroPython has it, which never waits."""
+
+    def __init__(self, made: socket.socket) -> None:
+        made.setblocking(False)
+        made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket = made
+
+    def readinto(self, buf: bytearray) -> int | None:
+        """What has come; None where nothing has, 0 at the end."""
+        try:
+            return self._socket.recv_into(buf)
+        except BlockingIOError:
+            return None
+
+    def write(self, data: bytes | bytearray | memoryview) -> int | None:
+        """As much as there is room for."""
+        try:
+            return self._socket.send(data)
+        except BlockingIOError:
+            return None
+
+    def close(self) -> None:
+        """Hang up."""
+        self._socket.close()
+
+
+class HostCalls:
+    """Who calls over a simulated board's network, at a port of this computer; 0: any that is free.
+    What sockets do has the wall's time; the machine knows only its own."""
+
+    def __init__(self, host: str = LOOPBACK, port: int = 0) -> None:
+        self._listener = listener(host, port)
+        self.host = host
+        self.port: int = self._listener.getsockname()[1]
+
+    def next(self) -> tuple[HostConnection, str] | None:
+        """Who has called, and from where."""
+        with suppress(BlockingIOError, ConnectionError):
+            made, address = self._listener.accept()
+            return HostConnection(made), str(address[0])
+        return None
+
+    def close(self) -> None:
+        """Hear nobody any more."""
+        self._listener.close()
