@@ -11,7 +11,7 @@ from ugrbl import paths
 from ugrbl.compiling import build
 from ugrbl.compiling.inline import inline
 from ugrbl.compiling.prune import prune
-from ugrbl.compiling.scan import private_methods
+from ugrbl.compiling.scan import _SELDOM, private_methods
 from ugrbl.compiling.short_names import SHORT
 from ugrbl.compiling.shorten import shorten
 
@@ -267,3 +267,7 @@ def test_names_of_the_firmware_fit_into_the_pools_of_a_pico() -> None:
     }
     assert len(found - set(SHORT)) <= _MOST
     assert not {name for name in found if name.endswith(".py") and name != ".py"}
+
+
+def test_modules_that_few_boards_have_are_known_by_their_names() -> None:
+    assert set(_SELDOM) <= set(build.texts())
