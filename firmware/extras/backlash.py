@@ -43,7 +43,6 @@ _FIRST = const(160)
 _MOST_MM = const(5)
 _UNKNOWN = const(-1)  # nobody knows where in its slack the axis is
 _WORDS = ("COREXY", "MOVES", "KINEMATICS", "ROTARY", "JERK", "CLUSTERS", "PARKING")
-_LOOK = const(7)  # so many chords, and one, are planned without a look at the link: a mask
 
 
 class BacklashKinematics(Kinematics):
@@ -172,7 +171,7 @@ class BacklashCanon(Canon):
             else:
                 self._stay(move)
             course[arcs.LEFT] -= 1
-            if course[arcs.LEFT] & _LOOK == 0:
+            if course[arcs.LEFT] & arcs.SOME == 0:
                 self.service()
 
     def _take_up(self, move: "Move") -> bool:
@@ -247,10 +246,8 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     for i in range(options.axes):
         if not 0 <= options.defaults.get(_FIRST + i, 0.0) <= _MOST_MM:
             raise ValueError("DEFAULTS: $%d is %d mm at the most" % (_FIRST + i, _MOST_MM))
-    given: "Any" = options.kinematics
-    moves = given.moves if given else [1 << i for i in range(options.axes)]
-    alone = given.alone if given else 0
-    options.kinematics = BacklashKinematics(options.axes, moves, alone)
+    given: "Any" = options.kinematics or Kinematics(options.axes, ())
+    options.kinematics = BacklashKinematics(options.axes, given.moves, given.alone)
     options.planner, options.canon = BacklashPlanner, BacklashCanon
 
 

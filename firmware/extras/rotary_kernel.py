@@ -7,17 +7,14 @@ Viper, for rotary.py; what stands where is told in motion/layout.py and language
 
 import micropython
 from base.f32 import copy
-from control import modes as md
-from control.canon import judge
 from language import fast_kernel as fk
-from language.fast_kernel import line_number, place, read
-from micropython import const
+from language.fast_kernel import line_number
 from motion.layout import AXES, HEAD, LENGTH, LIMITS, PLACED, ROW_SIZE
-from motion.plan_kernel import FULL, OUTSIDE, plan
-from motion.reals import BIAS, ONE, mul, pack, per_second, square_root
+from motion.plan_kernel import plan
+from motion.reals import BIAS, ONE, mul, pack, square_root
 from motion.steps import measure, to_steps
 
-_ODD_NEWS = const(fk.MODES | fk.HAS_S | fk.CHANGED | fk.SAME)
+from extras.line_kernel import take
 
 
 @micropython.viper
@@ -77,27 +74,10 @@ def follow_turning(
     rates: ptr32,
     linear: int,
 ) -> int:
-    """As fast_kernel.follow(), a line with words of rotary axes. What is less simple is for the
-    interpreter: another motion mode or power, inches, check mode."""
-    if known[fk.AXES] == 0 or known[fk.POWER] == fk.UNTOLD or known[fk.CHANGES] != changes[0]:
+    """As fast_kernel.follow(), a line with words of rotary axes, in so far as take() takes it."""
+    seen = int(take(text, length, known, position, target, travel, flow, changes, rates))
+    if seen == 0:
         return 0
-    if known[fk.DRY]:
-        return 0
-    seen = int(read(text, 0, length, known))
-    if seen <= 0 or seen & _ODD_NEWS:
-        return 0
-    place(known, seen, position, target)
-    found = int(judge(target, travel, flow))
-    if found & OUTSIDE and known[fk.LIMITED]:
-        return 0
-    if found & FULL:
-        known[fk.WAITS] = 1
-        return 0
-    if seen & fk.HAS_F:
-        known[fk.LACKS] = 1
-        known[fk.FEED] = known[fk.VALUES]
-        rates[md.FEED] = known[fk.FEED]
-        known[fk.RATE] = int(per_second(known, fk.FEED))
     rate = known[fk.RATE]
     flags = known[fk.FLAGS]
     if known[fk.MODE] == fk.HAS_G1:

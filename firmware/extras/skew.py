@@ -14,7 +14,7 @@ from array import array
 from base import errors
 from base.axes import Y, Z
 from base.errors import GrblError
-from base.f32 import copy, f32
+from base.f32 import f32
 from base.settings import FLOAT
 from micropython import const
 from motion import layout
@@ -144,17 +144,6 @@ class SkewPlanner(Planner):
             self.kinematics.skew,
         )
 
-    def system_line(
-        self, target: "array[float]", move: "Move", power: int, start: "array[int]"
-    ) -> bool:
-        """As Planner.system_line()."""
-        places = memoryview(self.table)[layout.LIMITS + layout.TARGET * self.axes :]
-        before = array("i", places[: 2 * self.axes])
-        self.sync_motors(start)
-        planned = SkewPlanner.line(self, target, move, power)
-        copy(before, places, 2 * self.axes)
-        return planned
-
     def sync_motors(self, motors: "array[int]") -> None:
         """As Planner.sync_motors()."""
         for i in range(self.axes):
@@ -169,9 +158,8 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     for number in _NUMBERS:
         if not abs(options.defaults.get(number, 0.0)) <= _MOST:
             raise ValueError("DEFAULTS: $%d is %d mm/m at the most" % (number, _MOST))
-    given: "Any" = options.kinematics
-    moves = given.moves if given else [1 << i for i in range(options.axes)]
-    options.kinematics = SkewKinematics(options.axes, moves, given.alone if given else 0)
+    given: "Any" = options.kinematics or Kinematics(options.axes, ())
+    options.kinematics = SkewKinematics(options.axes, given.moves, given.alone)
     options.planner = SkewPlanner
 
 

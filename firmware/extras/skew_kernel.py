@@ -8,16 +8,15 @@ do. Each is rounded once, from steps that are whole already, so the way back is 
 
 import micropython
 from base.f32 import copy
-from control import modes as md
-from control.canon import judge
 from language import fast_kernel as fk
-from language.fast_kernel import line_number, place, read
+from language.fast_kernel import line_number
 from micropython import const
-from motion.arcs import FAR, KNOWN, LEFT, NOWHERE, advance
+from motion.arcs import FAR, KNOWN, LEFT, NOWHERE, SOME, advance
 from motion.layout import AXES, HEAD, LIMITS, PLACED, ROWS, TARGET
 from motion.plan_kernel import FULL, OUTSIDE, full, plan
-from motion.reals import per_second
 from motion.steps import to_steps
+
+from extras.line_kernel import take
 
 # What a machine's skew is made of: three shears, each a factor + FAR and its power of two, and
 # behind them where the motors of the axes were homed, in steps + FAR.
@@ -34,8 +33,6 @@ MOST_BITS = const(36)
 FEWEST_BITS = const(21)
 _PART_BITS = const(6)  # shears are in 2**-6 step until they are added up
 _HALF = const(32)
-_SOME = const(7)  # as in motion/arcs.py
-_ODD_NEWS = const(fk.MODES | fk.HAS_S | fk.CHANGED | fk.SAME)
 
 
 @micropython.viper
@@ -104,7 +101,7 @@ def follow_arc(
         course[KNOWN] = 0
         at = course[LEFT] - 1
         course[LEFT] = at
-        if at & _SOME == 0:
+        if at & SOME == 0:
             break
     return found
 
@@ -125,27 +122,10 @@ def follow(
     rates: ptr32,
     skew: ptr32,
 ) -> int:
-    """As fast_kernel.follow(). What is less simple is for the interpreter: another motion mode or
-    power, check mode."""
-    if known[fk.AXES] == 0 or known[fk.POWER] == fk.UNTOLD or known[fk.CHANGES] != changes[0]:
+    """As fast_kernel.follow(), in so far as take() takes a line."""
+    seen = int(take(text, length, known, position, target, travel, flow, changes, rates))
+    if seen == 0:
         return 0
-    if known[fk.DRY]:
-        return 0
-    seen = int(read(text, 0, length, known))
-    if seen <= 0 or seen & _ODD_NEWS or (seen & fk.HAS_F and known[fk.LINE_INCHES]):
-        return 0
-    place(known, seen, position, target)
-    found = int(judge(target, travel, flow))
-    if found & OUTSIDE and known[fk.LIMITED]:
-        return 0
-    if found & FULL:
-        known[fk.WAITS] = 1
-        return 0
-    if seen & fk.HAS_F:
-        known[fk.LACKS] = 1
-        known[fk.FEED] = known[fk.VALUES]
-        rates[md.FEED] = known[fk.FEED]
-        known[fk.RATE] = int(per_second(known, fk.FEED))
     to_steps(target, table)
     to_motors(table, skew)
     flags = known[fk.FLAGS] | PLACED

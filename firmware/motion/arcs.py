@@ -27,7 +27,7 @@ FARTHEST = 268435456.0
 _FINEST = 134217728.0
 
 NOWHERE = const(4)  # beside OUTSIDE and FULL
-_SOME = const(7)  # so many chords, and one, are planned without a look at the link: a mask
+SOME = const(7)  # so many chords, and one, are planned without a look at the link: a mask
 
 # A course: chords still to be made, all but the last; whether the place of the next is known;
 LEFT = const(0)
@@ -149,7 +149,7 @@ def follow(
         course[KNOWN] = 0
         at = course[LEFT] - 1
         course[LEFT] = at
-        if at & _SOME == 0:
+        if at & SOME == 0:
             break
     return found
 

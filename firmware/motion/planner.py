@@ -208,7 +208,8 @@ class Planner:
         places = memoryview(self.table)[layout.LIMITS + layout.TARGET * self.axes :]
         before = array("i", places[: 2 * self.axes])
         self.sync_motors(start)
-        planned = Planner.line(self, target, move, power)
+        # As its kind plans a line, whatever an extra has put in the place of that.
+        planned = type(self).line(self, target, move, power)
         copy(before, places, 2 * self.axes)
         return planned
 
