@@ -22,12 +22,16 @@ from .shorten import Shortened, shorten
 
 
 def prepared(
-    sources: Mapping[str, str], debug: bool = False, with_leaves: bool = True
+    sources: Mapping[str, str],
+    debug: bool = False,
+    with_leaves: bool = True,
+    placed: Mapping[str, str] | None = None,
 ) -> Shortened:
     """The modules, by name, as they are to be compiled. debug: names stay as they are.
-    with_leaves: viper functions stand where they are called."""
+    with_leaves: viper functions stand where they are called. placed: what inline() has made of
+    them already."""
     found = marks.read(sources)
-    texts = inline(sources)
+    texts = inline(sources) if placed is None else placed
     texts = prune(leaves(texts, found) if with_leaves else texts)
     return Shortened(texts, {}, {}, {}, {}) if debug else shorten(texts, found)
 

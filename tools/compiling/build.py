@@ -193,8 +193,8 @@ def chosen_texts(
     """The modules of a board, or all, as they are compiled; and their map. BuildError."""
     wanted = modules_of(board)
     firmware = prepared_firmware(debug, arch)
-    described = symbols.describe(texts(), firmware, debug)
     with_code = arch in machine_code.PROCESSORS
+    described = dict(_described(tuple(texts().items()), debug, not with_code))
     there = kernels_apart(arch, debug).texts if with_code else firmware.texts
     chosen = {name: text for name, text in there.items() if name in wanted}
     if board is not None and not debug and not stay_apart(wanted):
@@ -287,7 +287,15 @@ def _in_place(modules: tuple[tuple[str, str], ...]) -> dict[str, str]:
 @lru_cache(4)
 def _prepared(modules: tuple[tuple[str, str], ...], debug: bool, with_leaves: bool) -> Shortened:
     written = dict(modules)
-    return symbols.stamped(written, prepared(written, debug, with_leaves))
+    made = prepared(written, debug, with_leaves, _in_place(modules))
+    return symbols.stamped(written, made)
+
+
+@lru_cache(4)
+def _described(
+    modules: tuple[tuple[str, str], ...], debug: bool, with_leaves: bool
+) -> dict[str, Any]:
+    return symbols.describe(dict(modules), _prepared(modules, debug, with_leaves), debug)
 
 
 @lru_cache(2)
@@ -295,7 +303,7 @@ def _apart(modules: tuple[tuple[str, str], ...]) -> Apart:
     return kernel_module.taken_apart(dict(modules))
 
 
-@lru_cache(2)
+@lru_cache(32)
 def _put_together(modules: tuple[tuple[str, str], ...]) -> Bundles:
     return put_together(dict(modules), dict(modules))
 

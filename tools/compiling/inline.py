@@ -11,7 +11,17 @@ import copy
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
+from .scan import walk
+
 Constants = dict[str, int]
+
+
+class _Module(NamedTuple):
+    """A module's tree, and what is wanted of it again and again."""
+
+    tree: ast.Module
+    imports: list[ast.Import | ast.ImportFrom]
+    stored: list[str]  # every name that is given a value, as often as it is
 
 
 class _Edit(NamedTuple):
@@ -24,44 +34,49 @@ class _Edit(NamedTuple):
 def inline(sources: Mapping[str, str], keep: bool = False) -> dict[str, str]:
     """The modules, by name, with each other's public constants in place. keep: they stay where
     they are defined, too, for programs that are not among these modules."""
-    trees = {name: ast.parse(text) for name, text in sources.items()}
-    known: dict[str, Constants] = {name: {} for name in trees}
+    modules = {name: _read(text) for name, text in sources.items()}
+    known: dict[str, Constants] = {name: {} for name in modules}
     while True:  # a constant may be made of another module's
-        found = {name: _public(tree, known) for name, tree in trees.items()}
+        found = {name: _public(module, known) for name, module in modules.items()}
         if found == known:
             break
         known = found
     return {
-        name: _apply(text, list(_edits(trees[name], known[name], known, keep)))
+        name: _apply(text, list(_edits(modules[name], known[name], known, keep)))
         for name, text in sources.items()
     }
 
 
-def _public(tree: ast.Module, known: Mapping[str, Constants]) -> Constants:
+def _read(text: str) -> _Module:
+    tree = ast.parse(text)
+    imports = [node for node in walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+    return _Module(tree, imports, [node.id for node in _names(tree, ast.Store)])
+
+
+def _public(module: _Module, known: Mapping[str, Constants]) -> Constants:
     """Constants that a module defines, once and for all, for others too."""
     own: Constants = {}
-    values, modules = _imported(tree, known)
-    for statement in tree.body:
+    values, modules = _imported(module, known)
+    for statement in module.tree.body:
         name, value = _definition(statement)
         if name and value is not None:
             try:
                 own[name] = values[name] = _evaluate(value, values, modules)
             except (KeyError, ValueError):
                 continue
-    stored = [node.id for node in _names(tree, ast.Store)]
-    return {n: v for n, v in own.items() if n[0] != "_" and stored.count(n) == 1}
+    return {n: v for n, v in own.items() if n[0] != "_" and module.stored.count(n) == 1}
 
 
 def _imported(
-    tree: ast.Module, known: Mapping[str, Constants]
+    module: _Module, known: Mapping[str, Constants]
 ) -> tuple[Constants, dict[str, Constants]]:
     """Constants, and modules with constants, by the names that a module imports them under."""
     names: Constants = {}
     modules: dict[str, Constants] = {}
-    for node in ast.walk(tree):
+    for node in module.imports:
         if isinstance(node, ast.Import):
             modules.update((n.asname or n.name, known.get(n.name, {})) for n in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
+        elif node.module:
             constants = known.get(node.module, {})
             for n in node.names:
                 modules[n.asname or n.name] = known.get(f"{node.module}.{n.name}", {})
@@ -83,7 +98,7 @@ def _evaluate(node: ast.expr, known: Constants, modules: Mapping[str, Constants]
     node = _WithoutModules(modules).visit(copy.deepcopy(node))
     for name in _names(node, ast.Load):
         known[name.id]
-    if any(isinstance(part, ast.Call | ast.Attribute | ast.Subscript) for part in ast.walk(node)):
+    if any(isinstance(part, ast.Call | ast.Attribute | ast.Subscript) for part in walk(node)):
         raise ValueError
     expression = ast.fix_missing_locations(ast.Expression(node))
     value = eval(compile(expression, "", "eval"), {"__builtins__": {}}, dict(known))
@@ -105,19 +120,19 @@ class _WithoutModules(ast.NodeTransformer):
 
 
 def _names(tree: ast.AST, context: type[ast.expr_context]) -> Iterator[ast.Name]:
-    for node in ast.walk(tree):
+    for node in walk(tree):
         if isinstance(node, ast.Name) and isinstance(node.ctx, context):
             yield node
 
 
 def _edits(
-    tree: ast.Module, own: Constants, known: Mapping[str, Constants], keep: bool
+    module: _Module, own: Constants, known: Mapping[str, Constants], keep: bool
 ) -> Iterator[_Edit]:
-    stored = {node.id for node in _names(tree, ast.Store)}
-    stored |= {node.arg for node in ast.walk(tree) if isinstance(node, ast.arg)}
-    names, modules = _imported(tree, known)
+    tree = module.tree
+    stored = {*module.stored, *(node.arg for node in walk(tree) if isinstance(node, ast.arg))}
+    names, modules = _imported(module, known)
     here = own | {n: v for n, v in names.items() if n not in stored}
-    for node in ast.walk(tree):
+    for node in module.imports:
         if isinstance(node, ast.ImportFrom) and node.module:
             gone = [n for n in node.names if _is_gone(n, known.get(node.module, {}), stored)]
             if gone:
@@ -144,8 +159,8 @@ def _uses(tree: ast.Module, here: Constants, modules: Mapping[str, Constants]) -
     inside = set()
     for statement in tree.body:
         if _definition(statement)[0] in here:
-            inside |= set(ast.walk(statement))
-    for node in ast.walk(tree):
+            inside |= set(walk(statement))
+    for node in walk(tree):
         if node in inside:
             continue
         match node:

@@ -6,11 +6,13 @@ The viper functions of all modules are taken out of their texts, and compiled to
 
 import ast
 from collections.abc import Collection, Iterator, Mapping
+from functools import lru_cache
 from typing import NamedTuple
 
 from . import forms, machine_code, mpy
 from .marks import Key
 from .modules import Module
+from .scan import walk
 
 MODULE = "kernels"
 _TEXT = """\
@@ -44,14 +46,18 @@ def taken_apart(texts: "Mapping[str, str]") -> Apart:
 
 def text(texts: "Collection[str]") -> str:
     """The module that has what these import of it; an empty text where that is nothing."""
-    found = {
+    found = {name for each in texts for name in _imported(each)}
+    return _TEXT.format(names=", ".join(sorted(found))) if found else ""
+
+
+@lru_cache(300)  # boards have most modules in common
+def _imported(text: str) -> "frozenset[str]":
+    return frozenset(
         alias.name
-        for each in texts
-        for node in ast.walk(ast.parse(each))
+        for node in walk(ast.parse(text))
         if isinstance(node, ast.ImportFrom) and node.module == MODULE
         for alias in node.names
-    }
-    return _TEXT.format(names=", ".join(sorted(found))) if found else ""
+    )
 
 
 def with_code(compiled: bytes, text: str, apart: Apart, arch: str) -> bytes:
@@ -82,7 +88,7 @@ def _names(keys: "list[Key]") -> "dict[str, Key]":
 
 def _asked_of(module: Module) -> Iterator[Key]:
     """What a module asks others for, by their names."""
-    for node in ast.walk(module.tree):
+    for node in walk(module.tree):
         match node:
             case ast.Attribute(ast.Name(alias), name) if alias in module.aliases:
                 yield module.aliases[alias], name
@@ -104,7 +110,7 @@ class _Left:
         self._used = {
             node.id
             for statement in others
-            for node in ast.walk(statement)
+            for node in walk(statement)
             if isinstance(node, ast.Name)
         } | {name for of, name in asked if of == module.name}
 
@@ -114,7 +120,7 @@ class _Left:
             key = (self._module.name, kernel.name)
             wanted = [(self._known[key], kernel.name)] if kernel.name in self._used else []
             self._replace(kernel.decorator_list[0], kernel, [], wanted)
-        for node in ast.walk(self._tree):
+        for node in walk(self._tree):
             if isinstance(node, ast.ImportFrom) and node.module:
                 self._import(node, node.module)
             elif isinstance(node, ast.Import) and "micropython" not in self._used:

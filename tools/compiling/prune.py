@@ -21,7 +21,7 @@ def prune(sources: Mapping[str, str]) -> dict[str, str]:
     for name, text in sources.items():
         used = set(_used(trees[name])) | {what for module, what in asked if module in (name, "")}
         lines = text.splitlines(keepends=True)
-        for node in ast.walk(trees[name]):
+        for node in scan.walk(trees[name]):
             if isinstance(node, _Import) and _is_ours(node, sources):
                 left = [alias for alias in node.names if _name(alias) not in used]
                 if left:
@@ -33,7 +33,7 @@ def prune(sources: Mapping[str, str]) -> dict[str, str]:
 def _asked(tree: ast.Module) -> Iterator[tuple[str, str]]:
     """Module, or an empty text for any, and what it is asked for."""
     aliases = set(scan.imports(tree))
-    for node in ast.walk(tree):
+    for node in scan.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module:
             yield from ((node.module, alias.name) for alias in node.names)
         elif isinstance(node, ast.Attribute) and scan.root(node.value) in aliases:
@@ -49,7 +49,7 @@ def _used(tree: ast.Module) -> Iterator[str]:
         and isinstance(statement.value, ast.Call)
         and ast.unparse(statement.value.func) == "const"
     }
-    for node in ast.walk(tree):
+    for node in scan.walk(tree):
         if isinstance(node, ast.Name) and node not in ours:
             yield node.id
 

@@ -49,7 +49,7 @@ class Module:
     def _check(self, statement: ast.stmt) -> None:
         if isinstance(statement, ast.FunctionDef | ast.ClassDef):
             return
-        if any(isinstance(node, _Import) for node in ast.walk(statement)):
+        if any(isinstance(node, _Import) for node in scan.walk(statement)):
             raise NotUnderstood(f"{self.name}: an import is part of another statement")
 
 
@@ -95,7 +95,7 @@ def local_names(node: ast.AST) -> set[str]:
     """Names of the scope that a function or the like makes."""
     match node:
         case ast.FunctionDef() | ast.Lambda():
-            arguments = (part.arg for part in ast.walk(node.args) if isinstance(part, ast.arg))
+            arguments = (part.arg for part in scan.walk(node.args) if isinstance(part, ast.arg))
             return {*_bound(node), *arguments}
         case ast.ListComp() | ast.SetComp() | ast.DictComp() | ast.GeneratorExp():
             return {name for part in node.generators for name in _bound(part)}
@@ -104,13 +104,13 @@ def local_names(node: ast.AST) -> set[str]:
 
 def _inner(tree: ast.AST) -> Iterator[str]:
     """Names that hide global ones somewhere; those of methods do so from decorators alone."""
-    for node in ast.walk(tree):
+    for node in scan.walk(tree):
         yield from scan.fields(node) if isinstance(node, ast.ClassDef) else local_names(node)
 
 
 def _words(tree: ast.AST) -> Iterator[str]:
     """Names that stand alone, which MicroPython's compiler takes for constants of that name."""
-    for node in ast.walk(tree):
+    for node in scan.walk(tree):
         match node:
             case ast.Name(name) | ast.arg(name) | ast.keyword(arg=str(name)):
                 yield name
@@ -306,7 +306,7 @@ class Rewriter(ast.NodeTransformer):
         names = local_names(node)
         self._local, self._fields = self._local | names, set()
         self._aliases = {n: m for n, m in self._aliases.items() if n not in names}
-        for part in ast.walk(node):
+        for part in scan.walk(node):
             if isinstance(part, ast.ImportFrom):
                 found = _imported(self._module.name, part)
                 sources = {name: self._ours.source(said) for name, said in found.items()}

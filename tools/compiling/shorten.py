@@ -99,7 +99,7 @@ def follow(module: str, text: str, made: Shortened) -> str:
     public = {name: short for name, short in made.names.items() if name[0] != "_"}
     edits = [*_name_edits(module, tree, public, mk.none())]
     edits += _uses([tree], {n: public[n] for n in scan.imports(tree) if n in public})
-    for node in ast.walk(tree):
+    for node in scan.walk(tree):
         if isinstance(node, ast.keyword) and node.arg in public:
             edits.append(_Edit(node.lineno, node.col_offset, node.arg, public[node.arg]))
         for part in node.body if isinstance(node, ast.ClassDef) else ():
@@ -152,6 +152,7 @@ class _Survey:
         self._seen: set[str] = set()  # attributes of something else than self
         self._inner: set[str] = set()
         self._bases: dict[str, set[str]] = defaultdict(set)
+        self._families: dict[str, str] = {}
         self._modules = {part for name in trees for part in (name, name.partition(".")[0])}
         used = set(marks.kept)
         for module, tree in trees.items():
@@ -160,7 +161,7 @@ class _Survey:
             self._imported |= set(scan.imports(tree))
             self._public |= set(scan.public(tree))
             self._inner |= set(scan.inside(tree))
-            classes = (node for node in ast.walk(tree) if isinstance(node, ast.ClassDef))
+            classes = (node for node in scan.walk(tree) if isinstance(node, ast.ClassDef))
             self._private |= {m for c in classes for m in scan.private_methods(c, marks.prefixes)}
             identifiers = set(scan.identifiers(tree))
             used |= identifiers
@@ -177,7 +178,7 @@ class _Survey:
     def _aliases(self, tree: ast.Module) -> dict[str, bool]:
         """What a module calls others, and whether these are here."""
         found = {}
-        for node in ast.walk(tree):
+        for node in scan.walk(tree):
             if isinstance(node, ast.Import):
                 for alias in node.names:
                     whole = alias.name in self._modules
@@ -283,13 +284,15 @@ class _Survey:
 
     def _family(self, kind: str) -> str:
         """A name for all classes that are kin to this one: the first of them."""
-        kin = {kind}
-        while True:
-            more = {k for k, bases in self._bases.items() if k in kin or bases & kin}
-            more |= {base for k in kin for base in self._bases.get(k, ())}
-            if more <= kin:
-                return min(kin)
-            kin |= more
+        if kind not in self._families:
+            kin: set[str] = set()
+            more = {kind}
+            while not more <= kin:
+                kin |= more
+                more = {k for k, bases in self._bases.items() if k in kin or bases & kin}
+                more |= {base for k in kin for base in self._bases.get(k, ())}
+            self._families |= dict.fromkeys(kin, min(kin))
+        return self._families[kind]
 
 
 def _is_plain(name: str) -> bool:
@@ -315,7 +318,7 @@ def _name_edits(
     for text, name in mk.names(module, tree, marks):
         if name in short:
             yield _Edit(text.lineno, text.col_offset + 1, name, short[name])
-    for node in ast.walk(tree):
+    for node in scan.walk(tree):
         match node:
             case ast.ImportFrom():
                 for alias in node.names:
@@ -366,7 +369,7 @@ def _is_other_code(node: _Function) -> bool:
 
 def _uses(trees: Iterable[ast.AST], short: Mapping[str, str]) -> Iterator[_Edit]:
     for tree in trees if short else ():
-        for node in ast.walk(tree):
+        for node in scan.walk(tree):
             if isinstance(node, ast.Name) and node.id in short:
                 yield _edit(node, node.id, short[node.id])
 
