@@ -142,6 +142,43 @@ def test_an_extra_takes_no_short_name_from_what_every_board_has() -> None:
     assert {name: short for name, short in beside.items() if name in common} == alone
 
 
+# What a module that few boards have asks strangers' modules for, and what else it says.
+_STRANGERS = """import hashlib
+import parts
+def accept(key, other):
+    return hashlib.sha1(key).digest(), {}
+"""
+
+
+def given_away(module: str, more: str) -> "set[str]":
+    """Which of these names others have then, who have more than there are short ones for."""
+    fields = "".join(f"        self.every_{i} = {i}\n" for i in range(len(SHORT)))
+    usual = f"class Usual:\n    def __init__(self):\n{fields}"
+    sources = {"base.usual": usual, "parts": "", module: _STRANGERS.format(more)}
+    made = shorten(sources)
+    assert "hashlib.sha1(" in made.texts[module] and ".digest()" in made.texts[module]
+    return {"sha1", "digest"} & set(made.names.values())
+
+
+@pytest.mark.parametrize(
+    ("more", "given"),
+    [
+        ("0", {"sha1", "digest"}),
+        ("other.digest()", {"sha1"}),
+        ("parts.sha1", {"digest"}),
+        ("(lambda hashlib: hashlib)(key)", set()),
+        ("setattr(hashlib, 'sha1', key)", {"digest"}),
+        ("[digest for digest in key]", {"sha1"}),
+    ],
+)
+@pytest.mark.parametrize("module", ["extras.rare", "ports.radio"])
+def test_what_few_boards_ask_of_strangers_others_may_be_called(
+    module: str, more: str, given: "set[str]"
+) -> None:
+    assert given_away(module, more) == given
+    assert given_away("ports.port", more) == set(), "most boards have that one"
+
+
 def test_no_object_has_two_attributes_of_one_name() -> None:
     after = shorten(SOURCES).texts["parts"]
     stored = [

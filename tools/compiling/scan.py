@@ -136,6 +136,23 @@ def attributes(tree: ast.Module) -> Iterator[str]:
             yield node.attr
 
 
+def asked_of_strangers(tree: ast.Module, ours: Collection[str]) -> Iterator[str]:
+    """`sha1` and `digest` of `hashlib.sha1(key).digest()`: attributes, as often as they are there,
+    that are only read, of modules which are none of ours and are called nothing else."""
+    names: set[str] = set()
+    others: set[str] = set()
+    for statement in tree.body:
+        if isinstance(statement, ast.Import):
+            names |= set(imports(statement))
+        else:
+            others |= set(bound(statement))
+    names -= {*ours, *others}
+    for node in ast.walk(tree):
+        match node:
+            case ast.Attribute(value, name, ast.Load()) if root(value) in names:
+                yield name
+
+
 def identifiers(tree: ast.AST) -> Iterator[str]:
     """Every name there is, and texts that may be one: of a single word, or with dots."""
     for node in walk(tree):

@@ -17,7 +17,7 @@ import ast
 import builtins
 import io
 import types
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cache
 from typing import NamedTuple
@@ -163,11 +163,13 @@ class _Survey:
             self._inner |= set(scan.inside(tree))
             classes = (node for node in scan.walk(tree) if isinstance(node, ast.ClassDef))
             self._private |= {m for c in classes for m in scan.private_methods(c, marks.prefixes)}
-            identifiers = set(scan.identifiers(tree))
-            used |= identifiers
+            identifiers = Counter(scan.identifiers(tree))
             if scan.is_common(module):
-                self._common |= identifiers
+                self._common |= identifiers.keys()
                 self._common_attributes |= set(scan.attributes(tree))
+            else:  # nothing of ours is called so where a stranger's module is asked for it
+                identifiers -= Counter(scan.asked_of_strangers(tree, self._modules))
+            used |= identifiers.keys()
             self._read(tree, self._aliases(tree), "")
             for _, name in mk.names(module, tree, marks):
                 self._stored.add(name)
