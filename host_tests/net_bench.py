@@ -3,11 +3,12 @@
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from ports.page import Page
 from ugrbl.boardfile.files import load_board
 from ugrbl.run import board_modules
 from ugrbl.run.tcp_link import HostCalls
 from ugrbl.sim.link import SimLink
-from ugrbl.sim.network import RigLink
+from ugrbl.sim.network import RigLink, RigPageLink
 from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
 from ugrbl.sim.sender import Sender
@@ -15,6 +16,7 @@ from ugrbl.sim.sender import Sender
 board_modules.complete()
 
 KEY = "23456789"
+HOST = "ugrbl"
 Script = Callable[["NetBench"], Iterator[Any]]
 
 
@@ -89,13 +91,22 @@ class _Link(RigLink):
         return at
 
 
+class _PageLink(_Link, RigPageLink):
+    """The same with the page."""
+
+
 class NetBench:
-    """A machine, its sender at the cable, and who calls. more: who calls besides, see Door."""
+    """A machine, its sender at the cable, and who calls. more: who calls besides, see Door; page:
+    who visits the page that lies in that folder, at which door."""
 
     def __init__(
-        self, monkeypatch: Any, settings: "dict[int, float] | None" = None, more: Any = None
+        self,
+        monkeypatch: Any,
+        settings: "dict[int, float] | None" = None,
+        more: Any = None,
+        page: "tuple[Any, str] | None" = None,
     ) -> None:
-        board = load_board("sim_wifi")
+        board = load_board("sim_page" if page else "sim_wifi")
         store = factory_store(board)
         store.files["settings"] += [f"${n}={value}" for n, value in (settings or {}).items()]
         store.files["network"] = [f"KEY={KEY}", "ALLOW=10.0.0.9"]
@@ -103,11 +114,17 @@ class NetBench:
         self.store = store
         self.rig: Any = None
         monkeypatch.setattr("time.ticks_ms", self._now_ms)
-        self.rig = Rig(board, store, lambda rig: _Link(rig, SimLink(rig), self.door))
+        self.page = Page(self.door, page[0], HOST, page[1]) if page else None
+        self.rig = Rig(board, store, self._link)
         self.rig.engine.trace = lambda start, row: self.rows.append((start, tuple(row)))
         self.rows: list[tuple[int, tuple[int, ...]]] = []
         self.sender = Sender(self.rig)
         self.sender.allow(36_000_000)
+
+    def _link(self, rig: Any) -> _Link:
+        if self.page:
+            return _PageLink(rig, SimLink(rig), self.page, HOST)
+        return _Link(rig, SimLink(rig), self.door)
 
     def _now_ms(self) -> int:
         return int(self.rig.now / self.rig.ticks_per_ms) & 0x3FFFFFFF if self.rig else 0

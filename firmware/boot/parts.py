@@ -112,10 +112,12 @@ def uart() -> "BoardLink":
 
 def wifi() -> "BoardLink":
     """The board's USB, and Wi-Fi: a Pico W."""
+    import board
     from ports import wifi as air
     from ports.usb_link import UsbLink
 
-    link = air.beside(UsbLink())
+    option = board.__dict__.get
+    link = air.beside(UsbLink(), option("PAGE", False))
     forget("ports.usb_ring")
     forget("ports.wifi")
     return link
@@ -123,10 +125,12 @@ def wifi() -> "BoardLink":
 
 def uart_wifi() -> "BoardLink":
     """The same of an ESP32."""
+    import board
     from ports import wifi as air
     from ports.uart_link import UartLink
 
-    link = air.beside(UartLink())
+    option = board.__dict__.get
+    link = air.beside(UartLink(), option("PAGE", False))
     forget("ports.wifi")
     return link
 

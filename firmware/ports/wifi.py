@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from interfaces import BoardLink
 
 
-def beside(cable: "BoardLink") -> "BoardLink":
-    """The cable's link, with the network around it."""
+def beside(cable: "BoardLink", with_page: bool = False) -> "BoardLink":
+    """The cable's link, with the network around it. with_page: it serves the page, too."""
     kept: "dict[str, str]" = {}
     for line in FlashStore().load("network") or []:
         name, _, kept[name] = line.partition("=")
@@ -25,13 +25,20 @@ def beside(cable: "BoardLink") -> "BoardLink":
         from ports import tcp
         from ports.radio import Radio
 
+        host = kept.get("HOST", "ugrbl")
         radio = Radio(
             bytes.fromhex(kept["SSID"]),
             bytes.fromhex(kept.get("PASS", "")),
-            kept.get("HOST", "ugrbl"),
+            host,
             kept.get("MODE", "") != "ap",
         )
-        link = NetLink(cable, tcp.Calls(int(kept.get("PORT", "23"))))
+        calls = tcp.Calls(int(kept.get("PORT", "23")))
+        if with_page:
+            from ports import page_link
+
+            link: NetLink = page_link.beside(cable, calls, host)
+        else:
+            link = NetLink(cable, calls)
     except (OSError, ValueError) as fault:
         link = NetLink(cable, None)
         why = "the radio fails: %s" % fault

@@ -12,7 +12,7 @@ from typing import Any
 from .. import paths
 from ..sim import motor_names
 from .chips import CHIPS, Chip, on_their_own
-from .engines import SIMULATOR, engines
+from .engines import SIMULATOR, engines, networks
 from .new_board import CONTROLS, FEWEST_AXES, ITEMS, Board, BoardError, check_item
 from .options import BY_NAME, INVERTIBLE, PIN, PIN_OR_PINS
 
@@ -32,9 +32,17 @@ _SPI = (2, 3, 0)
 _SPI_LOG2 = 3
 
 
+# A Pico W; what is left on it: docs/boards.md.
+_TOO_SMALL = "armv6m"
+NO_PAGE = (
+    "PAGE: a Pico W has less than 40 kB of memory left with it: take the page from `ugrbl web`, "
+    "or a Pico 2 W or an ESP32"
+)
+
+
 def problems(board: ModuleType) -> list[str]:
     """Every problem in words: what and why. None for a good board."""
-    values = [*_values(board), *_unknown(board)]
+    values = [*_values(board), *_unknown(board), *_page(board)]
     if is_simulated(board):
         return values or list(_firmware(board))
     found = list(_missing(board)) or list(_parts(board)) or list(_kinds(board))
@@ -266,6 +274,16 @@ def _wires(board: ModuleType) -> Iterator[str]:
     for bit, name in enumerate(CONTROLS):
         if inverted >> bit & 1 and held[bit : bit + 1] in ((), (None,)):
             yield f"CONTROL_INVERT: there is no pin for {name}, and open means pressed"
+
+
+def _page(board: ModuleType) -> Iterator[str]:
+    """Where the page cannot be served."""
+    if getattr(board, "PAGE", None) is not True:
+        return
+    if getattr(board, "LINK", "") not in networks():
+        yield 'PAGE: it wants a network, LINK = "wifi", or "uart_wifi" on an ESP32'
+    if getattr(board, "MPY_ARCH", "") == _TOO_SMALL:
+        yield NO_PAGE
 
 
 def _card(board: ModuleType) -> Iterator[str]:

@@ -69,6 +69,12 @@ CHIPS = {
         odd=_LED,
         most_motors=_RP2_MOTORS,
     ),
+    "pico2_w": Chip(
+        "Raspberry Pi Pico 2 W",
+        *("RP2350", "armv7emsp", "pio", "usb"),
+        pins=_PICO_PINS,
+        most_motors=_RP2_MOTORS,
+    ),
     "rp2040": Chip(
         "RP2040 on a board of its own",
         *("RP2040", "armv6m", "pio", "usb"),

@@ -144,6 +144,7 @@ OPTIONS = (
         "of a Pico W; uart_wifi: of an ESP32. See docs/network.md.",
         words=engines.links,
     ),
+    Option("PAGE", SWITCH, False, "The network has the page, too: see docs/network.md."),
     # Motors.
     Option(
         *("STEP", PINS, NEEDED),

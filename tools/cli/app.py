@@ -90,9 +90,16 @@ Board = Annotated[str, typer.Option(metavar="NAME", help="Machine: a file of boa
 Blank = Annotated[
     bool, typer.Option("--blank", help="With an erased memory, as before the first start.")
 ]
+Switches = Annotated[
+    bool, typer.Option("--switches", help="Limit switches at both ends of $130-$132, for $H.")
+]
 Network = Annotated[
     str | None,
     typer.Option(metavar="[HOST:]PORT", help="Callers besides, as docs/network.md has them."),
+]
+Page = Annotated[
+    str | None,
+    typer.Option(metavar="[HOST:]PORT", help="With --network: the page, as the board serves it."),
 ]
 
 
@@ -118,9 +125,7 @@ def sim(
         typer.Option(metavar="FILE", help="Keeps them between runs, as `ugrbl settings pull`."),
     ] = None,
     blank: Blank = False,
-    switches: Annotated[
-        bool, typer.Option("--switches", help="Limit switches at both ends of $130-$132, for $H.")
-    ] = False,
+    switches: Switches = False,
     report: Annotated[
         Path | None, typer.Option(metavar="FILE", help="At the end, write steps and times there.")
     ] = None,
@@ -128,6 +133,7 @@ def sim(
         Path | None, typer.Option(metavar="FILE", help="At the end, draw the tool's path there.")
     ] = None,
     network: Network = None,
+    page: Page = None,
     custom_file: CustomFile = None,
     inputs: Inputs = None,
 ) -> None:
@@ -152,6 +158,7 @@ def sim(
             rfc2217=rfc2217,
             blank=blank,
             network=network,
+            page=page,
             around=around(board, custom_file, inputs),
         )
         simulate(options)

@@ -4,13 +4,16 @@ import signal
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import FrameType
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from rich.console import Console
 
 from .. import paths
+from ..boardfile.engines import networks
 from ..boardfile.files import load_board
+from ..compiling import page_files
 from ..draw import plot
 from ..draw.job import job_of
 from ..draw.motion_trace import MotionTrace
@@ -28,8 +31,7 @@ if TYPE_CHECKING:
     from ..sim.rig import Rig
 
 
-# Links that have one.
-_NETWORKS = ("wifi", "uart_wifi")
+_HOST = "ugrbl"  # what the simulated board is called
 
 
 @dataclass
@@ -48,17 +50,19 @@ class Options:
     rfc2217: bool = False
     blank: bool = False
     network: str | None = None
+    page: str | None = None
     around: machine.Around = machine.NOTHING
 
 
 def simulate(options: Options) -> None:
     """Run until a signal comes, or until stdin ends and all it asked for is done."""
     wire = _wire(options)
-    calls = _calls(options)
+    network = _network(options)
+    folder = TemporaryDirectory(prefix="ugrbl-")
     try:
         rig = machine.build(
             options.board,
-            lambda rig: _link(rig, LiveLink(rig, wire, options.fast), calls),
+            lambda rig: _link(rig, LiveLink(rig, wire, options.fast), network, folder.name),
             options.settings,
             blank=options.blank,
             around=options.around,
@@ -70,15 +74,18 @@ def simulate(options: Options) -> None:
         recorder = (MotionTrace if options.plot else Recorder)(rig)
         _stop_on_signals(rig.link)
         _publish(wire, options.link)
-        if calls:
-            _say(f"and on TCP at {calls.host}:{calls.port}")
+        if network:
+            _say(f"and on TCP at {network.calls.host}:{network.calls.port}")
+            if network.page:
+                _say(f"and its page is at http://{network.page.host}:{network.page.port}/")
         if not options.stdio:
             _hear_person(rig)
         machine.run(rig)
     finally:
         wire.close()
-        if calls:
-            calls.close()
+        if network:
+            network.close()
+        folder.cleanup()
     if options.report:
         save_json(asdict(recorder.totals()), options.report)
     if options.plot and isinstance(recorder, MotionTrace):
@@ -122,27 +129,60 @@ def _say(text: str) -> None:
     Console().print(text, highlight=False, soft_wrap=True)
 
 
-def _calls(options: Options) -> "HostCalls | None":
-    """Who calls over the network of a board that has one. ValueError where it has none."""
+class Network(NamedTuple):
+    """Where a board's network is listened at. page: by HTTP, where it serves the page."""
+
+    calls: "HostCalls"
+    page: "HostCalls | None"
+
+    def close(self) -> None:
+        """Hear nobody any more."""
+        self.calls.close()
+        if self.page:
+            self.page.close()
+
+
+def _network(options: Options) -> Network | None:
+    """That of a board that has one. ValueError where it has none."""
+    board = load_board(options.board)
     if options.network is None:
+        if options.page is not None:
+            raise ValueError("--page is for a board with a network: say --network PORT as well")
         return None
+    if getattr(board, "LINK", "") not in networks():
+        raise ValueError(f"{options.board} has no network; --board sim_wifi has one")
+    if options.page is not None and not getattr(board, "PAGE", False):
+        raise ValueError(f"{options.board} serves no page; --board sim_page does")
+    calls = _listen(options.network)
+    try:
+        return Network(calls, _listen(options.page) if options.page is not None else None)
+    except BaseException:
+        calls.close()
+        raise
+
+
+def _listen(place: str) -> "HostCalls":
     from ..run.tcp_link import HostCalls, address
 
-    host, port = address(options.network)
-    if getattr(load_board(options.board), "LINK", "") not in _NETWORKS:
-        raise ValueError(f"{options.board} has no network; --board sim_wifi has one")
-    return HostCalls(host, port)
+    return HostCalls(*address(place))
 
 
-def _link(rig: "Rig", cable: LiveLink, calls: "HostCalls | None") -> Any:
-    """The cable's, or the firmware's own around it."""
-    if calls is None:
+def _link(rig: "Rig", cable: LiveLink, network: Network | None, folder: str) -> Any:
+    """The cable's, or the firmware's own around it. folder: for the page."""
+    if network is None:
         return cable
     paths.use_firmware()
     complete()
-    from ..sim.network import RigLink
+    from ports.page import Page
 
-    return RigLink(rig, cable, calls)
+    from ..sim.network import RigLink, RigPageLink
+
+    if network.page is None:
+        return RigLink(rig, cable, network.calls)
+    for name, content in page_files.made().items():
+        Path(folder, name).write_bytes(content)
+    page = Page(network.calls, network.page, _HOST, folder + "/")
+    return RigPageLink(rig, cable, page, _HOST)
 
 
 def _hear_person(rig: "Rig") -> None:

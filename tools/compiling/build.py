@@ -13,7 +13,16 @@ from .. import paths
 from ..boardfile import engines, options
 from ..boardfile.board_check import own_modules
 from ..boardfile.files import load_for_build
-from . import compilers, kernel_module, machine_code, prepared, put_together, stock, symbols
+from . import (
+    compilers,
+    kernel_module,
+    machine_code,
+    page_files,
+    prepared,
+    put_together,
+    stock,
+    symbols,
+)
 from .built_in import built_in
 from .bundle import Bundles
 from .inline import inline
@@ -43,6 +52,7 @@ _SWITCHED: dict[str, tuple[tuple[str, ...], object]] = {
     "ports.job_files": (("JOBS",), True),
     "ports.sd_card": (("SD_CARD",), True),
     "ports.driver_wire": (("TMC2209",), True),
+    "ports.page_link": (("PAGE",), True),
     "pio.beam": (("TOOL",), "laser"),
 }
 # What extras are handed; who has none has no use for it.
@@ -328,7 +338,11 @@ def for_board(
     for path, source in ((BOARD, file), *((name, file.parent / name) for name in own)):
         made.files[path] = source.read_bytes()
         progress(path, len(made.files[path]))
-    made.own = (BOARD, *own)
+    pages = page_files.made() if getattr(board, "PAGE", False) else {}
+    for path, content in pages.items():
+        made.files[path] = content
+        progress(path, len(content))
+    made.own = (BOARD, *own, *pages)
     return made
 
 

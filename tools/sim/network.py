@@ -3,6 +3,7 @@
 from array import array
 
 from ports.net_link import NetLink
+from ports.page_link import PageLink
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -20,12 +21,12 @@ class RigLink(NetLink):
     # What is set from outside.
     _OF_CABLE = ("received", "stopping", "turn")
 
-    def __init__(self, rig: "Rig", cable: "Any", calls: "Incoming | None") -> None:
+    def __init__(self, rig: "Rig", cable: "Any", calls: "Incoming | None", *more: "Any") -> None:
         cable.shared = array("i", (0, 0, 0))
         cable.look = None
         cable.is_slow = False
         self.cable = cable
-        super().__init__(cable, calls)
+        super().__init__(cable, calls, *more)
         self._rig = rig
         self._at_rest = self._is_at_rest  # the machine is made later, and perhaps again
 
@@ -40,3 +41,7 @@ class RigLink(NetLink):
             setattr(self.cable, name, value)
         else:
             super().__setattr__(name, value)
+
+
+class RigPageLink(RigLink, PageLink):
+    """The same of a board that serves the page; the last that it wants is the board's name."""

@@ -1,0 +1,23 @@
+"""Raspberry Pi Pico 2 W that serves the page itself: a browser is enough (docs/network.md)."""
+
+CHIP = "pico2_w"
+MPY_ARCH = "armv7emsp"
+ENGINE = "pio"
+LINK = "wifi"
+PAGE = True
+
+STEP = (2, 3, 4)
+DIR = (5, 6, 7)
+ENABLE = 8
+LIMIT = (9, 10, 11)
+PROBE = 12
+# Reset, hold, start, door.
+CONTROL = (13, 14, 15, None)
+SPINDLE_PWM = 16
+SPINDLE_DIR = 17
+FLOOD = 18
+# Held to ground at power-up: MicroPython's prompt in place of the machine.
+REPL_PIN = 22
+
+RX_BYTES = 255
+PWM_MAX = 1000

@@ -1,0 +1,296 @@
+"""The page from the board itself: HTTP, as far as one static file wants it, and websockets.
+
+An Incoming around another: who has come by a websocket is a caller as those are who have come by
+TCP. The page lies in flash, compressed (NAME); what a browser asks for first is a few lines
+(FIRST) that fetch it piece by piece, so that each request tells that the piece before has arrived.
+For lwIP has 8000 bytes for all that is on its way to anybody, and waits where they are used up,
+see caller.py: three callers have 1600 each (page_link.py), two pieces 800. Who asks for a third
+waits, and nobody waits for him.
+
+Only a page that came from here may open a websocket, and only under a name of the board's, so that
+no other site in somebody's browser can (DNS rebinding). Keys are said on the link: access.py.
+"""
+
+import time
+
+from micropython import const
+
+from ports import web_socket
+from ports.web_socket import WebSocket
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from interfaces import Connection, Incoming
+
+FIRST = "page.html"
+NAME = "page.gz"
+PIECE = const(672)  # in one segment of lwIP's, with its head
+_HEAD = const(512)
+_READ = const(256)
+_LONGEST = const(4096)  # of a request
+_VISITORS = const(2)
+_SILENT_MS = const(2000)  # then who is asked for nothing is let go
+_LINGER_MS = const(10_000)  # so long MicroPython tries on behind a close
+_OWED = const(2)  # pieces on their way
+
+_KEY_LENGTH = const(24)
+_LONGEST_HOST = const(21)  # of one that is a number, with its port
+_DIGITS = const(5)
+# What is read of a request; the first line is called "".
+_FIELDS = (
+    b"",
+    b"host",
+    b"origin",
+    b"upgrade",
+    b"sec-websocket-key",
+    b"sec-websocket-version",
+    b"content-length",
+    b"transfer-encoding",
+)
+_ANSWER = b"HTTP/1.1 %s\r\nContent-Type: %s\r\nContent-Length: %d\r\nCache-Control: no-store\r\n"
+_AND_GO = b"Connection: close\r\n"
+# Nobody else's page may hold ours in a frame and have its buttons clicked unseen.
+_POLICY = (
+    b"Content-Security-Policy: default-src 'self' 'unsafe-inline' data: blob:;"
+    b" connect-src 'self' ws://%s; frame-ancestors 'none'\r\n"
+)
+_UPGRADE = (
+    b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Accept: %s\r\n\r\n"
+)
+_TEXT = b"text/plain"
+
+
+class Visitor:
+    """A place for one who asks. conn: None where it is free."""
+
+    def __init__(self) -> None:
+        self.conn: "Connection | None" = None
+        self.address = ""
+        self.owes = False  # a piece has been sent, and nothing has come since
+        self.heard_ms = 0
+        self.asks: "dict[bytes, bytes] | None" = None  # what is not answered yet
+        self._rest = b""
+        self._size = 0
+        self._fields: "dict[bytes, bytes]" = {}
+
+    def begin(self, conn: "Connection", address: str, now_ms: int) -> None:
+        """Somebody has come."""
+        self.conn = conn
+        self.address = address
+        self.owes = False
+        self.asks = None
+        self.heard_ms = now_ms
+        self._forget()
+
+    def _forget(self) -> None:
+        self._rest = b""
+        self._size = 0
+        self._fields = {}
+
+    def hear(self, data: bytes, now_ms: int) -> "dict[bytes, bytes] | None":
+        """A request, when it is whole; without a first line where it cannot be one."""
+        self.owes = False
+        self.heard_ms = now_ms
+        self._size += len(data)
+        lines = (self._rest + data).split(b"\n")
+        self._rest = lines.pop()
+        fields = self._fields
+        while lines:
+            line = lines.pop(0).strip()
+            if not line and fields:  # what comes behind it has not waited for the answer
+                good = not (lines or self._rest)
+                self._forget()
+                return fields if good else {}
+            name, _, value = line.partition(b":") if fields else (b"", b"", line)
+            name = name.lower()
+            if name in fields:
+                return {}
+            if name in _FIELDS:
+                fields[name] = value.strip()
+        return {} if self._size > _LONGEST else None
+
+
+class Page:
+    """An Incoming. calls: by TCP; visits: by HTTP; host: the board's name; folder: where the page
+    lies, with a slash at its end."""
+
+    def __init__(self, calls: "Incoming", visits: "Incoming", host: str, folder: str = "") -> None:
+        self._calls = calls
+        self._visits = visits
+        self._host = host.encode()
+        self._folder = folder
+        self._visitors = [Visitor() for _ in range(_VISITORS)]
+        self._lingering: "list[int]" = []  # since when, of pieces to who has been let go
+        self._out = bytearray(_HEAD + PIECE)
+        self._read = bytearray(_READ)
+
+    def next(self) -> "tuple[Connection, str] | None":
+        """Who has called, or has opened a websocket; a turn for all others, too."""
+        now_ms = time.ticks_ms()
+        if self._lingering and time.ticks_diff(now_ms, self._lingering[0]) >= _LINGER_MS:
+            self._lingering.pop(0)
+        for visitor in self._visitors:
+            if not visitor.conn:
+                came = self._visits.next()
+                if came:
+                    visitor.begin(came[0], came[1], now_ms)
+                continue
+            try:
+                found = self._serve(visitor, now_ms)
+            except OSError:
+                visitor.owes = False  # nothing of him is left
+                self._end(visitor, now_ms)
+                continue
+            if found:
+                return found, visitor.address
+        return self._calls.next()
+
+    def close(self) -> None:
+        """Hear nobody any more."""
+        for visitor in self._visitors:
+            self._end(visitor, 0)
+        self._visits.close()
+        self._calls.close()
+
+    # Requests
+
+    def _serve(self, visitor: Visitor, now_ms: int) -> "WebSocket | None":
+        """Read on; answer what has been asked."""
+        if visitor.asks:
+            return self._answer(visitor, visitor.asks, now_ms) if self._has_room() else None
+        count = visitor.conn.readinto(self._read) if visitor.conn else 0
+        if count is None:
+            if time.ticks_diff(now_ms, visitor.heard_ms) >= _SILENT_MS:
+                self._end(visitor, now_ms)
+            return None
+        if not count:
+            visitor.owes = False  # what he was sent has come before he went
+            self._end(visitor, now_ms)
+            return None
+        fields = visitor.hear(bytes(memoryview(self._read)[:count]), now_ms)
+        if fields is None:
+            return None
+        if fields and not self._has_room():
+            visitor.asks = fields
+            return None
+        return self._answer(visitor, fields, now_ms)
+
+    def _has_room(self) -> bool:
+        """Whether one more piece may be on its way."""
+        return len(self._lingering) + len([1 for one in self._visitors if one.owes]) < _OWED
+
+    def _answer(
+        self, visitor: Visitor, fields: "dict[bytes, bytes]", now_ms: int
+    ) -> "WebSocket | None":
+        visitor.asks = None
+        visitor.heard_ms = now_ms
+        words = fields.get(b"", b"").split(b" ")
+        why = self._refusal(fields, words)
+        if why:
+            self._sentence(visitor, why[0], why[1], now_ms)
+        elif words[1] == b"/ws":
+            return self._open(visitor, fields, now_ms)
+        elif words[1] == b"/":
+            self._piece(visitor, FIRST, 0, b"text/html", _POLICY % fields[b"host"], now_ms)
+        elif _number(words[1]) >= 0:
+            kind = b"application/octet-stream"
+            self._piece(visitor, NAME, _number(words[1]), kind, b"", now_ms)
+        else:
+            self._sentence(visitor, b"404 Not Found", b"the page is at /", now_ms)
+        return None
+
+    def _refusal(
+        self, fields: "dict[bytes, bytes]", words: "list[bytes]"
+    ) -> "tuple[bytes, bytes] | None":
+        """Status and sentence of a request that is none of ours."""
+        if len(words) != 3 or words[2] != b"HTTP/1.1":
+            return b"400 Bad Request", b"this is no request of HTTP/1.1"
+        if words[0] != b"GET" or b"content-length" in fields or b"transfer-encoding" in fields:
+            return b"405 Method Not Allowed", b"the page can be read, and no more"
+        host = fields.get(b"host", b"").lower()
+        if not self._is_ours(host):
+            return b"403 Forbidden", b"the machine has another name: take its number"
+        if fields.get(b"origin", b"http://" + host).lower() != b"http://" + host:
+            return b"403 Forbidden", b"a page from elsewhere may not talk to the machine"
+        return None
+
+    def _is_ours(self, host: bytes) -> bool:
+        """A name of the board's, or a number, which leads nowhere else tomorrow."""
+        name = host.partition(b":")[0]
+        if name in (self._host, self._host + b".local", b"localhost"):
+            return True
+        return _is_of(name, b".0123456789") and len(host) <= _LONGEST_HOST
+
+    def _open(
+        self, visitor: Visitor, fields: "dict[bytes, bytes]", now_ms: int
+    ) -> "WebSocket | None":
+        """The handshake."""
+        key = fields.get(b"sec-websocket-key", b"")
+        upgrade = fields.get(b"upgrade", b"").lower()
+        if upgrade != b"websocket" or len(key) != _KEY_LENGTH:
+            why = b"here a websocket is wanted: open / in a browser"
+            self._sentence(visitor, b"400 Bad Request", why, now_ms)
+            return None
+        if fields.get(b"sec-websocket-version") != b"13":
+            self._sentence(visitor, b"426 Upgrade Required", b"version 13 is wanted", now_ms)
+            return None
+        conn, answer = visitor.conn, _UPGRADE % web_socket.accepted(key)
+        if conn is None or conn.write(answer) != len(answer):
+            self._end(visitor, now_ms)
+            return None
+        visitor.conn = None
+        return WebSocket(conn)
+
+    # Answers
+
+    def _sentence(self, visitor: Visitor, status: bytes, text: bytes, now_ms: int) -> None:
+        head = _ANSWER % (status, _TEXT, len(text) + 1) + _AND_GO
+        self._put(visitor, memoryview(head + b"\r\n" + text + b"\n"), now_ms)
+        self._end(visitor, now_ms)
+
+    def _piece(
+        self, visitor: Visitor, name: str, number: int, kind: bytes, more: bytes, now_ms: int
+    ) -> None:
+        """Part of a file; behind the last there is an empty one, and the end."""
+        out = memoryview(self._out)
+        try:
+            with open(self._folder + name, "rb") as file:
+                file.seek(number * PIECE)
+                count = file.readinto(out[_HEAD:])
+        except OSError:
+            why = b"the page is not on the board: ugrbl deploy puts it there"
+            self._sentence(visitor, b"404 Not Found", why, now_ms)
+            return
+        head = _ANSWER % (b"200 OK", kind, count) + more + (b"" if count else _AND_GO) + b"\r\n"
+        start = _HEAD - len(head)
+        out[start:_HEAD] = head
+        visitor.owes = count > 0
+        self._put(visitor, out[start : _HEAD + count], now_ms)
+        if not count:
+            self._end(visitor, now_ms)
+
+    def _put(self, visitor: Visitor, data: memoryview, now_ms: int) -> None:
+        """At once or not at all: nothing else is on its way to him."""
+        if visitor.conn and visitor.conn.write(data) != len(data):
+            self._end(visitor, now_ms)
+
+    def _end(self, visitor: Visitor, now_ms: int) -> None:
+        """Let him go."""
+        conn, visitor.conn = visitor.conn, None
+        if visitor.owes:
+            visitor.owes = False
+            self._lingering.append(now_ms)
+        if conn:
+            conn.close()
+
+
+def _number(path: bytes) -> int:
+    """Of `/12`: 12; -1 of anything else."""
+    text = path[1:]
+    return int(text) if _is_of(text, b"0123456789") and len(text) < _DIGITS else -1
+
+
+def _is_of(text: bytes, signs: bytes) -> bool:
+    """There is text, of no other signs."""
+    return bool(text) and not [sign for sign in text if sign not in signs]

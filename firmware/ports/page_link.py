@@ -1,0 +1,76 @@
+"""The network's link of a board that serves the page: pages are told who drives.
+
+What is on its way to a caller is less here than elsewhere, for pieces of the page want some of
+lwIP's memory, too: see page.py.
+"""
+
+from micropython import const
+
+from ports.caller import Caller
+from ports.net_link import NetLink
+from ports.page import Page
+from ports.tcp import Calls
+from ports.web_socket import WebSocket
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from interfaces import BoardLink, Incoming
+
+_HTTP = const(80)
+_UNHEARD = const(1600)
+_NEWS = b'{"link":{"name":"%s","open":true},"driver":%s,"drivers":%d,"watchers":%d,"key":%s}'
+
+
+class PageCaller(Caller):
+    """A place for one, who is let go earlier where nothing is heard of him."""
+
+    def send(self, at_once: bool = False) -> bool:
+        """As Caller's."""
+        if self._waiting and self._credit <= 0 and self._unheard >= _UNHEARD:
+            return False
+        return Caller.send(self, at_once)
+
+
+class PageLink(NetLink):
+    """A NetLink. host: the board's name."""
+
+    def __init__(self, cable: "BoardLink", calls: "Incoming | None", host: str) -> None:
+        NetLink.__init__(self, cable, calls)
+        self._callers = [PageCaller() for _ in self._callers]
+        self._all = [self._user] + self._callers
+        self._host = host
+
+    def _round(self, now_ms: int) -> None:
+        NetLink._round(self, now_ms)
+        if not self._is_plain:
+            self._tell()
+
+    def _tell(self) -> None:
+        """Each page hears how things stand when that has changed, as from `ugrbl web`
+        (docs/web.md); with "key": whether it is wanted of him."""
+        driver = self._driver
+        watchers = len([1 for caller in self._callers if caller.conn and caller is not driver])
+        for caller in self._callers:
+            socket = caller.conn
+            if not isinstance(socket, WebSocket):
+                continue
+            told = watchers * 8 + caller.trusted * 4 + (caller is driver) * 2 + (driver is None)
+            if told != socket.told:
+                socket.told = told
+                socket.news = _NEWS % (
+                    self._host.encode(),
+                    _said(caller is driver),
+                    driver is not None,
+                    watchers,
+                    _said(not caller.trusted),
+                )
+
+
+def _said(yes: bool) -> bytes:
+    return b"true" if yes else b"false"
+
+
+def beside(cable: "BoardLink", calls: "Incoming", host: str) -> PageLink:
+    """The cable's link, with the network and the page around it. calls: by TCP. OSError where
+    there cannot be one."""
+    return PageLink(cable, Page(calls, Calls(_HTTP), host), host)

@@ -1,0 +1,464 @@
+"""The page from the board itself: HTTP and websockets, as browsers speak and as they do not."""
+
+import gzip
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from net_bench import HOST, KEY, Door, NetBench, Pipe
+from ports.page import PIECE
+from ugrbl.compiling import page_files
+from ugrbl.paths import TOOLS
+
+WHOLE = (TOOLS / "web" / "page" / "index.html").read_bytes()
+# As Chromium asks.
+_USUAL = (
+    "User-Agent: Mozilla/5.0 (X11; Linux x86_64) AppleWebKit/537.36 (KHTML, like Gecko) "
+    "Chrome/140.0.0.0 Safari/537.36\r\nAccept: */*\r\nAccept-Encoding: gzip, deflate\r\n"
+    "Accept-Language: en-GB,en;q=0.9,de;q=0.8\r\nCookie: other=1\r\n"
+)
+_KEY = "dGhlIHNhbXBsZSBub25jZQ=="  # of RFC 6455, with its answer
+_ACCEPTED = b"s3pPLMBiTxaQ9kYGzzhZRbK+xOo="
+_UPGRADE = {
+    "Connection": "keep-alive, Upgrade",
+    "Upgrade": "websocket",
+    "Sec-WebSocket-Key": _KEY,
+    "Sec-WebSocket-Version": "13",
+    "Origin": "http://ugrbl.local",
+}
+_MASK = bytes((0x11, 0x22, 0x33, 0xFE))
+_BINARY, _TEXT, _CLOSE, _PING, _PONG = 2, 1, 8, 9, 10
+
+
+def request(path: str, method: str = "GET", **fields: str) -> bytes:
+    """A request, with other fields, or an empty text where one is not to be there."""
+    there = {"Host": "ugrbl.local", **{name.replace("_", "-"): fields[name] for name in fields}}
+    lines = "".join(f"{name}: {value}\r\n" for name, value in there.items() if value)
+    return f"{method} {path} HTTP/1.1\r\n{lines}{_USUAL}\r\n".encode()
+
+
+def frame(data: "str | bytes", opcode: int = _BINARY, last: bool = True) -> bytes:
+    """As a browser sends it."""
+    data = data.encode("latin-1") if isinstance(data, str) else data
+    size = len(data)
+    head = [size | 0x80] if size < 126 else [126 | 0x80, size >> 8, size & 0xFF]
+    masked = bytes(byte ^ _MASK[i % 4] for i, byte in enumerate(data))
+    return bytes((0x80 * last | opcode, *head)) + _MASK + masked
+
+
+class Frames:
+    """What has come of a websocket."""
+
+    def __init__(self, pipe: Pipe) -> None:
+        self.pipe = pipe
+        self.messages: list[tuple[int, bytes]] = []
+
+    def look(self) -> None:
+        got = self.pipe.got
+        while len(got) >= 2:
+            start, size = (2, got[1]) if got[1] < 126 else (4, got[2] << 8 | got[3])
+            if len(got) < start + size:
+                return
+            self.messages.append((got[0], bytes(got[start : start + size])))
+            del got[: start + size]
+
+    def all(self, opcode: int) -> "list[bytes]":
+        self.look()
+        return [data for head, data in self.messages if head == 0x80 | opcode]
+
+    def said(self) -> str:
+        return b"".join(self.all(_BINARY)).decode("latin-1")
+
+    def news(self) -> str:
+        return self.all(_TEXT)[-1].decode() if self.all(_TEXT) else ""
+
+
+class PageBench(NetBench):
+    """With visitors, who come in memory."""
+
+    def __init__(self, monkeypatch: Any, folder: Path) -> None:
+        for name, content in page_files.made().items():
+            (folder / name).write_bytes(content)
+        self.visits = Door()
+        super().__init__(monkeypatch, page=(self.visits, f"{folder}/"))
+
+    def visit(self, address: str = "10.0.0.9") -> Pipe:
+        pipe = Pipe()
+        self.visits.waiting.append((pipe, address))
+        return pipe
+
+    def answer(self, pipe: Pipe, ms: float = 30_000) -> "Iterator[Any]":
+        """Head and body of the next answer."""
+        yield from self.until(lambda: b"\r\n\r\n" in pipe.got, ms)
+        head, _, _ = bytes(pipe.got).partition(b"\r\n\r\n")
+        size = int(head.partition(b"Content-Length: ")[2].split(b"\r\n")[0] or b"0")
+        start = len(head) + 4
+        yield from self.until(lambda: len(pipe.got) >= start + size)
+        body = bytes(pipe.got[start : start + size])
+        del pipe.got[: start + size]
+        return head, body
+
+    def get(self, data: bytes, address: str = "10.0.0.9") -> "Iterator[Any]":
+        """Somebody comes and asks once."""
+        pipe = self.visit(address)
+        pipe.send(data)
+        head, body = yield from self.answer(pipe)
+        return pipe, head, body
+
+    def open(self, address: str = "10.0.0.9", **fields: str) -> "Iterator[Any]":
+        """A page at its websocket; what has come of it, which is the welcome and how it stands."""
+        pipe, head, _ = yield from self.get(request("/ws", **{**_UPGRADE, **fields}), address)
+        assert head.startswith(b"HTTP/1.1 101 ") and _ACCEPTED in head, head
+        frames = Frames(pipe)
+        yield from self.until(lambda: "Grbl 1.1h" in frames.said() and bool(frames.news()))
+        return frames
+
+    def say(self, page: Frames, line: str, ms: float = 30_000) -> "Iterator[Any]":
+        """A line of a page's, and its answer."""
+        before = len(page.said())
+        page.pipe.send(frame(line + "\n"))
+
+        def is_answered() -> bool:
+            new = page.said()[before:]
+            return "ok\r\n" in new or "error:" in new or page.pipe.is_closed
+
+        yield from self.until(is_answered, ms)
+        yield self.rig.ms(20)
+        return page.said()[before:]
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> PageBench:
+    return PageBench(monkeypatch, tmp_path)
+
+
+# HTTP
+
+
+def test_the_first_page_fits_into_a_piece() -> None:
+    assert len(page_files.made()["page.html"]) <= PIECE
+
+
+def test_the_page_comes_in_pieces_of_which_each_tells_that_the_last_has_come(bench) -> None:
+    def script(bench):
+        pipe, head, first = yield from bench.get(request("/"))
+        assert head.startswith(b"HTTP/1.1 200 OK\r\n") and b"frame-ancestors 'none'" in head
+        assert b"connect-src 'self' ws://ugrbl.local;" in head and b"page" in first
+        found, pieces = b"", 0
+        while True:
+            pipe.send(request(f"/{pieces}"))
+            head, body = yield from bench.answer(pipe)
+            pieces += 1
+            if not body:
+                break
+            assert len(head) + len(body) + 4 <= 800, "a segment"
+            found += body
+        assert gzip.decompress(found) == WHOLE
+        assert b"Connection: close" in head and pipe.is_closed
+
+    bench.run(script)
+
+
+@pytest.mark.parametrize(
+    ("status", "data"),
+    [
+        (404, request("/favicon.ico")),
+        (404, request("/page.gz")),
+        (404, request("/00001")),
+        (404, request("/-1")),
+        (404, request("/../board.py")),
+        (404, request("//")),
+        (403, request("/", Host="evil.example")),
+        (403, request("/", Host="10.0.0.1.evil.example")),
+        (403, request("/", Host="ugrbl.local.evil.example")),
+        (403, request("/", Host="")),
+        (403, request("/", Host="1" * 300)),
+        (403, request("/", Origin="http://evil.example")),
+        (403, request("/", Origin="null")),
+        (403, request("/", Origin="https://ugrbl.local")),
+        (405, request("/", "POST", Content_Length="9")),
+        (405, request("/", "DELETE")),
+        (405, request("/", Content_Length="5")),
+        (405, request("/", Transfer_Encoding="chunked")),
+        (400, request("/0", Cookie="more") + request("/1")),
+        (400, request("/", Host="ugrbl\r\nHost: ugrbl")),
+        (400, b"G1X9F900\n$X\n\n"),
+        (400, b"GET / HTTP/1.0\r\nHost: ugrbl\r\n\r\n"),
+        (400, b"GET  /  HTTP/1.1\r\nHost: ugrbl\r\n\r\n"),
+        (400, b"\x16\x03\x01\x02\x00\x01\x00\n\n"),
+        (400, b"x" * 5000),
+        (400, request("/", Cookie="y" * 5000)),
+        (400, request("/ws")),
+        (400, request("/ws", **{**_UPGRADE, "Sec-WebSocket-Key": "short"})),
+        (400, request("/ws", **{**_UPGRADE, "Upgrade": "h2c"})),
+        (403, request("/ws", **{**_UPGRADE, "Origin": "http://evil.example"})),
+        (403, request("/ws", **{**_UPGRADE, "Host": "evil.example"})),
+        (426, request("/ws", **{**_UPGRADE, "Sec-WebSocket-Version": "8"})),
+    ],
+)
+def test_what_is_no_request_for_the_page_is_refused_with_a_sentence(
+    bench, status: int, data: bytes
+) -> None:
+    def script(bench):
+        pipe, head, body = yield from bench.get(data)
+        assert head.startswith(f"HTTP/1.1 {status} ".encode()), head
+        assert len(body) > 10 and body.endswith(b"\n")
+        yield from bench.until(lambda: pipe.is_closed)
+        assert bench.rig.link.callers() == 0
+
+    bench.run(script)
+    assert bench.rows == []
+
+
+@pytest.mark.parametrize("host", ["ugrbl", "UGRBL.local:80", "192.168.1.7", "10.0.0.1:8080"])
+def test_names_of_the_board_and_numbers_are_taken(bench, host: str) -> None:
+    def script(bench):
+        _, head, _ = yield from bench.get(request("/", Host=host))
+        assert head.startswith(b"HTTP/1.1 200 ")
+        yield from bench.open(Host=host, Origin=f"http://{host}")
+
+    bench.run(script)
+
+
+def test_a_page_that_is_not_there_is_said(bench, tmp_path: Path) -> None:
+    (tmp_path / "page.gz").unlink()
+
+    def script(bench):
+        _, head, body = yield from bench.get(request("/0"))
+        assert head.startswith(b"HTTP/1.1 404 ") and b"ugrbl deploy" in body
+
+    bench.run(script)
+
+
+def test_who_comes_byte_by_byte_is_served_and_who_says_nothing_is_let_go(bench) -> None:
+    def script(bench):
+        slow, silent = bench.visit(), bench.visit()
+        for byte in request("/3"):
+            slow.send(bytes((byte,)))
+            yield from bench.wait(10)
+        _, body = yield from bench.answer(slow)
+        assert len(body) == PIECE
+        yield from bench.until(lambda: silent.is_closed and slow.is_closed, 5000)
+        late = bench.visit()
+        late.send(request("/"))
+        head, _ = yield from bench.answer(late, 100)
+        assert b" 200 " in head
+
+    bench.run(script)
+
+
+def test_no_more_than_two_pieces_are_on_their_way_to_who_is_not_heard_of(bench) -> None:
+    def script(bench):
+        lost = [bench.visit() for _ in range(6)]
+        for pipe in lost:
+            pipe.send(request("/"))
+        yield from bench.wait(1500)
+        assert [b" 200 " in pipe.got for pipe in lost] == [True, True, *[False] * 4]
+        yield from bench.wait(9500)  # behind 2 s they are let go, and linger for 10
+        assert sum(b" 200 " in pipe.got for pipe in lost) == 2
+        yield from bench.wait(2000)
+        assert sum(b" 200 " in pipe.got for pipe in lost) == 4
+        assert max(len(pipe.got) for pipe in lost) < 1100
+
+    bench.run(script)
+
+
+def test_who_goes_makes_room_at_once(bench) -> None:
+    def script(bench):
+        for how in ("has_hung_up", "is_broken") * 5:
+            pipe = bench.visit()
+            pipe.send(request("/0"))
+            yield from bench.until(lambda pipe=pipe: b" 200 " in pipe.got, 100)
+            setattr(pipe, how, True)
+        yield from bench.get(request("/0"))
+
+    bench.run(script)
+
+
+# The websocket
+
+
+def test_a_page_drives_as_a_sender_over_tcp_does(bench) -> None:
+    def script(bench):
+        page = yield from bench.open()
+        assert page.news() == (
+            '{"link":{"name":"ugrbl","open":true},"driver":false,"drivers":0,"watchers":1,'
+            '"key":false}'
+        )
+        assert (yield from bench.say(page, "G1X2F600")) == "ok\r\n"
+        assert '"driver":true,"drivers":1,"watchers":0' in page.news()
+        yield from bench.wait(3000)
+        page.pipe.send(frame("?"))
+        yield from bench.until(lambda: "MPos:2.000,0.000" in page.said())
+        answer = yield from bench.say(page, "$$")
+        assert answer.count("$") >= 34 and answer.endswith("ok\r\n")
+
+    bench.run(script)
+    assert bench.steps() == [500, 0, 0]
+
+
+def test_of_two_pages_one_drives_and_each_is_told(bench) -> None:
+    def script(bench):
+        one, two = (yield from bench.open()), (yield from bench.open())
+        assert (yield from bench.say(one, "G1X1F600")) == "ok\r\n"
+        yield from bench.wait(50)
+        assert '"driver":false,"drivers":1,"watchers":1' in two.news()
+        assert (yield from bench.say(two, "$NET")).endswith("error:9\r\n")
+        for _ in range(6):
+            one.pipe.send(frame("?"))
+            yield from bench.wait(1000)
+        assert (yield from bench.say(two, "$NET")).endswith("ok\r\n")
+        yield from bench.wait(50)
+        assert '"driver":true' in two.news() and '"driver":false' in one.news()
+        one.pipe.send(frame("", _CLOSE))
+        yield from bench.until(lambda: one.pipe.is_closed)
+        yield from bench.wait(50)
+        assert '"driver":true,"drivers":1,"watchers":0' in two.news()
+
+    bench.run(script)
+
+
+def test_without_the_key_a_page_may_read_and_with_it_everything(bench) -> None:
+    def script(bench):
+        page = yield from bench.open("10.0.0.1")
+        assert '"key":true' in page.news()
+        assert (yield from bench.say(page, "$$")).endswith("ok\r\n")
+        assert (yield from bench.say(page, "G1X1F600")).endswith("error:9\r\n")
+        page.pipe.send(frame("!\x18~\x84\x90"))
+        assert (yield from bench.say(page, "$NET/KEY=22222222")).endswith("error:9\r\n")
+        yield from bench.wait(1100)
+        assert (yield from bench.say(page, f"$NET/KEY={KEY}")) == "ok\r\n"
+        yield from bench.wait(50)
+        assert '"key":false' in page.news()
+        assert (yield from bench.say(page, "G1X1F600")) == "ok\r\n"
+        yield from bench.wait(1000)
+        assert KEY not in "".join(map(repr, page.messages))
+
+    bench.run(script)
+    assert bench.steps() == [250, 0, 0]
+
+
+def test_a_message_may_come_in_any_parts(bench) -> None:
+    def script(bench):
+        page = yield from bench.open()
+        parts = frame("G9", last=False) + frame("hello", _PING) + frame("1", 0, last=False)
+        parts += frame("", 0, last=False) + frame("G1X1F600\n", 0) + frame("x" * 40, _PONG)
+        for byte in parts + frame("X2\n"):
+            page.pipe.send(bytes((byte,)))
+            yield from bench.wait(2)
+        yield from bench.until(lambda: page.said().count("ok\r\n") == 2)
+        page.pipe.send(frame("\n" * 300) + frame("?"))
+        yield from bench.until(lambda: page.said().count("ok\r\n") == 302)
+        yield from bench.wait(1000)
+        assert page.all(_PONG) == [b"hello"]
+
+    bench.run(script)
+    assert bench.steps() == [750, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("code", "data"),
+    [
+        (1002, b"\x82\x05G1X9\n"),  # not masked
+        (1002, frame("G1X9\n", _BINARY | 0x40)),
+        (1002, frame("G1X9\n", 3)),
+        (1002, frame("G1X9\n", 11)),
+        (1002, frame("G1X9\n", 0)),  # goes on with nothing
+        (1002, frame("G", last=False) + frame("1X9\n")),  # two at once
+        (1002, frame("x", _PING, last=False)),
+        (1002, frame("x" * 126, _PING)),
+        (1002, bytes((0x82, 0xFE, 0, 5)) + _MASK + b"G1X9\n"),
+        (1009, bytes((0x82, 0xFF)) + bytes(8) + _MASK),
+        (1003, frame('{"drive":true}', _TEXT)),
+        (1003, frame(b"\xc3\x28", _TEXT)),
+        (1000, frame(b"\x03\xe8", _CLOSE)),
+        (1000, frame(b"", _CLOSE)),
+        (1002, b"GET / HTTP/1.1\r\nHost: ugrbl\r\n\r\n"),
+    ],
+)
+def test_what_is_no_frame_of_a_browsers_ends_the_connection_and_moves_nothing(
+    bench, code: int, data: bytes
+) -> None:
+    def script(bench):
+        page = yield from bench.open()
+        page.pipe.send(data + frame("G1X9F900\n"))
+        yield from bench.until(lambda: page.pipe.is_closed, 200)
+        assert page.all(_CLOSE) == [bytes((code >> 8, code & 0xFF))]
+        assert bench.rig.link.callers() == 0
+        yield from bench.open()  # another one
+
+    bench.run(script)
+    assert bench.rows == []
+
+
+def test_a_page_that_does_not_read_is_let_go_and_nobody_waits_for_it(bench) -> None:
+    def script(bench):
+        page = yield from bench.open()
+        page.pipe.room = 100
+        before = bench.rig.now
+        for _ in range(40):
+            page.pipe.send(frame("$$\n") + frame("x" * 99, _PING))
+            yield from bench.wait(10)
+        yield from bench.until(lambda: page.pipe.is_closed, 5000)
+        assert bench.rig.now - before < bench.rig.ticks_per_ms * 3000
+        yield from bench.sender.wait("ok", "\n")
+
+    bench.run(script)
+
+
+def test_no_more_is_on_its_way_to_a_page_that_is_not_heard_of_than_there_is_memory_for(
+    bench,
+) -> None:
+    def script(bench):
+        page = yield from bench.open()
+        page.pipe.got.clear()
+        others = []
+        for _ in range(60):
+            yield from bench.sender.wait("ok", "$G\n")  # told to all
+            others.append((yield from bench.open()))  # which changes how things stand
+            others.pop().pipe.has_hung_up = True
+            yield from bench.wait(20)
+        assert page.pipe.is_closed and 800 < len(page.pipe.got) <= 2000
+
+    bench.run(script)
+
+
+def test_a_page_of_the_board_is_the_same_for_the_machine_as_the_cable(bench) -> None:
+    """A long program, in messages as the page sends them."""
+    lines = [f"G1X{i % 7}Y{i % 3}F3000" for i in range(200)]
+
+    def script(bench):
+        page = yield from bench.open()
+        left, sent, done = list(lines), [], 0
+        while left or sent:
+            total = page.said().count("ok\r\n")
+            sent, done = sent[total - done :], total
+            batch = ""
+            while left and sum(sent) + len(left[0]) + 1 <= 127:
+                sent.append(len(left[0]) + 1)
+                batch += left.pop(0) + "\n"
+            if batch:
+                page.pipe.send(frame(batch))
+            yield bench.rig.ms(1)
+        yield from bench.wait(60_000)
+        assert "error" not in page.said()
+
+    bench.run(script)
+    assert bench.steps() == [250 * (199 % 7), 250 * (199 % 3), 0]
+
+
+def test_the_prompt_takes_the_network_away(bench) -> None:
+    def script(bench):
+        visitor = bench.visit()
+        yield from bench.wait(50)
+        page = yield from bench.open()
+        bench.rig.link.cable.close = lambda: None
+        bench.rig.link.close()
+        assert page.pipe.is_closed and visitor.is_closed
+
+    bench.run(script)
+
+
+def test_the_board_is_called_what_its_network_calls_it() -> None:
+    assert HOST == "ugrbl"
