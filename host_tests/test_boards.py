@@ -23,6 +23,8 @@ GOOD: dict[str, Any] = {
     "DEFAULTS": {100: 800.0},
 }
 
+PICO2_W = {"CHIP": "pico2_w", "MPY_ARCH": "armv7emsp", "LINK": "wifi", "PAGE": True}
+
 
 def board(**changes: Any) -> ModuleType:
     made = ModuleType("made")
@@ -120,6 +122,12 @@ def test_a_board_is_data_only(name: str) -> None:
         ({"SD_CARD": (26, 27, 28), "JOBS": "jobs"}, "SD_CARD wants four pins: clock, to the"),
         ({"SD_CARD": (26, 27, 20, 21), "JOBS": "jobs"}, "SD_CARD: 26, 27, 20 are not SCK, TX"),
         ({"SD_CARD": (26, 28, 27, 21), "JOBS": "jobs"}, "SD_CARD: 26, 28, 27 are not SCK, TX"),
+        ({"PAGE": True}, "PAGE: a Pico W has less than 40 kB of memory left with it: take"),
+        ({"PAGE": True, "LINK": "wifi"}, "from `ugrbl web`, or a Pico 2 W or an ESP32"),
+        ({**PICO2_W, "LINK": "usb"}, 'PAGE: it wants a network, LINK = "wifi", or'),
+        (PICO2_W, ""),
+        ({"PAGE": True, "ENGINE": "sim", "MPY_ARCH": None}, "PAGE: it wants a network"),
+        ({"PAGE": 1}, "PAGE is 1: it is True or False"),
         ({"EXTRAS": ("nowhere",)}, "EXTRAS: No module named 'nowhere'"),
     ],
 )

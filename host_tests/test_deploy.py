@@ -3,6 +3,7 @@
 import ast
 import contextlib
 import errno
+import gzip
 import json
 import os
 import threading
@@ -18,13 +19,17 @@ from ugrbl.boardfile.files import BoardFileError, boards, load_board
 from ugrbl.cli import deploy as deploy_cli
 from ugrbl.cli import ports
 from ugrbl.cli.app import app
-from ugrbl.compiling import build
+from ugrbl.compiling import build, freeze, page_files
 from ugrbl.compiling.folder import save
 from ugrbl.compiling.inline import inline
 from ugrbl.device.deploy import LIST, About, DeployError, Running, check_fit, deploy
+from ugrbl.image import contents
+from ugrbl.paths import TOOLS
 
 REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
 PICO = About(0x1306, "1.28.0", "Raspberry Pi Pico with RP2040")
+# As deploy_device.py looks for them.
+_LOOKED_AT = ("py", LIST, *page_files.names())
 _OTHER = b"M\x06\x00\x1f"  # how a compiled file for any processor begins
 SETTINGS = {"settings.txt": b"$0=10", "settings.old": b"$0=5", "offsets.new": b"", "log.txt": b"1"}
 
@@ -59,7 +64,7 @@ class FakeBoard:
         return {
             path: build.digest(content)
             for path, content in self.disk.items()
-            if path.rpartition("/")[0] in seen and (path.endswith(("py", ".sha256")))
+            if path.rpartition("/")[0] in seen and path.endswith(_LOOKED_AT)
         }
 
     def read(self, path: str) -> bytes:
@@ -206,7 +211,7 @@ def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() ->
                 words |= {"JERK": True, "CUSTOM": "custom", "LENIENT": True, "JOBS": "jobs"}
                 words |= {"SD_CARD": (10, 11, 12, 13), "MOTORS": "XYZZ", "HOMING": ("XY",)}
                 words |= {"ROTARY": "A", "TMC2209": (0, 2, 1), "BACKLASH": True}
-                words |= {"KINEMATICS": "scara", "LIMIT": (9, 9, 11), "SKEW": True}
+                words |= {"KINEMATICS": "scara", "LIMIT": (9, 9, 11), "SKEW": True, "PAGE": True}
                 every |= needed(ENGINE=engine, LINK=link, **words)
     left = {build.module(source) for source in set(build.sources()) - every}
     trees = [ast.parse(text) for text in inline(build.texts()).values()]
@@ -387,6 +392,59 @@ def test_a_list_of_rubbish_is_no_reason_to_remove_anything(made: build.Build) ->
     board = FakeBoard()
     board.disk.update({LIST: b"\xff rubbish\n\n", "mine.py": b""})
     assert put(board, made).removed == []
+
+
+# The page
+
+
+PICO2_W = About(0x1F06, "1.28.0", "Raspberry Pi Pico 2 W with RP2350")
+
+
+@pytest.fixture(scope="module")
+def with_page() -> build.Build:
+    return build.for_board(files.board_file("pico2_w_page"))
+
+
+def test_a_board_that_serves_the_page_has_it_and_no_other_has(
+    made: build.Build, with_page: build.Build
+) -> None:
+    page = page_files.made()
+    assert page.items() <= with_page.files.items() and not page.keys() & made.files.keys()
+    assert page["page.gz"] == page_files.made()["page.gz"], "the same each time"
+    html = (TOOLS / "web" / "page" / "index.html").read_bytes()
+    assert gzip.decompress(page["page.gz"]) == html
+    assert {"ports.page", "ports.web_socket"} <= with_page.modules
+
+
+def test_a_page_that_has_changed_is_brought_up_to_date_and_goes_where_it_is_not_served(
+    with_page: build.Build, tmp_path: Path
+) -> None:
+    file = tmp_path / "board.py"
+    text = files.board_file("pico2_w_page").read_text()
+    file.write_text(text.replace("PAGE = True", ""))
+    without = build.for_board(file)
+    board = FakeBoard(PICO2_W)
+    put(board, with_page)
+    assert {*page_files.names()} <= set(board.disk)
+    board.disk["page.gz"] = b"older"
+    put(board, with_page)
+    assert board.writes() == ["page.gz", LIST, "main.py"]
+    assert {*put(board, without).removed} == {*page_files.names()}
+
+
+def test_beside_frozen_firmware_lies_the_page(with_page: build.Build) -> None:
+    frozen = freeze.Frozen(with_page.map["id"], with_page.modules)
+    board = FakeBoard(PICO2_W._replace(frozen=frozen))
+    put(board, with_page)
+    assert board.writes() == ["board.py", *sorted(page_files.names()), LIST]
+
+
+def test_a_uf2_file_has_the_page_too(with_page: build.Build) -> None:
+    found = contents.files(with_page, "pico2_w_page", None, {})
+    assert page_files.made().items() <= found.items()
+    frozen = freeze.Frozen(with_page.map["id"], with_page.modules)
+    beside = contents.files(with_page, "pico2_w_page", None, {}, frozen)
+    assert {*beside} == {"board.py", LIST, *page_files.names()}
 
 
 # The board's own board.py

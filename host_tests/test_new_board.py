@@ -223,6 +223,42 @@ def test_pins_are_read_as_people_write_them(text: str) -> None:
     assert read_pins(text) == (2, 3, 4)
 
 
+@pytest.mark.parametrize(
+    ("chip", "words", "link", "page"),
+    [
+        ("pico_w", ["--network"], "wifi", False),
+        ("pico2_w", ["--page"], "wifi", True),
+        ("esp32s3", ["--network", "--page"], "uart_wifi", True),
+        ("esp32s3", [], "uart", False),
+    ],
+)
+def test_a_radio_is_used_and_the_page_served_where_that_is_said(
+    file: Path, chip: str, words: "list[str]", link: str, page: bool
+) -> None:
+    pins = ("--pin", "step=4,5,12", "--pin", "dir=7,15,16")
+    done = ugrbl("router", "--chip", chip, *pins, *words, "-o", file)
+    assert done.exit_code == 0, done.output
+    board: Any = load(file)
+    assert (board.LINK, getattr(board, "PAGE", False)) == (link, page)
+    assert not board_check.problems(board)
+
+
+@pytest.mark.parametrize(
+    ("chip", "word", "why"),
+    [
+        ("pico", "--network", "Raspberry Pi Pico has no radio"),
+        ("pico2", "--page", "Raspberry Pi Pico 2 has no radio"),
+        ("pico_w", "--page", "less than 40 kB of memory left with it: take the page from `ugrbl"),
+    ],
+)
+def test_where_there_is_no_radio_or_no_memory_it_says_what_there_is(
+    file: Path, chip: str, word: str, why: str
+) -> None:
+    done = ugrbl("router", "--chip", chip, *_PICO[2:], word, "-o", file)
+    assert done.exit_code == 1 and why in " ".join(done.output.split())
+    assert not file.exists()
+
+
 def test_every_chip_says_what_it_is() -> None:
     for chip in CHIPS.values():
         assert chip.inputs_only <= chip.pins and set(chip.odd) <= chip.pins

@@ -13,7 +13,16 @@ from .. import paths
 from ..sim import motor_names
 from .chips import CHIPS, Chip, on_their_own
 from .engines import SIMULATOR, engines, networks
-from .new_board import CONTROLS, FEWEST_AXES, ITEMS, Board, BoardError, check_item
+from .new_board import (
+    CONTROLS,
+    FEWEST_AXES,
+    ITEMS,
+    NO_PAGE,
+    TOO_SMALL,
+    Board,
+    BoardError,
+    check_item,
+)
 from .options import BY_NAME, INVERTIBLE, PIN, PIN_OR_PINS
 
 # How an extra of the user's own reads a name of the board file.
@@ -30,14 +39,6 @@ _OTHERS = {
 # SPI has so many of them, and the other.
 _SPI = (2, 3, 0)
 _SPI_LOG2 = 3
-
-
-# A Pico W; what is left on it: docs/boards.md.
-_TOO_SMALL = "armv6m"
-NO_PAGE = (
-    "PAGE: a Pico W has less than 40 kB of memory left with it: take the page from `ugrbl web`, "
-    "or a Pico 2 W or an ESP32"
-)
 
 
 def problems(board: ModuleType) -> list[str]:
@@ -280,10 +281,10 @@ def _page(board: ModuleType) -> Iterator[str]:
     """Where the page cannot be served."""
     if getattr(board, "PAGE", None) is not True:
         return
-    if getattr(board, "LINK", "") not in networks():
-        yield 'PAGE: it wants a network, LINK = "wifi", or "uart_wifi" on an ESP32'
-    if getattr(board, "MPY_ARCH", "") == _TOO_SMALL:
+    if getattr(board, "MPY_ARCH", "") == TOO_SMALL:
         yield NO_PAGE
+    elif getattr(board, "LINK", "") not in networks():
+        yield 'PAGE: it wants a network, LINK = "wifi", or "uart_wifi" on an ESP32'
 
 
 def _card(board: ModuleType) -> Iterator[str]:

@@ -16,6 +16,7 @@ class Chip(NamedTuple):
     inputs_only: frozenset[int] = frozenset()
     odd: Mapping[int, str] = {}  # pins that work, with something to know
     most_motors: int = 4
+    radio: bool = True  # there is one, or may be
 
 
 _ESP32_ODD = {
@@ -55,6 +56,7 @@ CHIPS = {
         pins=_PICO_PINS | {25},
         odd=_LED,
         most_motors=_RP2_MOTORS,
+        radio=False,
     ),
     "pico_w": Chip(
         "Raspberry Pi Pico W",
@@ -68,6 +70,7 @@ CHIPS = {
         pins=_PICO_PINS | {25},
         odd=_LED,
         most_motors=_RP2_MOTORS,
+        radio=False,
     ),
     "pico2_w": Chip(
         "Raspberry Pi Pico 2 W",

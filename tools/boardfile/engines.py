@@ -7,6 +7,8 @@ from .. import paths
 
 # Who makes the pulses of the simulator's boards: none of the firmware's engines.
 SIMULATOR = "sim"
+# Links with a network, by that of the cable.
+WIRELESS = {"usb": "wifi", "uart": "uart_wifi"}
 
 
 class Oldest(NamedTuple):

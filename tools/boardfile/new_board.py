@@ -49,6 +49,14 @@ _SWITCHED_ON = {"DOOR": "SAFETY_DOOR", "MIST_PIN": "MIST"}
 BY_NAME = {item.name: item for item in ITEMS}
 
 
+# A Pico W's; what is left on it: docs/boards.md.
+TOO_SMALL = "armv6m"
+NO_PAGE = (
+    "PAGE: a Pico W has less than 40 kB of memory left with it: take the page from `ugrbl web`, "
+    "or a Pico 2 W or an ESP32"
+)
+
+
 class BoardError(Exception):
     """Something that a board file cannot say; the text tells what and why."""
 
@@ -63,6 +71,8 @@ class Board:
     rotary: str = ""  # axes that turn
     pins: dict[str, Pins] = field(default_factory=dict)
     defaults: dict[int, float] = field(default_factory=dict)
+    network: bool = False
+    page: bool = False  # which the network has
 
     @property
     def axes(self) -> int:
@@ -82,7 +92,8 @@ class Board:
         """The board file."""
         lines = [f'"""{self.title}: {self.chip.title}."""', ""]
         lines += [f'MPY_ARCH = "{self.chip.mpy_arch}"', f'ENGINE = "{self.chip.engine}"']
-        lines += [f'LINK = "{self.chip.link}"', ""]
+        link = engines.WIRELESS[self.chip.link] if self.network else self.chip.link
+        lines += [f'LINK = "{link}"', *(["PAGE = True"] if self.page else []), ""]
         if self.motors:
             lines.append(f'MOTORS = "{self.motors}"  # the axis of each motor')
         if self.rotary:
@@ -210,6 +221,10 @@ def check(board: Board) -> None:
     if board.motors:
         check_motors(board, board.motors)
     check_rotary(board, board.rotary)
+    if board.network and not board.chip.radio:
+        raise BoardError(f"{board.chip.title} has no radio: see --chip, a Pico W say")
+    if board.page and board.chip.mpy_arch == TOO_SMALL:
+        raise BoardError(NO_PAGE)
     _check_defaults(board)
 
 

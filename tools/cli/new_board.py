@@ -26,6 +26,16 @@ EXAMPLES = (
 _NAMES = ", ".join(item.name.lower() for item in ITEMS)
 _CHIPS = "|".join(CHIPS)
 
+Motors = Annotated[
+    str | None,
+    typer.Option(metavar="LETTERS", help="The axis of each motor: XYZY has two on Y."),
+]
+Rotary = Annotated[
+    str | None, typer.Option(metavar="LETTERS", help="Axes that turn, in degrees: A, or AC.")
+]
+Network = Annotated[bool, typer.Option("--network", help="Its radio is used: docs/network.md.")]
+Page = Annotated[bool, typer.Option("--page", help="The network has the page, too.")]
+
 
 def _read_chip(name: str) -> Chip:
     if name not in CHIPS:
@@ -43,14 +53,10 @@ def command(
     pin: Annotated[
         list[str] | None, typer.Option(metavar="WHAT=PINS", help=f"WHAT: {_NAMES}.")
     ] = None,
-    motors: Annotated[
-        str | None,
-        typer.Option(metavar="LETTERS", help="The axis of each motor: XYZY has two on Y."),
-    ] = None,
-    rotary: Annotated[
-        str | None,
-        typer.Option(metavar="LETTERS", help="Axes that turn, in degrees: A, or AC."),
-    ] = None,
+    motors: Motors = None,
+    rotary: Rotary = None,
+    network: Network = False,
+    page: Page = False,
     setting: Annotated[
         list[str] | None, typer.Option("--set", metavar="N=V", help="A default: 100=800.")
     ] = None,
@@ -86,6 +92,7 @@ def command(
         words = _Words(_given(pin or []), motors, rotary)
         _wire(console, board, words, asking)
         board.defaults = _defaults(setting or [])
+        board.network, board.page = network or page, page
         new_board.check(board)
         _write(board, file)
     except (BoardError, OSError, ValueError) as error:

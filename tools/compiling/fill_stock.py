@@ -9,11 +9,10 @@ from collections.abc import Iterable, Iterator
 from types import ModuleType
 
 from ..boardfile.chips import CHIPS, Chip
+from ..boardfile.engines import WIRELESS
 from ..boardfile.files import boards, load_board
 from ..boardfile.options import MODULE, OPTIONS, SWITCH, WORD, Option
 from . import build, stock
-
-_WIRELESS = {"usb": "wifi", "uart": "uart_wifi"}  # links, by that of the cable
 
 
 def main() -> None:
@@ -56,7 +55,7 @@ def _others(option: Option) -> Iterable[object]:
 def _on(chip: Chip, wanted: dict[str, object]) -> ModuleType:
     """A board with these options and that chip, whose network is beside its own cable."""
     found = ModuleType("board")
-    link = _WIRELESS[chip.link] if wanted.get("LINK") in _WIRELESS.values() else chip.link
+    link = WIRELESS[chip.link] if wanted.get("LINK") in WIRELESS.values() else chip.link
     vars(found).update(wanted, ENGINE=chip.engine, LINK=link)
     return found
 

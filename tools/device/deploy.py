@@ -66,7 +66,7 @@ class Device(Protocol):
         """What is on it."""
 
     def files(self, folders: Iterable[str]) -> dict[str, str]:
-        """Checksums of the Python files, and of LIST, in these folders; "" is the root."""
+        """Checksums of the Python files, the page and LIST in these folders; "" is the root."""
 
     def read(self, path: str) -> bytes:
         """A file."""

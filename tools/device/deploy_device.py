@@ -13,7 +13,7 @@ import serial
 from mpremote.transport import TransportError  # type: ignore[import-untyped]
 from mpremote.transport_serial import SerialTransport  # type: ignore[import-untyped]
 
-from ..compiling import freeze
+from ..compiling import freeze, page_files
 from .connection import Connection, SendError, way_out
 from .deploy import LIST, About, DeployError, Running
 
@@ -88,7 +88,7 @@ for folder in {folders!r}:
     except OSError:
         names = []
     for name in names:
-        if name.endswith((".py", ".mpy")) or name == {list!r}:
+        if name.endswith((".py", ".mpy")) or name in {names!r}:
             path = folder + "/" + name if folder else name
             print(checksum("/" + path), path)
 """
@@ -158,7 +158,7 @@ class MpremoteDevice:
 
     def files(self, folders: Iterable[str]) -> dict[str, str]:
         """Checksums by path, worked out on the board."""
-        script = _FILES.format(folders=tuple(folders), list=LIST)
+        script = _FILES.format(folders=tuple(folders), names=(LIST, *page_files.names()))
         rows = (line.split(" ", 1) for line in self._run(script).splitlines())
         return {path: checksum for checksum, path in rows}
 
