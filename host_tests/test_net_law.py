@@ -1,4 +1,4 @@
-"""The law of the network: motion does not feel it.
+"""The law of the network, and of the page that it serves: motion does not feel them.
 
 The record of all segments is the same, to the tick, whatever callers do who do not drive; and what
 the one who drives has sent before he was lost is done as if he were there.
@@ -7,10 +7,13 @@ the one who drives has sent before he was lost is done as if he were there.
 import random
 import socket
 from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
 from net_bench import NetBench, Pipe
+from page_bench import CLOSE, PING, TEXT, WS_UPGRADE, PageBench, frame, request
 from ugrbl.run.tcp_link import HostCalls
 
 FAST = {
@@ -46,40 +49,76 @@ _RUBBISH = (
     bytes(range(256)) * 8,
     b"$$\n$G\n?",
 )
+# Of who has come for the page, or has opened a websocket.
+_OF_BROWSERS = (
+    *(request(f"/{path}") for path in ("", "0", "17", "9999", "../board.py")),
+    *(request("/ws", **WS_UPGRADE, Host=host) for host in ("ugrbl.local", "evil.example")),
+    request("/0")[:60],
+    request("/", Cookie="x" * 5000),
+    *(frame(text) for text in ("G1X9F9000\n", "!\x18~\x84\x85", "$X\n$H\n$RST=*\n", "?" * 300)),
+    frame("$$\n" * 9, last=False),
+    frame("x" * 125, PING) * 9,
+    frame(b"\x03\xe8", CLOSE),
+    frame("{}", TEXT),
+    b"\x82\x05G1X9\n",
+    b"\x82\xff" + b"\xff" * 12,
+    random.Random(1).randbytes(300),
+)
 
 
 class Storm:
-    """Callers at real sockets, and in memory from an address that is allowed: an act each time."""
+    """Callers and visitors of the page, at real sockets, and in memory from an address that is
+    allowed: an act each time. ports: by TCP, by HTTP."""
 
-    def __init__(self, bench: NetBench, port: int, seed: int) -> None:
+    def __init__(self, bench: NetBench, ports: "tuple[int, int]", seed: int) -> None:
         self.random = random.Random(seed)
         self.bench = bench
-        self.port = port
+        self.ports = ports
         self.open: list[Any] = []
+        self.visitors: list[Pipe] = []
         self.acts = 0
 
     def act(self) -> None:
         self.acts += 1
-        self.random.choice((self.connect, self.connect, self.say, self.say, self.go, self.call))()
+        often = (self.connect, self.connect, self.say, self.say, self.go, self.call, self.visit)
+        self.random.choice(often)()
 
     def connect(self) -> None:
         """Reconnect, never reading: half-open, as far as anybody can see."""
         made = socket.socket()
         made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)
         made.setblocking(False)
-        made.connect_ex(("127.0.0.1", self.port))  # in time, where many are in front of it
-        self.open.append(made)
+        # In time, where many are in front of it.
+        tcp, http = self.ports
+        made.connect_ex(("127.0.0.1", self.random.choice((tcp, tcp, tcp, http))))
+        self.add(made)
+
+    def add(self, caller: Any) -> None:
+        self.open.append(caller)
         if len(self.open) > 12:
             self.go()
 
     def call(self) -> None:
-        self.open.append(self.bench.call())
-        self.open[-1].room = self.random.choice((0, 50, 5000))
+        pipe = self.bench.call()
+        pipe.room = self.random.choice((0, 50, 5000))
+        self.add(pipe)
+
+    def visit(self) -> None:
+        """A page is loaded anew, and its websocket opened again."""
+        if self.bench.visits.waiting:  # else they would be seen to when all is over
+            self.go()
+            return
+        pipe = self.bench.visit(self.random.choice(("10.0.0.9", "10.0.0.1")))
+        pipe.send(self.random.choice((request("/"), request("/ws", **WS_UPGRADE))))
+        pipe.room = self.random.choice((0, 50, 5000, 50_000))
+        self.visitors.append(pipe)
+        self.add(pipe)
 
     def say(self) -> None:
         if not self.open:
             return
-        caller, text = self.random.choice(self.open), self.random.choice(_RUBBISH)
+        caller = self.random.choice(self.open)
+        text = self.random.choice((*_RUBBISH, *_OF_BROWSERS))
         try:
             caller.send(text)
         except OSError:
@@ -90,7 +129,8 @@ class Storm:
             return
         caller = self.open.pop(self.random.randrange(len(self.open)))
         if isinstance(caller, Pipe):
-            caller.is_broken, caller.has_hung_up = self.random.choice(((1, 0), (0, 1), (0, 0)))
+            ways = ((1, 0), (0, 1)) if caller in self.visitors else ((1, 0), (0, 1), (0, 0))
+            caller.is_broken, caller.has_hung_up = self.random.choice(ways)
             return
         if self.random.random() < 0.5:  # a reset, not an end
             caller.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
@@ -100,6 +140,35 @@ class Storm:
         for caller in self.open:
             if not isinstance(caller, Pipe):
                 caller.close()
+
+
+class Reloads:
+    """A page that is loaded again and again, each time to the end and to its websocket."""
+
+    def __init__(self, bench: PageBench) -> None:
+        self.bench = bench
+        self.loads = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._pipe, self._pieces = self.bench.visit(), 0
+        self._pipe.send(request("/"))
+
+    def act(self) -> None:
+        head, _, body = bytes(self._pipe.got).partition(b"\r\n\r\n")
+        if head.startswith(b"HTTP/1.1 101 "):
+            self._pipe.has_hung_up = self._pipe.got.count(b"Grbl") > 0
+            if self._pipe.is_closed:
+                self.loads += 1
+                self._begin()
+        elif head and len(body) == int(head.partition(b"Length: ")[2].split(b"\r")[0]):
+            if b"close" in head:
+                self._pipe = self.bench.visit()
+                self._pipe.send(request("/ws", **WS_UPGRADE))
+                return
+            self._pipe.got.clear()
+            self._pipe.send(request(f"/{self._pieces}"))
+            self._pieces += 1
 
 
 def stream(bench: NetBench, put: Any, answers: Any, events: "dict[int, str]") -> Iterator[Any]:
@@ -131,25 +200,38 @@ def record(
     monkeypatch: pytest.MonkeyPatch,
     events: "dict[int, str]",
     *,
-    by_network: bool,
+    by: str,
     seed: "int | None",
     each_ms: int = 2,
+    reloads: bool = False,
 ) -> "tuple[Any, ...]":
     """All segments of the program, where the motors stand, and the state; with a storm of that
-    seed, or none."""
-    real = HostCalls()
-    bench = NetBench(monkeypatch, FAST, real)
-    storm = Storm(bench, real.port, seed or 0)
+    seed, or none. by: where who drives is; reloads: of the page, all the time."""
+    real, visits, folder = HostCalls(), HostCalls(), TemporaryDirectory()
+    bench = PageBench(monkeypatch, Path(folder.name), FAST, real, visits)
+    storm = Storm(bench, (real.port, visits.port), seed or 0)
 
     def script(bench: NetBench) -> Iterator[Any]:
         bench.rig.port.push({"limit_x": False})
-        if by_network:
+        if by == "network":
             driver = bench.call()
             yield from bench.until(lambda: b"Grbl" in driver.got)
             yield from bench.ask(driver, "G21\n")
             bench.rig.link.driver = driver
             got = driver.got
             put, answers = driver.send, lambda: got.count(b"ok\r\n") + got.count(b"error:")
+        elif by == "page":
+            page = yield from bench.open()
+            yield from bench.say(page, "G21")
+            bench.rig.link.driver = page.pipe
+            before = page.said().count("ok\r\n")
+
+            def answers() -> int:
+                said = page.said()
+                return said.count("ok\r\n") + said.count("error:") - before
+
+            def put(text: str) -> None:
+                page.pipe.send(frame(text))
         else:
             heard: list[str] = []
 
@@ -164,10 +246,14 @@ def record(
         bench.rows.clear()
         begun = bench.rig.now
         running = stream(bench, put, answers, events)
+        pages = [Reloads(bench)] if reloads else []
         for wake in running:
+            for reload in pages:
+                reload.act()
             if seed is not None and int(bench.rig.now / bench.rig.ticks_per_ms) % each_ms == 0:
                 storm.act()
             yield wake
+        assert not pages or pages[0].loads > 1
         for _ in range(3000):
             if seed is not None and _ % each_ms == 0:
                 storm.act()
@@ -179,9 +265,11 @@ def record(
     state: list[Any] = []
     bench.run(script)
     storm.end()
-    real.close()
+    bench.page.close()
+    folder.cleanup()
     if seed is not None:
         assert storm.acts > 500
+        assert [bytes(pipe.got[9:12]) for pipe in storm.visitors].count(b"101") > 10
     return rows, state
 
 
@@ -194,10 +282,10 @@ def ended(found: "tuple[Any, ...]") -> int:
 QUIET: "dict[Any, Any]" = {}
 
 
-def quiet(monkeypatch: pytest.MonkeyPatch, events: "dict[int, str]", by_network: bool) -> Any:
-    key = (*events.items(), by_network)
+def quiet(monkeypatch: pytest.MonkeyPatch, events: "dict[int, str]", by: str) -> Any:
+    key = (*events.items(), by)
     if key not in QUIET:
-        QUIET[key] = record(monkeypatch, events, by_network=by_network, seed=None)
+        QUIET[key] = record(monkeypatch, events, by=by, seed=None)
     return QUIET[key]
 
 
@@ -211,14 +299,14 @@ EVENTS = [
 
 
 @pytest.mark.parametrize("events", EVENTS, ids=["through", "held", "late", "reset", "limit"])
-@pytest.mark.parametrize("by_network", [False, True], ids=["cable", "network"])
+@pytest.mark.parametrize("by", ["cable", "network", "page"])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_storm_of_callers_changes_no_segment(
-    monkeypatch: pytest.MonkeyPatch, events: "dict[int, str]", by_network: bool, seed: int
+    monkeypatch: pytest.MonkeyPatch, events: "dict[int, str]", by: str, seed: int
 ) -> None:
-    usual = quiet(monkeypatch, events, by_network)
+    usual = quiet(monkeypatch, events, by)
     assert len(usual[0]) > 20
-    found = record(monkeypatch, events, by_network=by_network, seed=seed, each_ms=seed)
+    found = record(monkeypatch, events, by=by, seed=seed, each_ms=seed)
     if "\x18" not in events.values():
         assert found == usual
         return
@@ -226,6 +314,15 @@ def test_a_storm_of_callers_changes_no_segment(
     cut = min(len(found[0]), len(usual[0])) - 2
     assert cut > 100 and found[0][:cut] == usual[0][:cut]
     assert abs(ended(found) - ended(usual)) < _LATE_TICKS
+
+
+@pytest.mark.parametrize("by", ["cable", "network", "page"])
+@pytest.mark.parametrize("events", EVENTS[:2], ids=["through", "held"])
+def test_pages_that_are_loaded_change_no_segment(
+    monkeypatch: pytest.MonkeyPatch, by: str, events: "dict[int, str]"
+) -> None:
+    found = record(monkeypatch, events, by=by, seed=None, reloads=True)
+    assert found == quiet(monkeypatch, events, by)
 
 
 @pytest.mark.parametrize("lost_ms", [*range(0, 260, 13), 400, 700, 1100])

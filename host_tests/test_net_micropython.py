@@ -1,15 +1,22 @@
-"""The network's link under the desktop MicroPython, with its sockets and real callers."""
+"""The network's link, and the page, under the desktop MicroPython, with its sockets and real
+callers."""
 
+import gzip
+import http.client
 import json
 import random
+import re
 import socket
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from micropython_runner import needs_micropython, run_micropython
-from ugrbl.paths import FIRMWARE
+from page_bench import PING, WS_UPGRADE, frame, request
+from ugrbl.compiling import page_files
+from ugrbl.paths import FIRMWARE, TOOLS
 
 pytestmark = needs_micropython
 
@@ -37,7 +44,14 @@ class Cable:
         pass
 
 
-link = NetLink(Cable(), Calls(int(sys.argv[1])))
+if len(sys.argv) > 2:
+    from ports.page import Page
+    from ports.page_link import PageLink
+
+    page = Page(Calls(int(sys.argv[1])), Calls(int(sys.argv[2])), "ugrbl", sys.argv[3])
+    link = PageLink(Cable(), page, "ugrbl")
+else:
+    link = NetLink(Cable(), Calls(int(sys.argv[1])))
 link.access.secret = "23456789"
 buf = bytearray(64)
 heard = b""
@@ -66,14 +80,21 @@ print(json.dumps([longest, turns, [line.decode() for line in lines]]))
 """
 
 
-@pytest.fixture
-def port() -> int:
+def free_port() -> int:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return int(free.getsockname()[1])
 
 
-def storm(port: int, over: threading.Event) -> None:
+@pytest.fixture
+def port() -> int:
+    return free_port()
+
+
+_RUBBISH = (b"?" * 99, b"G1X9\n", bytes(range(256)))
+
+
+def storm(port: int, over: threading.Event, rubbish: "tuple[bytes, ...]" = _RUBBISH) -> None:
     """Connect, say rubbish, read nothing, hang up or reset, again and again."""
     chance = random.Random(port)
     there: list[socket.socket] = []
@@ -85,7 +106,7 @@ def storm(port: int, over: threading.Event) -> None:
         made.connect_ex(("127.0.0.1", port))
         there.append(made)
         try:
-            chance.choice(there).send(chance.choice((b"?" * 99, b"G1X9\n", bytes(range(256)))))
+            chance.choice(there).send(chance.choice(rubbish))
         except OSError:
             pass  # the board has hung up, as it should
         while len(there) > 8:
@@ -143,4 +164,100 @@ def test_lines_arrive_whole_and_in_order_and_no_turn_waits(port: int, stormy: bo
     longest, turns, lines = json.loads(told[0])
     assert lines == [*(f"G1X{number}" for number in range(_LINES)), "END"]
     assert answers.count("ok") >= _LINES + 1 and "error:9" not in answers
+    assert turns > _LINES and longest < _LONGEST_US
+
+
+# The page
+
+_OF_VISITORS = (
+    *(request(f"/{path}") for path in ("", "0", "9", "x" * 5000)),
+    request("/ws", **WS_UPGRADE),
+    request("/0")[:70],
+    frame("$X\n"),
+    bytes(range(256)),
+)
+
+
+def _get(connection: http.client.HTTPConnection, path: str) -> bytes:
+    connection.request("GET", path)
+    answer = connection.getresponse()
+    assert answer.status == 200
+    return answer.read()
+
+
+def whole_page(port: int) -> bytes:
+    """As the first page fetches it."""
+    connected(port).close()
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
+    assert b"DecompressionStream" in _get(connection, "/")
+    pieces = [_get(connection, "/0")]
+    while pieces[-1]:
+        pieces.append(_get(connection, f"/{len(pieces)}"))
+    return gzip.decompress(b"".join(pieces))
+
+
+def connected(port: int) -> socket.socket:
+    for _ in range(200):
+        try:
+            return socket.create_connection(("127.0.0.1", port), 20)
+        except OSError:
+            time.sleep(0.05)
+    raise AssertionError("nobody listens")
+
+
+def drive_by_page(port: int, out: list[str]) -> None:
+    """As drive(), some of the messages in parts."""
+    made, chance = connected(port), random.Random(port)
+    here = f"127.0.0.1:{port}"
+    made.sendall(request("/ws", **{**WS_UPGRADE, "Host": here, "Origin": f"http://{here}"}))
+    text = ""
+    while "Grbl 1.1h" not in text:
+        text += made.recv(999).decode("latin-1")
+    assert text.startswith("HTTP/1.1 101 ")
+    for line in ["$NET/KEY=23456789", *(f"G1X{number}" for number in range(_LINES)), "END"]:
+        data = f"?{line}\n".encode()
+        cut = chance.randrange(len(data))
+        parts = frame(data[:cut], last=False) + frame(b"", PING) + frame(data[cut:], 0)
+        made.sendall(parts if cut % 2 else frame(data))
+        text = ""
+        while not re.search("ok\r\n|error:", text):
+            heard = made.recv(999)
+            if not heard:
+                return  # the machine has ended
+            text += heard.decode("latin-1")
+        out.append("ok" if "error:" not in text else text)
+    made.close()
+
+
+@pytest.mark.parametrize("stormy", [False, True], ids=["quiet", "storm"])
+def test_a_page_is_loaded_and_drives_and_no_turn_waits(stormy: bool, tmp_path: Path) -> None:
+    for name, content in page_files.made().items():
+        (tmp_path / name).write_bytes(content)
+    by_tcp, by_http = free_port(), free_port()
+    arguments = (by_tcp, by_http, f"{tmp_path}/")
+    told: list[str] = []
+    machine = threading.Thread(
+        target=lambda: told.append(run_micropython(_MACHINE, *arguments, paths=[FIRMWARE]))
+    )
+    machine.start()
+    html = (TOOLS / "web" / "page" / "index.html").read_bytes()
+    assert whole_page(by_http) == html
+    over, answers = threading.Event(), list[str]()
+    driver = threading.Thread(target=drive_by_page, args=(by_http, answers))
+    driver.start()
+    time.sleep(0.5)
+    storms = [
+        threading.Thread(target=storm, args=asked)
+        for asked in ((by_tcp, over), (by_http, over, _OF_VISITORS))
+        if stormy
+    ]
+    for thread in storms:
+        thread.start()
+    driver.join(60)
+    over.set()
+    for thread in (machine, *storms):
+        thread.join(60)
+    longest, turns, lines = json.loads(told[0])
+    assert lines == [*(f"G1X{number}" for number in range(_LINES)), "END"]
+    assert set(answers) == {"ok"} and len(answers) >= _LINES + 1
     assert turns > _LINES and longest < _LONGEST_US

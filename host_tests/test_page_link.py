@@ -1,131 +1,16 @@
 """The page from the board itself: HTTP and websockets, as browsers speak and as they do not."""
 
 import gzip
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
-from net_bench import HOST, KEY, Door, NetBench, Pipe
+from net_bench import HOST, KEY
+from page_bench import BINARY, CLOSE, MASK, PING, PONG, TEXT, WS_UPGRADE, PageBench, frame, request
 from ports.page import PIECE
 from ugrbl.compiling import page_files
 from ugrbl.paths import TOOLS
 
 WHOLE = (TOOLS / "web" / "page" / "index.html").read_bytes()
-# As Chromium asks.
-_USUAL = (
-    "User-Agent: Mozilla/5.0 (X11; Linux x86_64) AppleWebKit/537.36 (KHTML, like Gecko) "
-    "Chrome/140.0.0.0 Safari/537.36\r\nAccept: */*\r\nAccept-Encoding: gzip, deflate\r\n"
-    "Accept-Language: en-GB,en;q=0.9,de;q=0.8\r\nCookie: other=1\r\n"
-)
-_KEY = "dGhlIHNhbXBsZSBub25jZQ=="  # of RFC 6455, with its answer
-_ACCEPTED = b"s3pPLMBiTxaQ9kYGzzhZRbK+xOo="
-_UPGRADE = {
-    "Connection": "keep-alive, Upgrade",
-    "Upgrade": "websocket",
-    "Sec-WebSocket-Key": _KEY,
-    "Sec-WebSocket-Version": "13",
-    "Origin": "http://ugrbl.local",
-}
-_MASK = bytes((0x11, 0x22, 0x33, 0xFE))
-_BINARY, _TEXT, _CLOSE, _PING, _PONG = 2, 1, 8, 9, 10
-
-
-def request(path: str, method: str = "GET", **fields: str) -> bytes:
-    """A request, with other fields, or an empty text where one is not to be there."""
-    there = {"Host": "ugrbl.local", **{name.replace("_", "-"): fields[name] for name in fields}}
-    lines = "".join(f"{name}: {value}\r\n" for name, value in there.items() if value)
-    return f"{method} {path} HTTP/1.1\r\n{lines}{_USUAL}\r\n".encode()
-
-
-def frame(data: "str | bytes", opcode: int = _BINARY, last: bool = True) -> bytes:
-    """As a browser sends it."""
-    data = data.encode("latin-1") if isinstance(data, str) else data
-    size = len(data)
-    head = [size | 0x80] if size < 126 else [126 | 0x80, size >> 8, size & 0xFF]
-    masked = bytes(byte ^ _MASK[i % 4] for i, byte in enumerate(data))
-    return bytes((0x80 * last | opcode, *head)) + _MASK + masked
-
-
-class Frames:
-    """What has come of a websocket."""
-
-    def __init__(self, pipe: Pipe) -> None:
-        self.pipe = pipe
-        self.messages: list[tuple[int, bytes]] = []
-
-    def look(self) -> None:
-        got = self.pipe.got
-        while len(got) >= 2:
-            start, size = (2, got[1]) if got[1] < 126 else (4, got[2] << 8 | got[3])
-            if len(got) < start + size:
-                return
-            self.messages.append((got[0], bytes(got[start : start + size])))
-            del got[: start + size]
-
-    def all(self, opcode: int) -> "list[bytes]":
-        self.look()
-        return [data for head, data in self.messages if head == 0x80 | opcode]
-
-    def said(self) -> str:
-        return b"".join(self.all(_BINARY)).decode("latin-1")
-
-    def news(self) -> str:
-        return self.all(_TEXT)[-1].decode() if self.all(_TEXT) else ""
-
-
-class PageBench(NetBench):
-    """With visitors, who come in memory."""
-
-    def __init__(self, monkeypatch: Any, folder: Path) -> None:
-        for name, content in page_files.made().items():
-            (folder / name).write_bytes(content)
-        self.visits = Door()
-        super().__init__(monkeypatch, page=(self.visits, f"{folder}/"))
-
-    def visit(self, address: str = "10.0.0.9") -> Pipe:
-        pipe = Pipe()
-        self.visits.waiting.append((pipe, address))
-        return pipe
-
-    def answer(self, pipe: Pipe, ms: float = 30_000) -> "Iterator[Any]":
-        """Head and body of the next answer."""
-        yield from self.until(lambda: b"\r\n\r\n" in pipe.got, ms)
-        head, _, _ = bytes(pipe.got).partition(b"\r\n\r\n")
-        size = int(head.partition(b"Content-Length: ")[2].split(b"\r\n")[0] or b"0")
-        start = len(head) + 4
-        yield from self.until(lambda: len(pipe.got) >= start + size)
-        body = bytes(pipe.got[start : start + size])
-        del pipe.got[: start + size]
-        return head, body
-
-    def get(self, data: bytes, address: str = "10.0.0.9") -> "Iterator[Any]":
-        """Somebody comes and asks once."""
-        pipe = self.visit(address)
-        pipe.send(data)
-        head, body = yield from self.answer(pipe)
-        return pipe, head, body
-
-    def open(self, address: str = "10.0.0.9", **fields: str) -> "Iterator[Any]":
-        """A page at its websocket; what has come of it, which is the welcome and how it stands."""
-        pipe, head, _ = yield from self.get(request("/ws", **{**_UPGRADE, **fields}), address)
-        assert head.startswith(b"HTTP/1.1 101 ") and _ACCEPTED in head, head
-        frames = Frames(pipe)
-        yield from self.until(lambda: "Grbl 1.1h" in frames.said() and bool(frames.news()))
-        return frames
-
-    def say(self, page: Frames, line: str, ms: float = 30_000) -> "Iterator[Any]":
-        """A line of a page's, and its answer."""
-        before = len(page.said())
-        page.pipe.send(frame(line + "\n"))
-
-        def is_answered() -> bool:
-            new = page.said()[before:]
-            return "ok\r\n" in new or "error:" in new or page.pipe.is_closed
-
-        yield from self.until(is_answered, ms)
-        yield self.rig.ms(20)
-        return page.said()[before:]
 
 
 @pytest.fixture
@@ -190,11 +75,11 @@ def test_the_page_comes_in_pieces_of_which_each_tells_that_the_last_has_come(ben
         (400, b"x" * 5000),
         (400, request("/", Cookie="y" * 5000)),
         (400, request("/ws")),
-        (400, request("/ws", **{**_UPGRADE, "Sec-WebSocket-Key": "short"})),
-        (400, request("/ws", **{**_UPGRADE, "Upgrade": "h2c"})),
-        (403, request("/ws", **{**_UPGRADE, "Origin": "http://evil.example"})),
-        (403, request("/ws", **{**_UPGRADE, "Host": "evil.example"})),
-        (426, request("/ws", **{**_UPGRADE, "Sec-WebSocket-Version": "8"})),
+        (400, request("/ws", **{**WS_UPGRADE, "Sec-WebSocket-Key": "short"})),
+        (400, request("/ws", **{**WS_UPGRADE, "Upgrade": "h2c"})),
+        (403, request("/ws", **{**WS_UPGRADE, "Origin": "http://evil.example"})),
+        (403, request("/ws", **{**WS_UPGRADE, "Host": "evil.example"})),
+        (426, request("/ws", **{**WS_UPGRADE, "Sec-WebSocket-Version": "8"})),
     ],
 )
 def test_what_is_no_request_for_the_page_is_refused_with_a_sentence(
@@ -253,13 +138,30 @@ def test_no_more_than_two_pieces_are_on_their_way_to_who_is_not_heard_of(bench) 
         lost = [bench.visit() for _ in range(6)]
         for pipe in lost:
             pipe.send(request("/"))
-        yield from bench.wait(1500)
+        yield from bench.wait(500)
         assert [b" 200 " in pipe.got for pipe in lost] == [True, True, *[False] * 4]
-        yield from bench.wait(9500)  # behind 2 s they are let go, and linger for 10
+        yield from bench.wait(9500)  # behind 1 s they are let go, and linger for 10
         assert sum(b" 200 " in pipe.got for pipe in lost) == 2
         yield from bench.wait(2000)
         assert sum(b" 200 " in pipe.got for pipe in lost) == 4
         assert max(len(pipe.got) for pipe in lost) < 1100
+
+    bench.run(script)
+
+
+def test_who_waits_for_a_piece_and_goes_makes_room(bench) -> None:
+    def script(bench):
+        for _ in range(2):
+            bench.visit().send(request("/0"))  # and are never heard of again
+        yield from bench.wait(1200)
+        for how in ("has_hung_up", "is_broken") * 3:
+            pipe = bench.visit()
+            pipe.send(request("/1"))
+            yield from bench.wait(30)
+            setattr(pipe, how, True)
+            yield from bench.until(lambda pipe=pipe: pipe.is_closed, 100)
+            assert not pipe.got
+        yield from bench.open()
 
     bench.run(script)
 
@@ -311,7 +213,7 @@ def test_of_two_pages_one_drives_and_each_is_told(bench) -> None:
         assert (yield from bench.say(two, "$NET")).endswith("ok\r\n")
         yield from bench.wait(50)
         assert '"driver":true' in two.news() and '"driver":false' in one.news()
-        one.pipe.send(frame("", _CLOSE))
+        one.pipe.send(frame("", CLOSE))
         yield from bench.until(lambda: one.pipe.is_closed)
         yield from bench.wait(50)
         assert '"driver":true,"drivers":1,"watchers":0' in two.news()
@@ -342,8 +244,8 @@ def test_without_the_key_a_page_may_read_and_with_it_everything(bench) -> None:
 def test_a_message_may_come_in_any_parts(bench) -> None:
     def script(bench):
         page = yield from bench.open()
-        parts = frame("G9", last=False) + frame("hello", _PING) + frame("1", 0, last=False)
-        parts += frame("", 0, last=False) + frame("G1X1F600\n", 0) + frame("x" * 40, _PONG)
+        parts = frame("G9", last=False) + frame("hello", PING) + frame("1", 0, last=False)
+        parts += frame("", 0, last=False) + frame("G1X1F600\n", 0) + frame("x" * 40, PONG)
         for byte in parts + frame("X2\n"):
             page.pipe.send(bytes((byte,)))
             yield from bench.wait(2)
@@ -351,7 +253,7 @@ def test_a_message_may_come_in_any_parts(bench) -> None:
         page.pipe.send(frame("\n" * 300) + frame("?"))
         yield from bench.until(lambda: page.said().count("ok\r\n") == 302)
         yield from bench.wait(1000)
-        assert page.all(_PONG) == [b"hello"]
+        assert page.all(PONG) == [b"hello"]
 
     bench.run(script)
     assert bench.steps() == [750, 0, 0]
@@ -361,19 +263,19 @@ def test_a_message_may_come_in_any_parts(bench) -> None:
     ("code", "data"),
     [
         (1002, b"\x82\x05G1X9\n"),  # not masked
-        (1002, frame("G1X9\n", _BINARY | 0x40)),
+        (1002, frame("G1X9\n", BINARY | 0x40)),
         (1002, frame("G1X9\n", 3)),
         (1002, frame("G1X9\n", 11)),
         (1002, frame("G1X9\n", 0)),  # goes on with nothing
         (1002, frame("G", last=False) + frame("1X9\n")),  # two at once
-        (1002, frame("x", _PING, last=False)),
-        (1002, frame("x" * 126, _PING)),
-        (1002, bytes((0x82, 0xFE, 0, 5)) + _MASK + b"G1X9\n"),
-        (1009, bytes((0x82, 0xFF)) + bytes(8) + _MASK),
-        (1003, frame('{"drive":true}', _TEXT)),
-        (1003, frame(b"\xc3\x28", _TEXT)),
-        (1000, frame(b"\x03\xe8", _CLOSE)),
-        (1000, frame(b"", _CLOSE)),
+        (1002, frame("x", PING, last=False)),
+        (1002, frame("x" * 126, PING)),
+        (1002, bytes((0x82, 0xFE, 0, 5)) + MASK + b"G1X9\n"),
+        (1009, bytes((0x82, 0xFF)) + bytes(8) + MASK),
+        (1003, frame('{"drive":true}', TEXT)),
+        (1003, frame(b"\xc3\x28", TEXT)),
+        (1000, frame(b"\x03\xe8", CLOSE)),
+        (1000, frame(b"", CLOSE)),
         (1002, b"GET / HTTP/1.1\r\nHost: ugrbl\r\n\r\n"),
     ],
 )
@@ -384,7 +286,7 @@ def test_what_is_no_frame_of_a_browsers_ends_the_connection_and_moves_nothing(
         page = yield from bench.open()
         page.pipe.send(data + frame("G1X9F900\n"))
         yield from bench.until(lambda: page.pipe.is_closed, 200)
-        assert page.all(_CLOSE) == [bytes((code >> 8, code & 0xFF))]
+        assert page.all(CLOSE) == [bytes((code >> 8, code & 0xFF))]
         assert bench.rig.link.callers() == 0
         yield from bench.open()  # another one
 
@@ -398,7 +300,7 @@ def test_a_page_that_does_not_read_is_let_go_and_nobody_waits_for_it(bench) -> N
         page.pipe.room = 100
         before = bench.rig.now
         for _ in range(40):
-            page.pipe.send(frame("$$\n") + frame("x" * 99, _PING))
+            page.pipe.send(frame("$$\n") + frame("x" * 99, PING))
             yield from bench.wait(10)
         yield from bench.until(lambda: page.pipe.is_closed, 5000)
         assert bench.rig.now - before < bench.rig.ticks_per_ms * 3000

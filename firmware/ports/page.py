@@ -29,7 +29,7 @@ _HEAD = const(512)
 _READ = const(256)
 _LONGEST = const(4096)  # of a request
 _VISITORS = const(2)
-_SILENT_MS = const(2000)  # then who is asked for nothing is let go
+_SILENT_MS = const(1000)  # then who is asked for nothing is let go
 _LINGER_MS = const(10_000)  # so long MicroPython tries on behind a close
 _OWED = const(2)  # pieces on their way
 
@@ -157,24 +157,19 @@ class Page:
 
     def _serve(self, visitor: Visitor, now_ms: int) -> "WebSocket | None":
         """Read on; answer what has been asked."""
-        if visitor.asks:
-            return self._answer(visitor, visitor.asks, now_ms) if self._has_room() else None
         count = visitor.conn.readinto(self._read) if visitor.conn else 0
         if count is None:
+            if visitor.asks:
+                return self._answer(visitor, visitor.asks, now_ms) if self._has_room() else None
             if time.ticks_diff(now_ms, visitor.heard_ms) >= _SILENT_MS:
                 self._end(visitor, now_ms)
             return None
-        if not count:
-            visitor.owes = False  # what he was sent has come before he went
+        if not count or visitor.asks:  # he has gone, or does not wait for the answer
+            visitor.owes = False
             self._end(visitor, now_ms)
             return None
         fields = visitor.hear(bytes(memoryview(self._read)[:count]), now_ms)
-        if fields is None:
-            return None
-        if fields and not self._has_room():
-            visitor.asks = fields
-            return None
-        return self._answer(visitor, fields, now_ms)
+        return None if fields is None else self._answer(visitor, fields, now_ms)
 
     def _has_room(self) -> bool:
         """Whether one more piece may be on its way."""
@@ -191,6 +186,8 @@ class Page:
             self._sentence(visitor, why[0], why[1], now_ms)
         elif words[1] == b"/ws":
             return self._open(visitor, fields, now_ms)
+        elif not self._has_room():
+            visitor.asks = fields
         elif words[1] == b"/":
             self._piece(visitor, FIRST, 0, b"text/html", _POLICY % fields[b"host"], now_ms)
         elif _number(words[1]) >= 0:
