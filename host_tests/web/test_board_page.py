@@ -1,0 +1,182 @@
+"""The page from the board itself, in a real browser: `ugrbl sim --page` has the firmware that
+serves it."""
+
+import re
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from as_users import as_users
+from browser import SETTINGS, Visitor, settings_file
+
+pytestmark = pytest.mark.xdist_group("board's page")
+
+_PATIENCE_S = 200.0  # the first machine has its kernels compiled
+
+
+class Board:
+    """A simulated board with its network, a terminal on stdin and stdout as its cable."""
+
+    def __init__(self, settings: Path) -> None:
+        command = [sys.executable, "-m", "ugrbl.cli", "sim", "--board", "sim_page", "--stdio"]
+        command += ["--settings", str(settings), "--network", "0", "--page", "0"]
+        self.process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=as_users(PYTHONUNBUFFERED="1"),
+        )
+        self.said = b""
+        threading.Thread(target=self._read, daemon=True).start()
+        self.address = self.finds(rb"its page is at (http\S+)")
+        self.key = self.finds(rb"\[MSG:Network key: (\w+)\]")
+
+    def _read(self) -> None:
+        out: Any = self.process.stdout
+        while data := out.read1(4096):
+            self.said += data
+
+    def finds(self, pattern: bytes) -> str:
+        """Waits until that is said at the cable."""
+        until = time.monotonic() + _PATIENCE_S
+        while not (found := re.search(pattern, self.said)):
+            assert time.monotonic() < until, self.said
+            time.sleep(0.05)
+        return found[1].decode()
+
+    def say(self, text: bytes) -> None:
+        """At the cable."""
+        assert self.process.stdin
+        self.process.stdin.write(text)
+        self.process.stdin.flush()
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.communicate()
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Board]:
+    """Where the test before has left it."""
+    made = Board(settings_file(tmp_path_factory.mktemp("board"), SETTINGS))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def visit(opened: Any, board: Board, tmp_path: Path) -> Iterator[Callable[..., Visitor]]:
+    contexts: list[Any] = []
+    visitors: list[Visitor] = []
+
+    def come() -> Visitor:
+        contexts.append(opened.new_context(viewport={"width": 1200, "height": 800}))
+        visitors.append(Visitor(contexts[-1].new_page(), tmp_path))
+        visitors[-1].page.goto(board.address)
+        visitors[-1].page.wait_for_selector("#state-name", timeout=30_000)
+        return visitors[-1]
+
+    yield come
+    for context in contexts:
+        context.close()
+    assert not [fault for visitor in visitors for fault in visitor.faults], "the script failed"
+
+
+def test_the_page_comes_from_the_board_reads_at_once_and_drives_with_the_key(
+    board: Board, visit: Callable[..., Visitor]
+) -> None:
+    person = visit()
+    person.sees("Idle")
+    person.waits("grbl.settings.size > 30 && grbl.modes.length")
+    person.reads("#link-name", "ugrbl")
+    person.reads("#link-words", "This page drives")
+    person.reads("#notice-key", "Only reading is open here")
+    person.click("[data-jog='X+']")
+    person.reads("#log", "[MSG:Read only: the network's key comes first")
+    person.page.fill("#notice-key input", "22222222")
+    person.page.keyboard.press("Enter")
+    person.reads("#log", "[MSG:Wrong network key]")
+    person.pauses(1.2)  # no other is heard before
+    person.page.fill("#notice-key input", board.key)
+    person.page.keyboard.press("Enter")
+    person.waits("!document.getElementById('notice-key')")
+    person.click("[data-jog='X+']")
+    person.waits("grbl.state === 'Idle' && grbl.work[0] > 0")
+    assert board.key not in person.page.content()
+    assert board.key not in person.page.url
+
+
+def test_a_key_that_is_typed_in_the_console_is_not_to_be_read_there(
+    board: Board, visit: Callable[..., Visitor]
+) -> None:
+    person = visit()
+    person.knows_all()
+    person.types(f"$NET/KEY={board.key}")
+    person.reads("#log", "> $NET/KEY=…")
+    assert board.key not in person.page.content()
+    person.page.press("#line", "ArrowUp")
+    assert person.page.input_value("#line") == ""
+
+
+def test_a_job_is_run_held_and_ended_from_it(board: Board, visit: Callable[..., Visitor]) -> None:
+    person = visit()
+    person.knows_all()
+    person.types("G92 X0 Y0")
+    person.loads("G21 G90 F1200\n" + "".join(f"G1 X{i % 2 * 10} Y{i % 3}\n" for i in range(40)))
+    person.click("#tabs [data-tab=job]")
+    person.reads("#job-words", "How long it takes is not known")
+    person.click("#run")
+    person.sees("Run")
+    person.click("#hold")
+    person.sees("Hold")
+    person.click("#resume")
+    person.reads("#job-words", "Job done: nothing refused")
+    person.rests_at(10, 0, 0)
+
+
+def test_of_two_pages_one_watches_and_takes_over_when_the_other_has_been_silent(
+    board: Board, visit: Callable[..., Visitor]
+) -> None:
+    one = visit()
+    one.knows_all()
+    two = visit()
+    two.reads("#notice-watch", "Somebody else drives this machine")
+    two.reads("#notice-watch", "STOP works there, at the cable and at the machine, and not here")
+    assert not two.page.is_enabled("#stop") and one.page.is_enabled("#stop")
+    one.types("G4 P0.1")
+    two.click("#take")
+    two.reads("#notice-trouble", "nobody has sent a line for 5 seconds")
+    two.waits("grbl.state === 'Idle'")  # it is told how the machine stands all the same
+    two.pauses(5.5)
+    two.click("#take")
+    two.waits("grbl.drives && grbl.settled")
+    one.reads("#notice-watch", "Somebody else drives this machine")
+
+
+def test_a_page_that_is_loaded_anew_while_the_machine_works_changes_nothing(
+    board: Board, visit: Callable[..., Visitor]
+) -> None:
+    person = visit()
+    person.knows_all()
+    person.waits("grbl.offset.length")
+    before = person.place()[0]
+    person.types("G91 G1 X20 F600")  # two seconds
+    person.sees("Run")
+    for _ in range(2):
+        person.page.reload()
+        person.page.wait_for_selector("#state-name", timeout=30_000)
+    person.sees("Idle")
+    person.knows_all()
+    assert person.place()[0] == pytest.approx(before + 20, abs=0.01)
+    person.types("G90")
+
+
+def test_a_board_that_goes_is_said(board: Board, visit: Callable[..., Visitor]) -> None:
+    person = visit()
+    person.knows_all()
+    board.close()
+    person.reads("#notice-lost", "The machine ends the lines it has been given")
