@@ -1,15 +1,23 @@
 """The network's link on the emulated Pico, which has no radio: files stand in for MicroPython's
-network and socket. So nothing is said of Wi-Fi, lwIP and their interrupts.
+network and socket. So nothing is said of Wi-Fi, lwIP and their interrupts. The page, too, which
+no Pico W serves, for it is the only board there is an emulator of.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 from emulated import Board, files_of
+from page_bench import PING, WS_UPGRADE, frame, request
+from ugrbl.boardfile.files import load_board
+from ugrbl.compiling import build, page_files
+from ugrbl.paths import BOARDS
 
 pytestmark = pytest.mark.xdist_group("pico network")
 
 _HEAP = 88_000  # of a Pico's, which has 41,672 bytes more of it than a Pico W
+_HEAP_WITH_PAGE = 75_000
 
 _NETWORK = b"""
 def hostname(name):
@@ -37,12 +45,14 @@ class WLAN:
 """
 
 # Who calls says these lines, one behind the answer to the one before; what he hears is in `heard`.
+# Who comes for the page says each of his behind what stands beside it.
 _SOCKET = b"""
 import io
 
 AF_INET = SOCK_STREAM = SOL_SOCKET = SO_REUSEADDR = TCP_NODELAY = 0
 heard = bytearray()
 says = []
+asks = []
 
 
 def getaddrinfo(host, port):
@@ -64,18 +74,34 @@ class Caller:
     setblocking = setsockopt = close = lambda self, *given: None
 
 
+class Visitor(Caller):
+    left = b""
+
+    def readinto(self, buf):
+        if not self.left and asks and asks[0][0] in b"." + heard:
+            self.left = asks.pop(0)[1]
+            heard[:] = b""
+        count = min(len(self.left), len(buf))
+        buf[:count] = self.left[:count]
+        self.left = self.left[count:]
+        return count or None
+
+
 class socket(io.IOBase):
     def __init__(self, *given):
         self.called = False
 
+    def bind(self, place):
+        self.said = says if place[1] == 23 else asks
+
     def ioctl(self, request, given):
-        return 0 if self.called or not says or request != 3 else 1
+        return 0 if self.called or not self.said or request != 3 else 1
 
     def accept(self):
         self.called = True
-        return Caller(), ("10.0.0.1", 4711)
+        return (Caller if self.said is says else Visitor)(), ("10.0.0.1", 4711)
 
-    setsockopt = bind = listen = setblocking = lambda self, *given: None
+    setsockopt = listen = setblocking = lambda self, *given: None
 """
 
 _MAIN = b"""
@@ -92,7 +118,7 @@ import ports
 store = ports.FlashStore()
 if not store.load("network"):
     store.save("network", ["SSID=4142", "PASS=4142434445464748", "KEY=23456789"])
-socket.says += [(0, b"G1X1F600\\n"), (1, b"$NET/KEY=23456789\\n"), (2, b"G1X2F600\\n")]
+socket.SAYS
 power = power_up.build()
 commands = power[0].commands
 usual = commands.whose
@@ -103,7 +129,7 @@ def whose(line, length):
         gc.collect()
         commands._report.message("free %d." % gc.mem_free())
     elif line[1] == 85:
-        commands._report.message("heard %s." % bytes(socket.heard))
+        commands._report.message("heard %s." % bytes(socket.heard[-99:]))
     else:
         return usual(line, length)
     return lambda line, length: None
@@ -114,17 +140,44 @@ machine = power_up.live(power)
 """
 
 
-@pytest.fixture(scope="module")
-def machine(uf2: Path) -> Board:
-    files = {
-        **files_of("pico_w_wifi"),
-        "no_network.py": _NETWORK,
-        "no_socket.py": _SOCKET,
-        "main.py": _MAIN,
-    }
-    board = Board(uf2, files).boot()
+_SAYS = [(0, b"G1X1F600\n"), (1, b"$NET/KEY=23456789\n"), (2, b"G1X2F600\n")]
+_ASKS = [
+    (b".", request("/1")),
+    (b" 200 OK", request("/ws", **WS_UPGRADE)),
+    (b"Grbl 1.1h", frame("$NET/KEY=2345", last=False) + frame("6789\n", 0)),
+    (b"ok\r\n", frame("?", PING) + frame("G1X3F600\n")),
+]
+
+
+def started(uf2: Path, files: "Mapping[str, bytes | None]", says: str) -> Board:
+    """A Pico with these files, and who says what to it."""
+    main = _MAIN.replace(b"socket.SAYS", says.encode())
+    stand_ins = {"no_network.py": _NETWORK, "no_socket.py": _SOCKET, "main.py": main}
+    board = Board(uf2, {**files, **stand_ins}).boot()
     board.wait_for("[MSG:First start: factory settings]\r\n")
     return board
+
+
+def free_bytes(machine: Board) -> int:
+    free = int(machine.ask("$M").partition("free ")[2].partition(".")[0])
+    print("free:", free)
+    return free
+
+
+@pytest.fixture
+def machine(uf2: Path) -> Board:
+    return started(uf2, files_of("pico_w_wifi"), f"socket.says += {_SAYS}")
+
+
+@pytest.fixture
+def with_page(uf2: Path) -> Board:
+    """As no Pico W is let be."""
+    described: Any = load_board("pico_w_wifi")
+    described.PAGE = True
+    made = build.compile_all(described.MPY_ARCH, described)
+    text = (BOARDS / "pico_w_wifi.py").read_bytes() + b"PAGE = True\n"
+    files = {**files_of("pico_w_wifi"), **made.files, **page_files.made(), "board.py": text}
+    return started(uf2, files, f"socket.asks += {_ASKS}")
 
 
 def test_who_calls_drives_with_the_key_and_memory_is_left(machine: Board) -> None:
@@ -134,6 +187,15 @@ def test_who_calls_drives_with_the_key_and_memory_is_left(machine: Board) -> Non
     machine.send("?")
     assert "MPos:2.000,0.000,0.000" in machine.wait_for(">")
     machine.pico.run_us(3_000_000)
-    free = int(machine.ask("$M").partition("free ")[2].partition(".")[0])
-    print("free:", free)
-    assert free >= _HEAP
+    assert free_bytes(machine) >= _HEAP
+
+
+def test_the_page_is_served_and_drives_and_what_memory_is_left(with_page: Board) -> None:
+    with_page.pico.run_us(2_500_000)
+    with_page.forget()
+    with_page.send("?")
+    assert "MPos:3.000,0.000,0.000" in with_page.wait_for(">")
+    with_page.pico.run_us(3_000_000)
+    said = with_page.ask("$U")
+    assert "\\x8a\\x01?" in said and "ok\\r\\n" in said  # the pong, and the answer
+    assert free_bytes(with_page) >= _HEAP_WITH_PAGE
