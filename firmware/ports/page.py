@@ -36,7 +36,8 @@ _OWED = const(2)  # pieces on their way
 _KEY_LENGTH = const(24)
 _LONGEST_HOST = const(21)  # of one that is a number, with its port
 _DIGITS = const(5)
-# What is read of a request; the first line is called "".
+# Constants stand in few tuples: a collection of garbage can keep 60 of a module's in mind.
+# What is read of a request, the first line being "", and their places here.
 _FIELDS = (
     b"",
     b"host",
@@ -47,18 +48,57 @@ _FIELDS = (
     b"content-length",
     b"transfer-encoding",
 )
-_ANSWER = b"HTTP/1.1 %s\r\nContent-Type: %s\r\nContent-Length: %d\r\nCache-Control: no-store\r\n"
-_AND_GO = b"Connection: close\r\n"
-# Nobody else's page may hold ours in a frame and have its buttons clicked unseen.
-_POLICY = (
+_LINE = const(0)
+_HOST = const(1)
+_ORIGIN = const(2)
+_UPGRADE = const(3)
+_KEY = const(4)
+_VERSION = const(5)
+_LENGTH = const(6)
+_ENCODING = const(7)
+# What has to be in some of them.
+_WORDS = (b"GET", b"HTTP/1.1", b"websocket", b"13")
+_NAMES = (b"localhost", b".local")
+_SIGNS = b".0123456789"
+# Statuses and sentences.
+_REFUSALS = (
+    (b"400 Bad Request", b"this is no request of HTTP/1.1"),
+    (b"405 Method Not Allowed", b"the page can be read, and no more"),
+    (b"403 Forbidden", b"the machine has another name: take its number"),
+    (b"403 Forbidden", b"a page from elsewhere may not talk to the machine"),
+    (b"404 Not Found", b"the page is at /"),
+    (b"404 Not Found", b"the page is not on the board: ugrbl deploy puts it there"),
+    (b"400 Bad Request", b"here a websocket is wanted: open / in a browser"),
+    (b"426 Upgrade Required", b"version 13 is wanted"),
+)
+_NO_REQUEST = const(0)
+_NO_READING = const(1)
+_OTHER_NAME = const(2)
+_OTHER_PAGE = const(3)
+_NOT_HERE = const(4)
+_NO_PAGE = const(5)
+_NO_SOCKET = const(6)
+_OTHER_VERSION = const(7)
+_GOOD = const(-1)
+# An answer's head; what ends it; whose page may hold ours in a frame and have its buttons clicked
+# unseen: nobody's; the answer to a handshake.
+_FORMS = (
+    b"HTTP/1.1 %s\r\nContent-Type: %s\r\nContent-Length: %d\r\nCache-Control: no-store\r\n",
+    b"Connection: close\r\n",
     b"Content-Security-Policy: default-src 'self' 'unsafe-inline' data: blob:;"
-    b" connect-src 'self' ws://%s; frame-ancestors 'none'\r\n"
-)
-_UPGRADE = (
+    b" connect-src 'self' ws://%s; frame-ancestors 'none'\r\n",
     b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-    b"Sec-WebSocket-Accept: %s\r\n\r\n"
+    b"Sec-WebSocket-Accept: %s\r\n\r\n",
 )
-_TEXT = b"text/plain"
+_ANSWER = const(0)
+_AND_GO = const(1)
+_POLICY = const(2)
+_ACCEPTED = const(3)
+# Kinds of what is sent.
+_KINDS = (b"text/plain", b"text/html", b"application/octet-stream")
+_SENTENCE = const(0)
+_HTML = const(1)
+_PIECE = const(2)
 
 
 class Visitor:
@@ -69,10 +109,10 @@ class Visitor:
         self.address = ""
         self.owes = False  # a piece has been sent, and nothing has come since
         self.heard_ms = 0
-        self.asks: "dict[bytes, bytes] | None" = None  # what is not answered yet
+        self.asks: "dict[int, bytes] | None" = None  # what is not answered yet
         self._rest = b""
         self._size = 0
-        self._fields: "dict[bytes, bytes]" = {}
+        self._fields: "dict[int, bytes]" = {}
 
     def begin(self, conn: "Connection", address: str, now_ms: int) -> None:
         """Somebody has come."""
@@ -88,7 +128,7 @@ class Visitor:
         self._size = 0
         self._fields = {}
 
-    def hear(self, data: bytes, now_ms: int) -> "dict[bytes, bytes] | None":
+    def hear(self, data: bytes, now_ms: int) -> "dict[int, bytes] | None":
         """A request, when it is whole; without a first line where it cannot be one."""
         self.owes = False
         self.heard_ms = now_ms
@@ -104,10 +144,12 @@ class Visitor:
                 return fields if good else {}
             name, _, value = line.partition(b":") if fields else (b"", b"", line)
             name = name.lower()
-            if name in fields:
+            if name not in _FIELDS:
+                continue
+            place = _FIELDS.index(name)
+            if place in fields:
                 return {}
-            if name in _FIELDS:
-                fields[name] = value.strip()
+            fields[place] = value.strip()
         return {} if self._size > _LONGEST else None
 
 
@@ -176,63 +218,58 @@ class Page:
         return len(self._lingering) + len([1 for one in self._visitors if one.owes]) < _OWED
 
     def _answer(
-        self, visitor: Visitor, fields: "dict[bytes, bytes]", now_ms: int
+        self, visitor: Visitor, fields: "dict[int, bytes]", now_ms: int
     ) -> "WebSocket | None":
         visitor.asks = None
         visitor.heard_ms = now_ms
-        words = fields.get(b"", b"").split(b" ")
+        words = fields.get(_LINE, b"").split(b" ")
         why = self._refusal(fields, words)
-        if why:
-            self._sentence(visitor, why[0], why[1], now_ms)
+        if why >= 0:
+            self._refuse(visitor, why, now_ms)
         elif words[1] == b"/ws":
             return self._open(visitor, fields, now_ms)
         elif not self._has_room():
             visitor.asks = fields
         elif words[1] == b"/":
-            self._piece(visitor, FIRST, 0, b"text/html", _POLICY % fields[b"host"], now_ms)
-        elif _number(words[1]) >= 0:
-            kind = b"application/octet-stream"
-            self._piece(visitor, NAME, _number(words[1]), kind, b"", now_ms)
+            self._piece(visitor, _HTML, 0, _FORMS[_POLICY] % fields[_HOST], now_ms)
         else:
-            self._sentence(visitor, b"404 Not Found", b"the page is at /", now_ms)
+            self._piece(visitor, _PIECE, _number(words[1]), b"", now_ms)
         return None
 
-    def _refusal(
-        self, fields: "dict[bytes, bytes]", words: "list[bytes]"
-    ) -> "tuple[bytes, bytes] | None":
-        """Status and sentence of a request that is none of ours."""
-        if len(words) != 3 or words[2] != b"HTTP/1.1":
-            return b"400 Bad Request", b"this is no request of HTTP/1.1"
-        if words[0] != b"GET" or b"content-length" in fields or b"transfer-encoding" in fields:
-            return b"405 Method Not Allowed", b"the page can be read, and no more"
-        host = fields.get(b"host", b"").lower()
+    def _refusal(self, fields: "dict[int, bytes]", words: "list[bytes]") -> int:
+        """Why a request is none of ours, a place in _REFUSALS; _GOOD where it is."""
+        if len(words) != 3 or words[2] != _WORDS[1]:
+            return _NO_REQUEST
+        if words[0] != _WORDS[0] or _LENGTH in fields or _ENCODING in fields:
+            return _NO_READING
+        host = fields.get(_HOST, b"").lower()
         if not self._is_ours(host):
-            return b"403 Forbidden", b"the machine has another name: take its number"
-        if fields.get(b"origin", b"http://" + host).lower() != b"http://" + host:
-            return b"403 Forbidden", b"a page from elsewhere may not talk to the machine"
-        return None
+            return _OTHER_NAME
+        here = b"http://" + host
+        if fields.get(_ORIGIN, here).lower() != here:
+            return _OTHER_PAGE
+        path = words[1]
+        return _GOOD if path in (b"/", b"/ws") or _number(path) >= 0 else _NOT_HERE
 
     def _is_ours(self, host: bytes) -> bool:
         """A name of the board's, or a number, which leads nowhere else tomorrow."""
         name = host.partition(b":")[0]
-        if name in (self._host, self._host + b".local", b"localhost"):
+        if name in (self._host, self._host + _NAMES[1], _NAMES[0]):
             return True
-        return _is_of(name, b".0123456789") and len(host) <= _LONGEST_HOST
+        return _is_of(name, _SIGNS) and len(host) <= _LONGEST_HOST
 
     def _open(
-        self, visitor: Visitor, fields: "dict[bytes, bytes]", now_ms: int
+        self, visitor: Visitor, fields: "dict[int, bytes]", now_ms: int
     ) -> "WebSocket | None":
         """The handshake."""
-        key = fields.get(b"sec-websocket-key", b"")
-        upgrade = fields.get(b"upgrade", b"").lower()
-        if upgrade != b"websocket" or len(key) != _KEY_LENGTH:
-            why = b"here a websocket is wanted: open / in a browser"
-            self._sentence(visitor, b"400 Bad Request", why, now_ms)
+        key = fields.get(_KEY, b"")
+        if fields.get(_UPGRADE, b"").lower() != _WORDS[2] or len(key) != _KEY_LENGTH:
+            self._refuse(visitor, _NO_SOCKET, now_ms)
             return None
-        if fields.get(b"sec-websocket-version") != b"13":
-            self._sentence(visitor, b"426 Upgrade Required", b"version 13 is wanted", now_ms)
+        if fields.get(_VERSION) != _WORDS[3]:
+            self._refuse(visitor, _OTHER_VERSION, now_ms)
             return None
-        conn, answer = visitor.conn, _UPGRADE % web_socket.accepted(key)
+        conn, answer = visitor.conn, _FORMS[_ACCEPTED] % web_socket.accepted(key)
         if conn is None or conn.write(answer) != len(answer):
             self._end(visitor, now_ms)
             return None
@@ -241,25 +278,26 @@ class Page:
 
     # Answers
 
-    def _sentence(self, visitor: Visitor, status: bytes, text: bytes, now_ms: int) -> None:
-        head = _ANSWER % (status, _TEXT, len(text) + 1) + _AND_GO
+    def _refuse(self, visitor: Visitor, why: int, now_ms: int) -> None:
+        """With a sentence of _REFUSALS, and the end."""
+        status, text = _REFUSALS[why]
+        head = _FORMS[_ANSWER] % (status, _KINDS[_SENTENCE], len(text) + 1) + _FORMS[_AND_GO]
         self._put(visitor, memoryview(head + b"\r\n" + text + b"\n"), now_ms)
         self._end(visitor, now_ms)
 
-    def _piece(
-        self, visitor: Visitor, name: str, number: int, kind: bytes, more: bytes, now_ms: int
-    ) -> None:
+    def _piece(self, visitor: Visitor, kind: int, number: int, more: bytes, now_ms: int) -> None:
         """Part of a file; behind the last there is an empty one, and the end."""
         out = memoryview(self._out)
+        name = self._folder + (FIRST if kind == _HTML else NAME)
         try:
-            with open(self._folder + name, "rb") as file:
+            with open(name, "rb") as file:
                 file.seek(number * PIECE)
                 count = file.readinto(out[_HEAD:])
         except OSError:
-            why = b"the page is not on the board: ugrbl deploy puts it there"
-            self._sentence(visitor, b"404 Not Found", why, now_ms)
+            self._refuse(visitor, _NO_PAGE, now_ms)
             return
-        head = _ANSWER % (b"200 OK", kind, count) + more + (b"" if count else _AND_GO) + b"\r\n"
+        head = _FORMS[_ANSWER] % (b"200 OK", _KINDS[kind], count) + more
+        head += (b"" if count else _FORMS[_AND_GO]) + b"\r\n"
         start = _HEAD - len(head)
         out[start:_HEAD] = head
         visitor.owes = count > 0
@@ -285,7 +323,7 @@ class Page:
 def _number(path: bytes) -> int:
     """Of `/12`: 12; -1 of anything else."""
     text = path[1:]
-    return int(text) if _is_of(text, b"0123456789") and len(text) < _DIGITS else -1
+    return int(text) if _is_of(text, _SIGNS[1:]) and len(text) < _DIGITS else -1
 
 
 def _is_of(text: bytes, signs: bytes) -> bool:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _HTTP = const(80)
 _UNHEARD = const(1600)
+_SAID = (b"false", b"true")
 _NEWS = b'{"link":{"name":"%s","open":true},"driver":%s,"drivers":%d,"watchers":%d,"key":%s}'
 
 
@@ -59,15 +60,11 @@ class PageLink(NetLink):
                 socket.told = told
                 socket.news = _NEWS % (
                     self._host.encode(),
-                    _said(caller is driver),
+                    _SAID[caller is driver],
                     driver is not None,
                     watchers,
-                    _said(not caller.trusted),
+                    _SAID[not caller.trusted],
                 )
-
-
-def _said(yes: bool) -> bytes:
-    return b"true" if yes else b"false"
 
 
 def beside(cable: "BoardLink", calls: "Incoming", host: str) -> PageLink:
