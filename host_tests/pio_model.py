@@ -15,21 +15,25 @@ from typing import Any
 import machine
 import pytest
 import rp2
-from pio import engine, hub, pulses, stops, turn
+from pio import engine, hub, memory, pulses, stops, turn
+from rp2040py.irq import IRQ
 from rp2040py.rp2040 import RP2040
 
 # The data sheet's addresses.
-_PIO = (0x50200000, 0x50300000)
+_PIO = (0x50200000, 0x50300000, 0x50400000)
 _CTRL, _FDEBUG, _FLEVEL, _TXF, _INSTR_MEM = 0x00, 0x08, 0x0C, 0x10, 0x48
 _SM, _SM_STRIDE = 0xC8, 0x18
 _CLKDIV, _EXECCTRL, _SHIFTCTRL, _ADDR, _INSTR, _PINCTRL = range(0, 0x18, 4)
 _FUNCTION = 0x40014004  # of a pin: GPIO0_CTRL
 _DMA, _DMA_STRIDE, _DMA_END = 0x50000000, 0x40, 0x50001000
 _DMA_READ, _DMA_CONTROL, _DMA_TRIGGER, _DMA_CREDITS = 0x00, 0x10, 0x1C, 0x800
-_BUSY = 1 << 24
+_BUSY, _BUSY_2350 = 1 << 24, 1 << 26
 _FIFO = 4  # words
 _NVIC_ENABLE, _NVIC_DISABLE = 0xE000E100, 0xE000E180
 _RAM, _RAM_END = 0x20000000, 0x20042000
+# Where an RP2350 has what the model has elsewhere: timer, and control of pins.
+_MOVED = {0x400B0: 0x40054, 0x40028: 0x40014}
+MOST_OF_RP2040 = 6  # motors; a chip with more is an RP2350
 
 _OUT_ENABLE = 0xE081  # set(pindirs, 1)
 _PULL, _LOAD_ISR = 0x8080, 0xA0C7  # pull(noblock), mov(isr, osr)
@@ -158,7 +162,7 @@ class Channel:
         self._chip = chip
         block, own = divmod(number, _MACHINES)
         self._put_at = _PIO[block] + _TXF + 4 * own
-        self._fifo = chip.mcu.pio[block].machines[own].tx_fifo
+        self._fifo = chip.pios[block].machines[own].tx_fifo
         self._level = 0  # of the FIFO, when last seen
         self._room = _FIFO
         self._flying: deque[tuple[int, int]] = deque()  # when it arrives, the word
@@ -176,7 +180,7 @@ class Channel:
             case 0x08 | 0x1C:
                 return self._left
             case 0x0C:
-                return _BUSY if self.busy else 0
+                return self._chip.busy_bit if self.busy else 0
             case 0x800:
                 return self._room
         raise AssertionError(f"nobody asks for register {register:#x} of DMA")
@@ -239,6 +243,12 @@ class PioChip(_Chip):
         *timing_us: int,
     ) -> None:
         super().__init__()
+        self.is_rp2350 = len(step) > MOST_OF_RP2040
+        self.busy_bit = _BUSY_2350 if self.is_rp2350 else _BUSY
+        self.pios = list(self.mcu.pio)
+        if self.is_rp2350:
+            self.pios.append(type(self.pios[1])(self.mcu, "PIO2", IRQ.PIO1_IRQ0, 1))
+            self.mcu.peripherals[_PIO[2] >> 12] = self.pios[2]
         self.latency = 0
         self.interrupts: list[int] = []
         self.accesses = 0  # to registers and memory, in what may be interrupted
@@ -272,18 +282,19 @@ class PioChip(_Chip):
         def ptr32(memory: Any) -> Any:
             return Pointer(memory) if isinstance(memory, int) else plain(memory)
 
-        for module in (engine, hub, pulses, stops, turn):
+        for module in (engine, hub, memory, pulses, stops, turn):
             patch.setattr(module, "ptr32", ptr32, raising=False)
-        patch.setattr(hub, "_make_array", self._array)
-        patch.setattr(hub, "_make_address", self._address)
+        patch.setattr(memory, "_make_array", self._array)
+        patch.setattr(memory, "_make_address", self._address)
         patch.setattr(machine, "mem32", _Registers(self))
         patch.setattr(rp2.StateMachine, "machines", {})
         patch.setattr(rp2.PIO, "handlers", {})
         patch.setattr(rp2.DMA, "claimed", 0)
-        name = "Raspberry Pi Pico with RP2040"
+        name = f"a board with {'RP2350' if self.is_rp2350 else 'RP2040'}"
         patch.setattr(sys.implementation, "_machine", name, raising=False)
 
     def _connect(self) -> None:
+        self._clocks = self.pios[self.clock_block]
         for number, made in rp2.StateMachine.machines.items():
             block = number // 4
             at = made.program[1 + block]
@@ -336,14 +347,14 @@ class PioChip(_Chip):
             self._pins_may = address == _NVIC_ENABLE
         self.write(address, value)
         # An instruction forced into a machine at rest: the model looks at pins when one runs.
-        for block in self.mcu.pio:
+        for block in self.pios:
             block.check_changed_pins()
 
     def read(self, address: int) -> int:
         """A register."""
         if _DMA <= address < _DMA_END:
             return self.channels[(address & 0x7FF) // _DMA_STRIDE].read(address & 0x83F)
-        return int(self.mcu.read_uint32(address))
+        return int(self.mcu.read_uint32(self._place(address)))
 
     def write(self, address: int, value: int) -> None:
         address &= 0xFFFFFFFF
@@ -352,7 +363,13 @@ class PioChip(_Chip):
         elif channel := self._of_fifo(address):
             channel.put(value & 0xFFFFFFFF)
         else:
-            super().write(address, value)
+            super().write(self._place(address), value)
+
+    def _place(self, address: int) -> int:
+        """Where the model has a register."""
+        if self.is_rp2350 and address >> 12 in _MOVED:
+            return _MOVED[address >> 12] << 12 | address & 0xFFF
+        return address
 
     def _of_fifo(self, address: int) -> "Channel | None":
         for channel in self.channels:
@@ -362,7 +379,7 @@ class PioChip(_Chip):
 
     def lost(self) -> int:
         """Lanes whose machine's FIFO has been given a word when it was full."""
-        first, second = (self.read(at + _FDEBUG) >> _TXOVER & 15 for at in _PIO)
+        first, second = (self.read(at + _FDEBUG) >> _TXOVER & 15 for at in _PIO[:2])
         return (first | second << _MACHINES) & (1 << len(self.channels)) - 1
 
     # Time and interrupts
@@ -373,8 +390,18 @@ class PioChip(_Chip):
         while self.now < end:
             if self._due is not None and self._due <= self.now:
                 self._due = None
-                self.interruptible(lambda: rp2.PIO.handlers[1][0](rp2.PIO(1)))
+                self.interruptible(self.interrupt)
             self._tick()
+
+    @property
+    def clock_block(self) -> int:
+        """The PIO whose last machine is the clock's."""
+        return max(rp2.StateMachine.machines) // _MACHINES
+
+    def interrupt(self) -> None:
+        """The engine's own comes."""
+        block = self.clock_block
+        rp2.PIO.handlers[block][0](rp2.PIO(block))
 
     def run_until_idle(self, limit: int = 20_000_000) -> None:
         """Until the engine has made all it is given."""
@@ -405,15 +432,15 @@ class PioChip(_Chip):
             action()
 
     def _tick(self) -> None:
-        first, second = self.mcu.pio
-        first.advance(1)
-        second.advance(1)
+        for block in self.pios:
+            block.advance(1)
         self.now += 1
         for channel in self.channels:
             channel.advance()
         self.mcu.clock.tick(_TICK_NS)
-        if second.irq & _CLOCK_FLAG:
-            second.irq &= ~_CLOCK_FLAG
+        clocks = self._clocks
+        if clocks.irq & _CLOCK_FLAG:
+            clocks.irq &= ~_CLOCK_FLAG
             self.interrupts.append(self.now)
             if self._due is None:
                 self._due = self.now + self.latency

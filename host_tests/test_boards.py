@@ -26,6 +26,18 @@ GOOD: dict[str, Any] = {
 PICO2_W = {"CHIP": "pico2_w", "MPY_ARCH": "armv7emsp", "LINK": "wifi", "PAGE": True}
 
 
+OF_48: dict[str, Any] = {"CHIP": "rp2350b", "MPY_ARCH": "armv7emsp"}
+EIGHT: dict[str, Any] = {
+    **OF_48,
+    "MOTORS": "XYZABCXY",
+    "STEP": tuple(range(8)),
+    "DIR": (*range(8, 14), 15, 16),
+    "LIMIT": (17, 18, 19, 20, 21, 22, None, 26),
+    "SPINDLE_PWM": 35,
+    "FLOOD": 46,
+}
+
+
 def board(**changes: Any) -> ModuleType:
     made = ModuleType("made")
     for name, value in {**GOOD, **changes}.items():
@@ -79,6 +91,14 @@ def test_a_board_is_data_only(name: str) -> None:
         ({"DIR": (5, 6)}, "DIR wants 3 pins, not 2"),
         ({"STEP": (2, 3), "DIR": (5, 6), "LIMIT": None}, "STEP wants 3 pins, for XYZ"),
         ({"STEP": (2, 3, 4, 8, 12, 20, 21)}, "pio has pulses for 6 motors at most"),
+        ({**OF_48, "STEP": tuple(range(19, 28))}, "pio has pulses for 8 motors at most"),
+        ({**EIGHT, "MOTORS": None}, "STEP has 8 pins and there are 6 axes: MOTORS says which"),
+        ({**EIGHT}, ""),
+        ({**EIGHT, "STEP": (*range(13, 20), 32)}, "STEP: pin 32 cannot do it: steps, direct"),
+        ({**EIGHT, "PROBE": 47}, "PROBE: pin 47 cannot do it: steps, directions, limits, probe"),
+        ({**EIGHT, "CONTROL": (None, 40, None, None)}, "HOLD: pin 40 cannot do it"),
+        ({**EIGHT, "CHIP": "pico2_w", "FLOOD": None}, "Raspberry Pi Pico 2 W has no pin 35 to co"),
+        ({**EIGHT, "CHIP": None, "FLOOD": None}, "RP2350 on a board of its own has no pin 35 to"),
         ({"CONTROL": (14,)}, "CONTROL wants four entries"),
         ({"SAFETY_DOOR": True}, "SAFETY_DOOR is set and there is no pin for the door"),
         ({"PWM_MAX": 65535}, "PWM_MAX is 65535: it is 16383 at the most"),

@@ -253,6 +253,34 @@ def test_pins_that_share_pulses_are_told_of(
             port.pulse(0, hz, 200)
 
 
+@pytest.mark.parametrize(
+    ("pin", "other", "can_be"),
+    [(36, 4, True), (34, 2, True), (33, 40, False), (33, 34, True), (32, 40, False)],
+)
+def test_pins_above_31_share_pulses_with_each_other_only(
+    pin: int, other: int, can_be: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An RP2350B's: 32 and 40 are one output of slice 8, 33 and 41 the other."""
+    monkeypatch.setattr(sys.implementation, "_machine", "a board with RP2350", raising=False)
+    port = gpio.GpioPort(board(SPINDLE_PWM=16, SPINDLE_DIR=None, FLOOD=None))
+    port.add_pins((pin, other), ())
+    port.rest(0)
+    port.pulse(1, 50, 100)
+    if can_be:
+        port.pulse(0, 60, 200)
+    else:
+        with pytest.raises(ValueError, match="cannot have other pulses than pin"):
+            port.pulse(0, 60, 200)
+
+
+def test_inputs_that_are_looked_at_at_once_are_pins_up_to_31(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys.implementation, "_machine", "a board with RP2350", raising=False)
+    with pytest.raises(ValueError, match="pin 33: limits, probe, buttons are pins 0 to 31"):
+        gpio.GpioPort(board(LIMIT=(9, 33, None)))
+
+
 def test_pulses_that_the_chip_meets_nearly_are_shared_all_the_same() -> None:
     port = gpio.GpioPort(board(SPINDLE_PWM=16, SPINDLE_DIR=None, FLOOD=None))
     port.add_pins((20, 21), ())

@@ -89,6 +89,26 @@ def test_four_axes_are_possible(file: Path) -> None:
     assert len(load(file).STEP) == 4
 
 
+def test_eight_motors_are_asked_what_they_move(file: Path) -> None:
+    """And pins above 31 are for what does not hurry; the file says which chip has them."""
+    pins = ("--chip", "rp2350b", "--pin", "step=0,1,2,3,4,5,6,7")
+    words = (*pins, "--pin", "dir=8,9,10,11,12,13,14,15")
+    done = ugrbl("router", *words, "-o", file)
+    assert done.exit_code == 1
+    assert "STEP has 8 pins and there are 6 axes: MOTORS says" in " ".join(done.output.split())
+    done = ugrbl("router", *words, "--motors", "XYZABCYX", "--pin", "flood=47", "-o", file)
+    assert done.exit_code == 0, done.output
+    board: Any = load(file)
+    assert (board.CHIP, board.MOTORS, board.FLOOD) == ("rp2350b", "XYZABCYX", 47)
+    answers = ["XYZ", "XYZABCXY", "", "8 9 10 11 12 13 14 32", "8 9 10 11 12 13 14 15"]
+    answers += [""] * 13
+    words = (*pins, "--ask", "--force", "-o", file)
+    done = ugrbl("router", *words, answers="\n".join(answers) + "\n")
+    assert done.exit_code == 0, done.output
+    assert "MOTORS has 3 letters, and STEP 8 pins" in done.output
+    assert "DIR: pin 32 cannot do it" in done.output
+
+
 def test_an_axis_that_turns_is_asked_for(file: Path) -> None:
     pins = ("--chip", "rp2040", "--pin", "step=0,1,2,3")
     answers = ["", "X", "a", "4 5 6 7", *[""] * 13]

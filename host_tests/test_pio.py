@@ -21,7 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from laws import Bench, Limits
 from motion.layout import KEEP_POWER, ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS
-from pio import beam_program, hub, layout, programs, pulses
+from pio import beam_program, layout, memory, programs, pulses
 from pio.engine import PioEngine
 from test_engines import _play_words
 from ugrbl.boardfile.files import load_board
@@ -31,10 +31,11 @@ pio_model = pytest.importorskip("pio_model", reason="rp2040py has no wheel for t
 
 HZ = 12_500_000
 LOG2 = PioEngine.segment_log2
-_STEP, _DIR = (2, 4, 6, 8, 10, 12, 14), (3, 5, 7, 9, 11, 13, 15)
+_STEP, _DIR = tuple(range(2, 20, 2)), tuple(range(3, 21, 2))
 AXES = 3
 STEP, DIR = _STEP[:AXES], _DIR[:AXES]
-MOTORS = (3, 4, 5, 6)  # that a chip may have; the fifth and the sixth are PIO 1's
+# That a chip may have: from the fifth on they are PIO 1's, the seventh and eighth an RP2350's.
+MOTORS = (3, 4, 6, 8)
 _OF_PIO_0 = 4
 LONGEST_DELAY, MOST_STEPS = (1 << 19) - 1, (1 << 12) - 1
 
@@ -752,7 +753,7 @@ def rush(
     steps of the first ones."""
     gap = pulses.shortest_gap(ticks(timing[0]))
     edges = [(30, gap, 30 * gap), (30, gap, 30 * gap), (7, 0, 25 * gap)]
-    return [row(30 * gap, dirs, *(edges * 2)[:motors]) for dirs in ways]
+    return [row(30 * gap, dirs, *(edges * 3)[:motors]) for dirs in ways]
 
 
 def clocked(words: Words, rows: "list[array[int]]") -> "list[int]":
@@ -882,10 +883,10 @@ def test_a_turn_that_a_stop_has_cut_off_is_made_anew(motors: int) -> None:
             assert seen.setup >= ticks(bed.timing[2])
 
 
-@pytest.mark.parametrize(("motors", "each"), [(3, 7), (6, 19)])
+@pytest.mark.parametrize(("motors", "each"), [(3, 7), (6, 19), (8, 31)])
 def test_a_stop_may_interrupt_the_engines_own_interrupt(motors: int, each: int) -> None:
     """A limit switch closes while the engine is at work: after every seventh access to memory."""
-    rows = rush([0, 63, 5], motors=motors)
+    rows = rush([0, 255, 5], motors=motors)
     with a_bed(motors=motors) as bed:
         total = bed.start(rows).finish().chip.accesses
     assert total > 1000
@@ -906,7 +907,7 @@ def test_a_stop_may_interrupt_the_engines_own_interrupt(motors: int, each: int) 
             assert [bed.position()] == [bed.places()] == places
 
 
-@pytest.mark.parametrize("motors", [3, 6])
+@pytest.mark.parametrize("motors", [3, 6, 8])
 @pytest.mark.parametrize("work", ["stop", "lock", "position"])
 def test_a_stop_may_interrupt_what_the_main_loop_has_the_engine_do(work: str, motors: int) -> None:
     """At any access, with an axis locked, and in motion; what comes out is true."""
@@ -960,9 +961,9 @@ def test_a_locked_axis_stands_still_and_the_others_go_on(
     motors: int, one: int, latency: int
 ) -> None:
     """Also where motion pauses meanwhile and all machines are started again."""
-    each = [30, 30, 7, 30, 30, 7][:motors]  # steps of a row
+    each = ([30, 30, 7] * 3)[:motors]  # steps of a row
     with a_bed(motors=motors) as bed:
-        bed.start(rush([0] * 8 + [63] * 12, motors=motors))
+        bed.start(rush([0] * 8 + [255] * 12, motors=motors))
         bed.chip.run(6000)
         bed.chip.latency = latency
         bed.engine.lock(1 << one)
@@ -975,7 +976,7 @@ def test_a_locked_axis_stands_still_and_the_others_go_on(
         bed.chip.latency = 0
         bed.engine.stop()
         assert bed.position() == bed.places()
-        bed.again(rush([63 - (1 << one)], motors=motors)).finish()
+        bed.again(rush([255 - (1 << one)], motors=motors)).finish()
         ends = [at - steps for at, steps in zip(ends, each, strict=True)]
         ends[one] = locked + each[one]
         assert bed.position() == bed.places() == ends
@@ -1085,14 +1086,14 @@ def test_a_processor_clock_of_whole_ticks_is_demanded(
 
 
 def test_registers_of_the_rp2350_are_where_its_data_sheet_has_them() -> None:
-    """Addresses only: there is no model of that chip. Its PIO 0 and 1 lie as the RP2040's."""
+    """Addresses only: its model is the RP2040's with these moved. PIO 0 and 1 lie alike."""
     with a_bed(), pytest.MonkeyPatch.context() as patch:
-        memory = hub.Memory(AXES, True)
+        there = memory.Memory(AXES, True).hub
         timer, rivals, busy = layout.TIMER, layout.RIVALS, layout.BUSY
-        assert memory.hub[timer] == 0x400B0000 + 0x28  # TIMER0, TIMERAWL
+        assert there[timer] == 0x400B0000 + 0x28  # TIMER0, TIMERAWL
         # IO_IRQ_BANK0, PIO1_IRQ_0, TIMER0_IRQ_0 to 3
-        assert memory.hub[rivals] == 1 << 21 | 1 << 17 | 0b1111
-        assert memory.hub[busy] == 1 << 26  # CH0_CTRL_TRIG
+        assert there[rivals] == 1 << 21 | 1 << 17 | 0b1111
+        assert there[busy] == 1 << 26  # CH0_CTRL_TRIG
         patch.setattr(sys.implementation, "_machine", "Raspberry Pi Pico2 with RP2350")
         pins = (*_STEP[:6], *_DIR[:6])
         registers: dict[int, int] = {0x40028004 + 8 * pin: 6 for pin in pins}
@@ -1104,6 +1105,15 @@ def test_registers_of_the_rp2350_are_where_its_data_sheet_has_them() -> None:
             assert registers[0x40028004 + 8 * pin] == 6 | (pin in inverted) << 12
         sixth = made._memory.lanes[pulses.LANE * 5 + pulses.MACHINE]
         assert sixth == 0x50300000 + 0xE0  # PIO 1, SM1_CLKDIV
+        assert made._hub[layout.CLOCK_PIO] == 0x50300000
+        patch.setattr(rp2.DMA, "claimed", 0)
+        made = PioEngine(_STEP[:8], _DIR[:8])
+        eighth = made._memory.lanes[pulses.LANE * 7 + pulses.MACHINE]
+        assert eighth == 0x50300000 + 0x110  # PIO 1, SM3_CLKDIV
+        assert made._hub[layout.CLOCK_PIO] == 0x50400000  # PIO 2
+        assert made._hub[rivals] == 1 << 21 | 1 << 19 | 1 << 17 | 0b1111  # PIO2_IRQ_0
+        with pytest.raises(ValueError, match="only pins 0 to 31 make pulses"):
+            PioEngine((2, 4, 6), (3, 5, 32))
 
 
 # The beam

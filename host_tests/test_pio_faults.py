@@ -26,7 +26,7 @@ pioemu = pytest.importorskip("pioemu")
 
 _TXF, _INSTR, _PULL = 0x50200010, 0x502000D8, 0x8080
 _BLOCK = 0x100000  # from one PIO to the next
-_PIO1 = 0x50300000
+_PIO1, _PIO2 = 0x50300000, 0x50400000
 _FDEBUG, _FLEVEL, _INSTR_MEM, _TO_SET = 0x08, 0x0C, 0x48, 0x2000
 _SM2_TXF, _SM2_ADDR, _SM2_INSTR = 0x18, 0x104, 0x108
 _FIRMWARE = str(Path(hub.__file__).parent)
@@ -42,9 +42,9 @@ def check_stopped(bed: Bed, made: int) -> None:
     assert bed.engine.idle()
     assert bed.position() == bed.places()
     before = bed.places()
-    bed.again([array("i", [400, 0b010101, 0, *(3, 0, 300) * bed.motors])]).finish()
+    bed.again([array("i", [400, 0b01010101, 0, *(3, 0, 300) * bed.motors])]).finish()
     moved = [b - a for a, b in zip(before, bed.places(), strict=True)]
-    assert moved == [-3, 3, -3, 3, -3, 3][: bed.motors]
+    assert moved == [-3, 3, -3, 3, -3, 3, -3, 3][: bed.motors]
     assert bed.position() == bed.places()
     assert bed.engine.fault() == ""
 
@@ -198,7 +198,7 @@ def _interrupt(bed: Bed) -> "Callable[[], None]":
 
     def come() -> None:
         bed.chip._due = None
-        rp2.PIO.handlers[1][0](rp2.PIO(1))
+        bed.chip.interrupt()
 
     return come
 
@@ -401,29 +401,29 @@ def test_the_pulse_length_goes_into_a_machine_without_its_fifo() -> None:
             assert bed.chip.lost() == 0
 
 
-@pytest.mark.parametrize("motors", [3, 6])
-def test_what_others_have_in_pio_1_is_left_alone(motors: int) -> None:
+@pytest.mark.parametrize(("motors", "pio"), [(3, _PIO1), (6, _PIO1), (7, _PIO2), (8, _PIO2)])
+def test_what_others_have_in_a_pio_is_left_alone(motors: int, pio: int) -> None:
     """A radio's machine goes on behind stops, faults and starts, and its words are its own: also
     one too many of them is."""
     with a_bed(motors=motors) as bed:
         loop = 31  # the last place of the PIO: an instruction that jumps to itself
-        bed.chip.write(_PIO1 + _INSTR_MEM + 4 * loop, loop)
-        bed.chip.write(_PIO1 + _SM2_INSTR, loop)
+        bed.chip.write(pio + _INSTR_MEM + 4 * loop, loop)
+        bed.chip.write(pio + _SM2_INSTR, loop)
         for _ in range(5):
-            bed.chip.write(_PIO1 + _SM2_TXF, 7)
-        bed.chip.write(_PIO1 + _TO_SET, 1 << 2)
+            bed.chip.write(pio + _SM2_TXF, 7)
+        bed.chip.write(pio + _TO_SET, 1 << 2)
 
         def left_alone() -> bool:
-            runs = bed.chip.read(_PIO1) >> 2 & 1
-            full = bed.chip.read(_PIO1 + _FLEVEL) >> 16 & 15
-            over = bed.chip.read(_PIO1 + _FDEBUG) >> 18 & 1
-            return (runs, full, over, bed.chip.read(_PIO1 + _SM2_ADDR)) == (1, 4, 1, loop)
+            runs = bed.chip.read(pio) >> 2 & 1
+            full = bed.chip.read(pio + _FLEVEL) >> 16 & 15
+            over = bed.chip.read(pio + _FDEBUG) >> 18 & 1
+            return (runs, full, over, bed.chip.read(pio + _SM2_ADDR)) == (1, 4, 1, loop)
 
         assert left_alone()
-        bed.start(rush([0, 63, 5], motors=motors)).finish()
+        bed.start(rush([0, 255, 5], motors=motors)).finish()
         assert left_alone() and bed.engine.fault() == ""
         for k in range(5):
-            bed.again(rush([0, 63], motors=motors)).chip.run(900 * k)
+            bed.again(rush([0, 255], motors=motors)).chip.run(900 * k)
             bed.engine.lock(0b10)
             bed.engine.stop()
             assert left_alone()
@@ -435,8 +435,12 @@ def test_what_others_have_in_pio_1_is_left_alone(motors: int) -> None:
 
 
 def test_more_motors_than_there_are_machines_for_are_refused() -> None:
-    with pytest.raises(ValueError, match="6 motors at most"), a_bed(motors=7):
+    with pytest.raises(ValueError, match="8 motors at most"), a_bed(motors=9):
         pass
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pio_model, "MOST_OF_RP2040", 7)
+        with pytest.raises(ValueError, match="6 motors at most"), a_bed(motors=7):
+            pass
 
 
 # A second opinion on the programs, by an emulator that is not the one of pio_model

@@ -1,13 +1,13 @@
 # mypy: disable-error-code=arg-type
 """PioEngine: pulses made by PIO state machines, fed by DMA, refilled by one hard interrupt.
 
-Each motor has a machine of PIO 0, the fifth and the sixth one of PIO 1, which plays words
-(programs.py, pulses.py) out of a ring in memory. A clock, the last machine of PIO 1, interrupts
-as each segment begins: spindle power is set, the next segments are made and handed over. All
-machines start within a tick (hub._launch) and stay together, for every lane's words fill the
-same time. DMA is handed counted words and ends with them: where the interrupt comes too late,
-the machines wait at `pull`, and when all have come to rest they are started together again.
-Nothing is lost or repeated.
+Each motor has a machine of PIO 0, from the fifth on one of PIO 1, which plays words
+(programs.py, pulses.py) out of a ring in memory. A clock, the last machine of PIO 1, or of an
+RP2350's PIO 2 where an eighth motor has that one, interrupts as each segment begins: spindle
+power is set, the next segments are made and handed over. All machines start within a tick
+(hub._launch) and stay together, for every lane's words fill the same time. DMA is handed counted
+words and ends with them: where the interrupt comes too late, the machines wait at `pull`, and
+when all have come to rest they are started together again. Nothing is lost or repeated.
 
 A stop holds until arm(): whatever it has interrupted goes on, and starts nothing. The interrupt
 lets no exception out, for MicroPython would never call it again: the machines are switched off,
@@ -26,11 +26,12 @@ import micropython
 from micropython import const
 
 from pio import pulses
-from pio.hub import Memory
 from pio.layout import (
     ASKED,
+    BEFORE_CLOCK,
     CLOCK,
     CLOCK_AT,
+    CLOCK_PIO,
     FAULT,
     FED,
     HALT,
@@ -39,9 +40,12 @@ from pio.layout import (
     PIO0,
     PIO1,
     RAISED,
+    RP2350,
     RUNNING,
+    THIRD,
     WORDS,
 )
+from pio.memory import Memory
 from pio.registers import CLEAR
 from pio.stops import arm, call, halt, position, trouble
 from pio.turn import turn
@@ -56,7 +60,10 @@ if TYPE_CHECKING:
 
 _TICK_HZ = const(12_500_000)
 _SEGMENT_LOG2 = const(17)
-_MOST = const(6)  # lanes: PIO 1 has a machine left, for a radio
+# Lanes: PIO 1 has a machine left, for a radio; and an RP2350's PIO 2 has three.
+_MOST = const(6)
+_MOST_2350 = const(8)
+_LAST_PIN = const(31)  # of those that a PIO has, as it begins; an RP2350B has 48
 
 # fault(): in the order of layout.RAISED and those behind it.
 _FAULTS = (
@@ -94,16 +101,20 @@ class PioEngine:
     ) -> None:
         if machine.freq() % _TICK_HZ:
             raise ValueError("the processor's clock is no multiple of 12.5 MHz")
-        rp2350 = "RP2350" in sys.implementation._machine
         self._step = step
         self._direction = direction
         self._hold_us = hold_us
         self._setup_us = setup_us
-        self._pin_control = 0x40028004 if rp2350 else 0x40014004
-        self._invert_shift = 12 if rp2350 else 8
-        lanes = len(step) + more_lanes
-        if lanes > _MOST:
-            raise ValueError("6 motors at most")
+        self._pin_control, self._invert_shift = 0x40014004, 8
+        lanes, most, rp2350 = len(step) + more_lanes, _MOST, False
+        if RP2350:
+            rp2350 = "RP2350" in sys.implementation._machine
+            if rp2350:
+                self._pin_control, self._invert_shift, most = 0x40028004, 12, _MOST_2350
+                if max(step + direction) > _LAST_PIN:
+                    raise ValueError("STEP, DIR: only pins 0 to 31 make pulses")
+        if lanes > most:
+            raise ValueError("%d motors at most" % most)
         self._memory = Memory(lanes, rp2350)
         self._hub = self._memory.hub
         self._rows = self._memory.rows
@@ -113,9 +124,12 @@ class PioEngine:
 
         from pio import programs
 
-        self._pio1 = rp2.PIO(1)
-        self._clock = rp2.StateMachine(4 + CLOCK, programs.clock, freq=_TICK_HZ)
-        self._hub[CLOCK_AT] = programs.clock[2] + programs.CLOCK_PULL
+        block = 1
+        if RP2350:
+            block = 2 if lanes > BEFORE_CLOCK else 1
+        self._pio = rp2.PIO(block)
+        self._clock = rp2.StateMachine(4 * block + CLOCK, programs.clock, freq=_TICK_HZ)
+        self._hub[CLOCK_AT] = programs.clock[1 + block] + programs.CLOCK_PULL
         self.on_fault: "Callable[[], object]" = lambda: None
 
     def _make_machine(self, axis: int) -> "rp2.StateMachine":
@@ -178,7 +192,7 @@ class PioEngine:
     def arm(self) -> None:
         """Motion is possible again, after power-up or stop(). For the main loop."""
         # Anew: MicroPython may have taken the interrupt away from us.
-        self._pio1.irq(self._turn, trigger=self._pio1.IRQ_SM3, hard=True)
+        self._pio.irq(self._turn, trigger=self._pio.IRQ_SM3, hard=True)
         arm(self._hub)
 
     def start(self) -> None:
@@ -231,6 +245,9 @@ class PioEngine:
             hub[HALT] = 1
             ptr32(hub[PIO0])[CLEAR] = hub[OURS]
             ptr32(hub[PIO1])[CLEAR] = hub[OURS + 1]
+            if RP2350:
+                if hub[THIRD]:
+                    ptr32(hub[CLOCK_PIO])[CLEAR] = hub[THIRD]
             try:
                 self.on_fault()
             except:  # noqa: E722

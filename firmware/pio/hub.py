@@ -5,9 +5,6 @@ One array, for every argument of a viper call costs a microsecond: the engine's 
 of registers and of what else it keeps. What all do is told in engine.py; nothing here allocates.
 """
 
-from array import array
-
-import machine
 import micropython
 from base.times import MASK, NEGATIVE
 from micropython import const
@@ -18,10 +15,8 @@ from motion.layout import (
     ROW_POWER,
     ROW_STRIDE,
     ROW_TICKS,
-    row_length,
 )
 
-from pio import pulses
 from pio.layout import (
     AHEAD,
     AXES,
@@ -31,6 +26,8 @@ from pio.layout import (
     BUSY,
     CLOCK,
     CLOCK_AT,
+    CLOCK_FIFO,
+    CLOCK_PIO,
     CLOCKED,
     CUT,
     DMA,
@@ -48,7 +45,6 @@ from pio.layout import (
     LOCKED,
     LOST,
     MADE,
-    MOTORS,
     NVIC,
     OURS,
     PIO0,
@@ -57,8 +53,9 @@ from pio.layout import (
     RIVALS,
     ROW,
     ROW_EXTRA,
-    ROWS,
+    RP2350,
     RUNNING,
+    THIRD,
     TIMER,
     TIMING,
     WHOLE,
@@ -84,11 +81,8 @@ from pio.registers import (
     ADDR,
     CLEAR,
     COUNT_TRIGGER,
-    CREDITS,
     CTRL,
     DISABLE,
-    DMA_AT,
-    DMA_EACH,
     EXECCTRL,
     FDEBUG,
     FLEVEL,
@@ -96,8 +90,6 @@ from pio.registers import (
     MACHINES,
     PADOUT,
     PINCTRL,
-    PIO0_AT,
-    PIO1_AT,
     READ,
     SET,
     SM,
@@ -109,7 +101,6 @@ from pio.registers import (
 # So much is made ahead of the segment that runs, in ticks: what a hold has to wait for, besides.
 # The clock calls so long before the end of a long segment.
 LEAD = const(40_000)
-_CLOCK_FIFO = const(4)
 # Words handed over later than that before the last ones end might come too late, in us.
 _MARGIN = const(20)
 
@@ -127,7 +118,7 @@ _CLOCK_OVERHEAD = const(4)  # ticks of its loop besides the count
 @micropython.viper
 def look(hub: ptr32) -> int:
     """See how far the hardware is. Returns the power to set, or KEEP_POWER."""
-    pio = ptr32(hub[PIO1])
+    pio = ptr32(hub[CLOCK_PIO])
     level = (pio[FLEVEL] >> 8 * CLOCK) & 15
     beat = hub[BEATS] - level
     ends = ROW_AXES + ROW_STRIDE * hub[AXES] + 2
@@ -191,7 +182,10 @@ def _prepare(hub: ptr32) -> int:
     """
     axes = hub[AXES]
     pio = ptr32(hub[PIO0])
-    clock = ptr32(hub[PIO1])
+    clock = ptr32(hub[CLOCK_PIO])
+    other = clock
+    if RP2350:
+        other = ptr32(hub[PIO1])
     lanes = ptr32(hub[LANES])
     timing = ptr32(hub[TIMING])
     timer = ptr32(hub[TIMER])
@@ -201,9 +195,12 @@ def _prepare(hub: ptr32) -> int:
     first = hub[OURS]
     second = hub[OURS + 1]
     pio[CTRL + CLEAR] = first
-    clock[CTRL + CLEAR] = second
+    other[CTRL + CLEAR] = second
     pio[CTRL + SET] = first << 4  # restart
-    clock[CTRL + SET] = second << 4
+    other[CTRL + SET] = second << 4
+    if RP2350 and hub[THIRD]:
+        clock[CTRL + CLEAR] = hub[THIRD]
+        clock[CTRL + SET] = hub[THIRD] << 4
     while (clock[FLEVEL] >> 8 * CLOCK) & 15:
         clock[_CLOCK_INSTR] = _PULL
     patience = 1000
@@ -241,7 +238,7 @@ def _prepare(hub: ptr32) -> int:
 def feed(hub: ptr32) -> int:
     """Make words of waiting segments, if the hardware can take them, and hand them over."""
     axes = hub[AXES]
-    space = _CLOCK_FIFO
+    space = CLOCK_FIFO
     if hub[RUNNING]:
         left = (hub[END_US] - (ptr32(hub[TIMER])[0] & MASK)) & MASK
         if left >= NEGATIVE or left < _MARGIN + ptr32(hub[TIMING])[KEEP] // 12:
@@ -249,7 +246,7 @@ def feed(hub: ptr32) -> int:
         for i in range(axes):
             if ptr32(hub[DMA + i])[STATUS] & hub[BUSY] and (hub[LOCKED] >> i) & 1 == 0:
                 return 0
-        space -= (ptr32(hub[PIO1])[FLEVEL] >> 8 * CLOCK) & 15
+        space -= (ptr32(hub[CLOCK_PIO])[FLEVEL] >> 8 * CLOCK) & 15
         if space == 0:
             return 0
     else:
@@ -293,11 +290,16 @@ def _hand_over(hub: ptr32, fed: int, count: int) -> int:
     axes = hub[AXES]
     lanes = ptr32(hub[LANES])
     nvic = ptr32(hub[NVIC])
-    clock = ptr32(hub[PIO1])
+    clock = ptr32(hub[CLOCK_PIO])
+    other = clock
+    if RP2350:
+        other = ptr32(hub[PIO1])
     following = ptr32(hub[ROW + (fed & LAST_ROW)])
     nvic[DISABLE] = hub[RIVALS]
     over = (ptr32(hub[PIO0])[FDEBUG] >> TXOVER) & hub[OURS]
-    if over | (clock[FDEBUG] >> TXOVER) & hub[OURS + 1]:
+    if RP2350 and hub[THIRD]:
+        over |= (clock[FDEBUG] >> TXOVER) & hub[THIRD]
+    if over | (other[FDEBUG] >> TXOVER) & hub[OURS + 1]:
         hub[FAULT] = LOST
     if hub[HALT] == 0 and hub[FAULT] == 0:
         for i in range(axes):
@@ -335,10 +337,18 @@ def _launch(hub: ptr32, fed: int) -> int:
     first = hub[OURS] * 0x101  # enable, restart the divider
     second = hub[OURS + 1] * 0x101
     pio = ptr32(hub[PIO0] + 4 * (CTRL + SET))
-    clock = ptr32(hub[PIO1] + 4 * (CTRL + SET))
-    # Nothing comes in between (_hand_over): nine cycles as they are compiled, and a tick has ten.
+    clock = ptr32(hub[CLOCK_PIO] + 4 * (CTRL + SET))
+    other = clock
+    third = 0
+    if RP2350:
+        other = ptr32(hub[PIO1] + 4 * (CTRL + SET))
+        third = hub[THIRD] * 0x101
+    # Nothing comes in between (_hand_over): nine cycles as they are compiled, and a tick has ten;
+    # an RP2350's has twelve.
     pio[0] = first
-    clock[0] = second
+    other[0] = second
+    if RP2350 and third:
+        clock[0] = third
     for k in range(hub[FED], fed):
         row = ptr32(hub[ROW + (k & LAST_ROW)])
         begins = ROW_AXES + ROW_STRIDE * axes
@@ -346,55 +356,3 @@ def _launch(hub: ptr32, fed: int) -> int:
     hub[END_US] = (hub[END_US] + now) & MASK
     hub[RUNNING] = 1
     return 0
-
-
-@micropython.viper
-def _make_address(memory: ptr8) -> int:
-    return int(memory)  # type: ignore[call-overload, no-any-return]
-
-
-def _make_array(length: int) -> "array[int]":
-    return array("i", (0 for _ in range(length)))
-
-
-class Memory:
-    """What the interrupt works on, with the hub that leads to it. rp2350: which chip this is."""
-
-    def __init__(self, axes: int, rp2350: bool) -> None:
-        length = row_length(axes)
-        self.hub = hub = _make_array(DMA + axes)
-        self.lanes = _make_array(LANE * axes)
-        self.timing = _make_array(pulses.TIMING_LENGTH)
-        self.rows = [_make_array(length + ROW_EXTRA + axes) for _ in range(ROWS)]
-        self._clocked = _make_array(_CLOCK_FIFO)
-        self._whole = _make_array(length)
-        # The rings lie at multiples of their size: DMA wraps around within address bits.
-        ring = 4 << pulses.RING_LOG2
-        self._rings = bytearray(ring * (axes + 1))
-        self.timing[pulses.AXES] = hub[AXES] = hub[MOTORS] = axes
-        hub[HALT] = 1
-        hub[BEGUN] = -1
-        hub[LANES] = _make_address(self.lanes)
-        hub[WORDS] = (_make_address(self._rings) + ring - 1) // ring * ring
-        hub[TIMING] = _make_address(self.timing)
-        hub[CLOCKED] = _make_address(self._clocked)
-        hub[WHOLE] = _make_address(self._whole)
-        for i, row in enumerate(self.rows):
-            hub[ROW + i] = _make_address(row)
-        machines = (1 << axes) - 1
-        hub[OURS] = machines & 15
-        hub[OURS + 1] = machines >> 4 | 1 << CLOCK
-        hub[PIO0] = PIO0_AT
-        hub[PIO1] = PIO1_AT
-        hub[TIMER] = 0x400B0028 if rp2350 else 0x40054028
-        hub[NVIC] = 0xE000E100 - (1 << 32)
-        # IO_IRQ_BANK0, PIO1_IRQ_0, and the timer's four.
-        hub[RIVALS] = 1 << 21 | 1 << 17 | 15 if rp2350 else 1 << 13 | 1 << 9 | 15
-        hub[BUSY] = 1 << (26 if rp2350 else 24)
-
-    def connect(self, axis: int, channel: int) -> None:
-        """A lane's words go through this DMA channel."""
-        pio = self.hub[PIO0 + (axis >> BLOCK_LOG2)]
-        self.lanes[LANE * axis + MACHINE] = pio + 4 * (MACHINES + SM * (axis & IN_BLOCK))
-        self.hub[DMA + axis] = at = DMA_AT + DMA_EACH * channel
-        machine.mem32[at + 4 * CREDITS] = 0  # counted anew: the FIFO is empty

@@ -6,10 +6,16 @@ registers, in registers.py.
 
 from micropython import const
 
+# Whether the chip may be an RP2350, which has a third PIO: a build for an RP2040 has 0 here
+# (tools/compiling/of_chip.py), and nothing of what that takes.
+RP2350 = const(1)
+
 HALF_TICKS_PER_US = const(25)
 ROWS = const(16)  # segments made, and not yet played
 LAST_ROW = const(15)
-CLOCK = const(3)  # the clock's machine, of PIO 1
+CLOCK = const(3)  # the clock's machine, of PIO 1, or PIO 2 where an eighth lane has that one
+CLOCK_FIFO = const(4)  # words that it may be given ahead
+BEFORE_CLOCK = const(7)  # lanes that leave it to the clock
 # Lane 4 has the first machine of PIO 1, as MicroPython counts them.
 BLOCK_LOG2 = const(2)
 IN_BLOCK = const(3)
@@ -39,6 +45,7 @@ BUSY = const(19)  # a channel has words to move
 MOTORS = const(20)  # lanes whose steps are those of motors
 CLOCK_AT = const(21)  # where the clock waits for a word
 OURS = const(22)  # masks: the machines of PIO 0 and of PIO 1 that play our words
+# (of PIO 2: THIRD)
 # … and memory.
 LANES = const(24)
 WORDS = const(25)
@@ -48,7 +55,12 @@ WHOLE = const(28)  # a long segment, made in pieces
 ROW = const(29)  # a row per segment
 FAULT = const(ROW + ROWS)  # what has gone wrong (stops.py), until arm()
 ASKED = const(ROW + ROWS + 1)  # start() waits for the interrupt
-DMA = const(ROW + ROWS + 2)  # a channel per lane, which end the hub
+DMA = const(ROW + ROWS + 2)  # a channel per lane, which end the hub of an RP2040
+# An RP2350's goes on: the machines of PIO 2 that are ours, none but the clock; and where the
+# clock's PIO is.
+THIRD = const(DMA + 8)
+CLOCK_PIO = const(THIRD + 1 if RP2350 else PIO1)
+LENGTH = const(THIRD + 2)
 
 # Behind a segment's row: when it begins, us and half ticks; the clock's word with which it
 # ends; and where it begins, per axis.

@@ -17,6 +17,8 @@ from micropython import const
 from ports.input_pins import NOT_WIRED
 from ports.port import PortPins
 
+from pio.layout import RP2350
+
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,7 +45,11 @@ _OUTOVER_2350 = const(12)
 _FORCED = const(2)
 _ALL_BITS = const(3)
 _GPIO_IN = const(0xD0000004)  # levels of pins 0 to 31
-_SLICES = const(0xF)  # pins that differ above these bits share their pulses
+_LAST = const(31)
+# Pins that do not differ in these bits, or in the last one alone, share their pulses; of those
+# above 31, which an RP2350B has, others.
+_SLICES = const(0x2F)
+_SLICES_ABOVE = const(0x27)
 
 
 class GpioPort(PortPins):
@@ -52,6 +58,10 @@ class GpioPort(PortPins):
     def __init__(self, board: "ModuleType") -> None:
         enables = getattr(board, "ENABLE", None)
         super().__init__(board, (Timer(), Timer()), enables, True)
+        if RP2350:
+            for number in self._input_numbers:
+                if _LAST < number < NOT_WIRED:
+                    raise ValueError("pin %d: limits, probe, buttons are pins 0 to 31" % number)
         # What kill() writes: whether it has, then pairs of an address and bits, then 0.
         self._pads = array("i", [0, 0])
         self._all_bits = _ALL_BITS << (_OUTOVER_2350 if _is_rp2350() else _OUTOVER)
@@ -104,10 +114,13 @@ class GpioPort(PortPins):
         """Two pins of one slice have one frequency, and of sixteen one each the same pulses."""
         own = self._own_numbers[index]
         others: "list[tuple[int | None, int]]" = list(zip(self._own_numbers, self._own_hz))
+        slices = _SLICES
+        if RP2350:
+            slices = _SLICES_ABOVE if own > _LAST else _SLICES
         if self.pwm:
             others.append((self._pwm_number, self.pwm.freq()))
         for number, its_hz in others:
-            if not its_hz or number is None or number == own or (number ^ own) & _SLICES > 1:
+            if not its_hz or number is None or number == own or (number ^ own) & slices > 1:
                 continue
             if its_hz != hz or (number ^ own) & 1 == 0:
                 raise ValueError("pin %d cannot have other pulses than pin %d" % (own, number))

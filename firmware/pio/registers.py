@@ -5,9 +5,10 @@ RP2040 datasheet, 3.7 (PIO), 2.5.7 (DMA), 2.1.2 (aliases); the RP2350 has them i
 
 from micropython import const
 
-# A PIO's; where the two stand.
+# A PIO's; where they stand, the third in an RP2350.
 PIO0_AT = const(0x50200000)
 PIO1_AT = const(0x50300000)
+PIO2_AT = const(0x50400000)
 CTRL = const(0)
 FDEBUG = const(2)
 FLEVEL = const(3)

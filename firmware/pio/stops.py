@@ -19,6 +19,7 @@ from pio.layout import (
     BLOCK_LOG2,
     BUSY,
     CLOCK,
+    CLOCK_PIO,
     CUT,
     DMA,
     END_US,
@@ -41,7 +42,9 @@ from pio.layout import (
     RIVALS,
     ROW,
     ROW_EXTRA,
+    RP2350,
     RUNNING,
+    THIRD,
     TIMER,
     UNHEARD,
     WORDS,
@@ -116,6 +119,8 @@ def halt(hub: ptr32, which: int) -> int:
     nvic[DISABLE] = hub[RIVALS]
     ptr32(hub[PIO0])[CTRL + CLEAR] = which & hub[OURS]
     ptr32(hub[PIO1])[CTRL + CLEAR] = (which >> 4) & hub[OURS + 1]
+    if RP2350 and which < 0 and hub[THIRD]:
+        ptr32(hub[CLOCK_PIO])[CTRL + CLEAR] = hub[THIRD]
     which &= -1 - hub[LOCKED]
     for i in range(axes):
         if (which >> i) & 1:
@@ -138,7 +143,7 @@ def call(hub: ptr32) -> int:
     """Make the engine's interrupt happen now, unless it is stopped."""
     if hub[HALT] == 0:
         hub[ASKED] = 1
-        ptr32(hub[PIO1])[IRQ_FORCE] = 1 << CLOCK
+        ptr32(hub[CLOCK_PIO])[IRQ_FORCE] = 1 << CLOCK
     return 0
 
 
@@ -158,6 +163,8 @@ def arm(hub: ptr32) -> int:
     # Ones clear.
     ptr32(hub[PIO0])[FDEBUG] = hub[OURS] << TXOVER
     ptr32(hub[PIO1])[FDEBUG] = hub[OURS + 1] << TXOVER
+    if RP2350 and hub[THIRD]:
+        ptr32(hub[CLOCK_PIO])[FDEBUG] = hub[THIRD] << TXOVER
     hub[FAULT] = 0
     hub[ASKED] = 0
     hub[HALT] = 0
@@ -170,6 +177,8 @@ def trouble(hub: ptr32) -> int:
     if hub[FAULT]:
         return hub[FAULT]
     over = (ptr32(hub[PIO0])[FDEBUG] >> TXOVER) & hub[OURS]
+    if RP2350 and hub[THIRD]:
+        over |= (ptr32(hub[CLOCK_PIO])[FDEBUG] >> TXOVER) & hub[THIRD]
     if over | (ptr32(hub[PIO1])[FDEBUG] >> TXOVER) & hub[OURS + 1]:
         return LOST
     if hub[ASKED]:

@@ -21,6 +21,7 @@ from .new_board import (
     TOO_SMALL,
     Board,
     BoardError,
+    check_axes,
     check_item,
 )
 from .options import BY_NAME, INVERTIBLE, PIN, PIN_OR_PINS
@@ -190,6 +191,11 @@ def _pins(board: ModuleType, chip: Chip) -> Iterator[str]:
         else:
             yield from _loose(known, name, pins)
         known.pins[name] = pins
+        if name == "STEP":
+            try:
+                check_axes(known)
+            except BoardError as error:
+                yield str(error)
 
 
 def _loose(known: Board, name: str, pins: tuple[int, ...]) -> Iterator[str]:

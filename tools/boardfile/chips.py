@@ -17,6 +17,8 @@ class Chip(NamedTuple):
     odd: Mapping[int, str] = {}  # pins that work, with something to know
     most_motors: int = 4
     radio: bool = True  # there is one, or may be
+    # Beyond this one pins make no steps, and inputs that are looked at all at once are not there.
+    last_quick: int = 63
 
 
 _ESP32_ODD = {
@@ -41,8 +43,11 @@ _ESP32_S3_ODD = {
 }
 _PICO_PINS = frozenset(range(23)) | {26, 27, 28}
 _RP2_PINS = frozenset(range(30))
-# Four machines of PIO 0, and two of PIO 1, which has the clock too, and one for a radio.
+_RP2350B_PINS = frozenset(range(48))
+# Four machines of PIO 0, and two of PIO 1, which has the clock too, and one for a radio. In an
+# RP2350 all of PIO 1, for clock and radio have their machines in PIO 2.
 _RP2_MOTORS = 6
+_RP2350_MOTORS = 8
 _LED = {25: "is the LED"}
 _ESP32_PINS = frozenset(range(40)) - frozenset(range(6, 12)) - {20, 24, 28, 29, 30, 31, 37, 38}
 _ESP32_S3_PINS = frozenset(range(49)) - frozenset(range(22, 33))
@@ -69,14 +74,14 @@ CHIPS = {
         *("RP2350", "armv7emsp", "pio", "usb"),
         pins=_PICO_PINS | {25},
         odd=_LED,
-        most_motors=_RP2_MOTORS,
+        most_motors=_RP2350_MOTORS,
         radio=False,
     ),
     "pico2_w": Chip(
         "Raspberry Pi Pico 2 W",
         *("RP2350", "armv7emsp", "pio", "usb"),
         pins=_PICO_PINS,
-        most_motors=_RP2_MOTORS,
+        most_motors=_RP2350_MOTORS,
     ),
     "rp2040": Chip(
         "RP2040 on a board of its own",
@@ -88,7 +93,14 @@ CHIPS = {
         "RP2350 on a board of its own",
         *("RP2350", "armv7emsp", "pio", "usb"),
         pins=_RP2_PINS,
-        most_motors=_RP2_MOTORS,
+        most_motors=_RP2350_MOTORS,
+    ),
+    "rp2350b": Chip(
+        "RP2350B, with 48 pins, on a board of its own",
+        *("RP2350", "armv7emsp", "pio", "usb"),
+        pins=_RP2350B_PINS,
+        most_motors=_RP2350_MOTORS,
+        last_quick=31,
     ),
     "esp32": Chip(
         "ESP32",

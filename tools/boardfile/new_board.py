@@ -7,7 +7,7 @@ from typing import NamedTuple
 from .. import paths
 from ..sim import motor_names
 from . import engines
-from .chips import Chip
+from .chips import CHIPS, Chip, on_their_own
 
 FEWEST_AXES = 3
 
@@ -44,6 +44,8 @@ ITEMS = (
 )
 # These stand together in the file, None where there is no such input.
 CONTROLS = ("RESET", "HOLD", "START", "DOOR")
+# Steps, and inputs that are looked at all at once: not every pin will do (Chip.last_quick).
+_QUICK = ("STEP", "DIR", "LIMIT", "PROBE", *CONTROLS)
 # What a pin brings with it.
 _SWITCHED_ON = {"DOOR": "SAFETY_DOOR", "MIST_PIN": "MIST"}
 BY_NAME = {item.name: item for item in ITEMS}
@@ -91,6 +93,9 @@ class Board:
     def text(self) -> str:
         """The board file."""
         lines = [f'"""{self.title}: {self.chip.title}."""', ""]
+        if not any(self.chip.pins <= one.pins for one in on_their_own(self.chip.mpy_arch)):
+            # It is not what a board file is measured by that does not say.
+            lines += [f'CHIP = "{name}"' for name, one in CHIPS.items() if one is self.chip]
         lines += [f'MPY_ARCH = "{self.chip.mpy_arch}"', f'ENGINE = "{self.chip.engine}"']
         link = engines.WIRELESS[self.chip.link] if self.network else self.chip.link
         lines += [f'LINK = "{link}"', *(["PAGE = True"] if self.page else []), ""]
@@ -182,6 +187,11 @@ def check_item(board: Board, item: Item, pins: Pins) -> None:
             continue
         if pin not in board.chip.pins:
             raise BoardError(f"{item.name}: {board.chip.title} has no pin {pin} to connect to")
+        if item.name in _QUICK and pin > board.chip.last_quick:
+            raise BoardError(
+                f"{item.name}: pin {pin} cannot do it: steps, directions, limits, probe and "
+                f"buttons have to be pins up to {board.chip.last_quick}"
+            )
         if item.output and pin in board.chip.inputs_only:
             raise BoardError(f"{item.name}: pin {pin} of {board.chip.title} can only read")
         if pin in used:
@@ -201,6 +211,16 @@ def check_motors(board: Board, letters: str) -> None:
         raise BoardError(str(error)) from error
 
 
+def check_axes(board: Board) -> None:
+    """BoardError where nothing says what so many motors move."""
+    motors, most = len(board.pins["STEP"]), len(motor_names.LETTERS)
+    if not board.motors and motors > most:
+        raise BoardError(
+            f"STEP has {motors} pins and there are {most} axes: MOTORS says which each moves, "
+            f'"{(motor_names.LETTERS * 2)[:motors]}" say'
+        )
+
+
 def check_rotary(board: Board, letters: str) -> None:
     """BoardError where these cannot be axes that turn."""
     paths.use_firmware()
@@ -218,6 +238,7 @@ def check(board: Board) -> None:
         raise BoardError("the title is one line without quotation marks and backslashes")
     for item in ITEMS:
         check_item(board, item, board.pins.get(item.name, ()))
+    check_axes(board)
     if board.motors:
         check_motors(board, board.motors)
     check_rotary(board, board.rotary)

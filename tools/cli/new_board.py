@@ -171,11 +171,14 @@ def _one(console: Console, board: Board, item: Item, text: str | None, asking: b
 
 def _motors(console: Console, board: Board, text: str | None, asking: bool) -> str:
     """The axis of each motor; "" where each has its own, as with three there is no question."""
-    own = motor_names.LETTERS[: len(board.pins["STEP"])]
-    if text is None and (not asking or len(own) <= new_board.FEWEST_AXES):
+    count = len(board.pins["STEP"])
+    own = motor_names.LETTERS[:count]
+    if text is None and (not asking or count <= new_board.FEWEST_AXES):
+        new_board.check_axes(board)
         return ""
     question = "The axis of each motor, XYZY for two on Y"
-    letters = _letters(console, board, text, question, own, new_board.check_motors)
+    first = (motor_names.LETTERS * 2)[:count]
+    letters = _letters(console, board, text, question, first, new_board.check_motors)
     return "" if letters == own else letters
 
 

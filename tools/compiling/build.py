@@ -27,6 +27,7 @@ from .built_in import built_in
 from .bundle import Bundles
 from .inline import inline
 from .kernel_module import Apart
+from .of_chip import of_chip
 from .pairs import pairs
 from .scopes import NotUnderstood
 from .shorten import Shortened
@@ -281,7 +282,8 @@ def path_of(name: str) -> str:
 
 def prepared_firmware(debug: bool = False, arch: str = "armv6m") -> Shortened:
     """All modules as they are compiled, with what tells this build from others in them."""
-    return _prepared(tuple(texts().items()), debug, arch not in machine_code.PROCESSORS)
+    there = of_chip(texts(), arch)
+    return _prepared(tuple(there.items()), debug, arch not in machine_code.PROCESSORS)
 
 
 def kernels_apart(arch: str, debug: bool = False) -> Apart:

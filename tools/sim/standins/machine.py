@@ -5,6 +5,7 @@ itself: a test drives inputs and lets timers expire. The ESP32's is esp_machine.
 user's own Python has use for is in peripherals.py, and does nothing.
 """
 
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -15,7 +16,8 @@ I2C, SoftI2C = peripherals.I2C, peripherals.SoftI2C
 SPI, SoftSPI = peripherals.SPI, peripherals.SoftSPI
 reset_cause, unique_id = peripherals.reset_cause, peripherals.unique_id
 
-_PINS = 30
+_PINS = 30  # of an RP2040; an RP2350B has
+_PINS_2350 = 48
 
 
 def freq(hz: int = 0) -> int:
@@ -90,7 +92,8 @@ class Pin:
     id: int
 
     def __new__(cls, id: int, *_: object, **__: object) -> "Pin":
-        if not 0 <= id < _PINS:
+        is_rp2350 = "RP2350" in getattr(sys.implementation, "_machine", "")
+        if not 0 <= id < (_PINS_2350 if is_rp2350 else _PINS):
             raise ValueError("invalid pin")
         if id not in cls.pins:
             pin = cls.pins[id] = object.__new__(cls)

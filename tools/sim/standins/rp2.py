@@ -4,6 +4,7 @@ Our own assembler, for the instructions our programs use; the binary form is tha
 RP2040's data sheet, 3.4. Nothing here executes a program: host_tests/pio_model.py does.
 """
 
+import sys
 from array import array
 from collections.abc import Callable
 from types import FunctionType
@@ -105,6 +106,14 @@ def asm_pio(
     return assemble
 
 
+def _is_rp2350() -> bool:
+    return "RP2350" in getattr(sys.implementation, "_machine", "")
+
+
+def _blocks() -> int:
+    return 3 if _is_rp2350() else 2
+
+
 class PIO:
     """A block of four state machines. Its interrupts are remembered in `handlers`."""
 
@@ -116,7 +125,7 @@ class PIO:
     handlers: dict[int, tuple[Callable[["PIO"], object], int, bool]] = {}
 
     def __init__(self, id: int, /) -> None:
-        if id not in (0, 1):
+        if id not in range(_blocks()):
             raise ValueError("invalid PIO")
         self._id = id
 
@@ -141,7 +150,7 @@ class StateMachine:
         set_base: "Pin | None" = None,
         out_base: "Pin | None" = None,
     ) -> None:
-        if not 0 <= id < 8:
+        if not 0 <= id < 4 * _blocks():
             raise ValueError("invalid StateMachine")
         for pin, init in ((set_base, program[_SET]), (out_base, program[_OUT])):
             if (pin is None) != (init is None):
@@ -166,7 +175,7 @@ class DMA:
     claimed = 0
 
     def __init__(self) -> None:
-        if DMA.claimed == 12:
+        if DMA.claimed == (16 if _is_rp2350() else 12):
             raise OSError(16)
         self.channel = DMA.claimed
         DMA.claimed += 1
@@ -185,7 +194,7 @@ class DMA:
         irq_quiet: bool = True,
     ) -> int:
         chain_to = self.channel if chain_to < 0 else chain_to
-        for value, limit in ((size, 4), (ring_size, 16), (treq_sel, 64), (chain_to, 12)):
+        for value, limit in ((size, 4), (ring_size, 16), (treq_sel, 64), (chain_to, 16)):
             if not 0 <= value < limit:
                 raise ValueError("bad field value")
         flags = (
