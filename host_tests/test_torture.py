@@ -8,18 +8,45 @@ import os
 import random
 from collections import deque
 from collections.abc import Iterator
+from types import ModuleType
 from typing import Any
 
 import pytest
 from base import state as st
+from esp_bench import EspEngine
 from rig_bench import Machine
+from ugrbl.boardfile.files import load_board
+from ugrbl.sim import motor_names
+from ugrbl.sim import rig as sim_rig
 
-_SEEDS = int(os.environ.get("UGRBL_TORTURE") or 4)
+_ASKED = int(os.environ.get("UGRBL_TORTURE") or 0)
+_SEEDS = _ASKED or 4
+# The axis of each motor, and who makes the pulses. An ESP32's RMT has four motors. The PIO has its
+# sessions on an emulated Pico (host_tests/emulator): tick by tick they would last for hours.
+_MACHINES = [
+    ("XYZ", "sim"),
+    *((motors, "sim") for motors in ("XYZA", "XYZY", "XYZAB", "XYZAY", "XYZABC", "XYZXYZ")),
+    *((motors, "i2s") for motors in ("XYZ", "XYZY", "XYZAB", "XYZABC", "XYZAYZ")),
+    *((motors, "rmt") for motors in ("XYZ", "XYZA", "XYZY")),
+]
+# All seeds for all of them where it is asked for; else one for each behind the first.
+_SESSIONS = [
+    (seed, motors, engine)
+    for k, (motors, engine) in enumerate(_MACHINES)
+    for seed in (range(_SEEDS) if _ASKED or k == 0 else (k % 2,))
+]
+# An ESP32's engines may make a step that has begun when they are stopped, and be one off.
+_LOOSE = 1
 _ROUNDS = 12
 _WINDOW = 127
 _PATIENCE_MS = 120_000
 _DEAF_MS = 600  # an alarm is followed by half a second in which nothing is heard
-_FAST = {110: 6000, 111: 6000, 112: 3000, 120: 800, 121: 800, 122: 400}
+_FAST = {
+    **dict.fromkeys(range(110, 116), 6000),
+    **dict.fromkeys(range(120, 126), 800),
+    112: 3000,
+    122: 400,
+}
 _STEPS_PER_MM = 250
 _HARMLESS = "?!~\x84\x85\x90\x91\x92\x93\x94\x95\x96\x97\x99\x9a\x9b\x9e\xa0\x81\xff"
 _WORDS = (
@@ -32,15 +59,22 @@ _COMMANDS = (
     "$130=150 $3=2 $3=0 $N0=G54 $N0= $J=G91X1F900 $J=G91X-1Y1F3000 "
     "$J=X1 $H $999=1 $x=1 $10=abc $120="
 ).split()
+_OF_MORE_AXES = "A.5 A-1 B.3 B-.7 C1 C-.2 A1e3".split()
 
 
 class Torture:
-    """One machine and its torturer."""
+    """One machine and its torturer. motors: the axis of each; loose: steps off behind a stop."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, motors: str, loose: int) -> None:
+        self._loose = loose
+        self._stopped = False  # since places were compared
         self._random = random.Random(seed)
-        settings = {**_FAST, 21: seed % 2, 32: seed // 2 % 2, 22: 0}
-        self.machine = Machine(settings, watched=False)
+        self._axes = motor_names.count_axes(motors)
+        self._axis_of = [motor_names.LETTERS.index(letter) for letter in motors]
+        fast = {number: of for number, of in _FAST.items() if number % 10 < self._axes}
+        settings = {**fast, 21: seed % 2, 32: seed // 2 % 2, 22: 0}
+        self.machine = Machine(settings, _board(motors), watched=False)
+        self._words = _WORDS + (_OF_MORE_AXES if self._axes > 3 else [])
         self._rig = self.machine.rig
         self._log: deque[str] = deque(maxlen=40)
         self._answers = 0
@@ -66,9 +100,11 @@ class Torture:
             return self._random.choice(_COMMANDS)
         if roll < 0.18:
             return "X" * self._random.randint(78, 110)
-        words = self._random.choices(_WORDS, k=self._random.randint(0, 5))
+        words = self._random.choices(self._words, k=self._random.randint(0, 5))
         if roll < 0.6:
             words = ["G1F2000X%.2fY%.2f" % (self._random.uniform(-3, 3), self._random.random())]
+            for letter in motor_names.LETTERS[3 : self._axes]:
+                words.append("%s%.2f" % (letter, self._random.uniform(-2, 2)))
         return self._random.choice(("", " ")).join(words)
 
     def _talk(self) -> Iterator[Any]:
@@ -119,9 +155,11 @@ class Torture:
         yield self._rig.ms(self._random.uniform(1, 50))
         port = self._rig.port
         if self._rig.controller.state.run == st.ALARM:
-            assert self.machine.physical() == place, self._tell("it moved on")
+            moved = _most_apart(self.machine.physical(), place)
+            assert moved <= self._loose, self._tell("it moved on")
             on = (port.spindle_on, port.spindle_pwm, port.flood, port.mist)
             assert not any(on), self._tell(f"outputs are on: {on}")
+        self._stopped = True
         port.push({"reset": False, "limit_x": False, "limit_z": False})
         yield from self._recover()
 
@@ -169,12 +207,13 @@ class Torture:
         yield from self._until("<")
         reported = [round(mm * _STEPS_PER_MM) for mm in self.machine.reported()]
         turned = controller.settings.dir_invert
-        ways = [-1 if turned >> axis & 1 else 1 for axis in range(len(reported))]
-        made = [way * steps for way, steps in zip(ways, self.machine.physical(), strict=True)]
-        offset = [a - b for a, b in zip(reported, made, strict=True)]
+        motors = zip(self._axis_of, self.machine.physical(), strict=True)
+        made = [(axis, -steps if turned >> axis & 1 else steps) for axis, steps in motors]
+        offset = [reported[axis] - steps for axis, steps in made]
         if self._offset is not None and turned == self._turned:
-            assert offset == self._offset, self._tell("it is not where it says")
-        self._offset, self._turned = offset, turned
+            off = _most_apart(offset, self._offset)
+            assert off <= self._loose * self._stopped, self._tell("it is not where it says")
+        self._offset, self._turned, self._stopped = offset, turned, False
         assert controller.state.run == st.IDLE, self._tell("it is not idle")
 
     def _go_on(self) -> None:
@@ -191,6 +230,36 @@ class Torture:
         return what + "\n" + "\n".join(self._log)
 
 
-@pytest.mark.parametrize("seed", range(_SEEDS))
-def test_a_tortured_machine_answers_knows_its_place_and_comes_back(seed: int) -> None:
-    Torture(seed).run()
+def _board(motors: str) -> ModuleType:
+    """The simulator's, with these motors."""
+    board = ModuleType("torture")
+    vars(board).update(vars(load_board("sim")))
+    vars(board).update(STEP=tuple(range(len(motors))), LIMIT=tuple(range(len(motors))))
+    if motor_names.count_axes(motors) < len(motors):
+        vars(board).update(MOTORS=motors)
+    return board
+
+
+def _most_apart(one: "list[int]", other: "list[int]") -> int:
+    return max(abs(a - b) for a, b in zip(one, other, strict=True))
+
+
+@pytest.mark.parametrize(("seed", "motors", "engine"), _SESSIONS)
+def test_a_tortured_machine_answers_knows_its_place_and_comes_back(
+    seed: int, motors: str, engine: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if engine != "sim":
+        _have_engine(engine, monkeypatch)
+    Torture(seed, motors, 0 if engine == "sim" else _LOOSE).run()
+
+
+def _have_engine(name: str, patch: pytest.MonkeyPatch) -> None:
+    """Rigs have this engine instead of the simulator's."""
+
+    class Engine:
+        tick_hz = EspEngine(name).tick_hz
+
+        def __new__(cls, motors: int, _depth: int) -> Any:
+            return EspEngine(name, motors)
+
+    patch.setattr(sim_rig, "SimEngine", Engine)
