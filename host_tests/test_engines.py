@@ -50,7 +50,7 @@ _TURN_US = 14  # what a reversal may make all axes wait for, besides
 ENGINES = ("sim", "i2s", "rmt", "rmt_s3", "pio")
 WHOLE = ("sim", "i2s", "rmt", "rmt_s3")  # those whose hardware is modelled too
 ESP = ("i2s", "rmt", "rmt_s3")
-MOST_MOTORS = {"rmt": 4, "rmt_s3": 4}
+MOST_MOTORS = {"rmt": 4, "rmt_s3": 4, "i2s": 6}
 
 
 class Made:
@@ -182,12 +182,18 @@ def moves() -> "dict[str, tuple[Limits, list[tuple[tuple[float, ...], float]]]]"
         "four axes": _of_axes(4),
         "five axes": _of_axes(5),
         "six axes": _of_axes(6),
+        "seven motors": _of_axes(6, (5,)),
+        "eight motors": _of_axes(6, (0, 1)),
     }
 
 
-def _of_axes(axes: int) -> "tuple[Limits, list[tuple[tuple[float, ...], float]]]":
-    """All go, and come back one after the other."""
+def _of_axes(
+    axes: int, twice: "tuple[int, ...]" = ()
+) -> "tuple[Limits, list[tuple[tuple[float, ...], float]]]":
+    """All go, and come back one after the other. twice: those that have a second motor."""
     limits = Limits((250.0,) * axes, (3000.0,) * axes, (200.0,) * axes)
+    if twice:
+        limits.moves = [1 << axis for axis in (*range(axes), *twice)]
     far = tuple((4.0, -3.3, 1.7, 0.9, -2.2, 3.1)[:axes])
     ways = [tuple(0.0 if i < k else at for i, at in enumerate(far)) for k in range(axes + 1)]
     return limits, [(way, 15.0) for way in ways]
@@ -203,7 +209,7 @@ MOVES = moves()
 
 def make(engine: str, move: str) -> Made:
     limits, lines = moves()[move]
-    if len(limits.moves or limits.rate) > MOST_MOTORS.get(engine, 6):
+    if len(limits.moves or limits.rate) > MOST_MOTORS.get(engine, 8):
         pytest.skip(f"{engine} has fewer motors")
     made = Made(engine, limits)
     for target, feed in lines:

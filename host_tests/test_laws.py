@@ -23,6 +23,7 @@ from rig_bench import Machine
 from ugrbl.sim.engine import Switch
 
 SECOND_Y = (0x001, 0x002, 0x004, 0x200)
+EIGHT_MOTORS = (*(1 << axis for axis in range(6)), 0x001, 0x200)  # a second Y turns round
 fast = Limits((250.0, 250.0, 250.0), (3000.0, 3000.0, 1500.0), (500.0, 500.0, 200.0))
 
 
@@ -177,7 +178,7 @@ def any_limits(axes: int):
         each(5.0, 10.0, 200.0, 3000.0),
         st.sampled_from([0.001, 0.01, 0.05, 0.5]),
         st.just(90_909),
-        st.sampled_from([(), COREXY, SECOND_Y] if axes == len("XYZ") else [()]),
+        st.sampled_from({3: [(), COREXY, SECOND_Y], 6: [(), EIGHT_MOTORS]}.get(axes, [()])),
     )
 
 
