@@ -27,6 +27,12 @@ PICO2_W = {"CHIP": "pico2_w", "MPY_ARCH": "armv7emsp", "LINK": "wifi", "PAGE": T
 
 
 OF_48: dict[str, Any] = {"CHIP": "rp2350b", "MPY_ARCH": "armv7emsp"}
+WIFI: dict[str, Any] = {
+    "CHIP": "pico_w",
+    "LINK": "wifi",
+    "TOOL": "laser",
+    "SPINDLE_PWM": 16,
+}
 EIGHT: dict[str, Any] = {
     **OF_48,
     "MOTORS": "XYZABCXY",
@@ -99,6 +105,12 @@ def test_a_board_is_data_only(name: str) -> None:
         ({**EIGHT, "CONTROL": (None, 40, None, None)}, "HOLD: pin 40 cannot do it"),
         ({**EIGHT, "CHIP": "pico2_w", "FLOOD": None}, "Raspberry Pi Pico 2 W has no pin 35 to co"),
         ({**EIGHT, "CHIP": None, "FLOOD": None}, "RP2350 on a board of its own has no pin 35 to"),
+        ({**EIGHT, "TOOL": "laser"}, "TOOL = laser: its beam takes what a motor takes, and leav"),
+        ({**WIFI, "STEP": (19, 20, 21, 22), "DIR": (26, 27, 28, 6), "LIMIT": None}, ""),
+        (
+            {**WIFI, "STEP": (19, 20, 21, 22, 7), "DIR": (26, 27, 28, 6, 8), "LIMIT": None},
+            'TOOL = laser: with LINK = "wifi" it takes 4 motors at the most',
+        ),
         ({"CONTROL": (14,)}, "CONTROL wants four entries"),
         ({"SAFETY_DOOR": True}, "SAFETY_DOOR is set and there is no pin for the door"),
         ({"PWM_MAX": 65535}, "PWM_MAX is 65535: it is 16383 at the most"),

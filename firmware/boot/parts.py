@@ -61,8 +61,7 @@ def pio(board: "ModuleType", link: "BoardLink") -> "Hardware":
     option = board.__dict__.get  # getattr() would keep the names for good
     hold_us, setup_us = option("DIR_HOLD_US", 2), option("DIR_SETUP_US", 5)
     pins = board.STEP, board.DIR, hold_us, setup_us
-    # A PIO has four machines.
-    if option("TOOL", "spindle") == "laser" and len(board.STEP) < 4:
+    if option("TOOL", "spindle") == "laser":
         from pio.beam import BeamEngine
 
         engine: PioEngine = BeamEngine(*pins, board.SPINDLE_PWM)

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from extras.api import Cnc
 
 _LINE_LENGTH = const(160)
-_MOTORS = const(3)  # with a fourth there is no machine left for the beam
 
 
 class Clusters:
@@ -160,10 +159,8 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     option = board.__dict__.get
     if option("TOOL", "spindle") != "laser":
         raise ValueError('CLUSTERS wants TOOL = "laser"')
-    if option("ENGINE", "") in ("rmt", "i2s") or len(option("STEP", ())) > _MOTORS:
-        raise ValueError(
-            "CLUSTERS wants three motors on a Pico: others have no machine for a beam"
-        )
+    if option("ENGINE", "") in ("rmt", "i2s"):
+        raise ValueError("CLUSTERS wants a Pico: others have no machine for a beam")
     options.line_length = _LINE_LENGTH
 
 

@@ -41,6 +41,7 @@ _NUMBER = const(33)
 # What every chip's PWM can do with a thousand steps of power, or nearly.
 _LOWEST_HZ = const(10)
 _HIGHEST_HZ = const(100_000)
+_BESIDE_RADIO = const(4)  # motors
 
 
 class Laser(Spindle):
@@ -135,6 +136,10 @@ def prepare(options: "Options", board: "ModuleType") -> None:
         raise ValueError("TOOL = laser: PWM_HZ is %d to %d" % (_LOWEST_HZ, _HIGHEST_HZ))
     if option("SPINDLE_ON", None) is not None:
         raise ValueError("TOOL = laser: SPINDLE_ON would not follow the beam")
+    # Beside five motors the beam's program and a radio's do not fit into PIO 1 of an RP2040.
+    if option("ENGINE", "") == "pio" and option("MPY_ARCH", "") == "armv6m":
+        if len(option("STEP", ())) > _BESIDE_RADIO and option("LINK", "usb") == "wifi":
+            raise ValueError('TOOL = laser: with LINK = "wifi" it takes 4 motors at the most')
     options.defaults = dict(options.defaults)
     options.defaults.setdefault(_NUMBER, hz)
     options.spindle = Laser

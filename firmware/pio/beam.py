@@ -1,10 +1,11 @@
 # mypy: disable-error-code=arg-type
 """BeamEngine: a PioEngine that changes the power of a beam at the step where it belongs.
 
-The beam has a lane of its own, and a machine of PIO 0 as the motors have. Its words are those of
-steps; where a motor would step, its machine wakes two DMA channels, which wake each other in turn:
-one takes what the machine has said, the other moves a level from a ring to where the PWM compares.
-What becomes of a segment, a stop, or a machine that has run out of words is what becomes of steps.
+The beam has a lane of its own behind the motors', and a machine as they have. Its words are those
+of steps; where a motor would step, its machine wakes two DMA channels, which wake each other in
+turn: one takes what the machine has said, the other moves a level from a ring to where the PWM
+compares. What becomes of a segment, a stop, or a machine that has run out of words is what becomes
+of steps.
 
     changes in a row -> words -> machine -> taker -> mover: level -> PWM
 
@@ -22,13 +23,12 @@ from motion import beam as bm
 
 from pio import pulses
 from pio.engine import PioEngine
-from pio.layout import MOTORS, RUNNING
+from pio.layout import BLOCK_LOG2, IN_BLOCK, MOTORS, PIO0, RP2350, RUNNING
 from pio.registers import (
     COUNT_TRIGGER,
     CREDITS,
     DMA_AT,
     DMA_EACH,
-    PIO0_AT,
     READ,
     RXF,
     WRITE,
@@ -45,7 +45,9 @@ _COMPARE = const(0x0C)  # of both its pins
 _TOP = const(0x10)
 _BOTH = const(0x10001)
 
-_RX = const(4)  # requests of PIO 0's machines that have said something begin here
+_LAST_OF_8 = const(31)  # pins above, which an RP2350B has, have slices from the ninth on
+
+_RX = const(4)  # requests of PIO 0's machines that have said something begin here, PIO 1's 8 on
 _UNPACED = const(63)
 _BYTES = const(1024)  # of the ring of levels, which lies at a multiple of it
 
@@ -63,7 +65,10 @@ class BeamEngine(PioEngine):
     ) -> None:
         super().__init__(step, direction, hold_us, setup_us, 1)
         base = _PWM_2350 if "RP2350" in sys.implementation._machine else _PWM
-        self._slice = base + _SLICE * (power >> 1 & 7)
+        which = power >> 1 & 7
+        if RP2350 and power > _LAST_OF_8:
+            which = power >> 1 & 3 | 8
+        self._slice = base + _SLICE * which
         # What motion/beam.py works on, and its ring of levels.
         self.beam = array("i", (0 for _ in range(bm.LENGTH)))
         self.beam[bm.BOTH] = _BOTH
@@ -94,10 +99,16 @@ class BeamEngine(PioEngine):
         first = (self._ring - at) // 4
         self.levels = memoryview(room)[first : first + _BYTES // 4]
         self._nothing = nothing
+        own = lane & IN_BLOCK
         control = taker.pack_ctrl(
-            size=2, inc_read=False, inc_write=False, treq_sel=_RX + lane, chain_to=mover.channel
+            size=2,
+            inc_read=False,
+            inc_write=False,
+            treq_sel=_RX + lane + (lane & 4),
+            chain_to=mover.channel,
         )
-        taker.config(read=PIO0_AT + 4 * (RXF + lane), write=self._nowhere, count=1, ctrl=control)
+        said = self._hub[PIO0 + (lane >> BLOCK_LOG2)] + 4 * (RXF + own)
+        taker.config(read=said, write=self._nowhere, count=1, ctrl=control)
         control = mover.pack_ctrl(
             size=2,
             inc_write=False,

@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
 _TICK_HZ = const(12_500_000)
 _SEGMENT_LOG2 = const(17)
-# Lanes: PIO 1 has a machine left, for a radio; and an RP2350's PIO 2 has three.
+# Motors: PIO 1 has a machine left, for a radio or a beam; and an RP2350's PIO 2 has three.
 _MOST = const(6)
 _MOST_2350 = const(8)
 _LAST_PIN = const(31)  # of those that a PIO has, as it begins; an RP2350B has 48
@@ -110,10 +110,11 @@ class PioEngine:
         if RP2350:
             rp2350 = "RP2350" in sys.implementation._machine
             if rp2350:
-                self._pin_control, self._invert_shift, most = 0x40028004, 12, _MOST_2350
+                self._pin_control, self._invert_shift = 0x40028004, 12
+                most = _MOST_2350 - more_lanes
                 if max(step + direction) > _LAST_PIN:
                     raise ValueError("STEP, DIR: only pins 0 to 31 make pulses")
-        if lanes > most:
+        if len(step) > most:
             raise ValueError("%d motors at most" % most)
         self._memory = Memory(lanes, rp2350)
         self._hub = self._memory.hub

@@ -5,8 +5,10 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from emulated import DIR, FOUND, LIMIT, RESET, SPINDLE_PWM, STEP, Board, files_of, steps
+from emulated import DIR, FOUND, LIMIT, RESET, SPINDLE_PWM, STEP, Board, files_of, firmware, steps
 from rp2040py.peripherals.pwm import CHN_CC, RPPWM
+from ugrbl.compiling import build
+from ugrbl.paths import BOARDS
 
 pytestmark = pytest.mark.xdist_group("pico laser")
 
@@ -111,6 +113,13 @@ def test_power_changes_at_its_step_at_100_mm_s(
     machine: Board, beam: Beam, per_mm: int, mode: str
 ) -> None:
     """The table of docs/laser.md: how far from its place, in steps, a change comes at the most."""
+    far_from_its_place(machine, beam, per_mm, mode)
+
+
+def far_from_its_place(
+    machine: Board, beam: Beam, per_mm: int, mode: str, others: str = ""
+) -> None:
+    """others: what else moves in each line."""
     machine.ask(f"$100={per_mm}")
     machine.forget()
     machine.send("\x18")
@@ -118,6 +127,7 @@ def test_power_changes_at_its_step_at_100_mm_s(
     for line in ("$X", f"G91 G1 F6000 {mode} S0"):
         machine.ask(line)
     lines = ["X2", *(f"X0.8S0:300:{875 - 100 * k}:100" for k in range(4)), "X0.8S1000", "X2S0"]
+    lines = [others + line for line in lines]
     fire(machine, beam, *lines)
     machine.pico.run_until(lambda: machine.said.count("ok\r\n") == len(lines), 5_000_000)
     assert machine.said.count("ok\r\n") == len(lines)
@@ -130,6 +140,44 @@ def test_power_changes_at_its_step_at_100_mm_s(
     far = [abs(place - (2 + 0.2 * k) * per_mm) for k, (place, _) in enumerate(found[:17])]
     print(f"{per_mm} steps/mm, {mode}: {max(far):.3f} steps from their places at the most")
     assert max(far) < 0.05
+
+
+_MORE = """
+STEP += (19, 20, 21)[:%d]
+DIR += (26, 27, 28)[:%d]
+LIMIT = LIMIT + (None,) * (len(STEP) - 3)
+"""
+
+
+@pytest.mark.parametrize(("motors", "others"), [(4, "A-.3"), (6, "A.3B-.2C.1")])
+def test_it_does_so_beside_four_and_six_motors(
+    uf2: Path, tmp_path: Path, motors: int, others: str
+) -> None:
+    """The beam's machine is one of PIO 1 then, and behind six motors the last there is."""
+    file = tmp_path / "laser.py"
+    text = (BOARDS / "pico_laser.py").read_text("utf-8")
+    file.write_text(text + _MORE % (motors - 3, motors - 3), "utf-8")
+    files = {**dict.fromkeys(firmware()), **build.for_board(file).files}
+    machine = Board(uf2, files).boot().settled()
+    machine.pico.record([SPINDLE_PWM, *STEP, *DIR])
+    for axis in range(motors):
+        for number, value in ((100, 250), (110, 6000), (120, 5000)):
+            machine.ask(f"${number + axis}={value}")
+    for setting in ("$0=3", "$33=20000"):
+        machine.ask(setting)
+    beam = Beam(machine)
+    far_from_its_place(machine, beam, 250, "M3", others)
+    running(machine, beam, "M3")
+    STOPS["reset"](machine)
+    machine.pico.run_us(1_500)
+    machine.pico.edges.clear()
+    machine.pico.run_us(60_000)
+    assert not [edge for edge in machine.pico.edges if edge.pin == SPINDLE_PWM]
+    assert machine.pico.mcu.gpio[SPINDLE_PWM].value.name == "LOW"
+    machine.pico.run_us(700_000)
+    machine.send("\x18")
+    machine.pico.run_us(50_000)
+    running(machine, beam, "M3")
 
 
 def running(machine: Board, beam: Beam, mode: str) -> None:

@@ -36,6 +36,9 @@ _OTHERS = {
     "INPUTS": "inputs for custom.py",
 }
 
+# Of an RP2350, which has pulses for one more.
+_MOST_BESIDE_BEAM = 7
+
 # Pins of an SPI: what is left by 4 of its clock, what it sends at, what it reads at; by turns one
 # SPI has so many of them, and the other.
 _SPI = (2, 3, 0)
@@ -274,6 +277,8 @@ def _wires(board: ModuleType) -> Iterator[str]:
     has_power = getattr(board, "SPINDLE_PWM", None) is not None
     if getattr(board, "TOOL", "spindle") == "laser" and not has_power:
         yield "TOOL = laser: there is no pin for SPINDLE_PWM"
+    if getattr(board, "TOOL", "spindle") == "laser" and len(board.STEP) > _MOST_BESIDE_BEAM:
+        yield f"TOOL = laser: its beam takes what a motor takes, and leaves {_MOST_BESIDE_BEAM}"
     for name in getattr(board, "INVERT", ()):
         if name in INVERTIBLE and getattr(board, name, None) is None:
             yield f"INVERT: there is no pin for {name}"
