@@ -44,6 +44,7 @@ _PARTS: "dict[str, _Part]" = {
     "special": talking.special_lines,
     "long": talking.long_lines,
     "clusters": talking.clusters,
+    "axes": talking.axes,
     "chords": talking.chords,
     "share": pins.share,
     "hold": pins.hold,
@@ -52,7 +53,7 @@ _PARTS: "dict[str, _Part]" = {
     "gaps": talking.gaps,
     "calibration": calibration,
 }
-_EMULATED_ONLY = ("boot", "clusters", "hold", "rates")
+_EMULATED_ONLY = ("boot", "clusters", "axes", "hold", "rates")
 
 
 _PLAIN, _CACHE = "plain", "cache"

@@ -28,6 +28,16 @@ def short_moves(count: int, lines_s: float = 3000) -> "Iterator[str]":
         yield f"G1X{x:06.3f}Y{y:06.3f}F{lines_s * _MOVE_MM * 60:.0f}"
 
 
+def in_all_axes(letters: str, count: int, lines_s: float) -> "Iterator[str]":
+    """Such moves, in which every axis has a word and goes its way: the others gently."""
+    for k in range(1, count + 1):
+        angle = _MOVE_MM * k / 20
+        places = [30 - 20 * cos(angle), 10 + 20 * sin(angle)]
+        places += [10 + 5 * sin(angle + i) for i in range(2, len(letters))]
+        words = "".join(f"{letter}{at:06.3f}" for letter, at in zip(letters, places, strict=True))
+        yield f"G1{words}F{1.15 * lines_s * _MOVE_MM * 60:.0f}"
+
+
 def new_feeds(count: int) -> "Iterator[str]":
     """Short moves, each with another feed rate than the one before."""
     for k, line in enumerate(short_moves(count)):

@@ -1,11 +1,13 @@
 """Rows that a sender can measure, and those that our own commands tell from inside."""
 
 from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import prompt
 import streaming
 from bench_setup import Bench, inside, reset, set_up
-from emulated import files_of
+from emulated import files_of, firmware
 from on_board import GAPS, MAIN, PLAIN, STAGES
 from rows import Row
 from streaming import (
@@ -20,12 +22,16 @@ from streaming import (
     comments,
     figures,
     idle,
+    in_all_axes,
     new_feeds,
     query_idle_us,
     raster,
     short_moves,
     stream,
 )
+from ugrbl.compiling import build
+from ugrbl.paths import BOARDS
+from ugrbl.sim import motor_names
 from wire import EmulatedWire, Talk
 
 _ASKED = 700  # short moves per second
@@ -33,6 +39,20 @@ _TOO_MUCH = 2400  # the same where the firmware is to be the limit
 _BLOCKS = 63
 # 40 ms, but not as long as a whole number of lines: a report is to come at any time within one.
 _QUERY_US = 39_700
+
+
+def _boards_of_axes() -> "Iterator[tuple[str, tuple[int, str]]]":
+    pico = (BOARDS / "rpi_pico.py").read_text("utf-8")
+    yield "three axes", (3, pico)
+    yield "three axes and a skew", (3, f"{pico}\nSKEW = True\n")
+    six = (BOARDS / "pico_six.py").read_text("utf-8")
+    for count, word in ((4, "four"), (5, "five"), (6, "six")):
+        cut = ", ".join(f"{name}[:{count}]" for name in ("STEP", "DIR", "LIMIT"))
+        yield f"{word} axes", (count, f"{six}\nSTEP, DIR, LIMIT = {cut}\n")
+
+
+# How many axes, and the text of the board file.
+OF_AXES = dict(_boards_of_axes())
 
 
 def _at_start(talk: Talk) -> None:
@@ -214,6 +234,42 @@ def clusters(bench: Bench) -> Iterator[Row]:
     made = stream(talk, list(streaming.clusters(150)), _BLOCKS)
     yield Row("clusters of 16 dots, M4", made.lines_s, "lines/s")
     yield Row("dots of clusters, M4", made.lines_s * CLUSTER, "dots/s")
+
+
+def axes(bench: Bench) -> Iterator[Row]:
+    """Short moves in which all axes go, and free memory: boards of their own. Of three axes as the
+    default board, with a skew as well; of more the first motors of pico_six.py."""
+    if not bench.emulated:
+        return
+    for name in OF_AXES:
+        yield from of_axes(bench, name)
+
+
+def of_axes(bench: Bench, name: str) -> Iterator[Row]:
+    """The rows of one of these boards, emulated."""
+    count, text = OF_AXES[name]
+    letters = motor_names.LETTERS[:count]
+    with TemporaryDirectory() as folder:
+        file = Path(folder, "axes.py")
+        file.write_text(text, "utf-8")
+        made_of = build.for_board(file).files
+    board = bench.board({**dict.fromkeys(firmware()), **made_of, "main.py": MAIN})
+    for pin in (*range(9, 16), *range(15, 23), 0, 1, 28):
+        board.pico.drive(pin, 1)
+    talk = Talk(EmulatedWire(board.boot().settled()))
+    numbers = ((100, 250), (110, 30_000), (120, 5000))
+    of_all = [f"${n + axis}={value}" for n, value in numbers for axis in range(count)]
+    skew = ["$780=1", "$781=-1", "$782=1"] if "SKEW" in text else []
+    for line in ("$0=3", "$1=255", "$10=3", *of_all, *skew, "G90"):
+        talk.ask(line)
+    talk.ask("G0" + "".join(f"{letter}10" for letter in letters))
+    idle(talk)
+    made = stream(talk, list(in_all_axes(letters, 250, _TOO_MUCH)), _BLOCKS)
+    yield Row(f"short moves of {name}", made.lines_s, "lines/s", "streamed")
+    idle(talk)
+    inside(talk, "$COLLECT=2")
+    (free,) = inside(talk, "$FREE")
+    yield Row(f"memory free with {name}", free / 1000, "kB")
 
 
 def chords(bench: Bench) -> Iterator[Row]:

@@ -18,7 +18,9 @@ from ugrbl.paths import BOARDS
 
 sys.path.append(str(Path(__file__).parent.parent / "bench"))
 
+from bench_setup import Bench
 from on_board import MAIN
+from talking import of_axes
 
 pytestmark = pytest.mark.xdist_group("pico six")
 
@@ -196,6 +198,12 @@ def _share(board: Board, axes: int) -> float:
 
 def _numbers(said: str) -> "list[int]":
     return [int(n) for n in said.partition("[MSG:")[2].partition(".]")[0].split()]
+
+
+def test_four_axis_lines_are_85_percent_of_three_axis_ones_per_second(uf2: Path) -> None:
+    """As docs/speed.md has them."""
+    three, four = (next(of_axes(Bench(uf2), name)).figure for name in ("three axes", "four axes"))
+    assert four >= 0.85 * three > 0
 
 
 def test_heap_is_free_with_six_axes(uf2: Path) -> None:
