@@ -53,6 +53,7 @@ GOOD: "list[tuple[str, dict[str, Any]]]" = [
                 "rested": True,
                 "position": [0 if back else 20] * 3,
                 "counted": [0 if back else 20] * 3,
+                "motors": [0, 1, 2],
             },
         )
         for back in (False, True)
@@ -283,7 +284,10 @@ REFUSED = {
         {"about_it": ESP32, "wired": WIRED_ESP._replace(engine="i2s")},
         "steps behind shift registers: no pin of the chip shows them",
     ),
-    "six motors": ({"wired": WIRED._replace(motors=6)}, "6 motors take machines of PIO 1"),
+    "seven motors": (
+        {"wired": WIRED._replace(motors=7)},
+        "7 motors, a laser's beam being one, leave",
+    ),
     "an engine of elsewhere": ({"about_it": ESP32, "wired": WIRED}, "ENGINE 'pio' is none"),
     "no PCNT": (
         {"about_it": ESP32, "wired": WIRED_ESP._replace(has_pcnt=False)},

@@ -4,7 +4,9 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterable
+from contextlib import redirect_stdout
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -89,11 +91,10 @@ class Bench:
 
     def run(self, pwm: bool = True, seed: int = 7) -> "dict[str, Row]":
         """All checks but the hang."""
-        said: list[str] = []
         self._file.write_text(program.checks(self.chip, _AMOUNTS, pwm, seed))
-        names: dict[str, Any] = {"print": said.append}
-        exec(compile(self._file.read_text(), str(self._file), "exec"), names)
-        self.rows, self.ended = heard(said)
+        with redirect_stdout(StringIO()) as said:
+            exec(compile(self._file.read_text(), str(self._file), "exec"), {})
+        self.rows, self.ended = heard(said.getvalue().splitlines())
         return self.rows
 
 

@@ -1,14 +1,17 @@
 """`ugrbl selftest` at an emulated Pico: all checks pass, and they fail where they should."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from emulated import STEP, Board, firmware
+from ugrbl.compiling import build
 from ugrbl.device.deploy import About
 from ugrbl.device.selftest import program
 from ugrbl.device.selftest.row import Row
 from ugrbl.device.selftest.session import WIRING, Wiring, check, look
+from ugrbl.paths import BOARDS
 
 pytestmark = pytest.mark.xdist_group("pico selftest")
 
@@ -87,6 +90,34 @@ def test_the_firmware_passes_all_that_can_be_shown_here(uf2: Path) -> None:
     assert {"stops at random instants", "limit: to the last edge"} <= set(rows)
     assert rows["settings save: interrupts off"].figures["longest_us"] >= _ERASE_US
     assert machine.status()["state"] in ("Idle", "Alarm")
+
+
+@pytest.mark.parametrize("motors", [5, 6])
+def test_five_and_six_motors_are_counted_in_turn(
+    uf2: Path, tmp_path: Path, motors: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They have machines of PIO 1 themselves: those that are left watch some of them at a time."""
+    file = tmp_path / "pico_some.py"
+    less = f"STEP, DIR, LIMIT = STEP[:{motors}], DIR[:{motors}], LIMIT[:{motors}]\n"
+    text = (BOARDS / "pico_six.py").read_text("utf-8")
+    file.write_text(f"{text}WATCHDOG_MS = 1500\n{less}", "utf-8")
+    files = {**dict.fromkeys(firmware()), **build.for_board(file).files}
+    machine = Board(uf2, files)
+    for pin in (*range(15, 23), 0, 1, 28):
+        machine.pico.drive(pin, 1)
+    board = Emulated(machine.boot().settled())
+    chip, wiring = look(board)
+    assert (chip, wiring) == (program.RP2040, Wiring("pio", 14, 26, False, motors))
+    rows: "dict[str, Row]" = {}
+    monkeypatch.setattr(sys.modules[Emulated.__module__], "_MOST_S", 30)
+    check(board, chip, program.QUICK, True, 5, lambda row: rows.update({row.what: row}))
+    failed = [row for row in rows.values() if row.passed is False]
+    assert [row.what for row in failed] == ["settings save: interrupts off"][: len(failed)]
+    for rate in ("1 kHz", "50 kHz", "the highest"):
+        row = rows[f"steps at {rate}, all axes"]
+        assert row.passed and f"on each of {motors} axes" in row.text
+    for what in ("stops at random instants", "starts from rest", "limit: to the last edge"):
+        assert rows[what].passed, what
 
 
 # An engine that makes pulses too short, leaves DIR no time, and is a step off.

@@ -50,7 +50,7 @@ class Amounts:
 
     run_ms: int = 1000
     seen: tuple[int, int] = (1000, 700)
-    samples: int = 16_384
+    samples: int = 12_288
     edges: int = 64
     windows: int = 12
     stops: int = 2000

@@ -16,8 +16,8 @@ _MARK = "= "
 _CHECKS_S = 300.0
 _HANG_S = 20.0
 
-# Of an RP2: PIO 0 has machines for so many.
-_MOST_MOTORS = 4
+# Of an RP2: one machine of PIO 0 and PIO 1 is the clock's, and one at the least counts.
+_MOST_MOTORS = 6
 
 # What the board file says that decides what may be done.
 WIRING = """
@@ -27,7 +27,7 @@ def wiring():
     except ImportError:
         return None
     said = [getattr(board, name, None) for name in ("ENGINE", "ENABLE", "SPINDLE_PWM")]
-    motors = len(getattr(board, "STEP", ()))
+    motors = len(getattr(board, "STEP", ())) + (getattr(board, "TOOL", "") == "laser")
     try:
         from esp32 import PCNT
     except ImportError:
@@ -43,7 +43,7 @@ class Wiring(NamedTuple):
     enable: Any
     spindle_pwm: int | None
     has_pcnt: bool = False  # pulse counters
-    motors: int = 0
+    motors: int = 0  # and a laser's beam, which has what a motor has
 
 
 class Board(Protocol):
@@ -151,8 +151,9 @@ def _countable(about: About, wiring: Wiring, chip: AnyChip) -> None:
         raise DeployError(f"ENGINE {wiring.engine!r} is none that can be tested", "")
     if not isinstance(chip, Esp) and wiring.motors > _MOST_MOTORS:
         raise DeployError(
-            f"{wiring.motors} motors take machines of PIO 1, with which steps would be counted",
-            f"a board file with {_MOST_MOTORS} motors can be tested",
+            f"{wiring.motors} motors, a laser's beam being one, leave no machine of PIO 1 that "
+            "could count steps",
+            f"a board file with {_MOST_MOTORS} of them can be tested",
         )
     if isinstance(chip, Esp) and not wiring.has_pcnt:
         raise DeployError(

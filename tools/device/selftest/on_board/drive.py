@@ -5,7 +5,7 @@ import board
 
 from .config import CONFIG
 from .found import module
-from .rows import AXES, Mover
+from .rows import AXES, Mover, settle
 from .watch import FIRST, LAST, TICK_HZ, Counter, Sampler
 
 sampler = Sampler(CONFIG["samples"])  # ahead of what divides memory
@@ -22,14 +22,20 @@ class Drive(Mover):
         hold_us = getattr(board, "DIR_HOLD_US", 2)
         setup_us = getattr(board, "DIR_SETUP_US", 5)
         engine = PioEngine(board.STEP, board.DIR, hold_us, setup_us)
-        self._counters = []
+        self._counters, self._next = [], 0
         super().__init__(engine, TICK_HZ, WATCHED, 65536, (60, 2500), (60, 1000), 40_000)
 
     def count(self, axes):
-        """Watch the first axes from here on, the engine being at rest."""
+        """Watch so many axes from here on, the engine being at rest: the next ones in turn."""
+        settle()  # what has been told leaves holes
         for one in self._counters:
             one.close()
-        self._counters = [Counter(FIRST + i, board.STEP[i], board.DIR[i]) for i in range(axes)]
+        self.motors = [(self._next + i) % AXES for i in range(axes)]
+        self._next = (self._next + axes) % AXES
+        self._counters = [
+            Counter(FIRST + i, board.STEP[motor], board.DIR[motor])
+            for i, motor in enumerate(self.motors)
+        ]
         self.name_here()
 
     def counted(self):

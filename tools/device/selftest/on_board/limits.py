@@ -143,7 +143,7 @@ def limits_stop(drive, port, heard, shot):
             missed += heard[0] == 0
             ticks.append(last_edge(at))
             drive.stop()
-            wrong += drive.position()[:watched] != drive.counted()
+            wrong += drive.of_watched(drive.position()) != drive.counted()
         port.hear_limits(False)
         say(
             "limits",

@@ -9,7 +9,7 @@ from machine import Pin, Timer
 from .config import CONFIG
 from .drive import WATCHED, sampler
 from .rows import AXES, settle, some
-from .runs import any_motion, count_steps, start_from_rest
+from .runs import any_motion, count_steps, start_from_rest, watch_others
 from .say import say
 from .watch import FIRST, Counter
 
@@ -88,6 +88,7 @@ def stop_at_random(drive):
         stop()
 
     for k in range(CONFIG["stops"]):
+        watch_others(drive, k)
         any_motion(drive, 1000)
         drive.start()
         delay_us = some(300, 9000)
@@ -106,7 +107,7 @@ def stop_at_random(drive):
         position, counted = drive.position(), drive.counted()
         time.sleep_us(100)
         late += drive.counted() != counted
-        if position[:WATCHED] != counted:
+        if drive.of_watched(position) != counted:
             wrong += 1
             worst = worst or [k, delay_us, position, counted]
             drive.count(WATCHED)

@@ -55,6 +55,8 @@ class Mover:
 
     def __init__(self, engine, tick_hz, watched, long, gaps, rest_gaps, row):
         self.engine, self._tick_hz, self.watched, self._long = engine, tick_hz, watched, long
+        self.motors = list(range(watched))
+        self.rounds = -(-AXES // watched)  # in which each motor is watched once
         self.gaps, self.rest_gaps, self.row = gaps, rest_gaps, row
         self._plan = array("i", [0] * (ROW + 3 + 3 * AXES))
         self._plan[LENGTH] = 3 + 3 * AXES
@@ -111,6 +113,10 @@ class Mover:
         """At once, and nothing is left to do."""
         self.engine.stop()
         self._plan[LEFT] = 0
+
+    def of_watched(self, steps):
+        """Those of the motors that are watched."""
+        return [steps[motor] for motor in self.motors]
 
     def position(self):
         """What the engine says it has made."""

@@ -1,13 +1,14 @@
 # mypy: ignore-errors
 """Watching machines of PIO 1, which see the pads of pins that others drive: no wire is needed.
 
-Machines 4 to 6 are theirs; 7 is the pulse engine's clock. Two or three count steps, and the last
-samples all pins into memory by DMA: a logic analyser. A tick is the engine's, so what is measured
-in ticks is exact.
+Machines 4 to 6 are theirs, as far as neither motors behind the fourth nor a beam have them; 7 is
+the pulse engine's clock. They count steps, and the last one by turns samples all pins into memory
+by DMA: a logic analyser. A tick is the engine's, so what is measured in ticks is exact.
 """
 
 from array import array
 
+import board
 import micropython
 import rp2
 from machine import Pin
@@ -17,7 +18,8 @@ from .programs import count_program, sample_program
 
 TICK_HZ = 12_500_000
 ALL = 0xFFFFFFFF
-FIRST, LAST = 4, 6  # machines
+LANES = len(board.STEP) + (getattr(board, "TOOL", "") == "laser")
+FIRST, LAST = max(LANES, 4), 6  # machines
 PIO1 = 0x50300000
 # Instructions that are forced into a machine: mov(x, invert(null)), mov(isr, x), push(noblock) …
 FILL_X, FILL_Y = 0xA02B, 0xA04B
@@ -59,7 +61,7 @@ class Sampler:
         self.words = bytearray(4 * length)
         self.dma = rp2.DMA()
         self._control = self.dma.pack_ctrl(
-            size=2, inc_read=False, inc_write=True, treq_sel=12 + LAST - FIRST
+            size=2, inc_read=False, inc_write=True, treq_sel=12 + LAST - 4
         )
         self.hz = TICK_HZ
 
