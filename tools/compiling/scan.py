@@ -147,7 +147,7 @@ def asked_of_strangers(tree: ast.Module, ours: Collection[str]) -> Iterator[str]
         else:
             others |= set(bound(statement))
     names -= {*ours, *others}
-    for node in ast.walk(tree):
+    for node in walk(tree):
         match node:
             case ast.Attribute(value, name, ast.Load()) if root(value) in names:
                 yield name
