@@ -14,9 +14,10 @@ CLASSES = {
     if isinstance(node, ast.ClassDef)
 }
 # Here all is done while the machine is built; a stream for the prompt is no part of the machine,
-# nor is what handlers of custom.py are given, nor what a card that is put in is read by.
+# nor is what handlers of custom.py are given, nor what a card that is put in is read by, nor a
+# browser's call.
 BUILDING = {"boot.parts", "boot.parts_esp", "boot.wiring"}
-APART = {"_Pusher", "Place", "Saved", "SdBlocks"}
+APART = {"_Pusher", "Place", "Saved", "SdBlocks", "WebSocket"}
 # What extras do and ask for then, and what options.py does.
 INSTALLING = {"prepare", "install", "add_pins", "of_board", "beside"}
 
