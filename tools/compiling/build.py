@@ -111,7 +111,7 @@ def needed(board: ModuleType) -> list[str]:
     """The modules that a board has a use for, as sources() has them."""
     there = {module(source): source for source in sources()}
     # Without imports of constants: a module that has nothing else stays behind.
-    written = _in_place(tuple(texts().items()))
+    written = _in_place(_of_chip(getattr(board, "MPY_ARCH", "")))
     found: dict[str, str] = {}
     extras = _extras(board)
     left = [module(START), *extras]
@@ -205,7 +205,7 @@ def chosen_texts(
     wanted = modules_of(board)
     firmware = prepared_firmware(debug, arch)
     with_code = arch in machine_code.PROCESSORS
-    described = dict(_described(tuple(texts().items()), debug, not with_code))
+    described = dict(_described(_of_chip(arch), debug, not with_code))
     there = kernels_apart(arch, debug).texts if with_code else firmware.texts
     chosen = {name: text for name, text in there.items() if name in wanted}
     if board is not None and not debug and not stay_apart(wanted):
@@ -282,8 +282,7 @@ def path_of(name: str) -> str:
 
 def prepared_firmware(debug: bool = False, arch: str = "armv6m") -> Shortened:
     """All modules as they are compiled, with what tells this build from others in them."""
-    there = of_chip(texts(), arch)
-    return _prepared(tuple(there.items()), debug, arch not in machine_code.PROCESSORS)
+    return _prepared(_of_chip(arch), debug, arch not in machine_code.PROCESSORS)
 
 
 def kernels_apart(arch: str, debug: bool = False) -> Apart:
@@ -291,7 +290,11 @@ def kernels_apart(arch: str, debug: bool = False) -> Apart:
     return _apart(tuple(prepared_firmware(debug, arch).texts.items()))
 
 
-@lru_cache(2)
+def _of_chip(arch: str) -> tuple[tuple[str, str], ...]:
+    return tuple(of_chip(texts(), arch).items())
+
+
+@lru_cache(4)
 def _in_place(modules: tuple[tuple[str, str], ...]) -> dict[str, str]:
     return inline(dict(modules))
 

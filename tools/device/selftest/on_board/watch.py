@@ -18,7 +18,7 @@ from .programs import count_program, sample_program
 
 TICK_HZ = 12_500_000
 ALL = 0xFFFFFFFF
-LANES = len(board.STEP) + (getattr(board, "TOOL", "") == "laser")
+LANES = len(board.STEP) + (getattr(board, "TOOL", "spindle") == "laser")
 FIRST, LAST = max(LANES, 4), 6  # machines
 PIO1 = 0x50300000
 # Instructions that are forced into a machine: mov(x, invert(null)), mov(isr, x), push(noblock) …
