@@ -69,7 +69,7 @@ class Torture:
         self._stopped = False  # since places were compared
         self._random = random.Random(seed)
         self._axes = motor_names.count_axes(motors)
-        self._axis_of = [motor_names.LETTERS.index(letter) for letter in motors]
+        self._axis_of = [motor_names.AXIS_LETTERS.index(letter) for letter in motors]
         fast = {number: of for number, of in _FAST.items() if number % 10 < self._axes}
         settings = {**fast, 21: seed % 2, 32: seed // 2 % 2, 22: 0}
         self.machine = Machine(settings, _board(motors), watched=False)
@@ -102,7 +102,7 @@ class Torture:
         words = self._random.choices(self._words, k=self._random.randint(0, 5))
         if roll < 0.6:
             words = ["G1F2000X%.2fY%.2f" % (self._random.uniform(-3, 3), self._random.random())]
-            for letter in motor_names.LETTERS[3 : self._axes]:
+            for letter in motor_names.AXIS_LETTERS[3 : self._axes]:
                 words.append("%s%.2f" % (letter, self._random.uniform(-2, 2)))
         return self._random.choice(("", " ")).join(words)
 

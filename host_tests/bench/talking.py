@@ -248,7 +248,7 @@ def axes(bench: Bench) -> Iterator[Row]:
 def of_axes(bench: Bench, name: str) -> Iterator[Row]:
     """The rows of one of these boards, emulated."""
     count, text = OF_AXES[name]
-    letters = motor_names.LETTERS[:count]
+    letters = motor_names.AXIS_LETTERS[:count]
     with TemporaryDirectory() as folder:
         file = Path(folder, "axes.py")
         file.write_text(text, "utf-8")

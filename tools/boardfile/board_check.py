@@ -178,7 +178,7 @@ def _held(board: ModuleType) -> Iterator[tuple[str, tuple[int, ...]]]:
 def _pins(board: ModuleType, chip: Chip) -> Iterator[str]:
     """No pin twice, pins that exist, as many as the engine needs."""
     if motor_names.axes_of(board) < FEWEST_AXES:
-        yield f"STEP wants {FEWEST_AXES} pins, for {motor_names.LETTERS[:FEWEST_AXES]}"
+        yield f"STEP wants {FEWEST_AXES} pins, for {motor_names.AXIS_LETTERS[:FEWEST_AXES]}"
     if len(getattr(board, "CONTROL", (None,) * 4)) != len(CONTROLS):
         yield "CONTROL wants four entries, for reset, hold, start and door; None where not wired"
     items = {item.name: item for item in ITEMS}

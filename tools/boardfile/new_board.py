@@ -136,7 +136,7 @@ class Board:
 
     def wiring(self) -> Iterator[tuple[int, str]]:
         """Every pin in use, and what is connected to it."""
-        names = motor_names.names(self.motors or motor_names.LETTERS)
+        names = motor_names.names(self.motors or motor_names.AXIS_LETTERS)
         for item in ITEMS:
             for motor, pin in enumerate(self.pins.get(item.name, ())):
                 what = item.question.partition(",")[0]
@@ -213,11 +213,11 @@ def check_motors(board: Board, letters: str) -> None:
 
 def check_axes(board: Board) -> None:
     """BoardError where nothing says what so many motors move."""
-    motors, most = len(board.pins["STEP"]), len(motor_names.LETTERS)
+    motors, most = len(board.pins["STEP"]), len(motor_names.AXIS_LETTERS)
     if not board.motors and motors > most:
         raise BoardError(
             f"STEP has {motors} pins and there are {most} axes: MOTORS says which each moves, "
-            f'"{(motor_names.LETTERS * 2)[:motors]}" say'
+            f'"{(motor_names.AXIS_LETTERS * 2)[:motors]}" say'
         )
 
 

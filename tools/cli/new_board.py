@@ -172,12 +172,12 @@ def _one(console: Console, board: Board, item: Item, text: str | None, asking: b
 def _motors(console: Console, board: Board, text: str | None, asking: bool) -> str:
     """The axis of each motor; "" where each has its own, as with three there is no question."""
     count = len(board.pins["STEP"])
-    own = motor_names.LETTERS[:count]
+    own = motor_names.AXIS_LETTERS[:count]
     if text is None and (not asking or count <= new_board.FEWEST_AXES):
         new_board.check_axes(board)
         return ""
     question = "The axis of each motor, XYZY for two on Y"
-    first = (motor_names.LETTERS * 2)[:count]
+    first = (motor_names.AXIS_LETTERS * 2)[:count]
     letters = _letters(console, board, text, question, first, new_board.check_motors)
     return "" if letters == own else letters
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ..sim import motor_names
-from ..sim.motor_names import LETTERS
+from ..sim.motor_names import AXIS_LETTERS
 
 if TYPE_CHECKING:
     from ..sim.engine import Switch
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 PROBE = "probe"
 DOOR = "door"
-_PLACE = re.compile(rf"([{LETTERS}])([<>]?)(-?\d+(?:\.\d*)?)", re.IGNORECASE)
+_PLACE = re.compile(rf"([{AXIS_LETTERS}])([<>]?)(-?\d+(?:\.\d*)?)", re.IGNORECASE)
 _TIME = re.compile(r"(\d+(?:\.\d*)?)(ms|s)")
 _WHEN = "on, off, a place (Z-30) or a time (2s)"
 
@@ -53,7 +53,7 @@ def rule(text: str) -> Rule:
     if not found[2] and not mm:
         raise ValueError(f"--input {text}: on which side of it? {found[1]}<0 or {found[1]}>0")
     above = found[2] == ">" if found[2] else mm > 0
-    return Rule(name, axis=LETTERS.index(found[1].upper()), mm=mm, above=above)
+    return Rule(name, axis=AXIS_LETTERS.index(found[1].upper()), mm=mm, above=above)
 
 
 def names(rig: "Rig") -> dict[str, str]:
@@ -102,9 +102,9 @@ class Inputs:
         from ..sim.switches import PlaceSwitch
 
         if each.axis >= motor_names.axes_of(self._rig.board):
-            raise ValueError(f"{each.name}: this machine has no axis {LETTERS[each.axis]}")
+            raise ValueError(f"{each.name}: this machine has no axis {AXIS_LETTERS[each.axis]}")
         together = motor_names.shared(self._rig.board)
-        if LETTERS[each.axis] in together:
+        if AXIS_LETTERS[each.axis] in together:
             which = " and ".join(together)
             raise ValueError(f"{each.name}: motors move {which} together: take another axis")
         return PlaceSwitch(self._rig, self.names[each.name], each.axis, each.above, each.mm)

@@ -4,12 +4,12 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-LETTERS = "XYZABC"
+AXIS_LETTERS = "XYZABC"
 
 
 def letters(board: "Any") -> str:
     """The axis of each motor: XYZY."""
-    return getattr(board, "MOTORS", "") or LETTERS[: len(board.STEP)]
+    return getattr(board, "MOTORS", "") or AXIS_LETTERS[: len(board.STEP)]
 
 
 def count_axes(of_motors: str) -> int:
@@ -33,4 +33,4 @@ def shared(board: "Any") -> str:
     if getattr(board, "COREXY", False):
         return "XY"
     words = [word.strip("+-") for word in getattr(board, "MOVES", ())]
-    return "".join([a for i, a in enumerate(LETTERS) if i < len(words) and words[i] != a])
+    return "".join([a for i, a in enumerate(AXIS_LETTERS) if i < len(words) and words[i] != a])

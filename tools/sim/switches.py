@@ -21,7 +21,7 @@ class EndSwitch(Switch):
     def __init__(self, rig: "Rig", motor: int, above: bool) -> None:
         super().__init__(rig.port.limit_names[motor], motor, above, 0)
         self._rig = rig
-        self._number = motor_names.LETTERS.index(motor_names.letters(rig.board)[motor])
+        self._number = motor_names.AXIS_LETTERS.index(motor_names.letters(rig.board)[motor])
 
     @property
     def steps(self) -> int:
