@@ -61,7 +61,7 @@ class Machine:
 
     def places(self) -> "list[float]":
         """What the board reports, in steps."""
-        return [float(mm) * _PER_MM for mm in self.board.status()["MPos"].split(",")]
+        return [round(float(mm) * _PER_MM, 3) for mm in self.board.status()["MPos"].split(",")]
 
 
 def _rises(edges: "list[Edge]", motor: int) -> "list[float]":
