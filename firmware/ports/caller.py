@@ -4,7 +4,7 @@
 Nobody is ever waited for. What is to be sent is kept here, and goes in pieces that lwIP has room
 for: where its memory is full, MicroPython 1.28 waits up to ten seconds in a write, also for a
 socket that is not to block (extmod/modlwip.c, lwip_tcp_send). So no more is on its way to a caller
-than _CREDIT bytes at once and _UNHEARD in all, until something comes from him, which tells that
+than _CREDIT bytes at once and so many in all, until something comes from him, which tells that
 what was sent before has arrived; and what is said in one turn goes in one piece.
 """
 
@@ -26,7 +26,7 @@ _SEGMENT = const(100)  # what a write counts for at the least: lwIP has 32 segme
 # Senders ask for a report a few times a second: who is silent for so long is not there.
 _GONE_MS = const(3000)
 _CREDIT_MS = const(250)  # then what was sent has arrived, where there is anybody
-_UNHEARD = const(2400)  # three callers fill 7200 of lwIP's 8000 bytes
+UNHEARD = const(2400)  # three callers fill 7200 of lwIP's 8000 bytes
 
 
 @micropython.viper
@@ -39,9 +39,11 @@ def asks(data: ptr8, count: int) -> int:
 
 
 class Caller:
-    """A place for one. conn: None where it is free. trusted: may do more than read."""
+    """A place for one. conn: None where it is free. trusted: may do more than read. most: bytes
+    that may be on their way to who is not heard of."""
 
-    def __init__(self) -> None:
+    def __init__(self, most: int = UNHEARD) -> None:
+        self._most = most
         self.conn: "Connection | None" = None
         self.address = ""
         self.trusted = False
@@ -149,7 +151,7 @@ class Caller:
             return True
         now_ms = time.ticks_ms()
         if self._credit <= 0:
-            if self._unheard >= _UNHEARD:
+            if self._unheard >= self._most:
                 return False
             if not at_once and time.ticks_diff(now_ms, self._sent_ms) < _CREDIT_MS:
                 return True

@@ -15,7 +15,7 @@ from base import errors
 from micropython import const
 
 from ports.access import MSG_TAKEN, OK, REFUSED, TAKEN, Access
-from ports.caller import Caller, asks
+from ports.caller import UNHEARD, Caller, asks
 from ports.link_memory import PIECES
 
 TYPE_CHECKING = const(False)
@@ -43,9 +43,12 @@ _REPORT = const(0x3C)
 
 
 class NetLink:
-    """A Link. cable: another. calls: who calls; None without a network. on_turn: as UartLink's."""
+    """A Link. cable: another. calls: who calls; None without a network. unheard: bytes that may be
+    on their way to each who is not heard of. on_turn: as UartLink's."""
 
-    def __init__(self, cable: "BoardLink", calls: "Incoming | None") -> None:
+    def __init__(
+        self, cable: "BoardLink", calls: "Incoming | None", unheard: int = UNHEARD
+    ) -> None:
         self._cable = cable
         self._calls = calls
         self.shared = cable.shared
@@ -64,7 +67,7 @@ class NetLink:
         self._write = cable.write
         self._user = Caller()  # at the cable
         self._user.trusted = True
-        self._callers = [Caller() for _ in range(_PLACES)]
+        self._callers = [Caller(unheard) for _ in range(_PLACES)]
         self._all = [self._user] + self._callers
         self._driver: "Caller | None" = self._user
         # Only the cable: nothing has to be looked at. And nobody has spoken there.

@@ -6,7 +6,6 @@ lwIP's memory, too: see page.py.
 
 from micropython import const
 
-from ports.caller import Caller
 from ports.net_link import NetLink
 from ports.page import Page
 from ports.tcp import Calls
@@ -22,23 +21,11 @@ _SAID = (b"false", b"true")
 _NEWS = b'{"link":{"name":"%s","open":true},"driver":%s,"drivers":%d,"watchers":%d,"key":%s}'
 
 
-class PageCaller(Caller):
-    """A place for one, who is let go earlier where nothing is heard of him."""
-
-    def send(self, at_once: bool = False) -> bool:
-        """As Caller's."""
-        if self._waiting and self._credit <= 0 and self._unheard >= _UNHEARD:
-            return False
-        return Caller.send(self, at_once)
-
-
 class PageLink(NetLink):
     """A NetLink. host: the board's name."""
 
     def __init__(self, cable: "BoardLink", calls: "Incoming | None", host: str) -> None:
-        NetLink.__init__(self, cable, calls)
-        self._callers = [PageCaller() for _ in self._callers]
-        self._all = [self._user] + self._callers
+        NetLink.__init__(self, cable, calls, _UNHEARD)
         self._host = host
 
     def _round(self, now_ms: int) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 from .. import paths
 from ..sim import motor_names
 from .chips import CHIPS, Chip, on_their_own
-from .engines import SIMULATOR, engines, networks
+from .engines import SIMULATOR, WIRELESS, engines
 from .new_board import (
     CONTROLS,
     FEWEST_AXES,
@@ -294,7 +294,7 @@ def _page(board: ModuleType) -> Iterator[str]:
         return
     if getattr(board, "MPY_ARCH", "") == TOO_SMALL:
         yield NO_PAGE
-    elif getattr(board, "LINK", "") not in networks():
+    elif getattr(board, "LINK", "") not in WIRELESS.values():
         yield 'PAGE: it wants a network, LINK = "wifi", or "uart_wifi" on an ESP32'
 
 

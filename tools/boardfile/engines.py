@@ -51,14 +51,6 @@ def links() -> Iterable[str]:
     return parts._LINKS
 
 
-def networks() -> Iterable[str]:
-    """Those that have a network beside the cable."""
-    paths.use_firmware()
-    from boot import guests
-
-    return guests._NETWORKS
-
-
 def dialects() -> Iterable[str]:
     """The words that DIALECT has."""
     paths.use_firmware()

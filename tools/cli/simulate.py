@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from rich.console import Console
 
 from .. import paths
-from ..boardfile.engines import networks
+from ..boardfile.engines import WIRELESS
 from ..boardfile.files import load_board
 from ..compiling import page_files
 from ..draw import plot
@@ -58,11 +58,10 @@ def simulate(options: Options) -> None:
     """Run until a signal comes, or until stdin ends and all it asked for is done."""
     wire = _wire(options)
     network = _network(options)
-    folder = TemporaryDirectory(prefix="ugrbl-")
     try:
         rig = machine.build(
             options.board,
-            lambda rig: _link(rig, LiveLink(rig, wire, options.fast), network, folder.name),
+            lambda rig: _link(rig, LiveLink(rig, wire, options.fast), network),
             options.settings,
             blank=options.blank,
             around=options.around,
@@ -85,7 +84,6 @@ def simulate(options: Options) -> None:
         wire.close()
         if network:
             network.close()
-        folder.cleanup()
     if options.report:
         save_json(asdict(recorder.totals()), options.report)
     if options.plot and isinstance(recorder, MotionTrace):
@@ -130,32 +128,37 @@ def _say(text: str) -> None:
 
 
 class Network(NamedTuple):
-    """Where a board's network is listened at. page: by HTTP, where it serves the page."""
+    """Where a board's network is listened at. page: by HTTP, and folder: what of, where it serves
+    the page."""
 
     calls: "HostCalls"
-    page: "HostCalls | None"
+    page: "HostCalls | None" = None
+    folder: "TemporaryDirectory[str] | None" = None
 
     def close(self) -> None:
         """Hear nobody any more."""
         self.calls.close()
-        if self.page:
+        if self.page and self.folder:
             self.page.close()
+            self.folder.cleanup()
 
 
 def _network(options: Options) -> Network | None:
     """That of a board that has one. ValueError where it has none."""
-    board = load_board(options.board)
     if options.network is None:
         if options.page is not None:
             raise ValueError("--page is for a board with a network: say --network PORT as well")
         return None
-    if getattr(board, "LINK", "") not in networks():
+    board = load_board(options.board)
+    if getattr(board, "LINK", "") not in WIRELESS.values():
         raise ValueError(f"{options.board} has no network; --board sim_wifi has one")
     if options.page is not None and not getattr(board, "PAGE", False):
         raise ValueError(f"{options.board} serves no page; --board sim_page does")
     calls = _listen(options.network)
+    if options.page is None:
+        return Network(calls)
     try:
-        return Network(calls, _listen(options.page) if options.page is not None else None)
+        return Network(calls, _listen(options.page), TemporaryDirectory(prefix="ugrbl-"))
     except BaseException:
         calls.close()
         raise
@@ -167,8 +170,8 @@ def _listen(place: str) -> "HostCalls":
     return HostCalls(*address(place))
 
 
-def _link(rig: "Rig", cable: LiveLink, network: Network | None, folder: str) -> Any:
-    """The cable's, or the firmware's own around it. folder: for the page."""
+def _link(rig: "Rig", cable: LiveLink, network: Network | None) -> Any:
+    """The cable's, or the firmware's own around it."""
     if network is None:
         return cable
     paths.use_firmware()
@@ -177,11 +180,11 @@ def _link(rig: "Rig", cable: LiveLink, network: Network | None, folder: str) -> 
 
     from ..sim.network import RigLink, RigPageLink
 
-    if network.page is None:
+    if network.page is None or network.folder is None:
         return RigLink(rig, cable, network.calls)
     for name, content in page_files.made().items():
-        Path(folder, name).write_bytes(content)
-    page = Page(network.calls, network.page, _HOST, folder + "/")
+        Path(network.folder.name, name).write_bytes(content)
+    page = Page(network.calls, network.page, _HOST, network.folder.name + "/")
     return RigPageLink(rig, cable, page, _HOST)
 
 

@@ -20,6 +20,10 @@ _PINS = 30  # of an RP2040; an RP2350B has
 _PINS_2350 = 48
 
 
+def _is_rp2350() -> bool:
+    return "RP2350" in getattr(sys.implementation, "_machine", "")
+
+
 def freq(hz: int = 0) -> int:
     if hz:
         raise NotImplementedError("only what our engine uses is modelled")
@@ -92,8 +96,7 @@ class Pin:
     id: int
 
     def __new__(cls, id: int, *_: object, **__: object) -> "Pin":
-        is_rp2350 = "RP2350" in getattr(sys.implementation, "_machine", "")
-        if not 0 <= id < (_PINS_2350 if is_rp2350 else _PINS):
+        if not 0 <= id < (_PINS_2350 if _is_rp2350() else _PINS):
             raise ValueError("invalid pin")
         if id not in cls.pins:
             pin = cls.pins[id] = object.__new__(cls)

@@ -4,13 +4,12 @@ Our own assembler, for the instructions our programs use; the binary form is tha
 RP2040's data sheet, 3.4. Nothing here executes a program: host_tests/pio_model.py does.
 """
 
-import sys
 from array import array
 from collections.abc import Callable
 from types import FunctionType
 from typing import Any
 
-from machine import Pin
+from machine import Pin, _is_rp2350
 
 _SIZE = 32  # instructions a PIO holds
 _DATA, _OFFSETS, _EXECCTRL, _SHIFTCTRL, _OUT, _SET, _SIDE = 0, 1, 4, 5, 6, 7, 8
@@ -104,10 +103,6 @@ def asm_pio(
         return [words, -1, -1, -1, (len(words) - 1) << 12, shiftctrl, out_init, set_init, None]
 
     return assemble
-
-
-def _is_rp2350() -> bool:
-    return "RP2350" in getattr(sys.implementation, "_machine", "")
 
 
 def _blocks() -> int:
