@@ -81,8 +81,7 @@ class PageBench(NetBench):
         more: Any = None,
         visits: Any = None,
     ) -> None:
-        for name, content in page_files.made().items():
-            (folder / name).write_bytes(content)
+        page_files.save(folder)
         self.visits = Door(visits)
         super().__init__(monkeypatch, settings, more, (self.visits, f"{folder}/"))
 

@@ -231,8 +231,7 @@ def drive_by_page(port: int, out: list[str]) -> None:
 
 @pytest.mark.parametrize("stormy", [False, True], ids=["quiet", "storm"])
 def test_a_page_is_loaded_and_drives_and_no_turn_waits(stormy: bool, tmp_path: Path) -> None:
-    for name, content in page_files.made().items():
-        (tmp_path / name).write_bytes(content)
+    page_files.save(tmp_path)
     by_tcp, by_http = free_port(), free_port()
     arguments = (by_tcp, by_http, f"{tmp_path}/")
     told: list[str] = []

@@ -182,8 +182,7 @@ def _link(rig: "Rig", cable: LiveLink, network: Network | None) -> Any:
 
     if network.page is None or network.folder is None:
         return RigLink(rig, cable, network.calls)
-    for name, content in page_files.made().items():
-        Path(network.folder.name, name).write_bytes(content)
+    page_files.save(Path(network.folder.name))
     page = Page(network.calls, network.page, _HOST, network.folder.name + "/")
     return RigPageLink(rig, cable, page, _HOST)
 

@@ -1,6 +1,7 @@
 """The page as a board serves it: see firmware/ports/page.py, which says what is called how."""
 
 import gzip
+from pathlib import Path
 
 from .. import paths
 
@@ -22,3 +23,9 @@ def made() -> dict[str, bytes]:
         first: (_FOLDER / "first.html").read_bytes(),
         whole: gzip.compress((_FOLDER / "index.html").read_bytes(), mtime=0),
     }
+
+
+def save(folder: Path) -> None:
+    """Write it there."""
+    for name, content in made().items():
+        (folder / name).write_bytes(content)
