@@ -147,6 +147,10 @@ class Person(Visitor):
         self.sees(state)
         self.knows_all()
 
+    def homes(self) -> None:
+        self.click("#home")
+        self.waits("String(grbl.machine) === '-1,-1,-1' && grbl.state === 'Idle'")
+
     def open_served(self, query: str = "") -> None:
         self.page.goto(f"http://{self.bridge.address}/{query}")
 

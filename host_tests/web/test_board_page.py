@@ -164,7 +164,7 @@ def test_a_page_that_is_loaded_anew_while_the_machine_works_changes_nothing(
     person.knows_all()
     person.waits("grbl.offset.length")
     before = person.place()[0]
-    person.types("G91 G1 X20 F600")  # two seconds
+    person.types("G91 G1 X20 F300")  # four seconds
     person.sees("Run")
     for _ in range(2):
         person.page.reload()

@@ -54,7 +54,7 @@ def test_a_machine_that_does_not_answer_is_said_to(person_at):
 
 
 def test_the_plug_pulled_in_a_job_is_said_and_connecting_again_works(person):
-    person.loads(FAR.replace("F600", "F2400"))
+    person.loads(FAR.replace("F600", "F1200"))
     person.click("#run")
     person.sees("Run")
     person.machine.unplug()

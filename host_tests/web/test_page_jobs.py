@@ -11,7 +11,7 @@ pytestmark = pytest.mark.xdist_group("page jobs")
 
 
 def test_a_job_with_a_hold_and_an_override_ends_at_the_right_place(person):
-    person.loads("G21 G90\nG1 X20 F1500\nG2 X0 Y0 R10\nG1 Z-3\nG1 X12.5 Y5\nM2\n")
+    person.loads("G21 G90\nG1 X20 F600\nG2 X0 Y0 R10\nG1 Z-3\nG1 X12.5 Y5\nM2\n")
     person.click("#run")
     person.sees("Run")
     person.click("#hold")
