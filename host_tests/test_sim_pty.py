@@ -70,13 +70,17 @@ class Sender:
     def send(self, data: bytes) -> None:
         self._serial.write(data)
 
+    def read(self) -> str:
+        """What has come, within a twentieth of a second."""
+        return str(self._serial.read(4096).decode("latin-1"))
+
     def wait(self, what: str | Callable[[str], bool], seconds: float = _PATIENCE_S) -> str:
         """Read until a text comes; returns everything up to then."""
         found = what if callable(what) else lambda text: what in text
         until = time.monotonic() + seconds
         while not found(self.text):
             assert time.monotonic() < until, f"no {what!r} in {self.text!r}"
-            self.text += self._serial.read(4096).decode("latin-1")
+            self.text += self.read()
         text, self.text = self.text, ""
         return text
 
@@ -91,7 +95,7 @@ class Sender:
             report = self.wait(">")
             if "<Idle" in report:
                 return report
-            time.sleep(0.02)
+            time.sleep(0.005)
         raise AssertionError("never idle")
 
 
@@ -132,6 +136,34 @@ def test_a_machine_with_switches_is_homed_at_either_end_and_stops_there(tmp_path
             assert "MPos:0.000," in sender.wait_idle()
             sender.send(b"G0 X2\n")
             sender.wait("ALARM:1")
+    finally:
+        running.process.kill()
+        running.process.communicate()
+
+
+def test_a_computer_that_stands_still_meanwhile_finds_the_switches_all_the_same(
+    tmp_path: Path,
+) -> None:
+    running = Sim(tmp_path, "--switches")
+    try:
+        with running.open() as sender:
+            sender.wait("help]")
+            for setting in ("$22=1", "$24=300", "$25=6000", "$27=0.5"):
+                assert sender.ask(setting) == "ok\r\n"
+            for number in (110, 111, 112):
+                assert sender.ask(f"${number}=6000") == "ok\r\n"
+                assert sender.ask(f"${number + 10}=2000") == "ok\r\n"
+                assert sender.ask(f"${number + 20}=20") == "ok\r\n"
+            sender.send(b"$H\n")
+            while "ok" not in sender.text and "ALARM" not in sender.text:
+                running.process.send_signal(signal.SIGSTOP)
+                time.sleep(0.2)  # the way to the switch takes 0.15
+                running.process.send_signal(signal.SIGCONT)
+                time.sleep(0.005)
+                sender.text += sender.read()
+            assert sender.text == "ok\r\n"
+            sender.text = ""
+            assert "MPos:-0.500,-0.500,-0.500|" in sender.wait_idle()
     finally:
         running.process.kill()
         running.process.communicate()

@@ -24,6 +24,9 @@ _PIECES = 16  # hold all that a board would have taken
 _PATIENCE_S = 0.01
 _AT_REST_S = 0.02
 _MOVING_S = 0.001
+# Motion goes no further between two looks of the firmware at its inputs, however long the computer
+# was busy with something else: homing finds its switches where a board does.
+_UNSEEN_S = 0.002
 
 
 def _nothing() -> None:
@@ -62,6 +65,7 @@ class LiveLink(UntimedLink):
         self._open_lines = 0  # received, and not yet answered
         self._heard = monotonic()  # when the sender or we have last said something
         self._wall = self._heard
+        self._late = False  # motion is behind the wall's clock
 
     # The Link seam
 
@@ -120,6 +124,8 @@ class LiveLink(UntimedLink):
 
     def _pass_time(self) -> None:
         busy = self.busy()
+        if self._late:
+            return
         if not self._fast:
             self._wire.wait(_MOVING_S if busy else _AT_REST_S)
         elif not busy:
@@ -142,5 +148,12 @@ class LiveLink(UntimedLink):
 
     def _follow_wall(self) -> None:
         now = monotonic()
-        self._rig.engine.advance(self._rig.ms((now - self._wall) * 1000))
-        self._wall = now
+        if self._rig.moving():
+            passed = min(now - self._wall, _UNSEEN_S)
+            self._wall += passed
+            self._late = self._wall < now
+        else:  # what a motion has not caught up with is not made good
+            passed = 0.0 if self._late else now - self._wall
+            self._wall = now
+            self._late = False
+        self._rig.engine.advance(self._rig.ms(passed * 1000))
