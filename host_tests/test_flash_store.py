@@ -156,6 +156,28 @@ def test_a_full_flash_is_told_of_and_loses_nothing(monkeypatch: pytest.MonkeyPat
     assert store.load("settings") == OLD
 
 
+@pytest.mark.parametrize("turn", [1, 2, 3])
+def test_memory_that_is_full_is_told_of_as_flash_is(
+    turn: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a file is written, read back, or the one before it is."""
+    store = attach(monkeypatch, Flash(), fresh=True)
+    store.save("settings", OLD)
+    working = flash_store.open  # type: ignore[attr-defined]
+    opened: list[str] = []
+
+    def open_or_fail(path: str, mode: str = "r") -> Any:
+        opened.append(path)
+        if len(opened) == turn:
+            raise MemoryError("allocating 1253 bytes")
+        return working(path, mode)
+
+    monkeypatch.setattr(flash_store, "open", open_or_fail)
+    with pytest.raises(OSError, match="12"):
+        store.save("settings", NEW)
+    assert store.load("settings") == OLD
+
+
 @pytest.mark.parametrize("full", [False, True])
 def test_a_write_is_told_of_even_where_it_fails(
     full: bool, monkeypatch: pytest.MonkeyPatch

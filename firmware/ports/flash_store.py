@@ -23,6 +23,7 @@ _OLD = ".old"
 _CHECKSUM = "#crc32="
 
 _NO_SUCH_FILE = const(2)  # ENOENT
+_NO_MEMORY = const(12)  # ENOMEM
 
 
 def _nothing() -> None:
@@ -53,11 +54,14 @@ class FlashStore:
         return None if lost else []
 
     def save(self, name: str, lines: "Iterable[str]") -> None:
-        """Replace the lines at once or not at all. Raises OSError where flash is full or worn."""
+        """Replace the lines at once or not at all. Raises OSError where flash is full or
+        worn, or memory has no room for all of them."""
         kept = list(lines)
         self.before()
         try:
             self._write(self._folder + name, kept)
+        except MemoryError:
+            raise OSError(_NO_MEMORY)
         finally:
             self.after()
 
