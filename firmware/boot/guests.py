@@ -3,6 +3,8 @@
 Imported at start and forgotten again.
 """
 
+import gc
+
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -73,6 +75,8 @@ def customs(board: "ModuleType") -> "tuple[str, ...]":
 
 def modules(asked: "list[str]") -> "list[Extra]":
     """The modules themselves, by their names."""
+    if asked:
+        gc.collect()  # else what they leave for good is spread over all of memory
     return [__import__(name, None, None, ("install",)) for name in asked]
 
 

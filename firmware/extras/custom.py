@@ -8,6 +8,7 @@ How one is run, and what becomes of it, stands in runner.py; where events come f
 happenings.py; what a handler is handed, in machine_operator.py.
 """
 
+import gc
 import sys
 
 from base.faults import harmless, trace
@@ -70,6 +71,7 @@ def _read(modules: "tuple[str, ...]") -> "list[Note]":
         for name in modules:
             sys.modules.pop(name, None)
         for name in modules:  # they may import one another
+            gc.collect()  # a compiler takes much, and what it leaves stays where it is
             __import__(name)
     finally:
         sys.modules.pop(_API)

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from extras.handlers import Function
     from extras.machine_operator import Operator
 
-TRACE = "custom"  # under which the last traceback is kept
+TRACE = "custom"  # under which the end of the last traceback is kept
+_TRACE_LINES = const(12)  # of one that has filled the stack there are many, all alike
 # A handler that takes so long without service is told of, be it that garbage is collected in it.
 _SLOW_MS = const(20)
 # That comes after so many handlers, where as many blocks wait, or none.
@@ -121,7 +122,7 @@ class Runner:
         lines = trace(fault)
         text = harmless("%s: %s" % (what, self.text(lines)))
         machine.commands.fault = text
-        machine.saves.save(TRACE, lines)
+        machine.saves.save(TRACE, lines[-_TRACE_LINES:])
         machine.report.message(text)
         if may_move:
             machine.canon.synchronise()

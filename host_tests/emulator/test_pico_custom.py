@@ -56,6 +56,10 @@ def swallows(m):
 def calls_itself(m):
     calls_itself(m)
 
+@mcode(106)
+def reads_a_table(m):
+    m.message("%d bytes" % len(bytearray(8000)))
+
 @on.tool_change
 def change(m, tool):
     with m.saved():
@@ -102,6 +106,7 @@ def ready(machine: Board) -> "Board":
 def test_it_is_read_at_start_and_leaves_room(machine: Board) -> None:
     said = machine.ask("$I")
     assert "[MSG:Custom: M100, M101, M102" in said and "on.report]" in said
+    assert "8000 bytes" in machine.ask("M106"), "and there is room in one piece"
 
 
 def test_words_are_called_with_their_numbers_where_motion_has_ended(ready: Board) -> None:
