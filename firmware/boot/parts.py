@@ -216,9 +216,15 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
     made: "list[object]" = list(parts)
     for owner in (machine, machine.interpreter, engine, link):
         made.extend(owner.__dict__.values())
-    _forget_makers(made)
     del sys.modules["board"]
     watch.start(feed, machine.drive.note_reset)
+
+    def begin() -> None:
+        machine.restart()
+        _forget_makers(made)  # takes time, and the welcome has been said
+        machine.protocol.restart = machine.restart
+
+    machine.protocol.restart = begin
     return parts
 
 
@@ -303,7 +309,6 @@ def _build(
     written = getattr(engine, "flash_written", None)
     store.before, store.after = machine.around_saves(watch.allow, written)
     link.attach(machine.at_rest, machine.welcome)
-    gc.collect()
     return machine
 
 
@@ -334,7 +339,10 @@ def _forget_makers(parts: "Iterable[object]") -> None:
 
 
 def _forget_in(thing: object) -> None:
-    makers, maker = MAKERS, MAKER  # a thousand names are looked at
-    for name in thing.__dict__:
-        if maker in name or name in makers:
-            setattr(thing, name, None)  # what is deleted stays in memory, in its place
+    names, maker = thing.__dict__, MAKER  # a thousand names are looked at
+    made = [name for name in MAKERS if name in names]
+    for name in names:
+        if maker in name:
+            made.append(name)
+    for name in made:
+        setattr(thing, name, None)  # what is deleted stays in memory, in its place

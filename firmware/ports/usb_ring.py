@@ -76,15 +76,17 @@ def find(
     except (AttributeError, OSError):
         return
     found = 0
-    index = _find(_MEMORY, 0, _TRIALS[0], len(_TRIALS[0]))
-    while index >= 0 and not found:
+    index = -1
+    while not found:
+        index = _find(_MEMORY, index + 1, _TRIALS[0], len(_TRIALS[0]))
+        if index < 0:
+            break
         at[RING] = _MEMORY + 4 * index
         trial = bytearray(len(_TRIALS[0]))
         take(at, trial, len(trial))
         push(_TRIALS[1])
         if _find(_MEMORY, index, _TRIALS[1], len(_TRIALS[1])) == index:
             found = at[RING]
-        index = _find(_MEMORY, index + 1, _TRIALS[0], len(_TRIALS[0]))
     early += drain()
     text = bytes(early).replace(_TRIALS[0], b"").replace(_TRIALS[1], b"")
     if text:

@@ -133,18 +133,18 @@ def feed(data: ptr8, count: int, ring: ptr8, at: ptr32, kinds: ptr8, post: objec
 
 def _make_kinds(first: int, extra: int) -> bytearray:
     """What to do with each byte. Real-time bytes: from first on, and extra, besides the usual."""
-    kinds = bytearray(256)
-    for c in range(256):
-        if c >= first or c == extra or c in b"\x18?~!":
-            kinds[c] = REALTIME
-        elif c in b"\r\n":
-            kinds[c] = END
-        elif c in b"(;":
-            kinds[c] = _COMMENT
-        elif c <= 32 or c == 47:
-            kinds[c] = _NOTHING
-        elif 97 <= c <= 122:
-            kinds[c] = _LOWER_CASE
+    kinds = bytearray(bytes([_NOTHING]) * 33 + bytes(223))
+    kinds[97:123] = bytes([_LOWER_CASE]) * 26
+    for chars, kind in (
+        (b"/", _NOTHING),
+        (b"\r\n", END),
+        (b"(;", _COMMENT),
+        (b"\x18?~!", REALTIME),
+    ):
+        for c in chars:
+            kinds[c] = kind
+    kinds[first:] = bytes([REALTIME]) * (256 - first)
+    kinds[extra] = REALTIME
     return kinds
 
 

@@ -5,6 +5,8 @@ service() is pump() and what realtime then has to do: the only place where
 code waits.
 """
 
+import gc
+
 from base import errors
 from base import state as st
 from base.errors import Abort, GrblError
@@ -62,12 +64,12 @@ class Protocol:
         self._interpreter = interpreter
         self._commands = commands
         self._canon = canon
-        self._restart = restart
         self._echoes = echoes
         # Much at once, for a ? is not to wait behind lines; a line longer than the ring passes.
         self._buffer = bytearray(reader.free() // 2)
         self._feed = reader.feed
-        # An extra may put itself here before run().
+        # Others may put themselves here before run().
+        self.restart = restart
         self.link = link
         self.read_into = link.read_into
 
@@ -99,7 +101,8 @@ class Protocol:
                 if self._drive.by_pin:  # what is unread was sent before the reset
                     self._drive.by_pin = False
                     self.link.discard()
-                self._restart()
+                self.restart()
+                gc.collect()  # whoever has waited for the welcome has it
                 known[WAITS] = asked = 0
                 while True:
                     if echoes or state.suspend or state.run & _LOCKED:

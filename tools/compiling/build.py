@@ -23,6 +23,7 @@ from . import (
     stock,
     symbols,
 )
+from .assembled import assembled
 from .built_in import built_in
 from .bundle import Bundles
 from .inline import inline
@@ -291,7 +292,7 @@ def kernels_apart(arch: str, debug: bool = False) -> Apart:
 
 
 def _of_chip(arch: str) -> tuple[tuple[str, str], ...]:
-    return tuple(of_chip(texts(), arch).items())
+    return tuple(of_chip(assembled(texts()), arch).items())
 
 
 @lru_cache(4)
