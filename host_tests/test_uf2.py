@@ -204,6 +204,18 @@ def test_over_an_older_file_system_there_are_the_new_files_alone(seed: int) -> N
         assert read_back(bytes(old)) == files
 
 
+@pytest.mark.parametrize("count", [1, 12, 40])
+def test_of_the_root_there_is_what_it_has_become_and_not_how(count: int) -> None:
+    """A board reads all of it for each name that it looks for."""
+    files = {f"folder{n}/__init__.mpy": bytes([n]) * 3000 for n in range(count)}
+    files["main.py"] = b"import main"
+    chip = bytearray(_SIZE)
+    overlay(chip, files)
+    newer = max((chip[at : at + SECTOR] for at in (0, SECTOR)), key=lambda block: block[:4])
+    assert len(newer.rstrip(b"\xff")) < 300 + 64 * count
+    assert read_back(bytes(chip)) == files
+
+
 def test_what_does_not_fit_is_named() -> None:
     with pytest.raises(Uf2Error, match=r"b\.py does not fit into the 40 KiB"):
         file_system.make({"a.py": bytes(9000), "b.py": bytes(40000)}, 10 * SECTOR)

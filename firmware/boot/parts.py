@@ -4,7 +4,6 @@ The tables _ENGINES and _LINKS have all that is to be known of either; the tools
 board forgets this module once the machine is there: it has no use for it then.
 """
 
-import gc
 import sys
 
 from micropython import const

@@ -9,6 +9,7 @@ from littlefs import LittleFS, LittleFSError, UserContext
 from .uf2 import SECTOR, Uf2Error
 
 _PROG_SIZE = 256
+_PASSING = ".passing"
 _DISK_VERSION = 0x00020000  # which every MicroPython reads
 
 
@@ -45,6 +46,7 @@ def make(files: Mapping[str, bytes], size: int) -> dict[int, bytes]:
                 disk.makedirs(str(folder), exist_ok=True)
             with disk.open(name, "wb") as file:
                 file.write(content)
+        _write_root_anew(disk, chip)
     except LittleFSError as error:
         raise Uf2Error(f"{name} does not fit into the {size // 1024} KiB of flash") from error
     disk.unmount()
@@ -52,6 +54,21 @@ def make(files: Mapping[str, bytes], size: int) -> dict[int, bytes]:
     _look_at_all(_littlefs(chip))
     image = bytes(chip.buffer)
     return {at: image[at : at + SECTOR] for at in sorted(SECTOR * block for block in chip.seen)}
+
+
+def _write_root_anew(disk: LittleFS, chip: _Chip) -> None:
+    """A folder is a log, and read to its end for each name that is looked for. This one has what
+    has become of every folder and file in it, until littlefs has filled its block."""
+    before = _revisions(chip)
+    while _revisions(chip) == before:
+        with disk.open(_PASSING, "wb"):
+            pass
+        disk.remove(_PASSING)
+
+
+def _revisions(chip: _Chip) -> bytes:
+    """Of the two blocks that the root has in turns."""
+    return bytes(chip.buffer[:4] + chip.buffer[SECTOR : SECTOR + 4])
 
 
 def _littlefs(chip: _Chip) -> LittleFS:
