@@ -69,13 +69,13 @@ def test_behind_the_reset_of_a_pin_what_was_sent_before_is_dropped() -> None:
 def test_behind_other_resets_the_next_line_is_kept_also_where_a_fault_came_in_between() -> None:
     """A loop that a fault has ended is begun anew; $RST= then ends with an Abort of its own."""
     loop = Loop(b"", restarts=1, by_pin=True)
-    kept = loop.protocol._restart
+    kept = loop.protocol.restart
 
     def restart() -> None:
         loop.link.unread = b"G1X1\n"  # sent right behind the ok
         kept()
 
-    loop.protocol._restart = restart
+    loop.protocol.restart = restart
     with pytest.raises(Off):
         loop.protocol.run()
     assert loop.link.unread == b"G1X1\n"
