@@ -4,6 +4,7 @@ The tables _ENGINES and _LINKS have all that is to be known of either; the tools
 board forgets this module once the machine is there: it has no use for it then.
 """
 
+import gc
 import sys
 
 from micropython import const
@@ -219,8 +220,9 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
     watch.start(feed, machine.drive.note_reset)
 
     def begin() -> None:
-        machine.restart()
-        _forget_makers(made)  # takes time, and the welcome has been said
+        machine.restart()  # with the welcome: what can wait comes behind it
+        _forget_makers(made)
+        gc.collect()
         machine.protocol.restart = machine.restart
 
     machine.protocol.restart = begin

@@ -5,8 +5,6 @@ service() is pump() and what realtime then has to do: the only place where
 code waits.
 """
 
-import gc
-
 from base import errors
 from base import state as st
 from base.errors import Abort, GrblError
@@ -102,7 +100,6 @@ class Protocol:
                     self._drive.by_pin = False
                     self.link.discard()
                 self.restart()
-                gc.collect()  # whoever has waited for the welcome has it
                 known[WAITS] = asked = 0
                 while True:
                     if echoes or state.suspend or state.run & _LOCKED:
