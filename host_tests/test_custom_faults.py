@@ -216,7 +216,7 @@ def test_sys_exit_anywhere_stops_the_motors_and_is_an_alarm() -> None:
     )
     port = SimpleNamespace(safe=note("safe"), watch=note("watch"))
     watch = SimpleNamespace(take=lambda: False, close=note("unwatch"))
-    parts: Any = (machine, wire, port, SimpleNamespace(stop=note("stop")), watch)
+    parts: Any = (machine, wire, port, SimpleNamespace(stop=note("stop")), watch, [])
     power_up.live(parts)
     assert did[:3] == ["up", "safe", "stop"]
     assert did[3] == f"ALARM:{errors.ALARM_INTERNAL}\r\n" and did[4] == "[MSG:SystemExit"

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from ports.supervisor import Supervisor
     from talk.controller import Controller
 
-    Parts = tuple[Controller, BoardLink, BoardPort, StepEngine, Supervisor]
+    # And what can wait until somebody has been welcomed: called once, and let go of.
+    Later = list[Callable[[], None]]
+    Parts = tuple[Controller, BoardLink, BoardPort, StepEngine, Supervisor, Later]
     # Engine, pins, and who watches the chip's health once the machine is there, for $I+.
     Hardware = tuple[StepEngine, BoardPort, Callable[[], Callable[[], str]] | None]
     Oldest = tuple[str, tuple[int, int], str]
@@ -212,21 +214,17 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
     if watch_health:
         machine.commands.health = watch_health()
     feed = port.watch(getattr(board, "WATCHDOG_MS", _WATCHDOG_MS))
-    parts = machine, link, port, engine, watch
-    made: "list[object]" = list(parts)
+    made: "list[object]" = [machine, link, port, engine, watch]
     for owner in (machine, machine.interpreter, engine, link):
         made.extend(owner.__dict__.values())
     del sys.modules["board"]
-    watch.start(feed, machine.drive.note_reset)
 
-    def begin() -> None:
-        machine.restart()  # with the welcome: what can wait comes behind it
+    def make_room() -> None:
         _forget_makers(made)
         gc.collect()
-        machine.protocol.restart = machine.restart
 
-    machine.protocol.restart = begin
-    return parts
+    watch.start(feed, machine.drive.note_reset)
+    return machine, link, port, engine, watch, [make_room]
 
 
 def _link(kind: str) -> "BoardLink":

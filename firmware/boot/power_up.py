@@ -42,7 +42,16 @@ def live(parts: "Parts | None") -> "Controller | None":
     and not build() does, for an interrupt needs what the stack has left."""
     if parts is None:
         return None
-    machine, link, port, engine, watch = parts
+    machine, link, port, engine, watch, later = parts
+
+    # Whoever calls a kernel stays in its memory until the next one does: not parts.py, which goes.
+    def begin() -> None:
+        machine.restart()
+        while later:
+            later.pop()()
+        machine.protocol.restart = machine.restart
+
+    machine.protocol.restart = begin
     fault: "BaseException | None" = None
     while True:
         try:
