@@ -148,6 +148,7 @@ class Person(Visitor):
         self.knows_all()
 
     def homes(self) -> None:
+        """Its state is no help: Grbl says Home once, at the end."""
         self.click("#home")
         self.waits("String(grbl.machine) === '-1,-1,-1' && grbl.state === 'Idle'")
 

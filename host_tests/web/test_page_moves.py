@@ -1,7 +1,7 @@
 """What moves the machine by hand, and what stops it, at the page."""
 
 import pytest
-from browser import FAR, HOMING, sent_at_once
+from browser import FAR, sent_at_once
 
 pytestmark = pytest.mark.xdist_group("page moves")
 
@@ -16,13 +16,8 @@ def test_a_locked_machine_is_unlocked(homer):
     homer.sees("Idle")
 
 
-def test_homing_is_shown_and_ends_at_the_pull_off(person_at):
-    homer = person_at({**HOMING, 24: "60.000"}, "--switches")  # a second at each switch
-    homer.open_from_disk()
-    homer.connect("Alarm")
-    homer.click("#home")
-    homer.sees("Home")
-    homer.sees("Idle")
+def test_homing_ends_at_the_pull_off(homer):
+    homer.homes()
     homer.page.click("#frame-machine")
     homer.waits("document.querySelector('#axes .value').textContent === '-1.000'")
     assert homer.place() == [-1, -1, -1]
