@@ -162,7 +162,7 @@ def test_a_page_that_is_loaded_anew_while_the_machine_works_changes_nothing(
 ) -> None:
     person = visit()
     person.knows_all()
-    person.waits("grbl.offset.length")
+    person.waits("grbl.work.length")
     before = person.place()[0]
     person.types("G91 G1 X20 F300")  # four seconds
     person.sees("Run")
@@ -170,7 +170,7 @@ def test_a_page_that_is_loaded_anew_while_the_machine_works_changes_nothing(
         person.page.reload()
         person.page.wait_for_selector("#state-name", timeout=30_000)
     person.sees("Idle")
-    person.knows_all()
+    person.waits("grbl.work.length")
     assert person.place()[0] == pytest.approx(before + 20, abs=0.01)
     person.types("G90")
 

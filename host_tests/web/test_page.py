@@ -250,7 +250,13 @@ def test_a_second_page_watches_until_it_takes_over(person_at):
     person.bridge.drives = False
     person.open_served()
     person.reads("#notice-watch", "Another browser drives this machine")
-    person.machine.say(b"<Idle|MPos:1.000,2.000,3.000|FS:0,0>\r\n")
+    report = b"<Idle|MPos:1.000,2.000,3.000|FS:0,0%b>\r\n"
+    person.machine.say(report % b"")
+    person.sees("Idle")
+    assert person.page.locator("#axes .value").all_text_contents() == ["\u2013"] * 3, (
+        "no offset yet"
+    )
+    person.machine.say(report % b"|WCO:0.000,0.000,0.000")
     person.waits("document.querySelector('#axes .value').textContent === '1.000'")
     assert not person.page.is_enabled("[data-jog='X+']") and not person.machine.sent
     person.click("#take")
