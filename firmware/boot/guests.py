@@ -4,6 +4,7 @@ Imported at start and forgotten again.
 """
 
 import gc
+import sys
 
 from micropython import const
 
@@ -75,7 +76,7 @@ def customs(board: "ModuleType") -> "tuple[str, ...]":
 
 def modules(asked: "list[str]") -> "list[Extra]":
     """The modules themselves, by their names."""
-    if asked:
+    if [name for name in asked if name not in sys.modules]:
         gc.collect()  # else what they leave for good is spread over all of memory
     return [__import__(name, None, None, ("install",)) for name in asked]
 
