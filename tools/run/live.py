@@ -123,9 +123,9 @@ class LiveLink(UntimedLink):
         self._heard = monotonic()
 
     def _pass_time(self) -> None:
-        busy = self.busy()
         if self._late:
             return
+        busy = self.busy()
         if not self._fast:
             self._wire.wait(_MOVING_S if busy else _AT_REST_S)
         elif not busy:
