@@ -95,7 +95,7 @@ class Sender:
             report = self.wait(">")
             if "<Idle" in report:
                 return report
-            time.sleep(0.005)
+            time.sleep(0.02)
         raise AssertionError("never idle")
 
 

@@ -84,6 +84,12 @@ class Visitor:
         busy = "const end = Date.now() + 2000; while (Date.now() < end);"
         self.page.evaluate(f"void setTimeout(() => {{ {busy} }})")
 
+    def homes(self) -> None:
+        """To the end. Its state is no help: Grbl says Home once, when it is nearly over."""
+        self.click("#home")
+        self.waits("!grbl.linesUnderWay && grbl.state === 'Idle'")
+        self.waits("String(grbl.machine) === '-1,-1,-1'")
+
     def pauses(self, seconds: float) -> None:
         self.page.wait_for_timeout(1000 * seconds)
 
@@ -146,11 +152,6 @@ class Person(Visitor):
         self.page.click("#connect")
         self.sees(state)
         self.knows_all()
-
-    def homes(self) -> None:
-        """Its state is no help: Grbl says Home once, at the end."""
-        self.click("#home")
-        self.waits("String(grbl.machine) === '-1,-1,-1' && grbl.state === 'Idle'")
 
     def open_served(self, query: str = "") -> None:
         self.page.goto(f"http://{self.bridge.address}/{query}")
