@@ -14,7 +14,7 @@ from control.inputs import Inputs
 from control.seek import Seek
 from control.spindle import Spindle
 from extras.api import Cnc
-from motion.arcs import Arc
+from motion.arc_geometry import Arc
 from motion.planner import Move, Planner
 from talk.report import Report
 

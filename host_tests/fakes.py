@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         Store,
         Voice,
     )
-    from motion.arcs import Arc
+    from motion.arc_geometry import Arc
 
 Asked = list[str]
 

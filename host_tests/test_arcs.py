@@ -11,9 +11,8 @@ from base.f32 import f32, vector
 from boot import wiring
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from language.checks import PLANES
 from motion import arcs, layout
-from motion.arcs import Arc
+from motion.arc_geometry import CENTRE_0, CENTRE_1, RADIUS, Arc
 from ugrbl.run import machine
 from ugrbl.run.program import ProgramLink
 
@@ -23,6 +22,8 @@ from ugrbl.run.program import ProgramLink
 _TURN = 6e-7
 _ROUNDED = 2.0**-24
 _UNITS = 16 * 2.0**-29
+
+PLANES = ((0, 1), (2, 0), (1, 2))  # the axes of G17, G18, G19
 
 tolerances = st.sampled_from([0.002, 0.00005, 0.1])
 planes = st.sampled_from(PLANES)
@@ -53,9 +54,10 @@ class Course:
             self._steps_per_mm[i] *= times
         self._start, self._target = vector(self.axes), vector(self.axes)
         self._arc = arc = Arc()
-        arc.plane, arc.clockwise = way.plane, way.clockwise
-        self._lay_ends(way)
-        arc.radius = f32(hypot(arc.centre_0, arc.centre_1))
+        arc.plane[:] = array("i", (*way.plane, way.clockwise))
+        self._centre = self._lay_ends(way)
+        for i, number in zip((CENTRE_0, CENTRE_1, RADIUS), (*self._centre, hypot(*self._centre))):
+            arc.numbers[i] = number
         self._course = array("i", [0] * arcs.course_length(self.axes))
         for i in range(self.axes):
             arcs.limit(self._course, i, -arcs.FARTHEST, arcs.FARTHEST)
@@ -64,7 +66,8 @@ class Course:
         )
         self.left = self._course[arcs.LEFT]
 
-    def _lay_ends(self, way: Way) -> None:
+    def _lay_ends(self, way: Way) -> "tuple[float, float]":
+        """Returns where the centre lies, seen from the start."""
         first, second = way.plane
         sweep = -way.sweep if way.clockwise else way.sweep
         for ends, angle in ((self._start, way.begin), (self._target, way.begin + sweep)):
@@ -74,8 +77,8 @@ class Course:
             self._target[:] = self._start
         for i, shift in zip(self.others(), way.shift, strict=True):
             self._target[i] = self._start[i] + shift
-        self._arc.centre_0 = f32(way.centre[0] - self._start[first])
-        self._arc.centre_1 = f32(way.centre[1] - self._start[second])
+        centre, start = way.centre, self._start
+        return f32(centre[0] - start[first]), f32(centre[1] - start[second])
 
     def others(self) -> "list[int]":
         """The axes that are not in the plane."""
@@ -92,13 +95,13 @@ class Course:
 
     def exact(self) -> "Iterator[list[float]]":
         """The same in doubles, each from the beginning of the arc."""
-        arc, start, target = self._arc, self._start, self._target
-        first, second = arc.plane
-        x, y = -arc.centre_0, -arc.centre_1
+        start, target = self._start, self._target
+        first, second, clockwise = self._arc.plane
+        x, y = -self._centre[0], -self._centre[1]
         to_x = target[first] - start[first] + x
         to_y = target[second] - start[second] + y
         sweep = atan2(x * to_y - y * to_x, x * to_x + y * to_y)
-        if arc.clockwise:
+        if clockwise:
             sweep -= 2 * pi if sweep >= -5e-7 else 0
         else:
             sweep += 2 * pi if sweep <= 5e-7 else 0
@@ -106,14 +109,14 @@ class Course:
             part = k / self.chords
             angle = part * sweep
             place = [s + part * (t - s) for s, t in zip(start, target, strict=True)]
-            place[first] = start[first] + arc.centre_0 + x * cos(angle) - y * sin(angle)
-            place[second] = start[second] + arc.centre_1 + x * sin(angle) + y * cos(angle)
+            place[first] = start[first] - x + x * cos(angle) - y * sin(angle)
+            place[second] = start[second] - y + x * sin(angle) + y * cos(angle)
             yield place
 
     def check(self) -> None:
         """Each place is where it should be."""
-        reach = 5 * self._arc.radius + sum(map(abs, [*self._start, *self._target]))
-        allowed = _TURN * self._arc.radius + _ROUNDED * reach + _UNITS * (1 + reach)
+        reach = 5 * self._arc.numbers[RADIUS] + sum(map(abs, [*self._start, *self._target]))
+        allowed = _TURN * self._arc.numbers[RADIUS] + _ROUNDED * reach + _UNITS * (1 + reach)
         most = [allowed + 0.5 / steps for steps in self._steps_per_mm]
         for made, exact in zip(self.made(), self.exact(), strict=True):
             assert all(abs(m - e) <= a for m, e, a in zip(made, exact, most, strict=True))
@@ -165,7 +168,7 @@ def test_places_of_any_arc_are_those_of_doubles(way: Way, tolerance: float) -> N
 @pytest.mark.parametrize("far", [1e7, 3e38, float("inf"), float("nan")])
 def test_an_arc_that_no_unit_has_room_for_is_one_line(far: float) -> None:
     arc = Arc()
-    arc.centre_0, arc.radius = 5.0, 5.0
+    arc.numbers[CENTRE_0] = arc.numbers[RADIUS] = 5.0
     course = array("i", [0] * arcs.course_length(3))
     steps_per_mm = array("f", (250, 250, 250))
     assert arc.lay(vector(3), array("f", (10, 0, far)), 0.002, steps_per_mm, course) == 0

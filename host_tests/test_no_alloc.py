@@ -12,7 +12,7 @@ _BENCH = """
 import gc
 from array import array
 
-from motion import arcs, layout, plan_kernel
+from motion import arc_geometry, arcs, layout, plan_kernel
 from talk import lines
 import micropython
 from control import canon
@@ -80,8 +80,8 @@ known = array("i", [0] * (fast_kernel.OFFSETS + 3))
 known[fast_kernel.AXES], known[fast_kernel.MODE] = 3, fast_kernel.HAS_G1
 known[fast_kernel.FEED] = 7
 known[fast_kernel.OFFSETS] = 7
-arc = arcs.Arc()
-arc.radius = arc.centre_0 = 5.0
+arc = arc_geometry.Arc()
+arc.numbers[arc_geometry.RADIUS] = arc.numbers[arc_geometry.CENTRE_0] = 5.0
 course = array("i", [0] * arcs.course_length(3))
 for axis in range(3):
     arcs.limit(course, axis, -arcs.FARTHEST, arcs.FARTHEST)

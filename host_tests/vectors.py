@@ -8,6 +8,7 @@ from base.f32 import vector
 from base.state import State
 from language import fast_kernel, words
 from motion import arcs, layout, ramps, reals
+from motion.arc_geometry import CENTRE_0, CENTRE_1, CLOCKWISE, RADIUS, Arc
 from motion.kinematics import COREXY, Kinematics
 from motion.layout import ROWS
 from motion.planner import Move, Planner
@@ -117,19 +118,21 @@ def print_arcs(dice):
     course, table = array("i", [0] * arcs.course_length(4)), array("i", [0] * 60)
     table[layout.AXES] = 4
     start, target = vector(4), vector(4)
-    arc = arcs.Arc()
+    arc = Arc()
     for axis in range(4):
         arcs.limit(course, axis, -1.0e6, 2.0e6)
     for _ in range(150):
-        arc.plane = dice.any(((0, 1), (2, 0), (1, 2)))
-        arc.clockwise = dice.below(2) == 1
+        plane = dice.any(((0, 1), (2, 0), (1, 2)))
+        arc.plane[0], arc.plane[1] = plane
+        arc.plane[CLOCKWISE] = dice.below(2)
         steps_per_mm = array("f", [dice.any((5.0, 80.0, 250.0, 3200.0)) for _ in range(4)])
         for i in range(4):
             start[i] = target[i] = 0.25 * (dice.below(4000) - 2000)
-            if i not in arc.plane:
+            if i not in plane:
                 target[i] += 0.125 * (dice.below(200) - 100)
-        arc.centre_0, arc.centre_1 = dice.any(((3.0, 4.0), (-0.25, 0.0), (60.0, -80.0)))
-        arc.radius = (arc.centre_0 * arc.centre_0 + arc.centre_1 * arc.centre_1) ** 0.5
+        x, y = dice.any(((3.0, 4.0), (-0.25, 0.0), (60.0, -80.0)))
+        arc.numbers[CENTRE_0], arc.numbers[CENTRE_1] = x, y
+        arc.numbers[RADIUS] = (x * x + y * y) ** 0.5
         print(arc.lay(start, target, dice.any((0.002, 0.1)), steps_per_mm, course))
         for _ in range(min(course[arcs.LEFT], 20)):
             outside = arcs.advance(course, table)

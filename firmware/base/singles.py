@@ -13,6 +13,22 @@ MINUS = const(128)  # in the last byte of a float
 
 
 @micropython.viper
+def mantissas(number: int, divisor: int) -> int:
+    """The mantissa of a quotient from 1 to 2, rounded to even. divisor: 24 bits."""
+    rest = number - divisor
+    number = 1
+    for _ in range(4):
+        rest <<= 7
+        digit = rest // divisor
+        number = (number << 7) + digit
+        rest -= digit * divisor
+    # Five bits more than there is room for; what is left matters only behind a half.
+    if rest:
+        number |= 1
+    return (number + 15 + ((number >> 5) & 1)) >> 5
+
+
+@micropython.viper
 def divide(numbers: ptr32, divisors: ptr32, at: int, quotients: ptr32, count: int) -> int:
     """Divide whole numbers, made floats first, by the floats above 0 at divisors[at].
 
@@ -38,17 +54,7 @@ def divide(numbers: ptr32, divisors: ptr32, at: int, quotients: ptr32, count: in
             while number < divisor:
                 number <<= 1
                 exponent -= 1
-            rest = number - divisor
-            number = 1
-            for _ in range(4):
-                rest <<= 7
-                digit = rest // divisor
-                number = (number << 7) + digit
-                rest -= digit * divisor
-            # Five bits more than there is room for; what is left matters only behind a half.
-            if rest:
-                number |= 1
-            number = (number + 15 + ((number >> 5) & 1)) >> 5
+            number = int(mantissas(number, divisor))
             if number >> 24:
                 number >>= 1
                 exponent += 1
@@ -70,13 +76,16 @@ def to_mm(values: "array[float]", at: int) -> None:
 
 @micropython.viper
 def multiply(values: ptr32, at: int, factors: ptr32, of: int) -> int:
-    """Make values[at] its product with factors[of], above 0, all bits of single-precision floats,
-    rounded to even."""
+    """Make values[at] its product with factors[of], all bits of single-precision floats, rounded
+    to even."""
     exponent = (values[at] >> 23) & 255
     if exponent == 0:
         return 0
     factor = factors[of]
-    exponent += (factor >> 23) - 126
+    sign = (ptr8(values)[4 * at + 3] ^ ptr8(factors)[4 * of + 3]) & MINUS
+    exponent += ((factor >> 23) & 255) - 126
+    if (factor >> 23) & 255 == 0:
+        exponent = -1
     factor = (factor & 0x7FFFFF) | 0x800000
     number = (values[at] & 0x7FFFFF) | 0x800000
     middle = (number >> 12) * (factor & 0xFFF) + (number & 0xFFF) * (factor >> 12)
@@ -89,6 +98,28 @@ def multiply(values: ptr32, at: int, factors: ptr32, of: int) -> int:
         exponent -= 1
     if low > 0x800000 or (low == 0x800000 and number & 1):
         number += 1
+    return int(store(values, at, number, exponent, sign))
+
+
+@micropython.viper
+def quotient(values: ptr32, at: int, divisors: ptr32, of: int) -> int:
+    """Make values[at] its quotient by divisors[of], which is not 0; as multiply() does."""
+    exponent = (values[at] >> 23) & 255
+    if exponent == 0:
+        return 0
+    sign = (ptr8(values)[4 * at + 3] ^ ptr8(divisors)[4 * of + 3]) & MINUS
+    exponent += 127 - ((divisors[of] >> 23) & 255)
+    number = (values[at] & 0x7FFFFF) | 0x800000
+    divisor = (divisors[of] & 0x7FFFFF) | 0x800000
+    if number < divisor:
+        number <<= 1
+        exponent -= 1
+    return int(store(values, at, int(mantissas(number, divisor)), exponent, sign))
+
+
+@micropython.viper
+def store(values: ptr32, at: int, number: int, exponent: int, sign: int) -> int:
+    """Put a number of 24 bits, or one more than they hold, into values[at] as a float."""
     if number >> 24:
         number >>= 1
         exponent += 1
@@ -98,10 +129,50 @@ def multiply(values: ptr32, at: int, factors: ptr32, of: int) -> int:
     elif exponent < 1:
         exponent = 0  # too small for a board
         number = 0
-    sign = ptr8(values)[4 * at + 3] & 128
     values[at] = (exponent << 23) | (number & 0x7FFFFF)
-    ptr8(values)[4 * at + 3] = ptr8(values)[4 * at + 3] | sign
+    ptr8(values)[4 * at + 3] |= sign
     return 0
+
+
+@micropython.viper
+def root(values: ptr32, at: int) -> int:
+    """Make values[at], a float that is not negative, its square root, rounded to the nearest."""
+    exponent = values[at] >> 23
+    if exponent == 0:
+        return 0
+    # With an even exponent, two bits above the mantissa's and 24 of them, all 0, behind it: a root
+    # of 25 bits. Two bits are looked at for each of its own.
+    number = ((values[at] & 0x7FFFFF) | 0x800000) << (2 - (exponent & 1))
+    found = 0
+    rest = 0
+    for _ in range(25):
+        rest = (rest << 2) | (number >> 24)
+        number = (number & 0xFFFFFF) << 2
+        if rest > found << 1:
+            rest -= (found << 1) + 1
+            found += 1
+        found <<= 1
+    return int(store(values, at, ((found >> 1) + 1) >> 1, ((exponent - 127) >> 1) + 127, 0))
+
+
+@micropython.viper
+def whole_part(values: ptr32, at: int, power: int) -> int:
+    """The whole part of values[at], a float, times 2**power; 0 where that has over 30 bits."""
+    shift = ((values[at] >> 23) & 255) - 150 + power
+    number = (values[at] & 0x7FFFFF) | 0x800000
+    if shift > 6 or shift < -24:
+        return 0
+    number = number << shift if shift >= 0 else number >> (0 - shift)
+    return 0 - number if ptr8(values)[4 * at + 3] & MINUS else number
+
+
+@micropython.viper
+def renew(kept: ptr32, at: int, values: ptr32, of: int) -> int:
+    """Make kept[at] values[of]. Returns whether it was another."""
+    if kept[at] == values[of]:
+        return 0
+    kept[at] = values[of]
+    return 1
 
 
 @micropython.viper
@@ -140,10 +211,7 @@ def add_single(a: ptr32, i: int, b: ptr32, j: int) -> int:
         x >>= 3
         if rest > 4 or (rest == 4 and x & 1):
             x += 1
-        if x >> 24:
-            x >>= 1
-            exponent += 1
-        x = (exponent << 23) | (x & 0x7FFFFF)
+        return int(store(b, j, x, exponent, sign_a << 7))
     b[j] = x
     if sign_a:
         ptr8(b)[4 * j + 3] = ptr8(b)[4 * j + 3] | 128

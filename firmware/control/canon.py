@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from base.settings import Settings
     from base.state import State
     from interfaces import Port
-    from motion.arcs import Arc
+    from motion.arc_geometry import Arc
     from motion.planner import Move, Planner
 
     from control.coolant import Coolant

@@ -10,13 +10,14 @@ import math
 
 from base.f32 import copy, vector
 from micropython import const
+from motion.arc_geometry import CENTRE_0, CENTRE_1, CLOCKWISE
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from array import array
 
     from interfaces import Geometry
-    from motion.arcs import Arc
+    from motion.arc_geometry import Arc
 
 # Of the tolerance, what a quarter of a chord may take: in its middle a bend is 4/3 of that.
 _SHARE = 0.7
@@ -44,7 +45,7 @@ class Way:
     def lay(self, start: "array[float]", target: "array[float]", arc: "Arc | None") -> None:
         """Lead from start to target, mm."""
         copy(start, self._start, len(start))
-        self._plane = arc.plane if arc else (-1, -1)
+        self._plane = (arc.plane[0], arc.plane[1]) if arc else (-1, -1)
         squares = 0.0
         for i in range(len(start)):
             self._change[i] = target[i] - start[i]
@@ -56,12 +57,13 @@ class Way:
         self.length = math.sqrt(squares)
 
     def _bend(self, start: "array[float]", target: "array[float]", arc: "Arc") -> None:
-        a, b = arc.plane
-        self._radius = math.sqrt(arc.centre_0 * arc.centre_0 + arc.centre_1 * arc.centre_1)
-        self._centre_0, self._centre_1 = start[a] + arc.centre_0, start[b] + arc.centre_1
-        self._from = math.atan2(-arc.centre_1, -arc.centre_0)
+        a, b = self._plane
+        centre_0, centre_1 = arc.numbers[CENTRE_0], arc.numbers[CENTRE_1]
+        self._radius = math.sqrt(centre_0 * centre_0 + centre_1 * centre_1)
+        self._centre_0, self._centre_1 = start[a] + centre_0, start[b] + centre_1
+        self._from = math.atan2(-centre_1, -centre_0)
         self._sweep = arc.sweep(start, target)
-        if arc.clockwise:
+        if arc.plane[CLOCKWISE]:
             self._sweep = -self._sweep
         # A program's numbers are rounded: what the circle misses its target by comes bit by bit.
         end = self._from + self._sweep

@@ -12,7 +12,6 @@ from base import errors
 from base.errors import GrblError
 from control.modes import INCHES, INVERSE_TIME, MOTION, PLANE, RELATIVE, SYSTEM
 from language import block_layout as b
-from language.checks import PLANES
 from micropython import const
 
 from extras.api import work_zero
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     # Letter, number as it is written, and of G and M words that in tenths, else -1.
     Word = tuple[str, str, int]
 
+_PLANES = ((0, 1), (2, 0), (1, 2))  # the axes of G17, G18, G19
 _G73 = const(730)
 _G83 = const(830)
 _G85 = const(850)
@@ -198,7 +198,7 @@ class Drilling:
         self._check(holes.first)
         self._check_others()
         ints = self._machine.interpreter.block.ints
-        across = PLANES[ints[PLANE]]
+        across = _PLANES[ints[PLANE]]
         axis = 3 - across[0] - across[1]
         holes.letter = _LETTERS[axis]
         holes.manner = axis, ints[INCHES], ints[RELATIVE]

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from interfaces import Geometry, Options
     from language.block import Block
-    from motion.arcs import Arc
+    from motion.arc_geometry import Arc
     from motion.planner import Move
 
     from extras.api import Cnc

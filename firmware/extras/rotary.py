@@ -17,6 +17,7 @@ from control.modes import INCHES
 from language.fast_kernel import DEGREES
 from micropython import const
 from motion import arcs, layout, reals
+from motion.arc_geometry import CLOCKWISE, RADIUS
 from motion.planner import Planner
 
 from extras.letters import LETTERS
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
     from interfaces import Options
     from language.block import Block
-    from motion.arcs import Arc
+    from motion.arc_geometry import Arc
     from motion.planner import Move
 
     from extras.api import Cnc
@@ -105,9 +106,9 @@ class RotaryCanon(Canon):
         for i in range(len(start)):
             if i in self.axes:
                 turns += (target[i] - start[i]) ** 2
-            elif i not in arc.plane:
+            elif i not in arc.plane[:CLOCKWISE]:
                 way += (target[i] - start[i]) ** 2
-        way += (arc.radius * arc.sweep(start, target)) ** 2
+        way += (arc.numbers[RADIUS] * arc.sweep(start, target)) ** 2
         self.planner.on_arc = reals.real(math.sqrt(1 + turns / way)) if way else reals.ONE
 
 

@@ -35,7 +35,7 @@ from control.modes import (
     TOOL_LENGTH,
 )
 from micropython import const
-from motion.arcs import Arc
+from motion.arc_geometry import Arc
 
 from language.block_layout import (
     ABSOLUTE_OVERRIDE,

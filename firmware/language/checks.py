@@ -5,8 +5,6 @@ machine coordinates. The order of checks is the standard's order of execution,
 which decides the number that a block with two faults gets.
 """
 
-import math
-
 from base import errors
 from base.errors import GrblError
 from base.f32 import f32, whole
@@ -18,7 +16,6 @@ from control.modes import (
     INVERSE_TIME,
     MOTION,
     OVERRIDE_CONTROL,
-    PLANE,
     RELATIVE,
     RPM,
     SYSTEM,
@@ -27,6 +24,7 @@ from control.modes import (
 from micropython import const
 
 from language import block_layout as b
+from language.arc_words import find_arc, is_there
 from language.usual import in_mm, stay
 
 TYPE_CHECKING = const(False)
@@ -35,16 +33,10 @@ if TYPE_CHECKING:
 
     from control.coords import Coords
     from control.modes import Modes
-    from motion.arcs import Arc
 
     from language.block import Block
 
 _HIGHEST_LINE = const(10000000)
-PLANES = ((0, 1), (2, 0), (1, 2))  # the axes of G17, G18, G19
-# A target may be so far off an arc's circle: mm, or that part of the radius up to _WORST mm.
-_ARC_CLOSE = 0.005
-_ARC_PART = 0.001
-_ARC_WORST = 0.5
 
 
 def check(modes: "Modes", coords: "Coords", block: "Block", jog: bool) -> None:
@@ -225,76 +217,19 @@ def _motion(modes: "Modes", block: "Block") -> int:
         if not axis_words:
             ints[b.CLAIM] = b.AXES_UNCLAIMED
         return 0
+    if motion in (b.CW_ARC, b.CCW_ARC):
+        arc, position = block.arc, modes.position
+        wrong = find_arc(
+            ints, block.singles, block.xyz, position, len(position), arc.plane, arc.numbers
+        )
+        if wrong:
+            raise GrblError(wrong)
+        return b.WORD_R if ints[b.WORDS] & b.WORD_R else b.WORD_IJK
     if not axis_words:
         raise GrblError(errors.GCODE_NO_AXIS_WORDS)
-    if motion in (b.CW_ARC, b.CCW_ARC):
-        return _arc(modes, block)
-    if _same(modes.position, block.xyz):
+    if is_there(modes.position, block.xyz, len(modes.position)):
         raise GrblError(errors.GCODE_INVALID_TARGET)
     return 0
-
-
-def _same(one: "array[float]", other: "array[float]") -> bool:
-    for i in range(len(one)):
-        if one[i] != other[i]:
-            return False
-    return True
-
-
-def _arc(modes: "Modes", block: "Block") -> int:
-    """Find centre and radius of an arc; returns the value words it used."""
-    arc, ints, singles = block.arc, block.ints, block.singles
-    xyz, position = block.xyz, modes.position
-    words = ints[b.WORDS]
-    arc.plane = PLANES[ints[PLANE]]
-    arc.clockwise = ints[MOTION] == b.CW_ARC
-    a, c = arc.plane
-    if not words & (1 << a | 1 << c):
-        raise GrblError(errors.GCODE_NO_AXIS_WORDS_IN_PLANE)
-    x = f32(xyz[a] - position[a])
-    y = f32(xyz[c] - position[c])
-    if words & b.WORD_R:
-        if _same(position, xyz):
-            raise GrblError(errors.GCODE_INVALID_TARGET)
-        _by_radius(block, arc, x, y)
-        return b.WORD_R
-    if not words & (b.WORD_I << a | b.WORD_I << c):
-        raise GrblError(errors.GCODE_NO_OFFSETS_IN_PLANE)
-    if ints[INCHES]:
-        to_mm(singles, b.I + a)
-        to_mm(singles, b.I + c)
-    arc.centre_0 = singles[b.I + a]
-    arc.centre_1 = singles[b.I + c]
-    to_target = _hypot(f32(x - arc.centre_0), f32(y - arc.centre_1))
-    arc.radius = _hypot(arc.centre_0, arc.centre_1)
-    off = abs(f32(to_target - arc.radius))
-    if off > _ARC_CLOSE and (off > _ARC_WORST or off > f32(f32(_ARC_PART) * arc.radius)):
-        raise GrblError(errors.GCODE_INVALID_TARGET)
-    return b.WORD_IJK
-
-
-def _hypot(x: float, y: float) -> float:
-    return f32(math.sqrt(f32(f32(x * x) + f32(y * y))))
-
-
-def _by_radius(block: "Block", arc: "Arc", x: float, y: float) -> None:
-    """The centre of the arc with radius R over the chord (x, y).
-
-    It lies on the chord's perpendicular bisector, left of the way for a
-    counterclockwise arc of less than half a circle. R < 0 asks for the longer arc.
-    """
-    if block.ints[INCHES]:
-        to_mm(block.singles, b.R)
-    radius = block.singles[b.R]
-    squared = f32(f32(f32(4.0 * f32(radius * radius)) - f32(x * x)) - f32(y * y))
-    if squared < 0:
-        raise GrblError(errors.GCODE_ARC_RADIUS_ERROR)
-    height = math.sqrt(squared) / math.sqrt(x * x + y * y) if x or y else 0.0
-    if arc.clockwise == (radius >= 0):
-        height = -height
-    arc.radius = abs(radius)
-    arc.centre_0 = 0.5 * (x - y * height)
-    arc.centre_1 = 0.5 * (y + x * height)
 
 
 def _jog(block: "Block") -> None:

@@ -12,10 +12,12 @@ from array import array
 from base import errors
 from base import state as st
 from base.errors import GrblError
-from base.f32 import copy, whole
+from base.f32 import copy, vector, whole
+from base.singles import renew, whole_part
 from control.coords import G28, G30
 from control.modes import (
     COOLANT,
+    FEED,
     INVERSE_TIME,
     MODAL_LENGTH,
     MOTION,
@@ -126,6 +128,9 @@ class Interpreter:
         self.block = block
         self._jog_modal = array("i", modes.modal)
         self._move = plan.Move()
+        # The numbers that it has: what they are made objects of takes memory.
+        self._numbers = vector(2)
+        self._rpm = 0.0
         self._line_numbers = line_numbers
         self.fast = FastPath(modes, coords, state, settings, canon, spindle)
 
@@ -162,9 +167,9 @@ class Interpreter:
             raise GrblError(errors.TRAVEL_EXCEEDED)
         move = self._begin_move(block)
         move.flags = layout.NO_FEED_OVERRIDE | modes.accessory_flags()
-        move.spindle_rpm = modes.rates[RPM]
+        move.spindle_rpm = self._rpm
         self._canon.jog(block.xyz, move)
-        modes.position[:] = block.xyz
+        copy(block.xyz, modes.position, len(modes.position))
         self._canon.finish()
 
     # Step three: checks
@@ -173,11 +178,21 @@ class Interpreter:
         """Refuse the block with GrblError, or leave it ready to be executed. modal: in force."""
         modes, coords, ints = self._modes, self._coords, block.ints
         xyz, position, zero = block.xyz, modes.position, coords.zero(ints[SYSTEM])
-        rates, axes = modes.rates, len(xyz)
+        rates, axes, arc = modes.rates, len(xyz), block.arc
         wrong = ODD
         if not coords.tool_length:
             wrong = usual(
-                ints, block.singles, xyz, position, zero, modal, rates, axes, block.lengths
+                ints,
+                block.singles,
+                xyz,
+                position,
+                zero,
+                modal,
+                rates,
+                axes,
+                block.lengths,
+                arc.plane,
+                arc.numbers,
             )
         if wrong == ODD:
             checks.check(modes, coords, block, False)
@@ -187,12 +202,16 @@ class Interpreter:
     # Step four: execution
 
     def _begin_move(self, block: "Block") -> "plan.Move":
-        """The move of a block, with its feed rate, and nothing else said of it."""
-        move = self._move
-        move.feed = block.singles[b.F]
+        """The move of a block, with its feed rate, and the spindle's speed in self._rpm."""
+        move, numbers, singles = self._move, self._numbers, block.singles
+        if renew(numbers, FEED, singles, b.F):
+            move.feed = singles[b.F]
+        if block.ints[INVERSE_TIME]:
+            numbers[FEED] = -1.0  # an arc shares its time out among its chords
+        if renew(numbers, RPM, self._modes.rates, RPM):
+            self._rpm = self._modes.rates[RPM]
         move.flags = 0
-        move.spindle_rpm = 0.0
-        move.line_number = whole(block.singles[b.N]) if self._line_numbers else 0
+        move.line_number = whole_part(singles, b.N, 0) if self._line_numbers else 0
         return move
 
     def _apply(self, block: "Block") -> int:
@@ -204,13 +223,12 @@ class Interpreter:
         left = settle(new, singles, modal, rates)
         if not (left or beam & _SYNC or modes.tool):
             return 0
+        if left & SPEED or beam & _SYNC:
+            self._set_speed(block, beam)
         move = self._begin_move(block)
         if new[INVERSE_TIME]:
             move.flags = layout.INVERSE_TIME
-        if left & SPEED or beam & _SYNC:
-            self._set_speed(block, beam)
-        if not beam & _DARK:
-            move.spindle_rpm = rates[RPM]
+        move.spindle_rpm = 0.0 if beam & _DARK else self._rpm
         if left & SET_TOOL or modes.tool:
             modes.tool = whole(singles[b.T]) & 255
         if left & ACCESSORIES:
@@ -292,7 +310,7 @@ class Interpreter:
             if block.ints[b.CLAIM]:
                 self._canon.line(block.xyz, move)
             self._canon.line(block.stored, move)
-            modes.position[:] = block.stored
+            copy(block.stored, modes.position, len(modes.position))
         elif command == b.SET_G28:
             self._canon.synchronise()
             coords.write(G28, modes.position)
@@ -323,7 +341,7 @@ class Interpreter:
             alarms = motion in (b.PROBE_TOWARD, b.PROBE_AWAY)
             if not self._seek.probe(block.xyz, move, away, alarms):
                 return  # the position has been seen to, or has not changed
-        modes.position[:] = block.xyz
+        copy(block.xyz, modes.position, len(modes.position))
 
     def _control_program(self, flow: int) -> None:
         """Pause it, or end it."""

@@ -1,9 +1,9 @@
 # mypy: disable-error-code="arg-type, attr-defined"
 """The usual block: checked and put in force by kernels, where it asks for nothing seldom.
 
-Modes, coordinate systems, motion in a line, feed, spindle, coolant, program flow: that is nearly
-every line which does more than move. What usual() does not know checks.py sees to; either way a
-block is the same behind it.
+Modes, coordinate systems, motion in a line or an arc, feed, spindle, coolant, program flow: that
+is nearly every line which does more than move. What usual() does not know checks.py sees to;
+either way a block is the same behind it.
 """
 
 import micropython
@@ -32,11 +32,13 @@ from control.modes import (
 )
 from micropython import const
 
+from language.arc_words import find_arc
 from language.block_layout import (
     AXES_MOTION,
     AXES_TOOL_LENGTH,
     AXES_UNCLAIMED,
     AXIS_WORDS,
+    CCW_ARC,
     CLAIM,
     COMMANDS,
     DWELL,
@@ -47,9 +49,12 @@ from language.block_layout import (
     LINEAR,
     NO_MOTION,
     NON_MODAL,
+    SEEK,
     WORD_F,
+    WORD_IJK,
     WORD_N,
     WORD_P,
+    WORD_R,
     WORD_S,
     WORD_T,
     WORDS,
@@ -80,7 +85,7 @@ def _claim(ints: ptr32) -> int:
     if axis_words and claim == AXES_UNCLAIMED:
         claim = AXES_MOTION
     if claim == AXES_MOTION:
-        return ODD if motion > LINEAR and motion != NO_MOTION else claim
+        return ODD if motion > CCW_ARC and motion != NO_MOTION else claim
     if claim == AXES_TOOL_LENGTH:
         return ODD if axis_words or ints[TOOL_LENGTH] else claim
     return ODD if claim else claim
@@ -97,10 +102,12 @@ def usual(
     rates: ptr32,
     axes: int,
     lengths: int,
+    plane: ptr32,
+    arc: ptr32,
 ) -> int:
     """Check a block as checks.check() does, and leave it ready. Returns what is wrong with it, 0,
     or ODD where that has to see to it, and nothing has been changed. zero: of the block's system,
-    without tool length, which is none; lengths: a mask."""
+    without tool length, which is none; lengths: a mask; plane, arc: those of an Arc."""
     words = ints[WORDS]
     axis_words = words & AXIS_WORDS
     command = ints[NON_MODAL]
@@ -111,7 +118,8 @@ def usual(
     if singles[N] > int(0x4B189680):  # the float 10,000,000
         return GCODE_INVALID_LINE_NUMBER
     if ints[INVERSE_TIME]:
-        if claim == AXES_MOTION and motion == LINEAR and words & WORD_F == 0:
+        cuts = motion != SEEK and motion != NO_MOTION  # noqa: PLR1714 (a viper cannot ask `in`)
+        if claim == AXES_MOTION and cuts and words & WORD_F == 0:
             return GCODE_UNDEFINED_FEED_RATE
     elif modal[INVERSE_TIME] == 0:
         if words & WORD_F == 0:
@@ -132,10 +140,15 @@ def usual(
         stay(position, xyz, words, axes)
     if motion == NO_MOTION and axis_words:
         return GCODE_AXIS_WORDS_EXIST
-    if motion <= LINEAR and claim == AXES_MOTION:
-        if motion == LINEAR and singles[F] & int(0x7FFFFFFF) == 0:
+    if claim == AXES_MOTION and motion != NO_MOTION:
+        if motion != SEEK and singles[F] & int(0x7FFFFFFF) == 0:
             return GCODE_UNDEFINED_FEED_RATE
-        if axis_words == 0:
+        if motion > LINEAR:
+            wrong = int(find_arc(ints, singles, xyz, position, axes, plane, arc))
+            if wrong:
+                return wrong
+            unused &= ~(WORD_R if words & WORD_R else WORD_IJK)
+        elif axis_words == 0:
             claim = AXES_UNCLAIMED
     if claim:
         unused &= ~AXIS_WORDS

@@ -1,0 +1,370 @@
+# mypy: disable-error-code=arg-type
+"""The geometry of an arc: from its ends and its centre to a course (arcs.py).
+
+In single precision and by integers only (base/singles.py), so nothing is left on the heap: an
+arc's numbers stand in an array, with room to reckon and the constants for it.
+"""
+
+from array import array
+
+import micropython
+from base.singles import add_single, multiply, quotient, root, store, whole_part
+from micropython import const
+
+from motion.arcs import (
+    BITS,
+    CENTRE,
+    FAR,
+    FIRST,
+    KNOWN,
+    LEFT,
+    REST,
+    SHEARS,
+    SHIFT,
+    STRIDE,
+    TURNING,
+    WAY,
+)
+
+# An arc's numbers: its radius, which is the parser's, so that a helix's end does not bend it;
+# where its centre lies, seen from the start, in the plane; how far chords may stray; radians
+# travelled.
+RADIUS = const(0)
+CENTRE_0 = const(1)
+CENTRE_1 = const(2)
+TOLERANCE = const(3)
+ANGLE = const(4)
+# Room to reckon, a part of which is what _turn() and _scale() have found;
+A = const(5)
+B = const(6)
+C = const(7)
+_SINE = const(8)
+_TANGENT = const(9)
+_SCALE = const(10)
+_RATIO = const(11)
+# and constants: 1, pi / 4, pi / 2, pi, 2 * pi, and what series of odd powers are made of: those of
+# the arc tangent up to _FLAT, and of the sine up to 0.8, fitted for the least relative error.
+_ONE = const(12)
+_EIGHTH = const(13)
+_QUARTER = const(14)
+_HALF = const(15)
+_CIRCLE = const(16)
+_ATAN = const(17)
+_ATAN_TERMS = const(5)
+_SIN = const(22)
+_SIN_TERMS = const(3)
+
+# An arc's plane: its axes, in the order of the offsets; whether it turns clockwise.
+ONE_AXIS = const(0)
+OTHER_AXIS = const(1)
+CLOCKWISE = const(2)
+
+_FACTORS = (
+    (1.0, 0.7853981634, 1.5707963268, 3.1415926536, 6.2831853072),
+    (-0.33333331, 0.19999610, -0.14265575, 0.10757241, -0.06488714),
+    (-0.16666664, 0.0083327042, -0.00019578569),
+)
+
+# Bits of floats: an angle that counts as none, which means a full circle, 5e-7; tan(pi / 8).
+_NO_SWEEP = const(0x350637BD)
+_FLAT = const(0x3ED413CD)
+# One that is twice another, as bits.
+_TWICE = const(0x800000)
+# Radians: what has wider chords, smaller than the tolerance, gets more of them. In 2**-16, 1.5.
+_WIDEST = const(98304)
+_FEW = const(5)  # so many cannot be as wide
+_FINEST = const(27)  # so many units, as a power of two, are a step at the most
+
+
+@micropython.viper
+def subtract(r: ptr32, at: int, other: ptr32, i: int) -> int:
+    """Take the float other[i] from r[at]."""
+    ptr8(r)[4 * at + 3] ^= 128
+    add_single(other, i, r, at)
+    if r[at] & int(0x7FFFFFFF):
+        ptr8(r)[4 * at + 3] ^= 128
+    return 0
+
+
+@micropython.viper
+def length(r: ptr32, at: int, of: int) -> int:
+    """Make r[at] the root of the sum of its square and that of r[of], which is lost."""
+    multiply(r, at, r, at)
+    multiply(r, of, r, of)
+    add_single(r, of, r, at)
+    return int(root(r, at))
+
+
+@micropython.viper
+def _series(r: ptr32, at: int, first: int, terms: int) -> int:
+    """Make r[at] the sum of its odd powers, by the factors from r[first] on, and itself. A and B
+    are lost."""
+    r[A] = r[at]
+    multiply(r, A, r, A)
+    terms += first - 1
+    r[B] = r[terms]
+    while terms > first:
+        terms -= 1
+        multiply(r, B, r, A)
+        add_single(r, terms, r, B)
+    multiply(r, B, r, A)
+    multiply(r, B, r, at)
+    return int(add_single(r, B, r, at))
+
+
+@micropython.viper
+def _direction(r: ptr32, y: int, x: int) -> int:
+    """Make ANGLE the direction of r[x], r[y], which are lost: radians, up to pi either way."""
+    behind = ptr8(r)[4 * x + 3] & 128
+    below = ptr8(r)[4 * y + 3] & 128
+    r[x] = r[x] & int(0x7FFFFFFF)
+    r[y] = r[y] & int(0x7FFFFFFF)
+    r[ANGLE] = 0
+    if r[x] | r[y] == 0:
+        return 0
+    steep = 1 if r[y] > r[x] else 0
+    if steep:
+        r[ANGLE] = r[x]
+        quotient(r, ANGLE, r, y)
+    else:
+        r[ANGLE] = r[y]
+        quotient(r, ANGLE, r, x)
+    wide = 1 if r[ANGLE] > _FLAT else 0
+    if wide:  # it is pi / 4, and what has the tangent (t - 1) / (t + 1)
+        r[A] = r[ANGLE]
+        add_single(r, _ONE, r, A)
+        subtract(r, ANGLE, r, _ONE)
+        quotient(r, ANGLE, r, A)
+    _series(r, ANGLE, _ATAN, _ATAN_TERMS)
+    if wide:
+        add_single(r, _EIGHTH, r, ANGLE)
+    if steep:
+        ptr8(r)[4 * ANGLE + 3] ^= 128
+        add_single(r, _QUARTER, r, ANGLE)
+    if behind:
+        ptr8(r)[4 * ANGLE + 3] ^= 128
+        add_single(r, _HALF, r, ANGLE)
+    ptr8(r)[4 * ANGLE + 3] ^= below
+    return 0
+
+
+@micropython.viper
+def sweep(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
+    """Find ANGLE, the angle travelled, in radians."""
+    one = plane[ONE_AXIS]
+    other = plane[OTHER_AXIS]
+    # The way from end to end, beside the radius: what is left of the two is small with the angle,
+    # as the difference of the two radii would not be.
+    r[_SINE] = target[one]
+    subtract(r, _SINE, start, one)
+    r[_TANGENT] = target[other]
+    subtract(r, _TANGENT, start, other)
+    # Across: CENTRE_1 * x - CENTRE_0 * y.
+    r[C] = r[_SINE]
+    multiply(r, C, r, CENTRE_1)
+    r[A] = r[_TANGENT]
+    multiply(r, A, r, CENTRE_0)
+    subtract(r, C, r, A)
+    # Along: the radius squared, less CENTRE_0 * x and CENTRE_1 * y.
+    subtract(r, _SINE, r, CENTRE_0)
+    subtract(r, _TANGENT, r, CENTRE_1)
+    multiply(r, _SINE, r, CENTRE_0)
+    multiply(r, _TANGENT, r, CENTRE_1)
+    add_single(r, _TANGENT, r, _SINE)
+    ptr8(r)[4 * _SINE + 3] ^= 128
+    _direction(r, C, _SINE)
+    if plane[CLOCKWISE]:
+        ptr8(r)[4 * ANGLE + 3] ^= 128
+    if ptr8(r)[4 * ANGLE + 3] & 128 or r[ANGLE] <= _NO_SWEEP:
+        add_single(r, _CIRCLE, r, ANGLE)
+    return 0
+
+
+@micropython.viper
+def _count(r: ptr32) -> int:
+    """How many chords of the tolerance go over the angle, as Grbl counts them."""
+    if r[RADIUS] == 0:
+        return 0
+    r[A] = r[RADIUS] + _TWICE
+    subtract(r, A, r, TOLERANCE)
+    multiply(r, A, r, TOLERANCE)
+    if r[A] == 0 or ptr8(r)[4 * A + 3] & 128:
+        return 0
+    root(r, A)
+    r[B] = r[ANGLE] - _TWICE
+    multiply(r, B, r, RADIUS)
+    quotient(r, B, r, A)
+    return int(whole_part(r, B, 0)) & 0xFFFF
+
+
+@micropython.viper
+def _turn(r: ptr32, chords: int) -> int:
+    """Find the sine of a chord's angle, and the tangent of its half. Returns by how many bits the
+    sine is less than 1, but no more than chords have."""
+    bits = 0
+    while chords >> bits:
+        bits += 1
+    store(r, C, chords << (24 - bits), 126 + bits, 0)
+    r[_TANGENT] = r[ANGLE]
+    quotient(r, _TANGENT, r, C)
+    r[_TANGENT] = r[_TANGENT] - _TWICE
+    _series(r, _TANGENT, _SIN, _SIN_TERMS)
+    # The sine of the half, by which its cosine is the root of 1 less its square.
+    r[C] = r[_TANGENT]
+    multiply(r, C, r, C)
+    ptr8(r)[4 * C + 3] ^= 128
+    add_single(r, _ONE, r, C)
+    root(r, C)
+    r[_SINE] = r[_TANGENT] + _TWICE
+    multiply(r, _SINE, r, C)
+    quotient(r, _TANGENT, r, C)
+    shift = 126 - (r[_SINE] >> 23)
+    return shift if shift < bits else bits
+
+
+@micropython.viper
+def _scale(r: ptr32, start: ptr32, target: ptr32, steps_per_mm: ptr32, axes: int) -> int:
+    """Find the units per mm, half of those that there is room for. 0 where places are too far for
+    whole steps, or are no numbers."""
+    # A place, on its way, is up to three radii from its start.
+    r[A] = r[RADIUS] + 2 * _TWICE if r[RADIUS] else 0
+    add_single(r, RADIUS, r, A)
+    add_single(r, _ONE, r, A)
+    finest = 0
+    coarsest = 0
+    for i in range(axes):
+        r[B] = start[i] & int(0x7FFFFFFF)
+        add_single(r, B, r, A)
+        r[B] = target[i] & int(0x7FFFFFFF)
+        add_single(r, B, r, A)
+        if steps_per_mm[i] > steps_per_mm[finest]:
+            finest = i
+        if steps_per_mm[i] < steps_per_mm[coarsest]:
+            coarsest = i
+    farthest = int(0x4D800000)  # the float FARTHEST
+    r[_SCALE] = farthest
+    quotient(r, _SCALE, r, A)
+    multiply(r, A, steps_per_mm, finest)
+    if r[A] >= farthest:
+        return 0
+    most = steps_per_mm[coarsest] + _FINEST * _TWICE
+    if r[_SCALE] > most:
+        r[_SCALE] = most
+    return 1
+
+
+@micropython.viper
+def _share(way: int, shift: int, chords: int) -> int:
+    """A chord's part of a way, in 2**-shift."""
+    part = (0 - way if way < 0 else way) // chords
+    rest = (0 - way if way < 0 else way) - part * chords
+    for _ in range(shift):
+        rest <<= 1
+        part <<= 1
+        if rest >= chords:
+            rest -= chords
+            part += 1
+    return 0 - part if way < 0 else part
+
+
+@micropython.viper
+def _place(
+    r: ptr32,
+    plane: ptr32,
+    start: ptr32,
+    target: ptr32,
+    steps_per_mm: ptr32,
+    course: ptr32,
+    axes: int,
+) -> int:
+    """Put places where the arc begins, and where they go. Finds how many times as many units a mm
+    is of the axis that turns first as of the other."""
+    chords = course[LEFT] + 1
+    at = FIRST
+    for i in range(axes):
+        r[B] = r[_SCALE]
+        quotient(r, B, steps_per_mm, i)
+        bits = (r[B] >> 23) - 126
+        r[A] = steps_per_mm[i] + bits * _TWICE  # units per mm
+        r[B] = start[i]
+        multiply(r, B, r, A)
+        place = int(whole_part(r, B, 0))
+        course[at] = FAR + place + (1 << bits >> 1)
+        course[at + REST] = 0
+        course[at + BITS] = bits
+        course[at + WAY] = int(0x40000000)  # 1 << WAY_BIAS
+        is_one = 1 if i == plane[ONE_AXIS] else 0
+        if is_one or i == plane[OTHER_AXIS]:
+            r[B] = r[CENTRE_0] if is_one else r[CENTRE_1]
+            multiply(r, B, r, A)
+            course[at + CENTRE] = course[at] + int(whole_part(r, B, 0))
+            second = 1 if is_one == plane[CLOCKWISE] else 0
+            course[TURNING + second] = at
+            r[C if second else _RATIO] = r[A]
+        else:
+            r[B] = target[i]
+            multiply(r, B, r, A)
+            way = int(whole_part(r, B, 0)) - place
+            course[at + WAY] = course[at + WAY] + int(_share(way, course[SHIFT], chords))
+        at += STRIDE
+    return int(quotient(r, _RATIO, r, C))
+
+
+@micropython.viper
+def lay(
+    r: ptr32,
+    plane: ptr32,
+    start: ptr32,
+    target: ptr32,
+    steps_per_mm: ptr32,
+    course: ptr32,
+    axes: int,
+) -> int:
+    """Lay a course. r: an arc's numbers. Returns how many chords it takes; 0 and 1 mean a straight
+    line."""
+    course[LEFT] = 0
+    course[KNOWN] = 0
+    sweep(r, plane, start, target)
+    chords = int(_count(r))
+    if int(_scale(r, start, target, steps_per_mm, axes)) == 0:
+        return 0
+    if chords > 1:
+        if chords < _FEW and int(whole_part(r, ANGLE, 16)) > _WIDEST * chords:
+            chords *= 2
+        course[LEFT] = chords - 1
+        shift = int(_turn(r, chords))
+        course[SHIFT] = shift
+        _place(r, plane, start, target, steps_per_mm, course, axes)
+        multiply(r, _TANGENT, r, _RATIO)
+        quotient(r, _SINE, r, _RATIO)
+        course[SHEARS] = FAR - int(whole_part(r, _TANGENT, 28 + shift))
+        course[SHEARS + 1] = FAR + int(whole_part(r, _SINE, 28 + shift))
+    return chords
+
+
+class Arc:
+    """One arc: its numbers and its plane, see above."""
+
+    def __init__(self) -> None:
+        self.plane = array("i", (0, 1, 0))
+        self.numbers = array("f", (0.0 for _ in range(_ONE)))
+        for factors in _FACTORS:
+            self.numbers.extend(array("f", factors))
+
+    def lay(
+        self,
+        start: "array[float]",
+        target: "array[float]",
+        tolerance: float,
+        steps_per_mm: "array[float]",
+        course: "array[int]",
+    ) -> int:
+        """Lay its course, between places in mm. Returns how many chords it takes; 0 and 1 mean a
+        straight line."""
+        self.numbers[TOLERANCE] = tolerance
+        return lay(self.numbers, self.plane, start, target, steps_per_mm, course, len(start))
+
+    def sweep(self, start: "array[float]", target: "array[float]") -> float:
+        """The angle travelled, in radians."""
+        sweep(self.numbers, self.plane, start, target)
+        return self.numbers[ANGLE]
