@@ -92,6 +92,22 @@ def _claim(ints: ptr32) -> int:
 
 
 @micropython.viper
+def _rate(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, claim: int) -> int:
+    """Find F of a block, as it is in force. Returns what is wrong with it, or 0."""
+    has_f = ints[WORDS] & WORD_F
+    motion = ints[MOTION]
+    if ints[INVERSE_TIME]:
+        cuts = motion != SEEK and motion != NO_MOTION  # noqa: PLR1714 (a viper cannot ask `in`)
+        return GCODE_UNDEFINED_FEED_RATE if claim == AXES_MOTION and cuts and has_f == 0 else 0
+    if modal[INVERSE_TIME] == 0:
+        if has_f == 0:
+            singles[F] = rates[FEED]
+        elif ints[INCHES]:
+            multiply(singles, F, singles, INCH_MM)
+    return 0
+
+
+@micropython.viper
 def usual(
     ints: ptr32,
     singles: ptr32,
@@ -117,15 +133,9 @@ def usual(
         return ODD
     if singles[N] > int(0x4B189680):  # the float 10,000,000
         return GCODE_INVALID_LINE_NUMBER
-    if ints[INVERSE_TIME]:
-        cuts = motion != SEEK and motion != NO_MOTION  # noqa: PLR1714 (a viper cannot ask `in`)
-        if claim == AXES_MOTION and cuts and words & WORD_F == 0:
-            return GCODE_UNDEFINED_FEED_RATE
-    elif modal[INVERSE_TIME] == 0:
-        if words & WORD_F == 0:
-            singles[F] = rates[FEED]
-        elif ints[INCHES]:
-            multiply(singles, F, singles, INCH_MM)
+    wrong = int(_rate(ints, singles, modal, rates, claim))
+    if wrong:
+        return wrong
     if words & WORD_S == 0:
         singles[S] = rates[RPM]
     unused = words & ~(WORD_N | WORD_F | WORD_S | WORD_T)
