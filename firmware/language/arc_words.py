@@ -110,8 +110,8 @@ def _by_radius(
     r[RADIUS] = singles[R] & int(0x7FFFFFFF)
     r[A] = r[RADIUS]
     multiply(r, A, r, A)
-    if r[A]:
-        r[A] = r[A] + int(0x1000000)
+    r[B] = int(0x40800000)  # the float 4
+    multiply(r, A, r, B)
     r[B] = r[CENTRE_0]
     multiply(r, B, r, B)
     r[C] = r[CENTRE_1]

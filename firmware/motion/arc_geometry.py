@@ -226,6 +226,9 @@ def _turn(r: ptr32, chords: int) -> int:
 def _scale(r: ptr32, start: ptr32, target: ptr32, steps_per_mm: ptr32, axes: int) -> int:
     """Find the units per mm, half of those that there is room for. 0 where places are too far for
     whole steps, or are no numbers."""
+    farthest = int(0x4D800000)  # the float FARTHEST
+    if r[RADIUS] >= farthest:
+        return 0
     # A place, on its way, is up to three radii from its start.
     r[A] = r[RADIUS] + 2 * _TWICE if r[RADIUS] else 0
     add_single(r, RADIUS, r, A)
@@ -241,7 +244,6 @@ def _scale(r: ptr32, start: ptr32, target: ptr32, steps_per_mm: ptr32, axes: int
             finest = i
         if steps_per_mm[i] < steps_per_mm[coarsest]:
             coarsest = i
-    farthest = int(0x4D800000)  # the float FARTHEST
     r[_SCALE] = farthest
     quotient(r, _SCALE, r, A)
     multiply(r, A, steps_per_mm, finest)
@@ -324,10 +326,10 @@ def lay(
     line."""
     course[LEFT] = 0
     course[KNOWN] = 0
-    sweep(r, plane, start, target)
-    chords = int(_count(r))
     if int(_scale(r, start, target, steps_per_mm, axes)) == 0:
         return 0
+    sweep(r, plane, start, target)
+    chords = int(_count(r))
     if chords > 1:
         if chords < _FEW and int(whole_part(r, ANGLE, 16)) > _WIDEST * chords:
             chords *= 2
