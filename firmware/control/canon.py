@@ -159,8 +159,11 @@ class Canon:
         state, move, course = self._state, self._move, self._course
         moves = state.run != st.CHECK
         known = -1
+        looks = state.pending[st.ANY] or state.suspend  # else the loop has, right before the line
         while course[arcs.LEFT]:
-            self.service()
+            if looks:
+                self.service()
+            looks = 1
             if moves and known != state.changes[0]:
                 known = state.changes[0]
                 self.power = self.power_of(move)
