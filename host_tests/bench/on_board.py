@@ -26,7 +26,7 @@ _START = """
 power_up.live(power_up.build())
 """
 
-# Commands: `$NAME=number` answers with numbers in a message.
+# Commands: `$NAME=number` answers with numbers in a message, if there are any.
 _COMMANDS = """
 import gc
 import time
@@ -54,7 +54,8 @@ def whose(self, line, length):
     act = acts.get(name)
     if act:
         numbers = act(int(value or b"0"))
-        found[report.Report].message(" ".join([str(x) for x in numbers]) + ".")
+        if numbers:
+            found[report.Report].message(" ".join([str(x) for x in numbers]) + ".")
     else:
         return usual(self, line, length)
     return lambda line, length: None
@@ -249,7 +250,7 @@ acts[b"STAGE"] = stages
 """ % (fast_kernel.AXES, fast_kernel.LIMITED, fast_kernel.DRY, modes.MODAL_ROOM)
 
 # $GAP: the longest time from one look at the link to the next since it was asked last, us; no
-# collection falls in where less than the heap is used until then.
+# collection falls in where less than the heap is used until then, but for $COLLECT.
 _GAPS = """
 import board
 
@@ -283,6 +284,7 @@ if kind == "usb":
 else:
     link.read_into = watched(link.read_into)
 acts[b"GAP"] = longest
+acts[b"COLLECT"] = lambda _: gc.collect()  # which has no answer
 """
 
 _BEGIN = program.found() + _FIRST + _COMMANDS

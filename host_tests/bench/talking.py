@@ -118,7 +118,7 @@ def heap(bench: Bench) -> Iterator[Row]:
 def _left(talk: Talk, sent: "list[str]") -> int:
     """Bytes that these lines leave, and the way there and back."""
     idle(talk)
-    inside(talk, "$COLLECT=1")
+    inside(talk, "$COLLECT")
     inside(talk, "$GC=0")
     (before,) = inside(talk, "$ALLOC")
     stream(talk, sent, _BLOCKS)
@@ -314,12 +314,14 @@ def stages(bench: Bench) -> Iterator[Row]:
 
 def gaps(bench: Bench) -> Iterator[Row]:
     """The longest time from one look at the link to the next, while lines stream: without a
-    collection, and with so many arcs that there is one."""
+    collection, and with one in the midst of arcs."""
     talk = bench.talk(GAPS)
+    collecting = list(arcs(16))
+    collecting.insert(8, "$COLLECT")
     for name, sent in (
         ("short moves", list(short_moves(120))),
         ("half circles", list(arcs(6))),
-        ("half circles and a collection", list(arcs(56))),
+        ("half circles and a collection", collecting),
     ):
         _at_start(talk)
         inside(talk, "$GAP")
