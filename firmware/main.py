@@ -11,9 +11,10 @@ parts = power_up.build()
 
 # A collection of garbage marks first what is named in a class being made. Were it to come from one
 # module to another, more would wait to be marked than the 64 that it keeps in mind, and it would
-# search all of memory again: 21 ms instead of 11.
+# search all of memory again: 21 ms instead of 11. The last is looked into first, so those with the
+# most names come when nothing else waits.
 class Running:
-    modules = tuple(sys.modules.values())
+    modules = tuple(sorted(sys.modules.values(), key=lambda module: -len(module.__dict__)))
     machine = power_up.live(parts)
 
 
