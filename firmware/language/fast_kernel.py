@@ -95,7 +95,8 @@ def set_in_force(known: ptr32, modal: ptr32) -> int:
     if modal[md.SPINDLE]:
         word = _M_WORDS + (3 if modal[md.SPINDLE] == SPINDLE_CW else 4)
     known[_IN_FORCE + 7] = word
-    known[_IN_FORCE + 8] = 0 if modal[md.COOLANT] else _M_WORDS + 9
+    word = 9 - modal[md.COOLANT]  # M8 for flood, M7 for mist; for both no word says all of it
+    known[_IN_FORCE + 8] = 0 if word < 7 else _M_WORDS + word
     return 0
 
 

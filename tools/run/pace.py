@@ -39,7 +39,7 @@ _GROUPS = [
 ]
 _MEANINGS = frozenset(b"G20 G21 G90 G91".split())  # which a plain move may say anew
 _AT_FIRST = frozenset(b"G17 G21 G40 G54 G61 G90 G94 M5 M9".split())
-_NEVER = frozenset(b"G93 M7 M8".split())  # such are looked at each time
+_NEVER = frozenset(b"G93".split())  # such are looked at each time
 # What is worth a word, and how many lines in time may stand between two that are late.
 _LEAST_S = 0.05
 _APART = 100
