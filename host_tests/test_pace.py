@@ -74,7 +74,7 @@ def test_a_dwell_or_the_begin_of_a_program_is_no_delay() -> None:
         (
             [
                 *(b"F9000", b"G91"),
-                *[line for _ in range(200) for line in (b"G18G1X0.15", b"G17X0.15")],
+                *[line for _ in range(200) for line in (b"T1G1X0.15", b"T2X0.15")],
             ],
             "long_way_ms",
             FAST,
@@ -108,12 +108,14 @@ def test_it_says_which_lines_are_in_the_way(
         (b"G2X1I5", b"G1X0F100", "long_way_ms"),
         (b"G91X1", b"G1X0F100", "feed"),
         (b"G20G91", b"G1X0F100", "feed"),
-        (b"G18X1", b"G1X0F100", "long_way_ms"),
+        (b"G18X1", b"G1X0F100", "feed"),
+        (b"G18", b"G1X0F100", "feed"),
+        (b"T2X1", b"G1X0F100", "long_way_ms"),
         (b"G90X1M5", b"G1X0F100", "plain"),
         (b"G01G90M05", b"G1X0F100", "long_way_ms"),
         (b"G90M05", b"G1X0F100", "no_words_ms"),
         (b"M9X1", b"M9", "plain"),
-        (b"M8X1", b"M8X0", "long_way_ms"),
+        (b"M8X1", b"M8X0", "long_way_ms"),  # the first behind another kind of line
         (b"M3X1", b"M3X0", "long_way_ms"),  # the first behind another kind of line
         (b"S5", b"G1X0F100", "long_way_ms"),
         (b"; nothing", b"G1X0F100", "no_words_ms"),
@@ -248,7 +250,7 @@ def test_rates_are_those_that_the_document_states(figure: float, row: str) -> No
     assert figure == cached(row)
 
 
-def test_the_long_way_is_that_of_another_plane_with_a_move() -> None:
+def test_the_long_way_is_that_of_a_tool_with_a_move() -> None:
     assert cached("a line that goes the long way", 1) == PICO.long_way_ms
 
 

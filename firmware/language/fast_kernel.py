@@ -28,7 +28,7 @@ HAS_G0 = const(0x08)  # G0, which was not in force
 HAS_G1 = const(0x10)
 MODES = const(0x18)
 NEWS = const(0x1B)
-CHANGED = const(0x1000)  # how numbers are meant: G20 or G21, G90 or G91, which was not in force
+CHANGED = const(0x1000)  # how numbers are meant: G17 to G21, G90 or G91, which was not in force
 SAME = const(0x20000000)  # no move, and nothing besides that but words that are in force
 ODD = const(-1)  # what is none of those
 F = const(0)  # the same as bit numbers
@@ -62,13 +62,16 @@ CHANGES = const(23)  # as they were counted when this was known
 LACKS = const(24)  # whether the move lacks what is new
 INCH_MM = const(25)
 WAITS = const(26)  # whether room is all that the last line has lacked
-# How the line itself means its numbers: in inches, relative.
+# How the line itself means its numbers: in inches, relative, in which plane (its word's number).
 LINE_INCHES = const(27)
 LINE_RELATIVE = const(28)
-DEGREES = const(29)  # axes (a mask) whose numbers are no lengths: in inches they go the long way
+LINE_PLANE = const(29)
+XY = const(17)  # the first plane's word
+DEGREES = const(30)  # axes (a mask) whose numbers are no lengths: in inches they go the long way
 # The words in force, one of each group: their numbers, M words behind G words. 0: none that a line
-# may repeat here.
-_IN_FORCE = const(30)
+# may repeat here; with 0 for the plane, as for jogs, it may have no word of a plane at all.
+_IN_FORCE = const(31)
+_PLANE = const(0)
 _UNITS = const(1)
 _DISTANCE = const(2)
 _GROUPS = const(9)
@@ -84,7 +87,7 @@ def set_in_force(known: ptr32, modal: ptr32) -> int:
     """Note which words a line may have that change nothing, and how numbers are meant."""
     known[IN_INCHES] = modal[md.INCHES]
     known[IS_RELATIVE] = modal[md.RELATIVE]
-    known[_IN_FORCE] = 17 + modal[md.PLANE]
+    known[_IN_FORCE + _PLANE] = XY + modal[md.PLANE]
     known[_IN_FORCE + _UNITS] = 20 if modal[md.INCHES] else 21
     known[_IN_FORCE + _DISTANCE] = 91 if modal[md.RELATIVE] else 90
     known[_IN_FORCE + 3] = 0 if modal[md.INVERSE_TIME] else 94
@@ -120,6 +123,9 @@ def _group(known: ptr32, value: int, first: int) -> int:
     if first == 0 and word >> 1 == 45:  # 90 and 91
         known[LINE_RELATIVE] = word - 90
         return CHANGED | 1 << _DISTANCE
+    if first == 0 and word >= XY and word <= XY + 2 and known[_IN_FORCE + _PLANE]:
+        known[LINE_PLANE] = word
+        return CHANGED | 1 << _PLANE
     return 0
 
 
@@ -127,12 +133,13 @@ def _group(known: ptr32, value: int, first: int) -> int:
 def read(text: ptr8, pos: int, length: int, known: ptr32) -> int:
     """What a line, from pos on, holds if it does no more than move; ODD or 0 if it does, or if a
     word is wrong. Such have G0 and G1, X to Z and A to C, F, N and S, each once at the most, the
-    last three not negative, words that are in force, and G20, G21, G90 and G91. Returns a mask of
-    axes and of what is new, the public names above.
+    last three not negative, words that are in force, G17 to G19, G20, G21, G90 and G91. Returns a
+    mask of axes and of what is new, the public names above.
     """
     signs = ptr8(known)
     known[LINE_INCHES] = known[IN_INCHES]
     known[LINE_RELATIVE] = known[IS_RELATIVE]
+    known[LINE_PLANE] = known[_IN_FORCE + _PLANE]
     seen = 0
     repeated = 0
     while pos < length:

@@ -13,7 +13,7 @@ from base import state as st
 from base.f32 import copy, vector
 from base.singles import to_mm
 from control import modes as md
-from control.modes import INCHES, INVERSE_TIME, MOTION, RELATIVE, SPINDLE
+from control.modes import INCHES, INVERSE_TIME, MOTION, PLANE, RELATIVE, SPINDLE
 from micropython import const
 from motion import layout
 from motion import planner as plan
@@ -206,6 +206,7 @@ class FastPath:
         known, modal = self._known, self._modes.modal
         modal[INCHES] = known[fk.LINE_INCHES]
         modal[RELATIVE] = known[fk.LINE_RELATIVE]
+        modal[PLANE] = known[fk.LINE_PLANE] - fk.XY
         fk.set_in_force(known, modal)
         self._jogs[fk.AXES] = 0
 

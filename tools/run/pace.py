@@ -37,7 +37,7 @@ _GROUPS = [
         *(b"G90 G91", b"G93 G94", b"M3 M4 M5", b"M7 M8 M9"),
     )
 ]
-_MEANINGS = frozenset(b"G20 G21 G90 G91".split())  # which a plain move may say anew
+_MEANINGS = frozenset(b"G17 G18 G19 G20 G21 G90 G91".split())  # which a plain move may say anew
 _AT_FIRST = frozenset(b"G17 G21 G40 G54 G61 G90 G94 M5 M9".split())
 _NEVER = frozenset(b"G93".split())  # such are looked at each time
 # What is worth a word, and how many lines in time may stand between two that are late.
