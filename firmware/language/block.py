@@ -304,6 +304,7 @@ class Block:
         longest: int = LINE_LENGTH,
     ) -> None:
         self.ints = array("i", (0 for _ in range(MODAL_ROOM)))
+        self.axes = axes
         self.xyz = vector(axes)
         self.lengths = (1 << axes) - 1  # of its axes, those in mm or inches: a mask
         self.singles = vector(SINGLES)
@@ -328,6 +329,7 @@ class Block:
             self._index,
             self.ints,
             self.xyz,
+            axes,
             self.singles,
             self._take_odd,
         )
@@ -335,8 +337,8 @@ class Block:
     def read(self, line: bytearray, start: int, end: int, modal: "array[int]") -> None:
         """Start from that modal state, and take in the words of line[start:end], which a 0
         follows, in their order. Raises GrblError for the first that is wrong."""
-        letters, values, index, ints, xyz, singles, odd = self._memory
-        span, axes = end << 8 | start, len(xyz)
+        letters, values, index, ints, xyz, axes, singles, odd = self._memory
+        span = end << 8 | start
         wrong = read(
             line, span, letters, values, index, dictionary, modal, ints, xyz, axes, singles, odd
         )

@@ -241,16 +241,25 @@ def line_number(known: ptr32, seen: int) -> int:
 
 
 @micropython.viper
+def take_rates(known: ptr32, seen: int, rates: ptr32) -> int:
+    """Put the feed rate and the spindle speed that a line has into what is in force."""
+    if seen & HAS_F:
+        rates[md.FEED] = known[VALUES + F]
+    if seen & HAS_S:
+        rates[md.RPM] = known[VALUES + _S]
+    return 0
+
+
+@micropython.viper
 def _take_numbers(known: ptr32, seen: int, rates: ptr32, scale: ptr32) -> int:
     """Another feed rate in mm/min, or power, is in force."""
     known[LACKS] = 1
+    take_rates(known, seen, rates)
     if seen & HAS_F:
         known[FEED] = known[VALUES + F]
-        rates[md.FEED] = known[FEED]
         known[RATE] = int(per_second(known, FEED))
     if seen & HAS_S:
         known[RPM] = known[VALUES + _S]
-        rates[md.RPM] = known[RPM]
         scale[ASKED] = known[RPM]
         if known[DRY] == 0:
             known[POWER] = int(weigh(scale, known[FLAGS]))

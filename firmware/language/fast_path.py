@@ -61,11 +61,12 @@ class FastPath:
         self._settings = settings
         self._canon = canon
         self._spindle = spindle
-        axes = len(modes.position)
+        self._axes = axes = len(modes.position)
         self._move = plan.Move()
         self._target = vector(axes)
         self._known = array("i", (0 for _ in range(fk.OFFSETS + axes)))
         self._offsets = memoryview(self._known)[fk.OFFSETS :]
+        self._rates = memoryview(self._known)[fk.FEED :]
         self._known[fk.INCH_MM] = 0x41CB3333  # the float 25.4
         self._jogs = array("i", self._known)  # what jogs depend on: the same, but for modes
         self._asked = False  # the last line was one of these
@@ -132,9 +133,8 @@ class FastPath:
             and not (modal[INVERSE_TIME] or modes.tool)
             and coords.tool_length == 0
         ):
-            axes = len(modes.position)
-            known[fk.AXES] = axes
-            copy(coords.zero(coords.active), self._offsets, axes)
+            known[fk.AXES] = self._axes
+            copy(coords.zero(coords.active), self._offsets, self._axes)
             known[fk.LIMITED] = self._settings.soft_limits
             known[fk.DRY] = self._state.run == st.CHECK
             known[fk.LASER] = self._spindle.laser
@@ -145,7 +145,7 @@ class FastPath:
         modes, move, known = self._modes, self._move, self._known
         seeks = modes.modal[MOTION] == b.SEEK
         known[fk.MODE] = fk.HAS_G0 if seeks else fk.HAS_G1
-        copy(modes.rates, memoryview(known)[fk.FEED :], 2)
+        copy(modes.rates, self._rates, 2)
         known[fk.RATE] = per_second(known, fk.FEED)
         move.feed, move.spindle_rpm = modes.rates
         if seeks and known[fk.LASER]:
@@ -179,7 +179,7 @@ class FastPath:
         self._move.line_number = line_number(known, seen)
         place(known, seen, self._modes.position, self._target)
         self._canon.line(self._target, self._move)
-        copy(self._target, self._modes.position, len(self._modes.position))
+        copy(self._target, self._modes.position, self._axes)
         self._asked = True
         return True
 
@@ -213,9 +213,7 @@ class FastPath:
     def _take_news(self, seen: int) -> None:
         """A line changes motion mode, feed rate, or a laser's power."""
         modes, known = self._modes, self._known
-        for i in range(2):
-            if seen >> i & 1:
-                copy(memoryview(known)[fk.VALUES + fk.F + i :], memoryview(modes.rates)[i:], 1)
+        fk.take_rates(known, seen, modes.rates)
         if seen & fk.HAS_F and known[fk.IN_INCHES]:
             to_mm(modes.rates, md.FEED)
         if seen & fk.MODES:
@@ -258,7 +256,7 @@ class FastPath:
         if self.follow is not self.plain or not self.is_open or coords.tool_length or turns:
             return False
         known[fk.CHANGES] = self._state.changes[0]
-        known[fk.AXES] = axes = len(modes.position)
+        known[fk.AXES] = axes = self._axes
         known[fk.IN_INCHES] = modes.modal[INCHES]
         known[fk.IS_RELATIVE] = modes.modal[RELATIVE]
         known[fk.LIMITED] = self._settings.soft_limits

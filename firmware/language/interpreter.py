@@ -12,7 +12,7 @@ from array import array
 from base import errors
 from base import state as st
 from base.errors import GrblError
-from base.f32 import copy, vector, whole
+from base.f32 import copy, vector
 from base.singles import renew, whole_part
 from control.coords import G28, G30
 from control.modes import (
@@ -165,11 +165,9 @@ class Interpreter:
             checks.check(modes, self._coords, block, True)
         if self._settings.soft_limits and self._canon.outside(block.xyz):
             raise GrblError(errors.TRAVEL_EXCEEDED)
-        move = self._begin_move(block)
-        move.flags = layout.NO_FEED_OVERRIDE | modes.accessory_flags()
-        move.spindle_rpm = self._rpm
+        move = self._begin_move(block, layout.NO_FEED_OVERRIDE)
         self._canon.jog(block.xyz, move)
-        copy(block.xyz, modes.position, len(modes.position))
+        copy(block.xyz, modes.position, block.axes)
         self._canon.finish()
 
     # Step three: checks
@@ -178,7 +176,7 @@ class Interpreter:
         """Refuse the block with GrblError, or leave it ready to be executed. modal: in force."""
         modes, coords, ints = self._modes, self._coords, block.ints
         xyz, position, zero = block.xyz, modes.position, coords.zero(ints[SYSTEM])
-        rates, axes, arc = modes.rates, len(xyz), block.arc
+        rates, axes, arc = modes.rates, block.axes, block.arc
         wrong = ODD
         if not coords.tool_length:
             wrong = usual(
@@ -201,50 +199,52 @@ class Interpreter:
 
     # Step four: execution
 
-    def _begin_move(self, block: "Block") -> "plan.Move":
-        """The move of a block, with its feed rate, and the spindle's speed in self._rpm."""
-        move, numbers, singles = self._move, self._numbers, block.singles
+    def _begin_move(self, block: "Block", flags: int) -> "plan.Move":
+        """The move of a block, with its feed rate, and spindle and coolant as they are."""
+        move, numbers, modes, singles = self._move, self._numbers, self._modes, block.singles
         if renew(numbers, FEED, singles, b.F):
             move.feed = singles[b.F]
         if block.ints[INVERSE_TIME]:
             numbers[FEED] = -1.0  # an arc shares its time out among its chords
-        if renew(numbers, RPM, self._modes.rates, RPM):
-            self._rpm = self._modes.rates[RPM]
-        move.flags = 0
+        if renew(numbers, RPM, modes.rates, RPM):
+            self._rpm = modes.rates[RPM]
+        move.flags = flags | modes.accessory_flags()
+        move.spindle_rpm = self._rpm
         move.line_number = whole_part(singles, b.N, 0) if self._line_numbers else 0
         return move
 
     def _apply(self, block: "Block") -> int:
-        """Execute a checked block, in the standard's order. Returns 0 where it has only changed
-        modes."""
-        modes, new, singles = self._modes, block.ints, block.singles
-        modal, rates = modes.modal, modes.rates
+        """Execute a checked block, in the standard's order. Returns 0 where nothing moves."""
+        modes, new = self._modes, block.ints
         beam = self._beam(block) if self._spindle.laser else 0
-        left = settle(new, singles, modal, rates)
-        if not (left or beam & _SYNC or modes.tool):
-            return 0
-        if left & SPEED or beam & _SYNC:
-            self._set_speed(block, beam)
-        move = self._begin_move(block)
-        if new[INVERSE_TIME]:
-            move.flags = layout.INVERSE_TIME
-        move.spindle_rpm = 0.0 if beam & _DARK else self._rpm
-        if left & SET_TOOL or modes.tool:
-            modes.tool = whole(singles[b.T]) & 255
-        if left & ACCESSORIES:
-            self._set_accessories(new, move)
-        move.flags |= modes.accessory_flags()
-        if new[b.NON_MODAL] == b.DWELL:
-            self._canon.dwell(singles[b.P])
-        if left & OFFSETS and self._set_offsets(block):
-            self._offsets_changed()
-        if left & COMMAND:
-            self._non_modal(block, move)
-        if left & MOVE:
-            self.go(block, move)
+        left = settle(new, block.singles, modes.modal, modes.rates)
+        if left & ~MOVE or beam & _SYNC or modes.tool:
+            self._switch(block, left, beam)
+        if left & (COMMAND | MOVE):
+            move = self._begin_move(block, layout.INVERSE_TIME if new[INVERSE_TIME] else 0)
+            if beam & _DARK:
+                move.spindle_rpm = 0.0
+            if left & COMMAND:
+                self._non_modal(block, move)
+            if left & MOVE:
+                self.go(block, move)
         if left & FLOW:
             self._control_program(new[PROGRAM_FLOW])
-        return 1
+        return left & (COMMAND | MOVE)
+
+    def _switch(self, block: "Block", left: int, beam: int) -> None:
+        """What comes before motion: speed, tool, M words, a dwell, offsets."""
+        modes, new = self._modes, block.ints
+        if left & SPEED or beam & _SYNC:
+            self._set_speed(block, beam)
+        if left & SET_TOOL or modes.tool:
+            modes.tool = int(block.singles[b.T]) & 255
+        if left & ACCESSORIES:
+            self._set_accessories(new, 0.0 if beam & _DARK else modes.rates[RPM])
+        if new[b.NON_MODAL] == b.DWELL:
+            self._canon.dwell(block.singles[b.P])
+        if left & OFFSETS and self._set_offsets(block):
+            self._offsets_changed()
 
     def _beam(self, block: "Block") -> int:
         """Laser mode: what the block means for the beam."""
@@ -264,11 +264,11 @@ class Interpreter:
             self._canon.spin(modes.modal[SPINDLE], 0.0 if beam & _DARK else speed)
         modes.rates[RPM] = speed
 
-    def _set_accessories(self, new: "array[int]", move: "plan.Move") -> None:
+    def _set_accessories(self, new: "array[int]", rpm: float) -> None:
         """M words of spindle, coolant and override control."""
         canon, modal = self._canon, self._modes.modal
         if modal[SPINDLE] != new[SPINDLE]:
-            canon.spin(new[SPINDLE], move.spindle_rpm)
+            canon.spin(new[SPINDLE], rpm)
             modal[SPINDLE] = new[SPINDLE]
         if modal[COOLANT] != new[COOLANT]:
             canon.cool(new[COOLANT])
@@ -310,7 +310,7 @@ class Interpreter:
             if block.ints[b.CLAIM]:
                 self._canon.line(block.xyz, move)
             self._canon.line(block.stored, move)
-            copy(block.stored, modes.position, len(modes.position))
+            copy(block.stored, modes.position, block.axes)
         elif command == b.SET_G28:
             self._canon.synchronise()
             coords.write(G28, modes.position)
@@ -341,7 +341,7 @@ class Interpreter:
             alarms = motion in (b.PROBE_TOWARD, b.PROBE_AWAY)
             if not self._seek.probe(block.xyz, move, away, alarms):
                 return  # the position has been seen to, or has not changed
-        copy(block.xyz, modes.position, len(modes.position))
+        copy(block.xyz, modes.position, block.axes)
 
     def _control_program(self, flow: int) -> None:
         """Pause it, or end it."""

@@ -163,20 +163,20 @@ class Planner:
 
         power: what the spindle makes of the move's spindle speed (spindle.Spindle.power).
         """
-        flags = move.flags
-        head = self.flow[HEAD]
+        flags, flow = move.flags, self.flow
+        head = flow[HEAD]
         if not plan_kernel.plan(
             target,
             self.table,
             self.ring,
-            self.flow,
+            flow,
             flags,
             move.line_number,
             power,
             self.rate(move.feed),
         ):
             return False
-        self.speeds[self.flow[ROWS] if flags & layout.SYSTEM_MOTION else head] = move.spindle_rpm
+        self.speeds[flow[ROWS] if flags & layout.SYSTEM_MOTION else head] = move.spindle_rpm
         return True
 
     def rate(self, feed: float) -> int:
