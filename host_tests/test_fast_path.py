@@ -216,6 +216,10 @@ program = st.lists(
 @example(
     ["G92X1", "$J=X1F50", "$J=G91X1F50", "G20", "$J=G21X2F5", "$J=X1F5", "$J=X1"], False, False
 )
+@example(
+    ["F300", "G2X1Y1R5", "X2", "Y2R5", "G1X3", "G3X1R5", "G0X0", "G3X2R5", "G90G18"], False, False
+)
+@example(["M4S9F5", "G2X1Y1R5", "G1X2S5", "G2X1R5", "S7", "G0X0", "G1X1", "M5"], True, False)
 @example(["M4S9F5", "G1X1", "X1", "$J=X2F9", "X3S5", "$J=G20X1F9", "$J=X1F9S2", "M5"], True, False)
 @example(
     ["$J=G1X1F9", "$J=X1F0", "$J=G20X1F0", "$J=G54X1F9", "$J=G90F9", "G93", "$J=X4F9"],

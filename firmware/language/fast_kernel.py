@@ -7,7 +7,7 @@ one table of integers, which fast_path.py keeps. Called by the main loop only.
 
 import micropython
 from base.f32 import copy
-from base.singles import add_single, multiply
+from base.singles import add_single, multiply, whole_part
 from control import modes as md
 from control.canon import judge
 from control.spindle import ASKED, weigh
@@ -39,7 +39,8 @@ X = const(5)
 _NO_LETTER = const(11)
 
 # What is known: how many axes there are (0: nothing is known), the motion in force (HAS_G0 or
-# HAS_G1), whether S goes with cutting motion, feed rate and spindle speed (bits of floats),
+# HAS_G1, MODES for an arc), whether S goes with cutting motion, feed rate and spindle speed (bits
+# of floats),
 AXES = const(0)
 MODE = const(1)
 LASER = const(2)
@@ -203,6 +204,8 @@ def _news(known: ptr32, seen: int) -> int:
     if mode == known[MODE]:
         seen ^= mode
     mode = mode or known[MODE]
+    if mode == MODES:
+        return 0
     rate = known[FEED]
     if seen & HAS_F:
         if known[VALUES + F] == rate and known[LINE_INCHES] == 0:
@@ -233,11 +236,7 @@ def place(known: ptr32, seen: int, position: ptr32, target: ptr32) -> int:
 @micropython.viper
 def line_number(known: ptr32, seen: int) -> int:
     """N of a line that has been read; 0 if it has none."""
-    if not seen & HAS_N:
-        return 0
-    value = known[VALUES + _N]
-    exponent = value >> 23
-    return ((value & 0x7FFFFF) | 0x800000) >> (150 - exponent) if exponent >= 127 else 0
+    return int(whole_part(known, VALUES + _N, 0)) if seen & HAS_N else 0
 
 
 @micropython.viper

@@ -129,7 +129,7 @@ class FastPath:
         known[fk.AXES] = 0
         if (
             self.is_open
-            and modal[MOTION] <= b.LINEAR
+            and modal[MOTION] <= b.CCW_ARC
             and not (modal[INVERSE_TIME] or modes.tool)
             and coords.tool_length == 0
         ):
@@ -144,7 +144,8 @@ class FastPath:
         """How lines move from now on, unless they say otherwise."""
         modes, move, known = self._modes, self._move, self._known
         seeks = modes.modal[MOTION] == b.SEEK
-        known[fk.MODE] = fk.HAS_G0 if seeks else fk.HAS_G1
+        curves = modes.modal[MOTION] > b.LINEAR
+        known[fk.MODE] = fk.HAS_G0 if seeks else fk.MODES if curves else fk.HAS_G1
         copy(modes.rates, self._rates, 2)
         known[fk.RATE] = per_second(known, fk.FEED)
         move.feed, move.spindle_rpm = modes.rates
