@@ -11,7 +11,7 @@ that it goes so far and no further: nothing is known (what a call costs, which i
 feed rate other than the line's (it has read the words); travel limited to nowhere (it has put the
 place in and judged it); nothing is to move (all but planning); and as it is. Planning
 fills the ring with 12 short moves, three times over. A line that goes the long way,
-"G90G1X10.04Y10.03F9000M8", is taken apart into its words and put in a Block, checked, and executed
+"G90G1X10.04Y10.03F9000T1", is taken apart into its words and put in a Block, checked, and executed
 whole, less the two before. The machine is in check mode meanwhile, and reset afterwards.
 """
 
@@ -208,7 +208,7 @@ def short_path():
 
 
 def long_way():
-    line = bytearray(b"G90G1X10.04Y10.03F9000M8\\0")
+    line = bytearray(b"G90G1X10.04Y10.03F9000T1\\0")
     own, modal = block.Block(3, False, False), array.array("i", (0 for _ in range(MODAL_ROOM)))
     machine = found[interpreter.Interpreter]
     def take():

@@ -154,11 +154,16 @@ def lines(bench: Bench) -> Iterator[Row]:
     _leave_check(talk)
 
 
+_FIT = 60  # moves that the planner takes without waiting for any
+_OTHER_PLANES = ("G18G1X10.04Y10.03", "G17G1X10Y10")
 _LONG = (
-    ("another plane and a move", ["G18G1X10.04Y10.03F9000", "G17G1X10Y10F9000"]),
-    ("another plane", ["G18", "G17"]),
-    ("modes that change and a move", ["G91G1X0.04Y0.03F9000", "G90G1X10Y10F9000"]),
-    ("modes that change", ["G91G20", "G90G21"]),
+    ("a tool and a move", ["T1G1X10.04Y10.03F9000", "T2G1X10Y10F9000"]),
+    ("a tool", ["T1", "T2"]),
+    (
+        "modes that change and a move",
+        [f"{modes}F9000" for modes in ("G91G1X0.04Y0.03", "G90G1X10Y10", *_OTHER_PLANES)],
+    ),
+    ("modes that change", ["G91G20", "G18", "G90G21", "G17"]),
     ("words in force and a move", ["G90G1X10.04Y10.03F9000", "G90G1X10Y10F9000"]),
     ("words in force", ["G17G21G90G94", "M5M9"]),
     ("half a circle", ["G2X12Y10I1J0F9000", "G3X10Y10I-1J0"]),
@@ -172,7 +177,7 @@ def long_lines(bench: Bench) -> Iterator[Row]:
     talk = bench.talk(MAIN)
     for name, lines in _LONG:
         _at_start(talk)
-        made = stream(talk, lines * 30, _BLOCKS)
+        made = stream(talk, lines * (_FIT // len(lines)), _BLOCKS)
         yield Row(f"a line with {name}", 1000 / made.lines_s, "ms a line")
         idle(talk)
     talk = bench.talk(PLAIN)  # our commands look at every line that begins with $

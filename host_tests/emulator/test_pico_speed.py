@@ -57,7 +57,7 @@ _ROWS: "dict[str, tuple[float, Sequence[str]]]" = {
         *(1, ["a line with words in force", "a line with words in force and a move"]),
     ),
     "a line that goes the long way": (
-        *(1, ["a line with another plane", "a line with another plane and a move"]),
+        *(1, ["a line with a tool", "a line with a tool and a move"]),
     ),
     "a line that changes how": (
         *(1, ["a line with modes that change", "a line with modes that change and a move"]),
