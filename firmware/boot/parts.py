@@ -4,7 +4,6 @@ The tables _ENGINES and _LINKS have all that is to be known of either; the tools
 board forgets this module once the machine is there: it has no use for it then.
 """
 
-import gc
 import sys
 
 from micropython import const
@@ -221,10 +220,11 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
 
     def make_room() -> None:
         _forget_makers(made)
-        gc.collect()
 
     watch.start(feed, machine.drive.note_reset)
-    return machine, link, port, engine, watch, [make_room]
+    # Some word of machine code may look to the collector like the address of something in here:
+    # that is not to lead to all of it. The last comes first.
+    return machine, link, port, engine, watch, [globals().clear, make_room]
 
 
 def _link(kind: str) -> "BoardLink":

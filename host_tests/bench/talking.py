@@ -118,7 +118,7 @@ def heap(bench: Bench) -> Iterator[Row]:
 def _left(talk: Talk, sent: "list[str]") -> int:
     """Bytes that these lines leave, and the way there and back."""
     idle(talk)
-    inside(talk, "$COLLECT")
+    inside(talk, "$COLLECT=1")
     inside(talk, "$GC=0")
     (before,) = inside(talk, "$ALLOC")
     stream(talk, sent, _BLOCKS)
