@@ -68,7 +68,7 @@ _FACTORS = (
 # Bits of floats: an angle that counts as none, which means a full circle, 5e-7; tan(pi / 8).
 _NO_SWEEP = const(0x350637BD)
 _FLAT = const(0x3ED413CD)
-# One that is twice another, as bits.
+# What is added to the bits of a float doubles it.
 _TWICE = const(0x800000)
 # Radians: what has wider chords, smaller than the tolerance, gets more of them. In 2**-16, 1.5.
 _WIDEST = const(98304)
