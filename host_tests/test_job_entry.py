@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from motion.arc_geometry import TOLERANCE
 from test_jobs import FAST, HOMED, Bench, homed, to_its_end
 from ugrbl.grbl.gcode_file import read_lines
 
@@ -52,7 +53,7 @@ class Witness(Bench):
             usual_line(target, move)
 
         def arc(start: Any, target: Any, arc: Any, move: Any) -> None:
-            note(target, move, tuple(start), sorted(vars(arc).items()))
+            note(target, move, tuple(start), tuple(arc.plane), tuple(arc.numbers[:TOLERANCE]))
             usual_arc(start, target, arc, move)
 
         canon.line = line  # type: ignore[method-assign]

@@ -217,19 +217,23 @@ def _motion(modes: "Modes", block: "Block") -> int:
         if not axis_words:
             ints[b.CLAIM] = b.AXES_UNCLAIMED
         return 0
-    if motion in (b.CW_ARC, b.CCW_ARC):
-        arc, position = block.arc, modes.position
-        wrong = find_arc(
-            ints, block.singles, block.xyz, position, len(position), arc.plane, arc.numbers
-        )
-        if wrong:
-            raise GrblError(wrong)
-        return b.WORD_R if ints[b.WORDS] & b.WORD_R else b.WORD_IJK
     if not axis_words:
         raise GrblError(errors.GCODE_NO_AXIS_WORDS)
+    if motion in (b.CW_ARC, b.CCW_ARC):
+        return _arc(modes, block)
     if is_there(modes.position, block.xyz, len(modes.position)):
         raise GrblError(errors.GCODE_INVALID_TARGET)
     return 0
+
+
+def _arc(modes: "Modes", block: "Block") -> int:
+    """Find centre and radius of an arc; returns the value words it used."""
+    ints, position, arc = block.ints, modes.position, block.arc
+    axes, plane, numbers = block.axes, arc.plane, arc.numbers
+    wrong = find_arc(ints, block.singles, block.xyz, position, axes, plane, numbers)
+    if wrong:
+        raise GrblError(wrong)
+    return b.WORD_R if ints[b.WORDS] & b.WORD_R else b.WORD_IJK
 
 
 def _jog(block: "Block") -> None:
