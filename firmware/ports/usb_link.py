@@ -30,6 +30,7 @@ from ports.link_memory import (
     ESCAPES,
     FULL,
     JUST,
+    KEPT,
     LENGTH,
     LINE,
     OPENED,
@@ -66,6 +67,7 @@ _ANSWERS_BYTES = const(64)
 _OUT_BYTES = const(192)
 _QUIET_TURNS = const(2)
 _ANSWER = const(16)
+_LATER = const(1)
 _NOW = const(2)
 _DOLLAR = const(0x24)
 
@@ -115,19 +117,20 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
 
 @micropython.viper
 def _keep(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
-    """Put an answer behind those that wait to be sent. Returns 0 where there is no room, and NOW
-    where they are to be sent."""
+    """Put an answer behind those that wait to be sent. Returns KEPT: 0 where there is no room, and
+    NOW where they are to be sent."""
     length = at[LENGTH]
+    at[KEPT] = 0
     if length + count > (_ANSWERS_BYTES if count <= _ANSWER else _OUT_BYTES):
         return 0
     for i in range(count):
         out[length + i] = data[i]
     at[LENGTH] = length + count
-    if count > _ANSWER:
-        return _NOW
-    asked = at[ASKED]
-    at[ASKED] = 0
-    return _NOW if asked else 1
+    kept = _NOW if count > _ANSWER or at[ASKED] else _LATER
+    if count <= _ANSWER:
+        at[ASKED] = 0
+    at[KEPT] = kept
+    return kept
 
 
 class UsbLink:
@@ -252,23 +255,28 @@ class UsbLink:
 
     def _make_write(self) -> "Callable[[bytes | bytearray | memoryview], None]":
         """The same, for answers."""
-        at, keep, waiting, send = self._at, _keep, self._waiting_out, self._send
+        at, keep, waiting, go_on = self._at, _keep, self._waiting_out, self._send_answers
 
+        # Eleven values, on its way included: for more MicroPython takes memory at each call.
         def write(data: "bytes | bytearray | memoryview") -> None:
             count = len(data)
-            kept = keep(at, waiting, data, count)
-            if not kept:
-                length, at[LENGTH] = at[LENGTH], 0
-                if length:
-                    send(waiting, length)
-                kept = keep(at, waiting, data, count)
-                if not kept:
-                    send(data, count)
-            if kept == _NOW:
-                length, at[LENGTH] = at[LENGTH], 0
-                send(waiting, length)
+            if keep(at, waiting, data, count) != _LATER:
+                go_on(data, count)
 
         return write
+
+    def _send_answers(self, data: "bytes | bytearray | memoryview", count: int) -> None:
+        """An answer is not to wait, or finds no room among those that do."""
+        at, waiting, send = self._at, self._waiting_out, self._send
+        if not at[KEPT]:
+            length, at[LENGTH] = at[LENGTH], 0
+            if length:
+                send(waiting, length)
+            if not _keep(at, waiting, data, count):
+                send(data, count)
+        if at[KEPT] == _NOW:
+            length, at[LENGTH] = at[LENGTH], 0
+            send(waiting, length)
 
     def _note(self, buf: bytearray, count: int) -> int:
         """See to more than bytes. Returns their count."""
