@@ -54,15 +54,7 @@ def divide(numbers: ptr32, divisors: ptr32, at: int, quotients: ptr32, count: in
             while number < divisor:
                 number <<= 1
                 exponent -= 1
-            number = int(mantissas(number, divisor))
-            if number >> 24:
-                number >>= 1
-                exponent += 1
-            if exponent > 254:
-                exponent = 255  # infinite
-                number = 0
-            quotients[i] = (exponent << 23) | (number & 0x7FFFFF)
-            ptr8(quotients)[4 * i + 3] |= minus
+            store(quotients, i, int(mantissas(number, divisor)), exponent, minus)
     return 0
 
 
@@ -81,12 +73,12 @@ def multiply(values: ptr32, at: int, factors: ptr32, of: int) -> int:
     exponent = (values[at] >> 23) & 255
     if exponent == 0:
         return 0
-    factor = factors[of]
+    power = (factors[of] >> 23) & 255
+    if power == 0:
+        exponent = 0
+    exponent += power - 126
     sign = (ptr8(values)[4 * at + 3] ^ ptr8(factors)[4 * of + 3]) & MINUS
-    exponent += ((factor >> 23) & 255) - 126
-    if (factor >> 23) & 255 == 0:
-        exponent = -1
-    factor = (factor & 0x7FFFFF) | 0x800000
+    factor = (factors[of] & 0x7FFFFF) | 0x800000
     number = (values[at] & 0x7FFFFF) | 0x800000
     middle = (number >> 12) * (factor & 0xFFF) + (number & 0xFFF) * (factor >> 12)
     low = (number & 0xFFF) * (factor & 0xFFF) + ((middle & 0xFFF) << 12)

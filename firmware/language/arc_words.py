@@ -9,7 +9,7 @@ from base.errors import (
     GCODE_NO_AXIS_WORDS_IN_PLANE,
     GCODE_NO_OFFSETS_IN_PLANE,
 )
-from base.singles import add_single, multiply, quotient, root
+from base.singles import MINUS, add_single, multiply, quotient, root
 from control.modes import INCHES, MOTION, PLANE
 from micropython import const
 from motion.arc_geometry import (
@@ -118,7 +118,7 @@ def _by_radius(
     multiply(r, C, r, C)
     subtract(r, A, r, B)
     subtract(r, A, r, C)
-    if ptr8(r)[4 * A + 3] & 128:
+    if ptr8(r)[4 * A + 3] & MINUS:
         return GCODE_ARC_RADIUS_ERROR
     # How far the centre lies from the chord's middle, as a part of half the chord.
     add_single(r, C, r, B)
@@ -129,7 +129,7 @@ def _by_radius(
     else:
         r[A] = 0
     if (ptr8(singles)[4 * R + 3] >> 7) != plane[CLOCKWISE]:
-        ptr8(r)[4 * A + 3] ^= 128
+        ptr8(r)[4 * A + 3] ^= MINUS
     r[B] = r[CENTRE_1]
     multiply(r, B, r, A)
     multiply(r, A, r, CENTRE_0)

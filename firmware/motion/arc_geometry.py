@@ -8,7 +8,7 @@ arc's numbers stand in an array, with room to reckon and the constants for it.
 from array import array
 
 import micropython
-from base.singles import add_single, multiply, quotient, root, store, whole_part
+from base.singles import MINUS, add_single, multiply, quotient, root, store, whole_part
 from micropython import const
 
 from motion.arcs import (
@@ -79,10 +79,10 @@ _FINEST = const(27)  # so many units, as a power of two, are a step at the most
 @micropython.viper
 def subtract(r: ptr32, at: int, other: ptr32, i: int) -> int:
     """Take the float other[i] from r[at]."""
-    ptr8(r)[4 * at + 3] ^= 128
+    ptr8(r)[4 * at + 3] ^= MINUS
     add_single(other, i, r, at)
     if r[at] & int(0x7FFFFFFF):
-        ptr8(r)[4 * at + 3] ^= 128
+        ptr8(r)[4 * at + 3] ^= MINUS
     return 0
 
 
@@ -115,8 +115,8 @@ def _series(r: ptr32, at: int, first: int, terms: int) -> int:
 @micropython.viper
 def _direction(r: ptr32, y: int, x: int) -> int:
     """Make ANGLE the direction of r[x], r[y], which are lost: radians, up to pi either way."""
-    behind = ptr8(r)[4 * x + 3] & 128
-    below = ptr8(r)[4 * y + 3] & 128
+    behind = ptr8(r)[4 * x + 3] & MINUS
+    below = ptr8(r)[4 * y + 3] & MINUS
     r[x] = r[x] & int(0x7FFFFFFF)
     r[y] = r[y] & int(0x7FFFFFFF)
     r[ANGLE] = 0
@@ -139,10 +139,10 @@ def _direction(r: ptr32, y: int, x: int) -> int:
     if wide:
         add_single(r, _EIGHTH, r, ANGLE)
     if steep:
-        ptr8(r)[4 * ANGLE + 3] ^= 128
+        ptr8(r)[4 * ANGLE + 3] ^= MINUS
         add_single(r, _QUARTER, r, ANGLE)
     if behind:
-        ptr8(r)[4 * ANGLE + 3] ^= 128
+        ptr8(r)[4 * ANGLE + 3] ^= MINUS
         add_single(r, _HALF, r, ANGLE)
     ptr8(r)[4 * ANGLE + 3] ^= below
     return 0
@@ -171,11 +171,11 @@ def sweep(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
     multiply(r, _SINE, r, CENTRE_0)
     multiply(r, _TANGENT, r, CENTRE_1)
     add_single(r, _TANGENT, r, _SINE)
-    ptr8(r)[4 * _SINE + 3] ^= 128
+    ptr8(r)[4 * _SINE + 3] ^= MINUS
     _direction(r, C, _SINE)
     if plane[CLOCKWISE]:
-        ptr8(r)[4 * ANGLE + 3] ^= 128
-    if ptr8(r)[4 * ANGLE + 3] & 128 or r[ANGLE] <= _NO_SWEEP:
+        ptr8(r)[4 * ANGLE + 3] ^= MINUS
+    if ptr8(r)[4 * ANGLE + 3] & MINUS or r[ANGLE] <= _NO_SWEEP:
         add_single(r, _CIRCLE, r, ANGLE)
     return 0
 
@@ -188,7 +188,7 @@ def _count(r: ptr32) -> int:
     r[A] = r[RADIUS] + _TWICE
     subtract(r, A, r, TOLERANCE)
     multiply(r, A, r, TOLERANCE)
-    if r[A] == 0 or ptr8(r)[4 * A + 3] & 128:
+    if r[A] == 0 or ptr8(r)[4 * A + 3] & MINUS:
         return 0
     root(r, A)
     r[B] = r[ANGLE] - _TWICE
@@ -212,7 +212,7 @@ def _turn(r: ptr32, chords: int) -> int:
     # The sine of the half, by which its cosine is the root of 1 less its square.
     r[C] = r[_TANGENT]
     multiply(r, C, r, C)
-    ptr8(r)[4 * C + 3] ^= 128
+    ptr8(r)[4 * C + 3] ^= MINUS
     add_single(r, _ONE, r, C)
     root(r, C)
     r[_SINE] = r[_TANGENT] + _TWICE

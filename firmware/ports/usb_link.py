@@ -267,16 +267,13 @@ class UsbLink:
 
     def _send_answers(self, data: "bytes | bytearray | memoryview", count: int) -> None:
         """An answer is not to wait, or finds no room among those that do."""
-        at, waiting, send = self._at, self._waiting_out, self._send
+        at = self._at
         if not at[KEPT]:
-            length, at[LENGTH] = at[LENGTH], 0
-            if length:
-                send(waiting, length)
-            if not _keep(at, waiting, data, count):
-                send(data, count)
+            self._flush()
+            if not _keep(at, self._waiting_out, data, count):
+                self._send(data, count)
         if at[KEPT] == _NOW:
-            length, at[LENGTH] = at[LENGTH], 0
-            send(waiting, length)
+            self._flush()
 
     def _note(self, buf: bytearray, count: int) -> int:
         """See to more than bytes. Returns their count."""
