@@ -278,7 +278,7 @@ def test_a_spindle_override_counts_from_the_next_chords_on() -> None:
     def override() -> None:
         service()
         if len(bench.each) == 20:
-            bench.machine.state.spindle_override = 50
+            bench.machine.state.override_spindle(50)
             bench.machine.state.change()
         at = (planner.flow[layout.HEAD] - 1) % planner.flow[layout.ROWS]
         powers.add(planner.ring[at * planner.flow[layout.ROW_SIZE] + layout.POWER])

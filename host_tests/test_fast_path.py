@@ -143,6 +143,7 @@ class Bench:
         if not short:
             fast = vars(self.machine.interpreter.fast)
             fast["execute"] = fast["jog"] = lambda _line, _length: False
+            fast["go"] = lambda _block: 0
 
     def tell(self, text: str) -> "tuple[Any, ...]":
         """Everything that comes of a line."""
@@ -174,7 +175,7 @@ class Bench:
 
 
 PLANES = ["G17", "G18", "G19"]
-modal_words = "G90 G91 G20 G21 G94 G54 G49 G40 G61 M5 M9 M3 M7 M8".split() + PLANES
+modal_words = "G90 G91 G20 G21 G93 G94 G54 G49 G40 G61 M5 M9 M3 M7 M8".split() + PLANES
 repeated = st.one_of(
     st.just(""), st.lists(st.sampled_from(modal_words), min_size=1, max_size=3).map("".join)
 )
@@ -232,6 +233,8 @@ program = st.lists(
 @example(
     ["F300", "G1X1", "G18", "G2X1Z1R5", "G1X1", "G19X2", "G17G18", "G18G2X0Z0R5"], False, False
 )
+@example(["G93", "G1X1F9", "X2F9", "X3", "G20", "X4F5", "G0X0", "G0X1F3", "G94"], False, True)
+@example(["F9", "G1X1", "G93X2F3", "X3F3", "G93X4F4", "G94X5", "G94X5F5", "X6"], True, True)
 def test_the_short_path_does_what_the_long_one_does(
     lines: "list[str]", laser: bool, mist: bool
 ) -> None:
@@ -275,7 +278,7 @@ def compare(lines: "list[str]", laser: bool = False, mist: bool = False) -> None
 @pytest.mark.parametrize("beam", ["M3", "M4"])
 def test_another_power_of_the_beam_takes_the_short_path(beam: str, override: int) -> None:
     bench = Bench(True, True)
-    bench.machine.state.spindle_override = override
+    bench.machine.state.override_spindle(override)
     for text in (f"{beam}S100F300", "G1X1", "X2"):
         bench.tell(text)
     plain = bench.machine.interpreter.fast
@@ -300,7 +303,7 @@ def test_the_short_path_gives_the_beam_the_power_that_the_spindle_says(
 ) -> None:
     bench = Bench(True, True, most, least)
     machine, planner = bench.machine, bench.machine.planner
-    machine.state.spindle_override = override
+    machine.state.override_spindle(override)
     for text in (f"{'M4' if follows else 'M3'}S1F300", "G1X1", "X2"):
         bench.tell(text)
     for i, power in enumerate(powers):

@@ -99,7 +99,7 @@ def test_power_is_worked_out_as_in_single_precision(
 ) -> None:
     spindle = made(most, least, full)
     state = spindle._state
-    state.spindle_override = percent
+    state.override_spindle(percent)
     state.spindle[RPM] = -1
     flags = CCW | layout.DYNAMIC if follows else CW
     power, speed = due(flags, rpm, most, least, full, percent)

@@ -8,6 +8,8 @@ from array import array
 
 from micropython import const
 
+from base.f32 import f32
+
 # Run states.
 IDLE = const(0)
 ALARM = const(0x01)
@@ -65,9 +67,10 @@ OVERRIDE = const(8)  # one at least of those that follow:
 OVERRIDES = const(9)
 ANY = const(27)  # something has been posted that realtime.py has not looked at
 
-# State.spindle: what control/spindle.py makes power of; and the speed that it is told, overridden
-# and limited.
+# State.spindle: what control/spindle.py makes power of; the speed that it is told, overridden and
+# limited; and the override, as a part of 1.
 RPM = const(1)
+OVERRIDE_PART = const(2)
 SPINDLE_LENGTH = const(9)
 
 FIRST_OVERRIDE_BYTE = const(0x90)
@@ -123,6 +126,11 @@ class State:
             self.pending[event] = 0
         return times
 
+    def override_spindle(self, percent: int) -> None:
+        """Have the spindle turn so fast, beside what is programmed."""
+        self.spindle_override = percent
+        self.spindle[OVERRIDE_PART] = f32(f32(0.01) * percent)
+
     def clear(self) -> None:
         """Back to a fresh start, but for the run state and what is pending in alarm."""
         self.change()
@@ -134,7 +142,7 @@ class State:
         self.stop_override = 0
         self.feed_override = 100
         self.rapid_override = 100
-        self.spindle_override = 100
+        self.override_spindle(100)
         self.override_control = True  # M56: parking is enabled
         self.spindle[RPM] = 0.0
         self.probe_succeeded = False

@@ -260,7 +260,8 @@ class Canon:
     def end_program(self) -> None:
         """Spindle and coolant off, overrides back to 100 %."""
         state = self._state
-        state.feed_override = state.rapid_override = state.spindle_override = 100
+        state.feed_override = state.rapid_override = 100
+        state.override_spindle(100)
         self.planner.override()
         if state.run != st.CHECK:
             self._spindle.turn(0, 0.0)

@@ -80,7 +80,7 @@ class Overrides:
             state.override_countdown = 0
             self._planner.override()
         if new[2] != state.spindle_override:
-            state.spindle_override = new[2]
+            state.override_spindle(new[2])
             state.override_countdown = 0
             self._override_spindle()
         self._accessory_overrides()

@@ -9,7 +9,7 @@ synchronises first (canon.py).
 import micropython
 from base.f32 import copy, f32
 from base.singles import add_single, multiply
-from base.state import RPM
+from base.state import OVERRIDE_PART, RPM
 from micropython import const
 from motion import layout
 
@@ -29,9 +29,8 @@ _TURNING = const(0x30)
 # Least power of a spindle that turns.
 _MIN_POWER = const(1)
 
-# State.spindle, besides RPM: S, of which power is made; the override, as a part of 1;
+# State.spindle, besides what base/state.py names: S, of which power is made;
 ASKED = const(0)
-_OVERRIDE = const(2)
 # $30; $31, and the same below 0; full power, a whole number; power per S above $31, and in 1/64.
 HIGHEST = const(3)
 _LOWEST = const(4)
@@ -51,8 +50,8 @@ def weigh(scale: ptr32, flags: int) -> int:
     """
     if not flags & _TURNING:
         return 0
-    if scale[_OVERRIDE] != _ONE:
-        multiply(scale, ASKED, scale, _OVERRIDE)
+    if scale[OVERRIDE_PART] != _ONE:
+        multiply(scale, ASKED, scale, OVERRIDE_PART)
     rpm = scale[ASKED]
     highest = scale[HIGHEST]
     least = 0
@@ -117,10 +116,8 @@ class Spindle:
 
     def block_power(self, flags: int, rpm: float) -> int:
         """What a planner block with these flags carries: see weigh()."""
-        state = self._state
-        scale = state.spindle
+        scale = self._state.spindle
         scale[ASKED] = rpm
-        scale[_OVERRIDE] = f32(f32(0.01) * state.spindle_override)
         return weigh(scale, flags)
 
     def turn(self, direction: int, rpm: float) -> None:

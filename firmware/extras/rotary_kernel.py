@@ -80,7 +80,7 @@ def follow_turning(
         return 0
     rate = known[fk.RATE]
     flags = known[fk.FLAGS]
-    if known[fk.MODE] == fk.HAS_G1:
+    if known[fk.MODE] == fk.HAS_G1 and known[fk.IS_TIMED] == 0:
         flags |= PLACED
         times = int(stretch(target, table, ring, flow, linear))
         if times:

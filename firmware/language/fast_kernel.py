@@ -69,9 +69,10 @@ LINE_RELATIVE = const(28)
 LINE_PLANE = const(29)
 XY = const(17)  # the first plane's word
 DEGREES = const(30)  # axes (a mask) whose numbers are no lengths: in inches they go the long way
+IS_TIMED = const(31)  # G93: F is of its line alone, one over a time; without it there is none
 # The words in force, one of each group: their numbers, M words behind G words. 0: none that a line
 # may repeat here; with 0 for the plane, as for jogs, it may have no word of a plane at all.
-_IN_FORCE = const(31)
+_IN_FORCE = const(32)
 _PLANE = const(0)
 _UNITS = const(1)
 _DISTANCE = const(2)
@@ -88,10 +89,11 @@ def set_in_force(known: ptr32, modal: ptr32) -> int:
     """Note which words a line may have that change nothing, and how numbers are meant."""
     known[IN_INCHES] = modal[md.INCHES]
     known[IS_RELATIVE] = modal[md.RELATIVE]
+    known[IS_TIMED] = modal[md.INVERSE_TIME]
     known[_IN_FORCE + _PLANE] = XY + modal[md.PLANE]
     known[_IN_FORCE + _UNITS] = 20 if modal[md.INCHES] else 21
     known[_IN_FORCE + _DISTANCE] = 91 if modal[md.RELATIVE] else 90
-    known[_IN_FORCE + 3] = 0 if modal[md.INVERSE_TIME] else 94
+    known[_IN_FORCE + 3] = 94 - modal[md.INVERSE_TIME]
     known[_IN_FORCE + 4] = 54 + modal[md.SYSTEM]
     known[_IN_FORCE + 5] = 40
     known[_IN_FORCE + 6] = 61
@@ -188,7 +190,7 @@ def read(text: ptr8, pos: int, length: int, known: ptr32) -> int:
         seen |= 1 << bit
     if seen:
         seen = int(_news(known, seen))
-    elif repeated:
+    elif repeated and known[IS_TIMED] == 0:
         seen = SAME
     return seen | repeated & CHANGED if seen else 0
 
@@ -211,6 +213,8 @@ def _news(known: ptr32, seen: int) -> int:
         if known[VALUES + F] == rate and known[LINE_INCHES] == 0:
             seen ^= HAS_F
         rate = known[VALUES + F]
+    elif known[IS_TIMED]:
+        return 0
     if mode == HAS_G1:
         return seen if rate and (known[LASER] or not seen & HAS_S) else 0
     return 0 if seen & HAS_S else seen

@@ -13,7 +13,7 @@ from base import state as st
 from base.f32 import copy, vector
 from base.singles import to_mm
 from control import modes as md
-from control.modes import INCHES, INVERSE_TIME, MOTION, PLANE, RELATIVE, SPINDLE
+from control.modes import INCHES, MOTION, PLANE, RELATIVE, SPINDLE
 from micropython import const
 from motion import layout
 from motion import planner as plan
@@ -22,6 +22,7 @@ from motion.reals import per_second
 from language import block_layout as b
 from language import fast_kernel as fk
 from language.fast_kernel import follow, jog, line_number, place, read
+from language.usual import go
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     from control.modes import Modes
     from control.spindle import Spindle
     from interfaces import Canon
+
+    from language.block import Block
 
 
 class FastPath:
@@ -130,7 +133,7 @@ class FastPath:
         if (
             self.is_open
             and modal[MOTION] <= b.CCW_ARC
-            and not (modal[INVERSE_TIME] or modes.tool)
+            and not modes.tool
             and coords.tool_length == 0
         ):
             known[fk.AXES] = self._axes
@@ -154,6 +157,8 @@ class FastPath:
             move.spindle_rpm = 0.0
         known[fk.LACKS] = 0
         move.flags = modes.accessory_flags() | (layout.RAPID_MOTION if seeks else 0)
+        if known[fk.IS_TIMED]:
+            move.flags |= layout.INVERSE_TIME
         known[fk.POWER] = fk.UNTOLD
 
     def execute(self, line: bytearray, length: int) -> bool:
@@ -183,6 +188,33 @@ class FastPath:
         copy(self._target, self._modes.position, self._axes)
         self._asked = True
         return True
+
+    @micropython.native
+    def go(self, block: "Block") -> int:
+        """Plan the line of a block that is in force, and return 1; or 0, and nothing has been
+        done."""
+        state = self._state
+        if self.follow is not self.plain or not self.is_open or self._spindle.laser:
+            return 0
+        if state.suspend or state.pending[st.ANY]:
+            return 0
+        memory, is_dry = self._memory, state.run == st.CHECK
+        _, position, _, travel, table, ring, flow, speeds, _, rates, scale, _ = memory
+        return go(
+            block.ints,
+            block.singles,
+            block.xyz,
+            position,
+            travel,
+            table,
+            ring,
+            flow,
+            speeds,
+            rates,
+            scale,
+            self._settings.soft_limits,
+            is_dry,
+        )
 
     def again(self, line: bytearray, length: int) -> int:
         """Once more with the line that lacked nothing but room (WAITS), behind a wait for that."""
@@ -215,7 +247,7 @@ class FastPath:
         """A line changes motion mode, feed rate, or a laser's power."""
         modes, known = self._modes, self._known
         fk.take_rates(known, seen, modes.rates)
-        if seen & fk.HAS_F and known[fk.IN_INCHES]:
+        if seen & fk.HAS_F and known[fk.IN_INCHES] and not known[fk.IS_TIMED]:
             to_mm(modes.rates, md.FEED)
         if seen & fk.MODES:
             modes.modal[MOTION] = b.SEEK if seen & fk.HAS_G0 else b.LINEAR

@@ -220,6 +220,8 @@ class Interpreter:
         left = settle(new, block.singles, modes.modal, modes.rates)
         if left & ~MOVE or beam & _SYNC or modes.tool:
             self._switch(block, left, beam)
+        if left & MOVE and self.fast.go(block):
+            left ^= MOVE
         if left & (COMMAND | MOVE):
             move = self._begin_move(block, layout.INVERSE_TIME if new[INVERSE_TIME] else 0)
             if beam & _DARK:

@@ -111,7 +111,11 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
         count += 1
     shorts[3] = get
     at[TAKING] = 0
-    noted = at[ESCAPES] if count else at[LENGTH] | at[FULL]
+    noted = at[ESCAPES] if count else at[FULL]
+    if count == 0 and at[LENGTH]:
+        at[TURNS] += 1
+        if at[TURNS] >= _QUIET_TURNS:
+            noted = 1
     return count | _NOTE if noted | at[OPENED] | at[STOPPED] else count
 
 
@@ -286,10 +290,8 @@ class UsbLink:
             at[ESCAPES] = 0
             self._escape.listen(buf, count)
             return count
-        if at[LENGTH]:
-            at[TURNS] += 1
-            if at[TURNS] >= _QUIET_TURNS:
-                self._flush()
+        if at[TURNS] >= _QUIET_TURNS:
+            self._flush()
         if at[FULL]:
             at[FULL] = 0
             self._waiting()  # to ask fills the ring

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from talk.report import Report
 
 _LOCKED = const(st.ALARM | st.JOG)
+_DOLLAR = const(36)
+_LINES = const(4)  # behind so many that are no quick ones everybody has a turn
 _DEAF_MS = const(500)  # nothing is answered for so long behind an alarm
 
 
@@ -100,7 +102,7 @@ class Protocol:
                     self._drive.by_pin = False
                     self.link.discard()
                 self.restart()
-                known[WAITS] = asked = 0
+                known[WAITS] = asked = turns = 0
                 while True:
                     if echoes or state.suspend or state.run & _LOCKED:
                         found = clean(heard, at, line, kinds)
@@ -109,8 +111,11 @@ class Protocol:
                     else:
                         found = take_quick(pending, memory, plan, others)
                     posted = pending[st.ANY] or state.suspend
-                    # A line that waits for room gives everybody a turn there.
-                    if posted or found & LINE == 0 or not known[WAITS]:
+                    # A line that waits for room gives everybody a turn there. Of others, each with
+                    # a $, which may ask whether motion has ended, and of those without, some.
+                    turns = (turns + 1) % _LINES
+                    may_go_on = known[WAITS] or (turns and line[0] != _DOLLAR)
+                    if posted or found & LINE == 0 or not may_go_on:
                         # A ? comes first, once: it would wait for motion to be prepared.
                         asked = pending[st.STATUS_REPORT] and not asked
                         if found == NOTHING and not asked and not reader.waiting():
@@ -160,7 +165,7 @@ class Protocol:
             self._report.echo(bytes(line[:length]))
         if length == 0:
             return _pass_over
-        if line[0] == 36:  # $
+        if line[0] == _DOLLAR:
             return self._commands.whose(line, length)
         if self._state.run & _LOCKED:
             raise GrblError(errors.SYSTEM_GC_LOCK)

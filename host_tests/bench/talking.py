@@ -56,7 +56,7 @@ OF_AXES = dict(_boards_of_axes())
 
 
 def _at_start(talk: Talk) -> None:
-    for line in ("G90", "G0X10Y10"):
+    for line in ("G90", "G94", "G0X10Y10"):
         talk.ask(line)
     idle(talk)
 
@@ -164,6 +164,7 @@ _LONG = (
         [f"{modes}F9000" for modes in ("G91G1X0.04Y0.03", "G90G1X10Y10", *_OTHER_PLANES)],
     ),
     ("modes that change", ["G91G20", "G18", "G90G21", "G17"]),
+    ("a time (G93) and a move", ["G93G1X10.04Y10.03F90000", "G93G1X10Y10F99000"]),
     ("words in force and a move", ["G90G1X10.04Y10.03F9000", "G90G1X10Y10F9000"]),
     ("words in force", ["G17G21G90G94", "M5M9"]),
     ("half a circle", ["G2X12Y10I1J0F9000", "G3X10Y10I-1J0"]),

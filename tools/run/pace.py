@@ -39,7 +39,6 @@ _GROUPS = [
 ]
 _MEANINGS = frozenset(b"G17 G18 G19 G20 G21 G90 G91".split())  # which a plain move may say anew
 _AT_FIRST = frozenset(b"G17 G21 G40 G54 G61 G90 G94 M5 M9".split())
-_NEVER = frozenset(b"G93".split())  # such are looked at each time
 # What is worth a word, and how many lines in time may stand between two that are late.
 _LEAST_S = 0.05
 _APART = 100
@@ -231,7 +230,7 @@ def _take_new(
     new = []
     for letter, value in words:
         word = letter + (value.lstrip(b"0") or b"0")
-        if word in _NEVER or word not in in_force:
+        if word not in in_force:
             new.append((letter, value))
         for group in _GROUPS:
             if word in group:
