@@ -37,7 +37,7 @@ class Loop:
             free=lambda: 255,
         )
         fast = SimpleNamespace(follow=None, plain=None, memory=lambda: ([0] * 25,))
-        nobody: Any = SimpleNamespace(finish=None, fast=fast)
+        nobody: Any = SimpleNamespace(due=None, fast=fast)
         self.protocol = Protocol(
             *(self.link, State(), reader, nobody, nobody, nobody, self.drive),
             *(nobody, nobody, nobody, self._restart, False),
@@ -144,6 +144,8 @@ def most(counts: "list[int]") -> int:
         ["G90"] * 200,
         ["F600", "X0", "(nothing)", ""] * 100,
         ([f"X{k}" for k in range(15)] + ["G90"]) * 20,
+        ["T1"] * 200,
+        *[([f"X{k}" for k in range(count)] + ["T1"]) * 40 for count in (1, 2, 5, 14, 15)],
     ],
 )
 def test_the_loop_has_its_turns_whatever_lines_are_streamed(lines: "list[str]") -> None:

@@ -18,7 +18,7 @@ class Saves:
 
     def __init__(self, store: "Store") -> None:
         self._store = store
-        self._due: "dict[str, list[str]]" = {}
+        self.due: "dict[str, list[str]]" = {}
 
     def load(self, name: str) -> "list[str] | None":
         """The lines kept under that name: none where there never were any, None where they are
@@ -27,14 +27,14 @@ class Saves:
 
     def save(self, name: str, lines: "Iterable[str]") -> None:
         """Replace them with the next finish()."""
-        self._due[name] = list(lines)
+        self.due[name] = list(lines)
 
     def finish(self) -> None:
         """Write what is due; at rest only. Raises OSError where something could not be kept: it
         holds until the power goes."""
         failed: "OSError | None" = None
-        while self._due:
-            name, lines = self._due.popitem()
+        while self.due:
+            name, lines = self.due.popitem()
             try:
                 self._store.save(name, lines)
             except OSError as reason:

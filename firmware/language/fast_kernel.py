@@ -63,16 +63,17 @@ CHANGES = const(23)  # as they were counted when this was known
 LACKS = const(24)  # whether the move lacks what is new
 INCH_MM = const(25)
 WAITS = const(26)  # whether room is all that the last line has lacked
+LEFT = const(27)  # lines that may be done before the loop has its turn
 # How the line itself means its numbers: in inches, relative, in which plane (its word's number).
-LINE_INCHES = const(27)
-LINE_RELATIVE = const(28)
-LINE_PLANE = const(29)
+LINE_INCHES = const(28)
+LINE_RELATIVE = const(29)
+LINE_PLANE = const(30)
 XY = const(17)  # the first plane's word
-DEGREES = const(30)  # axes (a mask) whose numbers are no lengths: in inches they go the long way
-IS_TIMED = const(31)  # G93: F is of its line alone, one over a time; without it there is none
+DEGREES = const(31)  # axes (a mask) whose numbers are no lengths: in inches they go the long way
+IS_TIMED = const(32)  # G93: F is of its line alone, one over a time; without it there is none
 # The words in force, one of each group: their numbers, M words behind G words. 0: none that a line
 # may repeat here; with 0 for the plane, as for jogs, it may have no word of a plane at all.
-_IN_FORCE = const(32)
+_IN_FORCE = const(33)
 _PLANE = const(0)
 _UNITS = const(1)
 _DISTANCE = const(2)

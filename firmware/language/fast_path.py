@@ -119,6 +119,7 @@ class FastPath:
             news,
         )
 
+    @micropython.native
     def forget(self) -> None:
         """A line went the long way: what was known may be so no more."""
         self._known[fk.AXES] = self._jogs[fk.AXES] = 0

@@ -175,7 +175,8 @@ class Interpreter:
     def check(self, block: "Block", modal: "array[int]") -> None:
         """Refuse the block with GrblError, or leave it ready to be executed. modal: in force."""
         modes, coords, ints = self._modes, self._coords, block.ints
-        xyz, position, zero = block.xyz, modes.position, coords.zero(ints[SYSTEM])
+        xyz, position = block.xyz, modes.position
+        zero = coords.zero(ints[SYSTEM]) if ints[b.WORDS] & b.AXIS_WORDS else position
         rates, axes, arc = modes.rates, block.axes, block.arc
         wrong = ODD
         if not coords.tool_length:
@@ -218,7 +219,9 @@ class Interpreter:
         modes, new = self._modes, block.ints
         beam = self._beam(block) if self._spindle.laser else 0
         left = settle(new, block.singles, modes.modal, modes.rates)
-        if left & ~MOVE or beam & _SYNC or modes.tool:
+        if left & SET_TOOL or modes.tool:
+            modes.tool = whole_part(block.singles, b.T, 0) & 255
+        if left & ~(SET_TOOL | MOVE) or beam & _SYNC:
             self._switch(block, left, beam)
         if left & MOVE and self.fast.go(block):
             left ^= MOVE
@@ -235,12 +238,10 @@ class Interpreter:
         return left & (COMMAND | MOVE)
 
     def _switch(self, block: "Block", left: int, beam: int) -> None:
-        """What comes before motion: speed, tool, M words, a dwell, offsets."""
+        """What comes before motion: speed, M words, a dwell, offsets."""
         modes, new = self._modes, block.ints
         if left & SPEED or beam & _SYNC:
             self._set_speed(block, beam)
-        if left & SET_TOOL or modes.tool:
-            modes.tool = int(block.singles[b.T]) & 255
         if left & ACCESSORIES:
             self._set_accessories(new, 0.0 if beam & _DARK else modes.rates[RPM])
         if new[b.NON_MODAL] == b.DWELL:

@@ -8,11 +8,11 @@ code waits.
 from base import errors
 from base import state as st
 from base.errors import Abort, GrblError
-from language.fast_kernel import WAITS
+from language.fast_kernel import LEFT, WAITS
 from micropython import const
 
 from talk.lines import LINE, NOTHING, clean
-from talk.quick_lines import needs, take_quick
+from talk.quick_lines import LINES, needs, take_quick
 from talk.report import OK
 
 TYPE_CHECKING = const(False)
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _LOCKED = const(st.ALARM | st.JOG)
 _DOLLAR = const(36)
-_LINES = const(4)  # behind so many that are no quick ones everybody has a turn
+_LONG_WAY = const(2)  # a line that is no quick one takes as long as so many more
 _DEAF_MS = const(500)  # nothing is answered for so long behind an alarm
 
 
@@ -91,7 +91,7 @@ class Protocol:
     def run(self) -> None:
         """Execute lines for ever; a reset begins anew. The stack is short: no frame to spare."""
         reader, state, pending = self._reader, self._state, self._state.pending
-        fast, write, finish = self._interpreter.fast, self.link.write, self._saves.finish
+        fast, write, due = self._interpreter.fast, self.link.write, self._saves.due
         memory, plan, others = needs(reader, fast, self.link, self._buffer)
         heard, at, line, kinds = memory
         known = plan[0]
@@ -102,7 +102,7 @@ class Protocol:
                     self._drive.by_pin = False
                     self.link.discard()
                 self.restart()
-                known[WAITS] = asked = turns = 0
+                known[WAITS] = asked = 0
                 while True:
                     if echoes or state.suspend or state.run & _LOCKED:
                         found = clean(heard, at, line, kinds)
@@ -111,11 +111,10 @@ class Protocol:
                     else:
                         found = take_quick(pending, memory, plan, others)
                     posted = pending[st.ANY] or state.suspend
-                    # A line that waits for room gives everybody a turn there. Of others, each with
-                    # a $, which may ask whether motion has ended, and of those without, some.
-                    turns = (turns + 1) % _LINES
-                    may_go_on = known[WAITS] or (turns and line[0] != _DOLLAR)
-                    if posted or found & LINE == 0 or not may_go_on:
+                    # Everybody has a turn, if not at each line: a $ may ask for what comes of it.
+                    known[LEFT] -= _LONG_WAY
+                    if posted or found & LINE == 0 or known[LEFT] <= 0 or line[0] == _DOLLAR:
+                        known[LEFT] = LINES
                         # A ? comes first, once: it would wait for motion to be prepared.
                         asked = pending[st.STATUS_REPORT] and not asked
                         if found == NOTHING and not asked and not reader.waiting():
@@ -137,7 +136,8 @@ class Protocol:
                     try:  # as in execute(), but for a line that has only waited for room
                         if not (known[WAITS] and fast.again(line, length)):
                             self._whose(line, length)(line, length)
-                            finish()
+                            if due:
+                                self._saves.finish()
                         if state.alarm and not pending[st.RESET]:
                             self._tell_alarm()
                     except (GrblError, OSError, Abort) as reason:

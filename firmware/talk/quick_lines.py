@@ -7,7 +7,7 @@ no number is made an object. All other lines are the loop's (protocol.py).
 
 import micropython
 from base.state import ANY
-from language.fast_kernel import follow
+from language.fast_kernel import LEFT, follow
 from micropython import const
 
 from talk.lines import LINE, NOTHING, clean, feed, room, waits
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # Behind so many lines the loop has its turn, however many wait: motion is watched there, and
 # whoever has been put around it waits for that. An even number.
-_LINES = const(16)
+LINES = const(16)
 # Bytes that are read where there is not room for all that may come.
 _LONG = const(64)
 _SHORT = const(16)
@@ -97,10 +97,10 @@ def _take(
     """Answers go out in twos, for to write takes as long as a third of a line: one is owed where
     an odd number is left."""
     other, line, write, one, both, hears = others
-    left = _LINES
+    left = known[LEFT]
     if int(waits(at)):  # a ? is not to wait behind a line that is there
         _hear(pending, hears, heard, at, kinds)
-    while left:
+    while left > 0:
         found = int(clean(heard, at, text, kinds))
         done = 0 if pending[ANY] else found & LINE
         if done and other:
@@ -119,6 +119,7 @@ def _take(
             if left & 1:
                 write(one)
             left = (left - 1) & -2  # bytes without the end of a line count as one
+            known[LEFT] = left
             if found or pending[ANY] or int(_hear(pending, hears, heard, at, kinds)) == 0:
                 return found
     return NOTHING
