@@ -227,7 +227,7 @@ class Watch:
 
     def watch_plain(self, plain: FastPath) -> None:
         """See the blocks of the short path too."""
-        follow = plain.follow
+        follow, go = plain.follow, plain.go
 
         def noted(line: bytearray, length: int) -> int:
             at = self.planner.flow[layout.HEAD]
@@ -235,7 +235,15 @@ class Watch:
             self._note(at, self.planner.flow[layout.HEAD] != at)
             return done
 
-        plain.follow = noted
+        def noted_go(block: Any) -> int:
+            at = self.planner.flow[layout.HEAD]
+            plain.follow = follow  # where it is another, this way is shut
+            done = go(block)
+            plain.follow = noted
+            self._note(at, self.planner.flow[layout.HEAD] != at)
+            return done
+
+        plain.follow, plain.go = noted, noted_go  # type: ignore[method-assign]
 
     def system_line(self, target: Any, move: Move, power: int, start: Any) -> bool:
         """Stand in for Planner.system_line."""

@@ -56,6 +56,7 @@ _ROWS: "dict[str, tuple[float, Sequence[str]]]" = {
     "a line with words in force": (
         *(1, ["a line with words in force", "a line with words in force and a move"]),
     ),
+    "a move in inverse time": (1, ["a line with a time (G93) and a move"]),
     "a line that goes the long way": (
         *(1, ["a line with a tool", "a line with a tool and a move"]),
     ),
