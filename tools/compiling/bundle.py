@@ -13,8 +13,8 @@ understood here is refused.
 """
 
 import ast
-import copy
 from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
 from typing import NamedTuple
 
 from . import scan
@@ -33,8 +33,7 @@ class Bundles(NamedTuple):
 
 def bundle(sources: Mapping[str, str]) -> Bundles:
     """One module for each package, and those that stay apart. Raises NotUnderstood."""
-    trees = {name: ast.parse(text) for name, text in sources.items()}
-    homes = {name: name for name in _apart(trees)} | _of_start(trees)
+    homes = {name: name for name in _apart(sources)} | _of_start(sources)
     modules = {
         name: Module(name, text, homes.get(name, name.partition(".")[0]))
         for name, text in sources.items()
@@ -52,28 +51,33 @@ def bundle(sources: Mapping[str, str]) -> Bundles:
     )
 
 
-def _apart(trees: Mapping[str, ast.Module]) -> Iterator[str]:
+def _apart(sources: Mapping[str, str]) -> Iterator[str]:
     """Modules that are not merged."""
-    for name, tree in trees.items():
+    for name, text in sources.items():
         if name.partition(".")[0] in ON_REQUEST:
             yield name
         if "." not in name:  # main.py, which stays as it is
             yield name
-            for statement in tree.body:
+            for statement in ast.parse(text).body:
                 if isinstance(statement, ast.ImportFrom):
                     yield from (f"{statement.module}.{alias.name}" for alias in statement.names)
 
 
-def _of_start(trees: Mapping[str, ast.Module]) -> dict[str, str]:
+def _of_start(sources: Mapping[str, str]) -> dict[str, str]:
     """Of modules that are forgotten: the one that they are part of, the last to be forgotten."""
     by: dict[str, str] = {}
-    for name, tree in trees.items():
-        by |= {module: name for module in scan.named_in_calls(tree, FORGET) if module in trees}
+    for name, text in sources.items():
+        by |= {module: name for module in _forgotten(text) if module in sources}
 
     def last(module: str) -> str:
         return last(by[module]) if by[module] in by else module
 
     return {module: last(module) for module in by}
+
+
+@lru_cache(1024)
+def _forgotten(text: str) -> list[str]:
+    return list(scan.named_in_calls(ast.parse(text), FORGET))
 
 
 def _parts(ours: Ours) -> dict[str, list[Module]]:
@@ -132,9 +136,7 @@ class _Unit:
             self._uses.setdefault(meaning, []).append((part, name))
             return name
 
-        Rewriter(self._ours, part, note, lambda meaning: meaning.name).visit(
-            copy.deepcopy(part.tree)
-        )
+        Rewriter(self._ours, part, note, lambda meaning: meaning.name).visit(part.tree())
         for name, said in part.imports.items():
             if said.module not in self._ours.modules and self._ours.source(said) == said:
                 note(said, name)
@@ -210,7 +212,7 @@ class _Unit:
 
         body = list(self._imports(units))
         for part in self._parts:
-            body += Rewriter(self._ours, part, find, there).visit(part.tree).body
+            body += Rewriter(self._ours, part, find, there).visit(part.tree()).body
         return ast.unparse(ast.fix_missing_locations(ast.Module(body, []))) + "\n"
 
     def _imports(self, units: "Mapping[str, _Unit]") -> Iterator[ast.stmt]:

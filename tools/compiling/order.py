@@ -9,8 +9,9 @@ import ast
 import keyword
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 
-from . import forms, scopes
+from . import forms, scan, scopes
 
 # Of those places the file's name has one, and this line's own beginning another.
 _PLACES = 126
@@ -21,10 +22,12 @@ _SHORT_TEXT = 10  # letters of a text that is a name to MicroPython
 
 def order(sources: Mapping[str, str]) -> dict[str, str]:
     """The modules, by name, those with many names with one line more."""
-    return {name: _first_line(ast.parse(text)) + text for name, text in sources.items()}
+    return {name: _first_line(text) + text for name, text in sources.items()}
 
 
-def _first_line(tree: ast.Module) -> str:
+@lru_cache(1024)
+def _first_line(text: str) -> str:
+    tree = ast.parse(text)
     uses = Counter(_uses(tree, set(forms.constants(tree))))
     found = sorted(uses, key=lambda name: (-uses[name], name))
     return _LINE.format(".".join(found[:_PLACES])) if len(found) > _PLACES else ""
@@ -32,7 +35,7 @@ def _first_line(tree: ast.Module) -> str:
 
 def _uses(tree: ast.AST, hidden: set[str]) -> Iterator[str]:
     """Names in the code of functions; what is run once counts for nothing."""
-    for node in ast.iter_child_nodes(tree):
+    for node in scan.children(tree):
         if isinstance(node, ast.FunctionDef):
             yield node.name
             if not forms.is_viper(node):
@@ -60,7 +63,7 @@ def _named(node: ast.AST, hidden: set[str]) -> Iterator[str]:
             node = ast.Expr(value) if value else ast.Pass()
         case ast.Tuple(parts) if all(isinstance(part, ast.Constant) for part in parts):
             return  # one object, whose texts are no names
-    for child in ast.iter_child_nodes(node):
+    for child in scan.children(node):
         yield from _named(child, hidden)
 
 

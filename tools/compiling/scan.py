@@ -20,16 +20,44 @@ FORGET = "forget"
 _NAME = re.compile(r"[\w.]+")
 
 
+class _Branches(dict[type[ast.AST], tuple[str, ...]]):
+    """Where a node of a kind has others, by the kind; but for contexts, of which there are many:
+    whether a name is read or made something."""
+
+    def __missing__(self, kind: type[ast.AST]) -> tuple[str, ...]:
+        scalar = kind in (ast.Name, ast.Constant)
+        self[kind] = () if scalar else tuple(name for name in kind._fields if name != "ctx")
+        return self[kind]
+
+
+_BRANCHES = _Branches()
+
+
+def children(node: ast.AST) -> list[ast.AST]:
+    """What stands right below a node, as ast.iter_child_nodes() has it but for contexts."""
+    return _below([node])
+
+
 def walk(node: ast.AST) -> list[ast.AST]:
-    """A node and all below it, as ast.walk() has them, in two thirds of its time: half of what it
-    takes to prepare the firmware is this."""
-    found = [node]
-    for each in found:
-        for value in vars(each).values():
-            if isinstance(value, ast.AST):
+    """A node and all below it, as ast.walk() has them but for contexts, in a third of its time:
+    half of what it takes to prepare the firmware is to look through trees."""
+    found, level = [node], [node]
+    while level:
+        level = _below(level)
+        found += level
+    return found
+
+
+def _below(nodes: list[ast.AST]) -> list[ast.AST]:
+    found: list[ast.AST] = []
+    for each in nodes:
+        values = each.__dict__
+        for name in _BRANCHES[type(each)]:
+            value = values.get(name)
+            if isinstance(value, list):
+                found += [part for part in value if isinstance(part, ast.AST)]
+            elif isinstance(value, ast.AST):
                 found.append(value)
-            elif isinstance(value, list):
-                found.extend(part for part in value if isinstance(part, ast.AST))
     return found
 
 

@@ -3,6 +3,7 @@
 import ast
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import lru_cache
 from typing import NamedTuple
 
 from . import scan
@@ -27,30 +28,56 @@ class NotUnderstood(Exception):
 CONST = Meaning("micropython", "const")
 
 
+class Names(NamedTuple):
+    """Names of a module: what imports make, what else it makes, constants of these; what hides
+    global names somewhere, and what stands alone."""
+
+    imports: dict[str, Meaning]
+    own: dict[str, None]
+    constants: frozenset[str]
+    inner: frozenset[str]
+    words: frozenset[str]
+
+
 class Module:
     """A module, without what only mypy reads. It is written in the unit of that name."""
 
     def __init__(self, name: str, text: str, unit: str) -> None:
         self.name = name
         self.unit = unit
-        self.imports: dict[str, Meaning] = {}
-        self.tree = ast.Module([], [])
-        for statement in ast.parse(text).body:
-            if isinstance(statement, _Import):
-                self.imports.update(_imported(name, statement))
-            elif not _is_for_us(statement):
-                self._check(statement)
-                self.tree.body.append(statement)
-        self.own = dict.fromkeys(_bound(self.tree))
-        self.constants = set(scan.constants(self.tree))
-        self.inner = set(_inner(self.tree))
-        self.words = set(_words(self.tree))
+        self._text = text
+        self.imports, self.own, self.constants, self.inner, self.words = _names(name, text)
 
-    def _check(self, statement: ast.stmt) -> None:
-        if isinstance(statement, ast.FunctionDef | ast.ClassDef):
-            return
-        if any(isinstance(node, _Import) for node in scan.walk(statement)):
-            raise NotUnderstood(f"{self.name}: an import is part of another statement")
+    def tree(self) -> ast.Module:
+        """Its statements but for imports, for the caller to change."""
+        return ast.Module([part for part in ast.parse(self._text).body if _is_kept(part)], [])
+
+
+def _is_kept(statement: ast.stmt) -> bool:
+    return not (isinstance(statement, _Import) or _is_for_us(statement))
+
+
+@lru_cache(1024)
+def _names(module: str, text: str) -> Names:
+    """The same module is part of many boards."""
+    imports: dict[str, Meaning] = {}
+    tree = ast.Module([], [])
+    for statement in ast.parse(text).body:
+        if isinstance(statement, _Import):
+            imports.update(_imported(module, statement))
+        elif _is_kept(statement):
+            _check(module, statement)
+            tree.body.append(statement)
+    own = dict.fromkeys(_bound(tree))
+    inner, words = frozenset(_inner(tree)), frozenset(_words(tree))
+    return Names(imports, own, frozenset(scan.constants(tree)), inner, words)
+
+
+def _check(module: str, statement: ast.stmt) -> None:
+    if isinstance(statement, ast.FunctionDef | ast.ClassDef):
+        return
+    if any(isinstance(node, _Import) for node in scan.walk(statement)):
+        raise NotUnderstood(f"{module}: an import is part of another statement")
 
 
 def _is_for_us(statement: ast.stmt) -> bool:
@@ -79,7 +106,7 @@ def _imported(here: str, node: _Import) -> dict[str, Meaning]:
 
 def _bound(node: ast.AST) -> Iterator[str]:
     """Names that are made something in the scope of a node, but not in those within."""
-    for child in ast.iter_child_nodes(node):
+    for child in scan.children(node):
         if isinstance(child, ast.FunctionDef | ast.ClassDef):
             yield child.name
         elif not isinstance(child, _Scope):
