@@ -17,7 +17,7 @@ from control.modes import INCHES
 from language.fast_kernel import DEGREES
 from micropython import const
 from motion import arcs, layout, reals
-from motion.arc_geometry import CLOCKWISE, RADIUS
+from motion.arc_geometry import ONE_AXIS, OTHER_AXIS, RADIUS
 from motion.planner import Planner
 
 from extras.letters import LETTERS
@@ -103,10 +103,11 @@ class RotaryCanon(Canon):
         super().arc(start, target, arc, move)
         move.flags |= timed
         way = turns = 0.0
+        plane = arc.plane[ONE_AXIS], arc.plane[OTHER_AXIS]
         for i in range(len(start)):
             if i in self.axes:
                 turns += (target[i] - start[i]) ** 2
-            elif i not in arc.plane[:CLOCKWISE]:
+            elif i not in plane:
                 way += (target[i] - start[i]) ** 2
         way += (arc.numbers[RADIUS] * arc.sweep(start, target)) ** 2
         self.planner.on_arc = reals.real(math.sqrt(1 + turns / way)) if way else reals.ONE

@@ -11,18 +11,21 @@ from array import array
 import micropython
 from base import state as st
 from base.f32 import copy, vector
-from base.singles import to_mm
+from base.singles import renew, to_mm, whole_part
 from control import modes as md
-from control.modes import INCHES, MOTION, PLANE, RELATIVE, SPINDLE
+from control.canon import judge
+from control.modes import INCHES, INVERSE_TIME, MOTION, PLANE, RELATIVE, RPM, SPINDLE
+from control.spindle import ASKED, weigh
 from micropython import const
 from motion import layout
 from motion import planner as plan
+from motion.plan_kernel import FULL
+from motion.plan_kernel import plan as plan_block
 from motion.reals import per_second
 
 from language import block_layout as b
 from language import fast_kernel as fk
 from language.fast_kernel import follow, jog, line_number, place, read
-from language.usual import go
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -193,29 +196,30 @@ class FastPath:
     @micropython.native
     def go(self, block: "Block") -> int:
         """Plan the line of a block that is in force, and return 1; or 0, and nothing has been
-        done."""
-        state = self._state
+        done. It takes no more of the stack than the way around it."""
+        state, ints, xyz = self._state, block.ints, block.xyz
         if self.follow is not self.plain or not self.is_open or self._spindle.laser:
             return 0
-        if state.suspend or state.pending[st.ANY]:
+        if ints[MOTION] > b.LINEAR or ints[b.NON_MODAL] or state.suspend or state.pending[st.ANY]:
             return 0
-        memory, is_dry = self._memory, state.run == st.CHECK
-        _, position, _, travel, table, ring, flow, speeds, _, rates, scale, _ = memory
-        return go(
-            block.ints,
-            block.singles,
-            block.xyz,
-            position,
-            travel,
-            table,
-            ring,
-            flow,
-            speeds,
-            rates,
-            scale,
-            self._settings.soft_limits,
-            is_dry,
-        )
+        _, position, _, travel, table, ring, flow, speeds, _, rates, scale, _ = self._memory
+        found = judge(xyz, travel, flow)
+        if found & FULL or (found and self._settings.soft_limits):
+            return 0
+        if state.run != st.CHECK:
+            flags = self._modes.accessory_flags()
+            if ints[MOTION] == b.SEEK:
+                flags |= layout.RAPID_MOTION
+            if ints[INVERSE_TIME]:
+                flags |= layout.INVERSE_TIME
+            renew(scale, ASKED, rates, RPM)
+            power, line = weigh(scale, flags), whole_part(block.singles, b.N, 0)
+            renew(speeds, flow[layout.HEAD], rates, RPM)
+            rate = per_second(block.singles, b.F)
+            if not plan_block(xyz, table, ring, flow, flags, line, power, rate):
+                return 0
+        copy(xyz, position, self._axes)
+        return 1
 
     def again(self, line: bytearray, length: int) -> int:
         """Once more with the line that lacked nothing but room (WAITS), behind a wait for that."""

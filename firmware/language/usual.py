@@ -1,5 +1,5 @@
 # mypy: disable-error-code="arg-type, attr-defined"
-"""The usual block: checked, put in force and planned by kernels, where it asks for nothing seldom.
+"""The usual block: checked and put in force by kernels, where it asks for nothing seldom.
 
 Modes, coordinate systems, motion in a line or an arc, feed, spindle, coolant, program flow: that
 is nearly every line which does more than move. What usual() does not know checks.py sees to;
@@ -14,9 +14,7 @@ from base.errors import (
     GCODE_UNUSED_WORDS,
     GCODE_VALUE_WORD_MISSING,
 )
-from base.f32 import copy
-from base.singles import add, multiply, whole_part
-from control.canon import judge
+from base.singles import add, multiply
 from control.modes import (
     COOLANT,
     FEED,
@@ -32,12 +30,7 @@ from control.modes import (
     SYSTEM,
     TOOL_LENGTH,
 )
-from control.spindle import ASKED, weigh
 from micropython import const
-from motion import layout
-from motion.plan_kernel import FULL, OUTSIDE, plan
-from motion.planner import COOLANT_SHIFT
-from motion.reals import per_second
 
 from language.arc_words import find_arc
 from language.block_layout import (
@@ -231,47 +224,3 @@ def settle(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32) -> int:
     modal[MOTION] = ints[MOTION]
     rates[FEED] = singles[F]
     return left
-
-
-@micropython.viper
-def go(
-    ints: ptr32,
-    singles: ptr32,
-    xyz: ptr32,
-    position: ptr32,
-    travel: ptr32,
-    table: ptr32,
-    ring: ptr32,
-    flow: ptr32,
-    speeds: ptr32,
-    rates: ptr32,
-    scale: ptr32,
-    is_limited: int,
-    is_dry: int,
-) -> int:
-    """Plan the line of a block that is in force, with nothing in its way. Returns 1; or 0, and
-    nothing has changed. From position on: see fast_kernel.follow()."""
-    motion = ints[MOTION]
-    if motion > LINEAR or ints[NON_MODAL]:
-        return 0
-    found = int(judge(xyz, travel, flow))
-    if found & OUTSIDE and is_limited:
-        return 0
-    if is_dry == 0:
-        if found & FULL:
-            return 0
-        flags = ints[SPINDLE] | ints[COOLANT] << COOLANT_SHIFT
-        if motion == SEEK:
-            flags |= layout.RAPID_MOTION
-        if ints[INVERSE_TIME]:
-            flags |= layout.INVERSE_TIME
-        scale[ASKED] = rates[RPM]
-        power = int(weigh(scale, flags))
-        line = int(whole_part(singles, N, 0))
-        rate = int(per_second(singles, F))
-        at = flow[layout.HEAD]
-        if int(plan(xyz, table, ring, flow, flags, line, power, rate)) == 0:
-            return 0
-        speeds[at] = rates[RPM]
-    copy(xyz, position, table[layout.AXES])
-    return 1
