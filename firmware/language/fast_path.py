@@ -193,7 +193,6 @@ class FastPath:
         self._asked = True
         return True
 
-    @micropython.native
     def go(self, block: "Block") -> int:
         """Plan the line of a block that is in force, and return 1; or 0, and nothing has been
         done. It takes no more of the stack than the way around it."""
