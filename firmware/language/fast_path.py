@@ -160,10 +160,17 @@ class FastPath:
             known[fk.RPM] = 0
             move.spindle_rpm = 0.0
         known[fk.LACKS] = 0
-        move.flags = modes.accessory_flags() | (layout.RAPID_MOTION if seeks else 0)
-        if known[fk.IS_TIMED]:
-            move.flags |= layout.INVERSE_TIME
+        move.flags = self._flags()
         known[fk.POWER] = fk.UNTOLD
+
+    def _flags(self) -> int:
+        """Those of a planner block, but for what power makes of them, by what is in force."""
+        modal, flags = self._modes.modal, self._modes.accessory_flags()
+        if modal[MOTION] == b.SEEK:
+            flags |= layout.RAPID_MOTION
+        if modal[INVERSE_TIME]:
+            flags |= layout.INVERSE_TIME
+        return flags
 
     def execute(self, line: bytearray, length: int) -> bool:
         """Execute a line that does no more than move, or nothing; False where it does, and nothing
@@ -194,25 +201,25 @@ class FastPath:
         return True
 
     def go(self, block: "Block") -> int:
-        """Plan the line of a block that is in force, and return 1; or 0, and nothing has been
-        done. It takes no more of the stack than the way around it."""
-        state, ints, xyz = self._state, block.ints, block.xyz
+        """Plan the line, if it is one, of a block that is in force and has no other command, and
+        return 1; or 0, and nothing has been done. It takes no more of the stack than the way
+        around it."""
+        state, xyz = self._state, block.xyz
         if self.follow is not self.plain or not self.is_open or self._spindle.laser:
             return 0
-        if ints[MOTION] > b.LINEAR or ints[b.NON_MODAL] or state.suspend or state.pending[st.ANY]:
+        if block.ints[MOTION] > b.LINEAR or state.suspend or state.pending[st.ANY]:
             return 0
         _, position, _, travel, table, ring, flow, speeds, _, rates, scale, _ = self._memory
         found = judge(xyz, travel, flow)
         if found & FULL or (found and self._settings.soft_limits):
             return 0
         if state.run != st.CHECK:
-            flags = self._modes.accessory_flags()
-            if ints[MOTION] == b.SEEK:
-                flags |= layout.RAPID_MOTION
-            if ints[INVERSE_TIME]:
-                flags |= layout.INVERSE_TIME
-            renew(scale, ASKED, rates, RPM)
-            power, line = weigh(scale, flags), whole_part(block.singles, b.N, 0)
+            flags = self._flags()
+            power = 0
+            if flags & plan.SPINDLE_MASK:
+                renew(scale, ASKED, rates, RPM)
+                power = weigh(scale, flags)
+            line = whole_part(block.singles, b.N, 0)
             renew(speeds, flow[layout.HEAD], rates, RPM)
             rate = per_second(block.singles, b.F)
             if not plan_block(xyz, table, ring, flow, flags, line, power, rate):

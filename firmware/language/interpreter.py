@@ -176,6 +176,7 @@ class Interpreter:
         """Refuse the block with GrblError, or leave it ready to be executed. modal: in force."""
         modes, coords, ints = self._modes, self._coords, block.ints
         xyz, position = block.xyz, modes.position
+        # Without places nobody asks where zero is.
         zero = coords.zero(ints[SYSTEM]) if ints[b.WORDS] & b.AXIS_WORDS else position
         rates, axes, arc = modes.rates, block.axes, block.arc
         wrong = ODD
@@ -223,7 +224,7 @@ class Interpreter:
             modes.tool = whole_part(block.singles, b.T, 0) & 255
         if left & ~(SET_TOOL | MOVE) or beam & _SYNC:
             self._switch(block, left, beam)
-        if left & MOVE and self.fast.go(block):
+        if left & (COMMAND | MOVE) == MOVE and self.fast.go(block):
             left ^= MOVE
         if left & (COMMAND | MOVE):
             move = self._begin_move(block, layout.INVERSE_TIME if new[INVERSE_TIME] else 0)

@@ -111,11 +111,12 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
         count += 1
     shorts[3] = get
     at[TAKING] = 0
-    noted = at[ESCAPES] if count else at[FULL]
-    if count == 0 and at[LENGTH]:
-        at[TURNS] += 1
-        if at[TURNS] >= _QUIET_TURNS:
-            noted = 1
+    noted = at[ESCAPES]
+    if count == 0:
+        noted = at[FULL]
+        if at[LENGTH]:
+            at[TURNS] += 1
+            noted |= 1 if at[TURNS] >= _QUIET_TURNS else 0
     return count | _NOTE if noted | at[OPENED] | at[STOPPED] else count
 
 

@@ -76,8 +76,8 @@ def _of_start(sources: Mapping[str, str]) -> dict[str, str]:
 
 
 @lru_cache(1024)
-def _forgotten(text: str) -> list[str]:
-    return list(scan.named_in_calls(ast.parse(text), FORGET))
+def _forgotten(text: str) -> tuple[str, ...]:
+    return tuple(scan.named_in_calls(ast.parse(text), FORGET))
 
 
 def _parts(ours: Ours) -> dict[str, list[Module]]:
