@@ -126,6 +126,11 @@ def test_lines_by_their_way_through_the_firmware(line: bytes, before: bytes, kin
     assert list(pace._kinds(modal, laser=True))[2] == kind
 
 
+def test_lines_in_inverse_time_are_as_others() -> None:
+    lines = [b"G93G1X0F5", b"G93X1F6", b"G93X2F6", b"X3F7"]  # the first of its kind is the second
+    assert list(pace._kinds(lines, laser=False))[2:] == ["plain", "feed"]
+
+
 def test_an_s_without_a_laser_goes_the_long_way() -> None:
     assert list(pace._kinds([b"G1X1F9", b"X2S3"], laser=False))[1] == "long_way_ms"
 

@@ -17,6 +17,7 @@ _BOARDS = {
     "max_step_rate_and_echo": "sim_echo",
     "punch": "sim_punch",
     "punch_09": "sim_punch_09",
+    "rotary": "sim_rotary",
     "parking_and_override_control": "sim_parking",
     "safety_door_input": "sim_door",
     "spindle_enable_pin_and_two_switches": "sim_two_switches",
