@@ -37,7 +37,7 @@ class Loop:
             free=lambda: 255,
         )
         fast = SimpleNamespace(follow=None, plain=None, memory=lambda: ([0] * 25,))
-        nobody: Any = SimpleNamespace(due=None, fast=fast)
+        nobody: Any = SimpleNamespace(due=None, fast=fast, execute=None)
         self.protocol = Protocol(
             *(self.link, State(), reader, nobody, nobody, nobody, self.drive),
             *(nobody, nobody, nobody, self._restart, False),

@@ -203,7 +203,8 @@ class Interpreter:
 
     def _begin_move(self, block: "Block", flags: int) -> "plan.Move":
         """The move of a block, with its feed rate, and spindle and coolant as they are."""
-        move, numbers, modes, singles = self._move, self._numbers, self._modes, block.singles
+        move, numbers = self._move, self._numbers  # two by two: of four a tuple would be made
+        modes, singles = self._modes, block.singles
         if renew(numbers, FEED, singles, b.F):
             move.feed = singles[b.F]
         if block.ints[INVERSE_TIME]:

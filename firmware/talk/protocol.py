@@ -93,6 +93,9 @@ class Protocol:
         reader, state, pending = self._reader, self._state, self._state.pending
         fast, write, due = self._interpreter.fast, self.link.write, self._saves.due
         memory, plan, others = needs(reader, fast, self.link, self._buffer)
+        # Here, for an extra may have put another in its place; once, for each time it is asked for
+        # it is a new object.
+        self._interpret = self._interpreter.execute
         heard, at, line, kinds = memory
         known = plan[0]
         echoes = self._echoes
@@ -169,7 +172,7 @@ class Protocol:
             return self._commands.whose(line, length)
         if self._state.run & _LOCKED:
             raise GrblError(errors.SYSTEM_GC_LOCK)
-        return self._interpreter.execute
+        return self._interpret
 
     def _tell_alarm(self) -> None:
         """Say that there is an alarm, if there is one: here, for the stack is nearly empty."""
