@@ -69,6 +69,8 @@ class FastPath:
         self._spindle = spindle
         self._axes = axes = len(modes.position)
         self._move = plan.Move()
+        # The numbers that it has: what they are made objects of takes memory.
+        self._numbers = vector(2)
         self._target = vector(axes)
         self._known = array("i", (0 for _ in range(fk.OFFSETS + axes)))
         self._offsets = memoryview(self._known)[fk.OFFSETS :]
@@ -150,15 +152,19 @@ class FastPath:
     def _set(self) -> None:
         """How lines move from now on, unless they say otherwise."""
         modes, move, known = self._modes, self._move, self._known
+        rates, numbers = modes.rates, self._numbers
         seeks = modes.modal[MOTION] == b.SEEK
         curves = modes.modal[MOTION] > b.LINEAR
         known[fk.MODE] = fk.HAS_G0 if seeks else fk.MODES if curves else fk.HAS_G1
-        copy(modes.rates, self._rates, 2)
+        copy(rates, self._rates, 2)
         known[fk.RATE] = per_second(known, fk.FEED)
-        move.feed, move.spindle_rpm = modes.rates
+        if renew(numbers, md.FEED, rates, md.FEED):
+            move.feed = rates[md.FEED]
+        if renew(numbers, RPM, rates, RPM):
+            move.spindle_rpm = rates[RPM]
         if seeks and known[fk.LASER]:
             known[fk.RPM] = 0
-            move.spindle_rpm = 0.0
+            move.spindle_rpm = numbers[RPM] = 0.0
         known[fk.LACKS] = 0
         move.flags = self._flags()
         known[fk.POWER] = fk.UNTOLD
