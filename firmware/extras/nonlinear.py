@@ -204,13 +204,13 @@ def install(cnc: "Cnc") -> None:
     canon.pump, canon.tell = machine.protocol.pump, cnc.message
     interpreter.fast.is_open = False
     interpreter.fast.forget()
-    usual: "Callable[[Block, array[int]], None]" = interpreter.check
+    usual: "Callable[[array[int]], None]" = interpreter.check
     modes = machine.modes
 
-    def check(block: "Block", modal: "array[int]") -> None:
-        usual(block, modal)
+    def check(modal: "array[int]") -> None:
+        usual(modal)
         if modal is modes.modal:  # else it is a jog, which canon looks at
-            _check(canon, modes.position, block)
+            _check(canon, modes.position, interpreter.block)
 
     interpreter.check = check
 

@@ -334,6 +334,7 @@ class Block:
             self._take_odd,
         )
 
+    @micropython.native
     def read(self, line: bytearray, start: int, end: int, modal: "array[int]") -> None:
         """Start from that modal state, and take in the words of line[start:end], which a 0
         follows, in their order. Raises GrblError for the first that is wrong."""

@@ -9,6 +9,7 @@ RS274NGC v3, table 8, as Grbl 1.1 reads it.
 
 from array import array
 
+import micropython
 from base import errors
 from base import state as st
 from base.errors import GrblError
@@ -132,6 +133,17 @@ class Interpreter:
         self._numbers = vector(2)
         self._rpm = 0.0
         self._line_numbers = line_numbers
+        # What usual() works on, but for what _usual() is told.
+        self._memory = (
+            block.ints,
+            block.singles,
+            block.xyz,
+            modes.position,
+            modes.rates,
+            block.axes,
+            block.arc.plane,
+            block.arc.numbers,
+        )
         self.fast = FastPath(modes, coords, state, settings, canon, spindle)
 
     def execute(self, line: bytearray, length: int) -> None:
@@ -141,12 +153,10 @@ class Interpreter:
             self._canon.finish()
             fast.tell()
             return
-        block, modal = self.block, self._modes.modal
-        block.read(line, 0, length, modal)
-        self.check(block, modal)
-        done = self._apply(block)
-        fast.forget()
-        if done:
+        block = self.block
+        block.read(line, 0, length, self._modes.modal)
+        self.check(self._modes.modal)
+        if self._apply(block):
             self._canon.finish()
 
     def jog(self, line: bytearray, length: int) -> None:
@@ -160,7 +170,7 @@ class Interpreter:
         modal[INVERSE_TIME] = 0
         block.read(line, JOG_START, length, modal)
         if plain_jog(block.ints):
-            self.check(block, modal)
+            self.check(modal)
         else:
             checks.check(modes, self._coords, block, True)
         if self._settings.soft_limits and self._canon.outside(block.xyz):
@@ -172,55 +182,59 @@ class Interpreter:
 
     # Step three: checks
 
-    def check(self, block: "Block", modal: "array[int]") -> None:
+    def check(self, modal: "array[int]") -> None:
         """Refuse the block with GrblError, or leave it ready to be executed. modal: in force."""
-        modes, coords, ints = self._modes, self._coords, block.ints
-        xyz, position = block.xyz, modes.position
-        # Without places nobody asks where zero is.
-        zero = coords.zero(ints[SYSTEM]) if ints[b.WORDS] & b.AXIS_WORDS else position
-        rates, axes, arc = modes.rates, block.axes, block.arc
+        block, coords = self.block, self._coords
         wrong = ODD
         if not coords.tool_length:
-            wrong = usual(
-                ints,
-                block.singles,
-                xyz,
-                position,
-                zero,
-                modal,
-                rates,
-                axes,
-                block.lengths,
-                arc.plane,
-                arc.numbers,
-            )
+            zero = self._modes.position  # without places nobody asks for it
+            if block.ints[b.WORDS] & b.AXIS_WORDS:
+                zero = coords.zero(block.ints[SYSTEM])
+            wrong = self._usual(zero, modal, block.lengths)
         if wrong == ODD:
-            checks.check(modes, coords, block, False)
+            checks.check(self._modes, coords, block, False)
         elif wrong:
             raise GrblError(wrong)
+
+    @micropython.native
+    def _usual(self, zero: "array[float]", modal: "array[int]", lengths: int) -> int:
+        """A call with all that usual() needs."""
+        ints, singles, xyz, position, rates, axes, plane, numbers = self._memory
+        return usual(
+            ints,
+            singles,
+            xyz,
+            position,
+            zero,
+            modal,
+            rates,
+            axes,
+            lengths,
+            plane,
+            numbers,
+        )
 
     # Step four: execution
 
     def _begin_move(self, block: "Block", flags: int) -> "plan.Move":
         """The move of a block, with its feed rate, and spindle and coolant as they are."""
-        move, numbers = self._move, self._numbers  # two by two: of four a tuple would be made
-        modes, singles = self._modes, block.singles
-        if renew(numbers, FEED, singles, b.F):
-            move.feed = singles[b.F]
+        move, numbers, modes = self._move, self._numbers, self._modes  # of four a tuple is made
+        if renew(numbers, FEED, block.singles, b.F):
+            move.feed = block.singles[b.F]
         if block.ints[INVERSE_TIME]:
             numbers[FEED] = -1.0  # an arc shares its time out among its chords
         if renew(numbers, RPM, modes.rates, RPM):
             self._rpm = modes.rates[RPM]
         move.flags = flags | modes.accessory_flags()
         move.spindle_rpm = self._rpm
-        move.line_number = whole_part(singles, b.N, 0) if self._line_numbers else 0
+        move.line_number = whole_part(block.singles, b.N, 0) if self._line_numbers else 0
         return move
 
     def _apply(self, block: "Block") -> int:
         """Execute a checked block, in the standard's order. Returns 0 where nothing moves."""
-        modes, new = self._modes, block.ints
+        modes = self._modes
         beam = self._beam(block) if self._spindle.laser else 0
-        left = settle(new, block.singles, modes.modal, modes.rates)
+        left = settle(block.ints, block.singles, modes.modal, modes.rates)
         if left & SET_TOOL or modes.tool:
             modes.tool = whole_part(block.singles, b.T, 0) & 255
         if left & ~(SET_TOOL | MOVE) or beam & _SYNC:
@@ -228,7 +242,7 @@ class Interpreter:
         if left & (COMMAND | MOVE) == MOVE and self.fast.go(block):
             left ^= MOVE
         if left & (COMMAND | MOVE):
-            move = self._begin_move(block, layout.INVERSE_TIME if new[INVERSE_TIME] else 0)
+            move = self._begin_move(block, layout.INVERSE_TIME if block.ints[INVERSE_TIME] else 0)
             if beam & _DARK:
                 move.spindle_rpm = 0.0
             if left & COMMAND:
@@ -236,7 +250,8 @@ class Interpreter:
             if left & MOVE:
                 self.go(block, move)
         if left & FLOW:
-            self._control_program(new[PROGRAM_FLOW])
+            self._control_program(block.ints[PROGRAM_FLOW])
+        self.fast.forget()
         return left & (COMMAND | MOVE)
 
     def _switch(self, block: "Block", left: int, beam: int) -> None:
@@ -340,13 +355,17 @@ class Interpreter:
             self._canon.line(block.xyz, move)
         elif motion in (b.CW_ARC, b.CCW_ARC):
             self._canon.arc(modes.position, block.xyz, block.arc, move)
-        else:
-            move.flags |= layout.NO_FEED_OVERRIDE
-            away = motion in (b.PROBE_AWAY, b.PROBE_AWAY_NO_ALARM)
-            alarms = motion in (b.PROBE_TOWARD, b.PROBE_AWAY)
-            if not self._seek.probe(block.xyz, move, away, alarms):
-                return  # the position has been seen to, or has not changed
+        elif not self._probe(block, move):
+            return  # the position has been seen to, or has not changed
         copy(block.xyz, modes.position, block.axes)
+
+    def _probe(self, block: "Block", move: "plan.Move") -> bool:
+        """Search for the probe's contact. Returns whether the target has been reached."""
+        motion = self._modes.modal[MOTION]
+        move.flags |= layout.NO_FEED_OVERRIDE
+        away = motion in (b.PROBE_AWAY, b.PROBE_AWAY_NO_ALARM)
+        alarms = motion in (b.PROBE_TOWARD, b.PROBE_AWAY)
+        return self._seek.probe(block.xyz, move, away, alarms)
 
     def _control_program(self, flow: int) -> None:
         """Pause it, or end it."""

@@ -93,8 +93,7 @@ class Protocol:
         reader, state, pending = self._reader, self._state, self._state.pending
         fast, write, due = self._interpreter.fast, self.link.write, self._saves.due
         memory, plan, others = needs(reader, fast, self.link, self._buffer)
-        # Here, for an extra may have put another in its place; once, for each time it is asked for
-        # it is a new object.
+        # Once, for it is a new object each time; here, for an extra may have put another there.
         self._interpret = self._interpreter.execute
         heard, at, line, kinds = memory
         known = plan[0]

@@ -11,7 +11,7 @@ that it goes so far and no further: nothing is known (what a call costs, which i
 feed rate other than the line's (it has read the words); travel limited to nowhere (it has put the
 place in and judged it); nothing is to move (all but planning); and as it is. Planning
 fills the ring with 12 short moves, three times over. A line that goes the long way,
-"G90G1X10.04Y10.03F9000T1", is taken apart into its words and put in a Block, checked, and executed
+"G90G1X10.04Y10.03F9000T1", is taken apart into its words and put in the Block, checked, and executed
 whole, less the two before. The machine is in check mode meanwhile, and reset afterwards.
 """
 
@@ -116,7 +116,6 @@ acts[b"LATER"] = later
 _STAGES = """
 import array
 
-block = module("language", "block")
 interpreter = module("language", "interpreter")
 lines = module("talk", "lines")
 fast_kernel = module("language", "fast_kernel")
@@ -128,11 +127,8 @@ keep(protocol.Protocol, "run")
 AXES, LIMITED, DRY, MODAL_ROOM = %d, %d, %d, %d
 follow = fast_kernel.follow
 
-# A board lets go of what has made its objects; here some are made once more.
-whole = [
-    (thing, dict(thing.__dict__))
-    for thing in (lines, lines.LineReader, block, block.Block)
-]
+# A board lets go of what has made its objects; here one is made once more.
+whole = [(thing, dict(thing.__dict__)) for thing in (lines, lines.LineReader)]
 
 
 def restore():
@@ -209,14 +205,15 @@ def short_path():
 
 def long_way():
     line = bytearray(b"G90G1X10.04Y10.03F9000T1\\0")
-    own, modal = block.Block(3, False, False), array.array("i", (0 for _ in range(MODAL_ROOM)))
+    modal = array.array("i", (0 for _ in range(MODAL_ROOM)))
     machine = found[interpreter.Interpreter]
+
     def take():
-        own.read(line, 0, 24, modal)
+        machine.block.read(line, 0, 24, modal)
 
     def check():
         take()
-        machine.check(own, modal)
+        machine.check(modal)
 
     idle = again(nothing_0)
     taken = again(take) - idle

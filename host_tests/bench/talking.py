@@ -101,6 +101,7 @@ def heap(bench: Bench) -> Iterator[Row]:
         "G1 X Y": (list(short_moves(48)), "M5"),
         "G1 X S in M4": (list(raster(48)), "M4S0"),
         "half circle of 1 mm": (list(arcs(6)), "M5"),
+        "a tool, moves, a half circle": (["T1G1X12", "G1X11", "G1X12", "G3X10I-1J0"] * 3, "M5"),
     }
     for name, (sent, spindle) in kinds.items():
         for line in (spindle, "G90G1X10Y10F4000"):

@@ -92,7 +92,14 @@ _ROWS: "dict[str, tuple[float, Sequence[str]]]" = {
         ],
     ),
     "memory of a plain line": (
-        *(1, [f"heap per line, {x}" for x in ("G1 X Y", "G1 X S in M4", "half circle of 1 mm")]),
+        1,
+        [
+            f"heap per line, {x}"
+            for x in (
+                *("G1 X Y", "G1 X S in M4", "half circle of 1 mm"),
+                "a tool, moves, a half circle",
+            )
+        ],
     ),
     "a collection": (1, ["a collection, mean"]),
     "memory free": (1, ["memory free, nothing but the firmware"]),
