@@ -1,3 +1,4 @@
+# mypy: disable-error-code="arg-type, call-overload, has-type, misc"
 """Block: the words of one line, taken in and given their places.
 
 Step one and two of the interpreter: begin with a copy of the modal state, then take in word after
@@ -262,34 +263,42 @@ def take(
 
 
 @micropython.viper
-def read(
-    line: ptr8,
-    span: int,
-    letters: ptr8,
-    values: ptr32,
-    at: ptr8,
-    words: ptr8,
-    modal: ptr32,
-    ints: ptr32,
-    xyz: ptr32,
-    axes: int,
-    singles: ptr32,
-    take_odd: object,
-) -> int:
+def read(line: ptr8, span: int, modal: ptr32, memory: object) -> int:
     """Start from a modal state, and take in the words of line[start:end], which a 0 follows, in
-    their order. span: end << 8 | start. Returns what is wrong with the first that is, or 0."""
-    found = int(scan(line, span, letters, values))
+    their order. span: end << 8 | start; memory: a block's. Returns what is wrong with the first
+    that is, or 0."""
+    letters, values, at, words, ints, xyz, axes, singles, take_odd = memory
+    found = int(scan(line, span, ptr8(letters), ptr32(values)))
+    _begin(ptr32(ints), ptr32(xyz), int(axes), ptr32(singles), modal)
+    wrong = int(
+        take(
+            ptr8(letters),
+            ptr32(values),
+            found & 255,
+            ptr8(at),
+            ptr8(words),
+            ptr32(ints),
+            ptr32(xyz),
+            ptr32(singles),
+            take_odd,
+        )
+    )
+    fault = found >> 8
+    if fault and wrong == 0:
+        wrong = EXPECTED_COMMAND_LETTER if fault == LETTER_EXPECTED else BAD_NUMBER_FORMAT
+    return wrong
+
+
+@micropython.viper
+def _begin(ints: ptr32, xyz: ptr32, axes: int, singles: ptr32, modal: ptr32) -> int:
+    """Make a block empty, in a modal state."""
     for i in range(axes):
         xyz[i] = 0
     for i in range(TOOL_LIMIT):
         singles[i] = 0
     for i in range(MODAL_ROOM):
         ints[i] = modal[i]
-    wrong = int(take(letters, values, found & 255, at, words, ints, xyz, singles, take_odd))
-    fault = found >> 8
-    if fault and wrong == 0:
-        wrong = EXPECTED_COMMAND_LETTER if fault == LETTER_EXPECTED else BAD_NUMBER_FORMAT
-    return wrong
+    return 0
 
 
 class Block:
@@ -327,6 +336,7 @@ class Block:
             words.letters,
             words.values,
             self._index,
+            dictionary,
             self.ints,
             self.xyz,
             axes,
@@ -334,15 +344,10 @@ class Block:
             self._take_odd,
         )
 
-    @micropython.native
     def read(self, line: bytearray, start: int, end: int, modal: "array[int]") -> None:
         """Start from that modal state, and take in the words of line[start:end], which a 0
         follows, in their order. Raises GrblError for the first that is wrong."""
-        letters, values, index, ints, xyz, axes, singles, odd = self._memory
-        span = end << 8 | start
-        wrong = read(
-            line, span, letters, values, index, dictionary, modal, ints, xyz, axes, singles, odd
-        )
+        wrong = read(line, end << 8 | start, modal, self._memory)
         if wrong:
             raise GrblError(wrong)
 

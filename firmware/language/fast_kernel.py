@@ -1,4 +1,4 @@
-# mypy: disable-error-code=arg-type
+# mypy: disable-error-code="arg-type, call-overload, has-type, misc"
 """The fast path's kernel: from a line's text to a block of the planner, in integers.
 
 Everything here is viper: it allocates nothing. What a line depends on besides its text stands in
@@ -326,29 +326,46 @@ def follow(
 
 
 @micropython.viper
-def jog(
-    text: ptr8,
-    length: int,
-    known: ptr32,
-    position: ptr32,
-    target: ptr32,
-    travel: ptr32,
-    table: ptr32,
-    ring: ptr32,
-    flow: ptr32,
-    speeds: ptr32,
-    changes: ptr32,
-    rates: ptr32,
-) -> int:
+def follow_line(text: ptr8, length: int, memory: object) -> int:
+    """follow() with all that it needs: what FastPath.memory() has."""
+    known, position, target, travel, table, ring, flow, speeds, changes, rates, scale, news = (
+        memory
+    )
+    return int(
+        follow(
+            text,
+            length,
+            ptr32(known),
+            ptr32(position),
+            ptr32(target),
+            ptr32(travel),
+            ptr32(table),
+            ptr32(ring),
+            ptr32(flow),
+            ptr32(speeds),
+            ptr32(changes),
+            ptr32(rates),
+            ptr32(scale),
+            news,
+        )
+    )
+
+
+@micropython.viper
+def jog(text: ptr8, length: int, known: ptr32, memory: object) -> int:
     """Plan a "$J=" line that is allowed and finds room. Returns 1; 0, and nothing has changed; or
-    UNKNOWN. known: a table of its own, without a motion mode, feed rate or power."""
-    if known[AXES] == 0 or known[CHANGES] != changes[0]:
+    UNKNOWN. known: a table of its own, without a motion mode, feed rate or power; memory: as that
+    of follow_line()."""
+    _, position, places, travel, table, ring, queue, speeds, changes, rates, _, _ = memory
+    target = ptr32(places)
+    flow = ptr32(queue)
+    if known[AXES] == 0 or known[CHANGES] != ptr32(changes)[0]:
         return UNKNOWN
     seen = int(read(text, JOG_START, length, known))
     if seen <= 0 or seen & (SAME | MODES | HAS_F) != HAS_F or known[VALUES + F] == 0:
         return 0
-    place(known, seen, position, target)
-    found = int(judge(target, travel, flow))
+    place(known, seen, ptr32(position), target)
+    found = int(judge(target, ptr32(travel), flow))
     if found & FULL or (found & OUTSIDE and known[LIMITED]):
         return 0
     if known[LINE_INCHES]:
@@ -356,8 +373,9 @@ def jog(
     rate = int(per_second(known, VALUES + F))
     at = flow[HEAD]
     line = int(line_number(known, seen))
-    if int(plan_block(target, table, ring, flow, known[FLAGS], line, 0, rate)) == 0:
+    flags = known[FLAGS]
+    if int(plan_block(target, ptr32(table), ptr32(ring), flow, flags, line, 0, rate)) == 0:
         return 0
-    speeds[at] = rates[md.RPM]
-    copy(target, position, known[AXES])
+    ptr32(speeds)[at] = ptr32(rates)[md.RPM]
+    copy(target, ptr32(position), known[AXES])
     return 1

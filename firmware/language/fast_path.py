@@ -25,7 +25,7 @@ from motion.reals import per_second
 
 from language import block_layout as b
 from language import fast_kernel as fk
-from language.fast_kernel import follow, jog, line_number, place, read
+from language.fast_kernel import follow_line, jog, line_number, place, read
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -100,29 +100,9 @@ class FastPath:
         """What the kernel's follow() is called with behind the line."""
         return self._memory
 
-    @micropython.native
     def _follow(self, line: bytearray, length: int) -> int:
-        """A call with all that follow() needs."""
-        memory = self._memory
-        known, position, target, travel, table, ring, flow, speeds, changes, rates, scale, news = (
-            memory
-        )
-        return follow(
-            line,
-            length,
-            known,
-            position,
-            target,
-            travel,
-            table,
-            ring,
-            flow,
-            speeds,
-            changes,
-            rates,
-            scale,
-            news,
-        )
+        """The kernel's follow(), with all that it needs."""
+        return follow_line(line, length, self._memory)
 
     @micropython.native
     def forget(self) -> None:
@@ -274,31 +254,10 @@ class FastPath:
 
     def jog(self, line: bytearray, length: int) -> int:
         """Plan a "$J=" line, and return 1; or 0, and nothing has been done."""
-        done = self._jog(line, length)
+        done = jog(line, length, self._jogs, self._memory)
         if done == fk.UNKNOWN and self._look_at_jogs():
-            done = self._jog(line, length)
+            done = jog(line, length, self._jogs, self._memory)
         return 1 if done > 0 else 0
-
-    @micropython.native
-    def _jog(self, line: bytearray, length: int) -> int:
-        """A call with all that jog() needs."""
-        memory = self._memory
-        _, position, target, travel, table, ring, flow, speeds, changes, rates, _, _ = memory
-        known = self._jogs
-        return jog(
-            line,
-            length,
-            known,
-            position,
-            target,
-            travel,
-            table,
-            ring,
-            flow,
-            speeds,
-            changes,
-            rates,
-        )
 
     def _look_at_jogs(self) -> bool:
         """See what jogs depend on. Returns whether they may go the shorter way."""

@@ -9,7 +9,6 @@ RS274NGC v3, table 8, as Grbl 1.1 reads it.
 
 from array import array
 
-import micropython
 from base import errors
 from base import state as st
 from base.errors import GrblError
@@ -133,7 +132,7 @@ class Interpreter:
         self._numbers = vector(2)
         self._rpm = 0.0
         self._line_numbers = line_numbers
-        # What usual() works on, but for what _usual() is told.
+        # What usual() works on; to look each up costs 5 us.
         self._memory = (
             block.ints,
             block.singles,
@@ -190,29 +189,11 @@ class Interpreter:
             zero = self._modes.position  # without places nobody asks for it
             if block.ints[b.WORDS] & b.AXIS_WORDS:
                 zero = coords.zero(block.ints[SYSTEM])
-            wrong = self._usual(zero, modal, block.lengths)
+            wrong = usual(zero, modal, block.lengths, self._memory)
         if wrong == ODD:
             checks.check(self._modes, coords, block, False)
         elif wrong:
             raise GrblError(wrong)
-
-    @micropython.native
-    def _usual(self, zero: "array[float]", modal: "array[int]", lengths: int) -> int:
-        """A call with all that usual() needs."""
-        ints, singles, xyz, position, rates, axes, plane, numbers = self._memory
-        return usual(
-            ints,
-            singles,
-            xyz,
-            position,
-            zero,
-            modal,
-            rates,
-            axes,
-            lengths,
-            plane,
-            numbers,
-        )
 
     # Step four: execution
 

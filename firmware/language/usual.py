@@ -1,4 +1,4 @@
-# mypy: disable-error-code="arg-type, attr-defined"
+# mypy: disable-error-code="arg-type, attr-defined, call-overload, has-type, misc"
 """The usual block: checked and put in force by kernels, where it asks for nothing seldom.
 
 Modes, coordinate systems, motion in a line or an arc, feed, spindle, coolant, program flow: that
@@ -108,7 +108,30 @@ def _rate(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, claim: int) -
 
 
 @micropython.viper
-def usual(
+def usual(zero: ptr32, modal: ptr32, lengths: int, memory: object) -> int:
+    """Check a block as checks.check() does, and leave it ready. Returns what is wrong with it, 0,
+    or ODD where that has to see to it, and nothing has been changed. zero: of the block's system,
+    without tool length, which is none; lengths: a mask; memory: an interpreter's."""
+    ints, singles, xyz, position, rates, axes, plane, arc = memory
+    return int(
+        _usual(
+            ptr32(ints),
+            ptr32(singles),
+            ptr32(xyz),
+            ptr32(position),
+            zero,
+            modal,
+            ptr32(rates),
+            int(axes),
+            lengths,
+            ptr32(plane),
+            ptr32(arc),
+        )
+    )
+
+
+@micropython.viper
+def _usual(
     ints: ptr32,
     singles: ptr32,
     xyz: ptr32,
@@ -121,9 +144,7 @@ def usual(
     plane: ptr32,
     arc: ptr32,
 ) -> int:
-    """Check a block as checks.check() does, and leave it ready. Returns what is wrong with it, 0,
-    or ODD where that has to see to it, and nothing has been changed. zero: of the block's system,
-    without tool length, which is none; lengths: a mask; plane, arc: those of an Arc."""
+    """As usual(). plane, arc: those of an Arc."""
     words = ints[WORDS]
     axis_words = words & AXIS_WORDS
     command = ints[NON_MODAL]

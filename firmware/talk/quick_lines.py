@@ -40,36 +40,33 @@ def needs(
     return reader.memory(), fast.memory(), (other, reader.line, link.write, OK, OK + OK, hears)
 
 
-@micropython.native
-def take_quick(
-    pending: bytearray,
-    reader: "tuple[Any, ...]",
-    fast: "tuple[Any, ...]",
-    others: "tuple[Any, ...]",
-) -> int:
+@micropython.viper
+def take_quick(pending: ptr8, reader: object, fast: object, others: object) -> int:
     """Do lines up to one that does more than move, or none, or until something is posted, or for
     as long as the loop may wait. Returns what clean() has found at last, which is not done."""
     heard, at, line, kinds = reader
     known, position, target, travel, table, ring, flow, speeds, changes, rates, scale, news = fast
-    return _take(
-        heard,
-        at,
-        line,
-        kinds,
-        pending,
-        others,
-        known,
-        position,
-        target,
-        travel,
-        table,
-        ring,
-        flow,
-        speeds,
-        changes,
-        rates,
-        scale,
-        news,
+    return int(
+        _take(
+            ptr8(heard),
+            ptr32(at),
+            ptr8(line),
+            ptr8(kinds),
+            pending,
+            others,
+            ptr32(known),
+            ptr32(position),
+            ptr32(target),
+            ptr32(travel),
+            ptr32(table),
+            ptr32(ring),
+            ptr32(flow),
+            ptr32(speeds),
+            ptr32(changes),
+            ptr32(rates),
+            ptr32(scale),
+            news,
+        )
     )
 
 

@@ -11,8 +11,8 @@ that it goes so far and no further: nothing is known (what a call costs, which i
 feed rate other than the line's (it has read the words); travel limited to nowhere (it has put the
 place in and judged it); nothing is to move (all but planning); and as it is. Planning
 fills the ring with 12 short moves, three times over. A line that goes the long way,
-"G90G1X10.04Y10.03F9000T1", is taken apart into its words and put in the Block, checked, and executed
-whole, less the two before. The machine is in check mode meanwhile, and reset afterwards.
+"G90G1X10.04Y10.03F9000T1", is taken apart into its words and put in the Block, checked, and
+executed whole, less the two before. The machine is in check mode meanwhile, and reset afterwards.
 """
 
 from control import modes
@@ -125,7 +125,7 @@ keep(interpreter.Interpreter, "execute")
 keep(fast_path.FastPath, "memory")
 keep(protocol.Protocol, "run")
 AXES, LIMITED, DRY, MODAL_ROOM = %d, %d, %d, %d
-follow = fast_kernel.follow
+follow = fast_kernel.follow_line
 
 # A board lets go of what has made its objects; here one is made once more.
 whole = [(thing, dict(thing.__dict__)) for thing in (lines, lines.LineReader)]
@@ -146,12 +146,12 @@ def nothing_0():
     return 0
 
 
-def each(act, texts, *rest):
+def each(act, texts, rest):
     found[protocol.Protocol].pump()  # the supervisor is not to take it for a hang
     gc.collect()
     start = time.ticks_us()
     for text in texts:
-        act(text, 21, *rest)
+        act(text, 21, rest)
     return since(start) * 10 // len(texts)
 
 
@@ -170,7 +170,7 @@ def moves(k):
 
 
 def expect(value, texts, rest):
-    if follow(texts[0], 21, *rest) != value:
+    if follow(texts[0], 21, rest) != value:
         raise ValueError("a stage of follow()")
 
 
@@ -179,24 +179,24 @@ def short_path():
     now = rest[0]
     texts = moves(0)
     now[AXES] = 0
-    call = each(follow, texts, *rest)
+    call = each(follow, texts, rest)
     limited, dry = now[LIMITED], now[DRY]
     now[AXES] = 1  # it has read the line when it finds that there is no Y
     expect(0, texts, rest)
-    read = each(follow, texts, *rest)
+    read = each(follow, texts, rest)
     now[AXES] = len(rest[1])
     now[LIMITED] = 1
     expect(0, texts, rest)
-    judged = each(follow, texts, *rest)
+    judged = each(follow, texts, rest)
     now[LIMITED] = limited
     now[DRY] = 1
     expect(1, texts, rest)
-    moved = each(follow, texts, *rest)
+    moved = each(follow, texts, rest)
     now[DRY] = 0
     whole = 0
     for k in range(3):
         found[planner.Planner].clear()
-        whole += each(follow, moves(12 * k + 1), *rest)
+        whole += each(follow, moves(12 * k + 1), rest)
     found[planner.Planner].clear()
     now[DRY] = dry
     now[AXES] = 0
