@@ -22,8 +22,14 @@ from ugrbl.device.selftest import program
 _FIRST = """
 from boot import power_up  # first, as in main.py: it sees to where memory is free
 """
+# As in main.py, in a class: what a collection of garbage takes depends on it.
 _START = """
-power_up.live(power_up.build())
+parts = power_up.build()
+
+
+class Running:
+    modules = power_up.modules
+    machine = power_up.live(parts)
 """
 
 # Commands: `$NAME=number` answers with numbers in a message, if there are any.
