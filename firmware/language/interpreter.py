@@ -65,10 +65,10 @@ if TYPE_CHECKING:
 
     from language.block import Block
 
-# Laser mode: what a block means for the beam (mask).
-_DARK = const(1)  # not a cutting motion
-_IN_MOTION = const(2)  # S goes with the motion
-_SYNC = const(4)  # the beam changes though nothing moves
+# Laser mode: what a block means for the beam, bits beside those of what is left to be done.
+_DARK = const(256)  # not a cutting motion
+_IN_MOTION = const(512)  # S goes with the motion
+_SYNC = const(1024)  # the beam changes though nothing moves
 
 _CUTS = const(1 << b.LINEAR | 1 << b.CW_ARC | 1 << b.CCW_ARC)  # mask of motions
 
@@ -147,16 +147,40 @@ class Interpreter:
 
     def execute(self, line: bytearray, length: int) -> None:
         """Interpret line[:length], which a 0 follows. Raises GrblError where it is refused."""
-        fast = self.fast
-        if fast.execute(line, length):
+        if self.fast.execute(line, length):
             self._canon.finish()
-            fast.tell()
+            self.fast.tell()
             return
+        self._read(line, length)
+        # Step four, in the standard's order, and here: all that waits is done beneath this frame.
         block = self.block
-        block.read(line, 0, length, self._modes.modal)
-        self.check(self._modes.modal)
-        if self._apply(block):
+        left = self._beam(block) if self._spindle.laser else 0
+        left = settle(block.ints, block.singles, self._modes.modal, self._modes.rates) | left
+        if left & SET_TOOL or self._modes.tool:
+            self._modes.tool = whole_part(block.singles, b.T, 0) & 255
+        if left & ~(SET_TOOL | MOVE | _DARK | _IN_MOTION):
+            self._switch(block, left)
+        if left & (COMMAND | MOVE) == MOVE and self.fast.go(block):
+            left ^= MOVE
+        if left & (COMMAND | MOVE):
+            move = self._begin_move(block, layout.INVERSE_TIME if block.ints[INVERSE_TIME] else 0)
+            if left & _DARK:
+                move.spindle_rpm = 0.0
+            if left & COMMAND:
+                self._non_modal(block, move)
+            if left & MOVE:
+                self.go(block, move)
+        if left & FLOW:
+            self._control_program(block.ints[PROGRAM_FLOW])
+        self.fast.forget()
+        if left & (COMMAND | MOVE):
             self._canon.finish()
+
+    def _read(self, line: bytearray, length: int) -> None:
+        """Steps one to three. Raises GrblError where the line is refused."""
+        modal = self._modes.modal
+        self.block.read(line, 0, length, modal)
+        self.check(modal)
 
     def jog(self, line: bytearray, length: int) -> None:
         """Interpret a "$J=" line. The modal state stays as it is."""
@@ -211,37 +235,13 @@ class Interpreter:
         move.line_number = whole_part(block.singles, b.N, 0) if self._line_numbers else 0
         return move
 
-    def _apply(self, block: "Block") -> int:
-        """Execute a checked block, in the standard's order. Returns 0 where nothing moves."""
-        modes = self._modes
-        beam = self._beam(block) if self._spindle.laser else 0
-        left = settle(block.ints, block.singles, modes.modal, modes.rates)
-        if left & SET_TOOL or modes.tool:
-            modes.tool = whole_part(block.singles, b.T, 0) & 255
-        if left & ~(SET_TOOL | MOVE) or beam & _SYNC:
-            self._switch(block, left, beam)
-        if left & (COMMAND | MOVE) == MOVE and self.fast.go(block):
-            left ^= MOVE
-        if left & (COMMAND | MOVE):
-            move = self._begin_move(block, layout.INVERSE_TIME if block.ints[INVERSE_TIME] else 0)
-            if beam & _DARK:
-                move.spindle_rpm = 0.0
-            if left & COMMAND:
-                self._non_modal(block, move)
-            if left & MOVE:
-                self.go(block, move)
-        if left & FLOW:
-            self._control_program(block.ints[PROGRAM_FLOW])
-        self.fast.forget()
-        return left & (COMMAND | MOVE)
-
-    def _switch(self, block: "Block", left: int, beam: int) -> None:
+    def _switch(self, block: "Block", left: int) -> None:
         """What comes before motion: speed, M words, a dwell, offsets."""
         modes, new = self._modes, block.ints
-        if left & SPEED or beam & _SYNC:
-            self._set_speed(block, beam)
+        if left & (SPEED | _SYNC):
+            self._set_speed(block, left)
         if left & ACCESSORIES:
-            self._set_accessories(new, 0.0 if beam & _DARK else modes.rates[RPM])
+            self._set_accessories(new, 0.0 if left & _DARK else modes.rates[RPM])
         if new[b.NON_MODAL] == b.DWELL:
             self._canon.dwell(block.singles[b.P])
         if left & OFFSETS and self._set_offsets(block):
