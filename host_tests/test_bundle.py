@@ -301,7 +301,7 @@ def test_programs_for_the_board_find_what_they_ask_for_under_its_name(
     rows = {row for text in [*texts, *map(programs, files)] for row in asked(text)}
     assert {
         ("talk", "commands", "Commands"),
-        ("language", "fast_kernel", "follow"),
+        ("language", "fast_kernel", "follow_line"),
         ("pio", "pulses", "set_timing"),
         ("ports", "flash_store", "FlashStore"),
     } <= rows
