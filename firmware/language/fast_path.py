@@ -186,34 +186,33 @@ class FastPath:
         self._asked = True
         return True
 
+    @micropython.native
     def go(self, block: "Block") -> int:
         """Plan the line, if it is one, of a block that is in force and has no other command, and
-        return 1; or 0, and nothing has been done."""
-        state = self._state
+        return 1; or 0, and nothing has been done. In one piece: the kernel needs much of the stack
+        beneath it."""
+        state, xyz = self._state, block.xyz
         if self.follow is not self.plain or not self.is_open or self._spindle.laser:
             return 0
         if block.ints[MOTION] > b.LINEAR or state.suspend or state.pending[st.ANY]:
             return 0
-        found = judge(block.xyz, self._canon.travel, self._canon.planner.flow)
+        _, position, _, travel, table, ring, flow, speeds, _, rates, scale, _ = self._memory
+        found = judge(xyz, travel, flow)
         if found & FULL or (found and self._settings.soft_limits):
             return 0
-        if state.run != st.CHECK and not self._plan(block.xyz, block.singles, self._flags()):
-            return 0
-        copy(block.xyz, self._modes.position, self._axes)
+        if state.run != st.CHECK:
+            flags = self._flags()
+            power = 0
+            if flags & plan.SPINDLE_MASK:
+                renew(scale, ASKED, rates, RPM)
+                power = weigh(scale, flags)
+            line = whole_part(block.singles, b.N, 0)
+            renew(speeds, flow[layout.HEAD], rates, RPM)
+            rate = per_second(block.singles, b.F)
+            if not plan_block(xyz, table, ring, flow, flags, line, power, rate):
+                return 0
+        copy(xyz, position, self._axes)
         return 1
-
-    @micropython.native
-    def _plan(self, xyz: "array[float]", singles: "array[float]", flags: int) -> int:
-        """Plan a line with the F and N of singles. Returns 0 where it has no steps."""
-        _, _, _, _, table, ring, flow, speeds, _, rates, scale, _ = self._memory
-        power = 0
-        if flags & plan.SPINDLE_MASK:
-            renew(scale, ASKED, rates, RPM)
-            power = weigh(scale, flags)
-        line = whole_part(singles, b.N, 0)
-        renew(speeds, flow[layout.HEAD], rates, RPM)
-        rate = per_second(singles, b.F)
-        return plan_block(xyz, table, ring, flow, flags, line, power, rate)
 
     def again(self, line: bytearray, length: int) -> int:
         """Once more with the line that lacked nothing but room (WAITS), behind a wait for that."""
