@@ -71,8 +71,9 @@ _LATER = const(1)
 _NOW = const(2)
 _DOLLAR = const(0x24)
 
-# With a count of bytes: there is more to see to.
+# With a count of bytes: there is more to see to. Or without one: answers are to be sent.
 _NOTE = const(0x100)
+_FLUSH = const(0x200)
 
 # The last request of the host, in the memory of RP2040's and RP2350's USB: requests that tell
 # of the port being open or not (its DTR), that come with opening alone, and that the cable has
@@ -87,7 +88,8 @@ _SET_CONFIGURATION = const(0x0900)
 def _take(at: ptr32, buf: ptr8, room: int) -> int:
     """Move up to `room` bytes that the ring holds into buf, and fewer than NOTE.
 
-    Returns how many, and NOTE where UsbLink._note() is to see to something.
+    Returns how many, and NOTE where UsbLink._note() is to see to something, or else FLUSH where
+    answers have waited long enough.
     """
     if room >= _NOTE:
         room = _NOTE - 1
@@ -111,13 +113,13 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
         count += 1
     shorts[3] = get
     at[TAKING] = 0
-    noted = at[ESCAPES]
-    if count == 0:
-        noted = at[FULL]
-        if at[LENGTH]:
-            at[TURNS] += 1
-            noted |= 1 if at[TURNS] >= _QUIET_TURNS else 0
-    return count | _NOTE if noted | at[OPENED] | at[STOPPED] else count
+    if at[OPENED] | at[STOPPED] | at[FULL if count == 0 else ESCAPES]:
+        return count | _NOTE
+    if count == 0 and at[LENGTH]:
+        at[TURNS] += 1
+        if at[TURNS] >= _QUIET_TURNS:
+            return _FLUSH
+    return count
 
 
 @micropython.viper
@@ -227,11 +229,14 @@ class UsbLink:
     def _make_read_into(self) -> "Callable[[bytearray], int]":
         if self._at[RING] == 0:
             return self._read_plainly
-        at, take, note = self._at, _take, self._note
+        at, take, note, flush = self._at, _take, self._note, self._flush
 
+        # It sends by itself: a turn for that may be the deepest on the stack.
         def read_into(buf: bytearray) -> int:
             count: int = take(at, buf, len(buf))
-            return note(buf, count - _NOTE) if count >= _NOTE else count
+            if count < _NOTE:
+                return count
+            return flush() if count == _FLUSH else note(buf, count - _NOTE)
 
         return read_into
 
@@ -291,8 +296,6 @@ class UsbLink:
             at[ESCAPES] = 0
             self._escape.listen(buf, count)
             return count
-        if at[TURNS] >= _QUIET_TURNS:
-            self._flush()
         if at[FULL]:
             at[FULL] = 0
             self._waiting()  # to ask fills the ring
@@ -334,11 +337,13 @@ class UsbLink:
         for _ in range(PIECES):
             self.read_into(piece)
 
-    def _flush(self) -> None:
+    def _flush(self) -> int:
+        """Send the answers that wait. Returns 0: nothing has been read."""
         at = self._at
         length, at[LENGTH], at[TURNS] = at[LENGTH], 0, 0
         if length:
             self._send(self._waiting_out, length)
+        return 0
 
     def close(self) -> None:
         """Send what is left; Ctrl-C interrupts again."""
