@@ -196,7 +196,7 @@ reader = array("i", (256, 0, 0))  # as LineReader has them: size, head, tail
 planner.flow[9] = 56 << 15 | 0x4321
 report = Report(machine, state, settings, coords, 3, False)
 inputs = Inputs(machine, settings, 3, False)
-report.connect(machine, planner, segments, inputs, machine, machine, reader, None)
+report.connect(machine, planner, segments, inputs, machine, machine, reader)
 report.configure()
 
 def taken(wco, ov):

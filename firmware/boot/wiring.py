@@ -244,7 +244,6 @@ def _connect(machine: Controller) -> None:
         machine.spindle,
         machine.coolant,
         machine.reader.memory()[1],
-        machine.position,
     )
     machine.drive.connect(machine.protocol.pump)
     machine.canon.connect(machine.protocol.service)

@@ -17,7 +17,6 @@ from talk.report import BUILD, Report
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from array import array
-    from collections.abc import Callable
     from types import ModuleType
 
     from base.settings import Rows
@@ -134,10 +133,9 @@ class Report09(Report):
         spindle: "Spindle",
         coolant: "Coolant",
         reader: "array[int]",
-        position: "Callable[[array[float]], None]",
     ) -> None:
         """As Report does. Buffers are empty yet: 0.9 counts what is in them."""
-        super().connect(engine, planner, segments, inputs, spindle, coolant, reader, position)
+        super().connect(engine, planner, segments, inputs, spindle, coolant, reader)
         self.words = _WORDS.copy()  # other extras may add to these
         self.alarms = _ALARMS.copy()
         self._blocks = planner.free()
@@ -146,7 +144,7 @@ class Report09(Report):
     def configure(self) -> None:
         """Take over $10 and $13."""
         super().configure()
-        self._usual_form = b""  # not in these words
+        self._is_usual = False  # not in these words
 
     # Answers
 

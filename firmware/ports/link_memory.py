@@ -18,10 +18,9 @@ ESCAPES = const(9)  # whether bytes taken are such as ask for the prompt,
 FULL = const(10)  # whether the ring was so full that more may wait behind it,
 LENGTH = const(11)  # how much waits to be sent,
 TURNS = const(12)  # for how many turns nothing has come since, and
-DEAF = const(13)  # whether the host has not read for so long that it is taken for absent,
-ASKED = const(14)  # whether a $ has come that has not been answered yet,
-KEPT = const(15)  # and what has become of the last answer.
-REMEMBERED = const(16)
+DEAF = const(13)  # whether the host has not read for so long that it is taken for absent, and
+ASKED = const(14)  # whether a $ has come that has not been answered yet.
+REMEMBERED = const(15)
 JUST = const(1)
 
 # MicroPython's struct ringbuf_t: address, size : 16, iget : 16, iput : 16.

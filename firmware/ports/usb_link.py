@@ -1,4 +1,4 @@
-# mypy: disable-error-code=arg-type
+# mypy: disable-error-code="arg-type, has-type, misc"
 """The sender on the board's USB, which MicroPython calls stdin and stdout.
 
 MicroPython collects what has arrived in a ring of 512 bytes, and hands it out byte by byte at
@@ -30,7 +30,6 @@ from ports.link_memory import (
     ESCAPES,
     FULL,
     JUST,
-    KEPT,
     LENGTH,
     LINE,
     OPENED,
@@ -68,7 +67,6 @@ _OUT_BYTES = const(192)
 _QUIET_TURNS = const(2)
 _ANSWER = const(16)
 _LATER = const(1)
-_NOW = const(2)
 _DOLLAR = const(0x24)
 
 # With a count of bytes: there is more to see to. Or without one: answers are to be sent.
@@ -123,21 +121,29 @@ def _take(at: ptr32, buf: ptr8, room: int) -> int:
 
 
 @micropython.viper
-def _keep(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
-    """Put an answer behind those that wait to be sent. Returns KEPT: 0 where there is no room, and
-    NOW where they are to be sent."""
+def _keep(memory: object, data: ptr8, count: int) -> int:
+    """Put an answer behind those that wait to be sent. Returns 0 where there is no room, LATER, or
+    how many bytes of them are to be sent now. memory: what the link remembers, and its answers."""
+    at, out = memory
+    return int(_put(ptr32(at), ptr8(out), data, count))
+
+
+@micropython.viper
+def _put(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
     length = at[LENGTH]
-    at[KEPT] = 0
     if length + count > (_ANSWERS_BYTES if count <= _ANSWER else _OUT_BYTES):
         return 0
     for i in range(count):
         out[length + i] = data[i]
-    at[LENGTH] = length + count
-    kept = _NOW if count > _ANSWER or at[ASKED] else _LATER
+    length += count
+    at[LENGTH] = length
+    if count <= _ANSWER and at[ASKED] == 0:
+        return _LATER
     if count <= _ANSWER:
         at[ASKED] = 0
-    at[KEPT] = kept
-    return kept
+    at[LENGTH] = 0
+    at[TURNS] = 0
+    return length
 
 
 class UsbLink:
@@ -166,6 +172,7 @@ class UsbLink:
         self._since = 0
         self._escape = Escape(self.close)
         self.shared = self._at = array.array("i", (0 for _ in range(REMEMBERED)))
+        self._memory = self._at, self._waiting_out
         if sys.platform == "rp2":
             from ports import usb_ring
 
@@ -240,13 +247,13 @@ class UsbLink:
 
         return read_into
 
-    def _make_send(self) -> "Callable[[bytes | bytearray | memoryview, int], None]":
-        """The same, for what is to go now. A host that does not read is waited for once, then goes
-        without."""
+    def _make_send(self) -> "Callable[..., None]":
+        """The same, for what is to go now: so many bytes of the answers that wait, or of others. A
+        host that does not read is waited for once, then goes without."""
 
         def send(
-            data: "bytes | bytearray | memoryview",
             length: int,
+            data: "bytes | bytearray | memoryview" = self._waiting_out,
             at: "array.array[int]" = self._at,
             out: "Callable[[bytes | bytearray | memoryview, int], object]" = self._out.write,
             sendable: "Callable[[int], object]" = self._sendable.poll,
@@ -265,25 +272,26 @@ class UsbLink:
 
     def _make_write(self) -> "Callable[[bytes | bytearray | memoryview], None]":
         """The same, for answers."""
-        at, keep, waiting, go_on = self._at, _keep, self._waiting_out, self._send_answers
+        memory, keep, send, go_on = self._memory, _keep, self._send, self._make_room
 
         # Eleven values, on its way included: for more MicroPython takes memory at each call.
         def write(data: "bytes | bytearray | memoryview") -> None:
-            count = len(data)
-            if keep(at, waiting, data, count) != _LATER:
-                go_on(data, count)
+            kept = keep(memory, data, len(data))
+            if kept > _LATER:
+                send(kept)
+            elif not kept:
+                go_on(data)
 
         return write
 
-    def _send_answers(self, data: "bytes | bytearray | memoryview", count: int) -> None:
-        """An answer is not to wait, or finds no room among those that do."""
-        at = self._at
-        if not at[KEPT]:
-            self._flush()
-            if not _keep(at, self._waiting_out, data, count):
-                self._send(data, count)
-        if at[KEPT] == _NOW:
-            self._flush()
+    def _make_room(self, data: "bytes | bytearray | memoryview") -> None:
+        """An answer finds no room behind those that wait."""
+        self._flush()
+        kept = _keep(self._memory, data, len(data))
+        if kept > _LATER:
+            self._send(kept)
+        elif not kept:
+            self._send(len(data), data)
 
     def _note(self, buf: bytearray, count: int) -> int:
         """See to more than bytes. Returns their count."""
@@ -342,7 +350,7 @@ class UsbLink:
         at = self._at
         length, at[LENGTH], at[TURNS] = at[LENGTH], 0, 0
         if length:
-            self._send(self._waiting_out, length)
+            self._send(length)
         return 0
 
     def close(self) -> None:

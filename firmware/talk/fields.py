@@ -1,60 +1,74 @@
-# mypy: disable-error-code=arg-type
+# mypy: disable-error-code="arg-type, call-overload, has-type, misc"
 """Fields: what nearly every status report is made of, in two kernels.
 
 To ask each object for its part and to write it by itself takes a Pico a millisecond.
 """
 
 import micropython
+from base import state as st
 from base.singles import divide
 from base.state import RPM
+from micropython import const
 from motion.layout import AT, CARRY, FACTOR, HEAD, LOADED, REACHED, ROWS, TAIL
 from motion.reals import per_minute, ratio
 
 from talk.digits import END, VALUES, write
 from talk.lines import room
 
+# States in which there is a feed rate.
+MOVING = const(st.HOMING | st.RUN | st.HOLD | st.JOG | st.DOOR)
+
 
 @micropython.viper
-def begin(
-    name: ptr8,
-    out: ptr8,
-    ints: ptr32,
-    steps: ptr32,
-    table: ptr32,
-    at: int,
-    mm: ptr32,
-    axes: int,
-) -> int:
-    """A report begins, with the name of a state; and machine position in mm, not written yet. at:
-    where in the table steps per mm are."""
-    ints[END] = 0
-    write(name, out, ints, mm)
-    divide(steps, table, at, mm, axes)
+def begin(name: ptr8, memory: object) -> int:
+    """A report begins, with the name of a state; and machine position in mm, not written yet.
+    memory: text, integers, singles, axes, steps, planner's table, where in it steps per mm are."""
+    out, ints, mm, axes, steps, table, at = memory
+    ptr32(ints)[END] = 0
+    write(name, ptr8(out), ptr32(ints), ptr32(mm))
+    divide(ptr32(steps), ptr32(table), int(at), ptr32(mm), int(axes))
     return 0
 
 
 @micropython.viper
-def usual(
-    name: ptr8,
+def usual(name: ptr8, memory: object, spindle: ptr32, state: int) -> int:
+    """A whole report: state, machine position, room in buffers, and speeds, as the form has them.
+    Returns its length. memory: the form, begin()'s, text, integers, singles with room for the
+    spindle's speed behind the axes, axes, the planner's flow and ring, LineReader's own, and
+    whether the form asks for room."""
+    form, begun, out, ints, mm, axes, flow, ring, reader, buffers = memory
+    begin(name, begun)
+    return int(
+        _speeds(
+            ptr8(form),
+            ptr8(out),
+            ptr32(ints),
+            ptr32(mm),
+            int(axes),
+            ptr32(flow),
+            ptr32(ring),
+            ptr32(reader),
+            int(buffers),
+            ptr32(spindle),
+            state,
+        )
+    )
+
+
+@micropython.viper
+def _speeds(
     form: ptr8,
     out: ptr8,
     ints: ptr32,
-    steps: ptr32,
-    table: ptr32,
-    at: int,
     mm: ptr32,
     axes: int,
     flow: ptr32,
     ring: ptr32,
     reader: ptr32,
-    spindle: ptr32,
     buffers: int,
-    moves: int,
+    spindle: ptr32,
+    state: int,
 ) -> int:
-    """A whole report: state, machine position, room in buffers, and speeds, as the form has them.
-    Returns its length. reader: LineReader's own; mm has room for the spindle's speed behind the
-    axes; buffers: whether the form asks for room."""
-    begin(name, out, ints, steps, table, at, mm, axes)
     value = VALUES
     if buffers:
         free = flow[TAIL] - flow[HEAD] - 1
@@ -62,7 +76,7 @@ def usual(
         ints[value + 1] = int(room(reader))
         value += 2
     rate = 0
-    if moves:
+    if state & MOVING:
         rate = flow[CARRY]
         if flow[LOADED]:
             rate = int(ratio(flow[REACHED], ring[flow[AT] + FACTOR]))

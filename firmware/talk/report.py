@@ -17,13 +17,11 @@ from motion import reals
 from motion.layout import LIMITS, RESOLUTION
 
 from talk.digits import END, VALUES, number, write
-from talk.fields import begin, usual
+from talk.fields import MOVING, begin, usual
 from talk.lines import room
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from base.settings import Settings
     from base.state import State
     from control.coolant import Coolant
@@ -64,7 +62,6 @@ _OVERRIDE_BUSY = const(20)
 _LONGEST = const(112)
 _PER_AXIS = const(26)
 _VALUES = const(3)  # at once, in a form
-_MOVING = const(st.HOMING | st.RUN | st.HOLD | st.JOG | st.DOOR)
 
 
 class Report:
@@ -109,10 +106,8 @@ class Report:
         spindle: "Spindle",
         coolant: "Coolant",
         reader: "array[int]",
-        position: "Callable[[array[float]], None]",
     ) -> None:
-        """Say whom a status report is to ask. reader: where LineReader is in its ring; position:
-        copies the machine position in mm."""
+        """Say whom a status report is to ask. reader: where LineReader is in its ring."""
         self._engine = engine
         self._planner = planner
         self._segments = segments
@@ -120,19 +115,13 @@ class Report:
         self._spindle = spindle
         self._coolant = coolant
         self._reader = reader
-        # What a report is made of, for each attribute that is looked up costs 5 us.
-        self._known = (
-            self._text,
-            self._ints,
-            self._mm,
-            array("i", bytes(4 * planner.motors)),
-            planner.table,
-            LIMITS + RESOLUTION * self._axes,
-            self._axes,
-            engine.position,
-            planner.kinematics,
-        )
-        self._position = position
+        self._steps = array("i", bytes(4 * planner.motors))
+        # What begin() and usual() work on; to look each up costs 5 us.
+        self._written = self._text, self._ints, self._mm, self._axes
+        resolution = LIMITS + RESOLUTION * self._axes
+        self._begun = self._written + (self._steps, planner.table, resolution)
+        self._count = engine.position
+        self._kinematics = planner.kinematics
 
     def configure(self) -> None:
         """Take over $10 and $13: forms of digits.write(), which end with a 0."""
@@ -147,12 +136,13 @@ class Report:
         if settings.report_mask & _REPORT_BUFFERS:
             self._place_form = self._place_form[:-1] + b"|Bf:%,%\0"
         self._is_laser = settings.laser_mode
-        # All of it in one kernel, where nothing else is to be told; or nothing.
+        # All of it in one kernel, where nothing else is to be told.
         form = self._place_form[:-1] + b"|FS:%,#0>\r\n\0"
-        is_usual = settings.report_mask & _REPORT_MPOS and not settings.report_inches
-        self._usual_form = form if is_usual and not self._line_numbers else b""
         planner, buffers = self._planner, settings.report_mask & _REPORT_BUFFERS
-        self._usual = planner.flow, planner.ring, self._reader, form, buffers
+        asked = planner.flow, planner.ring, self._reader, buffers
+        self._usual = (form, self._begun) + self._written + asked
+        in_mm = settings.report_mask & _REPORT_MPOS and not settings.report_inches
+        self._is_usual = bool(in_mm and not self._line_numbers)
 
     # Answers
 
@@ -252,41 +242,40 @@ class Report:
     def status(self) -> "memoryview":
         """The answer to ?, to be sent before there is another."""
         state = self._state
-        text, ints, mm, steps, table, resolution, axes, position, kinematics = self._known
-        position(steps)
-        if kinematics:
-            kinematics.to_axes(steps)
-        run = state.run
-        name = _STATES.get(run) or self._suspended()
-        shown, turns = state.wco_countdown, state.override_countdown
+        self._count(self._steps)
+        if self._kinematics:
+            self._kinematics.to_axes(self._steps)
+        name = _STATES.get(state.run) or self._suspended()
         closed = self._inputs.closed()
-        if shown and turns and not closed and self._usual_form:
-            state.wco_countdown, state.override_countdown = shown - 1, turns - 1
-            moves = run & _MOVING
-            spindle = self._beam() if moves and self._is_laser else state.spindle
-            flow, ring, reader, form, buffers = self._usual
-            end = usual(
-                name, form, text, ints, steps, table, resolution, mm, axes,
-                flow, ring, reader, spindle, buffers, moves,
-            )  # fmt: skip
+        if closed or not (self._is_usual and state.wco_countdown and state.override_countdown):
+            end = self._long(name, closed)
         else:
-            begin(name, text, ints, steps, table, resolution, mm, axes)
-            self._fields(text, ints, mm, closed)
-            end = write(b">\r\n\0", text, ints, mm)
+            state.wco_countdown -= 1
+            state.override_countdown -= 1
+            spindle = self._beam() if self._is_laser and state.run & MOVING else state.spindle
+            end = usual(name, self._usual, spindle, state.run)
         if end != self._sent:
             # A piece of a buffer is an object; most reports are as long as the last one.
             self._sent = end
-            self._piece = memoryview(text)[:end]
+            self._piece = memoryview(self._text)[:end]
         return self._piece
 
     # Its parts. Each call of one takes 40 us of the board's time.
+
+    def _long(self, name: bytes, closed: int) -> int:
+        """A report that says more than most, or all in other units. Returns its length. closed:
+        inputs."""
+        begin(name, self._begun)
+        text, ints, mm = self._text, self._ints, self._mm
+        self._fields(text, ints, mm, closed)
+        return write(b">\r\n\0", text, ints, mm)
 
     def _fields(
         self, text: bytearray, ints: "array[int]", mm: "array[float]", closed: int
     ) -> None:
         """All behind the state. mm: machine position, not written yet; closed: inputs."""
         state, planner, settings = self._state, self._planner, self._settings
-        mask, inches, moves = settings.report_mask, settings.report_inches, state.run & _MOVING
+        mask, inches, moves = settings.report_mask, settings.report_inches, state.run & MOVING
         if not mask & _REPORT_MPOS:
             add(self._work_offset(), MINUS, mm, self._axes)
         if mask & _REPORT_BUFFERS:
@@ -369,7 +358,7 @@ class Report:
     def _extras(self, text: bytearray, ints: "array[int]") -> None:
         """WCO: now and then, Ov: and A: now and then but not with it."""
         state = self._state
-        busy = state.run & _MOVING
+        busy = state.run & MOVING
         if state.wco_countdown > 0:
             state.wco_countdown -= 1
         else:
