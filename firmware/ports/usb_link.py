@@ -137,9 +137,9 @@ def _put(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
         out[length + i] = data[i]
     length += count
     at[LENGTH] = length
-    if count <= _ANSWER and at[ASKED] == 0:
-        return _LATER
     if count <= _ANSWER:
+        if at[ASKED] == 0:
+            return _LATER
         at[ASKED] = 0
     at[LENGTH] = 0
     at[TURNS] = 0
