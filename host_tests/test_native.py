@@ -199,6 +199,14 @@ def test_what_would_go_wrong_in_silence_raises(tmp_path: Path) -> None:
     assert made["at"](memoryview(words)[1:], 0) == 9
 
 
+@needs_compiler
+def test_a_view_of_what_cannot_be_written_is_read_as_it_is(tmp_path: Path) -> None:
+    text = "@micropython.viper\ndef at(p: ptr8, i: int) -> int:\n    return p[i]\n"
+    (read,) = library(tmp_path, text).values()
+    for byte in range(256):  # a copy that is let go of too soon soon holds something else
+        assert [read(memoryview(bytes([byte]) * 8), i) for i in range(8)] == [byte] * 8
+
+
 def test_every_kernel_is_translated() -> None:
     listed = set(re.findall(r'^ +"(\S+) (\S+)', native.in_c(build.texts()), re.MULTILINE))
     assert {("motion.plan_kernel", "plan"), ("language.fast_kernel", "follow")} <= listed

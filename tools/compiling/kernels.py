@@ -139,6 +139,7 @@ class _Pointer:
         except TypeError:  # nothing can be written there: a copy does as well
             start = ctypes.c_char.from_buffer(bytearray(memory))
         at = _Memory(ctypes.addressof(start), length // self._size)
+        at.start = start  # what is handed on holds it: a copy has nobody else
         if not isinstance(memory, memoryview) or kept_views.get(id(memory)) is memory:
             if len(self._kept) >= _MOST_KEPT:
                 # Another argument of this call may be one of them.
