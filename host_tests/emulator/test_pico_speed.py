@@ -52,7 +52,7 @@ _ROWS: "dict[str, tuple[float, Sequence[str]]]" = {
     "short moves with a new F": (1, ["short moves, a new F each"]),
     "clusters of 16 dots": (1, ["dots of clusters, M4"]),
     "half circles of 1 mm": (1, ["half circles of 1 mm"]),
-    "circles of 702 chords": (1, ["chords of circles", "chords of circles, check mode"]),
+    "circles of 702 chords": (1, ["chords of circles"]),
     "a line with words in force": (
         *(1, ["a line with words in force", "a line with words in force and a move"]),
     ),
