@@ -53,6 +53,7 @@ _ROWS: "dict[str, tuple[float, Sequence[str]]]" = {
     "clusters of 16 dots": (1, ["dots of clusters, M4"]),
     "half circles of 1 mm": (1, ["half circles of 1 mm"]),
     "circles of 702 chords": (1, ["chords of circles"]),
+    "chords of such circles": (1, ["chords of circles, check mode"]),
     "a line with words in force": (
         *(1, ["a line with words in force", "a line with words in force and a move"]),
     ),
