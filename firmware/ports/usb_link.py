@@ -287,11 +287,10 @@ class UsbLink:
     def _make_room(self, data: "bytes | bytearray | memoryview") -> None:
         """An answer finds no room behind those that wait."""
         self._flush()
-        kept = _keep(self._memory, data, len(data))
-        if kept > _LATER:
-            self._send(kept)
-        elif not kept:
+        if len(data) > _OUT_BYTES:
             self._send(len(data), data)
+        else:
+            self.write(data)
 
     def _note(self, buf: bytearray, count: int) -> int:
         """See to more than bytes. Returns their count."""

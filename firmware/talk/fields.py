@@ -5,9 +5,8 @@ To ask each object for its part and to write it by itself takes a Pico a millise
 """
 
 import micropython
-from base import state as st
 from base.singles import divide
-from base.state import RPM
+from base.state import DOOR, HOLD, HOMING, JOG, RPM, RUN
 from micropython import const
 from motion.layout import AT, CARRY, FACTOR, HEAD, LOADED, REACHED, ROWS, TAIL
 from motion.reals import per_minute, ratio
@@ -16,7 +15,7 @@ from talk.digits import END, VALUES, write
 from talk.lines import room
 
 # States in which there is a feed rate.
-MOVING = const(st.HOMING | st.RUN | st.HOLD | st.JOG | st.DOOR)
+MOVING = const(HOMING | RUN | HOLD | JOG | DOOR)
 
 
 @micropython.viper

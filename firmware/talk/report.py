@@ -108,7 +108,6 @@ class Report:
         reader: "array[int]",
     ) -> None:
         """Say whom a status report is to ask. reader: where LineReader is in its ring."""
-        self._engine = engine
         self._planner = planner
         self._segments = segments
         self._inputs = inputs
