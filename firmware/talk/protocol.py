@@ -158,7 +158,8 @@ class Protocol:
         except (GrblError, OSError, Abort) as reason:
             self._refuse(reason, before)
         else:
-            self.link.write(before)
+            if before:
+                self.link.write(before)
             self.link.write(OK)
 
     def _whose(self, line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
