@@ -92,7 +92,7 @@ def test_a_fault_is_told_again_to_who_asks_and_kept_for_afterwards(
 ) -> None:
     text = 'Traceback\n  File "talk.lines", line 1, in feed\nIndexError: [1]'
     monkeypatch.setattr(
-        sys, "print_exception", lambda fault, file: file.write(text), raising=False
+        sys, "print_exception", lambda fault, file: file.write(text.encode()), raising=False
     )
     machine: Any = SimpleNamespace(
         state=State(),

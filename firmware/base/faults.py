@@ -5,6 +5,8 @@ import sys
 
 from micropython import const
 
+from base.text import text_of
+
 _LONGEST = const(120)
 # What senders look for, and what is said instead.
 _TOLD = (
@@ -20,9 +22,9 @@ _TOLD = (
 
 def trace(fault: BaseException) -> "list[str]":
     """The whole traceback, a text per line."""
-    out = io.StringIO()
+    out = io.BytesIO()  # names in a damaged source are no text
     sys.print_exception(fault, out)
-    return out.getvalue().strip().split("\n")
+    return [text_of(line) for line in out.getvalue().strip().split(b"\n")]
 
 
 def harmless(text: str) -> str:
@@ -31,7 +33,7 @@ def harmless(text: str) -> str:
     for byte in text[:_LONGEST].encode("utf-8", "surrogatepass"):
         if byte & 0xC0 != 0x80:  # a letter has one that is not so, its first
             clean.append(byte if 32 <= byte < 127 and byte not in b"[]" else 32)
-    text = clean.decode()
+    text = text_of(clean)
     for word, told in _TOLD:
         if word in text:
             text = text.replace(word, told)

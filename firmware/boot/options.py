@@ -5,6 +5,7 @@ once the machine is built: a board forgets this module then.
 """
 
 from base.settings import Settings
+from base.text import text_of
 from control.canon import Canon
 from control.inputs import Inputs
 from control.seek import Seek
@@ -112,4 +113,4 @@ class Options:
         ):
             if on:
                 text.append(letter)
-        return "%s,%d,%d" % (text.decode(), self.blocks - 1, self.rx_bytes)
+        return "%s,%d,%d" % (text_of(text), self.blocks - 1, self.rx_bytes)

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _RESET = const(0x18)
 _QUESTION = const(0x3F)
 _DOLLAR = const(0x24)
+_MESSAGE = "[MSG:%s]"
 
 # Main.py has a collection of garbage begin here. Were it to come from one module to another, more
 # would wait to be looked into than the 64 that it keeps in mind, and it would search all of memory
@@ -108,10 +109,11 @@ def _alarm(machine: "Controller", link: "BoardLink", fault: BaseException) -> No
 
 def _stay(link: "BoardLink | None", fault: Exception) -> None:
     """There is no machine: tell why, again to whoever writes to us."""
-    line = _line(_text(fault))
+    text = _text(fault)
     if link is None:
-        print(line.decode())
+        print(_MESSAGE % text)
         return
+    line = _line(text)
     try:
         buf = bytearray(16)
         link.write(line)
@@ -125,17 +127,17 @@ def _stay(link: "BoardLink | None", fault: Exception) -> None:
 def _stay_without_parts(fault: Exception) -> None:
     """The same where a file is missing or spoilt: nothing is there that hears who writes, so it is
     told every second. What is typed is left to the prompt."""
-    line = _line(_text(fault)).decode().strip()
+    text = _MESSAGE % _text(fault)
     try:
         while True:
-            print(line)
+            print(text)
             time.sleep(1)
     except KeyboardInterrupt:
         return
 
 
 def _line(text: str) -> bytes:
-    return ("[MSG:%s]\r\n" % text).encode()
+    return (_MESSAGE % text + "\r\n").encode()
 
 
 def _text(fault: BaseException) -> str:

@@ -3,6 +3,11 @@
 
 def clean(line: str) -> bytearray:
     """As lines come from the reader: upper case, no spaces, no comments; a 0 follows."""
+    return bytearray(code_of(line).encode() + b"\0")
+
+
+def code_of(line: str) -> str:
+    """The same as text."""
     code = ""
     within = False
     for c in line.upper():
@@ -14,7 +19,7 @@ def clean(line: str) -> bytearray:
             within = True
         elif c > " " and c != "/":
             code += c
-    return bytearray(code.encode() + b"\0")
+    return code
 
 
 def words_of(text: str) -> "list[tuple[str, float]]":

@@ -11,6 +11,7 @@ from base import errors
 from base import state as st
 from base.errors import GrblError
 from base.faults import harmless
+from base.text import text_of
 from micropython import const
 from talk.lines import LineReader
 
@@ -99,7 +100,7 @@ class Jobs:
 
     def _do(self, words: bytes) -> None:
         verb, equals, rest = words.partition(b"=")
-        name = rest.decode()
+        name = text_of(rest)
         if not words:
             self._list()
         elif words == b"B":

@@ -11,6 +11,7 @@ from base.errors import (
     GCODE_MODAL_GROUP_VIOLATION,
     GrblError,
 )
+from base.text import text_of
 from control.modes import SPINDLE
 from language import checks
 from micropython import const
@@ -224,7 +225,7 @@ class Lenient:
 def _words(line: bytearray, length: int) -> "list[Word] | None":
     """The words of a line, without marks of tapes; None where it does not consist of words."""
     found = []
-    for letter, number in as_written(line[:length].decode().strip("%")):
+    for letter, number in as_written(text_of(line[:length]).strip("%")):
         if not "A" <= letter <= "Z" or any(c not in _NUMBER for c in number):
             return None
         try:

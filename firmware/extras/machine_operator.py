@@ -11,12 +11,13 @@ from base import state as st
 from base.errors import GrblError
 from base.f32 import vector
 from base.faults import harmless
+from base.text import text_of
 from control.coords import NAMES
 from control.modes import INCHES
 from micropython import const
 
 from extras.api import work_zero
-from extras.gcode_text import clean, words_of
+from extras.gcode_text import clean, code_of, words_of
 from extras.handlers import Refused
 from extras.keep import Keep
 from extras.letters import LETTERS
@@ -159,7 +160,7 @@ class Operator(PinOperator):
 
     def _in_work(self, words: str) -> str:
         """The words without a G53: places as they read in work coordinates."""
-        text = clean(words)[:-1].decode()
+        text = code_of(words)
         if "G53" not in text:
             return text
         self.g("G21G90")
@@ -189,7 +190,7 @@ class Operator(PinOperator):
         G10 L2 does it."""
         coords = self._machine.coords
         axes = ""
-        for letter, number in words_of(clean(words)[:-1].decode()):
+        for letter, number in words_of(code_of(words)):
             axis = LETTERS.index(letter)
             beyond = self._zero(axis) - coords.systems[coords.active][axis]
             axes += "%s%.4f" % (letter, at[axis] - number - beyond)
@@ -223,9 +224,10 @@ class Operator(PinOperator):
 
     def run(self, file: str) -> None:
         """Execute a file of G-code that is on the board."""
-        with open(file) as lines:
-            for number, line in enumerate(lines, 1):
-                self._line(line, "%s:%d: %s" % (file, number, line.rstrip()))
+        with open(file, "rb") as lines:
+            for number, read in enumerate(lines, 1):
+                line = text_of(read.rstrip())
+                self._line(line, "%s:%d: %s" % (file, number, line))
 
     # Motion that is asked for, also beside other motion
 

@@ -8,6 +8,7 @@ they are told to nobody. docs/network.md has the words.
 
 from base import errors
 from base.errors import GrblError
+from base.text import text_of
 from micropython import const
 from talk.lines import COMPLETE, END, HEAD, LENGTH, SKIPPING, TAIL
 
@@ -106,7 +107,7 @@ class Network:
 
     def command(self, rest: bytes) -> None:
         """$NET, and $NET/… as lines come, without the slash. Raises GrblError."""
-        name, sign, text = _parted(rest.decode())
+        name, sign, text = _parted(text_of(rest))
         link = self._link
         if not rest:
             count = link.callers() if link else 0

@@ -10,6 +10,7 @@ spoils the other.
 import binascii
 import os
 
+from base.text import text_of
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -55,7 +56,13 @@ def _called(name: bytes) -> str:
     have whatever signs."""
     upper = name.upper()
     fits = 0 < len(upper) <= _LONGEST and upper[:1] != b"." and all(c in _SIGNS for c in upper)
-    return upper.decode() if fits else ""
+    return text_of(upper) if fits else ""
+
+
+def _coming(name: bytes, end: str) -> str:
+    """The job that a file of ours with that end belongs to; "" where it is another file."""
+    job = name[: -len(end)] if name.endswith(end.encode()) else b""
+    return text_of(job) if _called(job) else ""
 
 
 class JobFiles:
@@ -84,8 +91,9 @@ class JobFiles:
         if self._card:
             self._around(self._card.mount)
             for name in self._names():
-                if name.endswith(_WHOLE.encode()):
-                    self._copy(name[: -len(_WHOLE)].decode())
+                job = _coming(name, _WHOLE)
+                if job:
+                    self._copy(job)
 
     def lose(self) -> bool:
         """Behind an OSError: look for the card anew next time. Returns whether they are on one."""
@@ -119,9 +127,10 @@ class JobFiles:
         """The name as it is written, whatever its capitals, and bytes; "" and -1 without one."""
         for there in self._names():
             if _called(there) == name:
-                size = self._size(there.decode())
+                written = text_of(there)
+                size = self._size(written)
                 if size >= 0:
-                    return there.decode(), size
+                    return written, size
         return "", -1
 
     def _size(self, name: str) -> int:
@@ -136,7 +145,7 @@ class JobFiles:
     def files(self) -> "list[tuple[str, int]]":
         """Names and sizes, in order."""
         found = []
-        for name in [there.decode() for there in self._names() if _called(there)]:
+        for name in [text_of(there) for there in self._names() if _called(there)]:
             self.turn()
             size = self._size(name)
             if size >= 0:
@@ -176,8 +185,9 @@ class JobFiles:
         if not self._is_there():
             self._around(lambda: os.mkdir(self._folder))
         for left in self._names():
-            if left.endswith(_NEW.encode()):  # of a transfer that a power cut has ended
-                self._remove(left.decode())
+            job = _coming(left, _NEW)
+            if job:  # of a transfer that a power cut has ended
+                self._remove(job + _NEW)
         return self._create(name + _NEW)
 
     def _create(self, name: str) -> "IO[bytes]":

@@ -6,6 +6,7 @@ from base import errors
 from base import state as st
 from base.errors import GrblError
 from base.f32 import whole
+from base.text import text_of
 from control.coolant import FLOOD, MIST
 from control.modes import (
     COOLANT,
@@ -274,7 +275,7 @@ class Commands:
         elif line[2] != 61:
             raise GrblError(errors.INVALID_STATEMENT)
         else:
-            self._store.save(_BUILD_INFO, [line[3:length].decode()])
+            self._store.save(_BUILD_INFO, [text_of(line[3:length])])
 
     def _restore(self, line: bytearray, length: int) -> None:
         what = line[5] if length == 6 else 0
@@ -312,7 +313,7 @@ class Commands:
         self._canon.synchronise()  # memory is written at rest
         index = whole(number)
         if 0 <= index < STARTUP_LINES:
-            self._startup[index] = bytes(kept[: length - at - 1]).decode()
+            self._startup[index] = text_of(kept[: length - at - 1])
             self._keep_startup()
 
     def _set(self, line: bytearray, _length: int) -> None:

@@ -10,6 +10,7 @@ in floats and strings, and no memory.
 from array import array
 
 import micropython
+from base.text import text_of
 from micropython import const
 
 # What write() is told, and tells.
@@ -124,4 +125,4 @@ def number(x: float, decimals: int) -> str:
     _end[END] = 0
     _single[0] = x
     end = write(b"#%d\0" % decimals, _out, _end, _single)
-    return _out[:end].decode()
+    return text_of(_out[:end])

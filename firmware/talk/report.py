@@ -11,6 +11,7 @@ from base import errors
 from base import state as st
 from base.f32 import INCH_PER_MM, copy, f32, vector
 from base.singles import MINUS, add
+from base.text import text_of
 from control.coords import NAMES
 from micropython import const
 from motion import reals
@@ -167,7 +168,7 @@ class Report:
 
     def echo(self, line: bytes) -> None:
         """The line as it was understood."""
-        self._line("[echo: " + line.decode() + "]")
+        self._link.write(b"[echo: " + line + b"]\r\n")
 
     def setting(self, key: int, value: float, decimals: int) -> None:
         """One line of $$."""
@@ -216,7 +217,7 @@ class Report:
         """Axis values in the units of reports."""
         self._ints[END] = 0
         self._lengths(b"\0", mm)
-        return self._text[: self._ints[END]].decode()
+        return text_of(self._text[: self._ints[END]])
 
     def _length(self, mm: float) -> str:
         if self._settings.report_inches:

@@ -14,6 +14,7 @@ end, or a value that does not fit, raises in both modes. What is not modelled do
 import ast
 import builtins
 import copy
+import io
 import linecache
 import os
 import sys
@@ -58,8 +59,12 @@ def stack_use() -> int:
 
 
 def _print_exception(fault: BaseException, file: Any = None) -> None:
-    """What MicroPython's sys has besides."""
-    traceback.print_exception(fault, file=file)
+    """What MicroPython's sys has besides; there a file of bytes takes what is printed."""
+    text = "".join(traceback.format_exception(fault))
+    if isinstance(file, io.BytesIO):
+        file.write(text.encode("utf-8", "surrogatepass"))
+    else:
+        (file or sys.stdout).write(text)
 
 
 if not hasattr(sys, "print_exception"):
