@@ -481,6 +481,9 @@ class NetworkLink(Link, Protocol):
 class Store(Protocol):
     """Text lines kept over power-off, by name."""
 
+    # What load() could not read the newest copy of; whether it has returned an older one.
+    damaged: dict[str, bool]
+
     def load(self, name: str) -> list[str] | None:
         """No lines where there never were any under that name, None where they are lost."""
 

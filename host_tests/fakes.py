@@ -302,6 +302,7 @@ class FakeStore:
 
     def __init__(self, *full: str) -> None:
         self.files: "dict[str, list[str]]" = {}
+        self.damaged: "dict[str, bool]" = {}
         self._full = full
 
     def load(self, name: str) -> "list[str] | None":

@@ -146,6 +146,7 @@ class Shelf:
     def _put_in(self, image: bytes) -> None:
         self._flash = Flash(image)
         self._store = attach(self._monkeypatch, self._flash)
+        self.damaged = self._store.damaged
 
     def load(self, name: str) -> "list[str] | None":
         return self._store.load(name)

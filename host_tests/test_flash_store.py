@@ -81,8 +81,8 @@ def test_what_is_saved_is_loaded_and_the_copy_before_it_kept(
     store.save("settings", OLD)
     store.save("settings", NEW)
     assert store.load("settings") == NEW
-    with flash_store.open("/settings.txt", "w") as file:  # type: ignore[attr-defined]
-        file.write("$0=")
+    with flash_store.open("/settings.txt", "wb") as file:  # type: ignore[attr-defined]
+        file.write(b"$0=")
     assert store.load("settings") == OLD
 
 
@@ -90,8 +90,8 @@ def test_what_was_never_kept_is_told_from_what_is_lost(monkeypatch: pytest.Monke
     store = attach(monkeypatch, Flash(), fresh=True)
     assert store.load("settings") == []
     store.save("settings", OLD)
-    with flash_store.open("/settings.txt", "w") as file:  # type: ignore[attr-defined]
-        file.write("$0=")
+    with flash_store.open("/settings.txt", "wb") as file:  # type: ignore[attr-defined]
+        file.write(b"$0=")
     assert store.load("settings") is None
     assert store.load("startup") == []
 
@@ -131,6 +131,26 @@ def test_a_power_cut_at_any_write_leaves_the_old_or_the_new(
     assert len(found) == 2, "the cuts fall on both sides of the change"
 
 
+def test_a_power_cut_in_a_save_after_a_power_cut_leaves_what_was_read_or_the_new(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """No copy that counts is written over."""
+    first, third = Flash(), ["$0=5"]
+    attach(monkeypatch, first, fresh=True).save("settings", OLD)
+    chip = Flash(bytes(first.buffer))
+    attach(monkeypatch, chip).save("settings", NEW)
+    for whole in range(len(chip.log) + 1):
+        image = cut(bytes(first.buffer), chip.log, whole, 0)
+        again = Flash(image)
+        store = attach(monkeypatch, again)
+        there = store.load("settings")
+        store.save("settings", third)
+        for later in range(len(again.log) + 1):
+            left = attach(monkeypatch, Flash(cut(image, again.log, later, 0)))
+            assert left.load("settings") in (there, third), (whole, later)
+            assert not left.damaged, "a power cut is no damage"
+
+
 class FullFile:
     def __enter__(self) -> FullFile:
         return self
@@ -138,7 +158,7 @@ class FullFile:
     def __exit__(self, *_: object) -> None:
         pass
 
-    def write(self, _: str) -> int:
+    def write(self, _: bytes) -> int:
         raise OSError(28)
 
 
@@ -148,7 +168,7 @@ def test_a_full_flash_is_told_of_and_loses_nothing(monkeypatch: pytest.MonkeyPat
     working = flash_store.open  # type: ignore[attr-defined]
 
     def full(path: str, mode: str = "r") -> Any:
-        return FullFile() if mode == "w" else working(path, mode)
+        return FullFile() if mode == "wb" else working(path, mode)
 
     monkeypatch.setattr(flash_store, "open", full)
     with pytest.raises(OSError, match="28"):
@@ -188,6 +208,7 @@ def test_a_write_is_told_of_even_where_it_fails(
     store.before, store.after = lambda: told.append("before"), lambda: told.append("after")
     assert store.load("settings") == [] and told == []
     if full:
+        monkeypatch.setattr(FullFile, "read", lambda _: b"", raising=False)
         monkeypatch.setattr(flash_store, "open", lambda *_: FullFile(), raising=False)
         with pytest.raises(OSError, match="28"):
             store.save("settings", NEW)

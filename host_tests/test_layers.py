@@ -144,3 +144,33 @@ def test_functions_and_files_stay_short(path):
 def test_no_tool_hides_a_folder_beside_it(folder):
     """Both are on the path of a replay, and a module wins over a folder without __init__.py."""
     assert not (FIRMWARE.parent / "tools" / f"{folder}.py").exists()
+
+
+# Who makes text of bytes: what is no text raises there, wherever it comes from.
+DECODES = {"base.text": 1, "ports.flash_store": 1}  # a sender's; what a checksum has vouched for
+
+
+def decodings(tree):
+    """What makes text of bytes: x.decode(), str(x, …), and reading a file opened as text."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and node.attr == "decode":
+            yield node
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            mode = ast.unparse(node.args[1]) if len(node.args) > 1 else ""
+            if (node.func.id == "str" and len(node.args) + len(node.keywords) > 1) or (
+                node.func.id == "open" and "b" not in mode
+            ):
+                yield node
+
+
+@each_file
+def test_bytes_become_text_in_one_place(path):
+    found = [ast.unparse(node) for node in decodings(ast.parse(path.read_text()))]
+    wanted = DECODES.get(module_name(path), 0)
+    assert len(found) == wanted, f"base.text.text_of makes text of bytes, and not {found}"
+
+
+def test_whatever_makes_text_of_bytes_is_found():
+    text = "x.decode()\nstr(x, 'utf-8')\nopen(x)\nopen(x, 'w')\nf = x.decode\n"
+    assert len(list(decodings(ast.parse(text)))) == 5
+    assert not list(decodings(ast.parse("open(x, 'rb')\nstr(x)\nx.open(y)\n")))

@@ -128,6 +128,7 @@ MSG_SPINDLE_RESTORE = "Restoring spindle"
 MSG_SLEEP = "Sleeping"
 MSG_FIRST_START = "First start: factory settings"
 MSG_NOT_KEPT = "Flash is full or worn: not kept"
+MSG_DAMAGED = "Damaged in flash: %s (%s)"
 
 # What tells builds apart: `ugrbl build` writes it here, and `ugrbl decode` looks for its map.
 BUILD_ID = "--------"

@@ -18,6 +18,7 @@ class Saves:
 
     def __init__(self, store: "Store") -> None:
         self._store = store
+        self.damaged = store.damaged
         self.due: "dict[str, list[str]]" = {}
 
     def load(self, name: str) -> "list[str] | None":

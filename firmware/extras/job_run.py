@@ -245,6 +245,7 @@ class JobRun:
         else:
             self._close_rest()
         if not self._has_started:
+            self.kept(BUTTON)  # for what is damaged to be known from the start
             kept = self.journal()
             if kept:
                 self.tell(kept[0], "did not come to its end; last noted: line " + kept[1])

@@ -22,31 +22,25 @@ class Keep:
 
     def __init__(self, saves: "Saves") -> None:
         self._saves = saves
-        self._values: "dict[str, Any] | None" = None
+        self._values: "dict[str, Any]" = {}
         self.is_due = False
-
-    def _read(self) -> "dict[str, Any]":
-        if self._values is None:
-            values = {}
-            for line in self._saves.load(_FILE) or ():
-                try:
-                    name, value = json.loads(line)
-                except (ValueError, TypeError):
-                    continue  # damaged: the others are as they were
-                if isinstance(name, str):
-                    values[name] = value
-            self._values = values
-        return self._values
+        for line in saves.load(_FILE) or ():
+            try:
+                name, value = json.loads(line)
+            except (ValueError, TypeError):
+                continue  # damaged: the others are as they were
+            if isinstance(name, str):
+                self._values[name] = value
 
     def __getitem__(self, name: str) -> "Any":
-        return self._read()[name]
+        return self._values[name]
 
     def __contains__(self, name: str) -> bool:
-        return name in self._read()
+        return name in self._values
 
     def get(self, name: str, default: "Any" = None) -> "Any":
         """The value, or another where there is none."""
-        return self._read().get(name, default)
+        return self._values.get(name, default)
 
     def __setitem__(self, name: str, value: "Any") -> None:
         """TypeError where it is neither a number nor a text, or its name is no text; ValueError
@@ -59,17 +53,16 @@ class Keep:
             raise ValueError("keep: %s is not finite" % name)
         if not isinstance(value, (int, float, str)):
             raise TypeError("keep: %s is neither a number nor a text" % name)
-        values = self._read()
-        if name not in values or values[name] != value:
-            values[name] = value
+        if name not in self._values or self._values[name] != value:
+            self._values[name] = value
             self.is_due = True
 
     def __delitem__(self, name: str) -> None:
-        del self._read()[name]
+        del self._values[name]
         self.is_due = True
 
     def write(self) -> None:
         """Have them written; at rest only."""
         self.is_due = False
-        lines = [json.dumps([name, value]) for name, value in self._read().items()]
+        lines = [json.dumps([name, value]) for name, value in self._values.items()]
         self._saves.save(_FILE, lines)

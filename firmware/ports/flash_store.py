@@ -2,9 +2,10 @@
 
 A save writes a new file, reads it back, keeps the old one as the previous
 copy and puts the new one in its place; littlefs makes each renaming happen
-or not happen. A file's last line is the checksum of the others. Whoever
-saves sees to it that the machine is at rest: flash stops the processor, up to
-0.4 s for each of the sectors it erases, and nothing is heard meanwhile.
+or not happen. A file's last line is the checksum of the others, and its bytes
+are decoded only after that has been checked. Whoever saves sees to it that
+the machine is at rest: flash stops the processor, up to 0.4 s for each of the
+sectors it erases, and nothing is heard meanwhile.
 """
 
 import binascii
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 _NOW = ".txt"
 _NEW = ".new"
 _OLD = ".old"
-_CHECKSUM = "#crc32="
+_CHECKSUM = b"#crc32="
 
 _NO_SUCH_FILE = const(2)  # ENOENT
 _NO_MEMORY = const(12)  # ENOMEM
@@ -28,6 +29,11 @@ _NO_MEMORY = const(12)  # ENOMEM
 
 def _nothing() -> None:
     """Where nobody has to be told."""
+
+
+def _checksum(data: bytes) -> bytes:
+    """The last line of a file."""
+    return _CHECKSUM + b"%08x\n" % binascii.crc32(data)
 
 
 class FlashStore:
@@ -40,18 +46,26 @@ class FlashStore:
         self._folder = folder
         self.before: "Callable[[], None]" = _nothing
         self.after: "Callable[[], None]" = _nothing
+        self.damaged: "dict[str, bool]" = {}
 
     def load(self, name: str) -> "list[str] | None":
         """The lines kept under that name: none where there never were any, None where no copy
-        of them is whole."""
-        lost = False
+        of them is whole. What is not the newest copy's is noted in `damaged`."""
+        is_damaged = False
         for kind in (_NOW, _NEW, _OLD):
             lines, there = self._read(self._folder + name + kind)
+            # A power cut leaves part of a new file, or all of it and none in its place; it neither
+            # spoils the one in place nor leaves the previous copy alone.
+            if kind == _OLD or (kind == _NOW and lines is None):
+                is_damaged = is_damaged or there
             if lines is not None:
+                if is_damaged:
+                    self.damaged[name] = True
                 return lines
-            # Of a first save that a power cut has ended there is a part of the new file only.
-            lost = lost or (there and kind != _NEW)
-        return None if lost else []
+        if is_damaged:
+            self.damaged[name] = False
+            return None
+        return []
 
     def save(self, name: str, lines: "Iterable[str]") -> None:
         """Replace the lines at once or not at all. Raises OSError where flash is full or
@@ -66,24 +80,31 @@ class FlashStore:
             self.after()
 
     def _write(self, path: str, kept: "list[str]") -> None:
-        text = "".join([line + "\n" for line in kept])
-        with open(path + _NEW, "w") as file:
-            file.write(text)
-            file.write(_CHECKSUM + "%08x\n" % binascii.crc32(text.encode()))
+        is_whole = self._read(path + _NOW)[0] is not None
+        if not is_whole and self._read(path + _NEW)[0] is not None:
+            os.rename(path + _NEW, path + _NOW)  # a power cut came before that
+            is_whole = True
+        data = "".join([line + "\n" for line in kept]).encode()
+        with open(path + _NEW, "wb") as file:
+            file.write(data)
+            file.write(_checksum(data))
         if self._read(path + _NEW)[0] != kept:
             raise OSError("flash does not keep what is written")
-        if self._read(path + _NOW)[0] is not None:
+        if is_whole:
             os.rename(path + _NOW, path + _OLD)
         os.rename(path + _NEW, path + _NOW)
 
     def _read(self, path: str) -> "tuple[list[str] | None, bool]":
         """The lines of a file, None where it is not whole; and whether there is one."""
         try:
-            with open(path) as file:
-                text = file.read()
+            with open(path, "rb") as file:
+                data = file.read()
         except OSError as reason:
             return None, reason.errno != _NO_SUCH_FILE
-        end = text.rfind(_CHECKSUM)
-        if end < 0 or text[end:] != _CHECKSUM + "%08x\n" % binascii.crc32(text[:end].encode()):
+        kept = data[: max(data.rfind(_CHECKSUM), 0)]
+        if data != kept + _checksum(kept):
             return None, True
-        return text[:end].split("\n")[:-1], True
+        try:
+            return kept.decode().split("\n")[:-1], True
+        except ValueError:  # somebody else has written it
+            return None, True

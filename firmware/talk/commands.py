@@ -99,6 +99,7 @@ class Commands:
 
     def load(self) -> None:
         """Read the startup lines; none where nothing valid is kept."""
+        self._store.load(_BUILD_INFO)  # for what is damaged to be known from the start
         lines = self._store.load(_STARTUP)
         self._startup = ((lines or []) + [""] * STARTUP_LINES)[:STARTUP_LINES]
         self._startup_valid = lines is not None

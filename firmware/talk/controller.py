@@ -110,13 +110,15 @@ class Controller:
     def power_up(self) -> None:
         """Take in what is kept, and hear of what comes. Then protocol.run() is its life."""
         self.engine.attach(self.segments.next, self.spindle.set_power, self.spindle.rest)
-        if not self._loads(self.settings.load):
+        whole = self._loads(self.settings.load)
+        if not whole:
             # As Grbl with an erased memory: say so, show what holds now.
             self.report.error(errors.SETTING_READ_FAIL)
-            self._loads(self.coords.restore)
             self.commands.show_settings()
         self._loads(self.commands.load)
         self._loads(self.coords.load)
+        if whole and self.saves.damaged:
+            self.report.error(errors.SETTING_READ_FAIL)
         self.port.attach(self.drive)
         if self.settings.homing:
             self.state.enter(st.ALARM)
@@ -135,7 +137,14 @@ class Controller:
     def welcome(self) -> None:
         """A sender has opened the port anew."""
         if self.at_rest():
-            self.report.banner()
+            self._welcome()
+
+    def _welcome(self) -> None:
+        """Greet. What could not be read is reported each time, until the power goes: at power-up
+        a sender may not have opened the port yet."""
+        self.report.banner()
+        for name, has_older in self.saves.damaged.items():
+            self.report.message(errors.MSG_DAMAGED % (name, "older copy" if has_older else "lost"))
 
     def around_saves(
         self, allow: "Callable[[int], None]", written: "Callable[[], None] | None"
@@ -204,7 +213,7 @@ class Controller:
 
     def _greet(self) -> None:
         state = self.state
-        self.report.banner()
+        self._welcome()
         if self.settings.is_new:  # no error: senders stop at it
             self.settings.is_new = False
             self.report.message(errors.MSG_FIRST_START)

@@ -35,6 +35,7 @@ class FileStore:
     ) -> None:
         self._path = Path(os.path.realpath(path))  # a link stays one
         self._firmware = firmware or Firmware()
+        self.damaged: dict[str, bool] = {}  # a damaged file is refused
         self._text = self._there()
         self._kept = {name: list(lines) for name, lines in (factory or {}).items()}
         if self._text is None:

@@ -44,6 +44,7 @@ class MemoryStore:
 
     def __init__(self) -> None:
         self.files: "dict[str, list[str]]" = {}
+        self.damaged: "dict[str, bool]" = {}
 
     def load(self, name: str) -> "list[str] | None":
         return self.files.get(name)
