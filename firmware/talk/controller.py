@@ -117,7 +117,7 @@ class Controller:
             self.commands.show_settings()
         self._loads(self.commands.load)
         self._loads(self.coords.load)
-        if whole and self.saves.damaged:
+        if whole and self.saves.damaged:  # the banner says what
             self.report.error(errors.SETTING_READ_FAIL)
         self.port.attach(self.drive)
         if self.settings.homing:
@@ -137,9 +137,9 @@ class Controller:
     def welcome(self) -> None:
         """A sender has opened the port anew."""
         if self.at_rest():
-            self._welcome()
+            self._banner()
 
-    def _welcome(self) -> None:
+    def _banner(self) -> None:
         """Greet. What could not be read is reported each time, until the power goes: at power-up
         a sender may not have opened the port yet."""
         self.report.banner()
@@ -213,7 +213,7 @@ class Controller:
 
     def _greet(self) -> None:
         state = self.state
-        self._welcome()
+        self._banner()
         if self.settings.is_new:  # no error: senders stop at it
             self.settings.is_new = False
             self.report.message(errors.MSG_FIRST_START)
