@@ -58,6 +58,8 @@ class Drive:
         self.moving = False  # the engine was started and has not been seen idle since
         self.by_pin = False  # a switch or a button has asked for the reset that is due
         self.settling = False  # it stands still, and the motors are still powered ($1)
+        # While probing: whether the probe touches, asked before motion begins or goes on.
+        self.touches: "Callable[[], bool] | None" = None
         self._since = 0
         self._level = -1  # of the motors' enable output: none has been set
         self._is_new = True  # power is on, and nothing can have moved

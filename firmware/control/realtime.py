@@ -184,7 +184,8 @@ class Realtime:
         go = not self._planner.empty() and not state.suspend & st.MOTION_CANCEL
         state.suspend = 0
         state.enter(st.IDLE)
-        if go:
+        touches = self._drive.touches
+        if go and not (touches and touches()):
             self._drive.start(st.RUN)
 
     def _cycle_stop(self) -> None:

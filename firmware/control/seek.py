@@ -87,27 +87,26 @@ class Seek:
             self._drive.fail(errors.ALARM_PROBE_FAIL_INITIAL)
             return False
         self._contact = False
+        self._contact_level = self._inputs.contact_level(away)
+        self._drive.touches = self._touches
         self._canon.line(target, move)
-        self._port.watch_probe(self._on_contact, self._inputs.contact_level(away))
         self._canon.finish()
         state.post(st.CYCLE_START)
         self._canon.service()
-        if self._contact and state.run == st.RUN:  # before it began
-            state.post(st.CANCEL_MOTION)
         while state.run != st.IDLE:
             self._canon.service()
-        self._port.watch_probe(None, False)
+        self._end_watch()
+        state.take(st.CANCEL_MOTION)  # of a contact as motion ended
+        self._planner.clear()
         if self._contact:
             state.probe_succeeded = True
-        elif not alarms:
-            self._engine.position(self.probe_steps)
-        self._canon.service()
-        self._planner.clear()
-        if state.probe_succeeded:
             self._resync()
         else:
             self._engine.position(self._steps)
             self._planner.sync_motors(self._steps)
+            if not alarms:
+                self._engine.position(self.probe_steps)
+        self._canon.service()
         if alarms and not state.probe_succeeded:
             self._drive.fail(errors.ALARM_PROBE_FAIL_CONTACT, self._end_probe)
         else:
@@ -120,16 +119,30 @@ class Seek:
         self._report_probe()
 
     def forget_probe(self) -> None:
-        """As if nothing had been probed yet."""
+        """As if nothing had been probed yet; end a cycle in progress."""
+        self._end_watch()
         for i in range(len(self.probe_steps)):
             self.probe_steps[i] = 0
 
+    def _touches(self) -> bool:
+        """Watch the probe from now on; return whether it touches, so that nothing may move."""
+        self._port.watch_probe(self._on_contact, self._contact_level)
+        if self._contact:
+            self._state.take(st.CANCEL_MOTION)
+        return self._contact
+
+    def _end_watch(self) -> None:
+        self._port.watch_probe(None, False)
+        self._drive.touches = None
+
     def _on_contact(self) -> None:
-        """Interrupt: the place counts, to the step."""
-        self._engine.position(self.probe_steps)
-        self._contact = True
-        if self._state.run == st.RUN:  # what does not move yet cannot be held
-            self._state.post(st.CANCEL_MOTION)
+        """Interrupt: note the place, to the step, and stop. A contact made while a hold stands
+        still counts only if it lasts until motion is to go on: _touches() looks again."""
+        state = self._state
+        if not state.suspend & st.HOLD_COMPLETE:
+            self._engine.position(self.probe_steps)
+            self._contact = True
+            state.post(st.CANCEL_MOTION)
 
     def _report_probe(self) -> None:
         self._planner.to_mm(self.probe_steps, self._target)

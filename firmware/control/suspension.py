@@ -222,6 +222,7 @@ class Suspension:
             bool(self._settings.homing)
             and not self._spindle.laser
             and self._state.override_control
+            and self._drive.touches is None  # a probe stays where it is to touch, or has touched
         )
 
     def _park(self) -> "Iterator[None]":

@@ -203,7 +203,6 @@ class Controller:
         self.segments.clear()
         self.spindle.turn(sp.OFF, 0.0)
         self.coolant.set(0)
-        self.port.watch_probe(None, False)
         self.seek.forget_probe()
         self.drive.release()
         self.resync()

@@ -1,0 +1,269 @@
+"""A probe that touches around a hold: after the contact no step but those of braking.
+
+A phase is one probing move, with a hold and a contact so many ms after its start. It stops where
+the braking ends that began first, which is compared with that of a move stopped only once.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from rig_bench import Machine
+
+_FAST = {110: 3000, 111: 3000, 112: 3000, 120: 200, 121: 200, 122: 200}
+_PER_MM = 250
+_Z = 2
+_HOLD, _DOOR, _TILDE = "!", "\x84", "~"
+# Of `G38.n Z-3 F600`: it moves at 10 mm/s after 50 ms, and brakes in as many.
+_LINE, _END_STEPS = "G38.%d Z-3 F600", -3 * _PER_MM
+_BRAKES_MS = 80  # with what the engine has been given already
+
+Script = Iterator[Any]
+
+
+@dataclass
+class Stop:
+    """A way to hold. send: bytes; pin: an input; parks: the machine is homed, below Z-5."""
+
+    name: str
+    board: str = "sim"
+    send: str = ""
+    pin: str = ""
+    parks: bool = False
+
+
+STOPS = (
+    Stop("hold", send=_HOLD),
+    Stop("door", send=_DOOR),
+    Stop("hold button", pin="hold"),
+    Stop("door switch", board="sim_door", pin="hold"),
+    Stop("parking", board="sim_parking", send=_DOOR, parks=True),
+)
+
+
+class Bench(Machine):
+    """A machine that probes again and again from the same place."""
+
+    def __init__(self, stop: Stop) -> None:
+        settings = {**_FAST, 22: 1} if stop.parks else _FAST
+        super().__init__(settings, stop.board, watched=False)
+        self.stop = stop
+        self.top = 0
+
+    def begin(self) -> Script:
+        yield from self.start()
+        if self.stop.parks:
+            yield from self.say("$X\nG21 G90 G0 Z-20\n")
+            self.top = -20 * _PER_MM
+
+    def say(self, text: str, how: str = "idle") -> Script:
+        self.take()
+        yield from self.sender.wait(how, text)
+        return self.take()
+
+    def z(self) -> int:
+        """Steps from where each probing move begins."""
+        return self.physical()[_Z] - self.top
+
+    def touch(self, touches: bool) -> None:
+        self.rig.port.push({"probe": touches})
+
+    def hold(self) -> None:
+        if self.stop.pin:
+            self.rig.port.push({self.stop.pin: True})
+        self.rig.link.send(self.stop.send.encode("latin-1"))
+
+    def go_on(self) -> Script:
+        """Close the door, and resume; wait until nothing moves any more."""
+        yield self.rig.ms(40)  # of the delay before the hold is complete ($1)
+        if self.stop.pin:
+            self.rig.port.push({self.stop.pin: False})
+            yield self.rig.ms(30)
+        yield from self.say(_TILDE, "ms 30")
+        yield self.idle
+
+    def probe(self, word: int, events: "dict[float, Any]") -> Script:
+        """Begin G38.`word`; do things at their ms after the first step; see braking end."""
+        away = word > 3
+        self.touch(away)
+        yield from self.say("G90 G0 Z%g\n" % (self.top / _PER_MM))
+        assert self.z() == 0
+        self.rig.link.send(b"G91 " + (_LINE % word).encode() + b"\n")
+        yield self.rig.moving
+        start = self.rig.now
+        for ms in sorted(events):
+            yield start + int(ms * self.rig.ticks_per_ms)
+            events[ms](not away)
+        yield self.rig.ms(_BRAKES_MS)
+        while self.rig.moving():
+            yield self.rig.ms(5)
+
+    def state(self) -> Script:
+        said = yield from self.say("?", "report")
+        return said[-1][1:].split("|")[0].split(":")[0]
+
+    def rests(self, word: int, how: str, instants: "list[int]") -> Script:
+        """Where each move comes to rest that is only held, or only touches, at that ms."""
+        found = {}
+        for ms in instants:
+            if how == "hold":
+                yield from self.probe(word, {ms: lambda _: self.hold()})
+                found[ms] = self.z()
+                yield from self.go_on()
+            else:
+                yield from self.probe(word, {ms: self.touch})
+                found[ms] = self.z()
+                yield self.idle
+            yield from self.free()
+        return found
+
+    def free(self) -> Script:
+        """Out of the alarm of a probe that has found nothing."""
+        yield self.rig.ms(30)
+        if (yield from self.state()) == "Alarm":
+            yield self.rig.ms(600)
+            yield from self.say("$X\n")
+
+
+def found(said: "list[str]") -> "tuple[int, int]":
+    """Of [PRB:…]: Z in steps, and whether it has succeeded."""
+    prb = next(line for line in said if line.startswith("[PRB:"))
+    places, success = prb[5:-1].split(":")
+    return round(float(places.split(",")[_Z]) * _PER_MM), int(success)
+
+
+def phase(bench: Bench, word: int, hold_ms: float, contact_ms: float, rest: int) -> Script:
+    """Hold and touch in this order and with this distance: what must hold whatever the order."""
+    touched: list[int] = []
+
+    def touch(touches: bool) -> None:
+        touched.append(bench.z())
+        bench.touch(touches)
+
+    at = hold_ms, contact_ms
+    said_before = len(bench.received)
+    yield from bench.probe(word, {hold_ms: lambda _: bench.hold(), contact_ms: touch})
+    assert bench.z() == rest, at
+    yield bench.rig.ms(300)
+    assert bench.z() == rest, ("in the hold", at)
+    yield from bench.go_on()
+    yield bench.rig.ms(50)
+    assert bench.z() == rest, ("after ~", at)
+    assert (yield from bench.state()) == "Idle", at
+    bench.take()
+    said = bench.received[said_before:]
+    assert found(said) == (bench.top + touched[0], 1), at
+    assert said.count("ok") == 2, (said, at)  # of this line, and of that which leads to its start
+    report = [float(n) for n in said[-1].split("MPos:")[1].split("|")[0].split(",")]
+    assert round(report[_Z] * _PER_MM) == bench.top + rest, at
+    yield from bench.say("G91 G0 Z1\n")
+    assert bench.z() == rest + _PER_MM, ("planned from elsewhere", at)
+
+
+@pytest.mark.parametrize("word", [2, 3, 4, 5])
+@pytest.mark.parametrize("stop", STOPS, ids=lambda stop: stop.name)
+def test_after_contact_no_step_but_those_of_braking(stop: Stop, word: int) -> None:
+    """Contacts from the byte of a hold to long after its braking."""
+    bench = Bench(stop)
+    phases_ms = range((4 * STOPS.index(stop) + word) % 14, 140, 14)  # together each millisecond
+
+    def script() -> Script:
+        yield from bench.begin()
+        rests = yield from bench.rests(word, "hold", [100])
+        for distance in phases_ms:
+            yield from phase(bench, word, 100, 100 + distance + 0.5, rests[100])
+
+    bench.run(script())
+
+
+@pytest.mark.parametrize("word", [2, 5])
+@pytest.mark.parametrize("stop", STOPS, ids=lambda stop: stop.name)
+def test_a_hold_after_the_contact_changes_nothing(stop: Stop, word: int) -> None:
+    bench = Bench(stop)
+
+    def script() -> Script:
+        yield from bench.begin()
+        rests = yield from bench.rests(word, "contact", [100])
+        for distance in range(1 + (STOPS.index(stop) + word) % 6, 60, 6):
+            yield from phase(bench, word, 100 + distance, 100, rests[100])
+
+    bench.run(script())
+
+
+@pytest.mark.parametrize("stop", STOPS, ids=lambda stop: stop.name)
+def test_a_contact_that_ends_before_motion_goes_on_is_none(stop: Stop) -> None:
+    """A probe that is tried out by hand in a hold goes on, and finds the work."""
+    bench = Bench(stop)
+
+    def script() -> Script:
+        yield from bench.begin()
+        yield from bench.probe(2, {100: lambda _: bench.hold()})
+        rest = bench.z()
+        yield bench.rig.ms(100)
+        for touches in (True, False):
+            bench.touch(touches)
+            yield bench.rig.ms(50)
+        yield from bench.say(_TILDE, "ms 1")
+        if bench.stop.pin:
+            bench.rig.port.push({bench.stop.pin: False})
+            yield bench.rig.ms(30)
+            bench.rig.link.send(_TILDE.encode())
+        yield lambda: bench.z() < rest - 20
+        touched = bench.z()
+        bench.touch(True)
+        yield bench.idle
+        yield bench.rig.ms(100)
+        bench.take()
+        assert found(bench.received) == (bench.top + touched, 1)
+        assert _END_STEPS < bench.z() < touched
+
+    bench.run(script())
+
+
+def test_a_jog_cancel_does_not_end_a_probe() -> None:
+    bench = Bench(STOPS[0])
+
+    def script() -> Script:
+        yield from bench.begin()
+        yield from bench.probe(3, {50: lambda _: bench.rig.link.send(b"\x85")})
+        yield bench.idle
+        yield bench.rig.ms(100)
+        bench.take()
+        assert bench.z() == _END_STEPS and found(bench.received)[1] == 0
+
+    bench.run(script())
+
+
+def test_a_machine_does_not_park_while_it_probes() -> None:
+    """Back from there it would go through what has touched the probe."""
+    bench = Bench(STOPS[-1])
+
+    def script() -> Script:
+        yield from bench.begin()
+        yield from bench.probe(3, {100: lambda _: bench.hold()})
+        rest = bench.z()
+        yield bench.rig.ms(1000)
+        assert bench.z() == rest and (yield from bench.state()) == "Door"
+        yield from bench.go_on()
+        assert bench.z() == _END_STEPS
+
+    bench.run(script())
+
+
+@pytest.mark.parametrize("touches", [False, True])
+def test_after_a_reset_in_the_hold_of_a_probe_motion_is_free(touches: bool) -> None:
+    bench = Bench(STOPS[0])
+
+    def script() -> Script:
+        yield from bench.begin()
+        yield from bench.probe(2, {100: lambda _: bench.hold()})
+        yield bench.rig.ms(100)
+        yield from bench.say("\x18", "banner")
+        bench.touch(touches)
+        yield from bench.say("$X\n")
+        rest = bench.z()
+        assert (yield from bench.say("G91 G1 Z-1 F600\n")) == ["ok"]
+        assert bench.z() == rest - _PER_MM
+
+    bench.run(script())
