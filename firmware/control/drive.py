@@ -225,7 +225,7 @@ class Drive:
             self._restart()  # more has come in the meantime: nothing is lost
             return
         delay = self._settings.idle_lock_ms
-        stay = delay == _FOR_EVER and state.run not in (st.SLEEP, st.ALARM)
+        stay = delay == _FOR_EVER and state.run != st.SLEEP
         if not (stay or self._is_new) and self._port.elapsed_ms(self._since) < delay:
             return
         self.settling = self._is_new = False
