@@ -8,6 +8,7 @@ import pytest
 from typer.testing import CliRunner
 from ugrbl.cli.app import app
 from ugrbl.replay import recordings
+from ugrbl.replay.compare_motors import judge_motors
 from ugrbl.replay.conformance import Results, run_folder
 
 _HERE = Path(__file__).resolve().parent
@@ -20,6 +21,17 @@ FOLDERS = (
     _SHARED / "conformance-options",
     _SHARED / "conformance-0.9",
 )
+# Minimal cases of faults found, a file each; and those that still differ from Grbl, by file.
+_CLUSTERS = _SHARED / "conformance-3" / "clusters"
+_STILL_DIFFER = {
+    "coolant_byte_while_a_line_waits": {"S line waits"},
+    "homing_failed_place": {"one switch never closes"},
+    "laser_speed_in_report": {
+        "M4 running when $32 is switched on",
+        "M3: hold and resume with another S waiting, report at the end",
+    },
+    "numbers": {"N-0 and beyond 32 bits", "$110=0", "rapid with $110=0"},
+}
 
 
 def summary(results: Results) -> str:
@@ -36,6 +48,63 @@ def test_conversations_are_answered_as_recorded(folder: Path) -> None:
         pytest.skip(f"{folder} is not there")
     results = run_folder(folder)
     assert results.ok(), summary(results)
+
+
+@pytest.mark.parametrize("file", sorted(path.stem for path in _CLUSTERS.glob("*.json")))
+def test_clusters_of_faults_are_answered_as_recorded(file: str) -> None:
+    results = run_folder(_CLUSTERS, only=file)
+    failed = {outcome.name for outcome in results.failures()}
+    assert failed == _STILL_DIFFER.get(file, set()), summary(results)
+
+
+# What the judge says of the motors' enable pin
+
+_STOPS = {"send": "G1X1F500\n", "wait": "idle", "t_ms": 1, "expect": ["ok"], "moved": [250, 0, 0]}
+_WAITS = {"send": "", "wait": "ms 100", "t_ms": 100, "expect": []}
+_ON, _OFF = {"enable_pin": 0}, {"enable_pin": 1}
+
+
+@pytest.mark.parametrize(
+    ("sent", "recorded", "observed", "wrong", "used"),
+    [
+        ("", [_ON, _OFF, {}], [_ON, _OFF, {}], [], []),
+        ("", [{}, {}, {}], [_ON, _OFF, {}], [], ["idle delay"]),
+        ("", [{}, {}, {}], [_ON, {}, {}], [f"step {n}: motors" for n in range(3)], []),
+        ("", [_ON, {}, _OFF], [_ON, {}, {}], [], ["idle delay"]),
+        ("", [_ON, _OFF, {}], [_ON, {}, _OFF], [], ["idle delay"]),
+        ("", [_ON, _OFF, {}], [_ON, {}, {}], ["step 1: motors", "step 2: motors"], []),
+        ("$1=255\n", [_ON, {}, {}], [_ON, {}, {}], [], []),
+        ("$1=255\n", [_ON, {}, {}], [_ON, _OFF, _ON], ["step 1: motors"], []),
+        ("$1=255\n", [_ON, _OFF, _ON], [_ON, {}, {}], ["step 1: motors"], []),
+        ("$1=255\n$RST=$\n", [_ON, _OFF, {}], [_ON, {}, _OFF], [], ["idle delay"]),
+        ("$1=255\n$21=1\n", [_ON, _OFF, _ON], [_ON, {}, {}], [], ["held in an alarm"]),
+        ("unpowered", [{}, {}, {}], [{}, {}, {}], ["step 0: moved without power"], []),
+    ],
+)
+def test_motors_are_on_as_recorded(
+    sent: str,
+    recorded: list[dict[str, int]],
+    observed: list[dict[str, int]],
+    wrong: list[str],
+    used: list[str],
+) -> None:
+    alarm = ["ALARM:1"] if "$21" in sent else []
+    steps: list[Any] = [_STOPS, {**_WAITS, "expect": alarm}, _WAITS]
+    made = {
+        "name": "a case",
+        "setup": [[line, ["ok"]] for line in sent.split()],
+        "steps": [{**step, "out": out} for step, out in zip(steps, recorded, strict=True)],
+    }
+    power = [sent != "unpowered", True, True]
+    got = {
+        "steps": [
+            {"out": out, "unpowered": not on} for out, on in zip(observed, power, strict=True)
+        ],
+        "setup": [{"out": {}} for _ in made["setup"]],
+    }
+    names: list[str] = []
+    assert judge_motors(made, got, names) == wrong
+    assert names == used
 
 
 # Which machine a recording is replayed on

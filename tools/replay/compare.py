@@ -8,11 +8,13 @@ import re
 from itertools import pairwise
 from typing import Any, NamedTuple
 
+from .compare_motors import judge_motors
 from .differences import (
     DIFFERENCES,
     EXACT_STOP,
-    IDLE_DELAY,
+    HELD_CONTACT,
     IN_MOTION,
+    LATE_ALARM,
     NO_SPEED,
     QUIRKS,
     STOPPED,
@@ -24,6 +26,7 @@ Json = dict[str, Any]
 _NUMBER = re.compile(r"-?\d+(\.\d+)?")
 _SHAPED = re.compile(r"<.*>|\[PRB:.*\]")
 _STOP = re.compile("[!\x84\x85]|G38")
+_HOLD = re.compile("[!\x84]")
 _ON_STEP = 0.05
 _STEP_MM = 0.0041  # recordings have 250 steps/mm
 _SLOW_REST = re.compile(r"(?<=[|])(Bf:\d+|FS:(\d|0\.\d))(?=,)")
@@ -97,7 +100,7 @@ def _with_late_alarms(steps: list[Json], got: list[Json], used: list[str]) -> li
         early = mine["lines"][len(step["expect"]) :]
         if len(early) == 1 and early[0].startswith("ALARM:") and early == then["expect"][:1]:
             mine["lines"], next_one["lines"] = mine["lines"][:-1], early + next_one["lines"]
-            used.append(IDLE_DELAY[0])
+            used.append(LATE_ALARM[0])
     return late
 
 
@@ -150,8 +153,26 @@ def _way_mm(steps: list[Json]) -> float:
     return max([_RAPID_MM_MIN, *said]) * _STOP_MS / 60_000
 
 
+def _without_restarts(steps: list[Json], used: list[str]) -> list[Json]:
+    """The recording, without the steps of a probe that has touched, by hand, while it was held."""
+    still, held, touched = [], False, False
+    for step in steps:
+        held = held or bool(_HOLD.search(step["send"]))
+        touched = touched or (held and "probe" in step.get("pins", {}))
+        resumes = "~" in step["send"]
+        if resumes and touched:
+            used.append(HELD_CONTACT[0])
+            still.append({**step, "moved": [0] * len(step.get("moved", ()))})
+        else:
+            still.append(step)
+        if resumes:
+            held = touched = False
+    return still
+
+
 def _judge_moves(steps: list[Json], got: list[Json], used: list[str]) -> list[str]:
     wrong = []
+    steps = _without_restarts(steps, used)
     axes = len(got[0]["moved"]) if got else 0
     none = [0] * axes
     for number, (step, mine) in enumerate(zip(steps, got, strict=False)):
@@ -163,7 +184,7 @@ def _judge_moves(steps: list[Json], got: list[Json], used: list[str]) -> list[st
                 steps[: number + 1], got[: number + 1], moved, used
             ):
                 wrong.append(f"step {number}: moved")
-        if not _same_outputs(steps, got, number, used):
+        if not _same_outputs(step, mine, used):
             wrong.append(f"step {number}: outputs")
     if any(step.get("moved_varies") for step in steps) and not _rest_varies(steps):
         total = _total([_padded(step.get("moved", none), axes) for step in steps])
@@ -198,32 +219,18 @@ def _stopped_on_step(steps: list[Json], got: list[Json], used: list[str]) -> boo
     return False
 
 
-def _same_outputs(steps: list[Json], got: list[Json], number: int, used: list[str]) -> bool:
-    """Outputs change as recorded; the motors' enable pin may be a step of the case late."""
-    expected, mine = dict(steps[number].get("out", {})), dict(got[number]["out"])
+def _same_outputs(step: Json, got: Json, used: list[str]) -> bool:
+    """Outputs change as recorded; of the motors' enable pin see compare_motors.py."""
+    expected, mine = [
+        {name: level for name, level in out.items() if name != "enable_pin"}
+        for out in (step.get("out", {}), got["out"])
+    ]
     if expected == mine:
         return True
     if "spindle_on" in expected and "spindle_pwm" not in expected and "spindle_on" not in mine:
         del expected["spindle_on"]
         used.append(NO_SPEED[0])
-        if expected == mine:
-            return True
-    expected.pop("enable_pin", None)
-    mine.pop("enable_pin", None)
-    if expected != mine:
-        return False
-    used.append(IDLE_DELAY[0])
-    before = max(0, number - 1)
-    after = number + 2
-    changes = [
-        step["out"]["enable_pin"]
-        for step in steps[before:after]
-        if "enable_pin" in step.get("out", {})
-    ]
-    ours = [step["out"]["enable_pin"] for step in got[before:after] if "enable_pin" in step["out"]]
-    if not (changes and ours):
-        return len(ours) % 2 == len(changes) % 2  # on and off again
-    return bool(changes[0] == ours[0] or changes[-1] == ours[-1])
+    return expected == mine
 
 
 def _total(moves: list[list[int]]) -> list[int]:
@@ -258,7 +265,9 @@ def judge_case(case: Json, observed: Json, used: list[str], lenient: bool = Fals
     wrong += _judge_lines(steps, got, lenient, used)
     if not lenient:
         wrong += _judge_moves(steps, got, used)
-    return [] if wrong and excuse(case, observed, used) else wrong
+    if wrong and excuse(case, observed, used):
+        wrong = []
+    return wrong if lenient else wrong + judge_motors(case, observed, used)
 
 
 def trouble(observed: Json) -> list[str]:

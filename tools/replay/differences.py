@@ -78,7 +78,22 @@ QUIRKS = (
 IDLE_DELAY = (
     "idle delay",
     "Motors are released $1 after motion without stopping the processor for that time; "
-    "the enable pin may change one step of a case later, and an alarm is told one earlier.",
+    "the enable pin may change one step of a case later. Not with $1=255.",
+)
+LATE_ALARM = (
+    "late alarm",
+    "An alarm is reported at once; Grbl waits for the delay of $1 first: it may be reported one "
+    "step of a case later.",
+)
+HELD_CONTACT = (
+    "contact in a hold",
+    "A probe that touches by hand in a hold does not move when motion is resumed; Grbl begins to "
+    "move, sees the contact, and brakes.",
+)
+HELD = (
+    "held in an alarm",
+    "With $1=255 motors stay on where a limit switch stops the machine, too; Grbl releases them "
+    "until the reset that follows.",
 )
 EXACT_STOP = (
     "exact stop",
@@ -108,7 +123,17 @@ NO_SPEED = (
     "without power to the pin.",
 )
 
-MOTION = (IDLE_DELAY, EXACT_STOP, STOPPED, SWITCH, IN_MOTION, NO_SPEED)
+MOTION = (
+    IDLE_DELAY,
+    LATE_ALARM,
+    HELD,
+    EXACT_STOP,
+    STOPPED,
+    HELD_CONTACT,
+    SWITCH,
+    IN_MOTION,
+    NO_SPEED,
+)
 
 DIFFERENCES = (
     Difference(

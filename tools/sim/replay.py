@@ -72,8 +72,10 @@ class _Case:
         self.case = case
         self.blank = case["init"] == "blank"
         self.rig = Rig(board, MemoryStore() if self.blank else factory_store(board), full=True)
+        self.rig.engine.trace = self.segment
         self.sender = Sender(self.rig)
         self.place = array("i", self.rig.scratch)
+        self.unpowered = False
         self.result: "Json" = {"setup": [], "steps": []}
 
     def run(self) -> "Json":
@@ -105,8 +107,16 @@ class _Case:
         except Exception as error:
             self.result["error"] = describe(error)
 
+    def segment(self, _start: int, row: "array[int]") -> None:
+        """Called by the engine for every segment: motors without power lose its steps."""
+        off = 1 ^ self.rig.controller.settings.enable_invert
+        if self.rig.port.enable_pin == off:
+            made = [row[ROW_AXES + ROW_STRIDE * i] for i in range(len(self.place))]
+            self.unpowered = self.unpowered or any(made)
+
     def begin(self, part: str) -> "Json":
         observed = {"lines": [], "moved": [], "out": self.outputs()}
+        self.unpowered = False
         self.result[part].append(observed)
         self.rig.engine.physical(self.place)
         return observed
@@ -123,6 +133,7 @@ class _Case:
         # How far the way really come is from a whole step of the longest axis.
         beyond = self.rig.controller.planner.flow[PARTIAL] / 262144
         observed["off_step"] = min(beyond, 1 - beyond)
+        observed["unpowered"] = self.unpowered
         now = self.outputs()
         was = observed["out"]
         observed["out"] = {name: now[name] for name in _OUTPUTS if now[name] != was[name]}

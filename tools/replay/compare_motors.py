@@ -1,0 +1,68 @@
+"""Judges the motors' enable pin in a replayed conversation: see compare.py.
+
+Levels count, at the end of each step. Imports nothing of compare.py.
+"""
+
+import re
+from typing import Any
+
+from .differences import HELD, IDLE_DELAY
+
+Json = dict[str, Any]
+
+_SETTING = re.compile(r"^\$(?:1=(\d+)|RST=[$*])", re.IGNORECASE | re.MULTILINE)
+_DEFAULT_MS, _FOR_EVER = 25, 255
+_ON, _OFF = 0, 1  # levels; with $4=1 the other way round
+
+
+def judge_motors(case: Json, observed: Json, used: list[str]) -> list[str]:
+    """What is wrong with the enable pin; adds the names of the differences it overlooked."""
+    steps, got = case["steps"], observed.get("steps", [])
+    start = [_OFF, *_levels([step["out"] for step in observed.get("setup", [])], _OFF)][-1]
+    ours = _levels([step["out"] for step in got], start)
+    changes = [step.get("out", {}) for step in steps]
+    first = next((change["enable_pin"] for change in changes if "enable_pin" in change), None)
+    if first is not None:
+        start = 1 - first
+    theirs = _levels(changes, start)
+    delays = _delays(case)
+    wrong = [f"step {n}: moved without power" for n, step in enumerate(got) if step["unpowered"]]
+    for n, (step, level) in enumerate(zip(steps, ours, strict=False)):
+        if level == theirs[n] or step.get("moving") or step.get("compare") == "info":
+            continue
+        is_last = n + 1 == len(ours)
+        late = level == [start, *theirs][n] if is_last else ours[n + 1] == theirs[n + 1]
+        if late and delays[n] != _FOR_EVER:
+            used.append(IDLE_DELAY[0])
+        elif delays[n] == _FOR_EVER and level == _ON and _stopped_by_switch(steps[: n + 1]):
+            used.append(HELD[0])
+        else:
+            wrong.append(f"step {n}: motors")
+    return wrong
+
+
+def _levels(changes: list[Json], level: int) -> list[int]:
+    """The level after each of these changes."""
+    levels = []
+    for change in changes:
+        level = change.get("enable_pin", level)
+        levels.append(level)
+    return levels
+
+
+def _delays(case: Json) -> list[int]:
+    """$1 as each step ends."""
+    delay, delays = _DEFAULT_MS, []
+    for item in [*case["setup"], *case["steps"]]:
+        sent = item[0] if isinstance(item, list) else item["send"]
+        for found in _SETTING.finditer(sent):
+            delay = int(found[1]) % 256 if found[1] else _DEFAULT_MS
+        delays.append(delay)
+    return delays[len(case["setup"]) :]
+
+
+def _stopped_by_switch(steps: list[Json]) -> bool:
+    """A limit switch has stopped the machine, and no reset has followed."""
+    said = [line for step in steps for line in step["expect"]]
+    banner = max([n for n, line in enumerate(said) if line.startswith("Grbl ")], default=-1)
+    return "ALARM:1" in said[banner + 1 :]
