@@ -12,14 +12,14 @@ import shutil
 import subprocess
 import sys
 import threading
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, cast
 
 from ..compiling.folder import place
 from . import recordings
@@ -129,77 +129,67 @@ def _environment(python: str, program: Path) -> Iterator[dict[str, str]]:
         yield {**os.environ, "UGRBL_FIRMWARE": folder}
 
 
-def _replay(
-    command: list[str], environment: dict[str, str], file: Path, board: str, indices: list[int]
-) -> Iterator[Json]:
-    """Replay cases of a file; a process that dies or hangs costs the case it was at."""
-    todo = list(indices)
-    while todo:
-        process = subprocess.Popen(
-            [*command, str(file), board, *map(str, todo)],
+class _Replayer:
+    """A process that replays one case after another, started anew where it dies or hangs."""
+
+    def __init__(self, command: list[str], environment: dict[str, str]) -> None:
+        self._command = command
+        self._environment = environment
+        self._process: "subprocess.Popen[str] | None" = None
+        self._lines: "queue.Queue[str]" = queue.Queue()
+        self._errors: "deque[str]" = deque(maxlen=20)
+
+    def replay(self, board: str, case: Json) -> Json:
+        """What was observed."""
+        process = self._process or self._start()
+        assert process.stdin
+        with suppress(BrokenPipeError):  # it has died: its output ends, too
+            process.stdin.write(json.dumps({"board": board, "case": case}) + "\n")
+            process.stdin.flush()
+        try:
+            while line := self._lines.get(timeout=_CASE_SECONDS):
+                try:
+                    return cast(Json, json.loads(line))
+                except ValueError:
+                    self._errors.append(line)  # something printed
+            trouble = ""
+        except queue.Empty:
+            trouble = f"no result within {_CASE_SECONDS:.0f} s"
+        self.end()
+        return {"error": trouble or "".join(self._errors) or "died"}
+
+    def end(self) -> None:
+        """End the process; all that it has printed has been read then."""
+        if self._process:
+            self._process.kill()
+            self._process.wait()
+            self._reader.join()
+            self._process = None
+
+    def _start(self) -> "subprocess.Popen[str]":
+        self._process = process = subprocess.Popen(
+            self._command,
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            env=environment,
+            env=self._environment,
             text=True,
             encoding="utf-8",
         )
-        lines: queue.Queue[str] = queue.Queue()
-        errors: list[str] = []
-        readers = [
-            threading.Thread(target=_feed, args=(process.stdout, lines.put), daemon=True),
-            threading.Thread(target=_feed, args=(process.stderr, errors.append), daemon=True),
-        ]
-        for reader in readers:
-            reader.start()
-        trouble = ""
-        while todo:
-            try:
-                line = lines.get(timeout=_CASE_SECONDS)
-            except queue.Empty:
-                trouble = f"no result within {_CASE_SECONDS:.0f} s"
-                break
-            if not line:
-                break
-            try:
-                result = json.loads(line)
-            except ValueError:
-                errors.append(line)  # something printed
-                continue
-            todo.remove(result["index"])
-            yield result
-        process.kill()
-        process.wait()
-        readers[1].join()
-        if todo:
-            yield {"index": todo.pop(0), "error": trouble or "".join(errors[-20:]) or "died"}
+        self._lines = queue.Queue()
+        self._errors.clear()
+        threading.Thread(target=_feed, args=(process.stdout, self._lines.put), daemon=True).start()
+        self._reader = threading.Thread(
+            target=_feed, args=(process.stderr, self._errors.append), daemon=True
+        )
+        self._reader.start()
+        return process
 
 
 def _feed(stream: Iterable[str], put: Any) -> None:
     for line in stream:
         put(line)
     put("")
-
-
-def _weight(case: Json) -> float:
-    """About how many milliseconds of virtual time it takes."""
-    if "program" in case:
-        return 2000 + float(case["duration_s"]) * 10_000
-    return 400.0 + sum(float(step.get("t_ms", 0)) + 20 for step in case["steps"])
-
-
-def _chunks(jobs: list[Recording], most: float) -> Iterator[Recording]:
-    """Cut jobs so that all cores have something to do until the end."""
-    for job in jobs:
-        part: list[tuple[int, Json]] = []
-        weight = 0.0
-        for index, case in job.cases:
-            part.append((index, case))
-            weight += _weight(case)
-            if weight > most:
-                yield Recording(job.category, job.file, job.board, part)
-                part, weight = [], 0.0
-        if part:
-            yield Recording(job.category, job.file, job.board, part)
 
 
 def _skip(case: Json) -> str:
@@ -243,22 +233,23 @@ def run_folder(
         job.cases = [(index, case) for index, case in job.cases if not _skip(case)]
         required.append(job)
 
-    def work(job: Recording) -> list[Outcome]:
-        cases = dict(job.cases)
-        return [
-            judge(job.category, cases[observed["index"]], observed)
-            for observed in _replay(command, environment, job.file, job.board, list(cases))
-        ]
+    cases = [(job, case) for job in required for _, case in job.cases]
+    replayers: list[_Replayer] = []
+    own = threading.local()  # a process for each thread
 
-    chunks = sorted(
-        _chunks(required, 20_000), key=lambda job: -sum(_weight(case) for _, case in job.cases)
-    )
+    def work(job: Recording, case: Json) -> Outcome:
+        if not hasattr(own, "replayer"):
+            own.replayer = _Replayer(command, environment)
+            replayers.append(own.replayer)
+        return judge(job.category, case, own.replayer.replay(job.board, case))
+
     with (
         _environment(python, program) as environment,
         ThreadPoolExecutor(os.cpu_count() or 1) as pool,
     ):
-        for outcomes in pool.map(work, chunks):
-            results.outcomes += outcomes
+        results.outcomes += pool.map(work, *zip(*cases))
+        for replayer in replayers:
+            replayer.end()
     return results
 
 

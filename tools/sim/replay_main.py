@@ -1,7 +1,7 @@
-"""Replays cases of one file in a process of its own, under either Python.
+"""Replays recorded cases in a process of its own, under either Python.
 
-python replay_main.py FILE BOARD [INDEX...]  — prints one line of JSON per case
-as soon as it is done. FILE holds a list of cases or one motion record.
+Reads one case per line, as JSON {"board": NAME, "case": {...}}, and prints what was observed as a
+line of JSON, until its input ends.
 """
 
 import gc
@@ -39,22 +39,16 @@ def load_board(name: str) -> "ModuleType":
 
 
 def main() -> None:
-    """Replay what the command line asks for."""
+    """Replay what standard input asks for."""
     set_path()
     replay = __import__("sim.replay").replay.replay
-
-    board = load_board(sys.argv[2])
-    with open(sys.argv[1]) as file:
-        cases = json.load(file)
-    if isinstance(cases, dict):
-        cases = [cases]
-    for index in [int(text) for text in sys.argv[3:]] or range(len(cases)):
-        result = replay(cases[index], board)
-        result["index"] = index
-        print(json.dumps(result))
+    if hasattr(gc, "freeze"):
+        gc.freeze()  # CPython need not look through all modules again for each case
+    for line in sys.stdin:
+        asked = json.loads(line)
+        print(json.dumps(replay(asked["case"], load_board(asked["board"]))))
         if hasattr(sys.stdout, "flush"):
             sys.stdout.flush()
-        gc.collect()
 
 
 if __name__ == "__main__":
