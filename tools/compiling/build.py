@@ -27,6 +27,7 @@ from .assembled import assembled
 from .built_in import built_in
 from .bundle import Bundles
 from .inline import inline
+from .kept import kept
 from .kernel_module import Apart
 from .of_chip import of_chip
 from .pairs import pairs
@@ -296,11 +297,13 @@ def _of_chip(arch: str) -> tuple[tuple[str, str], ...]:
 
 
 @lru_cache(4)
+@kept
 def _in_place(modules: tuple[tuple[str, str], ...]) -> dict[str, str]:
     return inline(dict(modules))
 
 
 @lru_cache(4)
+@kept
 def _prepared(modules: tuple[tuple[str, str], ...], debug: bool, with_leaves: bool) -> Shortened:
     written = dict(modules)
     made = prepared(written, debug, with_leaves, _in_place(modules))
@@ -308,6 +311,7 @@ def _prepared(modules: tuple[tuple[str, str], ...], debug: bool, with_leaves: bo
 
 
 @lru_cache(4)
+@kept
 def _described(
     modules: tuple[tuple[str, str], ...], debug: bool, with_leaves: bool
 ) -> dict[str, Any]:
@@ -315,11 +319,13 @@ def _described(
 
 
 @lru_cache(2)
+@kept
 def _apart(modules: tuple[tuple[str, str], ...]) -> Apart:
     return kernel_module.taken_apart(dict(modules))
 
 
 @lru_cache(32)
+@kept
 def _put_together(modules: tuple[tuple[str, str], ...]) -> Bundles:
     return put_together(dict(modules), dict(modules))
 
@@ -354,6 +360,7 @@ def for_board(
 
 # Boards have most modules in common.
 @lru_cache(300)
+@kept
 def _compile(name: str, text: str, arch: str, debug: bool) -> bytes:
     """A module in MicroPython's own format."""
     written = pairs(singles(built_in(text)) if arch != _OF_DESKTOPS else text)

@@ -21,6 +21,7 @@ from tempfile import TemporaryDirectory
 
 from . import forms
 from .c_text import BITS, Function, c_name
+from .kept import kept
 from .marks import Key
 from .modules import Module
 
@@ -154,6 +155,7 @@ def is_there() -> bool:
 
 
 @lru_cache(4)
+@kept
 def compiled(text: str, arch: str) -> bytes:
     """An object file. CompilerError."""
     with TemporaryDirectory() as folder:
@@ -165,6 +167,7 @@ def compiled(text: str, arch: str) -> bytes:
 
 
 @lru_cache(100)
+@kept
 def linked(text: str, arch: str, exports: "tuple[Key, ...]") -> bytes:
     """The piece of code: objects of these functions, and all that they call. CompilerError."""
     kept = [f"KEEP(*(.exports.{c_name(*key)}))" for key in exports]
