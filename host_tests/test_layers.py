@@ -4,8 +4,6 @@ import ast
 import sys
 from pathlib import Path
 
-import pytest
-
 FIRMWARE = Path(__file__).parent.parent / "firmware"
 
 # Folders are layers: who may import what of which others, what only mypy reads included. In its
@@ -49,9 +47,6 @@ MICROPYTHON = set(f"{BUILT_IN} {EXTENSIBLE} {FROZEN}".split())
 BOARD_FILE = "board"  # a file of boards/, put beside main.py on the board
 
 FILES = sorted(FIRMWARE.rglob("*.py"))
-each_file = pytest.mark.parametrize(
-    "path", FILES, ids=[str(path.relative_to(FIRMWARE)) for path in FILES]
-)
 
 
 def module_name(path):
@@ -70,7 +65,8 @@ def imports(tree):
             yield from names if parent.is_dir() else [node.module]
 
 
-IMPORTS = {module_name(path): set(imports(ast.parse(path.read_text()))) for path in FILES}
+TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
+IMPORTS = {module_name(path): set(imports(tree)) for path, tree in TREES.items()}
 
 
 def typing_only(used):
@@ -88,11 +84,17 @@ def may_import(module, used):
     return used in MICROPYTHON and (used not in HARDWARE or layer in PORTS)
 
 
-@pytest.mark.parametrize("module", IMPORTS)
-def test_a_module_imports_only_from_lower_layers(module):
-    assert module.partition(".")[0] in LAYERS, f"give its folder a place in LAYERS, in {__file__}"
-    refused = sorted(used for used in IMPORTS[module] if not may_import(module, used))
-    assert not refused, f"{module} may not import {', '.join(refused)}"
+def test_every_folder_has_a_place_in_the_layers():
+    assert {module.partition(".")[0] for module in IMPORTS} == set(LAYERS)
+
+
+def test_a_module_imports_only_from_lower_layers():
+    refused = {
+        module: wrong
+        for module, names in IMPORTS.items()
+        if (wrong := sorted(used for used in names if not may_import(module, used)))
+    }
+    assert not refused
 
 
 def circles(imports):
@@ -112,38 +114,43 @@ def test_a_circle_is_found():
     assert set(circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": set()})) == {"a", "b", "c"}
 
 
-@each_file
-def test_no_name_hides_a_module_of_either_python(path):
+def test_no_name_hides_a_module_of_either_python():
     taken = MICROPYTHON | {f"u{name}" for name in EXTENSIBLE.split()} | sys.stdlib_module_names
-    hidden = taken.intersection({path.relative_to(FIRMWARE).parts[0], path.stem})
-    assert not hidden, f"{path} hides, or is hidden by, the module {hidden}"
+    names = {name for path in FILES for name in (path.relative_to(FIRMWARE).parts[0], path.stem)}
+    assert not names & taken
 
 
 def length(node):
     return node.end_lineno - node.lineno + 1
 
 
-@each_file
-def test_functions_and_files_stay_short(path):
-    text = path.read_text()
-    tree = ast.parse(text)
-    functions = (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef))
-    long = {f"{node.name}: {length(node)} lines" for node in functions if length(node) > 60}
-    assert not long, f"functions have 60 lines at most: {long}"
-    tables = (
-        length(node)
-        for node in tree.body
-        if isinstance(node, (ast.Assign, ast.AnnAssign))
-        and isinstance(node.value, (ast.Tuple, ast.Dict, ast.List))
-    )
-    lines = len(text.splitlines()) - sum(tables)
-    assert lines <= 400, f"{lines} lines; a module has 400 at most, tables not counted"
+def too_long(trees, tables=False):
+    """Functions of more than 60 lines; files of more than 400, where tables may not count."""
+    found = {}
+    for path, tree in trees.items():
+        for node in ast.walk(tree):
+            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and length(node) > 60:
+                found[f"{path}: {node.name}"] = length(node)
+        free = (
+            length(node)
+            for node in tree.body
+            if isinstance(node, (ast.Assign, ast.AnnAssign))
+            and isinstance(node.value, (ast.Tuple, ast.Dict, ast.List))
+        )
+        lines = len(path.read_text(encoding="utf-8").splitlines()) - (sum(free) if tables else 0)
+        if lines > 400:
+            found[str(path)] = lines
+    return found
 
 
-@pytest.mark.parametrize("folder", ["boards", "firmware"])
-def test_no_tool_hides_a_folder_beside_it(folder):
+def test_functions_and_files_stay_short():
+    assert not too_long(TREES, tables=True)
+
+
+def test_no_tool_hides_a_folder_beside_it():
     """Both are on the path of a replay, and a module wins over a folder without __init__.py."""
-    assert not (FIRMWARE.parent / "tools" / f"{folder}.py").exists()
+    tools = FIRMWARE.parent / "tools"
+    assert not [name for name in ("boards", "firmware") if (tools / f"{name}.py").exists()]
 
 
 # Who makes text of bytes: what is no text raises there, wherever it comes from.
@@ -163,11 +170,9 @@ def decodings(tree):
                 yield node
 
 
-@each_file
-def test_bytes_become_text_in_one_place(path):
-    found = [ast.unparse(node) for node in decodings(ast.parse(path.read_text()))]
-    wanted = DECODES.get(module_name(path), 0)
-    assert len(found) == wanted, f"base.text.text_of makes text of bytes, and not {found}"
+def test_bytes_become_text_in_one_place():
+    found = {module_name(path): len(list(decodings(tree))) for path, tree in TREES.items()}
+    assert {module: count for module, count in found.items() if count} == DECODES
 
 
 def test_whatever_makes_text_of_bytes_is_found():

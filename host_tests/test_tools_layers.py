@@ -4,8 +4,7 @@ import ast
 import re
 from pathlib import Path
 
-import pytest
-from test_layers import circles, length
+from test_layers import circles, too_long
 
 TOOLS = Path(__file__).parent.parent / "tools"
 
@@ -38,9 +37,7 @@ FILES = sorted(
     for path in TOOLS.rglob(suffix)
     if STANDINS not in path.parents
 )
-each_file = pytest.mark.parametrize(
-    "path", FILES, ids=[path.relative_to(TOOLS).as_posix() for path in FILES]
-)
+TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
 
 
 def module_name(path: Path) -> str:
@@ -65,7 +62,7 @@ def base(node: ast.ImportFrom, path: Path) -> "str | None":
 def imports(path: Path) -> set[str]:
     """Every module of tools/ that one imports, those that only mypy reads too."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(TREES[path]):
         if isinstance(node, ast.ImportFrom) and (start := base(node, path)) is not None:
             for alias in node.names:
                 inside = f"{start}.{alias.name}".lstrip(".")
@@ -76,7 +73,7 @@ def imports(path: Path) -> set[str]:
 def strangers(path: Path) -> set[str]:
     """Packages that are not ours."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(TREES[path]):
         if isinstance(node, ast.Import):
             found |= {alias.name.partition(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and not node.level:
@@ -101,12 +98,15 @@ def test_every_module_has_a_room() -> None:
     assert {room(module) for module in MODULES} - set(GROUND) == set(ROOMS)
 
 
-@pytest.mark.parametrize("module", IMPORTS)
-def test_a_module_imports_only_from_lower_rooms(module: str) -> None:
-    unknown = IMPORTS[module] - MODULES.keys()
-    assert not unknown, f"{module}: there is no {', '.join(unknown)}"
-    refused = sorted(used for used in IMPORTS[module] if not may_import(module, used))
-    assert not refused, f"{module} may not import {', '.join(refused)}"
+def test_a_module_imports_only_from_lower_rooms() -> None:
+    unknown = {name: used - MODULES.keys() for name, used in IMPORTS.items()}
+    assert not any(unknown.values()), {name: used for name, used in unknown.items() if used}
+    refused = {
+        module: wrong
+        for module, names in IMPORTS.items()
+        if (wrong := sorted(used for used in names if not may_import(module, used)))
+    }
+    assert not refused
 
 
 def test_a_room_imports_only_what_is_lower() -> None:
@@ -126,27 +126,19 @@ def test_no_import_leads_back_to_where_it_began() -> None:
     assert not circles(IMPORTS), "these import one another, or one that does"
 
 
-@pytest.mark.parametrize("name", ROOMS)
-def test_a_room_says_what_it_is_for_and_what_it_may_import(name: str) -> None:
-    words = ast.get_docstring(ast.parse((TOOLS / name / "__init__.py").read_text("utf-8")))
-    assert words and words.partition("\n\n")[2], "a line what for, and below it who is imported"
-    if name != "cli":  # which imports all of them
-        last = words.rpartition("\n\n")[2]
-        assert {lower for lower in ROOMS if re.search(rf"`{lower}`", last)} == set(ROOMS[name])
+def test_a_room_says_what_it_is_for_and_what_it_may_import() -> None:
+    for name, lower in ROOMS.items():
+        words = ast.get_docstring(TREES[TOOLS / name / "__init__.py"])
+        assert words and words.partition("\n\n")[2], f"{name}: what for, and who is imported"
+        if name != "cli":  # which imports all of them
+            last = words.rpartition("\n\n")[2]
+            assert {other for other in ROOMS if re.search(rf"`{other}`", last)} == set(lower), name
 
 
-@each_file
-def test_only_commands_know_the_screen(path: Path) -> None:
-    name = module_name(path)
-    if room(name) not in SCREENS and name not in SCREENS:
-        assert not strangers(path).intersection(SCREEN)
+def test_only_commands_know_the_screen() -> None:
+    others = [name for name in MODULES if room(name) not in SCREENS and name not in SCREENS]
+    assert not [name for name in others if strangers(MODULES[name]).intersection(SCREEN)]
 
 
-@each_file
-def test_functions_and_files_stay_short(path: Path) -> None:
-    text = path.read_text(encoding="utf-8")
-    tree = ast.parse(text)
-    functions = (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef))
-    long = {f"{node.name}: {length(node)} lines" for node in functions if length(node) > 60}
-    assert not long, f"functions have 60 lines at most: {long}"
-    assert len(text.splitlines()) <= 400
+def test_functions_and_files_stay_short() -> None:
+    assert not too_long(TREES)
