@@ -10,15 +10,21 @@ VENV := .venv/installed
 TYPESHED := .venv/typeshed/merged
 EMULATOR := .venv/emulator/compiled
 
-.PHONY: run test check fmt lint types build deploy dist clean compiled-emulator test-emulator test-senders torture torture-board bench bench-board docs pictures
+.PHONY: run test test-all mutants check fmt lint types build deploy dist clean compiled-emulator test-emulator test-senders torture torture-board bench bench-board docs pictures
 
 run: $(VENV)  ## a demonstration in the simulator
 	$(BIN)/ugrbl demo
 
-test: lint types  ## everything CI runs
-	$(BIN)/pytest -q -n auto --dist loadgroup
+test: lint types  ## what a change may break, in minutes
+	$(BIN)/pytest -q -n auto --dist loadgroup $(if $(SEED),--seed $(SEED))
 
 check: test
+
+test-all: $(VENV)  ## all that needs neither image nor sender; SHARD=2/5 is the second of five parts
+	$(BIN)/pytest -q -n auto --dist loadgroup --all $(if $(SHARD),--shard $(SHARD))
+
+mutants: $(VENV)  ## COUNT small faults in the firmware: how many of them the tests find
+	$(BIN)/python host_tests/mutants.py --count $(or $(COUNT),60) --seed $(or $(SEED),1) $(if $(ALL),--all)
 
 fmt: $(VENV)
 	$(BIN)/ruff check --fix .

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import rings
 from hypothesis import settings
 
 _HERE = Path(__file__).parent
@@ -20,6 +21,22 @@ os.environ["COLUMNS"] = "500"
 settings.register_profile("ci", deadline=None, max_examples=50)
 settings.register_profile("thorough", deadline=None, max_examples=2000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    rings.add_options(parser)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    rings.choose(config)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: "list[pytest.Item]") -> None:
+    rings.select(config, items)
+
+
+def pytest_report_header(config: pytest.Config) -> str:
+    return rings.header(config)
 
 
 @pytest.fixture(autouse=True, scope="session")

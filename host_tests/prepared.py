@@ -17,7 +17,7 @@ from ugrbl.compiling.shorten import Shortened, follow
 
 _ROOT = Path(__file__).resolve().parent.parent
 # Tests, and what they stand on, which are run against prepared sources.
-_TESTS = ("conftest.py", "laws.py", "rig_bench.py", "test_laws.py", "test_torture.py")
+_TESTS = ("conftest.py", "rings.py", "laws.py", "rig_bench.py", "test_laws.py", "test_torture.py")
 _DATA = ("boards", "tools")
 # In a process of CPython there is nobody who sees to const(), as MicroPython's compiler does.
 _CONST = "import builtins\nbuiltins.const = lambda value: value\n"

@@ -15,8 +15,12 @@ if _IS_COMPILED:
 
 _HAS_EMULATOR = find_spec("rp2040py") is not None
 
-# Without the emulator these files cannot even be imported.
-collect_ignore_glob = [] if _HAS_EMULATOR else ["test_*.py"]
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """These run when asked for by name (`make test-emulator`), and cannot even be imported
+    without the emulator."""
+    asked = any("emulator" in argument for argument in config.args)
+    return None if asked and _HAS_EMULATOR else True
 
 
 def pytest_report_header() -> str:

@@ -1,0 +1,71 @@
+"""Which tests run, and how many of many alike.
+
+The first ring (`make test`) answers in minutes: it leaves out what is marked `thorough`, and takes
+a sample where tests are alike, by a seed that its header shows. The second (`make test-all`,
+pytest --all) runs everything that needs neither an image nor a sender.
+"""
+
+import random
+import zlib
+from collections.abc import Sequence
+from typing import TypeVar
+
+import pytest
+
+_Item = TypeVar("_Item")
+
+_ring: "dict[str, int]" = {"all": 0, "seed": 0}
+
+
+def add_options(parser: pytest.Parser) -> None:
+    """What pytest may be asked."""
+    group = parser.getgroup("rings")
+    group.addoption("--all", action="store_true", help="the second ring: all there is")
+    group.addoption("--seed", type=int, help="which samples the first ring takes")
+    group.addoption("--shard", help="2/5: the second of five parts of the tests")
+
+
+def choose(config: pytest.Config) -> None:
+    """Called once, before any module of tests is imported; a worker is given the seed."""
+    if config.option.seed is None:
+        config.option.seed = random.randrange(10_000)
+    _ring.update(all=config.option.all, seed=config.option.seed)
+
+
+def is_first() -> bool:
+    """Whether samples are enough."""
+    return not _ring["all"]
+
+
+def sample(items: "Sequence[_Item]", count: int) -> "list[_Item]":
+    """That many of the items in the first ring, in their order; all of them in the second."""
+    if not is_first() or len(items) <= count:
+        return list(items)
+    chosen = random.Random(f"{_ring['seed']} {len(items)}").sample(range(len(items)), count)
+    return [items[index] for index in sorted(chosen)]
+
+
+def select(config: pytest.Config, items: "list[pytest.Item]") -> None:
+    """Deselect what the ring or the shard leaves out."""
+    left_out = [item for item in items if not _belongs(config, item)]
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in set(left_out)]
+
+
+def _belongs(config: pytest.Config, item: pytest.Item) -> bool:
+    if is_first() and item.get_closest_marker("thorough"):
+        return False
+    if not config.option.shard:
+        return True
+    part, parts = map(int, config.option.shard.split("/"))
+    return zlib.crc32(item.nodeid.encode()) % parts == part - 1
+
+
+def header(config: pytest.Config) -> str:
+    """What is run, and how to run the same again."""
+    if not is_first():
+        return "ring: second, all there is" + (
+            f", shard {config.option.shard}" * bool(config.option.shard)
+        )
+    return f"ring: first, samples by --seed {config.option.seed}"
