@@ -150,7 +150,7 @@ def is_found(root: Path, mutant: Mutant, whole: bool) -> "str | None":
 
 
 def _failure(root: Path, tests: "list[str]", whole: bool) -> "str | None":
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "--seed", "1", "-p", "no:cacheprovider"]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "--seed=1", "-p", "no:cacheprovider"]
     environment = {
         **os.environ,
         "PYTHONPATH": str(root.parent / "site"),

@@ -68,4 +68,4 @@ def header(config: pytest.Config) -> str:
         return "ring: second, all there is" + (
             f", shard {config.option.shard}" * bool(config.option.shard)
         )
-    return f"ring: first, samples by --seed {config.option.seed}"
+    return f"ring: first, samples by --seed={config.option.seed}"
