@@ -1,12 +1,13 @@
 """Which tests run, and how many of many alike.
 
-The first ring (`make test`) answers in minutes: it leaves out what is marked `thorough`, and takes
-a sample where tests are alike, by a seed that its header shows. The second (`make test-all`,
-pytest --all) runs everything that needs neither an image nor a sender.
+The first ring (`make test`) answers in minutes: it leaves out tests marked `thorough`, and runs
+three cases of a test marked `sampled(3)`, chosen by a seed that its header shows. The second
+(`make test-all`, pytest --all) runs everything that needs neither an image nor a sender.
 """
 
 import random
 import zlib
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import TypeVar
 
@@ -47,19 +48,29 @@ def sample(items: "Sequence[_Item]", count: int) -> "list[_Item]":
 
 def select(config: pytest.Config, items: "list[pytest.Item]") -> None:
     """Deselect what the ring or the shard leaves out."""
-    left_out = [item for item in items if not _belongs(config, item)]
+    kept = set(_of_first_ring(items) if is_first() else items)
+    if config.option.shard:
+        part, parts = map(int, config.option.shard.split("/"))
+        kept = {item for item in kept if zlib.crc32(item.nodeid.encode()) % parts == part - 1}
+    left_out = [item for item in items if item not in kept]
     if left_out:
         config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if item not in set(left_out)]
+        items[:] = [item for item in items if item in kept]
 
 
-def _belongs(config: pytest.Config, item: pytest.Item) -> bool:
-    if is_first() and item.get_closest_marker("thorough"):
-        return False
-    if not config.option.shard:
-        return True
-    part, parts = map(int, config.option.shard.split("/"))
-    return zlib.crc32(item.nodeid.encode()) % parts == part - 1
+def _of_first_ring(items: "list[pytest.Item]") -> "list[pytest.Item]":
+    """All but the thorough ones, and of each sampled test so many."""
+    kept = []
+    alike: "dict[str, list[pytest.Item]]" = defaultdict(list)
+    for item in items:
+        sampled = item.get_closest_marker("sampled")
+        if sampled:
+            alike[item.nodeid.partition("[")[0]].append(item)
+        elif not item.get_closest_marker("thorough"):
+            kept.append(item)
+    for cases in alike.values():
+        kept += sample(cases, cases[0].get_closest_marker("sampled").args[0])
+    return kept
 
 
 def header(config: pytest.Config) -> str:
