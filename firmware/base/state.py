@@ -20,6 +20,8 @@ HOLD = const(0x10)
 JOG = const(0x20)
 DOOR = const(0x40)
 SLEEP = const(0x80)
+# Those that motion has not come to its end in, as long as they last.
+UNDER_WAY = const(RUN | HOLD | JOG | DOOR | SLEEP)
 
 # The states that each may follow (mask), with a bit of its own for Idle, whose number has none.
 # An alarm ends with $X, homing, or what a reset finds; sleep with a reset only, in an alarm.

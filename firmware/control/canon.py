@@ -230,11 +230,11 @@ class Canon:
             self._state.post(st.CYCLE_START)
 
     def synchronise(self) -> None:
-        """Wait until everything planned has been done."""
+        """Wait until everything planned has been done; in a hold, until that has ended, too."""
         self.finish()
         self.auto_start()
         self.service()
-        while not self.planner.empty() or self._state.run == st.RUN:
+        while not self.planner.empty() or self._state.run & st.UNDER_WAY:
             self.service()
 
     def settle(self) -> None:
@@ -292,8 +292,8 @@ class Canon:
         if state.run & (st.RUN | st.JOG):
             state.post(st.FEED_HOLD)
             self.service()
-            while state.run != st.IDLE:
-                self.service()
+        while state.run & (st.RUN | st.JOG | st.HOLD) and not state.suspend & st.HOLD_COMPLETE:
+            self.service()
         self._drive.reset()
         state.alarm = alarm
         self.service()

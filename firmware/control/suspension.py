@@ -88,6 +88,7 @@ class Suspension:
         self._target = vector(planner.axes)
         self._resume_at = vector(planner.axes)
         self._waypoint = 0.0
+        self._lit = False  # a laser that has been darkened burned
         self._routine: "Iterator[None] | None" = None  # what is under way
 
     def turn(self) -> None:
@@ -125,6 +126,7 @@ class Suspension:
     def begin(self) -> None:
         """A suspension has just begun: remember what turned, and darken a laser."""
         self._routine = None
+        self._lit = False
         row = self._planner.row()
         if row is None:
             self._flags = self._modes.accessory_flags()
@@ -141,7 +143,7 @@ class Suspension:
         if stopping & st.STOP_INITIATE:
             state.stop_override = 0
             if self._modes.modal[SPINDLE]:
-                self._spindle.turn(0, 0.0)
+                self._stop_spindle()
                 state.stop_override = st.STOP_ENABLED
         elif stopping & (st.STOP_RESTORE | st.STOP_RESTORE_CYCLE):
             if self._modes.modal[SPINDLE]:
@@ -154,13 +156,19 @@ class Suspension:
             self._spindle.turn(self._flags & plan.SPINDLE_MASK, self._rpm)
             state.update_spindle = False
 
+    def _stop_spindle(self) -> None:
+        self._lit = self._lit or self._state.spindle[st.RPM] > 0
+        self._spindle.turn(0, 0.0)
+
     def _restore_spindle(self) -> None:
-        if self._spindle.laser:
+        laser = self._spindle.laser
+        if laser and not self._planner.empty():
             self._state.update_spindle = True  # comes back with the motion
-            if not (self._planner.empty() or self._flags & layout.DYNAMIC):
+            if not self._flags & layout.DYNAMIC:
                 self._spindle.power(self._rpm)  # and is reported
         else:
-            self._spindle.turn(self._flags & plan.SPINDLE_MASK, self._rpm)
+            rpm = self._rpm if self._lit or not laser else 0.0
+            self._spindle.turn(self._flags & plan.SPINDLE_MASK, rpm)
 
     # Sleep
 
@@ -172,7 +180,7 @@ class Suspension:
             yield
 
     def _stop_accessories(self) -> None:
-        self._spindle.turn(0, 0.0)
+        self._stop_spindle()
         self._coolant.set(0)
 
     # Door
@@ -207,7 +215,7 @@ class Suspension:
             if not self._spindle.laser:
                 yield from self._pause(_SPINDLE_DELAY_MS)
         if self._modes.modal[COOLANT] and not self._interrupted():
-            self._coolant.set(self._flags >> plan.COOLANT_SHIFT & 3)
+            self._coolant.set(self._modes.modal[COOLANT])
             yield from self._pause(_COOLANT_DELAY_MS)
         if self._parks and self._may_park() and not self._interrupted():
             yield from self._park_move(self._resume_at, _PULL_OUT_RATE, True)

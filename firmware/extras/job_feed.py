@@ -159,7 +159,8 @@ class Feed:
         if port.elapsed_ms(self._since) >= _MADE_MS:
             self._since = port.ticks_ms()
             self._before, self._made = self._made, self._being_made()
-            if self._machine.state.suspend & st.HOLD_COMPLETE:
+            state = self._machine.state
+            if state.suspend & st.HOLD_COMPLETE and not state.system_motion:  # nor is it parking
                 self._hold()
         if self._at[_LEFT] == 0 and not (self._file and self._fetch()):
             return 0

@@ -211,6 +211,7 @@ class Commands:
         else:
             if state.run != st.IDLE:
                 raise GrblError(errors.IDLE_ERROR)
+            self._canon.synchronise()  # nothing moves in check mode, what is planned neither
             state.enter(st.CHECK)
             self._report.message(errors.MSG_ENABLED)
 
@@ -237,6 +238,7 @@ class Commands:
     def _home(self, line: bytearray, length: int) -> None:
         if not self._settings.homing:
             raise GrblError(errors.SETTING_DISABLED)
+        self._canon.synchronise()  # homing would forget what is planned
         self._check_stop()
         if self._inputs.door_open():
             raise GrblError(errors.CHECK_DOOR)

@@ -139,6 +139,8 @@ class Protocol:
                         if not (known[WAITS] and fast.again(line, length)):
                             self._whose(line, length)(line, length)
                             if due:
+                                if state.run & st.UNDER_WAY:
+                                    self._canon.synchronise()  # the line itself has moved
                                 self._saves.finish()
                         if state.alarm and not pending[st.RESET]:
                             self._tell_alarm()
@@ -153,6 +155,8 @@ class Protocol:
         """Execute one line and answer it. before: what the answer begins with."""
         try:
             self._whose(line, length)(line, length)
+            if self._saves.due and self._state.run & st.UNDER_WAY:
+                self._canon.synchronise()
             self._saves.finish()
             self._tell_alarm()
         except (GrblError, OSError, Abort) as reason:
