@@ -52,7 +52,7 @@ test-emulator: $(EMULATOR)  ## on an emulated Pico; UGRBL_UF2 names MicroPython'
 	$(BIN)/pytest -q -rs -n auto --dist loadgroup host_tests/emulator
 
 torture: $(VENV)  ## stops at every bytecode, and random sessions: SEEDS of them, minutes to hours
-	UGRBL_TORTURE=$(or $(SEEDS),500) $(BIN)/pytest -q -n auto --timeout 0 host_tests/test_injection.py host_tests/test_torture.py host_tests/test_custom_injection.py
+	UGRBL_TORTURE=$(or $(SEEDS),500) $(BIN)/pytest -q -n auto --timeout 0 host_tests/test_injection.py host_tests/test_torture.py host_tests/test_custom_injection.py host_tests/test_waits_in_holds.py
 
 torture-board: $(EMULATOR)  ## stops at random instants on an emulated Pico: INJECTIONS of them, an hour
 	UGRBL_INJECTIONS=$(or $(INJECTIONS),1000) $(BIN)/pytest -q -rs -s host_tests/emulator/test_pico_injection.py

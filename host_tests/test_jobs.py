@@ -561,6 +561,28 @@ def test_the_button_starts_from_the_beginning_whatever_was_asked_before(tmp_path
     assert bench.moves == [(5, 0, 0), (5, 5, 0)]
 
 
+def test_hold_is_noted_when_tool_is_parked_not_while_it_moves(tmp_path: Path) -> None:
+    store = factory_store(load_board("sim"))
+    store.files["settings"] += ["$22=1"]
+    bench = Bench(tmp_path, store, PARKING=True)
+    bench.put("DOOR.NC", "G21G91G0Z-10", "G1X20F300")
+
+    def script(bench: Bench) -> Iterator[Any]:
+        yield from say("$X", "$F=DOOR.NC", wait_s=4)(bench)
+        bench.rig.link.send(b"\x84")
+        yield lambda: bench.rig.controller.state.system_motion
+        while bench.rig.controller.state.system_motion:
+            assert bench.kept()[1] == "1"  # noted when it began
+            yield bench.rig.ms(5)
+        yield bench.rig.ms(200)
+        assert bench.kept()[1] == "2" and not bench.rig.moving()
+        bench.rig.link.send(b"~")
+        yield bench.rig.ms(15_000)
+
+    assert bench.run(script)[-1] == "[MSG:Job DOOR.NC: done, 2 lines]"
+    assert bench.steps == [5000, 0, -2500] and bench.kept() == []
+
+
 @pytest.mark.parametrize("byte", [b"!", b"\x84"])
 def test_a_hold_while_the_way_is_looked_for_keeps_the_tool_where_it_is(
     tmp_path: Path, byte: bytes

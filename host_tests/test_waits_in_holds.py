@@ -1,15 +1,16 @@
 """A hold in front of a command that waits for motion to end: the command waits for `~`, too.
 
-Each kind of block is followed by each command, and `!` comes at an instant of the block's last
-200 ms. Held, nothing of the command is done; afterwards everything is as it is without a hold:
-pins, reports, modes, position, and what is stored. `UGRBL_TORTURE=1` takes every millisecond.
+Kinds of motion are followed by commands that wait, and `!` comes in the last 200 ms of the motion.
+In the hold nothing of the command has been done; after `~` pins, reports, modes, position and what
+is stored are as without a hold. Each motion is tried with some commands at some instants;
+UGRBL_TORTURE=1 tries each with all of them at every millisecond.
 """
 
 import os
 import random
 import re
-from collections.abc import Iterator, Sequence
-from functools import lru_cache
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -20,47 +21,54 @@ from ugrbl.boardfile.files import load_board
 from ugrbl.sim.engine import Switch
 
 _EVERY = os.environ.get("UGRBL_TORTURE") is not None
+_COMMANDS = 4  # that each motion is tried with
 _LAST_MS = 200
-_AFTER_MS = 30  # motors stay powered for 25 ms: what stands still is called idle then
+_RISKY_MS = 60  # before the end of motion: its last segments are made, or under way
+_AFTER_MS = 25  # $1: after it what stands still is idle
 _FAST = {110: 6000, 111: 6000, 112: 6000, 120: 500, 121: 500, 122: 500, 22: 1, 23: 7}
 _FAST |= {24: 600, 25: 3000, 26: 5, 27: 1}
 _LASER = {32: 1}
 _SWITCH_STEPS = -4000
+_PATIENCE_MS = 20_000
 
 
-class Block(NamedTuple):
-    """What moves: lines before it, whose end is awaited, and the lines of the motion."""
+class Motion(NamedTuple):
+    """Lines that set the tool before, and those that move."""
 
     before: Sequence[str]
     lines: Sequence[str]
-    settings: dict[int, float] = {}
+    settings: "dict[int, float]" = {}
+    options: "Mapping[str, Any]" = {}
 
 
-BLOCKS = {
-    "line": Block((), ("G1X2F3000",)),
-    "long line": Block((), ("G1X20F6000",)),
-    "slow line": Block((), ("G1X0.5F150",)),
-    "one step": Block((), ("G1X0.004F100",)),
-    "three axes": Block((), ("G1X3Y-2Z1F2000",)),
-    "many lines": Block((), tuple(f"G1X{0.3 * i:.1f}Y{i % 2}F3000" for i in range(1, 11))),
-    "corner": Block((), ("G1X3F4000", "G1Y3")),
-    "rapid": Block((), ("G0X12Y4",)),
-    "arc": Block((), ("G2X4Y0I2J0F1500",)),
-    "helix": Block((), ("G3X0Y0Z-2I3J0F3000",)),
-    "inverse time": Block((), ("G93G1X3F120",)),
-    "incremental inches": Block((), ("G91G20G1X0.1F80",)),
-    "machine coordinates": Block((), ("G53G0X-6",)),
-    "G28": Block((), ("G28X3",)),
-    "G30": Block((), ("G30Z2",)),
-    "tool": Block((), ("T3G1X2F2000",)),
-    "probing": Block((), ("G38.3Z-1F900",)),
-    "jog": Block((), ("$J=G91X4F4000",)),
-    "speed in motion": Block(("M3S300",), ("G1X1F2000", "S600X2", "S900X3")),
-    "laser M3": Block(("M3S300",), ("G1X2F3000S500",), _LASER),
-    "laser M4": Block(("M4S300",), ("G1X2F3000S500",), _LASER),
-    "laser in the dark": Block(("M3S300",), ("G1X1F3000", "G0X3"), _LASER),
-    "laser arc": Block(("M3S300",), ("G1F3000", "G2X4Y0I2J0S700"), _LASER),
-    "laser off": Block((), ("G1X2F3000S500",), _LASER),
+MOTIONS = {
+    "line": Motion((), ("G1X2F3000",)),
+    "long line": Motion((), ("G1X20F6000",)),
+    "slow line": Motion((), ("G1X0.5F150",)),
+    "one step": Motion((), ("G1X0.004F100",)),
+    "three axes": Motion((), ("G1X3Y-2Z1F2000",)),
+    "many lines": Motion((), tuple(f"G1X{0.3 * i:.1f}Y{i % 2}F3000" for i in range(1, 11))),
+    "corner": Motion((), ("G1X3F4000", "G1Y3")),
+    "rapid": Motion((), ("G0X12Y4",)),
+    "arc": Motion((), ("G2X4Y0I2J0F1500",)),
+    "helix": Motion((), ("G3X0Y0Z-2I3J0F3000",)),
+    "inverse time": Motion((), ("G93G1X3F120",)),
+    "incremental inches": Motion((), ("G91G20G1X0.1F80",)),
+    "machine coordinates": Motion((), ("G53G0X-6",)),
+    "G28": Motion((), ("G28X3",)),
+    "G30": Motion((), ("G30Z2",)),
+    "tool": Motion((), ("T3G1X2F2000",)),
+    "probing": Motion((), ("G38.3Z-1F900",)),
+    "jog": Motion((), ("$J=G91X4F4000",)),
+    "speed in motion": Motion(("M3S300",), ("G1X1F2000", "S600X2", "S900X3")),
+    "laser M3": Motion(("M3S300",), ("G1X2F3000S500",), _LASER),
+    "laser with an enable pin": Motion(
+        ("M3S300",), ("G1X1F3000", "G0X2"), _LASER, {"SPINDLE_ENABLE_PIN": True}
+    ),
+    "laser M4": Motion(("M4S300",), ("G1X2F3000S500",), _LASER),
+    "laser in the dark": Motion(("M3S300",), ("G1X1F3000", "G0X3"), _LASER),
+    "laser arc": Motion(("M3S300",), ("G1F3000", "G2X4Y0I2J0S700"), _LASER),
+    "laser off": Motion((), ("G1X2F3000S500",), _LASER),
 }
 
 COMMANDS = (
@@ -100,121 +108,227 @@ COMMANDS = (
 )
 
 
-@lru_cache
-def _board() -> ModuleType:
+# After these the place has another name, or another measure.
+_NEW_PLACES = ("$H", "$100=200")
+
+# What went wrong first: the laser burned on, the spindle stood still, flash was written in motion.
+KNOWN = (
+    ("laser M3", "M5"),
+    ("laser M3", "M2"),
+    ("laser M3", "M5X3"),
+    ("laser M3", "M0"),
+    ("line", "M3S1000"),
+    ("line", "$1=50"),
+    ("line", "G28.1"),
+    ("line", "G10L20P1Y3"),
+    ("speed in motion", "M5"),
+)
+
+
+def _board(options: "Mapping[str, Any]") -> ModuleType:
     board = ModuleType("board")
-    options = {"MIST": True, "OVERRIDE_CONTROL": True}
-    vars(board).update(vars(load_board("sim")), **options)
+    vars(board).update(vars(load_board("sim")), MIST=True, OVERRIDE_CONTROL=True, **options)
     return board
 
 
 class Trial:
-    """A block and what follows it on one machine. hold_ms: when `!` comes; None: it does not."""
+    """A motion, and a command after it. hold_ms: when `!` comes, or None. held: what is sent in
+    the hold."""
 
-    def __init__(self, block: Block, command: str = "", hold_ms: "float | None" = None) -> None:
-        self._block = block
+    def __init__(
+        self, motion: Motion, command: str, hold_ms: "float | None" = None, held: str = ""
+    ) -> None:
+        self._motion = motion
         self._command = command
         self._hold_ms = hold_ms
-        self.machine = Machine({**_FAST, **block.settings}, _board(), watched=False)
+        self._held = held
+        self.machine = Machine({**_FAST, **motion.settings}, _board(motion.options), False)
         self.rig = self.machine.rig
         self.rig.engine.switches += [
-            Switch(f"limit_{name}", i, False, _SWITCH_STEPS) for i, name in enumerate("xyz")
+            Switch(f"limit_{name}", axis, False, _SWITCH_STEPS) for axis, name in enumerate("xyz")
         ]
-        self.moved_ms = 0.0  # how long motion has taken
-        self.held: "dict[str, Any]" = {}
+        self.moved_ms = 0.0  # without a hold: how long motion takes
+        self.before: "dict[str, Any]" = {}
+        self.in_hold: "dict[str, Any]" = {}
         self.at_last: "dict[str, Any]" = {}
 
     def run(self) -> "Trial":
+        """Play it to its end."""
         self.machine.run(self._script())
         return self
 
     def _script(self) -> Iterator[Any]:
-        machine, rig = self.machine, self.rig
+        machine, rig, sender = self.machine, self.machine.rig, self.machine.sender
         yield from machine.start()
-        machine.sender.allow(12_000)
-        for line in ("$X", "M8", *self._block.before):
-            yield from machine.sender.wait("idle", line + "\n", 1)
-        machine.take()
-        self.before = self._now()
+        sender.allow(_PATIENCE_MS)
+        for line in ("$X", "M8", *self._motion.before):
+            yield from sender.wait("idle", line + "\n", 1)
+        yield from self._see(self.before)
         begin = rig.now
-        lines = [*self._block.lines, *filter(None, self._command.split("\n"))]
+        lines = [*self._motion.lines, *self._command.split("\n")]
         rig.link.send("".join(line + "\n" for line in lines).encode())
         if self._hold_ms is None:
-            yield lambda: rig.moving()
+            yield rig.moving
             yield lambda: not rig.moving()
             self.moved_ms = (rig.now - begin) / rig.ticks_per_ms
         else:
             yield begin + int(self._hold_ms * rig.ticks_per_ms)
-            rig.link.send(b"!")
-            yield rig.ms(3)
-            until = rig.ms(3000)
-            while not machine.sender.at_rest() and rig.now < until:
-                yield rig.ms(5)
-            yield rig.ms(40)
-            yield from self._see(self.held)
-            rig.link.send(b"~")
-        yield from machine.rest()
-        yield rig.ms(200)
+            yield from self._hold()
         yield from machine.rest()
         yield from self._see(self.at_last)
 
-    def _now(self) -> "dict[str, Any]":
-        machine = self.rig.controller
-        port = self.rig.port
-        return {
-            "stored": {name: list(lines) for name, lines in self.rig.store.files.items()},
-            "steps": self.machine.physical(),
-            "modes": machine.commands.modes(),
-            "pins": (port.spindle_on, port.spindle_pwm, port.spindle_dir, port.flood, port.mist),
-            "run": machine.state.run,
-        }
+    def _hold(self) -> Iterator[Any]:
+        rig, sender = self.rig, self.machine.sender
+        rig.link.send(b"!")
+        yield rig.ms(3)
+        while not sender.at_rest():
+            yield rig.ms(5)
+            assert rig.now < sender.deadline
+        yield rig.ms(2 * _AFTER_MS)
+        yield from self._see(self.in_hold)
+        rig.link.send(self._held.encode("latin-1"))
+        yield rig.ms(_AFTER_MS)
+        if "\x18" not in self._held:
+            rig.link.send(b"~")
 
     def _see(self, seen: "dict[str, Any]") -> Iterator[Any]:
-        """What it says, and what is so."""
-        machine = self.machine
-        seen.update(self._now())
-        yield from machine.sender.wait("report", "?")
-        report = next(line for line in machine.take() if line.startswith("<"))
-        seen["report"] = report
+        """What is so, and what is said."""
+        machine, port = self.rig.controller, self.rig.port
+        seen["stored"] = {name: list(lines) for name, lines in self.rig.store.files.items()}
+        seen["steps"] = self.machine.physical()
+        seen["modes"] = machine.commands.modes()
+        seen["pins"] = (port.spindle_on, port.spindle_pwm, port.flood, port.mist)
+        seen["direction"] = port.spindle_dir if port.spindle_on else None
+        seen["run"] = machine.state.run
+        self.machine.take()
+        yield from self.machine.sender.wait("report", "?")
+        report = next(line for line in self.machine.take() if line.startswith("<"))
         fields = dict(field.split(":", 1) for field in report[1:-1].split("|") if ":" in field)
-        seen["MPos"] = fields["MPos"]
-        seen["FS"] = fields["FS"]
+        per_mm = machine.settings.steps_per_mm
+        place = zip(fields["MPos"].split(","), per_mm, strict=True)
+        seen["reported steps"] = [round(float(mm) * steps) for mm, steps in place]
+        seen["reported speed"] = fields["FS"].split(",")[1]
+        seen["reported tool"] = machine.spindle.direction(), machine.coolant.mask
 
 
-def _steps(trial: Trial, seen: "dict[str, Any]") -> "list[int]":
-    per_mm = trial.rig.controller.settings.steps_per_mm
-    return [round(float(mm) * per) for mm, per in zip(seen["MPos"].split(","), per_mm)]
+@cache
+def without_hold(name: str, command: str) -> Trial:
+    """What the end is to be like."""
+    return Trial(MOTIONS[name], command).run()
 
 
-@lru_cache(maxsize=None)
-def alone(name: str, command: str) -> Trial:
-    return Trial(BLOCKS[name], command).run()
+def _tool(seen: "dict[str, Any]") -> "list[str]":
+    """Spindle and coolant, as `$G` has them."""
+    return re.findall(r"\bM[345789]\b", seen["modes"])
 
 
-def check(name: str, command: str, hold_ms: float) -> "list[str]":
-    wrong = []
-    trial = Trial(BLOCKS[name], command, hold_ms).run()
-    reference = alone(name, command)
-    end = alone(name, "")
-    held, last, expected = trial.held, trial.at_last, reference.at_last
-    if held["run"] == st.HOLD and held["steps"] != end.at_last["steps"] and name != "jog":
-        for key in ("stored",):
-            if held[key] != trial.before[key]:
-                wrong.append(f"held {key}: {held[key]} was {trial.before[key]}")
-        for word in ("M[345]", "M[789]"):
-            a = re.findall(word + r"\b", held["modes"]); b = re.findall(word + r"\b", trial.before["modes"])
-            if a != b:
-                wrong.append(f"held modes {a} was {b}")
-    if _steps(trial, held) != held["steps"] and command != "$H":
-        wrong.append(f"held place {held['MPos']} {held['steps']}")
-    same = ["stored", "modes", "pins", "FS"] if name != "jog" else ["stored", "modes", "pins", "FS"]
-    if name != "jog":
-        same += ["steps", "MPos"]
-    for key in same:
-        if last[key] != expected[key]:
-            wrong.append(f"{key}: {last[key]} without {expected[key]}")
-    return [f"{name!r} {command!r} at {hold_ms:.1f} of {end.moved_ms:.1f}: {w}" for w in wrong]
+def check_agreement(seen: "dict[str, Any]", is_laser: bool, where: str) -> None:
+    """What is wanted, what is said and what is so are the same."""
+    on, pwm, flood, mist = seen["pins"]
+    tool = _tool(seen)
+    assert (flood, mist) == ("M8" in tool, "M7" in tool), f"coolant: {where}"
+    assert on == (pwm > 0) == (seen["reported speed"] != "0"), f"FS: {where}"
+    if not is_laser:
+        assert on == ("M5" not in tool and not seen["modes"].endswith("S0")), f"spindle: {where}"
+        assert seen["direction"] in (None, "M4" in tool), f"direction: {where}"
+    elif seen["run"] == st.HOLD:
+        assert not on, f"the laser burns: {where}"
 
 
-if __name__ == "__main__":
-    pass
+def check(name: str, command: str, hold_ms: float, held: str = "") -> None:
+    """Play it with a hold, and compare."""
+    where = f"{name}, {command!r}, hold after {hold_ms:.1f} ms"
+    trial = Trial(MOTIONS[name], command, hold_ms, held).run()
+    wanted, is_laser = without_hold(name, command), 32 in MOTIONS[name].settings
+    in_hold, at_last = trial.in_hold, trial.at_last
+    if in_hold["run"] == st.HOLD:
+        check_agreement(in_hold, is_laser, f"held: {where}")
+        if in_hold["steps"] != without_hold(name, "").at_last["steps"]:  # motion is left
+            assert in_hold["stored"] == trial.before["stored"], f"stored in the hold: {where}"
+            assert _tool(in_hold) == _tool(trial.before), f"done in the hold: {where}"
+    for seen in (in_hold, at_last):
+        if command not in _NEW_PLACES:
+            assert seen["reported steps"] == seen["steps"], f"place: {where}"
+    check_agreement(at_last, is_laser, where)
+    for what in at_last:
+        if name != "jog" or "steps" not in what:  # a hold cancels a jog
+            assert at_last[what] == wanted.at_last[what], f"{what} at last: {where}"
+
+
+def instants(name: str, chance: random.Random, count: int) -> "list[float]":
+    """When `!` comes: once in all of the last 200 ms, else where most can go wrong."""
+    end = without_hold(name, "").moved_ms
+    if _EVERY:
+        return [max(1.0, end - ms) for ms in range(-_AFTER_MS, _LAST_MS)]
+    spans = [_LAST_MS] + [_RISKY_MS] * (count - 1)
+    return [max(1.0, end + _AFTER_MS - chance.random() * span) for span in spans]
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_hold_in_front_of_waiting_command_changes_nothing(name: str) -> None:
+    chance = random.Random(name)
+    first = list(MOTIONS).index(name) * _COMMANDS
+    few = [COMMANDS[(first + i) % len(COMMANDS)] for i in range(_COMMANDS)]
+    for command in COMMANDS if _EVERY else few:
+        for hold_ms in instants(name, chance, 1):
+            check(name, command, hold_ms)
+
+
+@pytest.mark.parametrize(("name", "command"), KNOWN)
+def test_hold_in_last_segments_lets_command_wait(name: str, command: str) -> None:
+    for hold_ms in instants(name, random.Random(command), 4):
+        check(name, command, hold_ms)
+
+
+@pytest.mark.parametrize("command", ["M5", "M2", "M4S200", "S100"])
+def test_spindle_stopped_in_hold_obeys_waiting_command(command: str) -> None:
+    for hold_ms in instants("speed in motion", random.Random(command), 3):
+        check("speed in motion", command, hold_ms, held="\x9e")
+
+
+@pytest.mark.parametrize("command", ["M3S700", "$1=50", "G10L2P1X1", "$H", "G4P1"])
+def test_reset_in_hold_aborts_waiting_command(command: str) -> None:
+    end = without_hold("line", "").moved_ms
+    trial = Trial(MOTIONS["line"], command, end - 20, held="\x18").run()
+    assert trial.in_hold["run"] == st.HOLD and trial.in_hold["steps"] != [500, 0, 0]
+    assert trial.at_last["run"] == st.IDLE and trial.at_last["steps"] == trial.in_hold["steps"]
+    assert trial.at_last["stored"] == trial.before["stored"]
+    assert trial.at_last["pins"] == (False, 0, 0, 0)
+
+
+def test_soft_limit_met_while_slowing_down_comes_to_rest_first() -> None:
+    machine = Machine({**_FAST, 20: 1}, watched=False)
+    rig = machine.rig
+    stopped_in_motion = []
+
+    def script() -> Iterator[Any]:
+        yield from machine.start()
+        stop = rig.engine.stop
+
+        def noted_stop() -> None:
+            stopped_in_motion.append(rig.moving())
+            stop()
+
+        rig.engine.stop = noted_stop  # type: ignore[method-assign]
+        yield from machine.sender.wait("ok", "$X\n")
+        yield from machine.sender.wait("ms 300", "G1X-50F6000\n")
+        rig.link.send(b"!G1X500\n")
+        yield rig.ms(1000)
+        machine.take()
+
+    machine.run(script())
+    assert "ALARM:2" in machine.received
+    assert stopped_in_motion and not any(stopped_in_motion)
+
+
+def test_store_written_in_motion_is_a_fault() -> None:
+    machine = Machine(watched=False)
+
+    def script() -> Iterator[Any]:
+        yield from machine.start()
+        yield from machine.sender.wait("ms 100", "G1X1F100\n")
+        machine.rig.controller.saves.save("coords", [])
+        machine.rig.controller.saves.finish()
+
+    with pytest.raises(RuntimeError, match="while the motors turn"):
+        machine.run(script())

@@ -35,6 +35,7 @@ _PIO_STEP = 8  # processor cycles
 # Commands of a flash chip, and what its status says.
 _READ_STATUS = 0x05
 _ERASES = (b"\x20", b"\xd8")
+_WRITES = (b"\x02", *_ERASES)
 _BUSY = 1
 
 # Control registers of the pins, and IRQOVER in them; IRQTOPROC of their status; edges noted.
@@ -207,7 +208,10 @@ class Pico:
         self.clock = self.simulator.clock
         self.usb = _Usb(self)
         self.edges: list[Edge] = []
-        self.on_erase: Callable[[], None] = lambda: None  # a sector of flash, where it takes time
+        self.on_erase: Callable[[], None] = lambda: None  # a sector of flash
+        self._erase_ns = self._busy_until = 0.0
+        self._written_in_motion: list[float] = []  # when, in us
+        self._watch_flash()
         self._stop = self.clock.create_alarm(self._on_stop)
         self._beat = self.clock.create_alarm(self._on_beat)
         if files is not None:
@@ -230,6 +234,7 @@ class Pico:
         self.simulator.stopped = False
         while not self.simulator.stopped:
             execute_batch(self.simulator, 1)
+        assert not self._written_in_motion, "flash is written while motors turn"
 
     def run_until(self, done: Callable[[], bool], limit_us: float, step_us: float = 500) -> bool:
         """Let the chip run until done() says so; returns False where it never does."""
@@ -291,23 +296,35 @@ class Pico:
 
     def erase_takes_us(self, us: float) -> None:
         """From now on every sector erased takes the chip so long: rp2040py does it in no time."""
+        self._erase_ns = us * _NS_PER_US
+
+    def _watch_flash(self) -> None:
+        """Erasing takes its time, and no motor turns while flash is written: the processor stands
+        still, and would be late for the next segment. run_us() raises where one does."""
         ssi, clock = self.mcu.ssi, self.clock
         shift, apply = type(ssi)._shift_byte, type(ssi)._apply_command
-        busy_until = 0.0
 
         def shift_byte(byte: int) -> int:
             answer = int(shift(ssi, byte))
             asked = len(ssi._tx_buffer) > 1 and ssi._tx_buffer[0] == _READ_STATUS
-            return answer | _BUSY if asked and clock.nanos < busy_until else answer
+            return answer | _BUSY if asked and clock.nanos < self._busy_until else answer
 
         def apply_command() -> None:
-            nonlocal busy_until
-            if ssi._tx_buffer[:1] in _ERASES and ssi._write_enabled:
-                busy_until = clock.nanos + us * _NS_PER_US
-                self.on_erase()
+            command = bytes(ssi._tx_buffer[:1])
+            if command in _WRITES and ssi._write_enabled:
+                if self.moving():
+                    self._written_in_motion.append(self.us)
+                if command in _ERASES:
+                    self._busy_until = clock.nanos + self._erase_ns
+                    self.on_erase()
             apply(ssi)
 
         ssi._shift_byte, ssi._apply_command = shift_byte, apply_command
+
+    def moving(self) -> bool:
+        """A PIO machine has something to do: all of ours wait for a word while motors stand."""
+        machines = [machine for pio in self.mcu.pio for machine in pio.machines]
+        return any(machine.enabled and not machine.waiting for machine in machines)
 
     def put_file_system(self, image: bytes) -> None:
         """Replace the file system."""

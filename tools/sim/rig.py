@@ -53,6 +53,30 @@ class MemoryStore:
         self.files[name] = list(lines)
 
 
+class _AtRest:
+    """A Store in front of the rig's, and files of jobs beside it: they are written at rest only.
+
+    On a board flash stops the processor, and pulses with it; here a write in motion is an error,
+    in whatever is run on a rig.
+    """
+
+    def __init__(self, store: "Store", idle: "Callable[[], bool]") -> None:
+        self._store = store
+        self._idle = idle
+
+    def load(self, name: str) -> "list[str] | None":
+        return self._store.load(name)
+
+    def save(self, name: str, lines: "Iterable[str]") -> None:
+        self.before()
+        self._store.save(name, lines)
+
+    def before(self) -> None:
+        """Called before anything is written, as a board's store has it."""
+        if not self._idle():
+            raise RuntimeError("something is stored while the motors turn")
+
+
 class _Board:
     """A board's own words, as its module has them."""
 
@@ -131,8 +155,9 @@ class Rig:
             self._cycle = False
             self.drivers.attach(getattr(self.board, "TMC_UART", ()))
             try:
+                store = _AtRest(self.store, self.engine.idle)
                 self.controller = wiring.build(
-                    self.board, self.link, self.port, self.engine, self.store
+                    self.board, self.link, self.port, self.engine, store
                 )
                 self._give_reports_time()
                 if self._full and not isinstance(self.engine, SimBeamEngine):
