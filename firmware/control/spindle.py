@@ -122,18 +122,23 @@ class Spindle:
 
     def turn(self, direction: int, rpm: float) -> None:
         """Set direction and speed now. In laser mode a reversed spindle begins with no power."""
-        self._reversed = direction == CCW
         if direction == OFF:
+            self._reversed = False
             self._state.spindle[RPM] = 0.0
             self.stop()
         else:
-            self._direction = CW if self._has_enable else direction
-            self._enabled = True
-            self._port.direction(1 if self._has_enable or direction == CCW else 0)
+            self.enable(direction)
             if self.laser and self._reversed:
                 rpm = 0.0
             self.set_power(self.power(rpm))
         self._state.override_countdown = 0
+
+    def enable(self, direction: int) -> None:
+        """Set direction, CW or CCW, and the enable pin; power comes with the motion."""
+        self._reversed = direction == CCW
+        self._direction = CW if self._has_enable else direction
+        self._enabled = True
+        self._port.direction(1 if self._has_enable or direction == CCW else 0)
 
     def set_power(self, power: int) -> None:
         """Power of the segment that begins. Safe in an interrupt."""

@@ -161,14 +161,13 @@ class Suspension:
         self._spindle.turn(0, 0.0)
 
     def _restore_spindle(self) -> None:
-        laser = self._spindle.laser
-        if laser and not self._planner.empty():
+        spindle, direction = self._spindle, self._flags & plan.SPINDLE_MASK
+        if spindle.laser and not self._planner.empty():
             self._state.update_spindle = True  # comes back with the motion
-            if not self._flags & layout.DYNAMIC:
-                self._spindle.power(self._rpm)  # and is reported
+            spindle.enable(direction)
+            self._planner.each_power(spindle.block_power)  # and is reported
         else:
-            rpm = self._rpm if self._lit or not laser else 0.0
-            self._spindle.turn(self._flags & plan.SPINDLE_MASK, rpm)
+            spindle.turn(direction, self._rpm if self._lit or not spindle.laser else 0.0)
 
     # Sleep
 

@@ -181,7 +181,7 @@ class BacklashCanon(Canon):
         if not self._turns():
             return True
         planner.synced = False
-        while not planner.empty() or self._drive.moving:
+        while not planner.empty() or self._drive.moving or self._state.run == st.HOLD:
             self.auto_start()
             self.service()
         while self._slack_ahead() and not (self._is_jog and planner.synced):
@@ -224,7 +224,7 @@ class BacklashCanon(Canon):
         kinematics.held = sum([1 << i for i in axes if self._ways[i]])
         try:
             drive.start(st.JOG if self._is_jog else st.RUN)
-            while drive.moving:
+            while drive.moving or self._state.run == st.HOLD:  # which ends a little later
                 self.service()
         finally:
             self.engine.position(self._behind)

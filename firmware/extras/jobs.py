@@ -86,8 +86,7 @@ class Jobs:
         """What stands behind $F."""
         if self._run.is_on():  # a line of the job's own
             raise GrblError(errors.IDLE_ERROR)
-        if words[:1] in (b"D", b"U", b"B"):
-            self._machine.canon.synchronise()  # flash is written at rest
+        self._machine.canon.synchronise()  # files are written at rest
         try:
             if words not in _WITHOUT_FILES:
                 self._files.mount()

@@ -219,11 +219,8 @@ class Punch(Spindle):
         if not machine.modes.modal[SPINDLE] or state.run == st.CHECK:
             return
         machine.canon.synchronise()
-        while True:
-            # A hold that began with the last segments is over later than the plan.
+        while state.run != st.ALARM and not self.stroke():
             machine.canon.service()
-            if state.run == st.ALARM or (state.run == st.IDLE and self.stroke()):
-                return
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:

@@ -278,6 +278,7 @@ class Commands:
         elif line[2] != 61:
             raise GrblError(errors.INVALID_STATEMENT)
         else:
+            self._canon.synchronise()
             self._store.save(_BUILD_INFO, [text_of(line[3:length])])
 
     def _restore(self, line: bytearray, length: int) -> None:
