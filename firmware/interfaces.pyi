@@ -431,8 +431,7 @@ class BoardLink(Link, Protocol):
 class Access(Protocol):
     """Which callers may do more than read: ports/access.py."""
 
-    secret: str  # who says it may,
-    allowed: list[str]  # and who calls from one of these addresses
+    secret: str  # who says it may
 
     def noise(self, count: int) -> bytes:
         """So many bytes that nobody can guess."""
@@ -477,6 +476,9 @@ class NetworkLink(Link, Protocol):
 
     def callers(self) -> int:
         """How many are connected."""
+
+    def expel(self) -> None:
+        """Hang up on all of them."""
 
 class Store(Protocol):
     """Text lines kept over power-off, by name."""

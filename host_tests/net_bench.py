@@ -6,7 +6,7 @@ from typing import Any
 from ports.page import Page
 from ugrbl.boardfile.files import load_board
 from ugrbl.run import board_modules
-from ugrbl.run.tcp_link import HostCalls
+from ugrbl.run.tcp_link import LOOPBACK, HostCalls
 from ugrbl.sim.link import SimLink
 from ugrbl.sim.network import RigLink, RigPageLink
 from ugrbl.sim.replay import factory_store
@@ -17,6 +17,7 @@ board_modules.complete()
 
 KEY = "23456789"
 HOST = "ugrbl"
+WELCOME = "\r\nGrbl 1.1h ['$' for help]\r\n"
 Script = Callable[["NetBench"], Iterator[Any]]
 
 
@@ -83,6 +84,7 @@ class _Link(RigLink):
     """What `driver` sends is an event, as what comes by the cable: the machine does not sleep."""
 
     driver: "Pipe | None" = None
+    trusts = (LOOPBACK,)
 
     def next_event(self) -> "int | None":
         if self.driver and self.driver.unread:
@@ -109,7 +111,7 @@ class NetBench:
         board = load_board("sim_page" if page else "sim_wifi")
         store = factory_store(board)
         store.files["settings"] += [f"${n}={value}" for n, value in (settings or {}).items()]
-        store.files["network"] = [f"KEY={KEY}", "ALLOW=10.0.0.9"]
+        store.files["network"] = [f"KEY={KEY}"]
         self.door = Door(more)
         self.store = store
         self.rig: Any = None
@@ -129,8 +131,8 @@ class NetBench:
     def _now_ms(self) -> int:
         return int(self.rig.now / self.rig.ticks_per_ms) & 0x3FFFFFFF if self.rig else 0
 
-    def call(self, address: str = "10.0.0.9") -> Pipe:
-        """Somebody calls; 10.0.0.9 is allowed."""
+    def call(self, address: str = LOOPBACK) -> Pipe:
+        """Somebody calls; this computer needs no key."""
         pipe = Pipe()
         self.door.waiting.append((pipe, address))
         return pipe
@@ -174,3 +176,16 @@ class NetBench:
     def steps(self) -> list[int]:
         self.rig.engine.physical(self.rig.scratch)
         return list(self.rig.scratch)
+
+
+def connected(bench: NetBench, pipe: Pipe) -> Iterator[Any]:
+    """It has been welcomed."""
+    yield from bench.until(lambda: WELCOME.encode() in pipe.got)
+    pipe.take()
+
+
+def joined(bench: NetBench) -> Iterator[Any]:
+    """Somebody who has called, and has been welcomed."""
+    pipe = bench.call()
+    yield from connected(bench, pipe)
+    return pipe

@@ -60,7 +60,7 @@ class Bench:
         if settings:
             lines = [f"${number}={value:g}\n" for number, value in settings.items()]
             if network:
-                lines += [";[network] ALLOW=127.0.0.1\n", ";[network] KEY=23456789\n"]
+                lines += [";[network] KEY=23456789\n"]
             kept.write_text("".join(lines))
         command = [sys.executable, __file__, str(self.wire_log), "sim", "--port", str(self.port)]
         command += ["--settings", str(kept), *arguments]
@@ -110,6 +110,8 @@ def serve(wire_log: Path, arguments: list[str]) -> None:
     """Be `ugrbl sim`, fitted with switches; commands for inputs come as JSON on stdin."""
     from ugrbl.cli.app import app
     from ugrbl.run import machine, pty_link
+    from ugrbl.run.tcp_link import LOOPBACK
+    from ugrbl.sim.network import RigLink
 
     build = machine.build
     rigs = []
@@ -126,6 +128,7 @@ def serve(wire_log: Path, arguments: list[str]) -> None:
     _log(pty_link.Pty, out)
     if "--network" in arguments:
         _log_network(out)
+        RigLink.trusts = (LOOPBACK,)
     app(arguments, standalone_mode=False)
     rig = rigs[0]
     rig.engine.physical(rig.scratch)

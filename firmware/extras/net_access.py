@@ -33,7 +33,6 @@ _LONGEST_NAME = const(32)
 _SHORTEST_PASSWORD = const(8)
 _LONGEST_PASSWORD = const(63)
 _HIGHEST_PORT = const(65535)
-_MOST_ADDRESSES = const(4)
 
 
 def drop_half(ring: bytearray, at: "array[int]", kinds: bytearray) -> None:
@@ -72,10 +71,8 @@ class Network:
         return "".join([_KEY_SIGNS[byte % len(_KEY_SIGNS)] for byte in noise])
 
     def _know(self) -> None:
-        link = self._link
-        if link:
-            link.access.secret = self._kept["KEY"]
-            link.access.allowed = [one for one in self._kept.get("ALLOW", "").split(",") if one]
+        if self._link:
+            self._link.access.secret = self._kept["KEY"]
 
     def _keep(self) -> None:
         self._saves.save(_FILE, ["%s=%s" % row for row in sorted(self._kept.items())])
@@ -133,6 +130,8 @@ class Network:
         kept = self._kept
         if name == "KEY" and text == "NEW":
             kept["KEY"] = self._new_key()
+            if self._link:
+                self._link.expel()
             self._tell_key()
         elif name == "OFF" and not sign:
             for one in ("SSID", "PASS"):
@@ -150,10 +149,8 @@ class Network:
             kept["HOST"] = self._host(text.lower())
         elif name == "PORT" and sign == "=":
             kept["PORT"] = self._port(text)
-        elif name == "ALLOW" and sign == "=":
-            kept["ALLOW"] = self._addresses(text)
         else:
-            self._refuse("$NET/SSID= PASS= MODE=STATION MODE=AP HOST= PORT= ALLOW= KEY OFF")
+            self._refuse("$NET/SSID= PASS= MODE=STATION MODE=AP HOST= PORT= KEY OFF")
 
     def _refuse(self, why: str) -> None:
         self._cnc.message(why)
@@ -178,12 +175,6 @@ class Network:
             self._refuse("A port is a number from 1 to 65535")
         return text
 
-    def _addresses(self, text: str) -> str:
-        found = [one for one in text.split(",") if one]
-        if len(found) > _MOST_ADDRESSES or not all(_is_address(one) for one in found):
-            self._refuse("Addresses are as 192.168.1.20, four at the most, with commas between")
-        return ",".join(found)
-
 
 def _parted(text: str) -> "tuple[str, str, str]":
     """Name, sign and value of `NAME=VALUE`, `NAME+VALUE` or `NAME`."""
@@ -198,12 +189,6 @@ def _is_of(text: str, signs: str) -> bool:
     """There is text, of no other signs. What Python has for it would take names of MicroPython's
     that others are called by: compiling/shorten.py."""
     return bool(text) and not [sign for sign in text if sign not in signs]
-
-
-def _is_address(text: str) -> bool:
-    parts = text.split(".")
-    good = [part for part in parts if _is_of(part, _DIGITS) and int(part) < 256]
-    return len(good) == len(parts) == 4
 
 
 def install(cnc: "Cnc") -> None:

@@ -1,11 +1,14 @@
 # mypy: disable-error-code=arg-type
-"""A caller: one of those who may drive the machine, at the cable or over the network.
+"""A client: one of those who may control the machine, at the cable or over the network.
 
-Nobody is ever waited for. What is to be sent is kept here, and goes in pieces that lwIP has room
-for: where its memory is full, MicroPython 1.28 waits up to ten seconds in a write, also for a
-socket that is not to block (extmod/modlwip.c, lwip_tcp_send). So no more is on its way to a caller
-than _CREDIT bytes at once and so many in all, until something comes from him, which tells that
-what was sent before has arrived; and what is said in one turn goes in one piece.
+Nothing here waits. Output is queued and sent in pieces that lwIP has memory for: where that is
+used up, MicroPython 1.28 waits up to ten seconds in a write, also for a socket that is not to
+block (extmod/modlwip.c, lwip_tcp_send). Its memory is 8000 bytes and 32 segments for all, and what
+a closed connection has not acknowledged stays there for ten seconds. Memory counts all of it.
+
+Bytes that arrive prove that the client is alive, not that it has read our output. With the key
+they are taken as proof. Without it a websocket proves it (web_socket.py), and raw TCP cannot: such
+a client gets a fixed number of bytes, and no answers after them, until it says the key.
 """
 
 import time
@@ -21,12 +24,17 @@ _QUESTION = const(0x3F)
 _SAID = const(256)  # twice what a sender that counts has under way
 _PIECE = const(64)
 _OUT = const(512)
-_CREDIT = const(800)
-_SEGMENT = const(100)  # what a write counts for at the least: lwIP has 32 segments for all
-# Senders ask for a report a few times a second: who is silent for so long is not there.
+_SEGMENT = const(100)  # what a write counts for at the least
+MEMORY = const(7200)  # a third for each client
+_CLOSED_MS = const(10_000)
+# Senders ask for a report a few times a second: a client silent for so long has gone.
 _GONE_MS = const(3000)
-_CREDIT_MS = const(250)  # then what was sent has arrived, where there is anybody
-UNHEARD = const(2400)  # three callers fill 7200 of lwIP's 8000 bytes
+# So long a client may keep its place where others want one: without the key from when it came,
+# with it from when it was last heard, for senders wait for the end of a long move.
+_STRANGER_MS = const(2000)
+_LOST_MS = const(600_000)
+_FREE_MS = const(0x1000_0000)  # a free place is long overdue
+_TRIES = const(3)  # wrong keys
 
 
 @micropython.viper
@@ -38,78 +46,116 @@ def asks(data: ptr8, count: int) -> int:
     return 0
 
 
-class Caller:
-    """A place for one. conn: None where it is free. trusted: may do more than read. most: bytes
-    that may be on their way to who is not heard of."""
+class Memory:
+    """Bytes that lwIP may hold for all connections, those that are closed included. Clients
+    without the key have a third of it, all together."""
 
-    def __init__(self, most: int = UNHEARD) -> None:
+    def __init__(self, most: int = MEMORY) -> None:
+        self.share = most // 3
+        self.held = 0
         self._most = most
+        self._closed: "list[tuple[int, int]]" = []  # when, and how many bytes
+
+    def space(self, trusted: bool) -> int:
+        """Bytes that may be sent."""
+        return (self._most if trusted else self.share) - self.held
+
+    def leave(self, count: int) -> None:
+        """So many bytes are held for a connection that has been closed."""
+        if count:
+            self._closed.append((time.ticks_ms(), count))
+
+    def forget(self, now_ms: int) -> None:
+        """Those that MicroPython has given up are free."""
+        while self._closed and time.ticks_diff(now_ms, self._closed[0][0]) >= _CLOSED_MS:
+            self.held -= self._closed.pop(0)[1]
+
+
+class Caller:
+    """A place for one. conn: None where it is free. trusted: has said the key."""
+
+    def __init__(self, memory: Memory) -> None:
+        self._memory = memory
         self.conn: "Connection | None" = None
         self.address = ""
         self.trusted = False
-        self.asked = False  # for a status report that he has not got yet
+        self.asked = False  # for a status report that it has not got yet
+        self.tries = _TRIES
         self.heard_ms = 0
-        self.spoke_ms = 0  # when his last line came
-        # What has come and is not the machine's yet: up to `ready` it may be.
+        self.spoke_ms = 0  # when its last line came; without the key, when it came itself
+        # Received and not yet passed to the machine: up to `ready` it may be.
         self.said = bytearray(_SAID)
         self.length = 0
         self.ready = 0
         self.is_too_long = False
         self._out = bytearray(_OUT)
         self._waiting = 0
-        self._credit = 0
-        self._unheard = 0
-        self._sent_ms = 0
+        self._held = 0  # of memory
+        self._proves = False
 
-    def begin(self, conn: "Connection", address: str, trusted: bool, now_ms: int) -> None:
-        """Somebody has called."""
+    def begin(self, conn: "Connection", address: str, now_ms: int) -> None:
+        """A new connection."""
         self.conn = conn
         self.address = address
-        self.trusted = trusted
+        self.trusted = False
         self.asked = False
-        self.spoke_ms = now_ms
+        self.tries = _TRIES
+        self.spoke_ms = self.heard_ms = now_ms
         self._waiting = 0
+        self._proves = hasattr(conn, "unproved")
         self.forget()
-        self.hear(now_ms)
 
     def end(self) -> None:
         """Hang up."""
         conn, self.conn = self.conn, None
         self.forget()
+        self._memory.leave(self._held)
+        self._held = 0
         if conn:
             conn.close()
 
     def forget(self) -> None:
-        """What has come is not wanted."""
+        """Drop what was received."""
         self.length = self.ready = 0
         self.is_too_long = False
 
     def hear(self, now_ms: int) -> None:
-        """Something has come: he is there, and what was sent has arrived."""
+        """Something has arrived: the client is alive."""
         self.heard_ms = now_ms
-        self._credit = _CREDIT
-        self._unheard = 0
+        if self.trusted and not self._proves:
+            self._hold(0)
+
+    def _hold(self, count: int) -> None:
+        self._memory.held += count - self._held
+        self._held = count
 
     def is_gone(self, now_ms: int) -> bool:
-        """Nothing is heard of him, over the network."""
+        """Nothing is heard of it, over the network."""
         return bool(self.conn) and time.ticks_diff(now_ms, self.heard_ms) >= _GONE_MS
 
+    def overdue_ms(self, now_ms: int) -> int:
+        """How much longer than it may it has kept its place."""
+        if self.trusted:
+            return time.ticks_diff(now_ms, self.heard_ms) - _LOST_MS
+        return time.ticks_diff(now_ms, self.spoke_ms) - _STRANGER_MS
+
     def read(self, buf: bytearray) -> int:
-        """What has come; -1 where he has gone."""
+        """What has arrived; -1 where the client has gone."""
         try:
             count = self.conn.readinto(buf) if self.conn else 0
         except OSError:
+            self._hold(0)  # lwIP has dropped all of it
             return -1
         if count is None:
             return 0
         return count or -1
 
     def has_room(self) -> bool:
-        """Whether more may be read. Who may only read waits for each of his lines to be done."""
+        """Whether more may be read. Without the key each line waits for the one before."""
         return self.length <= _SAID - _PIECE if self.trusted else not self.ready
 
     def keep(self, byte: int) -> None:
-        """One more byte of what he says."""
+        """One more byte received."""
         if self.length < _SAID:
             self.said[self.length] = byte
             self.length += 1
@@ -117,26 +163,36 @@ class Caller:
             self.is_too_long = True
 
     def end_line(self, byte: int, now_ms: int) -> None:
-        """A line of his is whole, and is the machine's."""
+        """A line is whole, and is the machine's."""
         self.keep(byte)
         self.ready = self.length
-        self.spoke_ms = now_ms
+        if self.trusted:
+            self.spoke_ms = now_ms
 
-    def pour(self, buf: bytearray, at: int) -> int:
-        """Move what may be the machine's into buf, from there on. Returns where it ends."""
-        count = min(self.ready, len(buf) - at)
-        if count > 0:
-            buf[at : at + count] = self.said[:count]
-            left = self.length - count
-            self.said[:left] = self.said[count : self.length]
-            self.length = left
-            self.ready -= count
-        return at + count
+    def pour(self, buf: bytearray) -> int:
+        """Move what may be the machine's into buf. Returns how many bytes."""
+        count = min(self.ready, len(buf))
+        buf[:count] = self.said[:count]
+        left = self.length - count
+        self.said[:left] = self.said[count : self.length]
+        self.length = left
+        self.ready -= count
+        return count
+
+    def may_hear(self) -> bool:
+        """Whether an answer would be sent: there is memory for it."""
+        return self.space() >= _SEGMENT
+
+    def space(self) -> int:
+        """Bytes that may be sent now."""
+        if self._proves:
+            self._hold(self.conn.unproved)  # type: ignore[union-attr]  # WebSocket's
+        return min(self._memory.share - self._held, self._memory.space(self.trusted))
 
     def put(self, data: "bytes | bytearray | memoryview") -> bool:
-        """Say something to him, soon. False where he takes too little: he is to go."""
+        """Queue output. False where the client reads too little: it has to go."""
         count = len(data)
-        if self._waiting + count > _OUT and not self.send(True):
+        if self._waiting + count > _OUT and not self.send():
             return False
         if self._waiting + count > _OUT:
             return False
@@ -144,27 +200,37 @@ class Caller:
         self._waiting += count
         return True
 
-    def send(self, at_once: bool = False) -> bool:
-        """Have sent what waits, as far as it may be. at_once: there is no room for more of it.
-        False where he is gone, or takes nothing."""
+    def send(self) -> bool:
+        """Send as much queued output as there is memory for. False where the client is gone."""
         if not self._waiting or not self.conn:
             return True
-        now_ms = time.ticks_ms()
-        if self._credit <= 0:
-            if self._unheard >= self._most:
-                return False
-            if not at_once and time.ticks_diff(now_ms, self._sent_ms) < _CREDIT_MS:
-                return True
-            self._credit = _CREDIT
-        count = min(self._waiting, self._credit)
+        space = self.space()
+        if space < _SEGMENT:
+            if not (self.trusted or self._proves):
+                self._waiting = 0  # no more answers
+            return True
         try:
-            sent = self.conn.write(memoryview(self._out)[:count]) or 0
+            sent = self.conn.write(memoryview(self._out)[: min(self._waiting, space)]) or 0
         except OSError:
+            self._hold(0)
             return False
         self._waiting -= sent
         self._out[: self._waiting] = self._out[sent : sent + self._waiting]
-        cost = max(sent, _SEGMENT)
-        self._credit -= cost
-        self._unheard += cost
-        self._sent_ms = now_ms
+        self._hold(self._held + max(sent, _SEGMENT))
         return True
+
+
+def place_for(
+    address: str, callers: "list[Caller]", at_rest: bool, now_ms: int
+) -> "Caller | None":
+    """A free place, or the one most overdue, for a new connection. While the machine works none of
+    those with the key is. Without the key there is one place for an address, so a computer that
+    connects again and again keeps nobody else out."""
+    found, most_ms = None, 0
+    for caller in callers:
+        overdue_ms = caller.overdue_ms(now_ms) if caller.conn else _FREE_MS
+        if caller.conn and not caller.trusted and caller.address == address:
+            return caller if overdue_ms > 0 else None
+        if overdue_ms > most_ms and (at_rest or not (caller.conn and caller.trusted)):
+            found, most_ms = caller, overdue_ms
+    return found

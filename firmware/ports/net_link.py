@@ -1,11 +1,16 @@
-"""The sender at the cable or on the network: one drives, the others watch.
+"""The sender at the cable or on the network: one is in control, the others watch.
 
-Put around a link of the cable, whose way to the prompt stays. Who drives is read without a look at
-what he says; of the others each byte is looked at: `?` is answered to who asks, and a line may
-make its sender the one who drives. At the cable a hold and a reset act always.
+Put around a link of the cable, whose way to the prompt stays. Bytes of the client in control pass
+unread; of the others' each is looked at.
 
-Who has not given the network's key, and does not call from an address that is allowed, may read
-and no more. It is said by `$NET/KEY=…`, and the address is trusted then until power-off.
+| client | lines | `!`, Ctrl-X, door, end of a jog | `~`, overrides | place |
+| --- | --- | --- | --- | --- |
+| at the cable, or with the key | take control, where it is free | act | as lines | is kept |
+| without the key | those that only read, at rest, where nobody is in control | none | none | 2 s |
+
+Control is free where nobody has it, where its client has gone (3 s without a byte, over the
+network), and at rest when it has sent no line for 5 s. `?` is answered to the client that asks.
+The key is said by `$NET/KEY=...` on each connection. caller.py bounds what clients may cost.
 """
 
 import time
@@ -14,8 +19,8 @@ import micropython
 from base import errors
 from micropython import const
 
-from ports.access import MSG_TAKEN, OK, REFUSED, TAKEN, Access
-from ports.caller import UNHEARD, Caller, asks
+from ports.access import MSG_TAKEN, OK, REFUSED, TAKEN, Access, is_browser
+from ports.caller import Caller, Memory, asks, place_for
 from ports.link_memory import PIECES
 
 TYPE_CHECKING = const(False)
@@ -28,26 +33,25 @@ _PLACES = const(3)  # callers at once
 _PIECE = const(64)
 _URGENT = const(16)
 _ROUND_MS = const(10)
-# Who drives may be followed by another, at rest, when he has said no line for so long.
 _SILENT_MS = const(5000)
-_STALE_MS = const(10000)  # and then his place is another caller's who has none
 _RADIO_MS = const(1000)
 
 _QUESTION = const(0x3F)
 _JOG_CANCEL = const(0x85)
 _STOPS = b"\x18!\x84\x85"
 _REALTIME = b"\x18!~"
+_ANSWERS = b"oe"  # how ok and error: begin
 # What begins with these is told to all: messages, alarms, the welcome.
 _TO_ALL = b"[A\r"
 _REPORT = const(0x3C)
 
 
 class NetLink:
-    """A Link. cable: another. calls: who calls; None without a network. unheard: bytes that may be
-    on their way to each who is not heard of. on_turn: as UartLink's."""
+    """A Link. cable: another. calls: who calls; None without a network. memory: of lwIP, for all
+    clients. on_turn: as UartLink's."""
 
     def __init__(
-        self, cable: "BoardLink", calls: "Incoming | None", unheard: int = UNHEARD
+        self, cable: "BoardLink", calls: "Incoming | None", memory: "Memory | None" = None
     ) -> None:
         self._cable = cable
         self._calls = calls
@@ -65,9 +69,10 @@ class NetLink:
         self._at_rest: "Callable[[], bool]" = lambda: True
         self._read = cable.read_into
         self._write = cable.write
-        self._user = Caller()  # at the cable
+        self._memory = memory or Memory()
+        self._user = Caller(self._memory)  # at the cable
         self._user.trusted = True
-        self._callers = [Caller(unheard) for _ in range(_PLACES)]
+        self._callers = [Caller(self._memory) for _ in range(_PLACES)]
         self._all = [self._user] + self._callers
         self._driver: "Caller | None" = self._user
         # Only the cable: nothing has to be looked at. And nobody has spoken there.
@@ -99,13 +104,16 @@ class NetLink:
     @micropython.native
     def read_into(self, buf: bytearray) -> int:
         """Move what has arrived into buf; return how many bytes."""
-        count = self._read(buf)
         if self._is_plain:
+            count = self._read(buf)
             if count:
                 self._user.asked = True  # has spoken: see _round()
                 return count
-            return self._turn(buf)
-        return self._sort(buf, count)
+        now_ms = time.ticks_ms()
+        if time.ticks_diff(now_ms, self._round_ms) >= _ROUND_MS:
+            self._round_ms = now_ms
+            self._round(now_ms)
+        return 0 if self._is_plain else self._sort(buf, now_ms)
 
     def write(self, data: "bytes | bytearray | memoryview") -> None:
         """Send to whom it is for."""
@@ -137,6 +145,12 @@ class NetLink:
 
     # For extras/net_access.py
 
+    def expel(self) -> None:
+        """Hang up on all clients of the network: their key is another one now."""
+        for caller in self._callers:
+            if caller.conn:
+                self._drop(caller)
+
     def by_cable(self) -> bool:
         """Who drives sits at the cable."""
         return self._driver is self._user
@@ -165,22 +179,29 @@ class NetLink:
 
     # In
 
-    def _sort(self, buf: bytearray, count: int) -> int:
-        """count: what has come by the cable."""
-        driver, user = self._driver, self._user
+    def _sort(self, buf: bytearray, now_ms: int) -> int:
+        """What is the machine's: what acts at once, then what the client in control has sent."""
+        count, self._urgent_count = self._urgent_count, 0
         if count:
-            now_ms = time.ticks_ms()
+            buf[:count] = self._urgent[:count]
+            return count
+        driver, user = self._driver, self._user
+        count = self._read(buf)
+        if count:
             if driver is user and not (self.ending or user.length):
                 return self._note(user, buf, count, now_ms)
             self._sift(user, buf, count, now_ms)
         elif driver and driver.conn:
-            count = self._read_driver(driver, buf)
+            count = self._read_driver(driver, buf, now_ms)
             if count:
                 return count
-        return self._turn(buf)
+        driver = self._driver
+        if driver and driver.ready and not (self.ending or self._urgent_count):
+            return driver.pour(buf)
+        return 0
 
-    def _read_driver(self, driver: Caller, buf: bytearray) -> int:
-        """What is the machine's as it comes; 0 where it was none, or has been looked at."""
+    def _read_driver(self, driver: Caller, buf: bytearray, now_ms: int) -> int:
+        """Bytes for the machine as they are; 0 where there are none, or each is looked at."""
         is_open = driver.trusted and not (self.ending or driver.length)
         if not is_open and not driver.has_room():
             return 0
@@ -189,7 +210,6 @@ class NetLink:
         if count < 0:
             self._drop(driver)
         elif count:
-            now_ms = time.ticks_ms()
             driver.hear(now_ms)
             if is_open:
                 return self._note(driver, buf, count, now_ms)
@@ -206,24 +226,9 @@ class NetLink:
             driver.spoke_ms = now_ms
         return count
 
-    def _turn(self, buf: bytearray) -> int:
-        """What else there is to do; returns bytes that are in buf."""
-        now_ms = time.ticks_ms()
-        if time.ticks_diff(now_ms, self._round_ms) >= _ROUND_MS:
-            self._round_ms = now_ms
-            self._round(now_ms)
-        if self._is_plain:
-            return 0
-        count, self._urgent_count = self._urgent_count, 0
-        if count:
-            buf[:count] = self._urgent[:count]
-        driver = self._driver
-        if driver and driver.ready and not self.ending:
-            return driver.pour(buf, count)
-        return count
-
     def _round(self, now_ms: int) -> None:
         """Everybody who does not drive, and who calls."""
+        self._memory.forget(now_ms)
         if self._is_plain and self._user.asked:
             self._user.asked = self._is_nobodys = False
             self._user.spoke_ms = now_ms
@@ -251,40 +256,29 @@ class NetLink:
 
     def _meet(self, conn: "Connection", address: str, now_ms: int) -> None:
         """Somebody has called."""
-        place = self._place(now_ms)
+        place = place_for(address, self._callers, self._at_rest(), now_ms)
         if place is None:
             conn.close()
             return
+        if place.conn:
+            self._drop(place)
         if self._is_plain:
             self._is_plain = False
             silent = time.ticks_diff(now_ms, self._user.spoke_ms) >= _SILENT_MS
             if self._is_nobodys or (silent and self._at_rest()):
                 self._driver = None
-        place.begin(conn, address, address in self.access.allowed, now_ms)
+        place.begin(conn, address, now_ms)
         place.put(b"\r\nGrbl 1.1h ['$' for help]\r\n")
         if not place.send():
             self._drop(place)
-
-    def _place(self, now_ms: int) -> "Caller | None":
-        """A free place; that of who has said nothing for longest where there is none."""
-        oldest = None
-        age = _STALE_MS
-        for caller in self._callers:
-            if not caller.conn:
-                return caller
-            silent = time.ticks_diff(now_ms, caller.heard_ms)
-            if silent > age:
-                oldest, age = caller, silent
-        if oldest:
-            self._drop(oldest)
-        return oldest
 
     def _drop(self, caller: Caller) -> None:
         """Hang up. Of who has driven: a jog ends, a line that has only begun is forgotten."""
         caller.end()
         if caller is self._driver:
             self._leave(None)
-            self._urge(_JOG_CANCEL)
+            if caller.trusted:
+                self._urge(_JOG_CANCEL)
 
     def _leave(self, driver: "Caller | None") -> None:
         """Another drives from now on, or nobody."""
@@ -295,42 +289,45 @@ class NetLink:
             before.forget()
             before.put(MSG_TAKEN)
 
-    # What those say who do not drive, or not yet
+    # What others say, and the client in control while lines wait
 
     def _sift(self, caller: Caller, data: bytearray, count: int, now_ms: int) -> None:
         for i in range(count):
             byte = data[i]
             if byte == _QUESTION:
-                caller.asked = True
-                self._urge(byte)
+                if caller.trusted or caller.may_hear():
+                    caller.asked = True
+                    self._urge(byte)
             elif byte >= 0x80 or byte in _REALTIME:
                 if self._may_act(caller, byte, now_ms):
                     self._urge(byte)
             elif byte in b"\r\n":
                 self._end_line(caller, byte, now_ms)
-                if not caller.conn and caller is not self._user:
-                    return  # he has been let go
             else:
                 caller.keep(byte)
                 if caller is self._driver and caller.trusted:
                     caller.ready = caller.length
+                elif is_browser(caller.said, caller.length):
+                    self._drop(caller)
+            if not caller.conn and caller is not self._user:
+                return
 
     def _may_act(self, caller: Caller, byte: int, now_ms: int) -> bool:
-        """Whether a real-time command of his acts."""
+        """Whether a real-time command acts."""
         if not caller.trusted:
             return False
-        if caller is self._driver or (caller is self._user and byte in _STOPS):
-            return True
-        if self._driver and not self._driver.is_gone(now_ms):
-            return False
-        self._leave(caller)
-        return True
+        return caller is self._driver or byte in _STOPS or self._take(caller, now_ms)
 
     def _urge(self, byte: int) -> None:
-        """To be the machine's in front of all lines."""
-        if self._urgent_count < _URGENT and byte not in bytes(self._urgent[: self._urgent_count]):
-            self._urgent[self._urgent_count] = byte
-            self._urgent_count += 1
+        """To be the machine's in front of all lines. A stop finds space always."""
+        count = self._urgent_count
+        if byte in bytes(self._urgent[:count]):
+            return
+        if count == _URGENT and byte in _STOPS:
+            count -= 1
+        if count < _URGENT:
+            self._urgent[count] = byte
+            self._urgent_count = count + 1
 
     def _end_line(self, caller: Caller, byte: int, now_ms: int) -> None:
         begins = caller.ready if caller is self._driver else 0
@@ -343,7 +340,7 @@ class NetLink:
         if caller.is_too_long:
             answer = REFUSED % errors.OVERFLOW
         elif caller is not self._user:
-            answer = self.access.answer(caller, line, now_ms)
+            answer = self.access.answer(caller, line)
         if not answer and (caller is self._driver or (line and self._take(caller, now_ms))):
             caller.end_line(byte, now_ms)
         elif not answer:
@@ -352,21 +349,22 @@ class NetLink:
             caller.length = begins
             caller.is_too_long = False
             self._say(caller, answer)
+            if not caller.tries:
+                self._drop(caller)
 
     def _take(self, caller: Caller, now_ms: int) -> bool:
-        """Who has sent a line is to drive, if that may be."""
+        """Have a client control the machine, if that may be."""
         driver = self._driver
-        if driver and caller.trusted and driver.is_gone(now_ms):
-            driver = None
-        if driver:
-            holds = driver.trusted or not caller.trusted
-            silent = time.ticks_diff(now_ms, driver.spoke_ms) >= _SILENT_MS
-            if not self._at_rest() or (holds and not silent):
-                return False
-        elif not (caller.trusted or self._at_rest()):
-            return False
-        self._leave(caller)
-        return True
+        if not caller.trusted:
+            is_free = driver is None and self._at_rest() and caller.may_hear()
+        elif driver is None or not driver.trusted or driver.is_gone(now_ms):
+            is_free = True
+        else:
+            silent_ms = time.ticks_diff(now_ms, driver.spoke_ms)
+            is_free = silent_ms >= _SILENT_MS and self._at_rest()
+        if is_free:
+            self._leave(caller)
+        return is_free
 
     # Out
 
@@ -381,6 +379,8 @@ class NetLink:
                     self._say(caller, data)
         elif self._driver and not self.ending:
             self._say(self._driver, data)
+            if first in _ANSWERS and self._driver and not self._driver.trusted:
+                self._driver = None  # it has read one line
 
     def _report(self, data: "bytes | bytearray | memoryview") -> None:
         """To those who have asked; to who drives where nobody has."""

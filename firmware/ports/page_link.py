@@ -1,11 +1,11 @@
 """The network's link of a board that serves the page: pages are told who drives.
 
-What is on its way to a caller is less here than elsewhere, for pieces of the page want some of
-lwIP's memory, too: see page.py.
+Clients have less of lwIP's memory here than elsewhere: pieces of the page want the rest, page.py.
 """
 
 from micropython import const
 
+from ports.caller import Memory
 from ports.net_link import NetLink
 from ports.page import Page
 from ports.tcp import Calls
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from interfaces import BoardLink, Incoming
 
 _HTTP = const(80)
-_UNHEARD = const(1600)
+_MEMORY = const(4800)
 _SAID = (b"false", b"true")
 _NEWS = b'{"link":{"name":"%s","open":true},"driver":%s,"drivers":%d,"watchers":%d,"key":%s}'
 
@@ -25,7 +25,7 @@ class PageLink(NetLink):
     """A NetLink. host: the board's name."""
 
     def __init__(self, cable: "BoardLink", calls: "Incoming | None", host: str) -> None:
-        NetLink.__init__(self, cable, calls, _UNHEARD)
+        NetLink.__init__(self, cable, calls, Memory(_MEMORY))
         self._host = host
 
     def _round(self, now_ms: int) -> None:
@@ -37,6 +37,8 @@ class PageLink(NetLink):
         """Each page hears how things stand when that has changed, as from `ugrbl web`
         (docs/web.md); with "key": whether it is wanted of him."""
         driver = self._driver
+        if driver and not driver.trusted:
+            driver = None  # who reads a line controls nothing
         watchers = len([1 for caller in self._callers if caller.conn and caller is not driver])
         for caller in self._callers:
             socket = caller.conn

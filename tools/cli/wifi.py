@@ -11,7 +11,7 @@ from .outputs import failed
 from .ports import Baud, Port, connected
 
 EXAMPLES = """
-Examples:  ugrbl wifi   ·   ugrbl wifi --name Workshop   ·   ugrbl wifi --allow 192.168.1.20
+Examples:  ugrbl wifi   ·   ugrbl wifi --name Workshop   ·   ugrbl wifi --new-key
 """
 
 
@@ -31,10 +31,6 @@ def command(
     ] = None,
     tcp: Annotated[
         int | None, typer.Option(metavar="PORT", min=1, max=65535, help="In place of 23.")
-    ] = None,
-    allow: Annotated[
-        list[str] | None,
-        typer.Option(metavar="ADDRESS", help="Needs no key; may be said four times."),
     ] = None,
     new_key: Annotated[
         bool, typer.Option("--new-key", help="The old one is no good then.")
@@ -58,7 +54,6 @@ def command(
         None if name is None else not access_point,
         host,
         tcp,
-        None if allow is None else tuple(allow),
     )
     try:
         lines = list(wifi.orders(wanted))

@@ -28,7 +28,6 @@ class Wanted:
     is_station: bool | None = None
     host: str | None = None
     port: int | None = None
-    allowed: tuple[str, ...] | None = None
 
 
 def orders(wanted: Wanted) -> Iterator[str]:
@@ -49,8 +48,6 @@ def orders(wanted: Wanted) -> Iterator[str]:
         yield "$NET/HOST=" + wanted.host
     if wanted.port is not None:
         yield f"$NET/PORT={wanted.port}"
-    if wanted.allowed is not None:
-        yield "$NET/ALLOW=" + ",".join(wanted.allowed)
 
 
 def _hex(what: str, text: str, fewest: int, most: int) -> str:

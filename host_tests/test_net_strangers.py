@@ -1,0 +1,176 @@
+"""Clients without the key: what they get, what they cost, and whose place they cannot have."""
+
+import pytest
+from net_bench import KEY, WELCOME, NetBench, Pipe, connected, joined
+from ports.caller import Caller, Memory, place_for
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> NetBench:
+    return NetBench(monkeypatch)
+
+
+def three(bench):
+    """All that there is space for, with the key."""
+    pipes = []
+    for _ in range(3):
+        pipes.append((yield from joined(bench)))
+    return pipes
+
+
+def test_wrong_keys_end_their_connection_and_keep_nobody_out(bench) -> None:
+    def script(bench):
+        for number in range(40):
+            wrong, right = bench.call("10.0.0.1"), bench.call(f"10.0.1.{number}")
+            yield from bench.wait(30)
+            wrong.send("$NET/KEY=22222222\n" * 3)
+            right.send(f"$NET/KEY={KEY}\n")
+            yield from bench.until(lambda right=right: b"ok" in right.got, 100)
+            yield from bench.until(lambda wrong=wrong: wrong.is_closed, 100)
+            right.is_broken = True
+            yield from bench.wait(30)
+
+    bench.run(script)
+
+
+def test_clients_without_the_key_make_space_for_others(bench) -> None:
+    def script(bench):
+        first = [bench.call(f"10.0.0.{n}") for n in (1, 2, 3)]
+        for pipe in first:
+            yield from connected(bench, pipe)
+        late = bench.call("10.0.0.4")
+        yield from bench.until(lambda: late.is_closed)
+        assert late.take() == ""
+        yield from bench.wait(2000)
+        for pipe in first:
+            pipe.send("?$G\n")  # what they say keeps none of them there
+        yield from bench.wait(50)
+        late = bench.call("10.0.0.4")
+        yield from connected(bench, late)
+        assert [pipe.is_closed for pipe in first].count(True) == 1
+
+    bench.run(script)
+
+
+def test_an_address_has_one_place_without_the_key(bench) -> None:
+    def script(bench):
+        one = bench.call("10.0.0.1")
+        yield from connected(bench, one)
+        two = bench.call("10.0.0.1")
+        yield from bench.until(lambda: two.is_closed)
+        assert (yield from bench.ask(one, f"$NET/KEY={KEY}\n")) == "ok\r\n"
+        yield from connected(bench, bench.call("10.0.0.1"))
+
+    bench.run(script)
+
+
+def test_nobody_takes_the_place_of_a_client_that_waits_for_the_end_of_a_long_move(bench) -> None:
+    def script(bench):
+        waiting, watching, third = yield from three(bench)
+        waiting.send("G1X20F60\nG4P0\n")  # 20 s
+        for number in range(150):
+            bench.call(f"10.0.{number % 7}.{number % 3}").send("?")
+            yield from bench.wait(100)
+        assert not (waiting.is_closed or watching.is_closed or third.is_closed)
+        yield from bench.until(lambda: waiting.got.count(b"ok") == 2, 10_000)
+
+    bench.run(script)
+
+
+def test_a_client_with_the_key_that_is_lost_keeps_its_place_for_ten_minutes() -> None:
+    places = [Caller(Memory()) for _ in range(3)]
+    for started_ms, place in enumerate(places):
+        place.begin(Pipe(), "10.0.0.1", started_ms)
+        place.trusted = True
+    assert place_for("10.0.0.1", places, True, 600_000) is None
+    assert place_for("10.0.0.1", places, False, 600_001) is None, "while the machine works"
+    assert place_for("10.0.0.1", places, True, 600_001) is places[0]
+
+
+# Memory
+
+
+def test_a_client_without_the_key_is_sent_so_many_bytes_and_no_more(bench) -> None:
+    def script(bench):
+        pipes = [bench.call(f"10.0.0.{n}") for n in (1, 2)]
+        for pipe in pipes:
+            yield from bench.until(lambda pipe=pipe: WELCOME.encode() in pipe.got)
+        for _ in range(400):
+            for pipe in pipes:
+                pipe.send("?\n$$\nG1X1\n")
+            yield from bench.wait(20)
+        assert 1000 < sum(len(pipe.got) for pipe in pipes) <= 2400
+        assert (yield from bench.ask(pipes[0], f"$NET/KEY={KEY}\n")).endswith("ok\r\n")
+        assert (yield from bench.ask(pipes[0], "G1X1F600\n")).endswith("ok\r\n")
+
+    bench.run(script)
+
+
+@pytest.mark.parametrize("how", ["has_hung_up", "is_broken"])
+def test_what_closed_connections_may_hold_counts_for_ten_seconds(bench, how: str) -> None:
+    """But for those that were reset: lwIP has dropped all of theirs."""
+
+    def script(bench):
+        got = 0
+        for number in range(60):
+            pipe = bench.call(f"10.0.0.{number}")
+            pipe.send("?\n\n?")
+            yield from bench.wait(100)
+            setattr(pipe, how, True)
+            yield from bench.until(lambda pipe=pipe: pipe.is_closed)
+            got += len(pipe.got)
+        assert got > 4000 if how == "is_broken" else got <= 2400
+        yield from bench.wait(10_000)
+        late = bench.call("10.0.0.1")
+        yield from connected(bench, late)
+
+    bench.run(script)
+
+
+def test_none_of_lwips_memory_is_missed_after_a_day_of_clients(bench) -> None:
+    def script(bench):
+        for number in range(50):
+            pipe = bench.call(f"10.0.0.{number}")
+            pipe.send(("?$$\n", f"$NET/KEY={KEY}\n$$\n", "GET / HTTP/1.1\r\n", "")[number % 4])
+            yield from bench.wait(70 * (number % 5))
+            setattr(pipe, ("has_hung_up", "is_broken")[number % 2], True)
+        yield from bench.wait(12_000)
+        assert bench.rig.link._memory.held == 0
+
+    bench.run(script)
+
+
+# Browsers
+
+
+@pytest.mark.parametrize("address", ["10.0.0.1", "127.0.0.1"])
+@pytest.mark.parametrize(
+    "method",
+    [
+        "GET",
+        "POST",
+        "PUT",
+        "HEAD",
+        "OPTIONS",
+        "PATCH",
+        "DELETE",
+        "CONNECT",
+        "TRACE",
+        "PRI",
+        "\x16\x03\x01",
+    ],
+)
+def test_what_browsers_say_is_hung_up_on_before_anything_acts(
+    bench, method: str, address: str
+) -> None:
+    body = f"$NET/KEY={KEY}\n$J=G91X9F900\n"
+
+    def script(bench):
+        pipe = bench.call(address)
+        pipe.send(f"{method} /!\x18~ HTTP/1.1\r\nHost: ugrbl:23\r\n\r\n{body}")
+        yield from bench.until(lambda: pipe.is_closed, 200)
+        yield from bench.wait(1000)
+        assert bench.rig.controller.state.run == 0
+
+    bench.run(script)
+    assert bench.rows == []
