@@ -6,6 +6,7 @@ from typing import Any
 
 from net_bench import Door, NetBench, Pipe
 from ugrbl.compiling import page_files
+from ugrbl.run.tcp_link import LOOPBACK
 
 # As Chromium asks.
 _USUAL = (
@@ -48,6 +49,7 @@ class Frames:
     def __init__(self, pipe: Pipe) -> None:
         self.pipe = pipe
         self.messages: list[tuple[int, bytes]] = []
+        self.reads = True
 
     def look(self) -> None:
         got = self.pipe.got
@@ -56,7 +58,13 @@ class Frames:
             if len(got) < start + size:
                 return
             self.messages.append((got[0], bytes(got[start : start + size])))
+            self._answer(*self.messages[-1])
             del got[: start + size]
+
+    def _answer(self, opcode: int, data: bytes) -> None:
+        """As browsers do, of themselves."""
+        if opcode == 0x80 | PING and self.reads:
+            self.pipe.send(frame(data, PONG))
 
     def all(self, opcode: int) -> "list[bytes]":
         self.look()
@@ -85,10 +93,16 @@ class PageBench(NetBench):
         self.visits = Door(visits)
         super().__init__(monkeypatch, settings, more, (self.visits, f"{folder}/"))
 
-    def visit(self, address: str = "10.0.0.9") -> Pipe:
+    def visit(self, address: str = LOOPBACK) -> Pipe:
         pipe = Pipe()
         self.visits.waiting.append((pipe, address))
         return pipe
+
+    def next(self, head: bytes, body: bytes) -> str:
+        """The path that a piece names as the next: in its head, or in the first page."""
+        at = body.find(b"/0?")
+        found = head.partition(b"Next: ")[2].partition(b"\r\n")[0] or body[at : at + 7]
+        return found.decode()
 
     def answer(self, pipe: Pipe, ms: float = 30_000) -> "Iterator[Any]":
         """Head and body of the next answer."""
@@ -101,14 +115,14 @@ class PageBench(NetBench):
         del pipe.got[: start + size]
         return head, body
 
-    def get(self, data: bytes, address: str = "10.0.0.9") -> "Iterator[Any]":
+    def get(self, data: bytes, address: str = LOOPBACK) -> "Iterator[Any]":
         """Somebody comes and asks once."""
         pipe = self.visit(address)
         pipe.send(data)
         head, body = yield from self.answer(pipe)
         return pipe, head, body
 
-    def open(self, address: str = "10.0.0.9", **fields: str) -> "Iterator[Any]":
+    def open(self, address: str = LOOPBACK, **fields: str) -> "Iterator[Any]":
         """A page at its websocket; what has come of it, which is the welcome and how it stands."""
         pipe, head, _ = yield from self.get(request("/ws", **{**WS_UPGRADE, **fields}), address)
         assert head.startswith(b"HTTP/1.1 101 ") and _ACCEPTED in head, head

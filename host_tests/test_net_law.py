@@ -129,7 +129,8 @@ class Storm:
             return
         caller = self.open.pop(self.random.randrange(len(self.open)))
         if isinstance(caller, Pipe):
-            ways = ((1, 0), (0, 1)) if caller in self.visitors else ((1, 0), (0, 1), (0, 0))
+            # Visitors that end in other ways are held in memory for ten seconds.
+            ways = ((1, 0),) if caller in self.visitors else ((1, 0), (0, 1), (0, 0))
             caller.is_broken, caller.has_hung_up = self.random.choice(ways)
             return
         if self.random.random() < 0.5:  # a reset, not an end
@@ -151,7 +152,7 @@ class Reloads:
         self._begin()
 
     def _begin(self) -> None:
-        self._pipe, self._pieces = self.bench.visit(), 0
+        self._pipe, self._next = self.bench.visit(), ""
         self._pipe.send(request("/"))
 
     def act(self) -> None:
@@ -162,13 +163,13 @@ class Reloads:
                 self.loads += 1
                 self._begin()
         elif head and len(body) == int(head.partition(b"Length: ")[2].split(b"\r")[0]):
+            self._next = self.bench.next(head, body)
             if b"close" in head:
                 self._pipe = self.bench.visit()
                 self._pipe.send(request("/ws", **WS_UPGRADE))
                 return
             self._pipe.got.clear()
-            self._pipe.send(request(f"/{self._pieces}"))
-            self._pieces += 1
+            self._pipe.send(request(self._next))
 
 
 def stream(bench: NetBench, put: Any, answers: Any, events: "dict[int, str]") -> Iterator[Any]:
@@ -269,7 +270,7 @@ def record(
     folder.cleanup()
     if seed is not None:
         assert storm.acts > 500
-        assert [bytes(pipe.got[9:12]) for pipe in storm.visitors].count(b"101") > 10
+        assert len([1 for pipe in storm.visitors if pipe.got]) > 2
     return rows, state
 
 
@@ -277,6 +278,16 @@ def ended(found: "tuple[Any, ...]") -> int:
     """When the last segment was over, or cut short."""
     start, row = found[0][-1]
     return int(start + row[0])
+
+
+def stretches(found: "tuple[Any, ...]") -> "tuple[Any, ...]":
+    """Without how long the motors stand still in between, as for M3: what a page sends then comes
+    a turn of the main loop sooner or later."""
+    rows, end = [], 0
+    for start, row in found[0]:
+        rows.append((start == end, row))
+        end = start + row[0]
+    return rows, found[1]
 
 
 QUIET: "dict[Any, Any]" = {}
@@ -322,7 +333,7 @@ def test_pages_that_are_loaded_change_no_segment(
     monkeypatch: pytest.MonkeyPatch, by: str, events: "dict[int, str]"
 ) -> None:
     found = record(monkeypatch, events, by=by, seed=None, reloads=True)
-    assert found == quiet(monkeypatch, events, by)
+    assert stretches(found) == stretches(quiet(monkeypatch, events, by))
 
 
 @pytest.mark.parametrize("lost_ms", [*range(0, 260, 13), 400, 700, 1100])

@@ -2,20 +2,22 @@
 
 An Incoming around another: who has come by a websocket is a caller as those are who have come by
 TCP. The page lies in flash, compressed (NAME); what a browser asks for first is a few lines
-(FIRST) that fetch it piece by piece, so that each request tells that the piece before has arrived.
-For lwIP has 8000 bytes for all that is on its way to anybody, and waits where they are used up,
-see caller.py: three callers have 1600 each (page_link.py), two pieces 800. Who asks for a third
-waits, and nobody waits for him.
+(FIRST) that fetch it piece by piece. Each names the next one, with four signs of chance (`Next:`,
+in FIRST a path), so the request for that proves that all before it has been read, and its part of
+lwIP's memory is free (caller.py). A visitor that finds no memory waits, and nobody waits for it.
 
 Only a page that came from here may open a websocket, and only under a name of the board's, so that
 no other site in somebody's browser can (DNS rebinding). Keys are said on the link: access.py.
 """
 
+import binascii
+import os
 import time
 
 from micropython import const
 
 from ports import web_socket
+from ports.caller import Memory
 from ports.web_socket import WebSocket
 
 TYPE_CHECKING = const(False)
@@ -29,9 +31,12 @@ _HEAD = const(512)
 _READ = const(256)
 _LONGEST = const(4096)  # of a request
 _VISITORS = const(2)
-_SILENT_MS = const(1000)  # then who is asked for nothing is let go
-_LINGER_MS = const(10_000)  # so long MicroPython tries on behind a close
-_OWED = const(2)  # pieces on their way
+_SILENT_MS = const(2000)  # a request that is not whole by then is not waited for
+_MEMORY = const(2400)  # three pieces
+_SEGMENT = const(800)
+_SHORT = const(300)  # an answer without a piece; of a websocket, with its last frame
+_SMALLEST = const(150)
+_CHANCE = const(2)
 
 _KEY_LENGTH = const(24)
 _LONGEST_HOST = const(21)  # of one that is a number, with its port
@@ -89,11 +94,15 @@ _FORMS = (
     b" connect-src 'self' ws://%s; frame-ancestors 'none'\r\n",
     b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     b"Sec-WebSocket-Accept: %s\r\n\r\n",
+    b"Next: %s\r\n",
+    b"/0?0000",
 )
 _ANSWER = const(0)
 _AND_GO = const(1)
 _POLICY = const(2)
 _ACCEPTED = const(3)
+_NEXT = const(4)
+_FIRST_PATH = const(5)  # in FIRST
 # Kinds of what is sent.
 _KINDS = (b"text/plain", b"text/html", b"application/octet-stream")
 _SENTENCE = const(0)
@@ -107,8 +116,9 @@ class Visitor:
     def __init__(self) -> None:
         self.conn: "Connection | None" = None
         self.address = ""
-        self.owes = False  # a piece has been sent, and nothing has come since
-        self.heard_ms = 0
+        self.owes = 0  # bytes sent that may not have been read
+        self.proof = b""  # the path that a request proves it by
+        self.begun_ms = 0  # the request that is read, or the wait for one
         self.asks: "dict[int, bytes] | None" = None  # what is not answered yet
         self._rest = b""
         self._size = 0
@@ -118,9 +128,10 @@ class Visitor:
         """Somebody has come."""
         self.conn = conn
         self.address = address
-        self.owes = False
+        self.owes = 0
+        self.proof = b""
         self.asks = None
-        self.heard_ms = now_ms
+        self.begun_ms = now_ms
         self._forget()
 
     def _forget(self) -> None:
@@ -128,10 +139,8 @@ class Visitor:
         self._size = 0
         self._fields = {}
 
-    def hear(self, data: bytes, now_ms: int) -> "dict[int, bytes] | None":
+    def hear(self, data: bytes) -> "dict[int, bytes] | None":
         """A request, when it is whole; without a first line where it cannot be one."""
-        self.owes = False
-        self.heard_ms = now_ms
         self._size += len(data)
         lines = (self._rest + data).split(b"\n")
         self._rest = lines.pop()
@@ -163,15 +172,14 @@ class Page:
         self._host = host.encode()
         self._folder = folder
         self._visitors = [Visitor() for _ in range(_VISITORS)]
-        self._lingering: "list[int]" = []  # since when, of pieces to who has been let go
+        self._memory = Memory(_MEMORY)
         self._out = bytearray(_HEAD + PIECE)
         self._read = bytearray(_READ)
 
     def next(self) -> "tuple[Connection, str] | None":
         """Who has called, or has opened a websocket; a turn for all others, too."""
         now_ms = time.ticks_ms()
-        if self._lingering and time.ticks_diff(now_ms, self._lingering[0]) >= _LINGER_MS:
-            self._lingering.pop(0)
+        self._memory.forget(now_ms)
         for visitor in self._visitors:
             if not visitor.conn:
                 came = self._visits.next()
@@ -181,8 +189,8 @@ class Page:
             try:
                 found = self._serve(visitor, now_ms)
             except OSError:
-                visitor.owes = False  # nothing of him is left
-                self._end(visitor, now_ms)
+                self._owe(visitor, 0)  # lwIP has dropped all of it
+                self._end(visitor)
                 continue
             if found:
                 return found, visitor.address
@@ -191,7 +199,7 @@ class Page:
     def close(self) -> None:
         """Hear nobody any more."""
         for visitor in self._visitors:
-            self._end(visitor, 0)
+            self._end(visitor)
         self._visits.close()
         self._calls.close()
 
@@ -202,38 +210,41 @@ class Page:
         count = visitor.conn.readinto(self._read) if visitor.conn else 0
         if count is None:
             if visitor.asks:
-                return self._answer(visitor, visitor.asks, now_ms) if self._has_room() else None
-            if time.ticks_diff(now_ms, visitor.heard_ms) >= _SILENT_MS:
-                self._end(visitor, now_ms)
+                return self._answer(visitor, visitor.asks, now_ms)
+            if time.ticks_diff(now_ms, visitor.begun_ms) >= _SILENT_MS:
+                self._end(visitor)
             return None
-        if not count or visitor.asks:  # he has gone, or does not wait for the answer
-            visitor.owes = False
-            self._end(visitor, now_ms)
+        if not count or visitor.asks:  # it has gone, or does not wait for the answer
+            self._end(visitor)
             return None
-        fields = visitor.hear(bytes(memoryview(self._read)[:count]), now_ms)
+        fields = visitor.hear(bytes(memoryview(self._read)[:count]))
         return None if fields is None else self._answer(visitor, fields, now_ms)
 
-    def _has_room(self) -> bool:
-        """Whether one more piece may be on its way."""
-        return len(self._lingering) + len([1 for one in self._visitors if one.owes]) < _OWED
+    def _owe(self, visitor: Visitor, count: int) -> None:
+        self._memory.held += count - visitor.owes
+        visitor.owes = count
 
     def _answer(
         self, visitor: Visitor, fields: "dict[int, bytes]", now_ms: int
     ) -> "WebSocket | None":
-        visitor.asks = None
-        visitor.heard_ms = now_ms
         words = fields.get(_LINE, b"").split(b" ")
+        if visitor.proof and visitor.proof in words:
+            self._owe(visitor, 0)
         why = self._refusal(fields, words)
         if why >= 0:
-            self._refuse(visitor, why, now_ms)
-        elif words[1] == b"/ws":
-            return self._open(visitor, fields, now_ms)
-        elif not self._has_room():
-            visitor.asks = fields
+            self._refuse(visitor, why)
+            return None
+        visitor.asks = fields
+        if self._memory.space(True) < _SEGMENT:
+            return None
+        visitor.asks = None
+        visitor.begun_ms = now_ms
+        if words[1] == b"/ws":
+            return self._open(visitor, fields)
         elif words[1] == b"/":
-            self._piece(visitor, _HTML, 0, _FORMS[_POLICY] % fields[_HOST], now_ms)
+            self._piece(visitor, _HTML, 0, _FORMS[_POLICY] % fields[_HOST])
         else:
-            self._piece(visitor, _PIECE, _number(words[1]), b"", now_ms)
+            self._piece(visitor, _PIECE, _number(words[1]), b"")
         return None
 
     def _refusal(self, fields: "dict[int, bytes]", words: "list[bytes]") -> int:
@@ -258,34 +269,35 @@ class Page:
             return True
         return _is_of(name, _SIGNS) and len(host) <= _LONGEST_HOST
 
-    def _open(
-        self, visitor: Visitor, fields: "dict[int, bytes]", now_ms: int
-    ) -> "WebSocket | None":
+    def _open(self, visitor: Visitor, fields: "dict[int, bytes]") -> "WebSocket | None":
         """The handshake."""
         key = fields.get(_KEY, b"")
         if fields.get(_UPGRADE, b"").lower() != _WORDS[2] or len(key) != _KEY_LENGTH:
-            self._refuse(visitor, _NO_SOCKET, now_ms)
+            self._refuse(visitor, _NO_SOCKET)
             return None
         if fields.get(_VERSION) != _WORDS[3]:
-            self._refuse(visitor, _OTHER_VERSION, now_ms)
+            self._refuse(visitor, _OTHER_VERSION)
             return None
         conn, answer = visitor.conn, _FORMS[_ACCEPTED] % web_socket.accepted(key)
         if conn is None or conn.write(answer) != len(answer):
-            self._end(visitor, now_ms)
+            self._end(visitor)
             return None
         visitor.conn = None
+        self._owe(visitor, visitor.owes + _SHORT)
+        self._end(visitor)  # the answer, and the last frame where there is no place for it
         return WebSocket(conn)
 
     # Answers
 
-    def _refuse(self, visitor: Visitor, why: int, now_ms: int) -> None:
-        """With a sentence of _REFUSALS, and the end."""
+    def _refuse(self, visitor: Visitor, why: int) -> None:
+        """With a sentence of _REFUSALS, where there is memory for more than that, and the end."""
         status, text = _REFUSALS[why]
         head = _FORMS[_ANSWER] % (status, _KINDS[_SENTENCE], len(text) + 1) + _FORMS[_AND_GO]
-        self._put(visitor, memoryview(head + b"\r\n" + text + b"\n"), now_ms)
-        self._end(visitor, now_ms)
+        if self._memory.space(True) >= _SEGMENT + _SHORT:
+            self._put(visitor, memoryview(head + b"\r\n" + text + b"\n"))
+        self._end(visitor)
 
-    def _piece(self, visitor: Visitor, kind: int, number: int, more: bytes, now_ms: int) -> None:
+    def _piece(self, visitor: Visitor, kind: int, number: int, more: bytes) -> None:
         """Part of a file; behind the last there is an empty one, and the end."""
         out = memoryview(self._out)
         name = self._folder + (FIRST if kind == _HTML else NAME)
@@ -294,35 +306,42 @@ class Page:
                 file.seek(number * PIECE)
                 count = file.readinto(out[_HEAD:])
         except OSError:
-            self._refuse(visitor, _NO_PAGE, now_ms)
+            self._refuse(visitor, _NO_PAGE)
             return
         head = _FORMS[_ANSWER] % (b"200 OK", _KINDS[kind], count) + more
+        chance = binascii.hexlify(os.urandom(_CHANCE))
+        if kind == _HTML:
+            visitor.proof = b"/0?" + chance
+            at = bytes(out[_HEAD:]).find(_FORMS[_FIRST_PATH]) + _HEAD
+            out[at : at + len(visitor.proof)] = visitor.proof
+        elif count:
+            visitor.proof = b"/%d?%s" % (number + 1, chance)
+            head += _FORMS[_NEXT] % visitor.proof
         head += (b"" if count else _FORMS[_AND_GO]) + b"\r\n"
         start = _HEAD - len(head)
         out[start:_HEAD] = head
-        visitor.owes = count > 0
-        self._put(visitor, out[start : _HEAD + count], now_ms)
+        self._put(visitor, out[start : _HEAD + count])
         if not count:
-            self._end(visitor, now_ms)
+            self._end(visitor)
 
-    def _put(self, visitor: Visitor, data: memoryview, now_ms: int) -> None:
-        """At once or not at all: nothing else is on its way to him."""
+    def _put(self, visitor: Visitor, data: memoryview) -> None:
+        """At once or not at all: else the visitor is let go."""
+        self._owe(visitor, visitor.owes + max(len(data), _SMALLEST))
         if visitor.conn and visitor.conn.write(data) != len(data):
-            self._end(visitor, now_ms)
+            self._end(visitor)
 
-    def _end(self, visitor: Visitor, now_ms: int) -> None:
-        """Let him go."""
+    def _end(self, visitor: Visitor) -> None:
+        """Let it go. What it may not have read stays in lwIP's memory for a while."""
         conn, visitor.conn = visitor.conn, None
-        if visitor.owes:
-            visitor.owes = False
-            self._lingering.append(now_ms)
+        self._memory.leave(visitor.owes)
+        visitor.owes = 0
         if conn:
             conn.close()
 
 
 def _number(path: bytes) -> int:
-    """Of `/12`: 12; -1 of anything else."""
-    text = path[1:]
+    """Of `/12` or `/12?ab34`: 12; -1 of anything else."""
+    text = path[1:].split(b"?")[0]
     return int(text) if _is_of(text, _SIGNS[1:]) and len(text) < _DIGITS else -1
 
 

@@ -3,12 +3,15 @@
 
 Nothing is kept of what comes but the head of a frame and a ping: a message may be as long as it
 likes, in as many parts. What is no frame of a browser's ends the connection, with a code that says
-why. Text goes out only: the latest of what is to be told, and no more of it than _UNTOLD until
-something has come.
+why. Text goes out only: the latest of what is to be told.
+
+What is sent is followed by a ping with four bytes of chance: the pong that brings them back proves
+that all before it has been read. Until then it counts as unproved, for caller.py.
 """
 
 import binascii
 import hashlib
+import os
 
 import micropython
 from micropython import const
@@ -32,7 +35,10 @@ _MOST_CONTROL = const(125)
 _MASK = const(4)
 _HEAD = const(8)  # first bytes, length, mask
 _PAYLOAD = const(512)  # of a frame that is sent
-_UNTOLD = const(2)
+_CHANCE = const(4)
+_READS = const(4)  # in a row: a pong delays no message behind it
+_SEGMENT = const(100)  # what a frame counts for at the least, as in caller.py
+_UNPROVED = const(1600)  # with more than that neither pongs nor news are sent
 
 _GOOD_BYE = const(1000)
 _GOING_AWAY = const(1001)
@@ -61,7 +67,9 @@ class WebSocket:
         self._conn = conn
         self.told = -1  # how things stood when that was said last, see page.py
         self.news = b""  # what is to be said of it
-        self._unheard = 0  # so often without having heard anything
+        self.unproved = 0  # bytes sent that may not have been read
+        self._covered = 0  # how many of them the ping that is under way will prove
+        self._chance = b""
         # In: the frame that comes.
         self._head = bytearray(_HEAD)
         self._have = 0  # bytes of its head
@@ -83,11 +91,14 @@ class WebSocket:
         self._flush()
         if self._over:
             return 0
-        count = self._conn.readinto(buf)
-        if not count:
-            return count
-        self._unheard = 0
-        return self._take(buf, count) or None
+        for _ in range(_READS):
+            count = self._conn.readinto(buf)
+            if not count:
+                return count
+            found = self._take(buf, count)
+            if found:
+                return found
+        return None
 
     def write(self, data: "bytes | bytearray | memoryview") -> "int | None":
         """Send as much as goes into a frame; None while another one is on its way."""
@@ -168,19 +179,23 @@ class WebSocket:
     def _take_piece(self, buf: bytearray, at: int, count: int, to: int) -> int:
         """Part of a frame's payload. Returns how much of it is the machine's."""
         opcode = self._head[0] & 0x0F
-        if opcode == _PING:
+        if opcode in (_PING, _PONG):
             self._control[self._done : self._done + count] = buf[at : at + count]
         elif opcode < _CLOSE:
             return unmask(buf, at, count, to, self._head, self._wanted - _MASK, self._done)
         return 0
 
     def _end_frame(self) -> None:
-        opcode = self._head[0] & 0x0F
-        if opcode == _PING:
-            unmask(self._control, 0, self._done, 0, self._head, self._wanted - _MASK, 0)
-            self._pong = self._done  # of several the last is answered
-        elif opcode == _CLOSE:
+        opcode, control = self._head[0] & 0x0F, self._control
+        if opcode == _CLOSE:
             self._fail(_GOOD_BYE)
+        elif opcode > _CLOSE:
+            unmask(control, 0, self._done, 0, self._head, self._wanted - _MASK, 0)
+            if opcode == _PING:
+                self._pong = self._done  # of several the last is answered
+            elif self._covered and control[: self._done] == self._chance:
+                self.unproved -= self._covered
+                self._covered = 0
         self._have = self._done = 0
         self._wanted = 2
 
@@ -200,6 +215,7 @@ class WebSocket:
         out[start : start + count] = data[:count]
         self._at = 0
         self._end = start + count
+        self.unproved += max(self._end, _SEGMENT)
 
     def _flush(self) -> bool:
         """Have sent what is on its way, then what is due. Whether all has gone."""
@@ -211,11 +227,16 @@ class WebSocket:
                 self._at += sent
             if self._over:
                 return True
-            if self._pong >= 0:
+            if self.unproved and not self._covered:
+                self._chance = os.urandom(_CHANCE)
+                self._frame(_PING, self._chance, _CHANCE)
+                self._covered = self.unproved
+            elif self.unproved > _UNPROVED:
+                return True
+            elif self._pong >= 0:
                 count, self._pong = self._pong, -1
                 self._frame(_PONG, self._control, count)
-            elif self.news and self._unheard < _UNTOLD:
-                self._unheard += 1
+            elif self.news:
                 self._frame(_TEXT, self.news, len(self.news))
                 self.news = b""
             else:
