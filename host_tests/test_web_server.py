@@ -108,6 +108,18 @@ def test_lines_go_whole_and_what_acts_overtakes_them() -> None:
 
 
 @played
+async def test_only_bytes_of_the_protocol_reach_a_board(board: FakeBoard, tmp_path: Path) -> None:
+    async with served(board, tmp_path) as site:
+        page = await site.open()
+        await page.send(b"\x03\x03\x03\r\x01\x04\x02")
+        await page.send(bytes(range(0x20)) + b"G1\x03\x7f X1\n\x03" + b"\x03" * 9 + b"\n$G\n")
+        await board.wait_for(b"$G\n")
+        got = set(board.got)
+        assert got <= {*b"\t\n\r\x18", *range(0x20, 0x7F)}, sorted(got)
+        assert b"G1 X1\n" in board.got
+
+
+@played
 async def test_a_stop_overtakes_lines_that_the_board_has_not_taken(
     board: FakeBoard, tmp_path: Path
 ) -> None:

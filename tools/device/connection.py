@@ -14,6 +14,7 @@ from typing import Any
 import serial
 
 from ..grbl.gcode_file import STATUS, is_answer
+from ..grbl.wire_bytes import permitted
 
 BAUD = 115200
 WINDOW = 127  # bytes in Grbl's receive buffer, less one
@@ -73,9 +74,9 @@ class Connection:
         self._serial.close()
 
     def write(self, data: bytes) -> None:
-        """Send bytes."""
+        """Send bytes, as far as they are Grbl's."""
         try:
-            self._serial.write(data)
+            self._serial.write(permitted(data))
         except serial.SerialTimeoutException as error:
             raise SendError("the machine takes no more bytes") from error
         except OSError as error:

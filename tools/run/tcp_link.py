@@ -10,6 +10,7 @@ from typing import Any
 from serial import serial_for_url
 from serial.rfc2217 import PortManager
 
+from ..grbl.wire_bytes import permitted
 from .wire import Wire
 
 LOOPBACK = "127.0.0.1"
@@ -51,6 +52,10 @@ class Tcp(Wire):
         self._listener.close()
 
     def _take(self, limit: int) -> bytes | None:
+        data = self._receive(limit)
+        return permitted(data) if data else data
+
+    def _receive(self, limit: int) -> bytes | None:
         if self._sender is None:
             self._accept()
         if self._sender is None:
@@ -110,8 +115,8 @@ class Rfc2217(Tcp):
             answers: Any = SimpleNamespace(write=self._negotiate)
             self._port = PortManager(nowhere, answers)
 
-    def _take(self, limit: int) -> bytes | None:
-        data = super()._take(limit)
+    def _receive(self, limit: int) -> bytes | None:
+        data = super()._receive(limit)
         return b"".join(self._port.filter(data)) if data and self._port else data
 
     def _negotiate(self, data: bytes) -> None:

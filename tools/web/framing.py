@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator
 
 from ..grbl.gcode_file import RESET
+from ..grbl.wire_bytes import permitted
 
 # Grbl refuses lines far shorter than that; what is longer is refused in part as well as in whole.
 _LONGEST = 4096
@@ -22,9 +23,9 @@ class Framing:
         self._line = bytearray()
 
     def take(self, data: bytes) -> Iterator[tuple[bytes, bool]]:
-        """The next bytes. Yields lines with their end, and single bytes that act at once; with
-        each whether it is one of these."""
-        for part in _PARTS.findall(data):
+        """The next bytes; those that are not of Grbl's protocol are dropped. Yields lines with
+        their end, and single bytes that act at once; with each whether it is one of these."""
+        for part in _PARTS.findall(permitted(data)):
             if part in b"\r\n":
                 line = bytes(self._line + part)
                 self._line.clear()
