@@ -41,7 +41,7 @@ def test_clients_without_the_key_make_space_for_others(bench) -> None:
         late = bench.call("10.0.0.4")
         yield from bench.until(lambda: late.is_closed)
         assert late.take() == ""
-        yield from bench.wait(2000)
+        yield from bench.wait(300)
         for pipe in first:
             pipe.send("?$G\n")  # what they say keeps none of them there
         yield from bench.wait(50)
@@ -52,14 +52,16 @@ def test_clients_without_the_key_make_space_for_others(bench) -> None:
     bench.run(script)
 
 
-def test_an_address_has_one_place_without_the_key(bench) -> None:
+def test_a_computer_that_calls_again_and_again_takes_its_own_place_only(bench) -> None:
     def script(bench):
-        one = bench.call("10.0.0.1")
-        yield from connected(bench, one)
-        two = bench.call("10.0.0.1")
-        yield from bench.until(lambda: two.is_closed)
-        assert (yield from bench.ask(one, f"$NET/KEY={KEY}\n")) == "ok\r\n"
-        yield from connected(bench, bench.call("10.0.0.1"))
+        first = [bench.call(f"10.0.0.{n}") for n in (1, 2, 3)]
+        for pipe in first:
+            yield from connected(bench, pipe)
+        for _ in range(20):
+            yield from bench.wait(300)
+            bench.call("10.0.0.1")
+        yield from bench.wait(50)
+        assert [pipe.is_closed for pipe in first] == [True, False, False]
 
     bench.run(script)
 

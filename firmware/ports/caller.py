@@ -31,9 +31,8 @@ _CLOSED_MS = const(10_000)
 _GONE_MS = const(3000)
 # So long a client may keep its place where others want one: without the key from when it came,
 # with it from when it was last heard, for senders wait for the end of a long move.
-_STRANGER_MS = const(2000)
+_STRANGER_MS = const(250)
 _LOST_MS = const(600_000)
-_FREE_MS = const(0x1000_0000)  # a free place is long overdue
 _TRIES = const(3)  # wrong keys
 
 
@@ -224,13 +223,17 @@ def place_for(
     address: str, callers: "list[Caller]", at_rest: bool, now_ms: int
 ) -> "Caller | None":
     """A free place, or the one most overdue, for a new connection. While the machine works none of
-    those with the key is. Without the key there is one place for an address, so a computer that
-    connects again and again keeps nobody else out."""
-    found, most_ms = None, 0
+    those with the key is. Without the key a computer takes no other's place where it has one."""
+    found = own = None
+    most_ms = 0
     for caller in callers:
-        overdue_ms = caller.overdue_ms(now_ms) if caller.conn else _FREE_MS
-        if caller.conn and not caller.trusted and caller.address == address:
-            return caller if overdue_ms > 0 else None
-        if overdue_ms > most_ms and (at_rest or not (caller.conn and caller.trusted)):
+        if not caller.conn:
+            return caller
+        overdue_ms = caller.overdue_ms(now_ms)
+        if not caller.trusted and caller.address == address:
+            own = caller
+        if overdue_ms > most_ms and (at_rest or not caller.trusted):
             found, most_ms = caller, overdue_ms
+    if own:
+        return own if own.overdue_ms(now_ms) > 0 else None
     return found

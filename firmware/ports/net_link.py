@@ -6,7 +6,7 @@ unread; of the others' each is looked at.
 | client | lines | `!`, Ctrl-X, door, end of a jog | `~`, overrides | place |
 | --- | --- | --- | --- | --- |
 | at the cable, or with the key | take control, where it is free | act | as lines | is kept |
-| without the key | those that only read, at rest, where nobody is in control | none | none | 2 s |
+| without the key | reading ones, at rest, where nobody is in control | none | none | 0.25 s |
 
 Control is free where nobody has it, where its client has gone (3 s without a byte, over the
 network), and at rest when it has sent no line for 5 s. `?` is answered to the client that asks.
