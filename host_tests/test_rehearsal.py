@@ -203,9 +203,35 @@ def test_a_drilling_cycle_that_goes_on_cannot_be_begun_with(here: stage.Stage) -
 def test_what_only_the_user_can_know_is_said(here: stage.Stage) -> None:
     lines = [b"G91", b"G10 L2 P2 X1", b"G92 X0", *PART]
     found = forecast(here, [line.decode() for line in lines], ask_at=9)
-    moves, origin, tool, offsets = approach(lines, 9, found, here).cautions
+    moves, origin, tool = approach(lines, 9, found, here).cautions
     assert "line 1 moves relatively" in moves and "line 3 sets the origin" in origin
-    assert "line 5 names a tool" in tool and "G55" in offsets
+    assert "line 5 names a tool" in tool
+
+
+def test_the_way_stores_the_offsets_that_the_lines_before_have_written(here: stage.Stage) -> None:
+    lines = [b"G21 G90 G55", b"G10 L2 P2 X-9 Y-9 Z-9", b"G0 X0", b"G10 L2 P2 X-8", b"G0 X-1"]
+    here.offsets["G55"] = [-8.0, -9.0, -9.0]  # the program has been there
+    assert "G10 L2 P2 X-9.000 Y-9.000 Z-9.000" in way(here, 3, lines)
+    assert not any("G10" in line for line in way(here, 5, lines))
+    found = forecast(here, [line.decode() for line in lines], ask_at=3)
+    assert "line 4 stores offsets" in approach(lines, 3, found, here).cautions[-1]
+
+
+def test_a_place_that_the_lines_before_have_stored_is_not_gone_to(here: stage.Stage) -> None:
+    lines = [b"G21 G90", b"G53 G0 X-7 Y-7 Z-7", b"G28.1", b"G0 X1", b"G28"]
+    with pytest.raises(CannotEnter, match="another place for G28"):
+        way(here, 4, lines)
+    here.offsets["G28"] = [-7.0, -7.0, -7.0]
+    assert way(here, 4, lines)
+
+
+def test_a_setting_of_the_lines_before_has_to_be_the_machines(here: stage.Stage) -> None:
+    lines = [b"$30=500", b"G21 G90", b"G0 X1"]
+    here.settings[30] = "1000"
+    with pytest.raises(CannotEnter, match=r"line 1 sets \$30, which is 1000 now"):
+        way(here, 3, lines)
+    here.settings[30] = "500"
+    assert way(here, 3, lines)
 
 
 def test_what_cannot_be_simulated_cannot_be_passed(here: stage.Stage) -> None:

@@ -62,7 +62,6 @@ class Coords:
         return True
 
     def _save(self) -> None:
-        self._zero_of = _NONE
         lines = []
         for i in range(_COUNT):
             lines.append(NAMES[i] + "=" + ",".join(["%.9g" % x for x in self.systems[i]]))
@@ -73,6 +72,7 @@ class Coords:
         for system in self.systems:
             for i in range(self._axes):
                 system[i] = 0.0
+        self._zero_of = _NONE
         self._save()
 
     def clear(self) -> None:
@@ -92,8 +92,13 @@ class Coords:
 
     def write(self, index: int, values: "array[float]") -> None:
         """Set and keep a system, or G28, G30."""
-        self.systems[index][:] = values
+        self.change(index, values)
         self._save()
+
+    def change(self, index: int, values: "array[float]") -> None:
+        """Set one without keeping it."""
+        self.systems[index][:] = values
+        self._zero_of = _NONE
 
     def zero(self, system: int) -> "array[float]":
         """Where work in that system begins, with G92, without tool length. Not to be changed."""

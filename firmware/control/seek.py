@@ -70,6 +70,7 @@ class Seek:
         self._target = vector(planner.axes)
         self._move = plan.Move()
         self.probe_steps = array("i", (0 for _ in range(motors)))
+        self.homed = 0  # a mask of axes whose switches were found, until an alarm
 
     # Probing (G38.2 to G38.5)
 
@@ -197,6 +198,7 @@ class Seek:
                 travel = settings.homing_pull_off_mm * _LOCATE
                 rate = settings.homing_feed
         self._set_origin(axes)
+        self.homed |= axes
 
     def home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
         """One move; ends when all switches were found, or with the way back done."""

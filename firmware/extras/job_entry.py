@@ -1,9 +1,9 @@
 """Entry: going on at a line in the middle of a job.
 
 The lines before it are run in check mode, which moves nothing, so modes, offsets, tool, spindle,
-coolant and position come to be what a whole run would have left. The way there is at a safe
-height: all off, up, across, tool on, down; then modes and position are put in force, and the line
-comes as if all before it had been done.
+coolant and position come to be what a whole run would have left. Stored offsets they change in a
+copy. The way there is at a safe height: all off, up, across, tool on, down; then all of that is
+put in force, and the line comes as if all before it had been done.
 """
 
 from array import array
@@ -24,6 +24,7 @@ from control.modes import (
     SYSTEM,
 )
 from language.block_layout import PROBE_TOWARD
+from language.words import bare
 from micropython import const
 from motion.planner import SPINDLE_CW
 from talk.lines import LINE, clean, feed
@@ -46,9 +47,15 @@ _ZERO = const(48)
 _NINE = const(57)
 _HOLD_IN_CLOSED = const(HOLD << 8)  # of Inputs.closed()
 _SLOW_MM_MIN = 100.0
+_SAME = 0.0005  # of settings and offsets, which are shown with three decimals
 _SPIN_UP_S = const(4)
 _Z = const(2)
 _COOLANTS = ("", "M8", "M7", "M7M8")  # by their mask
+
+
+def differs(one: float, other: float) -> bool:
+    """Whether two values of a setting, or of an offset, are shown as different ones."""
+    return abs(one - other) > _SAME
 
 
 class NoWay(Exception):
@@ -88,16 +95,21 @@ class Entry:
         self._reader = reader
         self._longest = len(machine.reader.line) - 1
         self._there: "list[Any]" = []
+        self._systems: "list[array[float]]" = []  # there
         self._highest = 0.0
         self.has_ended = False  # the program, in front of the line
 
-    def find(self, file: "IO[bytes]", line: int, start: "list[Any]") -> None:
+    def find(
+        self, file: "IO[bytes]", line: int, start: "list[Any]", systems: "list[array[float]]"
+    ) -> None:
         """Run what is before the line in check mode; the file is left at that line. start: what
-        was in force before the first. All is as before then. NoWay where it cannot be known."""
+        was in force before the first; systems: a copy of the stored offsets, which the lines
+        change. All is as before then. NoWay where it cannot be known."""
         machine = self._machine
         coords, state = machine.coords, machine.state
         before = in_force(machine)
-        write, coords.write = coords.write, _leave  # type: ignore[assignment,method-assign]
+        stored, coords.systems, self._systems = coords.systems, systems, systems
+        write, coords.write = coords.write, coords.change  # type: ignore[method-assign]
         self.has_ended = False
         self._highest = machine.modes.position[_Z]
         state.enter(st.CHECK)
@@ -108,8 +120,9 @@ class Entry:
                 if why():
                     raise NoWay(why())
             self._there = in_force(machine)
+            self._check_homed(before[0])
         finally:
-            coords.write = write  # type: ignore[method-assign]
+            coords.write, coords.systems = write, stored  # type: ignore[method-assign]
             if state.run == st.CHECK:
                 state.enter(st.IDLE)
             put(machine, before)
@@ -129,7 +142,7 @@ class Entry:
                 raise NoWay("line %d is too long" % number)
             self._do(self._reader.line, found >> 2, number)
             if number % _LINES == 0:
-                self._look()
+                self.look()
         if not file.read(1):
             raise NoWay("there are only %d lines" % (line - 1))
         file.seek(-1, 1)
@@ -149,8 +162,8 @@ class Entry:
             found = clean(*memory)
         return found
 
-    def _look(self) -> None:
-        """Real-time commands act; check mode would lose those that hold the machine."""
+    def look(self) -> None:
+        """Real-time commands act. NoWay for those that hold the machine: check mode loses them."""
         machine = self._machine
         machine.protocol.pump()
         pending = machine.state.pending
@@ -164,7 +177,8 @@ class Entry:
             return
         if line[0] == _DOLLAR:
             if _ZERO <= line[1] <= _NINE:
-                return  # a setting, which is kept
+                self._check_setting(line, number)
+                return
             raise NoWay("line %d is no G-code: what it does is not known" % number)
         if self._cnc.has_word(line, length):
             raise NoWay("line %d has a word of another kind: what it does is not known" % number)
@@ -179,6 +193,26 @@ class Entry:
             raise NoWay("line %d probes: where that ended is not known" % number)
         if modes.position[_Z] > self._highest:
             self._highest = modes.position[_Z]
+
+    def _check_setting(self, line: bytearray, number: int) -> None:
+        """A setting is stored: it has to be what the line makes it, and is not written again."""
+        at, setting = bare(line, 1)
+        _, value = bare(line, at + 1)
+        for known, amount, _ in self._machine.settings.each():
+            if known == setting and differs(amount, value):
+                text = "line %d sets $%d, which has another value now"
+                raise NoWay(text % (number, known))
+
+    def _check_homed(self, here: "list[float]") -> None:
+        """What was not homed may not have to move."""
+        for axis in range(len(here)):
+            way = [here[axis], self._there[0][axis]]
+            if axis == _Z:
+                way.append(self._highest)
+            moves = self._steps(axis, min(way)) != self._steps(axis, max(way))
+            if moves and not self._machine.seek.homed >> axis & 1:
+                text = "%s is not homed, and would have to move: where it is is not known"
+                raise NoWay(text % LETTERS[axis])
 
     # The way there
 
@@ -217,12 +251,12 @@ class Entry:
         for axis in range(len(place)):
             if self._steps(axis, here[axis]) != self._steps(axis, place[axis]):
                 raise NoWay("the way has not led there")
+        coords = self._machine.coords
+        for i in range(len(self._systems)):
+            if list(coords.systems[i]) != list(self._systems[i]):
+                coords.write(i, self._systems[i])
         put(self._machine, self._there)
 
 
 def _pass_over(_byte: int) -> None:
     """In the file no byte is a real-time command."""
-
-
-def _leave(_index: int, _values: object) -> None:
-    """What G10, G28.1 and G30.1 have written when they were done is there."""

@@ -3,17 +3,20 @@
 Which runs, and where it was held or stopped, is noted in flash at rest.
 """
 
+import binascii
 import io
 import json
+from array import array
 
 import micropython
 from base import state as st
 from base.controls import START
 from base.faults import harmless
+from control.coords import NAMES
 from control.modes import COOLANT, SPINDLE
 from micropython import const
 
-from extras.job_entry import Entry, NoWay, in_force
+from extras.job_entry import Entry, NoWay, differs, in_force
 from extras.job_feed import Feed
 
 TYPE_CHECKING = const(False)
@@ -25,12 +28,18 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-# Under which is kept: the job that runs, a line of it, its size and what was in force before it;
-# the start button's.
+# Under which is kept: the job that runs, a line of it, and what _start has; the start button's.
 _JOURNAL = "job"
 _JOURNAL_LINES = const(3)
 BUTTON = "button"
 _PRESSED_MS = const(50)  # later, something else has been going on
+# What _start has: a job's CRC-32, what was in force before it, and the stored offsets that it has
+# written since, each with its number, what was there before, and what is there now.
+_CRC = const(0)
+_IN_FORCE = const(1)
+_WRITTEN = const(2)
+_UNKNOWN = const(-1)
+_PIECE = const(512)
 
 
 class JobRun:
@@ -43,14 +52,18 @@ class JobRun:
         self._feed = Feed(cnc.machine, self._refuse, self._note_line)
         self._at_rest = cnc.machine.at_rest
         cnc.machine.at_rest = self._is_quiet  # type: ignore[method-assign]
+        coords = cnc.machine.coords
+        self._write = coords.write
+        coords.write = self._write_offsets  # type: ignore[method-assign]
         self._entry = Entry(cnc, reader)
         self._name = ""  # what runs
-        self._start: "list[Any]" = []  # its size, and what was in force before it
+        self._start: "list[Any]" = []
         self._pressed_ms = 0
         self._due = ""  # what is to, once the loop has no line of the sender left,
-        self._due_line = 0  # and from which line on; 0: all of it
+        self._due_line = 0  # from which line on; 0: all of it,
+        self._due_crc = _UNKNOWN  # and the CRC-32 of its file, once that has been read through
+        self._size = 0  # of its file
         self._rest: "IO[bytes] | None" = None  # of the file, while the tool is on its way there
-        self.is_homed = False
         self._refused = 0  # Grbl's number for the line that has ended it
         self._pressed = bytearray(1)  # the start button has been
         self._has_started = False  # the firmware
@@ -61,7 +74,7 @@ class JobRun:
 
     def ask_for(self, name: str, line: int) -> None:
         """Have one run, once the sender has nothing more to say; from a line on, or 0: all."""
-        self._due, self._due_line = name, line
+        self._due, self._due_line, self._due_crc = name, line, _UNKNOWN
 
     @micropython.native
     def turn(self) -> None:
@@ -86,38 +99,24 @@ class JobRun:
         return self._at_rest() and not self._feed.is_on
 
     def _begin(self) -> None:
-        name, self._due = self._due, ""
+        name, line, self._due = self._due, self._due_line, ""
         try:
             self._files.mount()
             file = self._files.open(name)
-            size = file.seek(0, 2)  # its end
-            file.seek(0)
         except OSError:
             self._files.lose()
             self.tell(name, "cannot be read")
             return
         self._name, self._refused = name, 0
-        if self._due_line:
-            self._enter(file, size, self._due_line)
-            return
-        self._start = [size, in_force(self._machine)]
-        self._note(1)
-        self.tell(name, "begins")
-        self._feed.start(file, size)
-
-    def _enter(self, file: "IO[bytes]", size: int, line: int) -> None:
-        """Have the tool led to that line."""
-        kept = self.journal()
-        self._start = [size, in_force(self._machine)]
         try:
-            if self._machine.state.run != st.IDLE or not self.is_homed:
-                raise NoWay("the machine is not homed, or not idle")
-            if kept and kept[0] == self._name:
-                self._start = json.loads(kept[2])
-                if self._start[0] != size:
-                    raise NoWay("it is another file than the one that was noted")
-            self._tool_off()
-            self._entry.find(file, line, self._start[1])
+            self._read_through(file)
+            if self._machine.reader.has_line():
+                self._due = name  # that comes first
+                file.close()
+                return
+            self._start = [self._due_crc, in_force(self._machine), []]
+            if line:
+                self._find(file, line)
         except NoWay as why:
             self._give_up(file, str(why))
             return
@@ -128,24 +127,86 @@ class JobRun:
         except BaseException:
             file.close()
             raise
+        if line:
+            self._lead(file, line)
+            return
+        self._note(1)
+        self.tell(name, "begins")
+        self._feed.start(file, self._size)
+
+    def _read_through(self, file: "IO[bytes]") -> None:
+        """Find its size and its CRC-32. NoWay where the machine is held meanwhile."""
+        if self._due_crc == _UNKNOWN:
+            crc = 0
+            while True:
+                piece = file.read(_PIECE)
+                if not piece:
+                    break
+                crc = binascii.crc32(piece, crc)
+                if len(piece) == _PIECE:
+                    self._entry.look()
+            self._due_crc = crc
+        self._size = file.seek(0, 2)  # its end
+        file.seek(0)
+
+    def _find(self, file: "IO[bytes]", line: int) -> None:
+        """Find the way to that line. NoWay where there is none."""
+        kept = self.journal()
+        if self._machine.state.run != st.IDLE or not self._machine.seek.homed:
+            raise NoWay("the machine is not homed, or not idle")
+        if kept and kept[0] == self._name:
+            self._start = json.loads(kept[2])
+            if self._start[_CRC] != self._due_crc:
+                raise NoWay("it is another file than the one that was noted")
+        systems = self._systems()
+        self._tool_off()
+        self._entry.find(file, line, self._start[_IN_FORCE], systems)
+
+    def _lead(self, file: "IO[bytes]", line: int) -> None:
+        """Have the tool led to that line."""
         self._rest = file
         way = [text for text in self._entry.way() if text]
         self.tell(self._name, "goes on at line %d" % line)
         lines = io.BytesIO(("\n".join(way) + "\n").encode())
-        self._feed.start(lines, size, line - 1 - len(way))
+        self._feed.start(lines, self._size, line - 1 - len(way))
+
+    def _systems(self) -> "list[array[float]]":
+        """A copy of the stored offsets, as they were before the job has written some. NoWay where
+        others have been stored in the place of those."""
+        systems = [array("f", values) for values in self._machine.coords.systems]
+        for index, before, written in self._start[_WRITTEN]:
+            for axis in range(len(written)):
+                if differs(written[axis], systems[index][axis]):
+                    text = "%s was set by the job, and again since: which holds is not known"
+                    raise NoWay(text % NAMES[index])
+            systems[index] = array("f", before)
+        return systems
+
+    def _write_offsets(self, index: int, values: "array[float]") -> None:
+        """Stand in for Coords.write(): what a job writes is noted, and stored with the offsets."""
+        if self._feed.is_on and self._machine.state.run != st.CHECK:
+            written = self._start[_WRITTEN]
+            found = [row for row in written if row[0] == index]
+            if not found:
+                found.append([index, list(self._machine.coords.systems[index]), []])
+                written.append(found[0])
+            found[0][2] = list(values)
+            self._save(self._feed.line() + 1)
+        self._write(index, values)
 
     def _arrive(self, file: "IO[bytes]") -> None:
         """The tool is there: the file's lines come."""
         self._rest = None
         line = self._feed.line()
-        self._feed.stop()
         try:
             self._entry.arrive()
         except NoWay as why:
+            self._feed.stop()
             self._give_up(file, str(why))
             return
+        self._feed.stop()
         self._note(line + 1)
-        self._feed.start(file, self._start[0], line)
+        self._feed.start(file, self._size, line)
 
     def _give_up(self, file: "IO[bytes]", why: str) -> None:
         file.close()
@@ -217,14 +278,9 @@ class JobRun:
         if self._feed.is_on:
             self._feed.cut()
 
-    def home(self, _was: int) -> None:
-        """$H has been done, or has failed."""
-        state = self._machine.state
-        self.is_homed = state.run == st.IDLE and not state.alarm
-
     def alarm(self, _code: int) -> None:
         """The place may not be what it is held for; and who sees to that may switch off."""
-        self.is_homed = False
+        self._machine.seek.homed = 0
         self._due = ""
         if self._feed.is_on:
             self._note_line()
@@ -289,6 +345,9 @@ class JobRun:
         """Keep where the job is; 0: it is done."""
         if self._machine.state.run == st.CHECK:
             return  # which has made nothing
+        self._save(line)
+        self._machine.keep()
+
+    def _save(self, line: int) -> None:
         kept = [self._name, str(line), json.dumps(self._start)] if line else []
         self._machine.saves.save(_JOURNAL, kept)
-        self._machine.keep()

@@ -60,7 +60,6 @@ def install(cnc: "Cnc") -> None:
     cnc.before_lines(run.turn)
     cnc.behind_reset(run.begin_anew)
     cnc.behind_alarm(run.alarm)
-    cnc.behind_command(b"H\0", run.home)  # of all axes: a line ends with a 0
     cnc.behind_program(run.program_ends)
     cnc.behind_controls(run.press)
 
@@ -161,7 +160,7 @@ class Jobs:
         if line < 0 or (at and line == 0):
             raise GrblError(errors.BAD_NUMBER_FORMAT)
         name = self._known(name)
-        if at and not self._run.is_homed:
+        if at and not self._machine.seek.homed:
             self._run.tell(name, "to go on in its middle, home first ($H)")
             raise GrblError(errors.INVALID_STATEMENT)
         self._run.ask_for(name, line)

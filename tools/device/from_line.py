@@ -21,6 +21,10 @@ _CYCLE = re.compile(rb"G(?:73|8[1-9])(?!\d)")
 _CYCLE_ENDS = re.compile(rb"G(?:0*[0123]|80|38)(?!\d)|M0*(?:2|30)(?!\d)")
 _RELATIVE = re.compile(rb"G91(?![\d.])")
 _ORIGIN = re.compile(rb"G92(?![\d.])|G10L20")
+_STORES = re.compile(rb"G10(?![\d.])|G28\.1|G30\.1")
+_GOES_TO = re.compile(rb"G(28|30)(?![\d.])")
+_SETTING = re.compile(rb"\$(\d+)=([\d.]+)")
+_SAME = 0.0005
 _TOOL = re.compile(rb"T\d|M0*6(?!\d)")
 
 
@@ -45,11 +49,14 @@ def approach(lines: Sequence[bytes], number: int, forecast: Forecast, here: Stag
     place = forecast.at_place
     _check_motion(lines[number - 1], number, there.modes)
     _check_cycle(lines, number)
+    _check_settings(lines[: number - 1], here)
+    _check_places(lines[number - 1 :], here, there)
     way = _Way(here, there, place, max(forecast.highest_mm(number), here.place[2]))
     steps = [step for step in way.steps() if step[0]]
     made = [Line(0, text.encode("ascii"), text) for text, _ in steps]
     words = [said for _, said in steps if said]
-    cautions = _cautions(lines[: number - 1], here, there)
+    cautions = _cautions(lines[: number - 1])
+    cautions += _later(lines, number)
     cautions += [f"{name} is on by then: see that it is" for name in forecast.outputs_on]
     return Approach(made, words, cautions)
 
@@ -74,6 +81,26 @@ def _check_cycle(lines: Sequence[bytes], number: int) -> None:
     if begun and not _CYCLE_ENDS.search(_code(lines[number - 1])):
         text = f"line {number} goes on with the drilling cycle of line {begun}"
         raise CannotEnter(f"{text}: begin there, or behind its end")
+
+
+def _check_settings(before: Sequence[bytes], here: Stage) -> None:
+    """Settings are stored: the machine has to have what the lines before have set."""
+    for at, line in enumerate(before, 1):
+        match = _SETTING.fullmatch(_code(line))
+        if not match or (now := here.settings.get(int(match[1]))) is None:
+            continue
+        if abs(float(match[2]) - float(now)) > _SAME:
+            raise CannotEnter(f"line {at} sets ${int(match[1])}, which is {now} now: set it first")
+
+
+def _check_places(behind: Sequence[bytes], here: Stage, there: Stage) -> None:
+    """G28.1 and G30.1 store where the tool is: without going there nobody can."""
+    for line in behind:
+        for word in _GOES_TO.findall(_code(line)):
+            name = f"G{word.decode()}"
+            if there.offsets.get(name) != here.offsets.get(name):
+                text = f"the lines before store another place for {name} ({name}.1)"
+                raise CannotEnter(f"{text}, and the program goes to it: begin in front of that")
 
 
 class _Way:
@@ -142,8 +169,13 @@ class _Way:
         return steps
 
     def _offsets(self) -> list[tuple[str, str]]:
-        """G92 and the tool's length are forgotten at a reset; what G10 has written is not."""
+        """All that the lines before leave otherwise than they are here."""
         steps = []
+        for number, name in enumerate(SYSTEMS, 1):
+            stored = self._there.offsets.get(name, [])
+            if stored != self._here.offsets.get(name, [0.0] * len(stored)):
+                words = axis_words(stored)
+                steps.append((f"G10 L2 P{number} {words}", f"{name} is stored as {words}"))
         if self._there.tool_length() != self._here.tool_length():
             length = self._there.tool_length()
             steps.append((f"G43.1 Z{length:.3f}", f"tool length offset {length:.3f}"))
@@ -159,7 +191,16 @@ class _Way:
         return " ".join([*words, f"S{self._there.word('S'):g}"])
 
 
-def _cautions(before: Sequence[bytes], here: Stage, there: Stage) -> list[str]:
+def _later(lines: Sequence[bytes], number: int) -> list[str]:
+    """What has been stored by lines that are yet to come, where they have been done before."""
+    for at, line in enumerate(lines[number - 1 :], number):
+        if _STORES.search(_code(line)):
+            text = f"line {at} stores offsets: where it has been done already"
+            return [f"{text}, see that those in front of it are as they were before"]
+    return []
+
+
+def _cautions(before: Sequence[bytes]) -> list[str]:
     """What only the user can know."""
     found = []
     for pattern, text in (
@@ -170,9 +211,6 @@ def _cautions(before: Sequence[bytes], here: Stage, there: Stage) -> list[str]:
         numbers = [number for number, line in enumerate(before, 1) if pattern.search(_code(line))]
         if numbers:
             found.append(f"line {numbers[-1]} {text}")
-    systems = [name for name in SYSTEMS if there.offsets.get(name) != here.offsets.get(name)]
-    if systems:
-        found.append(f"the lines before write {', '.join(systems)} (G10): here it is as it was")
     return found
 
 

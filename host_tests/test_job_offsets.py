@@ -1,0 +1,151 @@
+"""Going on in the middle of a job: offsets, settings, content and homing are right there."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_jobs import FAST, HOMED, ROUTER, Bench, homed, say, to_its_end
+from ugrbl.sim.rig import MemoryStore
+
+OFFSETS = {
+    "G10L2": (
+        "G21 G90 G54",
+        "G10 L2 P1 X-5 Y-5",
+        "G0 X0 Y0 Z-10",
+        "G1 X-10 F1200",
+        "G10 L2 P1 X-15",
+        "G1 X0",
+        "G1 Y-5",
+    ),
+    "G10L20": (
+        "G21 G90 G54",
+        "G53 G0 X-10 Y-10 Z-10",
+        "G10 L20 P1 X0 Y0",
+        "G1 X-5 F1200",
+        "G10 L20 P1 X0",
+        "G1 Y-2",
+        "G1 X-3",
+    ),
+    "G28.1": (
+        "G21 G90 G53 G0 X-10 Y-10 Z-10",
+        "G28.1",
+        "G53 G0 X-20",
+        "G30.1",
+        "G28",
+        "G53 G0 Y-20",
+        "G28.1",
+        "G30",
+        "G30.1",
+        "G28",
+    ),
+}
+
+
+def offsets(bench: Bench) -> str:
+    """G54 to G59, G28 and G30, as $# shows them."""
+    return "\n".join(bench.store.files["coords"])
+
+
+@pytest.mark.parametrize("program", OFFSETS.values(), ids=OFFSETS)
+def test_entry_starts_with_the_offsets_that_the_lines_before_it_have_written(
+    tmp_path: Path, program: Sequence[str]
+) -> None:
+    whole = homed(Bench(tmp_path))
+    whole.put("A.NC", *program)
+    whole.run(to_its_end(*FAST, *HOMED, "$F=A.NC"))
+    for line in (3, 5, 7):
+        store = MemoryStore()
+        store.files.update(whole.store.files)
+        part = homed(Bench(tmp_path, store))  # what is kept is what the program has written last
+        said = part.run(to_its_end(*HOMED, f"$F=A.NC@{line}"))
+        assert said[-1] == f"[MSG:Job A.NC: done, {len(program)} lines]"
+        assert part.behind(line) == whole.behind(line), line
+        assert offsets(part) == offsets(whole), line
+
+
+def stopped(bench: Bench, *lines: str) -> None:
+    """A job of these lines, stopped in its last one by a reset; it was noted there."""
+    homed(bench).put("A.NC", *lines)
+
+    def script(bench: Bench) -> Iterator[Any]:
+        yield from say(*FAST, *HOMED, "$F=A.NC", wait_s=5)(bench)
+        bench.rig.link.send(b"!")
+        yield bench.rig.ms(500)
+        yield from bench.sender.wait("banner", "\x18")
+
+    bench.run(script)
+    assert bench.kept()[1] == str(len(lines))
+
+
+SLOW = "G1 X-30 F60"
+
+
+def test_entry_in_front_of_what_a_job_has_written_restores_what_was_there(tmp_path: Path) -> None:
+    first = Bench(tmp_path)
+    stopped(first, "G90", "G1 X-8 F1200", "G1 Y-8", "G10 L2 P1 X-5", "G10 L2 P1 X-6", SLOW)
+    again = homed(Bench(tmp_path, first.store))
+    said = again.run(say(*HOMED, "$F=A.NC@3", wait_s=8))
+    assert "[MSG:Job A.NC: goes on at line 3]" in said
+    assert (-8, -5, -5) in again.moves  # across to X-8 of G54 as it was where the job began
+
+
+def test_entry_after_a_power_cut_knows_what_the_job_has_written(tmp_path: Path) -> None:
+    first = homed(Bench(tmp_path))
+    first.put("A.NC", "G90", "G1 X-8 F1200", "G1 Y-8", "G10 L2 P1 X-5", SLOW)
+    first.run(say(*FAST, *HOMED, "$F=A.NC", wait_s=5))
+    again = homed(Bench(tmp_path, first.store))
+    again.run(say(*HOMED, "$F=A.NC@3", wait_s=8))
+    assert (-8, -5, -5) in again.moves
+
+
+def test_entry_keeps_an_offset_that_was_set_anew_and_not_by_the_job(tmp_path: Path) -> None:
+    first = Bench(tmp_path)
+    stopped(first, "G90", "G10 L2 P2 X-1", "G1 X-8 F1200", SLOW)
+    again = homed(Bench(tmp_path, first.store))
+    again.run(say(*HOMED, "G10L2P1X-4", "$F=A.NC@4", wait_s=8))
+    assert (-12, -5, -5) in again.moves
+
+
+def test_entry_is_refused_where_an_offset_of_the_job_was_set_anew(tmp_path: Path) -> None:
+    first = Bench(tmp_path)
+    stopped(first, "G90", "G10 L2 P1 X-1", "G1 X-8 F1200", SLOW)
+    again = homed(Bench(tmp_path, first.store))
+    said = again.run(say(*HOMED, "G10L2P1X-4", "$F=@", wait_s=5))
+    words = "G54 was set by the job, and again since: which holds is not known"
+    assert said[-1] == f"[MSG:Job A.NC: {words}]"
+
+
+def test_entry_is_refused_behind_a_setting_that_is_another_by_now(tmp_path: Path) -> None:
+    bench = homed(Bench(tmp_path))
+    bench.put("A.NC", "$32=1", "G90", "G1 X-5 F1200", "$32=0", "G1 X-3")
+    said = bench.run(to_its_end(*FAST, *HOMED, "$F=A.NC@3"))
+    assert said[-1] == "[MSG:Job A.NC: line 1 sets $32, which has another value now]"
+
+
+def test_entry_is_refused_where_the_file_has_another_content_of_the_same_size(
+    tmp_path: Path,
+) -> None:
+    first = Bench(tmp_path)
+    stopped(first, "G90", "G1 X-8 F1200", SLOW)
+    first.put("A.NC", "G90", "G1 X-9 F1200", SLOW)
+    again = homed(Bench(tmp_path, first.store))
+    said = again.run(say(*HOMED, "$F=@", wait_s=5))
+    assert said[-1] == "[MSG:Job A.NC: it is another file than the one that was noted]"
+
+
+@pytest.mark.parametrize("z", ["G0 Z-1", ""])
+def test_entry_moves_no_axis_that_was_not_homed(tmp_path: Path, z: str) -> None:
+    bench = homed(Bench(tmp_path, HOMING=("XY",)))
+    bench.put("A.NC", "G90", "G0 X-8", z, "G1 X-9 F1200")
+    said = bench.run(to_its_end(*FAST, "$44=3", *HOMED, "$F=A.NC@4"))
+    not_known = "Z is not homed, and would have to move: where it is is not known"
+    assert said[-1] == f"[MSG:Job A.NC: {not_known if z else 'done, 4 lines'}]"
+
+
+def test_axes_homed_one_by_one_are_homed(tmp_path: Path) -> None:
+    bench = homed(Bench(tmp_path, SINGLE_AXIS_HOMING=True))
+    bench.put("A.NC", *ROUTER)
+    one_by_one = (*HOMED[:-1], "$HZ", "$HX", "$HY")
+    said = bench.run(to_its_end(*FAST, *one_by_one, "$F=A.NC@4"))
+    assert said[-1] == "[MSG:Job A.NC: done, 11 lines]"
