@@ -65,6 +65,7 @@ def simulate(options: Options) -> None:
             options.settings,
             blank=options.blank,
             around=options.around,
+            keeps_jobs=True,
         )
         if options.switches:
             from ..sim import switches

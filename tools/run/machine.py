@@ -82,11 +82,13 @@ def build(
     letters: str = "",
     axes: int = DEFAULT_AXES,
     around: Around = NOTHING,
+    keeps_jobs: bool = False,
 ) -> "Rig":
     """A rig with that board, with the settings of a new machine that has once been started.
 
     link: makes the Link; settings: the file that keeps them, if any; blank: with an erased
-    memory instead; coarse: see Rig; letters, axes: of a machine that it is to be like.
+    memory instead; coarse: see Rig; letters, axes: of a machine that it is to be like; keeps_jobs:
+    jobs are files in the folder that the board names, where otherwise nothing is left of them.
     ValueError for a file that cannot be one.
     """
     paths.use_firmware()
@@ -97,6 +99,11 @@ def build(
     module = _like(load_board(board), letters, axes)
     if getattr(module, "CUSTOM", ""):  # whatever lies where this is run is not meant
         module = _copy(module, module.__name__, CUSTOM="")
+    if getattr(module, "JOBS", "") and not keeps_jobs:
+        from .job_memory import keep_in_memory
+
+        module = _copy(module, module.__name__)
+        keep_in_memory(module)
     store: Any = MemoryStore() if blank else factory_store(module)
     if settings is not None:
         try:

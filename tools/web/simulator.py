@@ -134,7 +134,9 @@ def main() -> None:
 def _build(options: Mapping[str, str], wire: Tcp) -> Any:
     """A rig on that wire, with switches. ValueError for a board or a file that cannot be."""
     file = Path(options["settings"]) if options["settings"] else None
-    rig = machine.build(options["board"], lambda rig: LiveLink(rig, wire, fast=False), file)
+    rig = machine.build(
+        options["board"], lambda rig: LiveLink(rig, wire, fast=False), file, keeps_jobs=True
+    )
     from ..sim import motor_names, switches
 
     if not motor_names.shared(rig.board):

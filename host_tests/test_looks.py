@@ -1,0 +1,103 @@
+"""A look at a program leaves everything as it was, whatever the program says."""
+
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+from ugrbl.cli.app import app
+from ugrbl.device.jobs import _lines
+from ugrbl.paths import BOARDS
+from ugrbl.run import rehearsal
+from ugrbl.web.look import look
+
+_JOB = b"G21\nG0X1\n"
+_NEW = b"G0X2\n"
+# Every command that writes, deletes or sets something, and what G-code stores.
+_PROGRAM = (
+    *("$FD=A.NC", "$SD/Delete=A.NC", "$LocalFS/Delete=A.NC", "$F", "$F=A.NC", "$F<=A.NC"),
+    *("$FB=A.NC", "$FB=", "$F=A.NC@2", "$F=@"),
+    *(f"$FU=A.NC,{len(_NEW)},{zlib.crc32(_NEW):x}", *map(bytes.decode, _lines(_NEW)), ""),
+    *(f"$FU=B.NC,{len(_NEW)},{zlib.crc32(_NEW):x}", *map(bytes.decode, _lines(_NEW)), ""),
+    *("$FD=B.NC", "$F=A.NC"),
+    *("$N0=G21", "$N1=", "$I=mine", "$1=25", "$100=80", "$10=3"),
+    *("$NET/SSID=41", "$NET/PASS=4142434445464748", "$NET/MODE=AP", "$NET/HOST=X", "$NET/PORT=99"),
+    *("$NET/ALLOW=192.168.1.20", "$NET/KEY", "$NET/KEY=NEW", "$NET/OFF"),
+    *("G10L2P1X1", "G10L20P2X0", "G28.1", "G30.1", "G92X1", "G43.1Z1", "G0X1", "M100"),
+    *("$RST=#", "$RST=$", "$RST=*", "$J=G91X1F100", "$C", "$C", "$X", "$H", "$SLP"),
+)
+_TEXT = "\n".join(_PROGRAM) + "\n"
+_CUSTOM = """\
+from ugrbl import mcode
+
+@mcode(100)
+def note(m):
+    m.keep["z1"] = 3.5
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the commands are given: with a folder of jobs, as a board's file names it."""
+    (tmp_path / "my.py").write_text((BOARDS / "pico_w_wifi.py").read_text() + '\nJOBS = "jobs"\n')
+    (tmp_path / "mine.py").write_text(_CUSTOM)
+    (tmp_path / "part.nc").write_text(_TEXT)
+    made = tmp_path / "here"
+    (made / "jobs").mkdir(parents=True)
+    (made / "jobs" / "A.NC").write_bytes(_JOB)
+    monkeypatch.chdir(made)
+    return made
+
+
+def files(folder: Path) -> Iterator[tuple[str, int, bytes]]:
+    """All there are, with when they were written, and what is in them."""
+    for path in sorted(folder.rglob("*")):
+        yield str(path), path.stat().st_mtime_ns, path.read_bytes() if path.is_file() else b""
+
+
+def ugrbl(*words: str) -> None:
+    done = CliRunner().invoke(app, [*words, "--board", "../my.py"])
+    assert "lines" in done.output or "all is well" in done.output, done.output
+
+
+def job() -> rehearsal.Job:
+    return rehearsal.Job(list(_PROGRAM), ["$10=1"], "../my.py")
+
+
+def rehearsed() -> None:
+    result, _ = rehearsal.rehearse(job())
+    assert result.lines > 20, result
+
+
+def rehearsed_elsewhere() -> None:
+    running = rehearsal.Rehearsal(job())
+    assert running.wait()
+    running.close()
+
+
+LOOKS: dict[str, Callable[[], object]] = {
+    "run": lambda: ugrbl("run", "../part.nc"),
+    "run --check": lambda: ugrbl("run", "../part.nc", "--check"),
+    "run --plot": lambda: ugrbl("run", "../part.nc", "--plot", "../out.html"),
+    "run --custom": lambda: ugrbl("run", "../part.nc", "--custom", "../mine.py"),
+    "plot": lambda: ugrbl("plot", "../part.nc", "-o", "../out.svg"),
+    "custom check": lambda: ugrbl("custom", "check", "../mine.py"),
+    "send's check": lambda: rehearsal.check(job()),
+    "send's rehearsal": rehearsed,
+    "send's rehearsal in a process of its own": rehearsed_elsewhere,
+    "the page's preview": lambda: look({"name": "a.nc", "program": _TEXT}, "../my.py"),
+}
+
+
+@pytest.mark.parametrize("command", LOOKS.values(), ids=LOOKS)
+def test_a_look_changes_no_file(folder: Path, command: Callable[[], object]) -> None:
+    before = list(files(folder))
+    command()
+    assert list(files(folder)) == before
+
+
+def test_a_look_sees_the_jobs_that_its_program_brings(folder: Path) -> None:
+    done = CliRunner().invoke(app, ["run", "../part.nc", "--board", "../my.py"])
+    assert "There is no job A.NC" in done.output, "those of this computer are not the board's"
+    assert "[FILE:/A.NC|SIZE" not in done.output
