@@ -65,11 +65,14 @@ _FACTORS = (
     (-0.16666664, 0.0083327042, -0.00019578569),
 )
 
-# Bits of floats: an angle that counts as none, which means a full circle, 5e-7; tan(pi / 8).
+# Bits of floats: an angle that counts as none, 5e-7, which means a full circle where the ends are
+# the same; how far apart those are at most, for rounding, 0.00005 mm; tan(pi / 8).
 _NO_SWEEP = const(0x350637BD)
+_SAME = const(0x3851B717)
 _FLAT = const(0x3ED413CD)
 # What is added to the bits of a float doubles it.
 _TWICE = const(0x800000)
+_ROUNDED = const(23)  # by 2**-23 of a place, at most, its last bit counts
 # Radians: what has wider chords, smaller than the tolerance, gets more of them. In 2**-16, 1.5.
 _WIDEST = const(98304)
 _FEW = const(5)  # so many cannot be as wide
@@ -149,8 +152,47 @@ def _direction(r: ptr32, y: int, x: int) -> int:
 
 
 @micropython.viper
+def _is_short(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
+    """Whether an arc whose ANGLE counts as none, either way, has ends that are not the same. Makes
+    ANGLE that of the straight way between them then."""
+    if r[RADIUS] == 0:
+        return 0
+    apart = 0
+    r[C] = _SAME
+    for i in range(2):
+        axis = plane[i]  # ONE_AXIS, OTHER_AXIS
+        r[A + i] = target[axis]
+        subtract(r, A + i, start, axis)
+        rounding = target[axis] & int(0x7FFFFFFF)
+        if rounding < start[axis] & int(0x7FFFFFFF):
+            rounding = start[axis] & int(0x7FFFFFFF)
+        rounding -= _ROUNDED * _TWICE
+        if r[C] < rounding:
+            r[C] = rounding
+    for i in range(2):
+        if r[A + i] & int(0x7FFFFFFF) > r[C]:
+            apart = 1
+    if apart == 0:
+        return 0
+    r[C] = r[C] + _TWICE
+    quotient(r, C, r, RADIUS)
+    none = _NO_SWEEP if r[C] < _NO_SWEEP else r[C]
+    if r[ANGLE] & int(0x7FFFFFFF) > none:
+        return 0
+    length(r, A, B)
+    r[ANGLE] = r[A]
+    quotient(r, ANGLE, r, RADIUS)
+    return 1
+
+
+@micropython.viper
 def sweep(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
-    """Find ANGLE, the angle travelled, in radians."""
+    """Find ANGLE, the angle travelled, in radians.
+
+    Ends that are the same make a full circle. Of ends so near each other, beside the radius, that
+    the angle is lost, those that differ are led to the short way, either way round: with Grbl
+    they make a full circle, too, of whatever radius.
+    """
     one = plane[ONE_AXIS]
     other = plane[OTHER_AXIS]
     # The way from end to end, beside the radius: what is left of the two is small with the angle,
@@ -176,7 +218,8 @@ def sweep(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
     if plane[CLOCKWISE]:
         ptr8(r)[4 * ANGLE + 3] ^= MINUS
     if ptr8(r)[4 * ANGLE + 3] & MINUS or r[ANGLE] <= _NO_SWEEP:
-        add_single(r, _CIRCLE, r, ANGLE)
+        if int(_is_short(r, plane, start, target)) == 0:
+            add_single(r, _CIRCLE, r, ANGLE)
     return 0
 
 

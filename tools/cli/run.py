@@ -23,6 +23,7 @@ from .screen import (
     show_errors,
     show_messages,
     show_problems,
+    show_wide_arcs,
     summary,
     totals_rows,
 )
@@ -110,6 +111,7 @@ def _tell(
 ) -> None:
     """What came of it."""
     show_errors(console, result.errors, lines)
+    show_wide_arcs(console, result.wide_arcs)
     show_messages(console, result.other_output)
     for number, output, on in result.switched:
         console.print(f"line {number}: {output} {'on' if on else 'off'}", highlight=False)

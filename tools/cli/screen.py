@@ -135,6 +135,14 @@ def show_errors(
         console.print(f"… and {len(errors) - _MOST_ERRORS} more errors")
 
 
+def show_wide_arcs(console: Console, found: Sequence[tuple[int, str]]) -> None:
+    """Arcs that leave the part; the first of very many."""
+    for number, text in found[:_MOST_ERRORS]:
+        console.print(f"line {number}: {text}. Is it meant so?", highlight=False, soft_wrap=True)
+    if len(found) > _MOST_ERRORS:
+        console.print(f"… and {len(found) - _MOST_ERRORS} more such arcs")
+
+
 def show_messages(console: Console, output: Sequence[tuple[int, str]]) -> None:
     """What the machine has told its sender besides answers, by line."""
     for number, line in output:

@@ -43,6 +43,9 @@ class Result:
     stopped: str = ""  # why it could not finish, if it could not
     switched: list[tuple[int, str, bool]] = field(default_factory=list)  # outputs of custom.py
     faults: list[str] = field(default_factory=list)  # how handlers of custom.py have failed
+    wide_arcs: list[tuple[int, str]] = field(
+        default_factory=list
+    )  # lines with what is odd in them
     own: str = ""  # the handlers of custom.py, as $I names them
     totals: Totals = field(default_factory=Totals)
 
@@ -59,6 +62,7 @@ class Result:
             "stopped": self.stopped,
             "switched": self.switched,
             "faults": self.faults,
+            "wide_arcs": self.wide_arcs,
         }
 
 
@@ -318,6 +322,7 @@ def watch_program(
     machine.run(rig)
     result: Result = rig.link.result
     result.totals = watching.totals()
+    result.wide_arcs = watching.wide_arcs
     result.faults = rig.guest.faults if rig.guest else []
     return result, watching
 

@@ -8,6 +8,8 @@ from math import hypot
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from . import wide_arcs
+
 if TYPE_CHECKING:
     from ..sim.rig import Rig
 
@@ -72,6 +74,7 @@ class Recorder:
         self._high = [0.0 for _ in self._axes]
         self._begun: int | None = None
         self._ended = 0
+        self.wide_arcs: list[tuple[int, str]] = []  # lines, and what is to be said of their arcs
         self.marks: list[Sequence[float]] = []  # where a punch has made a hole, in mm
         if hasattr(rig.port, "on_hole"):
             rig.port.on_hole = self._mark
@@ -118,7 +121,14 @@ class Recorder:
         if hasattr(self._planner, "take_up"):
             self._take_up = replace_method(self._planner, "take_up", self._turn)
         self._probe = replace_method(controller.seek, "probe", self._watch_probe)
+        self._plan_arc = replace_method(controller.canon, "arc", self._look_at_arc)
         self._follow_plain = replace_method(controller.interpreter.fast, "follow", self._follow)
+
+    def _look_at_arc(self, start: Any, target: Any, arc: Any, move: Any) -> None:
+        """Stand in for Canon.arc."""
+        if text := wide_arcs.warning(start, target, arc):
+            self.wide_arcs.append((self._rig.link.now_at(), text))
+        self._plan_arc(start, target, arc, move)
 
     def _watch_probe(self, *asked: Any) -> bool:
         """Stand in for Seek.probe, which comes to rest before it plans its motion."""

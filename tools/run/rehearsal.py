@@ -213,6 +213,7 @@ def rehearse(job: Job, progress: Callable[[int], None] | None = None) -> tuple[R
     begun = rig.now
     machine.run(rig)
     link: _Link = rig.link
+    link.result.wide_arcs = watcher.wide_arcs
     if rig.guest:
         link.result.faults, link.result.own = rig.guest.faults, rig.guest.told_names()
     return link.result, _forecast(watcher, link, begun)

@@ -114,6 +114,7 @@ def _problems(
     the travel; by line."""
     found = [_problem(number, f"{reply} - {meaning(reply)}") for number, reply in result.errors]
     found += [_problem(*row) for row in beyond]
+    found += [_problem(number, f"{text}: is it meant so?") for number, text in result.wide_arcs]
     found += [
         _problem(problem.line, problem.text)
         for problem in gcode_file.problems(lines)
