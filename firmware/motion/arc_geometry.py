@@ -72,7 +72,6 @@ _SAME = const(0x3851B717)
 _FLAT = const(0x3ED413CD)
 # What is added to the bits of a float doubles it.
 _TWICE = const(0x800000)
-_ROUNDED = const(23)  # by 2**-23 of a place, at most, its last bit counts
 # Radians: what has wider chords, smaller than the tolerance, gets more of them. In 2**-16, 1.5.
 _WIDEST = const(98304)
 _FEW = const(5)  # so many cannot be as wide
@@ -157,7 +156,6 @@ def _is_short(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
     ANGLE that of the straight way between them then."""
     if r[RADIUS] == 0:
         return 0
-    apart = 0
     r[C] = _SAME
     for i in range(2):
         axis = plane[i]  # ONE_AXIS, OTHER_AXIS
@@ -166,18 +164,14 @@ def _is_short(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
         rounding = target[axis] & int(0x7FFFFFFF)
         if rounding < start[axis] & int(0x7FFFFFFF):
             rounding = start[axis] & int(0x7FFFFFFF)
-        rounding -= _ROUNDED * _TWICE
+        rounding -= 23 * _TWICE  # its last bit, or two
         if r[C] < rounding:
             r[C] = rounding
-    for i in range(2):
-        if r[A + i] & int(0x7FFFFFFF) > r[C]:
-            apart = 1
-    if apart == 0:
+    if r[A] & int(0x7FFFFFFF) <= r[C] and r[B] & int(0x7FFFFFFF) <= r[C]:
         return 0
     r[C] = r[C] + _TWICE
     quotient(r, C, r, RADIUS)
-    none = _NO_SWEEP if r[C] < _NO_SWEEP else r[C]
-    if r[ANGLE] & int(0x7FFFFFFF) > none:
+    if r[ANGLE] & int(0x7FFFFFFF) > _NO_SWEEP and r[ANGLE] & int(0x7FFFFFFF) > r[C]:
         return 0
     length(r, A, B)
     r[ANGLE] = r[A]
@@ -187,12 +181,8 @@ def _is_short(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
 
 @micropython.viper
 def sweep(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
-    """Find ANGLE, the angle travelled, in radians.
-
-    Ends that are the same make a full circle. Of ends so near each other, beside the radius, that
-    the angle is lost, those that differ are led to the short way, either way round: with Grbl
-    they make a full circle, too, of whatever radius.
-    """
+    """Find ANGLE, the angle travelled, in radians. Ends that are the same make a full circle; with
+    Grbl also those that differ by so little, beside the radius, that the angle is lost."""
     one = plane[ONE_AXIS]
     other = plane[OTHER_AXIS]
     # The way from end to end, beside the radius: what is left of the two is small with the angle,
