@@ -208,6 +208,7 @@ class Torn:
     def __init__(self, file: Any) -> None:
         self._file = file
         self.tell, self.seek, self.close = file.tell, file.seek, file.close
+        self.read = file.read  # when it is read through, it is still there
 
     def readinto(self, block: bytearray) -> int:
         if self._file.tell():
