@@ -20,7 +20,7 @@ from hypothesis import settings
 from language.fast_path import FastPath
 from motion import layout, reals
 from motion.kinematics import Kinematics
-from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
+from motion.layout import ROOT_SCALE, ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 from motion.planner import Move, Planner
 from motion.segments import Segments
 from ugrbl.sim.engine import step_tick
@@ -164,6 +164,7 @@ class Piece:
     from_rest: bool
     segment: "Segment | None"
     unit: float  # mm to which its way is told, where jerk is limited; else 0
+    promise: float  # where it ends its block, the most that is planned for its end; else infinite
 
     @property
     def mean(self) -> float:
@@ -203,11 +204,13 @@ class Watch:
         self.planner = planner
         self._rows: dict[int, Block] = {}
         self._line, self._system_line = planner.line, planner.system_line
-        self._chords = planner.chords
+        self._chords, self._override = planner.chords, planner.override
+        self._slowed: set[Block] = set()
         self._next = segments.next
         planner.line = self.line  # type: ignore[method-assign]
         planner.chords = self.chords  # type: ignore[method-assign]
         planner.system_line = self.system_line  # type: ignore[method-assign]
+        planner.override = self.override  # type: ignore[method-assign]
         segments.next = self.next
 
     def line(self, target: Any, move: Move, power: int) -> bool:
@@ -249,6 +252,16 @@ class Watch:
         """Stand in for Planner.system_line."""
         at = self.planner.flow[layout.ROWS]
         return self._note(at, self._system_line(target, move, power, start))
+
+    def override(self) -> None:
+        """Stand in for Planner.override. It may come too late to brake for what it lowers."""
+        self._override()
+        if self.planner.flow[layout.LOADED]:
+            self._slowed.add(self._rows[self.planner.flow[layout.AT] // self._row_size])
+
+    @property
+    def _row_size(self) -> int:
+        return self.planner.flow[layout.ROW_SIZE]
 
     def _note(self, at: int, planned: bool) -> bool:
         if planned:
@@ -321,9 +334,25 @@ class Watch:
             speed = flow[layout.REACHED] / real(self.row(at)[layout.FACTOR])
             unit = 2**-16 if self.planner.table[layout.GENTLE] else 0.0
             seconds = time / self.tick_hz
-            piece = Piece(block, distance, seconds, speed, ended, at_rest, segment, unit)
+            promise = self._promised(block, speed) if ended else inf
+            piece = Piece(block, distance, seconds, speed, ended, at_rest, segment, unit, promise)
             self.pieces.append(piece)
         return found
+
+    def _promised(self, block: Block, speed: float) -> float:
+        """The speed at which the block just ended was to be left, at most."""
+        flow, table = self.planner.flow, self.planner.table
+        at = flow[layout.TAIL]
+        if flow[layout.SYSTEM] or at == flow[layout.HEAD]:
+            return 0.0
+        promise = self.promise(self.row(at), layout.ENTRY_SQR)
+        if table[layout.GENTLE]:  # the average is faster than its plan by that
+            promise += block.acceleration * real(table[layout.GENTLE]) * real(table[ROOT_SCALE])
+        if block in self._slowed:
+            if speed > promise:
+                self._slowed.add(self._rows[at])
+            return inf
+        return promise
 
     def _left(self) -> int:
         """What the profile has still to go, in 2**-18 steps of the longest axis."""
@@ -434,6 +463,8 @@ def check_segments(watch: Watch) -> None:
     pieces = watch.pieces
     for piece in pieces:
         assert piece.mean <= piece.block.speed * RATE_SLACK + piece.grain(hz), "rate of an axis"
+        planned = piece.promise * RATE_SLACK + _least(watch)
+        assert piece.speed <= planned + piece.block.braked(_END_PART), "braked too late"
     for before, after in pairwise(pieces):
         if after.from_rest:
             _check_rest(before, hz)

@@ -75,7 +75,7 @@ class JerkBench(Bench):
         self.jerk = tuple(jerk)
         self.smoother = Jerk(self.planner, self.state, self.watch._next)
         self.watch._next = self.smoother.next
-        self.slot_s = (1 << segment_log2) / tick_hz
+        self.slot_s = (1 << self.planner.table[layout.SEGMENT_LOG2]) / tick_hz
         self.smoother.limit(list(limits.acceleration), list(jerk), self.slot_s)
 
     def finish(self) -> None:

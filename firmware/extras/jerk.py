@@ -181,7 +181,7 @@ def install(cnc: "Cnc") -> None:
         jerk.limit(
             [a / 3600 for a in settings.acceleration],
             list(settings.jerk),
-            (1 << machine.engine.segment_log2) / machine.engine.tick_hz,
+            (1 << machine.planner.table[layout.SEGMENT_LOG2]) / machine.engine.tick_hz,
         )
 
     cnc.before_motion(jerk.may_start)

@@ -35,6 +35,9 @@ _BIAS = const(0x20000000)
 _NO_DIRECTION = const(0x4000)  # see plan_kernel.limit()
 # Where the speed changes, a segment is cut into so many, of a millisecond and more.
 _SLICES = const(8)
+# Steps in a full segment, at most: speeds in 2**-18 step per segment have 30 bits. With 10 ms that
+# is 390 to 410 kHz; where an axis is faster, full segments are half as long.
+_MOST_STEPS = const(4095)
 _SLOWEST_MM_S = 1 / 60
 _FINEST = 1e8  # steps/mm: no division by nothing, whatever $100 is
 
@@ -106,12 +109,13 @@ class Planner:
     ) -> None:
         """Take over rates, accelerations and resolution. step_hz: what the engine can make."""
         table = self.table
-        fastest_sqr = 0.0
+        fastest_sqr = fastest_hz = 0.0
         for i in range(self.axes):
             resolution = min(settings.steps_per_mm[i] or 1.0, _FINEST)
             rate = min(settings.max_rate[i] / 60, step_hz / resolution)
             acceleration = settings.acceleration[i] / 3600
             fastest_sqr += rate * rate
+            fastest_hz = max(fastest_hz, rate * resolution)
             at = layout.LIMITS + 3 * i
             table[at] = reals.real(1 / resolution)
             table[at + 1] = reals.real(rate)
@@ -121,6 +125,8 @@ class Planner:
         copy(self.steps_per_mm, memoryview(table)[at:], self.axes)
         scale = (1 << 30) / (fastest_sqr or 1.0)
         table[layout.ROOT_SCALE] = reals.real(scale**-0.5)
+        while fastest_hz * (1 << segment_log2) > tick_hz * _MOST_STEPS:
+            segment_log2 -= 1
         seconds = (1 << segment_log2) / tick_hz
         table[layout.SQR_SCALE] = reals.real(scale)
         table[layout.JUNCTION] = reals.real(65536.0 * settings.junction_deviation_mm * scale)

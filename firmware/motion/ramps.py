@@ -30,7 +30,12 @@ def times(x: int, part: int) -> int:
 
 @micropython.viper
 def braking(fast: int, slow: int, ramp: int, unit: int) -> int:
-    """Distance, in 2**-unit steps, over which ramp changes one speed into the other."""
+    """Distance, in 2**-unit steps, over which ramp changes one speed into the other.
+
+    (fast2 - slow2) / 2 ramp, of the leading 15 bits of sum, difference and ramp: right to 2**-13
+    of itself. Speeds and ramp: 0 to 2**30 - 1, in 2**-18 step; unit: 18, or 0 for whole steps.
+    HIGHEST where it is more.
+    """
     if fast == slow:
         return 0
     total = fast + slow

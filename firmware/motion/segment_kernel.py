@@ -3,6 +3,11 @@
 
 Viper, as plan_kernel.py is; all of it runs in the engine's interrupt. What stands where is told in
 layout.py.
+
+Units: speeds are in 2**-18 step of the block's longest axis per full segment, from 0 to
+2**30 - 2**18, because a full segment has at most 4095 steps (planner.configure). A ramp is the
+change of such a speed in a full segment. Times are in 2**-17 of a full segment, ways in 2**-18 of
+a step. A way of 4095 steps or more does not fit: it is HIGHEST, and whole steps count (unit 0).
 """
 
 import micropython
@@ -144,8 +149,10 @@ def approach(flow: ptr32, ramp: int, goal: int, room: int) -> int:
 def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
     """The next piece brakes so as to leave the block, rest ahead, at the speed planned.
 
-    The rate of braking follows from what is left of the way, so that rounding
-    never adds up; it stays within a sixteenth of the ramp. As approach().
+    The deceleration follows from the way left, so that rounding never adds up; it exceeds the
+    ramp by a sixteenth at most. From v to u over the way s it is (v2 - u2) / 2s: where s is known
+    in 2**-18 step the change of speed is (v - u) * way of this piece / s; where s is 4095 steps
+    or more it is ramp * braking way / s, both in whole steps. rest: s, or HIGHEST. As approach().
     """
     speed = flow[NOW]
     left = flow[LEFT]
@@ -153,12 +160,16 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
     mean = (speed + leave) >> 1
     if rest > int(times(mean, left)):
         most = int(times(ramp, left))
-        change = most
         if rest < HIGHEST:
             change = int(times(speed - leave, int(share(int(times(mean, left)), rest))))
-            most += most >> 4
-            if change > most:
-                change = most
+        else:
+            change = int(times(most, int(share(flow[BRAKE_WAY], flow[WHOLE]))))
+            if flow[BRAKE_WAY] > flow[WHOLE]:
+                late = flow[BRAKE_WAY] - flow[WHOLE]
+                change += int(times(most, int(share(late, flow[WHOLE]))))
+        most += most >> 4
+        if change > most:
+            change = most
         end = speed - change
         mean = speed - (change >> 1)
         distance = int(times(mean, left))
@@ -212,6 +223,11 @@ def proceed(flow: ptr32, ring: ptr32, scale: int) -> int:
                 /        `.          slow down to a lowered nominal speed or to a hold.
                /           `. leave  It brakes as soon as the way left is no longer
       entry __/              `.__    than what braking takes.
+
+    slack = way left - braking way, in 2**-18 step, or in whole steps (unit 0) and then at most
+    4095 of them as a way. At a constant speed a piece uses its own length of slack, while
+    speeding up twice that: room, how far the piece may reach, is the slack or half of it.
+    Far away the braking way is known to 2**-13 of itself: braking begins 2**-12 of it early.
     """
     at = flow[AT]
     ramp = ring[at + RAMP]
@@ -241,11 +257,11 @@ def proceed(flow: ptr32, ring: ptr32, scale: int) -> int:
                 slack += way if way < slack else slack
             else:
                 slack -= way
-                if slack <= (speed >> 8 if unit else 1):
+                if slack <= (speed >> 8 if unit else (way >> 12) + 1):
                     due = 1
         if due == 0 and speed <= top:
             if unit == 0:
-                slack = slack << 18 if slack < 2048 else HIGHEST
+                slack = slack << 18 if slack < 4096 else HIGHEST
             if speed < top:
                 slack = (slack + 1) >> 1
             if slack < rest:

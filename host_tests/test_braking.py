@@ -1,0 +1,182 @@
+"""Braking starts in time at any step rate, up to 500 kHz, with any engine's ticks and segments.
+
+Moves that do not reach their speed and moves that do, of random length, on a straight line there
+and back; then the programs that were found to end at full speed. laws.check_segments() sees
+deceleration, the speed at the end of each block, and what every corner allows.
+"""
+
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from laws import Bench, Limits, Piece, check_plan, check_segments, some
+from rig_bench import Machine
+from test_jerk import JerkBench
+
+# Ticks per second, and of a full segment, as a power of two: 10 ms, 10.5 ms, 4.1 ms, 4.1 ms.
+ENGINES = {
+    "sim": (13_107_200, 17),
+    "pio": (12_500_000, 17),
+    "i2s": (4_000_000, 14),
+    "rmt": (1_000_000, 12),
+}
+engines = pytest.mark.parametrize("engine", ENGINES)
+FASTEST_HZ = 500_000
+
+
+def bench(engine: str, hz: float, steps_per_mm: float, ramp_s: float, jerk_s: float = 0) -> Bench:
+    """One that comes to hz steps a second in ramp_s. jerk_s: how long acceleration takes, or 0."""
+    mm_s = hz / steps_per_mm
+    accel = mm_s / ramp_s
+    limits = Limits((steps_per_mm,) * 3, (mm_s * 60,) * 3, (accel,) * 3, step_hz=FASTEST_HZ)
+    if jerk_s:
+        return JerkBench(limits, (2 * accel / jerk_s,) * 3, 16, *ENGINES[engine])
+    return Bench(limits, 16, *ENGINES[engine])
+
+
+def check(made: Bench) -> "list[Piece]":
+    """All laws but those that look at each pulse. Returns the last piece of each block."""
+    made.planner.catch_up()
+    check_plan(made.watch)
+    made.finish()
+    assert made.planner.empty()
+    check_segments(made.watch)
+    return [piece for piece in made.watch.pieces if piece.ends_block]
+
+
+def hardest(made: Bench) -> float:
+    """Deceleration from row to row, as a part of what the axes allow."""
+    rates = [
+        (before.speed - after.speed) / after.time / after.block.acceleration
+        for before, after in pairwise(made.watch.pieces)
+        if after.time > 5e-4
+    ]
+    return max(rates, default=0.0)
+
+
+# Ways as parts of what speeding up and braking takes, and feed rates as parts of the highest.
+ways = st.lists(
+    st.tuples(
+        st.floats(0.02, 1.7) | st.floats(-1.7, -0.02),
+        st.just(0.0) | st.floats(0.02, 1.0),
+    ),
+    min_size=1,
+    max_size=3,
+)
+
+
+def any_bench(engine: str, data: Any, jerk_s: float = 0) -> Bench:
+    """Rates are as likely between 1 and 10 kHz as between 50 and 500."""
+    made = bench(
+        engine,
+        10 ** data.draw(st.floats(3, 5.699)),
+        data.draw(st.sampled_from([26.667, 80.0, 400.0, 1600.0])),
+        10 ** data.draw(st.floats(-1.5, -0.4)),
+        jerk_s,
+    )
+    full_mm = made.limits.speed(0) ** 2 / made.limits.acceleration[0]
+    place = 0.0
+    for part, feed in data.draw(ways):
+        place += part * full_mm
+        made.line((place, place / 3, 0), feed * made.limits.rate[0])
+    return made
+
+
+@engines
+@some(8)
+@given(st.data())
+def test_moves_of_any_length_brake_in_time(engine: str, data: Any) -> None:
+    made = any_bench(engine, data)
+    check(made)
+    assert hardest(made) <= 1.08  # a sixteenth, and what integers leave open
+
+
+@engines
+@some(4)
+@given(st.data(), st.floats(0.02, 0.15))
+def test_moves_of_any_length_brake_in_time_with_jerk_limited(
+    engine: str, data: Any, jerk_s: float
+) -> None:
+    check(any_bench(engine, data, jerk_s))
+
+
+@engines
+@pytest.mark.parametrize("khz", [90, 110, 160, 204, 250, 333, 390, 420, 500])
+@pytest.mark.parametrize("part", [0.6, 1.2])
+def test_a_move_ends_at_rest_and_no_ramp_is_left(engine: str, khz: int, part: float) -> None:
+    made = bench(engine, khz * 1000, 1600.0, 0.3)
+    way = part * made.limits.speed(0) ** 2 / made.limits.acceleration[0]
+    made.line((way, 0, 0))
+    check(made)
+    assert hardest(made) <= 1.01
+    reached = max(piece.mean for piece in made.watch.pieces) / made.limits.speed(0)
+    assert reached == pytest.approx(min(part**0.5, 1.0), abs=0.03)
+
+
+@engines
+@pytest.mark.parametrize("khz", [160, 250, 380])
+@pytest.mark.parametrize("part", [0.3, 0.75, 0.9, 1.05])
+def test_a_move_ends_at_the_speed_planned_with_jerk_limited(
+    engine: str, khz: int, part: float
+) -> None:
+    made = bench(engine, khz * 1000, 1600.0, 0.2, 0.05)
+    way = part * made.limits.speed(0) ** 2 / made.limits.acceleration[0]
+    made.line((way, 0, 0))
+    made.line((way * 1.2, 0, 0), made.limits.rate[0] / 10)
+    check(made)
+
+
+def test_millions_of_steps_of_braking_end_at_rest() -> None:
+    """What the whole way of braking is known to, 2**-13, is more than the last steps can mend."""
+    made = bench("pio", FASTEST_HZ, 1600.0, 12.0)
+    made.line((2400.0, 0, 0))
+    check(made)
+    assert hardest(made) <= 1.01
+
+
+@engines
+def test_a_hold_and_the_way_on_brake_in_time(engine: str) -> None:
+    made = bench(engine, 300_000, 400.0, 0.3)
+    made.line((300.0, 40.0, 0))
+    made.line((0.0, 0.0, 0))
+    made.pull(25)
+    made.hold()
+    check(made)
+
+
+# The programs that were found: $100=1600 $110=6000 $120=300, in mm/s at the end of each line.
+
+
+@pytest.mark.parametrize(
+    ("lines", "ends"),
+    [
+        ([(32.0, 6000)], [0.0]),
+        ([(32.0, 6000), (0.0, 6000)], [0.0, 0.0]),
+        ([(29.967, 6000), (34.967, 600)], [10.0, 0.0]),
+    ],
+    ids=["ended at 16.8", "turned round at 16.8", "went on at 19.1"],
+)
+def test_a_triangle_of_160_khz_ends_at_the_speed_planned(lines: Any, ends: Any) -> None:
+    made = Bench(Limits((1600.0,) * 3, (6000.0,) * 3, (300.0,) * 3, step_hz=FASTEST_HZ))
+    for place, feed in lines:
+        made.line((place, 0, 0), feed)
+    last = check(made)
+    assert [piece.speed for piece in last] == pytest.approx(ends, abs=0.02)
+    assert all(piece.mean <= end + 0.4 for piece, end in zip(last, ends, strict=True))
+
+
+@pytest.mark.parametrize("way", [44.0, 52.5, 61.0, 80.0, 93.7, 105.0])
+def test_a_triangle_of_fewer_steps_per_mm_ends_at_rest(way: float) -> None:
+    """$100=400 $110=20000 $120=1000 ended at up to 32 mm/s."""
+    made = Bench(Limits((400.0,) * 3, (20_000.0,) * 3, (1000.0,) * 3, step_hz=FASTEST_HZ))
+    made.line((way, 0, 0), 20_000)
+    assert check(made)[-1].mean <= 1.5
+
+
+def test_the_whole_machine_ends_a_triangle_of_160_khz_at_rest() -> None:
+    machine = Machine({0: 3, 100: 1600.0, 110: 6000.0, 120: 300.0})
+    machine.play(["G1X8F6000", "G1X0"])
+    check_segments(machine.watch)
+    assert machine.physical()[0] == 0
