@@ -38,7 +38,8 @@ _DWELL_TICK_MS = const(50)
 _DWELL_TICKS_PER_S = const(20)
 
 # What judge() is told: how many axes; a mask of those that may not go above 0, and behind BELOW
-# of those that may not go below it; floats: travel.
+# of those that may not go below it; floats, mm: how far each may be from 0 (with soft limits its
+# travel; always what its steps can count, Planner.reach_mm()).
 _AXES = const(0)
 SHUT = const(1)
 TRAVEL = const(2)
@@ -47,7 +48,11 @@ BELOW = const(8)
 
 @micropython.viper
 def judge(target: ptr32, travel: ptr32, flow: ptr32) -> int:
-    """What stands against a line to target: it is OUTSIDE the machine's travel, the ring FULL."""
+    """What stands against a line to target: it is OUTSIDE the machine's travel, the ring FULL.
+
+    target: floats, mm. Bits of floats that are not negative compare as they do, and infinity and
+    what is no number lie outside.
+    """
     signs = ptr8(target)
     found = 0
     for i in range(travel[_AXES]):
@@ -94,18 +99,24 @@ class Canon:
         self.service = service
 
     def configure(self) -> None:
-        """Take over $23, $130 and the others of travel."""
+        """Take over $20, $23, $130 and the others of travel."""
         settings = self._settings
         travel = self.travel
         positive = settings.homing_dir_invert if self._positive_origin else 0
-        travel[SHUT] = 255 - positive | positive << BELOW
-        copy(settings.max_travel, memoryview(travel)[TRAVEL:], self.planner.axes)
+        travel[SHUT] = 255 - positive | positive << BELOW if settings.soft_limits else 0
         for i in range(self.planner.axes):
+            far = self.planner.reach_mm(i)
             least, greatest = -arcs.FARTHEST, arcs.FARTHEST
             if settings.soft_limits:
+                far = min(far, settings.max_travel[i])
                 steps = settings.max_travel[i] * self.planner.steps_per_mm[i] + 0.5
                 least, greatest = (0, steps) if positive >> i & 1 else (-steps, 0)
             arcs.limit(self._course, i, least, greatest)
+            self.limit(i, far)
+
+    def limit(self, axis: int, far: float) -> None:
+        """Say how far from 0 an axis may be, in mm."""
+        copy(array("f", (far,)), memoryview(self.travel)[TRAVEL + axis :], 1)
 
     # Moves
 
@@ -136,7 +147,7 @@ class Canon:
     def _plan_line(self, target: "array[float]", move: "Move") -> None:
         state = self._state
         found = judge(target, self.travel, self._flow)
-        if found & OUTSIDE and self._settings.soft_limits and state.run != st.JOG:
+        if found & OUTSIDE and state.run != st.JOG:
             self.give_up(errors.ALARM_SOFT_LIMIT)
         if state.run == st.CHECK:
             return

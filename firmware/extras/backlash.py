@@ -140,8 +140,7 @@ class BacklashCanon(Canon):
         """As Canon._plan_line()."""
         state = self._state
         if self.active and state.run != st.CHECK:
-            free = state.run == st.JOG or self._is_jog or not self._settings.soft_limits
-            if free or not self.outside(target):
+            if state.run == st.JOG or self._is_jog or not self.outside(target):
                 to_steps(target, self.planner.table)
                 if not self._take_up(move):
                     return

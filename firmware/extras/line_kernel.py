@@ -40,7 +40,7 @@ def take(
         return 0
     place(known, seen, position, target)
     found = int(judge(target, travel, flow))
-    if found & OUTSIDE and known[fk.LIMITED]:
+    if found & OUTSIDE:
         return 0
     if found & FULL:
         known[fk.WAITS] = 1

@@ -110,7 +110,7 @@ class NonlinearCanon(Canon):
         """As Canon._plan_line(), chord by chord, an arc as well."""
         state, planner, course = self._state, self.planner, self.planner.course
         arc, self._arc = self._arc, None
-        limited = self._settings.soft_limits and state.run != st.JOG and not self._is_jog
+        limited = state.run != st.JOG and not self._is_jog
         if limited and self.outside(target):
             self.give_up(errors.ALARM_SOFT_LIMIT)
         if state.run == st.CHECK:

@@ -2,17 +2,17 @@
 
 As NIST RS274NGC has them: a feed rate is that of X, Y and Z, in whose time the others come to
 their places; where only rotary axes move it is degrees per minute. No number of theirs is ever in
-inches. Travel 0 ($133 for A) means that the axis turns for ever. One without a limit switch stays
-where it is when the machine is homed.
+inches. Travel 0 ($133 for A) means that the axis turns for ever: far from 0 its whole turns are
+taken off its place. One without a limit switch stays where it is when the machine is homed.
 """
 
 import math
 from array import array
 
 import micropython
+from base import state as st
 from base.axes import Z
-from base.f32 import copy
-from control.canon import BELOW, SHUT, TRAVEL, Canon
+from control.canon import BELOW, SHUT, Canon
 from control.modes import INCHES
 from language.fast_kernel import DEGREES
 from micropython import const
@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 
 _FIRST = const(3)  # X, Y and Z are no rotary axes
 _TURN = 360.0
-_FAR = array("f", (3e38,))
+# Up to here single precision knows each step; beyond, an endless axis is unwound.
+_EXACT = 16777216.0
 _INCH_PER_MM = 1 / 25.4
 # A line of these has no feed rate of its program's, or one that is of all its axes.
 _ITS_OWN_RATE = const(layout.RAPID_MOTION | layout.SYSTEM_MOTION | layout.INVERSE_TIME)
@@ -84,21 +85,83 @@ class RotaryCanon(Canon):
 
     axes: "tuple[int, ...]" = ()
     planner: "RotaryPlanner"
+    engine: "Any"
+    modes: "Any"
+    coords: "Any"
 
     def configure(self) -> None:
         """As Canon.configure(); axes without an end to their travel."""
         super().configure()
         for axis in self.endless():
             self.travel[SHUT] &= ~(1 << axis | 1 << axis + BELOW)
-            copy(_FAR, memoryview(self.travel)[TRAVEL + axis :], 1)
+            self.limit(axis, _EXACT / self.planner.steps_per_mm[axis])
             arcs.limit(self._course, axis, -arcs.FARTHEST, arcs.FARTHEST)
 
     def endless(self) -> "list[int]":
         """Axes that turn for ever."""
         return [axis for axis in self.axes if not self._settings.max_travel[axis]]
 
+    def outside(self, target: "array[float]") -> bool:
+        """As Canon.outside(), which a jog asks; an endless axis is unwound."""
+        self._unwind(target)
+        return super().outside(target)
+
+    def _plan_line(self, target: "array[float]", move: "Move") -> None:
+        """As Canon._plan_line(); an endless axis is unwound."""
+        self._unwind(target)
+        super()._plan_line(target, move)
+
+    def _unwind(self, target: "array[float]") -> None:
+        """Take whole turns off the place of an endless axis that is to go further from 0 than
+        single precision knows each step. Target, parser and G92 change with it, so the numbers of
+        the program go on. A line that is longer than that itself goes as far as any axis may."""
+        planner, state = self.planner, self._state
+        for axis in self.endless():
+            exact = _EXACT / planner.steps_per_mm[axis]
+            if not abs(target[axis]) > exact:
+                continue
+            turned = self._turned(axis, target)
+            if turned and state.run != st.CHECK:
+                while not planner.empty() or self._drive.moving:
+                    self.auto_start()
+                    self.service()
+                turned = self._turned(axis, target)
+                self._take_off(axis, turned)
+            if turned:
+                target[axis] -= turned
+                self.modes.position[axis] -= turned
+                g92 = self.coords.g92[:]
+                g92[axis] -= turned
+                self.coords.set_g92(g92)
+                state.wco_countdown = 0
+                state.change()
+            far = min(abs(target[axis]), planner.reach_mm(axis))
+            self.limit(axis, max(far, exact))
+
+    def _turned(self, axis: int, target: "array[float]") -> float:
+        """The whole turns of an axis, in degrees: those planned; in check mode all of them."""
+        if self._state.run == st.CHECK:
+            return int(target[axis] / _TURN) * _TURN
+        steps = self.planner.position[axis] - arcs.FAR
+        return int(steps / self.planner.steps_per_mm[axis] / _TURN) * _TURN
+
+    def _take_off(self, axis: int, degrees: float) -> None:
+        """The present place of an axis, at rest, is less by so much, to the step."""
+        planner, engine = self.planner, self.engine
+        motors = array("i", bytes(4 * planner.motors))
+        engine.position(motors)
+        steps = degrees * planner.steps_per_mm[axis]
+        place = planner.axis_steps(motors, axis) - int((steps + 0.5) // 1)
+        if planner.kinematics:
+            planner.kinematics.set_axis(motors, axis, place)
+        else:
+            motors[axis] = place
+        engine.set_position(motors)
+        planner.sync_motors(motors)
+
     def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
         """As Canon.arc(); but the time of G93 is kept to."""
+        self._unwind(target)
         timed = move.flags & layout.INVERSE_TIME
         super().arc(start, target, arc, move)
         move.flags |= timed
@@ -147,6 +210,7 @@ def install(cnc: "Cnc") -> None:
     rotary = _found["rotary"]
     planner.linear = everything & ~rotary
     planner.block = block
+    canon.engine, canon.modes, canon.coords = machine.engine, machine.modes, machine.coords
     canon.axes = tuple([axis for axis in range(planner.axes) if rotary >> axis & 1])
     block.lengths &= ~rotary
     _home(machine, everything & ~_found["without_switch"])

@@ -46,9 +46,10 @@ MODE = const(1)
 LASER = const(2)
 FEED = const(3)
 RPM = const(4)
-# whether places are relative, travel is limited, nothing is to move,
+# whether places are relative, F is of its line alone, one over a time (G93; without it there is
+# none), nothing is to move,
 IS_RELATIVE = const(5)
-LIMITED = const(6)
+IS_TIMED = const(6)
 DRY = const(7)
 # what the planner is told: flags, spindle power (UNTOLD: none of it is known yet), rate: a real;
 FLAGS = const(8)
@@ -70,10 +71,9 @@ LINE_RELATIVE = const(29)
 LINE_PLANE = const(30)
 XY = const(17)  # the first plane's word
 DEGREES = const(31)  # axes (a mask) whose numbers are no lengths: in inches they go the long way
-IS_TIMED = const(32)  # G93: F is of its line alone, one over a time; without it there is none
 # The words in force, one of each group: their numbers, M words behind G words. 0: none that a line
 # may repeat here; with 0 for the plane, as for jogs, it may have no word of a plane at all.
-_IN_FORCE = const(33)
+_IN_FORCE = const(32)
 _PLANE = const(0)
 _UNITS = const(1)
 _DISTANCE = const(2)
@@ -303,7 +303,7 @@ def follow(
         return 1
     place(known, seen, position, target)
     found = int(judge(target, travel, flow))
-    if found & OUTSIDE and known[LIMITED]:
+    if found & OUTSIDE:
         return 0
     if known[DRY] == 0 and found & FULL:
         known[WAITS] = 1
@@ -366,7 +366,7 @@ def jog(text: ptr8, length: int, known: ptr32, memory: object) -> int:
         return 0
     place(known, seen, ptr32(position), target)
     found = int(judge(target, ptr32(travel), flow))
-    if found & FULL or (found & OUTSIDE and known[LIMITED]):
+    if found:
         return 0
     if known[LINE_INCHES]:
         multiply(known, VALUES + F, known, INCH_MM)

@@ -19,7 +19,6 @@ from control.spindle import ASKED, weigh
 from micropython import const
 from motion import layout
 from motion import planner as plan
-from motion.plan_kernel import FULL
 from motion.plan_kernel import plan as plan_block
 from motion.reals import per_second
 
@@ -124,7 +123,6 @@ class FastPath:
         ):
             known[fk.AXES] = self._axes
             copy(coords.zero(coords.active), self._offsets, self._axes)
-            known[fk.LIMITED] = self._settings.soft_limits
             known[fk.DRY] = self._state.run == st.CHECK
             known[fk.LASER] = self._spindle.laser
             self._set()
@@ -197,8 +195,7 @@ class FastPath:
         if block.ints[MOTION] > b.LINEAR or state.suspend or state.pending[st.ANY]:
             return 0
         _, position, _, travel, table, ring, flow, speeds, _, rates, scale, _ = self._memory
-        found = judge(xyz, travel, flow)
-        if found & FULL or (found and self._settings.soft_limits):
+        if judge(xyz, travel, flow):
             return 0
         if state.run != st.CHECK:
             flags = self._flags()
@@ -269,7 +266,6 @@ class FastPath:
         known[fk.AXES] = axes = self._axes
         known[fk.IN_INCHES] = modes.modal[INCHES]
         known[fk.IS_RELATIVE] = modes.modal[RELATIVE]
-        known[fk.LIMITED] = self._settings.soft_limits
         copy(coords.zero(coords.active), memoryview(known)[fk.OFFSETS :], axes)
         known[fk.FLAGS] = layout.NO_FEED_OVERRIDE | modes.accessory_flags()
         return True

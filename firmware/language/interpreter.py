@@ -196,7 +196,7 @@ class Interpreter:
             self.check(modal)
         else:
             checks.check(modes, self._coords, block, True)
-        if self._settings.soft_limits and self._canon.outside(block.xyz):
+        if self._canon.outside(block.xyz):
             raise GrblError(errors.TRAVEL_EXCEEDED)
         move = self._begin_move(block, layout.NO_FEED_OVERRIDE)
         self._canon.jog(block.xyz, move)

@@ -39,6 +39,9 @@ _SLICES = const(8)
 # is 390 to 410 kHz; where an axis is faster, full segments are half as long.
 _MOST_STEPS = const(4095)
 _SLOWEST_MM_S = 1 / 60
+# No motor is further than that from 0, in steps. Kernels count them from -2**29 to 2**29; less, by
+# what single precision may round.
+_REACH = const(0x1FFFFF00)
 _FINEST = 1e8  # steps/mm: no division by nothing, whatever $100 is
 
 
@@ -135,6 +138,12 @@ class Planner:
         table[layout.SEGMENT_LOG2] = segment_log2
         table[layout.SLICE] = 131072 // max(min(int(seconds * 1000), _SLICES), 1)
         table[layout.SLOWEST] = reals.real(_SLOWEST_MM_S)
+
+    def reach_mm(self, axis: int) -> float:
+        """How far from 0 an axis may be. A motor of several axes counts the steps of all."""
+        moves = self.kinematics.moves if self.kinematics else (1,)
+        most = max([sum([move >> i & 1 for i in range(2 * layout.REVERSE)]) for move in moves])
+        return _REACH / most / self.steps_per_mm[axis]
 
     def free(self) -> int:
         """Blocks that can still be added."""
@@ -269,7 +278,9 @@ class Planner:
             mm[i] = f32(self.axis_steps(motors, i)) / self.steps_per_mm[i]
 
     def set_axis(self, motors: "array[int]", axis: int, mm: float) -> None:
-        """Change the motors' steps so that the axis stands there."""
+        """Change the motors' steps so that the axis stands there, or as far as it reaches."""
+        reach = self.reach_mm(axis)
+        mm = max(min(mm, reach), -reach)
         product = f32(mm * self.steps_per_mm[axis])
         steps = whole(product + 0.5) if product >= 0 else -whole(0.5 - product)
         if self.kinematics:

@@ -1,0 +1,162 @@
+"""Places too far for an axis' steps are refused, whichever way a line takes; endless axes go on.
+
+An axis counts 2**29 steps either way. Beyond, a line is what it is beyond a soft limit: ALARM:2, a
+jog error:15, and no motor moves.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from extras import rotary
+from hypothesis import example, given
+from hypothesis import strategies as st
+from laws import some
+from rig_bench import Machine
+
+FARTHEST = 2**29
+SETTINGS = {110: 3000.0, 111: 3000.0, 112: 3000.0}
+# How a line goes: the quick way (behind another move), the long one, and others. {} is in mm.
+FORMS = {
+    "quick": "G1X{}",
+    "rapid": "G0X{}",
+    "long": "T1G1X{}F500",
+    "relative": "G91G1X{}F500",
+    "inverse time": "G93G1X{}F.01",
+    "inches": "G20G1X{}F20",
+    "machine": "G53G0X{}",
+    "probe": "G38.2X{}F500",
+    "probe without alarm": "G38.3X{}F500",
+    "offset": "G92X-{}\nG0X0",
+    "system": "G10L2P1X{}\nG0X0",
+    "jog": "$J=X{}F500",
+    "relative jog": "$J=G91X{}F500",
+    "jog with a word": "$J=G90G21G53X{}F500",
+    "check": "$C\nG1X{}F500",
+}
+_INCH_MM = 25.4
+
+
+def answered(machine: Machine, lines: "list[str]") -> str:
+    """What the last line is answered with: "ok", an error or an alarm. The machine stops there."""
+    found: list[str] = []
+
+    def script() -> Iterator[Any]:
+        yield from machine.start()
+        for line in lines:
+            found.clear()
+            machine.rig.link.send(line.encode() + b"\n")
+            while not found:
+                yield lambda: machine.sender.poll() or bool(machine.sender.lines)
+                ends = ("ok", "error:", "ALARM:")
+                found.extend(text for text in machine.take() if text.startswith(ends))
+
+    machine.run(script())
+    return found[0]
+
+
+def answer(form: str, mm: float, steps_per_mm: float, board: str = "sim") -> "tuple[str, Any]":
+    """To a line of this form, of a machine that was idle; and where its motors are then."""
+    machine = Machine({**SETTINGS, 100: steps_per_mm}, board, watched=False)
+    amount = f"{mm / _INCH_MM if form == 'inches' else mm:.4f}"
+    line = FORMS[form].format(amount).replace("--", "")
+    return answered(machine, ["G1F500", "G1X0", *line.split("\n")]), machine.physical()
+
+
+@pytest.mark.parametrize("form", FORMS)
+@some(4)
+@given(
+    st.floats(0.3, 0.99) | st.floats(1.01, 50.0),
+    st.sampled_from([1, -1]),
+    st.sampled_from([40.0, 250.0, 1600.0]),
+)
+@example(1.001, 1, 250.0)
+@example(0.999, 1, 250.0)
+def test_a_target_is_refused_where_its_steps_cannot_be_counted(
+    form: str, part: float, sign: int, steps_per_mm: float
+) -> None:
+    if form.startswith("probe"):
+        part += 1  # within reach it would take hours
+    told, motors = answer(form, sign * part * FARTHEST / steps_per_mm, steps_per_mm)
+    if part < 1:
+        assert told == "ok"
+    else:
+        assert told == ("error:15" if "jog" in form else "ALARM:2")
+        assert motors == [0, 0, 0]
+
+
+def test_axes_that_share_motors_reach_half_as_far() -> None:
+    board = "sim_corexy"
+    assert answer("long", 0.6 * FARTHEST / 250, 250.0, board)[0] == "ALARM:2"
+    assert answer("long", 0.4 * FARTHEST / 250, 250.0, board)[0] == "ok"
+
+
+@pytest.mark.parametrize("text", ["1e", "99999999", "-99999999"])
+def test_a_huge_arc_leaves_no_motor_moved(text: str) -> None:
+    machine = Machine(SETTINGS, watched=False)
+    lines = ["G1F500", f"G2X{text.replace('e', '')}9999999Y0R99999999"]
+    assert answered(machine, lines) in ("ALARM:2", "error:34", "error:33")
+    assert machine.physical() == [0, 0, 0]
+
+
+def test_a_changed_resolution_puts_the_present_place_out_of_reach_of_no_step() -> None:
+    machine = Machine(SETTINGS, watched=False)
+    lines = ["G1F500", "G10L20P1X-2000000", "$100=1600", "G1X-1000000F500"]
+    assert answered(machine, lines) == "ALARM:2"
+    assert machine.physical() == [0, 0, 0]
+
+
+# Axes without an end
+
+
+def turning(lines: "list[str]") -> Machine:
+    """A machine whose A has 20 steps a degree."""
+    machine = Machine({103: 20.0, 113: 200_000.0, 123: 50_000.0}, "sim_rotary")
+    machine.play(lines)
+    return machine
+
+
+@pytest.fixture
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An endless axis is unwound beyond 819 degrees."""
+    monkeypatch.setattr(rotary, "_EXACT", 16384.0)
+
+
+def places(machine: Machine) -> "tuple[float, float]":
+    """A's place in the machine, and in work, in the last report."""
+    report = next(line for line in reversed(machine.received) if "WCO:" in line)
+    mpos, wco = (
+        float(report.split(name)[1].split("|")[0].strip(">").split(",")[3])
+        for name in ("MPos:", "WCO:")
+    )
+    return mpos, mpos - wco
+
+
+@pytest.mark.usefixtures("soon")
+@pytest.mark.parametrize("line", ["G91G1A330F200000", "T1G91G1A330F200000", "$J=G91A330F200000"])
+def test_an_endless_axis_turns_on_and_keeps_its_angle(line: str) -> None:
+    machine = turning([line] * 12 + ["G4P0.1"])
+    assert machine.physical()[3] == 12 * 6600
+    mpos, work = places(machine)
+    assert work == 12 * 330.0
+    assert abs(mpos) <= 820 and (work - mpos) % 360 == 0
+
+
+@pytest.mark.usefixtures("soon")
+def test_numbers_of_a_program_go_on_where_an_endless_axis_is_unwound() -> None:
+    machine = turning(
+        [*(f"G1A{a}F200000" for a in range(0, 3000, 250)), "G2X2I1A3000F200000", "G1A-90"]
+    )
+    assert machine.physical()[3] == -1800
+    assert places(machine)[1] == -90
+
+
+@pytest.mark.usefixtures("soon")
+def test_a_line_longer_than_an_endless_axis_is_exact_goes_as_far_as_any() -> None:
+    machine = turning(["G1A2000F200000", "A0", "A1000"])
+    assert machine.physical()[3] == 20_000
+
+
+def test_what_an_endless_axis_cannot_count_is_refused() -> None:
+    machine = Machine({103: 100.0}, "sim_rotary", watched=False)
+    assert answered(machine, ["G1A6000000F3600"]) == "ALARM:2"
