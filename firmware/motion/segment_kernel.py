@@ -224,10 +224,9 @@ def proceed(flow: ptr32, ring: ptr32, scale: int) -> int:
                /           `. leave  It brakes as soon as the way left is no longer
       entry __/              `.__    than what braking takes.
 
-    slack = way left - braking way, in 2**-18 step, or in whole steps (unit 0) and then at most
-    4095 of them as a way. At a constant speed a piece uses its own length of slack, while
-    speeding up twice that: room, how far the piece may reach, is the slack or half of it.
-    Far away the braking way is known to 2**-13 of itself: braking begins 2**-12 of it early.
+    slack = way left - braking way, in 2**-18 step, or in whole steps (unit 0). At a constant speed
+    a piece uses its own length of it, while speeding up twice that: room, how far a piece may
+    reach, is all of it or half. Far away braking begins early by 2**-12 of its way: see braking().
     """
     at = flow[AT]
     ramp = ring[at + RAMP]
