@@ -339,7 +339,7 @@ def test_a_timer_s_callback_that_fails_tells_too() -> None:
     port._listener = failing
     pins(9).drive(1)
     pins(13).drive(1)
-    port._limit_timer.expire()
+    port._look_timer.expire()
     assert told == ["A pin's callback has failed"]
     port._control_timer.expire()
     assert told == 2 * ["A pin's callback has failed"]
@@ -349,7 +349,7 @@ def test_a_timer_s_callback_that_fails_tells_too() -> None:
 def test_an_input_whose_callback_has_failed_is_heard_again(pin: int) -> None:
     port, pins, told = made("rp2")
     pins(pin).drive(0)
-    port._limit_timer.expire()
+    port._look_timer.expire()
     port._control_timer.expire()
     heard: list[int] = []
     port._listener = listener(lambda *_: heard.append(pin), port._listener.on_fault)

@@ -99,7 +99,7 @@ def test_an_input_that_axes_share_is_told_for_each_and_heard_once() -> None:
     Pin(9).drive(0)
     assert (port.limits(), heard.limits, Pin(9).calls) == (3, 1, 1)
     Pin(9).drive(1)
-    port._limit_timer.expire()
+    port._look_timer.expire()
     assert (port.limits(), heard.limits) == (0, 2)
 
 
@@ -121,12 +121,12 @@ def test_interference_calls_once_in_a_while_and_leaves_the_others_alone() -> Non
     assert (Pin(9).calls, heard.limits) == (1, 1)
     Pin(10).drive(0)
     assert heard.limits == 2
-    port._limit_timer.expire()  # as at the last edge heard
+    port._look_timer.expire()  # as at the last edge heard
     assert heard.limits == 2
     Pin(9).drive(0)
     assert heard.limits == 3
     Pin(9).drive(1)
-    port._limit_timer.expire()  # that was not heard, but seen
+    port._look_timer.expire()  # that was not heard, but seen
     assert heard.limits == 4
 
 
@@ -135,7 +135,7 @@ def test_nothing_is_heard_again_once_limits_are_not_wanted() -> None:
     Pin(9).drive(0)
     port.hear_limits(False)
     Pin(9).drive(1)
-    port._limit_timer.expire()
+    port._look_timer.expire()
     Pin(10).drive(0)
     assert (heard.limits, Pin(10).calls) == (1, 0)
 
@@ -147,14 +147,14 @@ def test_a_limit_that_is_to_last_counts_if_it_is_closed_in_the_end(invert: int) 
     at_rest, hit = (0, 1) if invert else (1, 0)
     for pin in (9, 10, 11):
         Pin(pin).drive(at_rest)
-    port._limit_timer.expire()
+    port._look_timer.expire()
     Pin(9).drive(hit)
     Pin(9).drive(at_rest)
-    assert (port._limit_timer.period, heard.limits) == (3, 0)
-    port._limit_timer.expire()
+    assert (port._look_timer.period, heard.limits) == (3, 0)
+    port._look_timer.expire()
     assert heard.limits == 0
     Pin(9).drive(hit)
-    port._limit_timer.expire()
+    port._look_timer.expire()
     assert heard.limits == 1
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from machine import Pin
 
 # 0 is the engine's.
-_LIMIT_TIMER = const(1)
+_LOOK_TIMER = const(1)
 _CONTROL_TIMER = const(2)
 
 # The watchdog cannot be stopped, but told to wait for so long: a week. Its hardware counts 2**32
@@ -35,7 +35,7 @@ class EspPort(PortPins):
 
     def __init__(self, board: "ModuleType", enable: "Callable[[int], None] | None" = None) -> None:
         pins = None if enable else getattr(board, "ENABLE", None)
-        timers = Timer(_LIMIT_TIMER), Timer(_CONTROL_TIMER)
+        timers = Timer(_LOOK_TIMER), Timer(_CONTROL_TIMER)
         super().__init__(board, timers, pins, False)
         self._set_enable = enable
         self._limits_looked = self._estop_looked = 0
@@ -52,18 +52,19 @@ class EspPort(PortPins):
         limits = self.limits()
         if limits != self._limits_looked:
             self._limits_looked = limits
-            if self._hears_limits and limits != self._limits_seen:
+            waits = self._limits_wait  # its timer will look, and is not to begin anew
+            if self._hears_limits and limits != self._limits_seen and not waits:
                 self._limit_changed(_first(self._limits))
         if not self._quiet and self.controls() != self._controls_seen:
             self._control_changed(_first(self._controls))
         if self._estop and self._estop.value() != self._estop_looked:
             self._estop_looked = self._estop.value()
             self._control_changed(self._estop)
-        if self._on_contact:
-            self._probe_changed(None)
+        self._look_at_probe()
         if self._sensors_looked >= 0 and self.sense() != self._sensors_looked:
             self._sensors_looked = self.sense()
-            self._sensor_changed(None)
+            if not self._sensors_wait:
+                self._sensor_changed(_first(self._sensors))
 
     def watch_pins(self, on_change: "Callable[[], None]") -> None:
         """Call on_change, in an interrupt, whenever an input of an extra changes."""

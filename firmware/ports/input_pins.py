@@ -2,8 +2,9 @@
 
 An input is closed when pulled to ground; one that is not wired (None in the board file) is never
 closed. What they call in an interrupt neither allocates nor raises: where a callback fails all
-the same, the tool goes off and motion stops. An input that has called is left in peace for some
-milliseconds and looked at again then, so that interference does not starve the pulse engine.
+the same, the tool goes off and motion stops. Every callback disarms the pin that has called it; a
+timer arms it again some milliseconds later and looks at it then, so that interference, on whatever
+pin, starves neither engine nor main loop.
 """
 
 import micropython
@@ -22,6 +23,9 @@ _BOTH_EDGES = Pin.IRQ_RISING | Pin.IRQ_FALLING
 NOT_WIRED = const(255)
 # For so long an input that has called is left in peace where the board file says nothing.
 _PEACE_MS = const(2)
+# The probe is left in peace after so many edges that were over before it was looked at: contacts
+# bounce, and the place of the first touch that lasts is to be exact to the step.
+_MOST_MISSES = const(4)
 
 _FAILED = "A pin's callback has failed"
 _FAILED_TWICE = "A pin's callback has failed, and so has stopping"
@@ -39,18 +43,21 @@ class PortInputs:
 
     def __init__(self, board: "ModuleType", timers: "tuple[Timer, Timer]", has_hard: bool) -> None:
         self._hard = has_hard
-        self._limit_timer, self._control_timer = timers
+        self._look_timer, self._control_timer = timers
         self._make_inputs(board)
         self.fault = ""  # what is wrong with the inputs, in words
         self.limit_invert = 0
         self._hears_limits = False
         self._limits_seen = 0
+        # Some of these pins are disarmed until the timer looks at them.
+        self._limits_wait = self._sensors_wait = False
         self._quiet = False  # a button bounces
         self._controls_seen = 0
         self._on_contact: "Callable[[], None] | None" = None
         self._contact_level = True
+        self._misses = 0  # edges of the probe that were over when it was looked at
         # Taking a method as a value allocates.
-        self._look_again = self._look_at_limits
+        self._look_again = self._look_at_inputs
         self._settle = self._settled
 
     def _make_inputs(self, board: "ModuleType") -> None:
@@ -105,7 +112,8 @@ class PortInputs:
         try:
             self.kill()
             self._listener.on_fault()
-            self._start(self._limit_timer, 0, self._look_again)  # to be heard again
+            self._limits_wait = True  # to be heard again
+            self._start(self._look_timer, 0, self._look_again)
             self._await_quiet()
         except BaseException:
             self.fault = _FAILED_TWICE
@@ -113,6 +121,31 @@ class PortInputs:
     def _start(self, timer: "Timer", ms: int, then: "Callable[[Timer], None]") -> None:
         """Call in so many ms, again and again until the callback ends it: a call may get lost."""
         timer.init(mode=Timer.PERIODIC, period=ms or _PEACE_MS, callback=then, hard=self._hard)
+
+    @micropython.native
+    def _look_soon(self) -> None:
+        """Look at inputs that are disarmed, together with the limits where those wait already:
+        for these, time counts from their own last edge."""
+        if not self._limits_wait:
+            self._start(self._look_timer, 0, self._look_again)
+
+    def _look_at_inputs(self, timer: "Timer") -> None:
+        """Arm what has been disarmed. Before the look, each: nothing falls in between."""
+        try:
+            timer.deinit()
+            if self._limits_wait:
+                self._limits_wait = False
+                self._look_at_limits()
+            if self._misses:
+                self._misses = 0
+                self._arm_probe()
+                self._look_at_probe()
+            if self._sensors_wait:
+                self._sensors_wait = False
+                _arm(self._sensors, _BOTH_EDGES)
+                self._on_sensor()
+        except BaseException:
+            self._fail()
 
     # Limits
 
@@ -131,22 +164,19 @@ class PortInputs:
             if not self._limit_debounce_ms:
                 self._listener.on_limits()
                 self._limits_seen = self.limits()
-            self._start(self._limit_timer, self._limit_debounce_ms, self._look_again)
+            self._limits_wait = True
+            self._start(self._look_timer, self._limit_debounce_ms, self._look_again)
         except BaseException:
             self._fail()
 
-    def _look_at_limits(self, timer: "Timer") -> None:
-        try:
-            timer.deinit()
-            if not self._hears_limits:
-                return
-            _arm(self._limits, _BOTH_EDGES)  # before the look: nothing falls in between
-            now = self.limits()
-            if now != (self.limit_invert if self._limit_debounce_ms else self._limits_seen):
-                self._limits_seen = now
-                self._listener.on_limits()
-        except BaseException:
-            self._fail()
+    def _look_at_limits(self) -> None:
+        if not self._hears_limits:
+            return
+        _arm(self._limits, _BOTH_EDGES)
+        now = self.limits()
+        if now != (self.limit_invert if self._limit_debounce_ms else self._limits_seen):
+            self._limits_seen = now
+            self._listener.on_limits()
 
     def limits(self) -> int:
         """Mask of limit inputs pulled to ground, bit 0 = X."""
@@ -216,23 +246,37 @@ class PortInputs:
         """Call on_contact once, in an interrupt, as soon as the probe pin is `closed`."""
         self._on_contact = None
         self._contact_level = closed
+        self._misses = 0
         self._on_contact = on_contact
-        _arm((self._probe,), _BOTH_EDGES if on_contact else 0)
+        self._arm_probe()
         self._look_at_probe()
 
-    def _probe_changed(self, _pin: object) -> None:
+    def _arm_probe(self) -> None:
+        if self._probe:
+            edge = Pin.IRQ_FALLING if self._contact_level else Pin.IRQ_RISING
+            self._probe.irq().trigger(edge if self._on_contact else 0)
+
+    @micropython.native
+    def _probe_changed(self, pin: "Pin") -> None:
         try:
+            self._misses += 1  # unless this is the contact
+            enough = self._misses >= _MOST_MISSES
+            if enough:
+                pin.irq().trigger(0)
             self._look_at_probe()
+            if enough:
+                self._look_soon()
         except BaseException:
             self._fail()
 
     def _look_at_probe(self) -> None:
-        on_contact = self._on_contact
-        if on_contact and self.probe() == self._contact_level:
-            self._on_contact = None
+        if self.probe() != self._contact_level:
+            return
+        on_contact = self._on_contact  # not before the look: an interrupt may have come first
+        self._on_contact = None
+        if on_contact:
             on_contact()
-            if self._probe:
-                self._probe.irq().trigger(0)
+            self._arm_probe()
 
     def probe(self) -> bool:
         """The probe input is pulled to ground."""
@@ -249,14 +293,19 @@ class PortInputs:
         return (1 << len(self._sensors)) - 1 ^ _mask(self._sensors)
 
     def watch_pins(self, on_change: "Callable[[], None]") -> None:
-        """Call on_change, in an interrupt, whenever one of them changes."""
+        """Call on_change, in an interrupt, whenever one of them changes; and once more when one
+        that has called is looked at again."""
         self._on_sensor = on_change
         self._hear(self._sensors, self._sensor_changed)
         _arm(self._sensors, _BOTH_EDGES)
 
-    def _sensor_changed(self, _pin: object) -> None:
+    @micropython.native
+    def _sensor_changed(self, pin: "Pin") -> None:
         try:
+            pin.irq().trigger(0)
+            self._sensors_wait = True
             self._on_sensor()
+            self._look_soon()
         except BaseException:
             self._fail()
 

@@ -80,12 +80,16 @@ class _Irq:
         if edges & ~(Pin.IRQ_FALLING | Pin.IRQ_RISING):
             raise ValueError("levels would call for ever")
         self._pin.trigger = edges
+        if Pin.latched and self._pin in Pin.latched:
+            Pin.latched.remove(self._pin)
 
 
 class Pin:
     """A pin of the chip: one object per number. drive() is the world outside, pad() what it sees.
 
-    Edges of a pin whose trigger is 0 are lost. A handler that raises is not called again.
+    Edges of a pin whose trigger is 0 are lost. A handler that raises is not called again. Where
+    there is a list `latched`, pins wait in it for somebody to call interrupt(), as they do while
+    another interrupt runs.
     """
 
     IN, OUT, OPEN_DRAIN = 0, 1, 2
@@ -93,6 +97,7 @@ class Pin:
     IRQ_FALLING, IRQ_RISING = 4, 8
 
     pins: dict[int, "Pin"] = {}
+    latched: "list[Pin] | None" = None
     id: int
 
     def __new__(cls, id: int, *_: object, **__: object) -> "Pin":
@@ -175,13 +180,22 @@ class Pin:
         before = self.value()
         self.driven = level
         edge = Pin.IRQ_RISING if level else Pin.IRQ_FALLING
-        if self.handler and before != self.value() and self.trigger & edge:
-            self.calls += 1
-            try:
+        if not self.handler or before == self.value() or not self.trigger & edge:
+            return
+        if Pin.latched is None:
+            self.interrupt()
+        elif self not in Pin.latched:
+            Pin.latched.append(self)
+
+    def interrupt(self) -> None:
+        """Its handler is called."""
+        self.calls += 1
+        try:
+            if self.handler:
                 self.handler(self)
-            except BaseException:
-                self.handler, self.trigger = None, 0
-                raise
+        except BaseException:
+            self.handler, self.trigger = None, 0
+            raise
 
 
 def _checked(hz: int) -> int:

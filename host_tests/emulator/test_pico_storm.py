@@ -1,0 +1,165 @@
+"""Storms of edges on the inputs of the emulated Pico: no step is late, the watch acts."""
+
+from pathlib import Path
+
+import pytest
+from emulated import DIR, LIMIT, PROBE, SPINDLE_PWM, START, STEP, Board, steps
+from ugrbl.paths import BOARDS
+
+pytestmark = pytest.mark.xdist_group("pico storm")
+
+PART, DOOR = 20, 21  # of INPUTS
+BOARD = (BOARDS / "rpi_pico.py").read_bytes() + b'INPUTS = {"part": 20, "door": 21}\n'
+CUSTOM = b"""
+import time
+from ugrbl import mcode, on
+
+@on.input("part")
+@on.input("door")
+def note(m, closed):
+    pass
+
+@mcode(100, sync=None)
+def hang(m):
+    time.sleep_ms(400)
+"""
+SETTINGS = (
+    *("$0=3", "$100=80", "$101=80", "$102=80", "$110=3000", "$112=3000", "$120=400", "$122=400"),
+    *("$1=0", "$10=0", "$30=1000", "$32=1"),
+)
+MOVE = "G91 G1 X3 F1800 S500"
+STEPS = 240
+STORM_US = 60_000
+
+
+@pytest.fixture(scope="module")
+def machine(uf2: Path) -> Board:
+    made = Board(uf2, {"board.py": BOARD, "custom.py": CUSTOM})
+    for pin in (PART, DOOR):
+        made.pico.drive(pin, 1)
+    made.boot().settled()
+    for setting in SETTINGS:
+        assert made.ask(setting) == "ok\r\n"
+    made.pico.record([*STEP, *DIR, SPINDLE_PWM])
+    return made
+
+
+@pytest.fixture
+def ready(machine: Board) -> Board:
+    """In Idle, whatever was before, the beam in force."""
+    machine.forget()
+    machine.send("\x18")
+    machine.wait_for("Grbl 1.1h")
+    for line in ("$X", "$21=0", "M4 S0"):
+        machine.ask(line)
+    machine.pico.edges.clear()
+    return machine
+
+
+class Storm:
+    """Edges on pins of the board, all at a time: open for so long, closed for so long, in us."""
+
+    def __init__(
+        self, board: Board, pins: "tuple[int, ...]", open_us: int, closed_us: int
+    ) -> None:
+        self._pico = board.pico
+        self._pins = pins
+        self._lasts = (closed_us, open_us)
+        self._level = 1
+        self._alarm = board.pico.clock.create_alarm(self._turn)
+        self._end = 0.0
+        self.began = 0.0
+
+    def blow(self, delay_us: float, us: float) -> None:
+        """Begin so much later, and go on for so long; in the end the pins are open."""
+        self.began = self._pico.us + delay_us
+        self._end = self.began + us
+        self._alarm.schedule(delay_us * 1000)
+
+    def _turn(self) -> None:
+        self._level = 1 if self._pico.us >= self._end else 1 - self._level
+        for pin in self._pins:
+            self._pico.drive(pin, self._level)
+        if self._pico.us < self._end:
+            self._alarm.schedule(self._lasts[self._level] * 1000)
+
+
+def walk(board: Board) -> "list[float]":
+    """When each step of a move came, from the first on, in us."""
+    board.ask(MOVE)
+    board.until_idle()
+    made = [us for us, _ in steps(board.pico.edges, 0)]
+    return [us - made[0] for us in made]
+
+
+def beam_is_dark(board: Board) -> bool:
+    """No pulse of the beam comes any more."""
+    board.pico.edges.clear()
+    board.pico.run_us(2_000)
+    pulses = [edge for edge in board.pico.edges if edge.pin == SPINDLE_PWM]
+    return not pulses and not board.pico.mcu.gpio[SPINDLE_PWM].input_value
+
+
+@pytest.fixture(scope="module")
+def calm(machine: Board) -> "list[float]":
+    machine.ask("M4 S0")
+    return walk(machine)
+
+
+STORMED = {"one": (PART,), "all": (PART, DOOR, START, *LIMIT, PROBE)}
+
+
+@pytest.mark.parametrize("edges_us", [20, 25])
+@pytest.mark.parametrize("pins", STORMED.values(), ids=STORMED)
+def test_no_step_is_late_in_a_storm(
+    ready: Board, calm: "list[float]", pins: "tuple[int, ...]", edges_us: int
+) -> None:
+    Storm(ready, pins, edges_us, edges_us).blow(40_000, STORM_US)
+    made = walk(ready)
+    assert len(made) == STEPS
+    assert max(abs(a - b) for a, b in zip(made, calm)) < 2
+    assert beam_is_dark(ready)
+
+
+def test_the_watch_acts_on_a_main_loop_that_hangs_in_a_storm(ready: Board) -> None:
+    ready.ask("G91 G1 X20 F1800 S500")
+    ready.pico.run_us(30_000)
+    ready.forget()
+    ready.send("M100\n")
+    hung = ready.pico.us
+    Storm(ready, (PART, DOOR), 20, 20).blow(10_000, 260_000)
+    ready.wait_for("ALARM:16")
+    last = max(edge.ns / 1000 for edge in ready.pico.edges)  # steps, and pulses of the beam
+    assert 240_000 <= last - hung <= 270_000
+    assert beam_is_dark(ready)
+
+
+def test_a_limit_in_a_storm_stops_at_its_first_edge(ready: Board) -> None:
+    ready.ask("$21=1")
+    ready.ask("G91 G1 X20 F1800 S500")
+    storm = Storm(ready, LIMIT[:1], 20, 20)
+    storm.blow(60_000, STORM_US)
+    ready.wait_for("Reset to continue")
+    assert max(edge.ns / 1000 for edge in ready.pico.edges) - storm.began <= 300
+    assert "ALARM:1\r\n" in ready.said and beam_is_dark(ready)
+
+
+@pytest.mark.parametrize(("after_us", "late_us"), [(200, 2_500), (20_000, 0)])
+def test_a_contact_behind_pulses_too_short_to_be_seen_is_at_its_place(
+    ready: Board, after_us: int, late_us: int
+) -> None:
+    """late_us: for how long the probe may still be left in peace."""
+    contact: list[int] = []
+    z = float(ready.status()["MPos"].split(",")[2])
+
+    def touch() -> None:
+        contact.append(sum(sign for _, sign in steps(ready.pico.edges, 2)))
+        ready.pico.drive(PROBE, 0)
+
+    ready.pico.edges.clear()
+    Storm(ready, (PROBE,), 17, 3).blow(40_000, STORM_US)
+    ready.pico.at_us(40_000 + STORM_US + after_us, touch)
+    said = ready.ask("G91 G38.2 Z-5 F600", limit_us=4_000_000)
+    ready.pico.drive(PROBE, 1)
+    probed = float(said.partition("[PRB:")[2].split(":")[0].split(",")[2])
+    assert 0 <= z + contact[0] / 80 - probed + 0.0126 <= 0.0252 + late_us * 10 / 1_000_000

@@ -1,0 +1,299 @@
+"""A storm of edges on any pin that interrupts starves nothing, and nobody is deaf after it.
+
+Pins are those that Pin.irq() has been called for, on every board there is and with every extra
+that has inputs: who adds one has it tried here.
+"""
+
+from array import array
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import esp_bench
+import machine
+import pytest
+from base.controls import START
+from pio import pins as gpio
+from ports import supervisor
+from storm_bench import Cpu, SoftCpu
+from ugrbl.boardfile.files import boards, load_board
+from ugrbl.paths import FIRMWARE
+from ugrbl.sim.replay import factory_store
+from ugrbl.sim.rig import Rig
+
+REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
+CUSTOM = """
+from ugrbl import on
+
+@on.input("part")
+def part(m, closed):
+    pass
+"""
+ON_PICO = {"ENGINE": "pio", "MPY_ARCH": "armv6m", "STEP": (0, 1, 2), "ENABLE": 8}
+EXTRAS: "dict[str, tuple[str, dict[str, Any]]]" = {
+    "inputs": ("rpi_pico", {"INPUTS": {"part": 20, "door": 21}, "CUSTOM": "stormy"}),
+    "inputs of an ESP32": ("esp32_s3", {"INPUTS": {"part": 40, "door": 41}, "CUSTOM": "stormy"}),
+    "punch": ("sim_punch", ON_PICO),
+    "debounced": ("rpi_pico", {"LIMIT_DEBOUNCE_MS": 3, "CONTROL_DEBOUNCE_MS": 20, "ESTOP": 20}),
+    "shared": ("rpi_pico", {"LIMIT": (9, 9, 9), "HOMING": ("Z", "X", "Y")}),
+}
+# Open and closed for so long, in us. The last two are over before anybody looks at the pin.
+STORMS = ((5, 5), (20, 20), (25, 25), (50, 50), (17, 3), (47, 3))
+STORM_US = 8_000
+PEACE_US = 2_000
+# In that time: of a Pico's main loop, which has 52 in a calm; of an ESP32's engine, which has 8.
+FEWEST_TURNS = {"pio": 48, "i2s": 7, "rmt": 7}
+# Of interrupts of one pin. An ESP32's have eight places to wait in, and then as many are called.
+MOST_A_MS = {"pio": 4, "i2s": 10, "rmt": 10}
+
+
+class Machine:
+    """A whole machine on a board's own pins. act: done once it has been welcomed."""
+
+    def __init__(self, board: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.engine: str = board.ENGINE
+        self.rig = Rig(board, factory_store(board))
+        is_2350 = board.MPY_ARCH == "armv7emsp"
+        monkeypatch.setattr(machine, "_is_rp2350", lambda: is_2350)
+        monkeypatch.setattr(gpio, "_is_rp2350", lambda: is_2350)
+        self.cpu: Any
+        if self.engine == "pio":
+            monkeypatch.setattr(machine.Pin, "pins", {})
+            monkeypatch.setattr(machine.Pin, "latched", [])
+            self.cpu = Cpu()
+            timer = self.cpu.timer()
+            monkeypatch.setattr(gpio, "Timer", timer)
+            monkeypatch.setattr(supervisor, "Timer", timer)
+            port: Any = gpio.GpioPort(board)
+            self._pins: Any = machine.Pin.pins
+        else:
+            esp_bench.reset_stand_ins("esp32s3" if "s3" in board.__name__ else "esp32")
+            self.cpu = SoftCpu()
+            port = esp_bench.gpio_esp.EspPort(board, lambda level: None)
+            self._pins = esp_bench.esp_machine.Pin.pins
+        port.power_off = lambda: None
+        self.port = self.rig.port = port
+        ticks = {"ticks_ms": self._ticks_ms, "ticks_diff": lambda a, b: a - b}
+        self._time = SimpleNamespace(**ticks, sleep_us=lambda us: None)
+        monkeypatch.setitem(type(port).ticks_ms.__globals__, "time", self._time)
+        monkeypatch.setattr(gpio, "time", self._time)
+        self.contacts = 0
+
+    def _ticks_ms(self) -> int:
+        return int(self.rig.now / self.rig.ticks_per_ms)
+
+    def run(self, act: "Callable[[], object]") -> None:
+        """Power up, and do that."""
+
+        def script() -> Iterator[Any]:
+            yield lambda: b"Grbl " in self.rig.link.received
+            yield self.rig.ms(100)
+            act()
+
+        self.rig.run(script())
+
+    def pins(self) -> "list[Any]":
+        """All that interrupt, open."""
+        found = [pin for pin in self._pins.values() if pin.handler]
+        for pin in found:
+            pin.drive(1)
+        self.cpu.run(100_000)
+        return found
+
+    def touch(self) -> None:
+        """The probe's contact."""
+        self.contacts += 1
+
+    def listen(self) -> None:
+        """Whatever may interrupt does."""
+        self.port.hear_limits(True)
+        self.port.watch_probe(self.touch, True)
+
+
+def changed(name: str, changes: "dict[str, Any]") -> ModuleType:
+    board = ModuleType(name)
+    vars(board).update({**vars(load_board(name)), **changes, "__name__": name})
+    return board
+
+
+@pytest.fixture(params=[*REAL, *EXTRAS])
+def made(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Machine:
+    (tmp_path / "stormy.py").write_text(CUSTOM)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return Machine(changed(*EXTRAS.get(request.param, (request.param, {}))), monkeypatch)
+
+
+def most_a_ms(calls: "list[int]") -> int:
+    """The most interrupts in any millisecond."""
+    return max(
+        (sum(at <= other < at + 1000 for other in calls[i:]) for i, at in enumerate(calls)),
+        default=0,
+    )
+
+
+def weather(made: Machine, pin: Any, shape: "tuple[int, int]") -> "dict[str, Any]":
+    """A storm on one pin, and what it has done."""
+    cpu = made.cpu
+    made.listen()
+    armed, contacts = bool(pin.trigger), made.contacts
+    cpu.calls.clear()
+    cpu.late_us = cpu.turns = 0
+    cpu.storm([pin], *shape, STORM_US)
+    turns = cpu.turns
+    seen = {"armed": armed, "heard": bool(cpu.calls), "most a ms": most_a_ms(cpu.calls)}
+    cpu.run(30_000)
+    seen["armed again"] = bool(pin.trigger) or made.contacts > contacts
+    return seen | {"late us": cpu.late_us, "turns": turns}
+
+
+def test_a_storm_on_any_pin_that_interrupts_starves_nothing(made: Machine) -> None:
+    found: list[Any] = []
+
+    def act() -> None:
+        for pin in made.pins():
+            for shape in STORMS:
+                found.append((pin.id, shape, weather(made, pin, shape)))
+
+    made.run(act)
+    assert found
+    for pin, shape, seen in found:
+        assert seen["armed"] and seen["heard"] and seen["armed again"], (pin, shape, seen)
+        assert seen["most a ms"] <= MOST_A_MS[made.engine], (pin, shape, seen)
+        assert seen["late us"] <= 1_600, (pin, shape, seen)
+        assert seen["turns"] >= FEWEST_TURNS[made.engine], (pin, shape, seen)
+
+
+def test_pins_are_asked_to_interrupt_in_one_place_only() -> None:
+    """What extras and ports do elsewhere would not be tried here. A PIO's is no pin's."""
+    asks = {path.name for path in FIRMWARE.rglob("*.py") if ".irq(" in path.read_text()}
+    assert asks == {"input_pins.py", "engine.py"}
+
+
+@pytest.fixture
+def pico(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
+    """With all kinds of inputs."""
+    (tmp_path / "stormy.py").write_text(CUSTOM)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return Machine(changed(*EXTRAS["inputs"]), monkeypatch)
+
+
+def test_the_watch_stops_a_main_loop_that_hangs_in_a_storm(
+    pico: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(supervisor, "sys", SimpleNamespace(platform="rp2"))
+    stopped: dict[int, tuple[int, int, int]] = {}
+
+    def hang(pin: Any) -> "tuple[int, int, int]":
+        """For how long it was away when stopped; the beam's output before that and after."""
+        link: Any = SimpleNamespace(shared=array("i", [0, 0, 0]), look=None)
+        watch = supervisor.Supervisor(link, pico.rig.engine, pico.port, 250)
+        watch.start(None, lambda alarm: None)
+        pico.listen()
+        pico.port.revive()
+        pico.port.spindle(True, 500)
+        machine.PWM.outputs[16].wrap()
+        before = machine.Pin(16).pad()
+        pico.cpu.storm([pin], 22, 3, 260_000)
+        watch.close()
+        return link.shared[supervisor.STOPPED], before, machine.Pin(16).pad()
+
+    def act() -> None:
+        for pin in {pin.handler: pin for pin in pico.pins()}.values():
+            stopped[pin.id] = hang(pin)
+
+    pico.run(act)
+    assert len(stopped) == 4  # limits, the probe, buttons, the inputs of an extra
+    assert all(250 <= ms <= 260 and on and not off for ms, on, off in stopped.values()), stopped
+
+
+class Noted:
+    """Hears of inputs, and notes when."""
+
+    def __init__(self, made: Machine) -> None:
+        self._made = made
+        self.limits: list[int] = []
+        self.start: list[int] = []
+        self.part: list[int] = []
+        self.probe: list[int] = []
+
+    def on_limits(self) -> None:
+        if self._made.port.limits():
+            self.limits.append(self._made.cpu.us)
+
+    def on_controls(self, active: int) -> None:
+        if active & START:
+            self.start.append(self._made.cpu.us)
+
+    def on_change(self) -> None:
+        if not self._made.port.sense() & 1:
+            self.part.append(self._made.cpu.us)
+
+    def on_contact(self) -> None:
+        self.probe.append(self._made.cpu.us)
+
+    def on_fault(self) -> None:
+        raise AssertionError(self._made.port.fault)
+
+
+PINS = {"limits": (9, 10), "start": (15, 14), "part": (20, 21), "probe": (12, None)}
+
+
+@pytest.mark.parametrize("name", PINS)
+def test_what_lasts_is_heard_two_ms_behind_a_storm_and_at_once_beside_it(
+    pico: Machine, name: str
+) -> None:
+    noted = Noted(pico)
+    late: list[int] = []
+    beside: list[int] = []
+    pin, other = PINS[name]
+
+    def closes() -> int:
+        """How long after it has closed the pin is heard of."""
+        heard = getattr(noted, name)
+        heard.clear()
+        closed = pico.cpu.us
+        machine.Pin(pin).drive(0)
+        pico.cpu.run(5_000)
+        machine.Pin(pin).drive(1)
+        pico.cpu.run(5_000)
+        return int(heard[0]) - closed
+
+    def act() -> None:
+        pico.pins()
+        pico.port.attach(noted)
+        pico.port.watch_pins(noted.on_change)
+        for after_us in range(0, 2_400, 200):
+            pico.port.hear_limits(True)
+            pico.port.watch_probe(noted.on_contact, True)
+            pico.cpu.storm([machine.Pin(pin)], 17, 3, 5_000)
+            pico.cpu.run(after_us)
+            late.append(closes())
+            if other:
+                pico.cpu.storm([machine.Pin(other)], 17, 3, 5_000)
+                beside.append(closes())
+
+    pico.run(act)
+    assert len(late) == 12 and max(late) <= PEACE_US + 100, late
+    assert max(beside, default=0) <= 50, beside
+
+
+def test_a_contact_that_bounces_is_heard_at_the_first_touch_that_lasts(pico: Machine) -> None:
+    """Three are over before the probe is looked at."""
+    noted = Noted(pico)
+
+    def act() -> None:
+        pico.pins()
+        pico.port.watch_probe(noted.on_contact, True)
+        pico.cpu.storm([machine.Pin(12)], 60, 5, 3 * 65)
+        noted.probe.append(pico.cpu.us)
+        machine.Pin(12).drive(0)
+        pico.cpu.run(100)
+
+    pico.run(act)
+    closed, heard = noted.probe
+    assert heard - closed <= 50
