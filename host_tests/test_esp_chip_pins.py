@@ -197,6 +197,16 @@ def test_a_debounced_limit_that_was_lost_counts_when_it_has_settled() -> None:
     assert heard == ["limits"]
 
 
+def test_a_storm_on_one_limit_does_not_put_off_another_that_lasts() -> None:
+    port, heard = made(LIMIT_DEBOUNCE_MS=3)
+    Pin(5).drive(0)
+    for level in (0, 1) * 3:
+        Pin(13).drive(level)
+        port.look()
+        clock.advance(clock.us + 1000)
+    assert "limits" in heard
+
+
 def test_a_contact_of_the_probe_that_was_lost_is_found() -> None:
     port, _ = made()
     contacts: list[bool] = []

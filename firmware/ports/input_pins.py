@@ -51,6 +51,7 @@ class PortInputs:
         self._limits_seen = 0
         # Some of these pins are disarmed until the timer looks at them.
         self._limits_wait = self._sensors_wait = False
+        self._looks_soon = False  # that timer runs
         self._quiet = False  # a button bounces
         self._controls_seen = 0
         self._on_contact: "Callable[[], None] | None" = None
@@ -113,7 +114,7 @@ class PortInputs:
             self.kill()
             self._listener.on_fault()
             self._limits_wait = True  # to be heard again
-            self._start(self._look_timer, 0, self._look_again)
+            self._look_in(0)
             self._await_quiet()
         except BaseException:
             self.fault = _FAILED_TWICE
@@ -123,16 +124,18 @@ class PortInputs:
         timer.init(mode=Timer.PERIODIC, period=ms or _PEACE_MS, callback=then, hard=self._hard)
 
     @micropython.native
-    def _look_soon(self) -> None:
-        """Look at inputs that are disarmed, together with the limits where those wait already:
-        for these, time counts from their own last edge."""
-        if not self._limits_wait:
-            self._start(self._look_timer, 0, self._look_again)
+    def _look_in(self, ms: int) -> None:
+        """Look at inputs that are disarmed, in so many ms; 0: with others that wait already.
+        MicroPython has few alarms, and one begun anew holds two for a while."""
+        if ms or not self._looks_soon:
+            self._looks_soon = True
+            self._start(self._look_timer, ms, self._look_again)
 
     def _look_at_inputs(self, timer: "Timer") -> None:
         """Arm what has been disarmed. Before the look, each: nothing falls in between."""
         try:
             timer.deinit()
+            self._looks_soon = False
             if self._limits_wait:
                 self._limits_wait = False
                 self._look_at_limits()
@@ -165,7 +168,7 @@ class PortInputs:
                 self._listener.on_limits()
                 self._limits_seen = self.limits()
             self._limits_wait = True
-            self._start(self._look_timer, self._limit_debounce_ms, self._look_again)
+            self._look_in(self._limit_debounce_ms)
         except BaseException:
             self._fail()
 
@@ -265,7 +268,7 @@ class PortInputs:
                 pin.irq().trigger(0)
             self._look_at_probe()
             if enough:
-                self._look_soon()
+                self._look_in(0)
         except BaseException:
             self._fail()
 
@@ -305,7 +308,7 @@ class PortInputs:
             pin.irq().trigger(0)
             self._sensors_wait = True
             self._on_sensor()
-            self._look_soon()
+            self._look_in(0)
         except BaseException:
             self._fail()
 

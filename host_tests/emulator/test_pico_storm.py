@@ -25,7 +25,7 @@ def hang(m):
 """
 SETTINGS = (
     *("$0=3", "$100=80", "$101=80", "$102=80", "$110=3000", "$112=3000", "$120=400", "$122=400"),
-    *("$1=0", "$10=0", "$30=1000", "$32=1"),
+    *("$1=0", "$10=1", "$30=1000", "$32=1"),
 )
 MOVE = "G91 G1 X3 F1800 S500"
 STEPS = 240
@@ -121,13 +121,16 @@ def test_no_step_is_late_in_a_storm(
     assert beam_is_dark(ready)
 
 
-def test_the_watch_acts_on_a_main_loop_that_hangs_in_a_storm(ready: Board) -> None:
+@pytest.mark.parametrize("pins", [(PART,), (PART, DOOR)])
+def test_the_watch_acts_on_a_main_loop_that_hangs_in_a_storm(
+    ready: Board, pins: "tuple[int, ...]"
+) -> None:
     ready.ask("G91 G1 X20 F1800 S500")
     ready.pico.run_us(30_000)
     ready.forget()
     ready.send("M100\n")
     hung = ready.pico.us
-    Storm(ready, (PART, DOOR), 20, 20).blow(10_000, 260_000)
+    Storm(ready, pins, 20, 20).blow(10_000, 260_000)
     ready.wait_for("ALARM:16")
     last = max(edge.ns / 1000 for edge in ready.pico.edges)  # steps, and pulses of the beam
     assert 240_000 <= last - hung <= 270_000
