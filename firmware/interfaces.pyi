@@ -270,7 +270,8 @@ class Port(Protocol):
         """Levels of the inputs of add_pins(), a bit each."""
 
     def watch_pins(self, on_change: Callable[[], None]) -> None:
-        """Call on_change, in interrupt context, whenever one of those inputs changes."""
+        """Call on_change, in interrupt context, when one of those inputs changes, and once more
+        when that one is looked at again, some milliseconds later."""
 
     def ticks_ms(self) -> int:
         """Milliseconds, wrapping at some power of two; compare with elapsed_ms."""

@@ -125,8 +125,8 @@ class PortInputs:
 
     @micropython.native
     def _look_in(self, ms: int) -> None:
-        """Look at inputs that are disarmed, in so many ms; 0: with others that wait already.
-        MicroPython has few alarms, and one begun anew holds two for a while."""
+        """Look at inputs that are disarmed, in so many ms; 0: with others that wait already. Begun
+        anew at every edge, the timer fails at last on a Pico whose main loop hangs (emulated)."""
         if ms or not self._looks_soon:
             self._looks_soon = True
             self._start(self._look_timer, ms, self._look_again)
