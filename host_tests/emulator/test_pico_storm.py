@@ -160,7 +160,7 @@ def test_a_contact_behind_pulses_too_short_to_be_seen_is_at_its_place(
         ready.pico.drive(PROBE, 0)
 
     ready.pico.edges.clear()
-    Storm(ready, (PROBE,), 17, 3).blow(40_000, STORM_US)
+    Storm(ready, (PROBE,), 497, 3).blow(40_000, STORM_US)
     ready.pico.at_us(40_000 + STORM_US + after_us, touch)
     said = ready.ask("G91 G38.2 Z-5 F600", limit_us=4_000_000)
     ready.pico.drive(PROBE, 1)
