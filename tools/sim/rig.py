@@ -63,6 +63,7 @@ class _AtRest:
     def __init__(self, store: "Store", idle: "Callable[[], bool]") -> None:
         self._store = store
         self._idle = idle
+        self.damaged = store.damaged
 
     def load(self, name: str) -> "list[str] | None":
         return self._store.load(name)
