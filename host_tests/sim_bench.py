@@ -108,10 +108,10 @@ class Bench:
 
 def serve(wire_log: Path, arguments: list[str]) -> None:
     """Be `ugrbl sim`, fitted with switches; commands for inputs come as JSON on stdin."""
+    from ugrbl import paths
     from ugrbl.cli.app import app
     from ugrbl.run import machine, pty_link
     from ugrbl.run.tcp_link import LOOPBACK
-    from ugrbl.sim.network import RigLink
 
     build = machine.build
     rigs = []
@@ -128,6 +128,9 @@ def serve(wire_log: Path, arguments: list[str]) -> None:
     _log(pty_link.Pty, out)
     if "--network" in arguments:
         _log_network(out)
+        paths.use_firmware()
+        from ugrbl.sim.network import RigLink
+
         RigLink.trusts = (LOOPBACK,)
     app(arguments, standalone_mode=False)
     rig = rigs[0]
