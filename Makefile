@@ -6,13 +6,14 @@ BOARD ?=
 PORT ?=
 
 BIN := .venv/bin
+PROGRAM := .venv/program
 VENV := .venv/installed
 TYPESHED := .venv/typeshed/merged
 EMULATOR := .venv/emulator/compiled
 
 .PHONY: run test test-all mutants check fmt lint types build deploy dist clean compiled-emulator test-emulator test-senders torture torture-board bench bench-board docs pictures
 
-run: $(VENV)  ## a demonstration in the simulator
+run: $(PROGRAM)  ## a demonstration in the simulator
 	$(BIN)/ugrbl demo
 
 test: lint types  ## what a change may break, in minutes
@@ -76,10 +77,18 @@ pictures: $(VENV)  ## and the pictures, each by its command, those of the page b
 clean:  ## all that is made, except .venv
 	rm -rf build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 
-$(VENV): pyproject.toml
+# Without isolation: else the compilers, 100 MB, would be installed a second time to build in.
+PIP := $(BIN)/pip install --quiet --disable-pip-version-check
+
+$(PROGRAM): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 10) or sys.exit("ugrbl needs Python 3.10 or newer")'
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check -e '.[dev]'
+	$(PIP) 'setuptools>=77'
+	$(PIP) --no-build-isolation -e .
+	@touch $@
+
+$(VENV): $(PROGRAM)
+	$(PIP) --no-build-isolation -e '.[dev]'
 	@touch $@
 
 $(TYPESHED): $(VENV) $(wildcard host_tests/typeshed/*)

@@ -47,9 +47,11 @@ def collections_of_tests() -> None:
 
 
 @pytest.fixture(autouse=True, scope="session")
-def maps_of_tests(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """No test keeps a map in the user's folder."""
-    os.environ["UGRBL_MAPS"] = str(tmp_path_factory.mktemp("maps"))
+def maps_of_tests(worker_id: str) -> None:
+    """No test keeps a map in the user's folder. Beside the maps lie kernels that are compiled for
+    this computer: all workers share them."""
+    folder = _HERE.parent / "build" / "cache" / "tests"
+    os.environ["UGRBL_MAPS"] = str(folder / f"maps-{worker_id}")
 
 
 # Who runs tests in the background may have these ignored, and what a test starts would inherit it.

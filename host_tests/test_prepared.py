@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import rings
 from prepared import write_compiled, write_sources, write_tree
 from test_conformance import FOLDERS, summary
 from ugrbl.compiling import build, prepared
@@ -51,6 +52,7 @@ def test_conversations(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert results.ok(), summary(results)
 
 
+@pytest.mark.thorough
 def test_laws_and_torture(tree: Path) -> None:
     shutil.copy(_HERE.parent / "pyproject.toml", tree)
     tests = [str(tree / "host_tests" / name) for name in ("test_laws.py", "test_torture.py")]
@@ -78,9 +80,12 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 def test_conversations_on_compiled_files(folder: Path, compiled: Path) -> None:
+    """The first ring takes a few of each folder."""
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there")
-    results = run_folder(folder, "micropython", program=compiled)
+    results = run_folder(
+        folder, "micropython", program=compiled, choose=lambda cases: rings.sample(cases, 40)
+    )
     assert results.ok(), summary(results)
 
 
@@ -105,6 +110,7 @@ def _one_name_for_all(attributes: Any) -> Any:
     return lambda self: dict.fromkeys(attributes(self), "id")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("module", "name", "wrong", "debug"),
     [

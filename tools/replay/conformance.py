@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
@@ -214,30 +214,34 @@ def judge(category: str, case: Json, observed: Json, lenient: bool = False) -> O
     return outcome
 
 
+def _all(cases: "list[tuple[Recording, Json]]") -> "list[tuple[Recording, Json]]":
+    return cases
+
+
 def run_folder(
     folder: Path,
     python: str = "cpython",
     only: str | None = None,
     board: str | None = None,
     program: Path = _REPLAY,
+    choose: "Callable[[list[tuple[Recording, Json]]], list[tuple[Recording, Json]]]" = _all,
+    processes: int = os.cpu_count() or 1,
 ) -> Results:
-    """Replay every case of a folder on the simulator, using all cores. program: of the replays."""
+    """Replay the cases of a folder on the simulator. program: of the replays; choose: returns
+    those cases that are to be replayed."""
     results = Results(python)
     command = _command(python, program)
-    required = []
-    for job in recordings.load(folder, only, board):
-        for _, case in job.cases:
-            if _skip(case):
-                skipped = Outcome(job.category, case["name"], skipped=_skip(case))
-                results.outcomes.append(skipped)
-        job.cases = [(index, case) for index, case in job.cases if not _skip(case)]
-        required.append(job)
-
-    cases = [(job, case) for job in required for _, case in job.cases]
+    every = [(job, case) for job in recordings.load(folder, only, board) for case in job.cases]
+    results.outcomes = [
+        Outcome(job.category, case["name"], skipped=_skip(case))
+        for job, case in every
+        if _skip(case)
+    ]
     replayers: list[_Replayer] = []
     own = threading.local()  # a process for each thread
 
-    def work(job: Recording, case: Json) -> Outcome:
+    def work(chosen: "tuple[Recording, Json]") -> Outcome:
+        job, case = chosen
         if not hasattr(own, "replayer"):
             own.replayer = _Replayer(command, environment)
             replayers.append(own.replayer)
@@ -245,9 +249,9 @@ def run_folder(
 
     with (
         _environment(python, program) as environment,
-        ThreadPoolExecutor(os.cpu_count() or 1) as pool,
+        ThreadPoolExecutor(processes) as pool,
     ):
-        results.outcomes += pool.map(work, *zip(*cases))
+        results.outcomes += pool.map(work, choose([row for row in every if not _skip(row[1])]))
         for replayer in replayers:
             replayer.end()
     return results
@@ -264,7 +268,7 @@ def run_port(folder: Path, port: Any, only: str | None = None) -> Results:
     jobs = recordings.load(folder, only, None)
     device = SerialReplay(port)
     for job in jobs:
-        for _, case in job.cases:
+        for case in job.cases:
             reason = _skip(case) or needs_a_bench(case)
             if reason:
                 outcome = Outcome(job.category, case["name"], skipped=reason)

@@ -30,12 +30,11 @@ _VERSION = re.compile(r"Grbl (\d\.\d\w?) \[|\[(?:VER:)?(\d\.\d\w?)\.\d{8}:")
 
 @dataclass
 class Recording:
-    """Cases of a file, with their numbers in it."""
+    """Cases of a file, and the board that they are replayed on."""
 
     category: str
-    file: Path
     board: str
-    cases: list[tuple[int, Json]]
+    cases: list[Json]
 
 
 def load(folder: Path, only: str | None, board: str | None) -> list[Recording]:
@@ -50,7 +49,7 @@ def load(folder: Path, only: str | None, board: str | None) -> list[Recording]:
     contents = [row for row in contents if _has_cases(row[2])]
     whole = _dialects(case for _, _, cases in contents for case in cases)
     found = [
-        Recording(category, path, board or _board(path, cases, whole), list(enumerate(cases)))
+        Recording(category, board or _board(path, cases, whole), cases)
         for category, path, cases in contents
         if only in (None, category)
     ]
