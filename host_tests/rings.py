@@ -59,17 +59,22 @@ def select(config: pytest.Config, items: "list[pytest.Item]") -> None:
 
 
 def _of_first_ring(items: "list[pytest.Item]") -> "list[pytest.Item]":
-    """All but the thorough ones, and of each sampled test so many."""
+    """All but the thorough ones, and of each sampled test so many cases."""
     kept = []
     alike: "dict[str, list[pytest.Item]]" = defaultdict(list)
+    counts = {}
     for item in items:
-        sampled = item.get_closest_marker("sampled")
-        if sampled:
-            alike[item.nodeid.partition("[")[0]].append(item)
-        elif not item.get_closest_marker("thorough"):
+        # The closest counts: a test of a thorough module may be sampled.
+        marks = (mark for mark in item.iter_markers() if mark.name in ("thorough", "sampled"))
+        mark = next(marks, None)
+        if mark is None:
             kept.append(item)
-    for cases in alike.values():
-        kept += sample(cases, cases[0].get_closest_marker("sampled").args[0])
+        elif mark.name == "sampled":
+            name = item.nodeid.partition("[")[0]
+            alike[name].append(item)
+            counts[name] = mark.args[0]
+    for name, cases in alike.items():
+        kept += sample(cases, counts[name])
     return kept
 
 

@@ -17,6 +17,9 @@ from sim_bench import Bench
 from ugrbl.cli.desk import JOG_CANCEL, Desk, explained
 from ugrbl.device.connection import Connection
 
+# Real processes in real time: the first ring takes one.
+pytestmark = pytest.mark.thorough
+
 _PATIENCE_S = 20.0
 SETTINGS = {1: 255, 110: 2000, 111: 2000, 112: 2000, 120: 200, 121: 200, 122: 200}
 
@@ -69,6 +72,7 @@ def person(bench: Bench) -> Iterator[Person]:
     somebody.connection.close()
 
 
+@pytest.mark.sampled(1)
 def test_settings_and_errors_come_with_their_meaning(person: Person) -> None:
     person.desk.enter("$$")
     person.wait(lambda: any(line.startswith("$132=") for line in person.heard))

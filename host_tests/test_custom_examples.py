@@ -934,6 +934,7 @@ def test_an_empty_pocket_and_a_broken_tool_are_told_of(shop: Make) -> None:
     assert made.messages[1] == "No tool in pocket 7" and not made.is_on("drawbar")
 
 
+@pytest.mark.thorough
 def test_a_reset_at_any_time_of_a_change_drops_no_tool(shop: Make) -> None:
     for ms in range(200, 17_000, 1200):
         made = shop("rack", **_RACK)

@@ -315,6 +315,7 @@ def board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return made
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("part", range(_PARTS))
 def test_no_step_is_lost_and_all_ends_in_words(
     board: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, part: int

@@ -76,6 +76,7 @@ def map_() -> Any:
 # A real MicroPython
 
 
+@pytest.mark.thorough
 @needs_micropython
 def test_a_traceback_gets_names_and_the_lines_of_functions(
     folders: "dict[bool, Path]", told: "dict[bool, str]"
@@ -93,6 +94,7 @@ def test_a_traceback_gets_names_and_the_lines_of_functions(
     assert "AttributeErr:" in told[False] and "AttributeErr:" not in done.output
 
 
+@pytest.mark.thorough
 @needs_micropython
 def test_a_debug_build_tells_names_and_its_map_the_very_line(
     folders: "dict[bool, Path]", told: "dict[bool, str]"

@@ -125,6 +125,7 @@ def changed(made: build.Build, *paths: str) -> build.Build:
 # What belongs on which board
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", REAL)
 def test_a_board_gets_every_module_its_modules_import(name: str) -> None:
     """At their top level; inside functions a module imports what its board may not need."""

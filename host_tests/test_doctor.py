@@ -84,6 +84,7 @@ def test_nothing_moves_unasked(bench: Bench) -> None:
     assert b"$J" not in bench.wire(">")
 
 
+@pytest.mark.thorough
 def test_switches_are_seen_as_they_are_pressed(bench: Bench) -> None:
     def press() -> None:
         for pin in ("limit_x", "probe"):

@@ -73,6 +73,7 @@ def lines_of_start(made: Made, at_line: int = -1) -> int:
     return count
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("engine", ESP)
 def test_a_stop_that_comes_into_the_start_wins(engine: str) -> None:
     for line in range(lines_of_start(make(engine, "fast"))):

@@ -236,6 +236,7 @@ def of_axis(steps: "list[Step]", axis: int) -> "list[tuple[float, int]]":
     return [(us, sign) for us, i, sign in steps if i == axis]
 
 
+@pytest.mark.sampled(20)
 @pytest.mark.parametrize("move", MOVES)
 @pytest.mark.parametrize("engine", ENGINES)
 def test_steps_are_those_planned_in_their_order(engine: str, move: str) -> None:
@@ -244,6 +245,7 @@ def test_steps_are_those_planned_in_their_order(engine: str, move: str) -> None:
         assert [sign for _, sign in of_axis(made.steps, axis)] == [sign for _, sign in steps]
 
 
+@pytest.mark.sampled(20)
 @pytest.mark.parametrize("move", MOVES)
 @pytest.mark.parametrize("engine", ENGINES)
 def test_steps_come_when_they_are_due_within_what_is_stated(engine: str, move: str) -> None:
@@ -275,6 +277,7 @@ def _check_together(
         assert min(near) - allowed <= late <= max(near) + allowed, f"axes apart at {due} us"
 
 
+@pytest.mark.sampled(14)
 @pytest.mark.parametrize("move", MOVES)
 @pytest.mark.parametrize("engine", ESP)
 def test_drivers_get_the_times_they_need(engine: str, move: str) -> None:
@@ -613,6 +616,7 @@ def on_engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
     return name
 
 
+@pytest.mark.sampled(12)
 @pytest.mark.skipif(not _RECORDS, reason="no recordings here")
 @pytest.mark.parametrize("on_engine", ["i2s", "rmt"], indirect=True)
 @pytest.mark.parametrize("path", _RECORDS, ids=lambda path: path.stem)

@@ -77,6 +77,7 @@ def boot(board: str, folder: Path, talk: Talk, *lines: str) -> str:
     return done.stdout
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("board", _BOARDS)
 def test_the_firmware_boots_moves_and_stops_at_a_limit(board: str, tmp_path: Path) -> None:
     said = boot(board, tmp_path, [*_GREETING, *_SET_UP, *_MOVE, *hit(board)])
@@ -134,6 +135,7 @@ def test_settings_are_kept_in_flash(tmp_path: Path) -> None:
     assert said.startswith("\nGrbl 1.1h") and "\n$100=80.000\n" in said
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("board", _BOARDS)
 def test_a_limit_whose_edge_nobody_hears_stops_the_machine_all_the_same(
     board: str, tmp_path: Path

@@ -58,6 +58,7 @@ def test_grbl_refuses_none_of_it() -> None:
     assert (result.errors, result.stopped) == ([], "")
 
 
+@pytest.mark.thorough
 def test_all_its_steps_are_made_within_a_small_machine() -> None:
     lines = read_lines(_PROGRAM)
     result, _ = run_program(lines, settings=_FAST)

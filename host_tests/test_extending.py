@@ -11,6 +11,9 @@ from typing import NamedTuple
 
 import pytest
 
+# Each in a tree of its own: half a minute.
+pytestmark = pytest.mark.thorough
+
 _ROOT = Path(__file__).resolve().parent.parent
 _PAGE = _ROOT / "docs" / "extending.md"
 _COPIED = ("firmware", "boards", "tools", "host_tests", "examples", "docs")
@@ -144,6 +147,7 @@ def test_its_holes_are_as_deep_as_they_should_be(tree):
     assert result["final_position_mm"] == {"X": 20.0, "Y": 5.0, "Z": 6.0}
 
 
+@pytest.mark.sampled(1)
 @in_section("A setting")
 def test_a_setting(tree):
     renewed = tree.make_docs()

@@ -97,6 +97,7 @@ def test_each_motor_stops_at_its_own_switch() -> None:
     assert gantry.reported() == [-1.0, -1.0, -1.0]
 
 
+@pytest.mark.thorough
 def test_gantries_end_square_within_a_step_whatever_the_offset() -> None:
     """UGRBL_TORTURE=1000: so many of them."""
     chance = random.Random(19)

@@ -12,6 +12,9 @@ from typer.testing import CliRunner, Result
 from ugrbl.cli.app import app
 from ugrbl.paths import BOARDS
 
+# Real processes in real time: the first ring takes one.
+pytestmark = pytest.mark.thorough
+
 _PROGRAM = "G21 G91\nG1 X1 F600\n; done? not yet!\nG1 X-1\n"
 
 
@@ -45,6 +48,7 @@ def ugrbl(bench: Bench, *words: object, answer: str = "") -> Result:
     return CliRunner().invoke(app, command, input=answer)
 
 
+@pytest.mark.sampled(1)
 def test_a_program_is_sent_listed_shown_run_and_deleted(bench: Bench, file: Path) -> None:
     assert ugrbl(bench, "push", file).exit_code == 0
     assert f"PART.NC  {len(_PROGRAM)} " in ugrbl(bench, "list").output

@@ -50,6 +50,7 @@ vectors.main()
     return done.stdout
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("part", ["reals", "words", "blocks", "arcs"])
 def test_machine_code_computes_the_same_integers(kernels: "dict[str, Path]", part: str) -> None:
     due = computed(part)

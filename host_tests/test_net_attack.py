@@ -24,7 +24,7 @@ from page_bench import PING, PONG, WS_UPGRADE, frame, request
 from ugrbl.compiling import page_files
 from ugrbl.paths import TOOLS
 
-pytestmark = needs_micropython
+pytestmark = [needs_micropython, pytest.mark.thorough]
 
 _SECONDS = float(os.environ.get("UGRBL_ATTACK", "6"))
 _HERE = Path(__file__).parent

@@ -18,7 +18,7 @@ from page_bench import PING, PONG, WS_UPGRADE, frame, request
 from ugrbl.compiling import page_files
 from ugrbl.paths import FIRMWARE, TOOLS
 
-pytestmark = needs_micropython
+pytestmark = [needs_micropython, pytest.mark.thorough]
 
 _LINES = 120
 _LONGEST_US = 100_000  # a turn, on a computer that does other things as well
@@ -142,6 +142,7 @@ def lines_of(caller: socket.socket) -> Iterator[str]:
         yield from lines
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("stormy", [False, True], ids=["quiet", "storm"])
 def test_lines_arrive_whole_and_in_order_and_no_turn_waits(port: int, stormy: bool) -> None:
     over, answers = threading.Event(), list[str]()

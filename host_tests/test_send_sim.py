@@ -16,6 +16,9 @@ from as_users import as_users
 from sim_bench import Bench
 from ugrbl.device.connection import Connection
 
+# Real processes in real time: the first ring takes one.
+pytestmark = pytest.mark.thorough
+
 _PATIENCE_S = 40.0
 # Short enough that the planner's 15 blocks are no long way, slow enough for a finger.
 SETTINGS = {1: 255, 110: 2000, 111: 2000, 112: 2000, 120: 200, 121: 200, 122: 200}
@@ -186,6 +189,7 @@ def test_a_closed_terminal_holds_first(bench: Bench, tmp_path: Path) -> None:
     assert sent.index(b"!") < sent.index(b"\x18")
 
 
+@pytest.mark.sampled(1)
 def test_without_a_terminal_a_refused_line_ends_it_where_it_is(
     bench: Bench, tmp_path: Path
 ) -> None:

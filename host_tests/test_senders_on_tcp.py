@@ -19,6 +19,9 @@ from pathlib import Path
 import pytest
 from as_users import as_users
 
+# Real processes in real time: the first ring takes one.
+pytestmark = pytest.mark.thorough
+
 _BANNER = re.compile(r"Grbl \d\.\d[a-z]")
 
 

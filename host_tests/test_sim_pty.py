@@ -16,6 +16,9 @@ import pytest
 import serial
 from as_users import as_users
 
+# Real processes in real time: the first ring takes one.
+pytestmark = pytest.mark.thorough
+
 _PATIENCE_S = 15.0
 _COMMAND = [sys.executable, "-m", "ugrbl.cli"]
 
@@ -112,6 +115,7 @@ def test_the_first_sender_gets_the_banner(sim: Sim) -> None:
         assert "Grbl 1.1h ['$' for help]\r\n" in sender.wait("help]\r\n")
 
 
+@pytest.mark.sampled(1)
 def test_lines_are_answered(sim: Sim) -> None:
     with sim.open() as sender:
         assert "[GC:G0 G54 " in sender.ask("$G")

@@ -15,7 +15,7 @@ import pytest
 from as_users import as_users
 from web_process import PATIENCE_S, Web
 
-pytestmark = pytest.mark.xdist_group("web")
+pytestmark = [pytest.mark.xdist_group("web"), pytest.mark.thorough]
 
 Start = Callable[..., Web]
 
@@ -59,6 +59,7 @@ def test_a_simulator_does_not_outlive_a_server_that_was_killed(web: Start) -> No
     wait_until_gone(simulator)
 
 
+@pytest.mark.sampled(1)
 def test_from_the_network_it_says_a_token(web: Start) -> None:
     running = web("--sim", "--no-browser", "--host", "0.0.0.0")
     bare, _, token = running.address.partition("?token=")

@@ -11,7 +11,7 @@ from ugrbl.run.program import run_program
 from ugrbl.web.look import MOST_POINTS, MOST_TIMES, PROGRAM_BYTES
 from web_client import FakeBoard, played, served
 
-pytestmark = pytest.mark.xdist_group("web")
+pytestmark = [pytest.mark.xdist_group("web"), pytest.mark.thorough]
 
 _SQUARE = "G21 G90\nG0 X10\nG1 Y10 F300\nX0\nY0\nM30\n"
 
@@ -126,6 +126,7 @@ def test_what_makes_no_sense_of_how_it_stands_is_passed_over(odd: Any, tmp_path:
     assert status == 200 and found == plain
 
 
+@pytest.mark.sampled(1)
 def test_what_leaves_the_travel_is_said_beforehand(tmp_path: Path) -> None:
     """The first line beyond each end, and how far it would be at the most."""
     settings = {"20": "1", "22": "1", "130": "150", "131": "150", "132": "40"}

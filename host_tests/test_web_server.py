@@ -458,6 +458,7 @@ def recorded(tmp_path: Path) -> Iterator["tuple[str, Path, subprocess.Popen[str]
     process.wait()
 
 
+@pytest.mark.thorough
 @played
 async def test_a_storm_of_reloads_and_slow_readers_changes_no_step(
     recorded: "tuple[str, Path, subprocess.Popen[str]]", tmp_path: Path

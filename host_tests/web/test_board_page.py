@@ -14,7 +14,7 @@ import pytest
 from as_users import as_users
 from browser import SETTINGS, Visitor, settings_file
 
-pytestmark = pytest.mark.xdist_group("board's page")
+pytestmark = [pytest.mark.xdist_group("board's page"), pytest.mark.thorough]
 
 _PATIENCE_S = 200.0  # the first machine has its kernels compiled
 

@@ -6,12 +6,13 @@ from pathlib import Path
 import pytest
 from browser import FAR, HOMING, sent_at_once
 
-pytestmark = pytest.mark.xdist_group("page")
+pytestmark = [pytest.mark.xdist_group("page"), pytest.mark.thorough]
 
 
 # Connecting
 
 
+@pytest.mark.sampled(1)
 def test_nothing_is_sent_before_somebody_connects_and_only_questions_after(person_at):
     person = person_at()
     person.open_from_disk()

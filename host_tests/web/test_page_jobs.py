@@ -4,7 +4,7 @@ import pytest
 from browser import FAR, sent_at_once
 from ugrbl.paths import BOARDS
 
-pytestmark = pytest.mark.xdist_group("page jobs")
+pytestmark = [pytest.mark.xdist_group("page jobs"), pytest.mark.thorough]
 
 
 # Jobs

@@ -3,7 +3,7 @@
 import pytest
 from browser import FAR, sent_at_once
 
-pytestmark = pytest.mark.xdist_group("page moves")
+pytestmark = [pytest.mark.xdist_group("page moves"), pytest.mark.thorough]
 
 
 # Alarms

@@ -15,7 +15,7 @@ from ugrbl import paths
 from ugrbl.docs import pictures
 from web_process import Web
 
-pytestmark = pytest.mark.xdist_group("served page")
+pytestmark = [pytest.mark.xdist_group("served page"), pytest.mark.thorough]
 
 MILL = {
     **dict.fromkeys((110, 111, 112), "6000.000"),
