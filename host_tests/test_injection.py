@@ -244,6 +244,7 @@ def bytecodes(scenario: Scenario) -> int:
     return trial.bytecodes
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("act", ["limit_x", "reset", "\x18"], ids=["limit", "button", "Ctrl-X"])
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.name)
 def test_nothing_moves_or_turns_behind_a_stop(scenario: Scenario, act: str) -> None:
@@ -253,6 +254,7 @@ def test_nothing_moves_or_turns_behind_a_stop(scenario: Scenario, act: str) -> N
         Trial(scenario, at, act).run()
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("act", ["!", "hold"], ids=["!", "button"])
 @pytest.mark.parametrize("name", ["start", "turn", "refill", "hold"])
 def test_a_hold_at_any_moment_costs_no_step(name: str, act: str) -> None:

@@ -273,6 +273,7 @@ def parts(whole: "dict[str, str]", *names: str) -> "dict[str, str]":
     return {name: whole[name] for name in names}
 
 
+@pytest.mark.thorough
 def test_most_calls_of_the_firmware_are_gone() -> None:
     before = firmware()
     after = leaves(before)
@@ -301,6 +302,7 @@ _KERNELS = (
 )
 
 
+@pytest.mark.thorough
 def test_kernels_plan_and_make_the_same_segments(tmp_path: Path) -> None:
     whole = firmware()
     bench = Bench(Limits())
@@ -474,6 +476,7 @@ def _turns(engine: Any, patch: pytest.MonkeyPatch, seeds: range) -> "Iterator[An
                 yield chip.state(), list(told)
 
 
+@pytest.mark.thorough
 def test_the_engines_interrupt_does_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -500,6 +503,7 @@ print(hashlib.sha256(repr(sorted(texts.items())).encode()).hexdigest())
 """
 
 
+@pytest.mark.thorough
 def test_the_same_sources_make_the_same_firmware() -> None:
     """A set has another order in every process; what is on a board is compared by checksums."""
     made = {

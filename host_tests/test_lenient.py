@@ -400,6 +400,7 @@ _WORDS = st.sampled_from(
 _LINES = st.lists(st.lists(_WORDS, min_size=1, max_size=6).map(" ".join), max_size=12)
 
 
+@pytest.mark.thorough
 @given(_LINES)
 @settings(max_examples=60, deadline=None)
 def test_every_line_is_done_or_refused_without_effect(lines: "list[str]") -> None:
@@ -508,6 +509,7 @@ def test_lines_of_places_drill_however_quick_they_are(board: str) -> None:
     assert motion(program, board) == motion(by_hand, "rpi_pico")
 
 
+@pytest.mark.thorough
 @needs_programs
 def test_most_real_programs_run_clean(board: str) -> None:
     refused = [name for name, seen in _GRBL.items() if seen["errors"]]
@@ -580,6 +582,7 @@ def _drilled(drill: "dict[str, str]", words: "dict[str, str]") -> "Iterator[str]
     yield f"G0 Z{drill['R']}"
 
 
+@pytest.mark.sampled(1)
 @needs_programs
 @pytest.mark.parametrize("name", _SMALL)
 def test_they_move_as_a_copy_cleaned_by_hand(name: str, board: str) -> None:

@@ -46,6 +46,7 @@ def asked_by_scripts() -> set[str]:
     }
 
 
+@pytest.mark.thorough
 def test_no_name_that_becomes_short_is_one_of_a_board(made: Shortened) -> None:
     """If this fails: `# keep-name:` where the attribute is made, see compiling/marks.py."""
     assert not made.names.keys() & on_boards()
@@ -83,6 +84,7 @@ def test_every_prefix_kept_is_one_of_methods(found: Marks) -> None:
         assert re.search(rf"    def {prefix}\w+\(self", texts), f"{prefix}: {reason}"
 
 
+@pytest.mark.thorough
 def test_every_function_marked_for_its_calls_would_be_treated_otherwise(found: Marks) -> None:
     sources = inline(build.texts())
 

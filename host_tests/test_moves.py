@@ -21,6 +21,7 @@ def test_words_say_what_the_table_of_a_corexy_does() -> None:
     assert read(("X+Y", "X-Y"), 3) == [*COREXY, 4]
 
 
+@pytest.mark.thorough
 @given(places)
 def test_motors_go_as_the_words_say(lines: "list[tuple[int, int, int]]") -> None:
     machine = Machine(board="sim_corexz")

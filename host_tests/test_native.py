@@ -77,6 +77,7 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.sampled(1)
 @needs_compiler
 @pytest.mark.parametrize("program", [_MIXED, (EXAMPLES / "badge.nc").read_bytes()[:20_000]])
 def test_compiled_kernels_make_the_same_segments(compiled: Path, program: bytes) -> None:
@@ -86,6 +87,7 @@ def test_compiled_kernels_make_the_same_segments(compiled: Path, program: bytes)
     assert (name, plain_name) == ("<lambda>", "fill")
 
 
+@pytest.mark.sampled(2)
 @needs_compiler
 @pytest.mark.parametrize("part", ["reals", "words", "blocks", "arcs"])
 def test_compiled_kernels_compute_the_same_integers(compiled: Path, part: str) -> None:
@@ -230,6 +232,7 @@ def test_without_a_place_to_keep_it_the_same_runs_as_python(tmp_path: Path) -> N
     assert run(b"G0X1\n", tmp_path)[2] == "fill"
 
 
+@pytest.mark.thorough
 @needs_compiler
 def test_a_library_that_is_none_is_left_alone(tmp_path: Path) -> None:
     run(b"G0X1\n", tmp_path)

@@ -154,6 +154,7 @@ def words(at: Place) -> str:
     return "".join(f"{letter}{mm:.3f}" for letter, mm in zip("XYZ", at, strict=True))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("kind", _KINDS)
 @pytest.mark.parametrize("tolerance", [0.01, 0.1])
 def test_lines_keep_within_the_arc_tolerance(kind: str, tolerance: float) -> None:
@@ -325,6 +326,7 @@ def test_a_jog_is_straight_and_ends_at_its_cancel_wherever_it_is(kind: str) -> N
         assert math.dist(place(kind, made.physical()), (x, y, 0)) < 0.01
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", _KINDS)
 def test_a_hold_anywhere_loses_nothing_of_the_way(kind: str) -> None:
     places = random_places(kind, 3, 4)

@@ -331,6 +331,7 @@ def test_no_more_is_on_its_way_to_a_page_that_is_not_heard_of_than_there_is_memo
     bench.run(script)
 
 
+@pytest.mark.thorough
 def test_a_page_of_the_board_is_the_same_for_the_machine_as_the_cable(bench) -> None:
     """A long program, in messages as the page sends them."""
     lines = [f"G1X{i % 7}Y{i % 3}F3000" for i in range(200)]

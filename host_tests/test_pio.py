@@ -765,6 +765,7 @@ def clocked(words: Words, rows: "list[array[int]]") -> "list[int]":
     return found
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("name", "latency"),
     [
@@ -839,6 +840,7 @@ def test_a_stop_of_the_engine_is_at_once_and_leaves_the_true_place(
         assert bed.position() == bed.places()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("motors", MOTORS)
 @given(st.data())
 @settings(max_examples=30)
@@ -953,6 +955,7 @@ def test_interrupts_that_come_late_lose_nothing(
             check_times(seen, bed.timing)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("latency", [0, 60_000])
 @pytest.mark.parametrize(
     ("motors", "one"), [(motors, one) for motors in MOTORS for one in range(1, motors)]

@@ -186,6 +186,7 @@ def test_cuts_drawn_are_cuts_and_rapids_are_rapids() -> None:
     assert len(cuts) + len(rapids) == len(drawn.points) - 1
 
 
+@pytest.mark.thorough
 def test_a_long_job_takes_little_time_and_memory(tmp_path: Path) -> None:
     file, out = tmp_path / "long.nc", tmp_path / "long.html"
     file.write_text("\n".join(lettering() * 12) + "\n")  # 21,000 lines
@@ -313,6 +314,7 @@ def test_a_program_that_moves_nothing_is_drawn(program: Path) -> None:
         assert ugrbl(program, "-o", program.with_name("out" + suffix)).exit_code == 0
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", boards())
 def test_every_board_can_be_drawn_for(name: str, program: Path) -> None:
     done = ugrbl(program, "-o", program.with_name("out.svg"), "--board", name)

@@ -378,6 +378,7 @@ _EVENTS = some.lists(
 )
 
 
+@pytest.mark.thorough
 @given(
     _EVENTS,
     some.sampled_from([0, 0, 0, SENSOR_UP, SENSOR_DOWN]),

@@ -195,6 +195,7 @@ def stopped(line: str, settings: "dict[int, float]") -> "list[str]":
 _LIMITED = {20: 1, 22: 1, 130: 100, 131: 100, 132: 100, 133: 0}
 
 
+@pytest.mark.thorough
 def test_an_axis_without_travel_turns_for_ever_and_others_do_not() -> None:
     turning = [
         "$X",
@@ -286,6 +287,7 @@ _words = st.tuples(
 )
 
 
+@pytest.mark.thorough
 @given(st.lists(_words, min_size=1, max_size=8))
 def test_the_shortest_way_of_a_line_plans_what_the_interpreter_does(
     drawn: "list[tuple[str, list[str], int, str]]",

@@ -50,6 +50,7 @@ def programs(only_good: bool) -> list[object]:
     return list(names) or [pytest.param("", marks=_ABSENT)]
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("name", programs(only_good=False))
 def test_check_finds_what_real_grbl_found(name: str) -> None:
     result, _ = run_program(read_lines(_PROGRAMS / name), check=True)
@@ -59,6 +60,7 @@ def test_check_finds_what_real_grbl_found(name: str) -> None:
     assert [list(output) for output in result.other_output] == seen["other_output"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", programs(only_good=True))
 def test_programs_without_errors_run_to_their_last_step(name: str, tmp_path: Path) -> None:
     file = tmp_path / "result.json"
