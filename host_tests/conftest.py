@@ -18,9 +18,9 @@ os.environ.setdefault("UGRBL_VIPER", "checked")
 # So wide that no line breaks, however long the name of a test's folder is.
 os.environ["COLUMNS"] = "500"
 
-settings.register_profile("ci", deadline=None, max_examples=50)
+settings.register_profile("ring 1", deadline=None, max_examples=20)
+settings.register_profile("ring 2", deadline=None, max_examples=50)
 settings.register_profile("thorough", deadline=None, max_examples=2000)
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -29,6 +29,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     rings.choose(config)
+    usual = "ring 1" if rings.is_first() else "ring 2"
+    settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", usual))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: "list[pytest.Item]") -> None:

@@ -17,6 +17,9 @@ from ugrbl.cli.app import app
 from ugrbl.compiling import build
 from ugrbl.sim.engine import Switch, step_tick
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 _PER_MM = 250
 _SLACK = (25, 10, 40)  # steps
 _TICK_HZ = 13_107_200
@@ -196,6 +199,7 @@ def test_whatever_comes_in_the_middle_of_it_places_stay_true(byte: str) -> None:
             assert made.reported() == [1, 1, -1], ms
 
 
+@pytest.mark.thorough
 def test_behind_a_reset_in_the_middle_of_it_the_rest_of_it_is_taken_up() -> None:
     for ms in range(20, 900, 79):
         made = machine({162: 2.0, 122: 50})

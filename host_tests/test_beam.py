@@ -19,6 +19,9 @@ from motion.layout import ROW_AXES, ROW_DIRS, ROW_POWER
 from test_laser import made
 from test_settings_effects import Bench
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 # A machine that is quick for what it burns.
 _SETTINGS = {32: 1, 110: 6000, 111: 6000, 120: 800, 121: 800}
 _PER_MM = 250

@@ -22,6 +22,7 @@ def cpython(*arguments: object) -> str:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
+@pytest.mark.sampled(2)
 @needs_micropython
 @pytest.mark.parametrize("part", ["reals", "words", "blocks", "arcs"])
 def test_both_pythons_compute_the_same_integers(part: str) -> None:

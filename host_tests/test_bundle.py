@@ -222,7 +222,7 @@ def has_more_than_imports(text: str) -> bool:
     return not all(isinstance(part, passed_over) for part in ast.parse(text).body)
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("board", _BOARDS, ids=lambda file: file.stem)
 def test_of_each_board_every_module_goes_somewhere(placed: "dict[str, str]", board: Path) -> None:
     needed = [build.module(source) for source in build.needed(load_for_build(board))]
@@ -236,7 +236,7 @@ def test_of_each_board_every_module_goes_somewhere(placed: "dict[str, str]", boa
     assert {"motion.plan_kernel", "talk.report", "language.interpreter"} <= merged
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("board", _BOARDS, ids=lambda file: file.stem)
 def test_all_that_is_forgotten_after_start_is_one_module(
     placed: "dict[str, str]", board: Path

@@ -14,6 +14,9 @@ from ports.job_files import JobFiles
 from ugrbl.paths import FIRMWARE
 from ugrbl.run.board_modules import complete
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 _HERE = Path(__file__).parent
 _EVERY = os.environ.get("UGRBL_TORTURE") is not None
 

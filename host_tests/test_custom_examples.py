@@ -18,6 +18,9 @@ from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
 from ugrbl.sim.sender import Sender, is_answer
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 _EXAMPLES = Path(__file__).resolve().parent.parent / "examples" / "custom"
 _STEPS = 250
 _FAST = {110: 6000, 111: 6000, 112: 6000, 120: 500, 121: 500, 122: 500, 1: 255}

@@ -16,6 +16,9 @@ from test_custom import Bench, lines
 from typer.testing import CliRunner
 from ugrbl.cli.app import app
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(4)
+
 Make = Callable[[str], Bench]
 
 _count = count()

@@ -334,6 +334,7 @@ def test_each_handler_is_named_and_runs() -> None:
     assert [row["said"] for row in found["tried"]] == ["runs", "runs", "runs"]
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("event", [*custom_try.LINES, "input('door')"])
 def test_every_event_is_brought_about_and_a_failing_handler_told(event: str) -> None:
     text = f"from ugrbl import on\n\n@on.{event}\ndef f(m, *values):\n    raise KeyError(values)\n"

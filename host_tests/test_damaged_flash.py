@@ -29,6 +29,9 @@ from ports.flash_store import FlashStore
 from test_bytes import PATHS
 from ugrbl.run.board_modules import complete
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 _HERE = Path(__file__).parent
 _EVERY = os.environ.get("UGRBL_TORTURE") is not None
 
@@ -119,6 +122,7 @@ def test_damage_to_custom_py_leaves_a_machine(
     start_with_damaged_custom(folder, Dice(4), 6)
 
 
+@pytest.mark.thorough
 @needs_micropython
 def test_micropython_starts_with_the_copy_before(filled: Path, tmp_path: Path) -> None:
     folder = tmp_path / "board"

@@ -16,6 +16,9 @@ from ugrbl.cli.app import app
 from ugrbl.compiling import build, maps, symbols
 from ugrbl.compiling.decode import build_of, decode, is_fault
 
+# Passes of the build, and what they make: the first ring takes a few.
+pytestmark = pytest.mark.thorough
+
 # A script that makes the firmware fail, as compiled, and tells as a board tells.
 _FAILS = """
 import sys
@@ -115,6 +118,7 @@ def test_the_map_is_found_by_the_build_that_the_message_tells(told: "dict[bool, 
         assert done.exit_code == 0 and "motion/segments.py, line" in done.output
 
 
+@pytest.mark.sampled(1)
 def test_lines_of_a_debug_build_are_those_of_the_sources() -> None:
     """Statement by statement, wherever a pass has moved them."""
     texts, made = build.texts(), build.prepared_firmware(True, "x64")

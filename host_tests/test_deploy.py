@@ -125,7 +125,7 @@ def changed(made: build.Build, *paths: str) -> build.Build:
 # What belongs on which board
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", REAL)
 def test_a_board_gets_every_module_its_modules_import(name: str) -> None:
     """At their top level; inside functions a module imports what its board may not need."""
@@ -202,6 +202,7 @@ def test_a_board_gets_what_it_can_use() -> None:
     }
 
 
+@pytest.mark.thorough
 def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() -> None:
     assert {*build._SWITCHED, *build._PARTS} <= {build.module(one) for one in build.sources()}
     every: set[str] = set()

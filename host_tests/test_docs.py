@@ -247,6 +247,7 @@ def said_in(*folders):
     return texts
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("heading", ["Deploying", "What the doctor says"])
 def test_what_tools_are_quoted_with_they_say(heading):
     found = quotes(heading)

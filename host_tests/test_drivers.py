@@ -14,6 +14,9 @@ from ugrbl.boardfile.files import load_board
 from ugrbl.sim import tmc2209 as model
 from ugrbl.sim.engine import Switch
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 _HOMING = {22: 1, 24: 300, 25: 1500, 26: 5, 27: 1, **{110 + i: 3000.0 for i in range(3)}}
 
 

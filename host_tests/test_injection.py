@@ -28,6 +28,9 @@ from talk.controller import Controller
 from ugrbl.sim.engine import SimEngine, Switch
 from ugrbl.sim.port import SimPort
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 _EVERY = os.environ.get("UGRBL_TORTURE") is not None
 _SAMPLES = 40
 _BEFORE_MS = 600  # how long a scenario is looked at
@@ -244,7 +247,7 @@ def bytecodes(scenario: Scenario) -> int:
     return trial.bytecodes
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("act", ["limit_x", "reset", "\x18"], ids=["limit", "button", "Ctrl-X"])
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.name)
 def test_nothing_moves_or_turns_behind_a_stop(scenario: Scenario, act: str) -> None:
@@ -254,7 +257,7 @@ def test_nothing_moves_or_turns_behind_a_stop(scenario: Scenario, act: str) -> N
         Trial(scenario, at, act).run()
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("act", ["!", "hold"], ids=["!", "button"])
 @pytest.mark.parametrize("name", ["start", "turn", "refill", "hold"])
 def test_a_hold_at_any_moment_costs_no_step(name: str, act: str) -> None:

@@ -53,6 +53,9 @@ from ugrbl.boardfile.files import load_board
 from ugrbl.paths import FIRMWARE
 from ugrbl.sim.engine import Switch
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(4)
+
 # Accelerations are told in 14 bits, steps as in largest_jerk(), and braking for a place may be
 # harder by a sixteenth (segment_kernel.brake).
 JERK_SLACK = 1.15

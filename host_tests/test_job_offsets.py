@@ -8,6 +8,9 @@ import pytest
 from test_jobs import FAST, HOMED, ROUTER, Bench, homed, say, to_its_end
 from ugrbl.sim.rig import MemoryStore
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 OFFSETS = {
     "G10L2": (
         "G21 G90 G54",

@@ -171,6 +171,7 @@ def test_jobs_are_listed_shown_and_deleted(tmp_path: Path) -> None:
     assert told == [*files, "ok", "G0X2\nG0X3\n", "ok", "ok", files[0], "ok"]
 
 
+@pytest.mark.thorough
 def test_words_of_fluidnc_do_the_same(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("B.NC", "G0X1")
@@ -521,7 +522,7 @@ ROUTER = (
 )
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("line", range(2, 12))
 def test_it_goes_on_at_a_line_as_if_all_before_it_had_been_done(tmp_path: Path, line: int) -> None:
     whole = homed(Bench(tmp_path))

@@ -13,6 +13,9 @@ from test_pio_pins import board
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.rig import Rig
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(5)
+
 OUTPUTS = {"SPINDLE_PWM": 16, "SPINDLE_DIR": 17, "FLOOD": 18, "SPINDLE_ON": 19, "MIST_PIN": 20}
 ENABLES = {"SPINDLE_ENABLE_PIN": True}
 POLARITIES = [(), ("SPINDLE_PWM",), ("SPINDLE_ON", "MIST_PIN"), tuple(OUTPUTS)]

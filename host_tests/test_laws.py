@@ -22,6 +22,9 @@ from motion.kinematics import COREXY
 from rig_bench import Machine
 from ugrbl.sim.engine import Switch
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(4)
+
 SECOND_Y = (0x001, 0x002, 0x004, 0x200)
 EIGHT_MOTORS = (*(1 << axis for axis in range(6)), 0x001, 0x200)  # a second Y turns round
 fast = Limits((250.0, 250.0, 250.0), (3000.0, 3000.0, 1500.0), (500.0, 500.0, 200.0))

@@ -24,6 +24,9 @@ from ugrbl.compiling.inline import inline
 from ugrbl.compiling.leaves import leaves
 from ugrbl.paths import FIRMWARE
 
+# Passes of the build, and what they make: the first ring takes a few.
+pytestmark = pytest.mark.thorough
+
 _HEAD = "import micropython\nfrom micropython import const\n"
 _FOLDERS = count()
 

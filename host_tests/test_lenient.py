@@ -498,6 +498,7 @@ def motion(lines: "Sequence[str]", board: str) -> "dict[str, Any]":
     return {name: totals[name] for name in ("steps_made", "bounds_mm", "final_position_mm")}
 
 
+@pytest.mark.thorough
 def test_lines_of_places_drill_however_quick_they_are(board: str) -> None:
     """Lines with nothing but places are the quickest there are, and would be moves."""
     places = [f"X{k} Y{k % 7}" for k in range(6, 40)]

@@ -12,6 +12,9 @@ from ugrbl.paths import BOARDS
 from ugrbl.run import rehearsal
 from ugrbl.web.look import look
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 _JOB = b"G21\nG0X1\n"
 _NEW = b"G0X2\n"
 # Every command that writes, deletes or sets something, and what G-code stores.

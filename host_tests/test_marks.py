@@ -13,6 +13,9 @@ from ugrbl.compiling.marks import Marks
 from ugrbl.compiling.scan import ON_REQUEST
 from ugrbl.compiling.shorten import Shortened, shorten
 
+# Passes of the build, and what they make: the first ring takes a few.
+pytestmark = pytest.mark.thorough
+
 _HERE = Path(__file__).resolve().parent
 # Whose scripts run on a board, where they ask the firmware's objects for names.
 _ON_BOARD = (_HERE / "emulator", _HERE / "bench")

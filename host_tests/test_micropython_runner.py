@@ -63,7 +63,7 @@ print(result)
     assert out == "refused\n"
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("arch", ["armv6m", "armv7emsp", "xtensawin", "rv32imc"])
 def test_the_firmware_compiles_for_every_chip(arch, tmp_path):
     for path in placed_firmware().rglob("*.py"):

@@ -155,6 +155,7 @@ def check_mode(bench: Bench) -> Script:
     return (yield from bench.say("$C\n"))
 
 
+@pytest.mark.sampled(10)
 @pytest.mark.parametrize("inverted", [0, 1], ids=["", "$4=1"])
 @pytest.mark.parametrize(
     ("stop", "settings", "last"),

@@ -17,6 +17,9 @@ from ugrbl.compiling import build, kernels, native
 from ugrbl.compiling.c_text import NotForC
 from ugrbl.paths import EXAMPLES
 
+# Passes of the build, and what they make: the first ring takes a few.
+pytestmark = pytest.mark.thorough
+
 needs_compiler = pytest.mark.skipif(
     os.name != "posix" or not shutil.which(os.environ.get("CC", "cc").split()[0]),
     reason="no C compiler",
@@ -77,7 +80,7 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @needs_compiler
 @pytest.mark.parametrize("program", [_MIXED, (EXAMPLES / "badge.nc").read_bytes()[:20_000]])
 def test_compiled_kernels_make_the_same_segments(compiled: Path, program: bytes) -> None:
@@ -87,7 +90,7 @@ def test_compiled_kernels_make_the_same_segments(compiled: Path, program: bytes)
     assert (name, plain_name) == ("<lambda>", "fill")
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.thorough
 @needs_compiler
 @pytest.mark.parametrize("part", ["reals", "words", "blocks", "arcs"])
 def test_compiled_kernels_compute_the_same_integers(compiled: Path, part: str) -> None:
@@ -209,6 +212,7 @@ def test_a_view_of_what_cannot_be_written_is_read_as_it_is(tmp_path: Path) -> No
         assert [read(memoryview(bytes([byte]) * 8), i) for i in range(8)] == [byte] * 8
 
 
+@pytest.mark.sampled(1)
 def test_every_kernel_is_translated() -> None:
     listed = set(re.findall(r'^ +"(\S+) (\S+)', native.in_c(build.texts()), re.MULTILINE))
     assert {("motion.plan_kernel", "plan"), ("language.fast_kernel", "follow")} <= listed

@@ -20,6 +20,9 @@ from ugrbl.cli.app import app
 from ugrbl.compiling import build
 from ugrbl.sim.engine import Switch, step_tick
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 _EXAMPLES = Path(__file__).parent.parent / "examples" / "kinematics"
 if str(_EXAMPLES) not in sys.path:
     sys.path.append(str(_EXAMPLES))
@@ -182,6 +185,7 @@ def test_arcs_keep_within_it_too_and_helices(kind: str) -> None:
     assert math.dist(place(kind, made.physical()), (x + 20, y, -5)) < 0.01
 
 
+@pytest.mark.thorough
 def test_a_plotter_goes_straight_through_the_middle_of_its_table_and_beside_it() -> None:
     for aside in (0.0, 0.001, 0.3):
         lines = ["G0X40Y0", f"G1X40Y{aside}F3000", f"G1X-40Y{aside}"]

@@ -20,6 +20,9 @@ from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
 from ugrbl.sim.sender import Sender
 
+# Real programs at real rates.
+pytestmark = pytest.mark.thorough
+
 SPEED = (Path(__file__).parents[1] / "docs" / "speed.md").read_text(encoding="utf-8")
 FAST = [f"${n + axis}={v}" for n, v in ((110, 30_000), (120, 5000)) for axis in range(3)]
 LASER = [*FAST, "$32=1", "$30=1000"]
@@ -44,6 +47,7 @@ def stretches(lines: "list[bytes]", settings: "list[str]", board: str = "sim") -
     return paced.starves(lines)
 
 
+@pytest.mark.sampled(3)
 def test_a_raster_faster_than_the_board_is_told_of_with_its_lines() -> None:
     (worst,) = stretches(raster(FEED), LASER, "rpi_pico2")
     assert worst.kind == "power" and worst.taken == pytest.approx(PICO.power, rel=0.01)

@@ -312,6 +312,7 @@ def test_a_page_that_does_not_read_is_let_go_and_nobody_waits_for_it(bench) -> N
     bench.run(script)
 
 
+@pytest.mark.thorough
 def test_no_more_is_on_its_way_to_a_page_that_is_not_heard_of_than_there_is_memory_for(
     bench,
 ) -> None:

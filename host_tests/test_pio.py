@@ -27,6 +27,9 @@ from test_engines import _play_words
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.engine import step_tick
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 pio_model = pytest.importorskip("pio_model", reason="rp2040py has no wheel for this platform")
 
 HZ = 12_500_000
@@ -507,6 +510,7 @@ def test_fast_axes_of_any_rate_are_even_to_three_ticks(
         assert worst <= max(_ROUNDING, mean / 100)
 
 
+@pytest.mark.thorough
 def test_three_axes_make_250_khz_with_the_shortest_pulse() -> None:
     """0.1 s of it, all three to the same tick, counted; the processor makes no step of them."""
     engine_says = HZ // pulses.shortest_gap(ticks(3))
@@ -806,6 +810,7 @@ def test_the_clock_waits_for_a_turn_as_the_machines_do() -> None:
         assert [b - a for a, b in pairwise(bed.chip.interrupts[1:])] == clocked(words, rows)
 
 
+@pytest.mark.thorough
 def test_the_engine_knows_where_it_is_in_motion() -> None:
     rows = move("fast")
     with a_bed() as bed:
@@ -885,6 +890,7 @@ def test_a_turn_that_a_stop_has_cut_off_is_made_anew(motors: int) -> None:
             assert seen.setup >= ticks(bed.timing[2])
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("motors", "each"), [(3, 7), (6, 19), (8, 31)])
 def test_a_stop_may_interrupt_the_engines_own_interrupt(motors: int, each: int) -> None:
     """A limit switch closes while the engine is at work: after every seventh access to memory."""

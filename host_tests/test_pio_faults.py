@@ -21,6 +21,9 @@ from hypothesis import strategies as st
 from pio import hub, programs
 from test_pio import AXES, DMA_READINGS, MOTORS, Bed, a_bed, reckon, rush, ticks, word
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 pio_model = pytest.importorskip("pio_model", reason="rp2040py has no wheel for this platform")
 pioemu = pytest.importorskip("pioemu")
 
@@ -149,7 +152,7 @@ def test_a_stop_at_any_bytecode_is_final(name: str) -> None:
     _check_injection(True, AXES, name)
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("motors", [3, 6])
 @pytest.mark.parametrize(
     "name", ["look", "append", "feed", "_prepare", "_load", "convert", "_hand_over", "_launch"]

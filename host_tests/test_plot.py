@@ -22,6 +22,9 @@ from ugrbl.draw.job import run_job, short
 from ugrbl.draw.motion_trace import Motion, trace_program
 from ugrbl.grbl.gcode_file import split_lines
 
+# Drawing is slow: the first ring takes a few.
+pytestmark = pytest.mark.thorough
+
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 _SQUARE = "G90 G21\nG1 X10 F600\nY10\nX0\nY0\nG0 Z2\nG4 P1\nG2 X5 Y5 R5\n"
 needs_plotly = pytest.mark.skipif(find_spec("plotly") is None, reason="plotly is not installed")
@@ -231,6 +234,7 @@ def test_a_slower_machine_is_told_as_well(program: Path) -> None:
 # The files
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("suffix", "start"),
     [

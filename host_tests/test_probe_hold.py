@@ -11,6 +11,9 @@ from typing import Any
 import pytest
 from rig_bench import Machine
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(4)
+
 _FAST = {110: 3000, 111: 3000, 112: 3000, 120: 200, 121: 200, 122: 200}
 _PER_MM = 250
 _Z = 2

@@ -496,6 +496,7 @@ def test_the_generator_makes_the_committed_program() -> None:
     assert "\n".join(made) + "\n" == _PROGRAM.read_text()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("board", ["sim_punch", "sim_punch_09"])
 def test_the_demonstration_punches_its_pattern(board: str) -> None:
     result, recorder = run_program(read_lines(_PROGRAM), board=board)
@@ -506,6 +507,7 @@ def test_the_demonstration_punches_its_pattern(board: str) -> None:
         assert math.dist((x, y), mark[:2]) < 0.005
 
 
+@pytest.mark.thorough
 def test_its_holes_are_drawn(tmp_path: Path) -> None:
     job = run_job("as it is", read_lines(_PROGRAM), [], "sim_punch")
     assert len(job.marks) == 131

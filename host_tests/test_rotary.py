@@ -16,6 +16,9 @@ from ugrbl.boardfile.files import load_board
 from ugrbl.cli.app import app
 from ugrbl.sim.engine import Switch
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 _PER_MM = 250
 _SWIFT = {
     **{110 + i: 60000.0 for i in range(6)},
@@ -110,6 +113,7 @@ def test_a_feed_rate_is_that_of_the_linear_axes_whatever_turns_beside_them() -> 
         assert seconds(played([line])) == pytest.approx(1, rel=0.01), line
 
 
+@pytest.mark.thorough
 @given(
     st.lists(st.integers(-400, 400), min_size=3, max_size=3),
     st.lists(st.integers(-4000, 4000), min_size=2, max_size=2),

@@ -14,6 +14,9 @@ from ports.link_memory import REMEMBERED
 from ports.sd_blocks import SdBlocks
 from sd_model import BLOCK, SdCard
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 _PINS = (10, 11, 12, 13)
 _BLOCKS = 1024
 _LOOP_MS = 250  # what the supervisor allows the main loop in motion

@@ -15,6 +15,9 @@ from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
 from ugrbl.sim.sender import Sender
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(15)
+
 _TABLE = Path(__file__).parent.parent / "docs" / "seeds.md"
 _OK = ["ok"]
 _BANNER = ["", "Grbl 1.1h ['$' for help]"]

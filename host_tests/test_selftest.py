@@ -15,6 +15,9 @@ from ugrbl.device.deploy import About, DeployError
 from ugrbl.device.selftest.judge import duty_percent, falls, highs, judge, rises
 from ugrbl.device.selftest.session import Wiring
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(4)
+
 PICO = About(0x1F06, "1.28.0", "Raspberry Pi Pico with RP2040")
 WIRED = Wiring("pio", 8, 16)
 ESP32 = About(0x2B06, "1.28.0", "Generic ESP32 module with ESP32")

@@ -19,6 +19,9 @@ from ugrbl.device.selftest import program
 from ugrbl.device.selftest.row import Row
 from ugrbl.device.selftest.session import WIRING, Hearer
 
+# A whole board in a model: the first ring takes one check.
+pytestmark = pytest.mark.thorough
+
 _CHIPS = {
     "esp32_devkit": ("esp32", program.ESP32),
     "esp32_s3": ("esp32s3", program.ESP32_S3),
@@ -107,6 +110,7 @@ def failed(rows: "Iterable[Row]") -> "list[str]":
     return [row.what for row in rows if row.passed is False]
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", list(_CHIPS))
 def test_a_good_board_passes_what_can_be_shown(bench: "Callable[[str], Bench]", name: str) -> None:
     board = bench(name)
@@ -146,6 +150,7 @@ def test_the_highest_rate_is_what_the_board_file_allows(
     assert rows["spindle PWM"].passed is None
 
 
+@pytest.mark.thorough
 @needs_micropython
 def test_all_checks_pass_under_micropython(tmp_path: Path) -> None:
     sent = tmp_path / "sent.py"
@@ -213,6 +218,7 @@ def burn_half(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(esp_machine.PWM, "duty_u16", lambda self, duty: usual(self, duty // 2))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("fault", "rows"),
     [
@@ -367,6 +373,7 @@ def run_python(*arguments: object) -> str:
     return done.stdout
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "run", [run_python, pytest.param(run_micropython, marks=needs_micropython)]
 )

@@ -449,6 +449,7 @@ def _tell(bench: Bench, row: "Row") -> None:
     bench.run(script())
 
 
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("row", _EFFECTS, ids=[f"${row[0]}" for row in _EFFECTS])
 def test_a_setting_has_its_effect_whatever_has_set_it(row: "Row") -> None:
     _tell(Bench(row[2]), row)

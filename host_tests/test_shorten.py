@@ -15,6 +15,9 @@ from ugrbl.compiling.scan import _SELDOM, private_methods
 from ugrbl.compiling.short_names import SHORT
 from ugrbl.compiling.shorten import shorten
 
+# Passes of the build, and what they make: the first ring takes a few.
+pytestmark = pytest.mark.thorough
+
 PARTS = '''from micropython import const
 
 LIMIT_MM = 12.5
@@ -274,6 +277,7 @@ def test_imports_in_vain_go_and_others_stay() -> None:
 # The firmware
 
 
+@pytest.mark.thorough
 def test_public_functions_and_classes_keep_their_names_and_all_their_lines() -> None:
     def told(text: str) -> "list[tuple[str, int]]":
         kinds = ast.FunctionDef | ast.ClassDef

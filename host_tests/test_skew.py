@@ -23,6 +23,9 @@ from ugrbl.cli.app import app
 from ugrbl.compiling import build
 from ugrbl.sim.engine import Switch, step_tick
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 _PER_MM = 250
 _BIAS = 1 << 29
 _TICK_HZ = 13_107_200
@@ -94,6 +97,7 @@ def rows(made: Machine) -> "list[tuple[int, list[int]]]":
     return [(start, list(row)) for start, row in made.rows]
 
 
+@pytest.mark.thorough
 @given(skews, places)
 @example((100.0, 100.0, 100.0), [(200, 200, 200), (-200, -200, -200)])
 def test_the_tool_is_where_the_line_says_and_reports_are_those_of_a_square_machine(

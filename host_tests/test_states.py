@@ -11,6 +11,9 @@ from ugrbl.cli import ports
 from ugrbl.cli.app import app
 from ugrbl.device.connection import Connection
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 # State, what brings it about, and what is to be done about it.
 STATES = [
     ("Hold:0", b"!", "resume (~) or reset (Ctrl-X) it"),

@@ -22,6 +22,9 @@ from ugrbl.paths import FIRMWARE
 from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(5)
+
 REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
 CUSTOM = """
 from ugrbl import on

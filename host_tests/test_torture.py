@@ -243,6 +243,7 @@ def _most_apart(one: "list[int]", other: "list[int]") -> int:
     return max(abs(a - b) for a, b in zip(one, other, strict=True))
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(("seed", "motors", "engine"), _SESSIONS)
 def test_a_tortured_machine_answers_knows_its_place_and_comes_back(
     seed: int, motors: str, engine: str, monkeypatch: pytest.MonkeyPatch

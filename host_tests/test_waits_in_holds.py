@@ -266,6 +266,7 @@ def instants(name: str, chance: random.Random, count: int) -> "list[float]":
     return [max(alone.begun_ms + 1, last - ms) for ms in before]
 
 
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("name", MOTIONS)
 def test_hold_in_front_of_waiting_command_changes_nothing(name: str) -> None:
     chance = random.Random(name)

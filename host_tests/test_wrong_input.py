@@ -11,6 +11,9 @@ from typer.testing import CliRunner, Result
 from ugrbl.cli.app import app
 from ugrbl.grbl.gcode_file import NotText, check_text
 
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
 _GOOD = "G21 G90\nG1 X1 F300\n"
 _JPEG = b"\xff\xd8\xff\xe0\x01\x02hello\n"
 
