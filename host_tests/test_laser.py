@@ -107,6 +107,35 @@ def test_power_is_worked_out_as_in_single_precision(
     assert state.spindle[RPM] == (-1 if speed is None else speed)
 
 
+# Holds
+
+
+@pytest.mark.parametrize(
+    ("spindle", "laser", "resumed_by", "is_reported"),
+    [
+        ("M3", 1, "~", False),
+        ("M4", 1, "~", False),
+        ("M4", 1, "\x9e", True),
+        ("M4", 0, "\x9e~", True),
+    ],
+)
+def test_laser_given_back_by_the_end_of_a_hold_is_no_change_to_report(
+    spindle: str, laser: int, resumed_by: str, is_reported: bool
+) -> None:
+    bench = Bench({32: laser})
+    reports = []
+
+    def script() -> Iterator[Any]:
+        yield from bench.say(spindle + "S600\n", "ok")
+        for sent in ("!", "\x9e" * (not laser), resumed_by):
+            yield from bench.say(sent, "ms 50")
+            for _ in range(3):  # WCO: comes first
+                reports.append((yield from bench.say("?", "report"))[0])
+
+    bench.run(script())
+    assert any("|Ov:" in line for line in reports[-3:]) == is_reported, reports
+
+
 # $33
 
 

@@ -127,11 +127,15 @@ class Spindle:
             self._state.spindle[RPM] = 0.0
             self.stop()
         else:
-            self.enable(direction)
-            if self.laser and self._reversed:
-                rpm = 0.0
-            self.set_power(self.power(rpm))
+            self.give_back(direction, rpm)
         self._state.override_countdown = 0
+
+    def give_back(self, direction: int, rpm: float) -> None:
+        """Like turn(), of a laser that a hold has darkened: Grbl reports no change then."""
+        self.enable(direction)
+        if self.laser and self._reversed:
+            rpm = 0.0
+        self.set_power(self.power(rpm))
 
     def enable(self, direction: int) -> None:
         """Set direction, CW or CCW, and the enable pin; power comes with the motion."""

@@ -151,6 +151,8 @@ class Suspension:
                 self._restore_spindle()
             if stopping & st.STOP_RESTORE_CYCLE:
                 state.post(st.CYCLE_START)
+            else:
+                state.override_countdown = 0
             state.stop_override = 0
         elif not stopping and state.update_spindle:
             self._spindle.turn(self._flags & plan.SPINDLE_MASK, self._rpm)
@@ -162,12 +164,14 @@ class Suspension:
 
     def _restore_spindle(self) -> None:
         spindle, direction = self._spindle, self._flags & plan.SPINDLE_MASK
-        if spindle.laser and not self._planner.empty():
+        if not spindle.laser:
+            spindle.turn(direction, self._rpm)
+        elif self._planner.empty():
+            spindle.give_back(direction, self._rpm if self._lit else 0.0)
+        else:
             self._state.update_spindle = True  # comes back with the motion
             spindle.enable(direction)
             self._planner.each_power(spindle.block_power)  # and is reported
-        else:
-            spindle.turn(direction, self._rpm if self._lit or not spindle.laser else 0.0)
 
     # Sleep
 
