@@ -112,13 +112,43 @@ def test_motors_are_on_as_recorded(
     power = [sent != "unpowered", True, True]
     got = {
         "steps": [
-            {"out": out, "unpowered": not on} for out, on in zip(observed, power, strict=True)
+            {"out": out, "unpowered": not on, "moving": False}
+            for out, on in zip(observed, power, strict=True)
         ],
         "setup": [{"out": {}} for _ in made["setup"]],
     }
     names: list[str] = []
     assert judge_motors(made, got, names) == wrong
     assert names == used
+
+
+@pytest.mark.parametrize(
+    ("line", "moving", "motors_off", "wrong"),
+    [
+        ("G1X0.01F7\n", (True, True, True), None, []),
+        ("G93G1X0.1F60\n", (True, True, False), 2, []),
+        ("G1X0.01F8\n", (True, True, True), None, [0, 1, 2]),  # fast enough for Grbl
+        ("G1X0.01F7\n", (True, False, False), None, [1, 2]),
+        ("$H\n", (True, True, True), None, [0, 1, 2]),
+    ],
+)
+def test_motors_stay_on_while_motion_slower_than_grbls_goes_on(
+    line: str, moving: "tuple[bool, ...]", motors_off: "int | None", wrong: list[int]
+) -> None:
+    made = {"setup": [], "steps": [{**_WAITS, "send": line}, _WAITS, _WAITS]}
+    got: list[Any] = [{"out": {}, "unpowered": False, "moving": moves} for moves in moving]
+    got[0]["out"] = _ON
+    if motors_off:
+        got[motors_off]["out"] = _OFF
+    names: list[str] = []
+    assert judge_motors(made, {"steps": got}, names) == [f"step {n}: motors" for n in wrong]
+    assert ("slow motion" in names) == ("F7" in line or "G93" in line)
+
+
+def test_motors_on_before_the_slow_line_are_wrong() -> None:
+    made = {"setup": [], "steps": [_WAITS, {**_WAITS, "send": "G1X0.01F7\n"}, _WAITS]}
+    got = [{"out": out, "unpowered": False, "moving": True} for out in (_ON, {}, {})]
+    assert judge_motors(made, {"steps": got}, []) == ["step 0: motors"]
 
 
 # Which machine a recording is replayed on

@@ -7,6 +7,7 @@ import re
 from typing import Any
 
 from .differences import HELD, IDLE_DELAY
+from .excuses import SLOW
 
 Json = dict[str, Any]
 
@@ -36,6 +37,8 @@ def judge_motors(case: Json, observed: Json, used: list[str]) -> list[str]:
             used.append(IDLE_DELAY[0])
         elif delays[n] == _FOR_EVER and level == _ON and _stopped_by_switch(steps[: n + 1]):
             used.append(HELD[0])
+        elif level == _ON and got[n]["moving"] and SLOW.applies({"steps": steps[: n + 1]}):
+            used.append(SLOW.name)
         else:
             wrong.append(f"step {n}: motors")
     return wrong

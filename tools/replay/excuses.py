@@ -93,14 +93,15 @@ def _end_after_reset(case: Json) -> bool:
     return ("ALARM:3", _END) in pairwise(_expected(case))
 
 
-_SLOW = Excuse(
+SLOW = Excuse(
     "slow motion",
-    "Grbl makes no less than 30.5 steps/s; a feed below that is made as it was asked for.",
+    "Grbl makes no less than 30.5 steps/s; a feed below that is made as it was asked for, with "
+    "motors on until it has ended.",
     _slow,
 )
 
 CASES = (
-    _SLOW,
+    SLOW,
     Excuse(
         "pause of homing",
         "A reset or the door between two moves of homing is ALARM:6 or 7, and nothing moves any "
@@ -123,7 +124,7 @@ CASES = (
 )
 
 MOTIONS = (
-    _SLOW,
+    SLOW,
     Excuse(
         "each override",
         "Each byte of a burst of overrides counts; Grbl may take two of a kind for one.",

@@ -134,6 +134,7 @@ class _Case:
         beyond = self.rig.controller.planner.flow[PARTIAL] / 262144
         observed["off_step"] = min(beyond, 1 - beyond)
         observed["unpowered"] = self.unpowered
+        observed["moving"] = self.rig.moving()
         now = self.outputs()
         was = observed["out"]
         observed["out"] = {name: now[name] for name in _OUTPUTS if now[name] != was[name]}
