@@ -321,7 +321,7 @@ def test_no_more_is_on_its_way_to_a_page_that_is_not_heard_of_than_there_is_memo
         page.look()
         page.reads = False
         others = []
-        for _ in range(60):
+        for _ in range(12):  # to ten seconds: handshakes wait for memory
             yield from bench.sender.wait("ok", "$G\n")  # told to all
             others.append((yield from bench.open()))  # which changes how things stand
             others.pop().pipe.has_hung_up = True
@@ -333,8 +333,11 @@ def test_no_more_is_on_its_way_to_a_page_that_is_not_heard_of_than_there_is_memo
 
 
 @pytest.mark.thorough
-def test_a_page_of_the_board_is_the_same_for_the_machine_as_the_cable(bench) -> None:
+def test_a_page_of_the_board_is_the_same_for_the_machine_as_the_cable(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """A long program, in messages as the page sends them."""
+    bench = PageBench(monkeypatch, tmp_path, {110: 6000, 111: 6000, 120: 2000, 121: 2000})
     lines = [f"G1X{i % 7}Y{i % 3}F3000" for i in range(200)]
 
     def script(bench):
@@ -350,7 +353,7 @@ def test_a_page_of_the_board_is_the_same_for_the_machine_as_the_cable(bench) -> 
             if batch:
                 page.pipe.send(frame(batch))
             yield bench.rig.ms(1)
-        yield from bench.wait(60_000)
+        yield from bench.wait(5000)
         assert "error" not in page.said()
 
     bench.run(script)
