@@ -221,9 +221,12 @@ def segmented(
 
 
 def at_rate(
-    hz: int, steps: int, ratio: "tuple[float, ...]", step_hz: int = HZ
+    hz: int, steps: int, ratio: "tuple[float, ...]", step_hz: int = 390_000
 ) -> "list[array[int]]":
-    """Segments of one line whose longest axis makes so many steps at hz, from a flying start."""
+    """Segments of one line whose longest axis makes so many steps at hz, from a flying start.
+
+    step_hz: what the engine makes; with more, full segments would be shorter than a board's.
+    """
     limits = Limits((hz / 100,) * AXES, (6e6,) * AXES, (1e7,) * AXES, step_hz=step_hz)
     target = tuple(steps * 100 / hz * part for part in ratio)
     length = sum(mm * mm for mm in target) ** 0.5
