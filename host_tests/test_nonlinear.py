@@ -375,10 +375,41 @@ def test_a_probe_touches_in_the_middle_of_a_long_way_and_says_where(kind: str) -
     (told,) = [line for line in made.received if line.startswith("[PRB:")]
     touched = [float(n) for n in told[5:].split(":")[0].split(",")]
     assert told.endswith(":1]")
+    contact = next(at for at in places if at[0] > x + 10.0)
+    assert touched == pytest.approx(contact, abs=0.001)
     assert touched[0] == pytest.approx(x + 10, abs=0.3)
     assert touched[1] == pytest.approx(y, abs=0.01)
     assert math.dist(place(kind, made.physical()), (x - 30, y, 0)) < 0.01
     assert max(at[0] for at in places) < x + 13
+
+
+@pytest.mark.parametrize("kind", _KINDS)
+def test_a_touch_that_ends_before_a_hold_does_leaves_all_of_a_long_way(kind: str) -> None:
+    x, y = _MIDDLE[kind]
+    made = machine(kind, {12: 0.002}, PLANNER_BLOCKS=8)
+    rig = made.rig
+
+    def script() -> "Iterator[Any]":
+        yield from made.start()
+        yield from made.sender.wait("idle", f"G0X{x - 30}Y{y}\n", 1)
+        rig.link.send(f"G38.3X{x + 30}F1500\n".encode())
+        yield rig.ms(600)
+        rig.link.send(b"!")
+        yield rig.ms(400)
+        held = made.physical()
+        rig.port.push({"probe": True})
+        yield rig.ms(50)
+        rig.port.push({"probe": False})
+        rig.link.send(b"~")
+        yield rig.ms(400)
+        assert made.physical() != held
+        yield from made.rest()
+
+    made.run(script())
+    assert made.received[-1].startswith("<Idle"), made.received
+    (told,) = [line for line in made.received if line.startswith("[PRB:")]
+    assert told.endswith(":0]")
+    assert math.dist(place(kind, made.physical()), (x + 30, y, 0)) < 0.01
 
 
 @pytest.mark.parametrize("kind", _KINDS)

@@ -126,8 +126,10 @@ class Seek:
             self.probe_steps[i] = 0
 
     def _touches(self) -> bool:
-        """Watch the probe from now on; return whether it touches, so that nothing may move."""
-        self._port.watch_probe(self._on_contact, self._contact_level)
+        """Watch the probe from now on, unless it has touched; return whether it touches, so that
+        nothing may move."""
+        if not self._contact:
+            self._port.watch_probe(self._on_contact, self._contact_level)
         if self._contact:
             self._state.take(st.CANCEL_MOTION)
         return self._contact

@@ -169,7 +169,7 @@ class NonlinearSeek(Seek):
 
     def _on_contact(self) -> None:
         super()._on_contact()
-        self._canon.stop_planning = True
+        self._canon.stop_planning = self._contact
 
 
 def read(name: str, axes: int) -> "Geometry":
