@@ -139,9 +139,7 @@ class Protocol:
                         if not (known[WAITS] and fast.again(line, length)):
                             self._whose(line, length)(line, length)
                             if due:
-                                if state.run & st.UNDER_WAY:
-                                    self._canon.synchronise()  # the line itself has moved
-                                self._saves.finish()
+                                self._save()
                         if state.alarm and not pending[st.RESET]:
                             self._tell_alarm()
                     except (GrblError, OSError, Abort) as reason:
@@ -155,9 +153,8 @@ class Protocol:
         """Execute one line and answer it. before: what the answer begins with."""
         try:
             self._whose(line, length)(line, length)
-            if self._saves.due and self._state.run & st.UNDER_WAY:
-                self._canon.synchronise()
-            self._saves.finish()
+            if self._saves.due:
+                self._save()
             self._tell_alarm()
         except (GrblError, OSError, Abort) as reason:
             self._refuse(reason, before)
@@ -165,6 +162,12 @@ class Protocol:
             if before:
                 self.link.write(before)
             self.link.write(OK)
+
+    def _save(self) -> None:
+        """Write what the line has changed, at rest: it may have moved itself."""
+        if self._state.run & st.UNDER_WAY:
+            self._canon.synchronise()
+        self._saves.finish()
 
     def _whose(self, line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
         """Who is to execute the line. Raises GrblError where nobody is."""
