@@ -86,7 +86,7 @@ _NO_SOCKET = const(6)
 _OTHER_VERSION = const(7)
 _GOOD = const(-1)
 # An answer's head; what ends it; whose page may hold ours in a frame and have its buttons clicked
-# unseen: nobody's; the answer to a handshake.
+# unseen: nobody's; the answer to a handshake; which piece is next, and paths of pieces.
 _FORMS = (
     b"HTTP/1.1 %s\r\nContent-Type: %s\r\nContent-Length: %d\r\nCache-Control: no-store\r\n",
     b"Connection: close\r\n",
@@ -96,6 +96,7 @@ _FORMS = (
     b"Sec-WebSocket-Accept: %s\r\n\r\n",
     b"Next: %s\r\n",
     b"/0?0000",
+    b"/%d?%s",
 )
 _ANSWER = const(0)
 _AND_GO = const(1)
@@ -103,6 +104,7 @@ _POLICY = const(2)
 _ACCEPTED = const(3)
 _NEXT = const(4)
 _FIRST_PATH = const(5)  # in FIRST
+_PATH = const(6)
 # Kinds of what is sent.
 _KINDS = (b"text/plain", b"text/html", b"application/octet-stream")
 _SENTENCE = const(0)
@@ -311,11 +313,11 @@ class Page:
         head = _FORMS[_ANSWER] % (b"200 OK", _KINDS[kind], count) + more
         chance = binascii.hexlify(os.urandom(_CHANCE))
         if kind == _HTML:
-            visitor.proof = b"/0?" + chance
+            visitor.proof = _FORMS[_PATH] % (0, chance)
             at = bytes(out[_HEAD:]).find(_FORMS[_FIRST_PATH]) + _HEAD
             out[at : at + len(visitor.proof)] = visitor.proof
         elif count:
-            visitor.proof = b"/%d?%s" % (number + 1, chance)
+            visitor.proof = _FORMS[_PATH] % (number + 1, chance)
             head += _FORMS[_NEXT] % visitor.proof
         head += (b"" if count else _FORMS[_AND_GO]) + b"\r\n"
         start = _HEAD - len(head)
