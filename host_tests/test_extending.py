@@ -154,7 +154,7 @@ def test_a_setting(tree):
     assert "`$99`" in (tree.folder / "docs" / "reference.md").read_text()
     assert (len(tree.written), len(renewed)) == files_named("a setting")
     tests = ("-k", "99 or every_setting", "host_tests/test_settings_effects.py")
-    told = tree.python("-m", "pytest", "-q", "-p", "no:cacheprovider", *tests)
+    told = tree.python("-m", "pytest", "-q", "-p", "no:cacheprovider", "--all", *tests)
     assert re.search(r"^(=+ )?2 passed", told, re.MULTILINE), told
 
 

@@ -57,7 +57,7 @@ def test_laws_and_torture(tree: Path) -> None:
     shutil.copy(_HERE.parent / "pyproject.toml", tree)
     tests = [str(tree / "host_tests" / name) for name in ("test_laws.py", "test_torture.py")]
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests],
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--all", *tests],
         env={**os.environ, **_environment(tree), "UGRBL_TORTURE": "4"},
         cwd=tree,
         capture_output=True,
