@@ -23,7 +23,7 @@ FOLDERS = (
     _SHARED / "conformance-options",
     _SHARED / "conformance-0.9",
 )
-_PARTS = {"conformance": 4, "conformance-2": 20}
+_PARTS = {"conformance": 8, "conformance-2": 40}
 # Of each worker, where there are several.
 PROCESSES = max(1, (os.cpu_count() or 1) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
 # Minimal cases of faults found, a file each; and those that still differ from Grbl, by file.
@@ -54,7 +54,7 @@ def parts(folder: Path) -> "list[Any]":
 
 @pytest.mark.parametrize(
     ("folder", "part", "count"),
-    [row for folder in FOLDERS for row in rings.sample(parts(folder), 4)],
+    [row for folder in FOLDERS for row in rings.sample(parts(folder), 8)],
 )
 def test_conversations_are_answered_as_recorded(folder: Path, part: int, count: int) -> None:
     if not folder.is_dir():

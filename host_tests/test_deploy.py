@@ -242,6 +242,7 @@ def test_build_shows_bytes_and_writes_files(tmp_path: Path) -> None:
         assert f"{size:7} {name}" in done.output
 
 
+@pytest.mark.thorough
 def test_build_without_a_board_compiles_everything(tmp_path: Path) -> None:
     done = ugrbl("build", "--arch", "xtensawin", "-o", tmp_path)
     assert done.exit_code == 0, done.output

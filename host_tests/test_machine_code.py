@@ -16,7 +16,7 @@ if not machine_code.is_there():
 
 from arm_model import CODE, Board, c_of, kernels_of
 
-pytestmark = pytest.mark.xdist_group("machine code")
+pytestmark = [pytest.mark.xdist_group("machine code"), pytest.mark.thorough]
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from ugrbl.web.framing import Framing
 from ugrbl.web.simulator import Simulator
 from web_client import HTML, FakeBoard, Page, Site, played, served, until
 
-pytestmark = pytest.mark.xdist_group("web")
+pytestmark = [pytest.mark.xdist_group("web"), pytest.mark.thorough]
 
 
 @pytest.fixture
@@ -87,6 +87,7 @@ async def test_every_byte_a_board_can_say_comes_as_it_is(board: FakeBoard, tmp_p
         assert page.text.encode("latin-1") == said
 
 
+@pytest.mark.sampled(1)
 def test_lines_go_whole_and_what_acts_overtakes_them() -> None:
     framing = Framing()
     assert list(framing.take(b"G1 X")) == []
