@@ -118,12 +118,7 @@ def storm(port: int, over: threading.Event, rubbish: "tuple[bytes, ...]" = _RUBB
 
 def drive(port: int, out: list[str]) -> None:
     """Say the key, then lines, each when the one before is answered, with questions between."""
-    for _ in range(200):
-        try:
-            caller = socket.create_connection(("127.0.0.1", port), 20)
-            break
-        except OSError:
-            time.sleep(0.05)
+    caller = connected(port)
     answers = lines_of(caller)
     for line in ["$NET/KEY=23456789", *(f"G1X{number}" for number in range(_LINES)), "END"]:
         caller.sendall(b"?" + line.encode() + b"\n")
@@ -201,7 +196,8 @@ def whole_page(port: int) -> bytes:
 
 
 def connected(port: int) -> socket.socket:
-    for _ in range(200):
+    """Once the firmware has been prepared for MicroPython, which may take long, and runs."""
+    for _ in range(1000):
         try:
             return socket.create_connection(("127.0.0.1", port), 20)
         except OSError:
