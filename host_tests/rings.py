@@ -5,6 +5,7 @@ three cases of a test marked `sampled(3)`, chosen by a seed that its header show
 (`make test-all`, pytest --all) runs everything that needs neither an image nor a sender.
 """
 
+import os
 import random
 import zlib
 from collections import defaultdict
@@ -27,9 +28,10 @@ def add_options(parser: pytest.Parser) -> None:
 
 
 def choose(config: pytest.Config) -> None:
-    """Called once, before any module of tests is imported; a worker is given the seed."""
+    """Called before any module of tests is imported. Workers inherit the seed."""
     if config.option.seed is None:
-        config.option.seed = random.randrange(10_000)
+        chosen = os.environ.setdefault("UGRBL_SEED", str(random.randrange(10_000)))
+        config.option.seed = int(chosen)
     _ring.update(all=config.option.all, seed=config.option.seed)
 
 
