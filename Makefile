@@ -53,7 +53,7 @@ test-emulator: $(EMULATOR)  ## on an emulated Pico; UGRBL_UF2 names MicroPython'
 	$(BIN)/pytest -q -rs -n auto --dist loadgroup host_tests/emulator
 
 torture: $(VENV)  ## stops at every bytecode, and random sessions: SEEDS of them, minutes to hours
-	UGRBL_TORTURE=$(or $(SEEDS),500) $(BIN)/pytest -q -n auto --timeout 0 host_tests/test_injection.py host_tests/test_torture.py host_tests/test_custom_injection.py host_tests/test_waits_in_holds.py
+	UGRBL_TORTURE=$(or $(SEEDS),500) $(BIN)/pytest -q -n auto --timeout 0 --all host_tests/test_injection.py host_tests/test_torture.py host_tests/test_custom_injection.py host_tests/test_waits_in_holds.py
 
 torture-board: $(EMULATOR)  ## stops at random instants on an emulated Pico: INJECTIONS of them, an hour
 	UGRBL_INJECTIONS=$(or $(INJECTIONS),1000) $(BIN)/pytest -q -rs -s host_tests/emulator/test_pico_injection.py
@@ -72,7 +72,7 @@ docs: $(VENV)  ## the tables in docs/, and the words of the page, out of the fir
 
 pictures: $(VENV)  ## and the pictures, each by its command, those of the page by its tests
 	$(BIN)/python -m ugrbl.docs --pictures
-	UGRBL_PICTURES=1 $(BIN)/pytest -q -rs host_tests/web/test_served_page.py
+	UGRBL_PICTURES=1 $(BIN)/pytest -q -rs --all host_tests/web/test_served_page.py
 
 clean:  ## all that is made, except .venv
 	rm -rf build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

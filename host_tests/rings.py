@@ -82,8 +82,6 @@ def _of_first_ring(items: "list[pytest.Item]") -> "list[pytest.Item]":
 
 def header(config: pytest.Config) -> str:
     """What is run, and how to run the same again."""
-    if not is_first():
-        return "ring: second, all there is" + (
-            f", shard {config.option.shard}" * bool(config.option.shard)
-        )
-    return f"ring: first, samples by --seed={config.option.seed}"
+    if is_first():
+        return f"ring: first, samples by --seed={config.option.seed}"
+    return f"ring: second, shard {config.option.shard or '1/1'}"
