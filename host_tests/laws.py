@@ -256,8 +256,11 @@ class Watch:
     def override(self) -> None:
         """Stand in for Planner.override. It may come too late to brake for what it lowers."""
         self._override()
-        if self.planner.flow[layout.LOADED]:
-            self._slowed.add(self._rows[self.planner.flow[layout.AT] // self._row_size])
+        flow = self.planner.flow
+        if flow[layout.LOADED]:
+            self._slowed.add(self._rows[flow[layout.AT] // self._row_size])
+        elif flow[layout.CARRY] and flow[layout.TAIL] != flow[layout.HEAD]:  # between two blocks
+            self._slowed.add(self._rows[flow[layout.TAIL]])
 
     @property
     def _row_size(self) -> int:
