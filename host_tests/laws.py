@@ -40,7 +40,7 @@ SETUP_US = 3
 # Segments of constant speed after which its steps are even.
 _SETTLED = 8
 # To which part of a step braking is right, in the middle of a block and at its end.
-_STEP_PART = 1 / 400
+STEP_PART = 1 / 400
 _END_PART = 1 / 20
 
 
@@ -178,7 +178,7 @@ class Piece:
         """What ticks, 2**-18 of a step, and braking of a part of a step leave open of its mean."""
         told = self.block.step * 4 / 2**18 + self.unit * 2
         ticks = (self.distance * 2 / self.time / hz + told) / self.time
-        return ticks + self.block.braked(_STEP_PART)
+        return ticks + self.block.braked(STEP_PART)
 
 
 def real(r: int) -> float:
