@@ -2,6 +2,7 @@
 
 import ast
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -289,6 +290,11 @@ def asked(text: str) -> "set[tuple[str, str, str]]":
             names = () if more else re.findall(rf"\b{name}\.(\w*[a-z]\w*)", text)  # no constants
             found |= {(package, module, each) for each in names}
     return found
+
+
+def test_the_benchmark_for_the_board_has_the_constants_it_names() -> None:
+    made = runpy.run_path(str(_HERE / "bench" / "on_board.py"))
+    compile(made["MAIN"], "main.py", "exec")
 
 
 def test_programs_for_the_board_find_what_they_ask_for_under_its_name(

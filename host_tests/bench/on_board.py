@@ -15,7 +15,7 @@ fills the ring with 12 short moves, three times over. A line that goes the long 
 executed whole, less the two before. The machine is in check mode meanwhile, and reset afterwards.
 """
 
-from control import modes
+from control import canon, modes
 from language import fast_kernel
 from ugrbl.device.selftest import program
 
@@ -130,7 +130,7 @@ protocol = module("talk", "protocol")
 keep(interpreter.Interpreter, "execute")
 keep(fast_path.FastPath, "memory")
 keep(protocol.Protocol, "run")
-AXES, LIMITED, DRY, MODAL_ROOM = %d, %d, %d, %d
+AXES, SHUT, DRY, MODAL_ROOM = %d, %d, %d, %d
 follow = fast_kernel.follow_line
 
 # A board lets go of what has made its objects; here one is made once more.
@@ -186,15 +186,16 @@ def short_path():
     texts = moves(0)
     now[AXES] = 0
     call = each(follow, texts, rest)
-    limited, dry = now[LIMITED], now[DRY]
+    travel, dry = rest[3], now[DRY]
+    shut = travel[SHUT]
     now[AXES] = 1  # it has read the line when it finds that there is no Y
     expect(0, texts, rest)
     read = each(follow, texts, rest)
     now[AXES] = len(rest[1])
-    now[LIMITED] = 1
+    travel[SHUT] = -1
     expect(0, texts, rest)
     judged = each(follow, texts, rest)
-    now[LIMITED] = limited
+    travel[SHUT] = shut
     now[DRY] = 1
     expect(1, texts, rest)
     moved = each(follow, texts, rest)
@@ -250,7 +251,7 @@ def stages(_):
 
 
 acts[b"STAGE"] = stages
-""" % (fast_kernel.AXES, fast_kernel.LIMITED, fast_kernel.DRY, modes.MODAL_ROOM)
+""" % (fast_kernel.AXES, canon.SHUT, fast_kernel.DRY, modes.MODAL_ROOM)
 
 # $GAP: the longest time from one look at the link to the next since it was asked last, us; no
 # collection falls in where less than the heap is used until then, but for $COLLECT.
