@@ -16,13 +16,13 @@ EMULATOR := .venv/emulator/compiled
 run: $(PROGRAM)  ## a demonstration in the simulator
 	$(BIN)/ugrbl demo
 
-test: lint types  ## what a change may break, in minutes
+test: lint types  ## what a change may break, in minutes; SEED=1 for the same samples again
 	$(BIN)/pytest -q -n auto --dist loadgroup $(if $(SEED),--seed=$(SEED))
 
 check: test
 
 test-all: $(VENV)  ## all that needs neither image nor sender; SHARD=2/5 is the second of five parts
-	$(BIN)/pytest -q -n auto --dist loadgroup --all $(if $(SHARD),--shard=$(SHARD))
+	$(BIN)/pytest -q -n auto --dist loadgroup --all $(if $(SHARD),--shard=$(SHARD)) $(if $(SEED),--seed=$(SEED))
 
 mutants: $(VENV)  ## COUNT small faults in the firmware: how many of them the tests find
 	$(BIN)/python host_tests/mutants.py --count $(or $(COUNT),60) --seed $(or $(SEED),1) $(if $(ALL),--all)

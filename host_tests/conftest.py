@@ -37,8 +37,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: "list[pytest.Ite
     rings.select(config, items)
 
 
-def pytest_report_header(config: pytest.Config) -> str:
-    return rings.header(config)
+def pytest_terminal_summary(
+    terminalreporter: pytest.TerminalReporter, config: pytest.Config
+) -> None:
+    terminalreporter.write_line(rings.summary(config))
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -1,8 +1,9 @@
 """Which tests run, and how many of many alike.
 
 The first ring (`make test`) answers in minutes: it leaves out tests marked `thorough`, and runs
-three cases of a test marked `sampled(3)`, chosen by a seed that its header shows. The second
-(`make test-all`, pytest --all) runs everything that needs neither an image nor a sender.
+three cases of a test marked `sampled(3)`. The second (`make test-all`, pytest --all) runs
+everything that needs neither an image nor a sender. One seed, shown in the summary, chooses the
+samples and hypothesis' examples.
 """
 
 import os
@@ -23,7 +24,7 @@ def add_options(parser: pytest.Parser) -> None:
     """What pytest may be asked."""
     group = parser.getgroup("rings")
     group.addoption("--all", action="store_true", help="the second ring: all there is")
-    group.addoption("--seed", type=int, help="which samples the first ring takes")
+    group.addoption("--seed", type=int, help="which samples and examples to take")
     group.addoption("--shard", help="2/5: the second of five parts of the tests")
 
 
@@ -32,6 +33,8 @@ def choose(config: pytest.Config) -> None:
     if config.option.seed is None:
         chosen = os.environ.setdefault("UGRBL_SEED", str(random.randrange(10_000)))
         config.option.seed = int(chosen)
+    if config.getoption("--hypothesis-seed") is None:
+        config.option.hypothesis_seed = str(config.option.seed)
     _ring.update(all=config.option.all, seed=config.option.seed)
 
 
@@ -80,8 +83,7 @@ def _of_first_ring(items: "list[pytest.Item]") -> "list[pytest.Item]":
     return kept
 
 
-def header(config: pytest.Config) -> str:
+def summary(config: pytest.Config) -> str:
     """What is run, and how to run the same again."""
-    if is_first():
-        return f"ring: first, samples by --seed={config.option.seed}"
-    return f"ring: second, shard {config.option.shard or '1/1'}"
+    ring = "first" if is_first() else f"second, shard {config.option.shard or '1/1'}"
+    return f"ring: {ring}, --seed={config.option.seed}"
