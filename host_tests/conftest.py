@@ -51,6 +51,15 @@ def collections_of_tests() -> None:
 
 
 @pytest.fixture(autouse=True, scope="session")
+def turns_at_rest() -> None:
+    """A machine at rest turns less often than in motion: a third of the tests' time. Recorded
+    conversations are replayed by processes of their own, to the millisecond."""
+    from ugrbl.sim.rig import Rig  # with the stand-ins in place
+
+    Rig.idle_poll_ms = 4
+
+
+@pytest.fixture(autouse=True, scope="session")
 def maps_of_tests(worker_id: str) -> None:
     """No test keeps a map in the user's folder. Beside the maps lie kernels that are compiled for
     this computer: all workers share them."""

@@ -744,7 +744,7 @@ def turn_wheel(made: Shop, edges: int) -> "Iterator[Any]":
             else:
                 b = not b
                 made.close("wheel_b", b)
-            yield made.rig.ms(3)
+            yield made.rig.ms(5)  # the loop turns each 4 ms at rest
 
 
 @pytest.mark.parametrize(("edges", "coarse", "mm"), [(10, False, 0.1), (-10, True, -1.0)])

@@ -334,7 +334,7 @@ def test_a_reset_ends_the_job_and_tells_where(tmp_path: Path) -> None:
     assert said[-1] == "ok" and said.count("ok") == 2
     line = bench.steps[0] // 250 + 2
     assert bench.kept()[0] == "A.NC"
-    assert line - 1 <= int(bench.kept()[1]) <= line
+    assert abs(int(bench.kept()[1]) - line) <= 1  # the next line's segments may be under way
     assert f"[MSG:Job A.NC: stopped at line {bench.kept()[1]}]" in said
 
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 # Segments under way where a board has hardware that says it.
 _SEGMENT_QUEUE = 5
-_POLL_MS = 1  # while nothing else is due, the firmware's loop turns this often
+_POLL_MS = 1  # while nothing else is due, the firmware's loop turns this often in motion
 
 
 class PowerOff(KeyboardInterrupt):
@@ -98,6 +98,8 @@ class Rig:
     are so many times as long as Grbl's 10 ms. Steps are the same, and take as long all together;
     what is between the ends of a segment is less exact, and there are fewer.
     """
+
+    idle_poll_ms = _POLL_MS  # and at rest, where nobody pushes inputs
 
     def __init__(
         self,
@@ -201,7 +203,8 @@ class Rig:
 
     def wait(self) -> None:
         """The firmware has nothing to read: let time pass to the next event."""
-        self.pass_time(self.ms(_POLL_MS), True)
+        looked_at = self.inputs or not self.engine.idle()
+        self.pass_time(self.ms(_POLL_MS if looked_at else self.idle_poll_ms), True)
 
     def skip(self) -> None:
         """Let time pass, without a script, until something may have changed by itself."""
