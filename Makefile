@@ -77,6 +77,9 @@ pictures: $(VENV)  ## and the pictures, each by its command, those of the page b
 clean:  ## all that is made, except .venv
 	rm -rf build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 
+# Containers often set it. Then every process that a test starts compiles all of it anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 # Without isolation: else the compilers, 100 MB, would be installed a second time to build in.
 PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 

@@ -43,9 +43,9 @@ def pytest_terminal_summary(
     terminalreporter.write_line(rings.summary(config))
 
 
-@pytest.fixture(autouse=True, scope="session")
+@pytest.fixture(autouse=True, scope="module")
 def collections_of_tests() -> None:
-    """When the firmware collects garbage, nobody looks through the tests themselves."""
+    """When the firmware collects garbage, nobody looks through what was there before: 30 ms."""
     gc.collect()
     gc.freeze()
 
@@ -57,6 +57,14 @@ def turns_at_rest() -> None:
     from ugrbl.sim.rig import Rig  # with the stand-ins in place
 
     Rig.idle_poll_ms = 4
+
+
+@pytest.fixture
+def each_ms(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests that look at a machine at rest as closely as that."""
+    from ugrbl.sim.rig import Rig
+
+    monkeypatch.setattr(Rig, "idle_poll_ms", 1)
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -20,7 +20,7 @@ from test_laser import made
 from test_settings_effects import Bench
 
 # Many cases of each: the first ring takes some.
-pytestmark = pytest.mark.sampled(2)
+pytestmark = [pytest.mark.sampled(2), pytest.mark.usefixtures("each_ms")]
 
 # A machine that is quick for what it burns.
 _SETTINGS = {32: 1, 110: 6000, 111: 6000, 120: 800, 121: 800}

@@ -17,7 +17,7 @@ from ugrbl.compiling.folder import save
 from ugrbl.paths import BOARDS, STANDINS
 
 # Many cases of each: the first ring takes some.
-pytestmark = pytest.mark.sampled(2)
+pytestmark = pytest.mark.sampled(1)
 
 _HERE = Path(__file__).parent
 _BOOT = _HERE / "esp_boot.py"

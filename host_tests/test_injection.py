@@ -29,7 +29,7 @@ from ugrbl.sim.engine import SimEngine, Switch
 from ugrbl.sim.port import SimPort
 
 # Many cases of each: the first ring takes some.
-pytestmark = pytest.mark.sampled(2)
+pytestmark = [pytest.mark.sampled(2), pytest.mark.usefixtures("each_ms")]
 
 _EVERY = os.environ.get("UGRBL_TORTURE") is not None
 _SAMPLES = 40

@@ -28,7 +28,7 @@ from ugrbl.boardfile.files import load_board
 from ugrbl.sim.engine import step_tick
 
 # Many cases of each: the first ring takes some.
-pytestmark = pytest.mark.sampled(2)
+pytestmark = pytest.mark.sampled(1)
 
 pio_model = pytest.importorskip("pio_model", reason="rp2040py has no wheel for this platform")
 

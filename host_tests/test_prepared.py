@@ -84,7 +84,7 @@ def test_conversations_on_compiled_files(folder: Path, compiled: Path) -> None:
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there")
     results = run_folder(
-        folder, "micropython", program=compiled, choose=lambda cases: rings.sample(cases, 25)
+        folder, "micropython", program=compiled, choose=lambda cases: rings.sample(cases, 12)
     )
     assert results.ok(), summary(results)
 

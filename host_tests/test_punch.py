@@ -28,6 +28,8 @@ from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
 from ugrbl.sim.sender import Sender
 
+pytestmark = pytest.mark.usefixtures("each_ms")
+
 _EXAMPLES = Path(__file__).parent.parent / "examples"
 _PROGRAM = _EXAMPLES / "punch.nc"
 _PER_MM = 250

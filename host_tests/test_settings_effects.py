@@ -23,6 +23,8 @@ from ugrbl.sim.engine import Switch
 from ugrbl.sim.rig import MemoryStore, Rig
 from ugrbl.sim.sender import Sender
 
+pytestmark = pytest.mark.usefixtures("each_ms")
+
 _AXES = "XYZ"
 _PER_MM = 250
 _TICKS_PER_MS = 13_107.2
