@@ -119,17 +119,20 @@ class PortInputs:
         except BaseException:
             self.fault = _FAILED_TWICE
 
-    def _start(self, timer: "Timer", ms: int, then: "Callable[[Timer], None]") -> None:
-        """Call in so many ms, again and again until the callback ends it: a call may get lost."""
-        timer.init(mode=Timer.PERIODIC, period=ms or _PEACE_MS, callback=then, hard=self._hard)
-
     @micropython.native
     def _look_in(self, ms: int) -> None:
         """Look at inputs that are disarmed, in so many ms; 0: with others that wait already. Begun
         anew at every edge, the timer fails at last on a Pico whose main loop hangs (emulated)."""
         if ms or not self._looks_soon:
             self._looks_soon = True
-            self._start(self._look_timer, ms, self._look_again)
+            # Again and again until the callback ends it: a call may get lost. No frame more: the
+            # stack is short here.
+            self._look_timer.init(
+                mode=Timer.PERIODIC,
+                period=ms or _PEACE_MS,
+                callback=self._look_again,
+                hard=self._hard,
+            )
 
     def _look_at_inputs(self, timer: "Timer") -> None:
         """Arm what has been disarmed. Before the look, each: nothing falls in between."""
@@ -198,8 +201,7 @@ class PortInputs:
             self._listener.on_controls(seen)  # before the other inputs are looked at
             self._controls_seen = self.controls()
             if not self._quiet:
-                self._quiet = True
-                self._start(self._control_timer, self._debounce_ms, self._settle)
+                self._await_quiet()
         except BaseException:
             self._fail()
 
@@ -213,7 +215,12 @@ class PortInputs:
 
     def _await_quiet(self) -> None:
         self._quiet = True
-        self._start(self._control_timer, self._debounce_ms, self._settle)
+        self._control_timer.init(
+            mode=Timer.PERIODIC,
+            period=self._debounce_ms or _PEACE_MS,
+            callback=self._settle,
+            hard=self._hard,
+        )
 
     def _settled(self, timer: "Timer") -> None:
         try:
