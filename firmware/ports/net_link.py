@@ -41,8 +41,9 @@ _JOG_CANCEL = const(0x85)
 _STOPS = b"\x18!\x84\x85"
 _REALTIME = b"\x18!~"
 _ANSWERS = b"oe"  # how ok and error: begin
-# What begins with these is told to all: messages, alarms, the welcome.
-_TO_ALL = b"[A\r"
+# What begins with these is told to all: alarms, the welcome; messages.
+_TO_ALL = b"A\r"
+_MESSAGE = b"[M"
 _REPORT = const(0x3C)
 
 
@@ -372,7 +373,7 @@ class NetLink:
         first = data[0]
         if first == _REPORT:
             self._report(data)
-        elif first in _TO_ALL:
+        elif first in _TO_ALL or bytes(data[:2]) == _MESSAGE:
             self._write(data)
             for caller in self._callers:
                 if caller.conn:
