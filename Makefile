@@ -11,12 +11,15 @@ VENV := .venv/installed
 TYPESHED := .venv/typeshed/merged
 EMULATOR := .venv/emulator/compiled
 
-.PHONY: run test test-all mutants check fmt lint types build deploy dist clean compiled-emulator test-emulator test-senders torture torture-board bench bench-board docs pictures
+.PHONY: run test first-ring test-all mutants check fmt lint types build deploy dist clean compiled-emulator test-emulator test-senders torture torture-board bench bench-board docs pictures
 
 run: $(PROGRAM)  ## a demonstration in the simulator
 	$(BIN)/ugrbl demo
 
-test: lint types  ## what a change may break, in minutes; SEED=1 for the same samples again
+test: $(TYPESHED)  ## what a change may break, in minutes; SEED=1 for the same samples again
+	$(MAKE) --no-print-directory -j3 lint types first-ring
+
+first-ring: $(VENV)
 	$(BIN)/pytest -q -n auto --dist loadgroup $(if $(SEED),--seed=$(SEED))
 
 check: test
