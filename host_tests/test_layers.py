@@ -2,6 +2,7 @@
 
 import ast
 import sys
+from functools import cache
 from pathlib import Path
 
 FIRMWARE = Path(__file__).parent.parent / "firmware"
@@ -65,8 +66,14 @@ def imports(tree):
             yield from names if parent.is_dir() else [node.module]
 
 
-TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
-IMPORTS = {module_name(path): set(imports(tree)) for path, tree in TREES.items()}
+@cache
+def trees():
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
+
+
+@cache
+def all_imports():
+    return {module_name(path): set(imports(tree)) for path, tree in trees().items()}
 
 
 def typing_only(used):
@@ -85,13 +92,13 @@ def may_import(module, used):
 
 
 def test_every_folder_has_a_place_in_the_layers():
-    assert {module.partition(".")[0] for module in IMPORTS} == set(LAYERS)
+    assert {module.partition(".")[0] for module in all_imports()} == set(LAYERS)
 
 
 def test_a_module_imports_only_from_lower_layers():
     refused = {
         module: wrong
-        for module, names in IMPORTS.items()
+        for module, names in all_imports().items()
         if (wrong := sorted(used for used in names if not may_import(module, used)))
     }
     assert not refused
@@ -107,7 +114,7 @@ def circles(imports):
 
 
 def test_no_import_leads_back_to_where_it_began():
-    assert not circles(IMPORTS), "these import one another, or one that does"
+    assert not circles(all_imports()), "these import one another, or one that does"
 
 
 def test_a_circle_is_found():
@@ -144,7 +151,7 @@ def too_long(trees, tables=False):
 
 
 def test_functions_and_files_stay_short():
-    assert not too_long(TREES, tables=True)
+    assert not too_long(trees(), tables=True)
 
 
 def test_no_tool_hides_a_folder_beside_it():
@@ -171,7 +178,7 @@ def decodings(tree):
 
 
 def test_bytes_become_text_in_one_place():
-    found = {module_name(path): len(list(decodings(tree))) for path, tree in TREES.items()}
+    found = {module_name(path): len(list(decodings(tree))) for path, tree in trees().items()}
     assert {module: count for module, count in found.items() if count} == DECODES
 
 

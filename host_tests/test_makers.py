@@ -2,17 +2,11 @@
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 
 from boot import parts
 from ugrbl.compiling import build
 
-TREES = {name: ast.parse(text) for name, text in build.texts().items()}
-CLASSES = {
-    node.name: {ast.unparse(base) for base in node.bases}
-    for tree in TREES.values()
-    for node in tree.body
-    if isinstance(node, ast.ClassDef)
-}
 # Here all is done while the machine is built; a stream for the prompt is no part of the machine,
 # nor is what handlers of custom.py are given, nor what a card that is put in is read by, nor a
 # browser's call.
@@ -20,6 +14,22 @@ BUILDING = {"boot.parts", "boot.parts_esp", "boot.wiring"}
 APART = {"_Pusher", "Place", "Saved", "SdBlocks", "WebSocket"}
 # What extras do and ask for then, and what options.py does.
 INSTALLING = {"prepare", "install", "add_pins", "of_board", "beside"}
+
+
+@cache
+def trees() -> "dict[str, ast.Module]":
+    return {name: ast.parse(text) for name, text in build.texts().items()}
+
+
+@cache
+def classes() -> "dict[str, set[str]]":
+    """The bases of each."""
+    return {
+        node.name: {ast.unparse(base) for base in node.bases}
+        for tree in trees().values()
+        for node in tree.body
+        if isinstance(node, ast.ClassDef)
+    }
 
 
 def is_maker(name: str) -> bool:
@@ -33,7 +43,7 @@ def is_building(name: str) -> bool:
 
 def is_fault(kind: str) -> bool:
     """Whether this is an exception, or a class that we do not have."""
-    return kind not in CLASSES or any(base == "Exception" for base in CLASSES[kind])
+    return kind not in classes() or any(base == "Exception" for base in classes()[kind])
 
 
 def calls(node: ast.AST) -> Iterator[str]:
@@ -47,7 +57,7 @@ def calls(node: ast.AST) -> Iterator[str]:
 
 
 def later() -> Iterator[tuple[str, str]]:
-    for module, tree in TREES.items():
+    for module, tree in trees().items():
         for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef) and module not in BUILDING:
                 if not is_building(node.name):

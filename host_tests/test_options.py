@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple, cast
@@ -92,10 +93,10 @@ def read_in(folder: Path) -> "Iterator[tuple[str, Read, ast.Module]]":
         yield from ((file.name, read, tree) for read in reads(tree))
 
 
-IN_FIRMWARE = list(read_in(paths.FIRMWARE))
-IN_SIMULATOR = list(read_in(paths.TOOLS / "sim"))
-ON_BOARD = list(read_in(paths.TOOLS / "device" / "selftest" / "on_board"))
-EVERYWHERE = [*IN_FIRMWARE, *IN_SIMULATOR, *ON_BOARD]
+@cache
+def everywhere() -> "list[tuple[str, Read, ast.Module]]":
+    folders = (paths.FIRMWARE, paths.TOOLS / "sim", paths.TOOLS / "device/selftest/on_board")
+    return [row for folder in folders for row in read_in(folder)]
 
 
 def test_all_ways_to_read_are_seen() -> None:
@@ -110,27 +111,22 @@ def test_all_ways_to_read_are_seen() -> None:
 
 
 def test_every_option_that_is_read_is_a_row_and_every_row_is_read() -> None:
-    read = {read.name for _, read, _ in EVERYWHERE}
+    read = {read.name for _, read, _ in everywhere()}
     assert set(BY_NAME) - read == {"CHIP"}  # for tools
     assert read - set(BY_NAME) == set()
     assert len(BY_NAME) == len(OPTIONS)
 
 
-@pytest.mark.parametrize(
-    ("file", "read", "tree"),
-    [row for row in EVERYWHERE if row[1].default],
-    ids=[f"{file}:{read.name}" for file, read, _ in EVERYWHERE if read.default],
-)
-def test_what_holds_where_a_board_file_says_nothing(
-    file: str, read: Read, tree: ast.Module
-) -> None:
+def test_what_holds_where_a_board_file_says_nothing() -> None:
     """NEEDED is refused by board_check, and what is read there is nothing."""
-    assert read.default
-    found, stated = value(read.default, tree), BY_NAME[read.name].default
-    if stated is NEEDED or found in _NOTHING:
-        assert found in _NOTHING and (stated is NEEDED or not stated)
-    else:
-        assert (type(found), found) == (type(stated), stated)
+    for file, read, tree in everywhere():
+        if not read.default:
+            continue
+        found, stated = value(read.default, tree), BY_NAME[read.name].default
+        if stated is NEEDED or found in _NOTHING:
+            assert found in _NOTHING and (stated is NEEDED or not stated), (file, read.name)
+        else:
+            assert (type(found), found) == (type(stated), stated), (file, read.name)
 
 
 @pytest.mark.parametrize("option", OPTIONS, ids=lambda option: option.name)

@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 from test_layers import circles, too_long
@@ -37,7 +38,11 @@ FILES = sorted(
     for path in TOOLS.rglob(suffix)
     if STANDINS not in path.parents
 )
-TREES = {path: ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
+
+
+@cache
+def trees():
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
 
 
 def module_name(path: Path) -> str:
@@ -62,7 +67,7 @@ def base(node: ast.ImportFrom, path: Path) -> "str | None":
 def imports(path: Path) -> set[str]:
     """Every module of tools/ that one imports, those that only mypy reads too."""
     found = set()
-    for node in ast.walk(TREES[path]):
+    for node in ast.walk(trees()[path]):
         if isinstance(node, ast.ImportFrom) and (start := base(node, path)) is not None:
             for alias in node.names:
                 inside = f"{start}.{alias.name}".lstrip(".")
@@ -73,7 +78,7 @@ def imports(path: Path) -> set[str]:
 def strangers(path: Path) -> set[str]:
     """Packages that are not ours."""
     found = set()
-    for node in ast.walk(TREES[path]):
+    for node in ast.walk(trees()[path]):
         if isinstance(node, ast.Import):
             found |= {alias.name.partition(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and not node.level:
@@ -128,7 +133,7 @@ def test_no_import_leads_back_to_where_it_began() -> None:
 
 def test_a_room_says_what_it_is_for_and_what_it_may_import() -> None:
     for name, lower in ROOMS.items():
-        words = ast.get_docstring(TREES[TOOLS / name / "__init__.py"])
+        words = ast.get_docstring(trees()[TOOLS / name / "__init__.py"])
         assert words and words.partition("\n\n")[2], f"{name}: what for, and who is imported"
         if name != "cli":  # which imports all of them
             last = words.rpartition("\n\n")[2]
@@ -141,4 +146,4 @@ def test_only_commands_know_the_screen() -> None:
 
 
 def test_functions_and_files_stay_short() -> None:
-    assert not too_long(TREES)
+    assert not too_long(trees())
