@@ -28,10 +28,10 @@ _PARTS = {"conformance": 8, "conformance-2": 40}
 PROCESSES = max(1, (os.cpu_count() or 1) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
 # Minimal cases of faults found, a file each; and those that still differ from Grbl, by file.
 _CLUSTERS = _SHARED / "conformance-3" / "clusters"
-_STILL_DIFFER = {
+# Named in docs/conformance.md.
+_DIFFER = {
     "coolant_byte_while_a_line_waits": {"S line waits"},
     "homing_failed_place": {"one switch never closes"},
-    "laser_speed_in_report": {"M4 running when $32 is switched on"},
     "numbers": {"N-0 and beyond 32 bits", "$110=0", "rapid with $110=0"},
 }
 
@@ -68,7 +68,7 @@ def test_conversations_are_answered_as_recorded(folder: Path, part: int, count: 
 def test_clusters_of_faults_are_answered_as_recorded(file: str) -> None:
     results = run_folder(_CLUSTERS, only=file)
     failed = {outcome.name for outcome in results.failures()}
-    assert failed == _STILL_DIFFER.get(file, set()), summary(results)
+    assert failed == _DIFFER.get(file, set()), summary(results)
 
 
 # What the judge says of the motors' enable pin

@@ -64,7 +64,7 @@ def single(x: float) -> float:
 
 def due(
     flags: int, rpm: float, most: float, least: float, full: int, percent: int
-) -> "tuple[int, float | None]":
+) -> "tuple[int, float]":
     """Power and speed as Grbl works them out, step by step in single precision."""
     span = single(most - least)
     gradient = single((full - 1) / span) if span > 0 else 0.0
@@ -72,7 +72,7 @@ def due(
         gradient = 0.0
     rpm = single(rpm * single(single(0.01) * percent))
     if flags & layout.DYNAMIC:
-        return int(single(min(rpm, most) * gradient) * 64), None
+        return int(single(min(rpm, most) * gradient) * 64), 0.0
     if least >= most or rpm >= most:
         return full, most
     if rpm <= least:
@@ -104,7 +104,7 @@ def test_power_is_worked_out_as_in_single_precision(
     flags = CCW | layout.DYNAMIC if follows else CW
     power, speed = due(flags, rpm, most, least, full, percent)
     assert spindle.block_power(flags, rpm) == power
-    assert state.spindle[RPM] == (-1 if speed is None else speed)
+    assert state.spindle[RPM] == speed
 
 
 # Holds

@@ -46,7 +46,7 @@ _STEEPEST = 8388608.0  # power for all of S, if $31 were far below: 64 times as 
 def weigh(scale: ptr32, flags: int) -> int:
     """What a planner block with these flags carries of scale[ASKED]: see slice_kernel.dimmed().
 
-    scale: State.spindle, whose RPM then says what speed that is, but where it follows motion.
+    scale: State.spindle, whose RPM then says what speed that is: 0 at rest, where it follows motion.
     """
     if not flags & _TURNING:
         return 0
@@ -56,6 +56,7 @@ def weigh(scale: ptr32, flags: int) -> int:
     highest = scale[HIGHEST]
     least = 0
     if flags & layout.DYNAMIC:
+        scale[RPM] = 0
         if rpm > highest:
             scale[ASKED] = highest
         multiply(scale, ASKED, scale, _FINE)

@@ -152,7 +152,7 @@ def _usual(
     claim = int(_claim(ints))
     if claim == ODD or ints[COMMANDS] & GROUP_M9 or (command and command != DWELL):
         return ODD
-    if singles[N] > int(0x4B189680):  # the float 10,000,000
+    if singles[N] & int(0x7FFFFFFF) > int(0x4B189680):  # the float 10,000,000; -0 is a number, too
         return GCODE_INVALID_LINE_NUMBER
     wrong = int(_rate(ints, singles, modal, rates, claim))
     if wrong:
