@@ -46,7 +46,7 @@ _STEEPEST = 8388608.0  # power for all of S, if $31 were far below: 64 times as 
 def weigh(scale: ptr32, flags: int) -> int:
     """What a planner block with these flags carries of scale[ASKED]: see slice_kernel.dimmed().
 
-    scale: State.spindle, whose RPM then says what speed that is: 0 at rest, where it follows motion.
+    scale: State.spindle, whose RPM then says what speed that is at rest: of a laser in M4, 0.
     """
     if not flags & _TURNING:
         return 0
