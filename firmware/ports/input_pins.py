@@ -119,7 +119,6 @@ class PortInputs:
         except BaseException:
             self.fault = _FAILED_TWICE
 
-    @micropython.native
     def _look_in(self, ms: int) -> None:
         """Look at inputs that are disarmed, in so many ms; 0: with others that wait already. Begun
         anew at every edge, the timer fails at last on a Pico whose main loop hangs (emulated)."""

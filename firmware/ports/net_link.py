@@ -41,9 +41,10 @@ _JOG_CANCEL = const(0x85)
 _STOPS = b"\x18!\x84\x85"
 _REALTIME = b"\x18!~"
 _ANSWERS = b"oe"  # how ok and error: begin
-# What begins with these is told to all: alarms, the welcome; messages.
+# What begins with these is told to all: alarms, the welcome; and messages, [M.
 _TO_ALL = b"A\r"
-_MESSAGE = b"[M"
+_BRACKET = const(0x5B)
+_M = const(0x4D)
 _REPORT = const(0x3C)
 
 
@@ -373,7 +374,7 @@ class NetLink:
         first = data[0]
         if first == _REPORT:
             self._report(data)
-        elif first in _TO_ALL or bytes(data[:2]) == _MESSAGE:
+        elif first in _TO_ALL or (first == _BRACKET and data[1] == _M):
             self._write(data)
             for caller in self._callers:
                 if caller.conn:

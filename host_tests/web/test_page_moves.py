@@ -116,7 +116,7 @@ def test_a_jog_stops_by_itself_where_nobody_asks_for_more(person, lost):
     lost(person)
     at = person.machine.report()[1][0]
     _, (x, _, _), _ = person.machine.report("Idle")
-    assert at < x < at + ASKED_MM
+    assert at <= x < at + ASKED_MM
     assert b"\x85" not in person.machine.sent, "no cancel has ended it"
 
 
@@ -132,7 +132,7 @@ def test_a_jog_faster_than_the_axis_is_not_sent_ahead(person_at):
     person.crash()
     at = person.machine.report()[1][0]
     _, (x, _, _), _ = person.machine.report("Idle")
-    assert at < x < at + 10.0**2 / 2 / 25 + 10.0 * 0.5
+    assert at <= x < at + 10.0**2 / 2 / 25 + 10.0 * 0.5
 
 
 def test_the_other_way_at_once_begins_when_the_first_has_ended(person):
