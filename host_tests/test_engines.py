@@ -619,6 +619,7 @@ def on_engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
     return name
 
 
+@pytest.mark.usefixtures("each_ms")
 @pytest.mark.sampled(12)
 @pytest.mark.skipif(not _RECORDS, reason="no recordings here")
 @pytest.mark.parametrize("on_engine", ["i2s", "rmt"], indirect=True)
