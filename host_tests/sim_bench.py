@@ -6,12 +6,14 @@ runs that program in a process of its own.
 
 import json
 import os
+import random
 import select
 import signal
 import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -41,6 +43,16 @@ SETTINGS = {
 }
 
 
+def free_port() -> int:
+    """One that nobody has, and that the system gives to no client: a client that calls a port of
+    those again and again before anybody listens there calls itself at last, and keeps it."""
+    for port in random.SystemRandom().sample(range(20_000, 30_000), 100):
+        with socket.socket() as free, suppress(OSError):
+            free.bind(("127.0.0.1", port))
+            return port
+    raise AssertionError("there is no free port")
+
+
 class Bench:
     """A running simulator. settings: kept in it from the start, by number. network: its cable is
     nobody's, and who calls from this computer drives."""
@@ -65,9 +77,7 @@ class Bench:
         command = [sys.executable, __file__, str(self.wire_log), "sim", "--port", str(self.port)]
         command += ["--settings", str(kept), *arguments]
         if network:
-            with socket.socket() as free:
-                free.bind(("127.0.0.1", 0))
-                place = free.getsockname()[1]
+            place = free_port()
             self.url = f"socket://127.0.0.1:{place}"
             command += ["--network", str(place)]
         self.process = subprocess.Popen(

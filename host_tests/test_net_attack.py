@@ -21,6 +21,7 @@ import pytest
 from micropython_runner import MICROPYTHON, needs_micropython, placed_firmware
 from net_bench import KEY
 from page_bench import PING, PONG, WS_UPGRADE, frame, request
+from sim_bench import free_port
 from ugrbl.compiling import page_files
 from ugrbl.paths import TOOLS
 
@@ -165,13 +166,6 @@ class Client(threading.Thread):
         return heard
 
 
-def _free_ports() -> "list[int]":
-    with socket.socket() as one, socket.socket() as two:
-        for free in (one, two):
-            free.bind(("127.0.0.1", 0))
-        return [int(free.getsockname()[1]) for free in (one, two)]
-
-
 def _machine(ports: "list[int]", folder: Path, seconds: float) -> "subprocess.Popen[str]":
     page_files.save(folder)
     firmware = str(placed_firmware())
@@ -218,7 +212,7 @@ def test_attacks_change_no_segment_and_a_client_with_the_key_stops_the_machine(
     tmp_path: Path,
 ) -> None:
     usual = _quiet(tmp_path)
-    tcp, http = ports = _free_ports()
+    tcp, http = ports = [free_port(), free_port()]
     machine = _machine(ports, tmp_path, _SECONDS)
     client = Client(tcp)
     attackers = [
@@ -249,7 +243,7 @@ def test_attacks_change_no_segment_and_a_client_with_the_key_stops_the_machine(
 
 def _quiet(folder: Path) -> "set[str]":
     """What the segments of a job are when nobody is there but a client that holds the last."""
-    ports = _free_ports()
+    ports = [free_port(), free_port()]
     machine = _machine(ports, folder, 2)
     _has_said_last(machine)
     client = Client(ports[0])

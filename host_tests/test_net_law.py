@@ -18,7 +18,8 @@ from page_bench import CLOSE, PING, TEXT, WS_UPGRADE, PageBench, frame, request
 from ugrbl.run.tcp_link import HostCalls
 
 # Many cases of each: the first ring takes some.
-pytestmark = pytest.mark.sampled(2)
+# Machines are compared to the tick.
+pytestmark = [pytest.mark.sampled(2), pytest.mark.usefixtures("each_ms")]
 
 FAST = {
     110: 3000,

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 from micropython_runner import needs_micropython, placed_firmware, run_micropython
 from page_bench import PING, PONG, WS_UPGRADE, frame, request
+from sim_bench import free_port
 from ugrbl.compiling import page_files
 from ugrbl.paths import FIRMWARE, TOOLS
 
@@ -103,12 +104,6 @@ class Board:
         assert lines == [*(f"G1X{number}" for number in range(_LINES)), "END"]
         assert answers.count("ok") >= _LINES + 1 and "error:9" not in answers
         assert turns > _LINES and longest < _LONGEST_US
-
-
-def free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
 
 
 @pytest.fixture

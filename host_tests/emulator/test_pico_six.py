@@ -210,9 +210,7 @@ def test_heap_is_free_with_six_axes(uf2: Path) -> None:
     assert free(_board(uf2, dict(files_of("pico_six")), FREE)) >= _HEAP_OF_SIX
 
 
-def test_heap_is_free_with_four_axes_and_a_pair(
-    uf2: Path, tmp_path: Path
-) -> None:
+def test_heap_is_free_with_four_axes_and_a_pair(uf2: Path, tmp_path: Path) -> None:
     file = tmp_path / "pico_five.py"
     five = 'MOTORS = "XYZAY"\nSTEP, DIR, LIMIT = STEP[:5], DIR[:5], LIMIT[:5]\n'
     file.write_text((BOARDS / "pico_six.py").read_text("utf-8") + five, "utf-8")

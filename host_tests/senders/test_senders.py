@@ -8,7 +8,6 @@ that turns, which has more numbers for them everywhere.
 
 import json
 import math
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -17,7 +16,7 @@ from typing import Any
 
 import pytest
 from install import NotInstalled, cncjs, python
-from sim_bench import SETTINGS, STEPS_PER_MM, SWITCH_STEPS, Bench
+from sim_bench import SETTINGS, STEPS_PER_MM, SWITCH_STEPS, Bench, free_port
 
 _HERE = Path(__file__).resolve().parent
 _PATIENCE_S = 240
@@ -116,9 +115,7 @@ def judge(noted: Any, bench: Bench, board: str) -> None:
 
 def test_cncjs(bench: Bench, board: str) -> None:
     home = available(cncjs)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        http_port = free.getsockname()[1]
+    http_port = free_port()
     noted = live(bench, board, "node", _HERE / "drive_cncjs.js", home, "PLAN", "RESULT", http_port)
     assert noted["controller"] == "Grbl"
     assert max(noted["override"]) == 120
