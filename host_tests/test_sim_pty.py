@@ -454,13 +454,13 @@ def test_one_on_tcp_that_does_not_read_does_not_stop_the_machine(tcp_sim: TcpSim
     host, _, port = tcp_sim.place.rpartition(":")
     with socket.create_connection((host, int(port)), _PATIENCE_S) as deaf:
         deaf.setblocking(False)
-        for _ in range(300):
+        for _ in range(100):
             with suppress(BlockingIOError):
                 deaf.send(b"$$\n" * 100)
             time.sleep(0.003)
     with tcp_sim.open() as sender:
         sender.send(b"\x18")
-        sender.wait("help]", 4 * _PATIENCE_S)  # behind all that the other has sent
+        sender.wait("help]", 20 * _PATIENCE_S)  # behind all that the other has sent
         assert sender.ask("G0 X1") == "ok\r\n"
 
 
