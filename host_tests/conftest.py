@@ -18,7 +18,7 @@ os.environ.setdefault("UGRBL_VIPER", "checked")
 # So wide that no line breaks, however long the name of a test's folder is.
 os.environ["COLUMNS"] = "500"
 
-settings.register_profile("ring 1", deadline=None, max_examples=20)
+settings.register_profile("ring 1", deadline=None, max_examples=12)
 settings.register_profile("ring 2", deadline=None, max_examples=50)
 settings.register_profile("thorough", deadline=None, max_examples=2000)
 

@@ -601,7 +601,7 @@ def _check_stretch(stretch: "list[Segment]") -> None:
 
 def some(count: int) -> settings:
     """So many examples in every test run, and forty times as many in a thorough one."""
-    return settings(max_examples=count * settings.default.max_examples // 50)
+    return settings(max_examples=max(1, count * settings.default.max_examples // 50))
 
 
 def near(got: float, expected: float, part: float) -> bool:

@@ -252,7 +252,7 @@ def test_all_that_is_forgotten_after_start_is_one_module(
     assert [*outside] == ["boot.parts"]
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 @pytest.mark.parametrize("board", _BOARDS, ids=lambda file: file.stem)
 def test_no_table_has_more_than_a_collection_can_keep_in_mind(board: Path) -> None:
     """64 in MicroPython (MICROPY_ALLOC_GC_STACK_SIZE), with what led there. If it finds more, it

@@ -118,7 +118,7 @@ def test_the_map_is_found_by_the_build_that_the_message_tells(told: "dict[bool, 
         assert done.exit_code == 0 and "motion/segments.py, line" in done.output
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.thorough
 def test_lines_of_a_debug_build_are_those_of_the_sources() -> None:
     """Statement by statement, wherever a pass has moved them."""
     texts, made = build.texts(), build.prepared_firmware(True, "x64")

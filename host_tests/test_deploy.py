@@ -408,6 +408,7 @@ def with_page() -> build.Build:
     return build.for_board(files.board_file("pico2_w_page"))
 
 
+@pytest.mark.thorough
 def test_a_board_that_serves_the_page_has_it_and_no_other_has(
     made: build.Build, with_page: build.Build
 ) -> None:

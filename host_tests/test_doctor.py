@@ -350,6 +350,7 @@ def test_the_last_fault_is_told_though_the_machine_works_again(
     assert found["fault"][0]["text"].startswith("IndexError: list index")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("told", "todo"),
     [

@@ -24,7 +24,7 @@ from ugrbl.sim import rig as sim_rig
 from ugrbl.sim.engine import SimEngine, step_tick
 
 # Many cases of each: the first ring takes some.
-pytestmark = pytest.mark.sampled(4)
+pytestmark = pytest.mark.sampled(2)
 
 _SHARED = Path(__file__).resolve().parents[2] / "shared"
 _PULSE_US = 10

@@ -47,6 +47,7 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.mark.thorough
 def test_conversations(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     results = _replay(tree, _HERE / "conversations", monkeypatch)
     assert results.ok(), summary(results)

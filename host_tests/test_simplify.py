@@ -63,6 +63,7 @@ def test_a_tolerance_is_widened_until_it_fits_and_told(most: int) -> None:
     assert tolerance > 0.001
 
 
+@pytest.mark.thorough
 def test_two_million_points_are_a_matter_of_seconds() -> None:
     import time
 
