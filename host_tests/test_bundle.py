@@ -17,6 +17,9 @@ from ugrbl.compiling.order import order
 from ugrbl.compiling.scopes import Meaning, NotUnderstood
 from ugrbl.replay.conformance import find_micropython
 
+# But for one of each kind: it builds firmware for boards.
+pytestmark = pytest.mark.thorough
+
 _HERE = Path(__file__).resolve().parent
 _BOARDS = sorted(set(paths.BOARDS.glob("*.py")) - set(paths.BOARDS.glob("sim*.py")))
 
@@ -223,7 +226,6 @@ def has_more_than_imports(text: str) -> bool:
     return not all(isinstance(part, passed_over) for part in ast.parse(text).body)
 
 
-@pytest.mark.sampled(1)
 @pytest.mark.parametrize("board", _BOARDS, ids=lambda file: file.stem)
 def test_of_each_board_every_module_goes_somewhere(placed: "dict[str, str]", board: Path) -> None:
     needed = [build.module(source) for source in build.needed(load_for_build(board))]
@@ -237,7 +239,6 @@ def test_of_each_board_every_module_goes_somewhere(placed: "dict[str, str]", boa
     assert {"motion.plan_kernel", "talk.report", "language.interpreter"} <= merged
 
 
-@pytest.mark.sampled(1)
 @pytest.mark.parametrize("board", _BOARDS, ids=lambda file: file.stem)
 def test_all_that_is_forgotten_after_start_is_one_module(
     placed: "dict[str, str]", board: Path
@@ -252,7 +253,6 @@ def test_all_that_is_forgotten_after_start_is_one_module(
     assert [*outside] == ["boot.parts"]
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("board", _BOARDS, ids=lambda file: file.stem)
 def test_no_table_has_more_than_a_collection_can_keep_in_mind(board: Path) -> None:
     """64 in MicroPython (MICROPY_ALLOC_GC_STACK_SIZE), with what led there. If it finds more, it
@@ -292,6 +292,7 @@ def asked(text: str) -> "set[tuple[str, str, str]]":
     return found
 
 
+@pytest.mark.sampled(1)
 def test_the_benchmark_for_the_board_has_the_constants_it_names() -> None:
     made = runpy.run_path(str(_HERE / "bench" / "on_board.py"))
     compile(made["MAIN"], "main.py", "exec")

@@ -26,6 +26,9 @@ from ugrbl.device.deploy import LIST, About, DeployError, Running, check_fit, de
 from ugrbl.image import contents
 from ugrbl.paths import TOOLS
 
+# But for one of each kind: it builds firmware for boards.
+pytestmark = pytest.mark.thorough
+
 REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
 PICO = About(0x1306, "1.28.0", "Raspberry Pi Pico with RP2040")
 # As deploy_device.py looks for them.
@@ -202,7 +205,6 @@ def test_a_board_gets_what_it_can_use() -> None:
     }
 
 
-@pytest.mark.thorough
 def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() -> None:
     assert {*build._SWITCHED, *build._PARTS} <= {build.module(one) for one in build.sources()}
     every: set[str] = set()
@@ -242,7 +244,6 @@ def test_build_shows_bytes_and_writes_files(tmp_path: Path) -> None:
         assert f"{size:7} {name}" in done.output
 
 
-@pytest.mark.thorough
 def test_build_without_a_board_compiles_everything(tmp_path: Path) -> None:
     done = ugrbl("build", "--arch", "xtensawin", "-o", tmp_path)
     assert done.exit_code == 0, done.output
@@ -408,7 +409,6 @@ def with_page() -> build.Build:
     return build.for_board(files.board_file("pico2_w_page"))
 
 
-@pytest.mark.thorough
 def test_a_board_that_serves_the_page_has_it_and_no_other_has(
     made: build.Build, with_page: build.Build
 ) -> None:
