@@ -26,9 +26,9 @@ FOLDERS = (
 _PARTS = {"conformance": 8, "conformance-2": 40}
 # Of each worker, where there are several.
 PROCESSES = max(1, (os.cpu_count() or 1) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
-# Minimal cases of faults found, a file each; and those that still differ from Grbl, by file.
+# Minimal cases of faults found, a file each; and those that differ from Grbl, by file: all named
+# in docs/conformance.md.
 _CLUSTERS = _SHARED / "conformance-3" / "clusters"
-# Named in docs/conformance.md.
 _DIFFER = {
     "coolant_byte_while_a_line_waits": {"S line waits"},
     "homing_failed_place": {"one switch never closes"},

@@ -744,9 +744,10 @@ def turn_wheel(made: Shop, edges: int) -> "Iterator[Any]":
             else:
                 b = not b
                 made.close("wheel_b", b)
-            yield made.rig.ms(5)  # the loop turns each 4 ms at rest
+            yield made.rig.ms(3)
 
 
+@pytest.mark.usefixtures("each_ms")
 @pytest.mark.parametrize(("edges", "coarse", "mm"), [(10, False, 0.1), (-10, True, -1.0)])
 def test_the_wheel_jogs_by_its_edges(shop: Make, edges: int, coarse: bool, mm: float) -> None:
     made = shop("pendant", **_PENDANT)

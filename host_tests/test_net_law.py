@@ -17,8 +17,7 @@ from net_bench import NetBench, Pipe
 from page_bench import CLOSE, PING, TEXT, WS_UPGRADE, PageBench, frame, request
 from ugrbl.run.tcp_link import HostCalls
 
-# Many cases of each: the first ring takes some.
-# Machines are compared to the tick.
+# Many cases of each: the first ring takes some. Machines are compared to the tick.
 pytestmark = [pytest.mark.sampled(2), pytest.mark.usefixtures("each_ms")]
 
 FAST = {

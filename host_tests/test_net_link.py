@@ -306,7 +306,7 @@ def test_no_more_is_on_its_way_to_who_is_not_heard_of_than_there_is_memory_for(b
     def script(bench):
         pipe = yield from joined(bench)
         for _ in range(100):
-            yield from bench.sender.wait("ok", "M30\n")  # its message is told to all
+            yield from bench.sender.wait("ok", "M30\n")  # its message goes to all
             yield from bench.wait(20)
         assert pipe.is_closed and 10 < pipe.got.count(b"Pgm End") <= 24  # of lwIP's 32 segments
 

@@ -83,7 +83,7 @@ print(json.dumps([longest, turns, [line.decode() for line in lines]]))
 
 
 class Board:
-    """The machine above, listening to callers; over when it is told END."""
+    """The machine above, listening for clients until it reads END."""
 
     def __init__(self, listening: int, *arguments: object) -> None:
         placed_firmware()  # may take long: not while a caller waits

@@ -322,7 +322,7 @@ def test_no_more_is_on_its_way_to_a_page_that_is_not_heard_of_than_there_is_memo
         page.reads = False
         others = []
         for _ in range(12):  # to ten seconds: handshakes wait for memory
-            yield from bench.sender.wait("ok", "M30\n")  # its message is told to all
+            yield from bench.sender.wait("ok", "M30\n")  # its message goes to all
             others.append((yield from bench.open()))  # which changes how things stand
             others.pop().pipe.has_hung_up = True
             page.pipe.send(frame("?") + frame("x" * 99, PING) + frame("abcd", PONG))

@@ -41,7 +41,7 @@ _JOG_CANCEL = const(0x85)
 _STOPS = b"\x18!\x84\x85"
 _REALTIME = b"\x18!~"
 _ANSWERS = b"oe"  # how ok and error: begin
-# What begins with these is told to all: alarms, the welcome; and messages, [M.
+# What begins with these goes to all: alarms, the welcome; and messages, [M.
 _TO_ALL = b"A\r"
 _BRACKET = const(0x5B)
 _M = const(0x4D)
