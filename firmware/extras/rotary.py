@@ -9,7 +9,6 @@ taken off its place. One without a limit switch stays where it is when the machi
 import math
 from array import array
 
-import micropython
 from base import state as st
 from base.axes import Z
 from control.canon import BELOW, SHUT, Canon
@@ -261,35 +260,10 @@ def _read(machine: "Any", rotary: int) -> None:
     letters, linear, memory = rotary >> _FIRST, machine.planner.linear, fast.memory()
     memory[0][DEGREES] = rotary
 
-    @micropython.native
-    def follow(
-        line: bytearray,
-        length: int,
-        usual: "Callable[[bytearray, int], int]" = usual_follow,
-        names: "Callable[..., int]" = names_any,
-        letters: int = letters,
-        turning: "Callable[..., int]" = follow_turning,
-        memory: "tuple[Any, ...]" = memory,
-        linear: int = linear,
-    ) -> int:
-        if not names(line, length, letters):
-            return usual(line, length)
-        known, position, target, travel, table, ring, flow, speeds, changes, rates, _, _ = memory
-        return turning(
-            line,
-            length,
-            known,
-            position,
-            target,
-            travel,
-            table,
-            ring,
-            flow,
-            speeds,
-            changes,
-            rates,
-            linear,
-        )
+    def follow(line: bytearray, length: int) -> int:
+        if names_any(line, length, letters):
+            return follow_turning(line, length, memory, linear)
+        return usual_follow(line, length)
 
     def execute(line: bytearray, length: int) -> bool:
         is_short = usual_execute(line, length)

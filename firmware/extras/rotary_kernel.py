@@ -1,4 +1,4 @@
-# mypy: disable-error-code=arg-type
+# mypy: disable-error-code="arg-type, call-overload, has-type, misc"
 """The rotary axes' kernel: how long the way of a line is beside that of its linear axes, and lines
 that do no more than move.
 
@@ -59,36 +59,41 @@ def stretch(target: ptr32, table: ptr32, ring: ptr32, flow: ptr32, linear: int) 
 
 
 @micropython.viper
-def follow_turning(
-    text: ptr8,
-    length: int,
-    known: ptr32,
-    position: ptr32,
-    target: ptr32,
-    travel: ptr32,
-    table: ptr32,
-    ring: ptr32,
-    flow: ptr32,
-    speeds: ptr32,
-    changes: ptr32,
-    rates: ptr32,
-    linear: int,
-) -> int:
-    """As fast_kernel.follow(), a line with words of rotary axes, in so far as take() takes it."""
-    seen = int(take(text, length, known, position, target, travel, flow, changes, rates))
+def follow_turning(text: ptr8, length: int, memory: object, linear: int) -> int:
+    """As fast_kernel.follow_line(), a line with words of rotary axes, in so far as take() takes
+    it. linear: mask of axes."""
+    modes, place, goal, travel, axes, ring, queue, speeds, changes, rates, _, _ = memory
+    known = ptr32(modes)
+    position = ptr32(place)
+    target = ptr32(goal)
+    table = ptr32(axes)
+    flow = ptr32(queue)
+    seen = int(
+        take(
+            text,
+            length,
+            known,
+            position,
+            target,
+            ptr32(travel),
+            flow,
+            ptr32(changes),
+            ptr32(rates),
+        )
+    )
     if seen == 0:
         return 0
     rate = known[fk.RATE]
     flags = known[fk.FLAGS]
     if known[fk.MODE] == fk.HAS_G1 and known[fk.IS_TIMED] == 0:
         flags |= PLACED
-        times = int(stretch(target, table, ring, flow, linear))
+        times = int(stretch(target, table, ptr32(ring), flow, linear))
         if times:
             rate = int(mul(rate, times))
     at = flow[HEAD]
     line = int(line_number(known, seen))
-    if int(plan(target, table, ring, flow, flags, line, known[fk.POWER], rate)) == 0:
+    if int(plan(target, table, ptr32(ring), flow, flags, line, known[fk.POWER], rate)) == 0:
         return 0
-    speeds[at] = known[fk.RPM]
+    ptr32(speeds)[at] = known[fk.RPM]
     copy(target, position, known[fk.AXES])
     return 1

@@ -220,22 +220,7 @@ def _follow(machine: "Any") -> None:
     def follow(line: bytearray, length: int) -> int:
         if not kinematics.active:
             return usual(line, length)
-        known, position, target, travel, table, ring, flow, speeds, changes, rates, _, _ = memory
-        return kernel.follow(
-            line,
-            length,
-            known,
-            position,
-            target,
-            travel,
-            table,
-            ring,
-            flow,
-            speeds,
-            changes,
-            rates,
-            skew,
-        )
+        return kernel.follow(line, length, memory, skew)
 
     fast.follow = follow
 

@@ -1,4 +1,4 @@
-# mypy: disable-error-code=arg-type
+# mypy: disable-error-code="arg-type, call-overload, has-type, misc"
 """The skew's kernel: from places of the axes to places of their motors, in whole steps.
 
 Viper, for skew.py; what stands where is told in motion/layout.py and language/fast_kernel.py. The
@@ -107,23 +107,27 @@ def follow_arc(
 
 
 @micropython.viper
-def follow(
-    text: ptr8,
-    length: int,
-    known: ptr32,
-    position: ptr32,
-    target: ptr32,
-    travel: ptr32,
-    table: ptr32,
-    ring: ptr32,
-    flow: ptr32,
-    speeds: ptr32,
-    changes: ptr32,
-    rates: ptr32,
-    skew: ptr32,
-) -> int:
-    """As fast_kernel.follow(), in so far as take() takes a line."""
-    seen = int(take(text, length, known, position, target, travel, flow, changes, rates))
+def follow(text: ptr8, length: int, memory: object, skew: ptr32) -> int:
+    """As fast_kernel.follow_line(), in so far as take() takes a line."""
+    modes, place, goal, travel, axes, ring, queue, speeds, changes, rates, _, _ = memory
+    known = ptr32(modes)
+    position = ptr32(place)
+    target = ptr32(goal)
+    table = ptr32(axes)
+    flow = ptr32(queue)
+    seen = int(
+        take(
+            text,
+            length,
+            known,
+            position,
+            target,
+            ptr32(travel),
+            flow,
+            ptr32(changes),
+            ptr32(rates),
+        )
+    )
     if seen == 0:
         return 0
     to_steps(target, table)
@@ -131,8 +135,11 @@ def follow(
     flags = known[fk.FLAGS] | PLACED
     at = flow[HEAD]
     line = int(line_number(known, seen))
-    if int(plan(target, table, ring, flow, flags, line, known[fk.POWER], known[fk.RATE])) == 0:
+    if (
+        int(plan(target, table, ptr32(ring), flow, flags, line, known[fk.POWER], known[fk.RATE]))
+        == 0
+    ):
         return 0
-    speeds[at] = known[fk.RPM]
+    ptr32(speeds)[at] = known[fk.RPM]
     copy(target, position, known[fk.AXES])
     return 1
