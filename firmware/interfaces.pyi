@@ -458,16 +458,22 @@ class Incoming(Protocol):
     def close(self) -> None:
         """Hear nobody any more."""
 
+class Control(Protocol):
+    """Who is in control of a machine on the network, as extras/net_access.py knows it."""
+
+    ending: bool  # lines of another client are not done yet
+    drop_half: Callable[[], None]  # the line that has begun is not wanted
+    has_half: Callable[[], bool]  # one has begun
+
+    def done(self) -> None:
+        """They are."""
+
 class NetworkLink(Link, Protocol):
     """A Link with a network beside the cable, as extras/net_access.py knows it."""
 
     access: Access
-    ending: bool  # lines of one who has driven are not done yet
-    drop_half: Callable[[], None]  # the line that has begun is not wanted
+    control: Control
     status: Callable[[], str]  # what the radio says
-
-    def done(self) -> None:
-        """They are."""
 
     def by_cable(self) -> bool:
         """Who drives sits at the cable."""

@@ -206,7 +206,7 @@ def test_a_client_that_only_reads_is_never_in_control(bench) -> None:
         yield from connected(bench, stranger)
         for _ in range(3):
             assert (yield from bench.ask(stranger, "$G\n")).endswith("ok\r\n")
-            assert bench.rig.link._driver is None
+            assert bench.rig.link.control.driver is None
         one = yield from joined(bench)
         assert (yield from bench.ask(one, "G1X1F600\n")) == "ok\r\n"
         yield from bench.wait(7000)  # at rest, and silent
@@ -414,5 +414,126 @@ def test_a_long_answer_comes_whole(bench) -> None:
         answer = yield from bench.ask(pipe, "$$\n")
         assert answer.count("$") == 3 * 34 and answer.endswith("ok\r\n")
         assert not pipe.is_closed
+
+    bench.run(script)
+
+
+def test_a_client_that_polls_neither_takes_control_nor_keeps_it(bench) -> None:
+    def script(bench):
+        one, two = (yield from joined(bench)), (yield from joined(bench))
+        for k in range(4):
+            assert (yield from bench.ask(one, f"G91G1X{k + 1}F60000\n")) == "ok\r\n"
+            yield from bench.wait(6000)
+            for line in ("$G\n", "$#\n", "$$\n", "$G\n$G\n"):
+                heard = yield from bench.ask(two, line)
+                assert "error" not in heard and heard.count("ok\r\n") == line.count("\n")
+            assert one.take() == ""
+        # It has driven nothing: what it polls does not make the machine its own.
+        assert bench.rig.link.control.owner.conn is one
+
+    bench.run(script)
+
+
+def test_a_line_after_one_that_reads_takes_control_and_loses_no_answer(bench) -> None:
+    def script(bench):
+        one, two = (yield from joined(bench)), (yield from joined(bench))
+        yield from bench.ask(one, "G91G1X1F60000\n")
+        yield from bench.wait(6000)
+        two.send("$G\nG91G1X1\n")
+        yield from bench.until(lambda: two.got.count(b"ok\r\n") == 2)
+        assert "[GC:" in two.take() and "Somebody else" in one.take()
+
+    bench.run(script)
+
+
+def test_lines_of_the_client_in_control_wait_while_another_reads(bench) -> None:
+    """Wherever they meet: all are done, and answered to the client that has sent them."""
+
+    def script(bench):
+        one, two = (yield from joined(bench)), (yield from joined(bench))
+        for delay_ms in range(0, 60, 4):
+            yield from bench.ask(one, "G91G1X1F60000\n")
+            yield from bench.wait(6000)
+            one.take(), two.take()
+            two.send("$$\n$G\n")
+            yield from bench.wait(delay_ms / 4)
+            one.send("G91G1X1F60000\n" * 3)
+            yield from bench.until(lambda: one.got.count(b"ok\r\n") == 3)
+            yield from bench.wait(200)
+            assert one.take() == "ok\r\n" * 3
+            heard = two.take()
+            assert heard.count("ok\r\n") + heard.count("error:9") == 2
+
+    bench.run(script)
+
+
+def test_a_reader_that_goes_leaves_control_where_it_was(bench) -> None:
+    def script(bench):
+        one, two = (yield from joined(bench)), (yield from joined(bench))
+        yield from bench.ask(one, "G91G1X1F60000\n")
+        yield from bench.wait(6000)
+        two.send("$$\n")
+        yield from bench.wait(1)
+        two.has_hung_up = True
+        yield from bench.wait(50)
+        assert (yield from bench.ask(one, "G1X1\n")) == "ok\r\n"
+
+    bench.run(script)
+
+
+def test_an_answer_that_is_late_is_the_owners_though_another_reads_meanwhile(bench) -> None:
+    def script(bench):
+        one, two = (yield from joined(bench)), (yield from joined(bench))
+        yield from bench.ask(one, "G91G1X1F60000\n")
+        one.send("G4P7\n")
+        yield from bench.wait(6000)
+        two.send("$G\n")
+        yield from bench.until(lambda: b"ok\r\n" in two.got and b"ok\r\n" in one.got)
+        assert one.take() == "ok\r\n" and "[GC:" in two.take()
+
+    bench.run(script)
+
+
+def test_a_line_that_has_begun_is_not_broken_by_one_that_reads(bench) -> None:
+    def script(bench):
+        one, two = (yield from joined(bench)), (yield from joined(bench))
+        yield from bench.ask(one, "G91G1X1F60000\n")
+        one.send("G1 X")
+        yield from bench.wait(6000)
+        assert "error:9" in (yield from bench.ask(two, "$G\n"))
+        assert (yield from bench.ask(one, "1\n")) == "ok\r\n"
+
+    bench.run(script)
+
+
+def test_a_jog_ends_when_its_client_goes_while_another_reads(bench) -> None:
+    def script(bench):
+        one, two = (yield from joined(bench)), (yield from joined(bench))
+        yield from bench.ask(one, "G91G1X1F60000\n")
+        yield from bench.wait(6000)
+        two.send("$$\n")
+        yield from bench.wait(1)
+        one.send("$J=X200F600\n")
+        one.has_hung_up = True
+        yield from bench.wait(3000)
+        assert bench.rig.controller.at_rest()
+
+    bench.run(script)
+
+
+def test_one_without_the_key_keeps_nobody_from_the_machine(bench) -> None:
+    """However often it reads."""
+
+    def script(bench):
+        stranger, one = bench.call("10.0.0.9"), (yield from joined(bench))
+        yield from bench.wait(20)
+        for k in range(20):
+            stranger.send("$$\n")
+            yield from bench.wait(k % 5)
+            one.take()
+            assert (yield from bench.ask(one, "G91G1X1F60000\n")) == "ok\r\n"
+            one.has_hung_up = True
+            yield from bench.wait(2000)
+            one = yield from joined(bench)
 
     bench.run(script)

@@ -73,7 +73,7 @@ while b"END" not in lines and time.ticks_diff(time.ticks_ms(), begun) < 50000:
         elif byte < 128:
             heard += bytes([byte])
     if not count:
-        link.done()
+        link.control.done()
     turns += 1
     longest = max(longest, time.ticks_diff(time.ticks_us(), before))
     if not count:

@@ -210,11 +210,12 @@ def test_of_two_pages_one_drives_and_each_is_told(bench) -> None:
         assert (yield from bench.say(one, "G1X1F600")) == "ok\r\n"
         yield from bench.wait(50)
         assert '"driver":false,"drivers":1,"watchers":1' in two.news()
-        assert (yield from bench.say(two, "$NET")).endswith("error:9\r\n")
+        assert (yield from bench.say(two, "G1X2")).endswith("error:9\r\n")
         for _ in range(6):
             one.pipe.send(frame("?"))
             yield from bench.wait(1000)
         assert (yield from bench.say(two, "$NET")).endswith("ok\r\n")
+        assert (yield from bench.say(two, "G4P0.01")).endswith("ok\r\n")
         yield from bench.wait(50)
         assert '"driver":true' in two.news() and '"driver":false' in one.news()
         one.pipe.send(frame("", CLOSE))

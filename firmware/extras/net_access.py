@@ -35,8 +35,16 @@ _LONGEST_PASSWORD = const(63)
 _HIGHEST_PORT = const(65535)
 
 
+def has_half(ring: bytearray, at: "array[int]", kinds: bytearray) -> bool:
+    """Whether a line has begun and not ended."""
+    head = at[HEAD]
+    if head != at[TAIL]:
+        return kinds[ring[(head or len(ring)) - 1]] != END
+    return bool(at[LENGTH] or at[SKIPPING]) and not at[SKIPPING] & COMPLETE
+
+
 def drop_half(ring: bytearray, at: "array[int]", kinds: bytearray) -> None:
-    """Forget the line that has begun and not ended, and nothing before it."""
+    """Forget that, and nothing before it."""
     head = at[HEAD]
     while head != at[TAIL] and kinds[ring[head - 1]] != END:
         head = (head or len(ring)) - 1
@@ -63,7 +71,8 @@ class Network:
             self._keep()
         self._know()
         if link:
-            link.drop_half = self._drop_half
+            link.control.drop_half = lambda: drop_half(*self._received())
+            link.control.has_half = lambda: has_half(*self._received())
 
     def _new_key(self) -> str:
         """One that nobody can guess: 39 bits of the chip's own noise."""
@@ -82,8 +91,8 @@ class Network:
     def between(self) -> None:
         """Between two lines."""
         link = self._link
-        if link and link.ending and not self._reader.has_line():
-            link.done()
+        if link and link.control.ending and not self._reader.has_line():
+            link.control.done()
 
     def greet(self) -> None:
         """Behind the welcome, at the first start."""
@@ -91,9 +100,9 @@ class Network:
             self._is_new = False
             self._tell_key()
 
-    def _drop_half(self) -> None:
+    def _received(self) -> "tuple[bytearray, array[int], bytearray]":
         ring, at, _, kinds = self._reader.memory()
-        drop_half(ring, at, kinds)
+        return ring, at, kinds
 
     def _tell_key(self) -> None:
         if self._link:

@@ -24,6 +24,19 @@ _LETTERS = const(2)
 _OF_BROWSERS = (b"GE", b"PO", b"PU", b"HE", b"OP", b"PA", b"DE", b"CO", b"TR", b"PR", b"\x16\x03")
 
 
+def plain(said: bytearray) -> bytes:
+    """A line in capitals, without spaces and slashes, its end, and what asks for a report."""
+    line = bytes(said).upper()
+    for sign in (b" ", b"/", b"?", b"\r", b"\n"):
+        line = line.replace(sign, b"")
+    return line
+
+
+def only_reads(line: bytes) -> bool:
+    """Whether a plain line changes nothing."""
+    return line in _READING
+
+
 def is_browser(said: bytearray, count: int) -> bool:
     """Whether a line that begins like this is a browser's, which any page can have sent here."""
     return count == _LETTERS and bytes(said[:count]) in _OF_BROWSERS
@@ -44,7 +57,7 @@ class Access:
         """What becomes of a client's line, if it is not to be done: a key, or more than it may.
         Each key costs the same, and nobody waits for another's: there are 30 ** 8."""
         if not line.startswith(_KEY):
-            return b"" if caller.trusted or line in _READING else _MSG_KEY
+            return b"" if caller.trusted or only_reads(line) else _MSG_KEY
         if self.secret and line[len(_KEY) :] == self.secret.encode():
             caller.trusted = True
             return OK

@@ -9,8 +9,9 @@ unread; of the others' each is looked at.
 | without the key | reading ones, at rest, where nobody is in control | none | none | 0.25 s |
 
 Control is free where nobody has it, where its client has gone (3 s without a byte, over the
-network), and at rest when it has sent no line for 5 s. `?` is answered to the client that asks.
-The key is said by `$NET/KEY=...` on each connection. caller.py bounds what clients may cost.
+network), and at rest when it has sent no line for 5 s. Lines that only read neither take it nor
+keep it: they borrow it. `?` is answered to the client that asks. The key is said by
+`$NET/KEY=...` on each connection. caller.py bounds what clients may cost.
 """
 
 import time
@@ -19,8 +20,9 @@ import micropython
 from base import errors
 from micropython import const
 
-from ports.access import MSG_TAKEN, OK, REFUSED, TAKEN, Access, is_browser
+from ports.access import OK, REFUSED, TAKEN, Access, is_browser, only_reads, plain
 from ports.caller import Caller, Memory, asks, place_for
+from ports.in_control import Control
 from ports.link_memory import PIECES
 
 TYPE_CHECKING = const(False)
@@ -31,9 +33,11 @@ if TYPE_CHECKING:
 
 _PLACES = const(3)  # callers at once
 _PIECE = const(64)
+# How many bytes a line that only reads has at the most, and how one begins; and a lone ?.
+_LONGEST_READING = const(8)
+_READS = b"$?\r\n"
 _URGENT = const(16)
 _ROUND_MS = const(10)
-_SILENT_MS = const(5000)
 _RADIO_MS = const(1000)
 
 _QUESTION = const(0x3F)
@@ -63,8 +67,6 @@ class NetLink:
         self.come_back: "Callable[[], None]" = lambda: None
         self.on_turn: "Callable[[], None] | None" = None
         self.access = Access()
-        # Called where the line that has begun is not wanted.
-        self.drop_half: "Callable[[], None]" = lambda: None
         # The radio's, if there is one: called once a second, at rest or not; and what it says.
         self.radio: "Callable[[bool], None] | None" = None
         self.status: "Callable[[], str]" = lambda: "no network is set up"
@@ -76,11 +78,9 @@ class NetLink:
         self._user.trusted = True
         self._callers = [Caller(self._memory) for _ in range(_PLACES)]
         self._all = [self._user] + self._callers
-        self._driver: "Caller | None" = self._user
+        self.control = Control(self._user)
         # Only the cable: nothing has to be looked at. And nobody has spoken there.
         self._is_plain = self._is_nobodys = True
-        # Lines of one who has driven are not done yet: answers are nobody's, and lines wait.
-        self.ending = False
         self._piece = bytearray(_PIECE)
         self._urgent = bytearray(_URGENT)
         self._urgent_count = 0
@@ -127,7 +127,8 @@ class NetLink:
     def discard(self) -> None:
         """Drop what has arrived: it was sent before a reset."""
         self._cable.discard()
-        driver = self._driver
+        self.control.give_back()
+        driver = self.control.driver
         if driver:
             driver.forget()
             for _ in range(PIECES if driver.conn else 0):
@@ -141,7 +142,7 @@ class NetLink:
         if self._calls:
             self._calls.close()
             self._calls = None
-        self._driver = self._user
+        self.control.set(self._user)
         self._is_plain = True
         self._cable.close()
 
@@ -155,7 +156,7 @@ class NetLink:
 
     def by_cable(self) -> bool:
         """Who drives sits at the cable."""
-        return self._driver is self._user
+        return self.control.driver is self._user
 
     def tell_cable(self, data: bytes) -> None:
         """What nobody else is to read."""
@@ -165,19 +166,21 @@ class NetLink:
         """How many are connected."""
         return len([1 for caller in self._callers if caller.conn])
 
-    def done(self) -> None:
-        """Lines of the one who drove before are all done and answered."""
-        self.ending = False
-
     def _settle(self) -> None:
-        if not self.ending and not self.callers():
-            user = self._user
-            if self._driver is None:
-                self._driver = user
+        control, user = self.control, self._user
+        if not control.ending and not self.callers():
+            if control.driver is None:
+                control.set(user)
                 self._is_nobodys = True
-            if self._driver is user and not (user.length or self._urgent_count):
+            if self._is_open(user) and not self._urgent_count:
                 self._is_plain = True
                 user.asked = False
+
+    def _is_open(self, caller: Caller) -> bool:
+        """Whether what a client sends passes to the machine as it is."""
+        control = self.control
+        is_owner = caller is control.driver is control.owner
+        return is_owner and caller.trusted and not (control.ending or caller.length)
 
     # In
 
@@ -187,24 +190,25 @@ class NetLink:
         if count:
             buf[:count] = self._urgent[:count]
             return count
-        driver, user = self._driver, self._user
+        control, user = self.control, self._user
         count = self._read(buf)
+        driver = control.driver
         if count:
-            if driver is user and not (self.ending or user.length):
+            if self._is_open(user):
                 return self._note(user, buf, count, now_ms)
             self._sift(user, buf, count, now_ms)
         elif driver and driver.conn:
             count = self._read_driver(driver, buf, now_ms)
             if count:
                 return count
-        driver = self._driver
-        if driver and driver.ready and not (self.ending or self._urgent_count):
+        driver = control.driver
+        if driver and driver.ready and not (control.ending or self._urgent_count):
             return driver.pour(buf)
         return 0
 
     def _read_driver(self, driver: Caller, buf: bytearray, now_ms: int) -> int:
         """Bytes for the machine as they are; 0 where there are none, or each is looked at."""
-        is_open = driver.trusted and not (self.ending or driver.length)
+        is_open = self._is_open(driver)
         if not is_open and not driver.has_room():
             return 0
         piece = buf if is_open else self._piece
@@ -224,7 +228,7 @@ class NetLink:
         """What passes as it is. A lone ? is no line."""
         if asks(buf, count):
             driver.asked = True
-        if count > 1 or buf[0] != _QUESTION:
+        if count > _LONGEST_READING or buf[0] not in _READS or not only_reads(plain(buf[:count])):
             driver.spoke_ms = now_ms
         return count
 
@@ -237,7 +241,7 @@ class NetLink:
         for caller in self._callers:
             if not caller.conn:
                 continue
-            if caller is not self._driver:
+            if caller is not self.control.driver:
                 count = caller.read(self._piece)
                 if count < 0:
                     self._drop(caller)
@@ -266,9 +270,9 @@ class NetLink:
             self._drop(place)
         if self._is_plain:
             self._is_plain = False
-            silent = time.ticks_diff(now_ms, self._user.spoke_ms) >= _SILENT_MS
-            if self._is_nobodys or (silent and self._at_rest()):
-                self._driver = None
+            is_silent = self.control.is_silent(self._user, now_ms)
+            if self._is_nobodys or (is_silent and self._at_rest()):
+                self.control.set(None)
         place.begin(conn, address, now_ms)
         place.put(b"\r\nGrbl 1.1h ['$' for help]\r\n")
         if not place.send():
@@ -277,19 +281,8 @@ class NetLink:
     def _drop(self, caller: Caller) -> None:
         """Hang up. Of who has driven: a jog ends, a line that has only begun is forgotten."""
         caller.end()
-        if caller is self._driver:
-            self._leave(None)
-            if caller.trusted:
-                self._urge(_JOG_CANCEL)
-
-    def _leave(self, driver: "Caller | None") -> None:
-        """Another drives from now on, or nobody."""
-        before, self._driver = self._driver, driver
-        self.ending = True
-        self.drop_half()
-        if before and before.conn:
-            before.forget()
-            before.put(MSG_TAKEN)
+        if self.control.leave(caller):
+            self._urge(_JOG_CANCEL)
 
     # What others say, and the client in control while lines wait
 
@@ -307,7 +300,7 @@ class NetLink:
                 self._end_line(caller, byte, now_ms)
             else:
                 caller.keep(byte)
-                if caller is self._driver and caller.trusted:
+                if caller is self.control.owner:
                     caller.ready = caller.length
                 elif is_browser(caller.said, caller.length):
                     self._drop(caller)
@@ -318,7 +311,11 @@ class NetLink:
         """Whether a real-time command acts."""
         if not caller.trusted:
             return False
-        return caller is self._driver or byte in _STOPS or self._take(caller, now_ms)
+        is_owner = caller is self.control.owner
+        return is_owner or byte in _STOPS or self._take(caller, False, now_ms)
+
+    def _take(self, caller: Caller, reads: bool, now_ms: int) -> bool:
+        return self.control.take(caller, self._at_rest(), reads, now_ms)
 
     def _urge(self, byte: int) -> None:
         """To be the machine's in front of all lines. A stop finds space always."""
@@ -332,46 +329,34 @@ class NetLink:
             self._urgent_count = count + 1
 
     def _end_line(self, caller: Caller, byte: int, now_ms: int) -> None:
-        begins = caller.ready if caller is self._driver else 0
-        if caller is self._driver and caller.trusted:
+        if caller is self.control.owner:
             caller.end_line(byte, now_ms)
             return
-        line = bytes(caller.said[begins : caller.length]).upper()
-        line = line.replace(b" ", b"").replace(b"/", b"")
+        begins = caller.ready
+        line = plain(caller.said[begins : caller.length])
+        reads = only_reads(line)
         answer = b""
         if caller.is_too_long:
             answer = REFUSED % errors.OVERFLOW
         elif caller is not self._user:
             answer = self.access.answer(caller, line)
-        if not answer and (caller is self._driver or (line and self._take(caller, now_ms))):
+        if not answer and not line:
+            answer = OK
+        elif not answer and not self._take(caller, reads, now_ms):
+            answer = TAKEN
+        if not answer:
             caller.end_line(byte, now_ms)
-        elif not answer:
-            answer = TAKEN if line else OK
-        if answer:
-            caller.length = begins
-            caller.is_too_long = False
-            self._say(caller, answer)
-            if not caller.tries:
-                self._drop(caller)
-
-    def _take(self, caller: Caller, now_ms: int) -> bool:
-        """Have a client control the machine, if that may be."""
-        driver = self._driver
-        if not caller.trusted:
-            is_free = driver is None and self._at_rest() and caller.may_hear()
-        elif driver is None or not driver.trusted or driver.is_gone(now_ms):
-            is_free = True
-        else:
-            silent_ms = time.ticks_diff(now_ms, driver.spoke_ms)
-            is_free = silent_ms >= _SILENT_MS and self._at_rest()
-        if is_free:
-            self._leave(caller)
-        return is_free
+            return
+        caller.length = begins
+        caller.is_too_long = False
+        self._say(caller, answer)
+        if not caller.tries:
+            self._drop(caller)
 
     # Out
 
     def _share(self, data: "bytes | bytearray | memoryview") -> None:
-        first = data[0]
+        control, first = self.control, data[0]
         if first == _REPORT:
             self._report(data)
         elif first in _TO_ALL or (first == _BRACKET and data[1] == _M):
@@ -379,16 +364,16 @@ class NetLink:
             for caller in self._callers:
                 if caller.conn:
                     self._say(caller, data)
-        elif self._driver and not self.ending:
-            self._say(self._driver, data)
-            if first in _ANSWERS and self._driver and not self._driver.trusted:
-                self._driver = None  # it has read one line
+        elif control.hears:
+            self._say(control.hears, data)
+            if first in _ANSWERS:
+                control.answered()
 
     def _report(self, data: "bytes | bytearray | memoryview") -> None:
         """To those who have asked; to who drives where nobody has."""
         asking = [caller for caller in self._all if caller.asked]
-        if not asking and self._driver:
-            asking.append(self._driver)
+        if not asking and self.control.owner:
+            asking.append(self.control.owner)
         for caller in asking:
             caller.asked = False
             self._say(caller, data)

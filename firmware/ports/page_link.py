@@ -36,9 +36,7 @@ class PageLink(NetLink):
     def _tell(self) -> None:
         """Each page hears how things stand when that has changed, as from `ugrbl web`
         (docs/web.md); with "key": whether it is wanted of him."""
-        driver = self._driver
-        if driver and not driver.trusted:
-            driver = None  # who reads a line controls nothing
+        driver = self.control.owner
         watchers = len([1 for caller in self._callers if caller.conn and caller is not driver])
         for caller in self._callers:
             socket = caller.conn

@@ -10,7 +10,16 @@ ON_REQUEST = ("extras",)
 _SELDOM = tuple(
     "ports." + name
     for name in (
-        *("access", "caller", "driver_wire", "job_files", "net_link", "page", "page_link"),
+        *(
+            "access",
+            "caller",
+            "driver_wire",
+            "in_control",
+            "job_files",
+            "net_link",
+            "page",
+            "page_link",
+        ),
         *("radio", "sd_blocks", "sd_card", "tcp", "user_files", "web_socket", "wifi"),
     )
 )
