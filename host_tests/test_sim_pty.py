@@ -190,7 +190,7 @@ def test_the_next_sender_gets_nothing_that_was_meant_for_the_last(sim: Sim) -> N
         time.sleep(0.3)  # answered, and not read
     time.sleep(0.3)
     with sim.open() as sender:
-        assert sender.ask("$I").startswith("[VER:")
+        assert sender.ask("$I").startswith("\r\nGrbl 1.1h ['$' for help]\r\n[VER:")
 
 
 def test_many_senders_come_and_go(sim: Sim) -> None:
@@ -421,8 +421,24 @@ def test_senders_on_tcp_come_one_after_the_other(tcp_sim: TcpSim) -> None:
         assert sender.ask("G91 G0 X1") == "ok\r\n"
     for place in range(2, 5):
         with tcp_sim.open() as sender:
+            sender.wait("help]")
             assert sender.ask("G91 G0 X1") == "ok\r\n"
             assert f"MPos:{place}.000," in sender.wait_idle()
+
+
+def test_a_sender_is_not_greeted_where_work_is_under_way(tcp_sim: TcpSim) -> None:
+    """It would take a welcome for a reset's."""
+    with tcp_sim.open() as sender:
+        sender.wait("help]")
+        sender.send(b"!")
+        report = ""
+        while "<Hold" not in report:
+            sender.send(b"?")
+            report = sender.wait(">")
+    with tcp_sim.open() as sender:
+        time.sleep(0.5)
+        sender.send(b"?")
+        assert sender.wait(">").startswith("<Hold:")
 
 
 def test_another_one_waits_until_the_first_has_hung_up(tcp_sim: TcpSim) -> None:

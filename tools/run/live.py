@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 # the line more than once between two blocks, and none of these looks takes time.
 _LOOKS = 3
 _PIECE = 64
+_RESET = 0x18  # it greets by itself
 _PIECES = 16  # hold all that a board would have taken
 # How long, by the wall's clock, the machine waits for a sender that could keep it busy.
 _PATIENCE_S = 0.01
@@ -37,6 +38,7 @@ class Wire(Protocol):
     """Where the sender is."""
 
     closed: bool
+    on_open: Callable[[], None]  # called in read(), where a sender has come
 
     def read(self, limit: int) -> bytes:
         """What has come, perhaps nothing."""
@@ -61,6 +63,8 @@ class LiveLink(UntimedLink):
         self.turn: Callable[[], None] = _nothing  # called whenever the firmware reads
         self.stopping = False  # set, from a signal handler too, to end the simulation
         self._greeted = False  # with the first banner; nothing is heard before
+        self._has_opened = False  # a sender, that has not been greeted yet
+        wire.on_open = self._open
         self._looks = 0
         self._open_lines = 0  # received, and not yet answered
         self._heard = monotonic()  # when the sender or we have last said something
@@ -79,6 +83,9 @@ class LiveLink(UntimedLink):
         if not self._fast:
             self._follow_wall()
         data = self._wire.read(len(buf)) if self._greeted else b""
+        if self._has_opened and _RESET not in data:
+            self._has_opened = False
+            self._rig.controller.welcome()
         if not data:
             if self._wire.closed and not self.busy():
                 self._rig.power_off()
@@ -100,10 +107,13 @@ class LiveLink(UntimedLink):
         answers = out.count(b"ok\r\n") + out.count(b"error:")
         self._open_lines = max(self._open_lines - answers, 0)
         if b"Grbl " in out:
-            self._greeted = True
+            self._greeted, self._has_opened = True, False
             self._open_lines = 0
         self._wire.write(out)
         self._touch()
+
+    def _open(self) -> None:
+        self._has_opened = True
 
     # Time
 

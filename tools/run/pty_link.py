@@ -6,6 +6,7 @@ import sys
 import termios
 import time
 import tty
+from collections.abc import Callable
 from pathlib import Path
 
 from .wire import Wire
@@ -89,6 +90,7 @@ class Stdio:
     """Standard input and output. Input that ends closes the wire."""
 
     closed = False
+    on_open: Callable[[], None]  # never called: there is one sender
 
     def read(self, limit: int) -> bytes:
         """What has come."""

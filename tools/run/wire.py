@@ -2,6 +2,7 @@
 
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 
 # A sender that has not taken a byte for so long does not listen: what follows is lost on it.
 _DEAF_S = 0.5
@@ -14,13 +15,16 @@ _WELCOME_S = 0.3
 
 
 class Wire(ABC):
-    """A wire that outlives its senders."""
+    """A wire that outlives its senders. on_open: called when one has come that is to be greeted;
+    the first hears what was said before."""
 
     closed = False
+    on_open: Callable[[], None] = staticmethod(lambda: None)
 
     def __init__(self) -> None:
         self._connected = False
         self._since = 0.0
+        self._welcomed = False
         self._early: bytes | None = b""  # kept for the first; None once it has been told
         self._deaf = False
 
@@ -42,7 +46,7 @@ class Wire(ABC):
 
     def _left(self) -> None:
         """The sender has gone."""
-        self._connected = self._deaf = False
+        self._connected = self._welcomed = self._deaf = False
 
     def read(self, limit: int) -> bytes:
         """What has come from the sender."""
@@ -54,10 +58,17 @@ class Wire(ABC):
         if not self._connected:
             self._connected = True
             self._since = time.monotonic()
-        if self._early is not None and (data or time.monotonic() >= self._since + _WELCOME_S):
-            early, self._early = self._early, None
-            self._send(early)
+        if not self._welcomed and (data or time.monotonic() >= self._since + _WELCOME_S):
+            self._welcome()
         return data
+
+    def _welcome(self) -> None:
+        self._welcomed = True
+        early, self._early = self._early, None
+        if early is None:
+            self.on_open()
+        else:
+            self._send(early)
 
     def write(self, data: bytes) -> None:
         """Send; without a sender, or to one that does not read, the bytes are lost."""
