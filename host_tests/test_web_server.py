@@ -162,7 +162,16 @@ async def test_whoever_takes_over_drives_and_the_other_watches(
         await third.told(driver=True, drivers=1, watchers=2)
 
 
-@pytest.mark.parametrize("words", ["true", "{}", "[", '{"drive": 1}', '{"drive": "yes"}'])
+@played
+async def test_a_sender_may_send_its_bytes_as_text(board: FakeBoard, tmp_path: Path) -> None:
+    async with served(board, tmp_path) as site:
+        sender = await site.open()
+        await sender.socket.send_str("G91 (− is no byte)\n\x85?")
+        await board.wait_for(b"?")
+        assert sorted(board.got) == sorted(b"G91 ( is no byte)\n\x85?")
+
+
+@pytest.mark.parametrize("words", ['{"drive": 0}', "{}", "{", '{"drive": 1}', '{"drive": "yes"}'])
 @played
 async def test_words_that_mean_nothing_are_passed_over(
     words: str, board: FakeBoard, tmp_path: Path

@@ -154,8 +154,10 @@ class Server:
         async for message in socket:
             if message.type is WSMsgType.BINARY:
                 await self._hub.send(browser, message.data)
-            elif message.type is WSMsgType.TEXT:
+            elif message.type is WSMsgType.TEXT and message.data.startswith("{"):
                 self._take_words(browser, message)
+            elif message.type is WSMsgType.TEXT:  # as senders send it
+                await self._hub.send(browser, message.data.encode("latin-1", "ignore"))
 
     def _take_words(self, browser: Browser, message: WSMessage) -> None:
         try:
