@@ -188,3 +188,60 @@ def test_a_laser_is_dark_in_a_hold_whatever_lines_come(line: str) -> None:
 
     rig.run(script())
     assert lit_ms[0] < 60
+
+
+class Miscounting:
+    """cncjs 1.11: 120 bytes under way as it counts; each resume counts as an answer."""
+
+    def __init__(self, machine: Turns, lines: "list[str]") -> None:
+        self.link, self.sender = machine.rig.link, machine.sender
+        self.lines = [line + "\n" for line in lines]
+        self.under_way: "list[int]" = []
+        self.sent = self.heard = self.most = 0
+
+    def go_on(self) -> None:
+        """An answer has come, or it has resumed."""
+        del self.under_way[:1]
+        while self.sent < len(self.lines):
+            line = self.lines[self.sent]
+            if sum(self.under_way) + len(line) >= 120:
+                break
+            self.under_way.append(len(line))
+            self.link.send(line.encode())
+            self.sent += 1
+        waiting = self.lines[self.sender.answers : self.sent]
+        self.most = max(self.most, sum(map(len, waiting)))
+
+    def turn(self) -> bool:
+        """Take in what has come. Whether all is answered."""
+        self.sender.poll()
+        for _ in range(self.sender.answers - self.heard):
+            self.go_on()
+        self.heard = self.sender.answers
+        return self.heard == len(self.lines)
+
+
+def test_a_sender_that_counts_a_resume_as_an_answer_loses_no_line() -> None:
+    machine = Turns()
+    rig, sender = machine.rig, machine.sender
+    lines = [f"G1 X{k % 2}.{k % 10}00 Y0.{k % 10}00 F1200" for k in range(120)]
+    cncjs = Miscounting(machine, lines)
+
+    def script() -> "Iterator[Any]":
+        yield from sender.wait("banner", "")
+        sender.take()
+        sender.allow(300_000)
+        cncjs.go_on()
+        for count in (20, 40, 60):
+            yield from sender.until(lambda count=count: cncjs.turn() or cncjs.heard > count)
+            rig.link.send(b"!")
+            yield rig.ms(300)
+            cncjs.turn()
+            rig.link.send(b"~")
+            cncjs.go_on()
+        yield from sender.until(cncjs.turn)
+        machine.answers = sender.take()
+
+    rig.run(script())
+    assert cncjs.most > 150, "bytes under way"
+    assert machine.answers == ["ok"] * len(lines)

@@ -31,6 +31,7 @@ _IN_PARENTHESES = const(1)
 _AFTER_SEMICOLON = const(2)
 _OVERFLOW = const(4)
 COMPLETE = const(8)  # the line has been found: the next one begins
+_TOLD = const(7)  # bytes that senders are told of
 
 # Kinds of bytes.
 _AS_IT_IS = const(0)
@@ -95,11 +96,11 @@ def clean(ring: ptr8, at: ptr32, line: ptr8, kinds: ptr8) -> int:
 
 @micropython.viper
 def room(at: ptr32) -> int:
-    """Bytes that fit into the ring."""
+    """Bytes that may still be sent."""
     used = at[HEAD] - at[TAIL]
     if used < 0:
         used += at[_SIZE]
-    return at[_SIZE] - 1 - used
+    return at[_TOLD] - used if used < at[_TOLD] else 0
 
 
 @micropython.viper
@@ -149,7 +150,8 @@ def _make_kinds(first: int, extra: int) -> bytearray:
 
 
 class LineReader:
-    """The ring and the line being put together. size: bytes of the ring; longest: of a line.
+    """The ring and the line being put together. size: bytes that a sender may have under way;
+    longest: of a line; more: bytes that the ring holds besides, for senders that miscount.
 
     clean(*memory()) goes on with the line: length * 4 + LINE once it is complete, followed by a 0.
     """
@@ -160,11 +162,12 @@ class LineReader:
         longest: int,
         on_realtime: "Callable[[int], None]",
         reads: "tuple[int, int, int]" = READS,
+        more: int = 0,
     ) -> None:
         self.line = bytearray(longest + 1)
         self.post = on_realtime
-        self._ring = bytearray(size + 1)
-        self._at = array("i", (size + 1, 0, 0, 0, longest, reads[2], 0))
+        self._ring = bytearray(size + more + 1)
+        self._at = array("i", (len(self._ring), 0, 0, 0, longest, reads[2], 0, size))
         self._kinds = _make_kinds(reads[0], reads[1])
 
     def memory(self) -> "tuple[bytearray, array[int], bytearray, bytearray]":
