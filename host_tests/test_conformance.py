@@ -54,7 +54,7 @@ def parts(folder: Path) -> "list[Any]":
 
 @pytest.mark.parametrize(
     ("folder", "part", "count"),
-    [row for folder in FOLDERS for row in rings.sample(parts(folder), 3)],
+    [row for folder in FOLDERS for row in rings.sample(parts(folder), 2)],
 )
 def test_conversations_are_answered_as_recorded(folder: Path, part: int, count: int) -> None:
     if not folder.is_dir():

@@ -19,7 +19,7 @@ from ugrbl.sim.rig import Rig
 from ugrbl.sim.sender import Sender, is_answer
 
 # Many cases of each: the first ring takes some.
-pytestmark = pytest.mark.sampled(2)
+pytestmark = pytest.mark.sampled(1)
 
 _EXAMPLES = Path(__file__).resolve().parent.parent / "examples" / "custom"
 _STEPS = 250

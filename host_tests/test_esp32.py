@@ -118,6 +118,7 @@ def test_it_does_so_under_micropython(board: str, tmp_path: Path) -> None:
 
 
 @needs_micropython
+@pytest.mark.thorough  # compiles all
 @pytest.mark.parametrize("board", _BOARDS)
 def test_it_does_so_as_it_is_deployed(
     board: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -54,7 +54,7 @@ from ugrbl.paths import FIRMWARE
 from ugrbl.sim.engine import Switch
 
 # Many cases of each: the first ring takes some.
-pytestmark = pytest.mark.sampled(4)
+pytestmark = pytest.mark.sampled(2)
 
 # Accelerations are told in 14 bits, steps as in largest_jerk(), and braking for a place may be
 # harder by a sixteenth (segment_kernel.brake).

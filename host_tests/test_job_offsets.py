@@ -9,7 +9,7 @@ from test_jobs import FAST, HOMED, ROUTER, Bench, homed, say, to_its_end
 from ugrbl.sim.rig import MemoryStore
 
 # Many cases of each: the first ring takes some.
-pytestmark = pytest.mark.sampled(2)
+pytestmark = pytest.mark.sampled(1)
 
 OFFSETS = {
     "G10L2": (

@@ -21,7 +21,7 @@ from ugrbl.compiling import build
 from ugrbl.sim.engine import Switch, step_tick
 
 # Many cases of each: the first ring takes some.
-pytestmark = pytest.mark.sampled(2)
+pytestmark = pytest.mark.sampled(1)
 
 _EXAMPLES = Path(__file__).parent.parent / "examples" / "kinematics"
 if str(_EXAMPLES) not in sys.path:
@@ -157,7 +157,6 @@ def words(at: Place) -> str:
     return "".join(f"{letter}{mm:.3f}" for letter, mm in zip("XYZ", at, strict=True))
 
 
-@pytest.mark.sampled(2)
 @pytest.mark.parametrize("kind", _KINDS)
 @pytest.mark.parametrize("tolerance", [0.01, 0.1])
 def test_lines_keep_within_the_arc_tolerance(kind: str, tolerance: float) -> None:

@@ -27,6 +27,7 @@ def test_sources_that_say_nothing_are_refused() -> None:
         of_chip({_LAYOUT: "RP2350 = const(2)\n"}, "armv6m")
 
 
+@pytest.mark.thorough  # compiles all, twice
 @pytest.mark.parametrize(("name", "there"), [("rpi_pico", False), ("rpi_pico2", True)])
 def test_a_board_has_what_it_takes_on_an_rp2350_alone(name: str, there: bool) -> None:
     """Of the third PIO, and what is refused of 48 pins."""

@@ -12,7 +12,7 @@ from ugrbl.cli.app import app
 from ugrbl.device.connection import Connection
 
 # Many cases of each: the first ring takes some.
-pytestmark = pytest.mark.sampled(2)
+pytestmark = pytest.mark.sampled(1)
 
 # State, what brings it about, and what is to be done about it.
 STATES = [

@@ -192,7 +192,7 @@ coords.systems[0][0] = 10.5
 planner = Planner(3, 16, None, state)
 planner.configure(settings, 13107200, 17, 90909)
 segments = Segments(planner)
-reader = array("i", (256, 0, 0))  # as LineReader has them: size, head, tail
+reader = array("i", (256, 0, 0, 0, 0, 0, 0, 255))  # as LineReader has them
 planner.flow[9] = 56 << 15 | 0x4321
 report = Report(machine, state, settings, coords, 3, False)
 inputs = Inputs(machine, settings, 3, False)
