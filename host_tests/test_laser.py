@@ -14,6 +14,8 @@ from fakes import FakePort
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from motion import layout
+from motion.layout import ROW_POWER
+from rig_bench import Machine
 from test_settings_effects import Bench
 from ugrbl.boardfile.board_check import problems
 from ugrbl.boardfile.files import load_board
@@ -108,6 +110,40 @@ def test_power_is_worked_out_as_in_single_precision(
 
 
 # Holds
+
+
+@pytest.mark.parametrize("turn", ["M3", "M4"])
+@pytest.mark.parametrize("words", [("S500", "S200", "S999"), ("", "S0", ""), ("S1500", "", "S9")])
+def test_a_report_in_motion_tells_the_speed_that_the_beam_is_made_of(
+    turn: str, words: "tuple[str, ...]"
+) -> None:
+    """Overrides included: that of some row between the one being made and the last there is."""
+    machine = Machine({32: 1, 110: 6000, 120: 300})
+    told: "list[tuple[int, str]]" = []
+
+    def script() -> Iterator[Any]:
+        yield from machine.start()
+        rig = machine.rig
+        lines = [f"G{k > 0:d}X{3 * k}{word}" for k, word in enumerate(("", *words), 1)]
+        rig.link.send("\n".join([turn + "S400F1200", *lines, ""]).encode())
+        for number in range(22):
+            yield rig.ms(29)
+            if number == 11:
+                rig.link.send(b"\x9b\x9b\x9b")
+                continue
+            rig.link.send(b"?")
+            yield from machine.sender.until(lambda: machine.sender.lines[-1:] >= ["<"])
+            told.append((rig.now, machine.take()[-1]))
+        yield from machine.rest()
+
+    machine.run(script())
+    runs = [(at, line) for at, line in told if line.startswith("<Run")]
+    assert len(runs) > 12
+    per_ms = machine.rig.engine.tick_hz / 1000
+    for at, line in runs:
+        rpm = int(line.partition("FS:")[2].partition("|")[0].strip(">").split(",")[1])
+        near = {row[ROW_POWER] for start, row in machine.rows if -25 < (start - at) / per_ms < 50}
+        assert min(abs(rpm * 255 / 1000 - power) for power in near) <= 4, (line, near)
 
 
 @pytest.mark.parametrize(

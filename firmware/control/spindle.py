@@ -80,6 +80,15 @@ def weigh(scale: ptr32, flags: int) -> int:
     return least + (rpm >> shift if shift < 25 else 0)
 
 
+def in_range(scale: "array[float]", rpm: float) -> float:
+    """What speed a programmed one is: with its override, from $31 to $30. scale: State.spindle."""
+    rpm = f32(rpm * scale[OVERRIDE_PART])
+    highest, lowest = scale[HIGHEST], scale[_LOWEST]
+    if rpm >= highest or lowest >= highest:
+        return highest
+    return rpm if rpm > lowest or rpm <= 0 else lowest
+
+
 class Spindle:
     """One PWM spindle with a direction pin."""
 

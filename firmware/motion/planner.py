@@ -14,7 +14,7 @@ from base.f32 import copy, f32, vector, whole
 from micropython import const
 
 from motion import arcs, layout, plan_kernel, reals
-from motion.layout import AT, FLAGS, HEAD, LINE, LOADED, ROWS, SYSTEM, TAIL, UNPLANNED
+from motion.layout import FLAGS, HEAD, LINE, LOADED, ROWS, SYSTEM, TAIL, UNPLANNED
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -254,10 +254,6 @@ class Planner:
             row = at * flow[layout.ROW_SIZE]
             self.ring[row + layout.POWER] = power(self.ring[row + FLAGS], self.speeds[at])
             at = (at + 1) % flow[ROWS]
-
-    def speed_rpm(self) -> float:
-        """Spindle speed of the block being executed, as programmed."""
-        return self.speeds[self.flow[AT] // self.flow[layout.ROW_SIZE]]
 
     def clear(self) -> None:
         """Forget all blocks. Only while the engine is stopped."""

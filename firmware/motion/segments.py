@@ -11,7 +11,8 @@ from micropython import const
 
 from motion import layout
 from motion.layout import AT, CARRY, FACTOR, HOLD, LOADED, NOW, REACHED
-from motion.reals import ratio
+from motion.planner import SPINDLE_MASK
+from motion.reals import ratio, value
 from motion.segment_kernel import fill
 
 TYPE_CHECKING = const(False)
@@ -82,10 +83,17 @@ class Segments:
             return int(ratio(flow[REACHED], ring[flow[AT] + FACTOR]))
         return flow[CARRY]
 
-    def dynamic_rpm(self) -> "float | None":
-        """Spindle speed of a laser whose power follows the rate; None where it does not."""
-        flow = self._flow
-        if not flow[LOADED] or not self._ring[flow[AT] + layout.FLAGS] & layout.DYNAMIC:
+    def beam_rpm(self) -> "float | None":
+        """S of the block of which rows are made, in rpm: of its rate where power follows that.
+        None where there is no block."""
+        flow, ring = self._flow, self._ring
+        at = flow[AT] if flow[LOADED] else flow[layout.TAIL] * flow[layout.ROW_SIZE]
+        if not flow[LOADED] and flow[layout.TAIL] == flow[layout.HEAD]:
             return None
-        rate = self._ring[flow[AT] + layout.PROGRAMMED]
-        return f32(self._planner.speed_rpm() * flow[REACHED] / rate) if rate else 0.0
+        flags, programmed = ring[at + layout.FLAGS], ring[at + layout.PROGRAMMED]
+        if not flags & SPINDLE_MASK or (flags & layout.DYNAMIC and not programmed):
+            return 0.0
+        rpm = self._planner.speeds[at // flow[layout.ROW_SIZE]]
+        if not flags & layout.DYNAMIC:
+            return rpm
+        return f32(rpm * value(self.rate()) / value(ratio(programmed, ring[at + FACTOR])))

@@ -13,6 +13,7 @@ from base.f32 import INCH_PER_MM, copy, f32, vector
 from base.singles import MINUS, add
 from base.text import text_of
 from control.coords import NAMES
+from control.spindle import in_range
 from micropython import const
 from motion import reals
 from motion.layout import LIMITS, RESOLUTION
@@ -308,11 +309,12 @@ class Report:
         write(self._speed_form, text, ints, shown)
 
     def _beam(self) -> "array[float]":
-        """What tells the spindle's speed, where a laser's may follow the rate."""
-        rpm = self._segments.dynamic_rpm()
-        if rpm is None:
-            return self._state.spindle
-        self._shown[st.RPM] = rpm
+        """What tells the speed of a laser in motion: that of the block that is being made."""
+        state, rpm = self._state, self._segments.beam_rpm()
+        spindle = state.spindle
+        if rpm is None or state.suspend & st.HOLD_COMPLETE:
+            return spindle
+        self._shown[st.RPM] = in_range(spindle, rpm)
         return self._shown
 
     def _lengths(self, name: bytes, mm: "array[float]") -> None:
