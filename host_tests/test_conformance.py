@@ -2,6 +2,9 @@
 
 import json
 import os
+import re
+from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +72,56 @@ def test_clusters_of_faults_are_answered_as_recorded(file: str) -> None:
     results = run_folder(_CLUSTERS, only=file)
     failed = {outcome.name for outcome in results.failures()}
     assert failed == _DIFFER.get(file, set()), summary(results)
+
+
+# What the judge says of machines with a fault
+
+
+def _has(of_step: "Callable[[Any], object]") -> "Callable[[Any], bool]":
+    return lambda case: any(
+        of_step(step)
+        for step in case.get("steps", ())
+        if not step.get("moving") and step.get("compare") != "info"
+    )
+
+
+def _is_held_in_motion(case: Any) -> bool:
+    return any(
+        before.get("moving") and step["send"] == "!"
+        for before, step in pairwise(case.get("steps", ()))
+    ) and _has(lambda step: any(line.startswith("<Hold:0|M") for line in step["expect"]))(case)
+
+
+_FAULTS: "dict[str, Callable[[Any], bool]]" = {
+    "never_enables": _has(lambda step: any(step.get("moved", ()))),
+    "turns_no_spindle": _has(lambda step: step.get("out", {}).get("spindle_pwm")),
+    "says_nothing": _has(lambda step: any(line.startswith("<") for line in step["expect"])),
+    "is_off_after_a_hold": _is_held_in_motion,
+    # No feed override for homing and probes; and moves may be too short to come to their feed.
+    "takes_three_times": lambda case: not re.search("prob|homing|triangle", case["name"]),
+}
+
+
+_EACH = 1 if rings.is_first() else 20  # one that says nothing is waited for
+
+
+@pytest.mark.parametrize("fault", _FAULTS)
+def test_a_machine_with_a_fault_fails(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever excuses a recording has."""
+    folder = _SHARED / "conformance-2"
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is not there")
+    monkeypatch.setenv("UGRBL_FAULT", fault)
+
+    def choose(rows: list[Any]) -> list[Any]:
+        return rings.sample([row for row in rows if _FAULTS[fault](row[1])], 4)[::_EACH]
+
+    folder = folder / "motion" if fault == "takes_three_times" else folder
+    program = _HERE / "wrong_machine.py"
+    results = run_folder(folder, program=program, choose=choose, processes=PROCESSES)
+    assert len(results.required()) >= 4
+    passed = [outcome.name for outcome in results.required() if not outcome.wrong]
+    assert not passed
 
 
 # What the judge says of the motors' enable pin

@@ -1,6 +1,9 @@
 """Judges replays of motion records by the rules of their FORMAT.md: see compare.py."""
 
+import math
 import re
+from collections.abc import Sequence
+from itertools import pairwise
 
 from .compare import Json, expected_lines, same_lines, trouble
 from .differences import EXACT_STOP, SWITCH
@@ -16,6 +19,7 @@ _SLACK_STEPS = 2.0
 _SWITCH_MS = 1.0  # Grbl looks at a switch of homing no more often
 _REST_MS = 50.0
 _HALF_STEP_DOUBT = 0.001
+_LOOK_AHEAD = 40  # samples
 
 
 def judge_motion(record: Json, observed: Json, used: list[str]) -> list[str]:
@@ -37,8 +41,10 @@ def judge_motion(record: Json, observed: Json, used: list[str]) -> list[str]:
     late_or_far = _judge_times(record, observed, used)
     if late_or_far and _stopped_at_end(record, observed):
         used.append(EXACT_STOP[0])
-    elif late_or_far and not excuse_motion(record, used):
+    elif late_or_far and not excuse_motion(record, observed, used):
         wrong += late_or_far
+    elif late_or_far:
+        wrong += _judge_path(record, observed)
     return wrong
 
 
@@ -108,6 +114,32 @@ def _judge_samples(record: Json, observed: Json, steps: float) -> list[str]:
             ms = at * samples["dt_ms"]
             wrong.append(f"{axis.upper()} at {ms} ms is {worst:.0f} steps outside what is allowed")
     return wrong
+
+
+def _judge_path(record: Json, observed: Json) -> list[str]:
+    """Where the machine is at another time, it is on the same way."""
+    samples, at = record["samples"], 0
+    track = list(zip(*(samples[axis] for axis in "xyz"), strict=True))
+    ways = list(pairwise(track)) or [(track[0], track[0])]
+    for k, place in enumerate(observed["samples"]):
+        near = range(at, min(at + _LOOK_AHEAD, len(ways)))
+        at = min(near, key=lambda way: (_distance(place, *ways[way]), -way))
+        # Between two samples the way may have a corner.
+        slack = _SLACK_STEPS + math.dist(*ways[at]) / 2
+        if _distance(place, *ways[at]) > slack:
+            return [f"at {k * samples['dt_ms']} ms off the path: {place}"]
+    if at + _LOOK_AHEAD < len(ways):
+        return [f"only {at} of {len(ways)} parts of the path have been made"]
+    return []
+
+
+def _distance(place: Sequence[float], begin: Sequence[int], end: Sequence[int]) -> float:
+    """Of a place from a straight line."""
+    way = [b - a for a, b in zip(begin, end, strict=True)]
+    length = sum(x * x for x in way)
+    along = sum(x * (p - a) for x, p, a in zip(way, place, begin, strict=True)) / (length or 1)
+    part = min(max(along, 0.0), 1.0)
+    return math.dist(place, [a + part * x for a, x in zip(begin, way, strict=True)])
 
 
 def _envelope(track: list[int], k: int, dt_ms: float) -> tuple[float, float]:

@@ -37,7 +37,7 @@ def judge_motors(case: Json, observed: Json, used: list[str]) -> list[str]:
             used.append(IDLE_DELAY[0])
         elif delays[n] == _FOR_EVER and level == _ON and _stopped_by_switch(steps[: n + 1]):
             used.append(HELD[0])
-        elif level == _ON and got[n]["moving"] and SLOW.applies({"steps": steps[: n + 1]}):
+        elif level == _ON and got[n]["moving"] and SLOW.begins(steps[: n + 1]) is not None:
             used.append(SLOW.name)
         else:
             wrong.append(f"step {n}: motors")

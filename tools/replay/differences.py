@@ -6,7 +6,7 @@ names. Whatever is not in this table has to be equal.
 
 import re
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class Difference(NamedTuple):
@@ -20,6 +20,7 @@ class Difference(NamedTuple):
 _VERSION = re.compile(r"\[VER:1\.1h\.\d{8}:(.*)\]")
 _VERSION_09 = re.compile(r"\[0\.9([ij])\.\d{8}:(.*)\]")
 _PROBE_09 = re.compile(r"\[G38\.(254|255|0|1) ")
+_HOME_ONE = re.compile(r"\$H[^\n]")
 _OPTIONS = re.compile(r"\[OPT:([^,]*)(,\d+,\d+)\]")
 
 
@@ -52,11 +53,30 @@ def _homing(ours: str, grbls: str, sent: str) -> str:
 
 
 class Quirk(NamedTuple):
-    """A recorded case in which Grbl does what nobody wants; only cases tagged `quirk` count."""
+    """What Grbl does that nobody wants, in cases tagged `quirk`: only what stands before is
+    compared. begins: with which of a case's steps, if any."""
 
     name: str
     reason: str
-    case: str
+    begins: Callable[[list[dict[str, Any]]], int | None]
+
+
+def _behind_refused_homing(steps: list[dict[str, Any]]) -> int | None:
+    refused = (
+        n + 1
+        for n, step in enumerate(steps)
+        if _HOME_ONE.search(step["send"]) and step["expect"] == ["error:3"]
+    )
+    return next(refused, None)
+
+
+def _probes_in_contact(steps: list[dict[str, Any]]) -> int | None:
+    closed = False
+    for n, step in enumerate(steps):
+        closed = step.get("pins", {}).get("probe", "closed" if closed else "") == "closed"
+        if closed and "G38" in step["send"] and step["expect"] == ["ALARM: Probe fail"]:
+            return n
+    return None
 
 
 QUIRKS = (
@@ -64,13 +84,13 @@ QUIRKS = (
         "refused homing",
         "$HX is refused with error:3 and leaves the machine as it was; Grbl sticks in Home, "
         "takes moves and never makes them.",
-        "$H with an argument leaves the machine in Home state",
+        _behind_refused_homing,
     ),
     Quirk(
         "probe in contact",
         "A probe closed at the start of G38.2 raises the alarm and ends the line, as Grbl 1.1 "
         "does; Grbl 0.9 hears nothing from then on until it is reset.",
-        "probe already in contact",
+        _probes_in_contact,
     ),
 )
 

@@ -164,6 +164,7 @@ class _Case:
 def _attach(rig: Rig, row: "Any") -> None:
     pin, axis, relation, steps = row
     rig.engine.switches.append(Switch(pin, _AXES.index(axis), relation == "ge", steps))
+    rig.port.push({pin: False})  # by hand no more
 
 
 class _Trace:

@@ -1,0 +1,189 @@
+"""Judges places after a stop: how far from Grbl's a replayed conversation may be, and until when.
+
+A stop at another instant leaves the axes that were moving a little way from where Grbl's rested.
+That way is carried along by relative moves, gone with the first absolute one, and nowhere else.
+"""
+
+import re
+from typing import Any
+
+from .differences import EXACT_STOP, HELD_CONTACT, IN_MOTION, STOPPED
+
+Json = dict[str, Any]
+
+_STOP = re.compile("[!\x84\x85]|G38")
+_HOLD = re.compile("[!\x84]")
+_ON_STEP = 0.05  # of a step
+_RAPID_MM_MIN = 500.0  # of the recordings, where they do not say otherwise
+_STOP_MS = 10.0
+_RESET_MS = 20.0  # it stops at once: where motion began later, it ends there
+_DIGIT_MM = 0.001
+_PER_MM = 250.0
+_FEED = re.compile(r"F\s*(\d+\.?\d*)|\$1[12]\d=(\d+)|\$2[45]=(\d+)", re.IGNORECASE)
+_SETTING = re.compile(r"\$10([0-5])=(\d+\.?\d*)|\$RST=[$*]", re.IGNORECASE)
+_SLOW_REST = re.compile(r"(?<=[|])(Bf:\d+|FS:(\d|0\.\d))(?=,)")
+_PLACES = re.compile(r"(?<=:)(-?\d+\.\d+(?:,-?\d+\.\d+)+)")
+
+
+class Places:
+    """Of a case and its replay. off: steps that each axis rests beside Grbl's place at the end of
+    each step; beside: those that it may be off in a snapshot of motion; wrong: the steps whose
+    moves have no reason to be others; names: what the reasons are; lasers: $32=1 was sent."""
+
+    def __init__(self, setup: list[Any], steps: list[Json], got: list[Json]) -> None:
+        self._steps = steps
+        self._got = got
+        self.axes = len(got[0]["moved"]) if got else 0
+        self._per_mm = [_PER_MM] * self.axes
+        self._fastest = _RAPID_MM_MIN
+        self.off: list[list[int]] = []
+        self.beside: list[list[float]] = []
+        self._doubt: list[
+            list[bool]
+        ] = []  # a step: what is moving is counted in no step of a case
+        self.wrong: set[int] = set()
+        self.names: dict[int, str] = {}
+        self.lasers = False
+        for item in setup:
+            self._hear(item[0] if isinstance(item, list) else item["send"])
+        self._walk()
+
+    def _hear(self, sent: str) -> None:
+        """What is sent may say how fast axes go, and how long a step is."""
+        said = [float(next(filter(None, found))) for found in _FEED.findall(sent)]
+        self._fastest = max([self._fastest, *said])
+        self.lasers = self.lasers or "$32=1" in sent
+        for axis, steps in _SETTING.findall(sent):
+            if not axis:
+                self._per_mm = [_PER_MM] * self.axes
+            elif int(axis) < self.axes:
+                self._per_mm[int(axis)] = float(steps)
+
+    def _walk(self) -> None:
+        off, doubt = [0] * self.axes, [False] * self.axes
+        apart = list(off)  # since motion has last rested
+        first, busy = 0, [False] * self.axes
+        restarts = _restarts(self._steps)
+        for n, (step, mine) in enumerate(zip(self._steps, self._got, strict=False)):
+            self._hear(step["send"])
+            moved = padded(step.get("moved", []), self.axes)
+            apart = [a + ours - theirs for a, ours, theirs in zip(apart, mine["moved"], moved)]
+            busy = [was or bool(a or b) for was, a, b in zip(busy, mine["moved"], moved)]
+            mm = self._fastest * self._stop_ms(first, n) / 60_000
+            self.beside.append([mm * steps * on for steps, on in zip(self._per_mm, busy)])
+            if not step.get("moving"):
+                for axis in range(self.axes):
+                    name = self._reason(first, n, apart[axis], off[axis], self.beside[n][axis])
+                    if n in restarts and apart[axis] == -moved[axis] != 0:
+                        name = HELD_CONTACT[0]
+                    if name is None:
+                        self.wrong.add(n)
+                    elif name:
+                        self.names[n] = name
+                doubt = [
+                    bool(way) or (doubted and not (axis_off and axis_off == -axis_apart))
+                    for way, doubted, axis_off, axis_apart in zip(
+                        self.beside[n], doubt, off, apart
+                    )
+                ]
+                off = [a + b for a, b in zip(off, apart)]
+                apart, busy, first = [0] * self.axes, [False] * self.axes, n + 1
+            if step.get("power"):
+                off, doubt = [0] * self.axes, [False] * self.axes
+            self.off.append(off)
+            self._doubt.append(doubt)
+
+    def _reason(self, first: int, n: int, apart: int, off: int, way: float) -> str | None:
+        """Why an axis may have moved so many steps more than it was recorded to, and "" where it
+        needs none. None: it may not."""
+        if apart in (0, -off):
+            return ""
+        if abs(apart) <= 1 and self._ends_on_step(first, n):
+            return EXACT_STOP[0]
+        return STOPPED[0] if min(abs(apart), abs(apart + off)) <= way else None
+
+    def _stop_ms(self, first: int, last: int) -> float:
+        """In how many ms a hold, a jog cancel, a probe or an alarm has ended a motion in these
+        steps; 0 where nothing has."""
+        before = [{}, *self._steps][first]
+        for step in self._steps[first : last + 1]:
+            moving = step.get("moving") or before.get("moving")
+            if moving and ("\x18" in step["send"] or step.get("power")):
+                return _RESET_MS
+            if moving and (_STOP.search(step["send"]) or step.get("pins") or _alarms(step)):
+                return _STOP_MS
+            before = step
+        return 0.0
+
+    def _ends_on_step(self, first: int, last: int) -> bool:
+        """A stop in these steps was exactly on a whole step."""
+        stops = False
+        for step, mine in zip(self._steps[first : last + 1], self._got[first:], strict=False):
+            stops = stops or bool(_STOP.search(step["send"]) or step.get("pins"))
+            if stops and mine.get("off_step", 1) < _ON_STEP:
+                return True
+        return False
+
+    def are_explained(self, used: list[str]) -> bool:
+        """Whether all that the axes rest beside Grbl's place in the end has its reasons."""
+        used += sorted(set(self.names.values()))
+        return not self.wrong
+
+    def same_reports(self, n: int, used: list[str]) -> bool:
+        """Whether the lines of a step are the recorded ones but for places that are off."""
+        expected, lines = self._steps[n]["expect"], self._got[n]["lines"]
+        if len(expected) != len(lines):
+            return False
+        names: set[str | None] = set()
+        for pair in zip(expected, lines, strict=True):
+            # A hold that rests a step before the end of a block has that block still, or has not.
+            holds = pair[0].startswith("<Hold")
+            sides = [_SLOW_REST.sub("#", line) if holds else line for line in pair]
+            theirs, ours = [_PLACES.split(line) for line in sides]
+            if theirs[::2] != ours[::2]:
+                return False
+            runs = sides[0].startswith("<Run") and bool(self._steps[n].get("moving"))
+            for places in zip(theirs[1::2], ours[1::2], strict=True):
+                numbers = [place.split(",") for place in places]
+                names |= {
+                    self._reason_of(n, axis, float(ours) - float(theirs), runs)
+                    for axis, (theirs, ours) in enumerate(zip(*numbers, strict=False))
+                    if theirs != ours
+                }
+        used += sorted(filter(None, names))
+        return None not in names
+
+    def _reason_of(self, n: int, axis: int, mm: float, runs: bool) -> str | None:
+        """Why a report may name a place that is so far from Grbl's. None: it may not."""
+        if axis >= self.axes:
+            return None
+        off, steps = self.off[n][axis], mm * self._per_mm[axis]
+        rounding = _DIGIT_MM * self._per_mm[axis]
+        doubt = self._doubt[n][axis]
+        if (off or doubt) and abs(abs(steps) - abs(off)) <= rounding + doubt:
+            return EXACT_STOP[0] if abs(off) <= 1 else STOPPED[0]
+        if runs and abs(steps) <= 1 + rounding:
+            return IN_MOTION[0]
+        return STOPPED[0] if abs(steps) <= self.beside[n][axis] else None
+
+
+def _restarts(steps: list[Json]) -> set[int]:
+    """Where a probe that has touched, by hand, while it was held, is to go on."""
+    found, held, touched = set(), False, False
+    for n, step in enumerate(steps):
+        held = held or bool(_HOLD.search(step["send"]))
+        touched = touched or (held and "probe" in step.get("pins", {}))
+        if "~" in step["send"]:
+            if touched:
+                found.add(n)
+            held = touched = False
+    return found
+
+
+def _alarms(step: Json) -> bool:
+    return any(line.startswith("ALARM:") for line in step["expect"])
+
+
+def padded(values: list[int], length: int) -> list[int]:
+    """As many as there are axes."""
+    return values + [0] * (length - len(values))
