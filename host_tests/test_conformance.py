@@ -26,7 +26,24 @@ FOLDERS = (
     _SHARED / "conformance-options",
     _SHARED / "conformance-0.9",
 )
-_PARTS = {"conformance": 8, "conformance-2": 40}
+_PARTS = {"conformance": 8, "conformance-2": 40, "conformance-3": 20}
+# Whole days; and of these those in which a poll falls on another block, the AVR's planner starves,
+# or motion is too slow for it: see docs/conformance.md.
+_DAYS = _SHARED / "conformance-3"
+_DRIFT = {
+    "connect_jog_zero": {"6"},
+    "days": {"1", "5", "9", "12", "15", "17", "19", "28"},
+    "dollar_texts": {"17"},
+    "hard_limits": {"3 p_arcs"},
+    "hold_resume_door": {"p_laser 5", "p_93 7", "p_flatcam 9", "p_93 11", "p_93 17"},
+    "laser_jobs": {"1", "2", "4", "5", "9", "19"},
+    "odd_numbers": {"M{}", "$J=G91X.1F{}"},
+    "overrides_midway": {"p_raster 7"},
+    "probe_sequences": {"4", "15", "17 $6=1"},
+    "program_polled": {"p_inkscape 1"},
+    "soft_limits": {"1", "2", "4", "6", "10"},
+    "stop_resume": {"p_93 3", "p_flatcam 5", "p_93 6", "p_inch 13", "p_arcs 17"},
+}
 # Of each worker, where there are several.
 PROCESSES = max(1, (os.cpu_count() or 1) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
 # Minimal cases of faults found, a file each; and those that differ from Grbl, by file: all named
@@ -57,13 +74,15 @@ def parts(folder: Path) -> "list[Any]":
 
 @pytest.mark.parametrize(
     ("folder", "part", "count"),
-    [row for folder in FOLDERS for row in rings.sample(parts(folder), 2)],
+    [row for folder in (*FOLDERS, _DAYS) for row in rings.sample(parts(folder), 2)],
 )
 def test_conversations_are_answered_as_recorded(folder: Path, part: int, count: int) -> None:
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there")
     results = run_folder(folder, choose=lambda cases: cases[part::count], processes=PROCESSES)
-    assert results.ok(), summary(results)
+    drift = _DRIFT if folder == _DAYS else {}
+    wrong = [out for out in results.failures() if out.name not in drift.get(out.category, ())]
+    assert results.required() and not wrong, summary(results)
 
 
 @pytest.mark.sampled(3)
