@@ -272,10 +272,11 @@ def test_a_sender_hears_how_far_it_is_and_his_lines_are_refused(tmp_path: Path) 
         yield from bench.sender.wait("report", "?")
         assert "|SD:100.0,/A.NC>" in bench.sender.lines[0]  # all is in the ring
         bench.sender.take()
-        yield from bench.sender.wait("ok", "$G\n\n$$\nG0X99\n$J=G91X1F100\n")
+        yield from bench.sender.wait("ok", "$G\n\n$N\nG0X99\n$J=G91X1F100\n$110=5\n")
         told = bench.sender.take()
         assert told[0].startswith("[GC:G1 ")
-        assert told[1:] == ["ok", "ok", "error:8", "error:9", "error:8"]
+        assert told[1:3] == ["ok", "ok"]
+        assert told[3:] == ["$N0=", "$N1=", "ok", "error:9", "error:8", "error:8"]
         bench.rig.link.send(b"G1 X")  # goes on behind the job
         yield bench.rig.ms(9000)
         yield from bench.sender.wait("ok", "7F600\n")

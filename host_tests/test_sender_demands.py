@@ -490,6 +490,21 @@ def test_every_sender_may_write_settings_at_rest_and_never_in_motion() -> None:
     converse(steps, **_FAST)
 
 
+def test_a_sender_that_connects_in_motion_learns_all_it_asks_for() -> None:
+    """UGS, gSender and OpenBuilds ask for these, and take a refusal for another controller."""
+
+    def steps(talk: Talk) -> Steps:
+        for line, begins in (("$I", "[VER:"), ("$$", "$0="), ("$#", "[G54:"), ("$N", "$N0=")):
+            yield from talk.send("G91G1X5F600\n")
+            yield from talk.send(line + "\n", "ms 200")
+            assert talk.lines[0].startswith(begins) and talk.lines[-1] == "ok"
+            yield from talk.send("?", "report")
+            assert "<Run" in talk.report()
+            yield from talk.send("", "idle")
+
+    converse(steps, **_FAST)
+
+
 def test_bcnc_and_cncjs_may_send_overrides_as_utf8() -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.send("G9\xc2\x911\xc2\x85\n")

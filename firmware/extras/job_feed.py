@@ -3,8 +3,8 @@
 
 It stands between the loop and its link. While a job runs, the loop reads the file, as much as its
 ring has room for, and its answers are counted, not sent. So a job goes the way of any lines, as
-fast as they. Meanwhile real-time commands of the sender act, `$G` is answered, and his other
-lines are refused. Files lie in flash, and to read that takes no time from interrupts.
+fast as they. Meanwhile real-time commands of the sender act, what only reads is answered, and his
+other lines are refused. Files lie in flash, and to read that takes no time from interrupts.
 """
 
 from array import array
@@ -12,6 +12,7 @@ from array import array
 import micropython
 from base import errors
 from base import state as st
+from base.errors import GrblError
 from micropython import const
 from motion import layout
 from talk.lines import REALTIME
@@ -46,7 +47,8 @@ _ROOM = const(5)  # of the ring, where nothing is in it
 _NEWLINE = const(10)
 _RETURN = const(13)
 _DOLLAR = const(36)
-_G = const(71)
+_THAT_READ = (b"$G", b"$$", b"$#", b"$I", b"$N")
+_READ = const(0x80)  # with the letter
 _O = const(111)  # of ok
 _STARTUP = const(62)  # ">", in front of what has become of a line at startup
 
@@ -302,8 +304,8 @@ class Feed:
         """The sender's line is complete: what it is answered with, at the loop's next turn."""
         line = bytes(self._said[: self._said_length]).upper().strip()
         answer = 0
-        if line == b"$G":
-            answer = _G
+        if line in _THAT_READ:
+            answer = _READ | line[1]
         elif line:
             answer = errors.IDLE_ERROR if line[0] == _DOLLAR else errors.SYSTEM_GC_LOCK
         if self._owed_count == _OWED:
@@ -318,10 +320,13 @@ class Feed:
         machine = self._machine
         for i in range(self._owed_count):
             answer = self._owed[i]
-            if answer not in (0, _G):
-                self._error(answer)
-                continue
-            if answer:
-                machine.report.modes(machine.commands.modes())
-            self._write(OK)
+            try:
+                if answer & _READ:
+                    line = bytearray((_DOLLAR, answer & ~_READ, 0))
+                    machine.commands.whose(line, 2)(line, 2)
+                elif answer:
+                    raise GrblError(answer)
+                self._write(OK)
+            except GrblError as reason:
+                self._error(reason.code)
         self._owed_count = 0

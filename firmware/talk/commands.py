@@ -45,9 +45,10 @@ _STARTUP = "startup"
 _BUILD_INFO = "build"
 STARTUP_LINES = const(2)
 _HIGHEST_SETTING = const(999)  # Grbl's end at 255, an extra's here
-_BUSY = const(st.RUN | st.HOLD)
+_MOVES = const(st.RUN | st.JOG)
 _JOG = const(74)  # $J
 _AT_ANY_TIME = b"\0$GCX"
+_READ = b"#IN"  # without anything behind these
 
 
 class Commands:
@@ -147,7 +148,9 @@ class Commands:
             if length > 2:
                 raise GrblError(errors.INVALID_STATEMENT)
         elif self._state.run not in (st.IDLE, st.ALARM):
-            raise GrblError(errors.IDLE_ERROR)
+            # A sender that connects in motion asks for these. Grbl starts anew then.
+            if not (self._state.run & _MOVES and length == 2 and line[1] in _READ):
+                raise GrblError(errors.IDLE_ERROR)
         return execute or self._set  # what is no letter is the number of a setting
 
     def take_away(self, letters: bytes) -> None:
@@ -168,8 +171,6 @@ class Commands:
         self._report.help()
 
     def _show_settings(self, _line: bytearray, _length: int) -> None:
-        if self._state.run & _BUSY:
-            raise GrblError(errors.IDLE_ERROR)
         self.show_settings()
 
     def show_settings(self) -> None:

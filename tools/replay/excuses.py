@@ -19,6 +19,9 @@ _PER_MM = re.compile(r"\$10([0-2])=(\d+\.?\d*)")
 _END = "[MSG:Pgm End]"
 _STARTUP_JOG = re.compile(r"\$N\d=\$J", re.IGNORECASE)
 _OF_STARTUP = re.compile(r"\$N\d=|>\$J")
+_READS = re.compile(r"^\$[$#IN]$", re.MULTILINE | re.IGNORECASE)
+_LISTED = re.compile(r"\$N?\d+=|\[(G\d\d:|TLO:|PRB:|VER:|OPT:|0\.9)")
+_REFUSED = {"error:8", "error: Not idle"}
 _STEP = re.compile(r"step (\d+): ")
 _REPEATED = re.compile("([\x90-\x9d]).*\\1")
 
@@ -134,6 +137,27 @@ def _without_end(_step: Json, lines: list[str]) -> list[str]:
     return [lines[0], *lines[2:]] if lines[:2] == ["ALARM:3", _END] else lines
 
 
+def _read_step(steps: list[Json]) -> int | None:
+    """Where Grbl refuses in motion what is only read."""
+    asked = False
+    for n, step in enumerate(steps):
+        asked = asked or bool(_READS.search(step["send"]))
+        if asked and not _REFUSED.isdisjoint(step["expect"]):
+            return n
+    return None
+
+
+def _without_listings(_step: Json, lines: list[str]) -> list[str]:
+    """Each with its ok is as good as a refusal."""
+    left: list[str] = []
+    for line in lines:
+        is_end = line == "ok" and left and _LISTED.match(left[-1])
+        while is_end and left and _LISTED.match(left[-1]):
+            left.pop()
+        left.append("refused" if is_end or line in _REFUSED else line)
+    return left
+
+
 _SLOW = (
     "slow motion",
     "Grbl makes no less than 30.5 steps/s; a feed below that is made as it was asked for, with "
@@ -157,6 +181,13 @@ CASES = (
         _startup_jog_step,
         _without_startup,
         stands=True,
+    ),
+    Excuse(
+        "read in motion",
+        "$I, $$, $# and $N are answered in motion, for a sender that connects then; Grbl, which "
+        "starts anew when its port is opened, says error:8.",
+        _read_step,
+        _without_listings,
     ),
     Excuse(
         "program end after a reset",
@@ -184,8 +215,11 @@ MOTIONS = (
 )
 
 
-def excuse(case: Json, observed: Json, wrong: list[str], used: list[str]) -> bool:
-    """Whether all that is wrong with a case has a reason in the table; adds its name to used."""
+def excuse(
+    case: Json, observed: Json, wrong: list[str], astray: set[int], used: list[str]
+) -> bool:
+    """Whether all that is wrong with a case has a reason in the table; adds its name to used.
+    astray: the steps whose moves have no reason to be others."""
     steps, got = case["steps"], observed.get("steps", [])
     numbers = [_STEP.match(said) for said in wrong]
     if len(steps) != len(got):
@@ -198,7 +232,8 @@ def excuse(case: Json, observed: Json, wrong: list[str], used: list[str]) -> boo
             row, steps, [mine["lines"] for mine in got]
         ):
             continue
-        if _ends_alike(row, steps[first:], got[first:]):
+        moves = any(number >= first for number in astray)
+        if _ends_alike(row, steps[first:], got[first:], moves):
             used.append(row.name)
             return True
     return False
@@ -213,17 +248,17 @@ def _answers(row: Excuse, steps: list[Json], said: list[list[str]]) -> tuple[lis
     return [line for line in lines if not line.startswith("<")], len(reports)
 
 
-def _ends_alike(row: Excuse, steps: list[Json], got: list[Json]) -> bool:
-    """Whether outputs end as recorded, and axes, at rest, where they do; under way none is
-    further."""
+def _ends_alike(row: Excuse, steps: list[Json], got: list[Json], moves: bool) -> bool:
+    """Whether outputs end as recorded, and axes that have made other moves, at rest, where they
+    do; under way none is further."""
     outs: list[dict[str, int]] = [{}, {}]
     for step, mine in zip(steps, got, strict=True):
         for levels, change in zip(outs, (step.get("out", {}), mine["out"]), strict=True):
             levels.update(change)
     for levels in outs:
         levels.pop("enable_pin", None)
-    if outs[0] != outs[1]:
-        return False
+    if outs[0] != outs[1] or not moves:
+        return outs[0] == outs[1]
     axes = range(len(got[0]["moved"]))
     theirs = [sum((step.get("moved") or [0] * 9)[axis] for step in steps) for axis in axes]
     ours = [sum(mine["moved"][axis] for mine in got) for axis in axes]
