@@ -225,6 +225,15 @@ def test_an_error_names_its_line_and_meaning_and_holds_and_asks(
     assert grbl.realtime == FEED_HOLD + CYCLE_START
 
 
+def test_behind_a_refused_line_that_leads_up_to_a_program_none_has_gone_out(
+    grbl: FakeGrbl, connection: Connection, view: Watcher
+) -> None:
+    view.answers = [Choice.ABORT]
+    lead = [Line(0, line, "") for line in (b"G21", b"G64", b"G53 G0 Z5")]
+    report = Stream(connection, [*lead, *ready_program(3)], view).run()
+    assert report.stopped and grbl.lines == [b"G21", b"G64"]
+
+
 def test_after_an_error_nothing_more_is_made_unless_the_user_says_so(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:

@@ -263,6 +263,17 @@ def test_from_a_line_on_modes_tool_and_place_are_rebuilt(bench: Bench, tmp_path:
     assert sent[-2:] == [b"X0.8", b"Z0.2"]
 
 
+def test_from_a_line_on_g93_and_large_numbers_are_sent_so_that_grbl_takes_them(
+    bench: Bench, tmp_path: Path
+) -> None:
+    lines = ["G21 G90 S2000000", "G10 P1 L20 X0", "G1 X1 F2000000", "G93", "X2 F60", "G1 X3 F60"]
+    code, text = Send(bench, tmp_path, lines, "--from-line", "6", "--yes").end()
+    assert code == 0 and "line 2 sets the origin where the tool is" in text, text
+    assert place(bench)[1][0] == 3.0
+    sent = bench.wire(">").replace(b"?", b"").split(b"\n")
+    assert sent[-4:-1] == [b"G1 G54 G17 G21 G90 S2000000", b"G93", b"G1 X3 F60"]
+
+
 OWN = """\
 from ugrbl import gcode, mcode, on
 

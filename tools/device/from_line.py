@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from ..grbl.gcode_file import without_comments
 from ..run.rehearsal import Forecast
 from .send import Line
-from .stage import SYSTEMS, Stage, axis_words, read
+from .stage import SYSTEMS, Stage, axis_words, number_word, read
 
 _SPIN_UP_S = 4
 _SLOW_MM_MIN = 100.0
@@ -20,7 +20,7 @@ _MOTION = re.compile(rb"G0*[0123](?![\d.])")
 _CYCLE = re.compile(rb"G(?:73|8[1-9])(?!\d)")
 _CYCLE_ENDS = re.compile(rb"G(?:0*[0123]|80|38)(?!\d)|M0*(?:2|30)(?!\d)")
 _RELATIVE = re.compile(rb"G91(?![\d.])")
-_ORIGIN = re.compile(rb"G92(?![\d.])|G10L20")
+_ORIGIN = re.compile(rb"G92(?![\d.])|(?=.*G10(?![\d.])).*L20(?![\d.])")
 _STORES = re.compile(rb"G10(?![\d.])|G28\.1|G30\.1")
 _GOES_TO = re.compile(rb"G(28|30)(?![\d.])")
 _SETTING = re.compile(rb"\$(\d+)=([\d.]+)")
@@ -125,8 +125,10 @@ class _Way:
             self._down(),
             *self._offsets(),
             *([] if not laser else self._tool()),
-            (f"F{self._feed_mm_min():g}", f"feed {self._feed_mm_min():g} mm/min"),
+            (f"F{self._feed()}", f"feed {self._feed()} mm/min"),
             (self._modal(), f"modes {self._modal()}"),
+            # Alone: G1 beside it wants an F.
+            ("G93", "G93, a time in each line") if "G93" in self._modes else ("", ""),
         ]
 
     def _words(self, place: Sequence[float]) -> str:
@@ -147,21 +149,24 @@ class _Way:
     def _down(self) -> tuple[str, str]:
         if self._safe_mm - self._place[2] < _NEAR_MM:
             return "", ""
-        feed = self._feed_mm_min()
-        said = f"down to {self._height(self._place[2])} at {feed:g} mm/min"
-        return f"G53 G1 Z{self._place[2]:.3f} F{feed:g}", said
+        said = f"down to {self._height(self._place[2])} at {self._feed()} mm/min"
+        return f"G53 G1 Z{self._place[2]:.3f} F{self._feed()}", said
 
-    def _feed_mm_min(self) -> float:
-        return self._there.feed_mm_min() or _SLOW_MM_MIN
+    def _feed(self) -> str:
+        """In mm/min."""
+        return number_word(self._there.feed_mm_min() or _SLOW_MM_MIN)
+
+    def _speed(self) -> str:
+        return f"S{number_word(self._there.word('S'))}"
 
     def _tool(self) -> list[tuple[str, str]]:
         """Spindle and coolant as they were."""
         steps = []
         spin = next((word for word in self._modes if word in ("M3", "M4")), "")
         if spin:
-            on = f"{spin} S{self._there.word('S'):g}"
+            on = f"{spin} {self._speed()}"
             if self._here.laser():
-                steps.append((f"{on} G1 F{self._feed_mm_min():g}", f"laser on: {on}"))
+                steps.append((f"{on} G1 F{self._feed()}", f"laser on: {on}"))
             else:
                 steps.append((on, f"spindle on: {on}, and {_SPIN_UP_S} s for it to speed up"))
                 steps.append((f"G4 P{_SPIN_UP_S}", ""))
@@ -186,9 +191,9 @@ class _Way:
         return steps
 
     def _modal(self) -> str:
-        wanted = ("G0", "G1", "G80", "G17", "G18", "G19", "G20", "G21", "G90", "G91", "G93", "G94")
+        wanted = ("G0", "G1", "G80", "G17", "G18", "G19", "G20", "G21", "G90", "G91", "G94")
         words = [word for word in self._modes if word in (*wanted, *SYSTEMS)]
-        return " ".join([*words, f"S{self._there.word('S'):g}"])
+        return " ".join([*words, self._speed()])
 
 
 def _later(lines: Sequence[bytes], number: int) -> list[str]:

@@ -209,7 +209,9 @@ class Stream:
     def _fill(self) -> None:
         while self._sent < len(self._lines):
             line = self._lines[self._sent].data + b"\n"
-            if self._unanswered and not self._fits(len(line)):
+            # What leads up to a program goes line by line: behind a refusal none goes out.
+            leads = self._sent > 0 and self._lines[self._sent - 1].number == 0
+            if self._unanswered and (leads or not self._fits(len(line))):
                 return
             self._connection.write(line)
             self._unanswered.append(len(line))

@@ -84,7 +84,7 @@ class Stage:
             here = [at - by for at, by in zip(self.place, self.work_offset(), strict=False)]
             lines.append(f"G92 {axis_words(here)}")
         if self.feed_mm_min():
-            lines.append(f"F{self.feed_mm_min():g}")
+            lines.append(f"F{number_word(self.feed_mm_min())}")
         words = [word for word in self.modes if _KEPT_MODES.fullmatch(word)]
         return [*lines, " ".join(words)] if words else lines
 
@@ -130,6 +130,11 @@ def read(replies: Iterable[str]) -> Stage:
     for values in stage.offsets.values():
         values[:] = [value * stage.unit_mm() for value in values]
     return stage
+
+
+def number_word(number: float) -> str:
+    """As a line has it: without an exponent, which Grbl does not read."""
+    return f"{number:.4f}".rstrip("0").rstrip(".")
 
 
 def axis_words(place: Sequence[float]) -> str:
