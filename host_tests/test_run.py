@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from ugrbl import paths
 from ugrbl.boardfile.files import boards
 from ugrbl.cli.app import app
-from ugrbl.grbl.gcode_file import read_lines, split_lines
+from ugrbl.grbl.gcode_file import read_lines, read_program, split_lines
 from ugrbl.grbl.messages import alarms, errors, meaning
 from ugrbl.run.program import Result, run_program
 
@@ -247,6 +247,28 @@ def test_what_cannot_be_is_told_before_the_work(program: Path, words: list[str],
     assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
     assert "".join(why.split()) in "".join(done.output.split()) and "machining" not in done.output
     assert program.read_text() == "G0 X1\n"
+
+
+def test_a_program_of_another_controller_is_told_what_takes_it(program: Path) -> None:
+    program.write_text("%\nO1000 (PART)\nN10 T1 M6\nG21 G90\nG0 X1\nM30\n%\n")
+    done = CliRunner().invoke(app, ["run", str(program), "--check"])
+    assert done.exit_code == 1 and "line 1" not in done.output
+    assert "lines 2, 3: written for another controller; --lenient takes" in done.output
+    done = CliRunner().invoke(app, ["run", str(program), "--check", "--lenient"])
+    assert done.exit_code == 0 and "another controller" not in done.output
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-8-sig"])
+def test_a_program_may_be_in_utf_16(program: Path, encoding: str) -> None:
+    mark = b"\xfe\xff" if encoding == "utf-16-be" else b""
+    program.write_bytes(mark + "G0 X1 (ä)\r\nG0 X2\r\n".encode(encoding))
+    assert read_program(program) == ["G0 X1 (ä)".encode(), b"G0 X2"]
+
+
+def test_a_dash_that_is_no_minus_is_named(program: Path) -> None:
+    program.write_text("G21\nG1 X−1 F500\n", encoding="utf-8")
+    done = CliRunner().invoke(app, ["run", str(program)])
+    assert "line 2: '−' is no minus: write -" in done.output
 
 
 def test_settings_of_a_file_hold_and_those_said_over_them(program: Path, tmp_path: Path) -> None:

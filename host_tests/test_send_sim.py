@@ -274,6 +274,24 @@ def test_from_a_line_on_g93_and_large_numbers_are_sent_so_that_grbl_takes_them(
     assert sent[-4:-1] == [b"G1 G54 G17 G21 G90 S2000000", b"G93", b"G1 X3 F60"]
 
 
+def test_from_a_line_on_a_laser_that_burns_at_rest_is_dark_until_it_moves(
+    bench: Bench, tmp_path: Path
+) -> None:
+    """M3 with G1 in force is a dot burnt into the work."""
+    connection = Connection(str(bench.port))
+    assert connection.answers() and connection.ask("$32=1")[-1] == "ok"
+    connection.close()
+    lines = ["G21 G90 M3 S500", "G0 X10 Y10", "G1 X12 F1000", "X13", "G0 X14", "G1 X15", "M5"]
+    code, text = Send(bench, tmp_path, lines, "--from-line", "4", "--yes").end()
+    assert code == 1 and "line 4 goes on with G1" in text
+    code, text = Send(bench, tmp_path, lines, "--from-line", "5", "--yes").end()
+    assert code == 0, text
+    sent = bench.wire(">").replace(b"?", b"").split(b"\n")
+    lead = sent[sent.index(b"G0 M3 S500") :]
+    assert not [line for line in lead[: lead.index(b"G0 X14")] if b"G1 " in line]
+    assert place(bench)[1][0] == 15.0
+
+
 OWN = """\
 from ugrbl import gcode, mcode, on
 

@@ -9,7 +9,15 @@ from sim_bench import Bench
 from typer.testing import CliRunner, Result
 from ugrbl.cli.app import app
 from ugrbl.grbl import settings_file
-from ugrbl.grbl.settings_file import Firmware, Settings, SettingsError, changes, check_fit, meaning
+from ugrbl.grbl.settings_file import (
+    Firmware,
+    Settings,
+    SettingsError,
+    changes,
+    check_fit,
+    meaning,
+    read_settings,
+)
 
 GRBL = ["[VER:1.1h.20190830:]", "[OPT:V,15,128]"]
 
@@ -74,6 +82,23 @@ def test_a_file_is_not_overwritten_unasked(bench: Bench, pulled: Path) -> None:
     done = ugrbl(bench, "pull", pulled)
     assert done.exit_code == 1 and "--force" in done.output
     assert ugrbl(bench, "pull", pulled, "--force").exit_code == 0
+
+
+_CASES = Path(__file__).parents[2] / "shared" / "cases"
+
+
+@pytest.mark.parametrize("file", sorted(_CASES.glob("L_settings_*")), ids=lambda file: file.stem)
+def test_files_of_others_are_read(file: Path) -> None:
+    """Of senders, consoles and editors."""
+    assert read_settings(file).values[100] in ("80.000", "80.00000")
+
+
+@pytest.mark.parametrize("line", ["error:20", "$N0=G54", "hello", "$100"])
+def test_what_is_neither_a_setting_nor_beside_one_is_named(tmp_path: Path, line: str) -> None:
+    file = tmp_path / "mine.settings"
+    file.write_text(f"$100=80\n{line}\n")
+    with pytest.raises(SettingsError, match="line 2 is no setting"):
+        read_settings(file)
 
 
 # Compare

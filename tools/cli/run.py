@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -21,6 +22,7 @@ from .outputs import Json, check_outputs, failed, save_json
 from .screen import (
     Screen,
     show_errors,
+    show_foreign,
     show_messages,
     show_problems,
     show_wide_arcs,
@@ -61,6 +63,12 @@ def command(
     ] = machine.DEFAULT_BOARD,
     custom: CustomFile = None,
     inputs: Inputs = None,
+    lenient: Annotated[
+        bool,
+        typer.Option(
+            "--lenient", help="Take words of other controllers, as a board with LENIENT does."
+        ),
+    ] = False,
 ) -> None:
     """Run a program in virtual time and say how long it takes, how far it goes, what is wrong.
 
@@ -73,7 +81,7 @@ def command(
     try:
         check_outputs(json_file, plot=picture, given=locals())
         lines = read_program(file)
-        surroundings = around(board, custom, inputs)
+        surroundings = replace(around(board, custom, inputs), lenient=lenient)
         acting = show_problems(console, lines)
         chosen = from_file(settings) if settings else []
         chosen += [as_line(text) for text in setting or ()]
@@ -86,6 +94,8 @@ def command(
         seconds = time.monotonic() - begun
         late = recorder.starves(lines)
         _tell(console, result, recorder, lines, late, seconds)
+        if not lenient:
+            show_foreign(console, result.errors, lines, "--lenient takes such words, as does")
         if picture and isinstance(recorder, MotionTrace):
             job = job_of("as it is", lines, chosen, board, result, recorder)
             plot.save([job], name, "", picture)

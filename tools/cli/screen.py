@@ -12,7 +12,7 @@ from rich.table import Table
 
 from ..device.connection import state_of
 from ..device.send import Choice
-from ..grbl.gcode_file import problems, shown
+from ..grbl.gcode_file import is_foreign, problems, shown
 from ..grbl.messages import meaning
 from ..run.recorder import Totals
 from .keys import Keys
@@ -20,6 +20,7 @@ from .keys import Keys
 _PLACE = re.compile(r"[|,]([MW])Pos:(-?[\d.]+(?:,-?[\d.]+)*)")
 # Of feed, rapids and spindle; not in every report.
 _OVERRIDES = re.compile(r"\|Ov:(\d+,\d+,\d+)")
+_MOST_NAMED = 5
 _MOST_ERRORS = 20
 
 
@@ -133,6 +134,23 @@ def show_errors(
         )
     if len(errors) > _MOST_ERRORS:
         console.print(f"… and {len(errors) - _MOST_ERRORS} more errors")
+
+
+def show_foreign(
+    console: Console, errors: Sequence[tuple[int, str]], lines: Sequence[bytes], who: str
+) -> None:
+    """What helps with words of other controllers (docs/lenient.md), where some were refused."""
+    found = [str(number) for number, _ in errors if is_foreign(lines[number - 1])]
+    if found:
+        more = ", …" if len(found) > _MOST_NAMED else ""
+        where = f"line{'s' * (len(found) > 1)} {', '.join(found[:_MOST_NAMED])}{more}"
+        console.print(
+            f"{where}: written for another controller; {who} a board with LENIENT = True. "
+            "Tool changes can be a handler of your own: --custom",
+            highlight=False,
+            markup=False,
+            soft_wrap=True,
+        )
 
 
 def show_wide_arcs(console: Console, found: Sequence[tuple[int, str]]) -> None:

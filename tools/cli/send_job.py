@@ -22,7 +22,7 @@ from ..run import own_python, rehearsal
 from ..run.machine import DEFAULT_AXES, DEFAULT_BOARD
 from ..run.rehearsal import Forecast, Rehearsal
 from . import keys
-from .screen import Screen, show_errors, show_wide_arcs
+from .screen import Screen, show_errors, show_foreign, show_wide_arcs
 
 # How long it may take to find out which line was being made.
 _PATIENCE_S = 20.0
@@ -144,6 +144,7 @@ class Job:
             [number for number, reply in result.errors if (number, reply) not in errors]
         )
         show_errors(self._console, errors, self._lines)
+        show_foreign(self._console, errors, self._lines, "such words are taken by")
         show_wide_arcs(self._console, result.wide_arcs)
         found = len(errors)
         if result.stopped:

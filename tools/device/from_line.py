@@ -47,7 +47,7 @@ def approach(lines: Sequence[bytes], number: int, forecast: Forecast, here: Stag
         raise CannotEnter(f"the lines before cannot be simulated: {forecast.stopped}")
     there = read(forecast.at_line)
     place = forecast.at_place
-    _check_motion(lines[number - 1], number, there.modes)
+    _check_motion(lines[number - 1], number, there.modes, here.laser())
     _check_cycle(lines, number)
     _check_settings(lines[: number - 1], here)
     _check_places(lines[number - 1 :], here, there)
@@ -61,11 +61,13 @@ def approach(lines: Sequence[bytes], number: int, forecast: Forecast, here: Stag
     return Approach(made, words, cautions)
 
 
-def _check_motion(line: bytes, number: int, modes: Sequence[str]) -> None:
-    """An arc goes on from line to line, but cannot be begun without its end."""
-    arc = next((word for word in modes if word in ("G2", "G3")), "")
-    if arc and not _MOTION.search(_code(line)):
-        text = f"line {number} goes on with {arc} of a line before"
+def _check_motion(line: bytes, number: int, modes: Sequence[str], laser: bool) -> None:
+    """An arc goes on from line to line, but cannot be begun without its end; and a laser in M3
+    burns at rest as soon as G1 is said."""
+    refused = ("G1", "G2", "G3") if laser and "M3" in modes else ("G2", "G3")
+    motion = next((word for word in modes if word in refused), "")
+    if motion and not _MOTION.search(_code(line)):
+        text = f"line {number} goes on with {motion} of a line before"
         raise CannotEnter(f"{text}: begin with a line that names its motion (G0 to G3)")
 
 
@@ -166,7 +168,7 @@ class _Way:
         if spin:
             on = f"{spin} {self._speed()}"
             if self._here.laser():
-                steps.append((f"{on} G1 F{self._feed()}", f"laser on: {on}"))
+                steps.append((f"G0 {on}", f"laser on: {on}"))  # dark, until it moves
             else:
                 steps.append((on, f"spindle on: {on}, and {_SPIN_UP_S} s for it to speed up"))
                 steps.append((f"G4 P{_SPIN_UP_S}", ""))
@@ -191,7 +193,9 @@ class _Way:
         return steps
 
     def _modal(self) -> str:
-        wanted = ("G0", "G1", "G80", "G17", "G18", "G19", "G20", "G21", "G90", "G91", "G94")
+        wanted: tuple[str, ...] = ("G17", "G18", "G19", "G20", "G21", "G90", "G91", "G94")
+        if not (self._here.laser() and "M3" in self._modes):  # else the line says how it moves
+            wanted = ("G0", "G1", "G80", *wanted)
         words = [word for word in self._modes if word in (*wanted, *SYSTEMS)]
         return " ".join([*words, self._speed()])
 

@@ -23,6 +23,12 @@ _NO_TEXT = re.compile(rb"[\0-\x08\x0e-\x10\x15-\x17\x19\x1b-\x1f]")
 _SHOWN = 120
 # As Grbl reads them: a comment in parentheses may be left open, and ; ends a line outside of them.
 _COMMENT = re.compile(rb"\([^)]*\)?|;.*", re.DOTALL)
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+_DASHES = "\u2212\u2013\u2014\u2010\u2011\uff0d"  # of word processors and web pages
+_ENDS = b"%"  # of a paper tape
+_FOREIGN = re.compile(
+    rb"^(?:N\d+)?O\d+$|T\d|M0*6(?!\d)|G(?:43|49|61\.1|64|73|8[0-359]|9[89])(?![\d.])|G0*4S"
+)
 _MARK = b"\xef\xbb\xbf"  # how some editors begin a file in UTF-8
 _NAMES = {
     b"?": "the question mark asks for a status report",
@@ -67,9 +73,21 @@ def read_bytes(path: Path) -> bytes:
         raise OSError(f"{path} cannot be read: {error.strerror}") from error
 
 
+def read_utf8(path: Path) -> bytes:
+    """As read_bytes(); what is in UTF-16, by its first two bytes, is in UTF-8 then. ValueError
+    where it is broken."""
+    data = read_bytes(path)
+    if data[:2] not in _UTF_16:
+        return data.removeprefix(_MARK)
+    try:
+        return data.decode("utf-16").encode()
+    except UnicodeDecodeError as error:
+        raise NotText(f"{name_of(path)} begins as UTF-16, and is broken") from error
+
+
 def read_lines(path: Path) -> list[bytes]:
     """The lines of a program file, `-` is stdin; line n of the file is element n - 1."""
-    return split_lines(read_bytes(path).removeprefix(_MARK))
+    return split_lines(read_utf8(path))
 
 
 def check_text(lines: Sequence[bytes], name: str) -> None:
@@ -77,15 +95,21 @@ def check_text(lines: Sequence[bytes], name: str) -> None:
     if not any(line.strip() for line in lines):
         raise NotText(f"{name} is empty: there is nothing to do")
     for number, line in enumerate(lines, 1):
-        if _NO_TEXT.search(line):
+        if not is_text(line):
             raise NotText(f"{name} is no G-code: line {number} holds bytes that are no text")
 
 
+def is_foreign(line: bytes) -> bool:
+    """Whether words of other controllers are in it that LENIENT takes."""
+    return bool(_FOREIGN.search(without_comments(line).replace(b" ", b"").upper()))
+
+
 def read_program(path: Path) -> list[bytes]:
-    """As read_lines(); ValueError where there is nothing to run, or what is there is no text."""
+    """As read_lines(), but for what marks the ends of a file; ValueError where there is nothing to
+    run, or what is there is no text."""
     lines = read_lines(path)
     check_text(lines, name_of(path))
-    return lines
+    return [b"" if line.strip() == _ENDS else line for line in lines]
 
 
 def has_realtime(line: bytes) -> bool:
@@ -113,10 +137,21 @@ def harmless(line: bytes) -> bytes:
 
 def text(line: bytes) -> str:
     """A line as it is shown: in UTF-8 as programs of today are, or in Latin-1."""
+    return line.decode("utf-8" if is_utf8(line) else "latin-1").strip()
+
+
+def is_text(data: bytes) -> bool:
+    """Whether nothing is in it that no editor writes."""
+    return _NO_TEXT.search(data) is None
+
+
+def is_utf8(data: bytes) -> bool:
+    """Whether it can be."""
     try:
-        return line.decode("utf-8").strip()
+        data.decode("utf-8")
     except UnicodeDecodeError:
-        return line.decode("latin-1").strip()
+        return False
+    return True
 
 
 def shown(line: bytes) -> str:
@@ -131,7 +166,7 @@ def problems(lines: Iterable[bytes]) -> list[Problem]:
     for number, line in enumerate(lines, 1):
         code = _REALTIME.search(without_comments(line))
         if code:
-            found.append(Problem(number, _what(line, code[0]), False))
+            found.append(Problem(number, _what(without_comments(line), code[0]), False))
         elif act := _REALTIME.search(line):
             found.append(Problem(number, f"{_what(line, act[0])} in a comment", True))
     return found
@@ -141,6 +176,8 @@ def _what(line: bytes, byte: bytes) -> str:
     if byte in _NAMES:
         return _NAMES[byte]
     sign = next((sign for sign in text(line) if not sign.isascii()), "")
+    if sign and sign in _DASHES:
+        return f"{sign!r} is no minus: write -"
     return f"{sign!r} holds bytes that are real-time commands"
 
 

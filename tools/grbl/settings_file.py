@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from .. import paths
 from .comments import setting_comments
-from .gcode_file import name_of, read_bytes
+from .gcode_file import is_text, is_utf8, name_of, read_utf8
 
 if TYPE_CHECKING:
     from base.settings import Row, Rows
@@ -24,6 +24,9 @@ _SIGNED = {*range(170, 180), 780, 781, 782}  # squaring offsets, skew
 
 # A setting with what may stand behind it: number and value.
 SETTING = re.compile(r"\$(\d+)\s*=\s*([^;( ]*)\s*(?:[;(].*)?")
+# What consoles and files of senders have besides: comments, answers, what was asked, empty startup
+# lines.
+_BESIDE = re.compile(r"(?:[;(\[#>].*|ok|%|\$\$|\$N\d=)?", re.IGNORECASE)
 _VERSION = re.compile(r"\[(?:VER:)?(\d+\.\d+)(\w*)\.(\d+):([^\]]*)\]")
 _OPTIONS = re.compile(r"\[OPT:([^\]]*)\]")
 # Bytes that act even in a comment; what is said of settings goes without them.
@@ -95,7 +98,7 @@ class Settings:
             match = SETTING.fullmatch(line.strip())
             if match:
                 _take(settings.values, number, int(match[1]), match[2])
-            elif line.strip() and line.strip()[0] not in ";([":
+            elif not _BESIDE.fullmatch(line.strip()):
                 raise SettingsError(f"line {number} is no setting: {line.strip()}")
         return settings
 
@@ -110,14 +113,16 @@ class Settings:
 
 
 def read_settings(file: Path) -> Settings:
-    """The settings in a file, `-` is stdin. SettingsError says what is wrong with it."""
+    """The settings in a file, `-` is stdin, in UTF-8, UTF-16 or Latin-1. SettingsError says what
+    is wrong with it."""
     name = name_of(file)
     try:
-        settings = Settings.read(read_bytes(file).decode("utf-8"))
-    except OSError as error:
+        data = read_utf8(file)
+        if not is_text(data):
+            raise ValueError(f"{name} cannot be read: it is no text")
+        settings = Settings.read(data.decode("utf-8" if is_utf8(data) else "latin-1"))
+    except (OSError, ValueError) as error:
         raise SettingsError(str(error)) from error
-    except UnicodeDecodeError as error:
-        raise SettingsError(f"{name} cannot be read: it is no text") from error
     except SettingsError as error:
         raise SettingsError(f"{name}: {error}") from error
     if not settings.values:
