@@ -26,6 +26,12 @@ Inputs = Annotated[
         "for so long (2s).",
     ),
 ]
+Lenient = Annotated[
+    bool,
+    typer.Option(
+        "--lenient", help="Take words of other controllers, as a board with LENIENT does."
+    ),
+]
 # A probing motion that nothing has touched.
 _HELP = {"ALARM:5": " Say where the probe touches: --input probe=Z-30"}
 

@@ -17,7 +17,7 @@ from ..grbl.settings_file import as_line
 from ..run import machine
 from ..run.pace import Paced, Stretch
 from ..run.program import Result, run_program
-from .custom_options import CustomFile, Inputs, around, why_stopped
+from .custom_options import CustomFile, Inputs, Lenient, around, why_stopped
 from .outputs import Json, check_outputs, failed, save_json
 from .screen import (
     Screen,
@@ -63,12 +63,7 @@ def command(
     ] = machine.DEFAULT_BOARD,
     custom: CustomFile = None,
     inputs: Inputs = None,
-    lenient: Annotated[
-        bool,
-        typer.Option(
-            "--lenient", help="Take words of other controllers, as a board with LENIENT does."
-        ),
-    ] = False,
+    lenient: Lenient = False,
 ) -> None:
     """Run a program in virtual time and say how long it takes, how far it goes, what is wrong.
 

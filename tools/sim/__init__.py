@@ -4,5 +4,19 @@ Its modules run under CPython and under the desktop MicroPython alike, so they k
 understand. The stand-ins are `machine`, `rp2` and others, for CPython: their folder is put on the
 path, and is no package.
 
-Imports nothing of the other rooms; the firmware is the one thing that it runs.
+Imports nothing of the other rooms; the firmware is the one thing that it runs. For others, in
+tests of theirs: `from ugrbl.sim import Machine` (docs/extending.md).
 """
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from .machine import Machine as Machine
+
+
+def __getattr__(name: str) -> object:
+    """Machine, where somebody asks for it: it is for CPython only."""
+    if name != "Machine":
+        raise AttributeError(name)
+    from . import machine
+
+    return machine.Machine
