@@ -14,6 +14,7 @@ FOLDERS = {
     "ugrbl.firmware": "firmware",
     "ugrbl.boards": "boards",
     "ugrbl.examples": "examples",
+    "ugrbl.conversations": "host_tests/conversations",
 }
 
 

@@ -300,6 +300,11 @@ def test_what_cannot_be_replayed_says_why(tmp_path: Path, words: list[str], why:
     assert why in done.output.replace("\n", "")
 
 
+def test_without_a_folder_our_own_conversations_are_replayed() -> None:
+    done = CliRunner().invoke(app, ["conformance", "--only", "basics"])
+    assert done.exit_code == 0 and "7 of 7 conform" in done.output
+
+
 def test_a_file_that_is_no_recording_is_named(tmp_path: Path) -> None:
     (tmp_path / "half.json").write_text('[{"name": ')
     done = CliRunner().invoke(app, ["conformance", str(tmp_path)])

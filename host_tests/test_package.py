@@ -31,7 +31,13 @@ pytestmark = [
 
 _CHECKOUT = Path(__file__).parent.parent
 # Folders, and where they are in the package.
-_FOLDERS = {"tools": ".", "firmware": "firmware", "boards": "boards", "examples": "examples"}
+_FOLDERS = {
+    "tools": ".",
+    "firmware": "firmware",
+    "boards": "boards",
+    "examples": "examples",
+    "host_tests/conversations": "conversations",
+}
 _FILES = ("pyproject.toml", "setup.py", "README.md", "LICENSE")
 _OF_EACH_KIND = ["rpi_pico", "rpi_pico2", "pico_laser", "esp32_devkit", "mks_dlc32"]
 _PICO = 'MPY_ARCH = "armv6m"\nENGINE = "pio"\nSTEP = (2, 3, 4)\nDIR = (5, 6, 7)\n'

@@ -14,6 +14,7 @@ BOARDS = _ROOT / "boards"
 OWN_BOARDS = Path() if _INSTALLED else BOARDS  # where a new one is written
 CACHE = None if _INSTALLED else _ROOT / "build" / "cache"  # see compiling/kept.py
 EXAMPLES = _ROOT / "examples"
+CONVERSATIONS = (_HERE if _INSTALLED else _ROOT / "host_tests") / "conversations"
 COMPILED = _HERE / "compiled"  # the firmware, in an installed package only
 STANDINS = _HERE / "sim" / "standins"  # for the modules that only a board has
 

@@ -13,6 +13,7 @@ from rich.table import Column, Table
 
 from ..boardfile.files import load_board
 from ..device.connection import BAUD, SendError, open_port
+from ..paths import CONVERSATIONS
 from ..replay.conformance import Outcome, Results, run_folder, run_port
 from .outputs import check_outputs, failed, save_json
 
@@ -83,7 +84,10 @@ def show(results: Results, console: Console, most: int = 20) -> None:
 
 
 def command(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of recordings.")],
+    folder: Annotated[
+        Path,
+        typer.Argument(metavar="DIR", help="Folder of recordings; else conversations of our own."),
+    ] = CONVERSATIONS,
     python: Annotated[str, typer.Option(help="cpython or micropython")] = "cpython",
     port: Annotated[
         str | None, typer.Option(help="Serial port of a real device. The machine will move!")
@@ -100,7 +104,10 @@ def command(
         typer.Option(metavar="NAME", help="Simulator board; else by what it says of itself."),
     ] = None,
 ) -> None:
-    """Replay recordings of real Grbl and say how many are answered alike."""
+    """Replay recordings of real Grbl and say how many are answered alike.
+
+    docs/conformance.md tells what those are, and how they are made.
+    """
     if python not in ("cpython", "micropython"):
         raise typer.BadParameter("--python is cpython or micropython")
     if not folder.is_dir():
