@@ -60,7 +60,7 @@ def test_the_plug_pulled_in_a_job_is_said_and_connecting_again_works(person):
     person.sees("Run")
     person.machine.unplug()
     person.reads("#notice-lost", "The connection is lost")
-    person.reads("#notice-lost", "The job stopped behind line")
+    person.reads("#notice-lost", "The job stopped in line")
     person.reads("#notice-lost", "A spindle stays on")
     person.sees("Not connected")
     person.click("#connect")

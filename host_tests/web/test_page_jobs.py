@@ -89,6 +89,31 @@ def test_a_job_that_is_ended_keeps_the_position(person):
     assert sent_at_once(person.machine) == b"!\x18"
 
 
+def test_a_job_that_is_ended_names_the_line_that_the_tool_is_in(person):
+    """Lines are answered long before they are made: fifteen of these at once."""
+    stairs = [f"G1 {'XY'[k % 2]}{4 * (k // 2 + 1)}" for k in range(60)]
+    person.loads("G21 G90 F900\n" + "\n".join(stairs) + "\n")
+    person.click("#run")
+    person.sees("Run")
+    person.pauses(2)
+    person.click("#end")
+    person.reads("#job-words", "it was ended; the position is kept")
+    person.sees("Idle")
+    x, y, _ = person.shown_place()
+    made = int(person.page.input_value("#from"))
+    assert f"Job stopped in line {made}: " in person.text("#job-words")
+    assert _is_in(stairs[: made - 2], stairs[made - 2], x, y)
+
+
+def _is_in(before: list[str], line: str, x: float, y: float) -> bool:
+    """Whether a place is on a line of the stairs, or as good as at an end of it."""
+    at = {"X": 0.0, "Y": 0.0}
+    at.update({word[3]: float(word[4:]) for word in before})
+    axis, end = line[3], float(line[4:])
+    here, beside, other = (x, y, "Y") if axis == "X" else (y, x, "X")
+    return at[axis] - 0.05 < here < end + 0.05 and abs(beside - at[other]) < 0.05
+
+
 def test_signs_that_act_at_once_do_not_leave_comments(person):
     person.loads("G21 (wait! ~ really?)\n; what? ~!\nG0 X1 (ümlaut)\n")
     person.click("#run")

@@ -33,7 +33,7 @@ def test_a_reset_in_motion_ends_in_an_alarm_in_words(person):
     person.sees("Alarm")
     person.reads("#notice-alarm", "ALARM:3: Reset while moving: steps may have been lost.")
     person.reads("#notice-alarm", "What to do:")
-    person.reads("#job-words", "Job stopped behind line")
+    person.reads("#job-words", "Job stopped in line")
     person.click("#unlock")
     person.sees("Idle")
     assert not person.page.query_selector("#notice-alarm")

@@ -126,7 +126,7 @@ def test_the_example_is_run_from_the_first_click_to_the_last(visit: Visit, web: 
 
     (simulator,) = web.children()
     os.kill(simulator, signal.SIGKILL)  # the plug is pulled
-    person.reads("#notice-lost", "The job stopped behind line ")
+    person.reads("#notice-lost", "The job stopped in line ")
     person.reads("#notice-lost", "A spindle stays on")
     person.sees("Not connected")
     assert 25 < person.page.evaluate("job.line") < 100
