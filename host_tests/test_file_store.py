@@ -105,7 +105,7 @@ def test_comments_and_values_as_others_wrote_them_stay(path: Path) -> None:
         b"$110=fast\n",
         b"$110=inf\n",
         b"$110=1e39\n",
-        b"$0=10\n$$\n",
+        b"$0=10\n$0\n",
         b"; [VER:0.9j.20150717:]\n$0=10\n",
     ],
 )

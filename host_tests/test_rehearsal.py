@@ -181,8 +181,10 @@ def test_a_machine_that_reports_inches_goes_the_same_way(here: stage.Stage) -> N
 
 def test_a_laser_is_on_only_once_it_is_there(here: stage.Stage) -> None:
     here.settings[32] = "1"
-    lines = way(here, 6)
-    assert lines.index("M3 S8000 G1 F120") > lines.index("G53 G1 Z-29.000 F120")
+    with pytest.raises(CannotEnter, match="line 6 goes on with G1"):
+        way(here, 6)
+    lines = way(here, 7)
+    assert lines.index("G0 M3 S8000") > lines.index("G53 G1 Z-29.000 F300")
     assert "G4 P4" not in lines
 
 

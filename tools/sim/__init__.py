@@ -8,15 +8,18 @@ Imports nothing of the other rooms; the firmware is the one thing that it runs. 
 tests of theirs: `from ugrbl.sim import Machine` (docs/extending.md).
 """
 
+import sys
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from .machine import Machine as Machine
 
+if sys.implementation.name == "cpython":  # MicroPython would ask it for modules, too
 
-def __getattr__(name: str) -> object:
-    """Machine, where somebody asks for it: it is for CPython only."""
-    if name != "Machine":
-        raise AttributeError(name)
-    from . import machine
+    def __getattr__(name: str) -> object:
+        """Machine, where somebody asks for it."""
+        if name != "Machine":
+            raise AttributeError(name)
+        from . import machine
 
-    return machine.Machine
+        return machine.Machine
