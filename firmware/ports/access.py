@@ -9,8 +9,8 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from ports.caller import Caller
 
-# Lines that change nothing; as they are when spaces and slashes are left out.
-_READING = (b"", b"$", b"$$", b"$#", b"$G", b"$I", b"$I+", b"$N", b"$NET")
+# Lines that change nothing, as plain() has them.
+READING = (b"", b"$", b"$$", b"$#", b"$G", b"$I", b"$I+", b"$N", b"$NET")
 _KEY = b"$NETKEY="
 OK = b"ok\r\n"
 REFUSED = b"error:%d\r\n"
@@ -30,11 +30,6 @@ def plain(said: bytearray) -> bytes:
     for sign in (b" ", b"/", b"?", b"\r", b"\n"):
         line = line.replace(sign, b"")
     return line
-
-
-def only_reads(line: bytes) -> bool:
-    """Whether a plain line changes nothing."""
-    return line in _READING
 
 
 def is_browser(said: bytearray, count: int) -> bool:
@@ -57,7 +52,7 @@ class Access:
         """What becomes of a client's line, if it is not to be done: a key, or more than it may.
         Each key costs the same, and nobody waits for another's: there are 30 ** 8."""
         if not line.startswith(_KEY):
-            return b"" if caller.trusted or only_reads(line) else _MSG_KEY
+            return b"" if caller.trusted or line in READING else _MSG_KEY
         if self.secret and line[len(_KEY) :] == self.secret.encode():
             caller.trusted = True
             return OK

@@ -20,7 +20,7 @@ import micropython
 from base import errors
 from micropython import const
 
-from ports.access import OK, REFUSED, TAKEN, Access, is_browser, only_reads, plain
+from ports.access import OK, READING, REFUSED, TAKEN, Access, is_browser, plain
 from ports.caller import Caller, Memory, asks, place_for
 from ports.in_control import Control
 from ports.link_memory import PIECES
@@ -33,9 +33,7 @@ if TYPE_CHECKING:
 
 _PLACES = const(3)  # callers at once
 _PIECE = const(64)
-# How many bytes a line that only reads has at the most, and how one begins; and a lone ?.
-_LONGEST_READING = const(8)
-_READS = b"$?\r\n"
+_LONGEST_READING = const(8)  # bytes of a line that only reads
 _URGENT = const(16)
 _ROUND_MS = const(10)
 _RADIO_MS = const(1000)
@@ -46,7 +44,8 @@ _STOPS = b"\x18!\x84\x85"
 _REALTIME = b"\x18!~"
 _ANSWERS = b"oe"  # how ok and error: begin
 # What begins with these goes to all: alarms, the welcome; and messages, [M.
-_TO_ALL = b"A\r"
+_A = const(0x41)
+_RETURN = const(0x0D)
 _BRACKET = const(0x5B)
 _M = const(0x4D)
 _REPORT = const(0x3C)
@@ -228,7 +227,7 @@ class NetLink:
         """What passes as it is. A lone ? is no line."""
         if asks(buf, count):
             driver.asked = True
-        if count > _LONGEST_READING or buf[0] not in _READS or not only_reads(plain(buf[:count])):
+        if count > _LONGEST_READING or plain(buf[:count]) not in READING:
             driver.spoke_ms = now_ms
         return count
 
@@ -334,7 +333,7 @@ class NetLink:
             return
         begins = caller.ready
         line = plain(caller.said[begins : caller.length])
-        reads = only_reads(line)
+        reads = line in READING
         answer = b""
         if caller.is_too_long:
             answer = REFUSED % errors.OVERFLOW
@@ -359,7 +358,7 @@ class NetLink:
         control, first = self.control, data[0]
         if first == _REPORT:
             self._report(data)
-        elif first in _TO_ALL or (first == _BRACKET and data[1] == _M):
+        elif first <= _RETURN or first == _A or (first == _BRACKET and data[1] == _M):
             self._write(data)
             for caller in self._callers:
                 if caller.conn:
