@@ -32,10 +32,12 @@ class _Port(Pty):
         super().__init__()
         self._pico = pico
 
-    def _set_connected(self, connected: bool) -> None:
-        if connected != self._connected and self._pico.usb.connected:
-            self._pico.usb.open_port(connected)
-        super()._set_connected(connected)
+    def read(self, limit: int) -> bytes:
+        before = self._connected
+        data = super().read(limit)
+        if self._connected != before and self._pico.usb.connected:
+            self._pico.usb.open_port(self._connected)
+        return data
 
 
 class Bridge:
