@@ -42,7 +42,7 @@ _DRIFT = {
     "probe_sequences": {"4", "15", "17 $6=1"},
     "program_polled": {"p_inkscape 1"},
     "soft_limits": {"1", "2", "4", "6", "10"},
-    "stop_resume": {"p_93 3", "p_flatcam 5", "p_93 6", "p_inch 13", "p_arcs 17"},
+    "stop_resume": {"p_93 3", "p_93 6", "p_inch 13", "p_arcs 17"},
 }
 # Of each worker, where there are several.
 PROCESSES = max(1, (os.cpu_count() or 1) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
