@@ -1,4 +1,4 @@
-# mypy: disable-error-code=arg-type
+# mypy: disable-error-code="arg-type, call-overload, has-type, misc"
 """Lines that do no more than move, on machines whose own kernels plan them: rotary axes, skew.
 
 Viper; what stands where is told in language/fast_kernel.py, whose follow() this is up to the plan.
@@ -17,29 +17,27 @@ _ODD_NEWS = const(fk.MODES | fk.HAS_S | fk.CHANGED | fk.SAME)
 
 
 @micropython.viper
-def take(
-    text: ptr8,
-    length: int,
-    known: ptr32,
-    position: ptr32,
-    target: ptr32,
-    travel: ptr32,
-    flow: ptr32,
-    changes: ptr32,
-    rates: ptr32,
-) -> int:
+def take(text: ptr8, length: int, memory: object) -> int:
     """Read a line that has nothing in its way, and put its place into target, its feed rate in
     force. Returns what read() has found; or 0, and nothing has changed. What is less simple is for
-    the interpreter: another motion mode or power, a feed rate in inches, check mode."""
-    if known[fk.AXES] == 0 or known[fk.POWER] == fk.UNTOLD or known[fk.CHANGES] != changes[0]:
+    the interpreter: another motion mode or power, a feed rate in inches, check mode. memory: as
+    that of fast_kernel.follow_line()."""
+    modes, position, places, travel, _, _, queue, _, changes, speeds, _, _ = memory
+    known = ptr32(modes)
+    target = ptr32(places)
+    rates = ptr32(speeds)
+    flow = ptr32(queue)
+    if known[fk.AXES] == 0 or known[fk.POWER] == fk.UNTOLD:
+        return 0
+    if known[fk.CHANGES] != ptr32(changes)[0]:
         return 0
     if known[fk.DRY]:
         return 0
     seen = int(read(text, 0, length, known))
     if seen <= 0 or seen & _ODD_NEWS or (seen & fk.HAS_F and known[fk.LINE_INCHES]):
         return 0
-    place(known, seen, position, target)
-    found = int(judge(target, travel, flow))
+    place(known, seen, ptr32(position), target)
+    found = int(judge(target, ptr32(travel), flow))
     if found & OUTSIDE:
         return 0
     if found & FULL:

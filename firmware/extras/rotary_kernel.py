@@ -62,27 +62,14 @@ def stretch(target: ptr32, table: ptr32, ring: ptr32, flow: ptr32, linear: int) 
 def follow_turning(text: ptr8, length: int, memory: object, linear: int) -> int:
     """As fast_kernel.follow_line(), a line with words of rotary axes, in so far as take() takes
     it. linear: mask of axes."""
-    modes, place, goal, travel, axes, ring, queue, speeds, changes, rates, _, _ = memory
-    known = ptr32(modes)
-    position = ptr32(place)
-    target = ptr32(goal)
-    table = ptr32(axes)
-    flow = ptr32(queue)
-    seen = int(
-        take(
-            text,
-            length,
-            known,
-            position,
-            target,
-            ptr32(travel),
-            flow,
-            ptr32(changes),
-            ptr32(rates),
-        )
-    )
+    seen = int(take(text, length, memory))
     if seen == 0:
         return 0
+    modes, position, places, _, axes, ring, queue, speeds, _, _, _, _ = memory
+    known = ptr32(modes)
+    target = ptr32(places)
+    table = ptr32(axes)
+    flow = ptr32(queue)
     rate = known[fk.RATE]
     flags = known[fk.FLAGS]
     if known[fk.MODE] == fk.HAS_G1 and known[fk.IS_TIMED] == 0:
@@ -95,5 +82,5 @@ def follow_turning(text: ptr8, length: int, memory: object, linear: int) -> int:
     if int(plan(target, table, ptr32(ring), flow, flags, line, known[fk.POWER], rate)) == 0:
         return 0
     ptr32(speeds)[at] = known[fk.RPM]
-    copy(target, position, known[fk.AXES])
+    copy(target, ptr32(position), known[fk.AXES])
     return 1

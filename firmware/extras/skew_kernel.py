@@ -109,27 +109,14 @@ def follow_arc(
 @micropython.viper
 def follow(text: ptr8, length: int, memory: object, skew: ptr32) -> int:
     """As fast_kernel.follow_line(), in so far as take() takes a line."""
-    modes, place, goal, travel, axes, ring, queue, speeds, changes, rates, _, _ = memory
-    known = ptr32(modes)
-    position = ptr32(place)
-    target = ptr32(goal)
-    table = ptr32(axes)
-    flow = ptr32(queue)
-    seen = int(
-        take(
-            text,
-            length,
-            known,
-            position,
-            target,
-            ptr32(travel),
-            flow,
-            ptr32(changes),
-            ptr32(rates),
-        )
-    )
+    seen = int(take(text, length, memory))
     if seen == 0:
         return 0
+    modes, position, places, _, axes, ring, queue, speeds, _, _, _, _ = memory
+    known = ptr32(modes)
+    target = ptr32(places)
+    table = ptr32(axes)
+    flow = ptr32(queue)
     to_steps(target, table)
     to_motors(table, skew)
     flags = known[fk.FLAGS] | PLACED
@@ -141,5 +128,5 @@ def follow(text: ptr8, length: int, memory: object, skew: ptr32) -> int:
     ):
         return 0
     ptr32(speeds)[at] = known[fk.RPM]
-    copy(target, position, known[fk.AXES])
+    copy(target, ptr32(position), known[fk.AXES])
     return 1
