@@ -3,8 +3,9 @@
 
 It stands between the loop and its link. While a job runs, the loop reads the file, as much as its
 ring has room for, and its answers are counted, not sent. So a job goes the way of any lines, as
-fast as they. Meanwhile real-time commands of the sender act, what only reads is answered, and his
-other lines are refused. Files lie in flash, and to read that takes no time from interrupts.
+fast as they. Meanwhile the sender's real-time commands act, its read-only commands are answered,
+and its other lines are refused. Files lie in flash, and to read that takes no time from
+interrupts.
 """
 
 from array import array
@@ -15,6 +16,7 @@ from base import state as st
 from base.errors import GrblError
 from micropython import const
 from motion import layout
+from talk.commands import READ_ONLY
 from talk.lines import REALTIME
 from talk.report import OK
 
@@ -47,8 +49,7 @@ _ROOM = const(5)  # of the ring, where nothing is in it
 _NEWLINE = const(10)
 _RETURN = const(13)
 _DOLLAR = const(36)
-_THAT_READ = (b"$G", b"$$", b"$#", b"$I", b"$N")
-_READ = const(0x80)  # with the letter
+_READ = const(0x80)  # with the letter of a read-only command
 _O = const(111)  # of ok
 _STARTUP = const(62)  # ">", in front of what has become of a line at startup
 
@@ -304,7 +305,7 @@ class Feed:
         """The sender's line is complete: what it is answered with, at the loop's next turn."""
         line = bytes(self._said[: self._said_length]).upper().strip()
         answer = 0
-        if line in _THAT_READ:
+        if len(line) == 2 and line[0] == _DOLLAR and line[1] in READ_ONLY:
             answer = _READ | line[1]
         elif line:
             answer = errors.IDLE_ERROR if line[0] == _DOLLAR else errors.SYSTEM_GC_LOCK

@@ -48,7 +48,7 @@ _HIGHEST_SETTING = const(999)  # Grbl's end at 255, an extra's here
 _MOVES = const(st.RUN | st.JOG)
 _JOG = const(74)  # $J
 _AT_ANY_TIME = b"\0$GCX"
-_READ = b"#IN"  # without anything behind these
+READ_ONLY = b"G$#IN"  # alone after the $: such a command changes nothing
 
 
 class Commands:
@@ -149,7 +149,7 @@ class Commands:
                 raise GrblError(errors.INVALID_STATEMENT)
         elif self._state.run not in (st.IDLE, st.ALARM):
             # A sender that connects in motion asks for these. Grbl starts anew then.
-            if not (self._state.run & _MOVES and length == 2 and line[1] in _READ):
+            if not (self._state.run & _MOVES and length == 2 and line[1] in READ_ONLY):
                 raise GrblError(errors.IDLE_ERROR)
         return execute or self._set  # what is no letter is the number of a setting
 
