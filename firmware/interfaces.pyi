@@ -469,7 +469,7 @@ class Control(Protocol):
         """They are."""
 
 class NetworkLink(Link, Protocol):
-    """A Link with a network beside the cable, as extras/net_access.py knows it."""
+    """A Link with the cable and a network, as extras/net_access.py knows it."""
 
     access: Access
     control: Control

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from interfaces import Link, Port, StepEngine, Store
 
-# cncjs 1.11 takes a line to be answered at each resume: 198 bytes under way where 128 are told.
+# cncjs 1.11 counts each resume as an answer: it sends up to 198 bytes where 128 are advertised.
 _MISCOUNTED = const(128)
 
 

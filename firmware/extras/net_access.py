@@ -39,12 +39,12 @@ def has_half(ring: bytearray, at: "array[int]", kinds: bytearray) -> bool:
     """Whether a line has begun and not ended."""
     head = at[HEAD]
     if head != at[TAIL]:
-        return kinds[ring[(head or len(ring)) - 1]] != END
+        return kinds[ring[head - 1]] != END
     return bool(at[LENGTH] or at[SKIPPING]) and not at[SKIPPING] & COMPLETE
 
 
 def drop_half(ring: bytearray, at: "array[int]", kinds: bytearray) -> None:
-    """Forget that, and nothing before it."""
+    """Forget the line that has begun and not ended, and nothing before it."""
     head = at[HEAD]
     while head != at[TAIL] and kinds[ring[head - 1]] != END:
         head = (head or len(ring)) - 1

@@ -1,7 +1,7 @@
 """Who is in control: whose lines the machine does, and who hears what it answers.
 
-A line that only reads neither takes control nor keeps it: its client borrows the machine behind
-the owner's lines, and the owner's go on behind the answer.
+A read-only line neither takes nor keeps control. Its client borrows the machine after the owner's
+lines are done, and gives it back after the answer.
 """
 
 import time

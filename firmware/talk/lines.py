@@ -31,7 +31,7 @@ _IN_PARENTHESES = const(1)
 _AFTER_SEMICOLON = const(2)
 _OVERFLOW = const(4)
 COMPLETE = const(8)  # the line has been found: the next one begins
-_TOLD = const(7)  # bytes that senders are told of
+_ADVERTISED = const(7)  # bytes that a sender may have sent without an answer
 
 # Kinds of bytes.
 _AS_IT_IS = const(0)
@@ -100,7 +100,7 @@ def room(at: ptr32) -> int:
     used = at[HEAD] - at[TAIL]
     if used < 0:
         used += at[_SIZE]
-    return at[_TOLD] - used if used < at[_TOLD] else 0
+    return at[_ADVERTISED] - used if used < at[_ADVERTISED] else 0
 
 
 @micropython.viper
