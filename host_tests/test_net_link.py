@@ -418,6 +418,15 @@ def test_a_long_answer_comes_whole(bench) -> None:
     bench.run(script)
 
 
+def silent_owner_and_other(bench, sends=""):
+    """A client in control that has been silent for 6 s, at last after `sends`; and another."""
+    one, two = (yield from joined(bench)), (yield from joined(bench))
+    yield from bench.ask(one, "G91G1X1F60000\n")
+    one.send(sends)
+    yield from bench.wait(6000)
+    return one, two
+
+
 def test_a_client_that_polls_neither_takes_control_nor_keeps_it(bench) -> None:
     def script(bench):
         one, two = (yield from joined(bench)), (yield from joined(bench))
@@ -436,9 +445,7 @@ def test_a_client_that_polls_neither_takes_control_nor_keeps_it(bench) -> None:
 
 def test_a_line_after_one_that_reads_takes_control_and_loses_no_answer(bench) -> None:
     def script(bench):
-        one, two = (yield from joined(bench)), (yield from joined(bench))
-        yield from bench.ask(one, "G91G1X1F60000\n")
-        yield from bench.wait(6000)
+        one, two = yield from silent_owner_and_other(bench)
         two.send("$G\nG91G1X1\n")
         yield from bench.until(lambda: two.got.count(b"ok\r\n") == 2)
         assert "[GC:" in two.take() and "Somebody else" in one.take()
@@ -469,9 +476,7 @@ def test_lines_of_the_client_in_control_wait_while_another_reads(bench) -> None:
 
 def test_a_reader_that_goes_leaves_control_where_it_was(bench) -> None:
     def script(bench):
-        one, two = (yield from joined(bench)), (yield from joined(bench))
-        yield from bench.ask(one, "G91G1X1F60000\n")
-        yield from bench.wait(6000)
+        one, two = yield from silent_owner_and_other(bench)
         two.send("$$\n")
         yield from bench.wait(1)
         two.has_hung_up = True
@@ -483,10 +488,7 @@ def test_a_reader_that_goes_leaves_control_where_it_was(bench) -> None:
 
 def test_an_answer_that_is_late_is_the_owners_though_another_reads_meanwhile(bench) -> None:
     def script(bench):
-        one, two = (yield from joined(bench)), (yield from joined(bench))
-        yield from bench.ask(one, "G91G1X1F60000\n")
-        one.send("G4P7\n")
-        yield from bench.wait(6000)
+        one, two = yield from silent_owner_and_other(bench, "G4P7\n")
         two.send("$G\n")
         yield from bench.until(lambda: b"ok\r\n" in two.got and b"ok\r\n" in one.got)
         assert one.take() == "ok\r\n" and "[GC:" in two.take()
@@ -496,10 +498,7 @@ def test_an_answer_that_is_late_is_the_owners_though_another_reads_meanwhile(ben
 
 def test_a_line_that_has_begun_is_not_broken_by_one_that_reads(bench) -> None:
     def script(bench):
-        one, two = (yield from joined(bench)), (yield from joined(bench))
-        yield from bench.ask(one, "G91G1X1F60000\n")
-        one.send("G1 X")
-        yield from bench.wait(6000)
+        one, two = yield from silent_owner_and_other(bench, "G1 X")
         assert "error:9" in (yield from bench.ask(two, "$G\n"))
         assert (yield from bench.ask(one, "1\n")) == "ok\r\n"
 
@@ -508,9 +507,7 @@ def test_a_line_that_has_begun_is_not_broken_by_one_that_reads(bench) -> None:
 
 def test_a_jog_ends_when_its_client_goes_while_another_reads(bench) -> None:
     def script(bench):
-        one, two = (yield from joined(bench)), (yield from joined(bench))
-        yield from bench.ask(one, "G91G1X1F60000\n")
-        yield from bench.wait(6000)
+        one, two = yield from silent_owner_and_other(bench)
         two.send("$$\n")
         yield from bench.wait(1)
         one.send("$J=X200F600\n")

@@ -106,7 +106,7 @@ def command(
 ) -> None:
     """Replay recordings of real Grbl and say how many are answered alike.
 
-    docs/conformance.md tells what those are, and how they are made.
+    docs/conformance.md says what these recordings are.
     """
     if python not in ("cpython", "micropython"):
         raise typer.BadParameter("--python is cpython or micropython")

@@ -10,17 +10,9 @@ ON_REQUEST = ("extras",)
 _SELDOM = tuple(
     "ports." + name
     for name in (
-        *(
-            "access",
-            "caller",
-            "driver_wire",
-            "in_control",
-            "job_files",
-            "net_link",
-            "page",
-            "page_link",
-        ),
-        *("radio", "sd_blocks", "sd_card", "tcp", "user_files", "web_socket", "wifi"),
+        *("access", "caller", "driver_wire", "in_control", "job_files", "net_link"),
+        *("page", "page_link", "radio", "sd_blocks", "sd_card", "tcp", "user_files"),
+        *("web_socket", "wifi"),
     )
 )
 # Who calls this with the name of a module lets go of it: merged with others that are needed, it

@@ -129,7 +129,7 @@ class _Way:
             *([] if not laser else self._tool()),
             (f"F{self._feed()}", f"feed {self._feed()} mm/min"),
             (self._modal(), f"modes {self._modal()}"),
-            # Alone: G1 beside it wants an F.
+            # On a line of its own: with G1 on it Grbl requires an F.
             ("G93", "G93, a time in each line") if "G93" in self._modes else ("", ""),
         ]
 

@@ -209,7 +209,7 @@ class Stream:
     def _fill(self) -> None:
         while self._sent < len(self._lines):
             line = self._lines[self._sent].data + b"\n"
-            # What leads up to a program goes line by line: behind a refusal none goes out.
+            # Lines that lead up to a program are sent one by one: none after a refused one.
             leads = self._sent > 0 and self._lines[self._sent - 1].number == 0
             if self._unanswered and (leads or not self._fits(len(line))):
                 return

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 Row = tuple[str, ...]
 
-_DOLLAR = re.compile(r"'?(\$[\w$=]*)'?")
+_DOLLAR = re.compile(r"'?(\$[\w$=#]*)'?")
 
 
 def as_code(text: str) -> str:

@@ -24,9 +24,8 @@ _SIGNED = {*range(170, 180), 780, 781, 782}  # squaring offsets, skew
 
 # A setting with what may stand behind it: number and value.
 SETTING = re.compile(r"\$(\d+)\s*=\s*([^;( ]*)\s*(?:[;(].*)?")
-# What consoles and files of senders have besides: comments, answers, what was asked, empty startup
-# lines.
-_BESIDE = re.compile(r"(?:[;(\[#>].*|ok|%|\$\$|\$N\d=)?", re.IGNORECASE)
+# Ignored lines of consoles and senders' files: comments, answers, requests, empty startup lines.
+_IGNORED = re.compile(r"(?:[;(\[#>].*|ok|%|\$\$|\$N\d=)?", re.IGNORECASE)
 _VERSION = re.compile(r"\[(?:VER:)?(\d+\.\d+)(\w*)\.(\d+):([^\]]*)\]")
 _OPTIONS = re.compile(r"\[OPT:([^\]]*)\]")
 # Bytes that act even in a comment; what is said of settings goes without them.
@@ -98,7 +97,7 @@ class Settings:
             match = SETTING.fullmatch(line.strip())
             if match:
                 _take(settings.values, number, int(match[1]), match[2])
-            elif not _BESIDE.fullmatch(line.strip()):
+            elif not _IGNORED.fullmatch(line.strip()):
                 raise SettingsError(f"line {number} is no setting: {line.strip()}")
         return settings
 

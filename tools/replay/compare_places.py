@@ -26,9 +26,12 @@ _PLACES = re.compile(r"(?<=:)(-?\d+\.\d+(?:,-?\d+\.\d+)+)")
 
 
 class Places:
-    """Of a case and its replay. off: steps that each axis rests beside Grbl's place at the end of
-    each step; beside: those that it may be off in a snapshot of motion; wrong: the steps whose
-    moves have no reason to be others; names: what the reasons are; lasers: $32=1 was sent."""
+    """Compare the places of a case and its replay, by step of the case.
+
+    offset: steps from Grbl's place to ours where the axis stopped; slack: how far it may be off in
+    a snapshot of motion, in steps; wrong: moves that differ without a reason; names: the reasons;
+    lasers: $32=1 was sent.
+    """
 
     def __init__(self, setup: list[Any], steps: list[Json], got: list[Json]) -> None:
         self._steps = steps
@@ -36,8 +39,8 @@ class Places:
         self.axes = len(got[0]["moved"]) if got else 0
         self._per_mm = [_PER_MM] * self.axes
         self._fastest = _RAPID_MM_MIN
-        self.off: list[list[int]] = []
-        self.beside: list[list[float]] = []
+        self.offset: list[list[int]] = []
+        self.slack: list[list[float]] = []
         self._doubt: list[
             list[bool]
         ] = []  # a step: what is moving is counted in no step of a case
@@ -70,10 +73,10 @@ class Places:
             apart = [a + ours - theirs for a, ours, theirs in zip(apart, mine["moved"], moved)]
             busy = [was or bool(a or b) for was, a, b in zip(busy, mine["moved"], moved)]
             mm = self._fastest * self._stop_ms(first, n) / 60_000
-            self.beside.append([mm * steps * on for steps, on in zip(self._per_mm, busy)])
+            self.slack.append([mm * steps * on for steps, on in zip(self._per_mm, busy)])
             if not step.get("moving"):
                 for axis in range(self.axes):
-                    name = self._reason(first, n, apart[axis], off[axis], self.beside[n][axis])
+                    name = self._reason(first, n, apart[axis], off[axis], self.slack[n][axis])
                     if n in restarts and apart[axis] == -moved[axis] != 0:
                         name = HELD_CONTACT[0]
                     if name is None:
@@ -82,15 +85,13 @@ class Places:
                         self.names[n] = name
                 doubt = [
                     bool(way) or (doubted and not (axis_off and axis_off == -axis_apart))
-                    for way, doubted, axis_off, axis_apart in zip(
-                        self.beside[n], doubt, off, apart
-                    )
+                    for way, doubted, axis_off, axis_apart in zip(self.slack[n], doubt, off, apart)
                 ]
                 off = [a + b for a, b in zip(off, apart)]
                 apart, busy, first = [0] * self.axes, [False] * self.axes, n + 1
             if step.get("power"):
                 off, doubt = [0] * self.axes, [False] * self.axes
-            self.off.append(off)
+            self.offset.append(off)
             self._doubt.append(doubt)
 
     def _reason(self, first: int, n: int, apart: int, off: int, way: float) -> str | None:
@@ -157,14 +158,14 @@ class Places:
         """Why a report may name a place that is so far from Grbl's. None: it may not."""
         if axis >= self.axes:
             return None
-        off, steps = self.off[n][axis], mm * self._per_mm[axis]
+        off, steps = self.offset[n][axis], mm * self._per_mm[axis]
         rounding = _DIGIT_MM * self._per_mm[axis]
         doubt = self._doubt[n][axis]
         if (off or doubt) and abs(abs(steps) - abs(off)) <= rounding + doubt:
             return EXACT_STOP[0] if abs(off) <= 1 else STOPPED[0]
         if runs and abs(steps) <= 1 + rounding:
             return IN_MOTION[0]
-        return STOPPED[0] if abs(steps) <= self.beside[n][axis] else None
+        return STOPPED[0] if abs(steps) <= self.slack[n][axis] else None
 
 
 def _restarts(steps: list[Json]) -> set[int]:

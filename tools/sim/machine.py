@@ -92,13 +92,7 @@ class Machine:
     def send(self, text: "str | bytes") -> None:
         """Send that and wait for nothing: a real-time command, or lines without their answers."""
         data = text.encode("latin-1") if isinstance(text, str) else text
-
-        def job() -> "Generator[Any, None, list[str]]":
-            self.rig.link.send(data)
-            yield self.rig.now
-            return []
-
-        self._do(job)
+        self._act(lambda: self.rig.link.send(data))
 
     def status(self) -> str:
         """The answer to `?`."""
@@ -151,13 +145,7 @@ class Machine:
 
     def push(self, **pins: bool) -> None:
         """Close inputs, or open them: limit_x, probe, reset, hold, start."""
-
-        def job() -> "Generator[Any, None, list[str]]":
-            self.rig.port.push(pins)
-            yield self.rig.now
-            return []
-
-        self._do(job)
+        self._act(lambda: self.rig.port.push(pins))
 
     def switch(self, pin: str, motor: int, steps: int, above: bool = True) -> None:
         """From now on an input is closed while a motor (from 0) is at so many steps or above, or
@@ -195,6 +183,16 @@ class Machine:
         if isinstance(done, BaseException):
             raise done
         return done
+
+    def _act(self, action: "Callable[[], None]") -> None:
+        """Run that in the firmware's thread; no time passes."""
+
+        def job() -> "Generator[Any, None, list[str]]":
+            action()
+            yield self.rig.now
+            return []
+
+        self._do(job)
 
     def _until(self, condition: "Callable[[], bool]") -> "Generator[Any, None, list[str]]":
         yield from self._sender.until(condition)
