@@ -12,8 +12,8 @@ from ugrbl.compiling import build
 # browser's call.
 BUILDING = {"boot.parts", "boot.parts_esp", "boot.wiring"}
 APART = {"_Pusher", "Place", "Saved", "SdBlocks", "WebSocket"}
-# What extras do and ask for then, and what options.py does.
-INSTALLING = {"prepare", "install", "add_pins", "of_board", "beside"}
+# What extras ask for then, and what options.py does.
+INSTALLING = {"add_pins", "of_board", "beside"}
 
 
 @cache

@@ -45,8 +45,8 @@ _LOOP_MS = const(250)
 # What $I says where Ctrl-X is not heard before the main loop reads; `ugrbl doctor` knows it.
 _SLOW_RESET = " slow-reset"
 
-# Methods that make objects, or have that in their names, in a class or a module.
-MAKERS = ("__init__", "connect")
+# What makes objects, or has that in its name, in a class or a module; and what extras do then.
+MAKERS = ("__init__", "connect", "prepare", "install")
 MAKER = "_make_"  # keep-prefix: methods are looked for by it
 
 
@@ -324,9 +324,13 @@ def forget(module: str) -> None:
 
 def _forget_makers(parts: "Iterable[object]") -> None:
     """Let go of what has made these: there is one of each, for good. Of their classes, of those
-    that these are made of, and of their modules, each of which has many."""
+    that these are made of, and of their modules, each of which has many; and of extras."""
     left = [type(part) for part in parts]
     seen: "set[object]" = set()
+    for name, module in sys.modules.items():
+        if name.startswith("extras."):
+            seen.add(module)
+            _forget_in(module)
     while left:
         kind = left.pop()
         if "__module__" in kind.__dict__:

@@ -172,7 +172,7 @@ class NonlinearSeek(Seek):
         self._canon.stop_planning = self._contact
 
 
-def read(name: str, axes: int) -> "Geometry":
+def _make_geometry(name: str, axes: int) -> "Geometry":
     """The module of that name. ValueError where it has not what it takes."""
     geometry: "Any" = __import__(name)
     for word in _ASKED:
@@ -191,7 +191,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     for word in _WORDS:
         if option(word):
             raise ValueError("KINEMATICS and %s are not for the same machine" % word)
-    geometry = read(option("KINEMATICS", ""), options.axes)
+    geometry = _make_geometry(option("KINEMATICS", ""), options.axes)
     options.kinematics = NonlinearKinematics(options.axes, geometry)
     options.planner = NonlinearPlanner
     options.canon, options.seek = NonlinearCanon, NonlinearSeek
