@@ -271,18 +271,23 @@ def _refuse(function: FunctionType, why: str, node: ast.AST) -> NoReturn:
     raise SyntaxError(f"{function.__name__}: {why}", place)
 
 
-_parse = lru_cache(maxsize=8)(ast.parse)
+@lru_cache(maxsize=8)
+def _definitions(source: str) -> dict[tuple[str, int], ast.FunctionDef]:
+    """By name and first line. The whole file is parsed, so that all positions are true."""
+    found = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
+    return {(n.name, min([n.lineno, *(d.lineno for d in n.decorator_list)])): n for n in found}
 
 
 def _definition(function: FunctionType) -> ast.FunctionDef:
-    """Find the source of function. The whole file is parsed, so that all positions are true."""
+    """The source of function, for good: whoever asks again has the file parsed again."""
     code = function.__code__
     source = "".join(linecache.getlines(code.co_filename, function.__globals__))
-    for node in ast.walk(_parse(source)):
-        if isinstance(node, ast.FunctionDef) and node.name == code.co_name:
-            if code.co_firstlineno in (node.lineno, *(d.lineno for d in node.decorator_list)):
-                return copy.deepcopy(node)
-    raise OSError(f"viper needs the source of {code.co_name} in {code.co_filename}")
+    place = code.co_name, code.co_firstlineno
+    if place not in _definitions(source):
+        _definitions.cache_clear()
+    if place not in (definitions := _definitions(source)):
+        raise OSError(f"viper needs the source of {code.co_name} in {code.co_filename}")
+    return definitions.pop(place)
 
 
 def _statement(source: str, place: ast.AST) -> ast.stmt:
