@@ -2,7 +2,8 @@
 
 Each mutant is the tree with one change in firmware/: an operator turned, a constant one more, a
 condition negated, a statement left out. The first ring runs on it until a test fails, files named
-after the module first; with --all the second ring. Prints what nobody has found.
+after the module first, then those that see the whole machine; with --all the second ring. Prints
+what nobody has found.
 """
 
 import argparse
@@ -24,6 +25,10 @@ ROOT = Path(__file__).resolve().parent.parent
 FIRMWARE = ROOT / "firmware"
 _PARTS = ("firmware", "host_tests", "tools", "boards", "examples", "docs")
 _FILES = ("pyproject.toml", "README.md", "Makefile", "manifest.py", "CHANGELOG.md")
+
+# In this order: those that play whole conversations find the most.
+_WHOLE = ("conformance", "conversation", "laws", "injection", "interpreter")
+_ALL = [*(f"host_tests/test_{name}.py" for name in _WHOLE), "host_tests"]
 
 _TURNED: "dict[type[ast.AST], str]" = {
     ast.Lt: "<=",
@@ -140,22 +145,15 @@ def is_found(root: Path, mutant: Mutant, whole: bool) -> "str | None":
     file.write_text(mutant.source(), encoding="utf-8")
     try:
         stem = re.sub(r"_kernel$|_chip$", "", mutant.file.stem)
-        named = sorted(str(test) for test in (root / "host_tests").glob(f"test_*{stem}*.py"))
-        for tests in (named, [str(root / "host_tests")]):
-            if tests and (failed := _failure(root, tests, whole)):
-                return failed
-        return None
+        named = sorted(str(test) for test in root.glob(f"host_tests/test_*{stem}*.py"))
+        return (_failure(root, named, whole) if named else None) or _failure(root, _ALL, whole)
     finally:
         file.write_text(before, encoding="utf-8")
 
 
 def _failure(root: Path, tests: "list[str]", whole: bool) -> "str | None":
     command = [sys.executable, "-m", "pytest", "-q", "-x", "--seed=1", "-p", "no:cacheprovider"]
-    environment = {
-        **os.environ,
-        "PYTHONPATH": str(root.parent / "site"),
-        "PYTHONDONTWRITEBYTECODE": "1",
-    }
+    environment = {**os.environ, "PYTHONPATH": str(root.parent / "site")}
     done = subprocess.run(
         [*command, *(["--all"] if whole else []), *tests],
         cwd=root,
@@ -184,6 +182,9 @@ def main() -> None:
         roots: "SimpleQueue[Path]" = SimpleQueue()
         for number in range(asked.jobs):
             roots.put(copy_of_tree(Path(folder) / str(number)))
+
+        if failed := _failure(Path(folder) / "0" / "ugrbl", _ALL, asked.all):
+            raise SystemExit(f"Without any change {failed} fails: mend that first.")
 
         def look(mutant: Mutant) -> bool:
             root = roots.get()

@@ -20,7 +20,7 @@ from ugrbl.device.connection import Connection
 # Real processes in real time: the first ring takes one.
 pytestmark = pytest.mark.thorough
 
-_PATIENCE_S = 20.0
+_PATIENCE_S = 60.0
 SETTINGS = {1: 255, 110: 2000, 111: 2000, 112: 2000, 120: 200, 121: 200, 122: 200}
 
 

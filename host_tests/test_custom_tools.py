@@ -17,6 +17,7 @@ from ugrbl.cli import custom_board
 from ugrbl.cli.app import app
 from ugrbl.device import checkup, custom_shelf
 from ugrbl.device.deploy import DeployError, Running
+from ugrbl.paths import BOARDS
 from ugrbl.run import custom_check, custom_try, inputs, own_python
 from ugrbl.run.own_python import OwnPythonError
 
@@ -271,7 +272,7 @@ def test_files_of_a_folder_may_import_one_another() -> None:
 
 
 def test_pins_are_those_of_the_board_file() -> None:
-    board = Path(custom_check.__file__).parents[2] / "boards" / "rpi_pico.py"
+    board = BOARDS / "rpi_pico.py"
     Path("router.py").write_text(board.read_text() + '\nOUTPUTS = {"suction": 20}\n')
     _, found, done = ran(
         "M100 P1\n", VACUUM.replace('"vacuum"', '"suction"'), "--board", "router.py"
@@ -898,9 +899,7 @@ def test_a_board_that_new_board_has_written_is_found_by_its_file_name() -> None:
 
 
 def _board_file() -> str:
-    return written(
-        (Path(custom_board.__file__).parents[2] / "boards/rpi_pico.py").read_text(), "b.py"
-    )
+    return written((BOARDS / "rpi_pico.py").read_text(), "b.py")
 
 
 @pytest.mark.parametrize(

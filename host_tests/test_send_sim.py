@@ -19,7 +19,7 @@ from ugrbl.device.connection import Connection
 # Real processes in real time: the first ring takes one.
 pytestmark = pytest.mark.thorough
 
-_PATIENCE_S = 40.0
+_PATIENCE_S = 60.0
 # Short enough that the planner's 15 blocks are no long way, slow enough for a finger.
 SETTINGS = {1: 255, 110: 2000, 111: 2000, 112: 2000, 120: 200, 121: 200, 122: 200}
 # Line n ends at X n/2: 15 mm a second.

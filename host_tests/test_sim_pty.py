@@ -19,7 +19,7 @@ from as_users import as_users
 # Real processes in real time: the first ring takes one.
 pytestmark = pytest.mark.thorough
 
-_PATIENCE_S = 15.0
+_PATIENCE_S = 60.0
 _COMMAND = [sys.executable, "-m", "ugrbl.cli"]
 
 

@@ -16,7 +16,7 @@ from ugrbl.web.access import Access
 from ugrbl.web.board_link import Source
 from ugrbl.web.server import Server
 
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0
 HTML = "<!doctype html><title>a page</title>"
 
 

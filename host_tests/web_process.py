@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from as_users import as_users
 
-PATIENCE_S = 30.0
+PATIENCE_S = 60.0
 
 
 class Web:
