@@ -23,7 +23,7 @@ _HERE = Path(__file__).parent
 _BOARD = files.board_file("rpi_pico")
 # Twenty to fifty times as slow as the chip, by what else the computer does.
 _PATIENCE = {"UGRBL_PATIENCE": "10"}
-_BOOT_S = 200.0
+_BOOT_S = 1000.0
 # The machine that is left has room for as much again as it takes from a program's lines.
 _FREE_BYTES = 30_000
 
