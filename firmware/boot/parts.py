@@ -45,6 +45,9 @@ _LOOP_MS = const(250)
 # What $I says where Ctrl-X is not heard before the main loop reads; `ugrbl doctor` knows it.
 _SLOW_RESET = " slow-reset"
 
+# Modules that do no more than make the machine: 5 kB that nobody needs any more, and of extras 1.
+_MAKING = ("boot.wiring", "boot.options", "boot.guests", "ports.user_files", "extras.nonlinear")
+
 # What makes objects, or has that in its name, in a class or a module; and what extras do then.
 MAKERS = ("__init__", "connect", "prepare", "install")
 MAKER = "_make_"  # keep-prefix: methods are looked for by it
@@ -214,7 +217,7 @@ def build(stay: "Callable[[BoardLink | None, Exception], None]") -> "Parts | Non
         machine.commands.health = watch_health()
     feed = port.watch(getattr(board, "WATCHDOG_MS", _WATCHDOG_MS))
     made: "list[object]" = [machine, link, port, engine, watch]
-    for owner in (machine, machine.interpreter, engine, link):
+    for owner in (machine, machine.interpreter, machine.planner, engine, link):
         made.extend(owner.__dict__.values())
     del sys.modules["board"]
 
@@ -299,10 +302,8 @@ def _build(
 
     store = FlashStore()
     machine = wiring.build(board, link, port, engine, store, ring)
-    forget("boot.wiring")  # with these, 5 kB that nobody needs any more
-    forget("boot.options")
-    forget("boot.guests")
-    forget("ports.user_files")
+    for module in _MAKING:
+        forget(module)
     if link.is_slow:
         machine.report.identity += _SLOW_RESET
     written = getattr(engine, "flash_written", None)
@@ -316,9 +317,9 @@ def _build(
 
 def forget(module: str) -> None:
     """Let go of a module, which its folder knows too."""
-    sys.modules.pop(module, None)
+    there = sys.modules.pop(module, None)
     folder, _, name = module.rpartition(".")
-    if folder:
+    if there and folder:
         sys.modules[folder].__dict__.pop(name, None)
 
 

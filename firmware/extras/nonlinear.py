@@ -9,31 +9,17 @@ bend faster than they can follow. What is out of reach is refused before anythin
 done.
 """
 
-from base import errors
-from base import state as st
-from base.errors import GrblError
-from base.f32 import copy, vector
-from control.canon import BELOW, SHUT, Canon
-from control.modes import MOTION
-from control.seek import Seek
-from language import block_layout as b
 from micropython import const
-from motion import layout
 
 from extras.joints import NonlinearKinematics, NonlinearPlanner
-from extras.letters import LETTERS
+from extras.nonlinear_canon import NonlinearCanon, NonlinearSeek
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from array import array
-    from collections.abc import Callable
     from types import ModuleType
     from typing import Any
 
     from interfaces import Geometry, Options
-    from language.block import Block
-    from motion.arc_geometry import Arc
-    from motion.planner import Move
 
     from extras.api import Cnc
 
@@ -41,138 +27,7 @@ _WORDS = ("COREXY", "MOVES", "MOTORS", "ROTARY", "JERK", "CLUSTERS")
 _ASKED = ("inverse", "forward", "START", "HOME", "TRAVEL", "CENTRED", "FASTEST")
 
 
-class NonlinearCanon(Canon):
-    """Functions of a machine whose ways are cut into chords. stop_planning: an interrupt says that
-    the rest of the way asked for is not to be gone."""
-
-    planner: "NonlinearPlanner"
-    pump: "Callable[[], None]"  # reads the link
-    tell: "Callable[[str], None]"
-    stop_planning = False
-    _arc: "Arc | None" = None
-
-    def configure(self) -> None:
-        """As Canon.configure(); travel goes to either side of the axes that are CENTRED."""
-        super().configure()
-        for axis in self.planner.kinematics.geometry.CENTRED:
-            self.travel[SHUT] &= ~(1 << axis | 1 << axis + BELOW)
-
-    def line(self, target: "array[float]", move: "Move") -> None:
-        """As Canon.line()."""
-        super().line(target, move)
-        self._arc = None
-        self.stop_planning = False
-
-    def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
-        """As Canon.arc()."""
-        self.line(target, move)
-        self._arc = arc
-
-    def jog(self, target: "array[float]", move: "Move") -> None:
-        """As Canon.jog(). GrblError where it cannot be reached. Places on the way are tried, and
-        not all of its chords: nobody reads bytes meanwhile, or a cancel would come too early."""
-        planner, course = self.planner, self.planner.course
-        course.begin(planner.place, planner.joints, target, None, 0.0)
-        if not course.reaches():
-            self._refuse(errors.TRAVEL_EXCEEDED)
-        super().jog(target, move)
-
-    def check(
-        self, start: "array[float]", target: "array[float]", arc: "Arc | None", code: int
-    ) -> None:
-        """Refuse a way from start that leads out of reach: all of its chords are tried."""
-        planner, course = self.planner, self.planner.course
-        joints = vector(planner.axes)
-        copy(planner.joints, joints, planner.axes)
-        reached = planner.kinematics.geometry.inverse(start, joints)
-        course.begin(start, joints, target, arc, self._settings.arc_tolerance_mm)
-        while reached and course.left():
-            reached = course.go_on()
-            self.pump()
-        if not reached:
-            self._refuse(code)
-
-    def _refuse(self, code: int) -> None:
-        letters = zip(LETTERS, self.planner.course.place)
-        self.tell("%s is out of reach" % " ".join(["%s%.3f" % pair for pair in letters]))
-        raise GrblError(code)
-
-    def wait_for_room(self) -> None:
-        """As Canon.wait_for_room()."""
-        while self.planner.full() and not self._is_cut():
-            self.auto_start()
-            self.service()
-
-    def _is_cut(self) -> bool:
-        return self.planner.synced or self.stop_planning
-
-    def _plan_line(self, target: "array[float]", move: "Move") -> None:
-        """As Canon._plan_line(), chord by chord, an arc as well."""
-        state, planner, course = self._state, self.planner, self.planner.course
-        arc, self._arc = self._arc, None
-        limited = state.run != st.JOG and not self._is_jog
-        if limited and self.outside(target):
-            self.give_up(errors.ALARM_SOFT_LIMIT)
-        if state.run == st.CHECK:
-            return
-        course.begin(planner.place, planner.joints, target, arc, self._settings.arc_tolerance_mm)
-        if move.flags & layout.INVERSE_TIME:
-            move.feed *= course.way.length
-            move.flags &= ~layout.INVERSE_TIME
-        planner.synced = False
-        moves = False
-        while course.left():
-            if not course.go_on() or (arc and limited and self.outside(course.place)):
-                self.give_up(errors.ALARM_SOFT_LIMIT)
-            self.service()
-            self.wait_for_room()
-            if self._is_cut():
-                return
-            self.power = self.power_of(move)
-            moves |= planner.line(course.place, move, self.power)
-            if self._is_jog and state.run == st.IDLE and not planner.empty():
-                self._drive.start(st.JOG)  # by its first chord: it can be cancelled from now on
-        if not moves:
-            self._stay(move)
-
-
-class NonlinearSeek(Seek):
-    """Homing of joints, each to its own switch; probing in space."""
-
-    _canon: "NonlinearCanon"
-    _planner: "NonlinearPlanner"
-
-    def find(self, axes: int) -> None:
-        """As Seek.find(): places, travel and rates are those of joints."""
-        settings, planner = self._settings, self._planner
-        travel = settings.max_travel[:]
-        planner.homing = True
-        try:
-            for i in range(planner.axes):
-                settings.max_travel[i] = planner.kinematics.travel[i]
-            super().find(axes)
-        finally:
-            planner.homing = False
-            copy(travel, settings.max_travel, planner.axes)
-
-    def _set_origin(self, axes: int) -> None:
-        """A joint stands as far from its HOME as it has pulled off."""
-        settings, planner = self._settings, self._planner
-        self._engine.position(self._steps)
-        for i in range(planner.axes):
-            if axes >> i & 1:
-                pull_off = 0.0 if self._zero_origin else settings.homing_pull_off_mm
-                if not settings.homing_dir_invert >> i & 1:
-                    pull_off = -pull_off
-                planner.set_axis(self._steps, i, planner.kinematics.home[i] + pull_off)
-        self._engine.set_position(self._steps)
-
-    def _on_contact(self) -> None:
-        super()._on_contact()
-        self._canon.stop_planning = self._contact
-
-
-def _make_geometry(name: str, axes: int) -> "Geometry":
+def _geometry(name: str, axes: int) -> "Geometry":
     """The module of that name. ValueError where it has not what it takes."""
     geometry: "Any" = __import__(name)
     for word in _ASKED:
@@ -191,7 +46,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     for word in _WORDS:
         if option(word):
             raise ValueError("KINEMATICS and %s are not for the same machine" % word)
-    geometry = _make_geometry(option("KINEMATICS", ""), options.axes)
+    geometry = _geometry(option("KINEMATICS", ""), options.axes)
     options.kinematics = NonlinearKinematics(options.axes, geometry)
     options.planner = NonlinearPlanner
     options.canon, options.seek = NonlinearCanon, NonlinearSeek
@@ -202,27 +57,7 @@ def install(cnc: "Cnc") -> None:
     machine: "Any" = cnc.machine
     canon, interpreter = machine.canon, machine.interpreter
     canon.pump, canon.tell = machine.protocol.pump, cnc.message
+    canon.modes, canon.block = machine.modes, interpreter.block
+    canon.usual_check, interpreter.check = interpreter.check, canon.check_line
     interpreter.fast.is_open = False
     interpreter.fast.forget()
-    usual: "Callable[[array[int]], None]" = interpreter.check
-    modes = machine.modes
-
-    def check(modal: "array[int]") -> None:
-        usual(modal)
-        if modal is modes.modal:  # else it is a jog, which canon looks at
-            _check(canon, modes.position, interpreter.block)
-
-    interpreter.check = check
-
-
-def _check(canon: "NonlinearCanon", place: "array[float]", block: "Block") -> None:
-    """Refuse a line whose motion leads out of reach."""
-    ints, code = block.ints, errors.GCODE_INVALID_TARGET
-    if ints[b.NON_MODAL] in (b.GO_G28, b.GO_G30):
-        if ints[b.CLAIM]:
-            canon.check(place, block.xyz, None, code)
-            place = block.xyz
-        canon.check(place, block.stored, None, code)
-    elif ints[b.CLAIM] == b.AXES_MOTION and ints[b.WORDS] & b.AXIS_WORDS:
-        bent = ints[MOTION] in (b.CW_ARC, b.CCW_ARC)
-        canon.check(place, block.xyz, block.arc if bent else None, code)
