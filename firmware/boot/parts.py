@@ -45,8 +45,9 @@ _LOOP_MS = const(250)
 # What $I says where Ctrl-X is not heard before the main loop reads; `ugrbl doctor` knows it.
 _SLOW_RESET = " slow-reset"
 
-# Modules that do no more than make the machine: 5 kB that nobody needs any more, and of extras 1.
-_MAKING = ("boot.wiring", "boot.options", "boot.guests", "ports.user_files", "extras.nonlinear")
+# Extras that do no more than make a machine, a kilobyte each. By names that forget() is called
+# with they would be merged with this module, and guests.py asks for them as files of their own.
+_MAKING = ("extras.nonlinear", "extras.moves")
 
 # What makes objects, or has that in its name, in a class or a module; and what extras do then.
 MAKERS = ("__init__", "connect", "prepare", "install")
@@ -302,8 +303,12 @@ def _build(
 
     store = FlashStore()
     machine = wiring.build(board, link, port, engine, store, ring)
-    for module in _MAKING:
-        forget(module)
+    forget("boot.wiring")  # with these, 5 kB that nobody needs any more
+    forget("boot.options")
+    forget("boot.guests")
+    forget("ports.user_files")
+    for extra in _MAKING:
+        forget(extra)
     if link.is_slow:
         machine.report.identity += _SLOW_RESET
     written = getattr(engine, "flash_written", None)
