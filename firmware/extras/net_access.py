@@ -6,6 +6,8 @@ Names and passwords come as hexadecimal digits, for a line has neither small let
 they are told to nobody. docs/network.md has the words.
 """
 
+import sys
+
 from base import errors
 from base.errors import GrblError
 from base.text import text_of
@@ -25,14 +27,6 @@ _FILE = "network"
 _KEY_LENGTH = const(8)
 # No letter that makes a word which senders take for an answer.
 _KEY_SIGNS = "23456789ABCDFGHJKLMNPQRSTVWXYZ"
-_DIGITS = "0123456789"
-_LETTERS = "abcdefghijklmnopqrstuvwxyz"
-_HOST_SIGNS = _LETTERS + _DIGITS + "-"
-_LONGEST_HOST = const(31)
-_LONGEST_NAME = const(32)
-_SHORTEST_PASSWORD = const(8)
-_LONGEST_PASSWORD = const(63)
-_HIGHEST_PORT = const(65535)
 
 
 def has_half(ring: bytearray, at: "array[int]", kinds: bytearray) -> bool:
@@ -113,91 +107,42 @@ class Network:
 
     def command(self, rest: bytes) -> None:
         """$NET, and $NET/… as lines come, without the slash. Raises GrblError."""
-        name, sign, text = _parted(text_of(rest))
-        link = self._link
+        text, link = text_of(rest), self._link
         if not rest:
             count = link.callers() if link else 0
             status = link.status() if link else "no network is set up"
             self._cnc.message("Network: %s; connected: %d" % (status, count))
-            return
-        if link is None:
+        elif link is None:
             self._refuse("There is no network here")
         elif not link.by_cable():
-            if name != "KEY":  # a sender may say its key each time
+            if text != "KEY" and text[:4] != "KEY=":  # a sender may say its key each time
                 self._refuse("That is set up at the cable")
-            return
-        if name == "KEY" and not sign:
+        elif text == "KEY":
             self._tell_key()
-            return
-        self._set(name, sign, text)
-        self._keep()
-        self._know()
-        if name != "KEY":
-            self._cnc.message("Network: holds from the next start on")
-
-    def _set(self, name: str, sign: str, text: str) -> None:
-        kept = self._kept
-        if name == "KEY" and text == "NEW":
-            kept["KEY"] = self._new_key()
-            if self._link:
-                self._link.expel()
+        elif text == "KEY=NEW":
+            self._kept["KEY"] = self._new_key()
+            self._know()
+            link.expel()
             self._tell_key()
-        elif name == "OFF" and not sign:
-            for one in ("SSID", "PASS"):
-                kept.pop(one, None)
-        elif name == "SSID" and sign == "=":
-            kept["SSID"] = self._hex(text, 1, _LONGEST_NAME)
-        elif name == "PASS" and sign:
-            before = kept.get("PASS", "") if sign == "+" else ""
-            kept["PASS"] = self._hex(before + text, 0, _LONGEST_PASSWORD)
-        elif name == "MODE" and text in ("STATION", "AP"):
-            if text == "AP" and len(kept.get("PASS", "")) < 2 * _SHORTEST_PASSWORD:
-                self._refuse("An access point has a password of 8 letters or more, first")
-            kept["MODE"] = text.lower()
-        elif name == "HOST" and sign == "=":
-            kept["HOST"] = self._host(text.lower())
-        elif name == "PORT" and sign == "=":
-            kept["PORT"] = self._port(text)
+            self._keep()
         else:
-            self._refuse("$NET/SSID= PASS= MODE=STATION MODE=AP HOST= PORT= KEY OFF")
+            self._set(text)
+
+    def _set(self, text: str) -> None:
+        """What is set up once is read from flash then, and let go again: it takes 1.5 kB."""
+        from extras import net_setup
+
+        why = net_setup.change(self._kept, text)
+        del sys.modules["extras.net_setup"]
+        sys.modules["extras"].__dict__.pop("net_setup", None)
+        if why:
+            self._refuse(why)
+        self._keep()
+        self._cnc.message("Network: holds from the next start on")
 
     def _refuse(self, why: str) -> None:
         self._cnc.message(why)
         raise GrblError(errors.INVALID_STATEMENT)
-
-    def _hex(self, text: str, fewest: int, most: int) -> str:
-        try:
-            count = len(bytes.fromhex(text))
-        except ValueError:
-            count = -1
-        if not fewest <= count <= most:
-            self._refuse("That is %d to %d bytes, as hexadecimal digits" % (fewest, most))
-        return text
-
-    def _host(self, text: str) -> str:
-        if not _is_of(text, _HOST_SIGNS) or text[0] == "-" or len(text) > _LONGEST_HOST:
-            self._refuse("A host name has letters, digits and -, at most 31")
-        return text
-
-    def _port(self, text: str) -> str:
-        if not (_is_of(text, _DIGITS) and 0 < int(text) <= _HIGHEST_PORT):
-            self._refuse("A port is a number from 1 to 65535")
-        return text
-
-
-def _parted(text: str) -> "tuple[str, str, str]":
-    """Name, sign and value of `NAME=VALUE`, `NAME+VALUE` or `NAME`."""
-    for sign in "=+":
-        name, found, value = text.partition(sign)
-        if found and _is_of(name.lower(), _LETTERS):
-            return name, sign, value
-    return text, "", ""
-
-
-def _is_of(text: str, signs: str) -> bool:
-    """There is text, of no other signs. What Python has for it would take names of MicroPython's
-    that others are called by: compiling/shorten.py."""
-    return bool(text) and not [sign for sign in text if sign not in signs]
 
 
 def install(cnc: "Cnc") -> None:

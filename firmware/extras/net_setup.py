@@ -1,0 +1,82 @@
+"""`$NET/NAME=VALUE`: what a network is set up with, checked. See net_access.py, which reads this
+from flash when somebody sets one up.
+"""
+
+from micropython import const
+
+_DIGITS = "0123456789"
+_LETTERS = "abcdefghijklmnopqrstuvwxyz"
+_HOST_SIGNS = _LETTERS + _DIGITS + "-"
+_LONGEST_HOST = const(31)
+_LONGEST_NAME = const(32)
+_SHORTEST_PASSWORD = const(8)
+_LONGEST_PASSWORD = const(63)
+_HIGHEST_PORT = const(65535)
+
+
+def change(kept: "dict[str, str]", text: str) -> str:
+    """Put into kept what is said, or return why not, and nothing has changed."""
+    name, sign, value = _parted(text)
+    if name == "OFF" and not sign:
+        for one in ("SSID", "PASS"):
+            kept.pop(one, None)
+        return ""
+    why = "$NET/SSID= PASS= MODE=STATION MODE=AP HOST= PORT= KEY OFF"
+    if name == "SSID" and sign == "=":
+        why = _hex(value, 1, _LONGEST_NAME)
+    elif name == "PASS" and sign:
+        value = (kept.get("PASS", "") if sign == "+" else "") + value
+        why = _hex(value, 0, _LONGEST_PASSWORD)
+    elif name == "MODE" and value in ("STATION", "AP"):
+        has_password = len(kept.get("PASS", "")) >= 2 * _SHORTEST_PASSWORD
+        why = (
+            ""
+            if value != "AP" or has_password
+            else ("An access point has a password of 8 letters or more, first")
+        )
+        value = value.lower()
+    elif name == "HOST" and sign == "=":
+        value = value.lower()
+        why = _host(value)
+    elif name == "PORT" and sign == "=":
+        why = _port(value)
+    if not why:
+        kept[name] = value
+    return why
+
+
+def _hex(text: str, fewest: int, most: int) -> str:
+    try:
+        count = len(bytes.fromhex(text))
+    except ValueError:
+        count = -1
+    if fewest <= count <= most:
+        return ""
+    return "That is %d to %d bytes, as hexadecimal digits" % (fewest, most)
+
+
+def _host(text: str) -> str:
+    if _is_of(text, _HOST_SIGNS) and text[0] != "-" and len(text) <= _LONGEST_HOST:
+        return ""
+    return "A host name has letters, digits and -, at most 31"
+
+
+def _port(text: str) -> str:
+    if _is_of(text, _DIGITS) and 0 < int(text) <= _HIGHEST_PORT:
+        return ""
+    return "A port is a number from 1 to 65535"
+
+
+def _parted(text: str) -> "tuple[str, str, str]":
+    """Name, sign and value of `NAME=VALUE`, `NAME+VALUE` or `NAME`."""
+    for sign in "=+":
+        name, found, value = text.partition(sign)
+        if found and _is_of(name.lower(), _LETTERS):
+            return name, sign, value
+    return text, "", ""
+
+
+def _is_of(text: str, signs: str) -> bool:
+    """There is text, of no other signs. What Python has for it would take names of MicroPython's
+    that others are called by: compiling/shorten.py."""
+    return bool(text) and not [sign for sign in text if sign not in signs]
