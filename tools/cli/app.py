@@ -32,7 +32,13 @@ from . import (
 from .custom_options import CustomFile, Inputs, around
 from .outputs import check_outputs, failed
 
-app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False, add_completion=False)
+# Without markup help is wrapped to the terminal, and keeps what stands in brackets.
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    rich_markup_mode=None,
+)
 app.command("build", epilog=build.EXAMPLES)(build.command)
 app.command("conformance")(conformance.command)
 app.command("console", epilog=console.EXAMPLES)(console.command)
@@ -137,9 +143,9 @@ def sim(
     custom_file: CustomFile = None,
     inputs: Inputs = None,
 ) -> None:
-    """Run the firmware behind a pseudo-terminal, or on TCP, that any sender can open.
+    """Run the firmware in a simulator that any sender can open.
 
-    At the terminal where it runs, type an input's name to push it: probe, limit_x, start …
+    On a pseudo-terminal, or on TCP. Type an input's name there to push it: probe, limit_x …
     """
     from .simulate import Options, simulate
 
@@ -168,7 +174,7 @@ def sim(
 
 @app.command()
 def demo() -> None:
-    """Stream an example into the simulator and draw what the motors did."""
+    """Stream an example into the simulator; draw what motors did."""
     from ..device.connection import SendError
     from .demo import demo as show
 

@@ -13,9 +13,12 @@ from ..compiling import build, maps, to_freeze
 from ..compiling.build import Build, BuildError, Progress
 from ..compiling.folder import save, save_to_freeze
 from ..device.deploy import ARCHS
-from .outputs import check_outputs, save_json, words
+from .outputs import check_outputs, examples, save_json, words
 
-EXAMPLES = "Examples:  ugrbl build --board rpi_pico   ·   ugrbl build --arch armv7emsp --json -"
+EXAMPLES = examples(
+    "ugrbl build --board rpi_pico",
+    "ugrbl build --arch armv7emsp --json -",
+)
 _ARCH = "armv6m"
 # Measured by host_tests/emulator/test_pico_talk.py: 116.6 kB are free, and 92.4.
 DEBUG_COST = "24 kB of a Pico's memory"
@@ -51,7 +54,7 @@ def command(
         typer.Option("--json", metavar="FILE", help="Write the sizes there; - is stdout."),
     ] = None,
 ) -> None:
-    """Compile the firmware for a board and show the bytes of each module.
+    """Compile the firmware for a board; show each module's bytes.
 
     With --board what `ugrbl deploy` would put on it; without, all there is. Beside
     the folder a map is written, FOLDER.map.json, for `ugrbl decode`. manifest.py

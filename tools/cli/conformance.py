@@ -104,7 +104,7 @@ def command(
         typer.Option(metavar="NAME", help="Simulator board; else by what it says of itself."),
     ] = None,
 ) -> None:
-    """Replay recordings of real Grbl and say how many are answered alike.
+    """Replay recordings of real Grbl; count what is answered alike.
 
     docs/conformance.md says what these recordings are.
     """

@@ -5,20 +5,24 @@ import sys
 
 from ..device.connection import BAUD, ONLY_RESET, Connection, SendError
 from .desk import Desk
-from .outputs import failed
+from .outputs import examples, failed
 from .ports import Baud, Port, choose
 
-EXAMPLES = "Examples:  ugrbl console   ·   ugrbl console --port /dev/ttyACM0"
+EXAMPLES = examples(
+    "ugrbl console",
+    "ugrbl console --port /dev/ttyACM0",
+)
 
 
 def command(
     port: Port = None,
     baud: Baud = BAUD,
 ) -> None:
-    """Talk to a Grbl: a line for its state, a history, settings and errors with their meaning.
+    """Talk to a Grbl in a terminal that knows it.
 
-    Tab changes between lines and keys. Keys jog while they are held, set zero, home, unlock, hold,
-    and change feed, rapids and spindle. Ctrl-X resets the machine.
+    It has a line for the state and a history, and gives settings and errors their meaning. Tab
+    changes between lines and keys. Keys jog while they are held, set zero, home, unlock, hold, and
+    change feed, rapids and spindle. Ctrl-X resets the machine.
     """
     from .terminal import Terminal
 

@@ -14,9 +14,7 @@ from ..run.own_python import OwnPython
 from .custom_options import Inputs, around
 from .outputs import Json, check_output, failed, save_json
 
-app = typer.Typer(
-    no_args_is_help=True, help="Your own Python on the board: check, push, pull, edit, remove it."
-)
+app = typer.Typer(no_args_is_help=True, help="Your own Python on the board.")
 
 File = Annotated[
     Path,
@@ -35,7 +33,7 @@ def check(
     inputs: Inputs = None,
     json_file: Json = None,
 ) -> None:
-    """Say what is in it and what is wrong with it, and let each handler run in the simulator.
+    """Say what is wrong with it; run its handlers in the simulator.
 
     Looks at words, letters and parameters, names of pins, imports, and what MicroPython's compiler
     says. In the dry run letters are 1, and inputs come when they are waited for. The exit code is

@@ -52,10 +52,11 @@ def push(
     inputs: Inputs = None,
     anyway: Anyway = False,
 ) -> None:
-    """Check it, put it on the board in the place of what is there, and start the board anew.
+    """Check it, and put it on the board in the place of the old.
 
-    The machine has to stand still (Idle or Alarm); it starts as after power-up: home it, or set
-    its zero again. Whatever breaks off half way, the old file is there, or the new one.
+    The board starts anew. The machine has to stand still (Idle or Alarm); it starts as after
+    power-up: home it, or set its zero again. Whatever breaks off half way, the old file is there,
+    or the new one.
     """
     console = Console()
     with _told():
@@ -177,7 +178,7 @@ def edit(
     inputs: Inputs = None,
     anyway: Anyway = False,
 ) -> None:
-    """Open what is on the board in $EDITOR, and push it if you have changed it.
+    """Open it in $EDITOR, and push it if you have changed it.
 
     Where there is none a first one is there to be changed.
     """

@@ -11,10 +11,12 @@ from ..compiling import maps
 from ..compiling.decode import build_of, decode
 from ..compiling.maps import MapError
 from ..grbl.gcode_file import NotText, check_text, name_of, read_bytes, split_lines
+from .outputs import examples
 
-EXAMPLES = (
-    "Examples:  ugrbl decode fault.txt   ·   ugrbl decode < log   ·   "
-    "ugrbl decode fault.txt --map build/rpi_pico.map.json"
+EXAMPLES = examples(
+    "ugrbl decode fault.txt",
+    "ugrbl decode < log",
+    "ugrbl decode fault.txt --map build/rpi_pico.map.json",
 )
 
 
@@ -30,7 +32,7 @@ def command(
         typer.Option("--map", metavar="FILE", help="The map of the build. [default: found]"),
     ] = None,
 ) -> None:
-    """Say what a board means that tells of a fault: functions, files and lines.
+    """Say where in the sources a fault is that a board reports.
 
     Takes a traceback, or a log with a line [MSG:…] of a fault. The board tells its build; the map
     of that is found where it was built or deployed with this computer, and where the firmware

@@ -17,12 +17,13 @@ from ..device.connection import SendError
 from ..device.deploy import DeployError, Result, deploy
 from . import ports
 from .build import DEBUG_COST, Debug
-from .outputs import Json, check_output, save_json
+from .outputs import Json, check_output, examples, save_json
 from .screen import summary
 
-EXAMPLES = (
-    "Examples:  ugrbl deploy --board rpi_pico   ·   ugrbl deploy --board my_router.py"
-    " --port /dev/ttyACM0   ·   ugrbl deploy --board rpi_pico --port COM3 --json -"
+EXAMPLES = examples(
+    "ugrbl deploy --board rpi_pico",
+    "ugrbl deploy --board my_router.py --port /dev/ttyACM0",
+    "ugrbl deploy --board rpi_pico --port COM3 --json -",
 )
 
 
@@ -78,7 +79,7 @@ def command(
     debug: Debug = False,
     json_file: Json = None,
 ) -> None:
-    """Put the firmware on a board that has MicroPython, and start it.
+    """Put the firmware on a board with MicroPython, and start it.
 
     Checks the board file, compiles what this board needs, copies what has changed,
     takes away what an older deployment has left, and shows what the firmware says.

@@ -16,12 +16,13 @@ from ..device.connection import BAUD, Connection, SendError, way_out
 from ..grbl.settings_file import AXES, Firmware, Settings
 from ..paths import use_firmware
 from . import ports
-from .outputs import check_output, save_json
+from .outputs import check_output, examples, save_json
 from .ports import Baud, Port
 
-EXAMPLES = (
-    "Examples:  ugrbl doctor   ·   ugrbl doctor --port /dev/ttyACM0 --pins 20 --move"
-    "   ·   ugrbl doctor --port COM3 --no-move --json -"
+EXAMPLES = examples(
+    "ugrbl doctor",
+    "ugrbl doctor --port /dev/ttyACM0 --pins 20 --move",
+    "ugrbl doctor --port COM3 --no-move --json -",
 )
 _MARKS = {OK: "[green]ok  [/]", NOTE: "[yellow]note[/]", BAD: "[red]BAD [/]"}
 _PINS_S = 15.0

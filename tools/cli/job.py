@@ -78,10 +78,10 @@ def delete(name: Name, port: Port = None, baud: Baud = BAUD, yes: Yes = False) -
 
 @app.command(epilog=_EXAMPLE.format("run PART.NC"))
 def run(name: Name, port: Port = None, baud: Baud = BAUD) -> None:
-    """Have a board run a program of its own. It goes on without this computer.
+    """Have a board run a program of its own.
 
-    Status reports of the machine tell how far it is: any sender shows them,
-    holds it and stops it; so does `ugrbl console`.
+    It goes on without this computer. Status reports of the machine tell how far it is: any sender
+    shows them, holds it and stops it; so does `ugrbl console`.
     """
     with connected(port, baud) as connection:
         _say(jobs.start(connection, _called(name)))
@@ -100,9 +100,9 @@ def resume(
     baud: Baud = BAUD,
     yes: Yes = False,
 ) -> None:
-    """Go on in the middle of a program that is on a board. Home the machine first.
+    """Go on in the middle of a program that is on a board.
 
-    With the tool off it goes up and across to where the line begins; there
+    Home the machine first. With the tool off it goes up and across to where the line begins; there
     the spindle starts, and the tool goes down at the feed rate.
     """
     if line and not name:
@@ -121,7 +121,10 @@ def button(
     port: Port = None,
     baud: Baud = BAUD,
 ) -> None:
-    """Give a program to the board's start button, which runs it where nothing else does."""
+    """Give a program to the board's start button.
+
+    Pressed, it runs that program where nothing else runs.
+    """
     called = _called(name) if name else ""
     with connected(port, baud) as connection:
         jobs.button(connection, called)

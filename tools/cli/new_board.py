@@ -16,12 +16,12 @@ from ..boardfile.chips import CHIPS, Chip
 from ..boardfile.new_board import ITEMS, Board, BoardError, Item, Pins
 from ..grbl.settings_file import as_line
 from ..sim import motor_names
-from .outputs import check_outputs, failed, save_json
+from .outputs import check_outputs, examples, failed, save_json
 from .screen import summary
 
-EXAMPLES = (
-    "Examples:  ugrbl new-board my_router   ·   ugrbl new-board my_router --chip pico"
-    " --pin step=2,3,4 --pin dir=5,6,7 --pin enable=8 --pin limit=9,10,11 --set 100=800"
+EXAMPLES = examples(
+    "ugrbl new-board my_router",
+    "ugrbl new-board my_router --chip pico --pin step=2,3,4 --pin dir=5,6,7",
 )
 _NAMES = ", ".join(item.name.lower() for item in ITEMS)
 _CHIPS = "|".join(CHIPS)
@@ -74,9 +74,9 @@ def command(
         typer.Option("--json", metavar="FILE", help="Write the pins there; - is stdout."),
     ] = None,
 ) -> None:
-    """Make a board file: asks for the pins, checks them, writes the file, shows the wiring.
+    """Make a board file, and show the wiring.
 
-    What is said by options is not asked for.
+    It asks for the pins and checks them; what options say is not asked for.
     """
     asking = sys.stdin.isatty() if ask is None else ask
     console = Console(stderr=str(json_file) == "-")

@@ -111,6 +111,11 @@ def save_text(text: str, file: Path) -> None:
         raise failed(f"{file} cannot be written: {error.strerror}") from error
 
 
+def examples(*lines: str) -> str:
+    """Command lines for the end of a help text, which keeps them as they are."""
+    return "\n".join(("\b", "Examples:", *(f"  {line}" for line in lines)))
+
+
 def failed(why: object) -> typer.Exit:
     """Say why on stderr; raise what this returns."""
     Console(stderr=True).print(f"[red]{escape(words(why))}", highlight=False)

@@ -13,12 +13,13 @@ from ..grbl.gcode_file import name_of, read_program
 from ..grbl.settings_file import as_line
 from ..run import machine
 from .custom_options import CustomFile, Inputs, around, why_stopped
-from .outputs import check_outputs, failed, save_json
+from .outputs import check_outputs, examples, failed, save_json
 from .screen import Screen, show_errors, summary
 
-EXAMPLES = (
-    "Examples:  ugrbl plot badge.nc   ·   ugrbl plot badge.nc -o badge.png --settings my.settings"
-    "   ·   ugrbl plot badge.nc --set 120=500 --set 121=500"
+EXAMPLES = examples(
+    "ugrbl plot badge.nc",
+    "ugrbl plot badge.nc -o badge.png --settings my.settings",
+    "ugrbl plot badge.nc --set 120=500 --set 121=500",
 )
 
 
@@ -53,8 +54,9 @@ def command(
     custom: CustomFile = None,
     inputs: Inputs = None,
 ) -> None:
-    """Draw what a program will do: its path, coloured by speed; speed, acceleration, step rates.
+    """Draw what a program will do.
 
+    The path is coloured by speed; charts show speed, acceleration and step rates.
     With --set it is drawn a second time, under those settings, and the time saved is told. The
     exit code is 1 where the program has errors; what could be done of it is drawn all the same.
     """

@@ -18,7 +18,7 @@ from ..run import machine
 from ..run.pace import Paced, Stretch
 from ..run.program import Result, run_program
 from .custom_options import CustomFile, Inputs, Lenient, around, why_stopped
-from .outputs import Json, check_outputs, failed, save_json
+from .outputs import Json, check_outputs, examples, failed, save_json
 from .screen import (
     Screen,
     show_errors,
@@ -30,9 +30,10 @@ from .screen import (
     totals_rows,
 )
 
-EXAMPLES = (
-    "Examples:  ugrbl run badge.nc   ·   ugrbl run badge.nc --check"
-    "   ·   ugrbl run badge.nc --settings my.settings --set 110=6000 --plot badge.html"
+EXAMPLES = examples(
+    "ugrbl run badge.nc",
+    "ugrbl run badge.nc --check",
+    "ugrbl run badge.nc --settings my.settings --set 110=6000 --plot a.html",
 )
 
 
@@ -65,9 +66,9 @@ def command(
     inputs: Inputs = None,
     lenient: Lenient = False,
 ) -> None:
-    """Run a program in virtual time and say how long it takes, how far it goes, what is wrong.
+    """Run a program in virtual time, and say what is wrong with it.
 
-    Lines that would come too fast for a board are named, with what to do.
+    It says how long it takes, how far it goes, and which lines would come too fast for a board.
     Where the program pauses (M0, or a hold in its text) it is told to go on. The exit code is 0
     if it came to its end; with --check, only if there were no errors either.
     """

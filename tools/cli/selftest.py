@@ -17,11 +17,12 @@ from ..device.selftest import program
 from ..device.selftest.row import Row
 from ..device.selftest.session import Board, Wiring, check, look
 from . import ports
-from .outputs import save_json
+from .outputs import examples, save_json
 
-EXAMPLES = (
-    "Examples:  ugrbl selftest   ·   ugrbl selftest --port /dev/ttyACM0 --yes"
-    "   ·   ugrbl selftest --port COM3 --json -"
+EXAMPLES = examples(
+    "ugrbl selftest",
+    "ugrbl selftest --port /dev/ttyACM0 --yes",
+    "ugrbl selftest --port COM3 --json -",
 )
 _MARKS = {True: "[green]passed[/]", False: "[red]FAILED[/]", None: "[yellow]      [/]"}
 _BARE = "The board file names no ENABLE: motors turn, unless their drivers have no power. Go on?"
@@ -67,7 +68,7 @@ def command(
         typer.Option("--json", metavar="FILE", help="Write the rows there; - is stdout."),
     ] = None,
 ) -> None:
-    """Prove the firmware on the board itself: nothing wired, drivers off.
+    """Prove the firmware on the board: nothing wired, drivers off.
 
     Free machines of the chip's second PIO watch the pins that the first one drives, so no wire
     is needed: steps counted, pulses measured, stops, starts, limits, PWM, flash, a hang. On an

@@ -13,14 +13,15 @@ from ..device.send import Report
 from ..grbl import gcode_file
 from ..run.machine import DEFAULT_BOARD
 from .custom_options import CustomFile, Inputs, around
-from .outputs import failed
+from .outputs import examples, failed
 from .ports import Baud, Port, choose
 from .screen import show_problems
 from .send_job import Job, Options, Stopped
 
-EXAMPLES = (
-    "Examples:  ugrbl send job.nc   ·   ugrbl send job.nc --port /dev/ttyACM0 --from-line 1200"
-    "   ·   make-gcode | ugrbl send - --port COM3 --keep-going"
+EXAMPLES = examples(
+    "ugrbl send job.nc",
+    "ugrbl send job.nc --port /dev/ttyACM0 --from-line 1200",
+    "make-gcode | ugrbl send - --port COM3 --keep-going",
 )
 
 

@@ -52,7 +52,7 @@ def pull(
     baud: Baud = BAUD,
     force: Annotated[bool, typer.Option("--force", help="Replace a file.")] = False,
 ) -> None:
-    """Write a machine's settings into a file, with meaning and unit of each."""
+    """Write a machine's settings into a file, each with its meaning."""
     to_stdout = str(file) == STDIN
     if not to_stdout:
         if file.exists() and not force:
@@ -74,7 +74,9 @@ def diff(
     any_version: AnyVersion = False,
     json_file: Json = None,
 ) -> None:
-    """Show what a push of the file would change. The exit code is 1 if that is anything."""
+    """Show what a push of the file would change.
+
+    The exit code is 1 if that is anything."""
     wanted = _read(file)
     check_output(json_file, given=locals())
     with _machine(port, baud) as connection:
@@ -95,9 +97,10 @@ def push(
     any_version: AnyVersion = False,
     json_file: Json = None,
 ) -> None:
-    """Make the machine's settings those of the file; settings it does not name stay.
+    """Write the settings of a file to the machine.
 
-    What would change is shown first. What was there before goes to FILE.before.
+    Settings that the file does not name stay. What would change is shown first. What was there
+    before goes to FILE.before.
     """
     _write(file, port, baud, yes, any_version, json_file, complete=False)
 
@@ -117,9 +120,9 @@ def restore(
     any_version: AnyVersion = False,
     json_file: Json = None,
 ) -> None:
-    """Put a machine back to exactly what a file holds, or to the factory's settings.
+    """Put a machine back to what a file holds, or the factory's.
 
-    After a push that was a mistake: restore FILE.before.
+    It has exactly those settings then. After a push that was a mistake: restore FILE.before.
     """
     if (file is None) != factory:
         raise failed("say one of both: a file that was pulled, or --factory")

@@ -16,13 +16,12 @@ from ..image.uf2 import Uf2Error
 from .build import DEBUG_COST, Debug
 from .custom import judge
 from .custom_options import CustomFile, around
-from .outputs import check_output, failed
+from .outputs import check_output, examples, failed
 from .screen import summary
 
-EXAMPLES = (
-    "Examples:  ugrbl uf2 --board rpi_pico --micropython RPI_PICO-20260406-v1.28.0.uf2   ·"
-    "   ugrbl uf2 --board my_router.py --micropython RPI_PICO.uf2 --settings my.settings"
-    " --custom custom.py -o router.uf2"
+EXAMPLES = examples(
+    "ugrbl uf2 --board rpi_pico --micropython RPI_PICO-20260406-v1.28.0.uf2",
+    "ugrbl uf2 --board my_router.py --micropython RPI_PICO.uf2 -o router.uf2",
 )
 _DOWNLOAD = "micropython.org/download has it for each board, as a .uf2 file"
 _STAYS = (
@@ -55,7 +54,7 @@ def command(
     ] = None,
     debug: Debug = False,
 ) -> None:
-    """Make one file for a board with RP2040 or RP2350, to be dragged onto it.
+    """Make one file to be dragged onto an RP2040 or RP2350 board.
 
     In it are MicroPython, the firmware, the board file, and, if asked for,
     settings and your own Python. The board needs nothing before, and begins

@@ -17,12 +17,14 @@ import typer
 from ..boardfile.files import load_board
 from ..device.connection import BAUD, SendError
 from ..run import machine
-from .outputs import failed
+from .outputs import examples, failed
 from .ports import Baud, Port, choose
 
-EXAMPLES = (
-    "Examples:  ugrbl web   ·   ugrbl web --port /dev/ttyACM0   ·   ugrbl web --sim"
-    "   ·   ugrbl web --host 0.0.0.0 --no-browser"
+EXAMPLES = examples(
+    "ugrbl web",
+    "ugrbl web --port /dev/ttyACM0",
+    "ugrbl web --sim",
+    "ugrbl web --host 0.0.0.0 --no-browser",
 )
 
 
@@ -62,7 +64,7 @@ def command(
     ] = 8010,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page.")] = True,
 ) -> None:
-    """Serve a page that jogs the machine, sends jobs and shows everything.
+    """Serve a page that jogs the machine and sends jobs.
 
     Any number of browsers may watch; one drives. On the network, whoever has the address that is
     printed, with its token, can move the machine. Ctrl-C ends it; a machine at work is held.

@@ -7,12 +7,10 @@ from rich.console import Console
 
 from ..device import wifi
 from ..device.connection import BAUD
-from .outputs import failed
+from .outputs import examples, failed
 from .ports import Baud, Port, connected
 
-EXAMPLES = """
-Examples:  ugrbl wifi   ·   ugrbl wifi --name Workshop   ·   ugrbl wifi --new-key
-"""
+EXAMPLES = examples("ugrbl wifi", "ugrbl wifi --name Workshop", "ugrbl wifi --new-key")
 
 
 def command(
@@ -37,7 +35,9 @@ def command(
     ] = False,
     off: Annotated[bool, typer.Option("--off", help="Forget the network.")] = False,
 ) -> None:
-    """Set a board's Wi-Fi up, over its cable; without options show how it is, and the key.
+    """Set a board's Wi-Fi up, over its cable.
+
+    Without options it shows how it is, and the key.
 
     What is set up holds from the board's next start on. See docs/network.md.
     """

@@ -1,0 +1,64 @@
+"""Help texts of `ugrbl`, on a terminal of 80 columns."""
+
+import re
+from itertools import pairwise
+
+import pytest
+import typer
+from typer.testing import CliRunner
+from ugrbl.cli.app import app
+
+_COLUMNS = 80
+
+
+def names(command: object, name: str = "") -> "list[str]":
+    """Every command, its words with blanks between; the whole is an empty text."""
+    below = getattr(command, "commands", {})
+    return [name, *(one for sub in below for one in names(below[sub], f"{name} {sub}".strip()))]
+
+
+NAMES = names(typer.main.get_command(app))
+each_command = pytest.mark.parametrize("name", NAMES)
+
+
+def help_of(name: str) -> str:
+    environment = {"COLUMNS": str(_COLUMNS), "TERMINAL_WIDTH": str(_COLUMNS)}
+    done = CliRunner().invoke(app, [*name.split(), "--help"], env=environment)
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def broken_early(text: str) -> "list[str]":
+    """Lines of prose that end where the next line's first word would have had space."""
+    before, *_ = re.split(r"\n.*(?:Arguments|Options|Examples?)\b.*\n", text)
+    prose = [line.rstrip() for line in before.splitlines()]
+    return [
+        line
+        for line, following in pairwise(prose)
+        if re.match(r" +\w", line)
+        and re.match(r" +\w", following)
+        and len(f"{line} {following.split()[0]}") <= _COLUMNS - 2
+    ]
+
+
+@each_command
+def test_help_fits_and_is_wrapped_to_its_terminal(name: str) -> None:
+    text = help_of(name)
+    assert "Usage:" in text
+    assert max(map(len, text.splitlines())) <= _COLUMNS
+    assert broken_early(text) == []
+
+
+@pytest.mark.parametrize("name", ["", "custom", "job", "settings"])
+def test_no_command_is_cut_short_in_a_list(name: str) -> None:
+    listed = help_of(name).partition("Commands:")[2]
+    assert listed and "..." not in listed
+
+
+def test_help_keeps_what_stands_in_brackets() -> None:
+    assert "[MSG:…]" in help_of("decode") and "[default: found]" in help_of("decode")
+
+
+def test_a_line_that_is_broken_early_is_found() -> None:
+    assert broken_early("  It is\n  short.\n") == ["  It is"]
+    assert broken_early(f"  {'x' * 72} and\n  so on.\n") == []
