@@ -30,6 +30,20 @@ GROUND = ("", "paths")  # the package itself, for its version
 SCREEN = ("typer", "rich", "prompt_toolkit")
 SCREENS = ("cli", "docs.__main__", "compiling.maps")
 
+# Modules that write otherwise than by paths.write(): into a folder that is temporary or made once,
+# a disk's image, or our docs.
+WRITERS = {
+    "compiling.compilers",
+    "compiling.kernels",
+    "compiling.machine_code",
+    "compiling.page_files",
+    "compiling.stock",
+    "docs.__main__",
+    "image.file_system",
+    "paths",
+}
+_WRITING = ("write_text", "write_bytes")
+
 # What a CPython reads in the place of a board's modules: no package, see test_stubs.py.
 STANDINS = TOOLS / "sim" / "standins"
 FILES = sorted(
@@ -145,6 +159,23 @@ def test_a_room_says_what_it_is_for_and_what_it_may_import() -> None:
 def test_only_commands_know_the_screen() -> None:
     others = [name for name in MODULES if room(name) not in SCREENS and name not in SCREENS]
     assert not [name for name in others if strangers(MODULES[name]).intersection(SCREEN)]
+
+
+def writes(path: Path) -> bool:
+    """Whether a module opens files for writing; what is said to a board's Python is text."""
+    for node in ast.walk(trees()[path]):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            modes = [one.value for one in node.args if isinstance(one, ast.Constant)]
+            opens = node.func.attr == "open" and any(mode in ("w", "wb", "xb") for mode in modes)
+            if opens or node.func.attr in _WRITING:
+                return True
+    return False
+
+
+def test_files_are_written_by_one_function_that_leaves_no_half_ones() -> None:
+    on_board = TOOLS / "device" / "selftest" / "on_board"
+    found = {name for name, path in MODULES.items() if on_board not in path.parents}
+    assert {name for name in found if writes(MODULES[name])} == WRITERS
 
 
 def test_functions_and_files_stay_short() -> None:

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -180,6 +181,54 @@ def test_a_full_disk_is_told_with_the_file(name: str, folder: Path) -> None:
     (folder / name).symlink_to("/dev/full")
     done = ugrbl("run", "good.nc", "--json" if name.endswith("json") else "--plot", name)
     assert done.exit_code == 1 and f"{name} cannot be written: No space left" in done.output
+
+
+@pytest.fixture
+def full_disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Files end after 100 bytes, as on a disk that is full by then; Python would keep halves of
+    what it compiles."""
+    resource = pytest.importorskip("resource")
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def files_in(folder: Path) -> dict[str, bytes]:
+    return {str(file): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+WRITERS = [
+    ("run good.nc --plot {}", "x.html"),
+    ("run good.nc --plot {}", "x.svg"),
+    ("run good.nc --json {}", "x.json"),
+    ("plot good.nc -o {}", "x.png"),
+    ("new-board mine --chip pico --no-ask --pin step=2,3,4 --pin dir=5,6,7 -o {}", "x.py"),
+]
+
+
+@pytest.mark.parametrize("is_there", [False, True])
+@pytest.mark.parametrize(("words", "name"), WRITERS)
+@pytest.mark.usefixtures("full_disk")
+def test_a_full_disk_leaves_no_half_of_a_file(
+    words: str, name: str, is_there: bool, folder: Path
+) -> None:
+    if is_there:
+        (folder / name).write_text("old")
+    before = files_in(folder)
+    done = ugrbl(*words.format(name).split(), *(["--force"] if "new-board" in words else []))
+    assert done.exit_code == 1 and "cannot be written: File too large" in done.output
+    assert files_in(folder) == before
+
+
+def test_a_file_that_is_replaced_stays_a_link_and_keeps_who_may_read_it(folder: Path) -> None:
+    (folder / "x.json").write_text("old")
+    (folder / "x.json").chmod(0o600)
+    (folder / "link.json").symlink_to("x.json")
+    assert ugrbl("run", "good.nc", "--json", "link.json").exit_code == 0
+    assert (folder / "link.json").is_symlink() and json.loads((folder / "x.json").read_text())
+    assert (folder / "x.json").stat().st_mode & 0o777 == 0o600
 
 
 def test_the_version_is_told() -> None:

@@ -1,6 +1,10 @@
-"""Where the firmware and its data lie: beside this file when installed, else in the checkout."""
+"""Where the firmware and its data lie: beside this file when installed, else in the checkout.
+
+How files are written, too: whole, or not at all.
+"""
 
 import os
+import shutil
 import sys
 from pathlib import Path
 
@@ -17,6 +21,31 @@ EXAMPLES = _ROOT / "examples"
 CONVERSATIONS = (_HERE if _INSTALLED else _ROOT / "host_tests") / "conversations"
 COMPILED = _HERE / "compiled"  # the firmware, in an installed package only
 STANDINS = _HERE / "sim" / "standins"  # for the modules that only a board has
+
+
+def write(file: Path, data: bytes) -> None:
+    """Replace a file, or leave what is there. OSError says in words why it cannot be written."""
+    try:
+        if file.exists() and not file.is_file():  # a device, a pipe
+            file.write_bytes(data)
+        else:
+            _replace(Path(os.path.realpath(file)), data)  # a link stays one
+    except OSError as error:
+        raise OSError(f"{file} cannot be written: {error.strerror}") from error
+
+
+def _replace(file: Path, data: bytes) -> None:
+    new = file.with_name(f".{file.name}.{os.getpid()}.new")
+    try:
+        with new.open("wb") as out:
+            out.write(data)
+            out.flush()
+            os.fsync(out.fileno())
+        if file.exists():
+            shutil.copymode(file, new)
+        new.replace(file)
+    finally:
+        new.unlink(missing_ok=True)
 
 
 def use_firmware(fast: bool = True) -> None:

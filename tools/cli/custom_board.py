@@ -14,6 +14,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from .. import paths
 from ..compiling.build import digest
 from ..device import custom_shelf as shelves
 from ..device.connection import SendError
@@ -161,13 +162,13 @@ def keep(found: Mapping[str, bytes], file: Path) -> Path:
         if file.is_dir():
             file /= next(iter(found))
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(next(iter(found.values())))
+        paths.write(file, next(iter(found.values())))
         return file
     if file.suffix == ".py":
         raise DeployError(f"on the board there is a folder: {file} cannot be one", "name a folder")
     file.mkdir(parents=True, exist_ok=True)
     for path, content in found.items():
-        (file / path.rpartition("/")[2]).write_bytes(content)
+        paths.write(file / path.rpartition("/")[2], content)
     return file
 
 

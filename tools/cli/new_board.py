@@ -16,7 +16,7 @@ from ..boardfile.chips import CHIPS, Chip
 from ..boardfile.new_board import ITEMS, Board, BoardError, Item, Pins
 from ..grbl.settings_file import as_line
 from ..sim import motor_names
-from .outputs import check_outputs, examples, failed, save_json
+from .outputs import check_outputs, examples, failed, save_json, words
 from .screen import summary
 
 EXAMPLES = examples(
@@ -229,15 +229,15 @@ def _write(board: Board, file: Path) -> None:
     before = file.read_bytes() if file.exists() else None
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(board.text(), encoding="utf-8")
+        paths.write(file, board.text().encode())
     except OSError as error:
-        raise BoardError(f"{file} cannot be written: {error}") from error
+        raise BoardError(words(error)) from error
     problems = board_check.problems(files.load(file))
     if problems:
         if before is None:
             file.unlink()
         else:
-            file.write_bytes(before)
+            paths.write(file, before)
         raise BoardError("; ".join(problems))
 
 

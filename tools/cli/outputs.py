@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from .. import paths
 from ..boardfile.files import BoardFileError, board_file
 from ..grbl.gcode_file import STDIN
 
@@ -75,7 +76,10 @@ def _check(file: Path) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OSError(f"{file} cannot be written: {error.strerror}") from error
-    if not os.access(file if file.exists() else file.parent, os.W_OK):
+    touched = [file] if file.exists() else []
+    if not file.exists() or file.is_file():  # which is written beside it, see paths.write()
+        touched.append(file.resolve().parent)
+    if not all(os.access(path, os.W_OK) for path in touched):
         raise PermissionError(f"{file} cannot be written: permission denied")
 
 
@@ -93,22 +97,14 @@ def save_json(found: object, file: Path) -> None:
 
 
 def save_text(text: str, file: Path) -> None:
-    """Write a file; one that is there is replaced once the new one is whole."""
+    """Write a file; `-` is stdout. What goes wrong with it ends the command with the reason."""
     if str(file) == STDIN:
         sys.stdout.write(text)
         return
     try:
-        if file.exists() and not file.is_file():
-            file.write_text(text, encoding="utf-8")
-            return
-        new = file.resolve().with_name(f".{file.name}.new")
-        try:
-            new.write_text(text, encoding="utf-8")
-            new.replace(file.resolve())
-        finally:
-            new.unlink(missing_ok=True)
+        paths.write(file, text.encode())
     except OSError as error:
-        raise failed(f"{file} cannot be written: {error.strerror}") from error
+        raise failed(error) from error
 
 
 def examples(*lines: str) -> str:

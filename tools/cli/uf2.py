@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from .. import paths
 from ..boardfile.files import BoardFileError, board_file
 from ..compiling import build
 from ..compiling.build import START, BuildError
@@ -79,7 +80,7 @@ def command(
             own = _own(console, board, custom)
             files = contents.files(made, board, settings, own, theirs.frozen)
             data = contents.join(theirs, files)
-        file.write_bytes(data)
+        paths.write(file, data)
     except (BoardFileError, BuildError) as error:
         raise failed("\n".join(error.problems)) from error
     except (ValueError, SettingsError, OSError) as error:

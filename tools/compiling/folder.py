@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from .. import __version__
+from .. import __version__, paths
 from .build import START, Build, sources, texts
 from .inline import inline
 
@@ -19,8 +19,8 @@ def save(made: Build, folder: Path) -> None:
     for path, content in made.files.items():
         file = folder / path
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(content)
-    (folder / _PACKAGE_LIST).write_text(package_list(made), encoding="utf-8")
+        paths.write(file, content)
+    paths.write(folder / _PACKAGE_LIST, package_list(made).encode())
 
 
 def package_list(made: Build) -> str:
@@ -42,7 +42,7 @@ def save_to_freeze(made: Build, folder: Path) -> None:
         file = folder / path
         file.parent.mkdir(parents=True, exist_ok=True)
         if not file.is_file() or file.read_bytes() != content:
-            file.write_bytes(content)
+            paths.write(file, content)
 
 
 def folders(made: Build) -> list[str]:
@@ -55,4 +55,4 @@ def place(folder: Path) -> None:
     for name, text in inline(texts(), keep=True).items():
         file = folder / f"{name.replace('.', '/')}.py"
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text, encoding="utf-8")
+        paths.write(file, text.encode())

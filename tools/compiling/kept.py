@@ -63,13 +63,15 @@ def _passes() -> str:
 
 def _write(file: Path, content: bytes) -> None:
     """Write it whole or not at all: others may be reading, or writing the same."""
+    made = file
     try:
         _tidy(file.parent)
         with NamedTemporaryFile(dir=file.parent, delete=False) as written:
+            made = Path(written.name)
             written.write(content)
-        Path(written.name).replace(file)
+        made.replace(file)
     except OSError:  # no place to keep it: it is made anew each time
-        return
+        made.unlink(missing_ok=True)
 
 
 @cache

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import typer
 
+from .. import paths
 from . import build, stock, symbols
 
 SUFFIX = ".map.json"
@@ -49,7 +50,7 @@ def beside(made: Path) -> Path:
 def save(map_: dict[str, Any], file: Path) -> None:
     """Write it."""
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(json.dumps(map_), encoding="utf-8")
+    paths.write(file, json.dumps(map_).encode())
 
 
 def keep(map_: dict[str, Any]) -> None:

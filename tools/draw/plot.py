@@ -1,9 +1,11 @@
 """Jobs drawn into a file, as its name asks for: a page or a picture."""
 
+import io
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from .. import paths
 from ..grbl.gcode_file import STDIN
 from .job import Job
 
@@ -17,15 +19,14 @@ def save(jobs: Sequence[Job], title: str, words: str, file: Path) -> None:
         sys.stdout.write(_page(jobs, title, words))
         return
     suffix = file.suffix.lower()
-    try:
-        if suffix == ".html":
-            file.write_text(_page(jobs, title, words), encoding="utf-8")
-        else:
-            from .image import draw
+    if suffix == ".html":
+        paths.write(file, _page(jobs, title, words).encode())
+        return
+    from .image import draw
 
-            draw(jobs, title, words, suffix == ".svg").savefig(file, format=suffix[1:])
-    except OSError as error:
-        raise OSError(f"{file} cannot be written: {error.strerror}") from error
+    picture = io.BytesIO()
+    draw(jobs, title, words, suffix == ".svg").savefig(picture, format=suffix[1:])
+    paths.write(file, picture.getvalue())
 
 
 def _page(jobs: Sequence[Job], title: str, words: str) -> str:

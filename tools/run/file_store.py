@@ -7,11 +7,10 @@ not understood, or that somebody else has changed meanwhile, is never written ov
 
 import os
 import re
-import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 
+from .. import paths
 from ..grbl.settings_file import SETTING, Firmware, Settings, SettingsError, same
 
 _OTHER = re.compile(r";\[(\w+)\] ?(.*)")
@@ -55,7 +54,7 @@ class FileStore:
             raise OSError(f"{self._path} has been changed by somebody else: it is left alone")
         before = "" if self._text is None else _decoded(self._text)
         text = "".join(f"{line}\n" for line in _written(before, kept, self._firmware)).encode()
-        _replace(self._path, text)
+        paths.write(self._path, text)
         self._kept, self._text = kept, text
 
     def _there(self) -> bytes | None:
@@ -130,19 +129,3 @@ def _check_folder(path: Path) -> None:
         raise FileNotFoundError(f"there is no folder {path.parent}")
     if not os.access(path.parent, os.W_OK):
         raise PermissionError(f"nothing can be written into {path.parent}")
-
-
-def _replace(path: Path, text: bytes) -> None:
-    """Put a file there, or leave the old one."""
-    new = path.with_name(f".{path.name}.{os.getpid()}.new")
-    try:
-        with new.open("xb") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        if path.exists():
-            shutil.copymode(path, new)
-        new.replace(path)
-    finally:
-        with suppress(FileNotFoundError):
-            new.unlink()

@@ -3,7 +3,7 @@
 import json
 from array import array
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from math import hypot
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -29,13 +29,9 @@ class Totals:
     steps_probed: dict[str, int] = field(default_factory=dict)  # left out, for the probe touched
     rotary: str = ""  # axes of which mm are degrees; the distance is that of the others
 
-    def save(self, path: Path) -> None:
-        """Write them as JSON."""
-        path.write_text(json.dumps(asdict(self), indent=1) + "\n", encoding="utf-8")
-
     @classmethod
     def load(cls, path: Path) -> "Totals":
-        """Read what save() has written."""
+        """Read a report of `ugrbl sim`."""
         return cls(**json.loads(path.read_text(encoding="utf-8")))
 
 
