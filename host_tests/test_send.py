@@ -1,19 +1,21 @@
 """`ugrbl send`, against a small stand-in for Grbl on a real pseudo-terminal."""
 
+import errno
 import os
 import sys
 import threading
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import serial
 from typer.testing import CliRunner, Result
 from ugrbl.cli import keys
 from ugrbl.cli.app import app
 from ugrbl.device import connection as connection_module
-from ugrbl.device.connection import Connection, SendError
+from ugrbl.device.connection import Connection, SendError, broke
 from ugrbl.device.send import Choice, Line, Stream
 from ugrbl.device.send import program as ready
 from ugrbl.grbl.gcode_file import CYCLE_START, FEED_HOLD, RESET, STATUS
@@ -551,7 +553,7 @@ def test_an_unplugged_cable_is_told_with_the_line(grbl: FakeGrbl, view: Watcher)
     threading.Timer(0.3, os.close, [master]).start()
     report = Stream(connection, ready_program(10), view).run()
     connection.close()
-    assert report.lost and "cable" in report.stopped
+    assert report.lost and report.stopped == "the connection broke: has the simulator ended?"
 
 
 def test_whatever_goes_wrong_here_holds_the_machine_first(
@@ -582,6 +584,76 @@ def test_a_full_disk_ends_it_as_an_abort_does(
 def test_a_port_in_use_is_told_to_be(grbl: FakeGrbl, connection: Connection) -> None:
     with pytest.raises(SendError, match="another program has it"):
         Connection(grbl.port)
+
+
+def refused(number: int, text: str) -> Callable[..., None]:
+    """As pyserial refuses to open a port."""
+
+    def open_port(*_: object, **__: object) -> None:
+        raise serial.SerialException(number, text) if number else serial.SerialException(text)
+
+    return open_port
+
+
+@pytest.mark.parametrize(
+    ("port", "words"),
+    [
+        ("/dev/nowhere", "no such port; is the cable one that carries data?"),
+        ("nowhere/grbl", "no such port; is it written right, and does the simulator run?"),
+        ("socket://127.0.0.1:1", "nobody listens there; is the firmware or the simulator on"),
+        ("socket://127.0.0.1:99999", "wants a host and a port: socket://HOST:PORT"),
+        ("rfc2217://127.0.0.1:1", "nobody listens there;"),
+        ("foo://x", "a port is a device, or socket://HOST:PORT"),
+    ],
+)
+def test_a_port_that_cannot_be_opened_says_why_in_our_words(port: str, words: str) -> None:
+    with pytest.raises(SendError) as raised:
+        Connection(port)
+    text = str(raised.value)
+    assert text.startswith(f"cannot open {port}: ") and words in text
+    assert "Errno" not in text and "could not" not in text.lower()
+
+
+@pytest.mark.parametrize(
+    ("number", "theirs", "words"),
+    [
+        (errno.EACCES, "could not open port", "permission denied; add yourself to its group"),
+        (errno.EBUSY, "could not open port", "another program has it; close that"),
+        (
+            0,
+            "could not open port 'COM3': PermissionError(13, 'Access is denied.')",
+            "another prog",
+        ),
+        (0, "could not open port 'COM3': FileNotFoundError(2, '…')", "no such port"),
+        (errno.EPROTO, "could not open port", r"refuses it \(EPROTO\); unplug it, plug it in"),
+        (0, "something new", "unplug it, plug it in, and try again"),
+    ],
+)
+def test_what_the_system_refuses_is_said_in_our_words(
+    monkeypatch: pytest.MonkeyPatch, number: int, theirs: str, words: str
+) -> None:
+    monkeypatch.setattr(serial, "serial_for_url", refused(number, theirs))
+    with pytest.raises(SendError, match=words) as raised:
+        Connection("/dev/ttyACM0")
+    assert theirs not in str(raised.value)
+
+
+def test_a_baud_rate_that_cannot_be_is_named(grbl: FakeGrbl) -> None:
+    with pytest.raises(SendError, match=r"cannot have -1 baud; Grbl 1[.]1 has 115200"):
+        Connection(grbl.port, -1)
+
+
+@pytest.mark.parametrize(
+    ("port", "look"),
+    [
+        ("/dev/ttyACM0", "the cable still plugged in"),
+        ("socket://192.168.4.1:23", "in this network"),
+        ("/dev/pts/999", "the simulator ended"),
+        ("some/link", "the simulator ended"),
+    ],
+)
+def test_a_broken_connection_says_where_to_look(port: str, look: str) -> None:
+    assert look in broke(port)
 
 
 def test_a_file_is_no_port(tmp_path: Path) -> None:

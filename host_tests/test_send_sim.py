@@ -473,5 +473,5 @@ def test_an_unplugged_cable_is_told_with_line_and_state(bench: Bench, tmp_path: 
     wait_until_at(bench, 5)
     bench.kill()
     code, text = send.end()
-    assert code == 1 and "cable" in text and line_made(text) > 10
+    assert code == 1 and "has the simulator ended?" in text and line_made(text) > 10
     assert "was in Run, and goes on" in text

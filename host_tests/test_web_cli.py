@@ -116,7 +116,7 @@ def test_a_place_that_is_taken_is_told() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         said = refused("--sim", "--http", str(port))
-    assert f"127.0.0.1:{port} cannot be listened at" in said and "in use" in said
+    assert f"127.0.0.1:{port} cannot be listened at: another program does" in said
     assert "--http" in said
 
 
@@ -125,7 +125,7 @@ def test_a_place_that_is_taken_is_told() -> None:
     [
         ("--sim --port x", "say one of --port and --sim"),
         ("--port x --settings y", "--settings is for --sim"),
-        ("--port missing", "cannot open missing: No such file"),
+        ("--port missing", "cannot open missing: no such port; is it written right"),
         ("--sim --board toaster", "no board 'toaster'"),
         ("--sim --settings FOLDER/photo", "photo"),
         ("--sim --host 192.0.2.1 --http 0", "192.0.2.1:0 cannot be listened at"),

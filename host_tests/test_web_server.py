@@ -331,7 +331,7 @@ async def test_a_pulled_plug_is_told_and_tried_again_and_browsers_stay(tmp_path:
             await page.told(link={"name": str(port), "open": False})
         await pages[0].send(b"G1 X100\n")  # is lost
         await until(lambda: len(site.log) == 2, "log")
-        assert "broke" in site.log[0] and "plugged in?; it is tried again" in site.log[1]
+        assert "broke" in site.log[0] and "simulator run?; it is tried again" in site.log[1]
         plug.plug_in()
         await pages[0].told(link={"name": str(port), "open": True}, driver=True)
         await pages[0].send(b"?$G\n")

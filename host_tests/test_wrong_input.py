@@ -57,10 +57,16 @@ WRONG = [
     ("settings diff good.settings --port x --json folder", "folder is a folder"),
     ("sim --stdio --settings folder", "folder cannot be read: Is a directory"),
     ("sim --port nowhere/link", "nowhere/link cannot be made: there is no folder nowhere"),
-    ("sim --tcp 192.0.2.1:80", "192.0.2.1:80 cannot be listened at: Cannot assign"),
+    (
+        "sim --tcp 192.0.2.1:80",
+        "192.0.2.1:80 cannot be listened at: this computer has no such address",
+    ),
     ("sim --stdio --board good.nc", "no board 'good.nc'"),
     ("new-board class --chip pico --no-ask", "class is a word of Python's"),
-    ("conformance RECORDINGS --port missing", "cannot open missing: No such file"),
+    (
+        "conformance RECORDINGS --port missing",
+        "cannot open missing: no such port; is it written right",
+    ),
     ("conformance RECORDINGS --port socket://", "cannot open socket://: "),
     ("decode missing", "missing cannot be read: No such file"),
     ("decode folder", "folder cannot be read: Is a directory"),

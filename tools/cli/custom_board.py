@@ -227,10 +227,12 @@ def _edit(
     before = _digests(copy)
     try:
         subprocess.run([*editor, str(copy)], check=True)
-    except (OSError, subprocess.CalledProcessError) as error:
-        raise DeployError(
-            f"the editor {editor[0]} failed: {error}", "nothing was pushed"
-        ) from error
+    except OSError as error:
+        why = f"the editor {editor[0]} cannot be run; nothing was pushed"
+        raise DeployError(why, "say another: export EDITOR=nano") from error
+    except subprocess.CalledProcessError as error:
+        why = f"the editor {editor[0]} ended with {error.returncode}; nothing was pushed"
+        raise DeployError(why, "edit your copy, and push it: ugrbl custom push") from error
     if _digests(copy) == before:
         return False
     _push(console, port, _judged(console, copy, board, inputs, anyway))

@@ -11,7 +11,7 @@ from ..compiling import maps
 from ..compiling.decode import build_of, decode
 from ..compiling.maps import MapError
 from ..grbl.gcode_file import NotText, check_text, name_of, read_bytes, split_lines
-from .outputs import examples
+from .outputs import examples, words
 
 EXAMPLES = examples(
     "ugrbl decode fault.txt",
@@ -43,7 +43,7 @@ def command(
         text = _told(file)
         map_ = _map(build_of(text), map_file)
     except (OSError, MapError) as error:
-        Console(stderr=True).print(f"[red]{escape(str(error))}", highlight=False, soft_wrap=True)
+        Console(stderr=True).print(f"[red]{escape(words(error))}", highlight=False, soft_wrap=True)
         raise typer.Exit(1) from error
     for line in decode(text, map_):
         typer.echo(line)

@@ -17,7 +17,7 @@ from ..device.connection import SendError
 from ..device.deploy import DeployError, Result, deploy
 from . import ports
 from .build import DEBUG_COST, Debug
-from .outputs import Json, check_output, examples, save_json
+from .outputs import Json, check_output, examples, save_json, words
 from .screen import summary
 
 EXAMPLES = examples(
@@ -118,7 +118,7 @@ def _keep_map(console: Console, made: Build) -> None:
     try:
         maps.keep(made.map)
     except OSError as error:
-        text = f"[yellow]note[/]: no map is kept, for decode and doctor: {escape(str(error))}"
+        text = f"[yellow]note[/]: no map is kept, for decode and doctor: {escape(words(error))}"
         console.print(text, highlight=False, soft_wrap=True)
 
 

@@ -7,6 +7,7 @@ Every failure of the port is a SendError that says in words what may be wrong. G
 import errno
 import os
 import re
+import socket
 import time
 from collections.abc import Callable
 from typing import Any
@@ -32,7 +33,10 @@ _PLACE = re.compile(r"[|,]([MW])Pos:(-?[\d.]+(?:,-?[\d.]+)*)")
 _WORK = re.compile(r"[|,]WPos:(-?[\d.]+(?:,-?[\d.]+)*)")
 _OFFSET = re.compile(r"\|WCO:(-?[\d.]+(?:,-?[\d.]+)*)")
 _OF_A_NETWORK = ("socket", "rfc2217")
-_HOST_AND_PORT = re.compile(r"://[^/?]+:\d+")
+_HOST_AND_PORT = re.compile(r"://[^/?]+:(\d+)")
+_MOST_PORTS = 0xFFFF
+# Where pseudo-terminals are, on Linux and on macOS.
+_PSEUDO_TERMINALS = ("/dev/pts/", "/dev/ttys")
 ONLY_RESET = "after ALARM:1 or ALARM:2 it hears nothing but a reset (Ctrl-X)"
 # States in which Grbl reads no lines, and those in which it stands still for good.
 _DEAF = ("Hold", "Door", "Sleep")
@@ -50,7 +54,7 @@ def open_port(port: str, baud: int, read_s: float) -> Any:
             port, baud, timeout=read_s, write_timeout=_WRITE_S, exclusive=True
         )
     except (OSError, ValueError) as error:
-        raise SendError(_why_not(port, error)) from error
+        raise SendError(f"cannot open {port}: {_why_not(port, baud, error)}") from error
 
 
 class Connection:
@@ -58,6 +62,7 @@ class Connection:
 
     def __init__(self, port: str, baud: int = BAUD) -> None:
         self._serial = open_port(port, baud, _READ_S)
+        self._port = port
         self._text = ""
         self.window = WINDOW
         self.blocks = BLOCKS
@@ -78,16 +83,17 @@ class Connection:
         try:
             self._serial.write(permitted(data))
         except serial.SerialTimeoutException as error:
-            raise SendError("the machine takes no more bytes") from error
+            text = "the machine takes no more bytes; see that it is powered, and connect anew"
+            raise SendError(text) from error
         except OSError as error:
-            raise SendError(_broke(error)) from error
+            raise SendError(broke(self._port)) from error
 
     def lines(self) -> list[str]:
         """The lines that have come; waits a moment for the first."""
         try:
             data = self._serial.read(max(1, self._serial.in_waiting))
         except (OSError, TypeError) as error:  # pyserial's own, where the port is closed meanwhile
-            raise SendError(_broke(error)) from error
+            raise SendError(broke(self._port)) from error
         if data:
             self.heard = time.monotonic()
         self._text += data.decode("latin-1")
@@ -235,23 +241,65 @@ def way_out(state: str) -> str:
     }.get(state.partition(":")[0], "reset it (Ctrl-X)")
 
 
-def _why_not(port: str, error: Exception) -> str:
+def is_simulator(port: str) -> bool:
+    """Whether a port is no device, but a pseudo-terminal as the simulator's, or was one."""
+    place = os.path.realpath(port)
+    return place.startswith(_PSEUDO_TERMINALS) or (
+        os.name == "posix" and "://" not in port and not place.startswith("/dev/")
+    )
+
+
+def broke(port: str) -> str:
+    """What to look at where a connection has broken."""
+    look = "is the cable still plugged in, and does no other program use the port?"
+    if port.partition("://")[0] in _OF_A_NETWORK:
+        look = "is the machine still on, and in this network?"
+    elif is_simulator(port):
+        look = "has the simulator ended?"
+    return f"the connection broke: {look}"
+
+
+def _why_not(port: str, baud: int, error: Exception) -> str:
     """Why a port cannot be opened, and what may help."""
-    if port.partition("://")[0] in _OF_A_NETWORK and not _HOST_AND_PORT.search(port):
-        kind = port.partition("://")[0]
-        return f"cannot open {port}: {kind}:// wants a host and a port: {kind}://HOST:PORT"
-    number = getattr(error, "errno", None)
-    text = f"cannot open {port}: {os.strerror(number) if number else error}"
-    if number == errno.ENOENT or "FileNotFound" in text:
-        return f"{text}; is the cable one that carries data, and plugged in?"
-    if number == errno.EACCES or "Access is denied" in text:
-        return f"{text}; add yourself to its group (`ls -l` shows which) and log in anew"
-    if number == errno.EBUSY or "exclusively lock" in str(error):
-        return f"cannot open {port}: another program has it; close that"
-    if number == errno.EISDIR or "configure port" in text:
-        return f"cannot open {port}: it is no serial port"
-    return text
+    kind, is_url, _ = port.partition("://")
+    number = _errno(error)
+    if kind in _OF_A_NETWORK and is_url:
+        return _why_no_connection(kind, port, number)
+    if is_url:
+        return "a port is a device, or socket://HOST:PORT; `ugrbl ports` lists devices"
+    if "baud" in str(error):
+        return f"it cannot have {baud} baud; Grbl 1.1 has {BAUD}"
+    if number == errno.ENOENT or "FileNotFound" in str(error):
+        if is_simulator(port):
+            return "no such port; is it written right, and does the simulator run?"
+        return (
+            "no such port; is the cable one that carries data? `ugrbl ports` lists what is there"
+        )
+    if number in (errno.EBUSY, errno.EAGAIN) or "Access is denied" in str(error):
+        return "another program has it; close that"  # which Windows calls a denied access
+    if number == errno.EACCES:
+        return "permission denied; add yourself to its group (`ls -l` shows which) and log in anew"
+    if number in (errno.EISDIR, errno.ENOTTY) or "configure port" in str(error):
+        return "it is no serial port; `ugrbl ports` lists those that there are"
+    name = errno.errorcode.get(number, "for a reason of its own")
+    return f"the system refuses it ({name}); unplug it, plug it in, and try again"
 
 
-def _broke(error: Exception) -> str:
-    return f"the connection broke ({error}): is the cable still plugged in?"
+def _why_no_connection(kind: str, port: str, number: int) -> str:
+    place = _HOST_AND_PORT.search(port)
+    if not place or not 0 < int(place[1]) <= _MOST_PORTS:
+        return f"{kind}:// wants a host and a port: {kind}://HOST:PORT"
+    if number == errno.ECONNREFUSED:
+        return "nobody listens there; is the firmware or the simulator on, and is it this port?"
+    if number in (socket.EAI_NONAME, socket.EAI_AGAIN):
+        return "no host of that name is known; is it written right, and in this network?"
+    return "no answer; is the machine on, and in this network?"
+
+
+def _errno(error: BaseException | None) -> int:
+    """The system's number: pyserial has it, or has made its text from an error that has it."""
+    while error:
+        if isinstance(error, OSError) and error.errno:
+            return error.errno
+        error = error.__context__
+    return 0

@@ -14,7 +14,7 @@ from mpremote.transport import TransportError  # type: ignore[import-untyped]
 from mpremote.transport_serial import SerialTransport  # type: ignore[import-untyped]
 
 from ..compiling import freeze, page_files
-from .connection import Connection, SendError, way_out
+from .connection import Connection, SendError, broke, is_simulator, way_out
 from .deploy import LIST, About, DeployError, Running
 
 # An emulated board is slow: UGRBL_PATIENCE=5 waits five times as long for everything.
@@ -135,6 +135,11 @@ class MpremoteDevice:
                 raise self._stranger(state) from error
 
     def _stranger(self, state: str) -> DeployError:
+        if state and is_simulator(self._port):
+            return DeployError(
+                f"it is the simulator that answers on {self._port}; no MicroPython is in it",
+                "say a board's port with --port; `ugrbl ports` lists those that there are",
+            )
         if state:
             return DeployError(
                 f"a Grbl answers on {self._port}, and does not give way to MicroPython's prompt",
@@ -302,11 +307,11 @@ class MpremoteDevice:
             yield
         except serial.SerialException as error:
             raise DeployError(
-                f"the connection broke: {error}",
+                broke(self._port),
                 "plug the board in and deploy again: what has been copied is not copied anew",
             ) from error
         except TransportError as error:
             raise DeployError(
-                f"MicroPython on the board has stopped to answer as it should: {error}",
+                f"MicroPython on the board has stopped answering as it should: {error}",
                 "unplug the board, plug it in and deploy again",
             ) from error

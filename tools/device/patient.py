@@ -12,7 +12,7 @@ from ..grbl.gcode_file import is_answer
 from ..grbl.messages import meaning
 from . import checkup
 from .checkup import BAD, NOTE, OK, PINS, Finding
-from .connection import BAUD, Connection, SendError, way_out
+from .connection import BAUD, Connection, SendError, broke, way_out
 
 _ANSWER_S = 5.0
 _FAULT_S = 2.0
@@ -57,8 +57,8 @@ def stranger(port: str, baud: int = BAUD) -> list[Finding]:
             if ">>>" in heard:
                 wire.write(_ASK_REPL)
                 heard += wire.read(4096).decode("latin-1")
-    except serial.SerialException as error:
-        return [Finding("port", BAD, f"the connection broke: {error}", "plug it in again")]
+    except serial.SerialException:
+        return [Finding("port", BAD, broke(port), "then look again")]
     board = _REPL.search(heard.replace("\r", ""))
     if ">>>" in heard:
         return _idle_board(board)

@@ -1,6 +1,7 @@
 """The simulator over TCP: a wire for senders that cannot open a pseudo-terminal, and the sockets
 of a board's network."""
 
+import errno
 import select
 import socket
 from contextlib import suppress
@@ -31,10 +32,18 @@ def listener(host: str, port: int, backlog: int | None = None) -> socket.socket:
     try:
         made = socket.create_server((host, port), family=family, backlog=backlog)
     except OSError as error:
-        why = (error.strerror or str(error)).partition(" (")[0]
-        raise OSError(f"{host}:{port} cannot be listened at: {why}") from error
+        raise OSError(f"{host}:{port} cannot be listened at: {why_not(error)}") from error
     made.setblocking(False)
     return made
+
+
+def why_not(error: OSError) -> str:
+    """Why nothing can listen at a place, and what to say in its stead."""
+    if error.errno == errno.EADDRINUSE:
+        return "another program does; say another port"
+    if error.errno == errno.EACCES:
+        return "the system keeps such ports to itself; say one from 1024 on"
+    return "this computer has no such address; 0.0.0.0 is all that it has"
 
 
 class Tcp(Wire):

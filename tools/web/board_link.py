@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from ..device.connection import BAUD, SendError, open_port
+from ..device.connection import BAUD, SendError, broke, open_port
 
 _READ_S = 0.05
 _AGAIN_S = 1.0
@@ -146,8 +146,8 @@ class BoardLink:
                 continue
             try:
                 port.write(data)
-            except (OSError, TypeError, ValueError) as error:  # as where it is read
-                self._lose(port, error)
+            except (OSError, TypeError, ValueError):  # as where it is read
+                self._lose(port)
 
     def _next(self) -> bytes:
         if self._urgent:
@@ -169,8 +169,8 @@ class BoardLink:
                 continue
             try:
                 data = _read(port)
-            except (OSError, TypeError, ValueError) as error:  # of a port that is closed, too
-                self._lose(port, error)
+            except (OSError, TypeError, ValueError):  # of a port that is closed, too
+                self._lose(port)
                 continue
             if data:
                 self._heard(data)
@@ -191,7 +191,7 @@ class BoardLink:
         self._log(f"{self.name} is there again")
         self._changed()
 
-    def _lose(self, port: Any, error: Exception) -> None:
+    def _lose(self, port: Any) -> None:
         """The port has failed: what waits for it goes nowhere. Either thread may find it first."""
         with self._news:
             if self._port is not port:
@@ -200,7 +200,7 @@ class BoardLink:
             self._lines.clear()
             self._urgent.clear()
         port.close()
-        self._log(f"{self.name}: the connection broke ({error}); it is tried again")
+        self._log(f"{self.name}: {broke(self.name)}; it is tried again")
         self._changed()
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from aiohttp import WSMessage, WSMsgType, web
 
 from .. import paths
+from ..run.tcp_link import why_not
 from .access import Access
 from .board_link import BoardLink, Source
 from .hub import Browser, Hub
@@ -65,7 +66,7 @@ class Server:
         try:
             await web.TCPSite(self._runner, host, port).start()
         except OSError as error:
-            raise OSError(f"{host}:{port} cannot be listened at: {_why(error)}") from error
+            raise OSError(f"{host}:{port} cannot be listened at: {why_not(error)}") from error
         await self._loop.run_in_executor(None, self._link.start)
         self._hub.link_changed()  # for a browser that was quicker
         return int(self._runner.addresses[0][1])
@@ -180,12 +181,6 @@ class Server:
 async def _send_on(browser: Browser) -> None:
     with suppress(ConnectionError):  # the reading side hears of it, too
         await browser.send_on()
-
-
-def _why(error: OSError) -> str:
-    """Without what asyncio says before it."""
-    text = error.strerror or str(error)
-    return f"{text.rpartition(': ')[2]}; say another place with --host and --http"
 
 
 async def _nothing_here(request: web.Request) -> web.StreamResponse:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 from mpremote.transport import TransportError  # type: ignore[import-untyped]
 
-from ..connection import Connection, SendError
+from ..connection import Connection, SendError, broke
 from ..deploy import DeployError
 from ..deploy_device import PATIENCE, MpremoteDevice
 from .session import WIRING, Wiring
@@ -77,9 +77,9 @@ class PromptBoard(MpremoteDevice):
         try:
             yield
         except OSError as error:
-            raise DeployError(f"the connection broke: {error}", todo) from error
+            raise DeployError(broke(self._where), todo) from error
         except TransportError as error:
-            raise DeployError(f"the board has stopped to answer: {error}", todo) from error
+            raise DeployError(f"the board has stopped answering: {error}", todo) from error
 
 
 class _Lines:
