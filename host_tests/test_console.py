@@ -184,6 +184,7 @@ def test_meanings() -> None:
     assert explained("$110=500.000").startswith("$110=500.000 ")
     assert explained("[GC:G0 G54]") == "[GC:G0 G54]"
     assert explained("ALARM:1").startswith("ALARM:1: ")
+    assert "custom.py" in explained("error:3", "T2 M6") and "$" in explained("error:3", "$Y")
 
 
 def test_the_terminal_shows_state_lines_and_jogs(bench: Bench, tmp_path: Path) -> None:

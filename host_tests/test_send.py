@@ -1,6 +1,7 @@
 """`ugrbl send`, against a small stand-in for Grbl on a real pseudo-terminal."""
 
 import errno
+import io
 import os
 import sys
 import threading
@@ -11,9 +12,11 @@ from pathlib import Path
 
 import pytest
 import serial
+from rich.console import Console
 from typer.testing import CliRunner, Result
 from ugrbl.cli import keys
 from ugrbl.cli.app import app
+from ugrbl.cli.screen import Screen
 from ugrbl.device import connection as connection_module
 from ugrbl.device.connection import Connection, SendError, broke
 from ugrbl.device.send import Choice, Line, Stream
@@ -289,6 +292,37 @@ def test_ctrl_c_holds_and_resume_finishes(
     assert view.questions == ["Ctrl-C"]
     assert grbl.realtime == FEED_HOLD + CYCLE_START
     assert (report.answered, report.stopped) == (30, "")
+
+
+def test_who_thinks_about_a_question_is_not_told_that_the_machine_is_silent(
+    connection: Connection, view: Watcher, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def think(why: str) -> Choice:
+        time.sleep(0.3)  # reports of the hold come meanwhile
+        connection.heard -= 3600
+        return Choice.RESUME
+
+    monkeypatch.setattr(view, "ask", think)
+    connection.heard -= 3600  # as while the simulator checked the program
+    stream = Stream(connection, ready_program(50), view)
+    stream.interrupt()
+    assert stream.run().ok() and view.messages == []
+
+
+def test_the_clock_goes_on_until_motion_ends() -> None:
+    now = 0.0
+    console = Console(file=io.StringIO(), get_time=lambda: now, width=100)
+    with Screen(console, "job.nc", 1) as screen:
+        now = 5.0
+        screen.progress(1, "<Run|MPos:0.000,0.000,0.000>")
+        now = 65.0
+    assert "1/1 lines 0:01:05" in console.file.getvalue()
+
+
+def test_only_a_command_is_said_to_be_one_when_it_is_refused() -> None:
+    assert "'$' command" in meaning("error:3", "$X1") and "'$' command" in meaning("error:3")
+    assert "custom.py" in meaning("error:3", "T2 M6") and "$" not in meaning("error:3", "T2 M6")
+    assert meaning("error:20", "T2 M6") == meaning("error:20")
 
 
 def test_ctrl_c_and_abort_resets_once_the_machine_is_at_rest(

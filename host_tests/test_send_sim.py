@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 from as_users import as_users
 from sim_bench import Bench
+from typer.testing import CliRunner
+from ugrbl.cli.app import app
 from ugrbl.device.connection import Connection
 
 # Real processes in real time: the first ring takes one.
@@ -167,7 +169,9 @@ def test_ctrl_c_holds_and_asks_whether_to_go_on(bench: Bench, tmp_path: Path, an
     send = Send(bench, tmp_path, STAIRS[:60], terminal=True)
     wait_until_at(bench, 5)
     send.press("\x03")
-    send.wait_text("the machine is held")
+    send.wait_text("Type r to resume, or a to abort, then Enter")
+    send.wait_text("r or a> ")
+    send.press("what?\n")
     assert place_reported(bench) < 30
     send.press(f"{answer}\n")
     code, text = send.end()
@@ -466,6 +470,36 @@ def test_a_full_disk_begins_no_job_and_ends_none(
     assert "No space left" in done.stderr and "Traceback" not in done.stderr
     assert place(bench) == ("Idle", [x, 0.0, 0.0])
     assert (done.returncode == 0) == ("40 lines, 0 errors" in done.stderr) == (x > 0)
+
+
+def test_a_reader_that_has_gone_ends_no_job(bench: Bench, tmp_path: Path) -> None:
+    file = tmp_path / "job.nc"
+    file.write_text("\n".join(STAIRS[:40]))
+    command = [sys.executable, "-m", "ugrbl.cli", "send", str(file), "--port", str(bench.port)]
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(
+        [*command, "--no-check"],
+        stdin=subprocess.DEVNULL,
+        stdout=write,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=_environment(),
+        check=False,
+    )
+    os.close(write)
+    assert "40 lines, 0 errors" in done.stderr and "Traceback" not in done.stderr
+    assert place(bench) == ("Idle", [20.0, 0.0, 0.0])
+
+
+def test_what_wants_a_board_says_that_it_is_the_simulator(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    pulled = CliRunner().invoke(app, ["custom", "pull", "x.py", "--port", str(bench.port)])
+    assert pulled.exit_code == 1 and "it is the simulator that answers" in pulled.output
+    words = ["doctor", "--port", str(bench.port), "--pins", "0", "--no-move"]
+    assert "Grbl sim: it is the simulator" in CliRunner().invoke(app, words).output
 
 
 def test_an_unplugged_cable_is_told_with_line_and_state(bench: Bench, tmp_path: Path) -> None:

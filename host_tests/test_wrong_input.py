@@ -1,6 +1,8 @@
 """What a newcomer gives the commands: each says what is wrong and what to do, and ends with 1."""
 
 import json
+import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -187,6 +189,30 @@ def test_a_full_disk_is_told_with_the_file(name: str, folder: Path) -> None:
     (folder / name).symlink_to("/dev/full")
     done = ugrbl("run", "good.nc", "--json" if name.endswith("json") else "--plot", name)
     assert done.exit_code == 1 and f"{name} cannot be written: No space left" in done.output
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["--help", "--version", "run good.nc", "run good.nc --json -", "plot good.nc -o -", "run -"],
+)
+def test_a_reader_that_has_gone_is_no_words_worth(words: str) -> None:
+    """As `| head` does."""
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run(
+        [sys.executable, "-m", "ugrbl.cli", *words.split()],
+        stdin=subprocess.DEVNULL,
+        stdout=write,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=60,
+        env=as_users(COLUMNS="200"),
+        check=False,
+    )
+    os.close(write)
+    assert done.returncode in (0, 1)
+    assert not re.search("Traceback|[Bb]roken|Exception|Errno", done.stderr), done.stderr
+    assert ("stdin is empty" in done.stderr) == (words == "run -"), "stderr has its reader"
 
 
 @pytest.fixture

@@ -1,5 +1,5 @@
 """`python -m ugrbl.cli` is `ugrbl`."""
 
-from .app import app
+from .app import ugrbl
 
-app()
+ugrbl()

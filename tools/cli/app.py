@@ -1,5 +1,7 @@
 """The command line `ugrbl`: what there is to type. The work is done elsewhere."""
 
+import os
+import sys
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
@@ -184,3 +186,14 @@ def demo() -> None:
         raise failed(error) from error
     if not good:
         raise typer.Exit(1)
+
+
+def ugrbl() -> None:
+    """The command. Who reads its output may leave (`| head`), about which nothing is said."""
+    try:
+        app()
+    finally:
+        try:
+            sys.stdout.flush()
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

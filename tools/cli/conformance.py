@@ -6,13 +6,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
+import serial
 import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Column, Table
 
 from ..boardfile.files import load_board
-from ..device.connection import BAUD, SendError, open_port
+from ..device.connection import BAUD, SendError, broke, open_port
 from ..paths import CONVERSATIONS
 from ..replay.conformance import Outcome, Results, run_folder, run_port
 from .outputs import check_outputs, failed, save_json
@@ -122,6 +123,8 @@ def command(
             results = run_folder(folder, python, only, board)
         if json_file:
             save_json(results.as_json(), json_file)
+    except serial.SerialException as error:
+        raise failed(broke(port or "")) from error
     except (ValueError, OSError, SendError) as error:
         raise failed(error) from error
     show(results, Console(stderr=str(json_file) == "-"))

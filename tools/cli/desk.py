@@ -53,9 +53,9 @@ class Desk:
     def __init__(self, connection: Connection, show: Callable[[str], None]) -> None:
         self._connection = connection
         self._show = show
-        # Lines, and the lengths of those sent, with whether their ok is worth showing.
+        # Lines, and those sent, with whether their ok is worth showing.
         self._waiting: deque[tuple[bytes, bool]] = deque()
-        self._unanswered: deque[tuple[int, bool]] = deque()
+        self._unanswered: deque[tuple[bytes, bool]] = deque()
         self._polled = 0.0
         self._overrides = ""
         self._step = 2
@@ -143,26 +143,26 @@ class Desk:
     def _send(self) -> None:
         while self._waiting:
             line, shown = self._waiting[0]
-            under_way = sum(length for length, _ in self._unanswered)
+            under_way = sum(len(sent) + 1 for sent, _ in self._unanswered)
             if self._unanswered and under_way + len(line) + 1 > self._connection.window:
                 return
             self._connection.write(line + b"\n")
             self._waiting.popleft()
-            self._unanswered.append((len(line) + 1, shown))
+            self._unanswered.append((line, shown))
 
     def _hear(self, line: str) -> None:
-        shown = line != ""
+        shown, sent = line != "", b""
         if line.startswith("<"):
             found = _OVERRIDES.search(line)
             self._overrides = found[1] if found else self._overrides
             self._tell_state()
             return
         if is_answer(line) and self._unanswered:
-            _, shown = self._unanswered.popleft()
+            sent, shown = self._unanswered.popleft()
         elif line.startswith("Grbl "):
             self._unanswered.clear()
         if shown or line.startswith("error:"):
-            self._show(explained(line))
+            self._show(explained(line, sent.decode("latin-1")))
 
     def _tell_state(self) -> None:
         """Say what to do about a state in which nothing is read."""
@@ -214,10 +214,10 @@ class Desk:
         self._held = False
 
 
-def explained(line: str) -> str:
-    """A line of Grbl's with what it means."""
+def explained(line: str, sent: str = "") -> str:
+    """A line of Grbl's with what it means. sent: what it answers."""
     if line.startswith(("error:", "ALARM:")):
-        return f"{line}: {meaning(line)}"
+        return f"{line}: {meaning(line, sent)}"
     setting = _SETTING.match(line)
     if not setting:
         return line

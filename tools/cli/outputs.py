@@ -114,6 +114,8 @@ def examples(*lines: str) -> str:
 
 def failed(why: object) -> typer.Exit:
     """Say why on stderr; raise what this returns."""
+    if isinstance(why, BrokenPipeError):
+        raise why  # nobody reads stdout any more: the command ends without a word
     Console(stderr=True).print(f"[red]{escape(words(why))}", highlight=False)
     return typer.Exit(1)
 

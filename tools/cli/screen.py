@@ -1,14 +1,25 @@
 """What the commands show: a progress bar with the machine's state, tables, messages."""
 
+import errno
+import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from datetime import timedelta
 from types import TracebackType
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+)
 from rich.table import Table
+from rich.text import Text
 
 from ..device.connection import state_of
 from ..device.send import Choice
@@ -22,6 +33,21 @@ _PLACE = re.compile(r"[|,]([MW])Pos:(-?[\d.]+(?:,-?[\d.]+)*)")
 _OVERRIDES = re.compile(r"\|Ov:(\d+,\d+,\d+)")
 _MOST_NAMED = 5
 _MOST_ERRORS = 20
+
+
+class Output(Console):
+    """stdout, where a reader that has gone is an OSError, as a full disk is: rich would end the
+    command, whatever the machine does."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
+
+
+class _Clock(ProgressColumn):
+    """Goes on until the bar stops: motion ends later than the last line is answered."""
+
+    def render(self, task: Task) -> Text:
+        return Text(str(timedelta(seconds=int(task.elapsed or 0))), style="progress.elapsed")
 
 
 class Screen:
@@ -43,7 +69,7 @@ class Screen:
             BarColumn(),
             MofNCompleteColumn(),
             TextColumn("lines"),
-            TimeElapsedColumn(),
+            _Clock(),
             TextColumn("[cyan]{task.fields[state]}"),
             console=console,
         )
@@ -101,13 +127,12 @@ class Screen:
             self._progress.start()
 
     def _choice(self, why: str) -> Choice:
-        refused = why.endswith("refused")
-        keep = "[b]k[/b]eep going whatever is refused, " if refused else ""
-        question = f"{escape(why)}; the machine is held: [b]r[/b]esume, {keep}or [b]a[/b]bort?"
-        self._progress.console.print(question, highlight=False)
-        letters = "rka" if refused else "ra"
+        keep = "k to keep going whatever is refused, " if why.endswith("refused") else ""
+        self.message(f"{why}; the machine is held")
+        self.message(f"Type r to resume, {keep}or a to abort, then Enter; Ctrl-C aborts, too.")
+        prompt, letters = ("r, k or a> ", "rka") if keep else ("r or a> ", "ra")
         try:
-            while (answer := input("> ").strip().lower()[:1]) not in tuple(letters):
+            while (answer := input(prompt).strip().lower()[:1]) not in tuple(letters):
                 pass
         except EOFError:
             return Choice.ABORT
@@ -126,9 +151,9 @@ def show_errors(
 ) -> None:
     """Each error with its line and its meaning; the first of very many."""
     for number, reply in errors[:_MOST_ERRORS]:
-        line = escape(shown(lines[number - 1]))
+        line = shown(lines[number - 1])
         console.print(
-            f"line {number}: [b]{line}[/b]\n    {reply}: {escape(meaning(reply))}",
+            f"line {number}: [b]{escape(line)}[/b]\n    {reply}: {escape(meaning(reply, line))}",
             highlight=False,
             soft_wrap=True,
         )

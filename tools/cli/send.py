@@ -15,7 +15,7 @@ from ..run.machine import DEFAULT_BOARD
 from .custom_options import CustomFile, Inputs, around
 from .outputs import examples, failed
 from .ports import Baud, Port, choose
-from .screen import show_problems
+from .screen import Output, show_problems
 from .send_job import Job, Options, Stopped
 
 EXAMPLES = examples(
@@ -89,7 +89,7 @@ def command(
 
 def _send(file: Path, options: Options, port: str | None, baud: int) -> Report:
     """How it went. Ends the command where nothing can be sent."""
-    console = Console()
+    console = Output()
     try:
         # Before anything is asked of a machine.
         around(options.board or DEFAULT_BOARD, options.custom, list(options.inputs))

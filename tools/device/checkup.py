@@ -73,7 +73,8 @@ def firmware(found: Firmware, ours: str) -> Finding:
     if is_ours(found) and found.build < ours:
         todo = f"this computer has the build of {ours}: deploy it"
         return Finding(what, NOTE, f"{text} is older than what is here", todo)
-    return Finding(what, OK, text)
+    is_simulator = is_ours(found) and found.name.split()[1:2] == ["sim"]
+    return Finding(what, OK, f"{text}: it is the simulator" if is_simulator else text)
 
 
 def link(found: Firmware) -> list[Finding]:

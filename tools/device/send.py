@@ -172,6 +172,7 @@ class Stream:
 
     def _stream(self) -> None:
         self._connection.status = ""
+        self._connection.heard = time.monotonic()  # there may have been questions before
         try:
             while not self.report.stopped and not self._finished():
                 self._turn()
@@ -257,7 +258,7 @@ class Stream:
             return
         self.report.errors.append((line.number, answer))
         name = f"line {line.number}" if line.number else "on the way there"
-        self._view.message(f"{name}: {line.text}: {answer}: {meaning(answer)}")
+        self._view.message(f"{name}: {line.text}: {answer}: {meaning(answer, line.text)}")
         if not self._keep_going and not self._why_hold:
             self._connection.write(FEED_HOLD)
             self._why_hold = f"{name} was refused"
@@ -305,6 +306,8 @@ class Stream:
         if choice is Choice.ABORT:
             self._give_up()
             return
+        for line in self._connection.lines():  # reports of this hold
+            self._handle(line)
         self._keep_going |= choice is Choice.KEEP_GOING
         self._why_hold = ""
         self._connection.write(CYCLE_START)
@@ -317,6 +320,7 @@ class Stream:
             return Choice.ABORT
         finally:
             self._asking = False
+            self._connection.heard = time.monotonic()  # nobody has listened meanwhile
 
     def _give_up(self) -> None:
         """Reset: the tool goes off, and what is in Grbl's buffers is forgotten."""

@@ -10,6 +10,9 @@ from ..paths import FIRMWARE
 
 _ROW = re.compile(r"((?:^#.*\n)+)^(ALARM_)?[A-Z_]\w* = const\((\d+)\)", re.MULTILINE)
 _REPLY = re.compile(r"(error|ALARM):(\d+)")
+# To a line that is no command only a handler of the user's Python answers with it.
+_OF_A_COMMAND = "error:3"
+_OF_A_HANDLER = "the machine's own Python (custom.py) refuses it; its message before says why"
 
 
 @cache
@@ -40,8 +43,10 @@ def alarms() -> dict[int, str]:
     return {number: words for (kind, number), words in _table().items() if kind == "ALARM"}
 
 
-def meaning(reply: str) -> str:
-    """The meaning of a reply such as `error:20` or `ALARM:1`."""
+def meaning(reply: str, line: str = "") -> str:
+    """The meaning of a reply such as `error:20` or `ALARM:1`. line: what it answers, if known."""
+    if reply == _OF_A_COMMAND and line.strip()[:1] not in ("", "$"):
+        return _OF_A_HANDLER
     if ": " in reply:
         return reply.partition(": ")[2]  # Grbl 0.9 says it itself
     match = _REPLY.fullmatch(reply)

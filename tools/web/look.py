@@ -112,7 +112,10 @@ def _problems(
 ) -> list[dict[str, Any]]:
     """Lines that are refused, or act at once, or at which the program ended, or that go beyond
     the travel; by line."""
-    found = [_problem(number, f"{reply} - {meaning(reply)}") for number, reply in result.errors]
+    found = [
+        _problem(number, f"{reply} - {meaning(reply, gcode_file.shown(lines[number - 1]))}")
+        for number, reply in result.errors
+    ]
     found += [_problem(*row) for row in beyond]
     found += [_problem(number, f"{text}: is it meant so?") for number, text in result.wide_arcs]
     found += [
