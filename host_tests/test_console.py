@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from as_users import as_users
 from sim_bench import Bench
+from ugrbl.cli import terminal
 from ugrbl.cli.desk import JOG_CANCEL, Desk, explained
 from ugrbl.device.connection import Connection
 
@@ -180,6 +181,18 @@ def test_grbl_0_9_has_no_jogging_and_no_overrides(tmp_path: Path) -> None:
     old.kill()
 
 
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("columns", [80, 40, 200])
+def test_the_keys_fit_the_terminal_and_none_is_left_out(columns: int) -> None:
+    lines = terminal.wrapped(terminal._KEY_HELP, columns)
+    assert max(map(len, lines)) <= columns
+    assert "   ".join(lines) == terminal._KEY_HELP
+
+
+def test_a_history_that_cannot_be_written_ends_nothing(tmp_path: Path) -> None:
+    terminal._History(str(tmp_path / "nowhere" / "history")).store_string("$X")
+
+
 def test_meanings() -> None:
     assert explained("$110=500.000").startswith("$110=500.000 ")
     assert explained("[GC:G0 G54]") == "[GC:G0 G54]"
@@ -192,7 +205,7 @@ def test_the_terminal_shows_state_lines_and_jogs(bench: Bench, tmp_path: Path) -
     environment = as_users(HOME=str(tmp_path), TERM="xterm")
     pid, master = pty.fork()
     if pid == 0:
-        fcntl.ioctl(0, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 160, 0, 0))
+        fcntl.ioctl(0, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
         os.execve(sys.executable, command, environment)
     text = b""
 
@@ -217,6 +230,7 @@ def test_the_terminal_shows_state_lines_and_jogs(bench: Bench, tmp_path: Path) -
     wait(b"[GC:G0 G54")
     os.write(master, b"\t")
     wait(b"step 1 mm, 500 mm/min")
+    wait(b"* / = spindle")
     os.write(master, b"\x1b[C")
     # Of what changes on the screen, a place say, only the figures that do are sent.
     wait_until(lambda: b"$J=G91 G21 X1.000 F500" in bench.wire(">"))

@@ -134,7 +134,7 @@ class Desk:
             parts.append(f"overrides {self._overrides}")
         if inputs := _PINS.search(report):
             parts.append(f"inputs {inputs[1]}")
-        return "  ".join(part for part in parts if part)
+        return "   ".join(part for part in parts if part)
 
     def jog_line(self) -> str:
         """How far and how fast a key jogs."""

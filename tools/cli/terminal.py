@@ -1,6 +1,8 @@
 """The terminal of `ugrbl console`: the state in a line, lines with a history, keys that jog."""
 
 import asyncio
+import textwrap
+from contextlib import suppress
 from pathlib import Path
 
 from prompt_toolkit import PromptSession
@@ -14,12 +16,22 @@ from .keys import COMMANDS
 
 _HISTORY = ".ugrbl_history"
 _TURN_S = 0.01
+_GAP = "   "
+_HARD = "\0"  # a blank within what stays together
 _LINE_HELP = "Tab: keys jog   Ctrl-X: reset   Ctrl-D: leave"
 _KEY_HELP = (
-    "arrows, PgUp, PgDn jog   [ ] step   , . speed   x y z zero   h home   u unlock   "
-    "space holds   ~ goes on   + - 0 feed   1 2 3 rapids   * / = spindle   Tab: lines"
+    "Tab: lines   arrows, PgUp, PgDn jog   [ ] step   , . speed   x y z zero   h home   u unlock   "
+    "space holds   ~ goes on   + - 0 feed   1 2 3 rapids   * / = spindle   Ctrl-X: reset"
 )
 _OTHER_KEYS = "[],.huxyz" + "".join(key for key in COMMANDS if key.isprintable() and key != " ")
+
+
+class _History(FileHistory):
+    """One that a full disk, or a folder that is somebody else's, does not keep from going on."""
+
+    def store_string(self, string: str) -> None:
+        with suppress(OSError):
+            super().store_string(string)
 
 
 class Terminal:
@@ -29,7 +41,7 @@ class Terminal:
         self._desk = desk
         self._by_keys = False
         self._session: PromptSession[str] = PromptSession(
-            history=FileHistory(str(Path.home() / _HISTORY)),
+            history=_History(str(Path.home() / _HISTORY)),
             bottom_toolbar=self._toolbar,
             key_bindings=self._bindings(),
             refresh_interval=0.2,
@@ -65,7 +77,9 @@ class Terminal:
         return f"jog, {self._desk.jog_line()} " if self._by_keys else "> "
 
     def _toolbar(self) -> str:
-        return f"{self._desk.status()}\n{_KEY_HELP if self._by_keys else _LINE_HELP}"
+        columns = self._session.output.get_size().columns
+        shown = self._desk.status(), _KEY_HELP if self._by_keys else _LINE_HELP
+        return "\n".join(line for text in shown for line in wrapped(text, columns))
 
     def _bindings(self) -> KeyBindings:
         bindings = KeyBindings()
@@ -88,6 +102,14 @@ class Terminal:
             bindings.add(key, filter=by_keys, eager=True)(press)
         bindings.add("<any>", filter=by_keys)(lambda event: None)
         return bindings
+
+
+def wrapped(text: str, columns: int) -> list[str]:
+    """In lines of a terminal so wide; what stands between gaps stays together, where it can."""
+    joined = text.replace(" ", _HARD).replace(_HARD * len(_GAP), _GAP)
+    return [
+        line.replace(_HARD, " ") for line in textwrap.wrap(joined, columns, break_on_hyphens=False)
+    ]
 
 
 def _name(key: str) -> str:
