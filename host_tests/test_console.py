@@ -189,6 +189,7 @@ def test_the_keys_fit_the_terminal_and_none_is_left_out(columns: int) -> None:
     assert "   ".join(lines) == terminal._KEY_HELP
 
 
+@pytest.mark.sampled(1)
 def test_a_history_that_cannot_be_written_ends_nothing(tmp_path: Path) -> None:
     terminal._History(str(tmp_path / "nowhere" / "history")).store_string("$X")
 

@@ -140,6 +140,8 @@ def test_push_shows_asks_changes_and_keeps_what_was(bench: Bench, pulled: Path) 
     edit(pulled, s120="500", s20="1", s22="1")  # $20 is refused until $22 is set
     done = ugrbl(bench, "push", pulled, answer="n\n")
     assert done.exit_code == 1 and "nothing has been changed" in done.output
+    done = ugrbl(bench, "push", pulled, answer="")
+    assert done.exit_code == 1 and "nothing has been changed; --yes does not ask" in done.output
     done = ugrbl(bench, "push", pulled, answer="y\n")
     assert done.exit_code == 0, done.output
     assert done.output.index("Acceleration X") < done.output.index("Change 3 settings?")

@@ -26,7 +26,7 @@ from . import ports
 from .custom import Board, File, app, judge
 from .custom_options import Inputs, around
 from .deploy import Bar
-from .outputs import failed
+from .outputs import agree, failed
 from .ports import Port
 
 __all__ = ["app"]  # with the commands that need no board
@@ -249,8 +249,8 @@ def remove(port: Port = None, yes: Yes = False) -> None:
     """Take it off the board, and start the plain machine."""
     with _told():
         where = ports.choose(port)
-        if not yes and not typer.confirm(f"Take your Python off the board at {where}?"):
-            raise typer.Exit(1)
+        if not yes:
+            agree(f"Take your Python off the board at {where}?", "nothing has been changed")
         with _shelf(where) as shelf:
             there = shelves.remove(shelf, shelves.name_of(shelf.options()))
             shelf.restart()

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from ..device import jobs
 from ..device.connection import BAUD
-from .outputs import failed
+from .outputs import agree, failed
 from .ports import Baud, Port, connected
 
 app = typer.Typer(no_args_is_help=True, help="Programs that live on a board: docs/jobs.md.")
@@ -70,8 +70,8 @@ def delete(name: Name, port: Port = None, baud: Baud = BAUD, yes: Yes = False) -
     """Take a program off a board."""
     called = _called(name)
     with connected(port, baud) as connection:
-        if not yes and not typer.confirm(f"Delete {called} from the board?"):
-            raise failed("nothing has been changed")
+        if not yes:
+            agree(f"Delete {called} from the board?", "nothing has been changed")
         jobs.delete(connection, called)
     _say(f"{called} is not on the board any more")
 
@@ -110,8 +110,8 @@ def resume(
     called = _called(name) if name else ""
     what = f"line {line} of {called}" if line else f"{called or 'the program'}, where it stopped"
     with connected(port, baud) as connection:
-        if not yes and not typer.confirm(f"The tool will move to {what}. Is it the right tool?"):
-            raise failed("nothing has moved")
+        if not yes:
+            agree(f"The tool will move to {what}. Is it the right tool?", "nothing has moved")
         _say(jobs.start(connection, called, f"@{line or ''}"))
 
 

@@ -112,6 +112,16 @@ def examples(*lines: str) -> str:
     return "\n".join(("\b", "Examples:", *(f"  {line}" for line in lines)))
 
 
+def agree(question: str, otherwise: str) -> None:
+    """Ask whether to go on, on stderr. Anything but yes ends the command; so does nobody there."""
+    try:
+        agreed = typer.confirm(question, err=True)
+    except typer.Abort as error:
+        raise failed(f"{otherwise}; --yes does not ask") from error
+    if not agreed:
+        raise failed(otherwise)
+
+
 def failed(why: object) -> typer.Exit:
     """Say why on stderr; raise what this returns."""
     if isinstance(why, BrokenPipeError):

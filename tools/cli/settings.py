@@ -24,7 +24,7 @@ from ..grbl.settings_file import (
     meaning,
     read_settings,
 )
-from .outputs import Json, check_output, failed, save_json, save_text
+from .outputs import Json, agree, check_output, failed, save_json, save_text
 from .ports import Baud, Port, connected
 
 app = typer.Typer(no_args_is_help=True, help="Pull, compare, push and restore settings.")
@@ -132,8 +132,8 @@ def restore(
         return
     with _machine(port, baud) as connection:
         before = sync.pull(connection)
-        if not yes and not typer.confirm("Restore the factory's settings?"):
-            raise failed("nothing has been changed")
+        if not yes:
+            agree("Restore the factory's settings?", "nothing has been changed")
         kept = Path("factory.before")
         _keep(before, kept, "before a restore to the factory's")
         sync.factory(connection)
@@ -164,8 +164,8 @@ def _write(
         todo = changes(machine.values, wanted.values)
         if not (json_file and str(json_file) == "-"):
             _show(machine, todo)
-        if todo and not yes and not typer.confirm(f"Change {_count(todo)}?", err=True):
-            raise failed("nothing has been changed")
+        if todo and not yes:
+            agree(f"Change {_count(todo)}?", "nothing has been changed")
         refusals: Sequence[tuple[Change, str]] = ()
         if todo:
             _keep(machine, kept, "before a push")

@@ -20,8 +20,8 @@ _GAP = "   "
 _HARD = "\0"  # a blank within what stays together
 _LINE_HELP = "Tab: keys jog   Ctrl-X: reset   Ctrl-D: leave"
 _KEY_HELP = (
-    "Tab: lines   arrows, PgUp, PgDn jog   [ ] step   , . speed   x y z zero   h home   u unlock   "
-    "space holds   ~ goes on   + - 0 feed   1 2 3 rapids   * / = spindle   Ctrl-X: reset"
+    "Tab: lines   arrows, PgUp, PgDn jog   [ ] step   , . speed   x y z zero   h home   u unlock"
+    "   space holds   ~ goes on   + - 0 feed   1 2 3 rapids   * / = spindle   Ctrl-X: reset"
 )
 _OTHER_KEYS = "[],.huxyz" + "".join(key for key in COMMANDS if key.isprintable() and key != " ")
 
