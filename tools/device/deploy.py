@@ -259,7 +259,7 @@ def _no_room(error: OSError) -> DeployError:
             "until then the board starts with MicroPython's prompt",
         )
     return DeployError(
-        f"the board's file system: {error}",
+        f"the board's file system has failed ({errno.errorcode.get(error.errno or 0, 'unknown')})",
         "deploy again; if it stays so put MicroPython on the board anew, after its flash_nuke.uf2",
     )
 

@@ -77,7 +77,7 @@ class Simulator:
         try:
             return TcpPort(self._place)
         except OSError as error:
-            raise SendError(f"the simulator does not answer: {error}") from error
+            raise SendError("the simulator does not answer") from error
 
     def close(self) -> None:
         """End it."""
