@@ -8,16 +8,18 @@ import shutil
 import subprocess
 import sys
 from importlib.util import find_spec
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
 from typer.testing import CliRunner, Result
 from ugrbl.boardfile.files import boards
 from ugrbl.cli.app import app
-from ugrbl.draw import drawing, motion_trace
+from ugrbl.draw import drawing, image, motion_trace
 from ugrbl.draw.job import run_job, short
 from ugrbl.draw.motion_trace import Motion, trace_program
 from ugrbl.grbl.gcode_file import split_lines
@@ -57,6 +59,12 @@ def test_speed_and_acceleration_are_those_of_the_trapezoid() -> None:
     cruise = [a for a, t in zip(motion.acceleration(0), motion.time_s) if 1.1 < t < 1.9]
     assert max(cruise) == 0
     assert motion.time_s[-1] == pytest.approx(3, rel=0.01)
+
+
+def test_acceleration_drawn_is_no_third_above_its_limit() -> None:
+    motion = trace_program(lettering(), settings=["$122=40"])[1].motion
+    for axis, limit in enumerate((10, 10, 40)):
+        assert limit <= max(motion.acceleration(axis)) < 1.34 * limit
 
 
 def test_step_rates_are_per_axis_and_by_its_resolution() -> None:
@@ -112,7 +120,7 @@ def test_the_tools_power_is_known() -> None:
 # What is drawn
 
 
-def lettering() -> list[str]:
+def lettering() -> list[bytes]:
     """Small letters with rapids between them, and a hole that no line may cross."""
     lines = ["G21 G90", "M3 S1000"]
     for letter in range(40):
@@ -120,9 +128,11 @@ def lettering() -> list[str]:
         lines += ["G0 Z1", f"G0 X{x} Y{y}", "G1 Z-1 F900"]
         angles = [n * math.pi / 20 for n in range(41)]
         lines += [f"G1 X{x + math.cos(a) - 1:.4f} Y{y + math.sin(a):.4f} F900" for a in angles]
-    return lines
+    return [line.encode() for line in lines]
 
 
+# A path's sides in mm: even, flat, long in one direction, and along one axis only.
+_SHAPES = [(10, 10, 10), (27, 82, 16), (200, 10, 1), (7, 35, 0), (0, 0, 10), (1990, 1500, 3)]
 _FAST = ["$110=5000", "$111=5000", "$112=3000", "$120=500", "$121=500", "$122=500"]
 
 
@@ -139,7 +149,7 @@ def away(points: Any, rows: Any) -> float:
 
 
 def test_longer_segments_of_a_long_job_change_neither_path_nor_time(monkeypatch: Any) -> None:
-    lines = split_lines("\n".join(lettering()).encode())
+    lines = lettering()
     fine = run_job("", lines, ["$120=50", "$121=50"])
     monkeypatch.setattr(motion_trace, "_MANY_LINES", 100)
     coarse = run_job("", lines, ["$120=50", "$121=50"])
@@ -168,7 +178,7 @@ def beside(point: Any, path: Any) -> float:
 
 @pytest.mark.parametrize("most", [600_000, 900])
 def test_what_is_drawn_is_nowhere_further_from_the_path_than_it_says(most: int) -> None:
-    job = run_job("", split_lines("\n".join(lettering()).encode()), _FAST)
+    job = run_job("", lettering(), _FAST)
     drawn = drawing.draw(job, most)
     assert (drawn.tolerance_mm > drawing.TOLERANCE_MM) == (most == 900)
     rows = np.searchsorted(job.motion.time_s, drawn.time_s)
@@ -177,7 +187,7 @@ def test_what_is_drawn_is_nowhere_further_from_the_path_than_it_says(most: int) 
 
 
 def test_cuts_drawn_are_cuts_and_rapids_are_rapids() -> None:
-    job = run_job("", split_lines("\n".join(lettering()).encode()), _FAST)
+    job = run_job("", lettering(), _FAST)
     drawn = drawing.draw(job, 600_000)
     cuts, rapids = drawn.strokes(False), drawn.strokes(True)
     # Nothing is cut but circles of 1 mm and the ways down to them.
@@ -192,7 +202,7 @@ def test_cuts_drawn_are_cuts_and_rapids_are_rapids() -> None:
 @pytest.mark.thorough
 def test_a_long_job_takes_little_time_and_memory(tmp_path: Path) -> None:
     file, out = tmp_path / "long.nc", tmp_path / "long.html"
-    file.write_text("\n".join(lettering() * 12) + "\n")  # 21,000 lines
+    file.write_bytes(b"\n".join(lettering() * 12) + b"\n")  # 21,000 lines
     # What ru_maxrss says of a process begins with what its parent had.
     code = (
         "import re, sys; from ugrbl.cli.app import app;"
@@ -204,6 +214,42 @@ def test_a_long_job_takes_little_time_and_memory(tmp_path: Path) -> None:
     # 200,000 lines have to do with 500 MB; what does not grow with the job is 100.
     assert int(done.stdout.split()[-1]) / 1024 < 140
     assert out.stat().st_size < 8_000_000
+
+
+def texts_drawn(figure: Any, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, Any]]:
+    """Every text of a picture, and its box in dots: where it is drawn is known then only."""
+    drawn = []
+
+    def noted(text: Any, renderer: Any) -> None:
+        draw(text, renderer)
+        box = text.get_window_extent(renderer)
+        if text.get_visible() and box.width > 1:
+            drawn.append((text.get_text(), box))
+
+    draw = Text.draw
+    FigureCanvasAgg(figure).draw()  # places all
+    monkeypatch.setattr(Text, "draw", noted)
+    figure.canvas.draw()
+    return drawn
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("x, y, z", _SHAPES)
+def test_no_text_of_a_picture_is_cut_or_lies_on_another(
+    x: float, y: float, z: float, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    corners = ((0, 0, -z), (x, 0, -z), (x, y, 0), (0, y, 0), (0, 0, 0))
+    lines = [b"G1F5000X%.3fY%.3fZ%.3f" % corner for corner in corners]
+    job = run_job("as it is", lines, [*_FAST, "$130=2000"])
+    figure = image.draw([job] * count, "a.nc", "")
+    texts = texts_drawn(figure, monkeypatch)
+    assert len(texts) > 40 * count
+    for text, box in texts:
+        assert box.x0 >= 0 and box.y0 >= 0, text
+        assert box.x1 <= figure.bbox.x1 and box.y1 <= figure.bbox.y1, text
+    on_others = [(a, b) for (a, one), (b, other) in combinations(texts, 2) if one.overlaps(other)]
+    assert not on_others
 
 
 # The words

@@ -560,7 +560,7 @@ def test_a_held_machine_stays_held_at_full_speed(sim: Sim) -> None:
 
 
 def test_the_report_tells_steps_commanded_and_made(tmp_path: Path) -> None:
-    report, plot = tmp_path / "report.json", tmp_path / "path.png"
+    report, plot = tmp_path / "report.json", tmp_path / "part.svg"
     sim = Sim(tmp_path, "--speed", "max", "--report", str(report), "--plot", str(plot))
     with sim.open() as sender:
         sender.wait("help]")
@@ -569,7 +569,7 @@ def test_the_report_tells_steps_commanded_and_made(tmp_path: Path) -> None:
     sim.stop()
     totals = json.loads(report.read_text())
     assert totals["steps_planned"] == totals["steps_made"] == {"X": 500, "Y": 0, "Z": 250}
-    assert plot.stat().st_size > 0
+    assert "<!-- part -->" in plot.read_text(), "the title, as the file is called"
 
 
 def test_stdio_ends_with_its_input_when_all_is_done() -> None:

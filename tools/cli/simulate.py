@@ -17,6 +17,7 @@ from ..compiling import page_files
 from ..draw import plot
 from ..draw.job import job_of
 from ..draw.motion_trace import MotionTrace
+from ..grbl.gcode_file import STDIN
 from ..run import machine
 from ..run.board_modules import complete
 from ..run.live import LiveLink
@@ -92,11 +93,12 @@ def simulate(options: Options) -> None:
 
 
 def _draw(options: Options, rig: "Rig", trace: MotionTrace) -> None:
-    """What the motors did, with the settings of the end."""
+    """What the motors did, with the settings of the end. What was sent has the picture's name."""
     settings = [f"${number}={value}" for number, value, _ in rig.controller.settings.each()]
     result = Result(totals=trace.totals())
     job = job_of("as run", (), settings, options.board, result, trace)
-    plot.save([job], options.board, "", cast(Path, options.plot))
+    file = cast(Path, options.plot)
+    plot.save([job], options.board if str(file) == STDIN else file.stem, "", file)
 
 
 def _wire(options: Options) -> "Pty | Tcp | Stdio":

@@ -8,7 +8,7 @@ import numpy as np
 from . import drawing
 from .drawing import Drawing, Numbers, envelope
 from .job import Job, short
-from .motion_trace import LETTERS
+from .motion_trace import LETTERS, MEAN_S
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +23,13 @@ _DOTS = 2000
 # In inches: of a job alone, of one beside others; of the path, the view in space, the curves.
 _WIDE = 15.0
 _WIDTH = 9.0
+_LETTERS = 80  # above it
 _HEIGHTS = (6.5, 5.0, 1.6, 1.6, 1.6, 1.6)
+# Of the view in space: its size, for it knows nothing of its ticks' numbers; how far away these
+# are, so that those that meet in a corner stay apart; how many the longest side has at most.
+_ZOOM = 0.85
+_PAD = 6
+_TICKS = 5
 # How a hole looks that a punch has made.
 _RING: dict[str, Any] = {"mfc": "white", "mec": "black", "ms": 5, "mew": 1.2}
 
@@ -43,7 +49,7 @@ def draw(jobs: Sequence[Job], title: str, words: str, is_svg: bool = False) -> "
         flat = _from_above(above[-1], job, drawn, look)
         above[-1].set_title(_heading(job, drawn), fontsize="small", parse_math=False)
         _in_space(figure.add_subplot(place[1], projection="3d"), drawn, look)
-    figure.colorbar(flat, ax=above, label="speed of cuts in mm/min", extend="max")
+    figure.colorbar(flat, ax=above, label="speed of cuts in mm/min", extend="max", panchor=False)
     _curves(figure, [place[2:] for place in places], jobs)
     return figure
 
@@ -67,8 +73,18 @@ def _draw(job: Job, most: int) -> Drawing:
 def _heading(job: Job, drawn: Drawing) -> str:
     rows = [f"{name} {what}" for name, what in drawing.figures(job)]
     rows.append(f"drawn within {drawn.tolerance_mm:.2g} mm; rapids dashed")
-    pairs = ["   ".join(rows[n : n + 2]) for n in range(1, len(rows), 2)]
-    return "\n".join([f"{job.name}: {short(job.seconds)}", *pairs])
+    return "\n".join([f"{job.name}: {short(job.seconds)}", *_filled(rows[1:])])
+
+
+def _filled(rows: Sequence[str]) -> list[str]:
+    """Several in a line, as many as there is room for above a path."""
+    lines = [rows[0]]
+    for row in rows[1:]:
+        if len(lines[-1]) + len(row) < _LETTERS:
+            lines[-1] += f"   {row}"
+        else:
+            lines.append(row)
+    return lines
 
 
 def _from_above(axes: "Axes", job: Job, drawn: Drawing, look: dict[str, Any]) -> Any:
@@ -84,6 +100,8 @@ def _from_above(axes: "Axes", job: Job, drawn: Drawing, look: dict[str, Any]) ->
     axes.add_collection(rapids)
     axes.add_collection(flat)
     axes.plot([mark[0] for mark in job.marks], [mark[1] for mark in job.marks], "o", **_RING)
+    low, size = _roomy(drawn)
+    axes.update_datalim([low[:2], (low + size)[:2]])
     axes.autoscale_view()
     axes.set(xlabel="X mm", ylabel="Y mm")
     _travel(axes, job, drawn)
@@ -101,6 +119,7 @@ def _travel(axes: "Axes", job: Job, drawn: Drawing) -> None:
 
 
 def _in_space(axes: Any, drawn: Drawing, look: dict[str, Any]) -> None:
+    from matplotlib.ticker import MaxNLocator
     from mpl_toolkits.mplot3d import art3d  # type: ignore[import-untyped]
 
     rapids, cuts = drawn.strokes(True), drawn.strokes(False)
@@ -114,13 +133,25 @@ def _in_space(axes: Any, drawn: Drawing, look: dict[str, Any]) -> None:
             _lines(cuts), array=drawn.stroke_speeds(False), linewidths=0.6, **look
         )
     )
+    low, size = _roomy(drawn)
+    longest = max(size)
+    axes.tick_params(pad=_PAD)
+    axes.set_box_aspect(np.maximum(size, drawing.FLATTEST * longest), zoom=_ZOOM)
+    for letter, start, side in zip("xyz", low, size, strict=True):
+        axes.set(**{f"{letter}lim": (start, start + side)})
+        axis = getattr(axes, f"{letter}axis")
+        axis.set_major_formatter(f"{letter.upper()}{{x:g}}")
+        ticks = max(2, round(_TICKS * side / longest))
+        # Z's lowest would lie on Y's last.
+        axis.set_major_locator(MaxNLocator(ticks, prune="lower" if letter == "z" else None))
+
+
+def _roomy(drawn: Drawing) -> tuple[Numbers, Numbers]:
+    """The box of a drawing, with room around a path that is narrow in X or Y, for their scale is
+    the same: lowest corner and size."""
     low, size = drawing.box(drawn)
-    flattest = drawing.FLATTEST * max(size)
-    axes.set(xlabel="X mm", ylabel="Y mm", zlabel="Z mm")
-    axes.set(box_aspect=(size[0], size[1], max(size[2], flattest)))
-    for name, start, side in zip(("xlim", "ylim", "zlim"), low, size, strict=True):
-        axes.set(**{name: (start, start + side)})
-    axes.locator_params(nbins=5)
+    room = np.maximum(drawing.FLATTEST * max(size) - size, 0) / 2 * (1, 1, 0)
+    return low - room, size + 2 * room
 
 
 def _lines(strokes: Numbers) -> list[Any]:
@@ -148,7 +179,8 @@ def _curves(figure: "Figure", places: Sequence[Sequence[Any]], jobs: Sequence[Jo
             *envelope(time_s, 100 * power, _POINTS), linewidth=0.6, color=drawing.POWER
         )
         rows[3][-1].set(xlabel="seconds")
-    labels = ("speed\nmm/min", "acceleration\nmm/s²", "steps\nper second", "spindle or\nlaser, %")
+    mean = f"acceleration\nmm/s², mean\nof {MEAN_S * 1000:.0f} ms"
+    labels = ("speed\nmm/min", mean, "steps\nper second", "spindle or\nlaser, %")
     for shared, label in zip(rows, labels, strict=True):
         shared[0].set(ylabel=label)
 

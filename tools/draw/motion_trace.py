@@ -23,6 +23,10 @@ LETTERS = "XYZABC"
 # Between two segments so far apart the machine has stood still.
 _REST_S = 1e-6
 
+# Segments end with a step, but their speeds are those of whole milliseconds: acceleration is a
+# mean over so long.
+MEAN_S = 0.03
+
 # Of a program of so many lines, segments of 40 ms in place of Grbl's 10 are enough.
 _MANY_LINES = 50_000
 _COARSE = 4
@@ -88,11 +92,13 @@ class Motion:
         return range(len(self.share))
 
     def acceleration(self, axis: int) -> Column:
-        """In mm/s2."""
-        seconds = self.seconds
+        """In mm/s2, along the path, as a mean over MEAN_S."""
+        time_s = np.frombuffer(self.time_s)
         change = np.abs(np.diff(_view(self.speed_mm_s), prepend=np.float32(0)))
-        along = np.divide(change, seconds, out=np.zeros(len(self)), where=seconds > 0)
-        return np.asarray(along * _view(self.share[axis])[_view(self.block)])
+        changed = np.cumsum(change * _view(self.share[axis])[_view(self.block)], dtype=float)
+        middle = time_s - self.seconds / 2
+        until, since = (np.interp(middle + s, time_s, changed) for s in (MEAN_S / 2, -MEAN_S / 2))
+        return np.asarray((until - since) / MEAN_S)
 
     def step_hz(self, motor: int) -> Column:
         """Steps a second."""

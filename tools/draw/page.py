@@ -17,14 +17,19 @@ import numpy as np
 from . import drawing
 from .drawing import Drawing, Numbers, envelope
 from .job import Job, short
-from .motion_trace import LETTERS
+from .motion_trace import LETTERS, MEAN_S
 from .script import PAGE, SCRIPT
 
 # What a browser turns without getting stuck. Beyond it the tolerance widens, and the page says so.
 _MOST = 600_000
 _POINTS = 4000
 _KINDS = {"f4": np.float32, "f8": np.float64, "i4": np.int32, "u1": np.uint8}
-_CHARTS = ("speed, mm/min", "acceleration, mm/s²", "steps per second", "spindle or laser, %")
+_CHARTS = (
+    "speed, mm/min",
+    f"acceleration, mm/s²,<br>mean of {MEAN_S * 1000:.0f} ms",
+    "steps per second",
+    "spindle or laser, %",
+)
 
 
 def page(jobs: Sequence[Job], title: str, words: str) -> str:
