@@ -39,6 +39,7 @@ _SLICES = const(8)
 # is 390 to 410 kHz; where an axis is faster, full segments are half as long.
 _MOST_STEPS = const(4095)
 _SLOWEST_MM_S = 1 / 60
+_LEAST = 1e-8  # mm/s and mm/s2: of a limit of 0 kernels would make reals below 0
 # No motor is further than that from 0, in steps. Kernels count them from -2**29 to 2**29; less, by
 # what single precision may round.
 _REACH = const(0x1FFFFF00)
@@ -117,16 +118,16 @@ class Planner:
             resolution = min(settings.steps_per_mm[i] or 1.0, _FINEST)
             rate = min(settings.max_rate[i] / 60, step_hz / resolution)
             acceleration = settings.acceleration[i] / 3600
-            fastest_sqr += rate * rate
+            fastest_sqr += max(rate, _SLOWEST_MM_S) ** 2
             fastest_hz = max(fastest_hz, rate * resolution)
             at = layout.LIMITS + 3 * i
             table[at] = reals.real(1 / resolution)
-            table[at + 1] = reals.real(rate)
-            table[at + 2] = reals.real(acceleration)
+            table[at + 1] = reals.real(max(rate, _LEAST))
+            table[at + 2] = reals.real(max(acceleration, _LEAST))
             self.steps_per_mm[i] = resolution
         at = layout.LIMITS + layout.RESOLUTION * self.axes
         copy(self.steps_per_mm, memoryview(table)[at:], self.axes)
-        scale = (1 << 30) / (fastest_sqr or 1.0)
+        scale = (1 << 30) / fastest_sqr
         table[layout.ROOT_SCALE] = reals.real(scale**-0.5)
         while fastest_hz * (1 << segment_log2) > tick_hz * _MOST_STEPS:
             segment_log2 -= 1

@@ -186,6 +186,17 @@ class _Replayer:
         return process
 
 
+@contextmanager
+def replayer(python: str) -> Iterator[_Replayer]:
+    """A process that replays cases under this Python."""
+    with _environment(python, _REPLAY) as environment:
+        made = _Replayer(_command(python, _REPLAY), environment)
+        try:
+            yield made
+        finally:
+            made.end()
+
+
 def _feed(stream: Iterable[str], put: Any) -> None:
     for line in stream:
         put(line)

@@ -1,7 +1,6 @@
 """A pulse engine whose beam changes power at the step where it belongs, as a board's does."""
 
 from array import array
-from collections import deque
 
 from motion import beam as bm
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS, row_length
@@ -23,7 +22,7 @@ class SimBeamEngine(SimEngine):
         self.beam[bm.LEVEL] = bm.UNKNOWN
         self.levels = array("i", [0] * (bm.LEVELS_MASK + 1))
         self._whole = array("i", [0] * row_length(axes + 1))
-        self._pieces: "deque[array[int]]" = deque()
+        self._pieces: "list[array[int]]" = []
         self._taken = 0  # levels
         self._level = 0
         self.burning: "Callable[[], int]" = int  # the power at rest
@@ -62,7 +61,7 @@ class SimBeamEngine(SimEngine):
                 self._take_apart()
             if not self._pieces:
                 break
-            self._queue[(self._head + self._held) % size] = self._pieces.popleft()
+            self._queue[(self._head + self._held) % size] = self._pieces.pop(0)
             self._held += 1
 
     def _take_apart(self) -> None:
