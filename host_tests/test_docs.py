@@ -11,7 +11,7 @@ from ugrbl.boardfile import options
 from ugrbl.cli.app import app
 from ugrbl.docs import house, pages, pictures, words
 from ugrbl.grbl import comments
-from ugrbl.grbl.gcode_file import split_lines
+from ugrbl.grbl.lines import split_lines
 from ugrbl.grbl.messages import alarms, errors
 from ugrbl.run.program import run_program
 

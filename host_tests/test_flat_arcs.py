@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from motion.arc_geometry import CENTRE_0, CENTRE_1, RADIUS, Arc
 from typer.testing import CliRunner
 from ugrbl.cli.app import app
-from ugrbl.grbl.gcode_file import split_lines
+from ugrbl.grbl.lines import split_lines
 from ugrbl.run import rehearsal
 from ugrbl.run.program import Result, run_program
 from ugrbl.web.look import look
@@ -162,7 +162,7 @@ def test_run_send_and_page_say_so(tmp_path: Path) -> None:
     (tmp_path / "part.nc").write_text(program)
     said = CliRunner().invoke(app, ["run", str(tmp_path / "part.nc"), "--check"]).output
     assert "line 2: a whole circle of 10 mm radius" in said
-    checked, _ = rehearsal.check(rehearsal.Job(program.splitlines(), []))
+    checked, _ = rehearsal.check(rehearsal.Job(program.encode().splitlines(), []))
     assert [line for line, _ in checked.wide_arcs] == [2]
     (problem,) = look({"name": "part.nc", "program": program}, "sim")["problems"]
     assert problem["line"] == 2 and "a whole circle" in problem["text"]

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ugrbl.grbl import gcode_file
 from ugrbl.grbl.gcode_file import check_text, comment, harmless, has_realtime, problems
+from ugrbl.grbl.lines import split_lines
 
 
 @pytest.mark.parametrize(
@@ -57,12 +58,12 @@ def test_problems_name_line_and_sign() -> None:
 def test_the_mark_of_utf_8_is_no_part_of_the_program(tmp_path: Path) -> None:
     file = tmp_path / "program.nc"
     file.write_bytes(b"\xef\xbb\xbfG21\r\nG0 X1\r\n")
-    assert gcode_file.read_lines(file) == [b"G21", b"G0 X1"]
+    assert list(gcode_file.read_lines(file)) == [b"G21", b"G0 X1"]
 
 
 def test_a_program_can_come_from_stdin(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(b"G21\nG0 X1\n")))
-    assert gcode_file.read_lines(Path("-")) == [b"G21", b"G0 X1"]
+    assert list(gcode_file.read_lines(Path("-"))) == [b"G21", b"G0 X1"]
 
 
 def test_what_is_said_to_people() -> None:
@@ -74,4 +75,4 @@ def test_what_is_said_to_people() -> None:
 @pytest.mark.parametrize(("data", "why"), [(b"\n \n", "empty"), (b"G21\nPK\0\3\4\n", "line 2")])
 def test_a_file_without_a_program_is_refused(data: bytes, why: str) -> None:
     with pytest.raises(gcode_file.NotText, match=why):
-        check_text(gcode_file.split_lines(data), "job.nc")
+        check_text(split_lines(data), "job.nc")

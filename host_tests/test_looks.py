@@ -65,7 +65,7 @@ def ugrbl(*words: str) -> None:
 
 
 def job() -> rehearsal.Job:
-    return rehearsal.Job(list(_PROGRAM), ["$10=1"], "../my.py")
+    return rehearsal.Job([line.encode() for line in _PROGRAM], ["$10=1"], "../my.py")
 
 
 def rehearsed() -> None:

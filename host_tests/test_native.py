@@ -40,8 +40,11 @@ class Watcher(Recorder):
 lines = sys.stdin.buffer.read().splitlines()
 result, watcher = watch_program(lines, Watcher, "sim", ["$32=1"], None)
 from motion.segment_kernel import fill
-print(json.dumps([result.as_json(), watcher.rows.hexdigest(), fill.__name__]))
+from ugrbl.sim.check_kernel import check_lines
+names = [fill.__name__, check_lines.__name__]
+print(json.dumps([result.as_json(), watcher.rows.hexdigest(), names]))
 """
+_PYTHON = ["fill", "check_lines"]  # names of kernels that are not compiled
 _MIXED = b"""\
 G20 G91 G17 M4 S300
 G1 X.5 Y.25 F20
@@ -58,8 +61,8 @@ G38.2 X1
 """
 
 
-def run(program: bytes, folder: Path, **environment: str) -> "tuple[object, str, str]":
-    """What comes of it in a process of its own: the result, its segments, a kernel's name."""
+def run(program: bytes, folder: Path, **environment: str) -> "tuple[object, str, list[str]]":
+    """What comes of it in a process of its own: the result, its segments, names of kernels."""
     done = subprocess.run(
         [sys.executable, "-c", _TRACE],
         input=program,
@@ -68,8 +71,8 @@ def run(program: bytes, folder: Path, **environment: str) -> "tuple[object, str,
         env=as_users(UGRBL_MAPS=str(folder / "maps"), **environment),
     )
     assert done.returncode == 0, done.stderr.decode()
-    result, segments, name = json.loads(done.stdout)
-    return result, segments, name
+    result, segments, names = json.loads(done.stdout)
+    return result, segments, names
 
 
 @pytest.fixture(scope="session")
@@ -84,10 +87,10 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @needs_compiler
 @pytest.mark.parametrize("program", [_MIXED, (EXAMPLES / "badge.nc").read_bytes()[:20_000]])
 def test_compiled_kernels_make_the_same_segments(compiled: Path, program: bytes) -> None:
-    *fast, name = run(program, compiled)
-    *plain, plain_name = run(program, compiled, UGRBL_VIPER="fast")
+    *fast, names = run(program, compiled)
+    *plain, plain_names = run(program, compiled, UGRBL_VIPER="fast")
     assert fast == plain
-    assert (name, plain_name) == ("<lambda>", "fill")
+    assert names == 2 * ["<lambda>"] and plain_names == _PYTHON
 
 
 @pytest.mark.thorough
@@ -226,14 +229,13 @@ def test_a_form_that_is_not_known_is_refused() -> None:
 
 
 def test_without_a_compiler_the_same_runs_as_python(tmp_path: Path) -> None:
-    name = run(b"G0X1\n", tmp_path, CC="no-such-compiler")[2]
-    assert name == "fill"
+    assert run(b"G0X1\n", tmp_path, CC="no-such-compiler")[2] == _PYTHON
     assert not (tmp_path / "kernels").exists()
 
 
 def test_without_a_place_to_keep_it_the_same_runs_as_python(tmp_path: Path) -> None:
     (tmp_path / "kernels").write_text("a file where the folder would be")
-    assert run(b"G0X1\n", tmp_path)[2] == "fill"
+    assert run(b"G0X1\n", tmp_path)[2] == _PYTHON
 
 
 @pytest.mark.thorough
@@ -242,7 +244,7 @@ def test_a_library_that_is_none_is_left_alone(tmp_path: Path) -> None:
     run(b"G0X1\n", tmp_path)
     (library,) = (tmp_path / "kernels").glob("*.so")
     library.write_bytes(b"cut short")
-    assert run(b"G0X1\n", tmp_path)[2] == "fill"
+    assert run(b"G0X1\n", tmp_path)[2] == _PYTHON
 
 
 @needs_compiler
@@ -251,6 +253,6 @@ def test_a_compiler_that_fails_is_asked_once(tmp_path: Path) -> None:
     failing.write_text(f"#!/bin/sh\necho >> {tmp_path}/asked\necho no headers >&2\nexit 1\n")
     failing.chmod(0o755)
     for _ in range(2):
-        assert run(b"G0X1\n", tmp_path, CC=str(failing))[2] == "fill"
+        assert run(b"G0X1\n", tmp_path, CC=str(failing))[2] == _PYTHON
     assert (tmp_path / "asked").read_text() == "\n"
     assert "no headers" in next((tmp_path / "kernels").glob("*.log")).read_text()

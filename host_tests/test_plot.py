@@ -22,7 +22,7 @@ from ugrbl.cli.app import app
 from ugrbl.draw import drawing, image, motion_trace
 from ugrbl.draw.job import run_job, short
 from ugrbl.draw.motion_trace import Motion, trace_program
-from ugrbl.grbl.gcode_file import split_lines
+from ugrbl.grbl.lines import split_lines
 
 # Drawing is slow: the first ring takes a few.
 pytestmark = pytest.mark.thorough

@@ -1,6 +1,7 @@
 """Rehearsals: a machine's state in the simulator, which line is made when, the way to a line."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from ugrbl.device import stage
@@ -31,8 +32,12 @@ def here() -> stage.Stage:
     return found
 
 
+def job(lines: list[str], commands: list[str], **options: Any) -> Job:
+    return Job([line.encode() for line in lines], commands, **options)
+
+
 def forecast(here: stage.Stage, lines: list[str], ask_at: int = 0) -> Forecast:
-    result, found = rehearse(Job(lines, here.commands(), ask_at=ask_at))
+    result, found = rehearse(job(lines, here.commands(), ask_at=ask_at))
     assert not result.errors and not result.stopped, result
     return found
 
@@ -44,7 +49,8 @@ def test_the_simulator_stands_where_the_machine_stands(here: stage.Stage) -> Non
     found = forecast(here, ["G0 X0", "G91 Y-1"], ask_at=1)
     assert found.start == [-20.0, -20.0, -5.0]
     # G54 and G92 in X; Y in inches, from where it was.
-    assert found.block_end == [[-49.0, -20.0, -5.0], [-49.0, -45.4, -5.0]]
+    ends = [-49.0, -20.0, -5.0, -49.0, -45.4, -5.0]
+    assert list(found.block_ends) == pytest.approx(ends, abs=1e-4)
     there = stage.read(found.at_line)
     assert there.offsets["G92"] == [1.0, 0.0, 0.0] and there.tool_length() == 2.0
     assert "G20" in there.modes and there.word("F") == 254
@@ -57,12 +63,12 @@ def test_places_in_inches_are_understood(here: stage.Stage) -> None:
 
 def test_soft_limits_count_from_where_the_machine_is(here: stage.Stage) -> None:
     lines = ["G21", "G0 X-40", "X-60"]
-    result, line = check(Job(lines, here.commands()))
+    result, line = check(job(lines, here.commands()))
     assert (result.stopped, line) == ("ALARM:2", 3)
 
 
 def test_lines_for_a_machine_at_rest_are_no_errors(here: stage.Stage) -> None:
-    result, _ = check(Job(["$H", "$10=3", "G0 X0", "T1 M6"], here.commands()))
+    result, _ = check(job(["$H", "$10=3", "G0 X0", "T1 M6"], here.commands()))
     assert result.errors == [(4, "error:20")]
 
 
@@ -71,10 +77,10 @@ def test_a_machine_of_four_axes_is_rehearsed_with_four() -> None:
     settings = [*MACHINE, *(f"${base + axis}={value}.000" for base, axis, value in rows)]
     here = stage.read([*settings, "[G54:-50.000,-40.000,-30.000,-20.000]"])
     here.place = [-20.0, -20.0, -5.0, -60.0]
-    job = Job(["G21", "G0 A-10", "G0 A-79", "G0 A-81"], here.commands(), axes=4)
-    result, line = check(job)
+    made = job(["G21", "G0 A-10", "G0 A-79", "G0 A-81"], here.commands(), axes=4)
+    result, line = check(made)
     assert not result.errors and (result.stopped, line) == ("ALARM:2", 4)
-    three = Job(["G0 A-10"], here.commands())
+    three = job(["G0 A-10"], here.commands())
     assert check(three)[0].errors == [(1, "error:20")]
 
 
@@ -88,8 +94,8 @@ def squares(count: int) -> list[str]:
 def test_each_line_of_many_has_its_own_block() -> None:
     other = {7: "M8", 8: "(a comment)", 10: "", 12: "$", 45: "G4 P0.1"}
     lines = ["G21 G91 F600", *(other.get(n, f"G1 X{(-1) ** n}") for n in range(2, 70))]
-    _, found = rehearse(Job(lines, []))
-    assert found.block_line == [n for n in range(2, 70) if n not in other]
+    _, found = rehearse(job(lines, []))
+    assert list(found.block_line) == [n for n in range(2, 70) if n not in other]
 
 
 def test_the_line_is_found_by_its_place(here: stage.Stage) -> None:
@@ -129,9 +135,9 @@ def test_time_left_falls_from_line_to_line(here: stage.Stage) -> None:
 
 
 def test_a_rehearsal_in_a_process_of_its_own_says_the_same(here: stage.Stage) -> None:
-    job = Job(squares(5), here.commands(), ask_at=3)
-    running = Rehearsal(job)
-    assert running.wait() == rehearse(job)[1]
+    made = job(squares(5), here.commands(), ask_at=3)
+    running = Rehearsal(made)
+    assert running.wait() == rehearse(made)[1]
     running.close()
 
 
@@ -238,7 +244,7 @@ def test_a_setting_of_the_lines_before_has_to_be_the_machines(here: stage.Stage)
 
 def test_what_cannot_be_simulated_cannot_be_passed(here: stage.Stage) -> None:
     lines = ["G21", "G38.2 Z-30 F100", "G0 X1"]
-    _, found = rehearse(Job(lines, here.commands(), ask_at=3))
+    _, found = rehearse(job(lines, here.commands(), ask_at=3))
     with pytest.raises(CannotEnter, match="ALARM"):
         approach([line.encode() for line in lines], 3, found, here)
 
@@ -264,7 +270,7 @@ def late(m):
 def own(here: stage.Stage, folder: Path, lines: list[str], *inputs: str) -> Job:
     (folder / "mine.py").write_text(OWN)
     commands = here.commands()
-    return Job(lines, commands, custom=str(folder / "mine.py"), inputs=[*inputs], ask_at=2)
+    return job(lines, commands, custom=str(folder / "mine.py"), inputs=[*inputs], ask_at=2)
 
 
 def test_behind_a_probe_of_ones_own_the_place_is_where_it_touched(
@@ -295,9 +301,9 @@ def test_a_wait_that_nobody_ends_stops_the_rehearsal_in_words(
 def test_python_that_is_none_stops_the_rehearsal_in_words(
     here: stage.Stage, tmp_path: Path
 ) -> None:
-    job = own(here, tmp_path, ["M101"])
+    made = own(here, tmp_path, ["M101"])
     (tmp_path / "mine.py").write_text("1 / 0")
-    running = Rehearsal(job)
+    running = Rehearsal(made)
     found = running.wait()
     running.close()
     assert found and "ZeroDivisionError" in found.stopped

@@ -11,7 +11,8 @@ from typer.testing import CliRunner
 from ugrbl import paths
 from ugrbl.boardfile.files import boards
 from ugrbl.cli.app import app
-from ugrbl.grbl.gcode_file import read_lines, read_program, split_lines
+from ugrbl.grbl.gcode_file import read_lines, read_program
+from ugrbl.grbl.lines import split_lines
 from ugrbl.grbl.messages import alarms, errors, meaning
 from ugrbl.run.program import Result, run_program
 
@@ -262,7 +263,7 @@ def test_a_program_of_another_controller_is_told_what_takes_it(program: Path) ->
 def test_a_program_may_be_in_utf_16(program: Path, encoding: str) -> None:
     mark = b"\xfe\xff" if encoding == "utf-16-be" else b""
     program.write_bytes(mark + "G0 X1 (ä)\r\nG0 X2\r\n".encode(encoding))
-    assert read_program(program) == ["G0 X1 (ä)".encode(), b"G0 X2"]
+    assert list(read_program(program)) == ["G0 X1 (ä)".encode(), b"G0 X2"]
 
 
 def test_a_dash_that_is_no_minus_is_named(program: Path) -> None:

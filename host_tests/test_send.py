@@ -19,8 +19,7 @@ from ugrbl.cli.app import app
 from ugrbl.cli.screen import Screen
 from ugrbl.device import connection as connection_module
 from ugrbl.device.connection import Connection, SendError, broke
-from ugrbl.device.send import Choice, Line, Stream
-from ugrbl.device.send import program as ready
+from ugrbl.device.send import Choice, Line, Ready, Stream
 from ugrbl.grbl.gcode_file import CYCLE_START, FEED_HOLD, RESET, STATUS
 from ugrbl.grbl.messages import meaning
 
@@ -168,12 +167,12 @@ def program(count: int) -> list[bytes]:
     return [b"G1 X%d.125 Y%d.250 F1200" % (n, n) for n in range(count)]
 
 
-def listing(*lines: bytes) -> list[Line]:
-    return ready(lines)
+def listing(*lines: bytes) -> Ready:
+    return Ready(lines)
 
 
-def ready_program(count: int) -> list[Line]:
-    return ready(program(count))
+def ready_program(count: int) -> Ready:
+    return Ready(program(count))
 
 
 @pytest.mark.parametrize(("told", "drains"), [([], 0), ([4], 0), ([4, 5, 7], 3), ([0, 1], 1)])

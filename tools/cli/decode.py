@@ -10,7 +10,8 @@ from rich.markup import escape
 from ..compiling import maps
 from ..compiling.decode import build_of, decode
 from ..compiling.maps import MapError
-from ..grbl.gcode_file import NotText, check_text, name_of, read_bytes, split_lines
+from ..grbl.gcode_file import NotText, check_text, name_of, read_bytes
+from ..grbl.lines import split_lines
 from .outputs import examples, words
 
 EXAMPLES = examples(

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from .. import paths
 from ..device.connection import Connection, SendError
-from ..device.send import Report, Stream, program
+from ..device.send import Ready, Report, Stream
 from ..grbl.gcode_file import read_lines
 from ..grbl.messages import meaning
 from ..run.recorder import Totals
@@ -100,7 +100,7 @@ def _stream(running: Simulator, lines: Sequence[bytes], console: Console) -> tup
                 raise SendError(f"{setting}: {answer}: {meaning(answer)}")
         begun = time.monotonic()
         with Screen(console, _PROGRAM, len(lines)) as screen:
-            report = Stream(connection, program(lines), screen, keep_going=True).run()
+            report = Stream(connection, Ready(lines), screen, keep_going=True).run()
             screen.progress(report.answered, f"<{report.state}>")
         return report, time.monotonic() - begun
     finally:

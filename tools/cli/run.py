@@ -73,33 +73,38 @@ def command(
     if it came to its end; with --check, only if there were no errors either.
     """
     console = Console(stderr="-" in (str(json_file), str(picture)))
-    name = name_of(file)
     try:
         check_outputs(json_file, plot=picture, given=locals())
-        lines = read_program(file)
-        surroundings = replace(around(board, custom, inputs), lenient=lenient)
-        acting = show_problems(console, lines)
+        with console.status("reading …"):
+            lines = read_program(file)
+            surroundings = replace(around(board, custom, inputs), lenient=lenient)
+            acting = show_problems(console, lines)
         chosen = from_file(settings) if settings else []
         chosen += [as_line(text) for text in setting or ()]
         begun = time.monotonic()
         run: _Runner = trace_program if picture else run_program
         asked = {"board": board, "settings": chosen, "check": check, "around": surroundings}
-        with Screen(console, name, len(lines)) as screen:
+        with Screen(console, name_of(file), len(lines)) as screen:
             result, recorder = run(lines, progress=screen.progress, **asked)
             screen.progress(result.lines)
         seconds = time.monotonic() - begun
-        late = recorder.starves(lines)
+        late = _late(console, recorder, lines)
         _tell(console, result, recorder, lines, late, seconds)
         if not lenient:
             show_foreign(console, result.errors, lines, "--lenient takes such words, as does")
         if picture and isinstance(recorder, MotionTrace):
             job = job_of("as it is", lines, chosen, board, result, recorder)
-            plot.save([job], name, "", picture)
+            plot.save([job], name_of(file), "", picture)
         if json_file:
             _save(result, late, json_file)
     except (ValueError, OSError) as error:
         raise failed(error) from error
     _judge(result, check, acting)
+
+
+def _late(console: Console, recorder: Paced, lines: Sequence[bytes]) -> list[Stretch]:
+    with console.status("looking whether lines come in time …"):
+        return recorder.starves(lines)
 
 
 def _save(result: Result, late: Sequence[Stretch], file: Path) -> None:

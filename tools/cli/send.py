@@ -1,5 +1,6 @@
 """The command `ugrbl send`."""
 
+from collections.abc import Sequence
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
@@ -93,7 +94,8 @@ def _send(file: Path, options: Options, port: str | None, baud: int) -> Report:
     try:
         # Before anything is asked of a machine.
         around(options.board or DEFAULT_BOARD, options.custom, list(options.inputs))
-        lines = _read(file, options, console)
+        with console.status("reading …"):
+            lines = _read(file, options, console)
         connection = Connection(choose(port), baud)
         try:
             return Job(lines, options, connection, console).run()
@@ -105,7 +107,7 @@ def _send(file: Path, options: Options, port: str | None, baud: int) -> Report:
         raise failed(error) from error
 
 
-def _read(file: Path, options: Options, console: Console) -> list[bytes]:
+def _read(file: Path, options: Options, console: Console) -> Sequence[bytes]:
     """The program; Stopped where it must not be sent."""
     try:
         lines = gcode_file.read_lines(file)

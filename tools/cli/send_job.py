@@ -12,9 +12,10 @@ from rich.markup import escape
 from ..device import checkup, stage
 from ..device.connection import Connection, way_out
 from ..device.from_line import Approach, approach
-from ..device.send import Line, Report, Stream, program, stopping_signals
+from ..device.send import Line, Ready, Report, Stream, stopping_signals
 from ..device.stage import Stage
 from ..grbl import gcode_file
+from ..grbl.lines import Changed
 from ..grbl.messages import meaning
 from ..grbl.own_words import OwnWords
 from ..grbl.settings_file import Firmware
@@ -79,10 +80,10 @@ class Job:
             if self._rehearsal:
                 self._rehearsal.close()
 
-    def _prepare(self) -> list[Line]:
+    def _prepare(self) -> Sequence[Line]:
         """The lines to be sent."""
         options = self._options
-        to_send = program(self._lines)[options.from_line - 1 :]
+        to_send = Ready(self._lines)
         if not options.check and options.from_line == 1:
             return to_send
         if why := self._cannot_rehearse():
@@ -98,7 +99,7 @@ class Job:
             return to_send
         way = self._approach(self._rehearsal)
         self._lead = len(way)
-        return [*way, *to_send]
+        return Ready(self._lines, options.from_line, way)
 
     def _cannot_rehearse(self) -> str:
         """Why the simulator would not be like the machine, or an empty text."""
@@ -120,10 +121,9 @@ class Job:
 
     def _rehearsal_job(self) -> rehearsal.Job:
         options = self._options
-        lines = [line.data.decode("latin-1") for line in program(self._lines)]
         ask_at = options.from_line if options.from_line > 1 else 0
         return rehearsal.Job(
-            lines,
+            Changed(self._lines, gcode_file.harmless),
             self._here.commands(),
             options.board or DEFAULT_BOARD,
             ask_at,
@@ -134,9 +134,10 @@ class Job:
         )
 
     def _check(self, job: rehearsal.Job) -> None:
+        total = len(self._lines)
         with self._console.status("checking …") as status:
             result, line = rehearsal.check(
-                job, lambda done: status.update(f"checking: line {done} …")
+                job, lambda done: status.update(f"checking: line {done} of {total} …")
             )
         self._check_file(result.own)
         errors = [one for one in result.errors if not self._is_own(*one)]

@@ -29,6 +29,9 @@ _PATIENCE_S = 120
 _MOST_LIBRARIES = 10  # of 80 kB each
 _MOST_KEPT = 1000
 
+# A kernel that no board has.
+_OURS = f"{native.OURS}.sim.check_kernel"
+
 Kernel = Callable[..., int]
 
 
@@ -77,7 +80,12 @@ def _digest(compiler: list[str]) -> str:
         digest.update((paths.TOOLS / "compiling" / ours).read_bytes())
     for source in build.sources():
         digest.update((paths.FIRMWARE / source).read_bytes())
+    digest.update(_ours().read_bytes())
     return digest.hexdigest()[:16]
+
+
+def _ours() -> Path:
+    return paths.TOOLS.joinpath(*_OURS.split(".")[1:]).with_suffix(".py")
 
 
 def _make(compiler: list[str], library: Path) -> str:
@@ -85,7 +93,8 @@ def _make(compiler: list[str], library: Path) -> str:
     with TemporaryDirectory(dir=library.parent) as folder:
         text, made = Path(folder, "kernels.c"), Path(folder, "kernels.so")
         try:
-            text.write_text(native.in_c(build.texts()), encoding="utf-8")
+            texts = {**build.texts(), _OURS: _ours().read_text(encoding="utf-8")}
+            text.write_text(native.in_c(texts), encoding="utf-8")
         except c_text.NotForC as form:
             return f"the translator does not know {form}\n"
         flags = (*_FLAGS, *(_ON_A_MAC if sys.platform == "darwin" else ()))

@@ -14,8 +14,9 @@ from .inline import inline
 from .marks import Key
 from .modules import Module
 
+OURS = __package__.partition(".")[0]
 # Layers that know no hardware.
-_LAYERS = ("base", "motion", "control", "language", "talk")
+_LAYERS = ("base", "motion", "control", "language", "talk", OURS)
 _C_TYPES = {8: "uint8_t", 16: "uint16_t", 32: "int32_t"}
 
 _HEAD = """\
@@ -77,7 +78,7 @@ def in_c(sources: Mapping[str, str]) -> str:
         _Function(module, function)
         for module in (Module(name, text) for name, text in texts.items() if _is_plain(name))
         for function in module.functions.values()
-        if not _hands_on(function)
+        if not _needs_python(module, function)
     ]
     listed = "".join([f'    "{f.listed()}\\n"\n' for f in functions])
     pointers = [_POINTER.format(bits=bits, type=_C_TYPES[bits]) for bits in BITS.values()]
@@ -91,14 +92,18 @@ def _is_plain(module: str) -> bool:
     return module.partition(".")[0] in _LAYERS
 
 
-def _hands_on(function: ast.FunctionDef) -> bool:
-    """It does more with objects than to call them: that stays Python."""
+def _needs_python(module: Module, function: ast.FunctionDef) -> bool:
+    """It does more with objects than to call them, or to pass them to another kernel."""
     objects = {
         arg.arg for arg in function.args.args if forms.annotation(arg.annotation) == "object"
     }
     named = [node for node in ast.walk(function) if isinstance(node, ast.Name)]
-    called = [node.func for node in ast.walk(function) if isinstance(node, ast.Call)]
-    return any(node.id in objects and node not in called for node in named)
+    calls = [node for node in ast.walk(function) if isinstance(node, ast.Call)]
+    used = [call.func for call in calls]
+    for call in calls:
+        if isinstance(call.func, ast.Name) and module.means(call.func.id):
+            used += call.args
+    return any(node.id in objects and node not in used for node in named)
 
 
 class _Function(Function):

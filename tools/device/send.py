@@ -9,12 +9,12 @@ import re
 import signal
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
 from types import FrameType
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, overload
 
 from ..grbl.gcode_file import (
     CYCLE_START,
@@ -92,9 +92,31 @@ class View(Protocol):
         """Real-time commands that the user has asked for by keys."""
 
 
-def program(lines: Iterable[bytes]) -> list[Line]:
-    """Lines of a file, made ready: nothing in their comments acts on the way."""
-    return [Line(number, harmless(line), shown(line)) for number, line in enumerate(lines, 1)]
+class Ready(Sequence[Line]):
+    """Lines of a file from one on, made ready when they are asked for: nothing in their comments
+    acts on the way. lead: lines that lead up to them."""
+
+    def __init__(self, lines: Sequence[bytes], first: int = 1, lead: Sequence[Line] = ()) -> None:
+        self._lines = lines
+        self._first = first
+        self._lead = lead
+
+    def __len__(self) -> int:
+        return len(self._lead) + len(self._lines) - self._first + 1
+
+    @overload
+    def __getitem__(self, index: int) -> Line: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Line]: ...
+    def __getitem__(self, index: "int | slice") -> "Line | list[Line]":
+        if isinstance(index, slice):
+            return [self[at] for at in range(*index.indices(len(self)))]
+        at = range(len(self))[index] - len(self._lead)
+        if at < 0:
+            return self._lead[at]
+        number = self._first + at
+        line = self._lines[number - 1]
+        return Line(number, harmless(line), shown(line))
 
 
 class _Mute:

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from .lines import Changed, Lines
+
 # Bytes that Grbl takes off before it looks at lines. Those from 0x80 on are all its own.
 STATUS = b"?"
 CYCLE_START = b"~"
@@ -15,8 +17,6 @@ RESET = b"\x18"
 JOG_CANCEL = b"\x85"
 STDIN = "-"
 
-# A doubled CR before the LF, as broken conversions leave it, ends one line and not two.
-_LINE_END = re.compile(rb"\r*\n|\r")
 _REALTIME = re.compile(rb"[?~!\x18\x80-\xff]")
 # What no editor writes. Paper tapes of old machines begin and end with some (DC1 to DC4).
 _NO_TEXT = re.compile(rb"[\0-\x08\x0e-\x10\x15-\x17\x19\x1b-\x1f]")
@@ -52,14 +52,6 @@ class NotText(ValueError):
     """A file that is no program: empty, or not made of text."""
 
 
-def split_lines(data: bytes) -> list[bytes]:
-    """The lines of a program without their ends."""
-    lines = _LINE_END.split(data)
-    if not lines[-1]:
-        lines.pop()
-    return lines
-
-
 def name_of(path: Path) -> str:
     """What people call a program."""
     return "stdin" if str(path) == STDIN else path.name
@@ -85,9 +77,9 @@ def read_utf8(path: Path) -> bytes:
         raise NotText(f"{name_of(path)} begins as UTF-16, and is broken") from error
 
 
-def read_lines(path: Path) -> list[bytes]:
+def read_lines(path: Path) -> Lines:
     """The lines of a program file, `-` is stdin; line n of the file is element n - 1."""
-    return split_lines(read_utf8(path))
+    return Lines(read_utf8(path))
 
 
 def check_text(lines: Sequence[bytes], name: str) -> None:
@@ -104,12 +96,16 @@ def is_foreign(line: bytes) -> bool:
     return bool(_FOREIGN.search(without_comments(line).replace(b" ", b"").upper()))
 
 
-def read_program(path: Path) -> list[bytes]:
+def read_program(path: Path) -> Sequence[bytes]:
     """As read_lines(), but for what marks the ends of a file; ValueError where there is nothing to
     run, or what is there is no text."""
     lines = read_lines(path)
     check_text(lines, name_of(path))
-    return [b"" if line.strip() == _ENDS else line for line in lines]
+    return Changed(lines, _without_end)
+
+
+def _without_end(line: bytes) -> bytes:
+    return b"" if _ENDS in line and line.strip() == _ENDS else line
 
 
 def has_realtime(line: bytes) -> bool:
@@ -164,10 +160,11 @@ def problems(lines: Iterable[bytes]) -> list[Problem]:
     """Where a program holds bytes that a Grbl would act upon at once."""
     found = []
     for number, line in enumerate(lines, 1):
-        code = _REALTIME.search(without_comments(line))
-        if code:
+        if not (act := _REALTIME.search(line)):
+            continue
+        if code := _REALTIME.search(without_comments(line)):
             found.append(Problem(number, _what(without_comments(line), code[0]), False))
-        elif act := _REALTIME.search(line):
+        else:
             found.append(Problem(number, f"{_what(line, act[0])} in a comment", True))
     return found
 

@@ -111,6 +111,8 @@ class Paced(Recorder):
 
     def starves(self, lines: Sequence[bytes]) -> list[Stretch]:
         """Where the board of this machine would be too slow for the program, the worst first."""
+        if len(self.blocks) == 1:
+            return []  # nothing has moved
         taken = self.intake()
         kinds = list(_kinds(lines, bool(self._rig.controller.settings.laser_mode)))
         late = self._late(lines, kinds, taken)
@@ -128,8 +130,8 @@ class Paced(Recorder):
         chord_s = 1 / taken.rates.chords
         late: dict[int, float] = {}
         now = end = 0.0
-        for number in range(1, min(len(self.blocks), len(lines) + 1)):
-            now += _cost_s(lines[number - 1], kinds[number - 1], taken)
+        for number, line, kind in zip(range(1, len(self.blocks)), lines, kinds, strict=False):
+            now += _cost_s(line, kind, taken)
             blocks = self.blocks[number]
             for block in range(blocks):
                 now += chord_s if block else 0.0

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..grbl.gcode_file import CYCLE_START, RESET, has_realtime, is_answer
 from . import machine
+from .checked_lines import CheckedLines
 from .pace import Paced
 from .recorder import Recorder, Totals
 
@@ -24,6 +25,7 @@ _LOOKS = 3
 # A held machine is told again to go on after so long.
 _RESUME_MS = 500
 _PROGRESS_LINES = 100
+_BATCH_LINES = 1000
 # Nothing moved and nothing was answered for so long: it never will be.
 _STALLED_MS = 6 * 3600 * 1000
 # And a handler of the user's own that waits for so long without a word waits in vain.
@@ -84,6 +86,7 @@ class ProgramLink(machine.UntimedLink):
         self._greeted = False
         self._script = script(self)
         self._step: Step = None
+        self._sent = 0  # lines of the program
         self._unanswered: deque[tuple[int, int]] = deque()  # line number, bytes
         self._unanswered_bytes = 0
         self._done = 0  # lines that are executed, and not yet answered
@@ -95,6 +98,40 @@ class ProgramLink(machine.UntimedLink):
         self._looks = 0
         self.news: int = rig.now  # tick at which something last happened
         self._resume_at = 0
+
+    def program(
+        self,
+        lines: Sequence[bytes],
+        progress: Callable[[int], None] | None = None,
+        plain: bool = False,
+    ) -> Iterator[Step]:
+        """Steps of a script that send the lines of a program, or of its next part.
+
+        plain: lines that only move go straight to the firmware's kernels, which check mode uses
+        for many at once.
+        """
+        checked = CheckedLines(self.rig) if plain else None
+        for begin in range(0, len(lines), _BATCH_LINES):
+            batch = list(lines[begin : begin + _BATCH_LINES])
+            quick = checked if checked and checked.load(batch) else None
+            index = 0
+            while index < len(batch):
+                if quick:
+                    yield None
+                    index += self._count(quick.check())
+                if index < len(batch):
+                    self._sent += 1
+                    yield self._sent, batch[index]
+                    index += 1
+                if progress and (index == len(batch) or index % _PROGRESS_LINES == 0):
+                    progress(self._sent)
+
+    def _count(self, checked: int) -> int:
+        """So many lines have been accepted without having been sent."""
+        self._sent += checked
+        self.result.lines += checked
+        self._last = self._sent
+        return checked
 
     # The Link seam
 
@@ -304,10 +341,7 @@ def watch_program(
         if not (yield from _prepare(link, commands)):
             return
         watching.start_clock()
-        for number, line in enumerate(lines, 1):
-            yield number, line
-            if progress and number % _PROGRESS_LINES == 0:
-                progress(number)
+        yield from link.program(lines, progress, watching.is_plain)
         yield None
         watching.stop_clock(link.news)
         link.replies.clear()

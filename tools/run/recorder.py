@@ -70,6 +70,7 @@ class Recorder:
         self._high = [0.0 for _ in self._axes]
         self._begun: int | None = None
         self._ended = 0
+        self.is_plain = False  # nobody stands in the way of lines that only move
         self.wide_arcs: list[tuple[int, str]] = []  # lines, and what is to be said of their arcs
         self.marks: list[Sequence[float]] = []  # where a punch has made a hole, in mm
         if hasattr(rig.port, "on_hole"):
@@ -118,7 +119,10 @@ class Recorder:
             self._take_up = replace_method(self._planner, "take_up", self._turn)
         self._probe = replace_method(controller.seek, "probe", self._watch_probe)
         self._plan_arc = replace_method(controller.canon, "arc", self._look_at_arc)
-        self._follow_plain = replace_method(controller.interpreter.fast, "follow", self._follow)
+        fast = controller.interpreter.fast
+        is_usual = fast.follow is fast.plain and not self._rig.guest
+        self.is_plain = is_usual and not controller.protocol._echoes
+        self._follow_plain = replace_method(fast, "follow", self._follow)
 
     def _look_at_arc(self, start: Any, target: Any, arc: Any, move: Any) -> None:
         """Stand in for Canon.arc."""

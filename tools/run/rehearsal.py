@@ -2,23 +2,24 @@
 
 check() is quick: check mode, to find what will be refused. Rehearsal makes every step, in a
 process of its own while the program is being sent already, and knows then how long it takes and
-where the machine is when. Run as a program, this is that process: a Job as JSON on stdin, a
-Forecast as JSON on stdout.
+where the machine is when. Run as a program, this is that process: a pickled Job on stdin, a
+pickled Forecast on stdout.
 """
 
-import json
 import os
+import pickle
 import subprocess
 import sys
 import threading
 from array import array
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from math import dist, inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from ..grbl.lines import Changed
 from . import inputs, machine
 from .own_python import OwnPythonError
 from .program import ProgramLink, Result, Step
@@ -29,16 +30,19 @@ if TYPE_CHECKING:
 
 _ON_PATH_MM = 0.005
 _OFF_PATH_MM = 1.0
-_PROGRESS_LINES = 1000
+_XYZ = 3  # numbers of a place
 
 
 @dataclass
 class Forecast:
-    """What a program will do. Lines count from 1, places are machine positions in mm."""
+    """What a program will do. Lines count from 1, places are machine positions in mm.
 
-    answered_s: list[float] = field(default_factory=list)  # when a line is answered
-    block_line: list[int] = field(default_factory=list)  # of each block of the planner
-    block_end: list[list[float]] = field(default_factory=list)
+    A long one has millions of lines and blocks: what is known of each is in arrays.
+    """
+
+    answered_s: "array[float]" = field(default_factory=lambda: array("d"))  # by line
+    block_line: "array[int]" = field(default_factory=lambda: array("i"))  # by the planner's block
+    block_ends: "array[float]" = field(default_factory=lambda: array("f"))  # three numbers each
     start: list[float] = field(default_factory=list)
     total_s: float = 0.0
     stopped: str = ""  # why it knows no more
@@ -70,7 +74,7 @@ class Forecast:
         last = bisect_right(self.block_line, answered + 1)
         near, best = inf, None
         for block in range(first, last):
-            far = _distance(place[:3], self._begin(block), self.block_end[block])
+            far = _distance(place[:_XYZ], self._begin(block), self.block_end(block))
             if far < near - _ON_PATH_MM:
                 near, best = far, block
         if best is None or near > _OFF_PATH_MM:
@@ -79,14 +83,19 @@ class Forecast:
 
     def highest_mm(self, line: int) -> float:
         """The highest Z up to there: high enough to get everywhere."""
-        return max(end[2] for end in [self.start, *self.block_end[: self.blocks_before(line)]])
+        heights = self.block_ends[2 : _XYZ * self.blocks_before(line) : _XYZ]
+        return max(self.start[2], max(heights, default=self.start[2]))
 
     def blocks_before(self, line: int) -> int:
         """How many blocks the lines before that one make."""
         return bisect_left(self.block_line, line)
 
-    def _begin(self, block: int) -> list[float]:
-        return self.block_end[block - 1] if block else self.start
+    def block_end(self, block: int) -> Sequence[float]:
+        """Where a block ends."""
+        return self.block_ends[_XYZ * block : _XYZ * (block + 1)]
+
+    def _begin(self, block: int) -> Sequence[float]:
+        return self.block_end(block - 1) if block else self.start
 
 
 def _distance(place: Sequence[float], begin: Sequence[float], end: Sequence[float]) -> float:
@@ -108,7 +117,7 @@ class Job:
     custom: the user's own Python, a path; inputs: who pushes its inputs, as --input says it.
     """
 
-    lines: list[str]  # in Latin-1
+    lines: Sequence[bytes]
     commands: list[str]
     board: str = machine.DEFAULT_BOARD
     ask_at: int = 0
@@ -142,7 +151,7 @@ class _Watcher(Recorder):
         super()._note(row)
         if self._watching and row != self._planner.flow[self._layout.ROWS]:
             self.forecast.block_line.append(self._rig.link.now_at())
-            self.forecast.block_end.append(self._planned_place())
+            self.forecast.block_ends.extend(self._planned_place())
 
     def ask_place(self) -> None:
         """Note where it rests: not where the last block ends, if that was a probe's."""
@@ -160,7 +169,7 @@ class _Watcher(Recorder):
             motors = [motor_steps(places, 0, made.axes, moves) for moves in self._moves]
             steps = [self._beside.axis_steps(motors, i) for i in range(made.axes)]
         per_mm = made.steps_per_mm
-        return [round(n / mm, 4) for n, mm in zip(steps[:3], per_mm, strict=False)]
+        return [round(n / mm, 4) for n, mm in zip(steps[:_XYZ], per_mm, strict=False)]
 
 
 class _Link(ProgramLink):
@@ -168,7 +177,7 @@ class _Link(ProgramLink):
 
     def __init__(self, rig: "Rig", script: Callable[[ProgramLink], Iterator[Step]]) -> None:
         super().__init__(rig, script)
-        self.answered: list[int] = []  # ticks
+        self.answered = array("q")  # ticks
 
     def _answer(self, line: str) -> None:
         super()._answer(line)
@@ -191,12 +200,11 @@ def rehearse(job: Job, progress: Callable[[int], None] | None = None) -> tuple[R
             yield 0, command.encode("latin-1")
             yield None
         watcher.begin()
-        for number, line in enumerate(job.lines, 1):
-            if number == job.ask_at:
-                yield from _ask(link, watcher)
-            yield number, line.encode("latin-1")
-            if progress and number % _PROGRESS_LINES == 0:
-                progress(number)
+        before = max(job.ask_at - 1, 0)
+        yield from link.program(job.lines[:before], progress, watcher.is_plain)
+        if job.ask_at:
+            yield from _ask(link, watcher)
+        yield from link.program(job.lines[before:], progress, watcher.is_plain)
         yield None
         watcher.stop_clock(link.news)
 
@@ -237,7 +245,7 @@ def _forecast(watcher: _Watcher, link: _Link, begun: int) -> Forecast:
     forecast = watcher.forecast
     begun = watcher._begun or begun
     hz = link.rig.engine.tick_hz
-    forecast.answered_s = [round((tick - begun) / hz, 3) for tick in link.answered]
+    forecast.answered_s = array("d", ((tick - begun) / hz for tick in link.answered))
     forecast.total_s = round(watcher.totals().time_s, 3)
     forecast.own = link.result.own
     forecast.refused = [line for line, _ in link.result.errors]
@@ -250,9 +258,13 @@ def check(job: Job, progress: Callable[[int], None] | None = None) -> tuple[Resu
 
     Lines beginning with $ are for a machine that is not in check mode, and left out.
     """
-    lines = ["" if line.lstrip().startswith("$") else line for line in job.lines]
+    lines = Changed(job.lines, _without_dollar)
     result, _ = rehearse(replace(job, lines=lines, ask_at=0, check=True), progress)
     return result, result.other_output[-1][0] if result.stopped and result.other_output else 0
+
+
+def _without_dollar(line: bytes) -> bytes:
+    return b"" if line.lstrip().startswith(b"$") else line
 
 
 class Rehearsal:
@@ -268,7 +280,7 @@ class Rehearsal:
             stderr=subprocess.DEVNULL,
             start_new_session=True,  # Ctrl-C is for the sender
         )
-        self._thread = threading.Thread(target=self._talk, args=(asdict(job),), daemon=True)
+        self._thread = threading.Thread(target=self._talk, args=(job,), daemon=True)
         self._thread.start()
 
     def wait(self, seconds: float | None = None) -> Forecast | None:
@@ -281,10 +293,17 @@ class Rehearsal:
         self._process.kill()
         self._thread.join()
 
-    def _talk(self, job: dict[str, Any]) -> None:
-        out, _ = self._process.communicate(json.dumps(job).encode("ascii"))
-        if self._process.returncode == 0:
-            self.forecast = Forecast(**json.loads(out))
+    def _talk(self, job: Job) -> None:
+        try:
+            with self._process as process:
+                assert process.stdin and process.stdout
+                with process.stdin as there:
+                    pickle.dump(vars(job), there)
+                forecast = pickle.load(process.stdout)
+        except (OSError, EOFError, pickle.UnpicklingError):  # it has failed, or is not needed
+            return
+        if process.returncode == 0:
+            self.forecast = Forecast(**forecast)
 
 
 def main() -> None:
@@ -297,13 +316,13 @@ def main() -> None:
         if os.getppid() != parent:
             raise KeyboardInterrupt("who has asked for it is gone")
 
-    out = sys.stdout
+    out = sys.stdout.buffer
     sys.stdout = sys.stderr  # for what a handler prints
     try:
-        _, forecast = rehearse(Job(**json.load(sys.stdin)), needed)
+        _, forecast = rehearse(Job(**pickle.load(sys.stdin.buffer)), needed)
     except OwnPythonError as error:
         forecast = Forecast(stopped=str(error))
-    json.dump(asdict(forecast), out)
+    pickle.dump(vars(forecast), out)
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from ..draw.job import on_paper
 from ..draw.motion_trace import Motion, trace_program
 from ..draw.simplify import fitted
 from ..grbl import gcode_file
+from ..grbl.lines import split_lines
 from ..grbl.messages import meaning
 from ..run import machine
 from ..run.program import Result
@@ -79,7 +80,7 @@ def _program(request: Mapping[str, Any]) -> tuple[str, list[bytes]]:
     data = text.encode("utf-8", "replace")
     if len(data) > PROGRAM_BYTES:
         raise Refused(f"{name or 'the program'} is larger than {PROGRAM_BYTES >> 20} MB")
-    lines = gcode_file.split_lines(data.removeprefix(b"\xef\xbb\xbf"))
+    lines = split_lines(data.removeprefix(b"\xef\xbb\xbf"))
     gcode_file.check_text(lines, name or "the program")
     return name, lines
 

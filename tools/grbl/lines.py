@@ -1,0 +1,79 @@
+"""The lines of a program, cut out of its bytes when they are asked for: a list of all of them
+takes four times as much memory as the file."""
+
+import re
+from array import array
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
+from typing import overload
+
+# A doubled CR before the LF, as broken conversions leave it, ends one line and not two.
+LINE_END = re.compile(rb"\n|\r(?:\r*\n)?")
+_PIECE = 1000  # lines cut at once
+
+
+def split_lines(data: bytes) -> list[bytes]:
+    """The lines of a program without their ends, all at once."""
+    lines = LINE_END.split(data)
+    if not lines[-1]:
+        lines.pop()
+    return lines
+
+
+class Lines(Sequence[bytes]):
+    """What split_lines() returns, in a few bytes per line besides the data."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        ends = (match.end() for match in LINE_END.finditer(data))
+        self._begin = array("Q" if len(data) >> 32 else "I", chain((0,), ends))
+        if self._begin[-1] < len(data):
+            self._begin.append(len(data))
+        self._numbers = range(len(self._begin) - 1)
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    @overload
+    def __getitem__(self, index: int) -> bytes: ...
+    @overload
+    def __getitem__(self, index: slice) -> "Lines": ...
+    def __getitem__(self, index: "int | slice") -> "bytes | Lines":
+        if isinstance(index, slice):
+            part = Lines(b"")
+            part._data, part._begin, part._numbers = self._data, self._begin, self._numbers[index]
+            return part
+        number = self._numbers[index]
+        return self._data[self._begin[number] : self._begin[number + 1]].rstrip(b"\r\n")
+
+    def __iter__(self) -> Iterator[bytes]:
+        numbers = self._numbers
+        if numbers.step != 1:
+            yield from map(self.__getitem__, range(len(self)))
+            return
+        for first in range(numbers.start, numbers.stop, _PIECE):
+            last = min(first + _PIECE, numbers.stop)
+            yield from split_lines(self._data[self._begin[first] : self._begin[last]])
+
+
+class Changed(Sequence[bytes]):
+    """Lines, each as a function makes it when it is asked for."""
+
+    def __init__(self, lines: Sequence[bytes], change: Callable[[bytes], bytes]) -> None:
+        self._lines = lines
+        self._change = change
+
+    def __len__(self) -> int:
+        return len(self._lines)
+
+    @overload
+    def __getitem__(self, index: int) -> bytes: ...
+    @overload
+    def __getitem__(self, index: slice) -> "Changed": ...
+    def __getitem__(self, index: "int | slice") -> "bytes | Changed":
+        if isinstance(index, slice):
+            return Changed(self._lines[index], self._change)
+        return self._change(self._lines[index])
+
+    def __iter__(self) -> Iterator[bytes]:
+        return map(self._change, self._lines)
