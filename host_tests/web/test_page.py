@@ -110,12 +110,62 @@ def test_a_setting_is_changed_and_kept(person):
     person.click("#tabs [data-tab=settings]")
     person.page.fill("[aria-label^='$110 Maximum rate X']", "2500")
     person.page.keyboard.press("Enter")
-    person.reads("#settings-words", "$110=2500 is kept")
+    person.reads("#setting-110", "2500 is kept")
     person.waits("grbl.settings.get(110) === '2500.000'")
+
+
+def test_a_refused_setting_says_so_in_its_row_and_keeps_what_was_typed(person):
+    person.click("#tabs [data-tab=settings]")
     person.page.fill("[aria-label^='$0 ']", "1")
     person.page.keyboard.press("Enter")
-    person.reads("#settings-words", "error:6: The step pulse time")
-    assert person.page.input_value("[aria-label^='$0 ']") == "10"
+    person.reads("#setting-0", "1 was not taken: error:6: The step pulse time")
+    person.reads("#setting-0", "It is still 10.")
+    assert person.page.input_value("[aria-label^='$0 ']") == "1"
+    person.page.click("[aria-label^='$20 ']")
+    person.reads("#setting-20", "1 was not taken: error:10: Soft limits ($20) need homing")
+    assert not person.page.is_checked("[aria-label^='$20 ']"), "it is not on"
+    person.page.fill("[aria-label^='$0 ']", "5")
+    person.page.keyboard.press("Enter")
+    person.reads("#setting-0", "5 is kept")
+    assert not person.page.query_selector("#notice-trouble")
+
+
+def test_what_is_on_or_off_is_a_box_and_a_mask_one_for_each_axis(person):
+    person.click("#tabs [data-tab=settings]")
+    person.page.check("[aria-label='$5 Invert limit pins']")
+    person.reads("#setting-5", "1 is kept")
+    assert person.page.is_checked("[aria-label='$5 Invert limit pins']")
+    for axis in "XZ":
+        person.page.check(f"[aria-label='$3 Step direction invert, {axis}']")
+        person.reads("#setting-3", {"X": "1 is kept", "Z": "5 is kept"}[axis])
+    assert not person.page.is_checked("[aria-label='$3 Step direction invert, Y']")
+    person.page.uncheck("[aria-label='$10 Status report options, machine position']")
+    person.waits("grbl.settings.get(10) === '0' && grbl.placeIs === 'WPos'")
+    lines = [line for line in person.machine.lines() if line[:2] in ("$5", "$3", "$1")]
+    assert lines == ["$5=1", "$3=1", "$3=5", "$10=0"]
+
+
+def test_bits_without_a_name_stay_as_they_are(person):
+    person.types("$10=5")
+    person.waits("grbl.settings.get(10) === '5'")
+    person.click("#tabs [data-tab=settings]")
+    person.page.check("[aria-label='$10 Status report options, buffer state']")
+    person.reads("#setting-10", "7 is kept")
+
+
+def test_a_setting_typed_in_the_console_is_known_at_once(person):
+    """And settings that a program has set."""
+    person.types("$110=1234")
+    person.waits("grbl.settings.get(110) === '1234.000'")
+    person.types("$RST=$")
+    person.waits("grbl.settings.get(110) === '500.000'")
+    person.loads("$111=777\nG0 X1\n")
+    person.click("#run")
+    person.waits("grbl.settings.get(111) === '777.000'")
+    person.types("$112=-1")
+    person.reads("#log", "error:4")
+    person.pauses(0.5)
+    assert person.machine.lines().count("$$") == 4, "only where one was taken"
 
 
 def test_settings_of_extras_have_their_meaning_unit_and_limits(person):
@@ -126,19 +176,20 @@ def test_settings_of_extras_have_their_meaning_unit_and_limits(person):
         "X squaring offset, millimeters",
         "Motor current A, milliampere",
         "Maximum jerk Z, mm/sec^3How fast acceleration may change; 0: at once. (0 or more)",
-        "Invert limit pins, booleanOff: switches pull their pins to ground when hit. (0 or 1)",
+        "Invert limit pinsOff: switches pull their pins to ground when hit.",
     ):
         person.reads("#settings", words)
     person.machine.say(b"$30=0\r\n$33=1\r\nok\r\n")
-    person.reads("#settings", "Punch actuator down invert, boolean")
+    person.reads("#settings", "Punch actuator down invert")
 
 
-@pytest.mark.parametrize(("number", "value"), [(5, "2"), (3, "256"), (1, "1.5"), (100, "-1")])
+@pytest.mark.parametrize(("number", "value"), [(0, "256"), (1, "1.5"), (100, "-1")])
 def test_a_value_outside_of_a_settings_limits_is_not_sent(person, number, value):
     person.click("#tabs [data-tab=settings]")
     person.page.fill(f"[aria-label^='${number} ']", value)
     person.page.keyboard.press("Enter")
-    person.reads("#settings-words", f"${number} may be 0 ")
+    person.reads(f"#setting-{number}", f"{value} was not taken: it may be 0 ")
+    assert person.page.input_value(f"[aria-label^='${number} ']") == value
     assert not [line for line in person.machine.lines() if line.startswith(f"${number}=")]
 
 
@@ -192,7 +243,7 @@ def test_served_it_connects_by_itself_and_passes_its_query_on(person_at):
     person.sees("Idle")
     person.waits("grbl.settings.size > 30")
     person.loads("G1 X9 F600\nG999\n")
-    person.reads("#job-words", "1 problem. It takes 1:15 min")
+    person.reads("#job-words", "1 problem. It takes 1 min 15 s")
     person.reads("#problems", "Line 2 error:20 - unsupported command")
     assert person.bridge.looked["settings"]["110"] == "3000.000"
     assert {"/ws?token=secret", "/api/look?token=secret"} <= set(person.bridge.asked_for)
@@ -215,7 +266,7 @@ def test_a_program_is_looked_at_where_it_will_run_and_again_when_zero_is_moved(p
     person.types("G10 L2 P1 X-30 Z1.5")
     person.waits("String(grbl.work) === '30,0,-1.5' && !grbl.linesUnderWay")
     person.loads("G0 X10\n")
-    person.reads("#job-words", "No problems. It takes 0:07 min")
+    person.reads("#job-words", "No problems. It takes 7 s")
     person.reads("#extent", "X 0 … 40   Y 0 … 0   Z -1.5 … -1.5")  # in work coordinates
     asked = person.bridge.looked
     assert asked["place"] == [0, 0, 0] and asked["offsets"]["G54"] == [-30, 0, 1.5]
@@ -291,9 +342,10 @@ def test_a_server_that_goes_is_said_and_found_again(person_at):
 # How it looks
 
 
+@pytest.mark.parametrize("width", [390, 320])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_nothing_is_cut_off_on_a_phone(person_at, scheme):
-    screen = {"width": 360, "height": 640}
+def test_nothing_is_cut_off_on_a_phone(person_at, scheme, width):
+    screen = {"width": width, "height": 640}
     person = person_at(HOMING, on={"viewport": screen, "color_scheme": scheme, "has_touch": True})
     person.open_from_disk()
     person.connect("Alarm")
@@ -304,11 +356,44 @@ def test_nothing_is_cut_off_on_a_phone(person_at, scheme):
         person.click(f"#tabs [data-tab={tab}]")
         person.pauses(0.2)
         person.page.screenshot(path=person.folder / f"{scheme}-{tab}.png", full_page=True)
-        assert person.page.evaluate("document.documentElement.scrollWidth") <= 360
+        assert person.page.evaluate("document.documentElement.scrollWidth") <= width
         assert not person.page.evaluate(_CUT_OFF)
         box = person.page.locator("#stop").bounding_box()
         assert box["height"] >= 40 and 0 <= box["y"] < 640 - 40
 
+
+@pytest.mark.parametrize("size", [(1280, 800), (1920, 1080)])
+def test_all_that_a_job_needs_is_in_sight_on_a_desk(person_at, size):
+    """The drawing takes what is left, and as many lines are listed as there is room for."""
+    width, height = size
+    person = person_at(on={"viewport": {"width": width, "height": height}})
+    person.open_from_disk()
+    person.connect()
+    person.loads("".join(f"G1 X{k} F600\n" for k in range(2000)))
+    person.click("#run")
+    person.waits("job.made > 1")
+    assert person.page.evaluate("document.documentElement.scrollHeight") <= height
+    names = ["#ov-feed", "#ov-spindle", "#m5", "#flood", "#end", "#jog-feed", "#lines .now"]
+    boxes = person.page.evaluate(_BOXES, [*names, "#plot", "#lines"])
+    for name in names:
+        assert boxes[name]["top"] >= 0 and boxes[name]["bottom"] <= height, name
+    assert boxes["#plot"]["width"] * boxes["#plot"]["height"] > 0.24 * width * height
+    assert boxes["#lines"]["height"] > 12 * boxes["#lines .now"]["height"]
+    person.click("#stop")
+
+
+def test_what_is_grey_says_why(person):
+    assert person.page.get_attribute("#home", "title").startswith("Homing is off: $22=1")
+    assert person.page.is_visible("#home-off")
+    assert person.page.get_attribute("#run", "title") == "No file is open."
+    person.types("$22=1")
+    person.waits("!document.querySelector('#home').disabled")
+    assert person.page.get_attribute("#home", "title") == ""
+    assert not person.page.is_visible("#home-off")
+
+
+_BOXES = """(names) => Object.fromEntries(names.map((name) =>
+    [name, document.querySelector(name).getBoundingClientRect().toJSON()]))"""
 
 # Controls that reach over the screen's edge, outside of what can be scrolled sideways.
 _CUT_OFF = """[...document.querySelectorAll("button, input, .file")]

@@ -39,6 +39,31 @@ def test_a_reset_in_motion_ends_in_an_alarm_in_words(person):
     assert not person.page.query_selector("#notice-alarm")
 
 
+def test_an_alarm_is_shown_at_once_and_nothing_can_be_run(homer):
+    """Also where no report follows, as behind ALARM:2."""
+    homer.homes()
+    homer.types("$20=1")
+    homer.click("#tabs [data-tab=job]")
+    homer.loads("G0 X-50\n")
+    homer.waits("!document.querySelector('#run').disabled && grbl.setting(20) === 1")
+    state = "$('state-name').textContent, $('state').dataset.tone"
+    homer.page.evaluate(
+        "grbl.on('alarm', () => requestAnimationFrame(() => requestAnimationFrame(() => {"
+        f"window.seen = [{state}, $('run').disabled, $('unlock').disabled]; }})))"
+    )
+    homer.click("#run")
+    homer.reads("#notice-alarm", "ALARM:2")
+    homer.waits("window.seen")
+    assert homer.page.evaluate("seen") == ["Alarm", "bad", True, True]
+    homer.reads("#state-words", "ALARM:2: only STOP is heard")
+    homer.waits("grbl.silent")
+    assert homer.text("#state-name") == "Alarm"
+    homer.click("#stop")
+    homer.waits("!document.querySelector('#unlock').disabled")
+    homer.click("#unlock")
+    homer.sees("Idle")
+
+
 def test_stop_works_with_one_tap_while_the_button_is_still_down(person):
     person.loads(FAR)
     person.click("#run")
@@ -233,7 +258,7 @@ def test_reports_in_inches_are_shown_and_jogged_in_inches(person_at):
     person.click("#steps >> text='0.1'")
     person.click("[data-jog='X+']")
     person.waits("document.querySelector('#axes .value').textContent === '0.1000'")
-    assert "in/min" in person.text("#feed")
+    assert person.text(".facts [data-unit=rate]") == "in/min"
 
 
 def test_by_keyboard_alone_it_jogs_and_stops(person):
