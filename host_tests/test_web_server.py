@@ -171,7 +171,7 @@ async def test_a_sender_may_send_its_bytes_as_text(board: FakeBoard, tmp_path: P
         assert sorted(board.got) == sorted(b"G91 ( is no byte)\n\x85?")
 
 
-@pytest.mark.parametrize("words", ['{"drive": 0}', "{}", "{", '{"drive": 1}', '{"drive": "yes"}'])
+@pytest.mark.parametrize("words", ['{"drive": 0}', "{}", "{", '{"job": 1}', '{"job": {}}'])
 @played
 async def test_words_that_mean_nothing_are_passed_over(
     words: str, board: FakeBoard, tmp_path: Path
@@ -257,6 +257,64 @@ async def test_a_job_whose_driver_is_lost_is_held_and_goes_on_when_told(tmp_path
         assert (await watcher.report()).partition("|FS")[0] == held.partition("|FS")[0]
         await watcher.send(b"~")
         assert "MPos:20.000," in await watcher.report("Idle")
+
+
+PROGRAM = {"id": "one", "name": "x.nc", "program": "G1 X1\nG1 X2\n"}
+
+
+@played
+async def test_a_job_is_told_to_all_and_may_be_taken_up_where_its_browser_has_gone(
+    board: FakeBoard, tmp_path: Path
+) -> None:
+    async with served(board, tmp_path) as site:
+        driver, watcher = await site.open(), await site.open()
+        assert (await site.job(PROGRAM))[0] == 200
+        await watcher.told(job={"id": "one", "name": "x.nc"})
+        far = {"id": "one", "sent": 1, "made": 1, "state": "running", "why": ""}
+        await watcher.job({**far, "made": 9}, "G1 X9\n")  # it does not drive
+        await driver.job(far, "G1 X1\n")
+        await watcher.told(job={**far, "name": "x.nc"})
+        await board.wait_for(b"G1 X1\n")
+        assert board.got == b"G1 X1\n"
+        assert (await site.job(PROGRAM))[0] == 409
+        driver.vanish()
+        await watcher.told(drivers=0)
+        third = await site.open()
+        await third.told(job={**far, "name": "x.nc", "state": "left"})
+        assert await site.job() == (200, PROGRAM)
+        await third.job({**far, "sent": 2}, "G1 X2\n")
+        await board.wait_for(b"G1 X1\nG1 X2\n")
+        board.say(b"Grbl 1.1h ['$' for help]\r\n")
+        stopped = {"sent": 2, "state": "stopped", "why": "the machine was reset"}
+        await watcher.told(job={**far, "name": "x.nc", **stopped})
+
+
+@played
+async def test_lines_of_a_job_that_wait_for_the_board_are_counted_as_sent_and_go_there(
+    board: FakeBoard, tmp_path: Path
+) -> None:
+    """Where another takes over; so who goes on with it leaves none out, and sends none twice."""
+    async with served(board, tmp_path) as site:
+        driver, other = await site.open(), await site.open()
+        await site.job(PROGRAM)
+        board.stuck = True
+        await driver.job({"id": "one", "sent": 2, "state": "running"}, "G1 X1\nG1 X2\n")
+        await other.told(job={"id": "one", "name": "x.nc", "sent": 2, "state": "running"})
+        await other.drive(True)
+        await other.told(driver=True)
+        board.stuck = False
+        await board.wait_for(b"G1 X1\nG1 X2\n")
+
+
+@pytest.mark.parametrize("body", [b"", b"[]", b'{"id": "1", "name": "x"}', b'{"id": 1}'])
+@played
+async def test_what_is_no_program_is_not_shared(
+    body: bytes, board: FakeBoard, tmp_path: Path
+) -> None:
+    async with served(board, tmp_path) as site:
+        status, words = await site.job(body)
+        assert status == 400 and "a program is wanted" in words
+        assert await site.job() == (200, {})
 
 
 @played

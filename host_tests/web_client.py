@@ -101,6 +101,9 @@ class Page:
     async def drive(self, wanted: Any) -> None:
         await self.socket.send_str(json.dumps({"drive": wanted}))
 
+    async def job(self, told: dict[str, Any], lines: str = "") -> None:
+        await self.socket.send_str(json.dumps({"job": told, "lines": lines}))
+
     async def wait(self, what: str, seconds: float = PATIENCE_S) -> str:
         """Everything up to where that text comes."""
         await until(lambda: what in self.text, f"{what!r} in the page", seconds)
@@ -172,6 +175,16 @@ class Site:
     async def status(self, path: str, method: str = "GET", **headers: str) -> "tuple[int, str]":
         async with self.session.request(method, self.address + path, headers=headers) as got:
             return got.status, await got.text()
+
+    async def job(self, program: Any = None) -> "tuple[int, Any]":
+        """Share a program; without one, get what is open."""
+        address = f"{self.address}/api/job"
+        data = program if isinstance(program, bytes) else json.dumps(program).encode()
+        asked = (
+            self.session.get(address) if program is None else self.session.post(address, data=data)
+        )
+        async with asked as got:
+            return got.status, await (got.json() if got.status == 200 else got.text())
 
     async def look(self, request: Any) -> "tuple[int, Any]":
         data = request if isinstance(request, bytes) else json.dumps(request).encode()

@@ -73,7 +73,7 @@ def free(visitor: Visitor) -> Visitor:
 
 def opens_example(visitor: Visitor) -> None:
     visitor.page.set_input_files("#job-file", str(EXAMPLE))
-    visitor.reads("#job-words", "It takes 9:")
+    visitor.reads("#job-words", "It takes 9 min")
 
 
 def keep(visitor: Visitor, name: str) -> None:
@@ -161,6 +161,12 @@ def test_what_leaves_the_travel_is_said_before_it_is_run(visit: Visit) -> None:
     person.types("G10 L20 P1 Y50")
     person.click("#tabs [data-tab=job]")
     person.reads("#job-words", "No problems.")
+    person.types("$130=5")  # it is known at once
+    person.click("#tabs [data-tab=job]")
+    person.reads("#problems", "Line 2 ALARM:2 - X would go to")
+    person.types("$130=150")
+    person.click("#tabs [data-tab=job]")
+    person.reads("#job-words", "No problems.")
     person.click("#run")
     person.reads("#job-words", "Job done: nothing refused")
 
@@ -184,22 +190,69 @@ def test_a_second_browser_watches_until_it_takes_over(visit: Visit) -> None:
     keep(phone, "page_phone.png")
 
 
-def test_a_page_loaded_anew_in_a_job_finds_the_machine_held(visit: Visit) -> None:
+def long_job() -> str:
+    """Forty lines, far more than a machine holds, and one at its end that shows all were made."""
+    return "G21 G91 F1200\n" + "G1 X-2\nG1 X1\n" * 20 + "G1 Y-3\n"
+
+
+def test_a_page_loaded_anew_in_a_job_finds_it_held_and_goes_on_with_it(visit: Visit) -> None:
     person = free(visit())
     person.homes()
-    person.loads(SLOW)
-    person.reads("#job-words", "It takes 0:08 min")
+    person.loads(long_job())
+    person.reads("#job-words", "It takes")
     person.click("#run")
-    person.waits("grbl.machine[0] < -3")
+    person.waits("job?.made > 8")
     person.page.on("dialog", lambda dialog: dialog.accept())  # whether to leave
     person.page.reload()
     person.sees("Hold")
     person.waits("grbl.drives")
-    at = person.page.evaluate("grbl.machine[0]")
-    assert -41 < at < -3
-    person.click("#resume")
+    person.reads("#job-name", "job.nc, 42 lines")
+    person.reads("#job-words", "the browser that sent it has gone")
+    assert not person.page.is_enabled("#resume") and not person.page.is_enabled("#run")
+    made = person.page.evaluate("job.made")
+    assert 8 < made < 42
+    person.click("#go-on")
+    person.waits(f"job.made > {made}")
+    person.reads("#job-words", "Job done: nothing refused")
+    person.waits("grbl.state === 'Idle' && String(grbl.machine) === '-21,-4,-1'")
+
+
+def test_a_job_is_seen_by_all_and_who_takes_over_goes_on_with_it(visit: Visit) -> None:
+    first, second = free(visit()), visit()
+    first.homes()
+    first.loads(long_job(), "other.nc")
+    second.reads("#job-name", "other.nc, 42 lines")
+    first.reads("#job-words", "It takes")
+    first.click("#run")
+    second.waits("job?.made > 8")
+    second.reads("#job-words", " of 42, ")
+    assert not second.page.is_enabled("#end")
+    second.click("#take")
+    first.reads("#job-words", "the browser that sent it has gone")
+    assert not first.page.is_enabled("#go-on")
+    second.click("#go-on")
+    second.reads("#job-words", "Job done: nothing refused")
+    second.waits("grbl.state === 'Idle' && String(grbl.machine) === '-21,-4,-1'")
+    first.reads("#job-words", "Job done: nothing refused")
+
+
+def test_a_refused_line_that_went_out_before_is_said_to_who_goes_on(visit: Visit) -> None:
+    person = free(visit())
+    person.homes()
+    person.loads("G21 G91 F300\n" + "G1 X-2\nG1 X2\n" * 12 + "G999\nG1 Y-3\n")
+    person.reads("#problems", "Line 26 error:20")
+    person.click("#run")
+    person.click("#dialog-yes")
     person.sees("Run")
-    person.waits("grbl.state === 'Idle' && String(grbl.machine) === '-1,-1,-1'")
+    person.page.on("dialog", lambda dialog: dialog.accept())
+    person.page.reload()
+    person.sees("Hold")
+    person.waits("grbl.drives && job?.state === 'left' && job.line < 26")
+    person.click("#go-on")
+    person.reads("#job-words", "was refused. error:20")
+    person.click("#go-on")
+    person.reads("#job-words", "Job done: 1 line refused")
+    person.waits("grbl.state === 'Idle' && String(grbl.machine) === '-1,-4,-1'")
 
 
 def test_a_page_that_leaves_in_a_jog_ends_it(visit: Visit) -> None:

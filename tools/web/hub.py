@@ -10,11 +10,12 @@ import asyncio
 import json
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import Protocol
+from typing import Any, Protocol
 
 from ..device.connection import state_of
 from ..grbl.gcode_file import FEED_HOLD, JOG_CANCEL, RESET, STATUS
 from .framing import Framing
+from .shared_job import SharedJob
 
 # What a browser may leave unread: a job of 100,000 lines with all its answers and reports.
 _UNREAD_BYTES = 1_000_000
@@ -112,8 +113,9 @@ class LastState:
         self.state = ""
         self._line = b""
 
-    def hear(self, data: bytes) -> None:
-        """Bytes from the board."""
+    def hear(self, data: bytes) -> bool:
+        """Bytes from the board. Returns whether it has started anew."""
+        began = False
         *lines, rest = (self._line + data).split(b"\n")
         self._line = rest[-_LONGEST_LINE:]
         for line in lines:
@@ -121,6 +123,8 @@ class LastState:
                 self.state = state_of(line.decode("latin-1")).partition(":")[0]
             elif line.startswith(b"Grbl "):
                 self.forget()
+                began = True
+        return began
 
     def forget(self) -> None:
         """It is not known any more."""
@@ -137,6 +141,7 @@ class Hub:
         self._driver: Browser | None = None
         self._framing = Framing()
         self._last = LastState()
+        self._job = SharedJob()
 
     # Browsers
 
@@ -146,6 +151,7 @@ class Hub:
         if self._driver is None:
             self._driver = browser
         self._tell()
+        self._tell_job([browser])
 
     def leave(self, browser: Browser) -> None:
         """Its connection has gone."""
@@ -159,6 +165,7 @@ class Hub:
     def drive(self, browser: Browser, wanted: bool) -> None:
         """It takes over, or gives it up."""
         if wanted and browser is not self._driver:
+            self._leave_job()
             self._forget()
             self._driver = browser
             self._log(f"{browser.who} drives now")
@@ -186,6 +193,7 @@ class Hub:
         """Nobody drives any more. What moves, and was to be told more, is held."""
         who = self._driver.who if self._driver else ""
         self._driver = None
+        self._leave_job()
         self._forget()
         stop = {"Run": FEED_HOLD, "Jog": JOG_CANCEL}.get(self._last.state)
         if stop is None or not self._board.is_open:
@@ -196,21 +204,60 @@ class Hub:
         self._last.forget()  # so it is told once
 
     def _forget(self) -> None:
-        """What the last driver has begun is not for the next one to end."""
+        """What the last driver has begun is not for the next one to end; but who goes on with its
+        job counts all lines of it that it has sent."""
         self._framing.forget()
-        self._board.forget_lines()
+        if not self._job.is_left:
+            self._board.forget_lines()
+
+    # The job
+
+    def open_job(self, program: dict[str, str]) -> bool:
+        """A browser has opened a program, for all. Returns whether it may: none is under way."""
+        if self._job.is_under_way:
+            return False
+        self._job.open(program)
+        self._tell_job(self._browsers)
+        return True
+
+    def get_program(self) -> dict[str, str]:
+        """The one that is open; empty where none is."""
+        return self._job.program
+
+    async def tell_job(self, browser: Browser, told: dict[str, Any], lines: str) -> None:
+        """The driver says how far its job is, and sends these lines of it: both, or neither."""
+        if browser is self._driver and self._job.tell(told):
+            self._tell_job(other for other in self._browsers if other is not browser)
+        await self.send(browser, lines.encode("latin-1", "ignore"))
+
+    def _leave_job(self) -> None:
+        if self._job.is_under_way:
+            self._job.leave()
+            self._tell_job(self._browsers)
+
+    def _stop_job(self, why: str) -> None:
+        if self._job.is_under_way:
+            self._job.stop(why)
+            self._tell_job(self._browsers)
+
+    def _tell_job(self, browsers: Iterable[Browser]) -> None:
+        news = self._job.news()
+        if news:
+            self._put(news, browsers)
 
     # The board
 
     def heard(self, data: bytes) -> None:
         """Bytes from the board, for everybody."""
-        self._last.hear(data)
+        if self._last.hear(data):
+            self._stop_job("the machine was reset")
         self._put(data, self._browsers)
 
     def link_changed(self) -> None:
         """The board has gone, or is there again."""
         self._framing.forget()
         self._last.forget()
+        self._stop_job("the connection was lost")
         self._tell()
 
     def _tell(self) -> None:

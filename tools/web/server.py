@@ -14,6 +14,7 @@ from .board_link import BoardLink, Source
 from .hub import Browser, Hub
 from .look import PROGRAM_BYTES
 from .looks import LONGEST_S, Looks
+from .shared_job import program_of
 
 PAGE = paths.TOOLS / "web" / "page" / "index.html"
 # JSON doubles what it has to escape, and settings come along.
@@ -59,6 +60,8 @@ class Server:
         app.router.add_get("/", self._get_page)
         app.router.add_get("/ws", self._get_socket)
         app.router.add_post("/api/look", self._post_look)
+        app.router.add_get("/api/job", self._get_job)
+        app.router.add_post("/api/job", self._post_job)
         app.router.add_route("*", "/{rest:.*}", _nothing_here)
         app.on_shutdown.append(self._say_goodbye)
         self._runner = web.AppRunner(app, access_log=None, shutdown_timeout=_GOODBYE_S)
@@ -124,6 +127,17 @@ class Server:
             return _sentence(answer.status, answer.text)
         return web.Response(text=answer.text, content_type="application/json")
 
+    async def _get_job(self, request: web.Request) -> web.StreamResponse:
+        return web.json_response(self._hub.get_program())
+
+    async def _post_job(self, request: web.Request) -> web.StreamResponse:
+        program = program_of(await request.read())
+        if program is None:
+            return _sentence(400, 'a program is wanted: {"id", "name", "program"}, each a text')
+        if not self._hub.open_job(program):
+            return _sentence(409, "a job is under way: end it first")
+        return web.json_response({})
+
     async def _get_socket(self, request: web.Request) -> web.StreamResponse:
         socket = web.WebSocketResponse(
             heartbeat=_HEARTBEAT_S,
@@ -156,21 +170,21 @@ class Server:
             if message.type is WSMsgType.BINARY:
                 await self._hub.send(browser, message.data)
             elif message.type is WSMsgType.TEXT and message.data.startswith("{"):
-                self._take_words(browser, message)
+                await self._take_words(browser, message)
             elif message.type is WSMsgType.TEXT:  # as senders send it
                 await self._hub.send(browser, message.data.encode("latin-1", "ignore"))
 
-    def _take_words(self, browser: Browser, message: WSMessage) -> None:
+    async def _take_words(self, browser: Browser, message: WSMessage) -> None:
         try:
-            wanted = message.json()["drive"]
-        except (ValueError, TypeError, KeyError):
-            wanted = None
-        if not isinstance(wanted, bool):
-            self._log(
-                f'{browser.who} has sent what is not {{"drive": true}} or false: passed over'
-            )
-            return
-        self._hub.drive(browser, wanted)
+            words = message.json()
+        except ValueError:
+            words = {}
+        if isinstance(words.get("drive"), bool):
+            self._hub.drive(browser, words["drive"])
+        elif isinstance(words.get("job"), dict) and isinstance(words.get("lines"), str):
+            await self._hub.tell_job(browser, words["job"], words["lines"])
+        else:
+            self._log(f"{browser.who} has sent words that mean nothing here: passed over")
 
     async def _say_goodbye(self, app: web.Application) -> None:
         """To all at once: whoever does not answer is not waited for by the others."""
