@@ -171,7 +171,9 @@ def test_the_other_way_at_once_begins_when_the_first_has_ended(person):
 
 def test_a_held_jog_that_is_refused_is_said_once(homer):
     homer.homes()
-    homer.types("$20=1")  # and the page does not know of it
+    homer.types("$20=1")
+    homer.waits("grbl.setting(20) === 1")
+    homer.page.evaluate("grbl.settings.set(20, '0')")  # it does not know of it
     homer.click("#tabs [data-tab=job]")
     homer.page.fill("#jog-feed", "3000")
     homer.press("[data-jog='X-']")
