@@ -249,16 +249,17 @@ class Hub:
 
     def heard(self, data: bytes) -> None:
         """Bytes from the board, for everybody."""
-        if self._last.hear(data):
-            self._stop_job("the machine was reset")
+        began = self._last.hear(data)
         self._put(data, self._browsers)
+        if began:
+            self._stop_job("the machine was reset")
 
     def link_changed(self) -> None:
         """The board has gone, or is there again."""
         self._framing.forget()
         self._last.forget()
-        self._stop_job("the connection was lost")
         self._tell()
+        self._stop_job("the connection was lost")
 
     def _tell(self) -> None:
         """Say to each how things stand."""
