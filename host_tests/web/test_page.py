@@ -369,9 +369,9 @@ def test_all_that_a_job_needs_is_in_sight_on_a_desk(person_at, size):
     person = person_at(on={"viewport": {"width": width, "height": height}})
     person.open_from_disk()
     person.connect()
-    person.loads("".join(f"G1 X{k} F600\n" for k in range(2000)))
+    person.loads("M3 S12000\n" + "".join(f"G1 X{k} F1200\n" for k in range(2000)))
     person.click("#run")
-    person.waits("job.made > 1")
+    person.waits("job.made > 1 && grbl.modes.includes('S12000') && grbl.modes.includes('F1200')")
     assert person.page.evaluate("document.documentElement.scrollHeight") <= height
     names = ["#ov-feed", "#ov-spindle", "#m5", "#flood", "#end", "#jog-feed", "#lines .now"]
     boxes = person.page.evaluate(_BOXES, [*names, "#plot", "#lines"])

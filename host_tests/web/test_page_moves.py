@@ -55,7 +55,7 @@ def test_an_alarm_is_shown_at_once_and_nothing_can_be_run(homer):
     homer.reads("#notice-alarm", "ALARM:2")
     homer.waits("window.seen")
     assert homer.page.evaluate("seen") == ["Alarm", "bad", True, True]
-    homer.reads("#state-words", "ALARM:2: only STOP is heard")
+    homer.reads("#state-words", "ALARM:2: only STOP works")
     homer.waits("grbl.silent")
     assert homer.text("#state-name") == "Alarm"
     homer.click("#stop")
