@@ -159,7 +159,7 @@ class Desk:
             return
         if is_answer(line) and self._unanswered:
             sent, shown = self._unanswered.popleft()
-        elif line.startswith("Grbl "):
+        elif line.startswith("Grbl"):
             self._unanswered.clear()
         if shown or line.startswith("error:"):
             self._show(explained(line, sent.decode("latin-1")))

@@ -16,7 +16,7 @@ OK, NOTE, BAD = "ok", "note", "bad"
 _GRBL_ON_AVR_HZ = 30_000
 _UGRBL_HZ = 100_000
 # Who makes them, and the rate that the board states.
-_IDENTITY = re.compile(r"Grbl(?: ([a-z]\w*))?(?: (\d+)Hz)?\b")
+_IDENTITY = re.compile(r"Grbl(?:HAL)?(?: ([a-z]\w*))?(?: (\d+)Hz)?\b")
 # What Grbl 1.1h has from the factory, and hardly any machine wants.
 _STOCK = {100: 250.0, 110: 500.0, 120: 10.0, 130: 200.0}
 _LONG_RAMP_S = 2.0
@@ -202,7 +202,7 @@ def micropython(chip: str, version: str) -> list[Finding]:
 def is_relative(found: Firmware) -> bool:
     """Whether it is one of the firmwares that came out of Grbl and know more than it."""
     name = found.name.lower()
-    return "hal" in name or "fluidnc" in name
+    return not is_ours(found) and ("hal" in name or "fluidnc" in name)
 
 
 def is_ours(found: Firmware) -> bool:

@@ -26,7 +26,7 @@ _READ_S = 0.02
 _WRITE_S = 5.0
 # An Arduino that resets when its port is opened says nothing for a second or two.
 _START_S = 5.0
-_OPTIONS = re.compile(r"\[OPT:[^,]*,(\d+),(\d+)\]")
+_OPTIONS = re.compile(r"\[OPT:[^,]*,(\d+),(\d+)(?:,.*)?\]")
 _DRAINS = re.compile(r"\|Dr:(\d+)")
 _BUFFER = re.compile(r"\|Bf:(\d+),(\d+)")
 _PLACE = re.compile(r"[|,]([MW])Pos:(-?[\d.]+(?:,-?[\d.]+)*)")

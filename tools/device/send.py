@@ -259,7 +259,7 @@ class Stream:
         elif line.startswith("ALARM:"):
             report.stopped = f"{line}: {meaning(line)}"
             report.state = "Alarm"
-        elif line.startswith("Grbl "):
+        elif line.startswith("Grbl"):
             report.stopped = "the controller was reset"
         elif line.startswith("<"):
             self._rests = self._rests + 1 if self._connection.state() in _ENDED else 0
@@ -349,7 +349,7 @@ class Stream:
         self.report.stopped = self._why_hold
         self._connection.write(RESET)
         self._connection.status = ""
-        self._connection.wait_for(lambda line: line.startswith("Grbl "), _RESET_S)
+        self._connection.wait_for(lambda line: line.startswith("Grbl"), _RESET_S)
         self._connection.wait_for(lambda line: line.startswith("<"), _RESET_S)
         self.report.state = self._connection.state()
 

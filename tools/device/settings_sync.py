@@ -72,7 +72,7 @@ def push(
 def factory(connection: Connection) -> None:
     """Everything back to what the firmware was built with ($RST=$); it starts anew then."""
     connection.write(b"$RST=$\n")
-    if not connection.wait_for(lambda line: line.startswith("Grbl "), _ANSWER_S):
+    if not connection.wait_for(lambda line: line.startswith("Grbl"), _ANSWER_S):
         raise SendError("the machine did not restore its settings: is it at rest?")
 
 

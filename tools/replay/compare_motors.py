@@ -67,5 +67,5 @@ def _delays(case: Json) -> list[int]:
 def _stopped_by_switch(steps: list[Json]) -> bool:
     """A limit switch has stopped the machine, and no reset has followed."""
     said = [line for step in steps for line in step["expect"]]
-    banner = max([n for n, line in enumerate(said) if line.startswith("Grbl ")], default=-1)
+    banner = max([n for n, line in enumerate(said) if line.startswith("Grbl")], default=-1)
     return "ALARM:1" in said[banner + 1 :]

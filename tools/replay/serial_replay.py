@@ -66,7 +66,7 @@ class SerialReplay:
                 "ok": lambda: self._answers() >= wanted,
                 "idle": lambda: self._answers() >= wanted,
                 "report": lambda: self._starts("<"),
-                "banner": lambda: self._starts("Grbl "),
+                "banner": lambda: self._starts("Grbl"),
             }[wait]
             self._listen(held, t_ms * 3 + 20_000)
             if wait == "idle":

@@ -106,7 +106,7 @@ class LiveLink(UntimedLink):
         out = bytes(data)
         answers = out.count(b"ok\r\n") + out.count(b"error:")
         self._open_lines = max(self._open_lines - answers, 0)
-        if b"Grbl " in out:
+        if b"\nGrbl" in out:
             self._greeted, self._has_opened = True, False
             self._open_lines = 0
         self._wire.write(out)

@@ -167,7 +167,7 @@ class ProgramLink(machine.UntimedLink):
         if is_answer(line):
             if self._unanswered:
                 self._answer(line)
-        elif line.startswith("Grbl "):
+        elif line.startswith("Grbl"):
             self._greeted = True
             self._full = False
             self._unanswered.clear()

@@ -202,7 +202,7 @@ class Machine:
         return [line for line in self._sender.lines if line.startswith("<")]
 
     def _has_welcomed(self) -> bool:
-        return any(line.startswith("Grbl ") for line in self._sender.lines)
+        return any(line.startswith("Grbl") for line in self._sender.lines)
 
 
 def _load(board: "str | Path") -> "ModuleType":

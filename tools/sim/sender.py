@@ -143,7 +143,7 @@ class Sender:
             if how == "report":
                 yield from self.until(lambda: any(line.startswith("<") for line in self.lines))
             elif how == "banner":
-                yield from self.until(lambda: any(line.startswith("Grbl ") for line in self.lines))
+                yield from self.until(lambda: any(line.startswith("Grbl") for line in self.lines))
             elif how in ("ok", "idle"):
                 yield from self.until(lambda: self.answers >= wanted)
             else:

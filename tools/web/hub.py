@@ -121,7 +121,7 @@ class LastState:
         for line in lines:
             if line.startswith(b"<"):
                 self.state = state_of(line.decode("latin-1")).partition(":")[0]
-            elif line.startswith(b"Grbl "):
+            elif line.startswith(b"Grbl"):
                 self.forget()
                 began = True
         return began

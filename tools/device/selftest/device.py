@@ -48,7 +48,7 @@ class PromptBoard(MpremoteDevice):
                 piece = self._arrived()
                 lines.bytes(piece)
                 hung = hung or b"= hang" in lines.last
-                if hung and lines.last.startswith(b"Grbl "):
+                if hung and lines.last.startswith(b"Grbl"):
                     break
         self.close()
         return hung and self._is_back()
