@@ -107,8 +107,9 @@ class NetBench:
         settings: "dict[int, float] | None" = None,
         more: Any = None,
         page: "tuple[Any, str] | None" = None,
+        board: Any = None,
     ) -> None:
-        board = load_board("sim_page" if page else "sim_wifi")
+        board = board or load_board("sim_page" if page else "sim_wifi")
         store = factory_store(board)
         store.files["settings"] += [f"${n}={value}" for n, value in (settings or {}).items()]
         store.files["network"] = [f"KEY={KEY}"]
@@ -178,9 +179,9 @@ class NetBench:
         return list(self.rig.scratch)
 
 
-def connected(bench: NetBench, pipe: Pipe) -> Iterator[Any]:
+def connected(bench: NetBench, pipe: Pipe, welcome: str = WELCOME) -> Iterator[Any]:
     """It has been welcomed."""
-    yield from bench.until(lambda: WELCOME.encode() in pipe.got)
+    yield from bench.until(lambda: welcome.encode() in pipe.got)
     pipe.take()
 
 

@@ -38,7 +38,6 @@ _URGENT = const(16)
 _ROUND_MS = const(10)
 _RADIO_MS = const(1000)
 
-_QUESTION = const(0x3F)
 _JOG_CANCEL = const(0x85)
 _STOPS = b"\x18!\x84\x85"
 _REALTIME = b"\x18!~"
@@ -65,6 +64,9 @@ class NetLink:
         self.is_slow = cable.is_slow
         self.come_back: "Callable[[], None]" = lambda: None
         self.on_turn: "Callable[[], None] | None" = None
+        # What greets a client, and the bytes that ask for a status report.
+        self.welcome = b"\r\nGrbl 1.1h ['$' for help]\r\n"
+        self.questions = b"?"
         self.access = Access()
         # The radio's, if there is one: called once a second, at rest or not; and what it says.
         self.radio: "Callable[[bool], None] | None" = None
@@ -273,7 +275,7 @@ class NetLink:
             if self._is_nobodys or (is_silent and self._at_rest()):
                 self.control.set(None)
         place.begin(conn, address, now_ms)
-        place.put(b"\r\nGrbl 1.1h ['$' for help]\r\n")
+        place.put(self.welcome)
         if not place.send():
             self._drop(place)
 
@@ -288,7 +290,7 @@ class NetLink:
     def _sift(self, caller: Caller, data: bytearray, count: int, now_ms: int) -> None:
         for i in range(count):
             byte = data[i]
-            if byte == _QUESTION:
+            if byte in self.questions:
                 if caller.trusted or caller.may_hear():
                     caller.asked = True
                     self._urge(byte)
