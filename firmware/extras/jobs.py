@@ -99,8 +99,10 @@ class Jobs:
     def _do(self, words: bytes) -> None:
         verb, equals, rest = words.partition(b"=")
         name = text_of(rest)
-        if not words:
+        if words in (b"", b"+"):
             self._list()
+        elif words == b"M":
+            return  # mounted it is
         elif words == b"B":
             self._tell_button()
         elif not equals:
