@@ -139,7 +139,7 @@ def test_a_board_is_data_only(name: str) -> None:
         ({"DEFAULTS": (100, 800)}, "DEFAULTS is (100, 800) and not of the form"),
         ({"SPINDEL_PWM": 16}, "SPINDEL_PWM: nothing reads it; is SPINDLE_PWM meant?"),
         ({"ENGINE": "i2s", "MPY_ARCH": "xtensawin", "CHIP": "esp32"}, "ENABLE is missing"),
-        ({"DIALECT": "0.7"}, "DIALECT: '0.7' is not one of 1.1, 0.9, 0.9i, 0.9j"),
+        ({"DIALECT": "0.7"}, "DIALECT: '0.7' is not one of 1.1, 0.9, 0.9i, 0.9j, hal"),
         ({"DIALECT": 0.9}, 'DIALECT is 0.9 and wants quotation marks: "0.9"'),
         ({"TOOL": "hammer"}, "TOOL: 'hammer' is not one of spindle, laser, punch"),
         ({"TOOL": "punch", "PUNCH_UP": 20}, "no pin for PUNCH_DOWN, PUNCH_DOWN_SENSOR, PUNCH_UP_"),

@@ -20,6 +20,7 @@ _DIALECTS = {
     "0.9": "dialect_09",
     "0.9i": "dialect_09",
     "0.9j": "dialect_09",
+    "hal": "dialect_hal",
 }
 _NETWORKS = ("wifi", "uart_wifi")  # links
 _TOOLS = {"spindle": "", "laser": "laser", "punch": "punch"}

@@ -315,7 +315,7 @@ OPTIONS = (
     # Extras.
     Option(
         *("DIALECT", WORD, "1.1"),
-        "Whose words it uses: those of another Grbl are for senders older than 1.1.",
+        "Whose words it uses: 0.9's for older senders, or grblHAL's, see docs/grblhal.md.",
         words=engines.dialects,
     ),
     Option(

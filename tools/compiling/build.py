@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import Any
 
 from .. import paths
-from ..boardfile import engines, options
+from ..boardfile import engines, hal_texts, options
 from ..boardfile.board_check import own_modules
 from ..boardfile.files import load_for_build
 from . import (
@@ -350,11 +350,12 @@ def for_board(
     for path, source in ((BOARD, file), *((name, file.parent / name) for name in own)):
         made.files[path] = source.read_bytes()
         progress(path, len(made.files[path]))
-    pages = page_files.made() if getattr(board, "PAGE", False) else {}
-    for path, content in pages.items():
+    read = page_files.made() if getattr(board, "PAGE", False) else {}
+    read |= hal_texts.made(board)
+    for path, content in read.items():
         made.files[path] = content
         progress(path, len(content))
-    made.own = (BOARD, *own, *pages)
+    made.own = (BOARD, *own, *read)
     return made
 
 

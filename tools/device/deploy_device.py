@@ -13,6 +13,7 @@ import serial
 from mpremote.transport import TransportError  # type: ignore[import-untyped]
 from mpremote.transport_serial import SerialTransport  # type: ignore[import-untyped]
 
+from ..boardfile import hal_texts
 from ..compiling import freeze, page_files
 from .connection import Connection, SendError, broke, is_simulator, way_out
 from .deploy import LIST, About, DeployError, Running
@@ -33,7 +34,7 @@ _END = b"\x04"
 _PROMPT = re.compile(rb">>> $")
 _STATE = re.compile(rb"<([A-Za-z]+)[^>]*>|\[MSG:|>>> ")
 # The welcome; or a prompt, or a message, in its place.
-_STARTED = re.compile(rb"\r\n(Grbl \d[^\r\n]*)\r\n|>>> $|\[MSG:[^\]]*\]\r\n")
+_STARTED = re.compile(rb"\r\n(Grbl(?:HAL)? \d[^\r\n]*)\r\n|>>> $|\[MSG:[^\]]*\]\r\n")
 _BUILD = re.compile(rb"\[VER:([^\]]*)\]|\[(\d[^\]]*)\]")  # of Grbl 1.1, of 0.9
 _ANSWERED = re.compile(rb"\]\r\nok\r\n")
 _MESSAGE = re.compile(rb"\[MSG:([^\]]*)\]")
@@ -163,7 +164,9 @@ class MpremoteDevice:
 
     def files(self, folders: Iterable[str]) -> dict[str, str]:
         """Checksums by path, worked out on the board."""
-        script = _FILES.format(folders=tuple(folders), names=(LIST, *page_files.names()))
+        script = _FILES.format(
+            folders=tuple(folders), names=(LIST, *page_files.names(), hal_texts.name())
+        )
         rows = (line.split(" ", 1) for line in self._run(script).splitlines())
         return {path: checksum for checksum, path in rows}
 

@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from .. import paths
+from ..boardfile import hal_texts
 from ..boardfile.board_check import is_simulated
 from ..boardfile.files import load_board
 from ..compiling import kernels
@@ -108,6 +110,8 @@ def build(
         keep_in_memory(module)
     if around.lenient:
         module = _copy(module, module.__name__, LENIENT=True)
+    for content in hal_texts.made(module).values():
+        _serve(content)
     store: Any = MemoryStore() if blank else factory_store(module)
     if settings is not None:
         try:
@@ -117,6 +121,13 @@ def build(
             raise ValueError(f"{settings} is left as it is: {error}") from error
         store = kept
     return _with(around, module, lambda board: Rig(board, store, link, coarse))
+
+
+def _serve(texts: bytes) -> None:
+    """Have a machine that speaks as grblHAL find its texts, which a deployment puts on a board."""
+    from extras import dialect_hal
+
+    dialect_hal.texts = lambda: BytesIO(texts)
 
 
 def _with(around: Around, board: Any, make: "Callable[[Any], Rig]") -> "Rig":

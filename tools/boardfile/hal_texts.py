@@ -1,0 +1,172 @@
+"""The file that a board with DIALECT = "hal" reads $ES, $ESH, $EG, $EA and $EE from.
+
+A row has a command, the number of what it is about, and the line as grblHAL sends it. It is made
+of the firmware's own tables; what a machine does not have its firmware leaves out.
+"""
+
+from collections.abc import Iterator
+from types import ModuleType
+from typing import TYPE_CHECKING, NamedTuple
+
+from .. import paths
+from ..grbl.messages import alarms, errors
+from ..grbl.settings_file import AXES, is_per_axis, of_tool, row_meaning, tables
+from ..sim import motor_names
+
+if TYPE_CHECKING:
+    from base.settings import Row
+
+# grblHAL's groups of settings, by their numbers there.
+_GROUPS = {
+    0: "Root",
+    1: "General",
+    3: "Limits",
+    6: "Spindle",
+    11: "Homing",
+    12: "Probing",
+    35: "Stepper",
+    36: "Stepper driver",
+    42: "Axis",
+    **{43 + axis: f"{letter}-axis" for axis, letter in enumerate(AXES)},
+}
+_AXIS_GROUP = 42
+_GENERAL = 1
+# Settings that are not in one of an axis, nor general.
+_MEMBERS = {
+    3: (5, 20, 21),
+    6: (30, 31, 33),
+    11: (*range(22, 28), *range(44, 50), *range(170, 176), *range(347, 350)),
+    12: (6,),
+    35: (0, 1, 2, 3, 4, 8),
+    36: (338, 339, 810),
+}
+_GROUP_OF = {number: group for group, numbers in _MEMBERS.items() for number in numbers}
+_REPORT_MASK = 10
+_AXIS_MASK = 4
+_AXES = "axes"  # how a mask of them is written
+_REPORTED = "Machine position,Buffer state"  # by its bits
+_HEADER = "$-Code\tSetting\tUnits\tDatatype\tData format\tSetting Description\tMin\tMax"
+# A board speaks ASCII, and these signs stand between values.
+_PLAIN = str.maketrans({"…": "...", "|": "/", "[": "(", "]": ")", "`": None})
+_IN_DEGREES = (("millimeters", "degrees"), ("millimetre", "degree"), ("mm", "deg"))
+
+
+class _Kind(NamedTuple):
+    """What a value is: grblHAL's number and word for it, how it is written, its limits."""
+
+    number: int
+    word: str
+    form: str = ""
+    least: str = ""
+    most: str = ""
+
+
+class _Setting(NamedTuple):
+    """A number of $$, and what is said of it."""
+
+    number: int
+    group: int
+    name: str
+    unit: str
+    kind: _Kind
+    text: str
+
+    def row(self) -> str:
+        """For a program."""
+        number, _, form, least, most = self.kind
+        unit = self.unit if self.kind.word in ("integer", "float") else ""
+        head = f"{self.number}|{self.group}|{self.name}|{unit}"
+        return f"ES {self.number} [SETTING:{head}|{number}|{form}|{least}|{most}|0|0]"
+
+    def table_row(self) -> str:
+        """For a table, with its description."""
+        number, word, form, least, most = self.kind
+        form = _AXES if number == _AXIS_MASK else form
+        cells = self.name, self.unit, word, form, self.text, least, most, "0", "0"
+        return f"ESH {self.number} {self.number}\t" + "\t".join(cells)
+
+
+def name() -> str:
+    """What it is called on the board."""
+    paths.use_firmware()
+    from extras import dialect_hal
+
+    return dialect_hal.FILE
+
+
+def made(board: ModuleType) -> dict[str, bytes]:
+    """It, by its path on that board; nothing where the board speaks otherwise."""
+    if getattr(board, "DIALECT", "") != "hal":
+        return {}
+    return {name(): "".join(f"{row}\r\n" for row in _rows(board)).encode("ascii")}
+
+
+def _rows(board: ModuleType) -> Iterator[str]:
+    settings = _settings(board)
+    yield from (setting.row() for setting in settings)
+    yield f"ESH 0 {_HEADER}"
+    yield from (setting.table_row() for setting in settings)
+    for group, label in _GROUPS.items():
+        if group <= _AXIS_GROUP + motor_names.axes_of(board):
+            parent = _AXIS_GROUP if group > _AXIS_GROUP else 0
+            yield f"EG {group} [SETTINGGROUP:{group}|{parent}|{label}]"
+    for word, texts in (("ALARM", alarms()), ("ERROR", errors())):
+        for number, text in sorted(texts.items()):
+            yield f"E{word[0]} {number} [{word}CODE:{number}||{text.translate(_PLAIN)}]"
+
+
+def _settings(board: ModuleType) -> list[_Setting]:
+    """Those of the firmware, by number; of two with the same the board's tool has the last."""
+    every = {module: rows for module, rows in tables().items() if module in _modules(board)}
+    tool = getattr(board, "TOOL", "")
+    if tool in ("laser", "punch"):
+        every[f"extras/{tool}"] = of_tool(tool)
+    found = {
+        setting.number: setting
+        for module, rows in every.items()
+        for row in rows
+        for setting in _of_row(module, row, board)
+    }
+    return [found[number] for number in sorted(found)]
+
+
+def _modules(board: ModuleType) -> set[str]:
+    """Which a board has, of those with settings."""
+    paths.use_firmware()
+    from boot import guests
+
+    return {"base/settings", *(name.replace(".", "/") for name in guests.names(board, False))}
+
+
+def _of_row(module: str, row: "Row", board: ModuleType) -> Iterator[_Setting]:
+    said = row_meaning(module, row)
+    text = said.text.translate(_PLAIN)
+    kind = _kind(row, said.limits == "any number")
+    if not is_per_axis(row):
+        group = _GROUP_OF.get(row[0], _GENERAL)
+        yield _Setting(row[0], group, said.name, said.unit, kind, text)
+        return
+    rotary = getattr(board, "ROTARY", "")
+    for axis, letter in enumerate(AXES[: motor_names.axes_of(board)]):
+        label, unit = f"{said.name} {letter}", said.unit
+        for mm, degrees in _IN_DEGREES if letter in rotary else ():
+            label, unit = label.replace(mm, degrees), unit.replace(mm, degrees)
+        yield _Setting(row[0] + axis, _AXIS_GROUP + 1 + axis, label, unit, kind, text)
+
+
+def _kind(row: "Row", is_signed: bool) -> _Kind:
+    from base import settings
+
+    number, _, kind, _, unit = row
+    if kind == settings.BOOL:
+        return _Kind(0, "bool")
+    if kind == settings.INT and number == _REPORT_MASK:
+        return _Kind(1, "bitfield", _REPORTED)
+    if kind == settings.INT:
+        return (
+            _Kind(_AXIS_MASK, "bitfield")
+            if unit == "mask"
+            else _Kind(5, "integer", "##0", "0", "255")
+        )
+    form = "#####0" if kind == settings.WHOLE else "#####0.000"
+    return _Kind(6, "float", "-" + form) if is_signed else _Kind(6, "float", form, "0")
