@@ -350,12 +350,12 @@ def for_board(
     for path, source in ((BOARD, file), *((name, file.parent / name) for name in own)):
         made.files[path] = source.read_bytes()
         progress(path, len(made.files[path]))
-    read = page_files.made() if getattr(board, "PAGE", False) else {}
-    read |= hal_texts.made(board)
-    for path, content in read.items():
+    data = page_files.made() if getattr(board, "PAGE", False) else {}
+    data |= hal_texts.made(board)
+    for path, content in data.items():
         made.files[path] = content
         progress(path, len(content))
-    made.own = (BOARD, *own, *read)
+    made.own = (BOARD, *own, *data)
     return made
 
 
