@@ -1,0 +1,28 @@
+"""A board that speaks as grblHAL on the emulated Pico: its texts come out of its flash."""
+
+from pathlib import Path
+
+import pytest
+from emulated import BOARDS, Board, firmware
+from ugrbl.compiling import build
+
+pytestmark = pytest.mark.xdist_group("pico hal")
+
+_FREE = "import gc;gc.collect();print(gc.mem_free())"
+# Measured: 98.2 kB, whether texts have been asked for or not; speaking as Grbl 112.7.
+_HEAP = 95_000
+
+
+def test_texts_come_from_flash_and_stay_there(uf2: Path, tmp_path: Path) -> None:
+    file = tmp_path / "hal.py"
+    file.write_text((BOARDS / "rpi_pico.py").read_text() + '\nDIALECT = "hal"\n')
+    machine = Board(uf2, {**dict.fromkeys(firmware()), **build.for_board(file).files})
+    machine.boot("GrblHAL 1.1f").settled()
+    assert "[AXS:3:XYZ]" in machine.ask("$I")
+    said = machine.ask("$ES", limit_us=5_000_000)
+    assert "[SETTING:110|43|Maximum rate X|mm/min|6|#####0.000|0||0|0]" in said
+    assert "[SETTING:103|" not in said
+    assert "[ALARMCODE:1||" in machine.ask("$EA", limit_us=5_000_000)
+    machine.send("\x87")
+    machine.wait_for("|FW:grblHAL>")
+    assert int(machine.python(_FREE)) > _HEAP
