@@ -60,7 +60,6 @@ def test_all_that_a_board_needs_is_frozen_but_its_board_file(name: str) -> None:
     assert {*there} == files - {"main.py", "board.py"} | {"main.mpy"}
 
 
-@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", _BOARDS)
 def test_each_file_bears_the_name_that_micropython_looks_for(name: str) -> None:
     for path, content in to_freeze.for_board(board_file(name)).files.items():
@@ -81,6 +80,7 @@ def test_all_native_code_of_a_pico_has_its_length_in_front(name: str) -> None:
     assert all((jump, length + 4) == (0xE000, size) for jump, length, size in heads)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("inside", ["[x for x in a]", "lambda: a", "any(x for x in a)", "(yield)"])
 def test_a_native_function_with_another_within_is_refused(inside: str) -> None:
     """The inner one would be native, too, and stay in flash; and so would a generator."""
