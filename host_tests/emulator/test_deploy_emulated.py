@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import serial
 from ugrbl.boardfile import files
 from ugrbl.compiling import build
 from ugrbl.compiling.folder import save
@@ -122,10 +123,9 @@ def test_mpremote_gets_in_and_out_again(uf2: Path, tmp_path: Path) -> None:
 
 @contextmanager
 def grbl_started_anew(port: Path) -> "Iterator[Connection]":
-    """As Ctrl-D at the prompt does it."""
-    connection = Connection(str(port))
-    connection.write(b"\x04")
-    connection.close()
+    """As Ctrl-D at the prompt does it, which a Connection would not send to a machine."""
+    with serial.Serial(str(port)) as line:
+        line.write(b"\x04")
     with grbl(port) as machine:
         yield machine
 
