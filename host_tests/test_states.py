@@ -1,6 +1,7 @@
 """What send, settings and doctor say of a machine that cannot answer, and of Grbl 0.9."""
 
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -127,10 +128,10 @@ def test_a_file_that_is_replaced_is_whole_or_as_it_was(
     file = tmp_path / "kept"
     file.write_text("precious")
 
-    def full(self: Path, text: str, encoding: str = "") -> None:
+    def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_text", full)
+    monkeypatch.setattr(os, "fsync", full)
     done = ugrbl("settings", "pull", file, "--force", "--port", bench.port)
     assert done.exit_code == 1 and file.read_text() == "precious"
 

@@ -96,8 +96,9 @@ class Motion:
         time_s = np.frombuffer(self.time_s)
         change = np.abs(np.diff(_view(self.speed_mm_s), prepend=np.float32(0)))
         changed = np.cumsum(change * _view(self.share[axis])[_view(self.block)], dtype=float)
+        ends = np.append(0.0, time_s), np.append(0.0, changed)
         middle = time_s - self.seconds / 2
-        until, since = (np.interp(middle + s, time_s, changed) for s in (MEAN_S / 2, -MEAN_S / 2))
+        until, since = (np.interp(middle + s, *ends) for s in (MEAN_S / 2, -MEAN_S / 2))
         return np.asarray((until - since) / MEAN_S)
 
     def step_hz(self, motor: int) -> Column:
