@@ -141,7 +141,8 @@ def test_questions_are_asked_until_the_answers_fit(file: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (("--chip", "pico"), "STEP is needed"),
+        (("--chip", "pico"), "STEP is needed: --pin step=2,3,4"),
+        (("--chip", "pico", "--pin", "step"), "step has no pins: write it as step=2,3,4"),
         (("--pin", "step=1"), "which chip?"),
         ((*_PICO, "--pin", "limit=9,10"), "LIMIT wants 3 pins, not 2"),
         ((*_PICO, "--pin", "probe=2"), "PROBE: pin 2 is STEP already"),

@@ -167,7 +167,7 @@ def check_item(board: Board, item: Item, pins: Pins) -> None:
     """BoardError where these pins cannot be it, beside those there are already."""
     if not pins:
         if item.needed:
-            raise BoardError(f"{item.name} is needed")
+            raise BoardError(f"{item.name} is needed: --pin {item.name.lower()}=2,3,4")
         return
     count = len(board.pins.get("STEP", pins)) if item.per_axis else 1
     # A second motor need not have a switch.

@@ -134,6 +134,8 @@ def _given(words: list[str]) -> dict[str, str]:
         name, _, pins = word.partition("=")
         if name.upper() not in new_board.BY_NAME:
             raise BoardError(f"{word}: it is one of {_NAMES}, as in step=2,3,4")
+        if not pins.strip():
+            raise BoardError(f"{name} has no pins: write it as {name}=2,3,4")
         given[name.upper()] = pins
     return given
 
