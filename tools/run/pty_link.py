@@ -39,7 +39,10 @@ class Pty(Wire):
         try:
             place.symlink_to(self._target())
         except FileExistsError as error:
-            raise FileExistsError(f"{place} is there already; it is left as it is") from error
+            why = f"{place} is there already; it is left as it is"
+            is_ours = place.is_symlink() and os.readlink(place).startswith(_OURS)
+            todo = "; if no simulator runs there, remove it" if is_ours else ""
+            raise FileExistsError(why + todo) from error
         except OSError as error:
             raise OSError(f"{place} cannot be made: {error.strerror}") from error
         self._link = place
