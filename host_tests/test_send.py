@@ -324,6 +324,19 @@ def test_only_a_command_is_said_to_be_one_when_it_is_refused() -> None:
     assert meaning("error:20", "T2 M6") == meaning("error:20")
 
 
+@pytest.mark.parametrize(
+    ("reply", "line"), [("error:1", "G1 X10,5"), ("error:2", "X,5"), ("error:3", "$110=1,5")]
+)
+def test_a_decimal_comma_is_named_where_a_line_is_refused(reply: str, line: str) -> None:
+    assert "decimal point, not a comma" in meaning(reply, line)
+    assert "comma" not in meaning(reply, line.replace(",", ".") + " (1,5)")
+
+
+def test_a_refused_setting_is_said_to_be_one() -> None:
+    assert meaning("error:3", "$999=1").startswith("There is no setting $999 here, or")
+    assert "'$' command" in meaning("error:3", "$H=")
+
+
 def test_ctrl_c_and_abort_resets_once_the_machine_is_at_rest(
     grbl: FakeGrbl, connection: Connection, view: Watcher
 ) -> None:
@@ -403,6 +416,14 @@ def test_stops_for_want_of_lines_are_told_with_what_to_do(grbl: FakeGrbl, tmp_pa
     done = send_file(grbl, tmp_path, "G0 X1\n" * 400, "--no-check", "--mode", "line")
     words = " ".join(done.output.split())
     assert "for want of lines meanwhile: `ugrbl run FILE --board NAME` names lines" in words
+
+
+def test_the_percent_signs_at_the_ends_of_a_file_are_not_sent(
+    grbl: FakeGrbl, tmp_path: Path
+) -> None:
+    done = send_file(grbl, tmp_path, "%\nG0 X1\n%\n", "--no-check")
+    assert done.exit_code == 0, done.output
+    assert b"G0 X1" in grbl.lines and b"%" not in grbl.lines
 
 
 def test_a_byte_that_acts_outside_of_comments_is_refused_before_anything_is_sent(

@@ -110,10 +110,9 @@ def _send(file: Path, options: Options, port: str | None, baud: int) -> Report:
 def _read(file: Path, options: Options, console: Console) -> Sequence[bytes]:
     """The program; Stopped where it must not be sent."""
     try:
-        lines = gcode_file.read_lines(file)
+        lines = gcode_file.read_program(file)
     except OSError as error:
         raise Stopped(str(error)) from error
-    gcode_file.check_text(lines, options.name)
     if options.from_line > len(lines):
         raise Stopped(f"{options.name} has {len(lines)} lines only")
     if show_problems(console, lines):

@@ -7,9 +7,14 @@ import re
 from functools import cache
 
 from ..paths import FIRMWARE
+from .gcode_file import without_comments
 
 _ROW = re.compile(r"((?:^#.*\n)+)^(ALARM_)?[A-Z_]\w* = const\((\d+)\)", re.MULTILINE)
 _REPLY = re.compile(r"(error|ALARM):(\d+)")
+# Grbl reads a number up to its comma, and reports what follows in one of these ways.
+_OF_A_COMMA = ("error:1", "error:2", "error:3")
+_COMMA = re.compile(rb",\d")
+_SETTING = re.compile(r"\s*(\$\d+)\s*=")
 # To a line that is no command only a handler of the user's Python answers with it.
 _OF_A_COMMAND = "error:3"
 _OF_A_HANDLER = "the machine's own Python (custom.py) refuses it; its message before says why"
@@ -45,6 +50,10 @@ def alarms() -> dict[int, str]:
 
 def meaning(reply: str, line: str = "") -> str:
     """The meaning of a reply such as `error:20` or `ALARM:1`. line: what it answers, if known."""
+    if reply in _OF_A_COMMA and _COMMA.search(without_comments(line.encode())):
+        return "A number is written with a decimal point, not a comma."
+    if reply == _OF_A_COMMAND and (setting := _SETTING.match(line)):
+        return f"There is no setting {setting[1]} here, or more than a number follows the =."
     if reply == _OF_A_COMMAND and line.strip()[:1] not in ("", "$"):
         return _OF_A_HANDLER
     if ": " in reply:
