@@ -69,7 +69,8 @@ class Server:
         try:
             await web.TCPSite(self._runner, host, port).start()
         except OSError as error:
-            raise OSError(f"{host}:{port} cannot be listened at: {why_not(error)}") from error
+            why = f"{host}:{port} cannot be listened at: {why_not(error)} (--host and --http)"
+            raise OSError(why) from error
         await self._loop.run_in_executor(None, self._link.start)
         self._hub.link_changed()  # for a browser that was quicker
         return int(self._runner.addresses[0][1])
