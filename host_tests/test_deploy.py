@@ -589,7 +589,7 @@ def test_ctrl_c_says_what_it_has_left(plugged: FakeBoard, monkeypatch: pytest.Mo
 def test_a_port_that_is_not_there(tmp_path: Path) -> None:
     done = ugrbl("deploy", "--board", "rpi_pico", "--port", tmp_path / "nothing")
     assert done.exit_code == 1
-    assert "No such file" in done.output and "-> is the cable one that carries data" in done.output
+    assert "no such port" in done.output and "-> is it written right" in done.output
 
 
 def test_no_board_plugged_in(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -650,9 +650,18 @@ def test_a_held_machine_says_how_to_go_on(talk: Callable[..., str]) -> None:
     assert "is in Hold" in said and "resume (~) or reset (Ctrl-X) it, then deploy again" in said
 
 
-def test_a_grbl_that_is_not_ours(talk: Callable[..., str]) -> None:
-    said = talk({b"?": b"<Idle|MPos:1.000,0.000,0.000|FS:0,0>\r\n"})
-    assert "does not give way to MicroPython's prompt -> is it ours?" in said
+_IDLE: "dict[bytes, bytes | None]" = {b"?": b"<Idle|MPos:1.000,0.000,0.000|FS:0,0>\r\n"}
+
+
+def test_the_simulator_is_said_to_be_one(talk: Callable[..., str]) -> None:
+    assert "it is the simulator that answers" in talk(_IDLE)
+
+
+def test_a_grbl_that_is_not_ours(
+    talk: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ugrbl.device.deploy_device.is_simulator", lambda port: False)
+    assert "does not give way to MicroPython's prompt -> is it ours?" in talk(_IDLE)
 
 
 def test_nobody_there(talk: Callable[..., str]) -> None:
