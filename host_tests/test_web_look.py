@@ -170,6 +170,11 @@ def test_lines_that_are_refused_are_named_with_their_meaning(tmp_path: Path) -> 
     assert "feed hold" in found["problems"][2]["text"]
 
 
+def test_the_marks_of_a_tapes_ends_are_no_fault(tmp_path: Path) -> None:
+    ((status, found),) = look(tmp_path, {"program": "%\nG21\nG0 X5\n%\n"})
+    assert (status, found["problems"], found["lines"]) == (200, [], 4)
+
+
 def test_a_program_that_ends_in_an_alarm_says_where(tmp_path: Path) -> None:
     ((status, found),) = look(tmp_path, {"program": "G21\nG38.2 Z-5 F200\nG0 X5\n"})
     assert status == 200

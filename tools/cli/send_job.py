@@ -246,7 +246,8 @@ class Job:
                 report = stream.run()
             screen.progress(report.answered, f"<{report.state}>")
         done = max(0, report.answered - self._lead)
-        self._say(f"{done} lines, {len(report.errors)} errors")
+        wrong = len(report.errors)
+        self._say(f"{done} lines, {wrong} error{'' if wrong == 1 else 's'}")
         if report.drains > 0:
             self._say(f"{checkup.held_up(report.drains, 'meanwhile')}: {checkup.WHY_DRAINED}")
         return report

@@ -101,10 +101,11 @@ def read_program(path: Path) -> Sequence[bytes]:
     run, or what is there is no text."""
     lines = read_lines(path)
     check_text(lines, name_of(path))
-    return Changed(lines, _without_end)
+    return Changed(lines, without_end)
 
 
-def _without_end(line: bytes) -> bytes:
+def without_end(line: bytes) -> bytes:
+    """The line, empty where it only marks an end of the file."""
     return b"" if _ENDS in line and line.strip() == _ENDS else line
 
 

@@ -34,7 +34,7 @@ _VALUES: dict[str, tuple[object, ...]] = {
     "coolant": (True, False),
     "input": (True,),
 }
-_WHEN = {True: "", False: ", beside motion", None: ", ahead of motion"}
+_WHEN = {True: "", False: ", during motion", None: ", before motion"}
 _LETTERS = "ABCDEFHIJKLOPQRSTUVWXYZ"  # G and M are words of their own, N is the line's number
 
 

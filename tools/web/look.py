@@ -82,7 +82,7 @@ def _program(request: Mapping[str, Any]) -> tuple[str, list[bytes]]:
         raise Refused(f"{name or 'the program'} is larger than {PROGRAM_BYTES >> 20} MB")
     lines = split_lines(data.removeprefix(b"\xef\xbb\xbf"))
     gcode_file.check_text(lines, name or "the program")
-    return name, lines
+    return name, [gcode_file.without_end(line) for line in lines]
 
 
 def _settings(found: Any) -> dict[int, str]:
