@@ -1,6 +1,7 @@
 """The command `ugrbl send`."""
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
@@ -94,7 +95,8 @@ def _send(file: Path, options: Options, port: str | None, baud: int) -> Report:
     try:
         # Before anything is asked of a machine.
         around(options.board or DEFAULT_BOARD, options.custom, list(options.inputs))
-        with console.status("reading …"):
+        # A file takes nothing of it but an empty line, for which a full disk has no room.
+        with console.status("reading …") if console.is_terminal else nullcontext():
             lines = _read(file, options, console)
         connection = Connection(choose(port), baud)
         try:
