@@ -84,6 +84,7 @@ def stopped(bench: Bench, *lines: str) -> None:
 SLOW = "G1 X-30 F60"
 
 
+@pytest.mark.thorough
 def test_entry_in_front_of_what_a_job_has_written_restores_what_was_there(tmp_path: Path) -> None:
     first = Bench(tmp_path)
     stopped(first, "G90", "G1 X-8 F1200", "G1 Y-8", "G10 L2 P1 X-5", "G10 L2 P1 X-6", SLOW)
@@ -93,6 +94,7 @@ def test_entry_in_front_of_what_a_job_has_written_restores_what_was_there(tmp_pa
     assert (-8, -5, -5) in again.moves  # across to X-8 of G54 as it was where the job began
 
 
+@pytest.mark.thorough
 def test_entry_after_a_power_cut_knows_what_the_job_has_written(tmp_path: Path) -> None:
     first = homed(Bench(tmp_path))
     first.put("A.NC", "G90", "G1 X-8 F1200", "G1 Y-8", "G10 L2 P1 X-5", SLOW)
@@ -146,6 +148,7 @@ def test_entry_moves_no_axis_that_was_not_homed(tmp_path: Path, z: str) -> None:
     assert said[-1] == f"[MSG:Job A.NC: {not_known if z else 'done, 4 lines'}]"
 
 
+@pytest.mark.thorough
 def test_axes_homed_one_by_one_are_homed(tmp_path: Path) -> None:
     bench = homed(Bench(tmp_path, SINGLE_AXIS_HOMING=True))
     bench.put("A.NC", *ROUTER)
