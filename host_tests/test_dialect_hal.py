@@ -296,6 +296,37 @@ def test_a_stop_at_rest_forgets_a_hold_and_leaves_check_mode(converse: Any) -> N
     converse(steps)
 
 
+def test_a_stop_ends_homing_at_once(converse: Any) -> None:
+    """It ignores a hold, and its position is lost: as by a reset."""
+
+    def steps(talk: Talk) -> Steps:
+        yield from talk.ask(_FAST)
+        yield from talk.after(300, "$22=1\n")
+        yield from talk.after(100, "$H\n")
+        assert not talk.rig.engine.idle()
+        assert (yield from talk.after(50, "\x19")) == ["ALARM:6"]
+        assert talk.rig.engine.idle()
+        assert _WELCOME in (yield from talk.after(1000))
+        assert (yield from talk.ask("?", "report"))[0].startswith("<Alarm")
+
+    converse(steps)
+
+
+def test_a_stop_ends_parking_at_once(converse: Any) -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.ask(_FAST)
+        yield from talk.after(300, "$22=1\n$132=200\n")
+        yield from talk.ask("M3S500G0Z-90\n", "idle")
+        yield from talk.ask("G1X50F600\n", "ok")
+        yield from talk.after(300)
+        yield from talk.after(300, "\x84")
+        assert talk.rig.controller.state.system_motion
+        assert (yield from talk.after(50, "\x19"))[0] == "ALARM:3"
+        assert talk.rig.engine.idle()
+
+    converse(steps, PARKING=True)
+
+
 def test_gsender_stops_a_job_by_force(converse: Any) -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.ask(_FAST)

@@ -122,11 +122,13 @@ class Bytes:
             self._usual_post(_LIKE.get(byte, byte))
 
     def _stop(self) -> None:
-        """End motion and forget the rest, position kept: a hold, then a reset. An alarm stays."""
-        if self._is_under_way():
+        """End motion and forget the rest, position kept: a hold, then a reset. An alarm stays.
+        Homing and parking ignore a hold: they are reset at once, into an alarm."""
+        state = self._state
+        if self._is_under_way() and state.run != st.HOMING and not state.system_motion:
             self._usual_post(_HOLD)
             self._stopping = True
-        elif self._state.run != st.ALARM:
+        elif state.run != st.ALARM:
             self._drive.reset()
 
     def events(self) -> None:
