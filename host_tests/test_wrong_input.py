@@ -165,19 +165,25 @@ def test_a_file_of_windows_with_a_mark_is_settings_and_stays_so(folder: Path) ->
     assert kept.count("$110=") == 1 and "$110=1200" in kept and "$120=50 ; mine" in kept
 
 
+def writing_to(stdout: int, words: str) -> "subprocess.CompletedProcess[str]":
+    """A command in a process of its own, with that descriptor as its output."""
+    return subprocess.run(
+        [sys.executable, "-m", "ugrbl.cli", *words.split()],
+        stdin=subprocess.DEVNULL,
+        stdout=stdout,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=60,
+        env=as_users(COLUMNS="200"),
+        check=False,
+    )
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
 @pytest.mark.parametrize("words", ["run good.nc", "plot good.nc", "run good.nc --json -"])
 def test_a_full_disk_is_told_in_words(words: str) -> None:
     with Path("/dev/full").open("w") as full:
-        done = subprocess.run(
-            [sys.executable, "-m", "ugrbl.cli", *words.split()],
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            timeout=60,
-            env=as_users(COLUMNS="200"),
-            check=False,
-        )
+        done = writing_to(full.fileno(), words)
     assert done.returncode == 1
     assert "No space left" in done.stderr
     assert "Errno" not in done.stderr and "Traceback" not in done.stderr
@@ -199,16 +205,7 @@ def test_a_reader_that_has_gone_is_no_words_worth(words: str) -> None:
     """As `| head` does."""
     read, write = os.pipe()
     os.close(read)
-    done = subprocess.run(
-        [sys.executable, "-m", "ugrbl.cli", *words.split()],
-        stdin=subprocess.DEVNULL,
-        stdout=write,
-        stderr=subprocess.PIPE,
-        text=True,
-        timeout=60,
-        env=as_users(COLUMNS="200"),
-        check=False,
-    )
+    done = writing_to(write, words)
     os.close(write)
     assert done.returncode in (0, 1)
     assert not re.search("Traceback|[Bb]roken|Exception|Errno", done.stderr), done.stderr

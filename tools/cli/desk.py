@@ -19,6 +19,7 @@ from ..grbl.gcode_file import (
     STATUS,
     harmless,
     is_answer,
+    is_welcome,
     problems,
 )
 from ..grbl.messages import meaning
@@ -159,7 +160,7 @@ class Desk:
             return
         if is_answer(line) and self._unanswered:
             sent, shown = self._unanswered.popleft()
-        elif line.startswith("Grbl"):
+        elif is_welcome(line):
             self._unanswered.clear()
         if shown or line.startswith("error:"):
             self._show(explained(line, sent.decode("latin-1")))

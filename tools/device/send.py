@@ -24,6 +24,7 @@ from ..grbl.gcode_file import (
     comment,
     harmless,
     is_answer,
+    is_welcome,
     shown,
     without_comments,
 )
@@ -259,7 +260,7 @@ class Stream:
         elif line.startswith("ALARM:"):
             report.stopped = f"{line}: {meaning(line)}"
             report.state = "Alarm"
-        elif line.startswith("Grbl"):
+        elif is_welcome(line):
             report.stopped = "the controller was reset"
         elif line.startswith("<"):
             self._rests = self._rests + 1 if self._connection.state() in _ENDED else 0
@@ -349,7 +350,7 @@ class Stream:
         self.report.stopped = self._why_hold
         self._connection.write(RESET)
         self._connection.status = ""
-        self._connection.wait_for(lambda line: line.startswith("Grbl"), _RESET_S)
+        self._connection.wait_for(is_welcome, _RESET_S)
         self._connection.wait_for(lambda line: line.startswith("<"), _RESET_S)
         self.report.state = self._connection.state()
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
+from ..grbl.gcode_file import is_welcome
 from ..grbl.messages import meaning
 from ..grbl.settings_file import Change, Firmware, Settings, changes
 from .connection import BAUD, Connection, SendError, way_out
@@ -72,7 +73,7 @@ def push(
 def factory(connection: Connection) -> None:
     """Everything back to what the firmware was built with ($RST=$); it starts anew then."""
     connection.write(b"$RST=$\n")
-    if not connection.wait_for(lambda line: line.startswith("Grbl"), _ANSWER_S):
+    if not connection.wait_for(is_welcome, _ANSWER_S):
         raise SendError("the machine did not restore its settings: is it at rest?")
 
 

@@ -187,3 +187,8 @@ def _plain(part: bytes) -> bytes:
 def is_answer(line: str) -> bool:
     """Whether a line from Grbl answers a line sent to it."""
     return line == "ok" or line.startswith("error:")
+
+
+def is_welcome(line: str) -> bool:
+    """Whether a line says that a Grbl, or a grblHAL, has started."""
+    return line.startswith("Grbl")

@@ -5,7 +5,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from ..grbl.gcode_file import CYCLE_START, RESET, has_realtime, is_answer
+from ..grbl.gcode_file import CYCLE_START, RESET, has_realtime, is_answer, is_welcome
 from . import machine
 from .checked_lines import CheckedLines
 from .pace import Paced
@@ -167,7 +167,7 @@ class ProgramLink(machine.UntimedLink):
         if is_answer(line):
             if self._unanswered:
                 self._answer(line)
-        elif line.startswith("Grbl"):
+        elif is_welcome(line):
             self._greeted = True
             self._full = False
             self._unanswered.clear()
