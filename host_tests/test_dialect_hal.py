@@ -1,7 +1,7 @@
 """The dialect of grblHAL: what senders ask at connect, in their order, and what they make of it.
 
 gSender and ioSender cannot run here. What they send, and how they read each answer, is known from
-their sources: gSender's GrblHalController.js and the parsers beside it, ioSender's Grbl.cs.
+their sources: gSender's GrblHalController.js and its parsers, ioSender's Grbl.cs.
 """
 
 import re
@@ -352,7 +352,7 @@ def test_a_reset_on_the_way_to_a_stop_is_one_reset(converse: Any) -> None:
 
 @pytest.mark.parametrize("together", [True, False])
 def test_gsender_unlocks(together: bool, converse: Any) -> None:
-    """It sends a stop right behind $X."""
+    """It sends a stop right after $X."""
 
     def steps(talk: Talk) -> Steps:
         yield from talk.ask("$22=1\n")

@@ -216,10 +216,12 @@ def test_every_command_has_its_place_in_the_command_line():
     text = text_of(_ROOT / "docs" / "command-line.md")
     table = re.findall(r"`ugrbl ([a-z0-9-]+)`\]\(#", text)
     sections = dict(re.findall(r"^## (.+)\n((?:(?!## ).*\n)*)", text, re.MULTILINE))
-    told = {name: body for title, body in sections.items() for name in title.split(" and ")}
-    assert sorted(table) == sorted(told) == sorted({name.split()[0] for name in _COMMANDS if name})
+    bodies = {name: body for title, body in sections.items() for name in title.split(" and ")}
+    assert (
+        sorted(table) == sorted(bodies) == sorted({name.split()[0] for name in _COMMANDS if name})
+    )
     below = [name.split() for name in _COMMANDS if " " in name]
-    assert below and all(re.search(rf"`{sub}\b|{name} {sub}", told[name]) for name, sub in below)
+    assert below and all(re.search(rf"`{sub}\b|{name} {sub}", bodies[name]) for name, sub in below)
 
 
 @pytest.mark.parametrize("name", ["test", "release"])

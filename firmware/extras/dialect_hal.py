@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 # A row has a command, the number of what it is about, and the line to send.
 FILE = "hal.txt"
-_SETTINGS = b"ES"  # begins the commands that tell of settings
+_SETTINGS = b"ES"  # begins the commands about settings
 
 _WELCOME = b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"
 _GRBL = const(4)  # how long the word is that "GrblHAL" takes the place of
@@ -183,7 +183,7 @@ _found: "dict[str, bool]" = {}
 
 
 def prepare(options: "Options", board: "ModuleType") -> None:
-    """Before the machine is made: who reports, and that the byte for a stop is taken off lines."""
+    """Choose the report, and have the stop byte act as it arrives."""
     options.report = ReportHal
     options.reads = (READS[0], _STOP, READS[2])
     _found["jobs"] = options.job_files is not None

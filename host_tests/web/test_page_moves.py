@@ -40,7 +40,7 @@ def test_a_reset_in_motion_ends_in_an_alarm_in_words(person):
 
 
 def test_an_alarm_is_shown_at_once_and_nothing_can_be_run(homer):
-    """Also where no report follows, as behind ALARM:2."""
+    """Also where no report follows, as after ALARM:2."""
     homer.homes()
     homer.types("$20=1")
     homer.click("#tabs [data-tab=job]")

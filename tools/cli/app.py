@@ -189,7 +189,7 @@ def demo() -> None:
 
 
 def ugrbl() -> None:
-    """The command. Who reads its output may leave (`| head`), about which nothing is said."""
+    """Run the command line. A reader of its output that ends early (`| head`) ends it quietly."""
     try:
         app()
     finally:

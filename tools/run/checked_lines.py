@@ -50,8 +50,8 @@ class CheckedLines:
         return True
 
     def check(self) -> int:
-        """Check lines up to one that does more than move. Returns how many; that one is left
-        out, and the next call goes on behind it."""
+        """Check lines up to one that does more than move. Returns how many; the next call
+        continues after that one."""
         at, places = self._at, self._places
         if not self._is_checking():  # the lines from here on are all to be sent
             self._begin_at(at[places.HEAD])

@@ -204,8 +204,8 @@ class Hub:
         self._last.forget()  # so it is told once
 
     def _forget(self) -> None:
-        """What the last driver has begun is not for the next one to end; but who goes on with its
-        job counts all lines of it that it has sent."""
+        """Drop what the last driver has begun. Lines of a job that the next one may continue have
+        been counted as sent, and stay."""
         self._framing.forget()
         if not self._job.is_left:
             self._board.forget_lines()
@@ -226,7 +226,7 @@ class Hub:
 
     async def tell_job(self, browser: Browser, told: dict[str, Any], lines: str) -> None:
         """The driver says how far its job is, and sends these lines of it: both, or neither."""
-        if browser is self._driver and self._job.tell(told):
+        if browser is self._driver and self._job.update(told):
             self._tell_job(other for other in self._browsers if other is not browser)
         await self.send(browser, lines.encode("latin-1", "ignore"))
 

@@ -1,6 +1,6 @@
-"""The program that is open, and how far its job is.
+"""The open program, and the progress of its job.
 
-All browsers see it, and where the one that sends it has gone, the next one that drives may go on.
+All browsers see both. After the browser that sends the job has gone, the next driver may continue.
 """
 
 import json
@@ -12,48 +12,48 @@ _UNDER_WAY = ("running", "refused", "ending", _LEFT)
 
 
 class SharedJob:
-    """program: what a browser has opened, {"id", "name", "program"}; told: what the driver says of
-    its job, with "state" and "sent", how many of its lines have gone to the board."""
+    """program: what a browser has opened, {"id", "name", "program"}. The driver reports the job's
+    progress, with "state" and "sent", the number of lines that have gone to the board."""
 
     def __init__(self) -> None:
         self.program: dict[str, str] = {}
-        self._told: dict[str, Any] = {}
+        self._progress: dict[str, Any] = {}
 
     @property
     def is_under_way(self) -> bool:
         """Whether it has begun and has not ended."""
-        return self._told.get("state") in _UNDER_WAY
+        return self._progress.get("state") in _UNDER_WAY
 
     @property
     def is_left(self) -> bool:
-        """Whether nobody sends it: what waits for the board is to go there all the same."""
-        return self._told.get("state") == _LEFT
+        """Whether nobody sends it. Lines that wait for the board still go there."""
+        return self._progress.get("state") == _LEFT
 
     def open(self, program: dict[str, str]) -> None:
         """Another program: no job has begun."""
-        self.program, self._told = program, {}
+        self.program, self._progress = program, {}
 
-    def tell(self, told: dict[str, Any]) -> bool:
-        """The driver says how far it is. Returns whether it is a job of that program."""
-        if not self.program or told.get("id") != self.program["id"]:
+    def update(self, progress: dict[str, Any]) -> bool:
+        """Take the driver's report. Returns whether it is of a job of the open program."""
+        if not self.program or progress.get("id") != self.program["id"]:
             return False
-        self._told = told
+        self._progress = progress
         return True
 
     def leave(self) -> None:
-        """Who has sent it drives no more; another may go on."""
-        self._told["state"] = _LEFT
+        """The browser that sent it is no longer the driver; another may continue."""
+        self._progress["state"] = _LEFT
 
     def stop(self, why: str) -> None:
         """The machine has forgotten what it was given."""
-        self._told.update(state="stopped", why=why)
+        self._progress.update(state="stopped", why=why)
 
     def news(self) -> str:
         """For browsers; "" where no program is open."""
         if not self.program:
             return ""
         named = {"id": self.program["id"], "name": self.program["name"]}
-        return json.dumps({"job": {**named, **self._told}})
+        return json.dumps({"job": {**named, **self._progress}})
 
 
 def program_of(body: bytes) -> "dict[str, str] | None":

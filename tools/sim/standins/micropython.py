@@ -279,7 +279,7 @@ def _definitions(source: str) -> dict[tuple[str, int], ast.FunctionDef]:
 
 
 def _definition(function: FunctionType) -> ast.FunctionDef:
-    """The source of function, for good: whoever asks again has the file parsed again."""
+    """Take the source of function out of its file's tree. A second call parses the file again."""
     code = function.__code__
     source = "".join(linecache.getlines(code.co_filename, function.__globals__))
     place = code.co_name, code.co_firstlineno
