@@ -444,10 +444,10 @@ def test_beside_frozen_firmware_lies_the_page(with_page: build.Build) -> None:
 
 
 def test_a_uf2_file_has_the_page_too(with_page: build.Build) -> None:
-    found = contents.files(with_page, "pico2_w_page", None, {})
+    found = contents.files(with_page, {})
     assert page_files.made().items() <= found.items()
     frozen = freeze.Frozen(with_page.map["id"], with_page.modules)
-    beside = contents.files(with_page, "pico2_w_page", None, {}, frozen)
+    beside = contents.files(with_page, {}, frozen)
     assert {*beside} == {"board.py", LIST, *page_files.names()}
 
 

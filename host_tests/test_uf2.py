@@ -241,8 +241,9 @@ def test_a_drag_leaves_micropython_and_what_a_deployment_would(tmp_path: Path) -
     settings.write_text("; mine\n$110=4321\n$32=1\n")
     flash = program()
     theirs = contents.MicroPython(tmp_path / "theirs.uf2", flash, binary_info.about(flash))
-    contents.check_fit(theirs, made())
-    files = contents.files(made(), "rpi_pico", settings, {"custom.py": b"# mine"})
+    contents.check_fit(theirs, "armv6m", "pio")
+    kept = contents.settings_files("rpi_pico", settings)
+    files = contents.files(made(), {"custom.py": b"# mine", **kept})
     chip, found = after_a_drag(contents.join(theirs, files))
     assert all(chip[at - BASE : at - BASE + PAGE] == page for at, page in flash.pages.items())
     assert found == files and found["custom.py"] == b"# mine"
@@ -266,7 +267,7 @@ def test_a_micropython_for_another_board_is_told(
 ) -> None:
     theirs = contents.MicroPython(Path("theirs.uf2"), flash, binary_info.about(flash))
     with pytest.raises(Uf2Error, match=said):
-        contents.check_fit(theirs, Build(arch, {}, engine))
+        contents.check_fit(theirs, arch, engine)
 
 
 # The command

@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 
 from .. import paths
-from ..boardfile.files import BoardFileError, board_file
+from ..boardfile.files import BoardFileError, board_file, load_for_build
 from ..compiling import build
 from ..compiling.build import START, BuildError
 from ..grbl.settings_file import SettingsError
@@ -70,16 +70,14 @@ def command(
     try:
         check_output(file, given=locals())
         theirs = contents.read(micropython)
-        made = build.for_board(board_file(board), debug=debug)
-        contents.check_fit(theirs, made)
-        files: dict[str, bytes] = {}
+        described = load_for_build(board_file(board))
+        contents.check_fit(theirs, described.MPY_ARCH, described.ENGINE)
         if keep:
             _check_nothing_else(settings or custom)
-            data = contents.frozen_only(theirs, made)
-        else:
-            own = _own(console, board, custom)
-            files = contents.files(made, board, settings, own, theirs.frozen)
-            data = contents.join(theirs, files)
+        own = _own(console, board, settings, custom)
+        made = build.for_board(board_file(board), debug=debug)
+        files = {} if keep else contents.files(made, own, theirs.frozen)
+        data = contents.join(theirs, files) if files else contents.frozen_only(theirs, made)
         paths.write(file, data)
     except (BoardFileError, BuildError) as error:
         raise failed("\n".join(error.problems)) from error
@@ -95,15 +93,18 @@ def _check_nothing_else(wanted: Path | None) -> None:
         raise Uf2Error(f"with --keep there is no place for {wanted}: what the board has stays")
 
 
-def _own(console: Console, board: str, custom: Path | None) -> dict[str, bytes]:
-    """The user's own Python, once it has passed the check."""
+def _own(
+    console: Console, board: str, settings: Path | None, custom: Path | None
+) -> dict[str, bytes]:
+    """The user's settings and Python, once they have passed the check."""
+    kept = contents.settings_files(board, settings) if settings else {}
     if custom is None:
-        return {}
+        return kept
     surroundings = around(board, custom, None)
     if not judge(console, board, surroundings).is_good:
         raise failed("nothing has been made")
     assert surroundings.custom
-    return surroundings.custom.files
+    return {**surroundings.custom.files, **kept}
 
 
 def _show(console: Console, file: Path, micropython: MicroPython, files: dict[str, bytes]) -> None:

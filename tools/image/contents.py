@@ -49,20 +49,20 @@ def read(file: Path) -> MicroPython:
         raise Uf2Error(f"{file}: {error}") from error
 
 
-def check_fit(micropython: MicroPython, made: Build) -> None:
-    """Uf2Error where the board cannot run with it."""
-    if why := _misfit(micropython, made):
+def check_fit(micropython: MicroPython, arch: str, engine: str) -> None:
+    """Uf2Error where a board with those, as its file names them, cannot run with it."""
+    if why := _misfit(micropython, arch, engine):
         raise Uf2Error(f"{micropython.file}: {why}")
 
 
-def _misfit(micropython: MicroPython, made: Build) -> str:
+def _misfit(micropython: MicroPython, arch: str, engine: str) -> str:
     chip, version = micropython.chip, micropython.about.version
-    wanted = chips.processors(made.arch)
+    wanted = chips.processors(arch)
     if chip not in wanted:
         return f"it is for {chip}; the board file is for {' or '.join(wanted)}"
     if release(version) < _OLDEST:
         return f"MicroPython {version} is too old: {NEW_MICROPYTHON}"
-    why = too_old(made.engine, chip, version)
+    why = too_old(engine, chip, version)
     return f"{why}: {NEW_MICROPYTHON}" if why else ""
 
 
@@ -86,20 +86,12 @@ def _lacking(frozen: "Frozen | None", made: Build) -> str:
 
 
 def files(
-    made: Build,
-    board: str,
-    settings: Path | None,
-    custom: Mapping[str, bytes],
-    frozen: "Frozen | None" = None,
+    made: Build, own: Mapping[str, bytes], frozen: "Frozen | None" = None
 ) -> dict[str, bytes]:
-    """The file system, by path. frozen: what its MicroPython has of the firmware. SettingsError
-    where the machine would not take them."""
+    """The file system, by path. own: the user's; frozen: what its MicroPython has of the
+    firmware."""
     left = freeze.beside(made, frozen)
-    found = {**left.files, **custom, LIST: listing(left)}
-    if settings:
-        name, lines = kept_settings(board, settings)
-        found.update(_as_kept(name, lines))
-    return found
+    return {**left.files, LIST: listing(left), **own}
 
 
 def join(micropython: MicroPython, files: Mapping[str, bytes]) -> bytes:
@@ -111,8 +103,10 @@ def join(micropython: MicroPython, files: Mapping[str, bytes]) -> bytes:
     return uf2.write(whole)
 
 
-def _as_kept(name: str, lines: list[str]) -> dict[str, bytes]:
-    """Files as the board's own store writes them."""
+def settings_files(board: str, settings: Path) -> dict[str, bytes]:
+    """Settings as the board's own store writes them. SettingsError where the machine would not
+    take them."""
+    name, lines = kept_settings(board, settings)
     use_firmware()
     from ports.flash_store import FlashStore
 
