@@ -23,8 +23,6 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
 FIRMWARE = ROOT / "firmware"
-_PARTS = ("firmware", "host_tests", "tools", "boards", "examples", "docs")
-_FILES = ("pyproject.toml", "README.md", "Makefile", "manifest.py", "CHANGELOG.md")
 
 # In this order: those that play whole conversations find the most.
 _WHOLE = ("conformance", "conversation", "laws", "injection", "interpreter")
@@ -126,10 +124,9 @@ def _that_run(node: ast.AST) -> Iterator[ast.AST]:
 def copy_of_tree(folder: Path) -> Path:
     """The tree as it is, where a test finds it and what it needs."""
     root = folder / "ugrbl"
-    for name in _PARTS:
-        ignored = shutil.ignore_patterns("__pycache__", ".hypothesis")
-        shutil.copytree(ROOT / name, root / name, ignore=ignored)
-    for name in _FILES:
+    listed = ["git", "ls-files", "--cached", "--others", "--exclude-standard"]
+    for name in subprocess.check_output(listed, cwd=ROOT, text=True).splitlines():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, root / name)
     if (ROOT.parent / "shared").is_dir():
         (folder / "shared").symlink_to(ROOT.parent / "shared")
