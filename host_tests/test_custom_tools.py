@@ -216,7 +216,7 @@ def test_what_cannot_be_read_is_one_message_with_file_and_line(command: str, tex
 
 
 WRONG_WORDS = [
-    ("--custom missing.py", "missing.py cannot be read: No such file"),
+    ("--custom missing.py", "missing.py cannot be read: there is no such file"),
     ("--custom missing", "missing is not there"),
     ("--custom job.nc", "job.nc is no Python file: its name ends in .py"),
     ("--custom empty", "empty: there is no .py file in this folder"),

@@ -141,7 +141,7 @@ def test_a_save_that_fails_leaves_no_other_file(path: Path, monkeypatch: Any) ->
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(OSError, match="the disk is full"):
         store.save("settings", ["$0=11"])
     assert [file.name for file in path.parent.iterdir()] == [path.name]
     assert FileStore(path).load("settings") == ["$0=10"]

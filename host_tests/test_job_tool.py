@@ -87,7 +87,7 @@ def test_a_big_program_comes_whole(bench: Bench, tmp_path: Path) -> None:
         (("resume", "NONE.NC", "--yes", "--line", "5"), "There is no job NONE.NC"),
         (("button", "NONE.NC"), "There is no job NONE.NC"),
         (("run", "a b"), "a b is no name for a job"),
-        (("push", "/nowhere/part.nc"), "No such file"),
+        (("push", "/nowhere/part.nc"), "there is no such file"),
         (("push", "/etc/hostname", "--name", "x" * 33), "is no name for a job"),
     ],
 )

@@ -154,7 +154,7 @@ def test_questions_are_asked_until_the_answers_fit(file: Path) -> None:
         ((*_PICO, "--pin", "probe=D2"), "D2 is no pin"),
         ((*_PICO, "--pin", "laser=2"), "it is one of step, dir"),
         ((*_PICO, "--set", "0=1"), "$0=1 is refused"),
-        ((*_PICO, "--set", "999=1"), "$999=1 is refused"),
+        ((*_PICO, "--set", "999=1"), "$999=1 is refused: There is no setting $999 here"),
         ((*_PICO, "--set", "fast"), "fast is no setting"),
         ((*_PICO, "--title", 'my "best"'), "without quotation marks"),
         (

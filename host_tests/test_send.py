@@ -631,7 +631,7 @@ def test_a_full_disk_ends_it_as_an_abort_does(
 
     monkeypatch.setattr(view, "progress", full)
     report = Stream(connection, ready_program(50), view).run()
-    assert "No space left" in report.stopped and report.answered < 50
+    assert "the disk is full" in report.stopped and report.answered < 50
     assert grbl.realtime == FEED_HOLD + RESET
 
 

@@ -294,7 +294,7 @@ def test_the_command_makes_the_file_and_says_where_to_drag_it(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--micropython nowhere.uf2", "nowhere.uf2: No such file"),
+        ("--micropython nowhere.uf2", "nowhere.uf2: there is no such file"),
         ("--micropython bad.settings", "bad.settings: it is no UF2 file"),
         ("--micropython RPI_PICO.uf2 --settings nowhere", "nowhere cannot be read"),
         ("--micropython RPI_PICO.uf2 --settings bad.settings", "$0=1: error:6"),

@@ -39,39 +39,44 @@ def ugrbl(*words: str, stdin: "str | None" = None) -> Result:
 
 
 WRONG = [
-    ("run missing.nc", "missing.nc cannot be read: No such file"),
-    ("plot folder", "folder cannot be read: Is a directory"),
-    ("send missing.nc --port x", "missing.nc cannot be read: No such file"),
+    ("run missing.nc", "there is no such file; is it written right?"),
+    ("plot folder", "folder cannot be read: it is a folder; name a file"),
+    ("send missing.nc --port x", "missing.nc cannot be read: there is no such file"),
     ("run photo.nc", "photo.nc is no G-code: line 1"),
     ("plot photo.nc", "photo.nc is no G-code: line 1"),
     ("send photo.nc --port x", "photo.nc is no G-code: line 1"),
     ("run -", "stdin is empty"),
-    ("run good.nc --settings missing", "missing cannot be read: No such file"),
-    ("plot good.nc --settings folder", "folder cannot be read: Is a directory"),
+    ("run good.nc --settings missing", "missing cannot be read: there is no such file"),
+    ("plot good.nc --settings folder", "folder cannot be read: it is a folder; name a file"),
     ("run good.nc --settings photo", "photo cannot be read: it is no text"),
     ("run good.nc --settings empty", "empty: it holds no settings, lines of $n=v"),
     ("run good.nc --set 0=1", "error:6: The step pulse"),
+    ("run good.nc --set 999=1", "refused with error:3: There is no setting $999 here"),
+    ("run good.nc --set 110=1,5", "error:3: A number is written with a decimal point"),
+    ("plot good.nc --set 999=1", "refused with error:3: There is no setting $999 here"),
     ("run good.nc --plot x.html --json x.html", "x.html is named twice"),
     ("plot good.nc -o - --json -", "- is named twice"),
-    ("settings diff missing --port x", "missing cannot be read: No such file"),
+    ("settings diff missing --port x", "missing cannot be read: there is no such file"),
     ("settings push photo --port x", "photo cannot be read: it is no text"),
     ("settings push empty --port x", "empty: it holds no settings"),
     ("settings diff good.settings --port x --json folder", "folder is a folder"),
-    ("sim --stdio --settings folder", "folder cannot be read: Is a directory"),
+    ("sim --stdio --settings folder", "folder cannot be read: it is a folder; name a file"),
     ("sim --port nowhere/link", "nowhere/link cannot be made: there is no folder nowhere"),
     (
         "sim --tcp 192.0.2.1:80",
         "192.0.2.1:80 cannot be listened at: this computer has no such address",
     ),
-    ("sim --stdio --board good.nc", "no board 'good.nc'"),
+    ("sim --stdio --board good.nc", "good.nc is no board file: its name ends in .py"),
+    ("run good.nc --board nowhere/mine", "nowhere/mine is no board file: its name ends in .py"),
+    ("run good.nc --board mine", "no board 'mine'; there are "),
     ("new-board class --chip pico --no-ask", "class is a word of Python's"),
     (
         "conformance RECORDINGS --port missing",
         "cannot open missing: no such port; is it written right",
     ),
     ("conformance RECORDINGS --port socket://", "cannot open socket://: "),
-    ("decode missing", "missing cannot be read: No such file"),
-    ("decode folder", "folder cannot be read: Is a directory"),
+    ("decode missing", "missing cannot be read: there is no such file"),
+    ("decode folder", "folder cannot be read: it is a folder; name a file"),
     ("decode photo", "photo cannot be read: it is no text"),
     ("build --arch nonsense", "nonsense is no processor: one of x86, "),
     ("build --board rpi_pico --out good.nc/x", "good.nc is no folder"),
@@ -93,6 +98,55 @@ def test_what_is_wrong_is_said_in_words(words: str, why: str, folder: Path) -> N
     assert "".join(why.split()) in "".join(done.output.split())
     assert "Errno" not in done.output and "Traceback" not in done.output
     assert "compiled" not in done.output and "bytes in all" not in done.output, "before the work"
+
+
+@pytest.mark.parametrize("command", ["run", "plot", "send"])
+def test_no_text_of_the_system_reaches_a_user(command: str, folder: Path) -> None:
+    (folder / "loop.nc").symlink_to("loop.nc")
+    long = "n" * 300
+    for name, why in (
+        ("missing.nc", "there is no such file; is it written right?"),
+        ("folder", "it is a folder; name a file"),
+        ("good.nc/x", "what should be a folder on the way to it is a file"),
+        (long, "its name is too long; take a shorter one"),
+        ("loop.nc", "its links lead round in a circle"),
+    ):
+        done = ugrbl(command, name, *(("--port", "x") if command == "send" else ()))
+        assert done.exit_code == 1 and name in "".join(done.output.split())
+        assert "".join(why.split()) in "".join(done.output.split())
+
+
+def test_check_mode_is_named_where_a_setting_is_refused_for_it(folder: Path) -> None:
+    (folder / "set.nc").write_text("$110=500\nG1 X1 F300\n")
+    done = ugrbl("run", "set.nc", "--check")
+    assert done.exit_code == 1 and "error:8: " in done.output
+    assert "not in check mode ($C)" in done.output
+    assert "error" not in ugrbl("run", "set.nc").output.replace("errors", "")
+
+
+def test_a_text_without_a_fault_is_said_to_have_none(folder: Path) -> None:
+    done = ugrbl("decode", "good.nc")
+    assert done.exit_code == 0 and done.stdout == _GOOD
+    assert "good.nc tells of no fault: one names its places" in done.stderr
+    fault = '  File "motion", line 1, in f\n'
+    assert "no fault" not in ugrbl("decode", "-", stdin=fault).stderr
+
+
+@pytest.mark.parametrize(
+    ("program", "whose"),
+    [
+        ("0 BEGIN PGM PART MM\n1 TOOL CALL 5 Z S3500\n2 L Z+100 R0 FMAX M3\n", "Heidenhain"),
+        ("M104 S200\nG28\nM82\nG1 X1 Y1 E0.5 F1200\nT0\n", "3D printer"),
+    ],
+)
+@pytest.mark.parametrize("lenient", [(), ("--lenient",)])
+def test_the_language_of_a_machine_that_is_no_grbls_kind_is_named(
+    program: str, whose: str, lenient: tuple[str, ...], folder: Path
+) -> None:
+    (folder / "theirs.nc").write_text(program)
+    said = ugrbl("run", "theirs.nc", *lenient).output
+    assert whose in said and "choose Grbl in the program that made it" in said
+    assert "LENIENT" not in said
 
 
 def test_control_characters_of_paper_tape_are_text_and_others_are_not() -> None:
@@ -185,7 +239,7 @@ def test_a_full_disk_is_told_in_words(words: str) -> None:
     with Path("/dev/full").open("w") as full:
         done = writing_to(full.fileno(), words)
     assert done.returncode == 1
-    assert "No space left" in done.stderr
+    assert "the disk is full" in done.stderr
     assert "Errno" not in done.stderr and "Traceback" not in done.stderr
 
 
@@ -194,7 +248,7 @@ def test_a_full_disk_is_told_in_words(words: str) -> None:
 def test_a_full_disk_is_told_with_the_file(name: str, folder: Path) -> None:
     (folder / name).symlink_to("/dev/full")
     done = ugrbl("run", "good.nc", "--json" if name.endswith("json") else "--plot", name)
-    assert done.exit_code == 1 and f"{name} cannot be written: No space left" in done.output
+    assert done.exit_code == 1 and f"{name} cannot be written: the disk is full" in done.output
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,9 @@
 """Where the firmware and its data lie: beside this file when installed, else in the checkout.
 
-How files are written, too: whole, or not at all.
+How files are written, too: whole, or not at all. And what to say where a file cannot be had.
 """
 
+import errno
 import os
 import shutil
 import sys
@@ -22,6 +23,26 @@ CONVERSATIONS = (_HERE if _INSTALLED else _ROOT / "host_tests") / "conversations
 COMPILED = _HERE / "compiled"  # the firmware, in an installed package only
 STANDINS = _HERE / "sim" / "standins"  # for the modules that only a board has
 
+# What is wrong with a file, and what to do: people do not speak errno.
+_WHY = {
+    errno.ENOENT: "there is no such file; is it written right?",
+    errno.EISDIR: "it is a folder; name a file",
+    errno.ENOTDIR: "what should be a folder on the way to it is a file; is it written right?",
+    errno.ENAMETOOLONG: "its name is too long; take a shorter one",
+    errno.ELOOP: "its links lead round in a circle; name the file itself",
+    errno.EACCES: "permission denied; change whose it is, or name another place",
+    errno.EPERM: "permission denied; change whose it is, or name another place",
+    errno.EROFS: "the disk takes no changes; name another place",
+    errno.ENOSPC: "the disk is full; make room, or name another place",
+    errno.EDQUOT: "your share of the disk is full; make room, or name another place",
+    errno.EIO: "the disk does not answer as it should; is it still connected?",
+}
+
+
+def why(error: OSError) -> str:
+    """What has gone wrong with a file, in words."""
+    return _WHY.get(error.errno or 0) or error.strerror or str(error)
+
 
 def write(file: Path, data: bytes) -> None:
     """Replace a file, or leave what is there. OSError says in words why it cannot be written."""
@@ -31,7 +52,7 @@ def write(file: Path, data: bytes) -> None:
         else:
             _replace(Path(os.path.realpath(file)), data)  # a link stays one
     except OSError as error:
-        raise OSError(f"{file} cannot be written: {error.strerror}") from error
+        raise OSError(f"{file} cannot be written: {why(error)}") from error
 
 
 def _replace(file: Path, data: bytes) -> None:

@@ -21,7 +21,7 @@ SETTING_DISABLED = const(5)
 SETTING_STEP_PULSE_MIN = const(6)
 # Kept settings could not be read; defaults were restored.
 SETTING_READ_FAIL = const(7)
-# The '$' command can only be used while the machine is idle.
+# The '$' command can only be used while the machine is idle, and not in check mode ($C).
 IDLE_ERROR = const(8)
 # G-code is locked out in alarm and during a jog.
 SYSTEM_GC_LOCK = const(9)

@@ -352,4 +352,6 @@ def _defaults(board: ModuleType) -> Iterator[str]:
         try:
             settings.set(number, value)
         except GrblError as error:
-            yield f"DEFAULTS: ${number}={value:g} is refused: {meaning(f'error:{error.args[0]}')}"
+            line = f"${number}={value:g}"
+            why = meaning(f"error:{error.args[0]}", line)
+            yield f"DEFAULTS: {line} is refused: {why}"

@@ -42,6 +42,11 @@ def board_file(name: str) -> Path:
 
 
 def _check_name(name: str) -> None:
+    if Path(name).suffix or Path(name).name != name:
+        raise BoardFileError(
+            f"{name} is no board file: its name ends in .py; see ugrbl new-board, or name one of "
+            "boards/, sim say"
+        )
     if name not in boards():
         raise BoardFileError(f"no board {name!r}; there are {', '.join(boards())}")
 

@@ -264,8 +264,9 @@ def _check_defaults(board: Board) -> None:
         except GrblError as error:
             from ..grbl.messages import meaning
 
-            why = meaning(f"error:{error.args[0]}")
-            raise BoardError(f"${number}={value:g} is refused: {why}") from error
+            line = f"${number}={value:g}"
+            why = meaning(f"error:{error.args[0]}", line)
+            raise BoardError(f"{line} is refused: {why}") from error
 
 
 def oddities(board: Board) -> list[str]:

@@ -1,11 +1,12 @@
 """Options of the commands that simulate: the user's own Python, and who pushes its inputs."""
 
+import re
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ..grbl.messages import meaning
+from ..grbl.messages import meaning, refused
 from ..run import inputs, machine
 from ..run.program import Result
 
@@ -33,6 +34,7 @@ Lenient = Annotated[
     ),
 ]
 # A probing motion that nothing has touched.
+_ALARM = re.compile(r"ALARM:\d+")
 _HELP = {"ALARM:5": " Say where the probe touches: --input probe=Z-30"}
 
 
@@ -45,7 +47,8 @@ def why_stopped(result: Result) -> str:
     """In words: of the handler that failed, where one did; of an alarm, and what helps."""
     if result.faults:
         return result.faults[-1]
-    reply = result.stopped.rpartition(" ")[2]
-    known = meaning(reply) if reply.startswith(("ALARM:", "error:")) else ""
-    help_ = _HELP.get(reply, "")
+    known = (
+        meaning(result.stopped) if _ALARM.fullmatch(result.stopped) else refused(result.stopped)
+    )
+    help_ = _HELP.get(result.stopped, "")
     return ": ".join(filter(None, [result.stopped, known])) + help_

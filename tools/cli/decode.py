@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from ..compiling import maps
-from ..compiling.decode import build_of, decode
+from ..compiling.decode import build_of, decode, is_fault
 from ..compiling.maps import MapError
 from ..grbl.gcode_file import NotText, check_text, name_of, read_bytes
 from ..grbl.lines import split_lines
@@ -19,6 +19,8 @@ EXAMPLES = examples(
     "ugrbl decode < log",
     "ugrbl decode fault.txt --map build/rpi_pico.map.json",
 )
+
+_WANTED = 'one names its places, as in File "motion", line 3'
 
 
 def command(
@@ -48,6 +50,8 @@ def command(
         raise typer.Exit(1) from error
     for line in decode(text, map_):
         typer.echo(line)
+    if not is_fault(text):
+        typer.echo(f"{name_of(file)} tells of no fault: {_WANTED}", err=True)
 
 
 def _told(file: Path) -> str:

@@ -1,5 +1,6 @@
 """Where commands write: looked at before the work, so that none is done in vain; then written."""
 
+import errno
 import json
 import os
 import sys
@@ -75,12 +76,13 @@ def _check(file: Path) -> None:
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OSError(f"{file} cannot be written: {error.strerror}") from error
+        raise OSError(f"{file} cannot be written: {paths.why(error)}") from error
     touched = [file] if file.exists() else []
     if not file.exists() or file.is_file():  # which is written beside it, see paths.write()
         touched.append(file.resolve().parent)
     if not all(os.access(path, os.W_OK) for path in touched):
-        raise PermissionError(f"{file} cannot be written: permission denied")
+        denied = paths.why(PermissionError(errno.EACCES, ""))
+        raise PermissionError(f"{file} cannot be written: {denied}")
 
 
 def check_output(*files: Path | None, given: Mapping[str, object] | None = None) -> None:
@@ -133,5 +135,6 @@ def failed(why: object) -> typer.Exit:
 def words(why: object) -> str:
     """What went wrong as people say it, without the number of the system's error."""
     if isinstance(why, OSError) and why.strerror:
-        return f"{why.filename}: {why.strerror}" if why.filename else why.strerror
+        said = paths.why(why)
+        return f"{why.filename}: {said}" if why.filename else said
     return str(why)

@@ -90,8 +90,8 @@ def command(
         seconds = time.monotonic() - begun
         late = _late(console, recorder, lines)
         _tell(console, result, recorder, lines, late, seconds)
-        if not lenient:
-            show_foreign(console, result.errors, lines, "--lenient takes such words, as does")
+        who = "" if lenient else "--lenient takes such words, as does"
+        show_foreign(console, result.errors, lines, who)
         if picture and isinstance(recorder, MotionTrace):
             job = job_of("as it is", lines, chosen, board, result, recorder)
             plot.save([job], name_of(file), "", picture)

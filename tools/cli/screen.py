@@ -21,9 +21,10 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
+from .. import paths
 from ..device.connection import state_of
 from ..device.send import Choice
-from ..grbl.gcode_file import is_foreign, problems, shown
+from ..grbl.gcode_file import is_foreign, language_of, problems, shown
 from ..grbl.messages import meaning
 from ..run.recorder import Totals
 from .keys import Keys
@@ -93,7 +94,7 @@ class Screen:
         try:
             self._progress.stop()
         except OSError as failed:  # a full disk is no reason to forget what has been done
-            why = f"what has happened cannot be shown: {failed.strerror}"
+            why = f"what has happened cannot be shown: {paths.why(failed)}"
             Console(stderr=True).print(why, highlight=False)
 
     def progress(self, answered: int, status: str = "") -> None:
@@ -164,18 +165,28 @@ def show_errors(
 def show_foreign(
     console: Console, errors: Sequence[tuple[int, str]], lines: Sequence[bytes], who: str
 ) -> None:
-    """What helps with words of other controllers (docs/lenient.md), where some were refused."""
-    found = [str(number) for number, _ in errors if is_foreign(lines[number - 1])]
-    if found:
-        more = ", …" if len(found) > _MOST_NAMED else ""
-        where = f"line{'s' * (len(found) > 1)} {', '.join(found[:_MOST_NAMED])}{more}"
-        console.print(
-            f"{where}: written for another controller; {who} a board with LENIENT = True. "
-            "Tool changes can be a handler of your own: --custom",
-            highlight=False,
-            markup=False,
-            soft_wrap=True,
+    """What helps with words of other controllers (docs/lenient.md), where some were refused. who:
+    takes them; empty where all that takes them is in use."""
+    refused = {number: lines[number - 1] for number, _ in errors}
+    languages = {number: whose for number, line in refused.items() if (whose := language_of(line))}
+    if languages:
+        note = (
+            f"{_where(list(languages))}: written for {next(iter(languages.values()))}, whose "
+            "language no Grbl has: choose Grbl in the program that made it (its post processor)"
         )
+    elif who and (found := [number for number, line in refused.items() if is_foreign(line)]):
+        note = (
+            f"{_where(found)}: written for another controller; {who} a board with LENIENT = True. "
+            "Tool changes can be a handler of your own: --custom"
+        )
+    else:
+        return
+    console.print(note, highlight=False, markup=False, soft_wrap=True)
+
+
+def _where(numbers: Sequence[int]) -> str:
+    named = ", ".join(map(str, numbers[:_MOST_NAMED])) + ", …" * (len(numbers) > _MOST_NAMED)
+    return f"line{'s' * (len(numbers) > 1)} {named}"
 
 
 def show_wide_arcs(console: Console, found: Sequence[tuple[int, str]]) -> None:

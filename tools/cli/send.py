@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from .. import paths
 from ..device.connection import BAUD, Connection, SendError
 from ..device.from_line import CannotEnter
 from ..device.send import Report
@@ -104,7 +105,7 @@ def _send(file: Path, options: Options, port: str | None, baud: int) -> Report:
         finally:
             connection.close()
     except OSError as error:
-        raise failed(f"what happens cannot be shown: {error.strerror}") from error
+        raise failed(f"what happens cannot be shown: {paths.why(error)}") from error
     except (SendError, Stopped, CannotEnter, ValueError) as error:
         raise failed(error) from error
 

@@ -16,6 +16,7 @@ from enum import Enum
 from types import FrameType
 from typing import NamedTuple, Protocol, overload
 
+from .. import paths
 from ..grbl.gcode_file import (
     CYCLE_START,
     FEED_HOLD,
@@ -202,7 +203,7 @@ class Stream:
         except OSError as error:  # a full disk, a pipe that nobody reads any more
             self._connection.write(FEED_HOLD)
             self._view = _Mute()
-            self._why_hold = f"what happens cannot be shown ({error.strerror})"
+            self._why_hold = f"what happens cannot be shown ({paths.why(error)})"
             self._hold()
 
     def _turn(self) -> None:

@@ -17,9 +17,8 @@ class Refused(Exception):
     """What the machine would not take: (change, its reply) each."""
 
     def __init__(self, refusals: Sequence[tuple[Change, str]]) -> None:
-        super().__init__(
-            "; ".join(f"${c.number}={c.after}: {r}: {meaning(r)}" for c, r in refusals)
-        )
+        lines = ((f"${change.number}={change.after}", reply) for change, reply in refusals)
+        super().__init__("; ".join(f"{line}: {r}: {meaning(r, line)}" for line, r in lines))
         self.refusals = refusals
 
 
@@ -80,5 +79,5 @@ def factory(connection: Connection) -> None:
 def _ask(connection: Connection, line: str) -> list[str]:
     replies = connection.ask(line)
     if replies[-1] != "ok":
-        raise SendError(f"{line}: {replies[-1]}: {meaning(replies[-1])}")
+        raise SendError(f"{line}: {replies[-1]}: {meaning(replies[-1], line)}")
     return replies

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ..boardfile.files import load_board
-from ..grbl.messages import meaning as reply_meaning
+from ..grbl.messages import refused
 from ..grbl.settings_file import SettingsError, meaning, read_settings
 from ..run import machine
 from ..run.program import Result
@@ -83,9 +83,8 @@ def run_job(
     result, trace = trace_program(
         lines, board=board, settings=settings, progress=progress, around=around
     )
-    if " was refused with " in result.stopped:
-        reply = result.stopped.rpartition(" ")[2]
-        raise ValueError(f"{result.stopped}: {reply_meaning(reply)}")
+    if why := refused(result.stopped):
+        raise ValueError(f"{result.stopped}: {why}")
     return job_of(name, lines, settings, board, result, trace)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from ..paths import why
 from .lines import Changed, Lines
 
 # Bytes that Grbl takes off before it looks at lines. Those from 0x80 on are all its own.
@@ -29,6 +30,15 @@ _ENDS = b"%"  # of a paper tape
 _FOREIGN = re.compile(
     rb"^(?:N\d+)?O\d+$|T\d|M0*6(?!\d)|G(?:43|49|61\.1|64|73|8[0-359]|9[89])(?![\d.])|G0*4S"
 )
+# Of languages that no option takes, without spaces.
+_LANGUAGES = {
+    "a Heidenhain control": re.compile(
+        rb"^\d*(?:BEGINPGM|ENDPGM|BLKFORM|TOOL(?:CALL|DEF)|CYCLDEF|CALLLBL|LBL|CC?[XYZ][+-]|L[A-Z])"
+    ),
+    "a 3D printer": re.compile(
+        rb"^(?:N\d+)?(?:M(?:8[234]|10[4-9]|117|140|190|20[1-5]|22[01])(?!\d)|G29(?!\d)|G0*[01]\D.*E-?\.?\d)"
+    ),
+}
 _MARK = b"\xef\xbb\xbf"  # how some editors begin a file in UTF-8
 _NAMES = {
     b"?": "the question mark asks for a status report",
@@ -62,7 +72,7 @@ def read_bytes(path: Path) -> bytes:
     try:
         return sys.stdin.buffer.read() if str(path) == STDIN else path.read_bytes()
     except OSError as error:
-        raise OSError(f"{path} cannot be read: {error.strerror}") from error
+        raise OSError(f"{path} cannot be read: {why(error)}") from error
 
 
 def read_utf8(path: Path) -> bytes:
@@ -93,7 +103,17 @@ def check_text(lines: Sequence[bytes], name: str) -> None:
 
 def is_foreign(line: bytes) -> bool:
     """Whether words of other controllers are in it that LENIENT takes."""
-    return bool(_FOREIGN.search(without_comments(line).replace(b" ", b"").upper()))
+    return bool(_FOREIGN.search(_bare(line)))
+
+
+def language_of(line: bytes) -> str:
+    """Whose language it is, where it is none of a Grbl's kind; else an empty text."""
+    bare = _bare(line)
+    return next((whose for whose, words in _LANGUAGES.items() if words.search(bare)), "")
+
+
+def _bare(line: bytes) -> bytes:
+    return without_comments(line).replace(b" ", b"").upper()
 
 
 def read_program(path: Path) -> Sequence[bytes]:

@@ -17,6 +17,7 @@ _COMMA = re.compile(rb",\d")
 _SETTING = re.compile(r"\s*(\$\d+)\s*=")
 # To a line that is no command only a handler of the user's Python answers with it.
 _OF_A_COMMAND = "error:3"
+_REFUSED = " was refused with "
 _OF_A_HANDLER = "the machine's own Python (custom.py) refuses it; its message before says why"
 
 
@@ -46,6 +47,17 @@ def errors() -> dict[int, str]:
 def alarms() -> dict[int, str]:
     """Every alarm number with its meaning."""
     return {number: words for (kind, number), words in _table().items() if kind == "ALARM"}
+
+
+def refusal(line: str, reply: str) -> str:
+    """That a line was refused; see refused()."""
+    return f"{line}{_REFUSED}{reply}"
+
+
+def refused(words: str) -> str:
+    """The meaning of what refusal() has said; an empty text where it has not."""
+    line, found, reply = words.partition(_REFUSED)
+    return meaning(reply, line) if found else ""
 
 
 def meaning(reply: str, line: str = "") -> str:

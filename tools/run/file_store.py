@@ -63,7 +63,7 @@ class FileStore:
         except FileNotFoundError:
             return None
         except OSError as error:
-            raise OSError(f"{self._path} cannot be read: {error.strerror}") from error
+            raise OSError(f"{self._path} cannot be read: {paths.why(error)}") from error
 
 
 def _decoded(data: bytes) -> str:

@@ -221,7 +221,9 @@ def _take(settings: "Settings", lines: Iterable[str]) -> None:
     """Set them, in whatever order they can be. SettingsError where some cannot."""
     _, refused = _set(settings, lines)
     if refused:
-        raise SettingsError("; ".join(f"{line}: {why}: {meaning(why)}" for line, why in refused))
+        raise SettingsError(
+            "; ".join(f"{line}: {why}: {meaning(why, line)}" for line, why in refused)
+        )
 
 
 def _set(settings: "Settings", lines: Iterable[str]) -> tuple[list[str], list[tuple[str, str]]]:

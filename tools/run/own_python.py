@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from .. import paths
+
 NAME = "custom"  # on the board, where its file says nothing
 # What asks for a pin by its name, and a tuple of such names.
 OUTPUT_CALLS, OUTPUT_NAMES = ("out", "pwm", "servo"), "OUTPUTS"
@@ -118,7 +120,7 @@ def _module(file: Path) -> Module:
     try:
         source = file.read_bytes()
     except OSError as error:
-        raise OwnPythonError(f"{file} cannot be read: {error.strerror}") from error
+        raise OwnPythonError(f"{file} cannot be read: {paths.why(error)}") from error
     return Module(file, source, _compiled(file, source))
 
 

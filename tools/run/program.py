@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..grbl.gcode_file import CYCLE_START, RESET, has_realtime, is_answer, is_welcome
+from ..grbl.messages import refusal
 from . import machine
 from .checked_lines import CheckedLines
 from .pace import Paced
@@ -372,6 +373,6 @@ def _prepare(link: ProgramLink, commands: Sequence[str]) -> Generator[Step, None
         yield 0, command.encode("latin-1")
         yield None
         if link.replies[-1] != "ok":
-            link.stop(f"{command} was refused with {link.replies[-1]}")
+            link.stop(refusal(command, link.replies[-1]))
             return False
     return True

@@ -9,6 +9,7 @@ import tty
 from collections.abc import Callable
 from pathlib import Path
 
+from .. import paths
 from .wire import Wire
 
 # How our links spell a terminal, and nobody else's: so one that was left behind is known as ours.
@@ -44,7 +45,7 @@ class Pty(Wire):
             todo = "; if no simulator runs there, remove it" if is_ours else ""
             raise FileExistsError(why + todo) from error
         except OSError as error:
-            raise OSError(f"{place} cannot be made: {error.strerror}") from error
+            raise OSError(f"{place} cannot be made: {paths.why(error)}") from error
         self._link = place
 
     def close(self) -> None:

@@ -20,7 +20,7 @@ from ..draw.motion_trace import Motion, trace_program
 from ..draw.simplify import fitted
 from ..grbl import gcode_file
 from ..grbl.lines import split_lines
-from ..grbl.messages import meaning
+from ..grbl.messages import meaning, refused
 from ..run import machine
 from ..run.program import Result
 from . import standing
@@ -59,8 +59,8 @@ def look(request: Mapping[str, Any], board: str) -> dict[str, Any]:
         settings=[*chosen, *standing.lines(request)],
         progress=_needed(),
     )
-    if " was refused with " in result.stopped:
-        raise Refused(f"the simulated machine does not take its settings: {result.stopped}")
+    if why := refused(result.stopped):
+        raise Refused(f"the simulated machine does not take its settings: {result.stopped}: {why}")
     motion = trace.motion
     return {
         "name": name,
