@@ -428,8 +428,8 @@ def test_senders_on_tcp_come_one_after_the_other(tcp_sim: TcpSim) -> None:
             assert f"MPos:{place}.000," in sender.wait_idle()
 
 
-def test_a_sender_is_not_greeted_where_work_is_under_way(tcp_sim: TcpSim) -> None:
-    """It would take a welcome for a reset's."""
+def test_a_sender_is_greeted_where_work_is_under_way(tcp_sim: TcpSim) -> None:
+    """Or it takes the machine for a dead one, and resets it."""
     with tcp_sim.open() as sender:
         sender.wait("help]")
         sender.send(b"!")
@@ -438,9 +438,22 @@ def test_a_sender_is_not_greeted_where_work_is_under_way(tcp_sim: TcpSim) -> Non
             sender.send(b"?")
             report = sender.wait(">")
     with tcp_sim.open() as sender:
-        time.sleep(0.5)
+        sender.wait("help]\r\n")
         sender.send(b"?")
         assert sender.wait(">").startswith("<Hold:")
+
+
+def test_who_opens_the_port_in_motion_is_greeted_and_motion_goes_on(tmp_path: Path) -> None:
+    running = Sim(tmp_path, "--speed", "real")
+    with running.open() as sender:
+        sender.wait("help]\r\n")
+        sender.ask("G91 G1 X4 F48")
+    with running.open() as sender:
+        sender.wait("help]\r\n")
+        sender.send(b"?")
+        assert sender.wait(">").startswith("<Run|")
+        assert "MPos:4.000," in sender.wait_idle()
+    running.stop()
 
 
 def test_another_one_waits_until_the_first_has_hung_up(tcp_sim: TcpSim) -> None:

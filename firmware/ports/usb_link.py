@@ -309,11 +309,10 @@ class UsbLink:
         return 0
 
     def _greet(self, count: int) -> None:
-        """A program has opened the port: greet it when it says something, or in a while, unless
-        it has come back to a job."""
+        """A program has opened the port: greet it when it says something, or in a while."""
         at = self._at
         if at[OPENED] == JUST:
-            at[OPENED] = JUST + 1 if self._escape.at_rest() else 0
+            at[OPENED] = JUST + 1
             self._since = time.ticks_ms()
         if at[OPENED] and (count or time.ticks_diff(time.ticks_ms(), self._since) >= _GREET_MS):
             at[OPENED] = 0

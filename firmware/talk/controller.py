@@ -135,13 +135,9 @@ class Controller:
         return self.state.run in (st.IDLE, st.ALARM) and self.planner.empty()
 
     def welcome(self) -> None:
-        """A sender has opened the port anew."""
-        if self.at_rest():
-            self._banner()
-
-    def _banner(self) -> None:
-        """Greet. What could not be read is reported each time, until the power goes: at power-up
-        a sender may not have opened the port yet."""
+        """Greet, after a reset or who has opened the port, whatever the machine does: some senders
+        reset one that says nothing. What could not be read is reported each time, until the power
+        goes: at power-up a sender may not have opened the port yet."""
         self.report.banner()
         for name, has_older in self.saves.damaged.items():
             self.report.message(errors.MSG_DAMAGED % (name, "older copy" if has_older else "lost"))
@@ -212,7 +208,7 @@ class Controller:
 
     def _greet(self) -> None:
         state = self.state
-        self._banner()
+        self.welcome()
         if self.settings.is_new:  # no error: senders stop at it
             self.settings.is_new = False
             self.report.message(errors.MSG_FIRST_START)

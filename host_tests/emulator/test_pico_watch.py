@@ -142,6 +142,15 @@ def test_a_sender_that_sets_its_speed_anew_is_not_welcomed_again(machine: Board)
     assert opens_again(machine, [None], [3, None]) == 0
 
 
+def test_a_sender_that_opens_the_port_in_motion_is_welcomed_too(machine: Board) -> None:
+    moving(machine)
+    assert opens_again(machine, [0], [None, 3]) == 1
+    assert machine.status()["state"] == "Run"
+    machine.send("\x18")
+    machine.wait_for("to unlock]")
+    machine.ask("$X")
+
+
 def pulses(machine: Board, since_us: float) -> "list[float]":
     """When the spindle's PWM has risen."""
     edges = (e for e in machine.pico.edges if e.pin == SPINDLE_PWM and e.level)

@@ -85,7 +85,9 @@ class LiveLink(UntimedLink):
         data = self._wire.read(len(buf)) if self._greeted else b""
         if self._has_opened and _RESET not in data:
             self._has_opened = False
+            open_lines = self._open_lines  # of the sender before: no reset has dropped them
             self._rig.controller.welcome()
+            self._open_lines = open_lines
         if not data:
             if self._wire.closed and not self.busy():
                 self._rig.power_off()
