@@ -8,6 +8,7 @@ that turns, which has more numbers for them everywhere.
 
 import json
 import math
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import serial
 from install import NotInstalled, cncjs, python
 from sim_bench import SETTINGS, STEPS_PER_MM, SWITCH_STEPS, Bench, free_port
 
@@ -47,6 +49,15 @@ PLAN: dict[str, Any] = {
 }
 
 
+# Senders that are in no registry, by the variable that names the folder of each, which was built
+# there by its own means.
+SERVERS = {
+    "UGRBL_GSENDER": "drive_gsender.js",
+    "UGRBL_OPENBUILDS_CONTROL": "drive_openbuilds.js",
+    "UGRBL_LW_COMM_SERVER": "drive_lw_comm_server.js",
+}
+
+
 @pytest.fixture(params=["sim", "sim_rotary"])
 def board(request: pytest.FixtureRequest) -> str:
     return str(request.param)
@@ -75,12 +86,14 @@ def available(install: Any) -> Path:
         pytest.skip(str(error))
 
 
-def live(bench: Bench, board: str, *command: object) -> Any:
-    """Let a sender live through the day; returns what it noted."""
+def live(bench: Bench, board: str, *command: object, moving: bool = False) -> Any:
+    """Let a sender live through the day; returns what it noted. moving: it finds a machine that
+    another one has set going."""
     folder = bench.port.parent
     plan, result = folder / "plan.json", folder / "result.json"
     program = spiral(turning=board == "sim_rotary")
-    plan.write_text(json.dumps({**PLAN, "program": program, "port": bench.url}))
+    given = {"program": program, "port": bench.url, "moving": moving}
+    plan.write_text(json.dumps({**PLAN, **given}))
     words = [str({"PLAN": plan, "RESULT": result}.get(str(word), word)) for word in command]
     done = subprocess.run(
         words, capture_output=True, text=True, timeout=_PATIENCE_S, cwd=folder, check=False
@@ -89,6 +102,15 @@ def live(bench: Bench, board: str, *command: object) -> Any:
     noted = json.loads(result.read_text())
     assert noted.get("failed") is None, (noted, done.stderr[-2000:])
     return noted
+
+
+def set_going(bench: Bench) -> None:
+    """Begin a move of some seconds, and leave."""
+    with serial.serial_for_url(bench.url, timeout=10) as port:
+        port.read_until(b"]\r\n")
+        for line in (b"$X\n", b"G1 X-40 F120\n"):
+            port.write(line)
+            assert port.read_until(b"ok\r\n").endswith(b"ok\r\n")
 
 
 def judge(noted: Any, bench: Bench, board: str) -> None:
@@ -166,3 +188,39 @@ def test_a_plain_streamer(bench: Bench, board: str, mode: str) -> None:
 def test_a_plain_streamer_over_the_network(network: Bench, mode: str) -> None:
     command = sys.executable, _HERE / "drive_plain.py", mode, "PLAN", "RESULT"
     judge(live(network, "sim_wifi", *command), network, "sim_wifi")
+
+
+@pytest.fixture(params=SERVERS)
+def server(request: pytest.FixtureRequest) -> tuple[object, ...]:
+    """The command that lets a server live through the day."""
+    variable = str(request.param)
+    folder = os.environ.get(variable)
+    if not folder:
+        pytest.skip(f"{variable} names no folder: this sender is in no registry")
+    return "node", _HERE / SERVERS[variable], folder, "PLAN", "RESULT", free_port()
+
+
+@pytest.mark.parametrize("moving", [False, True], ids=["idle", "moving"])
+def test_a_server(bench: Bench, board: str, server: tuple[object, ...], moving: bool) -> None:
+    a_day_with_a_server(bench, board, server, moving)
+
+
+@pytest.mark.parametrize("moving", [False, True], ids=["idle", "moving"])
+def test_a_server_over_the_network(
+    network: Bench, server: tuple[object, ...], moving: bool
+) -> None:
+    a_day_with_a_server(network, "sim_wifi", server, moving)
+
+
+def a_day_with_a_server(
+    bench: Bench, board: str, server: tuple[object, ...], moving: bool
+) -> None:
+    if moving:
+        set_going(bench)
+    noted = live(bench, board, *server, moving=moving)
+    assert noted.get("version", "1.1h") == "1.1h"
+    assert max(noted["override"]) == 120
+    if moving:
+        resets = "lw_comm" in str(server[1])  # by its own default, as it opens the port
+        assert ("Run" in noted["met"]) is not resets
+    judge(noted, bench, board)
