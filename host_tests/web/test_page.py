@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from browser import FAR, HOMING, sent_at_once
+from ugrbl.grbl.messages import meaning
 
 pytestmark = [pytest.mark.xdist_group("page"), pytest.mark.thorough]
 
@@ -380,6 +381,37 @@ def test_all_that_a_job_needs_is_in_sight_on_a_desk(person_at, size):
     assert boxes["#plot"]["width"] * boxes["#plot"]["height"] > 0.24 * width * height
     assert boxes["#lines"]["height"] > 12 * boxes["#lines .now"]["height"]
     person.click("#stop")
+
+
+@pytest.mark.parametrize("width", [860, 1024, 1199])
+def test_all_that_steers_a_job_is_in_sight_on_a_small_desk(person_at, width):
+    person = person_at(on={"viewport": {"width": width, "height": 800}})
+    person.open_from_disk()
+    person.connect()
+    person.loads("M3 S12000\n" + "".join(f"G1 X{k} F1200\n" for k in range(2000)))
+    person.click("#run")
+    person.waits("job.made > 1")
+    names = ["#ov-feed", "#ov-spindle", "#m5", "#flood", "#end", "#bar", "#jog-feed"]
+    for name, box in person.page.evaluate(_BOXES, names).items():
+        assert box["top"] >= 0 and box["bottom"] <= 800 and box["right"] <= width, name
+    assert person.page.evaluate("document.documentElement.scrollWidth") <= width
+    person.click("#stop")
+
+
+def test_what_custom_py_refuses_is_not_said_to_be_a_command(person_at, tmp_path):
+    custom = tmp_path / "custom.py"
+    custom.write_text(
+        "from ugrbl import Refuse, mcode\n\n\n"
+        "@mcode(100)\ndef close(m):\n    raise Refuse('close the door')\n"
+    )
+    person = person_at(None, "--custom", str(custom))
+    person.open_from_disk()
+    person.connect()
+    person.types("M100")
+    person.reads("#log", "[MSG:close the door]")
+    person.reads("#log", f"error:3: {meaning('error:3', 'M100')}")
+    person.types("$999=1")
+    person.reads("#log", f"error:3: {meaning('error:3')}")
 
 
 def test_what_is_grey_says_why(person):
