@@ -136,7 +136,7 @@ def test_iosender_connects(converse: Any) -> None:
         assert "FW:grblHAL" in report.rstrip(">").split("|")
         lines = yield from talk.ask("$I+\n")
         assert only(lines, "[FIRMWARE") == "[FIRMWARE:grblHAL]"
-        assert only(lines, "[OPT").rstrip("]").split(",")[1:] == ["15", "128", "3", "0"]
+        assert only(lines, "[OPT").rstrip("]").split(",")[1:] == ["15", "1024", "3", "0"]
         assert only(lines, "[NEWOPT")[8:-1].split(",") == ["ENUMS"]
         for command, start, parts in (
             ("$EA", "[ALARMCODE:", 3),
@@ -228,6 +228,21 @@ def test_what_only_reads_is_answered_in_motion(converse: Any) -> None:
         for command in ("$ES", "$EE", "$+", "$SPINDLESH", "$HELP"):
             assert (yield from talk.ask(command + "\n"))[-1] == "ok", command
         assert (yield from talk.ask("?", "report"))[0].startswith("<Run")
+
+    converse(steps)
+
+
+def test_what_gsender_has_under_way_is_not_lost(converse: Any) -> None:
+    """724 bytes, whatever [OPT:] says: grblHAL's buffer has 1024."""
+    lines = [f"G1 X{k % 2}.{k % 10}00 Y0.{k % 10}00 F1200\n" for k in range(31)]
+
+    def steps(talk: Talk) -> Steps:
+        yield from talk.ask("G1 X5 F600\n")
+        sent = "".join(lines)[:724].rpartition("\n")[0] + "\n"
+        talk.rig.link.send(sent.encode())
+        count = sent.count("\n")
+        yield from talk.sender.until(lambda: talk.sender.answers >= count)
+        assert [line for line in talk.sender.take() if line] == ["ok"] * count
 
     converse(steps)
 

@@ -32,6 +32,8 @@ _WELCOME = b"\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"
 _GRBL = const(4)  # how long the word is that "GrblHAL" takes the place of
 _LETTERS = "XYZABC"
 _ALARM = const(6)  # length of "<Alarm"
+# As many as grblHAL's: gSender has 724 under way, whatever [OPT:] says.
+_RX_BYTES = const(1024)
 
 # Real-time bytes.
 _HOLD = const(0x21)
@@ -185,6 +187,7 @@ _found: "dict[str, bool]" = {}
 def prepare(options: "Options", board: "ModuleType") -> None:
     """Choose the report, and have the stop byte act as it arrives."""
     options.report = ReportHal
+    options.rx_bytes = max(options.rx_bytes, _RX_BYTES)
     options.reads = (READS[0], _STOP, READS[2])
     _found["jobs"] = options.job_files is not None
 
