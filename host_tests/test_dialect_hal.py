@@ -101,6 +101,9 @@ def test_gsender_connects(converse: Any) -> None:
         assert state == "Idle" and fields["T"] == "0" and "SD" not in fields
         assert fields["WCO"] == fields["MPos"] == "0.000,0.000,0.000"
         assert fields["Ov"] == "100,100,100"
+        # It reads that of a plain report, and counts an override from there.
+        plain = (yield from talk.ask("?", "report")) + (yield from talk.ask("?", "report"))
+        assert sum("|Ov:100,100,100" in report for report in plain) == 1
         lines = yield from talk.ask("$I\n")
         build = int(re.match(r"\[VER:1\.1f\.(\d+):", lines[0])[1])
         assert build > 20250627  # settings by their present numbers, and $spindlesh

@@ -95,6 +95,7 @@ class ReportHal(Report):
         state = self._state
         state.wco_countdown, state.override_countdown = 1, 0  # in one, they do not fit
         text = bytes(super().status())[:-3]  # >\r\n
+        state.override_countdown = 0  # gSender reads Ov: of the others only, and cannot do without
         if self._alarm and state.run == st.ALARM:
             text = b"<Alarm:%d" % self._alarm + text[_ALARM:]
         more = "|WCO:" + self.vector(self._work_offset()) + "|T:%d" % self.modal.tool

@@ -13,7 +13,7 @@ const plan = JSON.parse(fs.readFileSync(planFile));
 const result = { unparsed: [], errors: [], override: [], states: [], settings: {} };
 const patienceMs = 60000;
 // Lines of Grbl, as senders show them in their consoles.
-const known = /^(ok$|error:|ALARM:|<|\$\d+ ?=|Grbl|\[(MSG|GC|VER|OPT|G\d\d(\.1)?|TLO|PRB|HLP):)/i;
+const known = /^(ok$|error:|ALARM:|<|\$\d+ ?=|\$N\d=|Grbl|\[[A-Z][A-Z\d.]*:)/i;
 
 const numbers = (place) => ['x', 'y', 'z'].map((axis) => Number(place[axis]));
 const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));

@@ -21,6 +21,7 @@ async function meet() {
   socket.on('controller:state', (kind, state) => {
     result.controller = kind;
     seen.state = state;
+    result.axes = (state.axes || {}).axes;
     const status = state.status || {};
     day.noteState(status.activeState, (status.ov || [])[0]);
   });
@@ -28,11 +29,14 @@ async function meet() {
     Object.entries(settings.settings || {}).forEach(([name, value]) => {
       result.settings[name.replace('$', '')] = value;
     });
-    result.axes = (settings.info || {}).AXS;
     result.information = settings.info;
-    result.descriptions = settings.descriptions;
-    if (settings.version) result.version = settings.version; // of a welcome after the first one
+    const version = settings.version || {};
+    result.version = version.version || settings.version || result.version;
   });
+  socket.on('settings:description', (texts) => { result.descriptions = texts; });
+  socket.on('settings:alarms', (texts) => { result.alarms = texts; });
+  socket.on('settings:group', (texts) => { result.groups = texts; });
+  socket.on('sdcard:files', (file) => { result.jobs = (result.jobs || []).concat(file.name); });
   socket.on('sender:status', (status) => { seen.sender = status; });
   socket.on('serialport:write', (line) => seen.sent.add(line.trim()));
   socket.on('serialport:read', (line) => {

@@ -12,12 +12,12 @@ const from = (name) => require(require.resolve(name, { paths: [day.home] }));
 async function meet() {
   const socket = await day.call(from('ws'));
   const seen = { state: '', mpos: [], wco: [0, 0, 0], left: 0, sent: false };
-  socket.on('data', (line) => {
+  socket.on('data', (line) => { // over telnet it begins with a word of its own, undefined
     const text = line.trim();
     const setting = /^\$(\d+)=(\S+)/.exec(text);
     if (setting) result.settings[setting[1]] = setting[2];
     if (text.startsWith('<')) read(text, seen);
-    else day.note(text.replace(/^(error|ALARM): /, '$1:'));
+    else if (text !== 'undefined') day.note(text.replace(/^(error|ALARM): /, '$1:'));
   });
   socket.on('firmware', ({ version }) => { result.version = version || result.version; });
   socket.on('feedOverride', (percent) => day.noteState('', percent));

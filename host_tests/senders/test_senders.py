@@ -224,3 +224,40 @@ def a_day_with_a_server(
         resets = "lw_comm" in str(server[1])  # by its own default, as it opens the port
         assert ("Run" in noted["met"]) is not resets
     judge(noted, bench, board)
+
+
+# A router with a rotary axis and programs of its own, for senders that know grblHAL.
+_HAL = """
+MPY_ARCH = "armv6m"
+ENGINE = "pio"
+LINK = "usb"
+STEP = (2, 3, 4, 5)
+DIR = (6, 7, 8, 9)
+ROTARY = "A"
+DEFAULTS = {103: 100.0, 113: 3600.0, 123: 1000.0, 133: 0.0}
+PWM_MAX = 1000
+DIALECT = "hal"
+JOBS = "jobs"
+"""
+
+
+def test_gsender_knows_axes_settings_and_programs_of_the_dialect_hal(tmp_path: Path) -> None:
+    folder = os.environ.get("UGRBL_GSENDER")
+    if not folder:
+        pytest.skip("UGRBL_GSENDER names no folder: this sender is in no registry")
+    file = tmp_path / "router.py"
+    file.write_text(_HAL)
+    bench = Bench(tmp_path, "--board", str(file), settings=SETTINGS)
+    try:
+        command = "node", _HERE / "drive_gsender.js", folder, "PLAN", "RESULT", free_port()
+        noted = live(bench, "sim_rotary", *command)
+        assert noted["controller"] == "grblHAL"
+        assert noted["axes"] == ["X", "Y", "Z", "A"]
+        assert {"HOME", "SD"} <= set(noted["information"]["NEWOPT"])
+        assert set(noted["descriptions"]) == set(noted["settings"])
+        assert noted["alarms"]["1"]["description"].startswith("A limit switch was hit")
+        assert max(noted["override"]) == 120
+        judge(noted, bench, "sim_rotary")
+        assert b" A4.5 F1200\n" in bench.wire(">")
+    finally:
+        bench.kill()
