@@ -368,6 +368,7 @@ class Options(Protocol):
     reads: tuple[int, int, int]  # talk/lines.py
     highest_tool: int
     line_length: int  # characters of a line
+    rx_bytes: int  # that a sender may have under way
     defaults: dict[int, float]  # settings that differ from Grbl's
     custom: tuple[str, ...]  # the user's own modules
     job_files: JobFiles | None  # programs that live on the board
