@@ -447,7 +447,8 @@ def test_who_opens_the_port_in_motion_is_greeted_and_motion_goes_on(tmp_path: Pa
     running = Sim(tmp_path, "--speed", "real")
     with running.open() as sender:
         sender.wait("help]\r\n")
-        sender.ask("G91 G1 X4 F48")
+        sender.ask("G91 G1 X4 F24")
+    time.sleep(1)  # it looks now and then whether anybody is there
     with running.open() as sender:
         sender.wait("help]\r\n")
         sender.send(b"?")

@@ -135,9 +135,17 @@ class Controller:
         return self.state.run in (st.IDLE, st.ALARM) and self.planner.empty()
 
     def welcome(self) -> None:
-        """Greet, after a reset or who has opened the port, whatever the machine does: some senders
-        reset one that says nothing. What could not be read is reported each time, until the power
-        goes: at power-up a sender may not have opened the port yet."""
+        """A sender has opened the port anew. Greet it in motion, too: some senders reset a machine
+        that says nothing. What extras put around the banner is of resets, and is left out."""
+        if self.at_rest():
+            self._banner()
+        else:
+            report = self.report
+            type(report).banner(report)
+
+    def _banner(self) -> None:
+        """Greet. What could not be read is reported each time, until the power goes: at power-up
+        a sender may not have opened the port yet."""
         self.report.banner()
         for name, has_older in self.saves.damaged.items():
             self.report.message(errors.MSG_DAMAGED % (name, "older copy" if has_older else "lost"))
@@ -208,7 +216,7 @@ class Controller:
 
     def _greet(self) -> None:
         state = self.state
-        self.welcome()
+        self._banner()
         if self.settings.is_new:  # no error: senders stop at it
             self.settings.is_new = False
             self.report.message(errors.MSG_FIRST_START)
