@@ -140,16 +140,6 @@ def test_a_sender_that_says_something_at_once_is_welcomed_before_its_answer(
     assert said.index("Grbl 1.1h") < said.index("ok\r\n")
 
 
-def test_a_sender_that_comes_back_to_a_job_is_not_told_of_a_reset(machine: Board) -> None:
-    machine.ask("G91 G1 X2 F600")
-    machine.pico.usb.open_port(False)
-    machine.pico.run_us(20_000)
-    machine.pico.usb.open_port(True)
-    machine.pico.run_us(20_000)
-    assert "Grbl" not in machine.said
-    machine.until_idle()
-
-
 def test_settings_survive_a_power_cut_and_the_welcome_comes_soon(
     machine: Board, uf2: Path
 ) -> None:
