@@ -5,9 +5,10 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from ugrbl.boardfile.board_check import notes, problems
+from ugrbl.boardfile.board_check import is_simulated, notes, problems
 from ugrbl.boardfile.chips import CHIPS
-from ugrbl.boardfile.files import boards, load_board
+from ugrbl.boardfile.files import BoardFileError, boards, load_board, load_for_build
+from ugrbl.paths import BOARDS
 from ugrbl.sim.replay import factory_store
 
 REAL = [name for name in boards() if hasattr(load_board(name), "DIR")]
@@ -219,6 +220,14 @@ def test_two_boards_of_one_name_start_with_their_own_settings() -> None:
         board = ModuleType("board")
         board.__dict__.update({**vars(load_board("sim")), "DEFAULTS": {100: steps}})
         assert f"$100={steps:g}" in factory_store(board).files["settings"]
+
+
+def test_a_machine_of_the_simulator_may_be_a_file_of_ones_own(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text((BOARDS / "sim.py").read_text("utf-8"), "utf-8")
+    assert is_simulated(load_board(str(file)))
+    with pytest.raises(BoardFileError, match="it has no pins"):
+        load_for_build(file)
 
 
 def test_an_engine_is_what_its_board_needs() -> None:

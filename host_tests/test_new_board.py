@@ -192,6 +192,20 @@ def test_a_file_is_not_replaced_unasked(file: Path) -> None:
     assert ugrbl("router", *_PICO, "-o", file, "--force").exit_code == 0
 
 
+def test_a_file_that_is_none_of_pythons_is_refused_and_stays(tmp_path: Path) -> None:
+    kept = tmp_path / "keep.txt"
+    kept.write_text("G0 X1\n")
+    done = ugrbl("router", *_PICO, "-o", kept, "--force")
+    assert done.exit_code == 1 and "ends in .py" in done.output
+    assert kept.read_text() == "G0 X1\n"
+
+
+def test_a_name_without_an_ending_is_a_folder_that_is_made(tmp_path: Path) -> None:
+    done = ugrbl("router", *_PICO, "-o", tmp_path / "new")
+    assert done.exit_code == 0, done.output
+    assert load(tmp_path / "new" / "router.py").STEP == (2, 3, 4)
+
+
 def test_a_folder_gets_a_file_of_that_name(tmp_path: Path) -> None:
     done = ugrbl("router", *_PICO, "-o", tmp_path)
     assert done.exit_code == 0, done.output

@@ -297,6 +297,9 @@ def test_the_command_makes_the_file_and_says_where_to_drag_it(
         ("--micropython nowhere.uf2", "nowhere.uf2: there is no such file"),
         ("--micropython bad.settings", "bad.settings: it is no UF2 file"),
         ("--micropython RPI_PICO.uf2 --settings nowhere", "nowhere cannot be read"),
+        ("--micropython RPI_PICO.uf2 --settings more.settings", "the machine has no $999"),
+        ("--micropython half.uf2", "it is cut off: 1 of its"),
+        ("--micropython RPI_PICO.uf2 -o bad.settings", "ends in .uf2"),
         ("--micropython RPI_PICO.uf2 --settings bad.settings", "$0=1: error:6"),
         ("--micropython RPI_PICO.uf2 --custom bad.settings", "bad.settings is no Python file"),
         ("--micropython RPI_PICO.uf2 --custom bad.py", "nothing has been made"),
@@ -311,6 +314,8 @@ def test_what_cannot_be_is_one_sentence_and_no_file(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "bad.settings").write_text("$0=1\n")
+    (tmp_path / "more.settings").write_text("$110=500\n$999=1\n")
+    (tmp_path / "half.uf2").write_bytes(micropython.read_bytes()[:512])
     (tmp_path / "bad.py").write_text("from ugrbl import mcode\n@mcode(3)\ndef f(m): pass\n")
     before = {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
     done = run(*words.split())

@@ -52,12 +52,13 @@ def _check_name(name: str) -> None:
 
 
 def load_board(name: str) -> Any:
-    """The module of a board out of boards/, or of a file that a real board could have.
+    """The module of a board out of boards/, or of a file that a real board could have, or the
+    simulator.
 
     BoardFileError if there is none of that name, or says everything that is wrong with the file.
     """
     if name.endswith(".py"):
-        return load_for_build(board_file(name))
+        return _checked(board_file(name), may_be_simulated=True)
     _check_name(name)
     folder = str(paths.BOARDS.parent)
     if folder not in sys.path:
@@ -79,6 +80,10 @@ def load(file: Path) -> ModuleType:
 
 def load_for_build(file: Path) -> ModuleType:
     """A board that can be built for; BoardFileError says everything that is wrong with it."""
+    return _checked(file, may_be_simulated=False)
+
+
+def _checked(file: Path, may_be_simulated: bool) -> ModuleType:
     try:
         imported = list(imports(file.read_text(encoding="utf-8")))
         board = load(file)
@@ -87,6 +92,8 @@ def load_for_build(file: Path) -> ModuleType:
     except Exception as error:
         raise BoardFileError(f"{file} fails: {type(error).__name__}: {error}") from error
     if is_simulated(board):
+        if may_be_simulated:
+            return board
         raise BoardFileError(f"{file.stem} is a machine of the simulator: it has no pins")
     found = [f"{file.name}: {problem}" for problem in problems(board)]
     if imported:

@@ -156,7 +156,9 @@ def command(
     baud: Baud = BAUD,
     pins: Annotated[
         float | None,
-        typer.Option(metavar="SECONDS", help="Watch the inputs so long; 0: not. [default: ask]"),
+        typer.Option(
+            metavar="SECONDS", min=0, help="Watch the inputs so long; 0: not. [default: ask]"
+        ),
     ] = None,
     move: Annotated[
         bool | None,

@@ -81,10 +81,12 @@ def command(
     asking = sys.stdin.isatty() if ask is None else ask
     console = Console(stderr=str(json_file) == "-")
     file = out or paths.OWN_BOARDS
-    if file.is_dir():
+    if file.is_dir() or not file.suffix:
         file /= f"{name}.py"
     try:
         _check_name(name)
+        if file.suffix != ".py":
+            raise BoardError(f"{file}: the name of a board file ends in .py")
         check_outputs(json_file, file)
         if file.exists() and not force:
             raise BoardError(f"{file} is there already; --force replaces it")

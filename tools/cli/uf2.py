@@ -69,6 +69,8 @@ def command(
     file = out or Path("build") / f"{Path(board).stem}.uf2"
     try:
         check_output(file, given=locals())
+        if file.suffix.lower() != ".uf2":
+            raise Uf2Error(f"{file}: the name of what is dragged onto a board ends in .uf2")
         theirs = contents.read(micropython)
         described = load_for_build(board_file(board))
         contents.check_fit(theirs, described.MPY_ARCH, described.ENGINE)

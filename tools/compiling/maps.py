@@ -62,13 +62,13 @@ def keep(map_: dict[str, Any]) -> None:
 
 
 def read(file: Path) -> dict[str, Any]:
-    """A map out of its file."""
+    """A map out of its file. OSError where there is none."""
     try:
         map_ = json.loads(file.read_text(encoding="utf-8"))
-        if isinstance(map_, dict) and map_.keys() >= {"id", "modules", "classes"}:
-            return map_
-    except (OSError, ValueError) as error:
-        raise MapError(f"{file} cannot be read as a map: {error}") from error
+    except ValueError:
+        map_ = None
+    if isinstance(map_, dict) and map_.keys() >= {"id", "modules", "classes"}:
+        return map_
     raise MapError(f"{file} is no map: `ugrbl build` writes those")
 
 

@@ -67,9 +67,10 @@ def read(data: bytes) -> Flash:
         raise Uf2Error("it is no UF2 file: those are made of blocks of 512 bytes")
     found: dict[int, Flash] = {}
     others = []
+    blocks = 0
     for number, at in enumerate(range(0, len(data), _BLOCK)):
         block = data[at : at + _BLOCK]
-        *magic, flags, address, size, _, _, family = _HEAD.unpack_from(block)
+        *magic, flags, address, size, _, of, family = _HEAD.unpack_from(block)
         if tuple(magic) != _MAGIC or block[-4:] != _MAGIC_END.to_bytes(4, "little"):
             raise Uf2Error(f"it is no UF2 file: block {number} is damaged")
         if family not in CHIPS or not flags & _HAS_FAMILY:
@@ -77,11 +78,15 @@ def read(data: bytes) -> Flash:
         elif size != PAGE or address % PAGE:
             raise Uf2Error(f"block {number} is no page of flash")
         else:
+            blocks = max(blocks, of)
             flash = found.setdefault(family, Flash(family))
             flash.pages[address] = block[_HEAD.size : _HEAD.size + PAGE]
     if len(found) != 1:
         raise Uf2Error(f"it is not for one of {' and '.join(CHIPS.values())}")
     (flash,) = found.values()
+    if len(flash.pages) < blocks:
+        there = f"{len(flash.pages)} of its {blocks} blocks are there"
+        raise Uf2Error(f"it is cut off: {there}; download it again")
     flash.others = others
     return flash
 

@@ -190,9 +190,13 @@ def kept_settings(board: str, file: Path) -> tuple[str, list[str]]:
     found = read_settings(file).values
     controller, store = _controller(_copy(load_board(board), board, CUSTOM=""))
     try:
-        _take(controller.settings, [f"${number}={value}" for number, value in found.items()])
+        lines = [f"${number}={value}" for number, value in found.items()]
+        taken = _take(controller.settings, lines)
     except SettingsError as error:
         raise SettingsError(f"{file}: {error}") from error
+    if unknown := [line.partition("=")[0] for line in lines if line not in taken]:
+        names = ", ".join(unknown)
+        raise SettingsError(f"{file}: the machine has no {names}; take that out of the file")
     controller.saves.finish()
     return controller.settings.file, store.files[controller.settings.file]
 
@@ -217,13 +221,15 @@ def taken(board: str, lines: Iterable[str]) -> list[str]:
     return _set(controller.settings, lines)[0]
 
 
-def _take(settings: "Settings", lines: Iterable[str]) -> None:
-    """Set them, in whatever order they can be. SettingsError where some cannot."""
-    _, refused = _set(settings, lines)
+def _take(settings: "Settings", lines: Iterable[str]) -> list[str]:
+    """Set them, in whatever order they can be. SettingsError where some cannot. Returns those that
+    the machine has."""
+    taken, refused = _set(settings, lines)
     if refused:
         raise SettingsError(
             "; ".join(f"{line}: {why}: {meaning(why, line)}" for line, why in refused)
         )
+    return taken
 
 
 def _set(settings: "Settings", lines: Iterable[str]) -> tuple[list[str], list[tuple[str, str]]]:
