@@ -228,7 +228,7 @@ def test_a_map_of_another_build_is_refused(kept: Path, tmp_path: Path) -> None:
     assert done.exit_code == 1 and "has the build 99999999" in done.output
     (tmp_path / "no.json").write_text(json.dumps({"id": 1}))
     assert "is no map" in ugrbl("decode", "--map", tmp_path / "no.json").output
-    assert "cannot be read" in ugrbl("decode", "--map", tmp_path / "none.json").output
+    assert "no such file" in ugrbl("decode", "--map", tmp_path / "none.json").output
     assert ugrbl("decode", tmp_path / "none.txt").exit_code == 1
 
 

@@ -66,13 +66,23 @@ def test_a_program_is_sent_listed_shown_run_and_deleted(bench: Bench, file: Path
 def test_a_program_that_is_refused_at_once_is_told_of(bench: Bench, tmp_path: Path) -> None:
     (tmp_path / "bad.nc").write_text("G21\nG5 X1\n")
     assert ugrbl(bench, "push", tmp_path / "bad.nc").exit_code == 0
-    said = ugrbl(bench, "run", "BAD.NC").output
-    assert "Job BAD.NC: line 2 is refused with 20: " in said
+    done = ugrbl(bench, "run", "BAD.NC")
+    assert done.exit_code == 1
+    assert "Job BAD.NC: line 2 is refused with 20: " in done.output
+
+
+def test_what_is_no_program_is_not_put_on_a_board(bench: Bench, tmp_path: Path) -> None:
+    (tmp_path / "a.nc").write_bytes(os.urandom(5000))
+    done = ugrbl(bench, "push", tmp_path / "a.nc")
+    assert done.exit_code == 1 and "a.nc is no G-code" in done.output
+    (tmp_path / "b.nc").write_text("G0 X1\n", encoding="utf-16")
+    assert ugrbl(bench, "push", tmp_path / "b.nc").exit_code == 0
+    assert ugrbl(bench, "show", "b.nc").output == "G0 X1\n"
 
 
 def test_a_big_program_comes_whole(bench: Bench, tmp_path: Path) -> None:
     big = tmp_path / "big.nc"
-    big.write_bytes(os.urandom(9000) + b"\nG0X1\n" * 1000)
+    big.write_bytes(b"(" + os.urandom(4500).hex().encode() + b")\nG0X1\n" * 1000)
     assert ugrbl(bench, "push", big, "--name", "b-1.nc").exit_code == 0
     assert re.search(f"^B-1.NC +{big.stat().st_size}$", ugrbl(bench, "list").output, re.MULTILINE)
 
@@ -99,7 +109,7 @@ def test_what_cannot_be_is_a_sentence(bench: Bench, words: "tuple[str, ...]", wh
 def test_an_empty_file_is_no_job(bench: Bench, tmp_path: Path) -> None:
     (tmp_path / "a.nc").touch()
     done = ugrbl(bench, "push", tmp_path / "a.nc")
-    assert done.exit_code == 1 and "an empty file is no job" in done.output
+    assert done.exit_code == 1 and "a.nc is empty" in done.output
 
 
 @pytest.mark.parametrize("words", [("list",), ("run", "A.NC"), ("delete", "A.NC", "--yes")])

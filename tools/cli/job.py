@@ -10,6 +10,8 @@ from rich.table import Table
 
 from ..device import jobs
 from ..device.connection import BAUD
+from ..grbl.gcode_file import check_text, name_of, read_utf8
+from ..grbl.lines import split_lines
 from .outputs import agree, failed
 from .ports import Baud, Port, connected
 
@@ -35,7 +37,8 @@ def push(
     One of the same name is replaced when the new one is there whole.
     """
     try:
-        called, data = jobs.name_of(name or file.name), file.read_bytes()
+        called, data = jobs.name_of(name or file.name), read_utf8(file)
+        check_text(split_lines(data), name_of(file))
     except (ValueError, OSError) as error:
         raise failed(error) from error
     console = Console()

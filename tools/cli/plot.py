@@ -14,7 +14,7 @@ from ..grbl.settings_file import as_line
 from ..run import machine
 from .custom_options import CustomFile, Inputs, around, why_stopped
 from .outputs import check_outputs, examples, failed, save_json
-from .screen import Screen, show_errors, summary
+from .screen import Screen, show_errors, show_foreign, summary
 
 EXAMPLES = examples(
     "ugrbl plot badge.nc",
@@ -103,6 +103,7 @@ def _jobs(
         if jobs[-1].result.stopped:
             raise ValueError(f"could not finish: {why_stopped(jobs[-1].result)}")
     show_errors(console, jobs[0].result.errors, lines)
+    show_foreign(console, jobs[0].result.errors, lines, "such words are taken by")
     return jobs
 
 

@@ -91,7 +91,7 @@ def button(connection: Connection, name: str) -> None:
 
 def start(connection: Connection, name: str, line: str = "") -> str:
     """Run it, from a line on, or with "@" from where it was noted last. Returns what the machine
-    says of it, once it has begun and has not ended at once."""
+    says of it, once it has begun and has not ended at once. SendError where a line was refused."""
     _ask(connection, f"$F={name}{line}")
     said: list[str] = []
     until = time.monotonic() + _BEGUN_S
@@ -103,7 +103,10 @@ def start(connection: Connection, name: str, line: str = "") -> str:
                 until = time.monotonic() + _FIRST_S
     if not said:
         raise SendError("the machine does not say that the job has begun")
-    return "\n".join(said)
+    text = "\n".join(said)
+    if _REFUSED.search(text):
+        raise SendError(text)
+    return text
 
 
 def _with_meaning(refused: re.Match[str]) -> str:
