@@ -118,6 +118,15 @@ def test_the_map_is_found_by_the_build_that_the_message_tells(told: "dict[bool, 
         assert done.exit_code == 0 and "motion/segments.py, line" in done.output
 
 
+def test_a_map_that_cannot_be_read_hides_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(maps, "_BUILT", tmp_path)
+    (tmp_path / f"a{maps.SUFFIX}").mkdir()
+    (tmp_path / f"b{maps.SUFFIX}").write_text('{"id": "b", "modules": {}, "classes": {}}')
+    assert maps.find("b").where == str(tmp_path / f"b{maps.SUFFIX}")
+
+
 @pytest.mark.thorough
 def test_lines_of_a_debug_build_are_those_of_the_sources() -> None:
     """Statement by statement, wherever a pass has moved them."""

@@ -34,7 +34,7 @@ function replace(modules) {
   };
 }
 
-// Nobody but this computer reaches the sender's server, and it listens where it was told.
+// Keep the sender's server on this computer, and its page at the port that was given.
 function stayLocal() {
   const listen = net.Server.prototype.listen;
   net.Server.prototype.listen = function (port, ...rest) {

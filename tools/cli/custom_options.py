@@ -33,8 +33,8 @@ Lenient = Annotated[
         "--lenient", help="Take words of other controllers, as a board with LENIENT does."
     ),
 ]
-# A probing motion that nothing has touched.
 _ALARM = re.compile(r"ALARM:\d+")
+# A probing motion that nothing has touched.
 _HELP = {"ALARM:5": " Say where the probe touches: --input probe=Z-30"}
 
 
@@ -47,8 +47,6 @@ def why_stopped(result: Result) -> str:
     """In words: of the handler that failed, where one did; of an alarm, and what helps."""
     if result.faults:
         return result.faults[-1]
-    known = (
-        meaning(result.stopped) if _ALARM.fullmatch(result.stopped) else refused(result.stopped)
-    )
-    help_ = _HELP.get(result.stopped, "")
-    return ": ".join(filter(None, [result.stopped, known])) + help_
+    stopped = result.stopped
+    known = meaning(stopped) if _ALARM.fullmatch(stopped) else refused(stopped)
+    return ": ".join(filter(None, [stopped, known])) + _HELP.get(stopped, "")

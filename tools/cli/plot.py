@@ -103,7 +103,7 @@ def _jobs(
         if jobs[-1].result.stopped:
             raise ValueError(f"could not finish: {why_stopped(jobs[-1].result)}")
     show_errors(console, jobs[0].result.errors, lines)
-    show_foreign(console, jobs[0].result.errors, lines, "such words are taken by")
+    show_foreign(console, jobs[0].result.errors, lines)
     return jobs
 
 

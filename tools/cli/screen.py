@@ -163,7 +163,10 @@ def show_errors(
 
 
 def show_foreign(
-    console: Console, errors: Sequence[tuple[int, str]], lines: Sequence[bytes], who: str
+    console: Console,
+    errors: Sequence[tuple[int, str]],
+    lines: Sequence[bytes],
+    who: str = "such words are taken by",
 ) -> None:
     """What helps with words of other controllers (docs/lenient.md), where some were refused. who:
     takes them; empty where all that takes them is in use."""

@@ -145,7 +145,7 @@ class Job:
             [number for number, reply in result.errors if (number, reply) not in errors]
         )
         show_errors(self._console, errors, self._lines)
-        show_foreign(self._console, errors, self._lines, "such words are taken by")
+        show_foreign(self._console, errors, self._lines)
         show_wide_arcs(self._console, result.wide_arcs)
         found = len(errors)
         if result.stopped:

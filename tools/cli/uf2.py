@@ -78,8 +78,12 @@ def command(
             _check_nothing_else(settings or custom)
         own = _own(console, board, settings, custom)
         made = build.for_board(board_file(board), debug=debug)
-        files = {} if keep else contents.files(made, own, theirs.frozen)
-        data = contents.join(theirs, files) if files else contents.frozen_only(theirs, made)
+        files: dict[str, bytes] = {}
+        if keep:
+            data = contents.frozen_only(theirs, made)
+        else:
+            files = contents.files(made, own, theirs.frozen)
+            data = contents.join(theirs, files)
         paths.write(file, data)
     except (BoardFileError, BuildError) as error:
         raise failed("\n".join(error.problems)) from error

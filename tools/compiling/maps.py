@@ -102,8 +102,8 @@ def of(debug: bool, arch: str = "armv6m") -> dict[str, Any]:
 
 
 def _readable(file: Path) -> dict[str, Any]:
-    """A map that may have been damaged, or be of a later version: empty then."""
+    """A map that may have been damaged, be of a later version, or be gone: empty then."""
     try:
         return read(file)
-    except MapError:
+    except (MapError, OSError):
         return {}

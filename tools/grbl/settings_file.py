@@ -260,6 +260,13 @@ def changes(machine: Mapping[int, str], wanted: Mapping[int, str]) -> list[Chang
     ]
 
 
+def check_known(numbers: Iterable[int], known: Iterable[int]) -> None:
+    """SettingsError where there are numbers that are not known."""
+    if unknown := sorted({*numbers} - {*known}):
+        names = ", ".join(f"${number}" for number in unknown)
+        raise SettingsError(f"the machine has no {names}; take that out of the file")
+
+
 def check_fit(file: Settings, machine: Settings, any_version: bool, complete: bool) -> None:
     """SettingsError where a file is not for this machine. complete: it has to say everything."""
     theirs, ours = file.firmware, machine.firmware
@@ -271,10 +278,7 @@ def check_fit(file: Settings, machine: Settings, any_version: bool, complete: bo
             )
         if theirs.version != ours.version:
             raise SettingsError(f"the file is for {theirs}, the machine runs {ours}")
-    unknown = sorted(file.values.keys() - machine.values.keys())
-    if unknown:
-        names = ", ".join(f"${number}" for number in unknown)
-        raise SettingsError(f"the machine has no {names}; take that out of the file")
+    check_known(file.values, machine.values)
     missing = sorted(machine.values.keys() - file.values.keys())
     if complete and missing:
         names = ", ".join(f"${number}" for number in missing)

@@ -13,7 +13,7 @@ from ..boardfile.board_check import is_simulated
 from ..boardfile.files import load_board
 from ..compiling import kernels
 from ..grbl.messages import meaning
-from ..grbl.settings_file import Firmware, SettingsError, read_settings
+from ..grbl.settings_file import Firmware, SettingsError, check_known, read_settings
 from .file_store import FileStore
 from .inputs import Inputs, Rule
 from .own_python import NAME, OwnPython, read
@@ -189,14 +189,12 @@ def kept_settings(board: str, file: Path) -> tuple[str, list[str]]:
     paths.use_firmware()
     found = read_settings(file).values
     controller, store = _controller(_copy(load_board(board), board, CUSTOM=""))
+    lines = {number: f"${number}={value}" for number, value in found.items()}
     try:
-        lines = [f"${number}={value}" for number, value in found.items()]
-        taken = _take(controller.settings, lines)
+        taken = _take(controller.settings, lines.values())
+        check_known(found, [number for number, line in lines.items() if line in taken])
     except SettingsError as error:
         raise SettingsError(f"{file}: {error}") from error
-    if unknown := [line.partition("=")[0] for line in lines if line not in taken]:
-        names = ", ".join(unknown)
-        raise SettingsError(f"{file}: the machine has no {names}; take that out of the file")
     controller.saves.finish()
     return controller.settings.file, store.files[controller.settings.file]
 
