@@ -206,6 +206,13 @@ def test_a_name_without_an_ending_is_a_folder_that_is_made(tmp_path: Path) -> No
     assert load(tmp_path / "new" / "router.py").STEP == (2, 3, 4)
 
 
+def test_it_is_written_where_one_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = ugrbl("router", *_PICO)
+    assert done.exit_code == 0 and "written: router.py" in done.output
+    assert load(Path("router.py")).STEP == (2, 3, 4)
+
+
 def test_a_folder_gets_a_file_of_that_name(tmp_path: Path) -> None:
     done = ugrbl("router", *_PICO, "-o", tmp_path)
     assert done.exit_code == 0, done.output

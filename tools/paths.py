@@ -16,7 +16,6 @@ _ROOT = _HERE if _INSTALLED else _HERE.parent
 TOOLS = _HERE
 FIRMWARE = _ROOT / "firmware"
 BOARDS = _ROOT / "boards"
-OWN_BOARDS = Path() if _INSTALLED else BOARDS  # where a new one is written
 CACHE = None if _INSTALLED else _ROOT / "build" / "cache"  # see compiling/kept.py
 EXAMPLES = _ROOT / "examples"
 CONVERSATIONS = (_HERE if _INSTALLED else _ROOT / "host_tests") / "conversations"
@@ -44,19 +43,50 @@ def why(error: OSError) -> str:
     return _WHY.get(error.errno or 0) or error.strerror or str(error)
 
 
+def check_writable(file: Path) -> None:
+    """OSError in the words of write() where that could not be. Leaves nothing behind."""
+    try:
+        real = Path(os.path.realpath(file))
+        if real.exists() and not os.access(real, os.W_OK):
+            raise PermissionError(errno.EACCES, "")
+        if real.exists() and not real.is_file():  # a device, a pipe
+            return
+        there = next(folder for folder in real.parents if folder.exists())
+        if not there.is_dir():
+            raise NotADirectoryError(f"{there} is no folder")
+        trial = _new(there / real.name)
+        trial.open("xb").close()
+        trial.unlink()
+    except OSError as error:
+        raise _unwritable(file, error) from error
+
+
 def write(file: Path, data: bytes) -> None:
-    """Replace a file, or leave what is there. OSError says in words why it cannot be written."""
+    """Replace a file, or leave what is there; folders on the way are made. OSError says in words
+    why it cannot be written."""
     try:
         if file.exists() and not file.is_file():  # a device, a pipe
             file.write_bytes(data)
         else:
             _replace(Path(os.path.realpath(file)), data)  # a link stays one
     except OSError as error:
-        raise OSError(f"{file} cannot be written: {why(error)}") from error
+        raise _unwritable(file, error) from error
+
+
+def _unwritable(file: Path, error: OSError) -> OSError:
+    is_missing = error.errno == errno.ENOENT  # as in /proc
+    words = "no file can be made there; name another place" if is_missing else why(error)
+    return OSError(f"{file} cannot be written: {words}")
+
+
+def _new(file: Path) -> Path:
+    """Where its new content is until it is whole."""
+    return file.with_name(f".{file.name}.{os.getpid()}.new")
 
 
 def _replace(file: Path, data: bytes) -> None:
-    new = file.with_name(f".{file.name}.{os.getpid()}.new")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    new = _new(file)
     try:
         with new.open("wb") as out:
             out.write(data)

@@ -140,6 +140,7 @@ def pull(
     with _told():
         if file.exists() and not force:
             raise DeployError(f"{file} is there already", "--force replaces it")
+        paths.check_writable(file / "one" if file.is_dir() else file)
         where = ports.choose(port)
         found = _fetch(where)
         if not found:
@@ -161,12 +162,10 @@ def keep(found: Mapping[str, bytes], file: Path) -> Path:
     if len(found) == 1 and "/" not in next(iter(found)):
         if file.is_dir():
             file /= next(iter(found))
-        file.parent.mkdir(parents=True, exist_ok=True)
         paths.write(file, next(iter(found.values())))
         return file
     if file.suffix == ".py":
         raise DeployError(f"on the board there is a folder: {file} cannot be one", "name a folder")
-    file.mkdir(parents=True, exist_ok=True)
     for path, content in found.items():
         paths.write(file / path.rpartition("/")[2], content)
     return file
@@ -208,7 +207,7 @@ def _editor() -> list[str]:
     try:
         words = shlex.split(said)
     except ValueError as error:
-        raise DeployError(f"$VISUAL or $EDITOR is {said}: {error}", todo) from error
+        raise DeployError(f"$VISUAL or $EDITOR is no command: {said}", todo) from error
     if not words:
         raise DeployError("no editor is known", todo)
     return words

@@ -1,5 +1,6 @@
 """The command `ugrbl new-board`."""
 
+import os
 import sys
 from collections.abc import Callable
 from keyword import iskeyword
@@ -66,7 +67,7 @@ def command(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="FILE", help="Or a folder for it. [default: boards]"),
+        typer.Option("--out", "-o", metavar="FILE", help="Or a folder for it. [default: here]"),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file.")] = False,
     json_file: Annotated[
@@ -80,8 +81,8 @@ def command(
     """
     asking = sys.stdin.isatty() if ask is None else ask
     console = Console(stderr=str(json_file) == "-")
-    file = out or paths.OWN_BOARDS
-    if file.is_dir() or not file.suffix:
+    file = out or Path()
+    if os.path.isdir(file) or not file.suffix:
         file /= f"{name}.py"
     try:
         _check_name(name)
@@ -220,8 +221,8 @@ def _letters(
 def _defaults(settings: list[str]) -> dict[int, float]:
     values = {}
     for text in settings:
+        number, _, value = as_line(text)[1:].partition("=")
         try:
-            number, _, value = as_line(text)[1:].partition("=")
             values[int(number)] = float(value)
         except ValueError as error:
             raise BoardError(f"{text} is no setting; write it as 100=800") from error
@@ -232,7 +233,6 @@ def _write(board: Board, file: Path) -> None:
     """Write it, and let it be checked as it stands there; a file that fails is taken away."""
     before = file.read_bytes() if file.exists() else None
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
         paths.write(file, board.text().encode())
     except OSError as error:
         raise BoardError(words(error)) from error

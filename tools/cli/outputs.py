@@ -1,6 +1,5 @@
 """Where commands write: looked at before the work, so that none is done in vain; then written."""
 
-import errno
 import json
 import os
 import sys
@@ -30,7 +29,7 @@ _BOARD = "board"  # the parameter of commands that is a name, or a path
 def check_outputs(
     *files: Path | None, plot: Path | None = None, given: Mapping[str, object] | None = None
 ) -> None:
-    """Make the folders of files to be written. OSError or ValueError where one cannot be.
+    """OSError or ValueError where a file cannot be written. Nothing has been made then.
 
     plot: one that is a drawing; given: the command's parameters by name, its locals(): what is
     not among those to write is read, and never written over. `-` is stdout.
@@ -68,21 +67,9 @@ def _read(given: Mapping[str, object]) -> Iterator[Path]:
 
 
 def _check(file: Path) -> None:
-    if file.is_dir():
+    if os.path.isdir(file):  # Path's fails where a name is too long
         raise IsADirectoryError(f"{file} is a folder: name a file")
-    there = next(folder for folder in file.absolute().parents if folder.exists())
-    if not there.is_dir():
-        raise NotADirectoryError(f"{file} cannot be written: {there} is no folder")
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OSError(f"{file} cannot be written: {paths.why(error)}") from error
-    touched = [file] if file.exists() else []
-    if not file.exists() or file.is_file():  # which is written beside it, see paths.write()
-        touched.append(file.resolve().parent)
-    if not all(os.access(path, os.W_OK) for path in touched):
-        denied = paths.why(PermissionError(errno.EACCES, ""))
-        raise PermissionError(f"{file} cannot be written: {denied}")
+    paths.check_writable(file)
 
 
 def check_output(*files: Path | None, given: Mapping[str, object] | None = None) -> None:

@@ -17,7 +17,7 @@ from ..device.selftest import program
 from ..device.selftest.row import Row
 from ..device.selftest.session import Board, Wiring, check, look
 from . import ports
-from .outputs import examples, save_json
+from .outputs import check_output, examples, save_json
 
 EXAMPLES = examples(
     "ugrbl selftest",
@@ -75,6 +75,7 @@ def command(
     ESP32 its pulse counters count. The settings stay. A machine that moves is not disturbed. The
     exit code is 1 if something failed.
     """
+    check_output(json_file)
     console = Console(stderr=str(json_file) == "-")
     seed = random.randrange(1 << 30) if seed is None else seed
     report = Report(console)

@@ -18,7 +18,6 @@ def save(made: Build, folder: Path) -> None:
             old.unlink()
     for path, content in made.files.items():
         file = folder / path
-        file.parent.mkdir(parents=True, exist_ok=True)
         paths.write(file, content)
     paths.write(folder / _PACKAGE_LIST, package_list(made).encode())
 
@@ -40,7 +39,6 @@ def save_to_freeze(made: Build, folder: Path) -> None:
             old.unlink()
     for path, content in made.files.items():
         file = folder / path
-        file.parent.mkdir(parents=True, exist_ok=True)
         if not file.is_file() or file.read_bytes() != content:
             paths.write(file, content)
 
@@ -54,5 +52,4 @@ def place(folder: Path) -> None:
     """Write the sources there as a desktop's MicroPython runs them: constants in place."""
     for name, text in inline(texts(), keep=True).items():
         file = folder / f"{name.replace('.', '/')}.py"
-        file.parent.mkdir(parents=True, exist_ok=True)
         paths.write(file, text.encode())

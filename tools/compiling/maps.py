@@ -49,7 +49,6 @@ def beside(made: Path) -> Path:
 
 def save(map_: dict[str, Any], file: Path) -> None:
     """Write it."""
-    file.parent.mkdir(parents=True, exist_ok=True)
     paths.write(file, json.dumps(map_).encode())
 
 

@@ -127,5 +127,4 @@ def _check_folder(path: Path) -> None:
     """OSError where no file can come to be: told before a machine has run in vain."""
     if not path.parent.is_dir():
         raise FileNotFoundError(f"there is no folder {path.parent}")
-    if not os.access(path.parent, os.W_OK):
-        raise PermissionError(f"nothing can be written into {path.parent}")
+    paths.check_writable(path)
