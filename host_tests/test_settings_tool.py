@@ -1,15 +1,18 @@
 """`ugrbl settings`, at a simulator on a pseudo-terminal."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
 from sim_bench import Bench
 from typer.testing import CliRunner, Result
 from ugrbl.cli.app import app
+from ugrbl.device import settings_sync
+from ugrbl.device.connection import Connection, SendError
 from ugrbl.grbl import settings_file
 from ugrbl.grbl.settings_file import (
+    Change,
     Firmware,
     Settings,
     SettingsError,
@@ -161,9 +164,67 @@ def test_a_refused_value_is_told_and_the_rest_is_done(bench: Bench, pulled: Path
     done = ugrbl(bench, "push", pulled, "--yes", "--json", pulled.with_name("result"))
     assert done.exit_code == 1
     assert "$0=1: error:6" in done.output
+    back = f"ugrbl settings restore {pulled}.before"
+    assert f"1 of 2 settings changed; to go back: {back}" in " ".join(done.output.split())
     result = json.loads(pulled.with_name("result").read_text())
     assert [row["number"] for row in result["refused"]] == [0]
     assert ugrbl(bench, "restore", before, "--yes").exit_code == 0
+
+
+@pytest.mark.parametrize("end", [SendError("the connection broke"), KeyboardInterrupt()])
+def test_a_push_that_breaks_off_says_how_far_it_came_and_how_to_go_back(
+    bench: Bench, pulled: Path, monkeypatch: pytest.MonkeyPatch, end: BaseException
+) -> None:
+    def breaks_off(
+        connection: Connection, todo: Sequence[Change], progress: Callable[[Change], None]
+    ) -> None:
+        progress(todo[0])
+        raise end
+
+    monkeypatch.setattr(settings_sync, "push", breaks_off)
+    edit(pulled, s120="500", s121="500", s122="500")
+    done = ugrbl(bench, "push", pulled, "--yes")
+    assert done.exit_code == (1 if isinstance(end, SendError) else 130)
+    back = f"ugrbl settings restore {pulled}.before"
+    assert f"1 of 3 settings changed; to go back: {back}" in " ".join(done.output.split())
+
+
+def test_where_all_is_refused_there_is_nothing_to_go_back_from(bench: Bench, pulled: Path) -> None:
+    edit(pulled, s0="1")
+    done = ugrbl(bench, "push", pulled, "--yes")
+    assert done.exit_code == 1 and "0 of 1 setting changed" in done.output
+    assert "to go back" not in done.output
+
+
+@pytest.mark.parametrize(
+    ("line", "what"),
+    [
+        ("$100=0", "no steps for a millimetre of X"),
+        ("$111=0.0", "a highest rate of 0 for Y"),
+        ("$122=0", "an acceleration of 0 for Z"),
+    ],
+)
+def test_a_zero_with_which_an_axis_does_not_move_is_told_before_the_question(
+    bench: Bench, tmp_path: Path, line: str, what: str
+) -> None:
+    file = tmp_path / "zero"
+    file.write_text(f"; [VER:1.1h.20190830:]\n{line}\n")
+    done = ugrbl(bench, "push", file, answer="n\n")
+    said = " ".join(done.output.split())
+    assert f"note: {line} is {what}: it will not move as it should" in said
+    assert said.index("note: ") < said.index("Change 1 setting?")
+    assert "note: " in ugrbl(bench, "diff", file).output
+
+
+def test_a_pull_that_cannot_be_leaves_no_folders(tmp_path: Path) -> None:
+    file = tmp_path / "a" / "b" / "c"
+    done = CliRunner().invoke(app, ["settings", "pull", str(file), "--port", "/dev/nowhere"])
+    assert done.exit_code == 1 and not (tmp_path / "a").exists()
+
+
+def test_a_pull_makes_the_folders_of_its_file(bench: Bench, tmp_path: Path) -> None:
+    file = tmp_path / "a" / "b" / "c"
+    assert ugrbl(bench, "pull", file).exit_code == 0 and file.exists()
 
 
 def test_a_push_leaves_what_the_file_does_not_name(bench: Bench, pulled: Path) -> None:

@@ -10,6 +10,7 @@ from types import ModuleType
 from typing import Any
 
 from .. import paths
+from ..grbl.settings_file import zeros
 from ..sim import motor_names
 from .chips import CHIPS, Chip, on_their_own
 from .engines import SIMULATOR, WIRELESS, engines
@@ -59,14 +60,16 @@ def problems(board: ModuleType) -> list[str]:
 
 
 def notes(board: ModuleType) -> list[str]:
-    """What is worth to know about the pins of a good board."""
+    """What is worth to know about the pins and defaults of a good board."""
     if is_simulated(board):
         return []
     check = _inputs if _has_registers(board) else _pins
     chip = min(_chips(board), key=lambda chip: len(list(check(board, chip))))
     behind = ("STEP", "DIR", "ENABLE") if _has_registers(board) else ()
     held = [(name, pin) for name, pins in _held(board) for pin in pins if name not in behind]
-    return [f"{name}: pin {pin} {chip.odd[pin]}" for name, pin in held if pin in chip.odd]
+    odd = [f"{name}: pin {pin} {chip.odd[pin]}" for name, pin in held if pin in chip.odd]
+    values = (f"${number}={value:g}" for number, value in getattr(board, "DEFAULTS", {}).items())
+    return odd + [f"DEFAULTS: {words}" for words in zeros(values)]
 
 
 def imports(text: str) -> Iterator[str]:

@@ -26,6 +26,7 @@ from ..device.connection import state_of
 from ..device.send import Choice
 from ..grbl.gcode_file import is_foreign, language_of, problems, shown
 from ..grbl.messages import meaning
+from ..grbl.settings_file import zeros
 from ..run.recorder import Totals
 from .keys import Keys
 
@@ -223,6 +224,12 @@ def show_problems(console: Console, lines: Sequence[bytes]) -> bool:
         words = f"{first}{more}: `ugrbl send` makes them harmless, other senders may not"
         console.print(escape(words), highlight=False)
     return bool(bad)
+
+
+def show_zeros(console: Console, settings: Iterable[str]) -> None:
+    """Tell of settings, lines such as `$100=0`, with which an axis would not move."""
+    for text in zeros(settings):
+        console.print(f"[yellow]note[/]: {escape(text)}", highlight=False, soft_wrap=True)
 
 
 def summary(rows: Iterable[tuple[str, str]]) -> Table:

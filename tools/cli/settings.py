@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any
 
 import typer
@@ -26,6 +27,7 @@ from ..grbl.settings_file import (
 )
 from .outputs import Json, agree, check_output, failed, save_json, save_text
 from .ports import Baud, Port, connected
+from .screen import show_zeros
 
 app = typer.Typer(no_args_is_help=True, help="Pull, compare, push and restore settings.")
 
@@ -55,9 +57,9 @@ def pull(
     """Write a machine's settings into a file, each with its meaning."""
     to_stdout = str(file) == STDIN
     if not to_stdout:
+        check_output(file)
         if file.exists() and not force:
             raise failed(f"{file} is there already; --force replaces it")
-        check_output(file)
     with _machine(port, baud) as connection:
         settings = sync.pull(connection)
     _keep(settings, file, "as pulled")
@@ -170,7 +172,7 @@ def _write(
         if todo:
             _keep(machine, kept, "before a push")
             console.print(f"what is there now is kept in {kept}", highlight=False)
-            refusals = _push(connection, todo, console)
+            refusals = _push(connection, todo, console, kept)
     _save_json(machine, todo, json_file, refusals)
     for change, reply in refusals:
         words = reply_meaning(reply) if reply.startswith("error") else "it was not taken"
@@ -180,18 +182,27 @@ def _write(
 
 
 def _push(
-    connection: Connection, todo: Sequence[Change], console: Console
+    connection: Connection, todo: Sequence[Change], console: Console, kept: Path
 ) -> Sequence[tuple[Change, str]]:
-    """Returns what was refused."""
+    """Returns what was refused. kept: what was there before."""
+    done: set[int] = set()
 
     def progress(change: Change) -> None:
+        done.add(change.number)
         console.print(f"${change.number}={change.after}", highlight=False)
 
+    refusals: Sequence[tuple[Change, str]] = ()
     try:
         sync.push(connection, todo, progress)
     except sync.Refused as refused:
-        return refused.refusals
-    return ()
+        refusals = refused.refusals
+        done -= {change.number for change, _ in refusals}
+    finally:
+        if len(done) < len(todo):
+            back = f"; to go back: ugrbl settings restore {quote(str(kept))}" if done else ""
+            words = f"{len(done)} of {_count(todo)} changed{back}"
+            console.print(words, highlight=False, markup=False, soft_wrap=True)
+    return refusals
 
 
 def _read(file: Path) -> Settings:
@@ -220,6 +231,7 @@ def _show(machine: Settings, todo: Sequence[Change]) -> None:
         said = meaning(change.number)
         table.add_row(f"${change.number}", change.before, change.after, said.unit, said.name)
     console.print(table)
+    show_zeros(console, (f"${change.number}={change.after}" for change in todo))
 
 
 def _report(machine: Settings, todo: Sequence[Change], json_file: Path | None) -> None:

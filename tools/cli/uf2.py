@@ -10,7 +10,7 @@ from .. import paths
 from ..boardfile.files import BoardFileError, board_file, load_for_build
 from ..compiling import build
 from ..compiling.build import START, BuildError
-from ..grbl.settings_file import SettingsError
+from ..grbl.settings_file import SettingsError, read_settings
 from ..image import contents
 from ..image.contents import MicroPython
 from ..image.uf2 import Uf2Error
@@ -18,7 +18,7 @@ from .build import DEBUG_COST, Debug
 from .custom import judge
 from .custom_options import CustomFile, around
 from .outputs import check_output, examples, failed
-from .screen import summary
+from .screen import show_zeros, summary
 
 EXAMPLES = examples(
     "ugrbl uf2 --board rpi_pico --micropython RPI_PICO-20260406-v1.28.0.uf2",
@@ -104,6 +104,8 @@ def _own(
 ) -> dict[str, bytes]:
     """The user's settings and Python, once they have passed the check."""
     kept = contents.settings_files(board, settings) if settings else {}
+    if settings:
+        show_zeros(console, read_settings(settings).lines())
     if custom is None:
         return kept
     surroundings = around(board, custom, None)

@@ -21,6 +21,13 @@ if TYPE_CHECKING:
 
 AXES = "XYZABC"
 _SIGNED = {*range(170, 180), 780, 781, 782}  # squaring offsets, skew
+# What 0 is, which Grbl takes, by the number without that of the axis.
+_ZEROS = {
+    "10": "no steps for a millimetre of",
+    "11": "a highest rate of 0 for",
+    "12": "an acceleration of 0 for",
+}
+_ZERO = re.compile(r"\$(1[012])([0-5])=(?:0+\.?0*|\.0+)")
 
 # A setting with what may stand behind it: number and value.
 SETTING = re.compile(r"\$(\d+)\s*=\s*([^;( ]*)\s*(?:[;(].*)?")
@@ -100,6 +107,10 @@ class Settings:
             elif not _IGNORED.fullmatch(line.strip()):
                 raise SettingsError(f"line {number} is no setting: {line.strip()}")
         return settings
+
+    def lines(self) -> list[str]:
+        """`$110=500.000` each, by number."""
+        return [f"${number}={value}" for number, value in sorted(self.values.items())]
 
     def text(self, origin: str = "") -> str:
         """The file."""
@@ -232,7 +243,19 @@ def as_line(text: str) -> str:
     number, _, value = text.strip().lstrip("$").partition("=")
     if not number.isdigit() or not value:
         raise ValueError(f"{text} is no setting; write it as 120=500")
-    return f"${number}={value}"
+    line = f"${number}={value}"
+    if found := zeros([line]):
+        raise ValueError(found[0])
+    return line
+
+
+def zeros(lines: Iterable[str]) -> list[str]:
+    """Settings of 0, `$100=0`, with which an axis does not move as it should, in words."""
+    found = filter(None, map(_ZERO.fullmatch, lines))
+    return [
+        f"{line[0]} is {_ZEROS[line[1]]} {AXES[int(line[2])]}: it will not move as it should"
+        for line in found
+    ]
 
 
 def _comment(number: int) -> str:
