@@ -191,7 +191,7 @@ BROKEN = {
     VACUUM.replace("@mcode(100, ", "@gcode(1, ").replace("mcode", "gcode"): "G1 is taken",
     "from ugrbl import on\n@on.lunch\ndef f(m): pass\n": "there is no event on.lunch",
     "from ugrbl import no_such_word\n": "cannot import name 'no_such_word'",
-    "x = '\0'\n": "null bytes",
+    "x = '\0'\n": "it is no text in UTF-8; save it as that",
 }
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from as_users import as_users
 from typer.testing import CliRunner, Result
+from ugrbl.cli import screen
 from ugrbl.cli.app import app
 from ugrbl.grbl.gcode_file import NotText, check_text
 
@@ -51,6 +52,12 @@ WRONG = [
     ("run good.nc --settings photo", "photo cannot be read: it is no text"),
     ("run good.nc --settings empty", "empty: it holds no settings, lines of $n=v"),
     ("run good.nc --set 0=1", "error:6: The step pulse"),
+    ("run good.nc --set 100=0", "$100=0 is no steps for a millimetre of X"),
+    ("plot good.nc --set $111=0.0", "$111=0.0 is a highest rate of 0 for Y"),
+    (
+        "new-board mine --chip pico --no-ask --pin step=2,3,4 --pin dir=5,6,7 --set 122=0",
+        "$122=0 is an acceleration of 0 for Z",
+    ),
     ("run good.nc --set 999=1", "refused with error:3: There is no setting $999 here"),
     ("run good.nc --set 110=1,5", "error:3: A number is written with a decimal point"),
     ("plot good.nc --set 999=1", "refused with error:3: There is no setting $999 here"),
@@ -114,6 +121,45 @@ def test_no_text_of_the_system_reaches_a_user(command: str, folder: Path) -> Non
         done = ugrbl(command, name, *(("--port", "x") if command == "send" else ()))
         assert done.exit_code == 1 and name in "".join(done.output.split())
         assert "".join(why.split()) in "".join(done.output.split())
+
+
+@pytest.mark.parametrize(
+    "data", ["X = 'ä'\n".encode("latin-1"), "X = 1\n".encode("utf-16"), _JPEG]
+)
+@pytest.mark.parametrize(
+    "words",
+    [
+        "custom check x.py",
+        "run good.nc --custom x.py",
+        "build --board x.py",
+        "run good.nc --board x.py",
+    ],
+)
+def test_what_is_no_text_is_told_without_words_of_pythons(
+    words: str, data: bytes, folder: Path
+) -> None:
+    (folder / "x.py").write_bytes(data)
+    done = ugrbl(*words.split())
+    said = " ".join(done.output.split())
+    assert done.exit_code == 1
+    assert "x.py cannot be read: it is no text in UTF-8; save it as that" in said
+    assert not re.search("codec|null|byte 0x|Errno", said)
+
+
+@pytest.mark.parametrize("data", [b"hello\n", b"", _JPEG])
+def test_what_is_no_recording_is_named(data: bytes, folder: Path) -> None:
+    (folder / "recordings").mkdir()
+    (folder / "recordings" / "x.json").write_bytes(data)
+    done = ugrbl("conformance", "recordings")
+    assert done.exit_code == 1
+    assert "x.json is no recording, which is JSON: take it out of there" in done.output
+
+
+@pytest.mark.parametrize("command", ["run", "plot"])
+def test_where_a_setting_is_refused_only_that_is_said(command: str) -> None:
+    done = ugrbl(command, "good.nc", "--set", "0=1")
+    assert done.exit_code == 1 and "$0=1 was refused with error:6" in done.output
+    assert "lines" not in done.output and "│" not in done.output
 
 
 def test_check_mode_is_named_where_a_setting_is_refused_for_it(folder: Path) -> None:
@@ -312,6 +358,66 @@ def test_a_file_that_is_replaced_stays_a_link_and_keeps_who_may_read_it(folder: 
     assert ugrbl("run", "good.nc", "--json", "link.json").exit_code == 0
     assert (folder / "link.json").is_symlink() and json.loads((folder / "x.json").read_text())
     assert (folder / "x.json").stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.parametrize("words", ["run good.nc", "run good.nc --check", "plot good.nc"])
+def test_what_ctrl_c_ends_says_so_and_writes_nothing(
+    words: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(screen.Screen, "progress", interrupted)
+    before = files_in(folder)
+    done = ugrbl(*words.split())
+    assert done.exit_code == 130 and "stopped by Ctrl-C, before its end" in done.stderr
+    assert files_in(folder) == before
+
+
+# Whoever runs the tests, root too, can make no file in these.
+NOWHERE = [place for place in ("/proc/x", "/sys/x") if Path(place).parent.is_dir()]
+
+
+@pytest.mark.parametrize(
+    "place", [*NOWHERE, "locked/x", "good.nc/x", pytest.param("n" * 300, id="long")]
+)
+@pytest.mark.parametrize(
+    "words",
+    [
+        "run good.nc --json {}",
+        "run good.nc --plot {}.html",
+        "plot good.nc -o {}.png",
+        "sim --stdio --report {}",
+        "sim --stdio --plot {}.html",
+        "sim --stdio --settings {}",
+        "new-board mine --chip pico --no-ask --pin step=2,3,4 --pin dir=5,6,7 -o {}.py",
+        "build --board rpi_pico --out {}",
+        "build --board rpi_pico --json {}",
+        "custom check good.py --json {}",
+        "custom pull {}.py --port /dev/nowhere",
+        "settings pull {} --port /dev/nowhere",
+        "settings diff good.settings --json {} --port /dev/nowhere",
+        "conformance --json {}",
+        "doctor --json {} --port /dev/nowhere",
+        "selftest --json {} --port /dev/nowhere",
+        "deploy --json {} --port /dev/nowhere --board rpi_pico",
+    ],
+)
+def test_where_no_file_can_be_is_said_before_the_work(
+    words: str, place: str, folder: Path
+) -> None:
+    (folder / "locked").mkdir(mode=0o500)
+    (folder / "good.py").write_text("from ugrbl import mcode\n")
+    (folder / "good.settings").write_text("$110=600\n")
+    if place == "locked/x" and os.access("locked", os.W_OK):
+        pytest.skip("root can write there")
+    before = files_in(folder)
+    done = ugrbl(*words.format(place).split())
+    said = " ".join(done.output.split())
+    assert done.exit_code == 1 and isinstance(done.exception, SystemExit), done.output
+    assert re.search("cannot be written: |good.nc is no folder|what should be|too long", said)
+    assert not re.search("no such file|nowhere|Errno|errors|bytes in all|Drawing", said), said
+    assert files_in(folder) == before
 
 
 def test_the_version_is_told() -> None:

@@ -8,6 +8,7 @@ from types import ModuleType
 from typing import Any
 
 from .. import paths
+from ..grbl.gcode_file import NotText, check_utf8, read_bytes
 from .board_check import imports, is_simulated, own_modules, problems
 
 
@@ -85,9 +86,14 @@ def load_for_build(file: Path) -> ModuleType:
 
 def _checked(file: Path, may_be_simulated: bool) -> ModuleType:
     try:
-        imported = list(imports(file.read_text(encoding="utf-8")))
+        source = read_bytes(file)
+        check_utf8(source, file)
+    except (OSError, NotText) as error:
+        raise BoardFileError(str(error)) from error
+    try:
+        imported = list(imports(source.decode()))
         board = load(file)
-    except (SyntaxError, UnicodeDecodeError) as error:
+    except SyntaxError as error:
         raise BoardFileError(f"{file} is no Python file: {error}") from error
     except Exception as error:
         raise BoardFileError(f"{file} fails: {type(error).__name__}: {error}") from error

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from typer.core import TyperGroup
 
 from .. import __version__, paths
 from ..run.machine import DEFAULT_BOARD
@@ -34,8 +35,21 @@ from . import (
 from .custom_options import CustomFile, Inputs, around
 from .outputs import check_outputs, failed
 
+
+class _Commands(TyperGroup):
+    """What Ctrl-C ends says so: its bar alone looks as at its end. The exit code is 130 then."""
+
+    def invoke(self, ctx: typer.Context) -> object:  # type: ignore[override]
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            Console(stderr=True).print("[red]stopped by Ctrl-C, before its end")
+            raise
+
+
 # Without markup help is wrapped to the terminal, and keeps what stands in brackets.
 app = typer.Typer(
+    cls=_Commands,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,

@@ -8,13 +8,13 @@ import typer
 from rich.console import Console
 
 from ..draw import plot
-from ..draw.job import Job, describe, from_file, run_job, short, verdict
+from ..draw.job import Job, check_settings, describe, from_file, run_job, short, verdict
 from ..grbl.gcode_file import name_of, read_program
 from ..grbl.settings_file import as_line
 from ..run import machine
 from .custom_options import CustomFile, Inputs, around, why_stopped
 from .outputs import check_outputs, examples, failed, save_json
-from .screen import Screen, show_errors, show_foreign, summary
+from .screen import Screen, show_errors, show_foreign, show_zeros, summary
 
 EXAMPLES = examples(
     "ugrbl plot badge.nc",
@@ -91,7 +91,9 @@ def _jobs(
 ) -> list[Job]:
     lines = read_program(file)
     base = from_file(settings) if settings else []
+    show_zeros(console, base)
     extra = [as_line(text) for text in what_if]
+    check_settings([*base, *extra], board, around)
     runs = [(settings.name if settings else "as it is", base)]
     if extra:
         runs.append((" ".join(extra), [*base, *extra]))

@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 
 from ..draw import plot
-from ..draw.job import from_file, job_of
+from ..draw.job import check_settings, from_file, job_of
 from ..draw.motion_trace import MotionTrace, trace_program
 from ..grbl.gcode_file import name_of, read_program
 from ..grbl.settings_file import as_line
@@ -26,6 +26,7 @@ from .screen import (
     show_messages,
     show_problems,
     show_wide_arcs,
+    show_zeros,
     summary,
     totals_rows,
 )
@@ -79,8 +80,8 @@ def command(
             lines = read_program(file)
             surroundings = replace(around(board, custom, inputs), lenient=lenient)
             acting = show_problems(console, lines)
-        chosen = from_file(settings) if settings else []
-        chosen += [as_line(text) for text in setting or ()]
+        chosen = _chosen(console, settings, setting or ())
+        check_settings(chosen, board, surroundings)
         begun = time.monotonic()
         run: _Runner = trace_program if picture else run_program
         asked = {"board": board, "settings": chosen, "check": check, "around": surroundings}
@@ -100,6 +101,13 @@ def command(
     except (ValueError, OSError) as error:
         raise failed(error) from error
     _judge(result, check, acting)
+
+
+def _chosen(console: Console, file: Path | None, more: Sequence[str]) -> list[str]:
+    """The settings of a file, and those of options."""
+    kept = from_file(file) if file else []
+    show_zeros(console, kept)
+    return kept + [as_line(text) for text in more]
 
 
 def _late(console: Console, recorder: Paced, lines: Sequence[bytes]) -> list[Stretch]:

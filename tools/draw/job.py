@@ -9,7 +9,7 @@ from ..boardfile.files import load_board
 from ..grbl.messages import refused
 from ..grbl.settings_file import SettingsError, meaning, read_settings
 from ..run import machine
-from ..run.program import Result
+from ..run.program import Result, run_program
 from .motion_trace import LETTERS, Motion, MotionTrace, trace_program
 
 # There are no switches on paper: with these, a job would begin locked, or end in an alarm.
@@ -71,6 +71,17 @@ def on_paper(values: Mapping[int, str]) -> list[str]:
     return [f"${number}={value}" for number, value in kept if number not in _WITHOUT]
 
 
+def check_settings(settings: Sequence[str], board: str, around: machine.Around) -> None:
+    """ValueError where one is refused."""
+    result, _ = run_program((), board=board, settings=settings, around=around)
+    _check_accepted(result)
+
+
+def _check_accepted(result: Result) -> None:
+    if why := refused(result.stopped):
+        raise ValueError(f"{result.stopped}: {why}")
+
+
 def run_job(
     name: str,
     lines: Sequence[bytes],
@@ -83,8 +94,7 @@ def run_job(
     result, trace = trace_program(
         lines, board=board, settings=settings, progress=progress, around=around
     )
-    if why := refused(result.stopped):
-        raise ValueError(f"{result.stopped}: {why}")
+    _check_accepted(result)
     return job_of(name, lines, settings, board, result, trace)
 
 

@@ -101,6 +101,12 @@ def check_text(lines: Sequence[bytes], name: str) -> None:
             raise NotText(f"{name} is no G-code: line {number} holds bytes that are no text")
 
 
+def check_utf8(data: bytes, name: object) -> None:
+    """NotText where something else than text in UTF-8 is in it."""
+    if not (is_text(data) and is_utf8(data)):
+        raise NotText(f"{name} cannot be read: it is no text in UTF-8; save it as that")
+
+
 def is_foreign(line: bytes) -> bool:
     """Whether words of other controllers are in it that LENIENT takes."""
     return bool(_FOREIGN.search(_bare(line)))

@@ -62,7 +62,7 @@ def _cases(path: Path) -> list[Json]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise ValueError(f"{path} is no recording: {error}") from error
+        raise ValueError(f"{path} is no recording, which is JSON: take it out of there") from error
     return content if isinstance(content, list) else [content]
 
 

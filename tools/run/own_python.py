@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from .. import paths
+from ..grbl.gcode_file import NotText, check_utf8
 
 NAME = "custom"  # on the board, where its file says nothing
 # What asks for a pin by its name, and a tuple of such names.
@@ -126,6 +127,7 @@ def _module(file: Path) -> Module:
 
 def _compiled(file: Path, source: bytes) -> ast.Module:
     try:
+        check_utf8(source, file)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # "\d" is for its author's editor to tell of
             compile(source, str(file), "exec", dont_inherit=True)
@@ -134,5 +136,5 @@ def _compiled(file: Path, source: bytes) -> ast.Module:
         line = f", line {error.lineno}" if error.lineno else ""
         shown = f": {error.text.strip()}" if error.text and error.text.strip() else ""
         raise OwnPythonError(f"{file}{line}: {error.msg}{shown}") from error
-    except ValueError as error:  # a byte 0, say
-        raise OwnPythonError(f"{file} is no Python file: {error}") from error
+    except NotText as error:
+        raise OwnPythonError(str(error)) from error
