@@ -80,6 +80,21 @@ def test_what_is_no_program_is_not_put_on_a_board(bench: Bench, tmp_path: Path) 
     assert ugrbl(bench, "show", "b.nc").output == "G0 X1\n"
 
 
+@pytest.mark.parametrize(("end", "there"), [(b"\r", "\n"), (b"\r\r\n", "\n"), (b"\r\n", "\r\n")])
+def test_a_program_of_any_line_ends_has_its_lines_on_the_board(
+    bench: Bench, tmp_path: Path, end: bytes, there: str
+) -> None:
+    (tmp_path / "mac.nc").write_bytes(end.join([b"G21", b"(one)", b"", b"G0 X0", b""]))
+    assert ugrbl(bench, "push", tmp_path / "mac.nc").exit_code == 0
+    text = there.join(["G21", "(one)", "", "G0 X0", ""])
+    assert f"MAC.NC  {len(text)} " in ugrbl(bench, "list").output
+    done = ugrbl(bench, "run", "MAC.NC")
+    assert done.exit_code == 0 and "refused" not in done.output
+    until = time.monotonic() + 10
+    while ugrbl(bench, "list").exit_code:
+        assert time.monotonic() < until
+
+
 def test_a_big_program_comes_whole(bench: Bench, tmp_path: Path) -> None:
     big = tmp_path / "big.nc"
     big.write_bytes(b"(" + os.urandom(4500).hex().encode() + b")\nG0X1\n" * 1000)
@@ -116,6 +131,19 @@ def test_an_empty_file_is_no_job(bench: Bench, tmp_path: Path) -> None:
 def test_a_machine_without_jobs_says_what_it_wants(plain: Bench, words: "tuple[str, ...]") -> None:
     done = ugrbl(plain, *words)
     assert done.exit_code == 1 and 'JOBS = "jobs"' in done.output
+
+
+@pytest.mark.parametrize("words", [("delete", "A.NC"), ("resume", "A.NC"), ("resume",)])
+def test_nothing_is_asked_where_there_are_no_jobs(plain: Bench, words: "tuple[str, ...]") -> None:
+    done = ugrbl(plain, *words, answer="y\n")
+    assert done.exit_code == 1 and 'JOBS = "jobs"' in done.output and "?" not in done.output
+
+
+@pytest.mark.parametrize("verb", ["delete", "resume"])
+def test_nothing_is_asked_of_a_job_that_is_not_there(bench: Bench, verb: str) -> None:
+    done = ugrbl(bench, verb, "NONE.NC", answer="y\n")
+    assert done.exit_code == 1 and "?" not in done.output
+    assert "There is no job NONE.NC: `ugrbl job list` shows what there is" in done.output
 
 
 def test_a_program_is_pushed_to_no_machine_without_jobs(plain: Bench, file: Path) -> None:

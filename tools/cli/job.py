@@ -11,7 +11,7 @@ from rich.table import Table
 from ..device import jobs
 from ..device.connection import BAUD
 from ..grbl.gcode_file import check_text, name_of, read_utf8
-from ..grbl.lines import split_lines
+from ..grbl.lines import split_lines, with_line_feeds
 from .outputs import agree, failed
 from .ports import Baud, Port, connected
 
@@ -37,7 +37,7 @@ def push(
     One of the same name is replaced when the new one is there whole.
     """
     try:
-        called, data = jobs.name_of(name or file.name), read_utf8(file)
+        called, data = jobs.name_of(name or file.name), with_line_feeds(read_utf8(file))
         check_text(split_lines(data), name_of(file))
     except (ValueError, OSError) as error:
         raise failed(error) from error
@@ -74,6 +74,7 @@ def delete(name: Name, port: Port = None, baud: Baud = BAUD, yes: Yes = False) -
     called = _called(name)
     with connected(port, baud) as connection:
         if not yes:
+            jobs.check_there(connection, called)
             agree(f"Delete {called} from the board?", "nothing has been changed")
         jobs.delete(connection, called)
     _say(f"{called} is not on the board any more")
@@ -114,6 +115,7 @@ def resume(
     what = f"line {line} of {called}" if line else f"{called or 'the program'}, where it stopped"
     with connected(port, baud) as connection:
         if not yes:
+            jobs.check_there(connection, called)
             agree(f"The tool will move to {what}. Is it the right tool?", "nothing has moved")
         _say(jobs.start(connection, called, f"@{line or ''}"))
 

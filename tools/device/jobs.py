@@ -74,6 +74,13 @@ def files(connection: Connection) -> tuple[list[File], str]:
     return found, next((match[1] for line in said if (match := _MESSAGE.fullmatch(line))), "")
 
 
+def check_there(connection: Connection, name: str) -> None:
+    """SendError where the machine keeps no jobs, or none of that name; an empty one is any."""
+    found, _ = files(connection)
+    if name and name not in (one.name.upper() for one in found):
+        raise SendError(f"There is no job {name}: `ugrbl job list` shows what there is")
+
+
 def show(connection: Connection, name: str) -> str:
     """The text of a job."""
     return "\r\n".join(_ask(connection, f"$F<={name}")[:-1])

@@ -9,6 +9,7 @@ from typing import overload
 
 # A doubled CR before the LF, as broken conversions leave it, ends one line and not two.
 LINE_END = re.compile(rb"\n|\r(?:\r*\n)?")
+_LONE_CR = re.compile(rb"\r(?!\n)")
 _PIECE = 1000  # lines cut at once
 
 
@@ -18,6 +19,11 @@ def split_lines(data: bytes) -> list[bytes]:
     if not lines[-1]:
         lines.pop()
     return lines
+
+
+def with_line_feeds(data: bytes) -> bytes:
+    """A program in which every line has a LF at its end, as boards read files of their own."""
+    return LINE_END.sub(b"\n", data) if _LONE_CR.search(data) else data
 
 
 class Lines(Sequence[bytes]):
