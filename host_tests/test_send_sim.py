@@ -205,6 +205,17 @@ def test_without_a_terminal_a_refused_line_ends_it_where_it_is(
     assert "line 21: T1 M6: error:20" in text and x < 25
 
 
+@pytest.mark.parametrize("mode", ["count", "line"])
+def test_where_a_line_is_refused_no_other_is_named_as_the_last(
+    bench: Bench, tmp_path: Path, mode: str
+) -> None:
+    lines = ["%", "O1000", "(one)", "", "N10 G21 G90", "N20 G1 X1 F900", "N30 T1 M6", "%"]
+    code, text = Send(bench, tmp_path, lines, "--no-check", "-y", "--mode", mode).end()
+    assert code == 1 and "stopped: line 2 was refused" in text
+    assert ("lines up to 8 were sent before that was known" in text) == (mode == "count")
+    assert ("line 2 was answered last" in text) == (mode == "line")
+
+
 def test_a_refused_line_asks_and_can_be_passed(bench: Bench, tmp_path: Path) -> None:
     lines = ["G21 G90 F900", "G1 X1", "T1 M6", "G1 X2", "G64", "G1 X3"]
     send = Send(bench, tmp_path, lines, "--no-check", terminal=True)

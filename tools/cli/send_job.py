@@ -12,7 +12,7 @@ from rich.markup import escape
 from ..device import checkup, stage
 from ..device.connection import Connection, way_out
 from ..device.from_line import Approach, approach
-from ..device.send import Line, Ready, Report, Stream, stopping_signals
+from ..device.send import REFUSED, Line, Ready, Report, Stream, stopping_signals
 from ..device.stage import Stage
 from ..grbl import gcode_file
 from ..grbl.lines import Changed
@@ -266,6 +266,11 @@ class Job:
                 f"line {reached} was being made: {gcode_file.shown(self._lines[reached - 1])}"
             )
             self._say(f"line {report.line} was answered last; to go on: --from-line {reached}")
+        elif report.stopped.endswith(REFUSED) and report.stopped != f"line {report.line}{REFUSED}":
+            self._say(
+                f"lines up to {report.line} were sent before that was known; of these, some moves "
+                "may have been made"
+            )
         else:
             most = self._connection.blocks if report.blocks_left is None else report.blocks_left
             self._say(

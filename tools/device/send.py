@@ -35,6 +35,7 @@ from .connection import POLL_S, Connection, SendError, is_deaf, way_out
 _HOLD_S = 15.0
 _RESET_S = 3.0
 _SILENCE_S = 10.0
+REFUSED = " was refused"  # the end of why, where it is stopped for that
 _ENDED = ("Idle", "Check", "Sleep")
 _PAUSE = re.compile(rb"M0+(?![\d.])", re.IGNORECASE)
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
@@ -285,7 +286,7 @@ class Stream:
         self._view.message(f"{name}: {line.text}: {answer}: {meaning(answer, line.text)}")
         if not self._keep_going and not self._why_hold:
             self._connection.write(FEED_HOLD)
-            self._why_hold = f"{name} was refused"
+            self._why_hold = f"{name}{REFUSED}"
 
     def _note_place(self) -> None:
         if self._drains_before is None:
