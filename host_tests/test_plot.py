@@ -342,6 +342,23 @@ def test_what_cannot_be_drawn_says_why(program: Path, words: list[str], why: str
     assert program.read_bytes() == before
 
 
+@needs_plotly
+def test_a_page_that_it_has_not_made_is_replaced_where_it_is_named_only(
+    program: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(program.parent)
+    page = program.with_suffix(".html")
+    page.write_text("<!DOCTYPE html>\n<title>of the CAM</title>\n")
+    done = ugrbl(program)
+    assert done.exit_code == 1 and "none of plot's: -o square.html replaces it" in " ".join(
+        done.output.split()
+    )
+    assert "of the CAM" in page.read_text() and "Drawing" not in done.output
+    for words in ["-o", page], []:  # then it is its own
+        assert ugrbl(program, *words).exit_code == 0
+        assert "of the CAM" not in page.read_text()
+
+
 def test_errors_are_a_failure_and_the_rest_is_drawn(program: Path) -> None:
     program.write_text("G0 X1\nG64\nG0 X2\n")
     out = program.with_name("out.png")

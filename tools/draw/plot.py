@@ -8,6 +8,9 @@ from pathlib import Path
 from .. import paths
 from ..grbl.gcode_file import STDIN
 from .job import Job
+from .script import PAGE
+
+_HEAD = PAGE.index("<title>")
 
 
 def save(jobs: Sequence[Job], title: str, words: str, file: Path) -> None:
@@ -27,6 +30,12 @@ def save(jobs: Sequence[Job], title: str, words: str, file: Path) -> None:
     picture = io.BytesIO()
     draw(jobs, title, words, suffix == ".svg").savefig(picture, format=suffix[1:])
     paths.write(file, picture.getvalue())
+
+
+def has_drawn(file: Path) -> bool:
+    """Whether what is there is a page of ours."""
+    with file.open("rb") as page:
+        return page.read(_HEAD) == PAGE[:_HEAD].encode()
 
 
 def _page(jobs: Sequence[Job], title: str, words: str) -> str:

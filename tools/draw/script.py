@@ -7,6 +7,7 @@ in one is shown in all.
 PAGE = """<!DOCTYPE html>
 <html lang="en">
 <meta charset="utf-8">
+<meta name="generator" content="ugrbl plot">
 <title>@title@</title>
 <style>
 body { font: 15px/1.5 system-ui, sans-serif; margin: 1.5rem auto; max-width: 1500px;
