@@ -212,6 +212,9 @@ def test_pins_that_have_a_say_at_start_are_told_of() -> None:
     wrover = [text.split(":")[0] for text in told if "WROVER" in text]
     assert wrover == ["STEP", "DIR"]
     assert notes(load_board("rpi_pico")) == notes(load_board("sim")) == []
+    assert notes(board(DEFAULTS={100: 0, 110: 500, 130: 0})) == [
+        "DEFAULTS: $100=0 is no steps for a millimetre of X: it will not move as it should"
+    ]
     assert not any("pin 0 " in text or "pin 5 " in text for text in notes(load_board("mks_dlc32")))
 
 

@@ -789,7 +789,7 @@ def test_an_editor_that_is_no_command_is_told_with_what_to_do(
     monkeypatch.setenv("EDITOR", '"')
     done = ugrbl("custom", "edit", "--port", "x")
     assert done.exit_code == 1 and shelf.log == []
-    assert '$VISUAL or $EDITOR is ": No closing quotation' in done.stderr
+    assert '$VISUAL or $EDITOR is no command: "' in done.stderr
     assert "export EDITOR=nano" in done.stderr
 
 

@@ -284,9 +284,12 @@ def test_the_command_makes_the_file_and_says_where_to_drag_it(
     micropython: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "new" / "router.uf2"
-    done = run("--micropython", str(micropython), "-o", str(out))
+    (tmp_path / "zero.settings").write_text("$111=0\n")
+    settings = ("--settings", str(tmp_path / "zero.settings"))
+    done = run("--micropython", str(micropython), "-o", str(out), *settings)
     assert done.exit_code == 0, done.output
     assert "drag the file onto RPI-RP2" in done.output and "v1.28.0, for RP2040" in done.output
+    assert "note: $111=0 is a highest rate of 0 for Y" in done.output
     _, found = after_a_drag(out.read_bytes())
     assert {"main.py", "board.py", "deployed.sha256", "pio/__init__.mpy"} <= found.keys()
 

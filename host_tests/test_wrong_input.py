@@ -156,6 +156,15 @@ def test_what_is_no_recording_is_named(data: bytes, folder: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["run", "plot"])
+def test_a_file_of_settings_with_a_zero_is_taken_and_told_of(command: str, folder: Path) -> None:
+    (folder / "zero.settings").write_text("$102=0\n$110=600\n$13=0\n")
+    done = ugrbl(command, "good.nc", "--settings", "zero.settings")
+    assert done.exit_code == 0
+    assert done.output.count("note: $102=0 is no steps for a millimetre of Z") == 1
+    assert done.output.count("note: ") == 1
+
+
+@pytest.mark.parametrize("command", ["run", "plot"])
 def test_where_a_setting_is_refused_only_that_is_said(command: str) -> None:
     done = ugrbl(command, "good.nc", "--set", "0=1")
     assert done.exit_code == 1 and "$0=1 was refused with error:6" in done.output
