@@ -88,6 +88,7 @@ def test_a_program_of_any_line_ends_has_its_lines_on_the_board(
     assert ugrbl(bench, "push", tmp_path / "mac.nc").exit_code == 0
     text = there.join(["G21", "(one)", "", "G0 X0", ""])
     assert f"MAC.NC  {len(text)} " in ugrbl(bench, "list").output
+    assert ugrbl(bench, "show", "MAC.NC").stdout_bytes.decode() == text
     done = ugrbl(bench, "run", "MAC.NC")
     assert done.exit_code == 0 and "refused" not in done.output
     until = time.monotonic() + 10
