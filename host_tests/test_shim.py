@@ -2,6 +2,8 @@
 
 import traceback
 from array import array
+from importlib import import_module, reload
+from pathlib import Path
 
 import machine
 import micropython
@@ -388,3 +390,33 @@ def test_fast_mode_casts_pointers_and_checks_nothing(monkeypatch):
 def test_what_is_not_modelled_does_not_exist():
     with pytest.raises(AttributeError):
         _ = micropython.qstr_info
+
+
+_KEPT = """
+from micropython import viper
+from kept_numbers import AT
+
+@viper
+def at(p: ptr8, n: int) -> int:
+    return p[AT] + n
+"""
+
+
+def test_what_is_kept_of_a_function_is_of_the_numbers_it_has_now(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(micropython, "_ROOT", tmp_path)
+    (tmp_path / "firmware").mkdir()
+    (tmp_path / "kept_function.py").write_text(_KEPT)
+    (tmp_path / "kept_numbers.py").write_text("AT = 1\n")
+    function, numbers = import_module("kept_function"), import_module("kept_numbers")
+    assert function.at(b"abc", 1) == ord("b") + 1
+    kept = [*(tmp_path / "build" / "cache").iterdir()]
+    with monkeypatch.context() as patch:
+        patch.setattr(micropython, "_compiled", None)  # nothing is made anew
+        assert reload(function).at(b"abc", 2) == ord("b") + 2
+    numbers.AT = -1
+    with pytest.raises(IndexError, match="-1 is before the start"):
+        reload(function).at(b"abc", 1)
+    assert len(kept) == 1 and len([*(tmp_path / "build" / "cache").iterdir()]) == 2

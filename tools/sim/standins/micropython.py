@@ -14,24 +14,31 @@ end, or a value that does not fit, raises in both modes. What is not modelled do
 import ast
 import builtins
 import copy
+import hashlib
 import io
 import linecache
+import marshal
 import os
 import sys
 import traceback
 from array import array
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
-from types import FunctionType
+from pathlib import Path
+from types import CodeType, FunctionType
 from typing import Any, NoReturn, TypeVar, cast
 
 _Value = TypeVar("_Value")
 _Result = TypeVar("_Result")
+_Node = TypeVar("_Node", bound=ast.AST)
 
 VIPER = os.environ.get("UGRBL_VIPER", "checked")
 # In the fast mode, asked for each function by module and name: the same, compiled; or None.
 compiled: "Callable[[str, str], Any] | None" = None
 
+_OURS = Path(__file__).read_text("utf-8")
+_ROOT = Path(__file__).resolve().parents[3]
 _WORD_LIMIT = 1 << 31
 _SMALL_INT_LIMIT = 1 << 30
 _WORD_BITS = 32
@@ -81,6 +88,35 @@ def viper(function: Callable[..., _Result], /) -> Callable[..., _Result]:
     plain = cast(FunctionType, function)
     if VIPER == "fast" and compiled and (made := compiled(plain.__module__, plain.__qualname__)):
         return cast("Callable[..., _Result]", made)
+    return cast("Callable[..., _Result]", _made(plain, _code(plain)))
+
+
+def _code(plain: FunctionType) -> CodeType:
+    """What makes the function. A checkout keeps it beside what compiling/kept.py does, by all that
+    it follows from: to make it is most of what a process takes to start."""
+    file = _kept(plain)
+    try:
+        return cast(CodeType, marshal.loads(file.read_bytes()))
+    except (OSError, EOFError, ValueError, TypeError):
+        made = _compiled(plain)
+    if (_ROOT / "firmware").is_dir():
+        with suppress(OSError):  # there is no place for it
+            file.parent.mkdir(parents=True, exist_ok=True)
+            new = file.with_suffix(f".{os.getpid()}")  # others may write the same
+            new.write_bytes(marshal.dumps(made))
+            new.replace(file)
+    return made
+
+
+def _kept(plain: FunctionType) -> Path:
+    code, known = plain.__code__, plain.__globals__
+    numbers = {n: known[n] for n in code.co_names if isinstance(known.get(n), (int, float))}
+    source = "".join(linecache.getlines(code.co_filename, known))
+    asked = repr((sys.version, _OURS, VIPER, code.co_filename, code.co_firstlineno, numbers))
+    return _ROOT / "build" / "cache" / hashlib.sha256((asked + source).encode()).hexdigest()
+
+
+def _compiled(plain: FunctionType) -> CodeType:
     node = _definition(plain)
     _check_signature(plain, node)
     casts, checks = _POINTER_CASTS, {} if VIPER == "fast" else _INT_CHECKS
@@ -92,7 +128,7 @@ def viper(function: Callable[..., _Result], /) -> Callable[..., _Result]:
         for argument in node.args.args
         if _type(argument) in entry
     ]
-    return cast("Callable[..., _Result]", _compile(plain, node))
+    return _compile(plain, node)
 
 
 # Views that are kept, by id: as good as what they show.
@@ -205,7 +241,10 @@ class _Checks(ast.NodeTransformer):
         return node
 
     def visit_Call(self, node: ast.Call) -> ast.AST:
-        if not (isinstance(node.func, ast.Name) and node.func.id == "int" and node.args):
+        name = node.func.id if isinstance(node.func, ast.Name) and node.args else ""
+        if name in _POINTERS and isinstance(node.args[0], ast.Name):
+            return _expression(_POINTER_MET.format(name, node.args[0].id), node)
+        if name != "int":
             return self.generic_visit(node)
         inner = node.args[0]
         bare = (ast.Constant, ast.Name, ast.UnaryOp, ast.unaryop, ast.expr_context)
@@ -291,10 +330,17 @@ def _definition(function: FunctionType) -> ast.FunctionDef:
 
 
 def _statement(source: str, place: ast.AST) -> ast.stmt:
-    statement = ast.parse(source).body[0]
-    for node in ast.walk(statement):
+    return _placed(ast.parse(source).body[0], place)
+
+
+def _expression(source: str, place: ast.AST) -> ast.expr:
+    return _placed(ast.parse(source, mode="eval").body, place)
+
+
+def _placed(made: _Node, place: ast.AST) -> _Node:
+    for node in ast.walk(made):
         ast.copy_location(node, place)
-    return statement
+    return made
 
 
 # What holds of a result, an index, a shift count. Where it does not, who is called says so.
@@ -316,16 +362,19 @@ def _call(name: str, argument: ast.expr) -> ast.expr:
     return ast.copy_location(ast.Call(ast.Name(name, ast.Load()), [argument], []), argument)
 
 
-def _compile(function: FunctionType, node: ast.FunctionDef) -> FunctionType:
-    """Compile inside a factory: the helpers become closure cells, out of the module's way."""
+def _compile(function: FunctionType, node: ast.FunctionDef) -> CodeType:
+    """Inside a factory: the helpers become closure cells, out of the module's way."""
     node.decorator_list, node.returns = [], None
     for argument in node.args.args:
         argument.annotation = None
     factory = cast(ast.FunctionDef, ast.parse(f"def factory({', '.join(_HELPERS)}): pass").body[0])
     factory.body = [node, _statement(f"return {node.name}", node)]
     tree = ast.fix_missing_locations(ast.Module([factory], []))
+    return compile(tree, function.__code__.co_filename, "exec", dont_inherit=True)
+
+
+def _made(function: FunctionType, code: CodeType) -> FunctionType:
     made: dict[str, Callable[..., FunctionType]] = {}
-    code = compile(tree, function.__code__.co_filename, "exec", dont_inherit=True)
     exec(code, function.__globals__, made)
     result = made["factory"](**_HELPERS)
     for name in ("__qualname__", "__annotations__", "__doc__"):
@@ -334,8 +383,10 @@ def _compile(function: FunctionType, node: ast.FunctionDef) -> FunctionType:
 
 
 _POINTERS = {"ptr8": _Pointer("B"), "ptr16": _Pointer("H"), "ptr32": _Pointer("i")}
-# The statements that stand for annotations. A pointer met before costs no call of ours.
-_POINTER_CASTS = {t: f"{{0}} = viper_{t}(viper_id({{0}})) or {t}({{0}})" for t in _POINTERS}
+# A pointer met before costs no call of ours.
+_POINTER_MET = "viper_{0}(viper_id({1})) or {0}({1})"
+# The statements that stand for annotations.
+_POINTER_CASTS = {t: "{0} = " + _POINTER_MET.format(t, "{0}") for t in _POINTERS}
 _INT_CHECKS = {"int": "{0} = viper_int({0})", "uint": "{0} = viper_int({0}, 0, 1 << 32)"}
 _HELPERS: dict[str, Any] = {
     "viper_id": id,
