@@ -214,28 +214,28 @@ class Rig:
 
     def pass_time(self, to: int, or_arrival: bool = False) -> None:
         """Let time pass until `to`, or a byte arrives, waking the script where it asked for it."""
+        engine, link = self.engine, self.link
         while True:
             step = to
-            arrival = self.link.next_event() if or_arrival else None
+            arrival = link.next_event() if or_arrival else None
             if arrival is not None and arrival < step:
                 step = arrival
-            if not callable(self._wake) and self._wake < step:
-                step = self._wake
-            event = self.engine.next_event()
-            if event < step:
-                step = event
-            if step > self.now:
-                self.engine.advance(step)
-            elif event <= self.now:
-                self.engine.advance(self.now)
-            self.link.advance()
+            wake = self._wake
+            if not callable(wake) and wake < step:
+                step = wake
+            event = engine.next_event()
+            if event > step >= engine.now:
+                engine.now = step  # nothing happens there until then: what most turns are
+            else:
+                engine.advance(max(min(event, step), engine.now))
+            link.advance()
             self._wake_script()
-            arrival = self.link.next_event() if or_arrival else None
-            if self.now >= to or (arrival is not None and arrival <= self.now):
+            arrival = link.next_event() if or_arrival else None
+            if engine.now >= to or (arrival is not None and arrival <= engine.now):
                 return
 
     def _wake_script(self) -> None:
-        while self._wake() if callable(self._wake) else self._wake <= self.now:
+        while self._wake() if callable(self._wake) else self._wake <= self.engine.now:
             try:
                 self._wake = next(self._script)
             except StopIteration:
