@@ -19,6 +19,7 @@ _SELDOM = tuple(
 # would stay in memory.
 FORGET = "forget"
 _NAME = re.compile(r"[\w.]+")
+_SCOPES = (ast.FunctionDef, ast.ClassDef, ast.Lambda, ast.comprehension)
 
 
 class _Branches(dict[type[ast.AST], tuple[str, ...]]):
@@ -213,11 +214,13 @@ def inside(tree: ast.Module) -> Iterator[str]:
 
 def inner(tree: ast.AST) -> Iterator[str]:
     """Names that are bound in what may be a scope of its own, or otherwise than by `=`."""
-    for node in walk(tree):
-        if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Lambda | ast.comprehension):
+    outside = [tree]
+    for node in outside:
+        if isinstance(node, _SCOPES):
             yield from bound(node)
         else:
             yield from _otherwise(node)
+            outside += children(node)
 
 
 def _otherwise(node: ast.AST) -> Iterator[str]:
