@@ -38,6 +38,12 @@ def pytest_configure(config: pytest.Config) -> None:
     settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", usual))
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> "int | None":
+    """In the second ring one more than there are cores: tests of pages and terminals wait."""
+    return (os.cpu_count() or 1) + 1 if rings.is_second(config) else None
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: "list[pytest.Item]") -> None:
     rings.select(config, items)
 

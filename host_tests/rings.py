@@ -2,8 +2,9 @@
 
 The first ring (`make test`) answers in minutes: it leaves out tests marked `thorough`, and runs
 three cases of a test marked `sampled(3)`. The second (`make test-all`, pytest --all) runs
-everything that needs neither an image nor a sender. One seed, shown in the summary, chooses the
-samples and hypothesis' examples.
+everything that needs neither an image nor a sender; of a test marked `sampled(3, 20)`, and of what
+sample(cases, 3, 20) chooses, 20 cases. All of these, too, run each night (`make test-all WHOLE=1`,
+pytest --whole). One seed, shown in the summary, chooses the samples and hypothesis' examples.
 """
 
 import os
@@ -17,13 +18,14 @@ import pytest
 
 _Item = TypeVar("_Item")
 
-_ring: "dict[str, int]" = {"all": 0, "seed": 0}
+_ring: "dict[str, int]" = {"all": 0, "whole": 0, "seed": 0}
 
 
 def add_options(parser: pytest.Parser) -> None:
     """What pytest may be asked."""
     group = parser.getgroup("rings")
     group.addoption("--all", action="store_true", help="the second ring: all there is")
+    group.addoption("--whole", action="store_true", help="and of what it samples all cases")
     group.addoption("--seed", type=int, help="which samples and examples to take")
     group.addoption("--shard", help="2/5: the second of five parts of the tests")
 
@@ -35,7 +37,13 @@ def choose(config: pytest.Config) -> None:
         config.option.seed = int(chosen)
     if config.getoption("--hypothesis-seed") is None:
         config.option.hypothesis_seed = str(config.option.seed)
-    _ring.update(all=config.option.all, seed=config.option.seed)
+    whole = config.option.whole
+    _ring.update(all=is_second(config), whole=whole, seed=config.option.seed)
+
+
+def is_second(config: pytest.Config) -> bool:
+    """Whether all is asked for, known before choose()."""
+    return bool(config.option.all or config.option.whole)
 
 
 def is_first() -> bool:
@@ -43,9 +51,15 @@ def is_first() -> bool:
     return not _ring["all"]
 
 
-def sample(items: "Sequence[_Item]", count: int) -> "list[_Item]":
-    """That many of the items in the first ring, in their order; all of them in the second."""
-    if not is_first() or len(items) <= count:
+def is_whole() -> bool:
+    """Whether nothing is sampled."""
+    return bool(_ring["whole"])
+
+
+def sample(items: "Sequence[_Item]", first: int, second: "int | None" = None) -> "list[_Item]":
+    """That many of the items in the first ring and in the second, in their order. None: all."""
+    count = first if is_first() else second
+    if count is None or is_whole() or len(items) <= count:
         return list(items)
     chosen = random.Random(f"{_ring['seed']} {len(items)}").sample(range(len(items)), count)
     return [items[index] for index in sorted(chosen)]
@@ -53,7 +67,7 @@ def sample(items: "Sequence[_Item]", count: int) -> "list[_Item]":
 
 def select(config: pytest.Config, items: "list[pytest.Item]") -> None:
     """Deselect what the ring or the shard leaves out."""
-    kept = set(_of_first_ring(items) if is_first() else items)
+    kept = set(_of_ring(items))
     if config.option.shard:
         part, parts = map(int, config.option.shard.split("/"))
         kept = {item for item in kept if zlib.crc32(item.nodeid.encode()) % parts == part - 1}
@@ -63,27 +77,28 @@ def select(config: pytest.Config, items: "list[pytest.Item]") -> None:
         items[:] = [item for item in items if item in kept]
 
 
-def _of_first_ring(items: "list[pytest.Item]") -> "list[pytest.Item]":
-    """All but the thorough ones, and of each sampled test so many cases."""
+def _of_ring(items: "list[pytest.Item]") -> "list[pytest.Item]":
+    """Of each sampled test so many cases, and all others but, in the first ring, the thorough."""
     kept = []
     alike: "dict[str, list[pytest.Item]]" = defaultdict(list)
-    counts = {}
+    counts: "dict[str, tuple[int, ...]]" = {}
     for item in items:
         # The closest counts: a test of a thorough module may be sampled.
         marks = (mark for mark in item.iter_markers() if mark.name in ("thorough", "sampled"))
         mark = next(marks, None)
-        if mark is None:
-            kept.append(item)
-        elif mark.name == "sampled":
+        if mark is not None and mark.name == "sampled":
             name = item.nodeid.partition("[")[0]
             alike[name].append(item)
-            counts[name] = mark.args[0]
+            counts[name] = mark.args
+        elif mark is None or not is_first():
+            kept.append(item)
     for name, cases in alike.items():
-        kept += sample(cases, counts[name])
+        kept += sample(cases, *counts[name])
     return kept
 
 
 def summary(config: pytest.Config) -> str:
     """What is run, and how to run the same again."""
-    ring = "first" if is_first() else f"second, shard {config.option.shard or '1/1'}"
+    whole = ", whole" if is_whole() else ""
+    ring = "first" if is_first() else f"second{whole}, shard {config.option.shard or '1/1'}"
     return f"ring: {ring}, --seed={config.option.seed}"

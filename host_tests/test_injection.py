@@ -247,7 +247,7 @@ def bytecodes(scenario: Scenario) -> int:
     return trial.bytecodes
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(2, 9)
 @pytest.mark.parametrize("act", ["limit_x", "reset", "\x18"], ids=["limit", "button", "Ctrl-X"])
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.name)
 def test_nothing_moves_or_turns_behind_a_stop(scenario: Scenario, act: str) -> None:

@@ -80,7 +80,7 @@ def whole(name: str, laser: bool, folder: Path) -> list[tuple[int, Any]]:
     return bench.log
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.sampled(1, 8)
 @pytest.mark.skipif(not programs(), reason=f"{_EXPECTED} is not there")
 @pytest.mark.parametrize("number", range(_ENTRIES))
 def test_a_program_goes_on_as_a_whole_run_does(

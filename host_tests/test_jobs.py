@@ -524,7 +524,7 @@ ROUTER = (
 )
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.sampled(1, 3)
 @pytest.mark.parametrize("line", range(2, 12))
 def test_it_goes_on_at_a_line_as_if_all_before_it_had_been_done(tmp_path: Path, line: int) -> None:
     whole = homed(Bench(tmp_path))

@@ -332,7 +332,7 @@ EVENTS = [
 ]
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.sampled(1, 8)
 @pytest.mark.parametrize("events", EVENTS, ids=["through", "held", "late", "reset", "limit"])
 @pytest.mark.parametrize("by", ["cable", "network", "page"])
 @pytest.mark.parametrize("seed", [1, 2])
@@ -363,7 +363,7 @@ def test_pages_that_are_loaded_change_no_segment(
     assert stretches(found) == stretches(quiet(monkeypatch, events, by))
 
 
-@pytest.mark.sampled(2)
+@pytest.mark.sampled(2, 12)
 @pytest.mark.parametrize("lost_ms", [*range(0, 260, 13), 400, 700, 1100])
 @pytest.mark.parametrize("how", ["silent", "reset", "end"])
 def test_of_who_is_lost_all_whole_lines_are_done(

@@ -57,8 +57,9 @@ def test_conversations(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_laws_and_torture(tree: Path) -> None:
     shutil.copy(_HERE.parent / "pyproject.toml", tree)
     tests = [str(tree / "host_tests" / name) for name in ("test_laws.py", "test_torture.py")]
+    whole = ["--whole"] if rings.is_whole() else []
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--all", *tests],
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *whole, *tests],
         env={**os.environ, **_environment(tree), "UGRBL_TORTURE": "4"},
         cwd=tree,
         capture_output=True,
@@ -66,7 +67,7 @@ def test_laws_and_torture(tree: Path) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    assert int(done.stdout.split(" passed")[0].split()[-1]) > 50
+    assert int(done.stdout.split(" passed")[0].split()[-1]) > 40
 
 
 @pytest.fixture(scope="module")
@@ -81,11 +82,11 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
 def test_conversations_on_compiled_files(folder: Path, compiled: Path) -> None:
-    """The first ring takes a few of each folder."""
+    """The first ring takes a few of each folder, the second more."""
     if not folder.is_dir():
         pytest.skip(f"{folder} is not there")
     results = run_folder(
-        folder, "micropython", program=compiled, choose=lambda cases: rings.sample(cases, 12)
+        folder, "micropython", program=compiled, choose=lambda cases: rings.sample(cases, 12, 60)
     )
     assert results.ok(), summary(results)
 
@@ -111,7 +112,7 @@ def _one_name_for_all(attributes: Any) -> Any:
     return lambda self: dict.fromkeys(attributes(self), "id")
 
 
-@pytest.mark.thorough
+@pytest.mark.sampled(0, 1)
 @pytest.mark.parametrize(
     ("module", "name", "wrong", "debug"),
     [
