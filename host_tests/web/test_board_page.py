@@ -131,7 +131,7 @@ def test_a_key_that_is_typed_in_the_console_is_not_to_be_read_there(
 def test_a_job_is_run_held_and_ended_from_it(board: Board, visit: Callable[..., Visitor]) -> None:
     person = unlocked(board, visit())
     person.types("G92 X0 Y0")
-    person.loads("G21 G90 F1200\n" + "".join(f"G1 X{i % 2 * 10} Y{i % 3}\n" for i in range(40)))
+    person.loads("G21 G90 F1200\n" + "".join(f"G1 X{i % 2 * 10} Y{i % 3}\n" for i in range(14)))
     person.click("#tabs [data-tab=job]")
     person.reads("#job-words", "How long it takes is not known")
     person.click("#run")
@@ -140,7 +140,7 @@ def test_a_job_is_run_held_and_ended_from_it(board: Board, visit: Callable[..., 
     person.sees("Hold")
     person.click("#resume")
     person.reads("#job-words", "Job done: nothing refused")
-    person.rests_at(10, 0, 0)
+    person.rests_at(10, 1, 0)
 
 
 def test_of_two_pages_one_watches_and_takes_over_when_the_other_has_been_silent(

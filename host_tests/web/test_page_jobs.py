@@ -129,18 +129,18 @@ def test_a_sign_that_acts_at_once_in_the_code_is_not_sent(person):
     assert not sent_at_once(person.machine)
 
 
-def test_ten_thousand_lines_stream_without_stalling(person_at):
+def test_thousands_of_lines_stream_without_stalling(person_at):
     person = person_at(None, "--speed", "max")
     person.open_from_disk()
     person.connect()
-    moves = "".join(f"G1 X{i % 100 / 10:.1f} Y{i % 70 / 10:.1f}\n" for i in range(10_000))
+    moves = "".join(f"G1 X{i % 100 / 10:.1f} Y{i % 70 / 10:.1f}\n" for i in range(3_000))
     person.loads(f"G21 G90 F3000\n{moves}")
     person.click("#run")
     person.page.wait_for_function(
         "document.getElementById('job-words').textContent.includes('done')", timeout=180_000
     )
     assert person.text("#job-words").startswith("Job done: nothing refused")
-    assert sum(line.startswith("G1") for line in person.machine.lines()) == 10_000
+    assert sum(line.startswith("G1") for line in person.machine.lines()) == 3_000
     person.rests_at(9.9, 5.9, 0)
 
 
