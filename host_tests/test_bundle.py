@@ -5,6 +5,7 @@ import re
 import runpy
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import mpy_file
@@ -209,14 +210,10 @@ def test_names_that_are_used_most_have_the_first_places(tmp_path: Path) -> None:
 # The firmware
 
 
-@pytest.fixture(scope="module")
-def placed() -> "dict[str, str]":
-    """All modules, as they are put together."""
-    return build.prepared_firmware().texts
-
-
-def put_together(placed: "dict[str, str]", board: Path) -> Bundles:
+@cache
+def put_together(board: Path) -> Bundles:
     """What a board needs of them."""
+    placed = build.prepared_firmware().texts
     needed = [build.module(source) for source in build.needed(load_for_build(board))]
     return bundle({name: placed[name] for name in needed})
 
@@ -226,10 +223,12 @@ def has_more_than_imports(text: str) -> bool:
     return not all(isinstance(part, passed_over) for part in ast.parse(text).body)
 
 
+@pytest.mark.sampled(0, 8)
 @pytest.mark.parametrize("board", _BOARDS, ids=lambda file: file.stem)
-def test_of_each_board_every_module_goes_somewhere(placed: "dict[str, str]", board: Path) -> None:
+def test_of_each_board_every_module_goes_somewhere(board: Path) -> None:
+    placed = build.prepared_firmware().texts
     needed = [build.module(source) for source in build.needed(load_for_build(board))]
-    made = put_together(placed, board)
+    made = put_together(board)
     merged = {meaning.module for names in made.origins.values() for meaning in names.values()}
     apart = set(made.texts) - set(made.origins)
     # Of some nothing is left: all their functions have been put where they are called.
@@ -239,11 +238,10 @@ def test_of_each_board_every_module_goes_somewhere(placed: "dict[str, str]", boa
     assert {"motion.plan_kernel", "talk.report", "language.interpreter"} <= merged
 
 
+@pytest.mark.sampled(0, 8)
 @pytest.mark.parametrize("board", _BOARDS, ids=lambda file: file.stem)
-def test_all_that_is_forgotten_after_start_is_one_module(
-    placed: "dict[str, str]", board: Path
-) -> None:
-    made = put_together(placed, board)
+def test_all_that_is_forgotten_after_start_is_one_module(board: Path) -> None:
+    made = put_together(board)
     start = {meaning.module for meaning in made.origins["boot.parts"].values()}
     wanted = {"boot.parts", "boot.wiring", "boot.options", "boot.guests", "ports.pin_check"}
     assert wanted <= start
@@ -253,6 +251,7 @@ def test_all_that_is_forgotten_after_start_is_one_module(
     assert [*outside] == ["boot.parts"]
 
 
+@pytest.mark.sampled(0, 8)
 @pytest.mark.parametrize("board", _BOARDS, ids=lambda file: file.stem)
 def test_no_table_has_more_than_a_collection_can_keep_in_mind(board: Path) -> None:
     """64 in MicroPython (MICROPY_ALLOC_GC_STACK_SIZE), with what led there. If it finds more, it
@@ -298,10 +297,8 @@ def test_the_benchmark_for_the_board_has_the_constants_it_names() -> None:
     compile(made["MAIN"], "main.py", "exec")
 
 
-def test_programs_for_the_board_find_what_they_ask_for_under_its_name(
-    placed: "dict[str, str]",
-) -> None:
-    made = put_together(placed, paths.BOARDS / "rpi_pico.py")
+def test_programs_for_the_board_find_what_they_ask_for_under_its_name() -> None:
+    made = put_together(paths.BOARDS / "rpi_pico.py")
     files = [
         *(_HERE / "emulator").glob("*.py"),
         _HERE / "bench" / "on_board.py",

@@ -128,12 +128,17 @@ def changed(made: build.Build, *paths: str) -> build.Build:
 # What belongs on which board
 
 
+@pytest.fixture(scope="module")
+def texts() -> "dict[str, str]":
+    """All modules, constants in place."""
+    return inline(build.texts())
+
+
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", REAL)
-def test_a_board_gets_every_module_its_modules_import(name: str) -> None:
+def test_a_board_gets_every_module_its_modules_import(name: str, texts: "dict[str, str]") -> None:
     """At their top level; inside functions a module imports what its board may not need."""
     there = set(build.needed(load_board(name)))
-    texts = inline(build.texts())
     for source in there:
         tree = ast.parse(texts[build.module(source)])
         for node in tree.body:
