@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from ugrbl import paths
-from ugrbl.compiling import build, marks, prepared
+from ugrbl.compiling import build, marks
 from ugrbl.compiling.inline import inline
 from ugrbl.compiling.leaves import leaves
 from ugrbl.compiling.marks import Marks
@@ -23,7 +23,7 @@ _ON_BOARD = (_HERE / "emulator", _HERE / "bench")
 
 @pytest.fixture(scope="module")
 def made() -> Shortened:
-    return prepared(build.texts())
+    return build.prepared_firmware(arch="x64")
 
 
 @pytest.fixture(scope="module")
