@@ -600,7 +600,8 @@ def _check_stretch(stretch: "list[Segment]") -> None:
 
 
 def some(count: int) -> settings:
-    """So many examples in every test run, and forty times as many in a thorough one."""
+    """So many examples in the second ring, a quarter in the first, forty times as many in a
+    thorough run."""
     return settings(max_examples=max(1, count * settings.default.max_examples // 50))
 
 

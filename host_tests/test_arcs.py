@@ -9,8 +9,9 @@ import pytest
 from base import state as run
 from base.f32 import f32, vector
 from boot import wiring
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
+from laws import some
 from motion import arcs, layout
 from motion.arc_geometry import CENTRE_0, CENTRE_1, RADIUS, Arc
 from ugrbl.run import machine
@@ -157,7 +158,7 @@ ways = st.builds(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@some(60)
 @given(ways, tolerances)
 @example(Way(0.00201, 0.0, 2 * pi), 0.002)
 @example(Way(0.00101, 0.3, 5.99), 0.002)

@@ -11,9 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from language import clusters
+from laws import some
 from motion import layout
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_POWER
 from test_laser import made
@@ -98,7 +99,7 @@ _lines = st.lists(st.tuples(st.sampled_from((0.4, 0.8, 1.6, 0.02, 2.5)), _dots),
 
 
 @given(_lines, st.sampled_from((300, 3000, 6000)))
-@settings(max_examples=25, deadline=None)
+@some(25)
 @example([(0.02, [1000, 0] * 8), (0.8, [1, 250])], 6000)  # more dots than steps
 @example([(1.6, [0, 1000] * 8)] * 3, 6000)
 def test_every_dot_is_burnt_where_it_belongs(
@@ -119,7 +120,7 @@ def test_dots_are_kept_by_lines_that_wait_for_room_in_the_planner(plain: bool) -
 
 
 @given(_lines.filter(bool))
-@settings(max_examples=10, deadline=None)
+@some(10)
 def test_the_dots_of_a_line_get_the_energy_they_are_to_have(
     lines: "list[tuple[float, list[int]]]",
 ) -> None:
@@ -134,7 +135,7 @@ _HOLDS = st.lists(st.tuples(st.integers(2, 40), st.sampled_from("!\x91\x92\x93\x
 
 
 @given(_HOLDS)
-@settings(max_examples=15, deadline=None)
+@some(15)
 @example([(20, "!"), (20, "!")])
 def test_holds_and_overrides_move_no_dot(events: "list[tuple[int, str]]") -> None:
     lines = [(1.6, [0, 1000, 250, 600]), (0.8, [1000, 0]), (1.6, [100 * k for k in range(10)])]
@@ -194,7 +195,7 @@ def test_an_override_of_the_spindle_weighs_dots_anew() -> None:
 
 
 @given(st.lists(st.tuples(st.sampled_from((0.4, 1.2, -0.8)), st.integers(0, 1000)), min_size=1))
-@settings(max_examples=15, deadline=None)
+@some(15)
 def test_every_step_of_a_plain_line_has_its_power(lines: "list[tuple[float, int]]") -> None:
     lines = lines[:8]
     burnt = burn(*(f"X{mm}S{power}" for mm, power in lines))
@@ -322,7 +323,7 @@ def test_a_board_without_clusters_knows_none() -> None:
     st.sampled_from((1000, 255, 16383)),
     st.booleans(),
 )
-@settings(max_examples=300, deadline=None)
+@some(300)
 def test_a_dot_has_the_power_that_s_has(
     values: "list[float]", most: float, least: float, full: int, dynamic: bool
 ) -> None:

@@ -10,7 +10,7 @@ from base.errors import INVALID_JOG_COMMAND, GrblError
 from base.state import IDLE, RPM
 from boot import wiring
 from control import modes as modal
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from language.fast_kernel import (
     AXES,
@@ -29,6 +29,7 @@ from language.fast_kernel import (
     set_in_force,
 )
 from language.fast_path import FastPath
+from laws import some
 from motion import layout
 from oracle import read_words
 from test_words import bits, pieces
@@ -196,7 +197,7 @@ program = st.lists(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@some(150)
 @given(program, st.booleans(), st.booleans())
 @example(["F300", "G1X1", "X2", "X3S5", "G91", "X1", "X1", "X1"], True, False)
 @example(["M4S100F300", "G1X1", "X2", "X2", "X3S5", "G0X4", "X5", "G1X6"], True, False)
@@ -290,7 +291,7 @@ def test_another_power_of_the_beam_takes_the_short_path(beam: str, override: int
 speeds = st.decimals(0, 13000, places=3).map(lambda x: format(x, "f"))
 
 
-@settings(max_examples=60, deadline=None)
+@some(60)
 @given(
     st.sampled_from((1000.0, 255.0, 12000.0, 1.0)),
     st.sampled_from((0.0, 1.0, 30.5, 1000.0)),

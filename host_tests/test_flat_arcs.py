@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 from base.f32 import f32, vector
-from hypothesis import assume, example, given, settings
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
+from laws import some
 from motion.arc_geometry import CENTRE_0, CENTRE_1, RADIUS, Arc
 from typer.testing import CliRunner
 from ugrbl.cli.app import app
@@ -91,7 +92,7 @@ centres = st.one_of(decimals(-10, 10), decimals(-1000, 1000), decimals(-1e6, 1e6
 pairs = st.tuples(coordinates, coordinates)
 
 
-@settings(deadline=None, max_examples=200)
+@some(200)
 @given(pairs, st.tuples(nears, nears), st.tuples(centres, centres), st.booleans())
 @example(
     (Fraction("-26.4249"), Fraction("49.0743")),

@@ -13,12 +13,13 @@ from base.state import State
 from control.coords import Coords
 from control.modes import Modes
 from fakes import FakeCanon, FakeStore, FakeVoice
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from language import interpreter
 from language.block import Block
 from language.interpreter import Interpreter
 from language.usual import ODD
+from laws import some
 from test_gcode_oracle import lines
 from ugrbl.paths import FIRMWARE, STANDINS
 
@@ -130,7 +131,7 @@ def outcome(paper: Paper, line: str) -> "tuple[object, ...]":
 
 
 @given(st.lists(st.tuples(st.booleans(), lines), min_size=1, max_size=8), st.booleans())
-@settings(max_examples=200, deadline=None)
+@some(200)
 @example([(True, "G91X1F5"), (True, "X1"), (True, "X1S5F5"), (True, "F5"), (True, "G2X1F5")], True)
 def test_the_usual_checks_find_what_all_checks_find(
     program: "list[tuple[bool, str]]", inches: bool

@@ -12,8 +12,9 @@ from boot.options import Options
 from control.spindle import CCW, CW, Spindle
 from esp_bench import esp_machine, gpio_esp, reset_stand_ins
 from fakes import FakePort
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
+from laws import some
 from motion import layout
 from motion.layout import ROW_POWER
 from rig_bench import Machine
@@ -91,7 +92,7 @@ def due(
     st.integers(10, 200),
     st.booleans(),
 )
-@settings(max_examples=500, deadline=None)
+@some(500)
 @example(-0.0, 1000, 0, 1000, 100, False)
 @example(-0.0, 1000, 0, 1000, 50, True)
 @example(500, 1000, 1000, 255, 100, True)

@@ -12,8 +12,9 @@ import pytest
 from base import errors
 from base.errors import GrblError
 from extras.api import Cnc
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from laws import some
 from ugrbl.boardfile.files import load_board
 from ugrbl.grbl.gcode_file import read_lines
 from ugrbl.paths import BOARDS
@@ -402,7 +403,7 @@ _LINES = st.lists(st.lists(_WORDS, min_size=1, max_size=6).map(" ".join), max_si
 
 @pytest.mark.thorough
 @given(_LINES)
-@settings(max_examples=60, deadline=None)
+@some(60)
 def test_every_line_is_done_or_refused_without_effect(lines: "list[str]") -> None:
     bench = Bench()
     asked = [text for line in lines for text in ("$G", line, "$G")]
@@ -583,7 +584,7 @@ def _drilled(drill: "dict[str, str]", words: "dict[str, str]") -> "Iterator[str]
     yield f"G0 Z{drill['R']}"
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.sampled(1, 3)
 @needs_programs
 @pytest.mark.parametrize("name", _SMALL)
 def test_they_move_as_a_copy_cleaned_by_hand(name: str, board: str) -> None:

@@ -17,9 +17,9 @@ from typing import Any
 import machine
 import pytest
 import rp2
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from laws import Bench, Limits
+from laws import Bench, Limits, some
 from motion.layout import KEEP_POWER, ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS
 from pio import beam_program, layout, memory, programs, pulses
 from pio.engine import PioEngine
@@ -556,7 +556,7 @@ def test_the_rate_stated_leaves_room_for_rounding(ratio: "tuple[float, ...]") ->
 
 
 @given(timed_segments(5), st.lists(st.integers(0, 400), min_size=5, max_size=5))
-@settings(max_examples=30)
+@some(30)
 def test_words_that_come_late_are_waited_for(
     case: "tuple[Timing, list[array[int]]]", gaps: "list[int]"
 ) -> None:
@@ -605,7 +605,7 @@ def test_undone_steps_are_known_in_every_tick() -> None:
 
 
 @given(timed_segments(5), st.data())
-@settings(max_examples=40)
+@some(40)
 def test_a_stop_in_any_tick_leaves_a_known_place(
     case: "tuple[Timing, list[array[int]]]", data: Any
 ) -> None:
@@ -830,7 +830,7 @@ def test_the_engine_knows_where_it_is_in_motion() -> None:
 
 @pytest.mark.parametrize("motors", MOTORS)
 @given(st.integers(0, 3000), DMA_READINGS, st.data())
-@settings(max_examples=40)
+@some(40)
 def test_a_stop_of_the_engine_is_at_once_and_leaves_the_true_place(
     motors: int, latency: int, dma: "tuple[bool, int]", data: Any
 ) -> None:
@@ -851,7 +851,7 @@ def test_a_stop_of_the_engine_is_at_once_and_leaves_the_true_place(
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("motors", MOTORS)
 @given(st.data())
-@settings(max_examples=30)
+@some(30)
 def test_motion_after_a_stop_keeps_what_drivers_need(motors: int, data: Any) -> None:
     """The stop comes anywhere, the segments after it turn or do not, their first step at once."""
     timing = data.draw(st.sampled_from(sorted(TIMINGS.values())))
@@ -950,7 +950,7 @@ def test_a_stop_may_interrupt_what_the_main_loop_has_the_engine_do(work: str, mo
 
 @pytest.mark.parametrize("motors", MOTORS)
 @given(st.data(), st.lists(st.integers(0, 9000), min_size=1, max_size=9))
-@settings(max_examples=20)
+@some(20)
 def test_interrupts_that_come_late_lose_nothing(
     motors: int, data: Any, latencies: "list[int]"
 ) -> None:
@@ -1022,7 +1022,7 @@ def test_power_is_told_as_its_segment_begins(latency: int) -> None:
 
 
 @given(segments(160, 12), st.lists(st.integers(0, 9000), min_size=1, max_size=5))
-@settings(max_examples=20)
+@some(20)
 def test_power_at_rest_is_that_of_the_last_segment(
     rows: "list[array[int]]", latencies: "list[int]"
 ) -> None:
@@ -1139,7 +1139,7 @@ def test_registers_of_the_rp2350_are_where_its_data_sheet_has_them() -> None:
     ),
     st.integers(38, 130),
 )
-@settings(max_examples=30, deadline=None)
+@some(30)
 def test_the_beams_machine_plays_words_in_the_times_of_steps(
     words: "list[tuple[int, int, int]]", pulse: int
 ) -> None:

@@ -16,8 +16,9 @@ from typing import Any
 
 import pytest
 import rp2
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from laws import some
 from pio import hub, programs
 from test_pio import AXES, DMA_READINGS, MOTORS, Bed, a_bed, reckon, rush, ticks, word
 
@@ -57,7 +58,7 @@ def check_stopped(bed: Bed, made: int) -> None:
 
 @pytest.mark.parametrize("motors", MOTORS)
 @given(st.integers(0, 9000), st.integers(0, 900), DMA_READINGS)
-@settings(max_examples=40)
+@some(40)
 def test_a_stop_at_any_instant_is_exact(
     motors: int, after: int, latency: int, dma: "tuple[bool, int]"
 ) -> None:
@@ -469,7 +470,7 @@ _WORD = st.builds(word, st.integers(0, 1), st.integers(0, 5), st.integers(0, 90)
 
 
 @given(st.lists(_WORD, max_size=7), st.integers(4, 150))
-@settings(max_examples=20)
+@some(20)
 def test_another_emulator_agrees_about_any_words(words: "list[int]", pulse: int) -> None:
     """Every edge of STEP, up and down, in the very tick that programs.py states."""
     steps, ready = reckon(words, pulse)

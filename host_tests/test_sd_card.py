@@ -7,8 +7,9 @@ from random import Random
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from laws import some
 from ports import sd_blocks
 from ports.link_memory import REMEMBERED
 from ports.sd_blocks import SdBlocks
@@ -125,7 +126,7 @@ def test_it_begins_slowly_and_goes_on_fast(bench: Bench) -> None:
 
 
 @given(where=st.integers(0, BLOCK * 8 - 1), number=st.integers(0, _BLOCKS - 1))
-@settings(max_examples=50, deadline=None)
+@some(50)
 def test_a_bit_that_is_read_wrong_is_read_again(where: int, number: int) -> None:
     with pytest.MonkeyPatch.context() as patch:
         for bench in _wired(Bench(), patch):

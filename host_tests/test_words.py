@@ -7,9 +7,10 @@ from math import isfinite
 import pytest
 from base.f32 import f32
 from base.singles import add_single, to_mm
-from hypothesis import assume, example, given, settings
+from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from language.words import Words, bare, scan
+from laws import some
 from oracle import read_number, read_words, single
 
 
@@ -53,7 +54,7 @@ def test_a_line_is_read_word_by_word_up_to_the_first_fault(text: str) -> None:
     assert line.fault == fault
 
 
-@settings(max_examples=200)
+@some(200)
 @given(st.binary(max_size=126))
 def test_any_bytes_are_read_without_raising(data: bytes) -> None:
     line = Words(127)
@@ -79,7 +80,7 @@ normal = st.floats(width=32, min_value=-(2.0**100), max_value=2.0**100, allow_su
 places = st.one_of(normal, st.sampled_from([0.0, 1.0, -1.0, 0.1, -16777216.0, 2.0**-100]))
 
 
-@settings(max_examples=500)
+@some(500)
 @given(places, places)
 @example(1.0, -1.0)
 @example(1.0, 2.0**-24)
