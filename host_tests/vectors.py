@@ -33,7 +33,7 @@ class Dice:
 
 def print_reals(dice):
     """The arithmetic of reals and of the interrupt."""
-    for _ in range(2000):
+    for _ in range(600):
         a = reals.pack(1 + dice.below(1 << 24), 50 + dice.below(28))
         b = reals.pack(1 + dice.below(1 << 24), 50 + dice.below(28))
         n, m = dice.below(1 << 24) << dice.below(6), dice.below(1 << 24)
@@ -92,7 +92,7 @@ def print_blocks(dice):
     row = array("i", [0] * layout.row_length(3))
     target = vector(3)
     move = Move()
-    for k in range(100):
+    for k in range(40):
         planner = Planner(3, 16, Kinematics(3, COREXY) if k % 5 == 4 else None, State())
         planner.configure(Settings(dice), 13107200, 17, 90909)
         planner.override()
