@@ -11,6 +11,7 @@ import sys
 from array import array
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
@@ -264,6 +265,7 @@ def {0}(memory: ptr32, x: int) -> int:
 # The firmware
 
 
+@cache
 def firmware() -> "dict[str, str]":
     """Its modules as they are compiled, but for the leaves."""
     files = sorted(FIRMWARE.rglob("*.py"))
@@ -272,14 +274,18 @@ def firmware() -> "dict[str, str]":
     return inline({n.removesuffix(".__init__"): t for n, t in zip(names, texts) if n != "main"})
 
 
+@cache
+def with_leaves_in_place() -> "dict[str, str]":
+    return leaves(firmware())
+
+
 def parts(whole: "dict[str, str]", *names: str) -> "dict[str, str]":
     return {name: whole[name] for name in names}
 
 
 @pytest.mark.thorough
 def test_most_calls_of_the_firmware_are_gone() -> None:
-    before = firmware()
-    after = leaves(before)
+    before, after = firmware(), with_leaves_in_place()
     assert before.keys() == after.keys()
     defined = re.compile(r"@micropython\.viper\n\s*def ")
     left = sum(len(defined.findall(text)) for text in after.values())
@@ -307,11 +313,10 @@ _KERNELS = (
 
 @pytest.mark.thorough
 def test_kernels_plan_and_make_the_same_segments(tmp_path: Path) -> None:
-    whole = firmware()
     bench = Bench(Limits())
     planner = bench.planner
     results: list[list[Any]] = []
-    for texts in (whole, leaves(whole)):
+    for texts in (firmware(), with_leaves_in_place()):
         with imported(
             parts(texts, *_KERNELS), tmp_path, "motion.plan_kernel", "motion.segments"
         ) as made:
@@ -483,11 +488,10 @@ def _turns(engine: Any, patch: pytest.MonkeyPatch, seeds: range) -> "Iterator[An
 def test_the_engines_interrupt_does_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = firmware()
     names = ("engine", "hub", "layout", "memory", "programs", "pulses", "registers", "stops")
     needed = (*_KERNELS, *(f"pio.{name}" for name in names))
     results = []
-    for texts in (whole, leaves(whole)):
+    for texts in (firmware(), with_leaves_in_place()):
         with imported(parts(texts, *needed), tmp_path, "pio.engine") as (made,):
             results.append(list(_turns(made, monkeypatch, range(150))))
     assert results[0] == results[1]
