@@ -153,7 +153,7 @@ def test_a_stop_at_any_bytecode_is_final(name: str) -> None:
     _check_injection(True, AXES, name)
 
 
-@pytest.mark.thorough
+@pytest.mark.sampled(0, 5)
 @pytest.mark.parametrize("motors", [3, 6])
 @pytest.mark.parametrize(
     "name", ["look", "append", "feed", "_prepare", "_load", "convert", "_hand_over", "_launch"]
@@ -172,7 +172,7 @@ def _check_injection(opcodes: bool, motors: int, name: str) -> None:
     assert found > 3
 
 
-@pytest.mark.thorough
+@pytest.mark.sampled(0, 2)
 @pytest.mark.parametrize("motors", [3, 6])
 @pytest.mark.parametrize("work", ["stop", "lock"])
 def test_the_engines_interrupt_may_come_into_a_stop(work: str, motors: int) -> None:
