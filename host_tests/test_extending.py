@@ -70,6 +70,10 @@ class Tree:
             else:
                 shutil.copy(source, folder / name)
         (folder / "ugrbl").symlink_to(folder / "tools")
+        (folder / "build").mkdir()
+        # By what it was made from: of the change it has nothing, of the rest all.
+        (_ROOT / "build" / "cache").mkdir(parents=True, exist_ok=True)
+        (folder / "build" / "cache").symlink_to(_ROOT / "build" / "cache")
         self.written = set()
         for change in changes(title):
             file = folder / change.path
