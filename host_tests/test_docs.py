@@ -418,7 +418,7 @@ def test_a_picture_is_small_and_shown(name):
     assert any(f"pictures/{name}" in text_of(page) for page in _ALL)
 
 
-@pytest.mark.thorough
+@pytest.mark.sampled(0, 8)
 @pytest.mark.parametrize("picture", pictures.PICTURES, ids=lambda picture: picture.name)
 def test_a_picture_is_what_the_tool_draws(picture, tmp_path):
     fresh = tmp_path / picture.name

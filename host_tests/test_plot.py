@@ -233,7 +233,7 @@ def texts_drawn(figure: Any, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str,
     return drawn
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.sampled(1, 4)
 @pytest.mark.parametrize("count", [1, 2])
 @pytest.mark.parametrize("x, y, z", _SHAPES)
 def test_no_text_of_a_picture_is_cut_or_lies_on_another(
@@ -381,7 +381,7 @@ def test_a_program_that_moves_nothing_is_drawn(program: Path) -> None:
         assert ugrbl(program, "-o", program.with_name("out" + suffix)).exit_code == 0
 
 
-@pytest.mark.sampled(1)
+@pytest.mark.sampled(1, 5)
 @pytest.mark.parametrize("name", boards())
 def test_every_board_can_be_drawn_for(name: str, program: Path) -> None:
     done = ugrbl(program, "-o", program.with_name("out.svg"), "--board", name)
