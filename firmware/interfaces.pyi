@@ -91,12 +91,11 @@ class Canon(Protocol):
     absolute, in mm of machine coordinates. Who has to wait does so in them, and a reset raises
     Abort there; in check mode nothing moves."""
 
-    planner: Planner  # where the fast path puts its lines, if it finds room
-    travel: array[int]  # and what it looks at first: see canon.judge()
-    power: int  # of the spindle, as the last line has it
+    planner: Planner  # where a line that does no more than move is put
+    travel: array[int]  # and what it is held against first: see canon.judge()
 
-    def power_of(self, move: Move) -> int:
-        """Spindle power of a planner block: in laser mode M4 makes it follow speed."""
+    def make_room(self) -> None:
+        """Wait until a line finds room in the planner."""
 
     def line(self, target: array[float], move: Move) -> None:
         """A straight line: rapid or feed, by the move's flags. Made by finish()."""
@@ -109,12 +108,6 @@ class Canon(Protocol):
 
     def finish(self) -> None:
         """Make what has been asked for."""
-
-    def begin_jog(self) -> None:
-        """A jog has been planned: it starts at once, unless one is under way."""
-
-    def wait_for_room(self) -> None:
-        """Wait until another block can be planned. Raises Abort after a reset."""
 
     def synchronise(self) -> None:
         """Wait until everything planned has been done."""
@@ -369,6 +362,7 @@ class Options(Protocol):
     highest_tool: int
     line_length: int  # characters of a line
     rx_bytes: int  # that a sender may have under way
+    dots: int  # powers that a line may have
     defaults: dict[int, float]  # settings that differ from Grbl's
     custom: tuple[str, ...]  # the user's own modules
     job_files: JobFiles | None  # programs that live on the board

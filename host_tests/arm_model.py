@@ -37,7 +37,7 @@ _BACK = _PYTHON + 0x800
 _BX_LR = 0x4770
 _ENTRIES = 100
 
-_FROM_OBJECT, _TO_OBJECT, _NEW_TUPLE, _CALL = 3, 4, 19, 27
+_FROM_OBJECT, _TO_OBJECT, _IS_TRUE, _NEW_TUPLE, _CALL = 3, 4, 16, 19, 27
 _QUOTIENT, _MODULO, _TYPE_OF_FUNCTIONS = 46, 47, 81
 _TYPE = 0x1234_5678
 
@@ -114,7 +114,7 @@ class Board:
         for argument in arguments:
             if isinstance(argument, int):
                 given.append(self._object(argument))
-            elif callable(argument):
+            elif argument is None or callable(argument):
                 given.append(self._keep(argument))
             else:
                 view = memoryview(argument).cast("B")
@@ -160,6 +160,7 @@ class Board:
         answers: dict[int, Callable[[], int]] = {
             _FROM_OBJECT: lambda: self._value(a),
             _TO_OBJECT: lambda: self._object(signed(a)),
+            _IS_TRUE: lambda: bool(self._value(a)),
             _NEW_TUPLE: lambda: self.put(struct.pack("<2I", 0, a) + bytes(4 * a)),
             _CALL: lambda: self._called(a, b, c),
             _QUOTIENT: lambda: signed(a) // signed(b),

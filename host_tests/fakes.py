@@ -43,11 +43,7 @@ class FakeCanon:
         self.asked: Asked = []
         self.planner = Planner(axes, 4, None, State())
         self.travel = array("i", [axes, 0, *(0 for _ in range(axes))])
-        self.power = 0
         self.too_far = 1000.0
-
-    def power_of(self, move: Move) -> int:
-        return self.power
 
     def line(self, target: "array[float]", move: Move) -> None:
         how = "rapid" if move.flags & RAPID_MOTION else f"line F{move.feed:g}"
@@ -59,13 +55,10 @@ class FakeCanon:
     def jog(self, target: "array[float]", move: Move) -> None:
         self.asked.append(f"jog F{move.feed:g} {place(target)}")
 
-    def begin_jog(self) -> None:
-        self.asked.append("begin jog")
-
     def finish(self) -> None:
         """Every line ends with one: it is not noted."""
 
-    def wait_for_room(self) -> None:
+    def make_room(self) -> None:
         self.asked.append("room")
 
     def synchronise(self) -> None:

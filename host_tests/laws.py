@@ -17,7 +17,6 @@ from typing import Any
 from base.f32 import vector
 from base.state import State
 from hypothesis import settings
-from language.fast_path import FastPath
 from motion import layout, reals
 from motion.kinematics import Kinematics
 from motion.layout import ROOT_SCALE, ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
@@ -203,20 +202,24 @@ class Watch:
         self.rests: set[int] = set()  # it came to rest for a hold behind so many segments
         self.planner = planner
         self._rows: dict[int, Block] = {}
-        self._line, self._system_line = planner.line, planner.system_line
+        self._plan = planner.hook or planner.plan
         self._chords, self._override = planner.chords, planner.override
         self._slowed: set[Block] = set()
         self._next = segments.next
-        planner.line = self.line  # type: ignore[method-assign]
+        planner.hook = self.plan
         planner.chords = self.chords  # type: ignore[method-assign]
-        planner.system_line = self.system_line  # type: ignore[method-assign]
         planner.override = self.override  # type: ignore[method-assign]
         segments.next = self.next
 
-    def line(self, target: Any, move: Move, power: int) -> bool:
-        """Stand in for Planner.line."""
-        at = self.planner.flow[layout.HEAD]
-        return self._note(at, self._line(target, move, power))
+    def plan(self, target: Any, flags: int, *asked: int) -> int:
+        """Stand in for Planner.hook."""
+        flow = self.planner.flow
+        at = flow[layout.ROWS if flags & layout.SYSTEM_MOTION else layout.HEAD]
+        planned = self._plan(target, flags, *asked)
+        if planned:
+            self._keep(at)
+            check_plan(self)
+        return planned
 
     def chords(self, *asked: Any) -> int:
         """Stand in for Planner.chords."""
@@ -227,31 +230,6 @@ class Watch:
             at = (at + 1) % self.planner.flow[layout.ROWS]
         check_plan(self)
         return found
-
-    def watch_plain(self, plain: FastPath) -> None:
-        """See the blocks of the short path too."""
-        follow, go = plain.follow, plain.go
-
-        def noted(line: bytearray, length: int) -> int:
-            at = self.planner.flow[layout.HEAD]
-            done = follow(line, length)
-            self._note(at, self.planner.flow[layout.HEAD] != at)
-            return done
-
-        def noted_go(block: Any) -> int:
-            at = self.planner.flow[layout.HEAD]
-            plain.follow = follow  # where it is another, this way is shut
-            done = go(block)
-            plain.follow = noted
-            self._note(at, self.planner.flow[layout.HEAD] != at)
-            return done
-
-        plain.follow, plain.go = noted, noted_go  # type: ignore[method-assign]
-
-    def system_line(self, target: Any, move: Move, power: int, start: Any) -> bool:
-        """Stand in for Planner.system_line."""
-        at = self.planner.flow[layout.ROWS]
-        return self._note(at, self._system_line(target, move, power, start))
 
     def override(self) -> None:
         """Stand in for Planner.override. It may come too late to brake for what it lowers."""
@@ -265,12 +243,6 @@ class Watch:
     @property
     def _row_size(self) -> int:
         return self.planner.flow[layout.ROW_SIZE]
-
-    def _note(self, at: int, planned: bool) -> bool:
-        if planned:
-            self._keep(at)
-            check_plan(self)
-        return planned
 
     def _keep(self, at: int) -> None:
         block = self._block(at)

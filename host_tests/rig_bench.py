@@ -49,7 +49,6 @@ class Machine:
         self.watch = Watch(
             controller.planner, controller.segments, self.limits, self.rig.engine.tick_hz
         )
-        self.watch.watch_plain(controller.interpreter.fast)
 
     def _trace(self, start: int, row: "array[int]") -> None:
         self.rows.append((start, row[:]))

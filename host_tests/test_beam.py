@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
+from extras import clusters
 from hypothesis import example, given
 from hypothesis import strategies as st
-from language import clusters
 from laws import some
 from motion import layout
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_POWER
@@ -237,7 +237,7 @@ def talk(*lines: str, before: str = "G91G1F3000M3S0") -> "list[list[str]]":
         ("G2X1R1S1:2", "error:20"),
         ("M4X1S1:2", "error:20"),
         ("G93X1F9S1:2", "error:20"),
-        ("X1S1:2S3", "error:20"),
+        ("X1S1:2S3", "error:25"),
     ],
 )
 def test_a_line_with_a_cluster_is_answered_once_and_one_that_is_refused_changes_nothing(

@@ -308,7 +308,7 @@ def test_programs_for_the_board_find_what_they_ask_for_under_its_name() -> None:
     rows = {row for text in [*texts, *map(programs, files)] for row in asked(text)}
     assert {
         ("talk", "commands", "Commands"),
-        ("language", "fast_kernel", "follow_line"),
+        ("language", "line", "look"),
         ("pio", "pulses", "set_timing"),
         ("ports", "flash_store", "FlashStore"),
     } <= rows

@@ -194,7 +194,7 @@ def test_a_board_gets_what_it_can_use() -> None:
         *("extras/api.py", "extras/own_words.py", "extras/laser.py", "motion/beam.py"),
         *("pio/beam.py", "pio/beam_program.py"),
     }
-    clusters = {"extras/clusters.py", "language/clusters.py"}
+    clusters = {"extras/clusters.py"}
     assert needed(TOOL="laser", CLUSTERS=True) - pico - laser == clusters
     jerk = {"extras/jerk.py", "motion/jerk_kernel.py", "motion/jerk_plan.py"}
     assert needed(JERK=True) - pico - {"extras/api.py", "extras/own_words.py"} == jerk

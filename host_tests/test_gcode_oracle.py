@@ -107,7 +107,7 @@ def check_equal(machine: Machine, oracle: Oracle) -> None:
     modes, coords = controller.modes, controller.coords
     told = controller.commands.modes()
     assert told[: told.index(" F")] == oracle.modes()
-    assert list(modes.rates) == [oracle.feed, oracle.speed]
+    assert list(modes.rates)[:2] == [oracle.feed, oracle.speed]
     assert list(modes.position) == list(oracle.position.values())
     numbers = (54, 55, 56, 57, 58, 59, 28, 30)
     assert [list(s) for s in coords.systems] == [

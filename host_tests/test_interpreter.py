@@ -13,14 +13,9 @@ from base.state import State
 from control.coords import Coords
 from control.modes import Modes
 from fakes import FakeCanon, FakeStore, FakeVoice
-from hypothesis import example, given
-from hypothesis import strategies as st
-from language import interpreter
 from language.block import Block
+from language.checks import MOVE
 from language.interpreter import Interpreter
-from language.usual import ODD
-from laws import some
-from test_gcode_oracle import lines
 from ugrbl.paths import FIRMWARE, STANDINS
 
 
@@ -39,6 +34,7 @@ class Paper:
             *(self.modes, State(), settings, self.coords, self.canon, seek, spindle),
             *(self.voice, block, False),
         )
+        self.interpreter.watch(MOVE)  # or lines would be planned without being asked for
 
     def _probe(self, *_: object) -> bool:
         self.canon.asked.append("probe")
@@ -116,31 +112,3 @@ def test_a_row_without_a_behaviour_is_found_at_import(row: str) -> None:
         [sys.executable, "-c", program], capture_output=True, text=True, check=False
     )
     assert done.returncode == 1 and "without a behaviour" in done.stderr
-
-
-def outcome(paper: Paper, line: str) -> "tuple[object, ...]":
-    """What a line comes to: its fault, what it asks for, and what is in force behind it."""
-    try:
-        paper.does(line)
-        fault = 0
-    except GrblError as error:
-        fault = error.code
-    modes, coords = paper.modes, paper.coords
-    state = [list(x) for x in (modes.modal, modes.rates, modes.position, coords.g92)]
-    return fault, list(paper.canon.asked), state, modes.tool, coords.active, coords.tool_length
-
-
-@given(st.lists(st.tuples(st.booleans(), lines), min_size=1, max_size=8), st.booleans())
-@some(200)
-@example([(True, "G91X1F5"), (True, "X1"), (True, "X1S5F5"), (True, "F5"), (True, "G2X1F5")], True)
-def test_the_usual_checks_find_what_all_checks_find(
-    program: "list[tuple[bool, str]]", inches: bool
-) -> None:
-    short, long = Paper(), Paper()
-    for is_jog, line in [(False, "G20"), *program] if inches else program:
-        plain = "$J=" * is_jog + line.upper().replace(" ", "")
-        found = outcome(short, plain)
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(interpreter, "usual", lambda *_: ODD)
-            patch.setattr(interpreter, "plain_jog", lambda *_: 0)
-            assert outcome(long, plain) == found, line

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from language.checks import MOVE
 from motion.arc_geometry import TOLERANCE
 from test_jobs import FAST, HOMED, Bench, homed, to_its_end
 from ugrbl.grbl.gcode_file import read_lines
@@ -36,7 +37,7 @@ class Witness(Bench):
 
     def _listen(self) -> None:
         machine = self.rig.controller
-        machine.interpreter.fast.is_open = False
+        machine.interpreter.watch(MOVE)  # or not all moves would come past here
         canon, modes, coords = machine.canon, machine.modes, machine.coords
         usual_line, usual_arc = canon.line, canon.arc
         link: Any = machine.protocol.link

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from base.controls import START
 from base.state import HOLD
+from language.checks import MOVE
 from ports.job_files import JobFiles
 from ugrbl.boardfile.files import load_board
 from ugrbl.device import jobs
@@ -41,7 +42,7 @@ class Bench:
 
     def _listen(self) -> None:
         machine = self.rig.controller
-        machine.interpreter.fast.is_open = False  # or not all moves would come past here
+        machine.interpreter.watch(MOVE)  # or not all moves would come past here
         planner, canon = machine.planner, machine.canon
         usual_line, usual_arc = planner.line, canon.arc
         link: Any = machine.protocol.link

@@ -14,6 +14,7 @@ from base.errors import GrblError
 from extras.api import Cnc
 from hypothesis import given
 from hypothesis import strategies as st
+from language.checks import MOVE
 from laws import some
 from ugrbl.boardfile.files import load_board
 from ugrbl.grbl.gcode_file import read_lines
@@ -45,7 +46,7 @@ class Bench:
 
     def _listen(self) -> None:
         machine = self.rig.controller
-        machine.interpreter.fast.is_open = False  # or not all moves would come past here
+        machine.interpreter.watch(MOVE)  # or not all moves would come past here
         planner = machine.planner
         usual = planner.line
 

@@ -93,6 +93,12 @@ def ask(who: object, a: int) -> int:
     return answer + 1
 
 @micropython.viper
+def is_there(who: object, a: int) -> int:
+    if who:
+        return a
+    return 0
+
+@micropython.viper
 def none() -> int:
     return 0x7FFFFFFF
 """
@@ -131,6 +137,11 @@ def test_an_object_is_called_with_objects(made: Board) -> None:
 
     assert made.call(("made", "ask"), who, -(1 << 30) - 5) == -(1 << 30) + 1
     assert heard == [(-(1 << 30) - 5, 5), ()]
+
+
+def test_none_is_no_object_that_is_there(made: Board) -> None:
+    assert made.call(("made", "is_there"), None, 5) == 0
+    assert made.call(("made", "is_there"), print, 5) == 5
 
 
 @pytest.mark.parametrize("arch", machine_code.PROCESSORS)

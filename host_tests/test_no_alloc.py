@@ -16,8 +16,12 @@ from motion import arc_geometry, arcs, layout, plan_kernel
 from talk import lines
 import micropython
 from control import canon
-from language import fast_kernel
+from control.coords import Coords
+from control.modes import Modes
+from language import block_layout as b
+from language import line as ln
 from language import words
+from language.block import Block
 from base.f32 import vector
 from motion.planner import Move, Planner
 from motion.segments import Segments
@@ -72,14 +76,31 @@ letters = bytearray(128)
 values = array("f", [0.0] * 128)
 short = bytearray(b"G1X-12.345Y0.25N7\\0")
 line = words.Words()
-dot = bytearray(b"X-12.345S500F300\\0")
-here = vector(3)
-rates = vector(2)
+dot = bytearray(b"G1X-12.345Y0.25N7S500F300\\0")
 there = array("i", [3, 0, 1000, 2000, 300])
-known = array("i", [0] * (fast_kernel.OFFSETS + 3))
-known[fast_kernel.AXES], known[fast_kernel.MODE] = 3, fast_kernel.HAS_G1
-known[fast_kernel.FEED] = 7
-known[fast_kernel.OFFSETS] = 7
+block, modes = Block(3, True, True), Modes(3)
+modal = modes.modal
+machine = array("i", [3, 7, 2] + [0] * (b.MACHINE_LENGTH - 3))
+machine[b.IS_OPEN] = 1
+kept = (
+    block.ints, block.singles, block.xyz, modes.rates, modes.position, Coords(None, 3, 2).offsets,
+    machine, (block.stored, block.arc.plane, block.arc.numbers),
+)
+plans = (
+    state.spindle, there, table, ring, flow, planner.speeds, state.running, None,
+)
+memory = block.words, kept, plans
+texts = [
+    bytearray(text.encode() + b"\\0")
+    for text in ("G10L20P1X1Y2", "G92X1", "G28X1", "G2X1Y1R5F9", "G49T1", "M56P0", "X", "Q1")
+]
+
+
+def look():
+    for text in texts:
+        ln.look(text, len(text) - 1 << 8, modal, 0, memory)
+
+
 arc = arc_geometry.Arc()
 arc.numbers[arc_geometry.RADIUS] = arc.numbers[arc_geometry.CENTRE_0] = 5.0
 course = array("i", [0] * arcs.course_length(3))
@@ -96,16 +117,11 @@ _PROVED = {
     "schedule": "plan_kernel.schedule(table, ring, 0)",
     "limit_entry": "plan_kernel.limit_entry(ring, flow, 2)",
     "reverse_pass": "plan_kernel.reverse_pass(ring, flow, 1)",
-    "scan": "words.scan(text, end, letters, values)",
+    "scan": "words.scan(text, end, letters, values, line.dots)",
     "read": "line.read(short, 0, len(short) - 1)",
-    "fast_kernel.read": "fast_kernel.read(short, 0, len(short) - 1, known)",
-    "place": "fast_kernel.place(known, 7, here, target)",
-    "line_number": "fast_kernel.line_number(known, fast_kernel.HAS_N)",
+    "look": "look()",
+    "execute": "ln.execute(dot, len(dot) - 1, modal, memory)",
     "judge": "canon.judge(target, there, flow)",
-    "follow": "fast_kernel.follow(short, len(short) - 1, known, here, target, there, table, ring, "
-    "flow, planner.speeds, state.changes, rates, state.spindle, None)",
-    "follow with a new S": "fast_kernel.follow(dot, len(dot) - 1, known, here, target, there, "
-    "table, ring, flow, planner.speeds, state.changes, rates, state.spindle, None)",
     "chords": "planner.chords(course, move, 0, True)",
     "chords in check mode": "planner.chords(course, move, 0, False)",
     "feed": "reader.feed(received, len(received))",

@@ -75,15 +75,8 @@ def test_a_dwell_or_the_begin_of_a_program_is_no_delay() -> None:
     ("lines", "kind", "settings"),
     [
         ([b"G91F30000", *[b"G1X0.05"] * 1500], "plain", FAST),
-        ([b"G91", *[b"G1X0.1F%d" % (15_000 + k % 2) for k in range(600)]], "feed", FAST),
-        (
-            [
-                *(b"F9000", b"G91"),
-                *[line for _ in range(200) for line in (b"T1G1X0.15", b"T2X0.15")],
-            ],
-            "long_way_ms",
-            FAST,
-        ),
+        ([b"G91", *[b"G1X0.05F%d" % (30_000 + k % 2) for k in range(900)]], "plain", FAST),
+        ([b"F9000", b"G91", *[b"G2X0.1R9", b"G3X0.1R9"] * 200], "in_python_ms", FAST),
         ([b"F9000", b"G91", *[b"G1X0.3", *[b"(nothing)"] * 9] * 99], "no_words_ms", FAST),
         (
             [b"F30000", *[b"G2X0Y0I5"] * 5],
@@ -106,23 +99,24 @@ def test_it_says_which_lines_are_in_the_way(
         (b"N20 g1 x1 (dot)", b"G1X0F100", "plain"),
         (b"G01X1F100", b"G1X0F100", "plain"),
         (b"X1S5", b"G1X0F100", "power"),
-        (b"G0X1", b"G1X0F100", "long_way_ms"),
-        (b"X1F101", b"G1X0F100", "feed"),
-        (b"X1", b"M3", "long_way_ms"),  # the first behind another kind of line
-        (b"G0X1S5", b"G0X0", "long_way_ms"),
-        (b"G2X1I5", b"G1X0F100", "long_way_ms"),
-        (b"G91X1", b"G1X0F100", "feed"),
-        (b"G20G91", b"G1X0F100", "feed"),
-        (b"G18X1", b"G1X0F100", "feed"),
-        (b"G18", b"G1X0F100", "feed"),
-        (b"T2X1", b"G1X0F100", "long_way_ms"),
+        (b"G0X1", b"G1X0F100", "plain"),
+        (b"X1F101", b"G1X0F100", "plain"),
+        (b"X1", b"M3", "plain"),
+        (b"G0X1S5", b"G0X0", "power"),
+        (b"G2X1I5", b"G1X0F100", "in_python_ms"),
+        (b"X1R5", b"G2X1R5", "in_python_ms"),
+        (b"G91X1", b"G1X0F100", "plain"),
+        (b"G93X1F5", b"G1X0F100", "plain"),
+        (b"G20G91", b"G1X0F100", "no_words_ms"),
+        (b"T2X1", b"G1X0F100", "plain"),
         (b"G90X1M5", b"G1X0F100", "plain"),
-        (b"G01G90M05", b"G1X0F100", "long_way_ms"),
+        (b"G01G90M05", b"G1X0F100", "no_words_ms"),
         (b"G90M05", b"G1X0F100", "no_words_ms"),
         (b"M9X1", b"M9", "plain"),
-        (b"M8X1", b"M8X0", "long_way_ms"),  # the first behind another kind of line
-        (b"M3X1", b"M3X0", "long_way_ms"),  # the first behind another kind of line
-        (b"S5", b"G1X0F100", "long_way_ms"),
+        (b"M8X1", b"M9", "in_python_ms"),
+        (b"G55X1", b"G1X0F100", "in_python_ms"),
+        (b"G92X1", b"G1X0F100", "in_python_ms"),
+        (b"S5", b"G1X0F100", "no_words_ms"),
         (b"; nothing", b"G1X0F100", "no_words_ms"),
     ],
 )
@@ -131,13 +125,8 @@ def test_lines_by_their_way_through_the_firmware(line: bytes, before: bytes, kin
     assert list(pace._kinds(modal, laser=True))[2] == kind
 
 
-def test_lines_in_inverse_time_are_as_others() -> None:
-    lines = [b"G93G1X0F5", b"G93X1F6", b"G93X2F6", b"X3F7"]  # the first of its kind is the second
-    assert list(pace._kinds(lines, laser=False))[2:] == ["plain", "feed"]
-
-
-def test_an_s_without_a_laser_goes_the_long_way() -> None:
-    assert list(pace._kinds([b"G1X1F9", b"X2S3"], laser=False))[1] == "long_way_ms"
+def test_an_s_without_a_laser_may_turn_a_spindle() -> None:
+    assert list(pace._kinds([b"G1X1F9", b"X2S3"], laser=False))[1] == "in_python_ms"
 
 
 def test_a_serial_line_carries_so_many_bytes_and_no_more() -> None:
@@ -252,7 +241,6 @@ def cached(row: str, which: int = 0) -> float:
     [
         (PICO.plain, "the same without `?`"),
         (PICO.power, "a laser's raster"),
-        (PICO.feed, "short moves with a new F each"),
         (PICO.chords, "circles of 702 chords"),
     ],
 )
@@ -260,8 +248,8 @@ def test_rates_are_those_that_the_document_states(figure: float, row: str) -> No
     assert figure == cached(row)
 
 
-def test_the_long_way_is_that_of_a_tool_with_a_move() -> None:
-    assert cached("a line that goes the long way", 1) == PICO.long_way_ms
+def test_a_line_that_python_does_is_an_arc_of_one_chord() -> None:
+    assert cached("an arc of one chord") == PICO.in_python_ms
 
 
 def test_a_line_without_words_is_received_and_put_together() -> None:

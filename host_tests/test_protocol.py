@@ -36,8 +36,13 @@ class Loop:
             memory=lambda: (None, None, bytearray(80), None),
             free=lambda: 255,
         )
-        fast = SimpleNamespace(follow=None, plain=None, memory=lambda: ([0] * 25,))
-        nobody: Any = SimpleNamespace(due=None, fast=fast, execute=None)
+        nobody: Any = SimpleNamespace(
+            due=None,
+            execute=None,
+            machine=None,
+            block=SimpleNamespace(ints=None),
+            memory=lambda: (None, None, None),
+        )
         self.protocol = Protocol(
             *(self.link, State(), reader, nobody, nobody, nobody, self.drive),
             *(nobody, nobody, nobody, self._restart, False),

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from language.checks import MOVE
 from rig_bench import Machine
 from typer.testing import CliRunner
 from ugrbl.boardfile import board_check
@@ -293,7 +294,7 @@ _words = st.tuples(
 
 @pytest.mark.thorough
 @given(st.lists(_words, min_size=1, max_size=8))
-def test_the_shortest_way_of_a_line_plans_what_the_interpreter_does(
+def test_kernels_plan_what_the_interpreter_does(
     drawn: "list[tuple[str, list[str], int, str]]",
 ) -> None:
     lines = [
@@ -305,16 +306,12 @@ def test_the_shortest_way_of_a_line_plans_what_the_interpreter_does(
         machine = Machine(_SWIFT, board(5))
         built = machine.rig.on_built
 
-        def forget(
-            built: Any = built, machine: Machine = machine, shortest: bool = shortest
-        ) -> None:
-            fast = machine.rig.controller.interpreter.fast
+        def watch(built: Any = built, rig: Any = machine.rig, shortest: bool = shortest) -> None:
             if not shortest:
-                fast.follow = lambda line, length: 0
-                fast.execute = lambda line, length: False
+                rig.controller.interpreter.watch(MOVE)
             built()
 
-        machine.rig.on_built = forget
+        machine.rig.on_built = watch
         machine.play(["G1X-3F500", *lines])
         rows.append([list(row) for _, row in machine.rows])
     assert rows[0] == rows[1]

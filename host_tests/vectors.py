@@ -6,7 +6,7 @@ from array import array
 from base import singles
 from base.f32 import vector
 from base.state import State
-from language import fast_kernel, words
+from language import words
 from motion import arcs, layout, ramps, reals
 from motion.arc_geometry import CENTRE_0, CENTRE_1, CLOCKWISE, RADIUS, Arc
 from motion.kinematics import COREXY, Kinematics
@@ -53,9 +53,7 @@ def print_reals(dice):
 def print_words(dice):
     """Numbers of any length, read into the bits of floats."""
     letters, values = bytearray(128), array("f", [0.0] * 128)
-    known = array("i", [0] * (fast_kernel.OFFSETS + 3))
-    known[fast_kernel.AXES], known[fast_kernel.MODE] = 3, fast_kernel.HAS_G1
-    known[fast_kernel.FEED] = 500
+    dots = array("i", [0, 0])
     for _ in range(1500):
         text = ""
         for _ in range(1 + dice.below(5)):
@@ -63,15 +61,12 @@ def print_words(dice):
             text += str(dice.below(10 ** (1 + dice.below(7))))
             if dice.below(2):
                 text += "." + "0" * dice.below(4) + str(dice.below(10 ** (1 + dice.below(7))))
-        count = words.scan(bytearray(text.encode() + b"\0"), len(text) << 8, letters, values)
+        count = words.scan(bytearray(text.encode() + b"\0"), len(text) << 8, letters, values, dots)
         bits = bytes(array("f", [values[i] for i in range(count & 255)]))
         print(text, count, list(bits))
         one, other = array("f", [values[0]]), array("f", [values[1 % (count & 255)]])
         singles.add_single(one, 0, other, 0)
-        print(
-            list(bytes(other)),
-            fast_kernel.read(bytearray(text.encode() + b"\0"), 0, len(text), known),
-        )
+        print(list(bytes(other)))
 
 
 class Settings:

@@ -73,7 +73,7 @@ ANY = const(27)  # something has been posted that realtime.py has not looked at
 # limited; and the override, as a part of 1.
 RPM = const(1)
 OVERRIDE_PART = const(2)
-SPINDLE_LENGTH = const(9)
+SPINDLE_LENGTH = const(10)
 
 FIRST_OVERRIDE_BYTE = const(0x90)
 LAST_OVERRIDE_BYTE = const(0xA1)
@@ -95,7 +95,8 @@ class State:
         self.pending = bytearray(ANY + 1)  # the last byte: something is
         self.alarm = 0  # an alarm not yet reported
         self.run = IDLE  # enter() writes it
-        # Counts on with every change of what the fast path of lines depends on.
+        self.running = array("i", (IDLE,))  # the same, for kernels
+        # Counts on with every change of what an arc's chords depend on.
         self.changes = array("i", (0,))
         self.spindle = array("f", (0.0 for _ in range(SPINDLE_LENGTH)))
         self.clear()
@@ -106,7 +107,7 @@ class State:
             raise RuntimeError("state %d cannot follow %d" % (run, self.run))
         if (self.run | run) & CHECK:
             self.change()
-        self.run = run
+        self.run = self.running[0] = run
 
     def change(self) -> None:
         """What lines depend on is another now: a setting, an override, a mode."""

@@ -192,6 +192,7 @@ def _make_language(machine: Controller, options: Options) -> None:
             options.override_control,
             options.highest_tool,
             options.line_length,
+            options.dots,
         ),
         options.line_numbers,
     )

@@ -88,7 +88,6 @@ class Canon:
         self._positive_origin = positive_origin
         self.travel = array("i", (planner.axes, 0) + (0,) * planner.axes)
         self._flow = planner.flow
-        self.power = 0  # of the spindle, as the last line has it
         # The move asked for: a line, and the chords of an arc in front of it.
         self._asked = False
         self._course = array("i", (0 for _ in range(arcs.course_length(planner.axes))))
@@ -155,9 +154,15 @@ class Canon:
             self.service()
         if found & FULL:
             self.wait_for_room()
-        self.power = self.power_of(move)
-        if not self.planner.line(target, move, self.power):
+        if not self.planner.line(target, move, self.power_of(move)):
             self._stay(move)
+
+    def make_room(self) -> None:
+        """As a line does that is planned: a turn for what has been posted, and room."""
+        if self._state.pending[st.ANY] or self._state.suspend:
+            self.service()
+        if full(self._flow):
+            self.wait_for_room()
 
     def wait_for_room(self) -> None:
         """Wait until another block can be planned."""
@@ -169,7 +174,7 @@ class Canon:
         """All of an arc but its last chord, which is a line to its target."""
         state, move, course = self._state, self._move, self._course
         moves = state.run != st.CHECK
-        known = -1
+        power, known = 0, -1
         looks = state.pending[st.ANY] or state.suspend  # else the loop has, right before the line
         while course[arcs.LEFT]:
             if looks:
@@ -177,8 +182,8 @@ class Canon:
             looks = 1
             if moves and known != state.changes[0]:
                 known = state.changes[0]
-                self.power = self.power_of(move)
-            found = self.planner.chords(course, move, self.power, moves)
+                power = self.power_of(move)
+            found = self.planner.chords(course, move, power, moves)
             if found == OUTSIDE:
                 self.give_up(errors.ALARM_SOFT_LIMIT)
             elif found == FULL:

@@ -11,36 +11,48 @@ from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from typing import Any
+
     from interfaces import Store
 
 SYSTEMS = const(6)
 G28 = const(6)
 G30 = const(7)
+G92 = const(8)
 _COUNT = const(8)
-_NONE = const(-1)
 _FILE = "coords"
 
 NAMES = ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30")
 
 
 class Coords:
-    """All offsets."""
+    """All offsets, in one array of floats: those of systems, an axis each, G92's, and the tool's
+    length."""
 
     def __init__(self, store: "Store", axes: int, length_axis: int) -> None:
         self._store = store
         self._axes = axes
         self.length_axis = length_axis
-        self.systems = [vector(axes) for _ in range(_COUNT)]
+        self.offsets = vector((_COUNT + 1) * axes + 1)
+        views: "Any" = memoryview(self.offsets)
+        self.systems: "list[array[float]]" = [
+            views[i * axes : (i + 1) * axes] for i in range(_COUNT)
+        ]
+        self.g92: "array[float]" = views[_COUNT * axes : -1]
         self.active = 0  # keep-name: esp32.RMT has active(), too
-        self.g92 = vector(axes)
-        self.tool_length = 0.0
-        # What zero() has worked out last, and for which system.
         self._zero = vector(max(axes, length_axis + 1))
-        self._zero_of = _NONE
+
+    @property
+    def tool_length(self) -> float:
+        """How much longer than none the tool is, in mm."""
+        return self.offsets[-1]
+
+    @tool_length.setter
+    def tool_length(self, mm: float) -> None:
+        self.offsets[-1] = mm
 
     def load(self) -> bool:
         """Read what is kept; False, and zero, where there was nothing valid."""
-        self._zero_of = _NONE
         lines = self._store.load(_FILE)
         if lines is None or not self._parse(lines):
             self.restore()
@@ -72,7 +84,6 @@ class Coords:
         for system in self.systems:
             for i in range(self._axes):
                 system[i] = 0.0
-        self._zero_of = _NONE
         self._save()
 
     def clear(self) -> None:
@@ -87,8 +98,7 @@ class Coords:
 
     def set_g92(self, values: "array[float]") -> None:
         """G92: work begins so far from where its system does."""
-        self.g92[:] = values
-        self._zero_of = _NONE
+        copy(values, self.g92, self._axes)
 
     def write(self, index: int, values: "array[float]") -> None:
         """Set and keep a system, or G28, G30."""
@@ -97,14 +107,11 @@ class Coords:
 
     def change(self, index: int, values: "array[float]") -> None:
         """Set one without keeping it."""
-        self.systems[index][:] = values
-        self._zero_of = _NONE
+        copy(values, self.systems[index], self._axes)
 
     def zero(self, system: int) -> "array[float]":
         """Where work in that system begins, with G92, without tool length. Not to be changed."""
         zero = self._zero
-        if system != self._zero_of:
-            self._zero_of = system
-            copy(self.systems[system], zero, self._axes)
-            add(self.g92, 0, zero, self._axes)
+        copy(self.systems[system], zero, self._axes)
+        add(self.g92, 0, zero, self._axes)
         return zero

@@ -7,10 +7,11 @@ was wanted here. Lengths are mm in machine coordinates, rates mm/min, speeds rpm
 from array import array
 
 from base.f32 import vector
+from base.singles import whole_part
 from micropython import const
 from motion.planner import COOLANT_SHIFT
 
-# What is in force, by its place in Modes.modal; the values are in language/block.py.
+# What is in force, by its place in Modes.modal; the values are in language/block_layout.py.
 MOTION = const(0)
 PLANE = const(1)
 RELATIVE = const(2)
@@ -23,24 +24,25 @@ SPINDLE = const(8)
 COOLANT = const(9)
 OVERRIDE_CONTROL = const(10)
 MODAL_LENGTH = const(11)
-# Behind them there is room for what a block has besides (language/block.py); here it stays 0.
-MODAL_ROOM = const(15)
+# Behind them there is room for what a block has besides (language/block_layout.py): 0 here.
+MODAL_ROOM = const(18)
 
 # By its place in Modes.rates.
 FEED = const(0)
 RPM = const(1)
+TOOL = const(2)
+_RATES = const(3)
 
 
 class Modes:
     """Modal state, position, feed, speed and tool."""
 
     position: "array[float]"  # the parser's
-    tool: int
 
     def __init__(self, axes: int) -> None:
         self.modal = array("i", (0 for _ in range(MODAL_ROOM)))
         self.position = vector(axes)
-        self.rates = vector(2)
+        self.rates = vector(_RATES)
         self.reset()
 
     def reset(self) -> None:
@@ -48,8 +50,12 @@ class Modes:
         for i in range(MODAL_LENGTH):
             self.modal[i] = 0
         self.modal[OVERRIDE_CONTROL] = 1
-        self.rates[FEED] = self.rates[RPM] = 0.0
-        self.tool = 0
+        self.rates[FEED] = self.rates[RPM] = self.rates[TOOL] = 0.0
+
+    @property
+    def tool(self) -> int:
+        """T of the last line, which Grbl forgets with the next."""
+        return whole_part(self.rates, TOOL, 0)
 
     def accessory_flags(self) -> int:
         """Spindle and coolant as flags of a planner block."""

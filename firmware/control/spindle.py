@@ -38,6 +38,7 @@ _LESS = const(5)
 _FULL = const(6)
 _GRADIENT = const(7)
 _FINE = const(8)
+LASER = const(9)  # 0: it is none
 _ONE = const(0x3F800000)  # the float 1
 _STEEPEST = 8388608.0  # power for all of S, if $31 were far below: 64 times as much has 30 bits
 
@@ -107,6 +108,7 @@ class Spindle:
         """Take over $30, $31 and $32. table: the planner's, for the kernels."""
         self.laser = bool(settings.laser_mode)
         scale, full = self._state.spindle, self._port.pwm_max
+        scale[LASER] = self.laser
         span = f32(settings.max_rpm - settings.min_rpm)
         gradient = f32((full - _MIN_POWER) / span) if span > 0 else 0.0
         if settings.max_rpm * gradient >= _STEEPEST:

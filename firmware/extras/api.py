@@ -11,6 +11,7 @@ from base import state as st
 from base.errors import GrblError
 from control.modes import MOTION
 from language import block_layout as b
+from language.checks import MOVE
 from micropython import const
 
 from extras.own_words import OwnWords
@@ -260,8 +261,7 @@ class Cnc:
                 call()
 
         interpreter.go = go  # type: ignore[method-assign]
-        interpreter.fast.is_open = False  # no line is to take the short way, past this
-        interpreter.fast.forget()
+        interpreter.watch(MOVE)
 
     def before_lines(self, call: "Callable[[], object]") -> None:
         """Called at the loop's turns, between two lines; the next may have been found already."""

@@ -15,6 +15,7 @@ from base.errors import GrblError
 from base.f32 import copy, vector
 from base.settings import AXIS
 from control.canon import Canon
+from language.checks import MOVE
 from micropython import const
 from motion import arcs, layout, plan_kernel
 from motion import planner as plan
@@ -162,9 +163,8 @@ class BacklashCanon(Canon):
             self._take_up(move)
             self.wait_for_room()
             copy(target, places, planner.axes)
-            self.power, head = self.power_of(move), flow[layout.HEAD]
-            flags = move.flags | layout.PLACED
-            power, feed = self.power, rate(move.feed)
+            power, head = self.power_of(move), flow[layout.HEAD]
+            flags, feed = move.flags | layout.PLACED, rate(move.feed)
             if plan_kernel.plan(course, table, ring, flow, flags, move.line_number, power, feed):
                 planner.speeds[head] = move.spindle_rpm
             else:
@@ -258,21 +258,18 @@ def _check(mm: float) -> None:
 def install(cnc: "Cnc") -> None:
     """Have its settings, and every line go past it where slack is to be taken up."""
     machine: "Any" = cnc.machine
-    canon, fast = machine.canon, machine.interpreter.fast
+    canon, interpreter = machine.canon, machine.interpreter
     canon.engine = machine.engine
     cnc.add_settings(_SETTINGS)
     for i in range(machine.planner.axes):
         cnc.check_setting(_FIRST + i, _check)
-    usual_follow: "Callable[[bytearray, int], int]" = fast.follow
-    usual_execute: "Callable[[bytearray, int], bool]" = fast.execute
 
-    def follow(line: bytearray, length: int) -> int:
-        return 0 if canon.active else usual_follow(line, length)
+    def watch() -> None:
+        if canon.active:
+            interpreter.watch(MOVE)
 
-    def execute(line: bytearray, length: int) -> bool:
-        return False if canon.active else usual_execute(line, length)
-
-    fast.follow, fast.execute = follow, execute
+    machine.settings.on_change(watch)
+    watch()
     _home(machine)
     _probe(machine)
 

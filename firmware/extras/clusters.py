@@ -1,3 +1,4 @@
+# mypy: disable-error-code=arg-type
 """Clusters of a laser's powers, S0:0:875:0: one line, one block, up to 16 dots of equal length.
 
 A line with a cluster holds what lines that only move hold: G1, axes, F, S and N, with $32 on. To
@@ -8,22 +9,19 @@ its dots lie beside the planner's ring, for motion/beam.py.
 from array import array
 
 import micropython
-from base.errors import GCODE_UNSUPPORTED_COMMAND, GrblError
-from control import spindle as sp
-from control.modes import SPINDLE
-from language import clusters as words
+from control.spindle import ASKED, weigh
+from language.words import DOTS, FIRST_DOT
 from micropython import const
 from motion.beam import MOST, ROOM, ROW
-from motion.layout import DYNAMIC, FLAGS, HEAD, ROW_SIZE, ROWS, TAIL
+from motion.layout import FLAGS, HEAD, ROW_SIZE, ROWS, SYSTEM_MOTION, TAIL
+from motion.planner import SPINDLE_MASK
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from types import ModuleType
     from typing import Any
 
     from interfaces import Options
-    from motion.planner import Move
     from talk.controller import Controller
 
     from extras.api import Cnc
@@ -31,8 +29,34 @@ if TYPE_CHECKING:
 _LINE_LENGTH = const(160)
 
 
+@micropython.viper
+def store(
+    values: ptr32,
+    count: int,
+    scale: ptr32,
+    flags: int,
+    clusters: ptr32,
+    speeds: ptr32,
+    block: int,
+) -> int:
+    """Powers, and what they are made of, go where a block's are looked for. scale and flags: as
+    weigh() wants them."""
+    at = ROOM * block
+    last = -1
+    power = 0
+    for i in range(count):
+        if values[i] != last:
+            last = values[i]
+            scale[ASKED] = last
+            power = int(weigh(scale, flags))
+        clusters[at + 1 + i] = power
+        speeds[MOST * block + i] = last
+    clusters[at] = count
+    return 0
+
+
 class Clusters:
-    """What stands around a machine's lines, and around its planner."""
+    """What stands around a machine's planner."""
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
@@ -41,99 +65,31 @@ class Clusters:
         self.powers = array("i", (0 for _ in range(ROOM * blocks)))
         # S of each dot: an override of the spindle weighs it anew.
         self._speeds = array("f", (0.0 for _ in range(MOST * blocks)))
-        self._values = array("f", (0.0 for _ in range(MOST)))
-        self._text = bytearray(_LINE_LENGTH + 1)
-        self._waiting = 0  # dots of a line that is on its long way to the planner
-        fast, planner = machine.interpreter.fast, machine.planner
-        self._usual_execute = machine.interpreter.execute
-        self._usual_line, self._usual_clear = planner.line, planner.clear
+        self._dots = machine.interpreter.block.dots
+        self._values = memoryview(self._dots)[FIRST_DOT:]
+        planner = machine.planner
+        self._usual_plan, self._usual_clear = planner.hook or planner.plan, planner.clear
         self._usual_each_power = planner.each_power
-        fast.follow = self._make_follow(fast.follow)
-        machine.interpreter.execute = self.execute  # type: ignore[method-assign]
-        planner.line = self.line  # type: ignore[method-assign]
+        planner.hook = self.plan
         planner.clear = self.clear  # type: ignore[method-assign]
         planner.each_power = self.each_power  # type: ignore[method-assign]
 
-    # Lines
-
-    def _make_follow(
-        self, usual: "Callable[[bytearray, int], int]"
-    ) -> "Callable[[bytearray, int], int]":
-        """The shortest way: see language/fast_path.py. What it needs is at hand."""
-        machine = self._machine
-
-        @micropython.native
-        def follow(
-            line: bytearray,
-            length: int,
-            usual: "Callable[[bytearray, int], int]" = usual,
-            text: bytearray = self._text,
-            values: "array[float]" = self._values,
-            scale: "array[float]" = machine.state.spindle,
-            powers: "array[int]" = self.powers,
-            speeds: "array[float]" = self._speeds,
-            flow: "array[int]" = machine.planner.flow,
-            modal: "array[int]" = machine.modes.modal,
-        ) -> int:
-            found = words.gather(line, length, text, values)
-            if found == 0:
-                return usual(line, length)
-            turning = modal[SPINDLE]
-            if found < 0 or not turning:
-                return 0
-            head = flow[HEAD]
-            flags = turning | DYNAMIC if turning == sp.CCW else turning
-            words.store(values, found >> 8, scale, flags, powers, speeds, head)
-            planned = usual(text, found & 255)
-            if flow[HEAD] == head:
-                powers[ROOM * head] = 0
-            return planned
-
-        return follow
-
-    def execute(self, line: bytearray, length: int) -> None:
-        """The long way, for lines that say something new besides."""
-        found = words.gather(line, length, self._text, self._values)
-        if found == 0:
-            self._usual_execute(line, length)
-            return
-        if found < 0:
-            raise GrblError(-found)
-        interpreter = self._machine.interpreter
-        if not interpreter.fast.execute(self._text, found & 255):
-            raise GrblError(GCODE_UNSUPPORTED_COMMAND)
-        self._waiting = found >> 8
-        try:
-            self._machine.canon.finish()
-        finally:
-            self._waiting = 0
-        interpreter.fast.tell()
-
     # The planner
-
-    def _put(self, count: int, block: int) -> None:
-        """A block that is going to be planned has these dots; it has none without M3 and M4."""
-        machine = self._machine
-        flags = machine.modes.modal[SPINDLE]
-        if not flags:
-            count = 0
-        elif flags == sp.CCW:
-            flags |= DYNAMIC
-        scale = machine.state.spindle
-        words.store(self._values, count, scale, flags, self.powers, self._speeds, block)
 
     def _weigh(self, power: "Any", flags: int, block: int) -> None:
         for i in range(self.powers[ROOM * block]):
             self.powers[ROOM * block + 1 + i] = power(flags, self._speeds[MOST * block + i])
 
-    def line(self, target: "array[float]", move: "Move", power: int) -> bool:
-        """As motion.planner.Planner.line()."""
-        flow = self._machine.planner.flow
-        head = flow[HEAD]
-        if self._waiting:
-            self._put(self._waiting, head)
-        planned = self._usual_line(target, move, power)
-        if flow[HEAD] == head:
+    def plan(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
+        """As motion.planner.Planner.plan(); without M3 and M4 there are no dots."""
+        machine = self._machine
+        head = machine.planner.flow[HEAD]
+        if not flags & SYSTEM_MOTION:
+            count = self._dots[DOTS] if flags & SPINDLE_MASK else 0
+            scale = machine.state.spindle
+            store(self._values, count, scale, flags, self.powers, self._speeds, head)
+        planned = self._usual_plan(target, flags, line, power, rate)
+        if machine.planner.flow[HEAD] == head:
             self.powers[ROOM * head] = 0
         return planned
 
@@ -162,6 +118,7 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     if option("ENGINE", "") in ("rmt", "i2s"):
         raise ValueError("CLUSTERS wants a Pico: others have no machine for a beam")
     options.line_length = _LINE_LENGTH
+    options.dots = MOST
 
 
 def install(cnc: "Cnc") -> None:

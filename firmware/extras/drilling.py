@@ -138,7 +138,7 @@ class Drilling:
         self._motion = 0  # the one that held before
         self._begun_mm = 0.0  # and where the axis that drills was, in machine coordinates
         self._manner = (0, 0, 0)
-        self._was_open = True  # lines were free to take the fast path
+        self._was_open = True  # kernels were free to execute lines
         self.forget()
 
     def forget(self) -> None:
@@ -156,8 +156,7 @@ class Drilling:
         """No cycle is in force any more; with_motion: the motion is, that was before."""
         interpreter = self._machine.interpreter
         if self.cycle:
-            interpreter.fast.is_open = self._was_open
-            interpreter.fast.forget()
+            interpreter.is_open = self._was_open
             if with_motion:
                 self._machine.modes.modal[MOTION] = self._motion
         self.cycle = 0
@@ -173,9 +172,8 @@ class Drilling:
             self.plan(holes.own, holes.to_r)
         if not self.cycle:
             self._motion = modal[MOTION]
-            self._was_open = interpreter.fast.is_open
-            interpreter.fast.is_open = False  # a line with no more than places is no move
-            interpreter.fast.forget()
+            self._was_open = interpreter.is_open
+            interpreter.is_open = False  # a line with no more than places is no move
         self.cycle, self._kept, self.to_r = holes.cycle, holes.kept, holes.to_r
         self._begun_mm, self._manner = holes.begun_mm, holes.manner
         relative, modal[RELATIVE] = modal[RELATIVE], 0

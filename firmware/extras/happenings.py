@@ -13,6 +13,7 @@ from base.faults import harmless
 from control import coolant
 from control import spindle as sp
 from language.block_layout import HIGHEST_TOOL
+from language.checks import SET_TOOL
 from micropython import const
 
 from extras import handlers
@@ -246,6 +247,7 @@ class Happenings:
         """What a line has brought about is heard of before the next. Lines with words of
         custom.py do not come here: a T there is not the spindle's."""
         interpreter, modes = self._machine.interpreter, self._machine.modes
+        interpreter.watch(SET_TOOL)
         usual = interpreter.execute
 
         @micropython.native

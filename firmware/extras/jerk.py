@@ -18,7 +18,6 @@ from motion.layout import SLICES, SLOTS, SYSTEM
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from typing import Any
 
     from base.settings import Rows
@@ -48,12 +47,12 @@ class Jerk:
         self._ring = planner.ring
         self._table = planner.table
         self._line = array("i", (0 for _ in range(layout.WAYS + _MOST_SLOTS)))
-        self._usual_line = planner.line
+        self._usual_plan = planner.hook or planner.plan
         self._usual_chords = planner.chords
         self._usual_catch_up = planner.catch_up
         self._usual_clear = planner.clear
         self._usual_override = planner.override
-        planner.line = self.line  # type: ignore[method-assign]
+        planner.hook = self.plan
         planner.chords = self.chords  # type: ignore[method-assign]
         planner.catch_up = self.catch_up  # type: ignore[method-assign]
         planner.clear = self.clear  # type: ignore[method-assign]
@@ -75,11 +74,12 @@ class Jerk:
 
     # What the planner does, and blocks as they are to be made
 
-    def line(self, target: "array[float]", move: "Move", power: int) -> bool:
-        """As Planner.line()."""
-        done = self._usual_line(target, move, power)
-        self.settle(0)
-        return done
+    def plan(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
+        """As Planner.plan()."""
+        planned = self._usual_plan(target, flags, line, power, rate)
+        if not flags & layout.SYSTEM_MOTION:
+            self.settle(0)
+        return planned
 
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
         """As Planner.chords()."""
@@ -100,28 +100,6 @@ class Jerk:
         """Motion begins, with all that there is."""
         self.settle(1)
         return True
-
-    def follow(
-        self, usual: "Callable[[bytearray, int], int]"
-    ) -> "Callable[[bytearray, int], int]":
-        """The shortest way of a line, from what was that: see language/fast_path.py."""
-
-        @micropython.native
-        def follow_line(
-            text: bytearray,
-            length: int,
-            usual: "Callable[[bytearray, int], int]" = usual,
-            settle: "Callable[..., int]" = jerk_plan.settle,
-            table: "array[int]" = self._table,
-            ring: "array[int]" = self._ring,
-            flow: "array[int]" = self._flow,
-            line: "array[int]" = self._line,
-        ) -> int:
-            planned = usual(text, length)
-            settle(table, ring, flow, line, 0)
-            return planned
-
-        return follow_line
 
     def override(self) -> None:
         """As Planner.override()."""
@@ -174,8 +152,6 @@ def install(cnc: "Cnc") -> None:
     settings: "Any" = machine.settings
     jerk = Jerk(machine.planner, machine.state, machine.segments.next)
     machine.segments.next = jerk.next  # type: ignore[method-assign]
-    fast = machine.interpreter.fast
-    fast.follow = jerk.follow(fast.follow)
 
     def configure() -> None:
         jerk.limit(

@@ -22,6 +22,7 @@ from control.modes import (
     RPM,
     SPINDLE,
     SYSTEM,
+    TOOL,
 )
 from language.block_layout import PROBE_TOWARD
 from language.words import bare
@@ -66,23 +67,22 @@ def in_force(machine: "Controller") -> "list[Any]":
     """The place, and all that a program can have set: what put() takes."""
     modes, coords = machine.modes, machine.coords
     modal = list(modes.modal[:MODAL_LENGTH])
-    place, rates, g92 = list(modes.position), list(modes.rates), list(coords.g92)
+    place, rates, g92 = list(modes.position), list(modes.rates[:TOOL]), list(coords.g92)
     return [place, modal, rates, modes.tool, g92, coords.tool_length]
 
 
 def put(machine: "Controller", found: "list[Any]") -> None:
     """Put it in force; spindle and coolant are what they are."""
     modes, coords, state = machine.modes, machine.coords, machine.state
-    place, modal, rates, modes.tool, g92, coords.tool_length = found
+    place, modal, rates, tool, g92, coords.tool_length = found
     modes.position[:] = array("f", place)
-    modes.rates[:] = array("f", rates)
+    modes.rates[:] = array("f", rates + [tool])
     for i in range(MODAL_LENGTH):
         modes.modal[i] = modal[i]
     coords.active = modal[SYSTEM]
     coords.set_g92(array("f", g92))
     state.override_control = bool(modal[OVERRIDE_CONTROL])
     state.wco_countdown = 0
-    machine.interpreter.fast.forget()
 
 
 class Entry:
@@ -108,7 +108,9 @@ class Entry:
         machine = self._machine
         coords, state = machine.coords, machine.state
         before = in_force(machine)
-        stored, coords.systems, self._systems = coords.systems, systems, systems
+        stored, self._systems = array("f", coords.offsets), systems
+        for i in range(len(systems)):
+            coords.change(i, systems[i])
         write, coords.write = coords.write, coords.change  # type: ignore[method-assign]
         self.has_ended = False
         self._highest = machine.modes.position[_Z]
@@ -120,9 +122,11 @@ class Entry:
                 if why():
                     raise NoWay(why())
             self._there = in_force(machine)
+            self._systems = [array("f", values) for values in coords.systems]
             self._check_homed(before[0])
         finally:
-            coords.write, coords.systems = write, stored  # type: ignore[method-assign]
+            coords.write = write  # type: ignore[method-assign]
+            coords.offsets[:] = stored
             if state.run == st.CHECK:
                 state.enter(st.IDLE)
             put(machine, before)

@@ -265,7 +265,6 @@ class JobRun:
         machine.spindle.turn(0, 0.0)
         machine.coolant.set(0)
         machine.modes.modal[SPINDLE] = machine.modes.modal[COOLANT] = 0
-        machine.interpreter.fast.forget()
 
     def _close_rest(self) -> None:
         if self._rest:

@@ -13,7 +13,7 @@ from base.errors import (
 )
 from base.text import text_of
 from control.modes import SPINDLE
-from language import checks
+from language.checks import SET_TOOL
 from micropython import const
 
 from extras.drilling import CYCLES, MOTIONS, Drilling, has, joined
@@ -76,6 +76,7 @@ class Lenient:
         self._tool = "0"
         self._is_within = False  # a line, others
         machine.interpreter.execute = self.execute  # type: ignore[method-assign]
+        machine.interpreter.watch(SET_TOOL)
         cnc.behind_reset(self._forget)
         cnc.entries.append(self._why_no_entry)
 
@@ -127,10 +128,8 @@ class Lenient:
     def _check(self, text: str) -> None:
         """Refuse a line with GrblError, or leave it in the interpreter's block."""
         machine = self._machine
-        block, modes = machine.interpreter.block, machine.modes
         line = bytearray(text.encode() + b"\0")
-        block.read(line, 0, len(line) - 1, modes.modal)
-        checks.check(modes, machine.coords, block, False)
+        machine.interpreter.look(line, len(line) - 1 << 8, machine.modes.modal, 0)
 
     def _run(self, text: str) -> None:
         line = bytearray(text.encode() + b"\0")

@@ -9,6 +9,7 @@ bend faster than they can follow. What is out of reach is refused before anythin
 done.
 """
 
+from language.checks import MOVE
 from micropython import const
 
 from extras.joints import NonlinearKinematics, NonlinearPlanner
@@ -58,6 +59,6 @@ def install(cnc: "Cnc") -> None:
     canon, interpreter = machine.canon, machine.interpreter
     canon.pump, canon.tell = machine.protocol.pump, cnc.message
     canon.modes, canon.block = machine.modes, interpreter.block
-    canon.usual_check, interpreter.check = interpreter.check, canon.check_line
-    interpreter.fast.is_open = False
-    interpreter.fast.forget()
+    canon.usual_look, interpreter.look = interpreter.look, canon.look
+    interpreter.is_open = False
+    interpreter.watch(MOVE)

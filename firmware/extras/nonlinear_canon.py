@@ -33,7 +33,7 @@ class NonlinearCanon(Canon):
     planner: "NonlinearPlanner"
     pump: "Callable[[], None]"  # reads the link
     tell: "Callable[[str], None]"
-    usual_check: "Callable[[array[int]], None]"  # the interpreter's
+    usual_look: "Callable[[bytearray, int, array[int], int], int]"  # the interpreter's
     modes: "Modes"
     block: "Block"
     stop_planning = False
@@ -65,11 +65,14 @@ class NonlinearCanon(Canon):
             self._refuse(errors.TRAVEL_EXCEEDED)
         super().jog(target, move)
 
-    def check_line(self, modal: "array[int]") -> None:
-        """As Interpreter.check(), and refuse a line whose motion leads out of reach."""
-        self.usual_check(modal)
-        if modal is not self.modes.modal:
-            return  # a jog, which jog() looks at
+    def look(self, line: bytearray, span: int, modal: "array[int]", jog: int) -> int:
+        """As Interpreter.look(), and refuse a line whose motion leads out of reach."""
+        asked = self.usual_look(line, span, modal, jog)
+        if not jog:  # which jog() looks at
+            self._check_block()
+        return asked
+
+    def _check_block(self) -> None:
         ints, xyz, code = self.block.ints, self.block.xyz, errors.GCODE_INVALID_TARGET
         place = self.modes.position
         if ints[b.NON_MODAL] in (b.GO_G28, b.GO_G30):
@@ -132,8 +135,8 @@ class NonlinearCanon(Canon):
             self.wait_for_room()
             if self._is_cut():
                 return
-            self.power = self.power_of(move)
-            moves |= planner.line(course.place, move, self.power)
+            power = self.power_of(move)
+            moves |= planner.line(course.place, move, power)
             if self._is_jog and state.run == st.IDLE and not planner.empty():
                 self._drive.start(st.JOG)  # by its first chord: it can be cancelled from now on
         if not moves:

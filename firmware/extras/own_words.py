@@ -137,7 +137,7 @@ class OwnWords:
             else:
                 found[letter] = value
         if words.fault:
-            raise GrblError(errors.BAD_NUMBER_FORMAT)
+            raise GrblError(words.fault)
         if own != 1:
             raise GrblError(errors.GCODE_MODAL_GROUP_VIOLATION)
         return found

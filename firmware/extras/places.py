@@ -1,5 +1,7 @@
 """Places, and modes to be put back: what an operator hands out to handlers of custom.py."""
 
+from array import array
+
 from base import state as st
 from base.f32 import copy
 from control.modes import (
@@ -15,8 +17,6 @@ from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from array import array
-
     from talk.controller import Controller
 
 _COOLANT = const(SPINDLE + 1)
@@ -70,12 +70,11 @@ class Saved:
         modes, coords = self._machine.modes, self._machine.coords
         self.modal = list(modes.modal)
         self._rates = modes.rates[:]
-        self._length, self._g92 = coords.tool_length, coords.g92[:]
+        self._length, self._g92 = coords.tool_length, array("f", coords.g92)
         self._within.append(self)
         if self._usual:
             for i in _USUAL:
                 modes.modal[i] = 0
-            self._machine.interpreter.fast.forget()
 
     def keep_length(self) -> None:
         """The tool's length is to stay as it is now."""
@@ -96,4 +95,3 @@ class Saved:
         coords.tool_length = self._length
         coords.set_g92(self._g92)
         machine.state.wco_countdown = 0
-        machine.interpreter.fast.forget()

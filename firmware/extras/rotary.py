@@ -13,14 +13,14 @@ from base import state as st
 from base.axes import Z
 from control.canon import BELOW, SHUT, Canon
 from control.modes import INCHES
-from language.fast_kernel import DEGREES
+from language.block_layout import LENGTHS
 from micropython import const
 from motion import arcs, layout, reals
 from motion.arc_geometry import ONE_AXIS, OTHER_AXIS, RADIUS
 from motion.planner import Planner
 
 from extras.letters import LETTERS
-from extras.rotary_kernel import follow_turning, names_any, stretch
+from extras.rotary_kernel import stretch
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ _FIRST = const(3)  # X, Y and Z are no rotary axes
 _TURN = 360.0
 # Up to here single precision knows each step; beyond, an endless axis is unwound.
 _EXACT = 16777216.0
-_INCH_PER_MM = 1 / 25.4
+_PER_INCH = reals.real(1 / 25.4)
 # A line of these has no feed rate of its program's, or one that is of all its axes.
 _ITS_OWN_RATE = const(layout.RAPID_MOTION | layout.SYSTEM_MOTION | layout.INVERSE_TIME)
 
@@ -54,17 +54,14 @@ class RotaryPlanner(Planner):
 
     _times = reals.ONE
 
-    def line(self, target: "array[float]", move: "Move", power: int) -> bool:
-        """As Planner.line()."""
-        if not move.flags & _ITS_OWN_RATE:
+    def turn(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
+        """As Planner.plan()."""
+        if not flags & _ITS_OWN_RATE:
             times = stretch(target, self.table, self.ring, self.flow, self.linear)
             if times == 0:
-                in_inches = self.block.ints[INCHES]
-                times = reals.real(_INCH_PER_MM) if in_inches else reals.ONE
-            self._times = times
-        planned = super().line(target, move, power)
-        self._times = reals.ONE
-        return planned
+                times = _PER_INCH if self.block.ints[INCHES] else reals.ONE
+            rate = reals.mul(rate, times)
+        return self.plan(target, flags, line, power, rate)
 
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
         """As Planner.chords()."""
@@ -129,7 +126,7 @@ class RotaryCanon(Canon):
             if turned:
                 target[axis] -= turned
                 self.modes.position[axis] -= turned
-                g92 = self.coords.g92[:]
+                g92 = array("f", self.coords.g92)
                 g92[axis] -= turned
                 self.coords.set_g92(g92)
                 state.wco_countdown = 0
@@ -211,10 +208,10 @@ def install(cnc: "Cnc") -> None:
     planner.block = block
     canon.engine, canon.modes, canon.coords = machine.engine, machine.modes, machine.coords
     canon.axes = tuple([axis for axis in range(planner.axes) if rotary >> axis & 1])
-    block.lengths &= ~rotary
+    machine.interpreter.machine[LENGTHS] &= ~rotary
+    planner.hook = planner.turn
     _home(machine, everything & ~_found["without_switch"])
     _show(machine.report, canon.axes)
-    _read(machine, rotary)
 
 
 def _home(machine: "Any", homed: int) -> None:
@@ -250,25 +247,3 @@ def _show(report: "Any", rotary: "tuple[int, ...]") -> None:
         return shown
 
     report.in_inches = in_inches
-
-
-def _read(machine: "Any", rotary: int) -> None:
-    """Lines with words of rotary axes go a way of their own; in inches, the interpreter's."""
-    fast, ints = machine.interpreter.fast, machine.interpreter.block.ints
-    usual_follow: "Callable[[bytearray, int], int]" = fast.follow
-    usual_execute: "Callable[[bytearray, int], bool]" = fast.execute
-    letters, linear, memory = rotary >> _FIRST, machine.planner.linear, fast.memory()
-    memory[0][DEGREES] = rotary
-
-    def follow(line: bytearray, length: int) -> int:
-        if names_any(line, length, letters):
-            return follow_turning(line, length, memory, linear)
-        return usual_follow(line, length)
-
-    def execute(line: bytearray, length: int) -> bool:
-        is_short = usual_execute(line, length)
-        if is_short:
-            ints[INCHES] = 0  # what a rotary axis has not, on this way
-        return is_short
-
-    fast.follow, fast.execute = follow, execute

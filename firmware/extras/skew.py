@@ -118,17 +118,14 @@ class SkewPlanner(Planner):
         """As Planner.reach_mm(); a motor makes up to a fifth more steps than its axis, $78n."""
         return super().reach_mm(axis) / 2
 
-    def line(self, target: "array[float]", move: "Move", power: int) -> bool:
-        """As Planner.line()."""
-        kinematics, flags = self.kinematics, move.flags
-        if kinematics.homing or not kinematics.active:
-            return super().line(target, move, power)
-        to_steps(target, self.table)
-        kernel.to_motors(self.table, kinematics.skew)
-        move.flags = flags | layout.PLACED
-        planned = super().line(target, move, power)
-        move.flags = flags
-        return planned
+    def lean(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
+        """As Planner.plan()."""
+        kinematics = self.kinematics
+        if kinematics.active and not kinematics.homing:
+            to_steps(target, self.table)
+            kernel.to_motors(self.table, kinematics.skew)
+            flags |= layout.PLACED
+        return self.plan(target, flags, line, power, rate)
 
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
         """As Planner.chords()."""
@@ -168,13 +165,13 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 
 def install(cnc: "Cnc") -> None:
-    """Have its settings, homing of motors, and short lines go where they have to."""
+    """Have its settings, lines and homing of motors go where they have to."""
     machine: "Any" = cnc.machine
     cnc.add_settings(_SETTINGS)
     _sign(machine.settings)
-    _follow(machine)
     _home(machine)
     planner = machine.planner
+    planner.hook = planner.lean
 
     def resync() -> None:
         if planner.is_new:
@@ -209,20 +206,6 @@ def _sign(settings: "Any") -> None:
             raise ValueError(line)
 
     settings._read, settings._assign = read, assign
-
-
-def _follow(machine: "Any") -> None:
-    """Lines that do no more than move go the short way all the same."""
-    fast, kinematics = machine.interpreter.fast, machine.planner.kinematics
-    usual: "Callable[[bytearray, int], int]" = fast.follow
-    memory, skew = fast.memory(), kinematics.skew
-
-    def follow(line: bytearray, length: int) -> int:
-        if not kinematics.active:
-            return usual(line, length)
-        return kernel.follow(line, length, memory, skew)
-
-    fast.follow = follow
 
 
 def _home(machine: "Any") -> None:

@@ -1,22 +1,16 @@
 # mypy: disable-error-code="arg-type, call-overload, has-type, misc"
 """The skew's kernel: from places of the axes to places of their motors, in whole steps.
 
-Viper, for skew.py; what stands where is told in motion/layout.py and language/fast_kernel.py. The
+Viper, for skew.py; what stands where is told in motion/layout.py. The
 motor of Y is moved back by what the way of Z's brings along, that of X by what the ways of both
 do. Each is rounded once, from steps that are whole already, so the way back is exact: unskew.
 """
 
 import micropython
-from base.f32 import copy
-from language import fast_kernel as fk
-from language.fast_kernel import line_number
 from micropython import const
 from motion.arcs import FAR, KNOWN, LEFT, NOWHERE, SOME, advance
-from motion.layout import AXES, HEAD, LIMITS, PLACED, ROWS, TARGET
+from motion.layout import AXES, HEAD, LIMITS, ROWS, TARGET
 from motion.plan_kernel import FULL, OUTSIDE, full, plan
-from motion.steps import to_steps
-
-from extras.line_kernel import take
 
 # What a machine's skew is made of: three shears, each a factor + FAR and its power of two, and
 # behind them where the motors of the axes were homed, in steps + FAR.
@@ -104,29 +98,3 @@ def follow_arc(
         if at & SOME == 0:
             break
     return found
-
-
-@micropython.viper
-def follow(text: ptr8, length: int, memory: object, skew: ptr32) -> int:
-    """As fast_kernel.follow_line(), in so far as take() takes a line."""
-    seen = int(take(text, length, memory))
-    if seen == 0:
-        return 0
-    modes, position, places, _, axes, ring, queue, speeds, _, _, _, _ = memory
-    known = ptr32(modes)
-    target = ptr32(places)
-    table = ptr32(axes)
-    flow = ptr32(queue)
-    to_steps(target, table)
-    to_motors(table, skew)
-    flags = known[fk.FLAGS] | PLACED
-    at = flow[HEAD]
-    line = int(line_number(known, seen))
-    if (
-        int(plan(target, table, ptr32(ring), flow, flags, line, known[fk.POWER], known[fk.RATE]))
-        == 0
-    ):
-        return 0
-    ptr32(speeds)[at] = known[fk.RPM]
-    copy(target, ptr32(position), known[fk.AXES])
-    return 1

@@ -9,8 +9,6 @@ from array import array
 
 import micropython
 from base.errors import (
-    BAD_NUMBER_FORMAT,
-    EXPECTED_COMMAND_LETTER,
     GCODE_AXIS_COMMAND_CONFLICT,
     GCODE_COMMAND_VALUE_NOT_INTEGER,
     GCODE_MAX_VALUE_EXCEEDED,
@@ -18,7 +16,6 @@ from base.errors import (
     GCODE_UNSUPPORTED_COMMAND,
     GCODE_WORD_REPEATED,
     NEGATIVE_VALUE,
-    GrblError,
 )
 from base.f32 import f32, vector, whole
 from control.modes import (
@@ -40,6 +37,7 @@ from motion.arc_geometry import Arc
 
 from language.block_layout import (
     ABSOLUTE_OVERRIDE,
+    ASKED,
     AXES_MOTION,
     AXES_NON_MODAL,
     AXES_TOOL_LENGTH,
@@ -74,6 +72,7 @@ from language.block_layout import (
     NO_MOTION,
     NON_MODAL,
     PAUSED,
+    POWERS,
     RUNNING,
     SEEK,
     SET_COORDS,
@@ -82,9 +81,9 @@ from language.block_layout import (
     TOOL_LIMIT,
     WORDS,
 )
-from language.words import LETTER_EXPECTED, LINE_LENGTH, Words, scan
+from language.words import DOTS, LINE_LENGTH, Words, scan
 
-assert CLAIM < MODAL_ROOM, "there is no room behind the modal state"
+assert ASKED < MODAL_ROOM, "there is no room behind the modal state"
 
 _BEYOND = 2147483648.0
 
@@ -263,30 +262,31 @@ def take(
 
 
 @micropython.viper
-def read(line: ptr8, span: int, modal: ptr32, memory: object) -> int:
+def read(
+    line: ptr8,
+    span: int,
+    modal: ptr32,
+    ints: ptr32,
+    singles: ptr32,
+    xyz: ptr32,
+    axes: int,
+    words: object,
+) -> int:
     """Start from a modal state, and take in the words of line[start:end], which a 0 follows, in
-    their order. span: end << 8 | start; memory: a block's. Returns what is wrong with the first
-    that is, or 0."""
-    letters, values, at, words, ints, xyz, axes, singles, take_odd = memory
-    found = int(scan(line, span, ptr8(letters), ptr32(values)))
-    _begin(ptr32(ints), ptr32(xyz), int(axes), ptr32(singles), modal)
+    their order. span: end << 8 | start; ints, singles, xyz, words: a block's. Returns what is
+    wrong with the first that is, or 0."""
+    _letters, _values, index, rows, _dots, take_odd = words
+    letters = ptr8(_letters)
+    values = ptr32(_values)
+    dots = ptr32(_dots)
+    found = int(scan(line, span, letters, values, dots))
+    _begin(ints, xyz, axes, singles, modal)
+    ints[POWERS] = dots[DOTS]
+    count = found & 255
     wrong = int(
-        take(
-            ptr8(letters),
-            ptr32(values),
-            found & 255,
-            ptr8(at),
-            ptr8(words),
-            ptr32(ints),
-            ptr32(xyz),
-            ptr32(singles),
-            take_odd,
-        )
+        take(letters, values, count, ptr8(index), ptr8(rows), ints, xyz, singles, take_odd)
     )
-    fault = found >> 8
-    if fault and wrong == 0:
-        wrong = EXPECTED_COMMAND_LETTER if fault == LETTER_EXPECTED else BAD_NUMBER_FORMAT
-    return wrong
+    return wrong if wrong else found >> 8
 
 
 @micropython.viper
@@ -311,6 +311,7 @@ class Block:
         has_override_control: bool,
         highest_tool: int = HIGHEST_TOOL,
         longest: int = LINE_LENGTH,
+        dots: int = 0,
     ) -> None:
         self.ints = array("i", (0 for _ in range(MODAL_ROOM)))
         self.axes = axes
@@ -321,8 +322,8 @@ class Block:
         # What the checks find: the arc, and what G10, G28 and G30 are to keep or go to.
         self.arc = Arc()
         self.stored = vector(axes)
-        self.index = 0  # of the coordinate system that G10 writes
-        self._words = Words(longest)
+        self._words = Words(longest, dots)
+        self.dots = self._words.dots
         self._index = bytearray(index)
         if not has_mist:
             self._index[M_WORDS + 7] = 0
@@ -330,26 +331,15 @@ class Block:
             self._index[M_WORDS + 56] = 0
         for i in range(axes, _BIT_I):
             self._index[_INDEXED + VALUE_LETTERS[i] - 65] = _NO_LETTER
-        # What read() works on; to look each up costs 5 us, and to take a method as a value memory.
-        words = self._words
-        self._memory = (
-            words.letters,
-            words.values,
+        # What read() works on besides.
+        self.words = (
+            self._words.letters,
+            self._words.values,
             self._index,
             dictionary,
-            self.ints,
-            self.xyz,
-            axes,
-            self.singles,
+            self.dots,
             self._take_odd,
         )
-
-    def read(self, line: bytearray, start: int, end: int, modal: "array[int]") -> None:
-        """Start from that modal state, and take in the words of line[start:end], which a 0
-        follows, in their order. Raises GrblError for the first that is wrong."""
-        wrong = read(line, end << 8 | start, modal, self._memory)
-        if wrong:
-            raise GrblError(wrong)
 
     def _take_odd(self, i: int) -> int:
         """Take in a G or M word of any number. Returns what is wrong with it."""

@@ -47,6 +47,21 @@ COMMANDS = const(MODAL_LENGTH)  # mask of the modal groups that the line has wor
 WORDS = const(MODAL_LENGTH + 1)  # mask of its value words
 NON_MODAL = const(MODAL_LENGTH + 2)
 CLAIM = const(MODAL_LENGTH + 3)  # who uses the axis words
+INDEX = const(MODAL_LENGTH + 4)  # of the coordinate system that G10 writes
+POWERS = const(MODAL_LENGTH + 5)  # how many S has, where those are dots; see words.py
+ASKED = const(MODAL_LENGTH + 6)  # what check() has found; 0: nothing has been checked
+
+# What kernels are told of the machine, by place in Interpreter.machine: how many axes; which of
+# them have numbers in mm or inches (a mask); the tool's; whether kernels may execute lines; what
+# of a line somebody in Python is to see first (a mask of what check() finds); and how many lines
+# may be done before the loop has its turn.
+AXES = const(0)
+LENGTHS = const(1)
+LENGTH_AXIS = const(2)
+IS_OPEN = const(3)
+WATCHED = const(4)
+LINES_LEFT = const(5)
+MACHINE_LENGTH = const(6)
 
 # The numbers of a line, by place in Block.singles; axis words are in Block.xyz.
 I = const(0)  # noqa: E741 (the letter of the word); J and K behind it
@@ -59,7 +74,8 @@ S = const(8)
 T = const(9)
 TOOL_LIMIT = const(10)  # behind them: the highest tool number there is,
 INCH_MM = const(11)  # and 25.4
-SINGLES = const(12)
+SCRATCH = const(12)
+SINGLES = const(13)
 
 # Modal groups, as bits of COMMANDS. Names are the standard's.
 GROUP_0 = const(0x0001)  # non-modal

@@ -1,244 +1,399 @@
-"""Checks: step three of the interpreter. Everything that can refuse a block does so here.
+# mypy: disable-error-code="arg-type, attr-defined, call-overload, has-type, misc"
+"""Checks: step three of the interpreter, in kernels. All that can refuse a block does so here.
 
-Along the way the block's values become what execution wants: mm, absolute,
-machine coordinates. The order of checks is the standard's order of execution,
-which decides the number that a block with two faults gets.
+Along the way the block's values become what execution wants: mm, absolute, machine coordinates.
+The order of checks is the standard's order of execution (NIST RS274NGC v3, table 8), which decides
+the number that a block with two faults gets. Nothing that is in force changes. Sections named here
+are the standard's.
 """
 
-from base import errors
-from base.errors import GrblError
-from base.f32 import f32, whole
-from base.singles import add, to_mm
-from control.coords import G28, G30, SYSTEMS
+import micropython
+from base.errors import (
+    GCODE_AXIS_WORDS_EXIST,
+    GCODE_G43_DYNAMIC_AXIS_ERROR,
+    GCODE_G53_INVALID_MOTION_MODE,
+    GCODE_INVALID_LINE_NUMBER,
+    GCODE_INVALID_TARGET,
+    GCODE_NO_AXIS_WORDS,
+    GCODE_UNDEFINED_FEED_RATE,
+    GCODE_UNSUPPORTED_COMMAND,
+    GCODE_UNSUPPORTED_COORD_SYS,
+    GCODE_UNUSED_WORDS,
+    GCODE_VALUE_WORD_MISSING,
+    INVALID_JOG_COMMAND,
+)
+from base.singles import add_single, multiply, whole_part
+from control.coords import G28, G30, G92, SYSTEMS
 from control.modes import (
+    COOLANT,
     FEED,
     INCHES,
     INVERSE_TIME,
     MOTION,
     OVERRIDE_CONTROL,
+    PROGRAM_FLOW,
     RELATIVE,
     RPM,
+    SPINDLE,
     SYSTEM,
     TOOL_LENGTH,
 )
 from micropython import const
+from motion.arc_geometry import subtract
+from motion.planner import SPINDLE_CW
 
-from language import block_layout as b
 from language.arc_words import find_arc, is_there
-from language.usual import in_mm, stay
+from language.block_layout import (
+    ABSOLUTE_OVERRIDE,
+    AXES,
+    AXES_MOTION,
+    AXES_TOOL_LENGTH,
+    AXES_UNCLAIMED,
+    AXIS_WORDS,
+    CCW_ARC,
+    CLAIM,
+    COMMANDS,
+    CW_ARC,
+    DWELL,
+    GO_G28,
+    GO_G30,
+    GROUP_0,
+    GROUP_3,
+    GROUP_6,
+    GROUP_M9,
+    INCH_MM,
+    INDEX,
+    LENGTH_AXIS,
+    LENGTHS,
+    LINEAR,
+    NO_MOTION,
+    NON_MODAL,
+    SCRATCH,
+    SEEK,
+    SET_COORDS,
+    SET_G92,
+    WORD_F,
+    WORD_IJK,
+    WORD_L,
+    WORD_N,
+    WORD_P,
+    WORD_R,
+    WORD_S,
+    WORD_T,
+    WORDS,
+    F,
+    L,
+    N,
+    P,
+    S,
+)
 
-TYPE_CHECKING = const(False)
-if TYPE_CHECKING:
-    from array import array
+# What a checked block asks for, a bit each.
+SPEED = const(0x001)
+SET_TOOL = const(0x002)
+ACCESSORIES = const(0x004)
+OFFSETS = const(0x008)
+COMMAND = const(0x010)  # one that is not modal
+MOVE = const(0x020)
+FLOW = const(0x040)
+SPECIAL = const(0x080)  # its motion is an arc, or a probe's
+# Laser mode: what it means for the beam.
+DARK = const(0x100)  # it is no cutting motion
+IN_MOTION = const(0x200)  # S goes with the motion
+SYNC = const(0x400)  # the beam changes though nothing moves
+CHECKED = const(0x800)  # always there
 
-    from control.coords import Coords
-    from control.modes import Modes
-
-    from language.block import Block
-
-_HIGHEST_LINE = const(10000000)
+_CUTS = const(1 << LINEAR | 1 << CW_ARC | 1 << CCW_ARC)
 
 
-def check(modes: "Modes", coords: "Coords", block: "Block", jog: bool) -> None:
-    """Refuse the block with GrblError, or leave it ready to be executed."""
-    ints, singles = block.ints, block.singles
-    words = ints[b.WORDS]
-    axis_words = words & b.AXIS_WORDS
-    if axis_words and not ints[b.CLAIM]:
-        ints[b.CLAIM] = b.AXES_MOTION
-    if singles[b.N] > _HIGHEST_LINE:
-        raise GrblError(errors.GCODE_INVALID_LINE_NUMBER)
-    _feed(modes, block, jog)
-    if not words & b.WORD_S:
-        singles[b.S] = modes.rates[RPM]
-    unused = words & ~b.WORD_N
-    if ints[b.COMMANDS] & b.GROUP_M9:
-        _override_control(block)
-        unused &= ~b.WORD_P
-    if ints[b.NON_MODAL] == b.DWELL:
-        if not words & b.WORD_P:
-            raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
-        unused &= ~b.WORD_P
+@micropython.viper
+def check(
+    modal: ptr32,
+    laser: int,
+    jog: int,
+    ints: ptr32,
+    singles: ptr32,
+    xyz: ptr32,
+    rates: ptr32,
+    position: ptr32,
+    offsets: ptr32,
+    machine: ptr32,
+    rare: object,
+) -> int:
+    """Check a block that begins with that modal state. Returns what it asks for, the bits above,
+    or below 0 what is wrong with it. laser: the machine is in laser mode; jog: it is a line of
+    $J=; rare: a block's."""
+    words = ints[WORDS]
+    if words & AXIS_WORDS and ints[CLAIM] == AXES_UNCLAIMED:
+        ints[CLAIM] = AXES_MOTION
+    if singles[N] & int(0x7FFFFFFF) > int(0x4B189680):  # the float 10,000,000
+        return 0 - GCODE_INVALID_LINE_NUMBER
+    # 3.5.19: feed rate, and how it is meant.
+    wrong = int(_rate(ints, singles, modal, rates, jog))
+    if wrong:
+        return 0 - wrong
+    if words & WORD_S == 0:
+        singles[S] = rates[RPM]
+    used = WORD_N | WORD_F if jog else WORD_N | WORD_F | WORD_S | WORD_T
+    if ints[COMMANDS] & GROUP_M9:
+        # Grbl's own: M56 P0 takes parking out of action, M56 or M56 P1 puts it back.
+        ints[OVERRIDE_CONTROL] = 1
+        if words & WORD_P and singles[P] & int(0x7FFFFFFF) == 0:
+            ints[OVERRIDE_CONTROL] = 0
+        used |= WORD_P
+    if ints[NON_MODAL] == DWELL:  # 3.5.4
+        if words & WORD_P == 0:
+            return 0 - GCODE_VALUE_WORD_MISSING
+        used |= WORD_P
     if ints[INCHES]:
-        in_mm(block.xyz, len(block.xyz), block.lengths, singles)
-    claim = ints[b.CLAIM]
-    if claim == b.AXES_TOOL_LENGTH and ints[TOOL_LENGTH]:
-        if axis_words != 1 << coords.length_axis:
-            raise GrblError(errors.GCODE_G43_DYNAMIC_AXIS_ERROR)
-    command = ints[b.NON_MODAL]
-    if command == b.SET_COORDS:
-        unused &= ~_set_coords(modes, coords, block)
-    elif command == b.SET_G92:
-        _set_g92(modes, coords, block)
-    else:
-        if axis_words and claim != b.AXES_TOOL_LENGTH:
-            _target(modes, coords, block)
-        if command:
-            _place(modes, coords, block)
-    unused &= ~_motion(modes, block)
-    unused &= ~(b.WORD_F if jog else b.WORD_F | b.WORD_S | b.WORD_T)
-    if ints[b.CLAIM]:
-        unused &= ~b.AXIS_WORDS
-    if unused:
-        raise GrblError(errors.GCODE_UNUSED_WORDS)
+        _in_mm(xyz, machine, singles)
+    if ints[CLAIM] == AXES_TOOL_LENGTH and ints[TOOL_LENGTH]:  # G43.1: Grbl's, for 3.5.11
+        if words & AXIS_WORDS != 1 << machine[LENGTH_AXIS]:
+            return 0 - GCODE_G43_DYNAMIC_AXIS_ERROR
+    found = int(_places(ints, singles, xyz, position, offsets, machine, rare))
+    if found < 0:
+        return found
+    used |= found
+    found = int(_motion(ints, singles, xyz, position, machine[AXES], rare))
+    if found < 0:
+        return found
+    used |= found
+    if ints[CLAIM]:
+        used |= AXIS_WORDS
+    if words & ~used:
+        return 0 - GCODE_UNUSED_WORDS
     if jog:
-        _jog(block)
+        plain = ints[NON_MODAL] == 0 or ints[NON_MODAL] == ABSOLUTE_OVERRIDE
+        if ints[COMMANDS] & ~(GROUP_0 | GROUP_3 | GROUP_6) or not plain:
+            return 0 - INVALID_JOG_COMMAND
+    return int(_asked(ints, singles, modal, rates, laser))
 
 
-def _feed(modes: "Modes", block: "Block", jog: bool) -> None:
-    ints, singles = block.ints, block.singles
-    has_f = ints[b.WORDS] & b.WORD_F
-    if jog:
-        if not has_f:
-            raise GrblError(errors.GCODE_UNDEFINED_FEED_RATE)
-        if ints[INCHES]:
-            to_mm(singles, b.F)
-    elif ints[INVERSE_TIME]:
-        cuts = ints[b.CLAIM] == b.AXES_MOTION and ints[MOTION] not in (b.NO_MOTION, b.SEEK)
-        if cuts and not has_f:
-            raise GrblError(errors.GCODE_UNDEFINED_FEED_RATE)
-    elif not modes.modal[INVERSE_TIME]:
-        if not has_f:
-            singles[b.F] = modes.rates[FEED]
-        elif ints[INCHES]:
-            to_mm(singles, b.F)
-
-
-def _override_control(block: "Block") -> None:
-    """M56 P0 takes parking out of action, M56 or M56 P1 puts it back."""
-    ints = block.ints
-    off = ints[b.WORDS] & b.WORD_P and block.singles[b.P] == 0
-    ints[OVERRIDE_CONTROL] = 0 if off else 1
-
-
-def _set_g92(modes: "Modes", coords: "Coords", block: "Block") -> None:
-    """G92: the new offsets go to block.xyz."""
-    ints = block.ints
-    if not ints[b.WORDS] & b.AXIS_WORDS:
-        raise GrblError(errors.GCODE_NO_AXIS_WORDS)
-    _offset_at(modes, coords, block, coords.systems[ints[SYSTEM]], coords.g92, block.xyz)
-
-
-def _place(modes: "Modes", coords: "Coords", block: "Block") -> None:
-    """Where G28 or G30 is to go, and whether G53 can go where it says."""
-    command = block.ints[b.NON_MODAL]
-    if command in (b.GO_G28, b.GO_G30):
-        _stored(modes, coords, block)
-    elif command == b.ABSOLUTE_OVERRIDE and block.ints[MOTION] not in (b.SEEK, b.LINEAR):
-        raise GrblError(errors.GCODE_G53_INVALID_MOTION_MODE)
-
-
-def _stored(modes: "Modes", coords: "Coords", block: "Block") -> None:
-    """Where G28 or G30 is to go."""
-    ints = block.ints
-    stored = coords.systems[G28 if ints[b.NON_MODAL] == b.GO_G28 else G30]
-    axis_words = ints[b.WORDS] & b.AXIS_WORDS
-    if not axis_words:
-        ints[b.CLAIM] = b.AXES_UNCLAIMED
-    for i in range(len(modes.position)):
-        here = axis_words and not axis_words >> i & 1
-        block.stored[i] = modes.position[i] if here else stored[i]
-
-
-def _set_coords(modes: "Modes", coords: "Coords", block: "Block") -> int:
-    """G10 L2 and L20: the new offsets go to block.stored, the system's index to block.index."""
-    ints = block.ints
-    words = ints[b.WORDS]
-    if not words & b.AXIS_WORDS:
-        raise GrblError(errors.GCODE_NO_AXIS_WORDS)
-    if not words & (b.WORD_P | b.WORD_L):
-        raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
-    system = whole(block.singles[b.P]) & 255
-    if system > SYSTEMS:
-        raise GrblError(errors.GCODE_UNSUPPORTED_COORD_SYS)
-    kind = whole(block.singles[b.L]) & 255
-    if kind != 20 and (kind != 2 or words & b.WORD_R):
-        raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
-    block.index = system - 1 if system else ints[SYSTEM]
-    stored = coords.systems[block.index]
-    if kind == 20:
-        _offset_at(modes, coords, block, coords.g92, stored, block.stored)
-    else:
-        for i in range(len(modes.position)):
-            block.stored[i] = block.xyz[i] if words >> i & 1 else stored[i]
-    return b.WORD_P | b.WORD_L
-
-
-def _offset_at(
-    modes: "Modes",
-    coords: "Coords",
-    block: "Block",
-    other: "array[float]",
-    old: "array[float]",
-    new: "array[float]",
-) -> None:
-    """The offset which, beside the other one, makes the present place read as programmed."""
-    for i in range(len(modes.position)):
-        if block.ints[b.WORDS] >> i & 1:
-            offset = f32(f32(modes.position[i] - other[i]) - block.xyz[i])
-            if i == coords.length_axis:
-                offset -= coords.tool_length
-            new[i] = offset
-        else:
-            new[i] = old[i]
-
-
-def _target(modes: "Modes", coords: "Coords", block: "Block") -> None:
-    """Axis words become a target in machine coordinates; axes without a word stay."""
-    ints, xyz, position = block.ints, block.xyz, modes.position
-    if ints[b.NON_MODAL] != b.ABSOLUTE_OVERRIDE:
-        if ints[RELATIVE]:
-            add(position, 0, xyz, len(position))
-        else:
-            add(coords.zero(ints[SYSTEM]), 0, xyz, len(position))
-            if coords.tool_length:
-                xyz[coords.length_axis] += coords.tool_length
-    stay(position, xyz, ints[b.WORDS], len(position))
-
-
-def _motion(modes: "Modes", block: "Block") -> int:
-    """Check group 1; returns the value words it used."""
-    ints = block.ints
+@micropython.viper
+def _rate(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, jog: int) -> int:
+    """Find F of a block, as it will be in force. Returns what is wrong with it, or 0."""
+    has_f = ints[WORDS] & WORD_F
     motion = ints[MOTION]
-    axis_words = ints[b.WORDS] & b.AXIS_WORDS
-    if motion == b.NO_MOTION:
-        if axis_words:
-            raise GrblError(errors.GCODE_AXIS_WORDS_EXIST)
-        return 0
-    if ints[b.CLAIM] != b.AXES_MOTION:
-        return 0
-    if motion == b.SEEK:
-        if not axis_words:
-            ints[b.CLAIM] = b.AXES_UNCLAIMED
-        return 0
-    if block.singles[b.F] == 0:
-        raise GrblError(errors.GCODE_UNDEFINED_FEED_RATE)
-    if motion == b.LINEAR:
-        if not axis_words:
-            ints[b.CLAIM] = b.AXES_UNCLAIMED
-        return 0
-    if not axis_words:
-        raise GrblError(errors.GCODE_NO_AXIS_WORDS)
-    if motion in (b.CW_ARC, b.CCW_ARC):
-        return _arc(modes, block)
-    if is_there(modes.position, block.xyz, len(modes.position)):
-        raise GrblError(errors.GCODE_INVALID_TARGET)
+    if jog:
+        if has_f == 0:
+            return GCODE_UNDEFINED_FEED_RATE
+        if ints[INCHES]:
+            multiply(singles, F, singles, INCH_MM)
+    elif ints[INVERSE_TIME]:
+        cuts = motion != SEEK and motion != NO_MOTION  # noqa: PLR1714 (a viper cannot ask `in`)
+        if ints[CLAIM] == AXES_MOTION and cuts and has_f == 0:
+            return GCODE_UNDEFINED_FEED_RATE
+    elif modal[INVERSE_TIME] == 0:
+        if has_f == 0:
+            singles[F] = rates[FEED]
+        elif ints[INCHES]:
+            multiply(singles, F, singles, INCH_MM)
     return 0
 
 
-def _arc(modes: "Modes", block: "Block") -> int:
-    """Find centre and radius of an arc; returns the value words it used."""
-    ints, position, arc = block.ints, modes.position, block.arc
-    axes, plane, numbers = block.axes, arc.plane, arc.numbers
-    wrong = find_arc(ints, block.singles, block.xyz, position, axes, plane, numbers)
-    if wrong:
-        raise GrblError(wrong)
-    return b.WORD_R if ints[b.WORDS] & b.WORD_R else b.WORD_IJK
+@micropython.viper
+def _in_mm(xyz: ptr32, machine: ptr32, singles: ptr32) -> int:
+    """Inches to mm, of the axes that are lengths."""
+    for i in range(machine[AXES]):
+        if (machine[LENGTHS] >> i) & 1:
+            multiply(xyz, i, singles, INCH_MM)
+    return 0
 
 
-def _jog(block: "Block") -> None:
-    allowed = b.GROUP_0 | b.GROUP_3 | b.GROUP_6
-    ints = block.ints
-    is_move = ints[b.NON_MODAL] in (b.NO_ACTION, b.ABSOLUTE_OVERRIDE)
-    if ints[b.COMMANDS] & ~allowed or not is_move:
-        raise GrblError(errors.INVALID_JOG_COMMAND)
+@micropython.viper
+def _places(
+    ints: ptr32,
+    singles: ptr32,
+    xyz: ptr32,
+    position: ptr32,
+    offsets: ptr32,
+    machine: ptr32,
+    rare: object,
+) -> int:
+    """What the axis words mean: a target, or offsets. Returns the value words used for it, or
+    below 0 what is wrong."""
+    command = ints[NON_MODAL]
+    axis_words = ints[WORDS] & AXIS_WORDS
+    if command != SET_COORDS and command != SET_G92:  # noqa: PLR1714 (a viper cannot ask `in`)
+        if axis_words and ints[CLAIM] != AXES_TOOL_LENGTH:
+            _target(ints, singles, xyz, position, offsets, machine)
+        if command == 0:
+            return 0
+        if command == ABSOLUTE_OVERRIDE and ints[MOTION] > LINEAR:  # 3.5.12: with G0 and G1 only
+            return 0 - GCODE_G53_INVALID_MOTION_MODE
+    _stored, _, _ = rare
+    stored = ptr32(_stored)
+    axes = machine[AXES]
+    if command == SET_COORDS:
+        return int(_set_coords(ints, singles, xyz, stored, position, offsets, machine))
+    if command == SET_G92:
+        if axis_words == 0:
+            return 0 - GCODE_NO_AXIS_WORDS
+        system = ints[SYSTEM] * axes
+        _offset(ints, singles, xyz, position, offsets, machine, system, G92 * axes, xyz)
+    elif command == GO_G28:
+        _where_stored(ints, stored, position, offsets, G28, axes)
+    elif command == GO_G30:
+        _where_stored(ints, stored, position, offsets, G30, axes)
+    return 0
+
+
+@micropython.viper
+def _set_coords(
+    ints: ptr32,
+    singles: ptr32,
+    xyz: ptr32,
+    stored: ptr32,
+    position: ptr32,
+    offsets: ptr32,
+    machine: ptr32,
+) -> int:
+    """3.5.5, G10 L2 and L20: the new offsets go to stored, the system's number to INDEX."""
+    words = ints[WORDS]
+    if words & AXIS_WORDS == 0:
+        return 0 - GCODE_NO_AXIS_WORDS
+    if words & (WORD_P | WORD_L) == 0:
+        return 0 - GCODE_VALUE_WORD_MISSING
+    system = int(whole_part(singles, P, 0)) & 255
+    if system > SYSTEMS:
+        return 0 - GCODE_UNSUPPORTED_COORD_SYS
+    kind = int(whole_part(singles, L, 0)) & 255
+    if kind != 20 and (kind != 2 or words & WORD_R):
+        return 0 - GCODE_UNSUPPORTED_COMMAND
+    ints[INDEX] = system - 1 if system else ints[SYSTEM]
+    axes = machine[AXES]
+    at = ints[INDEX] * axes
+    if kind == 20:
+        _offset(ints, singles, xyz, position, offsets, machine, G92 * axes, at, stored)
+    else:
+        for i in range(axes):
+            stored[i] = xyz[i] if (words >> i) & 1 else offsets[at + i]
+    return WORD_P | WORD_L
+
+
+@micropython.viper
+def _offset(
+    ints: ptr32,
+    singles: ptr32,
+    xyz: ptr32,
+    position: ptr32,
+    offsets: ptr32,
+    machine: ptr32,
+    other: int,
+    old: int,
+    new: ptr32,
+) -> int:
+    """3.5.18, G92 and G10 L20: the offset which, beside the other one, makes the present place
+    read as programmed. other, old: where they begin in offsets; new may be xyz."""
+    axes = machine[AXES]
+    for i in range(axes):
+        singles[SCRATCH] = offsets[old + i]
+        if (ints[WORDS] >> i) & 1:
+            singles[SCRATCH] = position[i]
+            subtract(singles, SCRATCH, offsets, other + i)
+            subtract(singles, SCRATCH, xyz, i)
+            if i == machine[LENGTH_AXIS]:
+                subtract(singles, SCRATCH, offsets, (G92 + 1) * axes)
+        new[i] = singles[SCRATCH]
+    return 0
+
+
+@micropython.viper
+def _target(
+    ints: ptr32, singles: ptr32, xyz: ptr32, position: ptr32, offsets: ptr32, machine: ptr32
+) -> int:
+    """Axis words become a target in machine coordinates; axes without a word stay."""
+    axes = machine[AXES]
+    system = ints[SYSTEM] * axes
+    adds = ints[NON_MODAL] != ABSOLUTE_OVERRIDE
+    for i in range(axes):
+        if (ints[WORDS] >> i) & 1 == 0:
+            xyz[i] = position[i]
+        elif adds and (xyz[i] >> 23) & 255 != 255:  # what is infinite stays so
+            if ints[RELATIVE]:
+                add_single(position, i, xyz, i)
+            else:
+                singles[SCRATCH] = offsets[system + i]
+                add_single(offsets, G92 * axes + i, singles, SCRATCH)
+                add_single(singles, SCRATCH, xyz, i)
+                if i == machine[LENGTH_AXIS]:
+                    add_single(offsets, (G92 + 1) * axes, xyz, i)
+    return 0
+
+
+@micropython.viper
+def _where_stored(
+    ints: ptr32, stored: ptr32, position: ptr32, offsets: ptr32, system: int, axes: int
+) -> int:
+    """3.5.8: where G28 or G30 is to go; with axis words, only those axes."""
+    axis_words = ints[WORDS] & AXIS_WORDS
+    if axis_words == 0:
+        ints[CLAIM] = AXES_UNCLAIMED
+    for i in range(axes):
+        stored[i] = offsets[system * axes + i]
+        if axis_words and (axis_words >> i) & 1 == 0:
+            stored[i] = position[i]
+    return 0
+
+
+@micropython.viper
+def _motion(
+    ints: ptr32, singles: ptr32, xyz: ptr32, position: ptr32, axes: int, rare: object
+) -> int:
+    """Check group 1. Returns the value words it uses, or below 0 what is wrong."""
+    motion = ints[MOTION]
+    words = ints[WORDS]
+    axis_words = words & AXIS_WORDS
+    if motion == NO_MOTION:  # 3.5.15
+        return 0 - GCODE_AXIS_WORDS_EXIST if axis_words else 0
+    if ints[CLAIM] != AXES_MOTION:
+        return 0
+    if motion != SEEK and singles[F] & int(0x7FFFFFFF) == 0:
+        return 0 - GCODE_UNDEFINED_FEED_RATE
+    if axis_words == 0:
+        if motion > LINEAR:
+            return 0 - GCODE_NO_AXIS_WORDS
+        ints[CLAIM] = AXES_UNCLAIMED
+    elif motion == CW_ARC or motion == CCW_ARC:  # noqa: PLR1714 (a viper cannot ask `in`); 3.5.3
+        _, plane, arc = rare
+        wrong = int(find_arc(ints, singles, xyz, position, axes, ptr32(plane), ptr32(arc)))
+        if wrong:
+            return 0 - wrong
+        return WORD_R if words & WORD_R else WORD_IJK
+    elif motion > CCW_ARC and int(is_there(position, xyz, axes)):  # 3.5.9: a probe has a way to go
+        return 0 - GCODE_INVALID_TARGET
+    return 0
+
+
+@micropython.viper
+def _asked(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, laser: int) -> int:
+    """What a block asks for that is right."""
+    asked = CHECKED
+    if rates[RPM] != singles[S] and (rates[RPM] | singles[S]) & int(0x7FFFFFFF):
+        asked |= SPEED
+    if ints[WORDS] & WORD_T:
+        asked |= SET_TOOL
+    if (
+        modal[SPINDLE] != ints[SPINDLE]
+        or modal[COOLANT] != ints[COOLANT]
+        or modal[OVERRIDE_CONTROL] != ints[OVERRIDE_CONTROL]
+    ):
+        asked |= ACCESSORIES
+    if modal[SYSTEM] != ints[SYSTEM] or ints[CLAIM] == AXES_TOOL_LENGTH:
+        asked |= OFFSETS
+    if ints[NON_MODAL]:
+        asked |= COMMAND
+    if ints[CLAIM] == AXES_MOTION and ints[MOTION] != NO_MOTION:
+        asked |= MOVE if ints[MOTION] <= LINEAR else MOVE | SPECIAL
+    if ints[PROGRAM_FLOW]:
+        asked |= FLOW
+    if laser:
+        cuts = 1 if ints[MOTION] <= CCW_ARC and (_CUTS >> ints[MOTION]) & 1 else 0
+        cut = 1 if modal[MOTION] <= CCW_ARC and (_CUTS >> modal[MOTION]) & 1 else 0
+        if cuts == 0:
+            asked |= DARK
+        if ints[WORDS] & AXIS_WORDS and ints[CLAIM] == AXES_MOTION:
+            asked |= IN_MOTION
+        elif modal[SPINDLE] == SPINDLE_CW and cut != cuts:
+            asked |= SYNC
+    return asked

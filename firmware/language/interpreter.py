@@ -28,6 +28,7 @@ from control.modes import (
     RPM,
     SPINDLE,
     SYSTEM,
+    TOOL,
     TOOL_LENGTH,
 )
 from micropython import const
@@ -36,25 +37,23 @@ from motion import planner as plan
 
 from language import block as wd
 from language import block_layout as b
-from language import checks
-from language.fast_kernel import JOG_START
-from language.fast_path import FastPath
-from language.usual import (
+from language import line as ln
+from language.checks import (
     ACCESSORIES,
     COMMAND,
+    DARK,
     FLOW,
+    IN_MOTION,
     MOVE,
-    ODD,
     OFFSETS,
-    SET_TOOL,
     SPEED,
-    plain_jog,
-    settle,
-    usual,
+    SYNC,
 )
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from typing import Any
+
     from base.settings import Settings
     from base.state import State
     from control.coords import Coords
@@ -64,13 +63,6 @@ if TYPE_CHECKING:
     from interfaces import Canon, Voice
 
     from language.block import Block
-
-# Laser mode: what a block means for the beam, bits beside those of what is left to be done.
-_DARK = const(256)  # not a cutting motion
-_IN_MOTION = const(512)  # S goes with the motion
-_SYNC = const(1024)  # the beam changes though nothing moves
-
-_CUTS = const(1 << b.LINEAR | 1 << b.CW_ARC | 1 << b.CCW_ARC)  # mask of motions
 
 # What go() and _non_modal() are there for: a word that they know nothing of is found here,
 # on a desktop; a board has no assertions.
@@ -99,6 +91,10 @@ assert {
     b.ABSOLUTE_OVERRIDE,
     b.SET_G92,
 }, "a command without a behaviour"
+
+
+JOG_START = const(3)  # behind "$J="
+_SWITCHES = const(SPEED | SYNC | ACCESSORIES | OFFSETS | COMMAND)
 
 
 class Interpreter:
@@ -132,70 +128,93 @@ class Interpreter:
         self._numbers = vector(2)
         self._rpm = 0.0
         self._line_numbers = line_numbers
-        # What usual() works on; to look each up costs 5 us.
-        self._memory = (
+        self.line = bytearray(1)  # the loop's
+        self.machine = array("i", (0 for _ in range(b.MACHINE_LENGTH)))
+        self.machine[b.AXES] = block.axes
+        self.machine[b.LENGTHS] = (1 << block.axes) - 1
+        self.machine[b.LENGTH_AXIS] = coords.length_axis
+        self.machine[b.IS_OPEN] = 1
+        self._kept = (
             block.ints,
             block.singles,
             block.xyz,
-            modes.position,
             modes.rates,
-            block.axes,
-            block.arc.plane,
-            block.arc.numbers,
+            modes.position,
+            coords.offsets,
+            self.machine,
+            (block.stored, block.arc.plane, block.arc.numbers),
         )
-        self.fast = FastPath(modes, coords, state, settings, canon, spindle)
+        self.memory()
+
+    def memory(self) -> "tuple[array[int], array[int], tuple[Any, ...]]":
+        """What kernels work on; to look each up costs 5 us. Once extras are there."""
+        planner, state = self._canon.planner, self._state
+        plans = (
+            state.spindle,
+            self._canon.travel,
+            planner.table,
+            planner.ring,
+            planner.flow,
+            planner.speeds,
+            state.running,
+            planner.hook,
+        )
+        self._memory = self.block.words, self._kept, plans
+        return self._modes.modal, self.machine, self._memory
+
+    @property
+    def is_open(self) -> bool:
+        """Lines that do no more than move may be executed by kernels alone."""
+        return bool(self.machine[b.IS_OPEN])
+
+    @is_open.setter
+    def is_open(self, may: bool) -> None:
+        self.machine[b.IS_OPEN] = may
+
+    def watches(self) -> bool:
+        """Some lines are not to be executed by kernels alone."""
+        return self.machine[b.WATCHED] != 0 or not self.is_open
+
+    def watch(self, asked: int) -> None:
+        """Have lines that ask for one of these (bits, language/checks.py) come to execute()."""
+        self.machine[b.WATCHED] |= asked
 
     def execute(self, line: bytearray, length: int) -> None:
         """Interpret line[:length], which a 0 follows. Raises GrblError where it is refused."""
-        if self.fast.execute(line, length):
-            self._canon.finish()
-            self.fast.tell()
-            return
-        self._read(line, length)
-        # Step four, in the standard's order, and here: all that waits is done beneath this frame.
-        block = self.block
-        left = self._beam(block) if self._spindle.laser else 0
-        left = settle(block.ints, block.singles, self._modes.modal, self._modes.rates) | left
-        if left & SET_TOOL or self._modes.tool:
-            self._modes.tool = whole_part(block.singles, b.T, 0) & 255
-        if left & ~(SET_TOOL | MOVE | _DARK | _IN_MOTION):
-            self._switch(block, left)
-        if left & (COMMAND | MOVE) == MOVE and self.fast.go(block):
-            left ^= MOVE
-        if left & (COMMAND | MOVE):
-            move = self._begin_move(block, layout.INVERSE_TIME if block.ints[INVERSE_TIME] else 0)
-            if left & _DARK:
-                move.spindle_rpm = 0.0
-            if left & COMMAND:
-                self._non_modal(block, move)
-            if left & MOVE:
-                self.go(block, move)
-        if left & FLOW:
-            self._control_program(block.ints[PROGRAM_FLOW])
-        self.fast.forget()
-        if left & (COMMAND | MOVE):
+        modal, ints = self._modes.modal, self.block.ints
+        asked = ints[b.ASKED] if line is self.line else 0  # the loop has looked at it
+        ints[b.ASKED] = 0
+        if asked == 0:
+            asked = self.look(line, length << 8, modal, 0)
+        elif asked < 0:
+            raise GrblError(-asked)
+        if not asked & (~ln.PLAIN | self.machine[b.WATCHED] & MOVE):
+            if asked & MOVE and self._state.run != st.CHECK:
+                ints[b.ASKED] = asked
+                self._canon.make_room()
+                if ints[b.ASKED] != asked:  # lines have been executed while this one waited
+                    asked = self.look(line, length << 8, modal, 0)
+                ints[b.ASKED] = 0
+            if ln.go(asked, modal, self._memory):
+                return
+        self._execute(asked)
+        if asked & (COMMAND | MOVE):
             self._canon.finish()
 
-    def _read(self, line: bytearray, length: int) -> None:
-        """Steps one to three. Raises GrblError where the line is refused."""
-        modal = self._modes.modal
-        self.block.read(line, 0, length, modal)
-        self.check(modal)
+    def look(self, line: bytearray, span: int, modal: "array[int]", jog: int) -> int:
+        """Steps one to three: see line.look(). Raises GrblError where the line is refused."""
+        asked = ln.look(line, span, modal, jog, self._memory)
+        if asked < 0:
+            raise GrblError(-asked)
+        return asked
 
     def jog(self, line: bytearray, length: int) -> None:
         """Interpret a "$J=" line. The modal state stays as it is."""
-        if self.fast.jog(line, length):
-            self._canon.begin_jog()
-            return
         block, modes, modal = self.block, self._modes, self._jog_modal
         copy(modes.modal, modal, MODAL_LENGTH)
         modal[MOTION] = b.LINEAR
         modal[INVERSE_TIME] = 0
-        block.read(line, JOG_START, length, modal)
-        if plain_jog(block.ints):
-            self.check(modal)
-        else:
-            checks.check(modes, self._coords, block, True)
+        self.look(line, length << 8 | JOG_START, modal, 1)
         if self._canon.outside(block.xyz):
             raise GrblError(errors.TRAVEL_EXCEEDED)
         move = self._begin_move(block, layout.NO_FEED_OVERRIDE)
@@ -203,23 +222,25 @@ class Interpreter:
         copy(block.xyz, modes.position, block.axes)
         self._canon.finish()
 
-    # Step three: checks
+    # Step four
 
-    def check(self, modal: "array[int]") -> None:
-        """Refuse the block with GrblError, or leave it ready to be executed. modal: in force."""
-        block, coords = self.block, self._coords
-        wrong = ODD
-        if not coords.tool_length:
-            zero = self._modes.position  # without places nobody asks for it
-            if block.ints[b.WORDS] & b.AXIS_WORDS:
-                zero = coords.zero(block.ints[SYSTEM])
-            wrong = usual(zero, modal, block.lengths, self._memory)
-        if wrong == ODD:
-            checks.check(self._modes, coords, block, False)
-        elif wrong:
-            raise GrblError(wrong)
-
-    # Step four: execution
+    def _execute(self, asked: int) -> None:
+        """What a checked block asks for, in the standard's order. What waits is done beneath."""
+        block, modes = self.block, self._modes
+        ln.put_in_force(block.ints, block.singles, modes.modal, modes.rates)
+        modes.rates[TOOL] = block.singles[b.T]
+        if asked & _SWITCHES:
+            self._switch(block, asked)
+        if asked & (COMMAND | MOVE):
+            move = self._begin_move(block, layout.INVERSE_TIME if block.ints[INVERSE_TIME] else 0)
+            if asked & DARK:
+                move.spindle_rpm = 0.0
+            if asked & COMMAND:
+                self._non_modal(block, move)
+            if asked & MOVE:
+                self.go(block, move)
+        if asked & FLOW:
+            self._control_program(block.ints[PROGRAM_FLOW])
 
     def _begin_move(self, block: "Block", flags: int) -> "plan.Move":
         """The move of a block, with its feed rate, and spindle and coolant as they are."""
@@ -238,31 +259,19 @@ class Interpreter:
     def _switch(self, block: "Block", left: int) -> None:
         """What comes before motion: speed, M words, a dwell, offsets."""
         modes, new = self._modes, block.ints
-        if left & (SPEED | _SYNC):
+        if left & (SPEED | SYNC):
             self._set_speed(block, left)
         if left & ACCESSORIES:
-            self._set_accessories(new, 0.0 if left & _DARK else modes.rates[RPM])
+            self._set_accessories(new, 0.0 if left & DARK else modes.rates[RPM])
         if new[b.NON_MODAL] == b.DWELL:
             self._canon.dwell(block.singles[b.P])
         if left & OFFSETS and self._set_offsets(block):
             self._offsets_changed()
 
-    def _beam(self, block: "Block") -> int:
-        """Laser mode: what the block means for the beam."""
-        ints, modal = block.ints, self._modes.modal
-        beam = 0 if _CUTS >> ints[MOTION] & 1 else _DARK
-        if ints[b.WORDS] & b.AXIS_WORDS and ints[b.CLAIM] == b.AXES_MOTION:
-            return beam | _IN_MOTION
-        if modal[SPINDLE] == plan.SPINDLE_CW:
-            was_cutting = _CUTS >> modal[MOTION] & 1
-            if bool(was_cutting) == bool(beam & _DARK):
-                beam |= _SYNC
-        return beam
-
     def _set_speed(self, block: "Block", beam: int) -> None:
         modes, speed = self._modes, block.singles[b.S]
-        if modes.modal[SPINDLE] and not beam & _IN_MOTION:
-            self._canon.spin(modes.modal[SPINDLE], 0.0 if beam & _DARK else speed)
+        if modes.modal[SPINDLE] and not beam & IN_MOTION:
+            self._canon.spin(modes.modal[SPINDLE], 0.0 if beam & DARK else speed)
         modes.rates[RPM] = speed
 
     def _set_accessories(self, new: "array[int]", rpm: float) -> None:
@@ -303,8 +312,8 @@ class Interpreter:
         coords, modes = self._coords, self._modes
         if command == b.SET_COORDS:
             self._canon.synchronise()  # what is kept is written at rest only
-            coords.write(block.index, block.stored)
-            if block.index == modes.modal[SYSTEM]:
+            coords.write(block.ints[b.INDEX], block.stored)
+            if block.ints[b.INDEX] == modes.modal[SYSTEM]:
                 self._offsets_changed()
         elif command in (b.GO_G28, b.GO_G30):
             move.flags |= layout.RAPID_MOTION

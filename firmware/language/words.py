@@ -3,19 +3,29 @@
 
 Numbers come out in single precision, rounded digit by digit as Grbl's reader
 does: eight digits count, the rest only move the point. Called by the
-interpreter, its fast path and commands; it knows no meaning of any letter.
+interpreter and commands; it knows no meaning of any letter.
 """
 
 from array import array
 
 import micropython
+from base.errors import (
+    BAD_NUMBER_FORMAT,
+    EXPECTED_COMMAND_LETTER,
+    GCODE_MAX_VALUE_EXCEEDED,
+    NEGATIVE_VALUE,
+)
 from micropython import const
 
 LINE_LENGTH = const(79)  # characters, as Grbl has them
 
-# What scan() found wrong, above the count of words.
-LETTER_EXPECTED = const(1)
-NUMBER_EXPECTED = const(2)
+# Dots, the powers of S0:0:875 where a board takes more than one: how many there may be, how many
+# there are, and these, as bits of floats.
+MOST_DOTS = const(0)
+DOTS = const(1)
+FIRST_DOT = const(2)
+_COLON = const(58)
+_S = const(83)
 
 
 @micropython.viper
@@ -110,41 +120,71 @@ def number(text: ptr8, pos: int, values: ptr32, at: int) -> int:
 
 
 @micropython.viper
-def scan(text: ptr8, span: int, letters: ptr8, values: ptr32) -> int:
+def _read_dots(text: ptr8, pos: int, values: ptr32, at: int, dots: ptr32) -> int:
+    """Read the numbers behind that of S, from the first colon on: all into dots, the last into
+    values[at]. Returns where they end; or, below 0, what is wrong."""
+    dots[FIRST_DOT] = values[at]
+    count = 1
+    while text[pos] == _COLON:
+        if count == dots[MOST_DOTS]:
+            return 0 - GCODE_MAX_VALUE_EXCEEDED
+        pos = int(number(text, pos + 1, values, at))
+        if pos == 0:
+            return 0 - BAD_NUMBER_FORMAT
+        if ptr8(values)[4 * at + 3] & 128:
+            return 0 - NEGATIVE_VALUE
+        dots[FIRST_DOT + count] = values[at]
+        count += 1
+    dots[DOTS] = count
+    return pos
+
+
+@micropython.viper
+def scan(text: ptr8, span: int, letters: ptr8, values: ptr32, dots: ptr32) -> int:
     """Read words from text[start:end], span = end << 8 | start; text[end] is 0.
 
     Letters and values, as bits of single-precision floats, go into their
-    arrays. Returns the count of words, and above it (<< 8) what was wrong
-    after the last of them.
+    arrays. Returns the count of words, and above it (<< 8) Grbl's number of what
+    is wrong after the last of them.
     """
     pos = span & 255
     end = span >> 8
     count = 0
+    dots[DOTS] = 0
     while pos < end:
         letter = text[pos]
         if letter < 65 or letter > 90:
-            return count | 256
+            return count | EXPECTED_COMMAND_LETTER << 8
         letters[count] = letter
         pos = int(number(text, pos + 1, values, count))
+        if pos and text[pos] == _COLON and dots[MOST_DOTS]:
+            if letter != _S:
+                return count | BAD_NUMBER_FORMAT << 8
+            pos = int(_read_dots(text, pos, values, count, dots))
+            if pos < 0:
+                return count | (0 - pos) << 8
         if pos == 0:
-            return count | 512
+            return count | BAD_NUMBER_FORMAT << 8
         count += 1
     return count
 
 
 class Words:
-    """The words of one line. letters[i] is a character code, values[i] its number."""
+    """The words of one line. letters[i] is a character code, values[i] its number; dots: how many
+    powers there may be in a line."""
 
-    def __init__(self, longest: int = LINE_LENGTH) -> None:
+    def __init__(self, longest: int = LINE_LENGTH, dots: int = 0) -> None:
         most = longest // 2 + 1
         self.letters = bytearray(most)
         self.values = array("f", (0.0 for _ in range(most)))
+        self.dots = array("i", (0 for _ in range(FIRST_DOT + dots)))
+        self.dots[MOST_DOTS] = dots
         self.count = 0
         self.fault = 0
 
     def read(self, text: bytearray, start: int, end: int) -> None:
         """Read text[start:end], which a 0 follows. fault tells what is wrong behind the words."""
-        found = scan(text, end << 8 | start, self.letters, self.values)
+        found = scan(text, end << 8 | start, self.letters, self.values, self.dots)
         self.count = found & 255
         self.fault = found >> 8
 

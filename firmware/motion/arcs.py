@@ -1,7 +1,7 @@
 # mypy: disable-error-code=arg-type
 """Arcs: chord by chord along a course.
 
-A course is an array of integers, which lay_kernel.py lays once for each arc. Places in it are
+A course is an array of integers, which arc_geometry.lay() lays once for each arc. Places in it are
 fixed-point numbers of steps. Those of the plane turn about their centres, those of other axes go
 evenly.
 """

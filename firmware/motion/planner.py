@@ -70,6 +70,9 @@ class Planner:
     0, if that has been made in advance.
     """
 
+    # What an extra has put in the place of plan().
+    hook: "Callable[[array[float], int, int, int, int], int] | None" = None
+
     def __init__(
         self,
         axes: int,
@@ -181,19 +184,15 @@ class Planner:
         """
         flags, flow = move.flags, self.flow
         head = flow[HEAD]
-        if not plan_kernel.plan(
-            target,
-            self.table,
-            self.ring,
-            flow,
-            flags,
-            move.line_number,
-            power,
-            self.rate(move.feed),
-        ):
+        plan = self.hook or self.plan
+        if not plan(target, flags, move.line_number, power, self.rate(move.feed)):
             return False
         self.speeds[flow[ROWS] if flags & layout.SYSTEM_MOTION else head] = move.spindle_rpm
         return True
+
+    def plan(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
+        """Put a line into the ring: see plan_kernel.plan()."""
+        return plan_kernel.plan(target, self.table, self.ring, self.flow, flags, line, power, rate)
 
     def rate(self, feed: float) -> int:
         """A feed in mm/min as a real in mm/s."""
@@ -224,8 +223,7 @@ class Planner:
         places = memoryview(self.table)[layout.LIMITS + layout.TARGET * self.axes :]
         before = array("i", places[: 2 * self.axes])
         self.sync_motors(start)
-        # As its kind plans a line, whatever an extra has put in the place of that.
-        planned = type(self).line(self, target, move, power)
+        planned = self.line(target, move, power)
         copy(before, places, 2 * self.axes)
         return planned
 

@@ -8,7 +8,7 @@ code waits.
 from base import errors
 from base import state as st
 from base.errors import Abort, GrblError
-from language.fast_kernel import LEFT, WAITS
+from language.block_layout import ASKED, LINES_LEFT
 from micropython import const
 
 from talk.lines import LINE, NOTHING, clean
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _LOCKED = const(st.ALARM | st.JOG)
 _DOLLAR = const(36)
-_LONG_WAY = const(2)  # a line that is no quick one takes as long as so many more
+_IN_PYTHON = const(2)  # a line that Python does takes as long as so many more
 _DEAF_MS = const(500)  # nothing is answered for so long behind an alarm
 
 
@@ -91,12 +91,13 @@ class Protocol:
     def run(self) -> None:
         """Execute lines for ever; a reset begins anew. The stack is short: no frame to spare."""
         reader, state, pending = self._reader, self._state, self._state.pending
-        fast, write, due = self._interpreter.fast, self.link.write, self._saves.due
-        memory, plan, others = needs(reader, fast, self.link, self._buffer)
+        interpreter, write, due = self._interpreter, self.link.write, self._saves.due
         # Once, for it is a new object each time; here, for an extra may have put another there.
-        self._interpret = self._interpreter.execute
-        heard, at, line, kinds = memory
-        known = plan[0]
+        self._interpret = interpreter.execute
+        interpreter.line = line = reader.line
+        needed = needs(reader, interpreter, self.link, self._buffer)
+        heard, at, _, kinds = reader.memory()
+        counts, block = interpreter.machine, interpreter.block.ints
         echoes = self._echoes
         while True:
             try:
@@ -104,19 +105,20 @@ class Protocol:
                     self._drive.by_pin = False
                     self.link.discard()
                 self.restart()
-                known[WAITS] = asked = 0
+                asked = 0
                 while True:
                     if echoes or state.suspend or state.run & _LOCKED:
                         found = clean(heard, at, line, kinds)
+                        block[ASKED] = 0
                         if found == NOTHING:
                             self.pump()
                     else:
-                        found = take_quick(pending, memory, plan, others)
-                    posted = pending[st.ANY] or state.suspend
+                        found = take_quick(pending, needed)
                     # Everybody has a turn, if not at each line: a $ may ask for what comes of it.
-                    known[LEFT] -= _LONG_WAY
-                    if posted or found & LINE == 0 or known[LEFT] <= 0 or line[0] == _DOLLAR:
-                        known[LEFT] = LINES
+                    counts[LINES_LEFT] -= _IN_PYTHON
+                    waits = pending[st.ANY] or state.suspend or counts[LINES_LEFT] <= 0
+                    if waits or found & LINE == 0 or line[0] == _DOLLAR:
+                        counts[LINES_LEFT] = LINES
                         # A ? comes first, once: it would wait for motion to be prepared.
                         asked = pending[st.STATUS_REPORT] and not asked
                         if found == NOTHING and not asked and not reader.waiting():
@@ -126,20 +128,15 @@ class Protocol:
                             if pending[st.ANY]:  # whoever asks for every turn
                                 self.pump()
                             continue
-                        # What has been posted has come before a line that may be a quick one.
-                        is_open = posted and found & LINE and not (echoes or state.run & _LOCKED)
-                        if is_open and fast.follow(line, found >> 2):
-                            write(OK)
-                            continue
+                        block[ASKED] = 0  # what has been posted may have changed what it means
                     if found & LINE == 0:
                         self._report.error(errors.OVERFLOW)
                         continue
                     length = found >> 2
-                    try:  # as in execute(), but for a line that has only waited for room
-                        if not (known[WAITS] and fast.again(line, length)):
-                            self._whose(line, length)(line, length)
-                            if due:
-                                self._save()
+                    try:  # as in execute()
+                        self._whose(line, length)(line, length)
+                        if due:
+                            self._save()
                         if state.alarm and not pending[st.RESET]:
                             self._tell_alarm()
                     except (GrblError, OSError, Abort) as reason:

@@ -7,7 +7,8 @@ no number is made an object. All other lines are the loop's (protocol.py).
 
 import micropython
 from base.state import ANY
-from language.fast_kernel import LEFT, follow
+from language.block_layout import LINES_LEFT
+from language.line import execute
 from micropython import const
 
 from talk.lines import LINE, NOTHING, clean, feed, room, waits
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from interfaces import Link
-    from language.fast_path import FastPath
+    from language.interpreter import Interpreter
 
     from talk.lines import LineReader
 
@@ -31,84 +32,41 @@ _SHORT = const(16)
 
 
 def needs(
-    reader: "LineReader", fast: "FastPath", link: "Link", buffer: bytearray
-) -> "tuple[tuple[Any, ...], ...]":
+    reader: "LineReader", interpreter: "Interpreter", link: "Link", buffer: bytearray
+) -> "tuple[Any, ...]":
     """What take_quick() is called with besides what is posted. buffer: for what is received."""
-    other = None if fast.follow is fast.plain else fast.follow  # an extra may have put one there
     long, short = bytearray(_LONG), bytearray(_SHORT)
     hears = link.read_into, reader.post, len(buffer), buffer, long, short
-    return reader.memory(), fast.memory(), (other, reader.line, link.write, OK, OK + OK, hears)
+    modal, machine, memory = interpreter.memory()
+    return reader.memory() + (modal, machine, memory, link.write, OK, OK + OK, hears)
 
 
 @micropython.viper
-def take_quick(pending: ptr8, reader: object, fast: object, others: object) -> int:
+def take_quick(pending: ptr8, needed: object) -> int:
     """Do lines up to one that does more than move, or none, or until something is posted, or for
-    as long as the loop may wait. Returns what clean() has found at last, which is not done."""
-    heard, at, line, kinds = reader
-    known, position, target, travel, table, ring, flow, speeds, changes, rates, scale, news = fast
-    return int(
-        _take(
-            ptr8(heard),
-            ptr32(at),
-            ptr8(line),
-            ptr8(kinds),
-            pending,
-            others,
-            ptr32(known),
-            ptr32(position),
-            ptr32(target),
-            ptr32(travel),
-            ptr32(table),
-            ptr32(ring),
-            ptr32(flow),
-            ptr32(speeds),
-            ptr32(changes),
-            ptr32(rates),
-            ptr32(scale),
-            news,
-        )
-    )
+    as long as the loop may wait. Returns what clean() has found at last, which is not done.
 
-
-@micropython.viper
-def _take(
-    heard: ptr8,
-    at: ptr32,
-    text: ptr8,
-    kinds: ptr8,
-    pending: ptr8,
-    others: object,
-    known: ptr32,
-    position: ptr32,
-    target: ptr32,
-    travel: ptr32,
-    table: ptr32,
-    ring: ptr32,
-    flow: ptr32,
-    speeds: ptr32,
-    changes: ptr32,
-    rates: ptr32,
-    scale: ptr32,
-    news: object,
-) -> int:
-    """Answers go out in twos, for to write takes as long as a third of a line: one is owed where
-    an odd number is left."""
-    other, line, write, one, both, hears = others
-    left = known[LEFT]
+    Answers go out in twos, for to write takes as long as a third of a line: one is owed where an
+    odd number is left.
+    """
+    ring, places, line, all_kinds, modes, machine, memory, write, one, both, hears = needed
+    heard = ptr8(ring)
+    at = ptr32(places)
+    text = ptr8(line)
+    kinds = ptr8(all_kinds)
+    modal = ptr32(modes)
+    counts = ptr32(machine)
+    left = counts[LINES_LEFT]
     if int(waits(at)):  # a ? is not to wait behind a line that is there
         _hear(pending, hears, heard, at, kinds)
     while left > 0:
         found = int(clean(heard, at, text, kinds))
         done = 0 if pending[ANY] else found & LINE
-        if done and other:
-            done = int(other(line, found >> 2))
-        elif done:
-            done = int(follow(
-                text, found >> 2, known, position, target, travel,
-                table, ring, flow, speeds, changes, rates, scale, news,
-            ))  # fmt: skip
+        if done:
+            done = int(execute(text, found >> 2, modal, memory))
         if done:
             left -= 1
+            counts[LINES_LEFT] = left
             if left & 1 == 0:
                 write(both)
                 _hear(pending, hears, heard, at, kinds)
@@ -116,7 +74,7 @@ def _take(
             if left & 1:
                 write(one)
             left = (left - 1) & -2  # bytes without the end of a line count as one
-            known[LEFT] = left
+            counts[LINES_LEFT] = left
             if found or pending[ANY] or int(_hear(pending, hears, heard, at, kinds)) == 0:
                 return found
     return NOTHING

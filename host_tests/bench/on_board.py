@@ -5,18 +5,13 @@ and keeps nothing of it. Objects of the firmware are got hold of as they pass by
 only names of modules, classes, functions and methods are used: `ugrbl build` keeps those.
 
 `$STAGE` times the stages of a line, each in a loop with ticks_us, less the same loop with a
-function that does nothing; a figure is in 0.1 us. The short path is one call that does several
-stages, so it is called with what it knows (the arrays of the machine itself) changed in such a way
-that it goes so far and no further: nothing is known (what a call costs, which is taken off); a
-feed rate other than the line's (it has read the words); travel limited to nowhere (it has put the
-place in and judged it); nothing is to move (all but planning); and as it is. Planning
-fills the ring with 12 short moves, three times over. A line that goes the long way,
-"G90G1X10.04Y10.03F9000T1", is taken apart into its words and put in the Block, checked, and
-executed whole, less the two before. The machine is in check mode meanwhile, and reset afterwards.
+function that does nothing; a figure is in 0.1 us: its words read and checked, what is then left to
+do but for planning, and that. Planning fills the ring with 12 short moves, three times over. A
+line with more words is read and checked, too: "G90G1X10.04Y10.03F9000T1". The machine is in check
+mode meanwhile, and reset afterwards.
 """
 
-from control import canon, modes
-from language import fast_kernel
+from base.state import CHECK
 from ugrbl.device.selftest import program
 
 _FIRST = """
@@ -119,19 +114,16 @@ acts[b"LATER"] = later
 """
 
 # $STAGE: see above.
-_STAGES = """
-import array
-
+_STAGES = (
+    """
 interpreter = module("language", "interpreter")
+line = module("language", "line")
 lines = module("talk", "lines")
-fast_kernel = module("language", "fast_kernel")
-fast_path = module("language", "fast_path")
 protocol = module("talk", "protocol")
-keep(interpreter.Interpreter, "execute")
-keep(fast_path.FastPath, "memory")
+keep(interpreter.Interpreter, "memory")
 keep(protocol.Protocol, "run")
-AXES, SHUT, DRY, MODAL_ROOM = %d, %d, %d, %d
-follow = fast_kernel.follow_line
+look, go = line.look, line.go
+CHECK = %d
 
 # A board lets go of what has made its objects; here one is made once more.
 whole = [(thing, dict(thing.__dict__)) for thing in (lines, lines.LineReader)]
@@ -152,22 +144,13 @@ def nothing_0():
     return 0
 
 
-def each(act, texts, rest):
+def each(act, texts, *rest):
     found[protocol.Protocol].pump()  # the supervisor is not to take it for a hang
     gc.collect()
     start = time.ticks_us()
     for text in texts:
-        act(text, 21, rest)
+        act(text, *rest)
     return since(start) * 10 // len(texts)
-
-
-def again(act, *rest):
-    found[protocol.Protocol].pump()
-    gc.collect()
-    start = time.ticks_us()
-    for _ in range(24):
-        act(*rest)
-    return since(start) * 10 // 24
 
 
 def moves(k):
@@ -175,58 +158,35 @@ def moves(k):
     return [bytearray(("G1X%%06.3fY%%06.3fF9000\\0" %% place).encode()) for place in places]
 
 
-def expect(value, texts, rest):
-    if follow(texts[0], 21, rest) != value:
-        raise ValueError("a stage of follow()")
+def fill(modal, memory):
+    took = 0
+    for text in moves(1):
+        asked = look(text, 21 << 8, modal, 0, memory)
+        start = time.ticks_us()
+        go(asked, modal, memory)
+        took += since(start)
+    return took * 10 // 12
 
 
-def short_path():
-    rest = found[fast_path.FastPath].memory()
-    now = rest[0]
+def of_a_line():
+    modal, _, memory = found[interpreter.Interpreter].memory()
+    running = memory[2][6]
     texts = moves(0)
-    now[AXES] = 0
-    call = each(follow, texts, rest)
-    travel, dry = rest[3], now[DRY]
-    shut = travel[SHUT]
-    now[AXES] = 1  # it has read the line when it finds that there is no Y
-    expect(0, texts, rest)
-    read = each(follow, texts, rest)
-    now[AXES] = len(rest[1])
-    travel[SHUT] = -1
-    expect(0, texts, rest)
-    judged = each(follow, texts, rest)
-    travel[SHUT] = shut
-    now[DRY] = 1
-    expect(1, texts, rest)
-    moved = each(follow, texts, rest)
-    now[DRY] = 0
+    call = each(nothing, texts, 21 << 8, modal, 0, memory)
+    looked = each(look, texts, 21 << 8, modal, 0, memory) - call
+    more = [bytearray(b"G90G1X10.04Y10.03F9000T1\\0")] * 12
+    more = each(look, more, 24 << 8, modal, 0, memory) - call
+    running[0] = CHECK
+    found[planner.Planner].clear()
+    done = fill(modal, memory)
+    running[0] = 0
     whole = 0
     for k in range(3):
         found[planner.Planner].clear()
-        whole += each(follow, moves(12 * k + 1), rest)
+        whole += fill(modal, memory)
     found[planner.Planner].clear()
-    now[DRY] = dry
-    now[AXES] = 0
-    return read - call, judged - read, moved - judged, whole // 3 - moved
-
-
-def long_way():
-    line = bytearray(b"G90G1X10.04Y10.03F9000T1\\0")
-    modal = array.array("i", (0 for _ in range(MODAL_ROOM)))
-    machine = found[interpreter.Interpreter]
-
-    def take():
-        machine.block.read(line, 0, 24, modal)
-
-    def check():
-        take()
-        machine.check(modal)
-
-    idle = again(nothing_0)
-    taken = again(take) - idle
-    checked = again(check) - idle
-    whole = again(machine.execute, line, 24) - again(nothing, line, 24)
-    return taken, checked - taken, whole - checked
+    running[0] = CHECK
+    return looked, done, whole // 3 - done, more
 
 
 def clean(line):
@@ -247,11 +207,13 @@ def clean(line):
 def stages(_):
     restore()
     comment = clean(b"(Twenty characters..)\\n")
-    return short_path() + long_way() + (clean(b"G1X10.040Y10.030F9000\\n"), comment)
+    return of_a_line() + (clean(b"G1X10.040Y10.030F9000\\n"), comment)
 
 
 acts[b"STAGE"] = stages
-""" % (fast_kernel.AXES, canon.SHUT, fast_kernel.DRY, modes.MODAL_ROOM)
+"""
+    % CHECK
+)
 
 # $GAP: the longest time from one look at the link to the next since it was asked last, us; no
 # collection falls in where less than the heap is used until then, but for $COLLECT.

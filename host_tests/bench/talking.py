@@ -168,6 +168,7 @@ _LONG = (
     ("a time (G93) and a move", ["G93G1X10.04Y10.03F90000", "G93G1X10Y10F99000"]),
     ("words in force and a move", ["G90G1X10.04Y10.03F9000", "G90G1X10Y10F9000"]),
     ("words in force", ["G17G21G90G94", "M5M9"]),
+    ("an arc of one chord", ["G2X10.04Y10R9F9000", "G3X10Y10R9"]),
     ("half a circle", ["G2X12Y10I1J0F9000", "G3X10Y10I-1J0"]),
 )
 _ASKED_FOR = ("$J=G91X0.01F3000", "$G", "$#", "$$")
@@ -305,18 +306,16 @@ def stages(bench: Bench) -> Iterator[Row]:
     idle(talk)
     talk.ask("$C")
     checked_us = 1e6 / stream(talk, list(short_moves(150)), _BLOCKS).lines_s
-    read, judged, moved, plan, *more = (x / 10 for x in inside(talk, "$STAGE"))
-    taken, checked, executed, clean, comment = more
+    looked, done, plan, more, clean, comment = (x / 10 for x in inside(talk, "$STAGE"))
     reset(talk)
     yield Row("a comment, from end to end", total_us, "us", "empty")
-    short = (total_us - comment, clean, read, judged, moved, plan)
-    names = ("receive and answer", "clean", "words", "check", "execute", "plan")
-    for name, us in zip(names, short):
-        yield Row(f"a plain line: {name}", us, "us")
-    yield Row("a plain line: sum without plan", sum(short[:-1]), "us")
-    yield Row("a plain line in check mode, from end to end", checked_us, "us")
-    for name, us in zip(names[2:5], (taken, checked, executed)):
-        yield Row(f"a line the long way: {name}", us, "us")
+    stages = (total_us - comment, clean, looked, done, plan)
+    names = ("receive and answer", "clean", "words and check", "execute", "plan")
+    for name, us in zip(names, stages):
+        yield Row(f"a line: {name}", us, "us")
+    yield Row("a line: sum without plan", sum(stages[:-1]), "us")
+    yield Row("a line in check mode, from end to end", checked_us, "us")
+    yield Row("a line with G90 and T1 besides: words and check", more, "us")
 
 
 def gaps(bench: Bench) -> Iterator[Row]:

@@ -58,9 +58,8 @@ _ROWS: "dict[str, tuple[float, Sequence[str]]]" = {
         *(1, ["a line with words in force", "a line with words in force and a move"]),
     ),
     "a move in inverse time": (1, ["a line with a time (G93) and a move"]),
-    "a line that goes the long way": (
-        *(1, ["a line with a tool", "a line with a tool and a move"]),
-    ),
+    "a line with a tool": (*(1, ["a line with a tool", "a line with a tool and a move"]),),
+    "an arc of one chord": (1, ["a line with an arc of one chord"]),
     "a line that changes how": (
         *(1, ["a line with modes that change", "a line with modes that change and a move"]),
     ),

@@ -12,10 +12,9 @@ from .chips import CHIPS, processors
 class Rates(NamedTuple):
     """What a board takes of each kind, if it had nothing else to do."""
 
-    plain: float  # lines/s: short moves that say nothing new
+    plain: float  # lines/s: short moves
     power: float  # lines/s: the same with a new S each, in laser mode
-    feed: float  # lines/s: the same with a new F each
-    long_way_ms: float  # a line that is no plain move, or the first of its kind
+    in_python_ms: float  # a line that kernels leave to Python: an arc, but for its chords
     no_words_ms: float  # a comment, or an empty line
     chords: float  # a second, of arcs
 
@@ -25,7 +24,7 @@ class Rates(NamedTuple):
         return figure / 1000 if kind.endswith("_ms") else 1 / figure
 
 
-PICO = Rates(plain=2350, power=1850, feed=1670, long_way_ms=1.29, no_words_ms=0.259, chords=5500)
+PICO = Rates(plain=2350, power=1850, in_python_ms=1.29, no_words_ms=0.259, chords=5500)
 _MEASURED = "RP2040"
 # What an ESP32's serial port carries.
 _UART_BYTES_S = 115_200 / 10

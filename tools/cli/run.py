@@ -154,8 +154,7 @@ def _tell(
 _KINDS = {
     "plain": ("short moves", "longer moves"),
     "power": ("moves with a new S each", "fewer pixels per mm"),
-    "feed": ("moves with a new F, or G0 and G1 in turn", "F said only where it changes"),
-    "long_way_ms": ("lines that are no plain moves", "modes said only where they change"),
+    "in_python_ms": ("arcs, or lines with an M word", "fewer and longer arcs"),
     "no_words_ms": ("comments and empty lines", "a program without them"),
     "chords": ("chords of arcs", "a coarser arc tolerance ($12)"),
 }

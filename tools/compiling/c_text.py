@@ -160,13 +160,13 @@ class Function:
             case ast.Expr(value):
                 yield f"(void){self.expression(value)};"
             case ast.If(test, body, orelse):
-                yield f"if ({self.expression(test)}) {{"
+                yield f"if ({self.truth(test)}) {{"
                 yield from self._block(body)
                 yield "} else {"
                 yield from self._block(orelse)
                 yield "}"
             case ast.While(test, body, []):
-                yield f"while ({self.expression(test)}) {{"
+                yield f"while ({self.truth(test)}) {{"
                 yield from self._block(body)
                 yield "}"
             case ast.For(ast.Name(name), ast.Call(ast.Name("range"), bounds), body, []):

@@ -25,15 +25,12 @@ def _group_names() -> dict[int, str]:
 
 def _taken(word: str, modal: "array[int]") -> "Block | None":
     """What the interpreter makes of a word in that modal state; None where it refuses it."""
-    from base.errors import GrblError
-    from language.block import Block
+    from language.block import Block, read
 
     block = Block(3, has_mist=True, has_override_control=True)
-    try:
-        block.read(bytearray(word.encode() + b"\0"), 0, len(word), modal)
-    except GrblError:
-        return None
-    return block
+    line = bytearray(word.encode() + b"\0")
+    kept = block.ints, block.singles, block.xyz, block.axes
+    return None if read(line, len(word) << 8, modal, *kept, block.words) else block
 
 
 def _at_reset() -> "array[int]":

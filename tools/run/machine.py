@@ -68,9 +68,6 @@ class UntimedLink:
     def power_off(self) -> None:
         """Nothing is lost."""
 
-    def line_done(self) -> None:
-        """The firmware has executed a line, and may answer it with the next one."""
-
     def now_at(self) -> int:
         """No program is known, and so no line of it."""
         return 0

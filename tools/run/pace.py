@@ -20,14 +20,9 @@ if TYPE_CHECKING:
 
 _WORD = re.compile(rb"([A-Z])([-+]?[\d.]*)")
 _AXES = frozenset(b"XYZABC")
-_LETTERS = _AXES | frozenset(b"GFSN")
-_NO_WORDS, _PLAIN, _POWER, _FEED, _LONG_WAY = (
-    "no_words_ms",
-    "plain",
-    "power",
-    "feed",
-    "long_way_ms",
-)
+_LETTERS = _AXES | frozenset(b"GFSNT")
+_STRAIGHT, _ARCS = (b"0", b"1"), (b"2", b"3")
+_NO_WORDS, _PLAIN, _POWER, _IN_PYTHON = "no_words_ms", "plain", "power", "in_python_ms"
 _CHORDS = "chords"
 # Words of which one of each group is in force, and changes nothing where it is said again.
 _GROUPS = [
@@ -37,7 +32,7 @@ _GROUPS = [
         *(b"G90 G91", b"G93 G94", b"M3 M4 M5", b"M7 M8 M9"),
     )
 ]
-_MEANINGS = frozenset(b"G17 G18 G19 G20 G21 G90 G91".split())  # which a plain move may say anew
+_MEANINGS = frozenset(b"G17 G18 G19 G20 G21 G90 G91 G93 G94".split())  # a plain move may say anew
 _AT_FIRST = frozenset(b"G17 G21 G40 G54 G61 G90 G94 M5 M9".split())
 # What is worth a word, and how many lines in time may stand between two that are late.
 _LEAST_S = 0.05
@@ -193,36 +188,23 @@ def _parts(late: dict[int, float]) -> Iterator[tuple[int, int]]:
 
 
 def _kinds(lines: Sequence[bytes], laser: bool) -> Iterator[str]:
-    """Which way each line takes through the firmware (language/fast_path.py)."""
-    motion = feed = b""
-    known = False  # the line before was a plain move, too
+    """What the firmware does with each line: kernels do nearly all (language/line.py)."""
+    motion = b""
     in_force = set(_AT_FIRST)
     for line in lines:
         text = without_comments(line).upper().replace(b" ", b"").replace(b"\t", b"")
         words = _take_new(_WORD.findall(text), in_force)
-        meant = [word for word in words if b"".join(word) in _MEANINGS]
-        words = [word for word in words if word not in meant]
-        if not text or (known and not words):
-            yield _FEED if meant else _NO_WORDS
-            continue
+        words = [word for word in words if b"".join(word) not in _MEANINGS]
         letters = {letter[0] for letter, _ in words}
         wanted = [value.lstrip(b"0") or b"0" for letter, value in words if letter == b"G"]
-        speed = next((value for letter, value in words if letter == b"F"), feed)
-        mode = next((value for value in wanted if value in (b"0", b"1", b"2", b"3")), motion)
-        is_plain = (
-            letters <= _LETTERS
-            and letters & _AXES
-            and mode in (b"0", b"1")
-            and wanted in ([], [mode])
-            and (83 not in letters or (laser and mode == b"1"))
-        )
-        if not is_plain or not known or mode != motion:
-            yield _LONG_WAY
-        elif speed != feed or meant:
-            yield _FEED  # or less
+        motion = next((value for value in wanted if value in _STRAIGHT + _ARCS), motion)
+        moves = letters & _AXES
+        if letters - _LETTERS or set(wanted) - {motion} or (moves and motion not in _STRAIGHT):
+            yield _IN_PYTHON
+        elif b"S"[0] in letters:
+            yield (_POWER if moves else _NO_WORDS) if laser else _IN_PYTHON
         else:
-            yield _POWER if 83 in letters else _PLAIN
-        known, motion, feed = bool(is_plain), mode, speed
+            yield _PLAIN if moves else _NO_WORDS
 
 
 def _take_new(

@@ -90,7 +90,6 @@ class ProgramLink(machine.UntimedLink):
         self._sent = 0  # lines of the program
         self._unanswered: deque[tuple[int, int]] = deque()  # line number, bytes
         self._unanswered_bytes = 0
-        self._done = 0  # lines that are executed, and not yet answered
         self._alone = False  # what was sent last is to be answered before anything else is sent
         self._full = False  # the next line does not fit, until another is answered
         self._last = 0  # line answered last
@@ -172,14 +171,13 @@ class ProgramLink(machine.UntimedLink):
             self._greeted = True
             self._full = False
             self._unanswered.clear()
-            self._unanswered_bytes = self._done = 0
+            self._unanswered_bytes = 0
         elif line:
             self._other(line)
 
     def _answer(self, line: str) -> None:
         self._last, length = self._unanswered.popleft()
         self._unanswered_bytes -= length
-        self._done = max(0, self._done - 1)
         self._full = False
         if self._last == 0:
             self.replies.append(line)
@@ -196,14 +194,13 @@ class ProgramLink(machine.UntimedLink):
         if line.startswith("ALARM:"):
             self.stop(line)
 
-    def line_done(self) -> None:
-        """The firmware has executed a line, and may answer it with the next one."""
-        self._done += 1
-
     def now_at(self) -> int:
         """The line of the program that is being interpreted; 0 for none of it."""
-        if self._done < len(self._unanswered):
-            return self._unanswered[self._done][0]
+        from language.block_layout import LINES_LEFT
+
+        done = self.rig.controller.interpreter.machine[LINES_LEFT] & 1  # and not yet answered
+        if done < len(self._unanswered):
+            return self._unanswered[done][0]
         return self._unanswered[-1][0] if self._unanswered else self._last
 
     def note_output(self, name: str, on: bool) -> None:

@@ -113,16 +113,18 @@ class Recorder:
         self._moves = kinematics.moves if kinematics else ()
         self._nonlinear = kinematics if hasattr(kinematics, "place_of") else None
         self._beside = kinematics if hasattr(kinematics, "motor_of") else None
-        self._plan = replace_method(self._planner, "line", self._line)
+        interpreter, planner = controller.interpreter, self._planner
+        is_usual = not (planner.hook or interpreter.watches() or self._rig.guest)
+        self.is_plain = is_usual and not controller.protocol._echoes
+        self._plan = planner.hook or planner.plan
+        planner.hook = self._plan_line
+        if self._nonlinear:  # which has no use for it
+            self._line = replace_method(planner, "line", self._cut)
         self._chords = replace_method(self._planner, "chords", self._follow_arc)
         if hasattr(self._planner, "take_up"):
             self._take_up = replace_method(self._planner, "take_up", self._turn)
         self._probe = replace_method(controller.seek, "probe", self._watch_probe)
         self._plan_arc = replace_method(controller.canon, "arc", self._look_at_arc)
-        fast = controller.interpreter.fast
-        is_usual = fast.follow is fast.plain and not self._rig.guest
-        self.is_plain = is_usual and not controller.protocol._echoes
-        self._follow_plain = replace_method(fast, "follow", self._follow)
 
     def _look_at_arc(self, start: Any, target: Any, arc: Any, move: Any) -> None:
         """Stand in for Canon.arc."""
@@ -146,14 +148,26 @@ class Recorder:
     def _by_letter(self, values: Sequence[_Value]) -> dict[str, _Value]:
         return dict(zip(self._names, values, strict=False))
 
-    def _line(self, target: Any, move: Any, power: int) -> bool:
-        """Stand in for Planner.line: what it adds to its ring is what will be stepped."""
+    def _plan_line(self, target: Any, flags: int, *asked: int) -> int:
+        """Stand in for Planner.hook: what is added to the ring is what will be stepped."""
+        row = self._row(flags)
+        planned: int = self._plan(target, flags, *asked)
+        if planned:
+            self._note(row)
+        return planned
+
+    def _cut(self, target: Any, move: Any, power: int) -> bool:
+        """Stand in for NonlinearPlanner.line."""
+        row = self._row(move.flags)
+        planned: bool = self._line(target, move, power)
+        if planned:
+            self._note(row)
+        return planned
+
+    def _row(self, flags: int) -> int:
+        """Of the ring, where the next line will be."""
         layout, flow = self._layout, self._planner.flow
-        row = flow[layout.ROWS if move.flags & layout.SYSTEM_MOTION else layout.HEAD]
-        if not self._plan(target, move, power):
-            return False
-        self._note(row)
-        return True
+        return int(flow[layout.ROWS if flags & layout.SYSTEM_MOTION else layout.HEAD])
 
     def _turn(self, *asked: Any) -> bool:
         """Stand in for BacklashPlanner.take_up."""
@@ -162,15 +176,6 @@ class Recorder:
         if done:
             self._note(self._planner.flow[self._layout.ROWS])
         self._distance_mm = distance  # the tool has gone nowhere
-        return done
-
-    def _follow(self, line: bytearray, length: int) -> int:
-        """Stand in for Plain.follow, which adds to the ring by itself."""
-        row = self._planner.flow[self._layout.HEAD]
-        done: int = self._follow_plain(line, length)
-        self._note_from(row)
-        if done:
-            self._rig.link.line_done()
         return done
 
     def _follow_arc(self, *asked: Any) -> int:

@@ -2,38 +2,20 @@
 """Many lines checked in one call, by the firmware's own kernels: for the simulator only."""
 
 import micropython
-from language.fast_kernel import follow
+from language.line import execute
 from talk.lines import LINE, clean
 
 
 @micropython.viper
 def check_lines(
-    heard: ptr8,
-    at: ptr32,
-    text: ptr8,
-    kinds: ptr8,
-    known: ptr32,
-    position: ptr32,
-    target: ptr32,
-    travel: ptr32,
-    table: ptr32,
-    ring: ptr32,
-    flow: ptr32,
-    speeds: ptr32,
-    changes: ptr32,
-    rates: ptr32,
-    scale: ptr32,
-    news: object,
+    heard: ptr8, at: ptr32, text: ptr8, kinds: ptr8, modal: ptr32, memory: object
 ) -> int:
     """Do what the firmware's loop does with lines that only move (talk/quick_lines.py), in check
     mode, up to one that does more. Returns how many were done."""
     done = 0
     found = int(clean(heard, at, text, kinds))
     while found & LINE:
-        if int(follow(
-            text, found >> 2, known, position, target, travel,
-            table, ring, flow, speeds, changes, rates, scale, news,
-        )) == 0:  # fmt: skip
+        if int(execute(text, found >> 2, modal, memory)) == 0:
             return done
         done += 1
         found = int(clean(heard, at, text, kinds))
