@@ -93,6 +93,7 @@ class Canon(Protocol):
 
     planner: Planner  # where a line that does no more than move is put
     travel: array[int]  # and what it is held against first: see canon.judge()
+    course: array[int]  # where arcs are laid: see arcs.py
 
     def make_room(self) -> None:
         """Wait until a line finds room in the planner."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from base.controls import LIMITS_AT, PROBE_AT
 from base.state import State
+from motion import arcs
 from motion.layout import RAPID_MOTION
 from motion.planner import Move, Planner
 
@@ -43,6 +44,7 @@ class FakeCanon:
         self.asked: Asked = []
         self.planner = Planner(axes, 4, None, State())
         self.travel = array("i", [axes, 0, *(0 for _ in range(axes))])
+        self.course = array("i", [0] * arcs.course_length(axes))
         self.too_far = 1000.0
 
     def line(self, target: "array[float]", move: Move) -> None:

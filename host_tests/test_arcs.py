@@ -62,9 +62,8 @@ class Course:
         self._course = array("i", [0] * arcs.course_length(self.axes))
         for i in range(self.axes):
             arcs.limit(self._course, i, -arcs.FARTHEST, arcs.FARTHEST)
-        self.chords = arc.lay(
-            self._start, self._target, tolerance, self._steps_per_mm, self._course
-        )
+        arcs.stray(self._course, tolerance)
+        self.chords = arc.lay(self._start, self._target, self._steps_per_mm, self._course)
         self.left = self._course[arcs.LEFT]
 
     def _lay_ends(self, way: Way) -> "tuple[float, float]":
@@ -172,7 +171,7 @@ def test_an_arc_that_no_unit_has_room_for_is_one_line(far: float) -> None:
     arc.numbers[CENTRE_0] = arc.numbers[RADIUS] = 5.0
     course = array("i", [0] * arcs.course_length(3))
     steps_per_mm = array("f", (250, 250, 250))
-    assert arc.lay(vector(3), array("f", (10, 0, far)), 0.002, steps_per_mm, course) == 0
+    assert arc.lay(vector(3), array("f", (10, 0, far)), steps_per_mm, course) == 0
     assert course[arcs.LEFT] == 0
 
 
@@ -189,6 +188,7 @@ class Bench:
         for name, value in changed.items():
             setattr(made.settings, name, value)
         made.configure()
+        made.canon.configure()
         made.planner.override()
         made.canon.service = self._service
         self._takes = takes
@@ -251,11 +251,19 @@ def test_chords_are_no_longer_in_sequence_than_the_link_can_wait() -> None:
 
 
 def test_check_mode_waits_for_the_link_as_often_and_plans_nothing() -> None:
-    bench = Bench()
+    bench = Bench(soft_limits=1)
     bench.machine.state.enter(run.CHECK)
-    bench.tell("F500", "G3X0I-20")
+    bench.tell("F500", "G1X-10Y-50", "G3X-10I-20")
     assert not bench.blocks
     assert len(bench.each) > 25
+
+
+def test_check_mode_makes_no_chords_where_there_are_no_limits_to_pass() -> None:
+    bench = Bench()
+    bench.machine.state.enter(run.CHECK)
+    bench.tell("F500", "G1X-10Y-50", "G3X30I20")
+    assert not bench.blocks and not bench.each
+    assert list(bench.machine.modes.position) == [30, -50, 0]
 
 
 def test_a_fourth_axis_goes_evenly() -> None:

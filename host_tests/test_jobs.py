@@ -11,6 +11,7 @@ import pytest
 from base.controls import START
 from base.state import HOLD
 from language.checks import MOVE
+from motion.layout import SYSTEM_MOTION
 from ports.job_files import JobFiles
 from ugrbl.boardfile.files import load_board
 from ugrbl.device import jobs
@@ -51,9 +52,10 @@ class Bench:
             self.log.append((link.line() + 1 if link.is_on else 0, what))
 
         def line(target: Any, move: Any, power: int) -> bool:
-            self.moves.append(tuple(round(mm, 3) for mm in target))
-            flags = move.flags, move.feed, move.spindle_rpm
-            note(flags, power, tuple(target), tuple(planner.position))
+            if not move.flags & SYSTEM_MOTION:
+                self.moves.append(tuple(round(mm, 3) for mm in target))
+                flags = move.flags, move.feed, move.spindle_rpm
+                note(flags, power, tuple(target), tuple(planner.position))
             return usual_line(target, move, power)
 
         def arc(start: Any, target: Any, arc: Any, move: Any) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from base.errors import INVALID_JOG_COMMAND, GrblError
-from base.state import IDLE, RPM
+from base.state import CHECK, IDLE, RPM
 from boot import wiring
 from control import modes as modal
 from hypothesis import example, given
@@ -89,7 +89,8 @@ jog = st.from_regex(
 )
 other = st.sampled_from(
     "G91 G90 G20 G21 G92X1.1Y-3 G92.1 F300 S500 M3S200 M4 M5 T2 G43.1Z0.3 G49 G55 G54 G10L2P2X0.7 "
-    "G93 G94 G2X1Y1R5 G3X2Z1R5 G2Y1Z2R5 G80 X1X2 M7 M8 M9 M7M8 M8M9 G18 G19 G17".split()
+    "G93 G94 G2X1Y1R5 G3X2Z1R5 G2Y1Z2R5 G80 X1X2 M7 M8 M9 M7M8 M8M9 G18 G19 G17 "
+    "G91G2X0.1R5 G3X-0.01Y0.02R9 G3I0.0001".split()
 )
 tail = st.sampled_from(["", "", "", "F200", "F700", "S100", "N12", "S0", "Z1", "F0", "Z-0.0001"])
 program = st.lists(
@@ -136,6 +137,21 @@ program = st.lists(
 @example(
     ["F300", "G1X1", "G18", "G2X1Z1R5", "G1X1", "G19X2", "G17G18", "G18G2X0Z0R5"], False, False
 )
+@example(
+    [
+        "F300",
+        "G91",
+        "G2X0.1R5",
+        "G3X0.1R5S5",
+        "G2X.1Y.1R900",
+        "G18G2X.05R4",
+        "G3I.001",
+        "G2I.0001",
+    ],
+    False,
+    False,
+)
+@example(["M4S9F5G91", "G2X0.1R5", "G3X0.1R5S5", "G93G2X0.1R5F3", "M3", "G2I0.001S7"], True, False)
 @example(["G93", "G1X1F9", "X2F9", "X3", "G20", "X4F5", "G0X0", "G0X1F3", "G94"], False, True)
 @example(["F9", "G1X1", "G93X2F3", "X3F3", "G93X4F4", "G94X5", "G94X5F5", "X6"], True, True)
 def test_kernels_do_what_the_interpreter_does(lines: "list[str]", laser: bool, mist: bool) -> None:
@@ -225,6 +241,24 @@ def test_kernels_do_lines_that_have_to_wait_for_nothing() -> None:
     for text in ("G90G21X9", "G90G94", "M5M9", "G91X1", "G20G90", "G21", "G18", "G19X7G91", "S9"):
         assert bench.does(text), text
     assert bench.machine.modes.rates[modal.FEED] == 502
+
+
+def test_kernels_do_an_arc_that_one_chord_does_for() -> None:
+    bench = Bench(False, True)
+    bench.tell("G91F500")
+    for text in ("G2X0.1R5", "X0.1R5N3", "G3X-0.2Y0.1R900", "G2X0.1I0.05J-5F501"):
+        assert bench.does(text), text
+    for text in ("X1R5", "I0.5", "G93X0.1R5F3", "X0.1R0.04"):  # more chords, or what is wrong
+        assert not bench.does(text), text
+
+
+def test_kernels_do_any_arc_in_check_mode_that_no_limit_can_stop() -> None:
+    bench = Bench(False, True)
+    bench.machine.state.enter(CHECK)
+    assert bench.does("G2X100R90F500") and bench.does("G3X100I50Z3")
+    bench.machine.settings.soft_limits = 1
+    bench.machine.canon.configure()
+    assert not bench.does("I-5")
 
 
 def test_kernels_leave_what_waits_or_is_wrong_and_change_nothing() -> None:

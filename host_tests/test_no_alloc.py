@@ -77,6 +77,7 @@ values = array("f", [0.0] * 128)
 short = bytearray(b"G1X-12.345Y0.25N7\\0")
 line = words.Words()
 dot = bytearray(b"G1X-12.345Y0.25N7S500F300\\0")
+bow = bytearray(b"G2X1Y0.02R50F300\\0")
 there = array("i", [3, 0, 1000, 2000, 300])
 block, modes = Block(3, True, True), Modes(3)
 modal = modes.modal
@@ -84,10 +85,11 @@ machine = array("i", [3, 7, 2] + [0] * (b.MACHINE_LENGTH - 3))
 machine[b.IS_OPEN] = 1
 kept = (
     block.ints, block.singles, block.xyz, modes.rates, modes.position, Coords(None, 3, 2).offsets,
-    machine, (block.stored, block.arc.plane, block.arc.numbers),
+    machine, state.spindle, (block.stored, block.arc.plane, block.arc.numbers),
 )
+course = array("i", [0] * arcs.course_length(3))
 plans = (
-    state.spindle, there, table, ring, flow, planner.speeds, state.running, None,
+    there, table, ring, flow, planner.speeds, state.running, None, planner.steps_per_mm, course,
 )
 memory = block.words, kept, plans
 texts = [
@@ -103,10 +105,10 @@ def look():
 
 arc = arc_geometry.Arc()
 arc.numbers[arc_geometry.RADIUS] = arc.numbers[arc_geometry.CENTRE_0] = 5.0
-course = array("i", [0] * arcs.course_length(3))
 for axis in range(3):
     arcs.limit(course, axis, -arcs.FARTHEST, arcs.FARTHEST)
-arc.lay(vector(3), vector(3), 0.00002, planner.steps_per_mm, course)
+arcs.stray(course, 0.00002)
+arc.lay(vector(3), vector(3), planner.steps_per_mm, course)
 reader = lines.LineReader(128, 79, lambda byte: None)
 heard, at, typed, kinds = reader.memory()
 received = bytearray(b"G1 X1 (a comment) ? y2\\n")
@@ -120,6 +122,7 @@ _PROVED = {
     "scan": "words.scan(text, end, letters, values, line.dots)",
     "read": "line.read(short, 0, len(short) - 1)",
     "look": "look()",
+    "an arc": "ln.execute(bow, len(bow) - 1, modal, memory)",
     "execute": "ln.execute(dot, len(dot) - 1, modal, memory)",
     "judge": "canon.judge(target, there, flow)",
     "chords": "planner.chords(course, move, 0, True)",

@@ -128,7 +128,8 @@ def print_arcs(dice):
         x, y = dice.any(((3.0, 4.0), (-0.25, 0.0), (60.0, -80.0)))
         arc.numbers[CENTRE_0], arc.numbers[CENTRE_1] = x, y
         arc.numbers[RADIUS] = (x * x + y * y) ** 0.5
-        print(arc.lay(start, target, dice.any((0.002, 0.1)), steps_per_mm, course))
+        arcs.stray(course, dice.any((0.002, 0.1)))
+        print(arc.lay(start, target, steps_per_mm, course))
         for _ in range(min(course[arcs.LEFT], 20)):
             outside = arcs.advance(course, table)
             print(outside, list(table[layout.LIMITS + 4 * layout.TARGET :][:4]))

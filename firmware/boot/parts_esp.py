@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _COMPILED = (
     "motion.segment_kernel motion.plan_kernel language.words talk.lines talk.digits motion.steps "
     "motion.ramps motion.reals base.singles motion.planner control.canon talk.quick_lines "
-    "language.fast_path"
+    "language.checks language.block language.line"
 )
 
 

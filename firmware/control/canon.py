@@ -90,7 +90,7 @@ class Canon:
         self._flow = planner.flow
         # The move asked for: a line, and the chords of an arc in front of it.
         self._asked = False
-        self._course = array("i", (0 for _ in range(arcs.course_length(planner.axes))))
+        self.course = array("i", (0 for _ in range(arcs.course_length(planner.axes))))
         self._is_jog = False
 
     def connect(self, service: "Callable[[], None]") -> None:
@@ -110,8 +110,9 @@ class Canon:
                 far = min(far, settings.max_travel[i])
                 steps = settings.max_travel[i] * self.planner.steps_per_mm[i] + 0.5
                 least, greatest = (0, steps) if positive >> i & 1 else (-steps, 0)
-            arcs.limit(self._course, i, least, greatest)
+            arcs.limit(self.course, i, least, greatest)
             self.limit(i, far)
+        arcs.stray(self.course, settings.arc_tolerance_mm)
 
     def limit(self, axis: int, far: float) -> None:
         """Say how far from 0 an axis may be, in mm."""
@@ -129,7 +130,7 @@ class Canon:
 
     def finish(self) -> None:
         """Make what has been asked for."""
-        if self._course[arcs.LEFT]:
+        if self.course[arcs.LEFT]:
             self._plan_chords()
         if self._asked:
             self._asked = False
@@ -172,7 +173,7 @@ class Canon:
 
     def _plan_chords(self) -> None:
         """All of an arc but its last chord, which is a line to its target."""
-        state, move, course = self._state, self._move, self._course
+        state, move, course = self._state, self._move, self.course
         moves = state.run != st.CHECK
         power, known = 0, -1
         looks = state.pending[st.ANY] or state.suspend  # else the loop has, right before the line
@@ -199,7 +200,7 @@ class Canon:
     def forget(self) -> None:
         """Nothing has been asked for."""
         self._asked = False
-        self._course[arcs.LEFT] = 0
+        self.course[arcs.LEFT] = 0
         self._is_jog = False
 
     def jog(self, target: "array[float]", move: "Move") -> None:
@@ -218,8 +219,7 @@ class Canon:
     def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
         """An arc, or helix, as chords within $12 of it. Made by finish()."""
         self.line(target, move)
-        tolerance, steps_per_mm = self._settings.arc_tolerance_mm, self.planner.steps_per_mm
-        chords = arc.lay(start, target, tolerance, steps_per_mm, self._course)
+        chords = arc.lay(start, target, self.planner.steps_per_mm, self.course)
         if chords and move.flags & layout.INVERSE_TIME:
             # Its time is shared out among the chords, whose rate counts from here on.
             move.feed *= chords

@@ -149,7 +149,7 @@ class BacklashCanon(Canon):
 
     def _plan_chords(self) -> None:
         """As Canon._plan_chords(); one by one, for axes turn round in an arc."""
-        state, move, course, planner = self._state, self._move, self._course, self.planner
+        state, move, course, planner = self._state, self._move, self.course, self.planner
         if not self.active or state.run == st.CHECK:
             super()._plan_chords()
             return

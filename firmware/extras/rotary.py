@@ -91,7 +91,7 @@ class RotaryCanon(Canon):
         for axis in self.endless():
             self.travel[SHUT] &= ~(1 << axis | 1 << axis + BELOW)
             self.limit(axis, _EXACT / self.planner.steps_per_mm[axis])
-            arcs.limit(self._course, axis, -arcs.FARTHEST, arcs.FARTHEST)
+            arcs.limit(self.course, axis, -arcs.FARTHEST, arcs.FARTHEST)
 
     def endless(self) -> "list[int]":
         """Axes that turn for ever."""

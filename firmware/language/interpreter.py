@@ -142,22 +142,24 @@ class Interpreter:
             modes.position,
             coords.offsets,
             self.machine,
+            state.spindle,
             (block.stored, block.arc.plane, block.arc.numbers),
         )
         self.memory()
 
     def memory(self) -> "tuple[array[int], array[int], tuple[Any, ...]]":
         """What kernels work on; to look each up costs 5 us. Once extras are there."""
-        planner, state = self._canon.planner, self._state
+        planner = self._canon.planner
         plans = (
-            state.spindle,
             self._canon.travel,
             planner.table,
             planner.ring,
             planner.flow,
             planner.speeds,
-            state.running,
+            self._state.running,
             planner.hook,
+            planner.steps_per_mm,
+            self._canon.course,
         )
         self._memory = self.block.words, self._kept, plans
         return self._modes.modal, self.machine, self._memory

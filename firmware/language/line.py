@@ -1,6 +1,9 @@
 # mypy: disable-error-code="arg-type, attr-defined, call-overload, has-type, misc, operator"
 """A line: read, checked, and where it does no more than move, executed; all in kernels.
 
+An arc is a line, too, where one chord does for it; and in check mode, where there are no soft
+limits that it might pass on its way.
+
 Called for every line by the loop (talk/quick_lines.py), which has the interpreter do what is left.
 """
 
@@ -9,7 +12,7 @@ from base.errors import GCODE_UNSUPPORTED_COMMAND
 from base.f32 import copy
 from base.singles import whole_part
 from base.state import CHECK
-from control.canon import judge
+from control.canon import SHUT, judge
 from control.modes import (
     COOLANT,
     FEED,
@@ -26,25 +29,29 @@ from control.spindle import ASKED as ASKED_SPEED
 from control.spindle import LASER, weigh
 from micropython import const
 from motion import layout
+from motion.arc_geometry import lay
+from motion.arcs import LEFT
 from motion.plan_kernel import FULL, OUTSIDE
 from motion.plan_kernel import plan as plan_block
 from motion.planner import COOLANT_SHIFT, SPINDLE_CCW, SPINDLE_MASK
 from motion.reals import per_second
 
 from language.block import read
-from language.block_layout import ASKED, AXES, IS_OPEN, POWERS, SEEK, WATCHED, F, N, S, T
+from language.block_layout import ASKED, AXES, CCW_ARC, IS_OPEN, POWERS, SEEK, WATCHED, F, N, S, T
 from language.checks import (
     CHECKED,
     DARK,
     IN_MOTION,
     MOVE,
     SET_TOOL,
+    SPECIAL,
     SPEED,
     check,
 )
 
 _CUT = const(CHECKED | MOVE | IN_MOTION)
-PLAIN = const(CHECKED | MOVE | SPEED | SET_TOOL | DARK | IN_MOTION)  # all that can be done here
+# All that can be done here.
+PLAIN = const(CHECKED | MOVE | SPECIAL | SPEED | SET_TOOL | DARK | IN_MOTION)
 
 
 @micropython.viper
@@ -53,8 +60,7 @@ def execute(text: ptr8, length: int, modal: ptr32, memory: object) -> int:
     nothing has changed, but the block is ready, with what look() says in ASKED. memory: an
     interpreter's."""
     words, block, plans = memory
-    _ints, _singles, _xyz, _rates, _position, _offsets, _machine, rare = block
-    _scale, _, _, _, _, _, _, _ = plans
+    _ints, _singles, _xyz, _rates, _position, _offsets, _machine, _scale, rare = block
     ints = ptr32(_ints)
     singles = ptr32(_singles)
     xyz = ptr32(_xyz)
@@ -91,16 +97,17 @@ def execute(text: ptr8, length: int, modal: ptr32, memory: object) -> int:
     ints[ASKED] = asked
     if asked < 0 or asked & machine[WATCHED]:
         return 0
-    return int(_go(asked, modal, ints, singles, xyz, rates, position, machine, scale, _xyz, plans))
+    return int(
+        _go(asked, modal, ints, singles, xyz, rates, position, machine, scale, _xyz, rare, plans)
+    )
 
 
 @micropython.viper
 def look(text: ptr8, span: int, modal: ptr32, jog: int, memory: object) -> int:
     """Read and check line[start:end], span = end << 8 | start, which a 0 follows. Returns what it
     asks for, or below 0 what is wrong with it: see check(). memory: an interpreter's."""
-    words, block, plans = memory
-    _ints, _singles, _xyz, rates, position, offsets, _machine, rare = block
-    scale, _, _, _, _, _, _, _ = plans
+    words, block, _ = memory
+    _ints, _singles, _xyz, rates, position, offsets, _machine, scale, rare = block
     ints = ptr32(_ints)
     singles = ptr32(_singles)
     xyz = ptr32(_xyz)
@@ -139,8 +146,7 @@ def go(asked: int, modal: ptr32, memory: object) -> int:
     """Execute a block that asks for that, if it is no more than a line, which has room. Returns 1;
     or 0, and what is left is for the interpreter. memory: its."""
     _, block, plans = memory
-    ints, singles, xyz, rates, position, _, machine, _ = block
-    scale, _, _, _, _, _, _, _ = plans
+    ints, singles, xyz, rates, position, _, machine, scale, rare = block
     return int(
         _go(
             asked,
@@ -153,6 +159,7 @@ def go(asked: int, modal: ptr32, memory: object) -> int:
             ptr32(machine),
             ptr32(scale),
             xyz,
+            rare,
             plans,
         )
     )
@@ -170,18 +177,33 @@ def _go(
     machine: ptr32,
     scale: ptr32,
     target: object,
+    rare: object,
     plans: object,
 ) -> int:
     """As go(). target: what xyz is an address of."""
     if asked & ~PLAIN or (asked & SPEED and modal[SPINDLE] and asked & IN_MOTION == 0):
         return 0
-    _, travel, _table, _ring, _flow, _speeds, running, hook = plans
+    _travel, _table, _ring, _flow, _speeds, running, hook, steps_per_mm, course = plans
+    travel = ptr32(_travel)
     flow = ptr32(_flow)
     moves = 0
     if asked & MOVE:
-        found = int(judge(xyz, ptr32(travel), flow))
+        found = int(judge(xyz, travel, flow))
         moves = 0 if ptr32(running)[0] & CHECK else 1
         if found & OUTSIDE or (moves and found & FULL):
+            return 0
+    if asked & SPECIAL:
+        if ints[MOTION] > CCW_ARC or ints[INVERSE_TIME] or (moves and hook):
+            return 0
+        if moves:
+            _, plane, arc = rare
+            axes = machine[AXES]
+            way = ptr32(course)
+            lay(ptr32(arc), ptr32(plane), position, xyz, ptr32(steps_per_mm), way, axes)
+            if way[LEFT]:  # it takes more than one chord
+                way[LEFT] = 0
+                return 0
+        elif travel[SHUT]:  # one of its chords may lie outside
             return 0
     put_in_force(ints, singles, modal, rates)
     rates[RPM] = singles[S]

@@ -21,6 +21,7 @@ from motion.arcs import (
     REST,
     SHEARS,
     SHIFT,
+    STRAY,
     STRIDE,
     TURNING,
     WAY,
@@ -359,6 +360,7 @@ def lay(
     line."""
     course[LEFT] = 0
     course[KNOWN] = 0
+    r[TOLERANCE] = course[STRAY]
     if int(_scale(r, start, target, steps_per_mm, axes)) == 0:
         return 0
     sweep(r, plane, start, target)
@@ -390,13 +392,11 @@ class Arc:
         self,
         start: "array[float]",
         target: "array[float]",
-        tolerance: float,
         steps_per_mm: "array[float]",
         course: "array[int]",
     ) -> int:
         """Lay its course, between places in mm. Returns how many chords it takes; 0 and 1 mean a
         straight line."""
-        self.numbers[TOLERANCE] = tolerance
         return lay(self.numbers, self.plane, start, target, steps_per_mm, course, len(start))
 
     def sweep(self, start: "array[float]", target: "array[float]") -> float:

@@ -6,15 +6,14 @@ fixed-point numbers of steps. Those of the plane turn about their centres, those
 evenly.
 """
 
+from array import array
+
 import micropython
+from base.f32 import copy
 from micropython import const
 
 from motion.layout import AXES, HEAD, LIMITS, ROWS, TARGET
 from motion.plan_kernel import FULL, OUTSIDE, full, plan
-
-TYPE_CHECKING = const(False)
-if TYPE_CHECKING:
-    from array import array
 
 # Units of places: so many reach as far as an arc does.
 FARTHEST = 268435456.0
@@ -30,9 +29,11 @@ KNOWN = const(1)
 TURNING = const(2)
 SHIFT = const(4)
 SHEARS = const(5)
+# how far chords may stray from the arc, a float, mm;
+STRAY = const(7)
 # and per axis: its place, and 2**-shift of its unit; how many of its bits are a part of a step;
 # where its centre is; how far it goes per chord, in 2**-shift; between which TARGETs it has to be.
-FIRST = const(7)
+FIRST = const(8)
 REST = const(1)
 BITS = const(2)
 CENTRE = const(3)
@@ -54,6 +55,11 @@ def limit(course: "array[int]", axis: int, least: float, greatest: float) -> Non
     at = FIRST + STRIDE * axis
     course[at + _LEAST] = FAR + int(max(least, -FARTHEST))
     course[at + _GREATEST] = FAR + int(min(greatest, FARTHEST))
+
+
+def stray(course: "array[int]", mm: float) -> None:
+    """Say how far chords may stray from an arc."""
+    copy(array("f", (mm,)), memoryview(course)[STRAY:], 1)
 
 
 @micropython.viper

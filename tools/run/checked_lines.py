@@ -21,7 +21,7 @@ class CheckedLines:
     """
 
     def __init__(self, rig: "Rig") -> None:
-        from base.state import CHECK
+        from base.state import ANY, CHECK
         from talk import lines
 
         from ..sim.check_kernel import check_lines
@@ -29,7 +29,7 @@ class CheckedLines:
         controller = rig.controller
         _, at, text, kinds = controller.reader.memory()
         self._state = controller.state
-        self._in_check_mode = CHECK
+        self._in_check_mode, self._any = CHECK, ANY
         self._check_lines = check_lines
         self._places = lines
         # One buffer for all of them: the kernels remember where it lies.
@@ -62,7 +62,8 @@ class CheckedLines:
         return count
 
     def _is_checking(self) -> bool:
-        return self._state.run == self._in_check_mode
+        # A reset that a $C has asked for is still to come.
+        return self._state.run == self._in_check_mode and not self._state.pending[self._any]
 
     def _begin_at(self, index: int) -> None:
         at, places = self._at, self._places
