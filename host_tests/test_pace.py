@@ -248,8 +248,9 @@ def test_rates_are_those_that_the_document_states(figure: float, row: str) -> No
     assert figure == cached(row)
 
 
-def test_a_line_that_python_does_is_an_arc_of_one_chord() -> None:
-    assert cached("an arc of one chord") == PICO.in_python_ms
+def test_a_line_that_python_does_is_an_arc_of_two_chords_but_for_those() -> None:
+    arc_ms = cached("an arc of one chord, and of two", 1)
+    assert PICO.in_python_ms == pytest.approx(arc_ms - 2000 / PICO.chords, abs=0.05)
 
 
 def test_a_line_without_words_is_received_and_put_together() -> None:

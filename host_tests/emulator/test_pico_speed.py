@@ -53,13 +53,15 @@ _ROWS: "dict[str, tuple[float, Sequence[str]]]" = {
     "clusters of 16 dots": (1, ["dots of clusters, M4"]),
     "half circles of 1 mm": (1, ["half circles of 1 mm"]),
     "circles of 702 chords": (1, ["chords of circles"]),
-    "chords of such circles": (1, ["chords of circles, check mode"]),
+    "half circles in check mode": (1, ["half circles, check mode"]),
     "a line with words in force": (
         *(1, ["a line with words in force", "a line with words in force and a move"]),
     ),
     "a move in inverse time": (1, ["a line with a time (G93) and a move"]),
     "a line with a tool": (*(1, ["a line with a tool", "a line with a tool and a move"]),),
-    "an arc of one chord": (1, ["a line with an arc of one chord"]),
+    "an arc of one chord": (
+        *(1, ["a line with an arc of one chord", "a line with an arc of two chords"]),
+    ),
     "a line that changes how": (
         *(1, ["a line with modes that change", "a line with modes that change and a move"]),
     ),
