@@ -52,8 +52,8 @@ dist: $(VENV)  ## the package, with the firmware compiled for every chip, into d
 
 compiled-emulator: $(EMULATOR)  ## the emulated Pico three times as fast, where there is a C compiler
 
-test-emulator: $(EMULATOR)  ## on an emulated Pico; UGRBL_UF2 names MicroPython's image for it, UGRBL_FROZEN_UF2 one with the firmware in
-	$(BIN)/pytest -q -rs -n auto --dist loadgroup host_tests/emulator
+test-emulator: $(EMULATOR)  ## on an emulated Pico; UGRBL_UF2 names MicroPython's image for it, UGRBL_FROZEN_UF2 one with the firmware in; or CHIP=rp2350
+	UGRBL_CHIP=$(CHIP) $(BIN)/pytest -q -rs -n auto --dist loadgroup host_tests/emulator
 
 torture: $(VENV)  ## stops at every bytecode, and random sessions: SEEDS of them, minutes to hours
 	UGRBL_TORTURE=$(or $(SEEDS),500) $(BIN)/pytest -q -n auto --timeout 0 --whole host_tests/test_injection.py host_tests/test_torture.py host_tests/test_custom_injection.py host_tests/test_waits_in_holds.py

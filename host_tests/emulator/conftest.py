@@ -1,4 +1,4 @@
-"""Tests on an emulated Pico want MicroPython's image for it: UGRBL_UF2 says where that is."""
+"""Tests on an emulated board want an emulator and MicroPython's image: chips.py says of what."""
 
 import os
 import sys
@@ -6,6 +6,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from chips import CHIP
+from pico2 import lacks
 
 # What compile_emulator.py has made is three times as fast.
 _COMPILED = Path(sys.prefix) / "emulator"
@@ -14,17 +16,23 @@ if _IS_COMPILED:
     sys.path.insert(0, str(_COMPILED))
 
 _HAS_EMULATOR = find_spec("rp2040py") is not None
+# What is of the RP2040, or of its emulator, by its nature.
+_OF_RP2040 = ("test_pico_card.py", "test_pico_drivers.py", "test_xip.py")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """These run when asked for by name (`make test-emulator`), and cannot even be imported
     without the emulator."""
     asked = any("emulator" in argument for argument in config.args)
+    if CHIP.name != "rp2040":
+        return None if asked and collection_path.name not in _OF_RP2040 else True
     return None if asked and _HAS_EMULATOR else True
 
 
 def pytest_report_header() -> str:
     """Why there is nothing to see, or why it takes so long."""
+    if CHIP.name != "rp2040":
+        return f"emulated {CHIP.name}: {lacks() or 'rp2350js'}"
     if not _HAS_EMULATOR:
         return "emulated Pico: left out, rp2040py is not installed"
     return "" if _IS_COMPILED else "emulated Pico: slow; `make compiled-emulator` makes it faster"
@@ -39,12 +47,14 @@ def pytest_collection_modifyitems(items: "list[pytest.Item]") -> None:
 
 @pytest.fixture(scope="session")
 def uf2() -> Path:
-    """MicroPython for the Pico."""
-    named = os.environ.get("UGRBL_UF2", "")
+    """MicroPython for the chip."""
+    why = lacks() if CHIP.name == "rp2350" else ""
+    if why:
+        pytest.skip(why)
+    named = os.environ.get(CHIP.image, "")
     if not named:
-        pytest.skip(
-            "UGRBL_UF2 names no image: RPI_PICO-….uf2 of micropython.org/download/RPI_PICO"
-        )
+        file = f"{CHIP.download}-….uf2 of micropython.org/download/{CHIP.download}"
+        pytest.skip(f"{CHIP.image} names no image: {file}")
     if not Path(named).is_file():
-        pytest.skip(f"UGRBL_UF2: there is no file {named}")
+        pytest.skip(f"{CHIP.image}: there is no file {named}")
     return Path(named)

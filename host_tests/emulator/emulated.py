@@ -1,13 +1,17 @@
 """The whole firmware on an emulated board, and a sender at its other end."""
 
+import re
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from tempfile import mkdtemp
+from typing import TYPE_CHECKING
 from unittest.mock import patch
 
+from chips import CHIP, Edge, power_up
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE
-from pico import Edge, Pico
+from ugrbl.boardfile.files import load_board
 from ugrbl.compiling import build, freeze
 from ugrbl.compiling.freeze import Frozen
 from ugrbl.device.selftest import program
@@ -16,6 +20,12 @@ from ugrbl.paths import BOARDS
 from ugrbl.run import machine
 from ugrbl.run.program import ProgramLink
 from ugrbl.sim.engine import step_tick
+
+if TYPE_CHECKING:
+    from pico import Pico
+
+# The usual board of the chip that tests run on.
+BOARD_FILE = BOARDS / f"{CHIP.board}.py"
 
 STEP = (2, 3, 4)
 DIR = (5, 6, 7)
@@ -37,7 +47,7 @@ _ANSWER_US = 2_000_000
 @cache
 def firmware(frozen: "Frozen | None" = None) -> "Mapping[str, bytes]":
     """What `ugrbl deploy` puts on a Pico, by path. frozen: what its MicroPython has of it."""
-    return freeze.beside(build.for_board(BOARDS / "rpi_pico.py"), frozen).files
+    return freeze.beside(build.for_board(BOARD_FILE), frozen).files
 
 
 @cache
@@ -46,10 +56,23 @@ def frozen_in(uf2: Path) -> "Frozen | None":
     return contents.read(uf2).frozen
 
 
+def build_id(debug: bool = False) -> str:
+    """What the firmware of the usual board tells of its build."""
+    return build.prepared_firmware(debug, load_board(CHIP.board).MPY_ARCH).id
+
+
+def for_this_chip(board: Path, more: str = "") -> Path:
+    """One of our boards with the chip that tests run on in place of its own, and more lines."""
+    chip = re.findall(r"^(?:CHIP|MPY_ARCH) = .*$", BOARD_FILE.read_text("utf-8"), re.MULTILINE)
+    made = Path(mkdtemp()) / board.name
+    made.write_text("\n".join((board.read_text("utf-8"), *chip, more)), "utf-8")
+    return made
+
+
 @cache
 def files_of(board: str) -> "Mapping[str, bytes | None]":
     """What makes one of our boards of what is on a Pico: changes for Board()."""
-    files = build.for_board(BOARDS / f"{board}.py").files
+    files = build.for_board(for_this_chip(BOARDS / f"{board}.py")).files
     return {**dict.fromkeys(firmware()), **files}
 
 
@@ -65,7 +88,7 @@ def altered(old: str, new: str) -> "Mapping[str, bytes]":
         return there.replace(old, new)
 
     with patch.object(build, "_text", text):
-        files = build.for_board(BOARDS / "rpi_pico.py").files
+        files = build.for_board(BOARD_FILE).files
     assert len(found) == 1, f"{old!r} is in {sorted(found)}"
     return files
 
@@ -82,7 +105,7 @@ class Board:
     ) -> None:
         files = {**firmware(frozen_in(uf2)), **(changes or {})}
         there = {name: data for name, data in files.items() if data is not None}
-        self.pico = Pico(uf2, there, cache)
+        self.pico = power_up(uf2, there, cache)
         for pin in INPUTS:
             self.pico.drive(pin, 1)
 
@@ -171,7 +194,7 @@ class Odometer:
     """Steps made by every motor since then, out of the recorded edges and the levels of DIR."""
 
     def __init__(
-        self, pico: Pico, step: "tuple[int, ...]" = STEP, direction: "tuple[int, ...]" = DIR
+        self, pico: "Pico", step: "tuple[int, ...]" = STEP, direction: "tuple[int, ...]" = DIR
     ) -> None:
         self._pico = pico
         self._step, self._direction = step, direction

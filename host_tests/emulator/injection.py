@@ -165,7 +165,7 @@ class Trial:
         edges = [edge for edge in self._pico.edges if edge.pin not in DIR]
         self.latency_us = self._since_injected_us(max((edge.ns for edge in edges), default=0.0))
         assert self.latency_us <= LATENCY_US[self.act], f"it moved on for {self.latency_us:.0f} us"
-        assert not self._pico.mcu.gpio[SPINDLE_PWM].output_value, "the spindle's output is on"
+        assert self._pico.level(SPINDLE_PWM) == 0, "the spindle's output is on"
         moved = any(edge.pin in STEP and edge.ns < self._injected_us * 1000 for edge in edges)
         self._check_reset(moved)
         late = [edge for edge in self._pico.edges if edge.pin not in DIR][len(edges) :]

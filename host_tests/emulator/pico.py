@@ -10,9 +10,9 @@ import struct
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import xip
+from chips import BLOCK, CHIPS, Bench, Edge, file_system
 from rp2040py.boards import BOARDS, FlashLayout
 from rp2040py.device import MicroPythonDevice
 from rp2040py.execute_batch import execute_batch
@@ -20,10 +20,10 @@ from rp2040py.memory_map import FLASH_START_ADDRESS
 from rp2040py.native import _pio as compiled_pio
 from rp2040py.native import _rp2040 as chip
 from rp2040py.peripherals.pio import RPPIO
-from ugrbl.image.file_system import make as sectors_of
+from rp2040py.peripherals.pwm import CHN_CC, RPPWM
 
-# Where MicroPython 1.28 keeps its file system in the Pico's 2 MB.
-LAYOUT = FlashLayout(fs_start=0xA0000, fs_blockcount=352, fs_blocksize=4096)
+_CHIP = CHIPS["rp2040"]
+_LAYOUT = FlashLayout(_CHIP.file_system, _CHIP.blocks, BLOCK)
 
 _NS_PER_US = 1000
 _NS_PER_CYCLE = 8
@@ -45,22 +45,6 @@ _OVERRIDE_SHIFT = 28
 _OVERRIDE = 3 << _OVERRIDE_SHIFT
 _TO_PROCESSOR = 1 << 26
 _EDGE_LOW, _EDGE_HIGH = 4, 8
-
-
-class Edge(NamedTuple):
-    """A pin has changed."""
-
-    ns: float
-    pin: int
-    level: int
-
-
-def file_system(files: Mapping[str, bytes]) -> bytes:
-    """A littlefs image for the board with these files, by path. Uf2Error where they do not fit."""
-    image = bytearray(b"\xff" * (LAYOUT.fs_blocksize * LAYOUT.fs_blockcount))
-    for place, sector in sectors_of(files, len(image)).items():
-        image[place : place + len(sector)] = sector
-    return bytes(image)
 
 
 class _Usb:
@@ -189,13 +173,13 @@ def _make_device(uf2: Path, cache: bool) -> MicroPythonDevice:
     if not _never_write_off():
         chip.RPPIO = _Pio
     try:
-        board = replace(BOARDS["pico"], image=uf2, layout=LAYOUT)
+        board = replace(BOARDS["pico"], image=uf2, layout=_LAYOUT)
         return MicroPythonDevice(board=replace(board, mcu=xip.chip()) if cache else board)
     finally:
         chip.RPPIO = theirs
 
 
-class Pico:
+class Pico(Bench):
     """The board. files: what is on its file system at first power-up, by path. cache: flash that
     is not in the chip's cache takes time (xip.py)."""
 
@@ -235,15 +219,6 @@ class Pico:
         while not self.simulator.stopped:
             execute_batch(self.simulator, 1)
         assert not self._written_in_motion, "flash is written while motors turn"
-
-    def run_until(self, done: Callable[[], bool], limit_us: float, step_us: float = 500) -> bool:
-        """Let the chip run until done() says so; returns False where it never does."""
-        end = self.us + limit_us
-        while not done():
-            if self.us >= end:
-                return False
-            self.run_us(step_us)
-        return True
 
     def at_us(self, delay_us: float, action: Callable[[], None]) -> None:
         """Call action when that much more time has passed."""
@@ -292,6 +267,25 @@ class Pico:
         elif gpio.input_value != bool(level):
             gpio.set_input_value(bool(level))
 
+    def level(self, pin: int) -> int | None:
+        """What comes out of a pin; None where it is no output."""
+        return {"LOW": 0, "HIGH": 1}.get(self.mcu.gpio[pin].value.name)
+
+    def watch_power(self, pin: int) -> list[tuple[float, int]]:
+        """(us, level) of all that is written from now on to where the pin's PWM compares."""
+        written: list[tuple[float, int]] = []
+        (pwm,) = (part for part in vars(self.mcu).values() if isinstance(part, RPPWM))
+        channel = pwm.channels[pin // 2 & 7]
+        usual = channel.write_register
+
+        def write_register(offset: int, value: int) -> None:
+            if offset == CHN_CC:
+                written.append((self.us, value >> 16 * (pin & 1) & 0xFFFF))
+            usual(offset, value)
+
+        channel.write_register = write_register
+        return written
+
     # Flash
 
     def erase_takes_us(self, us: float) -> None:
@@ -326,14 +320,27 @@ class Pico:
         machines = [machine for pio in self.mcu.pio for machine in pio.machines]
         return any(machine.enabled and not machine.waiting for machine in machines)
 
-    def put_file_system(self, image: bytes) -> None:
-        """Replace the file system."""
-        self.mcu.flash[LAYOUT.fs_start : LAYOUT.fs_start + len(image)] = image
+    # Memory
 
-    def flash_image(self) -> bytes:
-        """The file system as it is now."""
-        size = LAYOUT.fs_blocksize * LAYOUT.fs_blockcount
-        return bytes(self.mcu.flash[LAYOUT.fs_start : LAYOUT.fs_start + size])
+    def read_flash(self, at: int, size: int) -> bytes:
+        """Flash as it is now."""
+        return bytes(self.mcu.flash[at : at + size])
+
+    def write_flash(self, at: int, data: bytes) -> None:
+        """As a programmer does it, without the chip's doing."""
+        self.mcu.flash[at : at + len(data)] = data
+
+    def read_word(self, address: int) -> int:
+        """Of the chip's memory or registers."""
+        return int(self.mcu.read_uint32(address))
+
+    def write_word(self, address: int, value: int) -> None:
+        """The same, written."""
+        self.mcu.write_uint32(address, value)
+
+    def stack(self) -> tuple[int, int]:
+        """The stack pointer, and the number of the interrupt that is served, or 0."""
+        return self.mcu.core.sp, self.mcu.core.ipsr
 
 
 def _read_back(pin: object) -> None:

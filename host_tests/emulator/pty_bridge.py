@@ -13,9 +13,13 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
-from pico import Pico
+from chips import power_up
 from ugrbl.run.pty_link import Pty
+
+if TYPE_CHECKING:
+    from pico import Pico
 
 # With pull-ups, which the emulator does not know: all that rpi_pico.py has as inputs.
 _INPUTS = (9, 10, 11, 12, 13, 14, 15, 22)
@@ -28,7 +32,7 @@ _NAP_S = 0.002
 class _Port(Pty):
     """Tells the chip whether somebody has it open."""
 
-    def __init__(self, pico: Pico) -> None:
+    def __init__(self, pico: "Pico") -> None:
         super().__init__()
         self._pico = pico
 
@@ -43,7 +47,7 @@ class _Port(Pty):
 class Bridge:
     """The two and what goes between them."""
 
-    def __init__(self, pico: Pico, link: Path) -> None:
+    def __init__(self, pico: "Pico", link: Path) -> None:
         self.stopping = False
         self._pico = pico
         self._port = _Port(pico)
@@ -75,7 +79,7 @@ def _files(folder: Path) -> "Iterator[tuple[str, bytes]]":
 def main() -> None:
     """Run until a signal comes."""
     image, link, *folders = (Path(word) for word in sys.argv[1:])
-    pico = Pico(image, {name: data for folder in folders for name, data in _files(folder)})
+    pico = power_up(image, {name: data for folder in folders for name, data in _files(folder)})
     for pin in _INPUTS:
         pico.drive(pin, 1)
     bridge = Bridge(pico, link)

@@ -7,14 +7,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from emulated import BOARD_FILE
 from test_deploy_emulated import ask, grbl, pico
-from ugrbl.boardfile import files
 from ugrbl.compiling import build
 
 pytestmark = pytest.mark.xdist_group("pico custom")
 
 _PATIENCE = {"UGRBL_PATIENCE": "10", "COLUMNS": "200"}
-_BOARD = files.board_file("rpi_pico")
 _EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "custom"
 _FILE = """\
 from ugrbl import mcode
@@ -35,7 +34,7 @@ def ugrbl(*words: object) -> "subprocess.CompletedProcess[str]":
 
 def test_a_file_is_pushed_runs_fails_and_goes(uf2: Path, tmp_path: Path) -> None:
     board = tmp_path / "router.py"
-    board.write_text(_BOARD.read_text() + '\nOUTPUTS = {"vacuum": 20}\n')
+    board.write_text(BOARD_FILE.read_text() + '\nOUTPUTS = {"vacuum": 20}\n')
     mine = tmp_path / "mine.py"
     mine.write_text(_FILE)
     with pico(uf2, tmp_path, build.for_board(board)) as port:
@@ -65,7 +64,7 @@ def test_a_file_is_pushed_runs_fails_and_goes(uf2: Path, tmp_path: Path) -> None
 
 
 def test_a_folder_takes_the_place_of_a_file_and_of_a_folder(uf2: Path, tmp_path: Path) -> None:
-    made = build.for_board(_BOARD)
+    made = build.for_board(BOARD_FILE)
     made.files["custom.py"] = b"1 / 0\n"
     mine = tmp_path / "mine"
     mine.mkdir()
@@ -90,7 +89,7 @@ def test_a_folder_takes_the_place_of_a_file_and_of_a_folder(uf2: Path, tmp_path:
 def test_three_of_the_examples_do_what_they_say(uf2: Path, tmp_path: Path) -> None:
     board = tmp_path / "router.py"
     pins = 'OUTPUTS = {"air": 20, "lamp": 21, "fan": 26}\nINPUTS = {"part": 27, "door": 28}\n'
-    board.write_text(_BOARD.read_text() + "\n" + pins)
+    board.write_text(BOARD_FILE.read_text() + "\n" + pins)
     talks = {
         "digital_io": {
             "M64 P1": ["ok"],

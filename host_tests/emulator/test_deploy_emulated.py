@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 import serial
-from ugrbl.boardfile import files
+from emulated import BOARD_FILE
 from ugrbl.compiling import build
 from ugrbl.compiling.folder import save
 from ugrbl.device.connection import Connection
@@ -21,7 +21,6 @@ from ugrbl.grbl.gcode_file import is_answer
 pytestmark = pytest.mark.xdist_group("pico deploy")
 
 _HERE = Path(__file__).parent
-_BOARD = files.board_file("rpi_pico")
 # Twenty to fifty times as slow as the chip, by what else the computer does.
 _PATIENCE = {"UGRBL_PATIENCE": "10"}
 _BOOT_S = 1000.0
@@ -49,7 +48,7 @@ def pico(uf2: Path, folder: Path, files: "build.Build | None" = None) -> "Iterat
         bridge.wait()
 
 
-def deploy(port: Path, board: Path = _BOARD, *words: str) -> "tuple[int, Any]":
+def deploy(port: Path, board: Path = BOARD_FILE, *words: str) -> "tuple[int, Any]":
     """Exit code and result."""
     command = [sys.executable, "-m", "ugrbl.cli", "deploy", "--board", str(board)]
     command += ["--port", str(port), "--json", "-", *words]
@@ -86,7 +85,7 @@ def ask(machine: Connection, line: str) -> "list[str]":
 
 
 def test_a_board_from_empty_to_up_to_date(uf2: Path, tmp_path: Path) -> None:
-    made = build.for_board(_BOARD)
+    made = build.for_board(BOARD_FILE)
     with pico(uf2, tmp_path) as port:
         code, done = deploy(port)
         assert code == 0, done
@@ -102,7 +101,7 @@ def test_a_board_from_empty_to_up_to_date(uf2: Path, tmp_path: Path) -> None:
         assert again["unchanged"] == len(made.files)
 
         mine = tmp_path / "mine.py"
-        mine.write_text(_BOARD.read_text() + "PLANNER_BLOCKS = 12\n")
+        mine.write_text(BOARD_FILE.read_text() + "PLANNER_BLOCKS = 12\n")
         code, changed = deploy(port, mine)
         assert (code, changed["copied"], changed["removed"]) == (0, ["board.py"], [])
         with grbl(port) as machine:
@@ -111,7 +110,7 @@ def test_a_board_from_empty_to_up_to_date(uf2: Path, tmp_path: Path) -> None:
 
 
 def test_mpremote_gets_in_and_out_again(uf2: Path, tmp_path: Path) -> None:
-    with pico(uf2, tmp_path, build.for_board(_BOARD)) as port:
+    with pico(uf2, tmp_path, build.for_board(BOARD_FILE)) as port:
         with grbl(port):
             pass
         assert mpremote(port, "resume", "exec", "print(6 * 7)") == "42\n"
@@ -131,7 +130,7 @@ def grbl_started_anew(port: Path) -> "Iterator[Connection]":
 
 
 def test_a_machine_that_moves_is_not_disturbed(uf2: Path, tmp_path: Path) -> None:
-    with pico(uf2, tmp_path, build.for_board(_BOARD)) as port:
+    with pico(uf2, tmp_path, build.for_board(BOARD_FILE)) as port:
         with grbl(port) as machine:
             assert "ok" in ask(machine, "G91 G1 X100 F100")
         code, done = deploy(port)
@@ -143,7 +142,7 @@ def test_a_machine_that_moves_is_not_disturbed(uf2: Path, tmp_path: Path) -> Non
 def test_sources_copied_by_hand_are_replaced(uf2: Path, tmp_path: Path) -> None:
     """What `mpremote cp -r firmware/. :` leaves would hide what is compiled. These two have
     nothing but functions for others, and so work among compiled modules."""
-    made = build.for_board(_BOARD)
+    made = build.for_board(BOARD_FILE)
     sources = {
         name: (build.paths.FIRMWARE / name).read_bytes()
         for name in ("motion/reals.py", "talk/digits.py")

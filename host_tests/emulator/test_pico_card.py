@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from emulated import BOARDS, DIR, SPINDLE_PWM, STEP, Board, Odometer, firmware
+from emulated import BOARD_FILE, DIR, SPINDLE_PWM, STEP, Board, Odometer, firmware
 from micropython_runner import needs_micropython, run_micropython
 from sd_model import SdCard
 from test_pico_jobs import push
@@ -47,7 +47,7 @@ def files_on(tmp_path: Path, card: SdCard) -> "dict[str, bytes]":
 def wired(uf2: Path, tmp_path: Path, card: SdCard) -> Board:
     """A Pico with a holder, and that in it. A byte takes as long as its clock says."""
     file = tmp_path / "my.py"
-    text = (BOARDS / "rpi_pico.py").read_text()
+    text = BOARD_FILE.read_text()
     file.write_text(f'{text}\nJOBS = "jobs"\nSD_CARD = {_PINS}\n')
     machine = Board(uf2, {**dict.fromkeys(firmware()), **build.for_board(file).files})
     machine.pico.record([*STEP, *DIR, SPINDLE_PWM])

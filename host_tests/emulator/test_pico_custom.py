@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from emulated import BOARDS, DIR, SPINDLE_PWM, STEP, Board, Odometer, firmware
+from emulated import BOARD_FILE, DIR, SPINDLE_PWM, STEP, Board, Odometer, firmware
 from ugrbl.compiling import build
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "bench"))
@@ -215,7 +215,7 @@ def test_outputs_switch_and_make_pulses_until_a_reset(uf2: Path, tmp_path: Path)
     """As many as a stack light has: all of them are held when the tool is."""
     pins = {"red": 20, "lamp": 21, "fan": 26, "horn": 27}
     file = tmp_path / "light.py"
-    file.write_text((BOARDS / "rpi_pico.py").read_text() + f"\nOUTPUTS = {pins}\n")
+    file.write_text(BOARD_FILE.read_text() + f"\nOUTPUTS = {pins}\n")
     words = b"""
 from ugrbl import mcode
 

@@ -3,9 +3,8 @@
 from pathlib import Path
 
 import pytest
-from emulated import ENABLE, FOUND, SPINDLE_PWM, STEP, Board, firmware, steps
-from pico import LAYOUT, file_system
-from ugrbl.compiling import build
+from chips import BLOCK, CHIP, file_system
+from emulated import ENABLE, FOUND, SPINDLE_PWM, STEP, Board, build_id, firmware, steps
 from ugrbl.image.uf2 import Uf2Error
 
 pytestmark = pytest.mark.xdist_group("pico faults")
@@ -94,7 +93,7 @@ def test_a_fault_in_the_firmware_is_an_alarm_and_a_reset_goes_on(machine: Board)
     machine.pico.run_us(50_000)
     assert machine.said == ""
     machine.send("$")  # who asks is told again
-    machine.wait_for(f"({build.prepared_firmware().id})]\r\n")
+    machine.wait_for(f"({build_id()})]\r\n")
     machine.send("\x18")
     machine.wait_for("Grbl 1.1h")
     assert "[MSG:Last fault: IndexErr: list index out of range" in machine.ask("$I+")
@@ -198,8 +197,8 @@ def test_a_spoilt_settings_file_is_said_and_the_factory_ones_hold(uf2: Path) -> 
 def fillers() -> "dict[str, bytes]":
     """Files that leave no room: one takes all blocks, others by their names the folder's."""
     files: dict[str, bytes] = {}
-    for name, size in (("filler", LAYOUT.fs_blocksize), ("0" * 240, 0), ("0" * 30, 0), ("0", 0)):
-        fits, too_many = 0, LAYOUT.fs_blockcount
+    for name, size in (("filler", BLOCK), ("0" * 240, 0), ("0" * 30, 0), ("0", 0)):
+        fits, too_many = 0, CHIP.blocks
         while too_many - fits > 1:
             count = (fits + too_many) // 2
             try:

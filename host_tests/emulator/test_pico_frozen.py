@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 import uf2_model
-from emulated import Board, firmware, frozen_in
+from chips import CHIP
+from emulated import BOARD_FILE, Board, firmware, frozen_in
 from test_deploy_emulated import deploy, pico
 from ugrbl.compiling.build import for_board
-from ugrbl.paths import BOARDS
 
 pytestmark = pytest.mark.xdist_group("frozen")
 
@@ -33,7 +33,7 @@ def frozen_uf2() -> Path:
     if not named:
         pytest.skip("UGRBL_FROZEN_UF2 names no image: docs/boards.md tells how to build it")
     frozen = frozen_in(Path(named))
-    why = frozen.lacks(for_board(BOARDS / "rpi_pico.py")) if frozen else "nothing is frozen in"
+    why = frozen.lacks(for_board(BOARD_FILE)) if frozen else "nothing is frozen in"
     if why:
         pytest.skip(f"UGRBL_FROZEN_UF2: {why}")
     return Path(named)
@@ -72,16 +72,16 @@ def test_what_a_board_has_kept_outlives_an_update(frozen_uf2: Path, tmp_path: Pa
     old.ask("$110=4321")
     old.ask("G10L2P1X7")
     out = tmp_path / "update.uf2"
-    command = [sys.executable, "-m", "ugrbl.cli", "uf2", "--board", "rpi_pico", "--keep"]
+    command = [sys.executable, "-m", "ugrbl.cli", "uf2", "--board", CHIP.board, "--keep"]
     command += ["--micropython", str(frozen_uf2), "-o", str(out)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    flash = bytearray(old.pico.mcu.flash[: 2 << 20])
+    flash = bytearray(old.pico.read_flash(0, 2 << 20))
     begin = flash.index(b"ugrbl frozen: ")
     flash[begin : begin + 64] = bytes(64)  # it was an older one
     uf2_model.load(flash, out.read_bytes())
     new = Board(frozen_uf2)
-    new.pico.mcu.flash[: len(flash)] = flash
+    new.pico.write_flash(0, flash)
     new.boot()
     assert "First start" not in new.said
     assert "$110=4321" in new.ask("$$") and "[G54:7.000," in new.ask("$#")
@@ -91,7 +91,7 @@ def test_what_a_board_has_kept_outlives_an_update(frozen_uf2: Path, tmp_path: Pa
 def test_a_deployment_takes_firmware_away_that_lies_there_as_files(
     frozen_uf2: Path, tmp_path: Path
 ) -> None:
-    made = for_board(BOARDS / "rpi_pico.py")
+    made = for_board(BOARD_FILE)
     with pico(frozen_uf2, tmp_path, made) as port:
         code, done = deploy(port)
     assert code == 0, done

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import pytest
+from chips import Edge
 from emulated import Board, Odometer, files_of
-from pico import Edge
 from test_pico_stack import RESERVE, SIZE, Stack
 from test_pico_talk import MAIN, free
 from ugrbl.boardfile.files import load_board

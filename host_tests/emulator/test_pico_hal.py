@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from emulated import BOARDS, Board, firmware
+from emulated import BOARD_FILE, Board, firmware
 from ugrbl.compiling import build
 
 pytestmark = pytest.mark.xdist_group("pico hal")
@@ -15,7 +15,7 @@ _HEAP = 95_000
 
 def test_texts_come_from_flash_and_stay_there(uf2: Path, tmp_path: Path) -> None:
     file = tmp_path / "hal.py"
-    file.write_text((BOARDS / "rpi_pico.py").read_text() + '\nDIALECT = "hal"\n')
+    file.write_text(BOARD_FILE.read_text() + '\nDIALECT = "hal"\n')
     machine = Board(uf2, {**dict.fromkeys(firmware()), **build.for_board(file).files})
     machine.boot("GrblHAL 1.1f").settled()
     assert "[AXS:3:XYZ]" in machine.ask("$I")

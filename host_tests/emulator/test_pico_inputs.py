@@ -3,13 +3,24 @@
 from pathlib import Path
 
 import pytest
-from emulated import DIR, HOLD, LIMIT, PROBE, RESET, SPINDLE_PWM, START, STEP, Board, steps
-from ugrbl.paths import BOARDS
+from emulated import (
+    BOARD_FILE,
+    DIR,
+    HOLD,
+    LIMIT,
+    PROBE,
+    RESET,
+    SPINDLE_PWM,
+    START,
+    STEP,
+    Board,
+    steps,
+)
 
 pytestmark = pytest.mark.xdist_group("pico inputs")
 
 ESTOP = 21  # closed until it is pressed
-BOARD = (BOARDS / "rpi_pico.py").read_bytes() + b"ESTOP = 21\n"
+BOARD = BOARD_FILE.read_bytes() + b"ESTOP = 21\n"
 SETTINGS = (
     *("$0=3", "$100=80", "$101=80", "$102=80"),
     *("$110=3000", "$111=3000", "$112=3000"),

@@ -4,10 +4,9 @@ from pathlib import Path
 
 import emulated
 import pytest
-from emulated import STEP, Board, steps
+from emulated import BOARD_FILE, STEP, Board, steps
 from test_pico_motion import PROGRAM, SETTINGS, moved
 from ugrbl.compiling import build
-from ugrbl.paths import BOARDS
 
 pytestmark = pytest.mark.xdist_group("pico jerk")
 
@@ -17,7 +16,7 @@ _LIMITS = (*SETTINGS, "$800=20000", "$801=20000", "$802=8000")
 @pytest.fixture(scope="module")
 def board_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("boards") / "pico_jerk.py"
-    file.write_text((BOARDS / "rpi_pico.py").read_text() + "JERK = True\n")
+    file.write_text(BOARD_FILE.read_text() + "JERK = True\n")
     return file
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import uf2_model
-from emulated import BOARDS, DIR, HOLD, LIMIT, STEP, Board, Odometer
+from emulated import BOARD_FILE, DIR, HOLD, LIMIT, STEP, Board, Odometer
 from test_uf2 import garbage, read_back
 from ugrbl.device import jobs
 
@@ -69,7 +69,7 @@ def home(machine: Board) -> Odometer:
 def made(tmp_path: Path, uf2: Path) -> bytes:
     """Flash with what `ugrbl uf2` makes for a board with jobs, dragged onto something else."""
     board, settings, file = (tmp_path / name for name in ("my.py", "my.settings", "all.uf2"))
-    board.write_text((BOARDS / "rpi_pico.py").read_text() + '\nJOBS = "jobs"\n')
+    board.write_text(BOARD_FILE.read_text() + '\nJOBS = "jobs"\n')
     settings.write_text("".join(f"{line}\n" for line in _SETTINGS))
     command = [sys.executable, "-m", "ugrbl.cli", "uf2", "--board", str(board), "-o", str(file)]
     command += ["--micropython", str(uf2), "--settings", str(settings)]
@@ -82,7 +82,7 @@ def made(tmp_path: Path, uf2: Path) -> bytes:
 def powered(uf2: Path, flash: bytes) -> Board:
     """A Pico with that in its flash, as it says hello."""
     machine = Board(uf2)
-    machine.pico.mcu.flash[: len(flash)] = flash
+    machine.pico.write_flash(0, flash)
     machine.pico.record([*STEP, *DIR])
     return machine.boot()
 
@@ -104,7 +104,7 @@ def test_from_a_dragged_file_to_a_job_that_goes_on_behind_a_power_cut(
     # The power goes: what watches it pulls the hold input, and there is a little left.
     machine.pico.drive(HOLD, 0)
     machine.pico.run_us(600_000)
-    flash = bytes(machine.pico.mcu.flash)
+    flash = machine.pico.read_flash(0, 4 << 20)
 
     machine = powered(uf2, flash)
     told = machine.wait_for("[MSG:Job STAIRS.NC: did not come to its end; last noted: line ")

@@ -7,12 +7,11 @@ from typing import Any
 
 import emulated
 import pytest
-from emulated import DIR, STEP, Board, Odometer, steps
+from emulated import BOARD_FILE, DIR, STEP, Board, Odometer, steps
 from rig_bench import Machine
 from test_pico_talk import MAIN, free
 from ugrbl.boardfile.files import load
 from ugrbl.compiling import build
-from ugrbl.paths import BOARDS
 
 pytestmark = pytest.mark.xdist_group("pico kinematics")
 
@@ -90,7 +89,7 @@ def test_chords_are_made_in_so_many_milliseconds_and_memory_is_left(scara: Board
 
 def test_slack_is_taken_up_to_the_step(uf2: Path, tmp_path: Path) -> None:
     file = tmp_path / "pico_backlash.py"
-    file.write_text((BOARDS / "rpi_pico.py").read_text() + "BACKLASH = True\n")
+    file.write_text(BOARD_FILE.read_text() + "BACKLASH = True\n")
     machine = live(
         uf2,
         file,
@@ -123,7 +122,7 @@ def test_slack_is_taken_up_to_the_step(uf2: Path, tmp_path: Path) -> None:
 
 def test_motors_lean_to_the_step_as_in_the_simulator(uf2: Path, tmp_path: Path) -> None:
     file = tmp_path / "pico_skew.py"
-    file.write_text((BOARDS / "rpi_pico.py").read_text() + "SKEW = True\n")
+    file.write_text(BOARD_FILE.read_text() + "SKEW = True\n")
     leaning = {110: 3000, 111: 3000, 112: 3000, 780: 100, 781: -50, 782: 30}
     machine = live(uf2, file, *[f"${n}={value}" for n, value in leaning.items()], "$1=255")
     made = Odometer(machine.pico, STEP, DIR)

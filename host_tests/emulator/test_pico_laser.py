@@ -5,12 +5,28 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from emulated import DIR, FOUND, LIMIT, RESET, SPINDLE_PWM, STEP, Board, files_of, firmware, steps
-from rp2040py.peripherals.pwm import CHN_CC, RPPWM
+from chips import CHIP
+from emulated import (
+    DIR,
+    FOUND,
+    LIMIT,
+    RESET,
+    SPINDLE_PWM,
+    STEP,
+    Board,
+    files_of,
+    firmware,
+    for_this_chip,
+    steps,
+)
 from ugrbl.compiling import build
 from ugrbl.paths import BOARDS
 
 pytestmark = pytest.mark.xdist_group("pico laser")
+
+_FULL = CHIP.mhz * 1_000_000 // 20_000  # the level of full power at $33=20000
+_HALF = _FULL // 2
+_DOTS = [_FULL * tenths // 10 for tenths in range(10, 4, -1)]
 
 
 @pytest.fixture(scope="module")
@@ -65,18 +81,7 @@ class Beam:
     """What is written to where the PWM compares, and where the motors are then."""
 
     def __init__(self, machine: Board) -> None:
-        self.changes: list[tuple[float, int]] = []  # us, level
-        pico = machine.pico
-        (pwm,) = (part for part in vars(pico.mcu).values() if isinstance(part, RPPWM))
-        channel = pwm.channels[SPINDLE_PWM // 2 & 7]
-        usual = channel.write_register
-
-        def write_register(offset: int, value: int) -> None:
-            if offset == CHN_CC:
-                self.changes.append((pico.us, value & 0xFFFF))
-            usual(offset, value)
-
-        channel.write_register = write_register
+        self.changes = machine.pico.watch_power(SPINDLE_PWM)  # us, level
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +141,7 @@ def far_from_its_place(
     powers = [s for k in range(4) for s in (0, 300, 875 - 100 * k, 100)] + [1000]
     levels = [level for _, level in found[:17]]
     exact = 0 if mode == "M3" else 9
-    assert levels == pytest.approx([6250 * s // 1000 for s in powers], abs=exact)
+    assert levels == pytest.approx([_FULL * s // 1000 for s in powers], abs=exact)
     far = [abs(place - (2 + 0.2 * k) * per_mm) for k, (place, _) in enumerate(found[:17])]
     print(f"{per_mm} steps/mm, {mode}: {max(far):.3f} steps from their places at the most")
     assert max(far) < 0.05
@@ -150,13 +155,9 @@ LIMIT = LIMIT + (None,) * (len(STEP) - 3)
 
 
 @pytest.mark.parametrize(("motors", "others"), [(4, "A-.3"), (6, "A.3B-.2C.1")])
-def test_it_does_so_beside_four_and_six_motors(
-    uf2: Path, tmp_path: Path, motors: int, others: str
-) -> None:
+def test_it_does_so_beside_four_and_six_motors(uf2: Path, motors: int, others: str) -> None:
     """The beam's machine is one of PIO 1 then, and behind six motors the last there is."""
-    file = tmp_path / "laser.py"
-    text = (BOARDS / "pico_laser.py").read_text("utf-8")
-    file.write_text(text + _MORE % (motors - 3, motors - 3), "utf-8")
+    file = for_this_chip(BOARDS / "pico_laser.py", _MORE % (motors - 3, motors - 3))
     files = {**dict.fromkeys(firmware()), **build.for_board(file).files}
     machine = Board(uf2, files).boot().settled()
     machine.pico.record([SPINDLE_PWM, *STEP, *DIR])
@@ -173,7 +174,7 @@ def test_it_does_so_beside_four_and_six_motors(
     machine.pico.edges.clear()
     machine.pico.run_us(60_000)
     assert not [edge for edge in machine.pico.edges if edge.pin == SPINDLE_PWM]
-    assert machine.pico.mcu.gpio[SPINDLE_PWM].value.name == "LOW"
+    assert machine.pico.level(SPINDLE_PWM) == 0
     machine.pico.run_us(700_000)
     machine.send("\x18")
     machine.pico.run_us(50_000)
@@ -212,7 +213,7 @@ def test_whatever_stops_it_the_beam_goes_out_and_stays_so(
     machine.pico.edges.clear()
     machine.pico.run_us(60_000)
     assert not [edge for edge in machine.pico.edges if edge.pin == SPINDLE_PWM]
-    assert machine.pico.mcu.gpio[SPINDLE_PWM].value.name == "LOW"
+    assert machine.pico.level(SPINDLE_PWM) == 0
     machine.pico.drive(LIMIT[0], 1)
     machine.pico.drive(RESET, 1)
     machine.pico.run_us(700_000)
@@ -222,7 +223,7 @@ def test_whatever_stops_it_the_beam_goes_out_and_stays_so(
     # Behind it dots are in step with motion as before.
     running(machine, beam, mode)
     machine.until_idle()
-    assert beam.changes[-1][1] == (0 if mode == "M4" else 3125)
+    assert beam.changes[-1][1] == (0 if mode == "M4" else _HALF)
 
 
 @pytest.mark.parametrize("mode", ["M3", "M4"])
@@ -231,14 +232,14 @@ def test_a_hold_is_dark_and_dots_go_on_behind_it(machine: Board, beam: Beam, mod
     machine.send("!")
     machine.pico.run_us(300_000)
     assert machine.status()["state"] == "Hold:0"
-    assert machine.pico.mcu.gpio[SPINDLE_PWM].value.name == "LOW" and beam.changes[-1][1] == 0
+    assert machine.pico.level(SPINDLE_PWM) == 0 and beam.changes[-1][1] == 0
     held = len(steps(machine.pico.edges, 0))
     machine.send("~")
     machine.until_idle()
     assert len(steps(machine.pico.edges, 0)) == 4 * 250 > held
-    found = [level for place, level in places(machine, beam) if level % 625 == 0]
+    found = [level for place, level in places(machine, beam) if level in (0, *_DOTS)]
     if mode == "M3":
-        assert found[-11:] == ([6250, 5625, 5000, 4375, 3750, 3125] * 2)[1:]
+        assert found[-11:] == (_DOTS * 2)[1:]
 
 
 @pytest.fixture(scope="module")
@@ -263,7 +264,7 @@ def test_a_laser_that_is_put_out_in_motion_is_dark_and_the_motion_goes_on(
     changed = len(beam.changes)
     machine.pico.run_us(20_000)
     assert len(steps(machine.pico.edges, 0)) > 100 and len(beam.changes) == changed
-    assert machine.pico.mcu.gpio[SPINDLE_PWM].value.name == "LOW"
+    assert machine.pico.level(SPINDLE_PWM) == 0
     machine.until_idle()
     running(machine, beam, "M3")
     machine.until_idle()
@@ -282,8 +283,8 @@ def test_where_the_interrupt_comes_too_late_no_dot_is_lost(
     assert max(gaps) > 10_000 and len(gaps) == 4 * 250 - 1
     levels = [level for _, level in beam.changes]
     if mode == "M3":
-        assert levels == [6250, 5625, 5000, 4375, 3750, 3125] * 4 + [3125]
-    assert levels[-1] == (0 if mode == "M4" else 3125)
+        assert levels == _DOTS * 4 + [_HALF]
+    assert levels[-1] == (0 if mode == "M4" else _HALF)
 
 
 MAIN = (

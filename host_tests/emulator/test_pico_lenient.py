@@ -4,7 +4,7 @@ from itertools import accumulate
 from pathlib import Path
 
 import pytest
-from emulated import BOARDS, DIR, STEP, Board, firmware, steps
+from emulated import BOARD_FILE, DIR, STEP, Board, firmware, steps
 from ugrbl.compiling import build
 
 pytestmark = pytest.mark.xdist_group("pico lenient")
@@ -17,7 +17,7 @@ _SETTINGS = [f"${first + axis}={value}" for first, value in _FAST.items() for ax
 
 def test_a_program_for_another_controller_is_drilled(uf2: Path, tmp_path: Path) -> None:
     file = tmp_path / "lenient.py"
-    file.write_text((BOARDS / "rpi_pico.py").read_text() + "\nLENIENT = True\n")
+    file.write_text(BOARD_FILE.read_text() + "\nLENIENT = True\n")
     machine = Board(uf2, {**dict.fromkeys(firmware()), **build.for_board(file).files}).boot()
     machine.settled()
     for line in _SETTINGS:

@@ -54,14 +54,13 @@ def machine(uf2: Path) -> Board:
     return made
 
 
-def pads(machine: Board) -> "tuple[str, str]":
+def pads(machine: Board) -> "tuple[int | None, int | None]":
     """What comes out: power, and flood coolant, which is on when low."""
     machine.pico.run_us(1_000)
-    gpio = machine.pico.mcu.gpio
-    return gpio[SPINDLE_PWM].value.name, gpio[FLOOD].value.name
+    return machine.pico.level(SPINDLE_PWM), machine.pico.level(FLOOD)
 
 
-OFF, ON = ("LOW", "HIGH"), ("HIGH", "LOW")
+OFF, ON = (0, 1), (1, 0)
 SWITCH_ON = "port.spindle(True, port_max)\nport.coolant(1)"
 
 

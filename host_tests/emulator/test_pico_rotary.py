@@ -5,7 +5,7 @@ from pathlib import Path
 
 import emulated
 import pytest
-from emulated import Board, Odometer
+from emulated import Board, Odometer, for_this_chip
 from test_pico_stack import RESERVE, SIZE, Stack
 from test_pico_talk import MAIN, free
 from ugrbl.boardfile.files import load_board
@@ -31,7 +31,7 @@ def machine(uf2: Path, tmp_path_factory: pytest.TempPathFactory) -> Board:
     gantry = (BOARDS / "pico_gantry.py").read_text("utf-8")
     assert 'MOTORS = "XYZY"' in gantry
     file.write_text(gantry.replace('MOTORS = "XYZY"', 'ROTARY = "A"'), "utf-8")
-    files = build.for_board(file).files
+    files = build.for_board(for_this_chip(file)).files
     made = Board(uf2, {**dict.fromkeys(emulated.firmware()), **files, "main.py": MAIN})
     made.boot().settled()
     for setting in _SETTINGS:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import emulated
 import pytest
-from emulated import Board, Odometer, files_of
-from pico import Edge
+from chips import Edge
+from emulated import Board, Odometer, files_of, for_this_chip
 from test_pico_stack import RESERVE, SIZE, Stack
 from test_pico_talk import MAIN as FREE
 from test_pico_talk import free
@@ -210,9 +210,8 @@ def test_heap_is_free_with_six_axes(uf2: Path) -> None:
     assert free(_board(uf2, dict(files_of("pico_six")), FREE)) >= _HEAP_OF_SIX
 
 
-def test_heap_is_free_with_four_axes_and_a_pair(uf2: Path, tmp_path: Path) -> None:
-    file = tmp_path / "pico_five.py"
+def test_heap_is_free_with_four_axes_and_a_pair(uf2: Path) -> None:
     five = 'MOTORS = "XYZAY"\nSTEP, DIR, LIMIT = STEP[:5], DIR[:5], LIMIT[:5]\n'
-    file.write_text((BOARDS / "pico_six.py").read_text("utf-8") + five, "utf-8")
+    file = for_this_chip(BOARDS / "pico_six.py", five)
     files = {**dict.fromkeys(emulated.firmware()), **build.for_board(file).files}
     assert free(_board(uf2, files, FREE)) >= _HEAP

@@ -12,11 +12,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from chips import CHIP
 from emulated import DIR, HOLD, LIMIT, PROBE, RESET, START, STEP, Board, steps
 
 pytestmark = pytest.mark.xdist_group("pico stack")
 
-TOP = 0x20042000
+TOP = CHIP.stack_top
 SIZE = 8192
 RESERVE = 2048
 _NESTED_RESERVE = 1792  # were the deepest of all to meet, which has not been seen
@@ -25,7 +26,7 @@ _GUARD = 64  # bytes under the stack pointer that are not painted
 
 # Numbers in IPSR; no other interrupt is higher than any of the first three.
 _IRQ = 16
-TIMER, ENGINE, PIN = 3, 9, 13
+TIMER, ENGINE, PIN = CHIP.irqs
 _SAMPLE_US = 0.1  # some instructions
 _PIO0 = 0x50200000  # its low bits: machines that run
 
@@ -53,33 +54,33 @@ class Stack:
 
     def paint(self) -> None:
         """Begin anew."""
-        for address in range(TOP - SIZE, self._pico.mcu.core.sp - _GUARD, 4):
-            self._pico.mcu.write_uint32(address, _PATTERN)
+        for address in range(TOP - SIZE, self._pico.stack()[0] - _GUARD, 4):
+            self._pico.write_word(address, _PATTERN)
 
     def used(self) -> int:
         """Bytes used at most since."""
         for address in range(TOP - SIZE, TOP, 4):
-            if self._pico.mcu.read_uint32(address) != _PATTERN:
+            if self._pico.read_word(address) != _PATTERN:
                 return TOP - address
         return 0
 
     def _runs(self) -> bool:
-        return bool(self._pico.mcu.read_uint32(_PIO0) & 15)
+        return bool(self._pico.read_word(_PIO0) & 15)
 
     @contextmanager
     def sampled(self) -> "Iterator[None]":
         """Meanwhile main and irqs are kept. What an interrupt interrupts is not counted in."""
-        run_us, core = self._pico.run_us, self._pico.mcu.core
+        run_us = self._pico.run_us
         # (interrupt, stack pointer it came upon, whether the engine was running)
         nested: list[tuple[int, int, bool]] = []
-        before = core.sp
+        before, _ = self._pico.stack()
 
         def sample(us: float) -> None:
             nonlocal before
             end = self._pico.us + us
             while self._pico.us < end:
                 run_us(_SAMPLE_US)
-                pointer, number = core.sp, core.ipsr
+                pointer, number = self._pico.stack()
                 if not number:
                     nested.clear()
                     if TOP - pointer > min(self.main.values()):

@@ -3,13 +3,12 @@
 from pathlib import Path
 
 import pytest
-from emulated import DIR, LIMIT, PROBE, SPINDLE_PWM, START, STEP, Board, steps
-from ugrbl.paths import BOARDS
+from emulated import BOARD_FILE, DIR, LIMIT, PROBE, SPINDLE_PWM, START, STEP, Board, steps
 
 pytestmark = pytest.mark.xdist_group("pico storm")
 
 PART, DOOR = 20, 21  # of INPUTS
-BOARD = (BOARDS / "rpi_pico.py").read_bytes() + b'INPUTS = {"part": 20, "door": 21}\n'
+BOARD = BOARD_FILE.read_bytes() + b'INPUTS = {"part": 20, "door": 21}\n'
 CUSTOM = b"""
 import time
 from ugrbl import mcode, on
@@ -66,7 +65,6 @@ class Storm:
         self._pins = pins
         self._lasts = (closed_us, open_us)
         self._level = 1
-        self._alarm = board.pico.clock.create_alarm(self._turn)
         self._end = 0.0
         self.began = 0.0
 
@@ -74,14 +72,14 @@ class Storm:
         """Begin so much later, and go on for so long; in the end the pins are open."""
         self.began = self._pico.us + delay_us
         self._end = self.began + us
-        self._alarm.schedule(delay_us * 1000)
+        self._pico.at_us(delay_us, self._turn)
 
     def _turn(self) -> None:
         self._level = 1 if self._pico.us >= self._end else 1 - self._level
         for pin in self._pins:
             self._pico.drive(pin, self._level)
         if self._pico.us < self._end:
-            self._alarm.schedule(self._lasts[self._level] * 1000)
+            self._pico.at_us(self._lasts[self._level], self._turn)
 
 
 def walk(board: Board) -> "list[float]":
@@ -97,7 +95,7 @@ def beam_is_dark(board: Board) -> bool:
     board.pico.edges.clear()
     board.pico.run_us(2_000)
     pulses = [edge for edge in board.pico.edges if edge.pin == SPINDLE_PWM]
-    return not pulses and not board.pico.mcu.gpio[SPINDLE_PWM].input_value
+    return not pulses and board.pico.level(SPINDLE_PWM) == 0
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,7 @@ from pathlib import Path
 from statistics import median
 
 import pytest
-from emulated import FOUND, Board, firmware
-from ugrbl.boardfile.files import board_file
+from emulated import BOARD_FILE, FOUND, Board, build_id, firmware
 from ugrbl.compiling import build
 
 pytestmark = pytest.mark.xdist_group("pico talk")
@@ -59,7 +58,7 @@ def free(machine: Board) -> int:
 def test_names_lines_and_single_modules_take_25_kilobytes_at_most(uf2: Path) -> None:
     """`--debug`; what it says of that: cli/build.py has DEBUG_COST."""
     debug = board_as_built(uf2, debug=True)
-    assert f"[MSG:Build: {build.prepared_firmware(debug=True).id}]" in debug.ask("$I+")
+    assert f"[MSG:Build: {build_id(debug=True)}]" in debug.ask("$I+")
     usual = board_as_built(uf2, debug=False)
     ask = "import gc;gc.collect();print(gc.mem_free())"
     left, left_of_debug = (int(board.python(ask)) for board in (usual, debug))
@@ -68,7 +67,7 @@ def test_names_lines_and_single_modules_take_25_kilobytes_at_most(uf2: Path) -> 
 
 def board_as_built(uf2: Path, debug: bool) -> Board:
     """With main.py as it is deployed."""
-    files = build.for_board(board_file("rpi_pico"), debug=debug).files
+    files = build.for_board(BOARD_FILE, debug=debug).files
     if not debug:
         return Board(uf2).boot().settled()
     others = {name: None for name in firmware() if name not in files}

@@ -5,7 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from emulated import STEP, Board, firmware
+from chips import CHIP
+from emulated import STEP, Board, firmware, for_this_chip
 from ugrbl.compiling import build
 from ugrbl.device.deploy import About
 from ugrbl.device.selftest import program
@@ -15,6 +16,7 @@ from ugrbl.paths import BOARDS
 
 pytestmark = pytest.mark.xdist_group("pico selftest")
 
+_CHIP = getattr(program, CHIP.name.upper())
 _RAW = "raw REPL; CTRL-B to exit\r\n>"
 _PIECE_US = 5_000
 _MOST_S = 15  # of emulated time: enough for any of this, and not hours where something hangs
@@ -80,7 +82,7 @@ def test_the_firmware_passes_all_that_can_be_shown_here(uf2: Path) -> None:
     machine = Board(uf2, _BOARD).boot().settled()
     board = Emulated(machine)
     chip, wiring = look(board)
-    assert (chip, wiring) == (program.RP2040, Wiring("pio", 8, 16, False, 3))
+    assert (chip, wiring) == (_CHIP, Wiring("pio", 8, 16, False, 3))
     machine.pico.erase_takes_us(_ERASE_US)
     rows: "dict[str, Row]" = {}
     check(board, chip, program.QUICK, True, 13, lambda row: rows.update({row.what: row}))
@@ -94,20 +96,18 @@ def test_the_firmware_passes_all_that_can_be_shown_here(uf2: Path) -> None:
 
 @pytest.mark.parametrize("motors", [5, 6])
 def test_five_and_six_motors_are_counted_in_turn(
-    uf2: Path, tmp_path: Path, motors: int, monkeypatch: pytest.MonkeyPatch
+    uf2: Path, motors: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """They have machines of PIO 1 themselves: those that are left watch some of them at a time."""
-    file = tmp_path / "pico_some.py"
     less = f"STEP, DIR, LIMIT = STEP[:{motors}], DIR[:{motors}], LIMIT[:{motors}]\n"
-    text = (BOARDS / "pico_six.py").read_text("utf-8")
-    file.write_text(f"{text}WATCHDOG_MS = 1500\n{less}", "utf-8")
+    file = for_this_chip(BOARDS / "pico_six.py", f"WATCHDOG_MS = 1500\n{less}")
     files = {**dict.fromkeys(firmware()), **build.for_board(file).files}
     machine = Board(uf2, files)
     for pin in (*range(15, 23), 0, 1, 28):
         machine.pico.drive(pin, 1)
     board = Emulated(machine.boot().settled())
     chip, wiring = look(board)
-    assert (chip, wiring) == (program.RP2040, Wiring("pio", 14, 26, False, motors))
+    assert (chip, wiring) == (_CHIP, Wiring("pio", 14, 26, False, motors))
     rows: "dict[str, Row]" = {}
     monkeypatch.setattr(sys.modules[Emulated.__module__], "_MOST_S", 30)
     check(board, chip, program.QUICK, True, 5, lambda row: rows.update({row.what: row}))

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 import uf2_model
-from emulated import Board
+from chips import CHIP
+from emulated import BOARD_FILE, Board
 from test_uf2 import garbage, read_back
-from ugrbl.boardfile.files import board_file
 from ugrbl.compiling.build import for_board
 
 pytestmark = pytest.mark.xdist_group("uf2 emulated")
@@ -27,16 +27,16 @@ def test_a_dragged_file_boots_to_the_welcome_with_all_that_is_in_it(
     settings, custom, file = (tmp_path / name for name in ("my.settings", "custom.py", "all.uf2"))
     settings.write_text("$110=4321\n")
     custom.write_text(_CUSTOM)
-    command = [sys.executable, "-m", "ugrbl.cli", "uf2", "--board", "rpi_pico", "-o", str(file)]
+    command = [sys.executable, "-m", "ugrbl.cli", "uf2", "--board", CHIP.board, "-o", str(file)]
     command += ["--micropython", str(uf2), "--settings", str(settings), "--custom", str(custom)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     board = Board(uf2)
     flash = garbage(2 << 20)
     uf2_model.load(flash, file.read_bytes())
-    board.pico.mcu.flash[: len(flash)] = flash
+    board.pico.write_flash(0, flash)
     files = read_back(board.pico.flash_image())
-    firmware = for_board(board_file("rpi_pico")).files
+    firmware = for_board(BOARD_FILE).files
     assert {name: files[name] for name in firmware} == firmware
     board.boot()
     assert "First start" not in board.said
