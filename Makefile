@@ -65,7 +65,7 @@ bench: $(VENV)  ## the firmware's speed on this desktop
 	$(BIN)/python host_tests/bench/bench_desktop.py
 
 bench-board: $(EMULATOR)  ## and on a board: at PORT, or emulated with the image UGRBL_UF2
-	PORT=$(PORT) $(BIN)/python host_tests/bench/bench_board.py
+	UGRBL_CHIP=$(CHIP) PORT=$(PORT) $(BIN)/python host_tests/bench/bench_board.py
 
 test-senders: $(VENV)  ## real senders, installed into ~/.cache/ugrbl-senders, at the simulator
 	$(BIN)/pytest -q -rs host_tests/senders

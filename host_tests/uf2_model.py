@@ -9,15 +9,15 @@ import struct
 
 BASE = 0x10000000
 PAGE, SECTOR = 256, 4096
-_RP2040 = 0xE48BFF56
+RP2040, RP2350 = 0xE48BFF56, 0xE48BFF59
 
 
-def load(flash: bytearray, data: bytes) -> None:
-    """Drag the file onto the chip with that flash."""
+def load(flash: bytearray, data: bytes, chip: int = RP2040) -> None:
+    """Drag the file onto the chip with that flash; chip: the family of its blocks."""
     erased: set[int] = set()
     for at in range(0, len(data), 512):
         _, _, _, address, size, number, _, family = struct.unpack_from("<8I", data, at)
-        if family != _RP2040:
+        if family != chip:
             continue
         place = address - BASE
         if number // 16 not in erased:

@@ -31,6 +31,7 @@ import talking  # noqa: E402
 import xip  # noqa: E402
 from bench_setup import Bench, Counts  # noqa: E402
 from calibration import calibration  # noqa: E402
+from chips import CHIP  # noqa: E402
 from rows import Row, head, text  # noqa: E402
 
 _Part = Callable[[Bench], Iterator[Row]]
@@ -65,8 +66,8 @@ def _benches(port: str, uf2: str, columns: "Sequence[str]") -> "list[Bench]":
         return [Bench(port=port)]
     if not uf2:
         sys.exit("which board? UGRBL_UF2=RPI_PICO-….uf2 make bench-board, or PORT=/dev/ttyACM0")
-    if _CACHE in columns and not xip.is_there():
-        print("the model of the flash cache is not compiled: make compiled-emulator")
+    if _CACHE in columns and not (CHIP.name == "rp2040" and xip.is_there()):
+        print("no model of the flash cache: of an RP2040 there is one, make compiled-emulator")
         columns = [_PLAIN]
     return [Bench(Path(uf2), cache=column == _CACHE) for column in columns]
 
@@ -102,7 +103,7 @@ def main() -> None:
     """Print rows as they come."""
     asked = _arguments()
     port = os.environ.get("PORT", "")
-    benches = _benches(port, os.environ.get("UGRBL_UF2", ""), asked.columns.split(","))
+    benches = _benches(port, os.environ.get(CHIP.image, ""), asked.columns.split(","))
     if port:
         print(f"on hardware, at {port}")
     else:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import uf2_model
 from ugrbl.image.file_system import make as sectors_of
 
 if TYPE_CHECKING:
@@ -37,7 +38,13 @@ class Chip(NamedTuple):
     file_system: int  # where in flash MicroPython 1.28 keeps it
     blocks: int  # that it has
     stack_top: int
+    family: int  # of its blocks in UF2 files
     irqs: tuple[int, int, int]  # of the timer, of the engine's PIO 1, and of the pins
+
+    @property
+    def flash(self) -> int:
+        """Bytes of flash on the board."""
+        return self.file_system + BLOCK * self.blocks
 
 
 CHIPS = {
@@ -45,11 +52,11 @@ CHIPS = {
     for chip in (
         Chip(
             *("rp2040", "rpi_pico", "UGRBL_UF2", "RPI_PICO", 125),
-            *(0xA0000, 352, 0x20042000, (3, 9, 13)),
+            *(0xA0000, 352, 0x20042000, uf2_model.RP2040, (3, 9, 13)),
         ),
         Chip(
             *("rp2350", "rpi_pico2", "UGRBL_RP2350_UF2", "RPI_PICO2", 150),
-            *(0x100000, 768, 0x20082000, (3, 17, 21)),
+            *(0x100000, 768, 0x20082000, uf2_model.RP2350, (3, 17, 21)),
         ),
     )
 }

@@ -17,7 +17,7 @@ if _IS_COMPILED:
 
 _HAS_EMULATOR = find_spec("rp2040py") is not None
 # What is of the RP2040, or of its emulator, by its nature.
-_OF_RP2040 = ("test_pico_card.py", "test_pico_drivers.py", "test_xip.py")
+_OF_RP2040 = ("test_pico_card.py", "test_pico_drivers.py", "test_pico_speed.py", "test_xip.py")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

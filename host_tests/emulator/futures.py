@@ -12,7 +12,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-HAVE_FORK = hasattr(os, "fork")
+from chips import CHIP
+
+# An RP2350 is emulated in another process, which a fork does not double.
+HAVE_FORK = hasattr(os, "fork") and CHIP.name == "rp2040"
 
 _PATIENCE_S = 3600
 

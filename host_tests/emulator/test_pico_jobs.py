@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import uf2_model
+from chips import CHIP
 from emulated import BOARD_FILE, DIR, HOLD, LIMIT, STEP, Board, Odometer
 from test_uf2 import garbage, read_back
 from ugrbl.device import jobs
@@ -74,8 +75,8 @@ def made(tmp_path: Path, uf2: Path) -> bytes:
     command = [sys.executable, "-m", "ugrbl.cli", "uf2", "--board", str(board), "-o", str(file)]
     command += ["--micropython", str(uf2), "--settings", str(settings)]
     subprocess.run(command, capture_output=True, text=True, check=True)
-    flash = garbage(2 << 20)
-    uf2_model.load(flash, file.read_bytes())
+    flash = garbage(CHIP.flash)
+    uf2_model.load(flash, file.read_bytes(), CHIP.family)
     return bytes(flash)
 
 
@@ -104,7 +105,7 @@ def test_from_a_dragged_file_to_a_job_that_goes_on_behind_a_power_cut(
     # The power goes: what watches it pulls the hold input, and there is a little left.
     machine.pico.drive(HOLD, 0)
     machine.pico.run_us(600_000)
-    flash = machine.pico.read_flash(0, 4 << 20)
+    flash = machine.pico.read_flash(0, CHIP.flash)
 
     machine = powered(uf2, flash)
     told = machine.wait_for("[MSG:Job STAIRS.NC: did not come to its end; last noted: line ")

@@ -62,7 +62,8 @@ def whose(self, line, length):
         while time.ticks_diff(time.ticks_ms(), since) < 200:
             pass
     elif what == b"COLLECT":
-        for _ in range(12):
+        since = time.ticks_ms()
+        while time.ticks_diff(time.ticks_ms(), since) < 150:
             gc.collect()
     elif what == b"PRINT":
         for _ in range(200):

@@ -32,8 +32,8 @@ def test_a_dragged_file_boots_to_the_welcome_with_all_that_is_in_it(
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     board = Board(uf2)
-    flash = garbage(2 << 20)
-    uf2_model.load(flash, file.read_bytes())
+    flash = garbage(CHIP.flash)
+    uf2_model.load(flash, file.read_bytes(), CHIP.family)
     board.pico.write_flash(0, flash)
     files = read_back(board.pico.flash_image())
     firmware = for_board(BOARD_FILE).files
