@@ -1,4 +1,4 @@
-"""Raspberry Pi Pico 2 (RP2350): as rpi_pico.py. Never ran on hardware nor in an emulator."""
+"""Raspberry Pi Pico 2 (RP2350): as rpi_pico.py. Runs emulated; never ran on hardware."""
 
 CHIP = "pico2"
 MPY_ARCH = "armv7emsp"

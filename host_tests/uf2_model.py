@@ -9,7 +9,7 @@ import struct
 
 BASE = 0x10000000
 PAGE, SECTOR = 256, 4096
-RP2040, RP2350 = 0xE48BFF56, 0xE48BFF59
+RP2040 = 0xE48BFF56
 
 
 def load(flash: bytearray, data: bytes, chip: int = RP2040) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import uf2_model
+from ugrbl.image import uf2
 from ugrbl.image.file_system import make as sectors_of
 
 if TYPE_CHECKING:
@@ -52,11 +52,11 @@ CHIPS = {
     for chip in (
         Chip(
             *("rp2040", "rpi_pico", "UGRBL_UF2", "RPI_PICO", 125),
-            *(0xA0000, 352, 0x20042000, uf2_model.RP2040, (3, 9, 13)),
+            *(0xA0000, 352, 0x20042000, uf2.RP2040, (3, 9, 13)),
         ),
         Chip(
             *("rp2350", "rpi_pico2", "UGRBL_RP2350_UF2", "RPI_PICO2", 150),
-            *(0x100000, 768, 0x20082000, uf2_model.RP2350, (3, 17, 21)),
+            *(0x100000, 768, 0x20082000, uf2.RP2350, (3, 17, 21)),
         ),
     )
 }

@@ -1,7 +1,13 @@
 """A Raspberry Pi Pico 2 in the emulator rp2350js, running a real MicroPython image.
 
-The emulator is a process (rp2350_bench.js), told what to do a line at a time, so this is as
-synchronous and deterministic as pico.py. UGRBL_RP2350JS names the emulator's folder.
+The emulator is a process (rp2350_bench.js) that is given a command a line, so this is as
+synchronous and deterministic as pico.py. UGRBL_RP2350JS names its folder: a copy without the
+faults of 2.0.1, in which ADD with PC and a high register is 2 off, registers of the pins'
+interrupts and instructions of the GPIO coprocessor are decoded wrongly, edges are noted that were
+none, flash cannot be written, core 1 cannot be started anew, pads have no pull-ups, the watchdog's
+clock is twice as fast and its reset leaves the peripherals as they are. Cores and PIO are stepped
+at 150 MHz; flash takes no time and has no cache, so counts, order and PIO's times can be trusted,
+lines/s less.
 """
 
 import json
@@ -28,6 +34,8 @@ def lacks() -> str:
         return f"{_FOLDER} names no folder: a built copy of github.com/c1570/rp2350js"
     if not (Path(folder) / "dist" / "cjs" / "index.js").is_file():
         return f"{_FOLDER}: there is no dist/cjs/index.js in {folder}"
+    if "flashChip" not in (Path(folder) / "dist/cjs/peripherals/xip_rp2350.js").read_text():
+        return f"{_FOLDER}: flash cannot be written in {folder}, as in rp2350js as it comes"
     return "" if which("node") else "there is no node to run rp2350js"
 
 
