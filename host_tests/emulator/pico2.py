@@ -31,7 +31,7 @@ def lacks() -> str:
     """Why the emulator cannot be run here, or nothing."""
     folder = os.environ.get(_FOLDER, "")
     if not folder:
-        return f"{_FOLDER} names no folder: a built rp2350js, as host_tests/emulator/pico2.py wants it"
+        return f"{_FOLDER} names no folder: a built rp2350js, as told in pico2.py"
     if not (Path(folder) / "dist" / "cjs" / "index.js").is_file():
         return f"{_FOLDER}: there is no dist/cjs/index.js in {folder}"
     if "flashChip" not in (Path(folder) / "dist/cjs/peripherals/xip_rp2350.js").read_text():
