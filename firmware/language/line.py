@@ -183,7 +183,7 @@ def _go(
     """As go(). target: what xyz is an address of."""
     if asked & ~PLAIN or (asked & SPEED and modal[SPINDLE] and asked & IN_MOTION == 0):
         return 0
-    _travel, _table, _ring, _flow, _speeds, running, hook, steps_per_mm, course = plans
+    _travel, _table, _ring, _flow, _speeds, running, hook, _, _ = plans
     travel = ptr32(_travel)
     flow = ptr32(_flow)
     moves = 0
@@ -193,17 +193,11 @@ def _go(
         if found & OUTSIDE or (moves and found & FULL):
             return 0
     if asked & SPECIAL:
-        if ints[MOTION] > CCW_ARC or ints[INVERSE_TIME] or (moves and hook):
+        if ints[MOTION] > CCW_ARC or ints[INVERSE_TIME]:
             return 0
-        if moves:
-            _, plane, arc = rare
-            axes = machine[AXES]
-            way = ptr32(course)
-            lay(ptr32(arc), ptr32(plane), position, xyz, ptr32(steps_per_mm), way, axes)
-            if way[LEFT]:  # it takes more than one chord
-                way[LEFT] = 0
-                return 0
-        elif travel[SHUT]:  # one of its chords may lie outside
+        if moves == 0 and travel[SHUT]:  # one of its chords may lie outside
+            return 0
+        if moves and (hook or int(_is_bent(xyz, position, machine[AXES], rare, plans))):
             return 0
     put_in_force(ints, singles, modal, rates)
     rates[RPM] = singles[S]
@@ -235,6 +229,18 @@ def _go(
     if asked & MOVE:
         copy(xyz, position, machine[AXES])
     return 1
+
+
+@micropython.viper
+def _is_bent(xyz: ptr32, position: ptr32, axes: int, rare: object, plans: object) -> int:
+    """Whether an arc takes more than one chord."""
+    _, plane, arc = rare
+    _, _, _, _, _, _, _, steps_per_mm, course = plans
+    way = ptr32(course)
+    lay(ptr32(arc), ptr32(plane), position, xyz, ptr32(steps_per_mm), way, axes)
+    left = way[LEFT]
+    way[LEFT] = 0
+    return left
 
 
 @micropython.viper
