@@ -18,7 +18,6 @@ from motion.planner import SPINDLE_MASK
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from types import ModuleType
     from typing import Any
 
@@ -26,8 +25,6 @@ if TYPE_CHECKING:
     from talk.controller import Controller
 
     from extras.api import Cnc
-
-    _Plan = Callable[[array[float], int, int, int, int], int]
 
 _LINE_LENGTH = const(160)
 
@@ -71,8 +68,9 @@ class Clusters:
         self._dots = machine.interpreter.block.dots
         self._values = memoryview(self._dots)[FIRST_DOT:]
         planner = machine.planner
-        self._usual_clear, self._usual_each_power = planner.clear, planner.each_power
-        planner.hook = self._planning(planner.hook or planner.plan)
+        self._usual_plan, self._usual_clear = planner.hook or planner.plan, planner.clear
+        self._usual_each_power = planner.each_power
+        planner.hook = self.plan
         planner.clear = self.clear  # type: ignore[method-assign]
         planner.each_power = self.each_power  # type: ignore[method-assign]
 
@@ -82,36 +80,19 @@ class Clusters:
         for i in range(self.powers[ROOM * block]):
             self.powers[ROOM * block + 1 + i] = power(flags, self._speeds[MOST * block + i])
 
-    def _planning(self, usual: "_Plan") -> "_Plan":
-        """As motion.planner.Planner.plan(); without M3 and M4 there are no dots. What it needs is
-        at hand: to look it up would take a sixth of a line of 16 dots."""
+    @micropython.native
+    def plan(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
+        """As motion.planner.Planner.plan(); without M3 and M4 there are no dots."""
         machine = self._machine
-
-        @micropython.native
-        def plan(
-            target: "array[float]",
-            flags: int,
-            line: int,
-            power: int,
-            rate: int,
-            usual: "_Plan" = usual,
-            dots: "array[int]" = self._dots,
-            values: "Any" = self._values,
-            scale: "array[float]" = machine.state.spindle,
-            powers: "array[int]" = self.powers,
-            speeds: "array[float]" = self._speeds,
-            flow: "array[int]" = machine.planner.flow,
-        ) -> int:
-            head = flow[HEAD]
-            if not flags & SYSTEM_MOTION:
-                count = dots[DOTS] if flags & SPINDLE_MASK else 0
-                store(values, count, scale, flags, powers, speeds, head)
-            planned = usual(target, flags, line, power, rate)
-            if flow[HEAD] == head:
-                powers[ROOM * head] = 0
-            return planned
-
-        return plan
+        head = machine.planner.flow[HEAD]
+        if not flags & SYSTEM_MOTION:
+            count = self._dots[DOTS] if flags & SPINDLE_MASK else 0
+            scale = machine.state.spindle
+            store(self._values, count, scale, flags, self.powers, self._speeds, head)
+        planned = self._usual_plan(target, flags, line, power, rate)
+        if machine.planner.flow[HEAD] == head:
+            self.powers[ROOM * head] = 0
+        return planned
 
     def each_power(self, power: "Any") -> None:
         """As motion.planner.Planner.each_power()."""

@@ -74,6 +74,7 @@ class Jerk:
 
     # What the planner does, and blocks as they are to be made
 
+    @micropython.native
     def plan(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
         """As Planner.plan()."""
         planned = self._usual_plan(target, flags, line, power, rate)

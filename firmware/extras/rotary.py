@@ -9,6 +9,7 @@ taken off its place. One without a limit switch stays where it is when the machi
 import math
 from array import array
 
+import micropython
 from base import state as st
 from base.axes import Z
 from control.canon import BELOW, SHUT, Canon
@@ -54,6 +55,7 @@ class RotaryPlanner(Planner):
 
     _times = reals.ONE
 
+    @micropython.native
     def turn(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
         """As Planner.plan()."""
         if not flags & _ITS_OWN_RATE:

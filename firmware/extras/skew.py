@@ -21,7 +21,6 @@ from micropython import const
 from motion import layout
 from motion.arcs import FAR
 from motion.kinematics import Kinematics
-from motion.plan_kernel import plan as plan_block
 from motion.planner import Planner
 from motion.steps import to_steps
 
@@ -120,29 +119,15 @@ class SkewPlanner(Planner):
         """As Planner.reach_mm(); a motor makes up to a fifth more steps than its axis, $78n."""
         return super().reach_mm(axis) / 2
 
-    def leaning(self) -> "Callable[[array[float], int, int, int, int], int]":
-        """As Planner.plan(). What it needs is at hand: to look it up takes a tenth of a line."""
-
-        @micropython.native
-        def plan(
-            target: "array[float]",
-            flags: int,
-            line: int,
-            power: int,
-            rate: int,
-            kinematics: "SkewKinematics" = self.kinematics,
-            skew: "array[int]" = self.kinematics.skew,
-            table: "array[int]" = self.table,
-            ring: "array[int]" = self.ring,
-            flow: "array[int]" = self.flow,
-        ) -> int:
-            if kinematics.active and not kinematics.homing:
-                to_steps(target, table)
-                kernel.to_motors(table, skew)
-                flags |= layout.PLACED
-            return plan_block(target, table, ring, flow, flags, line, power, rate)
-
-        return plan
+    @micropython.native
+    def lean(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
+        """As Planner.plan()."""
+        kinematics = self.kinematics
+        if kinematics.active and not kinematics.homing:
+            to_steps(target, self.table)
+            kernel.to_motors(self.table, kinematics.skew)
+            flags |= layout.PLACED
+        return self.plan(target, flags, line, power, rate)
 
     def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
         """As Planner.chords()."""
@@ -188,7 +173,7 @@ def install(cnc: "Cnc") -> None:
     _sign(machine.settings)
     _home(machine)
     planner = machine.planner
-    planner.hook = planner.leaning()
+    planner.hook = planner.lean
 
     def resync() -> None:
         if planner.is_new:

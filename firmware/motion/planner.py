@@ -10,6 +10,7 @@ per block but the floats of its caller.
 
 from array import array
 
+import micropython
 from base.f32 import copy, f32, vector, whole
 from micropython import const
 
@@ -190,6 +191,7 @@ class Planner:
         self.speeds[flow[ROWS] if flags & layout.SYSTEM_MOTION else head] = move.spindle_rpm
         return True
 
+    @micropython.native  # here, and for what stands in its place: a frame of bytecode has no room
     def plan(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
         """Put a line into the ring: see plan_kernel.plan()."""
         return plan_kernel.plan(target, self.table, self.ring, self.flow, flags, line, power, rate)
