@@ -24,7 +24,7 @@ class Rates(NamedTuple):
         return figure / 1000 if kind.endswith("_ms") else 1 / figure
 
 
-PICO = Rates(plain=2090, power=1780, in_python_ms=2.0, no_words_ms=0.256, chords=5500)
+PICO = Rates(plain=2090, power=1780, in_python_ms=2.0, no_words_ms=0.256, chords=5340)
 _MEASURED = "RP2040"
 # What an ESP32's serial port carries.
 _UART_BYTES_S = 115_200 / 10
