@@ -284,6 +284,10 @@ class EspEngine:
     def now(self) -> int:
         return clock.us * self._per_us
 
+    @now.setter
+    def now(self, to: int) -> None:
+        self.advance(to)
+
     def physical(self, steps: "array[int]") -> None:
         """Steps since power-up, whatever the firmware calls the place."""
         steps[:] = array("i", self._place)

@@ -46,6 +46,7 @@ from language.checks import (
     IN_MOTION,
     MOVE,
     OFFSETS,
+    SPECIAL,
     SPEED,
     SYNC,
 )
@@ -190,7 +191,7 @@ class Interpreter:
             asked = self.look(line, length << 8, modal, 0)
         elif asked < 0:
             raise GrblError(-asked)
-        if not asked & (~ln.PLAIN | self.machine[b.WATCHED] & MOVE):
+        if not asked & (~ln.PLAIN | self.machine[b.WATCHED] & (MOVE | SPECIAL)):
             if asked & MOVE and self._state.run != st.CHECK:
                 ints[b.ASKED] = asked
                 self._canon.make_room()

@@ -203,13 +203,7 @@ def _go(
     rates[RPM] = singles[S]
     rates[TOOL] = singles[T]
     if moves:
-        flags = modal[SPINDLE] | modal[COOLANT] << COOLANT_SHIFT
-        if scale[LASER] and flags & SPINDLE_CCW:
-            flags |= layout.DYNAMIC
-        if ints[MOTION] == SEEK:
-            flags |= layout.RAPID_MOTION
-        if ints[INVERSE_TIME]:
-            flags |= layout.INVERSE_TIME
+        flags = int(_flags(ints, modal, scale[LASER]))
         power = 0
         scale[ASKED_SPEED] = 0 if asked & DARK else rates[RPM]
         speed = scale[ASKED_SPEED]
@@ -229,6 +223,19 @@ def _go(
     if asked & MOVE:
         copy(xyz, position, machine[AXES])
     return 1
+
+
+@micropython.viper
+def _flags(ints: ptr32, modal: ptr32, laser: int) -> int:
+    """What a block in the planner is told of its move."""
+    flags = modal[SPINDLE] | modal[COOLANT] << COOLANT_SHIFT
+    if laser and flags & SPINDLE_CCW:
+        flags |= layout.DYNAMIC
+    if ints[MOTION] == SEEK:
+        flags |= layout.RAPID_MOTION
+    if ints[INVERSE_TIME]:
+        flags |= layout.INVERSE_TIME
+    return flags
 
 
 @micropython.viper

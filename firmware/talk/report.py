@@ -10,7 +10,7 @@ from array import array
 from base import errors
 from base import state as st
 from base.f32 import INCH_PER_MM, copy, f32, vector
-from base.singles import MINUS, add
+from base.singles import MINUS, add, add_single
 from base.text import text_of
 from control.coords import NAMES
 from control.spindle import in_range
@@ -352,9 +352,8 @@ class Report:
         """What machine position has more than work position."""
         coords, offset = self._coords, self._shown
         copy(coords.zero(coords.active), offset, self._axes)
-        if coords.tool_length:
-            i = coords.length_axis
-            offset[i] = f32(offset[i] + coords.tool_length)
+        if coords.length_axis < self._axes:
+            add_single(coords.offsets, len(coords.offsets) - 1, offset, coords.length_axis)
         return offset
 
     def _extras(self, text: bytearray, ints: "array[int]") -> None:

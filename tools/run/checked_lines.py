@@ -28,7 +28,7 @@ class CheckedLines:
 
         controller = rig.controller
         _, at, text, kinds = controller.reader.memory()
-        self._state = controller.state
+        self._state, self._drive = controller.state, controller.drive
         self._in_check_mode, self._any = CHECK, ANY
         self._check_lines = check_lines
         self._places = lines
@@ -62,8 +62,9 @@ class CheckedLines:
         return count
 
     def _is_checking(self) -> bool:
-        # A reset that a $C has asked for is still to come.
-        return self._state.run == self._in_check_mode and not self._state.pending[self._any]
+        # Behind a $C it is so until the reset that this asks for has come to its end.
+        is_over = self._state.pending[self._any] or self._drive.settling
+        return self._state.run == self._in_check_mode and not is_over
 
     def _begin_at(self, index: int) -> None:
         at, places = self._at, self._places

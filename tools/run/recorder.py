@@ -106,6 +106,8 @@ class Recorder:
 
     def _attach(self) -> None:
         """Called by the rig once the controller is built: follow what is planned."""
+        from language.checks import SPECIAL
+
         controller = self._rig.controller
         self._planner = controller.planner
         self._settings = controller.settings
@@ -125,6 +127,7 @@ class Recorder:
             self._take_up = replace_method(self._planner, "take_up", self._turn)
         self._probe = replace_method(controller.seek, "probe", self._watch_probe)
         self._plan_arc = replace_method(controller.canon, "arc", self._look_at_arc)
+        interpreter.watch(SPECIAL)  # or kernels would do some arcs by themselves
 
     def _look_at_arc(self, start: Any, target: Any, arc: Any, move: Any) -> None:
         """Stand in for Canon.arc."""
