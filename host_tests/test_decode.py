@@ -27,7 +27,7 @@ from boot import power_up
 from motion.segments import Segments
 from control.coords import Coords
 
-for fails in (lambda: Segments(None), lambda: Coords(None, None, 2)):
+for fails in (lambda: Segments(None), lambda: Coords(None, 0.5, 2)):
     try:
         fails()
     except Exception as fault:
@@ -106,7 +106,7 @@ def test_a_debug_build_tells_names_and_its_map_the_very_line(
     done = ugrbl("decode", "--map", maps.beside(folders[True]), told=told[True])
     line = line_of("motion.segments", "self._flow = planner.flow")
     assert f"    motion/segments.py, line {line}: Segments.__init__\n" in done.output
-    line = line_of("control.coords", "self.systems = [vector(axes)")
+    line = line_of("control.coords", "self.offsets = vector(")
     assert f"    control/coords.py, line {line}: Coords.__init__\n" in done.output
 
 

@@ -40,11 +40,11 @@ class Watcher(Recorder):
 lines = sys.stdin.buffer.read().splitlines()
 result, watcher = watch_program(lines, Watcher, "sim", ["$32=1"], None)
 from motion.segment_kernel import fill
-from ugrbl.sim.check_kernel import check_lines
-names = [fill.__name__, check_lines.__name__]
+from language.words import scan
+names = [fill.__name__, scan.__name__]
 print(json.dumps([result.as_json(), watcher.rows.hexdigest(), names]))
 """
-_PYTHON = ["fill", "check_lines"]  # names of kernels that are not compiled
+_PYTHON = ["fill", "scan"]  # names of kernels that are not compiled
 _MIXED = b"""\
 G20 G91 G17 M4 S300
 G1 X.5 Y.25 F20

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from base.state import State
     from interfaces import Kinematics
 
+    _Plan = Callable[[array[float], int, int, int, int], int]
+
 # Flags of a block, besides those that the kernels look at.
 SPINDLE_CW = const(0x10)
 SPINDLE_CCW = const(0x20)
@@ -72,7 +74,7 @@ class Planner:
     """
 
     # What an extra has put in the place of plan().
-    hook: "Callable[[array[float], int, int, int, int], int] | None" = None
+    hook: "_Plan | None" = None  # keep-name: pytest's config has one
 
     def __init__(
         self,

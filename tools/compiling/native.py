@@ -74,12 +74,14 @@ def in_c(sources: Mapping[str, str]) -> str:
     Its text `kernels` lists them: module, name and the parameters' types, a line each.
     """
     texts = inline(sources, keep=True)
-    functions = [
-        _Function(module, function)
-        for module in (Module(name, text) for name, text in texts.items() if _is_plain(name))
-        for function in module.functions.values()
-        if not _needs_python(module, function)
-    ]
+    modules = [Module(name, text) for name, text in texts.items() if _is_plain(name)]
+    every = {
+        (module.name, name): (module, function)
+        for module in modules
+        for name, function in module.functions.items()
+    }
+    left_out = _in_python(every)
+    functions = [_Function(*every[key]) for key in every if key not in left_out]
     listed = "".join([f'    "{f.listed()}\\n"\n' for f in functions])
     pointers = [_POINTER.format(bits=bits, type=_C_TYPES[bits]) for bits in BITS.values()]
     declared = [f"static {f.head()};\n" for f in functions]
@@ -90,6 +92,18 @@ def in_c(sources: Mapping[str, str]) -> str:
 
 def _is_plain(module: str) -> bool:
     return module.partition(".")[0] in _LAYERS
+
+
+def _in_python(every: "Mapping[Key, tuple[Module, ast.FunctionDef]]") -> set[Key]:
+    """Those of them that need Python, and all that call one of these."""
+    found = {key for key, (module, function) in every.items() if _needs_python(module, function)}
+    calls = {
+        key: {module.means(node.id) for node in ast.walk(function) if isinstance(node, ast.Name)}
+        for key, (module, function) in every.items()
+    }
+    while more := {key for key in every.keys() - found if calls[key] & found}:
+        found |= more
+    return found
 
 
 def _needs_python(module: Module, function: ast.FunctionDef) -> bool:
