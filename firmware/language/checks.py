@@ -118,11 +118,13 @@ def check(
     position: ptr32,
     offsets: ptr32,
     machine: ptr32,
-    rare: object,
+    stored: ptr32,
+    plane: ptr32,
+    arc: ptr32,
 ) -> int:
     """Check a block that begins with that modal state. Returns what it asks for, the bits above,
     or below 0 what is wrong with it. laser: the machine is in laser mode; jog: it is a line of
-    $J=; rare: a block's."""
+    $J=; stored, plane, arc: a block's."""
     words = ints[WORDS]
     if words & AXIS_WORDS and ints[CLAIM] == AXES_UNCLAIMED:
         ints[CLAIM] = AXES_MOTION
@@ -150,11 +152,11 @@ def check(
     if ints[CLAIM] == AXES_TOOL_LENGTH and ints[TOOL_LENGTH]:  # G43.1: Grbl's, for 3.5.11
         if words & AXIS_WORDS != 1 << machine[LENGTH_AXIS]:
             return 0 - GCODE_G43_DYNAMIC_AXIS_ERROR
-    found = int(_places(ints, singles, xyz, position, offsets, machine, rare))
+    found = int(_places(ints, singles, xyz, position, offsets, machine, stored))
     if found < 0:
         return found
     used |= found
-    found = int(_motion(ints, singles, xyz, position, machine[AXES], rare))
+    found = int(_motion(ints, singles, xyz, position, machine[AXES], plane, arc))
     if found < 0:
         return found
     used |= found
@@ -208,7 +210,7 @@ def _places(
     position: ptr32,
     offsets: ptr32,
     machine: ptr32,
-    rare: object,
+    stored: ptr32,
 ) -> int:
     """What the axis words mean: a target, or offsets. Returns the value words used for it, or
     below 0 what is wrong."""
@@ -221,8 +223,6 @@ def _places(
             return 0
         if command == ABSOLUTE_OVERRIDE and ints[MOTION] > LINEAR:  # 3.5.12: with G0 and G1 only
             return 0 - GCODE_G53_INVALID_MOTION_MODE
-    _stored, _, _ = rare
-    stored = ptr32(_stored)
     axes = machine[AXES]
     if command == SET_COORDS:
         return int(_set_coords(ints, singles, xyz, stored, position, offsets, machine))
@@ -338,7 +338,13 @@ def _where_stored(
 
 @micropython.viper
 def _motion(
-    ints: ptr32, singles: ptr32, xyz: ptr32, position: ptr32, axes: int, rare: object
+    ints: ptr32,
+    singles: ptr32,
+    xyz: ptr32,
+    position: ptr32,
+    axes: int,
+    plane: ptr32,
+    arc: ptr32,
 ) -> int:
     """Check group 1. Returns the value words it uses, or below 0 what is wrong."""
     motion = ints[MOTION]
@@ -355,8 +361,7 @@ def _motion(
             return 0 - GCODE_NO_AXIS_WORDS
         ints[CLAIM] = AXES_UNCLAIMED
     elif motion == CW_ARC or motion == CCW_ARC:  # noqa: PLR1714 (a viper cannot ask `in`); 3.5.3
-        _, plane, arc = rare
-        wrong = int(find_arc(ints, singles, xyz, position, axes, ptr32(plane), ptr32(arc)))
+        wrong = int(find_arc(ints, singles, xyz, position, axes, plane, arc))
         if wrong:
             return 0 - wrong
         return WORD_R if words & WORD_R else WORD_IJK

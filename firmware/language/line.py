@@ -61,6 +61,7 @@ def execute(text: ptr8, length: int, modal: ptr32, memory: object) -> int:
     interpreter's."""
     words, block, plans = memory
     _ints, _singles, _xyz, _rates, _position, _offsets, _machine, _scale, rare = block
+    stored, plane, arc = rare
     ints = ptr32(_ints)
     singles = ptr32(_singles)
     xyz = ptr32(_xyz)
@@ -90,7 +91,9 @@ def execute(text: ptr8, length: int, modal: ptr32, memory: object) -> int:
                 position,
                 offsets,
                 machine,
-                rare,
+                ptr32(stored),
+                ptr32(plane),
+                ptr32(arc),
             )
         )
         asked = int(_with_powers(asked, ints))
@@ -108,6 +111,7 @@ def look(text: ptr8, span: int, modal: ptr32, jog: int, memory: object) -> int:
     asks for, or below 0 what is wrong with it: see check(). memory: an interpreter's."""
     words, block, _ = memory
     _ints, _singles, _xyz, rates, position, offsets, _machine, scale, rare = block
+    stored, plane, arc = rare
     ints = ptr32(_ints)
     singles = ptr32(_singles)
     xyz = ptr32(_xyz)
@@ -127,7 +131,9 @@ def look(text: ptr8, span: int, modal: ptr32, jog: int, memory: object) -> int:
             ptr32(position),
             ptr32(offsets),
             machine,
-            rare,
+            ptr32(stored),
+            ptr32(plane),
+            ptr32(arc),
         )
     )
     return int(_with_powers(asked, ints))
