@@ -126,7 +126,7 @@ def check(
     or below 0 what is wrong with it. laser: the machine is in laser mode; jog: it is a line of
     $J=; stored, plane, arc: a block's."""
     words = ints[WORDS]
-    if words & AXIS_WORDS and ints[CLAIM] == AXES_UNCLAIMED:
+    if ints[CLAIM] == AXES_UNCLAIMED and words & AXIS_WORDS:
         ints[CLAIM] = AXES_MOTION
     if singles[N] & int(0x7FFFFFFF) > int(0x4B189680):  # the float 10,000,000
         return 0 - GCODE_INVALID_LINE_NUMBER
@@ -139,14 +139,13 @@ def check(
     used = WORD_N | WORD_F if jog else WORD_N | WORD_F | WORD_S | WORD_T
     if ints[COMMANDS] & GROUP_M9:
         # Grbl's own: M56 P0 takes parking out of action, M56 or M56 P1 puts it back.
-        ints[OVERRIDE_CONTROL] = 1
-        if words & WORD_P and singles[P] & int(0x7FFFFFFF) == 0:
-            ints[OVERRIDE_CONTROL] = 0
+        is_out = words & WORD_P and singles[P] & int(0x7FFFFFFF) == 0
+        ints[OVERRIDE_CONTROL] = 0 if is_out else 1
         used |= WORD_P
     if ints[NON_MODAL] == DWELL:  # 3.5.4
+        used |= WORD_P
         if words & WORD_P == 0:
             return 0 - GCODE_VALUE_WORD_MISSING
-        used |= WORD_P
     if ints[INCHES]:
         _in_mm(xyz, machine, singles)
     if ints[CLAIM] == AXES_TOOL_LENGTH and ints[TOOL_LENGTH]:  # G43.1: Grbl's, for 3.5.11
@@ -159,9 +158,7 @@ def check(
     found = int(_motion(ints, singles, xyz, position, machine[AXES], plane, arc))
     if found < 0:
         return found
-    used |= found
-    if ints[CLAIM]:
-        used |= AXIS_WORDS
+    used |= found | (AXIS_WORDS if ints[CLAIM] else 0)
     if words & ~used:
         return 0 - GCODE_UNUSED_WORDS
     if jog:
@@ -338,13 +335,7 @@ def _where_stored(
 
 @micropython.viper
 def _motion(
-    ints: ptr32,
-    singles: ptr32,
-    xyz: ptr32,
-    position: ptr32,
-    axes: int,
-    plane: ptr32,
-    arc: ptr32,
+    ints: ptr32, singles: ptr32, xyz: ptr32, position: ptr32, axes: int, plane: ptr32, arc: ptr32
 ) -> int:
     """Check group 1. Returns the value words it uses, or below 0 what is wrong."""
     motion = ints[MOTION]
