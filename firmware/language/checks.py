@@ -139,8 +139,9 @@ def check(
     used = WORD_N | WORD_F if jog else WORD_N | WORD_F | WORD_S | WORD_T
     if ints[COMMANDS] & GROUP_M9:
         # Grbl's own: M56 P0 takes parking out of action, M56 or M56 P1 puts it back.
-        is_out = words & WORD_P and singles[P] & int(0x7FFFFFFF) == 0
-        ints[OVERRIDE_CONTROL] = 0 if is_out else 1
+        ints[OVERRIDE_CONTROL] = 1
+        if words & WORD_P and singles[P] & int(0x7FFFFFFF) == 0:
+            ints[OVERRIDE_CONTROL] = 0
         used |= WORD_P
     if ints[NON_MODAL] == DWELL:  # 3.5.4
         used |= WORD_P
