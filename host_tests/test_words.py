@@ -6,7 +6,7 @@ from math import isfinite
 
 import pytest
 from base.f32 import f32
-from base.singles import add_single, to_mm
+from base.singles import add_single, multiply
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from language.words import Words, bare, scan
@@ -103,7 +103,7 @@ def test_an_offset_is_added_as_in_single_precision(value: float, offset: float) 
 def test_inches_become_millimetres_as_in_single_precision(value: float) -> None:
     inches = array("f", [value])
     expected = single(inches[0] * f32(25.4))
-    to_mm(inches, 0)
+    multiply(inches, 0, array("f", [25.4]), 0)
     assert bits(inches[0]) == bits(expected)
 
 

@@ -4,8 +4,6 @@
 A float of MicroPython is a piece of memory, and takes longer to make than all that is done here.
 """
 
-from array import array
-
 import micropython
 from micropython import const
 
@@ -56,14 +54,6 @@ def divide(numbers: ptr32, divisors: ptr32, at: int, quotients: ptr32, count: in
                 exponent -= 1
             store(quotients, i, int(mantissas(number, divisor)), exponent, minus)
     return 0
-
-
-_INCH_MM = array("f", (25.4,))
-
-
-def to_mm(values: "array[float]", at: int) -> None:
-    """Make the inches in values[at] millimetres."""
-    multiply(values, at, _INCH_MM, 0)
 
 
 @micropython.viper

@@ -316,7 +316,6 @@ class Block:
         self.ints = array("i", (0 for _ in range(MODAL_ROOM)))
         self.axes = axes
         self.xyz = vector(axes)
-        self.lengths = (1 << axes) - 1  # of its axes, those in mm or inches: a mask
         self.singles = vector(SINGLES)
         self.singles[TOOL_LIMIT], self.singles[INCH_MM] = highest_tool, 25.4
         # What the checks find: the arc, and what G10, G28 and G30 are to keep or go to.
