@@ -202,17 +202,17 @@ class Watch:
         self.rests: set[int] = set()  # it came to rest for a hold behind so many segments
         self.planner = planner
         self._rows: dict[int, Block] = {}
-        self._plan = planner.hook or planner.plan
+        self._plan = planner.move_hook or planner.plan
         self._chords, self._override = planner.chords, planner.override
         self._slowed: set[Block] = set()
         self._next = segments.next
-        planner.hook = self.plan
+        planner.move_hook = self.plan
         planner.chords = self.chords  # type: ignore[method-assign]
         planner.override = self.override  # type: ignore[method-assign]
         segments.next = self.next
 
     def plan(self, target: Any, flags: int, *asked: int) -> int:
-        """Stand in for Planner.hook."""
+        """Stand in for Planner.move_hook."""
         flow = self.planner.flow
         at = flow[layout.ROWS if flags & layout.SYSTEM_MOTION else layout.HEAD]
         planned = self._plan(target, flags, *asked)

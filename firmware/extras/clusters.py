@@ -68,9 +68,9 @@ class Clusters:
         self._dots = machine.interpreter.block.dots
         self._values = memoryview(self._dots)[FIRST_DOT:]
         planner = machine.planner
-        self._usual_plan, self._usual_clear = planner.hook or planner.plan, planner.clear
+        self._usual_plan, self._usual_clear = planner.move_hook or planner.plan, planner.clear
         self._usual_each_power = planner.each_power
-        planner.hook = self.plan
+        planner.move_hook = self.plan
         planner.clear = self.clear  # type: ignore[method-assign]
         planner.each_power = self.each_power  # type: ignore[method-assign]
 

@@ -47,12 +47,12 @@ class Jerk:
         self._ring = planner.ring
         self._table = planner.table
         self._line = array("i", (0 for _ in range(layout.WAYS + _MOST_SLOTS)))
-        self._usual_plan = planner.hook or planner.plan
+        self._usual_plan = planner.move_hook or planner.plan
         self._usual_chords = planner.chords
         self._usual_catch_up = planner.catch_up
         self._usual_clear = planner.clear
         self._usual_override = planner.override
-        planner.hook = self.plan
+        planner.move_hook = self.plan
         planner.chords = self.chords  # type: ignore[method-assign]
         planner.catch_up = self.catch_up  # type: ignore[method-assign]
         planner.clear = self.clear  # type: ignore[method-assign]

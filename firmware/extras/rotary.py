@@ -211,7 +211,7 @@ def install(cnc: "Cnc") -> None:
     canon.engine, canon.modes, canon.coords = machine.engine, machine.modes, machine.coords
     canon.axes = tuple([axis for axis in range(planner.axes) if rotary >> axis & 1])
     machine.interpreter.machine[LENGTHS] &= ~rotary
-    planner.hook = planner.turn
+    planner.move_hook = planner.turn
     _home(machine, everything & ~_found["without_switch"])
     _show(machine.report, canon.axes)
 

@@ -173,7 +173,7 @@ def install(cnc: "Cnc") -> None:
     _sign(machine.settings)
     _home(machine)
     planner = machine.planner
-    planner.hook = planner.lean
+    planner.move_hook = planner.lean
 
     def resync() -> None:
         if planner.is_new:

@@ -158,7 +158,7 @@ class Interpreter:
             planner.flow,
             planner.speeds,
             self._state.running,
-            planner.hook,
+            planner.move_hook,
             planner.steps_per_mm,
             self._canon.course,
         )

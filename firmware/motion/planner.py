@@ -74,7 +74,7 @@ class Planner:
     """
 
     # What an extra has put in the place of plan().
-    hook: "_Plan | None" = None  # keep-name: pytest's config has one
+    move_hook: "_Plan | None" = None
 
     def __init__(
         self,
@@ -187,7 +187,7 @@ class Planner:
         """
         flags, flow = move.flags, self.flow
         head = flow[HEAD]
-        plan = self.hook or self.plan
+        plan = self.move_hook or self.plan
         if not plan(target, flags, move.line_number, power, self.rate(move.feed)):
             return False
         self.speeds[flow[ROWS] if flags & layout.SYSTEM_MOTION else head] = move.spindle_rpm

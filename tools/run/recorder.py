@@ -116,10 +116,10 @@ class Recorder:
         self._nonlinear = kinematics if hasattr(kinematics, "place_of") else None
         self._beside = kinematics if hasattr(kinematics, "motor_of") else None
         interpreter, planner = controller.interpreter, self._planner
-        is_usual = not (planner.hook or interpreter.watches() or self._rig.guest)
+        is_usual = not (planner.move_hook or interpreter.watches() or self._rig.guest)
         self.is_plain = is_usual and not controller.protocol._echoes
-        self._plan = planner.hook or planner.plan
-        planner.hook = self._plan_line
+        self._plan = planner.move_hook or planner.plan
+        planner.move_hook = self._plan_line
         if self._nonlinear:  # which has no use for it
             self._line = replace_method(planner, "line", self._cut)
         self._chords = replace_method(self._planner, "chords", self._follow_arc)
@@ -152,7 +152,7 @@ class Recorder:
         return dict(zip(self._names, values, strict=False))
 
     def _plan_line(self, target: Any, flags: int, *asked: int) -> int:
-        """Stand in for Planner.hook: what is added to the ring is what will be stepped."""
+        """Stand in for Planner.move_hook: what is added to the ring is what will be stepped."""
         row = self._row(flags)
         planned: int = self._plan(target, flags, *asked)
         if planned:
