@@ -47,6 +47,20 @@ def test_a_line_that_is_refused_holds_the_machine_and_is_named(person):
     person.rests_at(5, 0, 0)
 
 
+def test_a_refused_line_is_left_out_only_once_the_machine_has_come_to_rest(person_at):
+    """Grbl ignores a resume while it brakes for a hold."""
+    person = person_at({120: "10"})
+    person.open_from_disk()
+    person.connect()
+    person.loads("G21 G91 F2000\n" + "G1 X5\n" * 30 + "G999\nG1 X5\n")
+    person.click("#run")
+    person.reads("#job-words", "Line 32 was refused.")
+    assert not person.page.is_enabled("#go-on"), "seconds of braking lie ahead"
+    person.click("#go-on")  # waits until it can be pressed
+    person.reads("#job-words", "Job done: 1 line refused")
+    person.rests_at(155, 0, 0)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
