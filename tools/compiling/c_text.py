@@ -107,7 +107,7 @@ class Function:
         raise NotImplementedError
 
     def after_objects(self) -> str:
-        """A statement behind one that has called an object; an empty text: none."""
+        """A statement behind what has used an object; an empty text: none."""
         return ""
 
     def knows(self, key: Key) -> bool:
@@ -127,10 +127,11 @@ class Function:
     def _block(self, body: "list[ast.stmt]") -> Iterator[str]:
         for statement in body:
             yield from self._statement(statement)
-            if not isinstance(statement, ast.If | ast.For | ast.While) and any(
-                self.is_object(node) for node in ast.walk(statement)
-            ):
-                yield self.after_objects()
+            if not isinstance(statement, ast.If | ast.For | ast.While):
+                yield self._after(statement)
+
+    def _after(self, node: ast.AST) -> str:
+        return self.after_objects() if any(map(self.is_object, ast.walk(node))) else ""
 
     def is_object(self, node: ast.AST) -> bool:
         """Whether it is a name for an object."""
@@ -142,6 +143,7 @@ class Function:
                 yield f"{name}_ = {self.expression(value)};"
             case ast.Assign([ast.Subscript() as place], value):
                 yield f"{{ {self.integer} v = {self.expression(value)};"
+                yield self._after(value)
                 yield f"{self._store(place, 'v')} }}"
             case ast.Assign([ast.Tuple(names)], value) if self.is_object(value):
                 yield self._take_apart(node, names, value)

@@ -2,13 +2,13 @@
 
 Integers have 64 bits, which hold what the board's 32 do. As in the stand-in for `micropython`, an
 index outside a buffer and a value that does not fit raise: PyErr_SetString() notes it, and ctypes
-raises when the function has returned. Only what needs no chip is translated.
+raises when the function has returned. Objects are borrowed for as long as a call takes. Only what
+needs no chip is translated.
 """
 
 import ast
 from collections.abc import Mapping
 
-from . import forms
 from .c_text import BITS, Function
 from .inline import inline
 from .marks import Key
@@ -22,25 +22,46 @@ _C_TYPES = {8: "uint8_t", 16: "uint16_t", 32: "int32_t"}
 _HEAD = """\
 #include <stdint.h>
 #include <stdlib.h>
-extern void *PyExc_IndexError, *PyExc_OverflowError, *PyExc_ZeroDivisionError;
+typedef struct {
+    void *at, *object;
+    intptr_t length, size;
+    int is_readonly, dimensions;
+    char *format;
+    intptr_t *shape, *strides, *suboffsets;
+    void *internal;
+} Py_buffer;
+extern void *PyExc_IndexError, *PyExc_OverflowError, *PyExc_ValueError, *PyExc_ZeroDivisionError;
 extern void PyErr_SetString(void *, const char *);
 extern void *PyErr_Occurred(void);
 extern void *PyObject_CallFunction(void *, const char *, ...);
+extern int PyObject_IsTrue(void *);
+extern int PyObject_GetBuffer(void *, Py_buffer *, int);
+extern void PyBuffer_Release(Py_buffer *);
+extern intptr_t PyTuple_Size(void *);
+extern void *PyTuple_GetItem(void *, intptr_t);
 extern long long PyLong_AsLongLong(void *);
 extern void Py_DecRef(void *);
 
-static int64_t call(void *function, const char *format, int64_t argument) {
-    void *made = PyObject_CallFunction(function, format, (long long)argument);
-    if (!made) return 0;
-    int64_t value = PyLong_AsLongLong(made);
-    Py_DecRef(made);
-    return value;
+static void drop(void *made) { if (made) Py_DecRef(made); }
+static int64_t value(void *made) {
+    int64_t found = made ? PyLong_AsLongLong(made) : 0;
+    drop(made);
+    return found;
 }
-static void tell(void *function, const char *format, int64_t argument) {
-    void *made = PyObject_CallFunction(function, format, (long long)argument);
-    if (made) Py_DecRef(made);
+static void take_apart(void *tuple, intptr_t count, void **parts) {
+    intptr_t size = PyTuple_Size(tuple);
+    if (size >= 0 && size != count) PyErr_SetString(PyExc_ValueError, "values to unpack");
+    for (intptr_t i = 0; i < count; i++) parts[i] = size == count ? PyTuple_GetItem(tuple, i) : 0;
 }
-static int64_t fault(void *kind, const char *why) { PyErr_SetString(kind, why); return 0; }
+static Py_buffer memory(void *object) {
+    Py_buffer found = {0};
+    if (PyObject_GetBuffer(object, &found, 0) == 0) PyBuffer_Release(&found);
+    return found;
+}
+static int64_t fault(void *kind, const char *why) {
+    if (!PyErr_Occurred()) PyErr_SetString(kind, why); // the first one is the cause
+    return 0;
+}
 static inline int64_t quotient(int64_t a, int64_t b) {
     if (!b) return fault(PyExc_ZeroDivisionError, "division by zero");
     return a / b - (a % b && (a < 0) != (b < 0));
@@ -57,6 +78,10 @@ static inline int64_t right(int64_t a, int64_t n) {
 """
 _POINTER = """\
 typedef struct {{ {type} *at; int64_t length; }} ptr{bits};
+static inline ptr{bits} of{bits}(void *object) {{
+    Py_buffer found = memory(object);
+    return (ptr{bits}){{found.at, found.length / sizeof({type})}};
+}}
 static inline int64_t get{bits}(ptr{bits} p, int64_t i) {{
     return (uint64_t)i < (uint64_t)p.length ? p.at[i] : fault(PyExc_IndexError, "index");
 }}
@@ -75,13 +100,9 @@ def in_c(sources: Mapping[str, str]) -> str:
     """
     texts = inline(sources, keep=True)
     modules = [Module(name, text) for name, text in texts.items() if _is_plain(name)]
-    every = {
-        (module.name, name): (module, function)
-        for module in modules
-        for name, function in module.functions.items()
-    }
-    left_out = _in_python(every)
-    functions = [_Function(*every[key]) for key in every if key not in left_out]
+    functions = [
+        _Function(module, function) for module in modules for function in module.functions.values()
+    ]
     listed = "".join([f'    "{f.listed()}\\n"\n' for f in functions])
     pointers = [_POINTER.format(bits=bits, type=_C_TYPES[bits]) for bits in BITS.values()]
     declared = [f"static {f.head()};\n" for f in functions]
@@ -92,32 +113,6 @@ def in_c(sources: Mapping[str, str]) -> str:
 
 def _is_plain(module: str) -> bool:
     return module.partition(".")[0] in _LAYERS
-
-
-def _in_python(every: "Mapping[Key, tuple[Module, ast.FunctionDef]]") -> set[Key]:
-    """Those of them that need Python, and all that call one of these."""
-    found = {key for key, (module, function) in every.items() if _needs_python(module, function)}
-    calls = {
-        key: {module.means(node.id) for node in ast.walk(function) if isinstance(node, ast.Name)}
-        for key, (module, function) in every.items()
-    }
-    while more := {key for key in every.keys() - found if calls[key] & found}:
-        found |= more
-    return found
-
-
-def _needs_python(module: Module, function: ast.FunctionDef) -> bool:
-    """It does more with objects than to call them, or to pass them to another kernel."""
-    objects = {
-        arg.arg for arg in function.args.args if forms.annotation(arg.annotation) == "object"
-    }
-    named = [node for node in ast.walk(function) if isinstance(node, ast.Name)]
-    calls = [node for node in ast.walk(function) if isinstance(node, ast.Call)]
-    used = [call.func for call in calls]
-    for call in calls:
-        if isinstance(call.func, ast.Name) and module.means(call.func.id):
-            used += call.args
-    return any(node.id in objects and node not in used for node in named)
 
 
 class _Function(Function):
@@ -151,15 +146,25 @@ class _Function(Function):
         return f"set{bits}({pointer}, {index}, {value});"
 
     def cast(self, type: str, node: ast.expr) -> str:
-        to, of = BITS[type], BITS[self.pointer_type(node)]
-        memory = self.expression(node)
+        memory, to = self.expression(node), BITS[type]
+        if self.is_object(node):
+            return f"of{to}({memory})"
+        of = BITS[self.pointer_type(node)]
         return f"((ptr{to}){{(void *){memory}.at, {memory}.length * {of} / {to}}})"
 
+    def truth(self, node: ast.expr) -> str:
+        value = self.expression(node)
+        return f"PyObject_IsTrue({value})" if self.is_object(node) else value
+
+    def as_int(self, node: ast.expr) -> str:
+        value = self.expression(node)
+        return f"PyLong_AsLongLong({value})" if self.is_object(node) else value
+
     def call_object(self, node: ast.Call) -> str:
-        return f"call({self._handed(node)})"
+        return f"value({self._called(node)})"
 
     def tell_object(self, node: ast.Call) -> str:
-        return f"tell({self._handed(node)})"
+        return f"drop({self._called(node)})"
 
     def after_objects(self) -> str:
         return "if (PyErr_Occurred()) return 0;"
@@ -167,11 +172,16 @@ class _Function(Function):
     def knows(self, key: Key) -> bool:
         return _is_plain(key[0])
 
-    def _handed(self, node: ast.Call) -> str:
-        """An object that is called, and the number it is called with, if any."""
-        match [self.expression(argument) for argument in (node.func, *node.args)]:
-            case [function]:
-                return f'{function}, "", 0'
-            case [function, number]:
-                return f'{function}, "L", {number}'
-        raise self.refuse(node)
+    def _take_apart(self, node: ast.stmt, names: "list[ast.expr]", value: ast.expr) -> str:
+        count = len(names)
+        taken = f"void *parts[{count}]; take_apart({self.expression(value)}, {count}, parts);"
+        parts = (f"{self.expression(name)} = parts[{i}];" for i, name in enumerate(names))
+        return f"{{ {taken} {' '.join(parts)} }}"
+
+    def _called(self, node: ast.Call) -> str:
+        """An object is called, with objects and numbers."""
+        kinds = "".join("O" if self.is_object(each) else "L" for each in node.args)
+        given = [self.expression(node.func), f'"({kinds})"']
+        for kind, value in zip(kinds, map(self.expression, node.args), strict=True):
+            given.append(value if kind == "O" else f"(long long){value}")
+        return f"PyObject_CallFunction({', '.join(given)})"
