@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from esp_bench import I2S_ENABLE, EspEngine, Step, clock
+from esp_bench import I2S_ENABLE, EspEngine, Step, clock, esp32
 from laws import Bench, Limits
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS, row_length
 from pio import pulses
@@ -266,6 +266,28 @@ def test_steps_come_when_they_are_due_within_what_is_stated(engine: str, move: s
         tracks.append(list(zip([due for due, _ in steps], late, strict=True)))
     for a, b in pairwise([track for track in tracks if track]):
         _check_together(a, b, stated.apart + stated.gap + 2 * _TURN_US)
+
+
+@pytest.mark.parametrize("slow", [0, 1])
+@pytest.mark.parametrize("engine", ["rmt", "rmt_s3"])
+def test_a_train_that_begins_late_shortens_no_interval(
+    engine: str, slow: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The motor waits, and does not hurry, where flash or a radio is in the way of a start."""
+    write = esp32.RMT.write_pulses
+
+    def hindered(channel: esp32.RMT, durations: "list[int]", data: object = True) -> None:
+        if channel is esp32.RMT.channels[slow] and len(channel.trains) in (3, 6):
+            clock.work(7000)
+        write(channel, durations, data)
+
+    monkeypatch.setattr(esp32.RMT, "write_pulses", hindered)
+    made = make(engine, "diagonal").go()
+    assert len(esp32.RMT.channels[slow].trains) > 7
+    for axis, steps in enumerate(planned(made)):
+        late = [us - due for (us, _), (due, _) in zip(of_axis(made.steps, axis), steps)]
+        assert len(late) == len(steps)
+        assert all(b - a >= -STATED[engine].early for a, b in pairwise(late)), f"axis {axis}"
 
 
 def _check_together(

@@ -52,6 +52,8 @@ _RETURN_US = const(10)
 # What write_pulses() takes, before it has been measured: us, and per duration in 1/8 us.
 _CALL_US = const(150)
 _CALL_EIGHTHS = const(2)
+# A start that is later than that was held up: by flash, or a radio.
+_HELD_UP_US = const(60)
 
 # State.
 _HALT = const(0)  # stopped, until arm()
@@ -348,20 +350,23 @@ class RmtEngine(Turns):
             if self._counts[i]:
                 ready_in += self._call_us(i)
                 late = max(late, ready_in - due_in - self._next[i][0])
-        state[_GAP] = max(state[_GAP], late)
         state[_BEGAN] = (state[_DUE] + late) & MASK
         state[_FREE] = state[_BEGAN]
         self._playing, self._next = self._next, self._playing
         self._powers, self._next_powers = self._next_powers, self._powers
+        behind = 0
         for i in range(self._axes):
             if self._counts[i]:
-                self._start_channel(i)
-        state[_DUE] = (state[_BEGAN] + self._timing[trains.LENGTH]) & MASK
+                behind = max(behind, self._start_channel(i))
+        # The next one waits for the slowest: no interval between steps is shorter than planned.
+        state[_GAP] = max(state[_GAP], late + behind)
+        state[_DUE] = (state[_BEGAN] + self._timing[trains.LENGTH] + behind) & MASK
         state[_READY] = 0
         state[_TRAINS] += 1
 
-    def _start_channel(self, axis: int) -> None:
-        """Start one axis so that its first step comes when it is due."""
+    def _start_channel(self, axis: int) -> int:
+        """Start one axis so that its first step comes when it is due. Returns by how much, in us,
+        it comes later, if it was held up."""
         state, lanes = self._state, self._lanes
         lane = _LANE * axis
         count = self._counts[axis]
@@ -376,10 +381,15 @@ class RmtEngine(Turns):
         pulses[0] = playing[0] = min(max(lead, 1), _PULSE_MAX)
         self._channels[axis].play(pulses)
         took = time.ticks_diff(time.ticks_us(), before)
-        lanes[lane + _START] = (before + took - _RETURN_US) & MASK
+        began = (before + took - _RETURN_US) & MASK
+        lanes[lane + _START] = began
         lanes[lane + _COUNT] = count
         state[_SKEW] = max(state[_SKEW], abs(took - call))
-        lanes[lane + _CALL] = min(max(lanes[lane + _CALL] + (took - call) // 2, 20), 1000)
+        learned = min(max(took - call, -_HELD_UP_US), _HELD_UP_US) // 4
+        lanes[lane + _CALL] = min(max(lanes[lane + _CALL] + learned, 20), 1000)
         end = (before + took + trains.lasts(playing, count) + _GUARD_US) & MASK
         if time.ticks_diff(end, state[_FREE]) > 0:
             state[_FREE] = end
+        first_edge = (began + playing[0]) & MASK
+        behind = time.ticks_diff(first_edge, (state[_BEGAN] + first) & MASK)
+        return behind if behind > _HELD_UP_US else 0

@@ -89,7 +89,8 @@ for folder in {folders!r}:
     except OSError:
         names = []
     for name in names:
-        if name.endswith((".py", ".mpy")) or name in {names!r}:
+        # A tuple here is for MicroPython from 1.25 on.
+        if name.endswith(".py") or name.endswith(".mpy") or name in {names!r}:
             path = folder + "/" + name if folder else name
             print(checksum("/" + path), path)
 """
