@@ -52,7 +52,7 @@ dist: $(VENV)  ## the package, with the firmware compiled for every chip, into d
 
 compiled-emulator: $(EMULATOR)  ## the emulated Pico three times as fast, where there is a C compiler
 
-test-emulator: $(EMULATOR)  ## on an emulated Pico; UGRBL_UF2 names MicroPython's image for it, UGRBL_FROZEN_UF2 one with the firmware in; or CHIP=rp2350
+test-emulator: $(EMULATOR)  ## on an emulated Pico; UGRBL_UF2 names MicroPython's image for it, UGRBL_FROZEN_UF2 one with the firmware in; or CHIP=rp2350, CHIP=esp32
 	UGRBL_CHIP=$(CHIP) $(BIN)/pytest -q -rs -n auto --dist loadgroup host_tests/emulator
 
 torture: $(VENV)  ## stops at every bytecode, and random sessions: SEEDS of them, minutes to hours

@@ -1,20 +1,21 @@
-"""ESP32 in the shape of an Uno (ESPDUINO-32, Wemos D1 R32) under a CNC shield V3, three axes.
+"""ESP32 with PSRAM in the shape of an Uno (ESPDUINO-32 with a WROVER) under a CNC shield V3.
 
 The shield's pins by their Arduino names: step D2-D4, direction D5-D7, enable D8, limits D9, D10
 and D12, spindle D11 and D13, hold A1, start A2, probe A5. An ESP32 DevKit on wires can be
-connected alike. A2 and A5 need pull-up resistors of 10 kOhm to 3.3 V; A3, the shield's coolant,
+connected alike. Pins 17 and 16, at D4 and D5, belong to the PSRAM of a WROVER, without which
+there is too little memory (docs/esp32.md): bend these two aside, and wire the shield's D4 to SCL,
+its D5 to SDA. A2 and A5 need pull-up resistors of 10 kOhm to 3.3 V; A3, the shield's coolant,
 cannot be an output. Pin 12 (enable) decides about the flash's voltage at reset, and the shield's
 pull-up there (10 kOhm from EN to its supply) keeps an ESP32 from starting: take the resistor off,
-or wire enable to another pin. Pins 16 and 17 belong to the memory of WROVER modules: this is for
-a WROOM. Never ran on hardware.
+or wire enable to another pin. Runs emulated; never ran on hardware.
 """
 
 MPY_ARCH = "xtensawin"
 ENGINE = "rmt"
 LINK = "uart"
 
-STEP = (26, 25, 17)
-DIR = (16, 27, 14)
+STEP = (26, 25, 22)
+DIR = (21, 27, 14)
 ENABLE = 12
 LIMIT = (13, 5, 19)
 PROBE = 39

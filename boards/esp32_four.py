@@ -1,6 +1,6 @@
-"""ESP32 in the shape of an Uno under a CNC shield V3 with its fourth driver in use, as axis A.
+"""ESP32 as esp32_devkit.py, with the shield's fourth driver in use, as axis A.
 
-As esp32_devkit.py, whose notes hold here too; but the shield's jumpers for A connect step to D12
+Its notes hold here too; but the shield's jumpers for A connect step to D12
 and direction to D13, which were Z's limit and the spindle's direction. So Z's switch goes to A3
 (the shield's coolant), with a pull-up resistor of 10 kOhm to 3.3 V. An axis that turns: add
 ROTARY = "A"; a second motor on Y: add MOTORS = "XYZY". Never ran on hardware.
@@ -10,8 +10,8 @@ MPY_ARCH = "xtensawin"
 ENGINE = "rmt"
 LINK = "uart"
 
-STEP = (26, 25, 17, 19)
-DIR = (16, 27, 14, 18)
+STEP = (26, 25, 22, 19)
+DIR = (21, 27, 14, 18)
 ENABLE = 12
 LIMIT = (13, 5, 34, None)
 HOMING = ("Z", "XY")  # A has no switch

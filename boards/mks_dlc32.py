@@ -2,7 +2,9 @@
 
 Step, direction and enable are numbers of the shift register's outputs. Inputs are ESP32 pins
 with resistors on the board. From the maker's pin list for V2.1; V1.x has its laser at 22 and its
-probe at 2. Never ran on hardware.
+probe at 2. Its ESP32 has no PSRAM, and so too little memory for this firmware, which says so
+instead of starting (docs/esp32.md): for a board whose module has been changed, or for firmware
+that has been made smaller. Never ran on hardware.
 """
 
 MPY_ARCH = "xtensawin"

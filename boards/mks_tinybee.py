@@ -4,7 +4,8 @@ Driver E0 is a second motor on Y, E1 one on Z: what is not connected does no har
 with five axes leave out MOTORS. Step, direction and enable are numbers of the registers' outputs,
 of which heaters and fans stay off. Inputs are ESP32 pins; the probe's (MT_DET) has its resistor on
 the board. The spindle or laser is at the servo output of the 3D-touch connector. Pins are those of
-Marlin's pin list for the board, which grblHAL's agrees with. Never ran on hardware.
+Marlin's pin list for the board, which grblHAL's agrees with. Its ESP32 has no PSRAM: see
+mks_dlc32.py. Never ran on hardware.
 """
 
 MPY_ARCH = "xtensawin"

@@ -206,11 +206,15 @@ def test_an_extra_and_the_users_own_module_have_names_of_their_own(
 
 
 def test_pins_that_have_a_say_at_start_are_told_of() -> None:
-    told = notes(load_board("esp32_devkit"))
+    uno = ModuleType("board")
+    shield = {"STEP": (26, 25, 17), "DIR": (16, 27, 14)}
+    uno.__dict__.update({**vars(load_board("esp32_devkit")), **shield})
+    told = notes(uno)
     enable = next(text for text in told if text.startswith("ENABLE: pin 12 "))
     assert "does not start" in enable and "CNC shield" in enable
     wrover = [text.split(":")[0] for text in told if "WROVER" in text]
     assert wrover == ["STEP", "DIR"]
+    assert not any("WROVER" in text for text in notes(load_board("esp32_devkit")))
     assert notes(load_board("rpi_pico")) == notes(load_board("sim")) == []
     assert notes(board(DEFAULTS={100: 0, 110: 500, 130: 0})) == [
         "DEFAULTS: $100=0 is no steps for a millimetre of X: it will not move as it should"

@@ -328,27 +328,25 @@ def test_buffers_of_frames_are_filled_without_allocation() -> None:
     assert "filled True" in run_micropython(_NO_ALLOCATION % folders)
 
 
-# Compiled code has its own memory
+# Memory
 
 
-def prepared(modules: "list[str]") -> "tuple[int, str]":
+def prepared() -> "tuple[int, str]":
     """The processor's clock behind prepare(), and what it has said."""
     esp_machine.freq(160_000_000)
     try:
-        esp_start.prepare(modules)
+        esp_start.prepare()
     except MemoryError as fault:
         return esp_machine.freq(), str(fault)
     return esp_machine.freq(), ""
 
 
-def test_compiled_code_that_finds_no_room_says_what_was_free(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "too_large.py").write_text("raise MemoryError\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    assert prepared(["motion.segment_kernel"]) == (240_000_000, "")
-    words = "no room for too_large among compiled code: 63000 bytes free, 40000 in one piece"
-    assert prepared(["motion.segment_kernel", "too_large"]) == (240_000_000, words)
+def test_a_module_without_psram_is_told_what_it_wants(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert prepared() == (240_000_000, "")
+    monkeypatch.setattr(esp32, "psram", 0)
+    assert prepared()[1].startswith(
+        "63000 bytes free of the 150000 that the firmware wants: take a module with PSRAM"
+    )
 
 
 # The stand-ins refuse what the hardware's modules refuse

@@ -122,6 +122,20 @@ def test_lines_are_answered(sim: Sim) -> None:
         assert "error:20" in sender.ask("G64")
 
 
+def test_recorded_conversations_are_replayed_over_a_port(sim: Sim, tmp_path: Path) -> None:
+    def case(line: str, answer: str, moved: "list[int]") -> "dict[str, object]":
+        step = {"send": f"{line}\n", "wait": "idle", "t_ms": 50, "expect": [answer]}
+        setup = [["G91", ["ok"]]]
+        named = {"name": f"{line} {answer}", "init": "defaults", "setup": setup}
+        return {**named, "steps": [{**step, "moved": moved}]}
+
+    recorded = [case("G1X.1F300", "ok", [25, 0, 0]), case("G1", "error:22", [0, 0, 0])]
+    (tmp_path / "errors.json").write_text(json.dumps([*recorded, case("G999", "ok", [0, 0, 0])]))
+    done = ugrbl("conformance", tmp_path, "--port", sim.port)
+    assert done.returncode == 1
+    assert "G999 ok" in done.stdout and "2 of 3 conform" in done.stdout
+
+
 def test_a_machine_with_switches_is_homed_at_either_end_and_stops_there(tmp_path: Path) -> None:
     running = Sim(tmp_path, "--speed", "max", "--switches")
     try:

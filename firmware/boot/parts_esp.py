@@ -12,17 +12,10 @@ if TYPE_CHECKING:
     from esp_chip.rmt import RmtEngine
     from interfaces import BoardLink
 
-# Modules with compiled code, the largest first.
-_COMPILED = (
-    "motion.segment_kernel motion.plan_kernel language.words talk.lines talk.digits motion.steps "
-    "motion.ramps motion.reals base.singles motion.planner control.canon talk.quick_lines "
-    "language.checks language.block language.line"
-)
-
 
 def rmt(board: "ModuleType", link: "BoardLink") -> "tuple[RmtEngine, EspPort]":
-    """Raises MemoryError where compiled code finds no room."""
-    prepare(_COMPILED.split())
+    """Raises MemoryError where there is too little."""
+    prepare()
     from esp_chip.rmt import RmtEngine
 
     engine = RmtEngine(board.STEP, board.DIR)
@@ -32,8 +25,8 @@ def rmt(board: "ModuleType", link: "BoardLink") -> "tuple[RmtEngine, EspPort]":
 
 
 def i2s(board: "ModuleType", link: "BoardLink") -> "tuple[I2sEngine, EspPort]":
-    """Raises MemoryError where compiled code finds no room."""
-    prepare(_COMPILED.split())
+    """Raises MemoryError where there is too little."""
+    prepare()
     from esp_chip.i2s import I2sEngine
 
     engine = I2sEngine(

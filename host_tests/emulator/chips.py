@@ -2,7 +2,8 @@
 
 UGRBL_CHIP names one (`make test-emulator CHIP=rp2350`); a Pico's RP2040 where it does not. A bench
 is the chip with what surrounds it: pico.py has that of the RP2040, pico2.py that of the RP2350,
-and what tests use of either is the same.
+and what tests use of either is the same. An "esp32" has a bench and tests of its own:
+qemu_esp32.py.
 """
 
 import os
@@ -60,7 +61,8 @@ CHIPS = {
         ),
     )
 }
-CHIP = CHIPS[os.environ.get("UGRBL_CHIP") or "rp2040"]
+NAME = os.environ.get("UGRBL_CHIP") or "rp2040"
+CHIP = CHIPS.get(NAME, CHIPS["rp2040"])
 
 
 def file_system(files: "Mapping[str, bytes]") -> bytes:

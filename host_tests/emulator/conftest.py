@@ -5,9 +5,10 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+import pico2
 import pytest
-from chips import CHIP
-from pico2 import lacks
+import qemu_esp32
+from chips import CHIP, CHIPS, NAME
 
 # What compile_emulator.py has made is three times as fast.
 _COMPILED = Path(sys.prefix) / "emulator"
@@ -17,6 +18,7 @@ if _IS_COMPILED:
 
 _HAS_EMULATOR = find_spec("rp2040py") is not None
 # What is of the RP2040, or of its emulator, by its nature.
+_OF_ESP32 = "test_esp32_emulated.py"
 _OF_RP2040 = ("test_pico_card.py", "test_pico_drivers.py", "test_pico_speed.py", "test_xip.py")
 
 
@@ -24,15 +26,21 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     """These run when asked for by name (`make test-emulator`), and cannot even be imported
     without the emulator."""
     asked = any("emulator" in argument for argument in config.args)
-    if CHIP.name != "rp2040":
+    if NAME not in (*CHIPS, "esp32"):
+        raise pytest.UsageError(f"CHIP={NAME}: the chips are {', '.join(CHIPS)} and esp32")
+    if (NAME == "esp32") != (collection_path.name == _OF_ESP32) and collection_path.is_file():
+        return True
+    if NAME != "rp2040":
         return None if asked and collection_path.name not in _OF_RP2040 else True
     return None if asked and _HAS_EMULATOR else True
 
 
 def pytest_report_header() -> str:
     """Why there is nothing to see, or why it takes so long."""
-    if CHIP.name != "rp2040":
-        return f"emulated {CHIP.name}: {lacks() or 'rp2350js'}"
+    if NAME == "esp32":
+        return f"emulated ESP32: {qemu_esp32.lacks() or 'QEMU'}"
+    if NAME == "rp2350":
+        return f"emulated RP2350: {pico2.lacks() or 'rp2350js'}"
     if not _HAS_EMULATOR:
         return "emulated Pico: left out, rp2040py is not installed"
     return "" if _IS_COMPILED else "emulated Pico: slow; `make compiled-emulator` makes it faster"
@@ -48,7 +56,7 @@ def pytest_collection_modifyitems(items: "list[pytest.Item]") -> None:
 @pytest.fixture(scope="session")
 def uf2() -> Path:
     """MicroPython for the chip."""
-    why = lacks() if CHIP.name == "rp2350" else ""
+    why = pico2.lacks() if CHIP.name == "rp2350" else ""
     if why:
         pytest.skip(why)
     named = os.environ.get(CHIP.image, "")

@@ -28,7 +28,7 @@ _ESP32_ODD = {
     12: "pulled up at start selects the wrong flash voltage, and the board does not start: a CNC"
     " shield pulls its enable up",
     15: "has a say at start; gives pulses then",
-    **dict.fromkeys((16, 17), "belongs to the memory of a WROVER module: free on a WROOM only"),
+    **dict.fromkeys((16, 17), "belongs to the PSRAM of a WROVER, which the firmware wants"),
     1: "is the serial line to the computer (TX)",
     3: "is the serial line to the computer (RX)",
     **dict.fromkeys((34, 35, 36, 39), "has no pull-up: the switch needs a resistor to 3.3 V"),

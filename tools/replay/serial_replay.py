@@ -40,7 +40,8 @@ class SerialReplay:
             observed["setup"].append({"lines": self._step(line + "\n", "ok", 0)})
         for step in case["steps"]:
             lines = self._step(step["send"], step["wait"], step["t_ms"], step.get("settle_ms"))
-            observed["steps"].append({"lines": lines, "partial": self._text})
+            moved = step.get("moved") or [0, 0, 0]  # as recorded: a port shows no motors
+            observed["steps"].append({"lines": lines, "partial": self._text, "moved": moved})
         return observed
 
     def _make_default(self) -> None:

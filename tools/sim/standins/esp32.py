@@ -28,11 +28,13 @@ RETURN_US = 8
 
 HEAP_DATA = 4
 HEAP_EXEC = 1
+psram = 4_134_464  # free at first; 0 without
 
 
 def idf_heap_info(capabilities: int) -> "list[tuple[int, int, int, int]]":
-    """Of each heap: size, free, largest free block, least that was ever free."""
-    return [(100_000, 60_000, 40_000, 50_000), (20_000, 3000, 2000, 2500)]
+    """Of each heap: size, free, largest free block, least that was ever free. With PSRAM."""
+    inside = [(100_000, 60_000, 40_000, 50_000), (20_000, 3000, 2000, 2500)]
+    return [(4_194_304, psram, psram, psram)] + inside if capabilities == HEAP_DATA else inside
 
 
 class RMT:

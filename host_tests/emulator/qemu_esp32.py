@@ -1,0 +1,176 @@
+"""An ESP32 in QEMU, running a real MicroPython image.
+
+The emulator is a process, and its time that of the instructions it has executed: what happens does
+not depend on how busy this computer is. UGRBL_QEMU_ESP32 names it: qemu-system-xtensa of
+lcgamboa/qemu without the faults that it comes with: inputs are low in spite of their pull-ups, the
+end of what RMT sends comes at any time, and nobody is told what the pins do. It writes that to the
+file that UGRBL_PINS names: "G ns changed levels" for pins 0 to 31, "R ns channel word divider" for
+what a channel begins to send. And its cores take turns of milliseconds, see each a PSRAM of its
+own, and read all flash anew after each access. There is no I2S and no PCNT.
+"""
+
+import os
+import re
+import subprocess
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import NamedTuple
+
+from serial import Serial
+from ugrbl.image.file_system import make as sectors_of
+
+_QEMU = "UGRBL_QEMU_ESP32"
+IMAGE = "UGRBL_ESP32_BIN"
+_IMAGE_AT, _FILES_AT, _FLASH = 0x1000, 0x200000, 4 << 20
+_PATIENCE_S = 120.0
+# An instruction takes 4 ns, as at 240 MHz.
+_CLOCK = "shift=2,align=off,sleep=off"
+
+
+def lacks() -> str:
+    """Why the emulator cannot be run here, or nothing."""
+    named = os.environ.get(_QEMU, "")
+    if not named:
+        return f"{_QEMU} names no emulator: qemu-system-xtensa, as told in qemu_esp32.py"
+    if not Path(named).is_file():
+        return f"{_QEMU}: there is no file {named}"
+    named = os.environ.get(IMAGE, "")
+    if not named:
+        return f"{IMAGE} names no image: ESP32_GENERIC-SPIRAM-….bin of micropython.org/download"
+    return "" if Path(named).is_file() else f"{IMAGE}: there is no file {named}"
+
+
+class Step(NamedTuple):
+    """A step pulse has begun, of this channel of RMT, while these pins (a mask) were high."""
+
+    us: float
+    channel: int
+    levels: int
+
+
+class Esp32:
+    """The board. files: what is on its file system at first power-up, by path. psram: whether its
+    module has 4 MB of it. It is not on yet."""
+
+    def __init__(self, image: Path, files: "Mapping[str, bytes]", psram: bool = True) -> None:
+        self._folder = Path(mkdtemp())
+        self._psram = psram
+        self._process: subprocess.Popen[str] | None = None
+        self.port: Serial
+        self.received = bytearray()
+        flash = bytearray(b"\xff" * _FLASH)
+        there = image.read_bytes()
+        flash[_IMAGE_AT : _IMAGE_AT + len(there)] = there
+        for place, sector in sectors_of(files, _FLASH - _FILES_AT).items():
+            flash[_FILES_AT + place : _FILES_AT + place + len(sector)] = sector
+        (self._folder / "flash").write_bytes(flash)
+
+    # Power
+
+    def power_on(self) -> "Esp32":
+        """Its UART is a terminal, as which pyserial has it. Returns self."""
+        drive = f"file={self._folder / 'flash'},if=mtd,format=raw"
+        memory = ("-m", "4M") if self._psram else ()
+        command = [os.environ[_QEMU], "-machine", "esp32", *memory, "-icount", _CLOCK]
+        command += ["-drive", drive, "-display", "none", "-monitor", "none", "-serial", "pty"]
+        self._process = subprocess.Popen(
+            command,
+            env={**os.environ, "UGRBL_PINS": str(self._folder / "pins")},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        assert self._process.stdout
+        for line in self._process.stdout:
+            if terminal := re.search(r"/dev/\S+", line):
+                self.port = Serial(terminal[0], timeout=0.1)
+                return self
+        raise AssertionError("the emulator has ended")
+
+    def power_off(self) -> None:
+        """At once."""
+        if self._process:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+            self.port.close()
+            self.received.clear()
+
+    __del__ = power_off
+
+    # The serial line
+
+    @property
+    def said(self) -> str:
+        """All that it has said since it was asked last."""
+        return self.received.decode("latin-1")
+
+    def send(self, text: str) -> None:
+        """Bytes from the sender."""
+        self.port.write(text.encode("latin-1"))
+
+    def wait_for(self, text: str, seconds: float = _PATIENCE_S) -> str:
+        """Until it has said the text; returns all it has said."""
+        end = time.monotonic() + seconds
+        while text not in self.said:
+            assert time.monotonic() < end, f"no {text!r} in {self.said!r}"
+            self.received += self.port.read(max(1, self.port.in_waiting))
+        return self.said
+
+    def ask(self, line: str, until: str = "ok\r\n") -> str:
+        """Send a line and return its answer."""
+        self.received.clear()
+        self.send(line + "\n")
+        return self.wait_for(until)
+
+    def boot(self) -> "Esp32":
+        """Until it answers; at its first start, with the factory's settings kept. Returns self."""
+        self.wait_for("Grbl 1.1h")
+        self.ask("")
+        return self
+
+    def status(self) -> str:
+        """A report."""
+        self.received.clear()
+        self.send("?")
+        return self.wait_for(">\r\n").partition("<")[2].partition(">")[0]
+
+    def comes_to(self, state: str) -> str:
+        """Let the machine go on until a report begins so; returns that."""
+        end = time.monotonic() + _PATIENCE_S
+        while not (report := self.status()).startswith(state):
+            assert time.monotonic() < end, f"not {state}: {report}"
+        return report
+
+    def python(self, code: str) -> str:
+        """Ask for MicroPython's prompt and run code in it; returns what it prints."""
+        self.send("\x03\x03\x03")
+        self.wait_for(">>> ")
+        self.send("\x01")
+        self.wait_for("raw REPL; CTRL-B to exit\r\n>")
+        self.received.clear()
+        self.send(code + "\x04")
+        return self.wait_for("\x04>").removeprefix("OK").partition("\x04")[0]
+
+    # Pins
+
+    def steps(self) -> "list[Step]":
+        """What RMT has sent so far: its level rises."""
+        found = []
+        levels = 0
+        ends: dict[int, float] = {}
+        for line in (self._folder / "pins").read_text().splitlines():
+            kind, *numbers = line.split()
+            if kind == "G":
+                levels = int(numbers[2])
+                continue
+            ns, channel, word, divider = map(int, numbers)
+            at = max(ns / 1000, ends.get(channel, 0.0))
+            for half in (word & 0xFFFF, word >> 16):
+                if half >> 15:
+                    found.append(Step(at, channel, levels))
+                at += (half & 0x7FFF) * divider / 80
+            ends[channel] = at
+        return found

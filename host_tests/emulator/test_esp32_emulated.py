@@ -1,0 +1,119 @@
+"""The firmware as it is deployed, in MicroPython on an ESP32 in QEMU: qemu_esp32.py says which."""
+
+import json
+import os
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from qemu_esp32 import IMAGE, Esp32, Step, lacks
+from ugrbl.compiling import build
+from ugrbl.paths import BOARDS
+from ugrbl.replay.conformance import run_port
+
+pytestmark = pytest.mark.xdist_group("esp32")
+
+_CONVERSATIONS = Path(__file__).resolve().parents[3] / "shared" / "conformance"
+_DIR = (21, 27, 14)
+_SOME = 6  # conversations of a kind
+_BLOCKS = 2  # of RMT's memory for each channel, which has the number of its first one
+
+
+@pytest.fixture(scope="module")
+def image() -> Path:
+    """MicroPython for the chip, whose MicroPython finds its PSRAM."""
+    if why := lacks():
+        pytest.skip(why)
+    return Path(os.environ[IMAGE])
+
+
+@pytest.fixture(scope="module")
+def files() -> "dict[str, bytes]":
+    """What `ugrbl deploy` puts on it."""
+    return build.for_board(BOARDS / "esp32_devkit.py").files
+
+
+@pytest.fixture(scope="module")
+def machine(image: Path, files: "dict[str, bytes]") -> Esp32:
+    return Esp32(image, files).power_on().boot()
+
+
+def counted(steps: "list[Step]") -> "list[int]":
+    """Per axis, where they lead to."""
+    found = [0, 0, 0]
+    for step in steps:
+        axis = step.channel // _BLOCKS
+        found[axis] += -1 if step.levels >> _DIR[axis] & 1 else 1
+    return found
+
+
+def test_it_says_what_it_is_and_what_it_has(machine: Esp32) -> None:
+    said = machine.ask("$I")
+    assert "Grbl rmt 5000Hz" in said and "[OPT:V,63,128]" in said
+    assert machine.status().startswith("Idle|MPos:0.000,0.000,0.000")
+
+
+def test_a_setting_outlives_a_power_cut(machine: Esp32) -> None:
+    assert machine.ask("$100=300").endswith("ok\r\n")
+    machine.power_off()
+    machine.power_on().boot()
+    assert "$100=300.000\r\n" in machine.ask("$$")
+    machine.ask("$100=250")
+
+
+def test_steps_are_as_many_as_asked_for_and_none_comes_early(machine: Esp32) -> None:
+    before = len(machine.steps())
+    for line in ("G91 G1 X4 F480", "G1 X-1 Y2 F400", "G1 X-3 Y-2 Z0.5 F300"):
+        machine.ask(line)
+    report = machine.comes_to("Idle")
+    steps = machine.steps()[before:]
+    assert report.startswith("Idle|MPos:0.000,0.000,0.500")
+    assert counted(steps) == [0, 0, 125]
+    made = [sum(step.channel == _BLOCKS * axis for step in steps) for axis in range(3)]
+    assert made == [2000, 1000, 125]
+    of_x = [step.us for step in steps if step.channel == 0]
+    assert min(b - a for a, b in pairwise(of_x)) > 500 - 60  # 2000 a second, docs/esp32.md
+
+
+def test_a_hold_loses_no_step_and_a_reset_in_motion_says_that_it_may(machine: Esp32) -> None:
+    before = len(machine.steps())
+    machine.ask("G91 G1 X3 F480")
+    machine.comes_to("Run")
+    machine.send("!")
+    machine.comes_to("Hold:0")
+    held = counted(machine.steps()[before:])[0]
+    assert 0 < held < 750
+    machine.send("~")
+    machine.comes_to("Idle")
+    assert counted(machine.steps()[before:])[0] == 750
+    machine.ask("G1 X-3")
+    machine.comes_to("Run")
+    machine.received.clear()
+    machine.send("\x18")
+    assert "ALARM:3" in machine.wait_for("[MSG:'$H'|'$X' to unlock]")
+    assert machine.comes_to("Alarm")
+    machine.ask("$X")
+
+
+@pytest.mark.parametrize("category", ["errors", "gcode_words"])
+def test_conversations_with_real_grbl_are_answered_as_recorded(
+    machine: Esp32, category: str, tmp_path: Path
+) -> None:
+    """A few: before each the board starts anew, with the factory's settings."""
+    recorded = _CONVERSATIONS / f"{category}.json"
+    if not recorded.is_file():
+        pytest.skip(f"the recordings are not there: {recorded}")
+    cases = json.loads(recorded.read_text("utf-8"))
+    (tmp_path / recorded.name).write_text(json.dumps(cases[:: len(cases) // _SOME]), "utf-8")
+    results = run_port(tmp_path, machine.port)
+    assert len(results.required()) >= _SOME and not results.failures()
+
+
+def test_at_the_prompt_there_is_memory_left(machine: Esp32) -> None:
+    free = machine.python("import gc; gc.collect(); print(gc.mem_free())")
+    assert int(free) > 3_000_000
+
+
+def test_without_psram_it_says_what_it_wants(image: Path, files: "dict[str, bytes]") -> None:
+    board = Esp32(image, files, psram=False).power_on()
+    assert "take a module with PSRAM" in board.wait_for("]\r\n")
