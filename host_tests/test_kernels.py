@@ -10,7 +10,7 @@ from base.f32 import copy, vector
 from hypothesis import example, given
 from hypothesis import strategies as st
 from laws import Bench, Limits, some
-from motion import layout, ramps, reals
+from motion import layout, plan_kernel, ramps, reals
 from motion.reals import real, value
 from motion.steps import to_steps
 
@@ -222,3 +222,25 @@ def test_a_short_move_at_extreme_settings_keeps_every_law(rate, acceleration, re
     bench.line((way, 0, 0))
     bench.line((way, way / 2, -way / 3))
     bench.check()
+
+
+# The planner
+
+
+mantissas = st.integers(reals.SMALLEST, reals.LIMIT - 1)
+
+
+@given(mantissas, mantissas, mantissas)
+@example(32767, 16385, 16384)  # the product has one bit more than a mantissa
+def test_a_limit_along_a_move_is_that_of_the_axis_by_its_share(
+    most: int, way: int, mm: int
+) -> None:
+    table = array("i", [0] * (layout.LIMITS + 6))
+    table[layout.AXES] = 1
+    table[layout.LIMITS + 1] = table[layout.LIMITS + 2] = (80 << 15) + most
+    table[layout.LIMITS + 5] = (64 << 15) + mm
+    ring = layout.ring(1, 2)
+    ring[layout.LENGTH] = (66 << 15) + way
+    plan_kernel.limit(table, ring, 0)
+    expected = value((80 << 15) + most) * 4 * way / mm
+    assert near(value(ring[layout.RAPID]), expected) and near(value(ring[layout.ACCEL]), expected)
