@@ -42,11 +42,13 @@ class Supervisor:
         self._shared = link.shared
         self._look = link.look
         link.come_back = self.tell
+        self._port = port
         self._kill = port.kill
         self._stop = engine.stop
         self._limit_ms = limit_ms
         hard = sys.platform == "rp2"
         self._beat_ms = _HARD_MS if hard else _SOFT_MS
+        self._last_ms = 0  # when a soft beat came
         self._timer = Timer(-1 if hard else _SOFT_TIMER)
 
     def start(self, feed: "Callable[[], None] | None", on_reset: "Callable[[int], None]") -> None:
@@ -57,7 +59,8 @@ class Supervisor:
         self._on_reset = on_reset
         self.allow(0)
         hard = self._beat_ms == _HARD_MS
-        self._timer.init(period=self._beat_ms, callback=self._beat, hard=hard)
+        beat = self._beat if hard else self._soft_beat
+        self._timer.init(period=self._beat_ms, callback=beat, hard=hard)
 
     def close(self) -> None:
         """Watch no more."""
@@ -66,6 +69,12 @@ class Supervisor:
     def allow(self, ms: int) -> None:
         """The main loop may be away for so much longer, this time."""
         self._shared[AWAY] = -ms
+
+    def _soft_beat(self, timer: object) -> None:
+        """Those that have waited while flash was written come all at once, and are one."""
+        if self._port.elapsed_ms(self._last_ms) >= _SOFT_MS // 2:
+            self._last_ms = self._port.ticks_ms()
+            self._beat(timer)
 
     @micropython.viper
     def _beat(self, _timer: object) -> int:
