@@ -1,6 +1,7 @@
 """The whole firmware on an emulated board, and a sender at its other end."""
 
 import re
+from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
@@ -93,7 +94,57 @@ def altered(old: str, new: str) -> "Mapping[str, bytes]":
     return files
 
 
-class Board:
+class Sender(ABC):
+    """A sender at an emulated board, which runs while something is waited for."""
+
+    @property
+    @abstractmethod
+    def said(self) -> str:
+        """All that the board has said since it was cleared last."""
+
+    @abstractmethod
+    def forget(self) -> None:
+        """Clear what has been said."""
+
+    @abstractmethod
+    def wait_for(self, text: str, limit_us: float = _ANSWER_US) -> str:
+        """Let the chip run until it has said the text; returns all it has said."""
+
+    @abstractmethod
+    def send(self, text: "str | bytes") -> None:
+        """Bytes from the sender."""
+
+    def ask(self, line: str, until: str = "ok\r\n", limit_us: float = _ANSWER_US) -> str:
+        """Send a line and return its answer."""
+        self.forget()
+        self.send(line + "\n")
+        return self.wait_for(until, limit_us)
+
+    def status(self) -> "dict[str, str]":
+        """The fields of a status report; the state under "state"."""
+        self.forget()
+        self.send("?")
+        report = self.wait_for(">\r\n").partition("<")[2].partition(">")[0]
+        state, *fields = report.split("|")
+        return {"state": state, **dict(field.split(":", 1) for field in fields)}
+
+    def python(self, code: str, prompt: str = "Here is the REPL") -> str:
+        """Ask for MicroPython's prompt and run code in it; returns what it prints."""
+        self.send("\x03\x03\x03")
+        self.wait_for(prompt)
+        self.send("\x01")
+        self.wait_for("raw REPL; CTRL-B to exit\r\n>")
+        return self.python_again(code)
+
+    def python_again(self, code: str) -> str:
+        """The same at the prompt."""
+        self.forget()
+        self.send(code + "\x04")
+        self.wait_for("\x04>", 10_000_000)
+        return self.said.removeprefix("OK").partition("\x04")[0]
+
+
+class Board(Sender):
     """A Pico with the firmware on it. changes: files in place of, or besides, the usual ones.
     cache: with the model of the flash cache (xip.py)."""
 
@@ -139,20 +190,6 @@ class Board:
         """Bytes from the sender."""
         self.pico.usb.send(text.encode() if isinstance(text, str) else text)
 
-    def ask(self, line: str, until: str = "ok\r\n", limit_us: float = _ANSWER_US) -> str:
-        """Send a line and return its answer."""
-        self.forget()
-        self.send(line + "\n")
-        return self.wait_for(until, limit_us)
-
-    def status(self) -> "dict[str, str]":
-        """The fields of a status report; the state under "state"."""
-        self.forget()
-        self.send("?")
-        report = self.wait_for(">\r\n").partition("<")[2].partition(">")[0]
-        state, *fields = report.split("|")
-        return {"state": state, **dict(field.split(":", 1) for field in fields)}
-
     def until_idle(self, limit_us: float = 10_000_000) -> None:
         """Let the machine finish. As with Grbl, a ? right behind an answer may be ahead of the
         start of what the line has planned, so there is a pause before the first."""
@@ -161,21 +198,6 @@ class Board:
         while self.status()["state"] != "Idle":
             assert self.pico.us < end, f"not idle: {self.said}"
             self.pico.run_us(20_000)
-
-    def python(self, code: str, prompt: str = "Here is the REPL") -> str:
-        """Ask for MicroPython's prompt and run code in it; returns what it prints."""
-        self.send("\x03\x03\x03")
-        self.wait_for(prompt)
-        self.send("\x01")
-        self.wait_for("raw REPL; CTRL-B to exit\r\n>")
-        return self.python_again(code)
-
-    def python_again(self, code: str) -> str:
-        """The same at the prompt."""
-        self.forget()
-        self.send(code + "\x04")
-        self.wait_for("\x04>", 10_000_000)
-        return self.said.removeprefix("OK").partition("\x04")[0]
 
 
 def steps(edges: "list[Edge]", axis: int) -> "list[tuple[float, int]]":

@@ -2,11 +2,11 @@
 
 The emulator is a process, and its time that of the instructions it has executed: what happens does
 not depend on how busy this computer is. UGRBL_QEMU_ESP32 names it: qemu-system-xtensa of
-lcgamboa/qemu without the faults that it comes with: inputs are low in spite of their pull-ups, the
-end of what RMT sends comes at any time, and nobody is told what the pins do. It writes that to the
-file that UGRBL_PINS names: "G ns changed levels" for pins 0 to 31, "R ns channel word divider" for
-what a channel begins to send. And its cores take turns of milliseconds, see each a PSRAM of its
-own, and read all flash anew after each access. There is no I2S and no PCNT.
+lcgamboa/qemu without the faults that it comes with: inputs are low in spite of their pull-ups, RMT
+does not take the time that its pulses take, its cores take turns of milliseconds, each core has a
+PSRAM of its own, and all flash is read anew after each access. It also has to write what pins do
+to the file that UGRBL_PINS names: "G ns changed levels" for pins 0 to 31, "R ns channel word
+divider" where a channel begins to send. There is no I2S and no PCNT.
 """
 
 import os
@@ -18,6 +18,7 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import NamedTuple
 
+from emulated import Sender
 from serial import Serial
 from ugrbl.image.file_system import make as sectors_of
 
@@ -50,7 +51,7 @@ class Step(NamedTuple):
     levels: int
 
 
-class Esp32:
+class Esp32(Sender):
     """The board. files: what is on its file system at first power-up, by path. psram: whether its
     module has 4 MB of it. It is not on yet."""
 
@@ -104,26 +105,21 @@ class Esp32:
 
     @property
     def said(self) -> str:
-        """All that it has said since it was asked last."""
         return self.received.decode("latin-1")
 
-    def send(self, text: str) -> None:
-        """Bytes from the sender."""
-        self.port.write(text.encode("latin-1"))
+    def forget(self) -> None:
+        self.received.clear()
 
-    def wait_for(self, text: str, seconds: float = _PATIENCE_S) -> str:
-        """Until it has said the text; returns all it has said."""
-        end = time.monotonic() + seconds
+    def send(self, text: "str | bytes") -> None:
+        self.port.write(text.encode("latin-1") if isinstance(text, str) else text)
+
+    def wait_for(self, text: str, limit_us: float = 0) -> str:
+        """As a Board's, with the patience of this computer's time: its own is not looked at."""
+        end = time.monotonic() + _PATIENCE_S
         while text not in self.said:
             assert time.monotonic() < end, f"no {text!r} in {self.said!r}"
             self.received += self.port.read(max(1, self.port.in_waiting))
         return self.said
-
-    def ask(self, line: str, until: str = "ok\r\n") -> str:
-        """Send a line and return its answer."""
-        self.received.clear()
-        self.send(line + "\n")
-        return self.wait_for(until)
 
     def boot(self) -> "Esp32":
         """Until it answers; at its first start, with the factory's settings kept. Returns self."""
@@ -131,28 +127,12 @@ class Esp32:
         self.ask("")
         return self
 
-    def status(self) -> str:
-        """A report."""
-        self.received.clear()
-        self.send("?")
-        return self.wait_for(">\r\n").partition("<")[2].partition(">")[0]
-
-    def comes_to(self, state: str) -> str:
-        """Let the machine go on until a report begins so; returns that."""
+    def comes_to(self, state: str) -> "dict[str, str]":
+        """Let the machine go on until it is in a state; returns the report that says so."""
         end = time.monotonic() + _PATIENCE_S
-        while not (report := self.status()).startswith(state):
+        while (report := self.status())["state"] != state:
             assert time.monotonic() < end, f"not {state}: {report}"
         return report
-
-    def python(self, code: str) -> str:
-        """Ask for MicroPython's prompt and run code in it; returns what it prints."""
-        self.send("\x03\x03\x03")
-        self.wait_for(">>> ")
-        self.send("\x01")
-        self.wait_for("raw REPL; CTRL-B to exit\r\n>")
-        self.received.clear()
-        self.send(code + "\x04")
-        return self.wait_for("\x04>").removeprefix("OK").partition("\x04")[0]
 
     # Pins
 

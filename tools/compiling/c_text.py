@@ -107,7 +107,7 @@ class Function:
         raise NotImplementedError
 
     def after_objects(self) -> str:
-        """A statement behind what has used an object; an empty text: none."""
+        """A statement to follow one that has used an object; an empty text: none."""
         return ""
 
     def knows(self, key: Key) -> bool:
