@@ -14,6 +14,7 @@ from control.inputs import Inputs
 from control.seek import Seek
 from control.spindle import Spindle
 from extras.api import Cnc
+from language.block import Block
 from motion.arc_geometry import Arc
 from motion.planner import Move, Planner
 from talk.report import Report
@@ -133,6 +134,16 @@ class Canon(Protocol):
 
     def outside(self, target: array[float]) -> bool:
         """The target lies outside the machine's travel."""
+
+class Motion(Protocol):
+    """A motion mode that an extra brings, besides lines, arcs and probes."""
+
+    def check(self, block: Block) -> None:
+        """Refuse a block with GrblError; nothing has changed yet. Its target is in block.xyz, and
+        of MOTION_WORDS no more than the motion uses may be there."""
+
+    def make(self, block: Block, move: Move) -> None:
+        """Have its moves made, and say in Modes.position where they end."""
 
 class Kinematics(Protocol):
     """Which motor moves which axes, where they do not move one each: motion/kinematics.py.

@@ -132,18 +132,15 @@ def test_a_change_has_to_fit_in_one_place():
 
 @in_section("A drilling cycle")
 def test_a_drilling_cycle(tree):
-    renewed = tree.make_docs()
-    assert "`G81`" in (tree.folder / "docs" / "reference.md").read_text()
-    assert (len(tree.written), len(renewed)) == files_named("a drilling cycle")
-    told = tree.ugrbl("conformance host_tests/conversations --only drilling")
-    assert "2" in told
-
-
-@in_section("A drilling cycle")
-def test_its_holes_are_as_deep_as_they_should_be(tree):
+    assert (len(tree.written), 0) == files_named("a drilling cycle")
+    told = tree.python("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_drill.py")
+    assert re.search(r"^(=+ )?2 passed", told, re.MULTILINE), told
+    built = tree.ugrbl("build --board drilling_mill.py")
+    assert "extras/cycles.mpy" in built
     program = tree.folder / "holes.nc"
     program.write_text("G54 G10 L2 P1 Z1\nG0 Z5\nG81 X10 Y5 Z-2 R1 F100\nX20\nG80\n")
-    told = tree.python("-m", "ugrbl.cli", "run", str(program), "--json", str(tree.folder / "j"))
+    line = (str(program), "--board", "drilling_mill.py", "--json", str(tree.folder / "j"))
+    told = tree.python("-m", "ugrbl.cli", "run", *line)
     result = json.loads((tree.folder / "j").read_text())
     assert result["errors"] == [], told
     assert result["bounds_mm"]["Z"] == [-1.0, 6.0]  # the work's zero is at 1

@@ -107,10 +107,15 @@ def test_a_g_word_may_have_a_decimal(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_grbl_has_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     def install(cnc: Cnc) -> None:
         cnc.add_m(100, print)
+        cnc.add_cycle(86, _bore)
         for add in (
             lambda: cnc.add_m(3, print),
             lambda: cnc.add_m(100, print),
             lambda: cnc.add_g(0, print),
+            lambda: cnc.add_g(86, print),
+            lambda: cnc.add_cycle(86, _bore),
+            lambda: cnc.add_cycle(80, _bore),
+            lambda: cnc.add_cycle(92, _bore),
             lambda: cnc.add_byte(0x84, print),
             lambda: cnc.add_byte(0x41, print),
         ):
@@ -136,6 +141,37 @@ def test_a_handler_may_refuse_and_a_reset_ends_it(monkeypatch: pytest.MonkeyPatc
     )
     assert said[0] == [f"error:{errors.NEGATIVE_VALUE}"] and said[2][0].startswith("<Idle")
     assert said[3][-1].startswith("Grbl 1.1h")
+
+
+def _bore(here: "list[float]", target: "list[float]", r: float, p: "float | None") -> "Any":
+    yield target[:2] + [r], True
+    yield target, False
+    yield target[:2] + [r + (p or 0.0)], True
+
+
+def test_a_cycle_keeps_its_numbers_until_another_motion(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(monkeypatch, lambda cnc: cnc.add_cycle(86, _bore, "Rp"))
+    cycle = ("G20G86X1Z-.2R.1P3F20", "X2", "G21X-2R-1", "G0X0", "X1")
+    said = bench.say(*((text, "idle") for line in cycle for text in (line + "\n", "?")))
+    assert said[::2] == [["ok"]] * 5
+    places = [report[0].partition("MPos:")[2].partition("|")[0] for report in said[1::2]]
+    at = ("25.400,0.000,5.540", "50.800,0.000,5.540", "-2.000,0.000,2.000", "0.000,0.000,2.000")
+    assert places == [*at, "1.000,0.000,2.000"]
+    # Behind another motion Z and R have to be there again; P does not.
+    again = lines("G86X1Z-1R1P5F9", "G0X2", "G86X1R1", "G86X1Z-1", "X3", "G86X1Z-1R0", "$G")
+    said = bench.say(*again)
+    assert said[2:6] == [["error:28"], ["error:28"], ["ok"], ["ok"]]
+    assert said[6][0].startswith("[GC:G86 G54 ")
+
+
+def test_a_line_of_a_cycle_that_is_refused_changes_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bench = Bench(monkeypatch, lambda cnc: cnc.add_cycle(86, _bore, "Rp"))
+    wrong = ("G18G86X1Z-1R0F9", "G91G86X1Z-1R0F9", "G93G86X1Z-1R0F9", "G86X1Z-1R0L1F9", "G86R0F9")
+    said = bench.say(*lines(*wrong, "$G"))
+    assert said[:5] == [[f"error:{n}"] for n in (20, 20, 20, 36, 26)]
+    assert said[5][0] == "[GC:G0 G54 G17 G21 G90 G94 M5 M9 T0 F0 S0]"
 
 
 # Settings, commands, fields, bytes

@@ -115,3 +115,8 @@ class Coords:
         copy(self.systems[system], zero, self._axes)
         add(self.g92, 0, zero, self._axes)
         return zero
+
+    def work_zero(self, system: int, axis: int) -> float:
+        """Where work in that system begins, with tool length, in machine coordinates."""
+        length = self.tool_length if axis == self.length_axis else 0.0
+        return self.zero(system)[axis] + length

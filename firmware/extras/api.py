@@ -18,19 +18,17 @@ from extras.own_words import OwnWords
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
     from typing import Any
 
     from base.settings import Rows
-    from control.coords import Coords
     from language.block import Block
     from talk.controller import Controller
 
+    from extras.cycles import Step
 
-def work_zero(coords: "Coords", system: int, axis: int) -> float:
-    """Where work in that system begins, in machine coordinates, tool length included."""
-    length = coords.tool_length if axis == coords.length_axis else 0.0
-    return coords.zero(system)[axis] + length
+
+_CYCLES_END = const(100)
 
 
 def _in_turn(usual: "Callable[[], object]", call: "Callable[[], object]") -> "Callable[[], None]":
@@ -69,6 +67,10 @@ class Cnc:
     def message(self, text: str) -> None:
         """Tell the sender something, as [MSG:text]."""
         self._machine.report.message(text)
+
+    def refusal(self, number: int) -> GrblError:
+        """To be raised where a line is refused, with Grbl's number of the error."""
+        return GrblError(number)
 
     # What can be added
 
@@ -130,6 +132,25 @@ class Cnc:
     ) -> None:
         """The same for a G word: 81, 81.1, or with an L that Grbl has no use for, "10 L1"."""
         self._words.add("G", number, call, letters, sync)
+
+    def add_cycle(
+        self, number: int, plan: "Callable[..., Iterable[Step]]", letters: str = "R"
+    ) -> None:
+        """A canned cycle, G81 say: a motion mode, each line of which is several moves.
+
+        plan(here, target, ...) gets two places, a list of mm in machine coordinates each, and the
+        numbers behind the letters (of I J K L P R), in their order; R is a height, as Z is. It
+        raises refusal() where the line is wrong: nothing has changed yet. It returns the moves,
+        one by one: where to, and whether as a rapid. Z and those numbers hold for the lines that
+        follow; all have to be there once, but those in lower case, which may be None.
+
+        number: between 80 and 100. ValueError where it is taken.
+        """
+        if not b.NO_MOTION < number < _CYCLES_END or self.is_taken("G", number):
+            raise ValueError("G%d is taken" % number)
+        from extras.cycles import Cycle
+
+        self._machine.interpreter.add_motion(number, Cycle(self._machine, plan, letters))
 
     def is_taken(self, letter: str, number: "float | str") -> bool:
         """Whether Grbl, or somebody else, has that G or M word."""

@@ -14,8 +14,6 @@ from control.modes import INCHES, INVERSE_TIME, MOTION, PLANE, RELATIVE, SYSTEM
 from language import block_layout as b
 from micropython import const
 
-from extras.api import work_zero
-
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -278,7 +276,7 @@ class Drilling:
     def _at(self, axis: int, mm: float) -> float:
         """A place in machine coordinates as the program would say it, on the line in the block."""
         coords, ints = self._machine.coords, self._machine.interpreter.block.ints
-        mm -= work_zero(coords, ints[SYSTEM], axis)
+        mm -= coords.work_zero(ints[SYSTEM], axis)
         return mm / _MM_PER_INCH if ints[INCHES] else mm
 
 

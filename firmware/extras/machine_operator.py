@@ -16,7 +16,6 @@ from control.coords import NAMES
 from control.modes import INCHES
 from micropython import const
 
-from extras.api import work_zero
 from extras.gcode_text import clean, code_of, words_of
 from extras.handlers import Refused
 from extras.keep import Keep
@@ -175,7 +174,7 @@ class Operator(PinOperator):
     def _zero(self, axis: int) -> float:
         """Where work begins, in machine coordinates, tool length included."""
         coords = self._machine.coords
-        return work_zero(coords, coords.active, axis)
+        return coords.work_zero(coords.active, axis)
 
     def touches(self) -> bool:
         """Whether the probe touches now."""

@@ -62,6 +62,8 @@ class OwnWords:
         if key in self._words:
             return True
         is_free = key[1] == _G10 and key[2] and key[2] // 10 not in _GRBLS_L
+        if letter == "G" and key[1] // 10 in self._machine.interpreter.motions:
+            return True
         return is_grbls(letter, key[1]) and not is_free
 
     def add(

@@ -330,15 +330,18 @@ class Block:
             self._index[M_WORDS + 56] = 0
         for i in range(axes, _BIT_I):
             self._index[_INDEXED + VALUE_LETTERS[i] - 65] = _NO_LETTER
-        # What read() works on besides.
-        self.words = (
-            self._words.letters,
-            self._words.values,
-            self._index,
-            dictionary,
-            self.dots,
-            self._take_odd,
-        )
+        self._use(dictionary)
+
+    def _use(self, rows: bytearray) -> None:
+        """Read by this dictionary. words: what read() works on besides."""
+        self._rows, read = rows, self._words
+        self.words = (read.letters, read.values, self._index, rows, self.dots, self._take_odd)
+
+    def add_motion(self, number: int) -> None:
+        """Take this G number for a motion mode. Other blocks do not know it."""
+        self._index[number] = len(self._rows) // ROW
+        row = bytes((MOTION, number, AXES_MOTION, 0, GROUP_1, 0))
+        self._use(self._rows + row)
 
     def _take_odd(self, i: int) -> int:
         """Take in a G or M word of any number. Returns what is wrong with it."""
@@ -354,7 +357,7 @@ class Block:
         row = self._index[at] if at < end else 0
         if not row:
             return GCODE_UNSUPPORTED_COMMAND
-        return self._enter_odd(dictionary[ROW * row :], number, hundredths)
+        return self._enter_odd(self._rows[ROW * row :], number, hundredths)
 
     def _enter_odd(self, row: bytearray, number: int, hundredths: int) -> int:
         place, setting, claim, decimals = row[0], row[SETTING], row[_CLAIM], row[_DECIMALS]

@@ -7,7 +7,8 @@ line asks for; its numbers are in arrays of their own.
 from control.modes import MODAL_LENGTH
 from micropython import const
 
-# Motion modes: the G number, for the probes G38.n the same with n * 10 + 100 added.
+# Motion modes: the G number, for the probes G38.n the same with n * 10 + 100 added. Between
+# NO_MOTION and the probes are those of extras.
 SEEK = const(0)
 LINEAR = const(1)
 CW_ARC = const(2)
@@ -106,4 +107,5 @@ WORD_P = const(0x1000)
 WORD_R = const(0x2000)
 WORD_S = const(0x4000)
 WORD_T = const(0x8000)
+MOTION_WORDS = const(WORD_IJK | WORD_L | WORD_P | WORD_R)  # what a motion may use besides axes
 HIGHEST_TOOL = const(255)

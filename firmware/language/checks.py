@@ -66,8 +66,10 @@ from language.block_layout import (
     LENGTH_AXIS,
     LENGTHS,
     LINEAR,
+    MOTION_WORDS,
     NO_MOTION,
     NON_MODAL,
+    PROBE_TOWARD,
     SCRATCH,
     SEEK,
     SET_COORDS,
@@ -357,6 +359,8 @@ def _motion(
         if wrong:
             return 0 - wrong
         return WORD_R if words & WORD_R else WORD_IJK
+    elif motion > NO_MOTION and motion < PROBE_TOWARD:  # see Motion
+        return MOTION_WORDS
     elif motion > CCW_ARC and int(is_there(position, xyz, axes)):  # 3.5.9: a probe has a way to go
         return 0 - GCODE_INVALID_TARGET
     return 0

@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     from control.modes import Modes
     from control.seek import Seek
     from control.spindle import Spindle
-    from interfaces import Canon, Voice
+    from interfaces import Canon, Motion, Voice
 
     from language.block import Block
 
@@ -129,6 +129,7 @@ class Interpreter:
         self._numbers = vector(2)
         self._rpm = 0.0
         self._line_numbers = line_numbers
+        self.motions: "dict[int, Motion]" = {}  # of extras
         self.line = bytearray(1)  # the loop's
         self.machine = array("i", (0 for _ in range(b.MACHINE_LENGTH)))
         self.machine[b.AXES] = block.axes
@@ -182,6 +183,11 @@ class Interpreter:
         """Have lines that ask for one of these (bits, language/checks.py) come to execute()."""
         self.machine[b.WATCHED] |= asked
 
+    def add_motion(self, number: int, motion: "Motion") -> None:
+        """Add a motion mode, by a G number between 80 and 100. Before memory() is asked for."""
+        self.block.add_motion(number)
+        self.motions[number] = motion
+
     def execute(self, line: bytearray, length: int) -> None:
         """Interpret line[:length], which a 0 follows. Raises GrblError where it is refused."""
         modal, ints = self._modes.modal, self.block.ints
@@ -230,6 +236,8 @@ class Interpreter:
     def _execute(self, asked: int) -> None:
         """What a checked block asks for, in the standard's order. What waits is done beneath."""
         block, modes = self.block, self._modes
+        if asked & SPECIAL and block.ints[MOTION] in self.motions:
+            self.motions[block.ints[MOTION]].check(block)
         ln.put_in_force(block.ints, block.singles, modes.modal, modes.rates)
         modes.rates[TOOL] = block.singles[b.T]
         if asked & _SWITCHES:
@@ -348,6 +356,9 @@ class Interpreter:
             self._canon.line(block.xyz, move)
         elif motion in (b.CW_ARC, b.CCW_ARC):
             self._canon.arc(modes.position, block.xyz, block.arc, move)
+        elif motion in self.motions:
+            self.motions[motion].make(block, move)
+            return
         elif not self._probe(block, move):
             return  # the position has been seen to, or has not changed
         copy(block.xyz, modes.position, block.axes)

@@ -20,7 +20,7 @@ from control.modes import (
     SPINDLE,
     SYSTEM,
 )
-from language.block_layout import NO_MOTION
+from language.block_layout import PROBE_TOWARD
 from language.words import bare
 from micropython import const
 
@@ -185,7 +185,7 @@ class Commands:
         """What is in force, in words."""
         modes, modal, report = self._modes, self._modes.modal, self._report
         motion = modal[MOTION]
-        words = ["G%d" % motion if motion <= NO_MOTION else "G38.%d" % ((motion - 138) // 10)]
+        words = ["G%d" % motion if motion < PROBE_TOWARD else "G38.%d" % ((motion - 138) // 10)]
         words.append("G%d" % (54 + modal[SYSTEM]))
         words.append("G%d" % (17 + modal[PLANE]))
         words.append("G%d" % (20 if modal[INCHES] else 21))

@@ -1,0 +1,97 @@
+"""Cycles: motion modes of extras, each line of which is several moves (NIST RS274NGC 3.5.16)."""
+
+from base import errors
+from base.axes import Z
+from base.errors import GrblError
+from control.modes import INCHES, INVERSE_TIME, MOTION, PLANE, RELATIVE, SYSTEM
+from language import block_layout as b
+from micropython import const
+from motion import layout
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from language.block import Block
+    from motion.planner import Move
+    from talk.controller import Controller
+
+    # Where to, in mm of machine coordinates, and whether as a rapid.
+    Step = tuple[list[float], bool]
+
+_MM_PER_INCH = 25.4
+# The bit of a letter in the block's words, and the place of its number.
+LETTERS = {
+    "I": (b.WORD_I, b.I),
+    "J": (b.WORD_I << 1, b.I + 1),
+    "K": (b.WORD_I << 2, b.I + 2),
+    "L": (b.WORD_L, b.L),
+    "P": (b.WORD_P, b.P),
+    "R": (b.WORD_R, b.R),
+}
+
+
+class Cycle:
+    """A cycle, in the XY plane, with absolute places. See Cnc.add_cycle()."""
+
+    def __init__(
+        self, machine: "Controller", plan: "Callable[..., Iterable[Step]]", letters: str
+    ) -> None:
+        self._modes, self._coords, self._canon = machine.modes, machine.coords, machine.canon
+        self._plan = plan
+        self._letters = letters
+        self._uses = 0
+        for letter in letters.upper():
+            self._uses |= LETTERS[letter][0]
+        # The numbers that hold for the next line, Z first, and those of the line that is checked.
+        self._kept: "list[float | None]" = []
+        self._numbers: "list[float | None]" = []
+        self._steps: "Iterable[Step]" = ()
+
+    def check(self, block: "Block") -> None:
+        """Refuse what cannot be, and find the moves; nothing changes."""
+        ints, modes = block.ints, self._modes
+        if ints[PLANE] or ints[RELATIVE] or ints[INVERSE_TIME]:
+            raise GrblError(errors.GCODE_UNSUPPORTED_COMMAND)
+        if ints[b.WORDS] & b.MOTION_WORDS & ~self._uses:
+            raise GrblError(errors.GCODE_UNUSED_WORDS)
+        goes_on = modes.modal[MOTION] == ints[MOTION]
+        kept = self._kept if goes_on else [None] * (1 + len(self._letters))
+        depth = block.xyz[Z] if ints[b.WORDS] >> Z & 1 else kept[0]
+        found = [depth]
+        for at, letter in enumerate(self._letters):
+            number = self._number_of(block, letter.upper())
+            found.append(kept[1 + at] if number is None else number)
+        for letter, number in zip("Z" + self._letters, found):
+            if number is None and letter < "a":
+                raise GrblError(errors.GCODE_VALUE_WORD_MISSING)
+        target = list(block.xyz)
+        target[Z] = depth  # type: ignore[assignment]  # Z is no small letter
+        self._steps = self._plan(list(modes.position), target, *found[1:])
+        self._numbers = found
+
+    def _number_of(self, block: "Block", letter: str) -> "float | None":
+        """In mm; R is a height, as Z is, and in machine coordinates."""
+        bit, place = LETTERS[letter]
+        if not block.ints[b.WORDS] & bit:
+            return None
+        number = block.singles[place]
+        if block.ints[INCHES] and letter not in "LP":
+            number *= _MM_PER_INCH
+        if letter == "R":
+            number += self._coords.work_zero(block.ints[SYSTEM], Z)
+        return number
+
+    def make(self, block: "Block", move: "Move") -> None:
+        """Have the moves made that check() has found."""
+        self._kept = self._numbers
+        place = block.xyz
+        for target, rapid in self._steps:
+            for axis in range(block.axes):
+                place[axis] = target[axis]
+            move.flags &= ~layout.RAPID_MOTION
+            if rapid:
+                move.flags |= layout.RAPID_MOTION
+            self._canon.line(place, move)
+            self._canon.finish()
+            self._modes.position[:] = place
