@@ -24,6 +24,10 @@ from talk.report import Report
 # neither allocates nor raises.
 NextSegment = Callable[[array[int]], int]
 
+# Moves to a target until contact, or until it is lost (away); alarms where it fails, if it is to.
+# Returns whether the target has been reached.
+Probe = Callable[[array[float], Move, bool, bool], bool]
+
 class StepEngine(Protocol):
     """Who makes pulses: pio, rmt, i2s or the simulator.
 

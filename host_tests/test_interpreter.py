@@ -28,10 +28,10 @@ class Paper:
         settings.load()
         self.modes, self.coords = Modes(3), Coords(store, 3, 2)
         spindle: Any = SimpleNamespace(laser=False)
-        seek: Any = SimpleNamespace(probe=self._probe)
-        block = Block(3, True, True)
+        block, state = Block(3, True, True), State()
+        state.hooks.probe, state.hooks.write_offsets = self._probe, self.coords.write
         self.interpreter = Interpreter(
-            *(self.modes, State(), settings, self.coords, self.canon, seek, spindle),
+            *(self.modes, state, settings, self.coords, self.canon, spindle),
             *(self.voice, block, False),
         )
         self.interpreter.watch(MOVE)  # or lines would be planned without being asked for

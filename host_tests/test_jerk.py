@@ -76,8 +76,10 @@ class JerkBench(Bench):
     ) -> None:
         super().__init__(limits, blocks, tick_hz, segment_log2)
         self.jerk = tuple(jerk)
-        self.smoother = Jerk(self.planner, self.state, self.watch._next)
-        self.watch._next = self.smoother.next
+        hooks = self.state.hooks
+        hooks.next_segment = self.watch._next
+        self.smoother = Jerk(self.planner, self.state)
+        self.watch._next = hooks.next_segment
         self.slot_s = (1 << self.planner.table[layout.SEGMENT_LOG2]) / tick_hz
         self.smoother.limit(list(limits.acceleration), list(jerk), self.slot_s)
 
@@ -324,7 +326,8 @@ state = State()
 planner = Planner(3, 16, None, state)
 planner.configure(Settings, 13107200, 17, 90909)
 segments = Segments(planner)
-jerk = Jerk(planner, state, segments.next)
+state.hooks.next_segment = segments.next
+jerk = Jerk(planner, state)
 jerk.limit([100.0, 1000.0, 10.0], [2000.0, 20000.0, 500.0], 0.01)
 planner.override()
 row = array("i", [0] * layout.row_length(3))

@@ -446,11 +446,11 @@ def test_words_of_others_are_theirs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_what_handlers_execute_is_no_part_of_a_cycle(monkeypatch: pytest.MonkeyPatch) -> None:
     def install(cnc: Cnc) -> None:
-        interpreter = cnc.machine.interpreter
+        hooks = cnc.machine.state.hooks
 
         def lower() -> None:
             for text in (b"G53G0Z-1\0", b"G53G0Z20\0"):
-                interpreter.execute(bytearray(text), len(text) - 1)
+                hooks.execute(bytearray(text), len(text) - 1)
 
         def refuse(_tool: float) -> None:
             raise GrblError(errors.NEGATIVE_VALUE)
@@ -466,15 +466,15 @@ def test_what_handlers_execute_is_no_part_of_a_cycle(monkeypatch: pytest.MonkeyP
 
 def test_holes_begin_where_a_handler_has_left_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     def install(cnc: Cnc) -> None:
-        interpreter = cnc.machine.interpreter
-        usual = interpreter.execute
+        hooks = cnc.machine.state.hooks
+        usual = hooks.execute
 
         def execute(line: bytearray, length: int) -> None:
             usual(line, length)
             if line[:2] == b"T4":
                 usual(bytearray(b"G53G0Z-2\0"), 8)
 
-        interpreter.execute = execute  # type: ignore[method-assign]
+        hooks.execute = execute
 
     bench = beside(install, monkeypatch)
     bench.say("G0 Z10", "T4 G81 X8 Z-5 R3 F600")

@@ -13,7 +13,7 @@ from ugrbl.compiling import build
 BUILDING = {"boot.parts", "boot.parts_esp", "boot.wiring"}
 APART = {"_Pusher", "Place", "Saved", "SdBlocks", "WebSocket"}
 # What extras ask for then, and what options.py does.
-INSTALLING = {"add_pins", "of_board", "beside"}
+INSTALLING = {"add_pins", "of_board", "beside", "add_cycle"}
 
 
 @cache

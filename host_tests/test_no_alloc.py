@@ -150,7 +150,8 @@ _JERK = """
 from extras.jerk import Jerk
 from motion import jerk_plan
 
-jerk = Jerk(planner, state, segments.next)
+state.hooks.next_segment = segments.next
+jerk = Jerk(planner, state)
 jerk.limit([100.0, 1000.0, 10.0], [2000.0, 20000.0, 500.0], 0.01)
 plan()
 move.flags = 64

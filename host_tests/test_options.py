@@ -50,7 +50,7 @@ def is_board(node: ast.expr) -> bool:
 
 def reads(tree: ast.AST) -> Iterator[Read]:
     """option("X", 1), getattr(board, "X", 1), hasattr(…), board.X, board.__dict__["X"]; and
-    option(word) for words of a tuple."""
+    the table of extras."""
     for node in ast.walk(tree):
         match node:
             case ast.Call(ast.Name("option"), [ast.Constant(str(name)), *rest]):
@@ -58,11 +58,8 @@ def reads(tree: ast.AST) -> Iterator[Read]:
             case ast.Call(ast.Name("getattr" | "hasattr"), [board, ast.Constant(name), *rest]):
                 if is_board(board):
                     yield Read(str(name), rest[0] if rest else None)
-            case ast.ListComp(
-                ast.IfExp(test=ast.Call(ast.Name("option"), [ast.Name(word)])),
-                [ast.comprehension(ast.Name(each), ast.Tuple() as names)],
-            ) if word == each:
-                yield from (Read(name, None) for name in ast.literal_eval(names))
+            case ast.Assign([ast.Name("_ORDER")], ast.Tuple() as rows):
+                yield from (Read(row[0], None) for row in ast.literal_eval(rows))
             case ast.Call(
                 ast.Attribute(ast.Attribute(board, "__dict__"), "get"),
                 [ast.Constant(name), *rest],
@@ -103,7 +100,7 @@ def test_all_ways_to_read_are_seen() -> None:
     text = (
         'option("A", 1)\ngetattr(board, "B", 2)\nrig.board.C\nboard.__dict__["D"]\n'
         'hasattr(self.board, "E")\nboard.__dict__.get("F", 6)\nPINS = ("G",)\n'
-        '[1 if option(word) else 0 for word in ("H", "I")]\n'
+        '_ORDER = (("H", "h"), ("I", "i"))\n'
     )
     found = {read.name: read.default for read in reads(ast.parse(text))}
     assert set(found) == set("ABCDEFGHI")

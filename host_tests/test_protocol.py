@@ -38,14 +38,15 @@ class Loop:
         )
         nobody: Any = SimpleNamespace(
             due=None,
-            execute=None,
             machine=None,
             block=SimpleNamespace(ints=None),
             memory=lambda: (None, None, None),
         )
+        state = State()
+        state.hooks.execute = nobody
         self.protocol = Protocol(
-            *(self.link, State(), reader, nobody, nobody, nobody, self.drive),
-            *(nobody, nobody, nobody, self._restart, False),
+            *(self.link, state, reader, nobody, nobody, nobody, self.drive),
+            *(nobody, nobody, self._restart, False),
         )
 
     def _feed(self, buf: bytearray, count: int) -> None:

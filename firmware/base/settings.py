@@ -138,6 +138,8 @@ class Settings:
         # An extra may have others, or keep them under another name.
         self.rows: "Rows" = _TABLE
         self.file = _FILE
+        self.checks: "tuple[Callable[[int, float], object], ...]" = ()  # before one is set
+        self.signed: "dict[int, float]" = {}  # numbers that may be below 0, and how far from it
         self._store = store
         self._axes = axes
         self._board_defaults = defaults
@@ -188,7 +190,7 @@ class Settings:
         except GrblError:
             self._unknown.append(line)  # another firmware's, or another board's
         else:
-            if value < 0:
+            if self._fault(key, value):
                 raise ValueError(line)
             self._store_value(row, axis, value)
 
@@ -207,6 +209,8 @@ class Settings:
 
     def set(self, number: int, amount: float) -> None:
         """$number=amount. Raises GrblError where it is refused; nothing has changed then."""
+        for check in self.checks:
+            check(number, amount)
         self._assign(number, amount)
         self._announce(number)
         self.save()
@@ -263,9 +267,15 @@ class Settings:
                 return row, axis
         raise GrblError(errors.INVALID_STATEMENT)
 
+    def _fault(self, number: int, amount: float) -> int:
+        if number not in self.signed:
+            return 0 if amount >= 0 else errors.NEGATIVE_VALUE
+        return 0 if abs(amount) <= self.signed[number] else errors.INVALID_STATEMENT
+
     def _assign(self, number: int, amount: float) -> None:
-        if not amount >= 0:
-            raise GrblError(errors.NEGATIVE_VALUE)
+        fault = self._fault(number, amount)
+        if fault:
+            raise GrblError(fault)
         row, axis = self.row(number)
         check = _CHECKS.get(row[0])
         if check:

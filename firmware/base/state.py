@@ -9,6 +9,7 @@ from array import array
 from micropython import const
 
 from base.f32 import f32
+from base.hooks import Hooks
 
 # Run states.
 IDLE = const(0)
@@ -99,6 +100,7 @@ class State:
         # Counts on with every change of what an arc's chords depend on.
         self.changes = array("i", (0,))
         self.spindle = array("f", (0.0 for _ in range(SPINDLE_LENGTH)))
+        self.hooks = Hooks()
         self.clear()
 
     def enter(self, run: int) -> None:

@@ -11,52 +11,70 @@ from micropython import const
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from types import ModuleType
+    from typing import Any
 
     from interfaces import Extra
 
-# Words that ask for an extra of ours, and its module; the first of each asks for none.
-_DIALECTS = {
-    "1.1": "",
-    "0.9": "dialect_09",
-    "0.9i": "dialect_09",
-    "0.9j": "dialect_09",
-    "hal": "dialect_hal",
+# The options that ask for an extra of ours, and its module, in the order in which they come in:
+# base/hooks.py says what comes of that.
+_ORDER = (
+    ("LINK", "net_access"),  # hears of lines before others do
+    ("DIALECT", ""),  # adds to what is said, and others to that
+    # Which motor moves what.
+    ("KINEMATICS", "nonlinear"),
+    ("MOVES", "moves"),
+    ("MOTORS", "ganged"),  # second motors go with what the first do
+    ("BACKLASH", "backlash"),
+    ("SKEW", "skew"),
+    ("ROTARY", "rotary"),
+    # Homing, from the inside out: which axes, when, and whether their input is free.
+    ("HOMING", "home_order"),
+    ("LIMIT", "shared_limits"),
+    ("TMC2209", "tmc2209"),  # behind all that moves: what drivers feel of it
+    ("JERK", "jerk"),
+    ("TOOL", ""),  # a laser's part in each segment is behind that of jerk
+    ("CLUSTERS", "clusters"),
+    ("COUNT_DRAINS", "drains"),
+    ("JOBS", "jobs"),
+)
+# Options whose words ask for one module or another; the first of each asks for none.
+WORDS = {
+    "DIALECT": {
+        "1.1": "",
+        "0.9": "dialect_09",
+        "0.9i": "dialect_09",
+        "0.9j": "dialect_09",
+        "hal": "dialect_hal",
+    },
+    "TOOL": {"spindle": "", "laser": "laser", "punch": "punch"},
 }
 _NETWORKS = ("wifi", "uart_wifi")  # links
-_TOOLS = {"spindle": "", "laser": "laser", "punch": "punch"}
 
 
 def names(board: "ModuleType", with_custom: bool) -> "list[str]":
     """Modules by their names; with_custom: the user has modules of his own. Raises ValueError
     where a word asks for none there is."""
     option = board.__dict__.get  # getattr() would keep the names for good
-    dialect = _known("DIALECT", option("DIALECT", "1.1"), _DIALECTS)
-    tool = _known("TOOL", option("TOOL", "spindle"), _TOOLS)
-    ganged = "ganged" if option("MOTORS", "") else ""
-    home_order = "home_order" if option("HOMING", ()) else ""
-    network = "net_access" if option("LINK", "usb") in _NETWORKS else ""
-    drains = "drains" if option("COUNT_DRAINS", False) else ""
-    limits = [pin for pin in option("LIMIT", ()) if pin is not None]
-    shared_limits = "shared_limits" if len(set(limits)) < len(limits) else ""
-    backlash = "backlash" if option("BACKLASH", False) else ""
-    nonlinear = "nonlinear" if option("KINEMATICS", "") else ""
+    found = [_module(word, option(word), module) for word, module in _ORDER]
     own: "tuple[str, ...]" = option("EXTRAS", ())
-    custom = "custom" if with_custom else ""
-    # Those that have their option's name.
-    moves, skew, rotary, jerk, clusters, jobs, tmc2209, lenient = [
-        word.lower() if option(word) else ""
-        for word in ("MOVES", "SKEW", "ROTARY", "JERK", "CLUSTERS", "JOBS", "TMC2209", "LENIENT")
-    ]
-    # In this order: the network is told of lines before others are; second motors go with what the
-    # first do; which axes are homed comes before when, that before who shares an input, and all
-    # before what drivers feel of it; a laser's part in each row is behind that of jerk; and what
-    # the user's own take is theirs.
-    axes = nonlinear, moves, ganged, backlash, skew, rotary, home_order, shared_limits
-    ours = (network, dialect) + axes + (tmc2209, jerk, tool, clusters, drains, jobs)
-    return _ours(ours) + list(own) + _ours((custom, lenient))
+    # Last those whose words are only what nobody else takes.
+    last = ["custom" if with_custom else "", "lenient" if option("LENIENT") else ""]
+    return _ours(found) + list(own) + _ours(last)
 
 
-def _ours(names: "tuple[str, ...]") -> "list[str]":
+def _module(word: str, value: "Any", module: str) -> str:
+    """The module that an option asks for, or ""."""
+    if word in WORDS:
+        return "" if value is None else _known(word, value, WORDS[word])
+    if word == "LINK":
+        return module if value in _NETWORKS else ""
+    if word == "LIMIT":
+        pins = [pin for pin in value or () if pin is not None]
+        return module if len(set(pins)) < len(pins) else ""
+    return module if value else ""
+
+
+def _ours(names: "list[str]") -> "list[str]":
     return ["extras." + name for name in names if name]
 
 

@@ -183,7 +183,6 @@ def _make_language(machine: Controller, options: Options) -> None:
         machine.settings,
         machine.coords,
         machine.canon,
-        machine.seek,
         machine.spindle,
         machine.report,
         Block(
@@ -209,7 +208,6 @@ def _make_talk(machine: Controller, options: Options, link: "Link") -> None:
         machine.modes,
         machine.interpreter,
         machine.canon,
-        machine.seek,
         machine.drive,
         machine.inputs,
         options.letters(),
@@ -232,7 +230,6 @@ def _make_talk(machine: Controller, options: Options, link: "Link") -> None:
         machine.realtime,
         machine.drive,
         machine.interpreter,
-        machine.commands,
         machine.canon,
         machine.restart,
         options.echo,
@@ -250,6 +247,18 @@ def _connect(machine: Controller) -> None:
         machine.coolant,
         machine.reader.memory()[1],
     )
+    hooks = machine.state.hooks
+    hooks.execute, hooks.whose = machine.interpreter.execute, machine.commands.whose
+    hooks.refuse, hooks.alarm = machine.report.error, machine.report.alarm
+    hooks.status, hooks.write_offsets = machine.report.status, machine.coords.write
+    seek = machine.seek
+    hooks.probe, hooks.probed_at, hooks.forget_probe = (
+        seek.probe,
+        seek.probe_position,
+        seek.forget_probe,
+    )
+    hooks.home, hooks.find, hooks.home_phase = seek.home, seek.find, seek.home_phase
+    hooks.next_segment = machine.segments.next
     machine.drive.connect(machine.protocol.pump)
     machine.canon.connect(machine.protocol.service)
     machine.commands.connect(machine.protocol.execute)

@@ -252,6 +252,8 @@ class Canon:
         self.service()
         while not self.planner.empty() or self._state.run & st.UNDER_WAY:
             self.service()
+        for call in self._state.hooks.waited:
+            call()
 
     def settle(self) -> None:
         """Wait until the motors are released."""
@@ -266,12 +268,16 @@ class Canon:
         if self._state.run != st.CHECK:
             self.synchronise()
             self._spindle.turn(direction, rpm)
+        for call in self._state.hooks.spun:
+            call(direction, rpm)
 
     def cool(self, mask: int) -> None:
         """Switch coolant, once motion has come to where it was asked."""
         if self._state.run != st.CHECK:
             self.synchronise()
             self._coolant.set(mask)
+        for call in self._state.hooks.cooled:
+            call(mask)
 
     def end_program(self) -> None:
         """Spindle and coolant off, overrides back to 100 %."""
@@ -282,6 +288,8 @@ class Canon:
         if state.run != st.CHECK:
             self._spindle.turn(0, 0.0)
             self._coolant.set(0)
+        for call in state.hooks.ended:
+            call()
 
     def control_overrides(self, parking: bool) -> None:
         """M56: parking is in action, or is not."""
@@ -291,6 +299,13 @@ class Canon:
 
     def pause_program(self) -> None:
         """M0: hold until cycle start."""
+        for take in self._state.hooks.paused:
+            if take():
+                return
+        self.hold_program()
+
+    def hold_program(self) -> None:
+        """As pause_program(), whoever wants to do it."""
         if self._state.run != st.CHECK:
             self._state.post(st.FEED_HOLD)
             self.service()

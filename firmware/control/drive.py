@@ -127,6 +127,8 @@ class Drive:
             state.post(st.CYCLE_START)
         if active & DOOR:
             state.post(st.SAFETY_DOOR)
+        for call in state.hooks.controls:
+            call(active)
 
     def emergency(self) -> None:
         """The emergency stop is pressed. Where the machine is in alarm it is stopped already."""
@@ -191,6 +193,10 @@ class Drive:
 
     def start(self, run: int) -> None:
         """Set the machine in motion, in that run state."""
+        hooks = self._state.hooks
+        for may in hooks.may_start:
+            if not may():
+                return
         self._state.enter(run)
         self._state.holding = False
         self._segments.hold(False)
@@ -198,9 +204,13 @@ class Drive:
         self.power(True)
         self.moving = True
         self._engine.start()
+        for call in hooks.started:
+            call()
 
     def release(self) -> None:
         """The machine stands still: power the motors off in a while, and call it a stop then."""
+        for call in self._state.hooks.stops:
+            call()
         self.moving = False
         self.settling = True
         self._since = self._port.ticks_ms()

@@ -76,6 +76,8 @@ class Realtime:
         self.events()
         if self._state.suspend:
             self.suspended()
+        for call in self._state.hooks.between_lines:
+            call()
 
     def suspended(self) -> None:
         """Wait until motion is not suspended any more."""
@@ -88,7 +90,9 @@ class Realtime:
     def events(self) -> None:
         """As run(), but does not wait for a suspension to end."""
         state, drive = self._state, self._drive
-        pending = state.pending
+        pending, hooks = state.pending, state.hooks
+        for call in hooks.turn:
+            call()
         if self._estop and self._estop():
             drive.emergency()
         if not (pending[st.ANY] or drive.settling or drive.moving):
@@ -96,7 +100,7 @@ class Realtime:
         if pending[st.RESET]:
             raise Abort  # behind which the loop tells of an alarm
         if pending[st.STATUS_REPORT]:
-            report = self._voice.status()
+            report = hooks.status()
             drive.pump()
             pending[st.STATUS_REPORT] = 0  # what was asked meanwhile is answered, too
             self._voice.send(report)

@@ -168,11 +168,12 @@ class Seek:
             self._drive.reset()
             state.alarm = errors.ALARM_HARD_LIMIT
             return False
+        find = state.hooks.find
         if axes:
-            self.find(axes)
+            find(axes)
         else:
-            self.find(1 << Z)
-            self.find(((1 << self._planner.axes) - 1) & ~(1 << Z))
+            find(1 << Z)
+            find(((1 << self._planner.axes) - 1) & ~(1 << Z))
         self._canon.service()
         self._resync()
         return True
@@ -191,7 +192,7 @@ class Seek:
         rate = settings.homing_seek
         for phase in range(_PHASES):
             approach = phase % 2 == 0
-            self.home_phase(axes, approach, travel, rate * diagonal)
+            self._state.hooks.home_phase(axes, approach, travel, rate * diagonal)
             self._drive.wait_deaf(settings.homing_debounce_ms)
             if approach:
                 travel = settings.homing_pull_off_mm

@@ -5,11 +5,9 @@ it lets cnc.service() have a turn now and then. The machine itself knows nothing
 are put around what it does, so a board without any pays nothing.
 """
 
-import micropython
 from base import errors
 from base import state as st
 from base.errors import GrblError
-from control.modes import MOTION
 from language import block_layout as b
 from language.checks import MOVE
 from micropython import const
@@ -19,10 +17,8 @@ from extras.own_words import OwnWords
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
-    from typing import Any
 
     from base.settings import Rows
-    from language.block import Block
     from talk.controller import Controller
 
     from extras.cycles import Step
@@ -31,20 +27,12 @@ if TYPE_CHECKING:
 _CYCLES_END = const(100)
 
 
-def _in_turn(usual: "Callable[[], object]", call: "Callable[[], object]") -> "Callable[[], None]":
-    @micropython.native
-    def both() -> None:
-        usual()
-        call()
-
-    return both
-
-
 class Cnc:
     """The machine, for an extra. Numbers are those of Grbl: mm, mm/min, rpm."""
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
+        self._hooks = machine.state.hooks
         self._words = OwnWords(machine)
         # Whoever knows why a program cannot be entered in its middle now says it; "" where it can.
         self.entries: "list[Callable[[], str]]" = []
@@ -99,15 +87,13 @@ class Cnc:
 
     def check_setting(self, number: int, check: "Callable[[float], object]") -> None:
         """Called with what the setting is to be, before it is: GrblError refuses it."""
-        settings: "Any" = self._machine.settings
-        usual = settings.set
+        settings = self._machine.settings
 
-        def set_checked(which: int, amount: float) -> None:
+        def check_one(which: int, amount: float) -> None:
             if which == number:
                 check(amount)
-            usual(which, amount)
 
-        settings.set = set_checked
+        settings.checks += (check_one,)
 
     def add_alarms(self, words: "dict[int, str]") -> None:
         """What Grbl 0.9, which has no numbers for them, says of alarms."""
@@ -172,8 +158,8 @@ class Cnc:
     ) -> None:
         """A $ command, by what stands behind the $; call gets what follows. It is taken in these
         states. GrblError refuses the line."""
-        commands, state = self._machine.commands, self._machine.state
-        usual = commands.whose
+        state, hooks = self._machine.state, self._hooks
+        usual = hooks.whose
 
         def execute(line: bytearray, length: int) -> None:
             call(bytes(line[1 + len(name) : length]))
@@ -185,13 +171,13 @@ class Cnc:
                 raise GrblError(errors.IDLE_ERROR)
             return execute
 
-        commands.whose = whose  # type: ignore[method-assign]
+        hooks.whose = whose
 
     def behind_command(self, name: bytes, call: "Callable[[int], object]") -> None:
         """Called when a $ command with this behind the $ has been executed, with the state that
         the machine was in before (base/state.py)."""
-        commands, state = self._machine.commands, self._machine.state
-        usual = commands.whose
+        state, hooks = self._machine.state, self._hooks
+        usual = hooks.whose
 
         def whose(line: bytearray, length: int) -> "Callable[[bytearray, int], None]":
             execute = usual(line, length)
@@ -205,12 +191,11 @@ class Cnc:
 
             return execute_and_tell
 
-        commands.whose = whose  # type: ignore[method-assign]
+        hooks.whose = whose
 
     def add_field(self, field: "Callable[[], str]") -> None:
         """A field of the status report: what it returns, `Xx:1` say, or an empty text."""
-        report = self._machine.report
-        usual = report.status
+        usual = self._hooks.status
 
         def status() -> "memoryview":
             text = field()
@@ -219,106 +204,68 @@ class Cnc:
             told = bytes(usual())
             return memoryview(told[:-3] + b"|" + text.encode() + told[-3:])  # >\r\n
 
-        report.status = status  # type: ignore[method-assign]
+        self._hooks.status = status
 
     def add_byte(self, byte: int, call: "Callable[[], object]") -> None:
         """A real-time byte, 0x80 to 0xFF, that Grbl has no use for; call at the next turn."""
         if byte < 0x80 or byte in st.EVENTS or 0x90 <= byte <= 0xA1:
             raise ValueError("byte 0x%X is taken" % byte)
-        reader, realtime = self._machine.reader, self._machine.realtime
-        usual_post, usual_events = reader.post, realtime.events
-        asked = [False]
+        reader = self._machine.reader
+        usual = reader.post
+        asked = bytearray(1)
 
         def post(received: int) -> None:
             if received == byte:
-                asked[0] = True
+                asked[0] = 1
             else:
-                usual_post(received)
+                usual(received)
 
-        def events() -> None:
-            usual_events()
+        def turn() -> None:
             if asked[0]:
-                asked[0] = False
+                asked[0] = 0
                 call()
 
         reader.post = post
-        realtime.events = events  # type: ignore[method-assign]
+        self._hooks.turn += (turn,)
 
     # What can be heard of
 
     def before_motion(self, may_start: "Callable[[], bool]") -> None:
         """Called before the machine is set in motion; False keeps it where it is."""
-        drive = self._machine.drive
-        usual = drive.start
-
-        def start(run: int) -> None:
-            if may_start():
-                usual(run)
-
-        drive.start = start  # type: ignore[method-assign]
+        self._hooks.may_start += (may_start,)
 
     def behind_start(self, call: "Callable[[], object]") -> None:
         """Called when the machine has been set in motion."""
-        drive = self._machine.drive
-        usual = drive.start
-
-        def start(run: int) -> None:
-            usual(run)
-            if drive.moving:
-                call()
-
-        drive.start = start  # type: ignore[method-assign]
+        self._hooks.started += (call,)
 
     def behind_line(self, call: "Callable[[], object]") -> None:
         """Called when a line has asked for a motion of G0 to G3, and it has been planned."""
-        machine = self._machine
-        interpreter, canon = machine.interpreter, machine.canon
-        usual_go = interpreter.go
-
-        def go(block: "Block", move: "Any") -> None:
-            usual_go(block, move)
-            if block.ints[MOTION] <= b.CCW_ARC:
-                canon.finish()
-                call()
-
-        interpreter.go = go  # type: ignore[method-assign]
-        interpreter.watch(MOVE)
+        self._hooks.moved += (call,)
+        self._machine.interpreter.watch(MOVE)
 
     def before_lines(self, call: "Callable[[], object]") -> None:
         """Called at the loop's turns, between two lines; the next may have been found already."""
-        realtime = self._machine.realtime
-        realtime.run = _in_turn(realtime.run, call)  # type: ignore[method-assign]
+        self._hooks.between_lines += (call,)
 
     def behind_program(self, call: "Callable[[], object]") -> None:
         """Called when M2 or M30 has ended a program."""
-        canon = self._machine.canon
-        canon.end_program = _in_turn(canon.end_program, call)  # type: ignore[method-assign]
+        self._hooks.ended += (call,)
 
     def behind_controls(self, call: "Callable[[int], object]") -> None:
         """Called when a control input has changed, with the mask of base/controls.py. Interrupt:
         no memory, and next to no stack."""
-        drive = self._machine.drive
-        usual = drive.on_controls
-
-        @micropython.native
-        def on_controls(active: int) -> None:
-            usual(active)
-            call(active)
-
-        drive.on_controls = on_controls  # type: ignore[method-assign]
+        self._hooks.controls += (call,)
 
     def behind_alarm(self, call: "Callable[[int], object]") -> None:
         """Called with its number when an alarm has been told. Nothing moves."""
-        report = self._machine.report
-        usual = report.alarm
+        usual = self._hooks.alarm
 
         def alarm(code: int) -> None:
             usual(code)
             call(code)
 
-        report.alarm = alarm  # type: ignore[method-assign]
+        self._hooks.alarm = alarm
 
     def behind_reset(self, call: "Callable[[], object]") -> None:
         """Called behind the welcome, after power-up and every reset."""
-        report = self._machine.report
-        report.banner = _in_turn(report.banner, call)  # type: ignore[method-assign]
+        self._hooks.reset += (call,)

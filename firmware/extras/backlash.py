@@ -276,8 +276,8 @@ def install(cnc: "Cnc") -> None:
 
 def _home(machine: "Any") -> None:
     """Behind homing an axis has its slack on the side that it has pulled off from."""
-    canon, seek, settings = machine.canon, machine.seek, machine.settings
-    usual: "Callable[[int], None]" = seek.find
+    canon, hooks, settings = machine.canon, machine.state.hooks, machine.settings
+    usual: "Callable[[int], None]" = hooks.find
 
     def find(axes: int) -> None:
         for i in range(machine.planner.axes):
@@ -288,15 +288,16 @@ def _home(machine: "Any") -> None:
             if axes >> i & 1:
                 canon.pulled_off(i, bool(settings.homing_dir_invert >> i & 1))
 
-    seek.find = find
+    hooks.find = find
 
 
 def _probe(machine: "Any") -> None:
     """Where the probe has touched stays the same place, whichever slack is taken up later."""
-    seek, state, axes = machine.seek, machine.state, machine.planner.axes
+    state, axes = machine.state, machine.planner.axes
+    hooks = state.hooks
     place = vector(axes)
-    usual_probe, usual_forget = seek.probe, seek.forget_probe
-    usual_position: "Callable[[], array[float]]" = seek.probe_position
+    usual_probe, usual_forget = hooks.probe, hooks.forget_probe
+    usual_position: "Callable[[], array[float]]" = hooks.probed_at
 
     def probe(target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
         reached: bool = usual_probe(target, move, away, alarms)
@@ -309,5 +310,4 @@ def _probe(machine: "Any") -> None:
         for i in range(axes):
             place[i] = 0.0
 
-    seek.probe, seek.forget_probe = probe, forget
-    seek.probe_position = lambda: place
+    hooks.probe, hooks.forget_probe, hooks.probed_at = probe, forget, lambda: place

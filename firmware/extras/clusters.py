@@ -68,11 +68,10 @@ class Clusters:
         self._dots = machine.interpreter.block.dots
         self._values = memoryview(self._dots)[FIRST_DOT:]
         planner = machine.planner
-        self._usual_plan, self._usual_clear = planner.move_hook or planner.plan, planner.clear
-        self._usual_each_power = planner.each_power
-        planner.move_hook = self.plan
-        planner.clear = self.clear  # type: ignore[method-assign]
-        planner.each_power = self.each_power  # type: ignore[method-assign]
+        self._usual_plan, planner.move_hook = planner.move_hook or planner.plan, self.plan
+        hooks = machine.state.hooks
+        hooks.cleared += (self._clear,)
+        hooks.powered += (self._each_power,)
 
     # The planner
 
@@ -94,9 +93,8 @@ class Clusters:
             self.powers[ROOM * head] = 0
         return planned
 
-    def each_power(self, power: "Any") -> None:
-        """As motion.planner.Planner.each_power()."""
-        self._usual_each_power(power)
+    def _each_power(self, power: "Any") -> None:
+        """Weigh the dots of every block anew."""
         planner = self._machine.planner
         flow = planner.flow
         at = flow[TAIL]
@@ -104,9 +102,8 @@ class Clusters:
             self._weigh(power, planner.ring[at * flow[ROW_SIZE] + FLAGS], at)
             at = (at + 1) % flow[ROWS]
 
-    def clear(self) -> None:
-        """As motion.planner.Planner.clear()."""
-        self._usual_clear()
+    def _clear(self) -> None:
+        """Nothing is planned."""
         for i in range(0, len(self.powers), ROOM):
             self.powers[i] = 0
 

@@ -137,14 +137,7 @@ class Custom:
 
     def _tell_build(self, text: str) -> None:
         """$I says it."""
-        report = self._machine.report
-        usual = report.build_info
-
-        def build_info(info: str, options: str) -> None:
-            usual(info, options)
-            report.message(text)
-
-        report.build_info = build_info  # type: ignore[method-assign]
+        self._machine.state.hooks.build_info += (lambda: self._cnc.message(text),)
         self._cnc.behind_command(b"I+", self._tell_trace)
 
     def _tell_trace(self, was: int) -> None:

@@ -8,7 +8,7 @@ by line when a sender asks, and not kept in memory.
 
 from base import errors
 from base import state as st
-from base.errors import Abort, GrblError
+from base.errors import GrblError
 from micropython import const
 from talk.lines import READS
 from talk.report import BUILD, Report
@@ -111,9 +111,10 @@ class Bytes:
         self._drive = machine.drive
         self._report = report
         self._stopping = False
-        self._usual_post, self._usual_events = machine.reader.post, machine.realtime.events
+        self._usual_post = machine.reader.post
         machine.reader.post = self.post
-        machine.realtime.events = self.events  # type: ignore[method-assign]
+        machine.state.hooks.turn += (self._turn,)
+        machine.state.hooks.reset += (self._begin,)
 
     def post(self, byte: int) -> None:
         """One has been received."""
@@ -134,13 +135,10 @@ class Bytes:
         elif state.run != st.ALARM:
             self._drive.reset()
 
-    def events(self) -> None:
-        """In place of Realtime's."""
-        try:
-            self._usual_events()
-        except Abort:
-            self._stopping = False
-            raise
+    def _begin(self) -> None:
+        self._stopping = False
+
+    def _turn(self) -> None:
         if self._stopping and not self._is_under_way():
             self._drive.reset()
 

@@ -29,24 +29,20 @@ class Drains:
         self._stopped = False  # motion has come to its end, nobody had held it,
         self._since_ms = 0  # and that was then
         self._asked = False  # somebody waits for its end
-        self._release = machine.drive.release
-        self._synchronise = machine.canon.synchronise
-        self._probe = machine.seek.probe
         self._health = machine.commands.health
-        machine.drive.release = self._rests  # type: ignore[method-assign]
-        machine.canon.synchronise = self._waits  # type: ignore[method-assign]
-        machine.seek.probe = self._probes  # type: ignore[assignment, method-assign]
+        hooks = machine.state.hooks
+        hooks.stops += (self._stops,)
+        hooks.waited += (self._waited,)
+        self._probe, hooks.probe = hooks.probe, self._probes
 
-    def _rests(self) -> None:
-        """Stand in for Drive.release: the engine has nothing left to do."""
+    def _stops(self) -> None:
+        """The engine has nothing left to do."""
         state = self._state
         self._stopped = state.run == st.RUN and not state.holding
         self._since_ms = self._port.ticks_ms()
-        self._release()
 
-    def _waits(self) -> None:
-        """Stand in for Canon.synchronise, within which motion may have been started."""
-        self._synchronise()
+    def _waited(self) -> None:
+        """Somebody has waited for the end of motion, which may have been started for that."""
         self._asked = True
 
     def _probes(self, *asked: "Any") -> bool:

@@ -61,6 +61,7 @@ class Happenings:
     def __init__(self, cnc: "Cnc", runner: "Runner") -> None:
         self._cnc = cnc
         self._machine = cnc.machine
+        self._hooks = cnc.machine.state.hooks
         self._state = cnc.machine.state
         self._runner = runner
         self._handlers: "dict[str, list[Handler]]" = {}
@@ -211,7 +212,7 @@ class Happenings:
         motion."""
         heard = self._handlers
         if beside:
-            self._around_turns()
+            self._hooks.turn += (self.turn,)
         self._around_lines()
         self._cnc.behind_reset(self._greeted)
         if "after_homing" in heard or "after_unlock" in heard:
@@ -222,33 +223,24 @@ class Happenings:
         if "probe_done" in heard:
             self._around_probe()
         if "spindle" in heard or "coolant" in heard or "program_done" in heard:
-            self._around_accessories()
+            self._hooks.spun += (self._spun,)
+            self._hooks.cooled += (self._cooled,)
+            self._cnc.behind_program(self._ended)
         if "program_paused" in heard:
-            self._around_pause()
+            self._hooks.paused += (self._takes_pause,)
         if "alarm" in heard:
-            self._around_alarm()
+            self._cnc.behind_alarm(lambda code: self._happen("alarm", code))
         if handlers.REPORT in heard:
             self._cnc.add_field(self._report)
         if self._inputs:
             self._machine.port.watch_pins(self._on_change)
 
-    def _around_turns(self) -> None:
-        realtime = self._machine.realtime
-        usual = realtime.events
-
-        @micropython.native  # needs half the stack, here and in all that handlers run within
-        def events() -> None:
-            usual()
-            self.turn()
-
-        realtime.events = events  # type: ignore[method-assign]
-
     def _around_lines(self) -> None:
         """What a line has brought about is heard of before the next. Lines with words of
         custom.py do not come here: a T there is not the spindle's."""
-        interpreter, modes = self._machine.interpreter, self._machine.modes
-        interpreter.watch(SET_TOOL)
-        usual = interpreter.execute
+        hooks, modes = self._hooks, self._machine.modes
+        self._machine.interpreter.watch(SET_TOOL)
+        usual = hooks.execute
 
         @micropython.native
         def execute(line: bytearray, length: int) -> None:
@@ -261,7 +253,7 @@ class Happenings:
                 pause, self._pause = self._pause, None
                 pause()
 
-        interpreter.execute = execute  # type: ignore[method-assign]
+        hooks.execute = execute
 
     def _select(self, tool: int) -> None:
         """T, on a line of its own or with others."""
@@ -301,62 +293,34 @@ class Happenings:
         self.settle()
 
     def _around_probe(self) -> None:
-        seek, state = self._machine.seek, self._state
-        usual = seek.probe
+        hooks, state = self._hooks, self._state
+        usual = hooks.probe
 
         def probe(target: "array[float]", move: "Move", away: bool, alarms: bool) -> bool:
             found = usual(target, move, away, alarms)
-            place = Place(seek.probe_position()) if state.probe_succeeded else None
-            self._happen("probe_done", place)
+            self._happen("probe_done", Place(hooks.probed_at()) if state.probe_succeeded else None)
             return found
 
-        seek.probe = probe  # type: ignore[method-assign]
+        hooks.probe = probe
 
-    def _around_accessories(self) -> None:
-        canon = self._machine.canon
-        usual_spin, usual_cool, usual_end = canon.spin, canon.cool, canon.end_program
+    def _spun(self, direction: int, rpm: float) -> None:
+        self._happen("spindle", _SPINDLE[direction], rpm if direction else 0.0)
 
-        def spin(direction: int, rpm: float) -> None:
-            usual_spin(direction, rpm)
-            self._happen("spindle", _SPINDLE[direction], rpm if direction else 0.0)
+    def _cooled(self, mask: int) -> None:
+        self._happen("coolant", bool(mask & coolant.FLOOD), bool(mask & coolant.MIST))
 
-        def cool(mask: int) -> None:
-            usual_cool(mask)
-            self._happen("coolant", bool(mask & coolant.FLOOD), bool(mask & coolant.MIST))
+    def _ended(self) -> None:
+        self._spun(0, 0.0)
+        self._cooled(0)
+        self._happen("program_done")
 
-        def end_program() -> None:
-            usual_end()
-            self._happen("spindle", "M5", 0.0)
-            self._happen("coolant", False, False)
-            self._happen("program_done")
-
-        canon.spin = spin  # type: ignore[method-assign]
-        canon.cool = cool  # type: ignore[method-assign]
-        canon.end_program = end_program  # type: ignore[method-assign]
-
-    def _around_pause(self) -> None:
+    def _takes_pause(self) -> bool:
         """M0: its handlers come before the machine holds."""
-        canon = self._machine.canon
-        usual = canon.pause_program
-
-        def pause_program() -> None:
-            if self._runner.is_running:
-                usual()
-            else:
-                self._pause = usual
-                self._happen("program_paused")
-
-        canon.pause_program = pause_program  # type: ignore[method-assign]
-
-    def _around_alarm(self) -> None:
-        report = self._machine.report
-        usual = report.alarm
-
-        def alarm(code: int) -> None:
-            usual(code)
-            self._happen("alarm", code)
-
-        report.alarm = alarm  # type: ignore[method-assign]
+        if self._runner.is_running:
+            return False
+        self._pause = self._machine.canon.hold_program
+        self._happen("program_paused")
+        return True
 
     def _report(self) -> str:
         """The field as its handlers made it last; they make it anew behind the report."""

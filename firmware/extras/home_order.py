@@ -72,9 +72,9 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 def install(cnc: "Cnc") -> None:
     """Have $H go by them. Where only one axis is asked for ($HX) there is nothing to order."""
-    seek, settings = cnc.machine.seek, cnc.machine.settings
+    hooks, settings = cnc.machine.state.hooks, cnc.machine.settings
     all_axes = (1 << cnc.machine.planner.axes) - 1
-    usual = seek.home
+    usual = hooks.home
 
     def home(axes: int) -> bool:
         cycles = [getattr(settings, row[1]) for row in _CYCLES]
@@ -86,7 +86,7 @@ def install(cnc: "Cnc") -> None:
         if not mask <= all_axes:
             raise GrblError(errors.INVALID_STATEMENT)
 
-    seek.home = home  # type: ignore[method-assign]
+    hooks.home = home
     _have_rates(cnc)
     cnc.add_settings(_CYCLES + _RATES)
     for row in _CYCLES:
@@ -96,8 +96,8 @@ def install(cnc: "Cnc") -> None:
 def _have_rates(cnc: "Cnc") -> None:
     """Have axes homed at rates of their own."""
     machine: "Any" = cnc.machine
-    seek, settings = machine.seek, machine.settings
-    usual: "Callable[[int], None]" = seek.find
+    hooks, settings = machine.state.hooks, machine.settings
+    usual: "Callable[[int], None]" = hooks.find
 
     def find(axes: int) -> None:
         usual_feed, usual_seek = settings.homing_feed, settings.homing_seek
@@ -108,7 +108,7 @@ def _have_rates(cnc: "Cnc") -> None:
         finally:
             settings.homing_feed, settings.homing_seek = usual_feed, usual_seek
 
-    seek.find = find
+    hooks.find = find
 
 
 def _slowest(rates: "array[float]", usual: float, axes: int) -> float:

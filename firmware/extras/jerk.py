@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
     from base.settings import Rows
     from base.state import State
-    from interfaces import NextSegment
-    from motion.planner import Move, Planner
+    from motion.planner import Planner
 
     from extras.api import Cnc
 
@@ -39,24 +38,20 @@ _PER_MM = const(65536)  # units of a way in the line
 class Jerk:
     """Stands between planner and engine. next() takes the place of Segments.next()."""
 
-    def __init__(self, planner: "Planner", state: "State", usual_next: "NextSegment") -> None:
-        self._usual_next = usual_next
-        self._state = state
+    def __init__(self, planner: "Planner", state: "State") -> None:
         self._planner = planner
         self._flow = planner.flow
         self._ring = planner.ring
         self._table = planner.table
         self._line = array("i", (0 for _ in range(layout.WAYS + _MOST_SLOTS)))
         self._usual_plan = planner.move_hook or planner.plan
-        self._usual_chords = planner.chords
-        self._usual_catch_up = planner.catch_up
-        self._usual_clear = planner.clear
-        self._usual_override = planner.override
         planner.move_hook = self.plan
-        planner.chords = self.chords  # type: ignore[method-assign]
-        planner.catch_up = self.catch_up  # type: ignore[method-assign]
-        planner.clear = self.clear  # type: ignore[method-assign]
-        planner.override = self.override  # type: ignore[method-assign]
+        hooks = state.hooks
+        hooks.planned += (lambda: self.settle(0),)
+        hooks.caught_up += (lambda: self.settle(1),)
+        hooks.cleared += (self._clear,)
+        hooks.replan += (self._replan,)
+        self._usual_next, hooks.next_segment = hooks.next_segment, self.next
 
     @micropython.viper
     def next(self, row: object) -> int:
@@ -82,38 +77,23 @@ class Jerk:
             self.settle(0)
         return planned
 
-    def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
-        """As Planner.chords()."""
-        found = self._usual_chords(course, move, power, moves)
-        self.settle(0)
-        return found
-
     def settle(self, everything: int) -> None:
         """Have the plan see what has been added."""
         jerk_plan.settle(self._table, self._ring, self._flow, self._line, everything)
-
-    def catch_up(self) -> None:
-        """As Planner.catch_up()."""
-        self._usual_catch_up()
-        self.settle(1)
 
     def may_start(self) -> bool:
         """Motion begins, with all that there is."""
         self.settle(1)
         return True
 
-    def override(self) -> None:
-        """As Planner.override()."""
-        if self._line[SLOTS] == 0:
-            self._usual_override()
-            return
-        self._table[layout.FEED_OVERRIDE] = reals.real(self._state.feed_override / 100)
-        self._table[layout.RAPID_OVERRIDE] = reals.real(self._state.rapid_override / 100)
-        jerk_plan.reschedule(self._table, self._ring, self._flow)
+    def _replan(self) -> bool:
+        """An override has changed: plan anew, where there is a limit."""
+        if self._line[SLOTS]:
+            jerk_plan.reschedule(self._table, self._ring, self._flow)
+        return self._line[SLOTS] != 0
 
-    def clear(self) -> None:
-        """As Planner.clear(): nothing is planned, and the line is empty."""
-        self._usual_clear()
+    def _clear(self) -> None:
+        """Nothing is planned: the line is empty."""
         line, flow = self._line, self._flow
         slots = line[SLOTS], line[layout.PER_SLOT]
         for i in range(len(line)):
@@ -144,15 +124,14 @@ class Jerk:
             line[layout.PER_SLOT] = reals.real(1 / slots)
             mean = slots / 4 + 1 / (12 * slots)  # slots of which the middle is away, on an average
             table[layout.GENTLE] = reals.real(mean * slot_s / root_mm_s)
-        self.clear()
+        self._planner.clear()
 
 
 def install(cnc: "Cnc") -> None:
     """Have it limited as the settings say."""
     machine = cnc.machine
     settings: "Any" = machine.settings
-    jerk = Jerk(machine.planner, machine.state, machine.segments.next)
-    machine.segments.next = jerk.next  # type: ignore[method-assign]
+    jerk = Jerk(machine.planner, machine.state)
 
     def configure() -> None:
         jerk.limit(

@@ -111,7 +111,8 @@ class Entry:
         stored, self._systems = array("f", coords.offsets), systems
         for i in range(len(systems)):
             coords.change(i, systems[i])
-        write, coords.write = coords.write, coords.change  # type: ignore[method-assign]
+        hooks = state.hooks
+        write, hooks.write_offsets = hooks.write_offsets, coords.change
         self.has_ended = False
         self._highest = machine.modes.position[_Z]
         state.enter(st.CHECK)
@@ -125,7 +126,7 @@ class Entry:
             self._systems = [array("f", values) for values in coords.systems]
             self._check_homed(before[0])
         finally:
-            coords.write = write  # type: ignore[method-assign]
+            hooks.write_offsets = write
             coords.offsets[:] = stored
             if state.run == st.CHECK:
                 state.enter(st.IDLE)
@@ -258,7 +259,7 @@ class Entry:
         coords = self._machine.coords
         for i in range(len(self._systems)):
             if list(coords.systems[i]) != list(self._systems[i]):
-                coords.write(i, self._systems[i])
+                self._machine.state.hooks.write_offsets(i, self._systems[i])
         put(self._machine, self._there)
 
 

@@ -123,7 +123,7 @@ class Feed:
         self._link = machine.protocol.link
         self._read = self._link.read_into
         self._write = self._link.write
-        self._error = machine.report.error
+        self._error = machine.state.hooks.refuse
         self._on_refusal = on_refusal
         self._on_hold = on_hold
         self._reader = machine.reader
@@ -146,7 +146,7 @@ class Feed:
         self.is_on = False
         machine.protocol.link = self
         machine.protocol.read_into = self.read_into
-        machine.report.error = self._refuse  # type: ignore[method-assign]
+        machine.state.hooks.refuse = self._refuse
 
     # The link seam
 
@@ -181,7 +181,7 @@ class Feed:
             _note(self._at, self._lines, self._flow, len(data) >> 2)
 
     def _refuse(self, code: int) -> None:
-        """Stand in for Report.error."""
+        """A line has been refused."""
         if self.is_on and not self._is_startup:
             self._on_refusal(code)
         else:

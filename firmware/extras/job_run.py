@@ -50,11 +50,9 @@ class JobRun:
         self._machine = cnc.machine
         self._files = files
         self._feed = Feed(cnc.machine, self._refuse, self._note_line)
-        self._at_rest = cnc.machine.at_rest
-        cnc.machine.at_rest = self._is_quiet  # type: ignore[method-assign]
-        coords = cnc.machine.coords
-        self._write = coords.write
-        coords.write = self._write_offsets  # type: ignore[method-assign]
+        hooks = cnc.machine.state.hooks
+        hooks.is_busy += (self.is_on,)  # a job that waits, in a dwell say, is not at rest
+        self._write, hooks.write_offsets = hooks.write_offsets, self._write_offsets
         self._entry = Entry(cnc, reader)
         self._name = ""  # what runs
         self._start: "list[Any]" = []
@@ -91,12 +89,8 @@ class JobRun:
     def _is_free(self) -> bool:
         """Nothing moves or is going to, and the sender has said nothing that is not done."""
         machine = self._machine
-        at_rest = self._at_rest() or machine.state.run == st.CHECK
+        at_rest = machine.stands() or machine.state.run == st.CHECK
         return at_rest and not machine.reader.has_line()
-
-    def _is_quiet(self) -> bool:
-        """Stand in for Controller.at_rest(): a job that waits, in a dwell say, is none."""
-        return self._at_rest() and not self._feed.is_on
 
     def _begin(self) -> None:
         name, line, self._due = self._due, self._due_line, ""

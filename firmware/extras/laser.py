@@ -156,8 +156,9 @@ def install(cnc: "Cnc") -> None:
     laser: "Any" = machine.spindle
     has_beam = hasattr(engine, "beam")
     if has_beam:
-        laser.connect(engine, machine.planner, machine.segments.next, array("i", (0,)))
-        machine.segments.next = laser.next  # type: ignore[method-assign]
+        hooks = machine.state.hooks
+        laser.connect(engine, machine.planner, hooks.next_segment, array("i", (0,)))
+        hooks.next_segment = laser.next
         cnc.before_motion(laser.take_up)
 
     def configure() -> None:

@@ -70,12 +70,13 @@ class Lenient:
         machine = cnc.machine
         self._cnc = cnc
         self._machine = machine
-        self._usual = machine.interpreter.execute
+        hooks = machine.state.hooks
+        self._usual = hooks.execute
         self._drilling = Drilling(machine, self._run, self._check)
         self._told: "list[str]" = []
         self._tool = "0"
         self._is_within = False  # a line, others
-        machine.interpreter.execute = self.execute  # type: ignore[method-assign]
+        hooks.execute = self.execute
         machine.interpreter.watch(SET_TOOL)
         cnc.behind_reset(self._forget)
         cnc.entries.append(self._why_no_entry)

@@ -60,19 +60,6 @@ class Operator(PinOperator):
         self.keep = Keep(machine.saves)
         self._open: "list[Saved]" = []  # what is to be put back
         self._jogs: "list[str]" = []  # asked for and not begun
-        self._is_probing = False
-        self._around_probing()
-
-    def _around_probing(self) -> None:
-        """Somebody watches the probe, or nobody: see whether it is probing."""
-        port = self._machine.port
-        usual = port.watch_probe
-
-        def watch_probe(on_contact: "Callable[[], None] | None", closed: bool) -> None:
-            usual(on_contact, closed)
-            self._is_probing = on_contact is not None
-
-        port.watch_probe = watch_probe  # type: ignore[method-assign]
 
     # For custom.py's keeper
 
@@ -155,7 +142,7 @@ class Operator(PinOperator):
             self.g("G38.%d%s" % (2 if must else 3, self._in_work(words)))
         if not self._state.probe_succeeded:
             return None
-        return Place(self._machine.seek.probe_position())
+        return Place(self._machine.state.hooks.probed_at())
 
     def _in_work(self, words: str) -> str:
         """The words without a G53: places as they read in work coordinates."""
@@ -182,7 +169,7 @@ class Operator(PinOperator):
 
     def probing(self) -> bool:
         """Whether a probing move is under way."""
-        return self._is_probing
+        return self._machine.drive.touches is not None
 
     def set_work(self, at: Place, words: str) -> None:
         """From now on that place is called so in work coordinates: "Z0", "X-3 Y-3", mm. Kept, as

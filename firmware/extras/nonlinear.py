@@ -59,6 +59,6 @@ def install(cnc: "Cnc") -> None:
     canon, interpreter = machine.canon, machine.interpreter
     canon.pump, canon.tell = machine.protocol.pump, cnc.message
     canon.modes, canon.block = machine.modes, interpreter.block
-    canon.usual_look, interpreter.look = interpreter.look, canon.look
+    machine.state.hooks.checked += (canon.check_block,)
     interpreter.is_open = False
     interpreter.watch(MOVE)

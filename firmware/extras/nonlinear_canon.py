@@ -33,7 +33,6 @@ class NonlinearCanon(Canon):
     planner: "NonlinearPlanner"
     pump: "Callable[[], None]"  # reads the link
     tell: "Callable[[str], None]"
-    usual_look: "Callable[[bytearray, int, array[int], int], int]"  # the interpreter's
     modes: "Modes"
     block: "Block"
     stop_planning = False
@@ -65,14 +64,8 @@ class NonlinearCanon(Canon):
             self._refuse(errors.TRAVEL_EXCEEDED)
         super().jog(target, move)
 
-    def look(self, line: bytearray, span: int, modal: "array[int]", jog: int) -> int:
-        """As Interpreter.look(), and refuse a line whose motion leads out of reach."""
-        asked = self.usual_look(line, span, modal, jog)
-        if not jog:  # which jog() looks at
-            self._check_block()
-        return asked
-
-    def _check_block(self) -> None:
+    def check_block(self) -> None:
+        """Refuse a line whose motion leads out of reach."""
         ints, xyz, code = self.block.ints, self.block.xyz, errors.GCODE_INVALID_TARGET
         place = self.modes.position
         if ints[b.NON_MODAL] in (b.GO_G28, b.GO_G30):

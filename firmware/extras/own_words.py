@@ -83,8 +83,8 @@ class OwnWords:
         self._words[key] = call, letters, sync, letters.upper() + ("NL" if key[2] else "N")
 
     def _put_around_lines(self) -> None:
-        interpreter = self._machine.interpreter
-        usual = interpreter.execute
+        hooks = self._machine.state.hooks
+        usual = hooks.execute
 
         @micropython.native
         def execute(line: bytearray, length: int) -> None:
@@ -96,7 +96,7 @@ class OwnWords:
                 if self._machine.state.run != st.CHECK:
                     word[0](*numbers)
 
-        interpreter.execute = execute  # type: ignore[method-assign]
+        hooks.execute = execute
 
     def find(self, line: bytearray, length: int) -> "Word | None":
         """The word of ours that a line has, if there is one."""

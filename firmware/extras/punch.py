@@ -200,7 +200,7 @@ class Punch(Spindle):
 
     def _fail(self, code: int, words: str) -> None:
         self._state.enter(st.ALARM)
-        self._machine.report.alarm(code)
+        self._state.hooks.alarm(code)
         self._machine.report.message(words)
 
     def on_change(self) -> None:

@@ -213,14 +213,14 @@ def install(cnc: "Cnc") -> None:
     machine.interpreter.machine[LENGTHS] &= ~rotary
     planner.move_hook = planner.turn
     _home(machine, everything & ~_found["without_switch"])
-    _show(machine.report, canon.axes)
+    machine.report.turning = rotary  # degrees stay degrees where reports are in inches
 
 
 def _home(machine: "Any", homed: int) -> None:
     """$H leaves axes without a switch alone. The switch of one without an end is searched for as
     long as it takes to turn one and a half times: it has travel meanwhile."""
-    seek, settings, canon = machine.seek, machine.settings, machine.canon
-    usual: "Callable[[int], bool]" = seek.home
+    hooks, settings, canon = machine.state.hooks, machine.settings, machine.canon
+    usual: "Callable[[int], bool]" = hooks.home
 
     def home(axes: int) -> bool:
         if axes == 0:
@@ -234,18 +234,4 @@ def _home(machine: "Any", homed: int) -> None:
             for axis in endless:
                 settings.max_travel[axis] = 0.0
 
-    seek.home = home
-
-
-def _show(report: "Any", rotary: "tuple[int, ...]") -> None:
-    """Degrees stay degrees where reports are in inches."""
-    usual: "Callable[[array[float]], array[float]]" = report.in_inches
-
-    def in_inches(mm: "array[float]") -> "array[float]":
-        kept = [mm[axis] for axis in rotary]
-        shown = usual(mm)
-        for i in range(len(rotary)):
-            shown[rotary[i]] = kept[i]
-        return shown
-
-    report.in_inches = in_inches
+    hooks.home = home

@@ -76,11 +76,11 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 def install(cnc: "Cnc") -> None:
     """Have $H look at the inputs first, and $44 to $49 refused where axes share one."""
     machine: "Any" = cnc.machine
-    shared, seek, inputs = _found[0], machine.seek, machine.inputs
+    shared, hooks, inputs = _found[0], machine.state.hooks, machine.inputs
     everything = 0
     for mask in shared:
         everything |= mask
-    usual_home, usual_find = seek.home, seek.find
+    usual_home, usual_find = hooks.home, hooks.find
 
     def give_up(text: str, alarm: int) -> None:
         cnc.message(text)
@@ -105,6 +105,6 @@ def install(cnc: "Cnc") -> None:
         if clash(shared, int(mask)):
             raise GrblError(errors.INVALID_STATEMENT)
 
-    seek.home, seek.find = home, find
+    hooks.home, hooks.find = home, find
     for number in _CYCLES:
         cnc.check_setting(number, check)

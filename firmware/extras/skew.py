@@ -12,9 +12,7 @@ import math
 from array import array
 
 import micropython
-from base import errors
 from base.axes import Y, Z
-from base.errors import GrblError
 from base.f32 import f32
 from base.settings import FLOAT
 from micropython import const
@@ -170,7 +168,7 @@ def install(cnc: "Cnc") -> None:
     """Have its settings, lines and homing of motors go where they have to."""
     machine: "Any" = cnc.machine
     cnc.add_settings(_SETTINGS)
-    _sign(machine.settings)
+    machine.settings.signed.update(dict.fromkeys(_NUMBERS, _MOST))
     _home(machine)
     planner = machine.planner
     planner.move_hook = planner.lean
@@ -183,37 +181,10 @@ def install(cnc: "Cnc") -> None:
     machine.settings.on_change(resync)
 
 
-def _sign(settings: "Any") -> None:
-    """Its settings may be negative, and are bounded."""
-    usual_read: "Callable[[str], None]" = settings._read
-    usual_assign: "Callable[[int, float], None]" = settings._assign
-
-    def assign(number: int, amount: float) -> None:
-        if number not in _NUMBERS:
-            usual_assign(number, amount)
-            return
-        if not abs(amount) <= _MOST:
-            raise GrblError(errors.INVALID_STATEMENT)
-        row, axis = settings.row(number)
-        settings._store_value(row, axis, amount)
-
-    def read(line: str) -> None:
-        number, _, amount = line.partition("=")
-        if int(number[1:]) not in _NUMBERS:
-            usual_read(line)
-            return
-        try:
-            assign(int(number[1:]), float(amount))
-        except GrblError:
-            raise ValueError(line)
-
-    settings._read, settings._assign = read, assign
-
-
 def _home(machine: "Any") -> None:
     """Motors are homed, and not axes."""
-    seek, engine, kinematics = machine.seek, machine.engine, machine.planner.kinematics
-    usual: "Callable[[int], None]" = seek.find
+    hooks, engine, kinematics = machine.state.hooks, machine.engine, machine.planner.kinematics
+    usual: "Callable[[int], None]" = hooks.find
     motors = array("i", (0 for _ in range(machine.planner.motors)))
 
     def find(axes: int) -> None:
@@ -227,4 +198,4 @@ def _home(machine: "Any") -> None:
             if axes >> i & 1:
                 kinematics.homed(motors, i)
 
-    seek.find = find
+    hooks.find = find

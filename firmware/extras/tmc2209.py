@@ -108,7 +108,7 @@ def install(cnc: "Cnc") -> None:
     cnc.add_command(b"TMC", drivers.report)
     cnc.before_lines(drivers.turn)
     cnc.before_motion(drivers.may_start)
-    drivers.feel_homing(machine.seek)
+    drivers.feel_homing()
 
 
 def _names(letters: str, motors: int) -> "list[str]":
@@ -148,14 +148,12 @@ class Drivers:
 
     def check_settings(self) -> None:
         """Refuse what no driver can do, before it is set."""
-        usual = self._settings.set
 
-        def set_checked(number: int, amount: float) -> None:
+        def check(number: int, amount: float) -> None:
             if not _can_be(number, amount, self._most_ma):
                 raise GrblError(errors.INVALID_STATEMENT)
-            usual(number, amount)
 
-        self._settings.set = set_checked
+        self._settings.checks += (check,)
 
     def configure(self) -> None:
         """Settings have changed: drivers are to be told of theirs."""
@@ -246,15 +244,16 @@ class Drivers:
 
     # Homing without switches
 
-    def feel_homing(self, seek: "Any") -> None:
+    def feel_homing(self) -> None:
         """Stand before each of homing's moves."""
-        usual_home, usual_phase = seek.home, seek.home_phase
+        hooks = self._state.hooks
+        usual_home, usual_phase = hooks.home, hooks.home_phase
 
         def home(axes: int) -> bool:
             if not self.may_start():
                 return False
             try:
-                return bool(usual_home(axes))
+                return usual_home(axes)
             finally:
                 self._rest()
 
@@ -262,7 +261,7 @@ class Drivers:
             self._feel(axes, approach, rate)
             usual_phase(axes, approach, travel, rate)
 
-        seek.home, seek.home_phase = home, phase
+        hooks.home, hooks.home_phase = home, phase
 
     def _homing(self, axes: int) -> "list[int]":
         """Motors that feel the end of one of these axes (a mask)."""

@@ -59,7 +59,6 @@ if TYPE_CHECKING:
     from base.state import State
     from control.coords import Coords
     from control.modes import Modes
-    from control.seek import Seek
     from control.spindle import Spindle
     from interfaces import Canon, Motion, Voice
 
@@ -108,7 +107,6 @@ class Interpreter:
         settings: "Settings",
         coords: "Coords",
         canon: "Canon",
-        seek: "Seek",
         spindle: "Spindle",
         voice: "Voice",
         block: "Block",
@@ -119,7 +117,6 @@ class Interpreter:
         self._state = state
         self._settings = settings
         self._canon = canon
-        self._seek = seek
         self._spindle = spindle
         self._voice = voice
         self.block = block
@@ -215,6 +212,9 @@ class Interpreter:
         asked = ln.look(line, span, modal, jog, self._memory)
         if asked < 0:
             raise GrblError(-asked)
+        if not jog:
+            for call in self._state.hooks.checked:
+                call()
         return asked
 
     def jog(self, line: bytearray, length: int) -> None:
@@ -323,7 +323,7 @@ class Interpreter:
         coords, modes = self._coords, self._modes
         if command == b.SET_COORDS:
             self._canon.synchronise()  # what is kept is written at rest only
-            coords.write(block.ints[b.INDEX], block.stored)
+            self._state.hooks.write_offsets(block.ints[b.INDEX], block.stored)
             if block.ints[b.INDEX] == modes.modal[SYSTEM]:
                 self._offsets_changed()
         elif command in (b.GO_G28, b.GO_G30):
@@ -334,10 +334,10 @@ class Interpreter:
             copy(block.stored, modes.position, block.axes)
         elif command == b.SET_G28:
             self._canon.synchronise()
-            coords.write(G28, modes.position)
+            self._state.hooks.write_offsets(G28, modes.position)
         elif command == b.SET_G30:
             self._canon.synchronise()
-            coords.write(G30, modes.position)
+            self._state.hooks.write_offsets(G30, modes.position)
         elif command == b.SET_G92:
             coords.set_g92(block.xyz)
             self._offsets_changed()
@@ -362,6 +362,10 @@ class Interpreter:
         elif not self._probe(block, move):
             return  # the position has been seen to, or has not changed
         copy(block.xyz, modes.position, block.axes)
+        if motion <= b.CCW_ARC and self._state.hooks.moved:
+            self._canon.finish()
+            for call in self._state.hooks.moved:
+                call()
 
     def _probe(self, block: "Block", move: "plan.Move") -> bool:
         """Search for the probe's contact. Returns whether the target has been reached."""
@@ -369,7 +373,7 @@ class Interpreter:
         move.flags |= layout.NO_FEED_OVERRIDE
         away = motion in (b.PROBE_AWAY, b.PROBE_AWAY_NO_ALARM)
         alarms = motion in (b.PROBE_TOWARD, b.PROBE_AWAY)
-        return self._seek.probe(block.xyz, move, away, alarms)
+        return self._state.hooks.probe(block.xyz, move, away, alarms)
 
     def _control_program(self, flow: int) -> None:
         """Pause it, or end it."""

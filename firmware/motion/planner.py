@@ -207,7 +207,7 @@ class Planner:
         """Add some chords of an arc, or pass them over where nothing moves. Returns what it has
         come upon: see arcs.follow()."""
         self.speeds[self.flow[ROWS] + 1] = move.spindle_rpm
-        return arcs.follow(
+        found = arcs.follow(
             course,
             self.table,
             self.ring,
@@ -218,6 +218,9 @@ class Planner:
             power,
             self.rate(move.feed),
         )
+        for call in self._state.hooks.planned:
+            call()
+        return found
 
     def system_line(
         self, target: "array[float]", move: "Move", power: int, start: "array[int]"
@@ -235,12 +238,17 @@ class Planner:
         """Plan what has been added and not been seen to yet: see plan_kernel.join()."""
         if self.flow[UNPLANNED]:
             plan_kernel.reverse_pass(self.ring, self.flow, 0)
+        for call in self._state.hooks.caught_up:
+            call()
 
     def override(self) -> None:
         """Work out every block anew after an override has changed."""
         flow = self.flow
         self.table[layout.FEED_OVERRIDE] = reals.real(self._state.feed_override / 100)
         self.table[layout.RAPID_OVERRIDE] = reals.real(self._state.rapid_override / 100)
+        for replan in self._state.hooks.replan:
+            if replan():
+                return
         at = flow[TAIL]
         while at != flow[HEAD]:
             plan_kernel.schedule(self.table, self.ring, at * flow[layout.ROW_SIZE])
@@ -257,6 +265,8 @@ class Planner:
             row = at * flow[layout.ROW_SIZE]
             self.ring[row + layout.POWER] = power(self.ring[row + FLAGS], self.speeds[at])
             at = (at + 1) % flow[ROWS]
+        for call in self._state.hooks.powered:
+            call(power)
 
     def clear(self) -> None:
         """Forget all blocks. Only while the engine is stopped."""
@@ -264,6 +274,8 @@ class Planner:
         flow[TAIL] = flow[HEAD]
         for i in (layout.HOLD, SYSTEM, LOADED, layout.NOW, layout.CARRY, layout.SLICES, UNPLANNED):
             flow[i] = 0
+        for call in self._state.hooks.cleared:
+            call()
 
     # Steps of motors and places in mm
 

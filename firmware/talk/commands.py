@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from control.drive import Drive
     from control.inputs import Inputs
     from control.modes import Modes
-    from control.seek import Seek
     from interfaces import Store
     from language.interpreter import Interpreter
 
@@ -64,7 +63,6 @@ class Commands:
         modes: "Modes",
         interpreter: "Interpreter",
         canon: "Canon",
-        seek: "Seek",
         drive: "Drive",
         inputs: "Inputs",
         options: str,
@@ -79,7 +77,6 @@ class Commands:
         self._modes = modes
         self._interpreter = interpreter
         self._canon = canon
-        self._seek = seek
         self._drive = drive
         self._inputs = inputs
         self._options = options
@@ -234,7 +231,7 @@ class Commands:
     def _show_offsets(self, line: bytearray, length: int) -> None:
         if length != 2:
             raise GrblError(errors.INVALID_STATEMENT)
-        self._report.offsets(self._seek.probe_position())
+        self._report.offsets(self._state.hooks.probed_at())
 
     def _home(self, line: bytearray, length: int) -> None:
         if not self._settings.homing:
@@ -250,7 +247,7 @@ class Commands:
                 raise GrblError(errors.INVALID_STATEMENT)
             axes = 1 << at
         self._state.enter(st.HOMING)
-        homed = self._seek.home(axes)
+        homed = self._state.hooks.home(axes)
         self._state.enter(st.IDLE)
         if not homed:
             return
@@ -268,6 +265,8 @@ class Commands:
         if length == 2 or is_long:
             kept = self._store.load(_BUILD_INFO)
             self._report.build_info(kept[0] if kept else "", self._options)
+            for call in self._state.hooks.build_info:
+                call()
             if is_long:
                 message = self._report.message
                 where = ", frozen" if "base.frozen" in sys.modules else ""

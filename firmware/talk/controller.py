@@ -109,7 +109,9 @@ class Controller:
 
     def power_up(self) -> None:
         """Take in what is kept, and hear of what comes. Then protocol.run() is its life."""
-        self.engine.attach(self.segments.next, self.spindle.set_power, self.spindle.rest)
+        self.engine.attach(
+            self.state.hooks.next_segment, self.spindle.set_power, self.spindle.rest
+        )
         whole = self._loads(self.settings.load)
         if not whole:
             # As Grbl with an erased memory: say so, show what holds now.
@@ -132,6 +134,13 @@ class Controller:
 
     def at_rest(self) -> bool:
         """Nothing moves or is going to."""
+        for is_busy in self.state.hooks.is_busy:
+            if is_busy():
+                return False
+        return self.stands()
+
+    def stands(self) -> bool:
+        """As at_rest(), but for what extras are going to do."""
         return self.state.run in (st.IDLE, st.ALARM) and self.planner.empty()
 
     def welcome(self) -> None:
@@ -140,13 +149,14 @@ class Controller:
         if self.at_rest():
             self._banner()
         else:
-            report = self.report
-            type(report).banner(report)
+            self.report.banner()
 
     def _banner(self) -> None:
         """Greet. What could not be read is reported each time, until the power goes: at power-up
         a sender may not have opened the port yet."""
         self.report.banner()
+        for call in self.state.hooks.reset:
+            call()
         for name, has_older in self.saves.damaged.items():
             self.report.message(errors.MSG_DAMAGED % (name, "older copy" if has_older else "lost"))
 
@@ -207,7 +217,7 @@ class Controller:
         self.segments.clear()
         self.spindle.turn(sp.OFF, 0.0)
         self.coolant.set(0)
-        self.seek.forget_probe()
+        state.hooks.forget_probe()
         self.drive.release()
         self.resync()
         state.override_countdown = 0

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from interfaces import Link
     from language.interpreter import Interpreter
 
-    from talk.commands import Commands
     from talk.lines import LineReader
     from talk.report import Report
 
@@ -50,7 +49,6 @@ class Protocol:
         realtime: "Realtime",
         drive: "Drive",
         interpreter: "Interpreter",
-        commands: "Commands",
         canon: "Canon",
         restart: "Callable[[], None]",
         echoes: bool,
@@ -62,7 +60,6 @@ class Protocol:
         self._realtime = realtime
         self._drive = drive
         self._interpreter = interpreter
-        self._commands = commands
         self._canon = canon
         self._echoes = echoes
         # Much at once, for a ? is not to wait behind lines; a line longer than the ring passes.
@@ -93,7 +90,7 @@ class Protocol:
         reader, state, pending = self._reader, self._state, self._state.pending
         interpreter, write, due = self._interpreter, self.link.write, self._saves.due
         # Once, for it is a new object each time; here, for an extra may have put another there.
-        self._interpret = interpreter.execute
+        self._interpret = state.hooks.execute
         interpreter.line = line = reader.line
         needed = needs(reader, interpreter, self.link, self._buffer)
         heard, at, _, kinds = reader.memory()
@@ -130,7 +127,7 @@ class Protocol:
                             continue
                         block[ASKED] = 0  # what has been posted may have changed what it means
                     if found & LINE == 0:
-                        self._report.error(errors.OVERFLOW)
+                        state.hooks.refuse(errors.OVERFLOW)
                         continue
                     length = found >> 2
                     try:  # as in execute()
@@ -173,7 +170,7 @@ class Protocol:
         if length == 0:
             return _pass_over
         if line[0] == _DOLLAR:
-            return self._commands.whose(line, length)
+            return self._state.hooks.whose(line, length)
         if self._state.run & _LOCKED:
             raise GrblError(errors.SYSTEM_GC_LOCK)
         return self._interpret
@@ -185,7 +182,7 @@ class Protocol:
         if code == 0:
             return
         behind = drive.stand_down()
-        report.alarm(code)
+        state.hooks.alarm(code)
         drive.wait_deaf(_DEAF_MS)
         if code in (errors.ALARM_HARD_LIMIT, errors.ALARM_SOFT_LIMIT):
             # Nothing but a reset is heard: the user is to look at the machine first.
@@ -207,9 +204,9 @@ class Protocol:
         if before:
             self.link.write(before)
         if isinstance(reason, GrblError):
-            self._report.error(reason.code)
+            self._state.hooks.refuse(reason.code)
         elif isinstance(reason, OSError):
-            self._report.error(errors.SETTING_READ_FAIL)
+            self._state.hooks.refuse(errors.SETTING_READ_FAIL)
         else:
             self.link.write(OK)  # the line was accepted; a reset cut it short
             raise reason

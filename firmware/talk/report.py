@@ -98,6 +98,7 @@ class Report:
         self._ints = array("i", bytes(4 * (VALUES + _VALUES)))
         self._mm = vector(axes + 1)  # and the spindle's speed
         self._shown = vector(axes + 1)  # what is worked out to be written
+        self.turning = 0  # a mask of axes in degrees: they are no lengths
 
     def connect(
         self,
@@ -328,7 +329,7 @@ class Report:
     def in_inches(self, mm: "array[float]") -> "array[float]":
         """Places in inches, of which there is one array."""
         for i in range(self._axes):
-            self._shown[i] = mm[i] * INCH_PER_MM
+            self._shown[i] = mm[i] if self.turning >> i & 1 else mm[i] * INCH_PER_MM
         return self._shown
 
     def _suspended(self) -> bytes:

@@ -121,7 +121,8 @@ if not store.load("network"):
 socket.SAYS
 power = power_up.build()
 commands = power[0].commands
-usual = commands.whose
+hooks = power[0].state.hooks
+usual = hooks.whose
 
 
 def whose(line, length):
@@ -135,7 +136,7 @@ def whose(line, length):
     return lambda line, length: None
 
 
-commands.whose = whose
+hooks.whose = whose
 machine = power_up.live(power)
 """
 

@@ -56,7 +56,7 @@ def dialects() -> Iterable[str]:
     paths.use_firmware()
     from boot import guests
 
-    return guests._DIALECTS
+    return guests.WORDS["DIALECT"]
 
 
 def tools() -> Iterable[str]:
@@ -64,4 +64,4 @@ def tools() -> Iterable[str]:
     paths.use_firmware()
     from boot import guests
 
-    return guests._TOOLS
+    return guests.WORDS["TOOL"]

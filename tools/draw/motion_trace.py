@@ -143,7 +143,8 @@ class MotionTrace(Paced):
 
         self._value = value
         self._segments = self._rig.controller.segments
-        self._next = replace_method(self._segments, "next", self._noted)
+        hooks = self._rig.controller.state.hooks
+        self._next = replace_method(hooks, "next_segment", self._noted)
 
     def _note(self, row: int) -> None:
         super()._note(row)

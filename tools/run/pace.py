@@ -70,8 +70,8 @@ class Paced(Recorder):
 
     def _attach(self) -> None:
         super()._attach()
-        segments = self._rig.controller.segments
-        self._make_segment = replace_method(segments, "next", self._follow_segment)
+        hooks = self._rig.controller.state.hooks
+        self._make_segment = replace_method(hooks, "next_segment", self._follow_segment)
 
     def _note(self, row: int) -> None:
         super()._note(row)

@@ -125,7 +125,7 @@ class Recorder:
         self._chords = replace_method(self._planner, "chords", self._follow_arc)
         if hasattr(self._planner, "take_up"):
             self._take_up = replace_method(self._planner, "take_up", self._turn)
-        self._probe = replace_method(controller.seek, "probe", self._watch_probe)
+        self._probe = replace_method(controller.state.hooks, "probe", self._watch_probe)
         self._plan_arc = replace_method(controller.canon, "arc", self._look_at_arc)
         interpreter.watch(SPECIAL)  # or kernels would do some arcs by themselves
 

@@ -33,14 +33,14 @@ class FullSegments:
 
     def __init__(self, controller: "Controller") -> None:
         self._flow = controller.planner.flow
-        self._next = controller.segments.next
+        self._hooks = controller.state.hooks
+        self._next = self._hooks.next_segment
         self._motors = controller.planner.motors
         self._spares: "dict[int, int]" = {}  # SPARE, as one row would leave it, by block
-        self._segments = controller.segments
 
     def attach(self) -> None:
         """Be what the engine asks; before power_up()."""
-        self._segments.next = self.next  # type: ignore[method-assign]
+        self._hooks.next_segment = self.next
 
     def next(self, row: "array[int]") -> int:
         """As Segments.next()."""

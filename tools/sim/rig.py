@@ -178,8 +178,8 @@ class Rig:
 
     def _give_reports_time(self) -> None:
         """A status report takes its time to make: what is asked meanwhile is answered by it."""
-        report = self.controller.report
-        status = report.status
+        hooks = self.controller.state.hooks
+        status = hooks.status
 
         def made() -> memoryview:
             text = status()
@@ -187,7 +187,7 @@ class Rig:
             return text
 
         if self.answer_ticks:
-            report.status = made  # type: ignore[method-assign]
+            hooks.status = made
 
     def cycle_power(self) -> None:
         """Called by the script: the firmware starts anew, memory kept, once the script yields."""

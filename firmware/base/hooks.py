@@ -1,0 +1,69 @@
+"""Hooks: every place where an extra may have its say, by name. Extras reach them by extras/api.py.
+
+Who is named later in boot/guests.py is called later in an event, and stands further out in a
+chain. All is of the main loop, but for `next_segment` and `controls`.
+"""
+
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from array import array
+    from collections.abc import Callable
+
+    from interfaces import NextSegment, Probe
+
+    Power = Callable[[int, float], int]  # of flags and rpm
+    Line = Callable[[bytearray, int], None]
+    Calls = tuple[Callable[[], object], ...]
+    Asks = tuple[Callable[[], bool], ...]
+
+
+class Hooks:
+    """Chains hold one function, the machine's own until an extra puts its own there, which calls
+    the one that was there before. Events hold as many as there are, none on a plain board: that
+    costs a look at an empty tuple. What raises in one, raises in the machine."""
+
+    # Chains. They may do whatever that function may.
+    execute: "Line"  # a line of G-code, which a 0 follows
+    whose: "Callable[[bytearray, int], Line]"  # who executes a line that begins with $
+    refuse: "Callable[[int], None]"  # tells the sender of an error, by Grbl's number
+    alarm: "Callable[[int], None]"  # and of an alarm
+    status: "Callable[[], memoryview]"  # the answer to ?, to be sent before there is another
+    probe: "Probe"  # see Seek
+    probed_at: "Callable[[], array[float]]"
+    forget_probe: "Callable[[], None]"
+    home: "Callable[[int], bool]"
+    find: "Callable[[int], None]"
+    home_phase: "Callable[[int, bool, float, float], None]"
+    write_offsets: "Callable[[int, array[float]], None]"  # see Coords.write()
+    # Interrupt: fills a segment's row; see segments.py. Viper, or it would need too much stack.
+    next_segment: "NextSegment"
+
+    def __init__(self) -> None:
+        # The loop. They may wait, by Cnc.service().
+        self.turn: "Calls" = ()  # before real-time commands are done, wherever somebody waits
+        self.between_lines: "Calls" = ()
+        self.reset: "Calls" = ()  # behind the welcome, after power-up and every reset
+        self.build_info: "Calls" = ()  # $I has been answered, but for its "ok"
+        # Lines.
+        self.checked: "Calls" = ()  # one is right, and GrblError refuses it: nothing has changed
+        self.moved: "Calls" = ()  # one has asked for a motion of G0 to G3, which has been planned
+        self.paused: "Asks" = ()  # M0: True takes it over, to call Canon.hold_program() later
+        self.ended: "Calls" = ()  # M2 or M30 has ended a program
+        self.spun: "tuple[Callable[[int, float], object], ...]" = ()  # spindle: direction, rpm
+        self.cooled: "tuple[Callable[[int], object], ...]" = ()  # coolant: a mask
+        # Motion as a whole. May neither move nor wait.
+        self.may_start: "Asks" = ()  # before it begins; False keeps the machine where it is
+        self.started: "Calls" = ()
+        self.stops: "Calls" = ()  # the engine has nothing left to do
+        self.waited: "Calls" = ()  # somebody has waited for the end of all that was planned
+        self.is_busy: "Asks" = ()  # True: the machine is not at rest, though nothing moves
+        # Interrupt, no memory and next to no stack: a control input has changed. A mask.
+        self.controls: "tuple[Callable[[int], object], ...]" = ()
+        # The planner.
+        self.planned: "Calls" = ()  # chords of an arc have been added
+        self.caught_up: "Calls" = ()  # all is planned that was added
+        self.replan: "Asks" = ()  # an override has changed: True has planned all anew
+        self.cleared: "Calls" = ()  # all is forgotten
+        self.powered: "tuple[Callable[[Power], object], ...]" = ()  # see Planner.each_power()
