@@ -419,7 +419,8 @@ def test_nothing_moves_while_it_is_down_whatever_happens(
 
 def test_the_simulated_machine_does_judge() -> None:
     def script(bench: Bench) -> Iterator[Any]:
-        bench.rig.controller.state.hooks.may_start = ()  # the punch's
+        hooks = bench.rig.controller.state.hooks
+        hooks.may_start = hooks.started = ()  # what the punch has there
         bench.port.dead = SENSOR_UP
         bench.port._place, bench.port._up_until = DOWN, bench.rig.now
         bench.port.stuck = True
