@@ -343,6 +343,21 @@ def test_a_reset_ends_the_job_and_tells_where(tmp_path: Path) -> None:
     assert f"[MSG:Job A.NC: stopped at line {bench.kept()[1]}]" in said
 
 
+def test_a_reset_in_a_dwell_raises_no_alarm_and_the_line_is_noted(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.put("A.NC", "G0X1", "G4P9", "G0X2")
+
+    def script(bench: Bench) -> Iterator[Any]:
+        yield from bench.sender.wait("ok", "$F=A.NC\n")
+        yield bench.rig.ms(4000)
+        yield from bench.sender.wait("banner", "\x18")
+        yield bench.rig.ms(100)
+
+    said = bench.run(script)
+    assert not [line for line in said if line.startswith("ALARM")]
+    assert said[-1] == "[MSG:Job A.NC: stopped at line 2]" and bench.kept()[1] == "2"
+
+
 def test_a_power_cut_is_told_of_when_the_power_is_back(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", *LONG)

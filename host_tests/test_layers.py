@@ -150,6 +150,11 @@ def too_long(trees, tables=False):
     return found
 
 
+def test_no_method_is_put_in_the_place_of_another():
+    """Extras come in by base/hooks.py."""
+    assert [file for file in FILES if "method-assign" in file.read_text(encoding="utf-8")] == []
+
+
 def test_functions_and_files_stay_short():
     assert not too_long(trees(), tables=True)
 

@@ -23,6 +23,7 @@ from hypothesis import strategies as st
 from laws import Bench, Limits, some
 from motion.layout import KEEP_POWER, ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS
 from pio import beam_program, layout, memory, programs, pulses
+from pio.beam import slice_of
 from pio.engine import PioEngine
 from test_engines import _play_words
 from ugrbl.boardfile.files import load_board
@@ -1166,3 +1167,13 @@ def test_the_beams_machine_plays_words_in_the_times_of_steps(
     ]
     assert len(changes) == sum(steps for _, steps, _ in words)
     assert motor.unread(0) == beam.unread(0) == 0
+
+
+@pytest.mark.parametrize(
+    ("pin", "place"),
+    [(0, 0x40050000), (5, 0x40050028), (15, 0x4005008C), (16, 0x40050000), (25, 0x40050050)],
+)
+def test_the_slice_of_a_beam_is_where_the_data_sheet_has_it(pin: int, place: int) -> None:
+    """Of the RP2040: 4.5.3 has the registers, 1.4.3 the pins."""
+    with a_bed():
+        assert slice_of(pin) == place

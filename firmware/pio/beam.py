@@ -52,6 +52,13 @@ _UNPACED = const(63)
 _BYTES = const(1024)  # of the ring of levels, which lies at a multiple of it
 
 
+def slice_of(pin: int) -> int:
+    """Where a pin's slice of the PWM is."""
+    base = _PWM_2350 if "RP2350" in sys.implementation._machine else _PWM
+    which = pin >> 1 & 3 | 8 if RP2350 and pin > _LAST_OF_8 else pin >> 1 & 7
+    return base + _SLICE * which
+
+
 class BeamEngine(PioEngine):
     """The engine. power: the pin of the PWM."""
 
@@ -64,11 +71,7 @@ class BeamEngine(PioEngine):
         power: int,
     ) -> None:
         super().__init__(step, direction, hold_us, setup_us, 1)
-        base = _PWM_2350 if "RP2350" in sys.implementation._machine else _PWM
-        which = power >> 1 & 7
-        if RP2350 and power > _LAST_OF_8:
-            which = power >> 1 & 3 | 8
-        self._slice = base + _SLICE * which
+        self._slice = slice_of(power)
         # What motion/beam.py works on, and its ring of levels.
         self.beam = array("i", (0 for _ in range(bm.LENGTH)))
         self.beam[bm.BOTH] = _BOTH
