@@ -17,7 +17,11 @@ from extras.api import Cnc
 from language.block import Block
 from motion.arc_geometry import Arc
 from motion.planner import Move, Planner
+from talk.controller import Controller
 from talk.report import Report
+
+# The machine, of which each part takes what is there before it: boot/wiring.py has the order.
+Machine = Controller
 
 # Fills one segment row (see segments.py for its layout) and returns 1, or
 # returns 0 where no motion is due. Called from the engine's interrupt: it

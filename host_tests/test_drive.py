@@ -24,13 +24,18 @@ class Bench:
         self.port, self.engine = FakePort(self.asked, fails), FakeEngine(self.asked)
         self.voice = FakeVoice(self.asked)
         self.settings: Any = SimpleNamespace(hard_limits=1, idle_lock_ms=25, enable_invert=0)
-        planner: Any = SimpleNamespace(empty=lambda: True)
-        segments: Any = SimpleNamespace(hold=lambda on: None)
-        spindle: Any = SimpleNamespace(stop=lambda: self.asked.append("spindle stop"))
-        self.drive = Drive(
-            *(self.state, self.settings, self.engine, planner, segments, spindle),
-            *(Coolant(self.port, self.state), self.port, self.voice),
+        machine: Any = SimpleNamespace(
+            state=self.state,
+            settings=self.settings,
+            engine=self.engine,
+            planner=SimpleNamespace(empty=lambda: True),
+            segments=SimpleNamespace(hold=lambda on: None),
+            spindle=SimpleNamespace(stop=lambda: self.asked.append("spindle stop")),
+            coolant=Coolant(self.port, self.state),
+            port=self.port,
+            report=self.voice,
         )
+        self.drive = Drive(machine)
 
 
 @pytest.mark.parametrize(

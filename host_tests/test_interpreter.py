@@ -27,13 +27,18 @@ class Paper:
         settings = Settings(store, 3, {})
         settings.load()
         self.modes, self.coords = Modes(3), Coords(store, 3, 2)
-        spindle: Any = SimpleNamespace(laser=False)
         block, state = Block(3, True, True), State()
         state.hooks.probe, state.hooks.write_offsets = self._probe, self.coords.write
-        self.interpreter = Interpreter(
-            *(self.modes, state, settings, self.coords, self.canon, spindle),
-            *(self.voice, block, False),
+        machine: Any = SimpleNamespace(
+            modes=self.modes,
+            state=state,
+            settings=settings,
+            coords=self.coords,
+            canon=self.canon,
+            spindle=SimpleNamespace(laser=False),
+            report=self.voice,
         )
+        self.interpreter = Interpreter(machine, block, False)
         self.interpreter.watch(MOVE)  # or lines would be planned without being asked for
 
     def _probe(self, *_: object) -> bool:

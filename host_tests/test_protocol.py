@@ -44,10 +44,14 @@ class Loop:
         )
         state = State()
         state.hooks.execute = nobody
-        self.protocol = Protocol(
-            *(self.link, state, reader, nobody, nobody, nobody, self.drive),
-            *(nobody, nobody, self._restart, False),
+        machine: Any = SimpleNamespace(
+            **dict.fromkeys(("report", "saves", "realtime", "interpreter", "canon"), nobody),
+            state=state,
+            reader=reader,
+            drive=self.drive,
+            restart=self._restart,
         )
+        self.protocol = Protocol(machine, self.link, False)
 
     def _feed(self, buf: bytearray, count: int) -> None:
         self.fed += buf[:count]

@@ -192,11 +192,19 @@ coords.systems[0][0] = 10.5
 planner = Planner(3, 16, None, state)
 planner.configure(settings, 13107200, 17, 90909)
 segments = Segments(planner)
-reader = array("i", (256, 0, 0, 0, 0, 0, 0, 255))  # as LineReader has them
+class Reader:
+    def memory(self):
+        return None, array("i", (256, 0, 0, 0, 0, 0, 0, 255))
+class Parts:
+    pass
+
 planner.flow[9] = 56 << 15 | 0x4321
 report = Report(machine, state, settings, coords, 3, False)
 inputs = Inputs(machine, settings, 3, False)
-report.connect(machine, planner, segments, inputs, machine, machine, reader)
+parts = Parts()
+parts.engine = parts.spindle = parts.coolant = machine
+parts.planner, parts.segments, parts.inputs, parts.reader = planner, segments, inputs, Reader()
+report.connect(parts)
 report.configure()
 
 def taken(wco, ov):

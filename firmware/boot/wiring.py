@@ -97,42 +97,9 @@ def _make_reports(machine: Controller, options: Options, link: "Link") -> None:
 
 def _make_motion(machine: Controller, options: Options) -> None:
     """What sets the machine in motion, and what may be asked of it."""
-    machine.drive = Drive(
-        machine.state,
-        machine.settings,
-        machine.engine,
-        machine.planner,
-        machine.segments,
-        machine.spindle,
-        machine.coolant,
-        machine.port,
-        machine.report,
-    )
-    machine.canon = options.canon(
-        machine.state,
-        machine.settings,
-        machine.planner,
-        machine.spindle,
-        machine.coolant,
-        machine.drive,
-        machine.port,
-        options.zero_origin,
-    )
-    machine.seek = options.seek(
-        machine.state,
-        machine.settings,
-        machine.engine,
-        machine.planner,
-        machine.inputs,
-        machine.port,
-        machine.report,
-        machine.canon,
-        machine.drive,
-        machine.position,
-        machine.resync,
-        options.zero_origin,
-        options.shared_switches,
-    )
+    machine.drive = Drive(machine)
+    machine.canon = options.canon(machine, options.zero_origin)
+    machine.seek = options.seek(machine, options.zero_origin, options.shared_switches)
 
 
 def _make_states(machine: Controller, options: Options) -> None:
@@ -145,71 +112,27 @@ def _make_states(machine: Controller, options: Options) -> None:
         machine.modes,
         options.mist,
     )
-    machine.suspension = Suspension(
-        machine.state,
-        machine.settings,
-        machine.engine,
-        machine.planner,
-        machine.segments,
-        machine.spindle,
-        machine.coolant,
-        machine.inputs,
-        machine.port,
-        machine.modes,
-        machine.overrides,
-        machine.drive,
-        machine.report,
-        machine.position,
-        options.parking,
-    )
-    machine.realtime = Realtime(
-        machine.state,
-        machine.planner,
-        machine.segments,
-        machine.port,
-        machine.drive,
-        machine.overrides,
-        machine.suspension,
-        machine.report,
-        machine.resync,
-    )
+    machine.suspension = Suspension(machine, options.parking)
+    machine.realtime = Realtime(machine)
 
 
 def _make_language(machine: Controller, options: Options) -> None:
     """G-code."""
-    machine.interpreter = Interpreter(
-        machine.modes,
-        machine.state,
-        machine.settings,
-        machine.coords,
-        machine.canon,
-        machine.spindle,
-        machine.report,
-        Block(
-            options.axes,
-            options.mist,
-            options.override_control,
-            options.highest_tool,
-            options.line_length,
-            options.dots,
-        ),
-        options.line_numbers,
+    block = Block(
+        options.axes,
+        options.mist,
+        options.override_control,
+        options.highest_tool,
+        options.line_length,
+        options.dots,
     )
+    machine.interpreter = Interpreter(machine, block, options.line_numbers)
 
 
 def _make_talk(machine: Controller, options: Options, link: "Link") -> None:
     """The way of a byte to its answer."""
     machine.commands = Commands(
-        machine.state,
-        machine.settings,
-        machine.coords,
-        machine.saves,
-        machine.report,
-        machine.modes,
-        machine.interpreter,
-        machine.canon,
-        machine.drive,
-        machine.inputs,
+        machine,
         options.letters(),
         options.single_axis_homing,
         options.override_control,
@@ -221,32 +144,12 @@ def _make_talk(machine: Controller, options: Options, link: "Link") -> None:
         options.reads,
         _MISCOUNTED,
     )
-    machine.protocol = Protocol(
-        link,
-        machine.state,
-        machine.reader,
-        machine.report,
-        machine.saves,
-        machine.realtime,
-        machine.drive,
-        machine.interpreter,
-        machine.canon,
-        machine.restart,
-        options.echo,
-    )
+    machine.protocol = Protocol(machine, link, options.echo)
 
 
 def _connect(machine: Controller) -> None:
     """Hand those above to those below who wait for them or report on them."""
-    machine.report.connect(
-        machine.engine,
-        machine.planner,
-        machine.segments,
-        machine.inputs,
-        machine.spindle,
-        machine.coolant,
-        machine.reader.memory()[1],
-    )
+    machine.report.connect(machine)
     hooks = machine.state.hooks
     hooks.execute, hooks.whose = machine.interpreter.execute, machine.commands.whose
     hooks.refuse, hooks.alarm = machine.report.error, machine.report.alarm

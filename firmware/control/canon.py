@@ -24,15 +24,10 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from base.settings import Settings
-    from base.state import State
-    from interfaces import Port
+    from interfaces import Machine
     from motion.arc_geometry import Arc
-    from motion.planner import Move, Planner
+    from motion.planner import Move
 
-    from control.coolant import Coolant
-    from control.drive import Drive
-    from control.spindle import Spindle
 
 _DWELL_TICK_MS = const(50)
 _DWELL_TICKS_PER_S = const(20)
@@ -67,30 +62,20 @@ def judge(target: ptr32, travel: ptr32, flow: ptr32) -> int:
 class Canon:
     """Its functions. positive_origin: homing sets 0, and travel goes either way."""
 
-    def __init__(
-        self,
-        state: "State",
-        settings: "Settings",
-        planner: "Planner",
-        spindle: "Spindle",
-        coolant: "Coolant",
-        drive: "Drive",
-        port: "Port",
-        positive_origin: bool,
-    ) -> None:
-        self._state = state
-        self._settings = settings
-        self.planner = planner
-        self._spindle = spindle
-        self._coolant = coolant
-        self._drive = drive
-        self._port = port
+    def __init__(self, machine: "Machine", positive_origin: bool) -> None:
+        self._state = machine.state
+        self._settings = machine.settings
+        self.planner = machine.planner
+        self._spindle = machine.spindle
+        self._coolant = machine.coolant
+        self._drive = machine.drive
+        self._port = machine.port
         self._positive_origin = positive_origin
-        self.travel = array("i", (planner.axes, 0) + (0,) * planner.axes)
-        self._flow = planner.flow
+        self.travel = array("i", (machine.planner.axes, 0) + (0,) * machine.planner.axes)
+        self._flow = machine.planner.flow
         # The move asked for: a line, and the chords of an arc in front of it.
         self._asked = False
-        self.course = array("i", (0 for _ in range(arcs.course_length(planner.axes))))
+        self.course = array("i", (0 for _ in range(arcs.course_length(machine.planner.axes))))
         self._is_jog = False
 
     def connect(self, service: "Callable[[], None]") -> None:

@@ -14,14 +14,8 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from base.settings import Settings
-    from base.state import State
-    from interfaces import Port, StepEngine, Voice
-    from motion.planner import Planner
-    from motion.segments import Segments
+    from interfaces import Machine
 
-    from control.coolant import Coolant
-    from control.spindle import Spindle
 
 _FOR_EVER = const(255)
 # The engine may be running on its own.
@@ -34,27 +28,16 @@ class Drive:
 
     pump: "Callable[[], None]"  # reads the link
 
-    def __init__(
-        self,
-        state: "State",
-        settings: "Settings",
-        engine: "StepEngine",
-        planner: "Planner",
-        segments: "Segments",
-        spindle: "Spindle",
-        coolant: "Coolant",
-        port: "Port",
-        voice: "Voice",
-    ) -> None:
-        self._state = state
-        self._settings = settings
-        self._engine = engine
-        self._planner = planner
-        self._segments = segments
-        self._spindle = spindle
-        self._coolant = coolant
-        self._port = port
-        self._voice = voice
+    def __init__(self, machine: "Machine") -> None:
+        self._state = machine.state
+        self._settings = machine.settings
+        self._engine = machine.engine
+        self._planner = machine.planner
+        self._segments = machine.segments
+        self._spindle = machine.spindle
+        self._coolant = machine.coolant
+        self._port = machine.port
+        self._voice = machine.report
         self.moving = False  # the engine was started and has not been seen idle since
         self.by_pin = False  # a switch or a button has asked for the reset that is due
         self.settling = False  # it stands still, and the motors are still powered ($1)

@@ -13,16 +13,8 @@ from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from interfaces import Machine
 
-    from base.state import State
-    from interfaces import Port, Voice
-    from motion.planner import Planner
-    from motion.segments import Segments
-
-    from control.drive import Drive
-    from control.overrides import Overrides
-    from control.suspension import Suspension
 
 _SOFT_RESET = const(0x18)
 _JOG_CANCEL = const(0x85)
@@ -32,27 +24,16 @@ _HOLDS = const(st.HOLD | st.DOOR | st.SLEEP)
 class Realtime:
     """The state machine. resync copies the machine's position to all."""
 
-    def __init__(
-        self,
-        state: "State",
-        planner: "Planner",
-        segments: "Segments",
-        port: "Port",
-        drive: "Drive",
-        overrides: "Overrides",
-        suspension: "Suspension",
-        voice: "Voice",
-        resync: "Callable[[], None]",
-    ) -> None:
-        self._state = state
-        self._planner = planner
-        self._segments = segments
-        self._estop = port.estop
-        self._drive = drive
-        self._overrides = overrides
-        self._suspension = suspension
-        self._voice = voice
-        self._resync = resync
+    def __init__(self, machine: "Machine") -> None:
+        self._state = machine.state
+        self._planner = machine.planner
+        self._segments = machine.segments
+        self._estop = machine.port.estop
+        self._drive = machine.drive
+        self._overrides = machine.overrides
+        self._suspension = machine.suspension
+        self._voice = machine.report
+        self._resync = machine.resync
 
     # What asks, from anywhere
 

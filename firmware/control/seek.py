@@ -13,16 +13,9 @@ from motion import planner as plan
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from interfaces import Machine
+    from motion.planner import Move
 
-    from base.settings import Settings
-    from base.state import State
-    from interfaces import Port, StepEngine, Voice
-    from motion.planner import Move, Planner
-
-    from control.canon import Canon
-    from control.drive import Drive
-    from control.inputs import Inputs
 
 # How much further than the travel, or the pull-off, a switch is searched for.
 _SEARCH = 1.5
@@ -35,39 +28,24 @@ class Seek:
     """Both cycles. position copies the machine's, in mm; resync plans on from there. zero_origin:
     homing sets 0; shared_switches: an input serves both ends."""
 
-    def __init__(
-        self,
-        state: "State",
-        settings: "Settings",
-        engine: "StepEngine",
-        planner: "Planner",
-        inputs: "Inputs",
-        port: "Port",
-        voice: "Voice",
-        canon: "Canon",
-        drive: "Drive",
-        position: "Callable[[array[float]], None]",
-        resync: "Callable[[], None]",
-        zero_origin: bool,
-        shared_switches: bool,
-    ) -> None:
-        self._state = state
-        self._settings = settings
-        self._engine = engine
-        self._planner = planner
-        self._inputs = inputs
-        self._port = port
-        self._voice = voice
-        self._canon = canon
-        self._drive = drive
-        self._position = position
-        self._resync = resync
+    def __init__(self, machine: "Machine", zero_origin: bool, shared_switches: bool) -> None:
+        self._state = machine.state
+        self._settings = machine.settings
+        self._engine = machine.engine
+        self._planner = machine.planner
+        self._inputs = machine.inputs
+        self._port = machine.port
+        self._voice = machine.report
+        self._canon = machine.canon
+        self._drive = machine.drive
+        self._position = machine.position
+        self._resync = machine.resync
         self._zero_origin = zero_origin
         self._shared_switches = shared_switches
-        self._kinematics = planner.kinematics
-        motors = planner.motors
+        self._kinematics = machine.planner.kinematics
+        motors = machine.planner.motors
         self._steps = array("i", (0 for _ in range(motors)))
-        self._target = vector(planner.axes)
+        self._target = vector(machine.planner.axes)
         self._move = plan.Move()
         self.probe_steps = array("i", (0 for _ in range(motors)))
         self.homed = 0  # a mask of axes whose switches were found, until an alarm

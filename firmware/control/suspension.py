@@ -20,20 +20,10 @@ from control.modes import COOLANT, RPM, SPINDLE
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
-    from base.settings import Settings
-    from base.state import State
-    from interfaces import Port, StepEngine, Voice
-    from motion.planner import Planner
-    from motion.segments import Segments
+    from interfaces import Machine
 
-    from control.coolant import Coolant
-    from control.drive import Drive
-    from control.inputs import Inputs
-    from control.modes import Modes
-    from control.overrides import Overrides
-    from control.spindle import Spindle
 
 # What a spindle and a pump need before cutting goes on behind a closed door.
 _SPINDLE_DELAY_MS = const(4000)
@@ -50,43 +40,26 @@ class Suspension:
     """Holds, door and sleep. position copies the machine's, in mm; parks: the board has parking
     motion."""
 
-    def __init__(
-        self,
-        state: "State",
-        settings: "Settings",
-        engine: "StepEngine",
-        planner: "Planner",
-        segments: "Segments",
-        spindle: "Spindle",
-        coolant: "Coolant",
-        inputs: "Inputs",
-        port: "Port",
-        modes: "Modes",
-        overrides: "Overrides",
-        drive: "Drive",
-        voice: "Voice",
-        position: "Callable[[array[float]], None]",
-        parks: bool,
-    ) -> None:
-        self._state = state
-        self._settings = settings
-        self._engine = engine
-        self._steps = array("i", (0 for _ in range(planner.motors)))
-        self._planner = planner
-        self._segments = segments
-        self._spindle = spindle
-        self._coolant = coolant
-        self._inputs = inputs
-        self._port = port
-        self._modes = modes
-        self._overrides = overrides
-        self._drive = drive
-        self._voice = voice
-        self._position = position
+    def __init__(self, machine: "Machine", parks: bool) -> None:
+        self._state = machine.state
+        self._settings = machine.settings
+        self._engine = machine.engine
+        self._steps = array("i", (0 for _ in range(machine.planner.motors)))
+        self._planner = machine.planner
+        self._segments = machine.segments
+        self._spindle = machine.spindle
+        self._coolant = machine.coolant
+        self._inputs = machine.inputs
+        self._port = machine.port
+        self._modes = machine.modes
+        self._overrides = machine.overrides
+        self._drive = machine.drive
+        self._voice = machine.report
+        self._position = machine.position
         self._parks = parks
         self._move = plan.Move()
-        self._target = vector(planner.axes)
-        self._resume_at = vector(planner.axes)
+        self._target = vector(machine.planner.axes)
+        self._resume_at = vector(machine.planner.axes)
         self._waypoint = 0.0
         self._lit = False  # a laser that has been darkened burned
         self._routine: "Iterator[None] | None" = None  # what is under way

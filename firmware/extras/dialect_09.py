@@ -20,12 +20,7 @@ if TYPE_CHECKING:
     from types import ModuleType
 
     from base.settings import Rows
-    from control.coolant import Coolant
-    from control.inputs import Inputs
-    from control.spindle import Spindle
-    from interfaces import Options, StepEngine
-    from motion.planner import Planner
-    from motion.segments import Segments
+    from interfaces import Machine, Options
 
     from extras.api import Cnc
 
@@ -124,22 +119,13 @@ class Report09(Report):
     words = _WORDS
     alarms = _ALARMS
 
-    def connect(
-        self,
-        engine: "StepEngine",
-        planner: "Planner",
-        segments: "Segments",
-        inputs: "Inputs",
-        spindle: "Spindle",
-        coolant: "Coolant",
-        reader: "array[int]",
-    ) -> None:
+    def connect(self, machine: "Machine") -> None:
         """As Report does. Buffers are empty yet: 0.9 counts what is in them."""
-        super().connect(engine, planner, segments, inputs, spindle, coolant, reader)
+        super().connect(machine)
         self.words = _WORDS.copy()  # other extras may add to these
         self.alarms = _ALARMS.copy()
-        self._blocks = planner.free()
-        self._rx_bytes = room(reader)
+        self._blocks = machine.planner.free()
+        self._rx_bytes = room(self._reader)
 
     def configure(self) -> None:
         """Take over $10 and $13."""

@@ -55,12 +55,7 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from typing import Any
 
-    from base.settings import Settings
-    from base.state import State
-    from control.coords import Coords
-    from control.modes import Modes
-    from control.spindle import Spindle
-    from interfaces import Canon, Motion, Voice
+    from interfaces import Machine, Motion
 
     from language.block import Block
 
@@ -100,27 +95,16 @@ _SWITCHES = const(SPEED | SYNC | ACCESSORIES | OFFSETS | COMMAND)
 class Interpreter:
     """The interpreter. line_numbers: N goes with the motion, and into reports."""
 
-    def __init__(
-        self,
-        modes: "Modes",
-        state: "State",
-        settings: "Settings",
-        coords: "Coords",
-        canon: "Canon",
-        spindle: "Spindle",
-        voice: "Voice",
-        block: "Block",
-        line_numbers: bool,
-    ) -> None:
-        self._modes = modes
-        self._coords = coords
-        self._state = state
-        self._settings = settings
-        self._canon = canon
-        self._spindle = spindle
-        self._voice = voice
+    def __init__(self, machine: "Machine", block: "Block", line_numbers: bool) -> None:
+        self._modes = machine.modes
+        self._coords = machine.coords
+        self._state = machine.state
+        self._settings = machine.settings
+        self._canon = machine.canon
+        self._spindle = machine.spindle
+        self._voice = machine.report
         self.block = block
-        self._jog_modal = array("i", modes.modal)
+        self._jog_modal = array("i", machine.modes.modal)
         self._move = plan.Move()
         # The numbers that it has: what they are made objects of takes memory.
         self._numbers = vector(2)
@@ -131,17 +115,17 @@ class Interpreter:
         self.machine = array("i", (0 for _ in range(b.MACHINE_LENGTH)))
         self.machine[b.AXES] = block.axes
         self.machine[b.LENGTHS] = (1 << block.axes) - 1
-        self.machine[b.LENGTH_AXIS] = coords.length_axis
+        self.machine[b.LENGTH_AXIS] = machine.coords.length_axis
         self.machine[b.IS_OPEN] = 1
         self._kept = (
             block.ints,
             block.singles,
             block.xyz,
-            modes.rates,
-            modes.position,
-            coords.offsets,
+            machine.modes.rates,
+            machine.modes.position,
+            machine.coords.offsets,
             self.machine,
-            state.spindle,
+            machine.state.spindle,
             (block.stored, block.arc.plane, block.arc.numbers),
         )
         self.memory()

@@ -28,17 +28,8 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from base.settings import Settings
-    from base.state import State
-    from control.canon import Canon
-    from control.coords import Coords
-    from control.drive import Drive
-    from control.inputs import Inputs
-    from control.modes import Modes
-    from interfaces import Store
-    from language.interpreter import Interpreter
+    from interfaces import Machine
 
-    from talk.report import Report
 
 _STARTUP = "startup"
 _BUILD_INFO = "build"
@@ -54,31 +45,18 @@ class Commands:
     """What lines beginning with $ do. options: the letters and numbers of [OPT:…]."""
 
     def __init__(
-        self,
-        state: "State",
-        settings: "Settings",
-        coords: "Coords",
-        store: "Store",
-        report: "Report",
-        modes: "Modes",
-        interpreter: "Interpreter",
-        canon: "Canon",
-        drive: "Drive",
-        inputs: "Inputs",
-        options: str,
-        single_axis_homing: bool,
-        override_control: bool,
+        self, machine: "Machine", options: str, single_axis_homing: bool, override_control: bool
     ) -> None:
-        self._state = state
-        self._settings = settings
-        self._coords = coords
-        self._store = store
-        self._report = report  # keep-name: tests on a board ask for it
-        self._modes = modes
-        self._interpreter = interpreter
-        self._canon = canon
-        self._drive = drive
-        self._inputs = inputs
+        self._state = machine.state
+        self._settings = machine.settings
+        self._coords = machine.coords
+        self._store = machine.saves
+        self._report = machine.report  # keep-name: tests on a board ask for it
+        self._modes = machine.modes
+        self._interpreter = machine.interpreter
+        self._canon = machine.canon
+        self._drive = machine.drive
+        self._inputs = machine.inputs
         self._options = options
         self._single_axis_homing = single_axis_homing
         self._override_control = override_control

@@ -19,16 +19,8 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from base.state import State
-    from control.canon import Canon
-    from control.drive import Drive
-    from control.realtime import Realtime
-    from control.saves import Saves
-    from interfaces import Link
-    from language.interpreter import Interpreter
+    from interfaces import Link, Machine
 
-    from talk.lines import LineReader
-    from talk.report import Report
 
 _LOCKED = const(st.ALARM | st.JOG)
 _DOLLAR = const(36)
@@ -39,34 +31,21 @@ _DEAF_MS = const(500)  # nothing is answered for so long behind an alarm
 class Protocol:
     """The loop and its buffer. restart: makes the machine ready for lines, and greets."""
 
-    def __init__(
-        self,
-        link: "Link",
-        state: "State",
-        reader: "LineReader",
-        report: "Report",
-        saves: "Saves",
-        realtime: "Realtime",
-        drive: "Drive",
-        interpreter: "Interpreter",
-        canon: "Canon",
-        restart: "Callable[[], None]",
-        echoes: bool,
-    ) -> None:
-        self._state = state
-        self._reader = reader
-        self._report = report
-        self._saves = saves
-        self._realtime = realtime
-        self._drive = drive
-        self._interpreter = interpreter
-        self._canon = canon
+    def __init__(self, machine: "Machine", link: "Link", echoes: bool) -> None:
+        self._state = machine.state
+        self._reader = machine.reader
+        self._report = machine.report
+        self._saves = machine.saves
+        self._realtime = machine.realtime
+        self._drive = machine.drive
+        self._interpreter = machine.interpreter
+        self._canon = machine.canon
         self._echoes = echoes
         # Much at once, for a ? is not to wait behind lines; a line longer than the ring passes.
-        self._buffer = bytearray(reader.free() // 2)
-        self._feed = reader.feed
+        self._buffer = bytearray(machine.reader.free() // 2)
+        self._feed = machine.reader.feed
         # Others may put themselves here before run().
-        self.restart = restart
+        self.restart = machine.restart
         self.link = link
         self.read_into = link.read_into
 

@@ -26,13 +26,8 @@ TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
     from base.settings import Settings
     from base.state import State
-    from control.coolant import Coolant
     from control.coords import Coords
-    from control.inputs import Inputs
-    from control.spindle import Spindle
-    from interfaces import Link, StepEngine
-    from motion.planner import Planner
-    from motion.segments import Segments
+    from interfaces import Link, Machine
 
 # Date of this firmware's behaviour, in Grbl's place for it, and who we are. Senders look for
 # "Grbl" here, and must not find another firmware's name.
@@ -100,30 +95,21 @@ class Report:
         self._shown = vector(axes + 1)  # what is worked out to be written
         self.turning = 0  # a mask of axes in degrees: they are no lengths
 
-    def connect(
-        self,
-        engine: "StepEngine",
-        planner: "Planner",
-        segments: "Segments",
-        inputs: "Inputs",
-        spindle: "Spindle",
-        coolant: "Coolant",
-        reader: "array[int]",
-    ) -> None:
-        """Say whom a status report is to ask. reader: where LineReader is in its ring."""
-        self._planner = planner
-        self._segments = segments
-        self._inputs = inputs
-        self._spindle = spindle
-        self._coolant = coolant
-        self._reader = reader
-        self._steps = array("i", bytes(4 * planner.motors))
+    def connect(self, machine: "Machine") -> None:
+        """Take whom a status report is to ask; all of the machine is there now."""
+        self._planner = machine.planner
+        self._segments = machine.segments
+        self._inputs = machine.inputs
+        self._spindle = machine.spindle
+        self._coolant = machine.coolant
+        self._reader = machine.reader.memory()[1]  # where it is in its ring
+        self._steps = array("i", bytes(4 * machine.planner.motors))
         # What begin() and usual() work on; to look each up costs 5 us.
         self._written = self._text, self._ints, self._mm, self._axes
         resolution = LIMITS + RESOLUTION * self._axes
-        self._begun = self._written + (self._steps, planner.table, resolution)
-        self._count = engine.position
-        self._kinematics = planner.kinematics
+        self._begun = self._written + (self._steps, machine.planner.table, resolution)
+        self._count = machine.engine.position
+        self._kinematics = machine.planner.kinematics
 
     def configure(self) -> None:
         """Take over $10 and $13: forms of digits.write(), which end with a 0."""
