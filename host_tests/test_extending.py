@@ -251,3 +251,59 @@ def test_a_pin_of_an_extra_that_is_taken_is_named(tree):
     board.write_text(board.read_text().replace("VACUUM = 20", "VACUUM = 8"))
     with pytest.raises(AssertionError, match="VACUUM"):
         tree.python("-m", "ugrbl.cli", "build", "--board", "router.py")
+
+
+_DUST = """
+from ugrbl.sim import Machine
+
+with Machine("dusty_mill.py") as machine:
+
+    def is_on():
+        print(machine.rig.port.own_outputs)
+
+    is_on()
+    machine.ask("M3 S500")
+    is_on()
+    machine.ask("M5")
+    machine.run(2900)
+    is_on()
+    machine.run(300)
+    is_on()
+    machine.ask("M4 S9")
+    is_on()
+    machine.send(b"\\x18")
+    machine.run(50)
+    is_on()
+    machine.program(["$X", "M3", "M30"])
+    is_on()
+    machine.run(3200)
+    is_on()
+"""
+
+
+@in_section("A second output")
+def test_a_second_output_follows_the_spindle(tree):
+    assert (len(tree.written), 0) == files_named("a second output")
+    assert "dust.py" in tree.ugrbl("build --board dusty_mill.py")
+    told = tree.python("-c", _DUST)
+    assert told.split() == ["0", "1", "1", "0", "1", "0", "1", "0"]
+
+
+_UNEVEN = """
+from ugrbl.sim import Machine
+
+with Machine("uneven_mill.py") as machine:
+    for line in ("G21 G90", "G1 X20 F600", "G1 X30 Y10", "G1 Z-1"):
+        machine.ask(line)
+        machine.rest()
+        print(*(steps / 250 for steps in machine.steps()))
+"""
+
+
+@in_section("A transform")
+def test_a_transform_follows_the_grid(tree):
+    assert (len(tree.written), 0) == files_named("a transform")
+    (tree.folder / "heights.csv").write_text("0,1,2\n0,2,4\n0,0,0\n")
+    tree.ugrbl("build --board uneven_mill.py")
+    told = [[float(mm) for mm in line.split()] for line in tree.python("-c", _UNEVEN).splitlines()]
+    assert told == [[0, 0, 0], [20, 0, 1], [30, 10, 2.252], [30, 10, 1.252]]  # to the step

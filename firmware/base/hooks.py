@@ -51,8 +51,9 @@ class Hooks:
         self.moved: "Calls" = ()  # one has asked for a motion of G0 to G3, which has been planned
         self.paused: "Asks" = ()  # M0: True takes it over, to call Canon.hold_program() later
         self.ended: "Calls" = ()  # M2 or M30 has ended a program
-        self.spun: "tuple[Callable[[int, float], object], ...]" = ()  # spindle: direction, rpm
-        self.cooled: "tuple[Callable[[int], object], ...]" = ()  # coolant: a mask
+        # A program has turned the spindle (direction, rpm) and switched coolant (a mask).
+        self.spun: "tuple[Callable[[int, float], object], ...]" = ()
+        self.cooled: "tuple[Callable[[int], object], ...]" = ()
         # Motion as a whole. May neither move nor wait.
         self.may_start: "Asks" = ()  # before it begins; False keeps the machine where it is
         self.started: "Calls" = ()

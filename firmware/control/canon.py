@@ -250,17 +250,25 @@ class Canon:
 
     def spin(self, direction: int, rpm: float) -> None:
         """Turn the spindle, once motion has come to where it was asked."""
-        if self._state.run != st.CHECK:
-            self.synchronise()
-            self._spindle.turn(direction, rpm)
+        if self._state.run == st.CHECK:
+            return
+        self.synchronise()
+        self._spin(direction, rpm)
+
+    def _spin(self, direction: int, rpm: float) -> None:
+        self._spindle.turn(direction, rpm)
         for call in self._state.hooks.spun:
             call(direction, rpm)
 
     def cool(self, mask: int) -> None:
         """Switch coolant, once motion has come to where it was asked."""
-        if self._state.run != st.CHECK:
-            self.synchronise()
-            self._coolant.set(mask)
+        if self._state.run == st.CHECK:
+            return
+        self.synchronise()
+        self._cool(mask)
+
+    def _cool(self, mask: int) -> None:
+        self._coolant.set(mask)
         for call in self._state.hooks.cooled:
             call(mask)
 
@@ -271,8 +279,8 @@ class Canon:
         state.override_spindle(100)
         self.planner.override()
         if state.run != st.CHECK:
-            self._spindle.turn(0, 0.0)
-            self._coolant.set(0)
+            self._spin(0, 0.0)
+            self._cool(0)
         for call in state.hooks.ended:
             call()
 

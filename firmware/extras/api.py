@@ -251,6 +251,11 @@ class Cnc:
         """Called when M2 or M30 has ended a program."""
         self._hooks.ended += (call,)
 
+    def behind_spindle(self, call: "Callable[[int, float], object]") -> None:
+        """Called when a program has turned the spindle, with its direction, 0 where it stops, and
+        its speed. A reset stops it without: see behind_reset()."""
+        self._hooks.spun += (call,)
+
     def behind_controls(self, call: "Callable[[int], object]") -> None:
         """Called when a control input has changed, with the mask of base/controls.py. Interrupt:
         no memory, and next to no stack."""

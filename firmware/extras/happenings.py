@@ -225,7 +225,7 @@ class Happenings:
         if "spindle" in heard or "coolant" in heard or "program_done" in heard:
             self._hooks.spun += (self._spun,)
             self._hooks.cooled += (self._cooled,)
-            self._cnc.behind_program(self._ended)
+            self._cnc.behind_program(lambda: self._happen("program_done"))
         if "program_paused" in heard:
             self._hooks.paused += (self._takes_pause,)
         if "alarm" in heard:
@@ -308,11 +308,6 @@ class Happenings:
 
     def _cooled(self, mask: int) -> None:
         self._happen("coolant", bool(mask & coolant.FLOOD), bool(mask & coolant.MIST))
-
-    def _ended(self) -> None:
-        self._spun(0, 0.0)
-        self._cooled(0)
-        self._happen("program_done")
 
     def _takes_pause(self) -> bool:
         """M0: its handlers come before the machine holds."""
