@@ -196,7 +196,7 @@ def test_a_board_gets_what_it_can_use() -> None:
     }
     clusters = {"extras/clusters.py"}
     assert needed(TOOL="laser", CLUSTERS=True) - pico - laser == clusters
-    jerk = {"extras/jerk.py", "motion/jerk_kernel.py", "motion/jerk_plan.py"}
+    jerk = {"extras/jerk.py", "extras/jerk_kernel.py", "extras/jerk_plan.py"}
     assert needed(JERK=True) - pico - {"extras/api.py", "extras/own_words.py"} == jerk
     jobs = needed(JOBS="jobs")
     assert needed(JOBS="jobs", SD_CARD=(10, 11, 12, 13)) - jobs == {

@@ -10,6 +10,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+from extras import jerk_layout
 from extras.jerk import Jerk
 from hypothesis import given
 from hypothesis import strategies as st
@@ -91,7 +92,7 @@ class JerkBench(Bench):
     @property
     def slots(self) -> int:
         """Segments that speed is averaged over."""
-        return self.smoother._line[layout.SLOTS]
+        return self.smoother._line[jerk_layout.SLOTS]
 
     @property
     def time_s(self) -> float:

@@ -1,6 +1,7 @@
 """The house rules of firmware/: layers look down, hardware stays in ports, files stay short."""
 
 import ast
+import re
 import sys
 from functools import cache
 from pathlib import Path
@@ -153,6 +154,15 @@ def too_long(trees, tables=False):
 def test_no_method_is_put_in_the_place_of_another():
     """Extras come in by base/hooks.py."""
     assert [file for file in FILES if "method-assign" in file.read_text(encoding="utf-8")] == []
+
+
+def test_the_core_has_never_heard_of_an_extra():
+    """But for beams, whose part of the motion is a kernel of every laser's engine."""
+    core = ("base", "motion", "control", "language", "talk")
+    words = re.compile(r"jerk|rotary|punch|backlash|skew|ganged|lenient|tmc2209", re.IGNORECASE)
+    for file in FILES:
+        if module_name(file).split(".")[0] in core:
+            assert words.findall(file.read_text(encoding="utf-8")) == [], file
 
 
 def test_functions_and_files_stay_short():

@@ -148,7 +148,7 @@ print(allocates(make), flow[layout.TAIL] > 2)
 
 _JERK = """
 from extras.jerk import Jerk
-from motion import jerk_plan
+from extras import jerk_plan
 
 state.hooks.next_segment = segments.next
 jerk = Jerk(planner, state)

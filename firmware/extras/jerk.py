@@ -2,7 +2,7 @@
 """A limit of jerk, per axis, while the machine runs: $800, $801, $802, in mm/s3.
 
 Acceleration comes and goes over a time, for speed along the path is averaged over it:
-motion/jerk_kernel.py says how, motion/jerk_plan.py what it means for corners. The numbers of the
+jerk_kernel.py says how, jerk_plan.py what it means for corners. The numbers of the
 settings are grblHAL's, where the limit has to be compiled in. 0 is no limit, and as if this module
 was not there. Homing and parking go from rest to rest without it. A board asks with JERK = True.
 """
@@ -12,9 +12,13 @@ from array import array
 import micropython
 from base.settings import AXIS
 from micropython import const
-from motion import jerk_plan, layout, reals
-from motion.jerk_kernel import advance, smooth
-from motion.layout import SLICES, SLOTS, SYSTEM
+from motion import layout, reals
+from motion.layout import SLICES, SYSTEM
+
+from extras import jerk_layout as jl
+from extras import jerk_plan
+from extras.jerk_kernel import advance, smooth
+from extras.jerk_layout import SLOTS
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -43,7 +47,7 @@ class Jerk:
         self._flow = planner.flow
         self._ring = planner.ring
         self._table = planner.table
-        self._line = array("i", (0 for _ in range(layout.WAYS + _MOST_SLOTS)))
+        self._line = array("i", (0 for _ in range(jl.WAYS + _MOST_SLOTS)))
         self._usual_plan = planner.move_hook or planner.plan
         planner.move_hook = self.plan
         hooks = state.hooks
@@ -95,13 +99,13 @@ class Jerk:
     def _clear(self) -> None:
         """Nothing is planned: the line is empty."""
         line, flow = self._line, self._flow
-        slots = line[SLOTS], line[layout.PER_SLOT]
+        slots = line[SLOTS], line[jl.PER_SLOT]
         for i in range(len(line)):
             line[i] = 0
-        line[SLOTS], line[layout.PER_SLOT] = slots
+        line[SLOTS], line[jl.PER_SLOT] = slots
         line[layout.ROW_SIZE] = flow[layout.ROW_SIZE]
         line[layout.ROWS] = flow[layout.ROWS]
-        line[layout.TAIL] = line[layout.HEAD] = line[layout.SETTLED] = flow[layout.HEAD]
+        line[layout.TAIL] = line[layout.HEAD] = line[jl.SETTLED] = flow[layout.HEAD]
 
     def limit(self, accelerations: "list[float]", jerks: "list[float]", slot_s: float) -> None:
         """Limit jerk, in mm/s3, where it is not 0. accelerations: the axes', in mm/s2. slot_s: how
@@ -121,7 +125,7 @@ class Jerk:
         line[SLOTS] = slots
         table[layout.GENTLE] = 0
         if slots:
-            line[layout.PER_SLOT] = reals.real(1 / slots)
+            line[jl.PER_SLOT] = reals.real(1 / slots)
             mean = slots / 4 + 1 / (12 * slots)  # slots of which the middle is away, on an average
             table[layout.GENTLE] = reals.real(mean * slot_s / root_mm_s)
         self._planner.clear()

@@ -51,8 +51,8 @@ FEED_OVERRIDE = const(10)  # reals: as parts of 1
 RAPID_OVERRIDE = const(11)
 ROOT_SCALE = const(12)  # real: mm/s per root of a scaled speed squared
 SLICE = const(13)  # how long a row is where the speed changes, in 2**-17 of a full segment
-# Where jerk is limited (jerk_plan.py), real: by so much, a root of a scaled speed squared, corners
-# are planned slower, per mm/s2. Else 0.
+# Real: by so much, a root of a scaled speed squared, corners are planned slower, per mm/s2; 0, but
+# where an extra wants it.
 GENTLE = const(14)
 LIMITS = const(15)  # three reals per axis: mm per step, mm/s, mm/s2
 # Behind the limits, one of each per axis: direction of the last block, of the present one, its
@@ -95,25 +95,6 @@ WAY = const(27)  # distance of the piece being planned
 PIECES = const(28)  # per piece of the segment: how long, to which speed
 MOTORS = const(36)  # per motor: steps still to go; phase, 2**18 is a step
 FLOW_LENGTH = const(36)
-
-# Where jerk is limited, the plan runs ahead of what is made (jerk_kernel.py). Between them is the
-# line: a flow of the plan's own, without motors, and behind it, ways in 2**-16 mm:
-SLOTS = const(36)  # full segments that speed is averaged over; 0: jerk is not limited
-PER_SLOT = const(37)  # real: 1 / SLOTS
-SETTLED = const(38)  # the main loop's: behind it are blocks that the plan is not to see yet
-PLAN_LEFT = const(39)  # the interrupt's from here on: what the plan's block has still to go,
-CRUMB = const(40)  # and 2**-4 of that unit
-OPEN = const(41)  # the plan is in the slot that comes next,
-DRAWN = const(42)  # and has come so far in it
-RESTS = const(43)  # slots for which the plan stands still, until all it did has been made
-OLDEST = const(44)  # where in the line the next way goes
-SUM = const(45)  # all ways in the line: SLOTS times the speed at the end of the slot,
-BEFORE = const(46)  # and where it has been cut so far
-REMAINDER = const(47)  # of the division of sums by 2 * SLOTS
-TO_GO = const(48)  # what the slot has still to go,
-TIME_LEFT = const(49)  # and for how long, in 2**-17 slot
-MADE_LEFT = const(50)  # what the block being made has still to go
-WAYS = const(51)  # the plan's in each of the last slots
 
 # Flags of a block that the kernels look at; planner.py has the others.
 RAPID_MOTION = const(0x01)

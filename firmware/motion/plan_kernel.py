@@ -255,7 +255,7 @@ def join(table: ptr32, ring: ptr32, flow: ptr32) -> int:
     ring[at + ENTRY_SQR] = 0
     limit_entry(ring, flow, head)
     if table[GENTLE]:
-        ring[at + MAX_ENTRY_SQR] = 0  # until jerk_plan.settle() has seen to it
+        ring[at + MAX_ENTRY_SQR] = 0  # until the extra that wants it so has seen to it
     axes = table[AXES]
     target = LIMITS + TARGET * axes
     for i in range(axes):

@@ -35,7 +35,7 @@ from motion.ramps import share, times
 HAIR = const(0x800)  # ahead of the truth, so that rounding does not cost the last step of a hold
 
 
-# inline: always, for jerk_kernel.py has it too, which is on few boards
+# inline: always, for an extra has it too, which is on few boards
 @micropython.viper
 def slices(flow: ptr32, slice: int, dynamic: int) -> int:
     """How many rows the segment planned is to be, for the steps of a row are even: as many as it

@@ -12,7 +12,6 @@ the plan does not see them.
 
 import micropython
 from micropython import const
-
 from motion.layout import (
     ACCEL,
     AXES,
@@ -25,13 +24,16 @@ from motion.layout import (
     NOMINAL_SQR,
     ROW_SIZE,
     ROWS,
-    SETTLED,
-    SLOTS,
     TAIL,
     UNPLANNED,
 )
 from motion.plan_kernel import AT_ONCE, NEAR, reverse_pass, schedule
 from motion.reals import HIGHEST, LIMIT, ONE, pack, product, square_root
+
+from extras.jerk_layout import (
+    SETTLED,
+    SLOTS,
+)
 
 _LONG = const(0x204000)  # the real 16384, mm: a block of that is longer than its way can be told
 _ROUNDING = const(64)  # of a mantissa: an acceleration so little above a block's is taken for it

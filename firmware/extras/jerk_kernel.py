@@ -12,19 +12,15 @@ same blocks once more, for slice_kernel.py. Ways are whole numbers, and remainde
 goes in comes out.
 
 Viper, as segment_kernel.py is; all of it runs in the engine's interrupt. What stands where is told
-in layout.py.
+in jerk_layout.py and motion/layout.py.
 """
 
 import micropython
 from micropython import const
-
 from motion.layout import (
     ADVANCE,
     AT,
-    BEFORE,
     CARRY,
-    CRUMB,
-    DRAWN,
     DYNAMIC,
     ENTRY_SQR,
     FACTOR,
@@ -35,39 +31,45 @@ from motion.layout import (
     LEFT,
     LENGTH,
     LOADED,
-    MADE_LEFT,
     MOTOR_COUNT,
     NOW,
-    OLDEST,
-    OPEN,
     PARTIAL,
-    PER_SLOT,
     PIECE,
     PIECES,
-    PLAN_LEFT,
     REACHED,
-    REMAINDER,
-    RESTS,
     ROOT_SCALE,
     ROW_SIZE,
     ROWS,
-    SETTLED,
     SLICE,
     SLICES,
-    SLOTS,
-    SUM,
     TAIL,
     TIME,
-    TIME_LEFT,
-    TO_GO,
     WAY,
-    WAYS,
     WHOLE,
 )
 from motion.ramps import share, times
 from motion.reals import BIAS, HIGHEST, LIMIT, ONE, pack, product, ratio, square_root
 from motion.segment_kernel import is_due, load, piece, proceed
 from motion.slice_kernel import slices
+
+from extras.jerk_layout import (
+    BEFORE,
+    CRUMB,
+    DRAWN,
+    MADE_LEFT,
+    OLDEST,
+    OPEN,
+    PER_SLOT,
+    PLAN_LEFT,
+    REMAINDER,
+    RESTS,
+    SETTLED,
+    SLOTS,
+    SUM,
+    TIME_LEFT,
+    TO_GO,
+    WAYS,
+)
 
 _LEAST = const(0x50000)  # a segment covers 1.25 steps, where the block reaches that far,
 _LONGEST = const(32)  # or has taken so many slots
