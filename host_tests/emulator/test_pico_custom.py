@@ -42,7 +42,7 @@ def loops(m):
 def takes_memory(m):
     kept = []
     while True:
-        kept.append(bytearray(1000))
+        kept.append(bytearray(10000))
 
 @mcode(104)
 def swallows(m):

@@ -62,7 +62,7 @@ def test_names_lines_and_single_modules_take_25_kilobytes_at_most(uf2: Path) -> 
     usual = board_as_built(uf2, debug=False)
     ask = "import gc;gc.collect();print(gc.mem_free())"
     left, left_of_debug = (int(board.python(ask)) for board in (usual, debug))
-    assert 18_000 < left - left_of_debug < 25_000
+    assert 15_000 < left - left_of_debug < 25_000
 
 
 def board_as_built(uf2: Path, debug: bool) -> Board:
