@@ -68,3 +68,18 @@ class Hooks:
         self.replan: "Asks" = ()  # an override has changed: True has planned all anew
         self.cleared: "Calls" = ()  # all is forgotten
         self.powered: "tuple[Callable[[Power], object], ...]" = ()  # see Planner.each_power()
+
+
+def tell(calls: "Calls") -> None:
+    """Call them all. Where the stack is deep, who calls this looks first whether there is anybody:
+    a loop of his own there would take 24 bytes of it at all times."""
+    for call in calls:
+        call()
+
+
+def agree(asks: "Asks") -> bool:
+    """Whether all of them say yes; nobody behind one that does not is asked."""
+    for ask in asks:
+        if not ask():
+            return False
+    return True

@@ -15,6 +15,7 @@ import micropython
 from base import errors
 from base import state as st
 from base.f32 import copy, f32, whole
+from base.hooks import tell
 from micropython import const
 from motion import arcs, layout
 from motion import planner as plan
@@ -237,8 +238,8 @@ class Canon:
         self.service()
         while not self.planner.empty() or self._state.run & st.UNDER_WAY:
             self.service()
-        for call in self._state.hooks.waited:
-            call()
+        if self._state.hooks.waited:
+            tell(self._state.hooks.waited)
 
     def settle(self) -> None:
         """Wait until the motors are released."""
@@ -281,8 +282,7 @@ class Canon:
         if state.run != st.CHECK:
             self._spin(0, 0.0)
             self._cool(0)
-        for call in state.hooks.ended:
-            call()
+        tell(state.hooks.ended)
 
     def control_overrides(self, parking: bool) -> None:
         """M56: parking is in action, or is not."""

@@ -8,6 +8,7 @@ import micropython
 from base import errors
 from base import state as st
 from base.controls import DOOR, EMERGENCY_STOP, HOLD, RESET, START
+from base.hooks import agree, tell
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -110,7 +111,12 @@ class Drive:
             state.post(st.CYCLE_START)
         if active & DOOR:
             state.post(st.SAFETY_DOOR)
-        for call in state.hooks.controls:
+        if state.hooks.controls:
+            self._tell_controls(active)
+
+    @micropython.native
+    def _tell_controls(self, active: int) -> None:
+        for call in self._state.hooks.controls:
             call(active)
 
     def emergency(self) -> None:
@@ -177,9 +183,8 @@ class Drive:
     def start(self, run: int) -> None:
         """Set the machine in motion, in that run state."""
         hooks = self._state.hooks
-        for may in hooks.may_start:
-            if not may():
-                return
+        if hooks.may_start and not agree(hooks.may_start):
+            return
         self._state.enter(run)
         self._state.holding = False
         self._segments.hold(False)
@@ -187,13 +192,13 @@ class Drive:
         self.power(True)
         self.moving = True
         self._engine.start()
-        for call in hooks.started:
-            call()
+        if hooks.started:
+            tell(hooks.started)
 
     def release(self) -> None:
         """The machine stands still: power the motors off in a while, and call it a stop then."""
-        for call in self._state.hooks.stops:
-            call()
+        if self._state.hooks.stops:
+            tell(self._state.hooks.stops)
         self.moving = False
         self.settling = True
         self._since = self._port.ticks_ms()

@@ -9,6 +9,7 @@ is suspended run() does not return: suspension.py has its turn there.
 from base import errors
 from base import state as st
 from base.errors import Abort
+from base.hooks import tell
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -57,8 +58,8 @@ class Realtime:
         self.events()
         if self._state.suspend:
             self.suspended()
-        for call in self._state.hooks.between_lines:
-            call()
+        if self._state.hooks.between_lines:
+            tell(self._state.hooks.between_lines)
 
     def suspended(self) -> None:
         """Wait until motion is not suspended any more."""
@@ -71,9 +72,9 @@ class Realtime:
     def events(self) -> None:
         """As run(), but does not wait for a suspension to end."""
         state, drive = self._state, self._drive
-        pending, hooks = state.pending, state.hooks
-        for call in hooks.turn:
-            call()
+        pending = state.pending
+        if state.hooks.turn:
+            tell(state.hooks.turn)
         if self._estop and self._estop():
             drive.emergency()
         if not (pending[st.ANY] or drive.settling or drive.moving):
@@ -81,7 +82,7 @@ class Realtime:
         if pending[st.RESET]:
             raise Abort  # behind which the loop tells of an alarm
         if pending[st.STATUS_REPORT]:
-            report = hooks.status()
+            report = state.hooks.status()
             drive.pump()
             pending[st.STATUS_REPORT] = 0  # what was asked meanwhile is answered, too
             self._voice.send(report)

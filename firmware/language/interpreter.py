@@ -13,6 +13,7 @@ from base import errors
 from base import state as st
 from base.errors import GrblError
 from base.f32 import copy, vector
+from base.hooks import tell
 from base.singles import renew, whole_part
 from control.coords import G28, G30
 from control.modes import (
@@ -197,8 +198,7 @@ class Interpreter:
         if asked < 0:
             raise GrblError(-asked)
         if not jog:
-            for call in self._state.hooks.checked:
-                call()
+            tell(self._state.hooks.checked)
         return asked
 
     def jog(self, line: bytearray, length: int) -> None:
@@ -348,8 +348,7 @@ class Interpreter:
         copy(block.xyz, modes.position, block.axes)
         if motion <= b.CCW_ARC and self._state.hooks.moved:
             self._canon.finish()
-            for call in self._state.hooks.moved:
-                call()
+            tell(self._state.hooks.moved)
 
     def _probe(self, block: "Block", move: "plan.Move") -> bool:
         """Search for the probe's contact. Returns whether the target has been reached."""

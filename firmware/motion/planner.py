@@ -12,6 +12,7 @@ from array import array
 
 import micropython
 from base.f32 import copy, f32, vector, whole
+from base.hooks import tell
 from micropython import const
 
 from motion import arcs, layout, plan_kernel, reals
@@ -218,8 +219,8 @@ class Planner:
             power,
             self.rate(move.feed),
         )
-        for call in self._state.hooks.planned:
-            call()
+        if self._state.hooks.planned:
+            tell(self._state.hooks.planned)
         return found
 
     def system_line(
@@ -238,8 +239,8 @@ class Planner:
         """Plan what has been added and not been seen to yet: see plan_kernel.join()."""
         if self.flow[UNPLANNED]:
             plan_kernel.reverse_pass(self.ring, self.flow, 0)
-        for call in self._state.hooks.caught_up:
-            call()
+        if self._state.hooks.caught_up:
+            tell(self._state.hooks.caught_up)
 
     def override(self) -> None:
         """Work out every block anew after an override has changed."""
@@ -274,8 +275,8 @@ class Planner:
         flow[TAIL] = flow[HEAD]
         for i in (layout.HOLD, SYSTEM, LOADED, layout.NOW, layout.CARRY, layout.SLICES, UNPLANNED):
             flow[i] = 0
-        for call in self._state.hooks.cleared:
-            call()
+        if self._state.hooks.cleared:
+            tell(self._state.hooks.cleared)
 
     # Steps of motors and places in mm
 

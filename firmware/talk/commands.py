@@ -6,6 +6,7 @@ from base import errors
 from base import state as st
 from base.errors import GrblError
 from base.f32 import whole
+from base.hooks import tell
 from base.text import text_of
 from control.coolant import FLOOD, MIST
 from control.modes import (
@@ -243,8 +244,7 @@ class Commands:
         if length == 2 or is_long:
             kept = self._store.load(_BUILD_INFO)
             self._report.build_info(kept[0] if kept else "", self._options)
-            for call in self._state.hooks.build_info:
-                call()
+            tell(self._state.hooks.build_info)
             if is_long:
                 message = self._report.message
                 where = ", frozen" if "base.frozen" in sys.modules else ""

@@ -4,6 +4,7 @@ from array import array
 
 from base import errors
 from base import state as st
+from base.hooks import tell
 from control import spindle as sp
 from control.modes import RPM, SPINDLE
 from micropython import const
@@ -155,8 +156,7 @@ class Controller:
         """Greet. What could not be read is reported each time, until the power goes: at power-up
         a sender may not have opened the port yet."""
         self.report.banner()
-        for call in self.state.hooks.reset:
-            call()
+        tell(self.state.hooks.reset)
         for name, has_older in self.saves.damaged.items():
             self.report.message(errors.MSG_DAMAGED % (name, "older copy" if has_older else "lost"))
 
