@@ -219,6 +219,8 @@ class Port(Protocol):
     limit_invert: int  # limits() where no switch is hit; Inputs sets it
     estop: Callable[[], bool] | None  # whether the emergency stop is pressed; None: not wired
     fault: str  # what is wrong with the inputs, in words; "" as long as nothing is
+    # An extra's, called with the mask behind InputListener.on_controls(), in the interrupt too.
+    behind_controls: Callable[[int], object] | None
 
     @property
     def pwm(self) -> Pwm | None:

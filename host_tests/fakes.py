@@ -173,6 +173,7 @@ class FakePort:
         self.limit_invert = 0
         self.estop: "Callable[[], bool] | None" = None
         self.fault = ""
+        self.behind_controls: "Callable[[int], object] | None" = None
         self.closed_limits = self.active_controls = self.sensed = 0
         self.touches = False
         self._fails = fails

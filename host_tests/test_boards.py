@@ -169,6 +169,22 @@ def test_a_mistake_is_named(changes: "dict[str, Any]", said: str) -> None:
     assert (said in found[0] and len(found) == 1) if said else found == []
 
 
+@pytest.mark.parametrize(
+    ("options", "refused"),
+    [
+        ({"JERK": True, "DEFAULTS": {800: 2000}}, ""),
+        ({"DEFAULTS": {800: 2000}}, "$800=2000 is refused"),
+        ({"JERK": True, "DEFAULTS": {800: -1}}, "$800=-1 is refused"),
+        ({"SKEW": True, "DEFAULTS": {780: -1.5}}, ""),
+    ],
+)
+def test_defaults_are_of_settings_that_the_board_has(
+    options: "dict[str, Any]", refused: str
+) -> None:
+    said = problems(board(**options))
+    assert len(said) == bool(refused) and all(refused in text for text in said), said
+
+
 @pytest.mark.parametrize("text", ["def install(cnc:\n", "1 / 0\n"])
 def test_an_extra_that_fails_is_told_of(
     text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

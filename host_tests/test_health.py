@@ -97,8 +97,8 @@ def test_a_fault_is_told_again_to_who_asks_and_kept_for_afterwards(
     machine: Any = SimpleNamespace(
         state=State(),
         commands=SimpleNamespace(fault=""),
+        report=SimpleNamespace(status=lambda: b"<Alarm>"),
     )
-    machine.state.hooks.status = lambda: memoryview(b"<Alarm>")
     wire = Wire(b"G0 X1\n", b"?", b"$I\n", b"\x18")
     power_up._alarm(machine, wire, IndexError())
     line = b'[MSG:IndexErr:  1  File "talk.lines", line 1, in feed (--------)]\r\n'

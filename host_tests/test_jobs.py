@@ -8,7 +8,6 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
-from base.controls import START
 from base.state import HOLD
 from language.checks import MOVE
 from motion.layout import SYSTEM_MOTION
@@ -85,6 +84,11 @@ class Bench:
 
         self.rig.run(all_of_it())
         return [line for line in said if line and not line.startswith("Grbl ")]
+
+    def press(self) -> None:
+        """The start button, and let it go."""
+        for closed in (True, False):
+            self.rig.port.push({"start": closed})
 
     def behind(self, line: int) -> list[tuple[int, Any]]:
         """The log from a line of the job on."""
@@ -373,7 +377,7 @@ def test_the_start_button_runs_its_job_at_rest_and_only_then(tmp_path: Path) -> 
 
     def press(bench: Bench) -> Iterator[Any]:
         for _ in range(2):
-            bench.rig.controller.drive.on_controls(START)
+            bench.press()
             yield bench.rig.ms(100)
         yield bench.rig.ms(5000)
 
@@ -569,15 +573,15 @@ def test_the_button_starts_from_the_beginning_whatever_was_asked_before(tmp_path
         bench.rig.link.send(b"!")
         yield bench.rig.ms(300)
         assert machine.state.run == HOLD
-        machine.drive.on_controls(START)  # ends the hold, and no more
+        bench.press()  # ends the hold, and no more
         yield bench.rig.ms(3000)
         assert bench.moves == []
         bench.rig.link.send(b"G4P0.5\n")
         yield bench.rig.ms(200)
-        machine.drive.on_controls(START)
+        bench.press()
         yield bench.rig.ms(3000)
         assert bench.moves == []
-        machine.drive.on_controls(START)
+        bench.press()
         yield bench.rig.ms(3000)
 
     assert bench.run(script)[-1] == "[MSG:Job A.NC: done, 3 lines]"

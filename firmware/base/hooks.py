@@ -1,7 +1,7 @@
 """Hooks: every place where an extra may have its say, by name. Extras reach them by extras/api.py.
 
 Who is named later in boot/guests.py is called later in an event, and stands further out in a
-chain. All is of the main loop, but for `next_segment` and `controls`.
+chain. All is of the main loop, but for `next_segment`.
 """
 
 from micropython import const
@@ -29,7 +29,6 @@ class Hooks:
     whose: "Callable[[bytearray, int], Line]"  # who executes a line that begins with $
     refuse: "Callable[[int], None]"  # tells the sender of an error, by Grbl's number
     alarm: "Callable[[int], None]"  # and of an alarm
-    status: "Callable[[], memoryview]"  # the answer to ?, to be sent before there is another
     probe: "Probe"  # see Seek
     probed_at: "Callable[[], array[float]]"
     forget_probe: "Callable[[], None]"
@@ -45,6 +44,7 @@ class Hooks:
         self.turn: "Calls" = ()  # before real-time commands are done, wherever somebody waits
         self.between_lines: "Calls" = ()
         self.reset: "Calls" = ()  # behind the welcome, after power-up and every reset
+        self.fields: "tuple[Callable[[], str], ...]" = ()  # of the status report; "" is none
         self.build_info: "Calls" = ()  # $I has been answered, but for its "ok"
         # Lines.
         self.checked: "Calls" = ()  # one is right, and GrblError refuses it: nothing has changed
@@ -60,8 +60,6 @@ class Hooks:
         self.stops: "Calls" = ()  # the engine has nothing left to do
         self.waited: "Calls" = ()  # somebody has waited for the end of all that was planned
         self.is_busy: "Asks" = ()  # True: the machine is not at rest, though nothing moves
-        # Interrupt, no memory and next to no stack: a control input has changed. A mask.
-        self.controls: "tuple[Callable[[int], object], ...]" = ()
         # The planner.
         self.planned: "Calls" = ()  # chords of an arc have been added
         self.caught_up: "Calls" = ()  # all is planned that was added

@@ -102,7 +102,7 @@ def _alarm(machine: "Controller", link: "BoardLink", fault: BaseException) -> No
             if buf[i] == _RESET:
                 return
             if buf[i] == _QUESTION:
-                link.write(machine.state.hooks.status())
+                link.write(machine.report.status())
             elif buf[i] == _DOLLAR:
                 link.write(line)
 

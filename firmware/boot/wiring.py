@@ -153,7 +153,7 @@ def _connect(machine: Controller) -> None:
     hooks = machine.state.hooks
     hooks.execute, hooks.whose = machine.interpreter.execute, machine.commands.whose
     hooks.refuse, hooks.alarm = machine.report.error, machine.report.alarm
-    hooks.status, hooks.write_offsets = machine.report.status, machine.coords.write
+    hooks.write_offsets = machine.coords.write
     seek = machine.seek
     hooks.probe, hooks.probed_at, hooks.forget_probe = (
         seek.probe,

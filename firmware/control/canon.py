@@ -171,6 +171,8 @@ class Canon:
                 known = state.changes[0]
                 power = self.power_of(move)
             found = self.planner.chords(course, move, power, moves)
+            if state.hooks.planned:
+                tell(state.hooks.planned)
             if found == OUTSIDE:
                 self.give_up(errors.ALARM_SOFT_LIMIT)
             elif found == FULL:

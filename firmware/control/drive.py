@@ -111,13 +111,6 @@ class Drive:
             state.post(st.CYCLE_START)
         if active & DOOR:
             state.post(st.SAFETY_DOOR)
-        if state.hooks.controls:
-            self._tell_controls(active)
-
-    @micropython.native
-    def _tell_controls(self, active: int) -> None:
-        for call in self._state.hooks.controls:
-            call(active)
 
     def emergency(self) -> None:
         """The emergency stop is pressed. Where the machine is in alarm it is stopped already."""
@@ -182,8 +175,7 @@ class Drive:
 
     def start(self, run: int) -> None:
         """Set the machine in motion, in that run state."""
-        hooks = self._state.hooks
-        if hooks.may_start and not agree(hooks.may_start):
+        if self._state.hooks.may_start and not agree(self._state.hooks.may_start):
             return
         self._state.enter(run)
         self._state.holding = False
@@ -192,8 +184,8 @@ class Drive:
         self.power(True)
         self.moving = True
         self._engine.start()
-        if hooks.started:
-            tell(hooks.started)
+        if self._state.hooks.started:
+            tell(self._state.hooks.started)
 
     def release(self) -> None:
         """The machine stands still: power the motors off in a while, and call it a stop then."""

@@ -14,6 +14,8 @@ from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from interfaces import Machine
 
 
@@ -82,7 +84,9 @@ class Realtime:
         if pending[st.RESET]:
             raise Abort  # behind which the loop tells of an alarm
         if pending[st.STATUS_REPORT]:
-            report = state.hooks.status()
+            report = self._voice.status()
+            if state.hooks.fields:
+                report = _with_fields(report, state.hooks.fields)
             drive.pump()
             pending[st.STATUS_REPORT] = 0  # what was asked meanwhile is answered, too
             self._voice.send(report)
@@ -194,3 +198,9 @@ class Realtime:
         else:
             state.suspend = 0
             state.enter(st.IDLE)
+
+
+def _with_fields(report: "memoryview", fields: "tuple[Callable[[], str], ...]") -> "memoryview":
+    text = b"".join([b"|" + said.encode() for said in [field() for field in fields] if said])
+    told = bytes(report)
+    return memoryview(told[:-3] + text + told[-3:]) if text else report  # >\r\n

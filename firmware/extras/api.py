@@ -5,6 +5,7 @@ it lets cnc.service() have a turn now and then. The machine itself knows nothing
 are put around what it does, so a board without any pays nothing.
 """
 
+import micropython
 from base import errors
 from base import state as st
 from base.errors import GrblError
@@ -195,16 +196,7 @@ class Cnc:
 
     def add_field(self, field: "Callable[[], str]") -> None:
         """A field of the status report: what it returns, `Xx:1` say, or an empty text."""
-        usual = self._hooks.status
-
-        def status() -> "memoryview":
-            text = field()
-            if not text:
-                return usual()
-            told = bytes(usual())
-            return memoryview(told[:-3] + b"|" + text.encode() + told[-3:])  # >\r\n
-
-        self._hooks.status = status
+        self._hooks.fields += (field,)
 
     def add_byte(self, byte: int, call: "Callable[[], object]") -> None:
         """A real-time byte, 0x80 to 0xFF, that Grbl has no use for; call at the next turn."""
@@ -259,7 +251,16 @@ class Cnc:
     def behind_controls(self, call: "Callable[[int], object]") -> None:
         """Called when a control input has changed, with the mask of base/controls.py. Interrupt:
         no memory, and next to no stack."""
-        self._hooks.controls += (call,)
+        port = self._machine.port
+        usual = port.behind_controls
+
+        @micropython.native
+        def both(active: int) -> None:
+            if usual:
+                usual(active)
+            call(active)
+
+        port.behind_controls = both if usual else call
 
     def behind_alarm(self, call: "Callable[[int], object]") -> None:
         """Called with its number when an alarm has been told. Nothing moves."""

@@ -208,7 +208,7 @@ class Planner:
         """Add some chords of an arc, or pass them over where nothing moves. Returns what it has
         come upon: see arcs.follow()."""
         self.speeds[self.flow[ROWS] + 1] = move.spindle_rpm
-        found = arcs.follow(
+        return arcs.follow(
             course,
             self.table,
             self.ring,
@@ -219,9 +219,6 @@ class Planner:
             power,
             self.rate(move.feed),
         )
-        if self._state.hooks.planned:
-            tell(self._state.hooks.planned)
-        return found
 
     def system_line(
         self, target: "array[float]", move: "Move", power: int, start: "array[int]"

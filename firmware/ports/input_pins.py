@@ -70,6 +70,7 @@ class PortInputs:
         self._control_invert: int = option("CONTROL_INVERT", 0)
         self._debounce_ms: int = option("CONTROL_DEBOUNCE_MS", 0)
         self._estop = self._make_input(option("ESTOP", None))
+        self.behind_controls: "Callable[[int], object] | None" = None
         self.estop: "Callable[[], bool] | None" = self._is_open if self._estop else None
         self._buttons = list(self._controls)
         self._buttons.append(self._estop)
@@ -198,6 +199,8 @@ class PortInputs:
             seen = self._seen_by(pin)
             self._controls_seen |= seen  # also where the listener fails
             self._listener.on_controls(seen)  # before the other inputs are looked at
+            if self.behind_controls:
+                self.behind_controls(seen)
             self._controls_seen = self.controls()
             if not self._quiet:
                 self._await_quiet()
@@ -230,6 +233,8 @@ class PortInputs:
             self._controls_seen = self.controls()
             if changed or (self._estop and self._estop.value()):
                 self._listener.on_controls(self._active())
+                if self.behind_controls:
+                    self.behind_controls(self._active())
             if changed:
                 self._await_quiet()
         except BaseException:

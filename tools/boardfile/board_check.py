@@ -5,12 +5,13 @@ import difflib
 import importlib.util
 import re
 from collections.abc import Iterator
+from math import inf
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from .. import paths
-from ..grbl.settings_file import zeros
+from ..grbl.settings_file import SIGNED, zeros
 from ..sim import motor_names
 from .chips import CHIPS, Chip, on_their_own
 from .engines import SIMULATOR, WIRELESS, engines
@@ -26,6 +27,7 @@ from .new_board import (
     check_item,
 )
 from .options import BY_NAME, INVERTIBLE, PIN, PIN_OR_PINS
+from .setting_tables import tables_of
 
 # How an extra of the user's own reads a name of the board file.
 _READ = re.compile(r"""\b(?:option\(|getattr\(\s*board,\s*)"([A-Z]\w*)"|\bboard\.([A-Z]\w*)""")
@@ -350,6 +352,13 @@ def _defaults(board: ModuleType) -> Iterator[str]:
     from ..sim.rig import MemoryStore
 
     settings = Settings(MemoryStore(), motor_names.axes_of(board), {})
+    try:
+        tables = tables_of(board)
+    except ValueError:  # which _firmware() tells
+        return
+    for rows in tables.values():
+        settings.rows = (*(row for row in settings.rows if row not in rows), *rows)
+    settings.signed = dict.fromkeys(SIGNED, inf)  # how far, the extra itself says
     settings.load()
     for number, value in getattr(board, "DEFAULTS", {}).items():
         try:

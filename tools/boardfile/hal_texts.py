@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from .. import paths
 from ..grbl.messages import alarms, errors
-from ..grbl.settings_file import AXES, is_per_axis, of_tool, row_meaning, tables
+from ..grbl.settings_file import AXES, is_per_axis, row_meaning
 from ..sim import motor_names
+from .setting_tables import tables_of
 
 if TYPE_CHECKING:
     from base.settings import Row
@@ -117,10 +118,7 @@ def _rows(board: ModuleType) -> Iterator[str]:
 
 def _settings(board: ModuleType) -> list[_Setting]:
     """Those of the firmware, by number; of two with the same the board's tool has the last."""
-    every = {module: rows for module, rows in tables().items() if module in _modules(board)}
-    tool = getattr(board, "TOOL", "")
-    if tool in ("laser", "punch"):
-        every[f"extras/{tool}"] = of_tool(tool)
+    every = tables_of(board)
     found = {
         setting.number: setting
         for module, rows in every.items()
@@ -128,14 +126,6 @@ def _settings(board: ModuleType) -> list[_Setting]:
         for setting in _of_row(module, row, board)
     }
     return [found[number] for number in sorted(found)]
-
-
-def _modules(board: ModuleType) -> set[str]:
-    """Which a board has, of those with settings."""
-    paths.use_firmware()
-    from boot import guests
-
-    return {"base/settings", *(name.replace(".", "/") for name in guests.names(board, False))}
 
 
 def _of_row(module: str, row: "Row", board: ModuleType) -> Iterator[_Setting]:

@@ -16,7 +16,7 @@ from .modules import Module
 
 OURS = __package__.partition(".")[0]
 # Layers that know no hardware.
-_LAYERS = ("base", "motion", "control", "language", "talk", OURS)
+_LAYERS = ("base", "motion", "control", "language", "talk", "extras", OURS)
 _C_TYPES = {8: "uint8_t", 16: "uint16_t", 32: "int32_t"}
 
 _HEAD = """\

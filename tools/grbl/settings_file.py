@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from base.settings import Row, Rows
 
 AXES = "XYZABC"
-_SIGNED = {*range(170, 180), 780, 781, 782}  # squaring offsets, skew
+SIGNED = {*range(170, 180), 780, 781, 782}  # squaring offsets, skew
 # What 0 is, which Grbl takes, by the number without that of the axis.
 _ZEROS = {
     "10": "no steps for a millimetre of",
@@ -155,7 +155,7 @@ class Change(NamedTuple):
 
 def _take(values: dict[int, str], line: int, number: int, value: str) -> None:
     try:
-        good = isfinite(float(value)) and (float(value) >= 0 or number in _SIGNED)
+        good = isfinite(float(value)) and (float(value) >= 0 or number in SIGNED)
     except ValueError:
         good = False
     if not good:
@@ -201,7 +201,7 @@ def row_meaning(module: str, row: "Row") -> Meaning:
         more = more.strip(",. ").capitalize()  # from the homing switch
         text = " ".join(part for part in (more and f"{more}.", text) if part)
     return Meaning(
-        name.rstrip("."), text, unit, "any number" if number in _SIGNED else _limits(kind)
+        name.rstrip("."), text, unit, "any number" if number in SIGNED else _limits(kind)
     )
 
 

@@ -70,6 +70,7 @@ class SimPort:
         self._pushed: "dict[str, bool]" = {}
         self._closed: "set[str]" = set()
         self._listener: "InputListener | None" = None
+        self.behind_controls: "Callable[[int], object] | None" = None
         self._on_contact: "Callable[[], None] | None" = None
         self._contact_level = True
         self._hears_limits = False
@@ -230,6 +231,8 @@ class SimPort:
         if self._listener and (buttons or ESTOP in changed):
             stop = EMERGENCY_STOP if self.estop and self.estop() else 0
             self._listener.on_controls(self.controls() | stop)
+            if self.behind_controls:
+                self.behind_controls(self.controls() | stop)
 
     def _stop_is_open(self) -> bool:
         return ESTOP not in self._closed

@@ -178,16 +178,13 @@ class Rig:
 
     def _give_reports_time(self) -> None:
         """A status report takes its time to make: what is asked meanwhile is answered by it."""
-        hooks = self.controller.state.hooks
-        status = hooks.status
 
-        def made() -> memoryview:
-            text = status()
+        def field() -> str:
             self.pass_time(self.now + self.answer_ticks)
-            return text
+            return ""
 
         if self.answer_ticks:
-            hooks.status = made
+            self.controller.state.hooks.fields += (field,)
 
     def cycle_power(self) -> None:
         """Called by the script: the firmware starts anew, memory kept, once the script yields."""

@@ -1,0 +1,23 @@
+"""Setting tables: the settings that a board has, those of its extras included."""
+
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+from .. import paths
+from ..grbl.settings_file import of_tool, tables
+
+if TYPE_CHECKING:
+    from base.settings import Rows
+
+
+def tables_of(board: ModuleType) -> "dict[str, Rows]":
+    """Rows by the module of the firmware that has them; what an own extra has is not known."""
+    paths.use_firmware()
+    from boot import guests
+
+    names = {"base/settings", *(name.replace(".", "/") for name in guests.names(board, False))}
+    found = {module: rows for module, rows in tables().items() if module in names}
+    tool = getattr(board, "TOOL", "")
+    if tool in ("laser", "punch"):
+        found[f"extras/{tool}"] = of_tool(tool)
+    return found
