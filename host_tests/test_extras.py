@@ -164,6 +164,18 @@ def test_a_cycle_keeps_its_numbers_until_another_motion(monkeypatch: pytest.Monk
     assert said[6][0].startswith("[GC:G86 G54 ")
 
 
+def test_a_job_is_not_begun_in_the_middle_of_a_cycle(monkeypatch: pytest.MonkeyPatch) -> None:
+    whys: list[str] = []
+
+    def install(cnc: Cnc) -> None:
+        cnc.add_cycle(86, _bore, "Rp")
+        cnc.add_m(100, lambda: whys.extend(why() for why in cnc.entries))
+
+    bench = Bench(monkeypatch, install)
+    bench.say(*lines("M100", "G86X1Z-1R1F9", "M100", "G0X1", "M100"))
+    assert whys == ["", "it goes on with a cycle", ""]
+
+
 def test_a_line_of_a_cycle_that_is_refused_changes_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -1,14 +1,15 @@
 """What an extra may ask of the machine: its install(cnc) gets one of these.
 
 Main loop only, never an interrupt: what is hooked in here may take memory and its time, as long as
-it lets cnc.service() have a turn now and then. The machine itself knows nothing of extras: they
-are put around what it does, so a board without any pays nothing.
+it lets cnc.service() have a turn now and then. The machine itself knows nothing of extras: where
+they come in stands in base/hooks.py, and a board without any has nobody there.
 """
 
 import micropython
 from base import errors
 from base import state as st
 from base.errors import GrblError
+from control.modes import MOTION
 from language import block_layout as b
 from language.checks import MOVE
 from micropython import const
@@ -137,7 +138,11 @@ class Cnc:
             raise ValueError("G%d is taken" % number)
         from extras.cycles import Cycle
 
-        self._machine.interpreter.add_motion(number, Cycle(self._machine, plan, letters))
+        machine = self._machine
+        machine.interpreter.add_motion(number, Cycle(machine, plan, letters))
+        self.entries.append(
+            lambda: "it goes on with a cycle" if machine.modes.modal[MOTION] == number else ""
+        )
 
     def is_taken(self, letter: str, number: "float | str") -> bool:
         """Whether Grbl, or somebody else, has that G or M word."""
