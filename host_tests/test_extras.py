@@ -225,10 +225,12 @@ def test_a_byte_is_heard_wherever_it_stands(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_guard_keeps_the_machine_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     may: list[bool] = [False]
     started: list[int] = []
+    stopped: list[int] = []
 
     def install(cnc: Cnc) -> None:
         cnc.before_motion(lambda: may[0])
         cnc.behind_start(lambda: started.append(1))
+        cnc.behind_stop(lambda: stopped.append(len(started)))
 
     bench = Bench(monkeypatch, install)
     bench.say(("G0X1\n", "ms 500"))
@@ -237,7 +239,7 @@ def test_a_guard_keeps_the_machine_where_it_is(monkeypatch: pytest.MonkeyPatch) 
     assert list(steps) == [0, 0, 0] and started == []
     may[0] = True
     Bench(monkeypatch, install).say(("G0X1\n", "idle"))
-    assert started
+    assert started and stopped[-1] == len(started)
 
 
 def test_lines_of_motion_and_resets_are_told(monkeypatch: pytest.MonkeyPatch) -> None:

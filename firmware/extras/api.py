@@ -235,6 +235,11 @@ class Cnc:
         """Called when the machine has been set in motion."""
         self._hooks.started += (call,)
 
+    def behind_stop(self, call: "Callable[[], object]") -> None:
+        """Called when the engine has made all that there was to make, in a hold too; more may come
+        at once."""
+        self._hooks.stops += (call,)
+
     def behind_line(self, call: "Callable[[], object]") -> None:
         """Called when a line has asked for a motion of G0 to G3, and it has been planned."""
         self._hooks.moved += (call,)
