@@ -88,6 +88,13 @@ def test_current_is_within_a_step_of_what_was_asked(milliamps: float, hold: int)
     assert abs((found[model.IHOLD_IRUN] & 31) + 1 - (run + 1) * hold / 100) <= 1
 
 
+def test_a_driver_that_its_maker_has_left_switched_off_is_switched_on() -> None:
+    on = machine()
+    driver(on).registers[model.CHOPCONF] &= ~15  # TOFF: 0 is off
+    on.play(["G1X1F100"])
+    assert driver(on).registers[model.CHOPCONF] & 15 == 3 and on.reported()[0] == 1
+
+
 def test_a_setting_that_is_changed_reaches_its_driver() -> None:
     on = machine()
     on.play(["$150=32", "G1X1F100"])

@@ -259,7 +259,7 @@ from ugrbl.sim import Machine
 with Machine("dusty_mill.py") as machine:
 
     def is_on():
-        print(machine.rig.port.own_outputs)
+        print(machine.outputs()["own_outputs"])
 
     is_on()
     machine.ask("M3 S500")

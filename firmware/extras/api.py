@@ -59,7 +59,7 @@ class Cnc:
         self._machine.report.message(text)
 
     def refusal(self, number: int) -> GrblError:
-        """To be raised where a line is refused, with Grbl's number of the error."""
+        """To be raised where a line is refused. number: see base/errors.py."""
         return GrblError(number)
 
     # What can be added
@@ -108,7 +108,8 @@ class Cnc:
     ) -> None:
         """An M word, on a line of its own: call gets the numbers behind the letters, in the order
         of `letters`; lower case may be missing, and is None then. It runs when motion has come to
-        its end, or with sync=False while it goes on. ValueError where the word is taken."""
+        its end, or with sync=False while it goes on; in check mode not at all. ValueError where the
+        word is taken."""
         self._words.add("M", number, call, letters, sync)
 
     def add_g(
@@ -232,12 +233,13 @@ class Cnc:
         self._hooks.may_start += (may_start,)
 
     def behind_start(self, call: "Callable[[], object]") -> None:
-        """Called when the machine has been set in motion."""
+        """Called when the machine has been set in motion; by a jog, homing, a probe and parking,
+        too."""
         self._hooks.started += (call,)
 
     def behind_stop(self, call: "Callable[[], object]") -> None:
-        """Called when the engine has made all that there was to make, in a hold too; more may come
-        at once."""
+        """Called when the engine has made all that there was to make, in a hold too, some
+        milliseconds before the machine is Idle. More may come at once: behind_start() tells."""
         self._hooks.stops += (call,)
 
     def behind_line(self, call: "Callable[[], object]") -> None:
@@ -255,7 +257,8 @@ class Cnc:
 
     def behind_spindle(self, call: "Callable[[int, float], object]") -> None:
         """Called when a program has turned the spindle, with its direction, 0 where it stops, and
-        its speed. A reset stops it without: see behind_reset()."""
+        its speed. What else stops it, a reset, homing, parking, 0x9E, is not told:
+        cnc.machine.spindle.direction() says whether it turns now."""
         self._hooks.spun += (call,)
 
     def behind_controls(self, call: "Callable[[int], object]") -> None:

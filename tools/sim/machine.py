@@ -25,7 +25,7 @@ _BOOT_MS = 20_000
 _WIRE_MS = 20  # what has been said is on its way
 _LIMIT_MS = 60_000
 _SETTING = re.compile(r"\$(\d+)=(\S*)")
-_OUTPUTS = ("enable_pin", "spindle_on", "spindle_pwm", "spindle_dir", "flood", "mist")
+_OUTPUTS = "enable_pin spindle_on spindle_pwm spindle_dir flood mist own_outputs".split()
 
 
 class Machine:
@@ -140,7 +140,8 @@ class Machine:
         return list(self.rig.scratch)
 
     def outputs(self) -> "dict[str, int]":
-        """Levels of the outputs; enable_pin 0: motors have power; spindle_pwm of PWM_MAX."""
+        """Levels of the outputs; enable_pin 0: motors have power; spindle_pwm of PWM_MAX;
+        own_outputs: a mask of an extra's pins."""
         return {name: int(getattr(self.rig.port, name)) for name in _OUTPUTS}
 
     def push(self, **pins: bool) -> None:
