@@ -108,8 +108,8 @@ class Cnc:
     ) -> None:
         """An M word, on a line of its own: call gets the numbers behind the letters, in the order
         of `letters`; lower case may be missing, and is None then. It runs when motion has come to
-        its end, or with sync=False while it goes on; in check mode not at all. ValueError where the
-        word is taken."""
+        its end, or with sync=False while it goes on; in check mode not at all. ValueError where
+        the word is taken."""
         self._words.add("M", number, call, letters, sync)
 
     def add_g(
