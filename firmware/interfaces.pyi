@@ -146,6 +146,8 @@ class Canon(Protocol):
 class Motion(Protocol):
     """A motion mode that an extra brings, besides lines, arcs and probes."""
 
+    kept: list[float | None]  # numbers that hold while it is in force: a mode as well
+
     def check(self, block: Block) -> None:
         """Refuse a block with GrblError; nothing has changed yet. Its target is in block.xyz, and
         of MOTION_WORDS no more than the motion uses may be there."""

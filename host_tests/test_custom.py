@@ -14,6 +14,7 @@ from hypothesis import strategies as some
 from talk.lines import LineReader
 from talk.lines import clean as read_line
 from ugrbl.boardfile.files import load_board
+from ugrbl.sim.engine import Switch
 from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
 from ugrbl.sim.sender import Sender
@@ -234,6 +235,36 @@ def test_every_event_is_heard_with_its_values(bench: Make) -> None:
     assert ("alarm", "5") in made.heard
     assert ("state_change", "Idle", "Jog") in made.heard
     assert ("state_change", "Idle", "Hold") in made.heard
+
+
+def test_a_handlers_line_may_have_own_words_and_is_heard_of(bench: Make) -> None:
+    made = bench(
+        """
+@mcode(100, "P")
+def own(m, P):
+    heard.append(P)
+@mcode(101)
+def calls(m):
+    m.g("M100 P3")
+    m.g("T2")
+    heard.append(m.tool)
+    m.g("M3 S100")
+    heard.append("behind")
+    m.home()
+    heard.append("home")
+@on.tool_select
+def select(m, tool): heard.append(("T", tool))
+@on.spindle
+def spindle(m, word, rpm): heard.append(word)
+@on.after_homing
+def homed(m): heard.append("homed")
+"""
+    )
+    for motor, axis in enumerate("xyz"):
+        made.rig.engine.switches.append(Switch(f"limit_{axis}", motor, True, 500))
+    said = made.say(*lines("$22=1", "$X", "M101", "$N0=M100P7"))
+    assert said[2] == said[3] == ["ok"]
+    assert made.heard == [3.0, ("T", 2), 2, "M3", "behind", "homed", "home", 7.0]
 
 
 def test_a_line_waits_for_the_handlers_of_the_one_before(bench: Make) -> None:

@@ -345,6 +345,20 @@ def test_a_stop_ends_parking_at_once(converse: Any) -> None:
     converse(steps, PARKING=True)
 
 
+def test_a_stop_ends_jogs_that_are_still_to_come(converse: Any) -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.ask(_FAST)
+        yield from talk.ask("$J=G91X1F500\n" * 30, "ms 2000")
+        yield from talk.after(1000, "\x19")
+        (report,) = yield from talk.ask("?", "report")
+        assert report.startswith("<Idle")
+        place = re.search(r"MPos:([\d.]+)", report)[1]
+        assert 0 < float(place) < 29
+        assert f"MPos:{place}," in (yield from talk.after(2000, "?"))[0]
+
+    converse(steps)
+
+
 def test_gsender_stops_a_job_by_force(converse: Any) -> None:
     def steps(talk: Talk) -> Steps:
         yield from talk.ask(_FAST)

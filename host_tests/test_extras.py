@@ -7,10 +7,12 @@ from typing import Any
 
 import pytest
 from base import errors
+from base import state as st
 from base.errors import GrblError
 from base.settings import INT
 from boot.options import Options
 from extras.api import Cnc
+from extras.places import Saved
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig
@@ -162,6 +164,38 @@ def test_a_cycle_keeps_its_numbers_until_another_motion(monkeypatch: pytest.Monk
     said = bench.say(*again)
     assert said[2:6] == [["error:28"], ["error:28"], ["ok"], ["ok"]]
     assert said[6][0].startswith("[GC:G86 G54 ")
+
+
+def test_the_numbers_of_a_cycle_are_as_they_were_behind_a_with_statement(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    deepest: list[float] = []
+
+    def bore(here: "list[float]", target: "list[float]", r: float) -> "Any":
+        deepest.append(target[2])
+        return [(target, False)]
+
+    def install(cnc: Cnc) -> None:
+        def deeper() -> None:
+            with Saved(cnc.machine, False, []):
+                cnc.machine.state.hooks.execute(bytearray(b"G86X0Z-9R1\0"), 10)
+
+        cnc.add_cycle(86, bore)
+        cnc.add_m(100, deeper)
+
+    said = Bench(monkeypatch, install).say(*lines("G86X1Z-1R1F99", "M100", "X2"))
+    assert said == [["ok"]] * 3 and deepest == [-1, -9, -1]
+
+
+def test_a_turn_is_not_had_while_a_reset_is_due(monkeypatch: pytest.MonkeyPatch) -> None:
+    due: list[int] = []
+
+    def install(cnc: Cnc) -> None:
+        state = cnc.machine.state
+        state.hooks.turn += (lambda: due.append(state.pending[st.RESET]),)
+
+    Bench(monkeypatch, install).say(("G1X9F99\n", "ms 500"), ("\x18", "banner"), ("?", "report"))
+    assert len(due) > 10 and not any(due)
 
 
 def test_a_job_is_not_begun_in_the_middle_of_a_cycle(monkeypatch: pytest.MonkeyPatch) -> None:

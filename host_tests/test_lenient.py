@@ -464,6 +464,14 @@ def test_what_handlers_execute_is_no_part_of_a_cycle(monkeypatch: pytest.MonkeyP
     assert [each[-1] for each in said[-2:]] == ["error:4", "error:36"]
 
 
+def test_no_extra_has_a_cycle_beside_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def install(cnc: Cnc) -> None:
+        cnc.add_cycle(86, lambda *_: ())
+
+    with pytest.raises(ValueError, match="LENIENT has cycles of its own"):
+        beside(install, monkeypatch).say("G0X1")
+
+
 def test_holes_begin_where_a_handler_has_left_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     def install(cnc: Cnc) -> None:
         hooks = cnc.machine.state.hooks

@@ -39,33 +39,32 @@ class Hooks:
     # Interrupt: fills a segment's row; see segments.py. Viper, or it would need too much stack.
     next_segment: "NextSegment"
 
-    def __init__(self) -> None:
-        # The loop. They may wait, by Cnc.service().
-        self.turn: "Calls" = ()  # before real-time commands are done, wherever somebody waits
-        self.between_lines: "Calls" = ()
-        self.reset: "Calls" = ()  # behind the welcome, after power-up and every reset
-        self.fields: "tuple[Callable[[], str], ...]" = ()  # of the status report; "" is none
-        self.build_info: "Calls" = ()  # $I has been answered, but for its "ok"
-        # Lines.
-        self.checked: "Calls" = ()  # one is right, and GrblError refuses it: nothing has changed
-        self.moved: "Calls" = ()  # one has asked for a motion of G0 to G3, which has been planned
-        self.paused: "Asks" = ()  # M0: True takes it over, to call Canon.hold_program() later
-        self.ended: "Calls" = ()  # M2 or M30 has ended a program
-        # A program has turned the spindle (direction, rpm) and switched coolant (a mask).
-        self.spun: "tuple[Callable[[int, float], object], ...]" = ()
-        self.cooled: "tuple[Callable[[int], object], ...]" = ()
-        # Motion as a whole. May neither move nor wait.
-        self.may_start: "Asks" = ()  # before it begins; False keeps the machine where it is
-        self.started: "Calls" = ()
-        self.stops: "Calls" = ()  # the engine has nothing left to do
-        self.waited: "Calls" = ()  # somebody has waited for the end of all that was planned
-        self.is_busy: "Asks" = ()  # True: the machine is not at rest, though nothing moves
-        # The planner.
-        self.planned: "Calls" = ()  # chords of an arc have been added
-        self.caught_up: "Calls" = ()  # all is planned that was added
-        self.replan: "Asks" = ()  # an override has changed: True has planned all anew
-        self.cleared: "Calls" = ()  # all is forgotten
-        self.powered: "tuple[Callable[[Power], object], ...]" = ()  # see Planner.each_power()
+    # The loop. They may wait, by Cnc.service().
+    turn: "Calls" = ()  # behind real-time commands, wherever somebody waits
+    between_lines: "Calls" = ()
+    reset: "Calls" = ()  # behind the welcome, after power-up and every reset
+    fields: "tuple[Callable[[], str], ...]" = ()  # of the status report; "" is none
+    build_info: "Calls" = ()  # $I has been answered, but for its "ok"
+    # Lines.
+    checked: "Calls" = ()  # one is right, and GrblError refuses it: nothing has changed
+    moved: "Calls" = ()  # one has asked for a motion of G0 to G3, which has been planned
+    paused: "Asks" = ()  # M0: True takes it over, to call Canon.hold_program() later
+    ended: "Calls" = ()  # M2 or M30 has ended a program
+    # A program has turned the spindle (direction, rpm) and switched coolant (a mask).
+    spun: "tuple[Callable[[int, float], object], ...]" = ()
+    cooled: "tuple[Callable[[int], object], ...]" = ()
+    # Motion as a whole. May neither move nor wait.
+    may_start: "Asks" = ()  # before it begins; False keeps the machine where it is
+    started: "Calls" = ()
+    stops: "Calls" = ()  # the engine has nothing left to do, or has been stopped; at rest, too
+    waited: "Calls" = ()  # somebody has waited for the end of all that was planned
+    is_busy: "Asks" = ()  # True: the machine is not at rest, though nothing moves
+    # The planner.
+    planned: "Calls" = ()  # chords of an arc have been added
+    caught_up: "Calls" = ()  # all is planned that was added
+    replan: "Asks" = ()  # an override has changed: True has planned all anew
+    cleared: "Calls" = ()  # all is forgotten
+    powered: "tuple[Callable[[Power], object], ...]" = ()  # see Planner.each_power()
 
 
 def tell(calls: "Calls") -> None:

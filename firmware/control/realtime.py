@@ -75,36 +75,33 @@ class Realtime:
         """As run(), but does not wait for a suspension to end."""
         state, drive = self._state, self._drive
         pending = state.pending
-        if state.hooks.turn:
-            tell(state.hooks.turn)
         if self._estop and self._estop():
             drive.emergency()
-        if not (pending[st.ANY] or drive.settling or drive.moving):
-            return  # as nearly always
-        if pending[st.RESET]:
-            raise Abort  # behind which the loop tells of an alarm
-        if pending[st.STATUS_REPORT]:
-            report = self._voice.status()
-            if state.hooks.fields:
-                report = _with_fields(report, state.hooks.fields)
-            drive.pump()
-            pending[st.STATUS_REPORT] = 0  # what was asked meanwhile is answered, too
-            self._voice.send(report)
-        drive.turn()
-        if not pending[st.ANY]:
-            return
-        pending[st.ANY] = 0
-        if pending[st.RESET]:
-            raise Abort  # it has come since
-        if not any(pending):
-            return
-        held = self._holds()
-        if state.take(st.CYCLE_START) and not held:
-            self._cycle_start()
-        if state.take(st.CYCLE_STOP):
-            self._cycle_stop()
-        if state.take(st.OVERRIDE):
-            self._overrides.take()
+        if pending[st.ANY] or drive.settling or drive.moving:  # nearly always none of them
+            if pending[st.RESET]:
+                raise Abort  # behind which the loop tells of an alarm
+            if pending[st.STATUS_REPORT]:
+                report = self._voice.status()
+                if state.hooks.fields:
+                    report = _with_fields(report, state.hooks.fields)
+                drive.pump()
+                pending[st.STATUS_REPORT] = 0  # what was asked meanwhile is answered, too
+                self._voice.send(report)
+            drive.turn()
+            if pending[st.ANY]:
+                pending[st.ANY] = 0
+                if pending[st.RESET]:
+                    raise Abort  # it has come since
+                if any(pending):
+                    held = self._holds()
+                    if state.take(st.CYCLE_START) and not held:
+                        self._cycle_start()
+                    if state.take(st.CYCLE_STOP):
+                        self._cycle_stop()
+                    if state.take(st.OVERRIDE):
+                        self._overrides.take()
+        if state.hooks.turn:
+            tell(state.hooks.turn)
 
     def _holds(self) -> bool:
         """Feed hold, door, sleep, motion cancel. Returns whether cycle start is to be ignored."""

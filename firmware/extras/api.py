@@ -129,9 +129,10 @@ class Cnc:
 
         plan(here, target, ...) gets two places, a list of mm in machine coordinates each, and the
         numbers behind the letters (of I J K L P R), in their order; R is a height, as Z is. It
-        raises refusal() where the line is wrong: nothing has changed yet. It returns the moves,
-        one by one: where to, and whether as a rapid. Z and those numbers hold for the lines that
-        follow; all have to be there once, but those in lower case, which may be None.
+        raises refusal() where the line is wrong: nothing has changed yet. (A generator would be
+        too late with that.) It returns the moves, one by one: where to, and whether as a rapid. Z
+        and those numbers hold for the lines that follow; all have to be there once, but those in
+        lower case, which may be None.
 
         number: between 80 and 100. ValueError where it is taken.
         """
@@ -239,7 +240,8 @@ class Cnc:
 
     def behind_stop(self, call: "Callable[[], object]") -> None:
         """Called when the engine has made all that there was to make, in a hold too, some
-        milliseconds before the machine is Idle. More may come at once: behind_start() tells."""
+        milliseconds before the machine is Idle, and when it has been stopped; at rest, too, now
+        and then. More may come at once: behind_start() tells."""
         self._hooks.stops += (call,)
 
     def behind_line(self, call: "Callable[[], object]") -> None:

@@ -44,7 +44,7 @@ class Cycle:
         for letter in letters.upper():
             self._uses |= LETTERS[letter][0]
         # The numbers that hold for the next line, Z first, and those of the line that is checked.
-        self._kept: "list[float | None]" = []
+        self.kept: "list[float | None]" = []
         self._numbers: "list[float | None]" = []
         self._steps: "Iterable[Step]" = ()
 
@@ -56,7 +56,7 @@ class Cycle:
         if ints[b.WORDS] & b.MOTION_WORDS & ~self._uses:
             raise GrblError(errors.GCODE_UNUSED_WORDS)
         goes_on = modes.modal[MOTION] == ints[MOTION]
-        kept = self._kept if goes_on else [None] * (1 + len(self._letters))
+        kept = self.kept if goes_on and self.kept else [None] * (1 + len(self._letters))
         depth = block.xyz[Z] if ints[b.WORDS] >> Z & 1 else kept[0]
         found = [depth]
         for at, letter in enumerate(self._letters):
@@ -84,7 +84,7 @@ class Cycle:
 
     def make(self, block: "Block", move: "Move") -> None:
         """Have the moves made that check() has found."""
-        self._kept = self._numbers
+        self.kept = self._numbers
         place = block.xyz
         for target, rapid in self._steps:
             for axis in range(block.axes):

@@ -136,7 +136,8 @@ class Bytes:
             self._drive.reset()
 
     def _begin(self) -> None:
-        self._stopping = False
+        if not self._state.pending[st.FEED_HOLD]:  # which has come since
+            self._stopping = False
 
     def _turn(self) -> None:
         if self._stopping and not self._is_under_way():

@@ -107,6 +107,10 @@ class Entry:
         change. All is as before then. NoWay where it cannot be known."""
         machine = self._machine
         coords, state = machine.coords, machine.state
+        motions = machine.interpreter.motions
+        if start[1][MOTION] in motions:
+            raise NoWay("it begins within a cycle")
+        kept = [(motion, motion.kept) for motion in motions.values()]
         before = in_force(machine)
         stored, self._systems = array("f", coords.offsets), systems
         for i in range(len(systems)):
@@ -131,6 +135,8 @@ class Entry:
             if state.run == st.CHECK:
                 state.enter(st.IDLE)
             put(machine, before)
+            for motion, numbers in kept:
+                motion.kept = numbers
             machine.resync()
         if machine.reader.has_line():
             raise NoWay("there were other lines meanwhile")
@@ -188,7 +194,7 @@ class Entry:
         if self._cnc.has_word(line, length):
             raise NoWay("line %d has a word of another kind: what it does is not known" % number)
         try:
-            machine.interpreter.execute(line, length)
+            machine.state.hooks.execute(line, length)
         except GrblError as reason:
             raise NoWay("line %d is refused with %d" % (number, reason.code))
         if self.has_ended:

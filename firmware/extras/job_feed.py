@@ -324,7 +324,7 @@ class Feed:
             try:
                 if answer & _READ:
                     line = bytearray((_DOLLAR, answer & ~_READ, 0))
-                    machine.commands.whose(line, 2)(line, 2)
+                    machine.state.hooks.whose(line, 2)(line, 2)
                 elif answer:
                     raise GrblError(answer)
                 self._write(OK)

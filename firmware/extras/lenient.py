@@ -243,4 +243,6 @@ def prepare(options: "Options", board: "ModuleType") -> None:
 
 def install(cnc: "Cnc") -> None:
     """Behind all other extras: their words are theirs."""
+    if cnc.machine.interpreter.motions:
+        raise ValueError("LENIENT has cycles of its own: no extra can have one beside it")
     Lenient(cnc)

@@ -118,7 +118,7 @@ class Operator(PinOperator):
             raise Refused(errors.OVERFLOW, told)
         if len(code) > 1:
             try:
-                machine.interpreter.execute(code, len(code) - 1)
+                machine.state.hooks.execute(code, len(code) - 1)
             except GrblError as reason:
                 self.rested()
                 raise Refused(reason.code, told) from reason
@@ -197,7 +197,7 @@ class Operator(PinOperator):
         line = bytearray(("$H%s\0" % axes).encode())
         length = len(line) - 1
         try:
-            self._machine.commands.whose(line, length)(line, length)
+            self._machine.state.hooks.whose(line, length)(line, length)
         except GrblError as reason:
             raise Refused(reason.code, "$H" + axes) from reason
         self._end()

@@ -71,6 +71,8 @@ class Saved:
         self.modal = list(modes.modal)
         self._rates = modes.rates[:]
         self._length, self._g92 = coords.tool_length, array("f", coords.g92)
+        motions = self._machine.interpreter.motions.values()
+        self._motions = [(motion, motion.kept) for motion in motions]
         self._within.append(self)
         if self._usual:
             for i in _USUAL:
@@ -91,6 +93,8 @@ class Saved:
             if i not in (SPINDLE, _COOLANT):
                 modes.modal[i] = self.modal[i]
         coords.active = modes.modal[SYSTEM]
+        for motion, kept in self._motions:
+            motion.kept = kept
         copy(self._rates, modes.rates, 2)
         coords.tool_length = self._length
         coords.set_g92(self._g92)

@@ -291,7 +291,7 @@ class Commands:
         if line[at] != 61:
             raise GrblError(errors.INVALID_STATEMENT)
         kept = line[at + 1 : length + 1]
-        self._interpreter.execute(kept, length - at - 1)
+        self._state.hooks.execute(kept, length - at - 1)
         self._canon.synchronise()  # memory is written at rest
         index = whole(number)
         if 0 <= index < STARTUP_LINES:

@@ -22,5 +22,11 @@ SHORT = (
     "search match groups compile dumps loads scroll blit fill_rect framebuf polar factorial "
     "copysign cmath frozenset complex default a2b_base64 b2a_base64 md5 baudrate polarity "
     "firstbit mosi miso scl sda readfrom writeto readfrom_mem writeto_mem writevto memaddr "
-    "write_readinto readbit writebit readbyte writebyte crc8 uname sysname nodename mkdir chdir"
+    "write_readinto readbit writebit readbyte writebyte crc8 uname sysname nodename mkdir chdir "
+    "UINT8 INT8 UINT16 INT16 UINT32 INT32 UINT64 INT64 BFUINT8 BFINT8 BFUINT16 BFINT16 "
+    "BFUINT32 BFINT32 BF_POS BF_LEN FLOAT32 FLOAT64 ARRAY NATIVE LITTLE_ENDIAN BIG_ENDIAN "
+    "EPERM EBADF EACCES EEXIST ENODEV EISDIR EOPNOTSUPP EADDRINUSE ECONNABORTED ECONNRESET "
+    "ENOBUFS ENOTCONN ETIMEDOUT ECONNREFUSED EHOSTUNREACH EALREADY EINPROGRESS OrderedDict "
+    "MONO_VLSB MONO_HLSB RGB565 GS8 heap_unlock qstr_info lightsleep deepsleep time_pulse_us "
+    "bitstream isenabled"
 ).split()
