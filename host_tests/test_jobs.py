@@ -563,6 +563,14 @@ def test_it_goes_on_at_a_line_as_if_all_before_it_had_been_done(tmp_path: Path, 
 # What somebody found who tried it
 
 
+def test_a_line_behind_words_that_only_lenient_takes_can_be_begun_with(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, LENIENT=True)
+    bench.put("A.NC", "%", "O1", "G21G90", "G43H1", "G0X1", "G1X2F500", "G1X3")
+    said = homed(bench).run(say(*FAST, *HOMED, "$F=A.NC@7", wait_s=10))
+    assert said[-1] == "[MSG:Job A.NC: done, 7 lines]", said[-3:]
+    assert bench.moves[-1][0] == 3
+
+
 def test_the_button_starts_from_the_beginning_whatever_was_asked_before(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.put("A.NC", "G91", "G0X5", "G0Y5")

@@ -28,5 +28,8 @@ SHORT = (
     "EPERM EBADF EACCES EEXIST ENODEV EISDIR EOPNOTSUPP EADDRINUSE ECONNABORTED ECONNRESET "
     "ENOBUFS ENOTCONN ETIMEDOUT ECONNREFUSED EHOSTUNREACH EALREADY EINPROGRESS OrderedDict "
     "MONO_VLSB MONO_HLSB RGB565 GS8 heap_unlock qstr_info lightsleep deepsleep time_pulse_us "
-    "bitstream isenabled"
+    "bitstream isenabled aes encrypt decrypt poly GS4_HMSB GS2_HMSB MVLSB readfrom_into "
+    "readfrom_mem_into unique_id bootloader soft_reset mem16 mem8 dht_readinto disable_irq "
+    "RTC SoftSPI SoftI2C Signal WDT_RESET PWRON_RESET reset_cause modify POLLHUP POLLERR "
+    "opt_level VOID PTR"
 ).split()
