@@ -176,38 +176,26 @@ def test_a_board_gets_what_it_can_use() -> None:
         "esp_chip/trains.py",
         "esp_chip/pins.py",
     } < rmt and "esp_chip/i2s.py" not in rmt
-    assert needed(TOOL="punch") - pico == {
-        "extras/api.py",
-        "extras/own_words.py",
-        "extras/punch.py",
-    }
+    api = {"extras/api.py", "extras/cycles.py", "extras/own_words.py"}
+    assert needed(TOOL="punch") - pico == {"extras/punch.py", *api}
     custom = needed(CUSTOM="custom") - pico  # which is the default
-    assert {
-        "extras/api.py",
-        "extras/own_words.py",
-        "extras/custom.py",
-        "extras/machine_operator.py",
-    } < custom
+    assert {"extras/custom.py", "extras/machine_operator.py", *api} < custom
     assert all(name.startswith("extras/") for name in custom)
     laser = needed(TOOL="laser") - pico
     assert laser == {
-        *("extras/api.py", "extras/own_words.py", "extras/laser.py", "motion/beam.py"),
-        *("pio/beam.py", "pio/beam_program.py"),
+        *("extras/laser.py", "motion/beam.py", "pio/beam.py", "pio/beam_program.py"),
+        *api,
     }
     clusters = {"extras/clusters.py"}
     assert needed(TOOL="laser", CLUSTERS=True) - pico - laser == clusters
-    jerk = {"extras/jerk.py", "extras/jerk_kernel.py", "extras/jerk_plan.py"}
-    assert needed(JERK=True) - pico - {"extras/api.py", "extras/own_words.py"} == jerk
+    jerk = {f"extras/jerk{part}.py" for part in ("", "_kernel", "_layout", "_plan")}
+    assert needed(JERK=True) - pico - api == jerk
     jobs = needed(JOBS="jobs")
     assert needed(JOBS="jobs", SD_CARD=(10, 11, 12, 13)) - jobs == {
         "ports/sd_blocks.py",
         "ports/sd_card.py",
     }
-    assert needed(DIALECT="0.9") - pico == {
-        "extras/api.py",
-        "extras/own_words.py",
-        "extras/dialect_09.py",
-    }
+    assert needed(DIALECT="0.9") - pico == {"extras/dialect_09.py", *api}
 
 
 def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() -> None:
