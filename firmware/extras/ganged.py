@@ -8,7 +8,6 @@ Numbers of settings are grblHAL's, that of the alarm for a switch not found in t
 
 from base import errors
 from base.axes import X, Y
-from base.errors import GrblError
 from base.settings import FLOAT, INT, Settings
 from control.inputs import Inputs
 from control.seek import Seek
@@ -65,30 +64,9 @@ _MASKS = (2, 3)
 
 
 class GangedSettings(Settings):
-    """Settings, of which the squaring offsets may be negative. $2 and $3 are of axes; what engines
-    are handed has a bit for each motor."""
+    """Settings, of which $2 and $3 are of axes; engines are handed a bit for each motor."""
 
     pairs: "Pairs" = ()
-    offsets: "tuple[int, ...]" = ()  # their numbers
-
-    def _read(self, line: str) -> None:
-        number, _, amount = line.partition("=")
-        if int(number[1:]) not in self.offsets:
-            super()._read(line)
-            return
-        try:
-            self._assign(int(number[1:]), float(amount))
-        except GrblError:
-            raise ValueError(line)
-
-    def _assign(self, number: int, amount: float) -> None:
-        if number not in self.offsets:
-            super()._assign(number, amount)
-            return
-        if not abs(amount) <= _MOST_OFFSET_MM:
-            raise GrblError(errors.INVALID_STATEMENT)
-        row, axis = self.row(number)
-        self._store_value(row, axis, amount)
 
     def _announce(self, number: int) -> None:
         self.step_invert = self._of_motors(self.step_invert, 0)
@@ -270,5 +248,5 @@ def install(cnc: "Cnc") -> None:
     cnc.add_settings(_INVERT)
     if squared:
         rows = tuple([_OFFSETS[axis] for axis, _ in squared])
-        settings.offsets = tuple([row[0] for row in rows])
+        settings.signed.update({row[0]: _MOST_OFFSET_MM for row in rows})
         cnc.add_settings(_SQUARING + rows)
