@@ -40,9 +40,9 @@ class Hooks:
     next_segment: "NextSegment"
 
     # The loop. They may wait, by Cnc.service().
-    turn: "Calls" = ()  # behind real-time commands, wherever somebody waits
+    turn: "Calls" = ()  # after real-time commands, at each turn of every loop that waits
     between_lines: "Calls" = ()
-    reset: "Calls" = ()  # behind the welcome, after power-up and every reset
+    reset: "Calls" = ()  # after the welcome that follows power-up and every reset
     fields: "tuple[Callable[[], str], ...]" = ()  # of the status report; "" is none
     build_info: "Calls" = ()  # $I has been answered, but for its "ok"
     # Lines.
@@ -68,14 +68,14 @@ class Hooks:
 
 
 def tell(calls: "Calls") -> None:
-    """Call them all. Where the stack is deep, who calls this looks first whether there is anybody:
-    a loop of his own there would take 24 bytes of it at all times."""
+    """Call them all. Callers with little stack left test for an empty tuple first: a loop in their
+    own frame would take 24 bytes even then."""
     for call in calls:
         call()
 
 
 def agree(asks: "Asks") -> bool:
-    """Whether all of them say yes; nobody behind one that does not is asked."""
+    """Whether all of them say yes. The first no ends it."""
     for ask in asks:
         if not ask():
             return False

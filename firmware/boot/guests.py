@@ -30,9 +30,9 @@ _ORDER = (
     # Homing, from the inside out: which axes, when, and whether their input is free.
     ("HOMING", "home_order"),
     ("LIMIT", "shared_limits"),
-    ("TMC2209", "tmc2209"),  # behind all that moves: what drivers feel of it
+    ("TMC2209", "tmc2209"),  # after all that moves: what drivers feel of it
     ("JERK", "jerk"),
-    ("TOOL", ""),  # a laser's part in each segment is behind that of jerk
+    ("TOOL", ""),  # a laser's part in each segment comes after that of jerk
     ("CLUSTERS", "clusters"),
     ("COUNT_DRAINS", "drains"),
     ("JOBS", "jobs"),

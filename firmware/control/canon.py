@@ -300,7 +300,7 @@ class Canon:
         self.hold_program()
 
     def hold_program(self) -> None:
-        """As pause_program(), whoever wants to do it."""
+        """As pause_program(), without asking extras."""
         if self._state.run != st.CHECK:
             self._state.post(st.FEED_HOLD)
             self.service()

@@ -79,7 +79,7 @@ class Realtime:
             drive.emergency()
         if pending[st.ANY] or drive.settling or drive.moving:  # nearly always none of them
             if pending[st.RESET]:
-                raise Abort  # behind which the loop tells of an alarm
+                raise Abort  # the loop then reports an alarm
             if pending[st.STATUS_REPORT]:
                 report = self._voice.status()
                 if state.hooks.fields:

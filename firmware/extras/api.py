@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from extras.cycles import Step
 
-
 _CYCLES_END = const(100)
 
 
@@ -269,13 +268,16 @@ class Cnc:
         port = self._machine.port
         usual = port.behind_controls
 
+        if usual is None:
+            port.behind_controls = call
+            return
+
         @micropython.native
         def both(active: int) -> None:
-            if usual:
-                usual(active)
+            usual(active)
             call(active)
 
-        port.behind_controls = both if usual else call
+        port.behind_controls = both
 
     def behind_alarm(self, call: "Callable[[int], object]") -> None:
         """Called with its number when an alarm has been told. Nothing moves."""

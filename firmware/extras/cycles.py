@@ -19,9 +19,8 @@ if TYPE_CHECKING:
     # Where to, in mm of machine coordinates, and whether as a rapid.
     Step = tuple[list[float], bool]
 
-_MM_PER_INCH = 25.4
 # The bit of a letter in the block's words, and the place of its number.
-LETTERS = {
+_LETTERS = {
     "I": (b.WORD_I, b.I),
     "J": (b.WORD_I << 1, b.I + 1),
     "K": (b.WORD_I << 2, b.I + 2),
@@ -42,7 +41,7 @@ class Cycle:
         self._letters = letters
         self._uses = 0
         for letter in letters.upper():
-            self._uses |= LETTERS[letter][0]
+            self._uses |= _LETTERS[letter][0]
         # The numbers that hold for the next line, Z first, and those of the line that is checked.
         self.kept: "list[float | None]" = []
         self._numbers: "list[float | None]" = []
@@ -72,12 +71,12 @@ class Cycle:
 
     def _number_of(self, block: "Block", letter: str) -> "float | None":
         """In mm; R is a height, as Z is, and in machine coordinates."""
-        bit, place = LETTERS[letter]
+        bit, place = _LETTERS[letter]
         if not block.ints[b.WORDS] & bit:
             return None
         number = block.singles[place]
         if block.ints[INCHES] and letter not in "LP":
-            number *= _MM_PER_INCH
+            number *= block.singles[b.INCH_MM]
         if letter == "R":
             number += self._coords.work_zero(block.ints[SYSTEM], Z)
         return number

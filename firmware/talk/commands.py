@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
     from interfaces import Machine
 
-
 _STARTUP = "startup"
 _BUILD_INFO = "build"
 STARTUP_LINES = const(2)

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from interfaces import Link, Machine
 
-
 _LOCKED = const(st.ALARM | st.JOG)
 _DOLLAR = const(36)
 _IN_PYTHON = const(2)  # a line that Python does takes as long as so many more
