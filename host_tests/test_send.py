@@ -43,6 +43,8 @@ class FakeGrbl(threading.Thread):
         self.old = old
         self._braking = 0
         self.drains: list[int] = []  # of the reports to come; the last one stays
+        self.reports_after_answers = False  # in one piece with the next answer
+        self._report_due = ""
         self.lines: list[bytes] = []
         self.realtime = b""
         self.most_waiting = 0
@@ -91,7 +93,11 @@ class FakeGrbl(threading.Thread):
             drains = self.drains[0] if self.drains else 0
             del self.drains[: len(self.drains) > 1]
             told = f"|Dr:{drains}" if drains else ""
-            self.say(f"<{self.state}|MPos:{place}|FS:0,0{told}>")
+            report = f"<{self.state}|MPos:{place}|FS:0,0{told}>"
+            if self.reports_after_answers and self._waiting:
+                self._report_due = f"\r\n{report}"
+            else:
+                self.say(report)
 
     def _command(self, byte: bytes) -> None:
         self.realtime += byte
@@ -114,7 +120,8 @@ class FakeGrbl(threading.Thread):
             self.say("ALARM:4")
         elif line == b"M2":
             self.say("[MSG:Pgm End]")
-        self.say("error:20" if line.startswith(b"G64") else "ok")
+        report, self._report_due = self._report_due, ""
+        self.say(("error:20" if line.startswith(b"G64") else "ok") + report)
 
 
 class Watcher:
@@ -181,6 +188,14 @@ def test_stops_for_want_of_lines_are_those_of_this_program(
 ) -> None:
     grbl.drains = told
     assert Stream(connection, ready_program(300), view).run().drains == drains
+
+
+def test_a_report_that_comes_together_with_an_answer_counts_no_stop_of_before(
+    grbl: FakeGrbl, connection: Connection, view: Watcher
+) -> None:
+    grbl.drains = [4]
+    grbl.reports_after_answers = True
+    assert Stream(connection, ready_program(300), view).run().drains == 0
 
 
 def test_every_line_is_sent_and_answered(

@@ -9,7 +9,7 @@ import os
 import re
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import serial
@@ -88,8 +88,9 @@ class Connection:
         except OSError as error:
             raise SendError(broke(self._port)) from error
 
-    def lines(self) -> list[str]:
-        """The lines that have come; waits a moment for the first."""
+    def lines(self) -> Iterator[str]:
+        """The lines that have come; waits a moment for the first. The status is that of the last
+        report among those handed out."""
         try:
             data = self._serial.read(max(1, self._serial.in_waiting))
         except (OSError, TypeError) as error:  # pyserial's own, where the port is closed meanwhile
@@ -101,7 +102,7 @@ class Connection:
         for line in lines:
             if line.startswith("<"):
                 self._note_status(line)
-        return lines
+            yield line
 
     def state(self) -> str:
         """The machine's state as last reported: `Idle`, `Hold:0` …"""

@@ -138,7 +138,7 @@ class _Heard:
         since = time.monotonic()
         seen: list[str] = []
         while time.monotonic() - since < silence_s:
-            if more := self._connection.lines():
+            if more := list(self._connection.lines()):
                 since = time.monotonic()
                 self._lines += [line for line in more if not line.startswith("<")]
             while self._lines:
