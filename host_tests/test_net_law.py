@@ -343,8 +343,9 @@ def test_a_storm_of_callers_changes_no_segment(
     assert len(usual[0]) > 20
     found = record(monkeypatch, events, by=by, seed=seed, each_ms=seed)
     if "\x18" not in events.values():
-        if by == "cable":
-            assert found == usual
+        if by == "cable":  # each motion from rest begins in the same turn of the main loop
+            starts = zip(found[0], usual[0], strict=True)
+            assert max(abs(one - other) for (one, _), (other, _) in starts) < _LATE_TICKS
         assert stretches(found) == stretches(usual)
         assert abs(ended(found) - ended(usual)) < 5 * _LATE_TICKS
         return
