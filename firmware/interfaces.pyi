@@ -178,7 +178,7 @@ class Kinematics(Protocol):
         """The motors (a mask) that stop at these limit switches (a mask)."""
 
 class Geometry(Protocol):
-    """Kinematics of the user's own, a module beside the board file: extras/nonlinear.py.
+    """Kinematics of the user's own, a module beside the board file.
 
     Places are of the tool, in mm; joints one per motor, in units of their own.
     """
@@ -449,7 +449,7 @@ class BoardLink(Link, Protocol):
         """Leave all to MicroPython's prompt."""
 
 class Access(Protocol):
-    """Which callers may do more than read: ports/access.py."""
+    """Which callers may do more than read: ports/net/access.py."""
 
     secret: str  # who says it may
 
@@ -469,7 +469,7 @@ class Connection(Protocol):
         """Hang up."""
 
 class Incoming(Protocol):
-    """Who calls over the network: ports/tcp.py."""
+    """Who calls over the network: ports/net/tcp.py."""
 
     def next(self) -> tuple[Connection, str] | None:
         """The next one, and his address; None where nobody calls."""
@@ -478,7 +478,7 @@ class Incoming(Protocol):
         """Hear nobody any more."""
 
 class Control(Protocol):
-    """Who is in control of a machine on the network, as extras/net_access.py knows it."""
+    """Who is in control of a machine on the network, as extras/net/net_access.py knows it."""
 
     ending: bool  # lines of another client are not done yet
     drop_half: Callable[[], None]  # the line that has begun is not wanted
@@ -488,7 +488,7 @@ class Control(Protocol):
         """They are."""
 
 class NetworkLink(Link, Protocol):
-    """A Link with the cable and a network, as extras/net_access.py knows it."""
+    """A Link with the cable and a network, as extras/net/net_access.py knows it."""
 
     access: Access
     control: Control

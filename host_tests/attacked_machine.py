@@ -15,9 +15,9 @@ from array import array
 
 from base import state
 from motion.layout import ROW_AXES, ROW_STRIDE, ROW_TICKS
-from ports.page import Page
-from ports.page_link import PageLink
-from ports.tcp import Calls
+from ports.net.page import Page
+from ports.net.page_link import PageLink
+from ports.net.tcp import Calls
 from sim.link import SimLink
 from sim.replay import factory_store
 from sim.rig import Rig

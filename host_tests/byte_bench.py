@@ -24,7 +24,7 @@ except ImportError:  # MicroPython
 
 
 from base import state as st
-from ports.flash_store import FlashStore
+from ports.storage.flash_store import FlashStore
 from vectors import Dice
 
 _CUSTOM = """

@@ -257,7 +257,7 @@ def main() -> None:
     load({"os": wire.os()}, "ports.escape")
     load({"sys": wire.sys(), "select": wire.select()}, "ports.uart_link")
     load({"sys": wire.sys(), "machine": esp_machine}, "ports.supervisor")
-    from ports import flash_store
+    from ports.storage import flash_store
 
     real_store = flash_store.FlashStore
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from ports.page import Page
+from ports.net.page import Page
 from ugrbl.boardfile.files import load_board
 from ugrbl.run import board_modules
 from ugrbl.run.tcp_link import LOOPBACK, HostCalls

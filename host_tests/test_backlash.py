@@ -347,8 +347,8 @@ def test_a_run_tells_of_axes_and_counts_what_motors_do(tmp_path: Path) -> None:
 
 def test_a_board_without_it_has_none_of_it() -> None:
     modules = build.modules_of(load_board("rpi_pico"))
-    assert not {"extras.backlash", "motion.kinematics"} & set(modules)
+    assert not {"extras.motors.backlash", "motion.kinematics"} & set(modules)
     made = ModuleType("board")
     vars(made).update({**vars(load_board("rpi_pico")), "BACKLASH": True})
     assert list(board_check.problems(made)) == []
-    assert {"extras.backlash", "motion.kinematics"} <= set(build.modules_of(made))
+    assert {"extras.motors.backlash", "motion.kinematics"} <= set(build.modules_of(made))

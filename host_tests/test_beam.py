@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
-from extras import clusters
+from extras.tools import clusters
 from hypothesis import example, given
 from hypothesis import strategies as st
 from laws import some

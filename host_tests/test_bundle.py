@@ -265,7 +265,7 @@ def test_no_table_has_more_than_a_collection_can_keep_in_mind(board: Path) -> No
 
 
 # `name = module("talk", "lines")`, and several of them in a line.
-_FOUND = re.compile(r'module\("(\w+)", "(\w+)"\)\.?(\w*)')
+_FOUND = re.compile(r'module\("(\w+)", "([\w.]+)"\)\.?(\w*)')
 _NAMED = re.compile(r"^((?:\w+, )*\w+) = module\(", re.MULTILINE)
 
 
@@ -310,7 +310,7 @@ def test_programs_for_the_board_find_what_they_ask_for_under_its_name() -> None:
         ("talk", "commands", "Commands"),
         ("language", "line", "look"),
         ("pio", "pulses", "set_timing"),
-        ("ports", "flash_store", "FlashStore"),
+        ("ports", "storage.flash_store", "FlashStore"),
     } <= rows
     for package, module, name in rows:
         if f"{package}.{module}" not in made.texts:

@@ -10,7 +10,7 @@ import pytest
 from base.text import text_of
 from byte_bench import BOARDS, MICROPYTHONS, furnish, talk
 from micropython_runner import needs_micropython, run_micropython
-from ports.job_files import JobFiles
+from ports.storage.job_files import JobFiles
 from ugrbl.paths import FIRMWARE
 from ugrbl.run.board_modules import complete
 

@@ -10,7 +10,7 @@ import os
 
 import vfs
 from fat_image import BLOCK, Blocks
-from ports.job_files import JobFiles
+from ports.storage.job_files import JobFiles
 
 OLD = bytes(range(256)) * 6
 NEW = b"G1X%d" * 700

@@ -11,7 +11,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from extras.machine_operator import STATES
+from extras.custom.machine_operator import STATES
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.engine import Switch
 from ugrbl.sim.replay import factory_store

@@ -423,7 +423,7 @@ def test_check_takes_who_looks_at_the_state_behind_a_reset(tmp_path: Path) -> No
 
 _ON_MICROPYTHON = """
 import json
-from extras.keep import Keep
+from extras.custom.keep import Keep
 class Saves:
     def load(self, name): return ['["v", nan]', '5', '[["x"], 3]', '["u"', '["a", 8]']
     def save(self, name, lines): print(sorted(lines))

@@ -20,7 +20,7 @@ from typing import Any
 
 import pytest
 from base import state as st
-from extras.machine_operator import Operator
+from extras.custom.machine_operator import Operator
 from test_flash_store import Flash, attach, cut
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.replay import factory_store

@@ -606,7 +606,7 @@ def read_at_start(disk: "dict[str, bytes]", folder: Path, monkeypatch: Any) -> "
     from ugrbl import paths
 
     paths.use_firmware()
-    from ports import user_files
+    from ports.storage import user_files
 
     folder.mkdir()
     for path, content in disk.items():

@@ -25,7 +25,7 @@ from byte_bench import (
     start_with_damaged_custom,
 )
 from micropython_runner import needs_micropython, run_micropython
-from ports.flash_store import FlashStore
+from ports.storage.flash_store import FlashStore
 from test_bytes import PATHS
 from ugrbl.run.board_modules import complete
 

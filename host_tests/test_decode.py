@@ -151,11 +151,11 @@ def say(text: str, map_: Any) -> list[str]:
 
 
 def test_what_senders_would_misread_is_read_as_it_was(map_: Any) -> None:
-    text = '[MSG:ValueErr: to-ken File "ports.usb_link", line 1, in _loo-k (12345678)]'
+    text = '[MSG:ValueErr: to-ken File "ports.usb.usb_link", line 1, in _loo-k (12345678)]'
     said = say(text, map_)
-    assert said[0] == 'ValueError: token File "ports.usb_link", line 1, in _look (12345678)'
-    lines = span("ports.usb_link", "UsbLink._look")
-    assert said[1:] == [f"    ports/usb_link.py, {lines}: UsbLink._look"]
+    assert said[0] == 'ValueError: token File "ports.usb.usb_link", line 1, in _look (12345678)'
+    lines = span("ports.usb.usb_link", "UsbLink._look")
+    assert said[1:] == [f"    ports/usb/usb_link.py, {lines}: UsbLink._look"]
     said = say('[MSG:TypeErr: x File "talk.report", line 1, in Err (12345678)]', map_)
     assert said[1].endswith(": Report.error")
 

@@ -157,14 +157,14 @@ def needed(**words: "str | bool") -> set[str]:
 
 def test_a_board_gets_what_it_can_use() -> None:
     pico, i2s, rmt = needed(), needed(ENGINE="i2s", LINK="uart"), needed(ENGINE="rmt")
-    assert {"main.py", "pio/pins.py", "ports/usb_link.py", "pio/engine.py"} < pico
+    assert {"main.py", "pio/pins.py", "ports/usb/usb_link.py", "pio/engine.py"} < pico
     assert not any(name.startswith(("esp", "ports/uart", "extras")) for name in pico)
     assert {"esp_chip/i2s.py", "esp_chip/frames.py", "ports/uart_link.py"} < i2s
     assert (
         not {
             "esp_chip/rmt.py",
             "esp_chip/trains.py",
-            "ports/usb_link.py",
+            "ports/usb/usb_link.py",
             "pio/pins.py",
             "pio/hub.py",
             "pio/stack.py",
@@ -177,25 +177,25 @@ def test_a_board_gets_what_it_can_use() -> None:
         "esp_chip/pins.py",
     } < rmt and "esp_chip/i2s.py" not in rmt
     api = {"extras/api.py", "extras/cycles.py", "extras/own_words.py"}
-    assert needed(TOOL="punch") - pico == {"extras/punch.py", *api}
+    assert needed(TOOL="punch") - pico == {"extras/tools/punch.py", *api}
     custom = needed(CUSTOM="custom") - pico  # which is the default
-    assert {"extras/custom.py", "extras/machine_operator.py", *api} < custom
-    assert all(name.startswith("extras/") for name in custom)
+    assert {"extras/custom/user_modules.py", "extras/custom/machine_operator.py", *api} < custom
+    assert {name for name in custom if not name.startswith("extras/")} == {"base/axes.py"}
     laser = needed(TOOL="laser") - pico
     assert laser == {
-        *("extras/laser.py", "motion/beam.py", "pio/beam.py", "pio/beam_program.py"),
+        *("extras/tools/laser.py", "motion/beam.py", "pio/beam.py", "pio/beam_program.py"),
         *api,
     }
-    clusters = {"extras/clusters.py"}
+    clusters = {"extras/tools/clusters.py"}
     assert needed(TOOL="laser", CLUSTERS=True) - pico - laser == clusters
-    jerk = {f"extras/jerk{part}.py" for part in ("", "_kernel", "_layout", "_plan")}
+    jerk = {f"extras/motors/jerk{part}.py" for part in ("", "_kernel", "_layout", "_plan")}
     assert needed(JERK=True) - pico - api == jerk
     jobs = needed(JOBS="jobs")
     assert needed(JOBS="jobs", SD_CARD=(10, 11, 12, 13)) - jobs == {
-        "ports/sd_blocks.py",
-        "ports/sd_card.py",
+        "ports/storage/sd_blocks.py",
+        "ports/storage/sd_card.py",
     }
-    assert needed(DIALECT="0.9") - pico == {"extras/dialect_09.py", *api}
+    assert needed(DIALECT="0.9") - pico == {"extras/dialects/dialect_09.py", *api}
 
 
 def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() -> None:
@@ -373,8 +373,8 @@ def test_packages_of_one_file_that_another_board_had_go(made: build.Build) -> No
 
 def test_what_another_board_had_goes(made: build.Build) -> None:
     board = FakeBoard()
-    put(board, changed(made, "esp_chip/rmt.mpy", "extras/punch.mpy"))
-    assert put(board, made).removed == ["esp_chip/rmt.mpy", "extras/punch.mpy"]
+    put(board, changed(made, "esp_chip/rmt.mpy", "extras/tools/punch.mpy"))
+    assert put(board, made).removed == ["esp_chip/rmt.mpy", "extras/tools/punch.mpy"]
 
 
 def test_a_module_of_older_firmware_goes_unless_it_was_changed(made: build.Build) -> None:
@@ -410,7 +410,7 @@ def test_a_board_that_serves_the_page_has_it_and_no_other_has(
     assert page["page.gz"] == page_files.made()["page.gz"], "the same each time"
     html = (TOOLS / "web" / "page" / "index.html").read_bytes()
     assert gzip.decompress(page["page.gz"]) == html
-    assert {"ports.page", "ports.web_socket"} <= with_page.modules
+    assert {"ports.net.page", "ports.net.web_socket"} <= with_page.modules
 
 
 def test_a_page_that_has_changed_is_brought_up_to_date_and_goes_where_it_is_not_served(

@@ -15,8 +15,8 @@ import pytest
 from base import errors
 from base.settings import _TABLE
 from boot.options import Options
-from extras.dialect_09 import _ALARMS, _WITHOUT, _WORDS, Report09, Report09i
-from extras.punch import ALARM_PUNCH_DOWN, ALARM_PUNCH_UP
+from extras.dialects.dialect_09 import _ALARMS, _WITHOUT, _WORDS, Report09, Report09i
+from extras.tools.punch import ALARM_PUNCH_DOWN, ALARM_PUNCH_UP
 from hypothesis import given
 from hypothesis import strategies as some
 from talk.report import Report
@@ -101,10 +101,10 @@ def test_nobody_else_knows_of_it() -> None:
     knowing = [
         path.relative_to(_FIRMWARE).as_posix()
         for path in sorted(_FIRMWARE.rglob("*.py"))
-        if re.search(r"dialect|0\.9[ij]?\b", path.read_text(), re.IGNORECASE)
+        if re.search(r"dialect(?!s\.)|0\.9[ij]?\b", path.read_text(), re.IGNORECASE)
     ]
-    extras = {"extras/api.py", "extras/own_words.py", "extras/dialect_09.py", "extras/punch.py"}
-    extras |= {"extras/dialect_hal.py"}
+    extras = {"extras/api.py", "extras/own_words.py", "extras/tools/punch.py"}
+    extras |= {f"extras/dialects/{name}.py" for name in ("dialect_09", "dialect_hal")}
     others = {"boot/guests.py", "base/state.py", "talk/report.py"}  # its name, @, and a comment
     assert set(knowing) <= extras | others
 

@@ -12,7 +12,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from extras import dialect_hal
+from extras.dialects import dialect_hal
 from net_bench import NetBench, connected
 from ugrbl.boardfile import hal_texts
 from ugrbl.boardfile.files import load_board

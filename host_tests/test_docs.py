@@ -26,7 +26,7 @@ _LINK = re.compile(r"\]\(([^)\s]+)\)")
 _HEADING = re.compile(r"^#+ (.*)$", re.MULTILINE)
 _FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 _CODE = re.compile(r"`([^`\n]+)`|^ {4}(\S.*)$", re.MULTILINE)
-_PATH = re.compile(r"(?:firmware|host_tests|tools|docs|examples|boards)/[\w./-]*")
+_PATH = re.compile(r"(?<![\w/])(?:firmware|host_tests|tools|docs|examples|boards)/[\w./-]*")
 _RELEASE = re.compile(r"^## \[(Unreleased|[^]]+\] - \d{4}-\d{2}-\d{2})", re.MULTILINE)
 
 # Files that whoever follows a page writes, and that are not in the tree.
@@ -300,7 +300,7 @@ def module_path(name):
     """A module by what stands behind its folder, `reals`, or with it, `pio.engine`."""
     inside = name.replace(".", "/") + ".py"
     found = [
-        path for path in (_FIRMWARE / inside, *_FIRMWARE.glob(f"*/{inside}")) if path.exists()
+        path for path in (_FIRMWARE / inside, *_FIRMWARE.glob(f"*/**/{inside}")) if path.exists()
     ]
     return found[0] if len(found) == 1 else None
 

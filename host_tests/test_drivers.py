@@ -5,7 +5,7 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from extras.tmc2209_chip import checksum
+from extras.motors.tmc2209_chip import checksum
 from hypothesis import given
 from hypothesis import strategies as st
 from rig_bench import Machine

@@ -227,7 +227,7 @@ def test_a_link(tree):
     tree.ugrbl("build --board my_bluetooth.py")
     map_ = json.loads((tree.folder / "build" / "my_bluetooth.map.json").read_text())
     ports = {module for module, _ in map_["bundles"]["ports"].values()}
-    assert "ports.serial_link" in ports and "ports.usb_link" not in ports
+    assert "ports.serial_link" in ports and "ports.usb.usb_link" not in ports
     assert tree.python("-c", _TALK).splitlines() == ["3 b'G0X' 1 1 0", "b'ok'", "0"]
 
 

@@ -12,7 +12,7 @@ from base.errors import GrblError
 from base.settings import INT
 from boot.options import Options
 from extras.api import Cnc
-from extras.places import Saved
+from extras.custom.places import Saved
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.replay import factory_store
 from ugrbl.sim.rig import Rig

@@ -6,8 +6,8 @@ import errno
 from typing import Any
 
 import pytest
-from ports import flash_store
-from ports.flash_store import FlashStore
+from ports.storage import flash_store
+from ports.storage.flash_store import FlashStore
 
 littlefs = pytest.importorskip("littlefs")
 

@@ -304,7 +304,7 @@ def test_files_go_before_firmware_of_another_build(tmp_path: Path, made: build.B
         (None, [], "the firmware is not frozen into it"),
         (None, [], "`ugrbl deploy` brings it up to date and keeps them"),
         ({"build": "01234567"}, [], "the build 01234567 is frozen into it, and here is"),
-        ({"modules": frozenset({"main"})}, [], "has no base.errors"),
+        ({"modules": frozenset({"main"})}, [], "has no base.axes"),
         ({}, ["--board", "rpi_pico2"], "it is for RP2040; the board file is for RP2350"),
         ({}, ["--settings", "my.settings"], "no place for my.settings"),
         ({}, ["--custom", "custom.py"], "no place for custom.py"),

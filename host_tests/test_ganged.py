@@ -8,7 +8,7 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
-from extras import ganged
+from extras.motors import ganged
 from motion.kinematics import COREXY, Kinematics
 from rig_bench import Machine
 from typer.testing import CliRunner
@@ -389,7 +389,7 @@ def test_z_of_a_corexy_may_have_two() -> None:
 
 
 def test_a_board_without_second_motors_has_nothing_of_it() -> None:
-    assert "extras.ganged" not in build.modules_of(load_board("rpi_pico"))
+    assert "extras.motors.ganged" not in build.modules_of(load_board("rpi_pico"))
     assert "motion.kinematics" not in build.modules_of(load_board("rpi_pico"))
     modules = build.modules_of(load_board("pico_gantry"))
-    assert {"extras.ganged", "motion.kinematics"} <= set(modules)
+    assert {"extras.motors.ganged", "motion.kinematics"} <= set(modules)

@@ -10,8 +10,8 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from extras import jerk_layout
-from extras.jerk import Jerk
+from extras.motors import jerk_layout
+from extras.motors.jerk import Jerk
 from hypothesis import given
 from hypothesis import strategies as st
 from laws import (
@@ -310,7 +310,7 @@ _ROWS = """
 from array import array
 
 from base.state import State
-from extras.jerk import Jerk
+from extras.motors.jerk import Jerk
 from motion import layout
 from motion.planner import Move, Planner
 from motion.segments import Segments

@@ -11,7 +11,7 @@ import pytest
 from base.state import HOLD
 from language.checks import MOVE
 from motion.layout import SYSTEM_MOTION
-from ports.job_files import JobFiles
+from ports.storage.job_files import JobFiles
 from ugrbl.boardfile.files import load_board
 from ugrbl.device import jobs
 from ugrbl.sim import switches

@@ -176,7 +176,8 @@ def test_no_tool_hides_a_folder_beside_it():
 
 
 # Who makes text of bytes: what is no text raises there, wherever it comes from.
-DECODES = {"base.text": 1, "ports.flash_store": 1}  # a sender's; what a checksum has vouched for
+# A sender's; what a checksum has vouched for.
+DECODES = {"base.text": 1, "ports.storage.flash_store": 1}
 
 
 def decodings(tree):

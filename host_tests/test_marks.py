@@ -62,7 +62,7 @@ def test_every_name_kept_would_be_short_and_is_anothers_too(found: Marks) -> Non
     for name, reason in found.kept.items():
         if reason.startswith("custom.py may say"):  # a parameter
             rooms = ("handlers", "machine_operator", "operator_pins")
-            text = "".join(made.texts[f"extras.{room}"] for room in rooms)
+            text = "".join(made.texts[f"extras.custom.{room}"] for room in rooms)
             assert not re.search(rf"\b{name}: .+ = ", text), f"{name} needs no mark ({reason})"
             continue
         assert name in free, f"{name} needs no mark ({reason})"

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from types import ModuleType
 
 import pytest
-from extras.moves import read
+from extras.kinematics.moves import read
 from hypothesis import given
 from hypothesis import strategies as st
 from motion.kinematics import COREXY

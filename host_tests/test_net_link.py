@@ -2,7 +2,7 @@
 
 import pytest
 from net_bench import KEY, WELCOME, NetBench, connected, joined
-from ports.net_link import NetLink
+from ports.net.net_link import NetLink
 
 
 @pytest.fixture
@@ -351,7 +351,7 @@ def test_with_the_last_caller_gone_the_cable_is_read_without_a_look(bench) -> No
 
 
 def test_who_opens_the_port_is_greeted_and_nobody_else(bench) -> None:
-    """The cable's own link tells of it, and asks for the welcome (ports/usb_link.py)."""
+    """The cable's own link tells of it, and asks for the welcome (ports/usb/usb_link.py)."""
 
     def script(bench):
         pipe = yield from joined(bench)

@@ -30,8 +30,8 @@ _STEP_S = 0.003
 _MACHINE = """
 import json, sys, time
 from array import array
-from ports.net_link import NetLink
-from ports.tcp import Calls
+from ports.net.net_link import NetLink
+from ports.net.tcp import Calls
 
 
 class Cable:
@@ -47,8 +47,8 @@ class Cable:
 
 
 if len(sys.argv) > 2:
-    from ports.page import Page
-    from ports.page_link import PageLink
+    from ports.net.page import Page
+    from ports.net.page_link import PageLink
 
     page = Page(Calls(int(sys.argv[1])), Calls(int(sys.argv[2])), "ugrbl", sys.argv[3])
     link = PageLink(Cable(), page, "ugrbl")

@@ -2,7 +2,7 @@
 
 import pytest
 from net_bench import KEY, WELCOME, NetBench, Pipe, connected, joined
-from ports.caller import Caller, Memory, place_for
+from ports.net.caller import Caller, Memory, place_for
 
 
 @pytest.fixture

@@ -147,8 +147,8 @@ print(allocates(make), flow[layout.TAIL] > 2)
 
 
 _JERK = """
-from extras.jerk import Jerk
-from extras import jerk_plan
+from extras.motors.jerk import Jerk
+from extras.motors import jerk_plan
 
 state.hooks.next_segment = segments.next
 jerk = Jerk(planner, state)

@@ -460,16 +460,10 @@ def test_g28_is_checked_on_both_of_its_ways(kind: str) -> None:
 
 
 def test_a_board_without_it_has_none_of_its_modules() -> None:
-    assert not {
-        "extras.nonlinear",
-        "extras.nonlinear_canon",
-        "extras.joints",
-        "extras.chords",
-    } & set(build.modules_of(load_board("rpi_pico")))
-    there = build.modules_of(load(_EXAMPLES / "my_scara.py"))
-    assert {"extras.nonlinear", "extras.nonlinear_canon", "extras.joints", "extras.chords"} <= set(
-        there
-    )
+    names = ("nonlinear", "nonlinear_canon", "joints", "chords")
+    extras = {f"extras.kinematics.{name}" for name in names}
+    assert not extras & set(build.modules_of(load_board("rpi_pico")))
+    assert extras <= set(build.modules_of(load(_EXAMPLES / "my_scara.py")))
 
 
 def test_the_page_shows_the_example_as_it_is() -> None:

@@ -10,7 +10,9 @@ from typing import Any, NamedTuple, cast
 import pytest
 from boot import parts
 from esp_bench import i2s
-from extras import jobs, punch, tmc2209
+from extras.jobs import job_commands
+from extras.motors import tmc2209
+from extras.tools import punch
 from pio.engine import PioEngine
 from ports import pin_check
 from typer.testing import CliRunner
@@ -138,7 +140,7 @@ def test_what_is_checked_to_be_a_pin_is_one_in_the_table() -> None:
     kinds = (PIN, PINS, PIN_OR_PINS, NAMED_PINS)
     pins = {option.name for option in OPTIONS if option.kind in kinds} - {"NO_PULL_UP"}
     named = {name for engine in engines.engines().values() for name in engine.pins}
-    named |= {*pin_check._NAMES.split(), *jobs.PINS, *punch.PINS, *tmc2209.PINS}
+    named |= {*pin_check._NAMES.split(), *job_commands.PINS, *punch.PINS, *tmc2209.PINS}
     assert named == pins
     assert set(INVERTIBLE) < pins
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from net_bench import HOST, KEY
 from page_bench import BINARY, CLOSE, MASK, PING, PONG, TEXT, WS_UPGRADE, PageBench, frame, request
-from ports.page import PIECE
+from ports.net.page import PIECE
 from ugrbl.compiling import page_files
 from ugrbl.paths import TOOLS
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from extras import rotary
+from extras.kinematics import rotary
 from hypothesis import example, given
 from hypothesis import strategies as st
 from laws import some

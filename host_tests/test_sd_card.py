@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from laws import some
-from ports import sd_blocks
 from ports.link_memory import REMEMBERED
-from ports.sd_blocks import SdBlocks
+from ports.storage import sd_blocks
+from ports.storage.sd_blocks import SdBlocks
 from sd_model import BLOCK, SdCard
 
 # Many cases of each: the first ring takes some.

@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 from base.settings import _TABLE, AXIS
-from extras.dialect_09 import _SETTINGS as settings_09
-from extras.laser import _SETTINGS as laser_settings
-from extras.punch import _SETTINGS as punch_settings
+from extras.dialects.dialect_09 import _SETTINGS as settings_09
+from extras.tools.laser import _SETTINGS as laser_settings
+from extras.tools.punch import _SETTINGS as punch_settings
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE, ROW_TICKS
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim.engine import Switch

@@ -177,7 +177,7 @@ def test_what_cannot_be_homed_is_named_by_the_board_check(
 
 
 def test_a_board_with_an_input_for_each_has_nothing_of_it() -> None:
-    assert "extras.shared_limits" not in build.modules_of(load_board("rpi_pico"))
+    assert "extras.motors.shared_limits" not in build.modules_of(load_board("rpi_pico"))
     made = ModuleType("board")
     vars(made).update({**vars(load_board("rpi_pico")), "LIMIT": (9, 9, 11), "HOMING": _ORDER})
-    assert "extras.shared_limits" in build.modules_of(made)
+    assert "extras.motors.shared_limits" in build.modules_of(made)

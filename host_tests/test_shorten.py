@@ -174,7 +174,7 @@ def given_away(module: str, more: str) -> "set[str]":
         ("[digest for digest in key]", {"sha1"}),
     ],
 )
-@pytest.mark.parametrize("module", ["extras.rare", "ports.radio"])
+@pytest.mark.parametrize("module", ["extras.rare", "ports.net.radio"])
 def test_what_few_boards_ask_of_strangers_others_may_be_called(
     module: str, more: str, given: "set[str]"
 ) -> None:

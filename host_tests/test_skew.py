@@ -10,8 +10,8 @@ from types import ModuleType
 from typing import Any
 
 import pytest
-from extras import skew_kernel
-from extras.skew import SkewKinematics
+from extras.kinematics import skew_kernel
+from extras.kinematics.skew import SkewKinematics
 from hypothesis import example, given
 from hypothesis import strategies as st
 from language.checks import MOVE
@@ -513,8 +513,9 @@ def test_a_run_tells_of_true_places_and_ways(tmp_path: Path) -> None:
 
 def test_a_board_without_it_has_none_of_it() -> None:
     plain = build.modules_of(load_board("rpi_pico"))
-    assert not {"extras.skew", "extras.skew_kernel", "motion.kinematics"} & set(plain)
+    extras = {"extras.kinematics.skew", "extras.kinematics.skew_kernel"}
+    assert not {*extras, "motion.kinematics"} & set(plain)
     made = ModuleType("board")
     vars(made).update({**vars(load_board("rpi_pico")), "SKEW": True})
     assert list(board_check.problems(made)) == []
-    assert {"extras.skew", "motion.kinematics"} <= set(build.modules_of(made))
+    assert {"extras.kinematics.skew", "motion.kinematics"} <= set(build.modules_of(made))

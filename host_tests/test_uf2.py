@@ -9,7 +9,7 @@ import pytest
 import uf2_model
 from hypothesis import given
 from hypothesis import strategies as some
-from ports.flash_store import FlashStore
+from ports.storage.flash_store import FlashStore
 from typer.testing import CliRunner
 from uf2_model import BASE
 from ugrbl.cli.app import app

@@ -5,7 +5,7 @@ from micropython_runner import needs_micropython, run_micropython
 from ugrbl.paths import FIRMWARE
 
 _SCRIPT = """
-from ports.usb_link import UsbLink
+from ports.usb.usb_link import UsbLink
 
 link = UsbLink()
 buf = bytearray(64)

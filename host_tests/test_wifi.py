@@ -8,8 +8,8 @@ from typing import Any
 import network
 import pytest
 from net_bench import KEY, NetBench
-from ports import wifi as air
-from ports.radio import Radio
+from ports.net import wifi as air
+from ports.net.radio import Radio
 from typer.testing import CliRunner
 from ugrbl.cli.app import app
 from ugrbl.device import wifi

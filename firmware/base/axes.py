@@ -1,4 +1,4 @@
-"""Axes: their numbers, in the order in which they stand everywhere."""
+"""Axes: their numbers and letters, in the order in which they stand everywhere."""
 
 from micropython import const
 
@@ -7,3 +7,5 @@ Y = const(1)
 Z = const(2)
 # The axis that a tool length offset (G43.1) acts on.
 TOOL_LENGTH = const(2)
+
+LETTERS = "XYZABC"

@@ -18,35 +18,35 @@ if TYPE_CHECKING:
 # The options that ask for an extra of ours, and its module, in the order in which they come in:
 # base/hooks.py says what comes of that.
 _ORDER = (
-    ("LINK", "net_access"),  # hears of lines before others do
+    ("LINK", "net.net_access"),  # hears of lines before others do
     ("DIALECT", ""),  # adds to what is said, and others to that
     # Which motor moves what.
-    ("KINEMATICS", "nonlinear"),
-    ("MOVES", "moves"),
-    ("MOTORS", "ganged"),  # second motors go with what the first do
-    ("BACKLASH", "backlash"),
-    ("SKEW", "skew"),
-    ("ROTARY", "rotary"),
+    ("KINEMATICS", "kinematics.nonlinear"),
+    ("MOVES", "kinematics.moves"),
+    ("MOTORS", "motors.ganged"),  # second motors go with what the first do
+    ("BACKLASH", "motors.backlash"),
+    ("SKEW", "kinematics.skew"),
+    ("ROTARY", "kinematics.rotary"),
     # Homing, from the inside out: which axes, when, and whether their input is free.
-    ("HOMING", "home_order"),
-    ("LIMIT", "shared_limits"),
-    ("TMC2209", "tmc2209"),  # after all that moves: what drivers feel of it
-    ("JERK", "jerk"),
+    ("HOMING", "motors.home_order"),
+    ("LIMIT", "motors.shared_limits"),
+    ("TMC2209", "motors.tmc2209"),  # after all that moves: what drivers feel of it
+    ("JERK", "motors.jerk"),
     ("TOOL", ""),  # a laser's part in each segment comes after that of jerk
-    ("CLUSTERS", "clusters"),
+    ("CLUSTERS", "tools.clusters"),
     ("COUNT_DRAINS", "drains"),
-    ("JOBS", "jobs"),
+    ("JOBS", "jobs.job_commands"),
 )
 # Options whose words ask for one module or another; the first of each asks for none.
 WORDS = {
     "DIALECT": {
         "1.1": "",
-        "0.9": "dialect_09",
-        "0.9i": "dialect_09",
-        "0.9j": "dialect_09",
-        "hal": "dialect_hal",
+        "0.9": "dialects.dialect_09",
+        "0.9i": "dialects.dialect_09",
+        "0.9j": "dialects.dialect_09",
+        "hal": "dialects.dialect_hal",
     },
-    "TOOL": {"spindle": "", "laser": "laser", "punch": "punch"},
+    "TOOL": {"spindle": "", "laser": "tools.laser", "punch": "tools.punch"},
 }
 _NETWORKS = ("wifi", "uart_wifi")  # links
 
@@ -58,7 +58,10 @@ def names(board: "ModuleType", with_custom: bool) -> "list[str]":
     found = [_module(word, option(word), module) for word, module in _ORDER]
     own: "tuple[str, ...]" = option("EXTRAS", ())
     # Last those whose words are only what nobody else takes.
-    last = ["custom" if with_custom else "", "lenient" if option("LENIENT") else ""]
+    last = [
+        "custom.user_modules" if with_custom else "",
+        "dialects.lenient" if option("LENIENT") else "",
+    ]
     return _ours(found) + list(own) + _ours(last)
 
 
@@ -88,7 +91,7 @@ def _known(option: str, word: str, known: "dict[str, str]") -> str:
 
 def customs(board: "ModuleType") -> "tuple[str, ...]":
     """The user's own modules that are there: a file of that name, or those of a folder."""
-    from ports import user_files
+    from ports.storage import user_files
 
     return user_files.modules(board.__dict__.get("CUSTOM", "custom"))
 

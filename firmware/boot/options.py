@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from types import ModuleType
 
     from interfaces import DriverWire, Kinematics
-    from ports.job_files import JobFiles
+    from ports.storage.job_files import JobFiles
 
 
 class Options:
@@ -81,7 +81,7 @@ class Options:
         """What extras are handed of it: where programs lie, and the line of motor drivers."""
         option = board.__dict__.get
         if option("JOBS", ""):
-            from ports import job_files
+            from ports.storage import job_files
 
             self.job_files = job_files.of_board(board)
         if option("TMC2209", ()):

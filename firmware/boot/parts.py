@@ -47,7 +47,7 @@ _SLOW_RESET = " slow-reset"
 
 # Extras that do no more than make a machine, a kilobyte each. By names that forget() is called
 # with they would be merged with this module, and guests.py asks for them as files of their own.
-_MAKING = ("extras.nonlinear", "extras.moves")
+_MAKING = ("extras.kinematics.nonlinear", "extras.kinematics.moves")
 
 # What makes objects, or has that in its name, in a class or a module; and what extras do then.
 MAKERS = ("__init__", "connect", "prepare", "install")
@@ -100,10 +100,10 @@ def i2s(board: "ModuleType", link: "BoardLink") -> "Hardware":
 
 def usb() -> "BoardLink":
     """The board's USB."""
-    from ports.usb_link import UsbLink
+    from ports.usb.usb_link import UsbLink
 
     link = UsbLink()
-    forget("ports.usb_ring")  # it has found what there is to find
+    forget("ports.usb.usb_ring")  # it has found what there is to find
     return link
 
 
@@ -117,25 +117,25 @@ def uart() -> "BoardLink":
 def wifi() -> "BoardLink":
     """The board's USB, and Wi-Fi: a Pico W."""
     import board
-    from ports import wifi as air
-    from ports.usb_link import UsbLink
+    from ports.net import wifi as air
+    from ports.usb.usb_link import UsbLink
 
     option = board.__dict__.get
     link = air.beside(UsbLink(), option("PAGE", False))
-    forget("ports.usb_ring")
-    forget("ports.wifi")
+    forget("ports.usb.usb_ring")
+    forget("ports.net.wifi")
     return link
 
 
 def uart_wifi() -> "BoardLink":
     """The same of an ESP32."""
     import board
-    from ports import wifi as air
+    from ports.net import wifi as air
     from ports.uart_link import UartLink
 
     option = board.__dict__.get
     link = air.beside(UartLink(), option("PAGE", False))
-    forget("ports.wifi")
+    forget("ports.net.wifi")
     return link
 
 
@@ -297,7 +297,7 @@ def _build(
     watch: "Supervisor",
     ring: "array[int]",
 ) -> "Controller":
-    from ports.flash_store import FlashStore
+    from ports.storage.flash_store import FlashStore
 
     from boot import wiring
 
@@ -306,7 +306,7 @@ def _build(
     forget("boot.wiring")  # with these, 5 kB that nobody needs any more
     forget("boot.options")
     forget("boot.guests")
-    forget("ports.user_files")
+    forget("ports.storage.user_files")
     for extra in _MAKING:
         forget(extra)
     if link.is_slow:

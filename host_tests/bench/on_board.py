@@ -243,7 +243,8 @@ def longest(_):
 
 
 kind = getattr(board, "LINK", "usb")
-link = getattr(module("ports", kind + "_link"), {"usb": "UsbLink", "uart": "UartLink"}[kind])
+place, name = {"usb": ("usb.usb_link", "UsbLink"), "uart": ("uart_link", "UartLink")}[kind]
+link = getattr(module("ports", place), name)
 if kind == "usb":
     make = link._make_read_into
     link._make_read_into = lambda self: watched(make(self))

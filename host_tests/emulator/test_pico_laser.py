@@ -293,7 +293,7 @@ MAIN = (
 import time
 
 from boot import power_up
-from extras import laser
+from extras.tools import laser
 from machine import disable_irq, enable_irq
 
 

@@ -33,11 +33,11 @@ def test_its_words_are_the_firmwares_own():
 
 def test_every_setting_of_the_firmware_has_its_words():
     """Those of extras, too: what a module declares as its table is not left out."""
-    modules = ["base/settings", *(f"extras/{path.stem}" for path in EXTRAS.glob("*.py"))]
-    for module in modules:
-        if module == "extras/dialect_09":
+    extras = (path.relative_to(paths.FIRMWARE).with_suffix("") for path in EXTRAS.rglob("*.py"))
+    for module in ("base/settings", *(path.as_posix() for path in extras)):
+        if module == "extras/dialects/dialect_09":
             continue  # words of Grbl 0.9, which the page does not speak with
         for number in setting_comments(module):
-            tool = WORDS.get(module.removeprefix("extras/"), WORDS["settings"])
+            tool = WORDS.get(module.removeprefix("extras/tools/"), WORDS["settings"])
             name, _, unit, limits, *_ = tool[str(number)]
             assert name and unit and limits, f"{module} ${number}"

@@ -90,7 +90,7 @@ class _Setting(NamedTuple):
 def name() -> str:
     """What it is called on the board."""
     paths.use_firmware()
-    from extras import dialect_hal
+    from extras.dialects import dialect_hal
 
     return dialect_hal.FILE
 

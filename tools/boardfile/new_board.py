@@ -203,7 +203,7 @@ def check_item(board: Board, item: Item, pins: Pins) -> None:
 def check_motors(board: Board, letters: str) -> None:
     """BoardError where these cannot be the axes of the motors that have step pins."""
     paths.use_firmware()
-    from extras.ganged import count_axes
+    from extras.motors.ganged import count_axes
 
     try:
         count_axes(letters, len(board.pins["STEP"]))
@@ -224,7 +224,7 @@ def check_axes(board: Board) -> None:
 def check_rotary(board: Board, letters: str) -> None:
     """BoardError where these cannot be axes that turn."""
     paths.use_firmware()
-    from extras.rotary import mask_of
+    from extras.kinematics.rotary import mask_of
 
     try:
         mask_of(letters, board.axes)

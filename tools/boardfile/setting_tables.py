@@ -19,5 +19,5 @@ def tables_of(board: ModuleType) -> "dict[str, Rows]":
     found = {module: rows for module, rows in tables().items() if module in names}
     tool = getattr(board, "TOOL", "")
     if tool in ("laser", "punch"):
-        found[f"extras/{tool}"] = of_tool(tool)
+        found[f"extras/tools/{tool}"] = of_tool(tool)
     return found

@@ -179,7 +179,7 @@ def _link(rig: "Rig", cable: LiveLink, network: Network | None) -> Any:
         return cable
     paths.use_firmware()
     complete()
-    from ports.page import Page
+    from ports.net.page import Page
 
     from ..sim.network import RigLink, RigPageLink
 

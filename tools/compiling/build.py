@@ -52,10 +52,10 @@ _PARTS = ("boot.parts", "boot.parts_esp")
 # board's.
 _SWITCHED: dict[str, tuple[tuple[str, ...], object]] = {
     "motion.kinematics": (("BACKLASH", "COREXY", "MOTORS", "MOVES", "SKEW"), True),
-    "ports.job_files": (("JOBS",), True),
-    "ports.sd_card": (("SD_CARD",), True),
+    "ports.storage.job_files": (("JOBS",), True),
+    "ports.storage.sd_card": (("SD_CARD",), True),
     "ports.driver_wire": (("TMC2209",), True),
-    "ports.page_link": (("PAGE",), True),
+    "ports.net.page_link": (("PAGE",), True),
     "pio.beam": (("TOOL",), "laser"),
 }
 # What extras are handed; who has none has no use for it.
@@ -279,7 +279,7 @@ def path_of(name: str) -> str:
     folder, _, file = name.rpartition(".")
     if name == module(START):
         return START
-    return f"{folder}/{file}.mpy" if folder else f"{name}/{PACKAGE}.mpy"
+    return f"{folder.replace('.', '/')}/{file}.mpy" if folder else f"{name}/{PACKAGE}.mpy"
 
 
 def prepared_firmware(debug: bool = False, arch: str = "armv6m") -> Shortened:

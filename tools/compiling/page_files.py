@@ -1,4 +1,4 @@
-"""The page as a board serves it: see firmware/ports/page.py, which says what is called how."""
+"""The page as a board serves it: see firmware/ports/net/page.py, which says what is called how."""
 
 import gzip
 from pathlib import Path
@@ -11,7 +11,7 @@ _FOLDER = paths.TOOLS / "web" / "page"
 def names() -> tuple[str, str]:
     """What a board calls the first page, which fetches the other; and that, compressed."""
     paths.use_firmware()
-    from ports import page
+    from ports.net import page
 
     return page.FIRST, page.NAME
 

@@ -7,14 +7,11 @@ from collections.abc import Collection, Iterable, Iterator
 # Packages of which a board has a module or two, or none.
 ON_REQUEST = ("extras",)
 # Modules that few boards have, of packages which all have.
-_SELDOM = tuple(
-    "ports." + name
-    for name in (
-        *("access", "caller", "driver_wire", "in_control", "job_files", "net_link"),
-        *("page", "page_link", "radio", "sd_blocks", "sd_card", "tcp", "user_files"),
-        *("web_socket", "wifi"),
-    )
+_SELDOM = (
+    *("ports.driver_wire", "ports.storage.job_files", "ports.storage.sd_blocks"),
+    *("ports.storage.sd_card", "ports.storage.user_files"),
 )
+_SELDOM_PACKAGES = ("ports.net.",)
 # Who calls this with the name of a module lets go of it: merged with others that are needed, it
 # would stay in memory.
 FORGET = "forget"
@@ -65,7 +62,8 @@ def _below(nodes: list[ast.AST]) -> list[ast.AST]:
 
 def is_common(module: str) -> bool:
     """Most boards have this module."""
-    return module.partition(".")[0] not in ON_REQUEST and module not in _SELDOM
+    seldom = module in _SELDOM or module.startswith(_SELDOM_PACKAGES)
+    return module.partition(".")[0] not in ON_REQUEST and not seldom
 
 
 def root(node: ast.expr) -> str:

@@ -3,7 +3,7 @@
 A new file is written beside the old one and takes its place by a renaming, which a board's file
 system does or does not do. A new folder is written as NAME.part, is NAME.whole once it is that,
 and takes the place of NAME by two renamings on the board; where the power goes between them, the
-next start does the second one (firmware/ports/user_files.py).
+next start does the second one (firmware/ports/storage/user_files.py).
 """
 
 from collections.abc import Callable, Iterable, Mapping

@@ -8,6 +8,7 @@ import errno
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
+from pathlib import PurePosixPath
 from typing import Any, NamedTuple, Protocol
 
 from ..boardfile import chips
@@ -236,8 +237,9 @@ def _carry_out(device: Device, made: Build, todo: Plan, has_start: bool, view: V
         if path != START:
             device.remove(path)
     order = [path for path in todo.copy if path != START]
-    for folder in sorted({path.rpartition("/")[0] for path in order} - {""}):
-        device.make_folder(folder)
+    for folder in sorted({str(each) for path in order for each in PurePosixPath(path).parents}):
+        if folder != ".":
+            device.make_folder(folder)
     for path in order:
         view.file(path)
         _write(device, path, made.files[path], view)

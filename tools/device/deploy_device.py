@@ -189,13 +189,12 @@ class MpremoteDevice:
             self._transport.fs_writefile(f"/{path}", content, _PIECE, tell)
 
     def remove(self, path: str) -> None:
-        """A file, and a folder that is empty then."""
-        folder = path.rpartition("/")[0]
+        """A file, and folders that are empty then."""
         with self._mended():
             self._transport.fs_rmfile(f"/{path}")
-            if folder:
-                with contextlib.suppress(OSError, TransportError):
-                    self._transport.fs_rmdir(f"/{folder}")
+            with contextlib.suppress(OSError, TransportError):
+                while path := path.rpartition("/")[0]:
+                    self._transport.fs_rmdir(f"/{path}")
 
     def make_folder(self, path: str) -> None:
         """A folder, which may be there."""

@@ -11,7 +11,8 @@ from ..grbl.gcode_file import is_answer
 from ..grbl.messages import meaning
 from .connection import Connection, SendError, way_out
 
-# As firmware/extras/job_upload.py takes them: bytes of a piece, and of a line when it is packed.
+# Bytes of a piece, and of a line when it is packed, as firmware/extras/jobs/job_upload.py takes
+# them.
 _PIECE = 2048
 _LINE = 256
 _WINDOW_LOG2 = 10

@@ -1,4 +1,4 @@
-"""The Wi-Fi of a board, set up over its cable by `$NET` (firmware/extras/net_access.py).
+"""The Wi-Fi of a board, set up over its cable by `$NET` (firmware/extras/net/net_access.py).
 
 Names and passwords go as hexadecimal digits, since a line of Grbl's has neither small letters nor
 spaces. Nothing that the board says has either.

@@ -10,7 +10,7 @@ PAGE = paths.TOOLS / "web" / "page" / "index.html"
 _BEGIN = '<script type="application/json" id="words">\n'
 _END = "\n</script>"
 # $30 to $33 are others where a punch is in the spindle's place; $33 is a laser's frequency else.
-_TOOLS = {"laser": "extras/laser", "punch": "extras/punch"}
+_TOOLS = {"laser": "extras/tools/laser", "punch": "extras/tools/punch"}
 
 
 def update(text: str) -> str:

@@ -25,7 +25,7 @@ def operator_table() -> str:
 def operator_methods() -> Iterator[ast.FunctionDef]:
     """Those that a handler may call."""
     for module, line in _OPERATOR.items():
-        text = (paths.FIRMWARE / "extras" / f"{module}.py").read_text(encoding="utf-8")
+        text = (paths.FIRMWARE / "extras" / "custom" / f"{module}.py").read_text(encoding="utf-8")
         first = text[: text.index(line)].count("\n")
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.FunctionDef) and node.col_offset and node.lineno > first:

@@ -17,7 +17,7 @@ def imports() -> set[tuple[str, str]]:
     """Which folder imports from which, for types too: (importing, imported)."""
     found = set()
     for folder in FOLDERS:
-        for path in (paths.FIRMWARE / folder).glob("*.py"):
+        for path in (paths.FIRMWARE / folder).rglob("*.py"):
             tree = ast.parse(path.read_text(encoding="utf-8"))
             found |= {(folder, used) for used in _folders(tree) if used != folder}
     return found
@@ -41,8 +41,9 @@ def folders_table() -> str:
     """Every module with the first line of what it says it is."""
     rows = []
     for folder in FOLDERS:
-        for path in sorted((paths.FIRMWARE / folder).glob("[!_]*.py")):
-            rows.append((f"`{folder}/{path.name}`", _first_sentence(path)))
+        for path in sorted((paths.FIRMWARE / folder).rglob("[!_]*.py")):
+            name = path.relative_to(paths.FIRMWARE).as_posix()
+            rows.append((f"`{name}`", _first_sentence(path)))
     return table(("Module", "What it is"), rows)
 
 

@@ -28,7 +28,7 @@ def _table() -> dict[tuple[str, int], str]:
         ("ALARM" if alarm else "error", int(number)): _words(comment)
         for comment, alarm, number in _ROW.findall(errors)
     }
-    for file in sorted((FIRMWARE / "extras").glob("*.py")):
+    for file in sorted((FIRMWARE / "extras").rglob("*.py")):
         for comment, alarm, number in _ROW.findall(file.read_text(encoding="utf-8")):
             if alarm:
                 found["ALARM", int(number)] = _words(comment)

@@ -170,23 +170,24 @@ def tables() -> dict[str, "Rows"]:
     """The firmware's tables of settings by module, those of extras that no other has."""
     paths.use_firmware()
     from base import settings
-    from extras import backlash, ganged, home_order, jerk, skew, tmc2209
+    from extras.kinematics import skew
+    from extras.motors import backlash, ganged, home_order, jerk, tmc2209
 
     return {
         "base/settings": settings._TABLE,
-        "extras/backlash": backlash._SETTINGS,
-        "extras/ganged": (*ganged._INVERT, *ganged._SQUARING, *ganged._OFFSETS),
-        "extras/home_order": home_order._CYCLES + home_order._RATES,
-        "extras/jerk": jerk._SETTINGS,
-        "extras/skew": skew._SETTINGS,
-        "extras/tmc2209": tmc2209._SETTINGS,
+        "extras/motors/backlash": backlash._SETTINGS,
+        "extras/motors/ganged": (*ganged._INVERT, *ganged._SQUARING, *ganged._OFFSETS),
+        "extras/motors/home_order": home_order._CYCLES + home_order._RATES,
+        "extras/motors/jerk": jerk._SETTINGS,
+        "extras/kinematics/skew": skew._SETTINGS,
+        "extras/motors/tmc2209": tmc2209._SETTINGS,
     }
 
 
 def of_tool(name: str) -> "Rows":
     """The rows of a "punch" or "laser" in the spindle's place, whose numbers others have, too."""
     paths.use_firmware()
-    from extras import laser, punch
+    from extras.tools import laser, punch
 
     return {"laser": laser._SETTINGS, "punch": punch._SETTINGS}[name]
 

@@ -108,7 +108,7 @@ def settings_files(board: str, settings: Path) -> dict[str, bytes]:
     take them."""
     name, lines = kept_settings(board, settings)
     use_firmware()
-    from ports.flash_store import FlashStore
+    from ports.storage.flash_store import FlashStore
 
     with tempfile.TemporaryDirectory() as folder:
         FlashStore(f"{folder}/").save(name, lines)

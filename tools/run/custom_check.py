@@ -172,7 +172,7 @@ def take_up(own: OwnPython, board: str, around: Around, verdict: Verdict) -> "Se
 
 def called(note: Any) -> str:
     """As the firmware calls it: `M100`, `on.tool_change`, `every 50`."""
-    from extras.custom import title
+    from extras.custom.user_modules import title
 
     return str(title(note[0], note[1]))
 

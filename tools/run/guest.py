@@ -1,7 +1,7 @@
 """The user's own Python as a guest of one simulated machine: imported, and watched as it runs.
 
-What the firmware has for it (extras/custom.py) does the work; here is what a board has no room
-for: where its files are, which handlers have run, what they wait for, and how each has failed.
+What the firmware has for it (extras/custom/) does the work; here is what a board has no room for:
+where its files are, which handlers have run, what they wait for, and how each has failed.
 To be imported when the firmware can be.
 """
 
@@ -15,10 +15,10 @@ from typing import Any
 
 from base.faults import harmless
 from boot import guests
-from extras import custom, handlers
-from extras.custom import Custom
-from extras.machine_operator import Operator
-from extras.runner import Runner
+from extras.custom import handlers, user_modules
+from extras.custom.machine_operator import Operator
+from extras.custom.runner import Runner
+from extras.custom.user_modules import Custom
 
 from . import board_modules
 from .own_python import LackError, OwnPython, OwnPythonError
@@ -47,7 +47,7 @@ class Guest:
 
     def told_names(self) -> str:
         """Its handlers, as $I has them behind `Custom: `."""
-        names = [custom.title(note[0], note[1]) for note in self.notes]
+        names = [user_modules.title(note[0], note[1]) for note in self.notes]
         return harmless(_TOLD + ", ".join(names))[len(_TOLD) :]
 
     def at(self, fault: BaseException) -> str:
@@ -214,7 +214,7 @@ def _customs(board: ModuleType) -> "tuple[str, ...]":
     guest: "Guest | None" = board.__dict__.get(_GUEST)
     _importer.guest = guest
     names = ("Custom", "Operator", "Runner")
-    vars(custom).update(zip(names, _PLAIN if guest is None else _WATCHING, strict=True))
+    vars(user_modules).update(zip(names, _PLAIN if guest is None else _WATCHING, strict=True))
     if guest is None:
         return _usual_customs(board)
     for name in (guest.own.name, *guest.own.modules):

@@ -10,7 +10,7 @@ from io import BytesIO
 from types import ModuleType
 from typing import IO, Any
 
-from ports import job_files
+from ports.storage import job_files
 
 _FILES = "_job_files"  # under which a board has them
 _ROOM_KB = 1024
@@ -22,7 +22,7 @@ def _nothing() -> None:
 
 
 class MemoryFiles:
-    """As ports.job_files.JobFiles has them."""
+    """As ports.storage.job_files.JobFiles has them."""
 
     def __init__(self) -> None:
         self._kept: dict[str, bytes] = {}

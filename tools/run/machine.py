@@ -122,7 +122,7 @@ def build(
 
 def _serve(texts: bytes) -> None:
     """Have a machine that speaks as grblHAL find its texts, which a deployment puts on a board."""
-    from extras import dialect_hal
+    from extras.dialects import dialect_hal
 
     dialect_hal.texts = lambda: BytesIO(texts)
 

@@ -55,9 +55,9 @@ class Recorder:
         self._rotary: str = getattr(rig.board, "ROTARY", "")
         self._linear = [i for i in self._axes if self._names[i] not in self._rotary]
         self._moves: Sequence[int] = ()  # as in motion/kinematics.py; empty: an axis each
-        # Kinematics whose motors stand beside their axes: extras/backlash.py, extras/skew.py.
+        # Kinematics whose motors stand beside their axes: backlash.py and skew.py of extras.
         self._beside: Any = None
-        self._nonlinear: Any = None  # or kinematics of the user's own: extras/nonlinear.py
+        self._nonlinear: Any = None  # or of the user's own: extras/kinematics/nonlinear.py
         self._planned = [0 for _ in self._motors]
         self._made = [0 for _ in self._motors]
         self._probed = [0 for _ in self._motors]  # planned, and not made behind a probe's contact

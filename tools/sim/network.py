@@ -2,8 +2,8 @@
 
 from array import array
 
-from ports.net_link import NetLink
-from ports.page_link import PageLink
+from ports.net.net_link import NetLink
+from ports.net.page_link import PageLink
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from machine import Pin
 
 from .found import module
 
-FlashStore = module("ports", "flash_store").FlashStore
+FlashStore = module("ports", "storage.flash_store").FlashStore
 
 
 def drivers_off():

@@ -5,6 +5,9 @@
 def module(package, name):
     """The module of a package, or the package, where `ugrbl build` has put them together."""
     try:
-        return getattr(__import__(package + "." + name), name)
+        found = __import__(package + "." + name)
+        for part in name.split("."):
+            found = getattr(found, part)
+        return found
     except ImportError:
         return __import__(package)

@@ -1,0 +1,1 @@
+"""What other controllers say and understand."""

@@ -1,0 +1,248 @@
+"""Lenient: words of other controllers, accepted where leaving them out does no harm.
+
+A line that Grbl refuses is looked at once more. What says nothing that this machine could do is
+left out; M6 becomes a pause, G73 to G89 drilling (drilling.py). Each such word is named once in a
+[MSG:]. Every other line goes its way as it is. A board asks for it with LENIENT = True.
+"""
+
+from base import state as st
+from base.errors import (
+    GCODE_G53_INVALID_MOTION_MODE,
+    GCODE_MODAL_GROUP_VIOLATION,
+    GrblError,
+)
+from base.text import text_of
+from control.modes import SPINDLE
+from language.checks import SET_TOOL
+from micropython import const
+
+from extras.dialects.drilling import CYCLES, MOTIONS, Drilling, has, joined
+from extras.gcode_text import as_written
+from extras.own_words import word_of
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    from interfaces import Options
+
+    from extras.api import Cnc
+    from extras.dialects.drilling import Word
+
+# What is said of each.
+_WORDS = {
+    "%": "the mark of a tape is passed over",
+    "O": "the number of a program is passed over",
+    "G43": "lengths of tools are not kept here: zero Z with each tool",
+    "G49": "passed over, for there is no tool length",
+    "G4 S": "a dwell of so many seconds",
+    "G61.1": "passed over",
+    "G64": "passed over: $11 says how fast corners are taken",
+    "G80": "passed over beside another motion",
+    "G98": "cycles end where the first of them began",
+    "G99": "cycles end at R",
+    "M6": "a pause with the spindle off, and ~ goes on",
+}
+_CYCLE = "a drilling cycle"
+# In tenths.
+_G4 = const(40)
+_G43 = const(430)
+_G43_1 = const(431)
+_G49 = const(490)
+_G53 = const(530)
+_G61_1 = const(611)
+_G64 = const(640)
+_G80 = const(800)
+_G98 = const(980)
+_G99 = const(990)
+_M6 = const(60)
+_HAVE_P = (_G4, 100) + tuple(CYCLES)  # beside these, P and Q are not those of G64
+_TURNING = (30, 40)  # M3, M4: beside them S is a speed
+_ENDS = (20, 300)  # M2, M30
+_NONE = const(-1)
+_NUMBER = "0123456789.+-"
+
+
+class Lenient:
+    """Stands around the interpreter."""
+
+    def __init__(self, cnc: "Cnc") -> None:
+        machine = cnc.machine
+        self._cnc = cnc
+        self._machine = machine
+        hooks = machine.state.hooks
+        self._usual = hooks.execute
+        self._drilling = Drilling(machine, self._run, self._check)
+        self._told: "list[str]" = []
+        self._tool = "0"
+        self._is_within = False  # a line, others
+        hooks.execute = self.execute
+        machine.interpreter.watch(SET_TOOL)
+        cnc.behind_reset(self._forget)
+        cnc.entries.append(self._why_no_entry)
+
+    def _forget(self) -> None:
+        self._told.clear()
+        self._tool = "0"
+        self._drilling.forget()
+
+    def _why_no_entry(self) -> str:
+        return "it goes on with a drilling cycle" if self._drilling.cycle else ""
+
+    def execute(self, line: bytearray, length: int) -> None:
+        """As Interpreter.execute(). What a handler of another extra has executed within a line is
+        its own: it neither repeats a cycle nor ends it."""
+        if self._is_within:
+            self._usual(line, length)
+            return
+        self._is_within = True
+        try:
+            self._execute(line, length)
+        finally:
+            self._is_within = False
+
+    def _execute(self, line: bytearray, length: int) -> None:
+        drilling = self._drilling
+        is_watched = drilling.cycle or drilling.to_r or line.find(b"T", 0, length) >= 0
+        words = (_words(line, length) if is_watched else None) or []
+        if not (drilling.repeats(words) and self._execute_rest(line, length, words)):
+            if drilling.cycle and has(words, "G", _G53) and not has(words, "G", *MOTIONS):
+                raise GrblError(GCODE_G53_INVALID_MOTION_MODE)
+            try:
+                self._usual(line, length)
+            except GrblError:
+                if not self._execute_rest(line, length, words or _words(line, length)):
+                    raise
+        self._note_tool(words)
+        if has(words, "M", *_ENDS):
+            drilling.forget()
+        elif has(words, "G", *MOTIONS):
+            drilling.stop(False)
+        elif has(words, "G", _G80):
+            drilling.stop(True)
+
+    def _note_tool(self, words: "list[Word]") -> None:
+        for letter, number, _ in words:
+            if letter == "T":
+                self._tool = number
+
+    def _check(self, text: str) -> None:
+        """Refuse a line with GrblError, or leave it in the interpreter's block."""
+        machine = self._machine
+        line = bytearray(text.encode() + b"\0")
+        machine.interpreter.look(line, len(line) - 1 << 8, machine.modes.modal, 0)
+
+    def _run(self, text: str) -> None:
+        line = bytearray(text.encode() + b"\0")
+        self._usual(line, len(line) - 1)
+
+    # A line that has been refused
+
+    def _execute_rest(self, line: bytearray, length: int, words: "list[Word] | None") -> bool:
+        """Execute it without what does nothing here; False where there is no such thing, or where
+        it is another extra's."""
+        if words is None or self._cnc.has_word(line, length):
+            return False
+        if has(words, "G", _G98) and has(words, "G", _G99):
+            raise GrblError(GCODE_MODAL_GROUP_VIOLATION)
+        names = ["%"] if line.find(b"%", 0, length) >= 0 else []
+        left = self._without(words, names)
+        drilling = self._drilling
+        to_r = has(words, "G", _G99) or (drilling.to_r and not has(words, "G", _G98))
+        cycles = ["G" + word[1] for word in left if word[0] == "G" and word[2] in CYCLES]
+        if cycles or drilling.repeats(left):
+            if "M6" in names:
+                return False
+            holes = drilling.plan(left, to_r)
+            self._tell(names + cycles)
+            drilling.make(holes)
+            return True
+        if names:
+            self._check(joined(left))
+            self._tell(names)
+            if "M6" in names:
+                self._pause(words)
+            self._run(joined(left))
+            drilling.to_r = to_r
+        return bool(names)
+
+    def _without(self, words: "list[Word]", names: "list[str]") -> "list[Word]":
+        """What is left; names gets those of what is not."""
+        left = []
+        for word in words:
+            name = self._name(word, words)
+            if name:
+                names.append(name)
+            if name == "G4 S":
+                left.append(("P", word[1], word[2]))
+            elif not name:
+                left.append(word)
+        return left
+
+    def _name(self, word: "Word", words: "list[Word]") -> str:
+        """Why this word may be left out: a key of _WORDS, or nothing."""
+        letter, _, tenths = word
+        if letter == "O":  # beside other words it is a subroutine of LinuxCNC's
+            return "O" if all(other[0] in "NO" for other in words) else ""
+        if letter == "H":
+            return self._name_g(_G43, words) if has(words, "G", _G43) else ""
+        if letter in "PQ":
+            return "G64" if has(words, "G", _G64) and not has(words, "G", *_HAVE_P) else ""
+        if letter == "S":
+            is_speed = has(words, "P") or has(words, "M", *_TURNING)
+            return "G4 S" if has(words, "G", _G4) and not is_speed else ""
+        if letter == "M":
+            return "M6" if tenths == _M6 else ""
+        return self._name_g(tenths, words) if letter == "G" else ""
+
+    def _name_g(self, tenths: int, words: "list[Word]") -> str:
+        if tenths in (_G43, _G49):
+            holds = self._machine.coords.tool_length or has(words, "G", _G43_1)
+            return "" if holds else "G%d" % (tenths // 10)
+        if tenths == _G80:
+            return "G80" if has(words, "G", *MOTIONS) else ""
+        if tenths in (_G61_1, _G64, _G98, _G99):
+            return "G61.1" if tenths == _G61_1 else "G%d" % (tenths // 10)
+        return ""
+
+    def _tell(self, names: "list[str]") -> None:
+        for name in names:
+            if name not in self._told:
+                self._told.append(name)
+                self._cnc.message("%s: %s" % (name, _WORDS.get(name, _CYCLE)))
+
+    def _pause(self, words: "list[Word]") -> None:
+        """For the tool that this line names, or one before it."""
+        self._note_tool(words)
+        if self._machine.modes.modal[SPINDLE]:
+            self._run("M5")
+        if self._machine.state.run != st.CHECK:
+            self._machine.canon.synchronise()
+            self._cnc.message("Tool %s, then ~" % self._tool)
+        self._run("M0")
+
+
+def _words(line: bytearray, length: int) -> "list[Word] | None":
+    """The words of a line, without marks of tapes; None where it does not consist of words."""
+    found = []
+    for letter, number in as_written(text_of(line[:length]).strip("%")):
+        if not "A" <= letter <= "Z" or any(c not in _NUMBER for c in number):
+            return None
+        try:
+            value = float(number)
+        except ValueError:
+            return None
+        found.append((letter, number, word_of(letter, value)[1] if letter in "GM" else _NONE))
+    return found
+
+
+def prepare(options: "Options", board: "ModuleType") -> None:
+    """Before the machine is made: numbers of tools may be of any size."""
+    options.highest_tool = 1 << 31
+
+
+def install(cnc: "Cnc") -> None:
+    """Behind all other extras: their words are theirs."""
+    if cnc.machine.interpreter.motions:
+        raise ValueError("LENIENT has cycles of its own: no extra can have one beside it")
+    Lenient(cnc)

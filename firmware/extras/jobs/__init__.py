@@ -1,0 +1,1 @@
+"""Programs that live on the board, and run without a computer."""

@@ -1,0 +1,176 @@
+"""Jobs: programs that live on the board, and run without a computer.
+
+$F lists them, $F=NAME runs one, $F<=NAME shows it, $FD=NAME deletes it, as grblHAL has it; and
+$SD/List, $SD/Run=, $LocalFS/… as FluidNC. $FU=NAME,SIZE,CRC takes one (job_upload.py), $FB=NAME
+gives it to the start button, and $F=NAME@LINE goes on in its middle (job_entry.py); $F=@ does
+where the last one was held or stopped (job_run.py). A board asks for it with JOBS = "jobs", the
+name of the folder, and with SD_CARD, its pins, where that is to be a card.
+"""
+
+from base import errors
+from base import state as st
+from base.errors import GrblError
+from base.faults import harmless
+from base.text import text_of
+from micropython import const
+from talk.lines import LineReader
+
+from extras.jobs.job_run import BUTTON, JobRun
+from extras.jobs.job_upload import Upload
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    from interfaces import JobFiles, Options
+
+    from extras.api import Cnc
+
+PINS = ("SD_CARD",)
+
+# FluidNC's words behind $SD/ and $LocalFS/, and ours behind $F.
+_FLUIDNC = {b"LIST": b"", b"RUN": b"=", b"SHOW": b"<=", b"DELETE": b"D="}
+_WITHOUT_FILES = (b"B", b"B=")  # tells what the button runs, has it run nothing: in flash
+_STATES = (st.IDLE, st.ALARM, st.CHECK)
+_SHOWN_BYTES = const(128)
+# A reader for what is neither the sender's line nor the job's.
+_READ_AHEAD = const(512)
+_LONGEST = const(344)  # 256 bytes in base64
+
+_found: "dict[str, JobFiles | None]" = {}
+
+
+def prepare(options: "Options", board: "ModuleType") -> None:
+    """Where they are."""
+    _found["files"] = options.job_files
+
+
+def install(cnc: "Cnc") -> None:
+    """Put jobs beside the sender."""
+    files = _found["files"]
+    assert files
+    files.turn = cnc.service
+    reader = LineReader(_READ_AHEAD, _LONGEST, cnc.machine.reader.post)
+    run = JobRun(cnc, files, reader)
+    jobs = Jobs(cnc, files, run, Upload(cnc, files, reader))
+    cnc.add_command(b"F", jobs.command, _STATES)
+    cnc.add_command(b"SD", jobs.fluidnc, _STATES)
+    cnc.add_command(b"LOCALFS", jobs.fluidnc, _STATES)
+    cnc.add_field(run.field)
+    cnc.before_lines(run.turn)
+    cnc.behind_reset(run.begin_anew)
+    cnc.behind_alarm(run.alarm)
+    cnc.behind_program(run.program_ends)
+    cnc.behind_controls(run.press)
+
+
+class Jobs:
+    """The commands."""
+
+    def __init__(self, cnc: "Cnc", files: "JobFiles", run: JobRun, upload: Upload) -> None:
+        self._cnc = cnc
+        self._machine = cnc.machine
+        self._files = files
+        self._run = run
+        self._upload = upload
+
+    def fluidnc(self, words: bytes) -> None:
+        """What stands behind $SD/ or $LocalFS/, whose slash no line keeps."""
+        word, equals, name = words.partition(b"=")
+        if word not in _FLUIDNC or bool(equals) != bool(_FLUIDNC[word]):
+            raise GrblError(errors.INVALID_STATEMENT)
+        self.command(_FLUIDNC[word] + name)
+
+    def command(self, words: bytes) -> None:
+        """What stands behind $F."""
+        if self._run.is_on():  # a line of the job's own
+            raise GrblError(errors.IDLE_ERROR)
+        self._machine.canon.synchronise()  # files are written at rest
+        try:
+            if words not in _WITHOUT_FILES:
+                self._files.mount()
+            self._do(words)
+        except OSError:
+            if not self._files.lose():
+                raise
+            self._cnc.message("SD card: none is there, or it cannot be read or written")
+            raise GrblError(errors.INVALID_STATEMENT)
+
+    def _do(self, words: bytes) -> None:
+        verb, equals, rest = words.partition(b"=")
+        name = text_of(rest)
+        if words in (b"", b"+"):
+            self._list()
+        elif words == b"M":
+            return  # mounted it is
+        elif words == b"B":
+            self._tell_button()
+        elif not equals:
+            raise GrblError(errors.INVALID_STATEMENT)
+        elif verb == b"":
+            self._start(name)
+        elif verb == b"<":
+            self._show(self._known(name))
+        elif verb == b"D":
+            self._files.delete(self._known(name))
+        elif verb == b"U":
+            self._upload.take(name)
+        elif verb == b"B":
+            self._give_button(name)
+        else:
+            raise GrblError(errors.INVALID_STATEMENT)
+
+    def _known(self, name: str) -> str:
+        """A name; GrblError where there is no such job."""
+        if self._files.size(name) < 0:
+            self._cnc.message("There is no job %s: $F lists them" % harmless(name))
+            raise GrblError(errors.INVALID_STATEMENT)
+        return name
+
+    def _list(self) -> None:
+        for name, size in self._files.files():
+            self._cnc.tell(b"[FILE:/%s|SIZE:%d]" % (name.encode(), size))
+        self._cnc.message("Room for %d kB" % self._files.room_kb())
+
+    def _show(self, name: str) -> None:
+        with self._files.open(name) as file:
+            while True:
+                piece = file.read(_SHOWN_BYTES)
+                if not piece:
+                    break
+                self._machine.report.send(piece)
+                self._cnc.service()
+        self._machine.report.send(b"\r\n")
+
+    def _tell_button(self) -> None:
+        name = self._run.kept(BUTTON)
+        self._cnc.message("Start button: " + (harmless(name[0]) if name else "no job"))
+
+    def _give_button(self, name: str) -> None:
+        self._machine.saves.save(BUTTON, [self._known(name)] if name else [])
+
+    def _start(self, name: str) -> None:
+        if self._machine.state.run == st.ALARM:
+            raise GrblError(errors.SYSTEM_GC_LOCK)
+        name, at, number = name.partition("@")
+        if at and not number:
+            name, number = self._noted(name)
+        try:
+            line = int(number) if at else 0
+        except ValueError:
+            line = -1
+        if line < 0 or (at and line == 0):
+            raise GrblError(errors.BAD_NUMBER_FORMAT)
+        name = self._known(name)
+        if at and not self._machine.seek.homed:
+            self._run.tell(name, "to go on in its middle, home first ($H)")
+            raise GrblError(errors.INVALID_STATEMENT)
+        self._run.ask_for(name, line)
+
+    def _noted(self, name: str) -> "tuple[str, str]":
+        """The job that has not come to its end, and a line of it."""
+        kept = self._run.journal()
+        if not kept or name not in ("", kept[0]):
+            self._cnc.message("No job is noted" + (" of that name" if name else ""))
+            raise GrblError(errors.INVALID_STATEMENT)
+        return kept[0], kept[1]

@@ -1,0 +1,272 @@
+"""Entry: going on at a line in the middle of a job.
+
+The lines before it are run in check mode, which moves nothing, so modes, offsets, tool, spindle,
+coolant and position come to be what a whole run would have left. Stored offsets they change in a
+copy. The way there is at a safe height: all off, up, across, tool on, down; then all of that is
+put in force, and the line comes as if all before it had been done.
+"""
+
+from array import array
+
+from base import state as st
+from base.axes import LETTERS
+from base.controls import HOLD
+from base.errors import GrblError
+from base.f32 import f32, whole
+from control.modes import (
+    COOLANT,
+    FEED,
+    INVERSE_TIME,
+    MODAL_LENGTH,
+    MOTION,
+    OVERRIDE_CONTROL,
+    RPM,
+    SPINDLE,
+    SYSTEM,
+    TOOL,
+)
+from language.block_layout import PROBE_TOWARD
+from language.words import bare
+from micropython import const
+from motion.planner import SPINDLE_CW
+from talk.lines import LINE, clean, feed
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from typing import IO, Any
+
+    from talk.controller import Controller
+    from talk.lines import LineReader
+
+    from extras.api import Cnc
+
+_PIECE = const(255)
+_LINES = const(16)  # between two looks at real-time commands
+_DOLLAR = const(36)
+_ZERO = const(48)
+_NINE = const(57)
+_HOLD_IN_CLOSED = const(HOLD << 8)  # of Inputs.closed()
+_SLOW_MM_MIN = 100.0
+_SAME = 0.0005  # of settings and offsets, which are shown with three decimals
+_SPIN_UP_S = const(4)
+_Z = const(2)
+_COOLANTS = ("", "M8", "M7", "M7M8")  # by their mask
+
+
+def differs(one: float, other: float) -> bool:
+    """Whether two values of a setting, or of an offset, are shown as different ones."""
+    return abs(one - other) > _SAME
+
+
+class NoWay(Exception):
+    """A line that nobody can begin with; its text says why."""
+
+
+def in_force(machine: "Controller") -> "list[Any]":
+    """The place, and all that a program can have set: what put() takes."""
+    modes, coords = machine.modes, machine.coords
+    modal = list(modes.modal[:MODAL_LENGTH])
+    place, rates, g92 = list(modes.position), list(modes.rates[:TOOL]), list(coords.g92)
+    return [place, modal, rates, modes.tool, g92, coords.tool_length]
+
+
+def put(machine: "Controller", found: "list[Any]") -> None:
+    """Put it in force; spindle and coolant are what they are."""
+    modes, coords, state = machine.modes, machine.coords, machine.state
+    place, modal, rates, tool, g92, coords.tool_length = found
+    modes.position[:] = array("f", place)
+    modes.rates[:] = array("f", rates + [tool])
+    for i in range(MODAL_LENGTH):
+        modes.modal[i] = modal[i]
+    coords.active = modal[SYSTEM]
+    coords.set_g92(array("f", g92))
+    state.override_control = bool(modal[OVERRIDE_CONTROL])
+    state.wco_countdown = 0
+
+
+class Entry:
+    """The way to one line, and what is in force there."""
+
+    def __init__(self, cnc: "Cnc", reader: "LineReader") -> None:
+        machine = cnc.machine
+        self._cnc = cnc
+        self._machine = machine
+        self._reader = reader
+        self._longest = len(machine.reader.line) - 1
+        self._there: "list[Any]" = []
+        self._systems: "list[array[float]]" = []  # there
+        self._highest = 0.0
+        self.has_ended = False  # the program, in front of the line
+
+    def find(
+        self, file: "IO[bytes]", line: int, start: "list[Any]", systems: "list[array[float]]"
+    ) -> None:
+        """Run what is before the line in check mode; the file is left at that line. start: what
+        was in force before the first; systems: a copy of the stored offsets, which the lines
+        change. All is as before then. NoWay where it cannot be known."""
+        machine = self._machine
+        coords, state = machine.coords, machine.state
+        motions = machine.interpreter.motions
+        if start[1][MOTION] in motions:
+            raise NoWay("it begins within a cycle")
+        kept = [(motion, motion.kept) for motion in motions.values()]
+        before = in_force(machine)
+        stored, self._systems = array("f", coords.offsets), systems
+        for i in range(len(systems)):
+            coords.change(i, systems[i])
+        hooks = state.hooks
+        write, hooks.write_offsets = hooks.write_offsets, coords.change
+        self.has_ended = False
+        self._highest = machine.modes.position[_Z]
+        state.enter(st.CHECK)
+        try:
+            put(machine, start)
+            self._rehearse(file, line)
+            for why in self._cnc.entries:
+                if why():
+                    raise NoWay(why())
+            self._there = in_force(machine)
+            self._systems = [array("f", values) for values in coords.systems]
+            self._check_homed(before[0])
+        finally:
+            hooks.write_offsets = write
+            coords.offsets[:] = stored
+            if state.run == st.CHECK:
+                state.enter(st.IDLE)
+            put(machine, before)
+            for motion, numbers in kept:
+                motion.kept = numbers
+            machine.resync()
+        if machine.reader.has_line():
+            raise NoWay("there were other lines meanwhile")
+        if machine.inputs.door_open() or machine.inputs.closed() & _HOLD_IN_CLOSED:
+            raise NoWay("hold or door is closed")
+
+    def _rehearse(self, file: "IO[bytes]", line: int) -> None:
+        self._reader.clear()
+        for number in range(1, line):
+            found = self._next_line(file)
+            if found == 0:
+                raise NoWay("there are only %d lines" % (number - 1))
+            if found & LINE == 0 or found >> 2 > self._longest:
+                raise NoWay("line %d is too long" % number)
+            self._do(self._reader.line, found >> 2, number)
+            if number % _LINES == 0:
+                self.look()
+        if not file.read(1):
+            raise NoWay("there are only %d lines" % (line - 1))
+        file.seek(-1, 1)
+
+    def _next_line(self, file: "IO[bytes]") -> int:
+        """What clean() finds of the next line, however long its comments are; 0 at the end."""
+        memory = self._reader.memory()
+        ring, at, _, kinds = memory
+        found, is_begun = 0, False
+        while found == 0:
+            text = file.readline(_PIECE)
+            if not text and not is_begun:
+                return 0
+            is_begun = True
+            piece = bytearray(text.replace(b"\r", b" ") or b"\n")
+            feed(piece, len(piece), ring, at, kinds, _pass_over)
+            found = clean(*memory)
+        return found
+
+    def look(self) -> None:
+        """Real-time commands act. NoWay for those that hold the machine: check mode loses them."""
+        machine = self._machine
+        machine.protocol.pump()
+        pending = machine.state.pending
+        if pending[st.FEED_HOLD] or pending[st.SAFETY_DOOR] or pending[st.SLEEP_REQUEST]:
+            raise NoWay("it was held meanwhile")
+        machine.realtime.events()
+
+    def _do(self, line: bytearray, length: int, number: int) -> None:
+        machine = self._machine
+        if length == 0:
+            return
+        if line[0] == _DOLLAR:
+            if _ZERO <= line[1] <= _NINE:
+                self._check_setting(line, number)
+                return
+            raise NoWay("line %d is no G-code: what it does is not known" % number)
+        if self._cnc.has_word(line, length):
+            raise NoWay("line %d has a word of another kind: what it does is not known" % number)
+        try:
+            machine.state.hooks.execute(line, length)
+        except GrblError as reason:
+            raise NoWay("line %d is refused with %d" % (number, reason.code))
+        if self.has_ended:
+            raise NoWay("line %d ends the program" % number)
+        modes = machine.modes
+        if modes.modal[MOTION] >= PROBE_TOWARD:
+            raise NoWay("line %d probes: where that ended is not known" % number)
+        if modes.position[_Z] > self._highest:
+            self._highest = modes.position[_Z]
+
+    def _check_setting(self, line: bytearray, number: int) -> None:
+        """A setting is stored: it has to be what the line makes it, and is not written again."""
+        at, setting = bare(line, 1)
+        _, value = bare(line, at + 1)
+        for known, amount, _ in self._machine.settings.each():
+            if known == setting and differs(amount, value):
+                text = "line %d sets $%d, which has another value now"
+                raise NoWay(text % (number, known))
+
+    def _check_homed(self, here: "list[float]") -> None:
+        """What was not homed may not have to move."""
+        for axis in range(len(here)):
+            way = [here[axis], self._there[0][axis]]
+            if axis == _Z:
+                way.append(self._highest)
+            moves = self._steps(axis, min(way)) != self._steps(axis, max(way))
+            if moves and not self._machine.seek.homed >> axis & 1:
+                text = "%s is not homed, and would have to move: where it is is not known"
+                raise NoWay(text % LETTERS[axis])
+
+    # The way there
+
+    def way(self) -> "list[str]":
+        """Lines that lead there."""
+        place, modal, rates, _, _, _ = self._there
+        spindle, coolant = modal[SPINDLE], _COOLANTS[modal[COOLANT]]
+        turn = ""
+        if spindle:
+            turn = "M%dS%.3f" % (3 if spindle == SPINDLE_CW else 4, rates[RPM])
+        up, down, across = self._word(_Z, self._highest), self._word(_Z, place[_Z]), ""
+        for axis in range(len(place)):
+            if axis != _Z:
+                across += self._word(axis, place[axis])
+        begin = ["G21G90G94M5M9", "G53G0" + up, "G53G0" + across]
+        if self._machine.spindle.laser:  # stays dark behind G0
+            return begin + ["G53G0" + down, coolant, turn]
+        feed = _SLOW_MM_MIN if modal[INVERSE_TIME] or rates[FEED] <= 0 else rates[FEED]
+        dwell = "G4P%d" % _SPIN_UP_S if turn else ""
+        return begin + [turn, coolant, dwell, "G53G1%sF%.3f" % (down, feed)]
+
+    def _word(self, axis: int, mm: float) -> str:
+        """The middle of the step that the place is rounded to, so that it is this one exactly."""
+        return "%s%.5f" % (LETTERS[axis], self._steps(axis, mm) / self._resolution(axis))
+
+    def _resolution(self, axis: int) -> float:
+        return self._machine.planner.steps_per_mm[axis]
+
+    def _steps(self, axis: int, mm: float) -> int:
+        product = f32(mm * self._resolution(axis))
+        return whole(product + 0.5) if product >= 0 else -whole(0.5 - product)
+
+    def arrive(self) -> None:
+        """The tool is there: put in force what is. NoWay where it is not."""
+        place, here = self._there[0], self._machine.modes.position
+        for axis in range(len(place)):
+            if self._steps(axis, here[axis]) != self._steps(axis, place[axis]):
+                raise NoWay("the way has not led there")
+        coords = self._machine.coords
+        for i in range(len(self._systems)):
+            if list(coords.systems[i]) != list(self._systems[i]):
+                self._machine.state.hooks.write_offsets(i, self._systems[i])
+        put(self._machine, self._there)
+
+
+def _pass_over(_byte: int) -> None:
+    """In the file no byte is a real-time command."""

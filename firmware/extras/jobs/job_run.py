@@ -1,0 +1,346 @@
+"""Job run: the job that runs, or is to, from its first line to its last or to what ends it.
+
+Which runs, and where it was held or stopped, is noted in flash at rest.
+"""
+
+import binascii
+import io
+import json
+from array import array
+
+import micropython
+from base import state as st
+from base.controls import START
+from base.faults import harmless
+from control.coords import NAMES
+from control.modes import COOLANT, SPINDLE
+from micropython import const
+
+from extras.jobs.job_entry import Entry, NoWay, differs, in_force
+from extras.jobs.job_feed import Feed
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from typing import IO, Any
+
+    from interfaces import JobFiles
+    from talk.lines import LineReader
+
+    from extras.api import Cnc
+
+# Under which is kept: the job that runs, a line of it, and what _start has; the start button's.
+_JOURNAL = "job"
+_JOURNAL_LINES = const(3)
+BUTTON = "button"
+_PRESSED_MS = const(50)  # later, something else has been going on
+# What _start has: a job's CRC-32, what was in force before it, and the stored offsets that it has
+# written since, each with its number, what was there before, and what is there now.
+_CRC = const(0)
+_IN_FORCE = const(1)
+_WRITTEN = const(2)
+_UNKNOWN = const(-1)
+_PIECE = const(512)
+
+
+class JobRun:
+    """The job. reader: nobody else's while it runs."""
+
+    def __init__(self, cnc: "Cnc", files: "JobFiles", reader: "LineReader") -> None:
+        self._cnc = cnc
+        self._machine = cnc.machine
+        self._files = files
+        self._feed = Feed(cnc.machine, self._refuse, self._note_line)
+        hooks = cnc.machine.state.hooks
+        hooks.is_busy += (self.is_on,)  # a job that waits, in a dwell say, is not at rest
+        self._write, hooks.write_offsets = hooks.write_offsets, self._write_offsets
+        self._entry = Entry(cnc, reader)
+        self._name = ""  # what runs
+        self._start: "list[Any]" = []
+        self._pressed_ms = 0
+        self._due = ""  # what is to, once the loop has no line of the sender left,
+        self._due_line = 0  # from which line on; 0: all of it,
+        self._due_crc = _UNKNOWN  # and the CRC-32 of its file, once that has been read through
+        self._size = 0  # of its file
+        self._rest: "IO[bytes] | None" = None  # of the file, while the tool is on its way there
+        self._refused = 0  # Grbl's number for the line that has ended it
+        self._pressed = bytearray(1)  # the start button has been
+        self._has_started = False  # the firmware
+
+    def is_on(self) -> bool:
+        """A job runs."""
+        return self._feed.is_on
+
+    def ask_for(self, name: str, line: int) -> None:
+        """Have one run, once the sender has nothing more to say; from a line on, or 0: all."""
+        self._due, self._due_line, self._due_crc = name, line, _UNKNOWN
+
+    @micropython.native
+    def turn(self) -> None:
+        """A turn of the loop, between two lines."""
+        if self._pressed[0]:
+            self._pressed[0] = 0
+            if self._machine.port.elapsed_ms(self._pressed_ms) < _PRESSED_MS:
+                self._start_by_button()
+        if self._feed.is_on:
+            self._go_on()
+        elif self._due and self._is_free():
+            self._begin()
+
+    def _is_free(self) -> bool:
+        """Nothing moves or is going to, and the sender has said nothing that is not done."""
+        machine = self._machine
+        at_rest = machine.stands() or machine.state.run == st.CHECK
+        return at_rest and not machine.reader.has_line()
+
+    def _begin(self) -> None:
+        name, line, self._due = self._due, self._due_line, ""
+        try:
+            self._files.mount()
+            file = self._files.open(name)
+        except OSError:
+            self._files.lose()
+            self.tell(name, "cannot be read")
+            return
+        self._name, self._refused = name, 0
+        try:
+            self._read_through(file)
+            if self._machine.reader.has_line():
+                self._due = name  # that comes first
+                file.close()
+                return
+            self._start = [self._due_crc, in_force(self._machine), []]
+            if line:
+                self._find(file, line)
+        except NoWay as why:
+            self._give_up(file, str(why))
+            return
+        except OSError:
+            self._give_up(file, "cannot be read")
+            self._files.lose()
+            return
+        except BaseException:
+            file.close()
+            raise
+        if line:
+            self._lead(file, line)
+            return
+        self._note(1)
+        self.tell(name, "begins")
+        self._feed.start(file, self._size)
+
+    def _read_through(self, file: "IO[bytes]") -> None:
+        """Find its size and its CRC-32. NoWay where the machine is held meanwhile."""
+        if self._due_crc == _UNKNOWN:
+            crc = 0
+            while True:
+                piece = file.read(_PIECE)
+                if not piece:
+                    break
+                crc = binascii.crc32(piece, crc)
+                if len(piece) == _PIECE:
+                    self._entry.look()
+            self._due_crc = crc
+        self._size = file.seek(0, 2)  # its end
+        file.seek(0)
+
+    def _find(self, file: "IO[bytes]", line: int) -> None:
+        """Find the way to that line. NoWay where there is none."""
+        kept = self.journal()
+        if self._machine.state.run != st.IDLE or not self._machine.seek.homed:
+            raise NoWay("the machine is not homed, or not idle")
+        if kept and kept[0] == self._name:
+            self._start = json.loads(kept[2])
+            if self._start[_CRC] != self._due_crc:
+                raise NoWay("it is another file than the one that was noted")
+        systems = self._systems()
+        self._tool_off()
+        self._entry.find(file, line, self._start[_IN_FORCE], systems)
+
+    def _lead(self, file: "IO[bytes]", line: int) -> None:
+        """Have the tool led to that line."""
+        self._rest = file
+        way = [text for text in self._entry.way() if text]
+        self.tell(self._name, "goes on at line %d" % line)
+        lines = io.BytesIO(("\n".join(way) + "\n").encode())
+        self._feed.start(lines, self._size, line - 1 - len(way))
+
+    def _systems(self) -> "list[array[float]]":
+        """A copy of the stored offsets, as they were before the job has written some. NoWay where
+        others have been stored in the place of those."""
+        systems = [array("f", values) for values in self._machine.coords.systems]
+        for index, before, written in self._start[_WRITTEN]:
+            for axis in range(len(written)):
+                if differs(written[axis], systems[index][axis]):
+                    text = "%s was set by the job, and again since: which holds is not known"
+                    raise NoWay(text % NAMES[index])
+            systems[index] = array("f", before)
+        return systems
+
+    def _write_offsets(self, index: int, values: "array[float]") -> None:
+        """Stand in for Coords.write(): what a job writes is noted, and stored with the offsets."""
+        if self._feed.is_on and self._machine.state.run != st.CHECK:
+            written = self._start[_WRITTEN]
+            found = [row for row in written if row[0] == index]
+            if not found:
+                found.append([index, list(self._machine.coords.systems[index]), []])
+                written.append(found[0])
+            found[0][2] = list(values)
+            self._save(self._feed.line() + 1)
+        self._write(index, values)
+
+    def _arrive(self, file: "IO[bytes]") -> None:
+        """The tool is there: the file's lines come."""
+        self._rest = None
+        line = self._feed.line()
+        try:
+            self._entry.arrive()
+        except NoWay as why:
+            self._feed.stop()
+            self._give_up(file, str(why))
+            return
+        self._feed.stop()
+        self._note(line + 1)
+        self._feed.start(file, self._size, line)
+
+    def _give_up(self, file: "IO[bytes]", why: str) -> None:
+        file.close()
+        self.tell(self._name, why)
+
+    def _start_by_button(self) -> None:
+        name = self.kept(BUTTON)
+        is_idle = self._machine.state.run == st.IDLE and not (self._feed.is_on or self._due)
+        if name and is_idle and self._is_free():
+            try:
+                self._files.mount()
+                if self._files.size(name[0]) >= 0:
+                    self.ask_for(name[0], 0)
+            except OSError:
+                self._files.lose()
+                self.tell(name[0], "there is no card to read it from")
+
+    def _go_on(self) -> None:
+        feed = self._feed
+        feed.answer()
+        if feed.has_ended() and self._is_free():
+            if self._rest and not self._refused:
+                self._arrive(self._rest)
+                return
+            line = feed.line()
+            feed.stop()
+            if self._refused or feed.fault:
+                self._tell_refusal(line + 1)
+            else:
+                self._note(0)
+                self.tell(self._name, "done, %d lines" % line)
+
+    def _refuse(self, code: int) -> None:
+        """A line of the file is refused: nothing behind it is done."""
+        self._refused = code
+        self._feed.cut()
+
+    def _tell_refusal(self, line: int) -> None:
+        """What was planned before has been made: tool off, and say where the program stands."""
+        self._tool_off()
+        if self._refused:
+            why = "is refused with %d" % self._refused
+        else:
+            why = "cannot be read"
+            self._files.lose()
+        if self._rest:
+            self._close_rest()
+            self.tell(self._name, "the way there " + why)
+            return
+        self._note(line)
+        self.tell(self._name, "line %d %s" % (line, why))
+
+    def _tool_off(self) -> None:
+        """Whatever the state is. Nothing moves."""
+        machine = self._machine
+        machine.spindle.turn(0, 0.0)
+        machine.coolant.set(0)
+        machine.modes.modal[SPINDLE] = machine.modes.modal[COOLANT] = 0
+
+    def _close_rest(self) -> None:
+        if self._rest:
+            self._rest.close()
+            self._rest = None
+
+    def program_ends(self) -> None:
+        """M2 or M30: what is behind it is not done."""
+        self._entry.has_ended = True
+        if self._feed.is_on:
+            self._feed.cut()
+
+    def alarm(self, _code: int) -> None:
+        """The place may not be what it is held for; and who sees to that may switch off."""
+        self._machine.seek.homed = 0
+        self._due = ""
+        if self._feed.is_on:
+            self._note_line()
+
+    def begin_anew(self) -> None:
+        """Behind power-up or a reset: what ran has come to its end."""
+        self._due = ""
+        self._pressed[0] = 0
+        if self._feed.is_on:
+            line = self._feed.made()
+            self._feed.drop()
+            if self._rest:
+                self._close_rest()
+                self.tell(self._name, "stopped on the way")
+            else:
+                self._note(line)
+                self.tell(self._name, "stopped at line %d" % line)
+        else:
+            self._close_rest()
+        if not self._has_started:
+            self.kept(BUTTON)  # for what is damaged to be known from the start
+            kept = self.journal()
+            if kept:
+                self.tell(kept[0], "did not come to its end; last noted: line " + kept[1])
+        self._has_started = True
+
+    @micropython.native
+    def press(self, active: int) -> None:
+        """A control input has changed. Interrupt. Who ends something else starts no job."""
+        state = self._machine.state
+        if active & START and state.run == st.IDLE and not state.suspend:
+            self._pressed_ms = self._machine.port.ticks_ms()
+            self._pressed[0] = 1
+
+    # What is told and kept
+
+    def field(self) -> str:
+        """A status report's."""
+        if not self._feed.is_on:
+            return ""
+        return "SD:%.1f,/%s" % (self._feed.percent(), self._name)
+
+    def tell(self, name: str, what: str) -> None:
+        """A message of a job."""
+        self._cnc.message("Job %s: %s" % (harmless(name), what))
+
+    def kept(self, what: str) -> "list[str]":
+        """Lines that are in flash under that word."""
+        return self._machine.saves.load(what) or []
+
+    def journal(self) -> "list[str]":
+        """What is kept of the job that has not come to its end; empty where there is none."""
+        kept = self.kept(_JOURNAL)
+        return kept if len(kept) == _JOURNAL_LINES else []
+
+    def _note_line(self) -> None:
+        """Motion is held."""
+        if not self._rest:
+            self._note(self._feed.made())
+
+    def _note(self, line: int) -> None:
+        """Keep where the job is; 0: it is done."""
+        if self._machine.state.run == st.CHECK:
+            return  # which has made nothing
+        self._save(line)
+        self._machine.keep()
+
+    def _save(self, line: int) -> None:
+        kept = [self._name, str(line), json.dumps(self._start)] if line else []
+        self._machine.saves.save(_JOURNAL, kept)

@@ -1,0 +1,171 @@
+"""Canon, homing and probing of a machine whose ways are cut into chords. See nonlinear.py."""
+
+from base import errors
+from base import state as st
+from base.axes import LETTERS
+from base.errors import GrblError
+from base.f32 import copy, vector
+from control.canon import BELOW, SHUT, Canon
+from control.modes import MOTION
+from control.seek import Seek
+from language import block_layout as b
+from micropython import const
+from motion import layout
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from array import array
+    from collections.abc import Callable
+
+    from control.modes import Modes
+    from language.block import Block
+    from motion.arc_geometry import Arc
+    from motion.planner import Move
+
+    from extras.kinematics.joints import NonlinearPlanner
+
+
+class NonlinearCanon(Canon):
+    """Functions of a machine whose ways are cut into chords. stop_planning: an interrupt says that
+    the rest of the way asked for is not to be gone."""
+
+    planner: "NonlinearPlanner"
+    pump: "Callable[[], None]"  # reads the link
+    tell: "Callable[[str], None]"
+    modes: "Modes"
+    block: "Block"
+    stop_planning = False
+    _arc: "Arc | None" = None
+
+    def configure(self) -> None:
+        """As Canon.configure(); travel goes to either side of the axes that are CENTRED."""
+        super().configure()
+        for axis in self.planner.kinematics.geometry.CENTRED:
+            self.travel[SHUT] &= ~(1 << axis | 1 << axis + BELOW)
+
+    def line(self, target: "array[float]", move: "Move") -> None:
+        """As Canon.line()."""
+        super().line(target, move)
+        self._arc = None
+        self.stop_planning = False
+
+    def arc(self, start: "array[float]", target: "array[float]", arc: "Arc", move: "Move") -> None:
+        """As Canon.arc()."""
+        self.line(target, move)
+        self._arc = arc
+
+    def jog(self, target: "array[float]", move: "Move") -> None:
+        """As Canon.jog(). GrblError where it cannot be reached. Places on the way are tried, and
+        not all of its chords: nobody reads bytes meanwhile, or a cancel would come too early."""
+        planner, course = self.planner, self.planner.course
+        course.begin(planner.place, planner.joints, target, None, 0.0)
+        if not course.reaches():
+            self._refuse(errors.TRAVEL_EXCEEDED)
+        super().jog(target, move)
+
+    def check_block(self) -> None:
+        """Refuse a line whose motion leads out of reach."""
+        ints, xyz, code = self.block.ints, self.block.xyz, errors.GCODE_INVALID_TARGET
+        place = self.modes.position
+        if ints[b.NON_MODAL] in (b.GO_G28, b.GO_G30):
+            if ints[b.CLAIM]:
+                self.check(place, xyz, None, code)
+                place = xyz
+            self.check(place, self.block.stored, None, code)
+        elif ints[b.CLAIM] == b.AXES_MOTION and ints[b.WORDS] & b.AXIS_WORDS:
+            bent = ints[MOTION] in (b.CW_ARC, b.CCW_ARC)
+            self.check(place, xyz, self.block.arc if bent else None, code)
+
+    def check(
+        self, start: "array[float]", target: "array[float]", arc: "Arc | None", code: int
+    ) -> None:
+        """Refuse a way from start that leads out of reach: all of its chords are tried."""
+        planner, course = self.planner, self.planner.course
+        joints = vector(planner.axes)
+        copy(planner.joints, joints, planner.axes)
+        reached = planner.kinematics.geometry.inverse(start, joints)
+        course.begin(start, joints, target, arc, self._settings.arc_tolerance_mm)
+        while reached and course.left():
+            reached = course.go_on()
+            self.pump()
+        if not reached:
+            self._refuse(code)
+
+    def _refuse(self, code: int) -> None:
+        letters = zip(LETTERS, self.planner.course.place)
+        self.tell("%s is out of reach" % " ".join(["%s%.3f" % pair for pair in letters]))
+        raise GrblError(code)
+
+    def wait_for_room(self) -> None:
+        """As Canon.wait_for_room()."""
+        while self.planner.full() and not self._is_cut():
+            self.auto_start()
+            self.service()
+
+    def _is_cut(self) -> bool:
+        return self.planner.synced or self.stop_planning
+
+    def _plan_line(self, target: "array[float]", move: "Move") -> None:
+        """As Canon._plan_line(), chord by chord, an arc as well."""
+        state, planner, course = self._state, self.planner, self.planner.course
+        arc, self._arc = self._arc, None
+        limited = state.run != st.JOG and not self._is_jog
+        if limited and self.outside(target):
+            self.give_up(errors.ALARM_SOFT_LIMIT)
+        if state.run == st.CHECK:
+            return
+        course.begin(planner.place, planner.joints, target, arc, self._settings.arc_tolerance_mm)
+        if move.flags & layout.INVERSE_TIME:
+            move.feed *= course.way.length
+            move.flags &= ~layout.INVERSE_TIME
+        planner.synced = False
+        moves = False
+        while course.left():
+            if not course.go_on() or (arc and limited and self.outside(course.place)):
+                self.give_up(errors.ALARM_SOFT_LIMIT)
+            self.service()
+            self.wait_for_room()
+            if self._is_cut():
+                return
+            power = self.power_of(move)
+            moves |= planner.line(course.place, move, power)
+            if self._is_jog and state.run == st.IDLE and not planner.empty():
+                self._drive.start(st.JOG)  # by its first chord: it can be cancelled from now on
+        if not moves:
+            self._stay(move)
+
+
+class NonlinearSeek(Seek):
+    """Homing of joints, each to its own switch; probing in space."""
+
+    _canon: "NonlinearCanon"
+    _planner: "NonlinearPlanner"
+
+    def find(self, axes: int) -> None:
+        """As Seek.find(): places, travel and rates are those of joints."""
+        settings, planner = self._settings, self._planner
+        travel = settings.max_travel[:]
+        planner.homing = True
+        try:
+            for i in range(planner.axes):
+                settings.max_travel[i] = planner.kinematics.travel[i]
+            super().find(axes)
+        finally:
+            planner.homing = False
+            copy(travel, settings.max_travel, planner.axes)
+
+    def _set_origin(self, axes: int) -> None:
+        """A joint stands as far from its HOME as it has pulled off."""
+        settings, planner = self._settings, self._planner
+        self._engine.position(self._steps)
+        for i in range(planner.axes):
+            if axes >> i & 1:
+                pull_off = 0.0 if self._zero_origin else settings.homing_pull_off_mm
+                if not settings.homing_dir_invert >> i & 1:
+                    pull_off = -pull_off
+                planner.set_axis(self._steps, i, planner.kinematics.home[i] + pull_off)
+        self._engine.set_position(self._steps)
+
+    def _on_contact(self) -> None:
+        super()._on_contact()
+        self._canon.stop_planning = self._contact

@@ -1,0 +1,201 @@
+"""Skew: SKEW = True in the board file, and $780, $781, $782 in mm per m, for axes that are not at
+right angles to each other.
+
+Places are true ones, of a square machine: in programs, reports, offsets, soft limits, and of what
+a probe has found. Motors go where they have to for that, along with the axes that lean towards
+theirs. A straight line stays one, and is one block; an arc's chords are such lines. The way back
+is exact, to the step, so what has stopped anywhere knows where it is. Homing is of motors: each
+goes to its own switch alone, and where all of them have been homed, places are those of motors.
+"""
+
+import math
+from array import array
+
+import micropython
+from base.axes import Y, Z
+from base.f32 import f32
+from base.settings import FLOAT
+from micropython import const
+from motion import layout
+from motion.arcs import FAR
+from motion.kinematics import Kinematics
+from motion.planner import Planner
+from motion.steps import to_steps
+
+from extras.kinematics import skew_kernel as kernel
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import ModuleType
+    from typing import Any
+
+    from base.settings import Rows, Settings
+    from interfaces import Options
+    from motion.planner import Move
+
+    from extras.api import Cnc
+
+_SETTINGS: "Rows" = (  # attribute-names: column 1
+    # XY skew. How far the tool goes along X where the motor of Y takes it 1 m up; negative: down
+    # X.
+    (780, "skew_xy", FLOAT, 0.0, "mm/m"),
+    # XZ skew. How far along X where that of Z does.
+    (781, "skew_xz", FLOAT, 0.0, "mm/m"),
+    # YZ skew. How far along Y where that of Z does.
+    (782, "skew_yz", FLOAT, 0.0, "mm/m"),
+)
+_NUMBERS = (780, 781, 782)
+_MOST = const(100)
+_PER_M = 1000.0
+_FACTOR_BITS = const(28)
+_WORDS = ("KINEMATICS", "ROTARY", "BACKLASH", "JERK", "CLUSTERS")
+
+
+class SkewKinematics(Kinematics):
+    """Motors stand beside the place of their axis. skew: what skew_kernel.py wants to know.
+    homing: an axis is what its motor is."""
+
+    def __init__(self, axes: int, moves: "list[int]", alone: int) -> None:
+        super().__init__(axes, moves, alone)
+        self.skew = array("i", (FAR for _ in range(kernel.LENGTH)))
+        self.homing = False
+        self.lean([0.0, 0.0, 0.0])
+
+    def motor_of(self, motors: "array[int]", axis: int) -> int:
+        """Where the motor of an axis is: its steps, or those of all that move it."""
+        return super().axis_steps(motors, axis)
+
+    def axis_steps(self, motors: "array[int]", axis: int) -> int:
+        """As Kinematics.axis_steps(): the place of the axis."""
+        steps = self.motor_of(motors, axis)
+        if axis >= Z or self.homing or not self.active:
+            return steps
+        z = self.motor_of(motors, Z) - self._home(Z)
+        if axis == Y:
+            return steps + kernel.back_y(z, self.skew)
+        return steps + kernel.back_x(self.motor_of(motors, Y) - self._home(Y), z, self.skew)
+
+    def _home(self, axis: int) -> int:
+        return self.skew[kernel.HOMED + axis] - FAR
+
+    def homed(self, motors: "array[int]", axis: int) -> None:
+        """Here the motor of this axis has been homed: its skew counts from here."""
+        self.skew[kernel.HOMED + axis] = FAR + self.motor_of(motors, axis)
+
+    def lean(self, factors: "list[float]") -> bool:
+        """XY, XZ, YZ, in steps per step, are these from now on. Returns whether that is new."""
+        skew, before = self.skew, bytes(self.skew)
+        self.active = False
+        for i in range(len(factors)):
+            bits = _FACTOR_BITS - math.frexp(factors[i])[1]
+            bits = min(max(bits, kernel.FEWEST_BITS), kernel.MOST_BITS)
+            factor = int((factors[i] * 2.0**bits + 0.5) // 1)
+            skew[2 * i], skew[2 * i + 1] = FAR + factor, bits
+            self.active |= factor != 0
+        return bytes(skew) != before
+
+
+class SkewPlanner(Planner):
+    """A planner whose TARGET and POSITION are of motors."""
+
+    kinematics: "SkewKinematics"
+    is_new = False  # the skew is: who has asked where the machine is has to ask again
+
+    def configure(
+        self, settings: "Settings", tick_hz: int, segment_log2: int, step_hz: int
+    ) -> None:
+        """As Planner.configure(); $780 and the others."""
+        super().configure(settings, tick_hz, segment_log2, step_hz)
+        asked: "Any" = settings
+        x, y, z = self.steps_per_mm[:3]
+        per_m = (asked.skew_xy, x, y), (asked.skew_xz, x, z), (asked.skew_yz, y, z)
+        factors = [f32(f32(f32(mm * to) / of) / _PER_M) for mm, to, of in per_m]
+        self.is_new |= self.kinematics.lean(factors)
+
+    def reach_mm(self, axis: int) -> float:
+        """As Planner.reach_mm(); a motor makes up to a fifth more steps than its axis, $78n."""
+        return super().reach_mm(axis) / 2
+
+    @micropython.native
+    def lean(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
+        """As Planner.plan()."""
+        kinematics = self.kinematics
+        if kinematics.active and not kinematics.homing:
+            to_steps(target, self.table)
+            kernel.to_motors(self.table, kinematics.skew)
+            flags |= layout.PLACED
+        return self.plan(target, flags, line, power, rate)
+
+    def chords(self, course: "array[int]", move: "Move", power: int, moves: bool) -> int:
+        """As Planner.chords()."""
+        if not moves or not self.kinematics.active:
+            return super().chords(course, move, power, moves)
+        self.speeds[self.flow[layout.ROWS] + 1] = move.spindle_rpm
+        return kernel.follow_arc(
+            course,
+            self.table,
+            self.ring,
+            self.flow,
+            self.speeds,
+            move.flags | layout.PLACED,
+            move.line_number,
+            power,
+            self.rate(move.feed),
+            self.kinematics.skew,
+        )
+
+    def sync_motors(self, motors: "array[int]") -> None:
+        """As Planner.sync_motors()."""
+        for i in range(self.axes):
+            self.position[i] = FAR + self.kinematics.motor_of(motors, i)
+
+
+def prepare(options: "Options", board: "ModuleType") -> None:
+    """What such a machine is made of. ValueError where that cannot be."""
+    for word in _WORDS:
+        if board.__dict__.get(word):
+            raise ValueError("SKEW and %s are not for the same machine" % word)
+    for number in _NUMBERS:
+        if not abs(options.defaults.get(number, 0.0)) <= _MOST:
+            raise ValueError("DEFAULTS: $%d is %d mm/m at the most" % (number, _MOST))
+    given: "Any" = options.kinematics or Kinematics(options.axes, ())
+    options.kinematics = SkewKinematics(options.axes, given.moves, given.alone)
+    options.planner = SkewPlanner
+
+
+def install(cnc: "Cnc") -> None:
+    """Have its settings, lines and homing of motors go where they have to."""
+    machine: "Any" = cnc.machine
+    cnc.add_settings(_SETTINGS)
+    machine.settings.signed.update(dict.fromkeys(_NUMBERS, _MOST))
+    _home(machine)
+    planner = machine.planner
+    planner.move_hook = planner.lean
+
+    def resync() -> None:
+        if planner.is_new:
+            planner.is_new = False
+            machine.resync()
+
+    machine.settings.on_change(resync)
+
+
+def _home(machine: "Any") -> None:
+    """Motors are homed, and not axes."""
+    hooks, engine, kinematics = machine.state.hooks, machine.engine, machine.planner.kinematics
+    usual: "Callable[[int], None]" = hooks.find
+    motors = array("i", (0 for _ in range(machine.planner.motors)))
+
+    def find(axes: int) -> None:
+        kinematics.homing = True
+        try:
+            usual(axes)
+        finally:
+            kinematics.homing = False
+        engine.position(motors)
+        for i in range(Z + 1):
+            if axes >> i & 1:
+                kinematics.homed(motors, i)
+
+    hooks.find = find

@@ -1,0 +1,250 @@
+"""Two motors on an axis, and a gantry that squares itself: MOTORS = "XYZY" in the board file.
+
+The first motors move an axis each, in order; each of those behind goes along with the axis that
+its letter says. Where both motors of an axis have a limit switch, homing runs both and stops each
+at its own; how far apart they are then is $17n. Where only the first has one, they home as one.
+Numbers of settings are grblHAL's, that of the alarm for a switch not found in time is Grbl's.
+"""
+
+from base import errors
+from base.axes import LETTERS, X, Y
+from base.settings import FLOAT, INT, Settings
+from control.inputs import Inputs
+from control.seek import Seek
+from micropython import const
+from motion.kinematics import Kinematics
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from types import ModuleType
+    from typing import Any
+
+    from base.settings import Row, Rows
+    from interfaces import Options
+
+    from extras.api import Cnc
+
+    Pairs = tuple[tuple[int, int], ...]  # an axis, which is its first motor's number, and a motor
+
+_INVERT: "Rows" = (  # attribute-names: column 1
+    # Second motor direction invert. One bit per axis; on top of $3, which turns both of them.
+    (8, "ganged_dir_invert", INT, 0, "mask"),
+)
+_SQUARING: "Rows" = (  # attribute-names: column 1
+    # Squaring fail length. One motor may look for its switch alone for so much of the travel of
+    # the axis across.
+    (347, "racking_percent", FLOAT, 5.0, "percent"),
+    # Squaring fail distance, least. However short that is.
+    (348, "racking_least_mm", FLOAT, 2.5, "millimeters"),
+    # Squaring fail distance, most. However long that is.
+    (349, "racking_most_mm", FLOAT, 25.0, "millimeters"),
+)
+# Of each axis that squares itself, the row of its number.
+_OFFSETS: "Rows" = (  # attribute-names: column 1
+    # X squaring offset. The second motor goes so much further away from its switch than the first;
+    # negative: the first.
+    (170, "square_x_mm", FLOAT, 0.0, "millimeters"),
+    # Y squaring offset. As $170.
+    (171, "square_y_mm", FLOAT, 0.0, "millimeters"),
+    # Z squaring offset. As $170.
+    (172, "square_z_mm", FLOAT, 0.0, "millimeters"),
+    # A squaring offset. As $170.
+    (173, "square_a_mm", FLOAT, 0.0, "millimeters"),
+    # B squaring offset. As $170.
+    (174, "square_b_mm", FLOAT, 0.0, "millimeters"),
+    # C squaring offset. As $170.
+    (175, "square_c_mm", FLOAT, 0.0, "millimeters"),
+)
+_MOST_OFFSET_MM = const(10)
+_MOTORS_OF_AN_AXIS = const(2)
+_FEWEST_AXES = const(3)
+_MASKS = (2, 3)
+
+
+class GangedSettings(Settings):
+    """Settings, of which $2 and $3 are of axes; engines are handed a bit for each motor."""
+
+    pairs: "Pairs" = ()
+
+    def _announce(self, number: int) -> None:
+        self.step_invert = self._of_motors(self.step_invert, 0)
+        self.dir_invert = self._of_motors(
+            self.dir_invert,
+            self.ganged_dir_invert,  # type: ignore[attr-defined]
+        )
+        super()._announce(number)
+
+    def _of_motors(self, axes: int, turned: int) -> int:
+        """A bit for each motor, of a mask of axes; second ones the other way where turned."""
+        axes &= (1 << self._axes) - 1
+        motors = axes
+        for axis, motor in self.pairs:
+            motors |= ((axes ^ turned) >> axis & 1) << motor
+        return motors
+
+    def _shown(self, number: int, row: "Row") -> float:
+        amount = super()._shown(number, row)
+        return int(amount) & (1 << self._axes) - 1 if number in _MASKS else amount
+
+
+class GangedInputs(Inputs):
+    """Inputs, of which several may be an axis' limit switches."""
+
+    pairs: "Pairs" = ()
+
+    def closed(self) -> int:
+        """As Inputs.closed(): an axis' bit is set where one of its switches is closed."""
+        found = super().closed()
+        limits = self.limits()
+        for axis, motor in self.pairs:
+            if limits >> motor & 1:
+                found |= 2 << axis  # behind the probe
+        return found
+
+    def add(self, pairs: "Pairs") -> None:
+        """The second motors of these have a switch, too."""
+        self.pairs = pairs
+        for _, motor in pairs:
+            self._all |= 1 << motor
+
+
+class GangedSeek(Seek):
+    """Homing that squares. How far a pair is racked is told by the steps of its motors, which only
+    homing makes unequal: also behind one that has failed, until one succeeds or the board starts
+    anew."""
+
+    pairs: "Pairs" = ()
+
+    def connect(self, pairs: "Pairs") -> None:
+        """Say which motors have a switch each."""
+        self.pairs = pairs
+        self._racked = [0 for _ in pairs]  # steps, up to where the present phase begins
+
+    def home(self, axes: int) -> bool:
+        """As Seek.home(). Refused where a switch of an axis that squares is closed: nobody knows
+        how far."""
+        closed = self._inputs.limits()
+        for axis, motor in self.pairs:
+            if (axes == 0 or axes >> axis & 1) and (closed >> axis | closed >> motor) & 1:
+                self._voice.message("%s: move off the closed limit switch first" % LETTERS[axis])
+                self._drive.reset()
+                self._state.alarm = errors.ALARM_HARD_LIMIT
+                return False
+        return super().home(axes)
+
+    def find(self, axes: int) -> None:
+        for axis, motor in self.pairs:
+            if axes >> axis & 1:
+                axes |= 1 << motor
+        super().find(axes)
+
+    def home_phase(self, axes: int, approach: bool, travel: float, rate: float) -> None:
+        """Before motors pull off, switches that have stopped them are still closed: what has only
+        seemed so would leave the axis racked."""
+        closed = self._inputs.limits()
+        for i, (axis, motor) in enumerate(self.pairs):
+            if axes >> axis & 1:
+                self._racked[i] += self._difference(axis, motor)
+                if not approach and not closed >> axis & closed >> motor & 1:
+                    self._state.alarm = errors.ALARM_HOMING_FAIL_APPROACH
+                    self._drive.reset()
+                    self._canon.service()  # which raises Abort
+        super().home_phase(axes, approach, travel, rate)
+
+    def _difference(self, axis: int, motor: int) -> int:
+        """By how many steps the first motor of an axis has gone further than the second."""
+        self._engine.position(self._steps)
+        return self._steps[axis] - self._steps[motor]
+
+    def _failed(self, approach: bool, axes: int) -> bool:
+        if super()._failed(approach, axes) or not approach:
+            return self._state.alarm != 0
+        for i, (axis, motor) in enumerate(self.pairs):
+            if axes >> axis & 1:
+                racked = abs(self._racked[i] + self._difference(axis, motor))
+                if racked > self._most_mm(axis) * self._planner.steps_per_mm[axis]:
+                    self._state.alarm = errors.ALARM_HOMING_FAIL_DUAL_APPROACH
+        return self._state.alarm != 0
+
+    def _most_mm(self, axis: int) -> float:
+        """How far one motor may look for its switch alone."""
+        settings: "Any" = self._settings
+        across = settings.max_travel[Y if axis == X else X]
+        most: float = max(across * settings.racking_percent / 100, settings.racking_least_mm)
+        most = min(most, settings.racking_most_mm)
+        return most + abs(self._offset_mm(axis))  # which has made it so
+
+    def _offset_mm(self, axis: int) -> float:
+        offset: float = getattr(self._settings, _OFFSETS[axis][1])
+        return offset
+
+    def _set_origin(self, axes: int) -> None:
+        for i, (axis, motor) in enumerate(self.pairs):
+            if axes >> axis & 1:
+                offset = self._offset_mm(axis)
+                both = 1 << axis | 1 << motor
+                if offset:
+                    self._engine.lock(1 << (axis if offset > 0 else motor))
+                    super().home_phase(both, False, abs(offset), self._settings.homing_feed)
+                self._racked[i] = 0
+        super()._set_origin(axes)
+
+
+def count_axes(letters: str, motors: int) -> int:
+    """How many axes there are, of so many motors with these letters. ValueError where that cannot
+    be."""
+    axes = len(set(letters))
+    if len(letters) != motors:
+        raise ValueError("MOTORS has %d letters, and STEP %d pins" % (len(letters), motors))
+    if axes < _FEWEST_AXES or letters[:axes] != LETTERS[:axes]:
+        axes = max(axes, _FEWEST_AXES)
+        raise ValueError("MOTORS: %s first, then second motors: XYZY" % LETTERS[:axes])
+    for letter in letters:
+        if letters.count(letter) > _MOTORS_OF_AN_AXIS:
+            raise ValueError("MOTORS: %s has more than two" % letter)
+    return axes
+
+
+def prepare(options: "Options", board: "ModuleType") -> None:
+    """Which motor goes with which axis. ValueError where that cannot be."""
+    option = board.__dict__.get
+    letters: str = option("MOTORS", "")
+    limits: "tuple[int | None, ...]" = option("LIMIT", ())
+    options.axes = axes = count_axes(letters, len(option("STEP", ())))
+    moves = [1 << axis for axis in range(axes)]
+    if options.kinematics:
+        moves = list(options.kinematics.moves)[:axes]
+    alone = 0
+    for motor in range(axes, len(letters)):
+        axis = LETTERS.index(letters[motor])
+        if moves[axis] != 1 << axis:
+            raise ValueError("MOTORS: %s shares its motor, and has no second" % letters[motor])
+        moves.append(1 << axis)
+        if len(limits) > motor and limits[motor] is not None:
+            if limits[axis] is None:
+                raise ValueError("LIMIT: %s has its second switch only" % letters[motor])
+            alone |= 1 << axis | 1 << motor
+    for row in _OFFSETS:
+        if not abs(options.defaults.get(row[0], 0.0)) <= _MOST_OFFSET_MM:
+            raise ValueError("DEFAULTS: $%d is %d mm at the most" % (row[0], _MOST_OFFSET_MM))
+    options.kinematics = Kinematics(axes, moves, alone)
+    options.settings, options.inputs, options.seek = GangedSettings, GangedInputs, GangedSeek
+
+
+def install(cnc: "Cnc") -> None:
+    """Have the second motors turn as the settings say, and square the axes that can be."""
+    machine: "Any" = cnc.machine
+    settings, planner = machine.settings, machine.planner
+    kinematics, axes = planner.kinematics, planner.axes
+    pairs: "Pairs" = ()
+    for motor in range(axes, planner.motors):
+        pairs += ((kinematics.moves.index(kinematics.moves[motor]), motor),)
+    squared = tuple([pair for pair in pairs if kinematics.alone >> pair[1] & 1])
+    settings.pairs = pairs
+    machine.inputs.add(squared)
+    machine.seek.connect(squared)
+    cnc.add_settings(_INVERT)
+    if squared:
+        rows = tuple([_OFFSETS[axis] for axis, _ in squared])
+        settings.signed.update({row[0]: _MOST_OFFSET_MM for row in rows})
+        cnc.add_settings(_SQUARING + rows)

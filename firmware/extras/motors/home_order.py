@@ -1,0 +1,115 @@
+"""Which axes $H homes, in which order, which together and how fast: HOMING = ("Z", "XY") in the
+board file.
+
+$44 to $49 say it while it runs, as in grblHAL: a mask of axes each, one after the other. What is
+in none of them is not homed: a laser without a switch on Z asks for HOMING = ("XY",). Where all
+are 0 the order is Grbl's own. $180 and $190 are rates of each axis.
+"""
+
+from base import errors
+from base.axes import LETTERS
+from base.errors import GrblError
+from base.settings import AXIS, INT
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from array import array
+    from collections.abc import Callable
+    from types import ModuleType
+    from typing import Any
+
+    from base.settings import Rows
+    from interfaces import Options
+
+    from extras.api import Cnc
+
+_FIRST = const(44)
+_CYCLES: "Rows" = (  # attribute-names: column 1
+    # Homing cycle 1. The axes that are homed first, together: X = 1, Y = 2, Z = 4; 0: none.
+    (44, "home_first", INT, 0, "mask"),
+    # Homing cycle 2.
+    (45, "home_second", INT, 0, "mask"),
+    # Homing cycle 3.
+    (46, "home_third", INT, 0, "mask"),
+    # Homing cycle 4.
+    (47, "home_fourth", INT, 0, "mask"),
+    # Homing cycle 5.
+    (48, "home_fifth", INT, 0, "mask"),
+    # Homing cycle 6.
+    (49, "home_sixth", INT, 0, "mask"),
+)
+_RATES: "Rows" = (  # attribute-names: column 1
+    # Homing locate rate, one value per axis. In place of $24; 0: $24 holds. Axes that are homed
+    # together go at the slowest of theirs.
+    (180, "homing_feeds", AXIS, 0.0, "mm/min"),
+    # Homing search rate, one value per axis. As $180, in place of $25.
+    (190, "homing_seeks", AXIS, 0.0, "mm/min"),
+)
+
+
+def prepare(options: "Options", board: "ModuleType") -> None:
+    """What the board file says holds as long as the settings say nothing else. ValueError where it
+    cannot be."""
+    words: "tuple[str, ...]" = board.__dict__["HOMING"]
+    if len(words) > len(_CYCLES):
+        raise ValueError("HOMING has %d parts: there may be %d" % (len(words), len(_CYCLES)))
+    masks = {}
+    seen = 0
+    for i, word in enumerate(words):
+        mask = 0
+        for letter in word:
+            axis = LETTERS[: options.axes].find(letter)
+            if axis < 0 or seen >> axis & 1:
+                raise ValueError("HOMING: %s is no axis, or there twice" % letter)
+            seen |= 1 << axis
+            mask |= 1 << axis
+        masks[_FIRST + i] = float(mask)
+    masks.update(options.defaults)
+    options.defaults = masks
+
+
+def install(cnc: "Cnc") -> None:
+    """Have $H go by them. Where only one axis is asked for ($HX) there is nothing to order."""
+    hooks, settings = cnc.machine.state.hooks, cnc.machine.settings
+    all_axes = (1 << cnc.machine.planner.axes) - 1
+    usual = hooks.home
+
+    def home(axes: int) -> bool:
+        cycles = [getattr(settings, row[1]) for row in _CYCLES]
+        if axes or not any(cycles):
+            return usual(axes)
+        return all(usual(mask) for mask in cycles if mask)
+
+    def check(mask: float) -> None:
+        if not mask <= all_axes:
+            raise GrblError(errors.INVALID_STATEMENT)
+
+    hooks.home = home
+    _have_rates(cnc)
+    cnc.add_settings(_CYCLES + _RATES)
+    for row in _CYCLES:
+        cnc.check_setting(row[0], check)
+
+
+def _have_rates(cnc: "Cnc") -> None:
+    """Have axes homed at rates of their own."""
+    machine: "Any" = cnc.machine
+    hooks, settings = machine.state.hooks, machine.settings
+    usual: "Callable[[int], None]" = hooks.find
+
+    def find(axes: int) -> None:
+        usual_feed, usual_seek = settings.homing_feed, settings.homing_seek
+        settings.homing_feed = _slowest(settings.homing_feeds, usual_feed, axes)
+        settings.homing_seek = _slowest(settings.homing_seeks, usual_seek, axes)
+        try:
+            usual(axes)
+        finally:
+            settings.homing_feed, settings.homing_seek = usual_feed, usual_seek
+
+    hooks.find = find
+
+
+def _slowest(rates: "array[float]", usual: float, axes: int) -> float:
+    """Of these axes (a mask); the usual rate is that of those which have 0."""
+    return min([rates[i] or usual for i in range(len(rates)) if axes >> i & 1])

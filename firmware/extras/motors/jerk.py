@@ -1,0 +1,149 @@
+# mypy: disable-error-code=arg-type
+"""A limit of jerk, per axis, while the machine runs: $800, $801, $802, in mm/s3.
+
+Acceleration comes and goes over a time, for speed along the path is averaged over it:
+jerk_kernel.py says how, jerk_plan.py what it means for corners. The numbers of the
+settings are grblHAL's, where the limit has to be compiled in. 0 is no limit, and as if this module
+was not there. Homing and parking go from rest to rest without it. A board asks with JERK = True.
+"""
+
+from array import array
+
+import micropython
+from base.settings import AXIS
+from micropython import const
+from motion import layout, reals
+from motion.layout import SLICES, SYSTEM
+
+from extras.motors import jerk_layout as jl
+from extras.motors import jerk_plan
+from extras.motors.jerk_kernel import advance, smooth
+from extras.motors.jerk_layout import SLOTS
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from typing import Any
+
+    from base.settings import Rows
+    from base.state import State
+    from motion.planner import Planner
+
+    from extras.api import Cnc
+
+_SETTINGS: "Rows" = (  # attribute-names: column 1
+    # Maximum jerk, one value per axis. How fast acceleration may change; 0: at once.
+    (800, "jerk", AXIS, 0.0, "mm/sec^3"),
+)
+_MOST_SLOTS = const(64)
+_PIECES = const(2)  # of the plan, that are made with each row
+_PER_MM = const(65536)  # units of a way in the line
+
+
+class Jerk:
+    """Stands between planner and engine. next() takes the place of Segments.next()."""
+
+    def __init__(self, planner: "Planner", state: "State") -> None:
+        self._planner = planner
+        self._flow = planner.flow
+        self._ring = planner.ring
+        self._table = planner.table
+        self._line = array("i", (0 for _ in range(jl.WAYS + _MOST_SLOTS)))
+        self._usual_plan = planner.move_hook or planner.plan
+        planner.move_hook = self.plan
+        hooks = state.hooks
+        hooks.planned += (lambda: self.settle(0),)
+        hooks.caught_up += (lambda: self.settle(1),)
+        hooks.cleared += (self._clear,)
+        hooks.replan += (self._replan,)
+        self._usual_next, hooks.next_segment = hooks.next_segment, self.next
+
+    @micropython.viper
+    def next(self, row: object) -> int:
+        """As segments.Segments.next(), of a segment that is planned here."""
+        flow = ptr32(self._flow)
+        line = ptr32(self._line)
+        ring = ptr32(self._ring)
+        table = ptr32(self._table)
+        if line[SLOTS] and flow[SYSTEM] == 0:
+            if flow[SLICES]:
+                advance(flow, line, ring, table, _PIECES)
+            elif int(smooth(flow, line, ring, table)) == 0:
+                return 0
+        return int(self._usual_next(row))
+
+    # What the planner does, and blocks as they are to be made
+
+    @micropython.native
+    def plan(self, target: "array[float]", flags: int, line: int, power: int, rate: int) -> int:
+        """As Planner.plan()."""
+        planned = self._usual_plan(target, flags, line, power, rate)
+        if not flags & layout.SYSTEM_MOTION:
+            self.settle(0)
+        return planned
+
+    def settle(self, everything: int) -> None:
+        """Have the plan see what has been added."""
+        jerk_plan.settle(self._table, self._ring, self._flow, self._line, everything)
+
+    def may_start(self) -> bool:
+        """Motion begins, with all that there is."""
+        self.settle(1)
+        return True
+
+    def _replan(self) -> bool:
+        """An override has changed: plan anew, where there is a limit."""
+        if self._line[SLOTS]:
+            jerk_plan.reschedule(self._table, self._ring, self._flow)
+        return self._line[SLOTS] != 0
+
+    def _clear(self) -> None:
+        """Nothing is planned: the line is empty."""
+        line, flow = self._line, self._flow
+        slots = line[SLOTS], line[jl.PER_SLOT]
+        for i in range(len(line)):
+            line[i] = 0
+        line[SLOTS], line[jl.PER_SLOT] = slots
+        line[layout.ROW_SIZE] = flow[layout.ROW_SIZE]
+        line[layout.ROWS] = flow[layout.ROWS]
+        line[layout.TAIL] = line[layout.HEAD] = line[jl.SETTLED] = flow[layout.HEAD]
+
+    def limit(self, accelerations: "list[float]", jerks: "list[float]", slot_s: float) -> None:
+        """Limit jerk, in mm/s3, where it is not 0. accelerations: the axes', in mm/s2. slot_s: how
+        long a full segment is. At rest, behind Planner.configure(); empties the line."""
+        table, line = self._table, self._line
+        limits = [(i, jerks[i]) for i in range(len(jerks)) if jerks[i] > 0]
+        root_mm_s = reals.value(table[layout.ROOT_SCALE])
+        top = root_mm_s * 32768 * slot_s * _PER_MM  # way in a slot at the highest speed there is
+        most = max(min(_MOST_SLOTS, int((1 << 29) / top)), 1)
+        slots = 0
+        for i, jerk in limits:
+            # Acceleration may change from all of it one way to all of it the other.
+            wanted = 2 * accelerations[i] / jerk / slot_s
+            slots = max(slots, min(int(wanted + 0.999), most))
+            if wanted > most:
+                table[layout.LIMITS + 3 * i + 2] = reals.real(jerk * most * slot_s / 2)
+        line[SLOTS] = slots
+        table[layout.GENTLE] = 0
+        if slots:
+            line[jl.PER_SLOT] = reals.real(1 / slots)
+            mean = slots / 4 + 1 / (12 * slots)  # slots of which the middle is away, on an average
+            table[layout.GENTLE] = reals.real(mean * slot_s / root_mm_s)
+        self._planner.clear()
+
+
+def install(cnc: "Cnc") -> None:
+    """Have it limited as the settings say."""
+    machine = cnc.machine
+    settings: "Any" = machine.settings
+    jerk = Jerk(machine.planner, machine.state)
+
+    def configure() -> None:
+        jerk.limit(
+            [a / 3600 for a in settings.acceleration],
+            list(settings.jerk),
+            (1 << machine.planner.table[layout.SEGMENT_LOG2]) / machine.engine.tick_hz,
+        )
+
+    cnc.before_motion(jerk.may_start)
+    cnc.add_settings(_SETTINGS)
+    settings.on_change(configure)

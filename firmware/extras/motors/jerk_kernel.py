@@ -1,0 +1,293 @@
+# mypy: disable-error-code=arg-type
+r"""The kernel of limited jerk: integers only, from the plan's way in time to one without jolts.
+
+    plan  ____/    \____     Speed along the path is averaged over SLOTS full segments, the slots.
+                             So where the plan's acceleration is reached at once, what is made
+    made  ___.-    -.___     comes to it in that time. The path is the same, and no average is
+                             faster than what it is made of, or sped up harder.
+
+The plan is that of segment_kernel.py, on a flow of its own, which runs ahead. What it comes to in
+a slot is noted in the line, as a way along the path; what leaves the line is laid out along the
+same blocks once more, for slice_kernel.py. Ways are whole numbers, and remainders are kept: what
+goes in comes out.
+
+Viper, as segment_kernel.py is; all of it runs in the engine's interrupt. What stands where is told
+in jerk_layout.py and motion/layout.py.
+"""
+
+import micropython
+from micropython import const
+from motion.layout import (
+    ADVANCE,
+    AT,
+    CARRY,
+    DYNAMIC,
+    ENTRY_SQR,
+    FACTOR,
+    FLAGS,
+    FRACTION,
+    HEAD,
+    HOLD,
+    LEFT,
+    LENGTH,
+    LOADED,
+    MOTOR_COUNT,
+    NOW,
+    PARTIAL,
+    PIECE,
+    PIECES,
+    REACHED,
+    ROOT_SCALE,
+    ROW_SIZE,
+    ROWS,
+    SLICE,
+    SLICES,
+    TAIL,
+    TIME,
+    WAY,
+    WHOLE,
+)
+from motion.ramps import share, times
+from motion.reals import BIAS, HIGHEST, LIMIT, ONE, pack, product, ratio, square_root
+from motion.segment_kernel import is_due, load, piece, proceed
+from motion.slice_kernel import slices
+
+from extras.motors.jerk_layout import (
+    BEFORE,
+    CRUMB,
+    DRAWN,
+    MADE_LEFT,
+    OLDEST,
+    OPEN,
+    PER_SLOT,
+    PLAN_LEFT,
+    REMAINDER,
+    RESTS,
+    SETTLED,
+    SLOTS,
+    SUM,
+    TIME_LEFT,
+    TO_GO,
+    WAYS,
+)
+
+_LEAST = const(0x50000)  # a segment covers 1.25 steps, where the block reaches that far,
+_LONGEST = const(32)  # or has taken so many slots
+_SPLINTER = const(64)  # the plan is not asked for less than that of a slot, in 2**-17
+_PER_MM = const(0x214000)  # the real 2**16
+_SIXTEEN = const(0x1B4000)  # the real 16
+
+
+@micropython.viper
+def smooth(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
+    """Plan the next segment of what is made. Returns 0 where nothing is to move."""
+    span = 0
+    begun = 0
+    going = 1
+    while going:
+        if line[TIME_LEFT] == 0:
+            if begun and (flow[ADVANCE] + flow[PARTIAL] >= _LEAST or span >= _LONGEST << 17):
+                break
+            if int(draw(flow, line, ring, table)) == 0:
+                break
+        if begun == 0:
+            if int(take_up(flow, line, ring, table[MOTOR_COUNT])) == 0:
+                return 0
+            begun = 1
+        part = int(lay(flow, line))
+        span += part
+        going = int(piece(flow, part))
+    if begun == 0:
+        return 0
+    # A part of a slot and a whole one are cut as a segment of today is; what is longer is so for
+    # the sake of one step.
+    flow[TIME] = 131072 if span > 131072 and span < 262144 else span
+    flow[SLICES] = int(slices(flow, table[SLICE], ring[flow[AT] + FLAGS] & DYNAMIC))
+    flow[TIME] = span
+    flow[PIECE] = PIECES
+    return 1
+
+
+@micropython.viper
+def take_up(flow: ptr32, line: ptr32, ring: ptr32, motors: int) -> int:
+    """Begin a segment, with the next block where none is loaded. Returns 0 where there is none."""
+    if flow[LOADED] == 0:
+        if int(load(flow, ring, motors)) == 0:
+            return 0
+        line[MADE_LEFT] = int(way_of(ring, flow[AT]))
+        all = int(pack(line[MADE_LEFT], BIAS))
+        rest = int(rest_of(flow))
+        flow[NOW] = int(part_of(line[BEFORE], all, rest, line[PER_SLOT]))
+    flow[REACHED] = flow[NOW]
+    flow[PIECE] = PIECES
+    flow[ADVANCE] = 0
+    return 1
+
+
+@micropython.viper
+def way_of(ring: ptr32, at: int) -> int:
+    """The length of a block in 2**-16 mm, 1 at least."""
+    return int(product(ring[at + LENGTH], _PER_MM, ONE)) or 1
+
+
+@micropython.viper
+def rest_of(flow: ptr32) -> int:
+    """What a block has still to go: a real, in 2**-18 step."""
+    if flow[WHOLE] < 4095:
+        return int(pack((flow[WHOLE] << 18) + flow[FRACTION], BIAS))
+    return int(pack(flow[WHOLE], BIAS + 18))
+
+
+@micropython.viper
+def part_of(part: int, whole: int, other: int, scale: int) -> int:
+    """As much of another whole as a part is of one; times a scale. Wholes and scale are reals."""
+    return int(product(int(ratio(part, whole)), other, scale))
+
+
+@micropython.viper
+def lay(flow: ptr32, line: ptr32) -> int:
+    """Lay out what the slot has to go: all of it, or up to the end of the block.
+
+    Leaves the speed at its end in NOW, its way in WAY. Returns its time, in 2**-17 slot.
+    """
+    left = line[MADE_LEFT]
+    way = line[TO_GO]
+    part = line[TIME_LEFT]
+    all = int(pack(left or 1, BIAS))
+    rest = int(rest_of(flow))
+    whole = (flow[WHOLE] << 18) + flow[FRACTION] if flow[WHOLE] < 4095 else HIGHEST
+    steps = whole
+    end = line[SUM]
+    if way > left:
+        share_of_way = int(share(left, way))
+        start = line[BEFORE]
+        both = start + end
+        end = int(between(start, end, share_of_way))
+        if start + end:
+            share_of_way = int(share(int(times(both, share_of_way)), start + end))
+        part = int(times(part, share_of_way))
+        way = left
+    elif way < left:
+        steps = int(part_of(way, all, rest, ONE))
+        if steps >= whole:
+            steps = whole - 1
+    flow[NOW] = int(part_of(end, all, rest, line[PER_SLOT]))
+    flow[WAY] = steps
+    flow[LEFT] = part
+    line[BEFORE] = end
+    line[MADE_LEFT] = left - way
+    line[TO_GO] = line[TO_GO] - way
+    line[TIME_LEFT] = line[TIME_LEFT] - part
+    return part
+
+
+@micropython.viper
+def between(start: int, end: int, part: int) -> int:
+    """The speed where that part, in 2**-17, of the way from one speed to another is behind."""
+    if start == end:
+        return start
+    shift = 0
+    while start >= LIMIT or end >= LIMIT:
+        start >>= 1
+        end >>= 1
+        shift += 1
+    if end < start:
+        sqr = start * start - int(times(start * start - end * end, part))
+    else:
+        sqr = start * start + int(times(end * end - start * start, part))
+    return int(square_root(sqr)) << shift
+
+
+@micropython.viper
+def draw(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32) -> int:
+    """Have the plan go on to the end of a slot, and take the next out of the line. Returns 0 at
+    rest."""
+    before = line[SUM]
+    way = 0
+    if before == 0 and line[OPEN] == 0:
+        line[RESTS] = 0
+    if line[RESTS] and line[OPEN] == 0:
+        line[RESTS] = line[RESTS] - 1
+    else:
+        advance(flow, line, ring, table, HIGHEST)
+        if line[OPEN]:
+            way = line[DRAWN]
+        elif before == 0:
+            return 0
+        line[OPEN] = 0
+    slots = line[SLOTS]
+    at = line[OLDEST]
+    sum = before + way - line[WAYS + at]
+    line[WAYS + at] = way
+    at += 1
+    line[OLDEST] = at if at < slots else 0
+    both = before + sum + line[REMAINDER]
+    way = both // (2 * slots)
+    line[REMAINDER] = both - 2 * slots * way
+    line[BEFORE] = before
+    line[SUM] = sum
+    line[TO_GO] = way
+    line[TIME_LEFT] = 131072
+    return 1
+
+
+@micropython.viper
+def advance(flow: ptr32, line: ptr32, ring: ptr32, table: ptr32, most: int) -> int:
+    """Have the plan go on in the slot that comes next, by so many pieces at the most.
+
+    So a slot of many short blocks is planned bit by bit, while the one before it is made.
+    """
+    line[HEAD] = line[SETTLED]
+    line[HOLD] = flow[HOLD]
+    while most and line[RESTS] == 0 and (line[OPEN] == 0 or line[LEFT] > _SPLINTER):
+        is_new = line[LOADED] == 0
+        if int(is_due(line, ring, 0)) == 0:
+            return 0
+        if line[OPEN] == 0:
+            line[OPEN] = 1
+            line[DRAWN] = 0
+            line[LEFT] = 131072  # no more: segment_kernel.approach() knows of no longer time
+        if is_new:
+            line[PLAN_LEFT] = int(way_of(ring, line[AT]))
+            line[CRUMB] = 0
+        rest = int(rest_of(line))
+        line[PIECE] = PIECES
+        line[ADVANCE] = 0
+        going = int(proceed(line, ring, table[ROOT_SCALE]))
+        if going:
+            line[DRAWN] += int(count(line, rest))
+        else:
+            line[DRAWN] += line[PLAN_LEFT]
+            leave(line, ring)
+        most -= 1
+    return 0
+
+
+@micropython.viper
+def count(line: ptr32, rest: int) -> int:
+    """The way that the plan's last piece has come, in 2**-16 mm: rest was to go before."""
+    left = line[PLAN_LEFT]
+    all = int(pack(left, BIAS))
+    way = int(part_of(line[WAY], rest, all, _SIXTEEN)) + line[CRUMB]
+    line[CRUMB] = way & 15
+    way >>= 4
+    if way > left:
+        way = left
+    line[PLAN_LEFT] = left - way
+    return way
+
+
+@micropython.viper
+def leave(line: ptr32, ring: ptr32) -> int:
+    """The plan has come to the end of a block. Where the next is entered from rest, it rests."""
+    line[CARRY] = int(ratio(line[NOW], ring[line[AT] + FACTOR]))
+    line[LOADED] = 0
+    tail = line[TAIL] + 1
+    if tail == line[ROWS]:
+        tail = 0
+    line[TAIL] = tail
+    if tail == line[HEAD] or ring[tail * line[ROW_SIZE] + ENTRY_SQR] == 0:
+        line[CARRY] = 0
+        line[RESTS] = line[SLOTS]
+        line[LEFT] = 0
+    return 0

@@ -1,0 +1,108 @@
+"""Limit switches of several axes on one input: LIMIT = (9, 9, 11) in the board file.
+
+As on shields whose switches are in series, and on a Gecko G540. Whoever looks at the input knows
+that one of them is closed, and not which. So axes that share one are homed one after the other,
+and not while one of their switches is closed already; Pn: tells all of them.
+"""
+
+from base import errors
+from base.axes import LETTERS, Z
+from base.errors import GrblError
+from micropython import const
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from types import ModuleType
+    from typing import Any
+
+    from interfaces import Options
+
+    from extras.api import Cnc
+
+_CYCLES = range(44, 50)  # $44 to $49 of home_order.py
+
+_found: "dict[int, list[int]]" = {}  # under 0: masks of axes that share an input
+
+
+def sharing(limits: "tuple[int | None, ...]", axes: int, motors: str) -> "list[int]":
+    """Axes that share an input, a mask for each such input. ValueError where both motors of an
+    axis do: that input says nothing of either."""
+    found = []
+    for pin in set(limits):
+        axes_of = [i for i in range(len(limits)) if limits[i] == pin and pin is not None]
+        mask = 0
+        for i in axes_of:
+            axis = LETTERS.find(motors[i]) if i >= axes else i
+            if mask >> axis & 1:
+                letter = LETTERS[axis]
+                said = "LIMIT: both switches of %s are on pin %s: None for the second motor's"
+                raise ValueError(said % (letter, pin))
+            mask |= 1 << axis
+        if len(axes_of) > 1:
+            found.append(mask)
+    return found
+
+
+def clash(shared: "list[int]", cycle: int) -> str:
+    """Letters of axes that this cycle (a mask) would home together, and that share an input."""
+    for mask in shared:
+        both = mask & cycle
+        if both & (both - 1):
+            return " and ".join([LETTERS[i] for i in range(len(LETTERS)) if both >> i & 1])
+    return ""
+
+
+def grbl_order(axes: int) -> "tuple[int, int]":
+    """Masks of what $H homes where nothing else is said: Z, and then the others together."""
+    return 1 << Z, (1 << axes) - 1 & ~(1 << Z)
+
+
+def prepare(options: "Options", board: "ModuleType") -> None:
+    """Who shares. ValueError where the order of homing does not go with it."""
+    option = board.__dict__.get
+    limits: "tuple[int | None, ...]" = option("LIMIT", ())
+    _found[0] = shared = sharing(limits, options.axes, option("MOTORS", ""))
+    cycles = [int(options.defaults.get(number, 0)) for number in _CYCLES]
+    for cycle in cycles if any(cycles) else grbl_order(options.axes):
+        letters = clash(shared, cycle)
+        if letters:
+            apart = '", "'.join(["Z"] + [x for x in LETTERS[: options.axes] if x != "Z"])
+            said = 'LIMIT: %s share a pin and are homed together: write HOMING = ("%s")'
+            raise ValueError(said % (letters, apart))
+
+
+def install(cnc: "Cnc") -> None:
+    """Have $H look at the inputs first, and $44 to $49 refused where axes share one."""
+    machine: "Any" = cnc.machine
+    shared, hooks, inputs = _found[0], machine.state.hooks, machine.inputs
+    everything = 0
+    for mask in shared:
+        everything |= mask
+    usual_home, usual_find = hooks.home, hooks.find
+
+    def give_up(text: str, alarm: int) -> None:
+        cnc.message(text)
+        machine.drive.reset()
+        machine.state.alarm = alarm
+
+    def home(axes: int) -> bool:
+        if inputs.limits() & everything:
+            give_up("Move off the closed limit switch first", errors.ALARM_HARD_LIMIT)
+            return False
+        return bool(usual_home(axes))
+
+    def find(axes: int) -> None:
+        letters = clash(shared, axes)
+        if letters:
+            text = "%s share a limit input: have them homed one after the other, $44 to $49"
+            give_up(text % letters, errors.ALARM_HOMING_FAIL_RESET)
+            cnc.service()  # which raises Abort
+        usual_find(axes)
+
+    def check(mask: float) -> None:
+        if clash(shared, int(mask)):
+            raise GrblError(errors.INVALID_STATEMENT)
+
+    hooks.home, hooks.find = home, find
+    for number in _CYCLES:
+        cnc.check_setting(number, check)

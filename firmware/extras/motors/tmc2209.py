@@ -1,0 +1,315 @@
+"""TMC2209 motor drivers over their serial line: TMC2209 = (0, 2, 1) in the board file.
+
+Current, microsteps and the rest are settings, with grblHAL's numbers. Drivers are set up whenever
+their supply has come on, and looked after while the machine stands still: one that is hot, damaged
+or silent is an alarm, and no motor moves before all have been set up. With $339 they feel the end
+of an axis, and DIAG is its limit switch. Nothing is on the wire while anything moves.
+"""
+
+import math
+
+from base import errors
+from base import state as st
+from base.axes import LETTERS
+from base.errors import GrblError
+from base.settings import AXIS, INT
+from micropython import const
+from motion.layout import REVERSE
+
+from extras.motors import tmc2209_chip
+from extras.motors.tmc2209_chip import Chip, Silence
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from types import ModuleType
+    from typing import Any
+
+    from base.settings import Rows
+    from interfaces import Options
+
+    from extras.api import Cnc
+
+PINS = ("TMC_UART",)
+
+_CURRENT = const(140)
+_MICROSTEPS = const(150)
+_SEEK = const(200)
+_HOLD = const(210)
+_LOCATE = const(220)
+_LETTERS = const(6)  # numbers of a row
+_SETTINGS: "Rows" = (  # attribute-names: column 1
+    # Motor current, one value per axis. RMS; both motors of an axis have it.
+    (140, "driver_ma", AXIS, 500.0, "milliampere"),
+    # Microsteps, one value per axis. 1, 2, 4 and so on up to 256; $100-$105 count them.
+    (150, "driver_microsteps", AXIS, 16.0, "steps"),
+    # StallGuard threshold of homing's search, one value per axis, 0 to 255. Higher feels more.
+    (200, "driver_stall_seek", AXIS, 0.0, "threshold"),
+    # Hold current, one value per axis. Percent of $140-$145 while the motor stands still.
+    (210, "driver_hold", AXIS, 50.0, "percent"),
+    # StallGuard threshold of homing's slow approach, one value per axis. As $200.
+    (220, "driver_stall_locate", AXIS, 0.0, "threshold"),
+    # Motor drivers that are set up. One bit per axis; those without go as their pins say.
+    (338, "driver_axes", INT, 63, "mask"),
+    # Axes that home without switches, by StallGuard. One bit per axis.
+    (339, "driver_homing", INT, 0, "mask"),
+    # Axes whose drivers make spreadCycle: more torque at high rates, and noise. One bit per axis.
+    (810, "driver_spread", INT, 0, "mask"),
+)
+_ROWS = (_CURRENT, _MICROSTEPS, _SEEK, _HOLD, _LOCATE)
+_HIGHEST_ADDRESS = const(3)
+_MOST_THRESHOLD = const(255)
+_PERCENT = const(100)
+_LOOK_MS = const(100)  # between one driver and the next
+_SECONDS_PER_MIN = const(60)
+_ROUNDED = const(1.001)
+
+_made: "dict[str, Any]" = {}
+
+
+def prepare(options: "Options", board: "ModuleType") -> None:
+    """Which driver is whose. ValueError where that cannot be."""
+    addresses: "tuple[int, ...]" = board.__dict__["TMC2209"]
+    motors = len(board.__dict__.get("STEP", ()))
+    if len(addresses) != motors:
+        raise ValueError("TMC2209 has %d addresses, and STEP %d pins" % (len(addresses), motors))
+    for address in addresses:
+        if not 0 <= address <= _HIGHEST_ADDRESS or addresses.count(address) > 1:
+            raise ValueError("TMC2209: addresses are 0 to 3, each once")
+    _made["addresses"] = addresses
+    _made["wire"] = options.driver_wire
+    _made["ohm"] = ohm = board.__dict__.get("TMC_SENSE_MOHM", 110) / 1000
+    for number, amount in options.defaults.items():
+        if not _can_be(number, amount, tmc2209_chip.full_scale_ma(ohm)):
+            raise ValueError("DEFAULTS: $%d=%g is nothing a driver can do" % (number, amount))
+    _made["letters"] = board.__dict__.get("MOTORS", "")
+
+
+def _can_be(number: int, amount: float, most_ma: float) -> bool:
+    """Whether a setting may have that value; most_ma: what the drivers can do."""
+    base = number // 10 * 10
+    if base not in _ROWS or number - base >= _LETTERS:
+        return True
+    if base == _CURRENT:
+        return 0 < amount <= most_ma
+    if base == _MICROSTEPS:
+        return tmc2209_chip.is_resolution(amount)
+    return amount <= (_PERCENT if base == _HOLD else _MOST_THRESHOLD)
+
+
+def install(cnc: "Cnc") -> None:
+    """Look after them."""
+    machine: "Any" = cnc.machine
+    wire, ohm = _made["wire"], _made["ohm"]
+    chips = [Chip(wire, address, ohm) for address in _made["addresses"]]
+    drivers = Drivers(cnc, chips, _names(_made["letters"], len(chips)), ohm)
+    cnc.add_settings(_SETTINGS)
+    drivers.check_settings()
+    machine.settings.on_change(drivers.configure)
+    cnc.add_command(b"TMC", drivers.report)
+    cnc.before_lines(drivers.turn)
+    cnc.before_motion(drivers.may_start)
+    drivers.feel_homing()
+
+
+def _names(letters: str, motors: int) -> "list[str]":
+    """What motors are called: by their axis, a second one Y2."""
+    names: "list[str]" = []
+    for letter in letters or LETTERS[:motors]:
+        names.append(letter + "2" if letter in names else letter)
+    return names
+
+
+class Drivers:
+    """All of them. Masks are of motors, but those of settings, which are of axes."""
+
+    def __init__(
+        self, cnc: "Cnc", chips: "list[Chip]", names: "list[str]", sense_ohm: float
+    ) -> None:
+        machine = cnc.machine
+        self._cnc = cnc
+        self._machine = machine
+        self._state = machine.state
+        self._settings: "Any" = machine.settings
+        self._planner = machine.planner
+        self._drive = machine.drive
+        self._port = machine.port
+        self._chips = chips
+        self._names = names
+        self._axes = [LETTERS.index(name[0]) for name in names]
+        self._most_ma = tmc2209_chip.full_scale_ma(sense_ohm)
+        self._wanted = 0
+        self._ready = 0  # set up
+        self._known = 0  # have answered: their silence is a fault
+        self._told = 0  # that they are warm, or silent
+        self._next = 0
+        self._since = self._port.ticks_ms()
+
+    # Settings
+
+    def check_settings(self) -> None:
+        """Refuse what no driver can do, before it is set."""
+
+        def check(number: int, amount: float) -> None:
+            if not _can_be(number, amount, self._most_ma):
+                raise GrblError(errors.INVALID_STATEMENT)
+
+        self._settings.checks += (check,)
+
+    def configure(self) -> None:
+        """Settings have changed: drivers are to be told of theirs."""
+        self._ready = 0
+        self._wanted = 0
+        for motor, axis in enumerate(self._axes):
+            self._wanted |= (self._settings.driver_axes >> axis & 1) << motor
+
+    def _set_up(self, motor: int) -> None:
+        settings, axis = self._settings, self._axes[motor]
+        self._chips[motor].set_up(
+            settings.driver_ma[axis],
+            settings.driver_hold[axis],
+            int(settings.driver_microsteps[axis]),
+            bool(settings.driver_spread >> axis & 1),
+        )
+
+    # Looking after them
+
+    def turn(self) -> None:
+        """At rest, look at the next one."""
+        if self._port.elapsed_ms(self._since) < _LOOK_MS or not self._machine.at_rest():
+            return
+        self._since = self._port.ticks_ms()
+        motor = self._next
+        self._next = (motor + 1) % len(self._chips)
+        if self._wanted >> motor & 1:
+            why = self._look(motor)
+            if why and self._known >> motor & 1:
+                self._known &= ~(1 << motor)
+                self._lose(motor, why)
+                if self._state.run != st.ALARM:
+                    self._machine.canon.give_up(errors.ALARM_DRIVER)
+            elif why and not self._told >> motor & 1:
+                self._lose(motor, why)
+
+    def _look(self, motor: int) -> str:
+        """What is wrong with it; "" where nothing is, and it is set up."""
+        chip, mask = self._chips[motor], 1 << motor
+        try:
+            if self._known & mask:
+                chip.look()
+                if chip.has_begun_anew():
+                    return "its supply has failed"
+            else:
+                chip.look(1)
+            if not self._ready & mask:
+                self._set_up(motor)
+                chip.look()
+        except Silence as fault:
+            return str(fault)
+        why = chip.fault()
+        if not why:
+            self._welcome(motor)
+        return why
+
+    def _welcome(self, motor: int) -> None:
+        """It is set up, and well."""
+        mask, is_warm = 1 << motor, self._chips[motor].is_warm()
+        self._ready |= mask
+        self._known |= mask
+        if is_warm and not self._told & mask:
+            self._tell(motor, "warm")
+        if is_warm:
+            self._told |= mask
+        else:
+            self._told &= ~mask
+
+    def _tell(self, motor: int, what: str) -> None:
+        self._cnc.message("Motor driver %s: %s" % (self._names[motor], what))
+
+    def _lose(self, motor: int, why: str) -> None:
+        self._ready &= ~(1 << motor)
+        self._told |= 1 << motor
+        self._tell(motor, why)
+
+    def may_start(self) -> bool:
+        """Before anything moves all are set up; otherwise it stays at rest, in alarm."""
+        for motor in range(len(self._chips)):
+            if (self._wanted & ~self._ready) >> motor & 1:
+                why = self._look(motor)
+                if why:
+                    self._lose(motor, why)
+                    self._drive.reset()
+                    self._state.alarm = errors.ALARM_DRIVER
+                    return False
+        return True
+
+    # Homing without switches
+
+    def feel_homing(self) -> None:
+        """Stand before each of homing's moves."""
+        hooks = self._state.hooks
+        usual_home, usual_phase = hooks.home, hooks.home_phase
+
+        def home(axes: int) -> bool:
+            if not self.may_start():
+                return False
+            try:
+                return usual_home(axes)
+            finally:
+                self._rest()
+
+        def phase(axes: int, approach: bool, travel: float, rate: float) -> None:
+            self._feel(axes, approach, rate)
+            usual_phase(axes, approach, travel, rate)
+
+        hooks.home, hooks.home_phase = home, phase
+
+    def _homing(self, axes: int) -> "list[int]":
+        """Motors that feel the end of one of these axes (a mask)."""
+        axes &= self._settings.driver_homing
+        kinematics = self._planner.kinematics
+        found = []
+        for motor in range(len(self._chips)):
+            moves = kinematics.moves[motor] if kinematics else 1 << motor
+            if (moves | moves >> REVERSE) & axes and self._ready >> motor & 1:
+                found.append(motor)
+        return found
+
+    def _feel(self, axes: int, approach: bool, rate: float) -> None:
+        """rate: of all axes together, mm/min."""
+        settings = self._settings
+        count = sum([axes >> i & 1 for i in range(self._planner.axes)])
+        each = rate / math.sqrt(count)
+        is_search = each > settings.homing_feed * _ROUNDED
+        thresholds = settings.driver_stall_seek if is_search else settings.driver_stall_locate
+        for motor in self._homing(axes):
+            axis = self._axes[motor]
+            threshold = int(thresholds[axis]) if approach else 0
+            try:
+                self._chips[motor].feel(
+                    threshold,
+                    each / _SECONDS_PER_MIN * settings.steps_per_mm[axis],
+                    int(settings.driver_microsteps[axis]),
+                )
+            except Silence as fault:
+                self._lose(motor, str(fault))
+                self._drive.reset()
+                self._state.alarm = errors.ALARM_DRIVER
+                self._cnc.service()  # which raises Abort
+
+    def _rest(self) -> None:
+        """Homing is over, or has been cut short: they are set up anew when they are looked at."""
+        for motor in self._homing((1 << self._planner.axes) - 1):
+            self._ready &= ~(1 << motor)
+
+    # The report
+
+    def report(self, words: bytes) -> None:
+        """$TMC: what each says of itself."""
+        if words:
+            raise GrblError(errors.INVALID_STATEMENT)
+        for motor, chip in enumerate(self._chips):
+            try:
+                told = chip.tell()
+            except Silence as fault:
+                told = "state:%s" % fault
+            self._cnc.tell(b"[TMC:%s|%s]" % (self._names[motor].encode(), told.encode()))

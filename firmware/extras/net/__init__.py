@@ -1,0 +1,1 @@
+"""What senders are told and may set of the network."""

@@ -1,0 +1,154 @@
+"""The network beside the cable, as far as it is the machine's: `$NET`, its key, and who drives.
+
+LINK = "wifi" or "uart_wifi" in the board file asks for it. What is kept is written at rest, by
+lines that come over the cable only, and holds from the next start on: ports/net/wifi.py reads it.
+Names and passwords come as hexadecimal digits, for a line has neither small letters nor spaces;
+they are told to nobody. docs/network.md has the words.
+"""
+
+import sys
+
+from base import errors
+from base.errors import GrblError
+from base.text import text_of
+from micropython import const
+from talk.lines import COMPLETE, END, HEAD, LENGTH, SKIPPING, TAIL
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from array import array
+
+    from interfaces import NetworkLink
+    from talk.lines import LineReader
+
+    from extras.api import Cnc
+
+_FILE = "network"
+_KEY_LENGTH = const(8)
+# No letter that makes a word which senders take for an answer.
+_KEY_SIGNS = "23456789ABCDFGHJKLMNPQRSTVWXYZ"
+
+
+def has_half(ring: bytearray, at: "array[int]", kinds: bytearray) -> bool:
+    """Whether a line has begun and not ended."""
+    head = at[HEAD]
+    if head != at[TAIL]:
+        return kinds[ring[head - 1]] != END
+    return bool(at[LENGTH] or at[SKIPPING]) and not at[SKIPPING] & COMPLETE
+
+
+def drop_half(ring: bytearray, at: "array[int]", kinds: bytearray) -> None:
+    """Forget the line that has begun and not ended, and nothing before it."""
+    head = at[HEAD]
+    while head != at[TAIL] and kinds[ring[head - 1]] != END:
+        head = (head or len(ring)) - 1
+    at[HEAD] = head
+    if head == at[TAIL] and not at[SKIPPING] & COMPLETE:
+        at[LENGTH] = at[SKIPPING] = 0
+
+
+class Network:
+    """`$NET`, and what it keeps. link: None where the simulator has no network."""
+
+    def __init__(self, cnc: "Cnc", link: "NetworkLink | None") -> None:
+        machine = cnc.machine
+        self._cnc = cnc
+        self._link = link
+        self._saves = machine.saves
+        self._reader: "LineReader" = machine.reader
+        self._kept: "dict[str, str]" = {}
+        for line in machine.saves.load(_FILE) or []:
+            name, _, self._kept[name] = line.partition("=")
+        self._is_new = link is not None and "KEY" not in self._kept
+        if self._is_new:
+            self._kept["KEY"] = self._new_key()
+            self._keep()
+        self._know()
+        if link:
+            link.control.drop_half = lambda: drop_half(*self._received())
+            link.control.has_half = lambda: has_half(*self._received())
+
+    def _new_key(self) -> str:
+        """One that nobody can guess: 39 bits of the chip's own noise."""
+        noise = self._link.access.noise(_KEY_LENGTH) if self._link else b""
+        return "".join([_KEY_SIGNS[byte % len(_KEY_SIGNS)] for byte in noise])
+
+    def _know(self) -> None:
+        if self._link:
+            self._link.access.secret = self._kept["KEY"]
+
+    def _keep(self) -> None:
+        self._saves.save(_FILE, ["%s=%s" % row for row in sorted(self._kept.items())])
+
+    # The machine's turns
+
+    def between(self) -> None:
+        """Between two lines."""
+        link = self._link
+        if link and link.control.ending and not self._reader.has_line():
+            link.control.done()
+
+    def greet(self) -> None:
+        """Behind the welcome, at the first start."""
+        if self._is_new:
+            self._is_new = False
+            self._tell_key()
+
+    def _received(self) -> "tuple[bytearray, array[int], bytearray]":
+        ring, at, _, kinds = self._reader.memory()
+        return ring, at, kinds
+
+    def _tell_key(self) -> None:
+        if self._link:
+            line = b"[MSG:Network key: %s]\r\n" % self._kept["KEY"].encode()
+            self._link.tell_cable(line)
+
+    # The command
+
+    def command(self, rest: bytes) -> None:
+        """$NET, and $NET/… as lines come, without the slash. Raises GrblError."""
+        text, link = text_of(rest), self._link
+        if not rest:
+            count = link.callers() if link else 0
+            status = link.status() if link else "no network is set up"
+            self._cnc.message("Network: %s; connected: %d" % (status, count))
+        elif link is None:
+            self._refuse("There is no network here")
+        elif not link.by_cable():
+            if text != "KEY" and text[:4] != "KEY=":  # a sender may say its key each time
+                self._refuse("That is set up at the cable")
+        elif text == "KEY":
+            self._tell_key()
+        elif text == "KEY=NEW":
+            self._kept["KEY"] = self._new_key()
+            self._know()
+            link.expel()
+            self._tell_key()
+            self._keep()
+        else:
+            self._set(text)
+
+    def _set(self, text: str) -> None:
+        """What is set up once is read from flash then, and let go again: it takes 1.5 kB."""
+        from extras.net import net_setup
+
+        why = net_setup.change(self._kept, text)
+        del sys.modules["extras.net.net_setup"]
+        sys.modules["extras.net"].__dict__.pop("net_setup", None)
+        if why:
+            self._refuse(why)
+        self._keep()
+        self._cnc.message("Network: holds from the next start on")
+
+    def _refuse(self, why: str) -> None:
+        self._cnc.message(why)
+        raise GrblError(errors.INVALID_STATEMENT)
+
+
+def install(cnc: "Cnc") -> None:
+    """Have the machine know its network."""
+    link = cnc.machine.protocol.link
+    network = Network(cnc, link if hasattr(link, "by_cable") else None)  # type: ignore[arg-type]
+    cnc.before_lines(network.between)
+    cnc.behind_reset(network.greet)
+    cnc.add_command(b"NET", network.command)

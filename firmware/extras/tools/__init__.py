@@ -1,0 +1,1 @@
+"""Tools besides the spindle: a laser, a punch."""

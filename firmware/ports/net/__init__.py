@@ -1,0 +1,1 @@
+"""Wi-Fi: senders, the page, and who of them is in control."""

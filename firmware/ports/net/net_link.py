@@ -1,0 +1,386 @@
+"""The sender at the cable or on the network: one is in control, the others watch.
+
+Put around a link of the cable, whose way to the prompt stays. Bytes of the client in control pass
+unread; of the others' each is looked at.
+
+| client | lines | `!`, Ctrl-X, door, end of a jog | `~`, overrides | place |
+| --- | --- | --- | --- | --- |
+| at the cable, or with the key | take control, where it is free | act | as lines | is kept |
+| without the key | reading ones, at rest, where nobody is in control | none | none | 0.25 s |
+
+Control is free where nobody has it, where its client has gone (3 s without a byte, over the
+network), and at rest when it has sent no line for 5 s. Lines that only read neither take it nor
+keep it: they borrow it. `?` is answered to the client that asks. The key is said by
+`$NET/KEY=...` on each connection. caller.py bounds what clients may cost.
+"""
+
+import time
+
+import micropython
+from base import errors
+from micropython import const
+
+from ports.link_memory import PIECES
+from ports.net.access import OK, READING, REFUSED, TAKEN, Access, is_browser, plain
+from ports.net.caller import Caller, Memory, asks, place_for
+from ports.net.in_control import Control
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from interfaces import BoardLink, Connection, Incoming
+
+_PLACES = const(3)  # callers at once
+_PIECE = const(64)
+_LONGEST_READING = const(8)  # bytes of a line that only reads
+_URGENT = const(16)
+_ROUND_MS = const(10)
+_RADIO_MS = const(1000)
+
+_JOG_CANCEL = const(0x85)
+_STOPS = b"\x18!\x84\x85"
+_REALTIME = b"\x18!~"
+_ANSWERS = b"oe"  # how ok and error: begin
+# What begins with these goes to all: alarms, the welcome; and messages, [M.
+_A = const(0x41)
+_RETURN = const(0x0D)
+_BRACKET = const(0x5B)
+_M = const(0x4D)
+_REPORT = const(0x3C)
+
+
+class NetLink:
+    """A Link. cable: another. calls: who calls; None without a network. memory: of lwIP, for all
+    clients. on_turn: as UartLink's."""
+
+    def __init__(
+        self, cable: "BoardLink", calls: "Incoming | None", memory: "Memory | None" = None
+    ) -> None:
+        self._cable = cable
+        self._calls = calls
+        self.shared = cable.shared
+        self.look = cable.look
+        self.is_slow = cable.is_slow
+        self.come_back: "Callable[[], None]" = lambda: None
+        self.on_turn: "Callable[[], None] | None" = None
+        # What greets a client, and the bytes that ask for a status report.
+        self.welcome = b"\r\nGrbl 1.1h ['$' for help]\r\n"
+        self.questions = b"?"
+        self.access = Access()
+        # The radio's, if there is one: called once a second, at rest or not; and what it says.
+        self.radio: "Callable[[bool], None] | None" = None
+        self.status: "Callable[[], str]" = lambda: "no network is set up"
+        self._at_rest: "Callable[[], bool]" = lambda: True
+        self._read = cable.read_into
+        self._write = cable.write
+        self._memory = memory or Memory()
+        self._user = Caller(self._memory)  # at the cable
+        self._user.trusted = True
+        self._callers = [Caller(self._memory) for _ in range(_PLACES)]
+        self._all = [self._user] + self._callers
+        self.control = Control(self._user)
+        # Only the cable: nothing has to be looked at. And nobody has spoken there.
+        self._is_plain = self._is_nobodys = True
+        self._piece = bytearray(_PIECE)
+        self._urgent = bytearray(_URGENT)
+        self._urgent_count = 0
+        self._round_ms = self._radio_ms = time.ticks_ms()
+
+    # The Link seam
+
+    def attach(self, at_rest: "Callable[[], bool]", on_open: "Callable[[], None]") -> None:
+        """Say when the prompt may be asked for, and who greets."""
+        self._at_rest = at_rest
+        cable = self._cable
+        cable.come_back = self.come_back
+        if self.on_turn:
+            cable.on_turn = self.on_turn  # type: ignore[attr-defined]  # UartLink's
+
+        def greet() -> None:
+            is_plain, self._is_plain = self._is_plain, True  # nobody else has come anew
+            on_open()
+            self._is_plain = is_plain
+
+        cable.attach(at_rest, greet)
+
+    @micropython.native
+    def read_into(self, buf: bytearray) -> int:
+        """Move what has arrived into buf; return how many bytes."""
+        if self._is_plain:
+            count = self._read(buf)
+            if count:
+                self._user.asked = True  # has spoken: see _round()
+                return count
+        now_ms = time.ticks_ms()
+        if time.ticks_diff(now_ms, self._round_ms) >= _ROUND_MS:
+            self._round_ms = now_ms
+            self._round(now_ms)
+        return 0 if self._is_plain else self._sort(buf, now_ms)
+
+    def write(self, data: "bytes | bytearray | memoryview") -> None:
+        """Send to whom it is for."""
+        if self._is_plain:
+            self._write(data)
+        elif len(data):
+            self._share(data)
+
+    def discard(self) -> None:
+        """Drop what has arrived: it was sent before a reset."""
+        self._cable.discard()
+        self.control.give_back()
+        driver = self.control.driver
+        if driver:
+            driver.forget()
+            for _ in range(PIECES if driver.conn else 0):
+                driver.read(self._piece)
+        self._urgent_count = 0
+
+    def close(self) -> None:
+        """Leave the cable to MicroPython's prompt, and the network to nobody."""
+        for caller in self._callers:
+            caller.end()
+        if self._calls:
+            self._calls.close()
+            self._calls = None
+        self.control.set(self._user)
+        self._is_plain = True
+        self._cable.close()
+
+    # For extras/net/net_access.py
+
+    def expel(self) -> None:
+        """Hang up on all clients of the network: their key is another one now."""
+        for caller in self._callers:
+            if caller.conn:
+                self._drop(caller)
+
+    def by_cable(self) -> bool:
+        """Who drives sits at the cable."""
+        return self.control.driver is self._user
+
+    def tell_cable(self, data: bytes) -> None:
+        """What nobody else is to read."""
+        self._write(data)
+
+    def callers(self) -> int:
+        """How many are connected."""
+        return len([1 for caller in self._callers if caller.conn])
+
+    def _settle(self) -> None:
+        control, user = self.control, self._user
+        if not control.ending and not self.callers():
+            if control.driver is None:
+                control.set(user)
+                self._is_nobodys = True
+            if self._is_open(user) and not self._urgent_count:
+                self._is_plain = True
+                user.asked = False
+
+    def _is_open(self, caller: Caller) -> bool:
+        """Whether what a client sends passes to the machine as it is."""
+        control = self.control
+        is_owner = caller is control.driver is control.owner
+        return is_owner and caller.trusted and not (control.ending or caller.length)
+
+    # In
+
+    def _sort(self, buf: bytearray, now_ms: int) -> int:
+        """What is the machine's: what acts at once, then what the client in control has sent."""
+        count, self._urgent_count = self._urgent_count, 0
+        if count:
+            buf[:count] = self._urgent[:count]
+            return count
+        control, user = self.control, self._user
+        count = self._read(buf)
+        driver = control.driver
+        if count:
+            if self._is_open(user):
+                return self._note(user, buf, count, now_ms)
+            self._sift(user, buf, count, now_ms)
+        elif driver and driver.conn:
+            count = self._read_driver(driver, buf, now_ms)
+            if count:
+                return count
+        driver = control.driver
+        if driver and driver.ready and not (control.ending or self._urgent_count):
+            return driver.pour(buf)
+        return 0
+
+    def _read_driver(self, driver: Caller, buf: bytearray, now_ms: int) -> int:
+        """Bytes for the machine as they are; 0 where there are none, or each is looked at."""
+        is_open = self._is_open(driver)
+        if not is_open and not driver.has_room():
+            return 0
+        piece = buf if is_open else self._piece
+        count = driver.read(piece)
+        if count < 0:
+            self._drop(driver)
+        elif count:
+            driver.hear(now_ms)
+            if is_open:
+                return self._note(driver, buf, count, now_ms)
+            self._sift(driver, piece, count, now_ms)
+        elif not driver.send():
+            self._drop(driver)
+        return 0
+
+    def _note(self, driver: Caller, buf: bytearray, count: int, now_ms: int) -> int:
+        """What passes as it is. A lone ? is no line."""
+        if asks(buf, count):
+            driver.asked = True
+        if count > _LONGEST_READING or plain(buf[:count]) not in READING:
+            driver.spoke_ms = now_ms
+        return count
+
+    def _round(self, now_ms: int) -> None:
+        """Everybody who does not drive, and who calls."""
+        self._memory.forget(now_ms)
+        if self._is_plain and self._user.asked:
+            self._user.asked = self._is_nobodys = False
+            self._user.spoke_ms = now_ms
+        for caller in self._callers:
+            if not caller.conn:
+                continue
+            if caller is not self.control.driver:
+                count = caller.read(self._piece)
+                if count < 0:
+                    self._drop(caller)
+                    continue
+                if count:
+                    caller.hear(now_ms)
+                    self._sift(caller, self._piece, count, now_ms)
+            if not caller.send():
+                self._drop(caller)
+        called = self._calls.next() if self._calls else None
+        if called:
+            self._meet(called[0], called[1], now_ms)
+        if self.radio and time.ticks_diff(now_ms, self._radio_ms) >= _RADIO_MS:
+            self._radio_ms = now_ms
+            self.radio(self._at_rest())
+        if not self._is_plain:
+            self._settle()
+
+    def _meet(self, conn: "Connection", address: str, now_ms: int) -> None:
+        """Somebody has called."""
+        place = place_for(address, self._callers, self._at_rest(), now_ms)
+        if place is None:
+            conn.close()
+            return
+        if place.conn:
+            self._drop(place)
+        if self._is_plain:
+            self._is_plain = False
+            is_silent = self.control.is_silent(self._user, now_ms)
+            if self._is_nobodys or (is_silent and self._at_rest()):
+                self.control.set(None)
+        place.begin(conn, address, now_ms)
+        place.put(self.welcome)
+        if not place.send():
+            self._drop(place)
+
+    def _drop(self, caller: Caller) -> None:
+        """Hang up. Of who has driven: a jog ends, a line that has only begun is forgotten."""
+        caller.end()
+        if self.control.leave(caller):
+            self._urge(_JOG_CANCEL)
+
+    # What others say, and the client in control while lines wait
+
+    def _sift(self, caller: Caller, data: bytearray, count: int, now_ms: int) -> None:
+        for i in range(count):
+            byte = data[i]
+            if byte in self.questions:
+                if caller.trusted or caller.may_hear():
+                    caller.asked = True
+                    self._urge(byte)
+            elif byte >= 0x80 or byte in _REALTIME:
+                if self._may_act(caller, byte, now_ms):
+                    self._urge(byte)
+            elif byte in b"\r\n":
+                self._end_line(caller, byte, now_ms)
+            else:
+                caller.keep(byte)
+                if caller is self.control.owner:
+                    caller.ready = caller.length
+                elif is_browser(caller.said, caller.length):
+                    self._drop(caller)
+            if not caller.conn and caller is not self._user:
+                return
+
+    def _may_act(self, caller: Caller, byte: int, now_ms: int) -> bool:
+        """Whether a real-time command acts."""
+        if not caller.trusted:
+            return False
+        is_owner = caller is self.control.owner
+        return is_owner or byte in _STOPS or self._take(caller, False, now_ms)
+
+    def _take(self, caller: Caller, reads: bool, now_ms: int) -> bool:
+        return self.control.take(caller, self._at_rest(), reads, now_ms)
+
+    def _urge(self, byte: int) -> None:
+        """To be the machine's in front of all lines. A stop finds space always."""
+        count = self._urgent_count
+        if byte in bytes(self._urgent[:count]):
+            return
+        if count == _URGENT and byte in _STOPS:
+            count -= 1
+        if count < _URGENT:
+            self._urgent[count] = byte
+            self._urgent_count = count + 1
+
+    def _end_line(self, caller: Caller, byte: int, now_ms: int) -> None:
+        if caller is self.control.owner:
+            caller.end_line(byte, now_ms)
+            return
+        begins = caller.ready
+        line = plain(caller.said[begins : caller.length])
+        reads = line in READING
+        answer = b""
+        if caller.is_too_long:
+            answer = REFUSED % errors.OVERFLOW
+        elif caller is not self._user:
+            answer = self.access.answer(caller, line)
+        if not answer and not line:
+            answer = OK
+        elif not answer and not self._take(caller, reads, now_ms):
+            answer = TAKEN
+        if not answer:
+            caller.end_line(byte, now_ms)
+            return
+        caller.length = begins
+        caller.is_too_long = False
+        self._say(caller, answer)
+        if not caller.tries:
+            self._drop(caller)
+
+    # Out
+
+    def _share(self, data: "bytes | bytearray | memoryview") -> None:
+        control, first = self.control, data[0]
+        if first == _REPORT:
+            self._report(data)
+        elif first <= _RETURN or first == _A or (first == _BRACKET and data[1] == _M):
+            self._write(data)
+            for caller in self._callers:
+                if caller.conn:
+                    self._say(caller, data)
+        elif control.hears:
+            self._say(control.hears, data)
+            if first in _ANSWERS:
+                control.answered()
+
+    def _report(self, data: "bytes | bytearray | memoryview") -> None:
+        """To those who have asked; to who drives where nobody has."""
+        asking = [caller for caller in self._all if caller.asked]
+        if not asking and self.control.owner:
+            asking.append(self.control.owner)
+        for caller in asking:
+            caller.asked = False
+            self._say(caller, data)
+
+    def _say(self, caller: Caller, data: "bytes | bytearray | memoryview") -> None:
+        if caller is self._user:
+            self._write(data)
+        elif caller.conn and not caller.put(data):
+            self._drop(caller)

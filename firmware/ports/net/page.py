@@ -1,0 +1,352 @@
+"""The page from the board itself: HTTP, as far as one static file wants it, and websockets.
+
+An Incoming around another: who has come by a websocket is a caller as those are who have come by
+TCP. The page lies in flash, compressed (NAME); what a browser asks for first is a few lines
+(FIRST) that fetch it piece by piece. Each names the next one, with four signs of chance (`Next:`,
+in FIRST a path), so the request for that proves that all before it has been read, and its part of
+lwIP's memory is free (caller.py). A visitor that finds no memory waits, and nobody waits for it.
+
+Only a page that came from here may open a websocket, and only under a name of the board's, so that
+no other site in somebody's browser can (DNS rebinding). Keys are said on the link: access.py.
+"""
+
+import binascii
+import os
+import time
+
+from micropython import const
+
+from ports.net import web_socket
+from ports.net.caller import Memory
+from ports.net.web_socket import WebSocket
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from interfaces import Connection, Incoming
+
+FIRST = "page.html"
+NAME = "page.gz"
+PIECE = const(672)  # in one segment of lwIP's, with its head
+_HEAD = const(512)
+_READ = const(256)
+_LONGEST = const(4096)  # of a request
+_VISITORS = const(2)
+_SILENT_MS = const(2000)  # a request that is not whole by then is not waited for
+_MEMORY = const(2400)  # three pieces
+_SEGMENT = const(800)
+_SHORT = const(300)  # an answer without a piece; of a websocket, with its last frame
+_SMALLEST = const(150)
+_CHANCE = const(2)
+
+_KEY_LENGTH = const(24)
+_LONGEST_HOST = const(21)  # of one that is a number, with its port
+_DIGITS = const(5)
+# Constants stand in few tuples: a collection of garbage can keep 60 of a module's in mind.
+# What is read of a request, the first line being "", and their places here.
+_FIELDS = (
+    b"",
+    b"host",
+    b"origin",
+    b"upgrade",
+    b"sec-websocket-key",
+    b"sec-websocket-version",
+    b"content-length",
+    b"transfer-encoding",
+)
+_LINE = const(0)
+_HOST = const(1)
+_ORIGIN = const(2)
+_UPGRADE = const(3)
+_KEY = const(4)
+_VERSION = const(5)
+_LENGTH = const(6)
+_ENCODING = const(7)
+# What has to be in some of them.
+_WORDS = (b"GET", b"HTTP/1.1", b"websocket", b"13")
+_NAMES = (b"localhost", b".local")
+_SIGNS = b".0123456789"
+# Statuses and sentences.
+_REFUSALS = (
+    (b"400 Bad Request", b"this is no request of HTTP/1.1"),
+    (b"405 Method Not Allowed", b"the page can be read, and no more"),
+    (b"403 Forbidden", b"the machine has another name: take its number"),
+    (b"403 Forbidden", b"a page from elsewhere may not talk to the machine"),
+    (b"404 Not Found", b"the page is at /"),
+    (b"404 Not Found", b"the page is not on the board: ugrbl deploy puts it there"),
+    (b"400 Bad Request", b"here a websocket is wanted: open / in a browser"),
+    (b"426 Upgrade Required", b"version 13 is wanted"),
+)
+_NO_REQUEST = const(0)
+_NO_READING = const(1)
+_OTHER_NAME = const(2)
+_OTHER_PAGE = const(3)
+_NOT_HERE = const(4)
+_NO_PAGE = const(5)
+_NO_SOCKET = const(6)
+_OTHER_VERSION = const(7)
+_GOOD = const(-1)
+# An answer's head; what ends it; whose page may hold ours in a frame and have its buttons clicked
+# unseen: nobody's; the answer to a handshake; which piece is next, and paths of pieces.
+_FORMS = (
+    b"HTTP/1.1 %s\r\nContent-Type: %s\r\nContent-Length: %d\r\nCache-Control: no-store\r\n",
+    b"Connection: close\r\n",
+    b"Content-Security-Policy: default-src 'self' 'unsafe-inline' data: blob:;"
+    b" connect-src 'self' ws://%s; frame-ancestors 'none'\r\n",
+    b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Accept: %s\r\n\r\n",
+    b"Next: %s\r\n",
+    b"/0?0000",
+    b"/%d?%s",
+)
+_ANSWER = const(0)
+_AND_GO = const(1)
+_POLICY = const(2)
+_ACCEPTED = const(3)
+_NEXT = const(4)
+_FIRST_PATH = const(5)  # in FIRST
+_PATH = const(6)
+# Kinds of what is sent.
+_KINDS = (b"text/plain", b"text/html", b"application/octet-stream")
+_SENTENCE = const(0)
+_HTML = const(1)
+_PIECE = const(2)
+
+
+class Visitor:
+    """A place for one who asks. conn: None where it is free."""
+
+    def __init__(self) -> None:
+        self.conn: "Connection | None" = None
+        self.address = ""
+        self.owes = 0  # bytes sent that may not have been read
+        self.proof = b""  # the path that a request proves it by
+        self.begun_ms = 0  # the request that is read, or the wait for one
+        self.asks: "dict[int, bytes] | None" = None  # what is not answered yet
+        self._rest = b""
+        self._size = 0
+        self._fields: "dict[int, bytes]" = {}
+
+    def begin(self, conn: "Connection", address: str, now_ms: int) -> None:
+        """Somebody has come."""
+        self.conn = conn
+        self.address = address
+        self.owes = 0
+        self.proof = b""
+        self.asks = None
+        self.begun_ms = now_ms
+        self._forget()
+
+    def _forget(self) -> None:
+        self._rest = b""
+        self._size = 0
+        self._fields = {}
+
+    def hear(self, data: bytes) -> "dict[int, bytes] | None":
+        """A request, when it is whole; without a first line where it cannot be one."""
+        self._size += len(data)
+        lines = (self._rest + data).split(b"\n")
+        self._rest = lines.pop()
+        fields = self._fields
+        while lines:
+            line = lines.pop(0).strip()
+            if not line and fields:  # what comes behind it has not waited for the answer
+                good = not (lines or self._rest)
+                self._forget()
+                return fields if good else {}
+            name, _, value = line.partition(b":") if fields else (b"", b"", line)
+            name = name.lower()
+            if name not in _FIELDS:
+                continue
+            place = _FIELDS.index(name)
+            if place in fields:
+                return {}
+            fields[place] = value.strip()
+        return {} if self._size > _LONGEST else None
+
+
+class Page:
+    """An Incoming. calls: by TCP; visits: by HTTP; host: the board's name; folder: where the page
+    lies, with a slash at its end."""
+
+    def __init__(self, calls: "Incoming", visits: "Incoming", host: str, folder: str = "") -> None:
+        self._calls = calls
+        self._visits = visits
+        self._host = host.encode()
+        self._folder = folder
+        self._visitors = [Visitor() for _ in range(_VISITORS)]
+        self._memory = Memory(_MEMORY)
+        self._out = bytearray(_HEAD + PIECE)
+        self._read = bytearray(_READ)
+
+    def next(self) -> "tuple[Connection, str] | None":
+        """Who has called, or has opened a websocket; a turn for all others, too."""
+        now_ms = time.ticks_ms()
+        self._memory.forget(now_ms)
+        for visitor in self._visitors:
+            if not visitor.conn:
+                came = self._visits.next()
+                if came:
+                    visitor.begin(came[0], came[1], now_ms)
+                continue
+            try:
+                found = self._serve(visitor, now_ms)
+            except OSError:
+                self._owe(visitor, 0)  # lwIP has dropped all of it
+                self._end(visitor)
+                continue
+            if found:
+                return found, visitor.address
+        return self._calls.next()
+
+    def close(self) -> None:
+        """Hear nobody any more."""
+        for visitor in self._visitors:
+            self._end(visitor)
+        self._visits.close()
+        self._calls.close()
+
+    # Requests
+
+    def _serve(self, visitor: Visitor, now_ms: int) -> "WebSocket | None":
+        """Read on; answer what has been asked."""
+        count = visitor.conn.readinto(self._read) if visitor.conn else 0
+        if count is None:
+            if visitor.asks:
+                return self._answer(visitor, visitor.asks, now_ms)
+            if time.ticks_diff(now_ms, visitor.begun_ms) >= _SILENT_MS:
+                self._end(visitor)
+            return None
+        if not count or visitor.asks:  # it has gone, or does not wait for the answer
+            self._end(visitor)
+            return None
+        fields = visitor.hear(bytes(memoryview(self._read)[:count]))
+        return None if fields is None else self._answer(visitor, fields, now_ms)
+
+    def _owe(self, visitor: Visitor, count: int) -> None:
+        self._memory.held += count - visitor.owes
+        visitor.owes = count
+
+    def _answer(
+        self, visitor: Visitor, fields: "dict[int, bytes]", now_ms: int
+    ) -> "WebSocket | None":
+        words = fields.get(_LINE, b"").split(b" ")
+        if visitor.proof and visitor.proof in words:
+            self._owe(visitor, 0)
+        why = self._refusal(fields, words)
+        if why >= 0:
+            self._refuse(visitor, why)
+            return None
+        visitor.asks = fields
+        if self._memory.space(True) < _SEGMENT:
+            return None
+        visitor.asks = None
+        visitor.begun_ms = now_ms
+        if words[1] == b"/ws":
+            return self._open(visitor, fields)
+        elif words[1] == b"/":
+            self._piece(visitor, _HTML, 0, _FORMS[_POLICY] % fields[_HOST])
+        else:
+            self._piece(visitor, _PIECE, _number(words[1]), b"")
+        return None
+
+    def _refusal(self, fields: "dict[int, bytes]", words: "list[bytes]") -> int:
+        """Why a request is none of ours, a place in _REFUSALS; _GOOD where it is."""
+        if len(words) != 3 or words[2] != _WORDS[1]:
+            return _NO_REQUEST
+        if words[0] != _WORDS[0] or _LENGTH in fields or _ENCODING in fields:
+            return _NO_READING
+        host = fields.get(_HOST, b"").lower()
+        if not self._is_ours(host):
+            return _OTHER_NAME
+        here = b"http://" + host
+        if fields.get(_ORIGIN, here).lower() != here:
+            return _OTHER_PAGE
+        path = words[1]
+        return _GOOD if path in (b"/", b"/ws") or _number(path) >= 0 else _NOT_HERE
+
+    def _is_ours(self, host: bytes) -> bool:
+        """A name of the board's, or a number, which leads nowhere else tomorrow."""
+        name = host.partition(b":")[0]
+        if name in (self._host, self._host + _NAMES[1], _NAMES[0]):
+            return True
+        return _is_of(name, _SIGNS) and len(host) <= _LONGEST_HOST
+
+    def _open(self, visitor: Visitor, fields: "dict[int, bytes]") -> "WebSocket | None":
+        """The handshake."""
+        key = fields.get(_KEY, b"")
+        if fields.get(_UPGRADE, b"").lower() != _WORDS[2] or len(key) != _KEY_LENGTH:
+            self._refuse(visitor, _NO_SOCKET)
+            return None
+        if fields.get(_VERSION) != _WORDS[3]:
+            self._refuse(visitor, _OTHER_VERSION)
+            return None
+        conn, answer = visitor.conn, _FORMS[_ACCEPTED] % web_socket.accepted(key)
+        if conn is None or conn.write(answer) != len(answer):
+            self._end(visitor)
+            return None
+        visitor.conn = None
+        self._owe(visitor, visitor.owes + _SHORT)
+        self._end(visitor)  # the answer, and the last frame where there is no place for it
+        return WebSocket(conn)
+
+    # Answers
+
+    def _refuse(self, visitor: Visitor, why: int) -> None:
+        """With a sentence of _REFUSALS, where there is memory for more than that, and the end."""
+        status, text = _REFUSALS[why]
+        head = _FORMS[_ANSWER] % (status, _KINDS[_SENTENCE], len(text) + 1) + _FORMS[_AND_GO]
+        if self._memory.space(True) >= _SEGMENT + _SHORT:
+            self._put(visitor, memoryview(head + b"\r\n" + text + b"\n"))
+        self._end(visitor)
+
+    def _piece(self, visitor: Visitor, kind: int, number: int, more: bytes) -> None:
+        """Part of a file; behind the last there is an empty one, and the end."""
+        out = memoryview(self._out)
+        name = self._folder + (FIRST if kind == _HTML else NAME)
+        try:
+            with open(name, "rb") as file:
+                file.seek(number * PIECE)
+                count = file.readinto(out[_HEAD:])
+        except OSError:
+            self._refuse(visitor, _NO_PAGE)
+            return
+        head = _FORMS[_ANSWER] % (b"200 OK", _KINDS[kind], count) + more
+        chance = binascii.hexlify(os.urandom(_CHANCE))
+        if kind == _HTML:
+            visitor.proof = _FORMS[_PATH] % (0, chance)
+            at = bytes(out[_HEAD:]).find(_FORMS[_FIRST_PATH]) + _HEAD
+            out[at : at + len(visitor.proof)] = visitor.proof
+        elif count:
+            visitor.proof = _FORMS[_PATH] % (number + 1, chance)
+            head += _FORMS[_NEXT] % visitor.proof
+        head += (b"" if count else _FORMS[_AND_GO]) + b"\r\n"
+        start = _HEAD - len(head)
+        out[start:_HEAD] = head
+        self._put(visitor, out[start : _HEAD + count])
+        if not count:
+            self._end(visitor)
+
+    def _put(self, visitor: Visitor, data: memoryview) -> None:
+        """At once or not at all: else the visitor is let go."""
+        self._owe(visitor, visitor.owes + max(len(data), _SMALLEST))
+        if visitor.conn and visitor.conn.write(data) != len(data):
+            self._end(visitor)
+
+    def _end(self, visitor: Visitor) -> None:
+        """Let it go. What it may not have read stays in lwIP's memory for a while."""
+        conn, visitor.conn = visitor.conn, None
+        self._memory.leave(visitor.owes)
+        visitor.owes = 0
+        if conn:
+            conn.close()
+
+
+def _number(path: bytes) -> int:
+    """Of `/12` or `/12?ab34`: 12; -1 of anything else."""
+    text = path[1:].split(b"?")[0]
+    return int(text) if _is_of(text, _SIGNS[1:]) and len(text) < _DIGITS else -1
+
+
+def _is_of(text: bytes, signs: bytes) -> bool:
+    """There is text, of no other signs."""
+    return bool(text) and not [sign for sign in text if sign not in signs]

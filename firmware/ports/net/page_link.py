@@ -1,0 +1,60 @@
+"""The network's link of a board that serves the page: pages are told who drives.
+
+Clients have less of lwIP's memory here than elsewhere: pieces of the page want the rest, page.py.
+"""
+
+from micropython import const
+
+from ports.net.caller import Memory
+from ports.net.net_link import NetLink
+from ports.net.page import Page
+from ports.net.tcp import Calls
+from ports.net.web_socket import WebSocket
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from interfaces import BoardLink, Incoming
+
+_HTTP = const(80)
+_MEMORY = const(4800)
+_SAID = (b"false", b"true")
+_NEWS = b'{"link":{"name":"%s","open":true},"driver":%s,"drivers":%d,"watchers":%d,"key":%s}'
+
+
+class PageLink(NetLink):
+    """A NetLink. host: the board's name."""
+
+    def __init__(self, cable: "BoardLink", calls: "Incoming | None", host: str) -> None:
+        NetLink.__init__(self, cable, calls, Memory(_MEMORY))
+        self._host = host
+
+    def _round(self, now_ms: int) -> None:
+        NetLink._round(self, now_ms)
+        if not self._is_plain:
+            self._tell()
+
+    def _tell(self) -> None:
+        """Each page hears how things stand when that has changed, as from `ugrbl web`
+        (docs/web.md); with "key": whether it is wanted of him."""
+        driver = self.control.owner
+        watchers = len([1 for caller in self._callers if caller.conn and caller is not driver])
+        for caller in self._callers:
+            socket = caller.conn
+            if not isinstance(socket, WebSocket):
+                continue
+            told = watchers * 8 + caller.trusted * 4 + (caller is driver) * 2 + (driver is None)
+            if told != socket.told:
+                socket.told = told
+                socket.news = _NEWS % (
+                    self._host.encode(),
+                    _SAID[caller is driver],
+                    driver is not None,
+                    watchers,
+                    _SAID[not caller.trusted],
+                )
+
+
+def beside(cable: "BoardLink", calls: "Incoming", host: str) -> PageLink:
+    """The cable's link, with the network and the page around it. calls: by TCP. OSError where
+    there cannot be one."""
+    return PageLink(cable, Page(calls, Calls(_HTTP), host), host)

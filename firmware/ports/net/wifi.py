@@ -1,0 +1,49 @@
+"""Wi-Fi beside the cable: the link of a board whose LINK is "wifi" or "uart_wifi".
+
+Imported at start and forgotten again. What `$NET` has had kept says which network that is; without
+a network, or where the radio fails, there is only the cable.
+"""
+
+from micropython import const
+
+from ports.net.net_link import NetLink
+from ports.storage.flash_store import FlashStore
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from interfaces import BoardLink
+
+
+def beside(cable: "BoardLink", with_page: bool = False) -> "BoardLink":
+    """The cable's link, with the network around it. with_page: it serves the page, too."""
+    kept: "dict[str, str]" = {}
+    for line in FlashStore().load("network") or []:
+        name, _, kept[name] = line.partition("=")
+    if not kept.get("SSID"):
+        return NetLink(cable, None)
+    try:
+        from ports.net import tcp
+        from ports.net.radio import Radio
+
+        host = kept.get("HOST", "ugrbl")
+        radio = Radio(
+            bytes.fromhex(kept["SSID"]),
+            bytes.fromhex(kept.get("PASS", "")),
+            host,
+            kept.get("MODE", "") != "ap",
+        )
+        calls = tcp.Calls(int(kept.get("PORT", "23")))
+        if with_page:
+            from ports.net import page_link
+
+            link: NetLink = page_link.beside(cable, calls, host)
+        else:
+            link = NetLink(cable, calls)
+    except (OSError, ValueError) as fault:
+        link = NetLink(cable, None)
+        why = "the radio fails: %s" % fault
+        link.status = lambda: why
+        return link
+    link.radio = radio.turn
+    link.status = radio.status
+    return link

@@ -1,0 +1,1 @@
+"""A Pico's own USB."""

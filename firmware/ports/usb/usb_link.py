@@ -1,0 +1,357 @@
+# mypy: disable-error-code="arg-type, has-type, misc"
+"""The sender on the board's USB, which MicroPython calls stdin and stdout.
+
+MicroPython collects what has arrived in a ring of 512 bytes, and hands it out byte by byte at
+13 us each, or in pieces whose length one has to know. So the ring is looked for in memory
+(usb_ring.py) and read where it lies; where it is not found the plain way is taken. USB makes the
+sender wait when the ring is full: nothing is ever lost.
+
+The supervisor's timer looks at the ring too: Ctrl-X acts also while the main loop is busy, and a
+sender that opens the port is seen, for the welcome. What MicroPython writes while no port is open
+waits for the first one that is.
+
+The way back to the REPL is escape.py's.
+"""
+
+import array
+import select
+import sys
+import time
+
+import micropython
+from micropython import const
+
+from ports.escape import CTRL_C, Escape
+from ports.link_memory import (
+    ASKED,
+    AWAY,
+    DEAF,
+    DTR,
+    ESCAPES,
+    FULL,
+    JUST,
+    LENGTH,
+    LINE,
+    OPENED,
+    PIECES,
+    REMEMBERED,
+    RING,
+    RING_BYTES,
+    STOPPED,
+    TAKING,
+    TURNED,
+    TURNS,
+    USED,
+    WRITE_MS,
+)
+
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
+
+_CTRL_X = const(24)
+
+# A host that does not read for so long is taken for absent, and is not waited for any more.
+_DEAF_MS = const(250)
+
+# An Arduino is silent for longer after it has been opened, and senders count on it: the Universal
+# G-Code Sender begins twice where it is greeted before it has noted that it has begun.
+_GREET_MS = const(300)
+
+# Answers of a line wait for others, up to so many bytes, and until nothing has come for so many
+# turns: to send takes USB as long as a line takes to be read. What is longer is sent at once, with
+# those that wait, and so is the answer to a $ command, for whoever sends one waits for it.
+_ANSWERS_BYTES = const(64)
+_OUT_BYTES = const(192)
+_QUIET_TURNS = const(2)
+_ANSWER = const(16)
+_LATER = const(1)
+_DOLLAR = const(0x24)
+
+# With a count of bytes: there is more to see to. Or without one: answers are to be sent.
+_NOTE = const(0x100)
+_FLUSH = const(0x200)
+
+# The last request of the host, in the memory of RP2040's and RP2350's USB: requests that tell
+# of the port being open or not (its DTR), that come with opening alone, and that the cable has
+# been plugged in.
+_SETUP = const(0x50100000)
+_SET_LINE_STATE = const(0x2221)
+_LINE_CODING = const(0x2021)  # SET is 0x2021, GET is 0x21A1
+_SET_CONFIGURATION = const(0x0900)
+
+
+@micropython.viper
+def _take(at: ptr32, buf: ptr8, room: int) -> int:
+    """Move up to `room` bytes that the ring holds into buf, and fewer than NOTE.
+
+    Returns how many, and NOTE where UsbLink._note() is to see to something, or else FLUSH where
+    answers have waited long enough.
+    """
+    if room >= _NOTE:
+        room = _NOTE - 1
+    at[TAKING] = 1
+    at[TURNED] = 1
+    shorts = ptr16(at[RING])
+    data = ptr8(ptr32(at[RING])[0])
+    get = shorts[3]
+    put = shorts[4]
+    if (put - get) & (RING_BYTES - 1) >= RING_BYTES - 64:
+        at[FULL] = 1
+    count = 0
+    while get != put and count < room:
+        c = data[get]
+        buf[count] = c
+        if c <= CTRL_C:
+            at[ESCAPES] = 1
+        elif c == _DOLLAR:
+            at[ASKED] = 1
+        get = (get + 1) & (RING_BYTES - 1)
+        count += 1
+    shorts[3] = get
+    at[TAKING] = 0
+    if at[OPENED] | at[STOPPED] | at[FULL if count == 0 else ESCAPES]:
+        return count | _NOTE
+    if count == 0 and at[LENGTH]:
+        at[TURNS] += 1
+        if at[TURNS] >= _QUIET_TURNS:
+            return _FLUSH
+    return count
+
+
+@micropython.viper
+def _keep(memory: object, data: ptr8, count: int) -> int:
+    """Put an answer behind those that wait to be sent. Returns 0 where there is no room, LATER, or
+    how many bytes of them are to be sent now. memory: what the link remembers, and its answers."""
+    at, out = memory
+    return int(_put(ptr32(at), ptr8(out), data, count))
+
+
+@micropython.viper
+def _put(at: ptr32, out: ptr8, data: ptr8, count: int) -> int:
+    length = at[LENGTH]
+    if length + count > (_ANSWERS_BYTES if count <= _ANSWER else _OUT_BYTES):
+        return 0
+    for i in range(count):
+        out[length + i] = data[i]
+    length += count
+    at[LENGTH] = length
+    if count <= _ANSWER:
+        if at[ASKED] == 0:
+            return _LATER
+        at[ASKED] = 0
+    at[LENGTH] = 0
+    at[TURNS] = 0
+    return length
+
+
+class UsbLink:
+    """A Link.
+
+    read_into(buf) moves what has arrived into buf and returns how many bytes; write(data) sends,
+    soon. For the supervisor: shared is what they share, look what its timer calls, None where
+    there is nothing to see; come_back is its own, called in the main loop, and raises. is_slow:
+    Ctrl-X is not heard before the main loop reads.
+    """
+
+    read_into: "Callable[[bytearray], int]"
+    write: "Callable[[bytes | bytearray | memoryview], None]"
+
+    def __init__(self) -> None:
+        micropython.kbd_intr(-1)  # Ctrl-C is a byte like others
+        self.come_back: "Callable[[], None]" = lambda: None
+        self._in: "Any" = sys.stdin.buffer
+        self._out: "Any" = sys.stdout.buffer
+        self._arrived: "Any" = select.poll()
+        self._arrived.register(sys.stdin, select.POLLIN)
+        self._sendable: "Any" = select.poll()
+        self._sendable.register(sys.stdout, select.POLLOUT)
+        self._byte = bytearray(1)
+        self._waiting_out = bytearray(_OUT_BYTES)
+        self._since = 0
+        self._escape = Escape(self.close)
+        self.shared = self._at = array.array("i", (0 for _ in range(REMEMBERED)))
+        self._memory = self._at, self._waiting_out
+        if sys.platform == "rp2":
+            from ports.usb import usb_ring
+
+            usb_ring.find(self._at, self._drain, _take)
+        self.is_slow = self._at[RING] == 0
+        self.look: "Callable[[], int] | None" = None if self.is_slow else self._look
+        self.read_into = self._make_read_into()
+        self._send = self._make_send()
+        self.write = self._make_write()
+
+    def attach(self, at_rest: "Callable[[], bool]", on_open: "Callable[[], None]") -> None:
+        """Say when the REPL may be asked for, and who greets a sender that opens the port anew."""
+        self._escape.at_rest = at_rest
+        self._on_open = on_open
+
+    @micropython.viper
+    def _look(self) -> int:
+        """Interrupt: drop all that has arrived up to a Ctrl-X. Returns whether there was one.
+
+        And see the port being opened, which for the first time is no news."""
+        at = ptr32(self._at)
+        shorts = ptr16(at[RING])
+        data = ptr8(ptr32(at[RING])[0])
+        get = shorts[3]
+        put = shorts[4]
+        is_open = at[DTR]
+        if at[LINE]:
+            is_open = ptr8(at[LINE])[0] & 1
+        else:
+            request = ptr32(_SETUP)[0] & 0x1FFFF
+            if request & 0xFFFF == _SET_LINE_STATE:
+                is_open = request >> 16
+            if request & 0xFE7F == _LINE_CODING:
+                is_open = 1
+            if request & 0xFFFF == _SET_CONFIGURATION:
+                is_open = 0
+        if is_open != at[DTR]:
+            at[DTR] = is_open
+            at[OPENED] = is_open & at[USED]
+        if is_open or get != put:
+            at[USED] = 1
+        found = 0
+        if at[TAKING] == 0:
+            while get != put:
+                get = (get + 1) & (RING_BYTES - 1)
+                if data[(get - 1) & (RING_BYTES - 1)] == _CTRL_X:
+                    shorts[3] = get
+                    found = 1
+        return found
+
+    def _drain(self) -> bytearray:
+        """All that has arrived."""
+        early = bytearray()
+        while self._waiting() and self._in.readinto(self._byte):
+            early.append(self._byte[0])
+        return early
+
+    # These are called at every turn, and find what they need without a look-up. With arguments a
+    # closure has five values at the most: for more MicroPython takes memory at each call.
+
+    def _make_read_into(self) -> "Callable[[bytearray], int]":
+        if self._at[RING] == 0:
+            return self._read_plainly
+        at, take, note, flush = self._at, _take, self._note, self._flush
+
+        # It sends by itself: a turn for that may be the deepest on the stack.
+        def read_into(buf: bytearray) -> int:
+            count: int = take(at, buf, len(buf))
+            if count < _NOTE:
+                return count
+            return flush() if count == _FLUSH else note(buf, count - _NOTE)
+
+        return read_into
+
+    def _make_send(self) -> "Callable[..., None]":
+        """The same, for what is to go now: so many bytes of the answers that wait, or of others. A
+        host that does not read is waited for once, then goes without."""
+
+        def send(
+            length: int,
+            data: "bytes | bytearray | memoryview" = self._waiting_out,
+            at: "array.array[int]" = self._at,
+            out: "Callable[[bytes | bytearray | memoryview, int], object]" = self._out.write,
+            sendable: "Callable[[int], object]" = self._sendable.poll,
+            now_ms: "Callable[[], int]" = time.ticks_ms,
+            passed_ms: "Callable[[int, int], int]" = time.ticks_diff,
+        ) -> None:
+            if at[DEAF] and not sendable(0):
+                return
+            since = now_ms()
+            at[AWAY] = -WRITE_MS
+            out(data, length)
+            at[AWAY] = 0
+            at[DEAF] = passed_ms(now_ms(), since) >= _DEAF_MS
+
+        return send
+
+    def _make_write(self) -> "Callable[[bytes | bytearray | memoryview], None]":
+        """The same, for answers."""
+        memory, keep, send, go_on = self._memory, _keep, self._send, self._make_room
+
+        # Eleven values, on its way included: for more MicroPython takes memory at each call.
+        def write(data: "bytes | bytearray | memoryview") -> None:
+            kept = keep(memory, data, len(data))
+            if kept > _LATER:
+                send(kept)
+            elif not kept:
+                go_on(data)
+
+        return write
+
+    def _make_room(self, data: "bytes | bytearray | memoryview") -> None:
+        """An answer finds no room behind those that wait."""
+        self._flush()
+        if len(data) > _OUT_BYTES:
+            self._send(len(data), data)
+        else:
+            self.write(data)
+
+    def _note(self, buf: bytearray, count: int) -> int:
+        """See to more than bytes. Returns their count."""
+        at = self._at
+        if at[STOPPED]:
+            self.come_back()
+        if at[OPENED]:
+            self._greet(count)
+        if count:
+            at[ESCAPES] = 0
+            self._escape.listen(buf, count)
+            return count
+        if at[FULL]:
+            at[FULL] = 0
+            self._waiting()  # to ask fills the ring
+        return 0
+
+    def _greet(self, count: int) -> None:
+        """A program has opened the port: greet it when it says something, or in a while."""
+        at = self._at
+        if at[OPENED] == JUST:
+            at[OPENED] = JUST + 1
+            self._since = time.ticks_ms()
+        if at[OPENED] and (count or time.ticks_diff(time.ticks_ms(), self._since) >= _GREET_MS):
+            at[OPENED] = 0
+            self._on_open()
+
+    def _waiting(self) -> bool:
+        for _ in self._arrived.ipoll(0):
+            return True
+        return False
+
+    def _read_plainly(self, buf: bytearray) -> int:
+        self._at[TURNED] = 1
+        if self._at[STOPPED]:
+            self.come_back()
+        self._flush()
+        count = 0
+        while count < len(buf) and self._waiting():
+            self._in.readinto(self._byte)
+            buf[count] = self._byte[0]
+            count += 1
+        if count:
+            self._escape.listen(buf, count)
+        return count
+
+    def discard(self) -> None:
+        """Drop what has arrived. MicroPython and its USB keep less than 1 kB; more may follow."""
+        piece = bytearray(64)
+        for _ in range(PIECES):
+            self.read_into(piece)
+
+    def _flush(self) -> int:
+        """Send the answers that wait. Returns 0: nothing has been read."""
+        at = self._at
+        length, at[LENGTH], at[TURNS] = at[LENGTH], 0, 0
+        if length:
+            self._send(length)
+        return 0
+
+    def close(self) -> None:
+        """Send what is left; Ctrl-C interrupts again."""
+        self._flush()
+        micropython.kbd_intr(CTRL_C)
