@@ -28,7 +28,7 @@ test-all: $(VENV)  ## all that needs neither image nor sender; SHARD=2/5 is the 
 	$(BIN)/pytest -q -n auto --dist loadgroup --all $(if $(WHOLE),--whole) $(if $(SHARD),--shard=$(SHARD)) $(if $(SEED),--seed=$(SEED))
 
 mutants: $(VENV)  ## COUNT small faults in the firmware: how many of them the tests find
-	$(BIN)/python host_tests/mutants.py --count $(or $(COUNT),60) --seed $(or $(SEED),1) $(if $(ALL),--all)
+	$(BIN)/python host_tests/support/mutants.py --count $(or $(COUNT),60) --seed $(or $(SEED),1) $(if $(ALL),--all)
 
 fmt: $(VENV)
 	$(BIN)/ruff check --fix .
@@ -56,7 +56,7 @@ test-emulator: $(EMULATOR)  ## on an emulated Pico; UGRBL_UF2 names MicroPython'
 	UGRBL_CHIP=$(CHIP) $(BIN)/pytest -q -rs -n auto --dist loadgroup host_tests/emulator
 
 torture: $(VENV)  ## stops at every bytecode, and random sessions: SEEDS of them, minutes to hours
-	UGRBL_TORTURE=$(or $(SEEDS),500) $(BIN)/pytest -q -n auto --timeout 0 --whole host_tests/test_injection.py host_tests/test_torture.py host_tests/test_custom_injection.py host_tests/test_waits_in_holds.py
+	UGRBL_TORTURE=$(or $(SEEDS),500) $(BIN)/pytest -q -n auto --timeout 0 --whole host_tests/whole/test_injection.py host_tests/whole/test_torture.py host_tests/extras/test_custom_injection.py host_tests/control/test_waits_in_holds.py
 
 torture-board: $(EMULATOR)  ## stops at random instants on an emulated Pico: INJECTIONS of them, an hour
 	UGRBL_INJECTIONS=$(or $(INJECTIONS),1000) $(BIN)/pytest -q -rs -s host_tests/emulator/test_pico_injection.py

@@ -15,6 +15,8 @@ from hypothesis import settings
 _HERE = Path(__file__).parent
 
 sys.path[:0] = [str(_HERE.parent / "tools" / "sim" / "standins"), str(_HERE.parent / "firmware")]
+# Some tests take something from one of another folder. Helpers are in support/: pyproject.toml.
+sys.path += sorted({str(file.parent) for file in _HERE.glob("*/test_*.py")})
 # Said aloud, so that no tool under test switches the checks off for the tests after it.
 os.environ.setdefault("UGRBL_VIPER", "checked")
 # So wide that no line breaks, however long the name of a test's folder is.

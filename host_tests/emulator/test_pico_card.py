@@ -13,7 +13,7 @@ from ugrbl.compiling import build
 
 pytestmark = [pytest.mark.xdist_group("pico card"), needs_micropython]
 
-_SCRIPT = Path(__file__).parent.parent / "fat_image.py"
+_SCRIPT = Path(__file__).parents[1] / "support" / "fat_image.py"
 _BLOCKS = 8192
 _BUS, _PINS = 1, (26, 27, 28, 21)
 _SETTINGS = ("$100=100", "$101=100", "$110=6000", "$111=6000", "$120=500", "$121=500")

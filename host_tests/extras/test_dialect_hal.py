@@ -1,0 +1,469 @@
+"""The dialect of grblHAL: what senders ask at connect, in their order, and what they make of it.
+
+gSender and ioSender cannot run here. What they send, and how they read each answer, is known from
+their sources: gSender's GrblHalController.js and its parsers, ioSender's Grbl.cs.
+"""
+
+import re
+from collections.abc import Generator, Iterator
+from io import BytesIO
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from extras.dialects import dialect_hal
+from net_bench import NetBench, connected
+from ugrbl.boardfile import hal_texts
+from ugrbl.boardfile.files import load_board
+from ugrbl.compiling import build
+from ugrbl.device import checkup
+from ugrbl.grbl.messages import alarms, errors
+from ugrbl.grbl.settings_file import Firmware
+from ugrbl.sim.replay import factory_store
+from ugrbl.sim.rig import Rig
+from ugrbl.sim.sender import Sender
+
+Steps = Generator[Any, None, None]
+
+_WELCOME = "GrblHAL 1.1f ['$' or '$HELP' for help]"
+_FAST = "".join(f"$11{axis}=6000\n$12{axis}=500\n" for axis in range(3))
+_PATIENCE_MS = 600_000
+
+
+def board(**options: Any) -> ModuleType:
+    made = ModuleType("hal")
+    vars(made).update(vars(load_board("sim_hal")), **options)
+    return made
+
+
+class Talk:
+    """A sender at a machine; its methods are steps of a conversation."""
+
+    def __init__(self, machine: ModuleType) -> None:
+        self.rig = Rig(machine, factory_store(machine))
+        self.sender = Sender(self.rig)
+
+    def ask(self, text: str, how: str = "ok") -> "Generator[Any, None, list[str]]":
+        yield from self.sender.wait(how, text)
+        return [line for line in self.sender.take() if line]
+
+    def after(self, milliseconds: float, text: str = "") -> "Generator[Any, None, list[str]]":
+        return self.ask(text, f"ms {milliseconds}")
+
+
+@pytest.fixture
+def converse(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Switch a machine on, wait for its welcome, and talk."""
+
+    def run(steps: Any, **options: Any) -> Talk:
+        machine = board(**options)
+        texts = hal_texts.made(machine)[hal_texts.name()]
+        monkeypatch.setattr(dialect_hal, "texts", lambda: BytesIO(texts))
+        talk = Talk(machine)
+
+        def script() -> Steps:
+            talk.sender.allow(_PATIENCE_MS)
+            assert (yield from talk.ask("", "banner")) == [_WELCOME]
+            yield from steps(talk)
+
+        talk.rig.run(script())
+        return talk
+
+    return run
+
+
+def only(lines: list[str], start: str) -> str:
+    found = [line for line in lines if line.startswith(start)]
+    assert len(found) == 1, lines
+    return found[0]
+
+
+# At connect
+
+
+def test_gsender_connects(converse: Any) -> None:
+    def firmware(line: str) -> str:
+        """By the first line that names one: what decides over A words."""
+        for word in ("grblhal", "grbl", "fluidnc"):
+            if word in line.lower():
+                return word
+        return ""
+
+    def steps(talk: Talk) -> Steps:
+        assert firmware(_WELCOME) == "grblhal"
+        # Where nothing has welcomed it the first answer decides.
+        lines = yield from talk.ask("$I\n")
+        assert next(filter(None, map(firmware, lines))) == "grblhal"
+        (report,) = yield from talk.ask("\x87", "report")
+        state, rest = re.fullmatch(r"<(\w+)(?::\d*)?\|(.*\|FW:grblHAL)>", report).groups()
+        fields = dict(field.split(":") for field in rest.split("|"))
+        assert state == "Idle" and fields["T"] == "0" and "SD" not in fields
+        assert fields["WCO"] == fields["MPos"] == "0.000,0.000,0.000"
+        assert fields["Ov"] == "100,100,100"
+        # It reads that of a plain report, and counts an override from there.
+        plain = (yield from talk.ask("?", "report")) + (yield from talk.ask("?", "report"))
+        assert sum("|Ov:100,100,100" in report for report in plain) == 1
+        lines = yield from talk.ask("$I\n")
+        build = int(re.match(r"\[VER:1\.1f\.(\d+):", lines[0])[1])
+        assert build > 20250627  # settings by their present numbers, and $spindlesh
+        assert re.fullmatch(r"\[AXS:(.+)\]", only(lines, "[AXS"))[1] == "3:XYZ"
+        settings = yield from talk.ask("$$\n")
+        numbers = {int(line[1:].split("=")[0]) for line in settings[:-1]}
+        lines = yield from talk.ask("$ES\n$ESH\n$EG\n$EA\n$EE\n$#\n")
+        assert lines.count("ok") == 6 and not [line for line in lines if "error:" in line]
+        described = {
+            int(match[1]): match[2].split("|")
+            for match in (re.match(r"\[SETTING:(\d+)\|(.+?)(?=\])", line) for line in lines)
+            if match
+        }
+        assert set(described) == numbers
+        assert described[110] == "43|Maximum rate X|mm/min|6|#####0.000|0||0|0".split("|")
+        details = [line.split("\t") for line in lines if re.fullmatch(r"(\d*)\t(.*)", line)]
+        assert {int(row[0]) for row in details} == numbers
+        assert {len(row) for row in details} == {10} and details[0][5].startswith("Length of one")
+        groups = [re.fullmatch(r"\[SETTINGGROUP:(\d+)\|(\d+)\|(.*)\]", line) for line in lines]
+        assert {row[0] for row in described.values()} <= {match[1] for match in groups if match}
+        for kind, known in (("ALARM", alarms()), ("ERROR", errors())):
+            rows = [re.fullmatch(rf"\[{kind}CODE:(\d+)\|\|(.+)\]", line) for line in lines]
+            assert {int(match[1]) for match in rows if match} == set(known)
+        lines = yield from talk.ask("$spindlesh\n")
+        assert lines == ["[SPINDLE:0|0|0|*DV|PWM|0,1000]", "ok"]
+
+    converse(steps)
+
+
+def test_iosender_connects(converse: Any) -> None:
+    def steps(talk: Talk) -> Steps:
+        (report,) = yield from talk.ask("\x87", "report")
+        assert "FW:grblHAL" in report.rstrip(">").split("|")
+        lines = yield from talk.ask("$I+\n")
+        assert only(lines, "[FIRMWARE") == "[FIRMWARE:grblHAL]"
+        assert only(lines, "[OPT").rstrip("]").split(",")[1:] == ["15", "1024", "3", "0"]
+        assert only(lines, "[NEWOPT")[8:-1].split(",") == ["ENUMS"]
+        for command, start, parts in (
+            ("$EA", "[ALARMCODE:", 3),
+            ("$EE", "[ERRORCODE:", 3),
+            ("$ES", "[SETTING:", 10),
+            ("$EG", "[SETTINGGROUP:", 3),
+        ):
+            rows = yield from talk.ask(command + "\n")
+            assert rows.pop() == "ok" and rows
+            for row in rows:
+                assert row.startswith(start)
+                cells = row[len(start) :].rstrip("]").split("|")
+                assert len(cells) == parts and int(cells[0]) >= 0
+        assert (yield from talk.ask("$+\n")) == (yield from talk.ask("$$\n"))
+        lines = yield from talk.ask("$G\n")
+        assert lines[0] == "[GC:G0 G54 G17 G21 G90 G94 G49 M5 M9 T0 F0 S0]"
+        assert (yield from talk.ask("$#\n"))[-1] == "ok"
+        lines = yield from talk.ask("$SPINDLESH\n")
+        assert len(lines[0].rstrip("]").split("|")) == 6 and lines[1:] == ["ok"]
+        for question in "\x87?\x80":
+            assert len((yield from talk.ask(question, "report"))) == 1
+
+    converse(steps)
+
+
+def test_options_are_said_as_they_are(converse: Any, tmp_path: Path) -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.ask("$22=1\n")
+        lines = yield from talk.ask("$I\n")
+        assert "[NEWOPT:ENUMS,HOME,SD]" in lines and "[AXS:4:XYZA]" in lines
+        yield from talk.ask("G43.1Z-2\nT3\n")
+        assert " G43.1 M5" in (yield from talk.ask("$G\n"))[0]
+        (report,) = yield from talk.ask("\x87", "report")
+        assert report.endswith("|WCO:0.000,0.000,-2.000,0.000|T:3|SD:1|FW:grblHAL>")
+        lines = yield from talk.ask("$FM\n$F\n$F+\n")
+        assert lines.count("ok") == 3
+        lines = yield from talk.ask("$32=1\n$SPINDLESH\n")
+        assert lines[1] == "[SPINDLE:0|0|0|*DLV|PWM|0,1000]"
+        lines = yield from talk.ask("$ES\n")
+        assert only(lines, "[SETTING:103|") == (
+            "[SETTING:103|46|Steps per degree A|step/deg|6|#####0.000|0||0|0]"
+        )
+
+    (tmp_path / "jobs").mkdir()
+    converse(steps, STEP=(0, 1, 2, 3), ROTARY="A", JOBS=str(tmp_path / "jobs"))
+
+
+def test_a_words_are_a_words(converse: Any) -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.ask(_FAST + "$113=6000\n$123=500\n")
+        yield from talk.ask("G1A45F5000\n", "idle")
+        (report,) = yield from talk.ask("?", "report")
+        assert "MPos:0.000,0.000,0.000,45.000" in report
+
+    converse(steps, STEP=(0, 1, 2, 3))
+
+
+def test_rows_are_what_lines_can_be() -> None:
+    rows = hal_texts.made(board(TOOL="punch"))[hal_texts.name()].split(b"\r\n")
+    assert rows.pop() == b""
+    for row in rows:
+        assert len(row) < 400 and row.isascii() and b"\n" not in row
+        assert not re.search(rb"\b(ok|error)\b", row), row
+    assert not hal_texts.made(load_board("sim"))
+    assert any(row.startswith(b"ES 30 [SETTING:30|6|Punch") for row in rows), "the punch's own"
+
+
+def test_without_its_file_a_board_says_what_to_do(converse: Any, monkeypatch: Any) -> None:
+    def steps(talk: Talk) -> Steps:
+        monkeypatch.setattr(dialect_hal, "texts", lambda: open("/nowhere/hal.txt", "rb"))
+        lines = yield from talk.ask("$ES\n")
+        assert lines == ["[MSG:hal.txt is not on the board: ugrbl deploy puts it there]", "ok"]
+
+    converse(steps)
+
+
+def test_commands_of_neither_are_refused(converse: Any) -> None:
+    def steps(talk: Talk) -> Steps:
+        assert (yield from talk.ask("$EX\n")) == ["error:3"]
+        assert (yield from talk.ask("$HELP\n")) == (yield from talk.ask("$\n"))
+
+    converse(steps)
+
+
+def test_what_only_reads_is_answered_in_motion(converse: Any) -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.ask(_FAST)
+        yield from talk.ask("G1X20F600\n", "ok")
+        for command in ("$ES", "$EE", "$+", "$SPINDLESH", "$HELP"):
+            assert (yield from talk.ask(command + "\n"))[-1] == "ok", command
+        assert (yield from talk.ask("?", "report"))[0].startswith("<Run")
+
+    converse(steps)
+
+
+def test_what_gsender_has_under_way_is_not_lost(converse: Any) -> None:
+    """724 bytes, whatever [OPT:] says: grblHAL's buffer has 1024."""
+    lines = [f"G1 X{k % 2}.{k % 10}00 Y0.{k % 10}00 F1200\n" for k in range(31)]
+
+    def steps(talk: Talk) -> Steps:
+        yield from talk.ask("G1 X5 F600\n")
+        sent = "".join(lines)[:724].rpartition("\n")[0] + "\n"
+        talk.rig.link.send(sent.encode())
+        count = sent.count("\n")
+        yield from talk.sender.until(lambda: talk.sender.answers >= count)
+        assert [line for line in talk.sender.take() if line] == ["ok"] * count
+
+    converse(steps)
+
+
+# Real-time bytes
+
+
+def test_bytes_of_grblhal_are_those_of_grbl(converse: Any) -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.ask(_FAST)
+        yield from talk.ask("G1X20F1200\n", "ok")
+        yield from talk.after(500, "\x82")
+        assert (yield from talk.ask("\x80", "report"))[0].startswith("<Hold:0")
+        yield from talk.after(60, "\x81")
+        assert (yield from talk.ask("\x87", "report"))[0].startswith("<Run")
+
+    converse(steps)
+
+
+def test_other_bytes_of_grblhal_do_no_harm(converse: Any) -> None:
+    def steps(talk: Talk) -> Steps:
+        for x, byte in enumerate("\x83\x86\x88\x89\x8a\x8b\x8c\xa2\xa3\xa4\xb0\xc2\x05\x14\x1b"):
+            assert (yield from talk.ask(f"G0{byte}X{x}{byte}\n", "idle")) == ["ok"]
+            assert f"MPos:{x}.000" in (yield from talk.ask("?", "report"))[0]
+
+    converse(steps)
+
+
+def test_a_byte_that_came_as_utf_8_acts(converse: Any) -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.ask(_FAST)
+        yield from talk.ask("$J=X50F1200\n", "ok")
+        yield from talk.after(500, "\xc2\x85")
+        (report,) = yield from talk.ask("?", "report")
+        assert report.startswith("<Idle") and "MPos:0.000" not in report
+        assert "MPos:50.000" not in report
+
+    converse(steps)
+
+
+@pytest.mark.parametrize("lines", ["G1X50F1200\nG1X60\n", "$1=255\nG1X50F1200\n", "$J=X50F1200\n"])
+def test_a_stop_ends_motion_and_keeps_the_position(lines: str, converse: Any) -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.ask(_FAST + "M3S500\n")
+        yield from talk.ask(lines, "ok")
+        assert (yield from talk.after(500, "\x19")) == [_WELCOME]
+        (report,) = yield from talk.ask("?", "report")
+        assert report.startswith("<Idle") and "FS:0,0" in report
+        place = float(re.search(r"MPos:([\d.]+)", report)[1])
+        assert 0 < place < 50
+        (after,) = yield from talk.after(500, "?")
+        assert f"MPos:{place:.3f}" in after
+
+    converse(steps)
+
+
+def test_a_stop_at_rest_forgets_a_hold_and_leaves_check_mode(converse: Any) -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.after(60, "!")
+        yield from talk.after(60, "\x19")
+        assert (yield from talk.ask("?", "report"))[-1].startswith("<Idle")
+        yield from talk.ask("$C\n")
+        yield from talk.after(60, "\x19")
+        assert (yield from talk.ask("?", "report"))[-1].startswith("<Idle")
+
+    converse(steps)
+
+
+def test_a_stop_ends_homing_at_once(converse: Any) -> None:
+    """It ignores a hold, and its position is lost: as by a reset."""
+
+    def steps(talk: Talk) -> Steps:
+        yield from talk.ask(_FAST)
+        yield from talk.after(300, "$22=1\n")
+        yield from talk.after(100, "$H\n")
+        assert not talk.rig.engine.idle()
+        assert (yield from talk.after(50, "\x19")) == ["ALARM:6"]
+        assert talk.rig.engine.idle()
+        assert _WELCOME in (yield from talk.after(1000))
+        assert (yield from talk.ask("?", "report"))[0].startswith("<Alarm")
+
+    converse(steps)
+
+
+def test_a_stop_ends_parking_at_once(converse: Any) -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.ask(_FAST)
+        yield from talk.after(300, "$22=1\n$132=200\n")
+        yield from talk.ask("M3S500G0Z-90\n", "idle")
+        yield from talk.ask("G1X50F600\n", "ok")
+        yield from talk.after(300)
+        yield from talk.after(300, "\x84")
+        assert talk.rig.controller.state.system_motion
+        assert (yield from talk.after(50, "\x19"))[0] == "ALARM:3"
+        assert talk.rig.engine.idle()
+
+    converse(steps, PARKING=True)
+
+
+def test_a_stop_ends_jogs_that_are_still_to_come(converse: Any) -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.ask(_FAST)
+        yield from talk.ask("$J=G91X1F500\n" * 30, "ms 2000")
+        yield from talk.after(1000, "\x19")
+        (report,) = yield from talk.ask("?", "report")
+        assert report.startswith("<Idle")
+        place = re.search(r"MPos:([\d.]+)", report)[1]
+        assert 0 < float(place) < 29
+        assert f"MPos:{place}," in (yield from talk.after(2000, "?"))[0]
+
+    converse(steps)
+
+
+def test_gsender_stops_a_job_by_force(converse: Any) -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.ask(_FAST)
+        yield from talk.ask("G1X50F1200\n", "ok")
+        yield from talk.after(700, "\x19!")
+        assert (yield from talk.after(200, "\x18"))[-1] == _WELCOME
+        assert (yield from talk.ask("?", "report"))[0].startswith("<Idle")
+        assert (yield from talk.after(2000)) == []
+
+    converse(steps)
+
+
+def test_a_reset_on_the_way_to_a_stop_is_one_reset(converse: Any) -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.ask("$110=6000\n$120=5\n")
+        yield from talk.ask("G1X50F1200\n", "ok")
+        yield from talk.after(3000)
+        yield from talk.after(100, "\x19")
+        assert (yield from talk.after(2000, "\x18")).count(_WELCOME) == 1
+
+    converse(steps)
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_gsender_unlocks(together: bool, converse: Any) -> None:
+    """It sends a stop right after $X."""
+
+    def steps(talk: Talk) -> Steps:
+        yield from talk.ask("$22=1\n")
+        yield from talk.after(100, "\x18")
+        if together:
+            lines = yield from talk.after(300, "$X\n\x19")
+        else:
+            lines = yield from talk.ask("$X\n")
+            yield from talk.after(300, "\x19")
+        assert "ok" in lines
+        assert (yield from talk.ask("?", "report"))[-1].startswith("<Idle")
+
+    converse(steps)
+
+
+def test_an_alarm_is_in_the_report_that_has_everything(converse: Any) -> None:
+    def steps(talk: Talk) -> Steps:
+        yield from talk.ask("$21=1\n")
+        yield from talk.ask("G38.2X1F100\n", "ok")
+        (report,) = yield from talk.ask("\x87", "report")
+        assert report.startswith("<Alarm:5|")
+        assert (yield from talk.ask("?", "report"))[0].startswith("<Alarm|")
+        yield from talk.ask("$X\n")
+        assert (yield from talk.ask("\x87", "report"))[0].startswith("<Idle|")
+
+    converse(steps)
+
+
+# The network, and our own tools
+
+
+def test_a_client_of_the_network_is_welcomed_as_by_grblhal(monkeypatch: Any) -> None:
+    bench = NetBench(monkeypatch, board=board(LINK="wifi"))
+
+    def script(bench: Any) -> Iterator[Any]:
+        one, two = bench.call(), bench.call()
+        yield from connected(bench, one, f"\r\n{_WELCOME}\r\n")
+        yield from connected(bench, two, f"\r\n{_WELCOME}\r\n")
+        two.send(b"\x87")
+        yield from bench.until(lambda: b">" in two.got)
+        assert "FW:grblHAL" in two.take() and "<" not in one.take()
+
+    bench.run(script)
+
+
+def test_a_board_that_speaks_so_has_the_texts(monkeypatch: Any) -> None:
+    monkeypatch.setattr(build, "compile_all", lambda *_: build.Build("armv6m"))
+    pico = Path(__file__).parents[2] / "boards" / "rpi_pico.py"
+    monkeypatch.setattr(build, "load_for_build", lambda file: vary(load_board("rpi_pico")))
+    made = build.for_board(pico)
+    assert made.files["hal.txt"] and "hal.txt" in made.own
+
+
+def vary(pico: Any) -> ModuleType:
+    made = ModuleType("pico")
+    vars(made).update(vars(pico), DIALECT="hal")
+    return made
+
+
+def test_the_doctor_knows_it_for_one_of_ours() -> None:
+    found = Firmware.read(["[VER:1.1f.20261121:GrblHAL pio 400000Hz mine]", "[OPT:V,15,128,3,0]"])
+    assert checkup.is_ours(found) and not checkup.is_relative(found)
+    theirs = Firmware.read(["[VER:1.1f.20261121:]", "[FIRMWARE:grblHAL]"])
+    assert not checkup.is_ours(theirs)
+
+
+def test_the_default_dialect_knows_nothing_of_it() -> None:
+    plain = load_board("sim")
+    rig = Rig(plain, factory_store(plain))
+    sender = Sender(rig)
+
+    def script() -> Steps:
+        sender.allow(_PATIENCE_MS)
+        yield from sender.wait("banner", "")
+        sender.take()
+        yield from sender.wait("ms 100", "\x80\x87\x19")
+        assert sender.take() == []
+        for line in ("$ES", "$+", "$SPINDLESH"):
+            yield from sender.wait("ok", line + "\n")
+            assert sender.take()[0].startswith("error:")
+
+    rig.run(script())

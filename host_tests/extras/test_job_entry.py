@@ -1,0 +1,107 @@
+"""Going on in the middle of real programs: as a whole run would have gone on there.
+
+UGRBL_ENTRIES=1000 tries so many lines, instead of a few.
+"""
+
+import json
+import os
+import random
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+from language.checks import MOVE
+from motion.arc_geometry import TOLERANCE
+from test_jobs import FAST, HOMED, Bench, homed, to_its_end
+from ugrbl.grbl.gcode_file import read_lines
+
+_PROGRAMS = Path(__file__).resolve().parents[3] / "shared" / "gcode"
+_EXPECTED = _PROGRAMS / "expected.json"
+_ENTRIES = int(os.environ.get("UGRBL_ENTRIES", "24"))
+LASER = ("$32=0", "$32=1")
+_BEHIND = 30  # lines that are compared
+_LONGEST = 3000
+# Where nobody can begin.
+_NO_WAY = (
+    "goes on with a drilling cycle",
+    " probes: ",
+    " ends the program",
+    "is refused with ",
+    " is too long",
+)
+
+
+class Witness(Bench):
+    """Notes what the interpreter asks for, with all that is in force, by lines of the job."""
+
+    def _listen(self) -> None:
+        machine = self.rig.controller
+        machine.interpreter.watch(MOVE)  # or not all moves would come past here
+        canon, modes, coords = machine.canon, machine.modes, machine.coords
+        usual_line, usual_arc = canon.line, canon.arc
+        link: Any = machine.protocol.link
+
+        def note(target: Any, move: Any, *more: Any) -> None:
+            number = link.line() + 1 if link.is_on else 0
+            asked = tuple(target), move.flags, move.feed, move.spindle_rpm, more
+            modal = tuple(modes.modal[:11]), tuple(modes.rates), modes.tool, tuple(modes.position)
+            offsets = coords.active, tuple(coords.g92), coords.tool_length
+            self.log.append((number, (asked, modal, offsets)))
+
+        def line(target: Any, move: Any) -> None:
+            note(target, move)
+            usual_line(target, move)
+
+        def arc(start: Any, target: Any, arc: Any, move: Any) -> None:
+            note(target, move, tuple(start), tuple(arc.plane), tuple(arc.numbers[:TOLERANCE]))
+            usual_arc(start, target, arc, move)
+
+        canon.line = line  # type: ignore[method-assign]
+        canon.arc = arc  # type: ignore[method-assign]
+
+
+def programs() -> list[str]:
+    found = json.loads(_EXPECTED.read_text()) if _EXPECTED.exists() else {}
+    return sorted(name for name, seen in found.items() if 50 < seen["lines"] <= _LONGEST)
+
+
+def lines_of(name: str) -> list[str]:
+    """Without its settings, which are refused in check mode."""
+    lines = [line.decode("latin-1") for line in read_lines(_PROGRAMS / name)]
+    return ["" if line.startswith("$") else line for line in lines]
+
+
+@cache
+def whole(name: str, laser: bool, folder: Path) -> list[tuple[int, Any]]:
+    """The log of a whole run, which moves nothing."""
+    bench = Witness(folder, LENIENT=True)
+    homed(bench).put("ALL.NC", *lines_of(name))
+    bench.run(to_its_end(*FAST, *HOMED, LASER[laser], "$C", "$F=ALL.NC"))
+    return bench.log
+
+
+@pytest.mark.sampled(1, 8)
+@pytest.mark.skipif(not programs(), reason=f"{_EXPECTED} is not there")
+@pytest.mark.parametrize("number", range(_ENTRIES))
+def test_a_program_goes_on_as_a_whole_run_does(
+    tmp_path_factory: pytest.TempPathFactory, number: int
+) -> None:
+    chance = random.Random(number)
+    name = chance.choice(programs())
+    lines = lines_of(name)
+    line = chance.randrange(2, len(lines) + 1)
+    folder = tmp_path_factory.getbasetemp() / name
+    folder.mkdir(exist_ok=True)
+    laser = chance.random() < 0.5
+    log = whole(name, laser, folder)
+    bench = Witness(folder, LENIENT=True)
+    homed(bench).put("PART.NC", *lines[: line + _BEHIND])
+    said = bench.run(to_its_end(*FAST, *HOMED, LASER[laser], f"$F=PART.NC@{line}"))
+    if f"[MSG:Job PART.NC: goes on at line {line}]" not in said:
+        assert any(why in said[-1] for why in _NO_WAY), said
+        assert not bench.behind(line)
+        return
+    expected = [entry for entry in log if line <= entry[0] <= line + _BEHIND]
+    found = [entry for entry in bench.behind(line) if entry[0] <= line + _BEHIND]
+    assert found == expected, (name, line)

@@ -1,0 +1,362 @@
+"""`ugrbl run`: programs through the firmware in virtual time."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from as_users import as_users
+from typer.testing import CliRunner
+from ugrbl import paths
+from ugrbl.boardfile.files import boards
+from ugrbl.cli.app import app
+from ugrbl.grbl.gcode_file import read_lines, read_program
+from ugrbl.grbl.lines import split_lines
+from ugrbl.grbl.messages import alarms, errors, meaning
+from ugrbl.run.program import Result, run_program
+
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
+_PROGRAMS = Path(__file__).resolve().parents[3] / "shared" / "gcode"
+_EXPECTED = _PROGRAMS / "expected.json"
+_GRBL = json.loads(_EXPECTED.read_text()) if _EXPECTED.exists() else {}
+_ABSENT = pytest.mark.skip(f"{_EXPECTED} is not there")
+
+
+def run(text: str, *settings: str, **options: bool) -> Result:
+    return run_program(split_lines(text.encode("latin-1")), settings=settings, **options)[0]
+
+
+def ugrbl(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """The command in a process of its own, as a user runs it."""
+    environment = as_users(COLUMNS="120")
+    command = [sys.executable, "-m", "ugrbl.cli", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+
+
+def test_check_names_bytes_that_act_at_once(tmp_path: Path) -> None:
+    file = tmp_path / "umlauts.nc"
+    file.write_text("(Größe)\nG0 X1\n", encoding="utf-8")
+    done = ugrbl("run", file, "--check")
+    assert done.returncode == 0 and "line 1: 'ö'" in done.stdout
+    file.write_text("G0 X1\nG0 X2 Ö\n", encoding="utf-8")
+    done = ugrbl("run", file, "--check")
+    assert done.returncode == 1 and "line 2: 'Ö'" in done.stdout
+
+
+# Real programs, with real Grbl as the judge
+
+
+def programs(only_good: bool) -> list[object]:
+    names = [name for name, seen in _GRBL.items() if not (only_good and seen["errors"])]
+    return list(names) or [pytest.param("", marks=_ABSENT)]
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("name", programs(only_good=False))
+def test_check_finds_what_real_grbl_found(name: str) -> None:
+    result, _ = run_program(read_lines(_PROGRAMS / name), check=True)
+    seen = _GRBL[name]
+    assert [list(error) for error in result.errors] == seen["errors"]
+    assert [result.final_state] == seen["final_state"]
+    assert [list(output) for output in result.other_output] == seen["other_output"]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", programs(only_good=True))
+def test_programs_without_errors_run_to_their_last_step(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "result.json"
+    done = ugrbl("run", _PROGRAMS / name, "--json", file)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(file.read_text())
+    assert result["errors"] == []
+    assert result["lines"] == len(read_lines(_PROGRAMS / name))
+    assert result["steps_made"] == result["steps_planned"]
+    assert [result["final_state"]] == _GRBL[name]["final_state"]
+
+
+# What it tells
+
+
+def test_time_is_that_of_the_trapezoid() -> None:
+    # 600 mm/min = 10 mm/s reached and lost in 1 s each, 10 mm/s2: 20 mm take 3 s.
+    result = run("G1 X20 F600\n", "$110=1000")
+    assert result.totals.time_s == pytest.approx(3.0, rel=1e-3)
+
+
+def test_a_dwell_takes_its_time() -> None:
+    assert run("G4 P2.5\n").totals.time_s == pytest.approx(2.5, abs=0.06)
+
+
+def test_steps_are_counted_in_both_directions() -> None:
+    totals = run("G0 X1 Z-2\nX0\n").totals
+    assert totals.steps_planned == totals.steps_made == {"X": 500, "Y": 0, "Z": 500}
+
+
+def test_bounds_follow_an_arc_to_where_it_swings_out() -> None:
+    bounds = run("G17 G2 X0 Y0 I5 J0 F500\n").totals.bounds_mm
+    assert bounds["X"] == pytest.approx((0, 10), abs=0.01)
+    assert bounds["Y"] == pytest.approx((-5, 5), abs=0.01)
+
+
+def test_distance_is_the_length_of_the_path() -> None:
+    assert run("G0 X3 Y4\nG0 Z1\n").totals.distance_mm == pytest.approx(6.0, abs=1e-3)
+
+
+def test_corexy_bounds_are_those_of_the_tool() -> None:
+    result, _ = run_program([b"G0 X3 Y4"], board="sim_corexy")
+    assert result.totals.bounds_mm["X"] == pytest.approx((0, 3), abs=0.01)
+    assert result.totals.bounds_mm["Y"] == pytest.approx((0, 4), abs=0.01)
+    assert result.totals.distance_mm == pytest.approx(5.0, abs=0.01)
+
+
+def test_errors_carry_their_lines() -> None:
+    result = run("G0 X1\nG64\n\nG2 X5 F100\n")
+    assert result.errors == [(2, "error:20"), (4, "error:35")]
+    assert result.lines == 4
+
+
+def test_other_output_carries_the_line_it_belongs_to() -> None:
+    assert run("G0 X1\nM30\nG0 X0\n").other_output == [(2, "[MSG:Pgm End]")]
+
+
+def test_the_final_state_is_that_of_the_parser() -> None:
+    assert run("G20 G91\nG1 F10\n").final_state.startswith("[GC:G1 G54 G17 G20 G91 ")
+
+
+def test_check_mode_moves_nothing() -> None:
+    totals = run("G0 X10\nG4 P5\n", check=True).totals
+    assert totals.steps_planned == {"X": 0, "Y": 0, "Z": 0}
+    assert totals.time_s < 0.1
+
+
+def test_a_line_too_long_for_the_receive_buffer_is_one_line() -> None:
+    assert run("G0 X1 (" + "a" * 300 + ")\nG0" + " X1" * 100 + "\nG0 X2\n").errors == [
+        (2, "error:11")
+    ]
+
+
+# What it does about programs that stop
+
+
+def test_a_pause_is_told_to_go_on() -> None:
+    result = run("G0 X1\nM0\nG0 X2\nM0\nG0 X3\n")
+    assert (result.pauses, result.lines, result.stopped) == ([2, 4], 5, "")
+    assert result.totals.steps_made["X"] == 750
+
+
+def test_a_hold_in_the_text_is_told_to_go_on() -> None:
+    result = run("G0 X1\n(wow!)\nG0 X2\n")
+    assert (len(result.pauses), result.lines, result.stopped) == (1, 3, "")
+    assert result.totals.steps_made["X"] == 500
+
+
+def test_an_alarm_ends_the_run() -> None:
+    result = run("G0 X1\nG38.2 Z-5 F100\nG0 X2\n")
+    assert (result.stopped, result.lines, result.errors) == ("ALARM:5", 1, [])
+
+
+def test_sleep_ends_the_run() -> None:
+    assert "asleep" in run("$SLP\nG0 X1\n").stopped
+
+
+def test_a_reset_in_the_text_does_not_lose_the_rest() -> None:
+    result = run("G91\n\x18\nG0 X1\n")
+    assert result.stopped == ""
+    assert result.final_state.startswith("[GC:G0 G54 G17 G21 G90 ")
+
+
+def test_a_refused_setting_ends_it_before_it_begins() -> None:
+    result = run("G0 X1\n", "$0=1")
+    assert result.stopped == "$0=1 was refused with error:6"
+    assert result.totals.steps_made["X"] == 0
+
+
+# Files and words
+
+
+@pytest.mark.parametrize(
+    ("data", "lines"),
+    [
+        (b"", []),
+        (b"a", [b"a"]),
+        (b"a\n", [b"a"]),
+        (b"a\r\nb\nc\rd", [b"a", b"b", b"c", b"d"]),
+        (b"a\n\nb\r\r", [b"a", b"", b"b", b""]),
+        (b"a\r\r\nb", [b"a", b"b"]),
+        (b"a\n\rb", [b"a", b"", b"b"]),
+    ],
+)
+def test_a_file_is_cut_at_every_kind_of_line_end(data: bytes, lines: list[bytes]) -> None:
+    assert split_lines(data) == lines
+
+
+def test_every_number_has_a_meaning() -> None:
+    grbl = {*range(1, 18), *range(20, 39)}
+    assert set(errors()) == grbl
+    assert set(range(1, 11)) <= set(alarms())
+    assert all(words.endswith(".") for words in [*errors().values(), *alarms().values()])
+
+
+def test_unknown_numbers_are_said_to_be_so() -> None:
+    assert meaning("error:99") == "not a number of Grbl 1.1"
+
+
+def test_a_reset_in_the_text_is_told_of() -> None:
+    assert run("G91\n\x18\nG0 X1\n").resets == [2]
+
+
+def test_a_place_is_what_the_firmware_calls_it() -> None:
+    totals = run("G92 X0\nG0 X-3\n").totals
+    assert totals.final_position_mm["X"] == -3
+    totals = run("G0 X3\n", "$3=1").totals
+    assert (totals.final_position_mm["X"], totals.bounds_mm["X"]) == (3, (0, 3))
+
+
+# The command
+
+
+def test_a_reset_in_the_text_is_a_failure(program: Path) -> None:
+    program.write_bytes(b"G0 X1\n\x18G0 X2\n")
+    done = CliRunner().invoke(app, ["run", str(program)])
+    assert done.exit_code == 1 and "line 2: Ctrl-X" in done.output
+
+
+@pytest.mark.parametrize("data", [b"", b"\n\n", b"GIF89a\0\0"])
+def test_what_is_no_program_is_a_failure(program: Path, data: bytes) -> None:
+    program.write_bytes(data)
+    done = CliRunner().invoke(app, ["run", str(program)])
+    assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--plot", "out.tiff"], ".html, .png, .svg"),
+        (["--json", "PROGRAM/x.json"], "program.nc is no folder"),
+        (["--json", "PROGRAM"], "it is not written over"),
+        (["--settings", "PROGRAM"], "is no setting"),
+        (["--set", "fast"], "write it as"),
+    ],
+)
+def test_what_cannot_be_is_told_before_the_work(program: Path, words: list[str], why: str) -> None:
+    program.write_text("G0 X1\n")
+    words = [word.replace("PROGRAM", str(program)) for word in words]
+    done = CliRunner().invoke(app, ["run", str(program), *words])
+    assert done.exit_code == 1 and isinstance(done.exception, SystemExit)
+    assert "".join(why.split()) in "".join(done.output.split()) and "machining" not in done.output
+    assert program.read_text() == "G0 X1\n"
+
+
+def test_a_program_of_another_controller_is_told_what_takes_it(program: Path) -> None:
+    program.write_text("%\nO1000 (PART)\nN10 T1 M6\nG21 G90\nG0 X1\nM30\n%\n")
+    done = CliRunner().invoke(app, ["run", str(program), "--check"])
+    assert done.exit_code == 1 and "line 1" not in done.output
+    assert "lines 2, 3: written for another controller; --lenient takes" in done.output
+    done = CliRunner().invoke(app, ["run", str(program), "--check", "--lenient"])
+    assert done.exit_code == 0 and "another controller" not in done.output
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "utf-8-sig"])
+def test_a_program_may_be_in_utf_16(program: Path, encoding: str) -> None:
+    mark = b"\xfe\xff" if encoding == "utf-16-be" else b""
+    program.write_bytes(mark + "G0 X1 (ä)\r\nG0 X2\r\n".encode(encoding))
+    assert list(read_program(program)) == ["G0 X1 (ä)".encode(), b"G0 X2"]
+
+
+def test_a_dash_that_is_no_minus_is_named(program: Path) -> None:
+    program.write_text("G21\nG1 X−1 F500\n", encoding="utf-8")
+    done = CliRunner().invoke(app, ["run", str(program)])
+    assert "line 2: '−' is no minus: write -" in done.output
+
+
+def test_settings_of_a_file_hold_and_those_said_over_them(program: Path, tmp_path: Path) -> None:
+    program.write_text("G0 X1 Y1\n")
+    settings, file = tmp_path / "my.settings", tmp_path / "out.json"
+    settings.write_text("$100=100 ; coarse\n$101=50\n")
+    words = ["--settings", str(settings), "--set", "101=80", "--json", str(file)]
+    assert CliRunner().invoke(app, ["run", str(program), *words]).exit_code == 0
+    result = json.loads(file.read_text())
+    assert result["steps_made"] == {"X": 100, "Y": 80, "Z": 0}
+    assert result["final_position_mm"] == {"X": 1, "Y": 1, "Z": 0}
+
+
+@pytest.mark.parametrize("suffix", [".html", ".PNG", ".svg"])
+def test_what_has_run_is_drawn_as_plot_does(program: Path, suffix: str) -> None:
+    program.write_text("G0 X10 Y5\nG1 X0 F300\n")
+    file = program.with_name("new") / f"path{suffix}"
+    done = CliRunner().invoke(app, ["run", str(program), "--plot", str(file)])
+    assert done.exit_code == 0, done.output
+    assert file.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("name", boards())
+def test_every_board_simulates(name: str, program: Path) -> None:
+    program.write_text("G21 G90\nG0 X1\nG1 Y1 F300\n")
+    done = CliRunner().invoke(app, ["run", str(program), "--board", name])
+    assert done.exit_code == 0, done.output
+    assert "2 commanded" not in done.output and "!=" not in done.output
+
+
+def test_a_board_file_anywhere_simulates(program: Path, tmp_path: Path) -> None:
+    program.write_text("G0 X1\n")
+    board = tmp_path / "mine.py"
+    board.write_text((paths.BOARDS / "rpi_pico.py").read_text() + "DEFAULTS = {100: 80.0}\n")
+    done = CliRunner().invoke(app, ["run", str(program), "--board", str(board)])
+    assert done.exit_code == 0, done.output
+    assert "80 commanded = 80 made" in done.output
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Path:
+    return tmp_path / "program.nc"
+
+
+def test_json_has_everything(program: Path, tmp_path: Path) -> None:
+    program.write_text("G0 X1\nG64\n")
+    file = tmp_path / "out.json"
+    done = CliRunner().invoke(app, ["run", str(program), "--set", "110=1000", "--json", str(file)])
+    assert done.exit_code == 0, done.output
+    result = json.loads(file.read_text())
+    assert result["errors"] == [[2, "error:20"]]
+    assert result["steps_made"] == {"X": 250, "Y": 0, "Z": 0}
+    assert result["bounds_mm"]["X"] == [0, 1]
+    wanted = {"lines", "time_s", "steps_planned", "final_state", "distance_mm", "other_output"}
+    assert wanted <= result.keys()
+
+
+def test_errors_are_shown_with_line_text_and_meaning(program: Path) -> None:
+    program.write_text("G0 X1\nG64 P0.01\n")
+    shown = CliRunner().invoke(app, ["run", str(program)]).output
+    assert "line 2: G64 P0.01" in shown
+    assert meaning("error:20") in " ".join(shown.split())
+
+
+def test_only_check_makes_errors_a_failure(program: Path) -> None:
+    program.write_text("G64\n")
+    assert CliRunner().invoke(app, ["run", str(program)]).exit_code == 0
+    assert CliRunner().invoke(app, ["run", str(program), "--check"]).exit_code == 1
+
+
+def test_an_alarm_is_a_failure_with_its_meaning(program: Path) -> None:
+    program.write_text("G38.2 Z-5 F100\n")
+    done = CliRunner().invoke(app, ["run", str(program)])
+    assert done.exit_code == 1
+    assert meaning("ALARM:5") in " ".join(done.output.split())
+
+
+def test_an_unknown_board_is_named(program: Path) -> None:
+    program.write_text("G0 X1\n")
+    done = CliRunner().invoke(app, ["run", str(program), "--board", "toaster"])
+    assert done.exit_code == 1
+    assert "no board 'toaster'" in done.output
+
+
+def test_plot_draws_the_path(program: Path, tmp_path: Path) -> None:
+    program.write_text("G0 X10 Y5\nG1 X0 F300\n")
+    file = tmp_path / "path.png"
+    done = CliRunner().invoke(app, ["run", str(program), "--plot", str(file)])
+    assert done.exit_code == 0, done.output
+    assert file.read_bytes().startswith(b"\x89PNG")

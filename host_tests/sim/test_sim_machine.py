@@ -1,0 +1,80 @@
+"""The simulator as a part of other people's tests."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from as_users import as_users
+from ugrbl.sim import Machine
+
+
+def test_a_line_is_answered_and_motion_is_made_while_time_passes(grbl: Machine) -> None:
+    assert grbl.welcome[-1] == "Grbl 1.1h ['$' for help]"
+    assert grbl.ask("G1 X2 F600") == ["ok"]
+    assert grbl.status().startswith("<Run|MPos:0.")
+    begun = grbl.now_ms
+    assert grbl.rest() == [] and grbl.now_ms > begun
+    assert grbl.steps() == [500, 0, 0] and grbl.status().startswith("<Idle|MPos:2.000,")
+
+
+def test_time_stands_still_between_calls(grbl: Machine) -> None:
+    grbl.ask("G1 X100 F600")
+    before = grbl.now_ms, grbl.steps()
+    assert (grbl.now_ms, grbl.steps()) == before
+    assert grbl.run(1000) == [] and grbl.now_ms == pytest.approx(before[0] + 1000, abs=2)
+    grbl.send("!")
+    grbl.rest()
+    assert grbl.status().startswith("<Hold:0|")
+
+
+def test_a_program_is_streamed_and_all_its_answers_come(grbl: Machine) -> None:
+    lines = [f"G1 X{k % 3} F1200" for k in range(60)]
+    assert grbl.program([*lines, "G64"]) == ["ok"] * 60 + ["error:20"]
+
+
+def test_inputs_and_outputs_are_at_hand() -> None:
+    with Machine("sim", {21: 1, 30: 1000}) as machine:
+        machine.ask("M3 S500")
+        assert machine.outputs()["spindle_pwm"] == 128
+        machine.push(probe=True)
+        assert "|Pn:P" in machine.status()
+        machine.switch("limit_x", 0, 1000)
+        machine.ask("G1 X20 F600")
+        assert machine.rest()[0] == "ALARM:1" and abs(machine.steps()[0] - 1000) <= 2
+
+
+def test_settings_are_what_it_shows(grbl: Machine) -> None:
+    grbl.ask("$110=750")
+    assert grbl.settings()[110] == "750.000" and len(grbl.settings()) == 34
+
+
+def test_what_takes_too_long_and_what_is_off_is_said() -> None:
+    machine = Machine(settings={110: 6000})
+    with pytest.raises(TimeoutError, match="not within 500 ms"):
+        machine.ask("G4 P10", 500)
+    machine.close()
+    machine.close()
+    with pytest.raises(RuntimeError, match="switched off"):
+        machine.ask("?")
+    with pytest.raises(ValueError, match="no board 'toaster'"):
+        Machine("toaster")
+
+
+def test_two_machines_do_not_know_each_other(grbl: Machine) -> None:
+    with Machine("sim_xyza") as other:
+        other.ask("G1 A1 F600")
+        other.rest()
+        assert other.steps() == [0, 0, 0, 250] and grbl.steps() == [0, 0, 0]
+
+
+def test_what_the_docs_show_passes(tmp_path: Path) -> None:
+    """In a folder of somebody else's, with the fixture that the package brings."""
+    page = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
+    text = page.partition("```python test_my_program.py\n")[2].partition("```")[0]
+    (tmp_path / "test_my_program.py").write_text(text)
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
+    done = subprocess.run(
+        command, cwd=tmp_path, env=as_users(), capture_output=True, text=True, check=False
+    )
+    assert "2 passed" in done.stdout, done.stdout + done.stderr

@@ -1,0 +1,87 @@
+"""Our stand-ins beside the stubs that the MicroPython project's users have: no name of our own.
+
+The stubs come from PyPI into ~/.cache/ugrbl-stubs (UGRBL_STUBS names another folder); where they
+cannot be had the tests are skipped.
+"""
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+_STANDINS = Path(__file__).parents[2] / "tools" / "sim" / "standins"
+_VERSION = "1.28.*"
+_CACHE = Path(os.environ.get("UGRBL_STUBS") or Path.home() / ".cache" / "ugrbl-stubs")
+
+# What tests and the virtual clock do with a stand-in, and the board's modules do not have.
+_OURS = {
+    "Pin": {"pins", "without_output", "drive"},
+    "PWM": {"outputs"},
+    "PCNT": {"units", "pads", "most_units", "lose"},
+    "Timer": {"rearm"},
+    "I2S": {"open_streams", "open_us", "recording", "run", "flash_write", "fileno", "ioctl"},
+    "WDT": {"timeout_ms", "fed"},
+    "RMT": {"channels", "available", "block", "first_signal", "flash_write"},
+}
+_CLASSES = [
+    ("esp_machine.py", "machine.pyi", name) for name in ("Pin", "PWM", "Timer", "I2S", "WDT")
+]
+_CLASSES.append(("esp32.py", "esp32.pyi", "RMT"))
+_CLASSES.append(("esp_pcnt.py", "esp32.pyi", "PCNT"))
+
+Names = dict[str, set[str]]  # parameters by method; none of a constant
+
+
+@pytest.fixture(scope="module")
+def stubs() -> Path:
+    if not (_CACHE / "machine.pyi").exists():
+        package = f"micropython-esp32-stubs=={_VERSION}"
+        pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps"]
+        try:
+            done = subprocess.run(
+                [*pip, "--target", str(_CACHE), package],
+                capture_output=True,
+                text=True,
+                timeout=120,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            pytest.skip(f"{package}: no answer")
+        if done.returncode:
+            pytest.skip(f"{package}: {done.stderr.strip().splitlines()[-1]}")
+    return _CACHE
+
+
+def names(file: Path, name: str) -> Names:
+    """What a class in a file has, overloads taken together."""
+    tree = ast.parse(file.read_text())
+    found: Names = {}
+    node = next(n for n in tree.body if isinstance(n, ast.ClassDef) and n.name == name)
+    for item in node.body:
+        if isinstance(item, ast.FunctionDef):
+            every = (*item.args.posonlyargs, *item.args.args, *item.args.kwonlyargs)
+            arguments = found.setdefault(item.name, set())
+            arguments.update(argument.arg for argument in every)
+            arguments.update(["**"] if item.args.kwarg else [])
+        elif isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name):
+            found.setdefault(item.target.id, set())
+        elif isinstance(item, ast.Assign):
+            targets = (t.elts if isinstance(t, ast.Tuple) else [t] for t in item.targets)
+            for target in (one for several in targets for one in several):
+                found.setdefault(ast.unparse(target), set())
+    return {key: value for key, value in found.items() if key == "__init__" or key[0] != "_"}
+
+
+@pytest.mark.parametrize(("module", "stub", "name"), _CLASSES, ids=[name for *_, name in _CLASSES])
+def test_a_stand_in_has_no_names_but_the_boards(
+    module: str, stub: str, name: str, stubs: Path
+) -> None:
+    ours, theirs = names(_STANDINS / module, name), names(stubs / stub, name)
+    assert set(ours) - _OURS[name] <= set(theirs)
+    for method in set(ours) & set(theirs):
+        # Values given by their place have names of no meaning.
+        given = {"level", "duty", "function"}
+        assert "**" in theirs[method] or ours[method] - given <= theirs[method], method

@@ -1,0 +1,68 @@
+"""The firmware as boards get it, in a folder where simulator and tests find it.
+
+The sources of all modules go through the compile passes. Simulator and tests use the firmware's
+objects by name: they are copied, and told of the names that these have then. What runs on
+MicroPython has been through mpy-cross besides, as for a board, but for this computer's processor.
+"""
+
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from ugrbl import paths
+from ugrbl.compiling import build
+from ugrbl.compiling.folder import save
+from ugrbl.compiling.inline import inline
+from ugrbl.compiling.shorten import Shortened, follow
+
+_ROOT = Path(__file__).resolve().parents[2]
+# Tests, and what they stand on, which are run against prepared sources.
+_TESTS = (
+    "conftest.py",
+    *(f"support/{name}.py" for name in ("rings", "laws", "rig_bench")),
+    *(f"whole/{name}.py" for name in ("test_laws", "test_torture")),
+)
+_DATA = ("boards", "tools")
+# In a process of CPython there is nobody who sees to const(), as MicroPython's compiler does.
+_CONST = "import builtins\nbuiltins.const = lambda value: value\n"
+
+# What becomes of a tree of sources under root.
+Compile = Callable[[Path, Shortened], None]
+
+
+def write_sources(root: Path, made: Shortened) -> None:
+    """The firmware as CPython can run it."""
+    for source in build.sources():
+        file = root / "firmware" / source
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(made.texts[build.module(source)], "utf-8")
+
+
+def write_compiled(root: Path, made: Shortened) -> None:
+    """The firmware as MicroPython on this computer runs it: only the processor is another."""
+    save(build.compile_texts("x64", made.texts), root / "firmware")
+
+
+def write_tree(root: Path, made: Shortened, write: Compile) -> Path:
+    """All that simulator and tests need, under root. Returns the simulator's program."""
+    write(root, made)
+    ours = build.texts()
+    for folder in _DATA:
+        shutil.copytree(
+            _ROOT / folder, root / folder, ignore=shutil.ignore_patterns("__pycache__")
+        )
+    for name, text in guests(ours, made).items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text, "utf-8")
+    (root / "site").mkdir()
+    (root / "site" / "ugrbl").symlink_to(root / "tools")
+    (root / "site" / "sitecustomize.py").write_text(_CONST)
+    return root / "tools" / "sim" / "replay_main.py"
+
+
+def guests(ours: "Mapping[str, str]", made: Shortened) -> "dict[str, str]":
+    """Simulator and tests, by their paths, for the firmware as it is now."""
+    files = [*(paths.TOOLS / "sim").glob("*.py"), *(_ROOT / "host_tests" / t for t in _TESTS)]
+    texts = {str(file.relative_to(_ROOT)): file.read_text("utf-8") for file in files}
+    placed = inline({**ours, **texts})
+    return {name: follow(name, placed[name], made) for name in texts}

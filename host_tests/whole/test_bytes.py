@@ -1,0 +1,64 @@
+"""Bytes of a sender's that are no text end nothing: each line has Grbl's answer, and jobs go on.
+
+UGRBL_TORTURE tries every byte in every place.
+"""
+
+import os
+from pathlib import Path
+
+import pytest
+from base.text import text_of
+from byte_bench import BOARDS, MICROPYTHONS, furnish, talk
+from micropython_runner import needs_micropython, run_micropython
+from ports.storage.job_files import JobFiles
+from ugrbl.paths import FIRMWARE
+from ugrbl.run.board_modules import complete
+
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
+_ROOT = Path(__file__).parents[2]
+_SUPPORT = _ROOT / "host_tests" / "support"
+_EVERY = os.environ.get("UGRBL_TORTURE") is not None
+
+# What the simulator's modules are found by, under MicroPython.
+PATHS = [_SUPPORT, FIRMWARE, _ROOT, _ROOT / "tools"]
+
+
+@pytest.mark.parametrize("board", BOARDS)
+def test_any_byte_in_any_place_is_answered(
+    board: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    complete()
+    monkeypatch.chdir(tmp_path)
+    folder = str(tmp_path / "board")
+    furnish(folder)
+    assert talk(board, folder, sum(board.encode()), None if _EVERY else 2) > 150
+
+
+@needs_micropython
+def test_micropython_answers_any_byte_in_any_place(tmp_path: Path) -> None:
+    program = _SUPPORT / "byte_bench.py"
+    said = run_micropython(program, "talk", tmp_path / "board", paths=PATHS, timeout=120)
+    assert [line.rpartition(" ")[0] for line in said.splitlines()] == [*MICROPYTHONS]
+
+
+def test_text_is_what_can_be_printed_and_nothing_else_vanishes() -> None:
+    assert text_of(b"G1 X~") == "G1 X~"
+    assert text_of(bytearray(b"\x00A\tB\x7f\x80\xc3\xa9\xff")) == " A B?????"
+    assert all(text_of(bytes([byte])).isprintable() for byte in range(256))
+
+
+def test_files_that_are_no_jobs_are_left_alone(tmp_path: Path) -> None:
+    strange = [b"\xff~NEW", b"\xe9.NC", b"small~NEW", b"~NEW", b"\x80~WHOLE", b"two words~NEW"]
+    for name in strange:
+        Path(os.fsdecode(os.path.join(os.fsencode(tmp_path), name))).write_bytes(b"G21\n")
+    (tmp_path / "CUT.NC~NEW").write_bytes(b"G2")
+    files = JobFiles(str(tmp_path))
+    files.connect(None, None)  # type: ignore[arg-type]
+    assert files.files() == []
+    file = files.begin("A.NC")
+    files.append(file, b"G20\n")
+    files.drop("A.NC", file)
+    left = set(os.listdir(os.fsencode(tmp_path)))
+    assert left == set(strange) - {b"small~NEW"}, "that is one of ours, whatever its capitals"

@@ -1,0 +1,506 @@
+"""What the documents say is true: tables, names, commands, links, quotes, pictures."""
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from ugrbl.boardfile import options
+from ugrbl.cli.app import app
+from ugrbl.docs import house, pages, pictures, words
+from ugrbl.grbl import comments
+from ugrbl.grbl.lines import split_lines
+from ugrbl.grbl.messages import alarms, errors
+from ugrbl.run.program import run_program
+
+_ROOT = Path(__file__).resolve().parents[2]
+_FIRMWARE = _ROOT / "firmware"
+_README = _ROOT / "README.md"
+_DOCS = sorted((_ROOT / "docs").glob("*.md"))
+_ALL = [_README, _ROOT / "CONTRIBUTING.md", *_DOCS]
+_each_page = pytest.mark.parametrize("page", _ALL, ids=[page.stem for page in _ALL])
+
+_LINK = re.compile(r"\]\(([^)\s]+)\)")
+_HEADING = re.compile(r"^#+ (.*)$", re.MULTILINE)
+_FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
+_CODE = re.compile(r"`([^`\n]+)`|^ {4}(\S.*)$", re.MULTILINE)
+_PATH = re.compile(r"(?<![\w/])(?:firmware|host_tests|tools|docs|examples|boards)/[\w./-]*")
+_RELEASE = re.compile(r"^## \[(Unreleased|[^]]+\] - \d{4}-\d{2}-\d{2})", re.MULTILINE)
+
+# Files that whoever follows a page writes, and that are not in the tree.
+_WRITTEN_BY_READERS = {"boards/mine.py", "boards/my_router.py"}
+
+
+def text_of(page):
+    return page.read_text(encoding="utf-8")
+
+
+def reference():
+    return text_of(_ROOT / "docs" / "reference.md")
+
+
+def missing(names, text):
+    return [name for name in names if f"`{name}`" not in text]
+
+
+# Tables
+
+
+def test_the_tables_are_up_to_date():
+    for page in pages.PAGES:
+        assert pages.update(text_of(page)) == text_of(page), f"{page.name}: make docs"
+
+
+def test_every_table_has_its_place():
+    text = "".join(map(text_of, pages.PAGES))
+    for name in pages.TABLES:
+        assert text.count(f"<!-- begin: {name} -->") == 1
+        assert text.count(f"<!-- end: {name} -->") == 1
+
+
+def test_every_code_is_in_the_reference():
+    from extras.own_words import is_grbls
+
+    found = words.g_words() + words.m_words()
+    numbers = {(word[0], int(word[1:].partition(".")[0])) for word in found}
+    assert numbers == {
+        (letter, number)
+        for letter in "GM"
+        for number in range(256)
+        if any(is_grbls(letter, 10 * number + tenth) for tenth in range(10))
+    }
+    assert missing(found, reference()) == []
+
+
+def test_every_command_and_byte_is_in_the_reference():
+    from base import state
+    from control import overrides, realtime
+
+    letters = [command[1] for command in words.commands()]
+    assert len(letters) == 10
+    assert [letter for letter in letters if f"`${letter}" not in reference()] == []
+    numbers = [realtime._SOFT_RESET, *state.EVENTS, *overrides._OVERRIDES]
+    assert missing([f"0x{number:02X}" for number in numbers], reference()) == []
+
+
+def test_every_setting_has_a_comment_and_is_in_the_reference():
+    from base import settings
+
+    numbers = [row[0] for row in settings._TABLE]
+    assert list(comments.setting_comments()) == numbers
+    assert missing([f"${number}" for number in numbers], reference()) == []
+
+
+def test_every_error_and_alarm_is_in_the_reference():
+    assert missing([f"error:{number}" for number in errors()], reference()) == []
+    assert missing([f"ALARM:{number}" for number in alarms()], reference()) == []
+
+
+def test_every_board_is_in_its_page():
+    files = [path.name for path in (_ROOT / "boards").glob("[!_]*.py")]
+    assert missing(files, text_of(_ROOT / "docs" / "boards.md")) == []
+
+
+def test_every_board_option_is_in_the_reference():
+    assert missing(options.BY_NAME, reference()) == []
+
+
+def test_a_row_without_a_comment_is_named(monkeypatch):
+    table = f"T = (  {comments._MARK}\n    (7, 'x'),\n)\n"
+    monkeypatch.setattr(comments, "source", lambda module: table)
+    with pytest.raises(ValueError, match=r"\$7 has no comment"):
+        comments.setting_comments()
+
+
+# Size and links
+
+
+def test_the_readme_is_short():
+    assert 7_000 <= _README.stat().st_size <= 9_000
+
+
+def test_the_readme_counts_the_lines_of_the_example():
+    lines = text_of(_ROOT / "examples" / "badge.nc").splitlines()
+    assert f"({len(lines)} lines)" in text_of(_README)
+
+
+def test_the_readme_leads_to_every_page_once():
+    links = [link.partition("#")[0] for link in _LINK.findall(text_of(_README))]
+    assert sorted(link for link in links if link.startswith("docs/") and link.endswith(".md")) == [
+        f"docs/{page.name}" for page in _DOCS
+    ]
+
+
+def anchors(page):
+    text = _FENCE.sub("", text_of(page))
+    return {
+        re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+        for heading in _HEADING.findall(text)
+    }
+
+
+@_each_page
+def test_every_link_leads_somewhere(page):
+    for link in _LINK.findall(text_of(page)):
+        if "://" not in link:
+            path, _, anchor = link.partition("#")
+            target = page.parent / path if path else page
+            assert target.exists(), link
+            assert not anchor or anchor in anchors(target), link
+
+
+# Files and commands
+
+
+def codes(page):
+    """What stands as code in a page: in the text, and in lines that are indented."""
+    return [one or other for one, other in _CODE.findall(_FENCE.sub("", text_of(page)))]
+
+
+@_each_page
+def test_every_file_that_is_named_is_there(page):
+    named = {path for code in codes(page) for path in _PATH.findall(code)} - _WRITTEN_BY_READERS
+    assert [name for name in named if not (_ROOT / name).exists()] == []
+
+
+def known_commands():
+    """Words behind `ugrbl` with the options they take."""
+    import typer
+
+    found = {}
+
+    def collect(command, name):
+        found[name] = {option for one in command.params for option in (*one.opts, "--help")}
+        found[name] |= {option for one in command.params for option in one.secondary_opts}
+        for sub, below in getattr(command, "commands", {}).items():
+            collect(below, f"{name} {sub}".strip())
+
+    collect(typer.main.get_command(app), "")
+    return found
+
+
+_COMMANDS = known_commands()
+_TARGETS = set(re.findall(r"^([a-z-]+):", text_of(_ROOT / "Makefile"), re.MULTILINE))
+
+
+def wrong_words(line):
+    """What is wrong with the commands in a line of code; such words do not exist."""
+    for tail in re.findall(r"(?:^|\s|/)ugrbl +([a-z][^|·]*)", line):
+        parts = tail.split()
+        name = " ".join(parts[:2]) if " ".join(parts[:2]) in _COMMANDS else parts[0]
+        if name not in _COMMANDS:
+            yield f"ugrbl {name}"
+            continue
+        options = [part.partition("=")[0].strip("[]") for part in parts if part.startswith("--")]
+        yield from (f"{name} {one}" for one in options if one not in _COMMANDS[name])
+    for target in re.findall(r"^make ([a-z-]+)", line):
+        if target not in _TARGETS:
+            yield f"make {target}"
+
+
+def test_words_that_do_not_exist_are_found():
+    assert list(wrong_words("ugrbl bench")) == ["ugrbl bench"]
+    assert list(wrong_words(".venv/bin/ugrbl run x.nc --chek")) == ["run --chek"]
+    assert list(wrong_words("ugrbl settings pull router.settings --force")) == []
+    assert list(wrong_words("make everything")) == ["make everything"]
+
+
+@_each_page
+def test_every_command_exists(page):
+    assert [wrong for code in codes(page) for wrong in wrong_words(code)] == []
+
+
+def test_every_command_has_its_place_in_the_command_line():
+    text = text_of(_ROOT / "docs" / "command-line.md")
+    table = re.findall(r"`ugrbl ([a-z0-9-]+)`\]\(#", text)
+    sections = dict(re.findall(r"^## (.+)\n((?:(?!## ).*\n)*)", text, re.MULTILINE))
+    bodies = {name: body for title, body in sections.items() for name in title.split(" and ")}
+    assert (
+        sorted(table) == sorted(bodies) == sorted({name.split()[0] for name in _COMMANDS if name})
+    )
+    below = [name.split() for name in _COMMANDS if " " in name]
+    assert below and all(re.search(rf"`{sub}\b|{name} {sub}", bodies[name]) for name, sub in below)
+
+
+@pytest.mark.parametrize("name", ["test", "release"])
+def test_what_the_workflows_call_exists(name):
+    text = text_of(_ROOT / ".github" / "workflows" / f"{name}.yml")
+    lines = [line.strip().removeprefix("- ").removeprefix("run: ") for line in text.splitlines()]
+    called = [line for line in lines if re.match(r"(ugrbl|make|\.venv/bin/ugrbl) ", line)]
+    assert called
+    assert [wrong for line in called for wrong in wrong_words(line)] == []
+
+
+# Quotes: what tools say, as troubleshooting has it, with … for what varies
+
+
+def quotes(heading):
+    section = re.search(
+        rf"^## {heading}$(.*?)(^## |\Z)",
+        text_of(_ROOT / "docs" / "troubleshooting.md"),
+        re.MULTILINE | re.DOTALL,
+    )[1]
+    rows = [line for line in section.splitlines() if line.startswith("| `")]
+    return [quote for row in rows for quote in re.findall(r"`([^`]+)`", row.split(" | ")[0])]
+
+
+def said_in(*folders):
+    """Every text in these modules, joined as it is told; what varies is …"""
+    texts = []
+    for path in sorted(file for folder in folders for file in (_ROOT / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(text_of(path))):
+            if isinstance(node, ast.JoinedStr):
+                parts = (getattr(part, "value", None) for part in node.values)
+                texts.append("".join(part if isinstance(part, str) else "…" for part in parts))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                texts.append(re.sub(r"%\w", "…", node.value))
+    return texts
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("heading", ["Deploying", "What the doctor says"])
+def test_what_tools_are_quoted_with_they_say(heading):
+    found = quotes(heading)
+    assert len(found) >= 8
+    texts = said_in("tools", "firmware")
+    pieces = [
+        piece.strip() for quote in found for piece in quote.split("…") if piece.strip(" .:,")
+    ]
+    assert [piece for piece in pieces if not any(piece in text for text in texts)] == []
+
+
+# Names
+
+
+def members(body):
+    """Every name that statements define, methods and attributes of objects as Class.name."""
+    for node in body:
+        if isinstance(node, ast.FunctionDef):
+            yield node.name
+        elif isinstance(node, ast.ClassDef):
+            yield node.name
+            yield from (f"{node.name}.{name}" for name in members(node.body))
+            yield from (f"{node.name}.{name}" for name in attributes(node))
+        elif isinstance(node, ast.Assign):
+            yield from (ast.unparse(target) for target in node.targets)
+        elif isinstance(node, ast.AnnAssign):
+            yield ast.unparse(node.target)
+
+
+def attributes(tree):
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            if ast.unparse(node.value) == "self":
+                yield node.attr
+
+
+def module_path(name):
+    """A module by what stands behind its folder, `reals`, or with it, `pio.engine`."""
+    inside = name.replace(".", "/") + ".py"
+    found = [
+        path for path in (_FIRMWARE / inside, *_FIRMWARE.glob(f"*/**/{inside}")) if path.exists()
+    ]
+    return found[0] if len(found) == 1 else None
+
+
+def exists(name):
+    parts = name.split(".")
+    for count in range(len(parts) - 1, 0, -1):
+        path = module_path(".".join(parts[:count]))
+        if path:
+            return ".".join(parts[count:]) in members(ast.parse(text_of(path)).body)
+    return False
+
+
+def stories():
+    """What architecture.md tells, by the heading of each story."""
+    text = text_of(_ROOT / "docs" / "architecture.md")
+    parts = re.split(r"^## (The life of .*)$", text, flags=re.MULTILINE)[1:]
+    return dict(zip(parts[::2], (part.split("\n## ")[0] for part in parts[1::2]), strict=True))
+
+
+_NAME = re.compile(r"`([a-z_]\w*(?:\.\w+)+)`")
+# The way of a line through the firmware: whoever reads of it must meet all of these.
+_STATIONS = set("protocol lines interpreter words block checks canon planner segments".split())
+_STATIONS |= {"plan_kernel", "segment_kernel"}
+
+
+def test_names_are_looked_up():
+    assert exists("state.State.pending")
+    assert exists("segment_kernel.fill")
+    assert exists("pio.engine.PioEngine.stop")
+    assert not exists("segment_kernel.fil")
+    assert not exists("nobody.knows")
+
+
+def test_five_lives_are_told():
+    assert len(stories()) == 5
+
+
+def test_every_name_in_a_story_exists():
+    for title, story in stories().items():
+        names = [name for name in _NAME.findall(story) if not name.endswith((".py", ".md"))]
+        assert len(names) > 5, title
+        assert [name for name in names if not exists(name)] == [], title
+
+
+def test_the_life_of_a_g1_meets_everybody():
+    names = _NAME.findall(stories()["The life of a G1"])
+    assert {name.partition(".")[0] for name in names} >= _STATIONS
+
+
+# Decisions
+
+
+def test_every_decision_has_its_three_parts_and_is_short():
+    text = text_of(_ROOT / "docs" / "decisions.md")
+    for decision in text.split("\n## ")[1:]:
+        parts = re.findall(r"^\*(\w+)\.\*", decision, re.MULTILINE)
+        assert parts == ["Context", "Decision", "Consequence"], decision
+        lines = [line for line in decision.splitlines()[1:] if line]
+        assert 6 <= len(lines) <= 12, decision
+
+
+# The house, as it is drawn
+
+# Imports for mypy only, against the arrows. This set is to become empty, and not to grow.
+
+
+def drawn_arrows():
+    text = text_of(_ROOT / "docs" / "architecture.md")
+    drawing = re.search(r"^```mermaid$(.*?)^```$", text, re.MULTILINE | re.DOTALL)[1]
+    return set(re.findall(r"^ *(\w+)(?:\[[^]]*\])? --> (\w+)$", drawing, re.MULTILINE))
+
+
+def reachable(arrows):
+    """Every pair that a way of arrows leads along."""
+    pairs = set(arrows)
+    while True:
+        more = {(a, d) for a, b in pairs for c, d in pairs if b == c} - pairs
+        if not more:
+            return pairs
+        pairs |= more
+
+
+def test_the_drawing_of_the_house_is_what_imports_whom():
+    drawn, real = drawn_arrows(), house.imports()
+    assert {name for pair in drawn for name in pair} == set(house.FOLDERS)
+    assert drawn - real == set(), "an arrow that no import follows"
+    assert real - reachable(drawn) == set(), "an import that no arrows lead along"
+
+
+def test_no_arrow_is_drawn_that_others_lead_along():
+    drawn = drawn_arrows()
+    assert [arrow for arrow in drawn if arrow in reachable(drawn - {arrow})] == []
+
+
+def test_the_house_has_no_circle():
+    pairs = reachable(house.imports())
+    assert [pair for pair in pairs if pair[0] == pair[1]] == []
+
+
+def test_every_folder_of_the_firmware_is_in_the_house():
+    folders = {path.parent.name for path in _FIRMWARE.glob("*/*.py")}
+    assert folders == set(house.FOLDERS)
+
+
+# Pictures
+
+
+_PICTURES = [*(picture.name for picture in pictures.PICTURES), *pictures.OF_THE_PAGE]
+
+
+@pytest.mark.parametrize("name", _PICTURES)
+def test_a_picture_is_small_and_shown(name):
+    assert (pictures.FOLDER / name).stat().st_size < pictures.MOST_BYTES
+    assert any(f"pictures/{name}" in text_of(page) for page in _ALL)
+
+
+@pytest.mark.sampled(0, 8)
+@pytest.mark.parametrize("picture", pictures.PICTURES, ids=lambda picture: picture.name)
+def test_a_picture_is_what_the_tool_draws(picture, tmp_path):
+    fresh = tmp_path / picture.name
+    pictures.draw(picture, fresh)
+    assert pictures.same(fresh, pictures.FOLDER / picture.name), "make pictures"
+
+
+def test_no_other_pictures_are_kept():
+    assert {path.name for path in pictures.FOLDER.iterdir()} == set(_PICTURES)
+
+
+def test_docs_say_what_they_did():
+    done = subprocess.run(
+        [sys.executable, "-m", "ugrbl.docs"], capture_output=True, text=True, check=True
+    )
+    assert "reference.md is up to date" in done.stdout
+
+
+# The changelog
+
+
+def test_the_changelog_has_sections_of_the_usual_kinds():
+    text = text_of(_ROOT / "CHANGELOG.md")
+    assert _RELEASE.search(text)
+    kinds = set(re.findall(r"^### (\w+)", text, re.MULTILINE))
+    assert kinds <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
+
+
+# Words that senders look for
+
+# Answers that consist of these words; nothing else may contain them.
+_ANSWERS = ("OK", "_ERROR")
+_TAKEN = re.compile("ok|error", re.IGNORECASE)
+
+
+def strings(tree):
+    """Every text in a module but its docstrings and the answers themselves."""
+    hidden = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            hidden.add(id(node.value))
+        elif isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) in _ANSWERS:
+            hidden.update(id(part) for part in ast.walk(node.value))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and id(node) not in hidden:
+            if isinstance(node.value, (str, bytes)):
+                text = node.value
+                yield text.decode("latin-1") if isinstance(text, bytes) else text
+
+
+def annotations(tree):
+    """Texts that are types."""
+    for node in ast.walk(tree):
+        for part in (getattr(node, "annotation", None), getattr(node, "returns", None)):
+            if isinstance(part, ast.Constant):
+                yield part.value
+
+
+def sent_texts(module):
+    """What a module may send as it stands: report's texts, and whatever goes into a message."""
+    tree = ast.parse(text_of(_FIRMWARE / module))
+    if module == "talk/report.py":
+        types = set(annotations(tree))
+        yield from (text for text in strings(tree) if text not in types)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("message"):
+            yield from strings(node)
+        elif isinstance(node, ast.Assign) and ast.unparse(node.targets[0]).startswith("MSG_"):
+            yield from strings(node)
+
+
+def test_no_message_contains_an_answer():
+    """A sender may look for `ok` or `error` anywhere in a line."""
+    modules = [path.relative_to(_FIRMWARE).as_posix() for path in _FIRMWARE.rglob("*.py")]
+    texts = [text for module in modules for text in sent_texts(module)]
+    assert "Pgm End" in texts
+    assert "ALARM:%d\r\n" in texts
+    assert [text for text in texts if _TAKEN.search(text)] == []
+
+
+def test_build_info_names_grbl_and_no_other():
+    result, _ = run_program(split_lines(b"$I"))
+    answer = "".join(text for _, text in result.other_output)
+    assert "Grbl" in answer
+    assert "grblhal" not in answer.lower()

@@ -1,0 +1,671 @@
+"""The laws that every pulse engine keeps: what it hands to hardware, turned back into steps.
+
+sim: the simulator's engine. pio: the words of firmware/pio, played by the timing that
+programs.py states. i2s, rmt: the whole engines on stand-ins of the ESP32's hardware.
+"""
+
+import json
+import random
+from array import array
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from esp_bench import I2S_ENABLE, EspEngine, Step, clock, esp32
+from laws import Bench, Limits
+from motion.layout import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS, row_length
+from pio import pulses
+from ugrbl.boardfile.files import load_board
+from ugrbl.replay.compare_motion import judge_motion
+from ugrbl.sim import replay
+from ugrbl.sim import rig as sim_rig
+from ugrbl.sim.engine import SimEngine, step_tick
+
+# Many cases of each: the first ring takes some.
+pytestmark = pytest.mark.sampled(2)
+
+_SHARED = Path(__file__).resolve().parents[3] / "shared"
+_PULSE_US = 10
+
+
+@dataclass
+class Stated:
+    """What an engine says of itself, in us: the README and the board files say the same."""
+
+    early: float  # how much earlier than planned a step may come after the one before,
+    late: float  # or later, where motion does not stand still
+    gap: float  # for how long it may stand still, at the ends of trains
+    apart: float  # how far axes may drift against each other
+    hold_ms: float  # how much motion is handed over, and a hold has to wait for
+    lock_ms: float = 0.0  # for how long a locked axis runs on
+
+
+STATED = {
+    "sim": Stated(0.1, 0.1, 0, 0.1, 60),
+    "pio": Stated(0.2, 0.2, 0, 0.2, 10),
+    "i2s": Stated(17, 17, 0, 17, 40, 33),
+    "rmt": Stated(60, 60, 600, 100, 50),
+    "rmt_s3": Stated(60, 60, 600, 100, 50),
+}
+_TURN_US = 14  # what a reversal may make all axes wait for, besides
+ENGINES = ("sim", "i2s", "rmt", "rmt_s3", "pio")
+WHOLE = ("sim", "i2s", "rmt", "rmt_s3")  # those whose hardware is modelled too
+ESP = ("i2s", "rmt", "rmt_s3")
+MOST_MOTORS = {"rmt": 4, "rmt_s3": 4, "i2s": 6}
+
+
+class Made:
+    """A bench with an engine, and the steps that came out of it."""
+
+    def __init__(self, name: str, limits: Limits) -> None:
+        self.name = name
+        motors = len(limits.moves or limits.rate)
+        self.engine: Any
+        if name in ESP:
+            self.engine = EspEngine(name, motors)
+            hz, log2, most = self.engine.tick_hz, self.engine.segment_log2, 0
+            most = self.engine.max_step_hz(_PULSE_US)
+        elif name == "pio":
+            hz, log2, most = 12_500_000, 16, 12_500_000 // pulses.shortest_gap(125)
+        else:
+            self.engine = SimEngine(motors)
+            hz, log2, most = SimEngine.tick_hz, 17, 90_909
+        limits.step_hz = min(limits.step_hz, most)
+        self.us = 1_000_000 / hz  # of a tick
+        self.bench = Bench(limits, 64, hz, log2)
+        self.steps: list[Step] = []
+        self.powers: list[int] = []
+        if name != "pio":
+            self.rests = 0
+            self.engine.attach(self.bench.segments.next, self.powers.append, self._rest)
+            self.engine.arm()
+            self.engine.configure(_PULSE_US, 0, 0)
+            self.engine.trace = self._trace
+
+    def _rest(self) -> None:
+        assert self.engine.idle(), "rest is told of before it is"
+        self.rests += 1
+
+    def _trace(self, start: int, row: "array[int]") -> None:
+        steps = [
+            (int((start + step_tick(row, base, k)) * self.us * 1000), axis, sign)
+            for axis in range((len(row) - ROW_AXES) // ROW_STRIDE)
+            for base in [ROW_AXES + ROW_STRIDE * axis]
+            for sign in [-1 if row[ROW_DIRS] >> axis & 1 else 1]
+            for k in range(row[base])
+        ]
+        self.steps += [(ns / 1000, axis, sign) for ns, axis, sign in sorted(steps)]  # type: ignore[misc]
+
+    def run(self, milliseconds: float = 60_000) -> None:
+        """Let the engine work until it is idle, or for so long."""
+        if self.name == "pio":
+            self.steps += _play_words(self.bench, self.us)
+            return
+        end = self.engine.now + int(milliseconds * 1000 / self.us)
+        while not self.engine.idle() and self.engine.now < end:
+            self.engine.advance(min(self.engine.now + int(500 / self.us), end))
+
+    def go(self) -> "Made":
+        """All that is planned happens."""
+        if self.name != "pio":
+            self.engine.start()
+        self.run()
+        return self
+
+    def places(self) -> "list[int]":
+        """Where the steps have led to."""
+        found = [0] * self.bench.planner.motors
+        for _, axis, sign in self.steps:
+            found[axis] += sign
+        return found
+
+    def position(self) -> "list[int]":
+        """Where the engine says that the motors are."""
+        steps = array("i", [0] * self.bench.planner.motors)
+        self.engine.position(steps)
+        return list(steps)
+
+
+def _play_words(bench: Bench, us: float) -> "list[Step]":
+    """Segments as words for the PIO, and the words as steps, by the timing in programs.py."""
+    axes = bench.planner.motors
+    timing = array("i", [0] * pulses.TIMING_LENGTH)
+    timing[pulses.AXES] = axes
+    pulses.set_timing(timing, 125, 25, 63)
+    lanes = array("i", [0] * (pulses.LANE * axes))
+    words = array("i", [0] * (axes << pulses.RING_LOG2))
+    whole = array("i", [0] * row_length(axes))
+    piece = array("i", whole)
+    ready = [0] * axes
+    steps: list[tuple[float, int, int]] = []
+    while bench.segments.next(whole):
+        begin = 0
+        while True:
+            row = whole
+            if whole[ROW_TICKS] > pulses.LONGEST:
+                begin = pulses.cut(piece, whole, begin, axes)
+                row = piece
+            sent = [lanes[pulses.LANE * i + pulses.HEAD] for i in range(axes)]
+            pulses.convert(row, lanes, words, timing)
+            for i in range(axes):
+                ring = i << pulses.RING_LOG2
+                while sent[i] != lanes[pulses.LANE * i + pulses.HEAD]:
+                    word = words[ring + sent[i]] & 0xFFFFFFFF
+                    sent[i] = (sent[i] + 1) % (1 << pulses.RING_LOG2)
+                    count, delay = word >> 1 & 0xFFF, word >> 13
+                    edge = ready[i] + 6 + delay
+                    ready[i] = edge if count == 0 else edge + 125 + 3
+                    for k in range(count):
+                        if k:
+                            edge += 125 + 9 + delay
+                            ready[i] = edge + 125 + 3
+                        steps.append((edge * us, i, -1 if word & 1 else 1))
+            if not begin:
+                break
+    return sorted(steps)  # type: ignore[return-value]
+
+
+def moves() -> "dict[str, tuple[Limits, list[tuple[tuple[float, ...], float]]]]":
+    """Lines to places in mm at mm/s, by what is remarkable about them."""
+    slow = Limits(acceleration=(200.0,) * 3, rate=(3000.0,) * 3)
+    fast = Limits((80.0, 80.0, 400.0), (6000.0, 6000.0, 600.0), (500.0, 500.0, 200.0))
+    ring = [(0.0, 0.0), (1.0, 0.1), (1.9, 0.5), (2.4, 1.2), (2.5, 2.0), (2.1, 2.8), (1.2, 3.2)]
+    return {
+        "diagonal": (slow, [((6.0, 4.3, -1.7), 15.0)]),
+        "reversals": (slow, [((1.0, 0.2, 0.0), 9.0), ((-0.3, 0.0, 0.1), 9.0), ((0.0,) * 3, 9.0)]),
+        "slow": (slow, [((0.5, 0.0, 0.03), 0.8), ((0.5, 0.0, 0.0), 0.05)]),
+        "short lines": (slow, [((x, y, 0.0), 12.0) for x, y in ring]),
+        "fast": (fast, [((30.0, -12.0, 0.4), 60.0), ((0.0, 0.0, 0.0), 60.0)]),
+        "one step": (slow, [((0.004, 0.0, 0.0), 5.0)]),
+        "two on Y": (_ganged("XYZY"), [((4.0, -3.3, 0.7), 15.0), ((0.0, 0.1, 0.0), 15.0)]),
+        "two on X and Z": (_ganged("XYZXZ"), [((4.0, -3.3, 0.7), 15.0), ((0.0,) * 3, 15.0)]),
+        "six motors": (_ganged("XYZXYZ"), [((4.0, -3.3, 1.7), 15.0), ((0.0,) * 3, 15.0)]),
+        "four axes": _of_axes(4),
+        "five axes": _of_axes(5),
+        "six axes": _of_axes(6),
+        "seven motors": _of_axes(6, (5,)),
+        "eight motors": _of_axes(6, (0, 1)),
+    }
+
+
+def _of_axes(
+    axes: int, twice: "tuple[int, ...]" = ()
+) -> "tuple[Limits, list[tuple[tuple[float, ...], float]]]":
+    """All go, and come back one after the other. twice: those that have a second motor."""
+    limits = Limits((250.0,) * axes, (3000.0,) * axes, (200.0,) * axes)
+    if twice:
+        limits.moves = [1 << axis for axis in (*range(axes), *twice)]
+    far = tuple((4.0, -3.3, 1.7, 0.9, -2.2, 3.1)[:axes])
+    ways = [tuple(0.0 if i < k else at for i, at in enumerate(far)) for k in range(axes + 1)]
+    return limits, [(way, 15.0) for way in ways]
+
+
+def _ganged(letters: str) -> Limits:
+    moves = [1 << "XYZ".index(letter) for letter in letters]
+    return Limits(acceleration=(200.0,) * 3, rate=(3000.0,) * 3, moves=moves)
+
+
+MOVES = moves()
+
+
+def make(engine: str, move: str) -> Made:
+    limits, lines = moves()[move]
+    if len(limits.moves or limits.rate) > MOST_MOTORS.get(engine, 8):
+        pytest.skip(f"{engine} has fewer motors")
+    made = Made(engine, limits)
+    for target, feed in lines:
+        made.bench.line(target, feed * 60)
+    return made
+
+
+Planned = "list[list[tuple[float, int]]]"
+
+
+def planned(made: Made) -> "list[list[tuple[float, int]]]":
+    """Per axis, (us, sign) of the steps that the engine was told to make."""
+    found: list[list[tuple[float, int]]] = [[] for _ in range(made.bench.planner.motors)]
+    for segment in made.bench.watch.made:
+        for axis, steps in enumerate(found):
+            base = ROW_AXES + ROW_STRIDE * axis
+            sign = -1 if segment.row[ROW_DIRS] >> axis & 1 else 1
+            for k in range(segment.row[base]):
+                steps.append(((segment.start + step_tick(segment.row, base, k)) * made.us, sign))
+    return found
+
+
+def of_axis(steps: "list[Step]", axis: int) -> "list[tuple[float, int]]":
+    return [(us, sign) for us, i, sign in steps if i == axis]
+
+
+@pytest.mark.sampled(20)
+@pytest.mark.parametrize("move", MOVES)
+@pytest.mark.parametrize("engine", ENGINES)
+def test_steps_are_those_planned_in_their_order(engine: str, move: str) -> None:
+    made = make(engine, move).go()
+    for axis, steps in enumerate(planned(made)):
+        assert [sign for _, sign in of_axis(made.steps, axis)] == [sign for _, sign in steps]
+
+
+@pytest.mark.sampled(20)
+@pytest.mark.parametrize("move", MOVES)
+@pytest.mark.parametrize("engine", ENGINES)
+def test_steps_come_when_they_are_due_within_what_is_stated(engine: str, move: str) -> None:
+    made = make(engine, move).go()
+    stated = STATED[engine]
+    tracks = []
+    for axis, steps in enumerate(planned(made)):
+        real = of_axis(made.steps, axis)
+        late = [us - due for (us, _), (due, _) in zip(real, steps, strict=True)]
+        for k, (before, after) in enumerate(pairwise(late)):
+            turn = _TURN_US if steps[k][1] != steps[k + 1][1] else 0
+            allowed = stated.late + stated.gap + turn
+            # The law of the motor: no interval is shorter, or longer, than stated.
+            assert -stated.early <= after - before <= allowed, f"axis {axis}, step {k}"
+        tracks.append(list(zip([due for due, _ in steps], late, strict=True)))
+    for a, b in pairwise([track for track in tracks if track]):
+        _check_together(a, b, stated.apart + stated.gap + 2 * _TURN_US)
+
+
+@pytest.mark.parametrize("slow", [0, 1])
+@pytest.mark.parametrize("engine", ["rmt", "rmt_s3"])
+def test_a_train_that_begins_late_shortens_no_interval(
+    engine: str, slow: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The motor waits, and does not hurry, where flash or a radio is in the way of a start."""
+    write = esp32.RMT.write_pulses
+
+    def hindered(channel: esp32.RMT, durations: "list[int]", data: object = True) -> None:
+        if channel is esp32.RMT.channels[slow] and len(channel.trains) in (3, 6):
+            clock.work(7000)
+        write(channel, durations, data)
+
+    monkeypatch.setattr(esp32.RMT, "write_pulses", hindered)
+    made = make(engine, "diagonal").go()
+    assert len(esp32.RMT.channels[slow].trains) > 7
+    for axis, steps in enumerate(planned(made)):
+        late = [us - due for (us, _), (due, _) in zip(of_axis(made.steps, axis), steps)]
+        assert len(late) == len(steps)
+        assert all(b - a >= -STATED[engine].early for a, b in pairwise(late)), f"axis {axis}"
+
+
+def _check_together(
+    a: "list[tuple[float, float]]", b: "list[tuple[float, float]]", allowed: float
+) -> None:
+    """Axes are late together, if at all: the path is the one planned."""
+    k = 0
+    for due, late in b:
+        while k + 1 < len(a) and a[k + 1][0] <= due:
+            k += 1
+        near = [a[k][1], a[min(k + 1, len(a) - 1)][1]]
+        assert min(near) - allowed <= late <= max(near) + allowed, f"axes apart at {due} us"
+
+
+@pytest.mark.sampled(14)
+@pytest.mark.parametrize("move", MOVES)
+@pytest.mark.parametrize("engine", ESP)
+def test_drivers_get_the_times_they_need(engine: str, move: str) -> None:
+    made = make(engine, move).go()
+    for levels in made.engine.pins.levels:
+        assert levels.shortest_pulse >= _PULSE_US
+        assert levels.shortest_pause >= 2
+        assert levels.shortest_setup >= 8, "direction to step"
+        assert levels.shortest_hold >= _PULSE_US, "step to direction"
+
+
+@pytest.mark.parametrize("engine", WHOLE)
+def test_position_is_where_the_steps_have_led_to_at_any_time(engine: str) -> None:
+    made = make(engine, "reversals")
+    made.engine.start()
+    while not made.engine.idle():
+        made.run(3.7)
+        if engine != "sim":  # its trace tells of whole segments
+            off = [abs(a - b) for a, b in zip(made.position(), made.places(), strict=True)]
+            assert max(off) <= 1
+    assert made.position() == made.places()
+
+
+@pytest.mark.parametrize("after_ms", [15, 90, 160, 233])
+@pytest.mark.parametrize("engine", WHOLE)
+def test_stop_is_at_once_and_leaves_a_position(engine: str, after_ms: float) -> None:
+    made = make(engine, "fast")
+    made.engine.start()
+    made.run(after_ms)
+    made.engine.stop()
+    stopped = made.engine.now * made.us
+    made.engine.advance(made.engine.now + int(100_000 / made.us))
+    assert made.engine.idle()
+    assert all(us <= stopped + 30 for us, *_ in made.steps)
+    off = [abs(a - b) for a, b in zip(made.position(), made.places(), strict=True)]
+    assert max(off) <= 1
+
+
+@pytest.mark.parametrize("engine", WHOLE)
+def test_motion_goes_on_after_a_stop(engine: str) -> None:
+    made = make(engine, "fast")
+    made.engine.start()
+    made.run(100)
+    made.engine.stop()
+    bench = made.bench
+    made.engine.arm()
+    bench.planner.clear()
+    bench.segments.clear()
+    bench.planner.sync_motors(array("i", [0, 0, 0]))
+    made.engine.set_position(array("i", [0, 0, 0]))
+    made.engine.advance(made.engine.now + int(1000 / made.us))
+    before = made.places()
+    bench.line((3.0, 2.0, -0.25), 1200.0)
+    made.go()
+    assert made.position() == [240, 160, -100]
+    moved = [b - a for a, b in zip(before, made.places(), strict=True)]
+    assert [abs(a - b) for a, b in zip(moved, [240, 160, -100], strict=True)] <= [1, 1, 1]
+
+
+@pytest.mark.parametrize("engine", WHOLE)
+def test_a_locked_axis_stands_still_and_the_others_arrive(engine: str) -> None:
+    made = make(engine, "slow")
+    made.engine.start()
+    made.run(200)
+    made.engine.lock(1)
+    at = made.position()[0]
+    made.run(STATED[engine].lock_ms + 2)
+    locked = made.places()[0]
+    made.run()
+    assert made.places()[0] == locked
+    total = [sum(sign for _, sign in steps) for steps in planned(made)]
+    assert made.places()[1:] == made.position()[1:] == total[1:]
+    # Where it has run on, it goes back before the next motion: it ends where it was locked.
+    made.engine.stop()
+    made.engine.arm()
+    assert made.position()[0] == at
+    made.bench.planner.clear()
+    made.bench.planner.sync_motors(array("i", made.position()))
+    made.bench.line((0.5, 0.5, 0.5), 60.0)
+    made.go()
+    assert made.places() == made.position() == [125, 125, 125]
+
+
+@pytest.mark.parametrize("engine", WHOLE)
+def test_a_motor_locked_at_rest_stays_and_keeps_the_name_of_its_place(engine: str) -> None:
+    made = make(engine, "two on Y")
+    made.engine.lock(0b0010)
+    made.engine.set_position(array("i", [70, 80, 90, 100]))
+    made.go()
+    total = [sum(sign for _, sign in steps) for steps in planned(made)]
+    assert made.places() == [total[0], 0, total[2], total[3]] and total[3]
+    named = [70 + total[0], 80, 90 + total[2], 100 + total[3]]
+    assert made.position() == named
+    made.engine.stop()
+    made.engine.arm()
+    assert made.position() == named
+    before = made.places()
+    made.bench.planner.clear()
+    made.bench.line((1.0, 1.0, 1.0), 600.0)
+    made.bench.line((2.0, 2.0, 2.0), 600.0)
+    made.go()
+    gone = [at - was for at, was in zip(made.places(), before, strict=True)]
+    assert gone[1] == gone[3] and gone[1], "alive again"
+
+
+@pytest.mark.parametrize("engine", WHOLE)
+def test_a_hold_comes_to_rest_within_what_is_stated_and_loses_nothing(engine: str) -> None:
+    made = make(engine, "diagonal")
+    made.engine.start()
+    made.run(250)
+    made.bench.segments.hold(True)
+    asked = made.engine.now * made.us
+    made.run()
+    rest = made.places()
+    assert made.position() == rest
+    brake_ms = 15.0 / 200.0 * 1000  # its speed by its acceleration
+    last = max(us for us, *_ in made.steps)
+    assert last - asked <= (brake_ms * 1.6 + STATED[engine].hold_ms) * 1000
+    made.bench.segments.hold(False)
+    made.go()
+    assert made.position() == made.places() == [1500, 1075, -425]
+
+
+@pytest.mark.parametrize("engine", WHOLE)
+def test_power_is_told_with_the_segments(engine: str) -> None:
+    made = make(engine, "diagonal")
+    powers = iter(range(1, 10_000))
+    inner = made.bench.segments.next
+
+    def with_power(row: "array[int]") -> int:
+        found = inner(row)
+        row[ROW_POWER] = next(powers) // 4
+        return found
+
+    made.engine.attach(with_power, made.powers.append, made._rest)
+    made.go()
+    told = [power for power, _ in zip(made.powers, made.powers, strict=True)]
+    assert told == sorted(told)
+    assert len(set(told)) >= 5
+
+
+@pytest.mark.parametrize("engine", WHOLE)
+def test_power_at_rest_is_the_last_segments(engine: str) -> None:
+    """A laser that follows the speed is off then, or at the least of its power."""
+    for length in (0.1, 0.5, 1.5, 3.0):
+        made = Made(engine, Limits(acceleration=(200.0,) * 3, rate=(3000.0,) * 3))
+        made.bench.line((length, 0.0, 0.0), 1200.0)
+        planned: list[int] = []
+        inner = made.bench.segments.next
+
+        def with_power(row: "array[int]", inner: Any = inner, planned: Any = planned) -> int:
+            found: int = inner(row)
+            row[ROW_POWER] = 9000 - 7 * len(planned)
+            planned.extend([row[ROW_POWER]] * found)
+            return found
+
+        made.engine.attach(with_power, made.powers.append, made._rest)
+        made.go()
+        assert made.powers[-1] == planned[-1]
+        told = len(made.powers)
+        made.engine.advance(made.engine.now + int(100_000 / made.us))
+        assert len(made.powers) == told
+
+
+@pytest.mark.parametrize("after_ms", [1, 5, 20, 33, 41, 120])
+@pytest.mark.parametrize("engine", WHOLE)
+def test_no_power_is_told_after_a_stop(engine: str, after_ms: float) -> None:
+    made = make(engine, "fast")
+    powers = iter(range(1, 10_000))
+    inner = made.bench.segments.next
+
+    def with_power(row: "array[int]") -> int:
+        found = inner(row)
+        row[ROW_POWER] = next(powers)
+        return found
+
+    made.engine.attach(with_power, made.powers.append, made._rest)
+    made.engine.start()
+    made.run(after_ms)
+    made.engine.stop()
+    told, place = len(made.powers), made.position()
+    for _ in range(50):
+        made.engine.advance(made.engine.now + int(2000 / made.us))
+        assert made.engine.idle()
+        assert made.position() == place
+    assert len(made.powers) == told
+
+
+def awkward_rows(seed: int, tick_hz: int, count: int) -> "list[array[int]]":
+    """Rows that no planner makes: steps on their very edges, reversals at full speed."""
+    chance = random.Random(seed)
+    rows = []
+    for _ in range(count):
+        row = array("i", [0] * row_length(3))
+        gap = chance.choice((50, 110, 900)) * tick_hz // 1_000_000
+        steps = chance.choice((1, 2, 40))
+        ticks = row[ROW_TICKS] = gap * steps
+        row[ROW_DIRS] = chance.randrange(8)
+        for base in range(ROW_AXES, len(row), ROW_STRIDE):
+            row[base] = chance.randint(0, steps)
+            row[base + 1] = chance.choice((0, 1, gap)) if row[base] else 0
+            row[base + 2] = ticks if row[base] > 1 else row[base + 1]
+        rows.append(row)
+    return rows
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("engine", ESP)
+def test_awkward_segments_are_made_whole_and_in_order(engine: str, seed: int) -> None:
+    made = Made(engine, Limits())
+    rows = awkward_rows(seed, made.engine.tick_hz, 60)
+    waiting = list(rows)
+
+    def next_segment(row: "array[int]") -> int:
+        if waiting:
+            row[:] = waiting.pop(0)
+            return 1
+        return 0
+
+    made.engine.attach(next_segment, made.powers.append, made._rest)
+    made.go()
+    for axis in range(3):
+        base = ROW_AXES + ROW_STRIDE * axis
+        signs = [-1 if row[ROW_DIRS] >> axis & 1 else 1 for row in rows for _ in range(row[base])]
+        assert [sign for _, sign in of_axis(made.steps, axis)] == signs
+    assert made.position() == made.places()
+    for levels in made.engine.pins.levels:
+        assert levels.shortest_pulse >= _PULSE_US
+        assert levels.shortest_pause >= 2
+        assert levels.shortest_setup >= 10
+        assert levels.shortest_hold >= _PULSE_US
+
+
+@pytest.mark.parametrize("late_us", range(30_000, 60_000, 7000))
+def test_i2s_sets_directions_up_after_it_has_run_dry(late_us: int) -> None:
+    made = Made("i2s", Limits())
+
+    def next_segment(row: "array[int]") -> int:
+        row[:] = array("i", [1600, 7, 0, *([2, 10, 810] * 3)])
+        return 1
+
+    made.engine.attach(next_segment, made.powers.append, made._rest)
+    made.engine.start()
+    made.run(100)
+    for levels in made.engine.pins.levels:
+        levels.shortest_setup = 1_000_000
+    for _ in range(5):
+        clock.work(late_us)
+        made.run(41)
+    made.engine.stop()
+    made.run(1)
+    for levels in made.engine.pins.levels:
+        assert levels.shortest_setup >= 1000
+    assert all(sign < 0 for _, _, sign in made.steps)
+
+
+def test_i2s_loses_nothing_where_it_comes_too_late() -> None:
+    made = make("i2s", "diagonal")
+    made.engine.start()
+    made.run(200)
+    clock.work(80_000)  # flash, or a very long collection
+    made.run()
+    assert made.engine.real.times_dry() == 1
+    assert made.position() == made.places() == [1500, 1075, -425]
+    for levels in made.engine.pins.levels:
+        assert levels.shortest_setup >= 8
+        assert levels.shortest_pulse >= 8
+
+
+def test_i2s_says_when_the_motors_are_to_be_powered() -> None:
+    """At each of several drivers' enables."""
+    made = Made("i2s", Limits())
+    enables = sum(1 << output for output in I2S_ENABLE)
+    made.engine.real.enable(1)
+    made.engine.advance(made.engine.now + 200_000)
+    assert made.engine.pins.outputs() & enables == enables
+    made.engine.real.enable(0)
+    made.engine.advance(made.engine.now + 100_000)
+    assert made.engine.pins.outputs() & enables == 0
+
+
+def test_i2s_keeps_its_highest_rate() -> None:
+    """A step every three frames: nothing is late, nothing is lost."""
+    limits = Limits((400.0,) * 3, (60_000.0,) * 3, (5000.0,) * 3)
+    made = Made("i2s", limits)
+    made.bench.line((40.0, 20.0, 0.0), 60_000.0)
+    made.go()
+    assert made.places() == made.position() == [16_000, 8000, 0]
+    ticks = [us for us, _ in of_axis(made.steps, 0)]
+    gaps = [b - a for a, b in pairwise(ticks)]
+    assert min(gaps) >= 24
+    assert max(made.engine.tick_hz // 16 / (g / 8) for g in gaps[6000:9000]) > 40_000
+
+
+def test_rmt_hides_its_gap_below_the_stated_rate() -> None:
+    """One axis at 2000 steps a second: no train is late."""
+    limits = Limits(acceleration=(200.0,) * 3, rate=(3000.0,) * 3)
+    made = Made("rmt", limits)
+    made.bench.line((6.0, 0.0, 0.0), 480.0)
+    made.go()
+    assert made.engine.real.longest_gap_us() == 0
+    assert made.engine.real.worst_skew_us() <= 60
+
+
+@pytest.mark.parametrize("invert", [0b000, 0b101])
+@pytest.mark.parametrize("engine", ESP)
+def test_directions_are_inverted_on_demand(engine: str, invert: int) -> None:
+    made = make(engine, "reversals")
+    made.engine.configure(_PULSE_US, 0, invert)
+    for i, levels in enumerate(made.engine.pins.levels):
+        levels.invert = invert >> i & 1
+    made.go()
+    assert made.position() == made.places() == [0, 0, 0]
+
+
+# Recorded motion of real Grbl
+
+_RECORDS = sorted((_SHARED / "conformance" / "motion").glob("*.json"))
+# A peak rate is taken over 16 steps: among them may be the end of a train.
+_PEAK = {"i2s": 0.02, "rmt": 0.06}
+
+
+@pytest.fixture
+def on_engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Rigs have this engine instead of the simulator's."""
+    name: str = request.param
+
+    class Engine:
+        tick_hz = EspEngine(name).tick_hz
+
+        def __new__(cls, axes: int, _depth: int) -> Any:
+            return EspEngine(name, axes)
+
+    replay.factory_store(load_board("sim"))
+    monkeypatch.setattr(sim_rig, "SimEngine", Engine)
+    return name
+
+
+@pytest.mark.usefixtures("each_ms")
+@pytest.mark.sampled(12)
+@pytest.mark.skipif(not _RECORDS, reason="no recordings here")
+@pytest.mark.parametrize("on_engine", ["i2s", "rmt"], indirect=True)
+@pytest.mark.parametrize("path", _RECORDS, ids=lambda path: path.stem)
+def test_recorded_motion_is_repeated(path: Path, on_engine: str) -> None:
+    record = json.loads(path.read_text())
+    run = replay._Motion(record, load_board("sim"))
+    observed = run.run()
+    wrong = judge_motion(record, observed, [])
+    stops = bool(record.get("events_ms_after_first_step") or record.get("switches"))
+    if stops:
+        # How soon an engine hears of something is its own: Grbl takes 45 ms.
+        unheard = ("duration", "peak rate", "not at rest", "net_steps", "pulses", "final")
+        wrong = [text for text in wrong if not text.startswith(unheard) and " at " not in text]
+    assert not [text for text in wrong if not _near_peak(text, _PEAK[on_engine])]
+    steps = array("i", [0, 0, 0])
+    run.rig.engine.physical(steps)
+    by_letter = zip("XYZ", steps, strict=True)
+    assert observed["net_steps"] == dict(by_letter)
+
+
+def _near_peak(text: str, share: float) -> bool:
+    if not text.startswith("peak rate"):
+        return False
+    words = text.replace(",", "").split()
+    got, expected = float(words[3]), float(words[6])
+    return abs(got - expected) <= share * expected

@@ -1,0 +1,309 @@
+"""What docs/extending.md tells a newcomer to do, done: its changes in a copy of the tree."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+# Each in a tree of its own: half a minute.
+pytestmark = pytest.mark.thorough
+
+_ROOT = Path(__file__).resolve().parents[2]
+_PAGE = _ROOT / "docs" / "extending.md"
+_COPIED = ("firmware", "boards", "tools", "host_tests", "examples", "docs", "pyproject.toml")
+_LEFT_OUT = shutil.ignore_patterns("__pycache__", "pictures", "*.png")
+
+_BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_SECTION = re.compile(r"^## (.*)$", re.MULTILINE)
+_ROW = re.compile(r"^\| \[(.*?)\]\(.*?\) \| (\d+) \| (\d+) \|$", re.MULTILINE)
+
+
+class Change(NamedTuple):
+    """A block of the page: a new file, or changes to one."""
+
+    path: str
+    kind: str
+    text: str
+
+
+def changes(title):
+    """What a section of the page changes."""
+    parts = _SECTION.split(_PAGE.read_text(encoding="utf-8"))
+    section = dict(zip(parts[1::2], parts[2::2], strict=True))[title]
+    for kind, path, text in _BLOCK.findall(section):
+        if kind == "diff":
+            head, _, diff = text.partition("\n")
+            assert head.startswith("--- ")
+            yield Change(head[4:], kind, diff)
+        else:
+            assert path, f"{title}: a block says of which file it is"
+            yield Change(path, kind, text)
+
+
+def apply(text, diff):
+    """The text with the changes; each has to fit in one place."""
+    for hunk in re.split(r"^@@.*\n", diff, flags=re.MULTILINE):
+        lines = [line if line.strip() else " \n" for line in hunk.splitlines(keepends=True)]
+        old = "".join(line[1:] for line in lines if line[0] in " -")
+        new = "".join(line[1:] for line in lines if line[0] in " +")
+        places = [found.start() for found in re.finditer(f"^{re.escape(old)}", text, re.MULTILINE)]
+        assert len(places) == 1, f"{len(places)} places for:\n{old}"
+        text = text[: places[0]] + new + text[places[0] + len(old) :]
+    return text
+
+
+class Tree:
+    """A copy of what is needed of the tree, with what a section of the page changes."""
+
+    def __init__(self, folder, title):
+        self.folder = folder
+        for name in _COPIED:
+            source = _ROOT / name
+            if source.is_dir():
+                shutil.copytree(source, folder / name, ignore=_LEFT_OUT)
+            else:
+                shutil.copy(source, folder / name)
+        (folder / "ugrbl").symlink_to(folder / "tools")
+        (folder / "build").mkdir()
+        # By what it was made from: of the change it has nothing, of the rest all.
+        (_ROOT / "build" / "cache").mkdir(parents=True, exist_ok=True)
+        (folder / "build" / "cache").symlink_to(_ROOT / "build" / "cache")
+        self.written = set()
+        for change in changes(title):
+            file = folder / change.path
+            text = change.text
+            if change.kind == "diff":
+                text = apply(file.read_text(encoding="utf-8"), change.text)
+            else:
+                assert not file.exists()
+            file.write_text(text, encoding="utf-8")
+            self.written.add(change.path)
+
+    def python(self, *words):
+        """Run that Python, with this tree in the place of ours; returns what it printed."""
+        done = subprocess.run(
+            [sys.executable, *words],
+            cwd=self.folder,
+            env={**os.environ, "PYTHONPATH": str(self.folder), "PYTHONDONTWRITEBYTECODE": "1"},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    def ugrbl(self, line):
+        """Run a command as the page has it."""
+        assert f"    ugrbl {line}\n" in _PAGE.read_text(encoding="utf-8")
+        return self.python("-m", "ugrbl.cli", *line.split())
+
+    def make_docs(self):
+        """Returns the files that it has brought up to date."""
+        told = self.python("-m", "ugrbl.docs")
+        return set(re.findall(r"^(\S+) has been brought up to date$", told, re.MULTILINE))
+
+
+@pytest.fixture
+def tree(request, tmp_path):
+    return Tree(tmp_path, request.param)
+
+
+def in_section(title):
+    return pytest.mark.parametrize("tree", [title], indirect=True)
+
+
+def files_named(what):
+    """How many files the page says are to be written, and brought up to date."""
+    rows = {row[0]: (int(row[1]), int(row[2])) for row in _ROW.findall(_PAGE.read_text())}
+    return rows[what]
+
+
+def test_a_change_has_to_fit_in_one_place():
+    assert apply("a\nb\nc\n", " a\n+x\n b\n@@\n-c\n+d\n") == "a\nx\nb\nd\n"
+    with pytest.raises(AssertionError, match="2 places"):
+        apply("ab\na\na\n", " a\n+x\n")
+
+
+@in_section("A drilling cycle")
+def test_a_drilling_cycle(tree):
+    assert (len(tree.written), 0) == files_named("a drilling cycle")
+    told = tree.python("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_drill.py")
+    assert re.search(r"^(=+ )?2 passed", told, re.MULTILINE), told
+    built = tree.ugrbl("build --board drilling_mill.py")
+    assert "extras/cycles.mpy" in built
+    program = tree.folder / "holes.nc"
+    program.write_text("G54 G10 L2 P1 Z1\nG0 Z5\nG81 X10 Y5 Z-2 R1 F100\nX20\nG80\n")
+    line = (str(program), "--board", "drilling_mill.py", "--json", str(tree.folder / "j"))
+    told = tree.python("-m", "ugrbl.cli", "run", *line)
+    result = json.loads((tree.folder / "j").read_text())
+    assert result["errors"] == [], told
+    assert result["bounds_mm"]["Z"] == [-1.0, 6.0]  # the work's zero is at 1
+    assert result["bounds_mm"]["X"] == [0.0, 20.0]
+    assert result["final_position_mm"] == {"X": 20.0, "Y": 5.0, "Z": 6.0}
+
+
+@pytest.mark.sampled(1)
+@in_section("A setting")
+def test_a_setting(tree):
+    renewed = tree.make_docs()
+    assert "`$99`" in (tree.folder / "docs" / "reference.md").read_text()
+    assert (len(tree.written), len(renewed)) == files_named("a setting")
+    tests = ("-k", "99 or every_setting", "host_tests/whole/test_settings_effects.py")
+    told = tree.python("-m", "pytest", "-q", "-p", "no:cacheprovider", "--all", *tests)
+    assert re.search(r"^(=+ )?2 passed", told, re.MULTILINE), told
+
+
+@in_section("A setting")
+def test_a_setting_has_its_words_in_grbl_09(tree):
+    program = tree.folder / "ask.nc"
+    program.write_text("$$\n")
+    tree.python(
+        *("-m", "ugrbl.cli", "run", str(program)),
+        *("--board", "sim_09j", "--json", str(tree.folder / "told")),
+    )
+    told = json.loads((tree.folder / "told").read_text())["other_output"]
+    assert "$99=0.000 (spin-up time, sec)" in [text for _, text in told]
+
+
+@in_section("A board")
+def test_a_board(tree):
+    renewed = tree.make_docs()
+    assert "`pen_plotter.py`" in (tree.folder / "docs" / "boards.md").read_text()
+    assert (len(tree.written), len(renewed)) == files_named("a board")
+    assert "board.py" in tree.ugrbl("build --board pen_plotter")
+    tree.ugrbl("run examples/badge.nc --board pen_plotter --check")
+
+
+_TALK = """
+import sys
+sys.path[:0] = ["firmware", "tools/sim/standins"]
+import machine
+
+class UART:
+    def __init__(self, number, baudrate, tx, rx, rxbuf):
+        self.arrived, self.sent = b"G0X1", b""
+
+    def any(self):
+        return len(self.arrived)
+
+    def readinto(self, buf):
+        count = min(len(buf), len(self.arrived))
+        buf[:count], self.arrived = self.arrived[:count], self.arrived[count:]
+        return count
+
+    def read(self, most):
+        read, self.arrived = self.arrived[:most], self.arrived[most:]
+        return read
+
+    def write(self, data):
+        self.sent += bytes(data)
+
+machine.UART = UART
+from boot import parts
+link = parts._link("serial")
+buf = bytearray(3)
+print(link.read_into(buf), bytes(buf), link.shared[0], link.read_into(buf), link.read_into(buf))
+link.write(b"ok")
+print(link._uart.sent)
+link._uart.arrived = b"G1X2"
+link.discard()
+print(link.read_into(buf))
+"""
+
+
+@in_section("A link")
+def test_a_link(tree):
+    renewed = tree.make_docs()
+    assert (len(tree.written), len(renewed)) == files_named("a link")
+    pico = (tree.folder / "boards" / "rpi_pico.py").read_text()
+    board = tree.folder / "my_bluetooth.py"
+    board.write_text(pico.replace('LINK = "usb"', 'LINK = "serial"'))
+    tree.ugrbl("build --board my_bluetooth.py")
+    map_ = json.loads((tree.folder / "build" / "my_bluetooth.map.json").read_text())
+    ports = {module for module, _ in map_["bundles"]["ports"].values()}
+    assert "ports.serial_link" in ports and "ports.usb.usb_link" not in ports
+    assert tree.python("-c", _TALK).splitlines() == ["3 b'G0X' 1 1 0", "b'ok'", "0"]
+
+
+@in_section("An extra")
+def test_an_extra(tree):
+    assert (len(tree.written), 0) == files_named("an extra")
+    built = tree.ugrbl("build --board router.py")
+    assert "vacuum.py" in built and "extras/api.mpy" in built
+    program = tree.folder / "job.nc"
+    program.write_text("M100 P1\nG1 X5 F300\nM100 P0\n")
+    tree.python(
+        *("-m", "ugrbl.cli", "run", str(program)),
+        *("--board", "router.py", "--json", str(tree.folder / "told")),
+    )
+    assert json.loads((tree.folder / "told").read_text())["errors"] == []
+
+
+@in_section("An extra")
+def test_a_pin_of_an_extra_that_is_taken_is_named(tree):
+    board = tree.folder / "router.py"
+    board.write_text(board.read_text().replace("VACUUM = 20", "VACUUM = 8"))
+    with pytest.raises(AssertionError, match="VACUUM"):
+        tree.python("-m", "ugrbl.cli", "build", "--board", "router.py")
+
+
+_DUST = """
+from ugrbl.sim import Machine
+
+with Machine("dusty_mill.py") as machine:
+
+    def is_on():
+        print(machine.outputs()["own_outputs"])
+
+    is_on()
+    machine.ask("M3 S500")
+    is_on()
+    machine.ask("M5")
+    machine.run(2900)
+    is_on()
+    machine.run(300)
+    is_on()
+    machine.ask("M4 S9")
+    is_on()
+    machine.send(b"\\x18")
+    machine.run(50)
+    is_on()
+    machine.program(["$X", "M3", "M30"])
+    is_on()
+    machine.run(3200)
+    is_on()
+"""
+
+
+@in_section("A second output")
+def test_a_second_output_follows_the_spindle(tree):
+    assert (len(tree.written), 0) == files_named("a second output")
+    assert "dust.py" in tree.ugrbl("build --board dusty_mill.py")
+    told = tree.python("-c", _DUST)
+    assert told.split() == ["0", "1", "1", "0", "1", "0", "1", "0"]
+
+
+_UNEVEN = """
+from ugrbl.sim import Machine
+
+with Machine("uneven_mill.py") as machine:
+    for line in ("G21 G90", "G1 X20 F600", "G1 X30 Y10", "G1 Z-1"):
+        machine.ask(line)
+        machine.rest()
+        print(*(steps / 250 for steps in machine.steps()))
+"""
+
+
+@in_section("A transform")
+def test_a_transform_follows_the_grid(tree):
+    assert (len(tree.written), 0) == files_named("a transform")
+    (tree.folder / "heights.csv").write_text("0,1,2\n0,2,4\n0,0,0\n")
+    tree.ugrbl("build --board uneven_mill.py")
+    told = [[float(mm) for mm in line.split()] for line in tree.python("-c", _UNEVEN).splitlines()]
+    assert told == [[0, 0, 0], [20, 0, 1], [30, 10, 2.252], [30, 10, 1.252]]  # to the step

