@@ -1,0 +1,222 @@
+"""Extras of ours by twos: a pair is refused in words, or talks, moves and stops as one alone."""
+
+import itertools
+import re
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from boot import guests
+from boot.options import Options
+from ugrbl import paths
+from ugrbl.boardfile.files import load, load_board
+from ugrbl.sim.link import SimLink
+from ugrbl.sim.network import RigLink
+from ugrbl.sim.replay import factory_store
+from ugrbl.sim.rig import Rig
+from ugrbl.sim.sender import Sender
+
+_BAD = re.compile(r"ALARM|error|\[MSG:.*Err")
+_EXAMPLES = paths.EXAMPLES / "kinematics"
+_PER_MM = 250
+_UP = 2  # a punch is pulled up
+_SLACK_MM, _SKEW = 0.04, 0.01  # $160; $780 as a share
+_CUSTOM = "pairs_custom"
+_PLOTTER = load(_EXAMPLES / "my_plotter.py")
+_BRISK = {**dict.fromkeys((110, 111, 112), 2000.0), **dict.fromkeys((120, 121, 122), 500.0)}
+
+# What a board file says for each extra, by its module. axes: more letters; second: motors.
+_ASKED: "dict[str, dict[str, Any]]" = {
+    "net.net_access": {"LINK": "wifi"},
+    "dialects.dialect_09": {"DIALECT": "0.9j"},
+    "dialects.dialect_hal": {"DIALECT": "hal"},
+    "kinematics.nonlinear": {"KINEMATICS": "polar"},
+    "kinematics.moves": {"MOVES": ("X+Z", "Y", "X-Z")},
+    "motors.ganged": {"second": "Y"},
+    "motors.backlash": {"BACKLASH": True, "defaults": {160: _SLACK_MM}},
+    "kinematics.skew": {"SKEW": True, "defaults": {780: _SKEW * 1000}},
+    "kinematics.rotary": {"ROTARY": "A", "axes": "A"},
+    "motors.home_order": {"HOMING": ("Z", "XY")},
+    "motors.shared_limits": {"shared": True},
+    "motors.tmc2209": {"drivers": True},
+    "motors.jerk": {"JERK": True, "defaults": {800: 5000.0, 801: 5000.0, 802: 5000.0}},
+    "tools.laser": {"TOOL": "laser"},
+    "tools.punch": {"TOOL": "punch"},
+    "tools.clusters": {"TOOL": "laser", "CLUSTERS": True},
+    "drains": {"COUNT_DRAINS": True},
+    "jobs.job_commands": {"JOBS": "jobs"},
+    "custom.user_modules": {"CUSTOM": _CUSTOM},
+    "dialects.lenient": {"LENIENT": True},
+}
+_PUNCH = {
+    "PUNCH_DOWN": 20,
+    "PUNCH_UP": 21,
+    "PUNCH_DOWN_SENSOR": 22,
+    "PUNCH_UP_SENSOR": 23,
+    "PUNCH_TIMEOUT_MS": 1000,
+    "PUNCH_STROKE_MS": 40,
+}
+
+
+def _go_together(pair: "tuple[str, str]") -> bool:
+    """No option is asked to be two things."""
+    one, other = (_ASKED[name] for name in pair)
+    return all(one[word] == other[word] for word in one.keys() & other.keys() - {"defaults"})
+
+
+_PAIRS = [pair for pair in itertools.combinations(_ASKED, 2) if _go_together(pair)]
+
+
+def board(*extras: str) -> ModuleType:
+    """The simulator's, with these."""
+    words: "dict[str, Any]" = {"defaults": dict(_BRISK)}
+    for extra in extras:
+        defaults = {**words["defaults"], **_ASKED[extra].get("defaults", {})}
+        words = {**words, **_ASKED[extra], "defaults": defaults}
+    motors = "XYZ" + words.pop("axes", "") + words.get("second", "")
+    made = ModuleType("board")
+    options = vars(made)
+    options.update(vars(load_board("sim")), CUSTOM="")
+    options["STEP"] = options["LIMIT"] = tuple(range(len(motors)))
+    if words.pop("second", ""):
+        options["MOTORS"] = motors
+    if words.pop("shared", False):
+        options["LIMIT"] = (0, 1, 1, *options["LIMIT"][3:])
+    if words.pop("drivers", False):
+        options.update(TMC2209=tuple(range(len(motors))), TMC_UART=(8, 9))
+    if words.get("KINEMATICS"):
+        words["defaults"] = {**_PLOTTER.DEFAULTS, 20: 0, 22: 0}
+    if words.get("TOOL") == "punch":
+        options.update(_PUNCH)
+    options["DEFAULTS"] = words.pop("defaults")
+    options.update(words)
+    return made
+
+
+class Bench:
+    """A machine with these extras, and what comes of a short conversation."""
+
+    def __init__(self, patch: pytest.MonkeyPatch, *extras: str) -> None:
+        made = board(*extras)
+        self.rig: Any = None
+        patch.setattr(time, "ticks_ms", self._now_ms, raising=False)
+        patch.setattr(time, "ticks_diff", lambda one, other: one - other, raising=False)
+        link = _on_network if "net.net_access" in extras else SimLink
+        self.rig = Rig(made, factory_store(made), link)
+        self.sender = Sender(self.rig)
+        self.sender.allow(600_000)
+        self.said: "list[str]" = []
+        self.places: "list[list[float]]" = []
+        self.moved: "list[int]" = []
+        self.tool: "list[tuple[Any, ...]]" = []
+        self.rig.run(self._talk())
+
+    def _talk(self) -> "Iterator[Any]":
+        yield from self._say("", "banner")
+        if self.rig.controller.state.run:
+            yield from self._say("$X\n", "ok")
+        yield from self._say("G91\n", "ok")
+        yield from self._place()
+        before = self._motors()
+        self.tool.append(self._outputs())
+        for line in ("G1X1F600\n", "G1Y2\n", "G1X-0.5\n"):
+            yield from self._say(line, "ok")
+            yield from self._say("", "idle")
+        yield from self._place()
+        self.moved = [after - at for at, after in zip(before, self._motors(), strict=True)]
+        yield from self._say("$$\n", "ok")
+        yield from self._say("M3S500\n", "ok")
+        yield from self._say("M5\n", "ok")
+        self.tool.append(self._outputs())
+        yield from self._say("M3S700\n", "ok")
+        self.rig.link.send(b"G1X5F300\n")
+        yield self.rig.ms(200)
+        self.power: int = self.rig.port.spindle_pwm
+        self.before_reset = len(self.said)
+        yield from self._say("\x18", "banner")
+        self.tool.append(self._outputs())
+
+    def _now_ms(self) -> int:
+        return int(self.rig.now / self.rig.ticks_per_ms) if self.rig else 0
+
+    def _say(self, text: str, until: str) -> "Iterator[Any]":
+        yield from self.sender.wait(until, text)
+        self.said += self.sender.take()
+
+    def _place(self) -> "Iterator[Any]":
+        yield from self.sender.wait("report", "?")
+        self.said += self.sender.take()
+        report = next(line for line in reversed(self.said) if line.startswith("<"))
+        found = re.search(r"MPos:([-\d.,]+)", report)
+        assert found, report
+        self.places.append([float(mm) for mm in found[1].strip(",").split(",")])
+
+    def _motors(self) -> "list[int]":
+        self.rig.engine.physical(self.rig.scratch)
+        return list(self.rig.scratch)
+
+    def _outputs(self) -> "tuple[Any, ...]":
+        port: Any = self.rig.port
+        return bool(port.spindle_on), port.spindle_pwm, port.own_outputs & ~_UP
+
+
+def _on_network(rig: Rig) -> RigLink:
+    return RigLink(rig, SimLink(rig), None)
+
+
+def _steps(extras: "tuple[str, str]", motors: int) -> "list[int]":
+    """Of each motor, 1 mm along X, 2 mm along Y, and half of X back, where its slack begins."""
+    x, y, z = 0.5, 2.0, 0.0
+    if "motors.backlash" in extras:
+        x -= _SLACK_MM
+    if "kinematics.skew" in extras:
+        x -= _SKEW * y
+    mm = [x, y, z]
+    if "kinematics.moves" in extras:
+        mm = [x + z, y, x - z]
+    if "motors.ganged" in extras:
+        mm += [0.0] * (motors - 1 - len(mm)) + [y]
+    return [round(each * _PER_MM) for each in mm + [0.0] * (motors - len(mm))]
+
+
+def test_every_extra_of_ours_is_here() -> None:
+    ours = {module for _, module in guests._ORDER if module}
+    ours |= {module for words in guests.WORDS.values() for module in words.values() if module}
+    assert {*_ASKED} == {*ours, "custom.user_modules", "dialects.lenient"}
+
+
+@pytest.fixture(autouse=True)
+def place_of_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(_EXAMPLES))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    sys.modules.pop(_CUSTOM, None)
+    text = "from ugrbl import mcode\n\n@mcode(100)\ndef word(m):\n    m.say('here')\n"
+    (tmp_path / f"{_CUSTOM}.py").write_text(text)
+    (tmp_path / "jobs").mkdir()
+
+
+@pytest.mark.sampled(12)
+@pytest.mark.parametrize("pair", _PAIRS, ids=lambda pair: "-".join(n.split(".")[-1] for n in pair))
+def test_two_extras_are_refused_in_words_or_work_together(
+    pair: "tuple[str, str]", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    try:
+        Options(board(*pair))
+    except ValueError as error:
+        words = {word for extra in pair for word in (*_ASKED[extra], "MOTORS", "LIMIT")}
+        assert any(re.search(rf"\b{word}\b", str(error)) for word in words), error
+        return
+    made = Bench(monkeypatch, *pair)
+    assert [line for line in made.said[: made.before_reset] if _BAD.match(line)] == []
+    (x, y, *_), (new_x, new_y, *rest) = made.places
+    assert (round(new_x - x, 2), round(new_y - y, 2)) == (0.5, 2.0)
+    assert rest == made.places[0][2:]
+    if "kinematics.nonlinear" not in pair:
+        assert made.moved == _steps(pair, len(made.moved))
+    assert made.power > 0 or "tools.punch" in pair
+    assert made.tool == [(False, 0, 0)] * 3
