@@ -37,7 +37,8 @@ class WithCompiledFirmware(build_py):
         super().run()
         if not self.editable_mode:
             where = os.pathsep.join([self.build_lib, os.environ.get("PYTHONPATH", "")])
-            command = [sys.executable, "-m", "ugrbl.compiling.fill_stock"]
+            fill = "from ugrbl.compiling.folder import fill_stock; fill_stock()"
+            command = [sys.executable, "-c", fill]
             subprocess.run(command, check=True, env={**os.environ, "PYTHONPATH": where})
 
 

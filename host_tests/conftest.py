@@ -81,11 +81,10 @@ def each_ms(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(autouse=True, scope="session")
-def maps_of_tests(worker_id: str) -> None:
-    """No test keeps a map in the user's folder. Beside the maps lie kernels that are compiled for
-    this computer: all workers share them."""
-    folder = _HERE.parent / "build" / "cache" / "tests"
-    os.environ["UGRBL_MAPS"] = str(folder / f"maps-{worker_id}")
+def kernels_of_tests() -> None:
+    """Kernels that are compiled for this computer: not in the user's folder, and all workers share
+    them."""
+    os.environ["UGRBL_KERNELS"] = str(_HERE.parent / "build" / "cache" / "tests" / "kernels")
 
 
 # Who runs tests in the background may have these ignored, and what a test starts would inherit it.

@@ -130,7 +130,7 @@ MSG_FIRST_START = "First start: factory settings"
 MSG_NOT_KEPT = "Flash is full or worn: not kept"
 MSG_DAMAGED = "Damaged in flash: %s (%s)"
 
-# What tells builds apart: `ugrbl build` writes it here, and `ugrbl decode` looks for its map.
+# What tells builds apart: `ugrbl build` writes it here.
 BUILD_ID = "--------"
 
 

@@ -2,8 +2,7 @@
 """Single precision: the arithmetic of Grbl's replies, the same on every machine.
 
 A board computes in single precision by itself; the desktop has doubles. Where
-a reply or a step count depends on rounding, each result goes through f32(),
-which `ugrbl build` leaves out.
+a reply or a step count depends on rounding, each result goes through f32().
 """
 
 from array import array

@@ -34,7 +34,7 @@ ALL = const(-1)
 
 _FILE = "settings"
 
-_TABLE = (  # attribute-names: column 1
+_TABLE: "Rows" = (
     # number, attribute, kind, default, unit. The comment above a row is its documentation.
     #
     # Step pulse time. Length of one step pulse; the driver's data sheet gives the minimum. No

@@ -45,13 +45,12 @@ _LOOP_MS = const(250)
 # What $I says where Ctrl-X is not heard before the main loop reads; `ugrbl doctor` knows it.
 _SLOW_RESET = " slow-reset"
 
-# Extras that do no more than make a machine, a kilobyte each. By names that forget() is called
-# with they would be merged with this module, and guests.py asks for them as files of their own.
+# Extras that do no more than make a machine, a kilobyte each.
 _MAKING = ("extras.kinematics.nonlinear", "extras.kinematics.moves")
 
 # What makes objects, or has that in its name, in a class or a module; and what extras do then.
 MAKERS = ("__init__", "connect", "prepare", "install")
-MAKER = "_make_"  # keep-prefix: methods are looked for by it
+MAKER = "_make_"
 
 
 # Engines and links: a build takes the imports of those that the board file names.

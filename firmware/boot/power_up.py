@@ -7,7 +7,6 @@ alarm then, until a soft reset.
 """
 
 import gc
-import sys
 import time
 
 from base import errors
@@ -17,8 +16,6 @@ from micropython import const
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
-    from types import ModuleType
-
     from interfaces import BoardLink
     from talk.controller import Controller
 
@@ -28,11 +25,6 @@ _RESET = const(0x18)
 _QUESTION = const(0x3F)
 _DOLLAR = const(0x24)
 _MESSAGE = "[MSG:%s]"
-
-# Main.py has a collection of garbage begin here. Were it to come from one module to another, more
-# would wait to be looked into than the 64 that it keeps in mind, and it would search all of memory
-# once more. The last is looked into first: those with the most names when nothing else waits.
-modules: "list[ModuleType]" = []
 
 
 def build() -> "Parts | None":
@@ -57,7 +49,6 @@ def live(parts: "Parts | None") -> "Controller | None":
     # Whoever calls a kernel stays in its memory until the next one does: not parts.py, which goes.
     def begin() -> None:
         machine.restart()
-        modules.extend(sorted(sys.modules.values(), key=lambda module: -len(module.__dict__)))
         while later:
             later.pop()()
         gc.collect()

@@ -39,7 +39,7 @@ class Coords:
             views[i * axes : (i + 1) * axes] for i in range(_COUNT)
         ]
         self.g92: "array[float]" = views[_COUNT * axes : -1]
-        self.active = 0  # keep-name: esp32.RMT has active(), too
+        self.active = 0
         self._zero = vector(max(axes, length_axis + 1))
 
     @property

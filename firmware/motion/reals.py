@@ -82,7 +82,6 @@ def mul(a: int, b: int) -> int:
     return (exponent << 15) + mantissa
 
 
-# inline: always, for it runs several times for each block and segment
 @micropython.viper
 def ratio(n: int, b: int) -> int:
     """The quotient of an integer and a real that is not 0."""
@@ -102,7 +101,6 @@ def ratio(n: int, b: int) -> int:
     return ((exponent - (b >> 15)) << 15) + n
 
 
-# inline: always, for it runs several times for each block and segment
 @micropython.viper
 def square_root(n: int) -> int:
     """The integer square root."""
@@ -120,7 +118,6 @@ def square_root(n: int) -> int:
     return root
 
 
-# inline: always, for it runs several times for each block and segment
 @micropython.viper
 def product(a: int, b: int, c: int) -> int:
     """The whole part of the product of three reals, 2**30 - 1 at the most."""

@@ -69,7 +69,6 @@ _LONGEST = const(0x8000000)  # or lasts as long as 1024 full ones
 _SPLINTER = const(64)  # a segment is not filled up with pieces as short as that, in 2**-17
 
 
-# inline: always, for an extra has it too, which is on few boards
 @micropython.viper
 def load(flow: ptr32, ring: ptr32, motors: int) -> int:
     """Take up the next block. Returns 0 where there is none."""
@@ -189,7 +188,6 @@ def brake(flow: ptr32, ramp: int, leave: int, rest: int) -> int:
     return left
 
 
-# inline: always, for an extra has it too, which is on few boards
 @micropython.viper
 def piece(flow: ptr32, part: int) -> int:
     """Add a piece to the segment planned. part: its duration in 2**-17 of a full segment."""
@@ -214,7 +212,6 @@ def piece(flow: ptr32, part: int) -> int:
     return flow[WHOLE] or distance
 
 
-# inline: always, for an extra has it too, which is on few boards
 @micropython.viper
 def proceed(flow: ptr32, ring: ptr32, scale: int) -> int:
     """Choose the next piece of the segment. Returns 0 at the end of the block.
@@ -278,7 +275,6 @@ def proceed(flow: ptr32, ring: ptr32, scale: int) -> int:
     return int(piece(flow, part))
 
 
-# inline: always, for an extra has it too, which is on few boards
 @micropython.viper
 def is_due(flow: ptr32, ring: ptr32, motors: int) -> int:
     """Whether there is a segment to plan: a block, and it is not held at rest."""

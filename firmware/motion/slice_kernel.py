@@ -35,7 +35,6 @@ from motion.ramps import share, times
 HAIR = const(0x800)  # ahead of the truth, so that rounding does not cost the last step of a hold
 
 
-# inline: always, for an extra has it too, which is on few boards
 @micropython.viper
 def slices(flow: ptr32, slice: int, dynamic: int) -> int:
     """How many rows the segment planned is to be, for the steps of a row are even: as many as it
@@ -180,7 +179,6 @@ def speed_share(flow: ptr32, ring: ptr32) -> int:
     return int(share(flow[REACHED], ring[flow[AT] + PROGRAMMED]))
 
 
-# inline: always, for it runs for every dot of a laser (beam.py)
 @micropython.viper
 def dimmed(table: ptr32, full: int, part: int) -> int:
     """Spindle power at a part of the programmed rate, where power follows speed; full: at all of

@@ -22,7 +22,6 @@ from motion.layout import (
 from motion.reals import LIMIT, pack, square_root
 
 
-# inline: always, for it runs for each block
 @micropython.viper
 def to_steps(target: ptr32, table: ptr32) -> int:
     """Round mm times steps/mm to whole steps, halves away from zero, into TARGET of the table.
@@ -81,7 +80,6 @@ def motor_steps(places: ptr32, at: int, axes: int, moves: int) -> int:
     return steps
 
 
-# inline: always, for it runs for each block
 @micropython.viper
 def measure(table: ptr32, ring: ptr32, at: int) -> int:
     """Begin a block, from POSITION to TARGET: steps, directions, length in mm. Returns EVENTS.

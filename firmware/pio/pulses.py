@@ -142,7 +142,6 @@ def convert(row: ptr32, lanes: ptr32, words: ptr32, timing: ptr32) -> int:
     return late
 
 
-# inline: never, for it seldom runs, and would take room on the stack of all that do
 @micropython.viper
 def cut(row: ptr32, whole: ptr32, begin: int, axes: int) -> int:
     """Fill a row with a piece of a long one, from tick `begin`. Returns its end, 0 at the last.

@@ -51,7 +51,7 @@ class Commands:
         self._settings = machine.settings
         self._coords = machine.coords
         self._store = machine.saves
-        self._report = machine.report  # keep-name: tests on a board ask for it
+        self._report = machine.report
         self._modes = machine.modes
         self._interpreter = machine.interpreter
         self._canon = machine.canon

@@ -35,7 +35,7 @@ NUMBERS = sorted(shown(fresh()))
 
 def table_rows() -> "list[ast.expr]":
     for node in ast.walk(ast.parse(SOURCE)):
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "_TABLE":
+        if isinstance(node, ast.AnnAssign) and ast.unparse(node.target) == "_TABLE":
             assert isinstance(node.value, ast.Tuple)
             return node.value.elts
     raise AssertionError("there is no _TABLE")

@@ -55,10 +55,6 @@ def test_no_command_is_cut_short_in_a_list(name: str) -> None:
     assert listed and "..." not in listed
 
 
-def test_help_keeps_what_stands_in_brackets() -> None:
-    assert "[MSG:…]" in help_of("decode") and "[default: found]" in help_of("decode")
-
-
 def test_a_line_that_is_broken_early_is_found() -> None:
     assert broken_early("  It is\n  short.\n") == ["  It is"]
     assert broken_early(f"  {'x' * 72} and\n  so on.\n") == []

@@ -82,9 +82,6 @@ WRONG = [
         "cannot open missing: no such port; is it written right",
     ),
     ("conformance RECORDINGS --port socket://", "cannot open socket://: "),
-    ("decode missing", "missing cannot be read: there is no such file"),
-    ("decode folder", "folder cannot be read: it is a folder; name a file"),
-    ("decode photo", "photo cannot be read: it is no text"),
     ("build --arch nonsense", "nonsense is no processor: one of x86, "),
     ("build --board rpi_pico --out good.nc/x", "good.nc is no folder"),
     ("send good.nc --port socket://", "socket:// wants a host and a port: socket://HOST:PORT"),
@@ -177,14 +174,6 @@ def test_check_mode_is_named_where_a_setting_is_refused_for_it(folder: Path) -> 
     assert done.exit_code == 1 and "error:8: " in done.output
     assert "not in check mode ($C)" in done.output
     assert "error" not in ugrbl("run", "set.nc").output.replace("errors", "")
-
-
-def test_a_text_without_a_fault_is_said_to_have_none(folder: Path) -> None:
-    done = ugrbl("decode", "good.nc")
-    assert done.exit_code == 0 and done.stdout == _GOOD
-    assert "good.nc tells of no fault: one names its places" in done.stderr
-    fault = '  File "motion", line 1, in f\n'
-    assert "no fault" not in ugrbl("decode", "-", stdin=fault).stderr
 
 
 @pytest.mark.parametrize(

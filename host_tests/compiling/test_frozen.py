@@ -18,10 +18,10 @@ from typer.testing import CliRunner
 from uf2_model import BASE, load
 from ugrbl import paths
 from ugrbl.boardfile import board_check
-from ugrbl.boardfile.files import board_file
+from ugrbl.boardfile.files import board_file, boards, load_board
 from ugrbl.cli import deploy as cli_deploy
 from ugrbl.cli.app import app
-from ugrbl.compiling import build, decode, freeze, mpy, to_freeze
+from ugrbl.compiling import build, freeze, mpy
 from ugrbl.compiling.freeze import Frozen, NotFrozen
 from ugrbl.device import checkup
 from ugrbl.device.deploy import LIST, DeployError, Result
@@ -47,24 +47,27 @@ def made() -> build.Build:
 
 @pytest.fixture(scope="module")
 def frozen(made: build.Build) -> Frozen:
-    return Frozen(made.map["id"], made.modules)
+    return Frozen(made.id)
 
 
 # What is frozen
 
 
 @pytest.mark.parametrize("name", _BOARDS)
-def test_all_that_a_board_needs_is_frozen_but_its_board_file(name: str) -> None:
-    files = {*build.for_board(board_file(name)).files, freeze.HELPER.replace(".", "/") + ".mpy"}
-    there = to_freeze.for_board(board_file(name)).files
-    assert {*there} == files - {"main.py", "board.py"} | {"main.mpy"}
+def test_all_that_any_board_of_a_chip_needs_is_frozen_but_its_board_file(name: str) -> None:
+    there = {*freeze.for_board(board_file(name)).files}
+    for each in boards():
+        if getattr(load_board(each), "MPY_ARCH", "") == load_board(name).MPY_ARCH:
+            made = build.for_board(board_file(each))
+            assert {*made.files} - {"main.py", *made.own} < there, each
+    assert {"main.mpy", freeze.HELPER.replace(".", "/") + ".mpy"} < there
 
 
 @pytest.mark.parametrize(
     "name", [pytest.param(_BOARDS[0], marks=pytest.mark.sampled(1)), *_BOARDS[1:]]
 )
 def test_each_file_bears_the_name_that_micropython_looks_for(name: str) -> None:
-    for path, content in to_freeze.for_board(board_file(name)).files.items():
+    for path, content in freeze.for_board(board_file(name)).files.items():
         assert mpy.names(content)[0] == path.replace(".mpy", ".py")
 
 
@@ -76,7 +79,7 @@ def test_all_native_code_of_a_pico_has_its_length_in_front(name: str) -> None:
         heads.append((*struct.unpack_from("<2H", code), len(code)))
         return code
 
-    for content in to_freeze.for_board(board_file(name)).files.values():
+    for content in freeze.for_board(board_file(name)).files.values():
         mpy.rewritten(content, seen)
     assert len(heads) > 20
     assert all((jump, length + 4) == (0xE000, size) for jump, length, size in heads)
@@ -106,13 +109,11 @@ def test_no_number_is_beyond_what_micropython_can_freeze() -> None:
 
 
 def test_a_build_tells_what_is_frozen(made: build.Build, frozen: Frozen) -> None:
-    content = to_freeze.for_board(board_file("rpi_pico")).files["base/frozen.mpy"]
+    content = freeze.for_board(board_file("rpi_pico")).files["base/frozen.mpy"]
     assert freeze.read(content.decode("latin-1")) == frozen
     assert freeze.read(build.texts()[freeze.HELPER]) is None
     assert frozen.lacks(made) == ""
-    assert "the build 01234567 is frozen" in Frozen("01234567", made.modules).lacks(made)
-    fewer = frozen._replace(modules=made.modules - {"pio.engine"})
-    assert fewer.lacks(made) == "what is frozen into it has no pio.engine"
+    assert "the build 01234567 is frozen" in Frozen("01234567").lacks(made)
 
 
 # What MicroPython runs
@@ -123,8 +124,8 @@ def started(folder: Path) -> str:
     for name in ("base/frozen", "boot/power_up"):
         file = folder / ".frozen" / f"{name}.py"
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text("build = live = lambda *a: None\nmodules = []\nprint('frozen')\n")
-    (folder / "start.py").write_text(freeze.start((build.paths.FIRMWARE / "main.py").read_text()))
+        file.write_text("build = live = lambda *a: None\nprint('frozen')\n")
+    (folder / "start.py").write_text(freeze._start((build.paths.FIRMWARE / "main.py").read_text()))
     run = "import sys; sys.path[:0] = ['', '.frozen']; exec(open('start.py').read())"
     done = subprocess.run(
         [sys.executable, "-c", run], cwd=folder, capture_output=True, text=True, check=True
@@ -149,14 +150,6 @@ def test_the_tools_hear_that_firmware_is_frozen() -> None:
     (found,) = checkup.frozen(["[MSG:Build: 12ab34cd, frozen]", "ok"])
     assert "ugrbl uf2 --keep" in found.text
     assert not checkup.frozen(["[MSG:Build: 12ab34cd]", "ok"])
-    assert decode.build_of("[MSG:Build: 12ab34cd, frozen]") == "12ab34cd"
-
-
-def test_a_fault_of_frozen_firmware_is_found_in_the_sources(made: build.Build) -> None:
-    for file, told in (("boot/power_up.py", "boot.power_up"), ("talk/__init__.py", "talk")):
-        lines = [f'  File "{name}", line 1, in run' for name in (file, told)]
-        frozen, plain = ([*decode.decode(line, made.map)][1:] for line in lines)
-        assert frozen == plain and (frozen or told != "talk")
 
 
 # manifest.py
@@ -213,10 +206,10 @@ def test_the_manifest_freezes_what_its_build_has(manifest: Manifest, tmp_path: P
     old.write_bytes(b"M\6")
     included, frozen = manifest(BOARD="RPI_PICO")
     assert included == ["$(BOARD_DIR)/manifest.py"]
-    assert frozen == {*to_freeze.for_board(board_file("rpi_pico")).files}
-    os.utime(old.parent / "__init__.mpy", (1, 1))
+    assert frozen == {*freeze.for_board(board_file("rpi_pico")).files}
+    os.utime(old.parent / "planner.mpy", (1, 1))
     manifest(BOARD="RPI_PICO")  # MicroPython is not built anew for what is as it was
-    assert (old.parent / "__init__.mpy").stat().st_mtime == 1
+    assert (old.parent / "planner.mpy").stat().st_mtime == 1
 
 
 def test_the_manifest_takes_the_ports_where_the_board_has_none(manifest: Manifest) -> None:
@@ -250,8 +243,7 @@ def test_frozen_wants_a_board(tmp_path: Path) -> None:
 def frozen_program(frozen: Frozen) -> Flash:
     """A MicroPython with that in it, at no round place."""
     flash = program()
-    text = freeze.about(build.texts()[freeze.HELPER], frozen.build, sorted(frozen.modules))
-    about = text.encode().partition(b'ABOUT = "')[2].partition(b'"')[0] + b"\0"
+    about = f"ugrbl frozen: {frozen.id}".encode() + b"\0"
     data = b"\xe9" * 37 + about
     for at in range(0, len(data), PAGE):
         flash.pages[flash.end] = data[at : at + PAGE].ljust(PAGE, b"\4")
@@ -292,7 +284,7 @@ def test_beside_frozen_firmware_only_the_boards_own_files_lie(image: Path, tmp_p
 
 def test_files_go_before_firmware_of_another_build(tmp_path: Path, made: build.Build) -> None:
     image, out = tmp_path / "firmware.uf2", tmp_path / "all.uf2"
-    image.write_bytes(uf2.write(frozen_program(Frozen("01234567", made.modules))))
+    image.write_bytes(uf2.write(frozen_program(Frozen("01234567"))))
     done = ugrbl_uf2("--micropython", str(image), "-o", str(out))
     assert "build 01234567; the files go before it" in " ".join(done.output.split())
     assert {*made.files} < {*after_a_drag(out.read_bytes())[1]}
@@ -303,8 +295,7 @@ def test_files_go_before_firmware_of_another_build(tmp_path: Path, made: build.B
     [
         (None, [], "the firmware is not frozen into it"),
         (None, [], "`ugrbl deploy` brings it up to date and keeps them"),
-        ({"build": "01234567"}, [], "the build 01234567 is frozen into it, and here is"),
-        ({"modules": frozenset({"main"})}, [], "has no base.axes"),
+        ({"id": "01234567"}, [], "the build 01234567 is frozen into it, and here is"),
         ({}, ["--board", "rpi_pico2"], "it is for RP2040; the board file is for RP2350"),
         ({}, ["--settings", "my.settings"], "no place for my.settings"),
         ({}, ["--custom", "custom.py"], "no place for custom.py"),
@@ -330,7 +321,7 @@ def test_a_board_with_frozen_firmware_gets_its_board_file(
     board = FakeBoard(PICO._replace(frozen=frozen))
     result = put(board, made)
     assert board.writes() == ["board.py", LIST]
-    assert (result.frozen, result.runs_frozen) == (frozen.build, True)
+    assert (result.frozen, result.runs_frozen) == (frozen.id, True)
     assert put(board, made).unchanged == 1 and not board.writes()
 
 
@@ -349,7 +340,7 @@ def test_firmware_of_an_earlier_deployment_goes_and_files_of_the_user_stay(
 
 
 def test_other_firmware_than_what_is_frozen_goes_there_as_files(made: build.Build) -> None:
-    board = FakeBoard(PICO._replace(frozen=Frozen("01234567", made.modules)))
+    board = FakeBoard(PICO._replace(frozen=Frozen("01234567")))
     result = put(board, made)
     assert (result.frozen, result.runs_frozen) == ("01234567", False)
     assert {*made.files} < {*board.disk} and board.writes()[-1] == "main.py"

@@ -68,7 +68,7 @@ def run(program: bytes, folder: Path, **environment: str) -> "tuple[object, str,
         input=program,
         capture_output=True,
         check=False,
-        env=as_users(UGRBL_MAPS=str(folder / "maps"), **environment),
+        env=as_users(UGRBL_KERNELS=str(folder / "kernels"), **environment),
     )
     assert done.returncode == 0, done.stderr.decode()
     result, segments, names = json.loads(done.stdout)
@@ -116,7 +116,7 @@ vectors.main()
             capture_output=True,
             text=True,
             check=False,
-            env=as_users(UGRBL_MAPS=str(compiled / "maps"), **environment),
+            env=as_users(UGRBL_KERNELS=str(compiled / "kernels"), **environment),
         )
         assert done.returncode == 0, done.stderr
         said.append(done.stdout)

@@ -32,5 +32,5 @@ def test_sources_that_say_nothing_are_refused() -> None:
 def test_a_board_has_what_it_takes_on_an_rp2350_alone(name: str, there: bool) -> None:
     """Of the third PIO, and what is refused of 48 pins."""
     board: Any = load_board(name)
-    made = build.compile_all(board.MPY_ARCH, board).files["pio/__init__.mpy"]
+    made = build.compile_all(board.MPY_ARCH, board).files["pio/engine.mpy"]
     assert (b"only pins 0 to 31 make pulses" in made) is there

@@ -21,7 +21,7 @@ from ugrbl.cli import ports
 from ugrbl.cli.app import app
 from ugrbl.compiling import build, freeze, page_files
 from ugrbl.compiling.folder import save
-from ugrbl.compiling.inline import inline
+from ugrbl.compiling.inline import inline, pruned
 from ugrbl.device.deploy import LIST, About, DeployError, Running, check_fit, deploy
 from ugrbl.image import contents
 from ugrbl.paths import TOOLS
@@ -131,28 +131,26 @@ def changed(made: build.Build, *paths: str) -> build.Build:
 @pytest.fixture(scope="module")
 def texts() -> "dict[str, str]":
     """All modules, constants in place."""
-    return inline(build.texts())
+    return pruned(inline(build.texts()))
 
 
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", REAL)
 def test_a_board_gets_every_module_its_modules_import(name: str, texts: "dict[str, str]") -> None:
     """At their top level; inside functions a module imports what its board may not need."""
-    there = set(build.needed(load_board(name)))
-    for source in there:
-        tree = ast.parse(texts[build.module(source)])
-        for node in tree.body:
+    there = set(build.modules_of(load_board(name)))
+    for each in there:
+        for node in ast.parse(texts[each]).body:
             if isinstance(node, ast.Import | ast.ImportFrom):
-                for module in build._imported(node):
-                    path = module.replace(".", "/") + ".py"
-                    assert path in there or path not in build.sources(), f"{source}: {path}"
+                for module in build.imported(ast.unparse(node)):
+                    assert module in there or module not in texts, f"{each}: {module}"
 
 
 def needed(**words: "str | bool") -> set[str]:
     board = load_board("rpi_pico")
     made = type(board)("made")
     vars(made).update({**vars(board), "CUSTOM": "", **words})
-    return set(build.needed(made))
+    return {f"{name.replace('.', '/')}.py" for name in build.modules_of(made)}
 
 
 def test_a_board_gets_what_it_can_use() -> None:
@@ -188,7 +186,7 @@ def test_a_board_gets_what_it_can_use() -> None:
     }
     clusters = {"extras/tools/clusters.py"}
     assert needed(TOOL="laser", CLUSTERS=True) - pico - laser == clusters
-    jerk = {f"extras/motors/jerk{part}.py" for part in ("", "_kernel", "_layout", "_plan")}
+    jerk = {f"extras/motors/jerk{part}.py" for part in ("", "_kernel", "_plan")}
     assert needed(JERK=True) - pico - api == jerk
     jobs = needed(JOBS="jobs")
     assert needed(JOBS="jobs", SD_CARD=(10, 11, 12, 13)) - jobs == {
@@ -211,8 +209,8 @@ def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() ->
                 words |= {"KINEMATICS": "scara", "LIMIT": (9, 9, 11), "SKEW": True, "PAGE": True}
                 every |= needed(ENGINE=engine, LINK=link, **words)
     left = {build.module(source) for source in set(build.sources()) - every}
-    trees = [ast.parse(text) for text in inline(build.texts()).values()]
-    assert not any(left.intersection(build._imported(tree)) for tree in trees)
+    trees = [ast.parse(text) for text in pruned(inline(build.texts())).values()]
+    assert not any(left.intersection(build._imported(tree, ())) for tree in trees)
     assert "pio.layout" in left  # which has nothing but constants
 
 
@@ -250,7 +248,7 @@ def test_what_was_built_before_and_is_no_more_goes(tmp_path: Path) -> None:
     gone.write_bytes(b"M")
     mine.write_bytes(b"")
     ugrbl("build", "--board", "rpi_pico", "-o", tmp_path)
-    assert not gone.exists() and mine.exists() and (tmp_path / "language/__init__.mpy").exists()
+    assert not gone.exists() and mine.exists() and (tmp_path / "language/words.mpy").exists()
 
 
 def board_file(folder: Path, more: str, name: str = "mine") -> Path:
@@ -322,7 +320,7 @@ def test_a_new_board_gets_all_and_main_comes_last(made: build.Build) -> None:
     assert sorted(result.copied) == sorted(made.files) and result.removed == []
     assert {path: board.disk[path] for path in made.files} == made.files
     assert board.writes()[-1] == "main.py" and board.log[-1] == "restart"
-    assert board.log.index("folder pio") < board.log.index("write pio/__init__.mpy")
+    assert board.log.index("folder pio") < board.log.index("write pio/engine.mpy")
     assert result.bytes == made.bytes == view.total == view.done
     assert result.free_bytes == 60_000 and result.build == "1.1h.20261121:"
 
@@ -426,11 +424,11 @@ def test_a_page_that_has_changed_is_brought_up_to_date_and_goes_where_it_is_not_
     board.disk["page.gz"] = b"older"
     put(board, with_page)
     assert board.writes() == ["page.gz", LIST, "main.py"]
-    assert {*put(board, without).removed} == {*page_files.names()}
+    assert {*page_files.names()} <= {*put(board, without).removed}
 
 
 def test_beside_frozen_firmware_lies_the_page(with_page: build.Build) -> None:
-    frozen = freeze.Frozen(with_page.map["id"], with_page.modules)
+    frozen = freeze.Frozen(with_page.id)
     board = FakeBoard(PICO2_W._replace(frozen=frozen))
     put(board, with_page)
     assert board.writes() == ["board.py", *sorted(page_files.names()), LIST]
@@ -439,7 +437,7 @@ def test_beside_frozen_firmware_lies_the_page(with_page: build.Build) -> None:
 def test_a_uf2_file_has_the_page_too(with_page: build.Build) -> None:
     found = contents.files(with_page, {})
     assert page_files.made().items() <= found.items()
-    frozen = freeze.Frozen(with_page.map["id"], with_page.modules)
+    frozen = freeze.Frozen(with_page.id)
     beside = contents.files(with_page, {}, frozen)
     assert {*beside} == {"board.py", LIST, *page_files.names()}
 
@@ -541,7 +539,7 @@ def plugged(monkeypatch: pytest.MonkeyPatch, made: build.Build) -> FakeBoard:
 
     board = FakeBoard()
     monkeypatch.setattr(deploy_device, "MpremoteDevice", lambda port: board)
-    monkeypatch.setattr(build, "for_board", lambda file, debug=False: made)
+    monkeypatch.setattr(build, "for_board", lambda file: made)
     monkeypatch.setattr(ports, "choose", lambda port: port or "/dev/ttyACM7")
     return board
 
@@ -558,7 +556,7 @@ def test_deploy_as_json(plugged: FakeBoard) -> None:
     done = ugrbl("deploy", "--board", "rpi_pico", "--port", "COM3", "--json", "-")
     found = json.loads(done.stdout)
     assert (found["board"], found["port"], found["free_bytes"]) == ("rpi_pico", "COM3", 60_000)
-    assert "language/__init__.mpy" in found["copied"] and found["unchanged"] == 0
+    assert "language/words.mpy" in found["copied"] and found["unchanged"] == 0
 
 
 def test_a_failure_as_json(plugged: FakeBoard) -> None:

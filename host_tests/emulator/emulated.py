@@ -57,9 +57,9 @@ def frozen_in(uf2: Path) -> "Frozen | None":
     return contents.read(uf2).frozen
 
 
-def build_id(debug: bool = False) -> str:
+def build_id() -> str:
     """What the firmware of the usual board tells of its build."""
-    return build.prepared_firmware(debug, load_board(CHIP.board).MPY_ARCH).id
+    return build.id_of(load_board(CHIP.board).MPY_ARCH)
 
 
 def for_this_chip(board: Path, more: str = "") -> Path:

@@ -4,13 +4,12 @@ from pathlib import Path
 from statistics import median
 
 import pytest
-from emulated import BOARD_FILE, FOUND, Board, build_id, firmware
-from ugrbl.compiling import build
+from emulated import FOUND, Board
 
 pytestmark = pytest.mark.xdist_group("pico talk")
 
-_BOOT_US = 1_200_000  # with settings kept; the first start writes them
-_HEAP = 110_000
+_BOOT_US = 1_500_000  # with settings kept, which make the root of its file system longer
+_HEAP = 85_000
 
 
 @pytest.fixture(scope="module")
@@ -46,32 +45,13 @@ machine = power_up.live(power_up.build())
 )
 
 
-def test_a_hundred_and_ten_kilobytes_of_heap_are_free(machine: Board) -> None:
+def test_eighty_five_kilobytes_of_heap_are_free(machine: Board) -> None:
     assert free(machine) >= _HEAP
 
 
 def free(machine: Board) -> int:
     """Bytes of its heap."""
     return int(machine.ask("$M").partition("free ")[2].partition(".")[0])
-
-
-def test_names_lines_and_single_modules_take_25_kilobytes_at_most(uf2: Path) -> None:
-    """`--debug`; what it says of that: cli/build.py has DEBUG_COST."""
-    debug = board_as_built(uf2, debug=True)
-    assert f"[MSG:Build: {build_id(debug=True)}]" in debug.ask("$I+")
-    usual = board_as_built(uf2, debug=False)
-    ask = "import gc;gc.collect();print(gc.mem_free())"
-    left, left_of_debug = (int(board.python(ask)) for board in (usual, debug))
-    assert 15_000 < left - left_of_debug < 25_000
-
-
-def board_as_built(uf2: Path, debug: bool) -> Board:
-    """With main.py as it is deployed."""
-    files = build.for_board(BOARD_FILE, debug=debug).files
-    if not debug:
-        return Board(uf2).boot().settled()
-    others = {name: None for name in firmware() if name not in files}
-    return Board(uf2, {**others, **files}).boot().settled()
 
 
 def test_it_says_what_it_is(machine: Board) -> None:

@@ -10,9 +10,7 @@ import pytest
 from extras.custom import handlers
 from test_custom_examples import Shop
 from typer.testing import CliRunner
-from ugrbl import paths
 from ugrbl.cli.app import app
-from ugrbl.compiling import build
 from ugrbl.docs.custom import operator_methods
 
 # Many cases of each: the first ring takes some.
@@ -124,27 +122,6 @@ def public(text: str) -> "set[str]":
 
 
 _NAMED = (ast.FunctionDef, ast.ClassDef)
-
-
-@pytest.mark.parametrize(
-    "module", ["handlers", "machine_operator", "operator_pins", "places", "keep"]
-)
-def test_every_public_name_is_on_a_board(module: str) -> None:
-    written = (paths.FIRMWARE / "extras" / "custom" / f"{module}.py").read_text(encoding="utf-8")
-    shipped = build.prepared_firmware().texts[f"extras.custom.{module}"]
-    assert public(written) - public(shipped) == set()
-
-
-def test_attributes_and_named_arguments_are_on_a_board() -> None:
-    shipped = build.prepared_firmware().texts
-    assert "self.number = " in shipped["extras.custom.handlers"]
-    for name in ("mcode", "gcode", "every", "on", "Refused", "Refuse"):
-        assert f"self.{name} = {name}" in shipped["extras.custom.handlers"]
-    assert "self.keep = " in shipped["extras.custom.machine_operator"]
-    for name in ("must", "closed", "seconds"):
-        assert re.search(rf"\b{name}: ", shipped["extras.custom.machine_operator"])
-    assert re.search(r"\bhz: ", shipped["extras.custom.operator_pins"])
-    assert re.search(r"\bsync: ", shipped["extras.custom.handlers"])
 
 
 def test_every_call_says_what_it_does() -> None:

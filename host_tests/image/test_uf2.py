@@ -291,7 +291,7 @@ def test_the_command_makes_the_file_and_says_where_to_drag_it(
     assert "drag the file onto RPI-RP2" in done.output and "v1.28.0, for RP2040" in done.output
     assert "note: $111=0 is a highest rate of 0 for Y" in done.output
     _, found = after_a_drag(out.read_bytes())
-    assert {"main.py", "board.py", "deployed.sha256", "pio/__init__.mpy"} <= found.keys()
+    assert {"main.py", "board.py", "deployed.sha256", "pio/engine.mpy"} <= found.keys()
 
 
 @pytest.mark.parametrize(

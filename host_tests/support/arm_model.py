@@ -10,8 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ugrbl.compiling import build, machine_code
-from ugrbl.compiling.marks import Key
-from ugrbl.compiling.modules import Module
+from ugrbl.compiling.viper import Key, Module
 from unicorn import UC_ARCH_ARM, UC_HOOK_CODE, UC_MODE_MCLASS, UC_MODE_THUMB, Uc
 from unicorn.arm_const import (
     UC_ARM_REG_LR,
@@ -50,7 +49,7 @@ def signed(value: int) -> int:
 def kernels_of(arch: str) -> "tuple[str, list[Key]]":
     """The C text of all, and which they are."""
     apart = build.kernels_apart(arch)
-    return apart.c, list(apart.names.values())
+    return apart.c, [key for keys in apart.pieces.values() for key in keys]
 
 
 def c_of(text: str) -> "tuple[str, list[Key]]":

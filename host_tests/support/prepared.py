@@ -1,20 +1,22 @@
 """The firmware as boards get it, in a folder where simulator and tests find it.
 
-The sources of all modules go through the compile passes. Simulator and tests use the firmware's
-objects by name: they are copied, and told of the names that these have then. What runs on
-MicroPython has been through mpy-cross besides, as for a board, but for this computer's processor.
+The sources of all modules go through the first pass. Simulator and tests, which use the firmware's
+constants, are copied, and have them in place, too. What runs on MicroPython has been through
+mpy-cross besides, as for a board, but for this computer's processor.
 """
 
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 from ugrbl import paths
 from ugrbl.compiling import build
+from ugrbl.compiling.build import Build
 from ugrbl.compiling.folder import save
 from ugrbl.compiling.inline import inline
-from ugrbl.compiling.shorten import Shortened, follow
 
+# This computer's processor, as MicroPython names it.
+ARCH = "x64"
 _ROOT = Path(__file__).resolve().parents[2]
 # Tests, and what they stand on, which are run against prepared sources.
 _TESTS = (
@@ -27,31 +29,33 @@ _DATA = ("boards", "tools")
 _CONST = "import builtins\nbuiltins.const = lambda value: value\n"
 
 # What becomes of a tree of sources under root.
-Compile = Callable[[Path, Shortened], None]
+Compile = Callable[[Path, dict[str, str]], None]
 
 
-def write_sources(root: Path, made: Shortened) -> None:
+def write_sources(root: Path, made: "dict[str, str]") -> None:
     """The firmware as CPython can run it."""
     for source in build.sources():
         file = root / "firmware" / source
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(made.texts[build.module(source)], "utf-8")
+        file.write_text(made[build.module(source)], "utf-8")
 
 
-def write_compiled(root: Path, made: Shortened) -> None:
+def write_compiled(root: Path, made: "dict[str, str]") -> None:
     """The firmware as MicroPython on this computer runs it: only the processor is another."""
-    save(build.compile_texts("x64", made.texts), root / "firmware")
+    code = build.compiled(ARCH, made)
+    files = {build.path_of(name): content for name, content in code.items()}
+    files[build.START] = made[build.module(build.START)].encode()
+    save(Build(ARCH, files), root / "firmware")
 
 
-def write_tree(root: Path, made: Shortened, write: Compile) -> Path:
+def write_tree(root: Path, made: "dict[str, str]", write: Compile) -> Path:
     """All that simulator and tests need, under root. Returns the simulator's program."""
     write(root, made)
-    ours = build.texts()
     for folder in _DATA:
         shutil.copytree(
             _ROOT / folder, root / folder, ignore=shutil.ignore_patterns("__pycache__")
         )
-    for name, text in guests(ours, made).items():
+    for name, text in guests().items():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         (root / name).write_text(text, "utf-8")
     (root / "site").mkdir()
@@ -60,9 +64,9 @@ def write_tree(root: Path, made: Shortened, write: Compile) -> Path:
     return root / "tools" / "sim" / "replay_main.py"
 
 
-def guests(ours: "Mapping[str, str]", made: Shortened) -> "dict[str, str]":
-    """Simulator and tests, by their paths, for the firmware as it is now."""
+def guests() -> "dict[str, str]":
+    """Simulator and tests, by their paths, with the firmware's constants in place."""
     files = [*(paths.TOOLS / "sim").glob("*.py"), *(_ROOT / "host_tests" / t for t in _TESTS)]
     texts = {str(file.relative_to(_ROOT)): file.read_text("utf-8") for file in files}
-    placed = inline({**ours, **texts})
-    return {name: follow(name, placed[name], made) for name in texts}
+    placed = inline({**build.texts(), **texts})
+    return {name: placed[name] for name in texts}

@@ -225,9 +225,8 @@ def test_a_link(tree):
     board = tree.folder / "my_bluetooth.py"
     board.write_text(pico.replace('LINK = "usb"', 'LINK = "serial"'))
     tree.ugrbl("build --board my_bluetooth.py")
-    map_ = json.loads((tree.folder / "build" / "my_bluetooth.map.json").read_text())
-    ports = {module for module, _ in map_["bundles"]["ports"].values()}
-    assert "ports.serial_link" in ports and "ports.usb.usb_link" not in ports
+    ports = {file.name for file in (tree.folder / "build" / "my_bluetooth").rglob("*.mpy")}
+    assert "serial_link.mpy" in ports and "usb_link.mpy" not in ports
     assert tree.python("-c", _TALK).splitlines() == ["3 b'G0X' 1 1 0", "b'ok'", "0"]
 
 

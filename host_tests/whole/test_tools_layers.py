@@ -25,10 +25,10 @@ ROOMS: "dict[str, tuple[str, ...]]" = {
 }
 ROOMS["cli"] = tuple(ROOMS)
 GROUND = ("", "paths")  # the package itself, for its version
-# What draws on a terminal and ends a command. `make docs` is one, too; maps asks typer where a
-# user's files lie.
+# What draws on a terminal and ends a command. `make docs` is one, too; kernels asks typer where
+# a user's files lie.
 SCREEN = ("typer", "rich", "prompt_toolkit")
-SCREENS = ("cli", "docs.__main__", "compiling.maps")
+SCREENS = ("cli", "docs.__main__", "compiling.kernels")
 
 # Modules that write otherwise than by paths.write(): into a folder that is temporary or made once,
 # a disk's image, or our docs.
@@ -37,7 +37,6 @@ WRITERS = {
     "compiling.kernels",
     "compiling.machine_code",
     "compiling.page_files",
-    "compiling.stock",
     "docs.__main__",
     "image.file_system",
     "paths",

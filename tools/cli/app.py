@@ -17,7 +17,6 @@ from . import (
     conformance,
     console,
     custom_board,
-    decode,
     deploy,
     doctor,
     job,
@@ -58,7 +57,6 @@ app = typer.Typer(
 app.command("build", epilog=build.EXAMPLES)(build.command)
 app.command("conformance")(conformance.command)
 app.command("console", epilog=console.EXAMPLES)(console.command)
-app.command("decode", epilog=decode.EXAMPLES)(decode.command)
 app.command("deploy", epilog=deploy.EXAMPLES)(deploy.command)
 app.command("doctor", epilog=doctor.EXAMPLES)(doctor.command)
 app.command("new-board", epilog=new_board.EXAMPLES)(new_board.command)

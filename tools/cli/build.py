@@ -9,7 +9,7 @@ from rich.markup import escape
 
 from ..boardfile.board_check import notes
 from ..boardfile.files import board_file, load_for_build
-from ..compiling import build, maps, to_freeze
+from ..compiling import build, freeze
 from ..compiling.build import Build, BuildError, Progress
 from ..compiling.folder import save, save_to_freeze
 from ..device.deploy import ARCHS
@@ -20,11 +20,6 @@ EXAMPLES = examples(
     "ugrbl build --arch armv7emsp --json -",
 )
 _ARCH = "armv6m"
-# Measured by host_tests/emulator/test_pico_talk.py: 116.6 kB are free, and 92.4.
-DEBUG_COST = "24 kB of a Pico's memory"
-Debug = Annotated[
-    bool, typer.Option("--debug", help=f"Keep names and line numbers. Takes {DEBUG_COST}.")
-]
 _FOLDER = Path("build")
 
 
@@ -42,12 +37,9 @@ def command(
             "--out", "-o", metavar="FOLDER", help="By default build/BOARD or build/ARCH."
         ),
     ] = None,
-    debug: Debug = False,
     frozen: Annotated[
         bool,
-        typer.Option(
-            "--frozen", help="As manifest.py freezes it into MicroPython: build/frozen/."
-        ),
+        typer.Option("--frozen", help="All of it, as manifest.py freezes it: build/frozen/."),
     ] = False,
     json_file: Annotated[
         Path | None,
@@ -56,9 +48,9 @@ def command(
 ) -> None:
     """Compile the firmware for a board; show each module's bytes.
 
-    With --board what `ugrbl deploy` would put on it; without, all there is. Beside
-    the folder a map is written, FOLDER.map.json, for `ugrbl decode`. manifest.py
-    asks for --frozen, whenever MicroPython is built with it.
+    With --board what `ugrbl deploy` would put on it; without, all there is.
+    manifest.py asks for --frozen, whenever MicroPython is built with it: that is for
+    every board with this chip.
 
     The board file is checked first, and nothing is built for a bad one: every
     problem has a line, and the exit code is 1.
@@ -75,34 +67,27 @@ def command(
         if arch not in ARCHS[1:]:
             raise BuildError(f"{arch} is no processor: one of {', '.join(ARCHS[1:])}")
         described = load_for_build(board_file(board)) if board else None
-        check_outputs(json_file, folder / "main.mpy", maps.beside(folder), given=locals())
-        made = _make(board, arch, progress, debug, frozen)
+        check_outputs(json_file, folder / "main.mpy", given=locals())
+        made = _make(board, arch, progress, frozen)
         (save_to_freeze if frozen else save)(made, folder)
-        maps.save(made.map, maps.beside(folder))
     except (BuildError, OSError, ValueError) as error:
         raise failed(error) from error
     for text in notes(described) if described else ():
         console.print(f"[yellow]note[/]: {escape(text)}", highlight=False, soft_wrap=True)
-    _show(console, made, folder, debug)
+    text = f"{made.bytes:7} bytes in all, in {folder}; build {made.id}"
+    console.print(text, highlight=False, soft_wrap=True)
     if json_file:
         sizes = {name: len(content) for name, content in made.files.items()}
         save_json({"arch": made.arch, "bytes": made.bytes, "files": sizes}, json_file)
 
 
-def _show(console: Console, made: Build, folder: Path, debug: bool) -> None:
-    text = f"{made.bytes:7} bytes in all, in {folder}; build {made.map['id']}"
-    console.print(text, highlight=False, soft_wrap=True)
-    if debug:
-        console.print(f"names and line numbers stay: they take {DEBUG_COST}", highlight=False)
-
-
-def _make(board: str | None, arch: str, progress: Progress, debug: bool, frozen: bool) -> Build:
+def _make(board: str | None, arch: str, progress: Progress, frozen: bool) -> Build:
     if frozen and not board:
         raise BuildError("frozen for which board? --board NAME")
     if not board:
-        return build.compile_all(arch, None, progress, debug)
-    made = to_freeze.for_board if frozen else build.for_board
-    return made(board_file(board), progress, debug)
+        return build.compile_all(arch, None, progress)
+    made = freeze.for_board if frozen else build.for_board
+    return made(board_file(board), progress)
 
 
 def failed(why: Exception) -> typer.Exit:

@@ -11,13 +11,12 @@ from rich.markup import escape
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeElapsedColumn
 
 from ..boardfile.files import BoardFileError, board_file
-from ..compiling import build, maps
+from ..compiling import build
 from ..compiling.build import Build, BuildError
 from ..device.connection import SendError
 from ..device.deploy import DeployError, Result, deploy
 from . import ports
-from .build import DEBUG_COST, Debug
-from .outputs import Json, check_output, examples, save_json, words
+from .outputs import Json, check_output, examples, save_json
 from .screen import summary
 
 EXAMPLES = examples(
@@ -76,7 +75,6 @@ def command(
     replace: Annotated[
         bool, typer.Option("--replace", help="Even if its board.py or main.py is yours.")
     ] = False,
-    debug: Debug = False,
     json_file: Json = None,
 ) -> None:
     """Put the firmware on a board with MicroPython, and start it.
@@ -92,10 +90,9 @@ def command(
     console = Console(stderr=str(json_file) == "-")
     try:
         file = board_file(board)
-        made = build.for_board(file, debug=debug)
+        made = build.for_board(file)
         where = ports.choose(port)
         console.print(f"{file.stem}: {len(made.files)} files, {made.bytes} bytes", highlight=False)
-        _keep_map(console, made)
         result = _deploy(console, where, made, replace)
     except (BoardFileError, BuildError) as error:
         raise _failed(error.problems, "nothing has been copied", json_file) from error
@@ -107,19 +104,8 @@ def command(
         todo = "deploy again; until then the board may start with MicroPython's prompt"
         raise _failed(["stopped half way"], todo, json_file) from error
     _show(console, result, where)
-    if debug:
-        console.print(f"names and line numbers stay: they take {DEBUG_COST}", highlight=False)
     if json_file:
         save_json({"port": where, "board": file.stem, **result.as_json()}, json_file)
-
-
-def _keep_map(console: Console, made: Build) -> None:
-    """For `ugrbl decode`; a board can do without."""
-    try:
-        maps.keep(made.map)
-    except OSError as error:
-        text = f"[yellow]note[/]: no map is kept, for decode and doctor: {escape(words(error))}"
-        console.print(text, highlight=False, soft_wrap=True)
 
 
 def _deploy(console: Console, port: str, made: Build, replace: bool) -> Result:

@@ -14,7 +14,6 @@ from ..grbl.settings_file import SettingsError, read_settings
 from ..image import contents
 from ..image.contents import MicroPython
 from ..image.uf2 import Uf2Error
-from .build import DEBUG_COST, Debug
 from .custom import judge
 from .custom_options import CustomFile, around
 from .outputs import check_output, examples, failed
@@ -53,7 +52,6 @@ def command(
         Path | None,
         typer.Option("--out", "-o", metavar="FILE", help="By default build/BOARD.uf2."),
     ] = None,
-    debug: Debug = False,
 ) -> None:
     """Make one file to be dragged onto an RP2040 or RP2350 board.
 
@@ -77,7 +75,7 @@ def command(
         if keep:
             _check_nothing_else(settings or custom)
         own = _own(console, board, settings, custom)
-        made = build.for_board(board_file(board), debug=debug)
+        made = build.for_board(board_file(board))
         files: dict[str, bytes] = {}
         if keep:
             data = contents.frozen_only(theirs, made)
@@ -90,8 +88,6 @@ def command(
     except (ValueError, SettingsError, OSError) as error:
         raise failed(error) from error
     _show(console, file, theirs, files)
-    if debug:
-        console.print(f"names and line numbers stay: they take {DEBUG_COST}", highlight=False)
 
 
 def _check_nothing_else(wanted: Path | None) -> None:
@@ -141,4 +137,4 @@ def _frozen(micropython: MicroPython, files: dict[str, bytes]) -> list[tuple[str
     if not (frozen := micropython.frozen):
         return []
     before = "; the files go before it" if START in files else ", which runs"
-    return [("frozen", f"build {frozen.build}{before}")]
+    return [("frozen", f"build {frozen.id}{before}")]

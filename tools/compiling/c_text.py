@@ -9,9 +9,8 @@ behind it, so that it is none of C's own.
 import ast
 from collections.abc import Iterator
 
-from . import forms
-from .marks import Key
-from .modules import Module
+from . import viper
+from .viper import Key, Module
 
 BITS = {"ptr8": 8, "ptr16": 16, "ptr32": 32}
 
@@ -54,11 +53,11 @@ class Function:
         self._function = function
         self.name = c_name(module.name, function.name)
         self.parameters = {
-            argument.arg: forms.annotation(argument.annotation) for argument in function.args.args
+            argument.arg: viper.annotation(argument.annotation) for argument in function.args.args
         }
         self._types = self.parameters | {
             name: type if type in BITS or type == "object" else "int"
-            for name, type in forms.types(function).items()
+            for name, type in viper.types(function).items()
             if name not in self.parameters
         }
 
@@ -72,7 +71,7 @@ class Function:
         own = [name for name in self._types if name not in self.parameters]
         zero = {name: self.zero_pointer if self._types[name] in BITS else "0" for name in own}
         declared = [f"{self.c_type(self._types[name])} {name}_ = {zero[name]};" for name in own]
-        lines = [*declared, *self._block(forms.body(self._function)), "return 0;"]
+        lines = [*declared, *self._block(viper.body(self._function)), "return 0;"]
         inner = "\n    ".join(lines)
         return f"static {self.head()} {{\n    {inner}\n}}\n"
 
@@ -120,7 +119,7 @@ class Function:
 
     def type_of(self, node: ast.expr) -> str:
         """The viper type of a value."""
-        return forms.type_of(node, self._types)
+        return viper.type_of(node, self._types)
 
     # Statements
 

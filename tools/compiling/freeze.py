@@ -1,19 +1,23 @@
 """Firmware that is to be frozen into MicroPython, which runs it where it lies: in flash.
 
-Bytecode may stay there. Native code is brought into memory, function by function, as its module is
-imported (firmware/base/frozen.py): each has its length in front, and its definition a decorator.
+All of it is, for every board of a chip: the board file lies in the file system, where an update
+leaves it, with settings and the user's own Python, and says what is imported. Bytecode stays in
+flash. An Arm's native code is brought into memory, function by function, as its module is imported
+(firmware/base/frozen.py): each has its length in front, and its definition a decorator.
 """
 
 import ast
 import re
 import struct
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from . import mpy
-from .build import Build
+from ..boardfile.files import load_for_build
+from . import build, compilers, mpy
+from .build import Build, BuildError, Progress
 
 # The module with that decorator, and what the board and the tools read of it.
 HELPER = "base.frozen"
@@ -34,7 +38,9 @@ else:
 
 _MARK = "ugrbl frozen: "
 _NOTHING = "nothing"
-_ABOUT = re.compile(_MARK + r"([0-9a-f]{8})((?: [\w.]+)+)")
+_ABOUT = re.compile(_MARK + r"([0-9a-f]{8})")
+# Processors whose native code is brought into memory. An ESP32 runs it where it lies.
+_ARM = "arm"
 _JUMP_OVER = 0xE000  # the next half word
 
 # What makes a function of its own within another, or a generator of it.
@@ -48,9 +54,37 @@ class NotFrozen(ValueError):
     """A module that cannot be."""
 
 
+def for_board(file: Path, progress: Progress = lambda name, size: None) -> Build:
+    """For the chip of the board of that file. BoardFileError before anything is compiled."""
+    board: Any = load_for_build(file)
+    arch = board.MPY_ARCH
+    if not compilers.are_there(arch):
+        raise BuildError(compilers.missing("what is compiled already is not to be frozen"))
+    texts, sources = build.ready(arch), build.texts()
+    start, number = build.module(build.START), build.id_of(arch)
+    texts = {**texts, start: _start(sources[start])}
+    texts[HELPER] = sources[HELPER].replace(_MARK + _NOTHING, _MARK + number)
+    moved = arch.startswith(_ARM)
+    if moved:
+        texts = {name: decorated(text) for name, text in texts.items()}
+    code = build.compiled(arch, texts, told=_file)
+    made = Build(arch, {}, board.ENGINE, number, frozenset(texts))
+    for name in sorted(code):
+        path = _file(name).removesuffix(".py") + ".mpy"
+        made.files[path] = with_lengths(code[name]) if moved else code[name]
+        progress(path, len(made.files[path]))
+    return made
+
+
+def _file(module: str) -> str:
+    """What MicroPython looks for in what is frozen: `motion/planner.py`."""
+    return build.path_of(module).replace(".mpy", ".py")
+
+
 def decorated(text: str) -> str:
     """A module whose native functions come into memory. NotFrozen where one has functions within
     that would not, for those are native, too; or is a generator."""
+    lines = text.splitlines(keepends=True)
     tree = ast.parse(text)
     if not (functions := [*_native(tree)]):
         return text
@@ -59,11 +93,12 @@ def decorated(text: str) -> str:
         if inside - {*functions}:
             raise NotFrozen(f"{function.name} is native code with a function or a yield within")
         # The last one, for it wants the function itself.
-        function.decorator_list.insert(-1, ast.Name(_DECORATOR, ast.Load()))
-    # Behind documentation, or what gives names their places (order.py).
-    first = int(isinstance(tree.body[0], ast.Expr))
-    tree.body.insert(first, ast.ImportFrom(HELPER, [ast.alias(_DECORATOR)], 0))
-    return ast.unparse(ast.fix_missing_locations(tree)) + "\n"
+        place = function.decorator_list[-1].lineno - 1
+        lines[place] = f"{' ' * function.col_offset}@{_DECORATOR}\n{lines[place]}"
+    first = int(isinstance(tree.body[0], ast.Expr))  # behind documentation
+    place = tree.body[first].lineno - 1
+    lines[place] = f"from {HELPER} import {_DECORATOR}\n{lines[place]}"
+    return "".join(lines)
 
 
 def with_lengths(compiled: bytes) -> bytes:
@@ -75,23 +110,21 @@ def with_lengths(compiled: bytes) -> bytes:
     return mpy.rewritten(compiled, rewrite)
 
 
-def start(text: str) -> str:
+def _start(text: str) -> str:
     """What MicroPython runs in place of main.py. text: the firmware's."""
     return _START + textwrap.indent(text, "    ")
 
 
 class Frozen(NamedTuple):
-    """What is frozen: which build, and which modules of the firmware."""
+    """What is frozen: the firmware with this id."""
 
-    build: str
-    modules: frozenset[str]
+    id: str
 
     def lacks(self, made: Build) -> str:
         """Why a board cannot do without the files of this build; "" where it can."""
-        if self.build != made.map.get("id"):
-            return f"the build {self.build} is frozen into it, and here is {made.map.get('id')}"
-        missing = sorted(made.modules - self.modules)
-        return f"what is frozen into it has no {', '.join(missing)}" if missing else ""
+        if self.id != made.id:
+            return f"the build {self.id} is frozen into it, and here is {made.id}"
+        return ""
 
 
 def beside(made: Build, frozen: Frozen | None) -> Build:
@@ -101,15 +134,10 @@ def beside(made: Build, frozen: Frozen | None) -> Build:
     return replace(made, files={path: made.files[path] for path in made.own})
 
 
-def about(text: str, build: str, modules: Iterable[str]) -> str:
-    """The helper's source, which tells what is frozen."""
-    return text.replace(_MARK + _NOTHING, f"{_MARK}{build} {' '.join(modules)}")
-
-
 def read(text: str) -> "Frozen | None":
     """What the helper's ABOUT tells. text: that, or what has it within; None where it has not."""
     found = _ABOUT.search(text)
-    return Frozen(found[1], frozenset(found[2].split())) if found else None
+    return Frozen(found[1]) if found else None
 
 
 def _native(tree: ast.Module) -> Iterator[ast.FunctionDef]:

@@ -1,9 +1,10 @@
-"""Constants put in place across modules, before the firmware is compiled.
+"""The first of two passes: constants of other modules in place, and imports in vain gone.
 
-MicroPython's compiler does so within a module, for names that begin with an underscore. A public
-constant costs 30 bytes of the board's memory and, wherever another module uses it, two look-ups
-of 2 us; a viper function cannot take a number from there at all. So this writes the numbers where
-the names were: nothing else changes, and no line moves. CPython does the same without it.
+MicroPython's compiler puts a module's own constants in place, for names that begin with an
+underscore. A public constant costs 30 bytes of the board's memory and, wherever another module
+uses it, two look-ups of 2 us; a viper function cannot take a number from there at all. So this
+writes the numbers where the names were, and leaves out what nobody imports for anything else then.
+No line moves, and CPython does the same without it.
 """
 
 import ast
@@ -11,16 +12,15 @@ import copy
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from .scan import walk
-
 Constants = dict[str, int]
+_Import = ast.Import | ast.ImportFrom
 
 
 class _Module(NamedTuple):
     """A module's tree, and what is wanted of it again and again."""
 
     tree: ast.Module
-    imports: list[ast.Import | ast.ImportFrom]
+    imports: list[_Import]
     stored: list[str]  # every name that is given a value, as often as it is
 
 
@@ -47,9 +47,55 @@ def inline(sources: Mapping[str, str], keep: bool = False) -> dict[str, str]:
     }
 
 
+def pruned(sources: Mapping[str, str]) -> dict[str, str]:
+    """The modules, by name, without imports of ours, and of const, that none of them uses."""
+    trees = {name: ast.parse(text) for name, text in sources.items()}
+    asked = {key for tree in trees.values() for key in _asked(tree)}
+    found = {}
+    for name, text in sources.items():
+        used = {*_used(trees[name]), *(what for module, what in asked if module in (name, ""))}
+        edits = []
+        for node in ast.walk(trees[name]):
+            if isinstance(node, _Import) and _is_ours(node, sources):
+                names = {a: (a.asname or a.name).partition(".")[0] for a in node.names}
+                gone = [alias for alias, name in names.items() if name not in used]
+                edits += [_Edit(node, _import(node, gone))] if gone else []
+        found[name] = _apply(text, edits)
+    return found
+
+
+def _asked(tree: ast.Module) -> Iterator[tuple[str, str]]:
+    """Module, or an empty text for any, and what it is asked for."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            yield from ((node.module, alias.name) for alias in node.names)
+        elif isinstance(node, ast.Attribute):
+            yield "", node.attr
+
+
+def _used(tree: ast.Module) -> Iterator[str]:
+    """Names that the code asks for; const() where the compiler does not see to it."""
+    found = (statement for statement in tree.body if isinstance(statement, ast.Assign))
+    calls = (each.value for each in found if isinstance(each.value, ast.Call))
+    consts = {call.func for call in calls if ast.unparse(call.func) == "const"}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and node not in consts:
+            yield node.id
+
+
+def _is_ours(node: _Import, sources: Mapping[str, str]) -> bool:
+    if isinstance(node, ast.ImportFrom):
+        return (
+            node.module in sources
+            or f"{node.module}.{node.names[0].name}" in sources
+            or (node.module == "micropython")
+        )
+    return all(alias.name in sources for alias in node.names)
+
+
 def _read(text: str) -> _Module:
     tree = ast.parse(text)
-    imports = [node for node in walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+    imports = [node for node in ast.walk(tree) if isinstance(node, _Import)]
     return _Module(tree, imports, [node.id for node in _names(tree, ast.Store)])
 
 
@@ -98,7 +144,7 @@ def _evaluate(node: ast.expr, known: Constants, modules: Mapping[str, Constants]
     node = _WithoutModules(modules).visit(copy.deepcopy(node))
     for name in _names(node, ast.Load):
         known[name.id]
-    if any(isinstance(part, ast.Call | ast.Attribute | ast.Subscript) for part in walk(node)):
+    if any(isinstance(part, ast.Call | ast.Attribute | ast.Subscript) for part in ast.walk(node)):
         raise ValueError
     expression = ast.fix_missing_locations(ast.Expression(node))
     value = eval(compile(expression, "", "eval"), {"__builtins__": {}}, dict(known))
@@ -120,7 +166,7 @@ class _WithoutModules(ast.NodeTransformer):
 
 
 def _names(tree: ast.AST, context: type[ast.expr_context]) -> Iterator[ast.Name]:
-    for node in walk(tree):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Name) and isinstance(node.ctx, context):
             yield node
 
@@ -129,7 +175,7 @@ def _edits(
     module: _Module, own: Constants, known: Mapping[str, Constants], keep: bool
 ) -> Iterator[_Edit]:
     tree = module.tree
-    stored = {*module.stored, *(node.arg for node in walk(tree) if isinstance(node, ast.arg))}
+    stored = {*module.stored, *(node.arg for node in ast.walk(tree) if isinstance(node, ast.arg))}
     names, modules = _imported(module, known)
     here = own | {n: v for n, v in names.items() if n not in stored}
     for node in module.imports:
@@ -149,18 +195,21 @@ def _is_gone(name: ast.alias, constants: Constants, stored: set[str]) -> bool:
     return name.name in constants and name.name not in stored
 
 
-def _import(node: ast.ImportFrom, gone: list[ast.alias]) -> str:
+def _import(node: _Import, gone: list[ast.alias]) -> str:
     """What is left of an import."""
-    left = [ast.unparse(alias) for alias in node.names if alias not in gone]
-    return f"from {node.module} import {', '.join(left)}" if left else "pass"
+    left = ", ".join(ast.unparse(alias) for alias in node.names if alias not in gone)
+    if not left:
+        return "pass"
+    source = f"from {node.module} " if isinstance(node, ast.ImportFrom) else ""
+    return f"{source}import {left}"
 
 
 def _uses(tree: ast.Module, here: Constants, modules: Mapping[str, Constants]) -> Iterator[_Edit]:
     inside = set()
     for statement in tree.body:
         if _definition(statement)[0] in here:
-            inside |= set(walk(statement))
-    for node in walk(tree):
+            inside |= set(ast.walk(statement))
+    for node in ast.walk(tree):
         if node in inside:
             continue
         match node:

@@ -19,12 +19,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import typer
+
 from .. import paths
-from . import build, c_text, maps, native
+from . import build, c_text, native
 
 _FLAGS = ("-O2", "-fwrapv", "-fPIC", "-shared", "-w")
 _ON_A_MAC = ("-Wl,-undefined,dynamic_lookup",)  # of Python's own functions
-_TRANSLATOR = ("native.py", "c_text.py", "forms.py", "inline.py", "modules.py")
+_TRANSLATOR = ("native.py", "c_text.py", "viper.py", "inline.py")
 _PATIENCE_S = 120
 _MOST_LIBRARIES = 10  # of 80 kB each
 _MOST_KEPT = 1000
@@ -57,7 +59,7 @@ def find() -> Path | None:
     compiler = shlex.split(os.environ.get("CC", "cc"))
     if os.name != "posix" or not compiler:
         return None
-    library = maps.folder().with_name("kernels") / f"{_digest(compiler)}.so"
+    library = _folder() / f"{_digest(compiler)}.so"
     failed = library.with_suffix(".log")
     if not library.exists() and not failed.exists() and shutil.which(compiler[0]):
         library.parent.mkdir(parents=True, exist_ok=True)
@@ -65,6 +67,11 @@ def find() -> Path | None:
             failed.write_text(why, encoding="utf-8")  # once is enough
         _tidy(library.parent)
     return library if library.exists() else None
+
+
+def _folder() -> Path:
+    """This user's; UGRBL_KERNELS in the environment names another."""
+    return Path(os.environ.get("UGRBL_KERNELS") or Path(typer.get_app_dir("ugrbl")) / "kernels")
 
 
 def _tidy(folder: Path) -> None:

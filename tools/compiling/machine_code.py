@@ -19,11 +19,10 @@ from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from . import forms
+from . import viper
 from .c_text import BITS, Function, c_name
 from .kept import kept
-from .marks import Key
-from .modules import Module
+from .viper import Key, Module
 
 # The processors for which there is such code, by the name that MicroPython has for theirs.
 PROCESSORS = {"armv6m": "cortex_m0plus", "armv7emsp": "cortex_m33"}
@@ -231,7 +230,7 @@ class _Function(Function):
     def handed(self, key: Key, arguments: "list[ast.expr]") -> "list[str]":
         """An address may be handed for a pointer."""
         parameters = self._modules[key[0]].functions[key[1]].args.args
-        types = [forms.annotation(parameter.annotation) for parameter in parameters]
+        types = [viper.annotation(parameter.annotation) for parameter in parameters]
         return [
             self.cast(type, each) if type in BITS else self.expression(each)
             for type, each in zip(types, arguments, strict=True)

@@ -11,8 +11,7 @@ from collections.abc import Mapping
 
 from .c_text import BITS, Function
 from .inline import inline
-from .marks import Key
-from .modules import Module
+from .viper import Key, Module
 
 OURS = __package__.partition(".")[0]
 # Layers that know no hardware.

@@ -5,8 +5,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 from ..boardfile import engines
-from ..compiling import decode, maps
-from ..compiling.maps import MapError
 from ..grbl.settings_file import AXES, Firmware
 from ..paths import use_firmware
 
@@ -26,6 +24,7 @@ NEW_MICROPYTHON = "put MicroPython 1.28 on the board: micropython.org/download"
 _TRACE = "[MSG:Trace: "
 _LEFT_OUT = "[MSG:Custom left out: "
 _OF_HANDLER = re.compile(r"\[MSG:Last fault: (M\d+|G[\d.]+|on\.\w+(?:\([^)]*\))?|every \d+): ")
+_PLACE = re.compile(r'File "[\w./]+", line \d+')
 _FROZEN = re.compile(r"\[MSG:Build: \w+, frozen\]")
 _STACK = re.compile(r"\[MSG:Stack: (\d+) of (\d+) bytes used\]")
 _STACK_SPARE = 1024
@@ -132,19 +131,16 @@ WHY_DRAINED = (
 )
 
 
+def is_fault(text: str) -> bool:
+    """Whether it tells where in the firmware something has failed."""
+    return _PLACE.search(text) is not None
+
+
 def fault(told: str) -> Finding:
-    """A fault of the firmware, as a board tells it, in the sources' names."""
-    number = decode.build_of(told)
+    """A fault of the firmware, as a board tells it."""
     todo = "report it, with these lines and what the machine was doing; a reset (Ctrl-X), and it "
     todo += "listens again: its place is what the motors made, but look before it moves"
-    if not number:
-        return Finding("fault", BAD, told, todo)
-    try:
-        found = maps.find(number)
-    except MapError as error:
-        return Finding("fault", BAD, told, f"{error}; {todo}")
-    lines = (line.strip() for line in decode.decode(told, found.map))
-    return Finding("fault", BAD, "; ".join(lines), todo)
+    return Finding("fault", BAD, told, todo)
 
 
 def faults(replies: Iterable[str]) -> list[Finding]:

@@ -139,7 +139,10 @@ def plan(made: Build, there: Mapping[str, str], before: Mapping[str, str]) -> Pl
     """
     same = [path for path, content in made.files.items() if there.get(path) == digest(content)]
     copy = [path for path in made.files if path not in same]
-    names = {name.removesuffix(".py") for name in build.sources()} | build.packages()
+    sources = build.sources()
+    # Up to 1.0 the modules of a folder were one, which was the folder's own.
+    packages = {f"{path.rpartition('/')[0]}/__init__.py" for path in (*sources, "kernels/")}
+    names = {name.removesuffix(".py") for name in (*sources, *packages)}
     ours = {name + kind for name in names for kind in _KINDS}
     stale = [
         path
@@ -218,7 +221,7 @@ def deploy(device: Device, made: Build, view: View, replace: bool = False) -> Re
     running = device.restart()
     return Result(
         f"MicroPython {about.version} on {about.machine}",
-        about.frozen.build if about.frozen else "",
+        about.frozen.id if about.frozen else "",
         START not in made.files,
         todo.copy,
         todo.remove,

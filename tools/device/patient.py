@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import serial
 
-from ..compiling.decode import is_fault
 from ..grbl.gcode_file import is_answer
 from ..grbl.messages import meaning
 from . import checkup
@@ -63,7 +62,7 @@ def stranger(port: str, baud: int = BAUD) -> list[Finding]:
     if ">>>" in heard:
         return _idle_board(board)
     for line in heard.splitlines():
-        if line.startswith("[MSG:") and is_fault(line):
+        if line.startswith("[MSG:") and checkup.is_fault(line):
             return [checkup.fault(line)]
     for pattern, who in _STRANGERS:
         if pattern.search(heard):
@@ -98,7 +97,7 @@ def fault(connection: Connection) -> str:
     told: list[str] = []
 
     def over(line: str) -> bool:
-        told.extend([line] if is_fault(line) else [])
+        told.extend([line] if checkup.is_fault(line) else [])
         return bool(told) or is_answer(line)
 
     connection.write(b"$\n")

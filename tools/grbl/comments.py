@@ -4,8 +4,8 @@ import ast
 
 from .. import paths
 
-# Behind what a table of settings begins with.
-_MARK = "# attribute-names: column 1"
+# What tables of settings are annotated with.
+_KIND = "Rows"
 
 
 def source(module: str) -> str:
@@ -29,10 +29,9 @@ def above(module: str, line: int, what: str) -> str:
 def setting_comments(module: str = "base/settings") -> dict[int, str]:
     """What is said above each row of a module's tables of settings; ValueError if one has no
     comment."""
-    lines = source(module).splitlines()
     found: dict[int, str] = {}
     for node in ast.parse(source(module)).body:
-        if isinstance(node, ast.Assign | ast.AnnAssign) and lines[node.lineno - 1].endswith(_MARK):
+        if isinstance(node, ast.AnnAssign) and _KIND in ast.unparse(node.annotation):
             assert isinstance(node.value, ast.Tuple)
             for row in node.value.elts:
                 assert isinstance(row, ast.Tuple)

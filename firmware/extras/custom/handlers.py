@@ -80,7 +80,7 @@ def _refuse_bare(argument: "Any", example: str) -> None:
 def mcode(
     number: int,
     letters: str = "",
-    sync: "bool | None" = True,  # keep-name: custom.py may say sync=
+    sync: "bool | None" = True,
 ) -> "Callable[[Function], Function]":
     """An M word. letters: its parameters by name; upper case has to be there, lower case may be.
     sync: the handler runs when motion has come to its end; False: when the blocks planned before

@@ -56,7 +56,7 @@ class Operator(PinOperator):
         self, machine: "Controller", outputs: "dict[str, int]", inputs: "dict[str, int]"
     ) -> None:
         super().__init__(machine, outputs, inputs)
-        self.tool = 0  # keep-name: custom.py may say m.tool; the one selected last, T
+        self.tool = 0  # the one selected last, T
         self.keep = Keep(machine.saves)
         self._open: "list[Saved]" = []  # what is to be put back
         self._jogs: "list[str]" = []  # asked for and not begun
@@ -132,7 +132,7 @@ class Operator(PinOperator):
     def probe(
         self,
         words: str,
-        must: bool = True,  # keep-name: custom.py may say must=
+        must: bool = True,
     ) -> "Place | None":
         """Move until the probe touches: words as behind G38.2, with G53 mm in machine coordinates.
         Returns where it touched, in machine coordinates. must: no contact is ALARM:5; otherwise
@@ -267,8 +267,8 @@ class Operator(PinOperator):
     def wait_for(
         self,
         name: str,
-        closed: bool = True,  # keep-name: custom.py may say closed=
-        seconds: "float | None" = None,  # keep-name: custom.py may say seconds=
+        closed: bool = True,
+        seconds: "float | None" = None,
     ) -> bool:
         """Wait for an input to close, or to open; False where it has not within so long."""
         return self._until(lambda: self.pin(name) == closed, seconds)

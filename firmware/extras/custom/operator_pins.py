@@ -81,7 +81,7 @@ class PinOperator:
         self,
         name: str,
         share: float,
-        hz: float = 1000,  # keep-name: custom.py may say hz=
+        hz: float = 1000,
     ) -> None:
         """Have an output make pulses, hz of them in a second, on for that share of the time, from
         0 to 1. For the rest it is as m.out()."""

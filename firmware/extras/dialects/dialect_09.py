@@ -235,7 +235,7 @@ class Report09i(Report09):
     VERSION = "0.9i"
 
 
-_SETTINGS: "Rows" = (  # attribute-names: column 1
+_SETTINGS: "Rows" = (
     # Status report options. 1: machine position; 2: work position; 4: planner blocks in use; 8:
     # received bytes not yet read; 16: limit switches.
     (10, "report_mask", INT, _MACHINE_POSITION | _WORK_POSITION, "mask"),

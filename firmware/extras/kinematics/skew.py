@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-_SETTINGS: "Rows" = (  # attribute-names: column 1
+_SETTINGS: "Rows" = (
     # XY skew. How far the tool goes along X where the motor of Y takes it 1 m up; negative: down
     # X.
     (780, "skew_xy", FLOAT, 0.0, "mm/m"),

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-_SETTINGS: "Rows" = (  # attribute-names: column 1
+_SETTINGS: "Rows" = (
     # Backlash, one value per axis. So far a motor turns, where its axis turns round, before the
     # axis moves; 0: nothing is taken up.
     (160, "backlash_mm", AXIS, 0.0, "millimeters"),

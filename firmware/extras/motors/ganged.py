@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
     Pairs = tuple[tuple[int, int], ...]  # an axis, which is its first motor's number, and a motor
 
-_INVERT: "Rows" = (  # attribute-names: column 1
+_INVERT: "Rows" = (
     # Second motor direction invert. One bit per axis; on top of $3, which turns both of them.
     (8, "ganged_dir_invert", INT, 0, "mask"),
 )
-_SQUARING: "Rows" = (  # attribute-names: column 1
+_SQUARING: "Rows" = (
     # Squaring fail length. One motor may look for its switch alone for so much of the travel of
     # the axis across.
     (347, "racking_percent", FLOAT, 5.0, "percent"),
@@ -40,7 +40,7 @@ _SQUARING: "Rows" = (  # attribute-names: column 1
     (349, "racking_most_mm", FLOAT, 25.0, "millimeters"),
 )
 # Of each axis that squares itself, the row of its number.
-_OFFSETS: "Rows" = (  # attribute-names: column 1
+_OFFSETS: "Rows" = (
     # X squaring offset. The second motor goes so much further away from its switch than the first;
     # negative: the first.
     (170, "square_x_mm", FLOAT, 0.0, "millimeters"),

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from extras.api import Cnc
 
 _FIRST = const(44)
-_CYCLES: "Rows" = (  # attribute-names: column 1
+_CYCLES: "Rows" = (
     # Homing cycle 1. The axes that are homed first, together: X = 1, Y = 2, Z = 4; 0: none.
     (44, "home_first", INT, 0, "mask"),
     # Homing cycle 2.
@@ -39,7 +39,7 @@ _CYCLES: "Rows" = (  # attribute-names: column 1
     # Homing cycle 6.
     (49, "home_sixth", INT, 0, "mask"),
 )
-_RATES: "Rows" = (  # attribute-names: column 1
+_RATES: "Rows" = (
     # Homing locate rate, one value per axis. In place of $24; 0: $24 holds. Axes that are homed
     # together go at the slowest of theirs.
     (180, "homing_feeds", AXIS, 0.0, "mm/min"),

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-_SETTINGS: "Rows" = (  # attribute-names: column 1
+_SETTINGS: "Rows" = (
     # Maximum jerk, one value per axis. How fast acceleration may change; 0: at once.
     (800, "jerk", AXIS, 0.0, "mm/sec^3"),
 )

@@ -37,7 +37,7 @@ _SEEK = const(200)
 _HOLD = const(210)
 _LOCATE = const(220)
 _LETTERS = const(6)  # numbers of a row
-_SETTINGS: "Rows" = (  # attribute-names: column 1
+_SETTINGS: "Rows" = (
     # Motor current, one value per axis. RMS; both motors of an axis have it.
     (140, "driver_ma", AXIS, 500.0, "milliampere"),
     # Microsteps, one value per axis. 1, 2, 4 and so on up to 256; $100-$105 count them.

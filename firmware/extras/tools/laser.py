@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from extras.api import Cnc
 
-_SETTINGS: "Rows" = (  # attribute-names: column 1
+_SETTINGS: "Rows" = (
     # Spindle PWM frequency. Pulses a second of the output that power is made of: 10 to 100000.
     (33, "pwm_hz", WHOLE, 5000.0, "Hz"),
 )

@@ -43,7 +43,7 @@ ALARM_PUNCH_DOWN = const(32)
 # The punch is not up, or the sensor of $33 does not see it: nothing may move. Not one of Grbl's.
 ALARM_PUNCH_UP = const(33)
 
-_SETTINGS: "Rows" = (  # attribute-names: column 1
+_SETTINGS: "Rows" = (
     # Punch actuator down invert. Off: 5 V move it down.
     (30, "punch_down_invert", BOOL, 0, "boolean"),
     # Punch actuator up invert. Off: 5 V move it up.

@@ -1,27 +1,16 @@
-"""Forms of viper functions, for leaves.py: what can be put in place, and how it is rewritten."""
+"""Viper functions of a module as syntax trees: which there are, and what names in them mean."""
 
 import ast
 import copy
-from collections.abc import Callable, Iterable, Iterator, Mapping
-
-# What becomes of a value that a leaf returns.
-End = Callable[[ast.expr], list[ast.stmt]]
+from collections.abc import Iterable, Iterator, Mapping
 
 POINTERS = {"ptr8", "ptr16", "ptr32"}
 CASTS = {"int", "uint", "bool", *POINTERS}
-BUILT_IN = {"range", *CASTS}
-# Between the name of a leaf and that of its local; no name of the sources has it.
-MARK = "__"
+
+# A function by its module.
+Key = tuple[str, str]
 
 _SMALL_INT_LIMIT = 1 << 30  # literals from there on are objects, unless written int(…)
-_STATEMENTS = (
-    *(ast.Assign, ast.AugAssign, ast.Expr, ast.Return, ast.Pass),
-    *(ast.If, ast.For, ast.While, ast.Break, ast.Continue, ast.Try),
-)
-_EXPRESSIONS = (
-    *(ast.Name, ast.Constant, ast.BinOp, ast.UnaryOp, ast.Compare, ast.BoolOp, ast.IfExp),
-    *(ast.Call, ast.Subscript, ast.Attribute),
-)
 
 
 def vipers(tree: ast.Module, methods: bool) -> Iterator[ast.FunctionDef]:
@@ -38,43 +27,11 @@ def is_viper(function: ast.FunctionDef) -> bool:
     return any(ast.unparse(each) == "micropython.viper" for each in function.decorator_list)
 
 
-def stored(node: ast.AST) -> set[str]:
-    """Names that are stored to."""
-    return {
-        part.id
-        for part in ast.walk(node)
-        if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store)
-    }
-
-
 def local_names(function: ast.FunctionDef) -> set[str]:
     """Parameters and all else that is stored to."""
-    return stored(function) | {
-        node.arg for node in ast.walk(function) if isinstance(node, ast.arg)
-    }
-
-
-def is_plain(function: ast.FunctionDef) -> bool:
-    """Whether everything in it is understood here. So a caller has to be."""
-    return all(
-        isinstance(node, (*_STATEMENTS, *_EXPRESSIONS))
-        for statement in function.body
-        for node in ast.walk(statement)
-        if isinstance(node, ast.stmt | ast.expr | ast.comprehension | ast.keyword)
-    ) and not any(MARK in name for name in local_names(function))
-
-
-def is_leaf(function: ast.FunctionDef) -> bool:
-    """Whether it may stand in place of its calls: numbers and pointers in, a number out."""
-    arguments = function.args
-    return (
-        is_plain(function)
-        and not any(isinstance(node, ast.Try) for node in ast.walk(function))
-        and always_returns(function.body)
-        and annotation(function.returns) == "int"
-        and all(annotation(a.annotation) in {"int", "uint", *POINTERS} for a in arguments.args)
-        and not (arguments.vararg or arguments.kwarg or arguments.kwonlyargs or arguments.defaults)
-    )
+    nodes = list(ast.walk(function))
+    stored = {n.id for n in nodes if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)}
+    return stored | {node.arg for node in nodes if isinstance(node, ast.arg)}
 
 
 def annotation(node: ast.expr | None) -> str:
@@ -89,34 +46,31 @@ def body(function: ast.FunctionDef) -> list[ast.stmt]:
     return function.body[1 if documented else 0 :]
 
 
-def size(function: ast.FunctionDef) -> int:
-    """Nodes of its syntax tree: about two make an instruction."""
-    return sum(
-        isinstance(node, ast.stmt | ast.expr)
-        for statement in body(function)
-        for node in ast.walk(statement)
-    )
+class Module:
+    """A module, and what its names mean."""
 
+    def __init__(self, name: str, text: str) -> None:
+        self.name = name
+        self.tree = ast.parse(text)
+        self.functions = {f.name: f for f in vipers(self.tree, methods=False)}
+        self.imported: dict[str, Key] = {}
+        self.aliases: dict[str, str] = {}  # of modules
+        numbers = {n: literal(v) for n, v in constants(self.tree).items()}
+        for function in vipers(self.tree, methods=True):
+            hidden = local_names(function)
+            here = {n: v for n, v in numbers.items() if n not in hidden}
+            function.body = renamed(function.body, here)
+        for node in ast.walk(self.tree):
+            if isinstance(node, ast.Import):
+                self.aliases.update((n.asname or n.name, n.name) for n in node.names)
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                for n in node.names:
+                    self.imported[n.asname or n.name] = (node.module, n.name)
+                    self.aliases[n.asname or n.name] = f"{node.module}.{n.name}"
 
-def touches(node: ast.AST) -> bool:
-    """Whether a node by itself looks at memory, or may change it."""
-    match node:
-        case ast.Subscript(ctx=ast.Load()) | ast.Attribute():
-            return True
-        case ast.Call(ast.Name(name)):
-            return name not in BUILT_IN
-        case ast.Call():
-            return True
-    return False
-
-
-def is_pure(function: ast.FunctionDef) -> bool:
-    """Whether its result depends on its arguments only, and is all there is to it."""
-    return not any(
-        touches(node) or isinstance(node, ast.Subscript)
-        for statement in body(function)
-        for node in ast.walk(statement)
-    )
+    def means(self, name: str) -> Key | None:
+        """The function that a global name may stand for."""
+        return (self.name, name) if name in self.functions else self.imported.get(name)
 
 
 # Constants
@@ -149,15 +103,6 @@ def literal(value: int) -> ast.expr:
     if not -_SMALL_INT_LIMIT <= value < _SMALL_INT_LIMIT:
         node = ast.Call(ast.Name("int", ast.Load()), [node], [])
     return node
-
-
-# Names
-
-
-def free_names(function: ast.FunctionDef) -> set[str]:
-    """Global names in it."""
-    used = {n.id for s in function.body for n in ast.walk(s) if isinstance(n, ast.Name)}
-    return used - local_names(function) - BUILT_IN
 
 
 class _Renamed(ast.NodeTransformer):
@@ -231,59 +176,3 @@ def type_of(node: ast.expr, known: Mapping[str, str]) -> str:
         case ast.BinOp(left, _, right) if type_of(left, known) == type_of(right, known) == "int":
             return "int"
     return "object"
-
-
-# Returns
-
-
-class Refused(Exception):
-    """A function cannot be put in place."""
-
-
-def returns(node: ast.AST) -> bool:
-    """Whether there is a `return` in it."""
-    return any(isinstance(part, ast.Return) for part in ast.walk(node))
-
-
-def always_returns(statements: "list[ast.stmt]") -> bool:
-    """Whether no way leads through."""
-    match statements:
-        case [*_, ast.Return()]:
-            return True
-        case [*_, ast.If(_, body, orelse)]:
-            return always_returns(body) and always_returns(orelse)
-    return False
-
-
-def ending(statements: "list[ast.stmt]", end: End) -> "list[ast.stmt]":
-    """The same with something else in place of each `return`: what it would skip is nested.
-
-    Refused where it returns out of a loop, or where statements would be needed twice.
-    """
-    made: list[ast.stmt] = []
-    for number, statement in enumerate(statements):
-        if isinstance(statement, ast.Return):
-            return made + end(statement.value or ast.Constant(0))
-        if not returns(statement):
-            made.append(statement)
-            continue
-        if not isinstance(statement, ast.If):
-            raise Refused
-        body, orelse, rest = statement.body, statement.orelse, statements[number + 1 :]
-        if always_returns(body):
-            orelse = orelse + rest
-        elif always_returns(orelse):
-            body = body + rest
-        elif rest:
-            raise Refused
-        return made + branch(statement.test, ending(body, end), ending(orelse, end))
-    return made
-
-
-def branch(test: ast.expr, body: "list[ast.stmt]", orelse: "list[ast.stmt]") -> "list[ast.stmt]":
-    """An `if`, with nothing empty in it."""
-    if body:
-        return [ast.If(test, body, orelse)]
-    if orelse:
-        return [ast.If(ast.UnaryOp(ast.Not(), test), orelse, [])]
-    return [ast.Expr(test)] if any(map(touches, ast.walk(test))) else []
