@@ -261,6 +261,7 @@ class RmtEngine(Turns):
         while time.ticks_diff(state[_FREE], time.ticks_us()) > 0:
             pass
         self._send()
+        self._collect(self._timing[trains.LENGTH] - _PREPARE_US)
 
     def _prepare(self) -> bool:
         """Make the next train. Returns False where there is nothing to move."""

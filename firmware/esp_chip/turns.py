@@ -7,6 +7,9 @@ An edge at a pin is lost where the scheduler's eight places are taken, and a tim
 takes them all in eight of a collection. So each turn begins with a look at the inputs.
 """
 
+import gc
+import time
+
 from micropython import const
 
 TYPE_CHECKING = const(False)
@@ -20,6 +23,8 @@ if TYPE_CHECKING:
 SETUP_US = const(10)
 # What has not come so long after it was due, a train or a buffer that DMA takes, never will.
 LOST_US = const(500_000)
+# Garbage is collected after so many trains: more often than it would be by itself.
+_COLLECT_TRAINS = const(100)
 
 
 def _nothing() -> None:
@@ -33,6 +38,8 @@ class Turns:
         self.on_look: "Callable[[], None]" = _nothing
         self.on_fault: "Callable[[], object]" = _nothing
         self._why: "BaseException | None" = None
+        self._trains_since = 0  # the last collection
+        self._collect_us = 0  # what that took, once it is known
 
     def attach(
         self,
@@ -71,6 +78,19 @@ class Turns:
             self._halt()
         except BaseException as worse:
             self._why = worse
+
+    def _collect(self, room_us: int) -> None:
+        """Collect garbage, if it is time for it and room_us are enough.
+
+        A collection that comes by itself between two trains holds motion up for as long as it
+        takes: interrupts are soft here, and wait for it.
+        """
+        self._trains_since += 1
+        if self._trains_since >= _COLLECT_TRAINS and self._collect_us < room_us:
+            before = time.ticks_us()
+            gc.collect()
+            self._collect_us = time.ticks_diff(time.ticks_us(), before)
+            self._trains_since = 0
 
     # What the other half has
 

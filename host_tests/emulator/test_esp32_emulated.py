@@ -8,12 +8,17 @@ from pathlib import Path
 
 import pytest
 from qemu_esp32 import IMAGE, Esp32, Step, lacks
+from test_both_pythons import VECTORS, cpython
+from test_deploy_emulated import deploy
 from ugrbl.boardfile.files import load_board
 from ugrbl.compiling import build
+from ugrbl.compiling.inline import inline, pruned
 from ugrbl.paths import BOARDS
 
 pytestmark = pytest.mark.xdist_group("esp32")
 
+_BOARD = BOARDS / "esp32_devkit.py"
+_ARCH = "xtensawin"
 _CONVERSATIONS = Path(__file__).resolve().parents[3] / "shared" / "conformance"
 _SOME = 20  # conversations of a kind, at least
 _BLOCKS = 2  # of RMT's memory for each channel, which has the number of its first one
@@ -30,12 +35,26 @@ def image() -> Path:
 @pytest.fixture(scope="module")
 def files() -> "dict[str, bytes]":
     """What `ugrbl deploy` puts on it."""
-    return build.for_board(BOARDS / "esp32_devkit.py").files
+    return build.for_board(_BOARD).files
 
 
 @pytest.fixture(scope="module")
 def machine(image: Path, files: "dict[str, bytes]") -> Esp32:
     return Esp32(image, files).power_on().boot()
+
+
+def vectors_and_kernels() -> "dict[str, bytes]":
+    """vectors.py and what it imports, compiled for the chip."""
+    texts = pruned(inline({**build.texts(), "vectors": VECTORS.read_text("utf-8")}))
+    found: dict[str, str] = {}
+    left = ["vectors"]
+    while left:
+        name = left.pop()
+        if name in texts and name not in found:
+            found[name] = texts[name]
+            left += build.imported(texts[name])
+    compiled = build.compiled(_ARCH, found)
+    return {build.path_of(name): code for name, code in compiled.items()}
 
 
 def counted(steps: "list[Step]") -> "list[int]":
@@ -46,6 +65,34 @@ def counted(steps: "list[Step]") -> "list[int]":
         axis = step.channel // _BLOCKS
         found[axis] += -1 if step.levels >> direction[axis] & 1 else 1
     return found
+
+
+def test_compiled_kernels_compute_the_integers_of_the_desktop(image: Path) -> None:
+    """At the prompt of a board that has no firmware but those modules."""
+    board = Esp32(image, vectors_and_kernels()).power_on()
+    board.python("import sys, vectors", ">>> ")
+    for part in ("reals", "words", "blocks", "arcs"):
+        here = cpython(part).splitlines()
+        there = board.python_again(f"sys.argv[:] = ['', {part!r}]; vectors.main()").splitlines()
+        for number, (one, other) in enumerate(zip(here, there, strict=False)):
+            assert one == other, f"line {number} of {part}"
+        assert len(here) == len(there) > 300, board.said[-500:]
+
+
+def test_a_board_is_deployed_to_from_empty_to_up_to_date(
+    image: Path, files: "dict[str, bytes]"
+) -> None:
+    board = Esp32(image, {}).power_on()
+    board.wait_for(">>> ")  # while it starts it hears nothing
+    port = Path(board.port.port)
+    code, done = deploy(port, _BOARD)
+    assert code == 0, done
+    assert sorted(done["copied"]) == sorted(files)
+    assert done["banner"].startswith("Grbl 1.1h") and done["build"].startswith("1.1h.")
+    assert done["micropython"].startswith("MicroPython 1.")
+    code, again = deploy(port, _BOARD)
+    assert (code, again["copied"], again["removed"]) == (0, [], [])
+    assert again["unchanged"] == len(files)
 
 
 def test_it_says_what_it_is_and_what_it_has(machine: Esp32) -> None:

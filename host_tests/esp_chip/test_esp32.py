@@ -7,9 +7,11 @@ import sys
 from array import array
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from esp_bench import EspEngine, clock, esp32, esp_machine, esp_start
+from esp_chip import turns
 from micropython_runner import needs_micropython, placed_firmware, run_micropython
 from ugrbl.boardfile.files import boards, load_board, load_for_build
 from ugrbl.compiling import build
@@ -449,3 +451,30 @@ def test_i2s_waits_unless_it_has_been_polled_and_timers_are_soft() -> None:
 def test_inputs_without_pull_ups_are_known() -> None:
     assert refused(lambda: esp_machine.Pin(36, esp_machine.Pin.IN, esp_machine.Pin.PULL_UP))
     assert refused(lambda: esp_machine.Pin(34, esp_machine.Pin.OUT))
+
+
+def test_garbage_is_collected_in_trains_that_outlast_a_collection(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Else a collection comes by itself, between two trains, and motion waits for its end."""
+    took_us, now = 7700, 0
+    begun: list[int] = []  # how much room each train had
+    seen: list[int] = []
+
+    def collect() -> None:
+        nonlocal now
+        now += took_us
+        seen.append(len(begun))
+
+    class Clock:
+        ticks_us = staticmethod(lambda: now)
+        ticks_diff = staticmethod(lambda later, sooner: later - sooner)
+
+    monkeypatch.setattr(turns, "gc", SimpleNamespace(collect=collect))
+    monkeypatch.setattr(turns, "time", Clock)
+    made = turns.Turns()
+    rooms = [5000] * 250 + [12_000] * 300 + [8000] * 100 + [7000] * 200
+    for room_us in rooms:
+        made._collect(room_us)
+        begun.append(room_us)
+    assert seen == [99, 250, 350, 450, 550], "what it takes is known from the first on"
