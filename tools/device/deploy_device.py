@@ -102,7 +102,8 @@ class MpremoteDevice:
     def __init__(self, port: str) -> None:
         try:
             Connection(port).close()  # for its words: mpremote does not say why
-            self._transport: Any = SerialTransport(port)
+            # At a pseudo-terminal mpremote waits for a byte without a look at its own limits.
+            self._transport: Any = SerialTransport(port, timeout=_RAW_S)
         except (SendError, TransportError) as error:
             why, _, todo = str(error).partition("; ")
             raise DeployError(why, todo or "see that it is plugged in, and try again") from error
