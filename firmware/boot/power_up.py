@@ -25,10 +25,15 @@ _RESET = const(0x18)
 _QUESTION = const(0x3F)
 _DOLLAR = const(0x24)
 _MESSAGE = "[MSG:%s]"
+# Garbage is collected after so many bytes while modules are imported. What an import leaves for
+# good lies between what it needs for a moment: without this the largest hole was 2.7 kB in 95 kB
+# that were free, with it 35 kB.
+_COLLECT_BYTES = const(32768)
 
 
 def build() -> "Parts | None":
     """Make the machine of board.py; None where there cannot be one, or the REPL is asked for."""
+    gc.threshold(_COLLECT_BYTES)
     try:
         from boot import parts  # and with it all else
     except Exception as fault:
@@ -36,6 +41,7 @@ def build() -> "Parts | None":
         return None
     made = parts.build(_stay)
     parts.forget("boot.parts")
+    gc.threshold(-1)
     return made
 
 

@@ -10,6 +10,7 @@ to the world around; "deaf 5 0" pulls the pin during a collection, which nobody 
 prints what is at a pin. Prints the conversation, and what the prompt would read after it.
 """
 
+import gc
 import json
 import os
 import sys
@@ -273,6 +274,8 @@ def main() -> None:
         from traceback import print_exception
 
         sys.print_exception = lambda fault, file: print_exception(fault, file=file)  # type: ignore[attr-defined]
+    if not hasattr(gc, "threshold"):
+        gc.threshold = lambda count: None  # type: ignore[attr-defined]
     sys.modules["board"] = made  # type: ignore[assignment]
     with open(folder + "/talk.json") as file:
         sender = Sender(wire, json.load(file))
