@@ -2,8 +2,8 @@
 
     make -C ports/rp2 BOARD=RPI_PICO FROZEN_MANIFEST=…/ugrbl/manifest.py
 
-The firmware is compiled for boards/rpi_pico.py then; UGRBL_BOARD names another board file, or has
-the path of yours.
+The firmware is compiled for the chip of boards/rpi_pico.py then, and does for every board file
+with that chip; UGRBL_BOARD names another, or has the path of yours.
 """
 
 import os

@@ -86,6 +86,9 @@ class Turns:
         takes: interrupts are soft here, and wait for it.
         """
         self._trains_since += 1
+        if self._trains_since > 2 * _COLLECT_TRAINS:
+            self._collect_us >>= 1  # nothing had room for what one has taken: it may be less now
+            self._trains_since = _COLLECT_TRAINS
         if self._trains_since >= _COLLECT_TRAINS and self._collect_us < room_us:
             before = time.ticks_us()
             gc.collect()

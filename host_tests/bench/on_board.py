@@ -1,8 +1,7 @@
 """What the benchmark runs on the board: its own commands, in MAIN, in front of the firmware's.
 
 A board that is emulated has it for its main.py; a real one is given it at its prompt (prompt.py)
-and keeps nothing of it. Objects of the firmware are got hold of as they pass by in a method, and
-only names of modules, classes, functions and methods are used: `ugrbl build` keeps those.
+and keeps nothing of it. Objects of the firmware are got hold of as they pass by in a method.
 
 `$STAGE` times the stages of a line, each in a loop with ticks_us, less the same loop with a
 function that does nothing; a figure is in 0.1 us: its words read and checked, what is then left to
@@ -17,14 +16,8 @@ from ugrbl.device.selftest import program
 _FIRST = """
 from boot import power_up  # first, as in main.py: it sees to where memory is free
 """
-# As in main.py, in a class: what a collection of garbage takes depends on it.
 _START = """
-parts = power_up.build()
-
-
-class Running:
-    modules = power_up.modules
-    machine = power_up.live(parts)
+machine = power_up.live(power_up.build())
 """
 
 # Commands: `$NAME=number` answers with numbers in a message, if there are any.

@@ -205,7 +205,7 @@ def test_an_extra_that_reaches_into_the_firmware_is_refused(
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     assert problems(board(EXTRAS=("greedy",))) == [
-        "EXTRAS: greedy imports base.errors, which no board has under that name: what an extra "
+        "EXTRAS: greedy imports base.errors, which is not there as it is here: what an extra "
         "needs, `cnc` has"
     ]
 

@@ -75,7 +75,7 @@ def test_each_file_bears_the_name_that_micropython_looks_for(name: str) -> None:
 def test_all_native_code_of_a_pico_has_its_length_in_front(name: str) -> None:
     heads = []
 
-    def seen(code: bytes, place: int) -> bytes:
+    def seen(code: bytes) -> bytes:
         heads.append((*struct.unpack_from("<2H", code), len(code)))
         return code
 
@@ -89,17 +89,26 @@ def test_all_native_code_of_a_pico_has_its_length_in_front(name: str) -> None:
 @pytest.mark.parametrize("inside", ["[x for x in a]", "lambda: a", "any(x for x in a)", "(yield)"])
 def test_a_native_function_with_another_within_is_refused(inside: str) -> None:
     """The inner one would be native, too, and stay in flash; and so would a generator."""
-    text = f"import micropython\n@micropython.native\ndef f(a):\n    return {inside}\n"
+    text = f"import micropython\n\n@micropython.native\ndef f(a):\n    return {inside}\n"
     with pytest.raises(NotFrozen, match="f is native code with a function or a yield within"):
         freeze.decorated(text)
 
 
 @pytest.mark.parametrize("kind", ["viper", "native"])
 def test_the_decorator_is_given_the_function_itself(kind: str) -> None:
-    text = f"class A:\n    @staticmethod\n    @micropython.{kind}\n    def f():\n        pass\n"
-    decorators = ["@staticmethod", "@in_memory", f"@micropython.{kind}"]
+    native = f"@micropython.{kind}"
+    text = f"A = 1\nclass B:\n\n    @staticmethod\n    {native}\n    def f():\n        pass\n"
+    decorators = ["@staticmethod", "@in_memory", native]
     lines = [line.strip() for line in freeze.decorated(text).splitlines()]
     assert [line for line in lines if line.startswith("@")] == decorators
+
+
+def test_no_line_of_a_frozen_module_moves() -> None:
+    for name, text in build.ready("armv6m").items():
+        made = freeze.decorated(text)
+        assert made.count("\n") == text.count("\n"), name
+        for one, other in zip(made.splitlines(), text.splitlines(), strict=True):
+            assert one == other or "in_memory" in one or "@" in one, name
 
 
 def test_no_number_is_beyond_what_micropython_can_freeze() -> None:

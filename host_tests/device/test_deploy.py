@@ -408,7 +408,7 @@ def test_a_board_that_serves_the_page_has_it_and_no_other_has(
     assert page["page.gz"] == page_files.made()["page.gz"], "the same each time"
     html = (TOOLS / "web" / "page" / "index.html").read_bytes()
     assert gzip.decompress(page["page.gz"]) == html
-    assert {"ports.net.page", "ports.net.web_socket"} <= with_page.modules
+    assert {"ports/net/page.mpy", "ports/net/web_socket.mpy"} <= {*with_page.files}
 
 
 def test_a_page_that_has_changed_is_brought_up_to_date_and_goes_where_it_is_not_served(

@@ -341,7 +341,7 @@ def test_the_last_fault_is_told_though_the_machine_works_again(
     monkeypatch.setattr(Connection, "ask", with_fault)
     code, found, _ = examine(bench.port, "--no-move", "--pins", "0")
     assert code == 1 and found["state"][0]["text"] == "Idle"
-    assert found["fault"][0]["text"].startswith("[MSG:Last fault: IndexErr: list index")
+    assert found["fault"][0]["text"].startswith("[MSG:Last fault: IndexError: list index")
 
 
 def test_an_alarm_that_is_no_fault_is_none(tmp_path: Path) -> None:

@@ -114,7 +114,7 @@ def test_mpremote_gets_in_and_out_again(uf2: Path, tmp_path: Path) -> None:
         with grbl(port):
             pass
         assert mpremote(port, "resume", "exec", "print(6 * 7)") == "42\n"
-        assert "__init__.mpy" in mpremote(port, "fs", "ls", "language")
+        assert "words.mpy" in mpremote(port, "fs", "ls", "language")
         with grbl_started_anew(port) as machine:
             assert "ok" in ask(machine, "$I")
         assert mpremote(port, "exec", "print(6 * 7)") == "42\n"  # by way of a soft reset

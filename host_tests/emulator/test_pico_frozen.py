@@ -101,7 +101,7 @@ def test_a_deployment_takes_firmware_away_that_lies_there_as_files(
 
 
 @pytest.mark.parametrize(
-    ("left", "is_frozen"), [(firmware(), False), ({"motion/__init__.mpy": b"half"}, True)]
+    ("left", "is_frozen"), [(firmware(), False), ({"motion/planner.mpy": b"half"}, True)]
 )
 def test_files_run_in_its_place_where_a_deployment_was_whole(
     frozen_uf2: Path, left: "Mapping[str, bytes]", is_frozen: bool

@@ -23,7 +23,7 @@ _SETTINGS = (
 # Where the switches close, in steps from where the machine begins: the second of Y later.
 _AT = (100, 100, 100, 160)
 _OFFSET = 30  # $171, in steps
-_HEAP = 94_000
+_HEAP = 68_000
 _TICK_NS = 80
 
 

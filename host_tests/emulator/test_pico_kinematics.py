@@ -16,7 +16,7 @@ from ugrbl.compiling import build
 pytestmark = pytest.mark.xdist_group("pico kinematics")
 
 _EXAMPLES = Path(__file__).parent.parent.parent / "examples" / "kinematics"
-_HEAP = 90_000
+_HEAP = 60_000
 _CHORD_US = 16_000  # tried, and planned; 80 mm are 57 of them
 _TOLERANCE = 0.05
 

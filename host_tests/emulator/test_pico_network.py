@@ -16,8 +16,8 @@ from ugrbl.paths import BOARDS
 
 pytestmark = pytest.mark.xdist_group("pico network")
 
-_HEAP = 83_000  # of a Pico's, which has 41,672 bytes more of it than a Pico W
-_HEAP_WITH_PAGE = 70_000
+_HEAP = 55_000  # of a Pico's, which has 41,672 bytes more of it than a Pico W
+_HEAP_WITH_PAGE = 42_000
 
 _NETWORK = b"""
 def hostname(name):

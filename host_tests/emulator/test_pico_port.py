@@ -4,14 +4,11 @@ Only the port is there, in MicroPython's prompt. What interrupts it cannot alloc
 heap is locked, so a callback that did would be told of as one that has failed.
 """
 
-from array import array
 from functools import partial
 from pathlib import Path
 
 import pytest
 from emulated import FOUND, LIMIT, PROBE, RESET, SPINDLE_PWM, Board
-from ugrbl.compiling import build
-from ugrbl.compiling.assembled import assembled
 
 pytestmark = pytest.mark.xdist_group("pico port")
 
@@ -62,18 +59,6 @@ def pads(machine: Board) -> "tuple[int | None, int | None]":
 
 OFF, ON = (0, 1), (1, 0)
 SWITCH_ON = "port.spindle(True, port_max)\nport.coolant(1)"
-
-
-@pytest.mark.parametrize("name", ["programs", "beam_program"])
-def test_micropythons_own_assembler_makes_the_same_of_a_program(machine: Board, name: str) -> None:
-    written = build.texts()[f"pio.{name}"]
-    listed: "dict[str, object]" = {}
-    exec(assembled({name: written})[name], listed)
-    programs = [each for each in listed if isinstance(listed[each], list)]
-    assert programs
-    machine.python_again(written)
-    for each in programs:
-        assert eval(machine.python_again(f"print({each})"), {"array": array}) == listed[each]
 
 
 def test_killed_pads_stay_off_whatever_is_written_to_pin_and_pwm(machine: Board) -> None:

@@ -35,7 +35,7 @@ _SETTINGS = (
         for axis in range(6)
     ),
 )
-_HEAP, _HEAP_OF_SIX = 93_000, 108_000
+_HEAP, _HEAP_OF_SIX = 62_000, 82_000
 _TICK_US = 0.08
 # The emulator notes an edge up to some instructions late.
 _SEEN_US = 0.3

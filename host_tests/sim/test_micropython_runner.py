@@ -67,4 +67,4 @@ print(result)
 @pytest.mark.parametrize("arch", ["armv6m", "armv7emsp", "xtensawin", "rv32imc"])
 def test_the_firmware_compiles_for_every_chip(arch):
     for path in placed_firmware().rglob("*.py"):
-        assert compilers.compiled(path.stem, path.read_text("utf-8"), arch, debug=True)
+        assert compilers.compiled(path.stem, path.read_text("utf-8"), arch)

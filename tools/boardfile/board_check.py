@@ -263,14 +263,14 @@ def _name_of_custom(board: ModuleType) -> Iterator[str]:
 
 
 def _imports_of_extras(board: ModuleType) -> Iterator[str]:
-    """Modules of the firmware have these names in the sources; on a board a package is one."""
+    """Modules of the firmware: a board need not have them, and their constants are gone there."""
     packages = {path.name for path in paths.FIRMWARE.iterdir() if path.is_dir()} - {"extras"}
     for name, text in _own_extras(board).items():
         for module in imports(text):
             if module.partition(".")[0] in packages:
                 yield (
-                    f"EXTRAS: {name} imports {module}, which no board has under that name: what "
-                    "an extra needs, `cnc` has"
+                    f"EXTRAS: {name} imports {module}, which is not there as it is here: what an "
+                    "extra needs, `cnc` has"
                 )
 
 

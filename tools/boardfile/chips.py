@@ -3,6 +3,13 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
+# What the firmware imports of MicroPython's own: a file of that name would take its place.
+BUILT_IN = (
+    *("array", "binascii", "deflate", "errno", "esp32", "gc", "hashlib", "io", "json", "machine"),
+    *("math", "micropython", "network", "os", "rp2", "select", "socket", "struct", "sys", "time"),
+    "uctypes",
+)
+
 
 class Chip(NamedTuple):
     """A row of CHIPS. processor: as MicroPython names it; engine, link: what a new board gets."""

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from .. import paths
 from . import engines
-from .chips import ARCHS, CHIPS
+from .chips import ARCHS, BUILT_IN, CHIPS
 
 
 class Kind(NamedTuple):
@@ -60,7 +60,8 @@ def _is_module(value: Any) -> bool:
 
 def _taken() -> set[str]:
     """What lies on a board besides, or is imported by that name."""
-    return {"boot", "board", "ugrbl"} | {file.stem for file in paths.FIRMWARE.iterdir()}
+    ours = {file.stem for file in paths.FIRMWARE.iterdir()}
+    return {"board", "ugrbl", "kernels", *BUILT_IN, *ours}
 
 
 _PARENTHESES = "and wants parentheses and commas: (2, 3, 4)"

@@ -6,7 +6,7 @@ those that it needs.
 
 import ast
 import hashlib
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -26,6 +26,7 @@ from .of_chip import of_chip
 
 # MicroPython runs main.py at start, and never main.mpy: this one stays as it is.
 START = "main.py"
+KERNELS = f"{kernel_module.PACKAGE}/"  # what else may be on a board
 BOARD = "board.py"
 
 # Is told path and bytes of each file.
@@ -70,14 +71,13 @@ class Firmware(NamedTuple):
 class Build:
     """Files by their path on the board. engine: the board file's; "" where it is for none.
 
-    id: of the firmware. modules: those of it that are in it; own: files that are none of it.
+    id: of the firmware. own: files that are none of it.
     """
 
     arch: str
     files: dict[str, bytes] = field(default_factory=dict)
     engine: str = ""
     id: str = ""
-    modules: frozenset[str] = frozenset()
     own: tuple[str, ...] = ()
 
     @property
@@ -134,7 +134,8 @@ def _in_place(written: tuple[tuple[str, str], ...]) -> dict[str, str]:
 
 
 def id_of(arch: str) -> str:
-    """What tells the firmware that is here from others."""
+    """What tells the firmware that is here from others, by its sources: not from what other passes
+    have made of the same ones."""
     return _id(tuple(of_chip(texts(), arch).items()))
 
 
@@ -171,7 +172,11 @@ def _core(arch: str) -> list[str]:
 
 def modules_of(board: ModuleType) -> list[str]:
     """The modules, by name, that a board has a use for."""
-    there = in_place(getattr(board, "MPY_ARCH", ""))
+    return _reached(in_place(getattr(board, "MPY_ARCH", "")), board)
+
+
+def _reached(there: Mapping[str, str], board: ModuleType) -> list[str]:
+    """Of these texts, those that are imported on a board, one by another."""
     extras = _extras(board)
     found: set[str] = set()
     left = [module(START), *extras]
@@ -269,19 +274,12 @@ def compile_all(
     """Every module, or those a board needs. Without compilers it comes out of the package.
     BuildError where it is not there."""
     whole = firmware(arch)
-    wanted = with_kernels(arch, modules_of(board)) if board else [*whole.modules]
+    wanted = _reached(ready(arch), board) if board else [*whole.modules]
     files = {path_of(name): whole.modules[name] for name in wanted}
     files[START] = _text(START).encode()
     for path, content in sorted(files.items()):
         progress(path, len(content))
-    return Build(arch, files, id=whole.id, modules=frozenset(wanted))
-
-
-def with_kernels(arch: str, modules: Collection[str]) -> list[str]:
-    """These, and the modules of kernels that they import."""
-    there, pieces = ready(arch), _pieces(arch)
-    kernels = {name for each in modules for name in imported(there[each]) if name in pieces}
-    return sorted({*modules, *kernels})
+    return Build(arch, files, id=whole.id)
 
 
 def _pieces(arch: str) -> Collection[str]:

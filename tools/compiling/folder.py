@@ -6,7 +6,7 @@ from pathlib import Path
 from .. import __version__, paths
 from ..boardfile.chips import CHIPS
 from . import stock
-from .build import START, Build, firmware, sources, texts
+from .build import KERNELS, START, Build, firmware, sources, texts
 from .inline import inline
 
 _PACKAGE_LIST = "package.json"
@@ -47,7 +47,7 @@ def save_to_freeze(made: Build, folder: Path) -> None:
 
 def folders(made: Build) -> list[str]:
     """Where files of the firmware are, on this board or another; its root is an empty text."""
-    return sorted({path.rpartition("/")[0] for path in (*made.files, *sources())})
+    return sorted({path.rpartition("/")[0] for path in (*made.files, *sources(), KERNELS)})
 
 
 def fill_stock() -> None:

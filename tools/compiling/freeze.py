@@ -68,7 +68,7 @@ def for_board(file: Path, progress: Progress = lambda name, size: None) -> Build
     if moved:
         texts = {name: decorated(text) for name, text in texts.items()}
     code = build.compiled(arch, texts, told=_file)
-    made = Build(arch, {}, board.ENGINE, number, frozenset(texts))
+    made = Build(arch, {}, board.ENGINE, number)
     for name in sorted(code):
         path = _file(name).removesuffix(".py") + ".mpy"
         made.files[path] = with_lengths(code[name]) if moved else code[name]
@@ -92,19 +92,22 @@ def decorated(text: str) -> str:
         inside = {node for node in ast.walk(function) if isinstance(node, _INSIDE)}
         if inside - {*functions}:
             raise NotFrozen(f"{function.name} is native code with a function or a yield within")
-        # The last one, for it wants the function itself.
-        place = function.decorator_list[-1].lineno - 1
-        lines[place] = f"{' ' * function.col_offset}@{_DECORATOR}\n{lines[place]}"
-    first = int(isinstance(tree.body[0], ast.Expr))  # behind documentation
-    place = tree.body[first].lineno - 1
-    lines[place] = f"from {HELPER} import {_DECORATOR}\n{lines[place]}"
+        # Right above the last one, for it wants the function itself; others move up to an empty
+        # line, so that no line after that moves.
+        first, last = (function.decorator_list[at].lineno - 1 for at in (0, -1))
+        if lines[first - 1].strip():
+            raise NotFrozen(f"there is no empty line above {function.name}")
+        others = lines[first:last]
+        lines[first - 1 : last] = [*others, f"{' ' * function.col_offset}@{_DECORATOR}\n"]
+    begin = tree.body[int(isinstance(tree.body[0], ast.Expr))].lineno - 1  # behind documentation
+    lines[begin] = f"from {HELPER} import {_DECORATOR}; {lines[begin]}"
     return "".join(lines)
 
 
 def with_lengths(compiled: bytes) -> bytes:
     """Such a module, compiled, with each function's length in front of its code."""
 
-    def rewrite(code: bytes, place: int) -> bytes:
+    def rewrite(code: bytes) -> bytes:
         return struct.pack("<2H", _JUMP_OVER, len(code)) + code
 
     return mpy.rewritten(compiled, rewrite)

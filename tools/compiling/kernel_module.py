@@ -13,10 +13,11 @@ from typing import NamedTuple
 from . import machine_code, mpy, viper
 from .viper import Key, Module
 
-_PACKAGE = "kernels"
-_CORE = f"{_PACKAGE}.core"
+PACKAGE = "kernels"
+_CORE = f"{PACKAGE}.core"
 _TEXT = """\
 import micropython
+
 @micropython.viper
 def start() -> object:
     return None
@@ -56,11 +57,11 @@ def with_code(compiled: bytes, name: str, apart: Apart, arch: str) -> bytes:
     """A module of kernels, compiled, with their code in it. CompilerError."""
     code = machine_code.linked(apart.c, arch, tuple(apart.pieces[name]))
     assert mpy.table_place(compiled) == 0
-    return mpy.rewritten(compiled, lambda _code, _place: code)
+    return mpy.rewritten(compiled, lambda _start: code)
 
 
 def _home(module: str, core: "Collection[str]") -> str:
-    return _CORE if module in core else f"{_PACKAGE}.{module.replace('.', '_')}"
+    return _CORE if module in core else f"{PACKAGE}.{module.replace('.', '_')}"
 
 
 def _names(keys: "list[Key]") -> "dict[Key, str]":

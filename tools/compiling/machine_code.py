@@ -1,11 +1,11 @@
-"""Kernels as machine code: a board's viper functions, compiled by way of C, all in one piece.
+"""Kernels as machine code: viper functions, compiled by way of C, in pieces.
 
 MicroPython's own compiler keeps each local in memory and looks up each function that is called.
-LLVM, which comes as the package `ziglang`, makes code of the same functions that is a third as
-long and takes half the time. They see memory as before: as often, and in the same order, for every
+LLVM, which comes as the package `ziglang`, makes code of the same functions that is half as long
+and takes half the time. They see memory as before: as often, and in the same order, for every
 pointer is volatile; integers wrap at 32 bits.
 
-The piece is the code of one viper function, `start`, and may lie anywhere. It takes MicroPython's
+A piece is the code of one viper function, `start`, and may lie anywhere. It takes MicroPython's
 table of functions from its own object, makes an object of each kernel that others than kernels
 call, and returns a tuple of them. These objects are part of the piece: who holds `start` holds it.
 """

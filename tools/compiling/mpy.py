@@ -2,9 +2,8 @@
 
 from collections.abc import Callable, Iterator
 
-# Is told a function's code, and which of the module's own viper functions it is; APART: none.
-Rewrite = Callable[[bytes, int], bytes]
-APART = -1
+# Is told a native function's code.
+Rewrite = Callable[[bytes], bytes]
 
 _HEAD = 4  # mark, version, flags, bits of a small integer
 # What a function is, in the last bits of its length.
@@ -27,18 +26,6 @@ def rewritten(compiled: bytes, rewrite: Rewrite) -> bytes:
     reader = _Reader(compiled)
     reader.pass_tables()
     return compiled[: reader.at] + b"".join(reader.module(rewrite))
-
-
-def vipers(compiled: bytes) -> "list[bytes]":
-    """The code of the module's own viper functions, in their order."""
-    found: dict[int, bytes] = {}
-
-    def seen(code: bytes, place: int) -> bytes:
-        found[place] = code
-        return code
-
-    rewritten(compiled, seen)
-    return [found[place] for place in sorted(found.keys() - {APART})]
 
 
 def names(compiled: bytes) -> "list[str]":
@@ -69,7 +56,6 @@ class _Reader:
         self.at = _HEAD
         self.names: list[str] = []
         self.table = -1
-        self._vipers = 0  # of the module's own
 
     def pass_tables(self) -> None:
         """Names, and constants."""
@@ -85,9 +71,9 @@ class _Reader:
 
     def module(self, rewrite: Rewrite) -> Iterator[bytes]:
         """The module as a function, and those within it."""
-        return self._function(rewrite, 0)
+        return self._function(rewrite)
 
-    def _function(self, rewrite: Rewrite, depth: int) -> Iterator[bytes]:
+    def _function(self, rewrite: Rewrite) -> Iterator[bytes]:
         head = self._number()
         kind = head & _KINDS
         code = self._take(head >> _KIND_BITS)
@@ -99,9 +85,7 @@ class _Reader:
             flags = self._number()
             if flags & _VIPER_SECTIONS:
                 raise ValueError("native code that is linked from elsewhere")
-            place = self._vipers if depth == 1 else APART
-            self._vipers += depth == 1
-            code, behind = rewrite(code, place), number(flags)
+            code, behind = rewrite(code), number(flags)
         elif kind != _BYTECODE:
             raise ValueError("inline assembler")
         yield number(len(code) << _KIND_BITS | head & (_KINDS | _HAS_CHILDREN))
@@ -110,7 +94,7 @@ class _Reader:
             children = self._number()
             yield number(children)
             for _ in range(children):
-                yield from self._function(rewrite, depth + 1)
+                yield from self._function(rewrite)
 
     def _pass_constant(self) -> None:
         kind = self._take(1)[0]
@@ -136,6 +120,6 @@ class _Reader:
 def _native(code: bytes, prelude: int, rewrite: Rewrite) -> "tuple[bytes, bytes]":
     """Code and prelude, and where this begins."""
     if not (code[prelude] & 128 and code[prelude + 1] & _GENERATOR):
-        made = rewrite(code[:prelude], APART)
+        made = rewrite(code[:prelude])
         code, prelude = made + code[prelude:], len(made)
     return code, number(prelude)

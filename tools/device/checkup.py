@@ -140,7 +140,7 @@ def fault(told: str) -> Finding:
     """A fault of the firmware, as a board tells it."""
     todo = "report it, with these lines and what the machine was doing; a reset (Ctrl-X), and it "
     todo += "listens again: its place is what the motors made, but look before it moves"
-    return Finding("fault", BAD, told, todo)
+    return Finding("fault", BAD, _errors(told), todo)
 
 
 def faults(replies: Iterable[str]) -> list[Finding]:

@@ -140,8 +140,8 @@ def plan(made: Build, there: Mapping[str, str], before: Mapping[str, str]) -> Pl
     same = [path for path, content in made.files.items() if there.get(path) == digest(content)]
     copy = [path for path in made.files if path not in same]
     sources = build.sources()
-    # Up to 1.0 the modules of a folder were one, which was the folder's own.
-    packages = {f"{path.rpartition('/')[0]}/__init__.py" for path in (*sources, "kernels/")}
+    # Earlier builds had one module of each folder.
+    packages = {f"{path.rpartition('/')[0]}/__init__.py" for path in (*sources, build.KERNELS)}
     names = {name.removesuffix(".py") for name in (*sources, *packages)}
     ours = {name + kind for name in names for kind in _KINDS}
     stale = [

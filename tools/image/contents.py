@@ -82,7 +82,7 @@ def _lacking(frozen: "Frozen | None", made: Build) -> str:
             "docs/boards.md"
         )
     why = frozen.lacks(made)
-    return f"{why}: build MicroPython anew, for this board" if why else ""
+    return f"{why}: build MicroPython anew, with this firmware" if why else ""
 
 
 def files(

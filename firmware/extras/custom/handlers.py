@@ -126,8 +126,7 @@ on = On()
 
 
 class Api:
-    """What custom.py imports from: an object with these names, for a board's modules are bundled
-    and have none of their own."""
+    """What custom.py imports from: an object with these names, and no others."""
 
     def __init__(self) -> None:
         self.mcode = mcode

@@ -77,6 +77,5 @@ def _parted(text: str) -> "tuple[str, str, str]":
 
 
 def _is_of(text: str, signs: str) -> bool:
-    """There is text, of no other signs. What Python has for it would take names of MicroPython's
-    that others are called by: compiling/shorten.py."""
+    """There is text, of no other signs."""
     return bool(text) and not [sign for sign in text if sign not in signs]

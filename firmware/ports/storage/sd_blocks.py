@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from array import array
     from collections.abc import Callable
 
-# In one text: a name that stands alone is none that one of ours may be shortened to.
-_WORDS = "sck mosi miso baudrate"
-
 _BLOCK = const(512)
 _BLOCK_LOG2 = const(9)
 _BEGIN_HZ = const(400_000)
@@ -89,8 +86,7 @@ class SdBlocks:
         self._shared = shared
         self._select = Pin(select, Pin.OUT, value=1)
         into = Pin(from_card, Pin.IN, Pin.PULL_UP)  # without a card it is high
-        names = _WORDS.split()
-        self._bus = SPI(clock >> 3 & 1, **dict(zip(names, (Pin(clock), Pin(to_card), into))))
+        self._bus = SPI(clock >> 3 & 1, sck=Pin(clock), mosi=Pin(to_card), miso=into)
         self._byte = bytearray(1)
         self._command = bytearray(6)
         self._sum = bytearray(2)
@@ -107,7 +103,7 @@ class SdBlocks:
         self._set_speed(_HZ)
 
     def _set_speed(self, hz: int) -> None:
-        self._bus.init(**{_WORDS.split()[3]: hz})
+        self._bus.init(baudrate=hz)
 
     def end(self) -> None:
         """Have no blocks any more, and say nothing of it. Who still asks is a file left open, as

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from typing import Any
 
 _ESP32_SLOT = const(2)  # over SPI, as 3 is
-# In one text: a name that stands alone is none that one of ours may be shortened to.
-_WORDS = "sck mosi miso cs umount"
 
 
 class SdCard:
@@ -46,7 +44,7 @@ class SdCard:
         """Forget what was known of it."""
         blocks, self._mounted = self._mounted, None
         if blocks:
-            getattr(os, _WORDS.split()[4])(self.folder)
+            os.umount(self.folder)
             _end(blocks)
 
     def check(self) -> None:
@@ -57,8 +55,8 @@ class SdCard:
     def _begin(self) -> "Any":
         theirs: "Any" = getattr(machine, "SDCard", None)
         if theirs:  # an ESP32's MicroPython has its own
-            wires = [machine.Pin(pin) for pin in self._pins]
-            return theirs(slot=_ESP32_SLOT, **dict(zip(_WORDS.split(), wires)))
+            clock, to_card, from_card, select = (machine.Pin(pin) for pin in self._pins)
+            return theirs(slot=_ESP32_SLOT, sck=clock, mosi=to_card, miso=from_card, cs=select)
         blocks = SdBlocks(self._pins, self.shared)
         blocks.begin()
         return blocks
