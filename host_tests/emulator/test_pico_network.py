@@ -111,11 +111,11 @@ import sys
 import no_network
 import no_socket as socket
 
-sys.modules["network"], sys.modules["usocket"] = no_network, socket
+sys.modules["network"], sys.modules["socket"] = no_network, socket
 from boot import power_up
-import ports
+from ports.storage.flash_store import FlashStore
 
-store = ports.FlashStore()
+store = FlashStore()
 if not store.load("network"):
     store.save("network", ["SSID=4142", "PASS=4142434445464748", "KEY=23456789"])
 socket.SAYS

@@ -200,10 +200,10 @@ def _numbers(said: str) -> "list[int]":
     return [int(n) for n in said.partition("[MSG:")[2].partition(".]")[0].split()]
 
 
-def test_four_axis_lines_are_85_percent_of_three_axis_ones_per_second(uf2: Path) -> None:
+def test_four_axis_lines_are_82_percent_of_three_axis_ones_per_second(uf2: Path) -> None:
     """As docs/speed.md has them."""
     three, four = (next(of_axes(Bench(uf2), name)).figure for name in ("three axes", "four axes"))
-    assert four >= 0.85 * three > 0
+    assert four >= 0.82 * three > 0
 
 
 def test_heap_is_free_with_six_axes(uf2: Path) -> None:
