@@ -11,7 +11,6 @@ mode meanwhile, and reset afterwards.
 """
 
 from base.state import CHECK
-from ugrbl.device.selftest import program
 
 _FIRST = """
 from boot import power_up  # first, as in main.py: it sees to where memory is free
@@ -25,9 +24,9 @@ _COMMANDS = """
 import gc
 import time
 
-commands = module("talk", "commands")
-planner = module("motion", "planner")
-report = module("talk", "report")
+from talk import commands
+from motion import planner
+from talk import report
 found = {}
 acts = {}
 usual = commands.Commands.whose
@@ -109,10 +108,10 @@ acts[b"LATER"] = later
 # $STAGE: see above.
 _STAGES = (
     """
-interpreter = module("language", "interpreter")
-line = module("language", "line")
-lines = module("talk", "lines")
-protocol = module("talk", "protocol")
+from language import interpreter
+from language import line
+from talk import lines
+from talk import protocol
 keep(interpreter.Interpreter, "memory")
 keep(protocol.Protocol, "run")
 look, go = line.look, line.go
@@ -236,19 +235,21 @@ def longest(_):
 
 
 kind = getattr(board, "LINK", "usb")
-place, name = {"usb": ("usb.usb_link", "UsbLink"), "uart": ("uart_link", "UartLink")}[kind]
-link = getattr(module("ports", place), name)
 if kind == "usb":
+    from ports.usb.usb_link import UsbLink as link
+
     make = link._make_read_into
     link._make_read_into = lambda self: watched(make(self))
 else:
+    from ports.uart_link import UartLink as link
+
     link.read_into = watched(link.read_into)
 acts[b"GAP"] = longest
 acts[b"COLLECT"] = lambda _: gc.collect()  # which has no answer
 """
 
-_BEGIN = program.found() + _FIRST + _COMMANDS
-PLAIN = (program.found() + _FIRST + _START).encode()  # none of our commands
+_BEGIN = _FIRST + _COMMANDS
+PLAIN = (_FIRST + _START).encode()  # none of our commands
 MAIN = (_BEGIN + _COUNTS + _START).encode()
 STAGES = (_BEGIN + _STAGES + _START).encode()
 GAPS = (_BEGIN + _GAPS + _START).encode()

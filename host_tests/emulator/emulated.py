@@ -15,7 +15,6 @@ from motion.layout import ROW_AXES, ROW_DIRS, ROW_STRIDE
 from ugrbl.boardfile.files import load_board
 from ugrbl.compiling import build, freeze
 from ugrbl.compiling.freeze import Frozen
-from ugrbl.device.selftest import program
 from ugrbl.image import contents
 from ugrbl.paths import BOARDS
 from ugrbl.run import machine
@@ -37,9 +36,6 @@ RESET, HOLD, START = 13, 14, 15
 SPINDLE_PWM = 16
 # No board is wired to its inputs: they have pull-ups, which the emulator does not know.
 INPUTS = (*LIMIT, PROBE, RESET, HOLD, START, 22)
-
-# In front of a program for the board that wants modules of the firmware.
-FOUND = program.found().encode()
 
 _BOOT_US = 3_000_000
 _ANSWER_US = 2_000_000

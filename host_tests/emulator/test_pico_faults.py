@@ -4,20 +4,18 @@ from pathlib import Path
 
 import pytest
 from chips import BLOCK, CHIP, file_system
-from emulated import ENABLE, FOUND, SPINDLE_PWM, STEP, Board, build_id, firmware, steps
+from emulated import ENABLE, SPINDLE_PWM, STEP, Board, build_id, firmware, steps
 from ugrbl.image.uf2 import Uf2Error
 
 pytestmark = pytest.mark.xdist_group("pico faults")
 
 BOARD = firmware()["board.py"]
-_HOOK = (
-    FOUND
-    + b"""
+_HOOK = b"""
 from boot import power_up
 import time
 
-commands = module("talk", "commands")
-segments = module("motion", "segments")
+from talk import commands
+from motion import segments
 following = segments.Segments.next
 spoilt = bytearray(1)
 
@@ -55,7 +53,6 @@ def whose(self, line, length):
 commands.Commands.whose = whose
 power_up.live(power_up.build())
 """
-)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ import pytest
 from chips import CHIP
 from emulated import (
     DIR,
-    FOUND,
     LIMIT,
     RESET,
     SPINDLE_PWM,
@@ -287,9 +286,7 @@ def test_where_the_interrupt_comes_too_late_no_dot_is_lost(
     assert levels[-1] == (0 if mode == "M4" else _HALF)
 
 
-MAIN = (
-    FOUND
-    + b"""
+MAIN = b"""
 import time
 
 from boot import power_up
@@ -297,7 +294,7 @@ from extras.tools import laser
 from machine import disable_irq, enable_irq
 
 
-commands = module("talk", "commands")
+from talk import commands
 usual = commands.Commands.whose
 
 usual_power = laser.Laser.set_power
@@ -334,4 +331,3 @@ def whose(self, line, length):
 commands.Commands.whose = whose
 power_up.live(power_up.build())
 """
-)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import emulated
 import pytest
-from emulated import DIR, ENABLE, FOUND, STEP, Board, steps
+from emulated import DIR, ENABLE, STEP, Board, steps
 
 pytestmark = pytest.mark.xdist_group("pico motion")
 
@@ -43,15 +43,13 @@ def machine(uf2: Path) -> Board:
 
 
 # A user's Python, which takes its time. It is in main.py, where users may do such things.
-USER = (
-    FOUND
-    + b"""
+USER = b"""
 import gc
 import time
 
 from boot import power_up
 
-commands = module("talk", "commands")
+from talk import commands
 usual = commands.Commands.whose
 
 
@@ -76,7 +74,6 @@ def whose(self, line, length):
 commands.Commands.whose = whose
 power_up.live(power_up.build())
 """
-)
 
 
 def moved(machine: Board, lines: "list[str]") -> "list[list[tuple[float, int]]]":

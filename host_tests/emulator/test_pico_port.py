@@ -8,17 +8,15 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from emulated import FOUND, LIMIT, PROBE, RESET, SPINDLE_PWM, Board
+from emulated import LIMIT, PROBE, RESET, SPINDLE_PWM, Board
 
 pytestmark = pytest.mark.xdist_group("pico port")
 
 FLOOD, ESTOP = 18, 21
 
-SETUP = (
-    FOUND.decode()
-    + f"""
+SETUP = f"""
 import board
-pins = module("pio", "pins")
+from pio import pins
 board.INVERT = ("FLOOD",)
 board.ESTOP = {ESTOP}
 port = pins.GpioPort(board)
@@ -35,7 +33,6 @@ class Listener:
 port.attach(Listener())
 port.hear_limits(True)
 """
-)
 
 
 @pytest.fixture(scope="module")

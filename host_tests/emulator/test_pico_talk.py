@@ -4,7 +4,7 @@ from pathlib import Path
 from statistics import median
 
 import pytest
-from emulated import FOUND, Board
+from emulated import Board
 
 pytestmark = pytest.mark.xdist_group("pico talk")
 
@@ -18,14 +18,12 @@ def machine(uf2: Path) -> Board:
 
 
 # A user's command, in main.py: how much memory is free.
-MAIN = (
-    FOUND
-    + b"""
+MAIN = b"""
 import gc
 
 from boot import power_up
 
-commands = module("talk", "commands")
+from talk import commands
 usual = commands.Commands.whose
 
 
@@ -42,7 +40,6 @@ commands.Commands.whose = whose
 rp2 = None  # as the firmware's own main.py
 machine = power_up.live(power_up.build())
 """
-)
 
 
 def test_eighty_five_kilobytes_of_heap_are_free(machine: Board) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from emulated import ENABLE, FOUND, LIMIT, SPINDLE_PWM, STEP, Board, steps
+from emulated import ENABLE, LIMIT, SPINDLE_PWM, STEP, Board, steps
 
 pytestmark = pytest.mark.xdist_group("pico watch")
 
@@ -12,14 +12,12 @@ _LIMIT_MS = 250  # how long the main loop may be away
 _BEAT_MS = 5
 
 # A user's commands, in main.py. How long they last: $BUSY=ms; for ever: $HANG.
-_MAIN = (
-    FOUND
-    + b"""
+_MAIN = b"""
 import time
 
 from boot import power_up
 
-commands = module("talk", "commands")
+from talk import commands
 usual = commands.Commands.whose
 
 
@@ -40,7 +38,6 @@ def whose(self, line, length):
 commands.Commands.whose = whose
 machine = power_up.live(power_up.build())
 """
-)
 
 
 @pytest.fixture(scope="module")

@@ -121,8 +121,8 @@ def test_five_and_six_motors_are_counted_in_turn(
 
 
 # An engine that makes pulses too short, leaves DIR no time, and is a step off.
-_WORSE = f"""{program.found()}
-engine, pulses = module("pio", "engine"), module("pio", "pulses")
+_WORSE = """
+from pio import engine, pulses
 set_timing, position = pulses.set_timing, engine.PioEngine.position
 pulses.set_timing = lambda timing, pulse, hold, setup: set_timing(timing, pulse - 5, 0, 0)
 def lie(self, steps):

@@ -6,17 +6,12 @@ from pathlib import Path
 from typing import Any
 
 _HERE = Path(__file__).parent / "on_board"
-_ALL = ("found", "say")
+_ALL = ("say",)
 _WATCHED = (*_ALL, "programs", "watch", "drivers")
 CHECKS = (*_WATCHED, "rows", "drive", "runs", "motion", "limits", "rest")
 HANG = (*_WATCHED, "eyes", "hang")
 ESP_CHECKS = (*_ALL, "pcnt", "rows", "drivers", "drive_esp", "runs", "motion_esp", "rest_esp")
 ESP_HANG = (*_ALL, "pcnt", "drivers", "eyes_esp", "hang")
-
-
-def found() -> str:
-    """What finds the firmware's modules on a board: `module("talk", "lines")`."""
-    return _part("found") + "\n"
 
 
 @dataclass(frozen=True)

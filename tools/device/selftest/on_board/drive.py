@@ -4,13 +4,12 @@
 import board
 
 from .config import CONFIG
-from .found import module
 from .rows import AXES, Mover, settle
 from .watch import FIRST, LAST, TICK_HZ, Counter, Sampler
 
 sampler = Sampler(CONFIG["samples"])  # ahead of what divides memory
 
-PioEngine = module("pio", "engine").PioEngine
+from pio.engine import PioEngine  # noqa: E402
 
 WATCHED = min(AXES, LAST - FIRST + 1)
 

@@ -3,10 +3,7 @@
 
 import board
 from machine import Pin
-
-from .found import module
-
-FlashStore = module("ports", "storage.flash_store").FlashStore
+from ports.storage.flash_store import FlashStore
 
 
 def drivers_off():

@@ -5,7 +5,6 @@ import board
 from machine import mem32
 
 from .config import CONFIG
-from .found import module
 from .watch import FIRST, LAST, Counter
 
 counters = [
@@ -25,7 +24,9 @@ def count_all():
 
 def used_stack():
     """Bytes of the C stack at most."""
-    return module("pio", "stack").used()
+    from pio import stack
+
+    return stack.used()
 
 
 def mem_level(pin):

@@ -7,18 +7,17 @@ from boot import power_up  # first, as in main.py: it sees to where memory is fr
 import time
 
 import board
+from control import realtime
+from talk import lines
 
 from .config import CONFIG
 from .drivers import FlashStore, drivers_off, hear_nothing
 from .eyes import count_all, mem_level, used_stack, watch
-from .found import module
 from .say import say
 
 BETWEEN_MS = 150  # lines given
 TOLD_MS = 200  # how often the state is told while it hangs
 
-lines = module("talk", "lines")
-realtime = module("control", "realtime")
 usual_run = realtime.Realtime.run
 usual_making = lines.LineReader.__init__
 readers = []

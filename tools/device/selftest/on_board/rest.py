@@ -11,11 +11,11 @@ from array import array
 import board
 import micropython
 from machine import Timer, freq
+from pio.pins import GpioPort
 
 from .config import CONFIG
 from .drive import Drive
 from .drivers import FlashStore, drivers_off, hear_nothing
-from .found import module
 from .limits import check_limits
 from .motion import check_motion, see_pads
 from .say import say
@@ -93,7 +93,7 @@ def check_all():
     )
     if not see_pads():
         return
-    port = module("pio", "pins").GpioPort(board)
+    port = GpioPort(board)
     drive = Drive()
     try:
         check_motion(drive)
