@@ -104,7 +104,7 @@ def test_the_decorator_is_given_the_function_itself(kind: str) -> None:
 
 
 def test_no_line_of_a_frozen_module_moves() -> None:
-    for name, text in build.ready("armv6m").items():
+    for name, text in build.prepared("armv6m").texts.items():
         made = freeze.decorated(text)
         assert made.count("\n") == text.count("\n"), name
         for one, other in zip(made.splitlines(), text.splitlines(), strict=True):

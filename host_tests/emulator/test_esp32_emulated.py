@@ -13,6 +13,7 @@ from test_deploy_emulated import deploy
 from ugrbl.boardfile.files import load_board
 from ugrbl.compiling import build
 from ugrbl.compiling.inline import inline, pruned
+from ugrbl.compiling.kernel_module import Apart
 from ugrbl.paths import BOARDS
 
 pytestmark = pytest.mark.xdist_group("esp32")
@@ -53,7 +54,7 @@ def vectors_and_kernels() -> "dict[str, bytes]":
         if name in texts and name not in found:
             found[name] = texts[name]
             left += build.imported(texts[name])
-    compiled = build.compiled(_ARCH, found)
+    compiled = build.compiled(_ARCH, Apart(found, "", {}))
     return {build.path_of(name): code for name, code in compiled.items()}
 
 

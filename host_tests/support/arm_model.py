@@ -48,7 +48,7 @@ def signed(value: int) -> int:
 
 def kernels_of(arch: str) -> "tuple[str, list[Key]]":
     """The C text of all, and which they are."""
-    apart = build.kernels_apart(arch)
+    apart = build.prepared(arch)
     return apart.c, [key for keys in apart.pieces.values() for key in keys]
 
 

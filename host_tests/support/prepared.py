@@ -14,6 +14,7 @@ from ugrbl.compiling import build
 from ugrbl.compiling.build import Build
 from ugrbl.compiling.folder import save
 from ugrbl.compiling.inline import inline
+from ugrbl.compiling.kernel_module import Apart
 
 # This computer's processor, as MicroPython names it.
 ARCH = "x64"
@@ -42,7 +43,7 @@ def write_sources(root: Path, made: "dict[str, str]") -> None:
 
 def write_compiled(root: Path, made: "dict[str, str]") -> None:
     """The firmware as MicroPython on this computer runs it: only the processor is another."""
-    code = build.compiled(ARCH, made)
+    code = build.compiled(ARCH, Apart(made, "", {}))
     files = {build.path_of(name): content for name, content in code.items()}
     files[build.START] = made[build.module(build.START)].encode()
     save(Build(ARCH, files), root / "firmware")

@@ -118,9 +118,31 @@ def _text(source: str) -> str:
     return (paths.FIRMWARE / source).read_text(encoding="utf-8")
 
 
+def id_of(arch: str) -> str:
+    """What tells the firmware that is here from others, by its sources: not from what other passes
+    have made of the same ones."""
+    return _id(_written(arch))
+
+
 def in_place(arch: str) -> dict[str, str]:
     """The modules for a processor, by name, after the first pass, and with their id."""
-    return _in_place(tuple(of_chip(texts(), arch).items()))
+    return _in_place(_written(arch))
+
+
+def prepared(arch: str) -> Apart:
+    """The modules as they are compiled, and the kernels, where there is machine code."""
+    texts = in_place(arch)
+    if arch not in machine_code.PROCESSORS:
+        return Apart(texts, "", {})
+    return _apart(tuple(texts.items()), tuple(_reached(texts, _plain(arch))))
+
+
+def _written(arch: str) -> tuple[tuple[str, str], ...]:
+    return tuple(of_chip(texts(), arch).items())
+
+
+def _id(written: tuple[tuple[str, str], ...]) -> str:
+    return hashlib.sha256(repr(written).encode()).hexdigest()[:_DIGITS]
 
 
 @lru_cache(4)
@@ -133,26 +155,6 @@ def _in_place(written: tuple[tuple[str, str], ...]) -> dict[str, str]:
     }
 
 
-def id_of(arch: str) -> str:
-    """What tells the firmware that is here from others, by its sources: not from what other passes
-    have made of the same ones."""
-    return _id(tuple(of_chip(texts(), arch).items()))
-
-
-def _id(written: tuple[tuple[str, str], ...]) -> str:
-    return hashlib.sha256(repr(written).encode()).hexdigest()[:_DIGITS]
-
-
-def ready(arch: str) -> dict[str, str]:
-    """The modules as they are compiled, and those of kernels where there is machine code."""
-    return kernels_apart(arch).texts if arch in machine_code.PROCESSORS else in_place(arch)
-
-
-def kernels_apart(arch: str) -> Apart:
-    """The same with the kernels."""
-    return _apart(tuple(in_place(arch).items()), tuple(sorted(_core(arch))))
-
-
 @lru_cache(4)
 @kept
 def _apart(written: tuple[tuple[str, str], ...], core: tuple[str, ...]) -> Apart:
@@ -162,17 +164,17 @@ def _apart(written: tuple[tuple[str, str], ...], core: tuple[str, ...]) -> Apart
 # Which a board needs
 
 
-def _core(arch: str) -> list[str]:
-    """The modules that every board with that processor has."""
-    chip = next(chip for chip in CHIPS.values() if chip.mpy_arch == arch)
-    board = ModuleType("board")
-    vars(board).update(MPY_ARCH=arch, ENGINE=chip.engine, LINK=chip.link, CUSTOM="")
-    return modules_of(board)
-
-
 def modules_of(board: ModuleType) -> list[str]:
     """The modules, by name, that a board has a use for."""
     return _reached(in_place(getattr(board, "MPY_ARCH", "")), board)
+
+
+def _plain(arch: str) -> ModuleType:
+    """A board that has what every board with that processor has."""
+    chip = next(chip for chip in CHIPS.values() if chip.mpy_arch == arch)
+    board = ModuleType("board")
+    vars(board).update(ENGINE=chip.engine, LINK=chip.link, CUSTOM="")
+    return board
 
 
 def _reached(there: Mapping[str, str], board: ModuleType) -> list[str]:
@@ -238,24 +240,22 @@ def _imported(node: ast.AST, without: Collection[str]) -> Iterator[str]:
 def firmware(arch: str) -> Firmware:
     """All modules, compiled; out of the package where there are no compilers. BuildError."""
     if compilers.are_there(arch):
-        return Firmware(id_of(arch), compiled(arch, ready(arch)))
+        return Firmware(id_of(arch), compiled(arch, prepared(arch)))
     try:
         return Firmware(id_of(arch), stock.find(texts(), arch))
     except stock.NotThere as why:
         raise BuildError(compilers.missing(str(why))) from why
 
 
-def compiled(
-    arch: str, prepared: dict[str, str], told: Callable[[str], str] = str
-) -> dict[str, bytes]:
+def compiled(arch: str, made: Apart, told: Callable[[str], str] = str) -> dict[str, bytes]:
     """What the compilers make of each module. told: what tracebacks call it, by its name."""
-    made = {name: _compile(told(name), text, arch) for name, text in prepared.items()}
+    code = {name: _compile(told(name), text, arch) for name, text in made.texts.items()}
     try:
-        for name in _pieces(arch):
-            made[name] = kernel_module.with_code(made[name], name, kernels_apart(arch), arch)
+        for name in made.pieces:
+            code[name] = kernel_module.with_code(code[name], name, made, arch)
     except machine_code.CompilerError as error:
         raise BuildError(f"kernels cannot be compiled: {error}") from error
-    return made
+    return code
 
 
 @lru_cache(1000)
@@ -274,17 +274,12 @@ def compile_all(
     """Every module, or those a board needs. Without compilers it comes out of the package.
     BuildError where it is not there."""
     whole = firmware(arch)
-    wanted = _reached(ready(arch), board) if board else [*whole.modules]
+    wanted = _reached(prepared(arch).texts, board) if board else [*whole.modules]
     files = {path_of(name): whole.modules[name] for name in wanted}
     files[START] = _text(START).encode()
     for path, content in sorted(files.items()):
         progress(path, len(content))
     return Build(arch, files, id=whole.id)
-
-
-def _pieces(arch: str) -> Collection[str]:
-    """The modules of machine code, by name."""
-    return kernels_apart(arch).pieces if arch in machine_code.PROCESSORS else ()
 
 
 def for_board(file: Path, progress: Progress = lambda name, size: None) -> Build:

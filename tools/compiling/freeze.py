@@ -60,14 +60,14 @@ def for_board(file: Path, progress: Progress = lambda name, size: None) -> Build
     arch = board.MPY_ARCH
     if not compilers.are_there(arch):
         raise BuildError(compilers.missing("what is compiled already is not to be frozen"))
-    texts, sources = build.ready(arch), build.texts()
+    ready, sources = build.prepared(arch), build.texts()
     start, number = build.module(build.START), build.id_of(arch)
-    texts = {**texts, start: _start(sources[start])}
+    texts = {**ready.texts, start: _start(sources[start])}
     texts[HELPER] = sources[HELPER].replace(_MARK + _NOTHING, _MARK + number)
     moved = arch.startswith(_ARM)
     if moved:
         texts = {name: decorated(text) for name, text in texts.items()}
-    code = build.compiled(arch, texts, told=_file)
+    code = build.compiled(arch, ready._replace(texts=texts), told=_file)
     made = Build(arch, {}, board.ENGINE, number)
     for name in sorted(code):
         path = _file(name).removesuffix(".py") + ".mpy"

@@ -57,8 +57,7 @@ def pruned(sources: Mapping[str, str]) -> dict[str, str]:
         edits = []
         for node in ast.walk(trees[name]):
             if isinstance(node, _Import) and _is_ours(node, sources):
-                names = {a: (a.asname or a.name).partition(".")[0] for a in node.names}
-                gone = [alias for alias, name in names.items() if name not in used]
+                gone = [alias for alias in node.names if _bound(alias) not in used]
                 edits += [_Edit(node, _import(node, gone))] if gone else []
         found[name] = _apply(text, edits)
     return found
@@ -83,13 +82,15 @@ def _used(tree: ast.Module) -> Iterator[str]:
             yield node.id
 
 
+def _bound(alias: ast.alias) -> str:
+    """The name that an import makes."""
+    return (alias.asname or alias.name).partition(".")[0]
+
+
 def _is_ours(node: _Import, sources: Mapping[str, str]) -> bool:
     if isinstance(node, ast.ImportFrom):
-        return (
-            node.module in sources
-            or f"{node.module}.{node.names[0].name}" in sources
-            or (node.module == "micropython")
-        )
+        known = (node.module, *(f"{node.module}.{alias.name}" for alias in node.names))
+        return node.module == "micropython" or any(name in sources for name in known)
     return all(alias.name in sources for alias in node.names)
 
 
