@@ -369,6 +369,13 @@ def test_packages_of_one_file_that_another_board_had_go(made: build.Build) -> No
     assert put(board, made).removed == ["esp_chip/__init__.mpy"]
 
 
+def test_kernels_that_another_board_had_go_though_no_list_names_them(made: build.Build) -> None:
+    board = FakeBoard()
+    others = ["kernels/__init__.mpy", "kernels/extras_motors_jerk_kernel.mpy"]
+    board.disk.update(dict.fromkeys(others, b"M"))
+    assert put(board, made).removed == others
+
+
 def test_what_another_board_had_goes(made: build.Build) -> None:
     board = FakeBoard()
     put(board, changed(made, "esp_chip/rmt.mpy", "extras/tools/punch.mpy"))

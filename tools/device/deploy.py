@@ -141,9 +141,10 @@ def plan(made: Build, there: Mapping[str, str], before: Mapping[str, str]) -> Pl
     copy = [path for path in made.files if path not in same]
     sources = build.sources()
     # Earlier builds had one module of each folder.
-    packages = {f"{path.rpartition('/')[0]}/__init__.py" for path in (*sources, build.KERNELS)}
+    packages = {f"{path.rpartition('/')[0]}/__init__.py" for path in sources}
     names = {name.removesuffix(".py") for name in (*sources, *packages)}
     ours = {name + kind for name in names for kind in _KINDS}
+    ours |= {path for path in there if path.startswith(build.KERNELS)}
     stale = [
         path
         for path, checksum in there.items()
