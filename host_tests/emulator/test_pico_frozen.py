@@ -13,7 +13,7 @@ import pytest
 import uf2_model
 from chips import CHIP
 from emulated import BOARD_FILE, Board, firmware, frozen_in
-from test_deploy_emulated import deploy, pico
+from test_deploy_emulated import deploy, grbl, pico
 from ugrbl.compiling.build import for_board
 
 pytestmark = pytest.mark.xdist_group("frozen")
@@ -93,6 +93,8 @@ def test_a_deployment_takes_firmware_away_that_lies_there_as_files(
 ) -> None:
     made = for_board(BOARD_FILE)
     with pico(frozen_uf2, tmp_path, made) as port:
+        with grbl(port):
+            pass  # while it starts it hears nothing
         code, done = deploy(port)
     assert code == 0, done
     assert done["runs_frozen"] and done["copied"] == []
