@@ -14,11 +14,27 @@ import uf2_model
 from chips import CHIP
 from emulated import BOARD_FILE, Board, firmware, frozen_in
 from test_deploy_emulated import deploy, grbl, pico
+from ugrbl.compiling import build
 from ugrbl.compiling.build import for_board
 
 pytestmark = pytest.mark.xdist_group("frozen")
 
 _FREE = "import gc\ngc.collect()\nprint(gc.mem_free())"
+# Modules that this chip has no use for have names that begin with these.
+_ELSEWHERE = ("esp_chip", "boot.parts_esp", "main")
+_IMPORT = """
+NETWORK = "no module named 'socket'", "no module named 'network'"  # a Pico W has them
+import builtins, gc, sys
+before = {name: getattr(builtins, name) for name in dir(builtins)}
+for name in NAMES:
+    try:
+        __import__(name)
+    except ImportError as why:
+        if str(why) not in NETWORK:
+            raise
+    gc.collect()
+print([name for name in before if getattr(builtins, name) is not before[name]])
+"""
 _CUSTOM = b"""
 from ugrbl import mcode
 @mcode(100)
@@ -56,6 +72,13 @@ def test_it_starts_with_the_board_file_alone_and_takes_lines(frozen_uf2: Path) -
     assert board.status()["MPos"] == "4.500,0.000,0.000"
     assert sum(edge.pin == 2 and edge.level for edge in board.pico.edges) == 250 * (19 + 3.5)
     assert int(board.python(_FREE)) > 150_000
+
+
+def test_every_module_of_every_board_can_be_imported(frozen_uf2: Path) -> None:
+    names = [name for name in build.texts() if not name.startswith(_ELSEWHERE)]
+    assert len(names) > 100
+    board = Board(frozen_uf2).boot().settled()
+    assert board.python(f"NAMES = {names}\n{_IMPORT}").strip() == "[]"
 
 
 def test_a_limit_switch_stops_it(frozen_uf2: Path) -> None:
