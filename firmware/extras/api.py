@@ -11,7 +11,6 @@ from base import state as st
 from base.errors import GrblError
 from control.modes import MOTION
 from language import block_layout as b
-from language.checks import MOVE
 from micropython import const
 
 from extras.own_words import OwnWords
@@ -246,7 +245,7 @@ class Cnc:
     def behind_line(self, call: "Callable[[], object]") -> None:
         """Called when a line has asked for a motion of G0 to G3, and it has been planned."""
         self._hooks.moved += (call,)
-        self._machine.interpreter.watch(MOVE)
+        self._machine.interpreter.watch(b.MOVE)
 
     def before_lines(self, call: "Callable[[], object]") -> None:
         """Called at the loop's turns, between two lines; the next may have been found already."""

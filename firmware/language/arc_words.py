@@ -2,31 +2,14 @@
 """The words of an arc: from its target and offsets, or radius, to an Arc, checked as Grbl does."""
 
 import micropython
-from base.errors import (
-    GCODE_ARC_RADIUS_ERROR,
-    GCODE_INVALID_TARGET,
-    GCODE_NO_AXIS_WORDS,
-    GCODE_NO_AXIS_WORDS_IN_PLANE,
-    GCODE_NO_OFFSETS_IN_PLANE,
-)
+from base import errors
 from base.singles import MINUS, add_single, multiply, quotient, root
-from control.modes import INCHES, MOTION, PLANE
+from control import modes as mode
 from micropython import const
-from motion.arc_geometry import (
-    CENTRE_0,
-    CENTRE_1,
-    CLOCKWISE,
-    ONE_AXIS,
-    OTHER_AXIS,
-    RADIUS,
-    A,
-    B,
-    C,
-    length,
-    subtract,
-)
+from motion import arc_geometry as arc
+from motion.arc_geometry import length, subtract
 
-from language.block_layout import AXIS_WORDS, CW_ARC, INCH_MM, WORD_I, WORD_R, WORDS, I, R
+from language import block_layout as b
 
 # A target may be so far off an arc's circle, floats by their bits: 0.005 mm, or that part of the
 # radius, 0.001, up to 0.5 mm.
@@ -42,41 +25,41 @@ def find_arc(
 ) -> int:
     """Find plane, centre and radius of a block's arc from position to xyz. Returns what is wrong
     with it, or 0. r: the arc's numbers."""
-    words = ints[WORDS]
-    if words & AXIS_WORDS == 0:
-        return GCODE_NO_AXIS_WORDS
+    words = ints[b.WORDS]
+    if words & b.AXIS_WORDS == 0:
+        return errors.GCODE_NO_AXIS_WORDS
     # The axes of G17, G18, G19 are 0 and 1, 2 and 0, 1 and 2.
-    one = (3 - ints[PLANE]) % 3
+    one = (3 - ints[mode.PLANE]) % 3
     other = (one + 1) % 3
-    plane[ONE_AXIS] = one
-    plane[OTHER_AXIS] = other
-    plane[CLOCKWISE] = 1 if ints[MOTION] == CW_ARC else 0
+    plane[arc.ONE_AXIS] = one
+    plane[arc.OTHER_AXIS] = other
+    plane[arc.CLOCKWISE] = 1 if ints[mode.MOTION] == b.CW_ARC else 0
     if words & (1 << one | 1 << other) == 0:
-        return GCODE_NO_AXIS_WORDS_IN_PLANE
-    if words & WORD_R:
+        return errors.GCODE_NO_AXIS_WORDS_IN_PLANE
+    if words & b.WORD_R:
         return int(_by_radius(ints, singles, xyz, position, axes, plane, r))
-    if words & (WORD_I << one | WORD_I << other) == 0:
-        return GCODE_NO_OFFSETS_IN_PLANE
-    if ints[INCHES]:
-        multiply(singles, I + one, singles, INCH_MM)
-        multiply(singles, I + other, singles, INCH_MM)
-    r[CENTRE_0] = singles[I + one]
-    r[CENTRE_1] = singles[I + other]
-    r[RADIUS] = r[CENTRE_0]
-    r[A] = r[CENTRE_1]
-    length(r, RADIUS, A)
-    r[A] = xyz[one]
-    subtract(r, A, position, one)
-    subtract(r, A, r, CENTRE_0)
-    r[B] = xyz[other]
-    subtract(r, B, position, other)
-    subtract(r, B, r, CENTRE_1)
-    length(r, A, B)
-    subtract(r, A, r, RADIUS)
-    off = r[A] & int(0x7FFFFFFF)
-    r[B] = _PART
-    multiply(r, B, r, RADIUS)
-    return GCODE_INVALID_TARGET if off > _CLOSE and (off > _WORST or off > r[B]) else 0
+    if words & (b.WORD_I << one | b.WORD_I << other) == 0:
+        return errors.GCODE_NO_OFFSETS_IN_PLANE
+    if ints[mode.INCHES]:
+        multiply(singles, b.I + one, singles, b.INCH_MM)
+        multiply(singles, b.I + other, singles, b.INCH_MM)
+    r[arc.CENTRE_0] = singles[b.I + one]
+    r[arc.CENTRE_1] = singles[b.I + other]
+    r[arc.RADIUS] = r[arc.CENTRE_0]
+    r[arc.A] = r[arc.CENTRE_1]
+    length(r, arc.RADIUS, arc.A)
+    r[arc.A] = xyz[one]
+    subtract(r, arc.A, position, one)
+    subtract(r, arc.A, r, arc.CENTRE_0)
+    r[arc.B] = xyz[other]
+    subtract(r, arc.B, position, other)
+    subtract(r, arc.B, r, arc.CENTRE_1)
+    length(r, arc.A, arc.B)
+    subtract(r, arc.A, r, arc.RADIUS)
+    off = r[arc.A] & int(0x7FFFFFFF)
+    r[arc.B] = _PART
+    multiply(r, arc.B, r, arc.RADIUS)
+    return errors.GCODE_INVALID_TARGET if off > _CLOSE and (off > _WORST or off > r[arc.B]) else 0
 
 
 @micropython.viper
@@ -98,44 +81,44 @@ def _by_radius(
     counterclockwise arc of less than half a circle. R < 0 asks for the longer arc.
     """
     if int(is_there(position, xyz, axes)):
-        return GCODE_INVALID_TARGET
-    if ints[INCHES]:
-        multiply(singles, R, singles, INCH_MM)
+        return errors.GCODE_INVALID_TARGET
+    if ints[mode.INCHES]:
+        multiply(singles, b.R, singles, b.INCH_MM)
     # The chord, and its halves.
-    r[CENTRE_0] = xyz[plane[ONE_AXIS]]
-    subtract(r, CENTRE_0, position, plane[ONE_AXIS])
-    r[CENTRE_1] = xyz[plane[OTHER_AXIS]]
-    subtract(r, CENTRE_1, position, plane[OTHER_AXIS])
+    r[arc.CENTRE_0] = xyz[plane[arc.ONE_AXIS]]
+    subtract(r, arc.CENTRE_0, position, plane[arc.ONE_AXIS])
+    r[arc.CENTRE_1] = xyz[plane[arc.OTHER_AXIS]]
+    subtract(r, arc.CENTRE_1, position, plane[arc.OTHER_AXIS])
     # Four times the radius squared, less the chord squared.
-    r[RADIUS] = singles[R] & int(0x7FFFFFFF)
-    r[A] = r[RADIUS]
-    multiply(r, A, r, A)
-    r[B] = int(0x40800000)  # the float 4
-    multiply(r, A, r, B)
-    r[B] = r[CENTRE_0]
-    multiply(r, B, r, B)
-    r[C] = r[CENTRE_1]
-    multiply(r, C, r, C)
-    subtract(r, A, r, B)
-    subtract(r, A, r, C)
-    if ptr8(r)[4 * A + 3] & MINUS:
-        return GCODE_ARC_RADIUS_ERROR
+    r[arc.RADIUS] = singles[b.R] & int(0x7FFFFFFF)
+    r[arc.A] = r[arc.RADIUS]
+    multiply(r, arc.A, r, arc.A)
+    r[arc.B] = int(0x40800000)  # the float 4
+    multiply(r, arc.A, r, arc.B)
+    r[arc.B] = r[arc.CENTRE_0]
+    multiply(r, arc.B, r, arc.B)
+    r[arc.C] = r[arc.CENTRE_1]
+    multiply(r, arc.C, r, arc.C)
+    subtract(r, arc.A, r, arc.B)
+    subtract(r, arc.A, r, arc.C)
+    if ptr8(r)[4 * arc.A + 3] & MINUS:
+        return errors.GCODE_ARC_RADIUS_ERROR
     # How far the centre lies from the chord's middle, as a part of half the chord.
-    add_single(r, C, r, B)
-    root(r, A)
-    root(r, B)
-    if r[B]:
-        quotient(r, A, r, B)
+    add_single(r, arc.C, r, arc.B)
+    root(r, arc.A)
+    root(r, arc.B)
+    if r[arc.B]:
+        quotient(r, arc.A, r, arc.B)
     else:
-        r[A] = 0
-    if (ptr8(singles)[4 * R + 3] >> 7) != plane[CLOCKWISE]:
-        ptr8(r)[4 * A + 3] ^= MINUS
-    r[B] = r[CENTRE_1]
-    multiply(r, B, r, A)
-    multiply(r, A, r, CENTRE_0)
-    subtract(r, CENTRE_0, r, B)
-    add_single(r, A, r, CENTRE_1)
-    r[A] = _HALF
-    multiply(r, CENTRE_0, r, A)
-    multiply(r, CENTRE_1, r, A)
+        r[arc.A] = 0
+    if (ptr8(singles)[4 * b.R + 3] >> 7) != plane[arc.CLOCKWISE]:
+        ptr8(r)[4 * arc.A + 3] ^= MINUS
+    r[arc.B] = r[arc.CENTRE_1]
+    multiply(r, arc.B, r, arc.A)
+    multiply(r, arc.A, r, arc.CENTRE_0)
+    subtract(r, arc.CENTRE_0, r, arc.B)
+    add_single(r, arc.A, r, arc.CENTRE_1)
+    r[arc.A] = _HALF
+    multiply(r, arc.CENTRE_0, r, arc.A)
+    multiply(r, arc.CENTRE_1, r, arc.A)
     return 0

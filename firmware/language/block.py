@@ -8,82 +8,16 @@ word. Refuses what is wrong with words as such: unknown ones, two of a group, on
 from array import array
 
 import micropython
-from base.errors import (
-    GCODE_AXIS_COMMAND_CONFLICT,
-    GCODE_COMMAND_VALUE_NOT_INTEGER,
-    GCODE_MAX_VALUE_EXCEEDED,
-    GCODE_MODAL_GROUP_VIOLATION,
-    GCODE_UNSUPPORTED_COMMAND,
-    GCODE_WORD_REPEATED,
-    NEGATIVE_VALUE,
-)
+from base import errors
 from base.f32 import f32, vector, whole
-from control.modes import (
-    COOLANT,
-    INCHES,
-    INVERSE_TIME,
-    MODAL_ROOM,
-    MOTION,
-    OVERRIDE_CONTROL,
-    PLANE,
-    PROGRAM_FLOW,
-    RELATIVE,
-    SPINDLE,
-    SYSTEM,
-    TOOL_LENGTH,
-)
+from control import modes as mode
 from micropython import const
 from motion.arc_geometry import Arc
 
-from language.block_layout import (
-    ABSOLUTE_OVERRIDE,
-    ASKED,
-    AXES_MOTION,
-    AXES_NON_MODAL,
-    AXES_TOOL_LENGTH,
-    AXES_UNCLAIMED,
-    CCW_ARC,
-    CLAIM,
-    COMMANDS,
-    CW_ARC,
-    DWELL,
-    END_M2,
-    END_M30,
-    GO_G28,
-    GO_G30,
-    GROUP_0,
-    GROUP_1,
-    GROUP_2,
-    GROUP_3,
-    GROUP_4,
-    GROUP_5,
-    GROUP_6,
-    GROUP_7,
-    GROUP_8,
-    GROUP_12,
-    GROUP_13,
-    GROUP_M4,
-    GROUP_M7,
-    GROUP_M8,
-    GROUP_M9,
-    HIGHEST_TOOL,
-    INCH_MM,
-    LINEAR,
-    NO_MOTION,
-    NON_MODAL,
-    PAUSED,
-    POWERS,
-    RUNNING,
-    SEEK,
-    SET_COORDS,
-    SET_G92,
-    SINGLES,
-    TOOL_LIMIT,
-    WORDS,
-)
+from language import block_layout as b
 from language.words import DOTS, LINE_LENGTH, Words, scan
 
-assert ASKED < MODAL_ROOM, "there is no room behind the modal state"
+assert b.POWERS < mode.MODAL_ROOM, "there is no room behind the modal state"
 
 _BEYOND = 2147483648.0
 
@@ -117,7 +51,7 @@ dictionary = bytearray(ROW)  # the first row is no word's
 
 
 def add_word(
-    at: int, group: int, place: int, setting: int, claim: int = AXES_UNCLAIMED, decimals: int = 0
+    at: int, group: int, place: int, setting: int, claim: int = b.AXES_UNCLAIMED, decimals: int = 0
 ) -> None:
     """Put a word into the dictionary: a G number, or an M number behind M_WORDS."""
     index[at] = len(dictionary) // ROW
@@ -125,48 +59,50 @@ def add_word(
 
 
 # By calls, for rows that are constants would stay in memory beside their copy.
-add_word(0, GROUP_1, MOTION, SEEK, AXES_MOTION)
-add_word(1, GROUP_1, MOTION, LINEAR, AXES_MOTION)
-add_word(2, GROUP_1, MOTION, CW_ARC, AXES_MOTION)
-add_word(3, GROUP_1, MOTION, CCW_ARC, AXES_MOTION)
-add_word(4, GROUP_0, NOWHERE, DWELL)
-add_word(10, GROUP_0, NOWHERE, SET_COORDS, AXES_NON_MODAL)
-add_word(17, GROUP_2, PLANE, 0)
-add_word(18, GROUP_2, PLANE, 1)
-add_word(19, GROUP_2, PLANE, 2)
-add_word(20, GROUP_6, INCHES, 1)
-add_word(21, GROUP_6, INCHES, 0)
-add_word(28, GROUP_0, NOWHERE, GO_G28, AXES_NON_MODAL, OTHERS | 0b10)
-add_word(30, GROUP_0, NOWHERE, GO_G30, AXES_NON_MODAL, OTHERS | 0b10)
-add_word(38, GROUP_1, MOTION, 38, AXES_MOTION, OTHERS | NEEDED | 0b111100)
-add_word(40, GROUP_7, NOWHERE, 0)
-add_word(43, GROUP_8, TOOL_LENGTH, 1, AXES_TOOL_LENGTH, OTHERS | NEEDED | 0b10)
-add_word(49, GROUP_8, TOOL_LENGTH, 0, AXES_TOOL_LENGTH)
-add_word(53, GROUP_0, NOWHERE, ABSOLUTE_OVERRIDE)
-add_word(54, GROUP_12, SYSTEM, 0)
-add_word(55, GROUP_12, SYSTEM, 1)
-add_word(56, GROUP_12, SYSTEM, 2)
-add_word(57, GROUP_12, SYSTEM, 3)
-add_word(58, GROUP_12, SYSTEM, 4)
-add_word(59, GROUP_12, SYSTEM, 5)
-add_word(61, GROUP_13, NOWHERE, 0, AXES_UNCLAIMED, OTHERS)
-add_word(80, GROUP_1, MOTION, NO_MOTION)
-add_word(90, GROUP_3, RELATIVE, 0, AXES_UNCLAIMED, OTHERS)
-add_word(91, GROUP_3, RELATIVE, 1, AXES_UNCLAIMED, OTHERS | 0b10)
-add_word(92, GROUP_0, NOWHERE, SET_G92, AXES_NON_MODAL, OTHERS | 0b10)
-add_word(93, GROUP_5, INVERSE_TIME, 1)
-add_word(94, GROUP_5, INVERSE_TIME, 0)
-add_word(M_WORDS + 0, GROUP_M4, PROGRAM_FLOW, PAUSED)
-add_word(M_WORDS + 1, GROUP_M4, PROGRAM_FLOW, RUNNING)  # optional stop: there is no switch for it
-add_word(M_WORDS + 2, GROUP_M4, PROGRAM_FLOW, END_M2)
-add_word(M_WORDS + 30, GROUP_M4, PROGRAM_FLOW, END_M30)
-add_word(M_WORDS + 3, GROUP_M7, SPINDLE, 0x10)
-add_word(M_WORDS + 4, GROUP_M7, SPINDLE, 0x20)
-add_word(M_WORDS + 5, GROUP_M7, SPINDLE, 0)
-add_word(M_WORDS + 7, GROUP_M8, COOLANT, 2)
-add_word(M_WORDS + 8, GROUP_M8, COOLANT, 1)
-add_word(M_WORDS + 9, GROUP_M8, COOLANT, 0)
-add_word(M_WORDS + 56, GROUP_M9, OVERRIDE_CONTROL, 1)
+add_word(0, b.GROUP_1, mode.MOTION, b.SEEK, b.AXES_MOTION)
+add_word(1, b.GROUP_1, mode.MOTION, b.LINEAR, b.AXES_MOTION)
+add_word(2, b.GROUP_1, mode.MOTION, b.CW_ARC, b.AXES_MOTION)
+add_word(3, b.GROUP_1, mode.MOTION, b.CCW_ARC, b.AXES_MOTION)
+add_word(4, b.GROUP_0, NOWHERE, b.DWELL)
+add_word(10, b.GROUP_0, NOWHERE, b.SET_COORDS, b.AXES_NON_MODAL)
+add_word(17, b.GROUP_2, mode.PLANE, 0)
+add_word(18, b.GROUP_2, mode.PLANE, 1)
+add_word(19, b.GROUP_2, mode.PLANE, 2)
+add_word(20, b.GROUP_6, mode.INCHES, 1)
+add_word(21, b.GROUP_6, mode.INCHES, 0)
+add_word(28, b.GROUP_0, NOWHERE, b.GO_G28, b.AXES_NON_MODAL, OTHERS | 0b10)
+add_word(30, b.GROUP_0, NOWHERE, b.GO_G30, b.AXES_NON_MODAL, OTHERS | 0b10)
+add_word(38, b.GROUP_1, mode.MOTION, 38, b.AXES_MOTION, OTHERS | NEEDED | 0b111100)
+add_word(40, b.GROUP_7, NOWHERE, 0)
+add_word(43, b.GROUP_8, mode.TOOL_LENGTH, 1, b.AXES_TOOL_LENGTH, OTHERS | NEEDED | 0b10)
+add_word(49, b.GROUP_8, mode.TOOL_LENGTH, 0, b.AXES_TOOL_LENGTH)
+add_word(53, b.GROUP_0, NOWHERE, b.ABSOLUTE_OVERRIDE)
+add_word(54, b.GROUP_12, mode.SYSTEM, 0)
+add_word(55, b.GROUP_12, mode.SYSTEM, 1)
+add_word(56, b.GROUP_12, mode.SYSTEM, 2)
+add_word(57, b.GROUP_12, mode.SYSTEM, 3)
+add_word(58, b.GROUP_12, mode.SYSTEM, 4)
+add_word(59, b.GROUP_12, mode.SYSTEM, 5)
+add_word(61, b.GROUP_13, NOWHERE, 0, b.AXES_UNCLAIMED, OTHERS)
+add_word(80, b.GROUP_1, mode.MOTION, b.NO_MOTION)
+add_word(90, b.GROUP_3, mode.RELATIVE, 0, b.AXES_UNCLAIMED, OTHERS)
+add_word(91, b.GROUP_3, mode.RELATIVE, 1, b.AXES_UNCLAIMED, OTHERS | 0b10)
+add_word(92, b.GROUP_0, NOWHERE, b.SET_G92, b.AXES_NON_MODAL, OTHERS | 0b10)
+add_word(93, b.GROUP_5, mode.INVERSE_TIME, 1)
+add_word(94, b.GROUP_5, mode.INVERSE_TIME, 0)
+add_word(M_WORDS + 0, b.GROUP_M4, mode.PROGRAM_FLOW, b.PAUSED)
+add_word(
+    M_WORDS + 1, b.GROUP_M4, mode.PROGRAM_FLOW, b.RUNNING
+)  # optional stop: there is no switch for it
+add_word(M_WORDS + 2, b.GROUP_M4, mode.PROGRAM_FLOW, b.END_M2)
+add_word(M_WORDS + 30, b.GROUP_M4, mode.PROGRAM_FLOW, b.END_M30)
+add_word(M_WORDS + 3, b.GROUP_M7, mode.SPINDLE, 0x10)
+add_word(M_WORDS + 4, b.GROUP_M7, mode.SPINDLE, 0x20)
+add_word(M_WORDS + 5, b.GROUP_M7, mode.SPINDLE, 0)
+add_word(M_WORDS + 7, b.GROUP_M8, mode.COOLANT, 2)
+add_word(M_WORDS + 8, b.GROUP_M8, mode.COOLANT, 1)
+add_word(M_WORDS + 9, b.GROUP_M8, mode.COOLANT, 0)
+add_word(M_WORDS + 56, b.GROUP_M9, mode.OVERRIDE_CONTROL, 1)
 for _bit in range(len(VALUE_LETTERS)):
     index[_INDEXED + VALUE_LETTERS[_bit] - 65] = _bit
 
@@ -192,18 +128,18 @@ def byte(value: int, top: int) -> int:
 def enter(place: int, setting: int, claim: int, group: int, ints: ptr32) -> int:
     """Take in a G or M word by what the dictionary says of it. Returns what is wrong with it."""
     if claim:
-        if ints[CLAIM]:
-            return GCODE_AXIS_COMMAND_CONFLICT
-        ints[CLAIM] = claim
-    if group == GROUP_0:
-        ints[NON_MODAL] = setting
+        if ints[b.CLAIM]:
+            return errors.GCODE_AXIS_COMMAND_CONFLICT
+        ints[b.CLAIM] = claim
+    if group == b.GROUP_0:
+        ints[b.NON_MODAL] = setting
     elif place != NOWHERE:
-        if group == GROUP_M8 and setting:
+        if group == b.GROUP_M8 and setting:
             setting |= ints[place]  # M7 and M8 add up
         ints[place] = setting
-    if ints[COMMANDS] & group:
-        return GCODE_MODAL_GROUP_VIOLATION
-    ints[COMMANDS] = ints[COMMANDS] | group
+    if ints[b.COMMANDS] & group:
+        return errors.GCODE_MODAL_GROUP_VIOLATION
+    ints[b.COMMANDS] = ints[b.COMMANDS] | group
     return 0
 
 
@@ -245,18 +181,18 @@ def take(
         else:
             bit = at[_INDEXED + letter - 65]
             if bit == _NO_LETTER:
-                return GCODE_UNSUPPORTED_COMMAND
+                return errors.GCODE_UNSUPPORTED_COMMAND
             if bit <= _BIT_C:
                 xyz[bit] = value
             else:
                 singles[bit - _BIT_I] = value
-            if bit == _BIT_T and top < 128 and value > singles[TOOL_LIMIT]:
-                wrong = GCODE_MAX_VALUE_EXCEEDED
-            elif (ints[WORDS] >> bit) & 1:
-                wrong = GCODE_WORD_REPEATED
+            if bit == _BIT_T and top < 128 and value > singles[b.TOOL_LIMIT]:
+                wrong = errors.GCODE_MAX_VALUE_EXCEEDED
+            elif (ints[b.WORDS] >> bit) & 1:
+                wrong = errors.GCODE_WORD_REPEATED
             elif (_NOT_NEGATIVE >> bit) & 1 and top > 127 and (top > 128 or value & 0xFFFFFF):
-                wrong = NEGATIVE_VALUE
-            ints[WORDS] = ints[WORDS] | (1 << bit)
+                wrong = errors.NEGATIVE_VALUE
+            ints[b.WORDS] = ints[b.WORDS] | (1 << bit)
         i += 1
     return wrong
 
@@ -281,7 +217,7 @@ def read(
     dots = ptr32(_dots)
     found = int(scan(line, span, letters, values, dots))
     _begin(ints, xyz, axes, singles, modal)
-    ints[POWERS] = dots[DOTS]
+    ints[b.POWERS] = dots[DOTS]
     count = found & 255
     wrong = int(
         take(letters, values, count, ptr8(index), ptr8(rows), ints, xyz, singles, take_odd)
@@ -294,9 +230,9 @@ def _begin(ints: ptr32, xyz: ptr32, axes: int, singles: ptr32, modal: ptr32) -> 
     """Make a block empty, in a modal state."""
     for i in range(axes):
         xyz[i] = 0
-    for i in range(TOOL_LIMIT):
+    for i in range(b.TOOL_LIMIT):
         singles[i] = 0
-    for i in range(MODAL_ROOM):
+    for i in range(mode.MODAL_ROOM):
         ints[i] = modal[i]
     return 0
 
@@ -309,15 +245,15 @@ class Block:
         axes: int,
         has_mist: bool,
         has_override_control: bool,
-        highest_tool: int = HIGHEST_TOOL,
+        highest_tool: int = b.HIGHEST_TOOL,
         longest: int = LINE_LENGTH,
         dots: int = 0,
     ) -> None:
-        self.ints = array("i", (0 for _ in range(MODAL_ROOM)))
+        self.ints = array("i", (0 for _ in range(mode.MODAL_ROOM)))
         self.axes = axes
         self.xyz = vector(axes)
-        self.singles = vector(SINGLES)
-        self.singles[TOOL_LIMIT], self.singles[INCH_MM] = highest_tool, 25.4
+        self.singles = vector(b.SINGLES)
+        self.singles[b.TOOL_LIMIT], self.singles[b.INCH_MM] = highest_tool, 25.4
         # What the checks find: the arc, and what G10, G28 and G30 are to keep or go to.
         self.arc = Arc()
         self.stored = vector(axes)
@@ -340,7 +276,7 @@ class Block:
     def add_motion(self, number: int) -> None:
         """Take this G number for a motion mode. Other blocks do not know it."""
         self._index[number] = len(self._rows) // ROW
-        row = bytes((MOTION, number, AXES_MOTION, 0, GROUP_1, 0))
+        row = bytes((mode.MOTION, number, b.AXES_MOTION, 0, b.GROUP_1, 0))
         self._use(self._rows + row)
 
     def _take_odd(self, i: int) -> int:
@@ -352,30 +288,30 @@ class Block:
         at, end = number, M_WORDS
         if self._words.letters[i] == 77:
             if hundredths:
-                return GCODE_COMMAND_VALUE_NOT_INTEGER
+                return errors.GCODE_COMMAND_VALUE_NOT_INTEGER
             at, end = number + M_WORDS, _INDEXED
         row = self._index[at] if at < end else 0
         if not row:
-            return GCODE_UNSUPPORTED_COMMAND
+            return errors.GCODE_UNSUPPORTED_COMMAND
         return self._enter_odd(self._rows[ROW * row :], number, hundredths)
 
     def _enter_odd(self, row: bytearray, number: int, hundredths: int) -> int:
         place, setting, claim, decimals = row[0], row[SETTING], row[_CLAIM], row[_DECIMALS]
         group = row[GROUP] | row[GROUP + 1] << 8
-        if hundredths and claim == AXES_NON_MODAL:  # G28.1, G30.1, G92.1
-            claim = AXES_UNCLAIMED
+        if hundredths and claim == b.AXES_NON_MODAL:  # G28.1, G30.1, G92.1
+            claim = b.AXES_UNCLAIMED
             setting += hundredths
-        if claim and self.ints[CLAIM]:
-            return GCODE_AXIS_COMMAND_CONFLICT
+        if claim and self.ints[b.CLAIM]:
+            return errors.GCODE_AXIS_COMMAND_CONFLICT
         if (hundredths and decimals & OTHERS) or decimals & NEEDED:
             if hundredths % 10 or not (decimals & TENTHS) >> hundredths // 10 & 1:
-                return GCODE_UNSUPPORTED_COMMAND
+                return errors.GCODE_UNSUPPORTED_COMMAND
             if number == 91:
-                group, place = GROUP_4, NOWHERE  # G91.1: arc distance is always relative
+                group, place = b.GROUP_4, NOWHERE  # G91.1: arc distance is always relative
             elif number == 38:
                 setting += hundredths + 100
         elif hundredths and number != 49:
-            return GCODE_COMMAND_VALUE_NOT_INTEGER
+            return errors.GCODE_COMMAND_VALUE_NOT_INTEGER
         return enter(place, setting, claim, group, self.ints)
 
 

@@ -50,19 +50,35 @@ NON_MODAL = const(MODAL_LENGTH + 2)
 CLAIM = const(MODAL_LENGTH + 3)  # who uses the axis words
 INDEX = const(MODAL_LENGTH + 4)  # of the coordinate system that G10 writes
 POWERS = const(MODAL_LENGTH + 5)  # how many S has, where those are dots; see words.py
-ASKED = const(MODAL_LENGTH + 6)  # what check() has found; 0: nothing has been checked
+
+# What a checked block asks for, a bit each; see checks.check().
+SPEED = const(0x001)
+SET_TOOL = const(0x002)
+ACCESSORIES = const(0x004)
+OFFSETS = const(0x008)
+COMMAND = const(0x010)  # one that is not modal
+MOVE = const(0x020)
+FLOW = const(0x040)
+SPECIAL = const(0x080)  # its motion is an arc, or a probe's
+# Laser mode: what it means for the beam.
+DARK = const(0x100)  # it is no cutting motion
+IN_MOTION = const(0x200)  # S goes with the motion
+SYNC = const(0x400)  # the beam changes though nothing moves
+CHECKED = const(0x800)  # always there
 
 # What kernels are told of the machine, by place in Interpreter.machine: how many axes; which of
 # them have numbers in mm or inches (a mask); the tool's; whether kernels may execute lines; what
-# of a line somebody in Python is to see first (a mask of what check() finds); and how many lines
-# may be done before the loop has its turn.
+# of a line somebody in Python is to see first (a mask of what check() finds); how many lines may
+# be done before the loop has its turn; and what check() has found last, 0 where nothing has been
+# checked since.
 AXES = const(0)
 LENGTHS = const(1)
 LENGTH_AXIS = const(2)
 IS_OPEN = const(3)
 WATCHED = const(4)
 LINES_LEFT = const(5)
-MACHINE_LENGTH = const(6)
+ASKED = const(6)
+MACHINE_LENGTH = const(7)
 
 # The numbers of a line, by place in Block.singles; axis words are in Block.xyz.
 I = const(0)  # noqa: E741 (the letter of the word); J and K behind it

@@ -8,104 +8,18 @@ are the standard's.
 """
 
 import micropython
-from base.errors import (
-    GCODE_AXIS_WORDS_EXIST,
-    GCODE_G43_DYNAMIC_AXIS_ERROR,
-    GCODE_G53_INVALID_MOTION_MODE,
-    GCODE_INVALID_LINE_NUMBER,
-    GCODE_INVALID_TARGET,
-    GCODE_NO_AXIS_WORDS,
-    GCODE_UNDEFINED_FEED_RATE,
-    GCODE_UNSUPPORTED_COMMAND,
-    GCODE_UNSUPPORTED_COORD_SYS,
-    GCODE_UNUSED_WORDS,
-    GCODE_VALUE_WORD_MISSING,
-    INVALID_JOG_COMMAND,
-)
+from base import errors
 from base.singles import add_single, multiply, whole_part
+from control import modes as mode
 from control.coords import G28, G30, G92, SYSTEMS
-from control.modes import (
-    COOLANT,
-    FEED,
-    INCHES,
-    INVERSE_TIME,
-    MOTION,
-    OVERRIDE_CONTROL,
-    PROGRAM_FLOW,
-    RELATIVE,
-    RPM,
-    SPINDLE,
-    SYSTEM,
-    TOOL_LENGTH,
-)
 from micropython import const
 from motion.arc_geometry import subtract
 from motion.planner import SPINDLE_CW
 
+from language import block_layout as b
 from language.arc_words import find_arc, is_there
-from language.block_layout import (
-    ABSOLUTE_OVERRIDE,
-    AXES,
-    AXES_MOTION,
-    AXES_TOOL_LENGTH,
-    AXES_UNCLAIMED,
-    AXIS_WORDS,
-    CCW_ARC,
-    CLAIM,
-    COMMANDS,
-    CW_ARC,
-    DWELL,
-    GO_G28,
-    GO_G30,
-    GROUP_0,
-    GROUP_3,
-    GROUP_6,
-    GROUP_M9,
-    INCH_MM,
-    INDEX,
-    LENGTH_AXIS,
-    LENGTHS,
-    LINEAR,
-    MOTION_WORDS,
-    NO_MOTION,
-    NON_MODAL,
-    PROBE_TOWARD,
-    SCRATCH,
-    SEEK,
-    SET_COORDS,
-    SET_G92,
-    WORD_F,
-    WORD_IJK,
-    WORD_L,
-    WORD_N,
-    WORD_P,
-    WORD_R,
-    WORD_S,
-    WORD_T,
-    WORDS,
-    F,
-    L,
-    N,
-    P,
-    S,
-)
 
-# What a checked block asks for, a bit each.
-SPEED = const(0x001)
-SET_TOOL = const(0x002)
-ACCESSORIES = const(0x004)
-OFFSETS = const(0x008)
-COMMAND = const(0x010)  # one that is not modal
-MOVE = const(0x020)
-FLOW = const(0x040)
-SPECIAL = const(0x080)  # its motion is an arc, or a probe's
-# Laser mode: what it means for the beam.
-DARK = const(0x100)  # it is no cutting motion
-IN_MOTION = const(0x200)  # S goes with the motion
-SYNC = const(0x400)  # the beam changes though nothing moves
-CHECKED = const(0x800)  # always there
-
-_CUTS = const(1 << LINEAR | 1 << CW_ARC | 1 << CCW_ARC)
+_CUTS = const(1 << b.LINEAR | 1 << b.CW_ARC | 1 << b.CCW_ARC)
 
 
 @micropython.viper
@@ -127,78 +41,78 @@ def check(
     """Check a block that begins with that modal state. Returns what it asks for, the bits above,
     or below 0 what is wrong with it. laser: the machine is in laser mode; jog: it is a line of
     $J=; stored, plane, arc: a block's."""
-    words = ints[WORDS]
-    if ints[CLAIM] == AXES_UNCLAIMED and words & AXIS_WORDS:
-        ints[CLAIM] = AXES_MOTION
-    if singles[N] & int(0x7FFFFFFF) > int(0x4B189680):  # the float 10,000,000
-        return 0 - GCODE_INVALID_LINE_NUMBER
+    words = ints[b.WORDS]
+    if ints[b.CLAIM] == b.AXES_UNCLAIMED and words & b.AXIS_WORDS:
+        ints[b.CLAIM] = b.AXES_MOTION
+    if singles[b.N] & int(0x7FFFFFFF) > int(0x4B189680):  # the float 10,000,000
+        return 0 - errors.GCODE_INVALID_LINE_NUMBER
     # 3.5.19: feed rate, and how it is meant.
     wrong = int(_rate(ints, singles, modal, rates, jog))
     if wrong:
         return 0 - wrong
-    if words & WORD_S == 0:
-        singles[S] = rates[RPM]
-    used = WORD_N | WORD_F if jog else WORD_N | WORD_F | WORD_S | WORD_T
-    if ints[COMMANDS] & GROUP_M9:
+    if words & b.WORD_S == 0:
+        singles[b.S] = rates[mode.RPM]
+    used = b.WORD_N | b.WORD_F if jog else b.WORD_N | b.WORD_F | b.WORD_S | b.WORD_T
+    if ints[b.COMMANDS] & b.GROUP_M9:
         # Grbl's own: M56 P0 takes parking out of action, M56 or M56 P1 puts it back.
-        ints[OVERRIDE_CONTROL] = 1
-        if words & WORD_P and singles[P] & int(0x7FFFFFFF) == 0:
-            ints[OVERRIDE_CONTROL] = 0
-        used |= WORD_P
-    if ints[NON_MODAL] == DWELL:  # 3.5.4
-        used |= WORD_P
-        if words & WORD_P == 0:
-            return 0 - GCODE_VALUE_WORD_MISSING
-    if ints[INCHES]:
+        ints[mode.OVERRIDE_CONTROL] = 1
+        if words & b.WORD_P and singles[b.P] & int(0x7FFFFFFF) == 0:
+            ints[mode.OVERRIDE_CONTROL] = 0
+        used |= b.WORD_P
+    if ints[b.NON_MODAL] == b.DWELL:  # 3.5.4
+        used |= b.WORD_P
+        if words & b.WORD_P == 0:
+            return 0 - errors.GCODE_VALUE_WORD_MISSING
+    if ints[mode.INCHES]:
         _in_mm(xyz, machine, singles)
-    if ints[CLAIM] == AXES_TOOL_LENGTH and ints[TOOL_LENGTH]:  # G43.1: Grbl's, for 3.5.11
-        if words & AXIS_WORDS != 1 << machine[LENGTH_AXIS]:
-            return 0 - GCODE_G43_DYNAMIC_AXIS_ERROR
+    if ints[b.CLAIM] == b.AXES_TOOL_LENGTH and ints[mode.TOOL_LENGTH]:  # G43.1: Grbl's, for 3.5.11
+        if words & b.AXIS_WORDS != 1 << machine[b.LENGTH_AXIS]:
+            return 0 - errors.GCODE_G43_DYNAMIC_AXIS_ERROR
     found = int(_places(ints, singles, xyz, position, offsets, machine, stored))
     if found < 0:
         return found
     used |= found
-    found = int(_motion(ints, singles, xyz, position, machine[AXES], plane, arc))
+    found = int(_motion(ints, singles, xyz, position, machine[b.AXES], plane, arc))
     if found < 0:
         return found
-    used |= found | (AXIS_WORDS if ints[CLAIM] else 0)
+    used |= found | (b.AXIS_WORDS if ints[b.CLAIM] else 0)
     if words & ~used:
-        return 0 - GCODE_UNUSED_WORDS
+        return 0 - errors.GCODE_UNUSED_WORDS
     if jog:
-        plain = ints[NON_MODAL] == 0 or ints[NON_MODAL] == ABSOLUTE_OVERRIDE
-        if ints[COMMANDS] & ~(GROUP_0 | GROUP_3 | GROUP_6) or not plain:
-            return 0 - INVALID_JOG_COMMAND
+        plain = ints[b.NON_MODAL] == 0 or ints[b.NON_MODAL] == b.ABSOLUTE_OVERRIDE
+        if ints[b.COMMANDS] & ~(b.GROUP_0 | b.GROUP_3 | b.GROUP_6) or not plain:
+            return 0 - errors.INVALID_JOG_COMMAND
     return int(_asked(ints, singles, modal, rates, laser))
 
 
 @micropython.viper
 def _rate(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, jog: int) -> int:
     """Find F of a block, as it will be in force. Returns what is wrong with it, or 0."""
-    has_f = ints[WORDS] & WORD_F
-    motion = ints[MOTION]
+    has_f = ints[b.WORDS] & b.WORD_F
+    motion = ints[mode.MOTION]
     if jog:
         if has_f == 0:
-            return GCODE_UNDEFINED_FEED_RATE
-        if ints[INCHES]:
-            multiply(singles, F, singles, INCH_MM)
-    elif ints[INVERSE_TIME]:
-        cuts = motion != SEEK and motion != NO_MOTION  # noqa: PLR1714 (a viper cannot ask `in`)
-        if ints[CLAIM] == AXES_MOTION and cuts and has_f == 0:
-            return GCODE_UNDEFINED_FEED_RATE
-    elif modal[INVERSE_TIME] == 0:
+            return errors.GCODE_UNDEFINED_FEED_RATE
+        if ints[mode.INCHES]:
+            multiply(singles, b.F, singles, b.INCH_MM)
+    elif ints[mode.INVERSE_TIME]:
+        cuts = motion != b.SEEK and motion != b.NO_MOTION  # noqa: PLR1714 (a viper cannot ask `in`)
+        if ints[b.CLAIM] == b.AXES_MOTION and cuts and has_f == 0:
+            return errors.GCODE_UNDEFINED_FEED_RATE
+    elif modal[mode.INVERSE_TIME] == 0:
         if has_f == 0:
-            singles[F] = rates[FEED]
-        elif ints[INCHES]:
-            multiply(singles, F, singles, INCH_MM)
+            singles[b.F] = rates[mode.FEED]
+        elif ints[mode.INCHES]:
+            multiply(singles, b.F, singles, b.INCH_MM)
     return 0
 
 
 @micropython.viper
 def _in_mm(xyz: ptr32, machine: ptr32, singles: ptr32) -> int:
     """Inches to mm, of the axes that are lengths."""
-    for i in range(machine[AXES]):
-        if (machine[LENGTHS] >> i) & 1:
-            multiply(xyz, i, singles, INCH_MM)
+    for i in range(machine[b.AXES]):
+        if (machine[b.LENGTHS] >> i) & 1:
+            multiply(xyz, i, singles, b.INCH_MM)
     return 0
 
 
@@ -214,26 +128,28 @@ def _places(
 ) -> int:
     """What the axis words mean: a target, or offsets. Returns the value words used for it, or
     below 0 what is wrong."""
-    command = ints[NON_MODAL]
-    axis_words = ints[WORDS] & AXIS_WORDS
-    if command != SET_COORDS and command != SET_G92:  # noqa: PLR1714 (a viper cannot ask `in`)
-        if axis_words and ints[CLAIM] != AXES_TOOL_LENGTH:
+    command = ints[b.NON_MODAL]
+    axis_words = ints[b.WORDS] & b.AXIS_WORDS
+    if command != b.SET_COORDS and command != b.SET_G92:  # noqa: PLR1714 (a viper cannot ask `in`)
+        if axis_words and ints[b.CLAIM] != b.AXES_TOOL_LENGTH:
             _target(ints, singles, xyz, position, offsets, machine)
         if command == 0:
             return 0
-        if command == ABSOLUTE_OVERRIDE and ints[MOTION] > LINEAR:  # 3.5.12: with G0 and G1 only
-            return 0 - GCODE_G53_INVALID_MOTION_MODE
-    axes = machine[AXES]
-    if command == SET_COORDS:
+        if (
+            command == b.ABSOLUTE_OVERRIDE and ints[mode.MOTION] > b.LINEAR
+        ):  # 3.5.12: with G0 and G1 only
+            return 0 - errors.GCODE_G53_INVALID_MOTION_MODE
+    axes = machine[b.AXES]
+    if command == b.SET_COORDS:
         return int(_set_coords(ints, singles, xyz, stored, position, offsets, machine))
-    if command == SET_G92:
+    if command == b.SET_G92:
         if axis_words == 0:
-            return 0 - GCODE_NO_AXIS_WORDS
-        system = ints[SYSTEM] * axes
+            return 0 - errors.GCODE_NO_AXIS_WORDS
+        system = ints[mode.SYSTEM] * axes
         _offset(ints, singles, xyz, position, offsets, machine, system, G92 * axes, xyz)
-    elif command == GO_G28:
+    elif command == b.GO_G28:
         _where_stored(ints, stored, position, offsets, G28, axes)
-    elif command == GO_G30:
+    elif command == b.GO_G30:
         _where_stored(ints, stored, position, offsets, G30, axes)
     return 0
 
@@ -249,26 +165,26 @@ def _set_coords(
     machine: ptr32,
 ) -> int:
     """3.5.5, G10 L2 and L20: the new offsets go to stored, the system's number to INDEX."""
-    words = ints[WORDS]
-    if words & AXIS_WORDS == 0:
-        return 0 - GCODE_NO_AXIS_WORDS
-    if words & (WORD_P | WORD_L) == 0:
-        return 0 - GCODE_VALUE_WORD_MISSING
-    system = int(whole_part(singles, P, 0)) & 255
+    words = ints[b.WORDS]
+    if words & b.AXIS_WORDS == 0:
+        return 0 - errors.GCODE_NO_AXIS_WORDS
+    if words & (b.WORD_P | b.WORD_L) == 0:
+        return 0 - errors.GCODE_VALUE_WORD_MISSING
+    system = int(whole_part(singles, b.P, 0)) & 255
     if system > SYSTEMS:
-        return 0 - GCODE_UNSUPPORTED_COORD_SYS
-    kind = int(whole_part(singles, L, 0)) & 255
-    if kind != 20 and (kind != 2 or words & WORD_R):
-        return 0 - GCODE_UNSUPPORTED_COMMAND
-    ints[INDEX] = system - 1 if system else ints[SYSTEM]
-    axes = machine[AXES]
-    at = ints[INDEX] * axes
+        return 0 - errors.GCODE_UNSUPPORTED_COORD_SYS
+    kind = int(whole_part(singles, b.L, 0)) & 255
+    if kind != 20 and (kind != 2 or words & b.WORD_R):
+        return 0 - errors.GCODE_UNSUPPORTED_COMMAND
+    ints[b.INDEX] = system - 1 if system else ints[mode.SYSTEM]
+    axes = machine[b.AXES]
+    at = ints[b.INDEX] * axes
     if kind == 20:
         _offset(ints, singles, xyz, position, offsets, machine, G92 * axes, at, stored)
     else:
         for i in range(axes):
             stored[i] = xyz[i] if (words >> i) & 1 else offsets[at + i]
-    return WORD_P | WORD_L
+    return b.WORD_P | b.WORD_L
 
 
 @micropython.viper
@@ -285,16 +201,16 @@ def _offset(
 ) -> int:
     """3.5.18, G92 and G10 L20: the offset which, beside the other one, makes the present place
     read as programmed. other, old: where they begin in offsets; new may be xyz."""
-    axes = machine[AXES]
+    axes = machine[b.AXES]
     for i in range(axes):
-        singles[SCRATCH] = offsets[old + i]
-        if (ints[WORDS] >> i) & 1:
-            singles[SCRATCH] = position[i]
-            subtract(singles, SCRATCH, offsets, other + i)
-            subtract(singles, SCRATCH, xyz, i)
-            if i == machine[LENGTH_AXIS]:
-                subtract(singles, SCRATCH, offsets, (G92 + 1) * axes)
-        new[i] = singles[SCRATCH]
+        singles[b.SCRATCH] = offsets[old + i]
+        if (ints[b.WORDS] >> i) & 1:
+            singles[b.SCRATCH] = position[i]
+            subtract(singles, b.SCRATCH, offsets, other + i)
+            subtract(singles, b.SCRATCH, xyz, i)
+            if i == machine[b.LENGTH_AXIS]:
+                subtract(singles, b.SCRATCH, offsets, (G92 + 1) * axes)
+        new[i] = singles[b.SCRATCH]
     return 0
 
 
@@ -303,20 +219,20 @@ def _target(
     ints: ptr32, singles: ptr32, xyz: ptr32, position: ptr32, offsets: ptr32, machine: ptr32
 ) -> int:
     """Axis words become a target in machine coordinates; axes without a word stay."""
-    axes = machine[AXES]
-    system = ints[SYSTEM] * axes
-    adds = ints[NON_MODAL] != ABSOLUTE_OVERRIDE
+    axes = machine[b.AXES]
+    system = ints[mode.SYSTEM] * axes
+    adds = ints[b.NON_MODAL] != b.ABSOLUTE_OVERRIDE
     for i in range(axes):
-        if (ints[WORDS] >> i) & 1 == 0:
+        if (ints[b.WORDS] >> i) & 1 == 0:
             xyz[i] = position[i]
         elif adds and (xyz[i] >> 23) & 255 != 255:  # what is infinite stays so
-            if ints[RELATIVE]:
+            if ints[mode.RELATIVE]:
                 add_single(position, i, xyz, i)
             else:
-                singles[SCRATCH] = offsets[system + i]
-                add_single(offsets, G92 * axes + i, singles, SCRATCH)
-                add_single(singles, SCRATCH, xyz, i)
-                if i == machine[LENGTH_AXIS]:
+                singles[b.SCRATCH] = offsets[system + i]
+                add_single(offsets, G92 * axes + i, singles, b.SCRATCH)
+                add_single(singles, b.SCRATCH, xyz, i)
+                if i == machine[b.LENGTH_AXIS]:
                     add_single(offsets, (G92 + 1) * axes, xyz, i)
     return 0
 
@@ -326,9 +242,9 @@ def _where_stored(
     ints: ptr32, stored: ptr32, position: ptr32, offsets: ptr32, system: int, axes: int
 ) -> int:
     """3.5.8: where G28 or G30 is to go; with axis words, only those axes."""
-    axis_words = ints[WORDS] & AXIS_WORDS
+    axis_words = ints[b.WORDS] & b.AXIS_WORDS
     if axis_words == 0:
-        ints[CLAIM] = AXES_UNCLAIMED
+        ints[b.CLAIM] = b.AXES_UNCLAIMED
     for i in range(axes):
         stored[i] = offsets[system * axes + i]
         if axis_words and (axis_words >> i) & 1 == 0:
@@ -341,60 +257,62 @@ def _motion(
     ints: ptr32, singles: ptr32, xyz: ptr32, position: ptr32, axes: int, plane: ptr32, arc: ptr32
 ) -> int:
     """Check group 1. Returns the value words it uses, or below 0 what is wrong."""
-    motion = ints[MOTION]
-    words = ints[WORDS]
-    axis_words = words & AXIS_WORDS
-    if motion == NO_MOTION:  # 3.5.15
-        return 0 - GCODE_AXIS_WORDS_EXIST if axis_words else 0
-    if ints[CLAIM] != AXES_MOTION:
+    motion = ints[mode.MOTION]
+    words = ints[b.WORDS]
+    axis_words = words & b.AXIS_WORDS
+    if motion == b.NO_MOTION:  # 3.5.15
+        return 0 - errors.GCODE_AXIS_WORDS_EXIST if axis_words else 0
+    if ints[b.CLAIM] != b.AXES_MOTION:
         return 0
-    if motion != SEEK and singles[F] & int(0x7FFFFFFF) == 0:
-        return 0 - GCODE_UNDEFINED_FEED_RATE
+    if motion != b.SEEK and singles[b.F] & int(0x7FFFFFFF) == 0:
+        return 0 - errors.GCODE_UNDEFINED_FEED_RATE
     if axis_words == 0:
-        if motion > LINEAR:
-            return 0 - GCODE_NO_AXIS_WORDS
-        ints[CLAIM] = AXES_UNCLAIMED
-    elif motion == CW_ARC or motion == CCW_ARC:  # noqa: PLR1714 (a viper cannot ask `in`); 3.5.3
+        if motion > b.LINEAR:
+            return 0 - errors.GCODE_NO_AXIS_WORDS
+        ints[b.CLAIM] = b.AXES_UNCLAIMED
+    elif motion == b.CW_ARC or motion == b.CCW_ARC:  # noqa: PLR1714 (a viper cannot ask `in`); 3.5.3
         wrong = int(find_arc(ints, singles, xyz, position, axes, plane, arc))
         if wrong:
             return 0 - wrong
-        return WORD_R if words & WORD_R else WORD_IJK
-    elif motion > NO_MOTION and motion < PROBE_TOWARD:  # see Motion
-        return MOTION_WORDS
-    elif motion > CCW_ARC and int(is_there(position, xyz, axes)):  # 3.5.9: a probe has a way to go
-        return 0 - GCODE_INVALID_TARGET
+        return b.WORD_R if words & b.WORD_R else b.WORD_IJK
+    elif motion > b.NO_MOTION and motion < b.PROBE_TOWARD:  # see Motion
+        return b.MOTION_WORDS
+    elif motion > b.CCW_ARC and int(
+        is_there(position, xyz, axes)
+    ):  # 3.5.9: a probe has a way to go
+        return 0 - errors.GCODE_INVALID_TARGET
     return 0
 
 
 @micropython.viper
 def _asked(ints: ptr32, singles: ptr32, modal: ptr32, rates: ptr32, laser: int) -> int:
     """What a block asks for that is right."""
-    asked = CHECKED
-    if rates[RPM] != singles[S] and (rates[RPM] | singles[S]) & int(0x7FFFFFFF):
-        asked |= SPEED
-    if ints[WORDS] & WORD_T:
-        asked |= SET_TOOL
+    asked = b.CHECKED
+    if rates[mode.RPM] != singles[b.S] and (rates[mode.RPM] | singles[b.S]) & int(0x7FFFFFFF):
+        asked |= b.SPEED
+    if ints[b.WORDS] & b.WORD_T:
+        asked |= b.SET_TOOL
     if (
-        modal[SPINDLE] != ints[SPINDLE]
-        or modal[COOLANT] != ints[COOLANT]
-        or modal[OVERRIDE_CONTROL] != ints[OVERRIDE_CONTROL]
+        modal[mode.SPINDLE] != ints[mode.SPINDLE]
+        or modal[mode.COOLANT] != ints[mode.COOLANT]
+        or modal[mode.OVERRIDE_CONTROL] != ints[mode.OVERRIDE_CONTROL]
     ):
-        asked |= ACCESSORIES
-    if modal[SYSTEM] != ints[SYSTEM] or ints[CLAIM] == AXES_TOOL_LENGTH:
-        asked |= OFFSETS
-    if ints[NON_MODAL]:
-        asked |= COMMAND
-    if ints[CLAIM] == AXES_MOTION and ints[MOTION] != NO_MOTION:
-        asked |= MOVE if ints[MOTION] <= LINEAR else MOVE | SPECIAL
-    if ints[PROGRAM_FLOW]:
-        asked |= FLOW
+        asked |= b.ACCESSORIES
+    if modal[mode.SYSTEM] != ints[mode.SYSTEM] or ints[b.CLAIM] == b.AXES_TOOL_LENGTH:
+        asked |= b.OFFSETS
+    if ints[b.NON_MODAL]:
+        asked |= b.COMMAND
+    if ints[b.CLAIM] == b.AXES_MOTION and ints[mode.MOTION] != b.NO_MOTION:
+        asked |= b.MOVE if ints[mode.MOTION] <= b.LINEAR else b.MOVE | b.SPECIAL
+    if ints[mode.PROGRAM_FLOW]:
+        asked |= b.FLOW
     if laser:
-        cuts = 1 if ints[MOTION] <= CCW_ARC and (_CUTS >> ints[MOTION]) & 1 else 0
-        cut = 1 if modal[MOTION] <= CCW_ARC and (_CUTS >> modal[MOTION]) & 1 else 0
+        cuts = 1 if ints[mode.MOTION] <= b.CCW_ARC and (_CUTS >> ints[mode.MOTION]) & 1 else 0
+        cut = 1 if modal[mode.MOTION] <= b.CCW_ARC and (_CUTS >> modal[mode.MOTION]) & 1 else 0
         if cuts == 0:
-            asked |= DARK
-        if ints[WORDS] & AXIS_WORDS and ints[CLAIM] == AXES_MOTION:
-            asked |= IN_MOTION
-        elif modal[SPINDLE] == SPINDLE_CW and cut != cuts:
-            asked |= SYNC
+            asked |= b.DARK
+        if ints[b.WORDS] & b.AXIS_WORDS and ints[b.CLAIM] == b.AXES_MOTION:
+            asked |= b.IN_MOTION
+        elif modal[mode.SPINDLE] == SPINDLE_CW and cut != cuts:
+            asked |= b.SYNC
     return asked

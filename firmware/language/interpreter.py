@@ -15,42 +15,14 @@ from base.errors import GrblError
 from base.f32 import copy, vector
 from base.hooks import tell
 from base.singles import renew, whole_part
+from control import modes as mode
 from control.coords import G28, G30
-from control.modes import (
-    COOLANT,
-    FEED,
-    INVERSE_TIME,
-    MODAL_LENGTH,
-    MOTION,
-    OVERRIDE_CONTROL,
-    PLANE,
-    PROGRAM_FLOW,
-    RELATIVE,
-    RPM,
-    SPINDLE,
-    SYSTEM,
-    TOOL,
-    TOOL_LENGTH,
-)
 from micropython import const
 from motion import layout
 from motion import planner as plan
 
-from language import block as wd
 from language import block_layout as b
 from language import line as ln
-from language.checks import (
-    ACCESSORIES,
-    COMMAND,
-    DARK,
-    FLOW,
-    IN_MOTION,
-    MOVE,
-    OFFSETS,
-    SPECIAL,
-    SPEED,
-    SYNC,
-)
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -60,37 +32,8 @@ if TYPE_CHECKING:
 
     from language.block import Block
 
-# What go() and _non_modal() are there for: a word that they know nothing of is found here,
-# on a desktop; a board has no assertions.
-_PROBE = const(38)  # .2 to .5
-assert {
-    wd.dictionary[row + wd.SETTING]
-    for row in range(wd.ROW, len(wd.dictionary), wd.ROW)
-    if wd.dictionary[row + wd.GROUP] == b.GROUP_1
-} == {
-    b.SEEK,
-    b.LINEAR,
-    b.CW_ARC,
-    b.CCW_ARC,
-    _PROBE,
-    b.NO_MOTION,
-}, "a motion without a behaviour"
-assert {
-    wd.dictionary[row + wd.SETTING]
-    for row in range(wd.ROW, len(wd.dictionary), wd.ROW)
-    if wd.dictionary[row + wd.GROUP] == b.GROUP_0
-} == {
-    b.DWELL,
-    b.SET_COORDS,
-    b.GO_G28,
-    b.GO_G30,
-    b.ABSOLUTE_OVERRIDE,
-    b.SET_G92,
-}, "a command without a behaviour"
-
-
 JOG_START = const(3)  # behind "$J="
-_SWITCHES = const(SPEED | SYNC | ACCESSORIES | OFFSETS | COMMAND)
+_SWITCHES = const(b.SPEED | b.SYNC | b.ACCESSORIES | b.OFFSETS | b.COMMAND)
 
 
 class Interpreter:
@@ -162,7 +105,7 @@ class Interpreter:
         return self.machine[b.WATCHED] != 0 or not self.is_open
 
     def watch(self, asked: int) -> None:
-        """Have lines that ask for one of these (bits, language/checks.py) come to execute()."""
+        """Have lines that ask for one of these (bits of block_layout.py) come to execute()."""
         self.machine[b.WATCHED] |= asked
 
     def add_motion(self, number: int, motion: "Motion") -> None:
@@ -172,24 +115,24 @@ class Interpreter:
 
     def execute(self, line: bytearray, length: int) -> None:
         """Interpret line[:length], which a 0 follows. Raises GrblError where it is refused."""
-        modal, ints = self._modes.modal, self.block.ints
-        asked = ints[b.ASKED] if line is self.line else 0  # the loop has looked at it
-        ints[b.ASKED] = 0
+        modal, machine = self._modes.modal, self.machine
+        asked = machine[b.ASKED] if line is self.line else 0  # the loop has looked at it
+        machine[b.ASKED] = 0
         if asked == 0:
             asked = self.look(line, length << 8, modal, 0)
         elif asked < 0:
             raise GrblError(-asked)
-        if not asked & (~ln.PLAIN | self.machine[b.WATCHED] & (MOVE | SPECIAL)):
-            if asked & MOVE and self._state.run != st.CHECK:
-                ints[b.ASKED] = asked
+        if not asked & (~ln.PLAIN | machine[b.WATCHED] & (b.MOVE | b.SPECIAL)):
+            if asked & b.MOVE and self._state.run != st.CHECK:
+                machine[b.ASKED] = asked
                 self._canon.make_room()
-                if ints[b.ASKED] != asked:  # lines have been executed while this one waited
+                if machine[b.ASKED] != asked:  # lines have been executed while this one waited
                     asked = self.look(line, length << 8, modal, 0)
-                ints[b.ASKED] = 0
+                machine[b.ASKED] = 0
             if ln.go(asked, modal, self._memory):
                 return
         self._execute(asked)
-        if asked & (COMMAND | MOVE):
+        if asked & (b.COMMAND | b.MOVE):
             self._canon.finish()
 
     def look(self, line: bytearray, span: int, modal: "array[int]", jog: int) -> int:
@@ -204,9 +147,9 @@ class Interpreter:
     def jog(self, line: bytearray, length: int) -> None:
         """Interpret a "$J=" line. The modal state stays as it is."""
         block, modes, modal = self.block, self._modes, self._jog_modal
-        copy(modes.modal, modal, MODAL_LENGTH)
-        modal[MOTION] = b.LINEAR
-        modal[INVERSE_TIME] = 0
+        copy(modes.modal, modal, mode.MODAL_LENGTH)
+        modal[mode.MOTION] = b.LINEAR
+        modal[mode.INVERSE_TIME] = 0
         self.look(line, length << 8 | JOG_START, modal, 1)
         if self._canon.outside(block.xyz):
             raise GrblError(errors.TRAVEL_EXCEEDED)
@@ -220,32 +163,34 @@ class Interpreter:
     def _execute(self, asked: int) -> None:
         """What a checked block asks for, in the standard's order. What waits is done beneath."""
         block, modes = self.block, self._modes
-        if asked & SPECIAL and block.ints[MOTION] in self.motions:
-            self.motions[block.ints[MOTION]].check(block)
+        if asked & b.SPECIAL and block.ints[mode.MOTION] in self.motions:
+            self.motions[block.ints[mode.MOTION]].check(block)
         ln.put_in_force(block.ints, block.singles, modes.modal, modes.rates)
-        modes.rates[TOOL] = block.singles[b.T]
+        modes.rates[mode.TOOL] = block.singles[b.T]
         if asked & _SWITCHES:
             self._switch(block, asked)
-        if asked & (COMMAND | MOVE):
-            move = self._begin_move(block, layout.INVERSE_TIME if block.ints[INVERSE_TIME] else 0)
-            if asked & DARK:
+        if asked & (b.COMMAND | b.MOVE):
+            move = self._begin_move(
+                block, layout.INVERSE_TIME if block.ints[mode.INVERSE_TIME] else 0
+            )
+            if asked & b.DARK:
                 move.spindle_rpm = 0.0
-            if asked & COMMAND:
+            if asked & b.COMMAND:
                 self._non_modal(block, move)
-            if asked & MOVE:
+            if asked & b.MOVE:
                 self.go(block, move)
-        if asked & FLOW:
-            self._control_program(block.ints[PROGRAM_FLOW])
+        if asked & b.FLOW:
+            self._control_program(block.ints[mode.PROGRAM_FLOW])
 
     def _begin_move(self, block: "Block", flags: int) -> "plan.Move":
         """The move of a block, with its feed rate, and spindle and coolant as they are."""
         move, numbers, modes = self._move, self._numbers, self._modes  # of four a tuple is made
-        if renew(numbers, FEED, block.singles, b.F):
+        if renew(numbers, mode.FEED, block.singles, b.F):
             move.feed = block.singles[b.F]
-        if block.ints[INVERSE_TIME]:
-            numbers[FEED] = -1.0  # an arc shares its time out among its chords
-        if renew(numbers, RPM, modes.rates, RPM):
-            self._rpm = modes.rates[RPM]
+        if block.ints[mode.INVERSE_TIME]:
+            numbers[mode.FEED] = -1.0  # an arc shares its time out among its chords
+        if renew(numbers, mode.RPM, modes.rates, mode.RPM):
+            self._rpm = modes.rates[mode.RPM]
         move.flags = flags | modes.accessory_flags()
         move.spindle_rpm = self._rpm
         move.line_number = whole_part(block.singles, b.N, 0) if self._line_numbers else 0
@@ -254,46 +199,46 @@ class Interpreter:
     def _switch(self, block: "Block", left: int) -> None:
         """What comes before motion: speed, M words, a dwell, offsets."""
         modes, new = self._modes, block.ints
-        if left & (SPEED | SYNC):
+        if left & (b.SPEED | b.SYNC):
             self._set_speed(block, left)
-        if left & ACCESSORIES:
-            self._set_accessories(new, 0.0 if left & DARK else modes.rates[RPM])
+        if left & b.ACCESSORIES:
+            self._set_accessories(new, 0.0 if left & b.DARK else modes.rates[mode.RPM])
         if new[b.NON_MODAL] == b.DWELL:
             self._canon.dwell(block.singles[b.P])
-        if left & OFFSETS and self._set_offsets(block):
+        if left & b.OFFSETS and self._set_offsets(block):
             self._offsets_changed()
 
     def _set_speed(self, block: "Block", beam: int) -> None:
         modes, speed = self._modes, block.singles[b.S]
-        if modes.modal[SPINDLE] and not beam & IN_MOTION:
-            self._canon.spin(modes.modal[SPINDLE], 0.0 if beam & DARK else speed)
-        modes.rates[RPM] = speed
+        if modes.modal[mode.SPINDLE] and not beam & b.IN_MOTION:
+            self._canon.spin(modes.modal[mode.SPINDLE], 0.0 if beam & b.DARK else speed)
+        modes.rates[mode.RPM] = speed
 
     def _set_accessories(self, new: "array[int]", rpm: float) -> None:
         """M words of spindle, coolant and override control."""
         canon, modal = self._canon, self._modes.modal
-        if modal[SPINDLE] != new[SPINDLE]:
-            canon.spin(new[SPINDLE], rpm)
-            modal[SPINDLE] = new[SPINDLE]
-        if modal[COOLANT] != new[COOLANT]:
-            canon.cool(new[COOLANT])
-            modal[COOLANT] = new[COOLANT]
-        if modal[OVERRIDE_CONTROL] != new[OVERRIDE_CONTROL]:
-            modal[OVERRIDE_CONTROL] = new[OVERRIDE_CONTROL]
-            canon.control_overrides(bool(new[OVERRIDE_CONTROL]))
+        if modal[mode.SPINDLE] != new[mode.SPINDLE]:
+            canon.spin(new[mode.SPINDLE], rpm)
+            modal[mode.SPINDLE] = new[mode.SPINDLE]
+        if modal[mode.COOLANT] != new[mode.COOLANT]:
+            canon.cool(new[mode.COOLANT])
+            modal[mode.COOLANT] = new[mode.COOLANT]
+        if modal[mode.OVERRIDE_CONTROL] != new[mode.OVERRIDE_CONTROL]:
+            modal[mode.OVERRIDE_CONTROL] = new[mode.OVERRIDE_CONTROL]
+            canon.control_overrides(bool(new[mode.OVERRIDE_CONTROL]))
 
     def _set_offsets(self, block: "Block") -> bool:
         """Returns whether work is somewhere else now."""
         changed = False
         modal, new, coords = self._modes.modal, block.ints, self._coords
         if new[b.CLAIM] == b.AXES_TOOL_LENGTH:
-            modal[TOOL_LENGTH] = new[TOOL_LENGTH]
-            length = block.xyz[coords.length_axis] if modal[TOOL_LENGTH] else 0.0
+            modal[mode.TOOL_LENGTH] = new[mode.TOOL_LENGTH]
+            length = block.xyz[coords.length_axis] if modal[mode.TOOL_LENGTH] else 0.0
             if coords.tool_length != length:
                 coords.tool_length = length
                 changed = True
-        if modal[SYSTEM] != new[SYSTEM]:
-            modal[SYSTEM] = coords.active = new[SYSTEM]
+        if modal[mode.SYSTEM] != new[mode.SYSTEM]:
+            modal[mode.SYSTEM] = coords.active = new[mode.SYSTEM]
             changed = True
         return changed
 
@@ -308,7 +253,7 @@ class Interpreter:
         if command == b.SET_COORDS:
             self._canon.synchronise()  # what is kept is written at rest only
             self._state.hooks.write_offsets(block.ints[b.INDEX], block.stored)
-            if block.ints[b.INDEX] == modes.modal[SYSTEM]:
+            if block.ints[b.INDEX] == modes.modal[mode.SYSTEM]:
                 self._offsets_changed()
         elif command in (b.GO_G28, b.GO_G30):
             move.flags |= layout.RAPID_MOTION
@@ -332,7 +277,7 @@ class Interpreter:
     def go(self, block: "Block", move: "plan.Move") -> None:
         """Make the motion of a block."""
         modes = self._modes
-        motion = modes.modal[MOTION]
+        motion = modes.modal[mode.MOTION]
         if motion == b.LINEAR:
             self._canon.line(block.xyz, move)
         elif motion == b.SEEK:
@@ -352,7 +297,7 @@ class Interpreter:
 
     def _probe(self, block: "Block", move: "plan.Move") -> bool:
         """Search for the probe's contact. Returns whether the target has been reached."""
-        motion = self._modes.modal[MOTION]
+        motion = self._modes.modal[mode.MOTION]
         move.flags |= layout.NO_FEED_OVERRIDE
         away = motion in (b.PROBE_AWAY, b.PROBE_AWAY_NO_ALARM)
         alarms = motion in (b.PROBE_TOWARD, b.PROBE_AWAY)
@@ -365,11 +310,11 @@ class Interpreter:
             self._canon.pause_program()
             return
         modal = self._modes.modal
-        modal[MOTION] = b.LINEAR
-        modal[PLANE] = modal[RELATIVE] = modal[INVERSE_TIME] = 0
-        modal[SYSTEM] = self._coords.active = 0
-        modal[SPINDLE] = modal[COOLANT] = 0
-        modal[OVERRIDE_CONTROL] = 1
+        modal[mode.MOTION] = b.LINEAR
+        modal[mode.PLANE] = modal[mode.RELATIVE] = modal[mode.INVERSE_TIME] = 0
+        modal[mode.SYSTEM] = self._coords.active = 0
+        modal[mode.SPINDLE] = modal[mode.COOLANT] = 0
+        modal[mode.OVERRIDE_CONTROL] = 1
         self._canon.end_program()
         if self._state.run != st.CHECK:
             self._offsets_changed()

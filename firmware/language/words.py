@@ -9,12 +9,7 @@ interpreter and commands; it knows no meaning of any letter.
 from array import array
 
 import micropython
-from base.errors import (
-    BAD_NUMBER_FORMAT,
-    EXPECTED_COMMAND_LETTER,
-    GCODE_MAX_VALUE_EXCEEDED,
-    NEGATIVE_VALUE,
-)
+from base import errors
 from micropython import const
 
 LINE_LENGTH = const(79)  # characters, as Grbl has them
@@ -127,12 +122,12 @@ def _read_dots(text: ptr8, pos: int, values: ptr32, at: int, dots: ptr32) -> int
     count = 1
     while text[pos] == _COLON:
         if count == dots[MOST_DOTS]:
-            return 0 - GCODE_MAX_VALUE_EXCEEDED
+            return 0 - errors.GCODE_MAX_VALUE_EXCEEDED
         pos = int(number(text, pos + 1, values, at))
         if pos == 0:
-            return 0 - BAD_NUMBER_FORMAT
+            return 0 - errors.BAD_NUMBER_FORMAT
         if ptr8(values)[4 * at + 3] & 128:
-            return 0 - NEGATIVE_VALUE
+            return 0 - errors.NEGATIVE_VALUE
         dots[FIRST_DOT + count] = values[at]
         count += 1
     dots[DOTS] = count
@@ -154,17 +149,17 @@ def scan(text: ptr8, span: int, letters: ptr8, values: ptr32, dots: ptr32) -> in
     while pos < end:
         letter = text[pos]
         if letter < 65 or letter > 90:
-            return count | EXPECTED_COMMAND_LETTER << 8
+            return count | errors.EXPECTED_COMMAND_LETTER << 8
         letters[count] = letter
         pos = int(number(text, pos + 1, values, count))
         if pos and text[pos] == _COLON and dots[MOST_DOTS]:
             if letter != _S:
-                return count | BAD_NUMBER_FORMAT << 8
+                return count | errors.BAD_NUMBER_FORMAT << 8
             pos = int(_read_dots(text, pos, values, count, dots))
             if pos < 0:
                 return count | (0 - pos) << 8
         if pos == 0:
-            return count | BAD_NUMBER_FORMAT << 8
+            return count | errors.BAD_NUMBER_FORMAT << 8
         count += 1
     return count
 

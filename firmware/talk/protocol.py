@@ -72,7 +72,7 @@ class Protocol:
         interpreter.line = line = reader.line
         needed = needs(reader, interpreter, self.link, self._buffer)
         heard, at, _, kinds = reader.memory()
-        counts, block = interpreter.machine, interpreter.block.ints
+        counts = interpreter.machine
         echoes = self._echoes
         while True:
             try:
@@ -84,7 +84,7 @@ class Protocol:
                 while True:
                     if echoes or state.suspend or state.run & _LOCKED:
                         found = clean(heard, at, line, kinds)
-                        block[ASKED] = 0
+                        counts[ASKED] = 0
                         if found == NOTHING:
                             self.pump()
                     else:
@@ -103,7 +103,7 @@ class Protocol:
                             if pending[st.ANY]:  # whoever asks for every turn
                                 self.pump()
                             continue
-                        block[ASKED] = 0  # what has been posted may have changed what it means
+                        counts[ASKED] = 0  # what has been posted may have changed what it means
                     if found & LINE == 0:
                         state.hooks.refuse(errors.OVERFLOW)
                         continue

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from language.checks import MOVE
+from language.block_layout import MOVE
 from motion.arc_geometry import TOLERANCE
 from test_jobs import FAST, HOMED, Bench, homed, to_its_end
 from ugrbl.grbl.gcode_file import read_lines

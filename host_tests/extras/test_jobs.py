@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from base.state import HOLD
-from language.checks import MOVE
+from language.block_layout import MOVE
 from motion.layout import SYSTEM_MOTION
 from ports.storage.job_files import JobFiles
 from ugrbl.boardfile.files import load_board

@@ -14,7 +14,7 @@ from base.errors import GrblError
 from extras.api import Cnc
 from hypothesis import given
 from hypothesis import strategies as st
-from language.checks import MOVE
+from language.block_layout import MOVE
 from laws import some
 from ugrbl.boardfile.files import load_board
 from ugrbl.grbl.gcode_file import read_lines

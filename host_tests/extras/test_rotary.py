@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from language.checks import MOVE
+from language.block_layout import MOVE
 from rig_bench import Machine
 from typer.testing import CliRunner
 from ugrbl.boardfile import board_check

@@ -14,7 +14,7 @@ from extras.kinematics import skew_kernel
 from extras.kinematics.skew import SkewKinematics
 from hypothesis import example, given
 from hypothesis import strategies as st
-from language.checks import MOVE
+from language.block_layout import MOVE
 from motion.layout import AXES, LIMITS, ROW_AXES, ROW_DIRS, ROW_STRIDE, TARGET
 from rig_bench import Machine
 from typer.testing import CliRunner

@@ -1,7 +1,5 @@
 """The interpreter, on paper: what a line asks of the machine, in which order; and its tables."""
 
-import subprocess
-import sys
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,10 +11,11 @@ from base.state import State
 from control.coords import Coords
 from control.modes import Modes
 from fakes import FakeCanon, FakeStore, FakeVoice
-from language.block import Block
-from language.checks import MOVE
+from language import block_layout as b
+from language.block import GROUP, ROW, SETTING, Block
+from language.block import dictionary as words
+from language.block_layout import MOVE
 from language.interpreter import Interpreter
-from ugrbl.paths import FIRMWARE, STANDINS
 
 
 class Paper:
@@ -102,18 +101,19 @@ def test_a_jog_out_of_the_travel_is_refused() -> None:
     assert refused.value.code == errors.TRAVEL_EXCEEDED and paper.canon.asked == []
 
 
-@pytest.mark.parametrize("row", ["GROUP_1, MOTION, 81", "GROUP_0, NOWHERE, 81"])
-def test_a_row_without_a_behaviour_is_found_at_import(row: str) -> None:
-    """It would be a probing move, or nothing."""
-    program = (
-        f"import sys; sys.path[:0] = [{str(STANDINS)!r}, {str(FIRMWARE)!r}]\n"
-        "import language.interpreter; del sys.modules['language.interpreter']\n"
-        "from language.block import *\n"
-        "from language.block_layout import *\nfrom control.modes import *\n"
-        f"add_word(81, {row}, AXES_MOTION)\n"
-        "import language.interpreter\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 1 and "without a behaviour" in done.stderr
+@pytest.mark.parametrize(
+    ("group", "known"),
+    [
+        (b.GROUP_1, {b.SEEK, b.LINEAR, b.CW_ARC, b.CCW_ARC, 38, b.NO_MOTION}),
+        (
+            b.GROUP_0,
+            {b.DWELL, b.SET_COORDS, b.GO_G28, b.GO_G30, b.ABSOLUTE_OVERRIDE, b.SET_G92},
+        ),
+    ],
+    ids=["motions", "commands"],
+)
+def test_every_word_in_the_dictionary_is_executed(group: int, known: "set[int]") -> None:
+    """Interpreter.go() takes a motion that it does not know for a probe (38), and
+    _non_modal() ignores a command: who adds one to the dictionary adds it there, and here."""
+    rows = [words[i : i + ROW] for i in range(ROW, len(words), ROW)]
+    assert {row[SETTING] for row in rows if row[GROUP] | row[GROUP + 1] << 8 == group} == known

@@ -12,7 +12,7 @@ from control import modes as modal
 from hypothesis import example, given
 from hypothesis import strategies as st
 from language import line as ln
-from language.checks import MOVE
+from language.block_layout import MOVE
 from laws import some
 from motion import layout
 from ugrbl.run import machine
@@ -42,12 +42,12 @@ class Bench:
         self.machine.drive.start = self.machine.state.enter  # type: ignore[method-assign]
         if not short:
             self.machine.interpreter.watch(MOVE)
-        self.modal, _, self.memory = self.machine.interpreter.memory()
+        self.modal, self.counts, self.memory = self.machine.interpreter.memory()
 
     def does(self, text: str, line: "bytearray | None" = None) -> int:
         """Whether the kernels have done a line."""
         line = line or bytearray(text.encode() + b"\0")
-        return ln.execute(line, len(text), self.modal, self.memory)
+        return ln.execute(line, len(text), self.modal, self.counts, self.memory)
 
     def tell(self, text: str) -> "tuple[Any, ...]":
         """Everything that comes of a line."""

@@ -36,8 +36,11 @@ class CheckedLines:
         self._heard = bytearray(_BYTES)
         self._at = array("i", at)
         self._at[lines._SIZE] = _BYTES
-        modal, _, memory = controller.interpreter.memory()
-        self._memory = (self._heard, self._at, bytearray(len(text)), kinds, modal, memory)
+        modal, counts, memory = controller.interpreter.memory()
+        self._memory = (
+            *(self._heard, self._at, bytearray(len(text)), kinds),
+            *(modal, counts, memory),
+        )
 
     def load(self, lines: Sequence[bytes]) -> bool:
         """Take lines as the next ones. Returns whether they can be judged here."""

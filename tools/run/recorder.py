@@ -106,7 +106,7 @@ class Recorder:
 
     def _attach(self) -> None:
         """Called by the rig once the controller is built: follow what is planned."""
-        from language.checks import SPECIAL
+        from language.block_layout import SPECIAL
 
         controller = self._rig.controller
         self._planner = controller.planner

@@ -12,8 +12,7 @@ from base.errors import Abort, GrblError
 from base.faults import harmless
 from control import coolant
 from control import spindle as sp
-from language.block_layout import HIGHEST_TOOL
-from language.checks import SET_TOOL
+from language.block_layout import HIGHEST_TOOL, SET_TOOL
 from micropython import const
 
 from extras.custom import handlers

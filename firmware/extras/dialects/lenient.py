@@ -13,7 +13,7 @@ from base.errors import (
 )
 from base.text import text_of
 from control.modes import SPINDLE
-from language.checks import SET_TOOL
+from language.block_layout import SET_TOOL
 from micropython import const
 
 from extras.dialects.drilling import CYCLES, MOTIONS, Drilling, has, joined

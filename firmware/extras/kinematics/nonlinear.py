@@ -9,7 +9,7 @@ bend faster than they can follow. What is out of reach is refused before anythin
 done.
 """
 
-from language.checks import MOVE
+from language.block_layout import MOVE
 from micropython import const
 
 from extras.kinematics.joints import NonlinearKinematics, NonlinearPlanner

@@ -15,7 +15,7 @@ from base.errors import GrblError
 from base.f32 import copy, vector
 from base.settings import AXIS
 from control.canon import Canon
-from language.checks import MOVE
+from language.block_layout import MOVE
 from micropython import const
 from motion import arcs, layout, plan_kernel
 from motion import planner as plan
