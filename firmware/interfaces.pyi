@@ -84,7 +84,7 @@ class StepEngine(Protocol):
         """Name the present place, also of motors that are locked. At rest only."""
 
 class BeamEngine(StepEngine, Protocol):
-    """An engine that changes the power of a beam: see motion/beam.py."""
+    """An engine that changes the power of a beam: see motion/beam_layout.py."""
 
     beam: array[int]  # what is known of the beam
     levels: Any  # its ring of them, integers
@@ -386,7 +386,6 @@ class Options(Protocol):
     highest_tool: int
     line_length: int  # characters of a line
     rx_bytes: int  # that a sender may have under way
-    dots: int  # powers that a line may have
     defaults: dict[int, float]  # settings that differ from Grbl's
     custom: tuple[str, ...]  # the user's own modules
     job_files: JobFiles | None  # programs that live on the board

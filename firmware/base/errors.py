@@ -106,9 +106,9 @@ ALARM_HOMING_FAIL_DUAL_APPROACH = const(10)
 ALARM_INTERNAL = const(16)
 # The emergency stop was pressed. Not one of Grbl's.
 ALARM_EMERGENCY_STOP = const(17)
-# A handler of custom.py has failed: the message before it names file and line. Position is kept.
-# Not one of Grbl's.
-ALARM_CUSTOM = const(34)
+# A handler of the user's own has failed: the message before it names file and line. Position is
+# kept. Not one of Grbl's.
+ALARM_HANDLER = const(34)
 # A motor driver is hot, damaged, without supply, or does not answer: the message before it says
 # which. The machine's position is probably lost. Not one of Grbl's.
 ALARM_DRIVER = const(35)

@@ -2,6 +2,9 @@
 
 Who is named later in boot/guests.py is called later in an event, and stands further out in a
 chain. All is of the main loop, but for `next_segment`.
+
+Two are not here, for kernels call them: Planner.move_hook plans a line in another way, and
+Block.read_on reads what is no word.
 """
 
 from micropython import const

@@ -72,7 +72,6 @@ class Options:
         self.reads = READS  # which bytes are taken off a line
         self.highest_tool = HIGHEST_TOOL
         self.line_length = LINE_LENGTH
-        self.dots = 0
         for extra in self.extras:
             if hasattr(extra, "prepare"):
                 extra.prepare(self, board)

@@ -124,7 +124,6 @@ def _make_language(machine: Controller, options: Options) -> None:
         options.override_control,
         options.highest_tool,
         options.line_length,
-        options.dots,
     )
     machine.interpreter = Interpreter(machine, block, options.line_numbers)
 

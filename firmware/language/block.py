@@ -15,9 +15,15 @@ from micropython import const
 from motion.arc_geometry import Arc
 
 from language import block_layout as b
-from language.words import DOTS, LINE_LENGTH, Words, scan
+from language.words import LINE_LENGTH, Words, scan
 
-assert b.POWERS < mode.MODAL_ROOM, "there is no room behind the modal state"
+TYPE_CHECKING = const(False)
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    ReadOn = Callable[[bytearray, int, int, object], int]
+
+assert b.ONLY < mode.MODAL_ROOM, "there is no room behind the modal state"
 
 _BEYOND = 2147483648.0
 
@@ -199,7 +205,7 @@ def take(
 
 @micropython.viper
 def read(
-    line: ptr8,
+    line: object,
     span: int,
     modal: ptr32,
     ints: ptr32,
@@ -211,18 +217,18 @@ def read(
     """Start from a modal state, and take in the words of line[start:end], which a 0 follows, in
     their order. span: end << 8 | start; ints, singles, xyz, words: a block's. Returns what is
     wrong with the first that is, or 0."""
-    _letters, _values, index, rows, _dots, take_odd = words
+    _letters, _values, index, rows, read_on, own, take_odd = words
     letters = ptr8(_letters)
     values = ptr32(_values)
-    dots = ptr32(_dots)
-    found = int(scan(line, span, letters, values, dots))
     _begin(ints, xyz, axes, singles, modal)
-    ints[b.POWERS] = dots[DOTS]
+    found = int(scan(ptr8(line), span, letters, values))
+    if found >> 8 and read_on:
+        found = int(read_on(line, span, found, own))
     count = found & 255
     wrong = int(
         take(letters, values, count, ptr8(index), ptr8(rows), ints, xyz, singles, take_odd)
     )
-    return wrong if wrong else found >> 8
+    return wrong if wrong else found >> 8 & 255
 
 
 @micropython.viper
@@ -247,7 +253,6 @@ class Block:
         has_override_control: bool,
         highest_tool: int = b.HIGHEST_TOOL,
         longest: int = LINE_LENGTH,
-        dots: int = 0,
     ) -> None:
         self.ints = array("i", (0 for _ in range(mode.MODAL_ROOM)))
         self.axes = axes
@@ -257,8 +262,10 @@ class Block:
         # What the checks find: the arc, and what G10, G28 and G30 are to keep or go to.
         self.arc = Arc()
         self.stored = vector(axes)
-        self._words = Words(longest, dots)
-        self.dots = self._words.dots
+        self._words = Words(longest)
+        # An extra's kernel, for what scan() cannot read: it is passed a line, span and result of
+        # scan(), whose result it returns anew, and the object with it. It may set ONLY.
+        self.read_on: "tuple[ReadOn | None, object]" = None, None
         self._index = bytearray(index)
         if not has_mist:
             self._index[M_WORDS + 7] = 0
@@ -266,18 +273,20 @@ class Block:
             self._index[M_WORDS + 56] = 0
         for i in range(axes, _BIT_I):
             self._index[_INDEXED + VALUE_LETTERS[i] - 65] = _NO_LETTER
-        self._use(dictionary)
+        self._rows = dictionary
 
-    def _use(self, rows: bytearray) -> None:
-        """Read by this dictionary. words: what read() works on besides."""
-        self._rows, read = rows, self._words
-        self.words = (read.letters, read.values, self._index, rows, self.dots, self._take_odd)
+    @property
+    def words(self) -> "tuple[object, ...]":
+        """What read() works on besides: first, where words are, as for scan()."""
+        read, index, rows = self._words, self._index, self._rows
+        read_on, own = self.read_on
+        return read.letters, read.values, index, rows, read_on, own, self._take_odd
 
     def add_motion(self, number: int) -> None:
         """Take this G number for a motion mode. Other blocks do not know it."""
         self._index[number] = len(self._rows) // ROW
         row = bytes((mode.MOTION, number, b.AXES_MOTION, 0, b.GROUP_1, 0))
-        self._use(self._rows + row)
+        self._rows = self._rows + row
 
     def _take_odd(self, i: int) -> int:
         """Take in a G or M word of any number. Returns what is wrong with it."""

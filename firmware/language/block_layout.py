@@ -49,7 +49,7 @@ WORDS = const(MODAL_LENGTH + 1)  # mask of its value words
 NON_MODAL = const(MODAL_LENGTH + 2)
 CLAIM = const(MODAL_LENGTH + 3)  # who uses the axis words
 INDEX = const(MODAL_LENGTH + 4)  # of the coordinate system that G10 writes
-POWERS = const(MODAL_LENGTH + 5)  # how many S has, where those are dots; see words.py
+ONLY = const(MODAL_LENGTH + 5)  # all that the line has to ask for, S besides; 0: anything
 
 # What a checked block asks for, a bit each; see checks.check().
 SPEED = const(0x001)

@@ -29,13 +29,12 @@ from language import block_layout as b
 from language.block import read
 from language.checks import check
 
-_CUT = const(b.CHECKED | b.MOVE | b.IN_MOTION)
 # All that can be done here.
 PLAIN = const(b.CHECKED | b.MOVE | b.SPECIAL | b.SPEED | b.SET_TOOL | b.DARK | b.IN_MOTION)
 
 
 @micropython.viper
-def execute(text: ptr8, length: int, modal: ptr32, machine: ptr32, memory: object) -> int:
+def execute(text: object, length: int, modal: ptr32, machine: ptr32, memory: object) -> int:
     """Execute a line that does no more than move, and has nothing in its way. Returns 1; or 0, and
     nothing has changed, but the block is ready, with what look() says in machine[ASKED]. machine,
     memory: an interpreter's."""
@@ -50,7 +49,7 @@ def execute(text: ptr8, length: int, modal: ptr32, machine: ptr32, memory: objec
 
 
 @micropython.viper
-def look(text: ptr8, span: int, modal: ptr32, jog: int, memory: object) -> int:
+def look(text: object, span: int, modal: ptr32, jog: int, memory: object) -> int:
     """Read and check line[start:end], span = end << 8 | start, which a 0 follows. Returns what it
     asks for, or below 0 what is wrong with it: see check(). memory: an interpreter's."""
     words, block, _ = memory
@@ -81,8 +80,8 @@ def look(text: ptr8, span: int, modal: ptr32, jog: int, memory: object) -> int:
             ptr32(arc),
         )
     )
-    # Many powers are for a cut along a straight line, which asks for nothing else.
-    if asked > 0 and ints[b.POWERS] and (asked & ~b.SPEED != _CUT or ints[mode.INVERSE_TIME]):
+    only = ints[b.ONLY]
+    if asked > 0 and only and (asked & ~b.SPEED != only or ints[mode.INVERSE_TIME]):
         return 0 - errors.GCODE_UNSUPPORTED_COMMAND
     return asked
 

@@ -14,14 +14,6 @@ from micropython import const
 
 LINE_LENGTH = const(79)  # characters, as Grbl has them
 
-# Dots, the powers of S0:0:875 where a board takes more than one: how many there may be, how many
-# there are, and these, as bits of floats.
-MOST_DOTS = const(0)
-DOTS = const(1)
-FIRST_DOT = const(2)
-_COLON = const(58)
-_S = const(83)
-
 
 @micropython.viper
 def store_single(number: int, power: int, values: ptr32, at: int) -> int:
@@ -115,49 +107,23 @@ def number(text: ptr8, pos: int, values: ptr32, at: int) -> int:
 
 
 @micropython.viper
-def _read_dots(text: ptr8, pos: int, values: ptr32, at: int, dots: ptr32) -> int:
-    """Read the numbers behind that of S, from the first colon on: all into dots, the last into
-    values[at]. Returns where they end; or, below 0, what is wrong."""
-    dots[FIRST_DOT] = values[at]
-    count = 1
-    while text[pos] == _COLON:
-        if count == dots[MOST_DOTS]:
-            return 0 - errors.GCODE_MAX_VALUE_EXCEEDED
-        pos = int(number(text, pos + 1, values, at))
-        if pos == 0:
-            return 0 - errors.BAD_NUMBER_FORMAT
-        if ptr8(values)[4 * at + 3] & 128:
-            return 0 - errors.NEGATIVE_VALUE
-        dots[FIRST_DOT + count] = values[at]
-        count += 1
-    dots[DOTS] = count
-    return pos
+def scan(text: ptr8, span: int, letters: ptr8, values: ptr32) -> int:
+    """Read words from text[start:end]; text[end] is 0. span: words there are already << 16 | end
+    << 8 | start.
 
-
-@micropython.viper
-def scan(text: ptr8, span: int, letters: ptr8, values: ptr32, dots: ptr32) -> int:
-    """Read words from text[start:end], span = end << 8 | start; text[end] is 0.
-
-    Letters and values, as bits of single-precision floats, go into their
-    arrays. Returns the count of words, and above it (<< 8) Grbl's number of what
-    is wrong after the last of them.
+    Letters and values, as bits of single-precision floats, go into their arrays. Returns the
+    count of words; above it (<< 8) Grbl's number of what is wrong after the last of them; and its
+    place (<< 16), where that is no letter.
     """
     pos = span & 255
-    end = span >> 8
-    count = 0
-    dots[DOTS] = 0
+    end = span >> 8 & 255
+    count = span >> 16
     while pos < end:
         letter = text[pos]
         if letter < 65 or letter > 90:
-            return count | errors.EXPECTED_COMMAND_LETTER << 8
+            return count | errors.EXPECTED_COMMAND_LETTER << 8 | pos << 16
         letters[count] = letter
         pos = int(number(text, pos + 1, values, count))
-        if pos and text[pos] == _COLON and dots[MOST_DOTS]:
-            if letter != _S:
-                return count | errors.BAD_NUMBER_FORMAT << 8
-            pos = int(_read_dots(text, pos, values, count, dots))
-            if pos < 0:
-                return count | (0 - pos) << 8
         if pos == 0:
             return count | errors.BAD_NUMBER_FORMAT << 8
         count += 1
@@ -165,23 +131,20 @@ def scan(text: ptr8, span: int, letters: ptr8, values: ptr32, dots: ptr32) -> in
 
 
 class Words:
-    """The words of one line. letters[i] is a character code, values[i] its number; dots: how many
-    powers there may be in a line."""
+    """The words of one line. letters[i] is a character code, values[i] its number."""
 
-    def __init__(self, longest: int = LINE_LENGTH, dots: int = 0) -> None:
+    def __init__(self, longest: int = LINE_LENGTH) -> None:
         most = longest // 2 + 1
         self.letters = bytearray(most)
         self.values = array("f", (0.0 for _ in range(most)))
-        self.dots = array("i", (0 for _ in range(FIRST_DOT + dots)))
-        self.dots[MOST_DOTS] = dots
         self.count = 0
         self.fault = 0
 
     def read(self, text: bytearray, start: int, end: int) -> None:
         """Read text[start:end], which a 0 follows. fault tells what is wrong behind the words."""
-        found = scan(text, end << 8 | start, self.letters, self.values, self.dots)
+        found = scan(text, end << 8 | start, self.letters, self.values)
         self.count = found & 255
-        self.fault = found >> 8
+        self.fault = found >> 8 & 255
 
 
 _bare = array("f", (0.0,))

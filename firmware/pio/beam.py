@@ -19,11 +19,11 @@ from array import array
 import machine
 import micropython
 from micropython import const
-from motion import beam as bm
+from motion import beam_layout as bm
 
 from pio import pulses
 from pio.engine import PioEngine
-from pio.layout import BLOCK_LOG2, IN_BLOCK, MOTORS, PIO0, RP2350, RUNNING
+from pio.hub_layout import BLOCK_LOG2, IN_BLOCK, MOTORS, PIO0, RP2350, RUNNING
 from pio.registers import (
     COUNT_TRIGGER,
     CREDITS,
@@ -72,7 +72,7 @@ class BeamEngine(PioEngine):
     ) -> None:
         super().__init__(step, direction, hold_us, setup_us, 1)
         self._slice = slice_of(power)
-        # What motion/beam.py works on, and its ring of levels.
+        # What motion/beam_layout.py works on, and its ring of levels.
         self.beam = array("i", (0 for _ in range(bm.LENGTH)))
         self.beam[bm.BOTH] = _BOTH
         self.beam[bm.LEVEL] = bm.UNKNOWN

@@ -26,7 +26,7 @@ import micropython
 from micropython import const
 
 from pio import pulses
-from pio.layout import (
+from pio.hub_layout import (
     ASKED,
     BEFORE_CLOCK,
     CLOCK,

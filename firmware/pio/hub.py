@@ -17,7 +17,7 @@ from motion.layout import (
     ROW_TICKS,
 )
 
-from pio.layout import (
+from pio.hub_layout import (
     AHEAD,
     AXES,
     BEATS,

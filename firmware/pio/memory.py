@@ -11,7 +11,7 @@ import micropython
 from motion.layout import row_length
 
 from pio import pulses
-from pio.layout import (
+from pio.hub_layout import (
     AXES,
     BEFORE_CLOCK,
     BEGUN,

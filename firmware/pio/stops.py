@@ -10,7 +10,7 @@ from base.times import MASK, NEGATIVE
 from micropython import const
 from motion.layout import ROW_AXES, ROW_STRIDE
 
-from pio.layout import (
+from pio.hub_layout import (
     AHEAD,
     ASKED,
     AXES,

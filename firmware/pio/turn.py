@@ -6,7 +6,7 @@ from micropython import const
 from motion.layout import KEEP_POWER
 
 from pio.hub import LEAD, append, feed, look
-from pio.layout import AHEAD, CUT, EARLY, FED, HALT, LAST_ROW, MADE, ROW, RUNNING
+from pio.hub_layout import AHEAD, CUT, EARLY, FED, HALT, LAST_ROW, MADE, ROW, RUNNING
 
 _MOST = const(2)  # segments made in one interrupt
 _WAITING = const(10)  # rows that may wait; the others may still be looked at

@@ -63,7 +63,7 @@ def take_quick(pending: ptr8, needed: object) -> int:
         found = int(clean(heard, at, text, kinds))
         done = 0 if pending[ANY] else found & LINE
         if done:
-            done = int(execute(text, found >> 2, modal, counts, memory))
+            done = int(execute(line, found >> 2, modal, counts, memory))
         if done:
             left -= 1
             counts[LINES_LEFT] = left

@@ -64,7 +64,7 @@ _VALUES = const(3)  # at once, in a form
 class Report:
     """Puts words to what the others know, and writes it to the link.
 
-    An extra may speak another dialect of Grbl: extras/dialects/dialect_09.py.
+    An extra may have another speak in its place: Options.report.
     """
 
     # Who we are, in the answer to $I; senders look for this word.

@@ -7,7 +7,7 @@ from ugrbl.boardfile.files import load_board
 from ugrbl.compiling import build
 from ugrbl.compiling.of_chip import of_chip
 
-_LAYOUT = "pio.layout"
+_LAYOUT = "pio.hub_layout"
 
 
 @pytest.mark.parametrize(

@@ -181,7 +181,7 @@ def test_a_board_gets_what_it_can_use() -> None:
     assert {name for name in custom if not name.startswith("extras/")} == {"base/axes.py"}
     laser = needed(TOOL="laser") - pico
     assert laser == {
-        *("extras/tools/laser.py", "motion/beam.py", "pio/beam.py", "pio/beam_program.py"),
+        *("extras/tools/laser.py", "motion/beam_layout.py", "pio/beam.py", "pio/beam_program.py"),
         *api,
     }
     clusters = {"extras/tools/clusters.py"}
@@ -211,7 +211,7 @@ def test_every_choice_is_a_module_there_is_and_each_is_of_use_to_some_board() ->
     left = {build.module(source) for source in set(build.sources()) - every}
     trees = [ast.parse(text) for text in pruned(inline(build.texts())).values()]
     assert not any(left.intersection(build._imported(tree, ())) for tree in trees)
-    assert "pio.layout" in left  # which has nothing but constants
+    assert "pio.hub_layout" in left  # which has nothing but constants
 
 
 def test_main_and_the_board_file_stay_as_they_are(made: build.Build) -> None:

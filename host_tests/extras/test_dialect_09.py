@@ -145,7 +145,7 @@ def test_every_alarm_has_words(code: int, report: Report09, paper: Paper) -> Non
     report.alarm(code)
     assert paper.line() == f"ALARM: {_ALARMS.get(code, f'ID:{code}')}\r\n"
     ours = (errors.ALARM_INTERNAL, errors.ALARM_EMERGENCY_STOP)
-    added = (errors.ALARM_CUSTOM, errors.ALARM_DRIVER)
+    added = (errors.ALARM_HANDLER, errors.ALARM_DRIVER)
     brought = (ALARM_PUNCH_DOWN, ALARM_PUNCH_UP)  # the punch has its words with it
     assert code in _ALARMS or code in ours + added + brought
 

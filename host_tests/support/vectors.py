@@ -53,7 +53,6 @@ def print_reals(dice):
 def print_words(dice):
     """Numbers of any length, read into the bits of floats."""
     letters, values = bytearray(128), array("f", [0.0] * 128)
-    dots = array("i", [0, 0])
     for _ in range(1500):
         text = ""
         for _ in range(1 + dice.below(5)):
@@ -61,7 +60,7 @@ def print_words(dice):
             text += str(dice.below(10 ** (1 + dice.below(7))))
             if dice.below(2):
                 text += "." + "0" * dice.below(4) + str(dice.below(10 ** (1 + dice.below(7))))
-        count = words.scan(bytearray(text.encode() + b"\0"), len(text) << 8, letters, values, dots)
+        count = words.scan(bytearray(text.encode() + b"\0"), len(text) << 8, letters, values)
         bits = bytes(array("f", [values[i] for i in range(count & 255)]))
         print(text, count, list(bits))
         one, other = array("f", [values[0]]), array("f", [values[1 % (count & 255)]])

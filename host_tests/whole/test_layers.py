@@ -3,6 +3,7 @@
 import ast
 import re
 import sys
+from collections import Counter
 from functools import cache
 from pathlib import Path
 
@@ -156,13 +157,62 @@ def test_no_method_is_put_in_the_place_of_another():
     assert [file for file in FILES if "method-assign" in file.read_text(encoding="utf-8")] == []
 
 
+def test_no_two_modules_have_one_name():
+    """But for the pins of either chip, of which a board has one: the same methods, by one name."""
+    names = Counter(path.stem for path in FILES if path.stem not in ("__init__", "pins"))
+    assert [name for name, count in names.items() if count > 1] == []
+
+
+def test_nothing_is_made_of_more_than_six_others():
+    """Who needs more is given the machine."""
+    found = {
+        f"{module_name(path)}: {made.name}": len(method.args.args) - 1
+        for path, tree in trees().items()
+        for made in ast.walk(tree)
+        if isinstance(made, ast.ClassDef)
+        for method in made.body
+        if isinstance(method, ast.FunctionDef) and method.name in ("__init__", "connect")
+    }
+    assert found, "there are constructors"
+    assert {name: count for name, count in found.items() if count > 6} == {}
+
+
+CORE = ("base", "motion", "control", "language", "talk")
+# What is an extra's, wherever it stands in a name, a comment or a text.
+_GUESTS = (
+    r"jerk|cluster|\bdots?\b|_dots|rotary|punch|\bjobs?\b|custom|backlash|dialect|skew|ganged|"
+    r"lenient|tmc2209|drain|nonlinear|joint|scara|drilling|upload"
+)
+# Modules of extras, and folders, called by words that the core needs itself: Grbl's (kinematics of
+# a CoreXY, laser mode, a cycle, the chords of an arc), the board's, and everyday ones.
+_SHARED = "__init__ api chords cycles keep kinematics laser motors moves net places tools".split()
+
+
+def words_of_extras():
+    """What finds them: their words, and the names of their modules and folders."""
+    paths = [path.relative_to(FIRMWARE / "extras") for path in FILES if "extras" in path.parts]
+    names = {part.removesuffix(".py") for path in paths for part in path.parts}
+    assert set(_SHARED) <= names, "no more is let pass than there is"
+    rest = r"|".join(sorted(map(re.escape, names - set(_SHARED))))
+    return re.compile(f"{_GUESTS}|{rest}", re.IGNORECASE)
+
+
 def test_the_core_has_never_heard_of_an_extra():
-    """But for beams, whose part of the motion is a kernel of every laser's engine."""
-    core = ("base", "motion", "control", "language", "talk")
-    words = re.compile(r"jerk|rotary|punch|backlash|skew|ganged|lenient|tmc2209", re.IGNORECASE)
-    for file in FILES:
-        if module_name(file).split(".")[0] in core:
-            assert words.findall(file.read_text(encoding="utf-8")) == [], file
+    words = words_of_extras()
+    found = {
+        str(file.relative_to(FIRMWARE)): heard
+        for file in FILES
+        if module_name(file).split(".")[0] in CORE
+        and (heard := words.findall(file.read_text(encoding="utf-8")))
+    }
+    assert not found
+
+
+def test_words_of_extras_are_found_in_names_comments_and_texts():
+    words = words_of_extras()
+    for line in ("FIRST_DOT = 1  # jobs", "import job_run", "MOST_DOTS", "JerkPlan", '"a Custom"'):
+        assert words.search(line), line
+    assert not words.search("the adjoining place of an arc's chords; nobody's jobbing")
 
 
 def test_functions_and_files_stay_short():

@@ -119,7 +119,7 @@ _PROVED = {
     "schedule": "plan_kernel.schedule(table, ring, 0)",
     "limit_entry": "plan_kernel.limit_entry(ring, flow, 2)",
     "reverse_pass": "plan_kernel.reverse_pass(ring, flow, 1)",
-    "scan": "words.scan(text, end, letters, values, line.dots)",
+    "scan": "words.scan(text, end, letters, values)",
     "read": "line.read(short, 0, len(short) - 1)",
     "look": "look()",
     "an arc": "ln.execute(bow, len(bow) - 1, modal, machine, memory)",

@@ -1,7 +1,7 @@
 """What only one of two chips has is left out of the firmware for the other.
 
-`RP2350 = const(1)` in pio/layout.py says that the chip may be one. For a processor that is in an
-RP2040, and in no RP2350, it is 0: compilers drop what stands behind it.
+`RP2350 = const(1)` in pio/hub_layout.py says that the chip may be one. For a processor that is in
+an RP2040, and in no RP2350, it is 0: compilers drop what stands behind it.
 """
 
 import re
@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 from ..boardfile.chips import processors
 
-_MODULE = "pio.layout"
+_MODULE = "pio.hub_layout"
 _CHIP = "RP2350"
 _MAY_BE = re.compile(rf"^{_CHIP} = const\(1\)$", re.MULTILINE)
 

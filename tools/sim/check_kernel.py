@@ -8,14 +8,15 @@ from talk.lines import LINE, clean
 
 @micropython.viper
 def check_lines(
-    heard: ptr8, at: ptr32, text: ptr8, kinds: ptr8, modal: ptr32, machine: ptr32, memory: object
+    heard: ptr8, at: ptr32, line: object, kinds: ptr8, modal: ptr32, machine: ptr32, memory: object
 ) -> int:
     """Do what the firmware's loop does with lines that only move (talk/quick_lines.py), in check
     mode, up to one that does more. Returns how many were done."""
     done = 0
+    text = ptr8(line)
     found = int(clean(heard, at, text, kinds))
     while found & LINE:
-        if int(execute(text, found >> 2, modal, machine, memory)) == 0:
+        if int(execute(line, found >> 2, modal, machine, memory)) == 0:
             return done
         done += 1
         found = int(clean(heard, at, text, kinds))

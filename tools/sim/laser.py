@@ -2,7 +2,7 @@
 
 from array import array
 
-from motion import beam as bm
+from motion import beam_layout as bm
 from motion.layout import ROW_AXES, ROW_DIRS, ROW_POWER, ROW_STRIDE, ROW_TICKS, row_length
 
 from .engine import SimEngine, step_tick, steps_until

@@ -255,7 +255,7 @@ class Operator(PinOperator):
         while state.run == st.HOLD and state.holding:
             machine.drive.pump()
             machine.realtime.events()
-        machine.canon.give_up(errors.ALARM_CUSTOM)
+        machine.canon.give_up(errors.ALARM_HANDLER)
 
     # Waiting
 

@@ -1,20 +1,43 @@
-# mypy: disable-error-code=arg-type
+# mypy: disable-error-code="arg-type, has-type, misc"
 """Clusters of a laser's powers, S0:0:875:0: one line, one block, up to 16 dots of equal length.
 
 A line with a cluster holds what lines that only move hold: G1, axes, F, S and N, with $32 on. To
 the rest of the machine it is one with its last S, and its block is one like others; the powers of
-its dots lie beside the planner's ring, for motion/beam.py.
+its dots lie beside the planner's ring.
 """
 
 from array import array
 
 import micropython
+from base.errors import BAD_NUMBER_FORMAT, GCODE_MAX_VALUE_EXCEEDED, NEGATIVE_VALUE
 from control.spindle import ASKED, weigh
-from language.words import DOTS, FIRST_DOT
+from language.block_layout import CHECKED, IN_MOTION, MOVE, ONLY
+from language.words import number, scan
 from micropython import const
-from motion.beam import MOST, ROOM, ROW
-from motion.layout import FLAGS, HEAD, ROW_SIZE, ROWS, SYSTEM_MOTION, TAIL
+from motion.beam_layout import LEVEL
+from motion.layout import (
+    AT,
+    DYNAMIC,
+    EVENTS,
+    FLAGS,
+    HEAD,
+    KEEP_POWER,
+    LOADED,
+    MOTORS,
+    ROW_AXES,
+    ROW_POWER,
+    ROW_SIZE,
+    ROW_STRIDE,
+    ROW_TICKS,
+    ROWS,
+    STEPS,
+    SYSTEM_MOTION,
+    TAIL,
+)
 from motion.planner import SPINDLE_MASK
+from motion.slice_kernel import dimmed, speed_share
+
+from extras.tools.laser import Laser, emit, lay, mark
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -22,11 +45,165 @@ if TYPE_CHECKING:
     from typing import Any
 
     from interfaces import Options
+    from motion.planner import Planner
     from talk.controller import Controller
 
     from extras.api import Cnc
 
 _LINE_LENGTH = const(160)
+_COLON = const(58)
+_S = const(83)
+# A cut along a straight line, which asks for nothing else.
+_CUT = const(CHECKED | MOVE | IN_MOTION)
+
+# A row per block: how many dots it has, 0 if it is none; their powers, as POWER is.
+MOST = const(16)
+ROOM = const(17)
+
+# The dots of the line just read: how many, and these, as bits of floats.
+DOTS = const(0)
+FIRST_DOT = const(1)
+
+
+@micropython.viper
+def read_dots(line: object, span: int, found: int, memory: object) -> int:
+    """Go on where scan() has found a colon: all numbers of an S go into dots, the last of them is
+    its value. As block.read() wants it; memory: where words are, dots, ints of the block."""
+    _letters, _values, _dots, _ints = memory
+    text = ptr8(line)
+    letters = ptr8(_letters)
+    values = ptr32(_values)
+    dots = ptr32(_dots)
+    ints = ptr32(_ints)
+    count = found & 255
+    pos = found >> 16
+    while count and pos and text[pos] == _COLON:
+        count -= 1
+        if letters[count] != _S:
+            return count | BAD_NUMBER_FORMAT << 8
+        dots[FIRST_DOT] = values[count]
+        dots[DOTS] = 1
+        while text[pos] == _COLON:
+            if dots[DOTS] == MOST:
+                return count | GCODE_MAX_VALUE_EXCEEDED << 8
+            pos = int(number(text, pos + 1, values, count))
+            if pos == 0:
+                return count | BAD_NUMBER_FORMAT << 8
+            if ptr8(values)[4 * count + 3] & 128:
+                return count | NEGATIVE_VALUE << 8
+            dots[FIRST_DOT + dots[DOTS]] = values[count]
+            dots[DOTS] += 1
+        ints[ONLY] = _CUT
+        found = int(scan(text, count + 1 << 16 | (span & 0xFF00) | pos, letters, values))
+        count = found & 255
+        pos = found >> 16
+    return found
+
+
+@micropython.viper
+def reach(row: ptr32, base: int, whole: int, over: int, parts: int) -> int:
+    """The tick at which the axis at row[base] comes to a place: whole steps, and `over` of `parts`
+    of one, into its segment. A step is made half way to the next place of a motor."""
+    gaps = row[base] - 1
+    tick = row[base + 1]
+    gap = row[ROW_TICKS]
+    if gaps > 0:
+        span = row[base + 2] - tick
+        gap = span // gaps
+        longer = span - gap * gaps
+        tick += gap * whole + (whole if whole < longer else longer)
+    return tick + gap // (2 * parts) * (2 * over - parts)
+
+
+@micropython.viper
+def leader(ring: ptr32, at: int) -> int:
+    """The motor with the most steps in the block at ring[at]: each of its steps is an event."""
+    motor = 0
+    while ring[at + STEPS + motor] != ring[at + EVENTS]:
+        motor += 1
+    return motor
+
+
+@micropython.viper
+def begun(done: int, events: int, parts: int) -> int:
+    """How many of the dots that share the events have begun, when so many are done."""
+    return (done * parts + events - 1) // events
+
+
+@micropython.viper
+def dots(
+    flow: ptr32,
+    ring: ptr32,
+    table: ptr32,
+    row: ptr32,
+    beam: ptr32,
+    levels: ptr32,
+    clusters: ptr32,
+    own: int,
+) -> int:
+    """The changes of power in a segment of a cluster, whose row begins at clusters[own].
+
+    Dots are as long as each other, and the first begins with the block. Where power follows speed,
+    a segment in which no dot begins has the power of the old one at its own speed.
+    """
+    at = flow[AT]
+    events = ring[at + EVENTS]
+    count = clusters[own]
+    parts = count if count < events else events
+    motor = int(leader(ring, at))
+    base = ROW_AXES + ROW_STRIDE * motor
+    done = events - flow[MOTORS + 2 * motor]
+    before = done - row[base]
+    dot = int(begun(before, events, parts))
+    number = int(begun(done, events, parts)) - dot
+    first = 0
+    last = 0
+    if number:
+        whole = events * dot // parts
+        over = events * dot - whole * parts
+        if before:
+            first = int(reach(row, base, whole - before, over, parts))
+        whole = events * (dot + number - 1) // parts
+        over = events * (dot + number - 1) - whole * parts
+        last = int(reach(row, base, whole - before, over, parts)) if number > 1 else first
+    elif ring[at + FLAGS] & DYNAMIC:
+        number = 1
+        dot -= 1
+    begins = dot * events >= before * parts
+    dynamic = ring[at + FLAGS] & DYNAMIC
+    part = int(speed_share(flow, ring))
+    for i in range(number):
+        power = clusters[own + 1 + (dot + i if parts == count else (dot + i) * count // parts)]
+        if dynamic:
+            power = int(dimmed(table, power, part))
+        if begins or power != beam[LEVEL]:
+            emit(beam, levels, power)
+        else:
+            number = 0
+    lay(table, row, beam, number, first, last)
+    return 0
+
+
+@micropython.viper
+def mark_dots(
+    flow: ptr32,
+    ring: ptr32,
+    table: ptr32,
+    row: ptr32,
+    beam: ptr32,
+    levels: ptr32,
+    clusters: ptr32,
+) -> int:
+    """As laser.mark(), where the segment's block may be a cluster."""
+    at = flow[AT] // flow[ROW_SIZE] * ROOM
+    if clusters[at] == 0:
+        mark(table, row, beam, levels)
+        return 0
+    dots(flow, ring, table, row, beam, levels, clusters, at)
+    if flow[LOADED] == 0:
+        clusters[at] = 0
+    row[ROW_POWER] = KEEP_POWER
+    return 0
 
 
 @micropython.viper
@@ -55,8 +232,45 @@ def store(
     return 0
 
 
+class ClusterLaser(Laser):
+    """A laser whose power changes within blocks."""
+
+    def burn(self, planner: "Planner", clusters: "array[int]") -> None:
+        """Say where blocks are, and the dots of each."""
+        self._flow, self._ring, self._clusters = planner.flow, planner.ring, clusters
+
+    @micropython.viper
+    def next(self, row: object) -> int:
+        """As segments.Segments.next(), with the changes of power that come in the segment."""
+        if int(self._usual_next(row)) == 0:
+            return 0
+        flow = ptr32(self._flow)
+        ring = ptr32(self._ring)
+        table = ptr32(self._table)
+        beam = ptr32(self._beam)
+        levels = ptr32(self._levels)
+        mark_dots(flow, ring, table, ptr32(row), beam, levels, ptr32(self._clusters))
+        return 1
+
+    def take_up(self) -> bool:
+        """Motion begins: a dot that a hold has cut in two goes on as it was. Power that follows
+        speed begins with none."""
+        flow, ring = self._flow, self._ring
+        at = flow[AT]
+        own = at // flow[ROW_SIZE] * ROOM
+        count = self._clusters[own]
+        if count and flow[LOADED] and not self._reversed and self._engine.idle():
+            events = ring[at + EVENTS]
+            parts = min(count, events)
+            done = events - flow[MOTORS + 2 * leader(ring, at)]
+            dot = begun(done, events, parts) - 1
+            if dot >= 0:
+                self.set_power(self._clusters[own + 1 + dot * count // parts])
+        return True
+
+
 class Clusters:
-    """What stands around a machine's planner."""
+    """What stands around a machine's lines and its planner."""
 
     def __init__(self, machine: "Controller") -> None:
         self._machine = machine
@@ -65,8 +279,12 @@ class Clusters:
         self.powers = array("i", (0 for _ in range(ROOM * blocks)))
         # S of each dot: an override of the spindle weighs it anew.
         self._speeds = array("f", (0.0 for _ in range(MOST * blocks)))
-        self._dots = machine.interpreter.block.dots
+        self._dots = array("i", (0 for _ in range(FIRST_DOT + MOST)))
         self._values = memoryview(self._dots)[FIRST_DOT:]
+        block = machine.interpreter.block
+        self._ints = block.ints
+        letters, values = block.words[:2]
+        block.read_on = read_dots, (letters, values, self._dots, self._ints)
         planner = machine.planner
         self._usual_plan, planner.move_hook = planner.move_hook or planner.plan, self.plan
         hooks = machine.state.hooks
@@ -85,7 +303,7 @@ class Clusters:
         machine = self._machine
         head = machine.planner.flow[HEAD]
         if not flags & SYSTEM_MOTION:
-            count = self._dots[DOTS] if flags & SPINDLE_MASK else 0
+            count = self._dots[DOTS] if self._ints[ONLY] and flags & SPINDLE_MASK else 0
             scale = machine.state.spindle
             store(self._values, count, scale, flags, self.powers, self._speeds, head)
         planned = self._usual_plan(target, flags, line, power, rate)
@@ -116,14 +334,12 @@ def prepare(options: "Options", board: "ModuleType") -> None:
     if option("ENGINE", "") in ("rmt", "i2s"):
         raise ValueError("CLUSTERS wants a Pico: others have no machine for a beam")
     options.line_length = _LINE_LENGTH
-    options.dots = MOST
+    options.spindle = ClusterLaser
 
 
 def install(cnc: "Cnc") -> None:
     """Around the lines, the planner, and the laser's segments."""
     machine = cnc.machine
-    clusters = Clusters(machine)
-    engine: "Any" = machine.engine
     laser: "Any" = machine.spindle
-    engine.beam[ROW] = ROOM
-    laser.burn(clusters.powers)
+    laser.burn(machine.planner, Clusters(machine).powers)
+    cnc.before_motion(laser.take_up)

@@ -5,8 +5,8 @@ $33 is the frequency of the pulses that power is made of, with grblHAL's number 
 board file's PWM_HZ is its default. A spindle's controller wants a certain one; a beam draws a
 raster the better, the more pulses fall on a dot.
 
-Where the engine can, power changes at the step where it belongs, by hardware: motion/beam.py says
-where in each segment, and no interrupt sets it.
+Where the engine can, power changes at the step where it belongs, by hardware, and no interrupt
+sets it: mark() says where in each segment, as motion/beam_layout.py has it.
 """
 
 from array import array
@@ -17,9 +17,16 @@ from base.f32 import whole
 from base.settings import ALL, WHOLE
 from control.spindle import Spindle
 from micropython import const
-from motion import beam as bm
-from motion.beam import mark
-from motion.layout import AT, EVENTS, LOADED, MOTORS, ROW_SIZE
+from motion import beam_layout as bm
+from motion.beam_layout import BOTH, COUNT, FULL, FULL_LOG2, GAP, LEVEL, LEVELS_MASK, SINCE
+from motion.layout import (
+    KEEP_POWER,
+    MOTOR_COUNT,
+    ROW_AXES,
+    ROW_POWER,
+    ROW_STRIDE,
+    ROW_TICKS,
+)
 
 TYPE_CHECKING = const(False)
 if TYPE_CHECKING:
@@ -42,6 +49,51 @@ _NUMBER = const(33)
 _LOWEST_HZ = const(10)
 _HIGHEST_HZ = const(100_000)
 _BESIDE_RADIO = const(4)  # motors
+_SOONEST = const(8)  # ticks in which an engine is ready for the first change of a segment
+_LONG = const(0x100000)  # ticks: no gap is longer
+
+
+@micropython.viper
+def emit(beam: ptr32, levels: ptr32, power: int) -> int:
+    """A change of power: its level goes into the ring."""
+    levels[beam[COUNT] & LEVELS_MASK] = ((power * beam[FULL]) >> FULL_LOG2) * beam[BOTH]
+    beam[COUNT] += 1
+    beam[LEVEL] = power
+    return 0
+
+
+@micropython.viper
+def lay(table: ptr32, row: ptr32, beam: ptr32, number: int, first: int, last: int) -> int:
+    """Put so many changes into a row, not sooner than the hardware is ready for them."""
+    base = ROW_AXES + ROW_STRIDE * table[MOTOR_COUNT]
+    row[base] = number
+    since = beam[SINCE] + row[ROW_TICKS]
+    if number:
+        soonest = beam[GAP] - beam[SINCE]
+        if soonest < _SOONEST:
+            soonest = _SOONEST
+        if first < soonest:
+            first = soonest
+        soonest = first + (number - 1) * beam[GAP]
+        if last < soonest:
+            last = soonest
+        row[base + 1] = first
+        row[base + 2] = last
+        since = row[ROW_TICKS] - last
+    beam[SINCE] = since if since < _LONG else _LONG
+    return 0
+
+
+@micropython.viper
+def mark(table: ptr32, row: ptr32, beam: ptr32, levels: ptr32) -> int:
+    """Put the change of power into a segment just made: see segment_kernel.fill()."""
+    number = 0
+    if row[ROW_POWER] != beam[LEVEL]:
+        emit(beam, levels, row[ROW_POWER])
+        number = 1
+    lay(table, row, beam, number, 0, 0)
+    row[ROW_POWER] = KEEP_POWER
+    return 0
 
 
 class Laser(Spindle):
@@ -52,50 +104,21 @@ class Laser(Spindle):
         self._beam = array("i", (bm.UNKNOWN for _ in range(bm.LENGTH)))
         self._engine: "Any" = None
 
-    def connect(
-        self,
-        engine: "BeamEngine",
-        planner: "Planner",
-        usual_next: "NextSegment",
-        clusters: "array[int]",
-    ) -> None:
+    def connect(self, engine: "BeamEngine", planner: "Planner", usual_next: "NextSegment") -> None:
         """Say what works on the beam: at rest, this; in motion, the engine."""
         self._usual_next = usual_next
         self._engine = engine
         self._beam = engine.beam
         self._levels = engine.levels
-        self._flow = planner.flow
-        self._ring = planner.ring
         self._table = planner.table
-        self._clusters = clusters
 
     @micropython.viper
     def next(self, row: object) -> int:
         """As segments.Segments.next(), with the changes of power that come in the segment."""
         if int(self._usual_next(row)) == 0:
             return 0
-        flow = ptr32(self._flow)
-        ring = ptr32(self._ring)
-        table = ptr32(self._table)
-        beam = ptr32(self._beam)
-        mark(flow, ring, table, ptr32(row), beam, ptr32(self._levels), ptr32(self._clusters))
+        mark(ptr32(self._table), ptr32(row), ptr32(self._beam), ptr32(self._levels))
         return 1
-
-    def take_up(self) -> bool:
-        """Motion begins: a dot that a hold has cut in two goes on as it was. Power that follows
-        speed begins with none."""
-        flow, ring = self._flow, self._ring
-        at = flow[AT]
-        own = at // flow[ROW_SIZE] * self._beam[bm.ROW]
-        count = self._clusters[own]
-        if count and flow[LOADED] and not self._reversed and self._engine.idle():
-            events = ring[at + EVENTS]
-            parts = min(count, events)
-            done = events - flow[MOTORS + 2 * bm.leader(ring, at)]
-            dot = bm.begun(done, events, parts) - 1
-            if dot >= 0:
-                self.set_power(self._clusters[own + 1 + dot * count // parts])
-        return True
 
     def set_power(self, power: int) -> None:
         """Power at rest; of segments, where no engine changes it. Safe in an interrupt."""
@@ -116,10 +139,6 @@ class Laser(Spindle):
         if self._engine:
             self._engine.put_out()
         super().stop()
-
-    def burn(self, clusters: "array[int]") -> None:
-        """Say where the dots of each block are."""
-        self._clusters = clusters
 
     def direction(self) -> int:
         """OFF, CW or CCW."""
@@ -157,9 +176,8 @@ def install(cnc: "Cnc") -> None:
     has_beam = hasattr(engine, "beam")
     if has_beam:
         hooks = machine.state.hooks
-        laser.connect(engine, machine.planner, hooks.next_segment, array("i", (0,)))
+        laser.connect(engine, machine.planner, hooks.next_segment)
         hooks.next_segment = laser.next
-        cnc.before_motion(laser.take_up)
 
     def configure() -> None:
         if settings.changed in (_NUMBER, ALL):
