@@ -9,6 +9,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import FrameType, SimpleNamespace
 from typing import Any
 
@@ -18,9 +19,21 @@ from ugrbl import paths
 from ugrbl.boardfile.files import load_board
 from ugrbl.sim import Machine
 
-_LINES = ("G1 X2", "G1 X3 F700", "T1 G1 X4", "G2 X5 Y1 R5", "$J=G91 X1 F500", "$110=500")
+_LINES = (
+    *("G1 X2", "G1 X3 F700", "T1 G1 X4", "G2 X5 Y1 R5", "$J=G91 X1 F500", "$110=500"),
+    "M100",
+)
+# A user's own, by a name that no other has.
+_CUSTOM = "line_ways_custom"
+_OWN = """\
+from ugrbl import mcode
 
-Way = list[tuple[str, str]]  # file and function
+@mcode(100)
+def nothing(m):
+    pass
+"""
+
+Way = list[tuple[str, str]]  # file and function; empty where the line is refused
 
 
 class _Tracer:
@@ -55,29 +68,41 @@ def ways(board: Any, lines: "tuple[str, ...]" = _LINES) -> "Iterator[tuple[str, 
         machine.program(["G1 X1 F500", "G1 X1.5"])
         machine.rest()
         for line in lines:
-            machine.ask(line)
-            yield line, tracer.answered
+            said = machine.ask(line)
+            yield line, tracer.answered if said[-1] == "ok" else []
             machine.rest()
 
 
-def board(**more: object) -> Any:
-    """The simulator's, with these options besides."""
-    return SimpleNamespace(**{**vars(load_board("sim")), **more})
+def boards() -> "tuple[Any, Any]":
+    """The simulator's, and the same with LENIENT and a custom.py, which lies where this runs."""
+    Path(f"{_CUSTOM}.py").write_text(_OWN, encoding="utf-8")
+    sys.path.insert(0, os.getcwd())
+    plain = vars(load_board("sim"))
+    more = {**plain, "LENIENT": True, "CUSTOM": _CUSTOM}
+    return SimpleNamespace(**plain), SimpleNamespace(**more)
 
 
 def table() -> "Iterator[str]":
     """As it stands in docs/architecture.md."""
-    yield "| line | files | functions | with `LENIENT`: files | functions |"
+    yield "| line | files | functions | with `custom.py` and `LENIENT`: files | functions |"
     yield "| --- | --- | --- | --- | --- |"
-    boards = board(), board(LENIENT=True)
-    for (line, plain), (_, other) in zip(*map(ways, boards), strict=True):
+    for (line, plain), (_, other) in zip(*map(ways, boards()), strict=True):
         counts = [len(found) for way in (plain, other) for found in (dict(way), set(way))]
-        yield f"| `{line}` | {' | '.join(map(str, counts))} |"
+        yield f"| `{line}` | {' | '.join(str(count or 'refused') for count in counts)} |"
+
+
+def main(lines: "tuple[str, ...]") -> None:
+    """Print the table, or the ways of these lines; of one that the plain board refuses, the
+    other's."""
+    if not lines:
+        print("\n".join(table()))
+        return
+    for line in lines:
+        found = (way for each in boards() for _, way in ways(each, (line,)) if way)
+        print("\n".join(f"{file}: {name}" for file, name in dict.fromkeys(next(found, []))))
 
 
 if __name__ == "__main__":
-    if sys.argv[1:]:
-        for _, way in ways(board(), tuple(sys.argv[1:])):
-            print("\n".join(f"{file}: {name}" for file, name in dict.fromkeys(way)))
-    else:
-        print("\n".join(table()))
+    with TemporaryDirectory() as folder:
+        os.chdir(folder)
+        main(tuple(sys.argv[1:]))

@@ -160,7 +160,7 @@ def test_a_setting(tree):
 
 
 @in_section("A setting")
-def test_a_setting_has_its_words_in_grbl_09(tree):
+def test_a_setting_has_its_unit_in_grbl_09(tree):
     program = tree.folder / "ask.nc"
     program.write_text("$$\n")
     tree.python(
@@ -168,7 +168,7 @@ def test_a_setting_has_its_words_in_grbl_09(tree):
         *("--board", "sim_09j", "--json", str(tree.folder / "told")),
     )
     told = json.loads((tree.folder / "told").read_text())["other_output"]
-    assert "$99=0.000 (spin-up time, sec)" in [text for _, text in told]
+    assert "$99=0.000 (seconds)" in [text for _, text in told]
 
 
 @in_section("A board")

@@ -22,6 +22,14 @@ def test_the_table_is_that_of_the_docs() -> None:
     assert "\n".join(printed()) in _PAGE.read_text("utf-8")
 
 
+def test_a_word_of_the_users_goes_to_its_handler() -> None:
+    """By own_words.py, when motion has ended."""
+    found = printed("M100")
+    order = ["own_words.py: execute", "canon.py: synchronise", "runner.py: run"]
+    places = [next(i for i, row in enumerate(found) if row.endswith(name)) for name in order]
+    assert places == sorted(places)
+
+
 def test_a_line_that_only_moves_runs_no_python() -> None:
     """All of these are kernels."""
     found = printed("T1 G90 G1 X4 F600")
