@@ -1,7 +1,10 @@
 # mypy: disable-error-code=arg-type
 """Ramps: how far and how fast at constant acceleration, in integers, for segment_kernel.py.
 
-Viper; runs in the engine's interrupt.
+The equations of motion at constant acceleration, v2 - u2 = 2 a s and s = (v + u) / 2 * t, for
+speeds in 2**-18 step per full segment and times in 2**-17 of a full segment (segment_kernel.py).
+A speed has up to 30 bits, so products are made in parts that fit 32. Viper; runs in the engine's
+interrupt.
 """
 
 import micropython
@@ -11,7 +14,10 @@ from motion.reals import BIAS, HIGHEST, LIMIT, SMALLEST, mul, pack, square_root
 
 @micropython.viper
 def share(part: int, all: int) -> int:
-    """part / all in 2**-17, for part <= all; 2**17 where it is more."""
+    """Return part / all in 2**-17; 2**17, which is 1, where part >= all. Both: 0 to 2**30 - 1.
+
+    A long division in two digits of base 256: with all below 2**22, a remainder shifted by 8 fits.
+    """
     if part >= all:
         return 131072
     while all >= 1 << 22:
@@ -24,23 +30,26 @@ def share(part: int, all: int) -> int:
 
 @micropython.viper
 def times(x: int, part: int) -> int:
-    """x * part for a part in 2**-17, as in share()."""
+    """Return x * part, x: 0 to 2**30 - 1; part: 0 to 2**17, in 2**-17, as share() has it.
+
+    part loses two bits, so that each half of x times part stays below 2**31.
+    """
     return (x >> 15) * (part >> 2) + (((x & 32767) * (part >> 2)) >> 15)
 
 
 @micropython.viper
 def braking(fast: int, slow: int, ramp: int, unit: int) -> int:
-    """Distance, in 2**-unit steps, over which ramp changes one speed into the other.
+    """Return the distance, in 2**-unit step, over which ramp changes one speed into the other.
 
-    (fast2 - slow2) / 2 ramp, of the leading 15 bits of sum, difference and ramp: right to 2**-13
-    of itself. Speeds and ramp: 0 to 2**30 - 1, in 2**-18 step; unit: 18, or 0 for whole steps.
-    HIGHEST where it is more.
+    s = (fast2 - slow2) / (2 * ramp) = (fast + slow) * (fast - slow) / (2 * ramp), of the leading
+    15 bits of each factor: right to 2**-13 of itself. Speeds and ramp: 0 to 2**30 - 1, in 2**-18
+    step per full segment; unit: 18, or 0 for whole steps. HIGHEST where it does not fit.
     """
     if fast == slow:
         return 0
     total = fast + slow
     change = fast - slow
-    exponent = unit - 19
+    exponent = unit - 19  # 18 bits of the speeds are a fraction, and the 2 of the formula
     while total >= LIMIT:
         total >>= 1
         exponent += 1
@@ -63,7 +72,11 @@ def braking(fast: int, slow: int, ramp: int, unit: int) -> int:
 
 @micropython.viper
 def after(speed: int, ramp: int, distance: int, down: int) -> int:
-    """Speed after speeding up, or slowing down, by ramp over a distance: v2 +- 2 ramp distance."""
+    """Return the speed after a distance of speeding up, or of braking with down: v2 +- 2 ramp s.
+
+    speed, ramp: 2**-18 step per full segment; distance: 2**-18 step. 0 where braking would end
+    before. The sum is made of two reals at the larger exponent, with 14 more bits of each.
+    """
     square = int(pack(speed, BIAS))
     square = int(mul(square, square))
     change = int(mul(int(pack(ramp, BIAS + 1)), int(pack(distance, BIAS))))
@@ -78,7 +91,7 @@ def after(speed: int, ramp: int, distance: int, down: int) -> int:
     if mantissa <= 0:
         return 0
     exponent -= BIAS + 14
-    if exponent & 1:
+    if exponent & 1:  # the root of 2**exponent has half of it
         mantissa >>= 1
         exponent += 1
     root = int(square_root(mantissa))

@@ -1,8 +1,14 @@
 # mypy: disable-error-code=arg-type
-"""Reals: positive numbers in one integer, for the kernels.
+"""Reals: positive floating-point numbers in one integer, for the kernels.
 
-15 bits of mantissa, with the exponent above them: value = mantissa * 2**(exponent - 64). Reals
-compare as plain integers do; 0 is 0. Their relative error is 2**-14.
+A float is an object on MicroPython, and an interrupt must not create any. A real is an integer:
+
+    bits  30 … 15  exponent e      value = mantissa * 2**(e - 64)
+          14 …  0  mantissa        16384 … 32767, so bit 14 is always set; 0 is 0
+
+The exponent is above the mantissa, so reals compare as plain integers do. Their relative error is
+2**-14: enough for speeds and accelerations, which decide when a step comes. Positions, which
+decide how many, are whole steps. Two mantissas of 15 bits have a product of 30, which fits.
 """
 
 import math
@@ -33,7 +39,8 @@ def value(r: int) -> float:
 
 @micropython.viper
 def per_minute(r: int) -> int:
-    """60 times the real r, rounded, a half up; at most 30 bits."""
+    """Return 60 times the real r, rounded, a half up; at most 30 bits. Reports are in mm/min."""
+    # One bit more than asked for, the half, is added before it is dropped.
     twice = r % LIMIT * 120
     shift = BIAS - r // LIMIT
     if shift <= 0:
@@ -43,10 +50,11 @@ def per_minute(r: int) -> int:
 
 @micropython.viper
 def per_second(rate: ptr32, at: int) -> int:
-    """The real nearest below a sixtieth of a float that is not negative: its bits are rate[at]."""
+    """Return the real nearest below rate[at] / 60; rate: bits of floats, not negative (mm/min)."""
     bits = rate[at]
     if bits == 0:
         return 0
+    # A float is (2**23 + fraction) * 2**(e - 150); a sixtieth of its 24 bits has 18 or 19.
     mantissa = (((bits & 0x7FFFFF) | 0x800000) // 60) >> 3  # from 17476 to 34952
     exponent = (bits >> 23) - 147 + BIAS
     if mantissa >= LIMIT:
@@ -57,7 +65,7 @@ def per_second(rate: ptr32, at: int) -> int:
 
 @micropython.viper
 def pack(mantissa: int, exponent: int) -> int:
-    """The real mantissa * 2**(exponent - 64) of any mantissa."""
+    """Return the real mantissa * 2**(exponent - 64) of any mantissa from 0 to 2**30 - 1."""
     if mantissa == 0:
         return 0
     while mantissa >= LIMIT:
@@ -71,7 +79,8 @@ def pack(mantissa: int, exponent: int) -> int:
 
 @micropython.viper
 def mul(a: int, b: int) -> int:
-    """The product of two reals."""
+    """Return the product of two reals."""
+    # 2**14 <= m < 2**15 each: the product has 29 or 30 bits, and 15 or 16 once 14 are dropped.
     mantissa = ((a & 32767) * (b & 32767)) >> 14
     if mantissa == 0:
         return 0
@@ -84,9 +93,10 @@ def mul(a: int, b: int) -> int:
 
 @micropython.viper
 def ratio(n: int, b: int) -> int:
-    """The quotient of an integer and a real that is not 0."""
+    """Return the real n / b; n: an integer from 0 to 2**30 - 1; b: a real that is not 0."""
     if n == 0:
         return 0
+    # n becomes a mantissa; shifted by 15 it fits 30 bits, and the quotient has 15 or 16.
     exponent = 2 * BIAS - 15
     while n >= LIMIT:
         n >>= 1
@@ -103,9 +113,13 @@ def ratio(n: int, b: int) -> int:
 
 @micropython.viper
 def square_root(n: int) -> int:
-    """The integer square root."""
+    """Return the integer square root of n, from 0 to 2**31 - 1.
+
+    Digit by digit in base 4, as on paper: each turn decides one bit of the root, without a
+    division.
+    """
     root = 0
-    bit = 1 << 28
+    bit = int(0x40000000)  # 1 << 30 is an object on a board
     while bit > n:
         bit >>= 2
     while bit:
@@ -120,7 +134,8 @@ def square_root(n: int) -> int:
 
 @micropython.viper
 def product(a: int, b: int, c: int) -> int:
-    """The whole part of the product of three reals, 2**30 - 1 at the most."""
+    """Return the whole part of a * b * c, three reals; HIGHEST where it is more."""
+    # Two mantissas, back at 15 or 16 bits, times the third: at most 2147287044, just below 2**31.
     mantissa = (((a & 32767) * (b & 32767)) >> 14) * (c & 32767)
     shift = (a >> 15) + (b >> 15) + (c >> 15) - 3 * BIAS + 14
     if mantissa == 0 or shift < -30:

@@ -24,11 +24,11 @@ from motion.reals import LIMIT, pack, square_root
 
 @micropython.viper
 def to_steps(target: ptr32, table: ptr32) -> int:
-    """Round mm times steps/mm to whole steps, halves away from zero, into TARGET of the table.
+    """Round mm * steps/mm to whole steps, halves away from zero, into TARGET of the table.
 
-    mm and steps/mm are single precision, seen as integers; the product is
-    rounded to single precision first, as Grbl's is. Returns 0 where an axis
-    leaves +-2**29 steps.
+    target, steps/mm: bits of single-precision floats. The product is rounded to single precision
+    before it is rounded to steps, as Grbl's is, because a target half way between two steps must
+    end on the same one. Returns 0 where an axis leaves +-2**29 steps, else 1.
     """
     inside = 1
     axes = table[AXES]
@@ -39,6 +39,8 @@ def to_steps(target: ptr32, table: ptr32) -> int:
         high = (signs[4 * i + 3] & 0x40) << 24
         b = table[resolution + i]
         exponent = ((a + high) >> 23) + (b >> 23) - 254
+        # Two mantissas of 24 bits, in halves of 12: product has the upper 24 bits of theirs, low
+        # the lower ones.
         a = (a & 0x7FFFFF) | 0x800000
         b = (b & 0x7FFFFF) | 0x800000
         middle = (a >> 12) * (b & 0xFFF) + (a & 0xFFF) * (b >> 12)
@@ -51,7 +53,7 @@ def to_steps(target: ptr32, table: ptr32) -> int:
             product = (product << 1) | (low >> 23)
             low = (low << 1) & 0xFFFFFF
         if low > 0x800000 or (low == 0x800000 and product & 1):
-            product += 1
+            product += 1  # to the nearest float, a half to the even one
         if exponent > 28:
             inside = 0
             product = 0x1FFFFFFF  # as far as it goes, on the right side
@@ -69,9 +71,9 @@ def to_steps(target: ptr32, table: ptr32) -> int:
 
 @micropython.viper
 def motor_steps(places: ptr32, at: int, axes: int, moves: int) -> int:
-    """Steps of a motor on the way to a place of the axes, from the one that stands behind it.
+    """Return a motor's steps from the position at places[at + axes] to the one at places[at].
 
-    moves: what the motor does; see MOVES.
+    moves: which axes turn this motor, and which of them backwards; see MOVES in layout.py.
     """
     steps = 0
     for i in range(axes):
@@ -82,10 +84,11 @@ def motor_steps(places: ptr32, at: int, axes: int, moves: int) -> int:
 
 @micropython.viper
 def measure(table: ptr32, ring: ptr32, at: int) -> int:
-    """Begin a block, from POSITION to TARGET: steps, directions, length in mm. Returns EVENTS.
+    """Begin a block from POSITION to TARGET: steps, directions, length in mm. Returns EVENTS.
 
-    As in Grbl, length is that of the motors' way, one per axis. Their distances (reals) are left
-    in the table for limit().
+    length = sqrt(sum of distance_i**2), of the motors' distances, one per axis, as in Grbl: on a
+    CoreXY machine $110 and $120 limit motors. The distances (reals, mm) are left in the table for
+    limit(). EVENTS: steps of the motor that makes the most; 0: nothing is to move.
     """
     axes = table[AXES]
     distance = LIMITS + 5 * axes
@@ -105,7 +108,7 @@ def measure(table: ptr32, ring: ptr32, at: int) -> int:
             steps = 0 - steps
         ring[at + STEPS + i] = steps
         if i >= axes:
-            continue  # the way is that of the motor that it goes with
+            continue  # a second motor of an axis goes the distance of the first
         mantissa = 0
         exponent = 0
         if steps:
@@ -124,6 +127,7 @@ def measure(table: ptr32, ring: ptr32, at: int) -> int:
             if steps > events:
                 events = steps
         table[distance + i] = (exponent << 15) + mantissa
+    # At the exponent of the largest, so 14 bits each: six squares of 28 bits stay below 2**31.
     squares = 0
     for i in range(axes):
         mantissa = table[distance + i]
