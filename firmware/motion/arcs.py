@@ -1,9 +1,10 @@
 # mypy: disable-error-code=arg-type
 """Arcs: chord by chord along a course.
 
-A course is an array of integers, which arc_geometry.lay() lays once for each arc. Places in it are
-fixed-point numbers of steps. Those of the plane turn about their centres, those of other axes go
-evenly.
+A course is an array of integers that arc_geometry.lay() fills once for each arc. Positions in it
+are fixed-point numbers of steps. The two axes of the plane rotate about the centre; the others of
+a helix advance evenly. Integers, because an interrupt may come at any time and a float is an
+object; main loop only.
 """
 
 from array import array
@@ -64,19 +65,24 @@ def stray(course: "array[int]", mm: float) -> None:
 
 @micropython.viper
 def rotate(course: ptr32, shift: int) -> int:
-    """Turn the places of the plane on by a chord's angle.
+    """Rotate the position in the plane by the angle of one chord, phi.
 
-    With the places x and y seen from their centre, x -= t * y, y += s * x, x -= t * y, where s is
-    the angle's sine and t the tangent of its half: the radius cannot change. Such products are
-    small where chords are many, so they are made with `shift` bits more than places have, which
-    wait for the next chord: errors grow with the angle and not with the number of chords.
+    Three shears, with x and y seen from the centre, t = tan(phi / 2) and s = sin(phi):
+
+        x -= t * y        y += s * x        x -= t * y
+
+    Their product is the matrix of the rotation. A rounded shear can be undone exactly, so the
+    radius does not drift, however many chords there are. The changes are small where chords are
+    many; they are computed with `shift` more bits than positions have, and the remainder is kept
+    in REST for the next chord: errors grow with the angle, not with the number of chords.
+    Positions and centres: up to 2**28 units; shears: 2**-(28 + shift), + FAR.
     """
     one = course[TURNING]
     other = course[TURNING + 1]
     for i in range(3):
         away = course[other] - course[other + CENTRE]
         shear = course[SHEARS + (i & 1)] - FAR
-        # Their product / 2**28.
+        # away * shear / 2**28, in halves of 14 bits so that each product fits 31.
         above = away >> 14
         high = shear >> 14
         change = ((away - (above << 14)) * high) >> 14
@@ -92,9 +98,9 @@ def rotate(course: ptr32, shift: int) -> int:
 
 @micropython.viper
 def advance(course: ptr32, table: ptr32) -> int:
-    """Go on by a chord: its place, in whole steps, comes into TARGET of the planner's table.
+    """Advance by one chord: its end, in whole steps, goes into TARGET of the planner's table.
 
-    Returns OUTSIDE where that is outside the machine's travel; 0.
+    Returns OUTSIDE where that is outside the machine's travel, else 0.
     """
     shift = course[SHIFT]
     rotate(course, shift)
@@ -126,10 +132,11 @@ def follow(
     power: int,
     rate: int,
 ) -> int:
-    """Plan chords until the link is to be looked at. flags: 0 where nothing is to move.
+    """Plan chords, up to eight, until the link must be read again.
 
-    Returns what stands against the next, OUTSIDE or FULL; NOWHERE, where the last had no steps; or
-    0. Behind the speeds of the ring's blocks stands that of the arc.
+    flags, line, power, rate: as of plan_kernel.plan(); flags 0: check mode, nothing is to move.
+    Returns why the next chord cannot be planned, OUTSIDE or FULL; NOWHERE where the last one had
+    no steps; else 0. speeds[ROWS + 1] is the arc's programmed speed, for reports.
     """
     found = 0
     while found == 0:

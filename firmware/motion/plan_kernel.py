@@ -1,9 +1,13 @@
 # mypy: disable-error-code=arg-type
-"""The planner's kernel: integers only, from a target to a block that joins the others.
+"""The planner's kernel: from a target to a block in the ring, and the speeds between blocks.
 
-Everything here is viper: it allocates nothing, knows no objects, and takes and returns values from
-0 to 2**30 - 1, so that it means the same on a 32-bit board, on the 64-bit desktop MicroPython and
-under CPython. What stands where is told in layout.py. Called by the main loop only.
+docs/motion.md derives the formulas. All of it is viper on integers: no allocation, no objects.
+Arguments and results are from 0 to 2**30 - 1 unless a function says otherwise, so they mean the
+same on a 32-bit board, on 64-bit desktop MicroPython and under CPython. layout.py has the places
+in table, ring and flow. Main loop only; the interrupt reads the ring, and writes only TAIL.
+
+Speeds squared are scaled so that the square of the machine's highest speed is 2**30 (SQR_SCALE):
+a sum of two still fits 31 bits.
 """
 
 import micropython
@@ -68,9 +72,9 @@ from motion.reals import (
 )
 from motion.steps import measure, to_steps
 
-# Where more blocks than that wait, going back over all of them for each new one would take longer
-# than the rest of its planning. So it is done for several at once: a new one's entry is 0 until
-# then, which keeps every promise.
+# With more blocks than NEAR waiting, a backward pass over all of them takes longer than the rest
+# of a block's planning. So it is run once for AT_ONCE new blocks. Until then their entry speed is
+# 0, which is always safe.
 NEAR = const(16)
 AT_ONCE = const(4)
 
@@ -81,7 +85,7 @@ FULL = const(2)
 
 @micropython.viper
 def full(flow: ptr32) -> int:
-    """FULL, where the ring has no room."""
+    """Return FULL where the ring has no free row, else 0. One row always stays free."""
     following = flow[HEAD] + 1
     if following == flow[ROWS]:
         following = 0
@@ -90,10 +94,11 @@ def full(flow: ptr32) -> int:
 
 @micropython.viper
 def limit(table: ptr32, ring: ptr32, at: int) -> int:
-    """What the axes of a measured block allow: its RAPID and ACCEL; and its direction.
+    """Compute a measured block's RAPID (mm/s), ACCEL (mm/s2), both reals, and its direction.
 
-    A limit is the smallest, over the axes, of axis limit * length / distance.
-    Unit vectors are kept per axis as 16384 + component * 16384.
+    An axis moves by distance / length of the path's speed, so the path's limit is the smallest,
+    over the axes, of axis limit * length / distance. The direction goes into the table, for the
+    next corner, as |component| * 16384 per axis; the signs are in DIRS.
     """
     axes = table[AXES]
     length = ring[at + LENGTH]
@@ -104,11 +109,14 @@ def limit(table: ptr32, ring: ptr32, at: int) -> int:
         mm = table[direction + axes + i]
         component = 0
         if mm:
+            # Both are reals. mm <= length, so shift >= 0; beyond 14 the component is nothing.
             shift = (length >> 15) - (mm >> 15)
             if shift < 15:
                 component = (((mm & 32767) << 14) // (length & 32767)) >> shift
             if component > 16384:
                 component = 16384
+            # length / mm = scale * 2**(shift - 14), with scale between 2**13 and 2**15; k: the
+            # axis's speed, then its acceleration.
             scale = ((length & 32767) << 14) // (mm & 32767)
             for k in range(1, 3):
                 limiting = table[LIMITS + 3 * i + k]
@@ -134,12 +142,18 @@ def limit(table: ptr32, ring: ptr32, at: int) -> int:
 
 @micropython.viper
 def turn(table: ptr32, dirs: int) -> int:
-    """How fast, squared, the machine may go from the previous block into this one.
+    """Return the squared speed allowed in the corner between the previous block and this one.
 
-    Junction deviation: the speed at which an arc that keeps within $11 of the
-    corner would need the axes' acceleration. With the change of direction D,
-    its cosine of half the angle c, and the acceleration along it that no axis
-    exceeds, v2 = accel * deviation * 4 c (1 + c) / D2.
+    Junction deviation, Grbl's idea (Sungeun K. Jeon): the speed at which a circle that stays
+    within $11 of the corner would use the axes' acceleration.
+
+        D = e1 - e0     the change of direction, between unit vectors; |D| = 2 sin(turn / 2)
+        c = cos(turn / 2) = sqrt(1 - |D|**2 / 4)
+        v**2 = deviation * 4 c (1 + c) / |D| * min over axes of accel_i / |D_i|
+
+    Components are in 2**-14 and carry a bias of 16384 here, so they run from 0 to 32768. HIGHEST
+    for a straight line, 0 for a reversal. dirs: DIRS of this block. Its direction is kept as the
+    previous one of the next corner.
     """
     axes = table[AXES]
     previous = LIMITS + 3 * axes
@@ -154,7 +168,7 @@ def turn(table: ptr32, dirs: int) -> int:
             change = 0 - change
         squares += change * change
         if change or component != 16384:
-            # One more than it seems: a weak axis that hardly turns is not overlooked.
+            # change + 1: an axis whose change is rounded to 0 may still be the weakest.
             accel = table[LIMITS + 3 * i + 2]
             mantissa = ((accel & 32767) << 15) // (change + 1)
             exponent = (accel >> 15) - 15
@@ -164,23 +178,34 @@ def turn(table: ptr32, dirs: int) -> int:
             accel = (exponent << 15) + mantissa
             if accel < least:
                 least = accel
+    # |D|**2 in 2**-28, so 2**30 is a reversal.
     if squares < 16:
         return HIGHEST
     if squares >= 0x3FFFFC00:
         return 0
+    # First turn: the root of squares, |D| in 2**-14. Second: that of 4 - |D|**2, twice the cosine.
     cosine = 0
     for _ in range(2):
         change = cosine
         cosine = int(square_root(squares))
         squares = 0x3FFFFFFF - squares
     cosine >>= 1
+    # c (1 + c) / |D| in 2**-15. JUNCTION's 2**16 makes up for the 2**-14 of D_i, and is the 4.
     shape = (((cosine * (16384 + cosine)) >> 14) << 15) // change
     return int(product(int(pack(shape, BIAS - 15)), least, table[JUNCTION]))
 
 
 @micropython.viper
 def schedule(table: ptr32, ring: ptr32, at: int) -> int:
-    """What the interrupt will want to know of a block; also after an override has changed."""
+    """Compute what the interrupt needs of a block, from its RATE, ACCEL and the overrides.
+
+    Called again when an override changes. With per_mm = EVENTS / LENGTH (steps per mm of the
+    path), FACTOR = per_mm * SEGMENT_RATE turns mm/s into block speed units (segment_kernel.py):
+
+        RAMP = ACCEL * per_mm * SEGMENT_ACCEL     change of speed in a full segment
+        CRUISE = NOMINAL * FACTOR                 PROGRAMMED = RATE * FACTOR
+        NOMINAL_SQR = NOMINAL**2 * SQR_SCALE      DELTA_SQR = 2 * ACCEL * LENGTH * SQR_SCALE
+    """
     flags = ring[at + FLAGS]
     rate = ring[at + RATE]
     nominal = rate
@@ -196,7 +221,7 @@ def schedule(table: ptr32, ring: ptr32, at: int) -> int:
     per_mm = int(ratio(ring[at + EVENTS], ring[at + LENGTH]))
     factor = int(mul(per_mm, table[SEGMENT_RATE]))
     ring[at + FACTOR] = factor
-    # Five products that stand one behind the other, and one place in the code for all of them.
+    # One loop for the five products: product() is inlined, and code takes memory.
     a = accel
     b = per_mm
     c = table[SEGMENT_ACCEL]
@@ -214,14 +239,17 @@ def schedule(table: ptr32, ring: ptr32, at: int) -> int:
             b = nominal
             c = table[SQR_SCALE]
         else:
-            a = accel + LIMIT  # twice
+            a = accel + LIMIT  # twice accel: its exponent and one
             b = ring[at + LENGTH]
     return 0
 
 
 @micropython.viper
 def ratios(ring: ptr32, at: int, motors: int) -> int:
-    """A block's steps per motor as parts of its EVENTS, in 2**-29."""
+    """Compute each motor's steps / EVENTS, from 0 to 1 in 2**-29, behind its steps in the row.
+
+    Long division, as many bits at once as a remainder below EVENTS leaves room for in 31.
+    """
     events = ring[at + EVENTS]
     width = 15 if events < LIMIT else (9 if events < 1 << 21 else 1)
     for i in range(motors):
@@ -244,18 +272,18 @@ def ratios(ring: ptr32, at: int, motors: int) -> int:
 
 @micropython.viper
 def join(table: ptr32, ring: ptr32, flow: ptr32) -> int:
-    """Put the block that has been made at HEAD into the ring."""
+    """Append the block made at HEAD to the ring: its corner's speed, then the backward pass."""
     size = flow[ROW_SIZE]
     head = flow[HEAD]
     at = head * size
     junction = int(turn(table, ring[at + DIRS]))
     if head == flow[TAIL]:
-        junction = 0  # from rest
+        junction = 0  # the ring is empty: it starts from rest
     ring[at + JUNCTION_SQR] = junction
     ring[at + ENTRY_SQR] = 0
     limit_entry(ring, flow, head)
     if table[GENTLE]:
-        ring[at + MAX_ENTRY_SQR] = 0  # until the extra that wants it so has seen to it
+        ring[at + MAX_ENTRY_SQR] = 0  # until the extra that asked for it has set it
     axes = table[AXES]
     target = LIMITS + TARGET * axes
     for i in range(axes):
@@ -273,7 +301,7 @@ def join(table: ptr32, ring: ptr32, flow: ptr32) -> int:
 
 @micropython.viper
 def limit_entry(ring: ptr32, flow: ptr32, row: int) -> int:
-    """No block is entered faster than it, the one before, or the corner between them allow."""
+    """Set a block's MAX_ENTRY_SQR: what it, the one before, and the corner between them allow."""
     size = flow[ROW_SIZE]
     at = row * size
     before = (row if row else flow[ROWS]) * size - size
@@ -297,10 +325,11 @@ def plan(
     power: int,
     rate: int,
 ) -> int:
-    """Add a block from POSITION to target, in mm. Returns 0 where it has no steps.
+    """Add a block from POSITION to target (mm, bits of floats). Returns 0 where it has no steps.
 
-    flags: with PLACED, TARGET is known already. rate: real, mm/s, or 1/s with INVERSE_TIME. There
-    has to be room.
+    flags: see layout.py; with PLACED, TARGET in the table is set already. line: the N word.
+    power: of the spindle. rate: real, mm/s, or 1/s with INVERSE_TIME. The ring must have a free
+    row: see full().
     """
     at = flow[ROWS] if flags & SYSTEM_MOTION else flow[HEAD]
     at *= flow[ROW_SIZE]
@@ -328,11 +357,14 @@ def plan(
 
 @micropython.viper
 def reverse_pass(ring: ptr32, flow: ptr32, everything: int) -> int:
-    """Raise the blocks' entry speeds to what they can brake from by the end of the last one.
+    """Raise entry speeds to what the machine can brake from by the end of the newest block.
 
-    Works from the newest block back, past all that are new, and stops where
-    nothing changes, unless everything is to be done. The block at the tail is
-    being executed: its entry is history. Returns how many blocks were looked at.
+    entry**2 = min(MAX_ENTRY_SQR, entry of the next block**2 + DELTA_SQR), from the newest back. It
+    ends at the first block, behind the new ones, where nothing changes, because nothing changes
+    before that either; with everything set it goes on (an override has changed them all). The
+    block at TAIL is being executed, so its entry is past. There is no forward pass: the interrupt
+    accelerates as it can, and a promised speed that is not reached is a limit, no more. Returns
+    how many blocks were visited.
     """
     size = flow[ROW_SIZE]
     head = flow[HEAD]
