@@ -1,8 +1,9 @@
 # mypy: disable-error-code=arg-type
 """The geometry of an arc: from its ends and its centre to a course (arcs.py).
 
-In single precision and by integers only (base/singles.py), so nothing is left on the heap: an
-arc's numbers stand in an array, with room to reckon and the constants for it.
+In single precision, as Grbl's, but on the bits of floats (base/singles.py), so that nothing is
+left on the heap. An arc's numbers are an array, r: what is known of it, scratch places, constants.
+A function names the places of its results; A, B and C may be lost.
 """
 
 from array import array
@@ -11,31 +12,16 @@ import micropython
 from base.singles import MINUS, add_single, multiply, quotient, root, store, whole_part
 from micropython import const
 
-from motion.arcs import (
-    BITS,
-    CENTRE,
-    FAR,
-    FIRST,
-    KNOWN,
-    LEFT,
-    REST,
-    SHEARS,
-    SHIFT,
-    STRAY,
-    STRIDE,
-    TURNING,
-    WAY,
-)
+from motion import arcs
 
-# An arc's numbers: its radius, which is the parser's, so that a helix's end does not bend it;
-# where its centre lies, seen from the start, in the plane; how far chords may stray; radians
-# travelled.
+# An arc's numbers: its radius in mm, as the parser has it; its centre, relative to the start, in
+# the plane; how far chords may be off the arc, mm; the angle travelled, radians.
 RADIUS = const(0)
 CENTRE_0 = const(1)
 CENTRE_1 = const(2)
 TOLERANCE = const(3)
 ANGLE = const(4)
-# Room to reckon, a part of which is what _turn() and _scale() have found;
+# Scratch places, and the results of _turn() and _scale();
 A = const(5)
 B = const(6)
 C = const(7)
@@ -43,8 +29,8 @@ _SINE = const(8)
 _TANGENT = const(9)
 _SCALE = const(10)
 _RATIO = const(11)
-# and constants: 1, pi / 4, pi / 2, pi, 2 * pi, and what series of odd powers are made of: those of
-# the arc tangent up to _FLAT, and of the sine up to 0.8, fitted for the least relative error.
+# and constants: 1, pi / 4, pi / 2, pi, 2 * pi, and the factors of two series of odd powers, fitted
+# for the least relative error: the arc tangent up to _FLAT, and the sine up to 0.8.
 _ONE = const(12)
 _EIGHTH = const(13)
 _QUARTER = const(14)
@@ -71,8 +57,7 @@ _FACTORS = (
 _NO_SWEEP = const(0x350637BD)
 _SAME = const(0x3851B717)
 _FLAT = const(0x3ED413CD)
-# What is added to the bits of a float doubles it.
-_TWICE = const(0x800000)
+_TWICE = const(0x800000)  # added to the bits of a float, doubles it
 # Radians: what has wider chords, smaller than the tolerance, gets more of them. In 2**-16, 1.5.
 _WIDEST = const(98304)
 _FEW = const(5)  # so many cannot be as wide
@@ -81,7 +66,7 @@ _FINEST = const(27)  # so many units, as a power of two, are a step at the most
 
 @micropython.viper
 def subtract(r: ptr32, at: int, other: ptr32, i: int) -> int:
-    """Take the float other[i] from r[at]."""
+    """Subtract the float other[i] from r[at]: negate, add, negate. A zero keeps no sign."""
     ptr8(r)[4 * at + 3] ^= MINUS
     add_single(other, i, r, at)
     if r[at] & int(0x7FFFFFFF):
@@ -91,7 +76,7 @@ def subtract(r: ptr32, at: int, other: ptr32, i: int) -> int:
 
 @micropython.viper
 def length(r: ptr32, at: int, of: int) -> int:
-    """Make r[at] the root of the sum of its square and that of r[of], which is lost."""
+    """Set r[at] to sqrt(r[at]**2 + r[of]**2). r[of] is lost."""
     multiply(r, at, r, at)
     multiply(r, of, r, of)
     add_single(r, of, r, at)
@@ -100,8 +85,7 @@ def length(r: ptr32, at: int, of: int) -> int:
 
 @micropython.viper
 def _series(r: ptr32, at: int, first: int, terms: int) -> int:
-    """Make r[at] the sum of its odd powers, by the factors from r[first] on, and itself. A and B
-    are lost."""
+    """Set x = r[at] to x + x * (f0 x**2 + f1 x**4 + …) by Horner's rule; r[first] is f0."""
     r[A] = r[at]
     multiply(r, A, r, A)
     terms += first - 1
@@ -117,7 +101,11 @@ def _series(r: ptr32, at: int, first: int, terms: int) -> int:
 
 @micropython.viper
 def _direction(r: ptr32, y: int, x: int) -> int:
-    """Make ANGLE the direction of r[x], r[y], which are lost: radians, up to pi either way."""
+    """Set ANGLE to atan2(r[y], r[x]), radians, -pi to pi. r[x] and r[y] are lost.
+
+    The smaller of the two by the larger is a tangent t from 0 to 1. Above tan(pi / 8) it is
+    replaced by (t - 1) / (t + 1), whose angle is pi / 4 less, so that the series is short.
+    """
     behind = ptr8(r)[4 * x + 3] & MINUS
     below = ptr8(r)[4 * y + 3] & MINUS
     r[x] = r[x] & int(0x7FFFFFFF)
@@ -133,7 +121,7 @@ def _direction(r: ptr32, y: int, x: int) -> int:
         r[ANGLE] = r[y]
         quotient(r, ANGLE, r, x)
     wide = 1 if r[ANGLE] > _FLAT else 0
-    if wide:  # it is pi / 4, and what has the tangent (t - 1) / (t + 1)
+    if wide:
         r[A] = r[ANGLE]
         add_single(r, _ONE, r, A)
         subtract(r, ANGLE, r, _ONE)
@@ -153,8 +141,8 @@ def _direction(r: ptr32, y: int, x: int) -> int:
 
 @micropython.viper
 def _is_short(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
-    """Whether an arc whose ANGLE counts as none, either way, has ends that are not the same. Makes
-    ANGLE that of the straight way between them then."""
+    """Return 1 where the ends of an arc whose ANGLE is about 0 differ by more than 0.00005 mm, or
+    than rounding: it is short, and no full circle. ANGLE is distance / radius then."""
     if r[RADIUS] == 0:
         return 0
     r[C] = _SAME
@@ -182,12 +170,15 @@ def _is_short(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
 
 @micropython.viper
 def sweep(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
-    """Find ANGLE, the angle travelled, in radians. Ends that are the same make a full circle; with
-    Grbl also those that differ by so little, beside the radius, that the angle is lost."""
+    """Set ANGLE to the angle travelled, radians, 0 to 2 pi. Equal ends make a full circle.
+
+    atan2(r0 x r1, r0 . r1) of the radii to start and end. Both products are computed from the
+    difference of the ends, because that of two nearly equal radii would lose all digits. Grbl
+    loses them, and takes such a short arc for a full circle: docs/conformance.md.
+    """
     one = plane[ONE_AXIS]
     other = plane[OTHER_AXIS]
-    # The way from end to end, beside the radius: what is left of the two is small with the angle,
-    # as the difference of the two radii would not be.
+    # x and y of the difference.
     r[_SINE] = target[one]
     subtract(r, _SINE, start, one)
     r[_TANGENT] = target[other]
@@ -216,7 +207,8 @@ def sweep(r: ptr32, plane: ptr32, start: ptr32, target: ptr32) -> int:
 
 @micropython.viper
 def _count(r: ptr32) -> int:
-    """How many chords of the tolerance go over the angle, as Grbl counts them."""
+    """Return the number of chords, Grbl's: angle / 2 * radius / sqrt(tolerance * (2 radius -
+    tolerance)), rounded down, at most 65535. The root is half a chord that is `tolerance` high."""
     if r[RADIUS] == 0:
         return 0
     r[A] = r[RADIUS] + _TWICE
@@ -233,8 +225,11 @@ def _count(r: ptr32) -> int:
 
 @micropython.viper
 def _turn(r: ptr32, chords: int) -> int:
-    """Find the sine of a chord's angle, and the tangent of its half. Returns by how many bits the
-    sine is less than 1, but no more than chords have."""
+    """Set _SINE to sin(phi) and _TANGENT to tan(phi / 2); phi: the angle of a chord. Returns the
+    shift of rotate(): by how many bits the sine is below 1, at most as many as chords has.
+
+    With h = sin(phi / 2) by the series, c = sqrt(1 - h**2): sin(phi) = 2 h c, tangent = h / c.
+    """
     bits = 0
     while chords >> bits:
         bits += 1
@@ -243,7 +238,7 @@ def _turn(r: ptr32, chords: int) -> int:
     quotient(r, _TANGENT, r, C)
     r[_TANGENT] = r[_TANGENT] - _TWICE
     _series(r, _TANGENT, _SIN, _SIN_TERMS)
-    # The sine of the half, by which its cosine is the root of 1 less its square.
+    # _TANGENT is h here, and C becomes c.
     r[C] = r[_TANGENT]
     multiply(r, C, r, C)
     ptr8(r)[4 * C + 3] ^= MINUS
@@ -258,12 +253,12 @@ def _turn(r: ptr32, chords: int) -> int:
 
 @micropython.viper
 def _scale(r: ptr32, start: ptr32, target: ptr32, steps_per_mm: ptr32, axes: int) -> int:
-    """Find the units per mm, half of those that there is room for. 0 where places are too far for
-    whole steps, or are no numbers."""
+    """Set _SCALE to the units per mm of the course's positions, at most 2**27 per step of the
+    coarsest axis. Returns 0 where positions are too far for whole steps, or no numbers, else 1."""
     farthest = int(0x4D800000)  # the float FARTHEST
     if r[RADIUS] >= farthest:
         return 0
-    # A place, on its way, is up to three radii from its start.
+    # On its way a position is up to three radii from the start, because shears overshoot.
     r[A] = r[RADIUS] + 2 * _TWICE if r[RADIUS] else 0
     add_single(r, RADIUS, r, A)
     add_single(r, _ONE, r, A)
@@ -291,7 +286,7 @@ def _scale(r: ptr32, start: ptr32, target: ptr32, steps_per_mm: ptr32, axes: int
 
 @micropython.viper
 def _share(way: int, shift: int, chords: int) -> int:
-    """A chord's part of a way, in 2**-shift."""
+    """Return way / chords in 2**-shift, rounded towards 0: a long division, bit by bit."""
     part = (0 - way if way < 0 else way) // chords
     rest = (0 - way if way < 0 else way) - part * chords
     for _ in range(shift):
@@ -313,10 +308,13 @@ def _place(
     course: ptr32,
     axes: int,
 ) -> int:
-    """Put places where the arc begins, and where they go. Finds how many times as many units a mm
-    is of the axis that turns first as of the other."""
-    chords = course[LEFT] + 1
-    at = FIRST
+    """Fill the course's axes: position, bits of a step, centre in the plane, advance per chord.
+
+    An axis's unit is its step / 2**bits. Sets _RATIO to units per mm of the first axis of the
+    rotation over those of the second, for shears between axes of different resolution.
+    """
+    chords = course[arcs.LEFT] + 1
+    at = arcs.FIRST
     for i in range(axes):
         r[B] = r[_SCALE]
         quotient(r, B, steps_per_mm, i)
@@ -325,24 +323,24 @@ def _place(
         r[B] = start[i]
         multiply(r, B, r, A)
         place = int(whole_part(r, B, 0))
-        course[at] = FAR + place + (1 << bits >> 1)
-        course[at + REST] = 0
-        course[at + BITS] = bits
-        course[at + WAY] = int(0x40000000)  # 1 << WAY_BIAS
+        course[at] = arcs.FAR + place + (1 << bits >> 1)
+        course[at + arcs.REST] = 0
+        course[at + arcs.BITS] = bits
+        course[at + arcs.WAY] = int(0x40000000)  # 1 << WAY_BIAS
         is_one = 1 if i == plane[ONE_AXIS] else 0
         if is_one or i == plane[OTHER_AXIS]:
             r[B] = r[CENTRE_0] if is_one else r[CENTRE_1]
             multiply(r, B, r, A)
-            course[at + CENTRE] = course[at] + int(whole_part(r, B, 0))
+            course[at + arcs.CENTRE] = course[at] + int(whole_part(r, B, 0))
             second = 1 if is_one == plane[CLOCKWISE] else 0
-            course[TURNING + second] = at
+            course[arcs.TURNING + second] = at
             r[C if second else _RATIO] = r[A]
         else:
             r[B] = target[i]
             multiply(r, B, r, A)
             way = int(whole_part(r, B, 0)) - place
-            course[at + WAY] = course[at + WAY] + int(_share(way, course[SHIFT], chords))
-        at += STRIDE
+            course[at + arcs.WAY] += int(_share(way, course[arcs.SHIFT], chords))
+        at += arcs.STRIDE
     return int(quotient(r, _RATIO, r, C))
 
 
@@ -356,11 +354,11 @@ def lay(
     course: ptr32,
     axes: int,
 ) -> int:
-    """Lay a course. r: an arc's numbers. Returns how many chords it takes; 0 and 1 mean a straight
-    line."""
-    course[LEFT] = 0
-    course[KNOWN] = 0
-    r[TOLERANCE] = course[STRAY]
+    """Fill a course from start to target, mm as bits of floats; r: an arc's numbers. Returns the
+    number of chords; 0 and 1 mean a straight line, and the course is not filled."""
+    course[arcs.LEFT] = 0
+    course[arcs.KNOWN] = 0
+    r[TOLERANCE] = course[arcs.STRAY]
     if int(_scale(r, start, target, steps_per_mm, axes)) == 0:
         return 0
     sweep(r, plane, start, target)
@@ -368,14 +366,14 @@ def lay(
     if chords > 1:
         if chords < _FEW and int(whole_part(r, ANGLE, 16)) > _WIDEST * chords:
             chords *= 2
-        course[LEFT] = chords - 1
+        course[arcs.LEFT] = chords - 1
         shift = int(_turn(r, chords))
-        course[SHIFT] = shift
+        course[arcs.SHIFT] = shift
         _place(r, plane, start, target, steps_per_mm, course, axes)
         multiply(r, _TANGENT, r, _RATIO)
         quotient(r, _SINE, r, _RATIO)
-        course[SHEARS] = FAR - int(whole_part(r, _TANGENT, 28 + shift))
-        course[SHEARS + 1] = FAR + int(whole_part(r, _SINE, 28 + shift))
+        course[arcs.SHEARS] = arcs.FAR - int(whole_part(r, _TANGENT, 28 + shift))
+        course[arcs.SHEARS + 1] = arcs.FAR + int(whole_part(r, _SINE, 28 + shift))
     return chords
 
 
