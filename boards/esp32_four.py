@@ -1,9 +1,9 @@
 """ESP32 as esp32_devkit.py, with the shield's fourth driver in use, as axis A.
 
-Its notes hold here too; but the shield's jumpers for A connect step to D12
-and direction to D13, which were Z's limit and the spindle's direction. So Z's switch goes to A3
-(the shield's coolant), with a pull-up resistor of 10 kOhm to 3.3 V. An axis that turns: add
-ROTARY = "A"; a second motor on Y: add MOTORS = "XYZY". Never ran on hardware.
+The notes of esp32_devkit.py hold here too. The shield's jumpers for A connect step to D12 and
+direction to D13, which were Z's limit and the spindle's direction. So wire Z's switch to A3 (the
+shield's coolant), with a pull-up resistor of 10 kOhm to 3.3 V. For an axis that turns add
+ROTARY = "A". For a second motor on Y add MOTORS = "XYZY". Never ran on hardware.
 """
 
 MPY_ARCH = "xtensawin"

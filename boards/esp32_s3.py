@@ -1,6 +1,6 @@
-"""ESP32-S3 DevKitC with native USB, three stepper drivers on pins of their own.
+"""ESP32-S3 DevKitC with native USB, three stepper drivers on separate pins.
 
-The sender is on the USB socket that is the S3's own, not on the UART's. All pins are free on
+Connect the sender to the S3's own USB socket, not to the UART's. All pins are free on
 the DevKitC-1, with or without octal PSRAM. Never ran on hardware.
 """
 
@@ -21,11 +21,11 @@ SPINDLE_DIR = 8
 FLOOD = 1
 NO_PULL_UP = ()
 
-# As on the ESP32, see esp32_devkit.py; but a channel holds 47 steps, so that motion stands still
-# for a moment every 8 ms at this rate.
+# As on the ESP32, see esp32_devkit.py. But a channel holds 47 steps here, so motion pauses briefly
+# every 8 ms at this rate.
 MAX_STEP_RATE_HZ = 5000
 
-# Small moves at high speed want a long look ahead; there is memory for it.
+# Small moves at high speed need a long look-ahead; this chip has the memory for it.
 PLANNER_BLOCKS = 64
 RX_BYTES = 128
 PWM_MAX = 1000

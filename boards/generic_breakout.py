@@ -1,7 +1,7 @@
 """Raspberry Pi Pico on a breakout board with opto-couplers, and big drivers (DM542, TB6600).
 
-Such drivers want their direction 5 to 10 us before a step, and slow opto-couplers longer pulses.
-Connect PUL+, DIR+ and ENA+ to the breakout's outputs and the minus sides to its ground.
+Such drivers need the direction 5 to 10 us before a step, and slow opto-couplers need longer
+pulses. Connect PUL+, DIR+ and ENA+ to the breakout's outputs and the minus sides to its ground.
 """
 
 CHIP = "pico"
@@ -26,12 +26,12 @@ MIST_PIN = 22
 
 DIR_HOLD_US = 10
 DIR_SETUP_US = 10
-# Long wires: a button's contacts count when they have been at rest for so long.
+# Long wires: a button's contact counts after it has been stable for this time.
 CONTROL_DEBOUNCE_MS = 20
-# Spindle controllers that turn PWM into 0 to 10 V like it slow.
+# Spindle controllers that convert PWM to 0 to 10 V need a low frequency.
 PWM_HZ = 1000
 
-# Small moves at high speed want a long look ahead.
+# Small moves at high speed need a long look-ahead.
 PLANNER_BLOCKS = 64
 RX_BYTES = 255
 PWM_MAX = 1000

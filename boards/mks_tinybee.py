@@ -1,11 +1,11 @@
-"""MKS TinyBee: an ESP32 with five drivers behind shift registers, made for 3D printers.
+"""MKS TinyBee: an ESP32 with five drivers on shift registers, made for 3D printers.
 
-Driver E0 is a second motor on Y, E1 one on Z: what is not connected does no harm. For a machine
-with five axes leave out MOTORS. Step, direction and enable are numbers of the registers' outputs,
+Driver E0 is a second motor on Y, E1 one on Z; unconnected drivers do no harm. For a machine
+with five axes remove MOTORS. Step, direction and enable are numbers of the registers' outputs,
 of which heaters and fans stay off. Inputs are ESP32 pins; the probe's (MT_DET) has its resistor on
-the board. The spindle or laser is at the servo output of the 3D-touch connector. Pins are those of
-Marlin's pin list for the board, which grblHAL's agrees with. Its ESP32 has no PSRAM: see
-mks_dlc32.py. Never ran on hardware.
+the board. The spindle or laser is at the servo output of the 3D-touch connector. Pins are from
+Marlin's pin list for the board, and grblHAL's agrees. Its ESP32 has no PSRAM: see mks_dlc32.py.
+Never ran on hardware.
 """
 
 MPY_ARCH = "xtensawin"

@@ -1,7 +1,7 @@
 """Raspberry Pi Pico on a gantry: four stepper drivers, two of them on Y, which squares itself.
 
-Pins are those of rpi_pico.py, with three more for the second motor of Y: 19, 20, and 21 for its
-limit switch. Where there is none write None for it: both motors home as one then.
+Pins are those of rpi_pico.py, and three more for the second motor of Y: 19, 20, and 21 for its
+limit switch. If there is no such switch write None for 21: then both motors home as one.
 """
 
 CHIP = "pico"
@@ -20,10 +20,10 @@ CONTROL = (13, 14, 15, None)
 SPINDLE_PWM = 16
 SPINDLE_DIR = 17
 FLOOD = 18
-# Held to ground at power-up: MicroPython's prompt in place of the machine.
+# Grounded at power-up: MicroPython's prompt starts instead of the machine.
 REPL_PIN = 22
 
-# Small moves at high speed want a long look ahead.
+# Small moves at high speed need a long look-ahead.
 PLANNER_BLOCKS = 64
 RX_BYTES = 255
 PWM_MAX = 1000

@@ -1,6 +1,6 @@
 """Raspberry Pi Pico in a laser engraver: $33, exact power, and clusters.
 
-SPINDLE_PWM is the power of the laser: many of them want 5 V.
+SPINDLE_PWM is the power of the laser. Many lasers need 5 V.
 """
 
 CHIP = "pico"
@@ -20,7 +20,7 @@ SPINDLE_PWM = 16
 CLUSTERS = True
 PWM_HZ = 20000
 FLOOD = 18
-# Held to ground at power-up: MicroPython's prompt in place of the machine.
+# Grounded at power-up: MicroPython's prompt starts instead of the machine.
 REPL_PIN = 22
 
 RX_BYTES = 255

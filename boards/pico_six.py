@@ -1,8 +1,8 @@
-"""Raspberry Pi Pico on a plain breakout, with six stepper drivers: axes X, Y, Z, A, B and C.
+"""Raspberry Pi Pico on a simple breakout, with six stepper drivers: axes X, Y, Z, A, B and C.
 
-The pins are of our own choice, in the order in which a Pico has them, and take all that there are.
-For two motors on an axis write MOTORS = "XYZAYZ" say: see docs/motors.md; for axes that turn
-ROTARY = "AC". For five motors leave the last pin of STEP, DIR and LIMIT out.
+The pins are our own choice, in the order of the Pico's pins, and use all of them. For two motors
+on an axis write, for example, MOTORS = "XYZAYZ": see docs/motors.md. For axes that turn write
+ROTARY = "AC". For five motors remove the last pin of STEP, DIR and LIMIT.
 """
 
 CHIP = "pico"
@@ -19,10 +19,10 @@ PROBE = 21
 CONTROL = (0, 1, 28, None)
 SPINDLE_PWM = 26
 FLOOD = 27
-# Held to ground at power-up: MicroPython's prompt in place of the machine.
+# Grounded at power-up: MicroPython's prompt starts instead of the machine.
 REPL_PIN = 22
 
-# Small moves at high speed want a long look ahead.
+# Small moves at high speed need a long look-ahead.
 PLANNER_BLOCKS = 64
 RX_BYTES = 255
 PWM_MAX = 1000

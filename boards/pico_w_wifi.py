@@ -15,7 +15,7 @@ CONTROL = (13, 14, 15, None)
 SPINDLE_PWM = 16
 SPINDLE_DIR = 17
 FLOOD = 18
-# Held to ground at power-up: MicroPython's prompt in place of the machine.
+# Grounded at power-up: MicroPython's prompt starts instead of the machine.
 REPL_PIN = 22
 
 RX_BYTES = 255

@@ -1,7 +1,7 @@
-"""Raspberry Pi Pico with three stepper drivers on pins of their own, spindle or laser by PWM.
+"""Raspberry Pi Pico with three stepper drivers on separate pins, spindle or laser by PWM.
 
-Switches, buttons and probe go between their pin and ground; the Pico has the pull-ups. Pins give
-3.3 V: most drivers want no more, a spindle's controller may want a level shifter.
+Connect switches, buttons and probe between their pin and ground; the Pico has the pull-ups. Pins
+give 3.3 V. Most drivers need no more; a spindle's controller may need a level shifter.
 """
 
 CHIP = "pico"
@@ -19,10 +19,10 @@ CONTROL = (13, 14, 15, None)
 SPINDLE_PWM = 16
 SPINDLE_DIR = 17
 FLOOD = 18
-# Held to ground at power-up: MicroPython's prompt in place of the machine.
+# Grounded at power-up: MicroPython's prompt starts instead of the machine.
 REPL_PIN = 22
 
-# Small moves at high speed want a long look ahead.
+# Small moves at high speed need a long look-ahead.
 PLANNER_BLOCKS = 64
 RX_BYTES = 255
 PWM_MAX = 1000

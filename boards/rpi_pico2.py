@@ -15,10 +15,10 @@ CONTROL = (13, 14, 15, None)
 SPINDLE_PWM = 16
 SPINDLE_DIR = 17
 FLOOD = 18
-# Held to ground at power-up: MicroPython's prompt in place of the machine.
+# Grounded at power-up: MicroPython's prompt starts instead of the machine.
 REPL_PIN = 22
 
-# Small moves at high speed want a long look ahead; there is memory for it.
+# Small moves at high speed need a long look-ahead; this chip has the memory for it.
 PLANNER_BLOCKS = 64
 RX_BYTES = 255
 PWM_MAX = 1000

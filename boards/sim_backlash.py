@@ -1,4 +1,4 @@
-"""The simulator with backlash that can be taken up: $160, $161, $162."""
+"""The simulator with compensation of backlash: $160, $161, $162."""
 
 from boards.sim import *  # noqa: F403
 

@@ -1,4 +1,4 @@
-"""The simulator without a switch on Z: X and Y are homed, one after the other ($44 to $49)."""
+"""The simulator without a switch on Z: X and Y home one after the other ($44 to $49)."""
 
 from boards.sim import *  # noqa: F403
 

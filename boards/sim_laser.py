@@ -1,4 +1,4 @@
-"""The simulator as a laser: $33, and power that changes at the step where it belongs."""
+"""The simulator as a laser: $33, and power that changes at the exact step."""
 
 from boards.sim import *  # noqa: F403
 

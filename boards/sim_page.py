@@ -1,4 +1,4 @@
-"""The simulator with a network that serves the page, too: docs/network.md."""
+"""The simulator with a network that also serves the page: docs/network.md."""
 
 from boards.sim_wifi import *  # noqa: F403
 

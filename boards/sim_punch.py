@@ -7,7 +7,7 @@ PUNCH_DOWN = 20
 PUNCH_UP = 21
 PUNCH_DOWN_SENSOR = 22
 PUNCH_UP_SENSOR = 23
-# No stroke takes longer, down or up.
+# The limit for a stroke, down or up.
 PUNCH_TIMEOUT_MS = 1000
-# How long the simulated one takes, one way.
+# The time of a simulated stroke, one way.
 PUNCH_STROKE_MS = 40

@@ -1,4 +1,4 @@
-"""The simulator with a network beside its cable: $NET, and what docs/network.md says."""
+"""The simulator with a network as well as its cable: $NET, see docs/network.md."""
 
 from boards.sim import *  # noqa: F403
 
