@@ -3,8 +3,8 @@
     python examples/make_badge.py > examples/badge.nc
 
 Work zero: lower left corner of the stock, on its top. Stock 120 x 120 x 8 mm.
-Tools: a 3.175 mm end mill for all but the engraving, which a V-bit would do
-better; there is no tool change, so that the program runs unattended.
+Tool: a 3.175 mm end mill for everything. A V-bit would be better for the engraving,
+but without a tool change the program runs unattended.
 """
 
 import sys
@@ -31,37 +31,37 @@ class Point(NamedTuple):
 
 
 def polar(radius: float, angle: float, centre: tuple[float, float] = CENTRE) -> Point:
-    """The point at a radius and an angle (radians) from a centre."""
+    """Return the point at a radius and an angle (radians) from a centre."""
     return Point(centre[0] + radius * cos(angle), centre[1] + radius * sin(angle))
 
 
 def number(value: float, places: int = 3) -> str:
-    """As posts write it: no zeros at the end, but always a point."""
+    """Format a number as posts do: no zeros at the end, but always a point."""
     text = f"{value:.{places}f}".rstrip("0")
     return text.replace("-0.", "0.", 1) if float(text) == 0 else text
 
 
 class Post:
-    """Writes blocks. A word that has not changed is left out, as in Grbl's own modes."""
+    """Writes blocks. It leaves out a modal word that has not changed."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
         self._modal: dict[str, str] = {}
 
     def line(self, text: str) -> None:
-        """A block, or a comment, as it stands."""
+        """Write a block, or a comment, unchanged."""
         self.lines.append(text)
 
     def comment(self, text: str) -> None:
-        """A comment."""
+        """Write a comment."""
         self.line(f"({text})")
 
     def rapid(self, at: Point | None = None, z: float | None = None) -> None:
-        """G0."""
+        """Write a G0."""
         self._move("G0", at, z, None)
 
     def feed(self, at: Point | None = None, z: float | None = None, rate: float = FEED) -> None:
-        """G1."""
+        """Write a G1."""
         self._move("G1", at, z, rate)
 
     def arc(
@@ -73,7 +73,7 @@ class Post:
         rate: float = FEED,
         clockwise: bool = False,
     ) -> None:
-        """G2 or G3 by centre. The end is written even where it is the start: a full turn."""
+        """Write a G2 or G3 by centre, always with its end: a full turn ends at its start."""
         i = centre[0] - float(self._modal["X"])
         j = centre[1] - float(self._modal["Y"])
         self._modal.pop("X")
@@ -108,7 +108,7 @@ class Post:
 
 
 def header(post: Post) -> None:
-    """What every program begins with."""
+    """Write the beginning of every program."""
     post.comment("BADGE")
     post.comment("Stock 120 x 120 x 8 mm, zero: lower left corner, top")
     post.comment("T1 D=3.175 - flat end mill")
@@ -127,7 +127,7 @@ def begin(post: Post, name: str, spindle_rpm: int) -> None:
 
 
 def footer(post: Post) -> None:
-    """Spindle off, out of the way, rewind."""
+    """Switch the spindle off, move away, rewind."""
     post.line("")
     post.rapid(z=15.0)
     post.line("M5")
@@ -138,7 +138,7 @@ def footer(post: Post) -> None:
 def helix(
     post: Post, centre: tuple[float, float], radius: float, top: float, bottom: float
 ) -> None:
-    """Wind down in half turns, at most 0.5 mm each, then once round at the bottom."""
+    """Go down in half turns, at most 0.5 mm each, then once round at the bottom."""
     halves = 2 * ceil((top - bottom) / 1.0)
     for half in range(1, halves + 1):
         z = top + (bottom - top) * half / halves
@@ -148,7 +148,7 @@ def helix(
 
 
 def bore(post: Post, centre: tuple[float, float], radius: float, depth: float) -> None:
-    """A hole by a helix, cleared of dust on the way out."""
+    """Cut a hole by a helix, and clear it of dust on the way out."""
     path = radius - TOOL_RADIUS
     post.rapid(polar(path, 0.0, centre))
     post.rapid(z=CLEAR_Z)
@@ -159,7 +159,7 @@ def bore(post: Post, centre: tuple[float, float], radius: float, depth: float) -
 
 
 def drill(post: Post, at: Point, depth: float, peck: float) -> None:
-    """A hole in pecks, written out: Grbl has no G83."""
+    """Drill a hole in pecks, in single moves: Grbl has no G83."""
     post.rapid(at)
     z = 0.0
     while z > -depth:
@@ -172,7 +172,7 @@ def drill(post: Post, at: Point, depth: float, peck: float) -> None:
 
 
 def spiral_pocket(post: Post, inner: float, outer: float, depth: float) -> None:
-    """Clear a disc from inside out along a spiral, first by a helix into the full."""
+    """Clear a disc from inside out: a helix into the solid, then a spiral."""
     step = 1.1
     turn_length = 1.6
     post.rapid(polar(inner, 0.0))
@@ -184,7 +184,7 @@ def spiral_pocket(post: Post, inner: float, outer: float, depth: float) -> None:
         angle += turn_length / max(radius, turn_length)
         radius = min(inner + step * angle / tau, outer)
         post.feed(polar(radius, angle))
-    # A last full turn by arcs, with a smooth way out.
+    # A last full turn by arcs, with a smooth exit.
     for half in (1, 2):
         post.arc(polar(outer, angle + pi * half), CENTRE, rate=FINISH_FEED)
     end = polar(outer, angle)
@@ -195,7 +195,7 @@ def spiral_pocket(post: Post, inner: float, outer: float, depth: float) -> None:
 
 
 def adaptive_ring(post: Post, inner: float, outer: float, depth: float) -> None:
-    """Clear a ring in loops that keep the load on the cutter even: trochoids all around."""
+    """Clear a ring in trochoids, which keep the load on the cutter even."""
     middle, swing = (inner + outer) / 2, (outer - inner) / 2 - TOOL_RADIUS
     loops = 160
     post.rapid(polar(middle + swing, 0.0))
@@ -216,7 +216,7 @@ def adaptive_ring(post: Post, inner: float, outer: float, depth: float) -> None:
 
 
 def rosette(post: Post, radius: float, swing: float, lobes: int, points: int) -> None:
-    """A guilloche line around the rim, deeper where it swings out, as a V-bit would carve it."""
+    """Engrave a guilloche around the rim, deeper where it swings out, as a V-bit would."""
     depth, deeper = 0.35, 0.2
     for phase in (0.0, 1 / 3, 2 / 3):
         for index in range(points + 1):
@@ -232,8 +232,8 @@ def rosette(post: Post, radius: float, swing: float, lobes: int, points: int) ->
         post.rapid(z=SAFE_Z)
 
 
-# The word. A stroke is a list of steps in units of the x-height, beginning at a place:
-# (x, y) goes there straight, (x, y, centre x, centre y, clockwise) by an arc.
+# The word. A stroke is a start and a list of steps, in units of the x-height: (x, y) is a straight
+# line to there, (x, y, centre x, centre y, clockwise) an arc.
 
 Step = tuple[float, ...]
 LETTERS: dict[str, tuple[float, tuple[tuple[Step, ...], ...]]] = {
@@ -271,7 +271,7 @@ GAP = 0.32
 
 
 def word_strokes(word: str, height: float) -> Iterator[tuple[Point, list[Step]]]:
-    """Every stroke of a centred word in mm: its start and its steps."""
+    """Yield every stroke of a centred word, in mm: its start and its steps."""
     width = sum(LETTERS[letter][0] for letter in word) + GAP * (len(word) - 1)
     left = CENTRE[0] - width * height / 2
     base = CENTRE[1] - height / 2
@@ -349,7 +349,7 @@ def seams(post: Post, inner: float, outer: float, count: int) -> None:
 
 
 def badge() -> list[str]:
-    """The program, line by line."""
+    """Return the program, line by line."""
     post = Post()
     header(post)
     begin(post, "Bores for the hold-down screws", 12000)

@@ -20,7 +20,7 @@ M5"""
 
 
 def grille() -> list[str]:
-    """The program, line by line."""
+    """Return the program, line by line."""
     lines = _HEAD.splitlines()
     low, high = REGISTER
     lines += [f"G0 X{low:g} Y{low:g}", "M3", f"G0 X{low:g} Y{low:g}"]

@@ -1,7 +1,8 @@
-"""A counter of parts, kept over power-off: each M2 or M30 is one more.
+"""A counter of parts, kept over power-off: each M2 or M30 adds one.
 
-Reports have |Pn:12,50, made and wanted. M120 Q50 sets how many are wanted, M121 begins anew; when
-they are made the sender is told, and the next program waits for cycle start.
+Reports have |Pn:12,50, the parts made and wanted. M120 Q50 sets how many are wanted, M121 starts
+again at 0. When all are made the sender gets a message, and the next program waits for cycle
+start.
 """
 
 from ugrbl import Refuse, mcode, on

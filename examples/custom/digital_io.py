@@ -1,10 +1,11 @@
-"""M62 to M68: outputs and inputs by numbers, as LinuxCNC has them.
+"""M62 to M68: outputs and inputs by numbers, as in LinuxCNC.
 
-M62 P and M63 P switch an output as the motion before them ends, and that behind them goes on; M64
-and M65 wait for motion. M66 P L Q waits for an input, Q seconds at the most: L0 not at all, L1
-until it closes, L2 until it opens, L3 and L4 the same where it is so already. M66 E tells the
-voltage of an analog input, from 0 to 1. M67 E Q and M68 E Q set the width of pulses, Q from 0 to
-1. Numbers count from 0, through these names of the board file and pins of the ADC:
+M62 P and M63 P switch an output on and off between the motion before them and the motion after
+them, without a stop. M64 and M65 wait for motion to end first. M66 P L Q waits for an input, at
+most Q seconds: L0 does not wait, L1 waits until it closes, L2 until it opens; L3 and L4 do the
+same, and end at once if it is so already. M66 E reports the voltage of an analog input, from 0 to
+1. M67 E Q and M68 E Q set a pulse width, Q from 0 to 1. Numbers count from 0, in the order of
+these names of the board file and of the ADC's pins:
 """
 
 from machine import ADC, Pin
@@ -13,7 +14,7 @@ from ugrbl import Refuse, mcode
 OUTPUTS = ("air", "lamp", "fan")
 INPUTS = ("part", "door")
 ANALOG = (26, 27)
-HZ = 1000  # of M67 and M68
+HZ = 1000  # pulses of M67 and M68
 
 
 def named(names, number):
@@ -46,7 +47,7 @@ def wait(m, P=None, E=None, L=0, Q=0):
     if L not in range(5) or (L and not Q):
         raise Refuse("M66: L is 0 to 4, and wants Q, the seconds to wait")
     closed = L in (1, 3)
-    if L in (1, 2) and m.pin(name) == closed:  # an edge: the other level comes first
+    if L in (1, 2) and m.pin(name) == closed:  # an edge: wait for the other level first
         m.wait_for(name, not closed, Q)
     came = L == 0 or m.wait_for(name, closed, Q)
     m.message("M66 P%d: %s" % (P, int(m.pin(name)) if came else "nothing for %g s" % Q))

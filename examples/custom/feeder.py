@@ -1,7 +1,7 @@
-"""A feeder that waits for its sensor: M115, or M115 Q20 for 20 s at most.
+"""A feeder that waits for its sensor: M115, or M115 Q20 for at most 20 s.
 
 OUTPUTS = {"feeder": 20}, INPUTS = {"part": 21, "jam": 22} in the board file. The job waits until a
-part lies still at the sensor; where none comes it holds, and asks for somebody.
+part lies still at the sensor. If no part comes, the job holds and asks for help.
 
 Checked by: ugrbl custom check feeder.py --input part=500ms
 """
@@ -12,7 +12,7 @@ STILL_S = 0.3
 
 
 def one_part(m, seconds):
-    """Run the feeder until a part is there; False where none has come."""
+    """Run the feeder until a part comes; return False if none has come."""
     m.out("feeder", True)
     try:
         return m.wait_for("part", seconds=seconds)

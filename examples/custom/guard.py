@@ -1,13 +1,13 @@
 """A guard for a touch probe: M114 P1 while one is in the spindle, M114 P0 without.
 
-What it touches while no probing move is under way brings the machine to rest within the probe's
-give, as ALARM:34 that keeps the position, if rapids are slow enough for that: $110 and $120.
-Unlock, and jog away. The spindle does not turn with it.
+If the probe touches anything outside a probing move, the machine stops with ALARM:34 and keeps its
+position. It stops within the probe's give if rapids are slow enough for that: $110 and $120. Then
+unlock, and jog away. While the guard is on the spindle does not turn.
 """
 
 from ugrbl import Refuse, every, mcode, on
 
-CLEAR_MS = 10  # contacts bounce where the probe leaves what it has probed
+CLEAR_MS = 10  # contacts bounce when the probe leaves a surface
 
 clear = 0
 

@@ -1,13 +1,14 @@
-"""A height map: M118 X60 Y40 Q10 probes the work each 10 mm, G102 X Y Z F cuts over it as G1 does.
+"""A height map: M118 X60 Y40 Q10 probes the work every 10 mm, G102 X Y Z F cuts over it like G1.
 
-M118 begins in the front left corner, over the work; X and Y are how far it goes, Q the grid's
-width, in the program's units. Z0 is the work's height in that corner afterwards. The map is kept.
+Start M118 in the front left corner, above the work. X and Y are the size of the area, Q is the
+grid's width, in the program's units. Afterwards Z0 is the work's height in that corner. The map is
+kept.
 """
 
 from ugrbl import Refuse, gcode, mcode
 
-DEEP, MOST = 10.0, 150  # mm below where it begins the work has been touched; points of a grid
-grid = []  # x, y, width, columns, rows; behind them heights, row by row
+DEEP, MOST = 10.0, 150  # mm below the start: the probe must touch by then; points at most
+grid = []  # x, y, width, columns, rows; then heights, row by row
 
 
 @mcode(118, "XYQ")
@@ -31,7 +32,7 @@ def probe_map(m, X, Y, Q):
 
 
 def height(x, y):
-    """Between four points of the grid; beyond its edge as at the edge."""
+    """Interpolate between four points of the grid; beyond its edge use the edge."""
     x, y = (min(max((v - grid[i]) / grid[2], 0), grid[i + 3] - 1.001) for i, v in ((0, x), (1, y)))
     at, x, y = 5 + int(y) * int(grid[3]) + int(x), x % 1, y % 1
     low, high = (grid[i] * (1 - x) + grid[i + 1] * x for i in (at, at + int(grid[3])))

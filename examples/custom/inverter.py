@@ -1,8 +1,8 @@
-"""A spindle at an inverter on RS-485: M3, M4 and M5 wait until it has the speed asked for.
+"""A spindle on an inverter with RS-485: M3, M4 and M5 wait until it has reached its speed.
 
-Modbus, registers of a Delta VFD-EL, a motor with two poles, UART 1 on GP8 and GP9 through a
-module that turns the line round by itself. Wire SPINDLE_ON to the inverter's enable input besides:
-that is off at once, whatever this program does. Overrides of S are not passed on.
+Modbus, registers of a Delta VFD-EL, a motor with two poles, UART 1 on GP8 and GP9. The RS-485
+module must switch direction by itself. Also wire SPINDLE_ON to the inverter's enable input: it
+switches off at once, whatever this program does. Overrides of S are not passed on.
 """
 
 from machine import UART, Pin

@@ -1,7 +1,8 @@
-"""A tangential knife: G101 X10 Y5 cuts there in a straight line, the blade turned the way it goes.
+"""A tangential knife: G101 X10 Y5 cuts there in a straight line, with the blade along the path.
 
-Axis A is the blade's angle in degrees, 0 along X. Where the way turns more than a little the blade
-comes out, turns, and goes in again; else it turns as it cuts, and nothing stops. G100 ends a cut.
+Axis A is the blade's angle in degrees, 0 along X. Where the path turns by more than MOST_DEGREES
+the blade comes out, turns, and goes in again. Otherwise it turns as it cuts, without a stop. G100
+ends a cut.
 
 Checked by: ugrbl custom check knife.py --board sim_xyza
 """
@@ -11,7 +12,7 @@ from math import atan2, pi
 from ugrbl import Refuse, gcode
 
 UP, DOWN = 2.0, -1.5  # Z in work coordinates: clear of the material, through it
-MOST_DEGREES = 12.0  # so far the blade may turn within the material
+MOST_DEGREES = 12.0  # the most that the blade may turn within the material
 CUT, PLUNGE = 3000, 600  # mm/min
 
 
@@ -24,7 +25,7 @@ def cut(m, X=None, Y=None, F=None):
     if (x - here.x) ** 2 + (y - here.y) ** 2 < 1e-6:
         return
     angle = atan2(y - here.y, x - here.x) * 180 / pi
-    turn = (angle - here.a + 180) % 360 - 180  # the short way, so that no cable is wound up
+    turn = (angle - here.a + 180) % 360 - 180  # the short way, so that no cable winds up
     with m.saved():
         if here.z > DOWN + 0.001 or abs(turn) > MOST_DEGREES:
             m.g("G0 Z%g" % max(UP, here.z))

@@ -1,8 +1,8 @@
 """An oscillating blade: G111 X10 Y5 cuts there in a straight line, and every corner lifts it.
 
-OUTPUTS = {"blade": 18} in the board file: it swings before it goes in, and stands still behind
-G110, which ends a cut. Axis A turns it, in degrees, 0 along X. A blade cuts its full depth only
-behind its point: at a corner it goes on a little, and begins as much before the next line.
+OUTPUTS = {"blade": 18} in the board file: the blade starts before it goes in. G110 ends a cut and
+stops it. Axis A turns it, in degrees, 0 along X. A blade cuts its full depth only behind its
+point. So it cuts a little beyond each corner, and starts as much before the next line.
 
 Checked by: ugrbl custom check oscillating.py --board sim_xyza
 """
@@ -13,9 +13,9 @@ from ugrbl import Refuse, gcode
 
 UP, DOWN = 3.0, -4.0  # Z in work coordinates: clear of the material, through it
 OVER = 0.6  # mm beyond corners, about a third of the blade's width
-MOST_DEGREES = 5.0  # so far it may turn within the material
+MOST_DEGREES = 5.0  # the most that it may turn within the material
 CUT, PLUNGE = 2400, 400  # mm/min
-SWING_S = 0.3  # until the blade swings
+SWING_S = 0.3  # time until the blade has its speed
 
 
 def beyond(x, y, degrees, mm):

@@ -1,21 +1,21 @@
-"""A pen at a servo: M3 puts it down, M5 lifts it, and both wait until the servo is there.
+"""A pen on a servo: M3 puts it down, M5 lifts it, and both wait until the servo has arrived.
 
-GP15 makes the servo's pulses; the board file leaves that pin alone, and its neighbour GP14 is no
-spindle's (they share a frequency). Whatever stops the machine lifts the pen.
+GP15 makes the servo's pulses, so the board file must not use it. GP14 must not be the spindle's
+PWM, because both pins share one frequency. Every stop of the machine lifts the pen.
 """
 
 from machine import PWM, Pin
 from ugrbl import on
 
 UP_US, DOWN_US = 1000, 1600  # pulses: measure yours
-DOWN_S, UP_S = 0.15, 0.10  # so long the servo is on its way; a pen falls last of all
+DOWN_S, UP_S = 0.15, 0.10  # the servo's travel times; the pen takes longest to fall
 
 servo = PWM(Pin(15), freq=50, duty_u16=0)
 now_us = 0
 
 
 def turn(us):
-    """Returns whether that is another place."""
+    """Move the servo; return whether its position changes."""
     global now_us
     was_us, now_us = now_us, us
     servo.duty_u16(us * 65535 // 20000)

@@ -1,8 +1,8 @@
 """A pendant: a wheel with two contacts, a switch for the axis, and two buttons that jog.
 
 INPUTS = {"wheel_a": 10, "wheel_b": 11, "z": 12, "y": 13, "plus": 14, "minus": 15, "coarse": 16} in
-the board file; X is jogged where neither y nor z is closed. A button jogs as long as it is held.
-It does nothing but in Idle: a program is not to be disturbed by a sleeve.
+the board file; X is jogged if neither y nor z is closed. A button jogs as long as it is held.
+The pendant works only in Idle, so that an accidental touch cannot disturb a program.
 """
 
 from ugrbl import every, on

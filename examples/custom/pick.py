@@ -1,7 +1,7 @@
-"""Pick and place with a sucker: M116 Z-12 picks at that height, M117 Z-10 places.
+"""Pick and place with a suction cup: M116 Z-12 picks at that height, M117 Z-10 places.
 
-OUTPUTS = {"vacuum": 20, "blow": 21}, INPUTS = {"gripped": 22} in the board file, the last from the
-vacuum sensor. A part that is lost on its way holds the machine.
+OUTPUTS = {"vacuum": 20, "blow": 21}, INPUTS = {"gripped": 22} in the board file. "gripped" is the
+vacuum sensor. If a part is lost on the way, the machine holds.
 """
 
 from ugrbl import Refuse, mcode, on

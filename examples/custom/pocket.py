@@ -1,14 +1,14 @@
-"""The middle of a pocket, or of a hole: M112 R30. A probe that touches on the PROBE input.
+"""Find the middle of a pocket, or of a hole: M112 R30. The probe is on the PROBE input.
 
-Begin within it, at the height of its walls. R: no wall is further away, in the program's units.
-X0 Y0 is the middle afterwards, the probe stands there, and a message says how wide it is.
+Begin inside it, at the height of its walls. R: no wall is further away, in the
+program's units. Afterwards X0 Y0 is the middle, the probe is there, and a message gives the width.
 """
 
 from ugrbl import Refuse, mcode
 
 
 def wall(m, axis, way):
-    """Where the wall is, in machine coordinates: once fast, once slowly; and a little back."""
+    """Return the wall's place in machine coordinates: probe fast, then slowly, and back off."""
     sign = 1 if way > 0 else -1
     m.probe("G91 %s%.3f F300" % (axis, way))
     m.g("G91 G1 %s%.3f F300\nG90" % (axis, -sign))
@@ -18,7 +18,7 @@ def wall(m, axis, way):
 
 
 def middle(m, axis, reach):
-    """Go to the middle of two walls; returns how far apart they are."""
+    """Go to the middle between two walls; return their distance."""
     low = wall(m, axis, -reach)
     high = wall(m, axis, 2 * reach)
     m.g("G53 G1 %s%.4f F600" % (axis, (low + high) / 2))
@@ -36,6 +36,6 @@ def pocket(m, R):
     with m.saved():
         middle(m, "X", reach)
         wide_y = middle(m, "Y", reach)
-        wide_x = middle(m, "X", reach)  # of a hole only now, through its middle
+        wide_x = middle(m, "X", reach)  # again: only now through the middle of a hole
         m.set_work(m.position(), "X0 Y0")
     m.message("Pocket: X %.3f, Y %.3f mm, and the ball of the probe" % (wide_x, wide_y))

@@ -1,23 +1,23 @@
 """A rack of eight tools, a spindle with a drawbar, and a sensor that measures lengths: T3 M6.
 
 OUTPUTS = {"drawbar": 20, "blow": 21} and INPUTS = {"tool_in": 10, "open": 11, "air": 12} in the
-board file: a tool sits in the cone; the drawbar is open; the air has its pressure. The drawbar
-opens by air and closes by its spring, so whatever stops the machine lets it close. T0 M6 puts the
-tool away. M61 Q3 says which tool is in the spindle, where a change has been broken off.
+board file. The inputs mean: a tool is in the cone; the drawbar is open; the air has its pressure.
+The drawbar opens by air and closes by its spring, so every stop of the machine closes it. T0 M6
+puts the tool away. After an interrupted change M61 Q3 says which tool is in the spindle.
 """
 
 from ugrbl import Refuse, mcode, on
 
 TOOLS = 8
-FIRST_X, FIRST_Y, PITCH = 20.0, 300.0, 40.0  # pockets stand along X; machine coordinates, as all
-TOP, ABOVE, IN_POCKET = -1.0, -60.0, -80.0  # Z: clear of all; a tool over its pocket; in it
-SENSOR, LOWEST = "X360 Y300", -75  # where a tool must have touched
+FIRST_X, FIRST_Y, PITCH = 20.0, 300.0, 40.0  # pockets are along X; all in machine coordinates
+TOP, ABOVE, IN_POCKET = -1.0, -60.0, -80.0  # Z: clear of all; a tool above its pocket; in it
+SENSOR, LOWEST = "X360 Y300", -75  # Z: a tool must touch before this
 SLOW, SPIN_DOWN_S, AIR_S, BLOW_S = 600, 6, 2, 0.4
-BROKEN_MM = 0.5  # so much shorter than last time a tool is not to be
+BROKEN_MM = 0.5  # a tool that has become this much shorter is broken
 
 
 def ready(m, tool):
-    """Everything that speaks against a change is said before anything moves."""
+    """Refuse a change, before anything moves, for any reason; return the tool in the spindle."""
     there = m.keep.get("tool", 0)
     if tool > TOOLS:
         raise Refuse("The rack has tools 1 to %d, not %d" % (TOOLS, tool))

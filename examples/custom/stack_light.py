@@ -1,8 +1,8 @@
-"""A stack light and a buzzer: green runs, yellow waits for somebody, red is alarm.
+"""A stack light and a buzzer: green means running, yellow waiting for an operator, red alarm.
 
-OUTPUTS = {"green": 18, "yellow": 19, "well": 20, "buzzer": 21} in the board file. Red hangs on the
-closed contact of the relay "well": it is lit by whatever takes outputs away, a reset, a limit
-switch, a controller without power, and needs no program for it.
+OUTPUTS = {"green": 18, "yellow": 19, "well": 20, "buzzer": 21} in the board file. Wire red to the
+normally closed contact of the relay "well". So everything that switches outputs off also lights
+red: a reset, a limit switch, a controller without power. No program is needed for this.
 """
 
 from ugrbl import every, on
@@ -34,7 +34,7 @@ def begin(m):
 
 @every(250)
 def beat(m):
-    """Two beeps when somebody is wanted, and again every ten seconds."""
+    """Beep twice when an operator is needed, and again every ten seconds."""
     global beats
     wanted = m.state in WAITING or m.state == "Alarm"
     m.out("buzzer", wanted and beats % 40 in (0, 2))

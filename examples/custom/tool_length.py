@@ -1,13 +1,13 @@
 """Tool change by hand, each tool measured at a sensor: M6 T2. The sensor is the PROBE input.
 
-Lengths are G43.1's, and kept with the tool: they hold again behind a reset or power-off. A tool
-that has not been measured counts as the longest there could be, and stays clear of the work.
+Lengths are those of G43.1, and kept with the tool, so they hold after a reset or power-off. A tool
+that has not been measured counts as the longest possible one, and stays clear of the work.
 """
 
 from ugrbl import Refuse, on
 
-SENSOR, CHANGE = "X3 Y139", "X3 Y60"  # where it stands, and where hands reach; machine coordinates
-TOP, LOWEST = -1, -60  # Z: clear of everything; where a tool must have touched
+SENSOR, CHANGE = "X3 Y139", "X3 Y60"  # its place; where hands reach it; machine coordinates
+TOP, LOWEST = -1, -60  # Z: clear of everything; a tool must touch before this
 SPIN_DOWN_S = 4
 
 

@@ -1,8 +1,8 @@
-"""A tool table: G10 L1 P3 Z-12.5 enters tool 3, G43 H3 takes its length, M6 has it put in.
+"""A tool table: G10 L1 P3 Z-12.5 enters tool 3, G43 H3 uses its length, M6 asks for the tool.
 
-G43 alone takes the length of the tool that is in, and G49 takes it away. What is entered, and
-which tool is in, is kept over power-off. M6 without a length for its tool is refused; it ends with
-the length in force. G43 H3 Z5 goes on to Z5, in the mode that holds, G0 or G1.
+G43 alone uses the length of the tool in the spindle, and G49 cancels it. The entries, and the tool
+in the spindle, are kept over power-off. M6 is refused if its tool has no length; afterwards the
+length is in force. G43 H3 Z5 also moves to Z5, in the mode that holds, G0 or G1.
 """
 
 from ugrbl import Refuse, gcode, on
@@ -33,7 +33,7 @@ def use(m, H=None, Z=None):
 
 @on.tool_change
 def change(m, tool):
-    mm = length(m, tool)  # refused before anything moves
+    mm = length(m, tool)  # refuses before anything moves
     if tool != m.keep.get("in", 0):
         m.g("M5 M9")
         with m.saved():

@@ -1,17 +1,17 @@
 """Work zero by a plate on a corner, on the PROBE input: M110 for Z, M110 D6 for Z, X and Y.
 
-The plate lies on the front left corner of the work. Begin above it, up to 15 mm to the right of
-the corner and behind it, at most 20 mm high. D: the tool's diameter, in the program's units.
+The plate lies on the front left corner of the work. Begin above it, at most 20 mm high, and up to
+15 mm to the right of the corner and to its rear. D: the tool's diameter, in the program's units.
 """
 
 from ugrbl import Refuse, mcode
 
-THICK, WALL = 12.0, 8.0  # mm: so far its faces are from the work's
-DEEP, BESIDE = 6.0, 30.0  # mm: its sides are touched so far below; the tool is clear of it there
+THICK, WALL = 12.0, 8.0  # mm: from the work's faces to those of the plate
+DEEP, BESIDE = 6.0, 30.0  # mm: how far below its top a side is touched; how far away is clear
 
 
 def touch(m, axis, way):
-    """Touch twice, the second time slowly; back to where it is clear."""
+    """Touch twice, the second time slowly, and move clear; return the place of contact."""
     m.probe("G91 %s%g F200" % (axis, way))
     m.g("G91 G0 %s%g\nG90" % (axis, -1.0 if way > 0 else 1.0))
     at = m.probe("G91 %s%g F30" % (axis, 2.0 if way > 0 else -2.0))
@@ -20,7 +20,7 @@ def touch(m, axis, way):
 
 
 def move(m, words):
-    """Where something could stand in the way."""
+    """Move, and refuse if something is in the way."""
     if m.probe("G91 %s F600" % words, must=False):
         raise Refuse("The tool has touched something on its way, %s" % words)
 

@@ -1,15 +1,15 @@
 """Vacuum and air blast that follow spindle and laser.
 
-OUTPUTS = {"vacuum": 20, "air": 21} in the board file. The vacuum runs on for some seconds behind
-M5; the air blows while the spindle or the laser is on. What stops the machine stops both at once.
+OUTPUTS = {"vacuum": 20, "air": 21} in the board file. The vacuum runs for some seconds after M5.
+The air blows while the spindle or the laser is on. A stop of the machine stops both at once.
 """
 
 from ugrbl import every, on
 
 RUN_ON_MS = 5000
-SPIN_UP_S = 2.0  # a spindle wants time before it cuts; a laser does not
+SPIN_UP_S = 2.0  # a spindle needs time before it cuts; a laser does not
 
-left_ms = 0  # of the vacuum's running on
+left_ms = 0  # that the vacuum still runs after M5
 
 
 @on.spindle

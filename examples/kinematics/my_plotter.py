@@ -1,4 +1,4 @@
-"""Raspberry Pi Pico on a polar plotter: its joints are in polar.py, beside this file."""
+"""Raspberry Pi Pico on a polar plotter: its joints are in polar.py, next to this file."""
 
 CHIP = "pico"
 MPY_ARCH = "armv6m"
@@ -13,7 +13,7 @@ PLANNER_BLOCKS = 64
 RX_BYTES = 255
 KINEMATICS = "polar"
 DEFAULTS = {
-    # The arm in mm, the table in degrees: 200 steps a turn, 16 microsteps, a belt of 5 : 1.
+    # The arm in mm, the table in degrees: 200 steps per turn, 16 microsteps, a belt of 5 : 1.
     100: 80.0,
     101: 44.444,
     102: 400.0,

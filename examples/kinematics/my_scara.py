@@ -1,4 +1,4 @@
-"""Raspberry Pi Pico on a parallel SCARA: its arms are in scara.py, beside this file."""
+"""Raspberry Pi Pico on a parallel SCARA: its arms are in scara.py, next to this file."""
 
 CHIP = "pico"
 MPY_ARCH = "armv6m"
@@ -13,7 +13,7 @@ PLANNER_BLOCKS = 64
 RX_BYTES = 255
 KINEMATICS = "scara"
 DEFAULTS = {
-    # Arms: steps and rates in degrees. 200 steps a turn, 16 microsteps, a belt of 5 : 1.
+    # Arms: steps and rates in degrees. 200 steps per turn, 16 microsteps, a belt of 5 : 1.
     100: 44.444,
     101: 44.444,
     102: 400.0,

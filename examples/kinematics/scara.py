@@ -1,27 +1,28 @@
 """A parallel SCARA: two arms from shoulders side by side, whose forearms meet at the tool.
 
-Joints: X motor, the left arm, Y motor, the right one, in degrees from the X axis, against the
-clock; Z in mm. Elbows are outside, and the tool in front of the shoulders. X0 Y0 is in the middle
-between them.
+Joints: the X motor is the left arm, the Y motor the right one, in degrees from the X axis,
+counterclockwise; Z is in mm. Elbows are outside, and the tool is in front of the shoulders. X0 Y0
+is in the middle between the shoulders.
 """
 
 import math
 
-SHOULDER = 40.0  # mm: from the middle to each
+SHOULDER = 40.0  # mm from the middle to each shoulder
 ARM = 80.0
 FOREARM = 110.0
-# How near forearms may come to lie in one line, mm across it: there the tool may go either way.
+# How near the forearms may be to one straight line, mm across it. In line, the tool could go to
+# either side.
 CLEAR = 15.0
 
 START = (120.0, 60.0, 0.0)  # where the joints are at power-up
-HOME = (140.0, 40.0, 0.0)  # and where each is when its switch closes
-TRAVEL = (150.0, 150.0, 50.0)  # how far it is to a switch at the most
-CENTRED = (0, 1)  # axes of space whose travel ($130, $131) goes to either side of 0
+HOME = (140.0, 40.0, 0.0)  # where each joint is when its switch closes
+TRAVEL = (150.0, 150.0, 50.0)  # greatest distance of each to its switch
+CENTRED = (0, 1)  # axes of space whose travel ($130, $131) goes to both sides of 0
 FASTEST = 6000.0  # mm/min: no motion is faster, G0 included
 
 
 def inverse(place, joints):
-    """Fill in the joints for a place. They hold where they are before. False: out of reach."""
+    """Fill in the joints for a place; False: out of reach. joints holds the last values."""
     x, y = place[0], place[1]
     if y <= 0:
         return False
@@ -41,7 +42,7 @@ def inverse(place, joints):
 
 
 def forward(joints, place):
-    """Fill in the place for these joints."""
+    """Fill in the place for the joints."""
     left, a, right, b = _elbows(joints)
     apart = _apart(left, a, right, b)
     squares = FOREARM * FOREARM - apart * apart / 4
